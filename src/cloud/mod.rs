@@ -1,0 +1,5 @@
+//! Point clouds in memory and on disk.
+
+mod point;
+
+pub use point::{Bounds, Point};

@@ -1,0 +1,78 @@
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use super::DatasetError;
+
+/// A log's name on the command line: `FORMAT:PATH[@VERSION][#SCENE]`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LogLocator {
+    /// Which reader.
+    pub format: LogFormat,
+    /// Folder or file.
+    pub path: PathBuf,
+    /// Data set version, for instance `v1.0-mini`.
+    pub version: Option<String>,
+    /// Scene name or token.
+    pub scene: Option<String>,
+}
+
+/// The formats that can be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LogFormat {
+    /// The 13 JSON tables of nuScenes.
+    NuScenes,
+}
+
+impl LogFormat {
+    /// Names on the command line.
+    pub const NAMES: &'static str = "nuscenes";
+}
+
+impl FromStr for LogLocator {
+    type Err = DatasetError;
+
+    fn from_str(text: &str) -> Result<Self, DatasetError> {
+        let wrong = || DatasetError::Locator { found: text.to_owned(), formats: LogFormat::NAMES };
+        let (format, rest) = text.split_once(':').ok_or_else(wrong)?;
+        let format = match format {
+            "nuscenes" => LogFormat::NuScenes,
+            _ => return Err(wrong()),
+        };
+        let (rest, scene) = split_tail(rest, '#');
+        let (path, version) = split_tail(rest, '@');
+        if path.is_empty() || version == Some("") || scene == Some("") {
+            return Err(wrong());
+        }
+        Ok(Self { format, path: path.into(), version: version.map(Into::into), scene: scene.map(Into::into) })
+    }
+}
+
+/// Splits at the last `mark`, unless a folder separator comes behind it (it is part of the path then).
+fn split_tail(text: &str, mark: char) -> (&str, Option<&str>) {
+    match text.rsplit_once(mark) {
+        Some((head, tail)) if !tail.contains('/') => (head, Some(tail)),
+        _ => (text, None),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_parts_are_found() {
+        let locator: LogLocator = "nuscenes:/data/a@b/nuscenes@v1.0-mini#scene-0061".parse().unwrap();
+        assert_eq!(locator.path, PathBuf::from("/data/a@b/nuscenes"));
+        assert_eq!(locator.version.as_deref(), Some("v1.0-mini"));
+        assert_eq!(locator.scene.as_deref(), Some("scene-0061"));
+        let bare: LogLocator = "nuscenes:data".parse().unwrap();
+        assert_eq!((bare.version, bare.scene), (None, None));
+    }
+
+    #[test]
+    fn other_forms_are_refused() {
+        for text in ["", "nuscenes", "nuscenes:", "kitti:/data", "nuscenes:/data@", "nuscenes:/data#"] {
+            assert!(text.parse::<LogLocator>().is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,186 @@
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use super::Class;
+use crate::geometry::{Camera, Cuboid, Pose};
+
+/// One drive: what was recorded when, from where.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Log {
+    /// Scene or log name.
+    pub name: String,
+    /// Map location, for instance `singapore-onenorth`.
+    pub location: String,
+    /// Free text of the data set.
+    pub description: String,
+    /// Camera channels, in the order of every camera list.
+    pub cameras: Vec<String>,
+    /// Tracked objects, sorted by id.
+    pub tracks: Vec<Track>,
+    /// Annotated frames in time order.
+    pub frames: Vec<Frame>,
+    /// What the reader left out, by kind, with counts.
+    pub notes: BTreeMap<String, usize>,
+}
+
+/// A tracked object.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Track {
+    /// The data set's id.
+    pub id: String,
+    /// The data set's category name.
+    pub category: String,
+    /// Coarse class.
+    pub class: Class,
+}
+
+/// An annotated instant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// Absolute microseconds.
+    pub t_us: i64,
+    /// Ego pose at that time.
+    pub global_from_ego: Pose,
+    /// The frame's own sweep first, then the sweeps without annotation since the last frame (latest first).
+    pub sweeps: Vec<SweepRecord>,
+    /// At most one image per camera, sorted by camera.
+    pub images: Vec<ImageRecord>,
+    /// Images without annotation since the last frame, sorted by time, then camera.
+    pub between_images: Vec<ImageRecord>,
+    /// Boxes at the frame's time, sorted by track.
+    pub boxes: Vec<TrackBox>,
+}
+
+/// Where a sweep is and from where it was taken.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SweepRecord {
+    /// File.
+    pub path: PathBuf,
+    /// Absolute microseconds.
+    pub t_us: i64,
+    /// Ego pose at that time.
+    pub global_from_ego: Pose,
+    /// Extrinsics.
+    pub ego_from_lidar: Pose,
+}
+
+/// Where an image is and from where it was taken.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImageRecord {
+    /// Index in [`Log::cameras`].
+    pub channel: usize,
+    /// File.
+    pub path: PathBuf,
+    /// Absolute microseconds.
+    pub t_us: i64,
+    /// Ego pose at that time.
+    pub global_from_ego: Pose,
+    /// Extrinsics.
+    pub ego_from_camera: Pose,
+    /// Size and intrinsics.
+    pub camera: Camera,
+}
+
+/// A track's box in a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackBox {
+    /// Index in [`Log::tracks`].
+    pub track: usize,
+    /// Where it stands, global.
+    pub cuboid: Cuboid,
+}
+
+impl Log {
+    /// A track's boxes in time order, with the index of their frames.
+    pub fn track_boxes(&self, track: usize) -> Vec<(usize, Cuboid)> {
+        let in_frame = |(i, frame): (usize, &Frame)| frame.cuboid_of(track).map(|cuboid| (i, cuboid));
+        self.frames.iter().enumerate().filter_map(in_frame).collect()
+    }
+
+    /// Ego pose at any time within the log, between the recorded poses of frames and sweeps (position linear,
+    /// rotation slerp). `None` outside.
+    pub fn ego_at(&self, t_us: i64) -> Option<Pose> {
+        let mut poses: Vec<(i64, Pose)> = self.frames.iter().map(|f| (f.t_us, f.global_from_ego)).collect();
+        for frame in &self.frames {
+            poses.extend(frame.sweeps.iter().map(|s| (s.t_us, s.global_from_ego)));
+        }
+        poses.sort_by_key(|(t, _)| *t);
+        interpolate_at(&poses, t_us, |a, b, s| a.interpolate(b, s))
+    }
+
+    /// All boxes at any time within the log, sorted by track, each between its boxes in the frames before and
+    /// after. A track that one of these two frames lacks is not there in between.
+    pub fn boxes_at(&self, t_us: i64) -> Vec<TrackBox> {
+        let next = self.frames.partition_point(|f| f.t_us < t_us);
+        match (next.checked_sub(1).map(|i| &self.frames[i]), self.frames.get(next)) {
+            (_, Some(frame)) if frame.t_us == t_us => frame.boxes.clone(),
+            (Some(before), Some(after)) => {
+                let s = (t_us - before.t_us) as f64 / (after.t_us - before.t_us) as f64;
+                let between = |b: &TrackBox| {
+                    let other = after.cuboid_of(b.track)?;
+                    Some(TrackBox { track: b.track, cuboid: b.cuboid.interpolate(&other, s) })
+                };
+                before.boxes.iter().filter_map(between).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// Whether a time lies within the log.
+    pub fn covers(&self, t_us: i64) -> bool {
+        let ends = self.frames.first().zip(self.frames.last());
+        ends.is_some_and(|(first, last)| (first.t_us..=last.t_us).contains(&t_us))
+    }
+}
+
+impl Frame {
+    /// A track's box, if it stands in this frame.
+    pub fn cuboid_of(&self, track: usize) -> Option<Cuboid> {
+        self.boxes.binary_search_by_key(&track, |b| b.track).ok().map(|i| self.boxes[i].cuboid)
+    }
+}
+
+impl ImageRecord {
+    /// `camera_from_global` at the image's own time.
+    pub fn camera_from_global(&self) -> Pose {
+        (self.global_from_ego * self.ego_from_camera).inverse()
+    }
+}
+
+/// Looks up `t` in samples sorted by time; `None` outside of them.
+fn interpolate_at<T: Copy>(samples: &[(i64, T)], t: i64, between: impl Fn(&T, &T, f64) -> T) -> Option<T> {
+    let next = samples.partition_point(|(at, _)| *at < t);
+    let (t1, after) = samples.get(next)?;
+    if *t1 == t {
+        return Some(*after);
+    }
+    let (t0, before) = samples.get(next.checked_sub(1)?)?;
+    Some(between(before, after, (t - t0) as f64 / (t1 - t0) as f64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    fn frame(t_us: i64, x: f64, tracks: &[usize]) -> Frame {
+        let pose = Pose::from_yaw(0.0, DVec3::new(x, 0.0, 0.0));
+        let cuboid = Cuboid::new(pose, DVec3::ONE).unwrap();
+        let boxes = tracks.iter().map(|&track| TrackBox { track, cuboid }).collect();
+        let (sweeps, images, between_images) = Default::default();
+        Frame { t_us, global_from_ego: pose, sweeps, images, between_images, boxes }
+    }
+
+    #[test]
+    fn poses_and_boxes_between_frames() {
+        let log = Log { frames: vec![frame(0, 0.0, &[0, 1]), frame(100, 10.0, &[1])], ..Log::default() };
+        assert_eq!(log.ego_at(25).unwrap().translation.x, 2.5);
+        assert_eq!(log.ego_at(100).unwrap().translation.x, 10.0);
+        assert!(log.ego_at(101).is_none() && log.ego_at(-1).is_none());
+        let boxes = log.boxes_at(50);
+        assert_eq!((boxes.len(), boxes[0].track, boxes[0].cuboid.pose.translation.x), (1, 1, 5.0));
+        assert_eq!(log.boxes_at(0).len(), 2);
+        assert!(log.boxes_at(200).is_empty() && log.covers(100) && !log.covers(200));
+        assert_eq!(log.track_boxes(1).len(), 2);
+    }
+}

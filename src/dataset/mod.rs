@@ -1,0 +1,135 @@
+//! Recorded drives, whatever their format.
+//!
+//! A reader turns its raw tables into one [`Log`] (light: poses, calibration, boxes and where the files are) and
+//! reads sweeps and images on demand. Nothing is dropped in silence: a reader counts what it left out in
+//! [`Log::notes`].
+
+mod category;
+mod locator;
+mod log;
+pub mod nuscenes;
+
+pub use category::{Class, layout_rgb};
+pub use locator::{LogFormat, LogLocator};
+pub use log::{Frame, ImageRecord, Log, SweepRecord, Track, TrackBox};
+
+use std::path::PathBuf;
+
+use crate::error::FileError;
+use crate::geometry::{CameraError, CuboidError, PoseError};
+
+/// A drive on disk.
+pub trait Dataset: Sync {
+    /// Poses, calibration, boxes, and where the files are.
+    fn log(&self) -> &Log;
+
+    /// Reads a sweep; points that are not finite are left out and counted.
+    ///
+    /// # Errors
+    /// A file that is missing or not as its format says.
+    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError>;
+
+    /// Reads an image; its size is as the record says.
+    ///
+    /// # Errors
+    /// A file that is missing, does not decode, or has another size.
+    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError>;
+}
+
+/// One LiDAR sweep.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sweep {
+    /// In the LiDAR frame.
+    pub points: Vec<SweepPoint>,
+    /// Points left out since a coordinate was NaN or infinite.
+    pub dropped_non_finite: usize,
+}
+
+/// One LiDAR return.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SweepPoint {
+    /// Metres, LiDAR frame.
+    pub position: [f32; 3],
+    /// As recorded (0–255).
+    pub intensity: f32,
+    /// Beam number, or the device where several LiDARs are merged.
+    pub ring: u16,
+}
+
+/// What can be wrong with a recorded drive.
+#[derive(Debug, thiserror::Error)]
+pub enum DatasetError {
+    /// A file.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// A log's name.
+    #[error("expected a log named FORMAT:PATH[@VERSION][#SCENE] with FORMAT {formats}, found {found:?}")]
+    Locator {
+        /// What was given.
+        found: String,
+        /// Known formats.
+        formats: &'static str,
+    },
+    /// Several scenes and none chosen, or an unknown one.
+    #[error("expected #SCENE to name one of {}, found {}: {}", scenes.join(", "), found.as_deref().unwrap_or("none"), path.display())]
+    Scene {
+        /// What was asked for.
+        found: Option<String>,
+        /// What there is.
+        scenes: Vec<String>,
+        /// The data set's folder.
+        path: PathBuf,
+    },
+    /// A token that leads nowhere.
+    #[error("expected {table}.json to hold token {token}, found none (referred to by {by}): {}", path.display())]
+    DanglingToken {
+        /// Table that should hold it.
+        table: &'static str,
+        /// The token.
+        token: String,
+        /// The record that names it.
+        by: String,
+        /// The table's file.
+        path: PathBuf,
+    },
+    /// A pose that is none.
+    #[error("{source} in {record}: {}", path.display())]
+    Pose {
+        /// What is off.
+        source: PoseError,
+        /// The record.
+        record: String,
+        /// The file.
+        path: PathBuf,
+    },
+    /// A camera that is none.
+    #[error("{source} in {record}: {}", path.display())]
+    Camera {
+        /// What is off.
+        source: CameraError,
+        /// The record.
+        record: String,
+        /// The file.
+        path: PathBuf,
+    },
+    /// A box that is none.
+    #[error("{source} in {record}: {}", path.display())]
+    Cuboid {
+        /// What is off.
+        source: CuboidError,
+        /// The record.
+        record: String,
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// Opens a log by its name, `FORMAT:PATH[@VERSION][#SCENE]`.
+///
+/// # Errors
+/// A name of another form, or what the format's reader finds wrong.
+pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
+    match locator.format {
+        LogFormat::NuScenes => Ok(Box::new(nuscenes::NuScenes::open(locator)?)),
+    }
+}

@@ -1,0 +1,87 @@
+//! Errors of files: what was expected, what was found, and the file, last.
+
+use std::path::{Path, PathBuf};
+
+/// A file that cannot be read or written as it should.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// The operating system said no.
+    #[error("cannot {verb}: {source}: {}", path.display())]
+    Io {
+        /// "read", "write", ...
+        verb: &'static str,
+        /// What the system said.
+        source: std::io::Error,
+        /// The file.
+        path: PathBuf,
+    },
+    /// The content is not what the format says.
+    #[error("expected {expected}, found {found}: {}", path.display())]
+    Content {
+        /// What the format asks for.
+        expected: String,
+        /// What stands in the file.
+        found: String,
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+impl FileError {
+    /// For `map_err`: an I/O error with its file.
+    pub fn io(verb: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self + use<> {
+        let path = path.to_owned();
+        move |source| Self::Io { verb, source, path }
+    }
+
+    /// A wrong content with its file.
+    pub fn content(expected: impl Into<String>, found: impl Into<String>, path: &Path) -> Self {
+        Self::Content { expected: expected.into(), found: found.into(), path: path.to_owned() }
+    }
+}
+
+/// Writes a whole file under a temporary name in the same folder, then renames it: nothing half-written is ever
+/// seen under the final name. `fill` gets a buffered writer.
+///
+/// # Errors
+/// Whatever `fill` returns, or the system at creating, flushing or renaming; the temporary file is gone then.
+pub fn write_whole<E: From<FileError>>(
+    path: &Path,
+    fill: impl FnOnce(&mut std::io::BufWriter<&mut std::fs::File>) -> Result<(), E>,
+) -> Result<(), E> {
+    use std::io::Write;
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".pskel-").permissions(permissions());
+    let mut file = builder.tempfile_in(folder).map_err(FileError::io("create", path))?;
+    let mut writer = std::io::BufWriter::with_capacity(1 << 20, file.as_file_mut());
+    fill(&mut writer)?;
+    writer.flush().map_err(FileError::io("write", path))?;
+    drop(writer);
+    file.persist(path).map_err(|e| FileError::io("rename to", path)(e.error))?;
+    Ok(())
+}
+
+/// What a plain created file gets (the umask applies), not the private mode of temporary files.
+fn permissions() -> std::fs::Permissions {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::Permissions::from_mode(0o666)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    #[test]
+    fn a_failed_write_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bin");
+        let result: Result<(), FileError> = write_whole(&path, |w| {
+            w.write_all(b"half").unwrap();
+            Err(FileError::content("more", "less", &path))
+        });
+        assert!(result.is_err());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+}

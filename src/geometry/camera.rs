@@ -1,0 +1,170 @@
+use glam::{DAffine3, DMat3, DVec2, DVec3};
+
+/// A pinhole camera: size in pixels and intrinsics.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    /// Channel name, for instance `CAM_FRONT`.
+    pub name: String,
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// 3×3 matrix `image_from_camera` in pixels, last row `0 0 1`; pixel `(i, j)` covers `[i, i+1) × [j, j+1)`.
+    pub intrinsics: DMat3,
+}
+
+/// A camera at a place: what a rasterizer draws into.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// Size and intrinsics.
+    pub camera: Camera,
+    /// Takes world (global or scene) coordinates to camera coordinates, metres.
+    pub camera_from_world: DAffine3,
+}
+
+/// Why numbers are no camera.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum CameraError {
+    /// Zero or over the limit.
+    #[error("expected a size of 1 to {max} pixels, found {height}x{width}")]
+    Size {
+        /// Pixels.
+        width: u32,
+        /// Pixels.
+        height: u32,
+        /// [`Camera::MAX_SIDE`].
+        max: u32,
+    },
+    /// NaN or infinite.
+    #[error("expected finite intrinsics, found {0}")]
+    NotFinite(f64),
+    /// Other than `0 0 1`.
+    #[error("expected intrinsics with last row 0 0 1, found {0:?}")]
+    LastRow([f64; 3]),
+    /// Zero determinant, or a focal length that is not positive.
+    #[error(
+        "expected invertible intrinsics with positive focal lengths, found a singular matrix (fx {fx}, fy {fy})"
+    )]
+    Singular {
+        /// Pixels.
+        fx: f64,
+        /// Pixels.
+        fy: f64,
+    },
+}
+
+impl Camera {
+    /// Longest side that is taken, pixels: what every Vulkan driver with 16 Ki images can draw.
+    pub const MAX_SIDE: u32 = 16_384;
+
+    /// Checks the numbers; `rows` is the 3×3 matrix row by row, as files write it.
+    ///
+    /// # Errors
+    /// [`CameraError`] says which number is off.
+    pub fn new(
+        name: impl Into<String>,
+        width: u32,
+        height: u32,
+        rows: [[f64; 3]; 3],
+    ) -> Result<Self, CameraError> {
+        if !(1..=Self::MAX_SIDE).contains(&width) || !(1..=Self::MAX_SIDE).contains(&height) {
+            return Err(CameraError::Size { width, height, max: Self::MAX_SIDE });
+        }
+        if let Some(&value) = rows.iter().flatten().find(|v| !v.is_finite()) {
+            return Err(CameraError::NotFinite(value));
+        }
+        if rows[2] != [0.0, 0.0, 1.0] {
+            return Err(CameraError::LastRow(rows[2]));
+        }
+        let (fx, fy) = (rows[0][0], rows[1][1]);
+        let intrinsics = DMat3::from_cols_array_2d(&rows).transpose();
+        if !(fx > 0.0 && fy > 0.0 && intrinsics.determinant().abs() > 1e-9) {
+            return Err(CameraError::Singular { fx, fy });
+        }
+        Ok(Self { name: name.into(), width, height, intrinsics })
+    }
+
+    /// The intrinsics row by row.
+    pub fn rows(&self) -> [[f64; 3]; 3] {
+        self.intrinsics.transpose().to_cols_array_2d()
+    }
+
+    /// The same camera with an image of another size: the intrinsics scale by the ratio of sizes.
+    pub fn resized(&self, height: u32, width: u32) -> Self {
+        let scale = DVec3::new(
+            f64::from(width) / f64::from(self.width),
+            f64::from(height) / f64::from(self.height),
+            1.0,
+        );
+        Self {
+            name: self.name.clone(),
+            width,
+            height,
+            intrinsics: DMat3::from_diagonal(scale) * self.intrinsics,
+        }
+    }
+}
+
+impl View {
+    /// Row-major 3×4 matrix that takes local homogeneous coordinates to `(x·z, y·z, z)` in pixels and metres,
+    /// multiplied in `f64` and rounded to `f32` once. The third entry of a product is the camera depth.
+    pub fn image_from_local(&self, world_from_local: &DAffine3) -> [[f32; 4]; 3] {
+        let camera_from_local = self.camera_from_world * *world_from_local;
+        let linear = self.camera.intrinsics * DMat3::from(camera_from_local.matrix3);
+        let offset = self.camera.intrinsics * DVec3::from(camera_from_local.translation);
+        let rows = linear.transpose().to_cols_array_2d();
+        let offset = offset.to_array();
+        std::array::from_fn(|r| [rows[r][0] as f32, rows[r][1] as f32, rows[r][2] as f32, offset[r] as f32])
+    }
+
+    /// Projects a world point in `f64`: pixel coordinates and camera depth in metres. `None` at or behind the
+    /// camera plane.
+    pub fn project(&self, world: DVec3) -> Option<(DVec2, f64)> {
+        let q = self.camera.intrinsics * self.camera_from_world.transform_point3(world);
+        (q.z > 1e-5).then(|| (DVec2::new(q.x, q.y) / q.z, q.z))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const K: [[f64; 3]; 3] = [[1000.0, 0.0, 800.0], [0.0, 1100.0, 450.0], [0.0, 0.0, 1.0]];
+
+    #[test]
+    fn bad_intrinsics_are_named() {
+        let camera = |rows| Camera::new("c", 1600, 900, rows);
+        let mut singular = K;
+        singular[1] = [0.0, 0.0, 450.0];
+        assert!(matches!(camera(singular), Err(CameraError::Singular { .. })));
+        let mut row = K;
+        row[2] = [0.0, 0.0, 2.0];
+        assert!(matches!(camera(row), Err(CameraError::LastRow(_))));
+        let mut nan = K;
+        nan[0][2] = f64::NAN;
+        assert!(matches!(camera(nan), Err(CameraError::NotFinite(_))));
+        assert!(matches!(Camera::new("c", 0, 900, K), Err(CameraError::Size { .. })));
+    }
+
+    #[test]
+    fn resizing_scales_the_projection() {
+        let camera = Camera::new("c", 1600, 900, K).unwrap();
+        let point = DVec3::new(0.5, -0.25, 4.0);
+        let at =
+            |camera: Camera| View { camera, camera_from_world: DAffine3::IDENTITY }.project(point).unwrap().0;
+        let (full, half) = (at(camera.clone()), at(camera.resized(450, 800)));
+        assert!((full / 2.0 - half).length() < 1e-9);
+    }
+
+    #[test]
+    fn f32_matrix_projects_as_f64() {
+        let camera = Camera::new("c", 1600, 900, K).unwrap();
+        let origin = DAffine3::from_translation(DVec3::new(664_430.0, 3_997_650.0, 606.0));
+        let view = View { camera, camera_from_world: origin.inverse() };
+        let m = view.image_from_local(&origin);
+        let p = DVec3::new(0.5, -0.25, 4.0);
+        let q = m.map(|r| r[0] * 0.5 + r[1] * -0.25 + r[2] * 4.0 + r[3]);
+        let (pixel, z) = view.project(origin.transform_point3(p)).unwrap();
+        assert!((f64::from(q[0] / q[2]) - pixel.x).abs() < 1e-3 && (f64::from(q[2]) - z).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,77 @@
+use glam::DVec3;
+
+use super::Pose;
+
+/// An oriented 3D box: x along its length (forward), y along its width (left), z along its height (up).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cuboid {
+    /// `global_from_box`; the origin is the centre of the box.
+    pub pose: Pose,
+    /// Length, width, height in metres, all positive.
+    pub size: DVec3,
+}
+
+/// Why a box is none.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum CuboidError {
+    /// Zero, negative or not finite.
+    #[error("expected a box of positive length, width and height, found {0} x {1} x {2} m")]
+    Size(f64, f64, f64),
+}
+
+impl Cuboid {
+    /// Checks the size: length, width, height in metres.
+    ///
+    /// # Errors
+    /// A side that is zero, negative or not finite.
+    pub fn new(pose: Pose, size: DVec3) -> Result<Self, CuboidError> {
+        if size.is_finite() && size.min_element() > 0.0 {
+            return Ok(Self { pose, size });
+        }
+        Err(CuboidError::Size(size.x, size.y, size.z))
+    }
+
+    /// The eight corners in the global frame, metres; bit 0 of the index is front, bit 1 left, bit 2 up.
+    pub fn corners(&self) -> [DVec3; 8] {
+        std::array::from_fn(|i| {
+            let side = |bit: usize| if i >> bit & 1 == 1 { 0.5 } else { -0.5 };
+            self.pose.transform_point(self.size * DVec3::new(side(0), side(1), side(2)))
+        })
+    }
+
+    /// Whether a point in box coordinates (metres) lies inside the box grown by `margin_m` on every side.
+    pub fn contains_local(&self, local: DVec3, margin_m: f64) -> bool {
+        let half = self.size / 2.0 + margin_m;
+        local.abs().cmple(half).all()
+    }
+
+    /// Between two boxes: position linear, rotation by slerp, size linear.
+    pub fn interpolate(&self, other: &Self, s: f64) -> Self {
+        Self { pose: self.pose.interpolate(&other.pose, s), size: self.size.lerp(other.size, s) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_must_be_positive() {
+        for size in [DVec3::new(0.0, 1.0, 1.0), DVec3::new(1.0, -2.0, 1.0), DVec3::new(1.0, 1.0, f64::NAN)] {
+            assert!(Cuboid::new(Pose::IDENTITY, size).is_err(), "{size}");
+        }
+    }
+
+    #[test]
+    fn corners_are_on_the_surface() {
+        let pose = Pose::from_yaw(0.7, DVec3::new(100.0, 200.0, 3.0));
+        let cuboid = Cuboid::new(pose, DVec3::new(4.0, 2.0, 1.5)).unwrap();
+        for corner in cuboid.corners() {
+            let local = pose.inverse().transform_point(corner);
+            assert!((local.abs() - cuboid.size / 2.0).length() < 1e-9);
+            assert!(cuboid.contains_local(local, 1e-6) && !cuboid.contains_local(local, -1e-6));
+        }
+        let front_left_up = pose.inverse().transform_point(cuboid.corners()[7]);
+        assert!((front_left_up - cuboid.size / 2.0).length() < 1e-9);
+    }
+}

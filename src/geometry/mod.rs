@@ -1,0 +1,13 @@
+//! Poses, cameras, boxes: everything global in `f64`.
+//!
+//! Frames: `ego` is x forward, y left, z up; `camera` is x right, y down, z forward; `global` is the map frame,
+//! whose coordinates reach 4·10⁶ m, so a global position never becomes `f32` before an origin is taken off.
+//! Transforms are named target first: `camera_from_ego`.
+
+mod camera;
+mod cuboid;
+mod pose;
+
+pub use camera::{Camera, CameraError, View};
+pub use cuboid::{Cuboid, CuboidError};
+pub use pose::{Pose, PoseError};

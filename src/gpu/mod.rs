@@ -1,0 +1,9 @@
+//! Vulkan.
+#![allow(unsafe_code)]
+/// Error.
+#[derive(Debug, thiserror::Error)]
+pub enum GpuError {
+    /// x
+    #[error("x")]
+    X,
+}

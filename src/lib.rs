@@ -1,0 +1,20 @@
+//! Recorded drives to camera conditions.
+//!
+//! A drive (LiDAR sweeps, camera images, calibration, ego poses, tracked boxes) is accumulated once into a point
+//! *skeleton*: the static background in the global frame and one point asset per tracked actor. For any frame or
+//! any other ego pose the skeleton is splatted with depth tests into the cameras, which gives a color map, a
+//! metric depth map, a class mask, an instance mask and a box layout per camera.
+//!
+//! Data flows one way: [`dataset`] → [`skeleton`] → [`scene`] → [`raster`] → [`conditions`]. See
+//! `docs/ARCHITECTURE.md` for the map of the modules and `docs/CONDITIONS.md` for what every map means.
+
+pub mod cli;
+pub mod cloud;
+pub mod conditions;
+pub mod dataset;
+pub mod error;
+pub mod geometry;
+pub mod gpu;
+pub mod raster;
+pub mod scene;
+pub mod skeleton;

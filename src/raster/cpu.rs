@@ -1,0 +1,213 @@
+//! The exact twin of the splat and line shaders in plain Rust: the oracle of the tests, and a rasterizer that
+//! needs no driver.
+//!
+//! Every `f32` operation stands in the same order as in `glsl/splat.vert` and `glsl/line.frag`, without fused
+//! multiply-adds, so the results agree bit for bit where the driver does not fuse either.
+
+use std::time::Instant;
+
+use super::{
+    CloudSet, Draw, Planes, RasterError, Rasterizer, RasterizerInfo, Segment, SplatJob, SplatMaps,
+    SplatSchedule, StageTimes, draws_from_job,
+};
+use crate::cloud::{Bounds, Point};
+
+/// The twin as a [`Rasterizer`].
+pub struct CpuRasterizer<'a> {
+    clouds: CloudSet<'a>,
+    extents: Vec<(usize, Option<Bounds>)>,
+    stages: StageTimes,
+}
+
+impl<'a> CpuRasterizer<'a> {
+    /// Holds clouds; nothing is copied.
+    pub fn new(clouds: CloudSet<'a>) -> Self {
+        let extents = clouds.iter().map(|c| (c.len(), Bounds::of(c))).collect();
+        Self { clouds, extents, stages: StageTimes::default() }
+    }
+}
+
+impl Rasterizer for CpuRasterizer<'_> {
+    fn info(&self) -> RasterizerInfo {
+        RasterizerInfo { rasterizer: "cpu", device: "host".into(), driver: "plain Rust".into() }
+    }
+
+    fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {
+        let draws = draws_from_job(job, &self.extents)?;
+        let camera = &job.view.camera;
+        let start = Instant::now();
+        let mut buffer = Visibility::new(camera.width, camera.height);
+        for (index, draw) in draws.iter().enumerate() {
+            buffer.splat(self.clouds[draw.cloud], draw, index as u32, job.schedule);
+        }
+        self.stages.add("splat", start.elapsed());
+        let start = Instant::now();
+        let maps = buffer.resolve(&self.clouds, &draws, job.planes);
+        self.stages.add("resolve", start.elapsed());
+        Ok(maps)
+    }
+
+    fn lines(
+        &mut self,
+        height: u32,
+        width: u32,
+        segments: &[Segment],
+        width_px: f32,
+    ) -> Result<Vec<[u8; 3]>, RasterError> {
+        let start = Instant::now();
+        let mut image = vec![[0; 3]; width as usize * height as usize];
+        for segment in segments {
+            draw_line(&mut image, [width, height], segment, width_px / 2.0);
+        }
+        self.stages.add("lines", start.elapsed());
+        Ok(image)
+    }
+
+    fn take_stages(&mut self) -> StageTimes {
+        std::mem::take(&mut self.stages)
+    }
+}
+
+/// The visibility buffer: per pixel the winner's depth, draw and point.
+struct Visibility {
+    width: u32,
+    height: u32,
+    depth_m: Vec<f32>,
+    /// `(draw, point within the draw's cloud)`.
+    winner: Vec<(u32, u32)>,
+}
+
+impl Visibility {
+    fn new(width: u32, height: u32) -> Self {
+        let pixels = width as usize * height as usize;
+        Self { width, height, depth_m: vec![f32::INFINITY; pixels], winner: vec![(0, 0); pixels] }
+    }
+
+    /// Later points never take a pixel from earlier ones of equal depth.
+    fn splat(&mut self, points: &[Point], draw: &Draw, draw_index: u32, schedule: &SplatSchedule) {
+        for (index, point) in points.iter().enumerate() {
+            let Some(splat) = project(&point.position, draw, schedule) else { continue };
+            let Some((columns, rows)) = splat.covered(self.width, self.height) else { continue };
+            for row in rows {
+                for column in columns.clone() {
+                    let pixel = row as usize * self.width as usize + column as usize;
+                    if splat.depth_m < self.depth_m[pixel] {
+                        self.depth_m[pixel] = splat.depth_m;
+                        self.winner[pixel] = (draw_index, index as u32);
+                    }
+                }
+            }
+        }
+    }
+
+    fn resolve(self, clouds: &[&[Point]], draws: &[Draw], planes: Planes) -> SplatMaps {
+        let (depths, winners) = (&self.depth_m, &self.winner);
+        let plane = |wanted: bool, value: &dyn Fn(&Draw, u32) -> u32| -> Vec<u32> {
+            if !wanted {
+                return Vec::new();
+            }
+            let pixel = |(depth, &(draw, index)): (&f32, &(u32, u32))| {
+                if depth.is_finite() { value(&draws[draw as usize], index) } else { 0 }
+            };
+            depths.iter().zip(winners).map(pixel).collect()
+        };
+        SplatMaps {
+            width: self.width,
+            height: self.height,
+            point: plane(planes.point, &|draw, i| draw.first_number + i + 1),
+            rgb_class: plane(planes.rgb_class, &|draw, i| clouds[draw.cloud][i as usize].rgb_class),
+            instance: plane(planes.instance, &|draw, _| draw.instance),
+            depth_m: if planes.depth { self.depth_m } else { Vec::new() },
+        }
+    }
+}
+
+/// A projected point: centre pixel (may lie outside the image), camera depth and radius.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Splat {
+    /// Column of the centre, an integer.
+    pub x: f32,
+    /// Row of the centre, an integer.
+    pub y: f32,
+    /// Camera depth, metres.
+    pub depth_m: f32,
+    /// Pixels.
+    pub radius: u32,
+}
+
+impl Splat {
+    /// Columns and rows of a `width × height` image that the square covers; `None` if there are none.
+    fn covered(&self, width: u32, height: u32) -> Option<(std::ops::Range<i32>, std::ops::Range<i32>)> {
+        let r = self.radius as f32;
+        let reaches = |c: f32, side: u32| c >= -r && c < side as f32 + r;
+        if !(reaches(self.x, width) && reaches(self.y, height)) {
+            return None;
+        }
+        let range = |c: f32, side: u32| {
+            let (c, r) = (c as i32, self.radius as i32);
+            (c - r).max(0)..(c + r + 1).min(side as i32)
+        };
+        Some((range(self.x, width), range(self.y, height)))
+    }
+}
+
+/// The vertex stage: `None` where the splat rule or the crop drops the point.
+pub fn project(p: &[f32; 3], draw: &Draw, schedule: &SplatSchedule) -> Option<Splat> {
+    let dot = |row: &[f32; 4]| row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3];
+    let depth_m = dot(&draw.image_from_local[2]);
+    let radius = schedule.radius_at(depth_m)?;
+    let [crop_x, crop_y] = draw.crop_from_local.each_ref().map(dot);
+    if !(crop_x.abs() <= draw.crop_radius_m && crop_y.abs() <= draw.crop_radius_m) {
+        return None;
+    }
+    let x = (dot(&draw.image_from_local[0]) / depth_m).floor();
+    let y = (dot(&draw.image_from_local[1]) / depth_m).floor();
+    Some(Splat { x, y, depth_m, radius })
+}
+
+/// The line fragment stage over the segment's bounding box.
+fn draw_line(image: &mut [[u8; 3]], [width, height]: [u32; 2], segment: &Segment, half_width: f32) {
+    let Some(line) = LineTest::new(segment, half_width) else { return };
+    let span = |a: f32, b: f32, side: u32| {
+        let low = (a.min(b) - half_width - 1.0).max(0.0) as u32;
+        let high = (a.max(b) + half_width + 1.0).clamp(0.0, side as f32) as u32;
+        low..high.min(side)
+    };
+    for row in span(segment.from[1], segment.to[1], height) {
+        for column in span(segment.from[0], segment.to[0], width) {
+            if line.covers(column as f32 + 0.5, row as f32 + 0.5) {
+                image[row as usize * width as usize + column as usize] = segment.rgb;
+            }
+        }
+    }
+}
+
+/// The rectangle of a segment.
+struct LineTest {
+    from: [f32; 2],
+    /// Unit vector along the segment.
+    along: [f32; 2],
+    length: f32,
+    half_width: f32,
+}
+
+impl LineTest {
+    /// `None` for a segment without length (and for NaN).
+    fn new(segment: &Segment, half_width: f32) -> Option<Self> {
+        let d = [segment.to[0] - segment.from[0], segment.to[1] - segment.from[1]];
+        let length = (d[0] * d[0] + d[1] * d[1]).sqrt();
+        (length > 0.0).then(|| Self {
+            from: segment.from,
+            along: [d[0] / length, d[1] / length],
+            length,
+            half_width,
+        })
+    }
+
+    fn covers(&self, x: f32, y: f32) -> bool {
+        let (dx, dy) = (x - self.from[0], y - self.from[1]);
+        let along = dx * self.along[0] + dy * self.along[1];
+        let across = dy * self.along[0] - dx * self.along[1];
+        along >= 0.0 && along < self.length && across >= -self.half_width && across < self.half_width
+    }
+}

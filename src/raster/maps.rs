@@ -1,0 +1,69 @@
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Which maps a job fills.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(clippy::struct_excessive_bools)]
+pub struct Planes {
+    /// Index of the winning point.
+    pub point: bool,
+    /// Camera depth.
+    pub depth: bool,
+    /// Color and class of the winning point.
+    pub rgb_class: bool,
+    /// Instance number of the winning point.
+    pub instance: bool,
+}
+
+impl Planes {
+    /// All of them.
+    pub const ALL: Self = Self { point: true, depth: true, rgb_class: true, instance: true };
+    /// None.
+    pub const NONE: Self = Self { point: false, depth: false, rgb_class: false, instance: false };
+}
+
+/// Maps of one view, row-major `height * width`; a plane that was not asked for has length 0.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SplatMaps {
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// Number of the winning point + 1, 0 where empty. Points are numbered through the job's instances in order.
+    pub point: Vec<u32>,
+    /// Camera depth in metres, `f32::INFINITY` where nothing was hit.
+    pub depth_m: Vec<f32>,
+    /// `r | g << 8 | b << 16 | class << 24` of the winning point, 0 where empty.
+    pub rgb_class: Vec<u32>,
+    /// [`Instance::number`](super::Instance::number) of the winning point, 0 where empty.
+    pub instance: Vec<u32>,
+}
+
+/// A line segment in an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Segment {
+    /// One end, pixels: x to the right, y down, pixel centres at half-integers.
+    pub from: [f32; 2],
+    /// Other end, pixels.
+    pub to: [f32; 2],
+    /// Color.
+    pub rgb: [u8; 3],
+}
+
+/// Time spent per named stage.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StageTimes(pub BTreeMap<&'static str, Duration>);
+
+impl StageTimes {
+    /// Adds to a stage.
+    pub fn add(&mut self, stage: &'static str, time: Duration) {
+        *self.0.entry(stage).or_default() += time;
+    }
+
+    /// Adds all stages of another.
+    pub fn merge(&mut self, other: &Self) {
+        for (stage, time) in &other.0 {
+            self.add(stage, *time);
+        }
+    }
+}

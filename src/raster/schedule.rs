@@ -1,0 +1,161 @@
+use std::fmt;
+use std::str::FromStr;
+
+/// One entry of a splat schedule.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SplatStep {
+    /// Up to this camera depth, metres, inclusive ...
+    pub z_max_m: f32,
+    /// ... a point covers `(2·radius + 1)²` pixels.
+    pub radius: u32,
+}
+
+/// Splat radius by depth: `z_max` strictly rising, radii never increasing. Text form `15:2,35:1,100:0`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SplatSchedule(Vec<SplatStep>);
+
+/// Why a schedule is refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ScheduleError {
+    /// Not of the form `Z:R,Z:R`.
+    #[error("expected a splat schedule like 15:2,35:1,100:0, found {0:?}")]
+    Form(String),
+    /// `z_max` not positive, not rising, or 2³⁰ m and more.
+    #[error("expected positive, rising depths in the splat schedule, found {0}")]
+    Depths(SplatSchedule),
+    /// A radius that grows with depth, or over the limit.
+    #[error("expected radii of at most {max} that never increase with depth, found {schedule}", max = SplatSchedule::MAX_RADIUS)]
+    Radii {
+        /// What was given.
+        schedule: SplatSchedule,
+    },
+    /// Too many entries.
+    #[error("expected 1 to {max} entries in the splat schedule, found {0}", max = SplatSchedule::MAX_STEPS)]
+    Count(usize),
+}
+
+impl SplatSchedule {
+    /// Largest radius, pixels: points of 63 pixels are what drivers guarantee.
+    pub const MAX_RADIUS: u32 = 31;
+    /// Depths stay below 2³⁰ m, since the depth buffer holds `z·2⁻³⁰`.
+    pub const Z_LIMIT_M: f32 = 1_073_741_824.0;
+    /// Most entries that the shaders hold.
+    pub const MAX_STEPS: usize = 16;
+
+    /// Checks the entries.
+    ///
+    /// # Errors
+    /// [`ScheduleError`] says what is off.
+    pub fn new(steps: Vec<SplatStep>) -> Result<Self, ScheduleError> {
+        if steps.is_empty() || steps.len() > Self::MAX_STEPS {
+            return Err(ScheduleError::Count(steps.len()));
+        }
+        let schedule = Self(steps);
+        let steps = &schedule.0;
+        let rising = steps.windows(2).all(|w| w[0].z_max_m < w[1].z_max_m);
+        if !rising || !steps.iter().all(|s| s.z_max_m > 0.0 && s.z_max_m < Self::Z_LIMIT_M) {
+            return Err(ScheduleError::Depths(schedule));
+        }
+        let falling = steps.windows(2).all(|w| w[0].radius >= w[1].radius);
+        if !falling || steps[0].radius > Self::MAX_RADIUS {
+            return Err(ScheduleError::Radii { schedule });
+        }
+        Ok(schedule)
+    }
+
+    /// The entries, nearest first; never empty.
+    pub fn steps(&self) -> &[SplatStep] {
+        &self.0
+    }
+
+    /// Radius of the nearest points: the padding that a viewport needs.
+    pub fn max_radius(&self) -> u32 {
+        self.0.iter().map(|s| s.radius).max().unwrap_or(0)
+    }
+
+    /// Depth beyond which nothing is drawn, metres.
+    pub fn z_far_m(&self) -> f32 {
+        self.0.last().map_or(0.0, |s| s.z_max_m)
+    }
+
+    /// Radius at camera depth `z` in metres; `None` where the point is not drawn (also for NaN).
+    pub fn radius_at(&self, z: f32) -> Option<u32> {
+        if z > Z_NEAR_M { self.0.iter().find(|s| z <= s.z_max_m).map(|s| s.radius) } else { None }
+    }
+}
+
+/// Points at or nearer than this camera depth are not drawn, metres.
+pub const Z_NEAR_M: f32 = 1e-5;
+
+/// The nuScenes schedule.
+impl Default for SplatSchedule {
+    fn default() -> Self {
+        let step = |z_max_m, radius| SplatStep { z_max_m, radius };
+        Self(vec![step(15.0, 2), step(35.0, 1), step(100.0, 0)])
+    }
+}
+
+impl FromStr for SplatSchedule {
+    type Err = ScheduleError;
+
+    fn from_str(text: &str) -> Result<Self, ScheduleError> {
+        let form = || ScheduleError::Form(text.to_owned());
+        let step = |part: &str| {
+            let (z, r) = part.split_once(':').ok_or_else(form)?;
+            let z_max_m = z.trim().parse().map_err(|_| form())?;
+            Ok(SplatStep { z_max_m, radius: r.trim().parse().map_err(|_| form())? })
+        };
+        Self::new(text.split(',').map(step).collect::<Result<_, _>>()?)
+    }
+}
+
+impl fmt::Display for SplatSchedule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, step) in self.0.iter().enumerate() {
+            let comma = if i == 0 { "" } else { "," };
+            write!(f, "{comma}{}:{}", step.z_max_m, step.radius)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_goes_there_and_back() {
+        let schedule: SplatSchedule = "15:2,35:1,100:0".parse().unwrap();
+        assert_eq!(schedule, SplatSchedule::default());
+        assert_eq!(schedule.to_string(), "15:2,35:1,100:0");
+        assert_eq!((schedule.max_radius(), schedule.z_far_m()), (2, 100.0));
+    }
+
+    #[test]
+    fn anything_else_is_refused() {
+        for text in [
+            "",
+            "15",
+            "15:x",
+            "35:1,15:2",
+            "15:1,35:2",
+            "15:1,15:0",
+            "0:1",
+            "-1:1",
+            "inf:1",
+            "2e9:1",
+            "NaN:1",
+            "9:32",
+        ] {
+            assert!(text.parse::<SplatSchedule>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn radius_changes_at_inclusive_depths() {
+        let schedule = SplatSchedule::default();
+        let at = |z| schedule.radius_at(z);
+        assert_eq!([at(1e-5), at(2e-5), at(15.0), at(15.001)], [None, Some(2), Some(2), Some(1)]);
+        assert_eq!([at(100.0), at(100.01), at(f32::NAN), at(-1.0)], [Some(0), None, None, None]);
+    }
+}
