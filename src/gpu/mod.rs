@@ -1,9 +1,47 @@
-//! Vulkan.
+//! Vulkan 1.1, headless: devices, buffers, images, pipelines, recorded commands.
+//!
+//! # How it works
+//! This is the only place with `unsafe`. What it hands out is safe to use:
+//! - every object holds an `Arc` of its [`Device`] and destroys itself on `Drop`, also on error paths;
+//! - a [`Recorder`] borrows what it records for as long as it lives, [`DescriptorSet`]s own what they bind, and
+//!   [`Recorder::submit`] waits until the device is done; so nothing can be freed or read while it is in use;
+//! - shaders are compiled by `build.rs`, and layouts of descriptors, push constants and vertex inputs come from
+//!   what it found in them ([`shaders`]).
+//!
+//! With [`DeviceDesc::validation`] every submit fails on any message of the validation layer.
+//!
+//! Memory-mapped files ([`MappedFile`]) are here as well: they need `unsafe`, and a mapped file is memory that a
+//! device can import.
 #![allow(unsafe_code)]
-/// Error.
-#[derive(Debug, thiserror::Error)]
-pub enum GpuError {
-    /// x
-    #[error("x")]
-    X,
-}
+
+mod buffer;
+mod commands;
+mod descriptor;
+mod device;
+mod error;
+mod image;
+mod instance;
+mod mapping;
+mod pass;
+mod pipeline;
+mod select;
+mod shader;
+mod timer;
+mod validation;
+
+pub use buffer::{Buffer, BufferDesc, Memory};
+pub use commands::{Commands, Pass, Recorder, Scope};
+pub use descriptor::{Bind, DescriptorSet};
+pub use device::Device;
+pub use error::GpuError;
+pub use image::{Image, ImageDesc};
+pub use mapping::MappedFile;
+pub use pass::{Area, RenderPass, RenderPassDesc, Target};
+pub use pipeline::{
+    ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, PipelineLayout, Topology, VertexBuffer,
+};
+pub use select::DeviceDesc;
+pub use shader::{Binding, BindingKind, Input, InputFormat, Shader, Stage, shaders};
+pub use validation::Messages;
+
+pub(crate) use shader::assert_layout;

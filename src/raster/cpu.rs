@@ -6,6 +6,7 @@
 
 use std::time::Instant;
 
+use super::line_test::LineTest;
 use super::{
     CloudSet, Draw, Planes, RasterError, Rasterizer, RasterizerInfo, Segment, SplatJob, SplatMaps,
     SplatSchedule, StageTimes, draws_from_job,
@@ -166,48 +167,14 @@ pub fn project(p: &[f32; 3], draw: &Draw, schedule: &SplatSchedule) -> Option<Sp
 }
 
 /// The line fragment stage over the segment's bounding box.
-fn draw_line(image: &mut [[u8; 3]], [width, height]: [u32; 2], segment: &Segment, half_width: f32) {
-    let Some(line) = LineTest::new(segment, half_width) else { return };
-    let span = |a: f32, b: f32, side: u32| {
-        let low = (a.min(b) - half_width - 1.0).max(0.0) as u32;
-        let high = (a.max(b) + half_width + 1.0).clamp(0.0, side as f32) as u32;
-        low..high.min(side)
-    };
-    for row in span(segment.from[1], segment.to[1], height) {
-        for column in span(segment.from[0], segment.to[0], width) {
+fn draw_line(image: &mut [[u8; 3]], size: [u32; 2], segment: &Segment, half_width: f32) {
+    let Some(line) = LineTest::new(segment, half_width, size) else { return };
+    let [columns, rows] = line.bounds(size);
+    for row in rows {
+        for column in columns.clone() {
             if line.covers(column as f32 + 0.5, row as f32 + 0.5) {
-                image[row as usize * width as usize + column as usize] = segment.rgb;
+                image[row as usize * size[0] as usize + column as usize] = segment.rgb;
             }
         }
-    }
-}
-
-/// The rectangle of a segment.
-struct LineTest {
-    from: [f32; 2],
-    /// Unit vector along the segment.
-    along: [f32; 2],
-    length: f32,
-    half_width: f32,
-}
-
-impl LineTest {
-    /// `None` for a segment without length (and for NaN).
-    fn new(segment: &Segment, half_width: f32) -> Option<Self> {
-        let d = [segment.to[0] - segment.from[0], segment.to[1] - segment.from[1]];
-        let length = (d[0] * d[0] + d[1] * d[1]).sqrt();
-        (length > 0.0).then(|| Self {
-            from: segment.from,
-            along: [d[0] / length, d[1] / length],
-            length,
-            half_width,
-        })
-    }
-
-    fn covers(&self, x: f32, y: f32) -> bool {
-        let (dx, dy) = (x - self.from[0], y - self.from[1]);
-        let along = dx * self.along[0] + dy * self.along[1];
-        let across = dy * self.along[0] - dx * self.along[1];
-        along >= 0.0 && along < self.length && across >= -self.half_width && across < self.half_width
     }
 }

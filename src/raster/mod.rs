@@ -8,12 +8,22 @@
 
 pub mod cpu;
 mod draw;
+mod kind;
+mod line;
+mod line_test;
 mod maps;
+mod pages;
+mod resolve;
 mod schedule;
+mod splat;
+mod tiles;
+mod vulkan;
 
 pub use draw::{Crop, Draw, Instance, SplatJob, draws_from_job};
+pub use kind::{RasterizerKind, UnknownRasterizer, create};
 pub use maps::{Planes, Segment, SplatMaps, StageTimes};
 pub use schedule::{ScheduleError, SplatSchedule, SplatStep};
+pub use vulkan::{VulkanRasterizer, VulkanRasterizerDesc};
 
 use crate::cloud::Point;
 

@@ -1,0 +1,107 @@
+//! Buffers, with memory by intent.
+
+use std::sync::Arc;
+
+use ash::vk;
+use gpu_allocator::MemoryLocation;
+use gpu_allocator::vulkan::Allocation;
+
+use super::error::call;
+use super::{Device, GpuError};
+
+/// Who reaches a buffer's memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Memory {
+    /// The device alone.
+    Device,
+    /// The host writes, the device reads.
+    Upload,
+    /// The device writes, the host reads (cached).
+    Readback,
+}
+
+/// A buffer to be made.
+#[derive(Clone, Debug)]
+pub struct BufferDesc<'a> {
+    /// What validation messages call it.
+    pub name: &'a str,
+    /// Bytes.
+    pub size: u64,
+    /// What it is used for.
+    pub usage: vk::BufferUsageFlags,
+    /// Who reaches it.
+    pub memory: Memory,
+}
+
+/// A buffer and its memory.
+pub struct Buffer {
+    device: Arc<Device>,
+    pub(super) raw: vk::Buffer,
+    size: u64,
+    name: String,
+    allocation: Option<Allocation>,
+}
+
+impl Buffer {
+    /// Makes a buffer; its content is undefined.
+    ///
+    /// # Errors
+    /// Out of memory, or a size over the device's limits.
+    pub fn new(device: &Arc<Device>, desc: &BufferDesc<'_>) -> Result<Self, GpuError> {
+        let info = vk::BufferCreateInfo::default().size(desc.size).usage(desc.usage);
+        // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
+        let raw = unsafe { device.raw.create_buffer(&info, None) }.map_err(call("vkCreateBuffer"))?;
+        let (device, name) = (device.clone(), desc.name.to_owned());
+        let mut buffer = Self { device, raw, size: desc.size, name, allocation: None };
+        let device = &buffer.device;
+        device.set_name(raw, desc.name)?;
+        // SAFETY: the buffer is alive.
+        let needs = unsafe { device.raw.get_buffer_memory_requirements(raw) };
+        let location = match desc.memory {
+            Memory::Device => MemoryLocation::GpuOnly,
+            Memory::Upload => MemoryLocation::CpuToGpu,
+            Memory::Readback => MemoryLocation::GpuToCpu,
+        };
+        let allocation = buffer.allocation.insert(device.allocate(desc.name, needs, location, true)?);
+        // SAFETY: only used for binding, and the allocation outlives the buffer (see `drop`).
+        let memory = unsafe { allocation.memory() };
+        // SAFETY: the range was allocated for these requirements and is bound once.
+        let bound = unsafe { device.raw.bind_buffer_memory(raw, memory, allocation.offset()) };
+        bound.map_err(call("vkBindBufferMemory"))?;
+        Ok(buffer)
+    }
+
+    /// Bytes.
+    pub fn size(&self) -> u64 {
+        self.size
+    }
+
+    /// Whether the buffer has this many bytes.
+    pub(super) fn check(&self, expected: u64) -> Result<(), GpuError> {
+        if expected <= self.size {
+            return Ok(());
+        }
+        Err(GpuError::Range { expected, found: self.size, name: self.name.clone() })
+    }
+
+    /// Host memory for the device to read later. `&mut` keeps commands that use the buffer away.
+    ///
+    /// # Errors
+    /// [`GpuError::Range`] for memory of the device alone.
+    pub fn bytes_mut(&mut self) -> Result<&mut [u8], GpuError> {
+        let (size, name) = (self.size, &self.name);
+        let mapped = self.allocation.as_mut().and_then(Allocation::mapped_slice_mut);
+        let bytes = mapped.and_then(|bytes| bytes.get_mut(..size as usize));
+        bytes.ok_or_else(|| GpuError::Range { expected: size, found: 0, name: name.clone() })
+    }
+}
+
+impl Drop for Buffer {
+    fn drop(&mut self) {
+        // SAFETY: no commands use it, since recorders borrow it and submits are waited for.
+        unsafe { self.device.raw.destroy_buffer(self.raw, None) };
+        if let Some(allocation) = self.allocation.take() {
+            self.device.free(allocation);
+        }
+    }
+}

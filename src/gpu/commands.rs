@@ -1,0 +1,356 @@
+//! Recording and running commands.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use ash::vk;
+
+use super::error::call;
+use super::image::aspect;
+use super::timer::Timer;
+use super::{
+    Area, Buffer, ComputePipeline, DescriptorSet, Device, GpuError, GraphicsPipeline, Image, Target,
+};
+
+/// One reusable command buffer with its fence and timestamps.
+pub struct Commands {
+    device: Arc<Device>,
+    pool: vk::CommandPool,
+    raw: vk::CommandBuffer,
+    fence: vk::Fence,
+    timer: Option<Timer>,
+}
+
+impl Commands {
+    /// Makes a command buffer.
+    ///
+    /// # Errors
+    /// Out of memory.
+    pub fn new(device: &Arc<Device>) -> Result<Self, GpuError> {
+        let info = vk::CommandPoolCreateInfo::default().queue_family_index(device.queue_family);
+        // SAFETY: the family is the device's own.
+        let pool = unsafe { device.raw.create_command_pool(&info, None) };
+        let pool = pool.map_err(call("vkCreateCommandPool"))?;
+        let (raw, fence) = (vk::CommandBuffer::null(), vk::Fence::null());
+        let mut commands = Self { device: device.clone(), pool, raw, fence, timer: None };
+        let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
+        // SAFETY: the pool is alive and used by nobody else.
+        let raw = unsafe { device.raw.allocate_command_buffers(&info) };
+        commands.raw = raw.map_err(call("vkAllocateCommandBuffers"))?[0];
+        // SAFETY: a plain description.
+        let fence = unsafe { device.raw.create_fence(&vk::FenceCreateInfo::default(), None) };
+        commands.fence = fence.map_err(call("vkCreateFence"))?;
+        commands.timer = Timer::new(device)?;
+        Ok(commands)
+    }
+
+    /// Starts over. What is recorded is borrowed until it has run.
+    ///
+    /// # Errors
+    /// Out of memory.
+    pub fn begin(&mut self) -> Result<Recorder<'_>, GpuError> {
+        let flags = vk::CommandPoolResetFlags::empty();
+        // SAFETY: nothing of the pool is pending, since every submit is waited for.
+        unsafe { self.device.raw.reset_command_pool(self.pool, flags) }
+            .map_err(call("vkResetCommandPool"))?;
+        let flags = vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT;
+        let info = vk::CommandBufferBeginInfo::default().flags(flags);
+        // SAFETY: the command buffer was just reset.
+        let begun = unsafe { self.device.raw.begin_command_buffer(self.raw, &info) };
+        begun.map_err(call("vkBeginCommandBuffer"))?;
+        if let Some(timer) = &self.timer {
+            // SAFETY: recording; the pool has that many queries.
+            unsafe { self.device.raw.cmd_reset_query_pool(self.raw, timer.pool, 0, Timer::MAX) };
+            let stage = vk::PipelineStageFlags::TOP_OF_PIPE;
+            // SAFETY: recording; query 0 was just reset.
+            unsafe { self.device.raw.cmd_write_timestamp(self.raw, stage, timer.pool, 0) };
+        }
+        Ok(Recorder { commands: self, stages: Vec::new() })
+    }
+}
+
+impl Drop for Commands {
+    fn drop(&mut self) {
+        // SAFETY: nothing is pending, since every submit is waited for; null is ignored.
+        unsafe { self.device.raw.destroy_fence(self.fence, None) };
+        // SAFETY: as above; the command buffer goes with its pool.
+        unsafe { self.device.raw.destroy_command_pool(self.pool, None) };
+    }
+}
+
+/// Who wrote, or who will read or write, on either side of a barrier.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// Copies and updates that write.
+    CopyWrite,
+    /// Copies that read.
+    CopyRead,
+    /// Vertex attributes, uniforms of vertex shaders, and storage buffers of compute shaders.
+    ShaderRead,
+    /// Compute shaders that write.
+    ComputeWrite,
+    /// The host, after the submit.
+    Host,
+}
+
+impl Scope {
+    fn masks(self) -> (vk::PipelineStageFlags, vk::AccessFlags) {
+        use vk::{AccessFlags as Access, PipelineStageFlags as At};
+        match self {
+            Self::CopyWrite => (At::TRANSFER, Access::TRANSFER_WRITE),
+            Self::CopyRead => (At::TRANSFER, Access::TRANSFER_READ),
+            Self::ShaderRead => (
+                At::VERTEX_INPUT | At::VERTEX_SHADER | At::COMPUTE_SHADER,
+                Access::VERTEX_ATTRIBUTE_READ | Access::UNIFORM_READ | Access::SHADER_READ,
+            ),
+            Self::ComputeWrite => (At::COMPUTE_SHADER, Access::SHADER_WRITE),
+            Self::Host => (At::HOST, Access::HOST_READ),
+        }
+    }
+}
+
+/// Commands being recorded. Dropping it without [`Recorder::submit`] forgets them.
+pub struct Recorder<'a> {
+    commands: &'a mut Commands,
+    stages: Vec<&'static str>,
+}
+
+impl<'a> Recorder<'a> {
+    /// Ends a stage: the time since the last stamp counts as its time. At most 15 a submit.
+    pub fn stamp(&mut self, stage: &'static str) {
+        let query = self.stages.len() as u32 + 1;
+        let Some(timer) = self.commands.timer.as_ref().filter(|_| query < Timer::MAX) else { return };
+        let at = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
+        // SAFETY: recording outside a pass; the query was reset and is written once.
+        unsafe { self.device().cmd_write_timestamp(self.raw(), at, timer.pool, query) };
+        self.stages.push(stage);
+    }
+
+    /// What was written before is done, and seen by what comes after.
+    pub fn barrier(&mut self, before: Scope, after: Scope) {
+        let ((src_stage, src), (dst_stage, dst)) = (before.masks(), after.masks());
+        let barriers = [vk::MemoryBarrier::default().src_access_mask(src).dst_access_mask(dst)];
+        let flags = vk::DependencyFlags::empty();
+        // SAFETY: recording outside a pass; the stages are those of a graphics and compute queue.
+        unsafe {
+            self.device().cmd_pipeline_barrier(self.raw(), src_stage, dst_stage, flags, &barriers, &[], &[]);
+        }
+    }
+
+    /// Writes host data into a device buffer. Both the offset and the length are multiples of 4 bytes.
+    ///
+    /// # Errors
+    /// The buffer is too small.
+    pub fn update(&mut self, buffer: &'a Buffer, offset: u64, data: &[u8]) -> Result<(), GpuError> {
+        const MAX: usize = 65_536;
+        buffer.check(offset + data.len() as u64)?;
+        for (i, part) in data.chunks(MAX).enumerate() {
+            let at = offset + (i * MAX) as u64;
+            // SAFETY: recording outside a pass; the range is inside the buffer.
+            unsafe { self.device().cmd_update_buffer(self.raw(), buffer.raw, at, part) };
+        }
+        Ok(())
+    }
+
+    /// Copies `size` bytes between buffers.
+    ///
+    /// # Errors
+    /// One of them is too small.
+    pub fn copy(
+        &mut self,
+        (from, src_offset): (&'a Buffer, u64),
+        (to, dst_offset): (&'a Buffer, u64),
+        size: u64,
+    ) -> Result<(), GpuError> {
+        from.check(src_offset + size)?;
+        to.check(dst_offset + size)?;
+        let regions = [vk::BufferCopy { src_offset, dst_offset, size }];
+        // SAFETY: recording outside a pass; the ranges are inside the buffers.
+        unsafe { self.device().cmd_copy_buffer(self.raw(), from.raw, to.raw, &regions) };
+        Ok(())
+    }
+
+    /// Copies the top left `width × height` pixels of an image of 4-byte pixels, which its pass left to be copied,
+    /// to the start of a buffer, row by row without gaps.
+    ///
+    /// # Errors
+    /// The image or the buffer is too small.
+    pub fn copy_image(
+        &mut self,
+        from: &'a Image,
+        [width, height]: [u32; 2],
+        to: &'a Buffer,
+    ) -> Result<(), GpuError> {
+        let (bytes, inside) = (4 * u64::from(width) * u64::from(height), 4 * u64::from(from.width()));
+        to.check(bytes)?;
+        if width > from.width() || height > from.height() {
+            let found = inside * u64::from(from.height());
+            return Err(GpuError::Range { expected: bytes, found, name: "an image".into() });
+        }
+        let layers = vk::ImageSubresourceLayers::default().aspect_mask(aspect(from.format)).layer_count(1);
+        let regions = [vk::BufferImageCopy::default().image_subresource(layers).image_extent(vk::Extent3D {
+            width,
+            height,
+            depth: 1,
+        })];
+        let layout = vk::ImageLayout::TRANSFER_SRC_OPTIMAL;
+        // SAFETY: recording outside a pass; the region is inside the image and the buffer.
+        unsafe { self.device().cmd_copy_image_to_buffer(self.raw(), from.raw, layout, to.raw, &regions) };
+        Ok(())
+    }
+
+    /// Runs a compute pipeline with enough workgroups for `size` invocations.
+    ///
+    /// # Errors
+    /// The push constants are not as large as the shader's.
+    pub fn dispatch(
+        &mut self,
+        pipeline: &'a ComputePipeline,
+        sets: &[&'a DescriptorSet],
+        push: &[u8],
+        size: [u32; 2],
+    ) -> Result<(), GpuError> {
+        let point = vk::PipelineBindPoint::COMPUTE;
+        // SAFETY: recording outside a pass; the pipeline is alive.
+        unsafe { self.device().cmd_bind_pipeline(self.raw(), point, pipeline.raw) };
+        bind_sets(self.commands, point, &pipeline.layout, sets);
+        push_constants(self.commands, &pipeline.layout, push)?;
+        let [x, y, _] = pipeline.workgroup.map(|side| side.max(1));
+        let groups = [size[0].div_ceil(x), size[1].div_ceil(y)];
+        // SAFETY: pipeline, sets and push constants are bound.
+        unsafe { self.device().cmd_dispatch(self.raw(), groups[0], groups[1], 1) };
+        Ok(())
+    }
+
+    /// Starts drawing into the top left of a target, which is cleared: color to 0, depth to 1.
+    pub fn pass(&mut self, target: &'a Target, area: Area) -> Pass<'_, 'a> {
+        let extent = vk::Extent2D {
+            width: area.width.min(target.extent.width),
+            height: area.height.min(target.extent.height),
+        };
+        let depth_stencil = vk::ClearDepthStencilValue { depth: 1.0, stencil: 0 };
+        let clears = [vk::ClearValue::default(), vk::ClearValue { depth_stencil }];
+        let render_area = vk::Rect2D { offset: vk::Offset2D::default(), extent };
+        let info = vk::RenderPassBeginInfo::default()
+            .render_pass(target.pass.raw)
+            .framebuffer(target.raw)
+            .render_area(render_area)
+            .clear_values(if target.pass.depth { &clears } else { &clears[..1] });
+        // SAFETY: recording outside a pass; the area is inside the target.
+        unsafe { self.device().cmd_begin_render_pass(self.raw(), &info, vk::SubpassContents::INLINE) };
+        let pad = area.viewport_pad as f32;
+        let viewport = vk::Viewport {
+            x: -pad,
+            y: -pad,
+            width: area.width as f32 + 2.0 * pad,
+            height: area.height as f32 + 2.0 * pad,
+            min_depth: 0.0,
+            max_depth: 1.0,
+        };
+        // SAFETY: recording.
+        unsafe { self.device().cmd_set_viewport(self.raw(), 0, &[viewport]) };
+        // SAFETY: recording.
+        unsafe { self.device().cmd_set_scissor(self.raw(), 0, &[render_area]) };
+        Pass { recorder: self, pipeline: None, vertices: None }
+    }
+
+    /// Runs what was recorded and waits for it. Returns the time of each stage (without timestamps, all of it under
+    /// `gpu`).
+    ///
+    /// # Errors
+    /// The device is lost or out of memory; any message of the validation layer.
+    pub fn submit(self) -> Result<Vec<(&'static str, Duration)>, GpuError> {
+        let start = Instant::now();
+        // SAFETY: recording outside a pass.
+        unsafe { self.device().end_command_buffer(self.raw()) }.map_err(call("vkEndCommandBuffer"))?;
+        self.commands.device.submit(self.raw(), self.commands.fence)?;
+        let Some(timer) = &self.commands.timer else { return Ok(vec![("gpu", start.elapsed())]) };
+        Ok(self.stages.iter().copied().zip(timer.durations(self.stages.len())?).collect())
+    }
+
+    fn device(&self) -> &ash::Device {
+        &self.commands.device.raw
+    }
+
+    fn raw(&self) -> vk::CommandBuffer {
+        self.commands.raw
+    }
+}
+
+fn bind_sets(
+    commands: &Commands,
+    point: vk::PipelineBindPoint,
+    layout: &super::PipelineLayout,
+    sets: &[&DescriptorSet],
+) {
+    if sets.is_empty() {
+        return;
+    }
+    let sets: Vec<_> = sets.iter().map(|set| set.raw).collect();
+    // SAFETY: recording; the sets were made for this layout and are borrowed by the recorder.
+    unsafe { commands.device.raw.cmd_bind_descriptor_sets(commands.raw, point, layout.raw, 0, &sets, &[]) };
+}
+
+fn push_constants(commands: &Commands, layout: &super::PipelineLayout, push: &[u8]) -> Result<(), GpuError> {
+    if push.len() != layout.push_size as usize {
+        let (expected, found) = (u64::from(layout.push_size), push.len() as u64);
+        return Err(GpuError::Range { expected, found, name: "push constants".into() });
+    }
+    if !push.is_empty() {
+        let stages = layout.push_stages;
+        // SAFETY: recording; the range is the layout's own.
+        unsafe { commands.device.raw.cmd_push_constants(commands.raw, layout.raw, stages, 0, push) };
+    }
+    Ok(())
+}
+
+/// Drawing into a target; it ends when this is dropped.
+pub struct Pass<'r, 'a> {
+    recorder: &'r mut Recorder<'a>,
+    pipeline: Option<&'a GraphicsPipeline>,
+    vertices: Option<&'a Buffer>,
+}
+
+impl<'a> Pass<'_, 'a> {
+    /// Draws with this pipeline and these sets from now on.
+    pub fn bind(&mut self, pipeline: &'a GraphicsPipeline, sets: &[&'a DescriptorSet]) {
+        let point = vk::PipelineBindPoint::GRAPHICS;
+        // SAFETY: recording; the pipeline is alive and fits the pass.
+        unsafe { self.recorder.device().cmd_bind_pipeline(self.recorder.raw(), point, pipeline.raw) };
+        bind_sets(self.recorder.commands, point, &pipeline.layout, sets);
+        self.pipeline = Some(pipeline);
+    }
+
+    /// Takes vertices (or instances) from this buffer from now on.
+    pub fn vertices(&mut self, buffer: &'a Buffer) {
+        // SAFETY: recording; the buffer is alive.
+        unsafe {
+            self.recorder.device().cmd_bind_vertex_buffers(self.recorder.raw(), 0, &[buffer.raw], &[0])
+        };
+        self.vertices = Some(buffer);
+    }
+
+    /// Draws vertices of the bound buffer once, or so many instances of it.
+    ///
+    /// # Errors
+    /// The buffer is too small, or nothing is bound.
+    pub fn draw(&mut self, push: &[u8], vertices: Range<u32>, instances: u32) -> Result<(), GpuError> {
+        let unbound = || GpuError::Range { expected: 1, found: 0, name: "an unbound vertex buffer".into() };
+        let (pipeline, buffer) = self.pipeline.zip(self.vertices).ok_or_else(unbound)?;
+        let used = if pipeline.per_instance { instances } else { vertices.end };
+        buffer.check(u64::from(used) * u64::from(pipeline.stride))?;
+        push_constants(self.recorder.commands, &pipeline.layout, push)?;
+        let (first, count) = (vertices.start, vertices.end.saturating_sub(vertices.start));
+        // SAFETY: recording inside a pass with a bound pipeline; all vertices are inside the buffer.
+        unsafe { self.recorder.device().cmd_draw(self.recorder.raw(), count, instances, first, 0) };
+        Ok(())
+    }
+}
+
+impl Drop for Pass<'_, '_> {
+    fn drop(&mut self) {
+        // SAFETY: recording inside the pass that `Recorder::pass` began.
+        unsafe { self.recorder.device().cmd_end_render_pass(self.recorder.raw()) };
+    }
+}

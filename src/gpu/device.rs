@@ -1,0 +1,288 @@
+//! The logical device, its one queue, and its memory.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use ash::{ext, khr, vk};
+use gpu_allocator::vulkan::{
+    Allocation, AllocationCreateDesc, AllocationScheme, Allocator, AllocatorCreateDesc,
+};
+use gpu_allocator::{AllocationSizes, MemoryLocation};
+
+use super::error::call;
+use super::instance::Instance;
+use super::select::{Candidate, choose};
+use super::{DeviceDesc, GpuError, Messages};
+
+/// An open device. Everything made from it holds an `Arc` of it.
+pub struct Device {
+    /// Dropped by hand before the device itself.
+    allocator: Mutex<Option<Allocator>>,
+    utils: Option<ext::debug_utils::Device>,
+    pub(super) raw: ash::Device,
+    pub(super) queue_family: u32,
+    queue: Mutex<vk::Queue>,
+    facts: Facts,
+    physical: vk::PhysicalDevice,
+    instance: Instance,
+}
+
+/// What the device can do and is called.
+#[derive(Clone, Debug)]
+pub(super) struct Facts {
+    pub(super) name: String,
+    pub(super) driver: String,
+    pub(super) limits: vk::PhysicalDeviceLimits,
+    pub(super) max_allocation: u64,
+    pub(super) large_points: bool,
+    pub(super) timestamp_bits: u32,
+}
+
+const QUEUE_NEEDS: vk::QueueFlags =
+    vk::QueueFlags::from_raw(vk::QueueFlags::GRAPHICS.as_raw() | vk::QueueFlags::COMPUTE.as_raw());
+
+impl Device {
+    /// Opens a device.
+    ///
+    /// # Errors
+    /// No loader, driver or device; an unknown name; a missing validation layer; whatever the layer says.
+    pub fn new(desc: &DeviceDesc) -> Result<Arc<Self>, GpuError> {
+        let instance = Instance::new(desc.validation)?;
+        let physical = instance.physical_devices()?;
+        let candidates: Vec<Candidate> = physical.iter().map(|p| candidate(&instance.raw, *p)).collect();
+        let physical = physical[choose(&candidates, desc.device.as_deref())?];
+        let (queue_family, timestamp_bits) = queue_family(&instance.raw, physical).unwrap_or_default();
+        let facts = facts(&instance.raw, physical, timestamp_bits)?;
+        let raw = create(&instance.raw, physical, queue_family, facts.large_points)?;
+        // SAFETY: the family and index are those the device was created with.
+        let queue = unsafe { raw.get_device_queue(queue_family, 0) };
+        let utils = instance.validation.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
+        let (allocator, queue) = (Mutex::new(None), Mutex::new(queue));
+        let device = Self { allocator, utils, raw, queue_family, queue, facts, physical, instance };
+        *lock(&device.allocator) = Some(device.new_allocator(physical)?);
+        device.check_validation()?;
+        Ok(Arc::new(device))
+    }
+
+    fn new_allocator(&self, physical_device: vk::PhysicalDevice) -> Result<Allocator, GpuError> {
+        const BLOCK: u64 = 16 << 20;
+        let desc = AllocatorCreateDesc {
+            instance: self.instance.raw.clone(),
+            device: self.raw.clone(),
+            physical_device,
+            debug_settings: gpu_allocator::AllocatorDebugSettings::default(),
+            buffer_device_address: false,
+            allocation_sizes: AllocationSizes::new(BLOCK, BLOCK),
+        };
+        Allocator::new(&desc).map_err(|source| GpuError::Memory {
+            bytes: 0,
+            name: "the allocator".into(),
+            source,
+        })
+    }
+
+    /// The device's name.
+    pub fn name(&self) -> &str {
+        &self.facts.name
+    }
+
+    /// The driver's name and version.
+    pub fn driver(&self) -> &str {
+        &self.facts.driver
+    }
+
+    /// Limits as Vulkan names them.
+    pub fn limits(&self) -> &vk::PhysicalDeviceLimits {
+        &self.facts.limits
+    }
+
+    /// Largest buffer that a shader can see as a whole, bytes.
+    pub fn max_storage_buffer(&self) -> u64 {
+        u64::from(self.facts.limits.max_storage_buffer_range).min(self.facts.max_allocation)
+    }
+
+    /// Whether points may be larger than one pixel; see also the limit `point_size_range`.
+    pub fn large_points(&self) -> bool {
+        self.facts.large_points
+    }
+
+    /// How many bits of a timestamp the queue writes; 0 for no timestamps.
+    pub(super) fn timestamp_bits(&self) -> u32 {
+        self.facts.timestamp_bits
+    }
+
+    /// Whether images of this format, use and size can be made.
+    pub(super) fn check_image(
+        &self,
+        format: vk::Format,
+        usage: vk::ImageUsageFlags,
+        [width, height]: [u32; 2],
+    ) -> Result<(), GpuError> {
+        let (kind, tiling, flags) =
+            (vk::ImageType::TYPE_2D, vk::ImageTiling::OPTIMAL, vk::ImageCreateFlags::empty());
+        let (raw, physical) = (&self.instance.raw, self.physical);
+        // SAFETY: the handle comes from this instance.
+        let can = unsafe {
+            raw.get_physical_device_image_format_properties(physical, format, kind, tiling, usage, flags)
+        };
+        let expected = format!("{format:?} images of {height}x{width} for {usage:?}");
+        match can {
+            Ok(can) if width <= can.max_extent.width && height <= can.max_extent.height => Ok(()),
+            Ok(can) => Err(self.unsupported(
+                expected,
+                format!("at most {}x{}", can.max_extent.height, can.max_extent.width),
+            )),
+            Err(vk::Result::ERROR_FORMAT_NOT_SUPPORTED) => Err(self.unsupported(expected, "no such format")),
+            Err(source) => Err(GpuError::Call { call: "vkGetPhysicalDeviceImageFormatProperties", source }),
+        }
+    }
+
+    /// An error that names this device.
+    pub fn unsupported(&self, expected: impl Into<String>, found: impl Into<String>) -> GpuError {
+        GpuError::Unsupported {
+            expected: expected.into(),
+            found: found.into(),
+            device: self.facts.name.clone(),
+        }
+    }
+
+    /// What the validation layer said since the last look; always empty without validation. The handle outlives
+    /// the device, so that messages about its destruction can be read too.
+    pub fn validation_messages(&self) -> Arc<Messages> {
+        self.instance.messages.clone()
+    }
+
+    /// Any message of the validation layer is an error.
+    ///
+    /// # Errors
+    /// [`GpuError::Validation`].
+    pub fn check_validation(&self) -> Result<(), GpuError> {
+        self.instance.messages.check()
+    }
+
+    /// Gives an object the name that validation messages show.
+    pub(super) fn set_name<H: vk::Handle>(&self, handle: H, name: &str) -> Result<(), GpuError> {
+        let (Some(utils), Ok(name)) = (&self.utils, std::ffi::CString::new(name)) else { return Ok(()) };
+        let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(handle).object_name(&name);
+        // SAFETY: the handle is alive and of this device, the name lives until after the call.
+        unsafe { utils.set_debug_utils_object_name(&info) }.map_err(call("vkSetDebugUtilsObjectNameEXT"))
+    }
+
+    pub(super) fn allocate(
+        &self,
+        name: &str,
+        requirements: vk::MemoryRequirements,
+        location: MemoryLocation,
+        linear: bool,
+    ) -> Result<Allocation, GpuError> {
+        let allocation_scheme = AllocationScheme::GpuAllocatorManaged;
+        let desc = AllocationCreateDesc { name, requirements, location, linear, allocation_scheme };
+        let failed = |source| GpuError::Memory { bytes: requirements.size, name: name.to_owned(), source };
+        let no_allocator = || failed(gpu_allocator::AllocationError::NoCompatibleMemoryTypeFound);
+        lock(&self.allocator).as_mut().ok_or_else(no_allocator)?.allocate(&desc).map_err(failed)
+    }
+
+    pub(super) fn free(&self, allocation: Allocation) {
+        if let Some(allocator) = lock(&self.allocator).as_mut() {
+            // It only fails for allocations of another allocator.
+            let freed = allocator.free(allocation);
+            debug_assert!(freed.is_ok(), "{freed:?}");
+        }
+    }
+
+    /// Submits and waits. Whatever was recorded is done afterwards, and the host may read results.
+    pub(super) fn submit(&self, commands: vk::CommandBuffer, fence: vk::Fence) -> Result<(), GpuError> {
+        let buffers = [commands];
+        let info = vk::SubmitInfo::default().command_buffers(&buffers);
+        let queue = lock(&self.queue);
+        // SAFETY: the lock gives the queue to this thread; the command buffer is recorded and not pending.
+        unsafe { self.raw.queue_submit(*queue, &[info], fence) }.map_err(call("vkQueueSubmit"))?;
+        drop(queue);
+        // SAFETY: the fence is of this device and was just submitted.
+        unsafe { self.raw.wait_for_fences(&[fence], true, u64::MAX) }.map_err(call("vkWaitForFences"))?;
+        // SAFETY: the fence is signaled, so nothing uses it any more.
+        unsafe { self.raw.reset_fences(&[fence]) }.map_err(call("vkResetFences"))?;
+        self.check_validation()
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn candidate(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Candidate {
+    // SAFETY: the handle comes from this instance.
+    let properties = unsafe { instance.get_physical_device_properties(physical) };
+    Candidate {
+        name: text(properties.device_name_as_c_str()),
+        kind: properties.device_type,
+        usable: properties.api_version >= vk::API_VERSION_1_1 && queue_family(instance, physical).is_some(),
+    }
+}
+
+/// The first family with graphics and compute, and how many bits its timestamps have.
+fn queue_family(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Option<(u32, u32)> {
+    // SAFETY: the handle comes from this instance.
+    let families = unsafe { instance.get_physical_device_queue_family_properties(physical) };
+    let index = families.iter().position(|f| f.queue_flags.contains(QUEUE_NEEDS))?;
+    Some((index as u32, families[index].timestamp_valid_bits))
+}
+
+fn facts(
+    instance: &ash::Instance,
+    physical: vk::PhysicalDevice,
+    timestamp_bits: u32,
+) -> Result<Facts, GpuError> {
+    // SAFETY: the handle comes from this instance.
+    let extensions = unsafe { instance.enumerate_device_extension_properties(physical) };
+    let extensions = extensions.map_err(call("vkEnumerateDeviceExtensionProperties"))?;
+    let has_driver =
+        extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(khr::driver_properties::NAME));
+    let mut driver = vk::PhysicalDeviceDriverProperties::default();
+    let mut maintenance = vk::PhysicalDeviceMaintenance3Properties::default();
+    let mut all = vk::PhysicalDeviceProperties2::default().push_next(&mut maintenance);
+    if has_driver {
+        all = all.push_next(&mut driver);
+    }
+    // SAFETY: the handle comes from this instance of 1.1; each chained structure is one that the device knows.
+    unsafe { instance.get_physical_device_properties2(physical, &mut all) };
+    let properties = all.properties;
+    // SAFETY: the handle comes from this instance.
+    let features = unsafe { instance.get_physical_device_features(physical) };
+    let (name, info) = (text(driver.driver_name_as_c_str()), text(driver.driver_info_as_c_str()));
+    let version = properties.driver_version;
+    Ok(Facts {
+        name: text(properties.device_name_as_c_str()),
+        driver: if has_driver { format!("{name} {info}") } else { format!("version {version:#x}") },
+        limits: properties.limits,
+        max_allocation: maintenance.max_memory_allocation_size,
+        large_points: features.large_points == vk::TRUE,
+        timestamp_bits,
+    })
+}
+
+fn create(
+    instance: &ash::Instance,
+    physical: vk::PhysicalDevice,
+    queue_family: u32,
+    large_points: bool,
+) -> Result<ash::Device, GpuError> {
+    let queue =
+        vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(&[1.0]);
+    let (queues, features) = ([queue], vk::PhysicalDeviceFeatures::default().large_points(large_points));
+    let info = vk::DeviceCreateInfo::default().queue_create_infos(&queues).enabled_features(&features);
+    // SAFETY: the handle comes from this instance, the queue family and the feature are the device's own.
+    unsafe { instance.create_device(physical, &info, None) }.map_err(call("vkCreateDevice"))
+}
+
+fn text(name: Result<&std::ffi::CStr, std::ffi::FromBytesUntilNulError>) -> String {
+    name.map_or_else(|_| "(unnamed)".into(), |n| n.to_string_lossy().into_owned())
+}
+
+impl Drop for Device {
+    fn drop(&mut self) {
+        // Frees all memory; buffers and images are gone, since each holds an `Arc` of the device.
+        *lock(&self.allocator) = None;
+        // SAFETY: all children are gone for the same reason, and every submit was waited for.
+        unsafe { self.raw.destroy_device(None) };
+    }
+}

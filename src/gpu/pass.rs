@@ -1,0 +1,155 @@
+//! Render passes and the images that they draw into.
+
+use std::sync::Arc;
+
+use ash::vk;
+
+use super::error::call;
+use super::image::is_depth;
+use super::{Device, GpuError, Image};
+
+/// A render pass to be made: its attachments are cleared at the start, stored at the end, and then read.
+#[derive(Clone, Debug)]
+pub struct RenderPassDesc<'a> {
+    /// What validation messages call it.
+    pub name: &'a str,
+    /// Format of the color attachment.
+    pub color: vk::Format,
+    /// What color is read for afterwards.
+    pub color_read: vk::ImageLayout,
+    /// Format of the depth attachment if any; shaders read it afterwards.
+    pub depth: Option<vk::Format>,
+}
+
+/// A render pass with one subpass.
+pub struct RenderPass {
+    device: Arc<Device>,
+    pub(super) raw: vk::RenderPass,
+    pub(super) depth: bool,
+}
+
+/// Layout that shaders read an image in after a pass has drawn it.
+pub(super) fn read_layout(format: vk::Format) -> vk::ImageLayout {
+    if is_depth(format) {
+        vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL
+    } else {
+        vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL
+    }
+}
+
+impl RenderPass {
+    /// Makes a render pass.
+    ///
+    /// # Errors
+    /// Out of memory.
+    pub fn new(device: &Arc<Device>, desc: &RenderPassDesc<'_>) -> Result<Self, GpuError> {
+        let attachment = |format: vk::Format, layout| {
+            vk::AttachmentDescription::default()
+                .format(format)
+                .samples(vk::SampleCountFlags::TYPE_1)
+                .load_op(vk::AttachmentLoadOp::CLEAR)
+                .store_op(vk::AttachmentStoreOp::STORE)
+                .stencil_load_op(vk::AttachmentLoadOp::DONT_CARE)
+                .stencil_store_op(vk::AttachmentStoreOp::DONT_CARE)
+                .final_layout(layout)
+        };
+        let mut attachments = vec![attachment(desc.color, desc.color_read)];
+        attachments.extend(desc.depth.map(|format| attachment(format, read_layout(format))));
+        let colors =
+            [vk::AttachmentReference { attachment: 0, layout: vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL }];
+        let depth = vk::AttachmentReference {
+            attachment: 1,
+            layout: vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL,
+        };
+        let mut subpass = vk::SubpassDescription::default().color_attachments(&colors);
+        if desc.depth.is_some() {
+            subpass = subpass.depth_stencil_attachment(&depth);
+        }
+        let (subpasses, dependencies) = ([subpass], dependencies());
+        let info = vk::RenderPassCreateInfo::default()
+            .attachments(&attachments)
+            .subpasses(&subpasses)
+            .dependencies(&dependencies);
+        // SAFETY: `info` and what it points to live until after the call.
+        let raw = unsafe { device.raw.create_render_pass(&info, None) };
+        let raw = raw.map_err(call("vkCreateRenderPass"))?;
+        let pass = Self { device: device.clone(), raw, depth: desc.depth.is_some() };
+        device.set_name(raw, desc.name)?;
+        Ok(pass)
+    }
+}
+
+/// Earlier readers are done before the pass writes, and its writes are seen by later shaders and copies.
+fn dependencies() -> [vk::SubpassDependency; 2] {
+    use vk::{AccessFlags as Access, PipelineStageFlags as At};
+    let draws = At::COLOR_ATTACHMENT_OUTPUT | At::EARLY_FRAGMENT_TESTS | At::LATE_FRAGMENT_TESTS;
+    let writes = Access::COLOR_ATTACHMENT_WRITE | Access::DEPTH_STENCIL_ATTACHMENT_WRITE;
+    let readers = At::COMPUTE_SHADER | At::TRANSFER;
+    let before = vk::SubpassDependency::default()
+        .src_subpass(vk::SUBPASS_EXTERNAL)
+        .src_stage_mask(readers | draws)
+        .src_access_mask(writes)
+        .dst_stage_mask(draws)
+        .dst_access_mask(writes | Access::DEPTH_STENCIL_ATTACHMENT_READ);
+    let after = vk::SubpassDependency::default()
+        .dst_subpass(vk::SUBPASS_EXTERNAL)
+        .src_stage_mask(draws)
+        .src_access_mask(writes)
+        .dst_stage_mask(readers)
+        .dst_access_mask(Access::SHADER_READ | Access::TRANSFER_READ);
+    [before, after]
+}
+
+impl Drop for RenderPass {
+    fn drop(&mut self) {
+        // SAFETY: no commands use it (recorders borrow it, submits are waited for).
+        unsafe { self.device.raw.destroy_render_pass(self.raw, None) };
+    }
+}
+
+/// The part of a target that is drawn: its top left corner, pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Area {
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// By how much the viewport is larger on each side, so that large points centred outside are drawn.
+    pub viewport_pad: u32,
+}
+
+/// The images that a pass draws into.
+pub struct Target {
+    pub(super) pass: Arc<RenderPass>,
+    pub(super) raw: vk::Framebuffer,
+    pub(super) extent: vk::Extent2D,
+    _images: Vec<Arc<Image>>,
+}
+
+impl Target {
+    /// Color first, then depth if the pass has it; all of one size.
+    ///
+    /// # Errors
+    /// Out of memory, a size over the device's limits.
+    pub fn new(pass: &Arc<RenderPass>, images: Vec<Arc<Image>>) -> Result<Self, GpuError> {
+        let views: Vec<_> = images.iter().map(|image| image.view).collect();
+        let (width, height) = images.first().map_or((0, 0), |i| (i.width(), i.height()));
+        let info = vk::FramebufferCreateInfo::default()
+            .render_pass(pass.raw)
+            .attachments(&views)
+            .width(width)
+            .height(height)
+            .layers(1);
+        // SAFETY: the views are alive and owned by the target from here on.
+        let raw = unsafe { pass.device.raw.create_framebuffer(&info, None) };
+        let raw = raw.map_err(call("vkCreateFramebuffer"))?;
+        Ok(Self { pass: pass.clone(), raw, extent: vk::Extent2D { width, height }, _images: images })
+    }
+}
+
+impl Drop for Target {
+    fn drop(&mut self) {
+        // SAFETY: no commands use it (recorders borrow it, submits are waited for).
+        unsafe { self.pass.device.raw.destroy_framebuffer(self.raw, None) };
+    }
+}

@@ -1,0 +1,269 @@
+//! Pipelines. They do not depend on the size of images: viewport and scissor are dynamic.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use ash::vk;
+
+use super::error::call;
+use super::shader::ShaderModule;
+use super::{Binding, Device, GpuError, RenderPass, Shader};
+
+/// Descriptor set layouts and push constants of the shaders of a pipeline, as `build.rs` found them.
+pub struct PipelineLayout {
+    device: Arc<Device>,
+    pub(super) raw: vk::PipelineLayout,
+    sets: Vec<vk::DescriptorSetLayout>,
+    bindings: Vec<Binding>,
+    pub(super) push_stages: vk::ShaderStageFlags,
+    pub(super) push_size: u32,
+}
+
+impl PipelineLayout {
+    /// The layout of shaders that run together; where several have push constants, it is the same block.
+    ///
+    /// # Errors
+    /// Out of memory.
+    pub fn new(device: &Arc<Device>, shaders: &[&'static Shader]) -> Result<Self, GpuError> {
+        let pushing = || shaders.iter().filter(|s| s.push_size > 0);
+        let mut layout = Self {
+            device: device.clone(),
+            raw: vk::PipelineLayout::null(),
+            sets: Vec::new(),
+            bindings: Vec::new(),
+            push_stages: pushing().map(|s| s.stage.flag()).fold(vk::ShaderStageFlags::empty(), |a, b| a | b),
+            push_size: pushing().map(|s| s.push_size).max().unwrap_or(0),
+        };
+        // Sorted by set, then by binding.
+        let mut all = BTreeMap::new();
+        for shader in shaders {
+            for binding in shader.bindings {
+                let stages = shader.stage.flag();
+                let entry = all.entry((binding.set, binding.binding)).or_insert((*binding, stages));
+                entry.1 |= stages;
+            }
+        }
+        layout.bindings = all.values().map(|(binding, _)| *binding).collect();
+        let set_count = all.keys().map(|(set, _)| set + 1).max().unwrap_or(0);
+        for set in 0..set_count {
+            let bindings: Vec<_> = all.values().filter(|(b, _)| b.set == set).map(layout_binding).collect();
+            let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
+            // SAFETY: `info` and what it points to live until after the call.
+            let raw = unsafe { device.raw.create_descriptor_set_layout(&info, None) };
+            layout.sets.push(raw.map_err(call("vkCreateDescriptorSetLayout"))?);
+        }
+        let push =
+            vk::PushConstantRange { stage_flags: layout.push_stages, offset: 0, size: layout.push_size };
+        let pushes = if layout.push_size > 0 { vec![push] } else { Vec::new() };
+        let info =
+            vk::PipelineLayoutCreateInfo::default().set_layouts(&layout.sets).push_constant_ranges(&pushes);
+        // SAFETY: `info` and what it points to live until after the call.
+        let raw = unsafe { device.raw.create_pipeline_layout(&info, None) };
+        layout.raw = raw.map_err(call("vkCreatePipelineLayout"))?;
+        Ok(layout)
+    }
+
+    pub(super) fn device(&self) -> &Arc<Device> {
+        &self.device
+    }
+
+    pub(super) fn bindings(&self) -> &[Binding] {
+        &self.bindings
+    }
+
+    pub(super) fn set(&self, set: u32) -> Result<vk::DescriptorSetLayout, GpuError> {
+        let found =
+            || self.device.unsupported(format!("a descriptor set {set}"), self.sets.len().to_string());
+        self.sets.get(set as usize).copied().ok_or_else(found)
+    }
+}
+
+fn layout_binding(
+    (binding, stages): &(Binding, vk::ShaderStageFlags),
+) -> vk::DescriptorSetLayoutBinding<'static> {
+    vk::DescriptorSetLayoutBinding::default()
+        .binding(binding.binding)
+        .descriptor_type(binding.kind.descriptor())
+        .descriptor_count(1)
+        .stage_flags(*stages)
+}
+
+impl Drop for PipelineLayout {
+    fn drop(&mut self) {
+        // SAFETY: pipelines and recorders that use it hold or borrow it; null is ignored.
+        unsafe { self.device.raw.destroy_pipeline_layout(self.raw, None) };
+        for set in &self.sets {
+            // SAFETY: sets made from a layout may outlive it.
+            unsafe { self.device.raw.destroy_descriptor_set_layout(*set, None) };
+        }
+    }
+}
+
+/// What vertices form.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Topology {
+    /// Each its own point.
+    Points,
+    /// A strip of triangles.
+    TriangleStrip,
+}
+
+/// How vertices lie in their buffer.
+#[derive(Clone, Copy, Debug)]
+pub struct VertexBuffer<'a> {
+    /// Bytes from one to the next.
+    pub stride: u32,
+    /// Whether to go on with each instance instead of with each vertex.
+    pub per_instance: bool,
+    /// Offset of each input by its location, bytes.
+    pub offsets: &'a [u32],
+}
+
+/// A graphics pipeline to be made: opaque, both sides, depth test LESS where the pass has depth.
+pub struct GraphicsPipelineDesc<'a> {
+    /// What validation messages call it.
+    pub name: &'a str,
+    /// Layout of both shaders.
+    pub layout: &'a Arc<PipelineLayout>,
+    /// Vertex shader.
+    pub vertex: &'static Shader,
+    /// Fragment shader.
+    pub fragment: &'static Shader,
+    /// What it draws into.
+    pub pass: &'a Arc<RenderPass>,
+    /// What vertices form.
+    pub topology: Topology,
+    /// How vertices lie in their buffer.
+    pub vertices: VertexBuffer<'a>,
+}
+
+/// A pipeline that draws.
+pub struct GraphicsPipeline {
+    pub(super) layout: Arc<PipelineLayout>,
+    pub(super) raw: vk::Pipeline,
+    pub(super) stride: u32,
+    pub(super) per_instance: bool,
+}
+
+impl GraphicsPipeline {
+    /// Compiles a pipeline.
+    ///
+    /// # Errors
+    /// Out of memory; an input without offset.
+    pub fn new(desc: &GraphicsPipelineDesc<'_>) -> Result<Self, GpuError> {
+        let device = &desc.layout.device;
+        let modules = [ShaderModule::new(device, desc.vertex)?, ShaderModule::new(device, desc.fragment)?];
+        let stages = [modules[0].stage(), modules[1].stage()];
+        let attributes = attributes(device, desc)?;
+        let rate = if desc.vertices.per_instance {
+            vk::VertexInputRate::INSTANCE
+        } else {
+            vk::VertexInputRate::VERTEX
+        };
+        let stride = desc.vertices.stride;
+        let bindings = [vk::VertexInputBindingDescription { binding: 0, stride, input_rate: rate }];
+        let input = vk::PipelineVertexInputStateCreateInfo::default()
+            .vertex_binding_descriptions(&bindings)
+            .vertex_attribute_descriptions(&attributes);
+        let assembly = vk::PipelineInputAssemblyStateCreateInfo::default().topology(match desc.topology {
+            Topology::Points => vk::PrimitiveTopology::POINT_LIST,
+            Topology::TriangleStrip => vk::PrimitiveTopology::TRIANGLE_STRIP,
+        });
+        let viewport = vk::PipelineViewportStateCreateInfo::default().viewport_count(1).scissor_count(1);
+        let raster = vk::PipelineRasterizationStateCreateInfo::default().line_width(1.0);
+        let samples = vk::PipelineMultisampleStateCreateInfo::default()
+            .rasterization_samples(vk::SampleCountFlags::TYPE_1);
+        let depth = vk::PipelineDepthStencilStateCreateInfo::default()
+            .depth_test_enable(desc.pass.depth)
+            .depth_write_enable(desc.pass.depth)
+            .depth_compare_op(vk::CompareOp::LESS);
+        let blends =
+            [vk::PipelineColorBlendAttachmentState::default()
+                .color_write_mask(vk::ColorComponentFlags::RGBA)];
+        let blend = vk::PipelineColorBlendStateCreateInfo::default().attachments(&blends);
+        let dynamics = [vk::DynamicState::VIEWPORT, vk::DynamicState::SCISSOR];
+        let dynamic = vk::PipelineDynamicStateCreateInfo::default().dynamic_states(&dynamics);
+        let info = vk::GraphicsPipelineCreateInfo::default()
+            .stages(&stages)
+            .vertex_input_state(&input)
+            .input_assembly_state(&assembly)
+            .viewport_state(&viewport)
+            .rasterization_state(&raster)
+            .multisample_state(&samples)
+            .depth_stencil_state(&depth)
+            .color_blend_state(&blend)
+            .dynamic_state(&dynamic)
+            .layout(desc.layout.raw)
+            .render_pass(desc.pass.raw);
+        // SAFETY: `info` and what it points to live until after the call.
+        let made = unsafe { device.raw.create_graphics_pipelines(vk::PipelineCache::null(), &[info], None) };
+        let raw = made.map_err(|(_, e)| e).map_err(call("vkCreateGraphicsPipelines"))?[0];
+        let per_instance = desc.vertices.per_instance;
+        let pipeline = Self { layout: desc.layout.clone(), raw, stride, per_instance };
+        device.set_name(raw, desc.name)?;
+        Ok(pipeline)
+    }
+
+    /// Its layout.
+    pub fn layout(&self) -> &Arc<PipelineLayout> {
+        &self.layout
+    }
+}
+
+fn attributes(
+    device: &Device,
+    desc: &GraphicsPipelineDesc<'_>,
+) -> Result<Vec<vk::VertexInputAttributeDescription>, GpuError> {
+    let attribute = |input: &super::Input| {
+        let missing = || device.unsupported(format!("an offset of input {}", input.location), "none");
+        let offset = *desc.vertices.offsets.get(input.location as usize).ok_or_else(missing)?;
+        let (location, format) = (input.location, input.format.format());
+        Ok(vk::VertexInputAttributeDescription { location, binding: 0, format, offset })
+    };
+    desc.vertex.inputs.iter().map(attribute).collect()
+}
+
+impl Drop for GraphicsPipeline {
+    fn drop(&mut self) {
+        // SAFETY: no commands use it (recorders borrow it, submits are waited for).
+        unsafe { self.layout.device.raw.destroy_pipeline(self.raw, None) };
+    }
+}
+
+/// A pipeline that computes.
+pub struct ComputePipeline {
+    pub(super) layout: Arc<PipelineLayout>,
+    pub(super) raw: vk::Pipeline,
+    /// Invocations per workgroup.
+    pub workgroup: [u32; 3],
+}
+
+impl ComputePipeline {
+    /// Compiles a pipeline.
+    ///
+    /// # Errors
+    /// Out of memory.
+    pub fn new(device: &Arc<Device>, shader: &'static Shader) -> Result<Self, GpuError> {
+        let layout = Arc::new(PipelineLayout::new(device, &[shader])?);
+        let module = ShaderModule::new(device, shader)?;
+        let info = vk::ComputePipelineCreateInfo::default().stage(module.stage()).layout(layout.raw);
+        // SAFETY: `info` and what it points to live until after the call.
+        let made = unsafe { device.raw.create_compute_pipelines(vk::PipelineCache::null(), &[info], None) };
+        let raw = made.map_err(|(_, e)| e).map_err(call("vkCreateComputePipelines"))?[0];
+        let pipeline = Self { layout, raw, workgroup: shader.workgroup };
+        device.set_name(raw, shader.name)?;
+        Ok(pipeline)
+    }
+
+    /// Its layout.
+    pub fn layout(&self) -> &Arc<PipelineLayout> {
+        &self.layout
+    }
+}
+
+impl Drop for ComputePipeline {
+    fn drop(&mut self) {
+        // SAFETY: no commands use it (recorders borrow it, submits are waited for).
+        unsafe { self.layout.device.raw.destroy_pipeline(self.raw, None) };
+    }
+}

@@ -1,0 +1,176 @@
+//! Compiled shaders and what `build.rs` found in them.
+
+use std::ffi::CStr;
+use std::sync::Arc;
+
+use ash::vk;
+
+use super::error::call;
+use super::{Device, GpuError};
+
+/// A compiled shader.
+#[derive(Clone, Copy, Debug)]
+pub struct Shader {
+    /// File name below `glsl/`.
+    pub name: &'static str,
+    /// Entry point.
+    pub entry: &'static CStr,
+    /// Where it runs.
+    pub stage: Stage,
+    /// Size of the push constants, bytes; 0 for none.
+    pub push_size: u32,
+    /// Descriptors that it uses.
+    pub bindings: &'static [Binding],
+    /// Vertex attributes that it takes.
+    pub inputs: &'static [Input],
+    /// Invocations per workgroup; zeros outside compute.
+    pub workgroup: [u32; 3],
+    /// SPIR-V.
+    pub words: &'static [u32],
+}
+
+/// Where a shader runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Per vertex.
+    Vertex,
+    /// Per covered pixel.
+    Fragment,
+    /// On its own.
+    Compute,
+}
+
+/// A descriptor that a shader uses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Binding {
+    /// Set.
+    pub set: u32,
+    /// Binding.
+    pub binding: u32,
+    /// What is bound.
+    pub kind: BindingKind,
+}
+
+/// What is bound.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BindingKind {
+    /// Uniform buffer.
+    Uniform,
+    /// Storage buffer.
+    Storage,
+    /// Image to be read without a sampler.
+    SampledImage,
+    /// Image to be read and written.
+    StorageImage,
+}
+
+/// A vertex attribute.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Input {
+    /// Location.
+    pub location: u32,
+    /// Type.
+    pub format: InputFormat,
+}
+
+/// Type of a vertex attribute.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum InputFormat {
+    F32x1,
+    F32x2,
+    F32x3,
+    F32x4,
+    U32x1,
+    U32x2,
+    U32x3,
+    U32x4,
+}
+
+/// One module per shader: `SHADER`, and for each named struct its `SIZE` and the offset of each member, bytes.
+pub mod shaders {
+    use super::{Binding, BindingKind, Input, InputFormat, Shader, Stage};
+    include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
+}
+
+/// Asserts at compile time that the members of a `#[repr(C)]` struct lie where the shader has them:
+/// `assert_layout!(Push, shaders::x_vert::push, [a: A, b: B])`.
+macro_rules! assert_layout {
+    ($rust:ty, $($module:ident)::+, [$($member:ident: $offset:ident),+ $(,)?]) => {
+        const _: () = {
+            use $($module)::+ as layout;
+            assert!(size_of::<$rust>() == layout::SIZE);
+            $(assert!(std::mem::offset_of!($rust, $member) == layout::$offset);)+
+        };
+    };
+}
+pub(crate) use assert_layout;
+
+impl Stage {
+    pub(super) fn flag(self) -> vk::ShaderStageFlags {
+        match self {
+            Self::Vertex => vk::ShaderStageFlags::VERTEX,
+            Self::Fragment => vk::ShaderStageFlags::FRAGMENT,
+            Self::Compute => vk::ShaderStageFlags::COMPUTE,
+        }
+    }
+}
+
+impl BindingKind {
+    pub(super) fn descriptor(self) -> vk::DescriptorType {
+        match self {
+            Self::Uniform => vk::DescriptorType::UNIFORM_BUFFER,
+            Self::Storage => vk::DescriptorType::STORAGE_BUFFER,
+            Self::SampledImage => vk::DescriptorType::SAMPLED_IMAGE,
+            Self::StorageImage => vk::DescriptorType::STORAGE_IMAGE,
+        }
+    }
+}
+
+impl InputFormat {
+    pub(super) fn format(self) -> vk::Format {
+        match self {
+            Self::F32x1 => vk::Format::R32_SFLOAT,
+            Self::F32x2 => vk::Format::R32G32_SFLOAT,
+            Self::F32x3 => vk::Format::R32G32B32_SFLOAT,
+            Self::F32x4 => vk::Format::R32G32B32A32_SFLOAT,
+            Self::U32x1 => vk::Format::R32_UINT,
+            Self::U32x2 => vk::Format::R32G32_UINT,
+            Self::U32x3 => vk::Format::R32G32B32_UINT,
+            Self::U32x4 => vk::Format::R32G32B32A32_UINT,
+        }
+    }
+}
+
+/// A shader module; needed only while pipelines are made from it.
+pub(super) struct ShaderModule {
+    device: Arc<Device>,
+    raw: vk::ShaderModule,
+    shader: &'static Shader,
+}
+
+impl ShaderModule {
+    pub(super) fn new(device: &Arc<Device>, shader: &'static Shader) -> Result<Self, GpuError> {
+        let info = vk::ShaderModuleCreateInfo::default().code(shader.words);
+        // SAFETY: the words are SPIR-V that was validated at build time.
+        let raw = unsafe { device.raw.create_shader_module(&info, None) };
+        let raw = raw.map_err(call("vkCreateShaderModule"))?;
+        let module = Self { device: device.clone(), raw, shader };
+        device.set_name(raw, shader.name)?;
+        Ok(module)
+    }
+
+    pub(super) fn stage(&self) -> vk::PipelineShaderStageCreateInfo<'_> {
+        vk::PipelineShaderStageCreateInfo::default()
+            .stage(self.shader.stage.flag())
+            .module(self.raw)
+            .name(self.shader.entry)
+    }
+}
+
+impl Drop for ShaderModule {
+    fn drop(&mut self) {
+        // SAFETY: pipelines do not need their modules once they are made.
+        unsafe { self.device.raw.destroy_shader_module(self.raw, None) };
+    }
+}

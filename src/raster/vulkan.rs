@@ -1,0 +1,275 @@
+//! The rasterizer on Vulkan's fixed-function pipeline: splat, resolve, read back.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::line::{LineInstance, LineStage, LineTarget};
+use super::pages::{Pages, PieceDraw};
+use super::resolve::{MAX_PIXEL_BYTES, Piece, PlaneOffsets, ResolveStage, ResolveTarget};
+use super::splat::{SplatStage, SplatTarget, check_point_size};
+use super::tiles::{Tile, TileLimits, grown, tiles};
+use super::{
+    CloudSet, Draw, Planes, RasterError, Rasterizer, RasterizerInfo, Segment, SplatJob, SplatMaps,
+    SplatSchedule, StageTimes, draws_from_job,
+};
+use crate::cloud::Bounds;
+use crate::gpu::{Commands, Device, GpuError};
+
+/// How a [`VulkanRasterizer`] divides its work; the default is what the device can do. Results never depend on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct VulkanRasterizerDesc {
+    /// Most points in one buffer.
+    pub page_points: Option<u32>,
+    /// Longest side of what is drawn at once, pixels.
+    pub tile_side: Option<u32>,
+}
+
+/// Clouds on a Vulkan device, and what draws them.
+pub struct VulkanRasterizer {
+    device: Arc<Device>,
+    commands: Commands,
+    splat: SplatStage,
+    resolve: ResolveStage,
+    line: LineStage,
+    pages: Pages,
+    extents: Vec<(usize, Option<Bounds>)>,
+    limits: TileLimits,
+    targets: Option<Targets>,
+    line_target: Option<LineTarget>,
+    stages: StageTimes,
+}
+
+/// What depends on the size of images and the number of pieces.
+struct Targets {
+    splat: SplatTarget,
+    resolve: ResolveTarget,
+}
+
+/// Room for pieces to begin with.
+const MIN_PIECES: u64 = 256;
+/// Most pixels that are drawn at once: what fits the smallest storage buffers among drivers.
+const MAX_TILE_AREA: u64 = 1 << 23;
+
+impl VulkanRasterizer {
+    /// Uploads all clouds; they may be dropped afterwards.
+    ///
+    /// # Errors
+    /// Out of memory, or a device that lacks something.
+    pub fn new(device: Arc<Device>, clouds: &CloudSet<'_>) -> Result<Self, GpuError> {
+        Self::with_desc(device, clouds, VulkanRasterizerDesc::default())
+    }
+
+    /// The same with pages and tiles of other sizes.
+    ///
+    /// # Errors
+    /// Out of memory, or a device that lacks something.
+    pub fn with_desc(
+        device: Arc<Device>,
+        clouds: &CloudSet<'_>,
+        desc: VulkanRasterizerDesc,
+    ) -> Result<Self, GpuError> {
+        let start = Instant::now();
+        let (splat, resolve) = (SplatStage::new(&device)?, ResolveStage::new(&device)?);
+        let line = LineStage::new(&device)?;
+        let mut commands = Commands::new(&device)?;
+        let mut stages = StageTimes::default();
+        stages.add("set-up", start.elapsed());
+        let start = Instant::now();
+        let pages = Pages::upload(&device, &mut commands, resolve.layout(), clouds, desc.page_points)?;
+        let extents = clouds.iter().map(|c| (c.len(), Bounds::of(c))).collect();
+        stages.add("upload", start.elapsed());
+        let (targets, line_target, limits) = (None, None, tile_limits(&device, desc.tile_side));
+        device.check_validation()?;
+        Ok(Self {
+            device,
+            commands,
+            splat,
+            resolve,
+            line,
+            pages,
+            extents,
+            limits,
+            targets,
+            line_target,
+            stages,
+        })
+    }
+
+    /// Makes images and buffers if those there are too small.
+    fn prepare(&mut self, size: [u32; 2], pieces: u64) -> Result<&mut Targets, GpuError> {
+        let (mut current, mut capacity) = ([0; 2], MIN_PIECES);
+        if let Some(targets) = &self.targets {
+            current = [targets.splat.depth.width(), targets.splat.depth.height()];
+            capacity = targets.resolve.piece_capacity();
+        }
+        let wanted = grown(current, size, self.limits);
+        let enough = size[0] <= current[0] && size[1] <= current[1] && pieces <= capacity;
+        if !enough {
+            self.targets = None; // free before allocating
+            let capacity = capacity.max(pieces.next_power_of_two());
+            let splat = self.splat.target(&self.device, wanted)?;
+            let resolve = self.resolve.target(&self.device, &splat, capacity)?;
+            return Ok(self.targets.insert(Targets { splat, resolve }));
+        }
+        let lost = || self.device.unsupported("images to draw into", "none");
+        self.targets.as_mut().ok_or_else(lost)
+    }
+
+    fn splat_tile(&mut self, tile: &Tile, work: &Work<'_>, maps: &mut SplatMaps) -> Result<(), GpuError> {
+        self.prepare(work.tile_size, work.table.len() as u64)?;
+        let Some(targets) = &mut self.targets else { return Ok(()) };
+        let mut recorder = self.commands.begin()?;
+        let drawn = (&self.pages, work.draws, work.pieces);
+        self.splat.record(&mut recorder, &targets.splat, tile, work.schedule, drawn)?;
+        recorder.stamp("splat");
+        let looked_up = (&self.pages, work.table);
+        self.resolve.record(&mut recorder, &targets.resolve, tile, looked_up, work.planes)?;
+        for (stage, time) in recorder.submit()? {
+            self.stages.add(stage, time);
+        }
+        let start = Instant::now();
+        let bytes = targets.resolve.readback.bytes_mut()?;
+        read_planes(bytes, tile, work.planes, maps);
+        self.stages.add("readback", start.elapsed());
+        Ok(())
+    }
+
+    fn line_tile(
+        &mut self,
+        tile: &Tile,
+        lines: &crate::gpu::Buffer,
+        image: &mut [[u8; 3]],
+        width: u32,
+    ) -> Result<(), GpuError> {
+        let Some(target) = &mut self.line_target else { return Ok(()) };
+        let mut recorder = self.commands.begin()?;
+        self.line.record(&mut recorder, target, tile, lines)?;
+        for (stage, time) in recorder.submit()? {
+            self.stages.add(stage, time);
+        }
+        let start = Instant::now();
+        let rgba = &target.readback.bytes_mut()?[..4 * tile.area()];
+        let pixels: Vec<[u8; 3]> = rgba.chunks_exact(4).map(|p| [p[0], p[1], p[2]]).collect();
+        tile.copy_into(&pixels, image, width);
+        self.stages.add("readback", start.elapsed());
+        Ok(())
+    }
+}
+
+/// What all tiles of a job share.
+struct Work<'a> {
+    draws: &'a [Draw],
+    pieces: &'a [PieceDraw],
+    table: &'a [Piece],
+    schedule: &'a SplatSchedule,
+    planes: Planes,
+    /// Of the largest tile.
+    tile_size: [u32; 2],
+}
+
+impl Rasterizer for VulkanRasterizer {
+    fn info(&self) -> RasterizerInfo {
+        let (device, driver) = (self.device.name().to_owned(), self.device.driver().to_owned());
+        RasterizerInfo { rasterizer: "raster", device, driver }
+    }
+
+    fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {
+        let draws = draws_from_job(job, &self.extents)?;
+        check_point_size(&self.device, job.schedule)?;
+        let (width, height) = (job.view.camera.width, job.view.camera.height);
+        let mut maps = empty_maps(width, height, job.planes);
+        let (pieces, table) = self.pages.pieces(&draws);
+        if pieces.is_empty() || job.planes == Planes::NONE {
+            return Ok(maps);
+        }
+        let tiles = tiles(width, height, self.limits);
+        let work = Work {
+            draws: &draws,
+            pieces: &pieces,
+            table: &table,
+            schedule: job.schedule,
+            planes: job.planes,
+            tile_size: tiles.first().map_or([0; 2], |tile| tile.size),
+        };
+        for tile in &tiles {
+            self.splat_tile(tile, &work, &mut maps)?;
+        }
+        Ok(maps)
+    }
+
+    fn lines(
+        &mut self,
+        height: u32,
+        width: u32,
+        segments: &[Segment],
+        width_px: f32,
+    ) -> Result<Vec<[u8; 3]>, RasterError> {
+        let mut image = vec![[0; 3]; width as usize * height as usize];
+        let half_width = width_px / 2.0;
+        let lines: Vec<_> =
+            segments.iter().filter_map(|s| LineInstance::new(s, half_width, [width, height])).collect();
+        let tiles = tiles(width, height, self.limits);
+        let Some(largest) = tiles.first().filter(|_| !lines.is_empty()) else { return Ok(image) };
+        let current = self.line_target.as_ref().map_or([0; 2], LineTarget::size);
+        if largest.size[0] > current[0] || largest.size[1] > current[1] {
+            self.line_target = None; // free before allocating
+            let size = grown(current, largest.size, self.limits);
+            self.line_target = Some(self.line.target(&self.device, size)?);
+        }
+        let lines = LineStage::upload(&self.device, &lines)?;
+        for tile in &tiles {
+            self.line_tile(tile, &lines, &mut image, width)?;
+        }
+        Ok(image)
+    }
+
+    fn take_stages(&mut self) -> StageTimes {
+        std::mem::take(&mut self.stages)
+    }
+}
+
+fn tile_limits(device: &Device, side: Option<u32>) -> TileLimits {
+    let limits = device.limits();
+    let [viewport_width, viewport_height] = limits.max_viewport_dimensions;
+    let largest = [
+        limits.max_image_dimension2_d,
+        limits.max_framebuffer_width,
+        limits.max_framebuffer_height,
+        // The viewport is larger by the radius of points on each side.
+        viewport_width - 2 * SplatSchedule::MAX_RADIUS,
+        viewport_height - 2 * SplatSchedule::MAX_RADIUS,
+    ];
+    let largest = largest.into_iter().chain(side).min().unwrap_or(1).max(1);
+    let area = (device.max_storage_buffer() / MAX_PIXEL_BYTES).min(MAX_TILE_AREA) as u32;
+    TileLimits { side: largest, area }
+}
+
+fn empty_maps(width: u32, height: u32, planes: Planes) -> SplatMaps {
+    let pixels = width as usize * height as usize;
+    let zeros = |wanted: bool| vec![0; if wanted { pixels } else { 0 }];
+    SplatMaps {
+        width,
+        height,
+        point: zeros(planes.point),
+        depth_m: vec![f32::INFINITY; if planes.depth { pixels } else { 0 }],
+        rgb_class: zeros(planes.rgb_class),
+        instance: zeros(planes.instance),
+    }
+}
+
+/// Copies the wanted planes of a tile to where they belong.
+fn read_planes(bytes: &[u8], tile: &Tile, planes: Planes, maps: &mut SplatMaps) {
+    let (pixels, width) = (tile.area(), maps.width);
+    let offsets = PlaneOffsets::new(planes, pixels);
+    let read = |at: Option<usize>, map: &mut [u32]| {
+        if let Some(at) = at {
+            // As arrays of bytes, which have no alignment to meet.
+            let part: &[[u8; 4]] = bytemuck::cast_slice(&bytes[4 * at..4 * (at + pixels)]);
+            tile.copy_into(part, bytemuck::cast_slice_mut(map), width);
+        }
+    };
+    read(offsets.point, &mut maps.point);
+    read(offsets.depth, bytemuck::cast_slice_mut(&mut maps.depth_m));
+    read(offsets.rgb_class, &mut maps.rgb_class);
+    read(offsets.instance, &mut maps.instance);
+}
