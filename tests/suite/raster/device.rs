@@ -1,0 +1,48 @@
+//! Opening a device, and what is said when that does not work.
+
+use point_skeleton::gpu::{Device, DeviceDesc, GpuError};
+use point_skeleton::raster::{RasterizerKind, create};
+
+use super::twins::with_device;
+
+#[test]
+fn an_unknown_device_lists_those_there_are() {
+    let name = with_device(|device| device.name().to_owned());
+    let desc = DeviceDesc { device: Some("no such device".into()), validation: false };
+    let error = Device::new(&desc).err().unwrap();
+    assert!(matches!(error, GpuError::UnknownDevice { .. }));
+    let text = error.to_string();
+    assert!(text.contains("no such device") && text.contains(&name), "{text}");
+    assert!(create(RasterizerKind::Raster, Some("no such device"), vec![]).is_err());
+    assert!(create(RasterizerKind::Cpu, Some("no such device"), vec![]).is_ok());
+}
+
+#[test]
+fn a_device_is_found_by_part_of_its_name() {
+    let name = with_device(|device| device.name().to_owned());
+    let part = name.split_whitespace().next().unwrap().to_uppercase();
+    let rasterizer = create(RasterizerKind::Auto, Some(&part), vec![]).unwrap();
+    assert_eq!((rasterizer.info().rasterizer, rasterizer.info().device), ("raster", name));
+    assert!(!rasterizer.info().driver.is_empty());
+}
+
+/// A loader without any driver, in a process of its own since the environment is the process's.
+#[test]
+fn no_driver_says_what_to_install() {
+    const INNER: &str = "PSKEL_TEST_WITHOUT_DRIVER";
+    if std::env::var_os(INNER).is_some() {
+        let error = Device::new(&DeviceDesc::default()).err().unwrap();
+        assert!(matches!(error, GpuError::NoDevice { .. }), "{error}");
+        assert!(error.to_string().contains("apt-get install libvulkan1 mesa-vulkan-drivers"), "{error}");
+        return;
+    }
+    let output = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "raster::device::no_driver_says_what_to_install", "--nocapture"])
+        .env(INNER, "1")
+        .env("VK_DRIVER_FILES", "/nonexistent.json")
+        .env("VK_ICD_FILENAMES", "/nonexistent.json")
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("1 passed"));
+}

@@ -1,0 +1,128 @@
+//! Cases whose result can be worked out by hand; both rasterizers must give it.
+
+use glam::{DAffine3, DVec2, DVec3};
+use point_skeleton::cloud::Point;
+use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::{Crop, Planes, Rasterizer, Segment, SplatJob, SplatMaps, VulkanRasterizer};
+
+use super::twins::{Case, with_device};
+
+fn point(position: [f32; 3]) -> Point {
+    Point::new(position, [1, 2, 3], 0)
+}
+
+/// Pixels `(column, row)` that are not empty.
+fn covered(maps: &SplatMaps) -> Vec<(u32, u32)> {
+    let at = |i: usize| (i as u32 % maps.width, i as u32 / maps.width);
+    (0..maps.point.len()).filter(|i| maps.point[*i] > 0).map(at).collect()
+}
+
+#[test]
+fn a_point_covers_exactly_its_square() {
+    let case = Case::new(9, 7, "4:2,8:1,16:0", &[&[point([4.5 * 2.0, 3.0 * 2.0, 2.0])]]);
+    let maps = case.draw(Planes::ALL);
+    let square: Vec<_> = (1..=5).flat_map(|y| (2..=6).map(move |x| (x, y))).collect();
+    assert_eq!(covered(&maps), square);
+    let inside = (3 * 9 + 4) as usize;
+    assert_eq!((maps.depth_m[inside], maps.instance[inside]), (2.0, 10));
+    assert_eq!(maps.rgb_class[inside], u32::from_le_bytes([1, 2, 3, 0]));
+    assert_eq!((maps.depth_m[0], maps.rgb_class[0], maps.instance[0]), (f32::INFINITY, 0, 0));
+}
+
+#[test]
+fn a_square_reaches_in_from_outside() {
+    // Centres at (-2, 8) and (7, -1) around a 6x7 image, radius 2 and 1.
+    let case = Case::new(6, 7, "2:2,4:1", &[&[point([-2.0, 8.0, 1.0]), point([6.5 * 4.0, -4.0, 4.0])]]);
+    assert_eq!(covered(&case.draw(Planes::ALL)), [(5, 0), (0, 6)]);
+    let out = Case::new(6, 7, "2:2", &[&[point([-3.0, 3.0, 1.0]), point([3.0, 9.0, 1.0])]]);
+    assert_eq!(covered(&out.draw(Planes::ALL)), []);
+}
+
+#[test]
+fn the_smallest_index_wins_ties_and_the_nearest_wins_otherwise() {
+    let (near, far) = (point([2.0, 2.0, 2.0]), point([3.0, 3.0, 3.0]));
+    let case = Case::new(3, 3, "9:1", &[&[far, near, near], &[near]]);
+    let maps = case.draw(Planes::ALL);
+    assert!(maps.point.iter().all(|p| *p == 2) && maps.instance.iter().all(|i| *i == 10));
+    // Numbers run through the instances.
+    let maps = Case::new(3, 3, "9:1", &[&[far, far], &[far, near]]).draw(Planes::ALL);
+    assert!(maps.point.iter().all(|p| *p == 4) && maps.instance.iter().all(|i| *i == 11));
+    // One step of f32 nearer is nearer.
+    let z = 50.0_f32;
+    let nearer = point([z, z, z.next_down()]);
+    let maps = Case::new(3, 3, "60:1", &[&[point([z, z, z]), nearer]]).draw(Planes::ALL);
+    assert_eq!((maps.point[4], maps.depth_m[4]), (2, z.next_down()));
+}
+
+#[test]
+fn depths_outside_of_the_schedule_are_dropped() {
+    let at = |z: f32| point([z, z, z]);
+    let dropped = [-1.0, 0.0, 1e-6, 1e-5, 100.001, 1e9, f32::NAN, f32::INFINITY];
+    for z in dropped {
+        assert_eq!(covered(&Case::new(3, 3, "15:1,100:0", &[&[at(z)]]).draw(Planes::ALL)), [], "{z}");
+    }
+    for (z, pixels) in [(1.1e-5, 9), (15.0, 9), (15.001, 1), (100.0, 1)] {
+        let maps = Case::new(3, 3, "15:1,100:0", &[&[at(z)]]).draw(Planes::ALL);
+        assert_eq!((covered(&maps).len(), maps.depth_m[4]), (pixels, z));
+    }
+}
+
+#[test]
+fn the_crop_is_a_square_with_its_border() {
+    let points: Vec<Point> = (0..8).map(|i| point([i as f32, 0.0, 1.0])).collect();
+    let case = Case::new(8, 1, "9:0", &[&points]);
+    let crop = Some(Crop { center: DVec2::new(1004.0, 2000.0), radius_m: 2.0 });
+    let mut instance = case.instances[0];
+    instance.world_from_local = DAffine3::from_translation(DVec3::new(1000.0, 2000.0, 0.0));
+    let mut view = case.view.clone();
+    view.camera_from_world = instance.world_from_local.inverse();
+    let (schedule, instances, planes) = (&case.schedule, &[instance][..], Planes::ALL);
+    let job = SplatJob { view: &view, schedule, instances, crop, planes };
+    let expected = [(2, 0), (3, 0), (4, 0), (5, 0), (6, 0)];
+    assert_eq!(covered(&CpuRasterizer::new(vec![&points]).splat(&job).unwrap()), expected);
+    with_device(|device| {
+        let mut rasterizer = VulkanRasterizer::new(device, &vec![&points]).unwrap();
+        assert_eq!(covered(&rasterizer.splat(&job).unwrap()), expected);
+    });
+}
+
+#[test]
+fn unwanted_planes_are_empty() {
+    let case = Case::new(4, 4, "9:1", &[&[point([1.0, 1.0, 1.0])]]);
+    for bits in 0..16_u32 {
+        let bit = |i: u32| bits >> i & 1 == 1;
+        let planes = Planes { point: bit(0), depth: bit(1), rgb_class: bit(2), instance: bit(3) };
+        let maps = case.draw(planes);
+        let lengths = [maps.point.len(), maps.depth_m.len(), maps.rgb_class.len(), maps.instance.len()];
+        assert_eq!(lengths, [0, 1, 2, 3].map(|i| if bit(i) { 16 } else { 0 }));
+    }
+}
+
+#[test]
+fn nothing_gives_empty_maps() {
+    assert_eq!(covered(&Case::new(4, 4, "9:1", &[]).draw(Planes::ALL)), []);
+    assert_eq!(covered(&Case::new(4, 4, "9:1", &[&[]]).draw(Planes::ALL)), []);
+}
+
+#[test]
+fn a_line_covers_the_pixels_whose_centres_it_holds() {
+    let line = |y: f32| Segment { from: [2.0, y], to: [6.0, y], rgb: [9, 8, 7] };
+    let rows =
+        |image: &[[u8; 3]]| -> Vec<usize> { (0..8).filter(|row| image[row * 8 + 3] == [9, 8, 7]).collect() };
+    with_device(|device| {
+        let mut raster = VulkanRasterizer::new(device, &vec![]).unwrap();
+        let mut cpu = CpuRasterizer::new(vec![]);
+        for rasterizer in [&mut raster as &mut dyn Rasterizer, &mut cpu] {
+            let image = rasterizer.lines(8, 8, &[line(4.0)], 2.0).unwrap();
+            assert_eq!(rows(&image), [3, 4]);
+            assert_eq!(image.iter().filter(|p| **p != [0; 3]).count(), 8);
+            // Centres on the one side are in, on the other out.
+            assert_eq!(rows(&rasterizer.lines(8, 8, &[line(4.5)], 2.0).unwrap()), [3, 4]);
+            // Later over earlier; butt ends.
+            let over = Segment { from: [3.0, 0.0], to: [3.0, 8.0], rgb: [1, 1, 1] };
+            let image = rasterizer.lines(8, 8, &[line(4.0), over], 2.0).unwrap();
+            assert_eq!([1, 2, 3, 4, 5, 6].map(|x| image[4 * 8 + x][0]), [0, 1, 1, 9, 9, 0]);
+            assert!(rasterizer.lines(8, 8, &[], 2.0).unwrap().iter().all(|p| *p == [0; 3]));
+        }
+    });
+}

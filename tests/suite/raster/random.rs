@@ -1,0 +1,219 @@
+//! Random clouds, cameras and lines: the rasterizers must agree on every pixel of every plane.
+
+use glam::{DAffine3, DQuat, DVec2, DVec3};
+use point_skeleton::cloud::Point;
+use point_skeleton::geometry::{Camera, View};
+use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::{
+    CloudSet, Crop, Instance, Planes, Rasterizer, Segment, SplatJob, SplatSchedule, SplatStep,
+    VulkanRasterizer, VulkanRasterizerDesc,
+};
+
+use super::twins::{allowed_share, assert_same, with_device};
+
+/// SplitMix64 (Steele, Lea, Flood 2014): the same numbers for the same seed everywhere.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    fn below(&mut self, end: u64) -> u64 {
+        self.next() % end
+    }
+
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
+/// A point near the camera's frustum; sometimes on the border of a pixel or a depth step, sometimes nonsense.
+fn random_point(random: &mut Random, schedule: &SplatSchedule) -> Point {
+    let steps = schedule.steps();
+    let far = f64::from(schedule.z_far_m());
+    let mut z = random.between(-0.1 * far, 1.2 * far) as f32;
+    match random.below(8) {
+        0 => z = steps[random.below(steps.len() as u64) as usize].z_max_m,
+        1 => z = z.round(),
+        2 => z *= 1e-3,
+        _ => {}
+    }
+    let side = |random: &mut Random| random.between(-1.3, 1.3) as f32 * z;
+    let mut position = [side(random), side(random), z];
+    match random.below(64) {
+        0 => position[random.below(3) as usize] = f32::NAN,
+        1 => position[random.below(3) as usize] = f32::INFINITY,
+        2 => position[random.below(3) as usize] = f32::NEG_INFINITY,
+        3 => position = position.map(|v| v * 1e30),
+        4..12 => position = position.map(f32::round),
+        _ => {}
+    }
+    Point { position, rgb_class: random.next() as u32 }
+}
+
+fn random_cloud(random: &mut Random, schedule: &SplatSchedule, count: u64) -> Vec<Point> {
+    let mut points: Vec<Point> = Vec::new();
+    for _ in 0..count {
+        // Every eighth is a copy of an earlier one: an exact tie.
+        let copy = (random.below(8) == 0 && !points.is_empty())
+            .then(|| points[random.below(points.len() as u64) as usize].position);
+        let point = random_point(random, schedule);
+        points.push(Point { position: copy.unwrap_or(point.position), ..point });
+    }
+    points
+}
+
+fn random_schedule(random: &mut Random) -> SplatSchedule {
+    let (long, wide) = (random.below(4) == 0, random.below(4) == 0);
+    let count = 1 + random.below(if long { 16 } else { 4 });
+    let mut radius = random.below(if wide { 32 } else { 5 }) as u32;
+    let mut z_max_m = 0.0;
+    let step = |_| {
+        z_max_m += 0.5 + random.below(16) as f32;
+        radius = radius.saturating_sub(random.below(3) as u32);
+        SplatStep { z_max_m, radius }
+    };
+    SplatSchedule::new((0..count).map(step).collect()).unwrap()
+}
+
+fn random_view(random: &mut Random) -> View {
+    let (width, height) = (1 + random.below(180) as u32, 1 + random.below(120) as u32);
+    let focal = if random.below(2) == 0 { 64.0 } else { random.between(20.0, 200.0) };
+    let center = [f64::from(width) / 2.0, f64::from(height) / 2.0];
+    let skew = if random.below(4) == 0 { 3.0 } else { 0.0 };
+    let rows = [[focal, skew, center[0]], [0.0, focal * 0.75, center[1]], [0.0, 0.0, 1.0]];
+    let camera = Camera::new("random", width, height, rows).unwrap();
+    let shift = if random.below(2) == 0 { DVec3::ZERO } else { DVec3::new(664_430.0, 3_997_650.0, 606.0) };
+    View { camera, camera_from_world: DAffine3::from_translation(-shift) }
+}
+
+fn random_instances(random: &mut Random, view: &View, clouds: usize) -> Vec<Instance> {
+    let world_from_camera = view.camera_from_world.inverse();
+    let count = 1 + random.below(4);
+    let instance = |_| {
+        let turn = DQuat::from_rotation_z(random.between(-0.5, 0.5));
+        let shift =
+            DVec3::new(random.between(-2.0, 2.0), random.between(-2.0, 2.0), random.between(-3.0, 3.0));
+        let still = random.below(2) == 0;
+        let local = if still { DAffine3::IDENTITY } else { DAffine3::from_rotation_translation(turn, shift) };
+        Instance {
+            cloud: random.below(clouds as u64) as usize,
+            world_from_local: world_from_camera * local,
+            number: random.next() as u32,
+        }
+    };
+    (0..count).map(instance).collect()
+}
+
+fn compare_random_splats(seed: u64, sizes: &[u64], desc: VulkanRasterizerDesc) {
+    let random = &mut Random(seed);
+    let schedule = random_schedule(random);
+    let clouds: Vec<Vec<Point>> = sizes.iter().map(|n| random_cloud(random, &schedule, *n)).collect();
+    let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
+    with_device(|device| {
+        let mut raster = VulkanRasterizer::with_desc(device, &set, desc).unwrap();
+        let mut cpu = CpuRasterizer::new(set.clone());
+        for round in 0..6 {
+            let view = random_view(random);
+            let instances = random_instances(random, &view, clouds.len());
+            let center = view.camera_from_world.inverse().translation;
+            let crop = (random.below(2) == 0).then(|| Crop {
+                center: DVec2::new(center.x.round(), center.y.round()),
+                radius_m: random.below(20) as f64,
+            });
+            let job = SplatJob {
+                view: &view,
+                schedule: &schedule,
+                instances: &instances,
+                crop,
+                planes: Planes::ALL,
+            };
+            let (a, b) = (cpu.splat(&job).unwrap(), raster.splat(&job).unwrap());
+            let what = format!("seed {seed} round {round} {schedule} {desc:?}");
+            assert_same(&a, &b, allowed_share(&raster), &what);
+        }
+    });
+}
+
+#[test]
+fn random_clouds_agree() {
+    for seed in 0..8 {
+        compare_random_splats(seed, &[3000, 1, 700], VulkanRasterizerDesc::default());
+    }
+}
+
+#[test]
+fn pages_and_tiles_change_nothing() {
+    for seed in 100..106 {
+        let page_points = Some([1000, 333, 17][seed as usize % 3]);
+        let tile_side = Some([40, 7, 1000][seed as usize % 3]);
+        compare_random_splats(seed, &[400, 0, 1900, 5], VulkanRasterizerDesc { page_points, tile_side });
+    }
+}
+
+#[test]
+fn two_rasterizers_and_two_runs_give_the_same_bytes() {
+    let random = &mut Random(7);
+    let schedule = random_schedule(random);
+    let cloud = random_cloud(random, &schedule, 20_000);
+    let view = random_view(random);
+    let instances = random_instances(random, &view, 1);
+    let planes = Planes::ALL;
+    let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, planes };
+    with_device(|device| {
+        let mut maps = Vec::new();
+        for _ in 0..2 {
+            let mut rasterizer = VulkanRasterizer::new(device.clone(), &vec![&cloud]).unwrap();
+            maps.push(rasterizer.splat(&job).unwrap());
+            maps.push(rasterizer.splat(&job).unwrap());
+        }
+        assert!(maps[0].point.iter().any(|p| *p > 0) && maps.iter().all(|m| *m == maps[0]));
+    });
+}
+
+/// Ends in the image, around it, far away, at the same place, or nonsense.
+fn random_segment(random: &mut Random) -> Segment {
+    let end = |random: &mut Random| -> [f32; 2] {
+        let reach = [1.0, 2.0, 100.0, 1e7, 1e30][random.below(5) as usize];
+        std::array::from_fn(|_| {
+            let v = (80.0 + random.between(-80.0, 80.0) * reach) as f32;
+            if random.below(2) == 0 { v.round() } else { v }
+        })
+    };
+    let (from, mut to) = (end(random), end(random));
+    match random.below(16) {
+        0 => to = from,
+        1 => to[random.below(2) as usize] = [f32::NAN, f32::INFINITY][random.below(2) as usize],
+        2 => to[0] = from[0],
+        3 => to[1] = from[1],
+        _ => {}
+    }
+    Segment { from, to, rgb: [random.next() as u8, random.next() as u8, random.next() as u8] }
+}
+
+#[test]
+fn random_lines_agree() {
+    let random = &mut Random(3);
+    with_device(|device| {
+        for tile_side in [None, Some(50)] {
+            let desc = VulkanRasterizerDesc { tile_side, ..VulkanRasterizerDesc::default() };
+            let mut raster = VulkanRasterizer::with_desc(device.clone(), &vec![], desc).unwrap();
+            let mut cpu = CpuRasterizer::new(vec![]);
+            for round in 0..40 {
+                let (height, width) = (1 + random.below(150) as u32, 1 + random.below(200) as u32);
+                let count = 1 + random.below(12);
+                let segments: Vec<Segment> = (0..count).map(|_| random_segment(random)).collect();
+                let width_px = [8.0, 1.0, 0.3, 3.5, 40.0][random.below(5) as usize];
+                let a = cpu.lines(height, width, &segments, width_px).unwrap();
+                let b = raster.lines(height, width, &segments, width_px).unwrap();
+                let count = a.iter().zip(&b).filter(|(a, b)| a != b).count();
+                let allowed = allowed_share(&raster) * a.len() as f64;
+                assert!(count as f64 <= allowed, "round {round}: {count} differ, {segments:?} {width_px}");
+            }
+        }
+    });
+}

@@ -1,0 +1,131 @@
+//! Running both rasterizers on one job, and comparing them.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+use point_skeleton::cloud::Point;
+use point_skeleton::geometry::{Camera, View};
+use point_skeleton::gpu::{Device, DeviceDesc};
+use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::{
+    CloudSet, Instance, Planes, Rasterizer, SplatJob, SplatMaps, SplatSchedule, VulkanRasterizer,
+    VulkanRasterizerDesc,
+};
+
+/// Gives a device under validation to a test, and fails on any message, also of the device's destruction.
+pub(crate) fn with_device<T>(test: impl FnOnce(Arc<Device>) -> T) -> T {
+    let desc = DeviceDesc { validation: true, ..DeviceDesc::from_env() };
+    let device = Device::new(&desc).unwrap_or_else(|e| panic!("{e}"));
+    let messages = device.validation_messages();
+    let result = test(device);
+    messages.check().unwrap_or_else(|e| panic!("{e}"));
+    result
+}
+
+/// Which share of values may differ: none on the driver that rounds as the CPU does, little elsewhere (Vulkan lets
+/// a division be off by 2.5 units in the last place).
+pub(crate) fn allowed_share(rasterizer: &dyn Rasterizer) -> f64 {
+    if rasterizer.info().device.contains("llvmpipe") { 0.0 } else { 1e-5 }
+}
+
+/// How many pixels differ in any plane. Maps of different sizes or planes differ everywhere.
+pub(crate) fn differing(a: &SplatMaps, b: &SplatMaps) -> usize {
+    let lengths = |m: &SplatMaps| {
+        [
+            m.width as usize,
+            m.height as usize,
+            m.point.len(),
+            m.depth_m.len(),
+            m.rgb_class.len(),
+            m.instance.len(),
+        ]
+    };
+    let pixels = a.width as usize * a.height as usize;
+    if lengths(a) != lengths(b) {
+        return pixels.max(1);
+    }
+    let differs = |i: &usize| {
+        let bits = |m: &SplatMaps| {
+            let depth = m.depth_m.get(*i).map(|d| d.to_bits());
+            (depth, m.point.get(*i).copied(), m.rgb_class.get(*i).copied(), m.instance.get(*i).copied())
+        };
+        bits(a) != bits(b)
+    };
+    (0..pixels).filter(differs).count()
+}
+
+/// Fails where two rasterizers differ on more than a share of the pixels.
+pub(crate) fn assert_same(a: &SplatMaps, b: &SplatMaps, share: f64, what: &str) {
+    let (pixels, count) = (f64::from(a.width) * f64::from(a.height), differing(a, b));
+    assert!(count as f64 <= share * pixels, "{what}: {count} of {pixels} pixels differ");
+}
+
+/// What the hand-made cases draw: one cloud per entry, all at the origin, into a camera at the origin.
+pub(crate) struct Case {
+    pub(crate) clouds: Vec<Vec<Point>>,
+    pub(crate) view: View,
+    pub(crate) schedule: SplatSchedule,
+    pub(crate) instances: Vec<Instance>,
+}
+
+impl Case {
+    /// A camera of focal length 1 whose principal point is the corner: the point `(i·z, j·z, z)` is in pixel (i, j).
+    pub(crate) fn new(width: u32, height: u32, schedule: &str, clouds: &[&[Point]]) -> Self {
+        let rows = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let camera = Camera::new("test", width, height, rows).unwrap();
+        let instance = |cloud| Instance {
+            cloud,
+            world_from_local: DAffine3::from_translation(DVec3::ZERO),
+            number: cloud as u32 + 10,
+        };
+        Self {
+            clouds: clouds.iter().map(|c| c.to_vec()).collect(),
+            view: View { camera, camera_from_world: DAffine3::IDENTITY },
+            schedule: schedule.parse().unwrap(),
+            instances: (0..clouds.len()).map(instance).collect(),
+        }
+    }
+
+    /// Maps by both rasterizers, which must be the same.
+    pub(crate) fn draw(&self, planes: Planes) -> SplatMaps {
+        let clouds: CloudSet<'_> = self.clouds.iter().map(Vec::as_slice).collect();
+        let job = SplatJob {
+            view: &self.view,
+            schedule: &self.schedule,
+            instances: &self.instances,
+            crop: None,
+            planes,
+        };
+        let expected = CpuRasterizer::new(clouds.clone()).splat(&job).unwrap();
+        let desc = VulkanRasterizerDesc::default();
+        let found = with_device(|device| {
+            VulkanRasterizer::with_desc(device, &clouds, desc).unwrap().splat(&job).unwrap()
+        });
+        assert_same(&expected, &found, 0.0, "cpu and raster");
+        found
+    }
+}
+
+/// A comparator that cannot fail proves nothing.
+#[test]
+fn the_comparator_sees_each_plane() {
+    let point = Point::new([1.0, 1.0, 1.0], [1, 2, 3], 1);
+    let maps = Case::new(3, 3, "9:0", &[&[point]]).draw(Planes::ALL);
+    assert_eq!(differing(&maps, &maps), 0);
+    let change = |edit: &dyn Fn(&mut SplatMaps)| {
+        let mut other = maps.clone();
+        edit(&mut other);
+        differing(&maps, &other)
+    };
+    assert_eq!(change(&|m| m.point[0] = 7), 1);
+    assert_eq!(change(&|m| m.depth_m[4] = m.depth_m[4].next_up()), 1);
+    assert_eq!(change(&|m| m.rgb_class[8] ^= 1 << 24), 1);
+    assert_eq!(change(&|m| m.instance.fill(9)), 9);
+    assert_eq!(change(&|m| m.instance.clear()), 9);
+    let failed = std::panic::catch_unwind(|| {
+        let mut other = maps.clone();
+        other.point[0] = 7;
+        assert_same(&maps, &other, 1e-5, "one pixel");
+    });
+    assert!(failed.is_err());
+}
