@@ -5,6 +5,7 @@
 //! `shaders.rs` in `OUT_DIR` then holds one module per shader: the words, descriptor bindings, vertex inputs, the
 //! push-constant size, and for each named struct its size and the offset of each member, which the Rust structs are
 //! asserted against. A shader error fails the build with file and line.
+#![allow(clippy::print_stdout, clippy::print_stderr)] // how a build script speaks to cargo
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

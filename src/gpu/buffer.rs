@@ -39,6 +39,7 @@ pub struct Buffer {
     pub(super) raw: vk::Buffer,
     size: u64,
     name: String,
+    memory: Memory,
     allocation: Option<Allocation>,
 }
 
@@ -51,8 +52,8 @@ impl Buffer {
         let info = vk::BufferCreateInfo::default().size(desc.size).usage(desc.usage);
         // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
         let raw = unsafe { device.raw.create_buffer(&info, None) }.map_err(call("vkCreateBuffer"))?;
-        let (device, name) = (device.clone(), desc.name.to_owned());
-        let mut buffer = Self { device, raw, size: desc.size, name, allocation: None };
+        let (device, name, memory) = (device.clone(), desc.name.to_owned(), desc.memory);
+        let mut buffer = Self { device, raw, size: desc.size, name, memory, allocation: None };
         let device = &buffer.device;
         device.set_name(raw, desc.name)?;
         // SAFETY: the buffer is alive.
@@ -90,7 +91,9 @@ impl Buffer {
     /// [`GpuError::Range`] for memory of the device alone.
     pub fn bytes_mut(&mut self) -> Result<&mut [u8], GpuError> {
         let (size, name) = (self.size, &self.name);
-        let mapped = self.allocation.as_mut().and_then(Allocation::mapped_slice_mut);
+        // Some drivers map all memory, but only that of the other kinds is coherent.
+        let allocation = self.allocation.as_mut().filter(|_| self.memory != Memory::Device);
+        let mapped = allocation.and_then(Allocation::mapped_slice_mut);
         let bytes = mapped.and_then(|bytes| bytes.get_mut(..size as usize));
         bytes.ok_or_else(|| GpuError::Range { expected: size, found: 0, name: name.clone() })
     }

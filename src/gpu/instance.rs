@@ -98,5 +98,16 @@ impl Drop for Instance {
         }
         // SAFETY: the device, the only child left, is destroyed before its `Instance` is dropped.
         unsafe { self.raw.destroy_instance(None) };
+        if Arc::strong_count(&self.messages) == 1 {
+            report(&self.messages.take());
+        }
+    }
+}
+
+/// What the layer said about the destruction, where nobody holds the messages to look at them any more.
+#[expect(clippy::print_stderr, reason = "a drop cannot return an error, and validation is for developers")]
+fn report(messages: &[String]) {
+    for message in messages {
+        eprintln!("validation: {message}");
     }
 }

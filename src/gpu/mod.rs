@@ -26,6 +26,8 @@ mod pass;
 mod pipeline;
 mod select;
 mod shader;
+#[cfg(test)]
+mod tests;
 mod timer;
 mod validation;
 

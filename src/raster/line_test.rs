@@ -49,30 +49,33 @@ impl LineTest {
     }
 }
 
-/// The part of a segment inside the image grown by a margin (Liang and Barsky 1984). Ends inside stay as they are.
+/// The part of a segment inside the image grown by a margin, cut at one border after the other (Cohen and
+/// Sutherland). Ends inside stay as they are.
 fn clip(segment: &Segment, margin: f64, size: [u32; 2]) -> Option<([f32; 2], [f32; 2])> {
-    let (from, to) = (segment.from.map(f64::from), segment.to.map(f64::from));
-    let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
-    for axis in 0..2 {
-        let (low, high) = (-margin, f64::from(size[axis]) + margin);
-        let d = to[axis] - from[axis];
-        if !d.is_finite() {
-            return None;
-        }
-        if d == 0.0 {
-            if !(low..=high).contains(&from[axis]) {
-                return None;
-            }
-            continue;
-        }
-        let (a, b) = ((low - from[axis]) / d, (high - from[axis]) / d);
-        enter = enter.max(a.min(b));
-        leave = leave.min(a.max(b));
+    let (mut from, mut to) = (segment.from.map(f64::from), segment.to.map(f64::from));
+    if !from.iter().chain(&to).all(|v| v.is_finite()) {
+        return None;
     }
-    let at = |s: f64| [0, 1].map(|axis| (from[axis] + (to[axis] - from[axis]) * s) as f32);
-    let start = if enter > 0.0 { at(enter) } else { segment.from };
-    let end = if leave < 1.0 { at(leave) } else { segment.to };
-    (enter < leave).then_some((start, end))
+    for axis in 0..2 {
+        for (border, inward) in [(-margin, 1.0), (f64::from(size[axis]) + margin, -1.0)] {
+            let inside = |p: &[f64; 2]| (p[axis] - border) * inward >= 0.0;
+            match (inside(&from), inside(&to)) {
+                (true, true) => {}
+                (false, true) => from = cut(to, from, axis, border),
+                (true, false) => to = cut(from, to, axis, border),
+                (false, false) => return None,
+            }
+        }
+    }
+    Some((from.map(|v| v as f32), to.map(|v| v as f32)))
+}
+
+/// Where the way from `inside` to `outside` meets a border; measured from inside, where numbers are small.
+fn cut(inside: [f64; 2], outside: [f64; 2], axis: usize, border: f64) -> [f64; 2] {
+    let share = (border - inside[axis]) / (outside[axis] - inside[axis]);
+    let mut point = [0, 1].map(|i| inside[i] + (outside[i] - inside[i]) * share);
+    point[axis] = border;
+    point
 }
 
 #[cfg(test)]

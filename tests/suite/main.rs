@@ -1,4 +1,5 @@
 //! Tests of the whole library, by subject.
+#![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)] // helpers stand outside `#[test]`
 
 mod common;
 mod raster;

@@ -135,7 +135,7 @@ fn fixture_maps_are_the_references() {
         let maps = draw(&fixture, &mut rasterizer);
         let times: BTreeMap<_, _> = rasterizer.take_stages().0;
         println!("{times:?}");
-        let share = super::twins::allowed_share(&rasterizer);
+        let share = super::twins::allowed_share(&rasterizer, 1e-5);
         for (a, b) in cpu.iter().flatten().zip(maps.iter().flatten()) {
             assert_same(a, b, share, "cpu and raster");
         }
@@ -150,13 +150,12 @@ fn fixture_maps_are_the_references() {
 
 /// The check must be able to fail: another schedule is not the reference's.
 #[test]
-#[should_panic(expected = "differs on")]
 fn fixture_check_sees_a_wrong_radius() {
-    let Some(fixture) = load() else { panic!("differs on: skipped") };
+    let Some(fixture) = load() else { return };
     let view = &fixture.views[0];
     let (schedule, planes): (SplatSchedule, _) = ("15:1,35:1,100:0".parse().unwrap(), Planes::ALL);
     let instances = [Instance { cloud: 0, world_from_local: DAffine3::IDENTITY, number: 0 }];
     let job = SplatJob { view, schedule: &schedule, instances: &instances, crop: None, planes };
     let maps = CpuRasterizer::new(vec![&fixture.points]).splat(&job).unwrap();
-    check(&fixture, 0, &maps, &maps);
+    assert!(std::panic::catch_unwind(|| check(&fixture, 0, &maps, &maps)).is_err());
 }

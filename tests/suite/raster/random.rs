@@ -11,6 +11,9 @@ use point_skeleton::raster::{
 
 use super::twins::{allowed_share, assert_same, with_device};
 
+/// Many of these points are on borders of pixels, where another rounding of a division is another pixel.
+const ON_BORDERS: f64 = 2e-2;
+
 /// SplitMix64 (Steele, Lea, Flood 2014): the same numbers for the same seed everywhere.
 struct Random(u64);
 
@@ -134,7 +137,7 @@ fn compare_random_splats(seed: u64, sizes: &[u64], desc: VulkanRasterizerDesc) {
             };
             let (a, b) = (cpu.splat(&job).unwrap(), raster.splat(&job).unwrap());
             let what = format!("seed {seed} round {round} {schedule} {desc:?}");
-            assert_same(&a, &b, allowed_share(&raster), &what);
+            assert_same(&a, &b, allowed_share(&raster, ON_BORDERS), &what);
         }
     });
 }
@@ -211,7 +214,7 @@ fn random_lines_agree() {
                 let a = cpu.lines(height, width, &segments, width_px).unwrap();
                 let b = raster.lines(height, width, &segments, width_px).unwrap();
                 let count = a.iter().zip(&b).filter(|(a, b)| a != b).count();
-                let allowed = allowed_share(&raster) * a.len() as f64;
+                let allowed = allowed_share(&raster, ON_BORDERS) * a.len() as f64;
                 assert!(count as f64 <= allowed, "round {round}: {count} differ, {segments:?} {width_px}");
             }
         }

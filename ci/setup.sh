@@ -1,0 +1,81 @@
+#!/usr/bin/env bash
+# Installs what building and testing need beyond a Rust toolchain: a Vulkan loader, a driver that needs no GPU (Mesa's
+# lavapipe), and the validation layer. Does nothing, quietly, where all of it is there.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+say() { echo "setup: $*" >&2; }
+
+# Whether any of the given globs matches a file.
+any_file() {
+    local file
+    for file in "$@"; do
+        [ -e "$file" ] && return 0
+    done
+    return 1
+}
+
+has_loader() {
+    ldconfig -p 2>/dev/null | grep -q 'libvulkan\.so\.1' || any_file /usr/lib*/libvulkan.so.1 /usr/lib/*/libvulkan.so.1
+}
+
+has_driver() {
+    any_file "${VK_DRIVER_FILES:-/nonexistent}" "${VK_ICD_FILENAMES:-/nonexistent}" \
+        /usr/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.json /usr/local/share/vulkan/icd.d/*.json
+}
+
+has_layer() {
+    local path=VkLayer_khronos_validation.json
+    any_file "${VK_LAYER_PATH:-/nonexistent}/$path" {/usr/share,/usr/local/share,/etc}/vulkan/explicit_layer.d/"$path"
+}
+
+missing() {
+    has_loader || echo libvulkan1
+    has_driver || echo mesa-vulkan-drivers
+    has_layer || echo vulkan-validationlayers
+}
+
+check_cargo() {
+    local wanted found
+    wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
+    if ! command -v cargo >/dev/null; then
+        say "expected cargo (Rust $wanted or later), found none: see https://rustup.rs"
+        exit 1
+    fi
+    found=$(cargo --version | cut -d' ' -f2)
+    if [ "$(printf '%s\n' "$wanted" "$found" | sort -V | head -n1)" != "$wanted" ]; then
+        say "expected Rust $wanted or later, found $found: run rustup update"
+        exit 1
+    fi
+}
+
+install() {
+    local root=()
+    if ! command -v apt-get >/dev/null; then
+        say "expected the Vulkan loader, a driver and the validation layer, found no $*"
+        say "install them with this system's package manager (Fedora: vulkan-loader mesa-vulkan-drivers" \
+            "vulkan-validation-layers; Arch: vulkan-icd-loader vulkan-swrast vulkan-validation-layers)"
+        exit 1
+    fi
+    if [ "$(id -u)" -ne 0 ]; then
+        if ! command -v sudo >/dev/null; then
+            say "expected root or sudo to install $*, found neither: run apt-get install $* as root"
+            exit 1
+        fi
+        root=(sudo)
+    fi
+    say "installing $*"
+    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -qq
+    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+}
+
+check_cargo
+mapfile -t packages < <(missing)
+if [ "${#packages[@]}" -gt 0 ]; then
+    install "${packages[@]}"
+    mapfile -t packages < <(missing)
+    if [ "${#packages[@]}" -gt 0 ]; then
+        say "expected files of ${packages[*]} after installing them, found none"
+        exit 1
+    fi
+fi

@@ -1,0 +1,92 @@
+//! The validation layer must be on, and must be heard: a check that cannot fail proves nothing.
+
+use std::sync::Arc;
+
+use ash::vk::BufferUsageFlags as Usage;
+
+use super::*;
+
+fn device() -> Arc<Device> {
+    let desc = DeviceDesc { validation: true, ..DeviceDesc::from_env() };
+    Device::new(&desc).unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn buffer(device: &Arc<Device>, usage: Usage, memory: Memory) -> Result<Buffer, GpuError> {
+    Buffer::new(device, &BufferDesc { name: "test", size: 64, usage, memory })
+}
+
+#[test]
+fn bytes_go_there_and_back() {
+    let device = device();
+    let mut upload = buffer(&device, Usage::TRANSFER_SRC, Memory::Upload).unwrap();
+    let middle = buffer(&device, Usage::TRANSFER_SRC | Usage::TRANSFER_DST, Memory::Device).unwrap();
+    let mut back = buffer(&device, Usage::TRANSFER_DST, Memory::Readback).unwrap();
+    upload.bytes_mut().unwrap().copy_from_slice(&[7; 64]);
+    let mut commands = Commands::new(&device).unwrap();
+    let mut recorder = commands.begin().unwrap();
+    recorder.copy((&upload, 0), (&middle, 0), 64).unwrap();
+    recorder.barrier(Scope::CopyWrite, Scope::CopyWrite);
+    recorder.update(&middle, 32, &[9; 32]).unwrap();
+    recorder.barrier(Scope::CopyWrite, Scope::CopyRead);
+    recorder.copy((&middle, 0), (&back, 0), 64).unwrap();
+    recorder.barrier(Scope::CopyWrite, Scope::Host);
+    recorder.stamp("copy");
+    let stages = recorder.submit().unwrap();
+    assert!(stages.len() == 1 && ["copy", "gpu"].contains(&stages[0].0), "{stages:?}");
+    let bytes = back.bytes_mut().unwrap();
+    assert!(bytes[..32] == [7; 32] && bytes[32..] == [9; 32]);
+    // What does not fit is an error, not a call.
+    let mut recorder = commands.begin().unwrap();
+    let text = recorder.copy((&middle, 8), (&back, 0), 64).unwrap_err().to_string();
+    assert_eq!(text, "expected 72 bytes in test, found 64");
+    drop(recorder);
+    let mut middle = middle;
+    assert!(matches!(middle.bytes_mut(), Err(GpuError::Range { found: 0, .. })));
+}
+
+#[test]
+fn a_wrong_call_is_heard() {
+    let device = device();
+    let made = buffer(&device, Usage::empty(), Memory::Device);
+    let text = device.check_validation().unwrap_err().to_string();
+    assert!(text.contains("VkBufferCreateInfo"), "{text}");
+    drop(made);
+}
+
+#[test]
+fn a_missing_barrier_is_heard() {
+    let device = device();
+    let from = buffer(&device, Usage::TRANSFER_SRC | Usage::TRANSFER_DST, Memory::Device).unwrap();
+    let to = buffer(&device, Usage::TRANSFER_DST, Memory::Readback).unwrap();
+    let mut commands = Commands::new(&device).unwrap();
+    let mut recorder = commands.begin().unwrap();
+    recorder.update(&from, 0, &[1; 64]).unwrap();
+    recorder.copy((&from, 0), (&to, 0), 64).unwrap();
+    let error = recorder.submit().unwrap_err();
+    assert!(matches!(&error, GpuError::Validation(_)), "{error}");
+    assert!(error.to_string().contains("SYNC-HAZARD-READ-AFTER-WRITE"), "{error}");
+}
+
+#[test]
+fn a_leak_is_heard_after_the_device_is_gone() {
+    let device = device();
+    let messages = device.validation_messages();
+    let info = ash::vk::FenceCreateInfo::default();
+    // SAFETY: a plain description; the fence goes with the device, which is what the layer should complain about.
+    let leaked = unsafe { device.raw.create_fence(&info, None) };
+    assert!(leaked.is_ok());
+    drop(device);
+    let text = messages.check().unwrap_err().to_string();
+    assert!(text.contains("vkDestroyDevice"), "{text}");
+}
+
+#[test]
+fn images_too_large_are_refused_by_name() {
+    let device = device();
+    let usage = ash::vk::ImageUsageFlags::SAMPLED;
+    let format = ash::vk::Format::R32G32_UINT;
+    let desc = ImageDesc { name: "huge", width: 1 << 24, height: 4, format, usage };
+    let text = Image::new(&device, &desc).err().unwrap().to_string();
+    assert!(text.contains("4x16777216") && text.contains(device.name()), "{text}");
+    device.check_validation().unwrap();
+}
