@@ -1,1 +1,3 @@
+//! Build script: nothing to compile yet.
+
 fn main() {}

@@ -85,7 +85,7 @@ impl SplatSchedule {
 }
 
 /// Points at or nearer than this camera depth are not drawn, metres.
-pub const Z_NEAR_M: f32 = 1e-5;
+pub(super) const Z_NEAR_M: f32 = 1e-5;
 
 /// The nuScenes schedule.
 impl Default for SplatSchedule {
