@@ -122,7 +122,7 @@ fn view(raw: RawCamera, path: &Path) -> Result<View, CamerasError> {
         return Err(value("camera_from_world with last row 0 0 0 1", format!("{:?}", m[3])));
     }
     let camera_from_world = DAffine3::from_mat4(DMat4::from_cols_array_2d(&m).transpose());
-    let rotation = DMat3::from(camera_from_world.matrix3);
+    let rotation = camera_from_world.matrix3;
     let off = rotation * rotation.transpose() - DMat3::IDENTITY;
     let worst = off.to_cols_array().into_iter().fold(0.0, |a: f64, b| a.max(b.abs()));
     if !(worst <= RIGID_TOLERANCE && rotation.determinant() > 0.0) {
