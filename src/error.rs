@@ -62,6 +62,18 @@ pub fn write_whole<E: From<FileError>>(
     Ok(())
 }
 
+/// Writes a value as indented JSON with a newline at the end, by [`write_whole`].
+///
+/// # Errors
+/// The system's, at writing.
+pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), FileError> {
+    use std::io::Write;
+    write_whole(path, |out| {
+        let written = serde_json::to_writer_pretty(&mut *out, value).map_err(std::io::Error::from);
+        written.and_then(|()| out.write_all(b"\n")).map_err(FileError::io("write", path))
+    })
+}
+
 /// What a plain created file gets (the umask applies), not the private mode of temporary files.
 fn permissions() -> std::fs::Permissions {
     use std::os::unix::fs::PermissionsExt;

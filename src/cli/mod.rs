@@ -1,1 +1,102 @@
-//! Commands.
+//! The command line: one file per subcommand, and the only part that speaks to the user.
+//!
+//! # How it works
+//! [`main`] parses, runs the subcommand and turns its result into an exit code: 0 done, 1 failed, 2 wrong usage.
+//! Progress and errors go to stderr, the summary line to stdout.
+#![allow(clippy::print_stdout, clippy::print_stderr)]
+
+mod progress;
+mod rasterizer;
+mod splat;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::Context;
+use clap::{Parser, Subcommand};
+
+/// Turns recorded drives into camera conditions: color, metric depth, class, instance and layout maps.
+#[derive(Debug, Parser)]
+#[command(name = "pskel", version, max_term_width = 110)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Splat(splat::SplatArgs),
+}
+
+impl Command {
+    fn run(self) -> anyhow::Result<()> {
+        match self {
+            Self::Splat(args) => splat::run(args),
+        }
+    }
+}
+
+/// Runs the command line `args` (the program's name first).
+pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
+    let cli = match Cli::try_parse_from(args) {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help and version come this way too, with exit code 0. Nobody may be listening.
+            let _ = error.print();
+            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+        }
+    };
+    match survive_file_limits().and_then(|()| cli.command.run()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}", with_causes(&error));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Makes a write beyond the allowed file size an error of that write, which names the file and cleans up, rather than
+/// the death of the process.
+fn survive_file_limits() -> anyhow::Result<()> {
+    let seen = Arc::new(AtomicBool::new(false));
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, seen).context("cannot handle SIGXFSZ")?;
+    Ok(())
+}
+
+/// The message and its causes, less those that a message above them holds already.
+fn with_causes(error: &anyhow::Error) -> String {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !text.contains(&cause) {
+            text = format!("{text}\n  caused by: {cause}");
+        }
+    }
+    text
+}
+
+/// Prints a line of the result; a reader that has gone away is no error.
+fn say(line: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stdout(), "{line}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory;
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn causes_are_told_once() {
+        let file =
+            crate::error::FileError::io("read", std::path::Path::new("a"))(std::io::Error::other("gone"));
+        let error = anyhow::Error::new(file).context("no points");
+        assert_eq!(with_causes(&error), "no points\n  caused by: cannot read: gone: a");
+    }
+}

@@ -1,1 +1,30 @@
-//! Maps.
+//! Condition maps of one step: made, reduced, written.
+//!
+//! # How it works
+//! [`render()`] splats the two clouds of the condition contract (color and geometry, [`SceneInstances`]) into every
+//! camera, draws the box layout, and reduces the maps to the size of the model ([`reduce`]). Within the program an
+//! empty depth is `f32::INFINITY`; −300 stands only in files. Writers: [`png`], [`exr`], [`npz`], the contact
+//! [`sheet`] and the metadata ([`meta`]). What every map means stands in `docs/CONDITIONS.md`.
+
+pub mod bins;
+mod canvas;
+mod error;
+pub mod exr;
+pub mod layout;
+pub mod meta;
+pub mod npz;
+mod options;
+pub mod png;
+pub mod reduce;
+mod render;
+pub mod sheet;
+#[cfg(test)]
+mod test_set;
+
+pub use bins::{BinScale, DepthBins};
+pub use error::ConditionError;
+pub use options::{ColorFilter, ConditionOptions, ImageSize, MapKind, MapSet, Occlusion, ParseOptionError};
+pub use render::{CameraConditions, ConditionSet, SceneInstances, render, render_view};
+
+/// What stands for an empty depth in files, metres.
+pub const EMPTY_DEPTH_M: f32 = -300.0;

@@ -110,8 +110,8 @@ impl View {
     /// multiplied in `f64` and rounded to `f32` once. The third entry of a product is the camera depth.
     pub fn image_from_local(&self, world_from_local: &DAffine3) -> [[f32; 4]; 3] {
         let camera_from_local = self.camera_from_world * *world_from_local;
-        let linear = self.camera.intrinsics * DMat3::from(camera_from_local.matrix3);
-        let offset = self.camera.intrinsics * DVec3::from(camera_from_local.translation);
+        let linear = self.camera.intrinsics * camera_from_local.matrix3;
+        let offset = self.camera.intrinsics * camera_from_local.translation;
         let rows = linear.transpose().to_cols_array_2d();
         let offset = offset.to_array();
         std::array::from_fn(|r| [rows[r][0] as f32, rows[r][1] as f32, rows[r][2] as f32, offset[r] as f32])

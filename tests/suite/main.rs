@@ -2,4 +2,9 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)] // helpers stand outside `#[test]`
 
 mod common;
+mod conditions;
+mod npz;
+mod parity;
 mod raster;
+mod sheet;
+mod splat_cli;

@@ -1,0 +1,191 @@
+//! `C.json`: `{"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}`, row-major.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use glam::{DAffine3, DMat3, DMat4};
+use serde::{Deserialize, Serialize};
+
+use crate::error::FileError;
+use crate::geometry::{Camera, CameraError, View};
+
+/// How far `R·Rᵀ` may be from the identity: files round to 4 or more digits.
+const RIGID_TOLERANCE: f64 = 1e-3;
+
+/// What can be wrong with a list of cameras.
+#[derive(Debug, thiserror::Error)]
+pub enum CamerasError {
+    /// The file or its JSON.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// Size or intrinsics.
+    #[error("{source} in camera {camera}: {}", path.display())]
+    Camera {
+        /// What is off.
+        source: CameraError,
+        /// Its name.
+        camera: String,
+        /// The file.
+        path: PathBuf,
+    },
+    /// `camera_from_world`, or the name.
+    #[error("expected {expected}, found {found} in camera {camera}: {}", path.display())]
+    Value {
+        /// What the format asks for.
+        expected: &'static str,
+        /// What stands in the file.
+        found: String,
+        /// Its name.
+        camera: String,
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// The file as it is.
+#[derive(Debug, Serialize, Deserialize)]
+struct RawCameras {
+    cameras: Vec<RawCamera>,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct RawCamera {
+    name: String,
+    width: u32,
+    height: u32,
+    intrinsics: [[f64; 3]; 3],
+    camera_from_world: [[f64; 4]; 4],
+}
+
+/// Reads cameras; at least one.
+///
+/// # Errors
+/// A file that is missing or is no such JSON, an empty list, a name that is empty, not plain or there twice, a size
+/// or intrinsics that no camera has, a pose that is not rigid.
+pub fn read(path: &Path) -> Result<Vec<View>, CamerasError> {
+    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let raw: RawCameras = serde_json::from_slice(&text).map_err(|e| {
+        let expected =
+            r#"{"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}"#;
+        FileError::content(expected, e.to_string(), path)
+    })?;
+    if raw.cameras.is_empty() {
+        return Err(FileError::content("at least one camera", "an empty list", path).into());
+    }
+    let mut names = BTreeSet::new();
+    for camera in &raw.cameras {
+        if !names.insert(camera.name.as_str()) {
+            return Err(
+                FileError::content("names that differ", format!("{:?} twice", camera.name), path).into()
+            );
+        }
+    }
+    raw.cameras.into_iter().map(|camera| view(camera, path)).collect()
+}
+
+/// Writes cameras so that [`read`] gives them back.
+///
+/// # Errors
+/// The system's, at writing.
+pub fn write(path: &Path, views: &[View]) -> Result<(), FileError> {
+    let cameras = views.iter().map(|view| RawCamera {
+        name: view.camera.name.clone(),
+        width: view.camera.width,
+        height: view.camera.height,
+        intrinsics: view.camera.rows(),
+        camera_from_world: rows(&view.camera_from_world),
+    });
+    crate::error::write_json(path, &RawCameras { cameras: cameras.collect() })
+}
+
+/// A transform as 4×4 matrix, row by row.
+pub(crate) fn rows(transform: &DAffine3) -> [[f64; 4]; 4] {
+    DMat4::from(*transform).transpose().to_cols_array_2d()
+}
+
+fn view(raw: RawCamera, path: &Path) -> Result<View, CamerasError> {
+    let value = |expected, found: String| CamerasError::Value {
+        expected,
+        found,
+        camera: raw.name.clone(),
+        path: path.to_owned(),
+    };
+    // Names become folders.
+    if raw.name.is_empty() || raw.name.starts_with('.') || raw.name.contains(['/', '\\', '\0']) {
+        return Err(value("a name that can be a folder's", format!("{:?}", raw.name)));
+    }
+    let m = raw.camera_from_world;
+    if let Some(number) = m.iter().flatten().find(|v| !v.is_finite()) {
+        return Err(value("finite numbers in camera_from_world", number.to_string()));
+    }
+    if m[3] != [0.0, 0.0, 0.0, 1.0] {
+        return Err(value("camera_from_world with last row 0 0 0 1", format!("{:?}", m[3])));
+    }
+    let camera_from_world = DAffine3::from_mat4(DMat4::from_cols_array_2d(&m).transpose());
+    let rotation = camera_from_world.matrix3;
+    let off = rotation * rotation.transpose() - DMat3::IDENTITY;
+    let worst = off.to_cols_array().into_iter().fold(0.0, |a: f64, b| a.max(b.abs()));
+    if !(worst <= RIGID_TOLERANCE && rotation.determinant() > 0.0) {
+        let found = format!("determinant {}, R Rt off by {worst}", rotation.determinant());
+        return Err(value("camera_from_world to rotate and move only", found));
+    }
+    let camera = Camera::new(&raw.name, raw.width, raw.height, raw.intrinsics)
+        .map_err(|source| CamerasError::Camera { source, camera: raw.name.clone(), path: path.to_owned() })?;
+    Ok(View { camera, camera_from_world })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    fn views() -> Vec<View> {
+        let rows = [[1000.0, 0.0, 800.0], [0.0, 1100.0, 450.0], [0.0, 0.0, 1.0]];
+        let pose = DAffine3::from_rotation_y(0.7) * DAffine3::from_translation(DVec3::new(4e6, -2.0, 3.5));
+        let view =
+            |name| View { camera: Camera::new(name, 1600, 900, rows).unwrap(), camera_from_world: pose };
+        vec![view("left"), view("right")]
+    }
+
+    #[test]
+    fn written_cameras_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("c.json");
+        write(&path, &views()).unwrap();
+        assert_eq!(read(&path).unwrap(), views());
+    }
+
+    #[test]
+    fn bad_files_say_what_was_expected() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("c.json");
+        write(&path, &views()).unwrap();
+        let good: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        let with = |pointer: &str, value: serde_json::Value| {
+            let mut json = good.clone();
+            *json.pointer_mut(pointer).unwrap() = value;
+            json.to_string()
+        };
+        for (text, message) in [
+            (with("/cameras", serde_json::json!([])), "at least one camera, found an empty list"),
+            (with("/cameras/0/name", "right".into()), "\"right\" twice"),
+            (with("/cameras/0/name", "../x".into()), "a name that can be a folder's"),
+            (with("/cameras/0/width", 0.into()), "a size of 1 to 16384 pixels, found 900x0 in camera left"),
+            (with("/cameras/0/width", (-1).into()), "invalid value"),
+            (with("/cameras/0/intrinsics/0/0", 0.0.into()), "invertible intrinsics"),
+            (
+                with("/cameras/1/intrinsics/2/2", 2.0.into()),
+                "last row 0 0 1, found [0.0, 0.0, 2.0] in camera right",
+            ),
+            (with("/cameras/0/camera_from_world/3/0", 1.0.into()), "last row 0 0 0 1"),
+            (with("/cameras/0/camera_from_world/1/1", (-1.0).into()), "rotate and move only"),
+            (with("/cameras/0/camera_from_world/1/1", 2.0.into()), "rotate and move only"),
+            (good.to_string().replace("1000.0", "1e999"), "found number out of range"),
+            ("{".to_owned(), "found EOF"),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let found = read(&path).unwrap_err().to_string();
+            assert!(found.contains(message) && found.ends_with("c.json"), "{found}, expected {message}");
+        }
+    }
+}

@@ -1,0 +1,239 @@
+//! Polygon files (PLY) with a `vertex` element: written binary and little-endian, read in all three encodings.
+//!
+//! # How it works
+//! The header is read first; element counts are checked against the file's length before any element is. A vertex is
+//! filled property by property; properties other than position, color and class are skipped.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+
+use ply_rs_bw::parser::{Parser, Reader};
+use ply_rs_bw::ply::{
+    Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType, ScalarType,
+};
+
+use super::rows::{Row, RowCollector};
+use super::{Point, PointFile};
+use crate::error::{FileError, write_whole};
+
+/// Color of points in a file without colors.
+const GREY: f64 = 128.0;
+
+/// Writes points: `x y z` float, `red green blue class` uchar, binary little-endian.
+///
+/// # Errors
+/// The system's, at writing.
+pub fn write(path: &Path, points: &[Point]) -> Result<(), FileError> {
+    let header = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\n\
+         property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n\
+         property uchar class\nend_header\n",
+        points.len()
+    );
+    write_whole(path, |out| {
+        out.write_all(header.as_bytes()).map_err(FileError::io("write", path))?;
+        // A point's 16 bytes are these seven properties in this order.
+        out.write_all(bytemuck::cast_slice(points)).map_err(FileError::io("write", path))
+    })
+}
+
+/// Reads the element `vertex`: `x y z` float or double; `red green blue` (0–255) and `class` where there are any,
+/// else grey 128 and class 0.
+///
+/// # Errors
+/// No vertices, coordinates of another type, missing data, a color outside of 0–255, a class that is no integer of
+/// 0–255.
+pub fn read(path: &Path) -> Result<PointFile, FileError> {
+    let file = File::open(path).map_err(FileError::io("read", path))?;
+    let file_bytes = file.metadata().map_err(FileError::io("read", path))?.len();
+    decode(BufReader::with_capacity(1 << 20, file), file_bytes, path)
+}
+
+fn decode(reader: impl BufRead, file_bytes: u64, path: &Path) -> Result<PointFile, FileError> {
+    let parser = Parser::<Vertex>::new();
+    let mut reader = Reader::new(reader);
+    let bad = |e: ply_rs_bw::parser::ParseError| {
+        // Parser messages run over several lines.
+        let found = e.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        FileError::content("a PLY file", found, path)
+    };
+    let header = parser.read_header(&mut reader).map_err(bad)?;
+    let double = check_header(&header, file_bytes, path)?;
+    for (name, element) in &header.elements {
+        let vertices = parser.read_payload_for_element(&mut reader, element, &header).map_err(bad)?;
+        if name != "vertex" {
+            continue;
+        }
+        let mut collector = RowCollector::new(vertices.len(), double, path);
+        for Vertex(row) in &vertices {
+            collector.push(row)?;
+        }
+        return Ok(collector.finish());
+    }
+    Err(FileError::content("an element vertex", "none", path))
+}
+
+/// Whether coordinates are doubles.
+fn check_header(header: &Header, file_bytes: u64, path: &Path) -> Result<bool, FileError> {
+    let vertex =
+        header.elements.get("vertex").ok_or_else(|| FileError::content("an element vertex", "none", path))?;
+    if vertex.count == 0 || vertex.count as u64 > u64::from(u32::MAX) - 1 {
+        return Err(FileError::content("1 to 4294967294 points", vertex.count.to_string(), path));
+    }
+    for element in header.elements.values() {
+        let each: u64 = element.properties.values().map(|p| least_bytes(&p.data_type, header.encoding)).sum();
+        let needed = (element.count as u64).checked_mul(each);
+        let empty = each == 0 && element.count > 0;
+        if empty || needed.is_none_or(|needed| needed > file_bytes) {
+            let expected =
+                format!("{} times {each} bytes or more of element {}", element.count, element.name);
+            return Err(FileError::content(expected, format!("a file of {file_bytes} bytes"), path));
+        }
+    }
+    let mut double = false;
+    for name in ["x", "y", "z"] {
+        match vertex.properties.get(name).map(|p| &p.data_type) {
+            Some(PropertyType::Scalar(ScalarType::Float)) => {}
+            Some(PropertyType::Scalar(ScalarType::Double)) => double = true,
+            other => {
+                let found = other.map_or("none".to_owned(), |t| format!("{t:?}"));
+                return Err(FileError::content(format!("a float or double property {name}"), found, path));
+            }
+        }
+    }
+    Ok(double)
+}
+
+/// Least number of bytes that a property takes in the file.
+fn least_bytes(data_type: &PropertyType, encoding: Encoding) -> u64 {
+    let (PropertyType::Scalar(scalar) | PropertyType::List(scalar, _)) = data_type;
+    match (encoding, scalar) {
+        (Encoding::Ascii, _) | (_, ScalarType::Char | ScalarType::UChar) => 1,
+        (_, ScalarType::Short | ScalarType::UShort) => 2,
+        (_, ScalarType::Int | ScalarType::UInt | ScalarType::Float) => 4,
+        (_, ScalarType::Double) => 8,
+    }
+}
+
+/// What is kept of an element.
+struct Vertex(Row);
+
+impl PropertyAccess for Vertex {
+    fn new() -> Self {
+        Self(Row { position: [f64::NAN; 3], rgb: [GREY; 3], class: 0.0 })
+    }
+
+    fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
+        let slot = match name {
+            "x" => &mut self.0.position[0],
+            "y" => &mut self.0.position[1],
+            "z" => &mut self.0.position[2],
+            "red" => &mut self.0.rgb[0],
+            "green" => &mut self.0.rgb[1],
+            "blue" => &mut self.0.rgb[2],
+            "class" => &mut self.0.class,
+            _ => return PropertyAccessResult::Ignored,
+        };
+        let Some(value) = scalar(&property) else { return PropertyAccessResult::UnsupportedType };
+        *slot = value;
+        PropertyAccessResult::Set
+    }
+}
+
+/// A number of any type; `None` for lists.
+fn scalar(property: &Property) -> Option<f64> {
+    Some(match *property {
+        Property::Char(v) => f64::from(v),
+        Property::UChar(v) => f64::from(v),
+        Property::Short(v) => f64::from(v),
+        Property::UShort(v) => f64::from(v),
+        Property::Int(v) => f64::from(v),
+        Property::UInt(v) => f64::from(v),
+        Property::Float(v) => f64::from(v),
+        Property::Double(v) => v,
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn parse(bytes: &[u8]) -> Result<PointFile, FileError> {
+        decode(bytes, bytes.len() as u64, Path::new("p.ply"))
+    }
+
+    #[test]
+    fn written_points_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("p.ply");
+        let points: Vec<Point> =
+            (0..50).map(|i: u8| Point::new([f32::from(i), -0.25, 7.0], [i, 3, 255 - i], i % 5)).collect();
+        write(&path, &points).unwrap();
+        let cloud = read(&path).unwrap();
+        assert_eq!((cloud.points, cloud.non_finite), (points, 0));
+    }
+
+    #[test]
+    fn colors_and_class_are_optional() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\n\
+                    property double z\nproperty list uchar int neighbours\nend_header\n\
+                    500000.25 1 2 2 0 1\n500001.5 1e999 3 0\n";
+        let cloud = parse(text.as_bytes()).unwrap();
+        assert_eq!(cloud.points[0], Point::new([0.25, 0.0, 0.0], [128; 3], 0));
+        assert_eq!((cloud.points.len(), cloud.non_finite, cloud.origin.x), (2, 1, 500_000.0));
+    }
+
+    #[test]
+    fn bad_files_say_what_was_expected() {
+        let header = |format: &str, body: &str| format!("ply\nformat {format} 1.0\n{body}end_header\n");
+        let xyz = "property float x\nproperty float y\nproperty float z\n";
+        for (text, message) in [
+            (header("ascii", ""), "an element vertex, found none"),
+            (header("ascii", "element vertex 1\nproperty int x\n"), "float or double property x"),
+            (header("ascii", &format!("element vertex 0\n{xyz}")), "found 0"),
+            (header("binary_little_endian", &format!("element vertex 4000000000\n{xyz}")), "a file of"),
+            (
+                header("binary_little_endian", &format!("element a 9000000000\nelement vertex 1\n{xyz}")),
+                "a file of",
+            ),
+            (header("binary_big_endian", &format!("element vertex 2\n{xyz}")), "Unexpected end of file"),
+            (
+                header("ascii", &format!("element vertex 1\n{xyz}property float red\n")) + "1 2 3 300\n",
+                "found 300",
+            ),
+            ("hello".to_owned(), "a PLY file"),
+        ] {
+            let found = parse(text.as_bytes()).unwrap_err().to_string();
+            assert!(found.contains(message) && found.ends_with("p.ply"), "{found}, expected {message}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+            let _ = parse(&bytes);
+        }
+
+        #[test]
+        fn arbitrary_headers_never_panic(
+            lines in prop::collection::vec(
+                prop_oneof![
+                    "element (vertex|face) [0-9]{1,20}",
+                    "property (float|double|uchar|list uchar int|list int float) (x|y|z|red|class|other)",
+                    "comment .{0,10}",
+                    ".{0,20}",
+                ],
+                0..12,
+            ),
+            encoding in "(ascii|binary_little_endian|binary_big_endian)",
+            data in prop::collection::vec(any::<u8>(), 0..100),
+        ) {
+            let mut file = format!("ply\nformat {encoding} 1.0\n{}\nend_header\n", lines.join("\n")).into_bytes();
+            file.extend(data);
+            let _ = parse(&file);
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! Depth bins: depth as one of `n` classes, linear or logarithmic, all in `f32` as the condition contract has it.
+
+use serde::Serialize;
+
+/// How depth is cut into bins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub enum BinScale {
+    /// Bins of one width.
+    #[default]
+    Linear,
+    /// Fine near the camera: 85 % of the bins for the nearest 60 %, logarithmic in both parts.
+    Log,
+}
+
+/// Bins of depth; bin 0 is "empty".
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct DepthBins {
+    /// How the bins are spaced.
+    pub scale: BinScale,
+    /// How many, at least 2.
+    pub count: u16,
+    /// Where the last one ends, metres.
+    pub far_m: f32,
+    /// Exponent of the near part of [`BinScale::Log`].
+    pub gamma: f32,
+}
+
+impl Default for DepthBins {
+    fn default() -> Self {
+        Self { scale: BinScale::Linear, count: 256, far_m: 100.0, gamma: 1.0 }
+    }
+}
+
+/// Keeps denominators off zero. Next to 16 and more it vanishes in `f32`, so depths at `far` get bin `n`.
+const EPSILON: f32 = 1e-6;
+
+impl DepthBins {
+    /// Bin of a camera depth in metres: 1 to `count`, or 0 for an empty pixel (infinite, NaN, or not positive as −300
+    /// in files).
+    pub fn bin(&self, depth_m: f32) -> u16 {
+        if !(depth_m.is_finite() && depth_m > 0.0) {
+            return 0;
+        }
+        let depth_m = depth_m.min(self.far_m);
+        match self.scale {
+            BinScale::Linear => {
+                let steps = f32::from(self.count) - 1.0;
+                (depth_m / (self.far_m + EPSILON) * steps).trunc() as u16 + 1
+            }
+            BinScale::Log => self.log_bin(depth_m),
+        }
+    }
+
+    fn log_bin(&self, depth_m: f32) -> u16 {
+        let near_m = 0.6 * self.far_m;
+        // Python's round(): ties go to the even number.
+        let near_bins =
+            (0.85 * f64::from(self.count)).round_ties_even().min(f64::from(self.count) - 1.0) as u16;
+        let far_bins = self.count - near_bins;
+        if depth_m <= near_m {
+            let part = ln_1p(depth_m) / (ln_1p(near_m) + EPSILON);
+            let part = if self.gamma == 1.0 { part } else { part.powf(self.gamma) };
+            return (part * (f32::from(near_bins) - 1.0)).trunc() as u16 + 1;
+        }
+        let part = ln_1p(depth_m - near_m) / (ln_1p(self.far_m - near_m) + EPSILON);
+        (part * (f32::from(far_bins) - 1.0)).trunc() as u16 + 1 + near_bins
+    }
+
+    /// What a 16-bit PNG stores for a bin: bins spread over the whole range.
+    pub fn png_value(&self, bin: u16) -> u16 {
+        bin * (u16::MAX / self.count)
+    }
+
+    /// Color of every bin, `count + 1` of them: black for 0, then the TURBO colormap of `(bin − 1) / (count − 1)`.
+    pub fn colors(&self) -> Vec<[u8; 3]> {
+        use colorgrad::Gradient;
+        let turbo = colorgrad::preset::turbo();
+        let color = |bin: u16| {
+            let [r, g, b, _] = turbo.at(f32::from(bin) / (f32::from(self.count) - 1.0)).to_rgba8();
+            [r, g, b]
+        };
+        std::iter::once([0; 3]).chain((0..self.count).map(color)).collect()
+    }
+}
+
+/// `ln(1 + x)` rounded to `f32` once, so that the result depends on no system's `log1pf`.
+fn ln_1p(x: f32) -> f32 {
+    f64::from(x).ln_1p() as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LINEAR: DepthBins = DepthBins { scale: BinScale::Linear, count: 256, far_m: 50.0, gamma: 1.0 };
+    const LOG: DepthBins = DepthBins { scale: BinScale::Log, ..LINEAR };
+
+    #[test]
+    fn ends_of_the_range() {
+        for bins in [LINEAR, LOG] {
+            for empty in [f32::INFINITY, f32::NAN, -300.0, 0.0] {
+                assert_eq!(bins.bin(empty), 0);
+            }
+            assert_eq!(bins.bin(1e-5), 1);
+            assert_eq!(bins.bin(50.0), bins.bin(1e9));
+        }
+        // 50 + 1e-6 is 50 in f32.
+        assert_eq!(LINEAR.bin(50.0), 256);
+        assert_eq!(LOG.bin(30.0), 217);
+        assert_eq!(LOG.bin(30.01), 219);
+    }
+
+    #[test]
+    fn bins_never_fall_with_depth() {
+        for bins in [LINEAR, LOG] {
+            let mut last = 0;
+            for i in 1..6000 {
+                let bin = bins.bin(i as f32 * 0.01);
+                assert!(bin >= last && bin <= 256);
+                last = bin;
+            }
+        }
+    }
+
+    #[test]
+    fn png_and_preview() {
+        assert_eq!((LINEAR.png_value(0), LINEAR.png_value(1), LINEAR.png_value(256)), (0, 255, 65_280));
+        let colors = LINEAR.colors();
+        assert_eq!((colors.len(), colors[0]), (257, [0; 3]));
+        // Near is dark blue, the middle green, far dark red.
+        let ([_, _, b], [_, g, _], [r, _, _]) = (colors[20], colors[128], colors[250]);
+        assert!(b > 120 && g > 240 && r > 120, "{:?} {:?} {:?}", colors[20], colors[128], colors[250]);
+    }
+}

@@ -1,0 +1,74 @@
+use font8x8::legacy::BASIC_LEGACY;
+
+use super::ImageSize;
+
+/// An RGB picture that is drawn into; everything outside of it is cut off.
+pub(super) struct Canvas {
+    pub(super) size: ImageSize,
+    pub(super) pixels: Vec<[u8; 3]>,
+}
+
+/// Side of a glyph at scale 1, pixels.
+pub(super) const GLYPH: u32 = 8;
+
+impl Canvas {
+    /// One color all over.
+    pub(super) fn new(size: ImageSize, rgb: [u8; 3]) -> Self {
+        Self { size, pixels: vec![rgb; size.pixels()] }
+    }
+
+    /// Applies a function to every pixel of a rectangle; it gets the pixel's place within the rectangle.
+    pub(super) fn map(
+        &mut self,
+        [left, top]: [u32; 2],
+        size: ImageSize,
+        mut change: impl FnMut([u8; 3], [u32; 2]) -> [u8; 3],
+    ) {
+        for y in 0..size.height.min(self.size.height.saturating_sub(top)) {
+            for x in 0..size.width.min(self.size.width.saturating_sub(left)) {
+                let at = (top + y) as usize * self.size.width as usize + (left + x) as usize;
+                self.pixels[at] = change(self.pixels[at], [x, y]);
+            }
+        }
+    }
+
+    /// Copies a picture.
+    pub(super) fn blit(&mut self, at: [u32; 2], size: ImageSize, pixels: &[[u8; 3]]) {
+        self.map(at, size, |_, [x, y]| pixels[y as usize * size.width as usize + x as usize]);
+    }
+
+    /// Writes ASCII text with `at` as its upper left corner; other characters become `?`. Gives back its width, pixels.
+    pub(super) fn text(&mut self, [left, top]: [u32; 2], scale: u32, rgb: [u8; 3], text: &str) -> u32 {
+        let side = GLYPH * scale;
+        let cell = ImageSize { height: side, width: side };
+        for (place, character) in (0..).zip(text.chars()) {
+            let code = if character.is_ascii() { character as usize } else { '?' as usize };
+            let glyph = BASIC_LEGACY[code];
+            // A row is a byte, its lowest bit to the left.
+            let inked = |[x, y]: [u32; 2]| glyph[(y / scale) as usize] >> (x / scale) & 1 == 1;
+            self.map([left + place * side, top], cell, |under, at| if inked(at) { rgb } else { under });
+        }
+        text_width(text, scale)
+    }
+}
+
+/// Width of a text, pixels.
+pub(super) fn text_width(text: &str, scale: u32) -> u32 {
+    text.chars().count() as u32 * GLYPH * scale
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_is_drawn_and_cut_off() {
+        let mut canvas = Canvas::new(ImageSize { height: 10, width: 12 }, [0; 3]);
+        assert_eq!(canvas.text([1, 1], 1, [255; 3], "L\u{e9}"), 16);
+        let row =
+            |y: usize| (0..12).map(|x| u8::from(canvas.pixels[y * 12 + x] != [0; 3])).collect::<Vec<_>>();
+        // The stem of the L is to the left.
+        assert_eq!(row(3)[..8], [0, 0, 1, 1, 0, 0, 0, 0]);
+        assert_eq!(row(0), [0; 12]);
+    }
+}

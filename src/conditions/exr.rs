@@ -1,0 +1,113 @@
+//! `FRAME/CAM/MAP.exr`: color and boxes as `R G B` f32 (level / 255), depth as `Z` f32 metres (−300 where empty),
+//! class, instance and point as one u32 channel of the map's name.
+
+use std::path::Path;
+
+use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image};
+use exr::prelude::{SmallVec, WritableImage};
+
+use super::{CameraConditions, ConditionSet, EMPTY_DEPTH_M, ImageSize, MapKind};
+use crate::error::{FileError, write_whole};
+
+type Channels = SmallVec<[AnyChannel<FlatSamples>; 4]>;
+
+/// Writes all maps of a step below its folder, which is made where it is missing.
+///
+/// # Errors
+/// The system's, at writing.
+pub fn write(folder: &Path, set: &ConditionSet) -> Result<(), FileError> {
+    for camera in &set.cameras {
+        let folder = folder.join(&camera.name);
+        std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
+        for kind in MapKind::ALL {
+            if let Some(channels) = channels(camera, kind) {
+                encode(&folder.join(format!("{}.exr", kind.name())), channels, camera.size())?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// `None` where the camera has no such map.
+fn channels(camera: &CameraConditions, kind: MapKind) -> Option<Channels> {
+    let numbers = |map: &Vec<u32>| one(kind.name(), FlatSamples::U32(map.clone()));
+    Some(match kind {
+        MapKind::Color => rgb(camera.color.as_ref()?),
+        MapKind::Boxes => rgb(camera.boxes.as_ref()?),
+        MapKind::Depth => {
+            let metres = |d: &f32| if d.is_finite() { *d } else { EMPTY_DEPTH_M };
+            one("Z", FlatSamples::F32(camera.depth_m.as_ref()?.iter().map(metres).collect()))
+        }
+        MapKind::Class => {
+            one("class", FlatSamples::U32(camera.class.as_ref()?.iter().map(|c| u32::from(*c)).collect()))
+        }
+        MapKind::Instance => numbers(camera.instance.as_ref()?),
+        MapKind::Point => numbers(camera.point.as_ref()?),
+    })
+}
+
+fn one(name: &str, samples: FlatSamples) -> Channels {
+    SmallVec::from_iter([AnyChannel::new(name, samples)])
+}
+
+fn rgb(map: &[[u8; 3]]) -> Channels {
+    let channel = |(index, name): (usize, &str)| {
+        let samples = map.iter().map(|pixel| f32::from(pixel[index]) / 255.0).collect();
+        AnyChannel::new(name, FlatSamples::F32(samples))
+    };
+    ["R", "G", "B"].into_iter().enumerate().map(channel).collect()
+}
+
+fn encode(path: &Path, channels: Channels, size: ImageSize) -> Result<(), FileError> {
+    let dimensions = (size.width as usize, size.height as usize);
+    let image =
+        Image::from_encoded_channels(dimensions, Encoding::SMALL_LOSSLESS, AnyChannels::sort(channels));
+    write_whole(path, |out| {
+        image.write().non_parallel().to_buffered(out).map_err(|error| match error {
+            exr::error::Error::Io(source) => FileError::io("write", path)(source),
+            other => FileError::io("write", path)(std::io::Error::other(other)),
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_set::test_set;
+    use super::*;
+
+    #[test]
+    fn written_maps_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let set = test_set();
+        write(folder.path(), &set).unwrap();
+        let camera = &set.cameras[1];
+        let read = |map: &str| {
+            let path = folder.path().join("right").join(map);
+            let image = exr::prelude::read_first_flat_layer_from_file(path).unwrap();
+            assert_eq!(image.layer_data.size, exr::math::Vec2(camera.width as usize, camera.height as usize));
+            image.layer_data.channel_data.list
+        };
+        for (map, expected) in [("color.exr", &camera.color), ("boxes.exr", &camera.boxes)] {
+            let channels = read(map);
+            // Stored in the order of the alphabet.
+            for (channel, (name, index)) in channels.iter().zip([("B", 2), ("G", 1), ("R", 0)]) {
+                let levels: Vec<u8> =
+                    channel.sample_data.values_as_f32().map(|v| (v * 255.0).round() as u8).collect();
+                let expected: Vec<u8> = expected.as_ref().unwrap().iter().map(|p| p[index]).collect();
+                assert_eq!((channel.name.to_string().as_str(), levels), (name, expected));
+            }
+        }
+        let depth = read("depth.exr");
+        let metres: Vec<f32> = depth[0].sample_data.values_as_f32().collect();
+        let expected = camera.depth_m.as_ref().unwrap();
+        assert!(metres.iter().zip(expected).all(|(m, d)| m == d || (*m == -300.0 && d.is_infinite())));
+        assert_eq!(depth[0].name.to_string(), "Z");
+        let class = camera.class.as_ref().unwrap().iter().map(|c| u32::from(*c)).collect();
+        let instance = camera.instance.clone().unwrap();
+        for (map, expected) in [("class", class), ("instance", instance)] {
+            let channels = read(&format!("{map}.exr"));
+            assert_eq!(channels[0].name.to_string(), map);
+            assert_eq!(channels[0].sample_data, FlatSamples::U32(expected));
+        }
+    }
+}

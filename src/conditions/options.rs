@@ -1,0 +1,247 @@
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Serialize, Serializer};
+
+use super::DepthBins;
+use crate::geometry::Camera;
+use crate::raster::SplatSchedule;
+
+/// A map of a camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MapKind {
+    /// RGB of the nearest point of the color cloud.
+    Color,
+    /// Camera depth of the nearest point of the geometry cloud.
+    Depth,
+    /// Coarse class of that point.
+    Class,
+    /// Actor number of that point.
+    Instance,
+    /// Outlines of the actors' boxes.
+    Boxes,
+    /// Index of that point + 1, counted through the geometry instances.
+    Point,
+}
+
+impl MapKind {
+    /// All of them, in the order of files and sheets.
+    pub const ALL: [Self; 6] =
+        [Self::Color, Self::Depth, Self::Class, Self::Instance, Self::Boxes, Self::Point];
+
+    /// Name of files, arrays and command-line values.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Color => "color",
+            Self::Depth => "depth",
+            Self::Class => "class",
+            Self::Instance => "instance",
+            Self::Boxes => "boxes",
+            Self::Point => "point",
+        }
+    }
+}
+
+/// Text that is no option's value.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected {expected}, found {found:?}")]
+pub struct ParseOptionError {
+    /// What would do.
+    pub expected: &'static str,
+    /// What was given.
+    pub found: String,
+}
+
+/// Which maps are made. Text form: names with commas, `color,depth`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MapSet([bool; MapKind::ALL.len()]);
+
+impl MapSet {
+    /// Of some kinds.
+    pub fn of(kinds: &[MapKind]) -> Self {
+        Self(MapKind::ALL.map(|kind| kinds.contains(&kind)))
+    }
+
+    /// Whether a map is made.
+    pub fn contains(self, kind: MapKind) -> bool {
+        self.0[kind as usize]
+    }
+
+    /// Those that are made, in the order of [`MapKind::ALL`].
+    pub fn iter(self) -> impl Iterator<Item = MapKind> {
+        MapKind::ALL.into_iter().filter(move |kind| self.contains(*kind))
+    }
+}
+
+/// All but the point numbers.
+impl Default for MapSet {
+    fn default() -> Self {
+        Self(MapKind::ALL.map(|kind| kind != MapKind::Point))
+    }
+}
+
+impl FromStr for MapSet {
+    type Err = ParseOptionError;
+
+    fn from_str(text: &str) -> Result<Self, ParseOptionError> {
+        let kind = |name: &str| {
+            let known = MapKind::ALL.into_iter().find(|kind| kind.name() == name.trim());
+            known.ok_or_else(|| ParseOptionError {
+                expected: "maps out of color,depth,class,instance,boxes,point",
+                found: name.to_owned(),
+            })
+        };
+        Ok(Self::of(&text.split(',').map(kind).collect::<Result<Vec<_>, _>>()?))
+    }
+}
+
+impl Serialize for MapSet {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.iter())
+    }
+}
+
+/// Height and width in pixels, 1 to [`Camera::MAX_SIDE`] each. Text form `HxW`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImageSize {
+    /// Pixels.
+    pub height: u32,
+    /// Pixels.
+    pub width: u32,
+}
+
+impl ImageSize {
+    /// Of a camera.
+    pub fn of(camera: &Camera) -> Self {
+        Self { height: camera.height, width: camera.width }
+    }
+
+    /// Number of pixels.
+    pub fn pixels(self) -> usize {
+        self.height as usize * self.width as usize
+    }
+}
+
+impl fmt::Display for ImageSize {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}x{}", self.height, self.width)
+    }
+}
+
+impl FromStr for ImageSize {
+    type Err = ParseOptionError;
+
+    fn from_str(text: &str) -> Result<Self, ParseOptionError> {
+        let bad = || ParseOptionError {
+            expected: "a size HxW of 1 to 16384 pixels, like 256x448",
+            found: text.to_owned(),
+        };
+        let (height, width) = text.split_once(['x', 'X']).ok_or_else(bad)?;
+        let side = |side: &str| {
+            let side: u32 = side.trim().parse().map_err(|_| bad())?;
+            if (1..=Camera::MAX_SIDE).contains(&side) { Ok(side) } else { Err(bad()) }
+        };
+        Ok(Self { height: side(height)?, width: side(width)? })
+    }
+}
+
+impl Serialize for ImageSize {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+/// How a color map is reduced.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum ColorFilter {
+    /// As OpenCV's INTER_LINEAR; empty pixels count as black.
+    #[default]
+    Bilinear,
+    /// Area-weighted mean of the pixels that are not empty.
+    ValidArea,
+}
+
+/// What hides an actor in the class and instance maps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub enum Occlusion {
+    /// Whatever is in front of it.
+    #[default]
+    Scene,
+    /// Only other actors.
+    Actors,
+}
+
+/// How condition maps are made.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ConditionOptions {
+    /// Which ones.
+    pub maps: MapSet,
+    /// Splat radius by depth.
+    #[serde(serialize_with = "as_text")]
+    pub splat: SplatSchedule,
+    /// Points farther than this from the ego along the world's x or y are not used, metres.
+    pub radius_m: f64,
+    /// Size at which maps are drawn; `None` for the camera's own.
+    pub size: Option<ImageSize>,
+    /// Size to which they are reduced; `None` for no reduction.
+    pub out_size: Option<ImageSize>,
+    /// How color is reduced.
+    pub color_filter: ColorFilter,
+    /// What hides actors.
+    pub occlusion: Occlusion,
+    /// How PNG and sheet show depth.
+    pub depth_bins: DepthBins,
+}
+
+impl Default for ConditionOptions {
+    fn default() -> Self {
+        Self {
+            maps: MapSet::default(),
+            splat: SplatSchedule::default(),
+            radius_m: 100.0,
+            size: None,
+            out_size: None,
+            color_filter: ColorFilter::default(),
+            occlusion: Occlusion::default(),
+            depth_bins: DepthBins::default(),
+        }
+    }
+}
+
+fn as_text<S: Serializer>(value: &impl fmt::Display, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_and_maps_are_parsed() {
+        assert_eq!("256x448".parse(), Ok(ImageSize { height: 256, width: 448 }));
+        for text in ["", "256", "0x4", "4x16385", "-1x4", "4x4x4", "axb"] {
+            assert!(text.parse::<ImageSize>().is_err(), "{text}");
+        }
+        let maps: MapSet = "depth,color".parse().unwrap();
+        assert_eq!(maps.iter().collect::<Vec<_>>(), [MapKind::Color, MapKind::Depth]);
+        assert!("depth,colour".parse::<MapSet>().is_err() && "".parse::<MapSet>().is_err());
+    }
+
+    #[test]
+    fn options_serialize_as_the_command_line_has_them() {
+        let options = ConditionOptions {
+            out_size: Some(ImageSize { height: 256, width: 448 }),
+            color_filter: ColorFilter::ValidArea,
+            ..ConditionOptions::default()
+        };
+        let json = serde_json::to_value(&options).unwrap();
+        assert_eq!(json["splat"], "15:2,35:1,100:0");
+        assert_eq!(json["out_size"], "256x448");
+        assert_eq!(json["color_filter"], "valid-area");
+        assert_eq!(json["maps"], serde_json::json!(["color", "depth", "class", "instance", "boxes"]));
+        assert_eq!(json["size"], serde_json::Value::Null);
+    }
+}

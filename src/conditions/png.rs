@@ -1,0 +1,133 @@
+//! `FRAME/CAM/MAP.png`: color and boxes RGB, depth 16-bit bins, class 8-bit grey, instance 16-bit grey.
+
+use std::io::Write;
+use std::path::Path;
+
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder, ImageError};
+
+use super::{CameraConditions, ConditionError, ConditionSet, DepthBins, ImageSize, MapKind};
+use crate::error::{FileError, write_whole};
+
+/// Writes all maps of a step below its folder, which is made where it is missing.
+///
+/// # Errors
+/// The system's at writing; numbers over 65535 in instance or point maps.
+pub fn write(folder: &Path, set: &ConditionSet, bins: &DepthBins) -> Result<(), ConditionError> {
+    for camera in &set.cameras {
+        let folder = folder.join(&camera.name);
+        std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
+        for kind in MapKind::ALL {
+            write_map(&folder.join(format!("{}.png", kind.name())), camera, kind, bins)?;
+        }
+    }
+    Ok(())
+}
+
+/// Nothing happens where the camera has no such map.
+fn write_map(
+    path: &Path,
+    camera: &CameraConditions,
+    kind: MapKind,
+    bins: &DepthBins,
+) -> Result<(), ConditionError> {
+    let size = camera.size();
+    match kind {
+        MapKind::Color | MapKind::Boxes => {
+            let map = if kind == MapKind::Color { &camera.color } else { &camera.boxes };
+            let Some(rgb) = map else { return Ok(()) };
+            write_rgb(path, rgb, size)?;
+        }
+        MapKind::Depth => {
+            let Some(depth_m) = &camera.depth_m else { return Ok(()) };
+            let values: Vec<u16> = depth_m.iter().map(|d| bins.png_value(bins.bin(*d))).collect();
+            encode(path, bytemuck::cast_slice(&values), size, ExtendedColorType::L16)?;
+        }
+        MapKind::Class => {
+            let Some(class) = &camera.class else { return Ok(()) };
+            encode(path, class, size, ExtendedColorType::L8)?;
+        }
+        MapKind::Instance | MapKind::Point => {
+            let map = if kind == MapKind::Instance { &camera.instance } else { &camera.point };
+            let Some(numbers) = map else { return Ok(()) };
+            let values = to_u16(numbers, kind, path)?;
+            encode(path, bytemuck::cast_slice(&values), size, ExtendedColorType::L16)?;
+        }
+    }
+    Ok(())
+}
+
+fn to_u16(numbers: &[u32], kind: MapKind, path: &Path) -> Result<Vec<u16>, ConditionError> {
+    let found = numbers.iter().copied().max().unwrap_or(0);
+    let max = u32::from(u16::MAX);
+    if found > max {
+        return Err(ConditionError::PngRange { map: kind.name(), max, found, path: path.to_owned() });
+    }
+    Ok(numbers.iter().map(|n| *n as u16).collect())
+}
+
+/// Writes one RGB image.
+///
+/// # Errors
+/// The system's, at writing.
+pub fn write_rgb(path: &Path, rgb: &[[u8; 3]], size: ImageSize) -> Result<(), FileError> {
+    encode(path, rgb.as_flattened(), size, ExtendedColorType::Rgb8)
+}
+
+/// `bytes` in the machine's order, as the encoder wants 16-bit samples.
+fn encode(path: &Path, bytes: &[u8], size: ImageSize, color: ExtendedColorType) -> Result<(), FileError> {
+    write_whole(path, |out| {
+        let encoder = PngEncoder::new(out.by_ref());
+        encoder.write_image(bytes, size.width, size.height, color).map_err(|error| match error {
+            ImageError::IoError(source) => FileError::io("write", path)(source),
+            other => FileError::io("write", path)(std::io::Error::other(other)),
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_set::test_set;
+    use super::*;
+
+    #[test]
+    fn written_maps_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let set = test_set();
+        let bins = DepthBins { far_m: 50.0, ..DepthBins::default() };
+        write(folder.path(), &set, &bins).unwrap();
+        let camera = &set.cameras[1];
+        let open = |map: &str| image::open(folder.path().join("right").join(map)).unwrap();
+        let rgb = |image: image::DynamicImage| image.as_rgb8().unwrap().as_chunks::<3>().0.to_vec();
+        assert_eq!(Some(rgb(open("color.png"))), camera.color);
+        assert_eq!(Some(rgb(open("boxes.png"))), camera.boxes);
+        assert_eq!(open("class.png").as_luma8().unwrap().as_raw(), camera.class.as_ref().unwrap());
+        let numbers = |image: image::DynamicImage| -> Vec<u32> {
+            image.as_luma16().unwrap().iter().map(|v| u32::from(*v)).collect()
+        };
+        assert_eq!(Some(numbers(open("instance.png"))), camera.instance);
+        let depth = camera.depth_m.as_ref().unwrap();
+        let expected: Vec<u32> = depth.iter().map(|d| u32::from(bins.bin(*d)) * 255).collect();
+        assert_eq!(numbers(open("depth.png")), expected);
+        assert!(expected.contains(&0) && expected.iter().max() > Some(&256));
+    }
+
+    #[test]
+    fn instances_over_16_bits_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut set = test_set();
+        set.cameras[0].instance.as_mut().unwrap()[3] = 70_000;
+        let message = write(folder.path(), &set, &DepthBins::default()).unwrap_err().to_string();
+        assert!(
+            message.contains("instance numbers of at most 65535") && message.contains("70000"),
+            "{message}"
+        );
+        assert!(!folder.path().join("left/instance.png").exists());
+    }
+
+    #[test]
+    fn a_full_disk_names_the_file() {
+        let message = write_rgb(Path::new("/proc/none.png"), &[[0; 3]], ImageSize { height: 1, width: 1 });
+        assert!(message.unwrap_err().to_string().ends_with("/proc/none.png"));
+    }
+}

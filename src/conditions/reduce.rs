@@ -1,0 +1,181 @@
+//! Resizing of maps, each as another library does it.
+//!
+//! [`nearest`] is OpenCV's INTER_NEAREST, [`bilinear`] its INTER_LINEAR for bytes, [`pil_bilinear`] Pillow's BILINEAR.
+//! [`valid_area`] is ours: a mean that leaves empty pixels out.
+
+use rayon::prelude::*;
+
+use super::ImageSize;
+
+/// Source index per output index, as OpenCV's INTER_NEAREST: `floor(i · (1 / (out / in)))`, in `f64` and in just this
+/// order.
+pub fn nearest_indices(from: u32, to: u32) -> Vec<u32> {
+    let step = 1.0 / (f64::from(to) / f64::from(from));
+    (0..to).map(|i| ((f64::from(i) * step).floor() as u32).min(from - 1)).collect()
+}
+
+/// Takes one source pixel per output pixel. `map` has `from.pixels()` values, row by row.
+pub fn nearest<T: Copy + Send + Sync>(map: &[T], from: ImageSize, to: ImageSize) -> Vec<T> {
+    let columns = nearest_indices(from.width, to.width);
+    let rows = nearest_indices(from.height, to.height);
+    let pixel = |row: u32, column: u32| map[row as usize * from.width as usize + column as usize];
+    rows.iter().flat_map(|&row| columns.iter().map(move |&column| pixel(row, column))).collect()
+}
+
+/// Two source indices and their weights in 1/2048.
+struct Tap {
+    at: [usize; 2],
+    weight: [i32; 2],
+}
+
+/// Half-pixel centres, no antialiasing; the fraction is `f32` as in OpenCV.
+fn taps(from: u32, to: u32) -> Vec<Tap> {
+    let scale = f64::from(from) / f64::from(to);
+    let last = from as usize - 1;
+    let tap = |i: u32| {
+        let center = ((f64::from(i) + 0.5) * scale - 0.5) as f32;
+        let low = center.floor();
+        let fraction = if low < 0.0 || low as usize >= last { 0.0 } else { center - low };
+        let at = (low.max(0.0) as usize).min(last);
+        let weight = |part: f32| (part * 2048.0).round_ties_even() as i32;
+        Tap { at: [at, (at + 1).min(last)], weight: [weight(1.0 - fraction), weight(fraction)] }
+    };
+    (0..to).map(tap).collect()
+}
+
+/// OpenCV's INTER_LINEAR for 8-bit RGB, in its fixed-point arithmetic: 11 bits of weight each way, and the four bits
+/// that its vector code drops between the two passes.
+pub fn bilinear(map: &[[u8; 3]], from: ImageSize, to: ImageSize) -> Vec<[u8; 3]> {
+    let columns = taps(from.width, to.width);
+    let rows = taps(from.height, to.height);
+    let width = from.width as usize;
+    let row = |vertical: &Tap| {
+        let [top, bottom] = vertical.at.map(|row| &map[row * width..][..width]);
+        let pixel = |horizontal: &Tap| {
+            let [left, right] = horizontal.at;
+            let across = |row: &[[u8; 3]], channel: usize| {
+                let part = |at: usize, side: usize| i32::from(row[at][channel]) * horizontal.weight[side];
+                (part(left, 0) + part(right, 1)) >> 4
+            };
+            std::array::from_fn(|channel| {
+                let upper = (vertical.weight[0] * across(top, channel)) >> 16;
+                let lower = (vertical.weight[1] * across(bottom, channel)) >> 16;
+                ((upper + lower + 2) >> 2) as u8
+            })
+        };
+        columns.iter().map(pixel).collect::<Vec<_>>()
+    };
+    rows.par_iter().flat_map_iter(row).collect()
+}
+
+/// Source pixels under an output pixel along one axis, with the length that lies under it.
+fn spans(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
+    let scale = f64::from(from) / f64::from(to);
+    let span = |i: u32| {
+        let (start, end) = (f64::from(i) * scale, f64::from(i + 1) * scale);
+        let covered = |s: u32| (f64::from(s + 1).min(end) - f64::from(s).max(start)).max(0.0);
+        let pixels = start as u32..(end.ceil() as u32).min(from);
+        pixels.map(|s| (s as usize, covered(s))).filter(|(_, length)| *length > 0.0).collect()
+    };
+    (0..to).map(span).collect()
+}
+
+/// Mean of the pixels that `depth_m` says are not empty (finite), weighted by the area under the output pixel; black
+/// where all are empty.
+pub fn valid_area(map: &[[u8; 3]], depth_m: &[f32], from: ImageSize, to: ImageSize) -> Vec<[u8; 3]> {
+    let (rows, columns) = (spans(from.height, to.height), spans(from.width, to.width));
+    let width = from.width as usize;
+    let pixel = |vertical: &[(usize, f64)], horizontal: &[(usize, f64)]| {
+        let (mut sum, mut area) = ([0.0; 3], 0.0);
+        for &(row, height) in vertical {
+            for &(column, length) in horizontal {
+                let at = row * width + column;
+                if depth_m[at].is_finite() {
+                    area += height * length;
+                    (0..3).for_each(|c| sum[c] += height * length * f64::from(map[at][c]));
+                }
+            }
+        }
+        if area > 0.0 { sum.map(|s| (s / area).round() as u8) } else { [0; 3] }
+    };
+    let pixel = &pixel;
+    rows.par_iter().flat_map_iter(|row| columns.iter().map(move |column| pixel(row, column))).collect()
+}
+
+/// First source index and weights, in 1/2²², of Pillow's triangle filter.
+fn triangle(from: u32, to: u32) -> Vec<(usize, Vec<i32>)> {
+    let scale = f64::from(from) / f64::from(to);
+    let support = scale.max(1.0);
+    let weights = |i: u32| {
+        let center = (f64::from(i) + 0.5) * scale;
+        let first = (center - support + 0.5).max(0.0) as u32;
+        let end = ((center + support + 0.5) as u32).min(from);
+        let weight = |s: u32| (1.0 - ((f64::from(s) - center + 0.5) / support).abs()).max(0.0);
+        let sum: f64 = (first..end).map(weight).sum();
+        let fixed = |s: u32| (weight(s) / sum * f64::from(1 << PIL_BITS) + 0.5) as i32;
+        (first as usize, (first..end).map(fixed).collect())
+    };
+    (0..to).map(weights).collect()
+}
+
+/// Fraction bits of Pillow's weights.
+const PIL_BITS: u32 = 22;
+
+/// Weighted sum of pixels, rounded to bytes.
+fn weighted<'a>(pixels: impl Iterator<Item = &'a [u8; 3]>, weights: &[i32]) -> [u8; 3] {
+    let mut sum = [1 << (PIL_BITS - 1); 3];
+    for (pixel, weight) in pixels.zip(weights) {
+        (0..3).for_each(|channel| sum[channel] += i32::from(pixel[channel]) * weight);
+    }
+    sum.map(|s| (s >> PIL_BITS).clamp(0, 255) as u8)
+}
+
+/// Pillow's BILINEAR: a triangle filter widened by the scale, so reductions are antialiased. In its fixed-point
+/// arithmetic: across first, rounded to bytes, then down.
+pub fn pil_bilinear(map: &[[u8; 3]], from: ImageSize, to: ImageSize) -> Vec<[u8; 3]> {
+    let (rows, columns) = (triangle(from.height, to.height), triangle(from.width, to.width));
+    let across = |row: &[[u8; 3]]| -> Vec<[u8; 3]> {
+        columns.iter().map(|(first, weights)| weighted(row[*first..].iter(), weights)).collect()
+    };
+    let across: Vec<[u8; 3]> = map.par_chunks_exact(from.width as usize).flat_map_iter(across).collect();
+    let width = to.width as usize;
+    let down = |(first, weights): &(usize, Vec<i32>)| -> Vec<[u8; 3]> {
+        let column = |x: usize| across[first * width + x..].iter().step_by(width);
+        (0..width).map(|x| weighted(column(x), weights)).collect()
+    };
+    rows.par_iter().flat_map_iter(down).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn size(height: u32, width: u32) -> ImageSize {
+        ImageSize { height, width }
+    }
+
+    #[test]
+    fn valid_area_leaves_empty_pixels_out() {
+        let map = [[10, 0, 0], [0, 0, 0], [30, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]];
+        let empty = f32::INFINITY;
+        let depth = [1.0, empty, 1.0, empty, empty, empty];
+        assert_eq!(valid_area(&map, &depth, size(1, 6), size(1, 2)), [[20, 0, 0], [0, 0, 0]]);
+        // 6 to 4: one and a half pixels each; the third lies with one half under the second output pixel.
+        assert_eq!(
+            valid_area(&map, &depth, size(1, 6), size(1, 4)),
+            [[10, 0, 0], [30, 0, 0], [0, 0, 0], [0, 0, 0]]
+        );
+        let black = [[0; 3], [200; 3]];
+        assert_eq!(valid_area(&black, &[1.0, 1.0], size(1, 2), size(1, 1)), [[100; 3]]);
+    }
+
+    #[test]
+    fn same_size_changes_nothing() {
+        let map: Vec<[u8; 3]> = (0..35).map(|i: u8| [i, 7 * i, 255 - i]).collect();
+        let s = size(5, 7);
+        assert_eq!(nearest(&map, s, s), map);
+        assert_eq!(bilinear(&map, s, s), map);
+        assert_eq!(valid_area(&map, &[1.0; 35], s, s), map);
+        assert_eq!(pil_bilinear(&map, s, s), map);
+    }
+}

@@ -1,0 +1,279 @@
+//! The contact sheet of a step: every map of every camera in one picture.
+//!
+//! # How it works
+//! Each map is a block with a title and a legend; in it the six cameras of a surround rig stand in their places (front
+//! left, front, front right over back left, back, back right), any other cameras in rows of three. Numbers become
+//! colors (`tile_colors`), and tiles are scaled down to at most [`TILE_WIDTH_PX`].
+
+use std::path::Path;
+
+use super::canvas::{Canvas, GLYPH, text_width};
+use super::{CameraConditions, ConditionSet, DepthBins, ImageSize, MapKind, png, reduce};
+use crate::error::FileError;
+
+/// Widest tile, pixels.
+pub const TILE_WIDTH_PX: u32 = 448;
+
+const BACKGROUND: [u8; 3] = [17, 19, 24];
+const EMPTY: [u8; 3] = [8, 9, 11];
+const TEXT: [u8; 3] = [232, 234, 237];
+const DIM_TEXT: [u8; 3] = [148, 153, 163];
+/// Around the sheet and between blocks.
+const MARGIN: u32 = 16;
+/// Between tiles.
+const GAP: u32 = 4;
+/// Height of a title.
+const TITLE: u32 = 28;
+/// Width of the depth legend.
+const BAR: u32 = 160;
+
+/// Where the cameras of a surround rig stand: rows of three.
+const SURROUND: [&str; 6] =
+    ["CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT"];
+
+/// Colors and names of the classes from 1 on.
+const CLASSES: [([u8; 3], &str); 4] = [
+    ([79, 148, 255], "vehicle"),
+    ([255, 92, 92], "pedestrian"),
+    ([92, 214, 128], "cycle"),
+    ([255, 201, 77], "object"),
+];
+
+/// Writes the sheet as PNG; `caption` stands on top of it.
+///
+/// # Errors
+/// The system's, at writing.
+pub fn write(path: &Path, set: &ConditionSet, bins: &DepthBins, caption: &str) -> Result<(), FileError> {
+    let (size, pixels) = draw(set, bins, caption);
+    png::write_rgb(path, &pixels, size)
+}
+
+/// Draws the sheet: its size and RGB pixels.
+pub fn draw(set: &ConditionSet, bins: &DepthBins, caption: &str) -> (ImageSize, Vec<[u8; 3]>) {
+    let grid = Grid::of(set);
+    let kinds: Vec<MapKind> = MapKind::ALL.into_iter().filter(|kind| shown(set, *kind)).collect();
+    let block = TITLE + grid.height();
+    let size = ImageSize {
+        height: MARGIN + TITLE + kinds.len() as u32 * (block + MARGIN),
+        width: 2 * MARGIN + grid.width(),
+    };
+    let mut canvas = Canvas::new(size, BACKGROUND);
+    canvas.text([MARGIN, MARGIN], 2, TEXT, caption);
+    for (place, &kind) in (0..).zip(&kinds) {
+        let top = MARGIN + TITLE + place * (block + MARGIN);
+        canvas.text([MARGIN, top + 6], 2, TEXT, kind.name());
+        legend(&mut canvas, MARGIN + grid.width(), top + 6, kind, bins);
+        for (camera, corner) in set.cameras.iter().zip(&grid.corners) {
+            let at = [MARGIN + corner[0], top + TITLE + corner[1]];
+            draw_tile(&mut canvas, at, &grid, camera, kind, bins);
+        }
+    }
+    (canvas.size, canvas.pixels)
+}
+
+/// Point numbers say nothing to the eye.
+fn shown(set: &ConditionSet, kind: MapKind) -> bool {
+    set.cameras.iter().any(|camera| match kind {
+        MapKind::Color => camera.color.is_some(),
+        MapKind::Depth => camera.depth_m.is_some(),
+        MapKind::Class => camera.class.is_some(),
+        MapKind::Instance => camera.instance.is_some(),
+        MapKind::Boxes => camera.boxes.is_some(),
+        MapKind::Point => false,
+    })
+}
+
+/// Where tiles stand within a block.
+struct Grid {
+    tile: ImageSize,
+    /// Upper left corner of each camera's tile, x and y.
+    corners: Vec<[u32; 2]>,
+    rows: u32,
+    columns: u32,
+}
+
+impl Grid {
+    fn of(set: &ConditionSet) -> Self {
+        let widest = set.cameras.iter().map(|c| c.width).max().unwrap_or(1);
+        let width = widest.min(TILE_WIDTH_PX);
+        let height = set.cameras.iter().map(|c| fitted(c.size(), width).height).max().unwrap_or(1);
+        let (tile, count) = (ImageSize { height, width }, set.cameras.len());
+        let names: Vec<&str> = set.cameras.iter().map(|c| c.name.as_str()).collect();
+        let place = |name: &&str| SURROUND.iter().position(|s| s == name);
+        let surround: Option<Vec<usize>> = names.iter().map(place).collect();
+        let places = surround.filter(|_| count == 6).unwrap_or_else(|| (0..count).collect());
+        let corner = |place: usize| {
+            let [column, row] = [(place % 3) as u32, (place / 3) as u32];
+            [column * (tile.width + GAP), row * (tile.height + GAP)]
+        };
+        let corners = places.into_iter().map(corner).collect();
+        Self { tile, corners, rows: count.div_ceil(3) as u32, columns: count.min(3) as u32 }
+    }
+
+    fn width(&self) -> u32 {
+        (self.columns * (self.tile.width + GAP)).saturating_sub(GAP)
+    }
+
+    fn height(&self) -> u32 {
+        (self.rows * (self.tile.height + GAP)).saturating_sub(GAP)
+    }
+}
+
+/// Size of a picture shrunk to a width; smaller ones keep theirs.
+fn fitted(size: ImageSize, width: u32) -> ImageSize {
+    if size.width <= width {
+        return size;
+    }
+    let height = (f64::from(size.height) * f64::from(width) / f64::from(size.width)).round() as u32;
+    ImageSize { height: height.max(1), width }
+}
+
+fn draw_tile(
+    canvas: &mut Canvas,
+    at: [u32; 2],
+    grid: &Grid,
+    camera: &CameraConditions,
+    kind: MapKind,
+    bins: &DepthBins,
+) {
+    canvas.map(at, grid.tile, |_, _| EMPTY);
+    let (from, to) = (camera.size(), fitted(camera.size(), grid.tile.width));
+    let picture = match kind {
+        MapKind::Color => camera.color.as_ref().map(|map| reduce::pil_bilinear(map, from, to)),
+        MapKind::Boxes => camera.boxes.as_ref().map(|map| reduce::pil_bilinear(map, from, to)),
+        _ => tile_colors(camera, kind, to, bins),
+    };
+    if let Some(picture) = picture {
+        let centered = [at[0] + (grid.tile.width - to.width) / 2, at[1] + (grid.tile.height - to.height) / 2];
+        canvas.blit(centered, to, &picture);
+    }
+    let label = ImageSize { height: GLYPH + 6, width: text_width(&camera.name, 1) + 8 };
+    if label.width < grid.tile.width && label.height < grid.tile.height {
+        canvas.map(at, label, |under, _| under.map(|level| (u16::from(level) * 3 / 10) as u8));
+        canvas.text([at[0] + 4, at[1] + 3], 1, TEXT, &camera.name);
+    }
+}
+
+/// Colors of a map of numbers, reduced by nearest: depth as TURBO; class and instance each in a color of its own over
+/// the depth in dark grey.
+fn tile_colors(
+    camera: &CameraConditions,
+    kind: MapKind,
+    to: ImageSize,
+    bins: &DepthBins,
+) -> Option<Vec<[u8; 3]>> {
+    let from = camera.size();
+    let depth_bins = || {
+        let depth_m = reduce::nearest(camera.depth_m.as_ref()?, from, to);
+        Some(depth_m.into_iter().map(|d| bins.bin(d)).collect::<Vec<u16>>())
+    };
+    if kind == MapKind::Depth {
+        let colors = bins.colors();
+        return Some(depth_bins()?.into_iter().map(|bin| colors[usize::from(bin)]).collect());
+    }
+    let grey = |bin: u16| {
+        let near = 1.0 - f32::from(bin) / f32::from(bins.count);
+        if bin == 0 { EMPTY } else { [26.0, 28.0, 33.0].map(|base: f32| (base + 52.0 * near * near) as u8) }
+    };
+    let mut picture: Vec<[u8; 3]> =
+        depth_bins().map_or_else(|| vec![EMPTY; to.pixels()], |bins| bins.into_iter().map(grey).collect());
+    let numbers: Vec<u32> = match kind {
+        MapKind::Class => camera.class.as_ref()?.iter().map(|c| u32::from(*c)).collect(),
+        _ => camera.instance.clone()?,
+    };
+    let color = |number: u32| match CLASSES.get(number as usize - 1) {
+        Some((rgb, _)) if kind == MapKind::Class => *rgb,
+        _ => number_color(number),
+    };
+    for (pixel, number) in picture.iter_mut().zip(reduce::nearest(&numbers, from, to)) {
+        if number > 0 {
+            *pixel = color(number);
+        }
+    }
+    Some(picture)
+}
+
+/// A bright color per number: hues a golden angle apart, so neighbours in number are far apart in color.
+fn number_color(number: u32) -> [u8; 3] {
+    let hue = (f64::from(number) * 0.618_033_988_749_895).fract() * 6.0;
+    let value = if number.is_multiple_of(2) { 0.82 } else { 1.0 };
+    // The distance of the hue from a channel's own, as in the usual HSV formula.
+    let channel = |offset: f64| {
+        let distance = (hue + offset) % 6.0;
+        let level = distance.min(4.0 - distance).clamp(0.0, 1.0);
+        (255.0 * value * (1.0 - 0.68 * level)).round() as u8
+    };
+    [channel(5.0), channel(3.0), channel(1.0)]
+}
+
+/// What the colors of a block mean, ending at `right`.
+fn legend(canvas: &mut Canvas, right: u32, top: u32, kind: MapKind, bins: &DepthBins) {
+    let text_top = top + 4;
+    match kind {
+        MapKind::Depth => {
+            let far = format!("{} m", bins.far_m);
+            let left = right.saturating_sub(BAR + text_width(&far, 1) + text_width("0 m", 1) + 16);
+            let bar = left + canvas.text([left, text_top], 1, DIM_TEXT, "0 m") + 8;
+            let colors = bins.colors();
+            let color = |x: u32| {
+                let depth_m = (x as f32 + 0.5) / BAR as f32 * bins.far_m;
+                colors[usize::from(bins.bin(depth_m))]
+            };
+            canvas.map([bar, top + 2], ImageSize { height: 12, width: BAR }, |_, [x, _]| color(x));
+            canvas.text([bar + BAR + 8, text_top], 1, DIM_TEXT, &far);
+        }
+        MapKind::Class => {
+            let width = |name: &str| 14 + text_width(name, 1) + 14;
+            let total: u32 = CLASSES.iter().map(|(_, name)| width(name)).sum();
+            let mut left = right.saturating_sub(total - 14);
+            for (rgb, name) in CLASSES {
+                canvas.map([left, top + 3], ImageSize { height: 10, width: 10 }, |_, _| rgb);
+                canvas.text([left + 14, text_top], 1, DIM_TEXT, name);
+                left += width(name);
+            }
+        }
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_set::test_set;
+    use super::*;
+
+    fn named(names: &[&str]) -> ConditionSet {
+        let camera =
+            |name: &&str| CameraConditions { name: (*name).into(), ..test_set().cameras.swap_remove(0) };
+        ConditionSet { cameras: names.iter().map(camera).collect() }
+    }
+
+    #[test]
+    fn surround_cameras_stand_in_their_places() {
+        let order =
+            ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_FRONT_LEFT"];
+        let [column, row] = [6 + GAP, 4 + GAP];
+        let expected = [[column, 0], [2 * column, 0], [2 * column, row], [column, row], [0, row], [0, 0]];
+        assert_eq!(Grid::of(&named(&order)).corners, expected);
+        // Others in their own order.
+        assert_eq!(Grid::of(&named(&["a", "b", "c", "d"])).corners[3], [0, row]);
+        assert_eq!(Grid::of(&named(&["CAM_BACK"])).corners, [[0, 0]]);
+    }
+
+    #[test]
+    fn a_sheet_holds_every_map() {
+        let set = test_set();
+        let (size, pixels) = draw(&set, &DepthBins::default(), "frame");
+        assert_eq!(size.height, MARGIN + TITLE + 5 * (TITLE + 4 + MARGIN));
+        assert_eq!(pixels.len(), size.pixels());
+        let first_tile = (MARGIN + TITLE + TITLE) as usize * size.width as usize + MARGIN as usize;
+        assert_eq!(&pixels[first_tile..first_tile + 6], &set.cameras[0].color.as_ref().unwrap()[..6]);
+        assert!(!draw(&ConditionSet::default(), &DepthBins::default(), "").1.is_empty());
+    }
+
+    #[test]
+    fn colors_of_numbers_differ() {
+        let colors: std::collections::BTreeSet<[u8; 3]> = (1..200).map(number_color).collect();
+        assert!(colors.len() > 190);
+        assert!(colors.iter().all(|rgb| rgb.iter().max() > Some(&180)));
+    }
+}

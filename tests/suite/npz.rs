@@ -1,0 +1,20 @@
+//! Reading archives of arrays.
+
+use std::io::Read;
+use std::path::Path;
+
+/// An array of an NPZ.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Array<T> {
+    pub(crate) shape: Vec<usize>,
+    pub(crate) data: Vec<T>,
+}
+
+/// Reads one array of an archive.
+pub(crate) fn read<T: npyz::Deserialize>(path: &Path, name: &str) -> Array<T> {
+    let mut archive = zip::ZipArchive::new(std::fs::File::open(path).unwrap()).unwrap();
+    let mut bytes = Vec::new();
+    archive.by_name(&format!("{name}.npy")).unwrap().read_to_end(&mut bytes).unwrap();
+    let file = npyz::NpyFile::new(bytes.as_slice()).unwrap();
+    Array { shape: file.shape().iter().map(|n| *n as usize).collect(), data: file.into_vec().unwrap() }
+}
