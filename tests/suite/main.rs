@@ -1,3 +1,4 @@
 //! Tests of the whole library, by subject.
 
 mod common;
+mod nuscenes;
