@@ -8,10 +8,12 @@ mod category;
 mod locator;
 mod log;
 pub mod nuscenes;
+mod picture;
 
 pub use category::{Class, layout_rgb};
 pub use locator::{LogFormat, LogLocator};
 pub use log::{Frame, ImageRecord, Log, SweepRecord, Track, TrackBox};
+pub use picture::{picture_size, read_picture};
 
 use std::path::PathBuf;
 
@@ -34,6 +36,12 @@ pub trait Dataset: Sync {
     /// # Errors
     /// A file that is missing, does not decode, or has another size.
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError>;
+
+    /// Per frame and box, in the log's order, how many LiDAR points the data set states to lie in the box; `None`
+    /// if it states nothing.
+    fn box_points(&self) -> Option<&[Vec<u32>]> {
+        None
+    }
 }
 
 /// One LiDAR sweep.

@@ -4,6 +4,7 @@
 mod common;
 mod conditions;
 mod npz;
+mod nuscenes;
 mod parity;
 mod raster;
 mod sheet;

@@ -1,0 +1,66 @@
+//! Tracks and boxes of a scene.
+
+use std::path::Path;
+
+use glam::DVec3;
+use rustc_hash::FxHashSet;
+
+use super::frames::pose;
+use super::read::Chain;
+use super::tables::{Annotation, Category, Instance, Table};
+use crate::dataset::{Class, DatasetError, Track, TrackBox};
+use crate::error::FileError;
+use crate::geometry::Cuboid;
+
+/// Tracks, and per frame its boxes with the number of LiDAR points stated for each.
+pub(super) struct Annotated {
+    /// Sorted by id.
+    pub(super) tracks: Vec<Track>,
+    /// Sorted by track; both lists have the same length.
+    pub(super) frames: Vec<(Vec<TrackBox>, Vec<u32>)>,
+}
+
+/// Reads the boxes of every sample of the chain.
+pub(super) fn read(tables: &Path, chain: &Chain) -> Result<Annotated, DatasetError> {
+    let annotations = Table::<Annotation>::load(tables, |a| chain.place.contains_key(&a.sample_token))?;
+    let needed: FxHashSet<&str> = annotations.records.iter().map(|a| a.instance_token.as_str()).collect();
+    let mut instances = Table::<Instance>::load(tables, |i| needed.contains(i.token.as_str()))?;
+    instances.sort_by_token();
+    let categories = Table::<Category>::load_all(tables)?;
+    let mut tracks = Vec::new();
+    for instance in &instances.records {
+        let by = || format!("instance {}", instance.token);
+        let category = categories.get(&instance.category_token, by)?.name.clone();
+        let class = Class::from_category(&category);
+        tracks.push(Track { id: instance.token.clone(), category, class });
+    }
+    let mut frames = vec![Vec::new(); chain.times_us.len()];
+    for annotation in &annotations.records {
+        let by = || format!("sample_annotation {}", annotation.token);
+        let track = instances.position(&annotation.instance_token, by)?;
+        let cuboid = cuboid(&annotations, annotation)?;
+        let points = annotation.num_lidar_pts.unwrap_or(0);
+        frames[chain.place[&annotation.sample_token]].push((TrackBox { track, cuboid }, points));
+    }
+    for frame in &mut frames {
+        frame.sort_by_key(|(b, _)| b.track);
+        if let Some(pair) = frame.windows(2).find(|pair| pair[0].0.track == pair[1].0.track) {
+            let found = format!("two of instance {}", tracks[pair[0].0.track].id);
+            return Err(
+                FileError::content("one box per instance and sample", found, &annotations.path).into()
+            );
+        }
+    }
+    Ok(Annotated { tracks, frames: frames.into_iter().map(|f| f.into_iter().unzip()).collect() })
+}
+
+/// A box: the tables have width, length, height.
+fn cuboid(table: &Table<Annotation>, annotation: &Annotation) -> Result<Cuboid, DatasetError> {
+    let pose = pose(table, annotation, annotation.rotation, annotation.translation)?;
+    let [width, length, height] = annotation.size;
+    Cuboid::new(pose, DVec3::new(length, width, height)).map_err(|source| DatasetError::Cuboid {
+        source,
+        record: format!("sample_annotation {}", annotation.token),
+        path: table.path.clone(),
+    })
+}

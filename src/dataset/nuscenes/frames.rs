@@ -1,0 +1,230 @@
+//! Sweeps and images of a scene, sorted into its frames.
+//!
+//! Key frames belong to the sample they name. The others belong to the interval that ends with a frame, by their
+//! timestamp; what was recorded after the last frame has no boxes after it and is left out and counted.
+
+use std::path::Path;
+
+use rustc_hash::FxHashSet;
+
+use super::read::{Chain, Notes, note};
+use super::tables::{CalibratedSensor, EgoPose, SampleData, Sensor, Table};
+use crate::dataset::{DatasetError, ImageRecord, SweepRecord};
+use crate::error::FileError;
+use crate::geometry::{Camera, Pose};
+
+/// The six cameras in ring order, each beside its neighbours.
+const RING: [&str; 6] =
+    ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_FRONT_LEFT"];
+
+/// The LiDAR whose pose is the frame's.
+const MAIN_LIDAR: &str = "LIDAR_TOP";
+
+/// Cameras and frames of a scene.
+pub(super) struct Shots {
+    pub(super) cameras: Vec<String>,
+    pub(super) frames: Vec<Shot>,
+}
+
+/// What was recorded for a frame.
+#[derive(Debug)]
+pub(super) struct Shot {
+    pub(super) global_from_ego: Pose,
+    pub(super) sweeps: Vec<SweepRecord>,
+    pub(super) images: Vec<ImageRecord>,
+    pub(super) between_images: Vec<ImageRecord>,
+}
+
+/// A sweep on its way into a frame.
+struct RawSweep {
+    channel: String,
+    is_key: bool,
+    record: SweepRecord,
+}
+
+/// Sweeps and images of one frame before they are sorted.
+#[derive(Default)]
+struct Pile {
+    sweeps: Vec<RawSweep>,
+    images: Vec<ImageRecord>,
+    between_images: Vec<ImageRecord>,
+}
+
+/// The tables that a sensor's data refers to.
+struct Sensors {
+    data: Table<SampleData>,
+    poses: Table<EgoPose>,
+    calibrated: Table<CalibratedSensor>,
+    sensors: Table<Sensor>,
+}
+
+/// Reads the data of every sample of the chain.
+pub(super) fn read(
+    root: &Path,
+    tables: &Path,
+    chain: &Chain,
+    notes: &mut Notes,
+) -> Result<Shots, DatasetError> {
+    let data = Table::<SampleData>::load(tables, |d| chain.place.contains_key(&d.sample_token))?;
+    let needed: FxHashSet<&str> = data.records.iter().map(|d| d.ego_pose_token.as_str()).collect();
+    let poses = Table::<EgoPose>::load(tables, |p| needed.contains(p.token.as_str()))?;
+    let (calibrated, sensors) = (Table::load_all(tables)?, Table::load_all(tables)?);
+    let sensors = Sensors { data, poses, calibrated, sensors };
+    let cameras = sensors.cameras()?;
+    let mut piles: Vec<Pile> = chain.times_us.iter().map(|_| Pile::default()).collect();
+    for data in &sensors.data.records {
+        let place = match chain.place.get(&data.sample_token) {
+            Some(place) if data.is_key_frame => *place,
+            _ => chain.times_us.partition_point(|t| *t < data.timestamp),
+        };
+        match piles.get_mut(place) {
+            Some(pile) => sensors.add(pile, data, root, &cameras, notes)?,
+            None => note(notes, "sweeps and images after the last sample"),
+        }
+    }
+    let finish = |pile: Pile| pile.finish(cameras.len(), notes);
+    let frames: Option<Vec<Shot>> = piles.into_iter().map(finish).collect();
+    let no_data = || FileError::content("data for every sample", "a sample with none", &sensors.data.path);
+    Ok(Shots { frames: frames.ok_or_else(no_data)?, cameras })
+}
+
+impl Sensors {
+    /// The sensor and the extrinsics of some data.
+    fn sensor_of(&self, data: &SampleData) -> Result<(&Sensor, &CalibratedSensor), DatasetError> {
+        let calibrated =
+            self.calibrated.get(&data.calibrated_sensor_token, || format!("sample_data {}", data.token))?;
+        let by = || format!("calibrated_sensor {}", calibrated.token);
+        Ok((self.sensors.get(&calibrated.sensor_token, by)?, calibrated))
+    }
+
+    /// Channels of the scene's cameras: the six of nuScenes around the ring, then others by name.
+    fn cameras(&self) -> Result<Vec<String>, DatasetError> {
+        let mut channels = Vec::new();
+        for data in &self.data.records {
+            let (sensor, _) = self.sensor_of(data)?;
+            if sensor.modality == "camera" && !channels.contains(&sensor.channel) {
+                channels.push(sensor.channel.clone());
+            }
+        }
+        let place = |channel: &String| RING.iter().position(|r| r == channel).unwrap_or(RING.len());
+        channels.sort_by(|a, b| place(a).cmp(&place(b)).then_with(|| a.cmp(b)));
+        Ok(channels)
+    }
+
+    /// Puts a sweep or image onto a frame's pile.
+    fn add(
+        &self,
+        pile: &mut Pile,
+        data: &SampleData,
+        root: &Path,
+        cameras: &[String],
+        notes: &mut Notes,
+    ) -> Result<(), DatasetError> {
+        let (sensor, calibrated) = self.sensor_of(data)?;
+        let ego = self.poses.get(&data.ego_pose_token, || format!("sample_data {}", data.token))?;
+        let global_from_ego = pose(&self.poses, ego, ego.rotation, ego.translation)?;
+        let ego_from_sensor =
+            pose(&self.calibrated, calibrated, calibrated.rotation, calibrated.translation)?;
+        let (path, t_us) = (root.join(&data.filename), data.timestamp);
+        let twice = |channel: &str| {
+            let found = format!("a second key frame of {channel} in sample {}", data.sample_token);
+            DatasetError::from(FileError::content(
+                "one key frame per sensor and sample",
+                found,
+                &self.data.path,
+            ))
+        };
+        match (sensor.modality.as_str(), cameras.iter().position(|c| *c == sensor.channel)) {
+            ("camera", Some(channel)) => {
+                let camera = self.camera(data, sensor, calibrated)?;
+                let ego_from_camera = ego_from_sensor;
+                let record = ImageRecord { channel, path, t_us, global_from_ego, ego_from_camera, camera };
+                if !data.is_key_frame {
+                    pile.between_images.push(record);
+                } else if pile.images.iter().any(|i| i.channel == channel) {
+                    return Err(twice(&sensor.channel));
+                } else {
+                    pile.images.push(record);
+                }
+            }
+            ("lidar", _) => {
+                let (channel, is_key) = (sensor.channel.clone(), data.is_key_frame);
+                if is_key && pile.sweeps.iter().any(|s| s.is_key && s.channel == channel) {
+                    return Err(twice(&channel));
+                }
+                let record = SweepRecord { path, t_us, global_from_ego, ego_from_lidar: ego_from_sensor };
+                pile.sweeps.push(RawSweep { channel, is_key, record });
+            }
+            (modality, _) => note(notes, &format!("{modality} sweeps (not read)")),
+        }
+        Ok(())
+    }
+
+    /// Size and intrinsics of an image's camera.
+    fn camera(
+        &self,
+        data: &SampleData,
+        sensor: &Sensor,
+        calibrated: &CalibratedSensor,
+    ) -> Result<Camera, DatasetError> {
+        let record = format!("calibrated_sensor {} ({})", calibrated.token, sensor.channel);
+        let path = self.calibrated.path.clone();
+        let rows: Option<Vec<[f64; 3]>> =
+            calibrated.camera_intrinsic.iter().map(|row| row.as_slice().try_into().ok()).collect();
+        let Some(rows) = rows.and_then(|rows| <[[f64; 3]; 3]>::try_from(rows).ok()) else {
+            let found = format!("{:?} in {record}", calibrated.camera_intrinsic);
+            return Err(FileError::content("a 3x3 camera_intrinsic", found, &path).into());
+        };
+        let (Some(width), Some(height)) = (data.width, data.height) else {
+            let found = format!("none in sample_data {}", data.token);
+            return Err(FileError::content("width and height of an image", found, &self.data.path).into());
+        };
+        Camera::new(&sensor.channel, width, height, rows).map_err(|source| DatasetError::Camera {
+            source,
+            record,
+            path,
+        })
+    }
+}
+
+impl Pile {
+    /// Sorts a frame; `None` if neither a sweep nor an image tells where the ego was.
+    fn finish(mut self, cameras: usize, notes: &mut Notes) -> Option<Shot> {
+        for channel in 0..cameras {
+            if !self.images.iter().any(|i| i.channel == channel) {
+                note(notes, "missing camera images");
+            }
+        }
+        self.images.sort_by_key(|i| i.channel);
+        self.between_images.sort_by(|a, b| (a.t_us, a.channel).cmp(&(b.t_us, b.channel)));
+        self.sweeps.sort_by(|a, b| {
+            let rank = |s: &RawSweep| (!s.is_key, s.is_key && s.channel != MAIN_LIDAR);
+            let by_rank = rank(a).cmp(&rank(b));
+            let by_time =
+                if a.is_key { std::cmp::Ordering::Equal } else { b.record.t_us.cmp(&a.record.t_us) };
+            by_rank.then(by_time).then_with(|| a.channel.cmp(&b.channel))
+        });
+        if !self.sweeps.first().is_some_and(|s| s.is_key) {
+            note(notes, "frames without a LiDAR sweep of their own");
+        }
+        let of_sweep = self.sweeps.first().filter(|s| s.is_key).map(|s| s.record.global_from_ego);
+        let of_image = || self.images.iter().min_by_key(|i| i.t_us).map(|i| i.global_from_ego);
+        let global_from_ego = of_sweep.or_else(of_image)?;
+        let sweeps = self.sweeps.into_iter().map(|s| s.record).collect();
+        Some(Shot { global_from_ego, sweeps, images: self.images, between_images: self.between_images })
+    }
+}
+
+/// A record's pose.
+pub(super) fn pose<R: super::tables::Record>(
+    table: &Table<R>,
+    record: &R,
+    rotation: [f64; 4],
+    translation: [f64; 3],
+) -> Result<Pose, DatasetError> {
+    Pose::from_wxyz(rotation, translation).map_err(|source| DatasetError::Pose {
+        source,
+        record: format!("{} {}", R::TABLE, record.token()),
+        path: table.path.clone(),
+    })
+}

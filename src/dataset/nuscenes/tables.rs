@@ -1,0 +1,183 @@
+//! The raw tables: what stands in the JSON files, as it stands there.
+//!
+//! How it works: a table is one JSON array of records. The whole trainval set has tables of a gigabyte, so records
+//! are looked at one by one while the file is parsed and only those that belong to the scene are kept; fields
+//! that nobody reads are skipped by the parser.
+
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+use rustc_hash::FxHashMap;
+use serde::de::{Deserialize, DeserializeOwned, Deserializer, SeqAccess, Visitor};
+
+use crate::dataset::DatasetError;
+use crate::error::FileError;
+
+/// A record of a table.
+pub(super) trait Record: DeserializeOwned {
+    /// Name of the file, without `.json`.
+    const TABLE: &'static str;
+
+    /// Its primary key.
+    fn token(&self) -> &str;
+}
+
+/// Declares raw records: the table's name and the fields that are read.
+macro_rules! records {
+    ($($name:ident in $table:literal { $($field:ident: $type:ty),* $(,)? })*) => {$(
+        #[derive(Debug, serde::Deserialize)]
+        pub(super) struct $name {
+            pub(super) token: String,
+            $(pub(super) $field: $type,)*
+        }
+        impl Record for $name {
+            const TABLE: &'static str = $table;
+            fn token(&self) -> &str {
+                &self.token
+            }
+        }
+    )*};
+}
+
+records! {
+    Scene in "scene" { name: String, description: String, log_token: String, first_sample_token: String }
+    Sample in "sample" { timestamp: i64, next: String, scene_token: String }
+    SampleData in "sample_data" {
+        sample_token: String,
+        ego_pose_token: String,
+        calibrated_sensor_token: String,
+        timestamp: i64,
+        is_key_frame: bool,
+        height: Option<u32>,
+        width: Option<u32>,
+        filename: String,
+    }
+    EgoPose in "ego_pose" { rotation: [f64; 4], translation: [f64; 3] }
+    CalibratedSensor in "calibrated_sensor" {
+        sensor_token: String,
+        translation: [f64; 3],
+        rotation: [f64; 4],
+        camera_intrinsic: Vec<Vec<f64>>,
+    }
+    Sensor in "sensor" { channel: String, modality: String }
+    Instance in "instance" { category_token: String }
+    Annotation in "sample_annotation" {
+        sample_token: String,
+        instance_token: String,
+        translation: [f64; 3],
+        size: [f64; 3],
+        rotation: [f64; 4],
+        num_lidar_pts: Option<u32>,
+    }
+    Category in "category" { name: String }
+    Attribute in "attribute" {}
+    Visibility in "visibility" {}
+    LogRecord in "log" { location: String }
+    MapRecord in "map" {}
+}
+
+/// Records of a table in the file's order, found by token.
+#[derive(Debug)]
+pub(super) struct Table<R> {
+    /// The file.
+    pub(super) path: PathBuf,
+    /// In the file's order.
+    pub(super) records: Vec<R>,
+    by_token: FxHashMap<String, usize>,
+}
+
+impl<R: Record> Table<R> {
+    /// Reads the records that `keep` wants.
+    ///
+    /// # Errors
+    /// A file that is missing, is no JSON array of such records, or holds a kept token twice.
+    pub(super) fn load(folder: &Path, keep: impl FnMut(&R) -> bool) -> Result<Self, FileError> {
+        let path = folder.join(format!("{}.json", R::TABLE));
+        let bytes = std::fs::read(&path).map_err(FileError::io("read", &path))?;
+        Self::parse(&bytes, path, keep)
+    }
+
+    /// Every record of the table.
+    ///
+    /// # Errors
+    /// As [`Table::load`].
+    pub(super) fn load_all(folder: &Path) -> Result<Self, FileError> {
+        Self::load(folder, |_| true)
+    }
+
+    /// The same from a file's bytes; `path` is for messages.
+    pub(super) fn parse(
+        bytes: &[u8],
+        path: PathBuf,
+        keep: impl FnMut(&R) -> bool,
+    ) -> Result<Self, FileError> {
+        let mut json = serde_json::Deserializer::from_slice(bytes);
+        let parsed = json
+            .deserialize_seq(Kept { keep, record: PhantomData })
+            .and_then(|records| json.end().map(|()| records));
+        let records = parsed.map_err(|e| {
+            FileError::content(format!("a JSON array of {} records", R::TABLE), e.to_string(), &path)
+        })?;
+        let mut by_token = FxHashMap::default();
+        for (i, record) in records.iter().enumerate() {
+            if by_token.insert(record.token().to_owned(), i).is_some() {
+                let found = format!("{} twice", record.token());
+                return Err(FileError::content("every token once", found, &path));
+            }
+        }
+        Ok(Self { path, records, by_token })
+    }
+
+    /// The record of a token; `by` names the record that refers to it.
+    ///
+    /// # Errors
+    /// [`DatasetError::DanglingToken`].
+    pub(super) fn get(&self, token: &str, by: impl FnOnce() -> String) -> Result<&R, DatasetError> {
+        self.position(token, by).map(|i| &self.records[i])
+    }
+
+    /// Where in [`Table::records`] a token's record stands.
+    ///
+    /// # Errors
+    /// [`DatasetError::DanglingToken`].
+    pub(super) fn position(&self, token: &str, by: impl FnOnce() -> String) -> Result<usize, DatasetError> {
+        self.by_token.get(token).copied().ok_or_else(|| DatasetError::DanglingToken {
+            table: R::TABLE,
+            token: token.to_owned(),
+            by: by(),
+            path: self.path.clone(),
+        })
+    }
+
+    /// Changes the order of the records to that of their tokens.
+    pub(super) fn sort_by_token(&mut self) {
+        self.records.sort_by(|a, b| a.token().cmp(b.token()));
+        for (i, record) in self.records.iter().enumerate() {
+            self.by_token.insert(record.token().to_owned(), i);
+        }
+    }
+}
+
+/// Walks a JSON array and keeps some of its records.
+struct Kept<R, F> {
+    keep: F,
+    record: PhantomData<R>,
+}
+
+impl<'de, R: Deserialize<'de>, F: FnMut(&R) -> bool> Visitor<'de> for Kept<R, F> {
+    type Value = Vec<R>;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("an array of records")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(mut self, mut array: A) -> Result<Vec<R>, A::Error> {
+        let mut kept = Vec::new();
+        while let Some(record) = array.next_element()? {
+            if (self.keep)(&record) {
+                kept.push(record);
+            }
+        }
+        Ok(kept)
+    }
+}
