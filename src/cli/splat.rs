@@ -7,10 +7,9 @@ use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::say;
 use crate::cloud;
-use crate::conditions::{
-    ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, SceneInstances, npz, render_view,
-};
+use crate::conditions::{ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, npz, render_view};
 use crate::raster::{Instance, SplatSchedule};
+use crate::scene::SceneInstances;
 
 /// Splat any point cloud into any cameras: color, depth, class and point number per pixel
 ///

@@ -1,7 +1,7 @@
 //! Condition maps of one step: made, reduced, written.
 //!
 //! # How it works
-//! [`render()`] splats the two clouds of the condition contract (color and geometry, [`SceneInstances`]) into every
+//! [`render()`] splats the two clouds of the condition contract (color and geometry, [`SceneInstances`](crate::scene::SceneInstances)) into every
 //! camera, draws the box layout, and reduces the maps to the size of the model ([`reduce`]). Within the program an
 //! empty depth is `f32::INFINITY`; −300 stands only in files. Writers: [`png`], [`exr`], [`npz`], the contact
 //! [`sheet`] and the metadata ([`meta`]). What every map means stands in `docs/CONDITIONS.md`.
@@ -24,7 +24,7 @@ mod test_set;
 pub use bins::{BinScale, DepthBins};
 pub use error::ConditionError;
 pub use options::{ColorFilter, ConditionOptions, ImageSize, MapKind, MapSet, Occlusion, ParseOptionError};
-pub use render::{CameraConditions, ConditionSet, SceneInstances, render, render_view};
+pub use render::{CameraConditions, ConditionSet, render, render_view};
 
 /// What stands for an empty depth in files, metres.
 pub const EMPTY_DEPTH_M: f32 = -300.0;

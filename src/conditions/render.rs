@@ -1,17 +1,7 @@
 use super::{ColorFilter, ConditionError, ConditionOptions, ImageSize, MapKind, Occlusion, layout, reduce};
 use crate::geometry::View;
 use crate::raster::{Crop, Instance, Planes, Rasterizer, SplatJob, SplatMaps};
-use crate::scene::{ActorState, SceneState};
-
-/// The two clouds of the condition contract: which resident clouds stand where. The background has number 0, actor
-/// `i` of the step number `i + 1`.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SceneInstances {
-    /// Appearance: what the color map shows.
-    pub color: Vec<Instance>,
-    /// Geometry: what depth, class, instance and point numbers show.
-    pub geometry: Vec<Instance>,
-}
+use crate::scene::{ActorState, SceneInstances, SceneState};
 
 /// Maps of one camera, row-major `height * width`; `None` where they were not asked for.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,5 +1,10 @@
-//! The state of one step: where ego, cameras and actors stand. What the rasterizer and the layout are fed.
+//! The state of one step: where ego, cameras and actors stand, and which clouds stand in for them. What the
+//! rasterizer and the layout are fed.
 
+mod from_log;
+mod selection;
 mod state;
 
+pub use from_log::{EgoOffset, frame_rate_hz, state_at, state_of_frame, with_cameras};
+pub use selection::{SceneInstances, SelectionOptions, Stage, TemplateFit};
 pub use state::{ActorState, SceneCamera, SceneState};

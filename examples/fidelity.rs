@@ -1,0 +1,143 @@
+//! How true the color map is: builds a skeleton from every other frame of a log, renders the frames in between and
+//! compares with their images.
+//!
+//! `cargo run --release --example fidelity -- nuscenes:DIR [--way every-camera]`
+
+use std::path::PathBuf;
+
+use clap::Parser;
+use point_skeleton::conditions::{self, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
+use point_skeleton::dataset::{self, Dataset, ImageRecord, LogLocator};
+use point_skeleton::metrics::{FilledError, compare_filled};
+use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
+use point_skeleton::scene::{EgoOffset, SelectionOptions, Stage, state_of_frame};
+use point_skeleton::skeleton::{self, BuildOptions, Coloring, Skeleton};
+
+/// Builds from every other frame, renders the frames in between, compares with the true images.
+#[derive(Parser)]
+struct Args {
+    /// The log, `FORMAT:PATH[@VERSION][#SCENE]`.
+    log: String,
+    /// How points get their color; every-camera is the comparison.
+    #[arg(long, value_enum, default_value = "best-view")]
+    way: Coloring,
+    /// Only every so many of the frames in between.
+    #[arg(long, default_value_t = 1)]
+    stride: usize,
+    /// Which rasterizer.
+    #[arg(long, default_value = "auto")]
+    rasterizer: RasterizerKind,
+    /// Also writes map and truth of each camera here.
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// JSON of options to try.
+    #[arg(long)]
+    options: Option<String>,
+}
+
+const SIZE: ImageSize = ImageSize { height: 900, width: 1600 };
+
+fn main() -> anyhow::Result<()> {
+    let args = Args::parse();
+    let log = dataset::open(&args.log.parse::<LogLocator>()?)?;
+    let log = log.as_ref();
+    let frames = log.log().frames.len();
+    let kept: Vec<usize> = (0..frames).step_by(2).collect();
+    let mut options = match args.way {
+        Coloring::BestView => BuildOptions::default(),
+        Coloring::EveryCamera => BuildOptions::every_camera(),
+    };
+    if let Some(text) = &args.options {
+        options = serde_json::from_str(text)?;
+    }
+    let start = std::time::Instant::now();
+    let built = skeleton::build(log, &kept, &options, &())?;
+    let folder = tempfile::tempdir()?;
+    let path = folder.path().join("skeleton");
+    built.write(&path)?;
+    println!(
+        "built in {:.1} s from {} frames: {:?}",
+        start.elapsed().as_secs_f64(),
+        kept.len(),
+        built.report
+    );
+    let skeleton = Skeleton::open(&path)?;
+    let mut rasterizer = create(args.rasterizer, None, Stage::clouds(&skeleton))?;
+    let mut errors = Vec::new();
+    for frame in (1..frames).step_by(2 * args.stride) {
+        errors.extend(compare_frame(log, frame, &skeleton, rasterizer.as_mut(), args.out.as_deref())?);
+    }
+    report(&log.log().cameras, &errors);
+    Ok(())
+}
+
+fn compare_frame(
+    log: &dyn Dataset,
+    frame: usize,
+    skeleton: &Skeleton,
+    rasterizer: &mut dyn Rasterizer,
+    out: Option<&std::path::Path>,
+) -> anyhow::Result<Vec<(usize, FilledError)>> {
+    let Some(state) = state_of_frame(log.log(), frame, EgoOffset::default()) else {
+        anyhow::bail!("no frame {frame}")
+    };
+    let instances = Stage::new(skeleton).instances(&state, &SelectionOptions::default());
+    let maps = MapSet::of(&[MapKind::Color]);
+    let options = ConditionOptions { maps, size: Some(SIZE), ..ConditionOptions::default() };
+    let set = conditions::render(rasterizer, &instances, &state, &options)?;
+    let mut errors = Vec::new();
+    for (maps, record) in set.cameras.iter().zip(&log.log().frames[frame].images) {
+        let Some(map) = &maps.color else { continue };
+        let truth = truth(log, record)?;
+        if let Some(out) = out {
+            std::fs::create_dir_all(out)?;
+            let name = format!("{frame:06}-{}", log.log().cameras[record.channel]);
+            save(&out.join(format!("{name}-map.png")), map)?;
+            save(&out.join(format!("{name}-true.png")), &truth)?;
+        }
+        errors.push((record.channel, compare_filled(map, &truth)));
+    }
+    Ok(errors)
+}
+
+fn save(path: &std::path::Path, pixels: &[[u8; 3]]) -> anyhow::Result<()> {
+    Ok(image::save_buffer(
+        path,
+        bytemuck::cast_slice(pixels),
+        SIZE.width,
+        SIZE.height,
+        image::ColorType::Rgb8,
+    )?)
+}
+
+/// The image at [`SIZE`], reduced as PIL's BILINEAR does.
+fn truth(log: &dyn Dataset, record: &ImageRecord) -> anyhow::Result<Vec<[u8; 3]>> {
+    let image = log.read_image(record)?;
+    let from = ImageSize { height: image.height(), width: image.width() };
+    let pixels: Vec<[u8; 3]> = image.pixels().map(|p| p.0).collect();
+    Ok(reduce::pil_bilinear(&pixels, from, SIZE))
+}
+
+fn report(cameras: &[String], errors: &[(usize, FilledError)]) {
+    println!(
+        "{:<18} {:>6} {:>8} {:>8} {:>8} {:>8}",
+        "camera", "images", "PSNR dB", "mean", "median", "filled %"
+    );
+    for (channel, name) in cameras.iter().enumerate() {
+        let of: Vec<FilledError> = errors.iter().filter(|(c, _)| *c == channel).map(|(_, e)| *e).collect();
+        line(name, &of);
+    }
+    line("all", &errors.iter().map(|(_, e)| *e).collect::<Vec<_>>());
+}
+
+fn line(name: &str, errors: &[FilledError]) {
+    let mean = |f: fn(&FilledError) -> f64| errors.iter().map(f).sum::<f64>() / errors.len() as f64;
+    println!(
+        "{name:<18} {:>6} {:>8.2} {:>8.2} {:>8.2} {:>8.2}",
+        errors.len(),
+        mean(|e| e.psnr_db),
+        mean(|e| e.mean_abs),
+        mean(|e| e.median_abs),
+        100.0 * mean(|e| e.filled)
+    );
+}

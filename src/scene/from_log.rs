@@ -1,0 +1,92 @@
+use glam::DVec3;
+
+use super::{ActorState, SceneCamera, SceneState};
+use crate::dataset::{Frame, ImageRecord, Log, TrackBox};
+use crate::geometry::{Pose, View};
+
+/// Moves the ego in its own frame: metres forward and to the left, radians to the left.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct EgoOffset {
+    /// Metres.
+    pub x_m: f64,
+    /// Metres.
+    pub y_m: f64,
+    /// Radians.
+    pub yaw_rad: f64,
+}
+
+impl EgoOffset {
+    /// `ego_from_moved_ego`.
+    pub fn pose(&self) -> Pose {
+        Pose::from_yaw(self.yaw_rad, DVec3::new(self.x_m, self.y_m, 0.0))
+    }
+}
+
+/// The state of a log's frame: every camera at the ego pose of its own image, actors where their boxes are at the
+/// frame's time.
+pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<SceneState> {
+    let frame = log.frames.get(index)?;
+    let camera = |record: &ImageRecord| scene_camera(record, record.global_from_ego * offset.pose());
+    Some(SceneState {
+        name: format!("{index:06}"),
+        t_us: frame.t_us,
+        global_from_ego: frame.global_from_ego * offset.pose(),
+        cameras: frame.images.iter().map(camera).collect(),
+        actors: actors(log, &frame.boxes),
+    })
+}
+
+/// The state at any time within the log: all cameras share the ego pose at that instant, ego and actors are
+/// interpolated. `None` outside the log.
+pub fn state_at(log: &Log, t_us: i64, offset: EgoOffset) -> Option<SceneState> {
+    let global_from_ego = log.ego_at(t_us)? * offset.pose();
+    let nearest = log.frames.iter().min_by_key(|f| f.t_us.abs_diff(t_us))?;
+    let camera = |record: &ImageRecord| scene_camera(record, global_from_ego);
+    Some(SceneState {
+        name: t_us.to_string(),
+        t_us,
+        global_from_ego,
+        cameras: nearest.images.iter().map(camera).collect(),
+        actors: actors(log, &log.boxes_at(t_us)),
+    })
+}
+
+/// Replaces a state's cameras by cameras that stand in the global frame.
+pub fn with_cameras(mut state: SceneState, views: &[View]) -> SceneState {
+    let camera = |view: &View| SceneCamera {
+        view: view.clone(),
+        ego_from_camera: None,
+        global_from_ego: state.global_from_ego,
+    };
+    state.cameras = views.iter().map(camera).collect();
+    state
+}
+
+fn scene_camera(record: &ImageRecord, global_from_ego: Pose) -> SceneCamera {
+    let camera_from_world = (global_from_ego * record.ego_from_camera).inverse().affine();
+    SceneCamera {
+        view: View { camera: record.camera.clone(), camera_from_world },
+        ego_from_camera: Some(record.ego_from_camera),
+        global_from_ego,
+    }
+}
+
+fn actors(log: &Log, boxes: &[TrackBox]) -> Vec<ActorState> {
+    let actor = |item: &TrackBox| {
+        let track = &log.tracks[item.track];
+        ActorState {
+            track: track.id.clone(),
+            category: track.category.clone(),
+            class: track.class,
+            cuboid: item.cuboid,
+        }
+    };
+    boxes.iter().map(actor).collect()
+}
+
+/// Frames per second: from the median time between frames; `None` for a single frame.
+pub fn frame_rate_hz(frames: &[Frame]) -> Option<f64> {
+    let mut steps: Vec<i64> = frames.windows(2).map(|w| w[1].t_us - w[0].t_us).collect();
+    steps.sort_unstable();
+    steps.get(steps.len() / 2).filter(|dt| **dt > 0).map(|dt| 1e6 / *dt as f64)
+}

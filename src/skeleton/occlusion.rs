@@ -1,0 +1,163 @@
+//! What hides what in a camera image, from sparse points.
+//!
+//! # How it works
+//! Points are splatted as inverse depth (nearest wins) into a grid of [`CELL_PX`] pixels. LiDAR points are sparse,
+//! so the gaps between them are closed by a grey-scale closing (dilation, then erosion, both over
+//! `(2·CLOSE_CELLS + 1)²` cells): it fills what lies *between* nearer points without growing them beyond their
+//! outline, and leaves a plane as it is, since inverse depth is linear on planes. A point is hidden where it is
+//! clearly farther than the closed surface.
+
+use glam::DVec2;
+
+/// Side of a grid cell, image pixels.
+pub const CELL_PX: u32 = 4;
+/// Radius of the closing, cells.
+const CLOSE_CELLS: usize = 3;
+/// A point within this share of the surface's depth is on it.
+const RELATIVE_SLACK: f32 = 0.03;
+/// One cell of a road seen from 1.5 m above at 1000 px focal length spans this much inverse depth, 1/m.
+const CELL_SLACK: f32 = 0.0015;
+
+/// Nearest inverse depth per cell, 0 where nothing is.
+pub struct OcclusionGrid {
+    columns: usize,
+    rows: usize,
+    inverse_depth: Vec<f32>,
+}
+
+/// How a point sees a camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Sight {
+    /// Nothing in front.
+    Clear,
+    /// Nothing in front, but something nearer ends within a cell or two.
+    Edge,
+    /// Hidden.
+    Hidden,
+}
+
+impl OcclusionGrid {
+    /// An empty grid for an image of `width × height` pixels.
+    pub fn new(width: u32, height: u32) -> Self {
+        let (columns, rows) = (width.div_ceil(CELL_PX) as usize, height.div_ceil(CELL_PX) as usize);
+        Self { columns, rows, inverse_depth: vec![0.0; columns * rows] }
+    }
+
+    /// Adds a point that projects to `pixel` at a camera depth in metres.
+    pub fn add(&mut self, pixel: DVec2, depth_m: f64) {
+        if let Some(cell) = self.cell(pixel) {
+            let inverse = (1.0 / depth_m) as f32;
+            if inverse > self.inverse_depth[cell] {
+                self.inverse_depth[cell] = inverse;
+            }
+        }
+    }
+
+    fn cell(&self, pixel: DVec2) -> Option<usize> {
+        let (x, y) = (pixel.x / f64::from(CELL_PX), pixel.y / f64::from(CELL_PX));
+        let inside = x >= 0.0 && y >= 0.0 && x < self.columns as f64 && y < self.rows as f64;
+        inside.then(|| y as usize * self.columns + x as usize)
+    }
+
+    /// Closes the gaps between points.
+    pub fn close(self) -> OcclusionMap {
+        let (columns, rows) = (self.columns, self.rows);
+        let widened = filter(&self.inverse_depth, columns, CLOSE_CELLS, f32::max);
+        let surface = filter(&widened, columns, CLOSE_CELLS, f32::min);
+        let near = filter(&surface, columns, 1, f32::max);
+        OcclusionMap { grid: Self { columns, rows, inverse_depth: surface }, near }
+    }
+}
+
+/// A closed [`OcclusionGrid`].
+pub struct OcclusionMap {
+    grid: OcclusionGrid,
+    /// Nearest surface within a cell around.
+    near: Vec<f32>,
+}
+
+impl OcclusionMap {
+    /// How a point at `pixel` and a camera depth in metres is seen; `None` outside the image.
+    pub fn sight(&self, pixel: DVec2, depth_m: f64) -> Option<Sight> {
+        let cell = self.grid.cell(pixel)?;
+        let inverse = (1.0 / depth_m) as f32;
+        let hidden_by =
+            |surface: f32, cells: f32| inverse < surface * (1.0 - RELATIVE_SLACK) - CELL_SLACK * cells;
+        Some(if hidden_by(self.grid.inverse_depth[cell], 1.0) {
+            Sight::Hidden
+        } else if hidden_by(self.near[cell], 2.0) {
+            Sight::Edge
+        } else {
+            Sight::Clear
+        })
+    }
+}
+
+/// The extreme over a square of `(2·radius + 1)²` cells around each, along rows, then along columns.
+fn filter(cells: &[f32], columns: usize, radius: usize, pick: fn(f32, f32) -> f32) -> Vec<f32> {
+    let rows = cells.len() / columns.max(1);
+    let mut along_rows = cells.to_vec();
+    for (out, line) in along_rows.chunks_mut(columns).zip(cells.chunks(columns)) {
+        for shift in 1..=radius.min(columns.saturating_sub(1)) {
+            for x in shift..columns {
+                out[x] = pick(out[x], line[x - shift]);
+                out[x - shift] = pick(out[x - shift], line[x]);
+            }
+        }
+    }
+    let mut result = along_rows.clone();
+    for shift in 1..=radius.min(rows.saturating_sub(1)) {
+        let offset = shift * columns;
+        for i in offset..cells.len() {
+            result[i] = pick(result[i], along_rows[i - offset]);
+            result[i - offset] = pick(result[i - offset], along_rows[i]);
+        }
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wall at 10 m with a point every third cell, in columns 30 to 60 of 100.
+    fn wall() -> OcclusionMap {
+        let mut grid = OcclusionGrid::new(400, 400);
+        for row in (0..100).step_by(3) {
+            for column in (30..=60).step_by(3) {
+                grid.add(
+                    DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5) * f64::from(CELL_PX),
+                    10.0,
+                );
+            }
+        }
+        grid.close()
+    }
+
+    #[test]
+    fn a_sparse_wall_hides_what_is_behind_and_nothing_beside() {
+        let map = wall();
+        let at = |column: f64, depth| map.sight(DVec2::new(column + 0.5, 50.5) * f64::from(CELL_PX), depth);
+        for column in 30..=60 {
+            assert_eq!(at(f64::from(column), 20.0), Some(Sight::Hidden), "{column}");
+            assert_eq!(at(f64::from(column), 10.1), Some(Sight::Clear));
+            assert_eq!(at(f64::from(column), 5.0), Some(Sight::Clear));
+        }
+        assert_eq!([at(29.0, 20.0), at(61.0, 20.0)], [Some(Sight::Edge); 2]);
+        assert_eq!([at(27.0, 20.0), at(63.0, 20.0)], [Some(Sight::Clear); 2]);
+        assert_eq!([at(-1.0, 20.0), at(100.0, 20.0)], [None; 2]);
+    }
+
+    #[test]
+    fn a_road_does_not_hide_itself() {
+        let (focal, height) = (1000.0, 1.5);
+        let mut grid = OcclusionGrid::new(400, 800);
+        let road: Vec<f64> = (0..300).map(|i| 4.0 * 1.01_f64.powi(i)).filter(|z| *z < 60.0).collect();
+        let pixel = |z: f64| DVec2::new(200.0, 200.0 + focal * height / z);
+        road.iter().for_each(|&z| grid.add(pixel(z), z));
+        let map = grid.close();
+        for &z in &road {
+            assert_ne!(map.sight(pixel(z), z), Some(Sight::Hidden), "{z}");
+        }
+    }
+}
