@@ -173,9 +173,8 @@ impl Builder<'_> {
                 camera: record.camera.clone(),
                 camera_from_world: record.camera_from_global().affine(),
             };
-            let test = self.options.coloring == Coloring::BestView;
-            let occlusion = test.then(|| {
-                let mut grid = OcclusionGrid::new(record.camera.width, record.camera.height);
+            let occlusion = self.options.occlusion_test.then(|| {
+                let mut grid = OcclusionGrid::new(&record.camera);
                 clouds[near.clone()]
                     .iter()
                     .flatten()

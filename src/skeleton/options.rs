@@ -13,6 +13,8 @@ pub struct BuildOptions {
     pub coloring: Coloring,
     /// Frames before and after a point's own whose images may color it.
     pub color_window: usize,
+    /// Whether a view must pass the occlusion test.
+    pub occlusion_test: bool,
     /// Frames before and after an image's whose points may hide others in it.
     pub occlusion_window: usize,
     /// Also use the sweeps between annotated frames, with boxes in between.
@@ -37,6 +39,7 @@ impl Default for BuildOptions {
             split: SplitOptions::default(),
             coloring: Coloring::BestView,
             color_window: 8,
+            occlusion_test: true,
             occlusion_window: 4,
             between_sweeps: false,
         }
@@ -54,6 +57,13 @@ impl BuildOptions {
             every_lidar: true,
             ..SplitOptions::default()
         };
-        Self { voxel_m: 0.0, split, coloring: Coloring::EveryCamera, color_window: 0, ..Self::default() }
+        Self {
+            voxel_m: 0.0,
+            split,
+            coloring: Coloring::EveryCamera,
+            color_window: 0,
+            occlusion_test: false,
+            ..Self::default()
+        }
     }
 }
