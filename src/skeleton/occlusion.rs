@@ -12,7 +12,7 @@ use glam::DVec2;
 /// Side of a grid cell, image pixels.
 pub const CELL_PX: u32 = 4;
 /// Radius of the closing, cells.
-const CLOSE_CELLS: usize = 3;
+const CLOSE_CELLS: usize = 2;
 /// A point within this share of the surface's depth is on it.
 const RELATIVE_SLACK: f32 = 0.03;
 /// One cell of a road seen from 1.5 m above at 1000 px focal length spans this much inverse depth, 1/m.
@@ -23,17 +23,6 @@ pub struct OcclusionGrid {
     columns: usize,
     rows: usize,
     inverse_depth: Vec<f32>,
-}
-
-/// How a point sees a camera.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Sight {
-    /// Nothing in front.
-    Clear,
-    /// Nothing in front, but something nearer ends within a cell or two.
-    Edge,
-    /// Hidden.
-    Hidden,
 }
 
 impl OcclusionGrid {
@@ -64,32 +53,20 @@ impl OcclusionGrid {
         let (columns, rows) = (self.columns, self.rows);
         let widened = filter(&self.inverse_depth, columns, CLOSE_CELLS, f32::max);
         let surface = filter(&widened, columns, CLOSE_CELLS, f32::min);
-        let near = filter(&surface, columns, 1, f32::max);
-        OcclusionMap { grid: Self { columns, rows, inverse_depth: surface }, near }
+        OcclusionMap(Self { columns, rows, inverse_depth: surface })
     }
 }
 
 /// A closed [`OcclusionGrid`].
-pub struct OcclusionMap {
-    grid: OcclusionGrid,
-    /// Nearest surface within a cell around.
-    near: Vec<f32>,
-}
+pub struct OcclusionMap(OcclusionGrid);
 
 impl OcclusionMap {
-    /// How a point at `pixel` and a camera depth in metres is seen; `None` outside the image.
-    pub fn sight(&self, pixel: DVec2, depth_m: f64) -> Option<Sight> {
-        let cell = self.grid.cell(pixel)?;
-        let inverse = (1.0 / depth_m) as f32;
-        let hidden_by =
-            |surface: f32, cells: f32| inverse < surface * (1.0 - RELATIVE_SLACK) - CELL_SLACK * cells;
-        Some(if hidden_by(self.grid.inverse_depth[cell], 1.0) {
-            Sight::Hidden
-        } else if hidden_by(self.near[cell], 2.0) {
-            Sight::Edge
-        } else {
-            Sight::Clear
-        })
+    /// Whether something clearly nearer lies in front of a point at `pixel` and a camera depth in metres. Nothing
+    /// does outside the image.
+    pub fn hides(&self, pixel: DVec2, depth_m: f64) -> bool {
+        let Some(cell) = self.0.cell(pixel) else { return false };
+        let surface = self.0.inverse_depth[cell];
+        ((1.0 / depth_m) as f32) < surface * (1.0 - RELATIVE_SLACK) - CELL_SLACK
     }
 }
 
@@ -137,15 +114,13 @@ mod tests {
     #[test]
     fn a_sparse_wall_hides_what_is_behind_and_nothing_beside() {
         let map = wall();
-        let at = |column: f64, depth| map.sight(DVec2::new(column + 0.5, 50.5) * f64::from(CELL_PX), depth);
+        let hides =
+            |column: f64, depth| map.hides(DVec2::new(column + 0.5, 50.5) * f64::from(CELL_PX), depth);
         for column in 30..=60 {
-            assert_eq!(at(f64::from(column), 20.0), Some(Sight::Hidden), "{column}");
-            assert_eq!(at(f64::from(column), 10.1), Some(Sight::Clear));
-            assert_eq!(at(f64::from(column), 5.0), Some(Sight::Clear));
+            let column = f64::from(column);
+            assert_eq!([20.0, 10.1, 5.0].map(|z| hides(column, z)), [true, false, false], "{column}");
         }
-        assert_eq!([at(29.0, 20.0), at(61.0, 20.0)], [Some(Sight::Edge); 2]);
-        assert_eq!([at(27.0, 20.0), at(63.0, 20.0)], [Some(Sight::Clear); 2]);
-        assert_eq!([at(-1.0, 20.0), at(100.0, 20.0)], [None; 2]);
+        assert_eq!([-1.0, 29.0, 61.0, 100.0].map(|column| hides(column, 20.0)), [false; 4]);
     }
 
     #[test]
@@ -157,7 +132,7 @@ mod tests {
         road.iter().for_each(|&z| grid.add(pixel(z), z));
         let map = grid.close();
         for &z in &road {
-            assert_ne!(map.sight(pixel(z), z), Some(Sight::Hidden), "{z}");
+            assert!(!map.hides(pixel(z), z), "{z}");
         }
     }
 }

@@ -36,7 +36,7 @@ impl Default for BuildOptions {
             voxel_m: 0.01,
             split: SplitOptions::default(),
             coloring: Coloring::BestView,
-            color_window: 2,
+            color_window: 8,
             occlusion_window: 4,
             between_sweeps: false,
         }
@@ -47,7 +47,13 @@ impl BuildOptions {
     /// What existing scripts do, for comparison: color from every camera that sees a point, no occlusion test, all
     /// copies kept, boxes grown by 0.5 m.
     pub fn every_camera() -> Self {
-        let split = SplitOptions { margin_m: 0.5, ghost_window_s: [0.0; 2], ..SplitOptions::default() };
+        let split = SplitOptions {
+            margin_m: 0.5,
+            ghost_window_s: [0.0; 2],
+            ego_clearance_m: 0.0,
+            every_lidar: true,
+            ..SplitOptions::default()
+        };
         Self { voxel_m: 0.0, split, coloring: Coloring::EveryCamera, color_window: 0, ..Self::default() }
     }
 }
