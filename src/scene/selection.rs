@@ -21,7 +21,7 @@ pub enum TemplateFit {
 }
 
 /// Which cloud stands in for an actor.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SelectionOptions {
     /// Assets of more points than this serve as geometry; smaller ones give way to the category's template.
     pub min_actor_points: usize,
