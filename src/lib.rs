@@ -19,3 +19,8 @@ pub mod metrics;
 pub mod raster;
 pub mod scene;
 pub mod skeleton;
+
+/// Compiles the Rust blocks of `README.md`.
+#[doc = include_str!("../README.md")]
+#[cfg(doctest)]
+pub struct ReadmeDoctests;

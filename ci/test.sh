@@ -1,0 +1,66 @@
+#!/usr/bin/env bash
+# Checks everything: format, lints, documentation, tests, and the demo on a small street. The last line is
+# `N passed, N failed, N skipped`; a test is skipped where the recordings or fixtures it needs are not there
+# (PSKEL_SHARED, PSKEL_FIXTURES). Exits 1 on any failure.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+say() { echo "test: $*" >&2; }
+
+scratch=$(mktemp -d)
+trap 'rm -rf "$scratch"' EXIT
+
+# Runs a step, tells how long it took.
+step() {
+    local start=$SECONDS
+    say "$*"
+    "$@" || { say "failed after $((SECONDS - start)) s: $*"; return 1; }
+    say "done in $((SECONDS - start)) s"
+}
+
+# Sum of the numbers before a word (passed, failed, ignored) in the `test result:` lines.
+count() {
+    sed -nE "s/^test result: .* ([0-9]+) $1;.*/\1/p" "$scratch/tests.log" | awk '{ sum += $1 } END { print sum + 0 }'
+}
+
+run_tests() {
+    export PSKEL_SKIP_LOG="$scratch/skipped" RUST_BACKTRACE=1
+    # With one thread tests have no names, and skips are counted by name.
+    RUST_TEST_THREADS=$(nproc | awk '{ print ($1 < 2) ? 2 : $1 }')
+    export RUST_TEST_THREADS
+    : >"$PSKEL_SKIP_LOG"
+    # One command: unit tests, the suite, doc tests; builds the examples too.
+    cargo test --locked --no-fail-fast 2>&1 | tee "$scratch/tests.log"
+}
+
+run_demo() {
+    # The profile of the tests: nothing is compiled again.
+    PROFILE=dev OUT="$scratch/demo" STREET="--frames 4 --size 225x400" ci/demo.sh
+}
+
+step ci/setup.sh
+step cargo fmt --check
+step cargo clippy --all-targets --locked -- -D warnings
+RUSTDOCFLAGS=-Dwarnings step cargo doc --no-deps --locked
+status=0
+step run_tests || status=1
+passed=$(count passed)
+failed=$(count failed)
+ignored=$(count ignored)
+# A build that breaks or a test that kills its process has no line of its own.
+if [ "$status" -ne 0 ] && [ "$failed" -eq 0 ]; then
+    failed=1
+fi
+if [ "$status" -eq 0 ] && [ -e ci/demo.sh ]; then
+    step run_demo || status=1
+fi
+
+unshared=$(sort -u "$scratch/skipped" | wc -l)
+if [ "$unshared" -gt 0 ]; then
+    say "$unshared tests skipped for want of the shared data (set PSKEL_SHARED):"
+    sort -u "$scratch/skipped" | sed 's/^/test:   /' >&2
+fi
+say "$((passed + failed + ignored)) tests in $SECONDS s, $unshared of them skipped for want of the shared data"
+[ "$status" -eq 0 ] || say "FAILED"
+echo "$((passed - unshared)) passed, $failed failed, $((ignored + unshared)) skipped"
+exit "$status"
