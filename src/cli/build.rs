@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use super::numbers::{self, FrameRange};
 use super::progress::StageProgress;
-use super::{WrongUsage, info_skeleton, say};
+use super::{WrongUsage, info, say};
 use crate::cloud::{self, Bounds, Point};
 use crate::dataset::{self, LogLocator};
 use crate::error::FileError;
@@ -148,6 +148,6 @@ fn summary(built: &BuiltSkeleton) -> String {
         built.background.len(),
         built.actors.len(),
         built.templates.len(),
-        info_skeleton::dropped(report),
+        info::dropped(report),
     )
 }

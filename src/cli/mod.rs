@@ -7,8 +7,7 @@
 
 mod build;
 mod convert;
-#[allow(dead_code)] // what `info` prints of a skeleton
-mod info_skeleton;
+mod info;
 mod numbers;
 mod progress;
 mod rasterizer;
@@ -33,6 +32,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Info(info::InfoArgs),
     Build(build::BuildArgs),
     Render(Box<render::RenderArgs>),
     Splat(splat::SplatArgs),
@@ -42,6 +42,7 @@ enum Command {
 impl Command {
     fn run(self) -> anyhow::Result<()> {
         match self {
+            Self::Info(args) => info::run(args),
             Self::Build(args) => build::run(args),
             Self::Render(args) => render::run(*args),
             Self::Splat(args) => splat::run(args),

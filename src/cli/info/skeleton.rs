@@ -88,7 +88,7 @@ pub(super) fn text(skeleton: &Skeleton) -> String {
 }
 
 /// How many points were dropped, by reason.
-pub(super) fn dropped(report: &BuildReport) -> String {
+pub(in crate::cli) fn dropped(report: &BuildReport) -> String {
     let Ok(Value::Object(report)) = serde_json::to_value(report) else { return String::new() };
     let reasons = report.iter().filter_map(|(name, count)| Some((name.strip_prefix("dropped_")?, count)));
     reasons.map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")

@@ -1,0 +1,164 @@
+//! What a log holds, and which of its files are missing or damaged: sizes and headers, no pixel and no point.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+use std::path::Path;
+
+use glam::DVec3;
+use rayon::prelude::*;
+use serde_json::{Value, json};
+
+use crate::dataset::{Dataset, Frame, ImageRecord, Log, nuscenes, picture_size};
+use crate::error::FileError;
+use crate::scene::frame_rate_hz;
+
+/// All there is to tell, as JSON.
+pub(super) fn describe(dataset: &dyn Dataset) -> Value {
+    let log = dataset.log();
+    let (points, mut damaged) = sweeps(log);
+    damaged.extend(images(log));
+    let times = log.frames.first().zip(log.frames.last()).map(|(a, b)| [a.t_us, b.t_us]);
+    let boxes: usize = log.frames.iter().map(|f| f.boxes.len()).sum();
+    let empty = dataset.box_points().map(|counts| counts.iter().flatten().filter(|n| **n == 0).count());
+    json!({
+        "kind": "log",
+        "name": log.name,
+        "location": log.location,
+        "description": log.description,
+        "frames": log.frames.len(),
+        "t_us": times,
+        "seconds": times.map(|[a, b]| (b - a) as f64 * 1e-6),
+        "frame_rate_hz": frame_rate_hz(&log.frames),
+        "sweeps": log.frames.iter().map(|f| f.sweeps.len()).sum::<usize>(),
+        "points": points,
+        "cameras": cameras(log),
+        "tracks": log.tracks.len(),
+        "boxes": boxes,
+        "boxes_without_points": empty,
+        "categories": categories(log),
+        "ego": ego_path(log),
+        "left_out": log.notes,
+        "damaged": damaged,
+    })
+}
+
+/// Points in all sweeps by their sizes, and what is wrong with their files.
+fn sweeps(log: &Log) -> (u64, Vec<String>) {
+    let records: Vec<_> = log.frames.iter().flat_map(|f| &f.sweeps).collect();
+    let size = |path: &Path| {
+        let bytes = std::fs::metadata(path).map_err(FileError::io("read", path))?.len();
+        nuscenes::check_sweep_len(bytes, path)
+    };
+    let results: Vec<_> = records.par_iter().map(|record| size(&record.path)).collect();
+    let points = results.iter().flatten().sum();
+    (points, results.into_iter().filter_map(Result::err).map(|e| e.to_string()).collect())
+}
+
+fn images(log: &Log) -> Vec<String> {
+    let records: Vec<&ImageRecord> =
+        log.frames.iter().flat_map(|f| f.images.iter().chain(&f.between_images)).collect();
+    let check = |record: &&ImageRecord| {
+        let (height, width) = match picture_size(&record.path) {
+            Ok(size) => size,
+            Err(error) => return Some(error.to_string()),
+        };
+        let camera = &record.camera;
+        let expected = format!("an image of {}x{} pixels", camera.height, camera.width);
+        let wrong = (height, width) != (camera.height, camera.width);
+        wrong.then(|| FileError::content(expected, format!("{height}x{width}"), &record.path).to_string())
+    };
+    records.par_iter().filter_map(check).collect()
+}
+
+/// Per channel: size and focal length of its first image, and in how many frames it has one.
+fn cameras(log: &Log) -> Value {
+    let channel = |(index, name): (usize, &String)| {
+        let of = |frame: &Frame| frame.images.iter().filter(|i| i.channel == index).count();
+        let first = log.frames.iter().flat_map(|f| &f.images).find(|i| i.channel == index);
+        let camera = first.map(|record| &record.camera);
+        json!({
+            "name": name,
+            "size": camera.map(|c| format!("{}x{}", c.height, c.width)),
+            "focal_px": camera.map(|c| c.intrinsics.x_axis.x),
+            "images": log.frames.iter().map(of).sum::<usize>(),
+            "between_images": log.frames.iter().flat_map(|f| &f.between_images).filter(|i| i.channel == index).count(),
+        })
+    };
+    log.cameras.iter().enumerate().map(channel).collect()
+}
+
+/// Per category: tracks and boxes.
+fn categories(log: &Log) -> Value {
+    let mut tally: BTreeMap<&str, (BTreeSet<usize>, usize)> = BTreeMap::new();
+    for item in log.frames.iter().flat_map(|f| &f.boxes) {
+        let entry = tally.entry(&log.tracks[item.track].category).or_default();
+        entry.0.insert(item.track);
+        entry.1 += 1;
+    }
+    let entry = |(name, (tracks, boxes)): (&str, (BTreeSet<usize>, usize))| {
+        (name.to_owned(), json!({"tracks": tracks.len(), "boxes": boxes}))
+    };
+    tally.into_iter().map(entry).collect::<serde_json::Map<_, _>>().into()
+}
+
+/// Bounds and length of the path, global metres.
+fn ego_path(log: &Log) -> Value {
+    let places: Vec<DVec3> = log.frames.iter().map(|f| f.global_from_ego.translation).collect();
+    let (min, max) = (places.iter().copied().reduce(DVec3::min), places.iter().copied().reduce(DVec3::max));
+    let length: f64 = places.windows(2).map(|w| w[0].distance(w[1])).sum();
+    json!({"min": min.map(|v| v.to_array()), "max": max.map(|v| v.to_array()), "path_m": length})
+}
+
+/// The same for people, in lines.
+pub(super) fn text(json: &Value) -> String {
+    let mut lines = String::new();
+    // Writing to a string cannot fail.
+    let mut line = |name: &str, rest: String| {
+        let _ = writeln!(lines, "{name:<10} {rest}");
+    };
+    let plain = |key: &str| json[key].as_str().unwrap_or_default();
+    let number = |value: &Value| value.as_f64().map_or_else(|| "?".to_owned(), |v| format!("{v:.1}"));
+    line("log", format!("{} ({}) {}", plain("name"), plain("location"), plain("description")));
+    let (seconds, rate) = (number(&json["seconds"]), number(&json["frame_rate_hz"]));
+    line("frames", format!("{} over {seconds} s at {rate} Hz", json["frames"]));
+    line("sweeps", format!("{} with {} points", json["sweeps"], json["points"]));
+    for camera in json["cameras"].as_array().into_iter().flatten() {
+        let (name, size) = (camera["name"].as_str().unwrap_or("?"), camera["size"].as_str().unwrap_or("?"));
+        let focal = number(&camera["focal_px"]);
+        let (images, between) = (&camera["images"], &camera["between_images"]);
+        line(
+            "camera",
+            format!("{name:<18} {size} focal {focal} px, {images} images ({between} between frames)"),
+        );
+    }
+    let empty = &json["boxes_without_points"];
+    line("boxes", format!("{} of {} tracks, {empty} without points", json["boxes"], json["tracks"]));
+    for (name, tally) in json["categories"].as_object().into_iter().flatten() {
+        line("", format!("{name:<34} {} boxes of {} tracks", tally["boxes"], tally["tracks"]));
+    }
+    let ego = &json["ego"];
+    line(
+        "ego",
+        format!("{} m from {} to {}", number(&ego["path_m"]), corner(&ego["min"]), corner(&ego["max"])),
+    );
+    for (what, count) in json["left_out"].as_object().into_iter().flatten() {
+        line("left out", format!("{what}: {count}"));
+    }
+    let damaged = json["damaged"].as_array().map_or(0, Vec::len);
+    line("damaged", if damaged == 0 { "nothing".to_owned() } else { format!("{damaged} files") });
+    for problem in json["damaged"].as_array().into_iter().flatten() {
+        line("", problem.as_str().unwrap_or_default().to_owned());
+    }
+    lines
+}
+
+/// A corner of bounds, metres.
+fn corner(value: &Value) -> String {
+    let numbers: Vec<String> = value
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(|v| format!("{:.1}", v.as_f64().unwrap_or(f64::NAN)))
+        .collect();
+    format!("({})", numbers.join(", "))
+}

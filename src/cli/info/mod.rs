@@ -1,0 +1,70 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use clap::Args;
+use serde_json::Value;
+
+use super::say;
+use crate::dataset::{self, LogLocator};
+use crate::skeleton::Skeleton;
+
+mod file;
+mod log;
+mod skeleton;
+
+pub(super) use skeleton::dropped;
+
+/// Tell what a log, a skeleton or a file holds, and what of it is missing or damaged
+///
+/// Of a log the tables are read whole, of sweeps and images only sizes and headers.
+#[derive(Debug, Args)]
+pub(super) struct InfoArgs {
+    /// FORMAT:PATH[@VERSION][#SCENE], a skeleton's folder, or a file (.pcd.bin, .npy, .ply, .json cameras, JPEG, PNG)
+    #[arg(value_name = "LOG|SKELETON|FILE")]
+    target: String,
+    /// One JSON object rather than text
+    #[arg(long)]
+    json: bool,
+}
+
+/// Looks, prints. Damage that is found is told and is no error.
+pub(super) fn run(args: InfoArgs) -> anyhow::Result<()> {
+    let (json, text) = describe(&args.target)?;
+    if args.json {
+        say(&serde_json::to_string_pretty(&json)?);
+    } else {
+        say(text.trim_end());
+    }
+    Ok(())
+}
+
+fn describe(target: &str) -> anyhow::Result<(Value, String)> {
+    let path = PathBuf::from(target);
+    if Skeleton::is_at(&path) {
+        let skeleton = Skeleton::open(&path)?;
+        return Ok((skeleton::describe(&skeleton), skeleton::text(&skeleton)));
+    }
+    if path.is_file() {
+        let json = file::describe(&path)?;
+        return Ok((json.clone(), as_lines(&json)));
+    }
+    if target.contains(':') && !path.exists() {
+        let log = dataset::open(&target.parse::<LogLocator>()?)?;
+        let json = log::describe(log.as_ref());
+        return Ok((json.clone(), log::text(&json)));
+    }
+    bail!("expected a log, a skeleton's folder or a file, found {}: {target}", what_is_there(&path))
+}
+
+fn what_is_there(path: &Path) -> &'static str {
+    if path.is_dir() { "another folder" } else { "nothing" }
+}
+
+/// An object as aligned lines `key value`.
+fn as_lines(json: &Value) -> String {
+    let line = |(key, value): (&String, &Value)| match value {
+        Value::String(text) => format!("{key:<12} {text}\n"),
+        other => format!("{key:<12} {other}\n"),
+    };
+    json.as_object().map(|object| object.iter().map(line).collect()).unwrap_or_default()
+}
