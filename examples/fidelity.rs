@@ -11,7 +11,7 @@ use point_skeleton::dataset::{self, Dataset, ImageRecord, LogLocator};
 use point_skeleton::metrics::{FilledError, compare_filled};
 use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
 use point_skeleton::scene::{EgoOffset, SelectionOptions, Stage, state_of_frame};
-use point_skeleton::skeleton::{self, BuildOptions, Coloring, Skeleton};
+use point_skeleton::skeleton::{self, BuildOptions, Coloring, Skeleton, SplitOptions};
 
 /// Builds from every other frame, renders the frames in between, compares with the true images.
 #[derive(Parser)]
@@ -30,9 +30,15 @@ struct Args {
     /// Also writes map and truth of each camera here.
     #[arg(long)]
     out: Option<PathBuf>,
-    /// JSON of options to try.
+    /// Frames before and after a point's own whose images may color it.
     #[arg(long)]
-    options: Option<String>,
+    color_window: Option<usize>,
+    /// Do not ask whether something hides a point from a camera.
+    #[arg(long)]
+    no_occlusion: bool,
+    /// Keep what moving actors leave behind, the ego's own returns, and every LiDAR on moving actors.
+    #[arg(long)]
+    keep_ghosts: bool,
 }
 
 const SIZE: ImageSize = ImageSize { height: 900, width: 1600 };
@@ -43,13 +49,7 @@ fn main() -> anyhow::Result<()> {
     let log = log.as_ref();
     let frames = log.log().frames.len();
     let kept: Vec<usize> = (0..frames).step_by(2).collect();
-    let mut options = match args.way {
-        Coloring::BestView => BuildOptions::default(),
-        Coloring::EveryCamera => BuildOptions::every_camera(),
-    };
-    if let Some(text) = &args.options {
-        options = serde_json::from_str(text)?;
-    }
+    let options = build_options(&args);
     let start = std::time::Instant::now();
     let built = skeleton::build(log, &kept, &options, &())?;
     let folder = tempfile::tempdir()?;
@@ -69,6 +69,20 @@ fn main() -> anyhow::Result<()> {
     }
     report(&log.log().cameras, &errors);
     Ok(())
+}
+
+fn build_options(args: &Args) -> BuildOptions {
+    let mut options = match args.way {
+        Coloring::BestView => BuildOptions::default(),
+        Coloring::EveryCamera => BuildOptions::every_camera(),
+    };
+    options.color_window = args.color_window.unwrap_or(options.color_window);
+    options.occlusion_test &= !args.no_occlusion;
+    if args.keep_ghosts {
+        let theirs = BuildOptions::every_camera().split;
+        options.split = SplitOptions { margin_m: options.split.margin_m, ..theirs };
+    }
+    options
 }
 
 fn compare_frame(

@@ -74,6 +74,38 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), File
     })
 }
 
+/// Writes a whole folder under a temporary name beside `path`, then renames it: nothing half-written is ever seen
+/// under the final name. `fill` gets the temporary folder. An older folder at `path` is replaced if it holds a file
+/// named `marker`, which tells that it is one of ours.
+///
+/// # Errors
+/// Whatever `fill` returns, something else at `path`, or the system; the temporary folder is gone then.
+pub fn write_whole_folder<E: From<FileError>>(
+    path: &Path,
+    marker: &str,
+    fill: impl FnOnce(&Path) -> Result<(), E>,
+) -> Result<(), E> {
+    let older = path.exists();
+    if older && !path.join(marker).is_file() {
+        let expected = format!("no such folder yet, or an older one with {marker}");
+        return Err(FileError::content(expected, "other content", path).into());
+    }
+    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(parent).map_err(FileError::io("create", parent))?;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".pskel-");
+    let beside = builder.tempdir_in(parent).map_err(FileError::io("create a folder in", parent))?;
+    let new = beside.path().join("new");
+    // A folder within the temporary one gets the mode of plain folders.
+    std::fs::create_dir(&new).map_err(FileError::io("create", &new))?;
+    fill(&new)?;
+    if older {
+        std::fs::rename(path, beside.path().join("old")).map_err(FileError::io("replace", path))?;
+    }
+    std::fs::rename(&new, path).map_err(FileError::io("rename to", path))?;
+    Ok(())
+}
+
 /// What a plain created file gets (the umask applies), not the private mode of temporary files.
 fn permissions() -> std::fs::Permissions {
     use std::os::unix::fs::PermissionsExt;
@@ -95,5 +127,24 @@ mod tests {
         });
         assert!(result.is_err());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn folders_replace_their_own_kind_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        let write = |text: &str| {
+            write_whole_folder(&path, "mark", |new| {
+                std::fs::write(new.join("mark"), text).map_err(FileError::io("write", new))?;
+                if text == "bad" { Err(FileError::content("more", "less", new)) } else { Ok(()) }
+            })
+        };
+        write("one").unwrap();
+        write("two").unwrap();
+        assert!(write("bad").is_err());
+        assert_eq!(std::fs::read(path.join("mark")).unwrap(), b"two");
+        std::fs::remove_file(path.join("mark")).unwrap();
+        assert!(write("three").unwrap_err().to_string().contains("an older one with mark"));
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }

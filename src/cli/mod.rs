@@ -5,8 +5,14 @@
 //! Progress and errors go to stderr, the summary line to stdout.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod build;
+mod convert;
+#[allow(dead_code)] // what `info` prints of a skeleton
+mod info_skeleton;
+mod numbers;
 mod progress;
 mod rasterizer;
+mod render;
 mod splat;
 
 use std::ffi::OsString;
@@ -27,13 +33,19 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Build(build::BuildArgs),
+    Render(Box<render::RenderArgs>),
     Splat(splat::SplatArgs),
+    Convert(convert::ConvertArgs),
 }
 
 impl Command {
     fn run(self) -> anyhow::Result<()> {
         match self {
+            Self::Build(args) => build::run(args),
+            Self::Render(args) => render::run(*args),
             Self::Splat(args) => splat::run(args),
+            Self::Convert(args) => convert::run(args),
         }
     }
 }
@@ -52,10 +64,15 @@ pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {}", with_causes(&error));
-            ExitCode::FAILURE
+            if error.is::<WrongUsage>() { ExitCode::from(2) } else { ExitCode::FAILURE }
         }
     }
 }
+
+/// Options that do not go together, in ways that the parser cannot tell.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct WrongUsage(String);
 
 /// Makes a write beyond the allowed file size an error of that write, which names the file and cleans up, rather than
 /// the death of the process.

@@ -1,8 +1,14 @@
 use std::io::IsTerminal;
+use std::sync::Mutex;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Progress on stderr: a bar on a terminal, else a line per step.
+use crate::skeleton;
+
+/// So many lines a stage gets at most where there is no terminal: logs of long runs stay readable.
+const LINES: u64 = 10;
+
+/// Progress of a stage on stderr: a bar on a terminal, else lines.
 pub(super) struct Progress {
     bar: Option<ProgressBar>,
     done: u64,
@@ -28,8 +34,15 @@ impl Progress {
                 bar.set_message(name.to_owned());
                 bar.inc(1);
             }
-            None => eprintln!("[{}/{}] {name}", self.done, self.total),
+            None if self.is_worth_a_line() => eprintln!("[{}/{}] {name}", self.done, self.total),
+            None => {}
         }
+    }
+
+    /// Every step of a short stage; each tenth part of a long one.
+    fn is_worth_a_line(&self) -> bool {
+        let part = |done: u64| done * LINES / self.total.max(LINES);
+        self.total <= LINES || part(self.done) > part(self.done - 1)
     }
 }
 
@@ -38,6 +51,49 @@ impl Drop for Progress {
     fn drop(&mut self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
+        }
+    }
+}
+
+/// Progress of a work of several stages, heard from any thread.
+#[derive(Default)]
+pub(super) struct StageProgress(Mutex<Option<(String, Progress)>>);
+
+impl StageProgress {
+    fn change(&self, change: impl FnOnce(&mut Option<(String, Progress)>)) {
+        change(&mut self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+    }
+}
+
+impl skeleton::Progress for StageProgress {
+    fn start(&self, stage: &str, steps: usize) {
+        self.change(|current| *current = Some((stage.to_owned(), Progress::new(steps))));
+    }
+
+    fn step(&self) {
+        self.change(|current| {
+            if let Some((stage, progress)) = current {
+                progress.step(stage);
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_stages_get_few_lines_and_always_the_last() {
+        for total in [1, 7, 10, 11, 38, 1000] {
+            let mut progress = Progress { bar: None, done: 0, total };
+            let mut lines = 0;
+            for _ in 0..total {
+                progress.done += 1;
+                lines += u64::from(progress.is_worth_a_line());
+            }
+            assert!(progress.is_worth_a_line(), "{total}");
+            assert_eq!(lines, total.min(LINES), "{total}");
         }
     }
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image};
 use exr::prelude::{SmallVec, WritableImage};
+use rayon::prelude::*;
 
 use super::{CameraConditions, ConditionSet, EMPTY_DEPTH_M, ImageSize, MapKind};
 use crate::error::{FileError, write_whole};
@@ -16,7 +17,7 @@ type Channels = SmallVec<[AnyChannel<FlatSamples>; 4]>;
 /// # Errors
 /// The system's, at writing.
 pub fn write(folder: &Path, set: &ConditionSet) -> Result<(), FileError> {
-    for camera in &set.cameras {
+    set.cameras.par_iter().try_for_each(|camera| {
         let folder = folder.join(&camera.name);
         std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
         for kind in MapKind::ALL {
@@ -24,8 +25,8 @@ pub fn write(folder: &Path, set: &ConditionSet) -> Result<(), FileError> {
                 encode(&folder.join(format!("{}.exr", kind.name())), channels, camera.size())?;
             }
         }
-    }
-    Ok(())
+        Ok(())
+    })
 }
 
 /// `None` where the camera has no such map.

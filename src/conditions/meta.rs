@@ -133,11 +133,11 @@ pub fn ring_neighbours(cameras: &[SceneCamera]) -> Vec<[usize; 3]> {
     neighbours
 }
 
-/// `index.json`.
+/// `index.json`. The options are [`ConditionOptions`], or whatever else is to be told with them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Index {
+pub struct Index<O = ConditionOptions> {
     /// How the maps were made.
-    pub options: ConditionOptions,
+    pub options: O,
     /// In the order they were rendered.
     pub frames: Vec<IndexFrame>,
 }
@@ -189,7 +189,7 @@ impl IndexFrame {
     }
 }
 
-impl Index {
+impl<O: Serialize> Index<O> {
     /// Writes `index.json`.
     ///
     /// # Errors

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageError};
+use rayon::prelude::*;
 
 use super::{CameraConditions, ConditionError, ConditionSet, DepthBins, ImageSize, MapKind};
 use crate::error::{FileError, write_whole};
@@ -14,14 +15,12 @@ use crate::error::{FileError, write_whole};
 /// # Errors
 /// The system's at writing; numbers over 65535 in instance or point maps.
 pub fn write(folder: &Path, set: &ConditionSet, bins: &DepthBins) -> Result<(), ConditionError> {
-    for camera in &set.cameras {
+    set.cameras.par_iter().try_for_each(|camera| {
         let folder = folder.join(&camera.name);
         std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
-        for kind in MapKind::ALL {
-            write_map(&folder.join(format!("{}.png", kind.name())), camera, kind, bins)?;
-        }
-    }
-    Ok(())
+        let mut kinds = MapKind::ALL.into_iter();
+        kinds.try_for_each(|kind| write_map(&folder.join(format!("{}.png", kind.name())), camera, kind, bins))
+    })
 }
 
 /// Nothing happens where the camera has no such map.

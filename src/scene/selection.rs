@@ -21,7 +21,7 @@ pub enum TemplateFit {
 }
 
 /// Which cloud stands in for an actor.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SelectionOptions {
     /// Assets of more points than this serve as geometry; smaller ones give way to the category's template.
     pub min_actor_points: usize,
@@ -121,4 +121,113 @@ fn fit(how: TemplateFit, bounds: &Bounds, size: DVec3) -> DAffine3 {
     let extent = (max - min).max(DVec3::splat(1e-3));
     let scale = size / extent;
     DAffine3::from_scale(scale) * DAffine3::from_translation(-(min + max) / 2.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Class;
+    use crate::geometry::{Cuboid, Pose};
+    use crate::skeleton::{Asset, BuiltSkeleton, Chunk, Template};
+
+    fn cube(count: usize) -> (Vec<Point>, Bounds) {
+        let corner = |i: usize| [0.0, 1.0, 2.0].map(|_: f32| if i % 2 == 0 { -1.0 } else { 1.0 });
+        let points: Vec<Point> = (0..count).map(|i| Point::new(corner(i), [9; 3], 1)).collect();
+        let bounds = Bounds::of(&points).unwrap();
+        (points, bounds)
+    }
+
+    /// Background of one chunk; car "big" with 30 points, car "small" with 10, truck "truck" with 10; a template of
+    /// sedans and one of pedestrians.
+    fn skeleton(folder: &std::path::Path) -> Skeleton {
+        let asset = |track: &str, category: &str, count: usize| {
+            let (points, bounds) = cube(count);
+            let class = Class::from_category(category);
+            let (track, category) = (track.to_owned(), category.to_owned());
+            (Asset { track, category, class, size: [2.0; 3], sweeps: 1, points: count, bounds }, points)
+        };
+        let template = |kind: TemplateKind| {
+            let (points, bounds) = cube(4);
+            (Template { kind, class: kind.class(), size: [2.0; 3], points: 4, bounds }, points)
+        };
+        let (points, bounds) = cube(2);
+        let built = BuiltSkeleton {
+            background: vec![(Chunk { origin: [100.0, 200.0, 0.0], points: 2, bounds }, points)],
+            actors: vec![
+                asset("big", "vehicle.car", 30),
+                asset("small", "vehicle.car", 10),
+                asset("truck", "vehicle.truck", 10),
+            ],
+            templates: vec![template(TemplateKind::Sedan), template(TemplateKind::Pedestrian)],
+            ..BuiltSkeleton::default()
+        };
+        built.write(folder).unwrap();
+        Skeleton::open(folder).unwrap()
+    }
+
+    fn actor(track: &str, category: &str) -> ActorState {
+        let cuboid = Cuboid::new(Pose::from_yaw(0.0, DVec3::new(5.0, 0.0, 0.0)), DVec3::new(4.0, 2.0, 1.5));
+        let (track, category) = (track.to_owned(), category.to_owned());
+        ActorState { track, class: Class::from_category(&category), category, cuboid: cuboid.unwrap() }
+    }
+
+    /// Ids of the clouds that show one actor: color, geometry. 0 background, 1 to 3 assets, 4 and 5 templates.
+    fn shown(stage: &Stage<'_>, actor: ActorState, options: &SelectionOptions) -> [Option<usize>; 2] {
+        let (color, geometry) = stage.actor_instances(&actor, 1, options);
+        [color, geometry].map(|instance| instance.map(|i| i.cloud))
+    }
+
+    #[test]
+    fn the_table_of_two_clouds() {
+        let folder = tempfile::tempdir().unwrap();
+        let skeleton = skeleton(&folder.path().join("s"));
+        let stage = Stage::new(&skeleton);
+        let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
+        let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
+        assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(1)]);
+        assert_eq!(shown("small", "vehicle.car"), [Some(2), Some(4)]);
+        assert_eq!(shown("new", "vehicle.car"), [None, Some(4)]);
+        assert_eq!(shown("new", "human.pedestrian.adult"), [None, Some(5)]);
+        assert_eq!(shown("truck", "vehicle.truck"), [Some(3), Some(3)]);
+        assert_eq!(shown("new", "vehicle.truck"), [None, None]);
+        assert_eq!(shown("new", "movable_object.barrier"), [None, None]);
+    }
+
+    #[test]
+    fn a_template_fills_the_box() {
+        let folder = tempfile::tempdir().unwrap();
+        let skeleton = skeleton(&folder.path().join("s"));
+        let stage = Stage::new(&skeleton);
+        let corner = |template_fit| {
+            let options = SelectionOptions { template_fit, ..SelectionOptions::default() };
+            let (_, geometry) = stage.actor_instances(&actor("new", "vehicle.car"), 1, &options);
+            geometry.unwrap().world_from_local.transform_point3(DVec3::ONE)
+        };
+        assert!((corner(TemplateFit::Box) - DVec3::new(7.0, 1.0, 0.75)).length() < 1e-12);
+        assert!((corner(TemplateFit::None) - DVec3::new(6.0, 1.0, 1.0)).length() < 1e-12);
+    }
+
+    #[test]
+    fn numbers_follow_the_actor_list() {
+        let folder = tempfile::tempdir().unwrap();
+        let skeleton = skeleton(&folder.path().join("s"));
+        let state = SceneState {
+            name: "000000".into(),
+            t_us: 0,
+            global_from_ego: Pose::IDENTITY,
+            cameras: Vec::new(),
+            actors: vec![
+                actor("big", "vehicle.car"),
+                actor("new", "vehicle.car"),
+                actor("small", "vehicle.car"),
+            ],
+        };
+        let options = SelectionOptions { min_actor_points: 20, ..SelectionOptions::default() };
+        let both = Stage::new(&skeleton).instances(&state, &options);
+        let list = |instances: &[Instance]| instances.iter().map(|i| (i.cloud, i.number)).collect::<Vec<_>>();
+        assert_eq!(list(&both.color), [(0, 0), (1, 1), (2, 3)]);
+        assert_eq!(list(&both.geometry), [(0, 0), (1, 1), (4, 2), (4, 3)]);
+        assert_eq!(both.color[0].world_from_local.translation, DVec3::new(100.0, 200.0, 0.0));
+        assert_eq!(Stage::clouds(&skeleton).len(), 6);
+    }
 }

@@ -1,14 +1,16 @@
 use std::cell::Cell;
 use std::collections::{BTreeMap, VecDeque};
 
-use glam::{DAffine3, DVec3};
+use glam::DAffine3;
 use rayon::prelude::*;
 
 use super::chunks::{chunks_from_points, point_from_colored};
+use super::colorize::agreed_color;
 use super::manifest::{Asset, BuildReport, Source};
+use super::sweep::SweepCloud;
 use super::{
-    BuildOptions, BuiltSkeleton, Candidate, ColorView, ColoredPoint, Coloring, OcclusionGrid, Part,
-    Projector, Splitter, Trajectories, merge_voxels,
+    BuildOptions, BuiltSkeleton, Candidate, ColorView, ColoredPoint, Coloring, OcclusionGrid, Projector,
+    Splitter, Trajectories, merge_voxels,
 };
 use crate::cloud::{Bounds, Point};
 use crate::dataset::{Dataset, DatasetError, Frame, ImageRecord, Log, SweepRecord, TrackBox};
@@ -81,9 +83,6 @@ pub fn build(
     builder.finish(clouds, report)
 }
 
-/// Color of the points of a log without images.
-const GREY: [u8; 3] = [128; 3];
-
 struct Builder<'a> {
     dataset: &'a dyn Dataset,
     log: &'a Log,
@@ -91,37 +90,6 @@ struct Builder<'a> {
     trajectories: Trajectories,
     options: &'a BuildOptions,
     progress: &'a dyn Progress,
-}
-
-/// A sweep, split.
-#[derive(Default)]
-struct SweepCloud {
-    t_us: i64,
-    /// Global.
-    background: Vec<Candidate>,
-    /// Box frame, by track.
-    actors: BTreeMap<usize, Vec<Candidate>>,
-    read: usize,
-    not_finite: usize,
-    ghosts: usize,
-}
-
-impl SweepCloud {
-    fn parts(&self) -> impl Iterator<Item = (Option<usize>, &Vec<Candidate>)> {
-        let actors = self.actors.iter().map(|(track, points)| (Some(*track), points));
-        std::iter::once((None, &self.background)).chain(actors)
-    }
-
-    fn parts_mut(&mut self) -> impl Iterator<Item = (Option<usize>, &mut Vec<Candidate>)> {
-        let actors = self.actors.iter_mut().map(|(track, points)| (Some(*track), points));
-        std::iter::once((None, &mut self.background)).chain(actors)
-    }
-
-    fn make_grey(&mut self) {
-        for (_, points) in self.parts_mut() {
-            points.iter_mut().for_each(|p| (p.rgb, p.cost) = (GREY, 0.0));
-        }
-    }
 }
 
 /// The sweeps of each frame.
@@ -146,6 +114,7 @@ impl Builder<'_> {
             report.points_read += cloud.read;
             report.dropped_not_finite += cloud.not_finite;
             report.dropped_ghost += cloud.ghosts;
+            report.dropped_ego += cloud.ego;
             clouds[i].push(cloud);
         }
         Ok((clouds, report))
@@ -155,24 +124,7 @@ impl Builder<'_> {
         let sweep = self.dataset.read_sweep(record)?;
         let boxes = self.boxes_at(frame, record.t_us);
         let splitter = Splitter::new(&boxes, &self.trajectories, record.t_us, &self.options.split);
-        let global_from_lidar = record.global_from_ego * record.ego_from_lidar;
-        let mut cloud = SweepCloud {
-            t_us: record.t_us,
-            read: sweep.points.len() + sweep.dropped_non_finite,
-            not_finite: sweep.dropped_non_finite,
-            ..SweepCloud::default()
-        };
-        for point in &sweep.points {
-            let global = global_from_lidar.transform_point(DVec3::from(point.position.map(f64::from)));
-            match splitter.part(global) {
-                Part::Background => cloud.background.push(Candidate::new(global)),
-                Part::Actor { track, local } => {
-                    cloud.actors.entry(track).or_default().push(Candidate::new(local))
-                }
-                Part::Ghost => cloud.ghosts += 1,
-            }
-        }
-        Ok(cloud)
+        Ok(SweepCloud::split(&sweep, record, &splitter, &self.options.split))
     }
 
     /// The boxes of a frame, or those in between for a sweep at another time.
@@ -221,9 +173,8 @@ impl Builder<'_> {
                 camera: record.camera.clone(),
                 camera_from_world: record.camera_from_global().affine(),
             };
-            let test = self.options.coloring == Coloring::BestView;
-            let occlusion = test.then(|| {
-                let mut grid = OcclusionGrid::new(record.camera.width, record.camera.height);
+            let occlusion = self.options.occlusion_test.then(|| {
+                let mut grid = OcclusionGrid::new(&record.camera);
                 clouds[near.clone()]
                     .iter()
                     .flatten()
@@ -262,13 +213,13 @@ impl Builder<'_> {
                     self.copy_for_every_view(&views, track, t_us, points);
                     continue;
                 }
-                let placed: Vec<(&ColorView, DAffine3)> =
-                    views.iter().filter_map(|v| self.place(track, v.t_us).map(|place| (*v, place))).collect();
-                points.par_chunks_mut(POINTS_PER_JOB).for_each(|job| {
-                    for (view, place) in &placed {
-                        view.offer(job, place, (view.t_us - t_us) as f64 * 1e-6);
-                    }
-                });
+                let placed: Vec<(&ColorView, Projector, f64)> = (views.iter())
+                    .filter_map(|view| {
+                        let project = Projector::new(&view.view, &self.place(track, view.t_us)?);
+                        Some((*view, project, (view.t_us - t_us) as f64 * 1e-6))
+                    })
+                    .collect();
+                points.par_chunks_mut(POINTS_PER_JOB).for_each(|job| color_job(job, &placed));
             }
         }
     }
@@ -288,7 +239,7 @@ impl Builder<'_> {
             for point in points.iter() {
                 let Some((pixel, _)) = project.pixel(point.position) else { continue };
                 let rgb = view.image.get_pixel(pixel.x as u32, pixel.y as u32).0;
-                copies.push(Candidate { rgb, cost: 0.0, ..*point });
+                copies.push(Candidate { rgb: Some(rgb), ..*point });
             }
         }
         *points = copies;
@@ -298,11 +249,9 @@ impl Builder<'_> {
         self.progress.start("merge points", 2);
         let uncolored = Cell::new(0_usize);
         let colored = |point: &Candidate| {
-            if point.cost.is_finite() {
-                return Some(ColoredPoint { position: point.position, rgb: point.rgb });
-            }
-            uncolored.set(uncolored.get() + 1);
-            None
+            let colored = point.rgb.map(|rgb| ColoredPoint { position: point.position, rgb });
+            uncolored.set(uncolored.get() + usize::from(colored.is_none()));
+            colored
         };
         let mut tracks: BTreeMap<usize, (usize, Vec<ColoredPoint>)> = BTreeMap::new();
         let mut background = Vec::new();
@@ -363,6 +312,18 @@ impl Builder<'_> {
             frames: self.frames.len(),
             t_us: [time(self.frames.first()), time(self.frames.last())],
         }
+    }
+}
+
+/// Colors points from views, each with its projection and its time from the points' sweep in seconds.
+fn color_job(points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) {
+    let mut looks = Vec::with_capacity(views.len());
+    for point in points {
+        looks.clear();
+        looks.extend(
+            views.iter().filter_map(|(view, project, dt_s)| view.look(project, point.position, *dt_s)),
+        );
+        point.rgb = agreed_color(&looks);
     }
 }
 

@@ -2,14 +2,16 @@
 //!
 //! # How it works
 //! Every image whose frame is within a window around a point's own frame is a candidate. The point is projected
-//! into it at the image's own time (a point of an actor moves with its box), tested against the image's
-//! [`OcclusionMap`], and the view with the lowest cost gives the color: the mean over the pixels that the point will
-//! cover when it is splatted.
+//! into it at the image's own time (a point of an actor moves with its box) and tested against the image's
+//! [`OcclusionMap`]. Each view that passes has a [`Look`]: the mean over the pixels that the point will cover when it is
+//! splatted, and a weight that falls with distance and time. The best view is the one that the others agree with
+//! most (the weighted medoid of the colors): what a wrong occlusion, a passing car or the sky behind a twig shows in
+//! one image is outvoted by the others.
 
 use glam::{DAffine3, DVec2, DVec3};
 use image::RgbImage;
 
-use super::{OcclusionMap, Sight};
+use super::OcclusionMap;
 use crate::geometry::View;
 
 /// A point that looks for its color.
@@ -17,17 +19,8 @@ use crate::geometry::View;
 pub struct Candidate {
     /// Metres: global for the background, box frame for actors.
     pub position: DVec3,
-    /// The best color so far.
-    pub rgb: [u8; 3],
-    /// Cost of the view it came from; infinite without a color.
-    pub cost: f32,
-}
-
-impl Candidate {
-    /// Without a color yet.
-    pub fn new(position: DVec3) -> Self {
-        Self { position, rgb: [0; 3], cost: f32::INFINITY }
-    }
+    /// Its color, once it has one.
+    pub rgb: Option<[u8; 3]>,
 }
 
 /// An image with what it takes to color points from it.
@@ -42,51 +35,67 @@ pub struct ColorView {
     pub occlusion: Option<OcclusionMap>,
 }
 
-/// Depths, metres, up to which a color is the mean over a square of so many pixels to each side.
-const FOOTPRINTS: [(f64, i64); 2] = [(15.0, 2), (35.0, 1)];
-/// Seeing an edge costs as much as this factor of distance.
-const EDGE_COST: f32 = 4.0;
+/// How one view shows a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Color.
+    pub rgb: [u8; 3],
+    /// How much the view counts: larger for near ones, in space and time.
+    pub weight: f32,
+}
+
+/// Depths, metres, up to which a color is the mean over a square of so many pixels to each side: what a splat of
+/// the default schedule covers in an image of 1600 to 1920 pixels.
+const FOOTPRINTS: [(f64, i64); 2] = [(15.0, 3), (35.0, 2)];
+/// The same beyond.
+const FAR_FOOTPRINT: i64 = 1;
+/// A second between sweep and image weighs like this share of distance.
+const TIME_WEIGHT: f64 = 0.3;
 
 impl ColorView {
-    /// The cost of the view that a point at `pixel` and a camera depth has, lower is better; `None` where it is not
-    /// seen. `dt_s` is the time between the point's sweep and the image.
-    pub fn cost(&self, pixel: DVec2, depth_m: f64, dt_s: f64) -> Option<f32> {
-        let distance = depth_m as f32 * (1.0 + dt_s.abs() as f32);
-        match self.occlusion.as_ref().map_or(Some(Sight::Clear), |map| map.sight(pixel, depth_m))? {
-            Sight::Clear => Some(distance),
-            Sight::Edge => Some(distance * EDGE_COST),
-            Sight::Hidden => None,
+    /// How this view shows a point at local metres; `None` outside the image and where the point is hidden.
+    /// `dt_s` is the time between the point's sweep and the image.
+    pub fn look(&self, project: &Projector, position: DVec3, dt_s: f64) -> Option<Look> {
+        let (pixel, depth_m) = project.pixel(position)?;
+        if self.occlusion.as_ref().is_some_and(|map| map.hides(pixel, depth_m)) {
+            return None;
         }
-    }
-
-    /// Offers this image to points; `global_from_local` places them at the image's time.
-    pub fn offer(&self, points: &mut [Candidate], global_from_local: &DAffine3, dt_s: f64) {
-        let project = Projector::new(&self.view, global_from_local);
-        for point in points {
-            let Some((pixel, depth_m)) = project.pixel(point.position) else { continue };
-            let Some(cost) = self.cost(pixel, depth_m, dt_s) else { continue };
-            if cost < point.cost {
-                point.cost = cost;
-                point.rgb = self.mean_color(pixel, depth_m);
-            }
-        }
+        let weight = 1.0 / (depth_m * (1.0 + TIME_WEIGHT * dt_s.abs()));
+        Some(Look { rgb: self.mean_color(pixel, depth_m), weight: weight as f32 })
     }
 
     /// The mean color over the pixels that a splat at this depth covers.
     fn mean_color(&self, pixel: DVec2, depth_m: f64) -> [u8; 3] {
-        let r = FOOTPRINTS.iter().find(|(z, _)| depth_m <= *z).map_or(0, |(_, r)| *r);
-        let (x, y) = (pixel.x as i64, pixel.y as i64);
-        let range = |c: i64, side: u32| (c - r).max(0) as u32..(c + r + 1).min(i64::from(side)) as u32;
+        let r = FOOTPRINTS.iter().find(|(z, _)| depth_m <= *z).map_or(FAR_FOOTPRINT, |(_, r)| *r);
+        let range = |c: f64, side: u32| {
+            let c = c as i64;
+            (c - r).max(0) as usize..(c + r + 1).min(i64::from(side)) as usize
+        };
+        let columns = range(pixel.x, self.image.width());
+        let width = self.image.width() as usize;
         let (mut sum, mut count) = ([0_u32; 3], 0);
-        for row in range(y, self.image.height()) {
-            for column in range(x, self.image.width()) {
-                let rgb = self.image.get_pixel(column, row).0;
+        for row in range(pixel.y, self.image.height()) {
+            let line =
+                &self.image.as_raw()[(row * width + columns.start) * 3..(row * width + columns.end) * 3];
+            for rgb in line.chunks_exact(3) {
                 (0..3).for_each(|c| sum[c] += u32::from(rgb[c]));
-                count += 1;
             }
+            count += columns.len() as u32;
         }
         sum.map(|s| ((s + count / 2) / count.max(1)) as u8)
     }
+}
+
+/// The color of the look that the others agree with most: the one with the least weighted distance to all of them,
+/// the heavier one of two. `None` without looks.
+pub fn agreed_color(looks: &[Look]) -> Option<[u8; 3]> {
+    let disagreement = |a: &Look| -> f32 {
+        let distance = |b: &Look| (0..3).map(|c| f32::from(a.rgb[c].abs_diff(b.rgb[c]))).sum::<f32>();
+        looks.iter().map(|b| b.weight * distance(b)).sum()
+    };
+    let scored = looks.iter().map(|look| (disagreement(look), look));
+    let best = scored.min_by(|(a, x), (b, y)| a.total_cmp(b).then(y.weight.total_cmp(&x.weight)));
+    best.map(|(_, look)| look.rgb)
 }
 
 /// Projects local points into an image.
@@ -94,6 +103,9 @@ pub struct Projector {
     image_from_local: DAffine3,
     size: DVec2,
 }
+
+/// Nearer points are not colored, metres.
+const NEAREST_M: f64 = 0.1;
 
 impl Projector {
     /// For points placed by `global_from_local`.
@@ -106,10 +118,42 @@ impl Projector {
     /// Pixel coordinates and camera depth in metres; `None` behind the camera and outside the image.
     pub fn pixel(&self, local: DVec3) -> Option<(DVec2, f64)> {
         let q = self.image_from_local.transform_point3(local);
-        if q.z < 0.1 {
+        if q.z < NEAREST_M {
             return None;
         }
         let pixel = DVec2::new(q.x, q.y) / q.z;
         (pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(self.size).all()).then_some((pixel, q.z))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Camera;
+
+    #[test]
+    fn the_majority_outvotes_a_nearer_view() {
+        let look = |grey: u8, weight| Look { rgb: [grey; 3], weight };
+        assert_eq!(agreed_color(&[]), None);
+        assert_eq!(agreed_color(&[look(9, 0.1)]), Some([9; 3]));
+        assert_eq!(agreed_color(&[look(9, 0.1), look(200, 0.2)]), Some([200; 3]));
+        assert_eq!(agreed_color(&[look(200, 0.3), look(10, 0.2), look(12, 0.2)]), Some([12; 3]));
+    }
+
+    #[test]
+    fn a_color_is_the_mean_over_the_footprint() {
+        let rows = [[100.0, 0.0, 20.0], [0.0, 100.0, 20.0], [0.0, 0.0, 1.0]];
+        let camera = Camera::new("c", 40, 40, rows).unwrap();
+        let view = View { camera, camera_from_world: DAffine3::IDENTITY };
+        let image = RgbImage::from_fn(40, 40, |x, _| image::Rgb([if x < 20 { 0 } else { 70 }, 8, 9]));
+        let color_view = ColorView { image, view, t_us: 0, occlusion: None };
+        let project = Projector::new(&color_view.view, &DAffine3::IDENTITY);
+        let at = |x: f64, z: f64| color_view.look(&project, DVec3::new(x, 0.0, z), 0.0).map(|l| l.rgb);
+        // Pixel column 20: of 7 columns 17..=23 four are bright; far away, of 3 columns two.
+        assert_eq!(at(0.0, 10.0), Some([40, 8, 9]));
+        assert_eq!(at(0.0, 50.0), Some([47, 8, 9]));
+        // Cut at the border: columns 36..=39.
+        assert_eq!(at(1.95, 10.0), Some([70, 8, 9]));
+        assert_eq!([at(2.0, 10.0), at(0.0, 0.05), at(0.0, -5.0)], [None; 3]);
     }
 }

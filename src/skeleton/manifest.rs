@@ -93,15 +93,18 @@ pub struct Template {
     pub bounds: Bounds,
 }
 
-/// Counts of a build: every point of every sweep is in exactly one of the first five.
+/// Counts of a build. Every point read is dropped for one of the reasons below or kept in background or actors (once
+/// for every camera that sees it where copies are wanted).
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BuildReport {
     /// Read from sweeps, the not finite ones included.
     pub points_read: usize,
     /// NaN or infinite coordinates.
     pub dropped_not_finite: usize,
-    /// Seen at another time than a moving actor's box, or by a LiDAR whose view of it does not fit.
+    /// On or in the way of a moving actor, seen at another time than its box stands for.
     pub dropped_ghost: usize,
+    /// Returns from the ego vehicle itself.
+    pub dropped_ego: usize,
     /// No image colors them.
     pub dropped_uncolored: usize,
     /// Kept, before voxels are merged: background, ...

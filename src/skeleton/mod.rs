@@ -14,15 +14,16 @@ mod occlusion;
 mod options;
 mod split;
 mod store;
+mod sweep;
 mod template;
 mod trajectory;
 mod voxel;
 
 pub use build::{BuildError, Progress, build};
 pub use chunks::{CHUNK_M, chunk_origin, chunks_from_points};
-pub use colorize::{Candidate, ColorView, Projector};
+pub use colorize::{Candidate, ColorView, Look, Projector, agreed_color};
 pub use manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
-pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap, Sight};
+pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap};
 pub use options::{BuildOptions, Coloring};
 pub use split::{Part, SplitOptions, Splitter};
 pub use store::{BuiltSkeleton, Skeleton};

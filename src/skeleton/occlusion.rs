@@ -9,38 +9,33 @@
 
 use glam::DVec2;
 
+use crate::geometry::Camera;
+
 /// Side of a grid cell, image pixels.
 pub const CELL_PX: u32 = 4;
 /// Radius of the closing, cells.
-const CLOSE_CELLS: usize = 3;
+const CLOSE_CELLS: usize = 2;
 /// A point within this share of the surface's depth is on it.
 const RELATIVE_SLACK: f32 = 0.03;
-/// One cell of a road seen from 1.5 m above at 1000 px focal length spans this much inverse depth, 1/m.
-const CELL_SLACK: f32 = 0.0015;
+/// Height above the road, metres, from which its slope across a cell is still no step: cameras stand higher.
+const EYE_HEIGHT_M: f64 = 1.5;
 
 /// Nearest inverse depth per cell, 0 where nothing is.
 pub struct OcclusionGrid {
     columns: usize,
     rows: usize,
     inverse_depth: Vec<f32>,
-}
-
-/// How a point sees a camera.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Sight {
-    /// Nothing in front.
-    Clear,
-    /// Nothing in front, but something nearer ends within a cell or two.
-    Edge,
-    /// Hidden.
-    Hidden,
+    /// Inverse depth that a road spans across a cell, 1/m.
+    cell_slack: f32,
 }
 
 impl OcclusionGrid {
-    /// An empty grid for an image of `width × height` pixels.
-    pub fn new(width: u32, height: u32) -> Self {
+    /// An empty grid for a camera's image.
+    pub fn new(camera: &Camera) -> Self {
+        let (width, height, focal_px) = (camera.width, camera.height, camera.intrinsics.y_axis.y);
         let (columns, rows) = (width.div_ceil(CELL_PX) as usize, height.div_ceil(CELL_PX) as usize);
-        Self { columns, rows, inverse_depth: vec![0.0; columns * rows] }
+        let cell_slack = (f64::from(CELL_PX) / (focal_px * EYE_HEIGHT_M)) as f32;
+        Self { columns, rows, inverse_depth: vec![0.0; columns * rows], cell_slack }
     }
 
     /// Adds a point that projects to `pixel` at a camera depth in metres.
@@ -61,35 +56,23 @@ impl OcclusionGrid {
 
     /// Closes the gaps between points.
     pub fn close(self) -> OcclusionMap {
-        let (columns, rows) = (self.columns, self.rows);
+        let columns = self.columns;
         let widened = filter(&self.inverse_depth, columns, CLOSE_CELLS, f32::max);
         let surface = filter(&widened, columns, CLOSE_CELLS, f32::min);
-        let near = filter(&surface, columns, 1, f32::max);
-        OcclusionMap { grid: Self { columns, rows, inverse_depth: surface }, near }
+        OcclusionMap(Self { inverse_depth: surface, ..self })
     }
 }
 
 /// A closed [`OcclusionGrid`].
-pub struct OcclusionMap {
-    grid: OcclusionGrid,
-    /// Nearest surface within a cell around.
-    near: Vec<f32>,
-}
+pub struct OcclusionMap(OcclusionGrid);
 
 impl OcclusionMap {
-    /// How a point at `pixel` and a camera depth in metres is seen; `None` outside the image.
-    pub fn sight(&self, pixel: DVec2, depth_m: f64) -> Option<Sight> {
-        let cell = self.grid.cell(pixel)?;
-        let inverse = (1.0 / depth_m) as f32;
-        let hidden_by =
-            |surface: f32, cells: f32| inverse < surface * (1.0 - RELATIVE_SLACK) - CELL_SLACK * cells;
-        Some(if hidden_by(self.grid.inverse_depth[cell], 1.0) {
-            Sight::Hidden
-        } else if hidden_by(self.near[cell], 2.0) {
-            Sight::Edge
-        } else {
-            Sight::Clear
-        })
+    /// Whether something clearly nearer lies in front of a point at `pixel` and a camera depth in metres. Nothing
+    /// does outside the image.
+    pub fn hides(&self, pixel: DVec2, depth_m: f64) -> bool {
+        let Some(cell) = self.0.cell(pixel) else { return false };
+        let surface = self.0.inverse_depth[cell];
+        ((1.0 / depth_m) as f32) < surface * (1.0 - RELATIVE_SLACK) - self.0.cell_slack
     }
 }
 
@@ -120,9 +103,14 @@ fn filter(cells: &[f32], columns: usize, radius: usize, pick: fn(f32, f32) -> f3
 mod tests {
     use super::*;
 
+    fn camera(width: u32, height: u32) -> Camera {
+        Camera::new("c", width, height, [[1000.0, 0.0, 200.0], [0.0, 1000.0, 200.0], [0.0, 0.0, 1.0]])
+            .unwrap()
+    }
+
     /// A wall at 10 m with a point every third cell, in columns 30 to 60 of 100.
     fn wall() -> OcclusionMap {
-        let mut grid = OcclusionGrid::new(400, 400);
+        let mut grid = OcclusionGrid::new(&camera(400, 400));
         for row in (0..100).step_by(3) {
             for column in (30..=60).step_by(3) {
                 grid.add(
@@ -137,27 +125,25 @@ mod tests {
     #[test]
     fn a_sparse_wall_hides_what_is_behind_and_nothing_beside() {
         let map = wall();
-        let at = |column: f64, depth| map.sight(DVec2::new(column + 0.5, 50.5) * f64::from(CELL_PX), depth);
+        let hides =
+            |column: f64, depth| map.hides(DVec2::new(column + 0.5, 50.5) * f64::from(CELL_PX), depth);
         for column in 30..=60 {
-            assert_eq!(at(f64::from(column), 20.0), Some(Sight::Hidden), "{column}");
-            assert_eq!(at(f64::from(column), 10.1), Some(Sight::Clear));
-            assert_eq!(at(f64::from(column), 5.0), Some(Sight::Clear));
+            let column = f64::from(column);
+            assert_eq!([20.0, 10.1, 5.0].map(|z| hides(column, z)), [true, false, false], "{column}");
         }
-        assert_eq!([at(29.0, 20.0), at(61.0, 20.0)], [Some(Sight::Edge); 2]);
-        assert_eq!([at(27.0, 20.0), at(63.0, 20.0)], [Some(Sight::Clear); 2]);
-        assert_eq!([at(-1.0, 20.0), at(100.0, 20.0)], [None; 2]);
+        assert_eq!([-1.0, 29.0, 61.0, 100.0].map(|column| hides(column, 20.0)), [false; 4]);
     }
 
     #[test]
     fn a_road_does_not_hide_itself() {
         let (focal, height) = (1000.0, 1.5);
-        let mut grid = OcclusionGrid::new(400, 800);
+        let mut grid = OcclusionGrid::new(&camera(400, 800));
         let road: Vec<f64> = (0..300).map(|i| 4.0 * 1.01_f64.powi(i)).filter(|z| *z < 60.0).collect();
         let pixel = |z: f64| DVec2::new(200.0, 200.0 + focal * height / z);
         road.iter().for_each(|&z| grid.add(pixel(z), z));
         let map = grid.close();
         for &z in &road {
-            assert_ne!(map.sight(pixel(z), z), Some(Sight::Hidden), "{z}");
+            assert!(!map.hides(pixel(z), z), "{z}");
         }
     }
 }

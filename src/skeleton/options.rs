@@ -13,6 +13,8 @@ pub struct BuildOptions {
     pub coloring: Coloring,
     /// Frames before and after a point's own whose images may color it.
     pub color_window: usize,
+    /// Whether a view must pass the occlusion test.
+    pub occlusion_test: bool,
     /// Frames before and after an image's whose points may hide others in it.
     pub occlusion_window: usize,
     /// Also use the sweeps between annotated frames, with boxes in between.
@@ -36,7 +38,8 @@ impl Default for BuildOptions {
             voxel_m: 0.01,
             split: SplitOptions::default(),
             coloring: Coloring::BestView,
-            color_window: 2,
+            color_window: 8,
+            occlusion_test: true,
             occlusion_window: 4,
             between_sweeps: false,
         }
@@ -47,7 +50,20 @@ impl BuildOptions {
     /// What existing scripts do, for comparison: color from every camera that sees a point, no occlusion test, all
     /// copies kept, boxes grown by 0.5 m.
     pub fn every_camera() -> Self {
-        let split = SplitOptions { margin_m: 0.5, ghost_window_s: [0.0; 2], ..SplitOptions::default() };
-        Self { voxel_m: 0.0, split, coloring: Coloring::EveryCamera, color_window: 0, ..Self::default() }
+        let split = SplitOptions {
+            margin_m: 0.5,
+            ghost_window_s: [0.0; 2],
+            ego_clearance_m: 0.0,
+            every_lidar: true,
+            ..SplitOptions::default()
+        };
+        Self {
+            voxel_m: 0.0,
+            split,
+            coloring: Coloring::EveryCamera,
+            color_window: 0,
+            occlusion_test: false,
+            ..Self::default()
+        }
     }
 }

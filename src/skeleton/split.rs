@@ -17,7 +17,7 @@ pub enum Part {
         /// Metres, box frame.
         local: DVec3,
     },
-    /// Nowhere: in the way of a moving actor, where another LiDAR or beam saw it at another time.
+    /// Nowhere: a moving actor, seen at another time than its box stands for.
     Ghost,
 }
 
@@ -30,13 +30,28 @@ pub struct SplitOptions {
     pub ground_m: f64,
     /// An actor faster than this counts as moving, m/s.
     pub moving_m_s: f64,
+    /// Where several LiDARs are merged into one sweep: the one that the boxes of moving actors fit. Points of the
+    /// others on a moving actor are left out, since they saw it elsewhere.
+    pub primary_lidar: u16,
+    /// Keep the points of all merged LiDARs on moving actors.
+    pub every_lidar: bool,
+    /// Returns this near to the LiDAR along its x and along its y are the ego vehicle itself, metres.
+    pub ego_clearance_m: f64,
     /// Time by which LiDARs may have seen a moving actor before and after the boxes' time, seconds.
     pub ghost_window_s: [f64; 2],
 }
 
 impl Default for SplitOptions {
     fn default() -> Self {
-        Self { margin_m: 0.1, ground_m: 0.2, moving_m_s: 0.5, ghost_window_s: [0.2, 0.15] }
+        Self {
+            margin_m: 0.1,
+            ground_m: 0.2,
+            moving_m_s: 0.5,
+            primary_lidar: 0,
+            every_lidar: false,
+            ego_clearance_m: 1.8,
+            ghost_window_s: [0.2, 0.15],
+        }
     }
 }
 
@@ -83,9 +98,10 @@ impl Splitter {
         Self { boxes: boxes.iter().map(split_box).collect(), ground_m: options.ground_m }
     }
 
-    /// Where a global point belongs. Of several boxes the one that it lies deepest in wins.
-    pub fn part(&self, global: DVec3) -> Part {
-        let mut best: Option<(f64, usize, DVec3)> = None;
+    /// Where a global point belongs. Of several boxes the one that it lies deepest in wins. `timely` says whether the
+    /// point comes from the LiDAR that the boxes of moving actors fit.
+    pub fn part(&self, global: DVec3, timely: bool) -> Part {
+        let mut best: Option<(f64, &SplitBox, DVec3)> = None;
         let mut ghost = false;
         for item in &self.boxes {
             if global.distance_squared(item.centre) > item.reach_m * item.reach_m {
@@ -98,14 +114,15 @@ impl Splitter {
             if item.contains(local) {
                 let depth = (local.abs() / item.half).max_element();
                 if best.is_none_or(|(d, ..)| depth < d) {
-                    best = Some((depth, item.track, local));
+                    best = Some((depth, item, local));
                 }
             } else {
                 ghost |= item.sweeps_over(local);
             }
         }
         match best {
-            Some((_, track, local)) => Part::Actor { track, local },
+            Some((_, item, _)) if !timely && item.sweep_m.is_some() => Part::Ghost,
+            Some((_, item, local)) => Part::Actor { track: item.track, local },
             None if ghost => Part::Ghost,
             None => Part::Background,
         }
@@ -137,5 +154,61 @@ impl SplitBox {
             leave = leave.min(t0.max(t1));
         }
         enter <= leave
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Class;
+    use crate::dataset::{Frame, Log, Track};
+    use crate::geometry::Cuboid;
+
+    /// A car of 4 x 2 x 1.5 m that drives along x at `speed`, at the origin at t = 0, and its splitter then.
+    fn splitter(speed: f64) -> Splitter {
+        let track = Track { id: "a".into(), category: "vehicle.car".into(), class: Class::MotorVehicle };
+        let frame = |t_us: i64| {
+            let pose = Pose::from_yaw(0.0, DVec3::new(speed * t_us as f64 * 1e-6, 0.0, 0.75));
+            let cuboid = Cuboid::new(pose, DVec3::new(4.0, 2.0, 1.5)).unwrap();
+            let (sweeps, images, between_images) = Default::default();
+            let boxes = vec![TrackBox { track: 0, cuboid }];
+            Frame { t_us, global_from_ego: Pose::IDENTITY, sweeps, images, between_images, boxes }
+        };
+        let frames = vec![frame(0), frame(1_000_000)];
+        let log = Log { tracks: vec![track], frames: frames.clone(), ..Log::default() };
+        let trajectories = Trajectories::new(&log, &frames.iter().collect::<Vec<_>>());
+        Splitter::new(&frames[0].boxes, &trajectories, 0, &SplitOptions::default())
+    }
+
+    #[test]
+    fn the_road_under_a_car_stays() {
+        let splitter = splitter(0.0);
+        let part = |x, y, z| splitter.part(DVec3::new(x, y, z), true);
+        assert_eq!(part(0.0, 0.0, 0.19), Part::Background);
+        assert_eq!(part(0.0, 0.0, 0.21), Part::Actor { track: 0, local: DVec3::new(0.0, 0.0, 0.21 - 0.75) });
+        assert!(matches!(part(2.09, -1.09, 1.59), Part::Actor { .. }));
+        assert_eq!(part(2.11, 0.0, 1.0), Part::Background);
+        assert_eq!(part(0.0, 0.0, 1.61), Part::Background);
+    }
+
+    #[test]
+    fn what_a_moving_car_sweeps_over_is_no_background() {
+        let (parked, moving) = (splitter(0.0), splitter(10.0));
+        let ahead = DVec3::new(2.1 + 10.0 * 0.15 - 0.01, 0.0, 1.0);
+        let behind = DVec3::new(-2.1 - 10.0 * 0.2 + 0.01, 1.0, 0.3);
+        for point in [ahead, behind] {
+            assert_eq!(parked.part(point, true), Part::Background);
+            assert_eq!(moving.part(point, true), Part::Ghost);
+        }
+        assert_eq!(moving.part(ahead + DVec3::X * 0.02, true), Part::Background);
+        assert_eq!(moving.part(behind - DVec3::X * 0.02, true), Part::Background);
+        assert_eq!(moving.part(behind.with_z(0.1), true), Part::Background);
+    }
+
+    #[test]
+    fn a_second_lidar_counts_for_parked_cars_alone() {
+        let inside = DVec3::new(0.0, 0.0, 1.0);
+        assert!(matches!(splitter(0.0).part(inside, false), Part::Actor { .. }));
+        assert_eq!(splitter(10.0).part(inside, false), Part::Ghost);
     }
 }

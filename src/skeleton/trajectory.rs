@@ -35,7 +35,7 @@ impl Trajectories {
         if t_us < first - CARRY_ON_US || t_us > last + CARRY_ON_US {
             return None;
         }
-        let (a, b) = pair_around(boxes, next)?;
+        let [a, b] = pair_around(boxes, next)?;
         let s = (t_us - a.0) as f64 / (b.0 - a.0) as f64;
         if (0.0..=1.0).contains(&s) {
             return Some(a.1.interpolate(&b.1, s));
@@ -50,7 +50,7 @@ impl Trajectories {
     pub fn velocity(&self, track: usize, t_us: i64) -> DVec3 {
         let boxes = &self.0[track];
         let next = boxes.partition_point(|(t, _)| *t <= t_us);
-        pair_around(boxes, next).map_or(DVec3::ZERO, |(a, b)| {
+        pair_around(boxes, next).map_or(DVec3::ZERO, |[a, b]| {
             (b.1.pose.translation - a.1.pose.translation) / ((b.0 - a.0) as f64 * 1e-6)
         })
     }
@@ -77,9 +77,9 @@ impl Trajectories {
 }
 
 /// The two samples that `next` lies between, or the two nearest at an end.
-fn pair_around(boxes: &[(i64, Cuboid)], next: usize) -> Option<(&(i64, Cuboid), &(i64, Cuboid))> {
+fn pair_around(boxes: &[(i64, Cuboid)], next: usize) -> Option<[&(i64, Cuboid); 2]> {
     let after = next.clamp(1, boxes.len().saturating_sub(1).max(1));
-    Some((boxes.get(after - 1)?, boxes.get(after)?))
+    Some([boxes.get(after - 1)?, boxes.get(after)?])
 }
 
 #[cfg(test)]

@@ -4,14 +4,14 @@ use glam::{DAffine3, DMat3, DVec3};
 use point_skeleton::cloud::{self, Point};
 use point_skeleton::conditions::{
     BinScale, CameraConditions, ConditionOptions, ConditionSet, DepthBins, ImageSize, MapKind, MapSet,
-    Occlusion, SceneInstances, reduce, render, render_view,
+    Occlusion, reduce, render, render_view,
 };
 use point_skeleton::dataset::Class;
 use point_skeleton::geometry::{Camera, Cuboid, Pose, View};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{Instance, Planes, RasterError, Rasterizer, RasterizerInfo, Segment};
 use point_skeleton::raster::{SplatJob, SplatMaps, StageTimes};
-use point_skeleton::scene::{ActorState, SceneCamera, SceneState};
+use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneState};
 
 use crate::parity::{Layout, assert_parity, differing};
 use crate::{common, npz};

@@ -8,4 +8,5 @@ mod nuscenes;
 mod parity;
 mod raster;
 mod sheet;
+mod skeleton_store;
 mod splat_cli;

@@ -2,14 +2,12 @@
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use point_skeleton::cloud::Point;
-use point_skeleton::conditions::{
-    BinScale, ConditionOptions, ConditionSet, DepthBins, SceneInstances, render, sheet,
-};
+use point_skeleton::conditions::{BinScale, ConditionOptions, ConditionSet, DepthBins, render, sheet};
 use point_skeleton::dataset::Class;
 use point_skeleton::geometry::{Camera, Cuboid, Pose, View};
 use point_skeleton::raster::Instance;
 use point_skeleton::raster::cpu::CpuRasterizer;
-use point_skeleton::scene::{ActorState, SceneCamera, SceneState};
+use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneState};
 
 /// Points of a parallelogram, shaded a little by a fixed pattern.
 fn patch(points: &mut Vec<Point>, corner: Vec3, [u, v]: [Vec3; 2], step_m: f32, rgb: [u8; 3], class: u8) {

@@ -196,7 +196,7 @@ impl Pile {
             }
         }
         self.images.sort_by_key(|i| i.channel);
-        self.between_images.sort_by(|a, b| (a.t_us, a.channel).cmp(&(b.t_us, b.channel)));
+        self.between_images.sort_by_key(|i| (i.t_us, i.channel));
         self.sweeps.sort_by(|a, b| {
             let rank = |s: &RawSweep| (!s.is_key, s.is_key && s.channel != MAIN_LIDAR);
             let by_rank = rank(a).cmp(&rank(b));

@@ -1,0 +1,153 @@
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Instant;
+
+use clap::Args;
+use glam::Vec3;
+
+use super::numbers::{self, FrameRange};
+use super::progress::StageProgress;
+use super::{WrongUsage, info_skeleton, say};
+use crate::cloud::{self, Bounds, Point};
+use crate::dataset::{self, LogLocator};
+use crate::error::FileError;
+use crate::skeleton::{self, BuildOptions, BuiltSkeleton, Coloring, Skeleton, Template, TemplateKind};
+
+/// Build a point skeleton from a recorded drive: colored background, an asset per tracked actor
+///
+/// Writes a folder with skeleton.json (what it holds, how it was made, and how many points were dropped and why) and
+/// three files of points. An older skeleton at that place is replaced once the new one is complete.
+#[derive(Debug, Args)]
+pub(super) struct BuildArgs {
+    /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    log: LogLocator,
+    /// Folder to write
+    #[arg(long, value_name = "SKEL")]
+    out: PathBuf,
+    /// Side of the voxels that points are merged in, metres; 0 keeps all points [default: 0.01, with --coloring
+    /// every-camera 0]
+    #[arg(long, value_name = "M", value_parser = numbers::voxel_m, allow_negative_numbers = true)]
+    voxel: Option<f64>,
+    /// Use only every N-th frame
+    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
+    /// Use only these frames, numbered from 0 in the log's order, without B
+    #[arg(long, value_name = "A..B")]
+    frames: Option<FrameRange>,
+    /// Also use the sweeps between annotated frames, with boxes in between
+    #[arg(long)]
+    sweeps: bool,
+    /// Grow boxes by this on every side before points are told apart, metres [default: depends on --coloring]
+    #[arg(long, value_name = "M", value_parser = numbers::margin_m, allow_negative_numbers = true)]
+    box_margin: Option<f64>,
+    /// How points get their color; every-camera is what existing scripts do, for comparison
+    #[arg(long, value_enum, default_value = "best-view")]
+    coloring: Coloring,
+    /// Points that stand in for actors of a kind (sedan, suv, pickup, pedestrian, bike, truck, bus, trailer,
+    /// construction), x forward, z up; may be given once per kind
+    #[arg(long = "template", value_name = "KIND=FILE.npy|ply")]
+    templates: Vec<TemplateFile>,
+}
+
+/// `KIND=FILE`.
+#[derive(Clone, Debug)]
+struct TemplateFile {
+    kind: TemplateKind,
+    path: PathBuf,
+}
+
+impl FromStr for TemplateFile {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (kind, path) = text.split_once('=').ok_or("expected KIND=FILE")?;
+        Ok(Self { kind: kind.parse()?, path: path.into() })
+    }
+}
+
+/// Reads, builds, writes.
+pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    if args.out.exists() && !Skeleton::is_at(&args.out) {
+        let expected = "no such folder yet, or an older skeleton";
+        return Err(FileError::content(expected, "other content", &args.out).into());
+    }
+    let templates = read_templates(&args.templates)?;
+    let dataset = dataset::open(&args.log)?;
+    let frames = FrameRange::of(args.frames, dataset.log().frames.len())?;
+    let frames: Vec<usize> = frames.step_by(args.every as usize).collect();
+    let progress = StageProgress::default();
+    let mut built = skeleton::build(dataset.as_ref(), &frames, &args.options(), &progress)?;
+    drop(progress);
+    for (template, points) in templates {
+        built.templates.retain(|(t, _)| t.kind != template.kind);
+        built.templates.push((template, points));
+    }
+    built.templates.sort_by_key(|(t, _)| t.kind);
+    built.write(&args.out)?;
+    let seconds = start.elapsed().as_secs_f64();
+    say(&format!("{} in {seconds:.2} s: {}", summary(&built), args.out.display()));
+    Ok(())
+}
+
+impl BuildArgs {
+    fn options(&self) -> BuildOptions {
+        let mut options = match self.coloring {
+            Coloring::BestView => BuildOptions::default(),
+            Coloring::EveryCamera => BuildOptions::every_camera(),
+        };
+        options.voxel_m = self.voxel.unwrap_or(options.voxel_m);
+        options.split.margin_m = self.box_margin.unwrap_or(options.split.margin_m);
+        options.between_sweeps = self.sweeps;
+        options
+    }
+}
+
+fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<(Template, Vec<Point>)>> {
+    for (i, file) in files.iter().enumerate() {
+        if files[..i].iter().any(|other| other.kind == file.kind) {
+            return Err(
+                WrongUsage(format!("expected one --template a kind, found {:?} twice", file.kind)).into()
+            );
+        }
+    }
+    files.iter().map(|file| Ok(read_template(file.kind, &file.path)?)).collect()
+}
+
+/// Reads a template and moves it so that its bounds are centred on the origin, as those of a box are.
+fn read_template(kind: TemplateKind, path: &Path) -> Result<(Template, Vec<Point>), FileError> {
+    let read = cloud::read(path)?.points;
+    let no_points = || FileError::content("points with finite coordinates", "none", path);
+    let bounds = Bounds::of(&read).ok_or_else(no_points)?;
+    let centre = (Vec3::from(bounds.min) + Vec3::from(bounds.max)) / 2.0;
+    let class = kind.class();
+    let centred = |p: &Point| {
+        let position = Vec3::from(p.position) - centre;
+        position.is_finite().then(|| Point::new(position.to_array(), p.rgb(), class as u8))
+    };
+    let points: Vec<Point> = read.iter().filter_map(centred).collect();
+    let bounds = Bounds::of(&points).ok_or_else(no_points)?;
+    let size = (Vec3::from(bounds.max) - Vec3::from(bounds.min)).as_dvec3().to_array();
+    Ok((Template { kind, class, size, points: points.len(), bounds }, points))
+}
+
+fn summary(built: &BuiltSkeleton) -> String {
+    let (source, report) = (&built.source, &built.report);
+    let background: usize = built.background.iter().map(|(c, _)| c.points).sum();
+    let actors: usize = built.actors.iter().map(|(a, _)| a.points).sum();
+    let notes: Vec<String> = report.notes.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
+    let notes = if notes.is_empty() { String::new() } else { format!("; the log has {}", notes.join(", ")) };
+    format!(
+        "built {} from {} frames ({} points of {} sweeps, {} images): {background} background points in {} chunks, \
+         {actors} points of {} actors, {} templates; dropped {}{notes}",
+        source.log,
+        source.frames,
+        report.points_read,
+        report.sweeps,
+        report.images,
+        built.background.len(),
+        built.actors.len(),
+        built.templates.len(),
+        info_skeleton::dropped(report),
+    )
+}

@@ -1,0 +1,108 @@
+//! Numbers on the command line, and what is allowed of them.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::scene::EgoOffset;
+
+/// Frames `A..B`, half-open, at least one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct FrameRange {
+    first: usize,
+    end: usize,
+}
+
+impl FrameRange {
+    /// The frames of a log that has `frames` of them; without a range all.
+    pub(super) fn of(range: Option<Self>, frames: usize) -> anyhow::Result<std::ops::Range<usize>> {
+        let Some(range) = range else { return Ok(0..frames) };
+        anyhow::ensure!(range.end <= frames, "expected --frames within 0..{frames}, found {range}");
+        Ok(range.first..range.end)
+    }
+}
+
+impl fmt::Display for FrameRange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}..{}", self.first, self.end)
+    }
+}
+
+impl FromStr for FrameRange {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |text: &str| text.trim().parse::<usize>().ok();
+        let ends = text.split_once("..").and_then(|(a, b)| Some((number(a)?, number(b)?)));
+        match ends {
+            Some((first, end)) if first < end => Ok(Self { first, end }),
+            _ => Err("expected frames A..B with A < B (B is not among them)".to_owned()),
+        }
+    }
+}
+
+/// 0, or a side of voxels that 21 bits can count within a chunk.
+pub(super) fn voxel_m(text: &str) -> Result<f64, String> {
+    finite(text)
+        .filter(|v| *v == 0.0 || *v >= 1e-4)
+        .ok_or_else(|| "expected metres, 0 (keeps all points) or at least 0.0001".into())
+}
+
+/// Zero or more metres.
+pub(super) fn margin_m(text: &str) -> Result<f64, String> {
+    finite(text).filter(|v| *v >= 0.0).ok_or_else(|| "expected metres, 0 or more".into())
+}
+
+/// More than zero metres, and finite as `f32` too.
+pub(super) fn distance_m(text: &str) -> Result<f64, String> {
+    let fits = |v: &f64| *v as f32 > 0.0 && (*v as f32).is_finite();
+    finite(text).filter(fits).ok_or_else(|| "expected metres, more than 0".into())
+}
+
+/// `X,Y,YAW_DEG`.
+pub(super) fn ego_offset(text: &str) -> Result<EgoOffset, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(finite).collect();
+    match numbers.as_deref() {
+        Some(&[x_m, y_m, yaw_deg]) => Ok(EgoOffset { x_m, y_m, yaw_rad: yaw_deg.to_radians() }),
+        _ => Err("expected three numbers X,Y,YAW_DEG, like 0,-2,5".to_owned()),
+    }
+}
+
+fn finite(text: &str) -> Option<f64> {
+    text.trim().parse().ok().filter(|v: &f64| v.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frame_ranges() {
+        let range: FrameRange = "2..5".parse().unwrap();
+        assert_eq!(FrameRange::of(Some(range), 5).unwrap(), 2..5);
+        assert_eq!(FrameRange::of(None, 5).unwrap(), 0..5);
+        let message = FrameRange::of(Some(range), 4).unwrap_err().to_string();
+        assert!(message.contains("0..4, found 2..5"), "{message}");
+        for text in ["", "3", "5..2", "2..2", "..3", "1..", "-1..3", "1..x"] {
+            assert!(text.parse::<FrameRange>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn lengths() {
+        assert_eq!([voxel_m("0"), voxel_m("0.0001")], [Ok(0.0), Ok(1e-4)]);
+        for text in ["0.00001", "-1", "NaN", "inf", "x", ""] {
+            assert!(voxel_m(text).is_err(), "{text}");
+        }
+        assert!(margin_m("0").is_ok() && margin_m("-0.1").is_err() && margin_m("NaN").is_err());
+        assert!(distance_m("0").is_err() && distance_m("1e300").is_err() && distance_m("50").is_ok());
+    }
+
+    #[test]
+    fn offsets() {
+        let offset = ego_offset("0,-2.5,90").unwrap();
+        assert_eq!((offset.x_m, offset.y_m, offset.yaw_rad), (0.0, -2.5, std::f64::consts::FRAC_PI_2));
+        assert!(
+            ego_offset("1,2").is_err() && ego_offset("1,2,3,4").is_err() && ego_offset("1,2,NaN").is_err()
+        );
+    }
+}

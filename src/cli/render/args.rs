@@ -1,0 +1,134 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use crate::cli::numbers::{self, FrameRange};
+use crate::cli::rasterizer::RasterizerArgs;
+use crate::conditions::{BinScale, ColorFilter, ConditionOptions, DepthBins, ImageSize, MapSet, Occlusion};
+use crate::dataset::LogLocator;
+use crate::raster::SplatSchedule;
+use crate::scene::{EgoOffset, SelectionOptions, TemplateFit};
+
+/// Render condition maps of a drive's frames from its skeleton: color, depth, class, instance, boxes
+///
+/// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz (arrays V,H,W(,3) named as the maps, cameras in the order of
+/// index.json); FRAME/meta.json with poses and intrinsics; FRAME/sheet.png with all maps at a glance; at the end
+/// index.json. FRAME is the frame's number with six digits, or the time with --at.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct RenderArgs {
+    /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    pub(super) log: LogLocator,
+    /// Skeleton that was built from it
+    #[arg(long, value_name = "SKEL")]
+    pub(super) skeleton: PathBuf,
+    /// Folder to write; frames of an earlier run in it are replaced one by one
+    #[arg(long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+    /// Only these frames, numbered from 0 in the log's order, without B [default: all]
+    #[arg(long, value_name = "A..B")]
+    pub(super) frames: Option<FrameRange>,
+    /// Instead of frames any times within the log, absolute microseconds; ego and actors are interpolated
+    #[arg(long, value_name = "T_US,..", value_delimiter = ',', allow_hyphen_values = true)]
+    #[arg(conflicts_with = "frames")]
+    pub(super) at: Vec<i64>,
+    /// Which maps: color, depth, class, instance, boxes, and point (numbers of the points)
+    #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance,boxes")]
+    maps: MapSet,
+    /// Files: png (depth as 16-bit bins), exr or npz (depth in metres, -300 where empty)
+    #[arg(long, value_enum, default_value = "png")]
+    pub(super) format: MapFormat,
+    /// Draw at this size; scales the intrinsics [default: the size of the cameras]
+    #[arg(long, value_name = "HxW")]
+    size: Option<ImageSize>,
+    /// Reduce the maps to this size after drawing [default: no reduction]
+    #[arg(long, value_name = "HxW")]
+    out_size: Option<ImageSize>,
+    /// Splat radius by depth: up to Z metres a point covers (2R+1) x (2R+1) pixels; beyond the last Z nothing is drawn
+    #[arg(long, value_name = "Z:R,..", default_value_t)]
+    splat: SplatSchedule,
+    /// Use points up to this far from the ego along x and y of the log's frame, metres
+    #[arg(long, value_name = "M", default_value = "100", value_parser = numbers::distance_m)]
+    #[arg(allow_negative_numbers = true)]
+    radius: f64,
+    /// Move the ego in its own frame: metres forward, metres to the left, degrees to the left
+    #[arg(long, value_name = "X,Y,YAW_DEG", value_parser = numbers::ego_offset, allow_hyphen_values = true)]
+    #[arg(conflicts_with = "cameras")]
+    pub(super) ego_offset: Option<EgoOffset>,
+    /// These cameras instead of the log's, standing in the log's global frame:
+    /// {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
+    #[arg(long, value_name = "C.json")]
+    pub(super) cameras: Option<PathBuf>,
+    /// How depth is cut into the bins of depth.png and of the sheet
+    #[arg(long, value_enum, default_value = "linear")]
+    depth_bins: BinScale,
+    /// Where the last depth bin ends, metres [default: --radius]
+    #[arg(long, value_name = "M", value_parser = numbers::distance_m, allow_negative_numbers = true)]
+    far: Option<f64>,
+    /// What hides actors in class and instance maps: the whole scene, or only other actors
+    #[arg(long, value_enum, default_value = "scene")]
+    occlusion: Occlusion,
+    /// Scale templates to the actor's box, or leave them as they are
+    #[arg(long, value_enum, default_value = "box")]
+    template_fit: TemplateFit,
+    /// How color is reduced: as OpenCV's INTER_LINEAR, or as the mean of the pixels that are not empty
+    #[arg(long, value_enum, default_value = "bilinear")]
+    color_filter: ColorFilter,
+    /// Actors with more points than this show their own points in depth, class and instance maps, others the
+    /// template of their category where there is one
+    #[arg(long, value_name = "N", default_value_t = SelectionOptions::default().min_actor_points)]
+    min_actor_points: usize,
+    /// For the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, either may be missing
+    #[arg(long, value_name = "F.json")]
+    pub(super) annotations: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) rasterizer: RasterizerArgs,
+}
+
+/// What is written for the maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum MapFormat {
+    /// A PNG per map.
+    Png,
+    /// An OpenEXR file per map.
+    Exr,
+    /// One NumPy archive per frame.
+    Npz,
+}
+
+/// What stands in `index.json` about how the maps were made.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct RenderOptions {
+    #[serde(flatten)]
+    pub(super) conditions: ConditionOptions,
+    #[serde(flatten)]
+    pub(super) selection: SelectionOptions,
+    ego_offset: EgoOffset,
+    format: MapFormat,
+}
+
+impl RenderArgs {
+    pub(super) fn options(&self) -> RenderOptions {
+        let far_m = self.far.unwrap_or(self.radius) as f32;
+        let conditions = ConditionOptions {
+            maps: self.maps,
+            splat: self.splat.clone(),
+            radius_m: self.radius,
+            size: self.size,
+            out_size: self.out_size,
+            color_filter: self.color_filter,
+            occlusion: self.occlusion,
+            depth_bins: DepthBins { scale: self.depth_bins, far_m, ..DepthBins::default() },
+        };
+        RenderOptions {
+            conditions,
+            selection: SelectionOptions {
+                min_actor_points: self.min_actor_points,
+                template_fit: self.template_fit,
+            },
+            ego_offset: self.ego_offset.unwrap_or_default(),
+            format: self.format,
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! `pskel render`: [`args`] are the options, [`steps`] what is to be rendered, [`output`] writes it.
+
+mod args;
+mod output;
+mod steps;
+
+pub(super) use args::RenderArgs;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::mpsc::sync_channel;
+use std::time::Instant;
+
+use anyhow::Context;
+
+use self::output::{Output, Rendered};
+use self::steps::Steps;
+use super::progress::Progress;
+use super::say;
+use crate::cloud;
+use crate::conditions::meta::{Index, IndexFrame, PromptParts};
+use crate::conditions::{self, ConditionOptions};
+use crate::dataset::{self, Dataset};
+use crate::error::FileError;
+use crate::raster::Rasterizer;
+use crate::scene::{SelectionOptions, Stage, frame_rate_hz};
+use crate::skeleton::Skeleton;
+
+/// Reads, draws, writes.
+pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    let dataset = dataset::open(&args.log)?;
+    let log = dataset.log();
+    let skeleton = open_skeleton(&args.skeleton, dataset.as_ref())?;
+    let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
+    let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), read_prompt)?;
+    let steps = Steps::new(log, &args, views)?;
+    let mut rasterizer = args.rasterizer.create(Stage::clouds(&skeleton))?;
+    let options = args.options();
+    let output = Output {
+        folder: &args.out,
+        format: args.format,
+        options: &options.conditions,
+        prompt: &prompt,
+        fps: frame_rate_hz(&log.frames),
+        log: &log.name,
+    };
+    output.begin()?;
+    let frames = Work { stage: Stage::new(&skeleton), steps: &steps, output: &output }.run(
+        rasterizer.as_mut(),
+        &options.conditions,
+        &options.selection,
+    )?;
+    let summary = summary(&frames, &steps.missing_cameras(&frames), rasterizer.as_mut());
+    output.end(&Index { options: &options, frames })?;
+    say(&format!("{summary} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
+    Ok(())
+}
+
+/// A skeleton stands in the global frame of the log it was built from: with any other it makes no sense.
+fn open_skeleton(path: &Path, dataset: &dyn Dataset) -> Result<Skeleton, FileError> {
+    let skeleton = Skeleton::open(path)?;
+    let (expected, found) = (&dataset.log().name, &skeleton.manifest.source.log);
+    if expected != found {
+        let expected = format!("a skeleton of log {expected}");
+        return Err(FileError::content(expected, format!("one of log {found}"), path));
+    }
+    Ok(skeleton)
+}
+
+fn read_prompt(path: &Path) -> Result<PromptParts, FileError> {
+    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    serde_json::from_slice(&text)
+        .map_err(|e| FileError::content(r#"{"weather": text, "city": text}"#, e.to_string(), path))
+}
+
+/// All that stays the same from step to step.
+struct Work<'a> {
+    stage: Stage<'a>,
+    steps: &'a Steps<'a>,
+    output: &'a Output<'a>,
+}
+
+impl Work<'_> {
+    /// Renders step by step, while another thread writes the step before.
+    fn run(
+        &self,
+        rasterizer: &mut dyn Rasterizer,
+        options: &ConditionOptions,
+        selection: &SelectionOptions,
+    ) -> anyhow::Result<Vec<IndexFrame>> {
+        let mut frames = Vec::new();
+        let mut progress = Progress::new(self.steps.len());
+        std::thread::scope(|scope| {
+            let (sender, receiver) = sync_channel::<Rendered>(1);
+            let writer = scope.spawn(move || {
+                let mut rendered = receiver.into_iter();
+                rendered.try_for_each(|step| self.output.write(&step))
+            });
+            for state in self.steps.states() {
+                let state = state?;
+                let instances = self.stage.instances(&state, selection);
+                let set = conditions::render(rasterizer, &instances, &state, options)
+                    .with_context(|| format!("step {}", state.name))?;
+                frames.push(IndexFrame::new(&state));
+                progress.step(&state.name);
+                if sender.send(Rendered { state, set }).is_err() {
+                    // The writer has stopped; it tells why.
+                    break;
+                }
+            }
+            drop(sender);
+            match writer.join() {
+                Ok(result) => Ok(result?),
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        })
+        .map(|()| frames)
+    }
+}
+
+fn summary(
+    frames: &[IndexFrame],
+    missing: &BTreeMap<&str, usize>,
+    rasterizer: &mut dyn Rasterizer,
+) -> String {
+    let maps: usize = frames.iter().map(|f| f.cameras.len()).sum();
+    let missing = match missing.iter().map(|(name, count)| format!("{count} of {name}")).collect::<Vec<_>>() {
+        none if none.is_empty() => String::new(),
+        some => format!(" (missing in the log: {})", some.join(", ")),
+    };
+    let stages = rasterizer.take_stages().0;
+    let stages: Vec<String> =
+        stages.iter().map(|(name, time)| format!("{name} {:.2}", time.as_secs_f64())).collect();
+    let info = rasterizer.info();
+    format!(
+        "rendered {} frames, {maps} camera views{missing} by {} on {} (seconds: {})",
+        frames.len(),
+        info.rasterizer,
+        info.device,
+        stages.join(", ")
+    )
+}

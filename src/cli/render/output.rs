@@ -1,0 +1,62 @@
+use std::path::Path;
+
+use super::args::{MapFormat, RenderOptions};
+use crate::conditions::meta::{FrameMeta, Index, PromptParts};
+use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, exr, npz, png, sheet};
+use crate::error::{FileError, write_whole_folder};
+use crate::scene::SceneState;
+
+/// A step with its maps.
+pub(super) struct Rendered {
+    pub(super) state: SceneState,
+    pub(super) set: ConditionSet,
+}
+
+/// The folder of maps.
+pub(super) struct Output<'a> {
+    pub(super) folder: &'a Path,
+    pub(super) format: MapFormat,
+    pub(super) options: &'a ConditionOptions,
+    pub(super) prompt: &'a PromptParts,
+    pub(super) fps: Option<f64>,
+    /// Name of the log.
+    pub(super) log: &'a str,
+}
+
+const INDEX: &str = "index.json";
+const META: &str = "meta.json";
+
+impl Output<'_> {
+    /// An index of an earlier run goes first: while there is one, the folder is complete.
+    pub(super) fn begin(&self) -> Result<(), FileError> {
+        let index = self.folder.join(INDEX);
+        match std::fs::remove_file(&index) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(FileError::io("replace", &index)(error))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes the folder of a step.
+    pub(super) fn write(&self, step: &Rendered) -> Result<(), ConditionError> {
+        let (state, set) = (&step.state, &step.set);
+        let bins = &self.options.depth_bins;
+        write_whole_folder(&self.folder.join(&state.name), META, |folder| {
+            match self.format {
+                MapFormat::Png => png::write(folder, set, bins)?,
+                MapFormat::Exr => exr::write(folder, set)?,
+                MapFormat::Npz => npz::write(&folder.join("maps.npz"), set)?,
+            }
+            let caption = format!("{}  {}", self.log, state.name);
+            sheet::write(&folder.join("sheet.png"), set, bins, &caption)?;
+            let meta = FrameMeta::new(state, self.options, self.prompt, self.fps);
+            Ok(meta.write(&folder.join(META))?)
+        })
+    }
+
+    /// Writes the index, last of all.
+    pub(super) fn end(&self, index: &Index<&RenderOptions>) -> Result<(), FileError> {
+        index.write(&self.folder.join(INDEX))
+    }
+}

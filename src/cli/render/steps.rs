@@ -1,0 +1,88 @@
+use std::collections::BTreeMap;
+
+use super::RenderArgs;
+use crate::cli::WrongUsage;
+use crate::cli::numbers::FrameRange;
+use crate::conditions::meta::IndexFrame;
+use crate::dataset::Log;
+use crate::geometry::View;
+use crate::scene::{EgoOffset, SceneState, state_at, state_of_frame, with_cameras};
+
+/// What is to be rendered; all of it lies within the log.
+pub(super) struct Steps<'a> {
+    log: &'a Log,
+    offset: EgoOffset,
+    /// Instead of the log's.
+    views: Option<Vec<View>>,
+    when: Vec<When>,
+}
+
+#[derive(Clone, Copy)]
+enum When {
+    Frame(usize),
+    Time(i64),
+}
+
+impl<'a> Steps<'a> {
+    pub(super) fn new(log: &'a Log, args: &RenderArgs, views: Option<Vec<View>>) -> anyhow::Result<Self> {
+        let when: Vec<When> = if args.at.is_empty() {
+            FrameRange::of(args.frames, log.frames.len())?.map(When::Frame).collect()
+        } else {
+            check_times(log, &args.at)?;
+            args.at.iter().copied().map(When::Time).collect()
+        };
+        anyhow::ensure!(!when.is_empty(), "expected a log with frames, found none in {}", log.name);
+        anyhow::ensure!(
+            views.is_some() || !log.cameras.is_empty(),
+            "expected cameras in log {} or by --cameras, found none",
+            log.name
+        );
+        Ok(Self { log, offset: args.ego_offset.unwrap_or_default(), views, when })
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.when.len()
+    }
+
+    /// The states, in order.
+    pub(super) fn states(&self) -> impl Iterator<Item = anyhow::Result<SceneState>> {
+        self.when.iter().map(|when| {
+            let state = match *when {
+                When::Frame(index) => state_of_frame(self.log, index, self.offset),
+                When::Time(t_us) => state_at(self.log, t_us, self.offset),
+            };
+            let state = state.ok_or_else(|| anyhow::anyhow!("expected a time within the log's ego poses"))?;
+            Ok(self.views.as_deref().map_or(state.clone(), |views| with_cameras(state, views)))
+        })
+    }
+
+    /// How many frames lack a camera of the log, by camera.
+    pub(super) fn missing_cameras(&self, frames: &[IndexFrame]) -> BTreeMap<&str, usize> {
+        let mut missing = BTreeMap::new();
+        if self.views.is_none() {
+            for frame in frames {
+                for camera in self.log.cameras.iter().filter(|c| !frame.cameras.contains(c)) {
+                    *missing.entry(camera.as_str()).or_default() += 1;
+                }
+            }
+        }
+        missing
+    }
+}
+
+/// Times become names of folders, so each may be there once.
+fn check_times(log: &Log, times: &[i64]) -> anyhow::Result<()> {
+    for (i, t_us) in times.iter().enumerate() {
+        if times[..i].contains(t_us) {
+            return Err(WrongUsage(format!("expected times in --at that differ, found {t_us} twice")).into());
+        }
+        let ends = log.frames.first().zip(log.frames.last());
+        let range = ends.map_or("nothing".to_owned(), |(a, b)| format!("{} to {}", a.t_us, b.t_us));
+        anyhow::ensure!(
+            log.covers(*t_us),
+            "expected times in --at within log {} ({range} us), found {t_us}",
+            log.name
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,101 @@
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+
+use super::{Candidate, Part, SplitOptions, Splitter};
+use crate::dataset::{Sweep, SweepRecord};
+
+/// Color of the points of a log without images.
+const GREY: [u8; 3] = [128; 3];
+
+/// A sweep, split.
+#[derive(Default)]
+pub(super) struct SweepCloud {
+    pub(super) t_us: i64,
+    /// Global.
+    pub(super) background: Vec<Candidate>,
+    /// Box frame, by track.
+    pub(super) actors: BTreeMap<usize, Vec<Candidate>>,
+    pub(super) read: usize,
+    pub(super) not_finite: usize,
+    pub(super) ghosts: usize,
+    pub(super) ego: usize,
+}
+
+impl SweepCloud {
+    /// Sorts the points of a sweep into background and actors.
+    pub(super) fn split(
+        sweep: &Sweep,
+        record: &SweepRecord,
+        splitter: &Splitter,
+        options: &SplitOptions,
+    ) -> Self {
+        let global_from_lidar = record.global_from_ego * record.ego_from_lidar;
+        let mut cloud = Self {
+            t_us: record.t_us,
+            read: sweep.points.len() + sweep.dropped_non_finite,
+            not_finite: sweep.dropped_non_finite,
+            ..Self::default()
+        };
+        let merged = names_devices(sweep);
+        for point in &sweep.points {
+            let position = DVec3::from(point.position.map(f64::from));
+            let global = global_from_lidar.transform_point(position);
+            let timely = options.every_lidar || !merged || point.ring == options.primary_lidar;
+            let is_ego = position.truncate().abs().max_element() < options.ego_clearance_m;
+            match splitter.part(global, timely) {
+                Part::Actor { track, local } => cloud.actors.entry(track).or_default().push(candidate(local)),
+                Part::Ghost => cloud.ghosts += 1,
+                Part::Background if is_ego => cloud.ego += 1,
+                Part::Background => cloud.background.push(candidate(global)),
+            }
+        }
+        cloud
+    }
+
+    pub(super) fn parts(&self) -> impl Iterator<Item = (Option<usize>, &Vec<Candidate>)> {
+        let actors = self.actors.iter().map(|(track, points)| (Some(*track), points));
+        std::iter::once((None, &self.background)).chain(actors)
+    }
+
+    pub(super) fn parts_mut(&mut self) -> impl Iterator<Item = (Option<usize>, &mut Vec<Candidate>)> {
+        let actors = self.actors.iter_mut().map(|(track, points)| (Some(*track), points));
+        std::iter::once((None, &mut self.background)).chain(actors)
+    }
+
+    pub(super) fn make_grey(&mut self) {
+        for (_, points) in self.parts_mut() {
+            points.iter_mut().for_each(|p| p.rgb = Some(GREY));
+        }
+    }
+}
+
+fn candidate(position: DVec3) -> Candidate {
+    Candidate { position, rgb: None }
+}
+
+/// Whether the ring column numbers merged LiDARs rather than beams: no spinning LiDAR has fewer than four beams.
+fn names_devices(sweep: &Sweep) -> bool {
+    let last = sweep.points.iter().map(|p| p.ring).max();
+    last.is_some_and(|last| (1..4).contains(&last))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::SweepPoint;
+
+    #[test]
+    fn few_ring_numbers_are_devices() {
+        let sweep = |rings: &[u16]| Sweep {
+            points: rings.iter().map(|&ring| SweepPoint { ring, ..SweepPoint::default() }).collect(),
+            dropped_non_finite: 0,
+        };
+        assert!(names_devices(&sweep(&[0, 1, 1])));
+        assert!(
+            !names_devices(&sweep(&[0, 0]))
+                && !names_devices(&sweep(&[0, 1, 31]))
+                && !names_devices(&sweep(&[]))
+        );
+    }
+}
