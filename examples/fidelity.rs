@@ -2,6 +2,7 @@
 //! compares with their images.
 //!
 //! `cargo run --release --example fidelity -- nuscenes:DIR [--way every-camera]`
+#![allow(clippy::print_stdout)] // it speaks to the user
 
 use std::path::PathBuf;
 

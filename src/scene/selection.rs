@@ -131,7 +131,7 @@ mod tests {
     use crate::skeleton::{Asset, BuiltSkeleton, Chunk, Template};
 
     fn cube(count: usize) -> (Vec<Point>, Bounds) {
-        let corner = |i: usize| [0.0, 1.0, 2.0].map(|_: f32| if i % 2 == 0 { -1.0 } else { 1.0 });
+        let corner = |i: usize| [0.0, 1.0, 2.0].map(|_: f32| if i.is_multiple_of(2) { -1.0 } else { 1.0 });
         let points: Vec<Point> = (0..count).map(|i| Point::new(corner(i), [9; 3], 1)).collect();
         let bounds = Bounds::of(&points).unwrap();
         (points, bounds)

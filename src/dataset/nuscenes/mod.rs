@@ -1,8 +1,7 @@
 //! nuScenes: 13 JSON tables that refer to each other by token, with LiDAR sweeps and camera images beside them.
 //!
-//! How it works: [`tables`] holds the raw records, [`read`] turns those of one scene into a [`Log`], [`sweep`]
-//! reads and writes `.pcd.bin` files, . Format:
-//! <https://www.nuscenes.org/nuscenes#data-format>.
+//! How it works: `tables` holds the raw records, `read` turns those of one scene into a [`Log`], `sweep` reads and
+//! writes `.pcd.bin` files. Format: <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
 mod choose;
