@@ -19,6 +19,7 @@ pub mod metrics;
 pub mod raster;
 pub mod scene;
 pub mod skeleton;
+pub mod town;
 
 /// Compiles the Rust blocks of `README.md`.
 #[doc = include_str!("../README.md")]

@@ -44,11 +44,9 @@ pub struct Look {
     pub weight: f32,
 }
 
-/// Depths, metres, up to which a color is the mean over a square of so many pixels to each side: what a splat of
-/// the default schedule covers in an image of 1600 to 1920 pixels.
-const FOOTPRINTS: [(f64, i64); 2] = [(15.0, 3), (35.0, 2)];
-/// The same beyond.
-const FAR_FOOTPRINT: i64 = 1;
+/// Depths, metres, up to which a splat of the default schedule has a radius in an image of [`SPLAT_WIDTH`] pixels.
+const SPLATS: [(f64, f64); 2] = [(15.0, 2.0), (35.0, 1.0)];
+const SPLAT_WIDTH: f64 = 1600.0;
 /// A second between sweep and image weighs like this share of distance.
 const TIME_WEIGHT: f64 = 0.3;
 
@@ -66,7 +64,8 @@ impl ColorView {
 
     /// The mean color over the pixels that a splat at this depth covers.
     fn mean_color(&self, pixel: DVec2, depth_m: f64) -> [u8; 3] {
-        let r = FOOTPRINTS.iter().find(|(z, _)| depth_m <= *z).map_or(FAR_FOOTPRINT, |(_, r)| *r);
+        let splat = SPLATS.iter().find(|(z, _)| depth_m <= *z).map_or(0.0, |(_, radius)| *radius);
+        let r = ((splat + 0.5) * f64::from(self.image.width()) / SPLAT_WIDTH).round() as i64;
         let range = |c: f64, side: u32| {
             let c = c as i64;
             (c - r).max(0) as usize..(c + r + 1).min(i64::from(side)) as usize
@@ -143,17 +142,17 @@ mod tests {
     #[test]
     fn a_color_is_the_mean_over_the_footprint() {
         let rows = [[100.0, 0.0, 20.0], [0.0, 100.0, 20.0], [0.0, 0.0, 1.0]];
-        let camera = Camera::new("c", 40, 40, rows).unwrap();
+        let camera = Camera::new("c", 1600, 40, rows).unwrap();
         let view = View { camera, camera_from_world: DAffine3::IDENTITY };
-        let image = RgbImage::from_fn(40, 40, |x, _| image::Rgb([if x < 20 { 0 } else { 70 }, 8, 9]));
+        let image = RgbImage::from_fn(1600, 40, |x, _| image::Rgb([if x < 20 { 0 } else { 70 }, 8, 9]));
         let color_view = ColorView { image, view, t_us: 0, occlusion: None };
         let project = Projector::new(&color_view.view, &DAffine3::IDENTITY);
         let at = |x: f64, z: f64| color_view.look(&project, DVec3::new(x, 0.0, z), 0.0).map(|l| l.rgb);
         // Pixel column 20: of 7 columns 17..=23 four are bright; far away, of 3 columns two.
         assert_eq!(at(0.0, 10.0), Some([40, 8, 9]));
         assert_eq!(at(0.0, 50.0), Some([47, 8, 9]));
-        // Cut at the border: columns 36..=39.
-        assert_eq!(at(1.95, 10.0), Some([70, 8, 9]));
-        assert_eq!([at(2.0, 10.0), at(0.0, 0.05), at(0.0, -5.0)], [None; 3]);
+        // Cut at the border: columns 0..=5.
+        assert_eq!(at(-1.75, 10.0), Some([0, 8, 9]));
+        assert_eq!([at(-2.1, 10.0), at(158.1, 10.0), at(0.0, 0.05), at(0.0, -5.0)], [None; 4]);
     }
 }

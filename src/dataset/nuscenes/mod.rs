@@ -9,8 +9,11 @@ mod frames;
 mod read;
 mod sweep;
 mod tables;
+mod write;
 
 pub use sweep::{POINT_BYTES, check_sweep_len, parse_sweep, read_sweep_file, write_sweep_file};
+
+pub use write::write_log;
 
 use super::{Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, read_picture};
 

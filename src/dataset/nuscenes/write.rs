@@ -1,0 +1,253 @@
+//! Any log as a nuScenes data set.
+
+use std::path::Path;
+
+use image::codecs::jpeg::JpegEncoder;
+use rayon::prelude::*;
+use serde_json::{Value, json};
+
+use super::write_sweep_file;
+use crate::dataset::{Dataset, DatasetError, Frame, ImageRecord, Sweep, SweepRecord};
+use crate::error::{FileError, write_json, write_whole};
+use crate::geometry::Pose;
+
+/// JPEG quality of the images, 1 to 100.
+const QUALITY: u8 = 95;
+
+/// Writes a log as `root/version/*.json` (13 tables), `root/samples` and `root/sweeps`. Reading it back gives the
+/// same log, but for paths, the order of cameras and tracks (by token), and losses of JPEG. The tables come last.
+///
+/// # Errors
+/// The log's own, and the system's at writing.
+pub fn write_log(root: &Path, version: &str, dataset: &dyn Dataset) -> Result<(), DatasetError> {
+    let log = dataset.log();
+    let mut tables = Tables::default();
+    tables.fixed(dataset);
+    for channel in &log.cameras {
+        make_folders(root, channel)?;
+    }
+    make_folders(root, LIDAR)?;
+    for (index, frame) in log.frames.iter().enumerate() {
+        let images: Vec<(&ImageRecord, bool)> = frame
+            .images
+            .iter()
+            .map(|i| (i, true))
+            .chain(frame.between_images.iter().map(|i| (i, false)))
+            .collect();
+        images.par_iter().try_for_each(|(record, key)| {
+            let path = root.join(image_name(&log.cameras[record.channel], record, *key));
+            write_image(&path, &dataset.read_image(record)?)
+        })?;
+        let mut counts = Vec::new();
+        for (number, record) in frame.sweeps.iter().enumerate() {
+            let sweep = dataset.read_sweep(record)?;
+            write_sweep_file(&root.join(sweep_name(record, number == 0)), &sweep.points)?;
+            if number == 0 {
+                counts = points_in_boxes(frame, record, &sweep);
+            }
+        }
+        tables.frame(dataset, index, &counts);
+    }
+    tables.write(&root.join(version))
+}
+
+/// The one LiDAR channel that is written.
+const LIDAR: &str = "LIDAR_TOP";
+
+fn make_folders(root: &Path, channel: &str) -> Result<(), FileError> {
+    for kind in ["samples", "sweeps"] {
+        let folder = root.join(kind).join(channel);
+        std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
+    }
+    Ok(())
+}
+
+fn image_name(channel: &str, record: &ImageRecord, key: bool) -> String {
+    format!("{}/{channel}/{channel}__{}.jpg", if key { "samples" } else { "sweeps" }, record.t_us)
+}
+
+fn sweep_name(record: &SweepRecord, key: bool) -> String {
+    format!("{}/{LIDAR}/{LIDAR}__{}.pcd.bin", if key { "samples" } else { "sweeps" }, record.t_us)
+}
+
+fn write_image(path: &Path, image: &image::RgbImage) -> Result<(), DatasetError> {
+    let mut bytes = Vec::new();
+    let encoded = JpegEncoder::new_with_quality(&mut bytes, QUALITY).encode_image(image);
+    encoded.map_err(|e| FileError::content("an image that JPEG can hold", e.to_string(), path))?;
+    Ok(write_whole(path, |writer| {
+        std::io::Write::write_all(writer, &bytes).map_err(FileError::io("write", path))
+    })?)
+}
+
+/// How many points of the frame's sweep lie in each box.
+fn points_in_boxes(frame: &Frame, record: &SweepRecord, sweep: &Sweep) -> Vec<usize> {
+    let global_from_lidar = record.global_from_ego * record.ego_from_lidar;
+    let count = |cuboid: &crate::geometry::Cuboid| {
+        let box_from_lidar = cuboid.pose.inverse() * global_from_lidar;
+        let inside = |p: &[f32; 3]| {
+            let local = box_from_lidar.transform_point(glam::Vec3::from(*p).as_dvec3());
+            cuboid.contains_local(local, 0.0)
+        };
+        sweep.points.iter().filter(|p| inside(&p.position)).count()
+    };
+    frame.boxes.par_iter().map(|b| count(&b.cuboid)).collect()
+}
+
+/// A token of 32 hexadecimal digits, like nuScenes' own.
+fn token(kind: Kind, index: usize) -> String {
+    format!("{:02x}{index:030x}", kind as u8 + 0xa0)
+}
+
+/// An empty string where there is none, as nuScenes writes the ends of a chain.
+fn neighbour(kind: Kind, index: Option<usize>) -> String {
+    index.map_or_else(String::new, |i| token(kind, i))
+}
+
+#[derive(Clone, Copy)]
+enum Kind {
+    Sample,
+    SampleData,
+    Pose,
+    Calibration,
+    Sensor,
+    Annotation,
+    Category,
+    Other,
+}
+
+/// The tables as they grow, in nuScenes' order.
+#[derive(Default)]
+struct Tables {
+    tables: std::collections::BTreeMap<&'static str, Vec<Value>>,
+    /// Last annotation of each track.
+    last: std::collections::BTreeMap<usize, usize>,
+}
+
+impl Tables {
+    fn rows(&mut self, table: &'static str) -> &mut Vec<Value> {
+        self.tables.entry(table).or_default()
+    }
+
+    /// What does not depend on frames.
+    fn fixed(&mut self, dataset: &dyn Dataset) {
+        let log = dataset.log();
+        let (scene, record) = (token(Kind::Other, 0), token(Kind::Other, 1));
+        self.rows("scene").push(json!({
+            "token": scene, "log_token": record, "nbr_samples": log.frames.len(), "name": log.name,
+            "description": log.description, "first_sample_token": token(Kind::Sample, 0),
+            "last_sample_token": token(Kind::Sample, log.frames.len().saturating_sub(1)),
+        }));
+        self.rows("log").push(json!({
+            "token": record, "logfile": log.name, "vehicle": "synthetic", "date_captured": "", "location": log.location,
+        }));
+        self.rows("map").push(json!({
+            "token": token(Kind::Other, 2), "log_tokens": [record], "category": "semantic_prior", "filename": "",
+        }));
+        self.rows("attribute");
+        self.rows("visibility")
+            .push(json!({"token": "4", "level": "v80-100", "description": "80 to 100 % visible"}));
+        let sensors = log.cameras.iter().map(|name| (name.as_str(), "camera")).chain([(LIDAR, "lidar")]);
+        for (i, (channel, modality)) in sensors.enumerate() {
+            self.rows("sensor")
+                .push(json!({"token": token(Kind::Sensor, i), "channel": channel, "modality": modality}));
+        }
+        let categories: std::collections::BTreeSet<&str> =
+            log.tracks.iter().map(|t| t.category.as_str()).collect();
+        for (i, name) in categories.iter().enumerate() {
+            let row =
+                json!({"token": token(Kind::Category, i), "name": name, "description": "", "index": i + 1});
+            self.rows("category").push(row);
+        }
+        let category =
+            |name: &str| token(Kind::Category, categories.iter().position(|c| *c == name).unwrap_or(0));
+        for (track, info) in log.tracks.iter().enumerate() {
+            let boxes = log.track_boxes(track).len();
+            self.rows("instance").push(json!({
+                "token": info.id, "category_token": category(&info.category), "nbr_annotations": boxes,
+                "first_annotation_token": "", "last_annotation_token": "",
+            }));
+        }
+    }
+
+    fn frame(&mut self, dataset: &dyn Dataset, index: usize, counts: &[usize]) {
+        let log = dataset.log();
+        let frame = &log.frames[index];
+        self.rows("sample").push(json!({
+            "token": token(Kind::Sample, index), "timestamp": frame.t_us, "scene_token": token(Kind::Other, 0),
+            "prev": neighbour(Kind::Sample, index.checked_sub(1)),
+            "next": neighbour(Kind::Sample, Some(index + 1).filter(|i| *i < log.frames.len())),
+        }));
+        for (number, record) in frame.sweeps.iter().enumerate() {
+            let name = sweep_name(record, number == 0);
+            let sensor = (log.cameras.len(), record.ego_from_lidar, json!([]), [0, 0]);
+            self.data(index, number == 0, name, record.t_us, record.global_from_ego, sensor);
+        }
+        let keys = frame.images.iter().map(|i| (i, true));
+        for (record, key) in keys.chain(frame.between_images.iter().map(|i| (i, false))) {
+            let name = image_name(&log.cameras[record.channel], record, key);
+            let camera = &record.camera;
+            let size = [camera.height, camera.width];
+            let sensor = (record.channel, record.ego_from_camera, json!(camera.rows()), size);
+            self.data(index, key, name, record.t_us, record.global_from_ego, sensor);
+        }
+        for (item, count) in frame.boxes.iter().zip(counts) {
+            self.annotation(index, &log.tracks[item.track].id, item, *count);
+        }
+    }
+
+    /// A file: its row, its ego pose and its calibration. `sensor`: index, extrinsics, intrinsics, height and width.
+    fn data(
+        &mut self,
+        frame: usize,
+        key: bool,
+        name: String,
+        t_us: i64,
+        ego: Pose,
+        sensor: (usize, Pose, Value, [u32; 2]),
+    ) {
+        let (sensor, extrinsics, intrinsics, [height, width]) = sensor;
+        let index = self.rows("sample_data").len();
+        let (pose, calibration) = (token(Kind::Pose, index), token(Kind::Calibration, index));
+        self.rows("ego_pose").push(json!({
+            "token": pose, "timestamp": t_us, "rotation": ego.wxyz(), "translation": ego.translation.to_array(),
+        }));
+        self.rows("calibrated_sensor").push(json!({
+            "token": calibration, "sensor_token": token(Kind::Sensor, sensor), "rotation": extrinsics.wxyz(),
+            "translation": extrinsics.translation.to_array(), "camera_intrinsic": intrinsics,
+        }));
+        self.rows("sample_data").push(json!({
+            "token": token(Kind::SampleData, index), "sample_token": token(Kind::Sample, frame), "ego_pose_token": pose,
+            "calibrated_sensor_token": calibration, "timestamp": t_us, "is_key_frame": key, "height": height,
+            "width": width, "fileformat": name.rsplit('.').next(), "filename": name, "prev": "", "next": "",
+        }));
+    }
+
+    fn annotation(&mut self, frame: usize, track: &str, item: &crate::dataset::TrackBox, points: usize) {
+        let index = self.rows("sample_annotation").len();
+        let before = self.last.insert(item.track, index);
+        let own = token(Kind::Annotation, index);
+        if let Some(before) = before {
+            self.rows("sample_annotation")[before]["next"] = json!(own);
+        }
+        let instance = &mut self.rows("instance")[item.track];
+        instance["last_annotation_token"] = json!(own);
+        if before.is_none() {
+            instance["first_annotation_token"] = json!(own);
+        }
+        let (pose, size) = (item.cuboid.pose, item.cuboid.size);
+        self.rows("sample_annotation").push(json!({
+            "token": own, "sample_token": token(Kind::Sample, frame), "instance_token": track, "visibility_token": "4",
+            "attribute_tokens": [], "translation": pose.translation.to_array(), "rotation": pose.wxyz(),
+            "size": [size.y, size.x, size.z], "prev": neighbour(Kind::Annotation, before), "next": "",
+            "num_lidar_pts": points, "num_radar_pts": 0,
+        }));
+    }
+
+    fn write(&self, folder: &Path) -> Result<(), DatasetError> {
+        std::fs::create_dir_all(folder).map_err(FileError::io("create", folder))?;
+        for (table, rows) in &self.tables {
+            write_json(&folder.join(format!("{table}.json")), rows)?;
+        }
+        Ok(())
+    }
+}
