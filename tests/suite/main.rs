@@ -1,12 +1,16 @@
 //! Tests of the whole library, by subject.
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)] // helpers stand outside `#[test]`
 
+mod cli_build;
+mod cli_render;
 mod common;
 mod conditions;
 mod npz;
 mod nuscenes;
 mod parity;
 mod raster;
+mod real_log;
 mod sheet;
 mod skeleton_store;
 mod splat_cli;
+mod tiny_log;

@@ -1,0 +1,152 @@
+//! Skeletons of a real drive: what the split leaves where, and how well the sweeps of a car agree.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use point_skeleton::cloud::Point;
+use point_skeleton::dataset::nuscenes::NuScenes;
+use point_skeleton::dataset::{
+    Class, Dataset, DatasetError, ImageRecord, Log, LogFormat, LogLocator, Sweep, SweepRecord,
+};
+use point_skeleton::skeleton::{BuildOptions, BuiltSkeleton, build};
+
+use crate::common::shared;
+
+const FRAMES: [usize; 6] = [0, 2, 4, 6, 8, 10];
+
+/// The drive with the sweep of one frame and no images: all its points are kept, in grey. The boxes stay, so that it
+/// is known what moves.
+struct OneSweep<'a> {
+    drive: &'a NuScenes,
+    log: Log,
+}
+
+impl<'a> OneSweep<'a> {
+    fn new(drive: &'a NuScenes, kept: usize) -> Self {
+        let mut log = drive.log().clone();
+        for (index, frame) in log.frames.iter_mut().enumerate() {
+            frame.images.clear();
+            if index != kept {
+                frame.sweeps.clear();
+            }
+        }
+        Self { drive, log }
+    }
+}
+
+impl Dataset for OneSweep<'_> {
+    fn log(&self) -> &Log {
+        &self.log
+    }
+
+    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
+        self.drive.read_sweep(record)
+    }
+
+    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
+        self.drive.read_image(record)
+    }
+}
+
+/// The drive, and a skeleton of each frame's sweep with all its points.
+fn single_sweeps() -> Option<(NuScenes, Vec<BuiltSkeleton>)> {
+    let path = shared("the PandaSet drive")?.join("data/pandaset-002/nuscenes");
+    let drive = NuScenes::open(&LogLocator { format: LogFormat::NuScenes, path, version: None, scene: None })
+        .unwrap();
+    let options = BuildOptions { voxel_m: 0.0, ..BuildOptions::default() };
+    let all: Vec<usize> = (0..drive.log().frames.len()).collect();
+    let skeleton = |kept: usize| build(&OneSweep::new(&drive, kept), &all, &options, &()).unwrap();
+    let built = FRAMES.map(skeleton);
+    Some((drive, built.into()))
+}
+
+#[test]
+fn no_background_point_lies_in_a_box_above_the_ground() {
+    let Some((dataset, skeletons)) = single_sweeps() else { return };
+    for (index, skeleton) in FRAMES.into_iter().zip(&skeletons) {
+        let frame = &dataset.log().frames[index];
+        let mut checked = 0_usize;
+        for (chunk, points) in &skeleton.background {
+            for point in points {
+                let global = DVec3::from(chunk.origin) + DVec3::from(point.position.map(f64::from));
+                for item in &frame.boxes {
+                    let local = item.cuboid.pose.inverse().transform_point(global);
+                    // Half a millimetre for what f32 rounds off.
+                    let above = local.z > 0.2 - item.cuboid.size.z / 2.0 + 5e-4;
+                    let inside = item.cuboid.contains_local(local, -5e-4);
+                    assert!(!(inside && above), "frame {index}: {local} in {:?}", item.cuboid);
+                }
+                checked += 1;
+            }
+        }
+        assert!(checked > 50_000, "frame {index}: {checked} background points");
+    }
+}
+
+/// Points of a car by frame.
+type Views<'a> = Vec<(usize, &'a [Point])>;
+
+/// Sweeps with fewer points show too little of a car.
+const WELL_SEEN: usize = 200;
+
+fn well_seen_cars(skeletons: &[BuiltSkeleton]) -> BTreeMap<&str, Views<'_>> {
+    let mut cars: BTreeMap<&str, Views> = BTreeMap::new();
+    for (index, skeleton) in FRAMES.into_iter().zip(skeletons) {
+        for (asset, points) in &skeleton.actors {
+            if asset.class == Class::MotorVehicle && points.len() >= WELL_SEEN {
+                cars.entry(&asset.track).or_default().push((index, points));
+            }
+        }
+    }
+    cars.retain(|_, views| views.len() >= 3);
+    cars
+}
+
+/// Median distance from a point of one sweep to the nearest point of the others, metres.
+fn median_distance_m(views: &Views) -> f64 {
+    let mut distances = Vec::new();
+    for (one, (_, points)) in views.iter().enumerate() {
+        let others = views.iter().enumerate().filter(|(i, _)| *i != one);
+        let rows: Vec<[f32; 3]> =
+            others.flat_map(|(_, (_, points))| points.iter().map(|p| p.position)).collect();
+        let tree: ImmutableKdTree<f32, 3> = ImmutableKdTree::new_from_slice(&rows).unwrap();
+        let squared = |p: &Point| -> f32 {
+            tree.query(&p.position).nearest_one::<SquaredEuclidean<f32>>().execute().distance
+        };
+        distances.extend(points.iter().map(|p| squared(p).sqrt()));
+    }
+    distances.sort_by(f32::total_cmp);
+    f64::from(distances[distances.len() / 2])
+}
+
+/// How far a track's boxes are apart within the frames, metres.
+fn travel_m(dataset: &NuScenes, track: &str) -> f64 {
+    let log = dataset.log();
+    let track = log.tracks.iter().position(|t| t.id == track).unwrap();
+    let at = |i: usize| log.frames[i].cuboid_of(track).map(|c| c.pose.translation);
+    let places: Vec<DVec3> = FRAMES.into_iter().filter_map(at).collect();
+    places[0].distance(places[places.len() - 1])
+}
+
+#[test]
+fn the_sweeps_of_a_car_agree() {
+    let Some((dataset, skeletons)) = single_sweeps() else { return };
+    let cars = well_seen_cars(&skeletons);
+    assert!(cars.len() >= 5, "{} well-seen cars", cars.len());
+    let mut off = Vec::new();
+    for (track, views) in &cars {
+        let median_m = median_distance_m(views);
+        let points: usize = views.iter().map(|(_, p)| p.len()).sum();
+        let travel_m = travel_m(&dataset, track);
+        println!(
+            "{track} {points:6} points, {} sweeps, moved {travel_m:5.1} m: {:5.1} mm",
+            views.len(),
+            median_m * 1e3
+        );
+        if median_m > 0.05 {
+            off.push(format!("{track} (moved {travel_m:.1} m): {median_m:.3} m"));
+        }
+    }
+    assert!(off.is_empty(), "expected at most 0.05 m, found {}", off.join(", "));
+}
