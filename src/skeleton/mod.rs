@@ -1,7 +1,7 @@
 //! The point skeleton of a drive: static background, one asset per tracked actor, category templates.
 //!
 //! # How it works
-//! [`build`] reads the sweeps, tells background from actors by the boxes ([`Splitter`]), finds what hides what in
+//! [`build()`] reads the sweeps, tells background from actors by the boxes ([`Splitter`]), finds what hides what in
 //! every image ([`OcclusionGrid`]), gives every point one color from the camera with the best view ([`ColorView`]),
 //! merges voxels, and keeps the background in chunks with an origin each, so that global coordinates stay `f64` and
 //! points are `f32`. [`Skeleton`] is the result on disk, memory-mapped.
