@@ -75,8 +75,8 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), File
 }
 
 /// Writes a whole folder under a temporary name beside `path`, then renames it: nothing half-written is ever seen
-/// under the final name. `fill` gets the temporary folder. An older folder at `path` is replaced if it holds a file
-/// named `marker`, which tells that it is one of ours.
+/// under the final name. `fill` gets the temporary folder. An older folder at `path` is replaced if it is empty or holds
+/// a file named `marker`, which tells that it is one of ours.
 ///
 /// # Errors
 /// Whatever `fill` returns, something else at `path`, or the system; the temporary folder is gone then.
@@ -86,8 +86,9 @@ pub fn write_whole_folder<E: From<FileError>>(
     fill: impl FnOnce(&Path) -> Result<(), E>,
 ) -> Result<(), E> {
     let older = path.exists();
-    if older && !path.join(marker).is_file() {
-        let expected = format!("no such folder yet, or an older one with {marker}");
+    let empty = || std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none());
+    if older && !path.join(marker).is_file() && !empty() {
+        let expected = format!("no such folder yet, an empty one, or an older one with {marker}");
         return Err(FileError::content(expected, "other content", path).into());
     }
     let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -144,6 +145,8 @@ mod tests {
         assert!(write("bad").is_err());
         assert_eq!(std::fs::read(path.join("mark")).unwrap(), b"two");
         std::fs::remove_file(path.join("mark")).unwrap();
+        write("into an empty one").unwrap();
+        std::fs::rename(path.join("mark"), path.join("other")).unwrap();
         assert!(write("three").unwrap_err().to_string().contains("an older one with mark"));
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }

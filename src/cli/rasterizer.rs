@@ -1,5 +1,6 @@
 use clap::Args;
 
+use super::WrongUsage;
 use crate::raster::{self, CloudSet, Rasterizer, RasterizerKind};
 
 /// Which rasterizer draws, shared by all commands that draw.
@@ -17,10 +18,10 @@ impl RasterizerArgs {
     /// Makes the rasterizer and gives it its clouds.
     pub(super) fn create<'a>(&self, clouds: CloudSet<'a>) -> anyhow::Result<Box<dyn Rasterizer + 'a>> {
         let cpu = self.rasterizer == RasterizerKind::Cpu;
-        anyhow::ensure!(
-            !cpu || self.device.is_none(),
-            "expected no --device with --rasterizer cpu, found one"
-        );
+        if let Some(device) = self.device.as_ref().filter(|_| cpu) {
+            let message = format!("expected no --device with --rasterizer cpu, found {device:?}");
+            return Err(WrongUsage(message).into());
+        }
         Ok(raster::create(self.rasterizer, self.device.as_deref(), clouds)?)
     }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::BuildOptions;
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use crate::cloud::Point;
-use crate::error::{FileError, write_whole};
+use crate::error::{FileError, write_json, write_whole, write_whole_folder};
 use crate::gpu::MappedFile;
 
 const MANIFEST: &str = "skeleton.json";
@@ -38,27 +38,7 @@ impl BuiltSkeleton {
     /// # Errors
     /// The system's, a folder that is no skeleton; nothing is left half-written.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
-        if path.exists() && !path.join(MANIFEST).is_file() {
-            return Err(FileError::content(
-                "no such folder yet, or an older skeleton",
-                "other content",
-                path,
-            ));
-        }
-        let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        std::fs::create_dir_all(parent).map_err(FileError::io("create", parent))?;
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".pskel-");
-        let folder = builder.tempdir_in(parent).map_err(FileError::io("create a folder in", parent))?;
-        self.write_into(folder.path())?;
-        open_to_all(folder.path())?;
-        if path.exists() {
-            std::fs::remove_dir_all(path).map_err(FileError::io("replace", path))?;
-        }
-        std::fs::rename(folder.path(), path).map_err(FileError::io("rename to", path))?;
-        // Renamed away: nothing is left to clean up.
-        let _ = folder.keep();
-        Ok(())
+        write_whole_folder(path, MANIFEST, |folder| self.write_into(folder))
     }
 
     fn write_into(&self, folder: &Path) -> Result<(), FileError> {
@@ -66,12 +46,7 @@ impl BuiltSkeleton {
         write_points(&folder.join(ACTORS), self.actors.iter().map(|(_, p)| p))?;
         write_points(&folder.join(TEMPLATES), self.templates.iter().map(|(_, p)| p))?;
         let path = folder.join(MANIFEST);
-        let manifest = self.manifest();
-        write_whole(&path, |writer| {
-            serde_json::to_writer_pretty(&mut *writer, &manifest)
-                .map_err(|e| FileError::io("write", &path)(e.into()))?;
-            writer.write_all(b"\n").map_err(FileError::io("write", &path))
-        })
+        write_json(&path, &self.manifest())
     }
 
     fn manifest(&self) -> Manifest {
@@ -86,13 +61,6 @@ impl BuiltSkeleton {
             templates: self.templates.iter().map(|(t, _)| t.clone()).collect(),
         }
     }
-}
-
-/// What a plain created folder gets, not the private mode of temporary ones.
-fn open_to_all(folder: &Path) -> Result<(), FileError> {
-    use std::os::unix::fs::PermissionsExt;
-    std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o755))
-        .map_err(FileError::io("set permissions of", folder))
 }
 
 fn write_points<'a>(path: &Path, clouds: impl Iterator<Item = &'a Vec<Point>>) -> Result<(), FileError> {

@@ -22,20 +22,19 @@ impl Trajectories {
         Self(tracks)
     }
 
-    /// A track's box at a time: between its boxes before and after, or carried on at most 0.15 s. `None` where it
-    /// is not known.
+    /// A track's box at a time: between its boxes before and after, or carried on at most 0.15 s (a single box stands
+    /// still). `None` where it is not known.
     pub fn at(&self, track: usize, t_us: i64) -> Option<Cuboid> {
         let boxes = &self.0[track];
         let next = boxes.partition_point(|(t, _)| *t < t_us);
-        if let Some((t, cuboid)) = boxes.get(next).filter(|(t, _)| *t == t_us) {
-            debug_assert_eq!(*t, t_us);
+        if let Some((_, cuboid)) = boxes.get(next).filter(|(t, _)| *t == t_us) {
             return Some(*cuboid);
         }
         let (first, last) = (boxes.first()?.0, boxes.last()?.0);
         if t_us < first - CARRY_ON_US || t_us > last + CARRY_ON_US {
             return None;
         }
-        let [a, b] = pair_around(boxes, next)?;
+        let Some([a, b]) = pair_around(boxes, next) else { return boxes.first().map(|(_, cuboid)| *cuboid) };
         let s = (t_us - a.0) as f64 / (b.0 - a.0) as f64;
         if (0.0..=1.0).contains(&s) {
             return Some(a.1.interpolate(&b.1, s));
@@ -53,13 +52,6 @@ impl Trajectories {
         pair_around(boxes, next).map_or(DVec3::ZERO, |[a, b]| {
             (b.1.pose.translation - a.1.pose.translation) / ((b.0 - a.0) as f64 * 1e-6)
         })
-    }
-
-    /// Largest distance between any two of a track's boxes, metres along the axes.
-    pub fn extent_m(&self, track: usize) -> f64 {
-        let centres = || self.0[track].iter().map(|(_, c)| c.pose.translation);
-        let (min, max) = (centres().reduce(DVec3::min), centres().reduce(DVec3::max));
-        min.zip(max).map_or(0.0, |(min, max)| (max - min).length())
     }
 
     /// Median size of a track's boxes, metres; `None` without boxes.
@@ -101,14 +93,13 @@ mod tests {
         assert_eq!([x(-200_000), x(600_000)], [None, None]);
         assert_eq!(t.velocity(0, 100_000).x, 10.0);
         assert_eq!(t.velocity(0, 400_000).x, 20.0);
-        assert_eq!(t.extent_m(0), 6.0);
     }
 
     #[test]
-    fn a_single_box_stands_still_and_only_at_its_time() {
+    fn a_single_box_stands_still_for_a_moment() {
         let t = trajectory(&[(0, 3.0)]);
         assert_eq!(t.velocity(0, 0), DVec3::ZERO);
-        assert!(t.at(0, 0).is_some() && t.at(0, 50_000).is_none());
+        assert!(t.at(0, 0).is_some() && t.at(0, 0) == t.at(0, -100_000) && t.at(0, 200_000).is_none());
         assert_eq!(t.median_size(0), Some(DVec3::ONE));
     }
 }

@@ -79,6 +79,31 @@ fn damaged_logs_are_errors_that_leave_nothing() {
         &|log| log.change("sample_annotation", "/2/size/1", json!(0.0)),
         &["sample_annotation.json", "positive length, width and height, found 0 x 2 x 1.5", "a1car"],
     );
+    damage(
+        &|log| log.change("sample_annotation", "/2/size/1", json!(-4.0)),
+        &["sample_annotation.json", "positive length, width and height, found -4 x 2 x 1.5", "a1car"],
+    );
+    damage(
+        &|log| log.change("ego_pose", "/1/rotation/0", json!(0.5)),
+        &["ego_pose.json", "a unit quaternion", "found length 0.5"],
+    );
+    damage(
+        &|log| log.change("calibrated_sensor", "/1/camera_intrinsic/1/1", json!(0.0)),
+        &["calibrated_sensor.json", "invertible intrinsics", "fy 0"],
+    );
+    damage(
+        &|log| log.change("sample_annotation", "/2/instance_token", json!("nobody")),
+        &["instance.json", "token nobody, found none", "a1car"],
+    );
+    damage(
+        &|log| log.change("sample", "/1/next", json!("nowhere")),
+        &["sample.json", "token nowhere, found none"],
+    );
+    damage(&|log| log.change("sample", "/2/timestamp", json!(1)), &["sample.json", "expected", "found"]);
+    damage(
+        &|log| std::fs::write(log.path("log/v1.0-mini/sensor.json"), "[{\n\"token\": 5}]").unwrap(),
+        &["sensor.json", "a JSON array of sensor records", "line 2"],
+    );
     let above = SweepPoint { position: [3.0, 0.0, 100.0], intensity: 1.0, ring: 0 };
     let unseen =
         |log: &TinyLog| (0..FRAMES).for_each(|i| write_sweep_file(&log.path(&sweep(i)), &[above]).unwrap());

@@ -13,4 +13,5 @@ mod real_log;
 mod sheet;
 mod skeleton_store;
 mod splat_cli;
+mod street;
 mod tiny_log;

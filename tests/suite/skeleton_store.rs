@@ -68,6 +68,6 @@ fn a_folder_with_other_content_is_not_replaced() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("thesis.tex"), "years of work").unwrap();
     let message = built().write(folder.path()).unwrap_err().to_string();
-    assert!(message.contains("an older skeleton"), "{message}");
+    assert!(message.contains("an older one with skeleton.json"), "{message}");
     assert!(folder.path().join("thesis.tex").is_file());
 }
