@@ -25,7 +25,8 @@ pub struct BuildOptions {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Coloring {
-    /// One color, from the camera with the best view that passes an occlusion test.
+    /// One color, from the camera with the best view: of those that pass an occlusion test the one that the others
+    /// agree with most.
     BestView,
     /// A copy of the point for every camera of its frame that it projects into, hidden or not (for comparison: what
     /// existing scripts do).
