@@ -41,7 +41,7 @@ pub struct Frame {
     pub t_us: i64,
     /// Ego pose at that time.
     pub global_from_ego: Pose,
-    /// The frame's own sweep first, then the sweeps without annotation since the last frame (latest first).
+    /// The frame's own sweeps first (one per LiDAR), then the sweeps without annotation since the last frame (latest first).
     pub sweeps: Vec<SweepRecord>,
     /// At most one image per camera, sorted by camera.
     pub images: Vec<ImageRecord>,
@@ -62,6 +62,8 @@ pub struct SweepRecord {
     pub global_from_ego: Pose,
     /// Extrinsics.
     pub ego_from_lidar: Pose,
+    /// Whether it belongs to the annotated instant itself.
+    pub is_key: bool,
 }
 
 /// Where an image is and from where it was taken.

@@ -97,9 +97,9 @@ type FrameClouds = Vec<Vec<SweepCloud>>;
 
 impl Builder<'_> {
     fn read_sweeps(&self) -> Result<(FrameClouds, BuildReport), BuildError> {
-        let wanted = |frame: &Frame| if self.options.between_sweeps { frame.sweeps.len() } else { 1 };
+        let wanted = |sweep: &&SweepRecord| sweep.is_key || self.options.between_sweeps;
         let records: Vec<(usize, &SweepRecord)> = (self.frames.iter().enumerate())
-            .flat_map(|(i, frame)| frame.sweeps.iter().take(wanted(frame)).map(move |s| (i, s)))
+            .flat_map(|(i, frame)| frame.sweeps.iter().filter(wanted).map(move |s| (i, s)))
             .collect();
         self.progress.start("read sweeps", records.len());
         let read = records.par_iter().map(|(i, record)| {
@@ -233,13 +233,17 @@ impl Builder<'_> {
         points: &mut Vec<Candidate>,
     ) {
         let Some(place) = self.place(track, t_us) else { return };
+        let project: Vec<Projector> = views.iter().map(|v| Projector::new(&v.view, &place)).collect();
         let mut copies = Vec::with_capacity(points.len());
-        for view in views {
-            let project = Projector::new(&view.view, &place);
-            for point in points.iter() {
-                let Some((pixel, _)) = project.pixel(point.position) else { continue };
-                let rgb = view.image.get_pixel(pixel.x as u32, pixel.y as u32).0;
-                copies.push(Candidate { rgb: Some(rgb), ..*point });
+        for point in points.iter() {
+            let seen = views.iter().zip(&project).filter_map(|(view, project)| {
+                let (pixel, _) = project.pixel(point.position)?;
+                Some(view.image.get_pixel(pixel.x as u32, pixel.y as u32).0)
+            });
+            let before = copies.len();
+            copies.extend(seen.map(|rgb| Candidate { rgb: Some(rgb), ..*point }));
+            if copies.len() == before {
+                copies.push(*point); // without a color: counted in the end
             }
         }
         *points = copies;

@@ -153,6 +153,7 @@ fn frame(index: usize, actors: &[Actor], cameras: &[Camera]) -> Frame {
         t_us,
         global_from_ego: global_from_ego(t_us),
         ego_from_lidar: Pose::from_yaw(0.0, DVec3::new(0.9, 0.0, 1.9)),
+        is_key: true,
     };
     let boxes = actors.iter().enumerate().map(|(track, actor)| {
         let centre = Pose::from_yaw(0.0, DVec3::Z * (actor.size.z / 2.0));

@@ -2,8 +2,11 @@
 
 use glam::DVec3;
 use point_skeleton::dataset::nuscenes::{NuScenes, write_log};
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
+use point_skeleton::dataset::{
+    Class, Dataset, DatasetError, ImageRecord, Log, LogFormat, LogLocator, Sweep, SweepRecord,
+};
 use point_skeleton::geometry::Pose;
+use point_skeleton::skeleton::{self, BuildOptions};
 use point_skeleton::town::{Street, StreetOptions};
 
 use crate::tiny_log::tree;
@@ -91,4 +94,68 @@ fn boxes_hold_their_actors() {
         }
     }
     assert!(near >= 5, "{near} actors near the ego are seen");
+}
+
+/// The street with the middle one of three frames reduced to a sweep between the others.
+struct Sparse(Street, Log);
+
+impl Sparse {
+    fn new() -> Self {
+        let street = Street::new(&StreetOptions { frames: 3, ..OPTIONS }).unwrap();
+        let mut log = street.log().clone();
+        let middle = log.frames.remove(1);
+        let between = middle.sweeps.into_iter().map(|sweep| SweepRecord { is_key: false, ..sweep });
+        log.frames[1].sweeps.extend(between);
+        Self(street, log)
+    }
+}
+
+impl Dataset for Sparse {
+    fn log(&self) -> &Log {
+        &self.1
+    }
+
+    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
+        self.0.read_sweep(record)
+    }
+
+    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
+        self.0.read_image(record)
+    }
+}
+
+#[test]
+fn sweeps_between_frames_are_split_by_boxes_in_between() {
+    let log = Sparse::new();
+    let build = |between_sweeps: bool| {
+        let options = BuildOptions { between_sweeps, ..BuildOptions::default() };
+        skeleton::build(&log, &[0, 1], &options, &()).unwrap()
+    };
+    let (without, with) = (build(false), build(true));
+    assert_eq!([without.report.sweeps, with.report.sweeps], [2, 3]);
+    // The car in front moves 1.1 m a frame; its points still lie where its box is.
+    let moving = with.actors.iter().find(|(a, _)| a.track == log.1.tracks[moving_car(&log.1)].id).unwrap();
+    assert_eq!(moving.0.sweeps, 3);
+    for axis in 0..3 {
+        let half = moving.0.size[axis] as f32 / 2.0 + 0.02;
+        assert!(
+            moving.0.bounds.min[axis] >= -half && moving.0.bounds.max[axis] <= half,
+            "{:?}",
+            moving.0.bounds
+        );
+    }
+}
+
+/// The car that moves and is nearest to the ego.
+fn moving_car(log: &Log) -> usize {
+    let moved = |track: &usize| {
+        let boxes = log.track_boxes(*track);
+        boxes[0].1.pose.translation.distance(boxes[1].1.pose.translation) > 1.0
+    };
+    let away = |track: &usize| {
+        let cuboid = log.frames[0].cuboid_of(*track).unwrap();
+        cuboid.pose.translation.distance(log.frames[0].global_from_ego.translation)
+    };
+    let cars = (0..log.tracks.len()).filter(|t| log.tracks[*t].class == Class::MotorVehicle).filter(moved);
+    cars.min_by(|a, b| away(a).total_cmp(&away(b))).unwrap()
 }

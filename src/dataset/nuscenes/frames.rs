@@ -152,7 +152,8 @@ impl Sensors {
                 if is_key && pile.sweeps.iter().any(|s| s.is_key && s.channel == channel) {
                     return Err(twice(&channel));
                 }
-                let record = SweepRecord { path, t_us, global_from_ego, ego_from_lidar: ego_from_sensor };
+                let record =
+                    SweepRecord { path, t_us, global_from_ego, ego_from_lidar: ego_from_sensor, is_key };
                 pile.sweeps.push(RawSweep { channel, is_key, record });
             }
             (modality, _) => note(notes, &format!("{modality} sweeps (not read)")),

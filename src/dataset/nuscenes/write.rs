@@ -18,7 +18,7 @@ const QUALITY: u8 = 95;
 /// same log, but for paths, the order of cameras and tracks (by token), and losses of JPEG. The tables come last.
 ///
 /// # Errors
-/// The log's own, and the system's at writing.
+/// The log's own, more than one LiDAR, and the system's at writing.
 pub fn write_log(root: &Path, version: &str, dataset: &dyn Dataset) -> Result<(), DatasetError> {
     let log = dataset.log();
     let mut tables = Tables::default();
@@ -38,10 +38,14 @@ pub fn write_log(root: &Path, version: &str, dataset: &dyn Dataset) -> Result<()
             let path = root.join(image_name(&log.cameras[record.channel], record, *key));
             write_image(&path, &dataset.read_image(record)?)
         })?;
+        let lidars = frame.sweeps.iter().filter(|s| s.is_key).count();
+        if lidars > 1 {
+            return Err(FileError::content("one LiDAR", format!("{lidars} in frame {index}"), root).into());
+        }
         let mut counts = Vec::new();
         for (number, record) in frame.sweeps.iter().enumerate() {
             let sweep = dataset.read_sweep(record)?;
-            write_sweep_file(&root.join(sweep_name(record, number == 0)), &sweep.points)?;
+            write_sweep_file(&root.join(sweep_name(record)), &sweep.points)?;
             if number == 0 {
                 counts = points_in_boxes(frame, record, &sweep);
             }
@@ -66,8 +70,8 @@ fn image_name(channel: &str, record: &ImageRecord, key: bool) -> String {
     format!("{}/{channel}/{channel}__{}.jpg", if key { "samples" } else { "sweeps" }, record.t_us)
 }
 
-fn sweep_name(record: &SweepRecord, key: bool) -> String {
-    format!("{}/{LIDAR}/{LIDAR}__{}.pcd.bin", if key { "samples" } else { "sweeps" }, record.t_us)
+fn sweep_name(record: &SweepRecord) -> String {
+    format!("{}/{LIDAR}/{LIDAR}__{}.pcd.bin", if record.is_key { "samples" } else { "sweeps" }, record.t_us)
 }
 
 fn write_image(path: &Path, image: &image::RgbImage) -> Result<(), DatasetError> {
@@ -177,10 +181,10 @@ impl Tables {
             "prev": neighbour(Kind::Sample, index.checked_sub(1)),
             "next": neighbour(Kind::Sample, Some(index + 1).filter(|i| *i < log.frames.len())),
         }));
-        for (number, record) in frame.sweeps.iter().enumerate() {
-            let name = sweep_name(record, number == 0);
+        for record in &frame.sweeps {
+            let name = sweep_name(record);
             let sensor = (log.cameras.len(), record.ego_from_lidar, json!([]), [0, 0]);
-            self.data(index, number == 0, name, record.t_us, record.global_from_ego, sensor);
+            self.data(index, record.is_key, name, record.t_us, record.global_from_ego, sensor);
         }
         let keys = frame.images.iter().map(|i| (i, true));
         for (record, key) in keys.chain(frame.between_images.iter().map(|i| (i, false))) {
