@@ -5,6 +5,7 @@ mod cli_build;
 mod cli_render;
 mod common;
 mod conditions;
+mod info;
 mod npz;
 mod nuscenes;
 mod parity;

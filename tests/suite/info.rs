@@ -1,0 +1,77 @@
+//! `pskel info` on logs, skeletons and files.
+
+use serde_json::{Value, json};
+
+use crate::tiny_log::{CAMERAS, FRAMES, TinyLog, assert_failed, picture, sweep};
+
+fn info(log: &TinyLog, target: &str) -> Value {
+    let output = log.run(&format!("info --json {target}"));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn text(log: &TinyLog, target: &str) -> String {
+    let output = log.run(&format!("info {target}"));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn a_log_is_told_with_its_damage() {
+    let log = TinyLog::new();
+    let whole = info(&log, "nuscenes:log");
+    assert_eq!(
+        (&whole["kind"], &whole["frames"], &whole["damaged"]),
+        (&json!("log"), &json!(FRAMES), &json!([]))
+    );
+    assert_eq!((&whole["frame_rate_hz"], &whole["seconds"]), (&json!(2.0), &json!(1.0)));
+    assert_eq!(whole["categories"]["vehicle.car"], json!({"tracks": 1, "boxes": FRAMES}));
+    let cameras = whole["cameras"].as_array().unwrap();
+    assert_eq!((cameras.len(), &cameras[0]["name"]), (2, &json!(CAMERAS[0])));
+    assert_eq!((&cameras[0]["size"], &cameras[0]["focal_px"]), (&json!("64x96"), &json!(48.0)));
+
+    std::fs::remove_file(log.path(&picture(1, CAMERAS[1]))).unwrap();
+    std::fs::write(log.path(&sweep(2)), [0; 33]).unwrap();
+    image::RgbImage::new(5, 4).save(log.path(&picture(0, CAMERAS[0]))).unwrap();
+    let damaged = info(&log, "nuscenes:log")["damaged"].to_string();
+    for part in ["1-CAM_BACK.png", "found 33 bytes", "2.pcd.bin", "found 4x5", "0-CAM_FRONT.png"] {
+        assert!(damaged.contains(part), "{damaged}");
+    }
+    let text = text(&log, "nuscenes:log");
+    assert!(text.contains("3 over 1.0 s at 2.0 Hz") && text.contains("damaged    3 files"), "{text}");
+}
+
+#[test]
+fn a_skeleton_and_files_are_told() {
+    let log = TinyLog::new();
+    log.succeed("build nuscenes:log --out out/sk");
+    let skeleton = info(&log, "out/sk");
+    let manifest = log.json("out/sk/skeleton.json");
+    assert_eq!((&skeleton["kind"], &skeleton["report"]), (&json!("skeleton"), &manifest["report"]));
+    assert!(text(&log, "out/sk").contains("vehicle.car"));
+    let points = std::fs::metadata(log.path(&sweep(0))).unwrap().len() / 20;
+    let file = info(&log, &sweep(0));
+    assert_eq!(
+        (&file["kind"], &file["points"], &file["not_finite"]),
+        (&json!("sweep"), &json!(points), &json!(0))
+    );
+    let image = info(&log, &picture(0, CAMERAS[0]));
+    assert_eq!((&image["kind"], &image["size"]), (&json!("image"), &json!("64x96")));
+    log.succeed("convert out/sk --out out/clouds --format ply");
+    let cloud = info(&log, "out/clouds/background.ply");
+    let background: u64 =
+        manifest["background"].as_array().unwrap().iter().map(|c| c["points"].as_u64().unwrap()).sum();
+    assert_eq!((&cloud["kind"], &cloud["points"]), (&json!("points"), &json!(background)));
+}
+
+#[test]
+fn anything_else_is_an_error() {
+    let log = TinyLog::new();
+    std::fs::write(log.path("notes.txt"), "hello").unwrap();
+    assert_failed(&log.run("info notes.txt"), 1, &["a file ending in .npy", "notes.txt"]);
+    assert_failed(&log.run("info out"), 1, &["a log, a skeleton's folder or a file", "another folder: out"]);
+    assert_failed(&log.run("info gone"), 1, &["found nothing: gone"]);
+    assert_failed(&log.run("info kitti:log"), 1, &["FORMAT nuscenes", "kitti:log"]);
+    assert_failed(&log.run("info nuscenes:gone"), 1, &["gone"]);
+    assert_failed(&log.run("info"), 2, &["Usage"]);
+}
