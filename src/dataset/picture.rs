@@ -9,7 +9,7 @@ use crate::error::FileError;
 /// decoded.
 ///
 /// # Errors
-/// A file that is missing, does not decode, or has another size.
+/// A file that is missing, does not decode, has another size, or is a JPEG file that was cut off.
 pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, FileError> {
     let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
     let undecodable = |e: image::ImageError| FileError::content("a JPEG or PNG image", e.to_string(), path);
@@ -21,7 +21,23 @@ pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, Fi
         let found = format!("{found_height}x{found_width}");
         return Err(FileError::content(format!("an image of {height}x{width} pixels"), found, path));
     }
+    // The decoder fills what a truncated JPEG file lacks with grey and says nothing.
+    if is_jpeg(&bytes) && !has_jpeg_end(&bytes) {
+        let found = format!("{} bytes without an end marker (truncated)", bytes.len());
+        return Err(FileError::content("a whole JPEG image", found, path));
+    }
     DynamicImage::from_decoder(decoder).map(DynamicImage::into_rgb8).map_err(undecodable)
+}
+
+fn is_jpeg(bytes: &[u8]) -> bool {
+    bytes.starts_with(&[0xff, 0xd8])
+}
+
+/// Whether an end marker (`FF D9`) follows the last start of a scan (`FF DA`). Neither occurs within a scan, where
+/// `FF` is followed by 0 or a restart marker; thumbnails, which have both, lie before it.
+fn has_jpeg_end(bytes: &[u8]) -> bool {
+    let last = |code: u8| bytes.windows(2).rposition(|pair| pair == [0xff, code]);
+    last(0xd9) > last(0xda)
 }
 
 /// Height and width as an image's header tells; nothing is decoded.
@@ -34,4 +50,33 @@ pub fn picture_size(path: &Path) -> Result<(u32, u32), FileError> {
     let size = reader.into_dimensions();
     let (width, height) = size.map_err(|e| FileError::content("a JPEG or PNG image", e.to_string(), path))?;
     Ok((height, width))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::codecs::jpeg::JpegEncoder;
+
+    /// A cut in the pixels leaves no end marker, wherever it is.
+    #[test]
+    fn truncated_files_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let (jpeg, png) = (folder.path().join("a.jpg"), folder.path().join("a.png"));
+        let image = RgbImage::from_fn(64, 48, |x, y| image::Rgb([4 * x as u8, 5 * y as u8, (x * y) as u8]));
+        let mut bytes = Vec::new();
+        JpegEncoder::new_with_quality(&mut bytes, 90).encode_image(&image).unwrap();
+        std::fs::write(&jpeg, &bytes).unwrap();
+        assert_eq!(read_picture(&jpeg, 48, 64).unwrap().dimensions(), (64, 48));
+        // Bytes after the end, as some cameras write them, do no harm.
+        std::fs::write(&jpeg, [bytes.as_slice(), &[0; 9]].concat()).unwrap();
+        assert!(read_picture(&jpeg, 48, 64).is_ok());
+        for cut in (0..bytes.len()).step_by(41).chain(bytes.len() - 3..bytes.len()) {
+            std::fs::write(&jpeg, &bytes[..cut]).unwrap();
+            assert!(read_picture(&jpeg, 48, 64).is_err(), "{cut} of {} bytes", bytes.len());
+        }
+        image.save(&png).unwrap();
+        let bytes = std::fs::read(&png).unwrap();
+        std::fs::write(&png, &bytes[..bytes.len() - 40]).unwrap();
+        assert!(read_picture(&png, 48, 64).unwrap_err().to_string().ends_with("a.png"));
+    }
 }
