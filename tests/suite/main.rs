@@ -8,6 +8,7 @@ mod conditions;
 mod info;
 mod npz;
 mod nuscenes;
+mod nuscenes_bad;
 mod parity;
 mod raster;
 mod real_log;
