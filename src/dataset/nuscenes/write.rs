@@ -97,6 +97,13 @@ fn points_in_boxes(frame: &Frame, record: &SweepRecord, sweep: &Sweep) -> Vec<us
     frame.boxes.par_iter().map(|b| count(&b.cuboid)).collect()
 }
 
+/// In the order of their times.
+fn by_time<T>(items: &[T], t_us: impl Fn(&T) -> i64) -> Vec<&T> {
+    let mut sorted: Vec<&T> = items.iter().collect();
+    sorted.sort_by_key(|item| t_us(item));
+    sorted
+}
+
 /// A token of 32 hexadecimal digits, like nuScenes' own.
 fn token(kind: Kind, index: usize) -> String {
     format!("{:02x}{index:030x}", kind as u8 + 0xa0)
@@ -125,6 +132,8 @@ struct Tables {
     tables: std::collections::BTreeMap<&'static str, Vec<Value>>,
     /// Last annotation of each track.
     last: std::collections::BTreeMap<usize, usize>,
+    /// Last file of each sensor.
+    last_data: std::collections::BTreeMap<usize, usize>,
 }
 
 impl Tables {
@@ -181,13 +190,14 @@ impl Tables {
             "prev": neighbour(Kind::Sample, index.checked_sub(1)),
             "next": neighbour(Kind::Sample, Some(index + 1).filter(|i| *i < log.frames.len())),
         }));
-        for record in &frame.sweeps {
+        for record in by_time(&frame.sweeps, |s| s.t_us) {
             let name = sweep_name(record);
             let sensor = (log.cameras.len(), record.ego_from_lidar, json!([]), [0, 0]);
             self.data(index, record.is_key, name, record.t_us, record.global_from_ego, sensor);
         }
         let keys = frame.images.iter().map(|i| (i, true));
-        for (record, key) in keys.chain(frame.between_images.iter().map(|i| (i, false))) {
+        let images: Vec<_> = keys.chain(frame.between_images.iter().map(|i| (i, false))).collect();
+        for &(record, key) in by_time(&images, |(i, _)| i.t_us) {
             let name = image_name(&log.cameras[record.channel], record, key);
             let camera = &record.camera;
             let size = [camera.height, camera.width];
@@ -211,19 +221,40 @@ impl Tables {
     ) {
         let (sensor, extrinsics, intrinsics, [height, width]) = sensor;
         let index = self.rows("sample_data").len();
-        let (pose, calibration) = (token(Kind::Pose, index), token(Kind::Calibration, index));
+        let pose = token(Kind::Pose, index);
         self.rows("ego_pose").push(json!({
             "token": pose, "timestamp": t_us, "rotation": ego.wxyz(), "translation": ego.translation.to_array(),
         }));
-        self.rows("calibrated_sensor").push(json!({
-            "token": calibration, "sensor_token": token(Kind::Sensor, sensor), "rotation": extrinsics.wxyz(),
-            "translation": extrinsics.translation.to_array(), "camera_intrinsic": intrinsics,
-        }));
+        let before = self.last_data.insert(sensor, index);
+        if let Some(before) = before {
+            self.rows("sample_data")[before]["next"] = json!(token(Kind::SampleData, index));
+        }
+        let calibration = self.calibration(sensor, extrinsics, intrinsics);
         self.rows("sample_data").push(json!({
-            "token": token(Kind::SampleData, index), "sample_token": token(Kind::Sample, frame), "ego_pose_token": pose,
-            "calibrated_sensor_token": calibration, "timestamp": t_us, "is_key_frame": key, "height": height,
-            "width": width, "fileformat": name.rsplit('.').next(), "filename": name, "prev": "", "next": "",
+            "token": token(Kind::SampleData, index), "sample_token": token(Kind::Sample, frame),
+            "ego_pose_token": pose, "calibrated_sensor_token": calibration, "timestamp": t_us, "is_key_frame": key,
+            "height": height, "width": width, "fileformat": name.rsplit('.').next(), "filename": name,
+            "prev": neighbour(Kind::SampleData, before), "next": "",
         }));
+    }
+
+    /// The token of a sensor's calibration, which is written once as long as it stays the same.
+    fn calibration(&mut self, sensor: usize, extrinsics: Pose, intrinsics: Value) -> String {
+        let row = |token: &str| {
+            json!({
+                "token": token, "sensor_token": self::token(Kind::Sensor, sensor), "rotation": extrinsics.wxyz(),
+                "translation": extrinsics.translation.to_array(), "camera_intrinsic": intrinsics,
+            })
+        };
+        let rows = self.rows("calibrated_sensor");
+        let known =
+            rows.iter().find_map(|known| known["token"].as_str().filter(|token| row(token) == *known));
+        if let Some(known) = known {
+            return known.to_owned();
+        }
+        let new = token(Kind::Calibration, rows.len());
+        rows.push(row(&new));
+        new
     }
 
     fn annotation(&mut self, frame: usize, track: &str, item: &crate::dataset::TrackBox, points: usize) {
