@@ -3,7 +3,7 @@
 #
 # LOG is a drive as pskel names it, for instance nuscenes:/data/nuscenes@v1.0-mini#scene-0061; without it a synthetic
 # street is made first. The maps of a few frames come out as PNG with a contact sheet each, once from where the ego
-# drove and once from 2 m to the right, turned by 5 degrees.
+# drove and once from 2 m to the left, turned to the right by 5 degrees.
 #
 # Environment: OUT (folder of the output, default out/demo), FRAMES (default 0..3), SIZE (of the maps, default
 # 256x448), STREET (options of the synthetic street), PROFILE (cargo's, default release).
@@ -57,7 +57,7 @@ timed "$bin/pskel" info "$log"
 timed "$bin/pskel" build "$log" --out "$out/skeleton"
 render() { timed "$bin/pskel" render "$log" --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" "$@"; }
 render --out "$out/maps"
-render --out "$out/maps-moved" --ego-offset 0,-2,5
+render --out "$out/maps-moved" --ego-offset 0,2,-5
 
 sheets=("$out"/maps/*/sheet.png "$out"/maps-moved/*/sheet.png)
 for sheet in "${sheets[@]}"; do

@@ -135,11 +135,12 @@ fn summary(built: &BuiltSkeleton) -> String {
     let (source, report) = (&built.source, &built.report);
     let background: usize = built.background.iter().map(|(c, _)| c.points).sum();
     let actors: usize = built.actors.iter().map(|(a, _)| a.points).sum();
+    let merged = report.background_points + report.actor_points - background - actors;
     let notes: Vec<String> = report.notes.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
     let notes = if notes.is_empty() { String::new() } else { format!("; the log has {}", notes.join(", ")) };
     format!(
         "built {} from {} frames ({} points of {} sweeps, {} images): {background} background points in {} chunks, \
-         {actors} points of {} actors, {} templates; dropped {}{notes}",
+         {actors} points of {} actors, {} templates; {merged} merged into others of their voxel; dropped {}{notes}",
         source.log,
         source.frames,
         report.points_read,

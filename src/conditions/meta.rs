@@ -69,6 +69,8 @@ pub struct CameraMeta {
     pub ego_from_camera: Option<Matrix>,
     /// Ego pose at the camera's time.
     pub global_from_ego: Matrix,
+    /// Where the camera stands.
+    pub camera_from_global: Matrix,
     /// Indices of the neighbour to the left, of the camera itself, and of the neighbour to the right.
     pub neighbours: [usize; 3],
 }
@@ -91,6 +93,7 @@ impl FrameMeta {
                 intrinsics: camera.view.camera.resized(height, width).rows(),
                 ego_from_camera: camera.ego_from_camera.map(|pose| rows(&pose.affine())),
                 global_from_ego: rows(&camera.global_from_ego.affine()),
+                camera_from_global: rows(&camera.view.camera_from_world),
                 neighbours,
             }
         };

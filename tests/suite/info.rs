@@ -69,7 +69,7 @@ fn anything_else_is_an_error() {
     let log = TinyLog::new();
     std::fs::write(log.path("notes.txt"), "hello").unwrap();
     assert_failed(&log.run("info notes.txt"), 1, &["a file ending in .npy", "notes.txt"]);
-    assert_failed(&log.run("info out"), 1, &["a log, a skeleton's folder or a file", "another folder: out"]);
+    assert_failed(&log.run("info out"), 1, &["a skeleton's folder or a file", "another folder: out"]);
     assert_failed(&log.run("info gone"), 1, &["found nothing: gone"]);
     assert_failed(&log.run("info kitti:log"), 1, &["FORMAT nuscenes", "kitti:log"]);
     assert_failed(&log.run("info nuscenes:gone"), 1, &["gone"]);

@@ -53,7 +53,10 @@ fn describe(target: &str) -> anyhow::Result<(Value, String)> {
         let json = log::describe(log.as_ref());
         return Ok((json.clone(), log::text(&json)));
     }
-    bail!("expected a log, a skeleton's folder or a file, found {}: {target}", what_is_there(&path))
+    let found = what_is_there(&path);
+    bail!(
+        "expected a log (FORMAT:PATH, like nuscenes:PATH), a skeleton's folder or a file, found {found}: {target}"
+    )
 }
 
 fn what_is_there(path: &Path) -> &'static str {

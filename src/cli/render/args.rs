@@ -105,6 +105,8 @@ pub(super) struct RenderOptions {
     #[serde(flatten)]
     pub(super) selection: SelectionOptions,
     ego_offset: EgoOffset,
+    /// File of other cameras.
+    cameras: Option<PathBuf>,
     format: MapFormat,
 }
 
@@ -128,6 +130,7 @@ impl RenderArgs {
                 template_fit: self.template_fit,
             },
             ego_offset: self.ego_offset.unwrap_or_default(),
+            cameras: self.cameras.clone(),
             format: self.format,
         }
     }

@@ -52,6 +52,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         &options.selection,
     )?;
     let summary = summary(&frames, &steps.missing_cameras(&frames), rasterizer.as_mut());
+    warn_of_times_outside(&frames, skeleton.manifest.source.t_us);
     output.end(&Index { options: &options, frames })?;
     say(&format!("{summary} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
     Ok(())
@@ -66,6 +67,18 @@ fn open_skeleton(path: &Path, dataset: &dyn Dataset) -> Result<Skeleton, FileErr
         return Err(FileError::content(expected, format!("one of log {found}"), path));
     }
     Ok(skeleton)
+}
+
+/// Where the skeleton saw nothing there may be little to show.
+fn warn_of_times_outside(frames: &[IndexFrame], [first, last]: [i64; 2]) {
+    let outside: Vec<&str> =
+        frames.iter().filter(|f| !(first..=last).contains(&f.t_us)).map(|f| f.name.as_str()).collect();
+    if !outside.is_empty() {
+        let names = outside.join(", ");
+        eprintln!(
+            "warning: the skeleton was built from times {first} to {last}; outside of them lie: {names}"
+        );
+    }
 }
 
 fn read_prompt(path: &Path) -> Result<PromptParts, FileError> {
