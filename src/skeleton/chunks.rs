@@ -1,6 +1,5 @@
 use std::collections::BTreeMap;
 
-use glam::DVec3;
 use rayon::prelude::*;
 
 use super::manifest::Chunk;
@@ -39,14 +38,10 @@ pub(super) fn point_from_colored(point: &ColoredPoint, class: u8) -> Point {
     Point::new(point.position.as_vec3().to_array(), point.rgb, class)
 }
 
-/// Where a chunk's origin is, global metres.
-pub fn chunk_origin(chunk: &Chunk) -> DVec3 {
-    DVec3::from(chunk.origin)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
 
     #[test]
     fn city_coordinates_keep_their_millimetres() {
@@ -61,7 +56,9 @@ mod tests {
         let chunks = chunks_from_points(points.iter().copied(), 0.0);
         let back: Vec<DVec3> = chunks
             .iter()
-            .flat_map(|(c, p)| p.iter().map(|p| chunk_origin(c) + glam::Vec3::from(p.position).as_dvec3()))
+            .flat_map(|(c, p)| {
+                p.iter().map(|p| DVec3::from(c.origin) + glam::Vec3::from(p.position).as_dvec3())
+            })
             .collect();
         assert_eq!(back.len(), points.len());
         for point in &points {

@@ -20,7 +20,7 @@ mod trajectory;
 mod voxel;
 
 pub use build::{BuildError, Progress, build};
-pub use chunks::{CHUNK_M, chunk_origin, chunks_from_points};
+pub use chunks::{CHUNK_M, chunks_from_points};
 pub use colorize::{Candidate, ColorView, Look, Projector, agreed_color};
 pub use manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap};
