@@ -11,6 +11,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use naga::back::pipeline_constants::process_overrides;
 use naga::back::spv;
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use naga::{AddressSpace, Binding, Module, ScalarKind, ShaderStage, TypeInner};
@@ -34,14 +35,44 @@ fn compile_all() -> Result<(), String> {
     let mut rust = String::new();
     for path in paths.iter().filter(|p| p.is_file()) {
         println!("cargo:rerun-if-changed={}", path.display());
-        rust += &compile(path)?;
+        for variant in variants(path)? {
+            rust += &compile(path, &variant)?;
+        }
     }
     let out = std::env::var_os("OUT_DIR").ok_or("OUT_DIR is not set")?;
     std::fs::write(Path::new(&out).join("shaders.rs"), rust).map_err(|e| format!("OUT_DIR: {e}"))
 }
 
+/// A shader with its `override` constants set; WGSL files list theirs in lines `// variant NAME: A=1 B=0`.
+struct Variant {
+    /// Empty for a shader without variants.
+    name: String,
+    constants: Vec<(String, f64)>,
+}
+
+fn variants(path: &Path) -> Result<Vec<Variant>, String> {
+    let file = path.display();
+    let source = std::fs::read_to_string(path).map_err(|e| format!("{file}: {e}"))?;
+    let mut variants = Vec::new();
+    for (number, line) in source.lines().enumerate() {
+        let Some(text) = line.strip_prefix("// variant ") else { continue };
+        let wrong = || format!("{file}:{}: expected `// variant NAME: A=1 B=0`", number + 1);
+        let (name, list) = text.split_once(':').ok_or_else(wrong)?;
+        let constant = |part: &str| {
+            let (key, value) = part.split_once('=').ok_or_else(wrong)?;
+            Ok((key.to_owned(), value.parse::<f64>().map_err(|_| wrong())?))
+        };
+        let constants = list.split_whitespace().map(constant).collect::<Result<_, String>>()?;
+        variants.push(Variant { name: name.to_owned(), constants });
+    }
+    if variants.is_empty() {
+        variants.push(Variant { name: String::new(), constants: Vec::new() });
+    }
+    Ok(variants)
+}
+
 /// One shader: the text of its Rust module.
-fn compile(path: &Path) -> Result<String, String> {
+fn compile(path: &Path, variant: &Variant) -> Result<String, String> {
     let file = path.display().to_string();
     let source = std::fs::read_to_string(path).map_err(|e| format!("{file}: {e}"))?;
     let module = parse(path, &file, &source)?;
@@ -54,6 +85,9 @@ fn compile(path: &Path) -> Result<String, String> {
         let line = e.location(&source).map_or(0, |l| l.line_number);
         format!("{file}:{line}: {}", e.emit_to_string_with_path(&source, &file))
     })?;
+    let constants = variant.constants.iter().cloned().collect();
+    let (module, info) = process_overrides(&module, &info, None, &constants)
+        .map_err(|e| format!("{file}:0: variant {}: {e}", variant.name))?;
     let entry = &module.entry_points[0];
     let options = spv::Options {
         lang_version: (1, 3),
@@ -68,7 +102,11 @@ fn compile(path: &Path) -> Result<String, String> {
     let pipeline = spv::PipelineOptions { shader_stage: entry.stage, entry_point: entry.name.clone() };
     let words = spv::write_vec(&module, &info, &options, Some(&pipeline))
         .map_err(|e| format!("{file}:0: no SPIR-V: {e}"))?;
-    describe(&file, &module, &info, &without_contraction(&words))
+    let name = match variant.name.as_str() {
+        "" => file.trim_start_matches("glsl/").to_owned(),
+        variant => format!("{}.{variant}", file.trim_start_matches("glsl/")),
+    };
+    describe(&name, &module, &info, &without_contraction(&words))
 }
 
 fn parse(path: &Path, file: &str, source: &str) -> Result<Module, String> {
@@ -118,8 +156,7 @@ fn without_contraction(words: &[u32]) -> Vec<u32> {
 }
 
 /// The Rust module of a compiled shader.
-fn describe(file: &str, module: &Module, info: &ModuleInfo, words: &[u32]) -> Result<String, String> {
-    let name = file.trim_start_matches("glsl/");
+fn describe(name: &str, module: &Module, info: &ModuleInfo, words: &[u32]) -> Result<String, String> {
     let entry = &module.entry_points[0];
     let used = info.get_entry_point(0);
     let (mut bindings, mut push_size) = (String::new(), 0);
@@ -128,7 +165,7 @@ fn describe(file: &str, module: &Module, info: &ModuleInfo, words: &[u32]) -> Re
             push_size = module.types[global.ty].inner.size(module.to_ctx());
         }
         if let Some(at) = &global.binding {
-            let kind = binding_kind(module, handle).ok_or(format!("{file}:0: unknown kind of binding"))?;
+            let kind = binding_kind(module, handle).ok_or(format!("{name}: unknown kind of binding"))?;
             write!(
                 bindings,
                 "Binding {{ set: {}, binding: {}, kind: BindingKind::{kind} }}, ",
@@ -138,7 +175,7 @@ fn describe(file: &str, module: &Module, info: &ModuleInfo, words: &[u32]) -> Re
         }
     }
     let mut text = format!(
-        "/// `{file}`.\npub mod {} {{\n    use super::*;\n    /// The shader.\n    pub const SHADER: Shader = Shader {{ \
+        "/// `{name}`.\npub mod {} {{\n    use super::*;\n    /// The shader.\n    pub const SHADER: Shader = Shader {{ \
          name: \"{name}\", entry: c\"{}\", stage: Stage::{:?}, push_size: {push_size}, bindings: &[{bindings}], \
          inputs: &[{}], workgroup: {:?}, words: &{words:?} }};\n",
         name.replace('.', "_"),

@@ -7,7 +7,7 @@ use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::say;
 use crate::cloud;
-use crate::conditions::{ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, npz, render_view};
+use crate::conditions::{ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, npz, render_views};
 use crate::raster::{Instance, SplatSchedule};
 use crate::scene::SceneInstances;
 
@@ -55,8 +55,9 @@ pub(super) fn run(args: SplatArgs) -> anyhow::Result<()> {
     let mut set = ConditionSet::default();
     let mut progress = Progress::new(views.len());
     for view in &views {
-        set.cameras.push(render_view(rasterizer.as_mut(), &clouds, view, None, &options)?);
-        progress.step(&view.camera.name);
+        let view = std::slice::from_ref(view);
+        set.cameras.extend(render_views(rasterizer.as_mut(), &clouds, view, None, &options)?);
+        progress.step(&view[0].camera.name);
     }
     drop(progress);
     npz::write(&args.out, &set)?;

@@ -23,8 +23,11 @@ mod test_set;
 
 pub use bins::{BinScale, DepthBins};
 pub use error::ConditionError;
-pub use options::{ColorFilter, ConditionOptions, ImageSize, MapKind, MapSet, Occlusion, ParseOptionError};
-pub use render::{CameraConditions, ConditionSet, render, render_view};
+pub use options::{ColorFilter, ConditionOptions, MapKind, MapSet};
+pub use render::{Begun, CameraConditions, ConditionSet, render, render_views};
+
+pub use crate::geometry::{ImageSize, ParseOptionError};
+pub use crate::raster::Occlusion;
 
 /// What stands for an empty depth in files, metres.
 pub const EMPTY_DEPTH_M: f32 = -300.0;

@@ -4,8 +4,8 @@ use std::str::FromStr;
 use serde::{Serialize, Serializer};
 
 use super::DepthBins;
-use crate::geometry::Camera;
-use crate::raster::SplatSchedule;
+use crate::geometry::{ImageSize, ParseOptionError};
+use crate::raster::{Occlusion, SplatSchedule};
 
 /// A map of a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -41,16 +41,6 @@ impl MapKind {
             Self::Point => "point",
         }
     }
-}
-
-/// Text that is no option's value.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("expected {expected}, found {found:?}")]
-pub struct ParseOptionError {
-    /// What would do.
-    pub expected: &'static str,
-    /// What was given.
-    pub found: String,
 }
 
 /// Which maps are made. Text form: names with commas, `color,depth`.
@@ -102,56 +92,6 @@ impl Serialize for MapSet {
     }
 }
 
-/// Height and width in pixels, 1 to [`Camera::MAX_SIDE`] each. Text form `HxW`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ImageSize {
-    /// Pixels.
-    pub height: u32,
-    /// Pixels.
-    pub width: u32,
-}
-
-impl ImageSize {
-    /// Of a camera.
-    pub fn of(camera: &Camera) -> Self {
-        Self { height: camera.height, width: camera.width }
-    }
-
-    /// Number of pixels.
-    pub fn pixels(self) -> usize {
-        self.height as usize * self.width as usize
-    }
-}
-
-impl fmt::Display for ImageSize {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}x{}", self.height, self.width)
-    }
-}
-
-impl FromStr for ImageSize {
-    type Err = ParseOptionError;
-
-    fn from_str(text: &str) -> Result<Self, ParseOptionError> {
-        let bad = || ParseOptionError {
-            expected: "a size HxW of 1 to 16384 pixels, like 256x448",
-            found: text.to_owned(),
-        };
-        let (height, width) = text.split_once(['x', 'X']).ok_or_else(bad)?;
-        let side = |side: &str| {
-            let side: u32 = side.trim().parse().map_err(|_| bad())?;
-            if (1..=Camera::MAX_SIDE).contains(&side) { Ok(side) } else { Err(bad()) }
-        };
-        Ok(Self { height: side(height)?, width: side(width)? })
-    }
-}
-
-impl Serialize for ImageSize {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
-    }
-}
-
 /// How a color map is reduced.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
@@ -161,17 +101,6 @@ pub enum ColorFilter {
     Bilinear,
     /// Area-weighted mean of the pixels that are not empty.
     ValidArea,
-}
-
-/// What hides an actor in the class and instance maps.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "snake_case")]
-pub enum Occlusion {
-    /// Whatever is in front of it.
-    #[default]
-    Scene,
-    /// Only other actors.
-    Actors,
 }
 
 /// How condition maps are made.

@@ -1,6 +1,6 @@
-use super::{ColorFilter, ConditionError, ConditionOptions, ImageSize, MapKind, Occlusion, layout, reduce};
+use super::{ColorFilter, ConditionError, ConditionOptions, ImageSize, MapKind, layout, reduce};
 use crate::geometry::View;
-use crate::raster::{Crop, Instance, Planes, Rasterizer, SplatJob, SplatMaps};
+use crate::raster::{Crop, FrameJob, FrameKinds, Planes, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
 use crate::scene::{ActorState, SceneInstances, SceneState};
 
 /// Maps of one camera, row-major `height * width`; `None` where they were not asked for.
@@ -64,70 +64,163 @@ pub fn render(
     state: &SceneState,
     options: &ConditionOptions,
 ) -> Result<ConditionSet, ConditionError> {
-    let center = state.global_from_ego.translation.truncate();
-    let crop = Crop { center, radius_m: options.radius_m };
-    let mut cameras = Vec::with_capacity(state.cameras.len());
-    for camera in &state.cameras {
-        let mut maps = render_view(rasterizer, clouds, &camera.view, Some(crop), options)?;
-        if options.maps.contains(MapKind::Boxes) {
-            maps.boxes = Some(render_boxes(rasterizer, &state.actors, &camera.view, options)?);
-        }
-        cameras.push(maps);
-    }
-    Ok(ConditionSet { cameras })
+    Begun::new(rasterizer, clouds, state, options)?.finish(rasterizer)
 }
 
-/// Makes the maps of one view that come from points, so all but [`MapKind::Boxes`]. Where both clouds are the same,
-/// one pass serves them.
+/// Makes the maps of some views that come from points, so all but [`MapKind::Boxes`].
 ///
 /// # Errors
 /// The rasterizer's.
-pub fn render_view(
+pub fn render_views(
     rasterizer: &mut dyn Rasterizer,
     clouds: &SceneInstances,
-    view: &View,
+    views: &[View],
     crop: Option<Crop>,
     options: &ConditionOptions,
-) -> Result<CameraConditions, ConditionError> {
-    let to = options.written_size(view);
-    let view = options.drawn_view(view);
-    let mut splat = |instances: &[Instance], planes: Planes| -> Result<SplatMaps, ConditionError> {
-        if planes == Planes::NONE {
-            return Ok(SplatMaps::default());
+) -> Result<Vec<CameraConditions>, ConditionError> {
+    Points::begin(rasterizer, clouds, views, crop, options)?.finish(rasterizer)
+}
+
+/// A step that the rasterizer is at work on. Steps are finished in the order in which they were begun, at most
+/// [`FRAMES_IN_FLIGHT`](crate::raster::FRAMES_IN_FLIGHT) at a time.
+#[derive(Debug)]
+pub struct Begun {
+    points: Points,
+    /// Layouts, one per camera, if asked for.
+    boxes: Option<Vec<Vec<[u8; 3]>>>,
+}
+
+impl Begun {
+    /// Begins the maps of a step as [`render`] makes them.
+    ///
+    /// # Errors
+    /// The rasterizer's.
+    pub fn new(
+        rasterizer: &mut dyn Rasterizer,
+        clouds: &SceneInstances,
+        state: &SceneState,
+        options: &ConditionOptions,
+    ) -> Result<Self, ConditionError> {
+        let center = state.global_from_ego.translation.truncate();
+        let crop = Crop { center, radius_m: options.radius_m };
+        let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
+        let points = Points::begin(rasterizer, clouds, &views, Some(crop), options)?;
+        let mut layout = |view| render_boxes(rasterizer, &state.actors, view, options);
+        let boxes = options.maps.contains(MapKind::Boxes);
+        let boxes = boxes.then(|| views.iter().map(&mut layout).collect::<Result<_, _>>()).transpose()?;
+        Ok(Self { points, boxes })
+    }
+
+    /// Waits for the maps; the same rasterizer as it was begun with.
+    ///
+    /// # Errors
+    /// The rasterizer's.
+    pub fn finish(self, rasterizer: &mut dyn Rasterizer) -> Result<ConditionSet, ConditionError> {
+        let mut cameras = self.points.finish(rasterizer)?;
+        for (camera, layout) in cameras.iter_mut().zip(self.boxes.into_iter().flatten()) {
+            camera.boxes = Some(layout);
         }
-        Ok(rasterizer.splat(&SplatJob { view: &view, schedule: &options.splat, instances, crop, planes })?)
-    };
-    let planes = WantedPlanes::of(options);
-    let one_pass = clouds.color == clouds.geometry;
-    let geometry_planes = if one_pass { either(planes.color, planes.geometry) } else { planes.geometry };
-    let geometry = splat(&clouds.geometry, geometry_planes)?;
-    let color_pass;
-    let color = if one_pass {
-        &geometry
-    } else {
-        color_pass = splat(&clouds.color, planes.color)?;
-        &color_pass
-    };
-    let actors_pass;
-    let actors = if options.occlusion == Occlusion::Scene {
-        &geometry
-    } else {
-        let actors: Vec<Instance> = clouds.geometry.iter().filter(|i| i.number > 0).copied().collect();
-        actors_pass = splat(&actors, planes.actors)?;
-        &actors_pass
-    };
-    let reduction = Reduction { from: ImageSize::of(&view.camera), to, options };
-    Ok(CameraConditions {
-        name: view.camera.name.clone(),
-        width: to.width,
-        height: to.height,
-        color: reduction.color(color),
-        depth_m: reduction.nearest(MapKind::Depth, &geometry.depth_m),
-        class: reduction.class(actors),
-        instance: reduction.nearest(MapKind::Instance, &actors.instance),
-        boxes: None,
-        point: reduction.nearest(MapKind::Point, &geometry.point),
-    })
+        Ok(ConditionSet { cameras })
+    }
+}
+
+/// The maps of a step that come from points.
+#[derive(Debug)]
+struct Points {
+    names: Vec<String>,
+    options: ConditionOptions,
+    /// Color, one per view, where the rasterizer cannot reduce it.
+    color: Option<Vec<Vec<[u8; 3]>>>,
+    /// Whether the rasterizer was asked for a frame.
+    in_flight: bool,
+    sizes: Vec<ImageSize>,
+}
+
+impl Points {
+    fn begin(
+        rasterizer: &mut dyn Rasterizer,
+        clouds: &SceneInstances,
+        views: &[View],
+        crop: Option<Crop>,
+        options: &ConditionOptions,
+    ) -> Result<Self, ConditionError> {
+        let sizes: Vec<ImageSize> = views.iter().map(|view| options.written_size(view)).collect();
+        let views: Vec<View> = views.iter().map(|view| options.drawn_view(view)).collect();
+        let wants = |kind| options.maps.contains(kind);
+        let valid_area = options.color_filter == ColorFilter::ValidArea && options.out_size.is_some();
+        let valid_area = wants(MapKind::Color) && valid_area;
+        let kinds = FrameKinds {
+            color: wants(MapKind::Color) && !valid_area,
+            depth: wants(MapKind::Depth),
+            class: wants(MapKind::Class),
+            instance: wants(MapKind::Instance),
+            point: wants(MapKind::Point),
+        };
+        let job = FrameJob {
+            views: &views,
+            schedule: &options.splat,
+            color: &clouds.color,
+            geometry: &clouds.geometry,
+            occlusion: options.occlusion,
+            crop,
+            kinds,
+            out_size: options.out_size,
+        };
+        let mut color = |(view, to): (&View, &ImageSize)| valid_area_color(rasterizer, &job, view, *to);
+        let color = valid_area
+            .then(|| views.iter().zip(&sizes).map(&mut color).collect::<Result<_, _>>())
+            .transpose()?;
+        let in_flight = kinds != FrameKinds::default() && !views.is_empty();
+        if in_flight {
+            rasterizer.begin(&job)?;
+        }
+        let names = views.iter().map(|view| view.camera.name.clone()).collect();
+        Ok(Self { names, options: options.clone(), color, in_flight, sizes })
+    }
+
+    fn finish(self, rasterizer: &mut dyn Rasterizer) -> Result<Vec<CameraConditions>, ConditionError> {
+        let camera = |(name, size): (String, ImageSize)| CameraConditions {
+            name,
+            width: size.width,
+            height: size.height,
+            ..CameraConditions::default()
+        };
+        let mut cameras: Vec<CameraConditions> = self.names.into_iter().zip(self.sizes).map(camera).collect();
+        if self.in_flight {
+            for (camera, maps) in cameras.iter_mut().zip(rasterizer.finish()?) {
+                fill(camera, maps, &self.options);
+            }
+        }
+        for (camera, color) in cameras.iter_mut().zip(self.color.into_iter().flatten()) {
+            camera.color = Some(color);
+        }
+        Ok(cameras)
+    }
+}
+
+/// From the rasterizer's maps to those of the contract.
+fn fill(camera: &mut CameraConditions, maps: ViewMaps<'_>, options: &ConditionOptions) {
+    let wants = |kind| options.maps.contains(kind);
+    camera.color = wants(MapKind::Color).then(|| maps.rgb_class.iter().map(|p| rgb_of(*p)).collect());
+    camera.class = wants(MapKind::Class).then(|| maps.rgb_class.iter().map(|p| class_of(*p)).collect());
+    camera.depth_m = wants(MapKind::Depth).then(|| maps.depth_m.into_owned());
+    camera.instance = wants(MapKind::Instance).then(|| maps.instance.into_owned());
+    camera.point = wants(MapKind::Point).then(|| maps.point.into_owned());
+}
+
+/// Color as the mean of the pixels that are not empty, which needs all of them: drawn at full size, reduced here.
+/// Depth tells which ones are empty, since a black point is not.
+fn valid_area_color(
+    rasterizer: &mut dyn Rasterizer,
+    job: &FrameJob<'_>,
+    view: &View,
+    to: ImageSize,
+) -> Result<Vec<[u8; 3]>, ConditionError> {
+    let planes = Planes { rgb_class: true, depth: true, ..Planes::NONE };
+    let (schedule, instances, crop) = (job.schedule, job.color, job.crop);
+    let maps = rasterizer.splat(&SplatJob { view, schedule, instances, crop, planes })?;
+    let color: Vec<[u8; 3]> = maps.rgb_class.iter().map(|p| rgb_of(*p)).collect();
+    Ok(reduce::valid_area(&color, &maps.depth_m, ImageSize::of(&view.camera), to))
 }
 
 fn render_boxes(
@@ -142,74 +235,4 @@ fn render_boxes(
     let segments = layout::box_segments(actors, &view);
     let image = rasterizer.lines(height, width, &segments, layout::LINE_WIDTH_PX)?;
     Ok(reduce::pil_bilinear(&image, ImageSize { height, width }, to))
-}
-
-/// Which planes each pass has to fill.
-struct WantedPlanes {
-    color: Planes,
-    geometry: Planes,
-    /// A pass of its own with [`Occlusion::Actors`], else none.
-    actors: Planes,
-}
-
-impl WantedPlanes {
-    fn of(options: &ConditionOptions) -> Self {
-        let wants = |kind| options.maps.contains(kind);
-        let color = wants(MapKind::Color);
-        // The mean over pixels that are not empty has to know which ones are: a black point is not empty.
-        let valid = color && options.color_filter == ColorFilter::ValidArea;
-        let actors =
-            Planes { rgb_class: wants(MapKind::Class), instance: wants(MapKind::Instance), ..Planes::NONE };
-        let geometry = Planes { depth: wants(MapKind::Depth), point: wants(MapKind::Point), ..Planes::NONE };
-        let color = Planes { rgb_class: color, depth: valid, ..Planes::NONE };
-        match options.occlusion {
-            Occlusion::Scene => Self { color, geometry: either(geometry, actors), actors: Planes::NONE },
-            Occlusion::Actors => Self { color, geometry, actors },
-        }
-    }
-}
-
-fn either(a: Planes, b: Planes) -> Planes {
-    Planes {
-        point: a.point || b.point,
-        depth: a.depth || b.depth,
-        rgb_class: a.rgb_class || b.rgb_class,
-        instance: a.instance || b.instance,
-    }
-}
-
-/// From the size that was drawn to the size that is written.
-struct Reduction<'a> {
-    from: ImageSize,
-    to: ImageSize,
-    options: &'a ConditionOptions,
-}
-
-impl Reduction<'_> {
-    fn nearest<T: Copy + Send + Sync>(&self, kind: MapKind, map: &[T]) -> Option<Vec<T>> {
-        self.options.maps.contains(kind).then(|| reduce::nearest(map, self.from, self.to))
-    }
-
-    fn class(&self, pass: &SplatMaps) -> Option<Vec<u8>> {
-        let packed = self.nearest(MapKind::Class, &pass.rgb_class)?;
-        Some(packed.into_iter().map(|packed| packed.to_le_bytes()[3]).collect())
-    }
-
-    fn color(&self, pass: &SplatMaps) -> Option<Vec<[u8; 3]>> {
-        if !self.options.maps.contains(MapKind::Color) {
-            return None;
-        }
-        let rgb = |packed: &u32| {
-            let [r, g, b, _] = packed.to_le_bytes();
-            [r, g, b]
-        };
-        let color: Vec<[u8; 3]> = pass.rgb_class.iter().map(rgb).collect();
-        if self.from == self.to {
-            return Some(color);
-        }
-        Some(match self.options.color_filter {
-            ColorFilter::Bilinear => reduce::bilinear(&color, self.from, self.to),
-            ColorFilter::ValidArea => reduce::valid_area(&color, &pass.depth_m, self.from, self.to),
-        })
-    }
 }

@@ -7,7 +7,9 @@
 mod camera;
 mod cuboid;
 mod pose;
+mod size;
 
 pub use camera::{Camera, CameraError, View};
 pub use cuboid::{Cuboid, CuboidError};
 pub use pose::{Pose, PoseError};
+pub use size::{ImageSize, ParseOptionError};

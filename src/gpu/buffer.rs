@@ -40,6 +40,8 @@ pub struct Buffer {
     size: u64,
     name: String,
     memory: Memory,
+    /// Bits of the memory types it may have been given.
+    memory_types: u32,
     allocation: Option<Allocation>,
 }
 
@@ -53,11 +55,14 @@ impl Buffer {
         // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
         let raw = unsafe { device.raw.create_buffer(&info, None) }.map_err(call("vkCreateBuffer"))?;
         let (device, name, memory) = (device.clone(), desc.name.to_owned(), desc.memory);
-        let mut buffer = Self { device, raw, size: desc.size, name, memory, allocation: None };
+        let mut buffer =
+            Self { device, raw, size: desc.size, name, memory, memory_types: 0, allocation: None };
         let device = &buffer.device;
         device.set_name(raw, desc.name)?;
         // SAFETY: the buffer is alive.
         let needs = unsafe { device.raw.get_buffer_memory_requirements(raw) };
+        buffer.memory_types = needs.memory_type_bits;
+        let device = &buffer.device;
         let location = match desc.memory {
             Memory::Device => MemoryLocation::GpuOnly,
             Memory::Upload => MemoryLocation::CpuToGpu,
@@ -75,6 +80,22 @@ impl Buffer {
     /// Bytes.
     pub fn size(&self) -> u64 {
         self.size
+    }
+
+    pub(super) fn device(&self) -> &Arc<Device> {
+        &self.device
+    }
+
+    /// Its memory and where it begins there, if something with these needs can lie over it.
+    pub(super) fn memory_for(&self, needs: &vk::MemoryRequirements) -> Option<(vk::DeviceMemory, u64)> {
+        let allocation = self.allocation.as_ref()?;
+        let (offset, size) = (allocation.offset(), allocation.size());
+        let fits = needs.size <= size
+            && offset.is_multiple_of(needs.alignment)
+            && needs.memory_type_bits & self.memory_types == self.memory_types;
+        // SAFETY: the caller binds it to an image that keeps this buffer.
+        let memory = unsafe { allocation.memory() };
+        fits.then_some((memory, offset))
     }
 
     /// Whether the buffer has this many bytes.

@@ -153,6 +153,78 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
+    /// Fills a range of a buffer with a repeated word. Offset and size are multiples of 4 bytes.
+    ///
+    /// # Errors
+    /// The buffer is too small.
+    pub fn fill(&mut self, buffer: &'a Buffer, offset: u64, size: u64, word: u32) -> Result<(), GpuError> {
+        buffer.check(offset + size)?;
+        // SAFETY: recording outside a pass; the range is inside the buffer.
+        unsafe { self.device().cmd_fill_buffer(self.raw(), buffer.raw, offset, size, word) };
+        Ok(())
+    }
+
+    /// Copies whole rows from a buffer into an image, rows `first..first + count`, and leaves the image to be read by
+    /// shaders. With `fresh` the image's content so far is forgotten.
+    ///
+    /// # Errors
+    /// The image or the buffer is too small.
+    pub fn write_rows(
+        &mut self,
+        (from, offset): (&'a Buffer, u64),
+        to: &'a Image,
+        rows: Range<u32>,
+        fresh: bool,
+    ) -> Result<(), GpuError> {
+        let row_bytes = u64::from(to.width()) * to.pixel_bytes();
+        from.check(offset + row_bytes * u64::from(rows.end.saturating_sub(rows.start)))?;
+        if rows.end > to.height() {
+            let (expected, found) = (row_bytes * u64::from(rows.end), row_bytes * u64::from(to.height()));
+            return Err(GpuError::Range { expected, found, name: "an image".into() });
+        }
+        let old = if fresh { vk::ImageLayout::UNDEFINED } else { vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL };
+        self.transition(to, old, vk::ImageLayout::TRANSFER_DST_OPTIMAL);
+        let layers = vk::ImageSubresourceLayers::default().aspect_mask(aspect(to.format)).layer_count(1);
+        let regions = [vk::BufferImageCopy::default()
+            .buffer_offset(offset)
+            .image_subresource(layers)
+            .image_offset(vk::Offset3D { x: 0, y: rows.start as i32, z: 0 })
+            .image_extent(vk::Extent3D { width: to.width(), height: rows.end - rows.start, depth: 1 })];
+        let layout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
+        // SAFETY: recording outside a pass; the region is inside the image and the buffer.
+        unsafe { self.device().cmd_copy_buffer_to_image(self.raw(), from.raw, to.raw, layout, &regions) };
+        self.transition(to, layout, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL);
+        Ok(())
+    }
+
+    /// Makes an image over a buffer ready to be read; once, before the buffer is first written.
+    pub fn adopt(&mut self, image: &'a Image) {
+        self.transition(image, vk::ImageLayout::UNDEFINED, image.read_layout);
+    }
+
+    /// A barrier between compute reads and copies of an image.
+    fn transition(&mut self, image: &'a Image, old: vk::ImageLayout, new: vk::ImageLayout) {
+        use vk::{AccessFlags as Access, PipelineStageFlags as At};
+        let to_copy = new == vk::ImageLayout::TRANSFER_DST_OPTIMAL;
+        let (before, after) =
+            ((At::COMPUTE_SHADER, Access::SHADER_READ), (At::TRANSFER, Access::TRANSFER_WRITE));
+        let ((src_stage, src), (dst_stage, dst)) = if to_copy { (before, after) } else { (after, before) };
+        let barriers = [vk::ImageMemoryBarrier::default()
+            .src_access_mask(src)
+            .dst_access_mask(dst)
+            .old_layout(old)
+            .new_layout(new)
+            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .image(image.raw)
+            .subresource_range(super::image::whole(image.format))];
+        let flags = vk::DependencyFlags::empty();
+        // SAFETY: recording outside a pass; the image is alive and was left in the old layout, or is forgotten.
+        unsafe {
+            self.device().cmd_pipeline_barrier(self.raw(), src_stage, dst_stage, flags, &[], &[], &barriers);
+        }
+    }
+
     /// Copies `size` bytes between buffers.
     ///
     /// # Errors
@@ -211,15 +283,28 @@ impl<'a> Recorder<'a> {
         push: &[u8],
         size: [u32; 2],
     ) -> Result<(), GpuError> {
+        let [x, y, _] = pipeline.workgroup.map(|side| side.max(1));
+        self.dispatch_groups(pipeline, sets, push, [size[0].div_ceil(x), size[1].div_ceil(y), 1])
+    }
+
+    /// Runs a compute pipeline with so many workgroups.
+    ///
+    /// # Errors
+    /// The push constants are not as large as the shader's.
+    pub fn dispatch_groups(
+        &mut self,
+        pipeline: &'a ComputePipeline,
+        sets: &[&'a DescriptorSet],
+        push: &[u8],
+        groups: [u32; 3],
+    ) -> Result<(), GpuError> {
         let point = vk::PipelineBindPoint::COMPUTE;
         // SAFETY: recording outside a pass; the pipeline is alive.
         unsafe { self.device().cmd_bind_pipeline(self.raw(), point, pipeline.raw) };
         bind_sets(self.commands, point, &pipeline.layout, sets);
         push_constants(self.commands, &pipeline.layout, push)?;
-        let [x, y, _] = pipeline.workgroup.map(|side| side.max(1));
-        let groups = [size[0].div_ceil(x), size[1].div_ceil(y)];
         // SAFETY: pipeline, sets and push constants are bound.
-        unsafe { self.device().cmd_dispatch(self.raw(), groups[0], groups[1], 1) };
+        unsafe { self.device().cmd_dispatch(self.raw(), groups[0], groups[1], groups[2]) };
         Ok(())
     }
 

@@ -69,9 +69,8 @@ impl DescriptorSet {
                 buffer = [vk::DescriptorBufferInfo { buffer: b.raw, offset: 0, range: vk::WHOLE_SIZE }];
                 write.buffer_info(&buffer)
             }
-            (BindingKind::SampledImage, Bind::Image(i)) => {
-                let layout = super::pass::read_layout(i.format);
-                image = [vk::DescriptorImageInfo::default().image_view(i.view).image_layout(layout)];
+            (BindingKind::SampledImage | BindingKind::StorageImage, Bind::Image(i)) => {
+                image = [vk::DescriptorImageInfo::default().image_view(i.view).image_layout(i.read_layout)];
                 write.image_info(&image)
             }
             _ => {

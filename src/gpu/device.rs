@@ -34,6 +34,7 @@ pub(super) struct Facts {
     pub(super) limits: vk::PhysicalDeviceLimits,
     pub(super) max_allocation: u64,
     pub(super) large_points: bool,
+    pub(super) atomics_64: bool,
     pub(super) timestamp_bits: u32,
 }
 
@@ -52,7 +53,7 @@ impl Device {
         let physical = physical[choose(&candidates, desc.device.as_deref())?];
         let (queue_family, timestamp_bits) = queue_family(&instance.raw, physical).unwrap_or_default();
         let facts = facts(&instance.raw, physical, timestamp_bits)?;
-        let raw = create(&instance.raw, physical, queue_family, facts.large_points)?;
+        let raw = create(&instance.raw, physical, queue_family, &facts)?;
         // SAFETY: the family and index are those the device was created with.
         let queue = unsafe { raw.get_device_queue(queue_family, 0) };
         let utils = instance.validation.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
@@ -105,34 +106,62 @@ impl Device {
         self.facts.large_points
     }
 
+    /// Whether compute shaders have 64-bit integers and 64-bit atomics on storage buffers.
+    pub fn atomics_64(&self) -> bool {
+        self.facts.atomics_64
+    }
+
     /// How many bits of a timestamp the queue writes; 0 for no timestamps.
     pub(super) fn timestamp_bits(&self) -> u32 {
         self.facts.timestamp_bits
     }
 
-    /// Whether images of this format, use and size can be made.
+    /// Whether images of this format, tiling, use and size can be made.
+    pub(super) fn has_image(
+        &self,
+        format: vk::Format,
+        tiling: vk::ImageTiling,
+        usage: vk::ImageUsageFlags,
+        [width, height]: [u32; 2],
+    ) -> Result<bool, GpuError> {
+        match self.image_extent(format, tiling, usage)? {
+            Some(can) => Ok(width <= can.width && height <= can.height),
+            None => Ok(false),
+        }
+    }
+
+    /// The largest image of this format, tiling and use; `None` if there is none.
+    fn image_extent(
+        &self,
+        format: vk::Format,
+        tiling: vk::ImageTiling,
+        usage: vk::ImageUsageFlags,
+    ) -> Result<Option<vk::Extent3D>, GpuError> {
+        let (kind, flags) = (vk::ImageType::TYPE_2D, vk::ImageCreateFlags::empty());
+        let (raw, physical) = (&self.instance.raw, self.physical);
+        // SAFETY: the handle comes from this instance.
+        let can = unsafe {
+            raw.get_physical_device_image_format_properties(physical, format, kind, tiling, usage, flags)
+        };
+        match can {
+            Ok(can) => Ok(Some(can.max_extent)),
+            Err(vk::Result::ERROR_FORMAT_NOT_SUPPORTED) => Ok(None),
+            Err(source) => Err(GpuError::Call { call: "vkGetPhysicalDeviceImageFormatProperties", source }),
+        }
+    }
+
+    /// That images of this format, use and size can be made with optimal tiling.
     pub(super) fn check_image(
         &self,
         format: vk::Format,
         usage: vk::ImageUsageFlags,
         [width, height]: [u32; 2],
     ) -> Result<(), GpuError> {
-        let (kind, tiling, flags) =
-            (vk::ImageType::TYPE_2D, vk::ImageTiling::OPTIMAL, vk::ImageCreateFlags::empty());
-        let (raw, physical) = (&self.instance.raw, self.physical);
-        // SAFETY: the handle comes from this instance.
-        let can = unsafe {
-            raw.get_physical_device_image_format_properties(physical, format, kind, tiling, usage, flags)
-        };
-        let expected = format!("{format:?} images of {height}x{width} for {usage:?}");
-        match can {
-            Ok(can) if width <= can.max_extent.width && height <= can.max_extent.height => Ok(()),
-            Ok(can) => Err(self.unsupported(
-                expected,
-                format!("at most {}x{}", can.max_extent.height, can.max_extent.width),
-            )),
-            Err(vk::Result::ERROR_FORMAT_NOT_SUPPORTED) => Err(self.unsupported(expected, "no such format")),
-            Err(source) => Err(GpuError::Call { call: "vkGetPhysicalDeviceImageFormatProperties", source }),
+        let expected = || format!("{format:?} images of {height}x{width} for {usage:?}");
+        match self.image_extent(format, vk::ImageTiling::OPTIMAL, usage)? {
+            Some(can) if width <= can.width && height <= can.height => Ok(()),
+            Some(can) => Err(self.unsupported(expected(), format!("at most {}x{}", can.height, can.width))),
+            None => Err(self.unsupported(expected(), "no such format")),
         }
     }
 
@@ -246,8 +275,17 @@ fn facts(
     // SAFETY: the handle comes from this instance of 1.1; each chained structure is one that the device knows.
     unsafe { instance.get_physical_device_properties2(physical, &mut all) };
     let properties = all.properties;
-    // SAFETY: the handle comes from this instance.
-    let features = unsafe { instance.get_physical_device_features(physical) };
+    let has_atomics =
+        extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(khr::shader_atomic_int64::NAME));
+    let mut atomics = vk::PhysicalDeviceShaderAtomicInt64Features::default();
+    let mut all_features = vk::PhysicalDeviceFeatures2::default();
+    if has_atomics {
+        all_features = all_features.push_next(&mut atomics);
+    }
+    // SAFETY: as above.
+    unsafe { instance.get_physical_device_features2(physical, &mut all_features) };
+    let features = all_features.features;
+    let atomics_64 = features.shader_int64 == vk::TRUE && atomics.shader_buffer_int64_atomics == vk::TRUE;
     let (name, info) = (text(driver.driver_name_as_c_str()), text(driver.driver_info_as_c_str()));
     let version = properties.driver_version;
     Ok(Facts {
@@ -256,6 +294,7 @@ fn facts(
         limits: properties.limits,
         max_allocation: maintenance.max_memory_allocation_size,
         large_points: features.large_points == vk::TRUE,
+        atomics_64,
         timestamp_bits,
     })
 }
@@ -264,13 +303,21 @@ fn create(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
     queue_family: u32,
-    large_points: bool,
+    facts: &Facts,
 ) -> Result<ash::Device, GpuError> {
     let queue =
         vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(&[1.0]);
-    let (queues, features) = ([queue], vk::PhysicalDeviceFeatures::default().large_points(large_points));
-    let info = vk::DeviceCreateInfo::default().queue_create_infos(&queues).enabled_features(&features);
-    // SAFETY: the handle comes from this instance, the queue family and the feature are the device's own.
+    let queues = [queue];
+    let features =
+        vk::PhysicalDeviceFeatures::default().large_points(facts.large_points).shader_int64(facts.atomics_64);
+    let extensions = [khr::shader_atomic_int64::NAME.as_ptr()];
+    let mut atomics =
+        vk::PhysicalDeviceShaderAtomicInt64Features::default().shader_buffer_int64_atomics(true);
+    let mut info = vk::DeviceCreateInfo::default().queue_create_infos(&queues).enabled_features(&features);
+    if facts.atomics_64 {
+        info = info.enabled_extension_names(&extensions).push_next(&mut atomics);
+    }
+    // SAFETY: the handle comes from this instance; queue family, features and extension are the device's own.
     unsafe { instance.create_device(physical, &info, None) }.map_err(call("vkCreateDevice"))
 }
 

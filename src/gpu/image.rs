@@ -7,7 +7,7 @@ use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::Allocation;
 
 use super::error::call;
-use super::{Device, GpuError};
+use super::{Buffer, Device, GpuError};
 
 /// An image to be made: one layer, one level, device memory.
 #[derive(Clone, Debug)]
@@ -24,15 +24,32 @@ pub struct ImageDesc<'a> {
     pub usage: vk::ImageUsageFlags,
 }
 
+impl ImageDesc<'_> {
+    fn info(&self) -> vk::ImageCreateInfo<'static> {
+        vk::ImageCreateInfo::default()
+            .image_type(vk::ImageType::TYPE_2D)
+            .format(self.format)
+            .extent(vk::Extent3D { width: self.width, height: self.height, depth: 1 })
+            .mip_levels(1)
+            .array_layers(1)
+            .samples(vk::SampleCountFlags::TYPE_1)
+            .usage(self.usage)
+    }
+}
+
 /// An image, its memory and a view of it.
 pub struct Image {
     device: Arc<Device>,
     pub(super) raw: vk::Image,
     pub(super) view: vk::ImageView,
     pub(super) format: vk::Format,
+    /// Layout in which shaders read it.
+    pub(super) read_layout: vk::ImageLayout,
     width: u32,
     height: u32,
     allocation: Option<Allocation>,
+    /// The owner of the memory, for an image over a buffer.
+    _buffer: Option<Arc<Buffer>>,
 }
 
 impl Image {
@@ -42,15 +59,7 @@ impl Image {
     /// Out of memory; a format, use or size that the device does not have.
     pub fn new(device: &Arc<Device>, desc: &ImageDesc<'_>) -> Result<Self, GpuError> {
         device.check_image(desc.format, desc.usage, [desc.width, desc.height])?;
-        let info = vk::ImageCreateInfo::default()
-            .image_type(vk::ImageType::TYPE_2D)
-            .format(desc.format)
-            .extent(vk::Extent3D { width: desc.width, height: desc.height, depth: 1 })
-            .mip_levels(1)
-            .array_layers(1)
-            .samples(vk::SampleCountFlags::TYPE_1)
-            .tiling(vk::ImageTiling::OPTIMAL)
-            .usage(desc.usage);
+        let info = desc.info().tiling(vk::ImageTiling::OPTIMAL);
         // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
         let raw = unsafe { device.raw.create_image(&info, None) }.map_err(call("vkCreateImage"))?;
         let mut image = Self {
@@ -58,9 +67,11 @@ impl Image {
             raw,
             view: vk::ImageView::null(),
             format: desc.format,
+            read_layout: super::pass::read_layout(desc.format),
             width: desc.width,
             height: desc.height,
             allocation: None,
+            _buffer: None,
         };
         device.set_name(raw, desc.name)?;
         // SAFETY: the image is alive.
@@ -72,15 +83,61 @@ impl Image {
         // SAFETY: the range was allocated for these requirements and is bound once.
         let bound = unsafe { device.raw.bind_image_memory(raw, memory, allocation.offset()) };
         bound.map_err(call("vkBindImageMemory"))?;
-        let info = vk::ImageViewCreateInfo::default()
-            .image(raw)
-            .view_type(vk::ImageViewType::TYPE_2D)
-            .format(desc.format)
-            .subresource_range(whole(desc.format));
-        // SAFETY: the image is alive, bound, and has this format.
-        let view = unsafe { device.raw.create_image_view(&info, None) };
-        image.view = view.map_err(call("vkCreateImageView"))?;
+        image.make_view()?;
         Ok(image)
+    }
+
+    /// Another face of a buffer's memory: an image to be sampled whose pixels are the buffer's bytes, row by row
+    /// without gaps. It is read in the layout GENERAL, after [`Recorder::adopt`](super::Recorder::adopt) has run once.
+    /// `None` where the device does not have such images (or not so large, or only with gaps).
+    ///
+    /// # Errors
+    /// Out of memory.
+    pub fn over_buffer(buffer: &Arc<Buffer>, desc: &ImageDesc<'_>) -> Result<Option<Self>, GpuError> {
+        let (device, tiling) = (buffer.device(), vk::ImageTiling::LINEAR);
+        if !device.has_image(desc.format, tiling, desc.usage, [desc.width, desc.height])? {
+            return Ok(None);
+        }
+        let info = desc.info().tiling(tiling);
+        // SAFETY: a plain description; the format, use and size were asked for above.
+        let raw = unsafe { device.raw.create_image(&info, None) }.map_err(call("vkCreateImage"))?;
+        let mut image = Self {
+            device: device.clone(),
+            raw,
+            view: vk::ImageView::null(),
+            format: desc.format,
+            read_layout: vk::ImageLayout::GENERAL,
+            width: desc.width,
+            height: desc.height,
+            allocation: None,
+            _buffer: Some(buffer.clone()),
+        };
+        device.set_name(raw, desc.name)?;
+        // SAFETY: the image is alive.
+        let needs = unsafe { device.raw.get_image_memory_requirements(raw) };
+        let part = vk::ImageSubresource::default().aspect_mask(aspect(desc.format));
+        // SAFETY: the image is alive and linear, and has that one level and layer.
+        let layout = unsafe { device.raw.get_image_subresource_layout(raw, part) };
+        let gapless = layout.offset == 0 && layout.row_pitch == u64::from(desc.width) * image.pixel_bytes();
+        let Some((memory, offset)) = buffer.memory_for(&needs).filter(|_| gapless) else { return Ok(None) };
+        // SAFETY: the buffer's memory is of a type that the image takes, large enough and aligned; the image keeps
+        // the buffer, so the memory outlives it.
+        let bound = unsafe { device.raw.bind_image_memory(raw, memory, offset) };
+        bound.map_err(call("vkBindImageMemory"))?;
+        image.make_view()?;
+        Ok(Some(image))
+    }
+
+    fn make_view(&mut self) -> Result<(), GpuError> {
+        let info = vk::ImageViewCreateInfo::default()
+            .image(self.raw)
+            .view_type(vk::ImageViewType::TYPE_2D)
+            .format(self.format)
+            .subresource_range(whole(self.format));
+        // SAFETY: the image is alive, bound, and has this format.
+        let view = unsafe { self.device.raw.create_image_view(&info, None) };
+        self.view = view.map_err(call("vkCreateImageView"))?;
+        Ok(())
     }
 
     /// Pixels.
@@ -91,6 +148,15 @@ impl Image {
     /// Pixels.
     pub fn height(&self) -> u32 {
         self.height
+    }
+
+    /// Bytes of a pixel.
+    pub(super) fn pixel_bytes(&self) -> u64 {
+        match self.format {
+            vk::Format::R32G32B32A32_UINT => 16,
+            vk::Format::R32G32_UINT => 8,
+            _ => 4,
+        }
     }
 }
 
@@ -104,7 +170,7 @@ pub(super) fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
     if is_depth(format) { vk::ImageAspectFlags::DEPTH } else { vk::ImageAspectFlags::COLOR }
 }
 
-fn whole(format: vk::Format) -> vk::ImageSubresourceRange {
+pub(super) fn whole(format: vk::Format) -> vk::ImageSubresourceRange {
     vk::ImageSubresourceRange::default().aspect_mask(aspect(format)).level_count(1).layer_count(1)
 }
 

@@ -6,10 +6,12 @@
 
 use std::time::Instant;
 
+use super::frame::frame_by_views;
+use super::frames::DoneFrames;
 use super::line_test::LineTest;
 use super::{
-    CloudSet, Draw, Planes, RasterError, Rasterizer, RasterizerInfo, Segment, SplatJob, SplatMaps,
-    SplatSchedule, StageTimes, draws_from_job,
+    CloudSet, Draw, FrameJob, FrameMaps, Planes, RasterError, Rasterizer, RasterizerInfo, Segment, SplatJob,
+    SplatMaps, SplatSchedule, StageTimes, draws_from_job,
 };
 use crate::cloud::{Bounds, Point};
 
@@ -18,19 +20,31 @@ pub struct CpuRasterizer<'a> {
     clouds: CloudSet<'a>,
     extents: Vec<(usize, Option<Bounds>)>,
     stages: StageTimes,
+    done: DoneFrames,
 }
 
 impl<'a> CpuRasterizer<'a> {
     /// Holds clouds; nothing is copied.
     pub fn new(clouds: CloudSet<'a>) -> Self {
         let extents = clouds.iter().map(|c| (c.len(), Bounds::of(c))).collect();
-        Self { clouds, extents, stages: StageTimes::default() }
+        Self { clouds, extents, stages: StageTimes::default(), done: DoneFrames::default() }
     }
 }
 
 impl Rasterizer for CpuRasterizer<'_> {
     fn info(&self) -> RasterizerInfo {
         RasterizerInfo { rasterizer: "cpu", device: "host".into(), driver: "plain Rust".into() }
+    }
+
+    fn begin(&mut self, job: &FrameJob<'_>) -> Result<(), RasterError> {
+        self.done.check()?;
+        let frame = frame_by_views(job, &mut |job| self.splat(job))?;
+        self.done.push(frame);
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<FrameMaps<'_>, RasterError> {
+        self.done.pop()
     }
 
     fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {

@@ -20,6 +20,16 @@ impl Planes {
     pub const ALL: Self = Self { point: true, depth: true, rgb_class: true, instance: true };
     /// None.
     pub const NONE: Self = Self { point: false, depth: false, rgb_class: false, instance: false };
+
+    /// What either of them has.
+    pub(super) fn and(self, other: Self) -> Self {
+        Self {
+            point: self.point || other.point,
+            depth: self.depth || other.depth,
+            rgb_class: self.rgb_class || other.rgb_class,
+            instance: self.instance || other.instance,
+        }
+    }
 }
 
 /// Maps of one view, row-major `height * width`; a plane that was not asked for has length 0.

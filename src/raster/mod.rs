@@ -8,11 +8,14 @@
 
 pub mod cpu;
 mod draw;
+mod frame;
+mod frames;
 mod kind;
 mod line;
 mod line_test;
 mod maps;
 mod pages;
+pub mod reduce;
 mod resolve;
 mod schedule;
 mod splat;
@@ -20,6 +23,7 @@ mod tiles;
 mod vulkan;
 
 pub use draw::{Crop, Draw, Instance, SplatJob, draws_from_job};
+pub use frame::{FrameJob, FrameKinds, FrameMaps, Occlusion, ViewMaps, class_of, rgb_of};
 pub use kind::{RasterizerKind, UnknownRasterizer, create};
 pub use maps::{Planes, Segment, SplatMaps, StageTimes};
 pub use schedule::{ScheduleError, SplatSchedule, SplatStep};
@@ -44,6 +48,15 @@ pub enum RasterError {
         /// 2³² − 2.
         max: u64,
     },
+    /// [`Rasterizer::begin`] without [`Rasterizer::finish`], too often.
+    #[error("expected at most {max} frames in flight, found one more")]
+    TooManyFrames {
+        /// [`FRAMES_IN_FLIGHT`].
+        max: usize,
+    },
+    /// [`Rasterizer::finish`] without [`Rasterizer::begin`].
+    #[error("expected a frame in flight, found none")]
+    NoFrame,
     /// An instance names a cloud that was never uploaded.
     #[error("expected a cloud id below {clouds}, found {cloud}")]
     UnknownCloud {
@@ -65,13 +78,27 @@ pub struct RasterizerInfo {
     pub driver: String,
 }
 
-/// Splats resident clouds, and draws lines, into one view at a time.
+/// How many frames may be begun before the first of them is finished.
+pub const FRAMES_IN_FLIGHT: usize = 2;
+
+/// Splats resident clouds, and draws lines.
 pub trait Rasterizer {
     /// Which rasterizer, device and driver this is.
     fn info(&self) -> RasterizerInfo;
 
-    /// Draws the job's instances by the splat rule. Maps have the size of the job's camera; planes that were not
-    /// asked for are empty.
+    /// Begins a frame: all views of the job. The device may work on it until [`Rasterizer::finish`] asks for it.
+    ///
+    /// # Errors
+    /// The device's, an unknown cloud, more than 2³² − 2 points, more than [`FRAMES_IN_FLIGHT`] frames.
+    fn begin(&mut self, job: &FrameJob<'_>) -> Result<(), RasterError>;
+
+    /// Waits for the oldest frame that was begun. Its maps are borrowed until something else is asked for.
+    ///
+    /// # Errors
+    /// The device's, no frame in flight.
+    fn finish(&mut self) -> Result<FrameMaps<'_>, RasterError>;
+
+    /// Draws one cloud into one view at its full size by the splat rule. Planes that were not asked for are empty.
     ///
     /// # Errors
     /// The device's, an unknown cloud, more than 2³² − 2 points.

@@ -3,14 +3,16 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use super::frame::frame_by_views;
+use super::frames::DoneFrames;
 use super::line::{LineInstance, LineStage, LineTarget};
 use super::pages::{Pages, PieceDraw};
 use super::resolve::{MAX_PIXEL_BYTES, Piece, PlaneOffsets, ResolveStage, ResolveTarget};
 use super::splat::{SplatStage, SplatTarget, check_point_size};
 use super::tiles::{Tile, TileLimits, grown, tiles};
 use super::{
-    CloudSet, Draw, Planes, RasterError, Rasterizer, RasterizerInfo, Segment, SplatJob, SplatMaps,
-    SplatSchedule, StageTimes, draws_from_job,
+    CloudSet, Draw, FrameJob, FrameMaps, Planes, RasterError, Rasterizer, RasterizerInfo, Segment, SplatJob,
+    SplatMaps, SplatSchedule, StageTimes, draws_from_job,
 };
 use crate::cloud::Bounds;
 use crate::gpu::{Commands, Device, GpuError};
@@ -37,6 +39,7 @@ pub struct VulkanRasterizer {
     targets: Option<Targets>,
     line_target: Option<LineTarget>,
     stages: StageTimes,
+    done: DoneFrames,
 }
 
 /// What depends on the size of images and the number of pieces.
@@ -92,6 +95,7 @@ impl VulkanRasterizer {
             targets,
             line_target,
             stages,
+            done: DoneFrames::default(),
         })
     }
 
@@ -171,6 +175,17 @@ impl Rasterizer for VulkanRasterizer {
     fn info(&self) -> RasterizerInfo {
         let (device, driver) = (self.device.name().to_owned(), self.device.driver().to_owned());
         RasterizerInfo { rasterizer: "raster", device, driver }
+    }
+
+    fn begin(&mut self, job: &FrameJob<'_>) -> Result<(), RasterError> {
+        self.done.check()?;
+        let frame = frame_by_views(job, &mut |job| self.splat(job))?;
+        self.done.push(frame);
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<FrameMaps<'_>, RasterError> {
+        self.done.pop()
     }
 
     fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {

@@ -4,13 +4,12 @@ use glam::{DAffine3, DMat3, DVec3};
 use point_skeleton::cloud::{self, Point};
 use point_skeleton::conditions::{
     BinScale, CameraConditions, ConditionOptions, ConditionSet, DepthBins, ImageSize, MapKind, MapSet,
-    Occlusion, reduce, render, render_view,
+    Occlusion, reduce, render, render_views,
 };
 use point_skeleton::dataset::Class;
 use point_skeleton::geometry::{Camera, Cuboid, Pose, View};
+use point_skeleton::raster::Instance;
 use point_skeleton::raster::cpu::CpuRasterizer;
-use point_skeleton::raster::{Instance, Planes, RasterError, Rasterizer, RasterizerInfo, Segment};
-use point_skeleton::raster::{SplatJob, SplatMaps, StageTimes};
 use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneState};
 
 use crate::parity::{Layout, assert_parity, differing};
@@ -181,51 +180,24 @@ fn sizes_radius_and_selection_are_followed() {
     assert!(depth.iter().all(|d| *d == 5.0 || *d == f32::INFINITY) && depth.contains(&5.0));
 }
 
-/// Counts passes.
-struct Counting<'a>(CpuRasterizer<'a>, Vec<Planes>);
-
-impl Rasterizer for Counting<'_> {
-    fn info(&self) -> RasterizerInfo {
-        self.0.info()
-    }
-
-    fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {
-        self.1.push(job.planes);
-        self.0.splat(job)
-    }
-
-    fn lines(&mut self, h: u32, w: u32, segments: &[Segment], px: f32) -> Result<Vec<[u8; 3]>, RasterError> {
-        self.0.lines(h, w, segments, px)
-    }
-
-    fn take_stages(&mut self) -> StageTimes {
-        self.0.take_stages()
-    }
-}
-
 #[test]
-fn one_pass_serves_both_clouds_where_they_are_the_same() {
+fn what_is_asked_for_changes_nothing_else() {
     let street = street();
-    let passes = |instances: &SceneInstances, maps: &str| {
-        let cpu = CpuRasterizer::new(street.clouds.iter().map(Vec::as_slice).collect());
-        let mut counting = Counting(cpu, Vec::new());
+    let maps = |instances: &SceneInstances, maps: &str| {
+        let mut cpu = CpuRasterizer::new(street.clouds.iter().map(Vec::as_slice).collect());
         let options = ConditionOptions { maps: maps.parse().unwrap(), ..ConditionOptions::default() };
-        let set = render(&mut counting, instances, &street.state, &options).unwrap();
-        (counting.1.len(), set)
+        render(&mut cpu, instances, &street.state, &options).unwrap().cameras.remove(0)
     };
     let geometry = street.instances.geometry.clone();
     let same = SceneInstances { color: geometry.clone(), geometry };
-    let (one, joint) = passes(&same, "color,depth,class,instance,point");
-    let (two, _) = passes(&street.instances, "color,depth,class,instance,point");
-    assert_eq!((one, two), (1, 2));
-    assert_eq!(passes(&street.instances, "depth").0, 1);
-    assert_eq!(passes(&street.instances, "boxes").0, 0);
-    // Splitting a pass changes nothing.
-    let (_, color) = passes(&same, "color");
-    let (_, depth) = passes(&same, "depth,point");
-    assert_eq!(joint.cameras[0].color, color.cameras[0].color);
-    assert_eq!(joint.cameras[0].depth_m, depth.cameras[0].depth_m);
-    assert_eq!(joint.cameras[0].point, depth.cameras[0].point);
+    for clouds in [&same, &street.instances] {
+        let all = maps(clouds, "color,depth,class,instance,point");
+        let (color, depth) = (maps(clouds, "color"), maps(clouds, "depth,point"));
+        assert_eq!((&all.color, &all.depth_m, &all.point), (&color.color, &depth.depth_m, &depth.point));
+        assert_eq!((&color.depth_m, &color.class, &depth.color), (&None, &None, &None));
+        let class = maps(clouds, "class");
+        assert_eq!((&all.class, &class.instance), (&class.class, &None));
+    }
 }
 
 #[test]
@@ -257,8 +229,8 @@ fn fixture_full_size_maps_agree_with_the_reference() {
     let mut rasterizer = CpuRasterizer::new(vec![&background, &actors]);
     let mut maps = |occlusion| -> Vec<CameraConditions> {
         let options = ConditionOptions { occlusion, ..ConditionOptions::default() };
-        let view = |view: usize| render_view(&mut rasterizer, &clouds, &views[view], None, &options).unwrap();
-        [1, 4].map(view).into()
+        let views = [1, 4].map(|view: usize| views[view].clone());
+        render_views(&mut rasterizer, &clouds, &views, None, &options).unwrap()
     };
     let expected = fixture.join("full.npz");
     let layout = Layout { height: 900, width: 1600, channels: 1, border: 3 };

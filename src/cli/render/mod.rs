@@ -6,7 +6,7 @@ mod steps;
 
 pub(super) use args::RenderArgs;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::mpsc::sync_channel;
 use std::time::Instant;
@@ -19,10 +19,10 @@ use super::progress::Progress;
 use super::say;
 use crate::cloud;
 use crate::conditions::meta::{Index, IndexFrame, PromptParts};
-use crate::conditions::{self, ConditionOptions};
+use crate::conditions::{Begun, ConditionOptions};
 use crate::dataset::{self, Dataset};
 use crate::error::FileError;
-use crate::raster::Rasterizer;
+use crate::raster::{FRAMES_IN_FLIGHT, Rasterizer};
 use crate::scene::{SelectionOptions, Stage, frame_rate_hz};
 use crate::skeleton::Skeleton;
 
@@ -110,11 +110,22 @@ impl Work<'_> {
                 let mut rendered = receiver.into_iter();
                 rendered.try_for_each(|step| self.output.write(&step))
             });
-            for state in self.steps.states() {
-                let state = state?;
-                let instances = self.stage.instances(&state, selection);
-                let set = conditions::render(rasterizer, &instances, &state, options)
-                    .with_context(|| format!("step {}", state.name))?;
+            let mut in_flight = VecDeque::new();
+            let mut states = self.steps.states();
+            loop {
+                // One step is drawn while the host looks after the one before.
+                if let Some(state) = states.next() {
+                    let state = state?;
+                    let instances = self.stage.instances(&state, selection);
+                    let begun = Begun::new(rasterizer, &instances, &state, options);
+                    let begun = begun.with_context(|| format!("step {}", state.name))?;
+                    in_flight.push_back((state, begun));
+                    if in_flight.len() < FRAMES_IN_FLIGHT {
+                        continue;
+                    }
+                }
+                let Some((state, begun)) = in_flight.pop_front() else { break };
+                let set = begun.finish(rasterizer).with_context(|| format!("step {}", state.name))?;
                 frames.push(IndexFrame::new(&state));
                 progress.step(&state.name);
                 if sender.send(Rendered { state, set }).is_err() {
