@@ -71,10 +71,24 @@ fn variants(path: &Path) -> Result<Vec<Variant>, String> {
     Ok(variants)
 }
 
+/// The text of a shader, each line `// include FILE` replaced by that file, named from the folder of shaders.
+fn with_includes(path: &Path) -> Result<String, String> {
+    let file = path.display();
+    let source = std::fs::read_to_string(path).map_err(|e| format!("{file}: {e}"))?;
+    let line = |line: &str| match line.strip_prefix("// include ") {
+        Some(name) => {
+            let included = Path::new("glsl").join(name);
+            std::fs::read_to_string(&included).map_err(|e| format!("{file}: {}: {e}", included.display()))
+        }
+        None => Ok(format!("{line}\n")),
+    };
+    source.lines().map(line).collect()
+}
+
 /// One shader: the text of its Rust module.
 fn compile(path: &Path, variant: &Variant) -> Result<String, String> {
     let file = path.display().to_string();
-    let source = std::fs::read_to_string(path).map_err(|e| format!("{file}: {e}"))?;
+    let source = with_includes(path)?;
     let module = parse(path, &file, &source)?;
     // What 1.1 drivers have with the features that the device enables; anything else is an error here.
     let allowed = Capabilities::IMMEDIATES

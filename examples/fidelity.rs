@@ -63,7 +63,7 @@ fn main() -> anyhow::Result<()> {
         built.report
     );
     let skeleton = Skeleton::open(&path)?;
-    let mut rasterizer = create(args.rasterizer, None, Stage::clouds(&skeleton))?;
+    let mut rasterizer = create(&args.rasterizer.into(), Stage::clouds(&skeleton))?;
     let mut errors = Vec::new();
     for frame in (1..frames).step_by(2 * args.stride) {
         errors.extend(compare_frame(log, frame, &skeleton, rasterizer.as_mut(), args.out.as_deref())?);

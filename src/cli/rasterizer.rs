@@ -1,17 +1,22 @@
 use clap::Args;
 
 use super::WrongUsage;
-use crate::raster::{self, CloudSet, Rasterizer, RasterizerKind};
+use crate::raster::{self, CloudSet, Rasterizer, RasterizerDesc, RasterizerKind};
 
 /// Which rasterizer draws, shared by all commands that draw.
 #[derive(Clone, Debug, Args)]
 pub(super) struct RasterizerArgs {
-    /// What draws: auto, raster (Vulkan) or cpu (plain Rust, needs no driver); all of them give the same maps
+    /// What draws: auto, compute (Vulkan with 64-bit atomics), raster (Vulkan's fixed functions) or cpu (plain Rust, needs
+    /// no driver); all of them give the same maps
     #[arg(long, default_value_t, value_name = "KIND")]
     pub(super) rasterizer: RasterizerKind,
     /// Vulkan device by index or by part of its name [default: $PSKEL_DEVICE, else the fastest]
     #[arg(long, value_name = "NAME|INDEX")]
     pub(super) device: Option<String>,
+    /// Device memory that points may take, MiB, 20 bytes a point; beyond it positions are streamed from the host
+    /// (compute) [default: all that is needed]
+    #[arg(long, value_name = "MIB")]
+    pub(super) gpu_memory: Option<u32>,
 }
 
 impl RasterizerArgs {
@@ -22,6 +27,8 @@ impl RasterizerArgs {
             let message = format!("expected no --device with --rasterizer cpu, found {device:?}");
             return Err(WrongUsage(message).into());
         }
-        Ok(raster::create(self.rasterizer, self.device.as_deref(), clouds)?)
+        let memory_bytes = self.gpu_memory.map(|mib| u64::from(mib) << 20);
+        let desc = RasterizerDesc { kind: self.rasterizer, device: self.device.clone(), memory_bytes };
+        Ok(raster::create(&desc, clouds)?)
     }
 }

@@ -6,11 +6,13 @@
 //! become `f32`, and counts rows that cannot be drawn. [`cameras`] reads the views that a bare cloud is drawn into.
 
 pub mod cameras;
+mod morton;
 pub mod npy;
 pub mod ply;
 mod point;
 mod rows;
 
+pub use morton::morton_order;
 pub use point::{Bounds, Point};
 pub use rows::PointFile;
 

@@ -1,6 +1,8 @@
 //! Buffers, with memory by intent.
 
+use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicI32, Ordering};
 
 use ash::vk;
 use gpu_allocator::MemoryLocation;
@@ -43,6 +45,25 @@ pub struct Buffer {
     /// Bits of the memory types it may have been given.
     memory_types: u32,
     allocation: Option<Allocation>,
+    users: Arc<Users>,
+}
+
+/// Who is at a buffer's host memory now: the host ([`Users::HOST`]), or so many submits.
+#[derive(Debug, Default)]
+pub(super) struct Users(AtomicI32);
+
+impl Users {
+    const HOST: i32 = -1;
+
+    /// One more submit uses the memory, unless the host has it.
+    pub(super) fn enter(&self) -> bool {
+        let more = |users: i32| (users != Self::HOST).then_some(users + 1);
+        self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, more).is_ok()
+    }
+
+    pub(super) fn leave(&self) {
+        self.0.fetch_sub(1, Ordering::AcqRel);
+    }
 }
 
 impl Buffer {
@@ -55,8 +76,16 @@ impl Buffer {
         // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
         let raw = unsafe { device.raw.create_buffer(&info, None) }.map_err(call("vkCreateBuffer"))?;
         let (device, name, memory) = (device.clone(), desc.name.to_owned(), desc.memory);
-        let mut buffer =
-            Self { device, raw, size: desc.size, name, memory, memory_types: 0, allocation: None };
+        let mut buffer = Self {
+            device,
+            raw,
+            size: desc.size,
+            name,
+            memory,
+            memory_types: 0,
+            allocation: None,
+            users: Arc::default(),
+        };
         let device = &buffer.device;
         device.set_name(raw, desc.name)?;
         // SAFETY: the buffer is alive.
@@ -106,6 +135,30 @@ impl Buffer {
         Err(GpuError::Range { expected, found: self.size, name: self.name.clone() })
     }
 
+    /// The host memory of a buffer that others hold as well.
+    ///
+    /// # Errors
+    /// [`GpuError::Range`] for memory of the device alone, [`GpuError::Busy`] while a submit uses the buffer or it is
+    /// mapped already.
+    pub fn map(&self) -> Result<Mapped<'_>, GpuError> {
+        let (expected, name) = (self.size, self.name.clone());
+        // Some drivers map all memory, but only that of the other kinds is coherent.
+        let allocation = self.allocation.as_ref().filter(|_| self.memory != Memory::Device);
+        let pointer = allocation.and_then(Allocation::mapped_ptr);
+        let Some(pointer) = pointer else { return Err(GpuError::Range { expected, found: 0, name }) };
+        let taken = self.users.0.compare_exchange(0, Users::HOST, Ordering::AcqRel, Ordering::Acquire);
+        taken.map_err(|_| GpuError::Busy { name })?;
+        // SAFETY: the allocation is mapped as long as the buffer lives and has at least `size` bytes; nobody else
+        // uses them, since `users` says that the host does.
+        let bytes = unsafe { std::slice::from_raw_parts_mut(pointer.as_ptr().cast(), self.size as usize) };
+        Ok(Mapped { bytes, users: &self.users })
+    }
+
+    /// For submits that use the buffer; `None` if the host never sees its memory.
+    pub(super) fn users(&self) -> Option<Arc<Users>> {
+        (self.memory != Memory::Device).then(|| self.users.clone())
+    }
+
     /// Host memory for the device to read later. `&mut` keeps commands that use the buffer away.
     ///
     /// # Errors
@@ -117,6 +170,32 @@ impl Buffer {
         let mapped = allocation.and_then(Allocation::mapped_slice_mut);
         let bytes = mapped.and_then(|bytes| bytes.get_mut(..size as usize));
         bytes.ok_or_else(|| GpuError::Range { expected: size, found: 0, name: name.clone() })
+    }
+}
+
+/// A buffer's bytes in the hands of the host.
+pub struct Mapped<'a> {
+    bytes: &'a mut [u8],
+    users: &'a Users,
+}
+
+impl Deref for Mapped<'_> {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        self.bytes
+    }
+}
+
+impl DerefMut for Mapped<'_> {
+    fn deref_mut(&mut self) -> &mut [u8] {
+        self.bytes
+    }
+}
+
+impl Drop for Mapped<'_> {
+    fn drop(&mut self) {
+        self.users.0.store(0, Ordering::Release);
     }
 }
 

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use ash::vk;
 
+use super::buffer::Users;
 use super::error::call;
 use super::image::aspect;
 use super::timer::Timer;
@@ -66,7 +67,19 @@ impl Commands {
             // SAFETY: recording; query 0 was just reset.
             unsafe { self.device.raw.cmd_write_timestamp(self.raw, stage, timer.pool, 0) };
         }
-        Ok(Recorder { commands: self, stages: Vec::new() })
+        Ok(Recorder { commands: self, stages: Vec::new(), users: Vec::new() })
+    }
+}
+
+impl Commands {
+    /// Waits for what was submitted from these commands.
+    pub(super) fn wait(&mut self, submitted: Submitted) -> Result<Vec<(&'static str, Duration)>, GpuError> {
+        let waited = self.device.wait(self.fence);
+        submitted.users.iter().for_each(|users| users.leave());
+        waited?;
+        let stages = submitted.stages;
+        let Some(timer) = &self.timer else { return Ok(vec![("gpu", submitted.start.elapsed())]) };
+        Ok(stages.iter().copied().zip(timer.durations(stages.len())?).collect())
     }
 }
 
@@ -88,8 +101,8 @@ pub enum Scope {
     CopyRead,
     /// Vertex attributes, uniforms of vertex shaders, and storage buffers of compute shaders.
     ShaderRead,
-    /// Compute shaders that write.
-    ComputeWrite,
+    /// Compute shaders that read and write.
+    Compute,
     /// The host, after the submit.
     Host,
 }
@@ -104,7 +117,7 @@ impl Scope {
                 At::VERTEX_INPUT | At::VERTEX_SHADER | At::COMPUTE_SHADER,
                 Access::VERTEX_ATTRIBUTE_READ | Access::UNIFORM_READ | Access::SHADER_READ,
             ),
-            Self::ComputeWrite => (At::COMPUTE_SHADER, Access::SHADER_WRITE),
+            Self::Compute => (At::COMPUTE_SHADER, Access::SHADER_READ | Access::SHADER_WRITE),
             Self::Host => (At::HOST, Access::HOST_READ),
         }
     }
@@ -114,6 +127,15 @@ impl Scope {
 pub struct Recorder<'a> {
     commands: &'a mut Commands,
     stages: Vec<&'static str>,
+    /// Of the buffers with host memory that are used.
+    users: Vec<Arc<Users>>,
+}
+
+/// What has been submitted and not been waited for.
+pub(super) struct Submitted {
+    stages: Vec<&'static str>,
+    users: Vec<Arc<Users>>,
+    start: Instant,
 }
 
 impl<'a> Recorder<'a> {
@@ -164,8 +186,13 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    /// Copies whole rows from a buffer into an image, rows `first..first + count`, and leaves the image to be read by
-    /// shaders. With `fresh` the image's content so far is forgotten.
+    /// Makes an image ready for [`Recorder::write_rows`]; its content so far is forgotten.
+    pub fn forget(&mut self, image: &'a Image) {
+        self.transition(image, vk::ImageLayout::UNDEFINED, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL);
+    }
+
+    /// Copies whole rows of a layer from a buffer into an image that shaders read, after [`Recorder::forget`] has run
+    /// once.
     ///
     /// # Errors
     /// The image or the buffer is too small.
@@ -173,18 +200,22 @@ impl<'a> Recorder<'a> {
         &mut self,
         (from, offset): (&'a Buffer, u64),
         to: &'a Image,
+        layer: u32,
         rows: Range<u32>,
-        fresh: bool,
     ) -> Result<(), GpuError> {
+        self.uses(from);
         let row_bytes = u64::from(to.width()) * to.pixel_bytes();
         from.check(offset + row_bytes * u64::from(rows.end.saturating_sub(rows.start)))?;
-        if rows.end > to.height() {
+        if rows.end > to.height() || layer >= to.layers() {
             let (expected, found) = (row_bytes * u64::from(rows.end), row_bytes * u64::from(to.height()));
             return Err(GpuError::Range { expected, found, name: "an image".into() });
         }
-        let old = if fresh { vk::ImageLayout::UNDEFINED } else { vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL };
-        self.transition(to, old, vk::ImageLayout::TRANSFER_DST_OPTIMAL);
-        let layers = vk::ImageSubresourceLayers::default().aspect_mask(aspect(to.format)).layer_count(1);
+        let read = vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL;
+        self.transition(to, read, vk::ImageLayout::TRANSFER_DST_OPTIMAL);
+        let layers = vk::ImageSubresourceLayers::default()
+            .aspect_mask(aspect(to.format))
+            .base_array_layer(layer)
+            .layer_count(1);
         let regions = [vk::BufferImageCopy::default()
             .buffer_offset(offset)
             .image_subresource(layers)
@@ -193,7 +224,7 @@ impl<'a> Recorder<'a> {
         let layout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
         // SAFETY: recording outside a pass; the region is inside the image and the buffer.
         unsafe { self.device().cmd_copy_buffer_to_image(self.raw(), from.raw, to.raw, layout, &regions) };
-        self.transition(to, layout, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL);
+        self.transition(to, layout, read);
         Ok(())
     }
 
@@ -235,6 +266,8 @@ impl<'a> Recorder<'a> {
         (to, dst_offset): (&'a Buffer, u64),
         size: u64,
     ) -> Result<(), GpuError> {
+        self.uses(from);
+        self.uses(to);
         from.check(src_offset + size)?;
         to.check(dst_offset + size)?;
         let regions = [vk::BufferCopy { src_offset, dst_offset, size }];
@@ -254,6 +287,7 @@ impl<'a> Recorder<'a> {
         [width, height]: [u32; 2],
         to: &'a Buffer,
     ) -> Result<(), GpuError> {
+        self.uses(to);
         let (bytes, inside) = (4 * u64::from(width) * u64::from(height), 4 * u64::from(from.width()));
         to.check(bytes)?;
         if width > from.width() || height > from.height() {
@@ -302,6 +336,7 @@ impl<'a> Recorder<'a> {
         // SAFETY: recording outside a pass; the pipeline is alive.
         unsafe { self.device().cmd_bind_pipeline(self.raw(), point, pipeline.raw) };
         bind_sets(self.commands, point, &pipeline.layout, sets);
+        self.users.extend(sets.iter().flat_map(|set| set.users()));
         push_constants(self.commands, &pipeline.layout, push)?;
         // SAFETY: pipeline, sets and push constants are bound.
         unsafe { self.device().cmd_dispatch(self.raw(), groups[0], groups[1], groups[2]) };
@@ -344,14 +379,36 @@ impl<'a> Recorder<'a> {
     /// `gpu`).
     ///
     /// # Errors
-    /// The device is lost or out of memory; any message of the validation layer.
+    /// The device is lost or out of memory; any message of the validation layer; the host has one of the buffers
+    /// mapped.
     pub fn submit(self) -> Result<Vec<(&'static str, Duration)>, GpuError> {
+        let (commands, submitted) = self.start()?;
+        commands.wait(submitted)
+    }
+
+    /// Runs what was recorded. Until [`Commands::wait`] returns, all of it must stay alive: what calls this sees to
+    /// it.
+    pub(super) fn start(self) -> Result<(&'a mut Commands, Submitted), GpuError> {
         let start = Instant::now();
+        let Self { commands, stages, users } = self;
         // SAFETY: recording outside a pass.
-        unsafe { self.device().end_command_buffer(self.raw()) }.map_err(call("vkEndCommandBuffer"))?;
-        self.commands.device.submit(self.raw(), self.commands.fence)?;
-        let Some(timer) = &self.commands.timer else { return Ok(vec![("gpu", start.elapsed())]) };
-        Ok(self.stages.iter().copied().zip(timer.durations(self.stages.len())?).collect())
+        unsafe { commands.device.raw.end_command_buffer(commands.raw) }
+            .map_err(call("vkEndCommandBuffer"))?;
+        let entered = users.iter().take_while(|users| users.enter()).count();
+        let submitted = if entered == users.len() {
+            commands.device.submit(commands.raw, commands.fence)
+        } else {
+            Err(GpuError::Busy { name: "a buffer of a submit".into() })
+        };
+        if let Err(error) = submitted {
+            users[..entered].iter().for_each(|users| users.leave());
+            return Err(error);
+        }
+        Ok((commands, Submitted { stages, users, start }))
+    }
+
+    fn uses(&mut self, buffer: &Buffer) {
+        self.users.extend(buffer.users());
     }
 
     fn device(&self) -> &ash::Device {
@@ -404,11 +461,13 @@ impl<'a> Pass<'_, 'a> {
         // SAFETY: recording; the pipeline is alive and fits the pass.
         unsafe { self.recorder.device().cmd_bind_pipeline(self.recorder.raw(), point, pipeline.raw) };
         bind_sets(self.recorder.commands, point, &pipeline.layout, sets);
+        self.recorder.users.extend(sets.iter().flat_map(|set| set.users()));
         self.pipeline = Some(pipeline);
     }
 
     /// Takes vertices (or instances) from this buffer from now on.
     pub fn vertices(&mut self, buffer: &'a Buffer) {
+        self.recorder.uses(buffer);
         // SAFETY: recording; the buffer is alive.
         unsafe {
             self.recorder.device().cmd_bind_vertex_buffers(self.recorder.raw(), 0, &[buffer.raw], &[0])

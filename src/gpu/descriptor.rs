@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use ash::vk;
 
+use super::buffer::Users;
 use super::error::call;
 use super::{BindingKind, Buffer, Device, GpuError, Image, PipelineLayout};
 
@@ -21,7 +22,7 @@ pub struct DescriptorSet {
     device: Arc<Device>,
     pool: vk::DescriptorPool,
     pub(super) raw: vk::DescriptorSet,
-    _binds: Vec<Bind>,
+    binds: Vec<Bind>,
 }
 
 impl DescriptorSet {
@@ -44,7 +45,7 @@ impl DescriptorSet {
         let pool = unsafe { device.raw.create_descriptor_pool(&info, None) };
         let pool = pool.map_err(call("vkCreateDescriptorPool"))?;
         let raw = vk::DescriptorSet::null();
-        let mut made = Self { device: device.clone(), pool, raw, _binds: Vec::new() };
+        let mut made = Self { device: device.clone(), pool, raw, binds: Vec::new() };
         let layouts = [layout.set(set)?];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
         // SAFETY: the pool has room for exactly this set.
@@ -53,8 +54,17 @@ impl DescriptorSet {
         for (binding, bind) in bindings.iter().zip(&binds) {
             made.write(binding.binding, binding.kind, bind)?;
         }
-        made._binds = binds;
+        made.binds = binds;
+        device.count_descriptor_set();
         Ok(made)
+    }
+
+    /// Of the buffers in it whose memory the host sees.
+    pub(super) fn users(&self) -> impl Iterator<Item = Arc<Users>> {
+        self.binds.iter().filter_map(|bind| match bind {
+            Bind::Buffer(buffer) => buffer.users(),
+            Bind::Image(_) => None,
+        })
     }
 
     fn write(&self, binding: u32, kind: BindingKind, bind: &Bind) -> Result<(), GpuError> {

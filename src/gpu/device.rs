@@ -1,5 +1,6 @@
 //! The logical device, its one queue, and its memory.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ash::{ext, khr, vk};
@@ -11,7 +12,7 @@ use gpu_allocator::{AllocationSizes, MemoryLocation};
 use super::error::call;
 use super::instance::Instance;
 use super::select::{Candidate, choose};
-use super::{DeviceDesc, GpuError, Messages};
+use super::{DeviceDesc, GpuError, ImageDesc, Messages};
 
 /// An open device. Everything made from it holds an `Arc` of it.
 pub struct Device {
@@ -22,14 +23,28 @@ pub struct Device {
     pub(super) queue_family: u32,
     queue: Mutex<vk::Queue>,
     facts: Facts,
+    /// Allocations, pipelines, descriptor sets.
+    made: [AtomicU64; 3],
     physical: vk::PhysicalDevice,
     instance: Instance,
+}
+
+/// How much has been made on a device since it was opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Made {
+    /// Of memory.
+    pub allocations: u64,
+    /// Compute and graphics.
+    pub pipelines: u64,
+    /// Of any layout.
+    pub descriptor_sets: u64,
 }
 
 /// What the device can do and is called.
 #[derive(Clone, Debug)]
 pub(super) struct Facts {
     pub(super) name: String,
+    pub(super) kind: vk::PhysicalDeviceType,
     pub(super) driver: String,
     pub(super) limits: vk::PhysicalDeviceLimits,
     pub(super) max_allocation: u64,
@@ -57,8 +72,8 @@ impl Device {
         // SAFETY: the family and index are those the device was created with.
         let queue = unsafe { raw.get_device_queue(queue_family, 0) };
         let utils = instance.validation.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
-        let (allocator, queue) = (Mutex::new(None), Mutex::new(queue));
-        let device = Self { allocator, utils, raw, queue_family, queue, facts, physical, instance };
+        let (allocator, queue, made) = (Mutex::new(None), Mutex::new(queue), Default::default());
+        let device = Self { allocator, utils, raw, queue_family, queue, facts, made, physical, instance };
         *lock(&device.allocator) = Some(device.new_allocator(physical)?);
         device.check_validation()?;
         Ok(Arc::new(device))
@@ -99,6 +114,16 @@ impl Device {
     /// Largest buffer that a shader can see as a whole, bytes.
     pub fn max_storage_buffer(&self) -> u64 {
         u64::from(self.facts.limits.max_storage_buffer_range).min(self.facts.max_allocation)
+    }
+
+    /// Most bytes of one allocation.
+    pub fn max_allocation(&self) -> u64 {
+        self.facts.max_allocation
+    }
+
+    /// Longest side of an image, pixels.
+    pub fn max_image_side(&self) -> u32 {
+        self.facts.limits.max_image_dimension2_d
     }
 
     /// Whether points may be larger than one pixel; see also the limit `point_size_range`.
@@ -150,19 +175,45 @@ impl Device {
         }
     }
 
-    /// That images of this format, use and size can be made with optimal tiling.
-    pub(super) fn check_image(
-        &self,
-        format: vk::Format,
-        usage: vk::ImageUsageFlags,
-        [width, height]: [u32; 2],
-    ) -> Result<(), GpuError> {
-        let expected = || format!("{format:?} images of {height}x{width} for {usage:?}");
+    /// That an image can be made with optimal tiling.
+    pub(super) fn check_image(&self, desc: &ImageDesc<'_>) -> Result<(), GpuError> {
+        let (format, usage, layers) = (desc.format, desc.usage, desc.layers.unwrap_or(1));
+        let expected =
+            || format!("{format:?} images of {layers}x{}x{} for {usage:?}", desc.height, desc.width);
+        let most = self.facts.limits.max_image_array_layers;
         match self.image_extent(format, vk::ImageTiling::OPTIMAL, usage)? {
-            Some(can) if width <= can.width && height <= can.height => Ok(()),
-            Some(can) => Err(self.unsupported(expected(), format!("at most {}x{}", can.height, can.width))),
+            Some(can) if desc.width <= can.width && desc.height <= can.height && layers <= most => Ok(()),
+            Some(can) => {
+                let found = format!("at most {most}x{}x{}", can.height, can.width);
+                Err(self.unsupported(expected(), found))
+            }
             None => Err(self.unsupported(expected(), "no such format")),
         }
+    }
+
+    /// Allocations, pipelines and descriptor sets made so far: they stand still once a program has warmed up.
+    pub fn made(&self) -> Made {
+        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let [allocations, pipelines, descriptor_sets] = self.made.each_ref().map(count);
+        Made { allocations, pipelines, descriptor_sets }
+    }
+
+    pub(super) fn count_pipeline(&self) {
+        self.made[1].fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(super) fn count_descriptor_set(&self) {
+        self.made[2].fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Whether host and device share their memory, so that the device may as well write where the host reads.
+    pub fn shares_memory(&self) -> bool {
+        matches!(self.facts.kind, vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU)
+    }
+
+    /// Whether the device is the host's own processor.
+    pub fn is_cpu(&self) -> bool {
+        self.facts.kind == vk::PhysicalDeviceType::CPU
     }
 
     /// An error that names this device.
@@ -206,6 +257,7 @@ impl Device {
         let allocation_scheme = AllocationScheme::GpuAllocatorManaged;
         let desc = AllocationCreateDesc { name, requirements, location, linear, allocation_scheme };
         let failed = |source| GpuError::Memory { bytes: requirements.size, name: name.to_owned(), source };
+        self.made[0].fetch_add(1, Ordering::Relaxed);
         let no_allocator = || failed(gpu_allocator::AllocationError::NoCompatibleMemoryTypeFound);
         lock(&self.allocator).as_mut().ok_or_else(no_allocator)?.allocate(&desc).map_err(failed)
     }
@@ -218,15 +270,18 @@ impl Device {
         }
     }
 
-    /// Submits and waits. Whatever was recorded is done afterwards, and the host may read results.
+    /// Hands commands to the queue; the fence tells when they are done.
     pub(super) fn submit(&self, commands: vk::CommandBuffer, fence: vk::Fence) -> Result<(), GpuError> {
         let buffers = [commands];
         let info = vk::SubmitInfo::default().command_buffers(&buffers);
         let queue = lock(&self.queue);
         // SAFETY: the lock gives the queue to this thread; the command buffer is recorded and not pending.
-        unsafe { self.raw.queue_submit(*queue, &[info], fence) }.map_err(call("vkQueueSubmit"))?;
-        drop(queue);
-        // SAFETY: the fence is of this device and was just submitted.
+        unsafe { self.raw.queue_submit(*queue, &[info], fence) }.map_err(call("vkQueueSubmit"))
+    }
+
+    /// Waits for a submit. Whatever was recorded is done afterwards, and the host may read results.
+    pub(super) fn wait(&self, fence: vk::Fence) -> Result<(), GpuError> {
+        // SAFETY: the fence is of this device and was submitted.
         unsafe { self.raw.wait_for_fences(&[fence], true, u64::MAX) }.map_err(call("vkWaitForFences"))?;
         // SAFETY: the fence is signaled, so nothing uses it any more.
         unsafe { self.raw.reset_fences(&[fence]) }.map_err(call("vkResetFences"))?;
@@ -290,6 +345,7 @@ fn facts(
     let version = properties.driver_version;
     Ok(Facts {
         name: text(properties.device_name_as_c_str()),
+        kind: properties.device_type,
         driver: if has_driver { format!("{name} {info}") } else { format!("version {version:#x}") },
         limits: properties.limits,
         max_allocation: maintenance.max_memory_allocation_size,

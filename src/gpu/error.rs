@@ -75,6 +75,12 @@ pub enum GpuError {
         /// Of what.
         name: String,
     },
+    /// Host and device would use a buffer's memory at the same time.
+    #[error("expected {name} to be free, found it in use by a submit or mapped")]
+    Busy {
+        /// Which buffer.
+        name: String,
+    },
     /// The validation layer complained.
     #[error("expected no message from the Vulkan validation layer, found {}:\n{}", .0.len(), .0.join("\n"))]
     Validation(Vec<String>),

@@ -9,7 +9,7 @@ use gpu_allocator::vulkan::Allocation;
 use super::error::call;
 use super::{Buffer, Device, GpuError};
 
-/// An image to be made: one layer, one level, device memory.
+/// An image to be made: one level, device memory.
 #[derive(Clone, Debug)]
 pub struct ImageDesc<'a> {
     /// What validation messages call it.
@@ -18,6 +18,8 @@ pub struct ImageDesc<'a> {
     pub width: u32,
     /// Pixels.
     pub height: u32,
+    /// So many of them, one behind the other, for shaders that take an array; `None` for a plain image.
+    pub layers: Option<u32>,
     /// Pixel format.
     pub format: vk::Format,
     /// What it is used for.
@@ -31,7 +33,7 @@ impl ImageDesc<'_> {
             .format(self.format)
             .extent(vk::Extent3D { width: self.width, height: self.height, depth: 1 })
             .mip_levels(1)
-            .array_layers(1)
+            .array_layers(self.layers.unwrap_or(1))
             .samples(vk::SampleCountFlags::TYPE_1)
             .usage(self.usage)
     }
@@ -47,6 +49,7 @@ pub struct Image {
     pub(super) read_layout: vk::ImageLayout,
     width: u32,
     height: u32,
+    layers: Option<u32>,
     allocation: Option<Allocation>,
     /// The owner of the memory, for an image over a buffer.
     _buffer: Option<Arc<Buffer>>,
@@ -58,7 +61,7 @@ impl Image {
     /// # Errors
     /// Out of memory; a format, use or size that the device does not have.
     pub fn new(device: &Arc<Device>, desc: &ImageDesc<'_>) -> Result<Self, GpuError> {
-        device.check_image(desc.format, desc.usage, [desc.width, desc.height])?;
+        device.check_image(desc)?;
         let info = desc.info().tiling(vk::ImageTiling::OPTIMAL);
         // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
         let raw = unsafe { device.raw.create_image(&info, None) }.map_err(call("vkCreateImage"))?;
@@ -70,6 +73,7 @@ impl Image {
             read_layout: super::pass::read_layout(desc.format),
             width: desc.width,
             height: desc.height,
+            layers: desc.layers,
             allocation: None,
             _buffer: None,
         };
@@ -109,6 +113,7 @@ impl Image {
             read_layout: vk::ImageLayout::GENERAL,
             width: desc.width,
             height: desc.height,
+            layers: desc.layers,
             allocation: None,
             _buffer: Some(buffer.clone()),
         };
@@ -129,9 +134,10 @@ impl Image {
     }
 
     fn make_view(&mut self) -> Result<(), GpuError> {
+        let plain = self.layers.is_none();
         let info = vk::ImageViewCreateInfo::default()
             .image(self.raw)
-            .view_type(vk::ImageViewType::TYPE_2D)
+            .view_type(if plain { vk::ImageViewType::TYPE_2D } else { vk::ImageViewType::TYPE_2D_ARRAY })
             .format(self.format)
             .subresource_range(whole(self.format));
         // SAFETY: the image is alive, bound, and has this format.
@@ -148,6 +154,11 @@ impl Image {
     /// Pixels.
     pub fn height(&self) -> u32 {
         self.height
+    }
+
+    /// How many images it is.
+    pub fn layers(&self) -> u32 {
+        self.layers.unwrap_or(1)
     }
 
     /// Bytes of a pixel.
@@ -171,7 +182,10 @@ pub(super) fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
 }
 
 pub(super) fn whole(format: vk::Format) -> vk::ImageSubresourceRange {
-    vk::ImageSubresourceRange::default().aspect_mask(aspect(format)).level_count(1).layer_count(1)
+    vk::ImageSubresourceRange::default()
+        .aspect_mask(aspect(format))
+        .level_count(1)
+        .layer_count(vk::REMAINING_ARRAY_LAYERS)
 }
 
 impl Drop for Image {

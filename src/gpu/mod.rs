@@ -5,6 +5,8 @@
 //! - every object holds an `Arc` of its [`Device`] and destroys itself on `Drop`, also on error paths;
 //! - a [`Recorder`] borrows what it records for as long as it lives, [`DescriptorSet`]s own what they bind, and
 //!   [`Recorder::submit`] waits until the device is done; so nothing can be freed or read while it is in use;
+//! - a [`Flight`] does not wait, but keeps what it runs on until it is waited for; host memory that a submit uses
+//!   cannot be mapped meanwhile ([`Buffer::map`]);
 //! - shaders are compiled by `build.rs`, and layouts of descriptors, push constants and vertex inputs come from
 //!   what it found in them ([`shaders`]).
 //!
@@ -19,6 +21,7 @@ mod commands;
 mod descriptor;
 mod device;
 mod error;
+mod flight;
 mod image;
 mod instance;
 mod mapping;
@@ -31,11 +34,12 @@ mod tests;
 mod timer;
 mod validation;
 
-pub use buffer::{Buffer, BufferDesc, Memory};
+pub use buffer::{Buffer, BufferDesc, Mapped, Memory};
 pub use commands::{Commands, Pass, Recorder, Scope};
 pub use descriptor::{Bind, DescriptorSet};
-pub use device::Device;
+pub use device::{Device, Made};
 pub use error::GpuError;
+pub use flight::Flight;
 pub use image::{Image, ImageDesc};
 pub use mapping::MappedFile;
 pub use pass::{Area, RenderPass, RenderPassDesc, Target};

@@ -201,6 +201,7 @@ impl GraphicsPipeline {
         let per_instance = desc.vertices.per_instance;
         let pipeline = Self { layout: desc.layout.clone(), raw, stride, per_instance };
         device.set_name(raw, desc.name)?;
+        device.count_pipeline();
         Ok(pipeline)
     }
 
@@ -252,6 +253,7 @@ impl ComputePipeline {
         let raw = made.map_err(|(_, e)| e).map_err(call("vkCreateComputePipelines"))?[0];
         let pipeline = Self { layout, raw, workgroup: shader.workgroup };
         device.set_name(raw, shader.name)?;
+        device.count_pipeline();
         Ok(pipeline)
     }
 

@@ -85,7 +85,7 @@ fn images_too_large_are_refused_by_name() {
     let device = device();
     let usage = ash::vk::ImageUsageFlags::SAMPLED;
     let format = ash::vk::Format::R32G32_UINT;
-    let desc = ImageDesc { name: "huge", width: 1 << 24, height: 4, format, usage };
+    let desc = ImageDesc { name: "huge", width: 1 << 24, height: 4, layers: None, format, usage };
     let text = Image::new(&device, &desc).err().unwrap().to_string();
     assert!(text.contains("4x16777216") && text.contains(device.name()), "{text}");
     device.check_validation().unwrap();

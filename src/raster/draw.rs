@@ -58,6 +58,13 @@ pub struct Draw {
     pub instance: u32,
 }
 
+impl Draw {
+    /// Whether a crop leaves points out.
+    pub(super) fn cropped(&self) -> bool {
+        self.crop_from_local != [[0.0; 4]; 2]
+    }
+}
+
 /// The draws of a job: matrices multiplied out in `f64`, instances that cannot reach the image left out (their
 /// points are counted in the numbering all the same). `clouds` gives length and bounds of each resident cloud.
 ///
@@ -86,7 +93,8 @@ pub fn draws_from_job(
     Ok(draws)
 }
 
-fn draw_from_instance(job: &SplatJob<'_>, instance: &Instance, first_number: u32) -> Draw {
+/// The draw of an instance in a job, whose first point has this number.
+pub(super) fn draw_from_instance(job: &SplatJob<'_>, instance: &Instance, first_number: u32) -> Draw {
     let world = instance.world_from_local;
     let crop_row = |axis: usize, center: f64| {
         let m = world.matrix3;

@@ -1,8 +1,6 @@
-use std::borrow::Cow;
-
 use serde::Serialize;
 
-use super::{Crop, Instance, Planes, RasterError, SplatJob, SplatMaps, SplatSchedule, reduce};
+use super::{Crop, Instance, Plane, Planes, RasterError, SplatJob, SplatMaps, SplatSchedule, reduce};
 use crate::geometry::{ImageSize, View};
 
 /// What hides an actor in the class and instance maps.
@@ -75,13 +73,13 @@ pub struct ViewMaps<'a> {
     pub size: ImageSize,
     /// `r | g << 8 | b << 16 | class << 24`; zero where empty, and in the bytes of what was not asked for. Length 0 if
     /// neither color nor class is wanted.
-    pub rgb_class: Cow<'a, [u32]>,
+    pub rgb_class: Plane<'a, u32>,
     /// Camera depth in metres, `f32::INFINITY` where empty.
-    pub depth_m: Cow<'a, [f32]>,
+    pub depth_m: Plane<'a, f32>,
     /// [`Instance::number`] of the winning point, 0 where empty.
-    pub instance: Cow<'a, [u32]>,
+    pub instance: Plane<'a, u32>,
     /// Number of the winning point + 1, 0 where empty. Points are numbered through the geometry instances in order.
-    pub point: Cow<'a, [u32]>,
+    pub point: Plane<'a, u32>,
 }
 
 /// Maps of a frame, one entry per view of the job.
@@ -134,14 +132,14 @@ fn view_of_frame(
         &actors_pass
     };
     let (from, to) = (ImageSize::of(&view.camera), job.size_of(view));
-    let words = |wanted: bool, map: &[u32]| -> Cow<'static, [u32]> {
-        Cow::Owned(if wanted { reduce::nearest(map, from, to) } else { Vec::new() })
+    let words = |wanted: bool, map: &[u32]| -> Plane<'static, u32> {
+        if wanted { reduce::nearest(map, from, to).into() } else { Vec::new().into() }
     };
     let depth_m = if kinds.depth { reduce::nearest(&geometry.depth_m, from, to) } else { Vec::new() };
     Ok(ViewMaps {
         size: to,
-        rgb_class: Cow::Owned(rgb_class(kinds, color, actors, from, to)),
-        depth_m: Cow::Owned(depth_m),
+        rgb_class: rgb_class(kinds, color, actors, from, to).into(),
+        depth_m: depth_m.into(),
         instance: words(kinds.instance, &actors.instance),
         point: words(kinds.point, &geometry.point),
     })

@@ -110,7 +110,7 @@ impl LineStage {
         [width, height]: [u32; 2],
     ) -> Result<LineTarget, GpuError> {
         let usage = ImageUsageFlags::COLOR_ATTACHMENT | ImageUsageFlags::TRANSFER_SRC;
-        let desc = ImageDesc { name: "lines", width, height, format: COLOR, usage };
+        let desc = ImageDesc { name: "lines", width, height, layers: None, format: COLOR, usage };
         let color = Arc::new(Image::new(device, &desc)?);
         let target = Target::new(&self.pass, vec![color.clone()])?;
         let size = u64::from(width) * u64::from(height) * PIXEL_BYTES;
@@ -119,13 +119,10 @@ impl LineStage {
         Ok(LineTarget { color, target, readback })
     }
 
-    /// The segments on the device; there is at least one.
-    pub(super) fn upload(device: &Arc<Device>, lines: &[LineInstance]) -> Result<Buffer, GpuError> {
-        let bytes: &[u8] = bytemuck::cast_slice(lines);
-        let (size, usage, memory) = (bytes.len() as u64, Usage::VERTEX_BUFFER, Memory::Upload);
-        let mut buffer = Buffer::new(device, &BufferDesc { name: "segments", size, usage, memory })?;
-        buffer.bytes_mut()?.copy_from_slice(bytes);
-        Ok(buffer)
+    /// Room for so many segments.
+    pub(super) fn buffer(device: &Arc<Device>, segments: usize) -> Result<Buffer, GpuError> {
+        let (size, usage) = ((segments * size_of::<LineInstance>()) as u64, Usage::VERTEX_BUFFER);
+        Buffer::new(device, &BufferDesc { name: "segments", size, usage, memory: Memory::Upload })
     }
 
     /// Draws the segments of one tile and copies it to the host.
@@ -134,16 +131,15 @@ impl LineStage {
         recorder: &mut Recorder<'a>,
         target: &'a LineTarget,
         tile: &Tile,
-        lines: &'a Buffer,
+        (lines, count): (&'a Buffer, u32),
     ) -> Result<(), GpuError> {
         let push =
             LinePush { tile_origin: tile.origin.map(|v| v as f32), tile_size: tile.size.map(|v| v as f32) };
-        let count = lines.size() / size_of::<LineInstance>() as u64;
         let [width, height] = tile.size;
         let mut pass = recorder.pass(&target.target, Area { width, height, viewport_pad: 0 });
         pass.bind(&self.pipeline, &[]);
         pass.vertices(lines);
-        pass.draw(bytemuck::bytes_of(&push), 0..4, count as u32)?;
+        pass.draw(bytemuck::bytes_of(&push), 0..4, count)?;
         drop(pass);
         recorder.copy_image(&target.color, tile.size, &target.readback)?;
         recorder.barrier(Scope::CopyWrite, Scope::Host);

@@ -6,6 +6,7 @@
 //! [`Draw`]s: `f32` matrices multiplied out in `f64`, culled by bounds. Every rasterizer takes the same draws and
 //! does the same `f32` operations in the same order, so the maps agree to the pixel.
 
+mod compute;
 pub mod cpu;
 mod draw;
 mod frame;
@@ -13,8 +14,10 @@ mod frames;
 mod kind;
 mod line;
 mod line_test;
+mod lines;
 mod maps;
 mod pages;
+mod plane;
 pub mod reduce;
 mod resolve;
 mod schedule;
@@ -22,10 +25,12 @@ mod splat;
 mod tiles;
 mod vulkan;
 
+pub use compute::{ComputeRasterizer, ComputeRasterizerDesc};
 pub use draw::{Crop, Draw, Instance, SplatJob, draws_from_job};
 pub use frame::{FrameJob, FrameKinds, FrameMaps, Occlusion, ViewMaps, class_of, rgb_of};
-pub use kind::{RasterizerKind, UnknownRasterizer, create};
+pub use kind::{RasterizerDesc, RasterizerKind, UnknownRasterizer, create};
 pub use maps::{Planes, Segment, SplatMaps, StageTimes};
+pub use plane::Plane;
 pub use schedule::{ScheduleError, SplatSchedule, SplatStep};
 pub use vulkan::{VulkanRasterizer, VulkanRasterizerDesc};
 
@@ -47,6 +52,12 @@ pub enum RasterError {
         found: u64,
         /// 2³² − 2.
         max: u64,
+    },
+    /// A row of an image that no buffer of the device holds.
+    #[error("expected images that the device can hold a row of, found {width} pixels in a row")]
+    TooWide {
+        /// Pixels.
+        width: u32,
     },
     /// [`Rasterizer::begin`] without [`Rasterizer::finish`], too often.
     #[error("expected at most {max} frames in flight, found one more")]

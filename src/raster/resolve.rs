@@ -162,7 +162,7 @@ impl ResolveStage {
         recorder.barrier(Scope::CopyWrite, Scope::ShaderRead);
         for (i, page) in Pages::used(table, planes).into_iter().enumerate() {
             if i > 0 {
-                recorder.barrier(Scope::ComputeWrite, Scope::ComputeWrite);
+                recorder.barrier(Scope::Compute, Scope::Compute);
             }
             let push = ResolvePush {
                 width: tile.size[0],
@@ -177,7 +177,7 @@ impl ResolveStage {
             recorder.dispatch(&self.pipeline, &sets, bytemuck::bytes_of(&push), tile.size)?;
         }
         recorder.stamp("resolve");
-        recorder.barrier(Scope::ComputeWrite, Scope::CopyRead);
+        recorder.barrier(Scope::Compute, Scope::CopyRead);
         recorder.copy((&target.planes, 0), (&target.readback, 0), 4 * offsets.total as u64)?;
         recorder.barrier(Scope::CopyWrite, Scope::Host);
         recorder.stamp("readback");

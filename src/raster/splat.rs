@@ -129,7 +129,7 @@ impl SplatStage {
     ) -> Result<SplatTarget, GpuError> {
         let image = |name, format, usage: ImageUsageFlags| {
             let usage = usage | ImageUsageFlags::SAMPLED;
-            Image::new(device, &ImageDesc { name, width, height, format, usage }).map(Arc::new)
+            Image::new(device, &ImageDesc { name, width, height, layers: None, format, usage }).map(Arc::new)
         };
         let visibility = image("visibility", VISIBILITY, ImageUsageFlags::COLOR_ATTACHMENT)?;
         let depth = image("depth", DEPTH, ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT)?;

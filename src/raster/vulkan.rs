@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use super::frame::frame_by_views;
 use super::frames::DoneFrames;
-use super::line::{LineInstance, LineStage, LineTarget};
+use super::lines::Lines;
 use super::pages::{Pages, PieceDraw};
 use super::resolve::{MAX_PIXEL_BYTES, Piece, PlaneOffsets, ResolveStage, ResolveTarget};
 use super::splat::{SplatStage, SplatTarget, check_point_size};
@@ -32,12 +32,11 @@ pub struct VulkanRasterizer {
     commands: Commands,
     splat: SplatStage,
     resolve: ResolveStage,
-    line: LineStage,
+    lines: Lines,
     pages: Pages,
     extents: Vec<(usize, Option<Bounds>)>,
     limits: TileLimits,
     targets: Option<Targets>,
-    line_target: Option<LineTarget>,
     stages: StageTimes,
     done: DoneFrames,
 }
@@ -73,7 +72,8 @@ impl VulkanRasterizer {
     ) -> Result<Self, GpuError> {
         let start = Instant::now();
         let (splat, resolve) = (SplatStage::new(&device)?, ResolveStage::new(&device)?);
-        let line = LineStage::new(&device)?;
+        let limits = tile_limits(&device, desc.tile_side);
+        let lines = Lines::new(&device, limits)?;
         let mut commands = Commands::new(&device)?;
         let mut stages = StageTimes::default();
         stages.add("set-up", start.elapsed());
@@ -81,19 +81,17 @@ impl VulkanRasterizer {
         let pages = Pages::upload(&device, &mut commands, resolve.layout(), clouds, desc.page_points)?;
         let extents = clouds.iter().map(|c| (c.len(), Bounds::of(c))).collect();
         stages.add("upload", start.elapsed());
-        let (targets, line_target, limits) = (None, None, tile_limits(&device, desc.tile_side));
         device.check_validation()?;
         Ok(Self {
             device,
             commands,
             splat,
             resolve,
-            line,
+            lines,
             pages,
             extents,
             limits,
-            targets,
-            line_target,
+            targets: None,
             stages,
             done: DoneFrames::default(),
         })
@@ -134,27 +132,6 @@ impl VulkanRasterizer {
         let start = Instant::now();
         let bytes = targets.resolve.readback.bytes_mut()?;
         read_planes(bytes, tile, work.planes, maps);
-        self.stages.add("readback", start.elapsed());
-        Ok(())
-    }
-
-    fn line_tile(
-        &mut self,
-        tile: &Tile,
-        lines: &crate::gpu::Buffer,
-        image: &mut [[u8; 3]],
-        width: u32,
-    ) -> Result<(), GpuError> {
-        let Some(target) = &mut self.line_target else { return Ok(()) };
-        let mut recorder = self.commands.begin()?;
-        self.line.record(&mut recorder, target, tile, lines)?;
-        for (stage, time) in recorder.submit()? {
-            self.stages.add(stage, time);
-        }
-        let start = Instant::now();
-        let rgba = &target.readback.bytes_mut()?[..4 * tile.area()];
-        let pixels: Vec<[u8; 3]> = rgba.chunks_exact(4).map(|p| [p[0], p[1], p[2]]).collect();
-        tile.copy_into(&pixels, image, width);
         self.stages.add("readback", start.elapsed());
         Ok(())
     }
@@ -219,23 +196,7 @@ impl Rasterizer for VulkanRasterizer {
         segments: &[Segment],
         width_px: f32,
     ) -> Result<Vec<[u8; 3]>, RasterError> {
-        let mut image = vec![[0; 3]; width as usize * height as usize];
-        let half_width = width_px / 2.0;
-        let lines: Vec<_> =
-            segments.iter().filter_map(|s| LineInstance::new(s, half_width, [width, height])).collect();
-        let tiles = tiles(width, height, self.limits);
-        let Some(largest) = tiles.first().filter(|_| !lines.is_empty()) else { return Ok(image) };
-        let current = self.line_target.as_ref().map_or([0; 2], LineTarget::size);
-        if largest.size[0] > current[0] || largest.size[1] > current[1] {
-            self.line_target = None; // free before allocating
-            let size = grown(current, largest.size, self.limits);
-            self.line_target = Some(self.line.target(&self.device, size)?);
-        }
-        let lines = LineStage::upload(&self.device, &lines)?;
-        for tile in &tiles {
-            self.line_tile(tile, &lines, &mut image, width)?;
-        }
-        Ok(image)
+        Ok(self.lines.draw([height, width], segments, width_px, &mut self.stages)?)
     }
 
     fn take_stages(&mut self) -> StageTimes {
@@ -243,7 +204,7 @@ impl Rasterizer for VulkanRasterizer {
     }
 }
 
-fn tile_limits(device: &Device, side: Option<u32>) -> TileLimits {
+pub(super) fn tile_limits(device: &Device, side: Option<u32>) -> TileLimits {
     let limits = device.limits();
     let [viewport_width, viewport_height] = limits.max_viewport_dimensions;
     let largest = [

@@ -6,5 +6,6 @@
 mod device;
 mod exact;
 mod fixture;
+mod frames;
 mod random;
 mod twins;

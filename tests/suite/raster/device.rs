@@ -1,7 +1,7 @@
 //! Opening a device, and what is said when that does not work.
 
 use point_skeleton::gpu::{Device, DeviceDesc, GpuError};
-use point_skeleton::raster::{RasterizerKind, create};
+use point_skeleton::raster::{RasterizerDesc, RasterizerKind, create};
 
 use super::twins::with_device;
 
@@ -13,17 +13,26 @@ fn an_unknown_device_lists_those_there_are() {
     assert!(matches!(error, GpuError::UnknownDevice { .. }));
     let text = error.to_string();
     assert!(text.contains("no such device") && text.contains(&name), "{text}");
-    assert!(create(RasterizerKind::Raster, Some("no such device"), vec![]).is_err());
-    assert!(create(RasterizerKind::Cpu, Some("no such device"), vec![]).is_ok());
+    let made = |kind| {
+        let device = Some("no such device".into());
+        create(&RasterizerDesc { kind, device, memory_bytes: None }, vec![]).is_ok()
+    };
+    use RasterizerKind as Kind;
+    assert_eq!([Kind::Auto, Kind::Compute, Kind::Raster, Kind::Cpu].map(made), [false, false, false, true]);
 }
 
 #[test]
 fn a_device_is_found_by_part_of_its_name() {
     let name = with_device(|device| device.name().to_owned());
     let part = name.split_whitespace().next().unwrap().to_uppercase();
-    let rasterizer = create(RasterizerKind::Auto, Some(&part), vec![]).unwrap();
-    assert_eq!((rasterizer.info().rasterizer, rasterizer.info().device), ("raster", name));
-    assert!(!rasterizer.info().driver.is_empty());
+    let made = |kind| {
+        let desc = RasterizerDesc { kind, device: Some(part.clone()), memory_bytes: None };
+        let info = create(&desc, vec![]).unwrap().info();
+        assert!(info.device == name && !info.driver.is_empty(), "{info:?}");
+        info.rasterizer
+    };
+    let best = if with_device(|device| device.atomics_64()) { "compute" } else { "raster" };
+    assert_eq!((made(RasterizerKind::Auto), made(RasterizerKind::Raster)), (best, "raster"));
 }
 
 /// A loader without any driver, in a process of its own since the environment is the process's.

@@ -3,9 +3,9 @@
 use glam::{DAffine3, DVec2, DVec3};
 use point_skeleton::cloud::Point;
 use point_skeleton::raster::cpu::CpuRasterizer;
-use point_skeleton::raster::{Crop, Planes, Rasterizer, Segment, SplatJob, SplatMaps, VulkanRasterizer};
+use point_skeleton::raster::{Crop, Planes, Rasterizer, Segment, SplatJob, SplatMaps};
 
-use super::twins::{Case, with_device};
+use super::twins::{Case, Division, rasterizers, with_device};
 
 fn point(position: [f32; 3]) -> Point {
     Point::new(position, [1, 2, 3], 0)
@@ -81,8 +81,9 @@ fn the_crop_is_a_square_with_its_border() {
     let expected = [(2, 0), (3, 0), (4, 0), (5, 0), (6, 0)];
     assert_eq!(covered(&CpuRasterizer::new(vec![&points]).splat(&job).unwrap()), expected);
     with_device(|device| {
-        let mut rasterizer = VulkanRasterizer::new(device, &vec![&points]).unwrap();
-        assert_eq!(covered(&rasterizer.splat(&job).unwrap()), expected);
+        for mut rasterizer in rasterizers(&device, &vec![&points], Division::default()) {
+            assert_eq!(covered(&rasterizer.splat(&job).unwrap()), expected);
+        }
     });
 }
 
@@ -110,9 +111,9 @@ fn a_line_covers_the_pixels_whose_centres_it_holds() {
     let rows =
         |image: &[[u8; 3]]| -> Vec<usize> { (0..8).filter(|row| image[row * 8 + 3] == [9, 8, 7]).collect() };
     with_device(|device| {
-        let mut raster = VulkanRasterizer::new(device, &vec![]).unwrap();
-        let mut cpu = CpuRasterizer::new(vec![]);
-        for rasterizer in [&mut raster as &mut dyn Rasterizer, &mut cpu] {
+        let mut all = rasterizers(&device, &vec![], Division::default());
+        all.push(Box::new(CpuRasterizer::new(vec![])));
+        for rasterizer in &mut all {
             let image = rasterizer.lines(8, 8, &[line(4.0)], 2.0).unwrap();
             assert_eq!(rows(&image), [3, 4]);
             assert_eq!(image.iter().filter(|p| **p != [0; 3]).count(), 8);

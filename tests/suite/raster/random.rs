@@ -5,27 +5,27 @@ use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
-    CloudSet, Crop, Instance, Planes, Rasterizer, Segment, SplatJob, SplatSchedule, SplatStep,
-    VulkanRasterizer, VulkanRasterizerDesc,
+    CloudSet, ComputeRasterizerDesc, Crop, Instance, Planes, Rasterizer, Segment, SplatJob, SplatSchedule,
+    SplatStep, VulkanRasterizer, VulkanRasterizerDesc,
 };
 
-use super::twins::{allowed_share, assert_same, with_device};
+use super::twins::{Division, allowed_share, assert_same, rasterizers, with_device};
 
 /// Many of these points are on borders of pixels, where another rounding of a division is another pixel.
-const ON_BORDERS: f64 = 2e-2;
+pub(crate) const ON_BORDERS: f64 = 2e-2;
 
 /// SplitMix64 (Steele, Lea, Flood 2014): the same numbers for the same seed everywhere.
-struct Random(u64);
+pub(crate) struct Random(pub(crate) u64);
 
 impl Random {
-    fn next(&mut self) -> u64 {
+    pub(crate) fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         z ^ (z >> 31)
     }
 
-    fn below(&mut self, end: u64) -> u64 {
+    pub(crate) fn below(&mut self, end: u64) -> u64 {
         self.next() % end
     }
 
@@ -58,7 +58,7 @@ fn random_point(random: &mut Random, schedule: &SplatSchedule) -> Point {
     Point { position, rgb_class: random.next() as u32 }
 }
 
-fn random_cloud(random: &mut Random, schedule: &SplatSchedule, count: u64) -> Vec<Point> {
+pub(crate) fn random_cloud(random: &mut Random, schedule: &SplatSchedule, count: u64) -> Vec<Point> {
     let mut points: Vec<Point> = Vec::new();
     for _ in 0..count {
         // Every eighth is a copy of an earlier one: an exact tie.
@@ -70,7 +70,7 @@ fn random_cloud(random: &mut Random, schedule: &SplatSchedule, count: u64) -> Ve
     points
 }
 
-fn random_schedule(random: &mut Random) -> SplatSchedule {
+pub(crate) fn random_schedule(random: &mut Random) -> SplatSchedule {
     let (long, wide) = (random.below(4) == 0, random.below(4) == 0);
     let count = 1 + random.below(if long { 16 } else { 4 });
     let mut radius = random.below(if wide { 32 } else { 5 }) as u32;
@@ -83,7 +83,7 @@ fn random_schedule(random: &mut Random) -> SplatSchedule {
     SplatSchedule::new((0..count).map(step).collect()).unwrap()
 }
 
-fn random_view(random: &mut Random) -> View {
+pub(crate) fn random_view(random: &mut Random) -> View {
     let (width, height) = (1 + random.below(180) as u32, 1 + random.below(120) as u32);
     let focal = if random.below(2) == 0 { 64.0 } else { random.between(20.0, 200.0) };
     let center = [f64::from(width) / 2.0, f64::from(height) / 2.0];
@@ -94,7 +94,7 @@ fn random_view(random: &mut Random) -> View {
     View { camera, camera_from_world: DAffine3::from_translation(-shift) }
 }
 
-fn random_instances(random: &mut Random, view: &View, clouds: usize) -> Vec<Instance> {
+pub(crate) fn random_instances(random: &mut Random, view: &View, clouds: usize) -> Vec<Instance> {
     let world_from_camera = view.camera_from_world.inverse();
     let count = 1 + random.below(4);
     let instance = |_| {
@@ -112,13 +112,13 @@ fn random_instances(random: &mut Random, view: &View, clouds: usize) -> Vec<Inst
     (0..count).map(instance).collect()
 }
 
-fn compare_random_splats(seed: u64, sizes: &[u64], desc: VulkanRasterizerDesc) {
+fn compare_random_splats(seed: u64, sizes: &[u64], division: Division) {
     let random = &mut Random(seed);
     let schedule = random_schedule(random);
     let clouds: Vec<Vec<Point>> = sizes.iter().map(|n| random_cloud(random, &schedule, *n)).collect();
     let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
     with_device(|device| {
-        let mut raster = VulkanRasterizer::with_desc(device, &set, desc).unwrap();
+        let mut all = rasterizers(&device, &set, division);
         let mut cpu = CpuRasterizer::new(set.clone());
         for round in 0..6 {
             let view = random_view(random);
@@ -135,17 +135,21 @@ fn compare_random_splats(seed: u64, sizes: &[u64], desc: VulkanRasterizerDesc) {
                 crop,
                 planes: Planes::ALL,
             };
-            let (a, b) = (cpu.splat(&job).unwrap(), raster.splat(&job).unwrap());
-            let what = format!("seed {seed} round {round} {schedule} {desc:?}");
-            assert_same(&a, &b, allowed_share(&raster, ON_BORDERS), &what);
+            let expected = cpu.splat(&job).unwrap();
+            for rasterizer in &mut all {
+                let found = rasterizer.splat(&job).unwrap();
+                let name = rasterizer.info().rasterizer;
+                let what = format!("{name} seed {seed} round {round} {schedule} {division:?}");
+                assert_same(&expected, &found, allowed_share(rasterizer.as_ref(), ON_BORDERS), &what);
+            }
         }
     });
 }
 
 #[test]
-fn random_clouds_agree() {
+pub(crate) fn random_clouds_agree() {
     for seed in 0..8 {
-        compare_random_splats(seed, &[3000, 1, 700], VulkanRasterizerDesc::default());
+        compare_random_splats(seed, &[3000, 1, 700], Division::default());
     }
 }
 
@@ -154,7 +158,13 @@ fn pages_and_tiles_change_nothing() {
     for seed in 100..106 {
         let page_points = Some([1000, 333, 17][seed as usize % 3]);
         let tile_side = Some([40, 7, 1000][seed as usize % 3]);
-        compare_random_splats(seed, &[400, 0, 1900, 5], VulkanRasterizerDesc { page_points, tile_side });
+        let raster = VulkanRasterizerDesc { page_points, tile_side };
+        let compute = ComputeRasterizerDesc {
+            page_rows: Some([1, 2, 3][seed as usize % 3]),
+            key_rows: Some([40, 72, 100][seed as usize % 3]),
+            ..ComputeRasterizerDesc::default()
+        };
+        compare_random_splats(seed, &[400, 0, 1900, 5, 9000], Division { raster, compute });
     }
 }
 
@@ -170,9 +180,10 @@ fn two_rasterizers_and_two_runs_give_the_same_bytes() {
     with_device(|device| {
         let mut maps = Vec::new();
         for _ in 0..2 {
-            let mut rasterizer = VulkanRasterizer::new(device.clone(), &vec![&cloud]).unwrap();
-            maps.push(rasterizer.splat(&job).unwrap());
-            maps.push(rasterizer.splat(&job).unwrap());
+            for mut rasterizer in rasterizers(&device, &vec![&cloud], Division::default()) {
+                maps.push(rasterizer.splat(&job).unwrap());
+                maps.push(rasterizer.splat(&job).unwrap());
+            }
         }
         assert!(maps[0].point.iter().any(|p| *p > 0) && maps.iter().all(|m| *m == maps[0]));
     });

@@ -1,4 +1,4 @@
-//! Running both rasterizers on one job, and comparing them.
+//! Running all rasterizers on one job, and comparing them.
 
 use std::sync::Arc;
 
@@ -8,8 +8,8 @@ use point_skeleton::geometry::{Camera, View};
 use point_skeleton::gpu::{Device, DeviceDesc};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
-    CloudSet, Instance, Planes, Rasterizer, SplatJob, SplatMaps, SplatSchedule, VulkanRasterizer,
-    VulkanRasterizerDesc,
+    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, Instance, Planes, Rasterizer, SplatJob, SplatMaps,
+    SplatSchedule, VulkanRasterizer, VulkanRasterizerDesc,
 };
 
 /// Gives a device under validation to a test, and fails on any message, also of the device's destruction.
@@ -20,6 +20,29 @@ pub(crate) fn with_device<T>(test: impl FnOnce(Arc<Device>) -> T) -> T {
     let result = test(device);
     messages.check().unwrap_or_else(|e| panic!("{e}"));
     result
+}
+
+/// How all rasterizers of a device divide their work, for tests that change it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Division {
+    pub(crate) raster: VulkanRasterizerDesc,
+    pub(crate) compute: ComputeRasterizerDesc,
+}
+
+/// All rasterizers of a device.
+pub(crate) fn rasterizers<'a>(
+    device: &Arc<Device>,
+    clouds: &CloudSet<'a>,
+    division: Division,
+) -> Vec<Box<dyn Rasterizer + 'a>> {
+    let raster = VulkanRasterizer::with_desc(device.clone(), clouds, division.raster);
+    let compute = |desc| ComputeRasterizer::with_desc(device.clone(), clouds, desc);
+    let copies = ComputeRasterizerDesc { copies: true, ..division.compute };
+    vec![
+        Box::new(raster.unwrap_or_else(|e| panic!("{e}"))),
+        Box::new(compute(division.compute).unwrap_or_else(|e| panic!("{e}"))),
+        Box::new(compute(copies).unwrap_or_else(|e| panic!("{e}"))),
+    ]
 }
 
 /// Which share of pixels may differ: none on the driver that rounds as the CPU does, `elsewhere` on others (Vulkan
@@ -86,7 +109,7 @@ impl Case {
         }
     }
 
-    /// Maps by both rasterizers, which must be the same.
+    /// Maps by all rasterizers, which must be the same.
     pub(crate) fn draw(&self, planes: Planes) -> SplatMaps {
         let clouds: CloudSet<'_> = self.clouds.iter().map(Vec::as_slice).collect();
         let job = SplatJob {
@@ -97,12 +120,13 @@ impl Case {
             planes,
         };
         let expected = CpuRasterizer::new(clouds.clone()).splat(&job).unwrap();
-        let desc = VulkanRasterizerDesc::default();
-        let found = with_device(|device| {
-            VulkanRasterizer::with_desc(device, &clouds, desc).unwrap().splat(&job).unwrap()
+        with_device(|device| {
+            for mut rasterizer in rasterizers(&device, &clouds, Division::default()) {
+                let found = rasterizer.splat(&job).unwrap();
+                assert_same(&expected, &found, 0.0, rasterizer.info().rasterizer);
+            }
         });
-        assert_same(&expected, &found, 0.0, "cpu and raster");
-        found
+        expected
     }
 }
 

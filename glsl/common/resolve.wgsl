@@ -1,0 +1,58 @@
+// What the resolve shaders share: tables, keys and how a key leads to a point's color, number and instance.
+
+struct ResolveBand {
+    width: u32,   // of the result
+    height: u32,  // rows of the result in this band
+    key_row: u32, // of the keys of source row 0, wrapping
+    pixel: u32,   // of the result: where the band begins
+    columns: u32, // taps of column 0
+    rows: u32,    // taps of the band's first row
+    pad_0: u32,
+    pad_1: u32,
+}
+
+struct ResolvePush {
+    reach_1: u32, // bits of the depth up to which a point covers its neighbours
+    reach_2: u32, // and the pixels beyond them
+    band: u32,    // the first one
+    rows: u32,    // of the result, per invocation
+    wants: u32,   // bits WANT_
+}
+
+@group(0) @binding(0) var<storage, read> bands: array<ResolveBand>;
+@group(0) @binding(1) var keys: texture_2d<u32>;         // two pixels a texel
+@group(0) @binding(2) var blocks: texture_2d<u32>;       // by number / 4096: to color index, to point number, instance
+@group(0) @binding(3) var colors: texture_2d_array<u32>; // by color index
+
+const PAD = 2u;
+const EMPTY = 0x7fffffff7fffffffli;
+const INFINITY_BITS = 0x7f800000u;
+const WANT_COLOR = 1u;
+const WANT_CLASS = 2u;
+const WANT_DEPTH = 4u;
+const WANT_INSTANCE = 8u;
+
+fn lower(a: i64, b: i64) -> i64 {
+    return select(a, b, b < a);
+}
+
+fn key_from(hi: u32, lo: u32) -> i64 {
+    return i64((u64(hi) << 32u) | u64(lo));
+}
+
+fn depth_bits(key: i64) -> u32 {
+    return select(u32(u64(key) >> 32u), INFINITY_BITS, key == EMPTY);
+}
+
+// Of an empty pixel: 0.
+fn number_of(key: i64) -> u32 {
+    return select(u32(u64(key) & 0xfffffffflu), 0u, key == EMPTY);
+}
+
+fn block_of(number: u32) -> vec4<u32> {
+    return textureLoad(blocks, vec2<u32>((number >> 12u) & 4095u, number >> 24u), 0);
+}
+
+fn color_of(index: u32) -> u32 {
+    return textureLoad(colors, vec2<u32>(index & 4095u, (index >> 12u) & 16383u), index >> 26u, 0).x;
+}

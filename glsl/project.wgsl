@@ -1,0 +1,154 @@
+// Points to keys: each point goes into its pixel of a buffer by an atomic minimum of `depth << 32 | number`. One
+// workgroup draws one chunk into one band of a view. The operations and their order are those of `project` in
+// src/raster/cpu.rs.
+//
+// With SQUARE a point goes into all pixels that it covers; without, only into its centre, and the resolve shaders look
+// around. CROP tests the radius crop, which chunks well inside need not. LAYERED knows up to three buffers.
+//
+// variant pixel: SQUARE=0 CROP=0 LAYERED=0
+// variant pixel_crop: SQUARE=0 CROP=1 LAYERED=0
+// variant layered: SQUARE=0 CROP=0 LAYERED=1
+// variant layered_crop: SQUARE=0 CROP=1 LAYERED=1
+// variant square: SQUARE=1 CROP=1 LAYERED=1
+
+override SQUARE: bool;
+override CROP: bool;
+override LAYERED: bool;
+
+const Z_NEAR_M = 1e-5;
+const PAD = 2; // pixels around each band
+const GROUPS_PER_ROW = 32768u;
+
+struct Step {
+    z_max_m: f32,
+    radius: u32,
+    pad_0: u32,
+    pad_1: u32,
+}
+
+struct ProjectFrame {
+    steps: array<Step, 16>,
+    step_count: u32,
+    z_far_m: f32,
+    stride: u32, // keys from row to row
+    pad_0: u32,
+}
+
+struct ProjectDraw {
+    image_x: vec4<f32>,
+    image_y: vec4<f32>,
+    image_z: vec4<f32>,
+    crop_x: vec4<f32>,
+    crop_y: vec4<f32>,
+    crop_radius_m: f32,
+    first_number: u32,
+    band: u32,
+    layers: u32, // bits
+}
+
+// Rows of a view that are drawn together.
+struct ProjectBand {
+    columns: f32,
+    rows: f32,
+    first_row: f32, // in the view
+    key_row: u32,   // where its padding begins
+}
+
+struct ProjectItem {
+    draw: u32,
+    row: u32,   // of the page
+    first: u32, // column
+    end: u32,
+}
+
+struct ProjectPush {
+    first: u32,
+    count: u32,
+}
+
+@group(0) @binding(0) var<uniform> frame: ProjectFrame;
+@group(0) @binding(1) var<storage, read> draws: array<ProjectDraw>;
+@group(0) @binding(2) var<storage, read> bands: array<ProjectBand>;
+@group(0) @binding(3) var<storage, read> items: array<ProjectItem>;
+@group(0) @binding(4) var<storage, read_write> keys_0: array<atomic<u64>>;
+@group(0) @binding(5) var<storage, read_write> keys_1: array<atomic<u64>>;
+@group(0) @binding(6) var<storage, read_write> keys_2: array<atomic<u64>>;
+@group(1) @binding(0) var points: texture_2d<u32>; // x y z as bits, index within the cloud
+
+var<immediate> push: ProjectPush;
+
+fn dot_row(row: vec4<f32>, p: vec3<f32>) -> f32 {
+    return row.x * p.x + row.y * p.y + row.z * p.z + row.w;
+}
+
+fn put(layers: u32, at: u32, key: u64) {
+    if LAYERED {
+        if (layers & 1u) != 0u {
+            atomicMin(&keys_0[at], key);
+        }
+        if (layers & 2u) != 0u {
+            atomicMin(&keys_1[at], key);
+        }
+        if (layers & 4u) != 0u {
+            atomicMin(&keys_2[at], key);
+        }
+    } else {
+        atomicMin(&keys_0[at], key);
+    }
+}
+
+fn radius_at(z: f32) -> i32 {
+    var radius = 0u;
+    for (var i = frame.step_count; i > 0u; i--) {
+        if z <= frame.steps[i - 1u].z_max_m {
+            radius = frame.steps[i - 1u].radius;
+        }
+    }
+    return i32(radius);
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let at = group.x + group.y * GROUPS_PER_ROW;
+    if at >= push.count {
+        return;
+    }
+    let item = items[push.first + at];
+    let draw = draws[item.draw];
+    let band = bands[draw.band];
+    for (var i = item.first + lane; i < item.end; i += 64u) {
+        let texel = textureLoad(points, vec2<u32>(i, item.row), 0);
+        let p = bitcast<vec3<f32>>(texel.xyz);
+        let z = dot_row(draw.image_z, p);
+        var drawn = z > Z_NEAR_M && z <= frame.z_far_m;
+        if CROP {
+            let crop_x = dot_row(draw.crop_x, p);
+            let crop_y = dot_row(draw.crop_y, p);
+            drawn = drawn && abs(crop_x) <= draw.crop_radius_m && abs(crop_y) <= draw.crop_radius_m;
+        }
+        let x = floor(dot_row(draw.image_x, p) / z);
+        let y = floor(dot_row(draw.image_y, p) / z) - band.first_row;
+        var radius = PAD;
+        if SQUARE {
+            radius = radius_at(z);
+        }
+        let reach = f32(radius);
+        drawn = drawn && x >= -reach && x < band.columns + reach && y >= -reach && y < band.rows + reach;
+        if drawn {
+            let key = (u64(bitcast<u32>(z)) << 32u) | u64(draw.first_number + texel.w);
+            let center = vec2<i32>(i32(x), i32(y));
+            if SQUARE {
+                let low = max(center - radius, vec2<i32>(0));
+                let high = min(center + radius, vec2<i32>(i32(band.columns), i32(band.rows)) - 1);
+                for (var row = low.y; row <= high.y; row++) {
+                    let start = (band.key_row + u32(row + PAD)) * frame.stride;
+                    for (var column = low.x; column <= high.x; column++) {
+                        put(draw.layers, start + u32(column + PAD), key);
+                    }
+                }
+            } else {
+                put(draw.layers, (band.key_row + u32(center.y + PAD)) * frame.stride + u32(center.x + PAD), key);
+            }
+        }
+    }
+}

@@ -1,0 +1,214 @@
+//! Views cut into bands of rows, and bands packed into parts that fit the device's buffers.
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::geometry::ImageSize;
+use crate::raster::reduce::{nearest_indices, taps};
+use crate::raster::{FrameJob, RasterError};
+
+/// Pixels of keys around each band: what the resolve shaders look around.
+pub(super) const PAD: u32 = 2;
+/// Columns of keys beyond the padding that a shader may read and not use.
+const SPARE: u32 = 8;
+/// Keys from row to row are a multiple of this, so that rows of an image over them begin where drivers want it.
+const STRIDE_STEP: u32 = 16;
+
+/// What fits at once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct PartLimits {
+    /// Bytes of one layer of keys.
+    pub(super) key_bytes: u64,
+    /// Rows of keys.
+    pub(super) key_rows: u32,
+    /// Pixels of results.
+    pub(super) pixels: u64,
+}
+
+/// One output row or column of a reduction: where its values come from.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub(super) struct ResolveTap {
+    pub(super) nearest: u32,
+    /// The first of two that color is mixed from.
+    pub(super) low: u32,
+    /// In 1/2048.
+    pub(super) weights: [i32; 2],
+}
+
+/// How a view is reduced.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Reduction {
+    pub(super) columns: Vec<ResolveTap>,
+    pub(super) rows: Vec<ResolveTap>,
+}
+
+fn axis(from: u32, to: u32) -> Vec<ResolveTap> {
+    let tap = |(nearest, tap): (u32, crate::raster::reduce::Tap)| ResolveTap {
+        nearest,
+        low: tap.at[0] as u32,
+        weights: tap.weight,
+    };
+    nearest_indices(from, to).into_iter().zip(taps(from, to)).map(tap).collect()
+}
+
+impl Reduction {
+    fn new(from: ImageSize, to: ImageSize) -> Self {
+        Self { columns: axis(from.width, to.width), rows: axis(from.height, to.height) }
+    }
+
+    /// Whether the shader that walks down for both kinds at once can do it.
+    pub(super) fn joint(&self) -> bool {
+        let near = |tap: &ResolveTap| tap.nearest <= tap.low && tap.low - tap.nearest <= 3;
+        let forward = |pair: &[ResolveTap]| pair[0].low < pair[1].nearest;
+        self.columns.iter().all(near)
+            && self.rows.iter().all(|tap| tap.nearest <= tap.low)
+            && self.rows.windows(2).all(forward)
+    }
+
+    /// Whether the shaders that walk down for one kind can do it: always, but where images grow.
+    pub(super) fn apart(&self) -> bool {
+        self.rows.windows(2).all(|pair| pair[0].low < pair[1].low)
+    }
+}
+
+/// Rows of a view that are drawn together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Band {
+    pub(super) view: usize,
+    /// Of the result: first and end.
+    pub(super) rows: [u32; 2],
+    /// Of the view: first and end.
+    pub(super) source: [u32; 2],
+}
+
+impl Band {
+    /// Rows of keys, with padding and one more that is read with weight zero.
+    pub(super) fn key_rows(&self) -> u32 {
+        self.source[1] - self.source[0] + 2 * PAD + 1
+    }
+}
+
+/// How a frame's views are cut.
+pub(super) struct Cut {
+    /// Keys from row to row.
+    pub(super) stride: u32,
+    /// By view; `None` for views that are not reduced, all or none.
+    pub(super) reductions: Option<Vec<Reduction>>,
+    /// Bands that are drawn together.
+    pub(super) parts: Vec<Vec<Band>>,
+}
+
+impl Cut {
+    /// With keys that are at least `stride` from row to row, unless that takes more parts. `None` if a reduction is none
+    /// that the shaders can do.
+    ///
+    /// # Errors
+    /// A single row is too long.
+    pub(super) fn new(
+        job: &FrameJob<'_>,
+        limits: PartLimits,
+        stride: u32,
+    ) -> Result<Option<Self>, RasterError> {
+        let wide = Self::with_stride(job, limits, stride);
+        match &wide {
+            Ok(Some(cut)) if cut.parts.len() > 1 => Self::with_stride(job, limits, 0),
+            Err(_) => Self::with_stride(job, limits, 0),
+            _ => wide,
+        }
+    }
+
+    fn with_stride(job: &FrameJob<'_>, limits: PartLimits, stride: u32) -> Result<Option<Self>, RasterError> {
+        let from = |view: usize| ImageSize::of(&job.views[view].camera);
+        let to = |view: usize| job.size_of(&job.views[view]);
+        let views = 0..job.views.len();
+        let widest = views.clone().map(|v| from(v).width).max().unwrap_or(1);
+        let stride = stride.max((widest + 2 * PAD + SPARE).next_multiple_of(STRIDE_STEP));
+        let reduced = views.clone().any(|v| from(v) != to(v));
+        let reductions: Option<Vec<Reduction>> =
+            reduced.then(|| views.clone().map(|v| Reduction::new(from(v), to(v))).collect());
+        if !reductions.iter().flatten().all(Reduction::apart) {
+            return Ok(None);
+        }
+        let key_rows = limits.key_rows.min((limits.key_bytes / (8 * u64::from(stride))) as u32) & !3;
+        let mut cut = Self { stride, reductions, parts: Vec::new() };
+        let mut left = (0, 0);
+        for view in views {
+            let mut first = 0;
+            while first < to(view).height {
+                let band = cut.band(
+                    view,
+                    [first, to(view).height],
+                    (key_rows, limits.pixels),
+                    from(view),
+                    to(view),
+                )?;
+                first = band.rows[1];
+                let pixels = u64::from(band.rows[1] - band.rows[0]) * row_pixels(to(view));
+                if cut.parts.is_empty() || band.key_rows() > left.0 || pixels > left.1 {
+                    cut.parts.push(Vec::new());
+                    left = (key_rows, limits.pixels);
+                }
+                left = (left.0 - band.key_rows(), left.1 - pixels);
+                cut.parts.last_mut().into_iter().for_each(|part| part.push(band));
+            }
+        }
+        Ok(Some(cut))
+    }
+
+    /// As many rows of the result as fit, from the first on.
+    fn band(
+        &self,
+        view: usize,
+        [first, end]: [u32; 2],
+        (key_rows, pixels): (u32, u64),
+        from: ImageSize,
+        to: ImageSize,
+    ) -> Result<Band, RasterError> {
+        let most = (pixels / row_pixels(to)).min(u64::from(end - first)) as u32;
+        let mut count = most;
+        loop {
+            if count == 0 {
+                return Err(RasterError::TooWide { width: from.width.max(to.width) });
+            }
+            let band = self.band_of(view, [first, first + count], from);
+            if band.key_rows() <= key_rows {
+                return Ok(band);
+            }
+            count /= 2;
+        }
+    }
+
+    fn band_of(&self, view: usize, rows: [u32; 2], from: ImageSize) -> Band {
+        let Some(reductions) = &self.reductions else { return Band { view, rows, source: rows } };
+        let taps = &reductions[view].rows;
+        let (top, bottom) = (taps[rows[0] as usize], taps[rows[1] as usize - 1]);
+        let end = (bottom.nearest + 1).max(bottom.low + 2).min(from.height);
+        Band { view, rows, source: [top.nearest.min(top.low), end] }
+    }
+}
+
+/// Pixels of a row as results hold it: shaders write four at a time.
+pub(super) fn row_pixels(size: ImageSize) -> u64 {
+    u64::from(size.width).next_multiple_of(4)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reduction(from: u32, to: u32) -> Reduction {
+        let size = |side| ImageSize { height: side, width: side };
+        Reduction::new(size(from), size(to))
+    }
+
+    #[test]
+    fn usual_reductions_are_walked_once() {
+        for (from, to) in [(1600, 448), (900, 256), (1600, 400), (900, 224), (1080, 448), (1920, 896)] {
+            assert!(reduction(from, to).joint(), "{from} {to}");
+        }
+        for (from, to) in [(100, 99), (64, 40), (10, 10)] {
+            assert!(reduction(from, to).apart(), "{from} {to}");
+        }
+        assert!(!reduction(10, 20).apart());
+    }
+}

@@ -1,0 +1,149 @@
+//! Clouds cut into chunks of neighbouring points, each with its bounds.
+
+use rayon::prelude::*;
+
+use crate::cloud::{Bounds, Point, morton_order};
+
+/// Points in a chunk, but the last of a cloud. Also a row of the images that hold points, and the step of the numbers
+/// that a draw begins at.
+pub(super) const CHUNK: usize = 4096;
+/// Chunks that are looked at together first.
+pub(super) const GROUP: usize = 32;
+
+/// An axis-aligned box by centre and half its size, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Extent {
+    pub(super) center: [f64; 3],
+    pub(super) half: [f64; 3],
+}
+
+impl Extent {
+    fn of(bounds: &Bounds) -> Self {
+        let side = |axis: usize| [f64::from(bounds.min[axis]), f64::from(bounds.max[axis])];
+        Self {
+            center: [0, 1, 2].map(|axis| side(axis).iter().sum::<f64>() / 2.0),
+            half: [0, 1, 2].map(|axis| (side(axis)[1] - side(axis)[0]) / 2.0),
+        }
+    }
+}
+
+/// A cloud in the order of its chunks. Points that are not finite are in no bounds: they are never drawn.
+pub(super) struct ChunkedCloud<'a> {
+    points: &'a [Point],
+    /// Where each point of the order stands in the cloud; `None` for the cloud's own order.
+    order: Option<Vec<u32>>,
+    /// Of each chunk; `None` if nothing of it is ever drawn.
+    pub(super) extents: Vec<Option<Extent>>,
+    /// Of each [`GROUP`] chunks.
+    pub(super) groups: Vec<Option<Extent>>,
+}
+
+impl<'a> ChunkedCloud<'a> {
+    pub(super) fn new(points: &'a [Point]) -> Self {
+        let parts: Vec<Option<Bounds>> =
+            points.par_chunks(CHUNK).map(|part| finite_bounds(part.iter())).collect();
+        let order = union(&parts).and_then(|bounds| morton_order(points, &bounds));
+        let mut cloud = Self { points, order, extents: Vec::new(), groups: Vec::new() };
+        let chunks = points.len().div_ceil(CHUNK);
+        let bounds: Vec<Option<Bounds>> = (0..chunks)
+            .into_par_iter()
+            .map(|chunk| finite_bounds(cloud.points_of(chunk).map(|(_, p)| p)))
+            .collect();
+        cloud.groups = bounds.chunks(GROUP).map(|part| union(part).map(|b| Extent::of(&b))).collect();
+        cloud.extents = bounds.iter().map(|b| b.map(|b| Extent::of(&b))).collect();
+        cloud
+    }
+
+    /// Points in all.
+    pub(super) fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// How many points a chunk has.
+    pub(super) fn count(&self, chunk: usize) -> u32 {
+        (self.points.len() - chunk * CHUNK).min(CHUNK) as u32
+    }
+
+    /// A chunk's points with their places in the cloud.
+    fn points_of(&self, chunk: usize) -> impl Iterator<Item = (u32, &'a Point)> {
+        let places = chunk * CHUNK..chunk * CHUNK + self.count(chunk) as usize;
+        places.map(|place| {
+            let index = self.order.as_ref().map_or(place as u32, |order| order[place]);
+            (index, &self.points[index as usize])
+        })
+    }
+
+    /// Writes a chunk as the device holds it: bits of x, y, z and the place in the cloud, a row of [`CHUNK`] texels.
+    pub(super) fn write_row(&self, chunk: usize, row: &mut [[u32; 4]]) {
+        for (texel, (index, point)) in row.iter_mut().zip(self.points_of(chunk)) {
+            let [x, y, z] = point.position.map(f32::to_bits);
+            *texel = [x, y, z, index];
+        }
+    }
+
+    /// Colors and classes in the cloud's own order.
+    pub(super) fn colors(&self, range: std::ops::Range<usize>) -> impl Iterator<Item = u32> {
+        let end = range.end.min(self.points.len());
+        self.points[range.start.min(end)..end].iter().map(|point| point.rgb_class)
+    }
+}
+
+fn finite_bounds<'p>(points: impl Iterator<Item = &'p Point>) -> Option<Bounds> {
+    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for point in points.filter(|point| point.position.iter().all(|v| v.is_finite())) {
+        for axis in 0..3 {
+            min[axis] = min[axis].min(point.position[axis]);
+            max[axis] = max[axis].max(point.position[axis]);
+        }
+    }
+    (min[0] <= max[0]).then_some(Bounds { min, max })
+}
+
+fn union(parts: &[Option<Bounds>]) -> Option<Bounds> {
+    parts.iter().flatten().copied().reduce(|a, b| Bounds {
+        min: [0, 1, 2].map(|axis| a.min[axis].min(b.min[axis])),
+        max: [0, 1, 2].map(|axis| a.max[axis].max(b.max[axis])),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(x: f32) -> Point {
+        Point::new([x, 0.0, 0.0], [1, 2, 3], 4)
+    }
+
+    #[test]
+    fn chunks_hold_every_point_once_and_bound_it() {
+        let scattered = |i: u32| point((i.wrapping_mul(2_654_435_761) >> 16) as f32);
+        let points: Vec<Point> = (0..10_000).map(scattered).collect();
+        let cloud = ChunkedCloud::new(&points);
+        assert_eq!((cloud.extents.len(), cloud.groups.len(), cloud.count(2)), (3, 1, 10_000 - 2 * 4096));
+        let mut seen = vec![0; points.len()];
+        for chunk in 0..3 {
+            let mut row = vec![[0; 4]; CHUNK];
+            cloud.write_row(chunk, &mut row);
+            let extent = cloud.extents[chunk].unwrap();
+            for [x, _, _, index] in &row[..cloud.count(chunk) as usize] {
+                seen[*index as usize] += 1;
+                assert_eq!(f32::from_bits(*x), points[*index as usize].position[0]);
+                assert!((f64::from(f32::from_bits(*x)) - extent.center[0]).abs() <= extent.half[0]);
+            }
+        }
+        assert!(seen.iter().all(|n| *n == 1));
+        let widths: f64 = cloud.extents.iter().map(|e| 2.0 * e.unwrap().half[0]).sum();
+        assert!(widths < 66_000.0, "{widths}: chunks of a line share a cell at most");
+    }
+
+    #[test]
+    fn what_is_not_finite_widens_no_bounds() {
+        let points = [point(1.0), point(f32::NAN), point(f32::INFINITY), point(3.0)];
+        let cloud = ChunkedCloud::new(&points);
+        let extent = cloud.extents[0].unwrap();
+        assert_eq!((extent.center[0], extent.half[0]), (2.0, 1.0));
+        assert!(ChunkedCloud::new(&points[1..3]).extents[0].is_none());
+        assert!(ChunkedCloud::new(&[]).extents.is_empty());
+        assert_eq!(cloud.colors(2..100).count(), 2);
+    }
+}

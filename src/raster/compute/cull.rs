@@ -1,0 +1,110 @@
+//! Which chunks a band of a view can show, and how near they are.
+
+use super::chunk::{ChunkedCloud, Extent, GROUP};
+use crate::raster::Draw;
+use crate::raster::schedule::Z_NEAR_M;
+
+/// A chunk that may be seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Seen {
+    /// Of the cloud.
+    pub(super) chunk: u32,
+    /// No point of it is nearer, metres.
+    pub(super) nearest_m: f32,
+    /// Whether the crop may leave some of its points out.
+    pub(super) crop: bool,
+}
+
+/// Rows of a view, in pixels: first and end.
+pub(super) type Rows = [u32; 2];
+
+/// Half-spaces that a point must be in to be drawn, as `normal · p + offset >= 0`: depth, image and crop.
+struct Frustum {
+    planes: Vec<[f64; 4]>,
+    /// Where the crop's half-spaces begin.
+    crop: usize,
+    depth: [f64; 4],
+}
+
+/// Slack in metres, and in pixel · metres: far more than `f32` rounds.
+const SLACK: f64 = 1e-3;
+const IMAGE_SLACK: f64 = 1.0;
+
+impl Frustum {
+    fn new(draw: &Draw, width: u32, rows: Rows, pad: f64, z_far_m: f32) -> Self {
+        let row = |r: &[f32; 4]| r.map(f64::from);
+        let [u, v, z] = draw.image_from_local.each_ref().map(row);
+        let sum = |a: [f64; 4], b: [f64; 4], scale: f64| [0, 1, 2, 3].map(|i| a[i] + scale * b[i]);
+        let offset = |a: [f64; 4], by: f64| [a[0], a[1], a[2], a[3] + by];
+        let negative = |a: [f64; 4]| a.map(|v| -v);
+        let (right, top, bottom) =
+            (f64::from(width) + pad, f64::from(rows[0]) - pad, f64::from(rows[1]) + pad);
+        let mut planes = vec![
+            offset(z, SLACK - f64::from(Z_NEAR_M)),
+            offset(negative(z), f64::from(z_far_m) + SLACK),
+            offset(sum(u, z, pad), IMAGE_SLACK),
+            offset(negative(sum(u, z, -right)), IMAGE_SLACK),
+            offset(sum(v, z, -top), IMAGE_SLACK),
+            offset(negative(sum(v, z, -bottom)), IMAGE_SLACK),
+        ];
+        let crop = planes.len();
+        let radius = f64::from(draw.crop_radius_m) + SLACK;
+        for axis in draw.crop_from_local.iter().filter(|_| draw.cropped()) {
+            planes.push(offset(row(axis), radius));
+            planes.push(offset(negative(row(axis)), radius));
+        }
+        Self { planes, crop, depth: z }
+    }
+
+    /// Smallest and largest of `normal · p + offset` over a box, with room for what `f32` rounds.
+    fn range(plane: &[f64; 4], extent: &Extent) -> [f64; 2] {
+        let (mut middle, mut reach, mut size) = (plane[3], 0.0, plane[3].abs());
+        for axis in 0..3 {
+            middle += plane[axis] * extent.center[axis];
+            reach += plane[axis].abs() * extent.half[axis];
+            size += plane[axis].abs() * extent.center[axis].abs();
+        }
+        reach += 1e-6 * (size + reach);
+        [middle - reach, middle + reach]
+    }
+
+    /// Whether a point of the box may be drawn; no false "no".
+    fn touches(&self, extent: &Extent) -> bool {
+        // Written so that numbers which are none count as touching.
+        !self.planes.iter().any(|plane| Self::range(plane, extent)[1] < 0.0)
+    }
+
+    /// Whether the crop may leave points of the box out; no false "no".
+    fn cuts(&self, extent: &Extent) -> bool {
+        !self.planes[self.crop..].iter().all(|plane| Self::range(plane, extent)[0] > 2.0 * SLACK)
+    }
+
+    fn nearest_m(&self, extent: &Extent) -> f32 {
+        Self::range(&self.depth, extent)[0].max(0.0) as f32
+    }
+}
+
+/// Chunks of a cloud that may be seen in some rows of a view `width` pixels wide, with `pad` pixels around for the
+/// squares of points. In the order of the chunks.
+pub(super) fn seen_chunks(
+    cloud: &ChunkedCloud<'_>,
+    draw: &Draw,
+    (width, rows): (u32, Rows),
+    pad: u32,
+    z_far_m: f32,
+) -> Vec<Seen> {
+    let frustum = Frustum::new(draw, width, rows, f64::from(pad) + 2.0, z_far_m);
+    let mut seen = Vec::new();
+    for (group, extent) in cloud.groups.iter().enumerate() {
+        if !extent.as_ref().is_some_and(|e| frustum.touches(e)) {
+            continue;
+        }
+        let first = group * GROUP;
+        for (i, extent) in cloud.extents.iter().enumerate().skip(first).take(GROUP) {
+            let Some(extent) = extent.as_ref().filter(|e| frustum.touches(e)) else { continue };
+            let (nearest_m, crop) = (frustum.nearest_m(extent), frustum.cuts(extent));
+            seen.push(Seen { chunk: i as u32, nearest_m, crop });
+        }
+    }
+    seen
+}

@@ -1,0 +1,127 @@
+//! Which of a frame's instances go into which buffer of keys.
+
+use crate::raster::{FrameJob, Instance, Occlusion};
+
+/// An instance of either cloud.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Layered {
+    pub(super) instance: Instance,
+    /// Bits of the layers that it goes into.
+    pub(super) layers: u32,
+    /// Whether point numbers run through it.
+    pub(super) numbered: bool,
+}
+
+/// The buffers of keys of a frame, at most three: each belongs to one or more of these.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Layers {
+    pub(super) color: Option<usize>,
+    /// Depth and points, and with [`Occlusion::Scene`] classes and instances.
+    pub(super) geometry: Option<usize>,
+    /// Classes and instances with [`Occlusion::Actors`].
+    pub(super) actors: Option<usize>,
+    pub(super) count: usize,
+}
+
+impl Layers {
+    pub(super) fn of(job: &FrameJob<'_>) -> Self {
+        let kinds = job.kinds;
+        let semantics = kinds.class || kinds.instance;
+        let in_scene = semantics && job.occlusion == Occlusion::Scene;
+        let mut layers = Self::default();
+        let mut next = || {
+            layers.count += 1;
+            layers.count - 1
+        };
+        let geometry = (kinds.depth || kinds.point || in_scene).then(&mut next);
+        let shared = geometry.filter(|_| job.color == job.geometry);
+        let color = kinds.color.then(|| shared.unwrap_or_else(&mut next));
+        let actors = (semantics && !in_scene).then(&mut next);
+        Self { color, geometry, actors, ..layers }
+    }
+
+    fn bits(&self, in_color: bool, in_geometry: bool, actor: bool) -> u32 {
+        let bit = |layer: Option<usize>, wanted: bool| layer.filter(|_| wanted).map_or(0, |l| 1 << l);
+        bit(self.color, in_color) | bit(self.geometry, in_geometry) | bit(self.actors, in_geometry && actor)
+    }
+
+    /// Both clouds as one list in which each has its order, what they share but once.
+    pub(super) fn merge(&self, job: &FrameJob<'_>) -> Vec<Layered> {
+        let (mut color, mut geometry) = (job.color, job.geometry);
+        let mut merged = Vec::with_capacity(color.len().max(geometry.len()));
+        loop {
+            let (instance, in_color, in_geometry) = match (color.first(), geometry.first()) {
+                (None, None) => return merged,
+                (Some(c), Some(g)) if c == g => (c, true, true),
+                // Lists that differ go on from actor to actor, so that the next one can be shared again.
+                (Some(c), Some(g)) if c.number <= g.number => (c, true, false),
+                (Some(c), None) => (c, true, false),
+                (_, Some(g)) => (g, false, true),
+            };
+            let layers = self.bits(in_color, in_geometry, instance.number > 0);
+            merged.push(Layered { instance: *instance, layers, numbered: in_geometry });
+            color = &color[usize::from(in_color)..];
+            geometry = &geometry[usize::from(in_geometry)..];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::{FrameKinds, SplatSchedule};
+    use glam::DAffine3;
+
+    fn instance(cloud: usize, number: u32) -> Instance {
+        Instance { cloud, world_from_local: DAffine3::IDENTITY, number }
+    }
+
+    fn job<'a>(color: &'a [Instance], geometry: &'a [Instance], schedule: &'a SplatSchedule) -> FrameJob<'a> {
+        FrameJob {
+            views: &[],
+            schedule,
+            color,
+            geometry,
+            occlusion: Occlusion::Scene,
+            crop: None,
+            kinds: FrameKinds::ALL,
+            out_size: None,
+        }
+    }
+
+    #[test]
+    fn one_cloud_needs_one_layer() {
+        let (list, schedule) = ([instance(0, 0), instance(1, 1)], SplatSchedule::default());
+        let mut job = job(&list, &list, &schedule);
+        let layers = Layers::of(&job);
+        assert_eq!((layers.count, layers.color, layers.geometry, layers.actors), (1, Some(0), Some(0), None));
+        job.occlusion = Occlusion::Actors;
+        let layers = Layers::of(&job);
+        assert_eq!((layers.count, layers.actors), (2, Some(1)));
+        assert_eq!(layers.merge(&job).iter().map(|l| l.layers).collect::<Vec<_>>(), [0b01, 0b11]);
+        job.kinds = FrameKinds { color: true, ..FrameKinds::default() };
+        assert_eq!(Layers::of(&job).count, 1);
+    }
+
+    #[test]
+    fn what_both_clouds_have_is_drawn_once() {
+        let schedule = SplatSchedule::default();
+        let color = [instance(0, 0), instance(1, 1), instance(2, 2), instance(3, 3)];
+        let geometry = [instance(0, 0), instance(9, 1), instance(2, 2), instance(8, 4)];
+        let job = job(&color, &geometry, &schedule);
+        let merged = Layers::of(&job).merge(&job);
+        let list: Vec<_> = merged.iter().map(|l| (l.instance.cloud, l.layers, l.numbered)).collect();
+        let (both, color, geometry) = (0b11, 0b10, 0b01);
+        assert_eq!(
+            list,
+            [
+                (0, both, true),
+                (1, color, false),
+                (9, geometry, true),
+                (2, both, true),
+                (3, color, false),
+                (8, geometry, true)
+            ]
+        );
+    }
+}

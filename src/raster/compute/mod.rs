@@ -1,0 +1,602 @@
+//! The rasterizer in compute shaders: 64-bit atomics instead of a depth test.
+//!
+//! # How it works
+//! Points lie in images, one chunk of 4096 neighbours a row (`chunk`, `store`). A frame is a list of instances in one
+//! numbering (`plan`); its views are rows of one buffer of keys per cloud (`bands`, `layers`). Only chunks that a view
+//! may show are drawn (`cull`), by one dispatch for all views: each point takes its pixel by an atomic minimum of
+//! `depth << 32 | number` (`project`). A nearer point of the same pixel covers whatever a farther one covers, so this is
+//! enough: the resolve shaders then look around each pixel that the result reads, and write the maps (`resolve`).
+//! All of it is one submit (`record`) with buffers of its own (`slot`), so the next frame can be begun meanwhile.
+//!
+//! Where positions of all points exceed the memory that is allowed, rows of positions are streamed: those drawn longest
+//! ago make room (`Residency`).
+
+mod bands;
+mod chunk;
+mod cull;
+mod layers;
+mod plan;
+mod project;
+mod record;
+mod resolve;
+mod shared;
+mod slot;
+mod store;
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Instant;
+
+use self::bands::{Band, Cut, PartLimits};
+use self::chunk::ChunkedCloud;
+use self::layers::Layers;
+use self::plan::{BandResult, Numbering, PartPlan, PlannedItem};
+use self::project::{ProjectFrame, ProjectStage, items_of};
+use self::record::{PlacedItem, Resolve, Run, runs_of};
+use self::resolve::ResolveStage;
+use self::shared::Shared;
+use self::slot::{DEPTH, INSTANCE, MAPS, Needs, POINT, RGB_CLASS, Slot};
+use self::store::{ROW_BYTES, Residency, STREAMED_ROWS, Store, StoreLimits};
+use super::frame::frame_by_views;
+use super::lines::Lines;
+use super::vulkan::tile_limits;
+use super::{
+    CloudSet, FRAMES_IN_FLIGHT, FrameJob, FrameKinds, FrameMaps, Occlusion, Plane, Planes, RasterError,
+    Rasterizer, RasterizerInfo, Segment, SplatJob, SplatMaps, StageTimes, ViewMaps,
+};
+use crate::geometry::ImageSize;
+use crate::gpu::{Commands, Device, Flight, GpuError, Scope};
+
+/// How a [`ComputeRasterizer`] divides its work; the default is what the device can do. Results never depend on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ComputeRasterizerDesc {
+    /// Bytes that points may take on the device (20 a point); beyond them positions are streamed.
+    pub memory_bytes: Option<u64>,
+    /// Most chunks of 4096 points in one image.
+    pub page_rows: Option<u32>,
+    /// Most rows of keys that are drawn at once.
+    pub key_rows: Option<u32>,
+    /// How many chunks of 4096 points are streamed at once; memory must have room for twice as many.
+    pub streamed_rows: Option<u32>,
+    /// Use memory of the device alone and copies, as on a GPU, also where host and device share theirs.
+    pub copies: bool,
+}
+
+/// Clouds on a Vulkan device, and what draws them.
+pub struct ComputeRasterizer<'a> {
+    device: Arc<Device>,
+    commands: Commands,
+    clouds: Vec<ChunkedCloud<'a>>,
+    residency: Residency,
+    shared: Arc<Shared>,
+    /// Frames in flight take turns in all but the last, which serves what is waited for at once.
+    slots: Vec<Flight<Shared, Slot>>,
+    turn: usize,
+    begun: VecDeque<Begun>,
+    lines: Lines,
+    limits: PartLimits,
+    copies: bool,
+    threads: usize,
+    stages: StageTimes,
+}
+
+/// A frame that was begun.
+enum Begun {
+    /// The device is at it.
+    Flying { slot: usize, results: Vec<BandResult>, sizes: Vec<ImageSize>, kinds: FrameKinds },
+    /// It was finished at once.
+    Done(FrameMaps<'static>),
+}
+
+/// Slot for what is waited for at once.
+const AT_ONCE: usize = FRAMES_IN_FLIGHT;
+
+impl<'a> ComputeRasterizer<'a> {
+    /// Whether a device has what it takes: 64-bit integers and atomics in compute shaders.
+    pub fn supported(device: &Device) -> bool {
+        device.atomics_64()
+    }
+
+    /// Uploads all clouds.
+    ///
+    /// # Errors
+    /// Out of memory, or a device that lacks something.
+    pub fn new(device: Arc<Device>, clouds: &CloudSet<'a>) -> Result<Self, GpuError> {
+        Self::with_desc(device, clouds, ComputeRasterizerDesc::default())
+    }
+
+    /// The same within other limits.
+    ///
+    /// # Errors
+    /// Out of memory, or a device that lacks something.
+    pub fn with_desc(
+        device: Arc<Device>,
+        clouds: &CloudSet<'a>,
+        desc: ComputeRasterizerDesc,
+    ) -> Result<Self, GpuError> {
+        if !Self::supported(&device) {
+            let expected = "64-bit atomics on buffers for --rasterizer compute (raster and cpu need none)";
+            return Err(device.unsupported(expected, "none (VK_KHR_shader_atomic_int64)"));
+        }
+        let mut stages = StageTimes::default();
+        let start = Instant::now();
+        let project = Arc::new(ProjectStage::new(&device)?);
+        let (full, reduced) = (ResolveStage::full(&device)?, ResolveStage::reduced(&device)?);
+        let lines = Lines::new(&device, tile_limits(&device, None))?;
+        let mut commands = Commands::new(&device)?;
+        stages.add("set-up", start.elapsed());
+        let start = Instant::now();
+        let clouds: Vec<ChunkedCloud<'a>> = clouds.iter().map(|cloud| ChunkedCloud::new(cloud)).collect();
+        stages.add("sort", start.elapsed());
+        let start = Instant::now();
+        let streamed_rows = desc.streamed_rows.unwrap_or(STREAMED_ROWS).max(1);
+        let limits = StoreLimits { bytes: desc.memory_bytes, page_rows: desc.page_rows, streamed_rows };
+        let (store, residency) = Store::new(&device, &mut commands, project.layout(), &clouds, limits)?;
+        stages.add("upload", start.elapsed());
+        let copies = desc.copies || !device.shares_memory();
+        let bare = Shared {
+            project,
+            full: Arc::new(full),
+            reduced: Arc::new(reduced),
+            store: Arc::new(store),
+            layers: Vec::new(),
+            stride: 0,
+            key_rows: 0,
+            generation: 0,
+            streamed_rows,
+        };
+        let shared = Arc::new(bare.with_keys(&device, &mut commands, 1, [16, 4], desc.copies)?);
+        let slot = |commands: &mut Commands| -> Result<_, GpuError> {
+            Flight::new(&device, Slot::new(&device, commands, &shared, Needs::default(), copies)?)
+        };
+        let slots = (0..=AT_ONCE).map(|_| slot(&mut commands)).collect::<Result<Vec<_>, _>>()?;
+        let limits = part_limits(&device, desc);
+        let threads =
+            if device.is_cpu() { std::thread::available_parallelism().map_or(1, usize::from) } else { 1 };
+        device.check_validation()?;
+        Ok(Self {
+            device,
+            commands,
+            clouds,
+            residency,
+            shared,
+            slots,
+            turn: 0,
+            begun: VecDeque::new(),
+            lines,
+            limits,
+            copies,
+            threads,
+            stages,
+        })
+    }
+
+    /// Starts a job whose views fit at once, or draws one that does not.
+    fn begin_job(&mut self, job: &FrameJob<'_>, slot: usize) -> Result<Begun, RasterError> {
+        let sizes: Vec<ImageSize> = job.views.iter().map(|view| job.size_of(view)).collect();
+        let layers = Layers::of(job);
+        if layers.count == 0 || sizes.is_empty() {
+            return Ok(Begun::Done(sizes.iter().map(|size| empty(*size)).collect()));
+        }
+        let Some(cut) = Cut::new(job, self.limits, self.shared.stride)? else {
+            // No shader makes images grow: full size, then on the host.
+            return frame_by_views(job, &mut |job| self.splat(job)).map(Begun::Done);
+        };
+        let start = Instant::now();
+        let firsts = self.residency.color_firsts();
+        let numbering = Numbering::new(layers.merge(job), &self.clouds, &firsts)?;
+        self.stages.add("plan", start.elapsed());
+        let work = Work { job, layers, cut: &cut, numbering: &numbering };
+        if let [part] = cut.parts.as_slice() {
+            let results = self.draw_part(&work, part, slot)?;
+            return Ok(Begun::Flying { slot, results, sizes, kinds: job.kinds });
+        }
+        let mut maps: Vec<OwnedMaps> = sizes.iter().map(|size| OwnedMaps::new(*size, job.kinds)).collect();
+        for part in &cut.parts {
+            let results = self.draw_part(&work, part, AT_ONCE)?;
+            self.wait(AT_ONCE)?;
+            read_parts(self.slots[AT_ONCE].own(), &results, job.kinds, &mut maps)?;
+        }
+        Ok(Begun::Done(maps.into_iter().map(OwnedMaps::done).collect()))
+    }
+
+    /// Plans a part and starts it; positions that are not there are streamed first.
+    fn draw_part(
+        &mut self,
+        work: &Work<'_>,
+        part: &[Band],
+        slot: usize,
+    ) -> Result<Vec<BandResult>, RasterError> {
+        let start = Instant::now();
+        let plan = PartPlan::new(work.job, work.cut, part, work.numbering, &self.clouds);
+        self.residency.next_frame();
+        let max_radius = work.job.schedule.max_radius();
+        let (mut placed, mut missing) = (Vec::with_capacity(plan.items.len()), Vec::new());
+        for item in &plan.items {
+            match self.residency.row(item.cloud, item.chunk) {
+                Some(row) => placed.extend(self.place(item, row, max_radius)),
+                None => missing.push(*item),
+            }
+        }
+        let (items, runs) = runs_of(&placed, self.threads);
+        let most =
+            items.len() + missing.iter().map(|item| self.place(item, 0, max_radius).count()).sum::<usize>();
+        self.prepare(work, &plan, slot, (most, !missing.is_empty()))?;
+        let frame = ProjectFrame::new(work.job.schedule, self.shared.stride);
+        let own = self.slots[slot].own();
+        own.write(&frame, &plan, &work.numbering.blocks)?;
+        own.write_items(&items)?;
+        self.stages.add("plan", start.elapsed());
+        let resolve = Resolve {
+            job: work.job,
+            layers: work.layers,
+            cut: work.cut,
+            bands: &plan.resolve_bands,
+            pixels: plan.pixels,
+            key_rows: plan.key_rows,
+        };
+        let device = self.device.clone();
+        let phases = Phases { device: &device, work, resolve: &resolve, blocks: work.numbering.blocks.len() };
+        let flight = &mut self.slots[slot];
+        if missing.is_empty() {
+            phases.start(flight, &self.shared, (true, true), &runs)?;
+        } else {
+            phases.start(flight, &self.shared, (true, false), &runs)?;
+            self.stream(&phases, &missing, slot)?;
+            phases.start(&mut self.slots[slot], &self.shared, (false, true), &[])?;
+        }
+        Ok(plan.results)
+    }
+
+    /// Draws chunks that are not there, a number of rows at a time.
+    fn stream(
+        &mut self,
+        phases: &Phases<'_, '_>,
+        missing: &[PlannedItem],
+        slot: usize,
+    ) -> Result<(), RasterError> {
+        let mut chunks: Vec<(u32, u32)> = missing.iter().map(|item| (item.cloud, item.chunk)).collect();
+        chunks.sort_unstable();
+        chunks.dedup();
+        let max_radius = phases.work.job.schedule.max_radius();
+        for batch in chunks.chunks(self.shared.streamed_rows as usize) {
+            self.wait(slot)?;
+            let start = Instant::now();
+            let rows = self.residency.oldest(batch.len());
+            for ((cloud, chunk), row) in batch.iter().zip(&rows) {
+                self.residency.replace(*cloud, *chunk, *row);
+            }
+            let here = missing.iter().filter(|item| batch.binary_search(&(item.cloud, item.chunk)).is_ok());
+            let mut placed = Vec::new();
+            for item in here {
+                let row = self.residency.row(item.cloud, item.chunk);
+                placed.extend(row.into_iter().flat_map(|row| self.place(item, row, max_radius)));
+            }
+            let (items, runs) = runs_of(&placed, self.threads);
+            let own = self.slots[slot].own();
+            own.write_items(&items)?;
+            if let Some(staging) = &own.staging {
+                let fill = |row: usize, words: &mut [[u32; 4]]| {
+                    let (cloud, chunk) = batch[row];
+                    self.clouds[cloud as usize].write_row(chunk as usize, words);
+                };
+                store::fill_rows(&mut staging.map()?[..batch.len() * ROW_BYTES as usize], fill);
+            }
+            self.stages.add("stream from host", start.elapsed());
+            phases.stream(&mut self.slots[slot], &self.shared, &rows, &runs)?;
+        }
+        self.wait(slot)
+    }
+
+    fn place(
+        &self,
+        item: &PlannedItem,
+        row: u32,
+        max_radius: u32,
+    ) -> impl Iterator<Item = PlacedItem> + use<> {
+        let (page, row) = self.shared.store.place(row);
+        let count = self.clouds[item.cloud as usize].count(item.chunk as usize);
+        let crop = item.crop;
+        items_of(item.draw, row, count, max_radius).map(move |item| PlacedItem { page, crop, item })
+    }
+
+    /// Makes buffers if those there are too small.
+    fn prepare(
+        &mut self,
+        work: &Work<'_>,
+        plan: &PartPlan,
+        slot: usize,
+        (items, streams): (usize, bool),
+    ) -> Result<(), GpuError> {
+        let (layers, stride) = (work.layers.count, work.cut.stride);
+        let shared = &self.shared;
+        if shared.layers.len() < layers || shared.stride != stride || shared.key_rows < plan.key_rows {
+            // What is in flight keeps the old ones as long as it needs them.
+            let layers = shared.layers.len().max(layers);
+            let rows =
+                if shared.stride == stride { shared.key_rows.max(plan.key_rows) } else { plan.key_rows };
+            let copied = self.copies && shared.layers[0].copied;
+            let shared =
+                shared.with_keys(&self.device, &mut self.commands, layers, [stride, rows], copied)?;
+            self.shared = Arc::new(shared);
+        }
+        let wanted = Slot::wanted(work.job.kinds);
+        let needs = Needs {
+            draws: plan.draws.len(),
+            bands: plan.project_bands.len(),
+            items,
+            taps: plan.taps.len(),
+            blocks: work.numbering.blocks.len(),
+            pixels: wanted.map(|wanted| if wanted { plan.pixels } else { 0 }),
+            streams,
+        };
+        let own = self.slots[slot].own();
+        if own.generation != self.shared.generation || !own.needs.covers(&needs) {
+            let needs = own.needs.grown(&needs);
+            let own = Slot::new(&self.device, &mut self.commands, &self.shared, needs, self.copies)?;
+            *self.slots[slot].own_mut()? = own;
+        }
+        Ok(())
+    }
+
+    fn wait(&mut self, slot: usize) -> Result<(), RasterError> {
+        for (stage, time) in self.slots[slot].wait()? {
+            self.stages.add(stage, time);
+        }
+        Ok(())
+    }
+
+    /// The maps of a frame that was begun.
+    fn maps_of(&mut self, begun: Begun) -> Result<FrameMaps<'_>, RasterError> {
+        match begun {
+            Begun::Done(maps) => Ok(maps),
+            Begun::Flying { slot, results, sizes, kinds } => {
+                self.wait(slot)?;
+                read_maps(self.slots[slot].own(), &results, &sizes, kinds)
+            }
+        }
+    }
+}
+
+/// What all parts of a frame share.
+struct Work<'j> {
+    job: &'j FrameJob<'j>,
+    layers: Layers,
+    cut: &'j Cut,
+    numbering: &'j Numbering,
+}
+
+/// What a part records.
+struct Phases<'w, 'j> {
+    device: &'w Device,
+    work: &'w Work<'j>,
+    resolve: &'w Resolve<'w>,
+    blocks: usize,
+}
+
+impl Phases<'_, '_> {
+    /// Chunks that are there; before them the clearing, after them the resolving, if it is time for that.
+    fn start(
+        &self,
+        flight: &mut Flight<Shared, Slot>,
+        shared: &Arc<Shared>,
+        (first, last): (bool, bool),
+        runs: &[Run],
+    ) -> Result<(), GpuError> {
+        let (schedule, layers) = (self.work.job.schedule, self.work.layers.count);
+        flight.start(shared, |recorder, shared, slot| {
+            if first {
+                let sizes = (self.resolve.key_rows, self.blocks);
+                record::clear_colors(recorder, slot, self.work.job, self.resolve.pixels)?;
+                record::clear(recorder, shared, slot, sizes, layers)?;
+            }
+            record::project(recorder, shared, slot, runs, (schedule, layers))?;
+            if last {
+                self.resolve.record(recorder, self.device, shared, slot)?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Chunks that come from the host into these rows.
+    fn stream(
+        &self,
+        flight: &mut Flight<Shared, Slot>,
+        shared: &Arc<Shared>,
+        rows: &[u32],
+        runs: &[Run],
+    ) -> Result<(), GpuError> {
+        let (schedule, layers) = (self.work.job.schedule, self.work.layers.count);
+        flight.start(shared, |recorder, shared, slot| {
+            recorder.barrier(Scope::Compute, Scope::CopyWrite);
+            if let Some(staging) = &slot.staging {
+                for (first, count) in neighbours(rows, shared.store.page_rows) {
+                    let (page, row) = shared.store.place(rows[first]);
+                    let from = (&**staging, first as u64 * ROW_BYTES);
+                    recorder.write_rows(from, &shared.store.pages[page].image, 0, row..row + count as u32)?;
+                }
+            }
+            recorder.stamp("stream");
+            record::project(recorder, shared, slot, runs, (schedule, layers))
+        })
+    }
+}
+
+/// Cuts ascending rows where one does not follow the other, or where a page ends: first and count of each piece.
+fn neighbours(rows: &[u32], page_rows: u32) -> Vec<(usize, usize)> {
+    let mut pieces: Vec<(usize, usize)> = Vec::new();
+    for (i, row) in rows.iter().enumerate() {
+        match pieces.last_mut() {
+            Some((_, count)) if rows[i - 1] + 1 == *row && row % page_rows != 0 => *count += 1,
+            _ => pieces.push((i, 1)),
+        }
+    }
+    pieces
+}
+
+fn part_limits(device: &Device, desc: ComputeRasterizerDesc) -> PartLimits {
+    let key_rows = desc.key_rows.unwrap_or(u32::MAX).min(device.max_image_side());
+    let bytes = device.max_storage_buffer();
+    PartLimits { key_bytes: bytes, key_rows, pixels: bytes / 8 * 2 }
+}
+
+fn empty(size: ImageSize) -> ViewMaps<'static> {
+    let none = || Plane::from(Vec::new());
+    ViewMaps { size, rgb_class: none(), depth_m: Vec::new().into(), instance: none(), point: none() }
+}
+
+/// Maps of a view that are put together from parts.
+struct OwnedMaps {
+    size: ImageSize,
+    maps: [Vec<u32>; MAPS],
+}
+
+impl OwnedMaps {
+    fn new(size: ImageSize, kinds: FrameKinds) -> Self {
+        let map = |wanted: bool| vec![0; if wanted { size.pixels() } else { 0 }];
+        Self { size, maps: Slot::wanted(kinds).map(map) }
+    }
+
+    fn done(self) -> ViewMaps<'static> {
+        let [rgb_class, depth, instance, point] = self.maps;
+        ViewMaps {
+            size: self.size,
+            rgb_class: rgb_class.into(),
+            depth_m: bytemuck::cast_vec(depth).into(),
+            instance: instance.into(),
+            point: point.into(),
+        }
+    }
+}
+
+/// Copies what a part has of each view.
+fn read_parts(
+    slot: &Slot,
+    results: &[BandResult],
+    kinds: FrameKinds,
+    maps: &mut [OwnedMaps],
+) -> Result<(), GpuError> {
+    for (index, _) in Slot::wanted(kinds).iter().enumerate().filter(|(_, wanted)| **wanted) {
+        let memory = slot.maps[index].readable().map()?;
+        let words: &[u32] = bytemuck::cast_slice(&memory);
+        for result in results {
+            let view = &mut maps[result.band.view];
+            let width = view.size.width as usize;
+            for (i, row) in (result.band.rows[0]..result.band.rows[1]).enumerate() {
+                let from = result.pixel + i * result.row_pixels;
+                view.maps[index][row as usize * width..][..width].copy_from_slice(&words[from..][..width]);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Maps of a frame of one part: where the device wrote them, unless their rows have gaps.
+fn read_maps<'s>(
+    slot: &'s Slot,
+    results: &[BandResult],
+    sizes: &[ImageSize],
+    kinds: FrameKinds,
+) -> Result<FrameMaps<'s>, RasterError> {
+    let gapless = |r: &BandResult| r.row_pixels == sizes[r.band.view].width as usize;
+    if !results.iter().all(gapless) {
+        let mut maps: Vec<OwnedMaps> = sizes.iter().map(|size| OwnedMaps::new(*size, kinds)).collect();
+        read_parts(slot, results, kinds, &mut maps)?;
+        return Ok(maps.into_iter().map(OwnedMaps::done).collect());
+    }
+    let mut memory: [Option<Arc<crate::gpu::Mapped<'s>>>; MAPS] = [const { None }; MAPS];
+    for (index, _) in Slot::wanted(kinds).iter().enumerate().filter(|(_, wanted)| **wanted) {
+        memory[index] = Some(Arc::new(slot.maps[index].readable().map()?));
+    }
+    let bytes = |result: &BandResult| {
+        let first = 4 * result.pixel;
+        first..first + 4 * sizes[result.band.view].pixels()
+    };
+    let words = |index: usize, result: &BandResult| {
+        let mapped = memory[index].clone().map(|memory| Plane::mapped(memory, bytes(result)));
+        mapped.unwrap_or_else(|| Vec::new().into())
+    };
+    let view = |result: &BandResult| ViewMaps {
+        size: sizes[result.band.view],
+        rgb_class: words(RGB_CLASS, result),
+        depth_m: memory[DEPTH]
+            .clone()
+            .map_or_else(|| Vec::new().into(), |memory| Plane::mapped(memory, bytes(result))),
+        instance: words(INSTANCE, result),
+        point: words(POINT, result),
+    };
+    // One band a view: a view of several does not fit one part.
+    Ok(results.iter().map(view).collect())
+}
+
+impl Rasterizer for ComputeRasterizer<'_> {
+    fn info(&self) -> RasterizerInfo {
+        let (device, driver) = (self.device.name().to_owned(), self.device.driver().to_owned());
+        RasterizerInfo { rasterizer: "compute", device, driver }
+    }
+
+    fn begin(&mut self, job: &FrameJob<'_>) -> Result<(), RasterError> {
+        if self.begun.len() == FRAMES_IN_FLIGHT {
+            return Err(RasterError::TooManyFrames { max: FRAMES_IN_FLIGHT });
+        }
+        let slot = self.turn;
+        let begun = self.begin_job(job, slot)?;
+        self.turn = (slot + 1) % FRAMES_IN_FLIGHT;
+        self.begun.push_back(begun);
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<FrameMaps<'_>, RasterError> {
+        let begun = self.begun.pop_front().ok_or(RasterError::NoFrame)?;
+        self.maps_of(begun)
+    }
+
+    fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {
+        let Planes { point, depth, rgb_class, instance } = job.planes;
+        let frame = FrameJob {
+            views: std::slice::from_ref(job.view),
+            schedule: job.schedule,
+            color: job.instances,
+            geometry: job.instances,
+            occlusion: Occlusion::Scene,
+            crop: job.crop,
+            kinds: FrameKinds { color: rgb_class, depth, class: rgb_class, instance, point },
+            out_size: None,
+        };
+        let begun = self.begin_job(&frame, AT_ONCE)?;
+        let (width, height) = (job.view.camera.width, job.view.camera.height);
+        let mut maps = SplatMaps { width, height, ..SplatMaps::default() };
+        for view in self.maps_of(begun)? {
+            maps.point = view.point.into_owned();
+            maps.depth_m = view.depth_m.into_owned();
+            maps.rgb_class = view.rgb_class.into_owned();
+            maps.instance = view.instance.into_owned();
+        }
+        Ok(maps)
+    }
+
+    fn lines(
+        &mut self,
+        height: u32,
+        width: u32,
+        segments: &[Segment],
+        width_px: f32,
+    ) -> Result<Vec<[u8; 3]>, RasterError> {
+        Ok(self.lines.draw([height, width], segments, width_px, &mut self.stages)?)
+    }
+
+    fn take_stages(&mut self) -> StageTimes {
+        std::mem::take(&mut self.stages)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_cut_where_they_do_not_follow() {
+        assert_eq!(neighbours(&[3, 4, 5, 7, 8, 9], 8), [(0, 3), (3, 1), (4, 2)]);
+        assert_eq!(neighbours(&[], 8), []);
+    }
+}

@@ -1,0 +1,230 @@
+//! A part of a frame as tables for the shaders.
+
+use rayon::prelude::*;
+
+use super::bands::{Band, Cut, PAD, ResolveTap, row_pixels};
+use super::chunk::{CHUNK, ChunkedCloud};
+use super::cull::seen_chunks;
+use super::layers::Layered;
+use super::project::{ProjectBand, ProjectDraw};
+use super::resolve::ResolveBand;
+use crate::raster::draw::draw_from_instance;
+use crate::raster::{FrameJob, Planes, RasterError, SplatJob};
+
+/// What a block of [`CHUNK`] numbers stands for: what is added (wrapping) to a number for the color's place and for the
+/// point's number + 1; the instance's number; nothing.
+pub(super) type Block = [u32; 4];
+
+/// An instance whose points have numbers from `first` on.
+pub(super) struct Numbered {
+    layered: Layered,
+    first: u32,
+}
+
+/// Both clouds of a frame in one numbering. It leaves room after each instance, so that a block belongs to one.
+pub(super) struct Numbering {
+    pub(super) instances: Vec<Numbered>,
+    pub(super) blocks: Vec<Block>,
+}
+
+impl Numbering {
+    /// `color_firsts`: where each cloud's colors begin.
+    ///
+    /// # Errors
+    /// An unknown cloud, too many points.
+    pub(super) fn new(
+        merged: Vec<Layered>,
+        clouds: &[ChunkedCloud<'_>],
+        color_firsts: &[u32],
+    ) -> Result<Self, RasterError> {
+        let max = u64::from(u32::MAX) - 1;
+        let mut numbering = Self { instances: Vec::with_capacity(merged.len()), blocks: Vec::new() };
+        let (mut points, mut geometry_points) = (0_u64, 0_u64);
+        for layered in merged {
+            let id = layered.instance.cloud;
+            let cloud =
+                clouds.get(id).ok_or(RasterError::UnknownCloud { cloud: id, clouds: clouds.len() })?;
+            let first = (numbering.blocks.len() * CHUNK) as u64;
+            points += cloud.len() as u64;
+            let end = first + (cloud.extents.len() * CHUNK) as u64;
+            if points > max || end > 1 << 32 {
+                return Err(RasterError::TooManyPoints { found: points.max(end), max });
+            }
+            let first = first as u32;
+            let block = [
+                color_firsts[id].wrapping_sub(first),
+                (geometry_points as u32).wrapping_add(1).wrapping_sub(first),
+                layered.instance.number,
+                0,
+            ];
+            numbering.blocks.extend(std::iter::repeat_n(block, cloud.extents.len()));
+            geometry_points += if layered.numbered { cloud.len() as u64 } else { 0 };
+            if layered.layers != 0 && cloud.len() > 0 {
+                numbering.instances.push(Numbered { layered, first });
+            }
+        }
+        Ok(numbering)
+    }
+}
+
+/// A chunk to be drawn, before it is known where it lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PlannedItem {
+    pub(super) draw: u32,
+    pub(super) cloud: u32,
+    pub(super) chunk: u32,
+    pub(super) crop: bool,
+    nearest_m: f32,
+}
+
+/// Where a band's result is to be found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct BandResult {
+    pub(super) band: Band,
+    /// Of the results.
+    pub(super) pixel: usize,
+    /// From row to row.
+    pub(super) row_pixels: usize,
+}
+
+/// Tables of a part.
+#[derive(Default)]
+pub(super) struct PartPlan {
+    pub(super) project_bands: Vec<ProjectBand>,
+    pub(super) resolve_bands: Vec<ResolveBand>,
+    pub(super) taps: Vec<ResolveTap>,
+    pub(super) draws: Vec<ProjectDraw>,
+    /// Near ones first.
+    pub(super) items: Vec<PlannedItem>,
+    pub(super) results: Vec<BandResult>,
+    /// Rows of keys in all.
+    pub(super) key_rows: u32,
+    /// Of the results.
+    pub(super) pixels: usize,
+}
+
+impl PartPlan {
+    pub(super) fn new(
+        job: &FrameJob<'_>,
+        cut: &Cut,
+        part: &[Band],
+        numbering: &Numbering,
+        clouds: &[ChunkedCloud<'_>],
+    ) -> Self {
+        let mut plan = Self::default();
+        for band in part {
+            plan.push_band(job, cut, band);
+        }
+        let pairs: Vec<(usize, &Numbered)> =
+            (0..part.len()).flat_map(|band| numbering.instances.iter().map(move |n| (band, n))).collect();
+        let seen = |&(band, numbered): &(usize, &Numbered)| {
+            let view = &job.views[part[band].view];
+            let (schedule, crop, planes) = (job.schedule, job.crop, Planes::NONE);
+            let instance = &numbered.layered.instance;
+            let view_job = SplatJob { view, schedule, instances: &[], crop, planes };
+            let draw = draw_from_instance(&view_job, instance, numbered.first);
+            let shown = (view.camera.width, part[band].source);
+            let (pad, z_far_m) = (schedule.max_radius().max(PAD), schedule.z_far_m());
+            let chunks = seen_chunks(&clouds[instance.cloud], &draw, shown, pad, z_far_m);
+            (ProjectDraw::new(&draw, band as u32, numbered.layered.layers), instance.cloud as u32, chunks)
+        };
+        let seen: Vec<_> = pairs.par_iter().with_min_len(16).map(seen).collect();
+        for (draw, cloud, chunks) in seen.into_iter().filter(|(_, _, chunks)| !chunks.is_empty()) {
+            let index = plan.draws.len() as u32;
+            plan.draws.push(draw);
+            plan.items.extend(chunks.iter().map(|seen| PlannedItem {
+                draw: index,
+                cloud,
+                chunk: seen.chunk,
+                crop: seen.crop,
+                nearest_m: seen.nearest_m,
+            }));
+        }
+        near_first(&mut plan.items, job.schedule.z_far_m());
+        plan
+    }
+
+    fn push_band(&mut self, job: &FrameJob<'_>, cut: &Cut, band: &Band) {
+        let view = &job.views[band.view];
+        let size = job.size_of(view);
+        let [first, end] = band.source;
+        let key_row = self.key_rows;
+        self.project_bands.push(ProjectBand {
+            columns: view.camera.width as f32,
+            rows: (end - first) as f32,
+            first_row: first as f32,
+            key_row,
+        });
+        let (mut columns, mut rows, mut row_from) = (0, 0, key_row);
+        let mut across = row_pixels(size) as usize;
+        if let Some(reductions) = &cut.reductions {
+            let reduction = &reductions[band.view];
+            columns = self.taps.len() as u32;
+            self.taps.extend(&reduction.columns);
+            rows = self.taps.len() as u32;
+            self.taps.extend(&reduction.rows[band.rows[0] as usize..band.rows[1] as usize]);
+            row_from = key_row.wrapping_sub(first);
+            across = size.width as usize;
+        }
+        let height = band.rows[1] - band.rows[0];
+        // Shaders write two values at once.
+        let pixel = self.pixels.next_multiple_of(4);
+        self.resolve_bands.push(ResolveBand {
+            width: size.width,
+            height,
+            key_row: row_from,
+            pixel: pixel as u32,
+            columns,
+            rows,
+            pad_0: 0,
+            pad_1: 0,
+        });
+        self.results.push(BandResult { band: *band, pixel, row_pixels: across });
+        self.pixels = pixel + across * height as usize;
+        self.key_rows += band.key_rows();
+    }
+}
+
+/// Sorts by depth, coarsely: what is drawn late then mostly fails the depth test, which is cheaper than to pass it.
+fn near_first(items: &mut Vec<PlannedItem>, z_far_m: f32) {
+    const SLICES: usize = 256;
+    let slice = |item: &PlannedItem| ((item.nearest_m / z_far_m * SLICES as f32) as usize).min(SLICES - 1);
+    let mut starts = [0; SLICES + 1];
+    items.iter().for_each(|item| starts[slice(item) + 1] += 1);
+    (0..SLICES).for_each(|i| starts[i + 1] += starts[i]);
+    let mut sorted = items.clone();
+    for item in items.iter() {
+        let start = &mut starts[slice(item)];
+        sorted[*start] = *item;
+        *start += 1;
+    }
+    *items = sorted;
+}
+
+/// Deals items to so many threads that each take a contiguous share of a dispatch: all of them near ones first.
+pub(super) fn dealt<T: Copy>(items: &[T], threads: usize) -> Vec<T> {
+    (0..threads).flat_map(|thread| items.iter().skip(thread).step_by(threads).copied()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn item(chunk: u32, nearest_m: f32) -> PlannedItem {
+        PlannedItem { draw: 0, cloud: 0, chunk, crop: false, nearest_m }
+    }
+
+    #[test]
+    fn near_chunks_come_first() {
+        let mut items = vec![item(0, 90.0), item(1, 0.0), item(2, 150.0), item(3, 20.0), item(4, 0.0)];
+        near_first(&mut items, 100.0);
+        assert_eq!(items.iter().map(|i| i.chunk).collect::<Vec<_>>(), [1, 4, 3, 0, 2]);
+    }
+
+    #[test]
+    fn every_thread_gets_its_share() {
+        assert_eq!(dealt(&[0, 1, 2, 3, 4], 2), [0, 2, 4, 1, 3]);
+        assert_eq!(dealt(&[0, 1], 1), [0, 1]);
+        assert!(dealt::<u8>(&[], 3).is_empty());
+    }
+}

@@ -1,0 +1,203 @@
+//! Points to keys (`glsl/project.wgsl`).
+
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, assert_layout, shaders};
+use crate::raster::{Draw, SplatSchedule};
+
+/// Descriptor set of a page of points.
+pub(super) const PAGE_SET: u32 = 1;
+/// Largest radius that the resolve shaders look around for; larger squares are drawn as such.
+pub(super) const MAX_LOOKED_FOR: u32 = 2;
+/// Points that a workgroup draws as squares: drivers on processors end invocations that loop more than 65 535 times, and
+/// each of these may be one of up to 63 by 63 pixels.
+const SQUARES_AT_ONCE: u32 = 512;
+/// Workgroups in a row of a dispatch.
+const GROUPS_PER_ROW: u32 = 32_768;
+
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+struct Step {
+    z_max_m: f32,
+    radius: u32,
+    pad_0: u32,
+    pad_1: u32,
+}
+assert_layout!(Step, shaders::project_wgsl_pixel::step, [z_max_m: Z_MAX_M, radius: RADIUS, pad_0: PAD_0, pad_1: PAD_1]);
+
+/// What all draws share.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+pub(super) struct ProjectFrame {
+    steps: [Step; SplatSchedule::MAX_STEPS],
+    step_count: u32,
+    z_far_m: f32,
+    stride: u32,
+    pad_0: u32,
+}
+assert_layout!(ProjectFrame, shaders::project_wgsl_pixel::project_frame, [
+    steps: STEPS,
+    step_count: STEP_COUNT,
+    z_far_m: Z_FAR_M,
+    stride: STRIDE,
+    pad_0: PAD_0,
+]);
+
+impl ProjectFrame {
+    /// `stride`: keys from row to row.
+    pub(super) fn new(schedule: &SplatSchedule, stride: u32) -> Self {
+        let mut steps = [Step::default(); SplatSchedule::MAX_STEPS];
+        for (to, from) in steps.iter_mut().zip(schedule.steps()) {
+            *to = Step { z_max_m: from.z_max_m, radius: from.radius, ..Step::default() };
+        }
+        let step_count = schedule.steps().len() as u32;
+        Self { steps, step_count, z_far_m: schedule.z_far_m(), stride, pad_0: 0 }
+    }
+}
+
+/// An instance in a band.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(super) struct ProjectDraw {
+    image_x: [f32; 4],
+    image_y: [f32; 4],
+    image_z: [f32; 4],
+    crop_x: [f32; 4],
+    crop_y: [f32; 4],
+    crop_radius_m: f32,
+    first_number: u32,
+    band: u32,
+    layers: u32,
+}
+assert_layout!(ProjectDraw, shaders::project_wgsl_pixel::project_draw, [
+    image_x: IMAGE_X,
+    image_y: IMAGE_Y,
+    image_z: IMAGE_Z,
+    crop_x: CROP_X,
+    crop_y: CROP_Y,
+    crop_radius_m: CROP_RADIUS_M,
+    first_number: FIRST_NUMBER,
+    band: BAND,
+    layers: LAYERS,
+]);
+
+impl ProjectDraw {
+    /// `band`: place in the table of bands; `layers`: bits.
+    pub(super) fn new(draw: &Draw, band: u32, layers: u32) -> Self {
+        let [image_x, image_y, image_z] = draw.image_from_local;
+        let [crop_x, crop_y] = draw.crop_from_local;
+        let (crop_radius_m, first_number) = (draw.crop_radius_m, draw.first_number);
+        Self { image_x, image_y, image_z, crop_x, crop_y, crop_radius_m, first_number, band, layers }
+    }
+}
+
+/// Where the keys of a band lie.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(super) struct ProjectBand {
+    /// Pixels.
+    pub(super) columns: f32,
+    /// Pixels.
+    pub(super) rows: f32,
+    /// In the view.
+    pub(super) first_row: f32,
+    /// Where its padding begins.
+    pub(super) key_row: u32,
+}
+assert_layout!(ProjectBand, shaders::project_wgsl_pixel::project_band, [
+    columns: COLUMNS,
+    rows: ROWS,
+    first_row: FIRST_ROW,
+    key_row: KEY_ROW,
+]);
+
+/// Points of a chunk to be drawn.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub(super) struct ProjectItem {
+    pub(super) draw: u32,
+    /// Of the page.
+    pub(super) row: u32,
+    /// Of the row.
+    pub(super) first: u32,
+    /// Of the row.
+    pub(super) end: u32,
+}
+assert_layout!(ProjectItem, shaders::project_wgsl_pixel::project_item, [
+    draw: DRAW,
+    row: ROW,
+    first: FIRST,
+    end: END,
+]);
+
+/// The items of a chunk of `count` points in a row.
+pub(super) fn items_of(
+    draw: u32,
+    row: u32,
+    count: u32,
+    max_radius: u32,
+) -> impl Iterator<Item = ProjectItem> {
+    let step = if max_radius > MAX_LOOKED_FOR { SQUARES_AT_ONCE } else { count.max(1) };
+    (0..count).step_by(step as usize).map(move |first| ProjectItem {
+        draw,
+        row,
+        first,
+        end: count.min(first + step),
+    })
+}
+
+/// Which items to draw.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+pub(super) struct ProjectPush {
+    pub(super) first: u32,
+    pub(super) count: u32,
+}
+assert_layout!(ProjectPush, shaders::project_wgsl_pixel::project_push, [first: FIRST, count: COUNT]);
+
+impl ProjectPush {
+    pub(super) fn groups(&self) -> [u32; 3] {
+        [self.count.min(GROUPS_PER_ROW), self.count.div_ceil(GROUPS_PER_ROW), 1]
+    }
+}
+
+/// One pipeline for each kind of work, so that none does more than it must.
+pub(super) struct ProjectStage {
+    pixel: [ComputePipeline; 2],
+    layered: [ComputePipeline; 2],
+    square: ComputePipeline,
+}
+
+impl ProjectStage {
+    pub(super) fn new(device: &Arc<Device>) -> Result<Self, GpuError> {
+        use shaders as s;
+        let pipeline = |shader| ComputePipeline::new(device, shader);
+        Ok(Self {
+            pixel: [
+                pipeline(&s::project_wgsl_pixel::SHADER)?,
+                pipeline(&s::project_wgsl_pixel_crop::SHADER)?,
+            ],
+            layered: [
+                pipeline(&s::project_wgsl_layered::SHADER)?,
+                pipeline(&s::project_wgsl_layered_crop::SHADER)?,
+            ],
+            square: pipeline(&s::project_wgsl_square::SHADER)?,
+        })
+    }
+
+    /// For chunks that the crop may cut or not, in a frame with so many layers and radii up to this one.
+    pub(super) fn pipeline(&self, crop: bool, layers: usize, max_radius: u32) -> &ComputePipeline {
+        match (max_radius > MAX_LOOKED_FOR, layers > 1) {
+            (true, _) => &self.square,
+            (false, true) => &self.layered[usize::from(crop)],
+            (false, false) => &self.pixel[usize::from(crop)],
+        }
+    }
+
+    /// The layout of all of them.
+    pub(super) fn layout(&self) -> &PipelineLayout {
+        self.square.layout()
+    }
+}

@@ -1,0 +1,202 @@
+//! The commands of a frame.
+
+use super::bands::Cut;
+use super::layers::Layers;
+use super::project::{ProjectItem, ProjectPush};
+use super::resolve::{Kind, ResolveBand, ResolvePush, ResolveStage, WANT_CLASS, WANT_COLOR, wants};
+use super::shared::Shared;
+use super::slot::{MapBuffer, Slot};
+use crate::gpu::{DescriptorSet, Device, GpuError, Recorder, Scope};
+use crate::raster::{FrameJob, SplatSchedule};
+
+/// Both words of a key that no point has.
+const EMPTY_WORD: u32 = 0x7fff_ffff;
+
+/// Chunks that one dispatch draws: of one page, and cut by the crop or not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Run {
+    pub(super) page: usize,
+    pub(super) crop: bool,
+    pub(super) first: u32,
+    pub(super) count: u32,
+}
+
+/// A chunk to be drawn from where it lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct PlacedItem {
+    pub(super) page: usize,
+    pub(super) crop: bool,
+    pub(super) item: ProjectItem,
+}
+
+/// Sorts chunks into dispatches; within each they keep their order.
+pub(super) fn runs_of(placed: &[PlacedItem], threads: usize) -> (Vec<ProjectItem>, Vec<Run>) {
+    let mut kinds: Vec<(usize, bool)> = placed.iter().map(|p| (p.page, p.crop)).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    let (mut items, mut runs) = (Vec::with_capacity(placed.len()), Vec::new());
+    for (page, crop) in kinds {
+        let of_kind = placed.iter().filter(|p| p.page == page && p.crop == crop);
+        let of_kind: Vec<ProjectItem> = of_kind.map(|p| p.item).collect();
+        runs.push(Run { page, crop, first: items.len() as u32, count: of_kind.len() as u32 });
+        items.extend(super::plan::dealt(&of_kind, threads));
+    }
+    (items, runs)
+}
+
+/// The shared tables, and empty buffers of keys.
+pub(super) fn clear<'a>(
+    recorder: &mut Recorder<'a>,
+    shared: &'a Shared,
+    slot: &'a Slot,
+    (key_rows, blocks): (u32, usize),
+    layers: usize,
+) -> Result<(), GpuError> {
+    // The frame before may still be looking at them.
+    recorder.barrier(Scope::Compute, Scope::CopyWrite);
+    let rows = (blocks.div_ceil(super::chunk::CHUNK)).max(1) as u32;
+    recorder.write_rows((&slot.block_rows, 0), &slot.blocks, 0, 0..rows)?;
+    let bytes = 8 * u64::from(shared.stride) * u64::from(key_rows);
+    for layer in &shared.layers[..layers] {
+        recorder.fill(&layer.buffer, 0, bytes, EMPTY_WORD)?;
+    }
+    recorder.barrier(Scope::CopyWrite, Scope::Compute);
+    recorder.stamp("clear");
+    Ok(())
+}
+
+/// Points into keys.
+pub(super) fn project<'a>(
+    recorder: &mut Recorder<'a>,
+    shared: &'a Shared,
+    slot: &'a Slot,
+    runs: &[Run],
+    (schedule, layers): (&SplatSchedule, usize),
+) -> Result<(), GpuError> {
+    for run in runs {
+        let pipeline = shared.project.pipeline(run.crop, layers, schedule.max_radius());
+        let push = ProjectPush { first: run.first, count: run.count };
+        let sets = [&slot.project, &shared.store.pages[run.page].set];
+        recorder.dispatch_groups(pipeline, &sets, bytemuck::bytes_of(&push), push.groups())?;
+        recorder.barrier(Scope::Compute, Scope::Compute);
+    }
+    recorder.stamp("project");
+    Ok(())
+}
+
+/// What is resolved, and how.
+pub(super) struct Resolve<'j> {
+    pub(super) job: &'j FrameJob<'j>,
+    pub(super) layers: Layers,
+    pub(super) cut: &'j Cut,
+    pub(super) bands: &'j [ResolveBand],
+    /// Pixels of each map.
+    pub(super) pixels: usize,
+    pub(super) key_rows: u32,
+}
+
+impl Resolve<'_> {
+    /// Keys into maps that the host can read.
+    pub(super) fn record<'a>(
+        &self,
+        recorder: &mut Recorder<'a>,
+        device: &Device,
+        shared: &'a Shared,
+        slot: &'a Slot,
+    ) -> Result<(), GpuError> {
+        self.copy_keys(recorder, shared)?;
+        let reduced = self.cut.reductions.is_some();
+        let stage: &ResolveStage = if reduced { &shared.reduced } else { &shared.full };
+        let sets = if reduced { &slot.reduced } else { &slot.full };
+        let wanted = wants(self.job.kinds);
+        let semantics = wanted & (WANT_CLASS | super::resolve::WANT_INSTANCE);
+        let geometry = wanted & !(WANT_COLOR | semantics);
+        let joint = self.cut.reductions.iter().flatten().all(super::bands::Reduction::joint);
+        let rows_each = stage.rows_each(device);
+        let push = |wants| ResolvePush::new(self.job.schedule, rows_each, wants);
+        let groups = stage.groups(self.bands, rows_each);
+        let mut dispatch = |kind: Kind, layer: Option<usize>, wants: u32| -> Result<(), GpuError> {
+            let Some(set) = layer.map(|layer| &sets[layer]) else { return Ok(()) };
+            let sets: [&'a DescriptorSet; 1] = [set];
+            recorder.dispatch_groups(
+                stage.pipeline(kind, wants),
+                &sets,
+                bytemuck::bytes_of(&push(wants)),
+                groups,
+            )?;
+            recorder.barrier(Scope::Compute, Scope::Compute);
+            Ok(())
+        };
+        let Layers { color, geometry: scene, actors, .. } = self.layers;
+        let in_scene = if actors.is_none() { semantics } else { 0 };
+        let at_once = WANT_COLOR | WANT_CLASS;
+        if joint && color.is_some() && color == scene && (wanted & in_scene & at_once | WANT_COLOR) == at_once
+        {
+            dispatch(Kind::Both, color, wanted & (WANT_COLOR | geometry | in_scene))?;
+        } else {
+            dispatch(Kind::Color, color, WANT_COLOR)?;
+            dispatch(Kind::Geometry, scene, geometry | in_scene)?;
+        }
+        dispatch(Kind::Geometry, actors, semantics)?;
+        recorder.stamp("resolve");
+        self.read_back(recorder, slot)
+    }
+
+    /// Where the image has memory of its own.
+    fn copy_keys<'a>(&self, recorder: &mut Recorder<'a>, shared: &'a Shared) -> Result<(), GpuError> {
+        for layer in shared.layers[..self.layers.count].iter().filter(|layer| layer.copied) {
+            recorder.barrier(Scope::Compute, Scope::CopyRead);
+            recorder.write_rows((&layer.buffer, 0), &layer.image, 0, 0..self.key_rows)?;
+        }
+        Ok(())
+    }
+
+    fn read_back<'a>(&self, recorder: &mut Recorder<'a>, slot: &'a Slot) -> Result<(), GpuError> {
+        let bytes = 4 * self.pixels as u64;
+        let wanted = Slot::wanted(self.job.kinds);
+        let maps = || slot.maps.iter().zip(wanted).filter(|(_, wanted)| *wanted).map(|(map, _)| map);
+        let copied = |map: &'a MapBuffer| map.host.as_ref().map(|host| (&map.device, host));
+        if maps().any(|map| map.host.is_some()) {
+            recorder.barrier(Scope::Compute, Scope::CopyRead);
+            for (from, to) in maps().filter_map(copied) {
+                recorder.copy((from, 0), (to, 0), bytes)?;
+            }
+            recorder.barrier(Scope::CopyWrite, Scope::Host);
+            recorder.stamp("readback");
+        } else {
+            recorder.barrier(Scope::Compute, Scope::Host);
+        }
+        Ok(())
+    }
+}
+
+/// Zeros where only classes will stand beside colors that nobody asked for.
+pub(super) fn clear_colors<'a>(
+    recorder: &mut Recorder<'a>,
+    slot: &'a Slot,
+    job: &FrameJob<'_>,
+    pixels: usize,
+) -> Result<(), GpuError> {
+    if job.kinds.class && !job.kinds.color {
+        recorder.fill(&slot.maps[super::slot::RGB_CLASS].device, 0, 4 * pixels as u64, 0)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn placed(draw: u32, page: usize, crop: bool) -> PlacedItem {
+        PlacedItem { page, crop, item: ProjectItem { draw, row: 0, first: 0, end: 1 } }
+    }
+
+    #[test]
+    fn each_kind_of_chunk_is_one_run() {
+        let all = [placed(0, 1, false), placed(1, 0, true), placed(2, 1, false), placed(3, 0, false)];
+        let (items, runs) = runs_of(&all, 1);
+        assert_eq!(items.iter().map(|i| i.draw).collect::<Vec<_>>(), [3, 1, 0, 2]);
+        let run = |page, crop, first, count| Run { page, crop, first, count };
+        assert_eq!(runs, [run(0, false, 0, 1), run(0, true, 1, 1), run(1, false, 2, 2)]);
+    }
+}

@@ -1,0 +1,180 @@
+//! Keys to maps (`glsl/resolve_full.wgsl`, `glsl/resolve_reduced.wgsl`).
+
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+
+use super::bands::ResolveTap;
+use super::project::MAX_LOOKED_FOR;
+use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, assert_layout, shaders};
+use crate::raster::{FrameKinds, SplatSchedule};
+
+/// Bits of the maps that a dispatch writes.
+pub(super) const WANT_COLOR: u32 = 1;
+pub(super) const WANT_CLASS: u32 = 2;
+pub(super) const WANT_DEPTH: u32 = 4;
+pub(super) const WANT_INSTANCE: u32 = 8;
+pub(super) const WANT_POINT: u32 = 16;
+/// Columns that an invocation of the shader for full size writes.
+const COLUMNS_EACH: u32 = 4;
+const GROUP: u32 = 64;
+
+assert_layout!(ResolveTap, shaders::resolve_reduced_wgsl_both::resolve_tap, [
+    nearest: NEAREST,
+    low: LOW,
+    weights: WEIGHTS,
+]);
+
+/// Where a band's keys, taps and results lie.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub(super) struct ResolveBand {
+    /// Of the result.
+    pub(super) width: u32,
+    /// Rows of the result.
+    pub(super) height: u32,
+    /// Of the keys around source row 0 (full size: around the band's first), wrapping.
+    pub(super) key_row: u32,
+    /// Of the results: where the band begins.
+    pub(super) pixel: u32,
+    /// Tap of column 0.
+    pub(super) columns: u32,
+    /// Tap of the band's first row.
+    pub(super) rows: u32,
+    pub(super) pad_0: u32,
+    pub(super) pad_1: u32,
+}
+assert_layout!(ResolveBand, shaders::resolve_full_wgsl_both::resolve_band, [
+    width: WIDTH,
+    height: HEIGHT,
+    key_row: KEY_ROW,
+    pixel: PIXEL,
+    columns: COLUMNS,
+    rows: ROWS,
+    pad_0: PAD_0,
+    pad_1: PAD_1,
+]);
+
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+pub(super) struct ResolvePush {
+    reach_1: u32,
+    reach_2: u32,
+    band: u32,
+    rows: u32,
+    wants: u32,
+}
+assert_layout!(ResolvePush, shaders::resolve_full_wgsl_both::resolve_push, [
+    reach_1: REACH_1,
+    reach_2: REACH_2,
+    band: BAND,
+    rows: ROWS,
+    wants: WANTS,
+]);
+assert_layout!(ResolvePush, shaders::resolve_reduced_wgsl_both::resolve_push, [
+    reach_1: REACH_1,
+    reach_2: REACH_2,
+    band: BAND,
+    rows: ROWS,
+    wants: WANTS,
+]);
+
+impl ResolvePush {
+    /// `rows`: of the result, per invocation; `wants`: bits of maps.
+    pub(super) fn new(schedule: &SplatSchedule, rows: u32, wants: u32) -> Self {
+        // What was drawn as squares is looked for in its own pixel only.
+        let looked_for = schedule.max_radius() <= MAX_LOOKED_FOR;
+        let reach = |radius: u32| {
+            let steps = schedule.steps().iter().filter(|step| looked_for && step.radius >= radius);
+            steps.last().map_or(0, |step| step.z_max_m.to_bits())
+        };
+        Self { reach_1: reach(1), reach_2: reach(2), band: 0, rows, wants }
+    }
+}
+
+/// All maps of a kind.
+pub(super) fn wants(kinds: FrameKinds) -> u32 {
+    let bit = |wanted: bool, bit: u32| if wanted { bit } else { 0 };
+    bit(kinds.color, WANT_COLOR)
+        | bit(kinds.class, WANT_CLASS)
+        | bit(kinds.depth, WANT_DEPTH)
+        | bit(kinds.instance, WANT_INSTANCE)
+        | bit(kinds.point, WANT_POINT)
+}
+
+/// What a pipeline looks up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Both,
+    Color,
+    Geometry,
+}
+
+/// The pipelines of one of the two shaders: both, color, geometry; both and geometry with points.
+pub(super) struct ResolveStage {
+    pipelines: [ComputePipeline; 5],
+    reduced: bool,
+}
+
+impl ResolveStage {
+    pub(super) fn full(device: &Arc<Device>) -> Result<Self, GpuError> {
+        use shaders as s;
+        let pipeline = |shader| ComputePipeline::new(device, shader);
+        let pipelines = [
+            pipeline(&s::resolve_full_wgsl_both::SHADER)?,
+            pipeline(&s::resolve_full_wgsl_color::SHADER)?,
+            pipeline(&s::resolve_full_wgsl_geometry::SHADER)?,
+            pipeline(&s::resolve_full_wgsl_both_point::SHADER)?,
+            pipeline(&s::resolve_full_wgsl_geometry_point::SHADER)?,
+        ];
+        Ok(Self { pipelines, reduced: false })
+    }
+
+    pub(super) fn reduced(device: &Arc<Device>) -> Result<Self, GpuError> {
+        use shaders as s;
+        let pipeline = |shader| ComputePipeline::new(device, shader);
+        let pipelines = [
+            pipeline(&s::resolve_reduced_wgsl_both::SHADER)?,
+            pipeline(&s::resolve_reduced_wgsl_color::SHADER)?,
+            pipeline(&s::resolve_reduced_wgsl_geometry::SHADER)?,
+            pipeline(&s::resolve_reduced_wgsl_both_point::SHADER)?,
+            pipeline(&s::resolve_reduced_wgsl_geometry_point::SHADER)?,
+        ];
+        Ok(Self { pipelines, reduced: true })
+    }
+
+    /// `wants`: bits of maps.
+    pub(super) fn pipeline(&self, kind: Kind, wants: u32) -> &ComputePipeline {
+        &self.pipelines[match (kind, wants & WANT_POINT != 0) {
+            (Kind::Both, false) => 0,
+            (Kind::Color, _) => 1,
+            (Kind::Geometry, false) => 2,
+            (Kind::Both, true) => 3,
+            (Kind::Geometry, true) => 4,
+        }]
+    }
+
+    /// The layout of all of them.
+    pub(super) fn layout(&self) -> &PipelineLayout {
+        self.pipelines[0].layout()
+    }
+
+    /// Rows of the result that an invocation walks down. The way down to the first costs four rows of keys, and every
+    /// walk is one invocation: a processor wants them long, a GPU wants many.
+    pub(super) fn rows_each(&self, device: &Device) -> u32 {
+        match (self.reduced, device.is_cpu()) {
+            (true, true) => 32,
+            (true, false) => 4,
+            (false, true) => 64,
+            (false, false) => 16,
+        }
+    }
+
+    /// Workgroups for these bands.
+    pub(super) fn groups(&self, bands: &[ResolveBand], rows_each: u32) -> [u32; 3] {
+        let width = bands.iter().map(|band| band.width).max().unwrap_or(0);
+        let height = bands.iter().map(|band| band.height).max().unwrap_or(0);
+        let columns = if self.reduced { GROUP } else { GROUP * COLUMNS_EACH };
+        [width.div_ceil(columns), height.div_ceil(rows_each), bands.len() as u32]
+    }
+}

@@ -1,0 +1,103 @@
+//! What all frames in flight use: pipelines, points, and buffers of keys.
+
+use std::sync::Arc;
+
+use ash::vk::{self, BufferUsageFlags as Usage, ImageUsageFlags};
+
+use super::project::ProjectStage;
+use super::resolve::ResolveStage;
+use super::store::Store;
+use crate::gpu::{Buffer, BufferDesc, Commands, Device, GpuError, Image, ImageDesc, Memory};
+
+/// Rows of an image over a buffer come in such groups.
+const ROW_STEP: u32 = 4;
+
+/// A buffer of keys: `depth << 32 | number` of the nearest point per pixel.
+pub(super) struct KeyLayer {
+    pub(super) buffer: Arc<Buffer>,
+    /// The same as an image of two pixels a texel, for reading.
+    pub(super) image: Arc<Image>,
+    /// Whether the image has memory of its own, so that keys must be copied.
+    pub(super) copied: bool,
+}
+
+/// Never changed while a frame is in flight.
+pub(super) struct Shared {
+    pub(super) project: Arc<ProjectStage>,
+    pub(super) full: Arc<ResolveStage>,
+    pub(super) reduced: Arc<ResolveStage>,
+    pub(super) store: Arc<Store>,
+    pub(super) layers: Vec<KeyLayer>,
+    /// Keys from row to row.
+    pub(super) stride: u32,
+    pub(super) key_rows: u32,
+    /// Counts the buffers of keys that there have been.
+    pub(super) generation: u64,
+    /// Chunks that are streamed at once.
+    pub(super) streamed_rows: u32,
+}
+
+impl Shared {
+    /// The same with other buffers of keys.
+    pub(super) fn with_keys(
+        &self,
+        device: &Arc<Device>,
+        commands: &mut Commands,
+        layers: usize,
+        [stride, rows]: [u32; 2],
+        copied: bool,
+    ) -> Result<Self, GpuError> {
+        let key_rows = rows.next_multiple_of(ROW_STEP);
+        let layer = |_| KeyLayer::new(device, commands, [stride, key_rows], copied);
+        Ok(Self {
+            project: self.project.clone(),
+            full: self.full.clone(),
+            reduced: self.reduced.clone(),
+            store: self.store.clone(),
+            layers: (0..layers).map(layer).collect::<Result<_, _>>()?,
+            stride,
+            key_rows,
+            generation: self.generation + 1,
+            streamed_rows: self.streamed_rows,
+        })
+    }
+}
+
+impl KeyLayer {
+    fn new(
+        device: &Arc<Device>,
+        commands: &mut Commands,
+        [stride, rows]: [u32; 2],
+        copied: bool,
+    ) -> Result<Self, GpuError> {
+        let size = 8 * u64::from(stride) * u64::from(rows);
+        let usage = Usage::STORAGE_BUFFER | Usage::TRANSFER_DST | Usage::TRANSFER_SRC;
+        let buffer =
+            Arc::new(Buffer::new(device, &BufferDesc { name: "keys", size, usage, memory: Memory::Device })?);
+        let desc = ImageDesc {
+            name: "keys as an image",
+            width: stride / 2,
+            height: rows,
+            layers: None,
+            format: vk::Format::R32G32B32A32_UINT,
+            usage: ImageUsageFlags::SAMPLED,
+        };
+        let over = if copied { None } else { Image::over_buffer(&buffer, &desc)? };
+        let mut recorder = commands.begin()?;
+        let copied = over.is_none();
+        let image = match over {
+            Some(image) => image,
+            None => Image::new(
+                device,
+                &ImageDesc { usage: ImageUsageFlags::SAMPLED | ImageUsageFlags::TRANSFER_DST, ..desc },
+            )?,
+        };
+        if copied {
+            recorder.forget(&image);
+        } else {
+            recorder.adopt(&image);
+        }
+        recorder.submit()?;
+        Ok(Self { buffer, image: Arc::new(image), copied })
+    }
+}

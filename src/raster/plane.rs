@@ -1,0 +1,61 @@
+use std::ops::{Deref, Range};
+use std::sync::Arc;
+
+use bytemuck::Pod;
+
+use crate::gpu::Mapped;
+
+/// A map's values: their own, or where the device wrote them. The device's memory is not used for another frame before
+/// all of a frame's planes are dropped.
+#[derive(Clone)]
+pub struct Plane<'a, T>(Place<'a, T>);
+
+#[derive(Clone)]
+enum Place<'a, T> {
+    Owned(Vec<T>),
+    Mapped { memory: Arc<Mapped<'a>>, bytes: Range<usize> },
+}
+
+impl<'a, T: Pod> Plane<'a, T> {
+    /// Values in mapped memory; the range of bytes is aligned for them.
+    pub(super) fn mapped(memory: Arc<Mapped<'a>>, bytes: Range<usize>) -> Self {
+        Self(Place::Mapped { memory, bytes })
+    }
+
+    /// The values; copied if the device wrote them.
+    pub fn into_owned(self) -> Vec<T> {
+        match self.0 {
+            Place::Owned(values) => values,
+            Place::Mapped { .. } => self.to_vec(),
+        }
+    }
+}
+
+impl<T> From<Vec<T>> for Plane<'_, T> {
+    fn from(values: Vec<T>) -> Self {
+        Self(Place::Owned(values))
+    }
+}
+
+impl<T: Pod> Deref for Plane<'_, T> {
+    type Target = [T];
+
+    fn deref(&self) -> &[T] {
+        match &self.0 {
+            Place::Owned(values) => values,
+            Place::Mapped { memory, bytes } => bytemuck::cast_slice(&memory[bytes.clone()]),
+        }
+    }
+}
+
+impl<T: Pod + std::fmt::Debug> std::fmt::Debug for Plane<'_, T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.deref().fmt(f)
+    }
+}
+
+impl<T: Pod + PartialEq> PartialEq for Plane<'_, T> {
+    fn eq(&self, other: &Self) -> bool {
+        self.deref() == other.deref()
+    }
+}

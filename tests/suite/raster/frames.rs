@@ -1,0 +1,262 @@
+//! Frames: all views and both clouds at once must be what view by view gives, however the work is divided.
+
+use std::sync::Arc;
+
+use glam::DVec2;
+use point_skeleton::cloud::Point;
+use point_skeleton::geometry::{ImageSize, View};
+use point_skeleton::gpu::Device;
+use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::{
+    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, Crop, FRAMES_IN_FLIGHT, FrameJob, FrameKinds,
+    Instance, Occlusion, RasterError, Rasterizer, SplatSchedule, ViewMaps,
+};
+use proptest::prelude::*;
+
+use super::random::{ON_BORDERS, Random, random_cloud, random_instances, random_schedule, random_view};
+use super::twins::{Division, allowed_share, rasterizers, with_device};
+
+/// What a random frame shows.
+struct Scene {
+    clouds: Vec<Vec<Point>>,
+    schedule: SplatSchedule,
+    views: Vec<View>,
+    color: Vec<Instance>,
+    geometry: Vec<Instance>,
+    crop: Option<Crop>,
+}
+
+impl Scene {
+    fn random(random: &mut Random, sizes: &[u64]) -> Self {
+        let schedule = random_schedule(random);
+        let clouds: Vec<_> = sizes.iter().map(|n| random_cloud(random, &schedule, *n)).collect();
+        let mut scene = Self { clouds, schedule, views: vec![], color: vec![], geometry: vec![], crop: None };
+        scene.change(random);
+        scene
+    }
+
+    /// Other cameras and instances of the same clouds.
+    fn change(&mut self, random: &mut Random) {
+        let first = random_view(random);
+        let views = 1 + random.below(3);
+        self.views =
+            (0..views).map(|_| View { camera: random_view(random).camera, ..first.clone() }).collect();
+        let mut shared = random_instances(random, &first, self.clouds.len());
+        shared.iter_mut().for_each(|instance| instance.number = 0);
+        let mut list = |random: &mut Random| {
+            let mut list = shared.clone();
+            list.extend(random_instances(random, &first, self.clouds.len()));
+            list
+        };
+        (self.color, self.geometry) = (list(random), list(random));
+        if random.below(3) == 0 {
+            self.geometry = self.color.clone();
+        }
+        let center = first.camera_from_world.inverse().translation;
+        let center = DVec2::new(center.x.round(), center.y.round());
+        self.crop = (random.below(2) == 0).then(|| Crop { center, radius_m: random.below(20) as f64 });
+    }
+
+    fn clouds(&self) -> CloudSet<'_> {
+        self.clouds.iter().map(Vec::as_slice).collect()
+    }
+
+    fn job(&self, random: &mut Random) -> FrameJob<'_> {
+        let bits = random.below(32);
+        let bit = |i: u32| bits >> i & 1 == 1;
+        let kinds =
+            FrameKinds { color: bit(0), depth: bit(1), class: bit(2), instance: bit(3), point: bit(4) };
+        let size = |random: &mut Random| ImageSize {
+            height: 1 + random.below(70) as u32,
+            width: 1 + random.below(100) as u32,
+        };
+        FrameJob {
+            views: &self.views,
+            schedule: &self.schedule,
+            color: &self.color,
+            geometry: &self.geometry,
+            occlusion: if random.below(2) == 0 { Occlusion::Scene } else { Occlusion::Actors },
+            crop: self.crop,
+            kinds: if random.below(3) == 0 { FrameKinds::ALL } else { kinds },
+            out_size: (random.below(3) > 0).then(|| size(random)),
+        }
+    }
+}
+
+fn frame(rasterizer: &mut dyn Rasterizer, job: &FrameJob<'_>) -> Vec<ViewMaps<'static>> {
+    rasterizer.begin(job).unwrap();
+    rasterizer.finish().unwrap().into_iter().map(owned).collect()
+}
+
+fn owned(maps: ViewMaps<'_>) -> ViewMaps<'static> {
+    ViewMaps {
+        size: maps.size,
+        rgb_class: maps.rgb_class.into_owned().into(),
+        depth_m: maps.depth_m.into_owned().into(),
+        instance: maps.instance.into_owned().into(),
+        point: maps.point.into_owned().into(),
+    }
+}
+
+/// How many values differ in any map; all if they are not as long.
+fn differing(a: &ViewMaps<'_>, b: &ViewMaps<'_>) -> usize {
+    fn count<T: PartialEq>(a: &[T], b: &[T]) -> usize {
+        if a.len() == b.len() {
+            a.iter().zip(b).filter(|(a, b)| a != b).count()
+        } else {
+            a.len().max(b.len())
+        }
+    }
+    if a.size != b.size {
+        return a.size.pixels();
+    }
+    count(&a.rgb_class, &b.rgb_class)
+        .max(count(&a.depth_m, &b.depth_m))
+        .max(count(&a.instance, &b.instance))
+        .max(count(&a.point, &b.point))
+}
+
+fn assert_same(expected: &[ViewMaps<'_>], found: &[ViewMaps<'_>], share: f64, what: &str) {
+    assert_eq!(expected.len(), found.len(), "{what}");
+    for (view, (a, b)) in expected.iter().zip(found).enumerate() {
+        let (count, pixels) = (differing(a, b), a.size.pixels());
+        assert!(count as f64 <= share * pixels as f64, "{what}: {count} of {pixels} differ in view {view}");
+    }
+}
+
+/// Frames of random scenes by all rasterizers of a device, against those of the processor.
+fn compare(seed: u64, sizes: &[u64], compute: ComputeRasterizerDesc, rounds: usize) {
+    let random = &mut Random(seed);
+    let mut scene = Scene::random(random, sizes);
+    with_device(|device| {
+        let clouds = scene.clouds.clone();
+        let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
+        let division = Division { compute, ..Division::default() };
+        let mut all = rasterizers(&device, &set, division);
+        let mut cpu = CpuRasterizer::new(set.clone());
+        for round in 0..rounds {
+            let job = scene.job(random);
+            let expected = frame(&mut cpu, &job);
+            for rasterizer in &mut all {
+                let what = format!(
+                    "{} seed {seed} round {round} {} {:?} {:?} {:?} {compute:?}",
+                    rasterizer.info().rasterizer,
+                    job.schedule,
+                    job.kinds,
+                    job.occlusion,
+                    job.out_size,
+                );
+                let share = allowed_share(rasterizer.as_ref(), ON_BORDERS);
+                assert_same(&expected, &frame(rasterizer.as_mut(), &job), share, &what);
+            }
+            scene.change(random);
+        }
+    });
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 12, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn random_frames_agree(seed: u64, sizes in prop::collection::vec(0..6000_u64, 1..4)) {
+        compare(seed, &sizes, ComputeRasterizerDesc::default(), 5);
+    }
+
+    #[test]
+    fn parts_pages_and_streams_change_nothing(
+        seed: u64,
+        sizes in prop::collection::vec(0..15_000_u64, 2..5),
+        key_rows in 60..400_u32,
+        page_rows in 1..4_u32,
+        streamed_rows in 1..3_u32,
+    ) {
+        let chunks: u64 = sizes.iter().map(|n| n.div_ceil(4096)).sum();
+        let room = chunks * 4096 * 4 + 2 * u64::from(streamed_rows) * 4096 * 16;
+        let desc = ComputeRasterizerDesc {
+            memory_bytes: Some(room),
+            page_rows: Some(page_rows),
+            key_rows: Some(key_rows),
+            streamed_rows: Some(streamed_rows),
+            copies: false,
+        };
+        compare(seed, &sizes, desc, 4);
+    }
+}
+
+fn compute<'a>(device: &Arc<Device>, clouds: &CloudSet<'a>) -> ComputeRasterizer<'a> {
+    ComputeRasterizer::new(device.clone(), clouds).unwrap_or_else(|e| panic!("{e}"))
+}
+
+#[test]
+fn frames_in_flight_come_in_order() {
+    let random = &mut Random(11);
+    let scene = Scene::random(random, &[5000, 300]);
+    let reduced = FrameJob { kinds: FrameKinds::ALL, out_size: None, ..scene.job(random) };
+    let full = FrameJob { out_size: Some(ImageSize { height: 9, width: 13 }), ..reduced };
+    with_device(|device| {
+        let mut cpu = CpuRasterizer::new(scene.clouds());
+        let mut rasterizer = compute(&device, &scene.clouds());
+        assert!(matches!(rasterizer.finish(), Err(RasterError::NoFrame)));
+        let expected = [frame(&mut cpu, &reduced), frame(&mut cpu, &full)];
+        for _ in 0..3 {
+            rasterizer.begin(&reduced).unwrap();
+            rasterizer.begin(&full).unwrap();
+            let error = rasterizer.begin(&full).unwrap_err();
+            assert!(matches!(error, RasterError::TooManyFrames { max: FRAMES_IN_FLIGHT }), "{error}");
+            // What is waited for at once does not disturb them.
+            let other = cpu.lines(8, 8, &[], 1.0).unwrap();
+            assert_eq!(rasterizer.lines(8, 8, &[], 1.0).unwrap(), other);
+            for expected in &expected {
+                let found: Vec<_> = rasterizer.finish().unwrap().into_iter().map(owned).collect();
+                assert_same(expected, &found, allowed_share(&rasterizer, ON_BORDERS), "in flight");
+            }
+        }
+    });
+}
+
+#[test]
+fn a_warm_rasterizer_makes_nothing_new() {
+    let random = &mut Random(5);
+    let mut scene = Scene::random(random, &[20_000, 3000]);
+    scene.color.truncate(2);
+    with_device(|device| {
+        let clouds = scene.clouds.clone();
+        let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
+        let mut rasterizer = compute(&device, &set);
+        let segment =
+            |x: f32| point_skeleton::raster::Segment { from: [x, 0.0], to: [9.0, 9.0], rgb: [1; 3] };
+        let mut frames = |rasterizer: &mut ComputeRasterizer<'_>, scene: &mut Scene, count: usize| {
+            for i in 0..count {
+                // Actors move; two frames are in flight.
+                for instance in scene.color.iter_mut().chain(&mut scene.geometry) {
+                    instance.world_from_local.translation.x += 0.01;
+                }
+                for out_size in [None, Some(ImageSize { height: 4, width: 5 })] {
+                    let kinds = FrameKinds::ALL;
+                    let occlusion = Occlusion::Actors;
+                    let job = FrameJob { kinds, occlusion, out_size, ..scene.job(&mut Random(1)) };
+                    rasterizer.begin(&job).unwrap();
+                }
+                rasterizer.lines(20, 20, &[segment(i as f32), segment(3.0)], 2.0).unwrap();
+                rasterizer.finish().unwrap();
+                rasterizer.finish().unwrap();
+            }
+        };
+        let before = device.made();
+        frames(&mut rasterizer, &mut scene, 2);
+        let warm = device.made();
+        assert!(warm.allocations > before.allocations, "the counter counts");
+        frames(&mut rasterizer, &mut scene, 5);
+        assert_eq!(device.made(), warm);
+    });
+}
+
+#[test]
+fn too_little_memory_is_said() {
+    let points = vec![Point::default(); 40_000];
+    with_device(|device| {
+        let desc = ComputeRasterizerDesc { memory_bytes: Some(1 << 16), ..ComputeRasterizerDesc::default() };
+        let error = ComputeRasterizer::with_desc(device, &vec![&points], desc).err().unwrap().to_string();
+        assert!(error.contains("at least 1 MiB for points") && error.contains("0 MiB allowed"), "{error}");
+    });
+}
