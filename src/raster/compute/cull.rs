@@ -59,10 +59,10 @@ impl Frustum {
     /// Smallest and largest of `normal · p + offset` over a box, with room for what `f32` rounds.
     fn range(plane: &[f64; 4], extent: &Extent) -> [f64; 2] {
         let (mut middle, mut reach, mut size) = (plane[3], 0.0, plane[3].abs());
-        for axis in 0..3 {
-            middle += plane[axis] * extent.center[axis];
-            reach += plane[axis].abs() * extent.half[axis];
-            size += plane[axis].abs() * extent.center[axis].abs();
+        for ((normal, center), half) in plane.iter().zip(extent.center).zip(extent.half) {
+            middle += normal * center;
+            reach += normal.abs() * half;
+            size += normal.abs() * center.abs();
         }
         reach += 1e-6 * (size + reach);
         [middle - reach, middle + reach]

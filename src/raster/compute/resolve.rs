@@ -7,7 +7,7 @@ use bytemuck::{Pod, Zeroable};
 use super::bands::ResolveTap;
 use super::project::MAX_LOOKED_FOR;
 use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, assert_layout, shaders};
-use crate::raster::{FrameKinds, SplatSchedule};
+use crate::raster::{FrameKinds, SplatSchedule, SplatStep};
 
 /// Bits of the maps that a dispatch writes.
 pub(super) const WANT_COLOR: u32 = 1;
@@ -85,8 +85,8 @@ impl ResolvePush {
         // What was drawn as squares is looked for in its own pixel only.
         let looked_for = schedule.max_radius() <= MAX_LOOKED_FOR;
         let reach = |radius: u32| {
-            let steps = schedule.steps().iter().filter(|step| looked_for && step.radius >= radius);
-            steps.last().map_or(0, |step| step.z_max_m.to_bits())
+            let covers = |step: &&SplatStep| looked_for && step.radius >= radius;
+            schedule.steps().iter().rfind(covers).map_or(0, |step| step.z_max_m.to_bits())
         };
         Self { reach_1: reach(1), reach_2: reach(2), band: 0, rows, wants }
     }

@@ -43,7 +43,7 @@ impl Scene {
             (0..views).map(|_| View { camera: random_view(random).camera, ..first.clone() }).collect();
         let mut shared = random_instances(random, &first, self.clouds.len());
         shared.iter_mut().for_each(|instance| instance.number = 0);
-        let mut list = |random: &mut Random| {
+        let list = |random: &mut Random| {
             let mut list = shared.clone();
             list.extend(random_instances(random, &first, self.clouds.len()));
             list
@@ -225,7 +225,7 @@ fn a_warm_rasterizer_makes_nothing_new() {
         let mut rasterizer = compute(&device, &set);
         let segment =
             |x: f32| point_skeleton::raster::Segment { from: [x, 0.0], to: [9.0, 9.0], rgb: [1; 3] };
-        let mut frames = |rasterizer: &mut ComputeRasterizer<'_>, scene: &mut Scene, count: usize| {
+        let frames = |rasterizer: &mut ComputeRasterizer<'_>, scene: &mut Scene, count: usize| {
             for i in 0..count {
                 // Actors move; two frames are in flight.
                 for instance in scene.color.iter_mut().chain(&mut scene.geometry) {
