@@ -5,6 +5,7 @@
 //! Progress and errors go to stderr, the summary line to stdout.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod bench;
 mod build;
 mod convert;
 mod info;
@@ -37,6 +38,7 @@ enum Command {
     Render(Box<render::RenderArgs>),
     Splat(splat::SplatArgs),
     Convert(convert::ConvertArgs),
+    Bench(Box<bench::BenchArgs>),
 }
 
 impl Command {
@@ -47,6 +49,7 @@ impl Command {
             Self::Render(args) => render::run(*args),
             Self::Splat(args) => splat::run(args),
             Self::Convert(args) => convert::run(args),
+            Self::Bench(args) => bench::run(&args),
         }
     }
 }

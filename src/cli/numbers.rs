@@ -58,6 +58,15 @@ pub(super) fn distance_m(text: &str) -> Result<f64, String> {
     finite(text).filter(fits).ok_or_else(|| "expected metres, more than 0".into())
 }
 
+/// Points of a cloud: an integer, also like `4e6`; as many as one job may have.
+pub(super) fn points(text: &str) -> Result<usize, String> {
+    const MOST: u32 = u32::MAX - 1;
+    finite(text)
+        .filter(|n| n.fract() == 0.0 && (1.0..=f64::from(MOST)).contains(n))
+        .map(|n| n as usize)
+        .ok_or_else(|| format!("expected 1 to {MOST} points, like 4000000 or 4e6"))
+}
+
 /// `X,Y,YAW_DEG`.
 pub(super) fn ego_offset(text: &str) -> Result<EgoOffset, String> {
     let numbers: Option<Vec<f64>> = text.split(',').map(finite).collect();
@@ -95,6 +104,15 @@ mod tests {
         }
         assert!(margin_m("0").is_ok() && margin_m("-0.1").is_err() && margin_m("NaN").is_err());
         assert!(distance_m("0").is_err() && distance_m("1e300").is_err() && distance_m("50").is_ok());
+    }
+
+    #[test]
+    fn numbers_of_points() {
+        assert_eq!([points("4000000"), points("4e6"), points("1")], [Ok(4_000_000), Ok(4_000_000), Ok(1)]);
+        assert_eq!(points("4294967294"), Ok(4_294_967_294));
+        for text in ["0", "-4", "4.5", "4294967295", "1e30", "NaN", "x", ""] {
+            assert!(points(text).unwrap_err().contains("1 to 4294967294 points"), "{text}");
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Tests of the whole library, by subject.
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)] // helpers stand outside `#[test]`
 
+mod bench_cli;
 mod cli_build;
 mod cli_render;
 mod common;

@@ -59,7 +59,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
 }
 
 /// A skeleton stands in the global frame of the log it was built from: with any other it makes no sense.
-fn open_skeleton(path: &Path, dataset: &dyn Dataset) -> Result<Skeleton, FileError> {
+pub(super) fn open_skeleton(path: &Path, dataset: &dyn Dataset) -> Result<Skeleton, FileError> {
     let skeleton = Skeleton::open(path)?;
     let (expected, found) = (&dataset.log().name, &skeleton.manifest.source.log);
     if expected != found {

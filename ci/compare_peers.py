@@ -1,0 +1,284 @@
+#!/usr/bin/env python3
+"""Frame times of pskel beside those of other programs that draw the same points into the same cameras.
+
+The peers' folder holds `street.py` (OUT_DIR N, writes points.npy and cameras.json), `native/` (a Cargo package;
+POINTS CAMERAS REPEAT, prints JSON with reduced_ms, full_ms and filled) and `numpy_splat.py` (POINTS CAMERAS, prints JSON
+with seconds and filled). It may be read-only: `native` is built in a copy.
+
+All programs run in turn, round by round, so that a machine that slows down slows all of them. Each run gives its own
+median; the tables on stdout, in Markdown, hold medians over the rounds and ratios of those medians, with the smallest
+and the largest of the rounds. Fails where a program fails or fills other pixels than the rest.
+
+    ci/compare_peers.py --peers DIR --points 4e6 --rounds 5 --work DIR [--raster] [--numpy]
+"""
+
+import argparse
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+OUT_SIZE = "256x448"
+# All programs get as many threads, unless the environment says otherwise.
+THREADS = {"RAYON_NUM_THREADS": "2", "LP_NUM_THREADS": "2"}
+# Programs round divisions in their own way, so a few points fall into the pixel beside.
+FILLED_TOLERANCE = 1e-3
+# Frames that pskel draws before it is timed.
+WARM_UP = 3
+# Slow programs are timed on this part of the frames.
+SLOW_PART = 4
+
+
+class Failure(Exception):
+    """What was expected, what was found."""
+
+
+def say(text):
+    print(f"compare: {text}", file=sys.stderr, flush=True)
+
+
+def run(command, **options):
+    """Runs a command; its standard output. What it says on the way is shown only where it fails."""
+    command = [str(part) for part in command]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **options)
+    if done.returncode != 0:
+        shown = " ".join(command)
+        raise Failure(f"expected exit code 0, found {done.returncode}: {shown}\n{done.stderr[-2000:]}")
+    return done.stdout
+
+
+def run_json(command):
+    """Runs a command that prints one JSON object."""
+    text = run(command)
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        shown = " ".join(str(part) for part in command)
+        raise Failure(f"expected a JSON object on stdout, found {text[:80]!r}: {shown}") from error
+
+
+@dataclass
+class Series:
+    """Medians of one program at one size, one a round, in milliseconds."""
+
+    ms: list = field(default_factory=list)
+    filled: int | None = None
+
+    def median(self):
+        return statistics.median(self.ms)
+
+
+class Results:
+    """Series by program and size, in the order of their first run."""
+
+    def __init__(self):
+        self.series = {}
+        self.pskel = {}
+
+    def add(self, program, size, ms, filled):
+        series = self.series.setdefault((program, size), Series())
+        series.ms.append(float(ms))
+        series.filled = filled
+
+    def check_filled(self):
+        """All programs that count the pixels of their maps have to agree."""
+        for size in ("reduced", "full"):
+            of_size = {name: s.filled for (name, at), s in self.series.items() if at == size}
+            counts = [filled for filled in of_size.values() if filled is not None]
+            if counts and max(counts) - min(counts) > FILLED_TOLERANCE * max(counts):
+                raise Failure(f"expected all programs to fill the same pixels of {size} maps, found {of_size}")
+
+
+def copy_package(source, target):
+    """Copies a Cargo package with its .cargo, but neither modes (it may be read-only) nor what was built there."""
+    for folder, folders, files in os.walk(source):
+        folders[:] = [name for name in folders if name not in ("target", ".git")]
+        into = target / Path(folder).relative_to(source)
+        into.mkdir(parents=True, exist_ok=True)
+        for name in files:
+            new = into / name
+            old_bytes = (Path(folder) / name).read_bytes()
+            if not new.is_file() or new.read_bytes() != old_bytes:  # what is as it was is not built again
+                new.write_bytes(old_bytes)
+
+
+def build_native(peers, work):
+    """The binary of the native peer, built in a copy of its package."""
+    package = work / "native"
+    copy_package(peers / "native", package)
+    say(f"building {package}")
+    target = package / "target"
+    # In its folder, or its .cargo/config would not count.
+    build = ["cargo", "build", "--release", "--quiet", "--target-dir", target, "--message-format", "json"]
+    for line in run(build, cwd=package).splitlines():
+        message = json.loads(line)
+        if message.get("reason") == "compiler-artifact" and message.get("executable"):
+            return Path(message["executable"])
+    raise Failure(f"expected a binary of the package, found none: {package}")
+
+
+def make_street(peers, work, points):
+    """Points and cameras; made once per folder."""
+    folder = work / f"street-{points}"
+    files = folder / "points.npy", folder / "cameras.json"
+    if all(file.is_file() for file in files):
+        say(f"street of an earlier run: {folder}")
+    else:
+        say(f"making a street of {points} points: {folder}")
+        shutil.rmtree(folder, ignore_errors=True)
+        new = work / f"street-{points}.new"
+        shutil.rmtree(new, ignore_errors=True)
+        run([sys.executable, peers / "street.py", new, points])
+        new.rename(folder)
+    return files
+
+
+class Bench:
+    """Runs the programs and gathers what they print."""
+
+    def __init__(self, args, native, street):
+        self.args, self.native = args, native
+        self.points, self.cameras = street
+        self.results = Results()
+
+    def round(self):
+        repeat = self.args.repeat
+        peer = run_json([self.native, self.points, self.cameras, repeat])
+        self.results.add("native", "reduced", peer["reduced_ms"], None)
+        self.results.add("native", "full", peer["full_ms"], peer.get("filled"))
+        self.pskel("pskel", self.args.rasterizer, repeat, WARM_UP)
+        if self.args.raster:
+            self.pskel("pskel raster", "raster", max(1, repeat // SLOW_PART), 1)
+        if self.args.numpy:
+            peer = run_json([sys.executable, self.args.peers / "numpy_splat.py", self.points, self.cameras])
+            self.results.add("numpy", "full", 1e3 * peer["seconds"], peer.get("filled"))
+
+    def pskel(self, program, rasterizer, repeat, warm_up):
+        command = [self.args.pskel, "bench", "--points", self.points, "--cameras", self.cameras, "--json"]
+        command += ["--maps", self.args.maps, "--rasterizer", rasterizer]
+        command += ["--repeat", repeat, "--warm-up", warm_up]
+        for size, extra in (("reduced", ["--out-size", OUT_SIZE]), ("full", [])):
+            found = run_json(command + extra)
+            self.results.add(program, size, found["frame_ms"]["median"], found["filled"])
+            self.results.pskel.setdefault(program, found)
+
+
+def times_table(results):
+    yield "| program | maps | ms a frame | min..max of rounds | filled pixels |"
+    yield "|---|---|---|---|---|"
+    for (program, size), series in results.series.items():
+        spread = f"{min(series.ms):.1f}..{max(series.ms):.1f}"
+        filled = "" if series.filled is None else series.filled
+        yield f"| {program} | {size} | {series.median():.1f} | {spread} | {filled} |"
+
+
+def ratios_table(results):
+    """How many times faster pskel is than each of the others; under 1 it is slower."""
+    yield "| ratio | maps | of medians | min..max of rounds |"
+    yield "|---|---|---|---|"
+    for (program, size), other in results.series.items():
+        own = results.series.get(("pskel", size))
+        if program == "pskel" or own is None:
+            continue
+        rounds = [a / b for a, b in zip(other.ms, own.ms)]
+        ratio = other.median() / own.median()
+        yield f"| {program} : pskel | {size} | {ratio:.2f} | {min(rounds):.2f}..{max(rounds):.2f} |"
+
+
+def heading(args, results):
+    """What was compared, and on what."""
+    pskel = results.pskel["pskel"]
+    threads = ", ".join(f"{name}={os.environ[name]}" for name in THREADS)
+    yield f"{pskel['points']} points, {pskel['cameras']} cameras of {pskel['size']}, reduced to {OUT_SIZE} or full;"
+    yield f"{args.rounds} rounds, medians of {args.repeat} frames each; {threads}."
+    for program, found in results.pskel.items():
+        yield f"`{program}`: rasterizer {found['rasterizer']} on {found['device']}, driver {found['driver']}."
+
+
+def check_peers(args):
+    """All that will be run is there."""
+    needed = ["street.py"] + ["numpy_splat.py"] * args.numpy + ["native/Cargo.toml"] * (args.native_bin is None)
+    missing = [name for name in needed if not (args.peers / name).is_file()]
+    if missing:
+        raise Failure(f"expected {', '.join(needed)}, found no {', '.join(missing)}: {args.peers}")
+
+
+def compare(args, work):
+    """Builds, makes, runs, prints."""
+    check_peers(args)
+    native = args.native_bin or build_native(args.peers, work)
+    bench = Bench(args, native, make_street(args.peers, work, args.points))
+    for number in range(args.rounds):
+        say(f"round {number + 1} of {args.rounds}")
+        bench.round()
+    results = bench.results
+    parts = heading(args, results), times_table(results), ratios_table(results)
+    print("\n\n".join("\n".join(part) for part in parts))
+    results.check_filled()
+
+
+def count(least):
+    def parse(text):
+        value = float(text)
+        if value != int(value) or value < least:
+            raise ValueError(text)
+        return int(value)
+
+    parse.__name__ = f"number of {least} or more"  # argparse puts it into its message
+    return parse
+
+
+def file(text):
+    path = Path(text).resolve()
+    if not path.exists():
+        raise argparse.ArgumentTypeError(f"expected a file or folder, found none: {text}")
+    return path
+
+
+def parse_args():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--peers", type=file, required=True, help="folder of the other programs")
+    parser.add_argument("--points", type=count(1), default=4_000_000, help="of the street, like 4e6 (default)")
+    parser.add_argument("--rounds", type=count(1), default=5, help="default 5")
+    parser.add_argument("--repeat", type=count(1), default=20, help="timed frames a run (default 20)")
+    parser.add_argument("--work", type=Path, help="folder for the street and the build (default: a temporary one)")
+    parser.add_argument("--pskel", type=Path, default=ROOT / "target/release/pskel", help="default: %(default)s")
+    parser.add_argument("--rasterizer", default="auto", help="what pskel draws by (default: auto)")
+    maps = "color,depth,class,point"
+    parser.add_argument("--maps", default=maps, help=f"of pskel (default: {maps}, those that native makes)")
+    parser.add_argument("--raster", action="store_true", help="also pskel by --rasterizer raster, on fewer frames")
+    parser.add_argument("--numpy", action="store_true", help="also numpy_splat.py, one frame a round")
+    parser.add_argument("--native-bin", type=file, help="binary of the native peer, instead of building it")
+    args = parser.parse_args()
+    args.pskel = args.pskel.resolve()
+    if not args.pskel.is_file():
+        parser.error(f"expected pskel (cargo build --release), found none: {args.pskel}")
+    return args
+
+
+def main():
+    args = parse_args()
+    for name, value in THREADS.items():
+        os.environ.setdefault(name, value)
+    try:
+        if args.work:
+            args.work = args.work.resolve()
+            args.work.mkdir(parents=True, exist_ok=True)
+            compare(args, args.work)
+        else:
+            with tempfile.TemporaryDirectory(prefix="pskel-peers-") as folder:
+                compare(args, Path(folder))
+    except (Failure, OSError) as error:
+        say(f"error: {error}")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

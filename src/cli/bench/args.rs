@@ -1,0 +1,109 @@
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::cli::numbers::{self, FrameRange};
+use crate::cli::rasterizer::RasterizerArgs;
+use crate::conditions::ImageSize;
+use crate::dataset::LogLocator;
+use crate::raster::{FRAMES_IN_FLIGHT, FrameKinds, SplatSchedule};
+
+/// Measure how fast frames are drawn: time per frame and per stage, points a second, peak memory
+///
+/// A frame is all cameras of one instant: from its poses to all maps in the host's memory, the clouds being resident
+/// already. What is drawn: a synthetic street, a file of points, or the frames of a drive from its skeleton.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct BenchArgs {
+    /// Drive whose frames are drawn in turn: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes#scene-0061
+    #[arg(requires = "skeleton", conflicts_with_all = ["synthetic", "seed", "points", "cameras"])]
+    pub(super) log: Option<LogLocator>,
+    /// Skeleton that was built from the drive
+    #[arg(long, value_name = "SKEL", requires = "log")]
+    pub(super) skeleton: Option<PathBuf>,
+    /// Only these frames of the drive, numbered from 0 in the log's order, without B [default: all]
+    #[arg(long, value_name = "A..B", requires = "log")]
+    pub(super) frames: Option<FrameRange>,
+    /// Points of a synthetic street with six cameras of 900x1600, like 4000000 or 4e6; what is drawn where nothing else
+    /// is named [default: 4e6]
+    #[arg(long, value_name = "N", value_parser = numbers::points, conflicts_with_all = ["points", "cameras"])]
+    #[arg(allow_negative_numbers = true)]
+    pub(super) synthetic: Option<usize>,
+    /// Seed of the synthetic street
+    #[arg(long, value_name = "S", default_value = "1", conflicts_with_all = ["points", "cameras"])]
+    #[arg(allow_negative_numbers = true)]
+    pub(super) seed: u64,
+    /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY
+    #[arg(long, value_name = "P.npy|P.ply", requires = "cameras")]
+    pub(super) points: Option<PathBuf>,
+    /// Cameras: {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
+    #[arg(long, value_name = "C.json", requires = "points")]
+    pub(super) cameras: Option<PathBuf>,
+    /// Draw at this size; scales the intrinsics [default: the size of the cameras]
+    #[arg(long, value_name = "HxW")]
+    pub(super) size: Option<ImageSize>,
+    /// Reduce the maps to this size after drawing [default: no reduction]
+    #[arg(long, value_name = "HxW")]
+    pub(super) out_size: Option<ImageSize>,
+    /// Splat radius by depth: up to Z metres a point covers (2R+1) x (2R+1) pixels; beyond the last Z nothing is drawn
+    #[arg(long, value_name = "Z:R,..", default_value_t)]
+    pub(super) splat: SplatSchedule,
+    /// Which maps: color, depth, class, instance, and point (numbers of the points)
+    #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance", value_parser = frame_kinds)]
+    pub(super) maps: FrameKinds,
+    /// Frames that are timed [default: 20]; with a drive, passes over all its frames [default: 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(allow_negative_numbers = true)]
+    pub(super) repeat: Option<u32>,
+    /// Frames that are drawn before and not timed
+    #[arg(long, value_name = "N", default_value = "3", allow_negative_numbers = true)]
+    pub(super) warm_up: u32,
+    /// 1: a frame is begun when the one before is finished; its time is from begin to end. 2: a frame is begun before
+    /// the one before is finished; its time is from end to end
+    #[arg(long, value_name = "1|2", default_value = "1")]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=FRAMES_IN_FLIGHT as i64))]
+    pub(super) in_flight: u32,
+    #[command(flatten)]
+    pub(super) rasterizer: RasterizerArgs,
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    pub(super) json: bool,
+    /// Write a trace of all timed frames and their stages for chrome://tracing or ui.perfetto.dev
+    #[arg(long, value_name = "F.json")]
+    pub(super) trace: Option<PathBuf>,
+}
+
+/// Names of maps with commas.
+fn frame_kinds(text: &str) -> Result<FrameKinds, String> {
+    let mut kinds = FrameKinds::default();
+    for name in text.split(',') {
+        let kind = match name.trim() {
+            "color" => &mut kinds.color,
+            "depth" => &mut kinds.depth,
+            "class" => &mut kinds.class,
+            "instance" => &mut kinds.instance,
+            "point" => &mut kinds.point,
+            other => {
+                return Err(format!(
+                    "expected maps out of color,depth,class,instance,point, found {other:?}"
+                ));
+            }
+        };
+        *kind = true;
+    }
+    Ok(kinds)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn maps_are_those_that_a_rasterizer_makes() {
+        let kinds = frame_kinds("depth, point").unwrap();
+        assert_eq!(kinds, FrameKinds { depth: true, point: true, ..FrameKinds::default() });
+        assert_eq!(frame_kinds("point,instance,class,depth,color"), Ok(FrameKinds::ALL));
+        for text in ["", "boxes", "depth,", "Depth"] {
+            assert!(frame_kinds(text).unwrap_err().contains("expected maps out of color"), "{text}");
+        }
+    }
+}
