@@ -15,7 +15,7 @@ use point_skeleton::raster::{
 use point_skeleton::town::{street_cloud, street_views};
 
 const POINTS: usize = 400_000;
-const KINDS: [RasterizerKind; 2] = [RasterizerKind::Raster, RasterizerKind::Cpu];
+const KINDS: [RasterizerKind; 3] = [RasterizerKind::Compute, RasterizerKind::Raster, RasterizerKind::Cpu];
 const SIZES: [(&str, Option<ImageSize>); 2] =
     [("full", None), ("reduced", Some(ImageSize { height: 256, width: 448 }))];
 
@@ -26,7 +26,7 @@ fn frames(criterion: &mut Criterion) {
         group.sample_size(10).sampling_mode(SamplingMode::Flat);
         group.warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(8));
         group.throughput(Throughput::Elements(POINTS as u64));
-        match create(kind, None, vec![&cloud]) {
+        match create(&kind.into(), vec![&cloud]) {
             Ok(mut rasterizer) => sizes(&mut group, rasterizer.as_mut(), &views),
             Err(error) => eprintln!("{kind} is left out: {error}"),
         }

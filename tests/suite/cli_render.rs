@@ -51,8 +51,8 @@ fn all_formats_hold_the_same_frames() {
     let log = built();
     std::fs::write(log.path("prompt.json"), r#"{"weather": "Sunny", "city": "Nowhere"}"#).unwrap();
     let summary = log.succeed(&format!("{RENDER} --annotations prompt.json"));
-    assert!(summary.starts_with("rendered 3 frames, 6 camera views by raster on"), "{summary}");
-    assert!(summary.contains("splat"), "{summary}");
+    assert!(summary.starts_with("rendered 3 frames, 6 camera views by compute on"), "{summary}");
+    assert!(summary.contains("project"), "{summary}");
     let png = tree(&log.path("out"));
     let mut expected = vec!["index.json".to_owned()];
     for frame in ["000000", "000001", "000002"] {
@@ -106,7 +106,9 @@ fn all_formats_hold_the_same_frames() {
 fn all_rasterizers_and_threads_give_the_same_bytes() {
     let log = built();
     let mut all = Vec::new();
-    for (rasterizer, threads) in [("raster", "1"), ("raster", "2"), ("cpu", "1"), ("cpu", "2")] {
+    for (rasterizer, threads) in
+        [("compute", "1"), ("compute", "2"), ("raster", "1"), ("raster", "2"), ("cpu", "1"), ("cpu", "2")]
+    {
         let args = format!("{RENDER}/{rasterizer}{threads} --rasterizer {rasterizer} --frames 0..2");
         let output = log.run_with(&args, threads);
         assert!(output.status.success(), "{output:?}");
@@ -213,7 +215,7 @@ fn wrong_usage_exits_with_2_and_times_out_of_the_log_with_1() {
         ("--radius -3", "more than 0"),
         ("--far nan", "more than 0"),
         ("--splat 15:1,35:2", "radii"),
-        ("--rasterizer compute", "auto, raster or cpu"),
+        ("--rasterizer opengl", "auto, compute, raster or cpu"),
         ("--depth-bins cubic", "linear, log"),
     ] {
         log.fail(&format!("{RENDER} {extra}"), 2, &[part]);
