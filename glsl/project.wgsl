@@ -30,7 +30,7 @@ struct ProjectFrame {
     steps: array<Step, 16>,
     step_count: u32,
     z_far_m: f32,
-    stride: u32, // keys from row to row
+    key_rows: u32,
     pad_0: u32,
 }
 
@@ -97,6 +97,12 @@ fn put(layers: u32, at: u32, key: u64) {
     }
 }
 
+// Keys lie in panels of 32 columns, each row by row: what is near in the image is near in memory.
+fn key_index(column: i32, row: i32, band: ProjectBand) -> u32 {
+    let at = vec2<u32>(u32(column + PAD), band.key_row + u32(row + PAD));
+    return ((at.x >> 5u) * frame.key_rows + at.y) * 32u + (at.x & 31u);
+}
+
 fn radius_at(z: f32) -> i32 {
     var radius = 0u;
     for (var i = frame.step_count; i > 0u; i--) {
@@ -141,13 +147,12 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
                 let low = max(center - radius, vec2<i32>(0));
                 let high = min(center + radius, vec2<i32>(i32(band.columns), i32(band.rows)) - 1);
                 for (var row = low.y; row <= high.y; row++) {
-                    let start = (band.key_row + u32(row + PAD)) * frame.stride;
                     for (var column = low.x; column <= high.x; column++) {
-                        put(draw.layers, start + u32(column + PAD), key);
+                        put(draw.layers, key_index(column, row, band), key);
                     }
                 }
             } else {
-                put(draw.layers, (band.key_row + u32(center.y + PAD)) * frame.stride + u32(center.x + PAD), key);
+                put(draw.layers, key_index(center.x, center.y, band), key);
             }
         }
     }

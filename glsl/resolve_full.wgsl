@@ -34,7 +34,10 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         return;
     }
     let width = (band.width + 3u) & 0xfffffffcu;
-    let texel_x = x / 2u;
+    let c0 = key_column(x / 2u);
+    let c1 = key_column(x / 2u + 1u);
+    let c2 = key_column(x / 2u + 2u);
+    let c3 = key_column(x / 2u + 3u);
     let reach_1 = key_from(push.reach_1, 0xffffffffu);
     let reach_2 = key_from(push.reach_2, 0xffffffffu);
     // Winners so far of the rows y-2 .. y+2, four columns each.
@@ -45,10 +48,10 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     var a4 = a0;
     for (var y = first; y < end + 2u * PAD; y++) {
         let row = band.key_row + y;
-        let t0 = textureLoad(keys, vec2<u32>(texel_x, row), 0);
-        let t1 = textureLoad(keys, vec2<u32>(texel_x + 1u, row), 0);
-        let t2 = textureLoad(keys, vec2<u32>(texel_x + 2u, row), 0);
-        let t3 = textureLoad(keys, vec2<u32>(texel_x + 3u, row), 0);
+        let t0 = keys_at(c0, row);
+        let t1 = keys_at(c1, row);
+        let t2 = keys_at(c2, row);
+        let t3 = keys_at(c3, row);
         let k = array<i64, 8>(
             key_from(t0.y, t0.x), key_from(t0.w, t0.z), key_from(t1.y, t1.x), key_from(t1.w, t1.z),
             key_from(t2.y, t2.x), key_from(t2.w, t2.z), key_from(t3.y, t3.x), key_from(t3.w, t3.z),

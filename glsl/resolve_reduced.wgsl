@@ -34,7 +34,7 @@ var<immediate> push: ResolvePush;
 // Per column (nearest, left, right): winners of the rows y-2 .. y+2 so far.
 var<private> winners: array<array<i64, 5>, 3>;
 var<private> row: u32; // of the keys, the next to be taken in
-var<private> texel_x: u32;
+var<private> columns: array<u32, 5>; // places of the pairs that are looked at
 var<private> odd: bool;
 var<private> shift: u32;
 var<private> reach_1: i64;
@@ -61,11 +61,11 @@ fn fold(column: u32, k0: i64, k1: i64, k2: i64, k3: i64, k4: i64) {
 
 // Takes in one more row of keys.
 fn advance() {
-    let t0 = textureLoad(keys, vec2<u32>(texel_x, row), 0);
-    let t1 = textureLoad(keys, vec2<u32>(texel_x + 1u, row), 0);
-    let t2 = textureLoad(keys, vec2<u32>(texel_x + 2u, row), 0);
-    let t3 = textureLoad(keys, vec2<u32>(texel_x + 3u, row), 0);
-    let t4 = textureLoad(keys, vec2<u32>(texel_x + 4u, row), 0);
+    let t0 = keys_at(columns[0], row);
+    let t1 = keys_at(columns[1], row);
+    let t2 = keys_at(columns[2], row);
+    let t3 = keys_at(columns[3], row);
+    let t4 = keys_at(columns[4], row);
     var k = array<i64, 10>(
         key_from(t0.y, t0.x), key_from(t0.w, t0.z), key_from(t1.y, t1.x), key_from(t1.w, t1.z),
         key_from(t2.y, t2.x), key_from(t2.w, t2.z), key_from(t3.y, t3.x), key_from(t3.w, t3.z),
@@ -115,7 +115,9 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let column = taps[band.columns + x];
     // Column of the keys of the leftmost pixel that is looked at; with padding, less two for the look around.
     let start = select(column.low, column.nearest, GEOMETRY);
-    texel_x = start / 2u;
+    for (var i = 0u; i < 5u; i++) {
+        columns[i] = key_column(start / 2u + i);
+    }
     odd = (start & 1u) != 0u;
     shift = column.low - start;
     reach_1 = key_from(push.reach_1, 0xffffffffu);

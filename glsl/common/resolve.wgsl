@@ -17,10 +17,11 @@ struct ResolvePush {
     band: u32,    // the first one
     rows: u32,    // of the result, per invocation
     wants: u32,   // bits WANT_
+    key_rows: u32,
 }
 
 @group(0) @binding(0) var<storage, read> bands: array<ResolveBand>;
-@group(0) @binding(1) var keys: texture_2d<u32>;         // two pixels a texel
+@group(0) @binding(1) var keys: texture_2d<u32>;         // two pixels a texel, in panels of 16 texels
 @group(0) @binding(2) var blocks: texture_2d<u32>;       // by number / 4096: to color index, to point number, instance
 @group(0) @binding(3) var colors: texture_2d_array<u32>; // by color index
 
@@ -42,6 +43,17 @@ fn key_from(hi: u32, lo: u32) -> i64 {
 
 fn depth_bits(key: i64) -> u32 {
     return select(u32(u64(key) >> 32u), INFINITY_BITS, key == EMPTY);
+}
+
+// The place of a pair of columns in row 0 of the keys.
+fn key_column(pair: u32) -> u32 {
+    return (pair >> 4u) * push.key_rows * 16u + (pair & 15u);
+}
+
+// Two keys; `column` from key_column.
+fn keys_at(column: u32, row: u32) -> vec4<u32> {
+    let at = column + row * 16u;
+    return textureLoad(keys, vec2<u32>(at & 4095u, at >> 12u), 0);
 }
 
 // Of an empty pixel: 0.

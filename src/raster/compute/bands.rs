@@ -10,8 +10,8 @@ use crate::raster::{FrameJob, RasterError};
 pub(super) const PAD: u32 = 2;
 /// Columns of keys beyond the padding that a shader may read and not use.
 const SPARE: u32 = 8;
-/// Keys from row to row are a multiple of this, so that rows of an image over them begin where drivers want it.
-const STRIDE_STEP: u32 = 16;
+/// Columns of a panel of keys.
+const PANEL: u32 = 32;
 
 /// What fits at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,8 +90,8 @@ impl Band {
 
 /// How a frame's views are cut.
 pub(super) struct Cut {
-    /// Keys from row to row.
-    pub(super) stride: u32,
+    /// Of the keys: whole panels.
+    columns: u32,
     /// By view; `None` for views that are not reduced, all or none.
     pub(super) reductions: Option<Vec<Reduction>>,
     /// Bands that are drawn together.
@@ -99,38 +99,24 @@ pub(super) struct Cut {
 }
 
 impl Cut {
-    /// With keys that are at least `stride` from row to row, unless that takes more parts. `None` if a reduction is none
-    /// that the shaders can do.
+    /// `None` if a reduction is none that the shaders can do.
     ///
     /// # Errors
     /// A single row is too long.
-    pub(super) fn new(
-        job: &FrameJob<'_>,
-        limits: PartLimits,
-        stride: u32,
-    ) -> Result<Option<Self>, RasterError> {
-        let wide = Self::with_stride(job, limits, stride);
-        match &wide {
-            Ok(Some(cut)) if cut.parts.len() > 1 => Self::with_stride(job, limits, 0),
-            Err(_) => Self::with_stride(job, limits, 0),
-            _ => wide,
-        }
-    }
-
-    fn with_stride(job: &FrameJob<'_>, limits: PartLimits, stride: u32) -> Result<Option<Self>, RasterError> {
+    pub(super) fn new(job: &FrameJob<'_>, limits: PartLimits) -> Result<Option<Self>, RasterError> {
         let from = |view: usize| ImageSize::of(&job.views[view].camera);
         let to = |view: usize| job.size_of(&job.views[view]);
         let views = 0..job.views.len();
         let widest = views.clone().map(|v| from(v).width).max().unwrap_or(1);
-        let stride = stride.max((widest + 2 * PAD + SPARE).next_multiple_of(STRIDE_STEP));
+        let columns = (widest + 2 * PAD + SPARE).next_multiple_of(PANEL);
         let reduced = views.clone().any(|v| from(v) != to(v));
         let reductions: Option<Vec<Reduction>> =
             reduced.then(|| views.clone().map(|v| Reduction::new(from(v), to(v))).collect());
         if !reductions.iter().flatten().all(Reduction::apart) {
             return Ok(None);
         }
-        let key_rows = limits.key_rows.min((limits.key_bytes / (8 * u64::from(stride))) as u32) & !3;
-        let mut cut = Self { stride, reductions, parts: Vec::new() };
+        let key_rows = limits.key_rows.min((limits.key_bytes / (8 * u64::from(columns))) as u32);
+        let mut cut = Self { columns, reductions, parts: Vec::new() };
         let mut left = (0, 0);
         for view in views {
             let mut first = 0;
@@ -153,6 +139,11 @@ impl Cut {
             }
         }
         Ok(Some(cut))
+    }
+
+    /// Bytes of a layer with so many rows of keys.
+    pub(super) fn key_bytes(&self, key_rows: u32) -> u64 {
+        8 * u64::from(self.columns) * u64::from(key_rows)
     }
 
     /// As many rows of the result as fit, from the first on.

@@ -7,8 +7,10 @@ use crate::cloud::{Bounds, Point, morton_order};
 /// Points in a chunk, but the last of a cloud. Also a row of the images that hold points, and the step of the numbers
 /// that a draw begins at.
 pub(super) const CHUNK: usize = 4096;
-/// Chunks that are looked at together first.
-pub(super) const GROUP: usize = 32;
+/// Points that are culled together: a part of a chunk.
+pub(super) const PIECE: usize = 1024;
+/// Pieces that are looked at together first.
+pub(super) const GROUP: usize = 64;
 
 /// An axis-aligned box by centre and half its size, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,9 +34,9 @@ pub(super) struct ChunkedCloud<'a> {
     points: &'a [Point],
     /// Where each point of the order stands in the cloud; `None` for the cloud's own order.
     order: Option<Vec<u32>>,
-    /// Of each chunk; `None` if nothing of it is ever drawn.
-    pub(super) extents: Vec<Option<Extent>>,
-    /// Of each [`GROUP`] chunks.
+    /// Of each [`PIECE`] points; `None` if none of them is ever drawn.
+    pub(super) pieces: Vec<Option<Extent>>,
+    /// Of each [`GROUP`] pieces.
     pub(super) groups: Vec<Option<Extent>>,
 }
 
@@ -43,14 +45,15 @@ impl<'a> ChunkedCloud<'a> {
         let parts: Vec<Option<Bounds>> =
             points.par_chunks(CHUNK).map(|part| finite_bounds(part.iter())).collect();
         let order = union(&parts).and_then(|bounds| morton_order(points, &bounds));
-        let mut cloud = Self { points, order, extents: Vec::new(), groups: Vec::new() };
-        let chunks = points.len().div_ceil(CHUNK);
-        let bounds: Vec<Option<Bounds>> = (0..chunks)
-            .into_par_iter()
-            .map(|chunk| finite_bounds(cloud.points_of(chunk).map(|(_, p)| p)))
-            .collect();
+        let mut cloud = Self { points, order, pieces: Vec::new(), groups: Vec::new() };
+        let pieces = points.len().div_ceil(PIECE);
+        let bounds = |piece: usize| {
+            let places = piece * PIECE..points.len().min((piece + 1) * PIECE);
+            finite_bounds(cloud.points_at(places).map(|(_, point)| point))
+        };
+        let bounds: Vec<Option<Bounds>> = (0..pieces).into_par_iter().map(bounds).collect();
         cloud.groups = bounds.chunks(GROUP).map(|part| union(part).map(|b| Extent::of(&b))).collect();
-        cloud.extents = bounds.iter().map(|b| b.map(|b| Extent::of(&b))).collect();
+        cloud.pieces = bounds.iter().map(|b| b.map(|b| Extent::of(&b))).collect();
         cloud
     }
 
@@ -59,14 +62,18 @@ impl<'a> ChunkedCloud<'a> {
         self.points.len()
     }
 
+    /// Chunks in all.
+    pub(super) fn chunks(&self) -> usize {
+        self.points.len().div_ceil(CHUNK)
+    }
+
     /// How many points a chunk has.
     pub(super) fn count(&self, chunk: usize) -> u32 {
         (self.points.len() - chunk * CHUNK).min(CHUNK) as u32
     }
 
-    /// A chunk's points with their places in the cloud.
-    fn points_of(&self, chunk: usize) -> impl Iterator<Item = (u32, &'a Point)> {
-        let places = chunk * CHUNK..chunk * CHUNK + self.count(chunk) as usize;
+    /// Points of the order with their places in the cloud.
+    fn points_at(&self, places: std::ops::Range<usize>) -> impl Iterator<Item = (u32, &'a Point)> {
         places.map(|place| {
             let index = self.order.as_ref().map_or(place as u32, |order| order[place]);
             (index, &self.points[index as usize])
@@ -75,7 +82,9 @@ impl<'a> ChunkedCloud<'a> {
 
     /// Writes a chunk as the device holds it: bits of x, y, z and the place in the cloud, a row of [`CHUNK`] texels.
     pub(super) fn write_row(&self, chunk: usize, row: &mut [[u32; 4]]) {
-        for (texel, (index, point)) in row.iter_mut().zip(self.points_of(chunk)) {
+        let first = chunk * CHUNK;
+        let places = first..first + self.count(chunk) as usize;
+        for (texel, (index, point)) in row.iter_mut().zip(self.points_at(places)) {
             let [x, y, z] = point.position.map(f32::to_bits);
             *texel = [x, y, z, index];
         }
@@ -119,20 +128,21 @@ mod tests {
         let scattered = |i: u32| point((i.wrapping_mul(2_654_435_761) >> 16) as f32);
         let points: Vec<Point> = (0..10_000).map(scattered).collect();
         let cloud = ChunkedCloud::new(&points);
-        assert_eq!((cloud.extents.len(), cloud.groups.len(), cloud.count(2)), (3, 1, 10_000 - 2 * 4096));
+        assert_eq!((cloud.chunks(), cloud.pieces.len(), cloud.groups.len()), (3, 10, 1));
+        assert_eq!(cloud.count(2), 10_000 - 2 * 4096);
         let mut seen = vec![0; points.len()];
         for chunk in 0..3 {
             let mut row = vec![[0; 4]; CHUNK];
             cloud.write_row(chunk, &mut row);
-            let extent = cloud.extents[chunk].unwrap();
-            for [x, _, _, index] in &row[..cloud.count(chunk) as usize] {
+            for (i, [x, _, _, index]) in row[..cloud.count(chunk) as usize].iter().enumerate() {
+                let extent = cloud.pieces[(chunk * CHUNK + i) / PIECE].unwrap();
                 seen[*index as usize] += 1;
                 assert_eq!(f32::from_bits(*x), points[*index as usize].position[0]);
                 assert!((f64::from(f32::from_bits(*x)) - extent.center[0]).abs() <= extent.half[0]);
             }
         }
         assert!(seen.iter().all(|n| *n == 1));
-        let widths: f64 = cloud.extents.iter().map(|e| 2.0 * e.unwrap().half[0]).sum();
+        let widths: f64 = cloud.pieces.iter().map(|e| 2.0 * e.unwrap().half[0]).sum();
         assert!(widths < 66_000.0, "{widths}: chunks of a line share a cell at most");
     }
 
@@ -140,10 +150,10 @@ mod tests {
     fn what_is_not_finite_widens_no_bounds() {
         let points = [point(1.0), point(f32::NAN), point(f32::INFINITY), point(3.0)];
         let cloud = ChunkedCloud::new(&points);
-        let extent = cloud.extents[0].unwrap();
+        let extent = cloud.pieces[0].unwrap();
         assert_eq!((extent.center[0], extent.half[0]), (2.0, 1.0));
-        assert!(ChunkedCloud::new(&points[1..3]).extents[0].is_none());
-        assert!(ChunkedCloud::new(&[]).extents.is_empty());
+        assert!(ChunkedCloud::new(&points[1..3]).pieces[0].is_none());
+        assert!(ChunkedCloud::new(&[]).pieces.is_empty());
         assert_eq!(cloud.colors(2..100).count(), 2);
     }
 }

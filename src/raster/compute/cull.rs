@@ -1,17 +1,19 @@
-//! Which chunks a band of a view can show, and how near they are.
+//! Which parts of chunks a band of a view can show, and how near they are.
 
-use super::chunk::{ChunkedCloud, Extent, GROUP};
+use super::chunk::{CHUNK, ChunkedCloud, Extent, GROUP, PIECE};
 use crate::raster::Draw;
 use crate::raster::schedule::Z_NEAR_M;
 
-/// A chunk that may be seen.
+/// Points of a chunk that may be seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Seen {
     /// Of the cloud.
     pub(super) chunk: u32,
-    /// No point of it is nearer, metres.
+    /// Of the chunk: first and end.
+    pub(super) points: [u32; 2],
+    /// None of them is nearer, metres.
     pub(super) nearest_m: f32,
-    /// Whether the crop may leave some of its points out.
+    /// Whether the crop may leave some of them out.
     pub(super) crop: bool,
 }
 
@@ -84,9 +86,9 @@ impl Frustum {
     }
 }
 
-/// Chunks of a cloud that may be seen in some rows of a view `width` pixels wide, with `pad` pixels around for the
-/// squares of points. In the order of the chunks.
-pub(super) fn seen_chunks(
+/// Parts of chunks of a cloud that may be seen in some rows of a view `width` pixels wide, with `pad` pixels around for
+/// the squares of points. In the order of the points.
+pub(super) fn seen_points(
     cloud: &ChunkedCloud<'_>,
     draw: &Draw,
     (width, rows): (u32, Rows),
@@ -94,16 +96,23 @@ pub(super) fn seen_chunks(
     z_far_m: f32,
 ) -> Vec<Seen> {
     let frustum = Frustum::new(draw, width, rows, f64::from(pad) + 2.0, z_far_m);
-    let mut seen = Vec::new();
+    let mut seen: Vec<Seen> = Vec::new();
     for (group, extent) in cloud.groups.iter().enumerate() {
         if !extent.as_ref().is_some_and(|e| frustum.touches(e)) {
             continue;
         }
-        let first = group * GROUP;
-        for (i, extent) in cloud.extents.iter().enumerate().skip(first).take(GROUP) {
+        for (i, extent) in cloud.pieces.iter().enumerate().skip(group * GROUP).take(GROUP) {
             let Some(extent) = extent.as_ref().filter(|e| frustum.touches(e)) else { continue };
             let (nearest_m, crop) = (frustum.nearest_m(extent), frustum.cuts(extent));
-            seen.push(Seen { chunk: i as u32, nearest_m, crop });
+            let (chunk, first) = ((i * PIECE / CHUNK) as u32, (i * PIECE % CHUNK) as u32);
+            let end = cloud.count(chunk as usize).min(first + PIECE as u32);
+            match seen.last_mut() {
+                Some(last) if (last.chunk, last.points[1], last.crop) == (chunk, first, crop) => {
+                    last.points[1] = end;
+                    last.nearest_m = last.nearest_m.min(nearest_m);
+                }
+                _ => seen.push(Seen { chunk, points: [first, end], nearest_m, crop }),
+            }
         }
     }
     seen

@@ -34,7 +34,7 @@ use self::plan::{BandResult, Numbering, PartPlan, PlannedItem};
 use self::project::{ProjectFrame, ProjectStage, items_of};
 use self::record::{PlacedItem, Resolve, Run, runs_of};
 use self::resolve::ResolveStage;
-use self::shared::Shared;
+use self::shared::{KEY_IMAGE_ROW_BYTES, KEY_STEP_BYTES, Shared};
 use self::slot::{DEPTH, INSTANCE, MAPS, Needs, POINT, RGB_CLASS, Slot};
 use self::store::{ROW_BYTES, Residency, STREAMED_ROWS, Store, StoreLimits};
 use super::frame::frame_by_views;
@@ -140,12 +140,11 @@ impl<'a> ComputeRasterizer<'a> {
             reduced: Arc::new(reduced),
             store: Arc::new(store),
             layers: Vec::new(),
-            stride: 0,
-            key_rows: 0,
+            key_bytes: 0,
             generation: 0,
             streamed_rows,
         };
-        let shared = Arc::new(bare.with_keys(&device, &mut commands, 1, [16, 4], desc.copies)?);
+        let shared = Arc::new(bare.with_keys(&device, &mut commands, 1, 0, desc.copies)?);
         let slot = |commands: &mut Commands| -> Result<_, GpuError> {
             Flight::new(&device, Slot::new(&device, commands, &shared, Needs::default(), copies)?)
         };
@@ -178,7 +177,7 @@ impl<'a> ComputeRasterizer<'a> {
         if layers.count == 0 || sizes.is_empty() {
             return Ok(Begun::Done(sizes.iter().map(|size| empty(*size)).collect()));
         }
-        let Some(cut) = Cut::new(job, self.limits, self.shared.stride)? else {
+        let Some(cut) = Cut::new(job, self.limits)? else {
             // No shader makes images grow: full size, then on the host.
             return frame_by_views(job, &mut |job| self.splat(job)).map(Begun::Done);
         };
@@ -222,7 +221,7 @@ impl<'a> ComputeRasterizer<'a> {
         let most =
             items.len() + missing.iter().map(|item| self.place(item, 0, max_radius).count()).sum::<usize>();
         self.prepare(work, &plan, slot, (most, !missing.is_empty()))?;
-        let frame = ProjectFrame::new(work.job.schedule, self.shared.stride);
+        let frame = ProjectFrame::new(work.job.schedule, plan.key_rows);
         let own = self.slots[slot].own();
         own.write(&frame, &plan, &work.numbering.blocks)?;
         own.write_items(&items)?;
@@ -295,9 +294,8 @@ impl<'a> ComputeRasterizer<'a> {
         max_radius: u32,
     ) -> impl Iterator<Item = PlacedItem> + use<> {
         let (page, row) = self.shared.store.place(row);
-        let count = self.clouds[item.cloud as usize].count(item.chunk as usize);
         let crop = item.crop;
-        items_of(item.draw, row, count, max_radius).map(move |item| PlacedItem { page, crop, item })
+        items_of(item.draw, row, item.points, max_radius).map(move |item| PlacedItem { page, crop, item })
     }
 
     /// Makes buffers if those there are too small.
@@ -308,16 +306,13 @@ impl<'a> ComputeRasterizer<'a> {
         slot: usize,
         (items, streams): (usize, bool),
     ) -> Result<(), GpuError> {
-        let (layers, stride) = (work.layers.count, work.cut.stride);
+        let (layers, key_bytes) = (work.layers.count, work.cut.key_bytes(plan.key_rows));
         let shared = &self.shared;
-        if shared.layers.len() < layers || shared.stride != stride || shared.key_rows < plan.key_rows {
+        if shared.layers.len() < layers || shared.key_bytes < key_bytes {
             // What is in flight keeps the old ones as long as it needs them.
-            let layers = shared.layers.len().max(layers);
-            let rows =
-                if shared.stride == stride { shared.key_rows.max(plan.key_rows) } else { plan.key_rows };
+            let (layers, key_bytes) = (shared.layers.len().max(layers), shared.key_bytes.max(key_bytes));
             let copied = self.copies && shared.layers[0].copied;
-            let shared =
-                shared.with_keys(&self.device, &mut self.commands, layers, [stride, rows], copied)?;
+            let shared = shared.with_keys(&self.device, &mut self.commands, layers, key_bytes, copied)?;
             self.shared = Arc::new(shared);
         }
         let wanted = Slot::wanted(work.job.kinds);
@@ -386,7 +381,7 @@ impl Phases<'_, '_> {
         let (schedule, layers) = (self.work.job.schedule, self.work.layers.count);
         flight.start(shared, |recorder, shared, slot| {
             if first {
-                let sizes = (self.resolve.key_rows, self.blocks);
+                let sizes = (self.work.cut.key_bytes(self.resolve.key_rows), self.blocks);
                 record::clear_colors(recorder, slot, self.work.job, self.resolve.pixels)?;
                 record::clear(recorder, shared, slot, sizes, layers)?;
             }
@@ -435,9 +430,11 @@ fn neighbours(rows: &[u32], page_rows: u32) -> Vec<(usize, usize)> {
 }
 
 fn part_limits(device: &Device, desc: ComputeRasterizerDesc) -> PartLimits {
-    let key_rows = desc.key_rows.unwrap_or(u32::MAX).min(device.max_image_side());
+    let key_rows = desc.key_rows.unwrap_or(u32::MAX);
     let bytes = device.max_storage_buffer();
-    PartLimits { key_bytes: bytes, key_rows, pixels: bytes / 8 * 2 }
+    let image_bytes = u64::from(device.max_image_side()) * KEY_IMAGE_ROW_BYTES;
+    let key_bytes = bytes.min(image_bytes) / KEY_STEP_BYTES * KEY_STEP_BYTES;
+    PartLimits { key_bytes, key_rows, pixels: bytes / 8 * 2 }
 }
 
 fn empty(size: ImageSize) -> ViewMaps<'static> {

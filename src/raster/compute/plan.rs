@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::bands::{Band, Cut, PAD, ResolveTap, row_pixels};
 use super::chunk::{CHUNK, ChunkedCloud};
-use super::cull::seen_chunks;
+use super::cull::seen_points;
 use super::layers::Layered;
 use super::project::{ProjectBand, ProjectDraw};
 use super::resolve::ResolveBand;
@@ -46,7 +46,7 @@ impl Numbering {
                 clouds.get(id).ok_or(RasterError::UnknownCloud { cloud: id, clouds: clouds.len() })?;
             let first = (numbering.blocks.len() * CHUNK) as u64;
             points += cloud.len() as u64;
-            let end = first + (cloud.extents.len() * CHUNK) as u64;
+            let end = first + (cloud.chunks() * CHUNK) as u64;
             if points > max || end > 1 << 32 {
                 return Err(RasterError::TooManyPoints { found: points.max(end), max });
             }
@@ -57,7 +57,7 @@ impl Numbering {
                 layered.instance.number,
                 0,
             ];
-            numbering.blocks.extend(std::iter::repeat_n(block, cloud.extents.len()));
+            numbering.blocks.extend(std::iter::repeat_n(block, cloud.chunks()));
             geometry_points += if layered.numbered { cloud.len() as u64 } else { 0 };
             if layered.layers != 0 && cloud.len() > 0 {
                 numbering.instances.push(Numbered { layered, first });
@@ -67,12 +67,14 @@ impl Numbering {
     }
 }
 
-/// A chunk to be drawn, before it is known where it lies.
+/// A part of a chunk to be drawn, before it is known where it lies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PlannedItem {
     pub(super) draw: u32,
     pub(super) cloud: u32,
     pub(super) chunk: u32,
+    /// Of the chunk: first and end.
+    pub(super) points: [u32; 2],
     pub(super) crop: bool,
     nearest_m: f32,
 }
@@ -125,7 +127,7 @@ impl PartPlan {
             let draw = draw_from_instance(&view_job, instance, numbered.first);
             let shown = (view.camera.width, part[band].source);
             let (pad, z_far_m) = (schedule.max_radius().max(PAD), schedule.z_far_m());
-            let chunks = seen_chunks(&clouds[instance.cloud], &draw, shown, pad, z_far_m);
+            let chunks = seen_points(&clouds[instance.cloud], &draw, shown, pad, z_far_m);
             (ProjectDraw::new(&draw, band as u32, numbered.layered.layers), instance.cloud as u32, chunks)
         };
         let seen: Vec<_> = pairs.par_iter().with_min_len(16).map(seen).collect();
@@ -136,6 +138,7 @@ impl PartPlan {
                 draw: index,
                 cloud,
                 chunk: seen.chunk,
+                points: seen.points,
                 crop: seen.crop,
                 nearest_m: seen.nearest_m,
             }));
@@ -211,7 +214,7 @@ mod tests {
     use super::*;
 
     fn item(chunk: u32, nearest_m: f32) -> PlannedItem {
-        PlannedItem { draw: 0, cloud: 0, chunk, crop: false, nearest_m }
+        PlannedItem { draw: 0, cloud: 0, chunk, points: [0, 1], crop: false, nearest_m }
     }
 
     #[test]

@@ -34,26 +34,26 @@ pub(super) struct ProjectFrame {
     steps: [Step; SplatSchedule::MAX_STEPS],
     step_count: u32,
     z_far_m: f32,
-    stride: u32,
+    key_rows: u32,
     pad_0: u32,
 }
 assert_layout!(ProjectFrame, shaders::project_wgsl_pixel::project_frame, [
     steps: STEPS,
     step_count: STEP_COUNT,
     z_far_m: Z_FAR_M,
-    stride: STRIDE,
+    key_rows: KEY_ROWS,
     pad_0: PAD_0,
 ]);
 
 impl ProjectFrame {
-    /// `stride`: keys from row to row.
-    pub(super) fn new(schedule: &SplatSchedule, stride: u32) -> Self {
+    /// `key_rows`: rows of a panel of keys.
+    pub(super) fn new(schedule: &SplatSchedule, key_rows: u32) -> Self {
         let mut steps = [Step::default(); SplatSchedule::MAX_STEPS];
         for (to, from) in steps.iter_mut().zip(schedule.steps()) {
             *to = Step { z_max_m: from.z_max_m, radius: from.radius, ..Step::default() };
         }
         let step_count = schedule.steps().len() as u32;
-        Self { steps, step_count, z_far_m: schedule.z_far_m(), stride, pad_0: 0 }
+        Self { steps, step_count, z_far_m: schedule.z_far_m(), key_rows, pad_0: 0 }
     }
 }
 
@@ -132,20 +132,16 @@ assert_layout!(ProjectItem, shaders::project_wgsl_pixel::project_item, [
     end: END,
 ]);
 
-/// The items of a chunk of `count` points in a row.
+/// The items of some points (first and end) of a row.
 pub(super) fn items_of(
     draw: u32,
     row: u32,
-    count: u32,
+    [first, end]: [u32; 2],
     max_radius: u32,
 ) -> impl Iterator<Item = ProjectItem> {
-    let step = if max_radius > MAX_LOOKED_FOR { SQUARES_AT_ONCE } else { count.max(1) };
-    (0..count).step_by(step as usize).map(move |first| ProjectItem {
-        draw,
-        row,
-        first,
-        end: count.min(first + step),
-    })
+    let step = if max_radius > MAX_LOOKED_FOR { SQUARES_AT_ONCE } else { (end - first).max(1) };
+    let item = move |first| ProjectItem { draw, row, first, end: end.min(first + step) };
+    (first..end).step_by(step as usize).map(item)
 }
 
 /// Which items to draw.

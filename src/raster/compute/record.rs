@@ -4,7 +4,7 @@ use super::bands::Cut;
 use super::layers::Layers;
 use super::project::{ProjectItem, ProjectPush};
 use super::resolve::{Kind, ResolveBand, ResolvePush, ResolveStage, WANT_CLASS, WANT_COLOR, wants};
-use super::shared::Shared;
+use super::shared::{KEY_IMAGE_ROW_BYTES, Shared};
 use super::slot::{MapBuffer, Slot};
 use crate::gpu::{DescriptorSet, Device, GpuError, Recorder, Scope};
 use crate::raster::{FrameJob, SplatSchedule};
@@ -49,16 +49,15 @@ pub(super) fn clear<'a>(
     recorder: &mut Recorder<'a>,
     shared: &'a Shared,
     slot: &'a Slot,
-    (key_rows, blocks): (u32, usize),
+    (key_bytes, blocks): (u64, usize),
     layers: usize,
 ) -> Result<(), GpuError> {
     // The frame before may still be looking at them.
     recorder.barrier(Scope::Compute, Scope::CopyWrite);
     let rows = (blocks.div_ceil(super::chunk::CHUNK)).max(1) as u32;
     recorder.write_rows((&slot.block_rows, 0), &slot.blocks, 0, 0..rows)?;
-    let bytes = 8 * u64::from(shared.stride) * u64::from(key_rows);
     for layer in &shared.layers[..layers] {
-        recorder.fill(&layer.buffer, 0, bytes, EMPTY_WORD)?;
+        recorder.fill(&layer.buffer, 0, key_bytes, EMPTY_WORD)?;
     }
     recorder.barrier(Scope::CopyWrite, Scope::Compute);
     recorder.stamp("clear");
@@ -113,7 +112,7 @@ impl Resolve<'_> {
         let geometry = wanted & !(WANT_COLOR | semantics);
         let joint = self.cut.reductions.iter().flatten().all(super::bands::Reduction::joint);
         let rows_each = stage.rows_each(device);
-        let push = |wants| ResolvePush::new(self.job.schedule, rows_each, wants);
+        let push = |wants| ResolvePush::new(self.job.schedule, rows_each, wants, self.key_rows);
         let groups = stage.groups(self.bands, rows_each);
         let mut dispatch = |kind: Kind, layer: Option<usize>, wants: u32| -> Result<(), GpuError> {
             let Some(set) = layer.map(|layer| &sets[layer]) else { return Ok(()) };
@@ -146,7 +145,8 @@ impl Resolve<'_> {
     fn copy_keys<'a>(&self, recorder: &mut Recorder<'a>, shared: &'a Shared) -> Result<(), GpuError> {
         for layer in shared.layers[..self.layers.count].iter().filter(|layer| layer.copied) {
             recorder.barrier(Scope::Compute, Scope::CopyRead);
-            recorder.write_rows((&layer.buffer, 0), &layer.image, 0, 0..self.key_rows)?;
+            let rows = self.cut.key_bytes(self.key_rows).div_ceil(KEY_IMAGE_ROW_BYTES) as u32;
+            recorder.write_rows((&layer.buffer, 0), &layer.image, 0, 0..rows)?;
         }
         Ok(())
     }

@@ -63,6 +63,7 @@ pub(super) struct ResolvePush {
     band: u32,
     rows: u32,
     wants: u32,
+    key_rows: u32,
 }
 assert_layout!(ResolvePush, shaders::resolve_full_wgsl_both::resolve_push, [
     reach_1: REACH_1,
@@ -70,6 +71,7 @@ assert_layout!(ResolvePush, shaders::resolve_full_wgsl_both::resolve_push, [
     band: BAND,
     rows: ROWS,
     wants: WANTS,
+    key_rows: KEY_ROWS,
 ]);
 assert_layout!(ResolvePush, shaders::resolve_reduced_wgsl_both::resolve_push, [
     reach_1: REACH_1,
@@ -77,18 +79,19 @@ assert_layout!(ResolvePush, shaders::resolve_reduced_wgsl_both::resolve_push, [
     band: BAND,
     rows: ROWS,
     wants: WANTS,
+    key_rows: KEY_ROWS,
 ]);
 
 impl ResolvePush {
-    /// `rows`: of the result, per invocation; `wants`: bits of maps.
-    pub(super) fn new(schedule: &SplatSchedule, rows: u32, wants: u32) -> Self {
+    /// `rows`: of the result, per invocation; `wants`: bits of maps; `key_rows`: of a panel of keys.
+    pub(super) fn new(schedule: &SplatSchedule, rows: u32, wants: u32, key_rows: u32) -> Self {
         // What was drawn as squares is looked for in its own pixel only.
         let looked_for = schedule.max_radius() <= MAX_LOOKED_FOR;
         let reach = |radius: u32| {
             let covers = |step: &&SplatStep| looked_for && step.radius >= radius;
             schedule.steps().iter().rfind(covers).map_or(0, |step| step.z_max_m.to_bits())
         };
-        Self { reach_1: reach(1), reach_2: reach(2), band: 0, rows, wants }
+        Self { reach_1: reach(1), reach_2: reach(2), band: 0, rows, wants, key_rows }
     }
 }
 

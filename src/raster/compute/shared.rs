@@ -9,8 +9,13 @@ use super::resolve::ResolveStage;
 use super::store::Store;
 use crate::gpu::{Buffer, BufferDesc, Commands, Device, GpuError, Image, ImageDesc, Memory};
 
+/// Texels of two keys in a row of the image over a buffer of keys, and bytes.
+const KEY_IMAGE_WIDTH: u32 = 4096;
+pub(super) const KEY_IMAGE_ROW_BYTES: u64 = KEY_IMAGE_WIDTH as u64 * 16;
 /// Rows of an image over a buffer come in such groups.
 const ROW_STEP: u32 = 4;
+/// Keys come in steps of so many bytes.
+pub(super) const KEY_STEP_BYTES: u64 = KEY_IMAGE_ROW_BYTES * ROW_STEP as u64;
 
 /// A buffer of keys: `depth << 32 | number` of the nearest point per pixel.
 pub(super) struct KeyLayer {
@@ -28,9 +33,8 @@ pub(super) struct Shared {
     pub(super) reduced: Arc<ResolveStage>,
     pub(super) store: Arc<Store>,
     pub(super) layers: Vec<KeyLayer>,
-    /// Keys from row to row.
-    pub(super) stride: u32,
-    pub(super) key_rows: u32,
+    /// Room in each layer.
+    pub(super) key_bytes: u64,
     /// Counts the buffers of keys that there have been.
     pub(super) generation: u64,
     /// Chunks that are streamed at once.
@@ -44,19 +48,19 @@ impl Shared {
         device: &Arc<Device>,
         commands: &mut Commands,
         layers: usize,
-        [stride, rows]: [u32; 2],
+        key_bytes: u64,
         copied: bool,
     ) -> Result<Self, GpuError> {
-        let key_rows = rows.next_multiple_of(ROW_STEP);
-        let layer = |_| KeyLayer::new(device, commands, [stride, key_rows], copied);
+        let rows = key_bytes.div_ceil(KEY_IMAGE_ROW_BYTES) as u32;
+        let rows = rows.max(1).next_multiple_of(ROW_STEP);
+        let layer = |_| KeyLayer::new(device, commands, rows, copied);
         Ok(Self {
             project: self.project.clone(),
             full: self.full.clone(),
             reduced: self.reduced.clone(),
             store: self.store.clone(),
             layers: (0..layers).map(layer).collect::<Result<_, _>>()?,
-            stride,
-            key_rows,
+            key_bytes: KEY_IMAGE_ROW_BYTES * u64::from(rows),
             generation: self.generation + 1,
             streamed_rows: self.streamed_rows,
         })
@@ -64,19 +68,14 @@ impl Shared {
 }
 
 impl KeyLayer {
-    fn new(
-        device: &Arc<Device>,
-        commands: &mut Commands,
-        [stride, rows]: [u32; 2],
-        copied: bool,
-    ) -> Result<Self, GpuError> {
-        let size = 8 * u64::from(stride) * u64::from(rows);
+    fn new(device: &Arc<Device>, commands: &mut Commands, rows: u32, copied: bool) -> Result<Self, GpuError> {
+        let size = KEY_IMAGE_ROW_BYTES * u64::from(rows);
         let usage = Usage::STORAGE_BUFFER | Usage::TRANSFER_DST | Usage::TRANSFER_SRC;
         let buffer =
             Arc::new(Buffer::new(device, &BufferDesc { name: "keys", size, usage, memory: Memory::Device })?);
         let desc = ImageDesc {
             name: "keys as an image",
-            width: stride / 2,
+            width: KEY_IMAGE_WIDTH,
             height: rows,
             layers: None,
             format: vk::Format::R32G32B32A32_UINT,

@@ -77,7 +77,7 @@ impl Store {
         let chunks: Vec<(u32, u32)> = clouds
             .iter()
             .enumerate()
-            .flat_map(|(cloud, c)| (0..c.extents.len()).map(move |chunk| (cloud as u32, chunk as u32)))
+            .flat_map(|(cloud, c)| (0..c.chunks()).map(move |chunk| (cloud as u32, chunk as u32)))
             .collect();
         let rows = rows_within(device, chunks.len() as u64, limits)?;
         let colors = colors(device, commands, clouds, &chunks)?;
@@ -223,7 +223,7 @@ impl Residency {
         let mut chunks = 0;
         let mut first = |cloud: &ChunkedCloud<'_>| {
             let first = chunks as u32;
-            chunks += cloud.extents.len();
+            chunks += cloud.chunks();
             first
         };
         let firsts = clouds.iter().map(&mut first).collect();
