@@ -56,15 +56,11 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
             key_from(t0.y, t0.x), key_from(t0.w, t0.z), key_from(t1.y, t1.x), key_from(t1.w, t1.z),
             key_from(t2.y, t2.x), key_from(t2.w, t2.z), key_from(t3.y, t3.x), key_from(t3.w, t3.z),
         );
-        var n1: array<i64, 8>;
-        var n2: array<i64, 8>;
-        for (var j = 0u; j < 8u; j++) {
-            n1[j] = select(EMPTY, k[j], k[j] <= reach_1);
-            n2[j] = select(EMPTY, k[j], k[j] <= reach_2);
-        }
         for (var c = 0u; c < 4u; c++) {
-            let m2 = lower(lower(lower(n2[c], n2[c + 1u]), lower(n2[c + 2u], n2[c + 3u])), n2[c + 4u]);
-            let m1 = lower(m2, lower(lower(n1[c + 1u], n1[c + 2u]), n1[c + 3u]));
+            let three = lower(lower(k[c + 1u], k[c + 2u]), k[c + 3u]);
+            let five = lower(three, lower(k[c], k[c + 4u]));
+            let m2 = select(EMPTY, five, five <= reach_2);
+            let m1 = lower(m2, select(EMPTY, three, three <= reach_1));
             let m0 = lower(m1, k[c + 2u]);
             a0[c] = lower(a1[c], m2);
             a1[c] = lower(a2[c], m1);

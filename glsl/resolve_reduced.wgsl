@@ -41,16 +41,10 @@ var<private> reach_1: i64;
 var<private> reach_2: i64;
 
 fn fold(column: u32, k0: i64, k1: i64, k2: i64, k3: i64, k4: i64) {
-    let f0 = select(EMPTY, k0, k0 <= reach_2);
-    let f4 = select(EMPTY, k4, k4 <= reach_2);
-    let n1 = select(EMPTY, k1, k1 <= reach_1);
-    let n3 = select(EMPTY, k3, k3 <= reach_1);
-    let n2 = select(EMPTY, k2, k2 <= reach_1);
-    let f1 = select(EMPTY, k1, k1 <= reach_2);
-    let f3 = select(EMPTY, k3, k3 <= reach_2);
-    let f2 = select(EMPTY, k2, k2 <= reach_2);
-    let m2 = lower(lower(lower(f0, f1), lower(f3, f4)), f2);
-    let m1 = lower(m2, lower(lower(n1, n2), n3));
+    let three = lower(lower(k1, k2), k3);
+    let five = lower(three, lower(k0, k4));
+    let m2 = select(EMPTY, five, five <= reach_2);
+    let m1 = lower(m2, select(EMPTY, three, three <= reach_1));
     let m0 = lower(m1, k2);
     winners[column][0] = lower(winners[column][1], m2);
     winners[column][1] = lower(winners[column][2], m1);
