@@ -79,34 +79,54 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
                 blocks_of[c].y = select(number + blocks_of[c].y, 0u, a0[c] == EMPTY);
                 blocks_of[c].z = select(blocks_of[c].z, 0u, a0[c] == EMPTY);
             }
-            var low = pair(packed[0], packed[1]);
-            var high = pair(packed[2], packed[3]);
+            // Maps are empty already: what is empty need not be written, and most of an image may be.
+            let left = a0[0] != EMPTY || a0[1] != EMPTY;
+            let right = a0[2] != EMPTY || a0[3] != EMPTY;
             if GEOMETRY {
-                if (push.wants & WANT_DEPTH) != 0u {
+                if left && (push.wants & WANT_DEPTH) != 0u {
                     depth[at] = pair(depth_bits(a0[0]), depth_bits(a0[1]));
+                }
+                if right && (push.wants & WANT_DEPTH) != 0u {
                     depth[at + 1u] = pair(depth_bits(a0[2]), depth_bits(a0[3]));
                 }
-                if (push.wants & WANT_INSTANCE) != 0u {
-                    instance[at] = pair(blocks_of[0].z, blocks_of[1].z);
-                    instance[at + 1u] = pair(blocks_of[2].z, blocks_of[3].z);
+                let instances = vec2(pair(blocks_of[0].z, blocks_of[1].z), pair(blocks_of[2].z, blocks_of[3].z));
+                if instances.x != 0lu && (push.wants & WANT_INSTANCE) != 0u {
+                    instance[at] = instances.x;
                 }
-                if POINT {
+                if instances.y != 0lu && (push.wants & WANT_INSTANCE) != 0u {
+                    instance[at + 1u] = instances.y;
+                }
+                if POINT && left {
                     point[at] = pair(blocks_of[0].y, blocks_of[1].y);
+                }
+                if POINT && right {
                     point[at + 1u] = pair(blocks_of[2].y, blocks_of[3].y);
                 }
             }
-            if COLOR && GEOMETRY {
-                if (push.wants & (WANT_COLOR | WANT_CLASS)) == (WANT_COLOR | WANT_CLASS) {
+            var low = pair(packed[0], packed[1]);
+            var high = pair(packed[2], packed[3]);
+            if COLOR && !GEOMETRY {
+                low &= 0x00ffffff00fffffflu;
+                high &= 0x00ffffff00fffffflu;
+            }
+            if GEOMETRY && !COLOR {
+                // Color stands there already, or zeros.
+                let bits = select(0lu, 0xff000000ff000000lu, (push.wants & WANT_CLASS) != 0u);
+                low &= bits;
+                high &= bits;
+                if low != 0lu {
+                    rgb_class[at] |= low;
+                }
+                if high != 0lu {
+                    rgb_class[at + 1u] |= high;
+                }
+            } else {
+                if low != 0lu {
                     rgb_class[at] = low;
+                }
+                if high != 0lu {
                     rgb_class[at + 1u] = high;
                 }
-            } else if COLOR {
-                rgb_class[at] = low & 0x00ffffff00fffffflu;
-                rgb_class[at + 1u] = high & 0x00ffffff00fffffflu;
-            } else if (push.wants & WANT_CLASS) != 0u {
-                // Color stands there already, or zeros.
-                rgb_class[at] |= low & 0xff000000ff000000lu;
-                rgb_class[at + 1u] |= high & 0xff000000ff000000lu;
             }
         }
     }

@@ -139,14 +139,15 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
             let number = number_of(key);
             let block = block_of(number);
             class_bits = select(color_of(number + block.x) & 0xff000000u, 0u, key == EMPTY);
-            if (push.wants & WANT_DEPTH) != 0u {
+            // Maps are empty already: what is empty need not be written.
+            if key != EMPTY && (push.wants & WANT_DEPTH) != 0u {
                 depth[pixel] = depth_bits(key);
             }
-            if (push.wants & WANT_INSTANCE) != 0u {
-                instance[pixel] = select(block.z, 0u, key == EMPTY);
+            if key != EMPTY && block.z != 0u && (push.wants & WANT_INSTANCE) != 0u {
+                instance[pixel] = block.z;
             }
-            if POINT {
-                point[pixel] = select(number + block.y, 0u, key == EMPTY);
+            if POINT && key != EMPTY {
+                point[pixel] = number + block.y;
             }
         }
         if COLOR {
@@ -160,8 +161,11 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
             let lower = (tap.weights.y * across(column.weights)) >> vec3(16u);
             let rgb = vec3<u32>((upper + lower + 2) >> vec3(2u));
             let packed = rgb.x | (rgb.y << 8u) | (rgb.z << 16u);
-            rgb_class[pixel] = select(packed, packed | class_bits, (push.wants & WANT_CLASS) != 0u);
-        } else if (push.wants & WANT_CLASS) != 0u {
+            let both = select(packed, packed | class_bits, (push.wants & WANT_CLASS) != 0u);
+            if both != 0u {
+                rgb_class[pixel] = both;
+            }
+        } else if class_bits != 0u && (push.wants & WANT_CLASS) != 0u {
             // Color stands there already, or zeros.
             rgb_class[pixel] |= class_bits;
         }

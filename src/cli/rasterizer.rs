@@ -22,10 +22,18 @@ pub(super) struct RasterizerArgs {
 impl RasterizerArgs {
     /// Makes the rasterizer and gives it its clouds.
     pub(super) fn create<'a>(&self, clouds: CloudSet<'a>) -> anyhow::Result<Box<dyn Rasterizer + 'a>> {
-        let cpu = self.rasterizer == RasterizerKind::Cpu;
-        if let Some(device) = self.device.as_ref().filter(|_| cpu) {
-            let message = format!("expected no --device with --rasterizer cpu, found {device:?}");
-            return Err(WrongUsage(message).into());
+        let kind = self.rasterizer;
+        let unfit = match (&self.device, self.gpu_memory) {
+            (Some(device), _) if kind == RasterizerKind::Cpu => {
+                Some(format!("--device with --rasterizer cpu, found {device:?}"))
+            }
+            (_, Some(mib)) if matches!(kind, RasterizerKind::Cpu | RasterizerKind::Raster) => {
+                Some(format!("--gpu-memory with --rasterizer {kind}, found {mib}"))
+            }
+            _ => None,
+        };
+        if let Some(unfit) = unfit {
+            return Err(WrongUsage(format!("expected no {unfit}")).into());
         }
         let memory_bytes = self.gpu_memory.map(|mib| u64::from(mib) << 20);
         let desc = RasterizerDesc { kind: self.rasterizer, device: self.device.clone(), memory_bytes };

@@ -8,4 +8,4 @@ mod exact;
 mod fixture;
 mod frames;
 mod random;
-mod twins;
+pub(crate) mod twins;

@@ -382,7 +382,7 @@ impl Phases<'_, '_> {
         flight.start(shared, |recorder, shared, slot| {
             if first {
                 let sizes = (self.work.cut.key_bytes(self.resolve.key_rows), self.blocks);
-                record::clear_colors(recorder, slot, self.work.job, self.resolve.pixels)?;
+                record::clear_maps(recorder, slot, self.work.job, self.resolve.pixels)?;
                 record::clear(recorder, shared, slot, sizes, layers)?;
             }
             record::project(recorder, shared, slot, runs, (schedule, layers))?;

@@ -5,7 +5,7 @@ use super::layers::Layers;
 use super::project::{ProjectItem, ProjectPush};
 use super::resolve::{Kind, ResolveBand, ResolvePush, ResolveStage, WANT_CLASS, WANT_COLOR, wants};
 use super::shared::{KEY_IMAGE_ROW_BYTES, Shared};
-use super::slot::{MapBuffer, Slot};
+use super::slot::{DEPTH, MapBuffer, Slot};
 use crate::gpu::{DescriptorSet, Device, GpuError, Recorder, Scope};
 use crate::raster::{FrameJob, SplatSchedule};
 
@@ -170,15 +170,18 @@ impl Resolve<'_> {
     }
 }
 
-/// Zeros where only classes will stand beside colors that nobody asked for.
-pub(super) fn clear_colors<'a>(
+/// Empty maps: the resolve shaders write only what is not empty.
+pub(super) fn clear_maps<'a>(
     recorder: &mut Recorder<'a>,
     slot: &'a Slot,
     job: &FrameJob<'_>,
     pixels: usize,
 ) -> Result<(), GpuError> {
-    if job.kinds.class && !job.kinds.color {
-        recorder.fill(&slot.maps[super::slot::RGB_CLASS].device, 0, 4 * pixels as u64, 0)?;
+    for (index, wanted) in Slot::wanted(job.kinds).into_iter().enumerate() {
+        if wanted {
+            let word = if index == DEPTH { f32::INFINITY.to_bits() } else { 0 };
+            recorder.fill(&slot.maps[index].device, 0, 4 * pixels as u64, word)?;
+        }
     }
     Ok(())
 }
