@@ -75,6 +75,10 @@ fn weighted<'a>(pixels: impl Iterator<Item = &'a [u8; 3]>, weights: &[i32]) -> [
 pub fn pil_bilinear(map: &[[u8; 3]], from: ImageSize, to: ImageSize) -> Vec<[u8; 3]> {
     let (rows, columns) = (triangle(from.height, to.height), triangle(from.width, to.width));
     let across = |row: &[[u8; 3]]| -> Vec<[u8; 3]> {
+        // Layouts are mostly black, and black gives black.
+        if row.iter().all(|pixel| *pixel == [0; 3]) {
+            return vec![[0; 3]; columns.len()];
+        }
         columns.iter().map(|(first, weights)| weighted(row[*first..].iter(), weights)).collect()
     };
     let across: Vec<[u8; 3]> = map.par_chunks_exact(from.width as usize).flat_map_iter(across).collect();

@@ -113,7 +113,6 @@ fn filled(maps: &FrameMaps<'_>) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use std::borrow::Cow;
 
     use super::*;
     use crate::geometry::ImageSize;
@@ -146,11 +145,11 @@ mod tests {
             let name = self.in_flight.pop_front().ok_or(RasterError::NoFrame)?;
             self.diary += &format!("f{name} ");
             self.work("finish");
-            let empty = || Cow::Owned(Vec::new());
+            let empty = || Vec::new().into();
             Ok(vec![ViewMaps {
                 size: ImageSize { height: 1, width: 3 },
                 rgb_class: empty(),
-                depth_m: Cow::Owned(vec![2.5, f32::INFINITY, name as f32]),
+                depth_m: vec![2.5, f32::INFINITY, name as f32].into(),
                 instance: empty(),
                 point: empty(),
             }])
