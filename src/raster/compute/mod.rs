@@ -15,10 +15,12 @@ mod bands;
 mod chunk;
 mod cull;
 mod layers;
+mod phases;
 mod plan;
 mod project;
 mod record;
 mod resolve;
+mod results;
 mod shared;
 mod slot;
 mod store;
@@ -30,22 +32,24 @@ use std::time::Instant;
 use self::bands::{Band, Cut, PartLimits};
 use self::chunk::ChunkedCloud;
 use self::layers::Layers;
+use self::phases::{Phases, Work};
 use self::plan::{BandResult, Numbering, PartPlan, PlannedItem};
 use self::project::{ProjectFrame, ProjectStage, items_of};
-use self::record::{PlacedItem, Resolve, Run, runs_of};
+use self::record::{PlacedItem, Resolve, runs_of};
 use self::resolve::ResolveStage;
+use self::results::{OwnedMaps, empty, read_maps, read_parts};
 use self::shared::{KEY_IMAGE_ROW_BYTES, KEY_STEP_BYTES, Shared};
-use self::slot::{DEPTH, INSTANCE, MAPS, Needs, POINT, RGB_CLASS, Slot};
+use self::slot::{Needs, Slot};
 use self::store::{ROW_BYTES, Residency, STREAMED_ROWS, Store, StoreLimits};
 use super::frame::frame_by_views;
 use super::lines::Lines;
 use super::vulkan::tile_limits;
 use super::{
-    CloudSet, FRAMES_IN_FLIGHT, FrameJob, FrameKinds, FrameMaps, Occlusion, Plane, Planes, RasterError,
-    Rasterizer, RasterizerInfo, Segment, SplatJob, SplatMaps, StageTimes, ViewMaps,
+    CloudSet, FRAMES_IN_FLIGHT, FrameJob, FrameKinds, FrameMaps, Occlusion, Planes, RasterError, Rasterizer,
+    RasterizerInfo, Segment, SplatJob, SplatMaps, StageTimes,
 };
 use crate::geometry::ImageSize;
-use crate::gpu::{Commands, Device, Flight, GpuError, Scope};
+use crate::gpu::{Commands, Device, Flight, GpuError};
 
 /// How a [`ComputeRasterizer`] divides its work; the default is what the device can do. Results never depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -353,177 +357,12 @@ impl<'a> ComputeRasterizer<'a> {
     }
 }
 
-/// What all parts of a frame share.
-struct Work<'j> {
-    job: &'j FrameJob<'j>,
-    layers: Layers,
-    cut: &'j Cut,
-    numbering: &'j Numbering,
-}
-
-/// What a part records.
-struct Phases<'w, 'j> {
-    device: &'w Device,
-    work: &'w Work<'j>,
-    resolve: &'w Resolve<'w>,
-    blocks: usize,
-}
-
-impl Phases<'_, '_> {
-    /// Chunks that are there; before them the clearing, after them the resolving, if it is time for that.
-    fn start(
-        &self,
-        flight: &mut Flight<Shared, Slot>,
-        shared: &Arc<Shared>,
-        (first, last): (bool, bool),
-        runs: &[Run],
-    ) -> Result<(), GpuError> {
-        let (schedule, layers) = (self.work.job.schedule, self.work.layers.count);
-        flight.start(shared, |recorder, shared, slot| {
-            if first {
-                let sizes = (self.work.cut.key_bytes(self.resolve.key_rows), self.blocks);
-                record::clear_maps(recorder, slot, self.work.job, self.resolve.pixels)?;
-                record::clear(recorder, shared, slot, sizes, layers)?;
-            }
-            record::project(recorder, shared, slot, runs, (schedule, layers))?;
-            if last {
-                self.resolve.record(recorder, self.device, shared, slot)?;
-            }
-            Ok(())
-        })
-    }
-
-    /// Chunks that come from the host into these rows.
-    fn stream(
-        &self,
-        flight: &mut Flight<Shared, Slot>,
-        shared: &Arc<Shared>,
-        rows: &[u32],
-        runs: &[Run],
-    ) -> Result<(), GpuError> {
-        let (schedule, layers) = (self.work.job.schedule, self.work.layers.count);
-        flight.start(shared, |recorder, shared, slot| {
-            recorder.barrier(Scope::Compute, Scope::CopyWrite);
-            if let Some(staging) = &slot.staging {
-                for (first, count) in neighbours(rows, shared.store.page_rows) {
-                    let (page, row) = shared.store.place(rows[first]);
-                    let from = (&**staging, first as u64 * ROW_BYTES);
-                    recorder.write_rows(from, &shared.store.pages[page].image, 0, row..row + count as u32)?;
-                }
-            }
-            recorder.stamp("stream");
-            record::project(recorder, shared, slot, runs, (schedule, layers))
-        })
-    }
-}
-
-/// Cuts ascending rows where one does not follow the other, or where a page ends: first and count of each piece.
-fn neighbours(rows: &[u32], page_rows: u32) -> Vec<(usize, usize)> {
-    let mut pieces: Vec<(usize, usize)> = Vec::new();
-    for (i, row) in rows.iter().enumerate() {
-        match pieces.last_mut() {
-            Some((_, count)) if rows[i - 1] + 1 == *row && row % page_rows != 0 => *count += 1,
-            _ => pieces.push((i, 1)),
-        }
-    }
-    pieces
-}
-
 fn part_limits(device: &Device, desc: ComputeRasterizerDesc) -> PartLimits {
     let key_rows = desc.key_rows.unwrap_or(u32::MAX);
     let bytes = device.max_storage_buffer();
     let image_bytes = u64::from(device.max_image_side()) * KEY_IMAGE_ROW_BYTES;
     let key_bytes = bytes.min(image_bytes) / KEY_STEP_BYTES * KEY_STEP_BYTES;
     PartLimits { key_bytes, key_rows, pixels: bytes / 8 * 2 }
-}
-
-fn empty(size: ImageSize) -> ViewMaps<'static> {
-    let none = || Plane::from(Vec::new());
-    ViewMaps { size, rgb_class: none(), depth_m: Vec::new().into(), instance: none(), point: none() }
-}
-
-/// Maps of a view that are put together from parts.
-struct OwnedMaps {
-    size: ImageSize,
-    maps: [Vec<u32>; MAPS],
-}
-
-impl OwnedMaps {
-    fn new(size: ImageSize, kinds: FrameKinds) -> Self {
-        let map = |wanted: bool| vec![0; if wanted { size.pixels() } else { 0 }];
-        Self { size, maps: Slot::wanted(kinds).map(map) }
-    }
-
-    fn done(self) -> ViewMaps<'static> {
-        let [rgb_class, depth, instance, point] = self.maps;
-        ViewMaps {
-            size: self.size,
-            rgb_class: rgb_class.into(),
-            depth_m: bytemuck::cast_vec(depth).into(),
-            instance: instance.into(),
-            point: point.into(),
-        }
-    }
-}
-
-/// Copies what a part has of each view.
-fn read_parts(
-    slot: &Slot,
-    results: &[BandResult],
-    kinds: FrameKinds,
-    maps: &mut [OwnedMaps],
-) -> Result<(), GpuError> {
-    for (index, _) in Slot::wanted(kinds).iter().enumerate().filter(|(_, wanted)| **wanted) {
-        let memory = slot.maps[index].readable().map()?;
-        let words: &[u32] = bytemuck::cast_slice(&memory);
-        for result in results {
-            let view = &mut maps[result.band.view];
-            let width = view.size.width as usize;
-            for (i, row) in (result.band.rows[0]..result.band.rows[1]).enumerate() {
-                let from = result.pixel + i * result.row_pixels;
-                view.maps[index][row as usize * width..][..width].copy_from_slice(&words[from..][..width]);
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Maps of a frame of one part: where the device wrote them, unless their rows have gaps.
-fn read_maps<'s>(
-    slot: &'s Slot,
-    results: &[BandResult],
-    sizes: &[ImageSize],
-    kinds: FrameKinds,
-) -> Result<FrameMaps<'s>, RasterError> {
-    let gapless = |r: &BandResult| r.row_pixels == sizes[r.band.view].width as usize;
-    if !results.iter().all(gapless) {
-        let mut maps: Vec<OwnedMaps> = sizes.iter().map(|size| OwnedMaps::new(*size, kinds)).collect();
-        read_parts(slot, results, kinds, &mut maps)?;
-        return Ok(maps.into_iter().map(OwnedMaps::done).collect());
-    }
-    let mut memory: [Option<Arc<crate::gpu::Mapped<'s>>>; MAPS] = [const { None }; MAPS];
-    for (index, _) in Slot::wanted(kinds).iter().enumerate().filter(|(_, wanted)| **wanted) {
-        memory[index] = Some(Arc::new(slot.maps[index].readable().map()?));
-    }
-    let bytes = |result: &BandResult| {
-        let first = 4 * result.pixel;
-        first..first + 4 * sizes[result.band.view].pixels()
-    };
-    let words = |index: usize, result: &BandResult| {
-        let mapped = memory[index].clone().map(|memory| Plane::mapped(memory, bytes(result)));
-        mapped.unwrap_or_else(|| Vec::new().into())
-    };
-    let view = |result: &BandResult| ViewMaps {
-        size: sizes[result.band.view],
-        rgb_class: words(RGB_CLASS, result),
-        depth_m: memory[DEPTH]
-            .clone()
-            .map_or_else(|| Vec::new().into(), |memory| Plane::mapped(memory, bytes(result))),
-        instance: words(INSTANCE, result),
-        point: words(POINT, result),
-    };
-    // One band a view: a view of several does not fit one part.
-    Ok(results.iter().map(view).collect())
 }
 
 impl Rasterizer for ComputeRasterizer<'_> {
@@ -584,16 +423,5 @@ impl Rasterizer for ComputeRasterizer<'_> {
 
     fn take_stages(&mut self) -> StageTimes {
         std::mem::take(&mut self.stages)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rows_are_cut_where_they_do_not_follow() {
-        assert_eq!(neighbours(&[3, 4, 5, 7, 8, 9], 8), [(0, 3), (3, 1), (4, 2)]);
-        assert_eq!(neighbours(&[], 8), []);
     }
 }

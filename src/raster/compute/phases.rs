@@ -1,0 +1,100 @@
+//! What a part of a frame submits: at once, or in pieces while positions are streamed.
+
+use std::sync::Arc;
+
+use super::bands::Cut;
+use super::layers::Layers;
+use super::plan::Numbering;
+use super::record::{self, Resolve, Run};
+use super::shared::Shared;
+use super::slot::Slot;
+use super::store::ROW_BYTES;
+use crate::gpu::{Device, Flight, GpuError, Scope};
+use crate::raster::FrameJob;
+
+/// What all parts of a frame share.
+pub(super) struct Work<'j> {
+    pub(super) job: &'j FrameJob<'j>,
+    pub(super) layers: Layers,
+    pub(super) cut: &'j Cut,
+    pub(super) numbering: &'j Numbering,
+}
+
+/// What a part records.
+pub(super) struct Phases<'w, 'j> {
+    pub(super) device: &'w Device,
+    pub(super) work: &'w Work<'j>,
+    pub(super) resolve: &'w Resolve<'w>,
+    pub(super) blocks: usize,
+}
+
+impl Phases<'_, '_> {
+    /// Chunks that are there; before them the clearing, after them the resolving, if it is time for that.
+    pub(super) fn start(
+        &self,
+        flight: &mut Flight<Shared, Slot>,
+        shared: &Arc<Shared>,
+        (first, last): (bool, bool),
+        runs: &[Run],
+    ) -> Result<(), GpuError> {
+        let (schedule, layers) = (self.work.job.schedule, self.work.layers.count);
+        flight.start(shared, |recorder, shared, slot| {
+            if first {
+                let sizes = (self.work.cut.key_bytes(self.resolve.key_rows), self.blocks);
+                record::clear_maps(recorder, slot, self.work.job, self.resolve.pixels)?;
+                record::clear(recorder, shared, slot, sizes, layers)?;
+            }
+            record::project(recorder, shared, slot, runs, (schedule, layers))?;
+            if last {
+                self.resolve.record(recorder, self.device, shared, slot)?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Chunks that come from the host into these rows.
+    pub(super) fn stream(
+        &self,
+        flight: &mut Flight<Shared, Slot>,
+        shared: &Arc<Shared>,
+        rows: &[u32],
+        runs: &[Run],
+    ) -> Result<(), GpuError> {
+        let (schedule, layers) = (self.work.job.schedule, self.work.layers.count);
+        flight.start(shared, |recorder, shared, slot| {
+            recorder.barrier(Scope::Compute, Scope::CopyWrite);
+            if let Some(staging) = &slot.staging {
+                for (first, count) in neighbours(rows, shared.store.page_rows) {
+                    let (page, row) = shared.store.place(rows[first]);
+                    let from = (&**staging, first as u64 * ROW_BYTES);
+                    recorder.write_rows(from, &shared.store.pages[page].image, 0, row..row + count as u32)?;
+                }
+            }
+            recorder.stamp("stream");
+            record::project(recorder, shared, slot, runs, (schedule, layers))
+        })
+    }
+}
+
+/// Cuts ascending rows where one does not follow the other, or where a page ends: first and count of each piece.
+fn neighbours(rows: &[u32], page_rows: u32) -> Vec<(usize, usize)> {
+    let mut pieces: Vec<(usize, usize)> = Vec::new();
+    for (i, row) in rows.iter().enumerate() {
+        match pieces.last_mut() {
+            Some((_, count)) if rows[i - 1] + 1 == *row && row % page_rows != 0 => *count += 1,
+            _ => pieces.push((i, 1)),
+        }
+    }
+    pieces
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_cut_where_they_do_not_follow() {
+        assert_eq!(neighbours(&[3, 4, 5, 7, 8, 9], 8), [(0, 3), (3, 1), (4, 2)]);
+        assert_eq!(neighbours(&[], 8), []);
+    }
+}

@@ -1,0 +1,99 @@
+//! A frame's maps, as the host gets them.
+
+use std::sync::Arc;
+
+use super::plan::BandResult;
+use super::slot::{DEPTH, INSTANCE, MAPS, POINT, RGB_CLASS, Slot};
+use crate::geometry::ImageSize;
+use crate::gpu::{GpuError, Mapped};
+use crate::raster::{FrameKinds, FrameMaps, Plane, RasterError, ViewMaps};
+
+/// A view without maps.
+pub(super) fn empty(size: ImageSize) -> ViewMaps<'static> {
+    let none = || Plane::from(Vec::new());
+    ViewMaps { size, rgb_class: none(), depth_m: Vec::new().into(), instance: none(), point: none() }
+}
+
+/// Maps of a view that are put together from parts.
+pub(super) struct OwnedMaps {
+    size: ImageSize,
+    maps: [Vec<u32>; MAPS],
+}
+
+impl OwnedMaps {
+    pub(super) fn new(size: ImageSize, kinds: FrameKinds) -> Self {
+        let map = |wanted: bool| vec![0; if wanted { size.pixels() } else { 0 }];
+        Self { size, maps: Slot::wanted(kinds).map(map) }
+    }
+
+    pub(super) fn done(self) -> ViewMaps<'static> {
+        let [rgb_class, depth, instance, point] = self.maps;
+        ViewMaps {
+            size: self.size,
+            rgb_class: rgb_class.into(),
+            depth_m: bytemuck::cast_vec(depth).into(),
+            instance: instance.into(),
+            point: point.into(),
+        }
+    }
+}
+
+/// Copies what a part has of each view.
+pub(super) fn read_parts(
+    slot: &Slot,
+    results: &[BandResult],
+    kinds: FrameKinds,
+    maps: &mut [OwnedMaps],
+) -> Result<(), GpuError> {
+    for (index, _) in Slot::wanted(kinds).iter().enumerate().filter(|(_, wanted)| **wanted) {
+        let memory = slot.maps[index].readable().map()?;
+        let words: &[u32] = bytemuck::cast_slice(&memory);
+        for result in results {
+            let view = &mut maps[result.band.view];
+            let width = view.size.width as usize;
+            for (i, row) in (result.band.rows[0]..result.band.rows[1]).enumerate() {
+                let from = result.pixel + i * result.row_pixels;
+                view.maps[index][row as usize * width..][..width].copy_from_slice(&words[from..][..width]);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Maps of a frame of one part: where the device wrote them, unless their rows have gaps.
+pub(super) fn read_maps<'s>(
+    slot: &'s Slot,
+    results: &[BandResult],
+    sizes: &[ImageSize],
+    kinds: FrameKinds,
+) -> Result<FrameMaps<'s>, RasterError> {
+    let gapless = |r: &BandResult| r.row_pixels == sizes[r.band.view].width as usize;
+    if !results.iter().all(gapless) {
+        let mut maps: Vec<OwnedMaps> = sizes.iter().map(|size| OwnedMaps::new(*size, kinds)).collect();
+        read_parts(slot, results, kinds, &mut maps)?;
+        return Ok(maps.into_iter().map(OwnedMaps::done).collect());
+    }
+    let mut memory: [Option<Arc<Mapped<'s>>>; MAPS] = [const { None }; MAPS];
+    for (index, _) in Slot::wanted(kinds).iter().enumerate().filter(|(_, wanted)| **wanted) {
+        memory[index] = Some(Arc::new(slot.maps[index].readable().map()?));
+    }
+    let bytes = |result: &BandResult| {
+        let first = 4 * result.pixel;
+        first..first + 4 * sizes[result.band.view].pixels()
+    };
+    let words = |index: usize, result: &BandResult| {
+        let mapped = memory[index].clone().map(|memory| Plane::mapped(memory, bytes(result)));
+        mapped.unwrap_or_else(|| Vec::new().into())
+    };
+    let view = |result: &BandResult| ViewMaps {
+        size: sizes[result.band.view],
+        rgb_class: words(RGB_CLASS, result),
+        depth_m: memory[DEPTH]
+            .clone()
+            .map_or_else(|| Vec::new().into(), |memory| Plane::mapped(memory, bytes(result))),
+        instance: words(INSTANCE, result),
+        point: words(POINT, result),
+    };
+    // One band a view: a view of several does not fit one part.
+    Ok(results.iter().map(view).collect())
+}
