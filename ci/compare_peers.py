@@ -248,7 +248,8 @@ def parse_args():
     parser.add_argument("--rounds", type=count(1), default=5, help="default 5")
     parser.add_argument("--repeat", type=count(1), default=20, help="timed frames a run (default 20)")
     parser.add_argument("--work", type=Path, help="folder for the street and the build (default: a temporary one)")
-    parser.add_argument("--pskel", type=Path, default=ROOT / "target/release/pskel", help="default: %(default)s")
+    parser.add_argument("--pskel", type=Path, default=ROOT / "target/release/pskel",
+                        help="default: target/release/pskel of this checkout")
     parser.add_argument("--rasterizer", default="auto", help="what pskel draws by (default: auto)")
     maps = "color,depth,class,point"
     parser.add_argument("--maps", default=maps, help=f"of pskel (default: {maps}, those that native makes)")

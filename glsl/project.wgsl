@@ -1,5 +1,5 @@
 // Points to keys: each point goes into its pixel of a buffer by an atomic minimum of `depth << 32 | number`. One
-// workgroup draws one chunk into one band of a view. The operations and their order are those of `project` in
+// workgroup draws an item into one band of a view: up to 4096 points of a chunk. The operations and their order are those of `project` in
 // src/raster/cpu.rs.
 //
 // With SQUARE a point goes into all pixels that it covers; without, only into its centre, and the resolve shaders look

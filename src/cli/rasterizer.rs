@@ -13,8 +13,9 @@ pub(super) struct RasterizerArgs {
     /// Vulkan device by index or by part of its name [default: $PSKEL_DEVICE, else the fastest]
     #[arg(long, value_name = "NAME|INDEX")]
     pub(super) device: Option<String>,
-    /// Device memory that points may take, MiB, 20 bytes a point; beyond it positions are streamed from the host
-    /// (compute) [default: all that is needed]
+    /// Device memory for points, MiB, 20 bytes a point; with less, positions are streamed from the host (compute alone).
+    /// At least 64 MiB and 4 bytes a point, or all points if they take less; keys and maps come on top
+    /// [default: all that is needed]
     #[arg(long, value_name = "MIB")]
     pub(super) gpu_memory: Option<u32>,
 }

@@ -74,9 +74,8 @@ impl Commands {
 impl Commands {
     /// Waits for what was submitted from these commands.
     pub(super) fn wait(&mut self, submitted: Submitted) -> Result<Vec<(&'static str, Duration)>, GpuError> {
-        let waited = self.device.wait(self.fence);
+        self.device.wait(self.fence)?;
         submitted.users.iter().for_each(|users| users.leave());
-        waited?;
         let stages = submitted.stages;
         let Some(timer) = &self.timer else { return Ok(vec![("gpu", submitted.start.elapsed())]) };
         Ok(stages.iter().copied().zip(timer.durations(stages.len())?).collect())
@@ -166,6 +165,7 @@ impl<'a> Recorder<'a> {
     /// The buffer is too small.
     pub fn update(&mut self, buffer: &'a Buffer, offset: u64, data: &[u8]) -> Result<(), GpuError> {
         const MAX: usize = 65_536;
+        self.uses(buffer);
         buffer.check(offset + data.len() as u64)?;
         for (i, part) in data.chunks(MAX).enumerate() {
             let at = offset + (i * MAX) as u64;
@@ -180,6 +180,7 @@ impl<'a> Recorder<'a> {
     /// # Errors
     /// The buffer is too small.
     pub fn fill(&mut self, buffer: &'a Buffer, offset: u64, size: u64, word: u32) -> Result<(), GpuError> {
+        self.uses(buffer);
         buffer.check(offset + size)?;
         // SAFETY: recording outside a pass; the range is inside the buffer.
         unsafe { self.device().cmd_fill_buffer(self.raw(), buffer.raw, offset, size, word) };

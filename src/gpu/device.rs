@@ -282,7 +282,14 @@ impl Device {
     /// Waits for a submit. Whatever was recorded is done afterwards, and the host may read results.
     pub(super) fn wait(&self, fence: vk::Fence) -> Result<(), GpuError> {
         // SAFETY: the fence is of this device and was submitted.
-        unsafe { self.raw.wait_for_fences(&[fence], true, u64::MAX) }.map_err(call("vkWaitForFences"))?;
+        let waited = unsafe { self.raw.wait_for_fences(&[fence], true, u64::MAX) };
+        if waited.is_err() {
+            // Whatever the reason, nothing may run when this returns; a lost device runs nothing any more.
+            let _queue = lock(&self.queue);
+            // SAFETY: the lock gives the queue to this thread.
+            let _ = unsafe { self.raw.device_wait_idle() };
+        }
+        waited.map_err(call("vkWaitForFences"))?;
         // SAFETY: the fence is signaled, so nothing uses it any more.
         unsafe { self.raw.reset_fences(&[fence]) }.map_err(call("vkResetFences"))?;
         self.check_validation()

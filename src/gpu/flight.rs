@@ -9,14 +9,15 @@ use super::{Device, GpuError, Recorder};
 /// A command buffer, what it alone uses (`T`: buffers that the host fills and reads), and, while it runs, a share of
 /// what all flights use (`S`).
 ///
-/// What is recorded can only come from the two of them, and neither is let go or changed before it is done.
-pub struct Flight<S, T> {
+/// What is recorded can only come from the two of them, and neither is let go or changed before it is done. Both own all
+/// that they hold (`'static`), so that a flight which is never dropped keeps it alive too.
+pub struct Flight<S: 'static, T: 'static> {
     commands: Commands,
     own: T,
     running: Option<(Submitted, Arc<S>)>,
 }
 
-impl<S, T> Flight<S, T> {
+impl<S: 'static, T: 'static> Flight<S, T> {
     /// A command buffer with its own things.
     ///
     /// # Errors
@@ -68,7 +69,7 @@ impl<S, T> Flight<S, T> {
     }
 }
 
-impl<S, T> Drop for Flight<S, T> {
+impl<S: 'static, T: 'static> Drop for Flight<S, T> {
     fn drop(&mut self) {
         // A lost device runs nothing any more; there is nobody to tell.
         let _ = self.wait();

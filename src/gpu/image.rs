@@ -96,9 +96,12 @@ impl Image {
     /// `None` where the device does not have such images (or not so large, or only with gaps).
     ///
     /// # Errors
-    /// Out of memory.
+    /// Out of memory; a buffer that the host can map.
     pub fn over_buffer(buffer: &Arc<Buffer>, desc: &ImageDesc<'_>) -> Result<Option<Self>, GpuError> {
         let (device, tiling) = (buffer.device(), vk::ImageTiling::LINEAR);
+        if buffer.users().is_some() {
+            return Err(device.unsupported("a buffer of the device alone under an image", desc.name));
+        }
         if !device.has_image(desc.format, tiling, desc.usage, [desc.width, desc.height])? {
             return Ok(None);
         }

@@ -90,3 +90,31 @@ fn images_too_large_are_refused_by_name() {
     assert!(text.contains("4x16777216") && text.contains(device.name()), "{text}");
     device.check_validation().unwrap();
 }
+
+#[test]
+fn host_memory_in_use_cannot_be_mapped() {
+    let device = device();
+    let usage = Usage::TRANSFER_SRC | Usage::TRANSFER_DST;
+    let back = Arc::new(buffer(&device, usage, Memory::Readback).unwrap());
+    let mut flight = Flight::new(&device, back.clone()).unwrap();
+    let shared = Arc::new(());
+    let fill = |flight: &mut Flight<(), Arc<Buffer>>, word| {
+        flight.start(&shared, |recorder, _, back| {
+            recorder.fill(back, 0, 64, word)?;
+            recorder.barrier(Scope::CopyWrite, Scope::Host);
+            Ok::<(), GpuError>(())
+        })
+    };
+    fill(&mut flight, 0x0102_0304).unwrap();
+    assert!(matches!(back.map(), Err(GpuError::Busy { .. })));
+    flight.wait().unwrap();
+    let mapped = back.map().unwrap();
+    assert!(mapped.chunks(4).all(|word| word == [4, 3, 2, 1]));
+    // Nor can it be used while it is mapped, or be mapped twice.
+    assert!(matches!(back.map(), Err(GpuError::Busy { .. })));
+    assert!(matches!(fill(&mut flight, 5), Err(GpuError::Busy { .. })));
+    drop(mapped);
+    fill(&mut flight, 5).unwrap();
+    drop(flight);
+    assert_eq!(back.map().unwrap()[0], 5);
+}

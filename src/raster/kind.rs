@@ -52,8 +52,8 @@ pub struct RasterizerDesc {
     /// Part of the device's name or its index; without it the environment variable `PSKEL_DEVICE` decides, then the
     /// best device.
     pub device: Option<String>,
-    /// Bytes that points may take on the device, 20 a point, where compute shaders draw them; beyond them positions are
-    /// streamed. `None` for all that is needed.
+    /// Bytes that points may take on the device, 20 a point; beyond them positions are streamed, which only compute shaders
+    /// do. `None` for all that is needed. Plain Rust holds nothing on a device and ignores it.
     pub memory_bytes: Option<u64>,
 }
 
@@ -85,6 +85,12 @@ pub fn create<'a>(
         let memory_bytes = desc.memory_bytes;
         let desc = ComputeRasterizerDesc { memory_bytes, ..ComputeRasterizerDesc::default() };
         return Ok(Box::new(ComputeRasterizer::with_desc(device, &clouds, desc)?));
+    }
+    if desc.memory_bytes.is_some() {
+        let expected =
+            "64-bit atomics on buffers, since only the compute rasterizer streams points (--gpu-memory)";
+        let found = if desc.kind == RasterizerKind::Raster { "--rasterizer raster" } else { "none" };
+        return Err(device.unsupported(expected, found).into());
     }
     Ok(Box::new(VulkanRasterizer::new(device, &clouds)?))
 }

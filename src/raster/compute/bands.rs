@@ -178,7 +178,7 @@ impl Cut {
     }
 }
 
-/// Pixels of a row as results hold it: shaders write four at a time.
+/// Pixels of a row as results hold it: shaders write strips of four, as two words of 64 bits.
 pub(super) fn row_pixels(size: ImageSize) -> u64 {
     u64::from(size.width).next_multiple_of(4)
 }

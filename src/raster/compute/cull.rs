@@ -117,3 +117,37 @@ pub(super) fn seen_points(
     }
     seen
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A camera of focal length 100 at the origin that looks along z into 200x300 pixels; a crop of 30 m in x and z.
+    fn frustum() -> Frustum {
+        let draw = Draw {
+            cloud: 0,
+            image_from_local: [[100.0, 0.0, 150.0, 0.0], [0.0, 100.0, 100.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
+            crop_from_local: [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
+            crop_radius_m: 30.0,
+            first_number: 0,
+            instance: 0,
+        };
+        Frustum::new(&draw, 300, [0, 200], 3.0, 100.0)
+    }
+
+    #[test]
+    fn what_no_pixel_shows_is_culled() {
+        let frustum = frustum();
+        let extent = |center, half| Extent { center, half: [half; 3] };
+        let touches = |center, half| frustum.touches(&extent(center, half));
+        assert!(touches([0.0, 0.0, 10.0], 1.0) && touches([0.0, 0.0, 0.0], 1.0));
+        assert!(!touches([0.0, 0.0, -2.0], 1.0) && !touches([0.0, 0.0, 32.0], 1.0));
+        assert!(touches([16.0, 0.0, 10.0], 1.0) && !touches([20.0, 0.0, 10.0], 1.0));
+        assert!(!touches([0.0, 14.0, 10.0], 1.0) && !touches([0.0, -14.0, 10.0], 1.0));
+        assert!(touches([0.0, f64::NAN, 10.0], 1.0), "what is no number may be anywhere");
+        assert!(
+            !frustum.cuts(&extent([0.0, 0.0, 10.0], 5.0)) && frustum.cuts(&extent([0.0, 0.0, 29.0], 2.0))
+        );
+        assert_eq!(frustum.nearest_m(&extent([0.0, 0.0, 0.5], 1.0)), 0.0);
+    }
+}

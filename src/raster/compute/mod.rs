@@ -3,10 +3,11 @@
 //! # How it works
 //! Points lie in images, one chunk of 4096 neighbours a row (`chunk`, `store`). A frame is a list of instances in one
 //! numbering (`plan`); its views are rows of one buffer of keys per cloud (`bands`, `layers`). Only chunks that a view
-//! may show are drawn (`cull`), by one dispatch for all views: each point takes its pixel by an atomic minimum of
+//! may show are drawn (`cull`), by a dispatch per page and kind for all views: each point takes its pixel by an atomic minimum of
 //! `depth << 32 | number` (`project`). A nearer point of the same pixel covers whatever a farther one covers, so this is
 //! enough: the resolve shaders then look around each pixel that the result reads, and write the maps (`resolve`).
-//! All of it is one submit (`record`) with buffers of its own (`slot`), so the next frame can be begun meanwhile.
+//! All of it is one submit (`record`) with buffers of its own (`slot`), so the next frame can be begun meanwhile; only
+//! streams, and views that do not fit at once, take several.
 //!
 //! Where positions of all points exceed the memory that is allowed, rows of positions are streamed: those drawn longest
 //! ago make room (`Residency`).
@@ -25,7 +26,7 @@ mod shared;
 mod slot;
 mod store;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -210,6 +211,8 @@ impl<'a> ComputeRasterizer<'a> {
         part: &[Band],
         slot: usize,
     ) -> Result<Vec<BandResult>, RasterError> {
+        // After an error it may still be at the part before.
+        self.wait(slot)?;
         let start = Instant::now();
         let plan = PartPlan::new(work.job, work.cut, part, work.numbering, &self.clouds);
         self.residency.next_frame();
@@ -266,14 +269,13 @@ impl<'a> ComputeRasterizer<'a> {
             self.wait(slot)?;
             let start = Instant::now();
             let rows = self.residency.oldest(batch.len());
-            for ((cloud, chunk), row) in batch.iter().zip(&rows) {
-                self.residency.replace(*cloud, *chunk, *row);
-            }
-            let here = missing.iter().filter(|item| batch.binary_search(&(item.cloud, item.chunk)).is_ok());
+            // Until they are on their way, these rows hold nothing.
+            rows.iter().for_each(|row| self.residency.forget(*row));
+            let row_of: BTreeMap<(u32, u32), u32> = batch.iter().copied().zip(rows.iter().copied()).collect();
             let mut placed = Vec::new();
-            for item in here {
-                let row = self.residency.row(item.cloud, item.chunk);
-                placed.extend(row.into_iter().flat_map(|row| self.place(item, row, max_radius)));
+            for item in missing {
+                let row = row_of.get(&(item.cloud, item.chunk));
+                placed.extend(row.into_iter().flat_map(|row| self.place(item, *row, max_radius)));
             }
             let (items, runs) = runs_of(&placed, self.threads);
             let own = self.slots[slot].own();
@@ -287,6 +289,7 @@ impl<'a> ComputeRasterizer<'a> {
             }
             self.stages.add("stream from host", start.elapsed());
             phases.stream(&mut self.slots[slot], &self.shared, &rows, &runs)?;
+            row_of.iter().for_each(|(&(cloud, chunk), row)| self.residency.replace(cloud, chunk, *row));
         }
         self.wait(slot)
     }

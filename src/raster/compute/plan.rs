@@ -170,7 +170,7 @@ impl PartPlan {
             across = size.width as usize;
         }
         let height = band.rows[1] - band.rows[0];
-        // Shaders write two values at once.
+        // Shaders write strips of four, as two words of 64 bits.
         let pixel = self.pixels.next_multiple_of(4);
         self.resolve_bands.push(ResolveBand {
             width: size.width,

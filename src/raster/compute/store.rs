@@ -124,8 +124,10 @@ fn rows_within(device: &Device, chunks: u64, limits: StoreLimits) -> Result<u64,
     let needed = colors + chunks.min(2 * u64::from(limits.streamed_rows)) * ROW_BYTES;
     if bytes < needed {
         let mib = |bytes: u64| bytes.div_ceil(1 << 20);
-        let expected =
-            format!("at least {} MiB for points (colors stay there, positions are streamed)", mib(needed));
+        let expected = format!(
+            "at least {} MiB for points (colors stay on the device, positions are streamed)",
+            mib(needed)
+        );
         return Err(device.unsupported(expected, format!("{} MiB allowed", bytes >> 20)));
     }
     Ok((bytes - colors) / ROW_BYTES)
@@ -272,6 +274,13 @@ impl Residency {
         rows
     }
 
+    /// Says that a row holds nothing.
+    pub(super) fn forget(&mut self, row: u32) {
+        if let Some(old) = self.chunk_in[row as usize].take() {
+            self.row_of[old as usize] = None;
+        }
+    }
+
     /// Puts a chunk into a row.
     pub(super) fn replace(&mut self, cloud: u32, chunk: u32, row: u32) {
         self.put(self.firsts[cloud as usize] + chunk, row);
@@ -300,5 +309,7 @@ mod tests {
         assert_eq!(residency.oldest(9), [0, 1, 2]);
         residency.replace(0, 1, 0);
         assert_eq!((residency.row(0, 0), residency.row(0, 1)), (None, Some(0)));
+        residency.forget(0);
+        assert_eq!((residency.row(0, 1), residency.row(1, 0)), (None, Some(1)));
     }
 }
