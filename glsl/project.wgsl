@@ -5,15 +5,23 @@
 // With SQUARE a point goes into all pixels that it covers; without, only into its centre, and the resolve shaders look
 // around. CROP tests the radius crop, which chunks well inside need not. LAYERED knows up to three buffers.
 //
-// variant pixel: SQUARE=0 CROP=0 LAYERED=0
-// variant pixel_crop: SQUARE=0 CROP=1 LAYERED=0
-// variant layered: SQUARE=0 CROP=0 LAYERED=1
-// variant layered_crop: SQUARE=0 CROP=1 LAYERED=1
-// variant square: SQUARE=1 CROP=1 LAYERED=1
+// LANES points are drawn side by side: as many as a processor has in a vector, so that it reads memory in order, or as a
+// GPU keeps busy.
+//
+// variant pixel: SQUARE=0 CROP=0 LAYERED=0 LANES=64
+// variant pixel_crop: SQUARE=0 CROP=1 LAYERED=0 LANES=64
+// variant layered: SQUARE=0 CROP=0 LAYERED=1 LANES=64
+// variant layered_crop: SQUARE=0 CROP=1 LAYERED=1 LANES=64
+// variant square: SQUARE=1 CROP=1 LAYERED=1 LANES=64
+// variant pixel_narrow: SQUARE=0 CROP=0 LAYERED=0 LANES=8
+// variant pixel_crop_narrow: SQUARE=0 CROP=1 LAYERED=0 LANES=8
+// variant layered_narrow: SQUARE=0 CROP=0 LAYERED=1 LANES=8
+// variant layered_crop_narrow: SQUARE=0 CROP=1 LAYERED=1 LANES=8
 
 override SQUARE: bool;
 override CROP: bool;
 override LAYERED: bool;
+override LANES: u32;
 
 const Z_NEAR_M = 1e-5;
 const PAD = 2; // pixels around each band
@@ -113,7 +121,7 @@ fn radius_at(z: f32) -> i32 {
     return i32(radius);
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(LANES)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let at = group.x + group.y * GROUPS_PER_ROW;
     if at >= push.count {
@@ -122,7 +130,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let item = items[push.first + at];
     let draw = draws[item.draw];
     let band = bands[draw.band];
-    for (var i = item.first + lane; i < item.end; i += 64u) {
+    for (var i = item.first + lane; i < item.end; i += LANES) {
         let texel = textureLoad(points, vec2<u32>(i, item.row), 0);
         let p = bitcast<vec3<f32>>(texel.xyz);
         let z = dot_row(draw.image_z, p);

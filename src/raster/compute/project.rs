@@ -169,15 +169,17 @@ pub(super) struct ProjectStage {
 impl ProjectStage {
     pub(super) fn new(device: &Arc<Device>) -> Result<Self, GpuError> {
         use shaders as s;
+        let narrow = device.is_cpu();
         let pipeline = |shader| ComputePipeline::new(device, shader);
+        let either = |wide, slim| pipeline(if narrow { slim } else { wide });
         Ok(Self {
             pixel: [
-                pipeline(&s::project_wgsl_pixel::SHADER)?,
-                pipeline(&s::project_wgsl_pixel_crop::SHADER)?,
+                either(&s::project_wgsl_pixel::SHADER, &s::project_wgsl_pixel_narrow::SHADER)?,
+                either(&s::project_wgsl_pixel_crop::SHADER, &s::project_wgsl_pixel_crop_narrow::SHADER)?,
             ],
             layered: [
-                pipeline(&s::project_wgsl_layered::SHADER)?,
-                pipeline(&s::project_wgsl_layered_crop::SHADER)?,
+                either(&s::project_wgsl_layered::SHADER, &s::project_wgsl_layered_narrow::SHADER)?,
+                either(&s::project_wgsl_layered_crop::SHADER, &s::project_wgsl_layered_crop_narrow::SHADER)?,
             ],
             square: pipeline(&s::project_wgsl_square::SHADER)?,
         })
