@@ -26,7 +26,7 @@ fn pair(a: u32, b: u32) -> u64 {
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let band = bands[push.band + group.z];
+    let band = bands[group.z];
     let x = (group.x * 64u + lane) * 4u;
     let first = group.y * push.rows;
     let end = min(first + push.rows, band.height);

@@ -99,7 +99,7 @@ fn rgb_of(key: i64) -> vec3<i32> {
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let band = bands[push.band + group.z];
+    let band = bands[group.z];
     let x = group.x * 64u + lane;
     let first = group.y * push.rows;
     let end = min(first + push.rows, band.height);

@@ -14,7 +14,6 @@ struct ResolveBand {
 struct ResolvePush {
     reach_1: u32, // bits of the depth up to which a point covers its neighbours
     reach_2: u32, // and the pixels beyond them
-    band: u32,    // the first one
     rows: u32,    // of the result, per invocation
     wants: u32,   // bits WANT_
     key_rows: u32,

@@ -39,7 +39,7 @@ pub struct Bounds {
 
 impl Bounds {
     /// Of points; `None` if there are none (or none but NaN).
-    pub fn of(points: &[Point]) -> Option<Self> {
+    pub fn of<'p>(points: impl IntoIterator<Item = &'p Point>) -> Option<Self> {
         let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
         for point in points {
             for axis in 0..3 {

@@ -10,9 +10,7 @@ use super::buffer::Users;
 use super::error::call;
 use super::image::aspect;
 use super::timer::Timer;
-use super::{
-    Area, Buffer, ComputePipeline, DescriptorSet, Device, GpuError, GraphicsPipeline, Image, Target,
-};
+use super::{Buffer, ComputePipeline, DescriptorSet, Device, GpuError, Image, PipelineLayout};
 
 /// One reusable command buffer with its fence and timestamps.
 pub struct Commands {
@@ -69,9 +67,7 @@ impl Commands {
         }
         Ok(Recorder { commands: self, stages: Vec::new(), users: Vec::new() })
     }
-}
 
-impl Commands {
     /// Waits for what was submitted from these commands.
     pub(super) fn wait(&mut self, submitted: Submitted) -> Result<Vec<(&'static str, Duration)>, GpuError> {
         self.device.wait(self.fence)?;
@@ -336,44 +332,11 @@ impl<'a> Recorder<'a> {
         let point = vk::PipelineBindPoint::COMPUTE;
         // SAFETY: recording outside a pass; the pipeline is alive.
         unsafe { self.device().cmd_bind_pipeline(self.raw(), point, pipeline.raw) };
-        bind_sets(self.commands, point, &pipeline.layout, sets);
-        self.users.extend(sets.iter().flat_map(|set| set.users()));
-        push_constants(self.commands, &pipeline.layout, push)?;
+        self.bind_sets(point, &pipeline.layout, sets);
+        self.push_constants(&pipeline.layout, push)?;
         // SAFETY: pipeline, sets and push constants are bound.
         unsafe { self.device().cmd_dispatch(self.raw(), groups[0], groups[1], groups[2]) };
         Ok(())
-    }
-
-    /// Starts drawing into the top left of a target, which is cleared: color to 0, depth to 1.
-    pub fn pass(&mut self, target: &'a Target, area: Area) -> Pass<'_, 'a> {
-        let extent = vk::Extent2D {
-            width: area.width.min(target.extent.width),
-            height: area.height.min(target.extent.height),
-        };
-        let depth_stencil = vk::ClearDepthStencilValue { depth: 1.0, stencil: 0 };
-        let clears = [vk::ClearValue::default(), vk::ClearValue { depth_stencil }];
-        let render_area = vk::Rect2D { offset: vk::Offset2D::default(), extent };
-        let info = vk::RenderPassBeginInfo::default()
-            .render_pass(target.pass.raw)
-            .framebuffer(target.raw)
-            .render_area(render_area)
-            .clear_values(if target.pass.depth { &clears } else { &clears[..1] });
-        // SAFETY: recording outside a pass; the area is inside the target.
-        unsafe { self.device().cmd_begin_render_pass(self.raw(), &info, vk::SubpassContents::INLINE) };
-        let pad = area.viewport_pad as f32;
-        let viewport = vk::Viewport {
-            x: -pad,
-            y: -pad,
-            width: area.width as f32 + 2.0 * pad,
-            height: area.height as f32 + 2.0 * pad,
-            min_depth: 0.0,
-            max_depth: 1.0,
-        };
-        // SAFETY: recording.
-        unsafe { self.device().cmd_set_viewport(self.raw(), 0, &[viewport]) };
-        // SAFETY: recording.
-        unsafe { self.device().cmd_set_scissor(self.raw(), 0, &[render_area]) };
-        Pass { recorder: self, pipeline: None, vertices: None }
     }
 
     /// Runs what was recorded and waits for it. Returns the time of each stage (without timestamps, all of it under
@@ -408,94 +371,43 @@ impl<'a> Recorder<'a> {
         Ok((commands, Submitted { stages, users, start }))
     }
 
-    fn uses(&mut self, buffer: &Buffer) {
+    pub(super) fn uses(&mut self, buffer: &Buffer) {
         self.users.extend(buffer.users());
     }
 
-    fn device(&self) -> &ash::Device {
+    pub(super) fn bind_sets(
+        &mut self,
+        point: vk::PipelineBindPoint,
+        layout: &PipelineLayout,
+        sets: &[&'a DescriptorSet],
+    ) {
+        if sets.is_empty() {
+            return;
+        }
+        self.users.extend(sets.iter().flat_map(|set| set.users()));
+        let sets: Vec<_> = sets.iter().map(|set| set.raw).collect();
+        // SAFETY: recording; the sets were made for this layout and are borrowed by the recorder.
+        unsafe { self.device().cmd_bind_descriptor_sets(self.raw(), point, layout.raw, 0, &sets, &[]) };
+    }
+
+    pub(super) fn push_constants(&self, layout: &PipelineLayout, push: &[u8]) -> Result<(), GpuError> {
+        if push.len() != layout.push_size as usize {
+            let (expected, found) = (u64::from(layout.push_size), push.len() as u64);
+            return Err(GpuError::Range { expected, found, name: "push constants".into() });
+        }
+        if !push.is_empty() {
+            let stages = layout.push_stages;
+            // SAFETY: recording; the range is the layout's own.
+            unsafe { self.device().cmd_push_constants(self.raw(), layout.raw, stages, 0, push) };
+        }
+        Ok(())
+    }
+
+    pub(super) fn device(&self) -> &ash::Device {
         &self.commands.device.raw
     }
 
-    fn raw(&self) -> vk::CommandBuffer {
+    pub(super) fn raw(&self) -> vk::CommandBuffer {
         self.commands.raw
-    }
-}
-
-fn bind_sets(
-    commands: &Commands,
-    point: vk::PipelineBindPoint,
-    layout: &super::PipelineLayout,
-    sets: &[&DescriptorSet],
-) {
-    if sets.is_empty() {
-        return;
-    }
-    let sets: Vec<_> = sets.iter().map(|set| set.raw).collect();
-    // SAFETY: recording; the sets were made for this layout and are borrowed by the recorder.
-    unsafe { commands.device.raw.cmd_bind_descriptor_sets(commands.raw, point, layout.raw, 0, &sets, &[]) };
-}
-
-fn push_constants(commands: &Commands, layout: &super::PipelineLayout, push: &[u8]) -> Result<(), GpuError> {
-    if push.len() != layout.push_size as usize {
-        let (expected, found) = (u64::from(layout.push_size), push.len() as u64);
-        return Err(GpuError::Range { expected, found, name: "push constants".into() });
-    }
-    if !push.is_empty() {
-        let stages = layout.push_stages;
-        // SAFETY: recording; the range is the layout's own.
-        unsafe { commands.device.raw.cmd_push_constants(commands.raw, layout.raw, stages, 0, push) };
-    }
-    Ok(())
-}
-
-/// Drawing into a target; it ends when this is dropped.
-pub struct Pass<'r, 'a> {
-    recorder: &'r mut Recorder<'a>,
-    pipeline: Option<&'a GraphicsPipeline>,
-    vertices: Option<&'a Buffer>,
-}
-
-impl<'a> Pass<'_, 'a> {
-    /// Draws with this pipeline and these sets from now on.
-    pub fn bind(&mut self, pipeline: &'a GraphicsPipeline, sets: &[&'a DescriptorSet]) {
-        let point = vk::PipelineBindPoint::GRAPHICS;
-        // SAFETY: recording; the pipeline is alive and fits the pass.
-        unsafe { self.recorder.device().cmd_bind_pipeline(self.recorder.raw(), point, pipeline.raw) };
-        bind_sets(self.recorder.commands, point, &pipeline.layout, sets);
-        self.recorder.users.extend(sets.iter().flat_map(|set| set.users()));
-        self.pipeline = Some(pipeline);
-    }
-
-    /// Takes vertices (or instances) from this buffer from now on.
-    pub fn vertices(&mut self, buffer: &'a Buffer) {
-        self.recorder.uses(buffer);
-        // SAFETY: recording; the buffer is alive.
-        unsafe {
-            self.recorder.device().cmd_bind_vertex_buffers(self.recorder.raw(), 0, &[buffer.raw], &[0])
-        };
-        self.vertices = Some(buffer);
-    }
-
-    /// Draws vertices of the bound buffer once, or so many instances of it.
-    ///
-    /// # Errors
-    /// The buffer is too small, or nothing is bound.
-    pub fn draw(&mut self, push: &[u8], vertices: Range<u32>, instances: u32) -> Result<(), GpuError> {
-        let unbound = || GpuError::Range { expected: 1, found: 0, name: "an unbound vertex buffer".into() };
-        let (pipeline, buffer) = self.pipeline.zip(self.vertices).ok_or_else(unbound)?;
-        let used = if pipeline.per_instance { instances } else { vertices.end };
-        buffer.check(u64::from(used) * u64::from(pipeline.stride))?;
-        push_constants(self.recorder.commands, &pipeline.layout, push)?;
-        let (first, count) = (vertices.start, vertices.end.saturating_sub(vertices.start));
-        // SAFETY: recording inside a pass with a bound pipeline; all vertices are inside the buffer.
-        unsafe { self.recorder.device().cmd_draw(self.recorder.raw(), count, instances, first, 0) };
-        Ok(())
-    }
-}
-
-impl Drop for Pass<'_, '_> {
-    fn drop(&mut self) {
-        // SAFETY: recording inside the pass that `Recorder::pass` began.
-        unsafe { self.recorder.device().cmd_end_render_pass(self.recorder.raw()) };
     }
 }

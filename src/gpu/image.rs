@@ -62,22 +62,9 @@ impl Image {
     /// Out of memory; a format, use or size that the device does not have.
     pub fn new(device: &Arc<Device>, desc: &ImageDesc<'_>) -> Result<Self, GpuError> {
         device.check_image(desc)?;
-        let info = desc.info().tiling(vk::ImageTiling::OPTIMAL);
-        // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
-        let raw = unsafe { device.raw.create_image(&info, None) }.map_err(call("vkCreateImage"))?;
-        let mut image = Self {
-            device: device.clone(),
-            raw,
-            view: vk::ImageView::null(),
-            format: desc.format,
-            read_layout: super::pass::read_layout(desc.format),
-            width: desc.width,
-            height: desc.height,
-            layers: desc.layers,
-            allocation: None,
-            _buffer: None,
-        };
-        device.set_name(raw, desc.name)?;
+        let read_layout = super::pass::read_layout(desc.format);
+        let mut image = Self::without_memory(device, desc, vk::ImageTiling::OPTIMAL, read_layout)?;
+        let raw = image.raw;
         // SAFETY: the image is alive.
         let needs = unsafe { device.raw.get_image_memory_requirements(raw) };
         let allocation = device.allocate(desc.name, needs, MemoryLocation::GpuOnly, false)?;
@@ -105,22 +92,9 @@ impl Image {
         if !device.has_image(desc.format, tiling, desc.usage, [desc.width, desc.height])? {
             return Ok(None);
         }
-        let info = desc.info().tiling(tiling);
-        // SAFETY: a plain description; the format, use and size were asked for above.
-        let raw = unsafe { device.raw.create_image(&info, None) }.map_err(call("vkCreateImage"))?;
-        let mut image = Self {
-            device: device.clone(),
-            raw,
-            view: vk::ImageView::null(),
-            format: desc.format,
-            read_layout: vk::ImageLayout::GENERAL,
-            width: desc.width,
-            height: desc.height,
-            layers: desc.layers,
-            allocation: None,
-            _buffer: Some(buffer.clone()),
-        };
-        device.set_name(raw, desc.name)?;
+        let mut image = Self::without_memory(device, desc, tiling, vk::ImageLayout::GENERAL)?;
+        image._buffer = Some(buffer.clone());
+        let raw = image.raw;
         // SAFETY: the image is alive.
         let needs = unsafe { device.raw.get_image_memory_requirements(raw) };
         let part = vk::ImageSubresource::default().aspect_mask(aspect(desc.format));
@@ -134,6 +108,32 @@ impl Image {
         bound.map_err(call("vkBindImageMemory"))?;
         image.make_view()?;
         Ok(Some(image))
+    }
+
+    /// An image that is yet to be bound; tiling and layout go with its memory.
+    fn without_memory(
+        device: &Arc<Device>,
+        desc: &ImageDesc<'_>,
+        tiling: vk::ImageTiling,
+        read_layout: vk::ImageLayout,
+    ) -> Result<Self, GpuError> {
+        let info = desc.info().tiling(tiling);
+        // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
+        let raw = unsafe { device.raw.create_image(&info, None) }.map_err(call("vkCreateImage"))?;
+        let image = Self {
+            device: device.clone(),
+            raw,
+            view: vk::ImageView::null(),
+            format: desc.format,
+            read_layout,
+            width: desc.width,
+            height: desc.height,
+            layers: desc.layers,
+            allocation: None,
+            _buffer: None,
+        };
+        device.set_name(raw, desc.name)?;
+        Ok(image)
     }
 
     fn make_view(&mut self) -> Result<(), GpuError> {

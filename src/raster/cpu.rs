@@ -26,7 +26,7 @@ pub struct CpuRasterizer<'a> {
 impl<'a> CpuRasterizer<'a> {
     /// Holds clouds; nothing is copied.
     pub fn new(clouds: CloudSet<'a>) -> Self {
-        let extents = clouds.iter().map(|c| (c.len(), Bounds::of(c))).collect();
+        let extents = clouds.iter().map(|c| (c.len(), Bounds::of(*c))).collect();
         Self { clouds, extents, stages: StageTimes::default(), done: DoneFrames::default() }
     }
 }

@@ -22,6 +22,7 @@ pub mod reduce;
 mod resolve;
 mod schedule;
 mod splat;
+mod steps;
 mod tiles;
 mod vulkan;
 
@@ -81,12 +82,18 @@ pub enum RasterError {
 /// What draws: the device and driver, for reports.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct RasterizerInfo {
-    /// `raster` or `cpu`.
+    /// `compute`, `raster` or `cpu`.
     pub rasterizer: &'static str,
     /// Device name.
     pub device: String,
     /// Driver name and version.
     pub driver: String,
+}
+
+impl RasterizerInfo {
+    fn on(rasterizer: &'static str, device: &crate::gpu::Device) -> Self {
+        Self { rasterizer, device: device.name().to_owned(), driver: device.driver().to_owned() }
+    }
 }
 
 /// How many frames may be begun before the first of them is finished.

@@ -11,6 +11,7 @@ use ash::vk::{self, BufferUsageFlags as Usage, ImageUsageFlags};
 use bytemuck::{Pod, Zeroable};
 
 use super::pages::{Pages, PieceDraw};
+use super::steps::{Step, steps};
 use super::tiles::Tile;
 use super::{Draw, SplatSchedule};
 use crate::cloud::Point;
@@ -22,17 +23,6 @@ use crate::gpu::{
 
 const VISIBILITY: vk::Format = vk::Format::R32G32_UINT;
 const DEPTH: vk::Format = vk::Format::D32_SFLOAT;
-
-/// One entry of the schedule.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-struct Step {
-    z_max_m: f32,
-    radius: u32,
-    pad_0: u32,
-    pad_1: u32,
-}
-assert_layout!(Step, shaders::splat_vert::step, [z_max_m: Z_MAX_M, radius: RADIUS, pad_0: PAD_0, pad_1: PAD_1]);
 
 /// What all draws of a tile share.
 #[repr(C)]
@@ -181,12 +171,8 @@ pub(super) fn check_point_size(device: &Device, schedule: &SplatSchedule) -> Res
 }
 
 fn frame(tile: &Tile, schedule: &SplatSchedule) -> SplatFrame {
-    let mut steps = [Step::default(); SplatSchedule::MAX_STEPS];
-    for (to, from) in steps.iter_mut().zip(schedule.steps()) {
-        *to = Step { z_max_m: from.z_max_m, radius: from.radius, ..Step::default() };
-    }
     SplatFrame {
-        steps,
+        steps: steps(schedule),
         tile_origin: tile.origin.map(|v| v as f32),
         tile_size: tile.size.map(|v| v as f32),
         viewport_pad: schedule.max_radius() as f32,

@@ -79,7 +79,7 @@ impl VulkanRasterizer {
         stages.add("set-up", start.elapsed());
         let start = Instant::now();
         let pages = Pages::upload(&device, &mut commands, resolve.layout(), clouds, desc.page_points)?;
-        let extents = clouds.iter().map(|c| (c.len(), Bounds::of(c))).collect();
+        let extents = clouds.iter().map(|c| (c.len(), Bounds::of(*c))).collect();
         stages.add("upload", start.elapsed());
         device.check_validation()?;
         Ok(Self {
@@ -150,8 +150,7 @@ struct Work<'a> {
 
 impl Rasterizer for VulkanRasterizer {
     fn info(&self) -> RasterizerInfo {
-        let (device, driver) = (self.device.name().to_owned(), self.device.driver().to_owned());
-        RasterizerInfo { rasterizer: "raster", device, driver }
+        RasterizerInfo::on("raster", &self.device)
     }
 
     fn begin(&mut self, job: &FrameJob<'_>) -> Result<(), RasterError> {

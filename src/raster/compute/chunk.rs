@@ -98,14 +98,7 @@ impl<'a> ChunkedCloud<'a> {
 }
 
 fn finite_bounds<'p>(points: impl Iterator<Item = &'p Point>) -> Option<Bounds> {
-    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    for point in points.filter(|point| point.position.iter().all(|v| v.is_finite())) {
-        for axis in 0..3 {
-            min[axis] = min[axis].min(point.position[axis]);
-            max[axis] = max[axis].max(point.position[axis]);
-        }
-    }
-    (min[0] <= max[0]).then_some(Bounds { min, max })
+    Bounds::of(points.filter(|point| point.position.iter().all(|v| v.is_finite())))
 }
 
 fn union(parts: &[Option<Bounds>]) -> Option<Bounds> {

@@ -233,16 +233,9 @@ impl<'a> ComputeRasterizer<'a> {
         own.write(&frame, &plan, &work.numbering.blocks)?;
         own.write_items(&items)?;
         self.stages.add("plan", start.elapsed());
-        let resolve = Resolve {
-            job: work.job,
-            layers: work.layers,
-            cut: work.cut,
-            bands: &plan.resolve_bands,
-            pixels: plan.pixels,
-            key_rows: plan.key_rows,
-        };
+        let (bands, pixels, key_rows) = (plan.resolve_bands.as_slice(), plan.pixels, plan.key_rows);
         let device = self.device.clone();
-        let phases = Phases { device: &device, work, resolve: &resolve, blocks: work.numbering.blocks.len() };
+        let phases = Phases { device: &device, resolve: Resolve { work, bands, pixels, key_rows } };
         let flight = &mut self.slots[slot];
         if missing.is_empty() {
             phases.start(flight, &self.shared, (true, true), &runs)?;
@@ -257,14 +250,14 @@ impl<'a> ComputeRasterizer<'a> {
     /// Draws chunks that are not there, a number of rows at a time.
     fn stream(
         &mut self,
-        phases: &Phases<'_, '_>,
+        phases: &Phases<'_>,
         missing: &[PlannedItem],
         slot: usize,
     ) -> Result<(), RasterError> {
         let mut chunks: Vec<(u32, u32)> = missing.iter().map(|item| (item.cloud, item.chunk)).collect();
         chunks.sort_unstable();
         chunks.dedup();
-        let max_radius = phases.work.job.schedule.max_radius();
+        let max_radius = phases.resolve.work.job.schedule.max_radius();
         for batch in chunks.chunks(self.shared.streamed_rows as usize) {
             self.wait(slot)?;
             let start = Instant::now();
@@ -318,7 +311,7 @@ impl<'a> ComputeRasterizer<'a> {
         if shared.layers.len() < layers || shared.key_bytes < key_bytes {
             // What is in flight keeps the old ones as long as it needs them.
             let (layers, key_bytes) = (shared.layers.len().max(layers), shared.key_bytes.max(key_bytes));
-            let copied = self.copies && shared.layers[0].copied;
+            let copied = shared.layers[0].copied;
             let shared = shared.with_keys(&self.device, &mut self.commands, layers, key_bytes, copied)?;
             self.shared = Arc::new(shared);
         }
@@ -370,8 +363,7 @@ fn part_limits(device: &Device, desc: ComputeRasterizerDesc) -> PartLimits {
 
 impl Rasterizer for ComputeRasterizer<'_> {
     fn info(&self) -> RasterizerInfo {
-        let (device, driver) = (self.device.name().to_owned(), self.device.driver().to_owned());
-        RasterizerInfo { rasterizer: "compute", device, driver }
+        RasterizerInfo::on("compute", &self.device)
     }
 
     fn begin(&mut self, job: &FrameJob<'_>) -> Result<(), RasterError> {

@@ -21,14 +21,12 @@ pub(super) struct Work<'j> {
 }
 
 /// What a part records.
-pub(super) struct Phases<'w, 'j> {
+pub(super) struct Phases<'w> {
     pub(super) device: &'w Device,
-    pub(super) work: &'w Work<'j>,
-    pub(super) resolve: &'w Resolve<'w>,
-    pub(super) blocks: usize,
+    pub(super) resolve: Resolve<'w>,
 }
 
-impl Phases<'_, '_> {
+impl Phases<'_> {
     /// Chunks that are there; before them the clearing, after them the resolving, if it is time for that.
     pub(super) fn start(
         &self,
@@ -37,11 +35,12 @@ impl Phases<'_, '_> {
         (first, last): (bool, bool),
         runs: &[Run],
     ) -> Result<(), GpuError> {
-        let (schedule, layers) = (self.work.job.schedule, self.work.layers.count);
+        let work = self.resolve.work;
+        let (schedule, layers) = (work.job.schedule, work.layers.count);
         flight.start(shared, |recorder, shared, slot| {
             if first {
-                let sizes = (self.work.cut.key_bytes(self.resolve.key_rows), self.blocks);
-                record::clear_maps(recorder, slot, self.work.job, self.resolve.pixels)?;
+                let sizes = (work.cut.key_bytes(self.resolve.key_rows), work.numbering.blocks.len());
+                record::clear_maps(recorder, slot, work.job, self.resolve.pixels)?;
                 record::clear(recorder, shared, slot, sizes, layers)?;
             }
             record::project(recorder, shared, slot, runs, (schedule, layers))?;
@@ -60,7 +59,8 @@ impl Phases<'_, '_> {
         rows: &[u32],
         runs: &[Run],
     ) -> Result<(), GpuError> {
-        let (schedule, layers) = (self.work.job.schedule, self.work.layers.count);
+        let work = self.resolve.work;
+        let (schedule, layers) = (work.job.schedule, work.layers.count);
         flight.start(shared, |recorder, shared, slot| {
             recorder.barrier(Scope::Compute, Scope::CopyWrite);
             if let Some(staging) = &slot.staging {

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 
 use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, assert_layout, shaders};
+use crate::raster::steps::{Step, steps};
 use crate::raster::{Draw, SplatSchedule};
 
 /// Descriptor set of a page of points.
@@ -16,16 +17,6 @@ pub(super) const MAX_LOOKED_FOR: u32 = 2;
 const SQUARES_AT_ONCE: u32 = 512;
 /// Workgroups in a row of a dispatch.
 const GROUPS_PER_ROW: u32 = 32_768;
-
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-struct Step {
-    z_max_m: f32,
-    radius: u32,
-    pad_0: u32,
-    pad_1: u32,
-}
-assert_layout!(Step, shaders::project_wgsl_pixel::step, [z_max_m: Z_MAX_M, radius: RADIUS, pad_0: PAD_0, pad_1: PAD_1]);
 
 /// What all draws share.
 #[repr(C)]
@@ -48,12 +39,8 @@ assert_layout!(ProjectFrame, shaders::project_wgsl_pixel::project_frame, [
 impl ProjectFrame {
     /// `key_rows`: rows of a panel of keys.
     pub(super) fn new(schedule: &SplatSchedule, key_rows: u32) -> Self {
-        let mut steps = [Step::default(); SplatSchedule::MAX_STEPS];
-        for (to, from) in steps.iter_mut().zip(schedule.steps()) {
-            *to = Step { z_max_m: from.z_max_m, radius: from.radius, ..Step::default() };
-        }
         let step_count = schedule.steps().len() as u32;
-        Self { steps, step_count, z_far_m: schedule.z_far_m(), key_rows, pad_0: 0 }
+        Self { steps: steps(schedule), step_count, z_far_m: schedule.z_far_m(), key_rows, pad_0: 0 }
     }
 }
 

@@ -1,7 +1,7 @@
 //! The commands of a frame.
 
-use super::bands::Cut;
 use super::layers::Layers;
+use super::phases::Work;
 use super::project::{ProjectItem, ProjectPush};
 use super::resolve::{Kind, ResolveBand, ResolvePush, ResolveStage, WANT_CLASS, WANT_COLOR, wants};
 use super::shared::{KEY_IMAGE_ROW_BYTES, Shared};
@@ -85,9 +85,7 @@ pub(super) fn project<'a>(
 
 /// What is resolved, and how.
 pub(super) struct Resolve<'j> {
-    pub(super) job: &'j FrameJob<'j>,
-    pub(super) layers: Layers,
-    pub(super) cut: &'j Cut,
+    pub(super) work: &'j Work<'j>,
     pub(super) bands: &'j [ResolveBand],
     /// Pixels of each map.
     pub(super) pixels: usize,
@@ -104,15 +102,15 @@ impl Resolve<'_> {
         slot: &'a Slot,
     ) -> Result<(), GpuError> {
         self.copy_keys(recorder, shared)?;
-        let reduced = self.cut.reductions.is_some();
+        let reduced = self.work.cut.reductions.is_some();
         let stage: &ResolveStage = if reduced { &shared.reduced } else { &shared.full };
         let sets = if reduced { &slot.reduced } else { &slot.full };
-        let wanted = wants(self.job.kinds);
+        let wanted = wants(self.work.job.kinds);
         let semantics = wanted & (WANT_CLASS | super::resolve::WANT_INSTANCE);
         let geometry = wanted & !(WANT_COLOR | semantics);
-        let joint = self.cut.reductions.iter().flatten().all(super::bands::Reduction::joint);
+        let joint = self.work.cut.reductions.iter().flatten().all(super::bands::Reduction::joint);
         let rows_each = stage.rows_each(device);
-        let push = |wants| ResolvePush::new(self.job.schedule, rows_each, wants, self.key_rows);
+        let push = |wants| ResolvePush::new(self.work.job.schedule, rows_each, wants, self.key_rows);
         let groups = stage.groups(self.bands, rows_each);
         let mut dispatch = |kind: Kind, layer: Option<usize>, wants: u32| -> Result<(), GpuError> {
             let Some(set) = layer.map(|layer| &sets[layer]) else { return Ok(()) };
@@ -126,7 +124,7 @@ impl Resolve<'_> {
             recorder.barrier(Scope::Compute, Scope::Compute);
             Ok(())
         };
-        let Layers { color, geometry: scene, actors, .. } = self.layers;
+        let Layers { color, geometry: scene, actors, .. } = self.work.layers;
         let in_scene = if actors.is_none() { semantics } else { 0 };
         let at_once = WANT_COLOR | WANT_CLASS;
         if joint && color.is_some() && color == scene && (wanted & in_scene & at_once | WANT_COLOR) == at_once
@@ -143,9 +141,9 @@ impl Resolve<'_> {
 
     /// Where the image has memory of its own.
     fn copy_keys<'a>(&self, recorder: &mut Recorder<'a>, shared: &'a Shared) -> Result<(), GpuError> {
-        for layer in shared.layers[..self.layers.count].iter().filter(|layer| layer.copied) {
+        for layer in shared.layers[..self.work.layers.count].iter().filter(|layer| layer.copied) {
             recorder.barrier(Scope::Compute, Scope::CopyRead);
-            let rows = self.cut.key_bytes(self.key_rows).div_ceil(KEY_IMAGE_ROW_BYTES) as u32;
+            let rows = self.work.cut.key_bytes(self.key_rows).div_ceil(KEY_IMAGE_ROW_BYTES) as u32;
             recorder.write_rows((&layer.buffer, 0), &layer.image, 0, 0..rows)?;
         }
         Ok(())
@@ -153,7 +151,7 @@ impl Resolve<'_> {
 
     fn read_back<'a>(&self, recorder: &mut Recorder<'a>, slot: &'a Slot) -> Result<(), GpuError> {
         let bytes = 4 * self.pixels as u64;
-        let wanted = Slot::wanted(self.job.kinds);
+        let wanted = Slot::wanted(self.work.job.kinds);
         let maps = || slot.maps.iter().zip(wanted).filter(|(_, wanted)| *wanted).map(|(map, _)| map);
         let copied = |map: &'a MapBuffer| map.host.as_ref().map(|host| (&map.device, host));
         if maps().any(|map| map.host.is_some()) {

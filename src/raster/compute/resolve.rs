@@ -6,7 +6,7 @@ use bytemuck::{Pod, Zeroable};
 
 use super::bands::ResolveTap;
 use super::project::MAX_LOOKED_FOR;
-use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, assert_layout, shaders};
+use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, Shader, assert_layout, shaders};
 use crate::raster::{FrameKinds, SplatSchedule, SplatStep};
 
 /// Bits of the maps that a dispatch writes.
@@ -60,7 +60,6 @@ assert_layout!(ResolveBand, shaders::resolve_full_wgsl_both::resolve_band, [
 pub(super) struct ResolvePush {
     reach_1: u32,
     reach_2: u32,
-    band: u32,
     rows: u32,
     wants: u32,
     key_rows: u32,
@@ -68,7 +67,6 @@ pub(super) struct ResolvePush {
 assert_layout!(ResolvePush, shaders::resolve_full_wgsl_both::resolve_push, [
     reach_1: REACH_1,
     reach_2: REACH_2,
-    band: BAND,
     rows: ROWS,
     wants: WANTS,
     key_rows: KEY_ROWS,
@@ -76,7 +74,6 @@ assert_layout!(ResolvePush, shaders::resolve_full_wgsl_both::resolve_push, [
 assert_layout!(ResolvePush, shaders::resolve_reduced_wgsl_both::resolve_push, [
     reach_1: REACH_1,
     reach_2: REACH_2,
-    band: BAND,
     rows: ROWS,
     wants: WANTS,
     key_rows: KEY_ROWS,
@@ -91,7 +88,7 @@ impl ResolvePush {
             let covers = |step: &&SplatStep| looked_for && step.radius >= radius;
             schedule.steps().iter().rfind(covers).map_or(0, |step| step.z_max_m.to_bits())
         };
-        Self { reach_1: reach(1), reach_2: reach(2), band: 0, rows, wants, key_rows }
+        Self { reach_1: reach(1), reach_2: reach(2), rows, wants, key_rows }
     }
 }
 
@@ -113,53 +110,56 @@ pub(super) enum Kind {
     Geometry,
 }
 
-/// The pipelines of one of the two shaders: both, color, geometry; both and geometry with points.
+/// The pipelines of one of the two shaders; pairs are without and with points.
 pub(super) struct ResolveStage {
-    pipelines: [ComputePipeline; 5],
+    both: [ComputePipeline; 2],
+    color: ComputePipeline,
+    geometry: [ComputePipeline; 2],
     reduced: bool,
 }
 
 impl ResolveStage {
     pub(super) fn full(device: &Arc<Device>) -> Result<Self, GpuError> {
         use shaders as s;
-        let pipeline = |shader| ComputePipeline::new(device, shader);
-        let pipelines = [
-            pipeline(&s::resolve_full_wgsl_both::SHADER)?,
-            pipeline(&s::resolve_full_wgsl_color::SHADER)?,
-            pipeline(&s::resolve_full_wgsl_geometry::SHADER)?,
-            pipeline(&s::resolve_full_wgsl_both_point::SHADER)?,
-            pipeline(&s::resolve_full_wgsl_geometry_point::SHADER)?,
-        ];
-        Ok(Self { pipelines, reduced: false })
+        let both = [&s::resolve_full_wgsl_both::SHADER, &s::resolve_full_wgsl_both_point::SHADER];
+        let geometry = [&s::resolve_full_wgsl_geometry::SHADER, &s::resolve_full_wgsl_geometry_point::SHADER];
+        Self::new(device, both, &s::resolve_full_wgsl_color::SHADER, geometry, false)
     }
 
     pub(super) fn reduced(device: &Arc<Device>) -> Result<Self, GpuError> {
         use shaders as s;
+        let both = [&s::resolve_reduced_wgsl_both::SHADER, &s::resolve_reduced_wgsl_both_point::SHADER];
+        let geometry =
+            [&s::resolve_reduced_wgsl_geometry::SHADER, &s::resolve_reduced_wgsl_geometry_point::SHADER];
+        Self::new(device, both, &s::resolve_reduced_wgsl_color::SHADER, geometry, true)
+    }
+
+    /// Pairs are without and with points.
+    fn new(
+        device: &Arc<Device>,
+        both: [&'static Shader; 2],
+        color: &'static Shader,
+        geometry: [&'static Shader; 2],
+        reduced: bool,
+    ) -> Result<Self, GpuError> {
         let pipeline = |shader| ComputePipeline::new(device, shader);
-        let pipelines = [
-            pipeline(&s::resolve_reduced_wgsl_both::SHADER)?,
-            pipeline(&s::resolve_reduced_wgsl_color::SHADER)?,
-            pipeline(&s::resolve_reduced_wgsl_geometry::SHADER)?,
-            pipeline(&s::resolve_reduced_wgsl_both_point::SHADER)?,
-            pipeline(&s::resolve_reduced_wgsl_geometry_point::SHADER)?,
-        ];
-        Ok(Self { pipelines, reduced: true })
+        let pair = |[a, b]: [&'static Shader; 2]| Ok::<_, GpuError>([pipeline(a)?, pipeline(b)?]);
+        Ok(Self { both: pair(both)?, color: pipeline(color)?, geometry: pair(geometry)?, reduced })
     }
 
     /// `wants`: bits of maps.
     pub(super) fn pipeline(&self, kind: Kind, wants: u32) -> &ComputePipeline {
-        &self.pipelines[match (kind, wants & WANT_POINT != 0) {
-            (Kind::Both, false) => 0,
-            (Kind::Color, _) => 1,
-            (Kind::Geometry, false) => 2,
-            (Kind::Both, true) => 3,
-            (Kind::Geometry, true) => 4,
-        }]
+        let point = usize::from(wants & WANT_POINT != 0);
+        match kind {
+            Kind::Both => &self.both[point],
+            Kind::Color => &self.color,
+            Kind::Geometry => &self.geometry[point],
+        }
     }
 
     /// The layout of all of them.
     pub(super) fn layout(&self) -> &PipelineLayout {
-        self.pipelines[0].layout()
+        self.color.layout()
     }
 
     /// Rows of the result that an invocation walks down. The way down to the first costs four rows of keys, and every

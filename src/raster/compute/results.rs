@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use bytemuck::Pod;
+
 use super::plan::BandResult;
 use super::slot::{DEPTH, INSTANCE, MAPS, POINT, RGB_CLASS, Slot};
 use crate::geometry::ImageSize;
@@ -77,23 +79,24 @@ pub(super) fn read_maps<'s>(
     for (index, _) in Slot::wanted(kinds).iter().enumerate().filter(|(_, wanted)| **wanted) {
         memory[index] = Some(Arc::new(slot.maps[index].readable().map()?));
     }
-    let bytes = |result: &BandResult| {
-        let first = 4 * result.pixel;
-        first..first + 4 * sizes[result.band.view].pixels()
-    };
-    let words = |index: usize, result: &BandResult| {
-        let mapped = memory[index].clone().map(|memory| Plane::mapped(memory, bytes(result)));
-        mapped.unwrap_or_else(|| Vec::new().into())
-    };
     let view = |result: &BandResult| ViewMaps {
         size: sizes[result.band.view],
-        rgb_class: words(RGB_CLASS, result),
-        depth_m: memory[DEPTH]
-            .clone()
-            .map_or_else(|| Vec::new().into(), |memory| Plane::mapped(memory, bytes(result))),
-        instance: words(INSTANCE, result),
-        point: words(POINT, result),
+        rgb_class: plane(&memory[RGB_CLASS], result, sizes),
+        depth_m: plane(&memory[DEPTH], result, sizes),
+        instance: plane(&memory[INSTANCE], result, sizes),
+        point: plane(&memory[POINT], result, sizes),
     };
     // One band a view: a view of several does not fit one part.
     Ok(results.iter().map(view).collect())
+}
+
+/// A band's part of a map; nothing of a map that there is not.
+fn plane<'s, T: Pod>(
+    memory: &Option<Arc<Mapped<'s>>>,
+    result: &BandResult,
+    sizes: &[ImageSize],
+) -> Plane<'s, T> {
+    let Some(memory) = memory else { return Vec::new().into() };
+    let first = 4 * result.pixel;
+    Plane::mapped(memory.clone(), first..first + 4 * sizes[result.band.view].pixels())
 }

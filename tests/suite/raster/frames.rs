@@ -260,3 +260,24 @@ fn too_little_memory_is_said() {
         assert!(error.contains("at least 1 MiB for points") && error.contains("0 MiB allowed"), "{error}");
     });
 }
+
+#[test]
+fn positions_beyond_the_allowed_memory_are_streamed() {
+    let random = &mut Random(21);
+    let scene = Scene::random(random, &[60_000]);
+    let job = FrameJob { kinds: FrameKinds::ALL, crop: None, ..scene.job(random) };
+    with_device(|device| {
+        let streams = |memory_bytes| {
+            let desc = ComputeRasterizerDesc { memory_bytes, streamed_rows: Some(2), ..Default::default() };
+            let mut rasterizer = ComputeRasterizer::with_desc(device.clone(), &scene.clouds(), desc).unwrap();
+            let maps = frame(&mut rasterizer, &job);
+            (rasterizer.take_stages().0.contains_key("stream"), maps)
+        };
+        let chunks = 60_000_u64.div_ceil(4096);
+        let (resident, expected) = streams(None);
+        let (streamed, found) = streams(Some(chunks * 4096 * 4 + 5 * 4096 * 16));
+        assert_eq!((resident, streamed), (false, true));
+        assert!(expected.iter().any(|view| view.point.iter().any(|p| *p > 0)));
+        assert_same(&expected, &found, 0.0, "streamed");
+    });
+}
