@@ -5,11 +5,12 @@ use std::time::Instant;
 use clap::Args;
 use glam::Vec3;
 
+use super::log_args::LogRoots;
 use super::numbers::{self, FrameRange};
 use super::progress::StageProgress;
 use super::{WrongUsage, info, say};
 use crate::cloud::{self, Bounds, Point};
-use crate::dataset::{self, LogLocator};
+use crate::dataset::LogLocator;
 use crate::error::FileError;
 use crate::skeleton::{self, BuildOptions, BuiltSkeleton, Coloring, Skeleton, Template, TemplateKind};
 
@@ -21,6 +22,8 @@ use crate::skeleton::{self, BuildOptions, BuiltSkeleton, Coloring, Skeleton, Tem
 pub(super) struct BuildArgs {
     /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
     log: LogLocator,
+    #[command(flatten)]
+    roots: LogRoots,
     /// Folder to write
     #[arg(long, value_name = "SKEL")]
     out: PathBuf,
@@ -73,7 +76,7 @@ pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
         return Err(FileError::content(expected, "other content", &args.out).into());
     }
     let templates = read_templates(&args.templates)?;
-    let dataset = dataset::open(&args.log)?;
+    let dataset = args.roots.open(&args.log)?;
     let frames = FrameRange::of(args.frames, dataset.log().frames.len())?;
     let frames: Vec<usize> = frames.step_by(args.every as usize).collect();
     let progress = StageProgress::default();

@@ -9,6 +9,7 @@ mod bench;
 mod build;
 mod convert;
 mod info;
+mod log_args;
 mod numbers;
 mod progress;
 mod rasterizer;

@@ -14,6 +14,18 @@ pub struct LogLocator {
     pub version: Option<String>,
     /// Scene name or token.
     pub scene: Option<String>,
+    /// Where sweeps and images are, if not at the data set's usual place.
+    pub sensor_root: Option<PathBuf>,
+    /// Where maps are, if not at the data set's usual place.
+    pub map_root: Option<PathBuf>,
+}
+
+impl LogLocator {
+    /// The only scene of a path, everything at its usual place.
+    pub fn new(format: LogFormat, path: impl Into<PathBuf>) -> Self {
+        let path = path.into();
+        Self { format, path, version: None, scene: None, sensor_root: None, map_root: None }
+    }
 }
 
 /// The formats that can be read.
@@ -43,7 +55,8 @@ impl FromStr for LogLocator {
         if path.is_empty() || version == Some("") || scene == Some("") {
             return Err(wrong());
         }
-        Ok(Self { format, path: path.into(), version: version.map(Into::into), scene: scene.map(Into::into) })
+        let (version, scene) = (version.map(Into::into), scene.map(Into::into));
+        Ok(Self { version, scene, ..Self::new(format, path) })
     }
 }
 

@@ -7,12 +7,14 @@
 mod category;
 mod locator;
 mod log;
+mod map;
 pub mod nuscenes;
 mod picture;
 
 pub use category::{Class, layout_rgb};
 pub use locator::{LogFormat, LogLocator};
 pub use log::{Frame, ImageRecord, Log, SweepRecord, Track, TrackBox};
+pub use map::{Area, Lane, VectorMap};
 pub use picture::{picture_size, read_picture};
 
 use std::path::PathBuf;
@@ -41,6 +43,14 @@ pub trait Dataset: Sync {
     /// if it states nothing.
     fn box_points(&self) -> Option<&[Vec<u32>]> {
         None
+    }
+
+    /// Reads the HD map of the log's place; `None` where the data set has none for it.
+    ///
+    /// # Errors
+    /// A file that is not as its format says.
+    fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
+        Ok(None)
     }
 }
 
@@ -130,6 +140,14 @@ pub enum DatasetError {
         /// The file.
         path: PathBuf,
     },
+}
+
+/// The logs that a name stands for, in order: itself, unless it names a set of them.
+///
+/// # Errors
+/// A set that holds none, or whose index cannot be read.
+pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
+    Ok(vec![locator.clone()])
 }
 
 /// Opens a log by its name, `FORMAT:PATH[@VERSION][#SCENE]`.

@@ -1,6 +1,8 @@
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 
-/// A pinhole camera: size in pixels and intrinsics.
+use super::Distortion;
+
+/// A camera: size in pixels, intrinsics, and how its lens distorts recorded images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     /// Channel name, for instance `CAM_FRONT`.
@@ -11,6 +13,8 @@ pub struct Camera {
     pub height: u32,
     /// 3×3 matrix `image_from_camera` in pixels, last row `0 0 1`; pixel `(i, j)` covers `[i, i+1) × [j, j+1)`.
     pub intrinsics: DMat3,
+    /// Of recorded images; `None` for a pinhole. Maps are drawn as a pinhole sees the world.
+    pub distortion: Option<Distortion>,
 }
 
 /// A camera at a place: what a rasterizer draws into.
@@ -81,7 +85,7 @@ impl Camera {
         if !(fx > 0.0 && fy > 0.0 && intrinsics.determinant().abs() > 1e-9) {
             return Err(CameraError::Singular { fx, fy });
         }
-        Ok(Self { name: name.into(), width, height, intrinsics })
+        Ok(Self { name: name.into(), width, height, intrinsics, distortion: None })
     }
 
     /// The intrinsics row by row.
@@ -101,6 +105,7 @@ impl Camera {
             width,
             height,
             intrinsics: DMat3::from_diagonal(scale) * self.intrinsics,
+            distortion: self.distortion,
         }
     }
 }

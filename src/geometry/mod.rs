@@ -6,10 +6,12 @@
 
 mod camera;
 mod cuboid;
+mod distortion;
 mod pose;
 mod size;
 
 pub use camera::{Camera, CameraError, View};
 pub use cuboid::{Cuboid, CuboidError};
+pub use distortion::Distortion;
 pub use pose::{Pose, PoseError};
 pub use size::{ImageSize, ParseOptionError};

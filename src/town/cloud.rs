@@ -52,7 +52,7 @@ fn view(name: &str, yaw_deg: f64, focal_px: f64) -> View {
     let (cx, cy) = (f64::from(WIDTH) / 2.0, f64::from(HEIGHT) / 2.0);
     let intrinsics = DMat3::from_cols(DVec3::X * focal_px, DVec3::Y * focal_px, DVec3::new(cx, cy, 1.0));
     View {
-        camera: Camera { name: name.to_owned(), width: WIDTH, height: HEIGHT, intrinsics },
+        camera: Camera { name: name.to_owned(), width: WIDTH, height: HEIGHT, intrinsics, distortion: None },
         camera_from_world: DAffine3::from_mat3_translation(rotation, -(rotation * eye)),
     }
 }

@@ -11,7 +11,7 @@ use crate::common::shared;
 
 fn open(path: &Path) -> NuScenes {
     let path = path.to_owned();
-    NuScenes::open(&LogLocator { format: LogFormat::NuScenes, path, version: None, scene: None }).unwrap()
+    NuScenes::open(&LogLocator::new(LogFormat::NuScenes, path)).unwrap()
 }
 
 /// Number of points of a sweep in a box.

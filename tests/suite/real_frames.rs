@@ -33,7 +33,7 @@ fn differing(a: &FrameMaps<'_>, b: &FrameMaps<'_>) -> [usize; 2] {
 fn all_rasterizers_draw_a_real_frame_alike() {
     let Some(folder) = shared("the PandaSet drive") else { return };
     let path = folder.join("data/pandaset-002/nuscenes");
-    let locator = LogLocator { format: LogFormat::NuScenes, path, version: None, scene: None };
+    let locator = LogLocator::new(LogFormat::NuScenes, path);
     let drive = NuScenes::open(&locator).unwrap();
     let scratch = tempfile::tempdir().unwrap();
     let built = build(&drive, &[3, 4, 5], &BuildOptions::default(), &()).unwrap();

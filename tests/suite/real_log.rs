@@ -52,8 +52,7 @@ impl Dataset for OneSweep<'_> {
 /// The drive, and a skeleton of each frame's sweep with all its points.
 fn single_sweeps() -> Option<(NuScenes, Vec<BuiltSkeleton>)> {
     let path = shared("the PandaSet drive")?.join("data/pandaset-002/nuscenes");
-    let drive = NuScenes::open(&LogLocator { format: LogFormat::NuScenes, path, version: None, scene: None })
-        .unwrap();
+    let drive = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, path)).unwrap();
     let options = BuildOptions { voxel_m: 0.0, ..BuildOptions::default() };
     let all: Vec<usize> = (0..drive.log().frames.len()).collect();
     let skeleton = |kept: usize| build(&OneSweep::new(&drive, kept), &all, &options, &()).unwrap();

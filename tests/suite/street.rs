@@ -24,7 +24,7 @@ fn a_written_log_is_read_as_it_was() {
     write_log(folder.path(), "v1.0-street", &street).unwrap();
     let path = folder.path().to_owned();
     let format = LogFormat::NuScenes;
-    let dataset = NuScenes::open(&LogLocator { format, path, version: None, scene: None }).unwrap();
+    let dataset = NuScenes::open(&LogLocator::new(format, path)).unwrap();
     let (wrote, read) = (street.log(), dataset.log());
     assert_eq!((&wrote.name, &wrote.location), (&read.name, &read.location));
     assert_eq!((&wrote.cameras, &wrote.tracks), (&read.cameras, &read.tracks));

@@ -4,8 +4,9 @@ use anyhow::bail;
 use clap::Args;
 use serde_json::Value;
 
+use super::log_args::LogRoots;
 use super::say;
-use crate::dataset::{self, LogLocator};
+use crate::dataset::LogLocator;
 use crate::skeleton::Skeleton;
 
 mod file;
@@ -22,6 +23,8 @@ pub(super) struct InfoArgs {
     /// FORMAT:PATH[@VERSION][#SCENE], a skeleton's folder, or a file (.pcd.bin, .npy, .ply, .json cameras, JPEG, PNG)
     #[arg(value_name = "LOG|SKELETON|FILE")]
     target: String,
+    #[command(flatten)]
+    roots: LogRoots,
     /// One JSON object rather than text
     #[arg(long)]
     json: bool,
@@ -29,7 +32,7 @@ pub(super) struct InfoArgs {
 
 /// Looks, prints. Damage that is found is told and is no error.
 pub(super) fn run(args: InfoArgs) -> anyhow::Result<()> {
-    let (json, text) = describe(&args.target)?;
+    let (json, text) = describe(&args.target, &args.roots)?;
     if args.json {
         say(&serde_json::to_string_pretty(&json)?);
     } else {
@@ -38,7 +41,7 @@ pub(super) fn run(args: InfoArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn describe(target: &str) -> anyhow::Result<(Value, String)> {
+fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
     let path = PathBuf::from(target);
     if Skeleton::is_at(&path) {
         let skeleton = Skeleton::open(&path)?;
@@ -49,7 +52,7 @@ fn describe(target: &str) -> anyhow::Result<(Value, String)> {
         return Ok((json.clone(), as_lines(&json)));
     }
     if target.contains(':') && !path.exists() {
-        let log = dataset::open(&target.parse::<LogLocator>()?)?;
+        let log = roots.open(&target.parse::<LogLocator>()?)?;
         let json = log::describe(log.as_ref());
         return Ok((json.clone(), log::text(&json)));
     }

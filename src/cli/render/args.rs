@@ -3,6 +3,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
+use crate::cli::log_args::LogRoots;
 use crate::cli::numbers::{self, FrameRange};
 use crate::cli::rasterizer::RasterizerArgs;
 use crate::conditions::{BinScale, ColorFilter, ConditionOptions, DepthBins, ImageSize, MapSet, Occlusion};
@@ -19,6 +20,8 @@ use crate::scene::{EgoOffset, SelectionOptions, TemplateFit};
 pub(in crate::cli) struct RenderArgs {
     /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
     pub(super) log: LogLocator,
+    #[command(flatten)]
+    pub(super) roots: LogRoots,
     /// Skeleton that was built from it
     #[arg(long, value_name = "SKEL")]
     pub(super) skeleton: PathBuf,

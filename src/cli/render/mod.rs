@@ -20,7 +20,7 @@ use super::say;
 use crate::cloud;
 use crate::conditions::meta::{Index, IndexFrame, PromptParts};
 use crate::conditions::{Begun, ConditionOptions};
-use crate::dataset::{self, Dataset};
+use crate::dataset::Dataset;
 use crate::error::FileError;
 use crate::raster::{FRAMES_IN_FLIGHT, Rasterizer};
 use crate::scene::{SelectionOptions, Stage, frame_rate_hz};
@@ -29,7 +29,7 @@ use crate::skeleton::Skeleton;
 /// Reads, draws, writes.
 pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    let dataset = dataset::open(&args.log)?;
+    let dataset = args.roots.open(&args.log)?;
     let log = dataset.log();
     let skeleton = open_skeleton(&args.skeleton, dataset.as_ref())?;
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;

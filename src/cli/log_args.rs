@@ -1,0 +1,29 @@
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::dataset::{self, Dataset, DatasetError, LogLocator};
+
+/// Where the parts of a data set are.
+#[derive(Clone, Debug, Default, Args)]
+pub(super) struct LogRoots {
+    /// Folder of sweeps and images, where it is not at the data set's usual place
+    #[arg(long, value_name = "DIR")]
+    sensor_root: Option<PathBuf>,
+    /// Folder of maps, where it is not at the data set's usual place
+    #[arg(long, value_name = "DIR")]
+    map_root: Option<PathBuf>,
+}
+
+impl LogRoots {
+    /// A log's name with these folders.
+    pub(super) fn locate(&self, log: &LogLocator) -> LogLocator {
+        let (sensor_root, map_root) = (self.sensor_root.clone(), self.map_root.clone());
+        LogLocator { sensor_root, map_root, ..log.clone() }
+    }
+
+    /// Opens a log.
+    pub(super) fn open(&self, log: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
+        dataset::open(&self.locate(log))
+    }
+}
