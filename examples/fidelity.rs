@@ -12,7 +12,7 @@ use point_skeleton::dataset::{self, Dataset, ImageRecord, LogLocator};
 use point_skeleton::metrics::{FilledError, compare_filled};
 use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
 use point_skeleton::scene::{EgoOffset, SelectionOptions, Stage, state_of_frame};
-use point_skeleton::skeleton::{self, BuildOptions, Coloring, Skeleton, SplitOptions};
+use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Coloring, Skeleton, SplitOptions};
 
 /// Builds from every other frame, renders the frames in between, compares with the true images.
 #[derive(Parser)]
@@ -52,17 +52,16 @@ fn main() -> anyhow::Result<()> {
     let kept: Vec<usize> = (0..frames).step_by(2).collect();
     let options = build_options(&args);
     let start = std::time::Instant::now();
-    let built = skeleton::build(log, &kept, &options, &())?;
     let folder = tempfile::tempdir()?;
+    let input = BuildInput { dataset: log, frames: kept.clone() };
     let path = folder.path().join("skeleton");
-    built.write(&path)?;
+    let skeleton = skeleton::build(&path, &[input], &options, &|_| Ok(Vec::new()), &BuildRun::default())?;
     println!(
         "built in {:.1} s from {} frames: {:?}",
         start.elapsed().as_secs_f64(),
         kept.len(),
-        built.report
+        skeleton.manifest.report
     );
-    let skeleton = Skeleton::open(&path)?;
     let mut rasterizer = create(&args.rasterizer.into(), Stage::clouds(&skeleton))?;
     let mut errors = Vec::new();
     for frame in (1..frames).step_by(2 * args.stride) {

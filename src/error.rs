@@ -85,17 +85,31 @@ pub fn write_whole_folder<E: From<FileError>>(
     marker: &str,
     fill: impl FnOnce(&Path) -> Result<(), E>,
 ) -> Result<(), E> {
+    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    write_whole_folder_by(path, marker, parent, fill)
+}
+
+/// As [`write_whole_folder`], with the temporary folder in `scratch`, a folder of the same file system. Whoever owns it
+/// can clean up after a process that was killed.
+///
+/// # Errors
+/// As [`write_whole_folder`].
+pub fn write_whole_folder_by<E: From<FileError>>(
+    path: &Path,
+    marker: &str,
+    scratch: &Path,
+    fill: impl FnOnce(&Path) -> Result<(), E>,
+) -> Result<(), E> {
     let older = path.exists();
     let empty = || std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none());
     if older && !path.join(marker).is_file() && !empty() {
         let expected = format!("no such folder yet, an empty one, or an older one with {marker}");
         return Err(FileError::content(expected, "other content", path).into());
     }
-    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    std::fs::create_dir_all(parent).map_err(FileError::io("create", parent))?;
+    std::fs::create_dir_all(scratch).map_err(FileError::io("create", scratch))?;
     let mut builder = tempfile::Builder::new();
     builder.prefix(".pskel-");
-    let beside = builder.tempdir_in(parent).map_err(FileError::io("create a folder in", parent))?;
+    let beside = builder.tempdir_in(scratch).map_err(FileError::io("create a folder in", scratch))?;
     let new = beside.path().join("new");
     // A folder within the temporary one gets the mode of plain folders.
     std::fs::create_dir(&new).map_err(FileError::io("create", &new))?;

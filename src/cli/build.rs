@@ -10,18 +10,23 @@ use super::numbers::{self, FrameRange};
 use super::progress::StageProgress;
 use super::{WrongUsage, info, say};
 use crate::cloud::{self, Bounds, Point};
-use crate::dataset::LogLocator;
+use crate::dataset::{self, Dataset, LogLocator};
 use crate::error::FileError;
-use crate::skeleton::{self, BuildOptions, BuiltSkeleton, Coloring, Skeleton, Template, TemplateKind};
+use crate::skeleton::{
+    self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, Skeleton, Template, TemplateKind,
+};
 
-/// Build a point skeleton from a recorded drive: colored background, an asset per tracked actor
+/// Build a point skeleton from recorded drives: colored background, an asset per tracked actor
 ///
 /// Writes a folder with skeleton.json (what it holds, how it was made, and how many points were dropped and why) and
-/// three files of points. An older skeleton at that place is replaced once the new one is complete.
+/// three files of points. An older skeleton at that place is replaced once the new one is complete. Until then a folder
+/// SKEL.partial holds what is done; after an interruption --resume goes on from there.
 #[derive(Debug, Args)]
 pub(super) struct BuildArgs {
-    /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
-    log: LogLocator,
+    /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061; several drives of one
+    /// place share a background
+    #[arg(value_name = "LOG", required = true)]
+    logs: Vec<LogLocator>,
     #[command(flatten)]
     roots: LogRoots,
     /// Folder to write
@@ -31,6 +36,12 @@ pub(super) struct BuildArgs {
     /// every-camera 0]
     #[arg(long, value_name = "M", value_parser = numbers::voxel_m, allow_negative_numbers = true)]
     voxel: Option<f64>,
+    /// Go on with an interrupted build of the same logs, frames and options, if there is one
+    #[arg(long)]
+    resume: bool,
+    /// Frames from one checkpoint to the next
+    #[arg(long, value_name = "N", default_value = "20", value_parser = clap::value_parser!(u32).range(1..))]
+    checkpoint: u32,
     /// Use only every N-th frame
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
@@ -75,25 +86,37 @@ pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
         let expected = "no such folder yet, or an older skeleton";
         return Err(FileError::content(expected, "other content", &args.out).into());
     }
-    let templates = read_templates(&args.templates)?;
-    let dataset = args.roots.open(&args.log)?;
-    let frames = FrameRange::of(args.frames, dataset.log().frames.len())?;
-    let frames: Vec<usize> = frames.step_by(args.every as usize).collect();
+    let given = read_templates(&args.templates)?;
+    let datasets = args.open()?;
+    let inputs = datasets.iter().map(|dataset| args.input(dataset.as_ref()));
+    let inputs: Vec<BuildInput> = inputs.collect::<anyhow::Result<_>>()?;
     let progress = StageProgress::default();
-    let mut built = skeleton::build(dataset.as_ref(), &frames, &args.options(), &progress)?;
+    let run =
+        BuildRun { resume: args.resume, checkpoint_frames: args.checkpoint as usize, progress: &progress };
+    let templates = |_: &[(&Asset, &[Point])]| Ok(given.clone());
+    let built = skeleton::build(&args.out, &inputs, &args.options(), &templates, &run)?;
     drop(progress);
-    for (template, points) in templates {
-        built.templates.retain(|(t, _)| t.kind != template.kind);
-        built.templates.push((template, points));
-    }
-    built.templates.sort_by_key(|(t, _)| t.kind);
-    built.write(&args.out)?;
     let seconds = start.elapsed().as_secs_f64();
-    say(&format!("{} in {seconds:.2} s: {}", summary(&built), args.out.display()));
+    say(&format!("{} in {seconds:.2} s: {}", summary(&built.manifest), args.out.display()));
     Ok(())
 }
 
 impl BuildArgs {
+    fn open(&self) -> anyhow::Result<Vec<Box<dyn Dataset>>> {
+        let mut opened = Vec::new();
+        for log in &self.logs {
+            for log in dataset::expand(&self.roots.locate(log))? {
+                opened.push(dataset::open(&log)?);
+            }
+        }
+        Ok(opened)
+    }
+
+    fn input<'a>(&self, dataset: &'a dyn Dataset) -> anyhow::Result<BuildInput<'a>> {
+        let frames = FrameRange::of(self.frames, dataset.log().frames.len())?;
+        Ok(BuildInput { dataset, frames: frames.step_by(self.every as usize).collect() })
+    }
+
     fn options(&self) -> BuildOptions {
         let mut options = match self.coloring {
             Coloring::BestView => BuildOptions::default(),
@@ -114,7 +137,10 @@ fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<(Template, Vec<P
             );
         }
     }
-    files.iter().map(|file| Ok(read_template(file.kind, &file.path)?)).collect()
+    let read = files.iter().map(|file| Ok(read_template(file.kind, &file.path)?));
+    let mut templates: Vec<(Template, Vec<Point>)> = read.collect::<anyhow::Result<_>>()?;
+    templates.sort_by_key(|(template, _)| template.kind);
+    Ok(templates)
 }
 
 /// Reads a template and moves it so that its bounds are centred on the origin, as those of a box are.
@@ -134,18 +160,19 @@ fn read_template(kind: TemplateKind, path: &Path) -> Result<(Template, Vec<Point
     Ok((Template { kind, class, size, points: points.len(), bounds }, points))
 }
 
-fn summary(built: &BuiltSkeleton) -> String {
-    let (source, report) = (&built.source, &built.report);
-    let background: usize = built.background.iter().map(|(c, _)| c.points).sum();
-    let actors: usize = built.actors.iter().map(|(a, _)| a.points).sum();
+fn summary(built: &Manifest) -> String {
+    let report = &built.report;
+    let background: usize = built.background.iter().map(|c| c.points).sum();
+    let actors: usize = built.actors.iter().map(|a| a.points).sum();
     let merged = report.background_points + report.actor_points - background - actors;
     let notes: Vec<String> = report.notes.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
     let notes = if notes.is_empty() { String::new() } else { format!("; the log has {}", notes.join(", ")) };
+    let logs: Vec<&str> = built.sources.iter().map(|source| source.log.as_str()).collect();
     format!(
         "built {} from {} frames ({} points of {} sweeps, {} images): {background} background points in {} chunks, \
          {actors} points of {} actors, {} templates; {merged} merged into others of their voxel; dropped {}{notes}",
-        source.log,
-        source.frames,
+        logs.join(", "),
+        built.sources.iter().map(|source| source.frames).sum::<usize>(),
         report.points_read,
         report.sweeps,
         report.images,

@@ -1,7 +1,8 @@
 use std::io::IsTerminal;
 use std::sync::Mutex;
+use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
 use crate::skeleton;
 
@@ -13,6 +14,7 @@ pub(super) struct Progress {
     bar: Option<ProgressBar>,
     done: u64,
     total: u64,
+    start: Instant,
 }
 
 impl Progress {
@@ -20,10 +22,10 @@ impl Progress {
     pub(super) fn new(total: usize) -> Self {
         let total = total as u64;
         let bar = std::io::stderr().is_terminal().then(|| {
-            let style = ProgressStyle::with_template("{bar:40} {pos}/{len} {elapsed}/{duration} {msg}");
+            let style = ProgressStyle::with_template("{bar:40} {pos}/{len} {elapsed}, {eta} left, {msg}");
             ProgressBar::new(total).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
         });
-        Self { bar, done: 0, total }
+        Self { bar, done: 0, total, start: Instant::now() }
     }
 
     /// Counts a step that is done.
@@ -34,15 +36,31 @@ impl Progress {
                 bar.set_message(name.to_owned());
                 bar.inc(1);
             }
-            None if self.is_worth_a_line() => eprintln!("[{}/{}] {name}", self.done, self.total),
+            None if self.is_worth_a_line() => {
+                eprintln!("[{}/{}] {name}{}", self.done, self.total, time_left(self.left()));
+            }
             None => {}
         }
+    }
+
+    /// Time that the rest will take if it goes on as before.
+    fn left(&self) -> Duration {
+        let rest = (self.total - self.done.min(self.total)) as f64 / self.done.max(1) as f64;
+        self.start.elapsed().mul_f64(rest)
     }
 
     /// Every step of a short stage; each tenth part of a long one.
     fn is_worth_a_line(&self) -> bool {
         let part = |done: u64| done * LINES / self.total.max(LINES);
         self.total <= LINES || part(self.done) > part(self.done - 1)
+    }
+}
+
+/// Told only where it is worth waiting for.
+fn time_left(left: Duration) -> String {
+    match left.as_secs() {
+        0..10 => String::new(),
+        seconds => format!(", {} left", HumanDuration(Duration::from_secs(seconds))),
     }
 }
 
@@ -84,9 +102,19 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_time_left_follows_from_what_is_done() {
+        let start = Instant::now() - Duration::from_secs(60);
+        let progress = |done| Progress { bar: None, done, total: 40, start };
+        let left = |done| progress(done).left().as_secs();
+        assert_eq!([left(10), left(30), left(40)], [180, 20, 0]);
+        assert_eq!(time_left(Duration::from_secs(9)), "");
+        assert_eq!(time_left(Duration::from_secs(180)), ", 3 minutes left");
+    }
+
+    #[test]
     fn long_stages_get_few_lines_and_always_the_last() {
         for total in [1, 7, 10, 11, 38, 1000] {
-            let mut progress = Progress { bar: None, done: 0, total };
+            let mut progress = Progress { bar: None, done: 0, total, start: Instant::now() };
             let mut lines = 0;
             for _ in 0..total {
                 progress.done += 1;

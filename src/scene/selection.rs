@@ -127,8 +127,9 @@ fn fit(how: TemplateFit, bounds: &Bounds, size: DVec3) -> DAffine3 {
 mod tests {
     use super::*;
     use crate::dataset::Class;
+    use crate::error::FileError;
     use crate::geometry::{Cuboid, Pose};
-    use crate::skeleton::{Asset, BuiltSkeleton, Chunk, Template};
+    use crate::skeleton::{Asset, BuildOptions, BuildReport, Chunk, SkeletonWriter, Template};
 
     fn cube(count: usize) -> (Vec<Point>, Bounds) {
         let corner = |i: usize| [0.0, 1.0, 2.0].map(|_: f32| if i.is_multiple_of(2) { -1.0 } else { 1.0 });
@@ -143,25 +144,28 @@ mod tests {
         let asset = |track: &str, category: &str, count: usize| {
             let (points, bounds) = cube(count);
             let class = Class::from_category(category);
-            let (track, category) = (track.to_owned(), category.to_owned());
-            (Asset { track, category, class, size: [2.0; 3], sweeps: 1, points: count, bounds }, points)
+            let (log, track, category) = ("log".to_owned(), track.to_owned(), category.to_owned());
+            (Asset { log, track, category, class, size: [2.0; 3], sweeps: 1, points: count, bounds }, points)
         };
         let template = |kind: TemplateKind| {
             let (points, bounds) = cube(4);
             (Template { kind, class: kind.class(), size: [2.0; 3], points: 4, bounds }, points)
         };
-        let (points, bounds) = cube(2);
-        let built = BuiltSkeleton {
-            background: vec![(Chunk { origin: [100.0, 200.0, 0.0], points: 2, bounds }, points)],
-            actors: vec![
-                asset("big", "vehicle.car", 30),
-                asset("small", "vehicle.car", 10),
-                asset("truck", "vehicle.truck", 10),
-            ],
-            templates: vec![template(TemplateKind::Sedan), template(TemplateKind::Pedestrian)],
-            ..BuiltSkeleton::default()
-        };
-        built.write(folder).unwrap();
+        let assets =
+            [("big", "vehicle.car", 30), ("small", "vehicle.car", 10), ("truck", "vehicle.truck", 10)];
+        SkeletonWriter::write::<FileError>(folder, |writer| {
+            let (points, bounds) = cube(2);
+            writer.chunk(Chunk { origin: [100.0, 200.0, 0.0], points: 2, bounds }, &points)?;
+            for (track, category, count) in assets {
+                let (asset, points) = asset(track, category, count);
+                writer.actor(asset, &points)?;
+            }
+            for (template, points) in [template(TemplateKind::Sedan), template(TemplateKind::Pedestrian)] {
+                writer.template(template, &points)?;
+            }
+            writer.finish(Vec::new(), BuildOptions::default(), BuildReport::default())
+        })
+        .unwrap();
         Skeleton::open(folder).unwrap()
     }
 

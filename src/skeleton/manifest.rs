@@ -14,15 +14,15 @@ pub struct Manifest {
     pub format: String,
     /// [`Manifest::VERSION`].
     pub version: u32,
-    /// Where it comes from.
-    pub source: Source,
+    /// Where it comes from: one entry a log.
+    pub sources: Vec<Source>,
     /// How it was made.
     pub options: BuildOptions,
     /// What went in and what was left out.
     pub report: BuildReport,
     /// `background.points`: chunks of the static background.
     pub background: Vec<Chunk>,
-    /// `actors.points`: one asset a track, sorted by track.
+    /// `actors.points`: one asset a track, sorted by track, then log.
     pub actors: Vec<Asset>,
     /// `templates.points`: one cloud a category template.
     pub templates: Vec<Template>,
@@ -32,7 +32,28 @@ impl Manifest {
     /// Marks the folder.
     pub const FORMAT: &'static str = "point-skeleton";
     /// Changes whenever older readers would misread a skeleton.
-    pub const VERSION: u32 = 1;
+    pub const VERSION: u32 = 2;
+
+    /// First and last time of what it was built from of a log, absolute microseconds; `None` for another log.
+    pub fn times_us(&self, log: &str) -> Option<[i64; 2]> {
+        self.sources.iter().find(|source| source.log == log).map(|source| source.t_us)
+    }
+}
+
+/// Without clouds.
+impl Default for Manifest {
+    fn default() -> Self {
+        Self {
+            format: Self::FORMAT.into(),
+            version: Self::VERSION,
+            sources: Vec::new(),
+            options: BuildOptions::default(),
+            report: BuildReport::default(),
+            background: Vec::new(),
+            actors: Vec::new(),
+            templates: Vec::new(),
+        }
+    }
 }
 
 /// The log that a skeleton was built from.
@@ -62,6 +83,8 @@ pub struct Chunk {
 /// The points of one track in its box frame: the origin is the centre of the box, x forward.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Asset {
+    /// Log that the track is in.
+    pub log: String,
     /// Track id.
     pub track: String,
     /// The data set's category name.

@@ -7,7 +7,6 @@
 //! points are `f32`. [`Skeleton`] is the result on disk, memory-mapped.
 
 mod build;
-mod chunks;
 mod colorize;
 mod manifest;
 mod occlusion;
@@ -17,16 +16,16 @@ mod store;
 mod sweep;
 mod template;
 mod trajectory;
-mod voxel;
 
-pub use build::{BuildError, Progress, build};
-pub use chunks::{CHUNK_M, chunks_from_points};
+pub use build::{BuildError, BuildInput, BuildRun, MakeTemplates, Progress, build};
 pub use colorize::{Candidate, ColorView, Look, Projector, agreed_color};
 pub use manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap};
 pub use options::{BuildOptions, Coloring};
 pub use split::{Part, SplitOptions, Splitter};
-pub use store::{BuiltSkeleton, Skeleton};
+pub use store::{Skeleton, SkeletonWriter};
 pub use template::TemplateKind;
 pub use trajectory::Trajectories;
-pub use voxel::{ColoredPoint, merge_voxels};
+
+/// Side of a background chunk, metres: `f32` offsets within it are exact to a few micrometres.
+pub const CHUNK_M: f64 = 32.0;

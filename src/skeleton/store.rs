@@ -1,12 +1,13 @@
 //! A skeleton on disk: a folder with `skeleton.json` and three files of 16-byte points that are memory-mapped.
 
-use std::io::Write;
+use std::fs::File;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use super::BuildOptions;
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
+use super::{BuildOptions, MakeTemplates};
 use crate::cloud::Point;
-use crate::error::{FileError, write_json, write_whole, write_whole_folder};
+use crate::error::{FileError, write_json, write_whole_folder, write_whole_folder_by};
 use crate::gpu::MappedFile;
 
 const MANIFEST: &str = "skeleton.json";
@@ -14,62 +15,127 @@ const BACKGROUND: &str = "background.points";
 const ACTORS: &str = "actors.points";
 const TEMPLATES: &str = "templates.points";
 
-/// A skeleton in memory, as the builder makes it.
-#[derive(Clone, Debug, Default)]
-pub struct BuiltSkeleton {
-    /// Where it comes from.
-    pub source: Source,
-    /// How it was made.
-    pub options: BuildOptions,
-    /// What went in and what was left out.
-    pub report: BuildReport,
-    /// Chunks with their points.
-    pub background: Vec<(Chunk, Vec<Point>)>,
-    /// Assets with their points, sorted by track.
-    pub actors: Vec<(Asset, Vec<Point>)>,
-    /// Templates with their points.
-    pub templates: Vec<(Template, Vec<Point>)>,
+/// Writes a skeleton cloud by cloud: first chunks, then assets, then templates, each in the order they are to have.
+pub struct SkeletonWriter {
+    folder: PathBuf,
+    background: PointFile,
+    actors: PointFile,
+    templates: PointFile,
+    manifest: Manifest,
 }
 
-impl BuiltSkeleton {
-    /// Writes the folder under a temporary name beside `path`, then renames it. An older skeleton at `path` is
-    /// replaced; a folder with anything else is refused.
+impl SkeletonWriter {
+    /// Writes the folder under a temporary name beside `path`, then renames it. `fill` adds the clouds and ends with
+    /// [`SkeletonWriter::finish`]. An older skeleton at `path` is replaced; a folder with anything else is refused.
     ///
     /// # Errors
-    /// The system's, a folder that is no skeleton; nothing is left half-written.
-    pub fn write(&self, path: &Path) -> Result<(), FileError> {
-        write_whole_folder(path, MANIFEST, |folder| self.write_into(folder))
+    /// Those of `fill`, the system's, a folder that is no skeleton; nothing is left half-written.
+    pub fn write<E: From<FileError>>(
+        path: &Path,
+        fill: impl FnOnce(&mut Self) -> Result<(), E>,
+    ) -> Result<(), E> {
+        write_whole_folder(path, MANIFEST, |folder| fill(&mut Self::new(folder)?))
     }
 
-    fn write_into(&self, folder: &Path) -> Result<(), FileError> {
-        write_points(&folder.join(BACKGROUND), self.background.iter().map(|(_, p)| p))?;
-        write_points(&folder.join(ACTORS), self.actors.iter().map(|(_, p)| p))?;
-        write_points(&folder.join(TEMPLATES), self.templates.iter().map(|(_, p)| p))?;
-        let path = folder.join(MANIFEST);
-        write_json(&path, &self.manifest())
+    /// The same with the temporary folder in `scratch`, a folder of the same file system.
+    pub(super) fn write_by<E: From<FileError>>(
+        path: &Path,
+        scratch: &Path,
+        fill: impl FnOnce(&mut Self) -> Result<(), E>,
+    ) -> Result<(), E> {
+        write_whole_folder_by(path, MANIFEST, scratch, |folder| fill(&mut Self::new(folder)?))
     }
 
-    fn manifest(&self) -> Manifest {
-        Manifest {
-            format: Manifest::FORMAT.into(),
-            version: Manifest::VERSION,
-            source: self.source.clone(),
-            options: self.options.clone(),
-            report: self.report.clone(),
-            background: self.background.iter().map(|(c, _)| c.clone()).collect(),
-            actors: self.actors.iter().map(|(a, _)| a.clone()).collect(),
-            templates: self.templates.iter().map(|(t, _)| t.clone()).collect(),
+    fn new(folder: &Path) -> Result<Self, FileError> {
+        let file = |name: &str| PointFile::create(&folder.join(name));
+        Ok(Self {
+            folder: folder.to_owned(),
+            background: file(BACKGROUND)?,
+            actors: file(ACTORS)?,
+            templates: file(TEMPLATES)?,
+            manifest: Manifest::default(),
+        })
+    }
+
+    /// Adds a chunk of the background.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn chunk(&mut self, chunk: Chunk, points: &[Point]) -> Result<(), FileError> {
+        self.manifest.background.push(chunk);
+        self.background.add(points)
+    }
+
+    /// Adds the asset of a track.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn actor(&mut self, asset: Asset, points: &[Point]) -> Result<(), FileError> {
+        self.manifest.actors.push(asset);
+        self.actors.add(points)
+    }
+
+    /// Adds a template.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn template(&mut self, template: Template, points: &[Point]) -> Result<(), FileError> {
+        self.manifest.templates.push(template);
+        self.templates.add(points)
+    }
+
+    /// Adds what is made from the assets written so far.
+    ///
+    /// # Errors
+    /// Those of `make`, the system's.
+    pub fn templates_from(&mut self, make: &MakeTemplates) -> Result<(), FileError> {
+        self.actors.flush()?;
+        let file = MappedFile::open(&self.actors.path)?;
+        let clouds = slices(&file, self.manifest.actors.iter().map(|a| a.points));
+        let assets: Vec<(&Asset, &[Point])> = self.manifest.actors.iter().zip(clouds).collect();
+        for (template, points) in make(&assets)? {
+            self.template(template, &points)?;
         }
+        Ok(())
+    }
+
+    /// Writes what remains, and the manifest, the last of all.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn finish(
+        &mut self,
+        sources: Vec<Source>,
+        options: BuildOptions,
+        report: BuildReport,
+    ) -> Result<(), FileError> {
+        [&mut self.background, &mut self.actors, &mut self.templates]
+            .into_iter()
+            .try_for_each(PointFile::flush)?;
+        (self.manifest.sources, self.manifest.options, self.manifest.report) = (sources, options, report);
+        write_json(&self.folder.join(MANIFEST), &self.manifest)
     }
 }
 
-fn write_points<'a>(path: &Path, clouds: impl Iterator<Item = &'a Vec<Point>>) -> Result<(), FileError> {
-    write_whole(path, |writer| {
-        for cloud in clouds {
-            writer.write_all(bytemuck::cast_slice(cloud)).map_err(FileError::io("write", path))?;
-        }
-        Ok(())
-    })
+/// A file of points that grows.
+struct PointFile {
+    path: PathBuf,
+    file: BufWriter<File>,
+}
+
+impl PointFile {
+    fn create(path: &Path) -> Result<Self, FileError> {
+        let file = File::create(path).map_err(FileError::io("create", path))?;
+        Ok(Self { path: path.to_owned(), file: BufWriter::with_capacity(1 << 20, file) })
+    }
+
+    fn add(&mut self, points: &[Point]) -> Result<(), FileError> {
+        self.file.write_all(bytemuck::cast_slice(points)).map_err(FileError::io("write", &self.path))
+    }
+
+    fn flush(&mut self) -> Result<(), FileError> {
+        self.file.flush().map_err(FileError::io("write", &self.path))
+    }
 }
 
 /// A skeleton on disk, memory-mapped.

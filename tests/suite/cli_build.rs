@@ -24,17 +24,17 @@ fn a_log_becomes_a_skeleton_and_every_point_is_accounted_for() {
         report.iter().filter(|(n, _)| n.starts_with("dropped")).map(|(_, c)| c.as_u64().unwrap()).sum();
     assert_eq!(dropped + count("background_points") + count("actor_points"), count("points_read"));
     assert_eq!((count("sweeps"), count("images")), (FRAMES as u64, (FRAMES * CAMERAS.len()) as u64));
-    assert_eq!(manifest["source"]["log"], "tiny");
+    assert_eq!(manifest["sources"][0]["log"], "tiny");
     let tracks: Vec<_> = manifest["actors"].as_array().unwrap().iter().map(|a| a["track"].clone()).collect();
     assert_eq!(tracks, ["car", "cone"]);
     assert_eq!(manifest["actors"][0]["sweeps"], 3);
     // One frame of its own; every other one.
     log.succeed("build nuscenes:log --out out/sk --frames 1..2 --voxel 0 --box-margin 0.2");
     let one = log.json("out/sk/skeleton.json");
-    assert_eq!((&one["source"]["frames"], &one["options"]["voxel_m"]), (&json!(1), &json!(0.0)));
+    assert_eq!((&one["sources"][0]["frames"], &one["options"]["voxel_m"]), (&json!(1), &json!(0.0)));
     assert_eq!(one["options"]["split"]["margin_m"], 0.2);
     log.succeed("build nuscenes:log --out out/sk --every 2 --coloring every-camera --sweeps");
-    assert_eq!(log.json("out/sk/skeleton.json")["source"]["frames"], 2);
+    assert_eq!(log.json("out/sk/skeleton.json")["sources"][0]["frames"], 2);
     assert_eq!(std::fs::read_dir(log.path("out")).unwrap().count(), 1);
 }
 
@@ -127,7 +127,7 @@ fn a_file_size_limit_leaves_no_skeleton() {
     let log = TinyLog::new();
     let script = format!("ulimit -f 8; exec '{PSKEL}' {BUILD}");
     let output = Command::new("bash").arg("-c").arg(script).current_dir(log.path("")).output().unwrap();
-    assert_failed(&output, 1, &["background.points", "cannot write"]);
+    assert_failed(&output, 1, &["sk.partial/run-000000.sums", "cannot write"]);
     log.assert_out_is_empty();
 }
 

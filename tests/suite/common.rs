@@ -1,7 +1,10 @@
-//! Where test data lies.
+//! Where test data lies, and skeletons made from it.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use point_skeleton::dataset::Dataset;
+use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 
 /// The folder of recordings and fixtures: `PSKEL_SHARED`, else `../shared` from the project's root. Where neither
 /// exists the skip is printed, counted in the file `PSKEL_SKIP_LOG` names, and the caller returns.
@@ -23,4 +26,15 @@ pub(crate) fn shared(what: &str) -> Option<PathBuf> {
 /// The folder of fixtures: `PSKEL_FIXTURES`, else `fixtures` in the shared folder.
 pub(crate) fn fixtures(what: &str) -> Option<PathBuf> {
     std::env::var_os("PSKEL_FIXTURES").map(PathBuf::from).or_else(|| shared(what).map(|s| s.join("fixtures")))
+}
+
+/// A skeleton of some frames of a log, without templates.
+pub(crate) fn skeleton_of(
+    out: &Path,
+    log: &dyn Dataset,
+    frames: &[usize],
+    options: &BuildOptions,
+) -> Skeleton {
+    let input = BuildInput { dataset: log, frames: frames.to_vec() };
+    skeleton::build(out, &[input], options, &|_| Ok(Vec::new()), &BuildRun::default()).unwrap()
 }

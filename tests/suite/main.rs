@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)] // helpers stand outside `#[test]`
 
 mod bench_cli;
+mod build_resume;
 mod cli_build;
 mod cli_render;
 mod common;

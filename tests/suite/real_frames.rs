@@ -8,9 +8,9 @@ use point_skeleton::raster::{
     Crop, FrameJob, FrameKinds, FrameMaps, Occlusion, Rasterizer, SplatSchedule, rgb_of,
 };
 use point_skeleton::scene::{EgoOffset, SelectionOptions, Stage, state_of_frame};
-use point_skeleton::skeleton::{BuildOptions, Skeleton, build};
+use point_skeleton::skeleton::BuildOptions;
 
-use crate::common::shared;
+use crate::common::{shared, skeleton_of};
 use crate::raster::twins::{Division, allowed_share, rasterizers, with_device};
 
 /// Every pixel of every map of both.
@@ -36,9 +36,7 @@ fn all_rasterizers_draw_a_real_frame_alike() {
     let locator = LogLocator::new(LogFormat::NuScenes, path);
     let drive = NuScenes::open(&locator).unwrap();
     let scratch = tempfile::tempdir().unwrap();
-    let built = build(&drive, &[3, 4, 5], &BuildOptions::default(), &()).unwrap();
-    built.write(&scratch.path().join("s")).unwrap();
-    let skeleton = Skeleton::open(&scratch.path().join("s")).unwrap();
+    let skeleton = skeleton_of(&scratch.path().join("s"), &drive, &[3, 4, 5], &BuildOptions::default());
     let state = state_of_frame(drive.log(), 4, EgoOffset::default()).unwrap();
     let instances = Stage::new(&skeleton).instances(&state, &SelectionOptions::default());
     let clouds = Stage::clouds(&skeleton);

@@ -9,9 +9,10 @@ use point_skeleton::dataset::nuscenes::NuScenes;
 use point_skeleton::dataset::{
     Class, Dataset, DatasetError, Frame, ImageRecord, Log, LogFormat, LogLocator, Sweep, SweepRecord,
 };
-use point_skeleton::skeleton::{BuildOptions, BuiltSkeleton, build};
+use point_skeleton::skeleton::{BuildOptions, Skeleton};
+use tempfile::TempDir;
 
-use crate::common::shared;
+use crate::common::{shared, skeleton_of};
 
 const FRAMES: [usize; 6] = [0, 2, 4, 6, 8, 10];
 
@@ -49,19 +50,22 @@ impl Dataset for OneSweep<'_> {
     }
 }
 
-/// The drive, and a skeleton of each frame's sweep with all its points.
-fn single_sweeps() -> Option<(NuScenes, Vec<BuiltSkeleton>)> {
+/// The drive, and a skeleton of each frame's sweep with all its points, in a folder.
+fn single_sweeps() -> Option<(NuScenes, Vec<Skeleton>, TempDir)> {
     let path = shared("the PandaSet drive")?.join("data/pandaset-002/nuscenes");
     let drive = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, path)).unwrap();
     let options = BuildOptions { voxel_m: 0.0, ..BuildOptions::default() };
     let all: Vec<usize> = (0..drive.log().frames.len()).collect();
-    let skeleton = |kept: usize| build(&OneSweep::new(&drive, kept), &all, &options, &()).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let skeleton = |kept: usize| {
+        skeleton_of(&folder.path().join(kept.to_string()), &OneSweep::new(&drive, kept), &all, &options)
+    };
     let built = FRAMES.map(skeleton);
-    Some((drive, built.into()))
+    Some((drive, built.into(), folder))
 }
 
 /// Background points of a sweep, and how many of them lie in a box of its frame more than `ground_m` above the floor.
-fn background_in_boxes(skeleton: &BuiltSkeleton, frame: &Frame, ground_m: f64) -> [usize; 2] {
+fn background_in_boxes(skeleton: &Skeleton, frame: &Frame, ground_m: f64) -> [usize; 2] {
     // Half a millimetre for what f32 rounds off.
     const ROUNDING_M: f64 = 5e-4;
     let inside = |global: DVec3| {
@@ -72,7 +76,7 @@ fn background_in_boxes(skeleton: &BuiltSkeleton, frame: &Frame, ground_m: f64) -
         })
     };
     let mut counts = [0; 2];
-    for (chunk, points) in &skeleton.background {
+    for (chunk, points) in skeleton.manifest.background.iter().zip(skeleton.background()) {
         for point in points {
             let global = DVec3::from(chunk.origin) + DVec3::from(point.position.map(f64::from));
             counts[0] += 1;
@@ -84,7 +88,7 @@ fn background_in_boxes(skeleton: &BuiltSkeleton, frame: &Frame, ground_m: f64) -
 
 #[test]
 fn no_background_point_lies_in_a_box_above_the_ground() {
-    let Some((dataset, skeletons)) = single_sweeps() else { return };
+    let Some((dataset, skeletons, _folder)) = single_sweeps() else { return };
     for (index, skeleton) in FRAMES.into_iter().zip(&skeletons) {
         let frame = &dataset.log().frames[index];
         let [checked, inside] = background_in_boxes(skeleton, frame, 0.2);
@@ -100,10 +104,10 @@ type Views<'a> = Vec<(usize, &'a [Point])>;
 /// Sweeps with fewer points show too little of a car.
 const WELL_SEEN: usize = 200;
 
-fn well_seen_cars(skeletons: &[BuiltSkeleton]) -> BTreeMap<&str, Views<'_>> {
+fn well_seen_cars(skeletons: &[Skeleton]) -> BTreeMap<&str, Views<'_>> {
     let mut cars: BTreeMap<&str, Views> = BTreeMap::new();
     for (index, skeleton) in FRAMES.into_iter().zip(skeletons) {
-        for (asset, points) in &skeleton.actors {
+        for (asset, points) in skeleton.manifest.actors.iter().zip(skeleton.actors()) {
             if asset.class == Class::MotorVehicle && points.len() >= WELL_SEEN {
                 cars.entry(&asset.track).or_default().push((index, points));
             }
@@ -147,7 +151,7 @@ fn travel_m(dataset: &NuScenes, track: &str) -> f64 {
 
 #[test]
 fn the_sweeps_of_a_car_agree() {
-    let Some((dataset, skeletons)) = single_sweeps() else { return };
+    let Some((dataset, skeletons, _folder)) = single_sweeps() else { return };
     let cars = well_seen_cars(&skeletons);
     assert!(cars.len() >= 5, "{} well-seen cars", cars.len());
     let mut off = Vec::new();

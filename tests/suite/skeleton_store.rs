@@ -3,18 +3,26 @@
 use std::path::Path;
 
 use point_skeleton::cloud::{Bounds, Point};
-use point_skeleton::skeleton::{BuiltSkeleton, Chunk, Skeleton};
+use point_skeleton::error::FileError;
+use point_skeleton::skeleton::{BuildOptions, BuildReport, Chunk, Skeleton, SkeletonWriter};
 
-fn built() -> BuiltSkeleton {
+fn chunk() -> (Chunk, Vec<Point>) {
     let points: Vec<Point> = (0..10).map(|i| Point::new([i as f32, 0.5, -1.0], [i, 2, 3], 0)).collect();
     let bounds = Bounds::of(&points).unwrap();
-    let chunk = Chunk { origin: [664_416.0, 3_997_632.0, 0.1 + 0.2], points: points.len(), bounds };
-    BuiltSkeleton { background: vec![(chunk, points)], ..BuiltSkeleton::default() }
+    (Chunk { origin: [664_416.0, 3_997_632.0, 0.1 + 0.2], points: points.len(), bounds }, points)
+}
+
+fn write(path: &Path) -> Result<(), FileError> {
+    let (chunk, points) = chunk();
+    SkeletonWriter::write(path, |writer| {
+        writer.chunk(chunk, &points)?;
+        writer.finish(Vec::new(), BuildOptions::default(), BuildReport::default())
+    })
 }
 
 fn refused(folder: &Path, damage: impl Fn(&Path), words: &[&str]) {
     let path = folder.join("s");
-    built().write(&path).unwrap();
+    write(&path).unwrap();
     damage(&path);
     let message = Skeleton::open(&path).unwrap_err().to_string();
     for word in words {
@@ -26,12 +34,12 @@ fn refused(folder: &Path, damage: impl Fn(&Path), words: &[&str]) {
 fn a_skeleton_comes_back_as_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("deep/er/s");
-    let built = built();
-    built.write(&path).unwrap();
-    built.write(&path).unwrap(); // an older one is replaced
+    write(&path).unwrap();
+    write(&path).unwrap(); // an older one is replaced
     let skeleton = Skeleton::open(&path).unwrap();
-    assert_eq!(skeleton.manifest.background[0], built.background[0].0);
-    assert_eq!(skeleton.background(), vec![built.background[0].1.as_slice()]);
+    let (chunk, points) = chunk();
+    assert_eq!(skeleton.manifest.background, [chunk]);
+    assert_eq!(skeleton.background(), [points.as_slice()]);
     assert!(skeleton.actors().is_empty() && skeleton.templates().is_empty());
     let names = std::fs::read_dir(path.parent().unwrap()).unwrap();
     assert_eq!(names.count(), 1, "nothing temporary is left");
@@ -48,9 +56,9 @@ fn damage_is_named() {
     let other = |path: &Path| {
         let file = path.join("skeleton.json");
         let text = std::fs::read_to_string(&file).unwrap();
-        std::fs::write(file, text.replace("\"version\": 1", "\"version\": 2")).unwrap();
+        std::fs::write(file, text.replace("\"version\": 2", "\"version\": 1")).unwrap();
     };
-    refused(folder.path(), other, &["version 1", "version 2", "skeleton.json"]);
+    refused(folder.path(), other, &["version 2", "version 1", "skeleton.json"]);
     let broken = |path: &Path| std::fs::write(path.join("skeleton.json"), "{").unwrap();
     refused(folder.path(), broken, &["a skeleton manifest", "skeleton.json"]);
     let missing = |path: &Path| std::fs::remove_file(path.join("actors.points")).unwrap();
@@ -67,7 +75,7 @@ fn damage_is_named() {
 fn a_folder_with_other_content_is_not_replaced() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("thesis.tex"), "years of work").unwrap();
-    let message = built().write(folder.path()).unwrap_err().to_string();
+    let message = write(folder.path()).unwrap_err().to_string();
     assert!(message.contains("an older one with skeleton.json"), "{message}");
     assert!(folder.path().join("thesis.tex").is_file());
 }

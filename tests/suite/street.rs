@@ -6,9 +6,10 @@ use point_skeleton::dataset::{
     Class, Dataset, DatasetError, ImageRecord, Log, LogFormat, LogLocator, Sweep, SweepRecord,
 };
 use point_skeleton::geometry::Pose;
-use point_skeleton::skeleton::{self, BuildOptions};
+use point_skeleton::skeleton::BuildOptions;
 use point_skeleton::town::{Street, StreetOptions};
 
+use crate::common::skeleton_of;
 use crate::tiny_log::tree;
 
 const OPTIONS: StreetOptions = StreetOptions { seed: 3, frames: 2, size: [45, 80] };
@@ -127,22 +128,19 @@ impl Dataset for Sparse {
 #[test]
 fn sweeps_between_frames_are_split_by_boxes_in_between() {
     let log = Sparse::new();
+    let folder = tempfile::tempdir().unwrap();
     let build = |between_sweeps: bool| {
         let options = BuildOptions { between_sweeps, ..BuildOptions::default() };
-        skeleton::build(&log, &[0, 1], &options, &()).unwrap()
+        skeleton_of(&folder.path().join("s"), &log, &[0, 1], &options).manifest
     };
     let (without, with) = (build(false), build(true));
     assert_eq!([without.report.sweeps, with.report.sweeps], [2, 3]);
     // The car in front moves 1.1 m a frame; its points still lie where its box is.
-    let moving = with.actors.iter().find(|(a, _)| a.track == log.1.tracks[moving_car(&log.1)].id).unwrap();
-    assert_eq!(moving.0.sweeps, 3);
+    let moving = with.actors.iter().find(|a| a.track == log.1.tracks[moving_car(&log.1)].id).unwrap();
+    assert_eq!(moving.sweeps, 3);
     for axis in 0..3 {
-        let half = moving.0.size[axis] as f32 / 2.0 + 0.02;
-        assert!(
-            moving.0.bounds.min[axis] >= -half && moving.0.bounds.max[axis] <= half,
-            "{:?}",
-            moving.0.bounds
-        );
+        let half = moving.size[axis] as f32 / 2.0 + 0.02;
+        assert!(moving.bounds.min[axis] >= -half && moving.bounds.max[axis] <= half, "{:?}", moving.bounds);
     }
 }
 

@@ -32,7 +32,7 @@ pub(super) fn describe(skeleton: &Skeleton) -> Value {
     json!({
         "kind": "skeleton",
         "path": skeleton.path(),
-        "source": manifest.source,
+        "sources": manifest.sources,
         "background": {
             "points": background_points(manifest),
             "chunks": manifest.background.len(),
@@ -48,17 +48,18 @@ pub(super) fn describe(skeleton: &Skeleton) -> Value {
 /// The same for people, in lines.
 pub(super) fn text(skeleton: &Skeleton) -> String {
     let manifest = &skeleton.manifest;
-    let (source, report) = (&manifest.source, &manifest.report);
-    let seconds = (source.t_us[1] - source.t_us[0]) as f64 * 1e-6;
+    let report = &manifest.report;
     let mut lines = format!("skeleton   {}\n", skeleton.path().display());
     // Writing to a string cannot fail.
     let mut line = |name: &str, rest: String| {
         let _ = writeln!(lines, "{name:<10} {rest}");
     };
-    line(
-        "log",
-        format!("{} ({}), {} frames over {seconds:.1} s", source.log, source.location, source.frames),
-    );
+    for source in &manifest.sources {
+        let seconds = (source.t_us[1] - source.t_us[0]) as f64 * 1e-6;
+        let what =
+            format!("{} ({}), {} frames over {seconds:.1} s", source.log, source.location, source.frames);
+        line("log", what);
+    }
     line(
         "background",
         format!("{} points in {} chunks", background_points(manifest), manifest.background.len()),

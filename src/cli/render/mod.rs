@@ -52,7 +52,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         &options.selection,
     )?;
     let summary = summary(&frames, &steps.missing_cameras(&frames), rasterizer.as_mut());
-    warn_of_times_outside(&frames, skeleton.manifest.source.t_us);
+    warn_of_times_outside(&frames, skeleton.manifest.times_us(&log.name));
     output.end(&Index { options: &options, frames })?;
     say(&format!("{summary} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
     Ok(())
@@ -61,16 +61,19 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
 /// A skeleton stands in the global frame of the log it was built from: with any other it makes no sense.
 pub(super) fn open_skeleton(path: &Path, dataset: &dyn Dataset) -> Result<Skeleton, FileError> {
     let skeleton = Skeleton::open(path)?;
-    let (expected, found) = (&dataset.log().name, &skeleton.manifest.source.log);
-    if expected != found {
-        let expected = format!("a skeleton of log {expected}");
-        return Err(FileError::content(expected, format!("one of log {found}"), path));
+    let name = &dataset.log().name;
+    if skeleton.manifest.times_us(name).is_none() {
+        let logs: Vec<&str> = skeleton.manifest.sources.iter().map(|source| source.log.as_str()).collect();
+        let (expected, found) =
+            (format!("a skeleton of log {name}"), format!("one of log {}", logs.join(", ")));
+        return Err(FileError::content(expected, found, path));
     }
     Ok(skeleton)
 }
 
 /// Where the skeleton saw nothing there may be little to show.
-fn warn_of_times_outside(frames: &[IndexFrame], [first, last]: [i64; 2]) {
+fn warn_of_times_outside(frames: &[IndexFrame], built_from: Option<[i64; 2]>) {
+    let Some([first, last]) = built_from else { return };
     let outside: Vec<&str> =
         frames.iter().filter(|f| !(first..=last).contains(&f.t_us)).map(|f| f.name.as_str()).collect();
     if !outside.is_empty() {

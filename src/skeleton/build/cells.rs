@@ -1,0 +1,86 @@
+use glam::DVec3;
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+use serde::{Deserialize, Serialize};
+
+use super::sums::{VoxelSum, Voxels, merge};
+use crate::skeleton::sweep::SweepCloud;
+use crate::skeleton::{BuildReport, CHUNK_M, Candidate};
+
+/// What points are gathered in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Cell {
+    /// A chunk of the background: its place in steps of [`CHUNK_M`].
+    Chunk([i64; 3]),
+    /// A track of one of the logs.
+    Track {
+        /// Number of the log.
+        log: usize,
+        /// Number of the track in it.
+        track: usize,
+    },
+}
+
+/// Points in memory that wait to be written.
+pub(super) struct Cells {
+    pub(super) voxels: Voxels,
+    cells: FxHashMap<Cell, Vec<VoxelSum>>,
+    /// How many.
+    pub(super) points: usize,
+}
+
+impl Cells {
+    pub(super) fn new(voxels: Voxels) -> Self {
+        Self { voxels, cells: FxHashMap::default(), points: 0 }
+    }
+
+    /// Adds the colored points of a sweep, the one with number `sweep` of all of them; counts them and those without a
+    /// color. Gives back the tracks that got a point.
+    pub(super) fn add(
+        &mut self,
+        log: usize,
+        sweep: u64,
+        cloud: &SweepCloud,
+        report: &mut BuildReport,
+    ) -> Vec<Cell> {
+        let mut place = sweep << 32;
+        for point in &cloud.background {
+            let at = (point.position / CHUNK_M).floor();
+            let cell = Cell::Chunk(at.to_array().map(|i| i as i64));
+            report.background_points += self.add_point(cell, point, at * CHUNK_M, &mut place);
+        }
+        let mut tracks = Vec::new();
+        for (&track, points) in &cloud.actors {
+            let cell = Cell::Track { log, track };
+            let added: usize =
+                points.iter().map(|point| self.add_point(cell, point, DVec3::ZERO, &mut place)).sum();
+            report.actor_points += added;
+            if added > 0 {
+                tracks.push(cell);
+            }
+        }
+        let colorless = |points: &Vec<Candidate>| points.iter().filter(|p| p.rgb.is_none()).count();
+        report.dropped_uncolored += cloud.parts().map(|(_, points)| colorless(points)).sum::<usize>();
+        tracks
+    }
+
+    /// Adds a point if it has a color; gives back how many were added.
+    fn add_point(&mut self, cell: Cell, point: &Candidate, origin: DVec3, place: &mut u64) -> usize {
+        let Some(rgb) = point.rgb else { return 0 };
+        let sum = self.voxels.sum(point.position - origin, rgb, *place);
+        self.cells.entry(cell).or_default().push(sum);
+        *place += 1;
+        self.points += 1;
+        1
+    }
+
+    /// Takes all points out, merged, in the order of cells.
+    pub(super) fn take(&mut self) -> Vec<(Cell, Vec<VoxelSum>)> {
+        let cells: Vec<_> = self.cells.drain().collect();
+        self.points = 0;
+        let mut merged: Vec<_> = cells.into_par_iter().map(|(cell, sums)| (cell, merge(sums))).collect();
+        merged.sort_by_key(|(cell, _)| *cell);
+        merged
+    }
+}

@@ -1,0 +1,80 @@
+use super::cells::Cell;
+use super::runs::Runs;
+use super::sums::VoxelSum;
+use super::{BuildError, Builder, MakeTemplates, source, with_notes};
+use std::path::Path;
+
+use crate::cloud::{Bounds, Point};
+use crate::skeleton::store::SkeletonWriter;
+use crate::skeleton::{Asset, CHUNK_M, Chunk};
+
+impl Builder<'_> {
+    /// Merges the cells of all runs and writes the skeleton.
+    pub(super) fn finish(&self, out: &Path, templates: &MakeTemplates) -> Result<(), BuildError> {
+        let report = with_notes(self.done.report.clone(), &self.streams);
+        if report.background_points == 0 && report.actor_points == 0 {
+            return Err(BuildError::Empty { sweeps: report.sweeps, points: report.points_read });
+        }
+        let runs = Runs::open(self.work.path(), &self.done.runs)?;
+        let cells = self.ordered(runs.cells());
+        self.run.progress.start("merge points", cells.len());
+        SkeletonWriter::write_by(out, self.work.path(), |writer| {
+            for (cell, sums) in runs.merged(&cells) {
+                self.write_cell(writer, cell, &sums)?;
+                self.run.progress.step();
+            }
+            writer.templates_from(templates)?;
+            let sources = self.streams.iter().map(source).collect();
+            Ok(writer.finish(sources, self.options.clone(), report.clone())?)
+        })
+    }
+
+    /// Chunks, then tracks by their ids; the ids of a log are sorted, those of several are not.
+    fn ordered(&self, mut cells: Vec<Cell>) -> Vec<Cell> {
+        cells.sort_by_key(|cell| match *cell {
+            Cell::Chunk(_) => (*cell, ""),
+            Cell::Track { log, track } => {
+                (Cell::Track { log: usize::MAX, track: 0 }, self.streams[log].log.tracks[track].id.as_str())
+            }
+        });
+        cells
+    }
+
+    fn write_cell(
+        &self,
+        writer: &mut SkeletonWriter,
+        cell: Cell,
+        sums: &[VoxelSum],
+    ) -> Result<(), BuildError> {
+        let class = match cell {
+            Cell::Chunk(_) => 0,
+            Cell::Track { log, track } => self.streams[log].log.tracks[track].class as u8,
+        };
+        let points: Vec<Point> = sums.iter().map(|sum| self.cells.voxels.mean(sum, class)).collect();
+        let Some(bounds) = Bounds::of(&points) else { return Ok(()) };
+        match cell {
+            Cell::Chunk(place) => {
+                let origin = place.map(|i| i as f64 * CHUNK_M);
+                writer.chunk(Chunk { origin, points: points.len(), bounds }, &points)?;
+            }
+            Cell::Track { log, track } => {
+                let stream = &self.streams[log];
+                let info = &stream.log.tracks[track];
+                // A track with points has boxes.
+                let Some(size) = stream.trajectories.median_size(track) else { return Ok(()) };
+                let asset = Asset {
+                    log: stream.log.name.clone(),
+                    track: info.id.clone(),
+                    category: info.category.clone(),
+                    class: info.class,
+                    size: size.to_array(),
+                    sweeps: self.done.track_sweeps.get(&cell).copied().unwrap_or(0),
+                    points: points.len(),
+                    bounds,
+                };
+                writer.actor(asset, &points)?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,231 @@
+//! Points on their way: files that hold the sums of some frames, cell by cell.
+//!
+//! # How it works
+//! Whenever memory has taken up enough, its cells are written as a *run*: a file of sums and its index. A run is never
+//! changed. Where [`FAN_IN`] runs of one level are at the end of the list they are merged to one of the next level, as
+//! log-structured merge trees do, so that there are few of them and each point is rewritten few times. Merging looks
+//! at a cell at a time, so it takes little memory however long the drive is.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::cells::Cell;
+use super::sums::{VoxelSum, merge};
+use crate::error::{FileError, write_json, write_whole};
+use crate::gpu::MappedFile;
+
+/// Runs that are merged at once.
+const FAN_IN: usize = 8;
+
+/// Name of a run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct RunName {
+    number: usize,
+    /// How often its points have been merged.
+    level: usize,
+}
+
+/// How many sums a cell has in a run.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Entry {
+    cell: Cell,
+    sums: usize,
+}
+
+impl RunName {
+    fn sums(&self, folder: &Path) -> PathBuf {
+        folder.join(format!("run-{:06}.sums", self.number))
+    }
+
+    fn index(&self, folder: &Path) -> PathBuf {
+        folder.join(format!("run-{:06}.json", self.number))
+    }
+
+    /// Writes a run cell by cell, in order; the index comes last.
+    fn write(
+        &self,
+        folder: &Path,
+        cells: impl Iterator<Item = (Cell, Vec<VoxelSum>)>,
+    ) -> Result<(), FileError> {
+        let path = self.sums(folder);
+        let mut index = Vec::new();
+        write_whole(&path, |file| {
+            for (cell, sums) in cells {
+                index.push(Entry { cell, sums: sums.len() });
+                file.write_all(bytemuck::cast_slice(&sums)).map_err(FileError::io("write", &path))?;
+            }
+            Ok::<(), FileError>(())
+        })?;
+        write_json(&self.index(folder), &index)
+    }
+}
+
+/// A run on disk, memory-mapped.
+struct Run {
+    cells: BTreeMap<Cell, std::ops::Range<usize>>,
+    sums: MappedFile,
+}
+
+impl Run {
+    fn open(folder: &Path, name: &RunName) -> Result<Self, FileError> {
+        let (index, path) = (name.index(folder), name.sums(folder));
+        let text = std::fs::read(&index).map_err(FileError::io("read", &index))?;
+        let wrong = |e: serde_json::Error| FileError::content("an index of points", e.to_string(), &index);
+        let entries: Vec<Entry> = serde_json::from_slice(&text).map_err(wrong)?;
+        let (mut cells, mut end) = (BTreeMap::new(), 0_usize);
+        for entry in entries {
+            let start = end;
+            end = end.saturating_add(entry.sums);
+            cells.insert(entry.cell, start..end);
+        }
+        let sums = MappedFile::open(&path)?;
+        let (expected, found) = (end.saturating_mul(size_of::<VoxelSum>()), sums.as_bytes().len());
+        if expected != found {
+            return Err(FileError::content(format!("{expected} bytes"), format!("{found} bytes"), &path));
+        }
+        Ok(Self { cells, sums })
+    }
+
+    fn of(&self, cell: Cell) -> &[VoxelSum] {
+        let all: &[VoxelSum] =
+            if self.cells.is_empty() { &[] } else { bytemuck::cast_slice(self.sums.as_bytes()) };
+        self.cells.get(&cell).map_or(&[], |range| &all[range.clone()])
+    }
+}
+
+/// Some runs, looked at together.
+pub(super) struct Runs(Vec<Run>);
+
+impl Runs {
+    /// Opens runs.
+    ///
+    /// # Errors
+    /// One that is missing or damaged.
+    pub(super) fn open(folder: &Path, names: &[RunName]) -> Result<Self, FileError> {
+        Ok(Self(names.iter().map(|name| Run::open(folder, name)).collect::<Result<_, _>>()?))
+    }
+
+    /// Every cell that has points, in order.
+    pub(super) fn cells(&self) -> Vec<Cell> {
+        let cells: BTreeSet<Cell> = self.0.iter().flat_map(|run| run.cells.keys().copied()).collect();
+        cells.into_iter().collect()
+    }
+
+    /// The merged sums of each cell, in the order of the list: a few cells at a time, side by side.
+    pub(super) fn merged<'a>(
+        &'a self,
+        cells: &'a [Cell],
+    ) -> impl Iterator<Item = (Cell, Vec<VoxelSum>)> + 'a {
+        const AT_ONCE: usize = 8;
+        let of = |cell: Cell| self.0.iter().flat_map(|run| run.of(cell)).copied().collect();
+        cells
+            .chunks(AT_ONCE)
+            .flat_map(move |some| some.par_iter().map(|cell| (*cell, merge(of(*cell)))).collect::<Vec<_>>())
+    }
+}
+
+/// Writes a run behind the others and merges what has become too many. Gives back the new list; runs that are no
+/// longer in it are still there.
+///
+/// # Errors
+/// The system's.
+pub(super) fn push(
+    folder: &Path,
+    mut names: Vec<RunName>,
+    cells: Vec<(Cell, Vec<VoxelSum>)>,
+) -> Result<Vec<RunName>, FileError> {
+    let mut number = names.iter().map(|name| name.number + 1).max().unwrap_or(0);
+    let mut next = |level: usize| {
+        number += 1;
+        RunName { number: number - 1, level }
+    };
+    let name = next(0);
+    name.write(folder, cells.into_iter())?;
+    names.push(name);
+    loop {
+        let level = names.last().map_or(0, |name| name.level);
+        let first = names.partition_point(|name| name.level > level);
+        if names.len() - first < FAN_IN {
+            return Ok(names);
+        }
+        let runs = Runs::open(folder, &names[first..])?;
+        let merged = next(level + 1);
+        merged.write(folder, runs.merged(&runs.cells()))?;
+        names.truncate(first);
+        names.push(merged);
+    }
+}
+
+/// Deletes the files of runs that are not in the list, and what a killed process left half-written.
+///
+/// # Errors
+/// The system's.
+pub(super) fn sweep_out(folder: &Path, names: &[RunName]) -> Result<(), FileError> {
+    let kept: BTreeSet<PathBuf> =
+        names.iter().flat_map(|name| [name.sums(folder), name.index(folder)]).collect();
+    for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
+        let path = entry.map_err(FileError::io("read", folder))?.path();
+        let file = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let is_ours = file.starts_with("run-") || file.starts_with(".pskel-");
+        if is_ours && !kept.contains(&path) {
+            let gone =
+                if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+            gone.map_err(FileError::io("delete", &path))?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sums::Voxels;
+    use super::*;
+    use glam::DVec3;
+
+    const VOXELS: Voxels = Voxels { side_m: 0.5 };
+
+    fn sums(frame: u64) -> Vec<VoxelSum> {
+        let at = |i: u64| DVec3::new((frame % 7) as f64 + i as f64 * 0.3, (i % 5) as f64, 0.1);
+        merge((0..40).map(|i| VOXELS.sum(at(i), [i as u8; 3], frame << 32 | i)).collect())
+    }
+
+    /// Frames of points, some cells in each of them.
+    fn cells(frame: u64) -> Vec<(Cell, Vec<VoxelSum>)> {
+        let chunk = Cell::Chunk([frame as i64 / 10, 0, -1]);
+        vec![(chunk, sums(frame)), (Cell::Track { log: 0, track: frame as usize % 3 }, sums(frame + 1))]
+    }
+
+    #[test]
+    fn runs_are_merged_and_nothing_is_lost() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut names, mut expected) = (Vec::new(), BTreeMap::<Cell, Vec<VoxelSum>>::new());
+        for frame in 0..100 {
+            for (cell, sums) in cells(frame) {
+                expected.entry(cell).or_default().extend(sums);
+            }
+            names = push(folder.path(), names, cells(frame)).unwrap();
+            sweep_out(folder.path(), &names).unwrap();
+            assert!(names.len() < 2 * FAN_IN + 2, "{names:?}");
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2 * names.len());
+        let runs = Runs::open(folder.path(), &names).unwrap();
+        let found: BTreeMap<Cell, Vec<VoxelSum>> = runs.merged(&runs.cells()).collect();
+        let expected: BTreeMap<Cell, Vec<VoxelSum>> =
+            expected.into_iter().map(|(cell, sums)| (cell, merge(sums))).collect();
+        assert!(found == expected);
+    }
+
+    #[test]
+    fn a_damaged_run_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let names = push(folder.path(), Vec::new(), cells(3)).unwrap();
+        let path = names[0].sums(folder.path());
+        std::fs::File::options().write(true).open(&path).unwrap().set_len(100).unwrap();
+        let text = Runs::open(folder.path(), &names).err().unwrap().to_string();
+        assert!(text.contains("found 100 bytes") && text.ends_with("run-000000.sums"), "{text}");
+    }
+}

@@ -1,0 +1,216 @@
+//! The frames of a log, one after the other, with colored points.
+//!
+//! # How it works
+//! A point may take its color from images of some frames before and after its own, and what hides it in such an image
+//! is told by the sweeps around that one. So sweeps and images are kept in a window that moves along the log: memory
+//! does not grow with the log's length.
+
+use std::collections::VecDeque;
+
+use glam::DAffine3;
+use rayon::prelude::*;
+
+use super::{BuildError, BuildInput, color};
+use crate::dataset::{Dataset, Frame, ImageRecord, Log, SweepRecord, TrackBox};
+use crate::geometry::View;
+use crate::skeleton::sweep::SweepCloud;
+use crate::skeleton::{BuildOptions, ColorView, OcclusionGrid, Projector, Splitter, Trajectories};
+
+/// Frames whose sweeps are read at once.
+const READ_AHEAD: usize = 4;
+
+/// A log on its way into a skeleton.
+pub(super) struct Stream<'a> {
+    dataset: &'a dyn Dataset,
+    pub(super) log: &'a Log,
+    pub(super) frames: Vec<&'a Frame>,
+    pub(super) trajectories: Trajectories,
+    options: &'a BuildOptions,
+    has_images: bool,
+}
+
+/// The colored points of a frame.
+#[derive(Default)]
+pub(super) struct FrameCloud {
+    /// One a sweep.
+    pub(super) sweeps: Vec<SweepCloud>,
+    /// Images of the frame.
+    pub(super) images: usize,
+}
+
+impl<'a> Stream<'a> {
+    pub(super) fn new(input: &BuildInput<'a>, options: &'a BuildOptions) -> Result<Self, BuildError> {
+        let log = input.dataset.log();
+        let frame =
+            |&i: &usize| log.frames.get(i).ok_or(BuildError::Frame { frames: log.frames.len(), found: i });
+        let frames: Vec<&Frame> = input.frames.iter().map(frame).collect::<Result<_, _>>()?;
+        let trajectories = Trajectories::new(log, &frames);
+        let has_images = frames.iter().any(|f| !f.images.is_empty());
+        Ok(Self { dataset: input.dataset, log, frames, trajectories, options, has_images })
+    }
+
+    /// Frames before and after a point's own whose images may color it, and frames around an image that tell what
+    /// hides what in it.
+    fn windows(&self) -> [usize; 2] {
+        match (self.has_images, self.options.occlusion_test) {
+            (false, _) => [0, 0],
+            (true, false) => [self.options.color_window, 0],
+            (true, true) => [self.options.color_window, self.options.occlusion_window],
+        }
+    }
+
+    /// Hands out the frames from number `first` on, in order. What it hands out does not depend on `first`.
+    ///
+    /// # Errors
+    /// What the log's reader finds wrong, and those of `emit`.
+    pub(super) fn run(
+        &self,
+        first: usize,
+        mut emit: impl FnMut(FrameCloud) -> Result<(), BuildError>,
+    ) -> Result<(), BuildError> {
+        let [color, hide] = self.windows();
+        let keep = color.max(hide);
+        let first_view = first.saturating_sub(color);
+        let mut window = Window { start: first_view.saturating_sub(hide), clouds: VecDeque::new() };
+        let mut views: VecDeque<(usize, Vec<ColorView>)> = VecDeque::new();
+        for step in first_view..self.frames.len() + keep {
+            if step < self.frames.len() {
+                self.read_ahead(&mut window, step + hide)?;
+                let loaded = self.load_views(step, &window)?;
+                window.clouds[step - window.start].images = loaded.len();
+                views.push_back((step, loaded));
+            }
+            if let Some(frame) = step.checked_sub(color).filter(|f| (first..self.frames.len()).contains(f)) {
+                self.color_frame(&mut window.clouds[frame - window.start].sweeps, &views);
+            }
+            while views.front().is_some_and(|(frame, _)| frame + 2 * color <= step) {
+                views.pop_front();
+            }
+            while step.checked_sub(keep).is_some_and(|last| window.start <= last) {
+                let Some(cloud) = window.clouds.pop_front() else { break };
+                if window.start >= first {
+                    emit(cloud)?;
+                }
+                window.start += 1;
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the sweeps of frames up to number `last`, and of some more while it is at it.
+    fn read_ahead(&self, window: &mut Window, last: usize) -> Result<(), BuildError> {
+        let next = window.start + window.clouds.len();
+        if next > last.min(self.frames.len() - 1) {
+            return Ok(());
+        }
+        let wanted = |sweep: &&SweepRecord| sweep.is_key || self.options.between_sweeps;
+        let frames = next..(last + READ_AHEAD).min(self.frames.len());
+        let records: Vec<(usize, &SweepRecord)> = frames
+            .clone()
+            .flat_map(|i| self.frames[i].sweeps.iter().filter(wanted).map(move |sweep| (i, sweep)))
+            .collect();
+        let read = records.par_iter().map(|(i, record)| Ok((*i, self.read_sweep(self.frames[*i], record)?)));
+        let read: Vec<(usize, SweepCloud)> = read.collect::<Result<_, BuildError>>()?;
+        window.clouds.extend(frames.map(|_| FrameCloud::default()));
+        for (i, cloud) in read {
+            window.clouds[i - window.start].sweeps.push(cloud);
+        }
+        Ok(())
+    }
+
+    fn read_sweep(&self, frame: &Frame, record: &SweepRecord) -> Result<SweepCloud, BuildError> {
+        let sweep = self.dataset.read_sweep(record)?;
+        let boxes = self.boxes_at(frame, record.t_us);
+        let splitter = Splitter::new(&boxes, &self.trajectories, record.t_us, &self.options.split);
+        let mut cloud = SweepCloud::split(&sweep, record, &splitter, &self.options.split);
+        if !self.has_images {
+            cloud.make_grey();
+        }
+        Ok(cloud)
+    }
+
+    /// The boxes of a frame, or those in between for a sweep at another time.
+    fn boxes_at(&self, frame: &Frame, t_us: i64) -> Vec<TrackBox> {
+        if t_us == frame.t_us {
+            return frame.boxes.clone();
+        }
+        let tracks = 0..self.log.tracks.len();
+        tracks
+            .filter_map(|track| self.trajectories.at(track, t_us).map(|cuboid| TrackBox { track, cuboid }))
+            .collect()
+    }
+
+    /// Reads the images of a frame, with what hides what in each. One that the frame before has too, as where images
+    /// are rarer than sweeps, is left to that one.
+    fn load_views(&self, frame: usize, window: &Window) -> Result<Vec<ColorView>, BuildError> {
+        let before = frame.checked_sub(1).map_or_else(Vec::new, |before| self.records(before));
+        let is_new = |record: &&ImageRecord| !before.iter().any(|other| other.path == record.path);
+        let records: Vec<&ImageRecord> = self.records(frame).into_iter().filter(is_new).collect();
+        let view = |record: &&ImageRecord| {
+            let image = self.dataset.read_image(record)?;
+            let view = View {
+                camera: record.camera.clone(),
+                camera_from_world: record.camera_from_global().affine(),
+            };
+            let occlusion = self.options.occlusion_test.then(|| {
+                let mut grid = OcclusionGrid::new(&record.camera);
+                let near = window.around(frame, self.options.occlusion_window);
+                near.flat_map(|f| &f.sweeps).for_each(|c| self.occlude(&mut grid, &view, record.t_us, c));
+                grid.close()
+            });
+            Ok(ColorView { image, view, t_us: record.t_us, occlusion })
+        };
+        records.par_iter().map(view).collect()
+    }
+
+    fn records(&self, frame: usize) -> Vec<&'a ImageRecord> {
+        let frame = self.frames[frame];
+        let between = if self.options.between_sweeps { frame.between_images.as_slice() } else { &[] };
+        frame.images.iter().chain(between).collect()
+    }
+
+    fn occlude(&self, grid: &mut OcclusionGrid, view: &View, t_us: i64, cloud: &SweepCloud) {
+        for (track, points) in cloud.parts() {
+            let Some(place) = self.place(track, t_us) else { continue };
+            let project = Projector::new(view, &place);
+            for (pixel, depth_m) in points.iter().filter_map(|p| project.pixel(p.position)) {
+                grid.add(pixel, depth_m);
+            }
+        }
+    }
+
+    /// Where a part of a sweep stands at a time.
+    fn place(&self, track: Option<usize>, t_us: i64) -> Option<DAffine3> {
+        track.map_or(Some(DAffine3::IDENTITY), |track| {
+            self.trajectories.at(track, t_us).map(|cuboid| cuboid.pose.affine())
+        })
+    }
+
+    /// Colors the points of a frame from the images of all frames that are loaded.
+    fn color_frame(&self, clouds: &mut [SweepCloud], views: &VecDeque<(usize, Vec<ColorView>)>) {
+        if !self.has_images {
+            return;
+        }
+        let views: Vec<&ColorView> = views.iter().flat_map(|(_, views)| views).collect();
+        for cloud in clouds {
+            let t_us = cloud.t_us;
+            color::sweep(cloud, t_us, &views, self.options.coloring, |track, t_us| self.place(track, t_us));
+        }
+    }
+}
+
+/// The sweeps of some frames in a row.
+struct Window {
+    /// Number of the first frame.
+    start: usize,
+    clouds: VecDeque<FrameCloud>,
+}
+
+impl Window {
+    /// Frames up to `reach` before and after one, as far as the log has them.
+    fn around(&self, frame: usize, reach: usize) -> impl Iterator<Item = &FrameCloud> {
+        let (from, to) = (frame.saturating_sub(reach), frame + reach);
+        let skip = from.saturating_sub(self.start);
+        self.clouds.iter().skip(skip).take(to + 1 - from.max(self.start))
+    }
+}

@@ -1,0 +1,135 @@
+//! What a voxel's points add up to.
+//!
+//! Sums are integers, so neither the order of points nor how often and where sums were merged changes a bit of them.
+
+use bytemuck::{Pod, Zeroable};
+use glam::DVec3;
+
+use crate::cloud::Point;
+
+/// The points of a voxel: as it lies in files.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub(super) struct VoxelSum {
+    /// Which voxel; sorts by x, then y, then z.
+    pub(super) key: u64,
+    /// Offsets from the voxel's corner, in [`UNIT_M`].
+    offset: [i64; 3],
+    rgb: [u64; 3],
+    count: u64,
+}
+
+/// Steps a metre: a step is 0.2 nm, and a million points in a voxel of a kilometre still fit 64 bits.
+const STEPS_PER_M: f64 = (1_u64 << 32) as f64;
+
+/// Cuts space into cubes around an origin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Voxels {
+    /// Side, metres; 0 where every point is a voxel of its own.
+    pub(super) side_m: f64,
+}
+
+impl Voxels {
+    /// A point at a position relative to its cell's origin, metres. `place` numbers it among all points: where none are
+    /// merged they are sorted by it.
+    pub(super) fn sum(self, position: DVec3, rgb: [u8; 3], place: u64) -> VoxelSum {
+        let (key, corner) = if self.side_m > 0.0 {
+            let index = (position / self.side_m).floor();
+            (key(index), index * self.side_m)
+        } else {
+            (place, DVec3::ZERO)
+        };
+        let steps = |m: f64| (m * STEPS_PER_M).round() as i64;
+        let offset = (position - corner).to_array().map(steps);
+        VoxelSum { key, offset, rgb: rgb.map(u64::from), count: 1 }
+    }
+
+    /// The mean of a voxel's points, relative to the cell's origin.
+    pub(super) fn mean(self, sum: &VoxelSum, class: u8) -> Point {
+        let corner = if self.side_m > 0.0 { index(sum.key) * self.side_m } else { DVec3::ZERO };
+        let offset = DVec3::from(sum.offset.map(|o| o as f64 / STEPS_PER_M)) / sum.count as f64;
+        let rgb = sum.rgb.map(|s| ((s + sum.count / 2) / sum.count) as u8);
+        Point::new((corner + offset).as_vec3().to_array(), rgb, class)
+    }
+}
+
+/// Voxels to each side of the origin along an axis.
+const REACH: i64 = 1 << 20;
+const AXIS: u64 = (1 << 21) - 1;
+
+/// 21 bits an axis.
+fn key(index: DVec3) -> u64 {
+    let axis = |i: f64| (i as i64).saturating_add(REACH).clamp(0, AXIS as i64) as u64;
+    axis(index.x) << 42 | axis(index.y) << 21 | axis(index.z)
+}
+
+fn index(key: u64) -> DVec3 {
+    let axis = |shift: u32| ((key >> shift & AXIS) as i64 - REACH) as f64;
+    DVec3::new(axis(42), axis(21), axis(0))
+}
+
+/// Sorts by voxel and adds up what is in one.
+pub(super) fn merge(mut sums: Vec<VoxelSum>) -> Vec<VoxelSum> {
+    // Mostly some sorted runs one after the other, which this sort makes use of.
+    sums.sort_by_key(|sum| sum.key);
+    sums.dedup_by(|next, kept| {
+        let same = next.key == kept.key;
+        if same {
+            (0..3).for_each(|axis| kept.offset[axis] += next.offset[axis]);
+            (0..3).for_each(|channel| kept.rgb[channel] += next.rgb[channel]);
+            kept.count += next.count;
+        }
+        same
+    });
+    sums
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const VOXELS: Voxels = Voxels { side_m: 0.01 };
+
+    fn sum(x: f64, y: f64, z: f64, grey: u8) -> VoxelSum {
+        VOXELS.sum(DVec3::new(x, y, z), [grey; 3], 0)
+    }
+
+    #[test]
+    fn a_voxel_holds_the_mean_of_its_points() {
+        let sums =
+            vec![sum(0.004, 0.003, 0.002, 20), sum(0.001, 0.001, -0.001, 9), sum(0.002, 0.001, 0.0, 10)];
+        let points: Vec<Point> = merge(sums).iter().map(|s| VOXELS.mean(s, 1)).collect();
+        let near = |p: &Point, at: [f32; 3]| (0..3).all(|i| (p.position[i] - at[i]).abs() < 1e-8);
+        assert!(points.len() == 2 && near(&points[0], [0.001, 0.001, -0.001]));
+        assert!(near(&points[1], [0.003, 0.002, 0.001]), "{:?}", points[1]);
+        assert_eq!((points[0].rgb(), points[1].rgb(), points[1].class()), ([9; 3], [15; 3], 1));
+    }
+
+    #[test]
+    fn without_voxels_all_points_stay_in_their_order() {
+        let voxels = Voxels { side_m: 0.0 };
+        let at = |i: u64| DVec3::new(31.9 - i as f64, -20.0, 1e-4);
+        let sums: Vec<VoxelSum> = (0..30).rev().map(|i| voxels.sum(at(i), [i as u8; 3], i)).collect();
+        let points: Vec<Point> = merge(sums).iter().map(|s| voxels.mean(s, 0)).collect();
+        for (i, point) in (0..).zip(&points) {
+            assert_eq!((point.position, point.rgb()), (at(i).as_vec3().to_array(), [i as u8; 3]));
+        }
+    }
+
+    proptest! {
+        /// However points are dealt out and merged, the sums are the same; no two of them share a voxel.
+        #[test]
+        fn merging_in_parts_changes_nothing(
+            points in proptest::collection::vec((-0.03..0.03_f64, -0.03..0.03_f64, any::<u8>()), 1..200),
+            parts in 1..5_usize,
+        ) {
+            let sums: Vec<VoxelSum> = points.iter().map(|(x, y, grey)| sum(*x, *y, 0.5, *grey)).collect();
+            let whole = merge(sums.clone());
+            let dealt = (0..parts).flat_map(|p| merge(sums.iter().copied().skip(p).step_by(parts).collect()));
+            prop_assert_eq!(&merge(dealt.collect()), &whole);
+            prop_assert!(whole.windows(2).all(|pair| pair[0].key < pair[1].key));
+            prop_assert_eq!(whole.iter().map(|s| s.count).sum::<u64>(), points.len() as u64);
+        }
+    }
+}

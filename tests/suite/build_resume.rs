@@ -1,0 +1,207 @@
+//! Builds that are interrupted and gone on with, and builds from several logs.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use point_skeleton::dataset::nuscenes::write_log;
+use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord};
+use point_skeleton::error::FileError;
+use point_skeleton::skeleton::{self, BuildError, BuildInput, BuildOptions, BuildRun, Skeleton};
+use point_skeleton::town::{Street, StreetOptions};
+use serde_json::json;
+
+use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
+
+const FRAMES: usize = 9;
+const STREET: StreetOptions = StreetOptions { seed: 5, frames: FRAMES, size: [45, 80] };
+
+/// A street of which sweeps can be read so many times.
+struct Breaking<'a> {
+    street: &'a Street,
+    left: AtomicUsize,
+}
+
+impl Dataset for Breaking<'_> {
+    fn log(&self) -> &Log {
+        self.street.log()
+    }
+
+    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
+        let take_one = |left: usize| left.checked_sub(1);
+        match self.left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take_one) {
+            Ok(_) => self.street.read_sweep(record),
+            Err(_) => Err(FileError::content("a sweep", "a broken disk", &record.path).into()),
+        }
+    }
+
+    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
+        self.street.read_image(record)
+    }
+}
+
+/// Small windows, so that a build moves along the log.
+fn options(voxel_m: f64) -> BuildOptions {
+    BuildOptions { voxel_m, color_window: 2, occlusion_window: 1, ..BuildOptions::default() }
+}
+
+fn build(
+    out: &Path,
+    log: &dyn Dataset,
+    options: &BuildOptions,
+    [checkpoint_frames, resume]: [usize; 2],
+) -> Result<Skeleton, BuildError> {
+    let run = BuildRun { checkpoint_frames, resume: resume == 1, ..BuildRun::default() };
+    skeleton::build(out, &[BuildInput::all(log)], options, &|_| Ok(Vec::new()), &run)
+}
+
+#[test]
+fn wherever_a_build_breaks_it_goes_on_to_the_same_bytes() {
+    let street = Street::new(&STREET).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("sk");
+    for voxel_m in [0.0, 0.05] {
+        let options = options(voxel_m);
+        build(&out, &street, &options, [100, 0]).unwrap();
+        let whole = tree(&out);
+        std::fs::remove_dir_all(&out).unwrap();
+        let mut kept = 0;
+        for reads in 0..FRAMES {
+            let breaking = Breaking { street: &street, left: AtomicUsize::new(reads) };
+            match build(&out, &breaking, &options, [1, 0]) {
+                Err(BuildError::Interrupted { frames, path, .. }) => {
+                    assert!(frames < FRAMES && path == folder.path().join("sk.partial"), "{frames}");
+                    kept = kept.max(frames);
+                    build(&out, &street, &options, [2, 1]).unwrap();
+                    assert!(tree(&out) == whole, "voxel {voxel_m}, {reads} reads, {frames} frames");
+                    std::fs::remove_dir_all(&out).unwrap();
+                }
+                Err(BuildError::Dataset(_)) => {}
+                other => panic!("{other:?}"),
+            }
+            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left");
+        }
+        assert!(kept >= 2, "some builds break late: {kept}");
+    }
+}
+
+/// Spawns a build, kills it after some time.
+fn killed_after(folder: &Path, args: &str, time: Duration) -> bool {
+    let mut command = Command::new(PSKEL);
+    command.current_dir(folder).args(args.split_whitespace()).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut child = command.spawn().unwrap();
+    std::thread::sleep(time);
+    let running = child.try_wait().unwrap().is_none();
+    child.kill().unwrap(); // SIGKILL
+    child.wait().unwrap();
+    running
+}
+
+#[test]
+fn a_killed_build_goes_on_to_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    write_log(&folder.path().join("log"), "v1.0-street", &Street::new(&STREET).unwrap()).unwrap();
+    let run = |args: &str| {
+        let mut command = Command::new(PSKEL);
+        let output = command.current_dir(folder.path()).args(args.split_whitespace()).output().unwrap();
+        assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
+    };
+    let start = std::time::Instant::now();
+    run("build nuscenes:log --out whole");
+    let whole_ms = start.elapsed().as_millis() as u64;
+    let checkpoint = folder.path().join("sk.partial/checkpoint.json");
+    let (mut kills, mut resumed) = (0, 0);
+    // Moments spread over the whole build, in no order.
+    for share in [61, 23, 97, 42, 78, 88, 55] {
+        let resume = if checkpoint.is_file() { "--resume" } else { "" };
+        resumed += usize::from(!resume.is_empty());
+        let args = format!("build nuscenes:log --out sk --checkpoint 1 {resume}");
+        kills +=
+            usize::from(killed_after(folder.path(), &args, Duration::from_millis(whole_ms * share / 100)));
+        if folder.path().join("sk").exists() {
+            assert!(tree(&folder.path().join("sk")) == tree(&folder.path().join("whole")));
+            std::fs::remove_dir_all(folder.path().join("sk")).unwrap();
+        }
+    }
+    let resume = if checkpoint.is_file() { "--resume" } else { "" };
+    run(&format!("build nuscenes:log --out sk {resume}"));
+    assert!(tree(&folder.path().join("sk")) == tree(&folder.path().join("whole")));
+    assert!(kills >= 3 && resumed >= 1, "{kills} kills, {resumed} resumed");
+    assert!(!folder.path().join("sk.partial").exists());
+}
+
+#[test]
+fn what_cannot_be_gone_on_with_is_refused() {
+    let log = TinyLog::new();
+    log.succeed("build nuscenes:log --out out/whole");
+    let partial = partial_of_tiny(&log);
+    for (options, words) in [
+        ("--voxel 0.02", "one with other options"),
+        ("--frames 0..2", "one of other frames"),
+        ("--sweeps", "one with other options"),
+    ] {
+        let output = log.run(&format!("build nuscenes:log --out out/sk --resume {options}"));
+        assert_failed(&output, 1, &[words, "checkpoint.json"]);
+        assert!(partial.join("checkpoint.json").is_file());
+    }
+    let run = partial.join("run-000000.sums");
+    let bytes = std::fs::read(&run).unwrap();
+    std::fs::write(&run, &bytes[1..]).unwrap();
+    let output = log.run("build nuscenes:log --out out/sk --resume");
+    assert_failed(&output, 1, &["run-000000.sums", &format!("found {} bytes", bytes.len() - 1)]);
+    std::fs::write(&run, &bytes).unwrap();
+    let lock = std::fs::File::open(partial.join("lock")).unwrap();
+    lock.lock().unwrap();
+    let output = log.run("build nuscenes:log --out out/sk --resume");
+    assert_failed(&output, 1, &["no other process", "partial/lock"]);
+    drop(lock);
+    log.succeed("build nuscenes:log --out out/sk --resume");
+    assert!(tree(&log.path("out/sk")) == tree(&log.path("out/whole")) && !partial.exists());
+    // Nothing to go on with: a build that was killed before its first checkpoint.
+    log.succeed("build nuscenes:log --out out/sk --resume");
+    assert!(tree(&log.path("out/sk")) == tree(&log.path("out/whole")));
+}
+
+/// An unfinished build of the tiny log: the skeleton cannot be renamed to where a file stands.
+fn partial_of_tiny(log: &TinyLog) -> PathBuf {
+    std::fs::write(log.path("out/sk"), "in the way").unwrap();
+    let input =
+        point_skeleton::dataset::open(&format!("nuscenes:{}", log.path("log").display()).parse().unwrap());
+    let input = input.unwrap();
+    let error = build(&log.path("out/sk"), input.as_ref(), &BuildOptions::default(), [1, 0]).unwrap_err();
+    let BuildError::Interrupted { frames, path, .. } = &error else { panic!("{error}") };
+    let text = error.to_string();
+    assert!(*frames == 3 && text.contains("3 frames are done and kept, --resume goes on"), "{text}");
+    std::fs::remove_file(log.path("out/sk")).unwrap();
+    path.clone()
+}
+
+#[test]
+fn logs_of_one_place_share_a_background() {
+    let (log, other) = (TinyLog::new(), TinyLog::new());
+    other.change("scene", "/0/name", json!("second"));
+    std::fs::rename(other.path("log"), log.path("log2")).unwrap();
+    log.succeed("build nuscenes:log --out out/one --voxel 0");
+    let summary = log.succeed("build nuscenes:log nuscenes:log2 --out out/both --voxel 0");
+    assert!(summary.starts_with("built tiny, second from 6 frames"), "{summary}");
+    let (one, both) =
+        (Skeleton::open(&log.path("out/one")).unwrap(), Skeleton::open(&log.path("out/both")).unwrap());
+    // The second is the first once more: chunk by chunk the points of the one, then those of the other.
+    for (one, both) in one.background().iter().zip(both.background()) {
+        assert!(both[..one.len()] == **one && both[one.len()..] == **one);
+    }
+    let names: Vec<_> = both.manifest.actors.iter().map(|a| [a.track.as_str(), a.log.as_str()]).collect();
+    assert_eq!(names, [["car", "tiny"], ["car", "second"], ["cone", "tiny"], ["cone", "second"]]);
+    assert_eq!(both.manifest.actors[0].points, one.manifest.actors[0].points);
+    // By voxels nothing is added: the same points again.
+    log.succeed("build nuscenes:log --out out/one");
+    log.succeed("build nuscenes:log nuscenes:log2 --out out/both");
+    let points = |name: &str| std::fs::read(log.path(name).join("background.points")).unwrap();
+    assert!(points("out/one") == points("out/both"));
+    for name in ["nuscenes:log", "nuscenes:log2"] {
+        log.succeed(&format!("render {name} --skeleton out/both --out out/maps --frames 0..1 --maps depth"));
+    }
+    let output = log.run("build nuscenes:log nuscenes:log --out out/again");
+    assert_failed(&output, 1, &["logs of one place, each once", "tiny (nowhere), tiny (nowhere)"]);
+}
