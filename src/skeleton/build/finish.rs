@@ -19,10 +19,10 @@ impl Builder<'_> {
         let cells = self.ordered(runs.cells());
         self.run.progress.start("merge points", cells.len());
         SkeletonWriter::write_by(out, self.work.path(), |writer| {
-            for (cell, sums) in runs.merged(&cells) {
-                self.write_cell(writer, cell, &sums)?;
+            runs.merged(&cells, |cell, sums| {
                 self.run.progress.step();
-            }
+                self.write_cell(writer, cell, &sums)
+            })?;
             writer.templates_from(templates)?;
             let sources = self.streams.iter().map(source).collect();
             Ok(writer.finish(sources, self.options.clone(), report.clone())?)

@@ -7,19 +7,22 @@
 //! at a cell at a time, so it takes little memory however long the drive is.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
 use std::io::Write;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
+use bytemuck::Zeroable;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::cells::Cell;
 use super::sums::{VoxelSum, merge};
 use crate::error::{FileError, write_json, write_whole};
-use crate::gpu::MappedFile;
 
 /// Runs that are merged at once.
 const FAN_IN: usize = 8;
+const SUM_BYTES: u64 = size_of::<VoxelSum>() as u64;
 
 /// Name of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -45,29 +48,30 @@ impl RunName {
         folder.join(format!("run-{:06}.json", self.number))
     }
 
-    /// Writes a run cell by cell, in order; the index comes last.
+    /// Writes a run: `fill` hands over cell by cell, in order. The index comes last.
     fn write(
         &self,
         folder: &Path,
-        cells: impl Iterator<Item = (Cell, Vec<VoxelSum>)>,
+        fill: impl FnOnce(&mut dyn FnMut(Cell, Vec<VoxelSum>) -> Result<(), FileError>) -> Result<(), FileError>,
     ) -> Result<(), FileError> {
         let path = self.sums(folder);
         let mut index = Vec::new();
         write_whole(&path, |file| {
-            for (cell, sums) in cells {
+            fill(&mut |cell, sums| {
                 index.push(Entry { cell, sums: sums.len() });
-                file.write_all(bytemuck::cast_slice(&sums)).map_err(FileError::io("write", &path))?;
-            }
-            Ok::<(), FileError>(())
+                file.write_all(bytemuck::cast_slice(&sums)).map_err(FileError::io("write", &path))
+            })
         })?;
         write_json(&self.index(folder), &index)
     }
 }
 
-/// A run on disk, memory-mapped.
+/// A run on disk. It is read cell by cell rather than mapped: what was read of a map stays in memory.
 struct Run {
-    cells: BTreeMap<Cell, std::ops::Range<usize>>,
-    sums: MappedFile,
+    /// First sum and number of sums of each cell.
+    cells: BTreeMap<Cell, [usize; 2]>,
+    path: PathBuf,
+    file: File,
 }
 
 impl Run {
@@ -78,22 +82,26 @@ impl Run {
         let entries: Vec<Entry> = serde_json::from_slice(&text).map_err(wrong)?;
         let (mut cells, mut end) = (BTreeMap::new(), 0_usize);
         for entry in entries {
-            let start = end;
+            cells.insert(entry.cell, [end, entry.sums]);
             end = end.saturating_add(entry.sums);
-            cells.insert(entry.cell, start..end);
         }
-        let sums = MappedFile::open(&path)?;
-        let (expected, found) = (end.saturating_mul(size_of::<VoxelSum>()), sums.as_bytes().len());
+        let file = File::open(&path).map_err(FileError::io("read", &path))?;
+        let found = file.metadata().map_err(FileError::io("read", &path))?.len();
+        let expected = (end as u64).saturating_mul(SUM_BYTES);
         if expected != found {
             return Err(FileError::content(format!("{expected} bytes"), format!("{found} bytes"), &path));
         }
-        Ok(Self { cells, sums })
+        Ok(Self { cells, path, file })
     }
 
-    fn of(&self, cell: Cell) -> &[VoxelSum] {
-        let all: &[VoxelSum] =
-            if self.cells.is_empty() { &[] } else { bytemuck::cast_slice(self.sums.as_bytes()) };
-        self.cells.get(&cell).map_or(&[], |range| &all[range.clone()])
+    /// Reads the sums of a cell behind others.
+    fn read(&self, cell: Cell, sums: &mut Vec<VoxelSum>) -> Result<(), FileError> {
+        let Some(&[first, count]) = self.cells.get(&cell) else { return Ok(()) };
+        let before = sums.len();
+        sums.resize(before + count, VoxelSum::zeroed());
+        let bytes = bytemuck::cast_slice_mut(&mut sums[before..]);
+        let read = self.file.read_exact_at(bytes, first as u64 * SUM_BYTES);
+        read.map_err(FileError::io("read", &self.path))
     }
 }
 
@@ -115,16 +123,26 @@ impl Runs {
         cells.into_iter().collect()
     }
 
-    /// The merged sums of each cell, in the order of the list: a few cells at a time, side by side.
-    pub(super) fn merged<'a>(
-        &'a self,
-        cells: &'a [Cell],
-    ) -> impl Iterator<Item = (Cell, Vec<VoxelSum>)> + 'a {
+    /// Hands out the merged sums of each cell, in the order of the list: a few cells at a time are read side by side.
+    ///
+    /// # Errors
+    /// The system's, and those of `take`.
+    pub(super) fn merged<E: From<FileError>>(
+        &self,
+        cells: &[Cell],
+        mut take: impl FnMut(Cell, Vec<VoxelSum>) -> Result<(), E>,
+    ) -> Result<(), E> {
         const AT_ONCE: usize = 8;
-        let of = |cell: Cell| self.0.iter().flat_map(|run| run.of(cell)).copied().collect();
-        cells
-            .chunks(AT_ONCE)
-            .flat_map(move |some| some.par_iter().map(|cell| (*cell, merge(of(*cell)))).collect::<Vec<_>>())
+        let of = |cell: &Cell| {
+            let mut sums = Vec::new();
+            self.0.iter().try_for_each(|run| run.read(*cell, &mut sums))?;
+            Ok((*cell, merge(sums)))
+        };
+        for some in cells.chunks(AT_ONCE) {
+            let merged: Result<Vec<_>, FileError> = some.par_iter().map(of).collect();
+            merged?.into_iter().try_for_each(|(cell, sums)| take(cell, sums))?;
+        }
+        Ok(())
     }
 }
 
@@ -144,7 +162,7 @@ pub(super) fn push(
         RunName { number: number - 1, level }
     };
     let name = next(0);
-    name.write(folder, cells.into_iter())?;
+    name.write(folder, |write| cells.into_iter().try_for_each(|(cell, sums)| write(cell, sums)))?;
     names.push(name);
     loop {
         let level = names.last().map_or(0, |name| name.level);
@@ -154,7 +172,7 @@ pub(super) fn push(
         }
         let runs = Runs::open(folder, &names[first..])?;
         let merged = next(level + 1);
-        merged.write(folder, runs.merged(&runs.cells()))?;
+        merged.write(folder, |write| runs.merged(&runs.cells(), write))?;
         names.truncate(first);
         names.push(merged);
     }
@@ -213,7 +231,12 @@ mod tests {
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2 * names.len());
         let runs = Runs::open(folder.path(), &names).unwrap();
-        let found: BTreeMap<Cell, Vec<VoxelSum>> = runs.merged(&runs.cells()).collect();
+        let mut found = BTreeMap::new();
+        let keep = |cell, sums| {
+            assert!(found.insert(cell, sums).is_none());
+            Ok::<_, FileError>(())
+        };
+        runs.merged(&runs.cells(), keep).unwrap();
         let expected: BTreeMap<Cell, Vec<VoxelSum>> =
             expected.into_iter().map(|(cell, sums)| (cell, merge(sums))).collect();
         assert!(found == expected);
