@@ -14,7 +14,7 @@ pub enum ConditionError {
     File(#[from] FileError),
     /// Arrays of all cameras need one size.
     #[error(
-        "expected cameras of one size in an NPZ (--size or --out-size make it so), found {first} and {other}: {}",
+        "expected cameras of one size in one array (--size or --out-size make it so), found {first} and {other}: {}",
         path.display()
     )]
     Sizes {

@@ -1,4 +1,7 @@
-use super::{ColorFilter, ConditionError, ConditionOptions, ImageSize, MapKind, layout, reduce};
+use super::{
+    ColorFilter, ConditionError, ConditionOptions, ImageSize, MapKind, MapSet, ModelTensor, TensorEncoder,
+    layout, reduce,
+};
 use crate::geometry::View;
 use crate::raster::{Crop, FrameJob, FrameKinds, Planes, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
 use crate::scene::{ActorState, SceneInstances, SceneState};
@@ -24,12 +27,21 @@ pub struct CameraConditions {
     pub boxes: Option<Vec<[u8; 3]>>,
     /// Number of the winning geometry point + 1, 0 where empty.
     pub point: Option<Vec<u32>>,
+    /// What a network is fed.
+    pub tensor: Option<ModelTensor>,
 }
 
 impl CameraConditions {
     /// Size of all maps.
     pub fn size(&self) -> ImageSize {
         ImageSize { height: self.height, width: self.width }
+    }
+
+    /// Drops maps that were only made for others.
+    fn keep_only(&mut self, asked: MapSet) {
+        self.color.take_if(|_| !asked.contains(MapKind::Color));
+        self.depth_m.take_if(|_| !asked.contains(MapKind::Depth));
+        self.boxes.take_if(|_| !asked.contains(MapKind::Boxes));
     }
 }
 
@@ -67,7 +79,8 @@ pub fn render(
     Begun::new(rasterizer, clouds, state, options)?.finish(rasterizer)
 }
 
-/// Makes the maps of some views that come from points, so all but [`MapKind::Boxes`].
+/// Makes the maps of some views that come from points, so all but [`MapKind::Boxes`] and
+/// [`MapKind::Tensor`].
 ///
 /// # Errors
 /// The rasterizer's.
@@ -88,6 +101,8 @@ pub struct Begun {
     points: Points,
     /// Layouts, one per camera, if asked for.
     boxes: Option<Vec<Vec<[u8; 3]>>>,
+    /// What was asked for; more is drawn for the model tensor.
+    asked: MapSet,
 }
 
 impl Begun {
@@ -101,6 +116,8 @@ impl Begun {
         state: &SceneState,
         options: &ConditionOptions,
     ) -> Result<Self, ConditionError> {
+        let asked = options.maps;
+        let options = &ConditionOptions { maps: asked.with_parts(), ..options.clone() };
         let center = state.global_from_ego.translation.truncate();
         let crop = Crop { center, radius_m: options.radius_m };
         let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
@@ -108,7 +125,7 @@ impl Begun {
         let mut layout = |view| render_boxes(rasterizer, &state.actors, view, options);
         let boxes = options.maps.contains(MapKind::Boxes);
         let boxes = boxes.then(|| views.iter().map(&mut layout).collect::<Result<_, _>>()).transpose()?;
-        Ok(Self { points, boxes })
+        Ok(Self { points, boxes, asked })
     }
 
     /// Waits for the maps; the same rasterizer as it was begun with.
@@ -116,9 +133,17 @@ impl Begun {
     /// # Errors
     /// The rasterizer's.
     pub fn finish(self, rasterizer: &mut dyn Rasterizer) -> Result<ConditionSet, ConditionError> {
+        let ConditionOptions { depth_bins, depth_embedding, .. } = self.points.options;
         let mut cameras = self.points.finish(rasterizer)?;
         for (camera, layout) in cameras.iter_mut().zip(self.boxes.into_iter().flatten()) {
             camera.boxes = Some(layout);
+        }
+        if self.asked.contains(MapKind::Tensor) {
+            let encoder = TensorEncoder::new(depth_bins, depth_embedding);
+            for camera in &mut cameras {
+                camera.tensor = encoder.encode(camera);
+                camera.keep_only(self.asked);
+            }
         }
         Ok(ConditionSet { cameras })
     }

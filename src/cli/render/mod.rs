@@ -29,6 +29,7 @@ use crate::skeleton::Skeleton;
 /// Reads, draws, writes.
 pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let start = Instant::now();
+    args.check_format()?;
     let dataset = args.roots.open(&args.log)?;
     let log = dataset.log();
     let skeleton = open_skeleton(&args.skeleton, dataset.as_ref())?;

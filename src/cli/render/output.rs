@@ -2,7 +2,7 @@ use std::path::Path;
 
 use super::args::{MapFormat, RenderOptions};
 use crate::conditions::meta::{FrameMeta, Index, PromptParts};
-use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, exr, npz, png, sheet};
+use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, exr, npz, png, safetensors, sheet};
 use crate::error::{FileError, write_whole_folder};
 use crate::scene::SceneState;
 
@@ -47,6 +47,10 @@ impl Output<'_> {
                 MapFormat::Png => png::write(folder, set, bins)?,
                 MapFormat::Exr => exr::write(folder, set)?,
                 MapFormat::Npz => npz::write(&folder.join("maps.npz"), set)?,
+                MapFormat::Safetensors => {
+                    let path = folder.join("conditions.safetensors");
+                    safetensors::write(&path, set, state.t_us, self.options)?;
+                }
             }
             let caption = format!("{}  {}", self.log, state.name);
             sheet::write(&folder.join("sheet.png"), set, bins, &caption)?;
