@@ -208,6 +208,8 @@ fn wrong_usage_exits_with_2_and_times_out_of_the_log_with_1() {
         ("--ego-offset 1,2,3 --cameras c.json", "cannot be used with"),
         ("--at 5 --frames 0..1", "cannot be used with"),
         ("--at 5,x", "invalid digit"),
+        ("--hz 6 --at 5", "cannot be used with"),
+        ("--hz 0", "0.1 to 100"),
         ("--frames 3..1", "A..B with A < B"),
         ("--maps color,map", "color,depth,class"),
         ("--format gif", "png, exr, npz"),

@@ -12,6 +12,7 @@ mod nuscenes;
 mod nuscenes_bad;
 mod parity;
 mod raster;
+mod rates;
 mod real_frames;
 mod real_log;
 mod sheet;

@@ -18,7 +18,7 @@ use crate::scene::{EgoOffset, SelectionOptions, TemplateFit};
 ///
 /// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz or conditions.safetensors (arrays V,H,W(,3) named as the maps,
 /// points V,20,H,W and layout V,6,H,W of the tensor, cameras in the order of index.json); FRAME/meta.json with poses and intrinsics; FRAME/sheet.png with all maps at a glance; at the end
-/// index.json. FRAME is the frame's number with six digits, or the time with --at.
+/// index.json. FRAME is the frame's number with six digits, or the time with --at and --hz.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct RenderArgs {
     /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
@@ -38,6 +38,11 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "T_US,..", value_delimiter = ',', allow_hyphen_values = true)]
     #[arg(conflicts_with = "frames")]
     pub(super) at: Vec<i64>,
+    /// Instead of frames times at this rate (0.1 to 100 a second), from the first frame's to the last's; ego and
+    /// actors are interpolated
+    #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
+    #[arg(conflicts_with = "at")]
+    pub(super) hz: Option<f64>,
     /// Which maps: color, depth, class, instance, boxes, point (numbers of the points), and tensor (what networks are
     /// fed; npz and safetensors alone)
     #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance,boxes")]
@@ -116,6 +121,8 @@ pub(super) struct RenderOptions {
     pub(super) conditions: ConditionOptions,
     #[serde(flatten)]
     pub(super) selection: SelectionOptions,
+    /// Times per second, where not frames were rendered.
+    hz: Option<f64>,
     ego_offset: EgoOffset,
     /// File of other cameras.
     cameras: Option<PathBuf>,
@@ -153,6 +160,7 @@ impl RenderArgs {
                 min_actor_points: self.min_actor_points,
                 template_fit: self.template_fit,
             },
+            hz: self.hz,
             ego_offset: self.ego_offset.unwrap_or_default(),
             cameras: self.cameras.clone(),
             format: self.format,

@@ -43,7 +43,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         format: args.format,
         options: &options.conditions,
         prompt: &prompt,
-        fps: frame_rate_hz(&log.frames),
+        fps: args.hz.or_else(|| frame_rate_hz(&log.frames)),
         log: &log.name,
     };
     output.begin()?;
