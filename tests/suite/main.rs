@@ -6,6 +6,7 @@ mod cli_build;
 mod cli_render;
 mod common;
 mod conditions;
+mod distortion;
 mod info;
 mod npz;
 mod nuscenes;
