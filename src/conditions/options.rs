@@ -71,6 +71,12 @@ impl MapSet {
         self
     }
 
+    /// These less one.
+    pub fn without(mut self, kind: MapKind) -> Self {
+        self.0[kind as usize] = false;
+        self
+    }
+
     /// Those that are made, in the order of [`MapKind::ALL`].
     pub fn iter(self) -> impl Iterator<Item = MapKind> {
         MapKind::ALL.into_iter().filter(move |kind| self.contains(*kind))

@@ -52,6 +52,19 @@ pub struct ConditionSet {
     pub cameras: Vec<CameraConditions>,
 }
 
+impl ConditionSet {
+    /// Makes the model tensors, if asked for, and drops maps that were made for them alone.
+    pub(super) fn make_tensors(&mut self, asked: &ConditionOptions) {
+        if asked.maps.contains(MapKind::Tensor) {
+            let encoder = TensorEncoder::new(asked.depth_bins, asked.depth_embedding);
+            for camera in &mut self.cameras {
+                camera.tensor = encoder.encode(camera);
+                camera.keep_only(asked.maps);
+            }
+        }
+    }
+}
+
 impl ConditionOptions {
     /// The view as it is drawn: at [`ConditionOptions::size`], intrinsics scaled.
     pub fn drawn_view(&self, view: &View) -> View {
@@ -102,7 +115,7 @@ pub struct Begun {
     /// Layouts, one per camera, if asked for.
     boxes: Option<Vec<Vec<[u8; 3]>>>,
     /// What was asked for; more is drawn for the model tensor.
-    asked: MapSet,
+    asked: ConditionOptions,
 }
 
 impl Begun {
@@ -116,8 +129,8 @@ impl Begun {
         state: &SceneState,
         options: &ConditionOptions,
     ) -> Result<Self, ConditionError> {
-        let asked = options.maps;
-        let options = &ConditionOptions { maps: asked.with_parts(), ..options.clone() };
+        let asked = options.clone();
+        let options = &ConditionOptions { maps: asked.maps.with_parts(), ..options.clone() };
         let center = state.global_from_ego.translation.truncate();
         let crop = Crop { center, radius_m: options.radius_m };
         let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
@@ -133,19 +146,13 @@ impl Begun {
     /// # Errors
     /// The rasterizer's.
     pub fn finish(self, rasterizer: &mut dyn Rasterizer) -> Result<ConditionSet, ConditionError> {
-        let ConditionOptions { depth_bins, depth_embedding, .. } = self.points.options;
         let mut cameras = self.points.finish(rasterizer)?;
         for (camera, layout) in cameras.iter_mut().zip(self.boxes.into_iter().flatten()) {
             camera.boxes = Some(layout);
         }
-        if self.asked.contains(MapKind::Tensor) {
-            let encoder = TensorEncoder::new(depth_bins, depth_embedding);
-            for camera in &mut cameras {
-                camera.tensor = encoder.encode(camera);
-                camera.keep_only(self.asked);
-            }
-        }
-        Ok(ConditionSet { cameras })
+        let mut set = ConditionSet { cameras };
+        set.make_tensors(&self.asked);
+        Ok(set)
     }
 }
 

@@ -71,6 +71,10 @@ pub(in crate::cli) struct RenderArgs {
     /// {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
     #[arg(long, value_name = "C.json")]
     pub(super) cameras: Option<PathBuf>,
+    /// Draw what the cameras recorded, lens distortion included; every pixel takes the nearest one of a pinhole's image
+    /// [default: pinhole cameras]
+    #[arg(long)]
+    pub(super) distort: bool,
     /// How depth is cut into the bins of depth.png, of the sheet and of the tensor
     #[arg(long, value_enum, default_value = "linear")]
     depth_bins: BinScale,
@@ -124,14 +128,20 @@ pub(super) struct RenderOptions {
     /// Times per second, where not frames were rendered.
     hz: Option<f64>,
     ego_offset: EgoOffset,
+    /// Whether maps look like recorded images.
+    distort: bool,
     /// File of other cameras.
     cameras: Option<PathBuf>,
     format: MapFormat,
 }
 
 impl RenderArgs {
-    /// Files of images hold no tensors.
-    pub(super) fn check_format(&self) -> Result<(), WrongUsage> {
+    /// Files of images hold no tensors; distorted maps do not know which pixels were empty.
+    pub(super) fn check(&self) -> Result<(), WrongUsage> {
+        if self.distort && self.color_filter == ColorFilter::ValidArea {
+            let message = "expected --color-filter bilinear with --distort, found valid-area";
+            return Err(WrongUsage(message.to_owned()));
+        }
         let images = matches!(self.format, MapFormat::Png | MapFormat::Exr);
         if images && self.maps.contains(MapKind::Tensor) {
             let found = if self.format == MapFormat::Png { "png" } else { "exr" };
@@ -162,6 +172,7 @@ impl RenderArgs {
             },
             hz: self.hz,
             ego_offset: self.ego_offset.unwrap_or_default(),
+            distort: self.distort,
             cameras: self.cameras.clone(),
             format: self.format,
         }

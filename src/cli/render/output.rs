@@ -19,6 +19,8 @@ pub(super) struct Output<'a> {
     pub(super) options: &'a ConditionOptions,
     pub(super) prompt: &'a PromptParts,
     pub(super) fps: Option<f64>,
+    /// Whether maps are distorted.
+    pub(super) distort: bool,
     /// Name of the log.
     pub(super) log: &'a str,
 }
@@ -55,6 +57,7 @@ impl Output<'_> {
             let caption = format!("{}  {}", self.log, state.name);
             sheet::write(&folder.join("sheet.png"), set, bins, &caption)?;
             let meta = FrameMeta::new(state, self.options, self.prompt, self.fps);
+            let meta = if self.distort { meta.distorted(state) } else { meta };
             Ok(meta.write(&folder.join(META))?)
         })
     }
