@@ -58,6 +58,13 @@ pub(super) fn distance_m(text: &str) -> Result<f64, String> {
     finite(text).filter(fits).ok_or_else(|| "expected metres, more than 0".into())
 }
 
+/// 0.1 to 100 a second.
+pub(super) fn rate_hz(text: &str) -> Result<f64, String> {
+    finite(text)
+        .filter(|hz| (0.1..=100.0).contains(hz))
+        .ok_or_else(|| "expected a rate of 0.1 to 100 a second".into())
+}
+
 /// Points of a cloud: an integer, also like `4e6`; as many as one job may have.
 pub(super) fn points(text: &str) -> Result<usize, String> {
     const MOST: u32 = u32::MAX - 1;
@@ -104,6 +111,14 @@ mod tests {
         }
         assert!(margin_m("0").is_ok() && margin_m("-0.1").is_err() && margin_m("NaN").is_err());
         assert!(distance_m("0").is_err() && distance_m("1e300").is_err() && distance_m("50").is_ok());
+    }
+
+    #[test]
+    fn rates() {
+        assert_eq!([rate_hz("6"), rate_hz("0.1"), rate_hz("100")], [Ok(6.0), Ok(0.1), Ok(100.0)]);
+        for text in ["0", "0.09", "100.1", "-6", "NaN", "inf", "x", ""] {
+            assert!(rate_hz(text).unwrap_err().contains("0.1 to 100"), "{text}");
+        }
     }
 
     #[test]

@@ -1,5 +1,6 @@
 use std::path::PathBuf;
 
+use super::ImageSize;
 use crate::error::FileError;
 use crate::raster::RasterError;
 
@@ -14,7 +15,7 @@ pub enum ConditionError {
     File(#[from] FileError),
     /// Arrays of all cameras need one size.
     #[error(
-        "expected cameras of one size in an NPZ (--size or --out-size make it so), found {first} and {other}: {}",
+        "expected cameras of one size in one array (--size or --out-size make it so), found {first} and {other}: {}",
         path.display()
     )]
     Sizes {
@@ -25,6 +26,26 @@ pub enum ConditionError {
         /// The file.
         path: PathBuf,
     },
+    /// A lens that bends rays from too far beside the image.
+    #[error(
+        "expected a lens that shows no more than a pinhole image {growth} times as large as {size}, found one that needs \
+         {height}x{width}: camera {camera}"
+    )]
+    Lens {
+        /// The camera.
+        camera: String,
+        /// Of its image.
+        size: ImageSize,
+        /// What it would take, pixels.
+        height: f64,
+        /// What it would take, pixels.
+        width: f64,
+        /// How many times larger a side may be.
+        growth: u32,
+    },
+    /// Distorted maps are reduced without knowing which pixels are empty.
+    #[error("expected bilinear color for distorted maps, found valid-area")]
+    DistortedArea,
     /// A number that the file's pixels cannot hold.
     #[error("expected {map} numbers of at most {max} in a PNG (EXR and NPZ hold more), found {found}: {}", path.display())]
     PngRange {

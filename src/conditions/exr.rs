@@ -12,7 +12,7 @@ use crate::error::{FileError, write_whole};
 
 type Channels = SmallVec<[AnyChannel<FlatSamples>; 4]>;
 
-/// Writes all maps of a step below its folder, which is made where it is missing.
+/// Writes all maps of a step but the model tensor below its folder, which is made where it is missing.
 ///
 /// # Errors
 /// The system's, at writing.
@@ -44,6 +44,8 @@ fn channels(camera: &CameraConditions, kind: MapKind) -> Option<Channels> {
         }
         MapKind::Instance => numbers(camera.instance.as_ref()?),
         MapKind::Point => numbers(camera.point.as_ref()?),
+        // No image.
+        MapKind::Tensor => return None,
     })
 }
 

@@ -65,6 +65,9 @@ pub struct CameraMeta {
     pub width: u32,
     /// 3×3, for the size above.
     pub intrinsics: [[f64; 3]; 3],
+    /// k1, k2, p1, p2, k3 as OpenCV has them, if the maps are distorted by the lens.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distortion: Option<[f64; 5]>,
     /// Extrinsics; null for a camera that no ego carries.
     pub ego_from_camera: Option<Matrix>,
     /// Ego pose at the camera's time.
@@ -91,6 +94,7 @@ impl FrameMeta {
                 height,
                 width,
                 intrinsics: camera.view.camera.resized(height, width).rows(),
+                distortion: None,
                 ego_from_camera: camera.ego_from_camera.map(|pose| rows(&pose.affine())),
                 global_from_ego: rows(&camera.global_from_ego.affine()),
                 camera_from_global: rows(&camera.view.camera_from_world),
@@ -104,6 +108,14 @@ impl FrameMeta {
             fps,
             cameras: state.cameras.iter().zip(neighbours).map(camera).collect(),
         }
+    }
+
+    /// Tells that the maps of this step were distorted as the cameras' lenses do.
+    pub fn distorted(mut self, state: &SceneState) -> Self {
+        for (meta, camera) in self.cameras.iter_mut().zip(&state.cameras) {
+            meta.distortion = camera.view.camera.distortion.map(|d| d.coefficients());
+        }
+        self
     }
 
     /// Writes `meta.json`.

@@ -2,12 +2,15 @@
 //!
 //! # How it works
 //! [`render()`] splats the two clouds of the condition contract (color and geometry, [`SceneInstances`](crate::scene::SceneInstances)) into every
-//! camera, draws the box layout, and reduces the maps to the size of the model ([`reduce`]). Within the program an
-//! empty depth is `f32::INFINITY`; −300 stands only in files. Writers: [`png`], [`exr`], [`npz`], the contact
-//! [`sheet`] and the metadata ([`meta`]). What every map means stands in `docs/CONDITIONS.md`.
+//! camera, draws the box layout, and reduces the maps to the size of the model ([`reduce`]). [`distort`] makes them look
+//! like recorded images. Within the program an
+//! empty depth is `f32::INFINITY`; −300 stands only in files. What networks are fed is made of these
+//! maps ([`tensor`]). Writers: [`png`], [`exr`], [`npz`], [`safetensors`], the contact [`sheet`] and the metadata ([`meta`]). What every map means stands in `docs/CONDITIONS.md`.
 
+mod arrays;
 pub mod bins;
 mod canvas;
+pub mod distort;
 mod error;
 pub mod exr;
 pub mod layout;
@@ -17,7 +20,9 @@ mod options;
 pub mod png;
 pub mod reduce;
 mod render;
+pub mod safetensors;
 pub mod sheet;
+pub mod tensor;
 #[cfg(test)]
 mod test_set;
 
@@ -25,6 +30,7 @@ pub use bins::{BinScale, DepthBins};
 pub use error::ConditionError;
 pub use options::{ColorFilter, ConditionOptions, MapKind, MapSet};
 pub use render::{Begun, CameraConditions, ConditionSet, render, render_views};
+pub use tensor::{DepthEmbedding, ModelTensor, TensorEncoder};
 
 pub use crate::geometry::{ImageSize, ParseOptionError};
 pub use crate::raster::Occlusion;

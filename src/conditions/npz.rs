@@ -1,95 +1,60 @@
-//! `maps.npz`: one array per map, `[V, H, W]` or `[V, H, W, 3]`, views in the set's order, −300 for empty depth.
+//! `maps.npz`: one array per map, `[V, H, W]` or `[V, H, W, 3]`, views in the set's order, −300 for empty depth; two of
+//! the model tensor.
 //!
 //! # How it works
 //! An NPZ is a ZIP of NPY files. Every entry has the same time stamp and compression, so the same maps give the same
 //! bytes.
 
-use std::borrow::Cow;
 use std::io::{Cursor, Write};
 use std::path::Path;
 
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
-use super::{CameraConditions, ConditionError, ConditionSet, EMPTY_DEPTH_M, MapKind};
+use super::arrays::{Array, Scalar, arrays};
+use super::{ConditionError, ConditionSet};
 use crate::cloud::npy::write_header;
 use crate::error::{FileError, write_whole};
 
 /// Level of deflate: higher ones take several times longer to gain little on these maps.
 const LEVEL: i64 = 3;
 
-/// Writes all maps of a step. Arrays are named as the maps.
+/// Writes all maps of a step. Arrays are named as the maps; the model tensor is `points` `[V, 20, H, W]` and `layout`
+/// `[V, 6, H, W]`.
 ///
 /// # Errors
 /// Cameras of differing size; the system's, at writing.
 pub fn write(path: &Path, set: &ConditionSet) -> Result<(), ConditionError> {
-    check_sizes(path, set)?;
     // In memory first: a ZipWriter that meets a full disk tries to write on when it is dropped.
-    let archive = archive(set).map_err(|e| FileError::io("write", path)(std::io::Error::other(e)))?;
+    let archive =
+        archive(&arrays(set, path)?).map_err(|e| FileError::io("write", path)(std::io::Error::other(e)))?;
     write_whole(path, |out| out.write_all(&archive).map_err(FileError::io("write", path)))?;
     Ok(())
 }
 
-fn check_sizes(path: &Path, set: &ConditionSet) -> Result<(), ConditionError> {
-    let Some(first) = set.cameras.first() else { return Ok(()) };
-    let described = |camera: &CameraConditions| format!("{} at {}", camera.name, camera.size());
-    match set.cameras.iter().find(|camera| camera.size() != first.size()) {
-        None => Ok(()),
-        Some(other) => Err(ConditionError::Sizes {
-            first: described(first),
-            other: described(other),
-            path: path.to_owned(),
-        }),
-    }
-}
-
-fn archive(set: &ConditionSet) -> zip::result::ZipResult<Vec<u8>> {
+fn archive(arrays: &[Array<'_>]) -> zip::result::ZipResult<Vec<u8>> {
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
-    for kind in MapKind::ALL {
-        // All cameras of a set have the same maps.
-        let Some(maps) = set.cameras.iter().map(|camera| map_bytes(camera, kind)).collect::<Option<Vec<_>>>()
-        else {
-            continue;
-        };
-        let bytes: usize = maps.iter().map(|map| map.len()).sum();
+    for array in arrays {
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Deflated)
             .compression_level(Some(LEVEL))
             .last_modified_time(DateTime::default())
             .unix_permissions(0o644)
-            .large_file(bytes as u64 > u64::from(u32::MAX) / 2);
-        zip.start_file(format!("{}.npy", kind.name()), options)?;
-        header(&mut zip, kind, set)?;
-        maps.iter().try_for_each(|map| zip.write_all(map))?;
+            .large_file(array.bytes() as u64 > u64::from(u32::MAX) / 2);
+        zip.start_file(format!("{}.npy", array.name), options)?;
+        header(&mut zip, array)?;
+        array.parts.iter().try_for_each(|part| zip.write_all(part))?;
     }
     Ok(zip.finish()?.into_inner())
 }
 
-fn header(out: &mut impl Write, kind: MapKind, set: &ConditionSet) -> std::io::Result<()> {
-    let (height, width) = set.cameras.first().map_or((0, 0), |c| (c.height, c.width));
-    let shape = [set.cameras.len() as u64, height.into(), width.into(), 3];
-    match kind {
-        MapKind::Color | MapKind::Boxes => write_header::<u8>(out, &shape),
-        MapKind::Depth => write_header::<f32>(out, &shape[..3]),
-        MapKind::Class => write_header::<u8>(out, &shape[..3]),
-        MapKind::Instance | MapKind::Point => write_header::<u32>(out, &shape[..3]),
+fn header(out: &mut impl Write, array: &Array<'_>) -> std::io::Result<()> {
+    let shape: Vec<u64> = array.shape.iter().map(|side| *side as u64).collect();
+    match array.scalar {
+        Scalar::F32 => write_header::<f32>(out, &shape),
+        Scalar::U32 => write_header::<u32>(out, &shape),
+        Scalar::U8 => write_header::<u8>(out, &shape),
     }
-}
-
-/// A map as the array holds it (the machines we run on are little-endian, as is the header); `None` where the camera
-/// has no such map.
-fn map_bytes(camera: &CameraConditions, kind: MapKind) -> Option<Cow<'_, [u8]>> {
-    Some(match kind {
-        MapKind::Color => Cow::Borrowed(camera.color.as_ref()?.as_flattened()),
-        MapKind::Boxes => Cow::Borrowed(camera.boxes.as_ref()?.as_flattened()),
-        MapKind::Class => Cow::Borrowed(camera.class.as_ref()?.as_slice()),
-        MapKind::Instance => Cow::Borrowed(bytemuck::cast_slice(camera.instance.as_ref()?)),
-        MapKind::Point => Cow::Borrowed(bytemuck::cast_slice(camera.point.as_ref()?)),
-        MapKind::Depth => {
-            let metres = |d: &f32| if d.is_finite() { *d } else { EMPTY_DEPTH_M };
-            Cow::Owned(camera.depth_m.as_ref()?.iter().flat_map(|d| metres(d).to_le_bytes()).collect())
-        }
-    })
 }
 
 #[cfg(test)]

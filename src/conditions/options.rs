@@ -3,7 +3,7 @@ use std::str::FromStr;
 
 use serde::{Serialize, Serializer};
 
-use super::DepthBins;
+use super::{DepthBins, DepthEmbedding};
 use crate::geometry::{ImageSize, ParseOptionError};
 use crate::raster::{Occlusion, SplatSchedule};
 
@@ -23,12 +23,14 @@ pub enum MapKind {
     Boxes,
     /// Index of that point + 1, counted through the geometry instances.
     Point,
+    /// What a network is fed: color and depth in 20 channels, boxes and map in 6.
+    Tensor,
 }
 
 impl MapKind {
     /// All of them, in the order of files and sheets.
-    pub const ALL: [Self; 6] =
-        [Self::Color, Self::Depth, Self::Class, Self::Instance, Self::Boxes, Self::Point];
+    pub const ALL: [Self; 7] =
+        [Self::Color, Self::Depth, Self::Class, Self::Instance, Self::Boxes, Self::Point, Self::Tensor];
 
     /// Name of files, arrays and command-line values.
     pub fn name(self) -> &'static str {
@@ -39,6 +41,7 @@ impl MapKind {
             Self::Instance => "instance",
             Self::Boxes => "boxes",
             Self::Point => "point",
+            Self::Tensor => "tensor",
         }
     }
 }
@@ -58,16 +61,32 @@ impl MapSet {
         self.0[kind as usize]
     }
 
+    /// With the maps that the model tensor is made of, if it is asked for.
+    pub fn with_parts(mut self) -> Self {
+        if self.contains(MapKind::Tensor) {
+            for part in [MapKind::Color, MapKind::Depth, MapKind::Boxes] {
+                self.0[part as usize] = true;
+            }
+        }
+        self
+    }
+
+    /// These less one.
+    pub fn without(mut self, kind: MapKind) -> Self {
+        self.0[kind as usize] = false;
+        self
+    }
+
     /// Those that are made, in the order of [`MapKind::ALL`].
     pub fn iter(self) -> impl Iterator<Item = MapKind> {
         MapKind::ALL.into_iter().filter(move |kind| self.contains(*kind))
     }
 }
 
-/// All but the point numbers.
+/// All but the point numbers and the model tensor.
 impl Default for MapSet {
     fn default() -> Self {
-        Self(MapKind::ALL.map(|kind| kind != MapKind::Point))
+        Self(MapKind::ALL.map(|kind| !matches!(kind, MapKind::Point | MapKind::Tensor)))
     }
 }
 
@@ -78,7 +97,7 @@ impl FromStr for MapSet {
         let kind = |name: &str| {
             let known = MapKind::ALL.into_iter().find(|kind| kind.name() == name.trim());
             known.ok_or_else(|| ParseOptionError {
-                expected: "maps out of color,depth,class,instance,boxes,point",
+                expected: "maps out of color,depth,class,instance,boxes,point,tensor",
                 found: name.to_owned(),
             })
         };
@@ -121,8 +140,10 @@ pub struct ConditionOptions {
     pub color_filter: ColorFilter,
     /// What hides actors.
     pub occlusion: Occlusion,
-    /// How PNG and sheet show depth.
+    /// How depth is cut in PNG, sheet and model tensor.
     pub depth_bins: DepthBins,
+    /// Which depth channels of the model tensor are filled.
+    pub depth_embedding: DepthEmbedding,
 }
 
 impl Default for ConditionOptions {
@@ -136,6 +157,7 @@ impl Default for ConditionOptions {
             color_filter: ColorFilter::default(),
             occlusion: Occlusion::default(),
             depth_bins: DepthBins::default(),
+            depth_embedding: DepthEmbedding::default(),
         }
     }
 }
@@ -156,6 +178,12 @@ mod tests {
         }
         let maps: MapSet = "depth,color".parse().unwrap();
         assert_eq!(maps.iter().collect::<Vec<_>>(), [MapKind::Color, MapKind::Depth]);
+        let tensor: MapSet = "tensor,class".parse().unwrap();
+        let parts = [MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Boxes, MapKind::Tensor];
+        assert_eq!(
+            (tensor.with_parts().iter().collect::<Vec<_>>(), maps.with_parts()),
+            (parts.to_vec(), maps)
+        );
         assert!("depth,colour".parse::<MapSet>().is_err() && "".parse::<MapSet>().is_err());
     }
 

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::{CameraConditions, ConditionError, ConditionSet, DepthBins, ImageSize, MapKind};
 use crate::error::{FileError, write_whole};
 
-/// Writes all maps of a step below its folder, which is made where it is missing.
+/// Writes all maps of a step but the model tensor below its folder, which is made where it is missing.
 ///
 /// # Errors
 /// The system's at writing; numbers over 65535 in instance or point maps.
@@ -52,6 +52,8 @@ fn write_map(
             let values = to_u16(numbers, kind, path)?;
             encode(path, bytemuck::cast_slice(&values), size, ExtendedColorType::L16)?;
         }
+        // No image.
+        MapKind::Tensor => {}
     }
     Ok(())
 }

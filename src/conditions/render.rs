@@ -1,4 +1,7 @@
-use super::{ColorFilter, ConditionError, ConditionOptions, ImageSize, MapKind, layout, reduce};
+use super::{
+    ColorFilter, ConditionError, ConditionOptions, ImageSize, MapKind, MapSet, ModelTensor, TensorEncoder,
+    layout, reduce,
+};
 use crate::geometry::View;
 use crate::raster::{Crop, FrameJob, FrameKinds, Planes, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
 use crate::scene::{ActorState, SceneInstances, SceneState};
@@ -24,12 +27,21 @@ pub struct CameraConditions {
     pub boxes: Option<Vec<[u8; 3]>>,
     /// Number of the winning geometry point + 1, 0 where empty.
     pub point: Option<Vec<u32>>,
+    /// What a network is fed.
+    pub tensor: Option<ModelTensor>,
 }
 
 impl CameraConditions {
     /// Size of all maps.
     pub fn size(&self) -> ImageSize {
         ImageSize { height: self.height, width: self.width }
+    }
+
+    /// Drops maps that were only made for others.
+    fn keep_only(&mut self, asked: MapSet) {
+        self.color.take_if(|_| !asked.contains(MapKind::Color));
+        self.depth_m.take_if(|_| !asked.contains(MapKind::Depth));
+        self.boxes.take_if(|_| !asked.contains(MapKind::Boxes));
     }
 }
 
@@ -38,6 +50,19 @@ impl CameraConditions {
 pub struct ConditionSet {
     /// One entry per camera.
     pub cameras: Vec<CameraConditions>,
+}
+
+impl ConditionSet {
+    /// Makes the model tensors, if asked for, and drops maps that were made for them alone.
+    pub(super) fn make_tensors(&mut self, asked: &ConditionOptions) {
+        if asked.maps.contains(MapKind::Tensor) {
+            let encoder = TensorEncoder::new(asked.depth_bins, asked.depth_embedding);
+            for camera in &mut self.cameras {
+                camera.tensor = encoder.encode(camera);
+                camera.keep_only(asked.maps);
+            }
+        }
+    }
 }
 
 impl ConditionOptions {
@@ -67,7 +92,8 @@ pub fn render(
     Begun::new(rasterizer, clouds, state, options)?.finish(rasterizer)
 }
 
-/// Makes the maps of some views that come from points, so all but [`MapKind::Boxes`].
+/// Makes the maps of some views that come from points, so all but [`MapKind::Boxes`] and
+/// [`MapKind::Tensor`].
 ///
 /// # Errors
 /// The rasterizer's.
@@ -88,6 +114,8 @@ pub struct Begun {
     points: Points,
     /// Layouts, one per camera, if asked for.
     boxes: Option<Vec<Vec<[u8; 3]>>>,
+    /// What was asked for; more is drawn for the model tensor.
+    asked: ConditionOptions,
 }
 
 impl Begun {
@@ -101,6 +129,8 @@ impl Begun {
         state: &SceneState,
         options: &ConditionOptions,
     ) -> Result<Self, ConditionError> {
+        let asked = options.clone();
+        let options = &ConditionOptions { maps: asked.maps.with_parts(), ..options.clone() };
         let center = state.global_from_ego.translation.truncate();
         let crop = Crop { center, radius_m: options.radius_m };
         let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
@@ -108,7 +138,7 @@ impl Begun {
         let mut layout = |view| render_boxes(rasterizer, &state.actors, view, options);
         let boxes = options.maps.contains(MapKind::Boxes);
         let boxes = boxes.then(|| views.iter().map(&mut layout).collect::<Result<_, _>>()).transpose()?;
-        Ok(Self { points, boxes })
+        Ok(Self { points, boxes, asked })
     }
 
     /// Waits for the maps; the same rasterizer as it was begun with.
@@ -120,7 +150,9 @@ impl Begun {
         for (camera, layout) in cameras.iter_mut().zip(self.boxes.into_iter().flatten()) {
             camera.boxes = Some(layout);
         }
-        Ok(ConditionSet { cameras })
+        let mut set = ConditionSet { cameras };
+        set.make_tensors(&self.asked);
+        Ok(set)
     }
 }
 

@@ -80,6 +80,7 @@ fn shown(set: &ConditionSet, kind: MapKind) -> bool {
         MapKind::Instance => camera.instance.is_some(),
         MapKind::Boxes => camera.boxes.is_some(),
         MapKind::Point => false,
+        MapKind::Tensor => camera.tensor.is_some(),
     })
 }
 
@@ -141,6 +142,7 @@ fn draw_tile(
     let picture = match kind {
         MapKind::Color => camera.color.as_ref().map(|map| reduce::pil_bilinear(map, from, to)),
         MapKind::Boxes => camera.boxes.as_ref().map(|map| reduce::pil_bilinear(map, from, to)),
+        MapKind::Tensor => camera.tensor.as_ref().map(|t| reduce::pil_bilinear(&t.preview(), from, to)),
         _ => tile_colors(camera, kind, to, bins),
     };
     if let Some(picture) = picture {

@@ -23,6 +23,7 @@ pub(super) fn test_set() -> ConditionSet {
             instance: Some(all(&|i| i * 1000)),
             boxes: Some(rgb(9)),
             point: None,
+            tensor: None,
         }
     };
     ConditionSet { cameras: vec![camera("left", 0), camera("right", 31)] }

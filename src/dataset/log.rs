@@ -99,17 +99,6 @@ impl Log {
         self.frames.iter().enumerate().filter_map(in_frame).collect()
     }
 
-    /// Ego pose at any time within the log, between the recorded poses of frames and sweeps (position linear,
-    /// rotation slerp). `None` outside.
-    pub fn ego_at(&self, t_us: i64) -> Option<Pose> {
-        let mut poses: Vec<(i64, Pose)> = self.frames.iter().map(|f| (f.t_us, f.global_from_ego)).collect();
-        for frame in &self.frames {
-            poses.extend(frame.sweeps.iter().map(|s| (s.t_us, s.global_from_ego)));
-        }
-        poses.sort_by_key(|(t, _)| *t);
-        interpolate_at(&poses, t_us, |a, b, s| a.interpolate(b, s))
-    }
-
     /// All boxes at any time within the log, sorted by track, each between its boxes in the frames before and
     /// after. A track that one of these two frames lacks is not there in between.
     pub fn boxes_at(&self, t_us: i64) -> Vec<TrackBox> {
@@ -149,17 +138,6 @@ impl ImageRecord {
     }
 }
 
-/// Looks up `t` in samples sorted by time; `None` outside of them.
-fn interpolate_at<T: Copy>(samples: &[(i64, T)], t: i64, between: impl Fn(&T, &T, f64) -> T) -> Option<T> {
-    let next = samples.partition_point(|(at, _)| *at < t);
-    let (t1, after) = samples.get(next)?;
-    if *t1 == t {
-        return Some(*after);
-    }
-    let (t0, before) = samples.get(next.checked_sub(1)?)?;
-    Some(between(before, after, (t - t0) as f64 / (t1 - t0) as f64))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -174,11 +152,8 @@ mod tests {
     }
 
     #[test]
-    fn poses_and_boxes_between_frames() {
+    fn boxes_between_frames() {
         let log = Log { frames: vec![frame(0, 0.0, &[0, 1]), frame(100, 10.0, &[1])], ..Log::default() };
-        assert_eq!(log.ego_at(25).unwrap().translation.x, 2.5);
-        assert_eq!(log.ego_at(100).unwrap().translation.x, 10.0);
-        assert!(log.ego_at(101).is_none() && log.ego_at(-1).is_none());
         let boxes = log.boxes_at(50);
         assert_eq!((boxes.len(), boxes[0].track, boxes[0].cuboid.pose.translation.x), (1, 1, 5.0));
         assert_eq!(log.boxes_at(0).len(), 2);

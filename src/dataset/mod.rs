@@ -5,6 +5,7 @@
 //! [`Log::notes`].
 
 mod category;
+mod ego_track;
 mod locator;
 mod log;
 mod map;
@@ -12,6 +13,7 @@ pub mod nuscenes;
 mod picture;
 
 pub use category::{Class, layout_rgb};
+pub use ego_track::EgoTrack;
 pub use locator::{LogFormat, LogLocator};
 pub use log::{Frame, ImageRecord, Log, SweepRecord, Track, TrackBox};
 pub use map::{Area, Lane, VectorMap};

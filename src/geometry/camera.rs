@@ -128,6 +128,18 @@ impl View {
         let q = self.camera.intrinsics * self.camera_from_world.transform_point3(world);
         (q.z > 1e-5).then(|| (DVec2::new(q.x, q.y) / q.z, q.z))
     }
+
+    /// As [`View::project`], but to where recorded images show the point: through the lens. `None` also where the lens
+    /// shows nothing.
+    pub fn project_recorded(&self, world: DVec3) -> Option<(DVec2, f64)> {
+        let Some(distortion) = self.camera.distortion else { return self.project(world) };
+        let p = self.camera_from_world.transform_point3(world);
+        if p.z <= 1e-5 {
+            return None;
+        }
+        let seen = distortion.distort(p.truncate() / p.z)?;
+        Some(((self.camera.intrinsics * seen.extend(1.0)).truncate(), p.z))
+    }
 }
 
 #[cfg(test)]

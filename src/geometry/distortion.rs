@@ -1,4 +1,4 @@
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 
 /// Lens distortion of Brown and Conrady, as OpenCV has it: three radial and two tangential coefficients, on coordinates
 /// in the plane at depth 1.
@@ -27,22 +27,169 @@ impl Distortion {
         [self.k1, self.k2, self.p1, self.p2, self.k3]
     }
 
-    /// Where the lens puts a point of the plane at depth 1. `None` beyond the radius at which the polynomial turns
-    /// back: no ray from there reaches the image.
+    /// The model with what is worked out once for many points.
+    pub fn lens(&self) -> Lens {
+        Lens { distortion: *self, limit_r2: self.turning_r2() }
+    }
+
+    /// Where the lens puts a point of the plane at depth 1; see [`Lens::distort`].
+    pub fn distort(&self, ideal: DVec2) -> Option<DVec2> {
+        self.lens().distort(ideal)
+    }
+
+    /// Slope of `r·(1 + k1 r² + k2 r⁴ + k3 r⁶)` at `r²`.
+    fn slope(&self, r2: f64) -> f64 {
+        1.0 + r2 * (3.0 * self.k1 + r2 * (5.0 * self.k2 + r2 * 7.0 * self.k3))
+    }
+
+    /// The smallest `r²` at which the slope is no longer positive; infinite if there is none.
+    fn turning_r2(&self) -> f64 {
+        // Between the places where the slope itself turns it has at most one zero.
+        let (a, b, c) = (21.0 * self.k3, 10.0 * self.k2, 3.0 * self.k1);
+        let root = (b * b - 4.0 * a * c).sqrt();
+        let mut ends = [(-b - root) / (2.0 * a), (-b + root) / (2.0 * a), -c / b];
+        ends.sort_by(f64::total_cmp);
+        // Farther out no image reaches: the angle from the axis is over 89.9 degrees.
+        const FARTHEST_R2: f64 = 1e6;
+        let mut start = 0.0;
+        for end in ends.into_iter().filter(|r2| (0.0..FARTHEST_R2).contains(r2)).chain([FARTHEST_R2]) {
+            if self.slope(end) <= 0.0 {
+                return self.zero_of_slope(start, end);
+            }
+            start = end;
+        }
+        f64::INFINITY
+    }
+
+    /// By bisection: the slope is positive at `inside` and not at `outside`.
+    fn zero_of_slope(&self, mut inside: f64, mut outside: f64) -> f64 {
+        loop {
+            let middle = f64::midpoint(inside, outside);
+            if middle <= inside || middle >= outside {
+                return inside;
+            }
+            if self.slope(middle) > 0.0 { inside = middle } else { outside = middle }
+        }
+    }
+}
+
+/// A [`Distortion`] for many points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lens {
+    distortion: Distortion,
+    /// Beyond this squared radius the polynomial turns back.
+    limit_r2: f64,
+}
+
+impl Lens {
+    /// Where the lens puts a point of the plane at depth 1 (OpenCV's `projectPoints`). `None` beyond the radius at which
+    /// the polynomial turns back: no ray from there reaches the image.
     pub fn distort(&self, ideal: DVec2) -> Option<DVec2> {
         let r2 = ideal.length_squared();
-        // The derivative of r·(1 + k1 r² + k2 r⁴ + k3 r⁶).
-        let grows = |r2: f64| 1.0 + r2 * (3.0 * self.k1 + r2 * (5.0 * self.k2 + r2 * 7.0 * self.k3)) > 0.0;
-        const STEPS: u32 = 16;
-        if !(1..=STEPS).all(|i| grows(r2 * f64::from(i) / f64::from(STEPS))) {
-            return None;
-        }
-        let radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3));
+        (r2 <= self.limit_r2).then(|| self.polynomial(ideal, r2))
+    }
+
+    fn polynomial(&self, ideal: DVec2, r2: f64) -> DVec2 {
+        let Distortion { k1, k2, p1, p2, k3 } = self.distortion;
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
         let DVec2 { x, y } = ideal;
         let tangential = DVec2::new(
-            2.0 * self.p1 * x * y + self.p2 * (r2 + 2.0 * x * x),
-            self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y,
+            2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
         );
-        Some(ideal * radial + tangential)
+        ideal * radial + tangential
+    }
+
+    /// Derivative of [`Lens::polynomial`].
+    fn jacobian(&self, ideal: DVec2) -> DMat2 {
+        let Distortion { k1, k2, p1, p2, k3 } = self.distortion;
+        let (DVec2 { x, y }, r2) = (ideal, ideal.length_squared());
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        let growth = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3));
+        let mixed = growth * x * y + 2.0 * (p1 * x + p2 * y);
+        DMat2::from_cols(
+            DVec2::new(radial + growth * x * x + 2.0 * p1 * y + 6.0 * p2 * x, mixed),
+            DVec2::new(mixed, radial + growth * y * y + 6.0 * p1 * y + 2.0 * p2 * x),
+        )
+    }
+
+    /// The point of the plane at depth 1 that the lens puts at `seen`, to 10⁻¹² of the focal length. `None` where it
+    /// puts none.
+    pub fn undistort(&self, seen: DVec2) -> Option<DVec2> {
+        const STEPS: u32 = 50;
+        const CLOSE: f64 = 1e-12;
+        let mut ideal = DVec2::ZERO;
+        let mut error = self.distort(ideal)? - seen;
+        for _ in 0..STEPS {
+            if error.length() <= CLOSE {
+                return Some(ideal);
+            }
+            (ideal, error) = self.newton_step(ideal, error, seen)?;
+        }
+        None
+    }
+
+    /// The whole step or, where that leaves the lens or comes no nearer, a half, a quarter ...
+    fn newton_step(&self, ideal: DVec2, error: DVec2, seen: DVec2) -> Option<(DVec2, DVec2)> {
+        const HALVINGS: i32 = 30;
+        let step = self.jacobian(ideal).inverse() * error;
+        (0..HALVINGS).find_map(|halvings| {
+            let next = ideal - step * 0.5_f64.powi(halvings);
+            let next_error = self.distort(next)? - seen;
+            (next_error.length_squared() < error.length_squared()).then_some((next, next_error))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lens(coefficients: [f64; 5]) -> Lens {
+        Distortion::from_opencv(coefficients).unwrap().lens()
+    }
+
+    #[test]
+    fn lenses_turn_back_where_their_slope_is_zero() {
+        // 1 + 3 k1 r² = 0.
+        assert!((lens([-0.3, 0.0, 0.0, 0.0, 0.0]).limit_r2 - 1.0 / 0.9).abs() < 1e-12);
+        // 1 - 2.5 r² + r⁴ = (1 - r²/2)(1 - 2 r²): the smaller of two.
+        assert!((lens([-2.5 / 3.0, 0.2, 0.0, 0.0, 0.0]).limit_r2 - 0.5).abs() < 1e-12);
+        // (1 - r²)³ touches zero; (1 - r²/3)(1 + r⁴) and 1 + r⁶ + ..: one and none.
+        let cubic = |c1: f64, c2: f64, c3: f64| lens([c1 / 3.0, c2 / 5.0, 0.0, 0.0, c3 / 7.0]).limit_r2;
+        assert!((cubic(-3.0, 3.0, -1.0) - 1.0).abs() < 1e-4);
+        assert!((cubic(-1.0 / 3.0, 1.0, -1.0 / 3.0) - 3.0).abs() < 1e-9);
+        assert_eq!(cubic(0.1, 0.0, 1.0), f64::INFINITY);
+        assert_eq!(lens([0.0, 0.0, 0.01, 0.0, 0.0]).limit_r2, f64::INFINITY);
+    }
+
+    #[test]
+    fn nothing_lies_beyond_the_turn() {
+        let lens = lens([-0.3, 0.0, 0.0, 0.0, 0.0]);
+        let limit = (1.0_f64 / 0.9).sqrt();
+        assert!(lens.distort(DVec2::X * (limit - 1e-9)).is_some());
+        assert_eq!([DVec2::X * (limit + 1e-9), DVec2::splat(30.0)].map(|p| lens.distort(p)), [None; 2]);
+        // The farthest that the lens reaches, r (1 - 0.3 r²), and beyond.
+        let reach = limit * (1.0 - 0.3 * limit * limit);
+        assert!(lens.undistort(DVec2::X * (reach - 1e-6)).is_some());
+        assert_eq!([reach + 1e-6, 5.0, f64::NAN].map(|r| lens.undistort(DVec2::X * r)), [None; 3]);
+    }
+
+    #[test]
+    fn undistorting_undoes_distortion() {
+        for coefficients in [
+            [-0.356123, 0.172545, -0.00213, 0.000464, -0.05231],
+            [-0.28, 0.071, 0.0011, -0.0007, -0.0079],
+            [0.18, -0.05, -0.004, 0.006, 0.012],
+        ] {
+            let lens = lens(coefficients);
+            for i in 0..400 {
+                let ideal = DVec2::from_angle(f64::from(i)) * (f64::from(i) / 400.0);
+                let seen = lens.distort(ideal).unwrap();
+                let back = lens.undistort(seen).unwrap();
+                assert!((back - ideal).length() < 1e-10, "{ideal} {back}");
+                assert!((lens.distort(back).unwrap() - seen).length() <= 1e-12);
+            }
+        }
     }
 }

@@ -12,6 +12,6 @@ mod size;
 
 pub use camera::{Camera, CameraError, View};
 pub use cuboid::{Cuboid, CuboidError};
-pub use distortion::Distortion;
+pub use distortion::{Distortion, Lens};
 pub use pose::{Pose, PoseError};
 pub use size::{ImageSize, ParseOptionError};

@@ -1,7 +1,7 @@
 use glam::DVec3;
 
 use super::{ActorState, SceneCamera, SceneState};
-use crate::dataset::{Frame, ImageRecord, Log, TrackBox};
+use crate::dataset::{EgoTrack, Frame, ImageRecord, Log, TrackBox};
 use crate::geometry::{Pose, View};
 
 /// Moves the ego in its own frame: metres forward and to the left, radians to the left.
@@ -37,9 +37,9 @@ pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<Scen
 }
 
 /// The state at any time within the log: all cameras share the ego pose at that instant, ego and actors are
-/// interpolated. `None` outside the log.
-pub fn state_at(log: &Log, t_us: i64, offset: EgoOffset) -> Option<SceneState> {
-    let global_from_ego = log.ego_at(t_us)? * offset.pose();
+/// interpolated. `None` outside the log, whose poses `ego` are.
+pub fn state_at(log: &Log, ego: &EgoTrack, t_us: i64, offset: EgoOffset) -> Option<SceneState> {
+    let global_from_ego = ego.at(t_us)? * offset.pose();
     let nearest = log.frames.iter().min_by_key(|f| f.t_us.abs_diff(t_us))?;
     let camera = |record: &ImageRecord| scene_camera(record, global_from_ego);
     Some(SceneState {

@@ -8,11 +8,11 @@
 //! most (the weighted medoid of the colors): what a wrong occlusion, a passing car or the sky behind a twig shows in
 //! one image is outvoted by the others.
 
-use glam::{DAffine3, DVec2, DVec3};
+use glam::{DAffine3, DMat3, DVec2, DVec3};
 use image::RgbImage;
 
 use super::OcclusionMap;
-use crate::geometry::View;
+use crate::geometry::{Lens, View};
 
 /// A point that looks for its color.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,9 +97,12 @@ pub fn agreed_color(looks: &[Look]) -> Option<[u8; 3]> {
     best.map(|(_, look)| look.rgb)
 }
 
-/// Projects local points into an image.
+/// Projects local points into a recorded image.
 pub struct Projector {
-    image_from_local: DAffine3,
+    /// To pixels times depth; with a lens to the camera frame.
+    from_local: DAffine3,
+    /// How the image is distorted, and the intrinsics.
+    lens: Option<(Lens, DMat3)>,
     size: DVec2,
 }
 
@@ -109,18 +112,24 @@ const NEAREST_M: f64 = 0.1;
 impl Projector {
     /// For points placed by `global_from_local`.
     pub fn new(view: &View, global_from_local: &DAffine3) -> Self {
-        let camera = DAffine3::from_mat3(view.camera.intrinsics);
+        let intrinsics = view.camera.intrinsics;
+        let lens = view.camera.distortion.map(|distortion| (distortion.lens(), intrinsics));
+        let camera = if lens.is_some() { DAffine3::IDENTITY } else { DAffine3::from_mat3(intrinsics) };
         let size = DVec2::new(f64::from(view.camera.width), f64::from(view.camera.height));
-        Self { image_from_local: camera * view.camera_from_world * *global_from_local, size }
+        Self { from_local: camera * view.camera_from_world * *global_from_local, lens, size }
     }
 
-    /// Pixel coordinates and camera depth in metres; `None` behind the camera and outside the image.
+    /// Pixel coordinates and camera depth in metres; `None` behind the camera and outside the image. A lens moves the
+    /// point to where the recorded image shows it.
     pub fn pixel(&self, local: DVec3) -> Option<(DVec2, f64)> {
-        let q = self.image_from_local.transform_point3(local);
+        let q = self.from_local.transform_point3(local);
         if q.z < NEAREST_M {
             return None;
         }
-        let pixel = DVec2::new(q.x, q.y) / q.z;
+        let mut pixel = DVec2::new(q.x, q.y) / q.z;
+        if let Some((lens, intrinsics)) = &self.lens {
+            pixel = (*intrinsics * lens.distort(pixel)?.extend(1.0)).truncate();
+        }
         (pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(self.size).all()).then_some((pixel, q.z))
     }
 }
@@ -128,7 +137,7 @@ impl Projector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Camera;
+    use crate::geometry::{Camera, Distortion};
 
     #[test]
     fn the_majority_outvotes_a_nearer_view() {
@@ -137,6 +146,32 @@ mod tests {
         assert_eq!(agreed_color(&[look(9, 0.1)]), Some([9; 3]));
         assert_eq!(agreed_color(&[look(9, 0.1), look(200, 0.2)]), Some([200; 3]));
         assert_eq!(agreed_color(&[look(200, 0.3), look(10, 0.2), look(12, 0.2)]), Some([12; 3]));
+    }
+
+    #[test]
+    fn recorded_images_are_looked_at_through_their_lens() {
+        let rows = [[700.0, 0.0, 800.0], [0.0, 705.0, 450.0], [0.0, 0.0, 1.0]];
+        let pinhole = Camera::new("c", 1600, 900, rows).unwrap();
+        let distortion = Distortion::from_opencv([-0.28, 0.071, 0.0011, -0.0007, -0.0079]);
+        let camera = Camera { distortion, ..pinhole.clone() };
+        let place = DAffine3::from_rotation_y(0.2) * DAffine3::from_translation(DVec3::new(3.0, 1.0, 2.0));
+        let [bent, straight] =
+            [camera, pinhole].map(|camera| View { camera, camera_from_world: place.inverse() });
+        let project = [&bent, &straight].map(|view| Projector::new(view, &place));
+        // At the edge of the image a point is seen 100 pixels farther in.
+        let point = DVec3::new(6.0, 2.0, 5.5);
+        let [(seen, depth_m), (ideal, _)] = [0, 1].map(|i| project[i].pixel(point).unwrap());
+        assert!(seen.distance(ideal) > 100.0 && seen.x < ideal.x, "{seen} {ideal}");
+        let (expected, z) = bent.project_recorded(place.transform_point3(point)).unwrap();
+        assert!(seen.distance(expected) < 1e-9 && (depth_m - z).abs() < 1e-12);
+        assert_eq!(straight.project_recorded(DVec3::ONE), straight.project(DVec3::ONE));
+        // The image is colored by columns, so the color tells where it was looked at.
+        let image = RgbImage::from_fn(1600, 900, |x, _| image::Rgb([(x / 10) as u8, 0, 0]));
+        let view = ColorView { image, view: bent, t_us: 0, occlusion: None };
+        let look = view.look(&project[0], point, 0.0).unwrap();
+        assert!((f64::from(look.rgb[0]) - seen.x / 10.0).abs() < 1.0, "{look:?} {seen}");
+        // A lens that bends less and less ends before the plane does: no ghost from beyond.
+        assert_eq!(project[0].pixel(DVec3::new(40.0, 0.0, 5.0)), None);
     }
 
     #[test]

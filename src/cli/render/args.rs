@@ -3,19 +3,22 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
+use crate::cli::WrongUsage;
 use crate::cli::log_args::LogRoots;
 use crate::cli::numbers::{self, FrameRange};
 use crate::cli::rasterizer::RasterizerArgs;
-use crate::conditions::{BinScale, ColorFilter, ConditionOptions, DepthBins, ImageSize, MapSet, Occlusion};
+use crate::conditions::{
+    BinScale, ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, ImageSize, MapKind, MapSet, Occlusion,
+};
 use crate::dataset::LogLocator;
 use crate::raster::SplatSchedule;
 use crate::scene::{EgoOffset, SelectionOptions, TemplateFit};
 
 /// Render condition maps of a drive's frames from its skeleton: color, depth, class, instance, boxes
 ///
-/// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz (arrays V,H,W(,3) named as the maps, cameras in the order of
-/// index.json); FRAME/meta.json with poses and intrinsics; FRAME/sheet.png with all maps at a glance; at the end
-/// index.json. FRAME is the frame's number with six digits, or the time with --at.
+/// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz or conditions.safetensors (arrays V,H,W(,3) named as the maps,
+/// points V,20,H,W and layout V,6,H,W of the tensor, cameras in the order of index.json); FRAME/meta.json with poses and intrinsics; FRAME/sheet.png with all maps at a glance; at the end
+/// index.json. FRAME is the frame's number with six digits, or the time with --at and --hz.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct RenderArgs {
     /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
@@ -35,10 +38,16 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "T_US,..", value_delimiter = ',', allow_hyphen_values = true)]
     #[arg(conflicts_with = "frames")]
     pub(super) at: Vec<i64>,
-    /// Which maps: color, depth, class, instance, boxes, and point (numbers of the points)
+    /// Instead of frames times at this rate (0.1 to 100 a second), from the first frame's to the last's; ego and
+    /// actors are interpolated
+    #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
+    #[arg(conflicts_with = "at")]
+    pub(super) hz: Option<f64>,
+    /// Which maps: color, depth, class, instance, boxes, point (numbers of the points), and tensor (what networks are
+    /// fed; npz and safetensors alone)
     #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance,boxes")]
     maps: MapSet,
-    /// Files: png (depth as 16-bit bins), exr or npz (depth in metres, -300 where empty)
+    /// Files: png (depth as 16-bit bins); exr, npz or safetensors (depth in metres, -300 where empty)
     #[arg(long, value_enum, default_value = "png")]
     pub(super) format: MapFormat,
     /// Draw at this size; scales the intrinsics [default: the size of the cameras]
@@ -62,9 +71,16 @@ pub(in crate::cli) struct RenderArgs {
     /// {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
     #[arg(long, value_name = "C.json")]
     pub(super) cameras: Option<PathBuf>,
-    /// How depth is cut into the bins of depth.png and of the sheet
+    /// Draw what the cameras recorded, lens distortion included; every pixel takes the nearest one of a pinhole's image
+    /// [default: pinhole cameras]
+    #[arg(long)]
+    pub(super) distort: bool,
+    /// How depth is cut into the bins of depth.png, of the sheet and of the tensor
     #[arg(long, value_enum, default_value = "linear")]
     depth_bins: BinScale,
+    /// Depth in the tensor: itself (continuous), its sines and cosines (discrete), or both
+    #[arg(long, value_enum, default_value = "continuous")]
+    depth_embedding: DepthEmbedding,
     /// Where the last depth bin ends, metres [default: --radius]
     #[arg(long, value_name = "M", value_parser = numbers::distance_m, allow_negative_numbers = true)]
     far: Option<f64>,
@@ -98,6 +114,8 @@ pub(super) enum MapFormat {
     Exr,
     /// One NumPy archive per frame.
     Npz,
+    /// One safetensors file per frame.
+    Safetensors,
 }
 
 /// What stands in `index.json` about how the maps were made.
@@ -107,13 +125,32 @@ pub(super) struct RenderOptions {
     pub(super) conditions: ConditionOptions,
     #[serde(flatten)]
     pub(super) selection: SelectionOptions,
+    /// Times per second, where not frames were rendered.
+    hz: Option<f64>,
     ego_offset: EgoOffset,
+    /// Whether maps look like recorded images.
+    distort: bool,
     /// File of other cameras.
     cameras: Option<PathBuf>,
     format: MapFormat,
 }
 
 impl RenderArgs {
+    /// Files of images hold no tensors; distorted maps do not know which pixels were empty.
+    pub(super) fn check(&self) -> Result<(), WrongUsage> {
+        if self.distort && self.color_filter == ColorFilter::ValidArea {
+            let message = "expected --color-filter bilinear with --distort, found valid-area";
+            return Err(WrongUsage(message.to_owned()));
+        }
+        let images = matches!(self.format, MapFormat::Png | MapFormat::Exr);
+        if images && self.maps.contains(MapKind::Tensor) {
+            let found = if self.format == MapFormat::Png { "png" } else { "exr" };
+            let message = format!("expected --format npz or safetensors with --maps tensor, found {found}");
+            return Err(WrongUsage(message));
+        }
+        Ok(())
+    }
+
     pub(super) fn options(&self) -> RenderOptions {
         let far_m = self.far.unwrap_or(self.radius) as f32;
         let conditions = ConditionOptions {
@@ -125,6 +162,7 @@ impl RenderArgs {
             color_filter: self.color_filter,
             occlusion: self.occlusion,
             depth_bins: DepthBins { scale: self.depth_bins, far_m, ..DepthBins::default() },
+            depth_embedding: self.depth_embedding,
         };
         RenderOptions {
             conditions,
@@ -132,7 +170,9 @@ impl RenderArgs {
                 min_actor_points: self.min_actor_points,
                 template_fit: self.template_fit,
             },
+            hz: self.hz,
             ego_offset: self.ego_offset.unwrap_or_default(),
+            distort: self.distort,
             cameras: self.cameras.clone(),
             format: self.format,
         }

@@ -18,6 +18,7 @@ use self::steps::Steps;
 use super::progress::Progress;
 use super::say;
 use crate::cloud;
+use crate::conditions::distort::Distorter;
 use crate::conditions::meta::{Index, IndexFrame, PromptParts};
 use crate::conditions::{Begun, ConditionOptions};
 use crate::dataset::Dataset;
@@ -29,6 +30,7 @@ use crate::skeleton::Skeleton;
 /// Reads, draws, writes.
 pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let start = Instant::now();
+    args.check()?;
     let dataset = args.roots.open(&args.log)?;
     let log = dataset.log();
     let skeleton = open_skeleton(&args.skeleton, dataset.as_ref())?;
@@ -42,14 +44,17 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         format: args.format,
         options: &options.conditions,
         prompt: &prompt,
-        fps: frame_rate_hz(&log.frames),
+        fps: args.hz.or_else(|| frame_rate_hz(&log.frames)),
+        distort: args.distort,
         log: &log.name,
     };
+    let distorter = args.distort.then(|| Distorter::new(&options.conditions)).transpose()?;
     output.begin()?;
     let frames = Work { stage: Stage::new(&skeleton), steps: &steps, output: &output }.run(
         rasterizer.as_mut(),
         &options.conditions,
         &options.selection,
+        distorter,
     )?;
     let summary = summary(&frames, &steps.missing_cameras(&frames), rasterizer.as_mut());
     warn_of_times_outside(&frames, skeleton.manifest.times_us(&log.name));
@@ -104,6 +109,7 @@ impl Work<'_> {
         rasterizer: &mut dyn Rasterizer,
         options: &ConditionOptions,
         selection: &SelectionOptions,
+        mut distorter: Option<Distorter>,
     ) -> anyhow::Result<Vec<IndexFrame>> {
         let mut frames = Vec::new();
         let mut progress = Progress::new(self.steps.len());
@@ -120,15 +126,22 @@ impl Work<'_> {
                 if let Some(state) = states.next() {
                     let state = state?;
                     let instances = self.stage.instances(&state, selection);
-                    let begun = Begun::new(rasterizer, &instances, &state, options);
+                    let pinholes = distorter.as_mut().map(|d| d.pinholes(&state)).transpose()?;
+                    let (drawn, options) =
+                        pinholes.as_ref().map_or((&state, options), |p| (&p.state, &p.options));
+                    let begun = Begun::new(rasterizer, &instances, drawn, options);
                     let begun = begun.with_context(|| format!("step {}", state.name))?;
-                    in_flight.push_back((state, begun));
+                    in_flight.push_back((state, pinholes, begun));
                     if in_flight.len() < FRAMES_IN_FLIGHT {
                         continue;
                     }
                 }
-                let Some((state, begun)) = in_flight.pop_front() else { break };
+                let Some((state, pinholes, begun)) = in_flight.pop_front() else { break };
                 let set = begun.finish(rasterizer).with_context(|| format!("step {}", state.name))?;
+                let set = match pinholes {
+                    Some(pinholes) => pinholes.distort(set),
+                    None => set,
+                };
                 frames.push(IndexFrame::new(&state));
                 progress.step(&state.name);
                 if sender.send(Rendered { state, set }).is_err() {

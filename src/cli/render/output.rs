@@ -2,7 +2,7 @@ use std::path::Path;
 
 use super::args::{MapFormat, RenderOptions};
 use crate::conditions::meta::{FrameMeta, Index, PromptParts};
-use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, exr, npz, png, sheet};
+use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, exr, npz, png, safetensors, sheet};
 use crate::error::{FileError, write_whole_folder};
 use crate::scene::SceneState;
 
@@ -19,6 +19,8 @@ pub(super) struct Output<'a> {
     pub(super) options: &'a ConditionOptions,
     pub(super) prompt: &'a PromptParts,
     pub(super) fps: Option<f64>,
+    /// Whether maps are distorted.
+    pub(super) distort: bool,
     /// Name of the log.
     pub(super) log: &'a str,
 }
@@ -47,10 +49,15 @@ impl Output<'_> {
                 MapFormat::Png => png::write(folder, set, bins)?,
                 MapFormat::Exr => exr::write(folder, set)?,
                 MapFormat::Npz => npz::write(&folder.join("maps.npz"), set)?,
+                MapFormat::Safetensors => {
+                    let path = folder.join("conditions.safetensors");
+                    safetensors::write(&path, set, state.t_us, self.options)?;
+                }
             }
             let caption = format!("{}  {}", self.log, state.name);
             sheet::write(&folder.join("sheet.png"), set, bins, &caption)?;
             let meta = FrameMeta::new(state, self.options, self.prompt, self.fps);
+            let meta = if self.distort { meta.distorted(state) } else { meta };
             Ok(meta.write(&folder.join(META))?)
         })
     }

@@ -4,13 +4,14 @@ use super::RenderArgs;
 use crate::cli::WrongUsage;
 use crate::cli::numbers::FrameRange;
 use crate::conditions::meta::IndexFrame;
-use crate::dataset::Log;
+use crate::dataset::{EgoTrack, Frame, Log};
 use crate::geometry::View;
 use crate::scene::{EgoOffset, SceneState, state_at, state_of_frame, with_cameras};
 
 /// What is to be rendered; all of it lies within the log.
 pub(super) struct Steps<'a> {
     log: &'a Log,
+    ego: EgoTrack,
     offset: EgoOffset,
     /// Instead of the log's.
     views: Option<Vec<View>>,
@@ -26,7 +27,11 @@ enum When {
 impl<'a> Steps<'a> {
     pub(super) fn new(log: &'a Log, args: &RenderArgs, views: Option<Vec<View>>) -> anyhow::Result<Self> {
         let when: Vec<When> = if args.at.is_empty() {
-            FrameRange::of(args.frames, log.frames.len())?.map(When::Frame).collect()
+            let frames = FrameRange::of(args.frames, log.frames.len())?;
+            match args.hz {
+                Some(hz) => times_at_rate(&log.frames[frames], hz).map(When::Time).collect(),
+                None => frames.map(When::Frame).collect(),
+            }
         } else {
             check_times(log, &args.at)?;
             args.at.iter().copied().map(When::Time).collect()
@@ -37,7 +42,7 @@ impl<'a> Steps<'a> {
             "expected cameras in log {} or by --cameras, found none",
             log.name
         );
-        Ok(Self { log, offset: args.ego_offset.unwrap_or_default(), views, when })
+        Ok(Self { log, ego: EgoTrack::new(log), offset: args.ego_offset.unwrap_or_default(), views, when })
     }
 
     pub(super) fn len(&self) -> usize {
@@ -49,7 +54,7 @@ impl<'a> Steps<'a> {
         self.when.iter().map(|when| {
             let state = match *when {
                 When::Frame(index) => state_of_frame(self.log, index, self.offset),
-                When::Time(t_us) => state_at(self.log, t_us, self.offset),
+                When::Time(t_us) => state_at(self.log, &self.ego, t_us, self.offset),
             };
             let state = state.ok_or_else(|| anyhow::anyhow!("expected a time within the log's ego poses"))?;
             Ok(self.views.as_deref().map_or(state.clone(), |views| with_cameras(state, views)))
@@ -68,6 +73,16 @@ impl<'a> Steps<'a> {
         }
         missing
     }
+}
+
+/// Times at a rate from the first frame's on, as far as the last frame's: the first and every `1 / hz` seconds,
+/// each rounded to microseconds on its own, so that they do not drift.
+fn times_at_rate(frames: &[Frame], hz: f64) -> impl Iterator<Item = i64> {
+    let ends = frames.first().zip(frames.last()).map(|(first, last)| [first.t_us, last.t_us]);
+    ends.into_iter().flat_map(move |[first, last]| {
+        let times = (0_u64..).map(move |i| first + (i as f64 * 1e6 / hz).round() as i64);
+        times.take_while(move |t_us| *t_us <= last)
+    })
 }
 
 /// Times become names of folders, so each may be there once.

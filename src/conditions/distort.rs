@@ -1,0 +1,182 @@
+//! Maps that look like recorded images: distorted as the cameras' lenses do.
+//!
+//! # How it works
+//! Rasterizers draw what a pinhole sees. A lens shows other parts of the world, so the pinhole's image is made larger
+//! until it holds all that the lens shows, at the same focal length. Every pixel of the distorted map then takes the
+//! pixel of the larger one that its centre's ray meets, for all maps alike: a mean of depths or of numbers would be
+//! none. Reductions come after.
+
+use std::sync::Arc;
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::{
+    CameraConditions, ColorFilter, ConditionError, ConditionOptions, ConditionSet, ImageSize, MapKind, reduce,
+};
+use crate::geometry::{Camera, Lens, View};
+use crate::scene::SceneState;
+
+/// How many times larger than the camera's a side of the pinhole's image may be.
+const MOST_GROWTH: u32 = 4;
+
+/// Distorts the maps of step after step; what a lens does to an image is worked out once.
+#[derive(Clone, Debug)]
+pub struct Distorter {
+    options: ConditionOptions,
+    /// Cameras as drawn, with what their lenses do.
+    known: Vec<(Camera, Arc<Warp>)>,
+}
+
+/// A step as it is to be drawn so that its maps can be distorted.
+#[derive(Clone, Debug)]
+pub struct PinholeStep {
+    /// With pinhole cameras that see all that the lenses show.
+    pub state: SceneState,
+    /// For the maps of that state: at full size.
+    pub options: ConditionOptions,
+    asked: ConditionOptions,
+    warps: Vec<Arc<Warp>>,
+}
+
+impl Distorter {
+    /// For maps that are made with these options.
+    ///
+    /// # Errors
+    /// [`ColorFilter::ValidArea`], which would have to know which pixels are empty.
+    pub fn new(options: &ConditionOptions) -> Result<Self, ConditionError> {
+        if options.color_filter == ColorFilter::ValidArea {
+            return Err(ConditionError::DistortedArea);
+        }
+        Ok(Self { options: options.clone(), known: Vec::new() })
+    }
+
+    /// The step to draw in place of this one.
+    ///
+    /// # Errors
+    /// A lens that shows more than a pinhole's image of reasonable size can hold.
+    pub fn pinholes(&mut self, state: &SceneState) -> Result<PinholeStep, ConditionError> {
+        let mut state = state.clone();
+        let mut warps = Vec::with_capacity(state.cameras.len());
+        for camera in &mut state.cameras {
+            let drawn = self.options.drawn_view(&camera.view).camera;
+            let warp = self.warp(&drawn)?;
+            camera.view = View { camera: warp.pinhole.clone(), ..camera.view };
+            warps.push(warp);
+        }
+        let asked = self.options.clone();
+        // Model tensors are made of the distorted maps.
+        let maps = asked.maps.with_parts().without(MapKind::Tensor);
+        let options = ConditionOptions { maps, size: None, out_size: None, ..asked.clone() };
+        Ok(PinholeStep { state, options, asked, warps })
+    }
+
+    fn warp(&mut self, camera: &Camera) -> Result<Arc<Warp>, ConditionError> {
+        if let Some((_, warp)) = self.known.iter().find(|(known, _)| known == camera) {
+            return Ok(Arc::clone(warp));
+        }
+        let warp = Arc::new(Warp::new(camera)?);
+        self.known.push((camera.clone(), Arc::clone(&warp)));
+        Ok(warp)
+    }
+}
+
+impl PinholeStep {
+    /// Distorts and reduces the maps that were made of [`PinholeStep::state`].
+    pub fn distort(&self, set: ConditionSet) -> ConditionSet {
+        let camera = |(camera, warp): (CameraConditions, &Arc<Warp>)| {
+            let to = self.asked.out_size.unwrap_or(warp.size);
+            warp.resample(camera, to)
+        };
+        let mut set =
+            ConditionSet { cameras: set.cameras.into_iter().zip(&self.warps).map(camera).collect() };
+        set.make_tensors(&self.asked);
+        set
+    }
+}
+
+/// From a pinhole's image to a distorted one.
+#[derive(Clone, Debug)]
+struct Warp {
+    pinhole: Camera,
+    /// Of the distorted image.
+    size: ImageSize,
+    /// Per pixel of the distorted image the pixel of the pinhole's; `None` where the images are the same.
+    sources: Option<Vec<u32>>,
+}
+
+/// In [`Warp::sources`] a pixel that no ray reaches.
+const NO_SOURCE: u32 = u32::MAX;
+
+impl Warp {
+    fn new(camera: &Camera) -> Result<Self, ConditionError> {
+        let size = ImageSize::of(camera);
+        let Some(distortion) = camera.distortion else {
+            return Ok(Self { pinhole: camera.clone(), size, sources: None });
+        };
+        let rays = rays(camera, &distortion.lens());
+        let (mut low, mut high) = (DVec2::ZERO, DVec2::new(f64::from(size.width), f64::from(size.height)));
+        for pixel in rays.iter().flatten() {
+            (low, high) = (low.min(pixel.floor()), high.max(pixel.floor() + 1.0));
+        }
+        let sides = high - low;
+        let most = |side: u32| f64::from((side * MOST_GROWTH).min(Camera::MAX_SIDE));
+        if sides.x > most(size.width) || sides.y > most(size.height) {
+            let (camera, growth) = (camera.name.clone(), MOST_GROWTH);
+            return Err(ConditionError::Lens { camera, size, height: sides.y, width: sides.x, growth });
+        }
+        let width = sides.x as u32;
+        let mut pinhole = Camera { width, height: sides.y as u32, distortion: None, ..camera.clone() };
+        pinhole.intrinsics.z_axis -= low.extend(0.0);
+        let source = |ray: &Option<DVec2>| {
+            let Some(pixel) = ray else { return NO_SOURCE };
+            let at = pixel.floor() - low;
+            at.y as u32 * width + at.x as u32
+        };
+        let sources = Some(rays.iter().map(source).collect());
+        Ok(Self { pinhole, size, sources })
+    }
+
+    fn resample(&self, maps: CameraConditions, to: ImageSize) -> CameraConditions {
+        let CameraConditions { name, color, depth_m, class, instance, boxes, point, .. } = maps;
+        CameraConditions {
+            name,
+            width: to.width,
+            height: to.height,
+            color: color.map(|map| reduce::bilinear(&self.pick(map, [0; 3]), self.size, to)),
+            depth_m: depth_m.map(|map| self.reduced(map, f32::INFINITY, to)),
+            class: class.map(|map| self.reduced(map, 0, to)),
+            instance: instance.map(|map| self.reduced(map, 0, to)),
+            boxes: boxes.map(|map| reduce::pil_bilinear(&self.pick(map, [0; 3]), self.size, to)),
+            point: point.map(|map| self.reduced(map, 0, to)),
+            tensor: None,
+        }
+    }
+
+    /// Distorted and reduced by nearest.
+    fn reduced<T: Copy + Send + Sync>(&self, map: Vec<T>, empty: T, to: ImageSize) -> Vec<T> {
+        let picked = self.pick(map, empty);
+        if self.size == to { picked } else { reduce::nearest(&picked, self.size, to) }
+    }
+
+    /// The distorted map.
+    fn pick<T: Copy + Send + Sync>(&self, map: Vec<T>, empty: T) -> Vec<T> {
+        let Some(sources) = &self.sources else { return map };
+        let pixel = |source: &u32| map.get(*source as usize).copied().unwrap_or(empty);
+        sources.par_iter().map(pixel).collect()
+    }
+}
+
+/// Where the pinhole camera of the same intrinsics sees what the lens shows at the centre of every pixel, row by row;
+/// `None` where it shows nothing.
+fn rays(camera: &Camera, lens: &Lens) -> Vec<Option<DVec2>> {
+    let camera_from_image = camera.intrinsics.inverse();
+    let ray = |pixel: u32| {
+        let (row, column) = (pixel / camera.width, pixel % camera.width);
+        let center = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
+        let seen = (camera_from_image * center.extend(1.0)).truncate();
+        let ideal = lens.undistort(seen)?;
+        Some((camera.intrinsics * ideal.extend(1.0)).truncate())
+    };
+    (0..camera.width * camera.height).into_par_iter().map(ray).collect()
+}
