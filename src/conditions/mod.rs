@@ -2,7 +2,7 @@
 //!
 //! # How it works
 //! [`render()`] splats the two clouds of the condition contract (color and geometry, [`SceneInstances`](crate::scene::SceneInstances)) into every
-//! camera, draws the box layout, and reduces the maps to the size of the model ([`reduce`]). Within the program an
+//! camera, draws the layouts of boxes and HD map, and reduces the maps to the size of the model ([`reduce`]). Within the program an
 //! empty depth is `f32::INFINITY`; −300 stands only in files. Writers: [`png`], [`exr`], [`npz`], the contact
 //! [`sheet`] and the metadata ([`meta`]). What every map means stands in `docs/CONDITIONS.md`.
 

@@ -69,7 +69,7 @@ fn header(out: &mut impl Write, kind: MapKind, set: &ConditionSet) -> std::io::R
     let (height, width) = set.cameras.first().map_or((0, 0), |c| (c.height, c.width));
     let shape = [set.cameras.len() as u64, height.into(), width.into(), 3];
     match kind {
-        MapKind::Color | MapKind::Boxes => write_header::<u8>(out, &shape),
+        MapKind::Color | MapKind::Boxes | MapKind::Map => write_header::<u8>(out, &shape),
         MapKind::Depth => write_header::<f32>(out, &shape[..3]),
         MapKind::Class => write_header::<u8>(out, &shape[..3]),
         MapKind::Instance | MapKind::Point => write_header::<u32>(out, &shape[..3]),
@@ -80,8 +80,7 @@ fn header(out: &mut impl Write, kind: MapKind, set: &ConditionSet) -> std::io::R
 /// has no such map.
 fn map_bytes(camera: &CameraConditions, kind: MapKind) -> Option<Cow<'_, [u8]>> {
     Some(match kind {
-        MapKind::Color => Cow::Borrowed(camera.color.as_ref()?.as_flattened()),
-        MapKind::Boxes => Cow::Borrowed(camera.boxes.as_ref()?.as_flattened()),
+        MapKind::Color | MapKind::Boxes | MapKind::Map => Cow::Borrowed(camera.rgb(kind)?.as_flattened()),
         MapKind::Class => Cow::Borrowed(camera.class.as_ref()?.as_slice()),
         MapKind::Instance => Cow::Borrowed(bytemuck::cast_slice(camera.instance.as_ref()?)),
         MapKind::Point => Cow::Borrowed(bytemuck::cast_slice(camera.point.as_ref()?)),
@@ -130,6 +129,9 @@ mod tests {
             (shape.as_slice(), &set.cameras[0].instance.as_ref().unwrap()[..])
         );
         assert_eq!(array::<u8>(&path, "boxes").0, [2, 4, 6, 3]);
+        let (found, map) = array::<u8>(&path, "map");
+        assert_eq!(found, [2, 4, 6, 3]);
+        assert_eq!(&map[72..], set.cameras[1].map.as_ref().unwrap().as_flattened());
         write(&path, &set).unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), bytes);
     }

@@ -21,14 +21,16 @@ pub enum MapKind {
     Instance,
     /// Outlines of the actors' boxes.
     Boxes,
+    /// Outlines of the HD map: lanes, drivable area, crossings.
+    Map,
     /// Index of that point + 1, counted through the geometry instances.
     Point,
 }
 
 impl MapKind {
     /// All of them, in the order of files and sheets.
-    pub const ALL: [Self; 6] =
-        [Self::Color, Self::Depth, Self::Class, Self::Instance, Self::Boxes, Self::Point];
+    pub const ALL: [Self; 7] =
+        [Self::Color, Self::Depth, Self::Class, Self::Instance, Self::Boxes, Self::Map, Self::Point];
 
     /// Name of files, arrays and command-line values.
     pub fn name(self) -> &'static str {
@@ -38,6 +40,7 @@ impl MapKind {
             Self::Class => "class",
             Self::Instance => "instance",
             Self::Boxes => "boxes",
+            Self::Map => "map",
             Self::Point => "point",
         }
     }
@@ -53,6 +56,12 @@ impl MapSet {
         Self(MapKind::ALL.map(|kind| kinds.contains(&kind)))
     }
 
+    /// These and one more.
+    pub fn with(mut self, kind: MapKind) -> Self {
+        self.0[kind as usize] = true;
+        self
+    }
+
     /// Whether a map is made.
     pub fn contains(self, kind: MapKind) -> bool {
         self.0[kind as usize]
@@ -64,10 +73,10 @@ impl MapSet {
     }
 }
 
-/// All but the point numbers.
+/// All that every log has: not the HD map's layout, nor the point numbers.
 impl Default for MapSet {
     fn default() -> Self {
-        Self(MapKind::ALL.map(|kind| kind != MapKind::Point))
+        Self(MapKind::ALL.map(|kind| !matches!(kind, MapKind::Map | MapKind::Point)))
     }
 }
 
@@ -78,7 +87,7 @@ impl FromStr for MapSet {
         let kind = |name: &str| {
             let known = MapKind::ALL.into_iter().find(|kind| kind.name() == name.trim());
             known.ok_or_else(|| ParseOptionError {
-                expected: "maps out of color,depth,class,instance,boxes,point",
+                expected: "maps out of color,depth,class,instance,boxes,map,point",
                 found: name.to_owned(),
             })
         };
@@ -156,6 +165,7 @@ mod tests {
         }
         let maps: MapSet = "depth,color".parse().unwrap();
         assert_eq!(maps.iter().collect::<Vec<_>>(), [MapKind::Color, MapKind::Depth]);
+        assert!(maps.with(MapKind::Map) == "map,depth,color".parse().unwrap());
         assert!("depth,colour".parse::<MapSet>().is_err() && "".parse::<MapSet>().is_err());
     }
 

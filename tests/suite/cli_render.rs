@@ -209,7 +209,7 @@ fn wrong_usage_exits_with_2_and_times_out_of_the_log_with_1() {
         ("--at 5 --frames 0..1", "cannot be used with"),
         ("--at 5,x", "invalid digit"),
         ("--frames 3..1", "A..B with A < B"),
-        ("--maps color,map", "color,depth,class"),
+        ("--maps color,lanes", "color,depth,class"),
         ("--format gif", "png, exr, npz"),
         ("--size 0x4", "a size HxW"),
         ("--radius -3", "more than 0"),

@@ -123,6 +123,7 @@ fn street() -> Street {
         global_from_ego: ego,
         cameras: vec![scene_camera("CAM_FRONT", ego)],
         actors: vec![actor],
+        map: None,
     };
     Street { clouds, instances, state }
 }

@@ -6,12 +6,14 @@ use serde::Serialize;
 use crate::cli::log_args::LogRoots;
 use crate::cli::numbers::{self, FrameRange};
 use crate::cli::rasterizer::RasterizerArgs;
-use crate::conditions::{BinScale, ColorFilter, ConditionOptions, DepthBins, ImageSize, MapSet, Occlusion};
+use crate::conditions::{
+    BinScale, ColorFilter, ConditionOptions, DepthBins, ImageSize, MapKind, MapSet, Occlusion,
+};
 use crate::dataset::LogLocator;
 use crate::raster::SplatSchedule;
 use crate::scene::{EgoOffset, SelectionOptions, TemplateFit};
 
-/// Render condition maps of a drive's frames from its skeleton: color, depth, class, instance, boxes
+/// Render condition maps of a drive's frames from its skeleton: color, depth, class, instance, boxes, map
 ///
 /// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz (arrays V,H,W(,3) named as the maps, cameras in the order of
 /// index.json); FRAME/meta.json with poses and intrinsics; FRAME/sheet.png with all maps at a glance; at the end
@@ -35,9 +37,10 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "T_US,..", value_delimiter = ',', allow_hyphen_values = true)]
     #[arg(conflicts_with = "frames")]
     pub(super) at: Vec<i64>,
-    /// Which maps: color, depth, class, instance, boxes, and point (numbers of the points)
-    #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance,boxes")]
-    maps: MapSet,
+    /// Which maps: color, depth, class, instance, boxes, map (of the log's HD map), and point (numbers of the points)
+    /// [default: color,depth,class,instance,boxes, and map where the log has one]
+    #[arg(long, value_name = "MAP,..")]
+    maps: Option<MapSet>,
     /// Files: png (depth as 16-bit bins), exr or npz (depth in metres, -300 where empty)
     #[arg(long, value_enum, default_value = "png")]
     pub(super) format: MapFormat,
@@ -114,10 +117,24 @@ pub(super) struct RenderOptions {
 }
 
 impl RenderArgs {
-    pub(super) fn options(&self) -> RenderOptions {
+    /// The maps to make of a log with or without an HD map; `None` if that is missing and was asked for.
+    pub(super) fn maps(&self, has_map: bool) -> Option<MapSet> {
+        match self.maps {
+            None if has_map => Some(MapSet::default().with(MapKind::Map)),
+            None => Some(MapSet::default()),
+            Some(maps) => (has_map || !maps.contains(MapKind::Map)).then_some(maps),
+        }
+    }
+
+    /// Whether the log's HD map is of use.
+    pub(super) fn wants_map(&self) -> bool {
+        self.maps.is_none_or(|maps| maps.contains(MapKind::Map))
+    }
+
+    pub(super) fn options(&self, maps: MapSet) -> RenderOptions {
         let far_m = self.far.unwrap_or(self.radius) as f32;
         let conditions = ConditionOptions {
-            maps: self.maps,
+            maps,
             splat: self.splat.clone(),
             radius_m: self.radius,
             size: self.size,
