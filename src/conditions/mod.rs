@@ -4,9 +4,10 @@
 //! [`render()`] splats the two clouds of the condition contract (color and geometry, [`SceneInstances`](crate::scene::SceneInstances)) into every
 //! camera, draws the layouts of boxes and HD map, and reduces the maps to the size of the model ([`reduce`]). Within the program an
 //! empty depth is `f32::INFINITY`; −300 stands only in files. Writers: [`png`], [`exr`], [`npz`], the contact
-//! [`sheet`] and the metadata ([`meta`]). What every map means stands in `docs/CONDITIONS.md`.
+//! [`sheet`], a picture from above ([`birdseye`]) and the metadata ([`meta`]). What every map means stands in `docs/CONDITIONS.md`.
 
 pub mod bins;
+pub mod birdseye;
 mod canvas;
 mod error;
 pub mod exr;

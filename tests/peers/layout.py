@@ -4,7 +4,13 @@ src/conditions/layout.
 It shares nothing with the program but the files of the data set: tables and map are read, edges made, clipped in
 depth and projected by numpy, drawn by ImageDraw.line with a width of 8, and reduced by Image.resize with BILINEAR.
 
-    python3 tests/peers/layout.py LOG_DIR FULL_DIR [REDUCED_DIR] [--map NAME]
+Pillow cuts the ends of a line to whole pixels. A line that is nearly upright or level moves by up to a pixel by that, and
+the corners of its 8 px are rounded once more: of random lines 0.17 % of the pixels lie more than 1 px away from what
+Pillow draws, all of them on lines within 9 degrees of an axis. So the full size is also drawn FINE times larger, 8 *
+FINE px wide, and the middle one of FINE x FINE pixels is taken: the same lines, with ends cut to 1/FINE px. That one is held
+to SHARE; what Pillow's plain drawing agrees with (ours, and its own finer one) is printed beside it.
+
+    python3 tests/peers/layout.py LOG_DIR FULL_DIR [REDUCED_DIR] [--every N] [--map NAME] [--keep DIR]
 
 LOG_DIR is the data set. FULL_DIR and REDUCED_DIR are folders that `pskel render --maps boxes,map --format npz` wrote,
 the latter with --out-size. Exit code 0 if everything is within the bounds below, 1 if not.
@@ -28,7 +34,8 @@ CATEGORIES = [  # the first that is a part of the name
     ("car", (0, 0, 255)), ("construction", (128, 128, 255)), ("emergency", (255, 128, 128)),
     ("trailer", (255, 255, 255)), ("truck", (255, 255, 0)),
 ]
-SHARE = 0.999  # of a color's pixels within 1 px of the other drawing's
+SHARE = 0.999  # of a color's pixels within 1 px of the other drawing's (in all eight directions)
+FINE = 5
 LEVELS = 2.0  # mean absolute difference where reduced
 
 
@@ -135,18 +142,23 @@ def projected(lines, intrinsics, camera_from_global, far):
     return out
 
 
-def drawn(lines, size):
-    """An RGB image of lines."""
-    image = Image.new("RGB", (size[1], size[0]))
+def drawn(lines, size, fine=1):
+    """An RGB image of lines; drawn larger by an odd factor, of whose pixels the middle ones are taken."""
+    image = Image.new("RGB", (size[1] * fine, size[0] * fine))
     draw = ImageDraw.Draw(image)
     for a, b, color in lines:
-        draw.line([a, b], fill=color, width=WIDTH)
-    return image
+        draw.line([(a[0] * fine, a[1] * fine), (b[0] * fine, b[1] * fine)], fill=color, width=WIDTH * fine)
+    if fine == 1:
+        return image
+    return Image.fromarray(np.asarray(image)[fine // 2::fine, fine // 2::fine])
 
 
 def grown(mask):
     """A mask grown by a pixel in all eight directions."""
     return np.asarray(Image.fromarray(mask).filter(ImageFilter.MaxFilter(3)))
+
+
+PAIRS = ["1 ours, fine Pillow", "2 ours, Pillow", "3 fine Pillow, Pillow"]
 
 
 class Totals:
@@ -157,12 +169,11 @@ class Totals:
         self.differences = {}
 
     def compare_full(self, name, ours, peer):
-        colors = np.unique(np.concatenate([ours.reshape(-1, 3), peer.reshape(-1, 3)]), axis=0)
-        for color in colors:
-            key = (name, tuple(int(c) for c in color))
-            if key[1] == (0, 0, 0):
-                continue
-            masks = [(image == color).all(axis=2) for image in (ours, peer)]
+        """Two drawings, `name` of the layout and of what is compared."""
+        ours, peer = (image.astype(np.int32) @ [1 << 16, 1 << 8, 1] for image in (ours, peer))
+        for color in (set(np.unique(ours)) | set(np.unique(peer))) - {0}:
+            key = (name, (int(color) >> 16, int(color) >> 8 & 255, int(color) & 255))
+            masks = [image == color for image in (ours, peer)]
             counts = self.near.setdefault(key, np.zeros(5, dtype=np.int64))
             counts += [
                 (masks[0] & grown(masks[1])).sum(), masks[0].sum(),
@@ -182,11 +193,12 @@ class Totals:
     def report(self):
         """Prints all; whether everything is within bounds."""
         good = bool(self.near)
-        for (name, color), (a, n, b, m, xor) in sorted(self.near.items()):
+        for ((pair, name), color), (a, n, b, m, xor) in sorted(self.near.items()):
             ours, peer = a / max(n, 1), b / max(m, 1)
-            good &= ours >= SHARE and peer >= SHARE
-            print(f"{name:6} {str(color):16} within 1 px: ours {100 * ours:8.4f} % of {n}, "
-                  f"Pillow's {100 * peer:8.4f} % of {m}; differing {xor}")
+            if pair == PAIRS[0]:
+                good &= ours >= SHARE and peer >= SHARE
+            print(f"{pair:20} {name:5} {str(color):15} within 1 px: {100 * ours:8.4f} % of {n} and "
+                  f"{100 * peer:8.4f} % of {m}; differing {xor}")
         for name, (total, count, total_on, count_on, worst) in sorted(self.differences.items()):
             mean = total / max(count, 1)
             good &= worst <= LEVELS
@@ -200,6 +212,7 @@ def main():
     parser.add_argument("log", type=pathlib.Path)
     parser.add_argument("full", type=pathlib.Path)
     parser.add_argument("reduced", type=pathlib.Path, nargs="?")
+    parser.add_argument("--every", type=int, default=1, help="compare every N-th frame")
     parser.add_argument("--map", help="file below maps/expansion, without .json [default: the log's location]")
     parser.add_argument("--keep", type=pathlib.Path, help="folder for pictures of both drawings, side by side")
     args = parser.parse_args()
@@ -215,6 +228,7 @@ def main():
     place = args.map or next(iter(tables("log").values()))["location"]
     outlines = map_lines(args.log / "maps" / "expansion" / f"{place}.json", origins)
     frames = json.loads((args.full / "index.json").read_text())["frames"]
+    frames = frames[::args.every]
     for frame in frames:
         sample = samples[int(frame["name"])]["token"]
         sources = {"boxes": (box_lines(tables, sample), BOXES_FAR), "map": (outlines, MAP_FAR)}
@@ -229,8 +243,9 @@ def main():
                 scale = [ours.shape[1] / data["width"], ours.shape[0] / data["height"], 1]
                 lines, far = sources[name]
                 lines = projected(lines, np.diag(scale) @ intrinsics, np.linalg.inv(global_from_camera), far)
-                peer = drawn(lines, ours.shape[:2])
-                totals.compare_full(name, ours, np.asarray(peer))
+                peer, fine = (drawn(lines, ours.shape[:2], by) for by in (1, FINE))
+                for pair, a, b in zip(PAIRS, (ours, ours, np.asarray(fine)), (np.asarray(fine), *[np.asarray(peer)] * 2)):
+                    totals.compare_full((pair, name), a, b)
                 if args.keep:
                     args.keep.mkdir(parents=True, exist_ok=True)
                     both = np.concatenate([ours, np.asarray(peer)])

@@ -41,6 +41,9 @@ pub(in crate::cli) struct RenderArgs {
     /// [default: color,depth,class,instance,boxes, and map where the log has one]
     #[arg(long, value_name = "MAP,..")]
     maps: Option<MapSet>,
+    /// Also write FRAME/birdseye.png: 100 x 100 m around the ego from above, with HD map, boxes and cameras
+    #[arg(long)]
+    pub(super) birdseye: bool,
     /// Files: png (depth as 16-bit bins), exr or npz (depth in metres, -300 where empty)
     #[arg(long, value_enum, default_value = "png")]
     pub(super) format: MapFormat,
@@ -114,6 +117,7 @@ pub(super) struct RenderOptions {
     /// File of other cameras.
     cameras: Option<PathBuf>,
     format: MapFormat,
+    birdseye: bool,
 }
 
 impl RenderArgs {
@@ -128,7 +132,7 @@ impl RenderArgs {
 
     /// Whether the log's HD map is of use.
     pub(super) fn wants_map(&self) -> bool {
-        self.maps.is_none_or(|maps| maps.contains(MapKind::Map))
+        self.birdseye || self.maps.is_none_or(|maps| maps.contains(MapKind::Map))
     }
 
     pub(super) fn options(&self, maps: MapSet) -> RenderOptions {
@@ -152,6 +156,7 @@ impl RenderArgs {
             ego_offset: self.ego_offset.unwrap_or_default(),
             cameras: self.cameras.clone(),
             format: self.format,
+            birdseye: self.birdseye,
         }
     }
 }

@@ -48,6 +48,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         options: &options.conditions,
         prompt: &prompt,
         fps: frame_rate_hz(&log.frames),
+        birdseye: args.birdseye,
         log: &log.name,
     };
     output.begin()?;

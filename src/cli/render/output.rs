@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use super::args::{MapFormat, RenderOptions};
+use crate::conditions::birdseye::{self, BirdseyeOptions};
 use crate::conditions::meta::{FrameMeta, Index, PromptParts};
 use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, exr, npz, png, sheet};
 use crate::error::{FileError, write_whole_folder};
@@ -19,6 +20,8 @@ pub(super) struct Output<'a> {
     pub(super) options: &'a ConditionOptions,
     pub(super) prompt: &'a PromptParts,
     pub(super) fps: Option<f64>,
+    /// Whether a picture from above is written.
+    pub(super) birdseye: bool,
     /// Name of the log.
     pub(super) log: &'a str,
 }
@@ -50,6 +53,9 @@ impl Output<'_> {
             }
             let caption = format!("{}  {}", self.log, state.name);
             sheet::write(&folder.join("sheet.png"), set, bins, &caption)?;
+            if self.birdseye {
+                birdseye::write(&folder.join("birdseye.png"), state, &BirdseyeOptions::default())?;
+            }
             let meta = FrameMeta::new(state, self.options, self.prompt, self.fps);
             Ok(meta.write(&folder.join(META))?)
         })
