@@ -72,6 +72,7 @@ fn arrays_of(set: &ConditionSet, kind: MapKind) -> Vec<Array<'_>> {
     let found = match kind {
         MapKind::Color => array(name, Scalar::U8, rgb, |c| levels(c.color.as_ref()?)),
         MapKind::Boxes => array(name, Scalar::U8, rgb, |c| levels(c.boxes.as_ref()?)),
+        MapKind::Map => array(name, Scalar::U8, rgb, |c| levels(c.map.as_ref()?)),
         MapKind::Depth => array(name, Scalar::F32, gray, |c| metres(c.depth_m.as_ref()?)),
         MapKind::Class => array(name, Scalar::U8, gray, |c| Some(Cow::Borrowed(c.class.as_ref()?))),
         MapKind::Instance => array(name, Scalar::U32, gray, |c| numbers(c.instance.as_ref()?)),

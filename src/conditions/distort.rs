@@ -66,7 +66,7 @@ impl Distorter {
         }
         let asked = self.options.clone();
         // Model tensors are made of the distorted maps.
-        let maps = asked.maps.with_parts().without(MapKind::Tensor);
+        let maps = asked.maps.with_parts(state.map.is_some()).without(MapKind::Tensor);
         let options = ConditionOptions { maps, size: None, out_size: None, ..asked.clone() };
         Ok(PinholeStep { state, options, asked, warps })
     }
@@ -138,7 +138,7 @@ impl Warp {
     }
 
     fn resample(&self, maps: CameraConditions, to: ImageSize) -> CameraConditions {
-        let CameraConditions { name, color, depth_m, class, instance, boxes, point, .. } = maps;
+        let CameraConditions { name, color, depth_m, class, instance, boxes, map, point, .. } = maps;
         CameraConditions {
             name,
             width: to.width,
@@ -148,6 +148,7 @@ impl Warp {
             class: class.map(|map| self.reduced(map, 0, to)),
             instance: instance.map(|map| self.reduced(map, 0, to)),
             boxes: boxes.map(|map| reduce::pil_bilinear(&self.pick(map, [0; 3]), self.size, to)),
+            map: map.map(|map| reduce::pil_bilinear(&self.pick(map, [0; 3]), self.size, to)),
             point: point.map(|map| self.reduced(map, 0, to)),
             tensor: None,
         }

@@ -13,6 +13,12 @@ pub enum ConditionError {
     /// A file.
     #[error(transparent)]
     File(#[from] FileError),
+    /// A layout of a map that is not there.
+    #[error("expected an HD map to draw map layouts from, found none in step {step}")]
+    NoMap {
+        /// The step.
+        step: String,
+    },
     /// Arrays of all cameras need one size.
     #[error(
         "expected cameras of one size in one array (--size or --out-size make it so), found {first} and {other}: {}",

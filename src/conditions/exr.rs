@@ -1,4 +1,4 @@
-//! `FRAME/CAM/MAP.exr`: color and boxes as `R G B` f32 (level / 255), depth as `Z` f32 metres (−300 where empty),
+//! `FRAME/CAM/MAP.exr`: color, boxes and map as `R G B` f32 (level / 255), depth as `Z` f32 metres (−300 where empty),
 //! class, instance and point as one u32 channel of the map's name.
 
 use std::path::Path;
@@ -33,8 +33,7 @@ pub fn write(folder: &Path, set: &ConditionSet) -> Result<(), FileError> {
 fn channels(camera: &CameraConditions, kind: MapKind) -> Option<Channels> {
     let numbers = |map: &Vec<u32>| one(kind.name(), FlatSamples::U32(map.clone()));
     Some(match kind {
-        MapKind::Color => rgb(camera.color.as_ref()?),
-        MapKind::Boxes => rgb(camera.boxes.as_ref()?),
+        MapKind::Color | MapKind::Boxes | MapKind::Map => rgb(camera.rgb(kind)?),
         MapKind::Depth => {
             let metres = |d: &f32| if d.is_finite() { *d } else { EMPTY_DEPTH_M };
             one("Z", FlatSamples::F32(camera.depth_m.as_ref()?.iter().map(metres).collect()))
@@ -90,7 +89,8 @@ mod tests {
             assert_eq!(image.layer_data.size, exr::math::Vec2(camera.width as usize, camera.height as usize));
             image.layer_data.channel_data.list
         };
-        for (map, expected) in [("color.exr", &camera.color), ("boxes.exr", &camera.boxes)] {
+        let rgb = [("color.exr", &camera.color), ("boxes.exr", &camera.boxes), ("map.exr", &camera.map)];
+        for (map, expected) in rgb {
             let channels = read(map);
             // Stored in the order of the alphabet.
             for (channel, (name, index)) in channels.iter().zip([("B", 2), ("G", 1), ("R", 0)]) {

@@ -255,6 +255,7 @@ mod tests {
             global_from_ego: ego,
             cameras: yaws.iter().map(|(name, yaw)| camera(name, *yaw, ego)).collect(),
             actors: vec![actor],
+            map: None,
         }
     }
 

@@ -2,13 +2,15 @@
 //!
 //! # How it works
 //! [`render()`] splats the two clouds of the condition contract (color and geometry, [`SceneInstances`](crate::scene::SceneInstances)) into every
-//! camera, draws the box layout, and reduces the maps to the size of the model ([`reduce`]). [`distort`] makes them look
-//! like recorded images. Within the program an
-//! empty depth is `f32::INFINITY`; −300 stands only in files. What networks are fed is made of these
-//! maps ([`tensor`]). Writers: [`png`], [`exr`], [`npz`], [`safetensors`], the contact [`sheet`] and the metadata ([`meta`]). What every map means stands in `docs/CONDITIONS.md`.
+//! camera, draws the layouts of boxes and HD map, and reduces the maps to the size of the model ([`reduce`]).
+//! [`distort`] makes them look like recorded images. Within the program an empty depth is `f32::INFINITY`; −300 stands
+//! only in files. What networks are fed is made of these maps ([`tensor`]). Writers: [`png`], [`exr`], [`npz`],
+//! [`safetensors`], the contact [`sheet`], a picture from above ([`birdseye`]) and the metadata ([`meta`]). What every map
+//! means stands in `docs/CONDITIONS.md`.
 
 mod arrays;
 pub mod bins;
+pub mod birdseye;
 mod canvas;
 pub mod distort;
 mod error;

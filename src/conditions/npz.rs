@@ -95,6 +95,9 @@ mod tests {
             (shape.as_slice(), &set.cameras[0].instance.as_ref().unwrap()[..])
         );
         assert_eq!(array::<u8>(&path, "boxes").0, [2, 4, 6, 3]);
+        let (found, map) = array::<u8>(&path, "map");
+        assert_eq!(found, [2, 4, 6, 3]);
+        assert_eq!(&map[72..], set.cameras[1].map.as_ref().unwrap().as_flattened());
         write(&path, &set).unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), bytes);
     }

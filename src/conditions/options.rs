@@ -21,6 +21,8 @@ pub enum MapKind {
     Instance,
     /// Outlines of the actors' boxes.
     Boxes,
+    /// Outlines of the HD map: lanes, drivable area, crossings.
+    Map,
     /// Index of that point + 1, counted through the geometry instances.
     Point,
     /// What a network is fed: color and depth in 20 channels, boxes and map in 6.
@@ -29,8 +31,16 @@ pub enum MapKind {
 
 impl MapKind {
     /// All of them, in the order of files and sheets.
-    pub const ALL: [Self; 7] =
-        [Self::Color, Self::Depth, Self::Class, Self::Instance, Self::Boxes, Self::Point, Self::Tensor];
+    pub const ALL: [Self; 8] = [
+        Self::Color,
+        Self::Depth,
+        Self::Class,
+        Self::Instance,
+        Self::Boxes,
+        Self::Map,
+        Self::Point,
+        Self::Tensor,
+    ];
 
     /// Name of files, arrays and command-line values.
     pub fn name(self) -> &'static str {
@@ -40,6 +50,7 @@ impl MapKind {
             Self::Class => "class",
             Self::Instance => "instance",
             Self::Boxes => "boxes",
+            Self::Map => "map",
             Self::Point => "point",
             Self::Tensor => "tensor",
         }
@@ -56,17 +67,24 @@ impl MapSet {
         Self(MapKind::ALL.map(|kind| kinds.contains(&kind)))
     }
 
+    /// These and one more.
+    pub fn with(mut self, kind: MapKind) -> Self {
+        self.0[kind as usize] = true;
+        self
+    }
+
     /// Whether a map is made.
     pub fn contains(self, kind: MapKind) -> bool {
         self.0[kind as usize]
     }
 
-    /// With the maps that the model tensor is made of, if it is asked for.
-    pub fn with_parts(mut self) -> Self {
+    /// With the maps that the model tensor is made of, if it is asked for; the HD map's layout only where there is a map.
+    pub fn with_parts(mut self, has_map: bool) -> Self {
         if self.contains(MapKind::Tensor) {
             for part in [MapKind::Color, MapKind::Depth, MapKind::Boxes] {
                 self.0[part as usize] = true;
             }
+            self.0[MapKind::Map as usize] |= has_map;
         }
         self
     }
@@ -83,10 +101,11 @@ impl MapSet {
     }
 }
 
-/// All but the point numbers and the model tensor.
+/// All that every log has: not the HD map's layout, nor the point numbers and the model tensor.
 impl Default for MapSet {
     fn default() -> Self {
-        Self(MapKind::ALL.map(|kind| !matches!(kind, MapKind::Point | MapKind::Tensor)))
+        let extra = |kind| matches!(kind, MapKind::Map | MapKind::Point | MapKind::Tensor);
+        Self(MapKind::ALL.map(|kind| !extra(kind)))
     }
 }
 
@@ -97,7 +116,7 @@ impl FromStr for MapSet {
         let kind = |name: &str| {
             let known = MapKind::ALL.into_iter().find(|kind| kind.name() == name.trim());
             known.ok_or_else(|| ParseOptionError {
-                expected: "maps out of color,depth,class,instance,boxes,point,tensor",
+                expected: "maps out of color,depth,class,instance,boxes,map,point,tensor",
                 found: name.to_owned(),
             })
         };
@@ -179,11 +198,10 @@ mod tests {
         let maps: MapSet = "depth,color".parse().unwrap();
         assert_eq!(maps.iter().collect::<Vec<_>>(), [MapKind::Color, MapKind::Depth]);
         let tensor: MapSet = "tensor,class".parse().unwrap();
-        let parts = [MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Boxes, MapKind::Tensor];
-        assert_eq!(
-            (tensor.with_parts().iter().collect::<Vec<_>>(), maps.with_parts()),
-            (parts.to_vec(), maps)
-        );
+        let parts: MapSet = "color,depth,class,boxes,tensor".parse().unwrap();
+        assert_eq!([tensor.with_parts(false), tensor.with_parts(true)], [parts, parts.with(MapKind::Map)]);
+        assert_eq!(maps.with_parts(true), maps);
+        assert!(maps.with(MapKind::Map) == "map,depth,color".parse().unwrap());
         assert!("depth,colour".parse::<MapSet>().is_err() && "".parse::<MapSet>().is_err());
     }
 

@@ -1,4 +1,4 @@
-//! `FRAME/CAM/MAP.png`: color and boxes RGB, depth 16-bit bins, class 8-bit grey, instance 16-bit grey.
+//! `FRAME/CAM/MAP.png`: color, boxes and map RGB, depth 16-bit bins, class 8-bit grey, instance 16-bit grey.
 
 use std::io::Write;
 use std::path::Path;
@@ -32,9 +32,8 @@ fn write_map(
 ) -> Result<(), ConditionError> {
     let size = camera.size();
     match kind {
-        MapKind::Color | MapKind::Boxes => {
-            let map = if kind == MapKind::Color { &camera.color } else { &camera.boxes };
-            let Some(rgb) = map else { return Ok(()) };
+        MapKind::Color | MapKind::Boxes | MapKind::Map => {
+            let Some(rgb) = camera.rgb(kind) else { return Ok(()) };
             write_rgb(path, rgb, size)?;
         }
         MapKind::Depth => {
@@ -102,6 +101,7 @@ mod tests {
         let rgb = |image: image::DynamicImage| image.as_rgb8().unwrap().as_chunks::<3>().0.to_vec();
         assert_eq!(Some(rgb(open("color.png"))), camera.color);
         assert_eq!(Some(rgb(open("boxes.png"))), camera.boxes);
+        assert_eq!(Some(rgb(open("map.png"))), camera.map);
         assert_eq!(open("class.png").as_luma8().unwrap().as_raw(), camera.class.as_ref().unwrap());
         let numbers = |image: image::DynamicImage| -> Vec<u32> {
             image.as_luma16().unwrap().iter().map(|v| u32::from(*v)).collect()

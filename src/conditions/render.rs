@@ -3,8 +3,10 @@ use super::{
     layout, reduce,
 };
 use crate::geometry::View;
-use crate::raster::{Crop, FrameJob, FrameKinds, Planes, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
-use crate::scene::{ActorState, SceneInstances, SceneState};
+use crate::raster::{
+    Crop, FrameJob, FrameKinds, Planes, Rasterizer, Segment, SplatJob, ViewMaps, class_of, rgb_of,
+};
+use crate::scene::{SceneInstances, SceneState};
 
 /// Maps of one camera, row-major `height * width`; `None` where they were not asked for.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -25,6 +27,8 @@ pub struct CameraConditions {
     pub instance: Option<Vec<u32>>,
     /// RGB layout of boxes on black.
     pub boxes: Option<Vec<[u8; 3]>>,
+    /// RGB layout of the HD map on black.
+    pub map: Option<Vec<[u8; 3]>>,
     /// Number of the winning geometry point + 1, 0 where empty.
     pub point: Option<Vec<u32>>,
     /// What a network is fed.
@@ -37,11 +41,22 @@ impl CameraConditions {
         ImageSize { height: self.height, width: self.width }
     }
 
+    /// A map whose pixels are RGB; `None` for other kinds, too.
+    pub fn rgb(&self, kind: MapKind) -> Option<&[[u8; 3]]> {
+        match kind {
+            MapKind::Color => self.color.as_deref(),
+            MapKind::Boxes => self.boxes.as_deref(),
+            MapKind::Map => self.map.as_deref(),
+            _ => None,
+        }
+    }
+
     /// Drops maps that were only made for others.
     fn keep_only(&mut self, asked: MapSet) {
         self.color.take_if(|_| !asked.contains(MapKind::Color));
         self.depth_m.take_if(|_| !asked.contains(MapKind::Depth));
         self.boxes.take_if(|_| !asked.contains(MapKind::Boxes));
+        self.map.take_if(|_| !asked.contains(MapKind::Map));
     }
 }
 
@@ -82,7 +97,7 @@ impl ConditionOptions {
 /// Makes the maps of a step: all cameras, cropped to a square of `options.radius_m` around the ego.
 ///
 /// # Errors
-/// The rasterizer's.
+/// The rasterizer's; [`MapKind::Map`] where the state has no HD map.
 pub fn render(
     rasterizer: &mut dyn Rasterizer,
     clouds: &SceneInstances,
@@ -92,7 +107,7 @@ pub fn render(
     Begun::new(rasterizer, clouds, state, options)?.finish(rasterizer)
 }
 
-/// Makes the maps of some views that come from points, so all but [`MapKind::Boxes`] and
+/// Makes the maps of some views that come from points, so all but [`MapKind::Boxes`], [`MapKind::Map`] and
 /// [`MapKind::Tensor`].
 ///
 /// # Errors
@@ -113,16 +128,20 @@ pub fn render_views(
 pub struct Begun {
     points: Points,
     /// Layouts, one per camera, if asked for.
-    boxes: Option<Vec<Vec<[u8; 3]>>>,
+    boxes: Option<Layouts>,
+    map: Option<Layouts>,
     /// What was asked for; more is drawn for the model tensor.
     asked: ConditionOptions,
 }
+
+/// An RGB image per camera.
+type Layouts = Vec<Vec<[u8; 3]>>;
 
 impl Begun {
     /// Begins the maps of a step as [`render`] makes them.
     ///
     /// # Errors
-    /// The rasterizer's.
+    /// As [`render`].
     pub fn new(
         rasterizer: &mut dyn Rasterizer,
         clouds: &SceneInstances,
@@ -130,15 +149,20 @@ impl Begun {
         options: &ConditionOptions,
     ) -> Result<Self, ConditionError> {
         let asked = options.clone();
-        let options = &ConditionOptions { maps: asked.maps.with_parts(), ..options.clone() };
+        let maps = asked.maps.with_parts(state.map.is_some());
+        let options = &ConditionOptions { maps, ..options.clone() };
+        let no_map = || ConditionError::NoMap { step: state.name.clone() };
+        let map = options.maps.contains(MapKind::Map).then(|| state.map.as_deref().ok_or_else(no_map));
+        let map = map.transpose()?;
         let center = state.global_from_ego.translation.truncate();
         let crop = Crop { center, radius_m: options.radius_m };
         let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
         let points = Points::begin(rasterizer, clouds, &views, Some(crop), options)?;
-        let mut layout = |view| render_boxes(rasterizer, &state.actors, view, options);
-        let boxes = options.maps.contains(MapKind::Boxes);
-        let boxes = boxes.then(|| views.iter().map(&mut layout).collect::<Result<_, _>>()).transpose()?;
-        Ok(Self { points, boxes, asked })
+        let boxes = |view: &View| layout::box_segments(&state.actors, view);
+        let boxes = options.maps.contains(MapKind::Boxes).then_some(boxes);
+        let boxes = boxes.map(|lines| layouts(rasterizer, &views, lines, options)).transpose()?;
+        let map = map.map(|map| layouts(rasterizer, &views, |view| layout::map_segments(map, view), options));
+        Ok(Self { points, boxes, map: map.transpose()?, asked })
     }
 
     /// Waits for the maps; the same rasterizer as it was begun with.
@@ -149,6 +173,9 @@ impl Begun {
         let mut cameras = self.points.finish(rasterizer)?;
         for (camera, layout) in cameras.iter_mut().zip(self.boxes.into_iter().flatten()) {
             camera.boxes = Some(layout);
+        }
+        for (camera, layout) in cameras.iter_mut().zip(self.map.into_iter().flatten()) {
+            camera.map = Some(layout);
         }
         let mut set = ConditionSet { cameras };
         set.make_tensors(&self.asked);
@@ -255,16 +282,19 @@ fn valid_area_color(
     Ok(reduce::valid_area(&color, &maps.depth_m, ImageSize::of(&view.camera), to))
 }
 
-fn render_boxes(
+/// Draws the lines of every view at its full size and reduces them.
+fn layouts(
     rasterizer: &mut dyn Rasterizer,
-    actors: &[ActorState],
-    view: &View,
+    views: &[View],
+    lines: impl Fn(&View) -> Vec<Segment>,
     options: &ConditionOptions,
-) -> Result<Vec<[u8; 3]>, ConditionError> {
-    let to = options.written_size(view);
-    let view = options.drawn_view(view);
-    let (height, width) = (view.camera.height, view.camera.width);
-    let segments = layout::box_segments(actors, &view);
-    let image = rasterizer.lines(height, width, &segments, layout::LINE_WIDTH_PX)?;
-    Ok(reduce::pil_bilinear(&image, ImageSize { height, width }, to))
+) -> Result<Layouts, ConditionError> {
+    let layout = |view: &View| {
+        let to = options.written_size(view);
+        let view = options.drawn_view(view);
+        let (height, width) = (view.camera.height, view.camera.width);
+        let image = rasterizer.lines(height, width, &lines(&view), layout::LINE_WIDTH_PX)?;
+        Ok(reduce::pil_bilinear(&image, ImageSize { height, width }, to))
+    };
+    views.iter().map(layout).collect()
 }

@@ -8,8 +8,10 @@
 use std::path::Path;
 
 use super::canvas::{Canvas, GLYPH, text_width};
+use super::layout::map_rgb;
 use super::{CameraConditions, ConditionSet, DepthBins, ImageSize, MapKind, png, reduce};
 use crate::error::FileError;
+use crate::scene::MapLayer;
 
 /// Widest tile, pixels.
 pub const TILE_WIDTH_PX: u32 = 448;
@@ -32,12 +34,16 @@ const SURROUND: [&str; 6] =
     ["CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT"];
 
 /// Colors and names of the classes from 1 on.
-const CLASSES: [([u8; 3], &str); 4] = [
+pub(super) const CLASSES: [([u8; 3], &str); 4] = [
     ([79, 148, 255], "vehicle"),
     ([255, 92, 92], "pedestrian"),
     ([92, 214, 128], "cycle"),
     ([255, 201, 77], "object"),
 ];
+
+/// Names of the layers of the HD map.
+const LAYERS: [(MapLayer, &str); 3] =
+    [(MapLayer::Lane, "lane"), (MapLayer::DrivableArea, "drivable area"), (MapLayer::Crossing, "crossing")];
 
 /// Writes the sheet as PNG; `caption` stands on top of it.
 ///
@@ -79,6 +85,7 @@ fn shown(set: &ConditionSet, kind: MapKind) -> bool {
         MapKind::Class => camera.class.is_some(),
         MapKind::Instance => camera.instance.is_some(),
         MapKind::Boxes => camera.boxes.is_some(),
+        MapKind::Map => camera.map.is_some(),
         MapKind::Point => false,
         MapKind::Tensor => camera.tensor.is_some(),
     })
@@ -140,8 +147,9 @@ fn draw_tile(
     canvas.map(at, grid.tile, |_, _| EMPTY);
     let (from, to) = (camera.size(), fitted(camera.size(), grid.tile.width));
     let picture = match kind {
-        MapKind::Color => camera.color.as_ref().map(|map| reduce::pil_bilinear(map, from, to)),
-        MapKind::Boxes => camera.boxes.as_ref().map(|map| reduce::pil_bilinear(map, from, to)),
+        MapKind::Color | MapKind::Boxes | MapKind::Map => {
+            camera.rgb(kind).map(|map| reduce::pil_bilinear(map, from, to))
+        }
         MapKind::Tensor => camera.tensor.as_ref().map(|t| reduce::pil_bilinear(&t.preview(), from, to)),
         _ => tile_colors(camera, kind, to, bins),
     };
@@ -224,17 +232,21 @@ fn legend(canvas: &mut Canvas, right: u32, top: u32, kind: MapKind, bins: &Depth
             canvas.map([bar, top + 2], ImageSize { height: 12, width: BAR }, |_, [x, _]| color(x));
             canvas.text([bar + BAR + 8, text_top], 1, DIM_TEXT, &far);
         }
-        MapKind::Class => {
-            let width = |name: &str| 14 + text_width(name, 1) + 14;
-            let total: u32 = CLASSES.iter().map(|(_, name)| width(name)).sum();
-            let mut left = right.saturating_sub(total - 14);
-            for (rgb, name) in CLASSES {
-                canvas.map([left, top + 3], ImageSize { height: 10, width: 10 }, |_, _| rgb);
-                canvas.text([left + 14, text_top], 1, DIM_TEXT, name);
-                left += width(name);
-            }
-        }
+        MapKind::Class => named_colors(canvas, right, top, &CLASSES),
+        MapKind::Map => named_colors(canvas, right, top, &LAYERS.map(|(layer, name)| (map_rgb(layer), name))),
         _ => {}
+    }
+}
+
+/// Colors with their names in a row that ends at `right`.
+fn named_colors(canvas: &mut Canvas, right: u32, top: u32, colors: &[([u8; 3], &str)]) {
+    let width = |name: &str| 14 + text_width(name, 1) + 14;
+    let total: u32 = colors.iter().map(|(_, name)| width(name)).sum();
+    let mut left = right.saturating_sub(total.saturating_sub(14));
+    for (rgb, name) in colors {
+        canvas.map([left, top + 3], ImageSize { height: 10, width: 10 }, |_, _| *rgb);
+        canvas.text([left + 14, top + 4], 1, DIM_TEXT, name);
+        left += width(name);
     }
 }
 
@@ -265,7 +277,7 @@ mod tests {
     fn a_sheet_holds_every_map() {
         let set = test_set();
         let (size, pixels) = draw(&set, &DepthBins::default(), "frame");
-        assert_eq!(size.height, MARGIN + TITLE + 5 * (TITLE + 4 + MARGIN));
+        assert_eq!(size.height, MARGIN + TITLE + 6 * (TITLE + 4 + MARGIN));
         assert_eq!(pixels.len(), size.pixels());
         let first_tile = (MARGIN + TITLE + TITLE) as usize * size.width as usize + MARGIN as usize;
         assert_eq!(&pixels[first_tile..first_tile + 6], &set.cameras[0].color.as_ref().unwrap()[..6]);

@@ -103,7 +103,7 @@ impl TensorEncoder {
     /// Of one camera; `None` where it lacks color, depth or boxes.
     pub fn encode(&self, camera: &CameraConditions) -> Option<ModelTensor> {
         let points = self.points(camera.color.as_ref()?, camera.depth_m.as_ref()?);
-        Some(ModelTensor { points, layout: layout(camera.boxes.as_ref()?, map_of(camera)) })
+        Some(ModelTensor { points, layout: layout(camera.boxes.as_ref()?, camera.map.as_deref()) })
     }
 
     /// The point conditions `[20, H, W]` of color and camera depth in metres (infinite where empty), both `[H, W]`.
@@ -132,11 +132,6 @@ pub fn layout(boxes: &[[u8; 3]], map: Option<&[[u8; 3]]>) -> Vec<f32> {
         fill_levels(map_part, map);
     }
     layout
-}
-
-/// The image of the HD map.
-fn map_of(_: &CameraConditions) -> Option<&[[u8; 3]]> {
-    None
 }
 
 /// `f_k = 2^(k · log2(n/2) / 7)`: from one wave over the range of depth to one over two bins.

@@ -22,6 +22,7 @@ pub(super) fn test_set() -> ConditionSet {
             class: Some(all(&|i| i % 5).iter().map(|c| *c as u8).collect()),
             instance: Some(all(&|i| i * 1000)),
             boxes: Some(rgb(9)),
+            map: Some(rgb(11)),
             point: None,
             tensor: None,
         }

@@ -23,7 +23,7 @@ impl EgoOffset {
 }
 
 /// The state of a log's frame: every camera at the ego pose of its own image, actors where their boxes are at the
-/// frame's time.
+/// frame's time. It has no HD map.
 pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<SceneState> {
     let frame = log.frames.get(index)?;
     let camera = |record: &ImageRecord| scene_camera(record, record.global_from_ego * offset.pose());
@@ -33,11 +33,12 @@ pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<Scen
         global_from_ego: frame.global_from_ego * offset.pose(),
         cameras: frame.images.iter().map(camera).collect(),
         actors: actors(log, &frame.boxes),
+        map: None,
     })
 }
 
 /// The state at any time within the log: all cameras share the ego pose at that instant, ego and actors are
-/// interpolated. `None` outside the log, whose poses `ego` are.
+/// interpolated. It has no HD map. `None` outside the log, whose poses `ego` are.
 pub fn state_at(log: &Log, ego: &EgoTrack, t_us: i64, offset: EgoOffset) -> Option<SceneState> {
     let global_from_ego = ego.at(t_us)? * offset.pose();
     let nearest = log.frames.iter().min_by_key(|f| f.t_us.abs_diff(t_us))?;
@@ -48,6 +49,7 @@ pub fn state_at(log: &Log, ego: &EgoTrack, t_us: i64, offset: EgoOffset) -> Opti
         global_from_ego,
         cameras: nearest.images.iter().map(camera).collect(),
         actors: actors(log, &log.boxes_at(t_us)),
+        map: None,
     })
 }
 

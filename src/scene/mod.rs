@@ -2,9 +2,11 @@
 //! rasterizer and the layout are fed.
 
 mod from_log;
+mod map;
 mod selection;
 mod state;
 
 pub use from_log::{EgoOffset, frame_rate_hz, state_at, state_of_frame, with_cameras};
+pub use map::{MapEdge, MapLayer, SceneMap};
 pub use selection::{SceneInstances, SelectionOptions, Stage, TemplateFit};
 pub use state::{ActorState, SceneCamera, SceneState};

@@ -225,6 +225,7 @@ mod tests {
                 actor("new", "vehicle.car"),
                 actor("small", "vehicle.car"),
             ],
+            map: None,
         };
         let options = SelectionOptions { min_actor_points: 20, ..SelectionOptions::default() };
         let both = Stage::new(&skeleton).instances(&state, &options);

@@ -1,3 +1,6 @@
+use std::sync::Arc;
+
+use super::SceneMap;
 use crate::dataset::Class;
 use crate::geometry::{Cuboid, Pose, View};
 
@@ -14,6 +17,8 @@ pub struct SceneState {
     pub cameras: Vec<SceneCamera>,
     /// Sorted by track id; actor `i` has number `i + 1` in the instance map.
     pub actors: Vec<ActorState>,
+    /// The HD map around; `None` where there is none or none is needed. All steps of a drive share one.
+    pub map: Option<Arc<SceneMap>>,
 }
 
 /// A camera of a step.

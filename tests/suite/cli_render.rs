@@ -152,6 +152,73 @@ fn the_car_moves_in_the_image_as_the_ego_does() {
     assert_eq!(car(&log, frame, "000000").depth_m, 10.0);
 }
 
+/// A map of the drive's place: a drivable square 9 m wide and ahead, with a hole, and a crossing across the view.
+fn write_map(log: &TinyLog) {
+    let rings = [
+        [[-5.0, -9.0], [25.0, -9.0], [25.0, 9.0], [-5.0, 9.0]],
+        [[14.0, -2.0], [18.0, -2.0], [18.0, 2.0], [14.0, 2.0]],
+        [[6.0, -3.0], [9.0, -3.0], [9.0, 3.0], [6.0, 3.0]],
+    ];
+    let tokens = |ring: usize| (0..4).map(|i| format!("{ring}-{i}")).collect::<Vec<_>>();
+    let nodes: Vec<_> = (0..3)
+        .flat_map(|ring| tokens(ring).into_iter().zip(rings[ring]))
+        .map(|(token, [x, y])| json!({"token": token, "x": START.x + x, "y": START.y + y}))
+        .collect();
+    let map = json!({"node": nodes, "line": [], "lane": [], "stop_line": [], "road_divider": [], "lane_divider": [],
+        "polygon": [
+            {"token": "p0", "exterior_node_tokens": tokens(0), "holes": [{"node_tokens": tokens(1)}]},
+            {"token": "p2", "exterior_node_tokens": tokens(2), "holes": []}],
+        "drivable_area": [{"token": "d", "polygon_tokens": ["p0"]}],
+        "ped_crossing": [{"token": "c", "polygon_token": "p2"}]});
+    std::fs::create_dir_all(log.path("log/maps/expansion")).unwrap();
+    std::fs::write(log.path("log/maps/expansion/nowhere.json"), map.to_string()).unwrap();
+}
+
+#[test]
+fn the_map_is_drawn_where_the_log_has_one() {
+    let log = built();
+    let frame = "--frames 0..1";
+    log.fail(
+        &format!("{RENDER} {frame} --maps color,map"),
+        1,
+        &["an HD map of \"nowhere\" for --maps map, found none in log tiny"],
+    );
+    // A picture from above needs no map.
+    log.succeed(&format!("{RENDER} {frame} --maps boxes --birdseye"));
+    let without = std::fs::read(log.path("out/000000/birdseye.png")).unwrap();
+    write_map(&log);
+    log.succeed(&format!("{RENDER} {frame} --birdseye"));
+    assert_ne!(std::fs::read(log.path("out/000000/birdseye.png")).unwrap(), without);
+    let index = log.json("out/index.json");
+    assert_eq!(index["options"]["maps"], json!(["color", "depth", "class", "instance", "boxes", "map"]));
+    assert_eq!(index["options"]["birdseye"], true);
+    let map = image::open(log.path("out/000000/CAM_FRONT/map.png")).unwrap().to_rgb8();
+    assert_eq!((map.width(), map.height()), (WIDTH, HEIGHT));
+    // A level line `x` metres ahead is 48 * 1.5 / x rows below row 32, 8 rows high.
+    let blue = image::Rgb([0, 0, 255]);
+    for (x, column, rgb) in [(9.0, 48, [255, 0, 0]), (25.0, 10, [0; 3]), (25.0, 48, [0, 0, 255])] {
+        let row = 32.0 + 72.0 / x;
+        // The middle of the picture: 25 m ahead is hidden by nothing, but 10 columns in is outside of the area.
+        assert_eq!(map.get_pixel(column, row as u32), &image::Rgb(rgb), "{x} m, column {column}");
+    }
+    // The drivable area's near left corner is behind: its left edge runs out of the picture, 9 m to the left.
+    let left = |x: f64| [(48.0 - 48.0 * 9.0 / x) as u32, (32.0 + 72.0 / x) as u32];
+    let [column, row] = left(12.0);
+    assert_eq!(map.get_pixel(column, row), &blue);
+    // No rasterizer draws another one.
+    for rasterizer in ["raster", "cpu"] {
+        log.succeed(&format!("{RENDER} {frame} --maps map --rasterizer {rasterizer}"));
+        let other = image::open(log.path("out/000000/CAM_FRONT/map.png")).unwrap().to_rgb8();
+        assert!(other == map, "{rasterizer}");
+        assert!(!log.path("out/000000/birdseye.png").exists());
+    }
+    std::fs::write(log.path("log/maps/expansion/nowhere.json"), "{}").unwrap();
+    log.succeed(&format!("{RENDER} {frame} --maps boxes"));
+    std::fs::remove_dir_all(log.path("out")).unwrap();
+    std::fs::create_dir(log.path("out")).unwrap();
+    log.fail(&format!("{RENDER} {frame}"), 1, &["nowhere.json"]);
+}
+
 #[test]
 fn missing_cameras_are_counted() {
     let log = built();
@@ -212,7 +279,7 @@ fn wrong_usage_exits_with_2_and_times_out_of_the_log_with_1() {
         ("--hz 0", "0.1 to 100"),
         ("--distort --color-filter valid-area", "bilinear with --distort"),
         ("--frames 3..1", "A..B with A < B"),
-        ("--maps color,map", "color,depth,class"),
+        ("--maps color,lanes", "color,depth,class"),
         ("--format gif", "png, exr, npz"),
         ("--size 0x4", "a size HxW"),
         ("--radius -3", "more than 0"),

@@ -1,16 +1,18 @@
 //! Condition maps: resizing and bins against other implementations, passes against the contract.
 
+use std::sync::Arc;
+
 use glam::{DAffine3, DMat3, DVec3};
 use point_skeleton::cloud::{self, Point};
 use point_skeleton::conditions::{
     BinScale, CameraConditions, ConditionOptions, ConditionSet, DepthBins, ImageSize, MapKind, MapSet,
     Occlusion, reduce, render, render_views,
 };
-use point_skeleton::dataset::Class;
+use point_skeleton::dataset::{Area, Class, Frame, Lane, Log, VectorMap};
 use point_skeleton::geometry::{Camera, Cuboid, Pose, View};
 use point_skeleton::raster::Instance;
 use point_skeleton::raster::cpu::CpuRasterizer;
-use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneState};
+use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneMap, SceneState};
 
 use crate::parity::{Layout, assert_parity, differing};
 use crate::{common, npz};
@@ -123,6 +125,7 @@ fn street() -> Street {
         global_from_ego: ego,
         cameras: vec![scene_camera("CAM_FRONT", ego)],
         actors: vec![actor],
+        map: None,
     };
     Street { clouds, instances, state }
 }
@@ -214,6 +217,57 @@ fn moving_world_and_ego_together_changes_nothing() {
     moved.state.cameras[0] = scene_camera("CAM_FRONT", moved.state.global_from_ego);
     moved.state.actors[0].cuboid.pose.translation += offset;
     assert_eq!(moved.render(&options), set);
+}
+
+/// A map whose areas begin ahead of the ego, metres, and go on to where nothing is drawn any more, on all sides.
+fn map_ahead(ego: Pose, [lane, drivable, hole, crossing]: [f64; 4]) -> SceneMap {
+    let ring = |from: f64| {
+        let corners = [[from, 110.0], [from, -110.0], [100.0, -110.0], [100.0, 110.0]];
+        corners.map(|[x, y]| ego.transform_point(DVec3::new(x, y, 0.0)).truncate()).to_vec()
+    };
+    let area = |from: f64| Area { exterior: ring(from), holes: Vec::new() };
+    let (centerline, successors) = Default::default();
+    let map = VectorMap {
+        lanes: vec![Lane { id: "l".into(), outline: area(lane), centerline, successors }],
+        drivable_area: vec![Area { exterior: ring(drivable), holes: vec![ring(hole)] }],
+        crossings: vec![area(crossing)],
+        ..VectorMap::default()
+    };
+    let (sweeps, images, between_images, boxes) = Default::default();
+    let frame = Frame { t_us: 0, global_from_ego: ego, sweeps, images, between_images, boxes };
+    SceneMap::new(map, &Log { frames: vec![frame], ..Log::default() })
+}
+
+#[test]
+fn map_layouts_have_the_colors_of_the_contract_row_by_row() {
+    let mut street = street();
+    let maps = MapSet::of(&[MapKind::Map]);
+    let options = ConditionOptions { maps, ..ConditionOptions::default() };
+    let map = map_ahead(street.state.global_from_ego, [20.0, 10.0, 2.5, 5.0]);
+    street.state.map = Some(Arc::new(map));
+    let set = street.render(&options);
+    assert!(set.cameras[0].boxes.is_none() && set.cameras[0].color.is_none());
+    // The camera is 1 m up: a line x metres ahead is 40 / x rows below row 18, and 4 px thick to either side. The lane
+    // at row 20 lies under the drivable area at 22, that under the crossing at 26; the hole at row 34 is for itself.
+    let (green, blue, red) = ([0, 255, 0], [0, 0, 255], [255, 0, 0]);
+    let row = |row: usize| match row {
+        0..16 => [0; 3],
+        16..18 => green,
+        18..22 => blue,
+        22..30 => red,
+        _ => blue,
+    };
+    let expected: Vec<[u8; 3]> = (0..36 * 64).map(|pixel| row(pixel / 64)).collect();
+    assert_eq!(set.cameras[0].map.as_ref(), Some(&expected));
+    // Reduced by a whole factor: what Pillow makes of this image.
+    let out_size = Some(ImageSize { height: 9, width: 16 });
+    let reduced = street.render(&ConditionOptions { out_size, ..options.clone() });
+    let (from, to) = (ImageSize { height: 36, width: 64 }, ImageSize { height: 9, width: 16 });
+    assert_eq!(reduced.cameras[0].map, Some(reduce::pil_bilinear(&expected, from, to)));
+    street.state.map = None;
+    let mut rasterizer = CpuRasterizer::new(street.clouds.iter().map(Vec::as_slice).collect());
+    let error = render(&mut rasterizer, &street.instances, &street.state, &options).unwrap_err().to_string();
+    assert!(error.contains("expected an HD map") && error.contains("step 000000"), "{error}");
 }
 
 #[test]

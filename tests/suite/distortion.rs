@@ -100,6 +100,7 @@ fn wall(views: Vec<View>) -> Wall {
         global_from_ego: Pose::IDENTITY,
         cameras: views.into_iter().map(camera).collect(),
         actors: vec![actor],
+        map: None,
     };
     Wall { points: (0..SIDE * SIDE).map(point).collect(), state }
 }

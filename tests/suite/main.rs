@@ -12,6 +12,7 @@ mod info;
 mod npz;
 mod nuscenes;
 mod nuscenes_bad;
+mod nuscenes_map;
 mod parity;
 mod raster;
 mod rates;

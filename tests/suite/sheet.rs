@@ -98,7 +98,8 @@ fn street() -> ConditionSet {
     let rig = [("FRONT", 0.0), ("FRONT_RIGHT", -55.0), ("BACK_RIGHT", -110.0)].into_iter();
     let rig = rig.chain([("BACK", 180.0), ("BACK_LEFT", 110.0), ("FRONT_LEFT", 55.0)]);
     let cameras = rig.map(|(name, yaw)| camera(&format!("CAM_{name}"), yaw, ego)).collect();
-    let state = SceneState { name: "000000".into(), t_us: 0, global_from_ego: ego, cameras, actors };
+    let (name, map) = ("000000".into(), None);
+    let state = SceneState { name, t_us: 0, global_from_ego: ego, cameras, actors, map };
     let scene = SceneInstances { color: instances.clone(), geometry: instances };
     let mut rasterizer = CpuRasterizer::new(clouds.iter().map(Vec::as_slice).collect());
     render(&mut rasterizer, &scene, &state, &ConditionOptions::default()).unwrap()

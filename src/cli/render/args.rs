@@ -14,7 +14,7 @@ use crate::dataset::LogLocator;
 use crate::raster::SplatSchedule;
 use crate::scene::{EgoOffset, SelectionOptions, TemplateFit};
 
-/// Render condition maps of a drive's frames from its skeleton: color, depth, class, instance, boxes
+/// Render condition maps of a drive's frames from its skeleton: color, depth, class, instance, boxes, map
 ///
 /// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz or conditions.safetensors (arrays V,H,W(,3) named as the maps,
 /// points V,20,H,W and layout V,6,H,W of the tensor, cameras in the order of index.json); FRAME/meta.json with poses and intrinsics; FRAME/sheet.png with all maps at a glance; at the end
@@ -43,10 +43,14 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     #[arg(conflicts_with = "at")]
     pub(super) hz: Option<f64>,
-    /// Which maps: color, depth, class, instance, boxes, point (numbers of the points), and tensor (what networks are
-    /// fed; npz and safetensors alone)
-    #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance,boxes")]
-    maps: MapSet,
+    /// Which maps: color, depth, class, instance, boxes, map (of the log's HD map), point (numbers of the points), and
+    /// tensor (what networks are fed; npz and safetensors alone) [default: color,depth,class,instance,boxes, and map
+    /// where the log has one]
+    #[arg(long, value_name = "MAP,..")]
+    maps: Option<MapSet>,
+    /// Also write FRAME/birdseye.png: 100 x 100 m around the ego from above, with HD map, boxes and cameras
+    #[arg(long)]
+    pub(super) birdseye: bool,
     /// Files: png (depth as 16-bit bins); exr, npz or safetensors (depth in metres, -300 where empty)
     #[arg(long, value_enum, default_value = "png")]
     pub(super) format: MapFormat,
@@ -133,6 +137,7 @@ pub(super) struct RenderOptions {
     /// File of other cameras.
     cameras: Option<PathBuf>,
     format: MapFormat,
+    birdseye: bool,
 }
 
 impl RenderArgs {
@@ -143,7 +148,7 @@ impl RenderArgs {
             return Err(WrongUsage(message.to_owned()));
         }
         let images = matches!(self.format, MapFormat::Png | MapFormat::Exr);
-        if images && self.maps.contains(MapKind::Tensor) {
+        if images && self.asks_for(MapKind::Tensor) {
             let found = if self.format == MapFormat::Png { "png" } else { "exr" };
             let message = format!("expected --format npz or safetensors with --maps tensor, found {found}");
             return Err(WrongUsage(message));
@@ -151,10 +156,28 @@ impl RenderArgs {
         Ok(())
     }
 
-    pub(super) fn options(&self) -> RenderOptions {
+    fn asks_for(&self, kind: MapKind) -> bool {
+        self.maps.is_some_and(|maps| maps.contains(kind))
+    }
+
+    /// The maps to make of a log with or without an HD map; `None` if that is missing and was asked for.
+    pub(super) fn maps(&self, has_map: bool) -> Option<MapSet> {
+        match self.maps {
+            None if has_map => Some(MapSet::default().with(MapKind::Map)),
+            None => Some(MapSet::default()),
+            Some(maps) => (has_map || !maps.contains(MapKind::Map)).then_some(maps),
+        }
+    }
+
+    /// Whether the log's HD map is of use.
+    pub(super) fn wants_map(&self) -> bool {
+        self.birdseye || self.maps.is_none() || self.asks_for(MapKind::Map) || self.asks_for(MapKind::Tensor)
+    }
+
+    pub(super) fn options(&self, maps: MapSet) -> RenderOptions {
         let far_m = self.far.unwrap_or(self.radius) as f32;
         let conditions = ConditionOptions {
-            maps: self.maps,
+            maps,
             splat: self.splat.clone(),
             radius_m: self.radius,
             size: self.size,
@@ -175,6 +198,7 @@ impl RenderArgs {
             distort: self.distort,
             cameras: self.cameras.clone(),
             format: self.format,
+            birdseye: self.birdseye,
         }
     }
 }

@@ -8,6 +8,7 @@ pub(super) use args::RenderArgs;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::time::Instant;
 
@@ -24,7 +25,7 @@ use crate::conditions::{Begun, ConditionOptions};
 use crate::dataset::Dataset;
 use crate::error::FileError;
 use crate::raster::{FRAMES_IN_FLIGHT, Rasterizer};
-use crate::scene::{SelectionOptions, Stage, frame_rate_hz};
+use crate::scene::{SceneMap, SelectionOptions, Stage, frame_rate_hz};
 use crate::skeleton::Skeleton;
 
 /// Reads, draws, writes.
@@ -36,9 +37,13 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let skeleton = open_skeleton(&args.skeleton, dataset.as_ref())?;
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
     let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), read_prompt)?;
-    let steps = Steps::new(log, &args, views)?;
+    let map = read_map(&args, dataset.as_ref())?;
+    let maps = args.maps(map.is_some()).with_context(|| {
+        format!("expected an HD map of {:?} for --maps map, found none in log {}", log.location, log.name)
+    })?;
+    let options = args.options(maps);
+    let steps = Steps::new(log, &args, views, map)?;
     let mut rasterizer = args.rasterizer.create(Stage::clouds(&skeleton))?;
-    let options = args.options();
     let output = Output {
         folder: &args.out,
         format: args.format,
@@ -46,6 +51,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         prompt: &prompt,
         fps: args.hz.or_else(|| frame_rate_hz(&log.frames)),
         distort: args.distort,
+        birdseye: args.birdseye,
         log: &log.name,
     };
     let distorter = args.distort.then(|| Distorter::new(&options.conditions)).transpose()?;
@@ -74,6 +80,12 @@ pub(super) fn open_skeleton(path: &Path, dataset: &dyn Dataset) -> Result<Skelet
         return Err(FileError::content(expected, found, path));
     }
     Ok(skeleton)
+}
+
+/// The log's HD map, if there is one and it is of use.
+fn read_map(args: &RenderArgs, dataset: &dyn Dataset) -> anyhow::Result<Option<Arc<SceneMap>>> {
+    let map = args.wants_map().then(|| dataset.read_map()).transpose()?.flatten();
+    Ok(map.map(|map| Arc::new(SceneMap::new(map, dataset.log()))))
 }
 
 /// Where the skeleton saw nothing there may be little to show.

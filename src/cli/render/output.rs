@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use super::args::{MapFormat, RenderOptions};
+use crate::conditions::birdseye::{self, BirdseyeOptions};
 use crate::conditions::meta::{FrameMeta, Index, PromptParts};
 use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, exr, npz, png, safetensors, sheet};
 use crate::error::{FileError, write_whole_folder};
@@ -21,6 +22,8 @@ pub(super) struct Output<'a> {
     pub(super) fps: Option<f64>,
     /// Whether maps are distorted.
     pub(super) distort: bool,
+    /// Whether a picture from above is written.
+    pub(super) birdseye: bool,
     /// Name of the log.
     pub(super) log: &'a str,
 }
@@ -56,6 +59,9 @@ impl Output<'_> {
             }
             let caption = format!("{}  {}", self.log, state.name);
             sheet::write(&folder.join("sheet.png"), set, bins, &caption)?;
+            if self.birdseye {
+                birdseye::write(&folder.join("birdseye.png"), state, &BirdseyeOptions::default())?;
+            }
             let meta = FrameMeta::new(state, self.options, self.prompt, self.fps);
             let meta = if self.distort { meta.distorted(state) } else { meta };
             Ok(meta.write(&folder.join(META))?)

@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use super::RenderArgs;
 use crate::cli::WrongUsage;
@@ -6,7 +7,7 @@ use crate::cli::numbers::FrameRange;
 use crate::conditions::meta::IndexFrame;
 use crate::dataset::{EgoTrack, Frame, Log};
 use crate::geometry::View;
-use crate::scene::{EgoOffset, SceneState, state_at, state_of_frame, with_cameras};
+use crate::scene::{EgoOffset, SceneMap, SceneState, state_at, state_of_frame, with_cameras};
 
 /// What is to be rendered; all of it lies within the log.
 pub(super) struct Steps<'a> {
@@ -15,6 +16,8 @@ pub(super) struct Steps<'a> {
     offset: EgoOffset,
     /// Instead of the log's.
     views: Option<Vec<View>>,
+    /// For every state.
+    map: Option<Arc<SceneMap>>,
     when: Vec<When>,
 }
 
@@ -25,7 +28,12 @@ enum When {
 }
 
 impl<'a> Steps<'a> {
-    pub(super) fn new(log: &'a Log, args: &RenderArgs, views: Option<Vec<View>>) -> anyhow::Result<Self> {
+    pub(super) fn new(
+        log: &'a Log,
+        args: &RenderArgs,
+        views: Option<Vec<View>>,
+        map: Option<Arc<SceneMap>>,
+    ) -> anyhow::Result<Self> {
         let when: Vec<When> = if args.at.is_empty() {
             let frames = FrameRange::of(args.frames, log.frames.len())?;
             match args.hz {
@@ -42,7 +50,8 @@ impl<'a> Steps<'a> {
             "expected cameras in log {} or by --cameras, found none",
             log.name
         );
-        Ok(Self { log, ego: EgoTrack::new(log), offset: args.ego_offset.unwrap_or_default(), views, when })
+        let (ego, offset) = (EgoTrack::new(log), args.ego_offset.unwrap_or_default());
+        Ok(Self { log, ego, offset, views, map, when })
     }
 
     pub(super) fn len(&self) -> usize {
@@ -56,7 +65,9 @@ impl<'a> Steps<'a> {
                 When::Frame(index) => state_of_frame(self.log, index, self.offset),
                 When::Time(t_us) => state_at(self.log, &self.ego, t_us, self.offset),
             };
-            let state = state.ok_or_else(|| anyhow::anyhow!("expected a time within the log's ego poses"))?;
+            let mut state =
+                state.ok_or_else(|| anyhow::anyhow!("expected a time within the log's ego poses"))?;
+            state.map.clone_from(&self.map);
             Ok(self.views.as_deref().map_or(state.clone(), |views| with_cameras(state, views)))
         })
     }

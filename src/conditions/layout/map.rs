@@ -1,0 +1,146 @@
+use glam::{DVec2, DVec3};
+
+use super::{MARGIN_PX, NEAR_M, segment};
+use crate::geometry::View;
+use crate::raster::Segment;
+use crate::scene::{MapEdge, MapLayer, SceneMap};
+
+/// Farthest depth of the map's edges, metres.
+pub const MAP_FAR_M: f64 = 65.0;
+
+/// What rounding may cost where a view's window is cut out of a map, metres.
+const SLACK_M: f64 = 0.01;
+
+/// Color of a layer. Source: the condition contract, `docs/CONDITIONS.md`.
+pub fn map_rgb(layer: MapLayer) -> [u8; 3] {
+    match layer {
+        MapLayer::Lane => [0, 255, 0],
+        MapLayer::DrivableArea => [0, 0, 255],
+        MapLayer::Crossing => [255, 0, 0],
+    }
+}
+
+/// Segments of the map's outlines in the order of drawing: lanes, drivable area, crossings.
+pub fn map_segments(map: &SceneMap, view: &View) -> Vec<Segment> {
+    let [min, max] = window(view);
+    let camera = |p: DVec3| view.camera_from_world.transform_point3(p);
+    let line = |edge: MapEdge| {
+        let rgb = map_rgb(edge.layer);
+        segment(camera(edge.from), camera(edge.to), [NEAR_M, MAP_FAR_M], rgb, view)
+    };
+    map.edges_within(min, max).into_iter().filter_map(line).collect()
+}
+
+/// A rectangle in global x and y around all that [`segment`] lets through: the corners of the view's frustum. The whole
+/// plane where there is no such frustum.
+fn window(view: &View) -> [DVec2; 2] {
+    let world_from_camera = view.camera_from_world.inverse();
+    let camera_from_image = view.camera.intrinsics.inverse();
+    let (width, height) = (f64::from(view.camera.width), f64::from(view.camera.height));
+    let mut window = [DVec2::INFINITY, DVec2::NEG_INFINITY];
+    for depth_m in [NEAR_M, MAP_FAR_M] {
+        for x in [-MARGIN_PX, width + MARGIN_PX] {
+            for y in [-MARGIN_PX, height + MARGIN_PX] {
+                let corner = camera_from_image * DVec3::new(x, y, 1.0) * depth_m;
+                let corner = world_from_camera.transform_point3(corner).truncate();
+                if !corner.is_finite() {
+                    return [DVec2::NEG_INFINITY, DVec2::INFINITY];
+                }
+                window = [window[0].min(corner), window[1].max(corner)];
+            }
+        }
+    }
+    [window[0] - SLACK_M, window[1] + SLACK_M]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::view;
+    use super::*;
+    use crate::dataset::{Area, Frame, Log, VectorMap};
+    use crate::geometry::Pose;
+    use glam::{DAffine3, DQuat};
+
+    /// A map on flat ground, 2 m below the origin.
+    fn scene_map(map: VectorMap, origin: DVec3) -> SceneMap {
+        let (sweeps, images, between_images, boxes) = Default::default();
+        let global_from_ego = Pose::from_yaw(0.0, origin + DVec3::new(0.0, 0.0, -2.0));
+        let frame = Frame { t_us: 0, global_from_ego, sweeps, images, between_images, boxes };
+        SceneMap::new(map, &Log { frames: vec![frame], ..Log::default() })
+    }
+
+    fn crossing(corners: &[[f64; 2]], origin: DVec3) -> VectorMap {
+        let exterior = corners.iter().map(|c| origin.truncate() + DVec2::from(*c)).collect();
+        let crossings = vec![Area { exterior, holes: Vec::new() }];
+        VectorMap { crossings, ..VectorMap::default() }
+    }
+
+    #[test]
+    fn outlines_end_at_both_clip_depths() {
+        // One edge straight ahead, 1 m to the left: from behind the camera to beyond 65 m; the others lie behind.
+        let map = crossing(&[[-50.0, 1.0], [200.0, 1.0], [-50.0, 1.0]], DVec3::ZERO);
+        let segments = map_segments(&scene_map(map, DVec3::ZERO), &view());
+        // Forth and back, and from a point to itself.
+        assert_eq!(segments.len(), 2);
+        let far = [400.0 - 500.0 / 65.0, 225.0 + 1000.0 / 65.0].map(|v: f64| v as f32);
+        // Clipped by depth at the far end, and by the rectangle below the image (16 px) at the near one.
+        let depth = 1000.0 / (450.0 + 16.0 - 225.0);
+        let near = [400.0 - 500.0 / depth, 466.0].map(|v: f64| v as f32);
+        for (segment, [from, to]) in segments.iter().zip([[near, far], [far, near]]) {
+            let off = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
+            assert!(off(segment.from, from) < 1e-3 && off(segment.to, to) < 1e-3, "{segment:?}");
+            assert_eq!(segment.rgb, [255, 0, 0]);
+        }
+        let beyond = crossing(&[[65.1, 1.0], [80.0, 1.0], [80.0, -1.0]], DVec3::ZERO);
+        assert!(map_segments(&scene_map(beyond, DVec3::ZERO), &view()).is_empty());
+    }
+
+    #[test]
+    fn the_window_leaves_out_nothing_that_is_seen() {
+        // Triangles all over, seen by cameras that look anywhere, at UTM coordinates.
+        let origin = DVec3::new(600_000.0, 4_000_000.0, 30.0);
+        let mut state = 3_u64;
+        let mut number = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f64 / (1 << 23) as f64 - 1.0
+        };
+        let mut map = VectorMap::default();
+        for _ in 0..400 {
+            let at = [number() * 150.0, number() * 150.0];
+            let corners = [0; 3].map(|_| [at[0] + number() * 40.0, at[1] + number() * 40.0]);
+            map.crossings.extend(crossing(&corners, origin).crossings);
+        }
+        let map = scene_map(map, origin);
+        let mut found = 0;
+        for _ in 0..40 {
+            let turn = DQuat::from_euler(
+                glam::EulerRot::ZYX,
+                number() * std::f64::consts::PI,
+                number() * 0.7,
+                number() * 0.7,
+            );
+            let world_from_rig = DAffine3::from_rotation_translation(turn, origin);
+            let view =
+                View { camera_from_world: view().camera_from_world * world_from_rig.inverse(), ..view() };
+            let camera = |p: DVec3| view.camera_from_world.transform_point3(p);
+            let line = |e: &MapEdge| {
+                segment(camera(e.from), camera(e.to), [NEAR_M, MAP_FAR_M], map_rgb(e.layer), &view)
+            };
+            let all: Vec<Segment> = map.edges().iter().filter_map(line).collect();
+            assert_eq!(map_segments(&map, &view), all);
+            let [min, max] = window(&view);
+            let within = map.edges_within(min, max).len();
+            assert!(within < map.edges().len() && within >= all.len());
+            found += all.len();
+        }
+        assert!(found > 500, "{found}");
+    }
+
+    #[test]
+    fn a_view_without_a_frustum_sees_the_whole_map() {
+        let flat = View { camera_from_world: DAffine3::from_scale(DVec3::new(1.0, 1.0, 0.0)), ..view() };
+        assert_eq!(window(&flat), [DVec2::NEG_INFINITY, DVec2::INFINITY]);
+        let map = scene_map(crossing(&[[1.0, 0.0], [9.0, 0.0], [9.0, 4.0]], DVec3::ZERO), DVec3::ZERO);
+        assert!(map_segments(&map, &flat).is_empty());
+    }
+}

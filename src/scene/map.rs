@@ -1,0 +1,259 @@
+//! The HD map of a drive, laid on the ground that the ego drove on.
+//!
+//! # How it works
+//! A map is flat: x and y. Every corner of an outline gets the height of the nearest ego origin of the log (in x and y,
+//! by an R-tree), and its edges stand in another R-tree, so that a city costs a step no more than a street does.
+
+use std::fmt;
+
+use glam::{DVec2, DVec3};
+use rstar::primitives::{GeomWithData, Rectangle};
+use rstar::{AABB, RTree};
+
+use crate::dataset::{Area, Log, VectorMap};
+
+/// What an edge bounds; layers are drawn in this order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum MapLayer {
+    /// A lane outside of intersections.
+    Lane,
+    /// Where vehicles may drive.
+    DrivableArea,
+    /// Where pedestrians cross.
+    Crossing,
+}
+
+/// A straight piece of an outline.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapEdge {
+    /// What it bounds.
+    pub layer: MapLayer,
+    /// Global, metres.
+    pub from: DVec3,
+    /// Global, metres.
+    pub to: DVec3,
+}
+
+/// The HD map of a drive with heights.
+pub struct SceneMap {
+    map: VectorMap,
+    edges: Vec<MapEdge>,
+    /// Numbers of edges, by the rectangle around them.
+    places: RTree<GeomWithData<Rectangle<[f64; 2]>, usize>>,
+}
+
+impl SceneMap {
+    /// Lays a map on the ground of a log. Edges with coordinates that are not finite are left out, and all of them where
+    /// the log has no ego pose: nothing tells their height.
+    pub fn new(map: VectorMap, log: &Log) -> Self {
+        let ground = Ground::of(log);
+        let lanes = map.lanes.iter().map(|lane| (MapLayer::Lane, &lane.outline));
+        let drivable = map.drivable_area.iter().map(|area| (MapLayer::DrivableArea, area));
+        let crossings = map.crossings.iter().map(|area| (MapLayer::Crossing, area));
+        let areas = lanes.chain(drivable).chain(crossings);
+        let edges: Vec<MapEdge> = areas.flat_map(|(layer, area)| edges_of(layer, area, &ground)).collect();
+        let place = |(number, edge): (usize, &MapEdge)| {
+            let corners = [edge.from, edge.to].map(|p| p.truncate().to_array());
+            GeomWithData::new(Rectangle::from_corners(corners[0], corners[1]), number)
+        };
+        let places = RTree::bulk_load(edges.iter().enumerate().map(place).collect());
+        Self { map, edges, places }
+    }
+
+    /// The map as it was read.
+    pub fn vector_map(&self) -> &VectorMap {
+        &self.map
+    }
+
+    /// All edges in the order of drawing: by layer, then in the file's order, exterior before holes.
+    pub fn edges(&self) -> &[MapEdge] {
+        &self.edges
+    }
+
+    /// The edges whose rectangle in x and y meets another (global, metres), in the order of drawing.
+    pub fn edges_within(&self, min: DVec2, max: DVec2) -> Vec<MapEdge> {
+        let window = AABB::from_corners(min.to_array(), max.to_array());
+        let mut numbers: Vec<usize> =
+            self.places.locate_in_envelope_intersecting(window).map(|place| place.data).collect();
+        numbers.sort_unstable();
+        numbers.into_iter().map(|number| self.edges[number]).collect()
+    }
+}
+
+impl fmt::Debug for SceneMap {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "SceneMap of {:?} with {} edges", self.map.location, self.edges.len())
+    }
+}
+
+impl PartialEq for SceneMap {
+    /// The tree follows from the edges.
+    fn eq(&self, other: &Self) -> bool {
+        (&self.map, &self.edges) == (&other.map, &other.edges)
+    }
+}
+
+fn edges_of(layer: MapLayer, area: &Area, ground: &Ground) -> Vec<MapEdge> {
+    let rings = std::iter::once(&area.exterior).chain(&area.holes);
+    let edges = rings.flat_map(|ring| {
+        let corners: Vec<Option<DVec3>> = ring.iter().map(|corner| ground.under(*corner)).collect();
+        (0..corners.len()).filter_map(move |i| {
+            let (from, to) = (corners[i]?, corners[(i + 1) % corners.len()]?);
+            Some(MapEdge { layer, from, to })
+        })
+    });
+    edges.collect()
+}
+
+/// Heights of the ground where the ego was.
+struct Ground {
+    heights_m: Vec<f64>,
+    /// Indices of heights, by x and y.
+    places: RTree<GeomWithData<[f64; 2], usize>>,
+}
+
+impl Ground {
+    /// From the ego poses of all frames and their sweeps.
+    fn of(log: &Log) -> Self {
+        let poses = log.frames.iter().flat_map(|frame| {
+            std::iter::once(frame.global_from_ego).chain(frame.sweeps.iter().map(|s| s.global_from_ego))
+        });
+        let origins: Vec<DVec3> = poses.map(|pose| pose.translation).filter(|p| p.is_finite()).collect();
+        let place = |(i, p): (usize, &DVec3)| GeomWithData::new([p.x, p.y], i);
+        let places = RTree::bulk_load(origins.iter().enumerate().map(place).collect());
+        Self { heights_m: origins.iter().map(|p| p.z).collect(), places }
+    }
+
+    /// A place at the height of the nearest ego origin; of several at one distance that of the first.
+    fn under(&self, at: DVec2) -> Option<DVec3> {
+        if !at.is_finite() {
+            return None;
+        }
+        let mut nearest = self.places.nearest_neighbor_iter_with_distance_2(at.to_array());
+        let (first, distance_2) = nearest.next()?;
+        let ties = nearest.take_while(|(_, other)| *other <= distance_2).map(|(place, _)| place.data);
+        let index = ties.fold(first.data, usize::min);
+        Some(at.extend(self.heights_m[index]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::{Frame, Lane};
+    use crate::geometry::Pose;
+
+    fn log(origins: &[DVec3]) -> Log {
+        let frame = |(t_us, at): (i64, &DVec3)| {
+            let (sweeps, images, between_images, boxes) = Default::default();
+            let global_from_ego = Pose::from_yaw(0.0, *at);
+            Frame { t_us, global_from_ego, sweeps, images, between_images, boxes }
+        };
+        Log { frames: (0..).zip(origins).map(frame).collect(), ..Log::default() }
+    }
+
+    fn square(at: DVec2, side_m: f64) -> Vec<DVec2> {
+        [DVec2::ZERO, DVec2::X, DVec2::ONE, DVec2::Y].map(|corner| at + corner * side_m).to_vec()
+    }
+
+    fn area(at: DVec2, side_m: f64) -> Area {
+        Area { exterior: square(at, side_m), holes: Vec::new() }
+    }
+
+    fn lane(at: DVec2, side_m: f64) -> Lane {
+        let (centerline, successors) = Default::default();
+        Lane { id: "lane".into(), outline: area(at, side_m), centerline, successors }
+    }
+
+    /// A fixed sequence of numbers in 0..1.
+    fn numbers() -> impl FnMut() -> f64 {
+        let mut state = 7_u64;
+        move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f64 / (1 << 24) as f64
+        }
+    }
+
+    #[test]
+    fn every_corner_has_the_height_of_the_nearest_ego_origin() {
+        let mut number = numbers();
+        // UTM numbers, and many origins at one place, as of an ego that waits.
+        let base = DVec3::new(600_000.0, 4_000_000.0, 100.0);
+        let mut origins = vec![base; 50];
+        origins.extend((0..200).map(|_| base + DVec3::new(number(), number(), number()) * 300.0));
+        let ground = Ground::of(&log(&origins));
+        for _ in 0..500 {
+            let at = base.truncate() + DVec2::new(number(), number()) * 400.0 - 50.0;
+            let nearest = origins.iter().map(|p| (p.truncate() - at).length_squared()).enumerate();
+            let (index, _) = nearest.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+            assert_eq!(ground.under(at), Some(at.extend(origins[index].z)));
+        }
+    }
+
+    #[test]
+    fn of_equally_near_origins_the_first_gives_the_height() {
+        let ring = [DVec3::new(1.0, 0.0, 5.0), DVec3::new(-1.0, 0.0, 3.0), DVec3::new(0.0, 1.0, 4.0)];
+        assert_eq!(Ground::of(&log(&ring)).under(DVec2::ZERO), Some(DVec3::new(0.0, 0.0, 5.0)));
+        let turned: Vec<DVec3> = ring.into_iter().rev().collect();
+        assert_eq!(Ground::of(&log(&turned)).under(DVec2::ZERO), Some(DVec3::new(0.0, 0.0, 4.0)));
+    }
+
+    #[test]
+    fn edges_close_their_rings_and_come_by_layer() {
+        let with_hole = Area { exterior: square(DVec2::ZERO, 9.0), holes: vec![square(DVec2::ONE, 2.0)] };
+        let map = VectorMap {
+            lanes: vec![lane(DVec2::ZERO, 3.0)],
+            lane_connectors: vec![lane(DVec2::ZERO, 4.0)],
+            drivable_area: vec![with_hole],
+            crossings: vec![area(DVec2::ONE, 5.0)],
+            stop_lines: vec![area(DVec2::ONE, 6.0)],
+            ..VectorMap::default()
+        };
+        let map = SceneMap::new(map, &log(&[DVec3::Z]));
+        let layers: Vec<MapLayer> = map.edges().iter().map(|e| e.layer).collect();
+        let expected = [(MapLayer::Lane, 4), (MapLayer::DrivableArea, 8), (MapLayer::Crossing, 4)];
+        let expected: Vec<MapLayer> =
+            expected.into_iter().flat_map(|(layer, count)| vec![layer; count]).collect();
+        assert_eq!(layers, expected);
+        for ring in map.edges().chunks(4) {
+            assert!((0..4).all(|i| ring[i].to == ring[(i + 1) % 4].from && ring[i].from.z == 1.0));
+        }
+        let lengths: Vec<f64> = map.edges().iter().map(|e| (e.to - e.from).length()).collect();
+        let expected = [3.0, 9.0, 2.0, 5.0].map(|side| [side; 4]);
+        assert_eq!(lengths, expected.as_flattened());
+    }
+
+    #[test]
+    fn a_window_finds_what_a_scan_finds() {
+        let mut number = numbers();
+        let mut areas = |count: usize| -> Vec<Area> {
+            let place = |n: f64, m: f64| DVec2::new(600_000.0, 4_000_000.0) + DVec2::new(n, m) * 900.0;
+            (0..count).map(|_| area(place(number(), number()), number() * 40.0)).collect()
+        };
+        let map = VectorMap { drivable_area: areas(300), crossings: areas(300), ..VectorMap::default() };
+        let map = SceneMap::new(map, &log(&[DVec3::ZERO]));
+        let mut found_some = 0;
+        for _ in 0..50 {
+            let min = DVec2::new(600_000.0, 4_000_000.0) + DVec2::new(number(), number()) * 900.0;
+            let max = min + DVec2::new(number(), number()) * 100.0;
+            let meets = |e: &&MapEdge| {
+                let (a, b) = (e.from.truncate(), e.to.truncate());
+                a.min(b).cmple(max).all() && a.max(b).cmpge(min).all()
+            };
+            let scanned: Vec<MapEdge> = map.edges().iter().filter(meets).copied().collect();
+            assert_eq!(map.edges_within(min, max), scanned);
+            found_some += usize::from(!scanned.is_empty() && scanned.len() < map.edges().len());
+        }
+        assert!(found_some > 25, "{found_some}");
+    }
+
+    #[test]
+    fn what_has_no_place_or_height_is_left_out() {
+        let mut broken = area(DVec2::ZERO, 2.0);
+        broken.exterior[1].x = f64::NAN;
+        let map = VectorMap { crossings: vec![broken, Area::default()], ..VectorMap::default() };
+        // Two of the four edges end at the corner without a place.
+        assert_eq!(SceneMap::new(map.clone(), &log(&[DVec3::ZERO])).edges().len(), 2);
+        assert!(SceneMap::new(map, &log(&[])).edges().is_empty());
+    }
+}
