@@ -20,7 +20,8 @@ use crate::scene::SceneState;
 /// How many times larger than the camera's a side of the pinhole's image may be.
 const MOST_GROWTH: u32 = 4;
 
-/// Distorts the maps of step after step; what a lens does to an image is worked out once.
+/// Distorts the maps of step after step; what a lens does to an image is worked out
+/// once, as long as steps have the same cameras.
 #[derive(Clone, Debug)]
 pub struct Distorter {
     options: ConditionOptions,
@@ -64,6 +65,8 @@ impl Distorter {
             camera.view = View { camera: warp.pinhole.clone(), ..camera.view };
             warps.push(warp);
         }
+        // A drive whose calibration changes from frame to frame would fill the memory.
+        self.known.retain(|(_, known)| warps.iter().any(|warp| Arc::ptr_eq(warp, known)));
         let asked = self.options.clone();
         // Model tensors are made of the distorted maps.
         let maps = asked.maps.with_parts(state.map.is_some()).without(MapKind::Tensor);

@@ -221,7 +221,7 @@ fn class_number(class: Class) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Camera, Cuboid, Pose, View};
+    use crate::geometry::{Camera, Cuboid, Distortion, Pose, View};
     use crate::scene::ActorState;
     use glam::{DMat3, DQuat};
 
@@ -281,6 +281,12 @@ mod tests {
             serde_json::json!([[250.0, 0.0, 200.0], [0.0, 500.0, 225.0], [0.0, 0.0, 1.0]])
         );
         assert_eq!(meta["cameras"][0]["global_from_ego"][1][3], 4e6);
+        assert!(meta["cameras"][0].get("distortion").is_none());
+        let mut bent = state();
+        bent.cameras[1].view.camera.distortion = Distortion::from_opencv([0.1, 0.2, 0.3, 0.4, 0.5]);
+        let bent = FrameMeta::new(&bent, &options, &prompt, None).distorted(&bent);
+        let distortion = bent.cameras.iter().map(|c| c.distortion).collect::<Vec<_>>();
+        assert_eq!(distortion[..3], [None, Some([0.1, 0.2, 0.3, 0.4, 0.5]), None]);
         let bare = FrameMeta::new(&state(), &options, &PromptParts::default(), None);
         assert!(serde_json::to_value(bare).unwrap().get("prompt").is_none());
         let index = Index { options, frames: vec![IndexFrame::new(&state())] };
