@@ -28,7 +28,7 @@ pub struct Lane {
     pub outline: Area,
     /// Its middle in driving direction; empty if the map has none.
     pub centerline: Vec<DVec2>,
-    /// Ids of the lanes and connectors that follow.
+    /// Ids of the lanes and connectors that follow; some may lie beyond the edge of the map.
     pub successors: Vec<String>,
 }
 

@@ -10,6 +10,7 @@ mod info;
 mod npz;
 mod nuscenes;
 mod nuscenes_bad;
+mod nuscenes_map;
 mod parity;
 mod raster;
 mod real_frames;

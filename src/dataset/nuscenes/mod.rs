@@ -4,37 +4,48 @@
 //! writes `.pcd.bin` files. Format: <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
+mod arcline;
 mod choose;
 mod frames;
+mod map;
 mod read;
 mod sweep;
 mod tables;
 mod write;
 
+pub use map::read_map_file;
 pub use sweep::{POINT_BYTES, check_sweep_len, parse_sweep, read_sweep_file, write_sweep_file};
 
 pub use write::write_log;
 
-use super::{Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, read_picture};
+use std::path::PathBuf;
+
+use super::{
+    Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
+};
 
 /// One scene of a nuScenes data set.
 #[derive(Debug)]
 pub struct NuScenes {
     log: Log,
     box_points: Vec<Vec<u32>>,
+    /// File of the map of the log's place.
+    map: Option<PathBuf>,
 }
 
 impl NuScenes {
     /// Reads the tables in `PATH/VERSION`. Without a version the only `v1.0-*` folder is taken, without a scene
-    /// the only scene. No sweep and no image is opened.
+    /// the only scene. No sweep, no image and no map is opened.
     ///
     /// # Errors
     /// Tables that are missing or damaged, tokens that lead nowhere, poses, cameras or boxes that are none, times
     /// that do not grow; versions or scenes to choose from and none chosen.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         let tables = choose::version_folder(&locator.path, locator.version.as_deref())?;
-        let (log, box_points) = read::read(&locator.path, &tables, locator.scene.as_deref())?;
-        Ok(Self { log, box_points })
+        let sensors = locator.sensor_root.as_deref().unwrap_or(&locator.path);
+        let (log, box_points) = read::read(sensors, &tables, locator.scene.as_deref())?;
+        let map = map::find(&locator.path, locator.map_root.as_deref(), &log.location);
+        Ok(Self { log, box_points, map })
     }
 }
 
@@ -53,5 +64,8 @@ impl Dataset for NuScenes {
 
     fn box_points(&self) -> Option<&[Vec<u32>]> {
         Some(&self.box_points)
+    }
+    fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
+        self.map.as_deref().map(|path| map::read_map_file(path, &self.log.location)).transpose()
     }
 }

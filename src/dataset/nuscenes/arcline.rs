@@ -1,0 +1,147 @@
+//! Arc-line paths: how the map expansion writes the middle of a lane.
+//!
+//! A path is an arc, a line or another arc, and a last arc, in the shapes of Dubins' paths: `L` turns left on a
+//! circle of the path's radius, `R` right, `S` goes straight. A lane is several of them, end to end.
+
+use glam::DVec2;
+
+/// Points of a centerline are at most this far from each other, metres.
+const STEP_M: f64 = 0.5;
+
+/// Longest path that is taken, metres: what a damaged length may cost.
+const MAX_PATH_M: f64 = 1000.0;
+
+/// Points nearer to each other than this are one, metres: paths of a lane meet.
+const SAME_M: f64 = 1e-3;
+
+/// A path as it stands in the file.
+#[derive(Clone, Debug, serde::Deserialize)]
+pub(super) struct ArclinePath {
+    /// x and y (global metres) and yaw (radians).
+    start_pose: [f64; 3],
+    /// Letters `L`, `S`, `R`.
+    shape: String,
+    /// Metres.
+    radius: f64,
+    /// Metres.
+    segment_length: [f64; 3],
+}
+
+/// A piece of constant curvature.
+#[derive(Clone, Copy)]
+struct Segment {
+    length_m: f64,
+    /// 1/m, positive to the left.
+    curvature: f64,
+}
+
+impl ArclinePath {
+    /// The three pieces.
+    ///
+    /// # Errors
+    /// What is off: a shape of other letters, a radius or a length that cannot be.
+    fn segments(&self) -> Result<[Segment; 3], String> {
+        if let Some(length) = self.segment_length.iter().find(|l| !(0.0..=MAX_PATH_M).contains(*l)) {
+            return Err(format!("a segment length of {length} m"));
+        }
+        if !(self.radius > 0.0 && self.radius.is_finite()) {
+            return Err(format!("a radius of {} m", self.radius));
+        }
+        let sign = |letter: u8| match letter {
+            b'L' => Some(1.0),
+            b'S' => Some(0.0),
+            b'R' => Some(-1.0),
+            _ => None,
+        };
+        let signs: Option<Vec<f64>> = self.shape.bytes().map(sign).collect();
+        let signs = signs.and_then(|signs| <[f64; 3]>::try_from(signs).ok());
+        let signs = signs.ok_or_else(|| format!("a shape of {:?}", self.shape))?;
+        Ok(std::array::from_fn(|i| Segment {
+            length_m: self.segment_length[i],
+            curvature: signs[i] / self.radius,
+        }))
+    }
+}
+
+/// Points along the paths of a lane, evenly at most [`STEP_M`] apart on each path.
+///
+/// # Errors
+/// What is off in a path.
+pub(super) fn centerline(paths: &[ArclinePath]) -> Result<Vec<DVec2>, String> {
+    let mut line: Vec<DVec2> = Vec::new();
+    for path in paths {
+        let segments = path.segments()?;
+        let length_m: f64 = segments.iter().map(|s| s.length_m).sum();
+        let steps = (length_m / STEP_M).ceil().max(1.0) as u32;
+        for step in 0..=steps {
+            let at = point_at(path.start_pose, &segments, length_m * f64::from(step) / f64::from(steps));
+            if line.last().is_none_or(|last| last.distance(at) > SAME_M) {
+                line.push(at);
+            }
+        }
+    }
+    Ok(line)
+}
+
+/// The point this many metres along a path.
+fn point_at([x, y, yaw]: [f64; 3], segments: &[Segment; 3], along_m: f64) -> DVec2 {
+    let (mut at, mut yaw, mut left_m) = (DVec2::new(x, y), yaw, along_m);
+    for segment in segments {
+        let s = left_m.min(segment.length_m);
+        let turned = yaw + segment.curvature * s;
+        at += if segment.curvature == 0.0 {
+            DVec2::from_angle(yaw) * s
+        } else {
+            // Along the circle whose centre lies to the left (positive curvature) or right.
+            DVec2::new(turned.sin() - yaw.sin(), yaw.cos() - turned.cos()) / segment.curvature
+        };
+        (yaw, left_m) = (turned, left_m - s);
+    }
+    at
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use super::*;
+
+    fn path(start_pose: [f64; 3], shape: &str, radius: f64, segment_length: [f64; 3]) -> ArclinePath {
+        ArclinePath { start_pose, shape: shape.to_owned(), radius, segment_length }
+    }
+
+    /// A quarter to the left about (0, 10), 5 m up, a quarter to the right about (20, 15).
+    #[test]
+    fn quarters_and_a_line_end_where_they_should() {
+        let quarter = 10.0 * PI / 2.0;
+        let line = centerline(&[path([0.0, 0.0, 0.0], "LSR", 10.0, [quarter, 5.0, quarter])]).unwrap();
+        assert!(line[0] == DVec2::ZERO && line.last().unwrap().distance(DVec2::new(20.0, 25.0)) < 1e-12);
+        for point in &line {
+            let on_first = (point.distance(DVec2::new(0.0, 10.0)) - 10.0).abs() < 1e-12 && point.y <= 10.0;
+            let on_line = (point.x - 10.0).abs() < 1e-12;
+            let on_last = (point.distance(DVec2::new(20.0, 15.0)) - 10.0).abs() < 1e-12;
+            assert!(on_first || on_line || on_last, "{point}");
+        }
+        assert!(line.windows(2).all(|w| w[0].distance(w[1]) <= STEP_M));
+        assert_eq!(line.len(), 2 + (2.0 * quarter + 5.0) as usize * 2);
+    }
+
+    /// Where the first ends the second starts: the point is there once.
+    #[test]
+    fn paths_of_a_lane_are_joined() {
+        let straight = |x: f64| path([x, 1.0, 0.0], "LSL", 999.999, [0.0, 2.0, 0.0]);
+        let line = centerline(&[straight(0.0), straight(2.0)]).unwrap();
+        assert_eq!(line.len(), 9);
+        assert!(line.windows(2).all(|w| (w[1] - w[0]).distance(DVec2::new(0.5, 0.0)) < 1e-12));
+    }
+
+    #[test]
+    fn what_is_no_path_is_told() {
+        let wrong = |shape, radius, length| centerline(&[path([0.0; 3], shape, radius, length)]).unwrap_err();
+        assert_eq!(wrong("LXR", 1.0, [1.0; 3]), "a shape of \"LXR\"");
+        assert_eq!(wrong("LSRL", 1.0, [1.0; 3]), "a shape of \"LSRL\"");
+        assert_eq!(wrong("LSR", 0.0, [1.0; 3]), "a radius of 0 m");
+        assert_eq!(wrong("LSR", 1.0, [1.0, -1.0, 0.0]), "a segment length of -1 m");
+        assert_eq!(wrong("LSR", 1.0, [1.0, 1e9, 0.0]), "a segment length of 1000000000 m");
+    }
+}

@@ -1,0 +1,275 @@
+//! The map expansion: `maps/expansion/LOCATION.json`, layers of polygons and lines whose corners are shared nodes.
+//!
+//! Format: version 1.3 of <https://www.nuscenes.org/nuscenes#map-expansion>. Layers of earlier versions (no lane
+//! connectors, no centerlines) are read too.
+
+use std::collections::BTreeMap;
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+use glam::DVec2;
+use rustc_hash::FxHashMap;
+use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
+
+use super::arcline::{ArclinePath, centerline};
+use crate::dataset::{Area, DatasetError, Lane, VectorMap};
+use crate::error::FileError;
+
+/// The file of a location: below `map_root` if that is given, else below `root/maps`. `None` if there is none.
+pub(super) fn find(root: &Path, map_root: Option<&Path>, location: &str) -> Option<PathBuf> {
+    // A location comes from a file; it must not lead out of the folder.
+    if location.contains(['/', '\\']) {
+        return None;
+    }
+    let maps = map_root.map_or_else(|| root.join("maps"), Path::to_owned);
+    let name = format!("{location}.json");
+    [maps.join("expansion").join(&name), maps.join(&name)].into_iter().find(|path| path.is_file())
+}
+
+/// Reads the map of a location.
+///
+/// # Errors
+/// A file that cannot be read or is no map expansion; tokens that are there twice or lead nowhere, areas with fewer
+/// than three corners, lines with fewer than two, centerlines that are none.
+pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetError> {
+    let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let wrong = |e: serde_json::Error| FileError::content("a map expansion", e.to_string(), path);
+    let raw: Expansion = serde_json::from_slice(&bytes).map_err(wrong)?;
+    Ok(Resolver::new(&raw, path)?.map(location)?)
+}
+
+/// The layers that are read, as they stand in the file.
+#[derive(serde::Deserialize)]
+struct Expansion {
+    node: Vec<Node>,
+    polygon: Vec<Polygon>,
+    line: Vec<Line>,
+    lane: Vec<Surface>,
+    #[serde(default)]
+    lane_connector: Vec<Surface>,
+    drivable_area: Vec<DrivableArea>,
+    ped_crossing: Vec<Surface>,
+    stop_line: Vec<Surface>,
+    road_divider: Vec<Divider>,
+    lane_divider: Vec<Divider>,
+    #[serde(default, deserialize_with = "by_lane")]
+    arcline_path_3: BTreeMap<String, Vec<ArclinePath>>,
+    #[serde(default, deserialize_with = "by_lane")]
+    connectivity: BTreeMap<String, Connectivity>,
+}
+
+#[derive(serde::Deserialize)]
+struct Node {
+    token: String,
+    x: f64,
+    y: f64,
+}
+
+#[derive(serde::Deserialize)]
+struct Polygon {
+    token: String,
+    exterior_node_tokens: Vec<String>,
+    #[serde(default)]
+    holes: Vec<Hole>,
+}
+
+#[derive(serde::Deserialize)]
+struct Hole {
+    node_tokens: Vec<String>,
+}
+
+#[derive(serde::Deserialize)]
+struct Line {
+    token: String,
+    node_tokens: Vec<String>,
+}
+
+/// Lane, connector, crossing or stop line.
+#[derive(serde::Deserialize)]
+struct Surface {
+    token: String,
+    polygon_token: String,
+}
+
+#[derive(serde::Deserialize)]
+struct DrivableArea {
+    token: String,
+    polygon_tokens: Vec<String>,
+}
+
+#[derive(serde::Deserialize)]
+struct Divider {
+    token: String,
+    line_token: String,
+}
+
+#[derive(serde::Deserialize)]
+struct Connectivity {
+    outgoing: Vec<String>,
+}
+
+/// The layer with its lookups.
+struct Resolver<'a> {
+    raw: &'a Expansion,
+    path: &'a Path,
+    nodes: FxHashMap<&'a str, DVec2>,
+    polygons: FxHashMap<&'a str, &'a Polygon>,
+    lines: FxHashMap<&'a str, &'a Line>,
+}
+
+impl<'a> Resolver<'a> {
+    fn new(raw: &'a Expansion, path: &'a Path) -> Result<Self, FileError> {
+        let nodes = raw.node.iter().map(|n| (n.token.as_str(), DVec2::new(n.x, n.y)));
+        let surfaces = raw.lane.iter().chain(&raw.lane_connector);
+        by_token("lane", surfaces.map(|s| (s.token.as_str(), ())), path)?;
+        Ok(Self {
+            raw,
+            path,
+            nodes: by_token("node", nodes, path)?,
+            polygons: by_token("polygon", raw.polygon.iter().map(|p| (p.token.as_str(), p)), path)?,
+            lines: by_token("line", raw.line.iter().map(|l| (l.token.as_str(), l)), path)?,
+        })
+    }
+
+    fn map(&self, location: &str) -> Result<VectorMap, FileError> {
+        let raw = self.raw;
+        let lanes = |surfaces: &[Surface]| surfaces.iter().map(|s| self.lane(s)).collect::<Result<_, _>>();
+        let areas = |kind: &'static str, surfaces: &[Surface]| {
+            let area = |s: &Surface| self.area(&s.polygon_token, || format!("{kind} {}", s.token));
+            surfaces.iter().map(area).collect::<Result<_, _>>()
+        };
+        let mut drivable_area = Vec::new();
+        for area in &raw.drivable_area {
+            for polygon in &area.polygon_tokens {
+                drivable_area.push(self.area(polygon, || format!("drivable_area {}", area.token))?);
+            }
+        }
+        let dividers = raw.road_divider.iter().chain(&raw.lane_divider).map(|d| self.divider(d));
+        Ok(VectorMap {
+            location: location.to_owned(),
+            lanes: lanes(&raw.lane)?,
+            lane_connectors: lanes(&raw.lane_connector)?,
+            drivable_area,
+            crossings: areas("ped_crossing", &raw.ped_crossing)?,
+            stop_lines: areas("stop_line", &raw.stop_line)?,
+            dividers: dividers.collect::<Result<_, _>>()?,
+        })
+    }
+
+    fn lane(&self, surface: &Surface) -> Result<Lane, FileError> {
+        let by = || format!("lane {}", surface.token);
+        let paths = self.raw.arcline_path_3.get(&surface.token).map_or(&[][..], Vec::as_slice);
+        let not_a_path = |found| {
+            let found = format!("{found} in arcline_path_3 {}", surface.token);
+            FileError::content(
+                "paths of three letters L S R, a radius over 0 m and lengths of 0 to 1000 m",
+                found,
+                self.path,
+            )
+        };
+        Ok(Lane {
+            id: surface.token.clone(),
+            outline: self.area(&surface.polygon_token, by)?,
+            centerline: centerline(paths).map_err(not_a_path)?,
+            successors: self.raw.connectivity.get(&surface.token).map_or(Vec::new(), |c| c.outgoing.clone()),
+        })
+    }
+
+    fn area(&self, polygon: &str, by: impl FnOnce() -> String) -> Result<Area, FileError> {
+        let polygon = self.polygons.get(polygon).ok_or_else(|| self.dangling("polygon", polygon, by()))?;
+        let holes = polygon.holes.iter().filter(|hole| !hole.node_tokens.is_empty());
+        Ok(Area {
+            exterior: self.ring(&polygon.exterior_node_tokens, polygon)?,
+            holes: holes.map(|hole| self.ring(&hole.node_tokens, polygon)).collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// A ring's corners; one that closes it is left out.
+    fn ring(&self, nodes: &[String], polygon: &Polygon) -> Result<Vec<DVec2>, FileError> {
+        let by = || format!("polygon {}", polygon.token);
+        let mut ring = self.corners(nodes, by)?;
+        while ring.len() > 1 && ring.first() == ring.last() {
+            ring.pop();
+        }
+        self.at_least(3, ring, by)
+    }
+
+    fn divider(&self, divider: &Divider) -> Result<Vec<DVec2>, FileError> {
+        let by = || format!("divider {}", divider.token);
+        let line = self.lines.get(divider.line_token.as_str());
+        let line = line.ok_or_else(|| self.dangling("line", &divider.line_token, by()))?;
+        let by = || format!("line {}", line.token);
+        self.at_least(2, self.corners(&line.node_tokens, by)?, by)
+    }
+
+    fn corners(&self, nodes: &[String], by: impl Fn() -> String) -> Result<Vec<DVec2>, FileError> {
+        let corner = |token: &String| {
+            self.nodes.get(token.as_str()).copied().ok_or_else(|| self.dangling("node", token, by()))
+        };
+        nodes.iter().map(corner).collect()
+    }
+
+    fn at_least(
+        &self,
+        least: usize,
+        corners: Vec<DVec2>,
+        by: impl FnOnce() -> String,
+    ) -> Result<Vec<DVec2>, FileError> {
+        if corners.len() >= least {
+            return Ok(corners);
+        }
+        let found = format!("{} in {}", corners.len(), by());
+        Err(FileError::content(format!("at least {least} corners"), found, self.path))
+    }
+
+    fn dangling(&self, layer: &str, token: &str, by: String) -> FileError {
+        let expected = format!("layer {layer} to hold token {token}");
+        FileError::content(expected, format!("none (referred to by {by})"), self.path)
+    }
+}
+
+/// Records by token, each of which may be there once.
+fn by_token<'a, T>(
+    layer: &str,
+    records: impl Iterator<Item = (&'a str, T)>,
+    path: &Path,
+) -> Result<FxHashMap<&'a str, T>, FileError> {
+    let mut found = FxHashMap::default();
+    for (token, record) in records {
+        if found.insert(token, record).is_some() {
+            let twice = format!("{layer} {token} twice");
+            return Err(FileError::content("every token once", twice, path));
+        }
+    }
+    Ok(found)
+}
+
+/// An object whose keys are lanes; maps that have none write an empty array.
+fn by_lane<'de, T: Deserialize<'de>, D: Deserializer<'de>>(from: D) -> Result<BTreeMap<String, T>, D::Error> {
+    from.deserialize_any(ByLane(PhantomData))
+}
+
+struct ByLane<T>(PhantomData<T>);
+
+impl<'de, T: Deserialize<'de>> Visitor<'de> for ByLane<T> {
+    type Value = BTreeMap<String, T>;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("an object by lane, or an empty array")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+        let mut found = BTreeMap::new();
+        while let Some((lane, value)) = map.next_entry()? {
+            found.insert(lane, value);
+        }
+        Ok(found)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut array: A) -> Result<Self::Value, A::Error> {
+        match array.next_element::<serde::de::IgnoredAny>()? {
+            None => Ok(BTreeMap::new()),
+            Some(_) => Err(serde::de::Error::invalid_type(serde::de::Unexpected::Seq, &self)),
+        }
+    }
+}
