@@ -100,8 +100,10 @@ fn compare_frame(
     let options = ConditionOptions { maps, size: Some(SIZE), ..ConditionOptions::default() };
     let set = conditions::render(rasterizer, &instances, &state, &options)?;
     let mut errors = Vec::new();
-    for (maps, record) in set.cameras.iter().zip(&log.log().frames[frame].images) {
-        let Some(map) = &maps.color else { continue };
+    for record in &log.log().frames[frame].images {
+        let name = &log.log().cameras[record.channel];
+        let maps = set.cameras.iter().find(|maps| maps.name == *name);
+        let Some(map) = maps.and_then(|maps| maps.color.as_ref()) else { continue };
         let truth = truth(log, record)?;
         if let Some(out) = out {
             std::fs::create_dir_all(out)?;

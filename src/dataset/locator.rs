@@ -33,11 +33,13 @@ impl LogLocator {
 pub enum LogFormat {
     /// The 13 JSON tables of nuScenes.
     NuScenes,
+    /// A folder of an Argoverse 2 sensor log, or a folder of them.
+    Argoverse,
 }
 
 impl LogFormat {
     /// Names on the command line.
-    pub const NAMES: &'static str = "nuscenes";
+    pub const NAMES: &'static str = "nuscenes or av2";
 }
 
 impl FromStr for LogLocator {
@@ -48,6 +50,7 @@ impl FromStr for LogLocator {
         let (format, rest) = text.split_once(':').ok_or_else(wrong)?;
         let format = match format {
             "nuscenes" => LogFormat::NuScenes,
+            "av2" => LogFormat::Argoverse,
             _ => return Err(wrong()),
         };
         let (rest, scene) = split_tail(rest, '#');

@@ -15,6 +15,8 @@ pub struct Log {
     pub description: String,
     /// Camera channels, in the order of every camera list.
     pub cameras: Vec<String>,
+    /// The cameras as they are calibrated, sorted by channel; a camera whose calibration changes is here as it was first.
+    pub rig: Vec<RigCamera>,
     /// Tracked objects, sorted by id.
     pub tracks: Vec<Track>,
     /// Annotated frames in time order.
@@ -83,6 +85,17 @@ pub struct ImageRecord {
     pub camera: Camera,
 }
 
+/// A camera on the ego, whatever images there are of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigCamera {
+    /// Index in [`Log::cameras`].
+    pub channel: usize,
+    /// Extrinsics.
+    pub ego_from_camera: Pose,
+    /// Size and intrinsics.
+    pub camera: Camera,
+}
+
 /// A track's box in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackBox {
@@ -128,6 +141,28 @@ impl Frame {
     /// A track's box, if it stands in this frame.
     pub fn cuboid_of(&self, track: usize) -> Option<Cuboid> {
         self.boxes.binary_search_by_key(&track, |b| b.track).ok().map(|i| self.boxes[i].cuboid)
+    }
+}
+
+impl RigCamera {
+    /// The cameras as the first images of some frames have them, sorted by channel.
+    pub fn first_used(frames: &[Frame]) -> Vec<Self> {
+        let mut first: BTreeMap<usize, &ImageRecord> = BTreeMap::new();
+        let images = |frame| {
+            let Frame { images, between_images, .. }: &Frame = frame;
+            images.iter().chain(between_images)
+        };
+        for image in frames.iter().flat_map(images) {
+            first.entry(image.channel).or_insert(image);
+        }
+        first.into_values().map(Self::from).collect()
+    }
+}
+
+impl From<&ImageRecord> for RigCamera {
+    fn from(image: &ImageRecord) -> Self {
+        let ImageRecord { channel, ego_from_camera, ref camera, .. } = *image;
+        Self { channel, ego_from_camera, camera: camera.clone() }
     }
 }
 

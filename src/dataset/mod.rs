@@ -4,6 +4,7 @@
 //! reads sweeps and images on demand. Nothing is dropped in silence: a reader counts what it left out in
 //! [`Log::notes`].
 
+pub mod av2;
 mod category;
 mod ego_track;
 mod locator;
@@ -15,7 +16,7 @@ mod picture;
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
 pub use locator::{LogFormat, LogLocator};
-pub use log::{Frame, ImageRecord, Log, SweepRecord, Track, TrackBox};
+pub use log::{Frame, ImageRecord, Log, RigCamera, SweepRecord, Track, TrackBox};
 pub use map::{Area, Lane, VectorMap};
 pub use picture::{picture_size, read_picture};
 
@@ -34,6 +35,14 @@ pub trait Dataset: Sync {
     /// # Errors
     /// A file that is missing or not as its format says.
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError>;
+
+    /// Number of points of a sweep by its header and size, so far as the format tells without reading them all.
+    ///
+    /// # Errors
+    /// As [`Dataset::read_sweep`], but for what stands in the points.
+    fn check_sweep(&self, record: &SweepRecord) -> Result<u64, DatasetError> {
+        self.read_sweep(record).map(|sweep| (sweep.points.len() + sweep.dropped_non_finite) as u64)
+    }
 
     /// Reads an image; its size is as the record says.
     ///
@@ -149,7 +158,10 @@ pub enum DatasetError {
 /// # Errors
 /// A set that holds none, or whose index cannot be read.
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
-    Ok(vec![locator.clone()])
+    match locator.format {
+        LogFormat::NuScenes => nuscenes::expand(locator),
+        LogFormat::Argoverse => av2::expand(locator),
+    }
 }
 
 /// Opens a log by its name, `FORMAT:PATH[@VERSION][#SCENE]`.
@@ -159,5 +171,6 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
 pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
     match locator.format {
         LogFormat::NuScenes => Ok(Box::new(nuscenes::NuScenes::open(locator)?)),
+        LogFormat::Argoverse => Ok(Box::new(av2::Argoverse::open(locator)?)),
     }
 }

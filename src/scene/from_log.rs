@@ -1,7 +1,7 @@
 use glam::DVec3;
 
 use super::{ActorState, SceneCamera, SceneState};
-use crate::dataset::{EgoTrack, Frame, ImageRecord, Log, TrackBox};
+use crate::dataset::{EgoTrack, Frame, Log, RigCamera, TrackBox};
 use crate::geometry::{Pose, View};
 
 /// Moves the ego in its own frame: metres forward and to the left, radians to the left.
@@ -22,16 +22,21 @@ impl EgoOffset {
     }
 }
 
-/// The state of a log's frame: every camera at the ego pose of its own image, actors where their boxes are at the
-/// frame's time. It has no HD map.
+/// The state of a log's frame: every camera at the ego pose of its own image, or at the frame's where it has no image;
+/// actors where their boxes are at the frame's time. It has no HD map.
 pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<SceneState> {
     let frame = log.frames.get(index)?;
-    let camera = |record: &ImageRecord| scene_camera(record, record.global_from_ego * offset.pose());
+    let own_pose =
+        |channel: usize| frame.images.iter().find(|i| i.channel == channel).map(|i| i.global_from_ego);
+    let camera = |rig: RigCamera| {
+        let global_from_ego = own_pose(rig.channel).unwrap_or(frame.global_from_ego);
+        scene_camera(&rig, global_from_ego * offset.pose())
+    };
     Some(SceneState {
         name: format!("{index:06}"),
         t_us: frame.t_us,
         global_from_ego: frame.global_from_ego * offset.pose(),
-        cameras: frame.images.iter().map(camera).collect(),
+        cameras: rig_at(log, frame).into_iter().map(camera).collect(),
         actors: actors(log, &frame.boxes),
         map: None,
     })
@@ -42,12 +47,12 @@ pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<Scen
 pub fn state_at(log: &Log, ego: &EgoTrack, t_us: i64, offset: EgoOffset) -> Option<SceneState> {
     let global_from_ego = ego.at(t_us)? * offset.pose();
     let nearest = log.frames.iter().min_by_key(|f| f.t_us.abs_diff(t_us))?;
-    let camera = |record: &ImageRecord| scene_camera(record, global_from_ego);
+    let camera = |rig: RigCamera| scene_camera(&rig, global_from_ego);
     Some(SceneState {
         name: t_us.to_string(),
         t_us,
         global_from_ego,
-        cameras: nearest.images.iter().map(camera).collect(),
+        cameras: rig_at(log, nearest).into_iter().map(camera).collect(),
         actors: actors(log, &log.boxes_at(t_us)),
         map: None,
     })
@@ -64,11 +69,20 @@ pub fn with_cameras(mut state: SceneState, views: &[View]) -> SceneState {
     state
 }
 
-fn scene_camera(record: &ImageRecord, global_from_ego: Pose) -> SceneCamera {
-    let camera_from_world = (global_from_ego * record.ego_from_camera).inverse().affine();
+/// All cameras of a log, calibrated as a frame's images have them.
+fn rig_at(log: &Log, frame: &Frame) -> Vec<RigCamera> {
+    let camera = |channel: usize| {
+        let of_image = frame.images.iter().find(|i| i.channel == channel).map(RigCamera::from);
+        of_image.or_else(|| log.rig.iter().find(|c| c.channel == channel).cloned())
+    };
+    (0..log.cameras.len()).filter_map(camera).collect()
+}
+
+fn scene_camera(rig: &RigCamera, global_from_ego: Pose) -> SceneCamera {
+    let camera_from_world = (global_from_ego * rig.ego_from_camera).inverse().affine();
     SceneCamera {
-        view: View { camera: record.camera.clone(), camera_from_world },
-        ego_from_camera: Some(record.ego_from_camera),
+        view: View { camera: rig.camera.clone(), camera_from_world },
+        ego_from_camera: Some(rig.ego_from_camera),
         global_from_ego,
     }
 }

@@ -7,7 +7,7 @@ use super::film;
 use super::scenery::{self, Actor};
 use super::world::{Thing, World};
 use crate::dataset::{
-    Class, Dataset, DatasetError, Frame, ImageRecord, Log, Sweep, SweepRecord, Track, TrackBox,
+    Class, Dataset, DatasetError, Frame, ImageRecord, Log, RigCamera, Sweep, SweepRecord, Track, TrackBox,
 };
 use crate::geometry::{Camera, CameraError, Cuboid, Pose};
 
@@ -67,13 +67,15 @@ impl Street {
             category: actor.category.to_owned(),
             class: Class::from_category(actor.category),
         };
+        let frames: Vec<Frame> = (0..options.frames).map(|i| frame(i, &actors, &cameras)).collect();
         let log = Log {
             name: format!("street-{}", options.seed),
             location: "synthetic-street".into(),
             description: "A drive down a synthetic street".into(),
             cameras: CAMERAS.iter().map(|c| c.0.to_owned()).collect(),
             tracks: actors.iter().map(track).collect(),
-            frames: (0..options.frames).map(|i| frame(i, &actors, &cameras)).collect(),
+            rig: RigCamera::first_used(&frames),
+            frames,
             ..Log::default()
         };
         Ok(Self { log, seed: options.seed, standing: scenery::standing(options.seed), actors })

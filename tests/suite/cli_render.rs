@@ -220,13 +220,16 @@ fn the_map_is_drawn_where_the_log_has_one() {
 }
 
 #[test]
-fn missing_cameras_are_counted() {
+fn cameras_without_an_image_are_drawn_and_counted() {
     let log = built();
     // The back camera of frame 1 is no key frame any more.
     log.change("sample_data", "/5/is_key_frame", json!(false));
     let summary = log.succeed(RENDER);
-    assert!(summary.contains("5 camera views (missing in the log: 1 of CAM_BACK)"), "{summary}");
-    assert_eq!(log.json("out/index.json")["frames"][1]["cameras"], json!(["CAM_FRONT"]));
+    let told = "6 camera views (images missing, drawn from the frame's own pose: 1 of CAM_BACK)";
+    assert!(summary.contains(told), "{summary}");
+    assert_eq!(log.json("out/index.json")["frames"][1]["cameras"], json!(CAMERAS));
+    let meta = log.json("out/000001/meta.json");
+    assert_eq!(meta["cameras"][1]["global_from_ego"], meta["cameras"][0]["global_from_ego"]);
 }
 
 #[test]

@@ -2,21 +2,21 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
-use std::path::Path;
 
 use glam::DVec3;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use crate::dataset::{Dataset, Frame, ImageRecord, Log, nuscenes, picture_size};
+use crate::dataset::{Dataset, Frame, ImageRecord, Log, picture_size};
 use crate::error::FileError;
 use crate::scene::frame_rate_hz;
 
 /// All there is to tell, as JSON.
 pub(super) fn describe(dataset: &dyn Dataset) -> Value {
     let log = dataset.log();
-    let (points, mut damaged) = sweeps(log);
+    let (points, mut damaged) = sweeps(dataset);
     damaged.extend(images(log));
+    let map = map(dataset, &mut damaged);
     let times = log.frames.first().zip(log.frames.last()).map(|(a, b)| [a.t_us, b.t_us]);
     let boxes: usize = log.frames.iter().map(|f| f.boxes.len()).sum();
     let empty = dataset.box_points().map(|counts| counts.iter().flatten().filter(|n| **n == 0).count());
@@ -37,21 +37,39 @@ pub(super) fn describe(dataset: &dyn Dataset) -> Value {
         "boxes_without_points": empty,
         "categories": categories(log),
         "ego": ego_path(log),
+        "map": map,
         "left_out": log.notes,
         "damaged": damaged,
     })
 }
 
 /// Points in all sweeps by their sizes, and what is wrong with their files.
-fn sweeps(log: &Log) -> (u64, Vec<String>) {
-    let records: Vec<_> = log.frames.iter().flat_map(|f| &f.sweeps).collect();
-    let size = |path: &Path| {
-        let bytes = std::fs::metadata(path).map_err(FileError::io("read", path))?.len();
-        nuscenes::check_sweep_len(bytes, path)
-    };
-    let results: Vec<_> = records.par_iter().map(|record| size(&record.path)).collect();
+fn sweeps(dataset: &dyn Dataset) -> (u64, Vec<String>) {
+    let records: Vec<_> = dataset.log().frames.iter().flat_map(|f| &f.sweeps).collect();
+    let results: Vec<_> = records.par_iter().map(|record| dataset.check_sweep(record)).collect();
     let points = results.iter().flatten().sum();
     (points, results.into_iter().filter_map(Result::err).map(|e| e.to_string()).collect())
+}
+
+/// How much of what is on the HD map; null where there is none.
+fn map(dataset: &dyn Dataset, damaged: &mut Vec<String>) -> Value {
+    match dataset.read_map() {
+        Ok(map) => map.map_or(Value::Null, |map| {
+            json!({
+                "location": map.location,
+                "lanes": map.lanes.len(),
+                "lane_connectors": map.lane_connectors.len(),
+                "drivable_areas": map.drivable_area.len(),
+                "crossings": map.crossings.len(),
+                "stop_lines": map.stop_lines.len(),
+                "dividers": map.dividers.len(),
+            })
+        }),
+        Err(error) => {
+            damaged.push(error.to_string());
+            Value::Null
+        }
+    }
 }
 
 fn images(log: &Log) -> Vec<String> {
@@ -70,12 +88,11 @@ fn images(log: &Log) -> Vec<String> {
     records.par_iter().filter_map(check).collect()
 }
 
-/// Per channel: size and focal length of its first image, and in how many frames it has one.
+/// Per channel: size and focal length, and in how many frames it has an image.
 fn cameras(log: &Log) -> Value {
     let channel = |(index, name): (usize, &String)| {
         let of = |frame: &Frame| frame.images.iter().filter(|i| i.channel == index).count();
-        let first = log.frames.iter().flat_map(|f| &f.images).find(|i| i.channel == index);
-        let camera = first.map(|record| &record.camera);
+        let camera = log.rig.iter().find(|c| c.channel == index).map(|c| &c.camera);
         json!({
             "name": name,
             "size": camera.map(|c| format!("{}x{}", c.height, c.width)),
@@ -141,6 +158,7 @@ pub(super) fn text(json: &Value) -> String {
         "ego",
         format!("{} m from {} to {}", number(&ego["path_m"]), corner(&ego["min"]), corner(&ego["max"])),
     );
+    line("map", map_line(&json["map"]));
     for (what, count) in json["left_out"].as_object().into_iter().flatten() {
         line("left out", format!("{what}: {count}"));
     }
@@ -150,6 +168,14 @@ pub(super) fn text(json: &Value) -> String {
         line("", problem.as_str().unwrap_or_default().to_owned());
     }
     lines
+}
+
+fn map_line(map: &Value) -> String {
+    let Some(counts) = map.as_object() else { return "none".to_owned() };
+    let count =
+        |(name, count): (&String, &Value)| Some(format!("{} {}", count.as_u64()?, name.replace('_', " ")));
+    let counts: Vec<String> = counts.iter().filter_map(count).collect();
+    format!("{} with {}", map["location"].as_str().unwrap_or_default(), counts.join(", "))
 }
 
 /// A corner of bounds, metres.

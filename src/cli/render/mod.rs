@@ -62,7 +62,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         &options.selection,
         distorter,
     )?;
-    let summary = summary(&frames, &steps.missing_cameras(&frames), rasterizer.as_mut());
+    let summary = summary(&frames, &steps.missing_images(), rasterizer.as_mut());
     warn_of_times_outside(&frames, skeleton.manifest.times_us(&log.name));
     output.end(&Index { options: &options, frames })?;
     say(&format!("{summary} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
@@ -179,7 +179,7 @@ fn summary(
     let maps: usize = frames.iter().map(|f| f.cameras.len()).sum();
     let missing = match missing.iter().map(|(name, count)| format!("{count} of {name}")).collect::<Vec<_>>() {
         none if none.is_empty() => String::new(),
-        some => format!(" (missing in the log: {})", some.join(", ")),
+        some => format!(" (images missing, drawn from the frame's own pose: {})", some.join(", ")),
     };
     let stages = rasterizer.take_stages().0;
     let stages: Vec<String> =

@@ -4,7 +4,6 @@ use std::sync::Arc;
 use super::RenderArgs;
 use crate::cli::WrongUsage;
 use crate::cli::numbers::FrameRange;
-use crate::conditions::meta::IndexFrame;
 use crate::dataset::{EgoTrack, Frame, Log};
 use crate::geometry::View;
 use crate::scene::{EgoOffset, SceneMap, SceneState, state_at, state_of_frame, with_cameras};
@@ -72,14 +71,14 @@ impl<'a> Steps<'a> {
         })
     }
 
-    /// How many frames lack a camera of the log, by camera.
-    pub(super) fn missing_cameras(&self, frames: &[IndexFrame]) -> BTreeMap<&str, usize> {
+    /// How many frames lack an image of a camera of the log, by camera.
+    pub(super) fn missing_images(&self) -> BTreeMap<&str, usize> {
         let mut missing = BTreeMap::new();
-        if self.views.is_none() {
-            for frame in frames {
-                for camera in self.log.cameras.iter().filter(|c| !frame.cameras.contains(c)) {
-                    *missing.entry(camera.as_str()).or_default() += 1;
-                }
+        for when in &self.when {
+            let (When::Frame(index), None) = (*when, &self.views) else { continue };
+            let has = |channel| self.log.frames[index].images.iter().any(|i| i.channel == channel);
+            for (_, camera) in self.log.cameras.iter().enumerate().filter(|(channel, _)| !has(*channel)) {
+                *missing.entry(camera.as_str()).or_default() += 1;
             }
         }
         missing

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use super::tables::{Scene, Table};
-use crate::dataset::DatasetError;
+use super::tables::{LogRecord, Scene, Table};
+use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
 
 /// The folder of the tables: `root/version`, or the only `root/v1.0-*`.
@@ -43,4 +43,31 @@ pub(super) fn choose_scene<'a>(
     let mut names: Vec<String> = scenes.records.iter().map(|s| s.name.clone()).collect();
     names.sort();
     Err(DatasetError::Scene { found: wanted.map(Into::into), scenes: names, path: scenes.path.clone() })
+}
+
+/// The scenes that a name stands for, sorted by name: `#*` all of the version, `#LOCATION` those recorded there, else
+/// the name itself. A scene of that name goes first.
+///
+/// # Errors
+/// Tables that are missing or damaged, a `#SCENE` that is neither a scene nor a location.
+pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
+    let Some(wanted) = locator.scene.as_deref() else { return Ok(vec![locator.clone()]) };
+    let tables = version_folder(&locator.path, locator.version.as_deref())?;
+    let scenes = Table::<Scene>::load_all(&tables)?;
+    if scenes.records.iter().any(|scene| scene.name == wanted || scene.token == wanted) {
+        return Ok(vec![locator.clone()]);
+    }
+    let logs = Table::<LogRecord>::load_all(&tables)?;
+    let mut names = Vec::new();
+    for scene in &scenes.records {
+        let log = logs.get(&scene.log_token, || format!("scene {}", scene.token))?;
+        if wanted == "*" || log.location == wanted {
+            names.push(scene.name.clone());
+        }
+    }
+    if names.is_empty() {
+        return choose_scene(&scenes, Some(wanted)).map(|_| Vec::new());
+    }
+    names.sort();
+    Ok(names.into_iter().map(|name| LogLocator { scene: Some(name), ..locator.clone() }).collect())
 }

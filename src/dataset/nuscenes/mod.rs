@@ -13,12 +13,15 @@ mod sweep;
 mod tables;
 mod write;
 
+pub use choose::expand;
 pub use map::read_map_file;
 pub use sweep::{POINT_BYTES, check_sweep_len, parse_sweep, read_sweep_file, write_sweep_file};
 
 pub use write::write_log;
 
 use std::path::PathBuf;
+
+use crate::error::FileError;
 
 use super::{
     Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
@@ -56,6 +59,12 @@ impl Dataset for NuScenes {
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
         Ok(read_sweep_file(&record.path)?)
+    }
+
+    fn check_sweep(&self, record: &SweepRecord) -> Result<u64, DatasetError> {
+        let path = &record.path;
+        let bytes = std::fs::metadata(path).map_err(FileError::io("read", path))?.len();
+        Ok(check_sweep_len(bytes, path)?)
     }
 
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {

@@ -7,7 +7,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::tables::{Attribute, LogRecord, MapRecord, Sample, Scene, Table, Visibility};
 use super::{annotations, choose, frames};
-use crate::dataset::{DatasetError, Frame, Log};
+use crate::dataset::{DatasetError, Frame, Log, RigCamera};
 use crate::error::FileError;
 
 /// What a reader left out, by kind.
@@ -57,6 +57,7 @@ pub(super) fn read(
         location: recorded.location.clone(),
         description: scene.description.clone(),
         cameras: shots.cameras,
+        rig: RigCamera::first_used(&log_frames),
         tracks: annotated.tracks,
         frames: log_frames,
         notes,

@@ -1,0 +1,108 @@
+//! `annotations.feather`: the boxes, each in the ego frame at its time.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use glam::DVec3;
+
+use super::category;
+use super::feather::Table;
+use super::poses::{POSE, poses};
+use crate::dataset::{Class, DatasetError, Track};
+use crate::error::FileError;
+use crate::geometry::{Cuboid, CuboidError, Pose};
+
+/// A row: a box where it stands at its time.
+#[derive(Clone, Copy)]
+pub(super) struct Annotation {
+    /// Row in the file.
+    pub(super) row: usize,
+    /// Index in the tracks.
+    pub(super) track: usize,
+    /// In the ego frame.
+    pub(super) ego_from_box: Pose,
+    /// Length, width, height in metres.
+    pub(super) size: DVec3,
+    /// LiDAR points in the box, as the file states.
+    pub(super) points: u32,
+}
+
+/// All boxes.
+pub(super) struct Annotations {
+    /// Sorted by id.
+    pub(super) tracks: Vec<Track>,
+    /// By time in nanoseconds; each list sorted by track.
+    pub(super) frames: BTreeMap<i64, Vec<Annotation>>,
+    /// Boxes whose category is not in the data set's list.
+    pub(super) unknown_categories: BTreeMap<String, usize>,
+    /// Boxes whose category is not that of the first row of their track.
+    pub(super) other_category: usize,
+}
+
+impl Annotations {
+    /// # Errors
+    /// A damaged file, poses that are none, a track twice at a time.
+    pub(super) fn read(path: &Path) -> Result<Self, DatasetError> {
+        const OTHERS: [&str; 7] =
+            ["timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height_m", "num_interior_pts"];
+        let table = Table::read(path, &[&OTHERS[..], &POSE[..]].concat())?;
+        let (ids, categories) = (table.column("track_uuid")?.texts()?, table.column("category")?.texts()?);
+        let mut category_of = BTreeMap::new();
+        for (id, category) in ids.iter().zip(&categories) {
+            category_of.entry(*id).or_insert(*category);
+        }
+        let of_track = |id: &&str, category: &&str| category_of.get(id) == Some(category);
+        let other_category = ids.iter().zip(&categories).filter(|(id, c)| !of_track(id, c)).count();
+        let mut unknown_categories = BTreeMap::new();
+        for name in categories.iter().filter(|name| category::dotted(name).is_none()) {
+            *unknown_categories.entry((*name).to_owned()).or_default() += 1;
+        }
+        let place: BTreeMap<&str, usize> = category_of.keys().enumerate().map(|(i, id)| (*id, i)).collect();
+        let frames = frames(&table, |row| place.get(ids[row]).copied().unwrap_or_default())?;
+        for (t_ns, boxes) in &frames {
+            if let Some(pair) = boxes.windows(2).find(|pair| pair[0].track == pair[1].track) {
+                let found = format!("two of {} at {t_ns}", ids[pair[0].row]);
+                return Err(FileError::content("one box per track and time", found, path).into());
+            }
+        }
+        let track = |(id, name): (&str, &str)| {
+            let category = category::dotted(name).unwrap_or_else(|| category::unknown(name));
+            let class = Class::from_category(&category);
+            Track { id: id.to_owned(), category, class }
+        };
+        let tracks = category_of.into_iter().map(track).collect();
+        Ok(Self { tracks, frames, unknown_categories, other_category })
+    }
+}
+
+impl Annotation {
+    /// The box in the city's frame.
+    ///
+    /// # Errors
+    /// A side that is not positive.
+    pub(super) fn cuboid(&self, city_from_ego: &Pose) -> Result<Cuboid, CuboidError> {
+        Cuboid::new(*city_from_ego * self.ego_from_box, self.size)
+    }
+}
+
+/// The rows by time; `track_of` tells the track of a row.
+fn frames(
+    table: &Table,
+    track_of: impl Fn(usize) -> usize,
+) -> Result<BTreeMap<i64, Vec<Annotation>>, DatasetError> {
+    let numbers = |name: &str| table.column(name)?.numbers();
+    let [length, width, height] = [numbers("length_m")?, numbers("width_m")?, numbers("height_m")?];
+    let times_ns = table.column("timestamp_ns")?.integers()?;
+    let points = table.column("num_interior_pts")?.counts()?;
+    let mut frames: BTreeMap<i64, Vec<Annotation>> = BTreeMap::new();
+    for (row, ego_from_box) in poses(table, |row| format!("row {row}"))?.into_iter().enumerate() {
+        let size = DVec3::new(length[row], width[row], height[row]);
+        let track = track_of(row);
+        let annotation = Annotation { row, track, ego_from_box, size, points: points[row] };
+        frames.entry(times_ns[row]).or_default().push(annotation);
+    }
+    for boxes in frames.values_mut() {
+        boxes.sort_by_key(|b| b.track);
+    }
+    Ok(frames)
+}

@@ -1,0 +1,73 @@
+//! `calibration/`: the ring cameras and where they sit on the ego.
+//!
+//! The images are published without lens distortion: `k1 k2 k3` in the file are those of the lenses before that, and the
+//! data set's own API projects by the focal lengths and the centre alone. So cameras are pinholes here. Source:
+//! <https://argoverse.github.io/user-guide/datasets/sensor.html> ("Sensor suite") and issues 219 and 226 of
+//! <https://github.com/argoverse/av2-api>.
+
+use std::path::Path;
+
+use super::feather::Table;
+use super::poses::{POSE, poses};
+use crate::dataset::{DatasetError, RigCamera};
+use crate::error::FileError;
+use crate::geometry::Camera;
+
+/// The seven cameras in ring order, each beside its neighbours. The two of the stereo pair in front are left out.
+const RING: [&str; 7] = [
+    "ring_front_center",
+    "ring_front_right",
+    "ring_side_right",
+    "ring_rear_right",
+    "ring_rear_left",
+    "ring_side_left",
+    "ring_front_left",
+];
+
+/// Those ring cameras that the files hold, in ring order; `channel` is the index in this list.
+///
+/// # Errors
+/// Damaged files, a camera that is none or is there twice, or one whose place on the ego is not told.
+pub(super) fn read(folder: &Path) -> Result<Vec<RigCamera>, DatasetError> {
+    let path = folder.join("egovehicle_SE3_sensor.feather");
+    let extrinsics = Table::read(&path, &[&["sensor_name"], &POSE[..]].concat())?;
+    let sensors = extrinsics.column("sensor_name")?.texts()?;
+    let ego_from_sensor = poses(&extrinsics, |row| format!("sensor {}", sensors[row]))?;
+    let cameras = intrinsics(&folder.join("intrinsics.feather"))?;
+    let mut rig = Vec::new();
+    for name in RING {
+        let Some(camera) = cameras.iter().find(|c| c.name == name) else { continue };
+        let twice = |path: &Path| FileError::content("every sensor once", format!("{name} twice"), path);
+        if cameras.iter().filter(|c| c.name == name).count() > 1 {
+            return Err(twice(&folder.join("intrinsics.feather")).into());
+        }
+        let mut places = sensors.iter().zip(&ego_from_sensor).filter(|(sensor, _)| **sensor == name);
+        let found = || FileError::content(format!("a row of sensor {name}"), "none", &path);
+        let (_, ego_from_camera) = places.next().ok_or_else(found)?;
+        if places.next().is_some() {
+            return Err(twice(&path).into());
+        }
+        let (channel, ego_from_camera) = (rig.len(), *ego_from_camera);
+        rig.push(RigCamera { channel, ego_from_camera, camera: camera.clone() });
+    }
+    Ok(rig)
+}
+
+/// Sizes and intrinsics of all cameras.
+fn intrinsics(path: &Path) -> Result<Vec<Camera>, DatasetError> {
+    const NUMBERS: [&str; 4] = ["fx_px", "fy_px", "cx_px", "cy_px"];
+    let table = Table::read(path, &[&["sensor_name", "width_px", "height_px"], &NUMBERS[..]].concat())?;
+    let names = table.column("sensor_name")?.texts()?;
+    let (widths, heights) = (table.column("width_px")?.counts()?, table.column("height_px")?.counts()?);
+    let numbers = |name: &str| table.column(name)?.numbers();
+    let [fx, fy, cx, cy] = [numbers("fx_px")?, numbers("fy_px")?, numbers("cx_px")?, numbers("cy_px")?];
+    let camera = |row: usize| {
+        let rows = [[fx[row], 0.0, cx[row]], [0.0, fy[row], cy[row]], [0.0, 0.0, 1.0]];
+        Camera::new(names[row], widths[row], heights[row], rows).map_err(|source| DatasetError::Camera {
+            source,
+            record: format!("sensor {}", names[row]),
+            path: path.to_owned(),
+        })
+    };
+    (0..table.rows()).map(camera).collect()
+}

@@ -1,0 +1,67 @@
+//! Categories of Argoverse 2 as dotted names like those of nuScenes, which tell class, color and template.
+
+/// A category's dotted name: group, kind, and the data set's own name in lower case, like
+/// `vehicle.car.regular_vehicle`. `None` for a category that is not in the data set's list.
+///
+/// Riders have boxes of their own beside those of what they ride, so they are people. Trams stand with buses, the
+/// nearest in shape. Boards and lights on trailers are signs rather than vehicles, and devices on wheels are boxed
+/// without who stands on them. Source of the list: `AnnotationCategories` of <https://github.com/argoverse/av2-api>.
+pub(super) fn dotted(category: &str) -> Option<String> {
+    let group = match category {
+        "REGULAR_VEHICLE" => "vehicle.car",
+        "LARGE_VEHICLE" | "BOX_TRUCK" | "TRUCK" | "TRUCK_CAB" => "vehicle.truck",
+        "BUS" | "SCHOOL_BUS" | "ARTICULATED_BUS" | "RAILED_VEHICLE" => "vehicle.bus",
+        "VEHICULAR_TRAILER" => "vehicle.trailer",
+        "BICYCLE" => "vehicle.bicycle",
+        "MOTORCYCLE" => "vehicle.motorcycle",
+        "PEDESTRIAN" | "OFFICIAL_SIGNALER" | "STROLLER" | "WHEELCHAIR" | "BICYCLIST" | "MOTORCYCLIST"
+        | "WHEELED_RIDER" => "human.pedestrian",
+        "ANIMAL" | "DOG" => "animal",
+        "CONSTRUCTION_BARREL"
+        | "CONSTRUCTION_CONE"
+        | "MESSAGE_BOARD_TRAILER"
+        | "TRAFFIC_LIGHT_TRAILER"
+        | "MOBILE_PEDESTRIAN_CROSSING_SIGN"
+        | "WHEELED_DEVICE" => "movable_object",
+        "BOLLARD" | "SIGN" | "STOP_SIGN" => "static_object",
+        _ => return None,
+    };
+    Some(format!("{group}.{}", category.to_lowercase()))
+}
+
+/// The dotted name of a category that the list lacks.
+pub(super) fn unknown(category: &str) -> String {
+    format!("object.{}", category.to_lowercase())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::{Class, layout_rgb};
+    use crate::skeleton::TemplateKind;
+
+    #[test]
+    fn classes_colors_and_templates_follow() {
+        let of = |category: &str| {
+            let name = dotted(category).unwrap();
+            (Class::from_category(&name), layout_rgb(&name), TemplateKind::of_actor(&name, 1.6))
+        };
+        let truck = (Class::MotorVehicle, Some([255, 255, 0]), Some(TemplateKind::Truck));
+        let person = (Class::Pedestrian, Some([255, 0, 0]), Some(TemplateKind::Pedestrian));
+        let object = (Class::Object, None, None);
+        assert_eq!(
+            of("REGULAR_VEHICLE"),
+            (Class::MotorVehicle, Some([0, 0, 255]), Some(TemplateKind::Sedan))
+        );
+        assert_eq!((of("BOX_TRUCK"), of("TRUCK"), of("LARGE_VEHICLE")), (truck, truck, truck));
+        assert_eq!(of("SCHOOL_BUS"), (Class::MotorVehicle, Some([128, 0, 255]), Some(TemplateKind::Bus)));
+        assert_eq!(of("VEHICULAR_TRAILER").2, Some(TemplateKind::Trailer));
+        assert_eq!(of("BICYCLE"), (Class::Cycle, Some([128, 255, 0]), Some(TemplateKind::Bike)));
+        assert_eq!(of("MOTORCYCLE").0, Class::Cycle);
+        assert_eq!((of("PEDESTRIAN"), of("BICYCLIST"), of("STROLLER")), (person, person, person));
+        assert_eq!((of("BOLLARD"), of("CONSTRUCTION_CONE"), of("DOG")), (object, object, object));
+        assert_eq!(of("MOBILE_PEDESTRIAN_CROSSING_SIGN"), object);
+        assert_eq!((dotted("SPACESHIP"), unknown("SPACESHIP").as_str()), (None, "object.spaceship"));
+        assert_eq!(Class::from_category(&unknown("SPACESHIP")), Class::Object);
+    }
+}

@@ -1,0 +1,82 @@
+//! Which log: a folder may be one, or hold many.
+
+use std::path::{Path, PathBuf};
+
+use crate::dataset::{DatasetError, LogLocator};
+use crate::error::FileError;
+
+/// The logs that a name stands for, sorted by name: the folder itself, or those in it.
+///
+/// # Errors
+/// A folder that cannot be read or holds no log, a `#LOG_ID` that is not there, an `@VERSION`, which logs do not have.
+pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
+    let path = &locator.path;
+    if let Some(version) = &locator.version {
+        let found = format!("@{version}");
+        return Err(FileError::content("an Argoverse 2 log without @VERSION", found, path).into());
+    }
+    let (names, folder_of): (Vec<String>, fn(&Path, &str) -> PathBuf) = if is_log(path) {
+        (vec![log_name(path)], |path, _| path.to_owned())
+    } else {
+        (logs_in(path)?, |path, name| path.join(name))
+    };
+    if names.is_empty() {
+        let expected =
+            "a log (a folder with annotations.feather and city_SE3_egovehicle.feather) or a folder of logs";
+        return Err(FileError::content(expected, "neither", path).into());
+    }
+    let wanted = locator.scene.as_deref().filter(|scene| *scene != "*");
+    let chosen = names.iter().filter(|name| wanted.is_none_or(|w| w == *name));
+    let chosen: Vec<LogLocator> = chosen
+        .map(|name| LogLocator { path: folder_of(path, name), scene: None, ..locator.clone() })
+        .collect();
+    if chosen.is_empty() {
+        return Err(DatasetError::Scene { found: locator.scene.clone(), scenes: names, path: path.clone() });
+    }
+    Ok(chosen)
+}
+
+/// The only log that a name stands for.
+///
+/// # Errors
+/// As [`expand`], and several logs.
+pub(super) fn choose(locator: &LogLocator) -> Result<LogLocator, DatasetError> {
+    let mut logs = expand(locator)?;
+    match (logs.pop(), logs.is_empty()) {
+        (Some(log), true) => Ok(log),
+        (last, _) => {
+            let scenes = logs.iter().chain(&last).map(|log| log_name(&log.path)).collect();
+            Err(DatasetError::Scene { found: locator.scene.clone(), scenes, path: locator.path.clone() })
+        }
+    }
+}
+
+/// The folder's name, which is the log's id.
+pub(super) fn log_name(path: &Path) -> String {
+    let resolved = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    resolved.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+}
+
+/// A part of the log (`sensors`, `map`): below the log, or where it is said to be: `ROOT/LOG_ID/PART` or `ROOT`.
+pub(super) fn part(log: &Path, root: Option<&Path>, part: &str) -> PathBuf {
+    let Some(root) = root else { return log.join(part) };
+    let own = root.join(log_name(log)).join(part);
+    if own.is_dir() { own } else { root.to_owned() }
+}
+
+/// A log with either of its files is one, so that the other is told to be missing.
+fn is_log(path: &Path) -> bool {
+    ["annotations.feather", "city_SE3_egovehicle.feather"].iter().any(|file| path.join(file).is_file())
+}
+
+fn logs_in(path: &Path) -> Result<Vec<String>, FileError> {
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(FileError::io("read", path))? {
+        let entry = entry.map_err(FileError::io("read", path))?;
+        if is_log(&entry.path()) {
+            names.push(entry.file_name().to_string_lossy().into_owned());
+        }
+    }
+    names.sort();
+    Ok(names)
+}

@@ -1,0 +1,140 @@
+//! Values of a column, whatever width its numbers have.
+
+use std::path::Path;
+
+use arrow_array::cast::AsArray;
+use arrow_array::types::{
+    ArrowPrimitiveType, Float16Type, Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type,
+    UInt8Type, UInt16Type, UInt32Type, UInt64Type,
+};
+use arrow_array::{Array, ArrayRef};
+use arrow_schema::DataType;
+
+use crate::error::FileError;
+
+/// A column of a table, batch by batch.
+pub(super) struct Column<'a> {
+    name: String,
+    parts: Vec<&'a ArrayRef>,
+    path: &'a Path,
+}
+
+impl<'a> Column<'a> {
+    pub(super) fn new(name: String, parts: Vec<&'a ArrayRef>, path: &'a Path) -> Self {
+        Self { name, parts, path }
+    }
+
+    /// Floating-point numbers or integers of any width.
+    ///
+    /// # Errors
+    /// Values of another type, or empty ones.
+    pub(super) fn numbers(&self) -> Result<Vec<f64>, FileError> {
+        let mut values = Vec::new();
+        for part in self.parts()? {
+            match part.data_type() {
+                DataType::Float16 => extend::<Float16Type, _>(&mut values, part, f64::from),
+                DataType::Float32 => extend::<Float32Type, _>(&mut values, part, f64::from),
+                DataType::Float64 => extend::<Float64Type, _>(&mut values, part, |v| v),
+                other => {
+                    let integers = integers(part).ok_or_else(|| self.wrong_type("numbers", other))?;
+                    values.extend(integers.into_iter().map(|v| v as f64));
+                }
+            }
+        }
+        Ok(values)
+    }
+
+    /// Integers of any width.
+    ///
+    /// # Errors
+    /// Values of another type, empty ones, or one over what 64 bits with a sign hold.
+    pub(super) fn integers(&self) -> Result<Vec<i64>, FileError> {
+        let mut values = Vec::new();
+        for part in self.parts()? {
+            let wide = integers(part).ok_or_else(|| self.wrong_type("integers", part.data_type()))?;
+            for value in wide {
+                let too_much = |_| {
+                    let found = format!("{value} in column {}", self.name);
+                    FileError::content("integers below 2^63", found, self.path)
+                };
+                values.push(i64::try_from(value).map_err(too_much)?);
+            }
+        }
+        Ok(values)
+    }
+
+    /// Integers from 0 to 2³² − 1.
+    ///
+    /// # Errors
+    /// As [`Column::integers`], and another value.
+    pub(super) fn counts(&self) -> Result<Vec<u32>, FileError> {
+        let count = |value: i64| {
+            let found = || format!("{value} in column {}", self.name);
+            u32::try_from(value)
+                .map_err(|_| FileError::content("integers from 0 to 2^32 - 1", found(), self.path))
+        };
+        self.integers()?.into_iter().map(count).collect()
+    }
+
+    /// Texts.
+    ///
+    /// # Errors
+    /// Values of another type, or empty ones.
+    pub(super) fn texts(&self) -> Result<Vec<&'a str>, FileError> {
+        let mut values = Vec::new();
+        for part in self.parts()? {
+            match part.data_type() {
+                DataType::Utf8 => values.extend(part.as_string_opt::<i32>().into_iter().flatten().flatten()),
+                DataType::LargeUtf8 => {
+                    values.extend(part.as_string_opt::<i64>().into_iter().flatten().flatten());
+                }
+                DataType::Utf8View => {
+                    values.extend(part.as_string_view_opt().into_iter().flatten().flatten())
+                }
+                other => return Err(self.wrong_type("texts", other)),
+            }
+        }
+        Ok(values)
+    }
+
+    /// The batches, none of which has an empty value.
+    fn parts(&self) -> Result<&[&'a ArrayRef], FileError> {
+        match self.parts.iter().map(|p| p.null_count()).sum::<usize>() {
+            0 => Ok(&self.parts),
+            empty => {
+                let found = format!("{empty} empty ones");
+                Err(FileError::content(
+                    format!("a value in every row of column {}", self.name),
+                    found,
+                    self.path,
+                ))
+            }
+        }
+    }
+
+    fn wrong_type(&self, expected: &str, found: &DataType) -> FileError {
+        let expected = format!("{expected} in column {}", self.name);
+        FileError::content(expected, format!("type {found}"), self.path)
+    }
+}
+
+/// Integers, wide enough for all types; `None` for other types.
+fn integers(part: &dyn Array) -> Option<Vec<i128>> {
+    let mut values = Vec::with_capacity(part.len());
+    match part.data_type() {
+        DataType::Int8 => extend::<Int8Type, _>(&mut values, part, i128::from),
+        DataType::Int16 => extend::<Int16Type, _>(&mut values, part, i128::from),
+        DataType::Int32 => extend::<Int32Type, _>(&mut values, part, i128::from),
+        DataType::Int64 => extend::<Int64Type, _>(&mut values, part, i128::from),
+        DataType::UInt8 => extend::<UInt8Type, _>(&mut values, part, i128::from),
+        DataType::UInt16 => extend::<UInt16Type, _>(&mut values, part, i128::from),
+        DataType::UInt32 => extend::<UInt32Type, _>(&mut values, part, i128::from),
+        DataType::UInt64 => extend::<UInt64Type, _>(&mut values, part, i128::from),
+        _ => return None,
+    }
+    Some(values)
+}
+
+fn extend<P: ArrowPrimitiveType, T>(values: &mut Vec<T>, part: &dyn Array, to: impl Fn(P::Native) -> T) {
+    values.extend(part.as_primitive_opt::<P>().into_iter().flat_map(|p| p.values().iter().map(|v| to(*v))));
+}

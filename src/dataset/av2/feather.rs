@@ -1,0 +1,201 @@
+//! Feather files (version 2, which is the Arrow IPC file format): a table by named columns.
+//!
+//! How it works: a file ends with a footer that tells the columns and where the batches of rows are. The `arrow-ipc`
+//! crate decodes batches, but trusts what they declare: a wrong offset would stop the program and a wrong size would
+//! take all its memory. So the whole file is in memory, and every offset and size is compared with it before a batch is
+//! decoded. Format: <https://arrow.apache.org/docs/format/Columnar.html#ipc-file-format>.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use arrow_array::{ArrayRef, RecordBatch};
+use arrow_buffer::Buffer;
+use arrow_ipc::convert::try_fb_to_schema;
+use arrow_ipc::reader::{FileDecoder, read_footer_length};
+use arrow_ipc::{Block, root_as_footer, root_as_message};
+use arrow_schema::{Schema, SchemaRef};
+
+use super::column::Column;
+use crate::error::FileError;
+
+const MAGIC: &[u8] = b"ARROW1";
+
+/// Footer length and magic at the end of a file.
+const TAIL_BYTES: usize = 10;
+
+/// Bytes before a message: a marker and the message's length.
+const PREFIX_BYTES: usize = 8;
+
+/// A compressed column may not declare more than this per batch (eight million numbers of eight bytes).
+const MAX_COLUMN_BYTES: i64 = 64 << 20;
+
+/// Some columns of a file.
+pub(super) struct Table {
+    path: PathBuf,
+    schema: SchemaRef,
+    batches: Vec<RecordBatch>,
+}
+
+impl Table {
+    /// Reads these columns of a file; others are left alone.
+    ///
+    /// # Errors
+    /// A file that is missing, is no Feather file or a damaged one; a column that is missing.
+    pub(super) fn read(path: &Path, columns: &[&str]) -> Result<Self, FileError> {
+        let bytes = Buffer::from_vec(std::fs::read(path).map_err(FileError::io("read", path))?);
+        let layout = Layout::of(&bytes).map_err(|found| no_feather(found, path))?;
+        let places = layout.places(columns, path)?;
+        let decoder = FileDecoder::new(layout.schema.clone(), layout.version).with_projection(places);
+        let mut batches = Vec::new();
+        for (block, _) in &layout.blocks {
+            let (start, length) = span(block);
+            let batch = decoder.read_record_batch(block, &bytes.slice_with_length(start, length));
+            batches.extend(batch.map_err(|e| no_feather(e.to_string(), path))?);
+        }
+        Ok(Self { path: path.to_owned(), schema: layout.schema, batches })
+    }
+
+    /// Number of rows.
+    pub(super) fn rows(&self) -> usize {
+        self.batches.iter().map(RecordBatch::num_rows).sum()
+    }
+
+    /// The file.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// A column that was asked for when reading.
+    ///
+    /// # Errors
+    /// It was not.
+    pub(super) fn column(&self, name: &str) -> Result<Column<'_>, FileError> {
+        let parts: Option<Vec<&ArrayRef>> = self.batches.iter().map(|b| b.column_by_name(name)).collect();
+        let parts = parts.ok_or_else(|| missing_column(name, &self.schema, &self.path))?;
+        Ok(Column::new(name.to_owned(), parts, &self.path))
+    }
+}
+
+/// Number of rows that a file declares to have, if it has these columns; no column is decoded.
+///
+/// # Errors
+/// As [`Table::read`], but for damage within columns.
+pub(super) fn declared_rows(path: &Path, columns: &[&str]) -> Result<u64, FileError> {
+    let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let layout = Layout::of(&bytes).map_err(|found| no_feather(found, path))?;
+    layout.places(columns, path)?;
+    Ok(layout.blocks.iter().map(|(_, rows)| rows).sum())
+}
+
+fn no_feather(found: String, path: &Path) -> FileError {
+    FileError::content("a Feather (Arrow IPC) file", found, path)
+}
+
+fn missing_column(name: &str, schema: &Schema, path: &Path) -> FileError {
+    let names: Vec<&str> = schema.fields().iter().map(|f| f.name().as_str()).collect();
+    FileError::content(format!("a column {name}"), format!("columns {}", names.join(", ")), path)
+}
+
+/// What the footer tells, compared with the file.
+struct Layout {
+    schema: SchemaRef,
+    version: arrow_ipc::MetadataVersion,
+    /// Batches with their numbers of rows.
+    blocks: Vec<(Block, u64)>,
+}
+
+impl Layout {
+    /// # Errors
+    /// What was found instead of a whole file.
+    fn of(bytes: &[u8]) -> Result<Self, String> {
+        let cut = || format!("{} bytes (cut off, or another format)", bytes.len());
+        let (body, tail) = bytes.split_last_chunk::<TAIL_BYTES>().ok_or_else(cut)?;
+        if !bytes.starts_with(MAGIC) || !tail.ends_with(MAGIC) {
+            return Err(cut());
+        }
+        let length = read_footer_length(*tail).map_err(|e| e.to_string())?;
+        let start = body.len().checked_sub(length);
+        let start = start.ok_or_else(|| format!("a footer of {length} bytes in {} bytes", bytes.len()))?;
+        // The verifier asks for aligned bytes.
+        let footer = Buffer::from_slice_ref(&body[start..]);
+        let footer = root_as_footer(&footer).map_err(|e| format!("a damaged footer ({e})"))?;
+        let schema = footer.schema().ok_or("no columns")?;
+        if !schema.endianness().equals_to_target_endianness() {
+            return Err("numbers of the other byte order".to_owned());
+        }
+        let schema = Arc::new(try_fb_to_schema(schema).map_err(|e| e.to_string())?);
+        if footer.dictionaries().is_some_and(|d| !d.is_empty()) {
+            return Err("columns encoded by dictionaries (write them plain)".to_owned());
+        }
+        let blocks = footer.recordBatches().into_iter().flatten();
+        let check = |block: &Block| Ok((*block, check_block(block, &body[..start])?));
+        Ok(Self {
+            schema,
+            version: footer.version(),
+            blocks: blocks.map(check).collect::<Result<_, String>>()?,
+        })
+    }
+
+    /// Where these columns are.
+    fn places(&self, columns: &[&str], path: &Path) -> Result<Vec<usize>, FileError> {
+        let place = |name: &&str| {
+            let found = self.schema.fields().iter().position(|f| f.name() == name);
+            found.ok_or_else(|| missing_column(name, &self.schema, path))
+        };
+        columns.iter().map(place).collect()
+    }
+}
+
+/// Where a block that was checked lies: first byte and number of bytes.
+fn span(block: &Block) -> (usize, usize) {
+    (block.offset() as usize, block.metaDataLength() as usize + block.bodyLength() as usize)
+}
+
+/// Compares all that a batch declares with the bytes it has; its number of rows.
+fn check_block(block: &Block, bytes: &[u8]) -> Result<u64, String> {
+    let outside = || {
+        let (offset, header, body) = (block.offset(), block.metaDataLength(), block.bodyLength());
+        format!("a batch of {header} + {body} bytes at {offset} of {}", bytes.len())
+    };
+    let number = |value: i64| usize::try_from(value).map_err(|_| outside());
+    let (offset, body_len) = (number(block.offset())?, number(block.bodyLength())?);
+    let header_len = number(block.metaDataLength().into())?;
+    let end = offset.checked_add(header_len).and_then(|at| at.checked_add(body_len));
+    if header_len < PREFIX_BYTES || end.is_none_or(|end| end > bytes.len()) {
+        return Err(outside());
+    }
+    let (header, body) = bytes[offset..offset + header_len + body_len].split_at(header_len);
+    let skip = if header.starts_with(&[0xff; 4]) { PREFIX_BYTES } else { PREFIX_BYTES / 2 };
+    let header = Buffer::from_slice_ref(&header[skip..]);
+    let message = root_as_message(&header).map_err(|e| format!("a damaged batch ({e})"))?;
+    let batch = message.header_as_record_batch().ok_or("a message that is no batch of rows")?;
+    let rows = u64::try_from(batch.length()).map_err(|_| format!("a batch of {} rows", batch.length()))?;
+    for node in batch.nodes().into_iter().flatten() {
+        if u64::try_from(node.length()) != Ok(rows) || !(0..=node.length()).contains(&node.null_count()) {
+            let (found, empty) = (node.length(), node.null_count());
+            return Err(format!("a column of {found} rows ({empty} empty) in a batch of {rows}"));
+        }
+    }
+    for buffer in batch.buffers().into_iter().flatten() {
+        check_buffer(buffer, body, batch.compression().is_some())?;
+    }
+    Ok(rows)
+}
+
+fn check_buffer(buffer: &arrow_ipc::Buffer, body: &[u8], compressed: bool) -> Result<(), String> {
+    let start = usize::try_from(buffer.offset()).ok();
+    let end = start.zip(usize::try_from(buffer.length()).ok()).and_then(|(s, n)| s.checked_add(n));
+    let content = start.zip(end).and_then(|(start, end)| body.get(start..end)).ok_or_else(|| {
+        format!("a column of {} bytes at {} of {}", buffer.length(), buffer.offset(), body.len())
+    })?;
+    if content.is_empty() || !compressed {
+        return Ok(());
+    }
+    // Compressed bytes follow their size before; -1 says that they are stored as they are.
+    let declared = content.first_chunk().map(|bytes| i64::from_le_bytes(*bytes));
+    match declared {
+        Some(-1..=MAX_COLUMN_BYTES) => Ok(()),
+        Some(declared) => Err(format!("a column that declares {declared} bytes")),
+        None => Err(format!("a compressed column of {} bytes", content.len())),
+    }
+}

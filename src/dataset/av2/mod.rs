@@ -1,0 +1,88 @@
+//! Argoverse 2 sensor logs: a folder per log with boxes, poses, calibration and sweeps as Feather files, images, and
+//! a map as JSON.
+//!
+//! How it works: `feather` and `column` read tables, `read` puts those of a log together; `sweep` and `map` read what is
+//! read on demand. A frame is a time with boxes; its sweep is the file of that time, its images are the nearest ones.
+//! Times are nanoseconds in files and whole microseconds in a [`Log`]. Format:
+//! <https://argoverse.github.io/user-guide/datasets/sensor.html>.
+
+mod annotations;
+mod calibration;
+mod category;
+mod choose;
+mod column;
+mod feather;
+mod map;
+mod poses;
+mod read;
+mod sensors;
+mod sweep;
+
+pub use map::read_map_file;
+pub use sweep::read_sweep_file;
+
+use std::path::PathBuf;
+
+use super::{
+    Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
+};
+
+/// One log.
+#[derive(Debug)]
+pub struct Argoverse {
+    log: Log,
+    box_points: Vec<Vec<u32>>,
+    map: Option<PathBuf>,
+}
+
+impl Argoverse {
+    /// Reads the tables of a log: the folder itself, or that of `#LOG_ID` in it. No sweep, no image and no map is
+    /// opened.
+    ///
+    /// # Errors
+    /// A folder that is no log, or holds several and none is chosen; tables that are missing or damaged, poses, cameras
+    /// or boxes that are none, times that do not grow.
+    pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
+        let chosen = choose::choose(locator)?;
+        let folder = &chosen.path;
+        let sensors = choose::part(folder, chosen.sensor_root.as_deref(), "sensors");
+        let map = map::find(&choose::part(folder, chosen.map_root.as_deref(), "map"));
+        let city = map::city(map.as_deref());
+        let (log, box_points) = read::read(folder, &sensors, choose::log_name(folder), city)?;
+        Ok(Self { log, box_points, map })
+    }
+}
+
+/// The logs that a name stands for, sorted by name: the folder itself, those in it, or the one of `#LOG_ID`.
+///
+/// # Errors
+/// A folder that cannot be read or holds no log, a `#LOG_ID` that is not there.
+pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
+    choose::expand(locator)
+}
+
+impl Dataset for Argoverse {
+    fn log(&self) -> &Log {
+        &self.log
+    }
+
+    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
+        Ok(read_sweep_file(&record.path)?)
+    }
+
+    fn check_sweep(&self, record: &SweepRecord) -> Result<u64, DatasetError> {
+        Ok(sweep::declared_points(&record.path)?)
+    }
+
+    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
+        Ok(read_picture(&record.path, record.camera.height, record.camera.width)?)
+    }
+
+    fn box_points(&self) -> Option<&[Vec<u32>]> {
+        Some(&self.box_points)
+    }
+
+    fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
+        self.map.as_deref().map(|path| map::read_map_file(path, &self.log.location)).transpose()
+    }
+}

@@ -1,0 +1,81 @@
+//! `city_SE3_egovehicle.feather`: where the ego was, at the times of all sensors.
+
+use std::path::Path;
+
+use super::feather::Table;
+use crate::dataset::DatasetError;
+use crate::error::FileError;
+use crate::geometry::Pose;
+
+/// Columns of a pose.
+pub(super) const POSE: [&str; 7] = ["qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"];
+
+/// `city_from_ego` over time.
+pub(super) struct Trajectory {
+    /// Nanoseconds, growing.
+    times_ns: Vec<i64>,
+    poses: Vec<Pose>,
+}
+
+impl Trajectory {
+    /// # Errors
+    /// A damaged file, no pose, times that do not grow, poses that are none.
+    pub(super) fn read(path: &Path) -> Result<Self, DatasetError> {
+        let table = Table::read(path, &[&["timestamp_ns"], &POSE[..]].concat())?;
+        let times_ns = table.column("timestamp_ns")?.integers()?;
+        if times_ns.is_empty() {
+            return Err(FileError::content("at least one ego pose", "none", path).into());
+        }
+        if let Some(i) = times_ns.windows(2).position(|w| w[0] >= w[1]) {
+            let found = format!("{} after {} in row {}", times_ns[i + 1], times_ns[i], i + 1);
+            return Err(FileError::content("timestamps that grow from row to row", found, path).into());
+        }
+        let poses = poses(&table, |row| format!("row {row}"))?;
+        Ok(Self { times_ns, poses })
+    }
+
+    /// The pose at a time: that of its row, else between the rows before and after. `None` outside of them.
+    pub(super) fn at(&self, t_ns: i64) -> Option<Pose> {
+        let next = self.times_ns.partition_point(|t| *t < t_ns);
+        let after = *self.times_ns.get(next)?;
+        if after == t_ns {
+            return Some(self.poses[next]);
+        }
+        let before = self.times_ns[next.checked_sub(1)?];
+        let s = (t_ns - before) as f64 / (after - before) as f64;
+        Some(self.poses[next - 1].interpolate(&self.poses[next], s))
+    }
+}
+
+/// The poses in the columns [`POSE`], row by row; `record` names a row in messages.
+pub(super) fn poses(table: &Table, record: impl Fn(usize) -> String) -> Result<Vec<Pose>, DatasetError> {
+    let mut columns = Vec::with_capacity(POSE.len());
+    for name in POSE {
+        columns.push(table.column(name)?.numbers()?);
+    }
+    let pose = |row: usize| {
+        let value = |column: usize| columns[column][row];
+        Pose::from_wxyz(std::array::from_fn(value), std::array::from_fn(|i| value(4 + i))).map_err(|source| {
+            DatasetError::Pose { source, record: record(row), path: table.path().to_owned() }
+        })
+    };
+    (0..table.rows()).map(pose).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    #[test]
+    fn poses_between_rows_lie_between() {
+        let pose = |x: f64| Pose::from_yaw(0.0, DVec3::new(x, 0.0, 0.0));
+        let ego =
+            Trajectory { times_ns: vec![1_000, 2_000, 4_000], poses: vec![pose(0.0), pose(1.0), pose(5.0)] };
+        let x = |t_ns: i64| ego.at(t_ns).map(|p| p.translation.x);
+        assert_eq!([x(1_000), x(2_000), x(4_000)], [Some(0.0), Some(1.0), Some(5.0)]);
+        assert_eq!([x(1_500), x(2_500)], [Some(0.5), Some(2.0)]);
+        assert_eq!([x(999), x(4_001)], [None, None]);
+    }
+}

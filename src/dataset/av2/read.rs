@@ -1,0 +1,79 @@
+//! The files of a log to a [`Log`].
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::annotations::{Annotation, Annotations};
+use super::poses::Trajectory;
+use super::{calibration, sensors};
+use crate::dataset::{DatasetError, Frame, Log, TrackBox};
+use crate::error::FileError;
+
+/// What a reader left out, by kind.
+pub(super) type Notes = BTreeMap<String, usize>;
+
+/// Counts something that was left out.
+pub(super) fn note(notes: &mut Notes, kind: &str) {
+    *notes.entry(kind.to_owned()).or_default() += 1;
+}
+
+/// Reads a log whose sweeps and images are in `sensors`, and per frame and box the number of LiDAR points that the
+/// file states.
+pub(super) fn read(
+    folder: &Path,
+    sensors: &Path,
+    name: String,
+    location: String,
+) -> Result<(Log, Vec<Vec<u32>>), DatasetError> {
+    let path = folder.join("annotations.feather");
+    let annotations = Annotations::read(&path)?;
+    let ego = Trajectory::read(&folder.join("city_SE3_egovehicle.feather"))?;
+    let rig = calibration::read(&folder.join("calibration"))?;
+    let mut notes = Notes::new();
+    for (category, boxes) in &annotations.unknown_categories {
+        notes.insert(format!("boxes of the unknown category {category} (read as objects)"), *boxes);
+    }
+    if annotations.other_category > 0 {
+        notes.insert("boxes of another category than their track".into(), annotations.other_category);
+    }
+    let (mut times_ns, mut frames, mut box_points) = (Vec::new(), Vec::new(), Vec::new());
+    for (&t_ns, boxes) in &annotations.frames {
+        let Some(global_from_ego) = ego.at(t_ns) else {
+            note(&mut notes, "annotated times without an ego pose");
+            continue;
+        };
+        let t_us = sensors::micros(t_ns);
+        if frames.last().is_some_and(|last: &Frame| last.t_us == t_us) {
+            let found = format!("{t_ns} in the microsecond of the one before");
+            return Err(FileError::content("annotated times a microsecond apart", found, &path).into());
+        }
+        let track_box = |item: &Annotation| {
+            let cuboid = item.cuboid(&global_from_ego).map_err(|source| DatasetError::Cuboid {
+                source,
+                record: format!("row {}", item.row),
+                path: path.clone(),
+            })?;
+            Ok(TrackBox { track: item.track, cuboid })
+        };
+        let boxes_here = boxes.iter().map(track_box).collect::<Result<Vec<_>, DatasetError>>()?;
+        let (sweeps, images, between_images) = Default::default();
+        let boxes_at = Frame { t_us, global_from_ego, sweeps, images, between_images, boxes: boxes_here };
+        frames.push(boxes_at);
+        box_points.push(boxes.iter().map(|b| b.points).collect());
+        times_ns.push(t_ns);
+    }
+    if frames.is_empty() {
+        let found = format!("none in {} rows", annotations.frames.values().map(Vec::len).sum::<usize>());
+        return Err(FileError::content("boxes at a time with an ego pose", found, &path).into());
+    }
+    sensors::add_sweeps(&sensors.join("lidar"), &times_ns, &ego, &mut frames, &mut notes)?;
+    for camera in &rig {
+        sensors::add_images(&sensors.join("cameras"), &times_ns, &ego, camera, &mut frames, &mut notes)?;
+    }
+    for frame in &mut frames {
+        frame.between_images.sort_by_key(|i| (i.t_us, i.channel));
+    }
+    let cameras = rig.iter().map(|c| c.camera.name.clone()).collect();
+    let (tracks, description) = (annotations.tracks, String::new());
+    Ok((Log { name, location, description, cameras, rig, tracks, frames, notes }, box_points))
+}

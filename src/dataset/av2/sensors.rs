@@ -1,0 +1,146 @@
+//! `sensors/`: sweeps and images by time. Files are named by their time in nanoseconds.
+
+use std::path::{Path, PathBuf};
+
+use super::poses::Trajectory;
+use super::read::{Notes, note};
+use crate::dataset::{Frame, ImageRecord, RigCamera, SweepRecord};
+use crate::error::FileError;
+use crate::geometry::Pose;
+
+/// How far an image may be from a frame to be the frame's, nanoseconds. Ring cameras take 20 images a second.
+const IMAGE_TOLERANCE_NS: u64 = 50_000_000;
+
+/// A file with the time in its name.
+struct Timed {
+    t_ns: i64,
+    path: PathBuf,
+}
+
+/// The files of a sensor by time; none where there is no such folder. Files of other names are counted.
+fn list(folder: &Path, extensions: &[&str], notes: &mut Notes) -> Result<Vec<Timed>, FileError> {
+    if !folder.exists() {
+        return Ok(Vec::new());
+    }
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
+        let path = entry.map_err(FileError::io("read", folder))?.path();
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+        let time = path.file_stem().and_then(|name| name.to_str()?.parse().ok());
+        match time {
+            Some(t_ns) if extensions.contains(&extension) => files.push(Timed { t_ns, path }),
+            _ => note(notes, "sensor files without a time for a name"),
+        }
+    }
+    files.sort_by(|a, b| (a.t_ns, &a.path).cmp(&(b.t_ns, &b.path)));
+    Ok(files)
+}
+
+/// Puts the sweeps into their frames: those at a frame's time, and before them those since the frame before.
+///
+/// # Errors
+/// A folder that cannot be read.
+pub(super) fn add_sweeps(
+    folder: &Path,
+    times_ns: &[i64],
+    ego: &Trajectory,
+    frames: &mut [Frame],
+    notes: &mut Notes,
+) -> Result<(), FileError> {
+    for Timed { t_ns, path } in list(folder, &["feather"], notes)? {
+        let place = times_ns.partition_point(|t| *t < t_ns);
+        let (Some(frame), Some(global_from_ego)) = (frames.get_mut(place), ego.at(t_ns)) else {
+            note(notes, "sweeps after the last frame or without an ego pose");
+            continue;
+        };
+        let (t_us, is_key) = (micros(t_ns), times_ns[place] == t_ns);
+        // Sweeps are written in the ego frame, corrected for its motion.
+        let ego_from_lidar = Pose::IDENTITY;
+        // The frame's own comes first, then the latest.
+        let record = SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key };
+        frame.sweeps.insert(0, record);
+    }
+    for _ in frames.iter().filter(|f| !f.sweeps.first().is_some_and(|s| s.is_key)) {
+        note(notes, "frames without a LiDAR sweep of their own");
+    }
+    Ok(())
+}
+
+/// Puts a camera's images into their frames: the nearest in time to each frame, others between frames.
+///
+/// # Errors
+/// A folder that cannot be read.
+pub(super) fn add_images(
+    folder: &Path,
+    times_ns: &[i64],
+    ego: &Trajectory,
+    rig: &RigCamera,
+    frames: &mut [Frame],
+    notes: &mut Notes,
+) -> Result<(), FileError> {
+    let mut records = Vec::new();
+    for Timed { t_ns, path } in list(&folder.join(&rig.camera.name), &["jpg", "jpeg", "png"], notes)? {
+        let Some(global_from_ego) = ego.at(t_ns) else {
+            note(notes, "images without an ego pose");
+            continue;
+        };
+        let RigCamera { channel, ego_from_camera, camera } = rig.clone();
+        let t_us = micros(t_ns);
+        records.push((t_ns, ImageRecord { channel, path, t_us, global_from_ego, ego_from_camera, camera }));
+    }
+    let image_times: Vec<i64> = records.iter().map(|(t_ns, _)| *t_ns).collect();
+    let mut frame_of = vec![None; records.len()];
+    for (place, t_ns) in times_ns.iter().enumerate() {
+        match nearest(&image_times, *t_ns) {
+            Some(image) if frame_of[image].is_none() => frame_of[image] = Some(place),
+            _ => note(notes, "missing camera images"),
+        }
+    }
+    for ((t_ns, record), own) in records.into_iter().zip(frame_of) {
+        let interval = times_ns.partition_point(|t| *t < t_ns);
+        match (own, frames.get_mut(interval)) {
+            (Some(place), _) => frames[place].images.push(record),
+            (None, Some(frame)) => frame.between_images.push(record),
+            (None, None) => note(notes, "images after the last frame"),
+        }
+    }
+    Ok(())
+}
+
+/// The nearest of some growing times, if it is near enough to be of the same instant; the earlier of two.
+fn nearest(times_ns: &[i64], t_ns: i64) -> Option<usize> {
+    let next = times_ns.partition_point(|t| *t < t_ns);
+    let candidates = next.saturating_sub(1)..times_ns.len().min(next + 1);
+    let best = candidates.min_by_key(|i| times_ns[*i].abs_diff(t_ns))?;
+    (times_ns[best].abs_diff(t_ns) <= IMAGE_TOLERANCE_NS).then_some(best)
+}
+
+/// Nanoseconds as whole microseconds.
+pub(super) fn micros(t_ns: i64) -> i64 {
+    t_ns.div_euclid(1000)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_image_is_taken_within_the_tolerance() {
+        let ms = |v: i64| v * 1_000_000;
+        let times = [ms(0), ms(40), ms(200)];
+        assert_eq!(
+            [nearest(&times, ms(19)), nearest(&times, ms(20)), nearest(&times, ms(21))],
+            [Some(0), Some(0), Some(1)]
+        );
+        assert_eq!([nearest(&times, ms(90)), nearest(&times, ms(91))], [Some(1), None]);
+        assert_eq!(
+            [nearest(&times, ms(149)), nearest(&times, ms(150)), nearest(&times, ms(250))],
+            [None, Some(2), Some(2)]
+        );
+        assert_eq!(
+            [nearest(&times, ms(-50)), nearest(&times, ms(251)), nearest(&[], 0)],
+            [Some(0), None, None]
+        );
+        assert_eq!([micros(1_999), micros(-1)], [1, -1]);
+    }
+}
