@@ -33,11 +33,15 @@ impl LogLocator {
 pub enum LogFormat {
     /// The 13 JSON tables of nuScenes.
     NuScenes,
+    /// A SQLite log of nuPlan, or a folder of them.
+    NuPlan,
+    /// The ten evaluation logs of the paper in a folder of nuPlan logs.
+    NuPlanSimgen,
 }
 
 impl LogFormat {
     /// Names on the command line.
-    pub const NAMES: &'static str = "nuscenes";
+    pub const NAMES: &'static str = "nuscenes, nuplan or nuplan-simgen";
 }
 
 impl FromStr for LogLocator {
@@ -48,6 +52,8 @@ impl FromStr for LogLocator {
         let (format, rest) = text.split_once(':').ok_or_else(wrong)?;
         let format = match format {
             "nuscenes" => LogFormat::NuScenes,
+            "nuplan" => LogFormat::NuPlan,
+            "nuplan-simgen" => LogFormat::NuPlanSimgen,
             _ => return Err(wrong()),
         };
         let (rest, scene) = split_tail(rest, '#');

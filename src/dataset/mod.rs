@@ -8,6 +8,7 @@ mod category;
 mod locator;
 mod log;
 mod map;
+pub mod nuplan;
 pub mod nuscenes;
 mod picture;
 
@@ -32,6 +33,14 @@ pub trait Dataset: Sync {
     /// # Errors
     /// A file that is missing or not as its format says.
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError>;
+
+    /// Number of points of a sweep by its header and size, so far as the format tells without reading them all.
+    ///
+    /// # Errors
+    /// As [`Dataset::read_sweep`], but for what stands in the points.
+    fn check_sweep(&self, record: &SweepRecord) -> Result<u64, DatasetError> {
+        self.read_sweep(record).map(|sweep| (sweep.points.len() + sweep.dropped_non_finite) as u64)
+    }
 
     /// Reads an image; its size is as the record says.
     ///
@@ -61,6 +70,8 @@ pub struct Sweep {
     pub points: Vec<SweepPoint>,
     /// Points left out since a coordinate was NaN or infinite.
     pub dropped_non_finite: usize,
+    /// Whether the points of several merged LiDARs are told apart by [`SweepPoint::ring`], rather than beams.
+    pub devices: bool,
 }
 
 /// One LiDAR return.
@@ -70,7 +81,7 @@ pub struct SweepPoint {
     pub position: [f32; 3],
     /// As recorded (0–255).
     pub intensity: f32,
-    /// Beam number, or the device where several LiDARs are merged.
+    /// Beam number, or the device if [`Sweep::devices`].
     pub ring: u16,
 }
 
@@ -147,7 +158,10 @@ pub enum DatasetError {
 /// # Errors
 /// A set that holds none, or whose index cannot be read.
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
-    Ok(vec![locator.clone()])
+    match locator.format {
+        LogFormat::NuScenes => Ok(vec![locator.clone()]),
+        LogFormat::NuPlan | LogFormat::NuPlanSimgen => nuplan::expand(locator),
+    }
 }
 
 /// Opens a log by its name, `FORMAT:PATH[@VERSION][#SCENE]`.
@@ -157,5 +171,6 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
 pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
     match locator.format {
         LogFormat::NuScenes => Ok(Box::new(nuscenes::NuScenes::open(locator)?)),
+        LogFormat::NuPlan | LogFormat::NuPlanSimgen => Ok(Box::new(nuplan::NuPlan::open(locator)?)),
     }
 }

@@ -4,22 +4,22 @@ use glam::Vec3;
 use serde_json::{Value, json};
 
 use crate::cloud::{self, Bounds, Point};
-use crate::dataset::nuscenes;
-use crate::dataset::picture_size;
+use crate::dataset::{Sweep, nuplan, nuscenes, picture_size};
 
 /// What a single file holds.
 pub(super) fn describe(path: &Path) -> anyhow::Result<Value> {
     let name = path.file_name().map(|n| n.to_string_lossy().to_lowercase()).unwrap_or_default();
     let mut json = match name.rsplit_once('.').map_or("", |(_, ending)| ending) {
         "npy" | "ply" => cloud_file(path)?,
-        "bin" => sweep_file(path)?,
+        "bin" => sweep(&nuscenes::read_sweep_file(path)?),
+        "pcd" => sweep(&nuplan::read_pcd_file(path)?),
         "json" => camera_file(path)?,
         "jpg" | "jpeg" | "png" => {
             let (height, width) = picture_size(path)?;
             json!({"kind": "image", "size": format!("{height}x{width}")})
         }
         _ => anyhow::bail!(
-            "expected a file ending in .npy, .ply, .pcd.bin, .json, .jpg or .png, found {name:?}: {}",
+            "expected a file ending in .npy, .ply, .pcd.bin, .pcd, .json, .jpg or .png, found {name:?}: {}",
             path.display()
         ),
     };
@@ -48,19 +48,18 @@ fn classes(points: &[Point]) -> Value {
     json!(counts)
 }
 
-fn sweep_file(path: &Path) -> anyhow::Result<Value> {
-    let sweep = nuscenes::read_sweep_file(path)?;
+fn sweep(sweep: &Sweep) -> Value {
     let points: Vec<Point> = sweep.points.iter().map(|p| Point::new(p.position, [0; 3], 0)).collect();
     let bounds = Bounds::of(&points);
     let rings = sweep.points.iter().map(|p| usize::from(p.ring) + 1).max();
-    Ok(json!({
+    json!({
         "kind": "sweep",
         "points": sweep.points.len(),
         "not_finite": sweep.dropped_non_finite,
         "rings": rings,
         "min": bounds.map(|b| b.min),
         "max": bounds.map(|b| b.max),
-    }))
+    })
 }
 
 fn camera_file(path: &Path) -> anyhow::Result<Value> {

@@ -2,20 +2,19 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
-use std::path::Path;
 
 use glam::DVec3;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use crate::dataset::{Dataset, Frame, ImageRecord, Log, nuscenes, picture_size};
+use crate::dataset::{Dataset, Frame, ImageRecord, Log, picture_size};
 use crate::error::FileError;
 use crate::scene::frame_rate_hz;
 
 /// All there is to tell, as JSON.
 pub(super) fn describe(dataset: &dyn Dataset) -> Value {
     let log = dataset.log();
-    let (points, mut damaged) = sweeps(log);
+    let (points, mut damaged) = sweeps(dataset);
     damaged.extend(images(log));
     let times = log.frames.first().zip(log.frames.last()).map(|(a, b)| [a.t_us, b.t_us]);
     let boxes: usize = log.frames.iter().map(|f| f.boxes.len()).sum();
@@ -43,13 +42,9 @@ pub(super) fn describe(dataset: &dyn Dataset) -> Value {
 }
 
 /// Points in all sweeps by their sizes, and what is wrong with their files.
-fn sweeps(log: &Log) -> (u64, Vec<String>) {
-    let records: Vec<_> = log.frames.iter().flat_map(|f| &f.sweeps).collect();
-    let size = |path: &Path| {
-        let bytes = std::fs::metadata(path).map_err(FileError::io("read", path))?.len();
-        nuscenes::check_sweep_len(bytes, path)
-    };
-    let results: Vec<_> = records.par_iter().map(|record| size(&record.path)).collect();
+fn sweeps(dataset: &dyn Dataset) -> (u64, Vec<String>) {
+    let records: Vec<_> = dataset.log().frames.iter().flat_map(|f| &f.sweeps).collect();
+    let results: Vec<_> = records.par_iter().map(|record| dataset.check_sweep(record)).collect();
     let points = results.iter().flatten().sum();
     (points, results.into_iter().filter_map(Result::err).map(|e| e.to_string()).collect())
 }
@@ -131,8 +126,9 @@ pub(super) fn text(json: &Value) -> String {
             format!("{name:<18} {size} focal {focal} px, {images} images ({between} between frames)"),
         );
     }
-    let empty = &json["boxes_without_points"];
-    line("boxes", format!("{} of {} tracks, {empty} without points", json["boxes"], json["tracks"]));
+    let empty =
+        json["boxes_without_points"].as_u64().map_or(String::new(), |n| format!(", {n} without points"));
+    line("boxes", format!("{} of {} tracks{empty}", json["boxes"], json["tracks"]));
     for (name, tally) in json["categories"].as_object().into_iter().flatten() {
         line("", format!("{name:<34} {} boxes of {} tracks", tally["boxes"], tally["tracks"]));
     }

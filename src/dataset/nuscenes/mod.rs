@@ -16,6 +16,7 @@ pub use sweep::{POINT_BYTES, check_sweep_len, parse_sweep, read_sweep_file, writ
 pub use write::write_log;
 
 use super::{Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, read_picture};
+use crate::error::FileError;
 
 /// One scene of a nuScenes data set.
 #[derive(Debug)]
@@ -45,6 +46,12 @@ impl Dataset for NuScenes {
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
         Ok(read_sweep_file(&record.path)?)
+    }
+
+    fn check_sweep(&self, record: &SweepRecord) -> Result<u64, DatasetError> {
+        let path = &record.path;
+        let bytes = std::fs::metadata(path).map_err(FileError::io("read", path))?.len();
+        Ok(check_sweep_len(bytes, path)?)
     }
 
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
