@@ -171,7 +171,7 @@ impl<'a> Row<'a> {
             ValueRef::Null => return Ok(None),
             ValueRef::Integer(number) => Some(number),
             ValueRef::Real(number) if number.fract() == 0.0 => Some(number as i64),
-            ValueRef::Text(bytes) if bytes.is_empty() => return Ok(None),
+            ValueRef::Text([]) => return Ok(None),
             ValueRef::Text(bytes) => str::from_utf8(bytes).ok().and_then(|text| text.trim().parse().ok()),
             _ => None,
         };

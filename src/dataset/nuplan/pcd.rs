@@ -135,6 +135,9 @@ impl Field {
     }
 }
 
+/// Name and place of a field; no place for arrays and unknown types.
+type Column<'a> = (&'a str, Option<Field>);
+
 /// The lines of a header, by key.
 #[derive(Default)]
 struct Lines<'a> {
@@ -217,8 +220,8 @@ impl<'a> Lines<'a> {
         Err(FileError::content("a PCD header that ends with DATA binary", found_instead(head, at), path))
     }
 
-    /// Name and place of every field (none for arrays), and the bytes of a point.
-    fn columns(&self, path: &Path) -> Result<(Vec<(&'a str, Option<Field>)>, usize), FileError> {
+    /// Every field, and the bytes of a point.
+    fn columns(&self, path: &Path) -> Result<(Vec<Column<'a>>, usize), FileError> {
         let wrong = || FileError::content("SIZE, TYPE and COUNT for every field", self.layout(), path);
         let ones = vec!["1"; self.fields.len()];
         let counts = if self.counts.is_empty() { &ones } else { &self.counts };
