@@ -101,7 +101,8 @@ fn points_lie_in_the_box_that_they_were_put_into() {
         car.pose.rotation = glam::DQuat::IDENTITY; // how the points were put
         let inside = |p: &&dataset::SweepPoint| {
             let global = global_from_lidar.transform_point(DVec3::from(p.position.map(f64::from)));
-            car.contains_local(car.pose.inverse().transform_point(global), 1e-4)
+            let local = car.pose.inverse().transform_point(global);
+            local.z > 0.1 - car.size.z / 2.0 && car.contains_local(local, 1e-4)
         };
         let rings: Vec<u16> = sweep.points.iter().filter(inside).map(|p| p.ring).collect();
         assert_eq!(rings, [[0; 10], [4; 10]].concat());
@@ -267,9 +268,10 @@ fn a_map_is_read_into_metres() {
             assert!(point.distance(DVec2::from(*expected)) < 1e-6, "{point} {expected:?}");
         }
     };
-    for areas in [&map.drivable_area, &map.crossings, &map.stop_lines] {
-        assert_eq!((areas.len(), areas[0].holes.len()), (1, 0));
-        assert_near(&areas[0].exterior, &CORNERS);
+    // The drivable area is that of two layers.
+    for (areas, count) in [(&map.drivable_area, 2), (&map.crossings, 1), (&map.stop_lines, 1)] {
+        assert_eq!((areas.len(), areas[0].holes.len()), (count, 0));
+        areas.iter().for_each(|area| assert_near(&area.exterior, &CORNERS));
     }
     assert_eq!(map.dividers.len(), 1);
     assert_near(&map.dividers[0], &CORNERS[..2]);

@@ -310,7 +310,8 @@ fn map_tables() -> String {
          CREATE TABLE gpkg_geometry_columns (table_name TEXT, column_name TEXT);
          INSERT INTO gpkg_geometry_columns VALUES ('lanes_polygons', 'geom'), ('lane_connectors', 'geom'),
              ('gen_lane_connectors_scaled_width_polygons', 'geom'), ('baseline_paths', 'geom'), ('boundaries', 'geom'),
-             ('crosswalks', 'geom'), ('stop_polygons', 'geom'), ('generic_drivable_areas', 'geom');
+             ('crosswalks', 'geom'), ('stop_polygons', 'geom'), ('generic_drivable_areas', 'geom'),
+             ('lane_groups_polygons', 'geom'), ('intersections', 'geom'), ('carpark_areas', 'geom');
          CREATE TABLE lanes_polygons (fid INTEGER PRIMARY KEY, geom BLOB, lane_fid INTEGER);
          INSERT INTO lanes_polygons VALUES (11, {area}, 11), (12, {area}, 12);
          CREATE TABLE lane_connectors (fid INTEGER PRIMARY KEY, geom BLOB, exit_lane_fid, entry_lane_fid);
@@ -326,6 +327,10 @@ fn map_tables() -> String {
          CREATE TABLE stop_polygons (fid INTEGER PRIMARY KEY, geom BLOB);
          INSERT INTO stop_polygons VALUES (71, {area});
          CREATE TABLE generic_drivable_areas (fid INTEGER PRIMARY KEY, geom BLOB);
-         INSERT INTO generic_drivable_areas VALUES (81, {area});"
+         INSERT INTO generic_drivable_areas VALUES (81, {area});
+         CREATE TABLE lane_groups_polygons (fid INTEGER PRIMARY KEY, geom BLOB);
+         INSERT INTO lane_groups_polygons VALUES (91, {area});
+         CREATE TABLE intersections (fid INTEGER PRIMARY KEY, geom BLOB);
+         CREATE TABLE carpark_areas (fid INTEGER PRIMARY KEY, geom BLOB);"
     )
 }

@@ -109,7 +109,7 @@ impl<'a> Row<'a> {
     /// A wrong content of this row; `column` is what it stands in.
     pub(super) fn wrong(&self, column: usize, expected: &str, found: &str) -> DatasetError {
         let (table, column) = (self.query.table, self.query.columns[column]);
-        let column = column.strip_prefix(table).map_or(column, |rest| rest.trim_start_matches('.'));
+        let column = column.strip_prefix(&format!("{table}.")).unwrap_or(column);
         let expected = format!("{expected} as {column} of {}", self.name());
         FileError::content(expected, found, self.path).into()
     }

@@ -41,7 +41,7 @@ pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<V
         location: location.to_owned(),
         lanes,
         lane_connectors,
-        drivable_area: layers.areas("generic_drivable_areas")?,
+        drivable_area: layers.drivable_area()?,
         crossings: layers.areas("crosswalks")?,
         stop_lines: layers.areas("stop_polygons")?,
         dividers: layers.lines("boundaries")?,
@@ -117,6 +117,15 @@ impl Layers {
             all.extend(areas(row, shape)?);
             Ok(())
         })?;
+        Ok(all)
+    }
+
+    /// Roads outside of junctions, junctions, and what is neither: the layer of that name has only the last.
+    fn drivable_area(&self) -> Result<Vec<Area>, DatasetError> {
+        let mut all = Vec::new();
+        for layer in ["lane_groups_polygons", "intersections", "generic_drivable_areas", "carpark_areas"] {
+            all.extend(self.areas(layer)?);
+        }
         Ok(all)
     }
 
