@@ -10,7 +10,7 @@ use point_skeleton::dataset::{
     Dataset, DatasetError, ImageRecord, Log, LogFormat, LogLocator, Sweep, SweepRecord, VectorMap,
 };
 use point_skeleton::geometry::View;
-use point_skeleton::skeleton::{BuildOptions, BuiltSkeleton, build};
+use point_skeleton::skeleton::{BuildOptions, BuiltSkeleton, Part, Splitter, Trajectories, build};
 use serde_json::Value;
 
 use crate::common::shared;
@@ -209,26 +209,34 @@ fn background_points_are_within_two_millimetres_of_the_other_layout() {
         a.report.dropped_ghost,
         b.report.dropped_ghost
     );
-    assert!(near.len() > 800_000);
+    assert!(near.len() > 750_000);
     // The comparison can fail: by 5 mm nearly all points are off.
     let moved: Vec<[f64; 3]> = near.iter().step_by(50).map(|[x, y, z]| [*x, *y, z + 0.005]).collect();
     assert!(lonely(&moved, &far).len() > moved.len() / 2);
-    // A point at the side of a box may fall in on one side and out on the other.
-    for point in lonely_ones.into_iter().flatten() {
-        assert!(is_at_a_side(&nuscenes, point), "{point}");
+    // A point at the side of a box, or of where it moves, may fall in on one side and out on the other.
+    let log = nuscenes.log();
+    let frames: Vec<_> = log.frames.iter().collect();
+    let trajectories = Trajectories::new(log, &frames);
+    let splitters = KEPT.map(|i| {
+        Splitter::new(&frames[i].boxes, &trajectories, frames[i].t_us, &BuildOptions::default().split)
+    });
+    let near_a_side = |point: DVec3| splitters.iter().any(|splitter| is_at_a_side(splitter, point));
+    for point in lonely_ones.iter().flatten() {
+        assert!(near_a_side(*point), "{point}");
     }
+    // Few points are near one.
+    let near_one = near.iter().step_by(50).filter(|p| near_a_side(DVec3::from(**p))).count();
+    assert!(near_one * 50 < near.len() / 10, "{near_one} of {}", near.len() / 50);
 }
 
-/// Whether a point lies within 2 mm of where the split of some frame may turn: a box grown by the margin, its ground, or
-/// where it may have been when another LiDAR saw it.
-fn is_at_a_side(drive: &NuScenes, point: DVec3) -> bool {
-    KEPT.iter().flat_map(|i| &drive.log().frames[*i].boxes).any(|item| {
-        let local = item.cuboid.pose.inverse().transform_point(point);
-        let outside = local.abs() - item.cuboid.size / 2.0 - 0.1;
-        let above = local.z + item.cuboid.size.z / 2.0 - 0.2;
-        let sides = [outside.x, outside.y, outside.z, above];
-        sides.iter().any(|d| d.abs() < PRECISION_M) && outside.y.max(outside.z) < PRECISION_M
-    })
+/// Whether the split of a sweep turns within 2 mm of a point.
+fn is_at_a_side(splitter: &Splitter, point: DVec3) -> bool {
+    let corner = |bits: i32| {
+        let side = |bit: i32| if bits >> bit & 1 == 1 { PRECISION_M } else { -PRECISION_M };
+        point + DVec3::new(side(0), side(1), side(2))
+    };
+    let is_background = |p: DVec3| splitter.part(p, true) == Part::Background;
+    (0..8).any(|bits| is_background(corner(bits)) != is_background(point))
 }
 
 /// Corners of a map's areas by kind.
