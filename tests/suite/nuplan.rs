@@ -71,7 +71,7 @@ fn known_points_fall_on_known_pixels() {
         let image = &frame.images[channel];
         let view =
             View { camera: image.camera.clone(), camera_from_world: image.camera_from_global().affine() };
-        view.project(eye + offset).map(|(pixel, depth_m)| (pixel, depth_m))
+        view.project(eye + offset)
     };
     let near = |found: Option<(DVec2, f64)>, pixel: [f64; 2], depth_m: f64| {
         let (p, z) = found.unwrap();
@@ -146,7 +146,7 @@ fn files_that_are_not_there_are_left_out_and_counted() {
     // All blobs may lack.
     std::fs::remove_dir_all(made.blob("")).unwrap();
     let notes = made.open().unwrap().log().notes.clone();
-    assert_eq!(notes.into_iter().map(|(_, n)| n).collect::<Vec<_>>(), [16, 4]);
+    assert_eq!(notes.into_values().collect::<Vec<_>>(), [16, 4]);
 }
 
 #[test]

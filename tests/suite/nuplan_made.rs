@@ -190,10 +190,8 @@ fn pcd(points: &[(DVec3, u8)]) -> Vec<u8> {
     bytes
 }
 
-/// Statements that make the log.
-fn tables() -> String {
-    let mut sql = String::from(
-        "CREATE TABLE log (token BLOB PRIMARY KEY, vehicle_name, date, timestamp INTEGER, logfile, location, map_version);
+/// Tables of a log, with the columns that are read and some others.
+const SCHEMA: &str = "CREATE TABLE log (token BLOB PRIMARY KEY, vehicle_name, date, timestamp INTEGER, logfile, location, map_version);
          CREATE TABLE category (token BLOB PRIMARY KEY, name, description);
          CREATE TABLE lidar (token BLOB PRIMARY KEY, log_token, channel, model, translation BLOB, rotation BLOB);
          CREATE TABLE camera (token BLOB PRIMARY KEY, log_token, channel, model, translation BLOB, rotation BLOB,
@@ -207,8 +205,11 @@ fn tables() -> String {
              timestamp);
          CREATE TABLE track (token BLOB PRIMARY KEY, category_token, width FLOAT, length FLOAT, height FLOAT);
          CREATE TABLE lidar_box (token BLOB PRIMARY KEY, lidar_pc_token, track_token, x FLOAT, y FLOAT, z FLOAT,
-             width FLOAT, length FLOAT, height FLOAT, yaw FLOAT, confidence FLOAT);\n",
-    );
+             width FLOAT, length FLOAT, height FLOAT, yaw FLOAT, confidence FLOAT);\n";
+
+/// Statements that make the log.
+fn tables() -> String {
+    let mut sql = String::from(SCHEMA);
     let mut insert = |table: &str, values: String| {
         writeln!(sql, "INSERT INTO {table} VALUES ({values});").unwrap();
     };

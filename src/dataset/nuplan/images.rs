@@ -14,7 +14,7 @@ use crate::error::FileError;
 use crate::geometry::{Camera, Distortion, Pose};
 
 /// How far an image's time may be from its frame's, microseconds: half the time between two images.
-pub(super) const TOLERANCE_US: u64 = 50_000;
+const TOLERANCE_US: u64 = 50_000;
 
 /// The eight cameras in ring order, each beside its neighbours.
 const RING: [&str; 8] = ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_L2", "CAM_L1", "CAM_L0"];
