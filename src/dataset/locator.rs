@@ -35,11 +35,15 @@ pub enum LogFormat {
     NuScenes,
     /// A folder of an Argoverse 2 sensor log, or a folder of them.
     Argoverse,
+    /// A SQLite log of nuPlan, or a folder of them.
+    NuPlan,
+    /// The ten evaluation logs of the paper in a folder of nuPlan logs.
+    NuPlanSimgen,
 }
 
 impl LogFormat {
     /// Names on the command line.
-    pub const NAMES: &'static str = "nuscenes or av2";
+    pub const NAMES: &'static str = "nuscenes, nuplan, nuplan-simgen or av2";
 }
 
 impl FromStr for LogLocator {
@@ -51,6 +55,8 @@ impl FromStr for LogLocator {
         let format = match format {
             "nuscenes" => LogFormat::NuScenes,
             "av2" => LogFormat::Argoverse,
+            "nuplan" => LogFormat::NuPlan,
+            "nuplan-simgen" => LogFormat::NuPlanSimgen,
             _ => return Err(wrong()),
         };
         let (rest, scene) = split_tail(rest, '#');

@@ -10,6 +10,7 @@ mod ego_track;
 mod locator;
 mod log;
 mod map;
+pub mod nuplan;
 pub mod nuscenes;
 mod picture;
 
@@ -72,6 +73,8 @@ pub struct Sweep {
     pub points: Vec<SweepPoint>,
     /// Points left out since a coordinate was NaN or infinite.
     pub dropped_non_finite: usize,
+    /// Whether the points of several merged LiDARs are told apart by [`SweepPoint::ring`], rather than beams.
+    pub devices: bool,
 }
 
 /// One LiDAR return.
@@ -81,7 +84,7 @@ pub struct SweepPoint {
     pub position: [f32; 3],
     /// As recorded (0–255).
     pub intensity: f32,
-    /// Beam number, or the device where several LiDARs are merged.
+    /// Beam number, or the device if [`Sweep::devices`].
     pub ring: u16,
 }
 
@@ -161,6 +164,7 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     match locator.format {
         LogFormat::NuScenes => nuscenes::expand(locator),
         LogFormat::Argoverse => av2::expand(locator),
+        LogFormat::NuPlan | LogFormat::NuPlanSimgen => nuplan::expand(locator),
     }
 }
 
@@ -172,5 +176,6 @@ pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
     match locator.format {
         LogFormat::NuScenes => Ok(Box::new(nuscenes::NuScenes::open(locator)?)),
         LogFormat::Argoverse => Ok(Box::new(av2::Argoverse::open(locator)?)),
+        LogFormat::NuPlan | LogFormat::NuPlanSimgen => Ok(Box::new(nuplan::NuPlan::open(locator)?)),
     }
 }

@@ -37,11 +37,10 @@ impl SweepCloud {
             not_finite: sweep.dropped_non_finite,
             ..Self::default()
         };
-        let merged = names_devices(sweep);
         for point in &sweep.points {
             let position = DVec3::from(point.position.map(f64::from));
             let global = global_from_lidar.transform_point(position);
-            let timely = options.every_lidar || !merged || point.ring == options.primary_lidar;
+            let timely = options.every_lidar || !sweep.devices || point.ring == options.primary_lidar;
             let is_ego = position.truncate().abs().max_element() < options.ego_clearance_m;
             match splitter.part(global, timely) {
                 Part::Actor { track, local } => cloud.actors.entry(track).or_default().push(candidate(local)),
@@ -72,30 +71,4 @@ impl SweepCloud {
 
 fn candidate(position: DVec3) -> Candidate {
     Candidate { position, rgb: None }
-}
-
-/// Whether the ring column numbers merged LiDARs rather than beams: no spinning LiDAR has fewer than four beams.
-fn names_devices(sweep: &Sweep) -> bool {
-    let last = sweep.points.iter().map(|p| p.ring).max();
-    last.is_some_and(|last| (1..4).contains(&last))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::dataset::SweepPoint;
-
-    #[test]
-    fn few_ring_numbers_are_devices() {
-        let sweep = |rings: &[u16]| Sweep {
-            points: rings.iter().map(|&ring| SweepPoint { ring, ..SweepPoint::default() }).collect(),
-            dropped_non_finite: 0,
-        };
-        assert!(names_devices(&sweep(&[0, 1, 1])));
-        assert!(
-            !names_devices(&sweep(&[0, 0]))
-                && !names_devices(&sweep(&[0, 1, 31]))
-                && !names_devices(&sweep(&[]))
-        );
-    }
 }

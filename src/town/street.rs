@@ -98,7 +98,7 @@ impl Dataset for Street {
             global_from_street().inverse() * record.global_from_ego * record.ego_from_lidar;
         let points =
             film::sweep(&self.world(record.t_us), &street_from_lidar, self.seed ^ record.t_us as u64);
-        Ok(Sweep { points, dropped_non_finite: 0 })
+        Ok(Sweep { points, ..Sweep::default() })
     }
 
     fn read_image(&self, record: &ImageRecord) -> Result<RgbImage, DatasetError> {

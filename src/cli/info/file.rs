@@ -4,7 +4,7 @@ use glam::Vec3;
 use serde_json::{Value, json};
 
 use crate::cloud::{self, Bounds, Point};
-use crate::dataset::{Sweep, av2, nuscenes, picture_size};
+use crate::dataset::{Sweep, av2, nuplan, nuscenes, picture_size};
 
 /// What a single file holds.
 pub(super) fn describe(path: &Path) -> anyhow::Result<Value> {
@@ -13,13 +13,14 @@ pub(super) fn describe(path: &Path) -> anyhow::Result<Value> {
         "npy" | "ply" => cloud_file(path)?,
         "bin" => sweep(&nuscenes::read_sweep_file(path)?),
         "feather" => sweep(&av2::read_sweep_file(path)?),
+        "pcd" => sweep(&nuplan::read_pcd_file(path)?),
         "json" => camera_file(path)?,
         "jpg" | "jpeg" | "png" => {
             let (height, width) = picture_size(path)?;
             json!({"kind": "image", "size": format!("{height}x{width}")})
         }
         _ => anyhow::bail!(
-            "expected a file ending in .npy, .ply, .pcd.bin, .feather, .json, .jpg or .png, found {name:?}: {}",
+            "expected a file ending in .npy, .ply, .pcd.bin, .pcd, .feather, .json, .jpg or .png, found {name:?}: {}",
             path.display()
         ),
     };

@@ -148,8 +148,9 @@ pub(super) fn text(json: &Value) -> String {
             format!("{name:<18} {size} focal {focal} px, {images} images ({between} between frames)"),
         );
     }
-    let empty = &json["boxes_without_points"];
-    line("boxes", format!("{} of {} tracks, {empty} without points", json["boxes"], json["tracks"]));
+    let empty =
+        json["boxes_without_points"].as_u64().map_or(String::new(), |n| format!(", {n} without points"));
+    line("boxes", format!("{} of {} tracks{empty}", json["boxes"], json["tracks"]));
     for (name, tally) in json["categories"].as_object().into_iter().flatten() {
         line("", format!("{name:<34} {} boxes of {} tracks", tally["boxes"], tally["tracks"]));
     }

@@ -20,7 +20,8 @@ pub(super) use skeleton::dropped;
 /// Of a log the tables are read whole, of sweeps and images only sizes and headers.
 #[derive(Debug, Args)]
 pub(super) struct InfoArgs {
-    /// FORMAT:PATH[@VERSION][#SCENE], a skeleton's folder, or a file (.pcd.bin, .feather, .npy, .ply, .json cameras, JPEG, PNG)
+    /// FORMAT:PATH[@VERSION][#SCENE], a skeleton's folder, or a file (.pcd.bin, .pcd, .feather, .npy, .ply, .json
+    /// cameras, JPEG, PNG)
     #[arg(value_name = "LOG|SKELETON|FILE")]
     target: String,
     #[command(flatten)]

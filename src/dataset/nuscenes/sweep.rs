@@ -37,7 +37,14 @@ pub fn parse_sweep(bytes: &[u8], path: &Path) -> Result<Sweep, FileError> {
             sweep.dropped_non_finite += 1;
         }
     }
+    sweep.devices = names_devices(&sweep.points);
     Ok(sweep)
+}
+
+/// Whether the ring column numbers merged LiDARs rather than beams: no spinning LiDAR has fewer than four beams.
+fn names_devices(points: &[SweepPoint]) -> bool {
+    let last = points.iter().map(|p| p.ring).max();
+    last.is_some_and(|last| (1..4).contains(&last))
 }
 
 /// Number of points that a file of this many bytes holds.
@@ -82,6 +89,17 @@ mod tests {
         let point = SweepPoint { position: [1.5, -2.25, 0.125], intensity: 17.0, ring: 31 };
         write_sweep_file(&path, &[point, point]).unwrap();
         assert_eq!(read_sweep_file(&path).unwrap().points, [point, point]);
+    }
+
+    #[test]
+    fn few_ring_numbers_are_devices() {
+        let rings = |rings: &[u16]| {
+            let point = |&ring: &u16| [0.0, 0.0, 0.0, 0.0, f32::from(ring)].map(f32::to_le_bytes);
+            let bytes: Vec<u8> = rings.iter().flat_map(point).flatten().collect();
+            parse_sweep(&bytes, Path::new("a.pcd.bin")).unwrap().devices
+        };
+        assert!(rings(&[0, 1, 1]));
+        assert!(!rings(&[0, 0]) && !rings(&[0, 1, 31]));
     }
 
     #[test]

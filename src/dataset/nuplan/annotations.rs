@@ -1,0 +1,112 @@
+//! Tracks and boxes.
+
+use glam::DVec3;
+use rustc_hash::{FxHashMap, FxHashSet};
+
+use super::database::{Database, Query, Row, hex};
+use super::frames::Shot;
+use crate::dataset::{Class, DatasetError, Track, TrackBox};
+use crate::error::FileError;
+use crate::geometry::{Cuboid, Pose, PoseError};
+
+/// Tracks that have a box in some frame, and the boxes of each frame.
+pub(super) struct Annotated {
+    /// Sorted by id.
+    pub(super) tracks: Vec<Track>,
+    /// Sorted by track.
+    pub(super) frames: Vec<Vec<TrackBox>>,
+}
+
+/// Reads the boxes of the frames.
+pub(super) fn read(database: &Database, shots: &[Shot]) -> Result<Annotated, DatasetError> {
+    let all = tracks(database)?;
+    let by_token: FxHashMap<&[u8], usize> =
+        all.iter().enumerate().map(|(i, (token, _))| (token.as_slice(), i)).collect();
+    let places: FxHashMap<&[u8], usize> =
+        shots.iter().enumerate().map(|(i, shot)| (shot.token.as_slice(), i)).collect();
+    let mut others = None;
+    let mut frames: Vec<Vec<TrackBox>> = shots.iter().map(|_| Vec::new()).collect();
+    let columns =
+        &["token", "lidar_pc_token", "track_token", "x", "y", "z", "length", "width", "height", "yaw"];
+    database.rows(&Query { table: "lidar_box", columns, from: "FROM lidar_box" }, |row| {
+        let (frame, track) = (row.blob(1)?, row.blob(2)?);
+        let Some(place) = places.get(frame) else {
+            // Of a frame of another scene, or of none.
+            let others = match &mut others {
+                Some(others) => others,
+                empty => empty.insert(frame_tokens(database)?),
+            };
+            return if others.contains(frame) { Ok(()) } else { Err(row.dangling("lidar_pc", frame)) };
+        };
+        let track = *by_token.get(track).ok_or_else(|| row.dangling("track", track))?;
+        frames[*place].push(TrackBox { track, cuboid: cuboid(row, database)? });
+        Ok(())
+    })?;
+    drop(by_token);
+    for (boxes, shot) in frames.iter_mut().zip(shots) {
+        boxes.sort_by_key(|b| b.track);
+        if let Some(pair) = boxes.windows(2).find(|pair| pair[0].track == pair[1].track) {
+            let found =
+                format!("two of track {} in lidar_pc {}", hex(&all[pair[0].track].0), hex(&shot.token));
+            return Err(FileError::content("one box per track and frame", found, database.path()).into());
+        }
+    }
+    Ok(without_unseen(all, frames))
+}
+
+/// All tracks in order of their tokens.
+fn tracks(database: &Database) -> Result<Vec<(Vec<u8>, Track)>, DatasetError> {
+    let columns = &["track.token", "track.category_token", "category.token", "category.name"];
+    let from = "FROM track LEFT JOIN category ON category.token = track.category_token ORDER BY track.token";
+    let mut tracks = Vec::new();
+    database.rows(&Query { table: "track", columns, from }, |row| {
+        let (token, category) = (row.blob(0)?, row.blob(1)?);
+        if row.is_null(2) {
+            return Err(row.dangling("category", category));
+        }
+        let category = row.text(3)?.to_owned();
+        let class = Class::from_category(&category);
+        tracks.push((token.to_owned(), Track { id: hex(token), category, class }));
+        Ok(())
+    })?;
+    Ok(tracks)
+}
+
+/// The tokens of all frames of the log.
+fn frame_tokens(database: &Database) -> Result<FxHashSet<Vec<u8>>, DatasetError> {
+    let mut tokens = FxHashSet::default();
+    database.rows(&Query { table: "lidar_pc", columns: &["token"], from: "FROM lidar_pc" }, |row| {
+        tokens.insert(row.blob(0)?.to_owned());
+        Ok(())
+    })?;
+    Ok(tokens)
+}
+
+/// The box of a row: centre and yaw in the global frame.
+fn cuboid(row: &Row<'_>, database: &Database) -> Result<Cuboid, DatasetError> {
+    let [x, y, z, length, width, height, yaw_rad] = row.numbers(3)?;
+    let (record, path) = (row.name(), database.path().to_owned());
+    if let Some(value) = [x, y, z, yaw_rad].into_iter().find(|v| !v.is_finite()) {
+        return Err(DatasetError::Pose { source: PoseError::NotFinite { value }, record, path });
+    }
+    let pose = Pose::from_yaw(yaw_rad, DVec3::new(x, y, z));
+    Cuboid::new(pose, DVec3::new(length, width, height)).map_err(|source| DatasetError::Cuboid {
+        source,
+        record,
+        path,
+    })
+}
+
+/// Leaves out tracks without a box, and numbers the others anew in the same order.
+fn without_unseen(all: Vec<(Vec<u8>, Track)>, mut frames: Vec<Vec<TrackBox>>) -> Annotated {
+    let seen: FxHashSet<usize> = frames.iter().flatten().map(|b| b.track).collect();
+    let (mut tracks, mut places) = (Vec::new(), vec![0; all.len()]);
+    for (i, (_, track)) in all.into_iter().enumerate() {
+        if seen.contains(&i) {
+            places[i] = tracks.len();
+            tracks.push(track);
+        }
+    }
+    frames.iter_mut().flatten().for_each(|b| b.track = places[b.track]);
+    Annotated { tracks, frames }
+}

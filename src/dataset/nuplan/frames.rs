@@ -1,0 +1,168 @@
+//! Frames: every row of `lidar_pc` is one, with the sweep that it names.
+
+use rustc_hash::FxHashMap;
+
+use super::database::{Database, Query, Row, hex};
+use super::pickle;
+use super::place::{Place, leads_below};
+use super::read::{Notes, note, pose};
+use crate::dataset::{DatasetError, SweepRecord};
+use crate::error::FileError;
+use crate::geometry::Pose;
+
+/// A frame without images and boxes.
+pub(super) struct Shot {
+    pub(super) token: Vec<u8>,
+    pub(super) t_us: i64,
+    pub(super) global_from_ego: Pose,
+    /// `None` where its file is not there.
+    pub(super) sweep: Option<SweepRecord>,
+}
+
+/// `ego_pose` columns that make a pose, after the token that refers to it.
+pub(super) const POSE_COLUMNS: [&str; 7] =
+    ["ego_pose.x", "ego_pose.y", "ego_pose.z", "ego_pose.qw", "ego_pose.qx", "ego_pose.qy", "ego_pose.qz"];
+
+/// Reads all frames in time order, or those of a scene.
+///
+/// # Errors
+/// Times that do not grow from a row to the one it names as its next, no frame.
+pub(super) fn read(
+    database: &Database,
+    place: &Place,
+    scene: Option<&[u8]>,
+    notes: &mut Notes,
+) -> Result<Vec<Shot>, DatasetError> {
+    let lidars = lidars(database)?;
+    let [x, y, z, qw, qx, qy, qz] = POSE_COLUMNS;
+    let columns = &[
+        "lidar_pc.token",
+        "lidar_pc.timestamp",
+        "lidar_pc.next_token",
+        "lidar_pc.scene_token",
+        "lidar_pc.lidar_token",
+        "lidar_pc.filename",
+        "lidar_pc.ego_pose_token",
+        "ego_pose.token",
+        x,
+        y,
+        z,
+        qw,
+        qx,
+        qy,
+        qz,
+    ];
+    let from = "FROM lidar_pc LEFT JOIN ego_pose ON ego_pose.token = lidar_pc.ego_pose_token \
+        ORDER BY lidar_pc.timestamp, lidar_pc.token";
+    let query = Query { table: "lidar_pc", columns, from };
+    let (mut shots, mut missing) = (Vec::new(), 0);
+    // By token its time, by token the token and time of the row before it.
+    let (mut times, mut nexts) = (FxHashMap::default(), Vec::new());
+    database.rows(&query, |row| {
+        let (token, t_us) = (row.blob(0)?, row.integer(1)?);
+        times.insert(token.to_owned(), t_us);
+        if !row.is_null(2) {
+            nexts.push((row.blob(2)?.to_owned(), token.to_owned(), t_us));
+        }
+        if scene.is_none_or(|wanted| !row.is_null(3) && row.blob(3).is_ok_and(|token| token == wanted)) {
+            let shot = shot(row, database, place, &lidars)?;
+            missing += usize::from(shot.sweep.is_none());
+            shots.push(shot);
+        }
+        Ok(())
+    })?;
+    note(notes, "missing sweep files", missing);
+    check_times(&shots, &nexts, &times, database)?;
+    Ok(shots)
+}
+
+fn shot(
+    row: &Row<'_>,
+    database: &Database,
+    place: &Place,
+    lidars: &FxHashMap<Vec<u8>, Pose>,
+) -> Result<Shot, DatasetError> {
+    let (token, t_us, lidar) = (row.blob(0)?.to_owned(), row.integer(1)?, row.blob(4)?);
+    let ego_from_lidar = *lidars.get(lidar).ok_or_else(|| row.dangling("lidar", lidar))?;
+    let global_from_ego = ego_pose(row, 6, database)?;
+    let name = row.text(5)?;
+    if !leads_below(name) {
+        return Err(row.wrong(5, "a path below the folder of sensor blobs", &format!("{name:?}")));
+    }
+    let path = place.sensors.join(name);
+    let sweep =
+        path.is_file().then_some(SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key: true });
+    Ok(Shot { token, t_us, global_from_ego, sweep })
+}
+
+/// The pose of a joined row of `ego_pose`: at `by` the token that refers to it, then its own token, then
+/// [`POSE_COLUMNS`].
+pub(super) fn ego_pose(row: &Row<'_>, by: usize, database: &Database) -> Result<Pose, DatasetError> {
+    let token = row.blob(by)?;
+    if row.is_null(by + 1) {
+        return Err(row.dangling("ego_pose", token));
+    }
+    pose(row, by + 2, &format!("ego_pose {}", hex(token)), database)
+}
+
+/// Times grow, also along the chain of rows.
+fn check_times(
+    shots: &[Shot],
+    nexts: &[(Vec<u8>, Vec<u8>, i64)],
+    times: &FxHashMap<Vec<u8>, i64>,
+    database: &Database,
+) -> Result<(), DatasetError> {
+    let content =
+        |expected: &str, found: String| Err(FileError::content(expected, found, database.path()).into());
+    if shots.is_empty() {
+        return content("at least one row in lidar_pc", "none".to_owned());
+    }
+    for pair in shots.windows(2) {
+        if pair[0].t_us == pair[1].t_us {
+            let found =
+                format!("{} in lidar_pc {} and {}", pair[0].t_us, hex(&pair[0].token), hex(&pair[1].token));
+            return content("timestamps that grow from frame to frame", found);
+        }
+    }
+    for (next, token, t_us) in nexts {
+        // Logs are cut out of longer drives, so the last row may name one that is not there.
+        if let Some(after) = times.get(next).filter(|after| *after <= t_us) {
+            let found = format!("{after} in lidar_pc {} after {t_us} in {}", hex(next), hex(token));
+            return content("timestamps that grow along next_token", found);
+        }
+    }
+    Ok(())
+}
+
+/// Extrinsics of the LiDARs, by token.
+fn lidars(database: &Database) -> Result<FxHashMap<Vec<u8>, Pose>, DatasetError> {
+    let mut lidars = FxHashMap::default();
+    let query = Query { table: "lidar", columns: &["token", "translation", "rotation"], from: "FROM lidar" };
+    database.rows(&query, |row| {
+        lidars.insert(row.blob(0)?.to_owned(), extrinsics(row, 1, database)?);
+        Ok(())
+    })?;
+    Ok(lidars)
+}
+
+/// Translation and rotation of a sensor on the ego, from two neighbouring columns of pickles.
+pub(super) fn extrinsics(row: &Row<'_>, first: usize, database: &Database) -> Result<Pose, DatasetError> {
+    let translation = unpickled(row, first, "a pickled list of 3 numbers", pickle::Value::vector)?;
+    let rotation = unpickled(row, first + 1, "a pickled list of 4 numbers", pickle::Value::vector)?;
+    Pose::from_wxyz(rotation, translation).map_err(|source| DatasetError::Pose {
+        source,
+        record: row.name(),
+        path: database.path().to_owned(),
+    })
+}
+
+/// A column with a pickle of an expected shape.
+pub(super) fn unpickled<T>(
+    row: &Row<'_>,
+    column: usize,
+    expected: &str,
+    shape: impl FnOnce(&pickle::Value) -> Option<T>,
+) -> Result<T, DatasetError> {
+    let value = pickle::decode(row.blob(column)?).map_err(|e| row.wrong(column, expected, &e.to_string()))?;
+    shape(&value).ok_or_else(|| row.wrong(column, expected, &format!("{value}")))
+}

@@ -1,0 +1,217 @@
+//! Images: each frame has the nearest one of every camera.
+//!
+//! Cameras run at 10 Hz beside a LiDAR of 20 Hz, so an image may serve two frames.
+
+use rustc_hash::FxHashMap;
+
+use super::database::{Database, Query, Row};
+use super::frames::{POSE_COLUMNS, ego_pose, extrinsics, unpickled};
+use super::pickle;
+use super::place::{Place, leads_below};
+use super::read::{Notes, note};
+use crate::dataset::{DatasetError, ImageRecord, RigCamera};
+use crate::error::FileError;
+use crate::geometry::{Camera, Distortion, Pose};
+
+/// How far an image's time may be from its frame's, microseconds: half the time between two images.
+const TOLERANCE_US: u64 = 50_000;
+
+/// The eight cameras in ring order, each beside its neighbours.
+const RING: [&str; 8] = ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_L2", "CAM_L1", "CAM_L0"];
+
+/// What an image is counted as that no frame comes after, or long before.
+const OUTSIDE: &str = "images outside of the frames' time";
+
+/// Cameras, and what they saw in each frame.
+pub(super) struct Seen {
+    /// In ring order.
+    pub(super) rig: Vec<RigCamera>,
+    pub(super) frames: Vec<Pictures>,
+}
+
+/// A frame's images.
+#[derive(Clone, Default)]
+pub(super) struct Pictures {
+    pub(super) images: Vec<ImageRecord>,
+    pub(super) between_images: Vec<ImageRecord>,
+}
+
+/// A row of `camera`.
+struct RawCamera {
+    token: Vec<u8>,
+    ego_from_camera: Pose,
+    camera: Camera,
+}
+
+/// A row of `image`; without a record its file is not there.
+struct RawImage {
+    t_us: i64,
+    record: Option<ImageRecord>,
+    is_used: bool,
+}
+
+/// Reads the cameras and the images of frames at these times, which grow. `is_whole` says whether these are all frames
+/// of the log, so that images at other times are counted.
+pub(super) fn read(
+    database: &Database,
+    place: &Place,
+    times_us: &[i64],
+    is_whole: bool,
+    notes: &mut Notes,
+) -> Result<Seen, DatasetError> {
+    let cameras = cameras(database)?;
+    let mut frames = vec![Pictures::default(); times_us.len()];
+    let (mut images, outside) = images(database, place, &cameras, times_us)?;
+    note(notes, OUTSIDE, if is_whole { outside } else { 0 });
+    let missing = images.iter().flatten().filter(|image| image.record.is_none()).count();
+    note(notes, "missing image files", missing);
+    for channel in &mut images {
+        for (frame, t_us) in frames.iter_mut().zip(times_us) {
+            match nearest(channel, *t_us) {
+                None => note(notes, "missing camera images", 1),
+                Some(image) => {
+                    image.is_used = true;
+                    frame.images.extend(image.record.clone());
+                }
+            }
+        }
+    }
+    for image in images.into_iter().flatten().filter(|image| !image.is_used) {
+        match frames.get_mut(times_us.partition_point(|t| *t < image.t_us)) {
+            Some(frame) => frame.between_images.extend(image.record),
+            None => note(notes, OUTSIDE, 1),
+        }
+    }
+    frames.iter_mut().for_each(|f| f.between_images.sort_by_key(|i| (i.t_us, i.channel)));
+    let rig =
+        |(channel, RawCamera { ego_from_camera, camera, .. })| RigCamera { channel, ego_from_camera, camera };
+    Ok(Seen { rig: cameras.into_iter().enumerate().map(rig).collect(), frames })
+}
+
+/// The image nearest to a time, within the tolerance; of two the earlier.
+fn nearest(images: &mut [RawImage], t_us: i64) -> Option<&mut RawImage> {
+    let next = images.partition_point(|image| image.t_us < t_us);
+    let near = [next.checked_sub(1), Some(next)].into_iter().flatten().filter(|i| *i < images.len());
+    let best = near.min_by_key(|i| images[*i].t_us.abs_diff(t_us))?;
+    Some(&mut images[best]).filter(|image| image.t_us.abs_diff(t_us) <= TOLERANCE_US)
+}
+
+/// Cameras in ring order, others behind them by name.
+fn cameras(database: &Database) -> Result<Vec<RawCamera>, DatasetError> {
+    let columns =
+        &["token", "translation", "rotation", "channel", "intrinsic", "distortion", "width", "height"];
+    let mut cameras = Vec::new();
+    database.rows(&Query { table: "camera", columns, from: "FROM camera" }, |row| {
+        let (token, ego_from_camera) = (row.blob(0)?.to_owned(), extrinsics(row, 1, database)?);
+        cameras.push(RawCamera { token, ego_from_camera, camera: camera(row, database)? });
+        Ok(())
+    })?;
+    let place = |camera: &RawCamera| RING.iter().position(|r| *r == camera.camera.name).unwrap_or(RING.len());
+    cameras.sort_by(|a, b| place(a).cmp(&place(b)).then_with(|| a.camera.name.cmp(&b.camera.name)));
+    if let Some(pair) = cameras.windows(2).find(|pair| pair[0].camera.name == pair[1].camera.name) {
+        let found = format!("two of {}", pair[0].camera.name);
+        return Err(FileError::content("one row in camera for a channel", found, database.path()).into());
+    }
+    Ok(cameras)
+}
+
+/// Size, intrinsics and distortion of a row of `camera`.
+fn camera(row: &Row<'_>, database: &Database) -> Result<Camera, DatasetError> {
+    let rows = unpickled(row, 4, "a pickled 3x3 matrix", pickle::Value::matrix)?;
+    let distortion: [f64; 5] = unpickled(row, 5, "a pickled list of 5 numbers", pickle::Value::vector)?;
+    if !distortion.iter().all(|v| v.is_finite()) {
+        return Err(row.wrong(5, "finite numbers", &format!("{distortion:?}")));
+    }
+    let side = |column: usize| {
+        let number = row.number(column)?;
+        let whole = number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number);
+        if whole { Ok(number as u32) } else { Err(row.wrong(column, "whole pixels", &number.to_string())) }
+    };
+    let camera = Camera::new(row.text(3)?, side(6)?, side(7)?, rows).map_err(|source| {
+        DatasetError::Camera { source, record: row.name(), path: database.path().to_owned() }
+    })?;
+    // The column's order is k1 k2 p1 p2 k3, that of OpenCV.
+    Ok(Camera { distortion: Distortion::from_opencv(distortion), ..camera })
+}
+
+/// The images of each camera in time order, so far as they are near enough to the frames; also how many
+/// are not.
+fn images(
+    database: &Database,
+    place: &Place,
+    cameras: &[RawCamera],
+    times_us: &[i64],
+) -> Result<(Vec<Vec<RawImage>>, usize), DatasetError> {
+    let channels: FxHashMap<&[u8], usize> =
+        cameras.iter().enumerate().map(|(i, camera)| (camera.token.as_slice(), i)).collect();
+    let ends = times_us.first().zip(times_us.last());
+    let near = |t_us: i64| {
+        ends.is_some_and(|(a, b)| {
+            (*a..=*b).contains(&t_us) || a.abs_diff(t_us).min(b.abs_diff(t_us)) <= TOLERANCE_US
+        })
+    };
+    let mut columns = vec![
+        "image.token",
+        "image.timestamp",
+        "image.camera_token",
+        "image.filename_jpg",
+        "image.ego_pose_token",
+        "ego_pose.token",
+    ];
+    columns.extend(POSE_COLUMNS);
+    let from = "FROM image LEFT JOIN ego_pose ON ego_pose.token = image.ego_pose_token \
+        ORDER BY image.timestamp, image.token";
+    let mut images: Vec<Vec<RawImage>> = cameras.iter().map(|_| Vec::new()).collect();
+    let mut outside = 0;
+    database.rows(&Query { table: "image", columns: &columns, from }, |row| {
+        let (t_us, token) = (row.integer(1)?, row.blob(2)?);
+        let channel = *channels.get(token).ok_or_else(|| row.dangling("camera", token))?;
+        if images[channel].last().is_some_and(|last| last.t_us == t_us) {
+            let found = format!("{t_us} twice, {}", cameras[channel].camera.name);
+            return Err(row.wrong(1, "timestamps that grow from image to image", &found));
+        }
+        if near(t_us) {
+            let record = record(row, channel, &cameras[channel], place, database)?;
+            images[channel].push(RawImage { t_us, record, is_used: false });
+        } else {
+            outside += 1;
+        }
+        Ok(())
+    })?;
+    Ok((images, outside))
+}
+
+/// Where a row's image is; `None` if its file is not there.
+fn record(
+    row: &Row<'_>,
+    channel: usize,
+    camera: &RawCamera,
+    place: &Place,
+    database: &Database,
+) -> Result<Option<ImageRecord>, DatasetError> {
+    let global_from_ego = ego_pose(row, 4, database)?;
+    let (t_us, name) = (row.integer(1)?, row.text(3)?);
+    if !leads_below(name) {
+        return Err(row.wrong(3, "a path below the folder of sensor blobs", &format!("{name:?}")));
+    }
+    let path = place.sensors.join(name);
+    let (ego_from_camera, camera) = (camera.ego_from_camera, camera.camera.clone());
+    let record = ImageRecord { channel, path, t_us, global_from_ego, ego_from_camera, camera };
+    Ok(record.path.is_file().then_some(record))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_image_within_the_tolerance_is_taken() {
+        let mut images: Vec<RawImage> =
+            [0, 100_000, 200_000].map(|t_us| RawImage { t_us, record: None, is_used: false }).into();
+        let mut at = |t_us: i64| nearest(&mut images, t_us).map(|image| image.t_us);
+        assert_eq!([at(-50_000), at(-50_001), at(0), at(49_999)], [Some(0), None, Some(0), Some(0)]);
+        assert_eq!([at(50_000), at(50_001), at(150_000)], [Some(0), Some(100_000), Some(100_000)]);
+        assert_eq!([at(250_000), at(250_001)], [Some(200_000), None]);
+        assert!(nearest(&mut [], 0).is_none());
+    }
+}

@@ -1,0 +1,399 @@
+//! Pickles of lists of numbers, as calibration columns hold them. Nothing is ever executed.
+//!
+//! How it works: nuPlan writes a translation, rotation or intrinsic matrix as a Python pickle (protocol 4 or 5) of a
+//! list, or of a class that is a list. A pickle is a program for a stack machine. Of its instructions only those are
+//! known here that make lists of numbers; a class may be named, but only to make an empty list. Any other
+//! instruction or class is an error. Source: Python's `pickletools`.
+
+/// A number or a list.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Value {
+    Number(f64),
+    List(Vec<Value>),
+}
+
+/// The beginning, for messages.
+impl std::fmt::Display for Value {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        const SHOWN: usize = 9;
+        let values = match self {
+            Self::Number(number) => return write!(f, "{number}"),
+            Self::List(values) => values,
+        };
+        let shown: Vec<String> = values.iter().take(SHOWN).map(ToString::to_string).collect();
+        let rest = if values.len() > SHOWN { ", .." } else { "" };
+        write!(f, "[{}{rest}]", shown.join(", "))
+    }
+}
+
+/// Why bytes are no pickle of lists of numbers.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub(super) enum PickleError {
+    #[error("{0} bytes where at most {MAX_BYTES} are taken")]
+    Long(usize),
+    #[error("the end of the pickle after {0} bytes")]
+    Truncated(usize),
+    #[error("opcode {code:#04x} ({name}) at byte {at}")]
+    Opcode { code: u8, name: &'static str, at: usize },
+    #[error("protocol {0}")]
+    Protocol(u8),
+    #[error("class {0}")]
+    Class(String),
+    #[error("{0} that does not fit at byte {1}")]
+    Misplaced(&'static str, usize),
+    #[error("lists nested deeper than {MAX_DEPTH}")]
+    Deep,
+    #[error("{0} bytes after the end")]
+    Trailing(usize),
+}
+
+/// Real ones have about 160.
+const MAX_BYTES: usize = 4096;
+/// A matrix has two.
+const MAX_DEPTH: usize = 4;
+/// Where the classes are that are known to be lists.
+const MODULE: &str = "nuplan.database.common.data_types";
+const CLASSES: [&str; 3] = ["Translation", "Rotation", "CameraIntrinsic"];
+
+impl Value {
+    /// The numbers of a list of exactly `N`.
+    pub(super) fn vector<const N: usize>(&self) -> Option<[f64; N]> {
+        self.list()?.iter().map(Self::number).collect::<Option<Vec<_>>>()?.try_into().ok()
+    }
+
+    /// The rows of a list of lists.
+    pub(super) fn matrix<const N: usize, const M: usize>(&self) -> Option<[[f64; M]; N]> {
+        self.list()?.iter().map(Self::vector).collect::<Option<Vec<_>>>()?.try_into().ok()
+    }
+
+    fn number(&self) -> Option<f64> {
+        match self {
+            Self::Number(number) => Some(*number),
+            Self::List(_) => None,
+        }
+    }
+
+    fn list(&self) -> Option<&[Self]> {
+        match self {
+            Self::List(values) => Some(values),
+            Self::Number(_) => None,
+        }
+    }
+
+    fn depth(&self) -> usize {
+        self.list().map_or(0, |values| 1 + values.iter().map(Self::depth).max().unwrap_or(0))
+    }
+}
+
+/// Decodes a pickle.
+///
+/// # Errors
+/// Anything but a list of numbers and lists, made by the instructions that nuPlan's pickles have.
+pub(super) fn decode(bytes: &[u8]) -> Result<Value, PickleError> {
+    if bytes.len() > MAX_BYTES {
+        return Err(PickleError::Long(bytes.len()));
+    }
+    let mut machine = Machine { bytes, at: 0, stack: Vec::new() };
+    loop {
+        let at = machine.at;
+        let [code] = machine.take()?;
+        if code == b'.' {
+            return machine.finish(at);
+        }
+        machine.step(code, at)?;
+    }
+}
+
+/// What the stack holds.
+enum Item {
+    Mark,
+    Text(String),
+    Class,
+    NoArguments,
+    Value(Value),
+}
+
+struct Machine<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    stack: Vec<Item>,
+}
+
+impl Machine<'_> {
+    fn step(&mut self, code: u8, at: usize) -> Result<(), PickleError> {
+        match code {
+            0x80 => self.protocol(),
+            0x95 => self.take::<8>().map(|_| ()), // FRAME: its length only helps those who read from a stream
+            0x94 => Ok(()),                       // MEMOIZE: nothing here asks for what was memoized
+            b'(' => self.push(Item::Mark),
+            b')' => self.push(Item::NoArguments),
+            b']' => self.push(Item::Value(Value::List(Vec::new()))),
+            b'G' => self.take().map(f64::from_be_bytes).and_then(|v| self.number(v)),
+            b'J' => self.take().map(i32::from_le_bytes).and_then(|v| self.number(f64::from(v))),
+            b'M' => self.take().map(u16::from_le_bytes).and_then(|v| self.number(f64::from(v))),
+            b'K' => self.take().map(u8::from_le_bytes).and_then(|v| self.number(f64::from(v))),
+            0x8c => self.text(at),
+            0x93 => self.class(at),
+            0x81 => self.new_list(at),
+            b'a' => self.append(at),
+            b'e' => self.append_all(at),
+            _ => Err(PickleError::Opcode { code, name: opcode_name(code), at }),
+        }
+    }
+
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], PickleError> {
+        let taken = self.bytes.get(self.at..).and_then(|rest| rest.first_chunk::<N>());
+        self.at += N;
+        taken.copied().ok_or(PickleError::Truncated(self.bytes.len()))
+    }
+
+    fn push(&mut self, item: Item) -> Result<(), PickleError> {
+        self.stack.push(item);
+        Ok(())
+    }
+
+    fn number(&mut self, value: f64) -> Result<(), PickleError> {
+        self.push(Item::Value(Value::Number(value)))
+    }
+
+    fn protocol(&mut self) -> Result<(), PickleError> {
+        let [version] = self.take()?;
+        if matches!(version, 4 | 5) { Ok(()) } else { Err(PickleError::Protocol(version)) }
+    }
+
+    fn text(&mut self, at: usize) -> Result<(), PickleError> {
+        let [length] = self.take()?;
+        let end = self.at + usize::from(length);
+        let bytes = self.bytes.get(self.at..end).ok_or(PickleError::Truncated(self.bytes.len()))?;
+        let text = str::from_utf8(bytes).map_err(|_| PickleError::Misplaced("text that is no UTF-8", at))?;
+        self.at = end;
+        self.push(Item::Text(text.to_owned()))
+    }
+
+    /// STACK_GLOBAL: a module and a class in it.
+    fn class(&mut self, at: usize) -> Result<(), PickleError> {
+        let (Some(Item::Text(name)), Some(Item::Text(module))) = (self.stack.pop(), self.stack.pop()) else {
+            return Err(PickleError::Misplaced("STACK_GLOBAL", at));
+        };
+        if module != MODULE || !CLASSES.contains(&name.as_str()) {
+            return Err(PickleError::Class(format!("{module}.{name}")));
+        }
+        self.push(Item::Class)
+    }
+
+    /// NEWOBJ: the classes that are let through are lists, and are made without arguments.
+    fn new_list(&mut self, at: usize) -> Result<(), PickleError> {
+        let (Some(Item::NoArguments), Some(Item::Class)) = (self.stack.pop(), self.stack.pop()) else {
+            return Err(PickleError::Misplaced("NEWOBJ", at));
+        };
+        self.push(Item::Value(Value::List(Vec::new())))
+    }
+
+    fn append(&mut self, at: usize) -> Result<(), PickleError> {
+        let Some(Item::Value(value)) = self.stack.pop() else {
+            return Err(PickleError::Misplaced("APPEND", at));
+        };
+        self.extend("APPEND", at, vec![value])
+    }
+
+    /// APPENDS: all since the last mark.
+    fn append_all(&mut self, at: usize) -> Result<(), PickleError> {
+        let mut values = Vec::new();
+        loop {
+            match self.stack.pop() {
+                Some(Item::Value(value)) => values.push(value),
+                Some(Item::Mark) => break,
+                _ => return Err(PickleError::Misplaced("APPENDS", at)),
+            }
+        }
+        values.reverse();
+        self.extend("APPENDS", at, values)
+    }
+
+    fn extend(&mut self, name: &'static str, at: usize, values: Vec<Value>) -> Result<(), PickleError> {
+        // Before they are nested: what is nested too deep could not even be dropped.
+        if values.iter().any(|value| value.depth() >= MAX_DEPTH) {
+            return Err(PickleError::Deep);
+        }
+        let Some(Item::Value(Value::List(list))) = self.stack.last_mut() else {
+            return Err(PickleError::Misplaced(name, at));
+        };
+        list.extend(values);
+        Ok(())
+    }
+
+    /// STOP: one list is left, and nothing comes behind.
+    fn finish(mut self, at: usize) -> Result<Value, PickleError> {
+        let left = self.bytes.len() - self.at;
+        match (self.stack.pop(), self.stack.pop(), left) {
+            (Some(Item::Value(value @ Value::List(_))), None, 0) => Ok(value),
+            (Some(Item::Value(Value::List(_))), None, left) => Err(PickleError::Trailing(left)),
+            _ => Err(PickleError::Misplaced("STOP", at)),
+        }
+    }
+}
+
+/// Names of the instructions that are refused.
+fn opcode_name(code: u8) -> &'static str {
+    match code {
+        b'0' => "POP",
+        b'1' => "POP_MARK",
+        b'2' => "DUP",
+        b'B' => "BINBYTES",
+        b'C' => "SHORT_BINBYTES",
+        b'F' => "FLOAT",
+        b'I' => "INT",
+        b'L' => "LONG",
+        b'N' => "NONE",
+        b'P' => "PERSID",
+        b'Q' => "BINPERSID",
+        b'R' => "REDUCE",
+        b'S' => "STRING",
+        b'T' => "BINSTRING",
+        b'U' => "SHORT_BINSTRING",
+        b'V' => "UNICODE",
+        b'X' => "BINUNICODE",
+        b'b' => "BUILD",
+        b'c' => "GLOBAL",
+        b'd' => "DICT",
+        b'g' => "GET",
+        b'h' => "BINGET",
+        b'i' => "INST",
+        b'j' => "LONG_BINGET",
+        b'l' => "LIST",
+        b'o' => "OBJ",
+        b'p' => "PUT",
+        b'q' => "BINPUT",
+        b'r' => "LONG_BINPUT",
+        b's' => "SETITEM",
+        b't' => "TUPLE",
+        b'u' => "SETITEMS",
+        b'}' => "EMPTY_DICT",
+        0x82 => "EXT1",
+        0x83 => "EXT2",
+        0x84 => "EXT4",
+        0x85 => "TUPLE1",
+        0x86 => "TUPLE2",
+        0x87 => "TUPLE3",
+        0x88 => "NEWTRUE",
+        0x89 => "NEWFALSE",
+        0x8a => "LONG1",
+        0x8b => "LONG4",
+        0x8d => "BINUNICODE8",
+        0x8e => "BINBYTES8",
+        0x8f => "EMPTY_SET",
+        0x90 => "ADDITEMS",
+        0x91 => "FROZENSET",
+        0x92 => "NEWOBJ_EX",
+        0x96 => "BYTEARRAY8",
+        0x97 => "NEXT_BUFFER",
+        0x98 => "READONLY_BUFFER",
+        _ => "unknown",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    // Written by Python's `pickle` with protocols 4, 4, 5.
+    const TRANSLATION: &str = "8004954b000000000000008c216e75706c616e2e64617461626173652e636f6d6d6f6e2e646174615f7479\
+        706573948c0b5472616e736c6174696f6e94939429819428473ff80000000000004afeffffff4d2c01652e";
+    const INTRINSIC: &str = "80049586000000000000008c216e75706c616e2e64617461626173652e636f6d6d6f6e2e646174615f747970\
+        6573948c0f43616d657261496e7472696e736963949394298194285d942847409824000000000047000000000000000047408e000000\
+        000000655d9428470000000000000000474098240000000000474081800000000000655d94284b004b004b0165652e";
+    const DISTORTION: &str = "80059532000000000000005d942847bfd6cab81f969e3d473fc615f45e0b4e1247bf6172ef0ae53650473f3e\
+        68a0d349be9047bfaac8605681ecd5652e";
+    // Another class of the same module, and `os.system("true")` by `__reduce__`.
+    const OTHER: &str = "8004953c000000000000008c216e75706c616e2e64617461626173652e636f6d6d6f6e2e646174615f7479706573\
+        948c054f74686572949394298194473ff0000000000000612e";
+    const REDUCE: &str =
+        "8004951f000000000000008c05706f736978948c0673797374656d9493948c047472756594859452942e";
+
+    fn bytes(hex: &str) -> Vec<u8> {
+        (0..hex.len() / 2).map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).unwrap()).collect()
+    }
+
+    #[test]
+    fn calibration_is_decoded() {
+        assert_eq!(decode(&bytes(TRANSLATION)).unwrap().vector(), Some([1.5, -2.0, 300.0]));
+        let rows = [[1545.0, 0.0, 960.0], [0.0, 1545.0, 560.0], [0.0, 0.0, 1.0]];
+        assert_eq!(decode(&bytes(INTRINSIC)).unwrap().matrix(), Some(rows));
+        let distortion = decode(&bytes(DISTORTION)).unwrap();
+        assert_eq!(distortion.vector(), Some([-0.356123, 0.172545, -0.00213, 0.000464, -0.05231]));
+        assert_eq!(distortion.vector::<4>(), None);
+        assert_eq!(distortion.matrix::<1, 5>(), None);
+        assert_eq!(
+            decode(&bytes(INTRINSIC)).unwrap().to_string(),
+            "[[1545, 0, 960], [0, 1545, 560], [0, 0, 1]]"
+        );
+        assert_eq!(decode(b"\x80\x04]K\x07a.").unwrap().vector(), Some([7.0]));
+    }
+
+    #[test]
+    fn whatever_else_a_pickle_can_do_is_refused_by_name() {
+        let message = |bytes: &[u8]| decode(bytes).unwrap_err().to_string();
+        assert_eq!(message(&bytes(REDUCE)), "class posix.system");
+        assert_eq!(message(&bytes(OTHER)), "class nuplan.database.common.data_types.Other");
+        assert_eq!(message(b"\x80\x04]R."), "opcode 0x52 (REDUCE) at byte 3");
+        assert_eq!(message(b"\x80\x04cos\nsystem\n."), "opcode 0x63 (GLOBAL) at byte 2");
+        assert_eq!(message(b"\x80\x04]b."), "opcode 0x62 (BUILD) at byte 3");
+        assert_eq!(message(b"\x80\x04\xff."), "opcode 0xff (unknown) at byte 2");
+        assert_eq!(message(b"\x80\x02]."), "protocol 2");
+        assert_eq!(message(b"\x80\x04]].."), "STOP that does not fit at byte 4");
+        assert_eq!(message(b"\x80\x04]..."), "2 bytes after the end");
+        assert_eq!(message(b"\x80\x04K\x01."), "STOP that does not fit at byte 4");
+        assert_eq!(message(b"\x80\x04e."), "APPENDS that does not fit at byte 2");
+        assert_eq!(message(b"\x80\x04a."), "APPEND that does not fit at byte 2");
+        assert_eq!(message(b"\x80\x04])\x81."), "NEWOBJ that does not fit at byte 4");
+        assert_eq!(message(&[b']'; MAX_BYTES + 1]), "4097 bytes where at most 4096 are taken");
+        let nested = [[b']'; 900].as_slice(), &[b'a'; 899], b"."].concat();
+        assert_eq!(message(&nested), "lists nested deeper than 4");
+    }
+
+    /// Every opcode but those that are known is refused, wherever it stands.
+    #[test]
+    fn known_opcodes_are_few() {
+        let known = b"\x80\x95\x94()]GJMK\x8c\x93\x81ae.";
+        for code in 0..=u8::MAX {
+            let result = decode(&[code, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+            let refused = matches!(result, Err(PickleError::Opcode { at: 0, .. }));
+            assert_eq!(refused, !known.contains(&code), "{code:#x}");
+        }
+    }
+
+    #[test]
+    fn truncated_pickles_are_refused() {
+        for whole in [TRANSLATION, INTRINSIC, DISTORTION].map(bytes) {
+            for cut in 0..whole.len() {
+                assert!(decode(&whole[..cut]).is_err(), "{cut} of {}", whole.len());
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_a_list_or_an_error(bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
+            prop_assert!(decode(&bytes).is_err() || bytes.ends_with(b"."));
+        }
+
+        /// Mostly known instructions: these get far.
+        #[test]
+        fn any_instructions_are_a_list_or_an_error(
+            bytes in proptest::collection::vec(
+                proptest::sample::select(b"()]aeK\x81\x93\x94.".as_slice()), 0..300),
+        ) {
+            if let Ok(value) = decode(&bytes) {
+                prop_assert!((1..=MAX_DEPTH).contains(&value.depth()));
+            }
+        }
+
+        #[test]
+        fn a_changed_byte_is_a_list_or_an_error(at in 0..120_usize, to in any::<u8>()) {
+            let mut bytes = bytes(INTRINSIC);
+            bytes[at] = to;
+            prop_assert!(decode(&bytes).is_err() || bytes.ends_with(b"."));
+        }
+    }
+}

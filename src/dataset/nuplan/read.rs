@@ -1,0 +1,125 @@
+//! Tables of a log to a [`Log`].
+
+use std::collections::BTreeMap;
+
+use super::database::{Database, Query, hex};
+use super::place::Place;
+use super::{annotations, frames, images};
+use crate::dataset::{DatasetError, Frame, Log};
+use crate::error::FileError;
+use crate::geometry::Pose;
+
+/// What a reader left out, by kind.
+pub(super) type Notes = BTreeMap<String, usize>;
+
+/// Counts something that was left out.
+pub(super) fn note(notes: &mut Notes, kind: &str, count: usize) {
+    if count > 0 {
+        *notes.entry(kind.to_owned()).or_default() += count;
+    }
+}
+
+/// Reads a log, or one scene of it; also the name of its map.
+pub(super) fn read(place: &Place, scene: Option<&str>) -> Result<(Log, String), DatasetError> {
+    let database = Database::open(&place.database)?;
+    let about = About::read(&database)?;
+    let scene = scene.map(|wanted| Scene::read(&database, wanted)).transpose()?;
+    let mut notes = Notes::new();
+    let shots = frames::read(&database, place, scene.as_ref().map(|s| s.token.as_slice()), &mut notes)?;
+    let times_us: Vec<i64> = shots.iter().map(|shot| shot.t_us).collect();
+    let pictures = images::read(&database, place, &times_us, scene.is_none(), &mut notes)?;
+    let annotated = annotations::read(&database, &shots)?;
+    let seen = pictures.frames.into_iter().zip(annotated.frames);
+    let frame = |(shot, (pictures, boxes)): (frames::Shot, (images::Pictures, _))| Frame {
+        t_us: shot.t_us,
+        global_from_ego: shot.global_from_ego,
+        sweeps: shot.sweep.into_iter().collect(),
+        images: pictures.images,
+        between_images: pictures.between_images,
+        boxes,
+    };
+    let description = match &scene {
+        None => about.description,
+        Some(scene) => format!("{}, {}", about.description, scene.name),
+    };
+    let log = Log {
+        name: about.name,
+        location: about.location,
+        description,
+        cameras: pictures.rig.iter().map(|c| c.camera.name.clone()).collect(),
+        rig: pictures.rig,
+        tracks: annotated.tracks,
+        frames: shots.into_iter().zip(seen).map(frame).collect(),
+        notes,
+    };
+    Ok((log, about.map_name))
+}
+
+/// The log's own row.
+struct About {
+    name: String,
+    location: String,
+    description: String,
+    map_name: String,
+}
+
+impl About {
+    fn read(database: &Database) -> Result<Self, DatasetError> {
+        let columns = &["token", "logfile", "location", "map_version", "vehicle_name", "date"];
+        let mut rows = Vec::new();
+        database.rows(&Query { table: "log", columns, from: "FROM log" }, |row| {
+            let map_version = row.text(3)?;
+            rows.push(Self {
+                name: row.text(1)?.to_owned(),
+                location: row.text(2)?.to_owned(),
+                description: format!("{} {}", row.text(4)?, row.text(5)?),
+                map_name: map_version.strip_suffix(".gpkg").unwrap_or(map_version).to_owned(),
+            });
+            Ok(())
+        })?;
+        let found = rows.len();
+        match (rows.pop(), found) {
+            (Some(about), 1) => Ok(about),
+            _ => Err(FileError::content("one row in log", found.to_string(), database.path()).into()),
+        }
+    }
+}
+
+/// A slice of the log.
+struct Scene {
+    token: Vec<u8>,
+    name: String,
+}
+
+impl Scene {
+    /// The one of a name or token.
+    fn read(database: &Database, wanted: &str) -> Result<Self, DatasetError> {
+        let mut scenes = Vec::new();
+        database.rows(&Query { table: "scene", columns: &["token", "name"], from: "FROM scene" }, |row| {
+            scenes.push(Self { token: row.blob(0)?.to_owned(), name: row.text(1)?.to_owned() });
+            Ok(())
+        })?;
+        if let Some(at) = scenes.iter().position(|s| s.name == wanted || hex(&s.token) == wanted) {
+            return Ok(scenes.swap_remove(at));
+        }
+        let mut names: Vec<String> = scenes.into_iter().map(|s| s.name).collect();
+        names.sort();
+        let path = database.path().to_owned();
+        Err(DatasetError::Scene { found: Some(wanted.to_owned()), scenes: names, path })
+    }
+}
+
+/// Quaternion and translation columns of a row as a pose; the quaternion's `w x y z` come last.
+pub(super) fn pose(
+    row: &super::database::Row<'_>,
+    first: usize,
+    record: &str,
+    database: &Database,
+) -> Result<Pose, DatasetError> {
+    let [x, y, z, qw, qx, qy, qz] = row.numbers(first)?;
+    Pose::from_wxyz([qw, qx, qy, qz], [x, y, z]).map_err(|source| DatasetError::Pose {
+        source,
+        record: record.to_owned(),
+        path: database.path().to_owned(),
+    })
+}

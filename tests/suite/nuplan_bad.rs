@@ -1,0 +1,369 @@
+//! The nuPlan reader on every kind of bad input: one thing of a made-up log is broken, and the message must name what was
+//! expected, what was found and the file.
+
+use point_skeleton::dataset::nuplan::NuPlan;
+use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
+use proptest::prelude::*;
+
+use crate::common::shared;
+use crate::nuplan_made::{LOG, Made, RING, assert_says, geometry, image_file, pickled, sweep_file, token};
+
+/// The message after some statements.
+#[track_caller]
+fn refused(statements: &str, parts: &[&str]) {
+    let made = Made::new();
+    made.sql(statements);
+    made.refuses(parts);
+}
+
+#[test]
+fn files_that_are_no_log_are_named() {
+    let made = Made::new();
+    let path = made.database();
+    let whole = std::fs::read(&path).unwrap();
+    std::fs::write(&path, "no database, but long enough to be looked at more closely").unwrap();
+    made.refuses(&["expected a SQLite database", "not a database"]);
+    std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+    made.refuses(&["malformed"]);
+    std::fs::write(&path, []).unwrap();
+    made.refuses(&["expected log with token, logfile", "no such table: log"]);
+    std::fs::remove_file(&path).unwrap();
+    made.refuses(&["cannot read", "No such file"]);
+}
+
+#[test]
+fn missing_tables_and_columns_are_named() {
+    let tables =
+        ["log", "category", "lidar", "camera", "ego_pose", "lidar_pc", "image", "track", "lidar_box"];
+    for table in tables {
+        refused(&format!("DROP TABLE {table};"), &["expected ", &format!("no such table: {table}")]);
+    }
+    let columns = [
+        ("lidar_pc", "timestamp"),
+        ("lidar_pc", "filename"),
+        ("ego_pose", "qz"),
+        ("camera", "distortion"),
+        ("image", "filename_jpg"),
+        ("lidar_box", "yaw"),
+        ("category", "name"),
+    ];
+    for (table, column) in columns {
+        let statement = format!("ALTER TABLE {table} RENAME COLUMN {column} TO other;");
+        refused(&statement, &[column, "found no such column", column]);
+    }
+    let made = Made::new();
+    made.sql("DROP TABLE scene;");
+    assert!(made.open().is_ok(), "only a chosen scene needs the table");
+    let scene = LogLocator { scene: Some("scene-000".into()), ..made.locator() };
+    assert_says(&NuPlan::open(&scene).unwrap_err().to_string(), &["no such table: scene"], ".db");
+}
+
+#[test]
+fn tokens_that_lead_nowhere_are_named() {
+    let cases = [
+        ("lidar_pc", "ego_pose_token", "ego_pose"),
+        ("lidar_pc", "lidar_token", "lidar"),
+        ("image", "ego_pose_token", "ego_pose"),
+        ("image", "camera_token", "camera"),
+        ("track", "category_token", "category"),
+        ("lidar_box", "track_token", "track"),
+        ("lidar_box", "lidar_pc_token", "lidar_pc"),
+    ];
+    for (table, column, target) in cases {
+        let expected = format!("expected {target} to hold token 00ff, found none");
+        refused(
+            &format!("UPDATE {table} SET {column} = x'00ff';"),
+            &[&expected, &format!("(referred to by {table} ")],
+        );
+        refused(
+            &format!("UPDATE {table} SET {column} = NULL;"),
+            &[&format!("expected bytes as {column} of {table} "), "found NULL"],
+        );
+    }
+}
+
+#[test]
+fn wrong_values_are_named_with_their_row() {
+    let cases: [(&str, &[&str]); 22] = [
+        (
+            "UPDATE lidar_box SET width = 0",
+            &["positive length, width and height", "4 x 0 x 1.5", "lidar_box 62"],
+        ),
+        ("UPDATE lidar_box SET height = -1", &["positive length", "in lidar_box 62"]),
+        ("UPDATE lidar_box SET x = 'far'", &["a number as x of lidar_box 62", "\"far\""]),
+        ("UPDATE lidar_box SET yaw = NULL", &["a number as yaw", "found NULL"]),
+        ("UPDATE lidar_box SET yaw = 9e999", &["finite numbers", "inf", "lidar_box 62"]),
+        ("UPDATE ego_pose SET qw = 0.5", &["unit quaternion", "length 0.5", "ego_pose 65"]),
+        ("UPDATE ego_pose SET x = x'00'", &["a number as ego_pose.x of lidar_pc", "1 bytes"]),
+        ("UPDATE ego_pose SET y = 9e999", &["finite numbers", "ego_pose 65"]),
+        (
+            "UPDATE lidar_pc SET timestamp = 0.5 WHERE rowid = 1",
+            &["a whole number as timestamp", "found 0.5"],
+        ),
+        ("UPDATE lidar_pc SET filename = NULL", &["text as filename of lidar_pc 70"]),
+        (
+            "UPDATE lidar_pc SET filename = '../../a.pcd'",
+            &["below the folder of sensor blobs", "../../a.pcd"],
+        ),
+        (
+            "UPDATE lidar_pc SET filename = '/etc/passwd'",
+            &["below the folder of sensor blobs", "/etc/passwd"],
+        ),
+        (
+            "UPDATE image SET filename_jpg = 'a/../../b.jpg'",
+            &["below the folder", "filename_jpg of image 69"],
+        ),
+        ("UPDATE image SET timestamp = 'noon'", &["a whole number as timestamp of image", "\"noon\""]),
+        ("UPDATE camera SET width = 1.25", &["whole pixels as width of camera 63", "found 1.25"]),
+        ("UPDATE camera SET height = 0", &["a size of 1 to 16384", "0x96", "camera 63"]),
+        ("UPDATE camera SET width = -1e300", &["whole pixels as width"]),
+        ("UPDATE camera SET channel = 'CAM_F0'", &["one row in camera for a channel", "two of CAM_F0"]),
+        ("UPDATE category SET name = NULL", &["text as category.name of track 74", "found NULL"]),
+        ("UPDATE log SET logfile = 5", &["text as logfile of log 6f", "found 5"]),
+        ("DELETE FROM log", &["one row in log, found 0"]),
+        ("DELETE FROM lidar_pc; DELETE FROM lidar_box", &["at least one row in lidar_pc, found none"]),
+    ];
+    for (statement, parts) in cases {
+        refused(&format!("{statement};"), parts);
+    }
+}
+
+#[test]
+fn pickles_that_do_anything_but_lists_are_refused() {
+    // `os.system("true")` by `__reduce__`, as Python pickles it.
+    let attack = "x'8004951f000000000000008c05706f736978948c0673797374656d9493948c047472756594859452942e'";
+    let cases = [
+        (attack, "class posix.system"),
+        ("x'80045d522e'", "opcode 0x52 (REDUCE) at byte 3"),
+        ("x'8004636f730a73797374656d0a2e'", "opcode 0x63 (GLOBAL) at byte 2"),
+        ("x'80035d2e'", "protocol 3"),
+        ("x'80045d'", "the end of the pickle after 3 bytes"),
+        ("x''", "the end of the pickle after 0 bytes"),
+        ("x'80045d2e00'", "1 bytes after the end"),
+        ("x'80045d2e'", "found []"),
+    ];
+    let columns = [
+        ("lidar", "translation", "3 numbers"),
+        ("lidar", "rotation", "4 numbers"),
+        ("camera", "translation", "3 numbers"),
+        ("camera", "rotation", "4 numbers"),
+        ("camera", "intrinsic", "3x3 matrix"),
+        ("camera", "distortion", "5 numbers"),
+    ];
+    for (table, column, shape) in columns {
+        for (pickle, found) in cases {
+            let expected = format!("{shape} as {column} of {table} ");
+            refused(&format!("UPDATE {table} SET {column} = {pickle};"), &[&expected, found]);
+        }
+        refused(&format!("UPDATE {table} SET {column} = 'text';"), &["expected bytes as", "\"text\""]);
+    }
+    let long = format!("UPDATE camera SET distortion = {};", pickled(&[0.0; 1000]));
+    refused(&long, &["9006 bytes where at most 4096"]);
+    refused(
+        &format!("UPDATE lidar SET rotation = {};", pickled(&[1.0, 1.0, 0.0, 0.0])),
+        &["unit quaternion", "length 1.41", "in lidar 6c"],
+    );
+    let nan = format!("UPDATE camera SET distortion = {};", pickled(&[f64::NAN, 0.0, 0.0, 0.0, 0.0]));
+    refused(&nan, &["finite numbers as distortion of camera 63", "NaN"]);
+    refused(
+        &format!("UPDATE camera SET distortion = {};", pickled(&[0.0; 4])),
+        &["a pickled list of 5 numbers", "found [0, 0, 0, 0]"],
+    );
+}
+
+#[test]
+fn times_that_do_not_grow_are_named() {
+    let [a, b] = [1, 2].map(|frame| token('p', frame));
+    refused(
+        &format!("UPDATE lidar_pc SET timestamp = timestamp + 50000 WHERE token = {a};"),
+        &["timestamps that grow from frame to frame", "1600000000100000 in lidar_pc 70"],
+    );
+    // Rows are sorted by time, but their chain says another order.
+    refused(
+        &format!("UPDATE lidar_pc SET timestamp = timestamp + 60000 WHERE token = {a};"),
+        &["timestamps that grow along next_token", "1600000000100000 in lidar_pc 7000000000000002 after"],
+    );
+    refused(&format!("UPDATE lidar_pc SET next_token = token WHERE token = {b};"), &["along next_token"]);
+    refused(
+        &format!("UPDATE image SET timestamp = {} ;", 1_600_000_000_000_000_i64),
+        &["timestamps that grow from image to image as timestamp of image", "twice, CAM_"],
+    );
+    // The end of a longer chain.
+    let made = Made::new();
+    made.sql(&format!("UPDATE lidar_pc SET next_token = x'00' WHERE token = {b};"));
+    assert!(made.open().is_ok());
+}
+
+#[test]
+fn boxes_of_a_track_are_single() {
+    refused(
+        &format!("UPDATE lidar_box SET track_token = {};", token('t', 9)),
+        &["one box per track and frame", "two of track 7400000000000009 in lidar_pc 70"],
+    );
+}
+
+#[test]
+fn damaged_blobs_are_named() {
+    let made = Made::new();
+    let dataset = made.open().unwrap();
+    let frame = &dataset.log().frames[0];
+    let path = made.blob(&sweep_file(0));
+    let whole = std::fs::read(&path).unwrap();
+    let message = || {
+        let read = dataset.read_sweep(&frame.sweeps[0]).unwrap_err().to_string();
+        (read, dataset.check_sweep(&frame.sweeps[0]).unwrap_err().to_string())
+    };
+    std::fs::write(&path, &whole[..40_000]).unwrap();
+    for message in [message().0, message().1] {
+        assert_says(&message, &["expected 3220 points of 15 bytes", "(truncated)"], "0.pcd");
+    }
+    let text = String::from_utf8_lossy(&whole[..300]).into_owned();
+    let swapped = text.replacen("TYPE F F F", "TYPE F F U", 1);
+    std::fs::write(&path, [swapped.as_bytes()[..250].to_vec(), whole[250..].to_vec()].concat()).unwrap();
+    assert_says(&message().1, &["z as a single 4-byte float", "TYPE F F U U U U"], "0.pcd");
+    std::fs::remove_file(&path).unwrap();
+    assert_says(&message().0, &["cannot read"], "0.pcd");
+
+    let path = made.blob(&image_file(RING[0], 0));
+    let jpeg = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &jpeg[..jpeg.len() / 2]).unwrap();
+    assert_says(&dataset.read_image(&frame.images[0]).unwrap_err().to_string(), &["expected"], "0.jpg");
+}
+
+/// The message of reading the map after some statements.
+#[track_caller]
+fn map_refused(statements: &str, parts: &[&str]) {
+    let made = Made::new();
+    made.map_sql(statements);
+    let message = made.open().unwrap().read_map().expect_err("a damaged map").to_string();
+    assert_says(&message, parts, "map.gpkg");
+}
+
+#[test]
+fn maps_without_a_layer_are_named() {
+    let layers = [
+        "lanes_polygons",
+        "lane_connectors",
+        "gen_lane_connectors_scaled_width_polygons",
+        "baseline_paths",
+        "boundaries",
+        "crosswalks",
+        "stop_polygons",
+        "generic_drivable_areas",
+        "lane_groups_polygons",
+        "intersections",
+        "carpark_areas",
+    ];
+    for layer in layers {
+        map_refused(&format!("DROP TABLE {layer};"), &[&format!("no such table: {layer}")]);
+        map_refused(
+            &format!("DELETE FROM gpkg_geometry_columns WHERE table_name = '{layer}';"),
+            &[&format!("expected layer {layer}, found none of that name")],
+        );
+    }
+    map_refused("DROP TABLE meta;", &["expected meta with key, value", "no such table: meta"]);
+    map_refused("DELETE FROM meta WHERE id = 2;", &["projectedCoordSystem in meta, found none"]);
+    map_refused("UPDATE meta SET value = 'epsg:3857';", &["a UTM zone", "\"epsg:3857\""]);
+}
+
+#[test]
+fn wrong_geometry_is_named_with_its_feature() {
+    let triangle = [[-115.0, 36.0], [-115.1, 36.0], [-115.0, 36.1], [-115.0, 36.0]];
+    let set = |blob: &str| format!("UPDATE crosswalks SET geom = {blob};");
+    let area = geometry(true, &triangle);
+    let cut = format!("{}'", &area[..area.len() - 21]);
+    let cases = [
+        (set("x''"), "lines or polygons"),
+        (set("NULL"), "found NULL"),
+        (set("x'00112233'"), "lines or polygons"),
+        (set(&cut), "lines or polygons"),
+        (set(&geometry(true, &triangle[..2])), "a ring of 2 corners"),
+        (set(&geometry(false, &triangle)), "expected polygons as \"geom\" of crosswalks 61, found lines"),
+        (set(&area.replace("e6100000", "e6110000")), "srs_id 4582"),
+        (set(&geometry(true, &[[f64::NAN, 36.0]; 3])), "longitude NaN"),
+        (set(&geometry(true, &[[664_000.0, 3_997_000.0]; 3])), "longitude 664000"),
+        // A point, and a collection in a collection.
+        (set("x'47500001e610000001010000000000000000805cc00000000000004240'"), "a point"),
+        (set("x'47500001e610000001070000000100000001070000000100000001'"), "a geometry collection"),
+        (set(&format!("{}ff'", &area[..area.len() - 1])), "1 bytes behind the geometry"),
+        // Four thousand million corners.
+        (set(&area.replace("0100000004000000", "01000000ffffffff")), "lines or polygons"),
+        (
+            "UPDATE baseline_paths SET lane_fid = 'left';".to_owned(),
+            "a whole number as lane_fid of baseline_paths 41, found \"left\"",
+        ),
+        (
+            "DELETE FROM gen_lane_connectors_scaled_width_polygons;".to_owned(),
+            "the connector in gen_lane_connectors_scaled_width_polygons as rowid of lane_connectors 21",
+        ),
+    ];
+    for (statement, found) in cases {
+        map_refused(&statement, &[found]);
+    }
+}
+
+#[test]
+fn the_index_of_maps_must_fit() {
+    let made = Made::new();
+    let index = made.path("maps/nuplan-maps-v1.0.json");
+    let message = || made.open().unwrap().read_map().unwrap_err().to_string();
+    std::fs::remove_file(made.map()).unwrap();
+    assert_says(&message(), &["cannot read"], "1.0/map.gpkg");
+    std::fs::write(&index, "{}").unwrap();
+    assert_eq!(made.open().unwrap().read_map().unwrap(), None);
+    std::fs::write(&index, "{\"us-xx-nowhere\": {\"version\": \"../..\"}}").unwrap();
+    assert_says(&message(), &["names of folders", "../.."], "nuplan-maps-v1.0.json");
+    std::fs::write(&index, "[1]").unwrap();
+    assert_says(&message(), &["a JSON object of maps with their version"], "nuplan-maps-v1.0.json");
+    std::fs::remove_file(&index).unwrap();
+    assert_says(&message(), &["cannot read"], "nuplan-maps-v1.0.json");
+}
+
+/// A generated log in nuPlan's schema whose rotations are all zero and whose images are 1.23 pixels wide.
+#[test]
+fn the_generated_minimal_log_is_refused_for_its_numbers() {
+    let Some(shared) = shared("the minimal nuPlan log") else { return };
+    let copy = tempfile::tempdir().unwrap();
+    let path = copy.path().join(format!("{LOG}.db"));
+    std::fs::write(&path, std::fs::read(shared.join("data/nuplan-minimal/minimal.db")).unwrap()).unwrap();
+    let locator = LogLocator::new(LogFormat::NuPlan, &path);
+    let message = || NuPlan::open(&locator).unwrap_err().to_string();
+    assert_says(&message(), &["unit quaternion", "length 0 in lidar 00700000"], ".db");
+    let level = pickled(&[1.0, 0.0, 0.0, 0.0]);
+    let sql = |statements: &str| {
+        rusqlite::Connection::open(&path).unwrap().execute_batch(statements).unwrap();
+    };
+    sql(&format!("UPDATE lidar SET rotation = {level}; UPDATE ego_pose SET qw = 1, qx = 0, qy = 0, qz = 0;"));
+    assert_says(&message(), &["unit quaternion", "length 0 in camera 01000000"], ".db");
+    sql(&format!("UPDATE camera SET rotation = {level};"));
+    assert_says(&message(), &["whole pixels as width of camera 01000000, found 1.23"], ".db");
+    sql("UPDATE camera SET width = 32, height = 18;");
+    assert_says(&message(), &["last row 0 0 1, found [0.0, 0.0, 0.0] in camera 01000000"], ".db");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 150, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Whatever stands in a database, the reader gives a log or an error.
+    #[test]
+    fn no_database_makes_the_reader_panic(
+        is_map in any::<bool>(),
+        places in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
+    ) {
+        thread_local!(static MADE: Made = Made::new());
+        MADE.with(|made| {
+            let path = if is_map { made.map() } else { made.database() };
+            let whole = std::fs::read(&path).unwrap();
+            let mut bytes = whole.clone();
+            for (place, value) in places {
+                let place = place.index(bytes.len());
+                bytes[place] = value;
+            }
+            std::fs::write(&path, &bytes).unwrap();
+            let opened = made.open();
+            let map = opened.as_ref().ok().map(|dataset| dataset.read_map().is_ok());
+            std::fs::write(&path, &whole).unwrap();
+            assert!(map != Some(true) || opened.unwrap().log().frames.len() <= 8);
+        });
+    }
+}
