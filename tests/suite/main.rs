@@ -12,6 +12,7 @@ mod nuscenes;
 mod nuscenes_bad;
 mod nuscenes_map;
 mod parity;
+mod peer_lines;
 mod raster;
 mod real_frames;
 mod real_log;
