@@ -226,7 +226,9 @@ fn clipped(ring: &[DVec2], side: f64) -> Vec<DVec2> {
         for (i, &to) in ring.iter().enumerate() {
             let from = ring[(i + ring.len() - 1) % ring.len()];
             if (room(from) < 0.0) != (room(to) < 0.0) {
-                kept.push(from + (to - from) * (room(from) / (room(from) - room(to))));
+                let mut cut = from + (to - from) * (room(from) / (room(from) - room(to)));
+                cut[axis] = border;
+                kept.push(cut);
             }
             if room(to) >= 0.0 {
                 kept.push(to);
