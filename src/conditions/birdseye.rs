@@ -54,6 +54,10 @@ const SCALE: [u8; 3] = [148, 153, 163];
 const SIGHT_M: f64 = 14.0;
 /// Corners of the ego's arrow: metres forward and to the left.
 const ARROW: [[f64; 2]; 4] = [[2.6, 0.0], [-2.0, 1.5], [-1.1, 0.0], [-2.0, -1.5]];
+/// How far beyond the picture is drawn: more than the widest line, pixels.
+const MARGIN_PX: f64 = 8.0;
+/// Corners farther away are taken for errors, pixels.
+const FARTHEST_PX: f64 = 1e12;
 /// Largest picture, pixels.
 const MAX_SIDE_PX: u32 = 4096;
 
@@ -150,16 +154,10 @@ impl Picture {
 
     /// Rings in pixels: filled by the even-odd rule, then their outlines with a width in pixels.
     fn shape(&mut self, rings: &[Vec<DVec2>], fill: Option<Rgba>, edge: Option<(Rgba, f32)>) {
-        let corners = || rings.iter().flatten();
-        let (min, max) = corners().fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(min, max), corner| {
-            (min.min(*corner), max.max(*corner))
-        });
         let side = 2.0 * self.center_px;
-        if !corners().all(|c| c.is_finite()) || max.min_element() < -8.0 || min.max_element() > side + 8.0 {
-            return;
-        }
+        let rings: Vec<Vec<DVec2>> = rings.iter().map(|ring| clipped(ring, side)).collect();
         let mut builder = PathBuilder::new();
-        for ring in rings {
+        for ring in rings.iter().filter(|ring| !ring.is_empty()) {
             for (i, corner) in ring.iter().enumerate() {
                 let to = if i == 0 { PathBuilder::move_to } else { PathBuilder::line_to };
                 to(&mut builder, corner.x as f32, corner.y as f32);
@@ -211,6 +209,34 @@ impl Picture {
         let arrow = ARROW.map(corner).to_vec();
         self.shape(&[arrow], Some(EGO), Some((BACKGROUND, 1.0)));
     }
+}
+
+/// The part of a ring within the picture and a margin (Sutherland and Hodgman 1974), where what it runs along is not
+/// seen: tiny-skia counts pixels in few bits. Nothing of a ring with numbers that are none.
+fn clipped(ring: &[DVec2], side: f64) -> Vec<DVec2> {
+    if !ring.iter().all(|corner| corner.abs().max_element() < FARTHEST_PX) {
+        return Vec::new();
+    }
+    let mut ring = ring.to_vec();
+    for (axis, border, sign) in
+        [0, 1].into_iter().flat_map(|a| [(a, -MARGIN_PX, 1.0), (a, side + MARGIN_PX, -1.0)])
+    {
+        let room = |p: DVec2| (p[axis] - border) * sign;
+        let mut kept = Vec::with_capacity(ring.len() + 2);
+        for (i, &to) in ring.iter().enumerate() {
+            let from = ring[(i + ring.len() - 1) % ring.len()];
+            if (room(from) < 0.0) != (room(to) < 0.0) {
+                let mut cut = from + (to - from) * (room(from) / (room(from) - room(to)));
+                cut[axis] = border;
+                kept.push(cut);
+            }
+            if room(to) >= 0.0 {
+                kept.push(to);
+            }
+        }
+        ring = kept;
+    }
+    ring
 }
 
 fn color([r, g, b, a]: Rgba) -> Color {
@@ -297,6 +323,29 @@ mod tests {
         state.global_from_ego.translation.x = f64::INFINITY;
         let (_, pixels) = draw(&state, &BirdseyeOptions { side_px: 9, reach_m: 1.0 });
         assert!(pixels.iter().all(|p| *p == [17, 19, 24]));
+    }
+
+    #[test]
+    fn rings_are_cut_at_the_margin() {
+        let square = |a: f64, b: f64| [[a, a], [b, a], [b, b], [a, b]].map(DVec2::from).to_vec();
+        assert_eq!(clipped(&square(1.0, 9.0), 10.0), square(1.0, 9.0));
+        let area = |ring: &[DVec2]| {
+            let next = |i: usize| ring[(i + 1) % ring.len()];
+            (0..ring.len()).map(|i| ring[i].perp_dot(next(i)) / 2.0).sum::<f64>()
+        };
+        // The picture and its margin are -8..18.
+        for (ring, expected) in [
+            (square(-1e9, 1e9), 26.0 * 26.0),
+            (square(8.0, 1e6), 10.0 * 10.0),
+            (square(-100.0, 5.0), 13.0 * 13.0),
+            ([[5.0, 5.0], [5.0, 105.0], [-95.0, 5.0]].map(DVec2::from).to_vec(), 13.0 * 13.0),
+        ] {
+            let cut = clipped(&ring, 10.0);
+            assert!((area(&cut) - expected).abs() < 1e-6, "{cut:?}");
+            assert!(cut.iter().all(|c| c.min_element() >= -8.0 - 1e-6 && c.max_element() <= 18.0 + 1e-6));
+        }
+        assert!(clipped(&square(19.0, 1e6), 10.0).is_empty() && clipped(&[], 10.0).is_empty());
+        assert!(clipped(&[DVec2::ZERO, DVec2::NAN], 10.0).is_empty());
     }
 
     #[test]

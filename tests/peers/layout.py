@@ -5,10 +5,10 @@ It shares nothing with the program but the files of the data set: tables and map
 depth and projected by numpy, drawn by ImageDraw.line with a width of 8, and reduced by Image.resize with BILINEAR.
 
 Pillow cuts the ends of a line to whole pixels. A line that is nearly upright or level moves by up to a pixel by that, and
-the corners of its 8 px are rounded once more: of random lines 0.17 % of the pixels lie more than 1 px away from what
-Pillow draws, all of them on lines within 9 degrees of an axis. So the full size is also drawn FINE times larger, 8 *
-FINE px wide, and the middle one of FINE x FINE pixels is taken: the same lines, with ends cut to 1/FINE px. That one is held
-to SHARE; what Pillow's plain drawing agrees with (ours, and its own finer one) is printed beside it.
+the corners of its 8 px are rounded once more. So the full size is also drawn FINE times larger, 8 * FINE px wide, and the
+middle one of FINE x FINE pixels is taken: the same lines by the same code, with ends cut to 1/FINE px. Ours is held to SHARE
+against that one. How far the plain drawing is from ours, and from Pillow's own finer one, is printed beside it. The reduced
+sizes are held to LEVELS against the plain one.
 
     python3 tests/peers/layout.py LOG_DIR FULL_DIR [REDUCED_DIR] [--every N] [--map NAME] [--keep DIR]
 
@@ -169,7 +169,7 @@ class Totals:
         self.differences = {}
 
     def compare_full(self, name, ours, peer):
-        """Two drawings, `name` of the layout and of what is compared."""
+        """Counts, per color, the pixels of each drawing near one of the other; `name` is of pair and layout."""
         ours, peer = (image.astype(np.int32) @ [1 << 16, 1 << 8, 1] for image in (ours, peer))
         for color in (set(np.unique(ours)) | set(np.unique(peer))) - {0}:
             key = (name, (int(color) >> 16, int(color) >> 8 & 255, int(color) & 255))
@@ -244,7 +244,9 @@ def main():
                 lines, far = sources[name]
                 lines = projected(lines, np.diag(scale) @ intrinsics, np.linalg.inv(global_from_camera), far)
                 peer, fine = (drawn(lines, ours.shape[:2], by) for by in (1, FINE))
-                for pair, a, b in zip(PAIRS, (ours, ours, np.asarray(fine)), (np.asarray(fine), *[np.asarray(peer)] * 2)):
+                drawings = {"ours": ours, "fine Pillow": np.asarray(fine), "Pillow": np.asarray(peer)}
+                for pair in PAIRS:
+                    a, b = (drawings[one] for one in pair[2:].split(", "))
                     totals.compare_full((pair, name), a, b)
                 if args.keep:
                     args.keep.mkdir(parents=True, exist_ok=True)

@@ -194,17 +194,17 @@ fn the_map_is_drawn_where_the_log_has_one() {
     assert_eq!(index["options"]["birdseye"], true);
     let map = image::open(log.path("out/000000/CAM_FRONT/map.png")).unwrap().to_rgb8();
     assert_eq!((map.width(), map.height()), (WIDTH, HEIGHT));
-    // A level line `x` metres ahead is 48 * 1.5 / x rows below row 32, 8 rows high.
-    let blue = image::Rgb([0, 0, 255]);
-    for (x, column, rgb) in [(9.0, 48, [255, 0, 0]), (25.0, 10, [0; 3]), (25.0, 48, [0, 0, 255])] {
-        let row = 32.0 + 72.0 / x;
-        // The middle of the picture: 25 m ahead is hidden by nothing, but 10 columns in is outside of the area.
-        assert_eq!(map.get_pixel(column, row as u32), &image::Rgb(rgb), "{x} m, column {column}");
+    // A level line x metres ahead is 48 * 1.5 / x rows below row 32 and 8 rows high: the crossing's far edge (9 m) is at
+    // row 40, that of the area (25 m) at 35. The area ends 9 m to the sides, where its own edge is lower.
+    for (column, row, rgb) in
+        [(48, 40, [255, 0, 0]), (48, 32, [0, 0, 255]), (10, 32, [0; 3]), (48, 30, [0; 3])]
+    {
+        assert_eq!(map.get_pixel(column, row), &image::Rgb(rgb), "column {column}, row {row}");
     }
     // The drivable area's near left corner is behind: its left edge runs out of the picture, 9 m to the left.
     let left = |x: f64| [(48.0 - 48.0 * 9.0 / x) as u32, (32.0 + 72.0 / x) as u32];
     let [column, row] = left(12.0);
-    assert_eq!(map.get_pixel(column, row), &blue);
+    assert_eq!(map.get_pixel(column, row), &image::Rgb([0, 0, 255]));
     // No rasterizer draws another one.
     for rasterizer in ["raster", "cpu"] {
         log.succeed(&format!("{RENDER} {frame} --maps map --rasterizer {rasterizer}"));

@@ -18,6 +18,7 @@ mod nuscenes;
 mod nuscenes_bad;
 mod nuscenes_map;
 mod parity;
+mod peer_lines;
 mod raster;
 mod rates;
 mod real_frames;
