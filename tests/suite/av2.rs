@@ -216,7 +216,7 @@ fn the_real_log_is_read_as_its_readme_says() {
     // A box's place in the city, as NumPy has it.
     let bicycle = log.tracks.iter().position(|t| t.id.starts_with("1046f12a")).unwrap();
     let at = log.frames[0].cuboid_of(bicycle).unwrap().pose.translation;
-    assert!((at - DVec3::new(5219.828_573_64, 2398.255_392_32, 68.812_085_36)).length() < 1e-7, "{at}");
+    assert!((at - DVec3::new(5_219.828_573_64, 2_398.255_392_32, 68.812_085_36)).length() < 1e-7, "{at}");
     assert_eq!(log.tracks[bicycle].category, "vehicle.bicycle.bicycle");
 }
 
