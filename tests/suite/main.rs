@@ -1,6 +1,9 @@
 //! Tests of the whole library, by subject.
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)] // helpers stand outside `#[test]`
 
+mod av2;
+mod av2_bad;
+mod av2_log;
 mod bench_cli;
 mod build_resume;
 mod cli_build;

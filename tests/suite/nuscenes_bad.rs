@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use point_skeleton::dataset::nuscenes::{NuScenes, write_log};
-use point_skeleton::dataset::{Dataset, DatasetError, LogLocator};
+use point_skeleton::dataset::{self, Dataset, DatasetError, LogLocator};
 use point_skeleton::town::{Street, StreetOptions};
 use proptest::prelude::*;
 use serde_json::{Value, json};
@@ -197,6 +197,19 @@ fn scenes_and_versions_must_be_chosen() {
     broken.refuses("", &["expected #SCENE to name one of street-5, street-6, found none"], "scene.json");
     broken.refuses("#street-9", &["street-5, street-6, found street-9"], "scene.json");
     assert_eq!(broken.open_as("#street-5").unwrap().log().frames.len(), 2);
+    let expand = |tail: &str| {
+        let name: LogLocator = format!("nuscenes:{}{tail}", broken.0.path().display()).parse().unwrap();
+        let scenes = |logs: Vec<LogLocator>| logs.into_iter().filter_map(|log| log.scene).collect::<Vec<_>>();
+        dataset::expand(&name).map(scenes)
+    };
+    assert_eq!(expand("#*").unwrap(), ["street-5", "street-6"]);
+    assert_eq!(expand("#synthetic-street").unwrap(), ["street-5", "street-6"]);
+    assert_eq!(expand("#street-6").unwrap(), ["street-6"]);
+    assert_says(
+        &expand("#boston").unwrap_err().to_string(),
+        &["street-5, street-6, found boston"],
+        "scene.json",
+    );
     let root = broken.0.path().to_string_lossy().into_owned();
     broken.refuses("@v1.0-none", &["@VERSION to name one of v1.0-mini, found v1.0-none"], &root);
     std::fs::create_dir(broken.0.path().join("v1.0-trainval")).unwrap();

@@ -14,7 +14,7 @@ use crate::error::FileError;
 use crate::geometry::Camera;
 
 /// The seven cameras in ring order, each beside its neighbours. The two of the stereo pair in front are left out.
-const RING: [&str; 7] = [
+pub(super) const RING: [&str; 7] = [
     "ring_front_center",
     "ring_front_right",
     "ring_side_right",

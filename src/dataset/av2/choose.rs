@@ -15,11 +15,8 @@ pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetErr
         let found = format!("@{version}");
         return Err(FileError::content("an Argoverse 2 log without @VERSION", found, path).into());
     }
-    let (names, folder_of): (Vec<String>, fn(&Path, &str) -> PathBuf) = if is_log(path) {
-        (vec![log_name(path)], |path, _| path.to_owned())
-    } else {
-        (logs_in(path)?, |path, name| path.join(name))
-    };
+    let itself = is_log(path);
+    let names = if itself { vec![log_name(path)] } else { logs_in(path)? };
     if names.is_empty() {
         let expected =
             "a log (a folder with annotations.feather and city_SE3_egovehicle.feather) or a folder of logs";
@@ -28,7 +25,10 @@ pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetErr
     let wanted = locator.scene.as_deref().filter(|scene| *scene != "*");
     let chosen = names.iter().filter(|name| wanted.is_none_or(|w| w == *name));
     let chosen: Vec<LogLocator> = chosen
-        .map(|name| LogLocator { path: folder_of(path, name), scene: None, ..locator.clone() })
+        .map(|name| {
+            let path = if itself { path.clone() } else { path.join(name) };
+            LogLocator { path, scene: None, ..locator.clone() }
+        })
         .collect();
     if chosen.is_empty() {
         return Err(DatasetError::Scene { found: locator.scene.clone(), scenes: names, path: path.clone() });

@@ -185,10 +185,10 @@ fn ring(mut corners: Vec<DVec2>, record: impl FnOnce() -> String) -> Result<Vec<
 /// The outline between two edges, whichever way they run. Sides of a convex quadrangle are together shorter than its
 /// diagonals, so the shorter way to join the edges does not cross itself.
 fn between(edge1: &[DVec2], mut edge2: Vec<DVec2>) -> Vec<DVec2> {
-    if let (Some((a, b)), Some((c, d))) = (ends(edge1), ends(&edge2)) {
-        if b.distance(d) + c.distance(a) < b.distance(c) + d.distance(a) {
-            edge2.reverse();
-        }
+    if let (Some((a, b)), Some((c, d))) = (ends(edge1), ends(&edge2))
+        && b.distance(d) + c.distance(a) < b.distance(c) + d.distance(a)
+    {
+        edge2.reverse();
     }
     edge1.iter().copied().chain(edge2).collect()
 }

@@ -36,6 +36,9 @@ pub(super) fn read(
     if annotations.other_category > 0 {
         notes.insert("boxes of another category than their track".into(), annotations.other_category);
     }
+    for _ in rig.len()..calibration::RING.len() {
+        note(&mut notes, "ring cameras without calibration");
+    }
     let (mut times_ns, mut frames, mut box_points) = (Vec::new(), Vec::new(), Vec::new());
     for (&t_ns, boxes) in &annotations.frames {
         let Some(global_from_ego) = ego.at(t_ns) else {
