@@ -15,7 +15,7 @@ mod options;
 mod split;
 mod store;
 mod sweep;
-mod template;
+mod templates;
 mod trajectory;
 mod voxel;
 
@@ -27,6 +27,9 @@ pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap};
 pub use options::{BuildOptions, Coloring};
 pub use split::{Part, SplitOptions, Splitter};
 pub use store::{BuiltSkeleton, Skeleton};
-pub use template::TemplateKind;
+pub use templates::{
+    ClusterReport, Instances, LibraryManifest, LogSource, TemplateCloud, TemplateKind, TemplateLibrary,
+    TemplateOptions, TemplateReport, TemplateSummary, default_templates,
+};
 pub use trajectory::Trajectories;
 pub use voxel::{ColoredPoint, merge_voxels};
