@@ -8,11 +8,13 @@ use glam::Vec3;
 use super::log_args::LogRoots;
 use super::numbers::{self, FrameRange};
 use super::progress::StageProgress;
-use super::{WrongUsage, info, say};
+use super::{WrongUsage, info, say, templates};
 use crate::cloud::{self, Bounds, Point};
 use crate::dataset::LogLocator;
 use crate::error::FileError;
-use crate::skeleton::{self, BuildOptions, BuiltSkeleton, Coloring, Skeleton, Template, TemplateKind};
+use crate::skeleton::{
+    self, BuildOptions, BuiltSkeleton, Coloring, Skeleton, Template, TemplateKind, TemplateLibrary,
+};
 
 /// Build a point skeleton from a recorded drive: colored background, an asset per tracked actor
 ///
@@ -50,6 +52,12 @@ pub(super) struct BuildArgs {
     /// construction), x forward, z up; may be given once per kind
     #[arg(long = "template", value_name = "KIND=FILE.npy|ply")]
     templates: Vec<TemplateFile>,
+    /// Make templates from the log's own actors; those given by --template go before them
+    #[arg(long = "templates")]
+    own_templates: bool,
+    /// Take templates of kinds that there are none of so far from a folder of `pskel templates`
+    #[arg(long, value_name = "DIR")]
+    templates_from: Option<PathBuf>,
 }
 
 /// `KIND=FILE`.
@@ -76,20 +84,24 @@ pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
         return Err(FileError::content(expected, "other content", &args.out).into());
     }
     let templates = read_templates(&args.templates)?;
+    let library = args.templates_from.as_deref().map(TemplateLibrary::open).transpose()?;
     let dataset = args.roots.open(&args.log)?;
     let frames = FrameRange::of(args.frames, dataset.log().frames.len())?;
     let frames: Vec<usize> = frames.step_by(args.every as usize).collect();
     let progress = StageProgress::default();
     let mut built = skeleton::build(dataset.as_ref(), &frames, &args.options(), &progress)?;
     drop(progress);
-    for (template, points) in templates {
-        built.templates.retain(|(t, _)| t.kind != template.kind);
-        built.templates.push((template, points));
+    let made = if args.own_templates { templates::of_skeleton(&built) } else { (Vec::new(), String::new()) };
+    let (own, told) = made;
+    for (template, points) in templates.into_iter().chain(own).chain(library.unwrap_or_default().clouds) {
+        if built.templates.iter().all(|(t, _)| t.kind != template.kind) {
+            built.templates.push((template, points));
+        }
     }
     built.templates.sort_by_key(|(t, _)| t.kind);
     built.write(&args.out)?;
     let seconds = start.elapsed().as_secs_f64();
-    say(&format!("{} in {seconds:.2} s: {}", summary(&built), args.out.display()));
+    say(&format!("{}{told} in {seconds:.2} s: {}", summary(&built), args.out.display()));
     Ok(())
 }
 

@@ -6,6 +6,7 @@
 //! merges voxels, and keeps the background in chunks with an origin each, so that global coordinates stay `f64` and
 //! points are `f32`. [`Skeleton`] is the result on disk, memory-mapped.
 
+mod augment;
 mod build;
 mod chunks;
 mod colorize;
@@ -19,6 +20,7 @@ mod templates;
 mod trajectory;
 mod voxel;
 
+pub use augment::{AugmentOptions, Augmentation, augment};
 pub use build::{BuildError, Progress, build};
 pub use chunks::{CHUNK_M, chunks_from_points};
 pub use colorize::{Candidate, ColorView, Look, Projector, agreed_color};
@@ -29,7 +31,7 @@ pub use split::{Part, SplitOptions, Splitter};
 pub use store::{BuiltSkeleton, Skeleton};
 pub use templates::{
     ClusterReport, Instances, LibraryManifest, LogSource, TemplateCloud, TemplateKind, TemplateLibrary,
-    TemplateOptions, TemplateReport, TemplateSummary, default_templates,
+    TemplateOptions, TemplateReport, TemplateSummary, default_template, default_templates,
 };
 pub use trajectory::Trajectories;
 pub use voxel::{ColoredPoint, merge_voxels};

@@ -6,6 +6,7 @@ use serde::Serialize;
 use crate::cli::log_args::LogRoots;
 use crate::cli::numbers::{self, FrameRange};
 use crate::cli::rasterizer::RasterizerArgs;
+use crate::cli::stand_ins::{StandInArgs, StandInReport};
 use crate::conditions::{BinScale, ColorFilter, ConditionOptions, DepthBins, ImageSize, MapSet, Occlusion};
 use crate::dataset::LogLocator;
 use crate::raster::SplatSchedule;
@@ -85,6 +86,8 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "F.json")]
     pub(super) annotations: Option<PathBuf>,
     #[command(flatten)]
+    pub(super) stand_ins: StandInArgs,
+    #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
 }
 
@@ -107,6 +110,8 @@ pub(super) struct RenderOptions {
     pub(super) conditions: ConditionOptions,
     #[serde(flatten)]
     pub(super) selection: SelectionOptions,
+    #[serde(flatten)]
+    stand_ins: StandInReport,
     ego_offset: EgoOffset,
     /// File of other cameras.
     cameras: Option<PathBuf>,
@@ -114,7 +119,7 @@ pub(super) struct RenderOptions {
 }
 
 impl RenderArgs {
-    pub(super) fn options(&self) -> RenderOptions {
+    pub(super) fn options(&self, stand_ins: StandInReport) -> RenderOptions {
         let far_m = self.far.unwrap_or(self.radius) as f32;
         let conditions = ConditionOptions {
             maps: self.maps,
@@ -132,6 +137,7 @@ impl RenderArgs {
                 min_actor_points: self.min_actor_points,
                 template_fit: self.template_fit,
             },
+            stand_ins,
             ego_offset: self.ego_offset.unwrap_or_default(),
             cameras: self.cameras.clone(),
             format: self.format,

@@ -35,8 +35,10 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
     let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), read_prompt)?;
     let steps = Steps::new(log, &args, views)?;
-    let mut rasterizer = args.rasterizer.create(Stage::clouds(&skeleton))?;
-    let options = args.options();
+    let (stand_ins, told) = args.stand_ins.make(&skeleton)?;
+    let stage = Stage::with(&skeleton, &stand_ins);
+    let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
+    let options = args.options(told);
     let output = Output {
         folder: &args.out,
         format: args.format,
@@ -46,7 +48,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         log: &log.name,
     };
     output.begin()?;
-    let frames = Work { stage: Stage::new(&skeleton), steps: &steps, output: &output }.run(
+    let frames = Work { stage, steps: &steps, output: &output }.run(
         rasterizer.as_mut(),
         &options.conditions,
         &options.selection,

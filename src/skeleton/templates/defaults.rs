@@ -1,31 +1,35 @@
+use rayon::prelude::*;
+
 use super::thin::poisson_thin;
 use super::{TemplateCloud, TemplateKind, TemplateOptions};
 use crate::cloud::{Bounds, Point};
 use crate::skeleton::Template;
-use crate::town::Model;
+use crate::town::{Model, SurfacePoint};
 
-/// Templates of sedan, SUV, pickup or van, pedestrian and bike: evenly thinned surfaces of the built-in street's models. Always the same points.
-/// Trucks, buses and the like have none, since they differ too much.
+/// All templates that [`default_template`] knows, in the order of kinds.
 pub fn default_templates() -> Vec<TemplateCloud> {
-    let models = [
-        (TemplateKind::Sedan, Model::Sedan),
-        (TemplateKind::Suv, Model::Suv),
-        (TemplateKind::Pickup, Model::Van),
-        (TemplateKind::Pedestrian, Model::Walker),
-        (TemplateKind::Bike, Model::Cyclist),
-    ];
-    models.into_iter().filter_map(|(kind, model)| template(kind, model)).collect()
+    TemplateKind::NAMES.par_iter().filter_map(|(_, kind)| default_template(*kind)).collect()
 }
 
-fn template(kind: TemplateKind, model: Model) -> Option<TemplateCloud> {
+/// A template of sedan, SUV, pickup or van, pedestrian or bike: the evenly thinned surface of a model of the built-in street.
+/// Always the same points. Trucks, buses and the like have none, since they differ too much.
+pub fn default_template(kind: TemplateKind) -> Option<TemplateCloud> {
+    let model = match kind {
+        TemplateKind::Sedan => Model::Sedan,
+        TemplateKind::Suv => Model::Suv,
+        TemplateKind::Pickup => Model::Van,
+        TemplateKind::Pedestrian => Model::Walker,
+        TemplateKind::Bike => Model::Cyclist,
+        _ => return None,
+    };
     let size_m = model.size_m();
     let spacing_m = TemplateOptions::default().spacing_m(size_m);
     let surface = model.surface(spacing_m);
-    let position = |p: &crate::town::SurfacePoint| p.local_m.as_vec3().to_array();
+    let position = |p: &SurfacePoint| p.local_m.as_vec3().to_array();
     let kept = poisson_thin(surface.iter().map(position), spacing_m);
     let class = kind.class();
-    let points: Vec<Point> =
-        kept.into_iter().map(|i| Point::new(position(&surface[i]), surface[i].rgb, class as u8)).collect();
+    let point = |i: usize| Point::new(position(&surface[i]), surface[i].rgb, class as u8);
+    let points: Vec<Point> = kept.into_iter().map(point).collect();
     let bounds = Bounds::of(&points)?;
     Some((Template { kind, class, size: size_m.to_array(), points: points.len(), bounds }, points))
 }

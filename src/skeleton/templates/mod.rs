@@ -15,7 +15,7 @@ mod library;
 mod options;
 mod thin;
 
-pub use defaults::default_templates;
+pub use defaults::{default_template, default_templates};
 pub use instances::Instances;
 pub use kind::TemplateKind;
 pub use library::{LibraryManifest, LogSource, TemplateLibrary};
