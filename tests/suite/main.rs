@@ -18,4 +18,5 @@ mod sheet;
 mod skeleton_store;
 mod splat_cli;
 mod street;
+mod templates;
 mod tiny_log;

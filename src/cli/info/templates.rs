@@ -49,7 +49,8 @@ fn of_template(summary: &TemplateSummary) -> String {
         size_of(std::array::from_fn(|a| f64::from(b.max[a]) - f64::from(b.min[a])))
     });
     format!(
-        "{}: {} points of {extent} in a box of {}, {:.3} m apart, from {} points of {} actors, {} outliers",
+        "{}: {} points of {extent} in a box of {}, {:.3} m apart, from {} points of {} actors, {} outliers, \
+         {} of one actor alone",
         summary.kind.name(),
         summary.points,
         size_of(summary.size),
@@ -57,6 +58,7 @@ fn of_template(summary: &TemplateSummary) -> String {
         summary.points_in,
         summary.instances,
         summary.outliers,
+        summary.not_agreed,
     )
 }
 

@@ -11,8 +11,8 @@ const WIDTH: u32 = 480;
 const HEIGHT: u32 = 360;
 /// From so many radii away, so that there is little perspective.
 const RADII_AWAY: f64 = 8.0;
-/// The sphere around the points fills this share of half a panel's width.
-const FILLS: f64 = 0.95;
+/// The bounds fill this share of a panel.
+const FILLS: f64 = 0.85;
 
 /// Draws points from four sides, light where near: right side, from above (front to the right), from the front right, from behind left.
 pub(super) fn draw(points: &[Point], bounds: &Bounds) -> anyhow::Result<(Vec<[u8; 3]>, ImageSize)> {
@@ -38,12 +38,14 @@ pub(super) fn draw(points: &[Point], bounds: &Bounds) -> anyhow::Result<(Vec<[u8
 fn panel(points: &[Point], bounds: &Bounds, from: DVec3, up: DVec3) -> anyhow::Result<Vec<[u8; 3]>> {
     let [min, max] = [bounds.min, bounds.max].map(|v| DVec3::from(v.map(f64::from)));
     let radius_m = ((max - min).length() / 2.0).max(1e-3);
-    let pixels_per_m = FILLS * f64::from(WIDTH) / 2.0 / radius_m;
-    let focal_px = pixels_per_m * RADII_AWAY * radius_m;
-    let (cx, cy) = (f64::from(WIDTH) / 2.0, f64::from(HEIGHT) / 2.0);
-    let intrinsics = [[focal_px, 0.0, cx], [0.0, focal_px, cy], [0.0, 0.0, 1.0]];
     let right = up.cross(from).normalize();
-    let rotation = DMat3::from_cols(right, from.cross(up.cross(from)).normalize() * -1.0, -from);
+    let down = right.cross(from);
+    let reach = |axis: DVec3| (max - min).dot(axis.abs()) / 2.0;
+    let (cx, cy) = (f64::from(WIDTH) / 2.0, f64::from(HEIGHT) / 2.0);
+    let pixels_per_m = FILLS * (cx / reach(right).max(1e-3)).min(cy / reach(down).max(1e-3));
+    let focal_px = pixels_per_m * RADII_AWAY * radius_m;
+    let intrinsics = [[focal_px, 0.0, cx], [0.0, focal_px, cy], [0.0, 0.0, 1.0]];
+    let rotation = DMat3::from_cols(right, down, -from);
     let place = (min + max) / 2.0 + from * RADII_AWAY * radius_m;
     let view = View {
         camera: Camera::new("picture", WIDTH, HEIGHT, intrinsics)?,
@@ -60,16 +62,33 @@ fn panel(points: &[Point], bounds: &Bounds, from: DVec3, up: DVec3) -> anyhow::R
     let planes = Planes { depth: true, ..Planes::NONE };
     let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, planes };
     let maps = CpuRasterizer::new(vec![points]).splat(&job).context("cannot draw a template")?;
-    Ok(shaded(&maps.depth_m))
+    Ok(shaded(&maps.depth_m, 1.0 / pixels_per_m))
 }
 
-/// Grey by depth between the nearest and the farthest pixel, on black.
-fn shaded(depth_m: &[f32]) -> Vec<[u8; 3]> {
+/// Slopes are taken over so many pixels to either side.
+const SLOPE_PX: usize = 4;
+
+/// Grey on black: near is light, and so is what faces the eye.
+fn shaded(depth_m: &[f32], pixel_m: f64) -> Vec<[u8; 3]> {
     let drawn = || depth_m.iter().copied().filter(|d| d.is_finite());
     let (near, far) = (drawn().fold(f32::INFINITY, f32::min), drawn().fold(f32::NEG_INFINITY, f32::max));
-    let range = (far - near).max(1e-6);
-    let grey = |d: &f32| if d.is_finite() { [(250.0 - 200.0 * (d - near) / range) as u8; 3] } else { [0; 3] };
-    depth_m.iter().map(grey).collect()
+    let range = f64::from(far - near).max(1e-6);
+    let width = WIDTH as usize;
+    let at = |i: Option<usize>| i.and_then(|i| depth_m.get(i)).copied().filter(|d| d.is_finite());
+    let slope = |i: usize, step: usize| {
+        let ends = at(i.checked_sub(SLOPE_PX * step)).zip(at(Some(i + SLOPE_PX * step)));
+        ends.map_or(0.0, |(a, b)| f64::from(b - a) / (2.0 * SLOPE_PX as f64 * pixel_m))
+    };
+    let grey = |(i, d): (usize, &f32)| {
+        if !d.is_finite() {
+            return [0; 3];
+        }
+        let (across, along) = (slope(i, 1), slope(i, width));
+        let facing = 1.0 / (1.0 + across * across + along * along).sqrt();
+        let depth = f64::from(d - near) / range;
+        [(40.0 + 100.0 * facing + 110.0 * (1.0 - depth)) as u8; 3]
+    };
+    depth_m.iter().enumerate().map(grey).collect()
 }
 
 #[cfg(test)]
@@ -92,8 +111,8 @@ mod tests {
             xs.flat_map(|x| ys.clone().map(move |y| (x, y))).filter(|(x, y)| lit(*x, *y)).count()
         };
         // Seen from the right: the post rises at the right end. Seen from above: the left one goes up from the middle.
-        assert!(count(400..470, 100..175) > 50 && count(10..80, 100..175) == 0);
-        assert!(count(700..740, 100..170) > 50 && count(880..950, 100..170) == 0);
+        assert!(count(400..470, 100..170) > 50 && count(10..80, 100..170) == 0);
+        assert!(count(690..750, 100..170) > 50 && count(880..950, 100..170) == 0);
         for (left, top) in [(0, 0), (480, 0), (0, 360), (480, 360)] {
             assert!(count(left..left + 480, top..top + 360) > 500);
         }

@@ -3,10 +3,11 @@ use std::num::NonZero;
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 use super::cluster::Cluster;
 use super::instances::Instance;
-use super::thin::poisson_thin;
+use super::thin::{neighbourhood, poisson_thin};
 use super::{ClusterReport, TemplateCloud, TemplateKind, TemplateOptions, TemplateSummary};
 use crate::cloud::{Bounds, Point};
 use crate::dataset::Class;
@@ -24,7 +25,9 @@ pub(super) fn aggregate(
     let size_m = members.iter().map(|m| m.size_m).sum::<DVec3>() / members.len().max(1) as f64;
     let mirror = kind.class() == Class::MotorVehicle;
     let mut spacing_m = options.spacing_m(size_m);
-    let laid: Vec<Point> = members.iter().flat_map(|m| in_box(m, size_m, kind, mirror)).collect();
+    let each: Vec<Vec<Point>> = members.iter().map(|m| in_box(m, size_m, kind, mirror)).collect();
+    let all: usize = each.iter().map(Vec::len).sum();
+    let laid = agreed(&each, spacing_m, options);
     let ranked = without_outliers(&laid, mirror, spacing_m, options);
     let mut points = thinned(&ranked, mirror, spacing_m);
     while points.len() > options.max_points {
@@ -46,6 +49,7 @@ pub(super) fn aggregate(
         instances: members.len(),
         points_in: members.iter().map(|m| m.points_in).sum(),
         outliers: laid.len() - ranked.len(),
+        not_agreed: all - laid.len(),
         points: points.len(),
         spacing_m,
         size: size_m.to_array(),
@@ -60,20 +64,48 @@ pub(super) fn aggregate(
 }
 
 /// An actor's points scaled along each axis to a box; the right side of what is mirrored is turned over to the left.
-fn in_box(
-    actor: &Instance,
-    size_m: DVec3,
-    kind: TemplateKind,
-    mirror: bool,
-) -> impl Iterator<Item = Point> + '_ {
+fn in_box(actor: &Instance, size_m: DVec3, kind: TemplateKind, mirror: bool) -> Vec<Point> {
     let scale = size_m / actor.size_m;
-    actor.points.iter().map(move |point| {
+    let place = |point: &Point| {
         let mut local = DVec3::from(point.position.map(f64::from)) * scale;
         if mirror {
             local.y = local.y.abs();
         }
         Point::new(local.as_vec3().to_array(), point.rgb(), kind.class() as u8)
-    })
+    };
+    actor.points.iter().map(place).collect()
+}
+
+/// Actors with this share of the points that a template would have were seen well.
+const SEEN_WELL: f64 = 0.05;
+
+/// All actors' points, less those that no other actor has points near, where there are others enough to tell.
+fn agreed(actors: &[Vec<Point>], spacing_m: f64, options: &TemplateOptions) -> Vec<Point> {
+    let well = SEEN_WELL * options.target_points as f64;
+    let seen_well = actors.iter().filter(|points| points.len() as f64 >= well).count();
+    if options.agree_from_actors.is_none_or(|from| seen_well < from) {
+        return actors.concat();
+    }
+    // Of every cell the first actor in it and the first other one.
+    let mut cells: FxHashMap<[i32; 3], (usize, Option<usize>)> = FxHashMap::default();
+    let side_m = options.neighbour_spacings * spacing_m;
+    let cell = |p: &Point| p.position.map(|v| (f64::from(v) / side_m).floor() as i32);
+    for (actor, points) in actors.iter().enumerate() {
+        for point in points {
+            let (first, other) = cells.entry(cell(point)).or_insert((actor, None));
+            if *first != actor {
+                other.get_or_insert(actor);
+            }
+        }
+    }
+    let has_other = |actor: usize, cell: &[i32; 3]| {
+        cells.get(cell).is_some_and(|(first, other)| *first != actor || other.is_some())
+    };
+    let near_others = |actor: usize, p: &Point| neighbourhood(cell(p)).any(|c| has_other(actor, &c));
+    let kept = |(actor, points): (usize, &Vec<Point>)| -> Vec<Point> {
+        points.iter().filter(|p| near_others(actor, p)).copied().collect()
+    };
+    actors.iter().enumerate().flat_map(kept).collect()
 }
 
 /// Points with enough neighbours near, the most crowded first: where the surfaces of several actors lie apart, the one that
@@ -217,6 +249,26 @@ mod tests {
         assert_eq!(summary.outliers, 5);
         assert!(templates[0].1.iter().all(|p| off_shell(p, asset.size) < 1e-6));
         assert_eq!((summary.points, summary.points_in), (templates[0].1.len(), surface + 5));
+    }
+
+    #[test]
+    fn what_one_actor_alone_has_goes_where_there_are_others_enough() {
+        let ladder = |i: i32| Point::new([0.01 * i as f32, 0.3, 1.2], [0; 3], 1);
+        let cars = |count: usize| {
+            let mut cars: Vec<_> =
+                (0..count).map(|_| shell("a", "vehicle.car", [4.6, 1.9, 1.5], 0.05)).collect();
+            cars[0].1.extend((0..100).map(ladder));
+            cars
+        };
+        let high = |(_, points): &TemplateCloud| points.iter().filter(|p| p.position[2] > 1.0).count();
+        let (few, summary) = made(&cars(3), TemplateOptions { neighbours: 2, ..TemplateOptions::default() });
+        assert!(high(&few[0]) > 20 && summary.not_agreed == 0);
+        let (enough, summary) =
+            made(&cars(4), TemplateOptions { neighbours: 2, ..TemplateOptions::default() });
+        assert_eq!(high(&enough[0]), 0);
+        // Thinned to about 4 cm the ladder of 1 m has some 25 points.
+        assert!((20..=40).contains(&summary.not_agreed), "{}", summary.not_agreed);
+        assert_eq!(summary.outliers, 0);
     }
 
     #[test]

@@ -24,6 +24,9 @@ pub struct TemplateOptions {
     pub neighbours: usize,
     /// ... are within so many spacings of it.
     pub neighbour_spacings: f64,
+    /// Where this many actors of a kind were seen well, a point stays only if another actor has points near it: what belongs
+    /// to one alone (a ladder, a branch beside it) is no part of the kind. `None` keeps such points.
+    pub agree_from_actors: Option<usize>,
 }
 
 impl Default for TemplateOptions {
@@ -36,6 +39,7 @@ impl Default for TemplateOptions {
             min_points: 1000,
             neighbours: 8,
             neighbour_spacings: 2.5,
+            agree_from_actors: Some(4),
         }
     }
 }
@@ -69,8 +73,10 @@ pub struct TemplateSummary {
     pub instances: usize,
     /// Points of the assets as given.
     pub points_in: usize,
-    /// Taken off since few others are near.
+    /// Points taken off since few others are near.
     pub outliers: usize,
+    /// Points taken off since no other actor has any near.
+    pub not_agreed: usize,
     /// Points of the template; 0 where it was left out for having too few.
     pub points: usize,
     /// Distance between them, metres.

@@ -20,7 +20,7 @@ pub(super) fn poisson_thin(points: impl IntoIterator<Item = [f32; 3]>, spacing_m
 }
 
 /// A cell of a grid and the 26 around it.
-fn neighbourhood(cell: [i32; 3]) -> impl Iterator<Item = [i32; 3]> {
+pub(super) fn neighbourhood(cell: [i32; 3]) -> impl Iterator<Item = [i32; 3]> {
     (0..27).map(move |i| {
         let step = [i / 9, i / 3 % 3, i % 3];
         std::array::from_fn(|axis| cell[axis].saturating_add(step[axis] - 1))
