@@ -9,7 +9,8 @@ use super::numbers;
 use crate::error::FileError;
 use crate::scene::StandIns;
 use crate::skeleton::{
-    AugmentOptions, Augmentation, Skeleton, TemplateKind, TemplateLibrary, augment, default_templates,
+    AugmentOptions, Augmentation, Skeleton, TemplateCloud, TemplateKind, TemplateLibrary, augment,
+    default_templates,
 };
 
 /// What stands in for a skeleton's own clouds.
@@ -62,15 +63,16 @@ impl StandInArgs {
         let mut origins: BTreeMap<TemplateKind, Origin> =
             skeleton.manifest.templates.iter().map(|t| (t.kind, Origin::Skeleton)).collect();
         let library = self.templates.as_deref().map(TemplateLibrary::open).transpose()?;
-        let defaults = if self.no_default_templates { Vec::new() } else { default_templates() };
-        let from_library = library.unwrap_or_default().clouds.into_iter().map(|t| (Origin::Library, t));
-        let candidates = from_library.chain(defaults.into_iter().map(|t| (Origin::Default, t)));
         let mut stand_ins = StandIns::default();
-        for (origin, cloud) in candidates {
+        let mut add = |origin: Origin, cloud: TemplateCloud| {
             origins.entry(cloud.0.kind).or_insert_with(|| {
                 stand_ins.templates.push(cloud);
                 origin
             });
+        };
+        library.unwrap_or_default().clouds.into_iter().for_each(|cloud| add(Origin::Library, cloud));
+        if !self.no_default_templates {
+            default_templates().into_iter().for_each(|cloud| add(Origin::Default, cloud));
         }
         let templates = origins.iter().map(|(kind, origin)| (kind.name(), *origin)).collect();
         let augment = self.augment.map(|seed| self.augment(seed, skeleton, &mut stand_ins));

@@ -50,7 +50,7 @@ impl Model {
     }
 
     /// Points of the surface that can be seen from the side or from above, always the same: where parallel rays in thirteen
-    /// directions, about half of `spacing_m` apart, meet it.
+    /// directions, about three quarters of `spacing_m` apart, meet it.
     pub fn surface(self, spacing_m: f64) -> Vec<SurfacePoint> {
         let thing = self.thing();
         let bounds = thing.local_bounds();
@@ -63,7 +63,7 @@ impl Model {
             let rgb = look.color.to_array().map(|v| (v.clamp(0.0, 1.0).sqrt() * 255.0).round() as u8);
             Some(SurfacePoint { local_m: hit.local - centre, rgb })
         };
-        let step_m = spacing_m / 2.0;
+        let step_m = 0.75 * spacing_m;
         let along = |dir: DVec3| {
             let (u, v) = dir.any_orthonormal_pair();
             let range = |axis: DVec3| {

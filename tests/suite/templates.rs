@@ -281,6 +281,9 @@ fn templates_of_a_real_drive_have_sizes_of_their_kind() {
     }
     // Every actor went somewhere.
     let used: usize = report.templates.iter().map(|t| t.instances).sum();
+    let not_used = report.templates.iter().flat_map(|t| &t.clusters).filter(|c| !c.used);
+    let of_another_size: usize = not_used.map(|c| c.members.len()).sum();
+    assert!(of_another_size < used);
     let left: usize = report.notes.iter().filter(|(n, _)| n.starts_with("actors")).map(|(_, c)| c).sum();
     assert_eq!(used + left, assets.len());
 }

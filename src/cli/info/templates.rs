@@ -35,7 +35,9 @@ pub(super) fn text(library: &TemplateLibrary, path: &Path) -> String {
         line("template", of_template(summary));
         for cluster in &summary.clusters {
             let (count, points) = (cluster.members.len(), cluster.points_in);
-            line("", format!("  {} of {count} actors with {points} points", size_of(cluster.size)));
+            let unused = if cluster.used { "" } else { " (not used)" };
+            let size = size_of(cluster.size);
+            line("", format!("  {size}: {count} actors with {points} points{unused}"));
         }
     }
     for (note, count) in &manifest.report.notes {

@@ -34,18 +34,10 @@ pub(super) fn aggregate(
         spacing_m *= 1.2;
         points = thinned(&ranked, mirror, spacing_m);
     }
-    let report = |cluster: &Cluster| {
-        let members = || cluster.members.iter().map(|i| &instances[*i]);
-        ClusterReport {
-            size: cluster.size_m.to_array(),
-            members: members().map(|m| m.name.clone()).collect(),
-            points_in: members().map(|m| m.points_in).sum(),
-        }
-    };
     let bounds = Bounds::of(&points);
     let summary = TemplateSummary {
         kind,
-        clusters: clusters.iter().map(report).collect(),
+        clusters: clusters.iter().map(|c| cluster_report(c, instances, true)).collect(),
         instances: members.len(),
         points_in: members.iter().map(|m| m.points_in).sum(),
         outliers: laid.len() - ranked.len(),
@@ -61,6 +53,17 @@ pub(super) fn aggregate(
         (Template { kind, class, size, points: points.len(), bounds }, points)
     });
     (summary, cloud)
+}
+
+/// What to tell of a cluster.
+pub(super) fn cluster_report(cluster: &Cluster, instances: &[Instance], used: bool) -> ClusterReport {
+    let members = || cluster.members.iter().map(|i| &instances[*i]);
+    ClusterReport {
+        used,
+        size: cluster.size_m.to_array(),
+        members: members().map(|m| m.name.clone()).collect(),
+        points_in: members().map(|m| m.points_in).sum(),
+    }
 }
 
 /// An actor's points scaled along each axis to a box; the right side of what is mirrored is turned over to the left.
@@ -229,7 +232,8 @@ mod tests {
         let mut mirrored: Vec<[f32; 3]> = positions.iter().map(|[x, y, z]| [*x, -y, *z]).collect();
         let mut sorted = positions.clone();
         let order = |a: &[f32; 3], b: &[f32; 3]| a.partial_cmp(b).unwrap();
-        (sorted.sort_by(order), mirrored.sort_by(order));
+        sorted.sort_by(order);
+        mirrored.sort_by(order);
         assert_eq!(sorted, mirrored);
         // All are kept again by a thinning: none are nearer than the spacing.
         let rounding = 1.0 - 1e-6;
@@ -279,6 +283,23 @@ mod tests {
         assert!(templates[0].1.iter().all(|p| p.position[1] > 0.0));
         let (none, summary) = made(&[(asset, points[..900].to_vec())], TemplateOptions::default());
         assert!(none.is_empty() && summary.points == 0);
+    }
+
+    #[test]
+    fn of_trucks_only_the_cluster_with_the_most_points_counts() {
+        let (long, short) = ([9.0, 2.5, 3.2], [5.5, 2.0, 1.9]);
+        let mut trucks: Vec<_> =
+            [short, long, long, short].map(|size| shell("a", "vehicle.truck", size, 0.06)).into();
+        trucks[0].1.truncate(2000);
+        let (templates, summary) = made(&trucks, TemplateOptions::default());
+        assert_eq!((templates[0].0.size, summary.instances), (long, 2));
+        let told: Vec<_> = summary.clusters.iter().map(|c| (c.used, c.size, c.members.len())).collect();
+        assert_eq!(told, [(true, long, 2), (false, short, 2)]);
+        // Cars of two sizes become one.
+        let cars = [[3.6, 1.6, 1.4], [4.8, 1.9, 1.5]].map(|size| shell("a", "vehicle.car", size, 0.06));
+        let (templates, summary) = made(&cars, TemplateOptions::default());
+        assert_eq!((summary.clusters.len(), summary.instances), (2, 2));
+        assert!((templates[0].0.size[0] - 4.2).abs() < 1e-12);
     }
 
     #[test]

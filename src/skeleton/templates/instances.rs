@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::aggregate::aggregate;
+use super::aggregate::{aggregate, cluster_report};
 use super::cluster::{Cluster, clusters};
 use super::kind::Family;
 use super::thin::poisson_thin;
@@ -68,8 +68,15 @@ impl Instances {
         }
         let mut report = TemplateReport { notes: self.notes.clone(), ..TemplateReport::default() };
         let mut templates = Vec::new();
-        for (kind, clusters) in kinds {
+        for (kind, mut clusters) in kinds {
+            let others =
+                if kind.replaces_small_assets() { Vec::new() } else { self.split_off_main(&mut clusters) };
             let (mut summary, cloud) = aggregate(kind, &clusters, &self.instances, &self.options);
+            for other in &others {
+                summary.clusters.push(cluster_report(other, &self.instances, false));
+                let reason = format!("actors of another size than the template of {}", kind.name());
+                *report.notes.entry(reason).or_default() += other.members.len();
+            }
             match cloud {
                 Some(cloud) => templates.push(cloud),
                 None => {
@@ -81,6 +88,13 @@ impl Instances {
             report.templates.push(summary);
         }
         (templates, report)
+    }
+
+    /// Leaves the cluster with the most points (of several the first); the others come back.
+    fn split_off_main(&self, clusters: &mut Vec<Cluster>) -> Vec<Cluster> {
+        let points = |c: &Cluster| c.members.iter().map(|i| self.instances[*i].points.len()).sum::<usize>();
+        clusters.sort_by_key(|c| std::cmp::Reverse(points(c)));
+        clusters.split_off(clusters.len().min(1))
     }
 }
 

@@ -67,11 +67,11 @@ pub struct TemplateReport {
 pub struct TemplateSummary {
     /// Kind.
     pub kind: TemplateKind,
-    /// Clusters of the kind; all of them are laid over each other.
+    /// Clusters of the kind.
     pub clusters: Vec<ClusterReport>,
-    /// Assets.
+    /// Assets of the clusters that were used.
     pub instances: usize,
-    /// Points of the assets as given.
+    /// Points of these assets as given.
     pub points_in: usize,
     /// Points taken off since few others are near.
     pub outliers: usize,
@@ -90,6 +90,9 @@ pub struct TemplateSummary {
 /// Actors of about one size.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClusterReport {
+    /// Whether the template was made of it: all clusters of cars, people and cycles are laid over each other; of trucks, buses
+    /// and the like, which differ more, only the one with the most points.
+    pub used: bool,
     /// Mean length, width, height, metres.
     pub size: [f64; 3],
     /// `LOG/TRACK`, in the order given.
