@@ -19,11 +19,12 @@ pub(super) struct StandInArgs {
     /// Folder of `pskel templates`: its templates serve for kinds that the skeleton has none of
     #[arg(long, value_name = "DIR")]
     templates: Option<PathBuf>,
-    /// Leave out the built-in templates of sedan, suv, pickup, pedestrian and bike, which serve for kinds that there are no others of
+    /// Leave out the built-in templates of sedan, suv, pickup, pedestrian and bike, which serve for kinds that there
+    /// are no others of
     #[arg(long)]
     no_default_templates: bool,
-    /// Make assets worse, as for training: half of --augment-share of them are thinned to 5 to 80 % of their points, half are cut to
-    /// what one camera sees; which and how follows from the seed and the track
+    /// Make assets worse, as for training: half of --augment-share of them are thinned to 5 to 80 % of their points,
+    /// half are cut to what one camera sees; which and how follows from the seed and the track
     #[arg(long, value_name = "SEED", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
     augment: Option<u64>,
     /// Share of the assets that --augment changes

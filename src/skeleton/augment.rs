@@ -58,8 +58,8 @@ pub enum Augmentation {
     },
 }
 
-/// An asset for training: as it is, thinned, or cut to what one camera sees. `points` are in box coordinates (metres) and stay in
-/// their order. The result depends on the points, the track's id and the options alone.
+/// An asset for training: as it is, thinned, or cut to what one camera sees. `points` are in box coordinates (metres)
+/// and stay in their order. The result depends on the points, the track's id and the options alone.
 pub fn augment(points: &[Point], track: &str, options: &AugmentOptions) -> (Vec<Point>, Augmentation) {
     // ChaCha, and the SipHash that seeds it, give the same numbers on every machine.
     let mut rng: ChaCha8Rng = Seeder::from((options.seed, track)).into_rng();
@@ -85,7 +85,8 @@ type Kept = (Vec<usize>, Augmentation);
 /// Halvings of the range of voxel sizes.
 const HALVINGS: u32 = 30;
 
-/// One point a voxel, with the voxel size that comes nearest to a share of the points that is log-uniform in `at` (0 to 1).
+/// One point a voxel, with the voxel size that comes nearest to a share of the points that is log-uniform in `at` (0 to
+/// 1).
 fn thin(points: &[Point], at: f64, options: &AugmentOptions) -> Kept {
     let [low, high] = options.ratio.map(f64::ln);
     let ratio = (low + (high - low) * at).exp();
@@ -122,7 +123,8 @@ fn one_a_voxel(points: &[Point], voxel_m: f64) -> Vec<usize> {
     first.into_values().collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// The camera: 1024x768 pixels over 90 degrees from left to right, so many radii of the asset away from its centre and level with it.
+/// The camera: 1024x768 pixels over 90 degrees from left to right, so many radii of the asset away from its centre and
+/// level with it.
 const WIDTH: u32 = 1024;
 const HEIGHT: u32 = 768;
 const FOCAL_PX: f64 = 512.0;
@@ -132,8 +134,8 @@ const SURFACE_RADII: f64 = 0.04;
 /// ... and so many distances between points, since their squares stand out from surfaces that are seen at a slant.
 const SURFACE_APART: f64 = 2.0;
 
-/// What a camera sees that stands half to the front (or to the back) of the side with more points, turned by up to 30 degrees more.
-/// Both choices are in 0 to 1. `None` for points that are no solid thing.
+/// What a camera sees that stands half to the front (or to the back) of the side with more points, turned by up to 30
+/// degrees more. Both choices are in 0 to 1. `None` for points that are no solid thing.
 fn one_view(points: &[Point], end: f64, turn: f64) -> Option<Kept> {
     let bounds = Bounds::of(points)?;
     let [min, max] = [bounds.min, bounds.max].map(|v| DVec3::from(v.map(f64::from)));

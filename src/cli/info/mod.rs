@@ -21,7 +21,8 @@ pub(super) use skeleton::dropped;
 /// Of a log the tables are read whole, of sweeps and images only sizes and headers.
 #[derive(Debug, Args)]
 pub(super) struct InfoArgs {
-    /// FORMAT:PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .npy, .ply, .json cameras, JPEG, PNG)
+    /// FORMAT:PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .npy, .ply, .json
+    /// cameras, JPEG, PNG)
     #[arg(value_name = "LOG|SKELETON|FILE")]
     target: String,
     #[command(flatten)]

@@ -24,9 +24,9 @@ use crate::skeleton::{
 
 /// Make category templates from the actors of logs: points that stand in for actors without many of their own
 ///
-/// Actors are clustered by category and size; the points of a kind's actors are laid over each other, vehicles also mirrored, freed of
-/// outliers and thinned. Writes templates.json (what was made of what), templates.points, and a picture of each. `build
-/// --templates-from` and `render --templates` use the folder.
+/// Actors are clustered by category and size; the points of a kind's actors are laid over each other, vehicles also
+/// mirrored, freed of outliers and thinned. Writes templates.json (what was made of what), templates.points, and a
+/// picture of each. `build --templates-from` and `render --templates` use the folder.
 #[derive(Debug, Args)]
 pub(super) struct TemplatesArgs {
     /// Drives (FORMAT:PATH[@VERSION][#SCENE]) or folders of skeletons that were built from them, which is faster

@@ -14,7 +14,8 @@ const RADII_AWAY: f64 = 8.0;
 /// The bounds fill this share of a panel.
 const FILLS: f64 = 0.85;
 
-/// Draws points from four sides, light where near: right side, from above (front to the right), from the front right, from behind left.
+/// Draws points from four sides, light where near: from the right, from above (front to the right), from the front
+/// right, from behind left.
 pub(super) fn draw(points: &[Point], bounds: &Bounds) -> anyhow::Result<(Vec<[u8; 3]>, ImageSize)> {
     let size = ImageSize { height: 2 * HEIGHT, width: 2 * WIDTH };
     let mut pixels = vec![[0; 3]; size.pixels()];
