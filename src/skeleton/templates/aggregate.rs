@@ -286,15 +286,18 @@ mod tests {
     }
 
     #[test]
-    fn of_trucks_only_the_cluster_with_the_most_points_counts() {
-        let (long, short) = ([9.0, 2.5, 3.2], [5.5, 2.0, 1.9]);
-        let mut trucks: Vec<_> =
-            [short, long, long, short].map(|size| shell("a", "vehicle.truck", size, 0.06)).into();
-        trucks[0].1.truncate(2000);
+    fn of_trucks_only_the_cluster_with_the_most_actors_counts() {
+        let (long, lone, tiny) = ([9.0, 2.5, 3.2], [12.0, 2.6, 3.8], [5.5, 2.0, 1.9]);
+        let sizes = [lone, long, long, tiny, tiny, tiny];
+        let mut trucks: Vec<_> = sizes.map(|size| shell("a", "vehicle.truck", size, 0.06)).into();
+        // Fewer points than of the lone one; hardly any of the tiny ones.
+        trucks[1..3].iter_mut().for_each(|truck| truck.1.truncate(6000));
+        trucks[3..].iter_mut().for_each(|truck| truck.1.truncate(200));
         let (templates, summary) = made(&trucks, TemplateOptions::default());
         assert_eq!((templates[0].0.size, summary.instances), (long, 2));
         let told: Vec<_> = summary.clusters.iter().map(|c| (c.used, c.size, c.members.len())).collect();
-        assert_eq!(told, [(true, long, 2), (false, short, 2)]);
+        assert_eq!(told[..2], [(true, long, 2), (false, lone, 1)]);
+        assert_eq!((told[2].0, told[2].2), (false, 3));
         // Cars of two sizes become one.
         let cars = [[3.6, 1.6, 1.4], [4.8, 1.9, 1.5]].map(|size| shell("a", "vehicle.car", size, 0.06));
         let (templates, summary) = made(&cars, TemplateOptions::default());

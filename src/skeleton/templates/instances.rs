@@ -90,10 +90,12 @@ impl Instances {
         (templates, report)
     }
 
-    /// Leaves the cluster with the most points (of several the first); the others come back.
+    /// Leaves the cluster with the most actors, of several the one with the most points; one with too few points for a
+    /// template only if there is no other. The others come back.
     fn split_off_main(&self, clusters: &mut Vec<Cluster>) -> Vec<Cluster> {
         let points = |c: &Cluster| c.members.iter().map(|i| self.instances[*i].points.len()).sum::<usize>();
-        clusters.sort_by_key(|c| std::cmp::Reverse(points(c)));
+        let rank = |c: &Cluster| (points(c) >= self.options.min_points, c.members.len(), points(c));
+        clusters.sort_by_key(|c| std::cmp::Reverse(rank(c)));
         clusters.split_off(clusters.len().min(1))
     }
 }

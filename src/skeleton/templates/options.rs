@@ -91,7 +91,7 @@ pub struct TemplateSummary {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClusterReport {
     /// Whether the template was made of it: all clusters of cars, people and cycles are laid over each other; of trucks, buses
-    /// and the like, which differ more, only the one with the most points.
+    /// and the like, which differ more, only the one with the most actors.
     pub used: bool,
     /// Mean length, width, height, metres.
     pub size: [f64; 3],
