@@ -95,7 +95,7 @@ fn compare_frame(
     let Some(state) = state_of_frame(log.log(), frame, EgoOffset::default()) else {
         anyhow::bail!("no frame {frame}")
     };
-    let instances = Stage::new(skeleton).instances(&state, &SelectionOptions::default());
+    let instances = Stage::new(skeleton, &log.log().name).instances(&state, &SelectionOptions::default());
     let maps = MapSet::of(&[MapKind::Color]);
     let options = ConditionOptions { maps, size: Some(SIZE), ..ConditionOptions::default() };
     let set = conditions::render(rasterizer, &instances, &state, &options)?;

@@ -1,3 +1,4 @@
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Instant;
@@ -8,12 +9,13 @@ use glam::Vec3;
 use super::log_args::LogRoots;
 use super::numbers::{self, FrameRange};
 use super::progress::StageProgress;
-use super::{WrongUsage, info, say};
+use super::{WrongUsage, info, say, templates};
 use crate::cloud::{self, Bounds, Point};
 use crate::dataset::{self, Dataset, LogLocator};
 use crate::error::FileError;
 use crate::skeleton::{
-    self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, Skeleton, Template, TemplateKind,
+    self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, Skeleton, Template, TemplateCloud,
+    TemplateKind, TemplateLibrary,
 };
 
 /// Build a point skeleton from recorded drives: colored background, an asset per tracked actor
@@ -61,6 +63,12 @@ pub(super) struct BuildArgs {
     /// construction), x forward, z up; may be given once per kind
     #[arg(long = "template", value_name = "KIND=FILE.npy|ply")]
     templates: Vec<TemplateFile>,
+    /// Make templates from the log's own actors; those given by --template go before them
+    #[arg(long = "templates")]
+    own_templates: bool,
+    /// Take templates of kinds that there are none of so far from a folder of `pskel templates`
+    #[arg(long, value_name = "DIR")]
+    templates_from: Option<PathBuf>,
 }
 
 /// `KIND=FILE`.
@@ -87,17 +95,28 @@ pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
         return Err(FileError::content(expected, "other content", &args.out).into());
     }
     let given = read_templates(&args.templates)?;
+    let library = args.templates_from.as_deref().map(TemplateLibrary::open).transpose()?.unwrap_or_default();
     let datasets = args.open()?;
     let inputs = datasets.iter().map(|dataset| args.input(dataset.as_ref()));
     let inputs: Vec<BuildInput> = inputs.collect::<anyhow::Result<_>>()?;
     let progress = StageProgress::default();
     let run =
         BuildRun { resume: args.resume, checkpoint_frames: args.checkpoint as usize, progress: &progress };
-    let templates = |_: &[(&Asset, &[Point])]| Ok(given.clone());
+    let told = RefCell::new(String::new());
+    let templates = |assets: &[(&Asset, &[Point])]| {
+        let mut all = given.clone();
+        if args.own_templates {
+            let (own, text) = templates::of_assets(assets);
+            all.extend(own);
+            told.replace(text);
+        }
+        all.extend(library.clouds.iter().cloned());
+        Ok(first_of_each_kind(all))
+    };
     let built = skeleton::build(&args.out, &inputs, &args.options(), &templates, &run)?;
     drop(progress);
     let seconds = start.elapsed().as_secs_f64();
-    say(&format!("{} in {seconds:.2} s: {}", summary(&built.manifest), args.out.display()));
+    say(&format!("{}{} in {seconds:.2} s: {}", summary(&built.manifest), told.take(), args.out.display()));
     Ok(())
 }
 
@@ -137,10 +156,14 @@ fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<(Template, Vec<P
             );
         }
     }
-    let read = files.iter().map(|file| Ok(read_template(file.kind, &file.path)?));
-    let mut templates: Vec<(Template, Vec<Point>)> = read.collect::<anyhow::Result<_>>()?;
+    files.iter().map(|file| Ok(read_template(file.kind, &file.path)?)).collect()
+}
+
+/// Sorted by kind.
+fn first_of_each_kind(mut templates: Vec<TemplateCloud>) -> Vec<TemplateCloud> {
     templates.sort_by_key(|(template, _)| template.kind);
-    Ok(templates)
+    templates.dedup_by_key(|(template, _)| template.kind);
+    templates
 }
 
 /// Reads a template and moves it so that its bounds are centred on the origin, as those of a box are.

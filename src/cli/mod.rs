@@ -15,6 +15,8 @@ mod progress;
 mod rasterizer;
 mod render;
 mod splat;
+mod stand_ins;
+mod templates;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -39,6 +41,7 @@ enum Command {
     Render(Box<render::RenderArgs>),
     Splat(splat::SplatArgs),
     Convert(convert::ConvertArgs),
+    Templates(templates::TemplatesArgs),
     Bench(Box<bench::BenchArgs>),
 }
 
@@ -50,6 +53,7 @@ impl Command {
             Self::Render(args) => render::run(*args),
             Self::Splat(args) => splat::run(args),
             Self::Convert(args) => convert::run(args),
+            Self::Templates(args) => templates::run(&args),
             Self::Bench(args) => bench::run(&args),
         }
     }

@@ -52,6 +52,11 @@ pub(super) fn margin_m(text: &str) -> Result<f64, String> {
     finite(text).filter(|v| *v >= 0.0).ok_or_else(|| "expected metres, 0 or more".into())
 }
 
+/// From 0 to 1.
+pub(super) fn share(text: &str) -> Result<f64, String> {
+    finite(text).filter(|v| (0.0..=1.0).contains(v)).ok_or_else(|| "expected a share from 0 to 1".into())
+}
+
 /// More than zero metres, and finite as `f32` too.
 pub(super) fn distance_m(text: &str) -> Result<f64, String> {
     let fits = |v: &f64| *v as f32 > 0.0 && (*v as f32).is_finite();

@@ -4,10 +4,9 @@ use glam::{DAffine3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::{ActorState, SceneState};
-use crate::cloud::Bounds;
 use crate::cloud::Point;
 use crate::raster::{CloudSet, Instance};
-use crate::skeleton::{Skeleton, TemplateKind};
+use crate::skeleton::{Skeleton, TemplateCloud, TemplateKind};
 
 /// How a template is placed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -44,29 +43,74 @@ pub struct SceneInstances {
     pub geometry: Vec<Instance>,
 }
 
-/// Knows a skeleton's clouds by their ids in the rasterizer.
+/// Clouds that a stage may show beside a skeleton's own.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StandIns {
+    /// Templates of kinds that the skeleton has none of. Of several of a kind the first counts.
+    pub templates: Vec<TemplateCloud>,
+    /// Points that take the place of an asset's, by track.
+    pub assets: BTreeMap<String, Vec<Point>>,
+}
+
+impl StandIns {
+    /// The skeleton's own clouds and nothing else.
+    pub const NONE: Self = Self { templates: Vec::new(), assets: BTreeMap::new() };
+}
+
+/// Knows a skeleton's clouds, and what stands in for them, by their ids in the rasterizer.
 pub struct Stage<'a> {
     skeleton: &'a Skeleton,
+    /// All clouds: background chunks, then assets, then templates.
+    clouds: CloudSet<'a>,
     /// Asset by track id.
     assets: BTreeMap<&'a str, usize>,
-    templates: BTreeMap<TemplateKind, usize>,
+    /// Cloud and box size (metres) by kind.
+    templates: BTreeMap<TemplateKind, (usize, DVec3)>,
 }
 
 impl<'a> Stage<'a> {
-    /// Of a skeleton.
-    pub fn new(skeleton: &'a Skeleton) -> Self {
-        let manifest = &skeleton.manifest;
-        let assets = manifest.actors.iter().enumerate().map(|(i, a)| (a.track.as_str(), i)).collect();
-        let templates = manifest.templates.iter().enumerate().map(|(i, t)| (t.kind, i)).collect();
-        Self { skeleton, assets, templates }
+    /// Of a skeleton alone, for steps of one of the logs that it was built from.
+    pub fn new(skeleton: &'a Skeleton, log: &str) -> Self {
+        static NONE: StandIns = StandIns::NONE;
+        Self::with(skeleton, log, &NONE)
     }
 
-    /// All clouds for a rasterizer: background chunks, then assets, then templates.
+    /// The same with stand-ins.
+    pub fn with(skeleton: &'a Skeleton, log: &str, stand_ins: &'a StandIns) -> Self {
+        let manifest = &skeleton.manifest;
+        let mut clouds = Self::clouds(skeleton);
+        let first_asset = manifest.background.len();
+        let first_template = first_asset + manifest.actors.len();
+        let mut assets = BTreeMap::new();
+        for (cloud, asset) in (first_asset..).zip(&manifest.actors).filter(|(_, asset)| asset.log == log) {
+            assets.insert(asset.track.as_str(), cloud);
+            if let Some(points) = stand_ins.assets.get(&asset.track) {
+                clouds[cloud] = points;
+            }
+        }
+        let own = (first_template..).zip(&manifest.templates);
+        let mut templates: BTreeMap<TemplateKind, (usize, DVec3)> =
+            own.map(|(cloud, t)| (t.kind, (cloud, DVec3::from(t.size)))).collect();
+        for (template, points) in &stand_ins.templates {
+            templates.entry(template.kind).or_insert_with(|| {
+                clouds.push(points);
+                (clouds.len() - 1, DVec3::from(template.size))
+            });
+        }
+        Self { skeleton, clouds, assets, templates }
+    }
+
+    /// All clouds of a skeleton alone, for a rasterizer: background chunks, then assets, then templates.
     pub fn clouds(skeleton: &'a Skeleton) -> CloudSet<'a> {
         let mut clouds: Vec<&[Point]> = skeleton.background();
         clouds.extend(skeleton.actors());
         clouds.extend(skeleton.templates());
         clouds
+    }
+
+    /// All clouds of this stage, for a rasterizer.
+    pub fn cloud_set(&self) -> CloudSet<'a> {
+        self.clouds.clone()
     }
 
     /// Which clouds stand where in a step.
@@ -94,38 +138,36 @@ impl<'a> Stage<'a> {
         number: u32,
         options: &SelectionOptions,
     ) -> (Option<Instance>, Option<Instance>) {
-        let manifest = &self.skeleton.manifest;
-        let first_asset = manifest.background.len();
-        let first_template = first_asset + manifest.actors.len();
-        let asset = self.assets.get(actor.track.as_str()).copied();
-        let kind = TemplateKind::of_actor(&actor.category, actor.cuboid.size.z);
-        let template = kind.and_then(|kind| self.templates.get(&kind)).copied();
+        let size_m = actor.cuboid.size;
+        let kind = TemplateKind::of_actor(&actor.category, size_m);
+        let template = kind.and_then(|kind| self.templates.get(&kind));
+        // An asset that was seen in no frame of the skeleton may be there without points.
+        let asset = self.assets.get(actor.track.as_str()).filter(|cloud| !self.clouds[**cloud].is_empty());
         let pose = actor.cuboid.pose.affine();
-        let of_asset = asset.map(|i| Instance { cloud: first_asset + i, world_from_local: pose, number });
-        let of_template = template.map(|i| {
-            let fit = fit(options.template_fit, &manifest.templates[i].bounds, actor.cuboid.size);
-            Instance { cloud: first_template + i, world_from_local: pose * fit, number }
+        let of_asset = asset.map(|cloud| Instance { cloud: *cloud, world_from_local: pose, number });
+        let of_template = template.map(|(cloud, template_size_m)| {
+            let fit = fit(options.template_fit, *template_size_m, size_m);
+            Instance { cloud: *cloud, world_from_local: pose * fit, number }
         });
-        let enough = asset.is_some_and(|i| manifest.actors[i].points > options.min_actor_points);
-        let geometry = if enough || of_template.is_none() { of_asset } else { of_template };
+        let few = asset.is_none_or(|cloud| self.clouds[*cloud].len() <= options.min_actor_points);
+        let gives_way = few && kind.is_some_and(TemplateKind::replaces_small_assets);
+        let geometry = if gives_way { of_template.or(of_asset) } else { of_asset.or(of_template) };
         (of_asset, geometry)
     }
 }
 
-/// `box_from_template`: scales a template's bounds to a box of `size` (metres) about their common centre.
-fn fit(how: TemplateFit, bounds: &Bounds, size: DVec3) -> DAffine3 {
-    if how == TemplateFit::None {
-        return DAffine3::IDENTITY;
+/// `box_from_template`: scales a template's box to an actor's about their common centre, metres.
+fn fit(how: TemplateFit, template_size_m: DVec3, size_m: DVec3) -> DAffine3 {
+    match how {
+        TemplateFit::Box => DAffine3::from_scale(size_m / template_size_m.max(DVec3::splat(1e-3))),
+        TemplateFit::None => DAffine3::IDENTITY,
     }
-    let (min, max) = (DVec3::from(bounds.min.map(f64::from)), DVec3::from(bounds.max.map(f64::from)));
-    let extent = (max - min).max(DVec3::splat(1e-3));
-    let scale = size / extent;
-    DAffine3::from_scale(scale) * DAffine3::from_translation(-(min + max) / 2.0)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::Bounds;
     use crate::dataset::Class;
     use crate::error::FileError;
     use crate::geometry::{Cuboid, Pose};
@@ -138,6 +180,11 @@ mod tests {
         (points, bounds)
     }
 
+    fn template(kind: TemplateKind, points: usize) -> TemplateCloud {
+        let (cloud, bounds) = cube(points);
+        (Template { kind, class: kind.class(), size: [2.0; 3], points, bounds }, cloud)
+    }
+
     /// Background of one chunk; car "big" with 30 points, car "small" with 10, truck "truck" with 10; a template of
     /// sedans and one of pedestrians.
     fn skeleton(folder: &std::path::Path) -> Skeleton {
@@ -146,10 +193,6 @@ mod tests {
             let class = Class::from_category(category);
             let (log, track, category) = ("log".to_owned(), track.to_owned(), category.to_owned());
             (Asset { log, track, category, class, size: [2.0; 3], sweeps: 1, points: count, bounds }, points)
-        };
-        let template = |kind: TemplateKind| {
-            let (points, bounds) = cube(4);
-            (Template { kind, class: kind.class(), size: [2.0; 3], points: 4, bounds }, points)
         };
         let assets =
             [("big", "vehicle.car", 30), ("small", "vehicle.car", 10), ("truck", "vehicle.truck", 10)];
@@ -160,7 +203,8 @@ mod tests {
                 let (asset, points) = asset(track, category, count);
                 writer.actor(asset, &points)?;
             }
-            for (template, points) in [template(TemplateKind::Sedan), template(TemplateKind::Pedestrian)] {
+            for kind in [TemplateKind::Sedan, TemplateKind::Pedestrian] {
+                let (template, points) = template(kind, 4);
                 writer.template(template, &points)?;
             }
             writer.finish(Vec::new(), BuildOptions::default(), BuildReport::default())
@@ -185,7 +229,7 @@ mod tests {
     fn the_table_of_two_clouds() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
-        let stage = Stage::new(&skeleton);
+        let stage = Stage::new(&skeleton, "log");
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
         assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(1)]);
@@ -198,10 +242,44 @@ mod tests {
     }
 
     #[test]
+    fn any_truck_of_its_own_is_better_than_a_template() {
+        let folder = tempfile::tempdir().unwrap();
+        let skeleton = skeleton(&folder.path().join("s"));
+        let templates = vec![template(TemplateKind::Truck, 7), template(TemplateKind::Bus, 7)];
+        let stand_ins = StandIns { templates, ..StandIns::NONE };
+        let stage = Stage::with(&skeleton, "log", &stand_ins);
+        let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
+        let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
+        assert_eq!(shown("truck", "vehicle.truck"), [Some(3), Some(3)]);
+        assert_eq!(shown("new", "vehicle.truck"), [None, Some(6)]);
+        assert_eq!(shown("new", "vehicle.bus.bendy"), [None, Some(7)]);
+        assert_eq!(shown("new", "vehicle.trailer"), [None, None]);
+    }
+
+    #[test]
+    fn stand_ins_fill_what_the_skeleton_lacks() {
+        let folder = tempfile::tempdir().unwrap();
+        let skeleton = skeleton(&folder.path().join("s"));
+        let kinds = [TemplateKind::Sedan, TemplateKind::Bike, TemplateKind::Bike];
+        let templates = kinds.iter().zip(5..).map(|(kind, points)| template(*kind, points)).collect();
+        // The big car is thinned, the small one becomes large.
+        let assets = [("big".to_owned(), cube(12).0), ("small".to_owned(), cube(40).0)].into();
+        let stand_ins = StandIns { templates, assets };
+        let stage = Stage::with(&skeleton, "log", &stand_ins);
+        let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
+        let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
+        assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(4)]);
+        assert_eq!(shown("small", "vehicle.car"), [Some(2), Some(2)]);
+        assert_eq!(shown("new", "vehicle.bicycle"), [None, Some(6)]);
+        let lengths: Vec<usize> = stage.cloud_set().iter().map(|c| c.len()).collect();
+        assert_eq!(lengths, [2, 12, 40, 10, 4, 4, 6]);
+    }
+
+    #[test]
     fn a_template_fills_the_box() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
-        let stage = Stage::new(&skeleton);
+        let stage = Stage::new(&skeleton, "log");
         let corner = |template_fit| {
             let options = SelectionOptions { template_fit, ..SelectionOptions::default() };
             let (_, geometry) = stage.actor_instances(&actor("new", "vehicle.car"), 1, &options);
@@ -228,7 +306,7 @@ mod tests {
             map: None,
         };
         let options = SelectionOptions { min_actor_points: 20, ..SelectionOptions::default() };
-        let both = Stage::new(&skeleton).instances(&state, &options);
+        let both = Stage::new(&skeleton, "log").instances(&state, &options);
         let list = |instances: &[Instance]| instances.iter().map(|i| (i.cloud, i.number)).collect::<Vec<_>>();
         assert_eq!(list(&both.color), [(0, 0), (1, 1), (2, 3)]);
         assert_eq!(list(&both.geometry), [(0, 0), (1, 1), (4, 2), (4, 3)]);

@@ -6,6 +6,7 @@
 //! merges voxels, and keeps the background in chunks with an origin each, so that global coordinates stay `f64` and
 //! points are `f32`. [`Skeleton`] is the result on disk, memory-mapped.
 
+mod augment;
 mod build;
 mod colorize;
 mod manifest;
@@ -14,9 +15,10 @@ mod options;
 mod split;
 mod store;
 mod sweep;
-mod template;
+mod templates;
 mod trajectory;
 
+pub use augment::{AugmentOptions, Augmentation, augment};
 pub use build::{BuildError, BuildInput, BuildRun, MakeTemplates, Progress, build};
 pub use colorize::{Candidate, ColorView, Look, Projector, agreed_color};
 pub use manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
@@ -24,7 +26,10 @@ pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap};
 pub use options::{BuildOptions, Coloring};
 pub use split::{Part, SplitOptions, Splitter};
 pub use store::{Skeleton, SkeletonWriter};
-pub use template::TemplateKind;
+pub use templates::{
+    ClusterReport, Instances, LibraryManifest, LogSource, TemplateCloud, TemplateKind, TemplateLibrary,
+    TemplateOptions, TemplateReport, TemplateSummary, default_template, default_templates,
+};
 pub use trajectory::Trajectories;
 
 /// Side of a background chunk, metres: `f32` offsets within it are exact to a few micrometres.

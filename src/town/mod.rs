@@ -11,6 +11,7 @@ mod cloud;
 mod film;
 mod hash;
 mod material;
+mod model_surface;
 mod models;
 mod scenery;
 mod shape;
@@ -18,4 +19,5 @@ mod street;
 mod world;
 
 pub use cloud::{street_cloud, street_views};
+pub use model_surface::{Model, SurfacePoint};
 pub use street::{Street, StreetOptions};

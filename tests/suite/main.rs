@@ -30,5 +30,6 @@ mod sheet;
 mod skeleton_store;
 mod splat_cli;
 mod street;
+mod templates;
 mod tensor;
 mod tiny_log;

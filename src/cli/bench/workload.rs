@@ -141,7 +141,7 @@ impl Workload {
 
 /// Frames without a camera are left out.
 fn frames_of_drive(log: &Log, skeleton: &Skeleton, range: std::ops::Range<usize>) -> Vec<WorkFrame> {
-    let (stage, selection) = (Stage::new(skeleton), SelectionOptions::default());
+    let (stage, selection) = (Stage::new(skeleton, &log.name), SelectionOptions::default());
     let radius_m = ConditionOptions::default().radius_m;
     let frame = |index: usize| {
         let state = state_of_frame(log, index, EgoOffset::default())?;

@@ -7,11 +7,12 @@ use serde_json::Value;
 use super::log_args::LogRoots;
 use super::say;
 use crate::dataset::LogLocator;
-use crate::skeleton::Skeleton;
+use crate::skeleton::{Skeleton, TemplateLibrary};
 
 mod file;
 mod log;
 mod skeleton;
+mod templates;
 
 pub(super) use skeleton::dropped;
 
@@ -20,7 +21,8 @@ pub(super) use skeleton::dropped;
 /// Of a log the tables are read whole, of sweeps and images only sizes and headers.
 #[derive(Debug, Args)]
 pub(super) struct InfoArgs {
-    /// FORMAT:PATH[@VERSION][#SCENE], a skeleton's folder, or a file (.pcd.bin, .pcd, .feather, .npy, .ply, .json
+    /// FORMAT:PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather, .npy,
+    /// .ply, .json cameras, JPEG, PNG)
     /// cameras, JPEG, PNG)
     #[arg(value_name = "LOG|SKELETON|FILE")]
     target: String,
@@ -47,6 +49,10 @@ fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
     if Skeleton::is_at(&path) {
         let skeleton = Skeleton::open(&path)?;
         return Ok((skeleton::describe(&skeleton), skeleton::text(&skeleton)));
+    }
+    if TemplateLibrary::is_at(&path) {
+        let library = TemplateLibrary::open(&path)?;
+        return Ok((templates::describe(&library, &path), templates::text(&library, &path)));
     }
     if path.is_file() {
         let json = file::describe(&path)?;

@@ -7,6 +7,7 @@ use crate::cli::WrongUsage;
 use crate::cli::log_args::LogRoots;
 use crate::cli::numbers::{self, FrameRange};
 use crate::cli::rasterizer::RasterizerArgs;
+use crate::cli::stand_ins::{StandInArgs, StandInReport};
 use crate::conditions::{
     BinScale, ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, ImageSize, MapKind, MapSet, Occlusion,
 };
@@ -105,6 +106,8 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "F.json")]
     pub(super) annotations: Option<PathBuf>,
     #[command(flatten)]
+    pub(super) stand_ins: StandInArgs,
+    #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
 }
 
@@ -131,6 +134,8 @@ pub(super) struct RenderOptions {
     pub(super) selection: SelectionOptions,
     /// Times per second, where not frames were rendered.
     hz: Option<f64>,
+    #[serde(flatten)]
+    stand_ins: StandInReport,
     ego_offset: EgoOffset,
     /// Whether maps look like recorded images.
     distort: bool,
@@ -174,7 +179,7 @@ impl RenderArgs {
         self.birdseye || self.maps.is_none() || self.asks_for(MapKind::Map) || self.asks_for(MapKind::Tensor)
     }
 
-    pub(super) fn options(&self, maps: MapSet) -> RenderOptions {
+    pub(super) fn options(&self, maps: MapSet, stand_ins: StandInReport) -> RenderOptions {
         let far_m = self.far.unwrap_or(self.radius) as f32;
         let conditions = ConditionOptions {
             maps,
@@ -194,6 +199,7 @@ impl RenderArgs {
                 template_fit: self.template_fit,
             },
             hz: self.hz,
+            stand_ins,
             ego_offset: self.ego_offset.unwrap_or_default(),
             distort: self.distort,
             cameras: self.cameras.clone(),

@@ -41,9 +41,11 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let maps = args.maps(map.is_some()).with_context(|| {
         format!("expected an HD map of {:?} for --maps map, found none in log {}", log.location, log.name)
     })?;
-    let options = args.options(maps);
     let steps = Steps::new(log, &args, views, map)?;
-    let mut rasterizer = args.rasterizer.create(Stage::clouds(&skeleton))?;
+    let (stand_ins, told) = args.stand_ins.make(&skeleton, &log.name)?;
+    let stage = Stage::with(&skeleton, &log.name, &stand_ins);
+    let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
+    let options = args.options(maps, told);
     let output = Output {
         folder: &args.out,
         format: args.format,
@@ -56,7 +58,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     };
     let distorter = args.distort.then(|| Distorter::new(&options.conditions)).transpose()?;
     output.begin()?;
-    let frames = Work { stage: Stage::new(&skeleton), steps: &steps, output: &output }.run(
+    let frames = Work { stage, steps: &steps, output: &output }.run(
         rasterizer.as_mut(),
         &options.conditions,
         &options.selection,

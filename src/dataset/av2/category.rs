@@ -44,7 +44,11 @@ mod tests {
     fn classes_colors_and_templates_follow() {
         let of = |category: &str| {
             let name = dotted(category).unwrap();
-            (Class::from_category(&name), layout_rgb(&name), TemplateKind::of_actor(&name, 1.6))
+            (
+                Class::from_category(&name),
+                layout_rgb(&name),
+                TemplateKind::of_actor(&name, glam::DVec3::new(4.5, 1.9, 1.6)),
+            )
         };
         let truck = (Class::MotorVehicle, Some([255, 255, 0]), Some(TemplateKind::Truck));
         let person = (Class::Pedestrian, Some([255, 0, 0]), Some(TemplateKind::Pedestrian));

@@ -1,0 +1,102 @@
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use clap::Args;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::numbers;
+use crate::error::FileError;
+use crate::scene::StandIns;
+use crate::skeleton::{
+    AugmentOptions, Augmentation, Skeleton, TemplateCloud, TemplateKind, TemplateLibrary, augment,
+    default_templates,
+};
+
+/// What stands in for a skeleton's own clouds.
+#[derive(Clone, Debug, Args)]
+pub(super) struct StandInArgs {
+    /// Folder of `pskel templates`: its templates serve for kinds that the skeleton has none of
+    #[arg(long, value_name = "DIR")]
+    templates: Option<PathBuf>,
+    /// Leave out the built-in templates of sedan, suv, pickup, pedestrian and bike, which serve for kinds that there
+    /// are no others of
+    #[arg(long)]
+    no_default_templates: bool,
+    /// Make assets worse, as for training: half of --augment-share of them are thinned to 5 to 80 % of their points,
+    /// half are cut to what one camera sees; which and how follows from the seed and the track
+    #[arg(long, value_name = "SEED", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
+    augment: Option<u64>,
+    /// Share of the assets that --augment changes
+    #[arg(long, value_name = "SHARE", value_parser = numbers::share, requires = "augment")]
+    #[arg(allow_negative_numbers = true, default_value_t = AugmentOptions::default().share)]
+    augment_share: f64,
+}
+
+/// What stands in, for `index.json`.
+#[derive(Clone, Debug, Default, Serialize)]
+pub(super) struct StandInReport {
+    /// Where the template of a kind comes from.
+    templates: BTreeMap<&'static str, Origin>,
+    /// `None` for assets as they are.
+    augment: Option<AugmentReport>,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Origin {
+    Skeleton,
+    Library,
+    Default,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct AugmentReport {
+    #[serde(flatten)]
+    options: AugmentOptions,
+    /// By track.
+    assets: BTreeMap<String, Augmentation>,
+}
+
+impl StandInArgs {
+    /// Reads, makes, and tells what there is.
+    pub(super) fn make(
+        &self,
+        skeleton: &Skeleton,
+        log: &str,
+    ) -> Result<(StandIns, StandInReport), FileError> {
+        let mut origins: BTreeMap<TemplateKind, Origin> =
+            skeleton.manifest.templates.iter().map(|t| (t.kind, Origin::Skeleton)).collect();
+        let library = self.templates.as_deref().map(TemplateLibrary::open).transpose()?;
+        let mut stand_ins = StandIns::default();
+        let mut add = |origin: Origin, cloud: TemplateCloud| {
+            origins.entry(cloud.0.kind).or_insert_with(|| {
+                stand_ins.templates.push(cloud);
+                origin
+            });
+        };
+        library.unwrap_or_default().clouds.into_iter().for_each(|cloud| add(Origin::Library, cloud));
+        if !self.no_default_templates {
+            default_templates().into_iter().for_each(|cloud| add(Origin::Default, cloud));
+        }
+        let templates = origins.iter().map(|(kind, origin)| (kind.name(), *origin)).collect();
+        let augment = self.augment.map(|seed| self.augment(seed, skeleton, log, &mut stand_ins));
+        Ok((stand_ins, StandInReport { templates, augment }))
+    }
+
+    fn augment(&self, seed: u64, skeleton: &Skeleton, log: &str, stand_ins: &mut StandIns) -> AugmentReport {
+        let options = AugmentOptions { seed, share: self.augment_share, ..AugmentOptions::default() };
+        let all = skeleton.manifest.actors.iter().zip(skeleton.actors());
+        let assets: Vec<_> = all.filter(|(asset, _)| asset.log == log).collect();
+        let made: Vec<_> =
+            assets.par_iter().map(|(asset, points)| augment(points, &asset.track, &options)).collect();
+        let mut done = BTreeMap::new();
+        for ((asset, _), (points, how)) in assets.iter().zip(made) {
+            done.insert(asset.track.clone(), how);
+            if how != Augmentation::None {
+                stand_ins.assets.insert(asset.track.clone(), points);
+            }
+        }
+        AugmentReport { options, assets: done }
+    }
+}

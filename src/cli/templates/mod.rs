@@ -1,0 +1,167 @@
+//! `pskel templates`: reads actors of many logs, makes templates, draws a picture of each (`picture`).
+
+mod picture;
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Instant;
+
+use anyhow::Context;
+use clap::Args;
+use tempfile::TempDir;
+
+use self::picture::draw;
+use super::log_args::LogRoots;
+use super::progress::{Progress, StageProgress};
+use super::say;
+use crate::cloud::Point;
+use crate::conditions::png;
+use crate::dataset::{self, Dataset, LogLocator};
+use crate::error::FileError;
+use crate::skeleton::{
+    self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton, Source,
+    TemplateCloud, TemplateLibrary, TemplateOptions, TemplateReport,
+};
+
+/// Make category templates from the actors of logs: points that stand in for actors without many of their own
+///
+/// Actors are clustered by category and size; the points of a kind's actors are laid over each other, vehicles also
+/// mirrored, freed of outliers and thinned. Writes templates.json (what was made of what), templates.points, and a
+/// picture of each. `build --templates-from` and `render --templates` use the folder.
+#[derive(Debug, Args)]
+pub(super) struct TemplatesArgs {
+    /// Drives (FORMAT:PATH[@VERSION][#SCENE]) or folders of skeletons that were built from them, which is faster
+    #[arg(required = true, value_name = "LOG|SKELETON")]
+    targets: Vec<Target>,
+    #[command(flatten)]
+    roots: LogRoots,
+    /// Folder to write
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// About how many points a template has where its box is covered
+    #[arg(long, value_name = "N", default_value_t = TemplateOptions::default().target_points)]
+    target_points: usize,
+    /// Leave out templates with fewer points
+    #[arg(long, value_name = "N", default_value_t = TemplateOptions::default().min_points)]
+    min_points: usize,
+}
+
+/// Where actors come from.
+#[derive(Clone, Debug)]
+enum Target {
+    Skeleton(PathBuf),
+    Log(LogLocator),
+}
+
+impl FromStr for Target {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if Skeleton::is_at(Path::new(text)) {
+            return Ok(Self::Skeleton(text.into()));
+        }
+        let wrong = |e: dataset::DatasetError| format!("expected the folder of a skeleton, or else {e}");
+        text.parse().map(Self::Log).map_err(wrong)
+    }
+}
+
+/// Reads, makes, draws, writes.
+pub(super) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    if args.out.exists() && !TemplateLibrary::is_at(&args.out) {
+        let expected = "no such folder yet, or older templates";
+        return Err(FileError::content(expected, "other content", &args.out).into());
+    }
+    let options = TemplateOptions {
+        target_points: args.target_points,
+        min_points: args.min_points,
+        ..TemplateOptions::default()
+    };
+    let mut instances = Instances::new(options);
+    let sources = read(args, &mut instances)?;
+    let made = instances.templates();
+    let found = told(&made.1);
+    anyhow::ensure!(!made.0.is_empty(), "expected actors with points enough for a template, found {found}");
+    let library = TemplateLibrary::new(sources, options, made);
+    library.write::<anyhow::Error>(&args.out, |folder| draw_all(folder, &library.clouds))?;
+    let (count, logs) = (library.clouds.len(), library.manifest.sources.len());
+    let seconds = start.elapsed().as_secs_f64();
+    say(&format!(
+        "made {count} templates from {logs} logs: {found} in {seconds:.2} s: {}",
+        args.out.display()
+    ));
+    Ok(())
+}
+
+fn read(args: &TemplatesArgs, instances: &mut Instances) -> anyhow::Result<Vec<LogSource>> {
+    let mut sources = Vec::new();
+    let mut progress = Progress::new(args.targets.len());
+    for target in &args.targets {
+        match target {
+            Target::Skeleton(path) => {
+                let skeleton = Skeleton::open(path)?;
+                sources.extend(take(instances, &skeleton));
+                progress.step(&path.display().to_string());
+            }
+            Target::Log(locator) => {
+                for log in dataset::expand(&args.roots.locate(locator))? {
+                    let dataset = dataset::open(&log)?;
+                    let name = &dataset.log().name;
+                    let folder = scratch(&args.out)?;
+                    let built = build(&folder.path().join("skeleton"), dataset.as_ref());
+                    sources.extend(take(instances, &built.with_context(|| format!("log {name}"))?));
+                    progress.step(name);
+                }
+            }
+        }
+    }
+    Ok(sources)
+}
+
+/// A folder beside the one to write, gone at the end.
+fn scratch(out: &Path) -> Result<TempDir, FileError> {
+    let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(parent).map_err(FileError::io("create", parent))?;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".pskel-").tempdir_in(parent).map_err(FileError::io("create a folder in", parent))
+}
+
+/// A skeleton of all frames of a log.
+fn build(out: &Path, dataset: &dyn Dataset) -> Result<Skeleton, BuildError> {
+    let progress = StageProgress::default();
+    let run = BuildRun { progress: &progress, ..BuildRun::default() };
+    skeleton::build(out, &[BuildInput::all(dataset)], &BuildOptions::default(), &|_| Ok(Vec::new()), &run)
+}
+
+fn take(instances: &mut Instances, skeleton: &Skeleton) -> Vec<LogSource> {
+    let assets: Vec<_> = skeleton.manifest.actors.iter().zip(skeleton.actors()).collect();
+    instances.add(&assets);
+    let count = |source: &Source| assets.iter().filter(|(asset, _)| asset.log == source.log).count();
+    let source = |source: &Source| LogSource { source: source.clone(), actors: count(source) };
+    skeleton.manifest.sources.iter().map(source).collect()
+}
+
+/// Templates of a skeleton's own actors, and what to tell of them in a summary.
+pub(super) fn of_assets(assets: &[(&Asset, &[Point])]) -> (Vec<TemplateCloud>, String) {
+    let mut instances = Instances::new(TemplateOptions::default());
+    instances.add(assets);
+    let (clouds, report) = instances.templates();
+    (clouds, format!("; templates of its actors: {}", told(&report)))
+}
+
+fn told(report: &TemplateReport) -> String {
+    let made = report.templates.iter().filter(|t| t.points > 0);
+    let made = made.map(|t| format!("{} ({} points of {} actors)", t.kind.name(), t.points, t.instances));
+    let left = report.notes.iter().map(|(reason, count)| format!("left out {count} {reason}"));
+    let all: Vec<String> = made.chain(left).collect();
+    if all.is_empty() { "no actors".to_owned() } else { all.join(", ") }
+}
+
+/// `KIND.png` of each.
+fn draw_all(folder: &Path, clouds: &[TemplateCloud]) -> anyhow::Result<()> {
+    for (template, points) in clouds {
+        let (pixels, size) = draw(points, &template.bounds)?;
+        png::write_rgb(&folder.join(format!("{}.png", template.kind.name())), &pixels, size)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,319 @@
+//! Worse assets for training: what a network sees at inference is often sparse or seen from one side only.
+
+use std::collections::BTreeSet;
+use std::f64::consts::{FRAC_PI_4, FRAC_PI_6};
+
+use glam::{DAffine3, DMat3, DVec3};
+use rand_chacha::ChaCha8Rng;
+use rand_core::Rng;
+use rand_seeder::Seeder;
+use rustc_hash::FxHashMap;
+use serde::Serialize;
+
+use crate::cloud::{Bounds, Point};
+use crate::geometry::{Camera, View};
+use crate::raster::cpu::{CpuRasterizer, project};
+use crate::raster::{Instance, Planes, Rasterizer, SplatJob, SplatSchedule, SplatStep, draws_from_job};
+
+/// How assets are made worse.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct AugmentOptions {
+    /// Everything random follows from it and from the track's id.
+    pub seed: u64,
+    /// Share of the assets that are changed: half of them thinned, half cut to one view.
+    pub share: f64,
+    /// Thinned assets keep a share of their points in this range, log-uniform.
+    pub ratio: [f64; 2],
+    /// No asset is left with fewer points; one that has no more stays as it is.
+    pub min_points: usize,
+}
+
+impl Default for AugmentOptions {
+    fn default() -> Self {
+        Self { seed: 0, share: 0.8, ratio: [0.05, 0.8], min_points: 200 }
+    }
+}
+
+/// What was done to an asset.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Augmentation {
+    /// Nothing.
+    None,
+    /// One point a voxel.
+    Thinned {
+        /// Share of the points that was asked for.
+        ratio: f64,
+        /// Side of the voxels, metres.
+        voxel_m: f64,
+        /// How many are left.
+        points: usize,
+    },
+    /// What one camera sees.
+    OneView {
+        /// Where the camera stands, radians to the left from the front.
+        azimuth_rad: f64,
+        /// How many are left.
+        points: usize,
+    },
+}
+
+/// An asset for training: as it is, thinned, or cut to what one camera sees. `points` are in box coordinates (metres)
+/// and stay in their order. The result depends on the points, the track's id and the options alone.
+pub fn augment(points: &[Point], track: &str, options: &AugmentOptions) -> (Vec<Point>, Augmentation) {
+    // ChaCha, and the SipHash that seeds it, give the same numbers on every machine.
+    let mut rng: ChaCha8Rng = Seeder::from((options.seed, track)).into_rng();
+    let mut unit = || (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
+    // Always the same draws, so that one does not depend on what another came to.
+    let (changed, thinned, first, second) = (unit() < options.share, unit() < 0.5, unit(), unit());
+    let done = if !changed || points.len() <= options.min_points {
+        None
+    } else if thinned {
+        Some(thin(points, first, options))
+    } else {
+        one_view(points, first, second).filter(|(kept, _)| kept.len() >= options.min_points)
+    };
+    match done {
+        Some((kept, how)) => (kept.into_iter().map(|i| points[i]).collect(), how),
+        None => (points.to_vec(), Augmentation::None),
+    }
+}
+
+/// Indices of points that stay, rising, and how they were found.
+type Kept = (Vec<usize>, Augmentation);
+
+/// Halvings of the range of voxel sizes.
+const HALVINGS: u32 = 30;
+
+/// One point a voxel, with the voxel size that comes nearest to a share of the points that is log-uniform in `at` (0 to
+/// 1).
+fn thin(points: &[Point], at: f64, options: &AugmentOptions) -> Kept {
+    let [low, high] = options.ratio.map(f64::ln);
+    let ratio = (low + (high - low) * at).exp();
+    let wanted = (ratio * points.len() as f64).round().max(options.min_points as f64);
+    let (mut small, mut large) = (1e-4_f64, 100.0_f64);
+    // All points, in case no voxels leave enough.
+    let mut best = (points.len() as f64 - wanted, 0.0, (0..points.len()).collect::<Vec<_>>());
+    for _ in 0..HALVINGS {
+        let voxel_m = (small * large).sqrt();
+        let kept = one_a_voxel(points, voxel_m);
+        let off = (kept.len() as f64 - wanted).abs();
+        let enough = kept.len() >= options.min_points;
+        if (kept.len() as f64) < wanted {
+            large = voxel_m
+        } else {
+            small = voxel_m
+        }
+        if enough && off < best.0 {
+            best = (off, voxel_m, kept);
+        }
+    }
+    let (_, voxel_m, kept) = best;
+    let how = Augmentation::Thinned { ratio, voxel_m, points: kept.len() };
+    (kept, how)
+}
+
+/// The first point of every voxel.
+fn one_a_voxel(points: &[Point], voxel_m: f64) -> Vec<usize> {
+    let mut first: FxHashMap<[i64; 3], usize> = FxHashMap::default();
+    for (index, point) in points.iter().enumerate() {
+        let voxel = point.position.map(|v| (f64::from(v) / voxel_m).floor() as i64);
+        first.entry(voxel).or_insert(index);
+    }
+    first.into_values().collect::<BTreeSet<_>>().into_iter().collect()
+}
+
+/// The camera: 1024x768 pixels over 90 degrees from left to right, so many radii of the asset away from its centre and
+/// level with it.
+const WIDTH: u32 = 1024;
+const HEIGHT: u32 = 768;
+const FOCAL_PX: f64 = 512.0;
+const RADII_AWAY: f64 = 2.5;
+/// A point still belongs to the surface that is nearest in its pixel if it lies so many radii behind it ...
+const SURFACE_RADII: f64 = 0.04;
+/// ... and so many distances between points, since their squares stand out from surfaces that are seen at a slant.
+const SURFACE_APART: f64 = 2.0;
+
+/// What a camera sees that stands half to the front (or to the back) of the side with more points, turned by up to 30
+/// degrees more. Both choices are in 0 to 1. `None` for points that are no solid thing.
+fn one_view(points: &[Point], end: f64, turn: f64) -> Option<Kept> {
+    let bounds = Bounds::of(points)?;
+    let [min, max] = [bounds.min, bounds.max].map(|v| DVec3::from(v.map(f64::from)));
+    let (centre, radius_m) = ((min + max) / 2.0, (max - min).length() / 2.0);
+    let on = |left: bool| points.iter().filter(|p| (p.position[1] > 0.0) == left).count();
+    let side = if on(true) >= on(false) { 1.0 } else { -1.0 };
+    let from_front = if end < 0.5 { FRAC_PI_4 } else { 3.0 * FRAC_PI_4 };
+    let azimuth_rad = side * from_front + (2.0 * turn - 1.0) * FRAC_PI_6;
+    let view = camera_at(azimuth_rad, centre, radius_m)?;
+    let kept = seen(points, &view, &bounds, radius_m)?;
+    let how = Augmentation::OneView { azimuth_rad, points: kept.len() };
+    Some((kept, how))
+}
+
+fn camera_at(azimuth_rad: f64, centre: DVec3, radius_m: f64) -> Option<View> {
+    let (cx, cy) = (f64::from(WIDTH) / 2.0, f64::from(HEIGHT) / 2.0);
+    let intrinsics = [[FOCAL_PX, 0.0, cx], [0.0, FOCAL_PX, cy], [0.0, 0.0, 1.0]];
+    let camera = Camera::new("side", WIDTH, HEIGHT, intrinsics).ok()?;
+    let out = DVec3::new(azimuth_rad.cos(), azimuth_rad.sin(), 0.0);
+    // Columns: right, down, forward.
+    let right = DVec3::new(out.y, -out.x, 0.0) * -1.0;
+    let rotation = DMat3::from_cols(right, DVec3::NEG_Z, -out);
+    let world_from_camera = DAffine3::from_mat3_translation(rotation, centre + out * RADII_AWAY * radius_m);
+    let usable = world_from_camera.is_finite() && radius_m > 0.0;
+    usable.then(|| View { camera, camera_from_world: world_from_camera.inverse() })
+}
+
+/// Indices of points that nothing hides in a view.
+fn seen(points: &[Point], view: &View, bounds: &Bounds, radius_m: f64) -> Option<Vec<usize>> {
+    // Points are about as far apart as if they covered their bounds; a square of that size closes the gaps.
+    let [x, y, z]: [f64; 3] = std::array::from_fn(|a| f64::from(bounds.max[a]) - f64::from(bounds.min[a]));
+    let apart_m = (2.0 * (x * y + y * z + z * x) / points.len() as f64).sqrt();
+    let radius_px = (apart_m * FOCAL_PX / (RADII_AWAY * radius_m)).ceil();
+    let radius = radius_px.clamp(1.0, f64::from(SplatSchedule::MAX_RADIUS)) as u32;
+    let z_max_m = ((RADII_AWAY + 1.0) * radius_m * 1.01) as f32;
+    let schedule = SplatSchedule::new(vec![SplatStep { z_max_m, radius }]).ok()?;
+    let instances = [Instance { cloud: 0, world_from_local: DAffine3::IDENTITY, number: 1 }];
+    let planes = Planes { depth: true, ..Planes::NONE };
+    let job = SplatJob { view, schedule: &schedule, instances: &instances, crop: None, planes };
+    let maps = CpuRasterizer::new(vec![points]).splat(&job).ok()?;
+    let draws = draws_from_job(&job, &[(points.len(), Some(*bounds))]).ok()?;
+    let draw = draws.first()?;
+    let surface_m = (SURFACE_RADII * radius_m + SURFACE_APART * apart_m) as f32;
+    let nothing_before = |point: &Point| {
+        let Some(splat) = project(&point.position, draw, &schedule) else { return false };
+        let inside = splat.x >= 0.0 && splat.y >= 0.0 && splat.x < WIDTH as f32 && splat.y < HEIGHT as f32;
+        let pixel = || splat.y as usize * WIDTH as usize + splat.x as usize;
+        inside && splat.depth_m <= maps.depth_m[pixel()] + surface_m
+    };
+    Some((0..points.len()).filter(|i| nothing_before(&points[*i])).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rayon::prelude::*;
+
+    const SIZE: [f64; 3] = [4.6, 1.9, 1.5];
+
+    /// The four sides of a box and its top, a point every `step_m`.
+    fn shell(step_m: f64) -> Vec<Point> {
+        let counts = SIZE.map(|s| (s / step_m) as i32);
+        let at = |axis: usize, i: i32| (SIZE[axis] * (f64::from(i) / f64::from(counts[axis]) - 0.5)) as f32;
+        let mut points = Vec::new();
+        for x in 0..=counts[0] {
+            for y in 0..=counts[1] {
+                for z in 0..=counts[2] {
+                    let edge = |i: i32, axis: usize| i == 0 || i == counts[axis];
+                    if edge(x, 0) || edge(y, 1) || z == counts[2] {
+                        points.push(Point::new([at(0, x), at(1, y), at(2, z)], [1, 2, 3], 1));
+                    }
+                }
+            }
+        }
+        points
+    }
+
+    fn always(seed: u64) -> AugmentOptions {
+        AugmentOptions { seed, share: 1.0, ..AugmentOptions::default() }
+    }
+
+    #[test]
+    fn thinning_comes_near_the_ratio_and_never_below_the_least() {
+        let points = shell(0.04);
+        for i in 0..=20 {
+            let at = f64::from(i) / 20.0;
+            let (kept, how) = thin(&points, at, &AugmentOptions::default());
+            let Augmentation::Thinned { ratio, voxel_m, points: count } = how else { panic!("{how:?}") };
+            assert!((ratio - 0.05 * 16.0_f64.powf(at)).abs() < 1e-12, "log-uniform in 0.05 to 0.8");
+            assert_eq!((count, &kept), (kept.len(), &one_a_voxel(&points, voxel_m)));
+            let found = count as f64 / points.len() as f64;
+            // Points on a grid fall into voxels by rows at a time, so not every ratio can be had.
+            assert!((found / ratio - 1.0).abs() < 0.2, "{ratio} {found}");
+        }
+        let few = shell(0.3);
+        assert!(few.len() > 200 && few.len() < 1000, "{}", few.len());
+        let (kept, _) = thin(&few, 0.0, &AugmentOptions::default());
+        assert!((200..few.len()).contains(&kept.len()), "{}", kept.len());
+    }
+
+    #[test]
+    fn one_view_sees_two_sides_of_a_box_and_not_what_lies_behind() {
+        let points = shell(0.03);
+        for (end, turn) in [(0.2, 0.5), (0.7, 0.5), (0.2, 0.3), (0.9, 0.7)] {
+            let (kept, how) = one_view(&points, end, turn).unwrap();
+            let Augmentation::OneView { azimuth_rad, .. } = how else { panic!("{how:?}") };
+            let out = DVec3::new(azimuth_rad.cos(), azimuth_rad.sin(), 0.0);
+            // What faces the camera, by geometry: the plane of a side has the camera before it.
+            let radius_m = DVec3::from(SIZE).length() / 2.0;
+            let eye = out * RADII_AWAY * radius_m;
+            let faces = |p: &Point, axis: usize| {
+                let v = f64::from(p.position[axis]);
+                (v.abs() - SIZE[axis] / 2.0).abs() < 1e-6 && eye[axis] * v.signum() > SIZE[axis] / 2.0
+            };
+            let on_front = |p: &Point| faces(p, 0) || faces(p, 1);
+            let facing = points.iter().filter(|p| on_front(p)).count();
+            let seen_facing = kept.iter().filter(|i| on_front(&points[**i])).count();
+            assert!(seen_facing as f64 > 0.99 * facing as f64, "{seen_facing} of {facing}");
+            // Of the far sides and the top only what lies within the tolerance of a facing edge.
+            for point in kept.iter().map(|i| &points[*i]).filter(|p| !on_front(p)) {
+                let to_edge = [0, 1].map(|axis| {
+                    let edge = SIZE[axis] / 2.0 * eye[axis].signum();
+                    (f64::from(point.position[axis]) - edge).abs()
+                });
+                assert!(to_edge[0].min(to_edge[1]) < 0.3, "{point:?} is seen at {azimuth_rad}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_camera_stands_on_the_side_with_more_points() {
+        let mut points = shell(0.05);
+        points.retain(|p| p.position[1] < 0.3);
+        for i in 0..40 {
+            let (end, turn) = (f64::from(i % 2) * 0.9, f64::from(i) / 39.0);
+            let (_, how) = one_view(&points, end, turn).unwrap();
+            let Augmentation::OneView { azimuth_rad, .. } = how else { panic!("{how:?}") };
+            let degrees = azimuth_rad.to_degrees();
+            assert!((-75.001..=-14.999).contains(&degrees) || (-165.001..=-104.999).contains(&degrees));
+            assert_eq!(degrees > -90.0, i % 2 == 0);
+        }
+    }
+
+    #[test]
+    fn shares_are_as_asked_and_results_do_not_depend_on_order_or_threads() {
+        let points = shell(0.15);
+        let tracks: Vec<String> = (0..400).map(|i| format!("track-{i}")).collect();
+        let options = AugmentOptions { seed: 7, ..AugmentOptions::default() };
+        let one = |track: &String| augment(&points, track, &options);
+        let all: Vec<_> = tracks.par_iter().map(one).collect();
+        let mut backwards: Vec<_> = tracks.iter().rev().map(one).collect();
+        backwards.reverse();
+        assert_eq!(all, backwards);
+        let count = |test: fn(&Augmentation) -> bool| all.iter().filter(|(_, how)| test(how)).count();
+        // Four standard deviations of 400 draws are 0.08 of clean ones and 0.1 of the halves.
+        let clean = count(|how| matches!(how, Augmentation::None));
+        assert!((48..=112).contains(&clean), "{clean}");
+        let thinned = count(|how| matches!(how, Augmentation::Thinned { .. }));
+        assert!((120..=200).contains(&thinned), "{thinned}");
+        for (kept, how) in &all {
+            assert!(kept.len() >= 200);
+            let clean = matches!(how, Augmentation::None);
+            assert_eq!(clean, *kept == points, "{how:?}");
+        }
+        assert_ne!(all[0], augment(&points, &tracks[0], &AugmentOptions { seed: 8, ..options }));
+    }
+
+    #[test]
+    fn small_flat_and_broken_assets_stay_as_they_are() {
+        let few = &shell(0.3)[..200];
+        assert_eq!(augment(few, "a", &always(1)).1, Augmentation::None);
+        assert_eq!(augment(&[], "a", &always(1)), (Vec::new(), Augmentation::None));
+        for bad in [f32::NAN, f32::INFINITY, 0.0, 1e38] {
+            let points = vec![Point::new([bad; 3], [0; 3], 1); 500];
+            for seed in 0..8 {
+                let (kept, _) = augment(&points, "a", &always(seed));
+                assert_eq!(kept.len(), 500, "{bad}");
+            }
+        }
+    }
+}

@@ -1,0 +1,122 @@
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::aggregate::{aggregate, cluster_report};
+use super::cluster::{Cluster, clusters};
+use super::kind::Family;
+use super::thin::poisson_thin;
+use super::{TemplateCloud, TemplateKind, TemplateOptions, TemplateReport};
+use crate::cloud::Point;
+use crate::skeleton::Asset;
+
+/// An actor's points, ready to be laid over others.
+#[derive(Clone, Debug)]
+pub(super) struct Instance {
+    /// `LOG/TRACK`.
+    pub(super) name: String,
+    pub(super) family: Family,
+    /// Length, width, height, metres.
+    pub(super) size_m: DVec3,
+    /// As given.
+    pub(super) points_in: usize,
+    /// In box coordinates; at least a template's spacing from each other, so that no actor counts more for having been seen
+    /// longer.
+    pub(super) points: Vec<Point>,
+}
+
+/// The assets of any number of skeletons, which templates are made of.
+#[derive(Clone, Debug, Default)]
+pub struct Instances {
+    instances: Vec<Instance>,
+    notes: BTreeMap<String, usize>,
+    options: TemplateOptions,
+}
+
+impl Instances {
+    /// None yet.
+    pub fn new(options: TemplateOptions) -> Self {
+        Self { options, ..Self::default() }
+    }
+
+    /// How they are put together.
+    pub fn options(&self) -> &TemplateOptions {
+        &self.options
+    }
+
+    /// Takes assets, each with its points in box coordinates (metres). What no template can be made of is
+    /// counted.
+    pub fn add(&mut self, assets: &[(&Asset, &[Point])]) {
+        let taken: Vec<Result<Instance, &str>> =
+            assets.par_iter().map(|(asset, points)| instance(asset, points, &self.options)).collect();
+        for result in taken {
+            match result {
+                Ok(instance) => self.instances.push(instance),
+                Err(reason) => *self.notes.entry(reason.to_owned()).or_default() += 1,
+            }
+        }
+    }
+
+    /// Makes a template of every kind that there are enough points of, in the order of kinds. The result depends on the assets,
+    /// their order and the options alone.
+    pub fn templates(&self) -> (Vec<TemplateCloud>, TemplateReport) {
+        let actors: Vec<(Family, DVec3)> = self.instances.iter().map(|i| (i.family, i.size_m)).collect();
+        let mut kinds: BTreeMap<TemplateKind, Vec<Cluster>> = BTreeMap::new();
+        for cluster in clusters(&actors, &self.options) {
+            kinds.entry(cluster.kind).or_default().push(cluster);
+        }
+        let mut report = TemplateReport { notes: self.notes.clone(), ..TemplateReport::default() };
+        let mut templates = Vec::new();
+        for (kind, mut clusters) in kinds {
+            let others =
+                if kind.replaces_small_assets() { Vec::new() } else { self.split_off_main(&mut clusters) };
+            let (mut summary, cloud) = aggregate(kind, &clusters, &self.instances, &self.options);
+            for other in &others {
+                summary.clusters.push(cluster_report(other, &self.instances, false));
+                let reason = format!("actors of another size than the template of {}", kind.name());
+                *report.notes.entry(reason).or_default() += other.members.len();
+            }
+            match cloud {
+                Some(cloud) => templates.push(cloud),
+                None => {
+                    summary.points = 0;
+                    let reason = format!("{} templates with too few points", kind.name());
+                    *report.notes.entry(reason).or_default() += 1;
+                }
+            }
+            report.templates.push(summary);
+        }
+        (templates, report)
+    }
+
+    /// Leaves the cluster with the most actors, of several the one with the most points; one with too few points for a
+    /// template only if there is no other. The others come back.
+    fn split_off_main(&self, clusters: &mut Vec<Cluster>) -> Vec<Cluster> {
+        let points = |c: &Cluster| c.members.iter().map(|i| self.instances[*i].points.len()).sum::<usize>();
+        let rank = |c: &Cluster| (points(c) >= self.options.min_points, c.members.len(), points(c));
+        clusters.sort_by_key(|c| std::cmp::Reverse(rank(c)));
+        clusters.split_off(clusters.len().min(1))
+    }
+}
+
+fn instance(asset: &Asset, points: &[Point], options: &TemplateOptions) -> Result<Instance, &'static str> {
+    let family = Family::of(&asset.category).ok_or("actors of a category without templates")?;
+    let size_m = DVec3::from(asset.size);
+    if !(size_m.is_finite() && size_m.min_element() > 0.0) {
+        return Err("actors without a size");
+    }
+    let finite = || points.iter().filter(|p| p.position.iter().all(|v| v.is_finite()));
+    let finite: Vec<&Point> = finite().collect();
+    if finite.is_empty() {
+        return Err("actors without points");
+    }
+    let kept = poisson_thin(finite.iter().map(|p| p.position), options.spacing_m(size_m));
+    Ok(Instance {
+        name: format!("{}/{}", asset.log, asset.track),
+        family,
+        size_m,
+        points_in: points.len(),
+        points: kept.into_iter().map(|i| *finite[i]).collect(),
+    })
+}

@@ -1,0 +1,161 @@
+use std::str::FromStr;
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use crate::dataset::Class;
+
+/// The kinds of category templates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[allow(missing_docs)]
+pub enum TemplateKind {
+    Sedan,
+    Suv,
+    Pickup,
+    Pedestrian,
+    Bike,
+    Truck,
+    Bus,
+    Trailer,
+    Construction,
+}
+
+impl TemplateKind {
+    /// Names as on the command line and in files.
+    pub const NAMES: [(&'static str, Self); 9] = [
+        ("sedan", Self::Sedan),
+        ("suv", Self::Suv),
+        ("pickup", Self::Pickup),
+        ("pedestrian", Self::Pedestrian),
+        ("bike", Self::Bike),
+        ("truck", Self::Truck),
+        ("bus", Self::Bus),
+        ("trailer", Self::Trailer),
+        ("construction", Self::Construction),
+    ];
+
+    /// The kind that stands in for an actor, by category and box size (length, width, height, metres). `None` for what
+    /// has no template (cones, barriers ...).
+    pub fn of_actor(category: &str, size_m: DVec3) -> Option<Self> {
+        Family::of(category).map(|family| family.kind(size_m))
+    }
+
+    /// Its name as on the command line and in files.
+    pub fn name(self) -> &'static str {
+        Self::NAMES.iter().find(|(_, kind)| *kind == self).map_or("", |(name, _)| name)
+    }
+
+    /// Whether the asset of such an actor gives way to the template where it has few points. Others (trucks, buses ..) differ too
+    /// much among themselves: any asset of their own is better.
+    pub fn replaces_small_assets(self) -> bool {
+        matches!(self, Self::Sedan | Self::Suv | Self::Pickup | Self::Pedestrian | Self::Bike)
+    }
+
+    /// Coarse class of its points.
+    pub fn class(self) -> Class {
+        match self {
+            Self::Pedestrian => Class::Pedestrian,
+            Self::Bike => Class::Cycle,
+            _ => Class::MotorVehicle,
+        }
+    }
+}
+
+/// What a category alone tells about the kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(super) enum Family {
+    /// The kind.
+    Of(TemplateKind),
+    /// A car, van or pickup: its size tells more.
+    Car,
+    /// Anything with an engine, as in data sets that have one category for all.
+    AnyVehicle,
+}
+
+/// A vehicle without a finer category is no car from this length or height on, metres ...
+const TRUCK_LENGTH_M: f64 = 7.0;
+const TRUCK_HEIGHT_M: f64 = 2.9;
+/// ... and a bus rather than a truck from this length on: most trucks that long are annotated in two parts.
+const BUS_LENGTH_M: f64 = 10.0;
+
+impl Family {
+    /// `None` for what has no template.
+    pub(super) fn of(category: &str) -> Option<Self> {
+        let has = |part: &str| category.split('.').any(|p| p == part);
+        match Class::from_category(category) {
+            Class::Pedestrian => Some(Self::Of(TemplateKind::Pedestrian)),
+            Class::Cycle => Some(Self::Of(TemplateKind::Bike)),
+            Class::MotorVehicle if has("bus") => Some(Self::Of(TemplateKind::Bus)),
+            Class::MotorVehicle if has("trailer") => Some(Self::Of(TemplateKind::Trailer)),
+            Class::MotorVehicle if has("construction") => Some(Self::Of(TemplateKind::Construction)),
+            Class::MotorVehicle if has("truck") => Some(Self::Of(TemplateKind::Truck)),
+            Class::MotorVehicle if category == "vehicle" => Some(Self::AnyVehicle),
+            Class::MotorVehicle => Some(Self::Car),
+            Class::Object | Class::None => None,
+        }
+    }
+
+    /// The kind of a member by its size (length, width, height, metres).
+    pub(super) fn kind(self, size_m: DVec3) -> TemplateKind {
+        match self {
+            Self::Of(kind) => kind,
+            Self::AnyVehicle if size_m.x >= BUS_LENGTH_M => TemplateKind::Bus,
+            Self::AnyVehicle if size_m.x >= TRUCK_LENGTH_M || size_m.z >= TRUCK_HEIGHT_M => {
+                TemplateKind::Truck
+            }
+            _ if size_m.z < 1.8 => TemplateKind::Sedan,
+            _ if size_m.z < 2.05 => TemplateKind::Suv,
+            _ => TemplateKind::Pickup,
+        }
+    }
+}
+
+impl FromStr for TemplateKind {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let names = || Self::NAMES.map(|(name, _)| name).join(", ");
+        let found = Self::NAMES.iter().find(|(name, _)| *name == text);
+        found
+            .map(|(_, kind)| *kind)
+            .ok_or_else(|| format!("expected a template of {}, found {text:?}", names()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cars_are_told_apart_by_height() {
+        let kind =
+            |category: &str, height_m: f64| TemplateKind::of_actor(category, DVec3::new(4.5, 1.9, height_m));
+        assert_eq!(kind("vehicle.car", 1.79), Some(TemplateKind::Sedan));
+        assert_eq!(kind("vehicle.car", 1.8), Some(TemplateKind::Suv));
+        assert_eq!(kind("vehicle", 2.05), Some(TemplateKind::Pickup));
+        assert_eq!(kind("vehicle.truck", 1.5), Some(TemplateKind::Truck));
+        assert_eq!(kind("vehicle.bus.rigid", 3.5), Some(TemplateKind::Bus));
+        assert_eq!(kind("vehicle.motorcycle", 1.5), Some(TemplateKind::Bike));
+        assert_eq!(kind("human.pedestrian.child", 1.2), Some(TemplateKind::Pedestrian));
+        assert_eq!(kind("movable_object.barrier", 1.2), None);
+    }
+
+    #[test]
+    fn length_tells_only_where_the_category_does_not() {
+        let kind = |category: &str, size: [f64; 3]| TemplateKind::of_actor(category, size.into());
+        assert_eq!(kind("vehicle", [12.0, 3.0, 3.3]), Some(TemplateKind::Bus));
+        assert_eq!(kind("vehicle", [7.0, 2.5, 2.8]), Some(TemplateKind::Truck));
+        assert_eq!(kind("vehicle", [6.5, 2.5, 2.9]), Some(TemplateKind::Truck));
+        assert_eq!(kind("vehicle", [6.9, 2.2, 2.8]), Some(TemplateKind::Pickup));
+        assert_eq!(kind("vehicle.car", [12.0, 3.0, 3.3]), Some(TemplateKind::Pickup));
+        assert_eq!(kind("vehicle.truck", [12.0, 3.0, 3.3]), Some(TemplateKind::Truck));
+    }
+
+    #[test]
+    fn names_go_there_and_back() {
+        for (name, kind) in TemplateKind::NAMES {
+            assert_eq!((kind.name(), name.parse()), (name, Ok(kind)));
+        }
+    }
+}

@@ -1,0 +1,147 @@
+//! A folder of templates: `templates.json` and `templates.points`, in the layout of a skeleton's points.
+
+use std::io::Write;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{TemplateCloud, TemplateOptions, TemplateReport};
+use crate::cloud::Point;
+use crate::error::{FileError, write_json, write_whole, write_whole_folder};
+use crate::gpu::MappedFile;
+use crate::skeleton::{Source, Template};
+
+const MANIFEST: &str = "templates.json";
+const POINTS: &str = "templates.points";
+
+/// `templates.json`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LibraryManifest {
+    /// [`LibraryManifest::FORMAT`].
+    pub format: String,
+    /// [`LibraryManifest::VERSION`].
+    pub version: u32,
+    /// The logs whose actors were taken.
+    pub sources: Vec<LogSource>,
+    /// How the templates were made.
+    pub options: TemplateOptions,
+    /// What went in and what was left out.
+    pub report: TemplateReport,
+    /// `templates.points`: one cloud after the other.
+    pub templates: Vec<Template>,
+}
+
+/// A log whose actors were taken.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LogSource {
+    /// The log.
+    #[serde(flatten)]
+    pub source: Source,
+    /// Assets.
+    pub actors: usize,
+}
+
+impl LibraryManifest {
+    /// Marks the folder.
+    pub const FORMAT: &'static str = "point-skeleton-templates";
+    /// Changes whenever older readers would misread a library.
+    pub const VERSION: u32 = 1;
+}
+
+/// Templates that several skeletons can use.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TemplateLibrary {
+    /// What it holds; its `templates` are those of `clouds`.
+    pub manifest: LibraryManifest,
+    /// The templates with their points, in the order of kinds.
+    pub clouds: Vec<TemplateCloud>,
+}
+
+impl TemplateLibrary {
+    /// Of templates with what they were made of.
+    pub fn new(
+        sources: Vec<LogSource>,
+        options: TemplateOptions,
+        (clouds, report): (Vec<TemplateCloud>, TemplateReport),
+    ) -> Self {
+        let templates = clouds.iter().map(|(template, _)| template.clone()).collect();
+        let (format, version) = (LibraryManifest::FORMAT.into(), LibraryManifest::VERSION);
+        Self { manifest: LibraryManifest { format, version, sources, options, report, templates }, clouds }
+    }
+
+    /// Whether a folder looks like a library.
+    pub fn is_at(path: &Path) -> bool {
+        path.join(MANIFEST).is_file()
+    }
+
+    /// Writes the folder under a temporary name beside `path`, then renames it; `more` may add files to it. An older library
+    /// at `path` is replaced; a folder with anything else is refused.
+    ///
+    /// # Errors
+    /// Whatever `more` returns, the system's, a folder that is no library; nothing is left half-written.
+    pub fn write<E: From<FileError>>(
+        &self,
+        path: &Path,
+        more: impl FnOnce(&Path) -> Result<(), E>,
+    ) -> Result<(), E> {
+        write_whole_folder(path, MANIFEST, |folder| {
+            let file = folder.join(POINTS);
+            write_whole::<FileError>(&file, |writer| {
+                let mut clouds = self.clouds.iter();
+                let write = |(_, points): &TemplateCloud| writer.write_all(bytemuck::cast_slice(points));
+                clouds.try_for_each(write).map_err(FileError::io("write", &file))
+            })?;
+            more(folder)?;
+            Ok(write_json(&folder.join(MANIFEST), &self.manifest)?)
+        })
+    }
+
+    /// Reads a library.
+    ///
+    /// # Errors
+    /// A missing or damaged file, another format or version.
+    pub fn open(path: &Path) -> Result<Self, FileError> {
+        let manifest = read_manifest(&path.join(MANIFEST))?;
+        let file = path.join(POINTS);
+        let mapped = MappedFile::open(&file)?;
+        let bytes = mapped.as_bytes();
+        let total: u128 = manifest.templates.iter().map(|t| t.points as u128).sum();
+        let expected = total * size_of::<Point>() as u128;
+        if bytes.len() as u128 != expected {
+            let expected = format!("{expected} bytes ({total} points)");
+            return Err(FileError::content(expected, format!("{} bytes", bytes.len()), &file));
+        }
+        let mut rest = bytes;
+        let cloud = |template: &Template| {
+            let (head, tail) = rest.split_at(template.points * size_of::<Point>());
+            rest = tail;
+            (template.clone(), bytemuck::pod_collect_to_vec(head))
+        };
+        let clouds = manifest.templates.iter().map(cloud).collect();
+        Ok(Self { manifest, clouds })
+    }
+}
+
+fn read_manifest(path: &Path) -> Result<LibraryManifest, FileError> {
+    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let wrong = |e: serde_json::Error| FileError::content("a list of templates", e.to_string(), path);
+    // The version first: what else stands there depends on it.
+    let value: serde_json::Value = serde_json::from_slice(&text).map_err(wrong)?;
+    let (format, version) = (&value["format"], &value["version"]);
+    if format != LibraryManifest::FORMAT || version != LibraryManifest::VERSION {
+        let expected = format!("format {:?} version {}", LibraryManifest::FORMAT, LibraryManifest::VERSION);
+        return Err(FileError::content(expected, format!("format {format} version {version}"), path));
+    }
+    let manifest: LibraryManifest = serde_json::from_value(value).map_err(wrong)?;
+    for (i, template) in manifest.templates.iter().enumerate() {
+        let bad =
+            |found: String| FileError::content("one template a kind, with a positive size", found, path);
+        if manifest.templates[..i].iter().any(|other| other.kind == template.kind) {
+            return Err(bad(format!("{} twice", template.kind.name())));
+        }
+        if !template.size.iter().all(|s| s.is_finite() && *s > 0.0) {
+            return Err(bad(format!("{} of size {:?}", template.kind.name(), template.size)));
+        }
+    }
+    Ok(manifest)
+}
