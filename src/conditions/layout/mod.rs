@@ -1,4 +1,4 @@
-//! Layout images: outlines of the actors' boxes ([`boxes`]) and of the HD map ([`map`]).
+//! Layout images: outlines of the actors' boxes ([`box_segments`]) and of the HD map ([`map_segments`]).
 //!
 //! # How it works
 //! Edges are clipped in camera space in `f64`, projected, and clipped to a rectangle that is larger than the image by
