@@ -104,7 +104,7 @@ mod tests {
         let file = SafeTensors::deserialize(&bytes).unwrap();
         let mut names = file.names();
         names.sort_unstable();
-        assert_eq!(names, ["boxes", "class", "color", "depth", "instance", "layout", "points"]);
+        assert_eq!(names, ["boxes", "class", "color", "depth", "instance", "layout", "map", "points"]);
         let second = &set().cameras[1];
         let points = file.tensor("points").unwrap();
         assert_eq!((points.dtype(), points.shape()), (Dtype::F32, &[2, 20, 4, 6][..]));

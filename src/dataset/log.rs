@@ -21,8 +21,23 @@ pub struct Log {
     pub tracks: Vec<Track>,
     /// Annotated frames in time order.
     pub frames: Vec<Frame>,
+    /// Kinds of situation that the data set has found, with the indices of their frames in order.
+    pub scenarios: BTreeMap<String, Vec<usize>>,
+    /// What traffic lights showed, by frame, then by lane connector.
+    pub lights: Vec<TrafficLight>,
     /// What the reader left out, by kind, with counts.
     pub notes: BTreeMap<String, usize>,
+}
+
+/// What the traffic light of a way through an intersection showed at a frame.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct TrafficLight {
+    /// Index in [`Log::frames`].
+    pub frame: usize,
+    /// Id of the connector, as in [`VectorMap::lane_connectors`](super::VectorMap::lane_connectors).
+    pub lane_connector: String,
+    /// As the data set names it: `green`, `yellow`, `red` or `unknown`.
+    pub color: String,
 }
 
 /// A tracked object.

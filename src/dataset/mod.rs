@@ -17,7 +17,7 @@ mod picture;
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
 pub use locator::{LogFormat, LogLocator};
-pub use log::{Frame, ImageRecord, Log, RigCamera, SweepRecord, Track, TrackBox};
+pub use log::{Frame, ImageRecord, Log, RigCamera, SweepRecord, Track, TrackBox, TrafficLight};
 pub use map::{Area, Lane, VectorMap};
 pub use picture::{picture_size, read_picture};
 

@@ -71,7 +71,11 @@ fn anything_else_is_an_error() {
     assert_failed(&log.run("info notes.txt"), 1, &["a file ending in .npy", "notes.txt"]);
     assert_failed(&log.run("info out"), 1, &["a skeleton's folder or a file", "another folder: out"]);
     assert_failed(&log.run("info gone"), 1, &["found nothing: gone"]);
-    assert_failed(&log.run("info kitti:log"), 1, &["FORMAT nuscenes or av2", "kitti:log"]);
+    assert_failed(
+        &log.run("info kitti:log"),
+        1,
+        &["FORMAT nuscenes, nuplan, nuplan-simgen or av2", "kitti:log"],
+    );
     assert_failed(&log.run("info nuscenes:gone"), 1, &["gone"]);
     assert_failed(&log.run("info"), 2, &["Usage"]);
 }

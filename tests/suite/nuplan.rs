@@ -119,6 +119,12 @@ fn a_scene_is_a_part_of_the_log() {
         let times: Vec<i64> = log.frames.iter().map(|f| (f.t_us - FIRST_US) / STEP_US).collect();
         assert_eq!((times, log.name.as_str()), (vec![2, 3], LOG));
         assert_eq!(log.description, "veh-01 2021-01-01, scene-001");
+        let scenarios: Vec<_> =
+            log.scenarios.iter().map(|(kind, at)| (kind.as_str(), at.as_slice())).collect();
+        assert_eq!(scenarios, [("following", &[0, 1][..]), ("waiting", &[0, 1][..])]);
+        let lights: Vec<_> =
+            log.lights.iter().map(|l| (l.frame, l.lane_connector.as_str(), l.color.as_str())).collect();
+        assert_eq!(lights, [(0, "71", "green"), (1, "71", "green")]);
         assert!(log.frames.iter().all(|f| f.images.len() == 8 && f.boxes.len() == 2), "{:?}", log.notes);
         assert!(log.notes.is_empty(), "{:?}", log.notes);
     }

@@ -33,8 +33,19 @@ fn files_that_are_no_log_are_named() {
 
 #[test]
 fn missing_tables_and_columns_are_named() {
-    let tables =
-        ["log", "category", "lidar", "camera", "ego_pose", "lidar_pc", "image", "track", "lidar_box"];
+    let tables = [
+        "log",
+        "category",
+        "lidar",
+        "camera",
+        "ego_pose",
+        "lidar_pc",
+        "image",
+        "track",
+        "lidar_box",
+        "scenario_tag",
+        "traffic_light_status",
+    ];
     for table in tables {
         refused(&format!("DROP TABLE {table};"), &["expected ", &format!("no such table: {table}")]);
     }
@@ -192,6 +203,14 @@ fn times_that_do_not_grow_are_named() {
     let made = Made::new();
     made.sql(&format!("UPDATE lidar_pc SET next_token = x'00' WHERE token = {b};"));
     assert!(made.open().is_ok());
+}
+
+#[test]
+fn what_a_frame_shows_names_a_frame() {
+    for table in ["scenario_tag", "traffic_light_status"] {
+        let statement = format!("UPDATE {table} SET lidar_pc_token = x'0102';");
+        refused(&statement, &["lidar_pc", "0102", &format!("{table} ")]);
+    }
 }
 
 #[test]

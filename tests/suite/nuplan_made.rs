@@ -205,7 +205,10 @@ const SCHEMA: &str = "CREATE TABLE log (token BLOB PRIMARY KEY, vehicle_name, da
              timestamp);
          CREATE TABLE track (token BLOB PRIMARY KEY, category_token, width FLOAT, length FLOAT, height FLOAT);
          CREATE TABLE lidar_box (token BLOB PRIMARY KEY, lidar_pc_token, track_token, x FLOAT, y FLOAT, z FLOAT,
-             width FLOAT, length FLOAT, height FLOAT, yaw FLOAT, confidence FLOAT);\n";
+             width FLOAT, length FLOAT, height FLOAT, yaw FLOAT, confidence FLOAT);
+         CREATE TABLE scenario_tag (token BLOB PRIMARY KEY, lidar_pc_token, type TEXT, agent_track_token);
+         CREATE TABLE traffic_light_status (token BLOB PRIMARY KEY, lidar_pc_token, lane_connector_id INTEGER,
+             status VARCHAR(8));\n";
 
 /// Statements that make the log.
 fn tables() -> String {
@@ -246,6 +249,14 @@ fn tables() -> String {
         let keys = format!("{}, {next}, NULL, {}, {}", token('p', frame), token('e', frame), token('l', 0));
         let file = sweep_file(frame);
         insert("lidar_pc", format!("{keys}, {}, '{file}', {t_us}", token('s', frame / 2)));
+        // Two tags of one kind, of two agents; a light that turns green.
+        for (i, kind) in ["following", "following", "waiting"].iter().enumerate().skip(frame % 2) {
+            let tag = format!("{}, {}, '{kind}', NULL", token('g', 10 * frame + i), token('p', frame));
+            insert("scenario_tag", tag);
+        }
+        let color = if frame < 2 { "red" } else { "green" };
+        let light = format!("{}, {}, 71, '{color}'", token('h', frame), token('p', frame));
+        insert("traffic_light_status", light);
         for track in 0..2 {
             let at = if track == 0 { car_at(frame) } else { START + DVec3::new(8.0, 4.0, 0.5) };
             let [width, length, height] = sizes(track);

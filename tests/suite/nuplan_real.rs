@@ -58,6 +58,10 @@ fn the_drive_is_read_as_its_readme_says() {
     };
     let counts = ["vehicle", "pedestrian", "traffic_cone", "bicycle", "barrier"].map(boxes);
     assert_eq!(counts, [3089, 297, 152, 38, 0]);
+    let scenarios: usize = log.scenarios.values().map(Vec::len).sum();
+    assert_eq!((scenarios, log.scenarios["near_multiple_vehicles"].len(), log.lights.len()), (105, 38, 152));
+    let red = log.lights.iter().filter(|light| light.color == "red").count();
+    assert_eq!((red, log.lights[0].frame, log.lights[0].lane_connector.as_str()), (38, 0, "68001"));
     let notes: Vec<_> = log.notes.iter().map(|(kind, n)| (kind.as_str(), *n)).collect();
     assert_eq!(notes, [("missing image files", 192), ("missing sweep files", 32)]);
     let with = |has: fn(&point_skeleton::dataset::Frame) -> bool| -> Vec<usize> {

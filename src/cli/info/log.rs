@@ -36,6 +36,8 @@ pub(super) fn describe(dataset: &dyn Dataset) -> Value {
         "boxes": boxes,
         "boxes_without_points": empty,
         "categories": categories(log),
+        "scenarios": log.scenarios.iter().map(|(kind, frames)| (kind, frames.len())).collect::<BTreeMap<_, _>>(),
+        "traffic_lights": lights(log),
         "ego": ego_path(log),
         "map": map,
         "left_out": log.notes,
@@ -118,6 +120,13 @@ fn categories(log: &Log) -> Value {
     tally.into_iter().map(entry).collect::<serde_json::Map<_, _>>().into()
 }
 
+/// How often lights showed which color.
+fn lights(log: &Log) -> BTreeMap<&str, usize> {
+    let mut tally = BTreeMap::new();
+    log.lights.iter().for_each(|light| *tally.entry(light.color.as_str()).or_default() += 1);
+    tally
+}
+
 /// Bounds and length of the path, global metres.
 fn ego_path(log: &Log) -> Value {
     let places: Vec<DVec3> = log.frames.iter().map(|f| f.global_from_ego.translation).collect();
@@ -160,6 +169,12 @@ pub(super) fn text(json: &Value) -> String {
         format!("{} m from {} to {}", number(&ego["path_m"]), corner(&ego["min"]), corner(&ego["max"])),
     );
     line("map", map_line(&json["map"]));
+    for (kind, frames) in json["scenarios"].as_object().into_iter().flatten() {
+        line("scenario", format!("{kind:<34} {frames} frames"));
+    }
+    for (color, count) in json["traffic_lights"].as_object().into_iter().flatten() {
+        line("lights", format!("{color:<34} {count} times"));
+    }
     for (what, count) in json["left_out"].as_object().into_iter().flatten() {
         line("left out", format!("{what}: {count}"));
     }

@@ -78,5 +78,6 @@ pub(super) fn read(
     }
     let cameras = rig.iter().map(|c| c.camera.name.clone()).collect();
     let (tracks, description) = (annotations.tracks, String::new());
-    Ok((Log { name, location, description, cameras, rig, tracks, frames, notes }, box_points))
+    let log = Log { name, location, description, cameras, rig, tracks, frames, notes, ..Log::default() };
+    Ok((log, box_points))
 }

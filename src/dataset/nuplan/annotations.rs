@@ -73,7 +73,7 @@ fn tracks(database: &Database) -> Result<Vec<(Vec<u8>, Track)>, DatasetError> {
 }
 
 /// The tokens of all frames of the log.
-fn frame_tokens(database: &Database) -> Result<FxHashSet<Vec<u8>>, DatasetError> {
+pub(super) fn frame_tokens(database: &Database) -> Result<FxHashSet<Vec<u8>>, DatasetError> {
     let mut tokens = FxHashSet::default();
     database.rows(&Query { table: "lidar_pc", columns: &["token"], from: "FROM lidar_pc" }, |row| {
         tokens.insert(row.blob(0)?.to_owned());

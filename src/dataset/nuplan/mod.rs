@@ -16,6 +16,7 @@ mod pickle;
 mod place;
 mod projection;
 mod read;
+mod situation;
 
 pub use pcd::{check_pcd_file, parse_pcd, read_pcd_file};
 pub use place::SIMGEN;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::database::{Database, Query, hex};
 use super::place::Place;
-use super::{annotations, frames, images};
+use super::{annotations, frames, images, situation};
 use crate::dataset::{DatasetError, Frame, Log};
 use crate::error::FileError;
 use crate::geometry::Pose;
@@ -29,6 +29,7 @@ pub(super) fn read(place: &Place, scene: Option<&str>) -> Result<(Log, String), 
     let times_us: Vec<i64> = shots.iter().map(|shot| shot.t_us).collect();
     let pictures = images::read(&database, place, &times_us, scene.is_none(), &mut notes)?;
     let annotated = annotations::read(&database, &shots)?;
+    let (scenarios, lights) = situation::read(&database, &shots)?;
     let seen = pictures.frames.into_iter().zip(annotated.frames);
     let frame = |(shot, (pictures, boxes)): (frames::Shot, (images::Pictures, _))| Frame {
         t_us: shot.t_us,
@@ -50,6 +51,8 @@ pub(super) fn read(place: &Place, scene: Option<&str>) -> Result<(Log, String), 
         rig: pictures.rig,
         tracks: annotated.tracks,
         frames: shots.into_iter().zip(seen).map(frame).collect(),
+        scenarios,
+        lights,
         notes,
     };
     Ok((log, about.map_name))

@@ -61,6 +61,7 @@ pub(super) fn read(
         tracks: annotated.tracks,
         frames: log_frames,
         notes,
+        ..Log::default()
     };
     Ok((log, box_points))
 }

@@ -1,0 +1,69 @@
+//! What the frames show: kinds of situation, and traffic lights.
+
+use std::collections::BTreeMap;
+
+use rustc_hash::{FxHashMap, FxHashSet};
+
+use super::annotations::frame_tokens;
+use super::database::{Database, Query, Row};
+use super::frames::Shot;
+use crate::dataset::{DatasetError, TrafficLight};
+
+/// Frames by token; rows may also name frames of other scenes.
+struct Frames<'a> {
+    database: &'a Database,
+    places: FxHashMap<&'a [u8], usize>,
+    /// All of the log, once they are needed.
+    all: Option<FxHashSet<Vec<u8>>>,
+}
+
+impl Frames<'_> {
+    /// The frame of a token in a row; `None` for one of another scene.
+    fn place(&mut self, row: &Row<'_>, column: usize) -> Result<Option<usize>, DatasetError> {
+        let token = row.blob(column)?;
+        if let Some(place) = self.places.get(token) {
+            return Ok(Some(*place));
+        }
+        let all = match &mut self.all {
+            Some(all) => all,
+            empty => empty.insert(frame_tokens(self.database)?),
+        };
+        if all.contains(token) { Ok(None) } else { Err(row.dangling("lidar_pc", token)) }
+    }
+}
+
+/// Frames by kind of situation, and what traffic lights showed.
+pub(super) type Situation = (BTreeMap<String, Vec<usize>>, Vec<TrafficLight>);
+
+/// Reads `scenario_tag` and `traffic_light_status`.
+pub(super) fn read(database: &Database, shots: &[Shot]) -> Result<Situation, DatasetError> {
+    let places = shots.iter().enumerate().map(|(i, shot)| (shot.token.as_slice(), i)).collect();
+    let mut frames = Frames { database, places, all: None };
+    let mut scenarios: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+    let columns = &["token", "lidar_pc_token", "type"];
+    database.rows(&Query { table: "scenario_tag", columns, from: "FROM scenario_tag" }, |row| {
+        if let Some(frame) = frames.place(row, 1)? {
+            scenarios.entry(row.text(2)?.to_owned()).or_default().push(frame);
+        }
+        Ok(())
+    })?;
+    for list in scenarios.values_mut() {
+        // One tag an agent.
+        list.sort_unstable();
+        list.dedup();
+    }
+    let mut lights = Vec::new();
+    let columns = &["token", "lidar_pc_token", "lane_connector_id", "status"];
+    database.rows(
+        &Query { table: "traffic_light_status", columns, from: "FROM traffic_light_status" },
+        |row| {
+            if let Some(frame) = frames.place(row, 1)? {
+                let (lane_connector, color) = (row.integer(2)?.to_string(), row.text(3)?.to_owned());
+                lights.push(TrafficLight { frame, lane_connector, color });
+            }
+            Ok(())
+        },
+    )?;
+    lights.sort();
+    Ok((scenarios, lights))
+}
