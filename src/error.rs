@@ -100,12 +100,7 @@ pub fn write_whole_folder_by<E: From<FileError>>(
     scratch: &Path,
     fill: impl FnOnce(&Path) -> Result<(), E>,
 ) -> Result<(), E> {
-    let older = path.exists();
-    let empty = || std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none());
-    if older && !path.join(marker).is_file() && !empty() {
-        let expected = format!("no such folder yet, an empty one, or an older one with {marker}");
-        return Err(FileError::content(expected, "other content", path).into());
-    }
+    check_replaceable(path, marker)?;
     std::fs::create_dir_all(scratch).map_err(FileError::io("create", scratch))?;
     let mut builder = tempfile::Builder::new();
     builder.prefix(".pskel-");
@@ -114,11 +109,42 @@ pub fn write_whole_folder_by<E: From<FileError>>(
     // A folder within the temporary one gets the mode of plain folders.
     std::fs::create_dir(&new).map_err(FileError::io("create", &new))?;
     fill(&new)?;
-    if older {
-        std::fs::rename(path, beside.path().join("old")).map_err(FileError::io("replace", path))?;
+    Ok(put(&new, path)?)
+}
+
+/// Whether a folder may be written at a path: nothing is there, or an empty folder, or one that holds a file named
+/// `marker`.
+///
+/// # Errors
+/// Something else is there.
+pub fn check_replaceable(path: &Path, marker: &str) -> Result<(), FileError> {
+    let empty = || std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none());
+    if path.exists() && !path.join(marker).is_file() && !empty() {
+        let expected = format!("no such folder yet, an empty one, or an older one with {marker}");
+        return Err(FileError::content(expected, "other content", path));
     }
-    std::fs::rename(&new, path).map_err(FileError::io("rename to", path))?;
     Ok(())
+}
+
+/// Renames a folder. One that is there changes places with it in one step, so that at every moment there is one.
+fn put(new: &Path, path: &Path) -> Result<(), FileError> {
+    use rustix::fs::{CWD, RenameFlags, renameat_with};
+    let exchanged = path.exists() && renameat_with(CWD, new, CWD, path, RenameFlags::EXCHANGE).is_ok();
+    if exchanged {
+        return Ok(());
+    }
+    // Not every file system can do this.
+    let old = new.with_file_name("old");
+    let older = path.exists();
+    if older {
+        std::fs::rename(path, &old).map_err(FileError::io("replace", path))?;
+    }
+    std::fs::rename(new, path).map_err(|error| {
+        if older {
+            let _ = std::fs::rename(&old, path); // the error tells what went wrong before
+        }
+        FileError::io("rename to", path)(error)
+    })
 }
 
 /// What a plain created file gets (the umask applies), not the private mode of temporary files.

@@ -14,8 +14,8 @@ use crate::cloud::{self, Bounds, Point};
 use crate::dataset::{self, Dataset, LogLocator};
 use crate::error::FileError;
 use crate::skeleton::{
-    self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, Skeleton, Template, TemplateCloud,
-    TemplateKind, TemplateLibrary,
+    self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, SkeletonWriter, Template,
+    TemplateCloud, TemplateKind, TemplateLibrary,
 };
 
 /// Build a point skeleton from recorded drives: colored background, an asset per tracked actor
@@ -90,9 +90,11 @@ impl FromStr for TemplateFile {
 /// Reads, builds, writes.
 pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    if args.out.exists() && !Skeleton::is_at(&args.out) {
-        let expected = "no such folder yet, or an older skeleton";
-        return Err(FileError::content(expected, "other content", &args.out).into());
+    SkeletonWriter::check_target(&args.out)?;
+    if let Some(frames) = skeleton::unfinished_frames(&args.out).filter(|_| !args.resume) {
+        eprintln!(
+            "warning: an unfinished build with {frames} frames done is discarded (--resume goes on with it)"
+        );
     }
     let given = read_templates(&args.templates)?;
     let library = args.templates_from.as_deref().map(TemplateLibrary::open).transpose()?.unwrap_or_default();

@@ -4,6 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::scene::EgoOffset;
+use crate::skeleton::CHUNK_M;
 
 /// Frames `A..B`, half-open, at least one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,11 +41,11 @@ impl FromStr for FrameRange {
     }
 }
 
-/// 0, or a side of voxels that 21 bits can count within a chunk.
+/// 0, or a side of voxels that 21 bits can count within a chunk, and no larger than one.
 pub(super) fn voxel_m(text: &str) -> Result<f64, String> {
-    finite(text)
-        .filter(|v| *v == 0.0 || *v >= 1e-4)
-        .ok_or_else(|| "expected metres, 0 (keeps all points) or at least 0.0001".into())
+    finite(text).filter(|v| *v == 0.0 || (1e-4..=CHUNK_M).contains(v)).ok_or_else(|| {
+        format!("expected metres, 0 (keeps all points) or at least 0.0001 and at most {CHUNK_M}")
+    })
 }
 
 /// Zero or more metres.

@@ -19,7 +19,7 @@ mod templates;
 mod trajectory;
 
 pub use augment::{AugmentOptions, Augmentation, augment};
-pub use build::{BuildError, BuildInput, BuildRun, MakeTemplates, Progress, build};
+pub use build::{BuildError, BuildInput, BuildRun, MakeTemplates, Progress, build, unfinished_frames};
 pub use colorize::{Candidate, ColorView, Look, Projector, agreed_color};
 pub use manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap};

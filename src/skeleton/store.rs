@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use super::{BuildOptions, MakeTemplates};
 use crate::cloud::Point;
-use crate::error::{FileError, write_json, write_whole_folder, write_whole_folder_by};
+use crate::error::{FileError, check_replaceable, write_json, write_whole_folder, write_whole_folder_by};
 use crate::gpu::MappedFile;
 
 const MANIFEST: &str = "skeleton.json";
@@ -35,6 +35,14 @@ impl SkeletonWriter {
         fill: impl FnOnce(&mut Self) -> Result<(), E>,
     ) -> Result<(), E> {
         write_whole_folder(path, MANIFEST, |folder| fill(&mut Self::new(folder)?))
+    }
+
+    /// Whether a skeleton may be written at a path.
+    ///
+    /// # Errors
+    /// Something else is there.
+    pub fn check_target(path: &Path) -> Result<(), FileError> {
+        check_replaceable(path, MANIFEST)
     }
 
     /// The same with the temporary folder in `scratch`, a folder of the same file system.

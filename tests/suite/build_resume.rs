@@ -163,6 +163,74 @@ fn what_cannot_be_gone_on_with_is_refused() {
     assert!(tree(&log.path("out/sk")) == tree(&log.path("out/whole")));
 }
 
+#[test]
+fn a_folder_of_another_kind_is_not_taken_for_an_unfinished_build() {
+    let log = TinyLog::new();
+    std::fs::create_dir(log.path("out/sk.partial")).unwrap();
+    std::fs::write(log.path("out/sk.partial/thesis.tex"), "years of work").unwrap();
+    for resume in ["", "--resume"] {
+        let output = log.run(&format!("build nuscenes:log --out out/sk {resume}"));
+        assert_failed(&output, 1, &["an unfinished build, or no such folder", "other content", "sk.partial"]);
+    }
+    assert!(log.path("out/sk.partial/thesis.tex").is_file());
+}
+
+#[test]
+fn a_build_that_starts_anew_says_what_it_discards() {
+    let log = TinyLog::new();
+    let partial = partial_of_tiny(&log);
+    let output = log.run("build nuscenes:log --out out/sk");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && stderr.contains("an unfinished build with 3 frames done"), "{stderr}");
+    assert!(!partial.exists());
+    // An older skeleton is there until the new one takes its place.
+    let older = tree(&log.path("out/sk"));
+    std::fs::write(log.path(&crate::tiny_log::sweep(2)), "cut").unwrap();
+    assert_failed(&log.run("build nuscenes:log --out out/sk --checkpoint 1"), 1, &["2.pcd.bin"]);
+    assert!(tree(&log.path("out/sk")) == older);
+}
+
+/// Where cameras are slower than the LiDAR an image serves two frames.
+#[test]
+fn an_image_of_two_frames_colors_both() {
+    let street = Street::new(&StreetOptions { frames: 2, ..STREET }).unwrap();
+    let mut log = street.log().clone();
+    log.frames[1].images = log.frames[0].images.clone();
+    let cameras = log.cameras.len();
+    let shared = Shared { street: &street, log };
+    let folder = tempfile::tempdir().unwrap();
+    let report = |options: BuildOptions| {
+        build(&folder.path().join("sk"), &shared, &options, [20, 0]).unwrap().manifest.report
+    };
+    let [one, every] = [options(0.0), BuildOptions::every_camera()].map(report);
+    // Where the first frame's images are at hand they are not read twice; without a window they are not.
+    assert_eq!([one.images, every.images], [cameras, 2 * cameras]);
+    for report in [one, every] {
+        let share = report.dropped_uncolored as f64 / report.points_read as f64;
+        assert!(share < 0.25, "{share}");
+    }
+}
+
+/// A street with another log.
+struct Shared<'a> {
+    street: &'a Street,
+    log: Log,
+}
+
+impl Dataset for Shared<'_> {
+    fn log(&self) -> &Log {
+        &self.log
+    }
+
+    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
+        self.street.read_sweep(record)
+    }
+
+    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
+        self.street.read_image(record)
+    }
+}
+
 /// An unfinished build of the tiny log: the skeleton cannot be renamed to where a file stands.
 fn partial_of_tiny(log: &TinyLog) -> PathBuf {
     std::fs::write(log.path("out/sk"), "in the way").unwrap();

@@ -78,7 +78,7 @@ pub(in crate::cli) struct RenderArgs {
     pub(super) cameras: Option<PathBuf>,
     /// Draw what the cameras recorded, lens distortion included; every pixel takes the nearest one of a pinhole's image
     /// [default: pinhole cameras]
-    #[arg(long)]
+    #[arg(long, conflicts_with = "cameras")]
     pub(super) distort: bool,
     /// How depth is cut into the bins of depth.png, of the sheet and of the tensor
     #[arg(long, value_enum, default_value = "linear")]

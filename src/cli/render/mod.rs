@@ -51,7 +51,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         format: args.format,
         options: &options.conditions,
         prompt: &prompt,
-        fps: args.hz.or_else(|| frame_rate_hz(&log.frames)),
+        fps: args.hz.or_else(|| frame_rate_hz(&log.frames).filter(|_| args.at.is_empty())),
         distort: args.distort,
         birdseye: args.birdseye,
         log: &log.name,

@@ -68,10 +68,7 @@ impl FromStr for Target {
 /// Reads, makes, draws, writes.
 pub(super) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    if args.out.exists() && !TemplateLibrary::is_at(&args.out) {
-        let expected = "no such folder yet, or older templates";
-        return Err(FileError::content(expected, "other content", &args.out).into());
-    }
+    TemplateLibrary::check_target(&args.out)?;
     let options = TemplateOptions {
         target_points: args.target_points,
         min_points: args.min_points,
@@ -130,7 +127,13 @@ fn scratch(out: &Path) -> Result<TempDir, FileError> {
 fn build(out: &Path, dataset: &dyn Dataset) -> Result<Skeleton, BuildError> {
     let progress = StageProgress::default();
     let run = BuildRun { progress: &progress, ..BuildRun::default() };
-    skeleton::build(out, &[BuildInput::all(dataset)], &BuildOptions::default(), &|_| Ok(Vec::new()), &run)
+    let inputs = [BuildInput::all(dataset)];
+    let built = skeleton::build(out, &inputs, &BuildOptions::default(), &|_| Ok(Vec::new()), &run);
+    built.map_err(|error| match error {
+        // Nothing is kept of what is built here.
+        BuildError::Interrupted { source, .. } => *source,
+        error => error,
+    })
 }
 
 fn take(instances: &mut Instances, skeleton: &Skeleton) -> Vec<LogSource> {

@@ -25,14 +25,18 @@ pub(super) enum Cell {
 /// Points in memory that wait to be written.
 pub(super) struct Cells {
     pub(super) voxels: Voxels,
-    cells: FxHashMap<Cell, Vec<VoxelSum>>,
+    cells: Vec<(Cell, Vec<VoxelSum>)>,
+    /// Where in the list.
+    index: FxHashMap<Cell, usize>,
+    /// The cell of the last point: mostly that of the next.
+    last: usize,
     /// How many.
     pub(super) points: usize,
 }
 
 impl Cells {
     pub(super) fn new(voxels: Voxels) -> Self {
-        Self { voxels, cells: FxHashMap::default(), points: 0 }
+        Self { voxels, cells: Vec::new(), index: FxHashMap::default(), last: 0, points: 0 }
     }
 
     /// Adds the colored points of a sweep, the one with number `sweep` of all of them; counts them and those without a
@@ -69,15 +73,26 @@ impl Cells {
     fn add_point(&mut self, cell: Cell, point: &Candidate, origin: DVec3, place: &mut u64) -> usize {
         let Some(rgb) = point.rgb else { return 0 };
         let sum = self.voxels.sum(point.position - origin, rgb, *place);
-        self.cells.entry(cell).or_default().push(sum);
+        self.sums(cell).push(sum);
         *place += 1;
         self.points += 1;
         1
     }
 
+    fn sums(&mut self, cell: Cell) -> &mut Vec<VoxelSum> {
+        if self.cells.get(self.last).is_none_or(|(last, _)| *last != cell) {
+            self.last = *self.index.entry(cell).or_insert(self.cells.len());
+            if self.last == self.cells.len() {
+                self.cells.push((cell, Vec::new()));
+            }
+        }
+        &mut self.cells[self.last].1
+    }
+
     /// Takes all points out, merged, in the order of cells.
     pub(super) fn take(&mut self) -> Vec<(Cell, Vec<VoxelSum>)> {
-        let cells: Vec<_> = self.cells.drain().collect();
+        let cells = std::mem::take(&mut self.cells);
+        self.index.clear();
         self.points = 0;
         let mut merged: Vec<_> = cells.into_par_iter().map(|(cell, sums)| (cell, merge(sums))).collect();
         merged.sort_by_key(|(cell, _)| *cell);

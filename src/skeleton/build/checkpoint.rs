@@ -1,7 +1,7 @@
 //! An unfinished build on disk: enough to go on after the process was killed.
 
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -27,6 +27,8 @@ pub(super) struct PlannedLog {
     pub(super) log: String,
     /// Times of the frames, absolute microseconds.
     pub(super) t_us: Vec<i64>,
+    /// Sweeps, images and boxes of the frames: files may have come or gone.
+    pub(super) held: Vec<[usize; 3]>,
     /// Tracks in the log.
     pub(super) tracks: usize,
 }
@@ -70,18 +72,32 @@ impl WorkFolder {
         out.with_file_name(format!("{name}.partial"))
     }
 
+    /// How many frames of an unfinished build of `out` are done, if there is one with a checkpoint.
+    pub(super) fn frames_done(out: &Path) -> Option<usize> {
+        let text = std::fs::read(Self::beside(out).join(FILE)).ok()?;
+        serde_json::from_slice::<Checkpoint<serde_json::Value, Done>>(&text).ok().map(|c| c.done.frames)
+    }
+
     /// Opens the folder for `out`, with what was done there if that is to be gone on with; else an empty one.
     ///
     /// # Errors
     /// Another process is at work there; `resume` finds a build of something else; the system's.
     pub(super) fn open(out: &Path, plan: Plan, resume: bool) -> Result<(Self, Done), FileError> {
         let path = Self::beside(out);
-        std::fs::create_dir_all(&path).map_err(FileError::io("create", &path))?;
         let lock_path = path.join(LOCK);
+        if path.exists() && !lock_path.is_file() {
+            let expected = "an unfinished build, or no such folder";
+            return Err(FileError::content(expected, "other content", &path));
+        }
+        std::fs::create_dir_all(&path).map_err(FileError::io("create", &path))?;
         let lock = File::create(&lock_path).map_err(FileError::io("create", &lock_path))?;
-        if lock.try_lock().is_err() {
-            let expected = "no other process at work on this skeleton";
-            return Err(FileError::content(expected, "one that holds the lock", &lock_path));
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::Error(error)) => return Err(FileError::io("lock", &lock_path)(error)),
+            Err(TryLockError::WouldBlock) => {
+                let expected = "no other process at work on this skeleton";
+                return Err(FileError::content(expected, "one that holds the lock", &lock_path));
+            }
         }
         let mut folder = Self { path, plan, _lock: lock, kept: true };
         // A build that was killed before its first checkpoint left none.
@@ -96,6 +112,11 @@ impl WorkFolder {
         let text = std::fs::read(&path).map_err(FileError::io("read", &path))?;
         let wrong = |e: serde_json::Error| FileError::content("a checkpoint", e.to_string(), &path);
         let checkpoint: Checkpoint<Plan, Done> = serde_json::from_slice(&text).map_err(wrong)?;
+        let frames: usize = self.plan.logs.iter().map(|log| log.t_us.len()).sum();
+        if checkpoint.done.frames > frames && checkpoint.plan == self.plan {
+            let found = format!("{} done", checkpoint.done.frames);
+            return Err(FileError::content(format!("at most {frames} frames"), found, &path));
+        }
         if checkpoint.plan != self.plan {
             let expected = "an unfinished build of the same version, logs, frames and options";
             let found = difference(&self.plan, &checkpoint.plan);
@@ -136,8 +157,10 @@ impl WorkFolder {
         runs::sweep_out(&self.path, &done.runs)
     }
 
-    /// The skeleton is written: nothing is to be kept.
+    /// The skeleton is written: nothing is to be kept. The checkpoint goes first, since without its runs it is none.
     pub(super) fn close(mut self) -> Result<(), FileError> {
+        let path = self.path.join(FILE);
+        std::fs::remove_file(&path).map_err(FileError::io("delete", &path))?;
         self.kept = true;
         std::fs::remove_dir_all(&self.path).map_err(FileError::io("delete", &self.path))
     }
@@ -164,7 +187,7 @@ fn difference(ours: &Plan, theirs: &Plan) -> String {
     if names(ours) != names(theirs) {
         return format!("one of {}", names(theirs).join(", "));
     }
-    "one of other frames or tracks".to_owned()
+    "one of other frames, files or tracks".to_owned()
 }
 
 /// JSON has no maps with such keys.

@@ -5,6 +5,7 @@ use super::{BuildError, Builder, MakeTemplates, source, with_notes};
 use std::path::Path;
 
 use crate::cloud::{Bounds, Point};
+use crate::error::FileError;
 use crate::skeleton::store::SkeletonWriter;
 use crate::skeleton::{Asset, CHUNK_M, Chunk};
 
@@ -16,7 +17,7 @@ impl Builder<'_> {
             return Err(BuildError::Empty { sweeps: report.sweeps, points: report.points_read });
         }
         let runs = Runs::open(self.work.path(), &self.done.runs)?;
-        let cells = self.ordered(runs.cells());
+        let cells = self.ordered(runs.cells())?;
         self.run.progress.start("merge points", cells.len());
         SkeletonWriter::write_by(out, self.work.path(), |writer| {
             runs.merged(&cells, |cell, sums| {
@@ -30,14 +31,21 @@ impl Builder<'_> {
     }
 
     /// Chunks, then tracks by their ids; the ids of a log are sorted, those of several are not.
-    fn ordered(&self, mut cells: Vec<Cell>) -> Vec<Cell> {
+    fn ordered(&self, mut cells: Vec<Cell>) -> Result<Vec<Cell>, FileError> {
+        let known = |cell: &Cell| match *cell {
+            Cell::Chunk(_) => true,
+            Cell::Track { log, track } => self.streams.get(log).is_some_and(|s| track < s.log.tracks.len()),
+        };
+        if let Some(cell) = cells.iter().find(|cell| !known(cell)) {
+            return Err(FileError::content("tracks of the logs", format!("{cell:?}"), self.work.path()));
+        }
         cells.sort_by_key(|cell| match *cell {
             Cell::Chunk(_) => (*cell, ""),
             Cell::Track { log, track } => {
                 (Cell::Track { log: usize::MAX, track: 0 }, self.streams[log].log.tracks[track].id.as_str())
             }
         });
-        cells
+        Ok(cells)
     }
 
     fn write_cell(

@@ -4,8 +4,8 @@
 //! [`build()`] takes the frames of its logs one after the other: `stream` reads and colors them within a window that
 //! moves along a log, `cells` gathers their points by chunk of the background and by track, `sums` adds them up by
 //! voxel, `runs` holds on disk what memory need not. Every few frames a `checkpoint` says how far it is. At the end
-//! cells are merged one by one into the skeleton. Memory does not grow with the length of the logs, and an
-//! interrupted build goes on from its last checkpoint to the same bytes.
+//! cells are merged one by one into the skeleton. Memory does not grow with the length of the logs (without voxels: but
+//! for a cell's points), and an interrupted build goes on from its last checkpoint to the same bytes.
 
 mod cells;
 mod checkpoint;
@@ -124,7 +124,7 @@ impl Default for BuildRun<'_> {
 }
 
 /// Points in memory from which on they are written out, frames or not.
-const MOST_POINTS: usize = 2_000_000;
+const MOST_POINTS: usize = 1_000_000;
 
 /// Builds a skeleton from some frames of one or more logs of one place. The result depends on the input and the
 /// options alone, not on the number of threads, nor on how often it was interrupted. While it is at work there is a
@@ -162,6 +162,11 @@ pub fn build(
     Ok(Skeleton::open(out)?)
 }
 
+/// How many frames of an unfinished build of `out` are done; `None` if there is none to go on with.
+pub fn unfinished_frames(out: &Path) -> Option<usize> {
+    WorkFolder::frames_done(out)
+}
+
 /// A background stands in the frame of one place.
 fn check_places(streams: &[Stream]) -> Result<(), BuildError> {
     let (first, mut names) = (streams.first().map(|s| &s.log.location), Vec::new());
@@ -179,6 +184,7 @@ fn plan(streams: &[Stream], options: &BuildOptions) -> Plan {
     let log = |stream: &Stream| PlannedLog {
         log: stream.log.name.clone(),
         t_us: stream.frames.iter().map(|f| f.t_us).collect(),
+        held: stream.frames.iter().map(|f| [f.sweeps.len(), f.images.len(), f.boxes.len()]).collect(),
         tracks: stream.log.tracks.len(),
     };
     Plan {
@@ -205,7 +211,7 @@ impl Builder<'_> {
     /// Takes in all frames that are not done.
     fn gather(&mut self) -> Result<(), BuildError> {
         let frames: usize = self.streams.iter().map(|s| s.frames.len()).sum();
-        self.run.progress.start("read and color frames", frames - self.done.frames);
+        self.run.progress.start("read and color frames", frames.saturating_sub(self.done.frames));
         let streams = std::mem::take(&mut self.streams);
         let mut before = 0;
         let mut gathered = Ok(());

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::cells::Cell;
-use super::sums::{VoxelSum, merge};
+use super::sums::{VoxelSum, merge_two};
 use crate::error::{FileError, write_json, write_whole};
 
 /// Runs that are merged at once.
@@ -94,14 +94,13 @@ impl Run {
         Ok(Self { cells, path, file })
     }
 
-    /// Reads the sums of a cell behind others.
-    fn read(&self, cell: Cell, sums: &mut Vec<VoxelSum>) -> Result<(), FileError> {
-        let Some(&[first, count]) = self.cells.get(&cell) else { return Ok(()) };
-        let before = sums.len();
-        sums.resize(before + count, VoxelSum::zeroed());
-        let bytes = bytemuck::cast_slice_mut(&mut sums[before..]);
-        let read = self.file.read_exact_at(bytes, first as u64 * SUM_BYTES);
-        read.map_err(FileError::io("read", &self.path))
+    /// Reads the sums of a cell.
+    fn read(&self, cell: Cell) -> Result<Vec<VoxelSum>, FileError> {
+        let Some(&[first, count]) = self.cells.get(&cell) else { return Ok(Vec::new()) };
+        let mut sums = vec![VoxelSum::zeroed(); count];
+        let read = self.file.read_exact_at(bytemuck::cast_slice_mut(&mut sums), first as u64 * SUM_BYTES);
+        read.map_err(FileError::io("read", &self.path))?;
+        Ok(sums)
     }
 }
 
@@ -132,11 +131,11 @@ impl Runs {
         cells: &[Cell],
         mut take: impl FnMut(Cell, Vec<VoxelSum>) -> Result<(), E>,
     ) -> Result<(), E> {
-        const AT_ONCE: usize = 8;
+        const AT_ONCE: usize = 4;
         let of = |cell: &Cell| {
-            let mut sums = Vec::new();
-            self.0.iter().try_for_each(|run| run.read(*cell, &mut sums))?;
-            Ok((*cell, merge(sums)))
+            // One run after the other: a cell is in memory three times at most, however many runs there are.
+            let add = |sums, run: &Run| Ok::<_, FileError>(merge_two(sums, run.read(*cell)?));
+            Ok((*cell, self.0.iter().try_fold(Vec::new(), add)?))
         };
         for some in cells.chunks(AT_ONCE) {
             let merged: Result<Vec<_>, FileError> = some.par_iter().map(of).collect();
@@ -200,7 +199,7 @@ pub(super) fn sweep_out(folder: &Path, names: &[RunName]) -> Result<(), FileErro
 
 #[cfg(test)]
 mod tests {
-    use super::super::sums::Voxels;
+    use super::super::sums::{Voxels, merge};
     use super::*;
     use glam::DVec3;
 

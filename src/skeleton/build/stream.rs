@@ -141,9 +141,10 @@ impl<'a> Stream<'a> {
     }
 
     /// Reads the images of a frame, with what hides what in each. One that the frame before has too, as where images
-    /// are rarer than sweeps, is left to that one.
+    /// are rarer than sweeps, is left to that one if it colors this frame as well.
     fn load_views(&self, frame: usize, window: &Window) -> Result<Vec<ColorView>, BuildError> {
-        let before = frame.checked_sub(1).map_or_else(Vec::new, |before| self.records(before));
+        let before = frame.checked_sub(1).filter(|_| self.options.color_window > 0);
+        let before = before.map_or_else(Vec::new, |before| self.records(before));
         let is_new = |record: &&ImageRecord| !before.iter().any(|other| other.path == record.path);
         let records: Vec<&ImageRecord> = self.records(frame).into_iter().filter(is_new).collect();
         let view = |record: &&ImageRecord| {

@@ -40,11 +40,6 @@ impl Instances {
         Self { options, ..Self::default() }
     }
 
-    /// How they are put together.
-    pub fn options(&self) -> &TemplateOptions {
-        &self.options
-    }
-
     /// Takes assets, each with its points in box coordinates (metres). What no template can be made of is
     /// counted.
     pub fn add(&mut self, assets: &[(&Asset, &[Point])]) {

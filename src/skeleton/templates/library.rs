@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{TemplateCloud, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
-use crate::error::{FileError, write_json, write_whole, write_whole_folder};
+use crate::error::{FileError, check_replaceable, write_json, write_whole, write_whole_folder};
 use crate::gpu::MappedFile;
 use crate::skeleton::{Source, Template};
 
@@ -67,6 +67,14 @@ impl TemplateLibrary {
         let templates = clouds.iter().map(|(template, _)| template.clone()).collect();
         let (format, version) = (LibraryManifest::FORMAT.into(), LibraryManifest::VERSION);
         Self { manifest: LibraryManifest { format, version, sources, options, report, templates }, clouds }
+    }
+
+    /// Whether [`TemplateLibrary::write`] may write at a path.
+    ///
+    /// # Errors
+    /// Something else is there.
+    pub fn check_target(path: &Path) -> Result<(), FileError> {
+        check_replaceable(path, MANIFEST)
     }
 
     /// Whether a folder looks like a library.
