@@ -153,7 +153,11 @@ fn wrong_usage_exits_with_2_and_frames_out_of_the_log_with_1() {
     log.fail(&format!("{BUILD} --template suv=none.npy"), 1, &["none.npy"]);
     log.fail("build nuscenes:none --out out/sk", 1, &["none"]);
     log.fail("build nuscenes:log#other --out out/sk", 1, &["one of tiny, found other", "scene.json"]);
-    assert_failed(&log.run("build nuscenes:log --out log"), 1, &["older skeleton, found other content: log"]);
+    assert_failed(
+        &log.run("build nuscenes:log --out log"),
+        1,
+        &["an older one with skeleton.json, found other content: log"],
+    );
 }
 
 #[test]
