@@ -12,6 +12,7 @@ use point_skeleton::skeleton::{self, BuildError, BuildInput, BuildOptions, Build
 use point_skeleton::town::{Street, StreetOptions};
 use serde_json::json;
 
+use crate::common::WithLog;
 use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
 
 const FRAMES: usize = 9;
@@ -197,7 +198,7 @@ fn an_image_of_two_frames_colors_both() {
     let mut log = street.log().clone();
     log.frames[1].images = log.frames[0].images.clone();
     let cameras = log.cameras.len();
-    let shared = Shared { street: &street, log };
+    let shared = WithLog { drive: &street, log };
     let folder = tempfile::tempdir().unwrap();
     let report = |options: BuildOptions| {
         build(&folder.path().join("sk"), &shared, &options, [20, 0]).unwrap().manifest.report
@@ -208,26 +209,6 @@ fn an_image_of_two_frames_colors_both() {
     for report in [one, every] {
         let share = report.dropped_uncolored as f64 / report.points_read as f64;
         assert!(share < 0.25, "{share}");
-    }
-}
-
-/// A street with another log.
-struct Shared<'a> {
-    street: &'a Street,
-    log: Log,
-}
-
-impl Dataset for Shared<'_> {
-    fn log(&self) -> &Log {
-        &self.log
-    }
-
-    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        self.street.read_sweep(record)
-    }
-
-    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
-        self.street.read_image(record)
     }
 }
 

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 
 /// The folder of recordings and fixtures: `PSKEL_SHARED`, else `../shared` from the project's root. Where neither
@@ -37,4 +37,39 @@ pub(crate) fn skeleton_of(
 ) -> Skeleton {
     let input = BuildInput { dataset: log, frames: frames.to_vec() };
     skeleton::build(out, &[input], options, &|_| Ok(Vec::new()), &BuildRun::default()).unwrap()
+}
+
+/// A drive's files under another log.
+pub(crate) struct WithLog<'a> {
+    pub(crate) drive: &'a dyn Dataset,
+    pub(crate) log: Log,
+}
+
+impl<'a> WithLog<'a> {
+    /// The sweeps of some frames alone and no images, so that all their points are kept, in grey. Boxes stay: they tell
+    /// what moves.
+    pub(crate) fn grey(drive: &'a dyn Dataset, kept: &[usize]) -> Self {
+        let mut log = drive.log().clone();
+        for (index, frame) in log.frames.iter_mut().enumerate() {
+            frame.images.clear();
+            if !kept.contains(&index) {
+                frame.sweeps.clear();
+            }
+        }
+        Self { drive, log }
+    }
+}
+
+impl Dataset for WithLog<'_> {
+    fn log(&self) -> &Log {
+        &self.log
+    }
+
+    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
+        self.drive.read_sweep(record)
+    }
+
+    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
+        self.drive.read_image(record)
+    }
 }

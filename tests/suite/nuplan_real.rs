@@ -7,14 +7,12 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use point_skeleton::cloud::Point;
 use point_skeleton::dataset::nuplan::NuPlan;
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{
-    Dataset, DatasetError, ImageRecord, Log, LogFormat, LogLocator, Sweep, SweepRecord, VectorMap,
-};
+use point_skeleton::dataset::{Dataset, ImageRecord, LogFormat, LogLocator, VectorMap};
 use point_skeleton::geometry::View;
 use point_skeleton::skeleton::{BuildOptions, Chunk, Part, Skeleton, Splitter, Trajectories};
 use serde_json::Value;
 
-use crate::common::{shared, skeleton_of};
+use crate::common::{WithLog, shared, skeleton_of};
 
 const NAME: &str = "2020.01.01.00.00.00_veh-02_00000_00079";
 /// Global coordinates here minus those of the nuScenes layout, metres.
@@ -134,46 +132,13 @@ fn project_alike(image: &ImageRecord, twin: &ImageRecord, frame: &point_skeleton
     seen
 }
 
-/// A drive with the sweeps of some frames alone and no images: all points are kept, in grey.
-struct Sweeps<'a> {
-    drive: &'a dyn Dataset,
-    log: Log,
-}
-
-impl<'a> Sweeps<'a> {
-    fn new(drive: &'a dyn Dataset) -> Self {
-        let mut log = drive.log().clone();
-        for (i, frame) in log.frames.iter_mut().enumerate() {
-            frame.images.clear();
-            if !KEPT.contains(&i) {
-                frame.sweeps.clear();
-            }
-        }
-        Self { drive, log }
-    }
-}
-
-impl Dataset for Sweeps<'_> {
-    fn log(&self) -> &Log {
-        &self.log
-    }
-
-    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        self.drive.read_sweep(record)
-    }
-
-    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
-        self.drive.read_image(record)
-    }
-}
-
 /// Background points less an offset. What the ego itself reflects is kept: which points count as such depends on where the
 /// LiDAR's origin is said to be, and here that differs.
 fn skeleton(out: &Path, drive: &dyn Dataset) -> Skeleton {
     let mut options = BuildOptions { voxel_m: 0.0, ..BuildOptions::default() };
     options.split.ego_clearance_m = 0.0;
     let frames: Vec<usize> = (0..drive.log().frames.len()).collect();
-    skeleton_of(out, &Sweeps::new(drive), &frames, &options)
+    skeleton_of(out, &WithLog::grey(drive, &KEPT), &frames, &options)
 }
 
 fn background(skeleton: &Skeleton, offset: DVec3) -> Vec<[f64; 3]> {

@@ -6,49 +6,13 @@ use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use point_skeleton::cloud::Point;
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{
-    Class, Dataset, DatasetError, Frame, ImageRecord, Log, LogFormat, LogLocator, Sweep, SweepRecord,
-};
+use point_skeleton::dataset::{Class, Dataset, Frame, LogFormat, LogLocator};
 use point_skeleton::skeleton::{BuildOptions, Skeleton};
 use tempfile::TempDir;
 
-use crate::common::{shared, skeleton_of};
+use crate::common::{WithLog, shared, skeleton_of};
 
 const FRAMES: [usize; 6] = [0, 2, 4, 6, 8, 10];
-
-/// The drive with the sweep of one frame and no images: all its points are kept, in grey. The boxes stay, so that it
-/// is known what moves.
-struct OneSweep<'a> {
-    drive: &'a NuScenes,
-    log: Log,
-}
-
-impl<'a> OneSweep<'a> {
-    fn new(drive: &'a NuScenes, kept: usize) -> Self {
-        let mut log = drive.log().clone();
-        for (index, frame) in log.frames.iter_mut().enumerate() {
-            frame.images.clear();
-            if index != kept {
-                frame.sweeps.clear();
-            }
-        }
-        Self { drive, log }
-    }
-}
-
-impl Dataset for OneSweep<'_> {
-    fn log(&self) -> &Log {
-        &self.log
-    }
-
-    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        self.drive.read_sweep(record)
-    }
-
-    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
-        self.drive.read_image(record)
-    }
-}
 
 /// The drive, and a skeleton of each frame's sweep with all its points, in a folder.
 fn single_sweeps() -> Option<(NuScenes, Vec<Skeleton>, TempDir)> {
@@ -58,7 +22,7 @@ fn single_sweeps() -> Option<(NuScenes, Vec<Skeleton>, TempDir)> {
     let all: Vec<usize> = (0..drive.log().frames.len()).collect();
     let folder = tempfile::tempdir().unwrap();
     let skeleton = |kept: usize| {
-        skeleton_of(&folder.path().join(kept.to_string()), &OneSweep::new(&drive, kept), &all, &options)
+        skeleton_of(&folder.path().join(kept.to_string()), &WithLog::grey(&drive, &[kept]), &all, &options)
     };
     let built = FRAMES.map(skeleton);
     Some((drive, built.into(), folder))

@@ -2,14 +2,12 @@
 
 use glam::DVec3;
 use point_skeleton::dataset::nuscenes::{NuScenes, write_log};
-use point_skeleton::dataset::{
-    Class, Dataset, DatasetError, ImageRecord, Log, LogFormat, LogLocator, Sweep, SweepRecord,
-};
+use point_skeleton::dataset::{Class, Dataset, Log, LogFormat, LogLocator, SweepRecord};
 use point_skeleton::geometry::Pose;
 use point_skeleton::skeleton::BuildOptions;
 use point_skeleton::town::{Street, StreetOptions};
 
-use crate::common::skeleton_of;
+use crate::common::{WithLog, skeleton_of};
 use crate::tiny_log::tree;
 
 const OPTIONS: StreetOptions = StreetOptions { seed: 3, frames: 2, size: [45, 80] };
@@ -97,37 +95,15 @@ fn boxes_hold_their_actors() {
     assert!(near >= 5, "{near} actors near the ego are seen");
 }
 
-/// The street with the middle one of three frames reduced to a sweep between the others.
-struct Sparse(Street, Log);
-
-impl Sparse {
-    fn new() -> Self {
-        let street = Street::new(&StreetOptions { frames: 3, ..OPTIONS }).unwrap();
-        let mut log = street.log().clone();
-        let middle = log.frames.remove(1);
-        let between = middle.sweeps.into_iter().map(|sweep| SweepRecord { is_key: false, ..sweep });
-        log.frames[1].sweeps.extend(between);
-        Self(street, log)
-    }
-}
-
-impl Dataset for Sparse {
-    fn log(&self) -> &Log {
-        &self.1
-    }
-
-    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        self.0.read_sweep(record)
-    }
-
-    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
-        self.0.read_image(record)
-    }
-}
-
 #[test]
 fn sweeps_between_frames_are_split_by_boxes_in_between() {
-    let log = Sparse::new();
+    // The middle one of three frames becomes a sweep between the others.
+    let street = Street::new(&StreetOptions { frames: 3, ..OPTIONS }).unwrap();
+    let mut log = street.log().clone();
+    let middle = log.frames.remove(1);
+    let between = middle.sweeps.into_iter().map(|sweep| SweepRecord { is_key: false, ..sweep });
+    log.frames[1].sweeps.extend(between);
+    let log = WithLog { drive: &street, log };
     let folder = tempfile::tempdir().unwrap();
     let build = |between_sweeps: bool| {
         let options = BuildOptions { between_sweeps, ..BuildOptions::default() };
@@ -136,7 +112,7 @@ fn sweeps_between_frames_are_split_by_boxes_in_between() {
     let (without, with) = (build(false), build(true));
     assert_eq!([without.report.sweeps, with.report.sweeps], [2, 3]);
     // The car in front moves 1.1 m a frame; its points still lie where its box is.
-    let moving = with.actors.iter().find(|a| a.track == log.1.tracks[moving_car(&log.1)].id).unwrap();
+    let moving = with.actors.iter().find(|a| a.track == log.log.tracks[moving_car(&log.log)].id).unwrap();
     assert_eq!(moving.sweeps, 3);
     for axis in 0..3 {
         let half = moving.size[axis] as f32 / 2.0 + 0.02;
