@@ -88,6 +88,20 @@ fn layers_of_later_versions_may_be_missing() {
 }
 
 #[test]
+fn lines_without_nodes_are_counted() {
+    let mut map = made_up();
+    map["line"].as_array_mut().unwrap().push(json!({"token": "empty", "node_tokens": []}));
+    assert!(read(&map).unwrap().notes.is_empty());
+    map["lane_divider"][0]["line_token"] = json!("empty");
+    let map = read(&map).unwrap();
+    assert_eq!(map.dividers, [[DVec2::ZERO, DVec2::splat(10.0)]]);
+    assert_eq!(
+        map.notes.into_iter().collect::<Vec<_>>(),
+        [("dividers whose line has no nodes".to_owned(), 1)]
+    );
+}
+
+#[test]
 fn broken_maps_are_told() {
     type Edit = fn(&mut Value);
     let cases: [(Edit, &[&str]); 14] = [
