@@ -15,15 +15,25 @@ use super::arcline::{ArclinePath, centerline};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
 
-/// The file of a location: below `map_root` if that is given, else below `root/maps`. `None` if there is none.
-pub(super) fn find(root: &Path, map_root: Option<&Path>, location: &str) -> Option<PathBuf> {
-    // A location comes from a file; it must not lead out of the folder.
-    if location.contains(['/', '\\']) {
-        return None;
-    }
+/// The file of a location: below `map_root` if that is given, else below `root/maps`, where it may be missing.
+///
+/// # Errors
+/// None below `map_root`.
+pub(super) fn find(
+    root: &Path,
+    map_root: Option<&Path>,
+    location: &str,
+) -> Result<Option<PathBuf>, FileError> {
     let maps = map_root.map_or_else(|| root.join("maps"), Path::to_owned);
     let name = format!("{location}.json");
-    [maps.join("expansion").join(&name), maps.join(&name)].into_iter().find(|path| path.is_file())
+    let mut places = [maps.join("expansion").join(&name), maps.join(&name)].into_iter();
+    // A location comes from a file; it must not lead out of the folder.
+    let leads_out = location.contains(['/', '\\']);
+    let found = places.find(|path| !leads_out && path.is_file());
+    if found.is_none() && map_root.is_some() {
+        return Err(FileError::content(format!("map {name} or expansion/{name}"), "none", &maps));
+    }
+    Ok(found)
 }
 
 /// Reads the map of a location.
