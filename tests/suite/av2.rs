@@ -1,14 +1,19 @@
 //! The Argoverse 2 reader: a made-up log, and a real one against what its files and NumPy say.
 
 use std::process::Command;
+use std::sync::Arc;
 
+use arrow_array::Int32Array;
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::av2::{Argoverse, read_map_file, read_sweep_file};
 use point_skeleton::dataset::{self, Class, Dataset, Log, LogFormat, LogLocator};
 use point_skeleton::geometry::{Cuboid, View};
 use point_skeleton::scene::{EgoOffset, state_of_frame};
 
-use crate::av2_log::{FRAMES, IMAGE_NS, LOG_ID, MAP, RING, SIZE, START, TinyAv2, frame_ns, picture, sweep};
+use crate::av2_log::{
+    FRAMES, IMAGE_NS, LOG_ID, MAP, RING, SIZE, START, TinyAv2, frame_ns, picture, read, set_number, sweep,
+    write,
+};
 use crate::common::shared;
 use crate::tiny_log::PSKEL;
 
@@ -180,7 +185,12 @@ fn rows_that_the_columns_have_no_bytes_for_are_refused() {
     let made = TinyAv2::new();
     let dataset = made.open().unwrap();
     let record = &dataset.log().frames[0].sweeps[0];
-    let columns: Vec<_> = read(&record.path).into_iter().map(|(name, c)| (name, c.slice(0, ROWS))).collect();
+    let mut columns: Vec<_> =
+        read(&record.path).into_iter().map(|(name, c)| (name, c.slice(0, ROWS))).collect();
+    // Of one byte a row the number of bytes would be changed too.
+    for name in ["intensity", "laser_number"] {
+        set(&mut columns, name, Arc::new(Int32Array::from_iter_values(0..ROWS as i32)));
+    }
     for compression in [None, Some(arrow_ipc::CompressionType::LZ4_FRAME)] {
         write(&record.path, columns.clone(), compression);
         let whole = std::fs::read(&record.path).unwrap();

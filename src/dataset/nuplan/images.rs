@@ -80,7 +80,7 @@ pub(super) fn read(
     for image in images.into_iter().flatten().filter(|image| !image.is_used) {
         match frames.get_mut(times_us.partition_point(|t| *t < image.t_us)) {
             Some(frame) => frame.between_images.extend(image.record),
-            None => note(notes, OUTSIDE, 1),
+            None => note(notes, OUTSIDE, usize::from(is_whole)),
         }
     }
     frames.iter_mut().for_each(|f| f.between_images.sort_by_key(|i| (i.t_us, i.channel)));
