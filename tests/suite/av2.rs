@@ -11,8 +11,8 @@ use point_skeleton::geometry::{Cuboid, View};
 use point_skeleton::scene::{EgoOffset, state_of_frame};
 
 use crate::av2_log::{
-    FRAMES, IMAGE_NS, LOG_ID, MAP, RING, SIZE, START, TinyAv2, frame_ns, picture, read, set_number, sweep,
-    write,
+    FRAMES, IMAGE_NS, LOG_ID, MAP, RING, SIZE, START, TinyAv2, frame_ns, picture, read, set, set_number,
+    sweep, write,
 };
 use crate::common::shared;
 use crate::tiny_log::PSKEL;
