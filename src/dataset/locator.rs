@@ -2,6 +2,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use super::DatasetError;
+use crate::error::FileError;
 
 /// A log's name on the command line: `FORMAT:PATH[@VERSION][#SCENE]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -25,6 +26,20 @@ impl LogLocator {
     pub fn new(format: LogFormat, path: impl Into<PathBuf>) -> Self {
         let path = path.into();
         Self { format, path, version: None, scene: None, sensor_root: None, map_root: None }
+    }
+
+    /// Checks the folders that were given for sensors and maps.
+    ///
+    /// # Errors
+    /// One that is not there, or is a file.
+    pub(super) fn check_roots(&self) -> Result<(), FileError> {
+        for folder in self.sensor_root.iter().chain(&self.map_root) {
+            let found = std::fs::metadata(folder).map_err(FileError::io("read", folder))?;
+            if !found.is_dir() {
+                return Err(FileError::content("a folder", "a file", folder));
+            }
+        }
+        Ok(())
     }
 }
 

@@ -1,3 +1,5 @@
+use std::collections::BTreeMap;
+
 use glam::DVec2;
 
 /// The HD map of a place, seen from above: global x and y, metres.
@@ -17,6 +19,8 @@ pub struct VectorMap {
     pub stop_lines: Vec<Area>,
     /// Painted or built lines between lanes and roads.
     pub dividers: Vec<Vec<DVec2>>,
+    /// What the reader left out, by kind, with counts.
+    pub notes: BTreeMap<String, usize>,
 }
 
 /// A lane or the way from one to another.

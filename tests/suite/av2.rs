@@ -1,14 +1,19 @@
 //! The Argoverse 2 reader: a made-up log, and a real one against what its files and NumPy say.
 
 use std::process::Command;
+use std::sync::Arc;
 
+use arrow_array::Int32Array;
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::av2::{Argoverse, read_map_file, read_sweep_file};
 use point_skeleton::dataset::{self, Class, Dataset, Log, LogFormat, LogLocator};
 use point_skeleton::geometry::{Cuboid, View};
 use point_skeleton::scene::{EgoOffset, state_of_frame};
 
-use crate::av2_log::{FRAMES, IMAGE_NS, LOG_ID, MAP, RING, SIZE, START, TinyAv2, frame_ns, picture, sweep};
+use crate::av2_log::{
+    FRAMES, IMAGE_NS, LOG_ID, MAP, RING, SIZE, START, TinyAv2, frame_ns, picture, read, set, set_number,
+    sweep, write,
+};
 use crate::common::shared;
 use crate::tiny_log::PSKEL;
 
@@ -127,6 +132,83 @@ fn sensors_and_maps_may_lie_elsewhere() {
         let moved = LogLocator { sensor_root: Some(sensors), map_root: Some(map), ..locator(made.path("")) };
         let dataset = Argoverse::open(&moved).unwrap();
         assert!(dataset.log().notes.is_empty() && dataset.read_map().unwrap().is_some());
+    }
+}
+
+#[test]
+fn parts_that_are_said_to_be_elsewhere_must_be_there() {
+    let made = TinyAv2::new();
+    let (gone, file) = (made.path("gone"), made.path("annotations.feather"));
+    for (place, found) in [(&gone, "cannot read"), (&file, "expected a folder, found a file")] {
+        let maps = LogLocator { map_root: Some(place.clone()), ..locator(made.path("")) };
+        let sensors = LogLocator { sensor_root: Some(place.clone()), ..locator(made.path("")) };
+        for locator in [maps, sensors] {
+            let message = Argoverse::open(&locator).unwrap_err().to_string();
+            assert!(message.contains(found) && message.ends_with(place.to_str().unwrap()), "{message}");
+        }
+    }
+    let said = LogLocator { map_root: Some(made.path("sensors")), ..locator(made.path("")) };
+    let message = Argoverse::open(&said).unwrap().read_map().unwrap_err().to_string();
+    assert!(message.contains("expected a map (log_map_archive_*.json), found none"), "{message}");
+    // Of two the first is read.
+    assert!(made.open().unwrap().read_map().unwrap().unwrap().notes.is_empty());
+    std::fs::write(made.path("map/log_map_archive_z.json"), "{}").unwrap();
+    let notes = made.open().unwrap().read_map().unwrap().unwrap().notes;
+    assert_eq!(notes.into_iter().collect::<Vec<_>>(), [("further map files".to_owned(), 1)]);
+    // A usual place that is no folder is not taken for none.
+    std::fs::remove_dir_all(made.path("map")).unwrap();
+    assert!(made.open().unwrap().read_map().unwrap().is_none());
+    std::fs::write(made.path("map"), "").unwrap();
+    assert!(made.open().unwrap_err().to_string().contains("cannot read"));
+}
+
+#[test]
+fn boxes_without_a_size_are_counted() {
+    let made = TinyAv2::new();
+    made.edit("annotations.feather", |columns| {
+        set_number(columns, "width_m", 1, 0.0);
+        set_number(columns, "height_m", 2, -1.0);
+    });
+    let dataset = made.open().unwrap();
+    let notes: Vec<_> = dataset.log().notes.clone().into_iter().collect();
+    assert_eq!(notes, [("boxes without a size".to_owned(), 2)]);
+    let boxes: Vec<usize> = dataset.log().frames.iter().map(|f| f.boxes.len()).collect();
+    let stated: Vec<usize> = dataset.box_points().unwrap().iter().map(Vec::len).collect();
+    assert_eq!((&boxes[..2], &boxes), (&[1, 1][..], &stated));
+    assert_eq!(dataset.box_points().unwrap()[1], [0]);
+}
+
+/// Every place in the file that tells the number of rows tells another.
+#[test]
+fn rows_that_the_columns_have_no_bytes_for_are_refused() {
+    const ROWS: usize = 1237;
+    let made = TinyAv2::new();
+    let dataset = made.open().unwrap();
+    let record = &dataset.log().frames[0].sweeps[0];
+    let mut columns: Vec<_> =
+        read(&record.path).into_iter().map(|(name, c)| (name, c.slice(0, ROWS))).collect();
+    // Of one byte a row the number of bytes would be changed too.
+    for name in ["intensity", "laser_number"] {
+        set(&mut columns, name, Arc::new(Int32Array::from_iter_values(0..ROWS as i32)));
+    }
+    for compression in [None, Some(arrow_ipc::CompressionType::LZ4_FRAME)] {
+        write(&record.path, columns.clone(), compression);
+        let whole = std::fs::read(&record.path).unwrap();
+        assert_eq!(dataset.check_sweep(record).unwrap(), ROWS as u64);
+        for (rows, found) in
+            [(i64::MAX, "rows in columns of at most"), (2 * ROWS as i64, "bytes in a batch of 2474 rows")]
+        {
+            let mut bytes = whole.clone();
+            let places: Vec<usize> =
+                (0..bytes.len() - 8).filter(|i| whole[*i..*i + 8] == ROWS.to_le_bytes()).collect();
+            assert!(places.len() > columns.len(), "{places:?}");
+            places.iter().for_each(|i| bytes[*i..*i + 8].copy_from_slice(&rows.to_le_bytes()));
+            std::fs::write(&record.path, bytes).unwrap();
+            for message in [dataset.check_sweep(record).err(), dataset.read_sweep(record).err()] {
+                let message = message.unwrap().to_string();
+                assert!(message.contains(found), "{message}");
+            }
+        }
     }
 }
 

@@ -132,7 +132,7 @@ fn numbers_may_have_any_width() {
 #[test]
 fn bad_values_are_named_with_their_row() {
     let cases: [(&str, Edit, &[&str]); 11] = [
-        (TABLES[0], |c| set_number(c, "width_m", 1, 0.0), &["positive length", "x 0 x", "row 1"]),
+        (TABLES[0], |c| set_number(c, "width_m", 1, f64::INFINITY), &["positive length", "x inf x", "row 1"]),
         (TABLES[0], |c| set_number(c, "height_m", 0, f64::NAN), &["positive length", "NaN", "row 0"]),
         (TABLES[0], |c| set_number(c, "qz", 2, 1.0), &["unit quaternion", "1.41", "row 2"]),
         (TABLES[1], |c| set_number(c, "tx_m", 3, f64::INFINITY), &["finite numbers", "row 3"]),

@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 
+use crate::nuplan_made::{Made, RING, image_file};
 use crate::tiny_log::{CAMERAS, FRAMES, TinyLog, assert_failed, picture, sweep};
 
 fn info(log: &TinyLog, target: &str) -> Value {
@@ -39,6 +40,19 @@ fn a_log_is_told_with_its_damage() {
     }
     let text = text(&log, "nuscenes:log");
     assert!(text.contains("3 over 1.0 s at 2.0 Hz") && text.contains("damaged    3 files"), "{text}");
+}
+
+/// What the map's reader left out is told; an image that serves two frames is looked at once.
+#[test]
+fn a_log_of_nuplan_is_told_with_its_map() {
+    let (log, made) = (TinyLog::new(), Made::new());
+    made.map_sql("UPDATE baseline_paths SET lane_fid = 99 WHERE fid = 41;");
+    std::fs::write(made.blob(&image_file(RING[0], 0)), "text").unwrap();
+    let target = format!("nuplan:{}", made.database().display());
+    let told = info(&log, &target);
+    assert_eq!(told["left_out"], json!({"map: baseline paths of unknown lanes": 1}));
+    assert_eq!(told["damaged"].as_array().unwrap().len(), 1, "{}", told["damaged"]);
+    assert!(text(&log, &target).contains("left out   map: baseline paths of unknown lanes: 1"));
 }
 
 #[test]

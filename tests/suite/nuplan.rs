@@ -164,12 +164,13 @@ fn cameras_without_an_image_near_a_frame_are_counted() {
     let dataset = made.open().unwrap();
     let log = dataset.log();
     let notes: Vec<_> = log.notes.iter().map(|(kind, n)| (kind.as_str(), *n)).collect();
-    assert_eq!(notes, [("images outside of the frames' time", 1), ("missing camera images", 4)]);
+    assert_eq!(notes, [("images outside of the frames' time", 1), ("missing camera images", 3)]);
     let of = |channel: usize| {
         let has = |frame: &dataset::Frame| frame.images.iter().any(|i| i.channel == channel);
         log.frames.iter().map(has).collect::<Vec<_>>()
     };
-    assert_eq!(of(0), [false, false, true, true]);
+    // The image at 105 ms is 55 ms from the second frame.
+    assert_eq!(of(0), [false, true, true, true]);
     assert_eq!(of(2), [true, true, false, false]);
 }
 
@@ -250,6 +251,11 @@ fn parts_may_lie_elsewhere() {
     assert!(dataset.log().notes.is_empty() && dataset.read_map().unwrap().is_some());
     let gone = LogLocator { sensor_root: Some(made.path("gone")), ..made.locator() };
     assert_says(&dataset::open(&gone).err().unwrap().to_string(), &["cannot read"], "gone");
+    // Where maps are said to be, that of the log must be.
+    std::fs::write(made.path("places/nuplan-maps-v1.0.json"), "{}").unwrap();
+    let said = LogLocator { map_root: Some(made.path("places")), ..made.locator() };
+    let message = dataset::open(&said).unwrap().read_map().unwrap_err().to_string();
+    assert_says(&message, &[&format!("expected map {MAP}, found none of that name")], "places");
 }
 
 #[test]
@@ -261,6 +267,18 @@ fn nothing_is_written_beside_the_data() {
     let dataset = made.open().unwrap();
     dataset.read_map().unwrap().unwrap();
     assert!(before == tree(&made.path("")));
+}
+
+/// What is still in the journal would not be read.
+#[test]
+fn a_journal_beside_a_log_is_an_error() {
+    let made = Made::new();
+    let mut journal = made.database().into_os_string();
+    journal.push("-wal");
+    std::fs::write(&journal, "").unwrap();
+    made.open().unwrap();
+    std::fs::write(&journal, [1; 33]).unwrap();
+    made.refuses(&["expected a database without a write-ahead log", "found 33 bytes in ", ".db-wal"]);
 }
 
 #[test]

@@ -6,7 +6,9 @@ use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
 use proptest::prelude::*;
 
 use crate::common::shared;
-use crate::nuplan_made::{LOG, Made, RING, assert_says, geometry, image_file, pickled, sweep_file, token};
+use crate::nuplan_made::{
+    EAST, LOG, Made, NORTH, RING, SOUTH, WEST, assert_says, geometry, image_file, pickled, sweep_file, token,
+};
 
 /// The message after some statements.
 #[track_caller]
@@ -78,7 +80,6 @@ fn tokens_that_lead_nowhere_are_named() {
         ("image", "camera_token", "camera"),
         ("track", "category_token", "category"),
         ("lidar_box", "track_token", "track"),
-        ("lidar_box", "lidar_pc_token", "lidar_pc"),
     ];
     for (table, column, target) in cases {
         let expected = format!("expected {target} to hold token 00ff, found none");
@@ -95,12 +96,11 @@ fn tokens_that_lead_nowhere_are_named() {
 
 #[test]
 fn wrong_values_are_named_with_their_row() {
-    let cases: [(&str, &[&str]); 22] = [
+    let cases: [(&str, &[&str]); 21] = [
         (
-            "UPDATE lidar_box SET width = 0",
-            &["positive length, width and height", "4 x 0 x 1.5", "lidar_box 62"],
+            "UPDATE lidar_box SET width = 9e999",
+            &["positive length, width and height", "4 x inf x 1.5", "lidar_box 62"],
         ),
-        ("UPDATE lidar_box SET height = -1", &["positive length", "in lidar_box 62"]),
         ("UPDATE lidar_box SET x = 'far'", &["a number as x of lidar_box 62", "\"far\""]),
         ("UPDATE lidar_box SET yaw = NULL", &["a number as yaw", "found NULL"]),
         ("UPDATE lidar_box SET yaw = 9e999", &["finite numbers", "inf", "lidar_box 62"]),
@@ -146,8 +146,8 @@ fn pickles_that_do_anything_but_lists_are_refused() {
     let cases = [
         (attack, "class posix.system"),
         ("x'80045d522e'", "opcode 0x52 (REDUCE) at byte 3"),
-        ("x'8004636f730a73797374656d0a2e'", "opcode 0x63 (GLOBAL) at byte 2"),
-        ("x'80035d2e'", "protocol 3"),
+        ("x'8004636f730a73797374656d0a2e'", "class os.system"),
+        ("x'80015d2e'", "protocol 1"),
         ("x'80045d'", "the end of the pickle after 3 bytes"),
         ("x''", "the end of the pickle after 0 bytes"),
         ("x'80045d2e00'", "1 bytes after the end"),
@@ -205,11 +205,45 @@ fn times_that_do_not_grow_are_named() {
     assert!(made.open().is_ok());
 }
 
+/// Logs are cut out of longer drives, and their rows are not all cut with them.
 #[test]
-fn what_a_frame_shows_names_a_frame() {
-    for table in ["scenario_tag", "traffic_light_status"] {
-        let statement = format!("UPDATE {table} SET lidar_pc_token = x'0102';");
-        refused(&statement, &["lidar_pc", "0102", &format!("{table} ")]);
+fn what_belongs_to_no_frame_is_counted() {
+    let tables = ["scenario_tag", "traffic_light_status", "lidar_box"];
+    let kinds = ["scenario tags", "traffic lights", "boxes"];
+    for (table, kind) in tables.into_iter().zip(kinds) {
+        let made = Made::new();
+        let whole = made.open().unwrap().log().clone();
+        let all = [
+            whole.scenarios.values().map(Vec::len).sum(),
+            whole.lights.len(),
+            whole.frames.iter().map(|f| f.boxes.len()).sum(),
+        ];
+        made.sql(&format!("UPDATE {table} SET lidar_pc_token = x'0102' WHERE rowid <= 2;"));
+        for scene in [None, Some("scene-000".into())] {
+            let dataset = NuPlan::open(&LogLocator { scene, ..made.locator() }).unwrap();
+            let notes: Vec<_> = dataset.log().notes.clone().into_iter().collect();
+            assert_eq!(notes, [(format!("{kind} of frames that are not there"), 2)]);
+        }
+        let log = made.open().unwrap().log().clone();
+        assert_eq!(log.frames[0].boxes.is_empty(), table == "lidar_box");
+        assert!(all.iter().all(|count: &usize| *count > 2));
+        refused(
+            &format!("UPDATE {table} SET lidar_pc_token = 'first';"),
+            &[&format!("expected bytes as lidar_pc_token of {table} "), "\"first\""],
+        );
+    }
+}
+
+#[test]
+fn boxes_without_a_size_are_counted() {
+    for statement in ["SET width = 0", "SET height = -1", "SET length = 0, width = -5"] {
+        let made = Made::new();
+        let box_0 = token('b', 10);
+        made.sql(&format!("UPDATE lidar_box {statement} WHERE token = {box_0};"));
+        let log = made.open().unwrap().log().clone();
+        assert_eq!(log.notes.into_iter().collect::<Vec<_>>(), [("boxes without a size".to_owned(), 1)]);
+        let boxes: Vec<usize> = log.frames.iter().map(|f| f.boxes.len()).collect();
+        assert_eq!(boxes, [2, 1, 2, 2], "{statement}");
     }
 }
 
@@ -311,14 +345,69 @@ fn wrong_geometry_is_named_with_its_feature() {
             "UPDATE baseline_paths SET lane_fid = 'left';".to_owned(),
             "a whole number as lane_fid of baseline_paths 41, found \"left\"",
         ),
-        (
-            "DELETE FROM gen_lane_connectors_scaled_width_polygons;".to_owned(),
-            "the connector in gen_lane_connectors_scaled_width_polygons as rowid of lane_connectors 21",
-        ),
     ];
     for (statement, found) in cases {
         map_refused(&statement, &[found]);
     }
+}
+
+/// The blob of a geometry of parts, as SQL: those of `geometry` with their headers taken off.
+fn several(parts: &[String], kind: u8) -> String {
+    let count = parts.len();
+    let parts: String = parts.iter().map(|p| p["x'47500001e6100000".len()..p.len() - 1].to_owned()).collect();
+    format!("x'47500001e610000001{kind:02x}000000{count:02x}000000{parts}'")
+}
+
+#[test]
+fn what_a_map_leaves_out_is_counted() {
+    let notes = |statements: &str| {
+        let made = Made::new();
+        made.map_sql(statements);
+        let map = made.open().unwrap().read_map().unwrap().unwrap();
+        let notes: Vec<(String, usize)> = map.notes.clone().into_iter().collect();
+        (map, notes)
+    };
+    let one = |kind: &str, count: usize| vec![(kind.to_owned(), count)];
+    let (whole, none) = notes("");
+    assert_eq!(none, []);
+
+    let (map, told) = notes("DELETE FROM gen_lane_connectors_scaled_width_polygons;");
+    let lost = [
+        ("baseline paths of unknown lanes".to_owned(), 1),
+        ("lane connectors without an area".to_owned(), 1),
+    ];
+    assert_eq!(told, lost);
+    assert!(map.lane_connectors.is_empty() && map.lanes[0].successors.is_empty());
+
+    // Polygons, lines and several of them, all of no part.
+    for kind in [2, 3, 5, 6] {
+        let empty = format!("x'47500011e610000001{kind:02x}00000000000000'");
+        let (map, told) = notes(&format!("UPDATE crosswalks SET geom = {empty};"));
+        assert_eq!(told, one("features of crosswalks with an empty geometry", 1));
+        assert!(map.crossings.is_empty() && map.lanes == whole.lanes);
+    }
+
+    // A small part before and behind the lane's.
+    let small = geometry(true, &[[-115.0, 36.0], [-115.0001, 36.0], [-115.0, 36.0001], [-115.0, 36.0]]);
+    let large = [[WEST, SOUTH], [WEST, NORTH], [EAST, NORTH], [EAST, SOUTH], [WEST, SOUTH]];
+    let parts = several(&[small.clone(), geometry(true, &large), small], 6);
+    let (map, told) = notes(&format!("UPDATE lanes_polygons SET geom = {parts} WHERE fid = 12;"));
+    assert_eq!(told, one("smaller parts of lanes", 2));
+    assert_eq!(map.lanes, whole.lanes);
+
+    let copy = "INSERT INTO gen_lane_connectors_scaled_width_polygons SELECT 32, geom, lane_connector_fid FROM \
+        gen_lane_connectors_scaled_width_polygons;";
+    let (map, told) = notes(copy);
+    assert_eq!(told, one("further areas of a lane", 1));
+    assert_eq!(map.lane_connectors, whole.lane_connectors);
+
+    let (_, told) = notes("UPDATE baseline_paths SET lane_fid = 99 WHERE fid = 41;");
+    assert_eq!(told, one("baseline paths of unknown lanes", 1));
+    let (map, told) = notes(
+        "INSERT INTO baseline_paths SELECT 43, geom, lane_fid, NULL FROM baseline_paths WHERE fid = 41;",
+    );
+    assert_eq!(told, one("further baseline paths of a lane", 1));
+    assert_eq!(map.lanes, whole.lanes);
 }
 
 #[test]

@@ -88,6 +88,20 @@ fn layers_of_later_versions_may_be_missing() {
 }
 
 #[test]
+fn lines_without_nodes_are_counted() {
+    let mut map = made_up();
+    map["line"].as_array_mut().unwrap().push(json!({"token": "empty", "node_tokens": []}));
+    assert!(read(&map).unwrap().notes.is_empty());
+    map["lane_divider"][0]["line_token"] = json!("empty");
+    let map = read(&map).unwrap();
+    assert_eq!(map.dividers, [[DVec2::ZERO, DVec2::splat(10.0)]]);
+    assert_eq!(
+        map.notes.into_iter().collect::<Vec<_>>(),
+        [("dividers whose line has no nodes".to_owned(), 1)]
+    );
+}
+
+#[test]
 fn broken_maps_are_told() {
     type Edit = fn(&mut Value);
     let cases: [(Edit, &[&str]); 14] = [
@@ -181,7 +195,22 @@ fn the_map_of_the_logs_place_is_found() {
     let map = log_with(None, root).read_map().unwrap().unwrap();
     assert_eq!((map.location.as_str(), map.lanes.len()), ("synthetic-street", 1));
     let elsewhere = Some(root.join("elsewhere"));
-    assert!(log_with(elsewhere.clone(), root).read_map().unwrap().is_none());
+    // Where maps are said to be, that of the log must be.
+    let message = log_with(elsewhere.clone(), root).read_map().unwrap_err().to_string();
+    assert!(
+        message.contains("expected map synthetic-street.json or") && message.ends_with("elsewhere"),
+        "{message}"
+    );
+    let (gone, file) = (root.join("gone"), root.join("v1.0-mini/log.json"));
+    for (place, found) in [(&gone, "cannot read"), (&file, "expected a folder, found a file")] {
+        let usual = LogLocator::new(LogFormat::NuScenes, root);
+        let maps = LogLocator { map_root: Some(place.clone()), ..usual.clone() };
+        let sensors = LogLocator { sensor_root: Some(place.clone()), ..usual };
+        for locator in [maps, sensors] {
+            let message = NuScenes::open(&locator).unwrap_err().to_string();
+            assert!(message.contains(found) && message.ends_with(place.to_str().unwrap()), "{message}");
+        }
+    }
     std::fs::write(root.join("elsewhere/synthetic-street.json"), "[").unwrap();
     let message = log_with(elsewhere, root).read_map().unwrap_err().to_string();
     assert!(

@@ -16,7 +16,8 @@ pub(super) fn describe(dataset: &dyn Dataset) -> Value {
     let log = dataset.log();
     let (points, mut damaged) = sweeps(dataset);
     damaged.extend(images(log));
-    let map = map(dataset, &mut damaged);
+    let mut left_out = log.notes.clone();
+    let map = map(dataset, &mut left_out, &mut damaged);
     let times = log.frames.first().zip(log.frames.last()).map(|(a, b)| [a.t_us, b.t_us]);
     let boxes: usize = log.frames.iter().map(|f| f.boxes.len()).sum();
     let empty = dataset.box_points().map(|counts| counts.iter().flatten().filter(|n| **n == 0).count());
@@ -40,7 +41,7 @@ pub(super) fn describe(dataset: &dyn Dataset) -> Value {
         "traffic_lights": lights(log),
         "ego": ego_path(log),
         "map": map,
-        "left_out": log.notes,
+        "left_out": left_out,
         "damaged": damaged,
     })
 }
@@ -49,14 +50,15 @@ pub(super) fn describe(dataset: &dyn Dataset) -> Value {
 fn sweeps(dataset: &dyn Dataset) -> (u64, Vec<String>) {
     let records: Vec<_> = dataset.log().frames.iter().flat_map(|f| &f.sweeps).collect();
     let results: Vec<_> = records.par_iter().map(|record| dataset.check_sweep(record)).collect();
-    let points = results.iter().flatten().sum();
+    let points = results.iter().flatten().fold(0, |sum: u64, points| sum.saturating_add(*points));
     (points, results.into_iter().filter_map(Result::err).map(|e| e.to_string()).collect())
 }
 
-/// How much of what is on the HD map; null where there is none.
-fn map(dataset: &dyn Dataset, damaged: &mut Vec<String>) -> Value {
+/// How much of what is on the HD map; null where there is none. What the map's reader left out joins `left_out`.
+fn map(dataset: &dyn Dataset, left_out: &mut BTreeMap<String, usize>, damaged: &mut Vec<String>) -> Value {
     match dataset.read_map() {
         Ok(map) => map.map_or(Value::Null, |map| {
+            left_out.extend(map.notes.iter().map(|(kind, count)| (format!("map: {kind}"), *count)));
             json!({
                 "location": map.location,
                 "lanes": map.lanes.len(),
@@ -74,9 +76,11 @@ fn map(dataset: &dyn Dataset, damaged: &mut Vec<String>) -> Value {
     }
 }
 
+/// What is wrong with the files of images; one that serves several frames is looked at once.
 fn images(log: &Log) -> Vec<String> {
-    let records: Vec<&ImageRecord> =
-        log.frames.iter().flat_map(|f| f.images.iter().chain(&f.between_images)).collect();
+    let mut seen = BTreeSet::new();
+    let all = log.frames.iter().flat_map(|f| f.images.iter().chain(&f.between_images));
+    let records: Vec<&ImageRecord> = all.filter(|record| seen.insert(&record.path)).collect();
     let check = |record: &&ImageRecord| {
         let (height, width) = match picture_size(&record.path) {
             Ok(size) => size,

@@ -23,7 +23,6 @@ pub(super) use skeleton::dropped;
 pub(super) struct InfoArgs {
     /// FORMAT:PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather, .npy,
     /// .ply, .json cameras, JPEG, PNG)
-    /// cameras, JPEG, PNG)
     #[arg(value_name = "LOG|SKELETON|FILE")]
     target: String,
     #[command(flatten)]

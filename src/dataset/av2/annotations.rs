@@ -76,6 +76,11 @@ impl Annotations {
 }
 
 impl Annotation {
+    /// Whether no side is zero or negative. Sides that are no numbers are left to [`Annotation::cuboid`].
+    pub(super) fn has_size(&self) -> bool {
+        !self.size.is_finite() || self.size.min_element() > 0.0
+    }
+
     /// The box in the city's frame.
     ///
     /// # Errors

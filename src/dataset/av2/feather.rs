@@ -13,7 +13,7 @@ use arrow_buffer::Buffer;
 use arrow_ipc::convert::try_fb_to_schema;
 use arrow_ipc::reader::{FileDecoder, read_footer_length};
 use arrow_ipc::{Block, root_as_footer, root_as_message};
-use arrow_schema::{Schema, SchemaRef};
+use arrow_schema::{DataType, Schema, SchemaRef};
 
 use super::column::Column;
 use crate::error::FileError;
@@ -84,7 +84,8 @@ pub(super) fn declared_rows(path: &Path, columns: &[&str]) -> Result<u64, FileEr
     let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
     let layout = Layout::of(&bytes).map_err(|found| no_feather(found, path))?;
     layout.places(columns, path)?;
-    Ok(layout.blocks.iter().map(|(_, rows)| rows).sum())
+    let sum = layout.blocks.iter().try_fold(0_u64, |sum, (_, rows)| sum.checked_add(*rows));
+    sum.ok_or_else(|| no_feather("more rows than can be counted".to_owned(), path))
 }
 
 fn no_feather(found: String, path: &Path) -> FileError {
@@ -128,12 +129,9 @@ impl Layout {
             return Err("columns encoded by dictionaries (write them plain)".to_owned());
         }
         let blocks = footer.recordBatches().into_iter().flatten();
-        let check = |block: &Block| Ok((*block, check_block(block, &body[..start])?));
-        Ok(Self {
-            schema,
-            version: footer.version(),
-            blocks: blocks.map(check).collect::<Result<_, String>>()?,
-        })
+        let check = |block: &Block| Ok((*block, check_block(block, &schema, &body[..start])?));
+        let blocks = blocks.map(check).collect::<Result<_, String>>()?;
+        Ok(Self { schema, version: footer.version(), blocks })
     }
 
     /// Where these columns are.
@@ -152,7 +150,7 @@ fn span(block: &Block) -> (usize, usize) {
 }
 
 /// Compares all that a batch declares with the bytes it has; its number of rows.
-fn check_block(block: &Block, bytes: &[u8]) -> Result<u64, String> {
+fn check_block(block: &Block, schema: &Schema, bytes: &[u8]) -> Result<u64, String> {
     let outside = || {
         let (offset, header, body) = (block.offset(), block.metaDataLength(), block.bodyLength());
         format!("a batch of {header} + {body} bytes at {offset} of {}", bytes.len())
@@ -176,25 +174,57 @@ fn check_block(block: &Block, bytes: &[u8]) -> Result<u64, String> {
             return Err(format!("a column of {found} rows ({empty} empty) in a batch of {rows}"));
         }
     }
+    let mut sizes = Vec::new();
     for buffer in batch.buffers().into_iter().flatten() {
-        check_buffer(buffer, body, batch.compression().is_some())?;
+        sizes.push(check_buffer(buffer, body, batch.compression().is_some())?);
     }
+    check_rows(rows, schema, &sizes)?;
     Ok(rows)
 }
 
-fn check_buffer(buffer: &arrow_ipc::Buffer, body: &[u8], compressed: bool) -> Result<(), String> {
+/// Compares the number of rows with the bytes that the columns' buffers have once they are decompressed.
+fn check_rows(rows: u64, schema: &Schema, sizes: &[u64]) -> Result<(), String> {
+    // A bit is the least that a row takes.
+    let bits = sizes.iter().map(|size| size.saturating_mul(8)).max().unwrap_or(0);
+    if rows > bits {
+        return Err(format!("a batch of {rows} rows in columns of at most {} bytes", bits / 8));
+    }
+    let mut sizes = sizes.iter();
+    for field in schema.fields() {
+        let kind = field.data_type();
+        // What comes behind the buffer that tells which rows are empty: least bytes of the next one, and how many more.
+        let (least, more) = match (kind, kind.primitive_width()) {
+            (_, Some(width)) => (rows.saturating_mul(width as u64), 0),
+            (DataType::Boolean, _) => (rows.div_ceil(8), 0),
+            (DataType::Utf8 | DataType::Binary, _) => (rows.saturating_mul(4), 1),
+            (DataType::LargeUtf8 | DataType::LargeBinary, _) => (rows.saturating_mul(8), 1),
+            // Those of other columns are not told apart here.
+            _ => return Ok(()),
+        };
+        let size = sizes.nth(1).copied().unwrap_or(0);
+        if size < least {
+            return Err(format!("column {} of {size} bytes in a batch of {rows} rows", field.name()));
+        }
+        sizes.by_ref().take(more).for_each(drop);
+    }
+    Ok(())
+}
+
+/// Compares a buffer with the bytes there are; its size once it is decompressed.
+fn check_buffer(buffer: &arrow_ipc::Buffer, body: &[u8], compressed: bool) -> Result<u64, String> {
     let start = usize::try_from(buffer.offset()).ok();
     let end = start.zip(usize::try_from(buffer.length()).ok()).and_then(|(s, n)| s.checked_add(n));
     let content = start.zip(end).and_then(|(start, end)| body.get(start..end)).ok_or_else(|| {
         format!("a column of {} bytes at {} of {}", buffer.length(), buffer.offset(), body.len())
     })?;
     if content.is_empty() || !compressed {
-        return Ok(());
+        return Ok(content.len() as u64);
     }
     // Compressed bytes follow their size before; -1 says that they are stored as they are.
     let declared = content.first_chunk().map(|bytes| i64::from_le_bytes(*bytes));
     match declared {
-        Some(-1..=MAX_COLUMN_BYTES) => Ok(()),
+        Some(-1) => Ok(content.len() as u64 - 8),
+        Some(declared @ 0..=MAX_COLUMN_BYTES) => Ok(declared as u64),
         Some(declared) => Err(format!("a column that declares {declared} bytes")),
         None => Err(format!("a compressed column of {} bytes", content.len())),
     }

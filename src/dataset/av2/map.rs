@@ -19,14 +19,25 @@ const MAX_STEPS: f64 = 2000.0;
 
 const NAME_START: &str = "log_map_archive_";
 
-/// The map's file in a folder; `None` if there is none. Of several the first by name is taken.
-pub(super) fn find(folder: &Path) -> Option<PathBuf> {
-    let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
-    let is_map = |path: &PathBuf| {
-        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        name.starts_with(NAME_START) && name.ends_with(".json")
+/// The maps' files in a folder by name; none if there is no such folder. There should be one.
+///
+/// # Errors
+/// A folder that cannot be read.
+pub(super) fn find(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
+    let entries = match std::fs::read_dir(folder) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(FileError::io("read", folder))?,
     };
-    entries.filter(is_map).min()
+    let mut maps = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(FileError::io("read", folder))?.path();
+        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        if name.starts_with(NAME_START) && name.ends_with(".json") {
+            maps.push(path);
+        }
+    }
+    maps.sort();
+    Ok(maps)
 }
 
 /// The city in the name of a map's file, `.._LOG_ID____PIT_city_47896.json`; empty if it has none.

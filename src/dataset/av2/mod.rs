@@ -23,6 +23,8 @@ pub use sweep::read_sweep_file;
 
 use std::path::PathBuf;
 
+use crate::error::FileError;
+
 use super::{
     Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
 };
@@ -32,7 +34,10 @@ use super::{
 pub struct Argoverse {
     log: Log,
     box_points: Vec<Vec<u32>>,
-    map: Option<PathBuf>,
+    /// Of several the first is read.
+    maps: Vec<PathBuf>,
+    /// Where a map must be, since it was said to be there.
+    needs_map: Option<PathBuf>,
 }
 
 impl Argoverse {
@@ -43,13 +48,16 @@ impl Argoverse {
     /// A folder that is no log, or holds several and none is chosen; tables that are missing or damaged, poses, cameras
     /// or boxes that are none, times that do not grow.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
+        locator.check_roots()?;
         let chosen = choose::choose(locator)?;
         let folder = &chosen.path;
         let sensors = choose::part(folder, chosen.sensor_root.as_deref(), "sensors");
-        let map = map::find(&choose::part(folder, chosen.map_root.as_deref(), "map"));
-        let city = map::city(map.as_deref());
+        let map_folder = choose::part(folder, chosen.map_root.as_deref(), "map");
+        let maps = map::find(&map_folder)?;
+        let city = map::city(maps.first().map(PathBuf::as_path));
         let (log, box_points) = read::read(folder, &sensors, choose::log_name(folder), city)?;
-        Ok(Self { log, box_points, map })
+        let needs_map = chosen.map_root.as_ref().map(|_| map_folder);
+        Ok(Self { log, box_points, maps, needs_map })
     }
 }
 
@@ -83,6 +91,15 @@ impl Dataset for Argoverse {
     }
 
     fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
-        self.map.as_deref().map(|path| map::read_map_file(path, &self.log.location)).transpose()
+        let Some((path, others)) = self.maps.split_first() else {
+            let none =
+                |folder: &PathBuf| FileError::content("a map (log_map_archive_*.json)", "none", folder);
+            return self.needs_map.as_ref().map_or(Ok(None), |folder| Err(none(folder).into()));
+        };
+        let mut map = map::read_map_file(path, &self.log.location)?;
+        if !others.is_empty() {
+            map.notes.insert("further map files".to_owned(), others.len());
+        }
+        Ok(Some(map))
     }
 }

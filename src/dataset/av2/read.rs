@@ -58,7 +58,11 @@ pub(super) fn read(
             })?;
             Ok(TrackBox { track: item.track, cuboid })
         };
-        let boxes_here = boxes.iter().map(track_box).collect::<Result<Vec<_>, DatasetError>>()?;
+        let (boxes, flat): (Vec<&Annotation>, Vec<_>) = boxes.iter().partition(|b| b.has_size());
+        for _ in flat {
+            note(&mut notes, "boxes without a size");
+        }
+        let boxes_here = boxes.iter().copied().map(track_box).collect::<Result<Vec<_>, DatasetError>>()?;
         let (sweeps, images, between_images) = Default::default();
         let boxes_at = Frame { t_us, global_from_ego, sweeps, images, between_images, boxes: boxes_here };
         frames.push(boxes_at);

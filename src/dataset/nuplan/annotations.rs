@@ -5,6 +5,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::database::{Database, Query, Row, hex};
 use super::frames::Shot;
+use super::read::{Notes, note};
 use crate::dataset::{Class, DatasetError, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, Pose, PoseError};
@@ -17,8 +18,12 @@ pub(super) struct Annotated {
     pub(super) frames: Vec<Vec<TrackBox>>,
 }
 
-/// Reads the boxes of the frames.
-pub(super) fn read(database: &Database, shots: &[Shot]) -> Result<Annotated, DatasetError> {
+/// Reads the boxes of the frames. Boxes of frames that the log does not have are counted, as are those without a size.
+pub(super) fn read(
+    database: &Database,
+    shots: &[Shot],
+    notes: &mut Notes,
+) -> Result<Annotated, DatasetError> {
     let all = tracks(database)?;
     let by_token: FxHashMap<&[u8], usize> =
         all.iter().enumerate().map(|(i, (token, _))| (token.as_slice(), i)).collect();
@@ -31,15 +36,19 @@ pub(super) fn read(database: &Database, shots: &[Shot]) -> Result<Annotated, Dat
     database.rows(&Query { table: "lidar_box", columns, from: "FROM lidar_box" }, |row| {
         let (frame, track) = (row.blob(1)?, row.blob(2)?);
         let Some(place) = places.get(frame) else {
-            // Of a frame of another scene, or of none.
+            // Of a frame of another scene, or of none: logs are cut out of longer drives.
             let others = match &mut others {
                 Some(others) => others,
                 empty => empty.insert(frame_tokens(database)?),
             };
-            return if others.contains(frame) { Ok(()) } else { Err(row.dangling("lidar_pc", frame)) };
+            note(notes, "boxes of frames that are not there", usize::from(!others.contains(frame)));
+            return Ok(());
         };
         let track = *by_token.get(track).ok_or_else(|| row.dangling("track", track))?;
-        frames[*place].push(TrackBox { track, cuboid: cuboid(row, database)? });
+        match cuboid(row, database)? {
+            Some(cuboid) => frames[*place].push(TrackBox { track, cuboid }),
+            None => note(notes, "boxes without a size", 1),
+        }
         Ok(())
     })?;
     drop(by_token);
@@ -82,19 +91,20 @@ pub(super) fn frame_tokens(database: &Database) -> Result<FxHashSet<Vec<u8>>, Da
     Ok(tokens)
 }
 
-/// The box of a row: centre and yaw in the global frame.
-fn cuboid(row: &Row<'_>, database: &Database) -> Result<Cuboid, DatasetError> {
+/// The box of a row: centre and yaw in the global frame. `None` if a side is zero or negative.
+fn cuboid(row: &Row<'_>, database: &Database) -> Result<Option<Cuboid>, DatasetError> {
     let [x, y, z, length, width, height, yaw_rad] = row.numbers(3)?;
     let (record, path) = (row.name(), database.path().to_owned());
     if let Some(value) = [x, y, z, yaw_rad].into_iter().find(|v| !v.is_finite()) {
         return Err(DatasetError::Pose { source: PoseError::NotFinite { value }, record, path });
     }
+    let size = DVec3::new(length, width, height);
+    if size.is_finite() && size.min_element() <= 0.0 {
+        return Ok(None);
+    }
     let pose = Pose::from_yaw(yaw_rad, DVec3::new(x, y, z));
-    Cuboid::new(pose, DVec3::new(length, width, height)).map_err(|source| DatasetError::Cuboid {
-        source,
-        record,
-        path,
-    })
+    let cuboid = Cuboid::new(pose, size);
+    cuboid.map(Some).map_err(|source| DatasetError::Cuboid { source, record, path })
 }
 
 /// Leaves out tracks without a box, and numbers the others anew in the same order.

@@ -37,8 +37,9 @@ impl Database {
     /// Opens a file. It is taken for unchanging, so that SQLite makes no lock or journal files beside it.
     ///
     /// # Errors
-    /// A file that is missing or no SQLite database.
+    /// A file that is missing, is no SQLite database, or has a write-ahead log beside it.
     pub(super) fn open(path: &Path) -> Result<Self, FileError> {
+        refuse_journal(path)?;
         // SQLite says less about a file that it cannot read.
         std::fs::File::open(path).map_err(FileError::io("read", path))?;
         let mut uri = String::from("file:");
@@ -183,6 +184,22 @@ impl<'a> Row<'a> {
         // A column that is not in the query is a mistake of ours; it shows as one of the data.
         self.row.get_ref(column).unwrap_or(ValueRef::Null)
     }
+}
+
+/// What stands in a write-ahead log is not in the file yet, and taking it over would write to the file.
+fn refuse_journal(path: &Path) -> Result<(), FileError> {
+    let mut journal = path.as_os_str().to_owned();
+    journal.push("-wal");
+    let journal = PathBuf::from(journal);
+    let bytes = match std::fs::metadata(&journal) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        found => found.map_err(FileError::io("read", &journal))?.len(),
+    };
+    if bytes == 0 {
+        return Ok(());
+    }
+    let expected = "a database without a write-ahead log (open and close it with sqlite3 once)";
+    Err(FileError::content(expected, format!("{bytes} bytes in {}", journal.display()), path))
 }
 
 /// Bytes as hexadecimal digits.

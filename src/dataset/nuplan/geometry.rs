@@ -21,12 +21,12 @@ pub(super) enum Shape {
 /// Coordinates of the header's system must be these: WGS 84.
 const SRS_ID: i32 = 4326;
 
-/// Decodes a geometry and takes it to a UTM zone.
+/// Decodes a geometry and takes it to a UTM zone; `None` if it is empty. Empty parts of it are left out.
 ///
 /// # Errors
 /// Anything but a line, polygon or several of them, truncated bytes, a ring of fewer than three corners, coordinates that
 /// are no longitude and latitude; the message tells what was found.
-pub(super) fn decode(bytes: &[u8], utm: &Utm) -> std::result::Result<Shape, String> {
+pub(super) fn decode(bytes: &[u8], utm: &Utm) -> std::result::Result<Option<Shape>, String> {
     let mut collector = Collector { utm, areas: Vec::new(), lines: Vec::new(), rings: None };
     let mut rest = bytes;
     process_gpkg_geom(&mut rest, &mut collector).map_err(|e| e.to_string())?;
@@ -35,9 +35,10 @@ pub(super) fn decode(bytes: &[u8], utm: &Utm) -> std::result::Result<Shape, Stri
     }
     let Collector { areas, lines, .. } = collector;
     match (areas.is_empty(), lines.is_empty()) {
-        (false, true) => Ok(Shape::Areas(areas)),
-        (true, false) => Ok(Shape::Lines(lines)),
-        _ => Err("an empty geometry".to_owned()),
+        (false, true) => Ok(Some(Shape::Areas(areas))),
+        (true, false) => Ok(Some(Shape::Lines(lines))),
+        (true, true) => Ok(None),
+        (false, false) => Err("areas and lines".to_owned()),
     }
 }
 
@@ -79,8 +80,14 @@ impl GeomProcessor for Collector<'_> {
 
     fn linestring_end(&mut self, _: bool, _: usize) -> Result<()> {
         let Some(rings) = &mut self.rings else {
-            let points = self.lines.last().map_or(0, Vec::len);
-            return if points >= 2 { Ok(()) } else { Err(wrong(format!("a line of {points} points"))) };
+            return match self.lines.last().map_or(0, Vec::len) {
+                0 => {
+                    self.lines.pop();
+                    Ok(())
+                }
+                1 => Err(wrong("a line of 1 points")),
+                _ => Ok(()),
+            };
         };
         let mut ring = self.lines.pop().unwrap_or_default();
         if ring.len() > 1 && ring.first() == ring.last() {
@@ -100,8 +107,9 @@ impl GeomProcessor for Collector<'_> {
 
     fn polygon_end(&mut self, _: bool, _: usize) -> Result<()> {
         let mut rings = self.rings.take().unwrap_or_default().into_iter();
-        let exterior = rings.next().ok_or_else(|| wrong("a polygon without rings"))?;
-        self.areas.push(Area { exterior, holes: rings.collect() });
+        if let Some(exterior) = rings.next() {
+            self.areas.push(Area { exterior, holes: rings.collect() });
+        }
         Ok(())
     }
 

@@ -13,8 +13,9 @@ use crate::dataset::{DatasetError, ImageRecord, RigCamera};
 use crate::error::FileError;
 use crate::geometry::{Camera, Distortion, Pose};
 
-/// How far an image's time may be from its frame's, microseconds: half the time between two images.
-const TOLERANCE_US: u64 = 50_000;
+/// How far an image's time may be from its frame's, microseconds: half the time between two images, and
+/// half of that again since their clocks are not quite even.
+const TOLERANCE_US: u64 = 75_000;
 
 /// The eight cameras in ring order, each beside its neighbours.
 const RING: [&str; 8] = ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_L2", "CAM_L1", "CAM_L0"];
@@ -79,7 +80,7 @@ pub(super) fn read(
     for image in images.into_iter().flatten().filter(|image| !image.is_used) {
         match frames.get_mut(times_us.partition_point(|t| *t < image.t_us)) {
             Some(frame) => frame.between_images.extend(image.record),
-            None => note(notes, OUTSIDE, 1),
+            None => note(notes, OUTSIDE, usize::from(is_whole)),
         }
     }
     frames.iter_mut().for_each(|f| f.between_images.sort_by_key(|i| (i.t_us, i.channel)));
@@ -209,9 +210,23 @@ mod tests {
         let mut images: Vec<RawImage> =
             [0, 100_000, 200_000].map(|t_us| RawImage { t_us, record: None, is_used: false }).into();
         let mut at = |t_us: i64| nearest(&mut images, t_us).map(|image| image.t_us);
-        assert_eq!([at(-50_000), at(-50_001), at(0), at(49_999)], [Some(0), None, Some(0), Some(0)]);
+        assert_eq!([at(-75_000), at(-75_001), at(0), at(49_999)], [Some(0), None, Some(0), Some(0)]);
         assert_eq!([at(50_000), at(50_001), at(150_000)], [Some(0), Some(100_000), Some(100_000)]);
-        assert_eq!([at(250_000), at(250_001)], [Some(200_000), None]);
+        assert_eq!([at(275_000), at(275_001)], [Some(200_000), None]);
         assert!(nearest(&mut [], 0).is_none());
+    }
+
+    /// Cameras of about 10 Hz beside a LiDAR of 20 Hz, whatever lies between their clocks.
+    #[test]
+    fn every_frame_has_an_image_though_the_clocks_are_uneven() {
+        let mut images: Vec<RawImage> =
+            [0, 101_000, 199_000].map(|t_us| RawImage { t_us, record: None, is_used: false }).into();
+        let mut at = |t_us: i64| nearest(&mut images, t_us).map(|image| image.t_us);
+        let frames = |first_us: i64| (0..5).map(move |i| first_us + i * 50_000);
+        let even = [0, 0, 101_000, 101_000, 199_000].map(Some);
+        assert_eq!(frames(0).map(&mut at).collect::<Vec<_>>(), even);
+        // Half a millisecond later one is 50.4 ms from the image before and 50.6 ms from the next.
+        let late = [0, 0, 101_000, 199_000, 199_000].map(Some);
+        assert_eq!(frames(400).map(&mut at).collect::<Vec<_>>(), late);
     }
 }

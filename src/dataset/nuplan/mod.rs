@@ -23,6 +23,8 @@ pub use place::SIMGEN;
 
 pub(super) use place::expand;
 
+use crate::error::FileError;
+
 use super::{
     Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
 };
@@ -70,6 +72,12 @@ impl Dataset for NuPlan {
 
     fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
         let Some(folder) = &self.place.maps else { return Ok(None) };
-        map::read(folder, &self.map_name, &self.log.location)
+        let map = map::read(folder, &self.map_name, &self.log.location)?;
+        if map.is_none() && self.place.needs_map {
+            return Err(
+                FileError::content(format!("map {}", self.map_name), "none of that name", folder).into()
+            );
+        }
+        Ok(map)
     }
 }

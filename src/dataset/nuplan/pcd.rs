@@ -1,7 +1,8 @@
 //! PCD files: a sweep with a header of text that names its fields, then rows of binary numbers.
 //!
 //! Only `DATA binary` is read. Fields other than coordinates, intensity, ring and `lidar_info` (which of the merged
-//! LiDARs saw a point) are skipped by their sizes. Behind the last point there may be zero bytes.
+//! LiDARs saw a point) are skipped by their sizes. Bytes behind the last point are ignored: in nuPlan's files they are
+//! garbage, mostly zeros.
 //! Format: <https://pointclouds.org/documentation/tutorials/pcd_file_format.html>.
 
 use std::io::Read;
@@ -31,7 +32,7 @@ pub fn check_pcd_file(path: &Path) -> Result<u64, FileError> {
 ///
 /// # Errors
 /// A file that is missing, truncated, compressed or text; a header without `x y z` as 4-byte floats, or whose sizes
-/// contradict each other; bytes behind the last point that are not zero.
+/// contradict each other.
 pub fn read_pcd_file(path: &Path) -> Result<Sweep, FileError> {
     let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
     parse_pcd(&bytes, path)
@@ -44,11 +45,7 @@ pub fn read_pcd_file(path: &Path) -> Result<Sweep, FileError> {
 pub fn parse_pcd(bytes: &[u8], path: &Path) -> Result<Sweep, FileError> {
     let header = Header::parse(&bytes[..bytes.len().min(MAX_HEADER_BYTES as usize)], path)?;
     let end = header.check_length(bytes.len() as u64, path)?;
-    let (points, rest) = (&bytes[header.start..end], &bytes[end..]);
-    if let Some(at) = rest.iter().position(|b| *b != 0) {
-        let expected = format!("nothing but zeros after {} points of {} bytes", header.points, header.stride);
-        return Err(FileError::content(expected, format!("{} at byte {}", rest[at], end + at), path));
-    }
+    let points = &bytes[header.start..end];
     let device = |row: &[u8]| header.device.map_or(0, |field| field.number(row) as u16);
     let mut rows = points.chunks_exact(header.stride);
     let first = rows.clone().next().map(device);
@@ -324,12 +321,10 @@ mod tests {
     }
 
     #[test]
-    fn padding_is_zero() {
-        let padded = [file(), vec![0; 4000]].concat();
-        assert_eq!(parse(&padded).unwrap(), parse(&file()).unwrap());
-        let at = HEADER.len() + 31;
-        let expected = "nothing but zeros after 2 points of 15 bytes";
-        refused(&[file(), vec![0, 8]].concat(), expected, &format!("8 at byte {at}"));
+    fn what_stands_behind_the_points_is_ignored() {
+        for behind in [vec![0; 4000], vec![0, 8], vec![0xff; 15], file()] {
+            assert_eq!(parse(&[file(), behind].concat()).unwrap(), parse(&file()).unwrap());
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Pickles of lists of numbers, as calibration columns hold them. Nothing is ever executed.
 //!
-//! How it works: nuPlan writes a translation, rotation or intrinsic matrix as a Python pickle (protocol 4 or 5) of a
+//! How it works: nuPlan writes a translation, rotation or intrinsic matrix as a Python pickle (protocol 2 to 5) of a
 //! list, or of a class that is a list. A pickle is a program for a stack machine. Of its instructions only those are
 //! known here that make lists of numbers; a class may be named, but only to make an empty list. Any other
 //! instruction or class is an error. Source: Python's `pickletools`.
@@ -124,7 +124,10 @@ impl Machine<'_> {
         match code {
             0x80 => self.protocol(),
             0x95 => self.take::<8>().map(|_| ()), // FRAME: its length only helps those who read from a stream
-            0x94 => Ok(()),                       // MEMOIZE: nothing here asks for what was memoized
+            // MEMOIZE, BINPUT, LONG_BINPUT: nothing here asks for what was memoized.
+            0x94 => Ok(()),
+            b'q' => self.take::<1>().map(|_| ()),
+            b'r' => self.take::<4>().map(|_| ()),
             b'(' => self.push(Item::Mark),
             b')' => self.push(Item::NoArguments),
             b']' => self.push(Item::Value(Value::List(Vec::new()))),
@@ -132,8 +135,10 @@ impl Machine<'_> {
             b'J' => self.take().map(i32::from_le_bytes).and_then(|v| self.number(f64::from(v))),
             b'M' => self.take().map(u16::from_le_bytes).and_then(|v| self.number(f64::from(v))),
             b'K' => self.take().map(u8::from_le_bytes).and_then(|v| self.number(f64::from(v))),
-            0x8c => self.text(at),
+            0x8c => self.take().map(u8::from_le_bytes).and_then(|length| self.text(length.into(), at)),
+            b'X' => self.take().map(u32::from_le_bytes).and_then(|length| self.text(length, at)),
             0x93 => self.class(at),
+            b'c' => self.class_by_lines(at),
             0x81 => self.new_list(at),
             b'a' => self.append(at),
             b'e' => self.append_all(at),
@@ -158,16 +163,16 @@ impl Machine<'_> {
 
     fn protocol(&mut self) -> Result<(), PickleError> {
         let [version] = self.take()?;
-        if matches!(version, 4 | 5) { Ok(()) } else { Err(PickleError::Protocol(version)) }
+        if matches!(version, 2..=5) { Ok(()) } else { Err(PickleError::Protocol(version)) }
     }
 
-    fn text(&mut self, at: usize) -> Result<(), PickleError> {
-        let [length] = self.take()?;
-        let end = self.at + usize::from(length);
-        let bytes = self.bytes.get(self.at..end).ok_or(PickleError::Truncated(self.bytes.len()))?;
-        let text = str::from_utf8(bytes).map_err(|_| PickleError::Misplaced("text that is no UTF-8", at))?;
-        self.at = end;
-        self.push(Item::Text(text.to_owned()))
+    fn text(&mut self, length: u32, at: usize) -> Result<(), PickleError> {
+        let end = usize::try_from(length).ok().and_then(|length| self.at.checked_add(length));
+        let bytes = end.and_then(|end| self.bytes.get(self.at..end));
+        let bytes = bytes.ok_or(PickleError::Truncated(self.bytes.len()))?;
+        self.at += bytes.len();
+        let text = utf8(bytes, at)?.to_owned();
+        self.push(Item::Text(text))
     }
 
     /// STACK_GLOBAL: a module and a class in it.
@@ -175,7 +180,24 @@ impl Machine<'_> {
         let (Some(Item::Text(name)), Some(Item::Text(module))) = (self.stack.pop(), self.stack.pop()) else {
             return Err(PickleError::Misplaced("STACK_GLOBAL", at));
         };
-        if module != MODULE || !CLASSES.contains(&name.as_str()) {
+        self.known_class(&module, &name)
+    }
+
+    /// GLOBAL: the same, each a line behind the instruction.
+    fn class_by_lines(&mut self, at: usize) -> Result<(), PickleError> {
+        let (bytes, mut lines) = (self.bytes, [""; 2]);
+        for line in &mut lines {
+            let rest = bytes.get(self.at..).unwrap_or_default();
+            let length = rest.iter().position(|b| *b == b'\n');
+            let length = length.ok_or(PickleError::Truncated(bytes.len()))?;
+            *line = utf8(&rest[..length], at)?;
+            self.at += length + 1;
+        }
+        self.known_class(lines[0], lines[1])
+    }
+
+    fn known_class(&mut self, module: &str, name: &str) -> Result<(), PickleError> {
+        if module != MODULE || !CLASSES.contains(&name) {
             return Err(PickleError::Class(format!("{module}.{name}")));
         }
         self.push(Item::Class)
@@ -233,6 +255,10 @@ impl Machine<'_> {
     }
 }
 
+fn utf8(bytes: &[u8], at: usize) -> Result<&str, PickleError> {
+    str::from_utf8(bytes).map_err(|_| PickleError::Misplaced("text that is no UTF-8", at))
+}
+
 /// Names of the instructions that are refused.
 fn opcode_name(code: u8) -> &'static str {
     match code {
@@ -252,9 +278,7 @@ fn opcode_name(code: u8) -> &'static str {
         b'T' => "BINSTRING",
         b'U' => "SHORT_BINSTRING",
         b'V' => "UNICODE",
-        b'X' => "BINUNICODE",
         b'b' => "BUILD",
-        b'c' => "GLOBAL",
         b'd' => "DICT",
         b'g' => "GET",
         b'h' => "BINGET",
@@ -263,8 +287,6 @@ fn opcode_name(code: u8) -> &'static str {
         b'l' => "LIST",
         b'o' => "OBJ",
         b'p' => "PUT",
-        b'q' => "BINPUT",
-        b'r' => "LONG_BINPUT",
         b's' => "SETITEM",
         b't' => "TUPLE",
         b'u' => "SETITEMS",
@@ -311,6 +333,14 @@ mod tests {
     const REDUCE: &str =
         "8004951f000000000000008c05706f736978948c0673797374656d9493948c047472756594859452942e";
 
+    // The same with protocols 2, 3, 2.
+    const TRANSLATION_2: &str = "8002636e75706c616e2e64617461626173652e636f6d6d6f6e2e646174615f74797065730a5\
+        472616e736c6174696f6e0a71002981710128473ff80000000000004afeffffff4d2c01652e";
+    const INTRINSIC_3: &str = "8003636e75706c616e2e64617461626173652e636f6d6d6f6e2e646174615f74797065730a436\
+        16d657261496e7472696e7369630a710029817101285d71022847409824000000000047000000000000000047408e000000000000655\
+        d710328470000000000000000474098240000000000474081800000000000655d7104284b004b004b0165652e";
+    const REDUCE_2: &str = "800263706f7369780a73797374656d0a710058040000007472756571018571025271032e";
+
     fn bytes(hex: &str) -> Vec<u8> {
         (0..hex.len() / 2).map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).unwrap()).collect()
     }
@@ -328,6 +358,9 @@ mod tests {
             decode(&bytes(INTRINSIC)).unwrap().to_string(),
             "[[1545, 0, 960], [0, 1545, 560], [0, 0, 1]]"
         );
+        assert_eq!(decode(&bytes(TRANSLATION_2)).unwrap().vector(), Some([1.5, -2.0, 300.0]));
+        assert_eq!(decode(&bytes(INTRINSIC_3)).unwrap().matrix(), Some(rows));
+        assert_eq!(decode(b"\x80\x02]r\x00\x01\x00\x00K\x07a.").unwrap().vector(), Some([7.0]));
         assert_eq!(decode(b"\x80\x04]K\x07a.").unwrap().vector(), Some([7.0]));
     }
 
@@ -337,10 +370,21 @@ mod tests {
         assert_eq!(message(&bytes(REDUCE)), "class posix.system");
         assert_eq!(message(&bytes(OTHER)), "class nuplan.database.common.data_types.Other");
         assert_eq!(message(b"\x80\x04]R."), "opcode 0x52 (REDUCE) at byte 3");
-        assert_eq!(message(b"\x80\x04cos\nsystem\n."), "opcode 0x63 (GLOBAL) at byte 2");
+        assert_eq!(message(b"\x80\x04cos\nsystem\n."), "class os.system");
+        assert_eq!(message(b"\x80\x02cos\nsystem"), "the end of the pickle after 12 bytes");
+        assert_eq!(message(b"\x80\x02c\xff\nsystem\n."), "text that is no UTF-8 that does not fit at byte 2");
+        assert_eq!(message(&bytes(REDUCE_2)), "class posix.system");
+        assert_eq!(message(b"\x80\x02X\xff\xff\xff\xffab"), "the end of the pickle after 9 bytes");
+        assert_eq!(message(b"\x80\x02]q\x00h\x00."), "opcode 0x68 (BINGET) at byte 5");
+        assert_eq!(
+            message(b"\x80\x02]r\x00\x00\x00\x00j\x00\x00\x00\x00."),
+            "opcode 0x6a (LONG_BINGET) at byte 8"
+        );
+        assert_eq!(message(b"\x80\x02X\x01\x00\x00\x00a."), "STOP that does not fit at byte 8");
         assert_eq!(message(b"\x80\x04]b."), "opcode 0x62 (BUILD) at byte 3");
         assert_eq!(message(b"\x80\x04\xff."), "opcode 0xff (unknown) at byte 2");
-        assert_eq!(message(b"\x80\x02]."), "protocol 2");
+        assert_eq!(message(b"\x80\x01]."), "protocol 1");
+        assert_eq!(message(b"\x80\x06]."), "protocol 6");
         assert_eq!(message(b"\x80\x04]].."), "STOP that does not fit at byte 4");
         assert_eq!(message(b"\x80\x04]..."), "2 bytes after the end");
         assert_eq!(message(b"\x80\x04K\x01."), "STOP that does not fit at byte 4");
@@ -355,7 +399,7 @@ mod tests {
     /// Every opcode but those that are known is refused, wherever it stands.
     #[test]
     fn known_opcodes_are_few() {
-        let known = b"\x80\x95\x94()]GJMK\x8c\x93\x81ae.";
+        let known = b"\x80\x95\x94qr()]GJMK\x8cX\x93c\x81ae.";
         for code in 0..=u8::MAX {
             let result = decode(&[code, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
             let refused = matches!(result, Err(PickleError::Opcode { at: 0, .. }));
@@ -365,7 +409,7 @@ mod tests {
 
     #[test]
     fn truncated_pickles_are_refused() {
-        for whole in [TRANSLATION, INTRINSIC, DISTORTION].map(bytes) {
+        for whole in [TRANSLATION, INTRINSIC, DISTORTION, TRANSLATION_2, INTRINSIC_3].map(bytes) {
             for cut in 0..whole.len() {
                 assert!(decode(&whole[..cut]).is_err(), "{cut} of {}", whole.len());
             }

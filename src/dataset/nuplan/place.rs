@@ -31,6 +31,8 @@ pub(super) struct Place {
     pub(super) sensors: PathBuf,
     /// Folder of maps; `None` where there is none at the usual place.
     pub(super) maps: Option<PathBuf>,
+    /// Whether the folder of maps was given, so that the log's map must be there.
+    pub(super) needs_map: bool,
 }
 
 impl Place {
@@ -39,18 +41,13 @@ impl Place {
         // A relative path may begin within the folders that are looked for.
         let absolute = std::path::absolute(&locator.path).map_err(FileError::io("find", &locator.path))?;
         let root = absolute.ancestors().nth(3).unwrap_or(Path::new("/"));
-        let given = |folder: &PathBuf| {
-            let found = std::fs::metadata(folder).map_err(FileError::io("read", folder))?;
-            let wrong = || FileError::content("a folder", "a file", folder);
-            if found.is_dir() { Ok(folder.clone()) } else { Err(wrong()) }
-        };
-        let sensors = locator.sensor_root.as_ref().map(given).transpose()?;
-        let maps = locator.map_root.as_ref().map(given).transpose()?;
+        locator.check_roots()?;
         let usual_maps = root.parent().unwrap_or(root).join("maps");
         Ok(Self {
             database: locator.path.clone(),
-            sensors: sensors.unwrap_or_else(|| root.join("sensor_blobs")),
-            maps: maps.or_else(|| usual_maps.is_dir().then_some(usual_maps)),
+            sensors: locator.sensor_root.clone().unwrap_or_else(|| root.join("sensor_blobs")),
+            maps: locator.map_root.clone().or_else(|| usual_maps.is_dir().then_some(usual_maps)),
+            needs_map: locator.map_root.is_some(),
         })
     }
 }

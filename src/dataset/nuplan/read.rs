@@ -28,8 +28,8 @@ pub(super) fn read(place: &Place, scene: Option<&str>) -> Result<(Log, String), 
     let shots = frames::read(&database, place, scene.as_ref().map(|s| s.token.as_slice()), &mut notes)?;
     let times_us: Vec<i64> = shots.iter().map(|shot| shot.t_us).collect();
     let pictures = images::read(&database, place, &times_us, scene.is_none(), &mut notes)?;
-    let annotated = annotations::read(&database, &shots)?;
-    let (scenarios, lights) = situation::read(&database, &shots)?;
+    let annotated = annotations::read(&database, &shots, &mut notes)?;
+    let (scenarios, lights) = situation::read(&database, &shots, &mut notes)?;
     let seen = pictures.frames.into_iter().zip(annotated.frames);
     let frame = |(shot, (pictures, boxes)): (frames::Shot, (images::Pictures, _))| Frame {
         t_us: shot.t_us,

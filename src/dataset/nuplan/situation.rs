@@ -7,6 +7,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use super::annotations::frame_tokens;
 use super::database::{Database, Query, Row};
 use super::frames::Shot;
+use super::read::{Notes, note};
 use crate::dataset::{DatasetError, TrafficLight};
 
 /// Frames by token; rows may also name frames of other scenes.
@@ -15,11 +16,13 @@ struct Frames<'a> {
     places: FxHashMap<&'a [u8], usize>,
     /// All of the log, once they are needed.
     all: Option<FxHashSet<Vec<u8>>>,
+    notes: &'a mut Notes,
 }
 
 impl Frames<'_> {
-    /// The frame of a token in a row; `None` for one of another scene.
-    fn place(&mut self, row: &Row<'_>, column: usize) -> Result<Option<usize>, DatasetError> {
+    /// The frame of a token in a row; `None` for one of another scene. Logs are cut out of longer drives, so there may
+    /// be rows of frames that the log does not have; they are counted as `kind`.
+    fn place(&mut self, row: &Row<'_>, column: usize, kind: &str) -> Result<Option<usize>, DatasetError> {
         let token = row.blob(column)?;
         if let Some(place) = self.places.get(token) {
             return Ok(Some(*place));
@@ -28,7 +31,8 @@ impl Frames<'_> {
             Some(all) => all,
             empty => empty.insert(frame_tokens(self.database)?),
         };
-        if all.contains(token) { Ok(None) } else { Err(row.dangling("lidar_pc", token)) }
+        note(self.notes, kind, usize::from(!all.contains(token)));
+        Ok(None)
     }
 }
 
@@ -36,13 +40,17 @@ impl Frames<'_> {
 pub(super) type Situation = (BTreeMap<String, Vec<usize>>, Vec<TrafficLight>);
 
 /// Reads `scenario_tag` and `traffic_light_status`.
-pub(super) fn read(database: &Database, shots: &[Shot]) -> Result<Situation, DatasetError> {
+pub(super) fn read(
+    database: &Database,
+    shots: &[Shot],
+    notes: &mut Notes,
+) -> Result<Situation, DatasetError> {
     let places = shots.iter().enumerate().map(|(i, shot)| (shot.token.as_slice(), i)).collect();
-    let mut frames = Frames { database, places, all: None };
+    let mut frames = Frames { database, places, all: None, notes };
     let mut scenarios: BTreeMap<String, Vec<usize>> = BTreeMap::new();
     let columns = &["token", "lidar_pc_token", "type"];
     database.rows(&Query { table: "scenario_tag", columns, from: "FROM scenario_tag" }, |row| {
-        if let Some(frame) = frames.place(row, 1)? {
+        if let Some(frame) = frames.place(row, 1, "scenario tags of frames that are not there")? {
             scenarios.entry(row.text(2)?.to_owned()).or_default().push(frame);
         }
         Ok(())
@@ -57,7 +65,7 @@ pub(super) fn read(database: &Database, shots: &[Shot]) -> Result<Situation, Dat
     database.rows(
         &Query { table: "traffic_light_status", columns, from: "FROM traffic_light_status" },
         |row| {
-            if let Some(frame) = frames.place(row, 1)? {
+            if let Some(frame) = frames.place(row, 1, "traffic lights of frames that are not there")? {
                 let (lane_connector, color) = (row.integer(2)?.to_string(), row.text(3)?.to_owned());
                 lights.push(TrafficLight { frame, lane_connector, color });
             }

@@ -15,22 +15,32 @@ use super::arcline::{ArclinePath, centerline};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
 
-/// The file of a location: below `map_root` if that is given, else below `root/maps`. `None` if there is none.
-pub(super) fn find(root: &Path, map_root: Option<&Path>, location: &str) -> Option<PathBuf> {
-    // A location comes from a file; it must not lead out of the folder.
-    if location.contains(['/', '\\']) {
-        return None;
-    }
+/// The file of a location: below `map_root` if that is given, else below `root/maps`, where it may be missing.
+///
+/// # Errors
+/// None below `map_root`.
+pub(super) fn find(
+    root: &Path,
+    map_root: Option<&Path>,
+    location: &str,
+) -> Result<Option<PathBuf>, FileError> {
     let maps = map_root.map_or_else(|| root.join("maps"), Path::to_owned);
     let name = format!("{location}.json");
-    [maps.join("expansion").join(&name), maps.join(&name)].into_iter().find(|path| path.is_file())
+    let mut places = [maps.join("expansion").join(&name), maps.join(&name)].into_iter();
+    // A location comes from a file; it must not lead out of the folder.
+    let leads_out = location.contains(['/', '\\']);
+    let found = places.find(|path| !leads_out && path.is_file());
+    if found.is_none() && map_root.is_some() {
+        return Err(FileError::content(format!("map {name} or expansion/{name}"), "none", &maps));
+    }
+    Ok(found)
 }
 
 /// Reads the map of a location.
 ///
 /// # Errors
 /// A file that cannot be read or is no map expansion; tokens that are there twice or lead nowhere, areas with fewer
-/// than three corners, lines with fewer than two, centerlines that are none.
+/// than three corners, a line with a single one, centerlines that are none.
 pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetError> {
     let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
     let wrong = |e: serde_json::Error| FileError::content("a map expansion", e.to_string(), path);
@@ -144,7 +154,13 @@ impl<'a> Resolver<'a> {
                 drivable_area.push(self.area(polygon, || format!("drivable_area {}", area.token))?);
             }
         }
-        let dividers = raw.road_divider.iter().chain(&raw.lane_divider).map(|d| self.divider(d));
+        let (mut dividers, mut notes) = (Vec::new(), BTreeMap::new());
+        for divider in raw.road_divider.iter().chain(&raw.lane_divider) {
+            match self.divider(divider)? {
+                Some(line) => dividers.push(line),
+                None => *notes.entry("dividers whose line has no nodes".to_owned()).or_default() += 1,
+            }
+        }
         Ok(VectorMap {
             location: location.to_owned(),
             lanes: lanes(&raw.lane)?,
@@ -152,7 +168,8 @@ impl<'a> Resolver<'a> {
             drivable_area,
             crossings: areas("ped_crossing", &raw.ped_crossing)?,
             stop_lines: areas("stop_line", &raw.stop_line)?,
-            dividers: dividers.collect::<Result<_, _>>()?,
+            dividers,
+            notes,
         })
     }
 
@@ -194,12 +211,16 @@ impl<'a> Resolver<'a> {
         self.at_least(3, ring, by)
     }
 
-    fn divider(&self, divider: &Divider) -> Result<Vec<DVec2>, FileError> {
+    /// `None` for a line without nodes, which some maps have.
+    fn divider(&self, divider: &Divider) -> Result<Option<Vec<DVec2>>, FileError> {
         let by = || format!("divider {}", divider.token);
         let line = self.lines.get(divider.line_token.as_str());
         let line = line.ok_or_else(|| self.dangling("line", &divider.line_token, by()))?;
+        if line.node_tokens.is_empty() {
+            return Ok(None);
+        }
         let by = || format!("line {}", line.token);
-        self.at_least(2, self.corners(&line.node_tokens, by)?, by)
+        self.at_least(2, self.corners(&line.node_tokens, by)?, by).map(Some)
     }
 
     fn corners(&self, nodes: &[String], by: impl Fn() -> String) -> Result<Vec<DVec2>, FileError> {

@@ -32,8 +32,9 @@ use super::{
 pub struct NuScenes {
     log: Log,
     box_points: Vec<Vec<u32>>,
-    /// File of the map of the log's place.
-    map: Option<PathBuf>,
+    root: PathBuf,
+    /// Folder of maps, if not the usual one.
+    map_root: Option<PathBuf>,
 }
 
 impl NuScenes {
@@ -44,11 +45,11 @@ impl NuScenes {
     /// Tables that are missing or damaged, tokens that lead nowhere, poses, cameras or boxes that are none, times
     /// that do not grow; versions or scenes to choose from and none chosen.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
+        locator.check_roots()?;
         let tables = choose::version_folder(&locator.path, locator.version.as_deref())?;
         let sensors = locator.sensor_root.as_deref().unwrap_or(&locator.path);
         let (log, box_points) = read::read(sensors, &tables, locator.scene.as_deref())?;
-        let map = map::find(&locator.path, locator.map_root.as_deref(), &log.location);
-        Ok(Self { log, box_points, map })
+        Ok(Self { log, box_points, root: locator.path.clone(), map_root: locator.map_root.clone() })
     }
 }
 
@@ -74,7 +75,9 @@ impl Dataset for NuScenes {
     fn box_points(&self) -> Option<&[Vec<u32>]> {
         Some(&self.box_points)
     }
+
     fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
-        self.map.as_deref().map(|path| map::read_map_file(path, &self.log.location)).transpose()
+        let file = map::find(&self.root, self.map_root.as_deref(), &self.log.location)?;
+        file.map(|path| map::read_map_file(&path, &self.log.location)).transpose()
     }
 }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::write_sweep_file;
-use crate::dataset::{Dataset, DatasetError, Frame, ImageRecord, Sweep, SweepRecord};
+use crate::dataset::{Dataset, DatasetError, Frame, ImageRecord, Log, Sweep, SweepRecord};
 use crate::error::{FileError, write_json, write_whole};
 use crate::geometry::Pose;
 
@@ -15,12 +15,15 @@ use crate::geometry::Pose;
 const QUALITY: u8 = 95;
 
 /// Writes a log as `root/version/*.json` (13 tables), `root/samples` and `root/sweeps`. Reading it back gives the
-/// same log, but for paths, the order of cameras and tracks (by token), and losses of JPEG. The tables come last.
+/// same log, but for paths, the order of cameras and tracks (by token), and losses of JPEG. Scenarios, traffic lights,
+/// notes and the map are not written: the tables have no place for them. The tables come last.
 ///
 /// # Errors
-/// The log's own, more than one LiDAR, and the system's at writing.
+/// The log's own, more than one LiDAR, a camera with lens distortion (the tables cannot tell it), and the system's at
+/// writing.
 pub fn write_log(root: &Path, version: &str, dataset: &dyn Dataset) -> Result<(), DatasetError> {
     let log = dataset.log();
+    refuse_distortion(log, root)?;
     let mut tables = Tables::default();
     tables.fixed(dataset);
     for channel in &log.cameras {
@@ -53,6 +56,19 @@ pub fn write_log(root: &Path, version: &str, dataset: &dyn Dataset) -> Result<()
         tables.frame(dataset, index, &counts);
     }
     tables.write(&root.join(version))
+}
+
+fn refuse_distortion(log: &Log, root: &Path) -> Result<(), FileError> {
+    let images = log.frames.iter().flat_map(|f| f.images.iter().chain(&f.between_images));
+    let mut cameras = log.rig.iter().map(|c| &c.camera).chain(images.map(|image| &image.camera));
+    match cameras.find(|camera| camera.distortion.is_some()) {
+        None => Ok(()),
+        Some(camera) => Err(FileError::content(
+            "cameras without lens distortion",
+            format!("one of {}", camera.name),
+            root,
+        )),
+    }
 }
 
 /// The one LiDAR channel that is written.
@@ -284,5 +300,50 @@ impl Tables {
             write_json(&folder.join(format!("{table}.json")), rows)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::RigCamera;
+    use crate::geometry::{Camera, Distortion};
+
+    /// A log of one camera and no frames.
+    struct Bare(Log);
+
+    impl Dataset for Bare {
+        fn log(&self) -> &Log {
+            &self.0
+        }
+
+        fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
+            Err(FileError::content("no sweep", "one", &record.path).into())
+        }
+
+        fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
+            Err(FileError::content("no image", "one", &record.path).into())
+        }
+    }
+
+    #[test]
+    fn distortion_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let rows = [[48.0, 0.0, 48.0], [0.0, 48.0, 32.0], [0.0, 0.0, 1.0]];
+        let camera = Camera::new("CAM_A", 96, 64, rows).unwrap();
+        let write = |k1: f64| {
+            let distortion = Distortion::from_opencv([k1, 0.0, 0.0, 0.0, 0.0]);
+            let camera = Camera { distortion, ..camera.clone() };
+            let rig = vec![RigCamera { channel: 0, ego_from_camera: Pose::IDENTITY, camera }];
+            let log = Log { cameras: vec!["CAM_A".into()], rig, ..Log::default() };
+            write_log(folder.path(), "v1.0-mini", &Bare(log)).map_err(|e| e.to_string())
+        };
+        let message = write(-0.1).unwrap_err();
+        assert!(
+            message.starts_with("expected cameras without lens distortion, found one of CAM_A"),
+            "{message}"
+        );
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        write(0.0).unwrap();
     }
 }
