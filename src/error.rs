@@ -126,6 +126,27 @@ pub fn check_replaceable(path: &Path, marker: &str) -> Result<(), FileError> {
     Ok(())
 }
 
+/// As [`check_replaceable`], and what is there must be files of ours alone: whatever else somebody put there would go
+/// with the older folder.
+///
+/// # Errors
+/// Something else is there, or among our files.
+pub fn check_only_ours(path: &Path, marker: &str, is_ours: impl Fn(&str) -> bool) -> Result<(), FileError> {
+    check_replaceable(path, marker)?;
+    if !path.exists() {
+        return Ok(());
+    }
+    for entry in std::fs::read_dir(path).map_err(FileError::io("read", path))? {
+        let entry = entry.map_err(FileError::io("read", path))?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if !is_ours(&name) {
+            let expected = format!("nothing beside the files that belong to {marker}");
+            return Err(FileError::content(expected, name, path));
+        }
+    }
+    Ok(())
+}
+
 /// Renames a folder. One that is there changes places with it in one step, so that at every moment there is one.
 fn put(new: &Path, path: &Path) -> Result<(), FileError> {
     use rustix::fs::{CWD, RenameFlags, renameat_with};

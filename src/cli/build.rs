@@ -93,7 +93,7 @@ pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
     SkeletonWriter::check_target(&args.out)?;
     if let Some(frames) = skeleton::unfinished_frames(&args.out).filter(|_| !args.resume) {
         eprintln!(
-            "warning: an unfinished build with {frames} frames done is discarded (--resume goes on with it)"
+            "warning: an unfinished build with {frames} frames done is not gone on with (--resume would do so)"
         );
     }
     let given = read_templates(&args.templates)?;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use super::{BuildOptions, MakeTemplates};
 use crate::cloud::Point;
-use crate::error::{FileError, check_replaceable, write_json, write_whole_folder, write_whole_folder_by};
+use crate::error::{FileError, check_only_ours, write_json, write_whole_folder, write_whole_folder_by};
 use crate::gpu::MappedFile;
 
 const MANIFEST: &str = "skeleton.json";
@@ -42,7 +42,7 @@ impl SkeletonWriter {
     /// # Errors
     /// Something else is there.
     pub fn check_target(path: &Path) -> Result<(), FileError> {
-        check_replaceable(path, MANIFEST)
+        check_only_ours(path, MANIFEST, |name| [MANIFEST, BACKGROUND, ACTORS, TEMPLATES].contains(&name))
     }
 
     /// The same with the temporary folder in `scratch`, a folder of the same file system.

@@ -5,10 +5,11 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
+use point_skeleton::cloud::Point;
 use point_skeleton::dataset::nuscenes::write_log;
 use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord};
 use point_skeleton::error::FileError;
-use point_skeleton::skeleton::{self, BuildError, BuildInput, BuildOptions, BuildRun, Skeleton};
+use point_skeleton::skeleton::{self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Skeleton};
 use point_skeleton::town::{Street, StreetOptions};
 use serde_json::json;
 
@@ -182,7 +183,10 @@ fn a_build_that_starts_anew_says_what_it_discards() {
     let partial = partial_of_tiny(&log);
     let output = log.run("build nuscenes:log --out out/sk");
     let stderr = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && stderr.contains("an unfinished build with 3 frames done"), "{stderr}");
+    assert!(
+        output.status.success() && stderr.contains("an unfinished build with 3 frames done is not"),
+        "{stderr}"
+    );
     assert!(!partial.exists());
     // An older skeleton is there until the new one takes its place.
     let older = tree(&log.path("out/sk"));
@@ -212,17 +216,24 @@ fn an_image_of_two_frames_colors_both() {
     }
 }
 
-/// An unfinished build of the tiny log: the skeleton cannot be renamed to where a file stands.
+/// An unfinished build of the tiny log: templates fail after all frames are done.
 fn partial_of_tiny(log: &TinyLog) -> PathBuf {
-    std::fs::write(log.path("out/sk"), "in the way").unwrap();
-    let input =
+    let dataset =
         point_skeleton::dataset::open(&format!("nuscenes:{}", log.path("log").display()).parse().unwrap());
-    let input = input.unwrap();
-    let error = build(&log.path("out/sk"), input.as_ref(), &BuildOptions::default(), [1, 0]).unwrap_err();
+    let dataset = dataset.unwrap();
+    let fail = |_: &[(&Asset, &[Point])]| Err(FileError::content("templates", "none", Path::new("t")));
+    let inputs = [BuildInput::all(dataset.as_ref())];
+    let built = skeleton::build(
+        &log.path("out/sk"),
+        &inputs,
+        &BuildOptions::default(),
+        &fail,
+        &BuildRun { checkpoint_frames: 1, ..BuildRun::default() },
+    );
+    let error = built.unwrap_err();
     let BuildError::Interrupted { frames, path, .. } = &error else { panic!("{error}") };
     let text = error.to_string();
     assert!(*frames == 3 && text.contains("3 frames are done and kept, --resume goes on"), "{text}");
-    std::fs::remove_file(log.path("out/sk")).unwrap();
     path.clone()
 }
 
@@ -253,4 +264,34 @@ fn logs_of_one_place_share_a_background() {
     }
     let output = log.run("build nuscenes:log nuscenes:log --out out/again");
     assert_failed(&output, 1, &["logs of one place, each once", "tiny (nowhere), tiny (nowhere)"]);
+}
+
+#[test]
+fn what_somebody_put_into_a_skeleton_is_not_deleted() {
+    let log = TinyLog::new();
+    log.succeed("build nuscenes:log --out out/sk");
+    std::fs::create_dir(log.path("out/sk/mine")).unwrap();
+    let output = log.run("build nuscenes:log --out out/sk");
+    assert_failed(
+        &output,
+        1,
+        &["nothing beside the files that belong to skeleton.json, found mine", "out/sk"],
+    );
+    assert!(log.path("out/sk/mine").is_dir() && !log.path("out/sk.partial").exists());
+}
+
+#[test]
+fn frames_without_sweeps_are_told() {
+    let log = TinyLog::new();
+    log.change("sensor", "/0/modality", json!("radar"));
+    let lidar: serde_json::Value = log.json("log/v1.0-mini/sensor.json");
+    assert!(
+        lidar.as_array().unwrap().iter().any(|s| s["channel"] == "LIDAR_TOP" && s["modality"] == "radar")
+    );
+    assert_failed(
+        &log.run("build nuscenes:log --out out/sk"),
+        1,
+        &["frames with a LiDAR sweep, found none in 3 frames of tiny"],
+    );
+    assert!(!log.path("out/sk.partial").exists());
 }

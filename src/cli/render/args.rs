@@ -39,8 +39,7 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "T_US,..", value_delimiter = ',', allow_hyphen_values = true)]
     #[arg(conflicts_with = "frames")]
     pub(super) at: Vec<i64>,
-    /// Instead of frames times at this rate (0.1 to 100 a second), from the first frame's to the last's; ego and
-    /// actors are interpolated
+    /// Times at this rate (0.1 to 100 a second) from the first to the last of the frames; ego and actors are interpolated
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     #[arg(conflicts_with = "at")]
     pub(super) hz: Option<f64>,

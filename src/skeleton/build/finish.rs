@@ -13,6 +13,10 @@ impl Builder<'_> {
     /// Merges the cells of all runs and writes the skeleton.
     pub(super) fn finish(&self, out: &Path, templates: &MakeTemplates) -> Result<(), BuildError> {
         let report = with_notes(self.done.report.clone(), &self.streams);
+        if report.sweeps == 0 {
+            let logs = self.streams.iter().map(|stream| stream.log.name.clone()).collect();
+            return Err(BuildError::NoSweeps { frames: self.done.frames, logs });
+        }
         if report.background_points == 0 && report.actor_points == 0 {
             return Err(BuildError::Empty { sweeps: report.sweeps, points: report.points_read });
         }

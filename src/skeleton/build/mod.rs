@@ -22,7 +22,7 @@ use self::checkpoint::{Done, Plan, PlannedLog, WorkFolder};
 use self::stream::{FrameCloud, Stream};
 use self::sums::Voxels;
 use super::manifest::{BuildReport, Source};
-use super::{BuildOptions, Skeleton, Template};
+use super::{BuildOptions, Skeleton, SkeletonWriter, Template};
 use crate::cloud::Point;
 use crate::dataset::{Dataset, DatasetError};
 use crate::error::FileError;
@@ -43,6 +43,14 @@ pub enum BuildError {
         frames: usize,
         /// The one asked for.
         found: usize,
+    },
+    /// No sweep at all.
+    #[error("expected frames with a LiDAR sweep, found none in {frames} frames of {}", logs.join(", "))]
+    NoSweeps {
+        /// Frames looked at.
+        frames: usize,
+        /// Names of their logs.
+        logs: Vec<String>,
     },
     /// Nothing to build from.
     #[error(
@@ -143,12 +151,13 @@ pub fn build(
     let streams: Vec<Stream> =
         inputs.iter().map(|input| Stream::new(input, options)).collect::<Result<_, _>>()?;
     check_places(&streams)?;
+    SkeletonWriter::check_target(out)?;
     let (work, done) = WorkFolder::open(out, plan(&streams, options), run.resume)?;
     let cells = Cells::new(Voxels { side_m: options.voxel_m });
     let mut builder = Builder { streams, options, run, work, done, cells, since: 0 };
     let built = builder.gather().and_then(|()| builder.finish(out, templates));
     if let Err(source) = built {
-        if matches!(source, BuildError::Empty { .. }) {
+        if matches!(source, BuildError::Empty { .. } | BuildError::NoSweeps { .. }) {
             builder.work.close()?;
             return Err(source);
         }

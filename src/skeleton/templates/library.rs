@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{TemplateCloud, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
-use crate::error::{FileError, check_replaceable, write_json, write_whole, write_whole_folder};
+use crate::error::{FileError, check_only_ours, write_json, write_whole, write_whole_folder};
 use crate::gpu::MappedFile;
 use crate::skeleton::{Source, Template};
 
@@ -74,7 +74,7 @@ impl TemplateLibrary {
     /// # Errors
     /// Something else is there.
     pub fn check_target(path: &Path) -> Result<(), FileError> {
-        check_replaceable(path, MANIFEST)
+        check_only_ours(path, MANIFEST, |name| name == MANIFEST || name == POINTS || name.ends_with(".png"))
     }
 
     /// Whether a folder looks like a library.
