@@ -29,9 +29,16 @@ const TITLE: u32 = 28;
 /// Width of the depth legend.
 const BAR: u32 = 160;
 
-/// Where the cameras of a surround rig stand: rows of three.
-const SURROUND: [&str; 6] =
-    ["CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT"];
+/// Where the cameras of known rigs stand: two rows each, forward and backward, from left to right.
+const RIGS: [[&[&str]; 2]; 4] = [
+    [&["CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT"], &["CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT"]],
+    [&["CAM_L0", "CAM_F0", "CAM_R0"], &["CAM_L1", "CAM_B0", "CAM_R1"]],
+    [&["CAM_L1", "CAM_L0", "CAM_F0", "CAM_R0", "CAM_R1"], &["CAM_L2", "CAM_B0", "CAM_R2"]],
+    [
+        &["ring_front_left", "ring_front_center", "ring_front_right"],
+        &["ring_side_left", "ring_rear_left", "ring_rear_right", "ring_side_right"],
+    ],
+];
 
 /// Colors and names of the classes from 1 on.
 pub(super) const CLASSES: [([u8; 3], &str); 4] = [
@@ -107,15 +114,12 @@ impl Grid {
         let height = set.cameras.iter().map(|c| fitted(c.size(), width).height).max().unwrap_or(1);
         let (tile, count) = (ImageSize { height, width }, set.cameras.len());
         let names: Vec<&str> = set.cameras.iter().map(|c| c.name.as_str()).collect();
-        let place = |name: &&str| SURROUND.iter().position(|s| s == name);
-        let surround: Option<Vec<usize>> = names.iter().map(place).collect();
-        let places = surround.filter(|_| count == 6).unwrap_or_else(|| (0..count).collect());
-        let corner = |place: usize| {
-            let [column, row] = [(place % 3) as u32, (place / 3) as u32];
-            [column * (tile.width + GAP), row * (tile.height + GAP)]
-        };
-        let corners = places.into_iter().map(corner).collect();
-        Self { tile, corners, rows: count.div_ceil(3) as u32, columns: count.min(3) as u32 }
+        let places = RIGS.iter().find_map(|rig| places_in_rig(rig, &names));
+        let places = places.unwrap_or_else(|| (0..count as u32).map(|i| [i % 3, i / 3]).collect());
+        let end = |axis: usize| places.iter().map(|place| place[axis] + 1).max().unwrap_or(0);
+        let (columns, rows) = (end(0), end(1));
+        let corner = |[column, row]: [u32; 2]| [column * (tile.width + GAP), row * (tile.height + GAP)];
+        Self { tile, corners: places.into_iter().map(corner).collect(), rows, columns }
     }
 
     fn width(&self) -> u32 {
@@ -125,6 +129,16 @@ impl Grid {
     fn height(&self) -> u32 {
         (self.rows * (self.tile.height + GAP)).saturating_sub(GAP)
     }
+}
+
+/// Column and row of each camera; `None` unless these are just the cameras of the rig.
+fn places_in_rig(rig: &[&[&str]; 2], names: &[&str]) -> Option<Vec<[u32; 2]>> {
+    let place = |name: &&str| {
+        let in_row = |row: usize| Some([rig[row].iter().position(|n| n == name)? as u32, row as u32]);
+        in_row(0).or_else(|| in_row(1))
+    };
+    let whole = names.len() == rig[0].len() + rig[1].len();
+    names.iter().map(place).collect::<Option<Vec<_>>>().filter(|_| whole)
 }
 
 /// Size of a picture shrunk to a width; smaller ones keep theirs.
@@ -268,6 +282,11 @@ mod tests {
         let [column, row] = [6 + GAP, 4 + GAP];
         let expected = [[column, 0], [2 * column, 0], [2 * column, row], [column, row], [0, row], [0, 0]];
         assert_eq!(Grid::of(&named(&order)).corners, expected);
+        let ring = ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_L2", "CAM_L1", "CAM_L0"];
+        let grid = Grid::of(&named(&ring));
+        assert_eq!((grid.columns, grid.rows), (5, 2));
+        assert_eq!((grid.corners[0], grid.corners[4]), ([2 * column, 0], [column, row]));
+        assert_eq!((grid.corners[7], grid.corners[2]), ([column, 0], [4 * column, 0]));
         // Others in their own order.
         assert_eq!(Grid::of(&named(&["a", "b", "c", "d"])).corners[3], [0, row]);
         assert_eq!(Grid::of(&named(&["CAM_BACK"])).corners, [[0, 0]]);
