@@ -168,7 +168,8 @@ impl Skeleton {
     /// # Errors
     /// A missing or damaged file, another format or version.
     pub fn open(path: &Path) -> Result<Self, FileError> {
-        let manifest = read_manifest(&path.join(MANIFEST))?;
+        let format = (Manifest::FORMAT, Manifest::VERSION);
+        let manifest: Manifest = read_manifest(&path.join(MANIFEST), "a skeleton manifest", format)?;
         let map = |name: &str, points: u128| {
             let file = path.join(name);
             let mapped = MappedFile::open(&file)?;
@@ -228,14 +229,19 @@ fn slices(file: &MappedFile, lengths: impl Iterator<Item = usize>) -> Vec<&[Poin
         .collect()
 }
 
-fn read_manifest(path: &Path) -> Result<Manifest, FileError> {
+/// Reads a manifest of a format and version; `what` it is is for messages.
+pub(in crate::skeleton) fn read_manifest<T: serde::de::DeserializeOwned>(
+    path: &Path,
+    what: &str,
+    (own_format, own_version): (&str, u32),
+) -> Result<T, FileError> {
     let text = std::fs::read(path).map_err(FileError::io("read", path))?;
-    let wrong = |e: serde_json::Error| FileError::content("a skeleton manifest", e.to_string(), path);
+    let wrong = |e: serde_json::Error| FileError::content(what, e.to_string(), path);
     // The version first: what else stands there depends on it.
     let value: serde_json::Value = serde_json::from_slice(&text).map_err(wrong)?;
     let (format, version) = (&value["format"], &value["version"]);
-    if format != Manifest::FORMAT || version != Manifest::VERSION {
-        let expected = format!("format {:?} version {}", Manifest::FORMAT, Manifest::VERSION);
+    if format != own_format || version != own_version {
+        let expected = format!("format {own_format:?} version {own_version}");
         return Err(FileError::content(expected, format!("format {format} version {version}"), path));
     }
     serde_json::from_value(value).map_err(wrong)

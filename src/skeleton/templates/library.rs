@@ -9,6 +9,7 @@ use super::{TemplateCloud, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
 use crate::error::{FileError, check_only_ours, write_json, write_whole, write_whole_folder};
 use crate::gpu::MappedFile;
+use crate::skeleton::store::read_manifest;
 use crate::skeleton::{Source, Template};
 
 const MANIFEST: &str = "templates.json";
@@ -109,7 +110,7 @@ impl TemplateLibrary {
     /// # Errors
     /// A missing or damaged file, another format or version.
     pub fn open(path: &Path) -> Result<Self, FileError> {
-        let manifest = read_manifest(&path.join(MANIFEST))?;
+        let manifest = read_library(&path.join(MANIFEST))?;
         let file = path.join(POINTS);
         let mapped = MappedFile::open(&file)?;
         let bytes = mapped.as_bytes();
@@ -130,17 +131,9 @@ impl TemplateLibrary {
     }
 }
 
-fn read_manifest(path: &Path) -> Result<LibraryManifest, FileError> {
-    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
-    let wrong = |e: serde_json::Error| FileError::content("a list of templates", e.to_string(), path);
-    // The version first: what else stands there depends on it.
-    let value: serde_json::Value = serde_json::from_slice(&text).map_err(wrong)?;
-    let (format, version) = (&value["format"], &value["version"]);
-    if format != LibraryManifest::FORMAT || version != LibraryManifest::VERSION {
-        let expected = format!("format {:?} version {}", LibraryManifest::FORMAT, LibraryManifest::VERSION);
-        return Err(FileError::content(expected, format!("format {format} version {version}"), path));
-    }
-    let manifest: LibraryManifest = serde_json::from_value(value).map_err(wrong)?;
+fn read_library(path: &Path) -> Result<LibraryManifest, FileError> {
+    let format = (LibraryManifest::FORMAT, LibraryManifest::VERSION);
+    let manifest: LibraryManifest = read_manifest(path, "a list of templates", format)?;
     for (i, template) in manifest.templates.iter().enumerate() {
         let bad =
             |found: String| FileError::content("one template a kind, with a positive size", found, path);
