@@ -18,6 +18,7 @@ pub mod gpu;
 pub mod metrics;
 pub mod raster;
 pub mod scene;
+pub mod sim;
 pub mod skeleton;
 pub mod town;
 

@@ -1,18 +1,25 @@
-//! The built-in street: a small drive that needs no files, with true images and exact boxes.
+//! The town that is built in: a drive that needs no files, with true images, exact boxes and an HD map.
 //!
 //! # How it works
-//! `street` sets up the scene: houses, trees, parked and moving actors, and the drive through it. `world` finds what a ray
-//! meets, `material` what it looks like there, `film` turns rays into images and LiDAR sweeps. [`Street`] is a
-//! [`Dataset`](crate::dataset::Dataset) like any recorded one. Everything follows from a seed.
+//! [`plan`] draws streets and lanes and lets traffic move, [`built`] and [`model`] give everything its triangles
+//! ([`mesh`]). Everything follows from a seed.
+//!
+//! `street` is a smaller one of convex solids, filmed by casting rays: [`Street`] is a
+//! [`Dataset`](crate::dataset::Dataset) like any recorded one.
 //!
 //! `cloud` is another street, a bare cloud with cameras in it: what speed is measured on.
 
+pub mod built;
 mod cloud;
 mod film;
 mod hash;
 mod material;
+pub mod mesh;
+pub mod model;
 mod model_surface;
 mod models;
+mod options;
+pub mod plan;
 mod scenery;
 mod shape;
 mod street;
@@ -20,4 +27,5 @@ mod world;
 
 pub use cloud::{street_cloud, street_views};
 pub use model_surface::{Model, SurfacePoint};
+pub use options::{Daylight, TownOptions};
 pub use street::{Street, StreetOptions};

@@ -1,0 +1,153 @@
+//! Triangles with what their surface is: what the town is made of, for the camera and for the LiDAR.
+
+use bytemuck::{Pod, Zeroable};
+use glam::{DVec2, DVec3};
+
+/// What a surface is made of; it tells how it is shaded and how it throws light back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+#[allow(missing_docs)]
+pub enum Surface {
+    /// One matt color.
+    Plain = 0,
+    Asphalt = 1,
+    /// Slabs.
+    Sidewalk = 2,
+    /// Worn paint on asphalt.
+    Paint = 3,
+    Grass = 4,
+    Plaster = 5,
+    Brick = 6,
+    /// Window of a house: mirrors the sky; a room or curtains behind.
+    Window = 7,
+    /// Window of a vehicle.
+    CarGlass = 8,
+    CarPaint = 9,
+    Rubber = 10,
+    Metal = 11,
+    Foliage = 12,
+    Bark = 13,
+    RoofTiles = 14,
+    Concrete = 15,
+    /// A lamp: bright whatever the light, brighter at dusk.
+    Lamp = 16,
+    /// A traffic sign or a shop sign.
+    Sign = 17,
+    Wood = 18,
+    Cloth = 19,
+}
+
+/// A corner of a triangle. 40 bytes; the device takes it as it is.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Vertex {
+    /// Metres, in the mesh's frame.
+    pub position: [f32; 3],
+    /// Unit, outward.
+    pub normal: [f32; 3],
+    /// Metres along the surface, for patterns.
+    pub uv: [f32; 2],
+    /// sRGB; the fourth is 255.
+    pub rgba: [u8; 4],
+    /// [`Surface`] in the low 8 bits, a seed of the pattern above.
+    pub surface: u32,
+}
+
+/// Color and kind of a surface, for building meshes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Skin {
+    /// sRGB.
+    pub rgb: [u8; 3],
+    /// What it is made of.
+    pub surface: Surface,
+    /// Of its pattern; 24 bits count.
+    pub seed: u32,
+}
+
+/// Triangles, counter-clockwise seen from outside.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    /// Corners.
+    pub vertices: Vec<Vertex>,
+    /// Indices of corners.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Skin {
+    /// Without a pattern's seed.
+    pub const fn new(rgb: [u8; 3], surface: Surface) -> Self {
+        Self { rgb, surface, seed: 0 }
+    }
+}
+
+impl Mesh {
+    /// Adds a convex polygon, counter-clockwise seen from outside, with one normal; `uv` runs along its first edge
+    /// and across, metres, from its first corner.
+    pub fn polygon(&mut self, corners: &[DVec3], skin: Skin) {
+        let [a, b, .., last] = corners else { return };
+        let along = (*b - *a).normalize_or_zero();
+        let normal = along.cross(*last - *a).normalize_or_zero();
+        let across = normal.cross(along);
+        let uv = |p: DVec3| DVec2::new((p - *a).dot(along), (p - *a).dot(across));
+        let corners: Vec<(DVec3, DVec3, DVec2)> = corners.iter().map(|p| (*p, normal, uv(*p))).collect();
+        self.fan(&corners, skin);
+    }
+
+    /// Adds a convex polygon of corners with position, normal and uv of their own.
+    pub fn fan(&mut self, corners: &[(DVec3, DVec3, DVec2)], skin: Skin) {
+        let first = self.vertices.len() as u32;
+        self.vertices.extend(corners.iter().map(|(position, normal, uv)| Vertex {
+            position: position.as_vec3().to_array(),
+            normal: normal.as_vec3().to_array(),
+            uv: uv.as_vec2().to_array(),
+            rgba: [skin.rgb[0], skin.rgb[1], skin.rgb[2], 255],
+            surface: skin.surface as u32 | skin.seed << 8,
+        }));
+        self.triangles.extend((2..corners.len() as u32).map(|i| [first, first + i - 1, first + i]));
+    }
+
+    /// Adds the six sides of a box.
+    pub fn block(&mut self, min: DVec3, max: DVec3, skin: Skin) {
+        let corner = |bits: usize| {
+            let pick = |axis: usize| if bits >> axis & 1 == 1 { max[axis] } else { min[axis] };
+            DVec3::new(pick(0), pick(1), pick(2))
+        };
+        for side in [[1, 3, 7, 5], [2, 0, 4, 6], [3, 2, 6, 7], [0, 1, 5, 4], [4, 5, 7, 6], [2, 3, 1, 0]] {
+            self.polygon(&side.map(corner), skin);
+        }
+    }
+
+    /// Adds another mesh.
+    pub fn append(&mut self, other: &Self) {
+        let first = self.vertices.len() as u32;
+        self.vertices.extend_from_slice(&other.vertices);
+        self.triangles.extend(other.triangles.iter().map(|t| t.map(|i| i + first)));
+    }
+
+    /// Least and greatest coordinates, metres; `None` without corners.
+    pub fn bounds(&self) -> Option<[DVec3; 2]> {
+        let positions = self.vertices.iter().map(|v| glam::Vec3::from(v.position).as_dvec3());
+        positions.map(|p| [p, p]).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_is_closed_and_looks_outward() {
+        let mut mesh = Mesh::default();
+        mesh.block(DVec3::new(-1.0, -2.0, 0.0), DVec3::new(1.0, 2.0, 3.0), Skin::new([9; 3], Surface::Plain));
+        assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (24, 12));
+        assert_eq!(mesh.bounds(), Some([DVec3::new(-1.0, -2.0, 0.0), DVec3::new(1.0, 2.0, 3.0)]));
+        let mut volume = 0.0;
+        for triangle in &mesh.triangles {
+            let [a, b, c] = triangle.map(|i| glam::Vec3::from(mesh.vertices[i as usize].position));
+            let normal = (b - a).cross(c - a).normalize();
+            assert_eq!(normal.to_array(), mesh.vertices[triangle[0] as usize].normal);
+            volume += a.dot(b.cross(c)) / 6.0;
+        }
+        assert!((volume - 24.0).abs() < 1e-5);
+    }
+}
