@@ -15,6 +15,7 @@ pub mod dataset;
 pub mod error;
 pub mod geometry;
 pub mod gpu;
+pub mod logs;
 pub mod metrics;
 pub mod raster;
 pub mod scene;

@@ -2,6 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::cli::log_args;
 use crate::cli::numbers::{self, FrameRange};
 use crate::cli::rasterizer::RasterizerArgs;
 use crate::conditions::ImageSize;
@@ -15,7 +16,7 @@ use crate::raster::{FRAMES_IN_FLIGHT, FrameKinds, SplatSchedule};
 #[derive(Debug, Args)]
 pub(in crate::cli) struct BenchArgs {
     /// Drive whose frames are drawn in turn: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes#scene-0061
-    #[arg(requires = "skeleton", conflicts_with_all = ["synthetic", "seed", "points", "cameras"])]
+    #[arg(value_parser = log_args::log, requires = "skeleton", conflicts_with_all = ["synthetic", "seed", "points", "cameras"])]
     pub(super) log: Option<LogLocator>,
     /// Skeleton that was built from the drive
     #[arg(long, value_name = "SKEL", requires = "log")]

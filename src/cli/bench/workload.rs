@@ -5,8 +5,9 @@ use crate::cli::numbers::FrameRange;
 use crate::cli::render::open_skeleton;
 use crate::cloud::{self, Point, PointFile};
 use crate::conditions::{ConditionOptions, ImageSize};
-use crate::dataset::{self, Log, LogLocator};
+use crate::dataset::{Log, LogLocator};
 use crate::geometry::View;
+use crate::logs;
 use crate::raster::{CloudSet, Crop, FrameJob, Instance, Occlusion};
 use crate::scene::{EgoOffset, SceneInstances, SelectionOptions, Stage, state_of_frame};
 use crate::skeleton::Skeleton;
@@ -76,7 +77,7 @@ impl Workload {
     }
 
     fn of_drive(log: &LogLocator, skeleton: &Path, frames: Option<FrameRange>) -> anyhow::Result<Self> {
-        let dataset = dataset::open(log)?;
+        let dataset = logs::open(log)?;
         let skeleton = open_skeleton(skeleton, dataset.as_ref())?;
         let log = dataset.log();
         let range = FrameRange::of(frames, log.frames.len())?;

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::log_args::LogRoots;
 use super::say;
-use crate::dataset::LogLocator;
+use crate::logs;
 use crate::skeleton::{Skeleton, TemplateLibrary};
 
 mod file;
@@ -58,7 +58,7 @@ fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
         return Ok((json.clone(), as_lines(&json)));
     }
     if target.contains(':') && !path.exists() {
-        let log = roots.open(&target.parse::<LogLocator>()?)?;
+        let log = roots.open(&logs::locate(target)?)?;
         let json = log::describe(log.as_ref());
         return Ok((json.clone(), log::text(&json)));
     }

@@ -4,7 +4,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::cli::WrongUsage;
-use crate::cli::log_args::LogRoots;
+use crate::cli::log_args::{self, LogRoots};
 use crate::cli::numbers::{self, FrameRange};
 use crate::cli::rasterizer::RasterizerArgs;
 use crate::cli::stand_ins::{StandInArgs, StandInReport};
@@ -23,6 +23,7 @@ use crate::scene::{EgoOffset, SelectionOptions, TemplateFit};
 #[derive(Debug, Args)]
 pub(in crate::cli) struct RenderArgs {
     /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    #[arg(value_parser = log_args::log)]
     pub(super) log: LogLocator,
     #[command(flatten)]
     pub(super) roots: LogRoots,
