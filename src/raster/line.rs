@@ -82,7 +82,7 @@ impl LineStage {
         let (vertex, fragment) = (&shaders::line_vert::SHADER, &shaders::line_frag::SHADER);
         let layout = Arc::new(PipelineLayout::new(device, &[vertex, fragment])?);
         let color_read = vk::ImageLayout::TRANSFER_SRC_OPTIMAL;
-        let desc = RenderPassDesc { name: "lines", color: COLOR, color_read, depth: None };
+        let desc = RenderPassDesc { name: "lines", colors: &[COLOR], color_read, depth: None };
         let pass = Arc::new(RenderPass::new(device, &desc)?);
         let offsets = [
             std::mem::offset_of!(LineInstance, from) as u32,
@@ -98,7 +98,7 @@ impl LineStage {
             fragment,
             pass: &pass,
             topology: Topology::TriangleStrip,
-            vertices: VertexBuffer { stride, per_instance: true, offsets: &offsets },
+            vertices: Some(VertexBuffer { stride, per_instance: true, offsets: &offsets }),
         })?;
         Ok(Self { pipeline, pass })
     }

@@ -23,7 +23,7 @@ mod resolve;
 mod schedule;
 mod splat;
 mod steps;
-mod tiles;
+pub(crate) mod tiles;
 mod vulkan;
 
 pub use compute::{ComputeRasterizer, ComputeRasterizerDesc};

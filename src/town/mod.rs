@@ -26,6 +26,7 @@ pub mod plan;
 mod scenery;
 mod shape;
 mod street;
+pub mod view;
 mod world;
 
 pub use cloud::{street_cloud, street_views};
