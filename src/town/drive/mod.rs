@@ -23,10 +23,12 @@ use super::lidar::{Lidar, Mover, Scanner, Turn};
 use super::mesh::Mesh;
 use super::model::Body;
 use super::plan::{Actor, Motion, Plan};
+use super::view::FilmError;
 use super::{Daylight, TownOptions, TownOptionsError, built, hash};
 use crate::dataset::nuscenes::MapLayers;
 use crate::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord, VectorMap};
 use crate::geometry::{CameraError, Pose};
+use crate::gpu::GpuError;
 
 pub use truth::TrueActor;
 
@@ -60,6 +62,12 @@ pub enum TownError {
     /// An image size that no camera has.
     #[error(transparent)]
     Camera(#[from] CameraError),
+    /// Filming.
+    #[error(transparent)]
+    Film(#[from] FilmError),
+    /// The device or driver.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
     /// Somebody who is not in the town.
     #[error("expected tracks of town {town}, found {track}")]
     Track {
