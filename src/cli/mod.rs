@@ -8,6 +8,7 @@
 mod bench;
 mod build;
 mod convert;
+mod fidelity;
 mod info;
 mod log_args;
 mod numbers;
@@ -17,6 +18,7 @@ mod render;
 mod splat;
 mod stand_ins;
 mod templates;
+mod town;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -43,6 +45,8 @@ enum Command {
     Convert(convert::ConvertArgs),
     Templates(templates::TemplatesArgs),
     Bench(Box<bench::BenchArgs>),
+    Town(town::TownArgs),
+    Fidelity(Box<fidelity::FidelityArgs>),
 }
 
 impl Command {
@@ -55,6 +59,8 @@ impl Command {
             Self::Convert(args) => convert::run(args),
             Self::Templates(args) => templates::run(&args),
             Self::Bench(args) => bench::run(&args),
+            Self::Town(args) => town::run(&args),
+            Self::Fidelity(args) => fidelity::run(&args),
         }
     }
 }
