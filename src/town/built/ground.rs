@@ -104,8 +104,10 @@ fn between(ways: &Ways, style: &Style, cells: &mut Cells) {
     let (from, to) = (cell_of(low - AROUND_M), cell_of(high + AROUND_M));
     for x in from[0]..=to[0] {
         for y in from[1]..=to[1] {
-            let (min, max) =
-                (DVec2::new(x as f64, y as f64) * CELL_M, DVec2::new(x as f64 + 1.0, y as f64 + 1.0) * CELL_M);
+            let (min, max) = (
+                DVec2::new(x as f64, y as f64) * CELL_M,
+                DVec2::new(x as f64 + 1.0, y as f64 + 1.0) * CELL_M,
+            );
             let square = [[min.x, min.y], [max.x, min.y], [max.x, max.y], [min.x, max.y]];
             let lawn = Skin::new(style.lawn, Surface::Grass);
             let mesh = cells.mesh([x, y]);

@@ -16,8 +16,7 @@ impl Line {
         if kept.len() < 2 {
             return None;
         }
-        let normals: Vec<DVec2> =
-            kept.windows(2).map(|p| (p[1] - p[0]).normalize_or_zero().perp()).collect();
+        let normals: Vec<DVec2> = kept.windows(2).map(|p| (p[1] - p[0]).normalize_or_zero().perp()).collect();
         let left = |i: usize| match (i.checked_sub(1).and_then(|i| normals.get(i)), normals.get(i)) {
             (Some(a), Some(b)) => {
                 let middle = (*a + *b).normalize_or(*b);
@@ -32,6 +31,16 @@ impl Line {
             at_m.push(at_m[at_m.len() - 1] + pair[0].distance(pair[1]));
         }
         Some(Self { points: kept, lefts, at_m })
+    }
+
+    /// The same line from its end to its start.
+    pub(super) fn reversed(&self) -> Self {
+        let length = self.length();
+        Self {
+            points: self.points.iter().rev().copied().collect(),
+            lefts: self.lefts.iter().rev().map(|left| -*left).collect(),
+            at_m: self.at_m.iter().rev().map(|s| length - s).collect(),
+        }
     }
 
     /// Metres.

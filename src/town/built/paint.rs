@@ -99,7 +99,12 @@ impl Brush<'_> {
     /// A painted piece, bent at one place; none on crossings.
     fn rectangle(&self, s: [f64; 2], left: [f64; 2], bend: f64, rgb: [u8; 3], cells: &mut Cells) {
         let middle = self.line.point((s[0] + s[1]) / 2.0, (left[0] + left[1]) / 2.0);
-        if self.network.crossings.iter().any(|crossing| crossing.road == self.road && inside(crossing, middle)) {
+        if self
+            .network
+            .crossings
+            .iter()
+            .any(|crossing| crossing.road == self.road && inside(crossing, middle))
+        {
             return;
         }
         let bend = bend.clamp(s[0], s[1]);
@@ -200,7 +205,13 @@ fn arrow(network: &Network, lane: usize, cells: &mut Cells) {
     for next in lane.successors.iter().filter_map(|next| network.lanes.get(*next)) {
         if let Some(next) = Line::new(&next.centerline) {
             let turn = next.direction(0.0).angle_to(next.direction(next.length()));
-            ways[if turn > 0.5 { 0 } else if turn < -0.5 { 2 } else { 1 }] = true;
+            ways[if turn > 0.5 {
+                0
+            } else if turn < -0.5 {
+                2
+            } else {
+                1
+            }] = true;
         }
     }
     let tail = line.length() - 16.0;

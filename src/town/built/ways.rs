@@ -132,7 +132,13 @@ fn kerb(points: Vec<DVec2>, ends: [Option<DVec2>; 2], widths_m: [f64; 2]) -> Ker
     let out = |i: usize| -(points[i + 1] - points[i]).normalize_or_zero().perp();
     let last = points.len() - 1;
     let outs = (0..=last).map(|i| {
-        let given = if i == 0 { ends[0] } else if i == last { ends[1] } else { None };
+        let given = if i == 0 {
+            ends[0]
+        } else if i == last {
+            ends[1]
+        } else {
+            None
+        };
         let (before, after) = (out(if i == 0 { 0 } else { i - 1 }), out(i.min(last - 1)));
         given.unwrap_or_else(|| {
             let middle = (before + after).normalize_or(after);
