@@ -19,7 +19,7 @@ float asphalt(Sample s, vec2 p) {
     float wander = noise(p * 0.62 + 0.35 * coarse, 15u) - 0.5;
     float crack = 1.0 - smoothstep(0.0, 0.006 + 0.4 * s.sample_m, abs(wander));
     crack *= smoothstep(0.52, 0.62, noise(p * 0.11, 16u)) * detail(s, 0.10);
-    return 1.0 + 0.55 * grain + 0.22 * coarse + 0.26 * patches + 0.24 * stains - 0.5 * crack;
+    return 1.0 + 0.40 * grain + 0.22 * coarse + 0.26 * patches + 0.24 * stains - 0.5 * crack;
 }
 
 float slabs(Sample s, vec2 uv) {

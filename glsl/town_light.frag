@@ -94,10 +94,10 @@ float sky_seen(vec3 p, vec3 n, float height_m) {
         vec2 tap = at.xy + texel * r * vec2(axis.x * side.x - axis.y * side.y, axis.y * side.x + axis.x * side.y);
         tap = clamp(tap, vec2(0.5), vec2(size) - 0.5);
         float above = (at.z - texelFetch(over, ivec2(tap), 0).x) * m_of_depth;
-        float close = clamp(above * 8.0, 0.0, 1.0) / (1.0 + 0.22 * max(above, 0.0));
+        float close = clamp(above * 8.0, 0.0, 1.0) / (1.0 + 0.14 * max(above, 0.0));
         hidden += close * (i < 4 ? 1.4 : 0.8);
     }
-    float open = 1.0 - 0.85 * hidden / 12.0;
+    float open = max(1.0 - 0.95 * hidden / 12.0, 0.08);
     float share = clamp(inside(at.xy, size) / 64.0, 0.0, 1.0);
     float wall = 1.0 - abs(n.z);
     float low = mix(1.0, 0.66 + 0.34 * clamp(height_m / 1.6, 0.0, 1.0), wall);

@@ -33,3 +33,4 @@ mod street;
 mod templates;
 mod tensor;
 mod tiny_log;
+mod town_view;

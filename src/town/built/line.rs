@@ -33,6 +33,16 @@ impl Line {
         Some(Self { points: kept, lefts, at_m })
     }
 
+    /// The same line from its end to its start.
+    pub(super) fn reversed(&self) -> Self {
+        let length = self.length();
+        Self {
+            points: self.points.iter().rev().copied().collect(),
+            lefts: self.lefts.iter().rev().map(|left| -*left).collect(),
+            at_m: self.at_m.iter().rev().map(|s| length - s).collect(),
+        }
+    }
+
     /// Metres.
     pub(super) fn length(&self) -> f64 {
         self.at_m[self.at_m.len() - 1]

@@ -26,9 +26,9 @@ impl Wall {
         self.origin + self.along * u + DVec3::Z * v + self.out * out
     }
 
-    /// The same plane, so far in front of it.
-    pub(super) fn moved(&self, out: f64) -> Self {
-        Self { origin: self.at(0.0, 0.0, out), ..*self }
+    /// The same plane with its origin elsewhere.
+    pub(super) fn moved(&self, u: f64, v: f64, out: f64) -> Self {
+        Self { origin: self.at(u, v, out), ..*self }
     }
 
     /// Another wall from `u` on that looks to the right of this one, so long towards the inside.
@@ -39,11 +39,15 @@ impl Wall {
 
     /// An upright rectangle; the pattern runs through all rectangles of the wall.
     pub(super) fn quad(&self, mesh: &mut Mesh, u: [f64; 2], v: [f64; 2], out: f64, skin: Skin) {
-        if u[1] - u[0] < 1e-6 || v[1] - v[0] < 1e-6 {
-            return;
+        if u[1] - u[0] > 1e-6 && v[1] - v[0] > 1e-6 {
+            self.shape(mesh, &[[u[0], v[0]], [u[1], v[0]], [u[1], v[1]], [u[0], v[1]]], out, skin);
         }
-        let corner = |(u, v): (f64, f64)| (self.at(u, v, out), self.out, DVec2::new(u, v));
-        mesh.fan(&[(u[0], v[0]), (u[1], v[0]), (u[1], v[1]), (u[0], v[1])].map(corner), skin);
+    }
+
+    /// An upright convex polygon in `u` and `v`, counter-clockwise, as [`Wall::quad`].
+    pub(super) fn shape(&self, mesh: &mut Mesh, corners: &[[f64; 2]], out: f64, skin: Skin) {
+        let corner = |[u, v]: &[f64; 2]| (self.at(*u, *v, out), self.out, DVec2::new(*u, *v));
+        mesh.fan(&corners.iter().map(corner).collect::<Vec<_>>(), skin);
     }
 
     /// A convex polygon in `u`, `v` and `out`, counter-clockwise seen from outside.

@@ -78,7 +78,7 @@ impl Light {
                 cloud_shift,
                 haze_per_m: 0.0030,
                 lamps: 0.15,
-                exposure: 0.80,
+                exposure: 0.88,
                 bare: false,
             },
         }

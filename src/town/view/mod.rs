@@ -106,7 +106,7 @@ impl Filmer {
         })
     }
 
-    /// The same with tiles of at most so many pixels a side. Results do not depend on it.
+    /// The same with tiles of at most so many pixels a side. Results do not depend on it but for rounding.
     pub fn with_tile_side(mut self, side: u32) -> Self {
         self.limits = tile_limits(&self.device, Some(side));
         self
