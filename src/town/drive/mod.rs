@@ -150,23 +150,17 @@ impl Town {
         })
     }
 
-    fn sweep(&self, record: &SweepRecord) -> Sweep {
+    fn sweep<'a>(&'a self, record: &SweepRecord) -> Sweep {
         let scanner = self.scanner.get_or_init(|| {
             let meshes = self.meshes();
             Scanner::new(&meshes.standing, &meshes.bodies)
         });
         let end_s = seconds(record.t_us);
-        let mover = |actor: &'_ Actor| (limbs(actor.body, &actor.motion, end_s), actor.body);
-        let movers: Vec<Mover<'_>> = self
-            .plan
-            .traffic
-            .actors
-            .iter()
-            .map(|actor| {
-                let (limbs, body) = mover(actor);
-                Mover { body, limbs, motion: &actor.motion }
-            })
-            .collect();
+        let mover = |actor: &'a Actor| {
+            let limbs = limbs(actor.body, &actor.motion, end_s);
+            Mover { body: actor.body, limbs, motion: &actor.motion }
+        };
+        let movers: Vec<Mover<'a>> = self.plan.traffic.actors.iter().map(mover).collect();
         let town_from_lidar = |t_s: f64| self.plan.traffic.ego.pose(t_s) * record.ego_from_lidar;
         let lidar = Lidar::new(self.options.beams, self.options.lidar_hz);
         let seed = Some(hash::hash(self.options.seed, &[record.t_us]));
@@ -221,14 +215,7 @@ fn describe(options: &TownOptions) -> String {
 
 /// Which pose of its limbs somebody shows.
 fn limbs(body: Body, motion: &Motion, t_s: f64) -> usize {
-    /// One cycle of legs or pedals, metres.
-    const CYCLE_M: f64 = 1.5;
-    let poses = body.poses();
-    if poses < 2 || motion.poses.len() < 2 {
-        return 0;
-    }
-    let share = (motion.travelled_m(t_s) / CYCLE_M).rem_euclid(1.0);
-    ((share * poses as f64) as usize).min(poses - 1)
+    if motion.poses.len() > 1 { body.pose_at(motion.travelled_m(t_s)) } else { 0 }
 }
 
 impl TownOptions {

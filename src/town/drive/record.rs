@@ -78,7 +78,7 @@ impl Recorder<'_> {
             let t_us = t_us - CAMERAS[rig.channel].before_us;
             ImageRecord {
                 channel: rig.channel,
-                path: PathBuf::new(),
+                path: file(CAMERAS[rig.channel].channel, t_us, "jpg"),
                 t_us,
                 global_from_ego: self.global_from_ego(t_us),
                 ego_from_camera: rig.ego_from_camera,
@@ -103,7 +103,7 @@ impl Recorder<'_> {
         // A turn that would begin before the last one's end was not made.
         let ended = |t_us: &i64| *t_us == self.time_us(index) || *t_us - before_us >= turn_us.floor() as i64;
         let record = |at_us: i64| SweepRecord {
-            path: PathBuf::new(),
+            path: file("LIDAR_TOP", at_us, "pcd.bin"),
             t_us: at_us,
             global_from_ego: self.global_from_ego(at_us),
             ego_from_lidar: ego_from_lidar(),
@@ -121,6 +121,11 @@ impl Recorder<'_> {
         };
         self.traffic.actors.iter().enumerate().filter_map(near).collect()
     }
+}
+
+/// There is no such file, but what is made has a name that tells it from others.
+fn file(channel: &str, t_us: i64, ending: &str) -> PathBuf {
+    format!("{channel}/{channel}__{t_us}.{ending}").into()
 }
 
 /// The box of somebody who stands on the ground.
