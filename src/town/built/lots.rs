@@ -128,7 +128,7 @@ struct Wish {
 
 impl Wish {
     fn new(quarter: Quarter, shared: f64, church: bool, draw: &mut Draw) -> Self {
-        let office = quarter == Quarter::Centre && draw.chance(0.08);
+        let office = quarter == Quarter::Centre && draw.chance(0.05);
         let (width, depth, setback_m) = match quarter {
             Quarter::Centre if office => ([20.0, 27.0], [14.0, 17.0], 0.3),
             Quarter::Centre => ([9.5, 16.0], [10.0, 13.0], 0.2),
@@ -154,7 +154,7 @@ impl Wish {
     /// The largest house of the kind that there is room for; a smaller one rather than none.
     fn fit(&self, frontage: &Frontage, at_m: f64, room: &Room) -> Option<Lot> {
         let scales = match self.kind {
-            Use::House => [[1.0, 1.0], [1.0, 0.8], [0.72, 0.8]].as_slice(),
+            Use::House => [[1.0, 1.0], [1.0, 0.8], [0.72, 0.8], [0.6, 0.62]].as_slice(),
             Use::Office | Use::Church => &[[1.0, 1.0]],
         };
         let mut lots = scales.iter().map(|scale| self.lot(frontage, at_m, self.size_m * DVec2::from(*scale)));

@@ -1,16 +1,28 @@
 //! What stands: roads and their paint, sidewalks, houses, trees, lamps, signs.
+//!
+//! # How it works
+//! `ways` makes strips of the plan's roads and junctions; `ground` and `paint` cover them, and what is between them.
+//! `lots` walks along both sides of every road and puts houses down where there is `room`; `house` builds each from the
+//! town's `style`. `kerbside` puts `furniture` and trees next to the kerbs, `yards` trees behind the houses and hills
+//! around. Things are made in frames of their own; `cells` turns them to their places and sorts them by place.
 
 mod cells;
 mod draw;
+mod furniture;
 mod ground;
 mod house;
+mod kerbside;
 mod line;
 mod lots;
 mod paint;
+mod plants;
 mod room;
 mod sketch;
 mod style;
+#[cfg(test)]
+mod tests;
 mod ways;
+mod yards;
 
 use glam::DVec2;
 
@@ -34,6 +46,8 @@ pub fn standing(plan: &Plan, seed: u64) -> Vec<Mesh> {
     for lot in &lots {
         cells.stand(&house::house(lot, &style), lot.place);
     }
+    kerbside::furnish(&plan.network, &frontages, &style, middle, &mut cells);
+    yards::yards(&ways, middle, &style, &room, &mut cells);
     cells.into_meshes()
 }
 

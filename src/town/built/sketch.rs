@@ -31,12 +31,6 @@ impl Wall {
         Self { origin: self.at(u, v, out), ..*self }
     }
 
-    /// Another wall from `u` on that looks to the right of this one, so long towards the inside.
-    pub(super) fn turned(&self, u: f64, out: f64, length: f64) -> Self {
-        let corner = self.at(u, 0.0, out);
-        Self::new(corner, corner - self.out * length)
-    }
-
     /// An upright rectangle; the pattern runs through all rectangles of the wall.
     pub(super) fn quad(&self, mesh: &mut Mesh, u: [f64; 2], v: [f64; 2], out: f64, skin: Skin) {
         if u[1] - u[0] > 1e-6 && v[1] - v[0] > 1e-6 {

@@ -5,6 +5,7 @@
 mod church;
 mod extras;
 mod facade;
+mod garden;
 mod office;
 mod roof;
 
@@ -15,6 +16,9 @@ use super::lots::{Lot, Side, Use};
 use super::sketch::Wall;
 use super::style::{Quarter, Style};
 use crate::town::mesh::{Mesh, Skin, Surface};
+
+/// Gravel, felt, sheets.
+const FLAT_ROOFS: [[u8; 3]; 3] = [[118, 116, 112], [92, 92, 94], [150, 146, 138]];
 
 /// What a house is like. Lengths in metres.
 #[derive(Clone, Debug)]
@@ -50,6 +54,8 @@ struct House {
     mouldings: bool,
     balconies: bool,
     metal: Skin,
+    /// Where its door is, along its front.
+    door_at: [f64; 2],
     sides: [Side; 4],
     draw: Draw,
 }
@@ -90,7 +96,7 @@ impl House {
         } else {
             [draw.between(0.9, 1.25), draw.between(1.35, 1.8)]
         };
-        let roof_rgb = draw.pick(palette.roofs);
+        let roof_rgb = draw.pick(if flat { &FLAT_ROOFS } else { palette.roofs });
         let roof_rgb = draw.shade(roof_rgb, 0.1);
         let frame = Skin::new(draw.pick(palette.frames), Surface::Plain);
         let shutter = Skin::new(draw.pick(palette.doors), Surface::Wood);
@@ -118,6 +124,7 @@ impl House {
             mouldings: !modern && centre && draw.chance(0.8),
             balconies: centre && draw.chance(0.4),
             metal: Skin::new(style.metal, Surface::Metal),
+            door_at: [lot.size_m.x / 2.0 - 1.0, lot.size_m.x / 2.0 + 1.0],
             sides: lot.sides,
             draw,
         }
@@ -159,5 +166,6 @@ pub(super) fn house(lot: &Lot, style: &Style) -> Mesh {
             roof::roof(&mut mesh, &mut house);
         }
     }
+    garden::front(&mut mesh, lot, style, &mut house);
     mesh
 }
