@@ -10,6 +10,7 @@ mod build;
 mod convert;
 mod info;
 mod log_args;
+mod map_args;
 mod numbers;
 mod progress;
 mod rasterizer;

@@ -48,7 +48,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let options = args.options(maps, told);
     let output = Output {
         folder: &args.out,
-        format: args.format,
+        format: args.maps.format,
         options: &options.conditions,
         prompt: &prompt,
         fps: args.hz.or_else(|| frame_rate_hz(&log.frames).filter(|_| args.at.is_empty())),
