@@ -17,6 +17,7 @@ pub mod geometry;
 pub mod gpu;
 pub mod metrics;
 pub mod raster;
+pub mod report;
 pub mod scene;
 pub mod sim;
 pub mod skeleton;
