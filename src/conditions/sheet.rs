@@ -100,14 +100,15 @@ pub fn draw_map(
     (size, canvas.pixels)
 }
 
-/// Where the cameras' pictures stand in what [`draw_map`] draws: left, top, width and height, pixels.
-pub fn places(set: &ConditionSet, tile_width: u32) -> Vec<[u32; 4]> {
+/// The size of what [`draw_map`] draws, and where the cameras' pictures stand in it: left, top, width and height, pixels.
+pub fn places(set: &ConditionSet, tile_width: u32) -> (ImageSize, Vec<[u32; 4]>) {
     let grid = Grid::of(set, tile_width);
+    let size = ImageSize { height: grid.height(), width: grid.width() };
     let place = |(camera, corner): (&CameraConditions, &[u32; 2])| {
         let (size, [left, top]) = (fitted(camera.size(), grid.tile.width), grid.centered(*corner, camera));
         [left, top, size.width, size.height]
     };
-    set.cameras.iter().zip(&grid.corners).map(place).collect()
+    (size, set.cameras.iter().zip(&grid.corners).map(place).collect())
 }
 
 /// The maps of a set that can be shown.
@@ -339,7 +340,9 @@ mod tests {
         assert!(!draw(&ConditionSet::default(), &DepthBins::default(), "").1.is_empty());
         // One map alone stands as in the sheet; cameras are where it is said.
         let (size, color) = draw_map(&set, MapKind::Color, TILE_WIDTH_PX, &DepthBins::default());
-        for (camera, [left, top, width, height]) in set.cameras.iter().zip(places(&set, TILE_WIDTH_PX)) {
+        let (same, places) = places(&set, TILE_WIDTH_PX);
+        assert_eq!(same, size);
+        for (camera, [left, top, width, height]) in set.cameras.iter().zip(places) {
             assert_eq!((width, height), (camera.width, camera.height));
             for (y, row) in camera.color.as_ref().unwrap().chunks(width as usize).enumerate() {
                 let at = (top as usize + y) * size.width as usize + left as usize;
