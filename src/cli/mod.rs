@@ -15,6 +15,7 @@ mod numbers;
 mod progress;
 mod rasterizer;
 mod render;
+mod simulate;
 mod splat;
 mod stand_ins;
 mod templates;
@@ -40,6 +41,7 @@ enum Command {
     Info(info::InfoArgs),
     Build(build::BuildArgs),
     Render(Box<render::RenderArgs>),
+    Simulate(Box<simulate::SimulateArgs>),
     Splat(splat::SplatArgs),
     Convert(convert::ConvertArgs),
     Templates(templates::TemplatesArgs),
@@ -52,6 +54,7 @@ impl Command {
             Self::Info(args) => info::run(args),
             Self::Build(args) => build::run(args),
             Self::Render(args) => render::run(*args),
+            Self::Simulate(args) => simulate::run(*args),
             Self::Splat(args) => splat::run(args),
             Self::Convert(args) => convert::run(args),
             Self::Templates(args) => templates::run(&args),

@@ -318,9 +318,17 @@ mod tests {
         let path = folder.path().join("states.jsonl");
         StateFile::create(&path, &[row(0), row(2)]).unwrap();
         let read = || StateFile::read(&path).unwrap_err().to_string();
-        assert!(read().starts_with("expected a state of step 1 in line 2, found one of step 2"), "{}", read());
+        assert!(
+            read().starts_with("expected a state of step 1 in line 2, found one of step 2"),
+            "{}",
+            read()
+        );
         std::fs::write(&path, "{}\n").unwrap();
-        assert!(read().starts_with("expected a state of step 0 in line 1, found missing field"), "{}", read());
+        assert!(
+            read().starts_with("expected a state of step 0 in line 1, found missing field"),
+            "{}",
+            read()
+        );
         std::fs::write(&path, "").unwrap();
         assert_eq!(StateFile::read(&path).unwrap(), []);
         std::fs::remove_file(&path).unwrap();

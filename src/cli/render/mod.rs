@@ -103,7 +103,7 @@ fn warn_of_times_outside(frames: &[IndexFrame], built_from: Option<[i64; 2]>) {
     }
 }
 
-fn read_prompt(path: &Path) -> Result<PromptParts, FileError> {
+pub(super) fn read_prompt(path: &Path) -> Result<PromptParts, FileError> {
     let text = std::fs::read(path).map_err(FileError::io("read", path))?;
     serde_json::from_slice(&text)
         .map_err(|e| FileError::content(r#"{"weather": text, "city": text}"#, e.to_string(), path))

@@ -120,7 +120,8 @@ fn fresh(row: &StepRow, outcome: &Outcome) -> Vec<PageActor> {
     let place = |seen: &sight::Seen| {
         let place = outcome.layout.cameras.get(seen.camera)?;
         let (_, [width, height]) = outcome.cameras.get(seen.camera)?;
-        let [x, y] = [f64::from(place.width) / f64::from(*width), f64::from(place.height) / f64::from(*height)];
+        let [x, y] =
+            [f64::from(place.width) / f64::from(*width), f64::from(place.height) / f64::from(*height)];
         let [left, top, right, bottom] = seen.bounds.map(f64::from);
         let at = [f64::from(place.left) + left * x, f64::from(place.top) + top * y];
         Some([at[0], at[1], (right - left) * x, (bottom - top) * y])

@@ -25,7 +25,8 @@ pub(super) const METRICS: &str = "metrics.json";
 pub(super) const VIDEO: &str = "rollout.mp4";
 pub(super) const PAGE: &str = "index.html";
 const META: &str = "meta.json";
-const STATE: &str = "state.json";
+pub(super) const STATE: &str = "state.json";
+pub(super) const FORECAST: &str = "forecast";
 
 /// What stands in `rollout.json` and `index.json` about how the rollout was made.
 #[derive(Clone, Debug, Serialize)]
@@ -108,12 +109,12 @@ impl Output<'_> {
         create_dir_all(self.folder).map_err(FileError::io("create", self.folder))?;
         // While there is an index, the folder is complete: it goes first.
         for name in [INDEX, PAGE, VIDEO, METRICS] {
-            gone(&self.folder.join(name), remove_file)?;
+            gone(&self.folder.join(name))?;
         }
         let steps = self.folder.join(STEPS);
         if kept.is_empty() {
-            gone(&self.folder.join(STATES), remove_file)?;
-            gone(&steps, |path| remove_dir_all(path))?;
+            gone(&self.folder.join(STATES))?;
+            gone(&steps)?;
         }
         write_json(&marker, self.options)?;
         create_dir_all(&steps).map_err(FileError::io("create", &steps))?;
@@ -121,7 +122,7 @@ impl Output<'_> {
         for entry in std::fs::read_dir(&steps).map_err(FileError::io("read", &steps))? {
             let path = entry.map_err(FileError::io("read", &steps))?.path();
             if !kept.iter().any(|row| path.ends_with(row.name())) {
-                gone(&path, |path| remove_dir_all(path))?;
+                gone(&path)?;
             }
         }
         Ok(states)
@@ -158,7 +159,7 @@ impl Output<'_> {
         write_whole_folder(&step_folder(self.folder, &state.name), META, |folder| {
             self.options.format.write(folder, set, state.t_us, options)?;
             for (state, set) in &job.forecast {
-                self.write_forecast(&folder.join("forecast").join(&state.name), state, set)?;
+                self.write_forecast(&folder.join(FORECAST).join(&state.name), state, set)?;
             }
             times.maps_s = lap(&mut clock);
             view::write(&folder.join(view::VIEW), set, bins)?;
@@ -195,9 +196,11 @@ impl Output<'_> {
     }
 }
 
-/// Removes what may not be there.
-fn gone(path: &Path, remove: impl FnOnce(&Path) -> std::io::Result<()>) -> Result<(), FileError> {
-    match remove(path) {
+/// Removes a file or folder that may not be there.
+fn gone(path: &Path) -> Result<(), FileError> {
+    let is_folder = std::fs::symlink_metadata(path).is_ok_and(|data| data.is_dir());
+    let removed = if is_folder { remove_dir_all(path) } else { remove_file(path) };
+    match removed {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
             Err(FileError::io("replace", path)(error))
         }

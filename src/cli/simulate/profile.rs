@@ -144,9 +144,17 @@ mod tests {
         let info = RasterizerInfo { rasterizer: "cpu", device: "d".into(), driver: String::new() };
         profile.close(info, &StageTimes::default());
         let text = profile.summary();
-        assert!(text.starts_with("a step takes 29.0 ms (median; policies 9.0, instances 0.0, drawing 20.0), 34.5 steps"), "{text}");
+        assert!(
+            text.starts_with(
+                "a step takes 29.0 ms (median; policies 9.0, instances 0.0, drawing 20.0), 34.5 steps"
+            ),
+            "{text}"
+        );
         assert_eq!(median(std::iter::empty()), None);
         let json = serde_json::to_value(&profile).unwrap();
-        assert_eq!((&json["medians"]["policies_s"], json["steps"].as_array().unwrap().len()), (&serde_json::json!(0.009), 3));
+        assert_eq!(
+            (&json["medians"]["policies_s"], json["steps"].as_array().unwrap().len()),
+            (&serde_json::json!(0.009), 3)
+        );
     }
 }
