@@ -29,6 +29,7 @@ mod state;
 mod tracking;
 mod trajectory;
 
+pub use actors::{Leader, idm_step};
 pub use ego::{LocalPath, LocalPathError};
 pub use error::SimError;
 pub use external::{PlannerAddress, PlannerError, PlannerSpec};

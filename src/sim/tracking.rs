@@ -176,7 +176,7 @@ mod tests {
             // Nothing slips: the rear axle moves along the heading.
             let moved = b.position_m() - a.position_m();
             let sideways =
-                DVec2::from_angle((a.heading_rad() + wrap_angle(b.heading_rad() - a.heading_rad()) / 2.0));
+                DVec2::from_angle(a.heading_rad() + wrap_angle(b.heading_rad() - a.heading_rad()) / 2.0);
             assert!(sideways.perp_dot(moved).abs() < 0.02, "{}", sideways.perp_dot(moved));
         }
     }

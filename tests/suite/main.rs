@@ -27,6 +27,7 @@ mod rates;
 mod real_frames;
 mod real_log;
 mod sheet;
+mod sim;
 mod simulate;
 mod skeleton_store;
 mod splat_cli;

@@ -78,7 +78,7 @@ impl Follower {
     pub(super) fn step(&mut self, actor: &SimActor, others: &Others, dt_s: f64) -> SimActor {
         let size = actor.cuboid.size;
         let leader = others.leader(actor.track, self.path.line(), self.way_m + size.x / 2.0, size.y);
-        let (way_m, speed_mps) = euler((self.way_m, self.speed_mps), leader, dt_s);
+        let (way_m, speed_mps) = idm_step((self.way_m, self.speed_mps), leader, dt_s);
         // The model itself would drive backward in front of an obstacle.
         (self.way_m, self.speed_mps) = (way_m, speed_mps.max(0.0));
         let cuboid = Cuboid { pose: self.path.at(self.way_m), size };
@@ -86,8 +86,9 @@ impl Follower {
     }
 }
 
-/// A step of the model by the forward Euler method: way (metres) and speed (metres per second).
-fn euler((way_m, speed_mps): (f64, f64), leader: Option<Leader>, dt_s: f64) -> (f64, f64) {
+/// A step of the Intelligent Driver Model by the forward Euler method, as nuPlan takes it: way (metres) and speed (metres
+/// per second), which may become negative. The acceleration is limited to -2 to 1 m/s², a gap counts as 1 m at least.
+pub fn idm_step((way_m, speed_mps): (f64, f64), leader: Option<Leader>, dt_s: f64) -> (f64, f64) {
     let rise = acceleration_mps2(speed_mps, leader).clamp(-BRAKING_MPS2, ACCELERATION_MPS2);
     (way_m + dt_s * speed_mps, speed_mps + dt_s * rise)
 }

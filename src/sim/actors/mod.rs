@@ -10,6 +10,9 @@ mod idm;
 mod leader;
 mod reactive;
 
+pub use idm::idm_step;
+pub use leader::Leader;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};

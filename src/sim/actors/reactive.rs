@@ -104,3 +104,71 @@ fn acceleration_mps2(speed_mps: f64, cruise_mps: f64, leader: Option<Leader>, dt
     }
     if room_m > RESUME_GAP_M + RESUME_HEADWAY_S * speed_mps { back } else { 0.0 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::metrics::collision::tests::{actor, instant};
+
+    /// A car that cruises, and others, with the ego far away; for some seconds at 10 Hz.
+    fn drive(mut cruiser: Cruiser, start: SimActor, others: &[SimActor], seconds: usize) -> Vec<SimActor> {
+        let mut now = instant(0.0, &[]);
+        now.ego.pose.translation.y = 1e4;
+        let mut driven = vec![start];
+        for i in 0..seconds * 10 {
+            now.actors = [&[driven[i]], others].concat();
+            let next = cruiser.step(&driven[i], &Others::new(&now), 0.1);
+            driven.push(next);
+        }
+        driven
+    }
+
+    #[test]
+    fn curves_are_circles() {
+        let cruiser = Cruiser { cruise_mps: 5.0, curvature: 0.05 };
+        let driven = drive(cruiser, actor(0, 0.0, 0.0, 0.0, 5.0), &[], 30);
+        for at in &driven {
+            let place = at.cuboid.pose.translation.truncate();
+            assert!((place.distance(DVec2::new(0.0, 20.0)) - 20.0).abs() < 1e-9);
+            assert_eq!(at.speed_mps, 5.0);
+        }
+        let angle = crate::geometry::wrap_angle(5.0 * 30.0 * 0.05);
+        assert!((driven[300].cuboid.pose.yaw_rad() - angle).abs() < 1e-9);
+    }
+
+    #[test]
+    fn brakes_hold_two_metres() {
+        for speed in [3.0, 8.0, 15.0] {
+            let cruiser = Cruiser { cruise_mps: speed, curvature: 0.0 };
+            let wall = actor(1, 80.0, 0.0, 0.0, 0.0);
+            let driven = drive(cruiser, actor(0, 0.0, 0.0, 0.0, speed), &[wall], 40);
+            for pair in driven.windows(2) {
+                let rise = (pair[1].speed_mps - pair[0].speed_mps) / 0.1;
+                assert!((-6.0 - 1e-9..=1.0 + 1e-9).contains(&rise), "{rise}");
+                let gap = 76.0 - pair[1].cuboid.pose.translation.x;
+                assert!(gap > 1.99, "{gap}");
+            }
+            let end = driven[400];
+            assert!(end.speed_mps == 0.0 && 76.0 - end.cuboid.pose.translation.x < 4.0, "{end:?}");
+        }
+    }
+
+    #[test]
+    fn speed_is_taken_up_again() {
+        let cruiser = Cruiser { cruise_mps: 8.0, curvature: 0.0 };
+        let slowed = drive(cruiser, actor(0, 0.0, 0.0, 0.0, 2.0), &[], 10);
+        assert!((slowed[30].speed_mps - 5.0).abs() < 1e-9 && slowed[100].speed_mps == 8.0);
+        // Backward it brakes for what is behind.
+        let back = Cruiser { cruise_mps: -2.0, curvature: 0.0 };
+        let driven = drive(back, actor(0, 0.0, 0.0, 0.0, -2.0), &[actor(1, -20.0, 0.0, 0.0, 0.0)], 20);
+        let x = driven[200].cuboid.pose.translation.x;
+        assert!(driven[200].speed_mps == 0.0 && (-14.01..-12.0).contains(&x), "{x}");
+    }
+
+    #[test]
+    fn who_stands_goes_on_standing() {
+        let parked = actor(0, 3.0, 1.0, 0.4, 0.1);
+        let driven = drive(Cruiser { cruise_mps: 0.0, curvature: 0.0 }, parked, &[], 3);
+        assert_eq!(driven[30].cuboid, parked.cuboid);
+    }
+}

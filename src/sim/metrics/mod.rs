@@ -1,6 +1,6 @@
 //! Figures of a rollout, from the takeover on: added up step by step.
 
-mod collision;
+pub(super) mod collision;
 mod comfort;
 mod road;
 mod ttc;
