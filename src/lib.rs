@@ -18,6 +18,7 @@ pub mod gpu;
 pub mod logs;
 pub mod metrics;
 pub mod raster;
+pub mod report;
 pub mod scene;
 pub mod sim;
 pub mod skeleton;

@@ -11,10 +11,12 @@ mod convert;
 mod fidelity;
 mod info;
 mod log_args;
+mod map_args;
 mod numbers;
 mod progress;
 mod rasterizer;
 mod render;
+mod simulate;
 mod splat;
 mod stand_ins;
 mod templates;
@@ -41,6 +43,7 @@ enum Command {
     Info(info::InfoArgs),
     Build(build::BuildArgs),
     Render(Box<render::RenderArgs>),
+    Simulate(Box<simulate::SimulateArgs>),
     Splat(splat::SplatArgs),
     Convert(convert::ConvertArgs),
     Templates(templates::TemplatesArgs),
@@ -55,6 +58,7 @@ impl Command {
             Self::Info(args) => info::run(args),
             Self::Build(args) => build::run(args),
             Self::Render(args) => render::run(*args),
+            Self::Simulate(args) => simulate::run(*args),
             Self::Splat(args) => splat::run(args),
             Self::Convert(args) => convert::run(args),
             Self::Templates(args) => templates::run(&args),

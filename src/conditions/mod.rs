@@ -11,7 +11,7 @@
 mod arrays;
 pub mod bins;
 pub mod birdseye;
-mod canvas;
+pub(crate) mod canvas;
 pub mod distort;
 mod error;
 pub mod exr;

@@ -28,6 +28,7 @@ mod real_frames;
 mod real_log;
 mod sheet;
 mod sim;
+mod simulate;
 mod skeleton_store;
 mod splat_cli;
 mod street;
