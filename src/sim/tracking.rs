@@ -18,8 +18,12 @@ const CONTROL_S: f64 = 0.01;
 /// Of errors along the way, per second squared and per second: they die out within about 2 s, without overshoot.
 const GAINS_ALONG: [f64; 2] = [4.0, 4.0];
 /// Of the offset, per metre squared, and of the heading, per metre, of the rear-wheel feedback (Samson 1992; Paden et
-/// al. 2016, section V-B): offsets die out over about 8 m, without overshoot.
-const GAINS_ACROSS: [f64; 2] = [0.25, 1.0];
+/// al. 2016, section V-B): offsets die out over about 16 m, without overshoot.
+const GAINS_ACROSS: [f64; 2] = [0.0625, 0.5];
+/// Larger errors count as these (metres), so that who is behind goes only that many metres per second faster.
+const MAX_ERRORS_M: [f64; 2] = [2.0, 3.0];
+/// What the controller steers for at most: over this, tyres slip.
+const MAX_LATERAL_MPS2: f64 = 8.0;
 /// Under this speed nothing tells how the wheels stand, metres per second.
 const CREEP_MPS: f64 = 0.1;
 
@@ -96,7 +100,9 @@ impl Bicycle {
         let error = self.place_m - wanted.position_m();
         let (ahead_m, left_m) = (forward.dot(error), forward.perp_dot(error));
         let faster_mps = self.speed_mps - wanted.speed_mps;
-        let wish = acceleration - GAINS_ALONG[0] * ahead_m - GAINS_ALONG[1] * faster_mps;
+        let wish = acceleration
+            - GAINS_ALONG[0] * ahead_m.clamp(-MAX_ERRORS_M[0], MAX_ERRORS_M[0])
+            - GAINS_ALONG[1] * faster_mps;
         let mut braked = wish.clamp(-MAX_BRAKING_MPS2, MAX_ACCELERATION_MPS2);
         // Who brakes for a stop does not back up.
         if wanted.speed_mps >= 0.0 && self.speed_mps >= 0.0 && self.speed_mps + braked * dt_s < 0.0 {
@@ -120,7 +126,10 @@ impl Bicycle {
         // Per metre that is driven; nearer to the centre of a bend the way is shorter.
         let along = curvature * turned_rad.cos() / (1.0 - curvature * left_m).max(0.2);
         let sign = if self.speed_mps < 0.0 { -1.0 } else { 1.0 };
-        let wanted = along - sign * GAINS_ACROSS[1] * turned_rad - GAINS_ACROSS[0] * left_m * sinc;
+        let offset_m = left_m.clamp(-MAX_ERRORS_M[1], MAX_ERRORS_M[1]);
+        let wanted = along - sign * GAINS_ACROSS[1] * turned_rad - GAINS_ACROSS[0] * offset_m * sinc;
+        let limit = MAX_LATERAL_MPS2 / self.speed_mps.powi(2).max(1e-3);
+        let wanted = wanted.clamp(-limit, limit);
         (WHEELBASE_M * wanted).atan().clamp(-MAX_STEERING_RAD, MAX_STEERING_RAD)
     }
 }

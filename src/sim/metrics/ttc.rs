@@ -43,7 +43,7 @@ mod tests {
         let towards = actor(1, 22.0, 0.0, std::f64::consts::PI, 5.0);
         assert!((found(10.0, &[stands, towards]).unwrap() - gap / 15.0).abs() < 1e-9);
         assert_eq!(found(10.0, &[actor(1, 22.0, 0.0, 0.0, 10.0), actor(2, 22.0, 3.0, 0.0, 0.0)]), None);
-        let cuts = actor(1, 14.0, 8.0, -std::f64::consts::FRAC_PI_2, 4.0);
+        let cuts = actor(1, 12.0, 8.0, -std::f64::consts::FRAC_PI_2, 4.0);
         let side = (8.0 - 2.0 - 2.297 / 2.0) / 4.0;
         assert!((found(7.0, &[cuts]).unwrap() - side).abs() < 1e-9);
     }
