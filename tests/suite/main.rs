@@ -35,4 +35,5 @@ mod street;
 mod templates;
 mod tensor;
 mod tiny_log;
+mod town_log;
 mod town_view;
