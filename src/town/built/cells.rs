@@ -5,7 +5,7 @@ use glam::{DMat2, DVec2, DVec3, Vec3};
 use crate::town::mesh::Mesh;
 
 /// Width of a cell, metres.
-pub(super) const CELL_M: f64 = 48.0;
+pub(super) const CELL_M: f64 = 40.0;
 
 /// Where a thing stands and where it looks.
 #[derive(Clone, Copy, Debug)]
@@ -20,6 +20,8 @@ pub(super) struct Place {
 #[derive(Debug, Default)]
 pub(super) struct Cells {
     meshes: BTreeMap<[i64; 2], Mesh>,
+    /// Too large to share a cell.
+    large: Vec<Mesh>,
 }
 
 /// The cell of a place.
@@ -50,7 +52,7 @@ impl Cells {
         self.mesh(cell_of(place))
     }
 
-    /// Adds a thing to the cell that its origin is in.
+    /// Adds a thing to the cell that its middle is in.
     pub(super) fn stand(&mut self, thing: &Mesh, place: Place) {
         let turn = DMat2::from_angle(place.yaw_rad);
         let turned = |v: [f32; 3]| {
@@ -62,11 +64,18 @@ impl Cells {
             vertex.position = (turned(vertex.position) + place.at).as_vec3().to_array();
             vertex.normal = turned(vertex.normal).as_vec3().to_array();
         }
-        self.near(place.at.truncate()).append(&moved);
+        if let Some([low, high]) = moved.bounds() {
+            self.near((low + high).truncate() / 2.0).append(&moved);
+        }
+    }
+
+    /// Adds a mesh of its own, in the town's frame.
+    pub(super) fn add_large(&mut self, mesh: Mesh) {
+        self.large.push(mesh);
     }
 
     /// All of them, in the order of cells.
     pub(super) fn into_meshes(self) -> Vec<Mesh> {
-        self.meshes.into_values().filter(|mesh| !mesh.triangles.is_empty()).collect()
+        self.meshes.into_values().chain(self.large).filter(|mesh| !mesh.triangles.is_empty()).collect()
     }
 }

@@ -244,7 +244,8 @@ pub(super) fn pit() -> Mesh {
         ([-0.65, -0.6], [-0.25, 0.55]),
         ([0.6, 0.65], [-0.25, 0.55]),
     ] {
-        mesh.block(at(x[0], y[0], -0.02), at(x[1], y[1], 0.03), STEEL);
+        let rail = super::sketch::corners(DVec2::new(x[0], y[0]), DVec2::new(x[1], y[1]));
+        super::ground::flat(&mut mesh, &rail, 0.02, STEEL);
     }
     mesh
 }

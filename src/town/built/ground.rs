@@ -5,6 +5,7 @@ use i_overlay::core::fill_rule::FillRule;
 use i_overlay::core::overlay_rule::OverlayRule;
 use i_overlay::float::single::SingleFloatOverlay;
 use i_triangle::float::triangulatable::Triangulatable;
+use i_triangle::float::triangulation::RawTriangulation;
 
 use super::cells::{CELL_M, Cells, cell_of};
 use super::style::Style;
@@ -33,16 +34,23 @@ pub(super) fn ground(ways: &Ways, style: &Style, cells: &mut Cells) {
         }
     }
     for junction in &ways.network.junctions {
-        let mesh = cells.near(junction.centre);
-        for (i, corner) in junction.outline.iter().enumerate() {
-            let next = junction.outline[(i + 1) % junction.outline.len()];
-            flat(mesh, &[junction.centre, *corner, next], 0.0, asphalt);
-        }
+        let outline: Vec<[f64; 2]> = junction.outline.iter().map(|p| p.to_array()).collect();
+        triangles(&outline.triangulate(), |corners| {
+            flat(cells.near(corners.iter().sum::<DVec2>() / 3.0), &corners, 0.0, asphalt);
+        });
     }
     for kerb in &ways.kerbs {
         sidewalk(kerb, style, cells);
     }
     between(ways, style, cells);
+}
+
+/// The triangles of a triangulation, counter-clockwise.
+fn triangles(of: &RawTriangulation<[f64; 2]>, mut each: impl FnMut([DVec2; 3])) {
+    let (points, indices) = (of.points(), of.triangle_indices::<u32>());
+    for corners in indices.chunks_exact(3) {
+        each(std::array::from_fn(|i| DVec2::from(points[corners[i] as usize])));
+    }
 }
 
 /// Adds a convex polygon of the ground, counter-clockwise from above; the pattern runs through the whole town.
@@ -121,11 +129,7 @@ fn between(ways: &Ways, style: &Style, cells: &mut Cells) {
                 if area_twice(&outer).abs() < 0.1 {
                     continue;
                 }
-                let triangles = shape.triangulate().to_triangulation::<u32>();
-                for corners in triangles.indices.chunks_exact(3) {
-                    let corner = |i: usize| DVec2::from(triangles.points[corners[i] as usize]);
-                    flat(mesh, &[corner(0), corner(1), corner(2)], GROUND_M, lawn);
-                }
+                triangles(&shape.triangulate(), |corners| flat(mesh, &corners, GROUND_M, lawn));
             }
         }
     }

@@ -174,7 +174,8 @@ impl Street<'_> {
         }
         let mut at = 5.0 + self.draw.between(0.0, 4.0);
         while at < self.length() - 4.0 {
-            let height = 5.6 + 2.6 * size + self.draw.between(-0.6, 0.6);
+            let slim = if species == Species::Slender { 1.6 } else { 0.0 };
+            let height = 6.2 + slim + 2.6 * size + self.draw.between(-0.5, 0.5);
             let wide = if species == Species::Slender {
                 1.25
             } else {

@@ -137,7 +137,7 @@ impl Wish {
         };
         let church = church && quarter != Quarter::Gardens;
         let (size_m, setback_m) = if church {
-            (DVec2::new(15.0, 32.0), 3.0)
+            (DVec2::new(14.0, 26.0), 3.0)
         } else {
             (DVec2::new(draw.between(width[0], width[1]), draw.between(depth[0], depth[1])), setback_m)
         };

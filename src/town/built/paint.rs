@@ -134,7 +134,7 @@ impl Brush<'_> {
                 let corners: Vec<DVec2> = (0..12).map(corner).collect();
                 flat(cells.near(centre), &corners, COVER_M, Skin::new([82, 80, 78], Surface::Metal));
             } else {
-                let (a, b) = (along * draw.between(0.6, 2.8), along.perp() * draw.between(0.4, 0.9));
+                let (a, b) = (along * draw.between(0.6, 1.8), along.perp() * draw.between(0.4, 0.9));
                 let rgb = draw.shade(style.asphalt.map(|c| c.saturating_sub(14)), 0.08);
                 let corners = [centre - a - b, centre + a - b, centre + a + b, centre - a + b];
                 flat(cells.near(centre), &corners, COVER_M, Skin::new(rgb, Surface::Asphalt));
@@ -143,7 +143,7 @@ impl Brush<'_> {
                 let edge = self.line.point(at + 7.0 * side, side * (road.half_width_m - 0.25));
                 let (a, b) = (along * 0.25, along.perp() * 0.18);
                 let corners = [edge - a - b, edge + a - b, edge + a + b, edge - a + b];
-                if (0.0..self.line.length()).contains(&(at + 7.0 * side)) {
+                if (0.5..self.line.length() - 0.5).contains(&(at + 7.0 * side)) {
                     flat(cells.near(edge), &corners, COVER_M, Skin::new([58, 58, 58], Surface::Metal));
                 }
             }

@@ -71,7 +71,7 @@ pub(super) fn tree(species: Species, height: f64, radius: f64, crown: Crown, fin
         return mesh;
     }
     let slender = species == Species::Slender;
-    let stem = height * if slender { 0.25 } else { 0.42 };
+    let stem = height * if slender { 0.4 } else { 0.46 };
     let lean = DVec3::new(draw.between(-0.1, 0.1), draw.between(-0.1, 0.1), stem);
     bar(&mut mesh, [DVec3::new(0.0, 0.0, -0.1), lean], [thick, 0.7 * thick], sides, bark);
     let detail = usize::from(fine);
@@ -83,19 +83,18 @@ pub(super) fn tree(species: Species, height: f64, radius: f64, crown: Crown, fin
     for i in 0..balls {
         let share = (f64::from(i) + 0.5) / f64::from(balls);
         let (at, size) = if slender {
-            let z = height * (0.34 + 0.5 * share);
-            (
-                DVec3::new(draw.between(-0.15, 0.15), draw.between(-0.15, 0.15), z),
-                DVec3::new(0.8, 0.8, 1.9) * radius * (1.15 - 0.55 * share),
-            )
+            let z = height * (0.5 + 0.4 * share);
+            let wide = radius * (1.1 - 0.5 * share);
+            let off = [draw.between(-0.15, 0.15), draw.between(-0.15, 0.15)];
+            (DVec3::new(off[0], off[1], z), DVec3::new(0.8 * wide, 0.8 * wide, 0.17 * height))
         } else if i + 1 == balls {
-            (DVec3::new(0.0, 0.0, height * 0.8), DVec3::new(0.72, 0.72, 0.62) * radius)
+            (DVec3::new(0.0, 0.0, height * 0.84), DVec3::new(0.72, 0.72, 0.6) * radius)
         } else {
             let turn =
                 std::f64::consts::TAU * (f64::from(i) + draw.between(-0.2, 0.2)) / f64::from(balls - 1);
             let off = DVec2::from_angle(turn) * radius * draw.between(0.38, 0.5);
-            let z = height * draw.between(0.54, 0.68);
-            (off.extend(z), DVec3::new(0.66, 0.66, 0.58) * radius * draw.between(0.85, 1.1))
+            let z = height * draw.between(0.62, 0.72);
+            (off.extend(z), DVec3::new(0.66, 0.66, 0.5) * radius * draw.between(0.85, 1.1))
         };
         if fine && !slender {
             bar(&mut mesh, [lean * 0.9, at], [0.45 * thick, 0.2 * thick], 4, bark);

@@ -66,13 +66,12 @@ impl Wall {
         self.polygon(mesh, &[[a, low, back], [b, low, back], [b, low, front], [a, low, front]], skin);
     }
 
-    /// The four sides of a hole, from the plane inwards.
+    /// The sides and the top of a hole, from the plane inwards.
     pub(super) fn reveal(&self, mesh: &mut Mesh, u: [f64; 2], v: [f64; 2], depth: f64, skin: Skin) {
         let ([a, b], [low, high], back) = (u, v, -depth);
         self.polygon(mesh, &[[a, low, 0.0], [a, low, back], [a, high, back], [a, high, 0.0]], skin);
         self.polygon(mesh, &[[b, low, back], [b, low, 0.0], [b, high, 0.0], [b, high, back]], skin);
         self.polygon(mesh, &[[a, high, back], [b, high, back], [b, high, 0.0], [a, high, 0.0]], skin);
-        self.polygon(mesh, &[[a, low, 0.0], [b, low, 0.0], [b, low, back], [a, low, back]], skin);
     }
 }
 

@@ -82,7 +82,6 @@ fn hills(centre: DVec2, radius: f64, style: &Style, cells: &mut Cells) {
     let skin = Skin::new(style.leaves[0].map(|c| (f64::from(c) * 0.9) as u8), Surface::Foliage);
     for i in 0..count {
         let face = [corner(i + 1, 0), corner(i, 0), corner(i, 1), corner(i + 1, 1)];
-        let mesh = cells.near(((face[0] + face[2]) / 2.0).truncate());
         let face = face.map(|p| {
             let inwards = (centre - p.truncate()).normalize_or_zero();
             (
@@ -91,6 +90,8 @@ fn hills(centre: DVec2, radius: f64, style: &Style, cells: &mut Cells) {
                 DVec2::new(p.x + 0.6 * p.y, p.z - 0.4 * p.y),
             )
         });
+        let mut mesh = Mesh::default();
         mesh.fan(&face, skin);
+        cells.add_large(mesh);
     }
 }

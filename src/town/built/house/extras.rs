@@ -27,7 +27,7 @@ pub(super) fn door(mesh: &mut Mesh, wall: &Wall, hole: &Opening, house: &mut Hou
         mesh,
         [u[0] - 0.25, u[1] + 0.25],
         [-0.05, v[0]],
-        [0.0, 0.16],
+        [-depth, 0.16],
         Skin::new([156, 152, 146], Surface::Concrete),
     );
     for side in [[u[0] - 0.14, u[0]], [u[1], u[1] + 0.14]] {
@@ -87,7 +87,7 @@ pub(super) fn balcony(mesh: &mut Mesh, wall: &Wall, u: [f64; 2], floor: f64, hou
     let rail = house.metal;
     wall.slab(mesh, u, [top - 0.05, top], [out - 0.06, out], rail);
     if house.mouldings {
-        let count = ((u[1] - u[0]) / 0.22).ceil() as usize;
+        let count = ((u[1] - u[0]) / 0.26).ceil() as usize;
         for i in 0..=count {
             let at = u[0] + 0.015 + (u[1] - u[0] - 0.03) * i as f64 / count as f64;
             wall.quad(mesh, [at - 0.013, at + 0.013], [floor, top], out - 0.02, rail);
@@ -119,12 +119,5 @@ pub(super) fn balcony(mesh: &mut Mesh, wall: &Wall, u: [f64; 2], floor: f64, hou
         let inner = if at == u[0] { at + 0.03 } else { at - 0.03 };
         let ends = [at.min(inner), at.max(inner)];
         wall.slab(mesh, ends, [top - 0.05, top], [0.0, out], rail);
-        wall.slab(
-            mesh,
-            ends,
-            [floor + 0.1, floor + 0.5],
-            [0.0, out - 0.05],
-            if house.mouldings { rail } else { house.trim },
-        );
     }
 }

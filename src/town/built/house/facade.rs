@@ -40,7 +40,8 @@ pub(super) fn street(mesh: &mut Mesh, wall: &Wall, house: &mut House, front: boo
     let mut balconies = Vec::new();
     if house.balconies && house.floors > 2 && bays > 1 {
         let column = house.draw.below(bays);
-        balconies = vec![column, bays - 1 - column];
+        let mirrored = if house.draw.chance(0.5) { bays - 1 - column } else { column };
+        balconies = vec![column, mirrored];
         balconies.dedup();
     }
     for floor in 1..house.floors {
@@ -54,7 +55,11 @@ pub(super) fn street(mesh: &mut Mesh, wall: &Wall, house: &mut House, front: boo
             Opening { u, v: [sill, high], kind: OpeningKind::Window }
         };
         let openings: Vec<Opening> = (0..bays).map(opening).collect();
+        // Nobody sees the bars of the highest windows.
+        let leaves = house.leaves;
+        house.leaves = if floor < 3 { leaves } else { 1 };
         row(mesh, wall, [low, top], &openings, house, house.wall);
+        house.leaves = leaves;
         for &bay in &balconies {
             let u = openings[bay].u;
             let room = (bay_m - width).min(0.9) / 2.0;
@@ -205,7 +210,8 @@ fn window(mesh: &mut Mesh, wall: &Wall, hole: &Opening, house: &mut House) {
     wall.reveal(mesh, u, v, RECESS_M, house.trim);
     wall.quad(mesh, u, v, -RECESS_M, house.frame);
     panes(mesh, wall, hole, 0.02 - RECESS_M, house.leaves, &mut house.draw);
-    wall.shelf(mesh, [u[0] - 0.07, u[1] + 0.07], [v[0] - 0.07, v[0]], [0.0, 0.09], house.trim);
+    // The sill is the lower side of the hole, too.
+    wall.shelf(mesh, [u[0] - 0.07, u[1] + 0.07], [v[0] - 0.07, v[0]], [-RECESS_M, 0.09], house.trim);
     if house.lintels {
         wall.quad(mesh, [u[0] - 0.12, u[1] + 0.12], [v[1], v[1] + 0.2], 0.025, house.trim);
     }
@@ -235,6 +241,7 @@ pub(super) fn panes(mesh: &mut Mesh, wall: &Wall, hole: &Opening, out: f64, leav
 
 fn shop_window(mesh: &mut Mesh, wall: &Wall, hole: &Opening, house: &mut House) {
     wall.reveal(mesh, hole.u, hole.v, RECESS_M, house.frame);
+    wall.shelf(mesh, hole.u, [hole.v[0] - 0.05, hole.v[0]], [-RECESS_M, 0.04], house.frame);
     wall.quad(mesh, hole.u, hole.v, -RECESS_M, house.frame);
     let leaves = if hole.u[1] - hole.u[0] > 2.4 { 2 } else { 1 };
     panes(mesh, wall, hole, 0.02 - RECESS_M, leaves, &mut house.draw);

@@ -48,6 +48,7 @@ fn band(mesh: &mut Mesh, wall: &Wall, v: [f64; 2], bars: usize, house: &mut Hous
     wall.quad(mesh, [wall.length - edge, wall.length], v, 0.0, house.wall);
     let inner = [edge, wall.length - edge];
     wall.reveal(mesh, inner, v, 0.15, house.frame);
+    wall.shelf(mesh, inner, [v[0] - 0.06, v[0]], [-0.15, 0.05], house.frame);
     wall.quad(mesh, inner, v, -0.15, house.frame);
     let step = (inner[1] - inner[0]) / bars as f64;
     for i in 0..bars {
