@@ -4,6 +4,7 @@ use rayon::prelude::*;
 use super::thin::poisson_thin;
 use super::{TemplateCloud, TemplateKind, TemplateOptions};
 use crate::cloud::{Bounds, Point};
+use crate::dataset::Class;
 use crate::skeleton::Template;
 use crate::town::model::{BodyKind, SurfacePoint, surface, typical};
 
@@ -26,7 +27,9 @@ pub fn default_template(kind: TemplateKind) -> Option<TemplateCloud> {
     });
     let [low, high] = mesh.bounds()?;
     let (center, size_m): (DVec3, DVec3) = ((low + high) / 2.0, high - low);
-    let spacing_m = TemplateOptions::default().spacing_m(size_m);
+    // People and riders fill little of their boxes.
+    let denser = if kind.class() == Class::MotorVehicle { 1.0 } else { 0.85 };
+    let spacing_m = denser * TemplateOptions::default().spacing_m(size_m);
     let surface = surface(&mesh, spacing_m);
     let position = |p: &SurfacePoint| (p.position_m - center).as_vec3().to_array();
     let kept = poisson_thin(surface.iter().map(position), spacing_m);

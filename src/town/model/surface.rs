@@ -5,6 +5,8 @@ use rayon::prelude::*;
 
 use crate::town::mesh::Mesh;
 
+/// Rays are no denser than so many across a mesh.
+const MOST_RAYS: f64 = 2048.0;
 /// Depths as near as this are one, metres.
 const TIE_M: f64 = 1e-5;
 
@@ -22,7 +24,8 @@ pub struct SurfacePoint {
 }
 
 /// Points of what can be seen from the side or from above, always the same: where parallel rays in thirteen directions,
-/// about three quarters of `spacing_m` apart, first meet the mesh.
+/// about three quarters of `spacing_m` apart, first meet the mesh. At most 2048 rays fit across it; where it has no finite extent
+/// there are none.
 pub fn surface(mesh: &Mesh, spacing_m: f64) -> Vec<SurfacePoint> {
     let step_m = 0.75 * spacing_m;
     directions().par_iter().flat_map_iter(|direction| seen_along(mesh, *direction, step_m)).collect()
@@ -46,6 +49,10 @@ pub(super) fn seen_along(mesh: &Mesh, direction: DVec3, step_m: f64) -> Vec<Surf
     let (u, v) = direction.any_orthonormal_pair();
     let turn = DMat3::from_cols(u, v, direction).transpose();
     let Some([low, high]) = bounds(mesh, turn) else { return Vec::new() };
+    let step_m = step_m.max((high - low).truncate().max_element() / MOST_RAYS);
+    if !step_m.is_normal() {
+        return Vec::new();
+    }
     let origin = [low.x, low.y].map(|a| (a / step_m).floor());
     let size =
         [(high.x, origin[0]), (high.y, origin[1])].map(|(a, first)| ((a / step_m) - first) as usize + 2);
@@ -76,9 +83,12 @@ pub(super) fn seen_along(mesh: &Mesh, direction: DVec3, step_m: f64) -> Vec<Surf
     first.iter().enumerate().filter_map(point).collect()
 }
 
+/// Of turned triangles; `None` without any, or where one is not finite.
 fn bounds(mesh: &Mesh, turn: DMat3) -> Option<[DVec3; 2]> {
-    let places = mesh.triangles.iter().flat_map(|t| mesh.corners(*t)).map(|p| turn * p);
-    places.map(|p| [p, p]).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+    let mut places = mesh.triangles.iter().flat_map(|t| mesh.corners(*t)).map(|p| turn * p);
+    let first = places.next()?;
+    let join = |[low, high]: [DVec3; 2], p: DVec3| p.is_finite().then(|| [low.min(p), high.max(p)]);
+    places.try_fold([first, first], join).filter(|_| first.is_finite())
 }
 
 /// Tells the grid points (in steps) that a triangle covers along z, and its z there. Triangles seen edge-on cover none.

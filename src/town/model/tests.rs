@@ -80,11 +80,11 @@ fn no_inside_can_be_seen_from_outside() {
         let (sin, cos) = (f64::from(i) * std::f64::consts::FRAC_PI_6 + 0.1).sin_cos();
         directions.extend([-0.6, -0.12, 0.05].map(|z| DVec3::new(cos, sin, z).normalize()));
     }
-    for body in bodies(0..6) {
+    for body in bodies(0..3) {
         let mesh = body.mesh(body.seed as usize);
         let (mut seen, mut inside) = (0, 0);
         for direction in &directions {
-            let hits = seen_along(&mesh, *direction, 0.02);
+            let hits = seen_along(&mesh, *direction, 0.03);
             seen += hits.len();
             inside += hits.iter().filter(|h| !h.outside).count();
         }
@@ -239,4 +239,9 @@ fn surfaces_are_what_can_be_seen() {
     assert!((f64::from(sides[4]) / (2.0 * per_m2 * (1.0 + 4.0 * slant)) - 1.0).abs() < 0.05);
     assert_eq!(sides[5], 0);
     assert!(surface(&Mesh::default(), 0.05).is_empty());
+    assert!(seen_along(&mesh, DVec3::NEG_Z, f64::INFINITY).is_empty());
+    assert!((1 << 20..1 << 22).contains(&seen_along(&mesh, DVec3::NEG_Z, f64::NAN).len()));
+    mesh.vertices[0].position[0] = f32::NAN;
+    mesh.vertices[1].position[0] = f32::INFINITY;
+    assert!(surface(&mesh, 0.05).is_empty());
 }

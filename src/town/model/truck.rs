@@ -194,8 +194,8 @@ impl Truck {
         let board = |mesh: &mut Mesh, min: [f64; 2], max: [f64; 2], up: f64, skin| {
             mesh.block(DVec3::new(min[0], min[1], low), DVec3::new(max[0], max[1], low + up), skin);
         };
-        board(mesh, [rear, -y], [front, -y + 0.05], 0.5, self.paint);
-        board(mesh, [rear, y - 0.05], [front, y], 0.5, self.paint);
+        board(mesh, [rear + 0.05, -y], [front - 0.06, -y + 0.05], 0.5, self.paint);
+        board(mesh, [rear + 0.05, y - 0.05], [front - 0.06, y], 0.5, self.paint);
         board(mesh, [rear, -y], [rear + 0.05, y], 0.5, self.paint);
         board(mesh, [front - 0.06, -y], [front, y], self.size_m.z - low, TRIM);
         let length = front - rear;
