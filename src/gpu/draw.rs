@@ -4,9 +4,7 @@ use std::ops::Range;
 
 use ash::vk;
 
-use super::{
-    Area, Buffer, DepthTest, DescriptorSet, GpuError, GraphicsPipeline, Indices, Recorder, Target,
-};
+use super::{Area, Buffer, DepthTest, DescriptorSet, GpuError, GraphicsPipeline, Indices, Recorder, Target};
 
 impl<'a> Recorder<'a> {
     /// Starts drawing into the top left of a target, which is cleared: colors to 0, depth as its

@@ -78,11 +78,7 @@ impl RenderPass {
         let depth_attachment = |depth: Depth| {
             let layout = read_layout(depth.format);
             let cleared = attachment(depth.format, layout);
-            if kept {
-                cleared.load_op(vk::AttachmentLoadOp::LOAD).initial_layout(layout)
-            } else {
-                cleared
-            }
+            if kept { cleared.load_op(vk::AttachmentLoadOp::LOAD).initial_layout(layout) } else { cleared }
         };
         let mut attachments: Vec<_> =
             desc.colors.iter().map(|format| attachment(*format, desc.color_read)).collect();
@@ -109,7 +105,12 @@ impl RenderPass {
         // SAFETY: `info` and what it points to live until after the call.
         let raw = unsafe { device.raw.create_render_pass(&info, None) };
         let raw = raw.map_err(call("vkCreateRenderPass"))?;
-        let pass = Self { device: device.clone(), raw, colors: desc.colors.len(), depth: desc.depth.map(|d| d.test) };
+        let pass = Self {
+            device: device.clone(),
+            raw,
+            colors: desc.colors.len(),
+            depth: desc.depth.map(|d| d.test),
+        };
         device.set_name(raw, desc.name)?;
         Ok(pass)
     }

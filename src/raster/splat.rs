@@ -16,9 +16,9 @@ use super::tiles::Tile;
 use super::{Draw, SplatSchedule};
 use crate::cloud::Point;
 use crate::gpu::{
-    Area, Bind, Buffer, BufferDesc, Depth, DepthTest, DescriptorSet, Device, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
-    Image, ImageDesc, Memory, PipelineLayout, Recorder, RenderPass, RenderPassDesc, Scope, Target, Topology,
-    VertexBuffer, assert_layout, shaders,
+    Area, Bind, Buffer, BufferDesc, Depth, DepthTest, DescriptorSet, Device, GpuError, GraphicsPipeline,
+    GraphicsPipelineDesc, Image, ImageDesc, Memory, PipelineLayout, Recorder, RenderPass, RenderPassDesc,
+    Scope, Target, Topology, VertexBuffer, assert_layout, shaders,
 };
 
 const VISIBILITY: vk::Format = vk::Format::R32G32_UINT;

@@ -214,12 +214,14 @@ fn edges_are_blended_in_linear_light() {
 fn the_sun_throws_shadows_where_something_is_in_its_way() {
     let mut ground = Mesh::default();
     let corner = |x: f64, y: f64| DVec3::new(x, y, 0.0);
-    let corners = [corner(-150.0, -150.0), corner(150.0, -150.0), corner(150.0, 150.0), corner(-150.0, 150.0)];
+    let corners =
+        [corner(-150.0, -150.0), corner(150.0, -150.0), corner(150.0, 150.0), corner(-150.0, 150.0)];
     ground.polygon(&corners, plain(150));
     let mut post = Mesh::default();
     post.block(DVec3::new(-1.5, -1.5, 0.0), DVec3::new(1.5, 1.5, 6.0), plain(150));
     let meshes = [ground, post];
-    let draw = |mesh, x| MeshDraw { mesh, town_from_mesh: at(DVec3::new(x, 3.0, 0.0), 0.7), class: 1, instance: 0 };
+    let draw =
+        |mesh, x| MeshDraw { mesh, town_from_mesh: at(DVec3::new(x, 3.0, 0.0), 0.7), class: 1, instance: 0 };
     // One near, in the fine map, and one far, in the coarse one.
     let draws = [draw(0, 0.0), draw(1, 4.0), draw(1, 90.0)];
     let rays = Rays::new(&meshes, &draws);

@@ -45,9 +45,7 @@ impl TrueView {
         lines.enumerate().for_each(|(row, (((depth_m, class), instance), rgb))| {
             let y = f64::from(tile.origin[1]) + row as f64 + 0.5;
             let from = row * columns..(row + 1) * columns;
-            for (i, (shown, pixel)) in
-                read.shown[from.clone()].iter().zip(&read.pixels[from]).enumerate()
-            {
+            for (i, (shown, pixel)) in read.shown[from.clone()].iter().zip(&read.pixels[from]).enumerate() {
                 let at = left + i;
                 rgb[3 * at..3 * at + 3].copy_from_slice(&pixel[..3]);
                 let ray = scene.ray(at as f64 + 0.5, y);
@@ -95,4 +93,3 @@ impl<'a> Scene<'a> {
 pub(super) fn unknown_mesh(draws: &[MeshDraw], meshes: usize) -> Option<(usize, usize)> {
     draws.iter().enumerate().find(|(_, draw)| draw.mesh >= meshes).map(|(i, draw)| (i, draw.mesh))
 }
-
