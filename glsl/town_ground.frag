@@ -4,6 +4,7 @@
 // include common/town_view.glsl
 // include common/town_finish.glsl
 // include common/town_noise.glsl
+// include common/town_sample.glsl
 // include common/town_shade.glsl
 
 const uint SIDEWALK = 2u;

@@ -4,6 +4,7 @@
 // include common/town_view.glsl
 // include common/town_finish.glsl
 // include common/town_noise.glsl
+// include common/town_sample.glsl
 // include common/town_shade.glsl
 
 // The nearest of jittered centres, one a unit cell: how it lies from here, and its hash in the fourth.

@@ -2,8 +2,7 @@
 // How much of the sun and of the sky each sample sees; and, as depth, which shader is to shade it.
 
 // include common/town_view.glsl
-layout(set = 0, binding = 1) uniform utexture2D surfaces;
-layout(set = 0, binding = 2) uniform texture2D depths;
+// include common/town_sample.glsl
 layout(set = 0, binding = 4) uniform texture2D sun_near;
 layout(set = 0, binding = 5) uniform texture2D sun_far;
 layout(set = 0, binding = 6) uniform texture2D over;
@@ -45,9 +44,10 @@ float seen_far(vec3 at) {
     vec2 corner = at.xy - 0.5;
     vec2 t = fract(corner);
     ivec2 first = ivec2(floor(corner));
-    float low = mix(step(at.z, texelFetch(sun_far, first, 0).x), step(at.z, texelFetch(sun_far, first + ivec2(1, 0), 0).x), t.x);
-    float high = mix(step(at.z, texelFetch(sun_far, first + ivec2(0, 1), 0).x), step(at.z, texelFetch(sun_far, first + ivec2(1, 1), 0).x), t.x);
-    return mix(low, high, t.y);
+    vec4 hides = vec4(texelFetch(sun_far, first, 0).x, texelFetch(sun_far, first + ivec2(1, 0), 0).x,
+        texelFetch(sun_far, first + ivec2(0, 1), 0).x, texelFetch(sun_far, first + ivec2(1, 1), 0).x);
+    vec4 seen = step(vec4(at.z), hides);
+    return mix(mix(seen.x, seen.y, t.x), mix(seen.z, seen.w, t.x), t.y);
 }
 
 // Texels from the border of a map: below 0 outside.
@@ -108,15 +108,8 @@ void main() {
     ivec2 texel = ivec2(gl_FragCoord.xy);
     uvec4 surface = texelFetch(surfaces, texel, 0);
     float depth = texelFetch(depths, texel, 0).x;
-    vec3 grid = vec3(gl_FragCoord.xy, 1.0);
-    float z = view.scale.x / max(depth, 1e-6);
-    vec3 p = vec3(dot(view.ray_x.xyz, grid), dot(view.ray_y.xyz, grid), dot(view.ray_z.xyz, grid)) * z;
-    vec2 folded = unpackSnorm2x16(surface.x);
-    vec3 n = vec3(folded, 1.0 - abs(folded.x) - abs(folded.y));
-    float under = max(-n.z, 0.0);
-    n.x += n.x >= 0.0 ? -under : under;
-    n.y += n.y >= 0.0 ? -under : under;
-    n = normalize(n);
+    vec3 p = from_camera(depth);
+    vec3 n = unpacked_normal(surface.x);
     light = vec2(sun_seen(p, n), sky_seen(p, n, p.z + view.ray_z.w));
     uint kind = depth > 0.0 ? kind_of(surface.y >> 24) : 0u;
     gl_FragDepth = float(kind + 1u) / 16.0;

@@ -4,6 +4,7 @@
 // include common/town_view.glsl
 // include common/town_finish.glsl
 // include common/town_noise.glsl
+// include common/town_sample.glsl
 // include common/town_shade.glsl
 
 const uint RUBBER = 10u;
@@ -42,7 +43,9 @@ void main() {
     color = s.surface == CLOTH ? cloth : color;
     vec3 light = matt(s, max(color, vec3(0.0)), s.normal);
     light += s.surface == RUBBER ? 0.04 * view.sunlight.rgb * gleam(s, s.normal, 12.0) : vec3(0.0);
-    light += s.surface == SIGN ? 0.05 * view.horizon.rgb * fresnel(dot(s.normal, s.to_eye), 0.1) + sign * view.ground.w * 0.35 : vec3(0.0);
+    // Signs shine a little, and are lit at dusk.
+    vec3 sheen = 0.05 * view.horizon.rgb * fresnel(dot(s.normal, s.to_eye), 0.1);
+    light += s.surface == SIGN ? sheen + sign * view.ground.w * 0.35 : vec3(0.0);
     vec3 lamp = s.color * (0.55 + 5.5 * view.ground.w) + 0.2 * light;
     finish(s, s.surface == LAMP ? lamp : light);
 }

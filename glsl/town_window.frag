@@ -4,6 +4,7 @@
 // include common/town_view.glsl
 // include common/town_finish.glsl
 // include common/town_noise.glsl
+// include common/town_sample.glsl
 // include common/town_shade.glsl
 // include common/town_sky.glsl
 
@@ -31,7 +32,8 @@ vec3 room(Sample s, vec3 inward, vec3 along, float lit, float shop) {
     vec2 border = abs(fract(row) - 0.5);
     bool goods = unit(thing) < 0.75 && border.x < 0.36 && border.y < 0.40 && hit.y < 1.6;
     vec3 dye = vec3(float(thing & 255u), float((thing >> 8) & 255u), float((thing >> 16) & 255u)) / 255.0;
-    wall = shop > 0.5 && goods ? 0.08 + 0.7 * dye * dye : wall;
+    dye = mix(vec3(dot(dye, vec3(0.33))), dye, 0.45);
+    wall = shop > 0.5 && goods ? 0.05 + 0.6 * dye * dye : wall;
     bool ceiling = to_level < min(to_side, back) && slope.y > 0.0;
     wall = ceiling ? vec3(0.8) : wall;
     vec3 daylight = skylight(vec3(0.0, 0.0, 0.3)) * 0.42 * s.sky * exp(-0.30 * deep);
@@ -47,7 +49,7 @@ void main() {
     float lit = unit(kind * 747796405u) < 0.42 ? view.ground.w : 0.0;
         // Panes that begin near the ground are those of shops and of doors.
     float shop = s.place.z - s.uv.y < 0.75 ? 1.0 : 0.0;
-    lit = shop > 0.5 ? view.ground.w : lit;
+    lit = shop > 0.5 ? 0.55 * view.ground.w : lit;
     vec3 inside = room(s, -s.normal, along, lit, shop);
 
     // Curtains at both sides or a blind from above, in some windows.

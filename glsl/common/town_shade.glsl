@@ -1,6 +1,4 @@
 // What a sample shows, and its light.
-layout(set = 0, binding = 1) uniform utexture2D surfaces;
-layout(set = 0, binding = 2) uniform texture2D depths;
 layout(set = 0, binding = 3) uniform texture2D lights;
 
 layout(location = 0) out vec4 color_out;
@@ -28,22 +26,15 @@ Sample sample_here() {
     ivec2 at = ivec2(gl_FragCoord.xy);
     uvec4 surface = texelFetch(surfaces, at, 0);
     vec2 light = texelFetch(lights, at, 0).xy;
-    vec3 grid = vec3(gl_FragCoord.xy, 1.0);
-    float z = view.scale.x / max(texelFetch(depths, at, 0).x, 1e-9);
-    vec3 ray = vec3(dot(view.ray_x.xyz, grid), dot(view.ray_y.xyz, grid), dot(view.ray_z.xyz, grid));
-    float ray_length = length(ray);
+    float depth = texelFetch(depths, at, 0).x;
+    vec3 seen = from_camera(depth);
 
     Sample s;
-    s.place = vec3(view.ray_x.w, view.ray_y.w, view.ray_z.w) + ray * z;
-    s.to_eye = -ray / ray_length;
-    s.away = z * ray_length;
-    vec2 folded = unpackSnorm2x16(surface.x);
-    vec3 n = vec3(folded, 1.0 - abs(folded.x) - abs(folded.y));
-    float under = max(-n.z, 0.0);
-    n.x += n.x >= 0.0 ? -under : under;
-    n.y += n.y >= 0.0 ? -under : under;
-    s.normal = normalize(n);
-    s.sample_m = z * view.scale.y * inversesqrt(clamp(dot(s.normal, s.to_eye), 0.02, 1.0));
+    s.place = vec3(view.ray_x.w, view.ray_y.w, view.ray_z.w) + seen;
+    s.away = length(seen);
+    s.to_eye = -seen / s.away;
+    s.normal = unpacked_normal(surface.x);
+    s.sample_m = view.scale.x / max(depth, 1e-7) * view.scale.y * inversesqrt(clamp(dot(s.normal, s.to_eye), 0.02, 1.0));
     vec3 rgb = vec3(float(surface.y & 255u), float((surface.y >> 8) & 255u), float((surface.y >> 16) & 255u));
     s.color = linear_from_srgb(rgb / 255.0);
     s.surface = surface.y >> 24;
