@@ -117,7 +117,7 @@ mod tests {
     use super::*;
     use crate::geometry::ImageSize;
     use crate::raster::{
-        FrameKinds, Occlusion, RasterizerInfo, Segment, SplatJob, SplatMaps, SplatSchedule, ViewMaps,
+        FrameKinds, Occlusion, RasterizerInfo, SplatJob, SplatMaps, SplatSchedule, ViewMaps,
     };
 
     /// Works a millisecond on each frame, half of it at the begin, and keeps a diary.
@@ -159,12 +159,8 @@ mod tests {
             Err(RasterError::NoFrame)
         }
 
-        fn lines(&mut self, _: u32, _: u32, _: &[Segment], _: f32) -> Result<Vec<[u8; 3]>, RasterError> {
-            Err(RasterError::NoFrame)
-        }
-
-        fn take_stages(&mut self) -> StageTimes {
-            std::mem::take(&mut self.stages)
+        fn stages(&mut self) -> &mut StageTimes {
+            &mut self.stages
         }
     }
 
