@@ -19,6 +19,7 @@ pub mod layout;
 pub mod meta;
 pub mod npz;
 mod options;
+mod pil;
 pub mod png;
 pub mod reduce;
 mod render;

@@ -20,7 +20,9 @@ impl<'a> Scenario<'a> {
     pub fn new(log: &'a Log, map: Option<Arc<SceneMap>>, format: LogFormat) -> Self {
         let rates = match format {
             LogFormat::NuScenes => Rates::NUSCENES,
-            LogFormat::Argoverse | LogFormat::NuPlan | LogFormat::NuPlanSimgen => Rates::default(),
+            LogFormat::Argoverse | LogFormat::NuPlan | LogFormat::NuPlanSimgen | LogFormat::Town => {
+                Rates::default()
+            }
         };
         Self { log, map, rates }
     }

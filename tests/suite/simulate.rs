@@ -41,8 +41,12 @@ fn assert_page_is_whole(log: &TinyLog, folder: &str, steps: usize) {
         let step = log.path(&format!("{folder}/steps/{name}"));
         assert_eq!(image::image_dimensions(step.join("birdseye.png")).unwrap(), (800, 800));
         for map in page["maps"].as_array().unwrap() {
-            let size = image::image_dimensions(step.join(format!("view/{}.jpg", map.as_str().unwrap()))).unwrap();
-            assert_eq!((json!(size.0), json!(size.1)), (page["sheet"]["width"].clone(), page["sheet"]["height"].clone()));
+            let size =
+                image::image_dimensions(step.join(format!("view/{}.jpg", map.as_str().unwrap()))).unwrap();
+            assert_eq!(
+                (json!(size.0), json!(size.1)),
+                (page["sheet"]["width"].clone(), page["sheet"]["height"].clone())
+            );
         }
     }
     for file in page["files"].as_array().unwrap() {
@@ -88,7 +92,10 @@ fn a_rollout_leaves_all_its_files() {
     assert_eq!(rows.len(), 9);
     for (step, row) in rows.iter().enumerate() {
         let seconds = step as f64 / 12.0;
-        assert_eq!((&row["step"], &row["t_us"]), (&json!(step), &json!(FIRST_US + (seconds * 1e6).round() as i64)));
+        assert_eq!(
+            (&row["step"], &row["t_us"]),
+            (&json!(step), &json!(FIRST_US + (seconds * 1e6).round() as i64))
+        );
         assert_eq!(row["phase"], if step <= 6 { "warm_up" } else { "policy" });
         assert_eq!(row["plan"].is_array(), step == 7, "the first plan leads to step 7");
         let x = row["ego"]["global_from_ego"][0][3].as_f64().unwrap() - START.x;
@@ -99,7 +106,10 @@ fn a_rollout_leaves_all_its_files() {
             assert!(x > 1.0 + 2.0 * (seconds - 0.5) && x < 1.5, "step {step}: {x}");
         }
         let car = &row["actors"][0];
-        assert_eq!((&car["instance"], &car["track"], &car["new_in_view"]), (&json!(1), &json!("car"), &json!(false)));
+        assert_eq!(
+            (&car["instance"], &car["track"], &car["new_in_view"]),
+            (&json!(1), &json!("car"), &json!(false))
+        );
         let ahead = car["center_m"][0].as_f64().unwrap() - START.x;
         assert!((ahead - (12.0 + 4.0 * seconds)).abs() < 4e-6);
         assert_eq!(car["size_m"], json!([4.0, 2.0, 1.5]));
@@ -109,10 +119,20 @@ fn a_rollout_leaves_all_its_files() {
     let index = log.json("out/index.json");
     assert_eq!((&index["options"]["sim_hz"], &index["options"]["takeover_step"]), (&json!(12.0), &json!(6)));
     let frames = index["frames"].as_array().unwrap();
-    assert_eq!((frames.len(), &frames[8]["name"], &frames[8]["cameras"]), (9, &json!("000008"), &json!(CAMERAS)));
-    assert_eq!((&frames[8]["ego"], &frames[8]["t_us"]), (&rows[8]["ego"]["global_from_ego"], &rows[8]["t_us"]));
+    assert_eq!(
+        (frames.len(), &frames[8]["name"], &frames[8]["cameras"]),
+        (9, &json!("000008"), &json!(CAMERAS))
+    );
+    assert_eq!(
+        (&frames[8]["ego"], &frames[8]["t_us"]),
+        (&rows[8]["ego"]["global_from_ego"], &rows[8]["t_us"])
+    );
     let metrics = log.json("out/metrics.json");
-    assert_eq!((&metrics["ended"], &metrics["failure"], &metrics["steps"]), (&json!("steps"), &Value::Null, &json!(2)), "those after the warm-up");
+    assert_eq!(
+        (&metrics["ended"], &metrics["failure"], &metrics["steps"]),
+        (&json!("steps"), &Value::Null, &json!(2)),
+        "those after the warm-up"
+    );
     let (width, height, pictures, rate) = video(&log.path("out/rollout.mp4"));
     assert_eq!((pictures, rate), (9, 12.0));
     assert!(width.is_multiple_of(2) && height.is_multiple_of(2) && width > 400, "{width} x {height}");
@@ -181,7 +201,10 @@ fn a_rollout_ends_with_the_log() {
     assert_page_is_whole(&log, "out", 13);
     // What was expected at step 6 for step 12 is what came, with replay.
     let expected = tree(&log.path("out/steps/000006/forecast/000012"));
-    assert_eq!(expected.keys().collect::<Vec<_>>(), ["CAM_BACK/depth.png", "CAM_FRONT/depth.png", "meta.json"]);
+    assert_eq!(
+        expected.keys().collect::<Vec<_>>(),
+        ["CAM_BACK/depth.png", "CAM_FRONT/depth.png", "meta.json"]
+    );
     let came = tree(&log.path("out/steps/000012"));
     assert!(expected.iter().all(|(name, bytes)| came[name] == *bytes));
     assert_eq!(std::fs::read_dir(log.path("out/steps/000006/forecast")).unwrap().count(), 1);
@@ -213,8 +236,12 @@ exit 3
     assert_eq!(page(&log, "out")["failure"], metrics["failure"]);
     // It was told the files of the step before its first plan.
     let observed = log.json("observed.json");
-    let files: Vec<&str> = observed["files"].as_array().unwrap().iter().map(|f| f.as_str().unwrap()).collect();
-    assert!(files.iter().all(|file| Path::new(file).is_file() && file.contains("out/steps/000006/")), "{files:?}");
+    let files: Vec<&str> =
+        observed["files"].as_array().unwrap().iter().map(|f| f.as_str().unwrap()).collect();
+    assert!(
+        files.iter().all(|file| Path::new(file).is_file() && file.contains("out/steps/000006/")),
+        "{files:?}"
+    );
     assert!(files.iter().any(|file| file.ends_with("CAM_FRONT/color.png")));
     // One that says no word leaves nothing.
     std::fs::remove_dir_all(log.path("out")).unwrap();
@@ -227,7 +254,8 @@ fn a_full_disk_leaves_whole_steps_and_lines() {
     let log = built();
     // 1 KiB: not even the options; then enough for some lines of states, which grow beyond it.
     for limit in [1, 16] {
-        let script = format!("ulimit -f {limit}; exec '{PSKEL}' {SIMULATE} --maps boxes --steps 30 --ego straight");
+        let script =
+            format!("ulimit -f {limit}; exec '{PSKEL}' {SIMULATE} --maps boxes --steps 30 --ego straight");
         let output = Command::new("bash").arg("-c").arg(script).current_dir(log.path("")).output().unwrap();
         assert_failed(&output, 1, &["cannot write"]);
         let files = tree(&log.path("out"));
