@@ -8,7 +8,8 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use point_skeleton::conditions::{self, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
-use point_skeleton::dataset::{self, Dataset, ImageRecord, LogLocator};
+use point_skeleton::dataset::{Dataset, ImageRecord};
+use point_skeleton::logs;
 use point_skeleton::metrics::{FilledError, compare_filled};
 use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
 use point_skeleton::scene::{EgoOffset, SelectionOptions, Stage, state_of_frame};
@@ -46,7 +47,7 @@ const SIZE: ImageSize = ImageSize { height: 900, width: 1600 };
 
 fn main() -> anyhow::Result<()> {
     let args = Args::parse();
-    let log = dataset::open(&args.log.parse::<LogLocator>()?)?;
+    let log = logs::open(&logs::locate(&args.log)?)?;
     let log = log.as_ref();
     let frames = log.log().frames.len();
     let kept: Vec<usize> = (0..frames).step_by(2).collect();

@@ -6,13 +6,14 @@ use std::time::Instant;
 use clap::Args;
 use glam::Vec3;
 
-use super::log_args::LogRoots;
+use super::log_args::{self, LogRoots};
 use super::numbers::{self, FrameRange};
 use super::progress::StageProgress;
 use super::{WrongUsage, info, say, templates};
 use crate::cloud::{self, Bounds, Point};
-use crate::dataset::{self, Dataset, LogLocator};
+use crate::dataset::{Dataset, LogLocator};
 use crate::error::FileError;
+use crate::logs;
 use crate::skeleton::{
     self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, SkeletonWriter, Template,
     TemplateCloud, TemplateKind, TemplateLibrary,
@@ -27,7 +28,7 @@ use crate::skeleton::{
 pub(super) struct BuildArgs {
     /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061; several drives of one
     /// place share a background
-    #[arg(value_name = "LOG", required = true)]
+    #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
     logs: Vec<LogLocator>,
     #[command(flatten)]
     roots: LogRoots,
@@ -126,8 +127,8 @@ impl BuildArgs {
     fn open(&self) -> anyhow::Result<Vec<Box<dyn Dataset>>> {
         let mut opened = Vec::new();
         for log in &self.logs {
-            for log in dataset::expand(&self.roots.locate(log))? {
-                opened.push(dataset::open(&log)?);
+            for log in logs::expand(&self.roots.locate(log))? {
+                opened.push(logs::open(&log)?);
             }
         }
         Ok(opened)

@@ -2,7 +2,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use crate::dataset::{self, Dataset, DatasetError, LogLocator};
+use crate::dataset::{Dataset, DatasetError, LogLocator};
+use crate::logs;
 
 /// Where the parts of a data set are.
 #[derive(Clone, Debug, Default, Args)]
@@ -15,6 +16,11 @@ pub(super) struct LogRoots {
     map_root: Option<PathBuf>,
 }
 
+/// For the parser: a log's name.
+pub(super) fn log(text: &str) -> Result<LogLocator, DatasetError> {
+    logs::locate(text)
+}
+
 impl LogRoots {
     /// A log's name with these folders.
     pub(super) fn locate(&self, log: &LogLocator) -> LogLocator {
@@ -24,6 +30,6 @@ impl LogRoots {
 
     /// Opens a log.
     pub(super) fn open(&self, log: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
-        dataset::open(&self.locate(log))
+        logs::open(&self.locate(log))
     }
 }

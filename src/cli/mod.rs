@@ -8,15 +8,19 @@
 mod bench;
 mod build;
 mod convert;
+mod fidelity;
 mod info;
 mod log_args;
+mod map_args;
 mod numbers;
 mod progress;
 mod rasterizer;
 mod render;
+mod simulate;
 mod splat;
 mod stand_ins;
 mod templates;
+mod town;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -39,10 +43,13 @@ enum Command {
     Info(info::InfoArgs),
     Build(build::BuildArgs),
     Render(Box<render::RenderArgs>),
+    Simulate(Box<simulate::SimulateArgs>),
     Splat(splat::SplatArgs),
     Convert(convert::ConvertArgs),
     Templates(templates::TemplatesArgs),
     Bench(Box<bench::BenchArgs>),
+    Town(town::TownArgs),
+    Fidelity(Box<fidelity::FidelityArgs>),
 }
 
 impl Command {
@@ -51,10 +58,13 @@ impl Command {
             Self::Info(args) => info::run(args),
             Self::Build(args) => build::run(args),
             Self::Render(args) => render::run(*args),
+            Self::Simulate(args) => simulate::run(*args),
             Self::Splat(args) => splat::run(args),
             Self::Convert(args) => convert::run(args),
             Self::Templates(args) => templates::run(&args),
             Self::Bench(args) => bench::run(&args),
+            Self::Town(args) => town::run(&args),
+            Self::Fidelity(args) => fidelity::run(&args),
         }
     }
 }

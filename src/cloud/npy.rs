@@ -33,14 +33,14 @@ pub fn read(path: &Path) -> Result<PointFile, FileError> {
 
 /// Number type of a column.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Scalar {
+pub(crate) enum Scalar {
     F16,
     F32,
     F64,
 }
 
 impl Scalar {
-    fn from_descr(descr: &str) -> Option<Self> {
+    pub(crate) fn from_descr(descr: &str) -> Option<Self> {
         match descr {
             "'<f2'" => Some(Self::F16),
             "'<f4'" => Some(Self::F32),
@@ -49,7 +49,7 @@ impl Scalar {
         }
     }
 
-    fn bytes(self) -> usize {
+    pub(crate) fn bytes(self) -> usize {
         match self {
             Self::F16 => 2,
             Self::F32 => 4,
@@ -58,7 +58,7 @@ impl Scalar {
     }
 
     /// Widens all numbers of a block.
-    fn widen(self, block: &[u8], into: &mut Vec<f64>) {
+    pub(crate) fn widen(self, block: &[u8], into: &mut Vec<f64>) {
         into.clear();
         match self {
             Self::F16 => into.extend(chunks(block).map(|b| half::f16::from_le_bytes(b).to_f64())),
@@ -104,7 +104,11 @@ fn decode(mut reader: impl Read, file_bytes: u64, path: &Path) -> Result<PointFi
 
 /// The magic, version, length and text of the header, checked so far that parsing it can neither run out of memory
 /// nor of stack.
-fn read_header_bytes(reader: &mut impl Read, file_bytes: u64, path: &Path) -> Result<Vec<u8>, FileError> {
+pub(crate) fn read_header_bytes(
+    reader: &mut impl Read,
+    file_bytes: u64,
+    path: &Path,
+) -> Result<Vec<u8>, FileError> {
     let no_npy = |found: &str| FileError::content("an NPY file", found, path);
     let mut fixed = [0; 10];
     reader.read_exact(&mut fixed).map_err(|_| no_npy(&format!("{file_bytes} bytes")))?;

@@ -61,17 +61,50 @@ const FARTHEST_PX: f64 = 1e12;
 /// Largest picture, pixels.
 const MAX_SIDE_PX: u32 = 4096;
 
+/// A line on the ground, for instance where the ego drove.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trace {
+    /// Global x and y in order, metres.
+    pub points: Vec<DVec2>,
+    /// Red, green, blue, opacity.
+    pub rgba: [u8; 4],
+    /// Pixels.
+    pub width_px: f32,
+}
+
 /// Writes the picture as PNG.
 ///
 /// # Errors
 /// The system's, at writing.
 pub fn write(path: &Path, state: &SceneState, options: &BirdseyeOptions) -> Result<(), FileError> {
-    let (size, pixels) = draw(state, options);
+    write_with(path, state, &[], options)
+}
+
+/// As [`write()`], with lines between the map and the actors.
+///
+/// # Errors
+/// The system's, at writing.
+pub fn write_with(
+    path: &Path,
+    state: &SceneState,
+    traces: &[Trace],
+    options: &BirdseyeOptions,
+) -> Result<(), FileError> {
+    let (size, pixels) = draw_with(state, traces, options);
     png::write_rgb(path, &pixels, size)
 }
 
 /// Draws the picture: its size and RGB pixels.
 pub fn draw(state: &SceneState, options: &BirdseyeOptions) -> (ImageSize, Vec<[u8; 3]>) {
+    draw_with(state, &[], options)
+}
+
+/// As [`draw`], with lines between the map and the actors.
+pub fn draw_with(
+    state: &SceneState,
+    traces: &[Trace],
+    options: &BirdseyeOptions,
+) -> (ImageSize, Vec<[u8; 3]>) {
     let side = options.side_px.clamp(1, MAX_SIDE_PX);
     let size = ImageSize { height: side, width: side };
     let mut canvas = Canvas::new(size, [BACKGROUND[0], BACKGROUND[1], BACKGROUND[2]]);
@@ -80,6 +113,7 @@ pub fn draw(state: &SceneState, options: &BirdseyeOptions) -> (ImageSize, Vec<[u
             picture.map(map.vector_map());
         }
         state.cameras.iter().for_each(|camera| picture.camera(&camera.view));
+        traces.iter().for_each(|trace| picture.trace(trace));
         state.actors.iter().for_each(|actor| picture.actor(actor));
         picture.ego();
         let rgb = picture.pixmap.pixels().iter().map(|p| [p.red(), p.green(), p.blue()]);
@@ -174,6 +208,25 @@ impl Picture {
         }
     }
 
+    /// A line that is open, in pieces where it leaves the picture.
+    fn trace(&mut self, trace: &Trace) {
+        let pixels: Vec<DVec2> = trace.points.iter().map(|point| self.pixel(*point)).collect();
+        let mut builder = PathBuilder::new();
+        for pair in pixels.windows(2) {
+            let Some([from, to]) = clipped_line([pair[0], pair[1]], 2.0 * self.center_px) else { continue };
+            // One path, so that it is as opaque where its pieces meet as elsewhere.
+            if builder.last_point().is_none_or(|p| (p.x, p.y) != (from.x as f32, from.y as f32)) {
+                builder.move_to(from.x as f32, from.y as f32);
+            }
+            builder.line_to(to.x as f32, to.y as f32);
+        }
+        let Some(path) = builder.finish() else { return };
+        let (width, round) = (trace.width_px, tiny_skia::LineCap::Round);
+        let stroke =
+            Stroke { width, line_cap: round, line_join: tiny_skia::LineJoin::Round, ..Stroke::default() };
+        self.pixmap.stroke_path(&path, &paint(trace.rgba), &stroke, Transform::identity(), None);
+    }
+
     /// A camera as a dot with a wedge over its columns.
     fn camera(&mut self, view: &View) {
         let world_from_camera = view.camera_from_world.inverse();
@@ -237,6 +290,28 @@ fn clipped(ring: &[DVec2], side: f64) -> Vec<DVec2> {
         ring = kept;
     }
     ring
+}
+
+/// The part of a segment within the picture and a margin (Liang and Barsky 1984).
+fn clipped_line([from, to]: [DVec2; 2], side: f64) -> Option<[DVec2; 2]> {
+    if ![from, to].iter().all(|end| end.abs().max_element() < FARTHEST_PX) {
+        return None;
+    }
+    let way = to - from;
+    let (mut enters, mut leaves) = (0.0_f64, 1.0_f64);
+    for axis in [0, 1] {
+        for (step, room) in [(-way[axis], from[axis] + MARGIN_PX), (way[axis], side + MARGIN_PX - from[axis])]
+        {
+            if step < 0.0 {
+                enters = enters.max(room / step);
+            } else if step > 0.0 {
+                leaves = leaves.min(room / step);
+            } else if room < 0.0 {
+                return None;
+            }
+        }
+    }
+    (enters < leaves).then(|| [from + way * enters, from + way * leaves])
 }
 
 fn color([r, g, b, a]: Rgba) -> Color {
@@ -346,6 +421,27 @@ mod tests {
         }
         assert!(clipped(&square(19.0, 1e6), 10.0).is_empty() && clipped(&[], 10.0).is_empty());
         assert!(clipped(&[DVec2::ZERO, DVec2::NAN], 10.0).is_empty());
+    }
+
+    #[test]
+    fn traces_run_where_they_are_and_are_cut() {
+        let mut state = state(0.0);
+        (state.map, state.actors) = (None, Vec::new());
+        let global = |x: f64, y: f64| state.global_from_ego.transform_point(DVec3::new(x, y, 0.0)).truncate();
+        let line = |points: Vec<DVec2>| Trace { points, rgba: [0, 200, 0, 255], width_px: 4.0 };
+        // Along x 10 m to the left, from far behind to far ahead; and one with a number that is none.
+        let long = line(vec![global(-1e6, 10.0), global(20.0, 10.0), global(1e6, 10.0)]);
+        let bad = line(vec![global(0.0, -10.0), DVec2::NAN, global(5.0, -10.0)]);
+        let (_, pixels) = draw_with(&state, &[long, bad, line(Vec::new())], &BirdseyeOptions::default());
+        let at = |x: f64, y: f64| pixels[(400.0 - 8.0 * x) as usize * 800 + (400.0 - 8.0 * y) as usize];
+        for x in [-49.0, -20.0, 0.0, 20.0, 49.0] {
+            assert_eq!((at(x, 10.0), at(x, 11.0), at(x, -10.0)), ([0, 200, 0], [17, 19, 24], [17, 19, 24]));
+        }
+        let ends =
+            |line: [[f64; 2]; 2]| clipped_line(line.map(DVec2::from), 10.0).map(|l| l.map(|p| p.to_array()));
+        assert_eq!(ends([[0.0, 0.0], [10.0, 5.0]]), Some([[0.0, 0.0], [10.0, 5.0]]));
+        assert_eq!(ends([[-108.0, 5.0], [118.0, 5.0]]), Some([[-8.0, 5.0], [18.0, 5.0]]));
+        assert_eq!([ends([[-9.0, 0.0], [-9.0, 5.0]]), ends([[-20.0, 3.0], [3.0, -20.0]])], [None; 2]);
     }
 
     #[test]

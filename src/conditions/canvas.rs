@@ -3,22 +3,22 @@ use font8x8::legacy::BASIC_LEGACY;
 use super::ImageSize;
 
 /// An RGB picture that is drawn into; everything outside of it is cut off.
-pub(super) struct Canvas {
-    pub(super) size: ImageSize,
-    pub(super) pixels: Vec<[u8; 3]>,
+pub(crate) struct Canvas {
+    pub(crate) size: ImageSize,
+    pub(crate) pixels: Vec<[u8; 3]>,
 }
 
 /// Side of a glyph at scale 1, pixels.
-pub(super) const GLYPH: u32 = 8;
+pub(crate) const GLYPH: u32 = 8;
 
 impl Canvas {
     /// One color all over.
-    pub(super) fn new(size: ImageSize, rgb: [u8; 3]) -> Self {
+    pub(crate) fn new(size: ImageSize, rgb: [u8; 3]) -> Self {
         Self { size, pixels: vec![rgb; size.pixels()] }
     }
 
     /// Applies a function to every pixel of a rectangle; it gets the pixel's place within the rectangle.
-    pub(super) fn map(
+    pub(crate) fn map(
         &mut self,
         [left, top]: [u32; 2],
         size: ImageSize,
@@ -33,12 +33,12 @@ impl Canvas {
     }
 
     /// Copies a picture.
-    pub(super) fn blit(&mut self, at: [u32; 2], size: ImageSize, pixels: &[[u8; 3]]) {
+    pub(crate) fn blit(&mut self, at: [u32; 2], size: ImageSize, pixels: &[[u8; 3]]) {
         self.map(at, size, |_, [x, y]| pixels[y as usize * size.width as usize + x as usize]);
     }
 
     /// Writes ASCII text with `at` as its upper left corner; other characters become `?`. Gives back its width, pixels.
-    pub(super) fn text(&mut self, [left, top]: [u32; 2], scale: u32, rgb: [u8; 3], text: &str) -> u32 {
+    pub(crate) fn text(&mut self, [left, top]: [u32; 2], scale: u32, rgb: [u8; 3], text: &str) -> u32 {
         let side = GLYPH * scale;
         let cell = ImageSize { height: side, width: side };
         for (place, character) in (0..).zip(text.chars()) {
@@ -53,7 +53,7 @@ impl Canvas {
 }
 
 /// Width of a text, pixels.
-pub(super) fn text_width(text: &str, scale: u32) -> u32 {
+pub(crate) fn text_width(text: &str, scale: u32) -> u32 {
     text.chars().count() as u32 * GLYPH * scale
 }
 

@@ -11,7 +11,7 @@
 mod arrays;
 pub mod bins;
 pub mod birdseye;
-mod canvas;
+pub(crate) mod canvas;
 pub mod distort;
 mod error;
 pub mod exr;
@@ -19,6 +19,7 @@ pub mod layout;
 pub mod meta;
 pub mod npz;
 mod options;
+mod pil;
 pub mod png;
 pub mod reduce;
 mod render;

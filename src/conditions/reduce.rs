@@ -5,6 +5,7 @@
 
 use rayon::prelude::*;
 
+pub use super::pil::pil_bilinear;
 use crate::geometry::ImageSize;
 pub use crate::raster::reduce::{bilinear, nearest, nearest_indices};
 
@@ -40,54 +41,6 @@ pub fn valid_area(map: &[[u8; 3]], depth_m: &[f32], from: ImageSize, to: ImageSi
     };
     let pixel = &pixel;
     rows.par_iter().flat_map_iter(|row| columns.iter().map(move |column| pixel(row, column))).collect()
-}
-
-/// First source index and weights, in 1/2²², of Pillow's triangle filter.
-fn triangle(from: u32, to: u32) -> Vec<(usize, Vec<i32>)> {
-    let scale = f64::from(from) / f64::from(to);
-    let support = scale.max(1.0);
-    let weights = |i: u32| {
-        let center = (f64::from(i) + 0.5) * scale;
-        let first = (center - support + 0.5).max(0.0) as u32;
-        let end = ((center + support + 0.5) as u32).min(from);
-        let weight = |s: u32| (1.0 - ((f64::from(s) - center + 0.5) / support).abs()).max(0.0);
-        let sum: f64 = (first..end).map(weight).sum();
-        let fixed = |s: u32| (weight(s) / sum * f64::from(1 << PIL_BITS) + 0.5) as i32;
-        (first as usize, (first..end).map(fixed).collect())
-    };
-    (0..to).map(weights).collect()
-}
-
-/// Fraction bits of Pillow's weights.
-const PIL_BITS: u32 = 22;
-
-/// Weighted sum of pixels, rounded to bytes.
-fn weighted<'a>(pixels: impl Iterator<Item = &'a [u8; 3]>, weights: &[i32]) -> [u8; 3] {
-    let mut sum = [1 << (PIL_BITS - 1); 3];
-    for (pixel, weight) in pixels.zip(weights) {
-        (0..3).for_each(|channel| sum[channel] += i32::from(pixel[channel]) * weight);
-    }
-    sum.map(|s| (s >> PIL_BITS).clamp(0, 255) as u8)
-}
-
-/// Pillow's BILINEAR: a triangle filter widened by the scale, so reductions are antialiased. In its fixed-point
-/// arithmetic: across first, rounded to bytes, then down.
-pub fn pil_bilinear(map: &[[u8; 3]], from: ImageSize, to: ImageSize) -> Vec<[u8; 3]> {
-    let (rows, columns) = (triangle(from.height, to.height), triangle(from.width, to.width));
-    let across = |row: &[[u8; 3]]| -> Vec<[u8; 3]> {
-        // Layouts are mostly black, and black gives black.
-        if row.iter().all(|pixel| *pixel == [0; 3]) {
-            return vec![[0; 3]; columns.len()];
-        }
-        columns.iter().map(|(first, weights)| weighted(row[*first..].iter(), weights)).collect()
-    };
-    let across: Vec<[u8; 3]> = map.par_chunks_exact(from.width as usize).flat_map_iter(across).collect();
-    let width = to.width as usize;
-    let down = |(first, weights): &(usize, Vec<i32>)| -> Vec<[u8; 3]> {
-        let column = |x: usize| across[first * width + x..].iter().step_by(width);
-        (0..width).map(|x| weighted(column(x), weights)).collect()
-    };
-    rows.par_iter().flat_map_iter(down).collect()
 }
 
 #[cfg(test)]

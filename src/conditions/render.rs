@@ -1,11 +1,14 @@
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use super::layout::{self, Layouts};
 use super::{
     ColorFilter, ConditionError, ConditionOptions, ImageSize, MapKind, MapSet, ModelTensor, TensorEncoder,
-    layout, reduce,
+    reduce,
 };
 use crate::geometry::View;
-use crate::raster::{
-    Crop, FrameJob, FrameKinds, Planes, Rasterizer, Segment, SplatJob, ViewMaps, class_of, rgb_of,
-};
+use crate::raster::{Crop, FrameJob, FrameKinds, Planes, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
 use crate::scene::{SceneInstances, SceneState};
 
 /// Maps of one camera, row-major `height * width`; `None` where they were not asked for.
@@ -127,15 +130,10 @@ pub fn render_views(
 #[derive(Debug)]
 pub struct Begun {
     points: Points,
-    /// Layouts, one per camera, if asked for.
-    boxes: Option<Layouts>,
-    map: Option<Layouts>,
+    layouts: Layouts,
     /// What was asked for; more is drawn for the model tensor.
     asked: ConditionOptions,
 }
-
-/// An RGB image per camera.
-type Layouts = Vec<Vec<[u8; 3]>>;
 
 impl Begun {
     /// Begins the maps of a step as [`render`] makes them.
@@ -158,11 +156,14 @@ impl Begun {
         let crop = Crop { center, radius_m: options.radius_m };
         let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
         let points = Points::begin(rasterizer, clouds, &views, Some(crop), options)?;
-        let boxes = |view: &View| layout::box_segments(&state.actors, view);
-        let boxes = options.maps.contains(MapKind::Boxes).then_some(boxes);
-        let boxes = boxes.map(|lines| layouts(rasterizer, &views, lines, options)).transpose()?;
-        let map = map.map(|map| layouts(rasterizer, &views, |view| layout::map_segments(map, view), options));
-        Ok(Self { points, boxes, map: map.transpose()?, asked })
+        // The device is at work on the points meanwhile.
+        let start = Instant::now();
+        let boxes = options.maps.contains(MapKind::Boxes).then_some(state.actors.as_slice());
+        let layouts = layout::draw(boxes, map, &views, options);
+        if boxes.is_some() || map.is_some() {
+            rasterizer.stages().add("layouts", start.elapsed());
+        }
+        Ok(Self { points, layouts, asked })
     }
 
     /// Waits for the maps; the same rasterizer as it was begun with.
@@ -171,10 +172,10 @@ impl Begun {
     /// The rasterizer's.
     pub fn finish(self, rasterizer: &mut dyn Rasterizer) -> Result<ConditionSet, ConditionError> {
         let mut cameras = self.points.finish(rasterizer)?;
-        for (camera, layout) in cameras.iter_mut().zip(self.boxes.into_iter().flatten()) {
+        for (camera, layout) in cameras.iter_mut().zip(self.layouts.boxes.into_iter().flatten()) {
             camera.boxes = Some(layout);
         }
-        for (camera, layout) in cameras.iter_mut().zip(self.map.into_iter().flatten()) {
+        for (camera, layout) in cameras.iter_mut().zip(self.layouts.map.into_iter().flatten()) {
             camera.map = Some(layout);
         }
         let mut set = ConditionSet { cameras };
@@ -246,9 +247,10 @@ impl Points {
         };
         let mut cameras: Vec<CameraConditions> = self.names.into_iter().zip(self.sizes).map(camera).collect();
         if self.in_flight {
-            for (camera, maps) in cameras.iter_mut().zip(rasterizer.finish()?) {
-                fill(camera, maps, &self.options);
-            }
+            let maps = rasterizer.finish()?;
+            let start = Instant::now();
+            cameras.par_iter_mut().zip(maps).for_each(|(camera, maps)| fill(camera, maps, &self.options));
+            rasterizer.stages().add("convert", start.elapsed());
         }
         for (camera, color) in cameras.iter_mut().zip(self.color.into_iter().flatten()) {
             camera.color = Some(color);
@@ -280,21 +282,4 @@ fn valid_area_color(
     let maps = rasterizer.splat(&SplatJob { view, schedule, instances, crop, planes })?;
     let color: Vec<[u8; 3]> = maps.rgb_class.iter().map(|p| rgb_of(*p)).collect();
     Ok(reduce::valid_area(&color, &maps.depth_m, ImageSize::of(&view.camera), to))
-}
-
-/// Draws the lines of every view at its full size and reduces them.
-fn layouts(
-    rasterizer: &mut dyn Rasterizer,
-    views: &[View],
-    lines: impl Fn(&View) -> Vec<Segment>,
-    options: &ConditionOptions,
-) -> Result<Layouts, ConditionError> {
-    let layout = |view: &View| {
-        let to = options.written_size(view);
-        let view = options.drawn_view(view);
-        let (height, width) = (view.camera.height, view.camera.width);
-        let image = rasterizer.lines(height, width, &lines(&view), layout::LINE_WIDTH_PX)?;
-        Ok(reduce::pil_bilinear(&image, ImageSize { height, width }, to))
-    };
-    views.iter().map(layout).collect()
 }

@@ -63,8 +63,8 @@ pub fn write(path: &Path, set: &ConditionSet, bins: &DepthBins, caption: &str) -
 
 /// Draws the sheet: its size and RGB pixels.
 pub fn draw(set: &ConditionSet, bins: &DepthBins, caption: &str) -> (ImageSize, Vec<[u8; 3]>) {
-    let grid = Grid::of(set);
-    let kinds: Vec<MapKind> = MapKind::ALL.into_iter().filter(|kind| shown(set, *kind)).collect();
+    let grid = Grid::of(set, TILE_WIDTH_PX);
+    let kinds = kinds(set);
     let block = TITLE + grid.height();
     let size = ImageSize {
         height: MARGIN + TITLE + kinds.len() as u32 * (block + MARGIN),
@@ -82,6 +82,38 @@ pub fn draw(set: &ConditionSet, bins: &DepthBins, caption: &str) -> (ImageSize, 
         }
     }
     (canvas.size, canvas.pixels)
+}
+
+/// Draws one map of all cameras, tiles at most `tile_width` pixels wide: size and RGB pixels.
+pub fn draw_map(
+    set: &ConditionSet,
+    kind: MapKind,
+    tile_width: u32,
+    bins: &DepthBins,
+) -> (ImageSize, Vec<[u8; 3]>) {
+    let grid = Grid::of(set, tile_width);
+    let size = ImageSize { height: grid.height(), width: grid.width() };
+    let mut canvas = Canvas::new(size, BACKGROUND);
+    for (camera, corner) in set.cameras.iter().zip(&grid.corners) {
+        draw_tile(&mut canvas, *corner, &grid, camera, kind, bins);
+    }
+    (size, canvas.pixels)
+}
+
+/// The size of what [`draw_map`] draws, and where the cameras' pictures stand in it: left, top, width and height, pixels.
+pub fn places(set: &ConditionSet, tile_width: u32) -> (ImageSize, Vec<[u32; 4]>) {
+    let grid = Grid::of(set, tile_width);
+    let size = ImageSize { height: grid.height(), width: grid.width() };
+    let place = |(camera, corner): (&CameraConditions, &[u32; 2])| {
+        let (size, [left, top]) = (fitted(camera.size(), grid.tile.width), grid.centered(*corner, camera));
+        [left, top, size.width, size.height]
+    };
+    (size, set.cameras.iter().zip(&grid.corners).map(place).collect())
+}
+
+/// The maps of a set that can be shown.
+pub fn kinds(set: &ConditionSet) -> Vec<MapKind> {
+    MapKind::ALL.into_iter().filter(|kind| shown(set, *kind)).collect()
 }
 
 /// Point numbers say nothing to the eye.
@@ -108,9 +140,9 @@ struct Grid {
 }
 
 impl Grid {
-    fn of(set: &ConditionSet) -> Self {
+    fn of(set: &ConditionSet, tile_width: u32) -> Self {
         let widest = set.cameras.iter().map(|c| c.width).max().unwrap_or(1);
-        let width = widest.min(TILE_WIDTH_PX);
+        let width = widest.min(tile_width).max(1);
         let height = set.cameras.iter().map(|c| fitted(c.size(), width).height).max().unwrap_or(1);
         let (tile, count) = (ImageSize { height, width }, set.cameras.len());
         let names: Vec<&str> = set.cameras.iter().map(|c| c.name.as_str()).collect();
@@ -120,6 +152,12 @@ impl Grid {
         let (columns, rows) = (end(0), end(1));
         let corner = |[column, row]: [u32; 2]| [column * (tile.width + GAP), row * (tile.height + GAP)];
         Self { tile, corners: places.into_iter().map(corner).collect(), rows, columns }
+    }
+
+    /// Upper left corner of a camera's picture in its tile.
+    fn centered(&self, [left, top]: [u32; 2], camera: &CameraConditions) -> [u32; 2] {
+        let size = fitted(camera.size(), self.tile.width);
+        [left + (self.tile.width - size.width) / 2, top + (self.tile.height - size.height) / 2]
     }
 
     fn width(&self) -> u32 {
@@ -168,8 +206,7 @@ fn draw_tile(
         _ => tile_colors(camera, kind, to, bins),
     };
     if let Some(picture) = picture {
-        let centered = [at[0] + (grid.tile.width - to.width) / 2, at[1] + (grid.tile.height - to.height) / 2];
-        canvas.blit(centered, to, &picture);
+        canvas.blit(grid.centered(at, camera), to, &picture);
     }
     let label = ImageSize { height: GLYPH + 6, width: text_width(&camera.name, 1) + 8 };
     if label.width < grid.tile.width && label.height < grid.tile.height {
@@ -281,15 +318,15 @@ mod tests {
             ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_FRONT_LEFT"];
         let [column, row] = [6 + GAP, 4 + GAP];
         let expected = [[column, 0], [2 * column, 0], [2 * column, row], [column, row], [0, row], [0, 0]];
-        assert_eq!(Grid::of(&named(&order)).corners, expected);
+        assert_eq!(Grid::of(&named(&order), 448).corners, expected);
         let ring = ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_L2", "CAM_L1", "CAM_L0"];
-        let grid = Grid::of(&named(&ring));
+        let grid = Grid::of(&named(&ring), 448);
         assert_eq!((grid.columns, grid.rows), (5, 2));
         assert_eq!((grid.corners[0], grid.corners[4]), ([2 * column, 0], [column, row]));
         assert_eq!((grid.corners[7], grid.corners[2]), ([column, 0], [4 * column, 0]));
         // Others in their own order.
-        assert_eq!(Grid::of(&named(&["a", "b", "c", "d"])).corners[3], [0, row]);
-        assert_eq!(Grid::of(&named(&["CAM_BACK"])).corners, [[0, 0]]);
+        assert_eq!(Grid::of(&named(&["a", "b", "c", "d"]), 448).corners[3], [0, row]);
+        assert_eq!(Grid::of(&named(&["CAM_BACK"]), 448).corners, [[0, 0]]);
     }
 
     #[test]
@@ -301,6 +338,18 @@ mod tests {
         let first_tile = (MARGIN + TITLE + TITLE) as usize * size.width as usize + MARGIN as usize;
         assert_eq!(&pixels[first_tile..first_tile + 6], &set.cameras[0].color.as_ref().unwrap()[..6]);
         assert!(!draw(&ConditionSet::default(), &DepthBins::default(), "").1.is_empty());
+        // One map alone stands as in the sheet; cameras are where it is said.
+        let (size, color) = draw_map(&set, MapKind::Color, TILE_WIDTH_PX, &DepthBins::default());
+        let (same, places) = places(&set, TILE_WIDTH_PX);
+        assert_eq!(same, size);
+        for (camera, [left, top, width, height]) in set.cameras.iter().zip(places) {
+            assert_eq!((width, height), (camera.width, camera.height));
+            for (y, row) in camera.color.as_ref().unwrap().chunks(width as usize).enumerate() {
+                let at = (top as usize + y) * size.width as usize + left as usize;
+                assert_eq!(&color[at..at + row.len()], row, "{}", camera.name);
+            }
+        }
+        assert_eq!(kinds(&set).len(), 6);
     }
 
     #[test]

@@ -16,6 +16,11 @@ impl EgoTrack {
         Self(poses)
     }
 
+    /// All recorded poses, `global_from_ego`, with absolute microseconds, in time order; there may be two of one time.
+    pub fn poses(&self) -> &[(i64, Pose)] {
+        &self.0
+    }
+
     /// `global_from_ego` at any time (microseconds) within the drive, between two recorded poses (position linear,
     /// rotation slerp). `None` outside.
     pub fn at(&self, t_us: i64) -> Option<Pose> {

@@ -4,12 +4,12 @@ use std::str::FromStr;
 use super::DatasetError;
 use crate::error::FileError;
 
-/// A log's name on the command line: `FORMAT:PATH[@VERSION][#SCENE]`.
+/// A log's name on the command line: `FORMAT:PATH[@VERSION][#SCENE]`, or `town:OPTIONS` for what is built in.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogLocator {
     /// Which reader.
     pub format: LogFormat,
-    /// Folder or file.
+    /// Folder or file; of the town its options.
     pub path: PathBuf,
     /// Data set version, for instance `v1.0-mini`.
     pub version: Option<String>,
@@ -54,11 +54,13 @@ pub enum LogFormat {
     NuPlan,
     /// The ten evaluation logs of the paper in a folder of nuPlan logs.
     NuPlanSimgen,
+    /// The town that is built in.
+    Town,
 }
 
 impl LogFormat {
     /// Names on the command line.
-    pub const NAMES: &'static str = "nuscenes, nuplan, nuplan-simgen or av2";
+    pub const NAMES: &'static str = "nuscenes, nuplan, nuplan-simgen, av2 or town";
 }
 
 impl FromStr for LogLocator {
@@ -72,6 +74,8 @@ impl FromStr for LogLocator {
             "av2" => LogFormat::Argoverse,
             "nuplan" => LogFormat::NuPlan,
             "nuplan-simgen" => LogFormat::NuPlanSimgen,
+            // Not a path: nothing is split off.
+            "town" => return Ok(Self::new(LogFormat::Town, rest)),
             _ => return Err(wrong()),
         };
         let (rest, scene) = split_tail(rest, '#');
@@ -104,6 +108,8 @@ mod tests {
         assert_eq!(locator.scene.as_deref(), Some("scene-0061"));
         let bare: LogLocator = "nuscenes:data".parse().unwrap();
         assert_eq!((bare.version, bare.scene), (None, None));
+        let town: LogLocator = "town:seed=7,frames=40".parse().unwrap();
+        assert_eq!(town, LogLocator::new(LogFormat::Town, "seed=7,frames=40"));
     }
 
     #[test]

@@ -51,6 +51,20 @@ pub trait Dataset: Sync {
     /// A file that is missing, does not decode, or has another size.
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError>;
 
+    /// Whether an image is there and has the size that its record says, by its header alone.
+    ///
+    /// # Errors
+    /// As [`Dataset::read_image`], but for what stands in the pixels.
+    fn check_image(&self, record: &ImageRecord) -> Result<(), DatasetError> {
+        let camera = &record.camera;
+        let (height, width) = picture_size(&record.path)?;
+        if (height, width) == (camera.height, camera.width) {
+            return Ok(());
+        }
+        let expected = format!("an image of {}x{} pixels", camera.height, camera.width);
+        Err(FileError::content(expected, format!("{height}x{width}"), &record.path).into())
+    }
+
     /// Per frame and box, in the log's order, how many LiDAR points the data set states to lie in the box; `None`
     /// if it states nothing.
     fn box_points(&self) -> Option<&[Vec<u32>]> {
@@ -154,28 +168,7 @@ pub enum DatasetError {
         /// The file.
         path: PathBuf,
     },
-}
-
-/// The logs that a name stands for, in order: itself, unless it names a set of them.
-///
-/// # Errors
-/// A set that holds none, or whose index cannot be read.
-pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
-    match locator.format {
-        LogFormat::NuScenes => nuscenes::expand(locator),
-        LogFormat::Argoverse => av2::expand(locator),
-        LogFormat::NuPlan | LogFormat::NuPlanSimgen => nuplan::expand(locator),
-    }
-}
-
-/// Opens a log by its name, `FORMAT:PATH[@VERSION][#SCENE]`.
-///
-/// # Errors
-/// A name of another form, or what the format's reader finds wrong.
-pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
-    match locator.format {
-        LogFormat::NuScenes => Ok(Box::new(nuscenes::NuScenes::open(locator)?)),
-        LogFormat::Argoverse => Ok(Box::new(av2::Argoverse::open(locator)?)),
-        LogFormat::NuPlan | LogFormat::NuPlanSimgen => Ok(Box::new(nuplan::NuPlan::open(locator)?)),
-    }
+    /// A log that is made rather than read: what went wrong at making it.
+    #[error(transparent)]
+    Made(Box<dyn std::error::Error + Send + Sync>),
 }

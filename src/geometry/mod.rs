@@ -7,11 +7,15 @@
 mod camera;
 mod cuboid;
 mod distortion;
+mod footprint;
+mod polyline;
 mod pose;
 mod size;
 
 pub use camera::{Camera, CameraError, View};
 pub use cuboid::{Cuboid, CuboidError};
 pub use distortion::{Distortion, Lens};
+pub use footprint::Footprint;
+pub use polyline::{Foot, Polyline, wrap_angle};
 pub use pose::{Pose, PoseError};
 pub use size::{ImageSize, ParseOptionError};

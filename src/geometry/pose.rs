@@ -60,6 +60,18 @@ impl Pose {
         Self { rotation: DQuat::from_rotation_z(yaw_rad), translation }
     }
 
+    /// Where the source frame's x axis points in the target's x and y, radians to the left of its x axis.
+    pub fn yaw_rad(&self) -> f64 {
+        let forward = self.rotation * DVec3::X;
+        forward.y.atan2(forward.x)
+    }
+
+    /// The same place and tilt, turned about the target's z axis to another yaw.
+    pub fn with_yaw(&self, yaw_rad: f64) -> Self {
+        let turn = DQuat::from_rotation_z(yaw_rad - self.yaw_rad());
+        Self { rotation: (turn * self.rotation).normalize(), translation: self.translation }
+    }
+
     /// `source_from_target`.
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.inverse();

@@ -94,7 +94,7 @@ pub enum Scope {
     CopyWrite,
     /// Copies that read.
     CopyRead,
-    /// Vertex attributes, uniforms of vertex shaders, and storage buffers of compute shaders.
+    /// Vertices, indices, and what shaders of any stage read.
     ShaderRead,
     /// Compute shaders that read and write.
     Compute,
@@ -109,8 +109,11 @@ impl Scope {
             Self::CopyWrite => (At::TRANSFER, Access::TRANSFER_WRITE),
             Self::CopyRead => (At::TRANSFER, Access::TRANSFER_READ),
             Self::ShaderRead => (
-                At::VERTEX_INPUT | At::VERTEX_SHADER | At::COMPUTE_SHADER,
-                Access::VERTEX_ATTRIBUTE_READ | Access::UNIFORM_READ | Access::SHADER_READ,
+                At::VERTEX_INPUT | At::VERTEX_SHADER | At::FRAGMENT_SHADER | At::COMPUTE_SHADER,
+                Access::VERTEX_ATTRIBUTE_READ
+                    | Access::INDEX_READ
+                    | Access::UNIFORM_READ
+                    | Access::SHADER_READ,
             ),
             Self::Compute => (At::COMPUTE_SHADER, Access::SHADER_READ | Access::SHADER_WRITE),
             Self::Host => (At::HOST, Access::HOST_READ),
@@ -273,8 +276,8 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    /// Copies the top left `width × height` pixels of an image of 4-byte pixels, which its pass left to be copied,
-    /// to the start of a buffer, row by row without gaps.
+    /// Copies the top left `width × height` pixels of an image, which its pass left to be copied, to the start of a
+    /// buffer, row by row without gaps.
     ///
     /// # Errors
     /// The image or the buffer is too small.
@@ -285,7 +288,8 @@ impl<'a> Recorder<'a> {
         to: &'a Buffer,
     ) -> Result<(), GpuError> {
         self.uses(to);
-        let (bytes, inside) = (4 * u64::from(width) * u64::from(height), 4 * u64::from(from.width()));
+        let pixel = from.pixel_bytes();
+        let (bytes, inside) = (pixel * u64::from(width) * u64::from(height), pixel * u64::from(from.width()));
         to.check(bytes)?;
         if width > from.width() || height > from.height() {
             let found = inside * u64::from(from.height());

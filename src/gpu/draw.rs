@@ -4,23 +4,26 @@ use std::ops::Range;
 
 use ash::vk;
 
-use super::{Area, Buffer, DescriptorSet, GpuError, GraphicsPipeline, Recorder, Target};
+use super::{Area, Buffer, DepthTest, DescriptorSet, GpuError, GraphicsPipeline, Indices, Recorder, Target};
 
 impl<'a> Recorder<'a> {
-    /// Starts drawing into the top left of a target, which is cleared: color to 0, depth to 1.
+    /// Starts drawing into the top left of a target, which is cleared: colors to 0, depth as its
+    /// [`DepthTest`] says.
     pub fn pass(&mut self, target: &'a Target, area: Area) -> Pass<'_, 'a> {
         let extent = vk::Extent2D {
             width: area.width.min(target.extent.width),
             height: area.height.min(target.extent.height),
         };
-        let depth_stencil = vk::ClearDepthStencilValue { depth: 1.0, stencil: 0 };
-        let clears = [vk::ClearValue::default(), vk::ClearValue { depth_stencil }];
+        let depth = if target.pass.depth == Some(DepthTest::Greater) { 0.0 } else { 1.0 };
+        let depth_stencil = vk::ClearDepthStencilValue { depth, stencil: 0 };
+        let mut clears = vec![vk::ClearValue::default(); target.pass.colors];
+        clears.extend(target.pass.depth.map(|_| vk::ClearValue { depth_stencil }));
         let render_area = vk::Rect2D { offset: vk::Offset2D::default(), extent };
         let info = vk::RenderPassBeginInfo::default()
             .render_pass(target.pass.raw)
             .framebuffer(target.raw)
             .render_area(render_area)
-            .clear_values(if target.pass.depth { &clears } else { &clears[..1] });
+            .clear_values(&clears);
         // SAFETY: recording outside a pass; the area is inside the target.
         unsafe { self.device().cmd_begin_render_pass(self.raw(), &info, vk::SubpassContents::INLINE) };
         let pad = area.viewport_pad as f32;
@@ -36,7 +39,7 @@ impl<'a> Recorder<'a> {
         unsafe { self.device().cmd_set_viewport(self.raw(), 0, &[viewport]) };
         // SAFETY: recording.
         unsafe { self.device().cmd_set_scissor(self.raw(), 0, &[render_area]) };
-        Pass { recorder: self, pipeline: None, vertices: None }
+        Pass { recorder: self, pipeline: None, vertices: None, indices: None }
     }
 }
 
@@ -45,6 +48,7 @@ pub struct Pass<'r, 'a> {
     recorder: &'r mut Recorder<'a>,
     pipeline: Option<&'a GraphicsPipeline>,
     vertices: Option<&'a Buffer>,
+    indices: Option<&'a Indices>,
 }
 
 impl<'a> Pass<'_, 'a> {
@@ -67,21 +71,56 @@ impl<'a> Pass<'_, 'a> {
         self.vertices = Some(buffer);
     }
 
-    /// Draws vertices of the bound buffer once, or so many instances of it.
+    /// Takes indices from this buffer from now on.
+    pub fn indices(&mut self, indices: &'a Indices) {
+        let (buffer, kind) = (indices.raw(), vk::IndexType::UINT32);
+        // SAFETY: recording; the buffer is alive and has that use.
+        unsafe { self.recorder.device().cmd_bind_index_buffer(self.recorder.raw(), buffer, 0, kind) };
+        self.indices = Some(indices);
+    }
+
+    /// Draws vertices of the bound buffer once, or so many instances of it. A pipeline without vertex inputs needs no
+    /// buffer.
     ///
     /// # Errors
     /// The buffer is too small, or nothing is bound.
     pub fn draw(&mut self, push: &[u8], vertices: Range<u32>, instances: u32) -> Result<(), GpuError> {
-        let unbound = || GpuError::Range { expected: 1, found: 0, name: "an unbound vertex buffer".into() };
-        let (pipeline, buffer) = self.pipeline.zip(self.vertices).ok_or_else(unbound)?;
-        let used = if pipeline.per_instance { instances } else { vertices.end };
-        buffer.check(u64::from(used) * u64::from(pipeline.stride))?;
+        let pipeline = self.pipeline.ok_or_else(|| unbound("pipeline"))?;
+        self.check_vertices(pipeline, if pipeline.per_instance { instances } else { vertices.end })?;
         self.recorder.push_constants(&pipeline.layout, push)?;
         let (first, count) = (vertices.start, vertices.end.saturating_sub(vertices.start));
         // SAFETY: recording inside a pass with a bound pipeline; all vertices are inside the buffer.
         unsafe { self.recorder.device().cmd_draw(self.recorder.raw(), count, instances, first, 0) };
         Ok(())
     }
+
+    /// Draws the vertices of the bound buffer that a range of the bound indices names.
+    ///
+    /// # Errors
+    /// One of the buffers is too small, or nothing is bound.
+    pub fn draw_indexed(&mut self, push: &[u8], indices: Range<u32>) -> Result<(), GpuError> {
+        let pipeline = self.pipeline.ok_or_else(|| unbound("pipeline"))?;
+        let bound = self.indices.ok_or_else(|| unbound("index buffer"))?;
+        bound.check(&indices)?;
+        self.check_vertices(pipeline, bound.end())?;
+        self.recorder.push_constants(&pipeline.layout, push)?;
+        let (first, count) = (indices.start, indices.end.saturating_sub(indices.start));
+        // SAFETY: recording inside a pass with a bound pipeline; all indices are inside their buffer, and all
+        // vertices that they name inside theirs.
+        unsafe { self.recorder.device().cmd_draw_indexed(self.recorder.raw(), count, 1, first, 0, 0) };
+        Ok(())
+    }
+
+    /// That the bound buffer has so many vertices (or instances).
+    fn check_vertices(&self, pipeline: &GraphicsPipeline, count: u32) -> Result<(), GpuError> {
+        let Some(stride) = pipeline.stride else { return Ok(()) };
+        let buffer = self.vertices.ok_or_else(|| unbound("vertex buffer"))?;
+        buffer.check(u64::from(count) * u64::from(stride))
+    }
+}
+
+fn unbound(what: &str) -> GpuError {
+    GpuError::Range { expected: 1, found: 0, name: format!("an unbound {what}") }
 }
 
 impl Drop for Pass<'_, '_> {

@@ -168,7 +168,8 @@ impl Image {
     pub(super) fn pixel_bytes(&self) -> u64 {
         match self.format {
             vk::Format::R32G32B32A32_UINT => 16,
-            vk::Format::R32G32_UINT => 8,
+            vk::Format::R32G32_UINT | vk::Format::R16G16B16A16_SFLOAT => 8,
+            vk::Format::R8G8_UNORM => 2,
             _ => 4,
         }
     }

@@ -24,6 +24,7 @@ mod draw;
 mod error;
 mod flight;
 mod image;
+mod indices;
 mod instance;
 mod mapping;
 mod pass;
@@ -43,8 +44,9 @@ pub use draw::Pass;
 pub use error::GpuError;
 pub use flight::Flight;
 pub use image::{Image, ImageDesc};
+pub use indices::Indices;
 pub use mapping::MappedFile;
-pub use pass::{Area, RenderPass, RenderPassDesc, Target};
+pub use pass::{Area, Depth, DepthTest, RenderPass, RenderPassDesc, Target};
 pub use pipeline::{
     ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, PipelineLayout, Topology, VertexBuffer,
 };

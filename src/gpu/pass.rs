@@ -13,19 +13,40 @@ use super::{Device, GpuError, Image};
 pub struct RenderPassDesc<'a> {
     /// What validation messages call it.
     pub name: &'a str,
-    /// Format of the color attachment.
-    pub color: vk::Format,
-    /// What color is read for afterwards.
+    /// Formats of the color attachments.
+    pub colors: &'a [vk::Format],
+    /// What colors are read for afterwards.
     pub color_read: vk::ImageLayout,
-    /// Format of the depth attachment if any; shaders read it afterwards.
-    pub depth: Option<vk::Format>,
+    /// Depth attachment if any; shaders read it afterwards.
+    pub depth: Option<Depth>,
+}
+
+/// A depth attachment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Depth {
+    /// Format.
+    pub format: vk::Format,
+    /// What is drawn where something was drawn already.
+    pub test: DepthTest,
+}
+
+/// What a new depth must be, compared with the one that is there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DepthTest {
+    /// Less; cleared to 1.
+    Less,
+    /// Greater; cleared to 0.
+    Greater,
+    /// The one that an earlier pass left there, which stays: no clear, no write.
+    Equal,
 }
 
 /// A render pass with one subpass.
 pub struct RenderPass {
     device: Arc<Device>,
     pub(super) raw: vk::RenderPass,
-    pub(super) depth: bool,
+    pub(super) colors: usize,
+    pub(super) depth: Option<DepthTest>,
 }
 
 /// Layout that shaders read an image in after a pass has drawn it.
@@ -43,6 +64,7 @@ impl RenderPass {
     /// # Errors
     /// Out of memory.
     pub fn new(device: &Arc<Device>, desc: &RenderPassDesc<'_>) -> Result<Self, GpuError> {
+        let kept = desc.depth.is_some_and(|depth| depth.test == DepthTest::Equal);
         let attachment = |format: vk::Format, layout| {
             vk::AttachmentDescription::default()
                 .format(format)
@@ -53,13 +75,23 @@ impl RenderPass {
                 .stencil_store_op(vk::AttachmentStoreOp::DONT_CARE)
                 .final_layout(layout)
         };
-        let mut attachments = vec![attachment(desc.color, desc.color_read)];
-        attachments.extend(desc.depth.map(|format| attachment(format, read_layout(format))));
-        let colors =
-            [vk::AttachmentReference { attachment: 0, layout: vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL }];
+        let depth_attachment = |depth: Depth| {
+            let layout = read_layout(depth.format);
+            let cleared = attachment(depth.format, layout);
+            if kept { cleared.load_op(vk::AttachmentLoadOp::LOAD).initial_layout(layout) } else { cleared }
+        };
+        let mut attachments: Vec<_> =
+            desc.colors.iter().map(|format| attachment(*format, desc.color_read)).collect();
+        attachments.extend(desc.depth.map(depth_attachment));
+        let layout = vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL;
+        let color = |attachment| vk::AttachmentReference { attachment, layout };
+        let colors: Vec<_> = (0..desc.colors.len() as u32).map(color).collect();
         let depth = vk::AttachmentReference {
-            attachment: 1,
-            layout: vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL,
+            attachment: desc.colors.len() as u32,
+            layout: match desc.depth {
+                Some(depth) if kept => read_layout(depth.format),
+                _ => vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL,
+            },
         };
         let mut subpass = vk::SubpassDescription::default().color_attachments(&colors);
         if desc.depth.is_some() {
@@ -73,7 +105,12 @@ impl RenderPass {
         // SAFETY: `info` and what it points to live until after the call.
         let raw = unsafe { device.raw.create_render_pass(&info, None) };
         let raw = raw.map_err(call("vkCreateRenderPass"))?;
-        let pass = Self { device: device.clone(), raw, depth: desc.depth.is_some() };
+        let pass = Self {
+            device: device.clone(),
+            raw,
+            colors: desc.colors.len(),
+            depth: desc.depth.map(|d| d.test),
+        };
         device.set_name(raw, desc.name)?;
         Ok(pass)
     }
@@ -84,7 +121,7 @@ fn dependencies() -> [vk::SubpassDependency; 2] {
     use vk::{AccessFlags as Access, PipelineStageFlags as At};
     let draws = At::COLOR_ATTACHMENT_OUTPUT | At::EARLY_FRAGMENT_TESTS | At::LATE_FRAGMENT_TESTS;
     let writes = Access::COLOR_ATTACHMENT_WRITE | Access::DEPTH_STENCIL_ATTACHMENT_WRITE;
-    let readers = At::COMPUTE_SHADER | At::TRANSFER;
+    let readers = At::FRAGMENT_SHADER | At::COMPUTE_SHADER | At::TRANSFER;
     let before = vk::SubpassDependency::default()
         .src_subpass(vk::SUBPASS_EXTERNAL)
         .src_stage_mask(readers | draws)
@@ -127,7 +164,7 @@ pub struct Target {
 }
 
 impl Target {
-    /// Color first, then depth if the pass has it; all of one size.
+    /// Colors first, then depth if the pass has it; all of one size.
     ///
     /// # Errors
     /// Out of memory, a size over the device's limits.

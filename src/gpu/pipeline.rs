@@ -7,7 +7,7 @@ use ash::vk;
 
 use super::error::call;
 use super::shader::ShaderModule;
-use super::{Binding, Device, GpuError, RenderPass, Shader};
+use super::{Binding, DepthTest, Device, GpuError, RenderPass, Shader};
 
 /// Descriptor set layouts and push constants of the shaders of a pipeline, as `build.rs` found them.
 pub struct PipelineLayout {
@@ -106,6 +106,8 @@ pub enum Topology {
     Points,
     /// A strip of triangles.
     TriangleStrip,
+    /// Triangles of three vertices each.
+    Triangles,
 }
 
 /// How vertices lie in their buffer.
@@ -119,7 +121,7 @@ pub struct VertexBuffer<'a> {
     pub offsets: &'a [u32],
 }
 
-/// A graphics pipeline to be made: opaque, both sides, depth test LESS where the pass has depth.
+/// A graphics pipeline to be made: opaque, both sides; it tests depth where the pass has it.
 pub struct GraphicsPipelineDesc<'a> {
     /// What validation messages call it.
     pub name: &'a str,
@@ -133,15 +135,16 @@ pub struct GraphicsPipelineDesc<'a> {
     pub pass: &'a Arc<RenderPass>,
     /// What vertices form.
     pub topology: Topology,
-    /// How vertices lie in their buffer.
-    pub vertices: VertexBuffer<'a>,
+    /// How vertices lie in their buffer; `None` for a vertex shader without inputs.
+    pub vertices: Option<VertexBuffer<'a>>,
 }
 
 /// A pipeline that draws.
 pub struct GraphicsPipeline {
     pub(super) layout: Arc<PipelineLayout>,
     pub(super) raw: vk::Pipeline,
-    pub(super) stride: u32,
+    /// Of the vertex buffer, bytes; `None` if there is none.
+    pub(super) stride: Option<u32>,
     pub(super) per_instance: bool,
 }
 
@@ -155,31 +158,28 @@ impl GraphicsPipeline {
         let modules = [ShaderModule::new(device, desc.vertex)?, ShaderModule::new(device, desc.fragment)?];
         let stages = [modules[0].stage(), modules[1].stage()];
         let attributes = attributes(device, desc)?;
-        let rate = if desc.vertices.per_instance {
-            vk::VertexInputRate::INSTANCE
-        } else {
-            vk::VertexInputRate::VERTEX
-        };
-        let stride = desc.vertices.stride;
-        let bindings = [vk::VertexInputBindingDescription { binding: 0, stride, input_rate: rate }];
+        let per_instance = desc.vertices.is_some_and(|v| v.per_instance);
+        let input_rate =
+            if per_instance { vk::VertexInputRate::INSTANCE } else { vk::VertexInputRate::VERTEX };
+        let stride = desc.vertices.map(|v| v.stride);
+        let binding = |stride| vk::VertexInputBindingDescription { binding: 0, stride, input_rate };
+        let bindings: Vec<_> = stride.map(binding).into_iter().collect();
         let input = vk::PipelineVertexInputStateCreateInfo::default()
             .vertex_binding_descriptions(&bindings)
             .vertex_attribute_descriptions(&attributes);
         let assembly = vk::PipelineInputAssemblyStateCreateInfo::default().topology(match desc.topology {
             Topology::Points => vk::PrimitiveTopology::POINT_LIST,
             Topology::TriangleStrip => vk::PrimitiveTopology::TRIANGLE_STRIP,
+            Topology::Triangles => vk::PrimitiveTopology::TRIANGLE_LIST,
         });
         let viewport = vk::PipelineViewportStateCreateInfo::default().viewport_count(1).scissor_count(1);
         let raster = vk::PipelineRasterizationStateCreateInfo::default().line_width(1.0);
         let samples = vk::PipelineMultisampleStateCreateInfo::default()
             .rasterization_samples(vk::SampleCountFlags::TYPE_1);
-        let depth = vk::PipelineDepthStencilStateCreateInfo::default()
-            .depth_test_enable(desc.pass.depth)
-            .depth_write_enable(desc.pass.depth)
-            .depth_compare_op(vk::CompareOp::LESS);
-        let blends =
-            [vk::PipelineColorBlendAttachmentState::default()
-                .color_write_mask(vk::ColorComponentFlags::RGBA)];
+        let depth = depth_state(desc.pass.depth);
+        let mask = vk::ColorComponentFlags::RGBA;
+        let opaque = vk::PipelineColorBlendAttachmentState::default().color_write_mask(mask);
+        let blends = vec![opaque; desc.pass.colors];
         let blend = vk::PipelineColorBlendStateCreateInfo::default().attachments(&blends);
         let dynamics = [vk::DynamicState::VIEWPORT, vk::DynamicState::SCISSOR];
         let dynamic = vk::PipelineDynamicStateCreateInfo::default().dynamic_states(&dynamics);
@@ -198,7 +198,6 @@ impl GraphicsPipeline {
         // SAFETY: `info` and what it points to live until after the call.
         let made = unsafe { device.raw.create_graphics_pipelines(vk::PipelineCache::null(), &[info], None) };
         let raw = made.map_err(|(_, e)| e).map_err(call("vkCreateGraphicsPipelines"))?[0];
-        let per_instance = desc.vertices.per_instance;
         let pipeline = Self { layout: desc.layout.clone(), raw, stride, per_instance };
         device.set_name(raw, desc.name)?;
         device.count_pipeline();
@@ -211,13 +210,26 @@ impl GraphicsPipeline {
     }
 }
 
+fn depth_state(test: Option<DepthTest>) -> vk::PipelineDepthStencilStateCreateInfo<'static> {
+    let compare = match test {
+        None | Some(DepthTest::Less) => vk::CompareOp::LESS,
+        Some(DepthTest::Greater) => vk::CompareOp::GREATER,
+        Some(DepthTest::Equal) => vk::CompareOp::EQUAL,
+    };
+    vk::PipelineDepthStencilStateCreateInfo::default()
+        .depth_test_enable(test.is_some())
+        .depth_write_enable(matches!(test, Some(DepthTest::Less | DepthTest::Greater)))
+        .depth_compare_op(compare)
+}
+
 fn attributes(
     device: &Device,
     desc: &GraphicsPipelineDesc<'_>,
 ) -> Result<Vec<vk::VertexInputAttributeDescription>, GpuError> {
     let attribute = |input: &super::Input| {
         let missing = || device.unsupported(format!("an offset of input {}", input.location), "none");
-        let offset = *desc.vertices.offsets.get(input.location as usize).ok_or_else(missing)?;
+        let offsets = desc.vertices.map_or(&[][..], |v| v.offsets);
+        let offset = *offsets.get(input.location as usize).ok_or_else(missing)?;
         let (location, format) = (input.location, input.format.format());
         Ok(vk::VertexInputAttributeDescription { location, binding: 0, format, offset })
     };

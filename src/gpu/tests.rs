@@ -92,6 +92,21 @@ fn images_too_large_are_refused_by_name() {
 }
 
 #[test]
+fn indices_know_their_reach() {
+    let device = device();
+    let mut commands = Commands::new(&device).unwrap();
+    let indices = Indices::new(&device, &mut commands, &[4, 0, 7]).unwrap();
+    assert_eq!(indices.end(), 8);
+    indices.check(&(0..3)).unwrap();
+    let text = indices.check(&(1..4)).unwrap_err().to_string();
+    assert_eq!(text, "expected 16 bytes in indices, found 12");
+    assert_eq!(Indices::new(&device, &mut commands, &[]).unwrap().end(), 0);
+    let text = Indices::new(&device, &mut commands, &[1, u32::MAX]).err().unwrap().to_string();
+    assert!(text.contains("indices up to 4294967295") && text.contains(device.name()), "{text}");
+    device.check_validation().unwrap();
+}
+
+#[test]
 fn host_memory_in_use_cannot_be_mapped() {
     let device = device();
     let usage = Usage::TRANSFER_SRC | Usage::TRANSFER_DST;

@@ -1,16 +1,14 @@
-//! The exact twin of the splat and line shaders in plain Rust: the oracle of the tests, and a rasterizer that
-//! needs no driver.
+//! The exact twin of the splat shaders in plain Rust: the oracle of the tests, and a rasterizer that needs no driver.
 //!
-//! Every `f32` operation stands in the same order as in `glsl/splat.vert` and `glsl/line.frag`, without fused
-//! multiply-adds, so the results agree bit for bit where the driver does not fuse either.
+//! Every `f32` operation stands in the same order as in `glsl/splat.vert`, without fused multiply-adds, so the results
+//! agree bit for bit where the driver does not fuse either.
 
 use std::time::Instant;
 
 use super::frame::frame_by_views;
 use super::frames::DoneFrames;
-use super::line_test::LineTest;
 use super::{
-    CloudSet, Draw, FrameJob, FrameMaps, Planes, RasterError, Rasterizer, RasterizerInfo, Segment, SplatJob,
+    CloudSet, Draw, FrameJob, FrameMaps, Planes, RasterError, Rasterizer, RasterizerInfo, SplatJob,
     SplatMaps, SplatSchedule, StageTimes, draws_from_job,
 };
 use crate::cloud::{Bounds, Point};
@@ -62,24 +60,8 @@ impl Rasterizer for CpuRasterizer<'_> {
         Ok(maps)
     }
 
-    fn lines(
-        &mut self,
-        height: u32,
-        width: u32,
-        segments: &[Segment],
-        width_px: f32,
-    ) -> Result<Vec<[u8; 3]>, RasterError> {
-        let start = Instant::now();
-        let mut image = vec![[0; 3]; width as usize * height as usize];
-        for segment in segments {
-            draw_line(&mut image, [width, height], segment, width_px / 2.0);
-        }
-        self.stages.add("lines", start.elapsed());
-        Ok(image)
-    }
-
-    fn take_stages(&mut self) -> StageTimes {
-        std::mem::take(&mut self.stages)
+    fn stages(&mut self) -> &mut StageTimes {
+        &mut self.stages
     }
 }
 
@@ -178,17 +160,4 @@ pub fn project(p: &[f32; 3], draw: &Draw, schedule: &SplatSchedule) -> Option<Sp
     let x = (dot(&draw.image_from_local[0]) / depth_m).floor();
     let y = (dot(&draw.image_from_local[1]) / depth_m).floor();
     Some(Splat { x, y, depth_m, radius })
-}
-
-/// The line fragment stage over the segment's bounding box.
-fn draw_line(image: &mut [[u8; 3]], size: [u32; 2], segment: &Segment, half_width: f32) {
-    let Some(line) = LineTest::new(segment, half_width, size) else { return };
-    let [columns, rows] = line.bounds(size);
-    for row in rows {
-        for column in columns.clone() {
-            if line.covers(column as f32 + 0.5, row as f32 + 0.5) {
-                image[row as usize * size[0] as usize + column as usize] = segment.rgb;
-            }
-        }
-    }
 }

@@ -1,6 +1,11 @@
+use std::ops::Range;
+
 use super::Segment;
 
-/// The rectangle of a segment: what decides, on the CPU and in `glsl/line.frag` alike, which pixels it covers.
+/// By how much rectangles are grown where pixels that may be covered are looked for: far more than `f32` rounds, pixels.
+const SLACK_PX: f64 = 0.05;
+
+/// The rectangle of a segment: what decides which pixels it covers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LineTest {
     /// One end, pixels.
@@ -38,15 +43,51 @@ impl LineTest {
         along >= 0.0 && along < self.length && across >= -self.half_width && across < self.half_width
     }
 
-    /// Columns and rows of a `width × height` image among which all covered pixels are.
-    pub(super) fn bounds(&self, size: [u32; 2]) -> [std::ops::Range<u32>; 2] {
-        std::array::from_fn(|axis| {
-            let (a, b) = (self.from[axis], self.from[axis] + self.along[axis] * self.length);
-            let low = (a.min(b) - self.half_width - 1.0).max(0.0) as u32;
-            let high = (a.max(b) + self.half_width + 1.0).clamp(0.0, size[axis] as f32) as u32;
-            low..high.saturating_add(1).min(size[axis])
-        })
+    /// Rows of an image among which all covered pixels are.
+    pub(super) fn rows(&self, height: u32) -> Range<u32> {
+        let (a, b) = (self.from[1], self.from[1] + self.along[1] * self.length);
+        let low = (a.min(b) - self.half_width - 1.0).max(0.0) as u32;
+        let high = (a.max(b) + self.half_width + 1.0).clamp(0.0, height as f32) as u32;
+        low..high.saturating_add(1).min(height)
     }
+
+    /// The columns that [`LineTest::covers`] tells covered in a row. They stand side by side: each of its four
+    /// comparisons changes at most once along a row, since rounding keeps the order of numbers.
+    pub(super) fn columns(&self, row: u32, width: u32) -> Range<u32> {
+        let y = row as f32 + 0.5;
+        let Some([low, high]) = self.reach(f64::from(y)) else { return 0..0 };
+        let mut start = (low - 0.5).floor().clamp(0.0, f64::from(width)) as u32;
+        let mut end = (high + 0.5).ceil().clamp(f64::from(start), f64::from(width)) as u32;
+        while start < end && !self.covers(start as f32 + 0.5, y) {
+            start += 1;
+        }
+        while start < end && !self.covers((end - 1) as f32 + 0.5, y) {
+            end -= 1;
+        }
+        start..end
+    }
+
+    /// From where to where along x the rectangle reaches at `y`, a little more than less; `None` where it does not.
+    fn reach(&self, y: f64) -> Option<[f64; 2]> {
+        let [along_x, along_y] = self.along.map(f64::from);
+        let (x, dy) = (f64::from(self.from[0]), y - f64::from(self.from[1]));
+        let half = f64::from(self.half_width) + SLACK_PX;
+        let (along, across) = (dy * along_y, dy * along_x);
+        let mut reach = [f64::NEG_INFINITY, f64::INFINITY];
+        within(&mut reach, along_x, [-SLACK_PX - along, f64::from(self.length) + SLACK_PX - along])?;
+        within(&mut reach, -along_y, [-half - across, half - across])?;
+        (reach[0] <= reach[1]).then_some(reach.map(|dx| x + dx))
+    }
+}
+
+/// Cuts `reach` down to where `factor` times it lies between two numbers; `None` if that is nowhere.
+fn within(reach: &mut [f64; 2], factor: f64, [low, high]: [f64; 2]) -> Option<()> {
+    if factor == 0.0 {
+        return (low <= 0.0 && 0.0 <= high).then_some(());
+    }
+    let (a, b) = (low / factor, high / factor);
+    *reach = [reach[0].max(a.min(b)), reach[1].min(a.max(b))];
+    Some(())
 }
 
 /// The part of a segment inside the image grown by a margin, cut at one border after the other (Cohen and

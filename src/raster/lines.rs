@@ -1,86 +1,186 @@
-//! Line drawing on Vulkan's fixed-function pipeline, tile by tile.
+//! Lines, drawn on the host row by row.
+//!
+//! # How it works
+//! Layouts are mostly black, so what costs is to go over all of their pixels. [`LineRows`] tells row by row which columns
+//! the lines cover, from the numbers of [`LineTest`], and whoever asks touches only these.
 
-use std::sync::Arc;
-use std::time::Instant;
+use std::ops::Range;
 
-use super::line::{LineInstance, LineStage, LineTarget};
-use super::tiles::{Tile, TileLimits, grown, tiles};
-use super::{Segment, StageTimes};
-use crate::gpu::{Buffer, Commands, Device, GpuError};
+use super::Segment;
+use super::line_test::LineTest;
+use crate::geometry::ImageSize;
 
-/// What draws lines: images are kept from call to call.
-pub(super) struct Lines {
-    device: Arc<Device>,
-    commands: Commands,
-    stage: LineStage,
-    target: Option<LineTarget>,
-    /// Room for segments.
-    segments: Option<Buffer>,
-    limits: TileLimits,
+/// What lines cover in an image, row by row.
+#[derive(Clone, Debug)]
+pub struct LineRows {
+    width: u32,
+    /// In the order of drawing.
+    lines: Vec<Line>,
+    /// Numbers of those that were not met yet, the lowest last.
+    waiting: Vec<u32>,
+    /// Numbers of those that may meet the row, in the order of drawing.
+    active: Vec<u32>,
 }
 
-impl Lines {
-    pub(super) fn new(device: &Arc<Device>, limits: TileLimits) -> Result<Self, GpuError> {
-        let (stage, commands) = (LineStage::new(device)?, Commands::new(device)?);
-        Ok(Self { device: device.clone(), commands, stage, target: None, segments: None, limits })
-    }
+#[derive(Clone, Debug)]
+struct Line {
+    test: LineTest,
+    rgb: [u8; 3],
+    rows: Range<u32>,
+}
 
-    /// As [`Rasterizer::lines`](super::Rasterizer::lines).
-    pub(super) fn draw(
-        &mut self,
-        [height, width]: [u32; 2],
-        segments: &[Segment],
-        width_px: f32,
-        stages: &mut StageTimes,
-    ) -> Result<Vec<[u8; 3]>, GpuError> {
-        let mut image = vec![[0; 3]; width as usize * height as usize];
-        let half_width = width_px / 2.0;
-        let lines: Vec<_> =
-            segments.iter().filter_map(|s| LineInstance::new(s, half_width, [width, height])).collect();
-        let tiles = tiles(width, height, self.limits);
-        let Some(largest) = tiles.first().filter(|_| !lines.is_empty()) else { return Ok(image) };
-        self.prepare(largest.size, &lines)?;
-        for tile in &tiles {
-            self.draw_tile(tile, lines.len() as u32, &mut image, width, stages)?;
-        }
-        Ok(image)
-    }
-
-    /// Makes an image and a buffer if those there are too small, and fills the buffer.
-    fn prepare(&mut self, size: [u32; 2], lines: &[LineInstance]) -> Result<(), GpuError> {
-        let current = self.target.as_ref().map_or([0; 2], LineTarget::size);
-        if size[0] > current[0] || size[1] > current[1] {
-            self.target = None; // free before allocating
-            self.target = Some(self.stage.target(&self.device, grown(current, size, self.limits))?);
-        }
-        let bytes: &[u8] = bytemuck::cast_slice(lines);
-        let buffer = match self.segments.take().filter(|b| b.size() >= bytes.len() as u64) {
-            Some(buffer) => buffer,
-            None => LineStage::buffer(&self.device, lines.len().next_power_of_two())?,
+impl LineRows {
+    /// Segments `width_px` wide with butt ends, later over earlier, in an image of this size. A pixel is covered when its
+    /// centre lies in the segment's rectangle. Segments without length or place, and outside, cover nothing.
+    pub fn new(segments: &[Segment], size: ImageSize, width_px: f32) -> Self {
+        let sides = [size.width, size.height];
+        let line = |segment: &Segment| {
+            let test = LineTest::new(segment, width_px / 2.0, sides)?;
+            Some(Line { test, rgb: segment.rgb, rows: test.rows(size.height) })
         };
-        self.segments.insert(buffer).bytes_mut()?[..bytes.len()].copy_from_slice(bytes);
-        Ok(())
+        let lines: Vec<Line> = segments.iter().filter_map(line).collect();
+        let mut waiting: Vec<u32> = (0..lines.len() as u32).collect();
+        waiting.sort_by_key(|number| std::cmp::Reverse(lines[*number as usize].rows.start));
+        Self { width: size.width, lines, waiting, active: Vec::new() }
     }
 
-    fn draw_tile(
-        &mut self,
-        tile: &Tile,
-        count: u32,
-        image: &mut [[u8; 3]],
-        width: u32,
-        stages: &mut StageTimes,
-    ) -> Result<(), GpuError> {
-        let (Some(target), Some(segments)) = (&mut self.target, &self.segments) else { return Ok(()) };
-        let mut recorder = self.commands.begin()?;
-        self.stage.record(&mut recorder, target, tile, (segments, count))?;
-        for (stage, time) in recorder.submit()? {
-            stages.add(stage, time);
+    /// Tells the columns and the color of each line in a row, in the order of drawing. Rows must be asked for in
+    /// ascending order.
+    pub fn row(&mut self, row: u32, mut paint: impl FnMut(Range<usize>, [u8; 3])) {
+        let lines = &self.lines;
+        self.active.retain(|number| lines[*number as usize].rows.end > row);
+        let met = self.active.len();
+        while let Some(number) = self.waiting.pop_if(|number| lines[*number as usize].rows.start <= row) {
+            self.active.push(number);
         }
-        let start = Instant::now();
-        let rgba = &target.readback.bytes_mut()?[..4 * tile.area()];
-        let pixels: Vec<[u8; 3]> = rgba.chunks_exact(4).map(|p| [p[0], p[1], p[2]]).collect();
-        tile.copy_into(&pixels, image, width);
-        stages.add("lines to host", start.elapsed());
-        Ok(())
+        if self.active.len() > met {
+            self.active.sort_unstable();
+        }
+        for number in &self.active {
+            let line = &lines[*number as usize];
+            let columns = line.test.columns(row, self.width);
+            if !columns.is_empty() {
+                paint(columns.start as usize..columns.end as usize, line.rgb);
+            }
+        }
+    }
+}
+
+/// Draws segments `width_px` wide as [`LineRows::new`] says, on black: `height * width` RGB pixels.
+pub fn draw_lines(segments: &[Segment], size: ImageSize, width_px: f32) -> Vec<[u8; 3]> {
+    let mut image = vec![[0; 3]; size.pixels()];
+    let mut rows = LineRows::new(segments, size, width_px);
+    for (row, pixels) in (0..size.height).zip(image.chunks_exact_mut(size.width.max(1) as usize)) {
+        rows.row(row, |columns, rgb| pixels[columns].fill(rgb));
+    }
+    image
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every pixel against the test of every line.
+    fn drawn_pixel_by_pixel(segments: &[Segment], size: ImageSize, width_px: f32) -> Vec<[u8; 3]> {
+        let mut image = vec![[0; 3]; size.pixels()];
+        for segment in segments {
+            let Some(line) = LineTest::new(segment, width_px / 2.0, [size.width, size.height]) else {
+                continue;
+            };
+            for (index, pixel) in image.iter_mut().enumerate() {
+                let (row, column) = (index as u32 / size.width, index as u32 % size.width);
+                if line.covers(column as f32 + 0.5, row as f32 + 0.5) {
+                    *pixel = segment.rgb;
+                }
+            }
+        }
+        image
+    }
+
+    fn below(state: &mut u64, n: u64) -> u64 {
+        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (*state >> 33) % n
+    }
+
+    /// Ends in the image, around it, far away, at the same place, or nonsense; often level, upright or nearly so.
+    fn random_segment(state: &mut u64) -> Segment {
+        let mut end = || -> [f32; 2] {
+            let reach = [1.0, 2.0, 100.0, 1e7, 1e30][below(state, 5) as usize];
+            std::array::from_fn(|_| {
+                let v =
+                    (80.0 + (below(state, 1 << 20) as f64 / f64::from(1 << 19) - 1.0) * 80.0 * reach) as f32;
+                if below(state, 2) == 0 { v.round() } else { v }
+            })
+        };
+        let (from, mut to) = (end(), end());
+        let axis = below(state, 2) as usize;
+        match below(state, 8) {
+            0 => to = from,
+            1 => to[axis] = [f32::NAN, f32::INFINITY][below(state, 2) as usize],
+            2 => to[axis] = from[axis],
+            3 => to[axis] = from[axis] + [1e-4, -1e-3, 1e-2][below(state, 3) as usize],
+            _ => {}
+        }
+        Segment { from, to, rgb: std::array::from_fn(|_| 1 + below(state, 255) as u8) }
+    }
+
+    #[test]
+    fn rows_hold_what_the_test_of_each_pixel_says() {
+        let state = &mut 3;
+        let mut covered = 0;
+        for round in 0..400 {
+            let size =
+                ImageSize { height: 1 + below(state, 150) as u32, width: 1 + below(state, 200) as u32 };
+            let segments: Vec<Segment> = (0..1 + below(state, 12)).map(|_| random_segment(state)).collect();
+            let width_px = [8.0, 1.0, 0.3, 3.5, 40.0][below(state, 5) as usize];
+            let expected = drawn_pixel_by_pixel(&segments, size, width_px);
+            covered += expected.iter().filter(|p| **p != [0; 3]).count();
+            assert_eq!(draw_lines(&segments, size, width_px), expected, "{round}: {segments:?} {width_px}");
+        }
+        assert!(covered > 100_000, "{covered}");
+    }
+
+    #[test]
+    fn long_lines_in_large_images_are_exact_too() {
+        let size = ImageSize { height: 40, width: 16_384 };
+        let line = |from, to| Segment { from, to, rgb: [7; 3] };
+        let segments = [
+            line([-5.0, 3.0], [16_400.0, 3.001]),
+            line([0.3, 37.2], [16_383.9, 12.9]),
+            line([16_000.0, -30.0], [16_380.5, 60.0]),
+            line([8191.5, 0.0], [8191.75, 40.0]),
+        ];
+        for width_px in [8.0, 0.7] {
+            let expected = drawn_pixel_by_pixel(&segments, size, width_px);
+            assert!(draw_lines(&segments, size, width_px) == expected, "{width_px}");
+        }
+    }
+
+    #[test]
+    fn rows_may_be_left_out() {
+        let size = ImageSize { height: 60, width: 60 };
+        let line = |from, to, rgb| Segment { from, to, rgb };
+        let segments = [
+            line([5.0, 50.0], [55.0, 8.0], [1; 3]),
+            line([0.0, 30.0], [60.0, 30.0], [2; 3]),
+            line([20.0, 0.0], [25.0, 60.0], [3; 3]),
+        ];
+        let image = draw_lines(&segments, size, 6.0);
+        let mut rows = LineRows::new(&segments, size, 6.0);
+        for row in [2, 3, 29, 31, 58] {
+            let mut pixels = vec![[0; 3]; 60];
+            rows.row(row, |columns, rgb| pixels[columns].fill(rgb));
+            assert_eq!(pixels, image[row as usize * 60..][..60], "{row}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_black() {
+        let size = ImageSize { height: 3, width: 4 };
+        assert_eq!(draw_lines(&[], size, 8.0), [[0; 3]; 12]);
+        let segment = Segment { from: [0.0; 2], to: [4.0, 3.0], rgb: [9; 3] };
+        for width_px in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            assert_eq!(draw_lines(&[segment], size, width_px), [[0; 3]; 12]);
+        }
     }
 }

@@ -12,7 +12,6 @@ mod draw;
 mod frame;
 mod frames;
 mod kind;
-mod line;
 mod line_test;
 mod lines;
 mod maps;
@@ -23,13 +22,14 @@ mod resolve;
 mod schedule;
 mod splat;
 mod steps;
-mod tiles;
+pub(crate) mod tiles;
 mod vulkan;
 
 pub use compute::{ComputeRasterizer, ComputeRasterizerDesc};
 pub use draw::{Crop, Draw, Instance, SplatJob, draws_from_job};
 pub use frame::{FrameJob, FrameKinds, FrameMaps, Occlusion, ViewMaps, class_of, rgb_of};
 pub use kind::{RasterizerDesc, RasterizerKind, UnknownRasterizer, create};
+pub use lines::{LineRows, draw_lines};
 pub use maps::{Planes, Segment, SplatMaps, StageTimes};
 pub use plane::Plane;
 pub use schedule::{ScheduleError, SplatSchedule, SplatStep};
@@ -99,7 +99,7 @@ impl RasterizerInfo {
 /// How many frames may be begun before the first of them is finished.
 pub const FRAMES_IN_FLIGHT: usize = 2;
 
-/// Splats resident clouds, and draws lines.
+/// Splats resident clouds.
 pub trait Rasterizer {
     /// Which rasterizer, device and driver this is.
     fn info(&self) -> RasterizerInfo;
@@ -122,19 +122,11 @@ pub trait Rasterizer {
     /// The device's, an unknown cloud, more than 2³² − 2 points.
     fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError>;
 
-    /// Draws segments `width_px` wide, later over earlier, on black: `height * width` RGB pixels. A pixel is
-    /// covered when its centre lies in the segment's rectangle (butt ends).
-    ///
-    /// # Errors
-    /// The device's.
-    fn lines(
-        &mut self,
-        height: u32,
-        width: u32,
-        segments: &[Segment],
-        width_px: f32,
-    ) -> Result<Vec<[u8; 3]>, RasterError>;
+    /// Times of the stages since they were last taken, to which others may be added.
+    fn stages(&mut self) -> &mut StageTimes;
 
     /// Times of the stages, summed since the last call.
-    fn take_stages(&mut self) -> StageTimes;
+    fn take_stages(&mut self) -> StageTimes {
+        std::mem::take(self.stages())
+    }
 }

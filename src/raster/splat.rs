@@ -16,9 +16,9 @@ use super::tiles::Tile;
 use super::{Draw, SplatSchedule};
 use crate::cloud::Point;
 use crate::gpu::{
-    Area, Bind, Buffer, BufferDesc, DescriptorSet, Device, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
-    Image, ImageDesc, Memory, PipelineLayout, Recorder, RenderPass, RenderPassDesc, Scope, Target, Topology,
-    VertexBuffer, assert_layout, shaders,
+    Area, Bind, Buffer, BufferDesc, Depth, DepthTest, DescriptorSet, Device, GpuError, GraphicsPipeline,
+    GraphicsPipelineDesc, Image, ImageDesc, Memory, PipelineLayout, Recorder, RenderPass, RenderPassDesc,
+    Scope, Target, Topology, VertexBuffer, assert_layout, shaders,
 };
 
 const VISIBILITY: vk::Format = vk::Format::R32G32_UINT;
@@ -88,7 +88,8 @@ impl SplatStage {
         let (vertex, fragment) = (&shaders::splat_vert::SHADER, &shaders::splat_frag::SHADER);
         let layout = Arc::new(PipelineLayout::new(device, &[vertex, fragment])?);
         let color_read = vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL;
-        let desc = RenderPassDesc { name: "splat", color: VISIBILITY, color_read, depth: Some(DEPTH) };
+        let depth = Some(Depth { format: DEPTH, test: DepthTest::Less });
+        let desc = RenderPassDesc { name: "splat", colors: &[VISIBILITY], color_read, depth };
         let pass = Arc::new(RenderPass::new(device, &desc)?);
         let position = std::mem::offset_of!(Point, position) as u32;
         let pipeline = GraphicsPipeline::new(&GraphicsPipelineDesc {
@@ -98,11 +99,11 @@ impl SplatStage {
             fragment,
             pass: &pass,
             topology: Topology::Points,
-            vertices: VertexBuffer {
+            vertices: Some(VertexBuffer {
                 stride: size_of::<Point>() as u32,
                 per_instance: false,
                 offsets: &[position],
-            },
+            }),
         })?;
         let (size, usage) = (size_of::<SplatFrame>() as u64, Usage::UNIFORM_BUFFER | Usage::TRANSFER_DST);
         let desc = BufferDesc { name: "splat frame", size, usage, memory: Memory::Device };

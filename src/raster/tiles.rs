@@ -1,29 +1,29 @@
 /// A part of an image that is drawn at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Tile {
+pub(crate) struct Tile {
     /// Top left corner: x and y, pixels.
-    pub(super) origin: [u32; 2],
+    pub(crate) origin: [u32; 2],
     /// Width and height, pixels.
-    pub(super) size: [u32; 2],
+    pub(crate) size: [u32; 2],
 }
 
 /// How large tiles may be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct TileLimits {
+pub(crate) struct TileLimits {
     /// Longest side, pixels.
-    pub(super) side: u32,
+    pub(crate) side: u32,
     /// Most pixels.
-    pub(super) area: u32,
+    pub(crate) area: u32,
 }
 
 impl Tile {
     /// Pixels.
-    pub(super) fn area(&self) -> usize {
+    pub(crate) fn area(&self) -> usize {
         self.size[0] as usize * self.size[1] as usize
     }
 
     /// Copies the tile's pixels, row by row without gaps, to where they belong in an image `width` pixels wide.
-    pub(super) fn copy_into<T: Copy>(&self, pixels: &[T], image: &mut [T], width: u32) {
+    pub(crate) fn copy_into<T: Copy>(&self, pixels: &[T], image: &mut [T], width: u32) {
         let (from, to) = (self.size[0] as usize, width as usize);
         for (row, line) in pixels.chunks_exact(from).take(self.size[1] as usize).enumerate() {
             let start = (self.origin[1] as usize + row) * to + self.origin[0] as usize;
@@ -33,7 +33,7 @@ impl Tile {
 }
 
 /// Tiles that make up a `width × height` image; the first is the largest.
-pub(super) fn tiles(width: u32, height: u32, limits: TileLimits) -> Vec<Tile> {
+pub(crate) fn tiles(width: u32, height: u32, limits: TileLimits) -> Vec<Tile> {
     let columns = width.min(limits.side).min(limits.area).max(1);
     let rows = height.min(limits.side).min(limits.area / columns).max(1);
     let mut tiles = Vec::new();
@@ -47,7 +47,7 @@ pub(super) fn tiles(width: u32, height: u32, limits: TileLimits) -> Vec<Tile> {
 
 /// Size of images that hold `needed` pixels per side and replace images of size `current`: no side shrinks, so that
 /// views of different sizes share them, unless that would be too large.
-pub(super) fn grown(current: [u32; 2], needed: [u32; 2], limits: TileLimits) -> [u32; 2] {
+pub(crate) fn grown(current: [u32; 2], needed: [u32; 2], limits: TileLimits) -> [u32; 2] {
     let both = [current[0].max(needed[0]), current[1].max(needed[1])];
     let fits = u64::from(both[0]) * u64::from(both[1]) <= u64::from(limits.area);
     if fits { both } else { needed }

@@ -5,13 +5,12 @@ use std::time::Instant;
 
 use super::frame::frame_by_views;
 use super::frames::DoneFrames;
-use super::lines::Lines;
 use super::pages::{Pages, PieceDraw};
 use super::resolve::{MAX_PIXEL_BYTES, Piece, PlaneOffsets, ResolveStage, ResolveTarget};
 use super::splat::{SplatStage, SplatTarget, check_point_size};
 use super::tiles::{Tile, TileLimits, grown, tiles};
 use super::{
-    CloudSet, Draw, FrameJob, FrameMaps, Planes, RasterError, Rasterizer, RasterizerInfo, Segment, SplatJob,
+    CloudSet, Draw, FrameJob, FrameMaps, Planes, RasterError, Rasterizer, RasterizerInfo, SplatJob,
     SplatMaps, SplatSchedule, StageTimes, draws_from_job,
 };
 use crate::cloud::Bounds;
@@ -32,7 +31,6 @@ pub struct VulkanRasterizer {
     commands: Commands,
     splat: SplatStage,
     resolve: ResolveStage,
-    lines: Lines,
     pages: Pages,
     extents: Vec<(usize, Option<Bounds>)>,
     limits: TileLimits,
@@ -73,7 +71,6 @@ impl VulkanRasterizer {
         let start = Instant::now();
         let (splat, resolve) = (SplatStage::new(&device)?, ResolveStage::new(&device)?);
         let limits = tile_limits(&device, desc.tile_side);
-        let lines = Lines::new(&device, limits)?;
         let mut commands = Commands::new(&device)?;
         let mut stages = StageTimes::default();
         stages.add("set-up", start.elapsed());
@@ -87,7 +84,6 @@ impl VulkanRasterizer {
             commands,
             splat,
             resolve,
-            lines,
             pages,
             extents,
             limits,
@@ -188,22 +184,12 @@ impl Rasterizer for VulkanRasterizer {
         Ok(maps)
     }
 
-    fn lines(
-        &mut self,
-        height: u32,
-        width: u32,
-        segments: &[Segment],
-        width_px: f32,
-    ) -> Result<Vec<[u8; 3]>, RasterError> {
-        Ok(self.lines.draw([height, width], segments, width_px, &mut self.stages)?)
-    }
-
-    fn take_stages(&mut self) -> StageTimes {
-        std::mem::take(&mut self.stages)
+    fn stages(&mut self) -> &mut StageTimes {
+        &mut self.stages
     }
 }
 
-pub(super) fn tile_limits(device: &Device, side: Option<u32>) -> TileLimits {
+fn tile_limits(device: &Device, side: Option<u32>) -> TileLimits {
     let limits = device.limits();
     let [viewport_width, viewport_height] = limits.max_viewport_dimensions;
     let largest = [

@@ -45,17 +45,22 @@ pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<Scen
 /// The state at any time within the log: all cameras share the ego pose at that instant, ego and actors are
 /// interpolated. It has no HD map. `None` outside the log, whose poses `ego` are.
 pub fn state_at(log: &Log, ego: &EgoTrack, t_us: i64, offset: EgoOffset) -> Option<SceneState> {
-    let global_from_ego = ego.at(t_us)? * offset.pose();
-    let nearest = log.frames.iter().min_by_key(|f| f.t_us.abs_diff(t_us))?;
-    let camera = |rig: RigCamera| scene_camera(&rig, global_from_ego);
-    Some(SceneState {
+    Some(state_of(log, t_us, ego.at(t_us)? * offset.pose(), &log.boxes_at(t_us)))
+}
+
+/// The state with the ego and boxes of a log's tracks anywhere at any time: all cameras share the ego pose, calibrated
+/// as in the nearest frame. It has no HD map, and the time for a name.
+pub fn state_of(log: &Log, t_us: i64, global_from_ego: Pose, boxes: &[TrackBox]) -> SceneState {
+    let nearest = log.frames.iter().min_by_key(|f| f.t_us.abs_diff(t_us));
+    let rig = nearest.map_or_else(|| log.rig.clone(), |frame| rig_at(log, frame));
+    SceneState {
         name: t_us.to_string(),
         t_us,
         global_from_ego,
-        cameras: rig_at(log, nearest).into_iter().map(camera).collect(),
-        actors: actors(log, &log.boxes_at(t_us)),
+        cameras: rig.iter().map(|rig| scene_camera(rig, global_from_ego)).collect(),
+        actors: actors(log, boxes),
         map: None,
-    })
+    }
 }
 
 /// Replaces a state's cameras by cameras that stand in the global frame.

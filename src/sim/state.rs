@@ -1,6 +1,27 @@
+use glam::{DVec2, DVec3};
+
+use crate::dataset::{TrackBox, TrafficLight};
 use crate::geometry::{Cuboid, Pose};
 
 /// What has happened: states, and whatever is made of them.
+///
+/// A forecast is none:
+///
+/// ```compile_fail,E0308
+/// use point_skeleton::sim::{Committed, Forecast, Instant};
+/// fn happened(expected: Forecast<Instant>) -> Committed<Instant> {
+///     expected
+/// }
+/// ```
+///
+/// Nor can anybody else say that it has happened:
+///
+/// ```compile_fail,E0624
+/// use point_skeleton::sim::{Committed, Forecast, Instant};
+/// fn happened(expected: Forecast<Instant>) -> Committed<Instant> {
+///     Committed::new(expected.get().clone())
+/// }
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Committed<T>(T);
 
@@ -19,6 +40,8 @@ pub struct Instant {
     pub ego: EgoState,
     /// Sorted by track.
     pub actors: Vec<SimActor>,
+    /// What traffic lights show, by lane connector: as in the log's last frame until then.
+    pub lights: Vec<TrafficLight>,
 }
 
 /// How the ego moves.
@@ -47,9 +70,41 @@ pub struct SimActor {
     pub speed_mps: f64,
 }
 
+/// Length, width and height of the ego, a Chrysler Pacifica, metres. Source: nuPlan's vehicle parameters.
+pub const EGO_SIZE_M: DVec3 = DVec3::new(5.176, 2.297, 1.777);
+/// From the ego's rear axle forward to the centre of its box, metres.
+pub const REAR_AXLE_TO_CENTER_M: f64 = 1.461;
+/// From the ego's rear axle to its front axle, metres.
+pub const WHEELBASE_M: f64 = 3.089;
+
+impl EgoState {
+    /// Its yaw, radians.
+    pub fn heading_rad(&self) -> f64 {
+        self.pose.yaw_rad()
+    }
+
+    /// The middle of the rear axle seen from above, global metres.
+    pub fn position_m(&self) -> DVec2 {
+        self.pose.translation.truncate()
+    }
+
+    /// The box around the vehicle.
+    pub fn cuboid(&self) -> Cuboid {
+        let center = DVec3::new(REAR_AXLE_TO_CENTER_M, 0.0, EGO_SIZE_M.z / 2.0);
+        let pose = Pose { rotation: self.pose.rotation, translation: self.pose.transform_point(center) };
+        Cuboid { pose, size: EGO_SIZE_M }
+    }
+}
+
+impl SimActor {
+    /// As a log has it.
+    pub fn track_box(&self) -> TrackBox {
+        TrackBox { track: self.track, cuboid: self.cuboid }
+    }
+}
+
 impl<T> Committed<T> {
     /// Says that something has happened: for the loop alone.
-    #[expect(dead_code, reason = "the loop comes with the next change")]
     pub(super) fn new(value: T) -> Self {
         Self(value)
     }

@@ -1,7 +1,12 @@
 //! Triangles with what their surface is: what the town is made of, for the camera and for the LiDAR.
 
+mod smooth;
+mod solids;
+
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec2, DVec3};
+
+pub use solids::Ring;
 
 /// What a surface is made of; it tells how it is shaded and how it throws light back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -1,4 +1,10 @@
-/// What a town is like and how it is recorded.
+use std::fmt;
+use std::str::FromStr;
+
+use crate::geometry::ImageSize;
+
+/// What a town is like and how it is recorded. Text form: `seed=7,frames=40[,hz=5,beams=32,lidar_hz=10,size=450x800,light=day]`
+/// in any order; what is missing is as by default.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TownOptions {
     /// What everything follows from.
@@ -28,6 +34,16 @@ pub enum Daylight {
     Overcast,
 }
 
+/// Options that no town has.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected {expected}, found {found:?}")]
+pub struct TownOptionsError {
+    /// What would do.
+    pub expected: String,
+    /// What was given.
+    pub found: String,
+}
+
 impl Default for TownOptions {
     fn default() -> Self {
         let (seed, frames) = (7, 40);
@@ -36,8 +52,172 @@ impl Default for TownOptions {
 }
 
 impl TownOptions {
+    /// Most frames of a drive.
+    pub const MAX_FRAMES: usize = 10_000;
+    const KEYS: [&str; 7] = ["seed", "frames", "hz", "beams", "lidar_hz", "size", "light"];
+
     /// From the first frame to the last, seconds.
     pub fn duration_s(&self) -> f64 {
         self.frames.saturating_sub(1) as f64 / self.hz
+    }
+
+    /// Whether all values are in their ranges.
+    ///
+    /// # Errors
+    /// The first that is not.
+    pub fn check(&self) -> Result<(), TownOptionsError> {
+        let wrong = |expected: &str, found: &dyn fmt::Display| {
+            Err(TownOptionsError { expected: expected.to_owned(), found: found.to_string() })
+        };
+        if !(1..=Self::MAX_FRAMES).contains(&self.frames) {
+            return wrong("1 to 10000 frames", &self.frames);
+        }
+        if ![10.0, 20.0].contains(&self.lidar_hz) {
+            return wrong("lidar_hz of 10 or 20", &self.lidar_hz);
+        }
+        if !(0.5..=self.lidar_hz).contains(&self.hz) {
+            return wrong("hz of 0.5 to lidar_hz", &self.hz);
+        }
+        if ![32, 64].contains(&self.beams) {
+            return wrong("beams of 32 or 64", &self.beams);
+        }
+        let size = ImageSize { height: self.size[0], width: self.size[1] };
+        if size.to_string().parse::<ImageSize>() != Ok(size) {
+            return wrong("a size HxW of 1 to 16384 pixels a side", &size);
+        }
+        Ok(())
+    }
+
+    fn set(&mut self, key: &str, value: &str) -> Result<(), TownOptionsError> {
+        let wrong = |expected: &str| TownOptionsError {
+            expected: format!("{expected} for {key} of the town"),
+            found: value.to_owned(),
+        };
+        let whole = || value.parse::<u64>().map_err(|_| wrong("a whole number"));
+        let rate = || value.parse().ok().filter(|hz: &f64| hz.is_finite()).ok_or_else(|| wrong("a number"));
+        match key {
+            "seed" => self.seed = whole()?,
+            "frames" => self.frames = usize::try_from(whole()?).map_err(|_| wrong("1 to 10000"))?,
+            "hz" => self.hz = rate()?,
+            "lidar_hz" => self.lidar_hz = rate()?,
+            "beams" => self.beams = u16::try_from(whole()?).map_err(|_| wrong("32 or 64"))?,
+            "size" => {
+                let size: ImageSize = value.parse().map_err(|_| wrong("HxW of 1 to 16384 pixels a side"))?;
+                self.size = [size.height, size.width];
+            }
+            "light" => self.daylight = Some(value.parse()?),
+            _ => return Err(Self::unknown(key)),
+        }
+        Ok(())
+    }
+
+    fn unknown(found: &str) -> TownOptionsError {
+        let expected = format!("the options of the town, KEY=VALUE with {}", Self::KEYS.join(", "));
+        TownOptionsError { expected, found: found.to_owned() }
+    }
+}
+
+impl FromStr for TownOptions {
+    type Err = TownOptionsError;
+
+    fn from_str(text: &str) -> Result<Self, TownOptionsError> {
+        let mut options = Self::default();
+        let mut seen = Vec::new();
+        for part in text.split(',').map(str::trim).filter(|_| !text.is_empty()) {
+            let (key, value) = part.split_once('=').ok_or_else(|| Self::unknown(part))?;
+            if seen.contains(&key) {
+                let expected = format!("{key} of the town once");
+                return Err(TownOptionsError { expected, found: text.to_owned() });
+            }
+            seen.push(key);
+            options.set(key, value)?;
+        }
+        options.check()?;
+        Ok(options)
+    }
+}
+
+/// The text form, whole.
+impl fmt::Display for TownOptions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { seed, frames, hz, lidar_hz, beams, size: [height, width], daylight } = self;
+        write!(
+            f,
+            "seed={seed},frames={frames},hz={hz},beams={beams},lidar_hz={lidar_hz},size={height}x{width}"
+        )?;
+        daylight.map_or(Ok(()), |light| write!(f, ",light={light}"))
+    }
+}
+
+impl Daylight {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Day, Self::Dusk, Self::Overcast];
+
+    /// Name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Day => "day",
+            Self::Dusk => "dusk",
+            Self::Overcast => "overcast",
+        }
+    }
+}
+
+impl fmt::Display for Daylight {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Daylight {
+    type Err = TownOptionsError;
+
+    fn from_str(text: &str) -> Result<Self, TownOptionsError> {
+        let known = Self::ALL.into_iter().find(|light| light.name() == text);
+        let expected = "a light of day, dusk or overcast".to_owned();
+        known.ok_or_else(|| TownOptionsError { expected, found: text.to_owned() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_go_there_and_back() {
+        let text = "seed=18446744073709551615,frames=3,hz=2.5,beams=64,lidar_hz=20,size=90x160,light=dusk";
+        let options: TownOptions = text.parse().unwrap();
+        assert_eq!((options.seed, options.frames, options.size), (u64::MAX, 3, [90, 160]));
+        assert_eq!(options.daylight, Some(Daylight::Dusk));
+        assert_eq!(options.to_string(), text);
+        assert_eq!("".parse(), Ok(TownOptions::default()));
+        assert_eq!("frames=40, seed=7".parse(), Ok(TownOptions::default()));
+    }
+
+    #[test]
+    fn what_no_town_has_is_told() {
+        for (text, said) in [
+            ("seed", "KEY=VALUE with seed, frames"),
+            ("colour=red", "KEY=VALUE"),
+            ("seed=-1", "whole number for seed"),
+            ("seed=1,seed=2", "seed of the town once"),
+            ("frames=0", "1 to 10000 frames"),
+            ("frames=10001", "1 to 10000 frames"),
+            ("frames=1e3", "whole number"),
+            ("hz=0", "hz of 0.5"),
+            ("hz=11", "to lidar_hz"),
+            ("hz=NaN", "a number for hz"),
+            ("lidar_hz=15", "10 or 20"),
+            ("beams=16", "32 or 64"),
+            ("beams=65568", "32 or 64"),
+            ("size=0x4", "HxW"),
+            ("light=night", "day, dusk or overcast"),
+            ("seed=1,", "KEY=VALUE"),
+        ] {
+            let message = text.parse::<TownOptions>().unwrap_err().to_string();
+            assert!(message.starts_with("expected ") && message.contains(said), "{text}: {message}");
+        }
+        let narrow = TownOptions { size: [4, 0], ..TownOptions::default() };
+        assert!(narrow.check().is_err());
     }
 }

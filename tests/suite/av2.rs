@@ -6,8 +6,9 @@ use std::sync::Arc;
 use arrow_array::Int32Array;
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::av2::{Argoverse, read_map_file, read_sweep_file};
-use point_skeleton::dataset::{self, Class, Dataset, Log, LogFormat, LogLocator};
+use point_skeleton::dataset::{Class, Dataset, Log, LogFormat, LogLocator};
 use point_skeleton::geometry::{Cuboid, View};
+use point_skeleton::logs;
 use point_skeleton::scene::{EgoOffset, state_of_frame};
 
 use crate::av2_log::{
@@ -89,7 +90,7 @@ fn a_made_up_map_is_read_whole() {
 fn a_folder_of_logs_is_a_set() {
     let made = TinyAv2::new();
     let root = made.root();
-    assert_eq!(dataset::expand(&locator(root)).unwrap(), [locator(made.path(""))]);
+    assert_eq!(logs::expand(&locator(root)).unwrap(), [locator(made.path(""))]);
     assert_eq!(Argoverse::open(&locator(root)).unwrap().log().name, LOG_ID);
     std::fs::create_dir(root.join("ffff")).unwrap();
     std::fs::create_dir(root.join("no log")).unwrap();
@@ -98,10 +99,10 @@ fn a_folder_of_logs_is_a_set() {
     }
     let all = [locator(root.join(LOG_ID)), locator(root.join("ffff"))];
     let named = |scene: &str| LogLocator { scene: Some(scene.into()), ..locator(root) };
-    assert_eq!(dataset::expand(&locator(root)).unwrap(), all);
-    assert_eq!(dataset::expand(&named("*")).unwrap(), all);
-    assert_eq!(dataset::expand(&named("ffff")).unwrap(), all[1..]);
-    assert_eq!(dataset::open(&named(LOG_ID)).unwrap().log().name, LOG_ID);
+    assert_eq!(logs::expand(&locator(root)).unwrap(), all);
+    assert_eq!(logs::expand(&named("*")).unwrap(), all);
+    assert_eq!(logs::expand(&named("ffff")).unwrap(), all[1..]);
+    assert_eq!(logs::open(&named(LOG_ID)).unwrap().log().name, LOG_ID);
     let told = |locator: &LogLocator| Argoverse::open(locator).unwrap_err().to_string();
     let several = told(&locator(root));
     assert!(several.contains("#SCENE to name one of 0a1b2c3d, ffff, found none"), "{several}");

@@ -131,6 +131,27 @@ fn a_drive_is_drawn_frame_by_frame() {
 }
 
 #[test]
+fn whole_steps_of_a_drive_have_layouts_and_fill_the_same_pixels() {
+    let log = TinyLog::new();
+    log.succeed("build nuscenes:log --out sk");
+    let bench = "bench nuscenes:log --skeleton sk --rasterizer cpu --size 32x48 --out-size 16x24";
+    let stages =
+        |found: &Value| -> Vec<String> { found["stages_ms"].as_object().unwrap().keys().cloned().collect() };
+    let bare = json(&log, bench);
+    assert_eq!(stages(&bare), ["resolve", "splat"]);
+    for in_flight in ["1", "2"] {
+        let whole = format!("{bench} --maps depth,instance,boxes,tensor --in-flight {in_flight}");
+        let found = json(&log, &whole);
+        assert_eq!(stages(&found), ["convert", "instances", "layouts", "resolve", "splat"]);
+        for key in ["filled", "frames", "points", "size", "out_size"] {
+            assert_eq!(found[key], bare[key], "{key}");
+        }
+    }
+    assert_eq!(json(&log, &format!("{bench} --maps color,boxes"))["filled"], Value::Null);
+    log.fail(&format!("{bench} --maps map"), 1, &["cannot draw the frames", "map"]);
+}
+
+#[test]
 fn the_trace_has_every_frame_and_stage() {
     let log = TinyLog::new();
     for in_flight in ["1", "2"] {
@@ -170,7 +191,12 @@ fn wrong_usage_exits_with_2() {
         ("bench --points p.npy --cameras c.json --seed 3", "cannot be used with"),
         ("bench --synthetic 0", "expected 1 to 4294967294 points"),
         ("bench --synthetic 1.5", "expected 1 to 4294967294 points"),
-        ("bench --maps boxes", "expected maps out of color,depth,class,instance,point"),
+        ("bench --maps colour", "expected maps out of color,depth,class,instance,boxes,map,point,tensor"),
+        (
+            "bench --maps boxes",
+            "expected a drive, or --maps out of color,depth,class,instance,point, found boxes",
+        ),
+        ("bench --points p.npy --cameras c.json --maps color,map", "found color,map"),
         ("bench --repeat 0", "0 is not in 1.."),
         ("bench --warm-up -1", "--warm-up"),
         ("bench --in-flight 3", "3 is not in 1..=2"),

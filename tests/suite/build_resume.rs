@@ -219,7 +219,7 @@ fn an_image_of_two_frames_colors_both() {
 /// An unfinished build of the tiny log: templates fail after all frames are done.
 fn partial_of_tiny(log: &TinyLog) -> PathBuf {
     let dataset =
-        point_skeleton::dataset::open(&format!("nuscenes:{}", log.path("log").display()).parse().unwrap());
+        point_skeleton::logs::open(&format!("nuscenes:{}", log.path("log").display()).parse().unwrap());
     let dataset = dataset.unwrap();
     let fail = |_: &[(&Asset, &[Point])]| Err(FileError::content("templates", "none", Path::new("t")));
     let inputs = [BuildInput::all(dataset.as_ref())];

@@ -88,7 +88,7 @@ fn anything_else_is_an_error() {
     assert_failed(
         &log.run("info kitti:log"),
         1,
-        &["FORMAT nuscenes, nuplan, nuplan-simgen or av2", "kitti:log"],
+        &["FORMAT nuscenes, nuplan, nuplan-simgen, av2 or town", "kitti:log"],
     );
     assert_failed(&log.run("info nuscenes:gone"), 1, &["gone"]);
     assert_failed(&log.run("info"), 2, &["Usage"]);

@@ -4,6 +4,7 @@ use glam::{DVec2, DVec3};
 use point_skeleton::dataset::nuplan::SIMGEN;
 use point_skeleton::dataset::{self, Class, Dataset, LogFormat, LogLocator};
 use point_skeleton::geometry::{Distortion, View};
+use point_skeleton::logs;
 
 use crate::nuplan_made::{
     CAMERA_Z, CORNERS, DELAY_US, DISTORTION, FIRST_US, FRAMES, LIDAR_Z, LOG, MAP, Made, RING, STEP_US,
@@ -114,7 +115,7 @@ fn a_scene_is_a_part_of_the_log() {
     let made = Made::new();
     for scene in ["scene-001", "7300000000000001"] {
         let locator = LogLocator { scene: Some(scene.into()), ..made.locator() };
-        let dataset = dataset::open(&locator).unwrap();
+        let dataset = logs::open(&locator).unwrap();
         let log = dataset.log();
         let times: Vec<i64> = log.frames.iter().map(|f| (f.t_us - FIRST_US) / STEP_US).collect();
         assert_eq!((times, log.name.as_str()), (vec![2, 3], LOG));
@@ -129,7 +130,7 @@ fn a_scene_is_a_part_of_the_log() {
         assert!(log.notes.is_empty(), "{:?}", log.notes);
     }
     let locator = LogLocator { scene: Some("scene-009".into()), ..made.locator() };
-    let message = dataset::open(&locator).err().unwrap().to_string();
+    let message = logs::open(&locator).err().unwrap().to_string();
     assert_says(&message, &["scene-000, scene-001, found scene-009"], &format!("{LOG}.db"));
 }
 
@@ -202,14 +203,14 @@ fn folders_and_sets_name_several_logs() {
     let folder = made.path("nuplan-v1.1/splits/mini");
     let name = |text: &str| format!("{text}{}", folder.display()).parse::<LogLocator>().unwrap();
     let expanded = |locator: &LogLocator| {
-        let logs = dataset::expand(locator).map(|logs| logs.into_iter().map(|l| l.path).collect::<Vec<_>>());
+        let logs = logs::expand(locator).map(|logs| logs.into_iter().map(|l| l.path).collect::<Vec<_>>());
         logs.map_err(|e| e.to_string())
     };
-    assert_eq!(dataset::open(&name("nuplan:")).unwrap().log().name, LOG);
+    assert_eq!(logs::open(&name("nuplan:")).unwrap().log().name, LOG);
     std::fs::copy(made.database(), folder.join("b.db")).unwrap();
     std::fs::write(folder.join("notes.txt"), "").unwrap();
     assert_eq!(expanded(&name("nuplan:")).unwrap(), [made.database(), folder.join("b.db")]);
-    let message = dataset::open(&name("nuplan:")).err().unwrap().to_string();
+    let message = logs::open(&name("nuplan:")).err().unwrap().to_string();
     assert_says(&message, &[&format!("#LOG to name one of {LOG}, b, found none")], "splits/mini");
     let chosen = LogLocator { scene: Some("b".into()), ..name("nuplan:") };
     assert_eq!(expanded(&chosen).unwrap(), [folder.join("b.db")]);
@@ -231,7 +232,7 @@ fn folders_and_sets_name_several_logs() {
         SIMGEN.map(|log| folder.join(format!("{log}.db")))
     );
     let one = LogLocator { scene: Some(SIMGEN[3].into()), ..name("nuplan-simgen:") };
-    assert_eq!(dataset::open(&one).unwrap().log().frames.len(), FRAMES);
+    assert_eq!(logs::open(&one).unwrap().log().frames.len(), FRAMES);
     let file = LogLocator { format: LogFormat::NuPlanSimgen, ..made.locator() };
     assert!(expanded(&file).unwrap_err().contains("found a file"));
     let empty = LogLocator::new(LogFormat::NuPlan, made.path("maps"));
@@ -247,14 +248,14 @@ fn parts_may_lie_elsewhere() {
     let dataset = made.open().unwrap();
     assert_eq!((dataset.log().notes.len(), dataset.read_map().unwrap()), (2, None));
     let (sensor_root, map_root) = (Some(made.path("blobs")), Some(made.path("places")));
-    let dataset = dataset::open(&LogLocator { sensor_root, map_root, ..made.locator() }).unwrap();
+    let dataset = logs::open(&LogLocator { sensor_root, map_root, ..made.locator() }).unwrap();
     assert!(dataset.log().notes.is_empty() && dataset.read_map().unwrap().is_some());
     let gone = LogLocator { sensor_root: Some(made.path("gone")), ..made.locator() };
-    assert_says(&dataset::open(&gone).err().unwrap().to_string(), &["cannot read"], "gone");
+    assert_says(&logs::open(&gone).err().unwrap().to_string(), &["cannot read"], "gone");
     // Where maps are said to be, that of the log must be.
     std::fs::write(made.path("places/nuplan-maps-v1.0.json"), "{}").unwrap();
     let said = LogLocator { map_root: Some(made.path("places")), ..made.locator() };
-    let message = dataset::open(&said).unwrap().read_map().unwrap_err().to_string();
+    let message = logs::open(&said).unwrap().read_map().unwrap_err().to_string();
     assert_says(&message, &[&format!("expected map {MAP}, found none of that name")], "places");
 }
 

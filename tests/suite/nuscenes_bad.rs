@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use point_skeleton::dataset::nuscenes::{NuScenes, write_log};
-use point_skeleton::dataset::{self, Dataset, DatasetError, LogLocator};
+use point_skeleton::dataset::{Dataset, DatasetError, LogLocator};
+use point_skeleton::logs;
 use point_skeleton::town::{Street, StreetOptions};
 use proptest::prelude::*;
 use serde_json::{Value, json};
@@ -200,7 +201,7 @@ fn scenes_and_versions_must_be_chosen() {
     let expand = |tail: &str| {
         let name: LogLocator = format!("nuscenes:{}{tail}", broken.0.path().display()).parse().unwrap();
         let scenes = |logs: Vec<LogLocator>| logs.into_iter().filter_map(|log| log.scene).collect::<Vec<_>>();
-        dataset::expand(&name).map(scenes)
+        logs::expand(&name).map(scenes)
     };
     assert_eq!(expand("#*").unwrap(), ["street-5", "street-6"]);
     assert_eq!(expand("#synthetic-street").unwrap(), ["street-5", "street-6"]);

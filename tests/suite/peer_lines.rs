@@ -1,7 +1,7 @@
 //! Lines against those that Pillow draws (`tests/peers/lines.py`).
 
-use point_skeleton::raster::cpu::CpuRasterizer;
-use point_skeleton::raster::{Rasterizer, Segment};
+use point_skeleton::geometry::ImageSize;
+use point_skeleton::raster::{Segment, draw_lines};
 
 #[derive(serde::Deserialize)]
 struct Peer {
@@ -37,7 +37,7 @@ fn lines_lie_within_a_pixel_of_those_of_pillow() {
         rgb: [number, 0, 0],
     };
     let draw = |segments: &[Segment]| -> Vec<u8> {
-        let image = CpuRasterizer::new(Vec::new()).lines(peer.height, peer.width, segments, 8.0).unwrap();
+        let image = draw_lines(segments, ImageSize { height: peer.height, width: peer.width }, 8.0);
         image.iter().map(|rgb| rgb[0]).collect()
     };
     let segments: Vec<Segment> = (1..).zip(&peer.lines).map(segment).collect();

@@ -267,7 +267,7 @@ fn templates_of_a_real_drive_have_sizes_of_their_kind() {
     let Some(folder) = shared("the PandaSet drive") else { return };
     let folder = folder.join("data/pandaset-002/nuscenes");
     let locator = format!("nuscenes:{}", folder.display()).parse().unwrap();
-    let dataset = point_skeleton::dataset::open(&locator).unwrap();
+    let dataset = point_skeleton::logs::open(&locator).unwrap();
     let frames: Vec<usize> = (0..dataset.log().frames.len()).step_by(4).collect();
     let options = BuildOptions::default();
     let scratch = tempfile::tempdir().unwrap();

@@ -2,9 +2,11 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::cli::WrongUsage;
+use crate::cli::log_args;
 use crate::cli::numbers::{self, FrameRange};
 use crate::cli::rasterizer::RasterizerArgs;
-use crate::conditions::ImageSize;
+use crate::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use crate::dataset::LogLocator;
 use crate::raster::{FRAMES_IN_FLIGHT, FrameKinds, SplatSchedule};
 
@@ -15,7 +17,7 @@ use crate::raster::{FRAMES_IN_FLIGHT, FrameKinds, SplatSchedule};
 #[derive(Debug, Args)]
 pub(in crate::cli) struct BenchArgs {
     /// Drive whose frames are drawn in turn: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes#scene-0061
-    #[arg(requires = "skeleton", conflicts_with_all = ["synthetic", "seed", "points", "cameras"])]
+    #[arg(value_parser = log_args::log, requires = "skeleton", conflicts_with_all = ["synthetic", "seed", "points", "cameras"])]
     pub(super) log: Option<LogLocator>,
     /// Skeleton that was built from the drive
     #[arg(long, value_name = "SKEL", requires = "log")]
@@ -47,9 +49,10 @@ pub(in crate::cli) struct BenchArgs {
     /// Splat radius by depth: up to Z metres a point covers (2R+1) x (2R+1) pixels; beyond the last Z nothing is drawn
     #[arg(long, value_name = "Z:R,..", default_value_t)]
     pub(super) splat: SplatSchedule,
-    /// Which maps: color, depth, class, instance, and point (numbers of the points)
-    #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance", value_parser = frame_kinds)]
-    pub(super) maps: FrameKinds,
+    /// Which maps: color, depth, class, instance, and point (numbers of the points); with boxes, map (of a drive's HD
+    /// map) or tensor a frame is a whole step: what stands where, drawing, layouts, and maps as networks get them
+    #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance")]
+    pub(super) maps: MapSet,
     /// Frames that are timed [default: 20]; with a drive, passes over all its frames [default: 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     #[arg(allow_negative_numbers = true)]
@@ -72,38 +75,75 @@ pub(in crate::cli) struct BenchArgs {
     pub(super) trace: Option<PathBuf>,
 }
 
-/// Names of maps with commas.
-fn frame_kinds(text: &str) -> Result<FrameKinds, String> {
-    let mut kinds = FrameKinds::default();
-    for name in text.split(',') {
-        let kind = match name.trim() {
-            "color" => &mut kinds.color,
-            "depth" => &mut kinds.depth,
-            "class" => &mut kinds.class,
-            "instance" => &mut kinds.instance,
-            "point" => &mut kinds.point,
-            other => {
-                return Err(format!(
-                    "expected maps out of color,depth,class,instance,point, found {other:?}"
-                ));
-            }
-        };
-        *kind = true;
+impl BenchArgs {
+    /// Whether a frame is a whole step of a drive.
+    pub(super) fn whole_steps(&self) -> bool {
+        [MapKind::Boxes, MapKind::Map, MapKind::Tensor].into_iter().any(|kind| self.maps.contains(kind))
     }
-    Ok(kinds)
+
+    /// What needs boxes or a map needs a drive.
+    pub(super) fn check(&self) -> Result<(), WrongUsage> {
+        if self.whole_steps() && self.log.is_none() {
+            let maps: Vec<&str> = self.maps.iter().map(MapKind::name).collect();
+            let expected = "expected a drive, or --maps out of color,depth,class,instance,point";
+            return Err(WrongUsage(format!("{expected}, found {}", maps.join(","))));
+        }
+        Ok(())
+    }
+
+    /// The maps that a rasterizer makes.
+    pub(super) fn frame_kinds(&self) -> FrameKinds {
+        FrameKinds {
+            color: self.maps.contains(MapKind::Color),
+            depth: self.maps.contains(MapKind::Depth),
+            class: self.maps.contains(MapKind::Class),
+            instance: self.maps.contains(MapKind::Instance),
+            point: self.maps.contains(MapKind::Point),
+        }
+    }
+
+    /// How whole steps are made.
+    pub(super) fn conditions(&self) -> ConditionOptions {
+        ConditionOptions {
+            maps: self.maps,
+            splat: self.splat.clone(),
+            size: self.size,
+            out_size: self.out_size,
+            ..ConditionOptions::default()
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Cli {
+        #[command(flatten)]
+        args: BenchArgs,
+    }
+
+    fn args(text: &str) -> BenchArgs {
+        Cli::try_parse_from(std::iter::once("bench").chain(text.split_whitespace())).unwrap().args
+    }
 
     #[test]
     fn maps_are_those_that_a_rasterizer_makes() {
-        let kinds = frame_kinds("depth, point").unwrap();
+        assert_eq!(args("").frame_kinds(), FrameKinds { point: false, ..FrameKinds::ALL });
+        let kinds = args("--maps depth,point").frame_kinds();
         assert_eq!(kinds, FrameKinds { depth: true, point: true, ..FrameKinds::default() });
-        assert_eq!(frame_kinds("point,instance,class,depth,color"), Ok(FrameKinds::ALL));
-        for text in ["", "boxes", "depth,", "Depth"] {
-            assert!(frame_kinds(text).unwrap_err().contains("expected maps out of color"), "{text}");
+        assert_eq!(args("--maps point,instance,class,depth,color").frame_kinds(), FrameKinds::ALL);
+    }
+
+    #[test]
+    fn layouts_make_whole_steps_of_a_drive() {
+        for (maps, whole) in [("color,point", false), ("map", true), ("depth,boxes", true), ("tensor", true)]
+        {
+            let drive = args(&format!("nuscenes:log --skeleton sk --maps {maps}"));
+            assert_eq!((drive.whole_steps(), drive.check().is_ok()), (whole, true), "{maps}");
+            assert_eq!(args(&format!("--maps {maps}")).check().is_err(), whole, "{maps}");
         }
     }
 }

@@ -1,7 +1,8 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use crate::raster::{FrameJob, FrameMaps, RasterError, Rasterizer, StageTimes};
+use super::frames::Frames;
+use crate::raster::{Rasterizer, StageTimes};
 
 /// How many frames are drawn, and how.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,33 +46,33 @@ pub(super) struct Measured {
 }
 
 /// Frames that were begun and not yet finished, with the time of their begin.
-struct Pipe<'a, 'b> {
-    jobs: &'a [FrameJob<'b>],
+struct Pipe<'a> {
+    frames: &'a mut dyn Frames,
     plan: &'a Plan,
     clock: Instant,
     next: usize,
     begun: VecDeque<Duration>,
 }
 
-impl Pipe<'_, '_> {
-    fn begin(&mut self, rasterizer: &mut dyn Rasterizer) -> Result<(), RasterError> {
-        let job = &self.jobs[self.plan.job_of(self.next, self.jobs.len())];
+impl Pipe<'_> {
+    fn begin(&mut self, rasterizer: &mut dyn Rasterizer) -> anyhow::Result<()> {
+        let frame = self.plan.job_of(self.next, self.frames.count());
         self.begun.push_back(self.clock.elapsed());
         self.next += 1;
-        rasterizer.begin(job)
+        self.frames.begin(rasterizer, frame)
     }
 }
 
-/// Draws the jobs in turn and times them. Where frames overlap, as many are at work when the first timed one is waited
+/// Draws frames in turn and times them. Where they overlap, as many are at work when the first timed one is waited
 /// for as when the last one is: every time has one begin and one end in it. `on_frame` hears of each frame that is
-/// finished. There has to be a job.
+/// finished.
 pub(super) fn measure(
     rasterizer: &mut dyn Rasterizer,
-    jobs: &[FrameJob<'_>],
+    frames: &mut dyn Frames,
     plan: &Plan,
     on_frame: &mut dyn FnMut(usize),
-) -> Result<Measured, RasterError> {
-    let mut pipe = Pipe { jobs, plan, clock: Instant::now(), next: 0, begun: VecDeque::new() };
+) -> anyhow::Result<Measured> {
+    let mut pipe = Pipe { frames, plan, clock: Instant::now(), next: 0, begun: VecDeque::new() };
     let mut measured = Measured::default();
     rasterizer.take_stages(); // set-up and upload are no part of a frame
     for _ in 1..plan.in_flight {
@@ -81,12 +82,12 @@ pub(super) fn measure(
     for frame in 0..plan.frames() {
         let from = if plan.in_flight > 1 { ended } else { pipe.clock.elapsed() };
         pipe.begin(rasterizer)?;
-        let maps = rasterizer.finish()?;
+        let drawn = pipe.frames.finish(rasterizer)?;
         ended = pipe.clock.elapsed();
-        if frame + 1 == plan.frames() && jobs[plan.job_of(frame, jobs.len())].kinds.depth {
-            measured.filled = Some(filled(&maps));
+        if frame + 1 == plan.frames() && pipe.frames.have_depth() {
+            measured.filled = Some(drawn.filled());
         }
-        drop(maps);
+        drop(drawn);
         let stages = rasterizer.take_stages();
         let begun = pipe.begun.pop_front().unwrap_or(from);
         if frame >= plan.warm_up {
@@ -95,7 +96,7 @@ pub(super) fn measure(
         on_frame(frame);
     }
     for _ in 1..plan.in_flight {
-        rasterizer.finish()?;
+        pipe.frames.finish(rasterizer)?;
     }
     if let Some(first) = measured.frames.first().map(|frame| frame.begun) {
         for frame in &mut measured.frames {
@@ -106,18 +107,14 @@ pub(super) fn measure(
     Ok(measured)
 }
 
-/// Pixels with a depth.
-fn filled(maps: &FrameMaps<'_>) -> u64 {
-    maps.iter().flat_map(|view| view.depth_m.iter()).filter(|depth| depth.is_finite()).count() as u64
-}
-
 #[cfg(test)]
 mod tests {
-
+    use super::super::frames::Jobs;
     use super::*;
     use crate::geometry::ImageSize;
     use crate::raster::{
-        FrameKinds, Occlusion, RasterizerInfo, Segment, SplatJob, SplatMaps, SplatSchedule, ViewMaps,
+        FrameJob, FrameKinds, FrameMaps, Occlusion, RasterError, RasterizerInfo, SplatJob, SplatMaps,
+        SplatSchedule, ViewMaps,
     };
 
     /// Works a millisecond on each frame, half of it at the begin, and keeps a diary.
@@ -159,12 +156,8 @@ mod tests {
             Err(RasterError::NoFrame)
         }
 
-        fn lines(&mut self, _: u32, _: u32, _: &[Segment], _: f32) -> Result<Vec<[u8; 3]>, RasterError> {
-            Err(RasterError::NoFrame)
-        }
-
-        fn take_stages(&mut self) -> StageTimes {
-            std::mem::take(&mut self.stages)
+        fn stages(&mut self) -> &mut StageTimes {
+            &mut self.stages
         }
     }
 
@@ -193,7 +186,9 @@ mod tests {
         let mut fake = Fake::default();
         fake.stages.add("upload", HALF);
         let mut heard = Vec::new();
-        let measured = measure(&mut fake, &[job(1), job(2)], &plan, &mut |frame| heard.push(frame)).unwrap();
+        let measured =
+            measure(&mut fake, &mut Jobs(vec![job(1), job(2)]), &plan, &mut |frame| heard.push(frame))
+                .unwrap();
         assert_eq!(heard, (0..plan.frames()).collect::<Vec<_>>());
         (measured, fake.diary.trim().to_owned(), fake.in_flight.len())
     }

@@ -1,7 +1,9 @@
-//! `pskel bench`: [`args`] are the options, [`workload`] what is drawn, [`measure`] draws and times it, [`report`] and
+//! `pskel bench`: [`args`] are the options, [`workload`] and
+//! [`frames`] what is drawn, [`measure`] draws and times it, [`report`] and
 //! [`trace`] tell what came of it.
 
 mod args;
+mod frames;
 mod measure;
 mod memory;
 mod report;
@@ -14,6 +16,7 @@ use std::collections::BTreeMap;
 
 use anyhow::Context;
 
+use self::frames::{Frames, Jobs};
 use self::measure::{Measured, Plan, measure};
 use self::report::Report;
 use self::workload::Workload;
@@ -26,6 +29,7 @@ const DEFAULT_FRAMES: u32 = 20;
 
 /// Reads, draws, tells.
 pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
+    args.check()?;
     if let Some(path) = &args.trace {
         trace::check(path)?;
     }
@@ -38,7 +42,11 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
         true => progress.step("warm-up"),
         false => progress.step(&name_of(frame)),
     };
-    let measured = measure(rasterizer.as_mut(), &workload.jobs(args), &plan, &mut on_frame)
+    let mut frames: Box<dyn Frames> = match workload.steps(args) {
+        Some(steps) => Box::new(steps),
+        None => Box::new(Jobs(workload.jobs(args))),
+    };
+    let measured = measure(rasterizer.as_mut(), frames.as_mut(), &plan, &mut on_frame)
         .context("cannot draw the frames")?;
     drop(progress);
     if let Some(path) = &args.trace {

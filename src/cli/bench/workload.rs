@@ -1,14 +1,19 @@
 use std::path::Path;
+use std::sync::Arc;
 
 use super::BenchArgs;
+use super::frames::Steps;
 use crate::cli::numbers::FrameRange;
 use crate::cli::render::open_skeleton;
 use crate::cloud::{self, Point, PointFile};
-use crate::conditions::{ConditionOptions, ImageSize};
-use crate::dataset::{self, Log, LogLocator};
+use crate::conditions::{ConditionOptions, ImageSize, MapKind};
+use crate::dataset::{Log, LogLocator};
 use crate::geometry::View;
+use crate::logs;
 use crate::raster::{CloudSet, Crop, FrameJob, Instance, Occlusion};
-use crate::scene::{EgoOffset, SceneInstances, SelectionOptions, Stage, state_of_frame};
+use crate::scene::{
+    EgoOffset, SceneInstances, SceneMap, SceneState, SelectionOptions, Stage, state_of_frame,
+};
 use crate::skeleton::Skeleton;
 use crate::town;
 
@@ -28,7 +33,8 @@ pub(super) struct Workload {
 
 enum Clouds {
     One(Vec<Point>),
-    Skeleton(Box<Skeleton>),
+    /// With the name of the log.
+    Skeleton(Box<Skeleton>, String),
 }
 
 /// One frame: what stands where, and the cameras as they are drawn.
@@ -37,13 +43,15 @@ pub(super) struct WorkFrame {
     pub(super) views: Vec<View>,
     clouds: SceneInstances,
     crop: Option<Crop>,
+    /// Of a drive.
+    state: Option<SceneState>,
 }
 
 impl Workload {
     /// Makes or reads what the options name.
     pub(super) fn new(args: &BenchArgs) -> anyhow::Result<Self> {
         let mut work = match (&args.log, &args.skeleton, &args.points, &args.cameras) {
-            (Some(log), Some(skeleton), ..) => Self::of_drive(log, skeleton, args.frames)?,
+            (Some(log), Some(skeleton), ..) => Self::of_drive(args, log, skeleton)?,
             (.., Some(points), Some(cameras)) => {
                 let views = cloud::cameras::read(cameras)?;
                 Self::of_cloud(cloud::read(points)?, views)
@@ -66,7 +74,7 @@ impl Workload {
     fn of_cloud(cloud: PointFile, views: Vec<View>) -> Self {
         let instance = Instance { cloud: 0, world_from_local: cloud.world_from_local(), number: 0 };
         let clouds = SceneInstances { color: vec![instance], geometry: vec![instance] };
-        let frame = WorkFrame { name: "frame".into(), views, clouds, crop: None };
+        let frame = WorkFrame { name: "frame".into(), views, clouds, crop: None, state: None };
         Self {
             clouds: Clouds::One(cloud.points),
             frames: vec![frame],
@@ -75,13 +83,16 @@ impl Workload {
         }
     }
 
-    fn of_drive(log: &LogLocator, skeleton: &Path, frames: Option<FrameRange>) -> anyhow::Result<Self> {
-        let dataset = dataset::open(log)?;
+    fn of_drive(args: &BenchArgs, log: &LogLocator, skeleton: &Path) -> anyhow::Result<Self> {
+        let dataset = logs::open(log)?;
         let skeleton = open_skeleton(skeleton, dataset.as_ref())?;
         let log = dataset.log();
-        let range = FrameRange::of(frames, log.frames.len())?;
+        let range = FrameRange::of(args.frames, log.frames.len())?;
         let asked = range.len();
-        let frames = frames_of_drive(log, &skeleton, range);
+        let with_map = args.maps.contains(MapKind::Map) || args.maps.contains(MapKind::Tensor);
+        let map = with_map.then(|| dataset.read_map()).transpose()?.flatten();
+        let map = map.map(|map| Arc::new(SceneMap::new(map, log)));
+        let frames = frames_of_drive(log, &skeleton, range, map.as_ref());
         anyhow::ensure!(
             !frames.is_empty(),
             "expected frames with cameras in log {}, found none among {asked} frames",
@@ -90,14 +101,15 @@ impl Workload {
         if frames.len() < asked {
             eprintln!("warning: {} frames have no cameras and are left out", asked - frames.len());
         }
-        Ok(Self { clouds: Clouds::Skeleton(Box::new(skeleton)), frames, is_drive: true, non_finite: 0 })
+        let clouds = Clouds::Skeleton(Box::new(skeleton), log.name.clone());
+        Ok(Self { clouds, frames, is_drive: true, non_finite: 0 })
     }
 
     /// All clouds for a rasterizer.
     pub(super) fn clouds(&self) -> CloudSet<'_> {
         match &self.clouds {
             Clouds::One(points) => vec![points],
-            Clouds::Skeleton(skeleton) => Stage::clouds(skeleton),
+            Clouds::Skeleton(skeleton, _) => Stage::clouds(skeleton),
         }
     }
 
@@ -115,10 +127,18 @@ impl Workload {
             geometry: &frame.clouds.geometry,
             occlusion: Occlusion::default(),
             crop: frame.crop,
-            kinds: args.maps,
+            kinds: args.frame_kinds(),
             out_size: args.out_size,
         };
         self.frames.iter().map(job).collect()
+    }
+
+    /// The frames as whole steps, if that is what is asked for.
+    pub(super) fn steps<'a>(&'a self, args: &BenchArgs) -> Option<Steps<'a>> {
+        let Clouds::Skeleton(skeleton, log) = &self.clouds else { return None };
+        let states = self.frames.iter().filter_map(|frame| frame.state.as_ref()).collect();
+        let steps = || Steps::new(Stage::new(skeleton, log), states, args.conditions());
+        args.whole_steps().then(steps)
     }
 
     /// Most cameras in a frame.
@@ -140,15 +160,21 @@ impl Workload {
 }
 
 /// Frames without a camera are left out.
-fn frames_of_drive(log: &Log, skeleton: &Skeleton, range: std::ops::Range<usize>) -> Vec<WorkFrame> {
+fn frames_of_drive(
+    log: &Log,
+    skeleton: &Skeleton,
+    range: std::ops::Range<usize>,
+    map: Option<&Arc<SceneMap>>,
+) -> Vec<WorkFrame> {
     let (stage, selection) = (Stage::new(skeleton, &log.name), SelectionOptions::default());
     let radius_m = ConditionOptions::default().radius_m;
     let frame = |index: usize| {
-        let state = state_of_frame(log, index, EgoOffset::default())?;
+        let mut state = state_of_frame(log, index, EgoOffset::default())?;
+        state.map = map.cloned();
         let clouds = stage.instances(&state, &selection);
         let crop = Some(Crop { center: state.global_from_ego.translation.truncate(), radius_m });
-        let views = state.cameras.into_iter().map(|camera| camera.view).collect();
-        Some(WorkFrame { name: state.name, views, clouds, crop })
+        let views = state.cameras.iter().map(|camera| camera.view.clone()).collect();
+        Some(WorkFrame { name: state.name.clone(), views, clouds, crop, state: Some(state) })
     };
     range.filter_map(frame).filter(|frame: &WorkFrame| !frame.views.is_empty()).collect()
 }

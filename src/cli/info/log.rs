@@ -7,15 +7,14 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use crate::dataset::{Dataset, Frame, ImageRecord, Log, picture_size};
-use crate::error::FileError;
+use crate::dataset::{Dataset, Frame, ImageRecord, Log};
 use crate::scene::frame_rate_hz;
 
 /// All there is to tell, as JSON.
 pub(super) fn describe(dataset: &dyn Dataset) -> Value {
     let log = dataset.log();
     let (points, mut damaged) = sweeps(dataset);
-    damaged.extend(images(log));
+    damaged.extend(images(dataset));
     let mut left_out = log.notes.clone();
     let map = map(dataset, &mut left_out, &mut damaged);
     let times = log.frames.first().zip(log.frames.last()).map(|(a, b)| [a.t_us, b.t_us]);
@@ -77,20 +76,12 @@ fn map(dataset: &dyn Dataset, left_out: &mut BTreeMap<String, usize>, damaged: &
 }
 
 /// What is wrong with the files of images; one that serves several frames is looked at once.
-fn images(log: &Log) -> Vec<String> {
+fn images(dataset: &dyn Dataset) -> Vec<String> {
+    let log = dataset.log();
     let mut seen = BTreeSet::new();
     let all = log.frames.iter().flat_map(|f| f.images.iter().chain(&f.between_images));
     let records: Vec<&ImageRecord> = all.filter(|record| seen.insert(&record.path)).collect();
-    let check = |record: &&ImageRecord| {
-        let (height, width) = match picture_size(&record.path) {
-            Ok(size) => size,
-            Err(error) => return Some(error.to_string()),
-        };
-        let camera = &record.camera;
-        let expected = format!("an image of {}x{} pixels", camera.height, camera.width);
-        let wrong = (height, width) != (camera.height, camera.width);
-        wrong.then(|| FileError::content(expected, format!("{height}x{width}"), &record.path).to_string())
-    };
+    let check = |record: &&ImageRecord| dataset.check_image(record).err().map(|error| error.to_string());
     records.par_iter().filter_map(check).collect()
 }
 

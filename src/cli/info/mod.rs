@@ -5,8 +5,9 @@ use clap::Args;
 use serde_json::Value;
 
 use super::log_args::LogRoots;
-use super::say;
-use crate::dataset::LogLocator;
+use super::{WrongUsage, say};
+use crate::dataset::DatasetError;
+use crate::logs;
 use crate::skeleton::{Skeleton, TemplateLibrary};
 
 mod file;
@@ -58,7 +59,11 @@ fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
         return Ok((json.clone(), as_lines(&json)));
     }
     if target.contains(':') && !path.exists() {
-        let log = roots.open(&target.parse::<LogLocator>()?)?;
+        let locator = match logs::locate(target) {
+            Err(error @ DatasetError::Made(_)) => return Err(WrongUsage(error.to_string()).into()),
+            located => located?,
+        };
+        let log = roots.open(&locator)?;
         let json = log::describe(log.as_ref());
         return Ok((json.clone(), log::text(&json)));
     }

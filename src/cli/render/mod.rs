@@ -48,7 +48,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let options = args.options(maps, told);
     let output = Output {
         folder: &args.out,
-        format: args.format,
+        format: args.maps.format,
         options: &options.conditions,
         prompt: &prompt,
         fps: args.hz.or_else(|| frame_rate_hz(&log.frames).filter(|_| args.at.is_empty())),
@@ -103,7 +103,7 @@ fn warn_of_times_outside(frames: &[IndexFrame], built_from: Option<[i64; 2]>) {
     }
 }
 
-fn read_prompt(path: &Path) -> Result<PromptParts, FileError> {
+pub(super) fn read_prompt(path: &Path) -> Result<PromptParts, FileError> {
     let text = std::fs::read(path).map_err(FileError::io("read", path))?;
     serde_json::from_slice(&text)
         .map_err(|e| FileError::content(r#"{"weather": text, "city": text}"#, e.to_string(), path))

@@ -1,9 +1,10 @@
 use std::path::Path;
 
-use super::args::{MapFormat, RenderOptions};
+use super::args::RenderOptions;
+use crate::cli::map_args::MapFormat;
 use crate::conditions::birdseye::{self, BirdseyeOptions};
 use crate::conditions::meta::{FrameMeta, Index, PromptParts};
-use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, exr, npz, png, safetensors, sheet};
+use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
 use crate::error::{FileError, write_whole_folder};
 use crate::scene::SceneState;
 
@@ -48,15 +49,7 @@ impl Output<'_> {
         let (state, set) = (&step.state, &step.set);
         let bins = &self.options.depth_bins;
         write_whole_folder(&self.folder.join(&state.name), META, |folder| {
-            match self.format {
-                MapFormat::Png => png::write(folder, set, bins)?,
-                MapFormat::Exr => exr::write(folder, set)?,
-                MapFormat::Npz => npz::write(&folder.join("maps.npz"), set)?,
-                MapFormat::Safetensors => {
-                    let path = folder.join("conditions.safetensors");
-                    safetensors::write(&path, set, state.t_us, self.options)?;
-                }
-            }
+            self.format.write(folder, set, state.t_us, self.options)?;
             let caption = format!("{}  {}", self.log, state.name);
             sheet::write(&folder.join("sheet.png"), set, bins, &caption)?;
             if self.birdseye {

@@ -18,6 +18,7 @@ use crate::cloud::Point;
 use crate::conditions::png;
 use crate::dataset::{self, Dataset, LogLocator};
 use crate::error::FileError;
+use crate::logs;
 use crate::skeleton::{
     self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton, Source,
     TemplateCloud, TemplateLibrary, TemplateOptions, TemplateReport,
@@ -61,7 +62,7 @@ impl FromStr for Target {
             return Ok(Self::Skeleton(text.into()));
         }
         let wrong = |e: dataset::DatasetError| format!("expected the folder of a skeleton, or else {e}");
-        text.parse().map(Self::Log).map_err(wrong)
+        logs::locate(text).map(Self::Log).map_err(wrong)
     }
 }
 
@@ -101,8 +102,8 @@ fn read(args: &TemplatesArgs, instances: &mut Instances) -> anyhow::Result<Vec<L
                 progress.step(&path.display().to_string());
             }
             Target::Log(locator) => {
-                for log in dataset::expand(&args.roots.locate(locator))? {
-                    let dataset = dataset::open(&log)?;
+                for log in logs::expand(&args.roots.locate(locator))? {
+                    let dataset = logs::open(&log)?;
                     let name = &dataset.log().name;
                     let folder = scratch(&args.out)?;
                     let built = build(&folder.path().join("skeleton"), dataset.as_ref());

@@ -2,13 +2,15 @@
 //!
 //! # How it works
 //! Edges are clipped in camera space in `f64`, projected, and clipped to a rectangle that is larger than the image by
-//! more than a line's width, so that the butt ends of clipped lines lie outside. What is left fits `f32` well and goes
-//! to [`Rasterizer::lines`](crate::raster::Rasterizer::lines).
+//! more than a line's width, so that the butt ends of clipped lines lie outside. What is left fits `f32` well, is drawn
+//! as [`LineRows`](crate::raster::LineRows) tells, and reduced row by row: no image of full size is made.
 
 mod boxes;
+mod draw;
 mod map;
 
 pub use boxes::{BOXES_FAR_M, box_segments};
+pub use draw::{Layouts, draw};
 pub use map::{MAP_FAR_M, map_rgb, map_segments};
 
 use glam::{DVec2, DVec3};

@@ -21,7 +21,7 @@ mod situation;
 pub use pcd::{check_pcd_file, parse_pcd, read_pcd_file};
 pub use place::SIMGEN;
 
-pub(super) use place::expand;
+pub use place::expand;
 
 use crate::error::FileError;
 

@@ -56,7 +56,7 @@ impl Place {
 ///
 /// # Errors
 /// A folder without logs or without some of the set, an unknown `#LOG`, a `@VERSION`.
-pub(in crate::dataset) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
+pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     let path = &locator.path;
     if let Some(version) = &locator.version {
         return Err(FileError::content("a log without @VERSION", format!("@{version}"), path).into());

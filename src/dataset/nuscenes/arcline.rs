@@ -14,8 +14,11 @@ const MAX_PATH_M: f64 = 1000.0;
 /// Points nearer to each other than this are one, metres: paths of a lane meet.
 const SAME_M: f64 = 1e-3;
 
+/// A written path may miss the points of its line by this, metres.
+const FIT_M: f64 = 2e-3;
+
 /// A path as it stands in the file.
-#[derive(Clone, Debug, serde::Deserialize)]
+#[derive(Clone, Debug, serde::Deserialize, serde::Serialize)]
 pub(super) struct ArclinePath {
     /// x and y (global metres) and yaw (radians).
     start_pose: [f64; 3],
@@ -61,6 +64,36 @@ impl ArclinePath {
             curvature: signs[i] / self.radius,
         }))
     }
+}
+
+/// Straight pieces along a line, each as long as it stays within [`FIT_M`] of the line's points; none of fewer than two
+/// points.
+pub(super) fn straight_paths(line: &[DVec2]) -> Vec<ArclinePath> {
+    let mut paths = Vec::new();
+    let mut first = 0;
+    while first + 1 < line.len() {
+        let longer = (first + 2..line.len()).take_while(|last| is_straight(&line[first..=*last]));
+        let last = longer.last().unwrap_or(first + 1);
+        let along = line[last] - line[first];
+        let length_m = along.length();
+        if length_m > 0.0 {
+            let start_pose = [line[first].x, line[first].y, along.to_angle()];
+            // What nuScenes' own maps have for straight lanes.
+            let (shape, radius) = ("LSR".to_owned(), 999.999);
+            paths.push(ArclinePath { start_pose, shape, radius, segment_length: [0.0, length_m, 0.0] });
+        }
+        first = last;
+    }
+    paths
+}
+
+/// Whether points lie along the line from the first to the last, in order, on a path that may be written.
+fn is_straight(points: &[DVec2]) -> bool {
+    let [first, .., last] = points else { return true };
+    let along = (*last - *first).normalize_or_zero();
+    let near = |p: &DVec2| along.perp_dot(*p - *first).abs() < FIT_M;
+    let onward = |w: &[DVec2]| (w[1] - w[0]).dot(along) >= 0.0;
+    first.distance(*last) < MAX_PATH_M && points.iter().all(near) && points.windows(2).all(onward)
 }
 
 /// Points along the paths of a lane, evenly at most [`STEP_M`] apart on each path.
@@ -124,6 +157,21 @@ mod tests {
         }
         assert!(line.windows(2).all(|w| w[0].distance(w[1]) <= STEP_M));
         assert_eq!(line.len(), 2 + (2.0 * quarter + 5.0) as usize * 2);
+    }
+
+    #[test]
+    fn a_line_becomes_as_few_pieces_as_it_can() {
+        let line: Vec<DVec2> = (0..50).map(|i| DVec2::new(f64::from(i), 0.5)).collect();
+        let bent: Vec<DVec2> =
+            line.iter().copied().chain((1..5).map(|i| DVec2::new(49.0, 0.5 + f64::from(i)))).collect();
+        let paths = straight_paths(&bent);
+        assert_eq!(paths.len(), 2);
+        assert_eq!((paths[0].start_pose, paths[0].segment_length), ([0.0, 0.5, 0.0], [0.0, 49.0, 0.0]));
+        assert_eq!((paths[1].start_pose, paths[1].segment_length), ([49.0, 0.5, PI / 2.0], [0.0, 4.0, 0.0]));
+        assert!(straight_paths(&bent[..1]).is_empty() && straight_paths(&[DVec2::X; 3]).is_empty());
+        // There and back again is no straight piece.
+        assert_eq!(straight_paths(&[DVec2::ZERO, DVec2::X * 4.0, DVec2::X]).len(), 2);
+        assert_eq!(centerline(&straight_paths(&line)).unwrap().len(), 99);
     }
 
     /// Where the first ends the second starts: the point is there once.

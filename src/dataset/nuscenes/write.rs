@@ -6,6 +6,7 @@ use image::codecs::jpeg::JpegEncoder;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
+use super::write_map::{MapLayers, picture_name, write_map};
 use super::write_sweep_file;
 use crate::dataset::{Dataset, DatasetError, Frame, ImageRecord, Log, Sweep, SweepRecord};
 use crate::error::{FileError, write_json, write_whole};
@@ -22,10 +23,45 @@ const QUALITY: u8 = 95;
 /// The log's own, more than one LiDAR, a camera with lens distortion (the tables cannot tell it), and the system's at
 /// writing.
 pub fn write_log(root: &Path, version: &str, dataset: &dyn Dataset) -> Result<(), DatasetError> {
+    LogWriter { version, map: None, frame_done: &|_| () }.write(root, dataset)
+}
+
+/// How a log is written.
+pub struct LogWriter<'a> {
+    /// Name of the folder of tables.
+    pub version: &'a str,
+    /// What the map holds beyond the log's [`VectorMap`](crate::dataset::VectorMap); `None` to write no map.
+    pub map: Option<&'a MapLayers>,
+    /// Told after each frame, with its index.
+    pub frame_done: &'a dyn Fn(usize),
+}
+
+impl LogWriter<'_> {
+    /// As [`write_log`], and the map, if it is asked for and the log has one.
+    ///
+    /// # Errors
+    /// As [`write_log`] and [`write_map`](super::write_map()).
+    pub fn write(&self, root: &Path, dataset: &dyn Dataset) -> Result<(), DatasetError> {
+        refuse_distortion(dataset.log(), root)?;
+        let mut tables = Tables::default();
+        let map = self.map.map(|layers| Ok::<_, DatasetError>(dataset.read_map()?.map(|map| (map, layers))));
+        if let Some((map, layers)) = map.transpose()?.flatten() {
+            write_map(root, &map, layers)?;
+            tables.map_picture = picture_name(&map.location);
+        }
+        tables.fixed(dataset);
+        write_files(root, dataset, &mut tables, self.frame_done)?;
+        tables.write(&root.join(self.version))
+    }
+}
+
+fn write_files(
+    root: &Path,
+    dataset: &dyn Dataset,
+    tables: &mut Tables,
+    frame_done: &dyn Fn(usize),
+) -> Result<(), DatasetError> {
     let log = dataset.log();
-    refuse_distortion(log, root)?;
-    let mut tables = Tables::default();
-    tables.fixed(dataset);
     for channel in &log.cameras {
         make_folders(root, channel)?;
     }
@@ -54,8 +90,9 @@ pub fn write_log(root: &Path, version: &str, dataset: &dyn Dataset) -> Result<()
             }
         }
         tables.frame(dataset, index, &counts);
+        frame_done(index);
     }
-    tables.write(&root.join(version))
+    Ok(())
 }
 
 fn refuse_distortion(log: &Log, root: &Path) -> Result<(), FileError> {
@@ -150,6 +187,8 @@ struct Tables {
     last: std::collections::BTreeMap<usize, usize>,
     /// Last file of each sensor.
     last_data: std::collections::BTreeMap<usize, usize>,
+    /// File of the map's picture; empty without a map.
+    map_picture: String,
 }
 
 impl Tables {
@@ -169,12 +208,16 @@ impl Tables {
         self.rows("log").push(json!({
             "token": record, "logfile": log.name, "vehicle": "synthetic", "date_captured": "", "location": log.location,
         }));
+        let picture = self.map_picture.clone();
         self.rows("map").push(json!({
-            "token": token(Kind::Other, 2), "log_tokens": [record], "category": "semantic_prior", "filename": "",
+            "token": token(Kind::Other, 2), "log_tokens": [record], "category": "semantic_prior", "filename": picture,
         }));
         self.rows("attribute");
-        self.rows("visibility")
-            .push(json!({"token": "4", "level": "v80-100", "description": "80 to 100 % visible"}));
+        for (token, [from, to]) in [("1", [0, 40]), ("2", [40, 60]), ("3", [60, 80]), ("4", [80, 100])] {
+            self.rows("visibility").push(json!({
+                "token": token, "level": format!("v{from}-{to}"), "description": format!("{from} to {to} % visible"),
+            }));
+        }
         let sensors = log.cameras.iter().map(|name| (name.as_str(), "camera")).chain([(LIDAR, "lidar")]);
         for (i, (channel, modality)) in sensors.enumerate() {
             self.rows("sensor")
@@ -246,10 +289,11 @@ impl Tables {
             self.rows("sample_data")[before]["next"] = json!(token(Kind::SampleData, index));
         }
         let calibration = self.calibration(sensor, extrinsics, intrinsics);
+        let format = if name.ends_with(".pcd.bin") { "pcd" } else { "jpg" };
         self.rows("sample_data").push(json!({
             "token": token(Kind::SampleData, index), "sample_token": token(Kind::Sample, frame),
             "ego_pose_token": pose, "calibrated_sensor_token": calibration, "timestamp": t_us, "is_key_frame": key,
-            "height": height, "width": width, "fileformat": name.rsplit('.').next(), "filename": name,
+            "height": height, "width": width, "fileformat": format, "filename": name,
             "prev": neighbour(Kind::SampleData, before), "next": "",
         }));
     }

@@ -43,11 +43,9 @@ use self::shared::{KEY_IMAGE_ROW_BYTES, KEY_STEP_BYTES, Shared};
 use self::slot::{Needs, Slot};
 use self::store::{ROW_BYTES, Residency, STREAMED_ROWS, Store, StoreLimits};
 use super::frame::frame_by_views;
-use super::lines::Lines;
-use super::vulkan::tile_limits;
 use super::{
     CloudSet, FRAMES_IN_FLIGHT, FrameJob, FrameKinds, FrameMaps, Occlusion, Planes, RasterError, Rasterizer,
-    RasterizerInfo, Segment, SplatJob, SplatMaps, StageTimes,
+    RasterizerInfo, SplatJob, SplatMaps, StageTimes,
 };
 use crate::geometry::ImageSize;
 use crate::gpu::{Commands, Device, Flight, GpuError};
@@ -78,7 +76,6 @@ pub struct ComputeRasterizer<'a> {
     slots: Vec<Flight<Shared, Slot>>,
     turn: usize,
     begun: VecDeque<Begun>,
-    lines: Lines,
     limits: PartLimits,
     copies: bool,
     threads: usize,
@@ -127,7 +124,6 @@ impl<'a> ComputeRasterizer<'a> {
         let start = Instant::now();
         let project = Arc::new(ProjectStage::new(&device)?);
         let (full, reduced) = (ResolveStage::full(&device)?, ResolveStage::reduced(&device)?);
-        let lines = Lines::new(&device, tile_limits(&device, None))?;
         let mut commands = Commands::new(&device)?;
         stages.add("set-up", start.elapsed());
         let start = Instant::now();
@@ -167,7 +163,6 @@ impl<'a> ComputeRasterizer<'a> {
             slots,
             turn: 0,
             begun: VecDeque::new(),
-            lines,
             limits,
             copies,
             threads,
@@ -406,17 +401,7 @@ impl Rasterizer for ComputeRasterizer<'_> {
         Ok(maps)
     }
 
-    fn lines(
-        &mut self,
-        height: u32,
-        width: u32,
-        segments: &[Segment],
-        width_px: f32,
-    ) -> Result<Vec<[u8; 3]>, RasterError> {
-        Ok(self.lines.draw([height, width], segments, width_px, &mut self.stages)?)
-    }
-
-    fn take_stages(&mut self) -> StageTimes {
-        std::mem::take(&mut self.stages)
+    fn stages(&mut self) -> &mut StageTimes {
+        &mut self.stages
     }
 }

@@ -25,6 +25,8 @@ pub(super) struct Plan {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct PlannedLog {
     pub(super) log: String,
+    /// What the data set says of it: a made log tells how it was made.
+    pub(super) description: String,
     /// Times of the frames, absolute microseconds.
     pub(super) t_us: Vec<i64>,
     /// Sweeps, images and boxes of the frames: files may have come or gone.

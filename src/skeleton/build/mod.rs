@@ -192,6 +192,7 @@ fn check_places(streams: &[Stream]) -> Result<(), BuildError> {
 fn plan(streams: &[Stream], options: &BuildOptions) -> Plan {
     let log = |stream: &Stream| PlannedLog {
         log: stream.log.name.clone(),
+        description: stream.log.description.clone(),
         t_us: stream.frames.iter().map(|f| f.t_us).collect(),
         held: stream.frames.iter().map(|f| [f.sweeps.len(), f.images.len(), f.boxes.len()]).collect(),
         tracks: stream.log.tracks.len(),

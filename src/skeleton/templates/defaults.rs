@@ -1,31 +1,37 @@
+use glam::DVec3;
 use rayon::prelude::*;
 
 use super::thin::poisson_thin;
 use super::{TemplateCloud, TemplateKind, TemplateOptions};
 use crate::cloud::{Bounds, Point};
+use crate::dataset::Class;
 use crate::skeleton::Template;
-use crate::town::{Model, SurfacePoint};
+use crate::town::model::{BodyKind, SurfacePoint, surface, typical};
 
 /// All templates that [`default_template`] knows, in the order of kinds.
 pub fn default_templates() -> Vec<TemplateCloud> {
     TemplateKind::NAMES.par_iter().filter_map(|(_, kind)| default_template(*kind)).collect()
 }
 
-/// A template of sedan, SUV, pickup or van, pedestrian or bike: the evenly thinned surface of a model of the built-in street.
-/// Always the same points. Trucks, buses and the like have none, since they differ too much.
+/// A template of sedan, SUV, pickup or van, pedestrian or bike: the evenly thinned surface of the body in the middle of those in the
+/// built-in town (of pickups and vans: a pickup with a lid, whose outline is between both). Always the same points. Trucks, buses
+/// and the like have none, since they differ too much.
 pub fn default_template(kind: TemplateKind) -> Option<TemplateCloud> {
-    let model = match kind {
-        TemplateKind::Sedan => Model::Sedan,
-        TemplateKind::Suv => Model::Suv,
-        TemplateKind::Pickup => Model::Van,
-        TemplateKind::Pedestrian => Model::Walker,
-        TemplateKind::Bike => Model::Cyclist,
+    let mesh = typical(match kind {
+        TemplateKind::Sedan => BodyKind::Sedan,
+        TemplateKind::Suv => BodyKind::Suv,
+        TemplateKind::Pickup => BodyKind::Pickup,
+        TemplateKind::Pedestrian => BodyKind::Walker,
+        TemplateKind::Bike => BodyKind::Cyclist,
         _ => return None,
-    };
-    let size_m = model.size_m();
-    let spacing_m = TemplateOptions::default().spacing_m(size_m);
-    let surface = model.surface(spacing_m);
-    let position = |p: &SurfacePoint| p.local_m.as_vec3().to_array();
+    });
+    let [low, high] = mesh.bounds()?;
+    let (center, size_m): (DVec3, DVec3) = ((low + high) / 2.0, high - low);
+    // People and riders fill little of their boxes.
+    let denser = if kind.class() == Class::MotorVehicle { 1.0 } else { 0.85 };
+    let spacing_m = denser * TemplateOptions::default().spacing_m(size_m);
+    let surface = surface(&mesh, spacing_m);
+    let position = |p: &SurfacePoint| (p.position_m - center).as_vec3().to_array();
     let kept = poisson_thin(surface.iter().map(position), spacing_m);
     let class = kind.class();
     let point = |i: usize| Point::new(position(&surface[i]), surface[i].rgb, class as u8);
@@ -37,7 +43,6 @@ pub fn default_template(kind: TemplateKind) -> Option<TemplateCloud> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DVec3;
 
     #[test]
     fn the_defaults_fill_boxes_of_their_kind() {

@@ -4,7 +4,7 @@
 //! [`Instances`] takes the assets of any number of skeletons. They are clustered by category and box size (`cluster`),
 //! every cluster gets its kind by the rules that rendering goes by ([`TemplateKind::of_actor`]), and the points of
 //! a kind are laid over each other in one box, mirrored, freed of outliers and thinned (`aggregate`, `thin`). The
-//! result goes into a skeleton or into a [`TemplateLibrary`] on disk. [`default_templates`] are shapes of the built-in street.
+//! result goes into a skeleton or into a [`TemplateLibrary`] on disk. [`default_templates`] are bodies of the built-in town.
 
 mod aggregate;
 mod cluster;

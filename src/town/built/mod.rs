@@ -1,20 +1,61 @@
 //! What stands: roads and their paint, sidewalks, houses, trees, lamps, signs.
+//!
+//! # How it works
+//! `ways` makes strips of the plan's roads and junctions; `ground` and `paint` cover them, and what is between them.
+//! `lots` walks along both sides of every road and puts houses down where there is `room`; `house` builds each from the
+//! town's `style`. `kerbside` puts `furniture` and trees next to the kerbs, `yards` trees behind the houses and hills
+//! around. Things are made in frames of their own; `cells` turns them to their places and sorts them by place.
 
-use glam::DVec3;
+mod cells;
+mod draw;
+mod furniture;
+mod ground;
+mod house;
+mod kerbside;
+mod line;
+mod lots;
+mod paint;
+mod plants;
+mod room;
+mod sketch;
+mod style;
+#[cfg(test)]
+mod tests;
+mod ways;
+mod yards;
 
-use super::mesh::{Mesh, Skin, Surface};
-use super::plan::Plan;
+use glam::DVec2;
+
+use super::mesh::Mesh;
+use super::plan::{Network, Plan};
+use cells::Cells;
+use style::Style;
+use ways::Ways;
 
 /// The standing town in meshes of neighbouring things (each at most about 60 m wide, so that they can be culled), town frame.
 pub fn standing(plan: &Plan, seed: u64) -> Vec<Mesh> {
-    let _ = (plan, seed);
-    let mut mesh = Mesh::default();
-    let asphalt = Skin::new([92, 93, 97], Surface::Asphalt);
-    mesh.block(DVec3::new(-150.0, -60.0, -0.5), DVec3::new(350.0, 60.0, 0.0), asphalt);
-    for i in 0..20 {
-        let (x, side) = (20.0 * f64::from(i) - 60.0, if i % 2 == 0 { 12.0 } else { -22.0 });
-        let wall = Skin { rgb: [190, 170, 150], surface: Surface::Plaster, seed: i as u32 };
-        mesh.block(DVec3::new(x, side, 0.0), DVec3::new(x + 14.0, side + 10.0, 9.0), wall);
+    let style = Style::new(seed);
+    let ways = Ways::new(&plan.network);
+    let mut cells = Cells::default();
+    ground::ground(&ways, &style, &mut cells);
+    paint::paint(&ways, &style, &mut cells);
+    let mut room = room::Room::new(ways.areas(0.0));
+    let frontages = lots::frontages(&ways);
+    let middle = middle(&plan.network);
+    let lots = lots::lots(&frontages, middle, &style, &mut room);
+    for lot in &lots {
+        cells.stand(&house::house(lot, &style), lot.place);
     }
-    vec![mesh]
+    kerbside::furnish(&plan.network, &frontages, &style, middle, &mut cells);
+    yards::yards(&ways, middle, &style, &room, &mut cells);
+    cells.into_meshes()
+}
+
+/// The mean of the junctions, or of the roads' starts where there are none.
+fn middle(network: &Network) -> DVec2 {
+    let mut places: Vec<DVec2> = network.junctions.iter().map(|junction| junction.centre).collect();
+    if places.is_empty() {
+        places.extend(network.roads.iter().filter_map(|road| road.centerline.first()));
+    }
+    places.iter().sum::<DVec2>() / places.len().max(1) as f64
 }

@@ -1,8 +1,33 @@
 //! The bodies of those who move or park in the town: vehicles, people, riders.
+//!
+//! # How it works
+//! What a body is like is drawn from its seed (`dice`): first its size, then its proportions and colors. Cars, vans, buses and
+//! cabs of trucks have a skin of sections (`shell`) with wheels and trim on it; people are made of rings (`figure`).
+//! The triangles are then fitted to the size exactly. [`surface`] turns triangles into points.
+
+mod bus;
+mod car;
+mod colors;
+mod cone;
+mod curve;
+mod cyclist;
+mod dice;
+mod figure;
+mod shell;
+mod surface;
+mod truck;
+mod walker;
+mod wheel;
+
+use std::sync::{LazyLock, PoisonError, RwLock};
 
 use glam::DVec3;
+use rustc_hash::FxHashMap;
 
-use super::mesh::{Mesh, Skin, Surface};
+use super::mesh::Mesh;
+use dice::Dice;
+use figure::Figure;
+pub use surface::{SurfacePoint, surface};
 
 /// Kind of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -38,39 +63,154 @@ impl Body {
             }
             BodyKind::Truck => "vehicle.truck",
             BodyKind::Bus => "vehicle.bus.rigid",
-            BodyKind::Walker => "human.pedestrian.adult",
+            BodyKind::Walker => match self.drawn() {
+                Drawn::Walker(walker) if walker.child => "human.pedestrian.child",
+                _ => "human.pedestrian.adult",
+            },
             BodyKind::Cyclist => "vehicle.bicycle",
             BodyKind::Cone => "movable_object.trafficcone",
         }
     }
 
-    /// Length, width and height of its box, metres: what its mesh fills in its widest pose.
+    /// Length, width and height of its box, metres: what its mesh fills over all poses, mirrors included.
     pub fn size_m(self) -> DVec3 {
-        match self.kind {
-            BodyKind::Sedan => DVec3::new(4.6, 1.84, 1.46),
-            BodyKind::Hatchback => DVec3::new(4.1, 1.78, 1.5),
-            BodyKind::Suv => DVec3::new(4.7, 1.92, 1.85),
-            BodyKind::Pickup => DVec3::new(5.4, 1.95, 1.9),
-            BodyKind::Van => DVec3::new(5.3, 2.02, 2.25),
-            BodyKind::Truck => DVec3::new(8.0, 2.5, 3.4),
-            BodyKind::Bus => DVec3::new(12.0, 2.55, 3.2),
-            BodyKind::Walker => DVec3::new(0.8, 0.66, 1.76),
-            BodyKind::Cyclist => DVec3::new(1.8, 0.62, 1.74),
-            BodyKind::Cone => DVec3::new(0.42, 0.42, 0.72),
+        if self.poses() == 1 {
+            return self.drawn().size_m();
         }
+        // It takes all poses to tell, and is asked for often.
+        static KNOWN: LazyLock<RwLock<FxHashMap<Body, DVec3>>> = LazyLock::new(RwLock::default);
+        let known = KNOWN.read().unwrap_or_else(PoisonError::into_inner).get(&self).copied();
+        known.unwrap_or_else(|| {
+            let size_m = self.drawn().size_m();
+            KNOWN.write().unwrap_or_else(PoisonError::into_inner).insert(self, size_m);
+            size_m
+        })
     }
 
     /// How many poses of limbs [`Body::mesh`] knows: 1 for what is stiff.
     pub fn poses(self) -> usize {
-        1
+        match self.kind {
+            BodyKind::Walker => walker::POSES,
+            BodyKind::Cyclist => cyclist::POSES,
+            _ => 1,
+        }
     }
 
-    /// Its triangles in one of its poses; the origin is on the ground below the middle of its box, x forward, y left, z up.
-    pub fn mesh(self, _pose: usize) -> Mesh {
-        let mut mesh = Mesh::default();
-        let half = self.size_m() / 2.0;
-        let (min, max) = (DVec3::new(-half.x, -half.y, 0.0), DVec3::new(half.x, half.y, 2.0 * half.z));
-        mesh.block(min, max, Skin::new([160, 60, 50], Surface::CarPaint));
-        mesh
+    /// The pose after so many metres from a stand. Who walks stands with both legs side by side.
+    pub fn pose_at(self, travelled_m: f64) -> usize {
+        let cycle_m = match self.drawn() {
+            Drawn::Walker(walker) => walker.cycle_m(),
+            Drawn::Cyclist(_) => cyclist::CYCLE_M,
+            _ => return 0,
+        };
+        let share = (travelled_m / cycle_m).rem_euclid(1.0);
+        (share * self.poses() as f64).round() as usize % self.poses()
+    }
+
+    /// Its triangles in one of its poses (counted round); the origin is on the ground below the middle of its box, x forward,
+    /// y left, z up.
+    pub fn mesh(self, pose: usize) -> Mesh {
+        self.drawn().mesh(pose)
+    }
+
+    fn drawn(self) -> Drawn {
+        Drawn::new(self.kind, &mut Dice::new(self.kind, self.seed))
     }
 }
+
+/// The body in the middle of all of its kind, in silver or grey; those with limbs in their widest pose. Its bounds are centred over
+/// the origin.
+pub fn typical(kind: BodyKind) -> Mesh {
+    match Drawn::new(kind, &mut Dice::Typical) {
+        Drawn::Walker(walker) => centred(&walker.figure(walker.widest()).mesh()),
+        drawn => drawn.mesh(0),
+    }
+}
+
+/// A mesh with its bounds' middle over the origin and nothing below the ground.
+fn centred(mesh: &Mesh) -> Mesh {
+    let mut mesh = mesh.clone();
+    if let Some(from) = mesh.bounds() {
+        mesh.fit(from, box_of(from[1] - from[0]));
+    }
+    mesh
+}
+
+/// The box of a size, on the ground.
+fn box_of(size_m: DVec3) -> [DVec3; 2] {
+    let half = DVec3::new(size_m.x / 2.0, size_m.y / 2.0, 0.0);
+    [-half, half + DVec3::Z * size_m.z]
+}
+
+/// A body with all that was drawn for it.
+enum Drawn {
+    Car(car::Car),
+    Truck(truck::Truck),
+    Bus(bus::Bus),
+    Walker(walker::Walker),
+    Cyclist(cyclist::Cyclist),
+    Cone(cone::Cone),
+}
+
+impl Drawn {
+    fn new(kind: BodyKind, dice: &mut Dice) -> Self {
+        match kind {
+            BodyKind::Truck => Self::Truck(truck::Truck::new(dice)),
+            BodyKind::Bus => Self::Bus(bus::Bus::new(dice)),
+            BodyKind::Walker => Self::Walker(walker::Walker::new(dice)),
+            BodyKind::Cyclist => Self::Cyclist(cyclist::Cyclist::new(dice)),
+            BodyKind::Cone => Self::Cone(cone::Cone::new(dice)),
+            BodyKind::Sedan | BodyKind::Hatchback | BodyKind::Suv | BodyKind::Pickup | BodyKind::Van => {
+                Self::Car(car::Car::new(kind, dice))
+            }
+        }
+    }
+
+    fn size_m(&self) -> DVec3 {
+        match self {
+            Self::Car(car) => car.size_m,
+            Self::Truck(truck) => truck.size_m,
+            Self::Bus(bus) => bus.size_m,
+            Self::Cone(cone) => cone.size_m,
+            Self::Walker(walker) => extent(walker::POSES, |pose| walker.figure(pose).bounds()),
+            Self::Cyclist(cyclist) => extent(cyclist::POSES, |pose| cyclist.figure(pose).bounds()),
+        }
+    }
+
+    fn mesh(&self, pose: usize) -> Mesh {
+        let stiff = |mut mesh: Mesh| {
+            if let Some(from) = mesh.bounds() {
+                mesh.fit(from, box_of(self.size_m()));
+            }
+            mesh
+        };
+        let limbed = |poses: usize, figure: &dyn Fn(usize) -> Figure| {
+            let bounds = (0..poses).map(|pose| figure(pose).corner_bounds());
+            let mut mesh = figure(pose).mesh();
+            if let Some(from) = bounds.reduce(union) {
+                mesh.fit(from, box_of(self.size_m()));
+            }
+            mesh
+        };
+        match self {
+            Self::Car(car) => stiff(car.mesh()),
+            Self::Truck(truck) => stiff(truck.mesh()),
+            Self::Bus(bus) => stiff(bus.mesh()),
+            Self::Cone(cone) => stiff(cone.mesh()),
+            Self::Walker(walker) => limbed(walker::POSES, &|pose| walker.figure(pose)),
+            Self::Cyclist(cyclist) => limbed(cyclist::POSES, &|pose| cyclist.figure(pose)),
+        }
+    }
+}
+
+fn union(a: [DVec3; 2], b: [DVec3; 2]) -> [DVec3; 2] {
+    [a[0].min(b[0]), a[1].max(b[1])]
+}
+
+/// Of all poses.
+fn extent(poses: usize, bounds: impl Fn(usize) -> [DVec3; 2]) -> DVec3 {
+    (0..poses).map(bounds).reduce(union).map_or(DVec3::ONE, |[low, high]| high - low)
+}
+
+#[cfg(test)]
+mod tests;

@@ -2,8 +2,9 @@
 
 use glam::{DAffine3, DVec2, DVec3};
 use point_skeleton::cloud::Point;
+use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::cpu::CpuRasterizer;
-use point_skeleton::raster::{Crop, Planes, Rasterizer, Segment, SplatJob, SplatMaps};
+use point_skeleton::raster::{Crop, Planes, Rasterizer, Segment, SplatJob, SplatMaps, draw_lines};
 
 use super::twins::{Case, Division, rasterizers, with_device};
 
@@ -110,20 +111,15 @@ fn a_line_covers_the_pixels_whose_centres_it_holds() {
     let line = |y: f32| Segment { from: [2.0, y], to: [6.0, y], rgb: [9, 8, 7] };
     let rows =
         |image: &[[u8; 3]]| -> Vec<usize> { (0..8).filter(|row| image[row * 8 + 3] == [9, 8, 7]).collect() };
-    with_device(|device| {
-        let mut all = rasterizers(&device, &vec![], Division::default());
-        all.push(Box::new(CpuRasterizer::new(vec![])));
-        for rasterizer in &mut all {
-            let image = rasterizer.lines(8, 8, &[line(4.0)], 2.0).unwrap();
-            assert_eq!(rows(&image), [3, 4]);
-            assert_eq!(image.iter().filter(|p| **p != [0; 3]).count(), 8);
-            // Centres on the one side are in, on the other out.
-            assert_eq!(rows(&rasterizer.lines(8, 8, &[line(4.5)], 2.0).unwrap()), [3, 4]);
-            // Later over earlier; butt ends.
-            let over = Segment { from: [3.0, 0.0], to: [3.0, 8.0], rgb: [1, 1, 1] };
-            let image = rasterizer.lines(8, 8, &[line(4.0), over], 2.0).unwrap();
-            assert_eq!([1, 2, 3, 4, 5, 6].map(|x| image[4 * 8 + x][0]), [0, 1, 1, 9, 9, 0]);
-            assert!(rasterizer.lines(8, 8, &[], 2.0).unwrap().iter().all(|p| *p == [0; 3]));
-        }
-    });
+    let draw = |segments: &[Segment]| draw_lines(segments, ImageSize { height: 8, width: 8 }, 2.0);
+    let image = draw(&[line(4.0)]);
+    assert_eq!(rows(&image), [3, 4]);
+    assert_eq!(image.iter().filter(|p| **p != [0; 3]).count(), 8);
+    // Centres on the one side are in, on the other out.
+    assert_eq!(rows(&draw(&[line(4.5)])), [3, 4]);
+    // Later over earlier; butt ends.
+    let over = Segment { from: [3.0, 0.0], to: [3.0, 8.0], rgb: [1, 1, 1] };
+    let image = draw(&[line(4.0), over]);
+    assert_eq!([1, 2, 3, 4, 5, 6].map(|x| image[4 * 8 + x][0]), [0, 1, 1, 9, 9, 0]);
+    assert!(draw(&[]).iter().all(|p| *p == [0; 3]));
 }

@@ -9,12 +9,12 @@ use point_skeleton::gpu::Device;
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
     CloudSet, ComputeRasterizer, ComputeRasterizerDesc, Crop, FRAMES_IN_FLIGHT, FrameJob, FrameKinds,
-    Instance, Occlusion, RasterError, Rasterizer, SplatSchedule, ViewMaps,
+    Instance, Occlusion, Planes, RasterError, Rasterizer, SplatJob, SplatSchedule, ViewMaps,
 };
 use proptest::prelude::*;
 
 use super::random::{ON_BORDERS, Random, random_cloud, random_instances, random_schedule, random_view};
-use super::twins::{Division, allowed_share, rasterizers, with_device};
+use super::twins::{self, Division, allowed_share, rasterizers, with_device};
 
 /// What a random frame shows.
 struct Scene {
@@ -204,8 +204,10 @@ fn frames_in_flight_come_in_order() {
             let error = rasterizer.begin(&full).unwrap_err();
             assert!(matches!(error, RasterError::TooManyFrames { max: FRAMES_IN_FLIGHT }), "{error}");
             // What is waited for at once does not disturb them.
-            let other = cpu.lines(8, 8, &[], 1.0).unwrap();
-            assert_eq!(rasterizer.lines(8, 8, &[], 1.0).unwrap(), other);
+            let FrameJob { schedule, geometry: instances, crop, .. } = full;
+            let alone = SplatJob { view: &full.views[0], schedule, instances, crop, planes: Planes::ALL };
+            let (a, b) = (cpu.splat(&alone).unwrap(), rasterizer.splat(&alone).unwrap());
+            twins::assert_same(&a, &b, allowed_share(&rasterizer, ON_BORDERS), "at once");
             for expected in &expected {
                 let found: Vec<_> = rasterizer.finish().unwrap().into_iter().map(owned).collect();
                 assert_same(expected, &found, allowed_share(&rasterizer, ON_BORDERS), "in flight");
@@ -223,10 +225,8 @@ fn a_warm_rasterizer_makes_nothing_new() {
         let clouds = scene.clouds.clone();
         let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
         let mut rasterizer = compute(&device, &set);
-        let segment =
-            |x: f32| point_skeleton::raster::Segment { from: [x, 0.0], to: [9.0, 9.0], rgb: [1; 3] };
         let frames = |rasterizer: &mut ComputeRasterizer<'_>, scene: &mut Scene, count: usize| {
-            for i in 0..count {
+            for _ in 0..count {
                 // Actors move; two frames are in flight.
                 for instance in scene.color.iter_mut().chain(&mut scene.geometry) {
                     instance.world_from_local.translation.x += 0.01;
@@ -237,7 +237,6 @@ fn a_warm_rasterizer_makes_nothing_new() {
                     let job = FrameJob { kinds, occlusion, out_size, ..scene.job(&mut Random(1)) };
                     rasterizer.begin(&job).unwrap();
                 }
-                rasterizer.lines(20, 20, &[segment(i as f32), segment(3.0)], 2.0).unwrap();
                 rasterizer.finish().unwrap();
                 rasterizer.finish().unwrap();
             }

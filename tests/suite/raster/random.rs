@@ -1,12 +1,12 @@
-//! Random clouds, cameras and lines: the rasterizers must agree on every pixel of every plane.
+//! Random clouds and cameras: the rasterizers must agree on every pixel of every plane.
 
 use glam::{DAffine3, DQuat, DVec2, DVec3};
 use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
-    CloudSet, ComputeRasterizerDesc, Crop, Instance, Planes, Rasterizer, Segment, SplatJob, SplatSchedule,
-    SplatStep, VulkanRasterizer, VulkanRasterizerDesc,
+    CloudSet, ComputeRasterizerDesc, Crop, Instance, Planes, Rasterizer, SplatJob, SplatSchedule, SplatStep,
+    VulkanRasterizerDesc,
 };
 
 use super::twins::{Division, allowed_share, assert_same, rasterizers, with_device};
@@ -186,48 +186,5 @@ fn two_rasterizers_and_two_runs_give_the_same_bytes() {
             }
         }
         assert!(maps[0].point.iter().any(|p| *p > 0) && maps.iter().all(|m| *m == maps[0]));
-    });
-}
-
-/// Ends in the image, around it, far away, at the same place, or nonsense.
-fn random_segment(random: &mut Random) -> Segment {
-    let end = |random: &mut Random| -> [f32; 2] {
-        let reach = [1.0, 2.0, 100.0, 1e7, 1e30][random.below(5) as usize];
-        std::array::from_fn(|_| {
-            let v = (80.0 + random.between(-80.0, 80.0) * reach) as f32;
-            if random.below(2) == 0 { v.round() } else { v }
-        })
-    };
-    let (from, mut to) = (end(random), end(random));
-    match random.below(16) {
-        0 => to = from,
-        1 => to[random.below(2) as usize] = [f32::NAN, f32::INFINITY][random.below(2) as usize],
-        2 => to[0] = from[0],
-        3 => to[1] = from[1],
-        _ => {}
-    }
-    Segment { from, to, rgb: [random.next() as u8, random.next() as u8, random.next() as u8] }
-}
-
-#[test]
-fn random_lines_agree() {
-    let random = &mut Random(3);
-    with_device(|device| {
-        for tile_side in [None, Some(50)] {
-            let desc = VulkanRasterizerDesc { tile_side, ..VulkanRasterizerDesc::default() };
-            let mut raster = VulkanRasterizer::with_desc(device.clone(), &vec![], desc).unwrap();
-            let mut cpu = CpuRasterizer::new(vec![]);
-            for round in 0..40 {
-                let (height, width) = (1 + random.below(150) as u32, 1 + random.below(200) as u32);
-                let count = 1 + random.below(12);
-                let segments: Vec<Segment> = (0..count).map(|_| random_segment(random)).collect();
-                let width_px = [8.0, 1.0, 0.3, 3.5, 40.0][random.below(5) as usize];
-                let a = cpu.lines(height, width, &segments, width_px).unwrap();
-                let b = raster.lines(height, width, &segments, width_px).unwrap();
-                let count = a.iter().zip(&b).filter(|(a, b)| a != b).count();
-                let allowed = allowed_share(&raster, ON_BORDERS) * a.len() as f64;
-                assert!(count as f64 <= allowed, "round {round}: {count} differ, {segments:?} {width_px}");
-            }
-        }
     });
 }

@@ -1,0 +1,84 @@
+#!/usr/bin/env bash
+# Checks the page of a rollout in a browser: ci/page.sh ROLLOUT [PICTURES]
+#
+# ROLLOUT is a folder that `pskel simulate` wrote. Headless Chromium opens its index.html with #selftest: the page goes
+# through all steps and maps, looks whether every picture is there, and tries slider, keys, playback and enlarging. It
+# is tried in a wide and in a narrow window, and once with a picture taken away, which must be told. Screenshots go to
+# the folder PICTURES, if given. Chromium is installed from apt where it is missing.
+set -euo pipefail
+
+say() { echo "page: $*" >&2; }
+
+if [ $# -lt 1 ] || [ $# -gt 2 ] || [ ! -f "$1/index.html" ]; then
+    say "expected the folder of a rollout with index.html, found ${1:-none}"
+    exit 2
+fi
+rollout=$(cd "$1" && pwd)
+pictures=${2:-}
+scratch=$(mktemp -d)
+trap 'rm -rf "$scratch"' EXIT
+
+browser() { command -v chromium || command -v chromium-browser || command -v google-chrome; }
+
+install() {
+    local root=()
+    if ! command -v apt-get >/dev/null; then
+        say "expected chromium or apt-get to install it, found neither"
+        exit 1
+    fi
+    [ "$(id -u)" -eq 0 ] || root=(sudo)
+    say "installing chromium"
+    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -qq
+    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium >/dev/null
+}
+
+browser >/dev/null || install
+chromium=$(browser)
+
+# Opens a page in a window of a size, with a profile of its own.
+run() {
+    local size=$1
+    shift
+    timeout 300 "$chromium" --headless --no-sandbox --disable-gpu --disable-quic --no-first-run \
+        --disable-background-networking --disable-component-update --disable-sync --hide-scrollbars \
+        --user-data-dir="$(mktemp -d -p "$scratch")" --window-size="$size" "$@" 2>>"$scratch/browser.log"
+}
+
+# What the page says of itself.
+selftest() {
+    run "$1" --virtual-time-budget=600000 --dump-dom "file://$2/index.html#selftest" >"$scratch/dom.html" || true
+    sed -nE 's/.*<pre id="selftest"[^>]*>([^<]*).*/\1/p' "$scratch/dom.html"
+}
+
+for size in 1500,1300 420,900; do
+    result=$(selftest "$size" "$rollout")
+    case $result in
+    PASS*) say "window $size: $result" ;;
+    *)
+        say "window $size: expected PASS, found ${result:-no result}: $rollout/index.html"
+        tail -n 5 "$scratch/browser.log" >&2
+        exit 1
+        ;;
+    esac
+done
+
+# A check that cannot fail is none.
+cp -r "$rollout" "$scratch/damaged"
+find "$scratch/damaged/steps" -name '*.jpg' | sort | tail -n 1 | xargs rm
+result=$(selftest 1500,1300 "$scratch/damaged")
+case $result in
+FAIL:\ pictures*) say "a picture taken away is told: $result" ;;
+*)
+    say "expected FAIL of a page without a picture, found ${result:-no result}"
+    exit 1
+    ;;
+esac
+
+if [ -n "$pictures" ]; then
+    mkdir -p "$pictures"
+    run 1500,1300 --virtual-time-budget=5000 --screenshot="$pictures/page.png" "file://$rollout/index.html"
+    run 420,1600 --virtual-time-budget=5000 --screenshot="$pictures/narrow.png" "file://$rollout/index.html"
+    run 1500,1300 --virtual-time-budget=5000 --blink-settings=preferredColorScheme=0 \
+        --screenshot="$pictures/dark.png" "file://$rollout/index.html"
+    say "screenshots in $pictures"
+fi

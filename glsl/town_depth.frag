@@ -1,0 +1,5 @@
+#version 450
+// Depth alone.
+
+void main() {
+}

@@ -1,0 +1,100 @@
+use std::collections::VecDeque;
+use std::time::Instant;
+
+use crate::conditions::{Begun, ConditionOptions, ConditionSet, MapKind};
+use crate::raster::{FrameJob, FrameMaps, RasterError, Rasterizer};
+use crate::scene::{SceneState, SelectionOptions, Stage};
+
+/// What is drawn in turn.
+pub(super) trait Frames {
+    /// How many there are; at least one.
+    fn count(&self) -> usize;
+
+    /// Whether they have depth maps.
+    fn have_depth(&self) -> bool;
+
+    /// Begins one of them.
+    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> anyhow::Result<()>;
+
+    /// Finishes the oldest that was begun.
+    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> anyhow::Result<Drawn<'r>>;
+}
+
+/// A finished frame.
+pub(super) enum Drawn<'r> {
+    /// As the rasterizer gives it.
+    Maps(FrameMaps<'r>),
+    /// A whole step.
+    Step(ConditionSet),
+}
+
+impl Drawn<'_> {
+    /// Pixels with a depth.
+    pub(super) fn filled(&self) -> u64 {
+        let count = |depth_m: &[f32]| depth_m.iter().filter(|depth| depth.is_finite()).count() as u64;
+        match self {
+            Self::Maps(maps) => maps.iter().map(|view| count(&view.depth_m)).sum(),
+            Self::Step(set) => {
+                set.cameras.iter().filter_map(|camera| camera.depth_m.as_deref()).map(count).sum()
+            }
+        }
+    }
+}
+
+/// What a rasterizer makes of clouds alone.
+pub(super) struct Jobs<'a>(pub(super) Vec<FrameJob<'a>>);
+
+impl Frames for Jobs<'_> {
+    fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    fn have_depth(&self) -> bool {
+        self.0.iter().all(|job| job.kinds.depth)
+    }
+
+    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> anyhow::Result<()> {
+        Ok(rasterizer.begin(&self.0[frame])?)
+    }
+
+    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> anyhow::Result<Drawn<'r>> {
+        Ok(Drawn::Maps(rasterizer.finish()?))
+    }
+}
+
+/// Whole steps of a drive: which clouds stand where, drawing, layouts, and the maps as they are handed on.
+pub(super) struct Steps<'a> {
+    stage: Stage<'a>,
+    states: Vec<&'a SceneState>,
+    options: ConditionOptions,
+    begun: VecDeque<Begun>,
+}
+
+impl<'a> Steps<'a> {
+    pub(super) fn new(stage: Stage<'a>, states: Vec<&'a SceneState>, options: ConditionOptions) -> Self {
+        Self { stage, states, options, begun: VecDeque::new() }
+    }
+}
+
+impl Frames for Steps<'_> {
+    fn count(&self) -> usize {
+        self.states.len()
+    }
+
+    fn have_depth(&self) -> bool {
+        self.options.maps.contains(MapKind::Depth)
+    }
+
+    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> anyhow::Result<()> {
+        let (state, start) = (self.states[frame], Instant::now());
+        let clouds = self.stage.instances(state, &SelectionOptions::default());
+        rasterizer.stages().add("instances", start.elapsed());
+        self.begun.push_back(Begun::new(rasterizer, &clouds, state, &self.options)?);
+        Ok(())
+    }
+
+    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> anyhow::Result<Drawn<'r>> {
+        let begun = self.begun.pop_front().ok_or(RasterError::NoFrame)?;
+        Ok(Drawn::Step(begun.finish(rasterizer)?))
+    }
+}

@@ -1,0 +1,227 @@
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use crate::cli::WrongUsage;
+use crate::cli::log_args::LogRoots;
+use crate::cli::map_args::MapArgs;
+use crate::cli::numbers;
+use crate::cli::rasterizer::RasterizerArgs;
+use crate::cli::stand_ins::StandInArgs;
+use crate::dataset::LogLocator;
+use crate::sim::{ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, SimOptions, Tracking};
+
+/// Simulate a drive in a closed loop: ego and others move by policies, and every step is rendered
+///
+/// Writes steps/STEP with the maps (as render writes a frame), birdseye.png, view/MAP.jpg (what the page shows) and
+/// state.json (what --resume needs); states.jsonl, a line a step; at the end metrics.json, index.json, rollout.mp4 and
+/// index.html, a page that plays the rollout. If a planner fails, all of it is there for the steps until then.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct SimulateArgs {
+    /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    pub(super) log: LogLocator,
+    #[command(flatten)]
+    pub(super) roots: LogRoots,
+    /// Skeleton that was built from it
+    #[arg(long, value_name = "SKEL")]
+    pub(super) skeleton: PathBuf,
+    /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
+    #[arg(long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+    /// How many steps to take; step 0 is the log's
+    #[arg(long, value_name = "N")]
+    pub(super) steps: usize,
+    #[command(flatten)]
+    policies: PolicyArgs,
+    #[command(flatten)]
+    pub(super) maps: MapArgs,
+    /// Also render what is expected at the next plan steps, as steps/STEP/forecast/STEP
+    #[arg(long)]
+    pub(super) forecast_maps: bool,
+    /// Also write steps/STEP/sheet.png with all maps at a glance
+    #[arg(long)]
+    pub(super) sheets: bool,
+    /// Go on with the rollout in --out behind its last step; options must be the same but for --steps
+    #[arg(long)]
+    pub(super) resume: bool,
+    /// Go on behind this step; later ones are made anew
+    #[arg(long, value_name = "STEP")]
+    pub(super) resume_from: Option<usize>,
+    /// Write nothing below --out, only tell the times: how fast is the loop without writing?
+    #[arg(long, conflicts_with_all = ["resume", "resume_from"])]
+    pub(super) dry: bool,
+    /// Write the times of all steps and stages to this file
+    #[arg(long, value_name = "F.json")]
+    pub(super) profile: Option<PathBuf>,
+    /// For the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, either may be missing
+    #[arg(long, value_name = "F.json")]
+    pub(super) annotations: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) stand_ins: StandInArgs,
+    #[command(flatten)]
+    pub(super) rasterizer: RasterizerArgs,
+}
+
+/// Who moves, and how often.
+#[derive(Debug, Args)]
+struct PolicyArgs {
+    /// Who drives the ego after the warm-up
+    #[arg(long, value_enum, value_name = "POLICY", default_value = "replay")]
+    ego: EgoName,
+    /// With --ego file: the path in the ego's frame, metres forward and to the left; JSON, CSV, TXT or NPY
+    #[arg(long, value_name = "FILE", required_if_eq("ego", "file"))]
+    trajectory: Option<PathBuf>,
+    /// With --ego external: a command, which talks over its standard input and output, or a socket that it listens at,
+    /// unix:PATH or tcp:HOST:PORT
+    #[arg(long, value_name = "COMMAND|ADDRESS", required_if_eq("ego", "external"))]
+    planner: Option<PlannerAddress>,
+    /// How long to wait for each answer of the planner, seconds
+    #[arg(long, value_name = "S", default_value_t = 10.0)]
+    planner_timeout: f64,
+    /// How the ego follows what was planned
+    #[arg(long, value_enum, default_value = "perfect")]
+    tracking: TrackingName,
+    /// Who moves the others after the warm-up
+    #[arg(long, value_enum, value_name = "POLICY", default_value = "replay")]
+    actors: ActorName,
+    /// Steps a second [default: 12 of nuScenes, 10 of other logs]
+    #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
+    sim_hz: Option<f64>,
+    /// Plans a second, which divide the steps [default: 2 of nuScenes, 5 of other logs]
+    #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
+    plan_hz: Option<f64>,
+    /// Frames of a generator's window, one a plan: the first (N - 1) * SIM_HZ / PLAN_HZ steps follow the log
+    #[arg(long, value_name = "N", default_value_t = SimOptions::default().warmup_frames)]
+    warmup: usize,
+    /// How many plan steps are forecast
+    #[arg(long, value_name = "K", default_value_t = SimOptions::default().forecast_steps)]
+    forecast: usize,
+    /// Start at this time, absolute microseconds [default: the log's first frame]
+    #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
+    start: Option<i64>,
+    /// Seed, told to planners
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
+}
+
+/// Names of [`EgoPolicy`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
+#[value(rename_all = "snake_case")]
+#[serde(rename_all = "snake_case")]
+pub(super) enum EgoName {
+    /// Where the log's ego drove.
+    Replay,
+    /// Straight on.
+    Straight,
+    /// To the right, more and more.
+    RightThenBack,
+    /// 1.5 m to the right along half a wave.
+    Cosine,
+    /// One lane to the right of the recorded path, at 10 m/s.
+    LaneChange,
+    /// Along the points of --trajectory.
+    File,
+    /// As --planner says.
+    External,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum TrackingName {
+    /// The ego is where the plan says.
+    Perfect,
+    /// A kinematic bicycle with limits follows the plan.
+    Bicycle,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum ActorName {
+    /// As in the log.
+    Replay,
+    /// Vehicles follow their paths by the Intelligent Driver Model.
+    Idm,
+    /// All keep speed and curve, and brake.
+    Reactive,
+}
+
+impl SimulateArgs {
+    /// Options that the parser cannot check.
+    pub(super) fn check(&self) -> Result<(), WrongUsage> {
+        let PolicyArgs { ego, trajectory, planner, .. } = &self.policies;
+        let unused = [
+            ("--trajectory", trajectory.is_some() && *ego != EgoName::File, "file"),
+            ("--planner", planner.is_some() && *ego != EgoName::External, "external"),
+        ];
+        if let Some((option, _, name)) = unused.into_iter().find(|(_, unused, _)| *unused) {
+            return Err(WrongUsage(format!("expected --ego {name} with {option}, found {}", ego.name())));
+        }
+        self.maps.check()
+    }
+
+    /// Name of the ego's policy.
+    pub(super) fn ego_name(&self) -> &'static str {
+        self.policies.ego.name()
+    }
+
+    /// Name of the others' policy.
+    pub(super) fn actors_name(&self) -> &'static str {
+        match self.policies.actors {
+            ActorName::Replay => "replay",
+            ActorName::Idm => "idm",
+            ActorName::Reactive => "reactive",
+        }
+    }
+
+    /// What is to be simulated; reads the trajectory.
+    pub(super) fn sim_options(&self) -> anyhow::Result<SimOptions> {
+        let p = &self.policies;
+        let ego = match (p.ego, &p.trajectory, &p.planner) {
+            (EgoName::Straight, ..) => EgoPolicy::Straight,
+            (EgoName::RightThenBack, ..) => EgoPolicy::RightThenBack,
+            (EgoName::Cosine, ..) => EgoPolicy::Cosine,
+            (EgoName::LaneChange, ..) => EgoPolicy::LaneChange,
+            (EgoName::File, Some(path), _) => EgoPolicy::File(LocalPath::read(path)?),
+            (EgoName::External, _, Some(address)) => {
+                EgoPolicy::External(PlannerSpec { address: address.clone(), timeout_s: p.planner_timeout })
+            }
+            // The parser asks for what File and External need.
+            (EgoName::Replay | EgoName::File | EgoName::External, ..) => EgoPolicy::Replay,
+        };
+        Ok(SimOptions {
+            seed: p.seed,
+            steps: self.steps,
+            sim_hz: p.sim_hz,
+            plan_hz: p.plan_hz,
+            warmup_frames: p.warmup,
+            forecast_steps: p.forecast,
+            start_us: p.start,
+            ego,
+            tracking: match p.tracking {
+                TrackingName::Perfect => Tracking::Perfect,
+                TrackingName::Bicycle => Tracking::Bicycle,
+            },
+            actors: match p.actors {
+                ActorName::Replay => ActorPolicy::Replay,
+                ActorName::Idm => ActorPolicy::Idm,
+                ActorName::Reactive => ActorPolicy::Reactive,
+            },
+        })
+    }
+}
+
+impl EgoName {
+    /// As on the command line.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Replay => "replay",
+            Self::Straight => "straight",
+            Self::RightThenBack => "right_then_back",
+            Self::Cosine => "cosine",
+            Self::LaneChange => "lane_change",
+            Self::File => "file",
+            Self::External => "external",
+        }
+    }
+}

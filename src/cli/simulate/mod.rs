@@ -1,0 +1,177 @@
+//! `pskel simulate`: [`args`] are the options, [`rollout`] is the loop, [`output`] writes its steps on a thread of its
+//! own, [`finish`] what is made of all of them, [`profile`] tells where the time went.
+
+mod args;
+mod finish;
+mod output;
+mod profile;
+mod rollout;
+
+pub(super) use args::SimulateArgs;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::Context;
+
+use self::finish::{Outcome, finish};
+use self::output::{Earlier, Output, RolloutOptions, read_earlier};
+use self::profile::Profile;
+use self::rollout::{Rollout, Run};
+use super::render::{open_skeleton, read_prompt};
+use super::stand_ins::StandInReport;
+use super::{WrongUsage, say};
+use crate::conditions::meta::PromptParts;
+use crate::conditions::{ConditionOptions, ImageSize, MapSet};
+use crate::dataset::Log;
+use crate::raster::RasterizerInfo;
+use crate::report::StepRow;
+use crate::scene::{SceneMap, Stage};
+use crate::sim::{EndReason, Scenario, SimError, Simulation};
+
+/// The size of maps where cameras are larger and none is given.
+const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
+
+/// Simulates, draws, writes.
+pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    args.check()?;
+    let dataset = args.roots.open(&args.log)?;
+    let log = dataset.log();
+    let skeleton = open_skeleton(&args.skeleton, dataset.as_ref())?;
+    let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), read_prompt)?;
+    let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
+    let maps = args.maps.kinds(map.is_some()).with_context(|| {
+        format!("expected an HD map of {:?} for --maps map, found none in log {}", log.location, log.name)
+    })?;
+    let sim_options = args.sim_options()?;
+    let earlier = match args.resume || args.resume_from.is_some() {
+        true => Some(read_earlier(&args.out, args.resume_from)?),
+        false => None,
+    };
+    let scenario = Scenario::new(log, map.clone(), args.log.format);
+    let (saved, rows) = earlier.map_or((None, Vec::new()), |Earlier { rows, saved }| (Some(saved), rows));
+    let simulation = match &saved {
+        Some(saved) => Simulation::resume(&scenario, sim_options.clone(), saved),
+        None => Simulation::new(&scenario, sim_options.clone()),
+    };
+    let simulation = simulation.map_err(usage)?;
+    let (stand_ins, told) = args.stand_ins.make(&skeleton, &log.name)?;
+    let stage = Stage::with(&skeleton, &log.name, &stand_ins);
+    let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
+    let options = options(&args, log, maps, told, &simulation, sim_options);
+    let output = Output { folder: &args.out, options: &options, prompt: &prompt };
+    let states = (!args.dry).then(|| output.begin(&rows)).transpose()?;
+    let shown_to_planner = args.ego_name() == "external" && !args.dry;
+    let rollout = Rollout { log, map, stage, options: &options, output: &output, shown_to_planner };
+    let mut run = rollout.run(simulation, rasterizer.as_mut(), rows, states)?;
+    let stages = rasterizer.take_stages();
+    let outcome = outcome(&args, &options, &mut run);
+    let clock = Instant::now();
+    if !args.dry {
+        finish(&output, &run.rows, &outcome)?;
+    }
+    run.profile.report_s = clock.elapsed().as_secs_f64();
+    run.profile.close(rasterizer.info(), &stages);
+    if let Some(path) = &args.profile {
+        run.profile.write(path)?;
+    }
+    match run.failure {
+        Some(failure) => Err(failure.context(told_failure(&args, &run.rows))),
+        None => {
+            let text = summary(&args, &outcome, &run.rows, &run.profile, &rasterizer.info());
+            say(&format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
+            Ok(())
+        }
+    }
+}
+
+/// Options that are wrong have an exit code of their own.
+fn usage(error: SimError) -> anyhow::Error {
+    if error.is_usage() { WrongUsage(error.to_string()).into() } else { error.into() }
+}
+
+fn options(
+    args: &SimulateArgs,
+    log: &Log,
+    maps: MapSet,
+    stand_ins: StandInReport,
+    simulation: &Simulation<'_>,
+    sim_options: crate::sim::SimOptions,
+) -> RolloutOptions {
+    let conditions = args.maps.conditions(maps);
+    let large = |camera: &crate::geometry::Camera| camera.height > SIZE.height || camera.width > SIZE.width;
+    let reduced = conditions.size.is_none() && log.rig.iter().any(|rig| large(&rig.camera));
+    let out_size = conditions.out_size.or(reduced.then_some(SIZE));
+    let rates = simulation.rates();
+    RolloutOptions {
+        conditions: ConditionOptions { out_size, ..conditions },
+        selection: args.maps.selection(),
+        stand_ins,
+        format: args.maps.format,
+        forecast_maps: args.forecast_maps,
+        sheets: args.sheets,
+        log: log.name.clone(),
+        simulation: sim_options,
+        sim_hz: rates.sim_hz,
+        plan_hz: rates.plan_hz,
+        takeover_step: simulation.takeover_step(),
+    }
+}
+
+fn outcome(args: &SimulateArgs, options: &RolloutOptions, run: &mut Run) -> Outcome {
+    let ended = match (&run.failure, run.ended) {
+        (Some(_), _) => "stopped",
+        (None, Some(EndReason::LogEnded)) => "ended with the log",
+        (None, _) => "all steps",
+    };
+    let facts = vec![
+        format!("ego {}", args.ego_name()),
+        format!("actors {}", args.actors_name()),
+        format!("{} steps and {} plans a second", options.sim_hz, options.plan_hz),
+        format!("{} steps, {ended}", run.rows.len().saturating_sub(1)),
+    ];
+    Outcome {
+        metrics: run.metrics.clone(),
+        ended: run.ended.filter(|_| run.failure.is_none()),
+        failure: run.failure.as_ref().map(super::with_causes),
+        notes: std::mem::take(&mut run.notes),
+        facts,
+        layout: std::mem::take(&mut run.layout),
+        cameras: std::mem::take(&mut run.cameras),
+    }
+}
+
+fn told_failure(args: &SimulateArgs, rows: &[StepRow]) -> String {
+    let steps = rows.len();
+    if args.dry {
+        return format!("stopped after {steps} steps");
+    }
+    format!("stopped after {steps} steps, which are in {}", args.out.display())
+}
+
+fn summary(
+    args: &SimulateArgs,
+    outcome: &Outcome,
+    rows: &[StepRow],
+    profile: &Profile,
+    info: &RasterizerInfo,
+) -> String {
+    let steps = rows.len().saturating_sub(1);
+    let ended = match outcome.ended {
+        Some(EndReason::LogEnded) => format!(" of {} (the log ended)", args.steps),
+        _ => String::new(),
+    };
+    let notes: Vec<String> =
+        outcome.notes.iter().map(|(note, count)| format!("; {count} x {note}")).collect();
+    format!(
+        "simulated {steps} steps{ended}, ego {}, actors {}, by {} on {}: {}; {} collisions{}",
+        args.ego_name(),
+        args.actors_name(),
+        info.rasterizer,
+        info.device,
+        profile.summary(),
+        outcome.metrics.collisions.len(),
+        notes.concat(),
+    )
+}

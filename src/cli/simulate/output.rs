@@ -1,0 +1,217 @@
+use std::fs::{create_dir_all, read, remove_dir_all, remove_file};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde::Serialize;
+use serde_json::Value;
+
+use super::profile::{WriteTimes, lap};
+use crate::cli::map_args::MapFormat;
+use crate::cli::stand_ins::StandInReport;
+use crate::conditions::birdseye::{self, BirdseyeOptions, Trace};
+use crate::conditions::meta::{FrameMeta, PromptParts};
+use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
+use crate::error::{FileError, check_replaceable, write_json, write_whole_folder};
+use crate::report::{StateFile, StepRow, film, view};
+use crate::scene::{SceneState, SelectionOptions};
+use crate::sim::{SavedState, SimOptions};
+
+/// The file that tells that a folder is a rollout, and with what options.
+pub(super) const ROLLOUT: &str = "rollout.json";
+pub(super) const STATES: &str = "states.jsonl";
+pub(super) const STEPS: &str = "steps";
+pub(super) const INDEX: &str = "index.json";
+pub(super) const METRICS: &str = "metrics.json";
+pub(super) const VIDEO: &str = "rollout.mp4";
+pub(super) const PAGE: &str = "index.html";
+const META: &str = "meta.json";
+pub(super) const STATE: &str = "state.json";
+pub(super) const FORECAST: &str = "forecast";
+
+/// What stands in `rollout.json` and `index.json` about how the rollout was made.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct RolloutOptions {
+    #[serde(flatten)]
+    pub(super) conditions: ConditionOptions,
+    #[serde(flatten)]
+    pub(super) selection: SelectionOptions,
+    #[serde(flatten)]
+    pub(super) stand_ins: StandInReport,
+    pub(super) format: MapFormat,
+    pub(super) forecast_maps: bool,
+    pub(super) sheets: bool,
+    pub(super) log: String,
+    pub(super) simulation: SimOptions,
+    /// Steps a second.
+    pub(super) sim_hz: f64,
+    /// Plans a second.
+    pub(super) plan_hz: f64,
+    /// The last step of the warm-up.
+    pub(super) takeover_step: usize,
+}
+
+/// A step with all that is written of it.
+pub(super) struct Job {
+    pub(super) state: SceneState,
+    pub(super) set: ConditionSet,
+    pub(super) row: StepRow,
+    pub(super) saved: SavedState,
+    pub(super) traces: Vec<Trace>,
+    pub(super) forecast: Vec<(SceneState, ConditionSet)>,
+}
+
+/// The folder of a rollout.
+pub(super) struct Output<'a> {
+    pub(super) folder: &'a Path,
+    pub(super) options: &'a RolloutOptions,
+    pub(super) prompt: &'a PromptParts,
+}
+
+/// What an earlier run left.
+pub(super) struct Earlier {
+    pub(super) rows: Vec<StepRow>,
+    pub(super) saved: SavedState,
+}
+
+/// Where the files of a step are.
+pub(super) fn step_folder(folder: &Path, name: &str) -> PathBuf {
+    folder.join(STEPS).join(name)
+}
+
+/// Reads a rollout until a step, or until its last one.
+pub(super) fn read_earlier(folder: &Path, until: Option<usize>) -> Result<Earlier, FileError> {
+    let path = folder.join(STATES);
+    let mut rows = StateFile::read(&path)?;
+    let last = rows.len().checked_sub(1);
+    let last = last.ok_or_else(|| FileError::content("states of a rollout to go on with", "none", &path))?;
+    let step = until.unwrap_or(last);
+    if step > last {
+        let (expected, found) = (format!("a step from 0 to {last} to go on behind"), step.to_string());
+        return Err(FileError::content(expected, found, &path));
+    }
+    rows.truncate(step + 1);
+    let path = step_folder(folder, &rows[step].name()).join(STATE);
+    let text = read(&path).map_err(FileError::io("read", &path))?;
+    let saved = serde_json::from_slice(&text)
+        .map_err(|error| FileError::content("a saved state", error.to_string(), &path))?;
+    Ok(Earlier { rows, saved })
+}
+
+impl Output<'_> {
+    /// Makes the folder ready: an earlier rollout in it goes, or its steps behind those that are kept.
+    pub(super) fn begin(&self, kept: &[StepRow]) -> Result<StateFile, FileError> {
+        let marker = self.folder.join(ROLLOUT);
+        if kept.is_empty() {
+            check_replaceable(self.folder, ROLLOUT)?;
+        } else {
+            self.check_same(&marker)?;
+        }
+        create_dir_all(self.folder).map_err(FileError::io("create", self.folder))?;
+        // While there is an index, the folder is complete: it goes first.
+        for name in [INDEX, PAGE, VIDEO, METRICS] {
+            gone(&self.folder.join(name))?;
+        }
+        let steps = self.folder.join(STEPS);
+        if kept.is_empty() {
+            gone(&self.folder.join(STATES))?;
+            gone(&steps)?;
+        }
+        write_json(&marker, self.options)?;
+        create_dir_all(&steps).map_err(FileError::io("create", &steps))?;
+        let states = StateFile::create(&self.folder.join(STATES), kept)?;
+        for entry in std::fs::read_dir(&steps).map_err(FileError::io("read", &steps))? {
+            let path = entry.map_err(FileError::io("read", &steps))?.path();
+            if !kept.iter().any(|row| path.ends_with(row.name())) {
+                gone(&path)?;
+            }
+        }
+        Ok(states)
+    }
+
+    /// A rollout can only be gone on with as it was begun, but for the number of steps.
+    fn check_same(&self, marker: &Path) -> Result<(), FileError> {
+        let text = read(marker).map_err(FileError::io("read", marker))?;
+        let parsed = |error: serde_json::Error| FileError::content("a rollout", error.to_string(), marker);
+        let before: Value = serde_json::from_slice(&text).map_err(parsed)?;
+        let text = serde_json::to_vec(self.options).map_err(parsed)?;
+        let now: Value = serde_json::from_slice(&text).map_err(parsed)?;
+        let same = |name: &str| match (before.get(name), now.get(name)) {
+            (Some(a), Some(b)) if name == "simulation" => without_steps(a) == without_steps(b),
+            (a, b) => a == b,
+        };
+        let names = |value: &Value| value.as_object().map(|o| o.keys().cloned().collect::<Vec<_>>());
+        let all = names(&before).into_iter().chain(names(&now)).flatten();
+        match all.into_iter().find(|name| !same(name)) {
+            None => Ok(()),
+            Some(name) => {
+                let text = |value: &Value| value.get(&name).map_or("none".to_owned(), Value::to_string);
+                let expected = format!("the options of the rollout, {name} {}", text(&before));
+                Err(FileError::content(expected, text(&now), marker))
+            }
+        }
+    }
+
+    /// Writes the folder of a step, then its line.
+    pub(super) fn write(&self, job: &Job, states: &mut StateFile) -> Result<WriteTimes, ConditionError> {
+        let (state, set, options) = (&job.state, &job.set, &self.options.conditions);
+        let bins = &options.depth_bins;
+        let (mut times, mut clock) = (WriteTimes::default(), Instant::now());
+        write_whole_folder(&step_folder(self.folder, &state.name), META, |folder| {
+            self.options.format.write(folder, set, state.t_us, options)?;
+            for (state, set) in &job.forecast {
+                self.write_forecast(&folder.join(FORECAST).join(&state.name), state, set)?;
+            }
+            times.maps_s = lap(&mut clock);
+            view::write(&folder.join(view::VIEW), set, bins)?;
+            times.view_s = lap(&mut clock);
+            let above = folder.join(film::BIRDSEYE);
+            birdseye::write_with(&above, state, &job.traces, &BirdseyeOptions::default())?;
+            times.birdseye_s = lap(&mut clock);
+            if self.options.sheets {
+                let caption = format!("{}  {}", self.options.log, state.name);
+                sheet::write(&folder.join("sheet.png"), set, bins, &caption)?;
+            }
+            write_json(&folder.join(STATE), &job.saved)?;
+            self.write_meta(folder, state)
+        })?;
+        states.append(&job.row)?;
+        times.rest_s = lap(&mut clock);
+        Ok(times)
+    }
+
+    fn write_forecast(
+        &self,
+        folder: &Path,
+        state: &SceneState,
+        set: &ConditionSet,
+    ) -> Result<(), ConditionError> {
+        create_dir_all(folder).map_err(FileError::io("create", folder))?;
+        self.options.format.write(folder, set, state.t_us, &self.options.conditions)?;
+        self.write_meta(folder, state)
+    }
+
+    fn write_meta(&self, folder: &Path, state: &SceneState) -> Result<(), ConditionError> {
+        let meta = FrameMeta::new(state, &self.options.conditions, self.prompt, Some(self.options.sim_hz));
+        Ok(meta.write(&folder.join(META))?)
+    }
+}
+
+/// Removes a file or folder that may not be there.
+fn gone(path: &Path) -> Result<(), FileError> {
+    let is_folder = std::fs::symlink_metadata(path).is_ok_and(|data| data.is_dir());
+    let removed = if is_folder { remove_dir_all(path) } else { remove_file(path) };
+    match removed {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(FileError::io("replace", path)(error))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn without_steps(options: &Value) -> Value {
+    let mut options = options.clone();
+    if let Some(fields) = options.as_object_mut() {
+        fields.remove("steps");
+    }
+    options
+}

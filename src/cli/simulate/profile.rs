@@ -1,0 +1,160 @@
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+use serde::Serialize;
+
+use crate::error::{FileError, write_json};
+use crate::raster::{RasterizerInfo, StageTimes};
+
+/// What a step took, seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub(super) struct StepTimes {
+    /// Ego, actors and what is expected.
+    pub(super) policies_s: f64,
+    /// Which clouds stand where.
+    pub(super) instances_s: f64,
+    /// Until the points are with the rasterizer and the layouts are drawn.
+    pub(super) begin_s: f64,
+    /// Until all maps are in memory.
+    pub(super) finish_s: f64,
+    /// Maps of what is expected.
+    pub(super) forecast_s: f64,
+    /// Who is seen, and what else goes into the line of the step.
+    pub(super) observe_s: f64,
+    /// Until the step before was written so far that this one could be handed over.
+    pub(super) wait_s: f64,
+}
+
+impl StepTimes {
+    /// Policies and conditions: what a step costs whoever closes the loop.
+    pub(super) fn loop_s(&self) -> f64 {
+        self.policies_s + self.conditions_s()
+    }
+
+    pub(super) fn conditions_s(&self) -> f64 {
+        self.instances_s + self.begin_s + self.finish_s
+    }
+}
+
+/// What writing a step took, on a thread of its own, seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub(super) struct WriteTimes {
+    /// The maps.
+    pub(super) maps_s: f64,
+    /// The pictures of the page.
+    pub(super) view_s: f64,
+    /// The picture from above.
+    pub(super) birdseye_s: f64,
+    /// Contact sheet, metadata and states.
+    pub(super) rest_s: f64,
+}
+
+/// Where the time went.
+#[derive(Clone, Debug, Default, Serialize)]
+pub(super) struct Profile {
+    rasterizer: Option<RasterizerInfo>,
+    /// Whole loop from the first step to the last, seconds.
+    pub(super) loop_s: f64,
+    /// Metrics, index, video and page, seconds.
+    pub(super) report_s: f64,
+    pub(super) steps: Vec<StepTimes>,
+    pub(super) written: Vec<WriteTimes>,
+    /// The rasterizer's own stages over all steps, seconds.
+    stages_s: BTreeMap<&'static str, f64>,
+    /// Medians of all stages, and what follows from them.
+    medians: BTreeMap<&'static str, f64>,
+}
+
+impl Profile {
+    /// Takes what is known once the loop is over.
+    pub(super) fn close(&mut self, info: RasterizerInfo, stages: &StageTimes) {
+        self.rasterizer = Some(info);
+        self.stages_s = stages.0.iter().map(|(name, time)| (*name, time.as_secs_f64())).collect();
+        let of = |get: fn(&StepTimes) -> f64| median(self.steps.iter().map(get));
+        let written = |get: fn(&WriteTimes) -> f64| median(self.written.iter().map(get));
+        self.medians = [
+            ("step_s", of(StepTimes::loop_s)),
+            ("policies_s", of(|t| t.policies_s)),
+            ("conditions_s", of(StepTimes::conditions_s)),
+            ("instances_s", of(|t| t.instances_s)),
+            ("begin_s", of(|t| t.begin_s)),
+            ("finish_s", of(|t| t.finish_s)),
+            ("forecast_s", of(|t| t.forecast_s)),
+            ("observe_s", of(|t| t.observe_s)),
+            ("wait_s", of(|t| t.wait_s)),
+            ("write_maps_s", written(|t| t.maps_s)),
+            ("write_view_s", written(|t| t.view_s)),
+            ("write_birdseye_s", written(|t| t.birdseye_s)),
+            ("write_rest_s", written(|t| t.rest_s)),
+        ]
+        .into_iter()
+        .filter_map(|(name, value)| Some((name, value?)))
+        .collect();
+    }
+
+    /// For the summary: the median step, its parts, and how often a second.
+    pub(super) fn summary(&self) -> String {
+        let ms = |name: &str| 1e3 * self.medians.get(name).copied().unwrap_or(0.0);
+        let names = ["write_maps_s", "write_view_s", "write_birdseye_s", "write_rest_s"];
+        let writing: f64 = names.iter().map(|name| ms(name)).sum();
+        let stages: Vec<String> =
+            self.stages_s.iter().map(|(name, time)| format!("{name} {time:.2}")).collect();
+        format!(
+            "a step takes {:.1} ms (median; policies {:.1}, instances {:.1}, drawing {:.1}), {:.1} steps a second; \
+             writing {writing:.1} ms beside it; drawing in seconds: {}; loop {:.2} s, report {:.2} s",
+            ms("step_s"),
+            ms("policies_s"),
+            ms("instances_s"),
+            ms("begin_s") + ms("finish_s"),
+            1e3 / ms("step_s").max(1e-6),
+            stages.join(", "),
+            self.loop_s,
+            self.report_s,
+        )
+    }
+
+    pub(super) fn write(&self, path: &Path) -> Result<(), FileError> {
+        write_json(path, self)
+    }
+}
+
+/// Seconds since a moment; the moment becomes now.
+pub(super) fn lap(since: &mut std::time::Instant) -> f64 {
+    let now = std::time::Instant::now();
+    let time: Duration = now - std::mem::replace(since, now);
+    time.as_secs_f64()
+}
+
+/// The upper one of the two in the middle.
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn medians_and_the_rate_follow_from_the_steps() {
+        let step = |ms: f64| StepTimes { policies_s: ms / 1e3, finish_s: 0.02, ..StepTimes::default() };
+        let mut profile = Profile { steps: [9.0, 5.0, 700.0].map(step).to_vec(), ..Profile::default() };
+        let info = RasterizerInfo { rasterizer: "cpu", device: "d".into(), driver: String::new() };
+        profile.close(info, &StageTimes::default());
+        let text = profile.summary();
+        assert!(
+            text.starts_with(
+                "a step takes 29.0 ms (median; policies 9.0, instances 0.0, drawing 20.0), 34.5 steps"
+            ),
+            "{text}"
+        );
+        assert_eq!(median(std::iter::empty()), None);
+        let json = serde_json::to_value(&profile).unwrap();
+        assert_eq!(
+            (&json["medians"]["policies_s"], json["steps"].as_array().unwrap().len()),
+            (&serde_json::json!(0.009), 3)
+        );
+    }
+}

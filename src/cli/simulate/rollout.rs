@@ -1,0 +1,283 @@
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+use std::time::Instant as Clock;
+
+use anyhow::Context;
+use glam::DVec2;
+
+use super::finish::TRACES;
+use super::output::{FORECAST, Job, Output, RolloutOptions, STATE, step_folder};
+use super::profile::{Profile, StepTimes, WriteTimes, lap};
+use crate::cli::progress::Progress;
+use crate::conditions::birdseye::Trace;
+use crate::conditions::{Begun, ConditionError, ConditionSet};
+use crate::dataset::{EgoTrack, Log};
+use crate::error::FileError;
+use crate::raster::Rasterizer;
+use crate::report::{Observed, Phase, StateFile, StepRow, sight, view};
+use crate::scene::{SceneMap, SceneState, Stage};
+use crate::sim::{EndReason, Metrics, Simulation, StepOutcome, Waypoint, scene_state};
+
+/// All that stays the same from step to step.
+pub(super) struct Rollout<'a> {
+    pub(super) log: &'a Log,
+    pub(super) map: Option<Arc<SceneMap>>,
+    pub(super) stage: Stage<'a>,
+    pub(super) options: &'a RolloutOptions,
+    pub(super) output: &'a Output<'a>,
+    /// Whether a planner is told the folder of each step, once it is written.
+    pub(super) shown_to_planner: bool,
+}
+
+/// What the loop leaves.
+pub(super) struct Run {
+    /// Of all steps that were written.
+    pub(super) rows: Vec<StepRow>,
+    pub(super) metrics: Metrics,
+    pub(super) notes: BTreeMap<String, usize>,
+    pub(super) ended: Option<EndReason>,
+    /// Why it stopped before its end, though all steps until then were written.
+    pub(super) failure: Option<anyhow::Error>,
+    pub(super) profile: Profile,
+    pub(super) layout: view::Layout,
+    /// Names and sizes (width, height) of the maps.
+    pub(super) cameras: Vec<(String, [u32; 2])>,
+}
+
+/// What goes from step to step beside the simulation.
+struct Loop {
+    run: Run,
+    /// Where the log's ego drove.
+    recorded: Vec<DVec2>,
+    /// The latest.
+    plan: Vec<Waypoint>,
+    times: StepTimes,
+    progress: Progress,
+}
+
+/// The way to the thread that writes.
+struct Writer {
+    sender: SyncSender<Job>,
+    /// A step was written.
+    written: Receiver<()>,
+}
+
+impl Rollout<'_> {
+    /// Simulates, draws and hands over step by step, while another thread writes. `kept` are the steps of an earlier
+    /// run, whose last one is where the simulation stands; without `states` nothing is written.
+    ///
+    /// Fails where a step cannot be written; other failures stand in [`Run::failure`].
+    pub(super) fn run(
+        &self,
+        simulation: Simulation<'_>,
+        rasterizer: &mut dyn Rasterizer,
+        kept: Vec<StepRow>,
+        states: Option<StateFile>,
+    ) -> anyhow::Result<Run> {
+        let start = Clock::now();
+        let (sender, receiver) = sync_channel::<Job>(1);
+        let (tell, written) = channel();
+        let writes = states.is_some();
+        let (run, times) = std::thread::scope(|scope| {
+            let writer = scope.spawn(move || -> Result<Vec<WriteTimes>, ConditionError> {
+                let Some(mut states) = states else { return Ok(Vec::new()) };
+                let write = |job: Job| {
+                    let times = self.output.write(&job, &mut states)?;
+                    let _ = tell.send(()); // nobody may wait for it
+                    Ok(times)
+                };
+                receiver.into_iter().map(write).collect()
+            });
+            let writer_way = writes.then_some(Writer { sender, written });
+            let run = self.steps(simulation, rasterizer, kept, writer_way);
+            match writer.join() {
+                Ok(times) => times.map(|times| (run, times)),
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        })?;
+        let mut run = run?;
+        run.profile.written = times;
+        run.profile.loop_s = start.elapsed().as_secs_f64();
+        Ok(run)
+    }
+
+    fn steps(
+        &self,
+        mut simulation: Simulation<'_>,
+        rasterizer: &mut dyn Rasterizer,
+        kept: Vec<StepRow>,
+        writer: Option<Writer>,
+    ) -> anyhow::Result<Run> {
+        let mut going = self.begin(&simulation, kept);
+        // The last step of an earlier run is there; its maps tell where cameras stand in the pictures.
+        let mut is_new = going.run.rows.is_empty();
+        let mut outcome = None;
+        loop {
+            let step = self.step(&simulation, rasterizer, &mut going, outcome.take(), is_new);
+            match step {
+                Ok(Some(job)) => {
+                    if !hand_over(writer.as_ref(), job, &mut going, self.shown_to_planner) {
+                        break;
+                    }
+                    if self.shown_to_planner {
+                        let name = format!("{:06}", simulation.committed().get().step);
+                        simulation.show(files(&step_folder(self.output.folder, &name))?);
+                    }
+                }
+                Ok(None) => {}
+                // Without a first step there is nothing to report.
+                Err(error) if going.run.rows.is_empty() => return Err(error),
+                Err(error) => {
+                    going.run.failure = Some(error);
+                    break;
+                }
+            }
+            if is_new {
+                going.run.profile.steps.push(going.times);
+            }
+            going.times = StepTimes::default();
+            is_new = true;
+            let mut clock = Clock::now();
+            match simulation.step() {
+                Ok(Some(next)) => outcome = Some(next),
+                Ok(None) => break,
+                Err(error) => {
+                    going.run.failure = Some(error.into());
+                    break;
+                }
+            }
+            going.times.policies_s = lap(&mut clock);
+        }
+        let Loop { mut run, .. } = going;
+        (run.metrics, run.notes, run.ended) = (simulation.metrics(), simulation.notes(), simulation.ended());
+        Ok(run)
+    }
+
+    fn begin(&self, simulation: &Simulation<'_>, kept: Vec<StepRow>) -> Loop {
+        let track = EgoTrack::new(self.log);
+        let left = self.options.simulation.steps.saturating_add(1).saturating_sub(kept.len());
+        let plan = kept.iter().rev().find_map(|row| row.plan.clone()).unwrap_or_default();
+        let run = Run {
+            rows: kept,
+            metrics: simulation.metrics(),
+            notes: BTreeMap::new(),
+            ended: None,
+            failure: None,
+            profile: Profile::default(),
+            layout: view::Layout::default(),
+            cameras: Vec::new(),
+        };
+        let recorded = track.poses().iter().map(|(_, pose)| pose.translation.truncate()).collect();
+        Loop { run, recorded, plan, times: StepTimes::default(), progress: Progress::new(left) }
+    }
+
+    /// Draws what was committed last. `None` for a step that an earlier run wrote.
+    fn step(
+        &self,
+        simulation: &Simulation<'_>,
+        rasterizer: &mut dyn Rasterizer,
+        going: &mut Loop,
+        outcome: Option<StepOutcome>,
+        is_new: bool,
+    ) -> anyhow::Result<Option<Job>> {
+        let committed = simulation.committed();
+        let instant = *committed.get();
+        let state = scene_state(self.log, instant, self.map.clone());
+        let set = self.draw(rasterizer, &state, &mut going.times)?;
+        let mut clock = Clock::now();
+        if going.run.cameras.is_empty() {
+            going.run.layout = view::Layout::of(&set);
+            let camera = |c: &crate::conditions::CameraConditions| (c.name.clone(), [c.width, c.height]);
+            going.run.cameras = set.cameras.iter().map(camera).collect();
+        }
+        if !is_new {
+            return Ok(None);
+        }
+        let plan = outcome.as_ref().and_then(|outcome| outcome.plan.as_ref());
+        let plan = plan.map(|plan| plan.get().waypoints().to_vec());
+        going.plan = plan.clone().unwrap_or(std::mem::take(&mut going.plan));
+        let metrics = simulation.metrics();
+        let observed = Observed {
+            lateral: metrics.lateral_deviation_m,
+            heading: metrics.heading_deviation_rad,
+            seen: sight::seen(&set, instant.actors.len()),
+        };
+        let by_log = instant.step <= self.options.takeover_step;
+        let phase = if by_log { Phase::WarmUp } else { Phase::Policy };
+        let row = StepRow::new(self.log, instant, phase, &observed, plan);
+        going.times.observe_s = lap(&mut clock);
+        let forecast = outcome.filter(|_| self.options.forecast_maps).map(|outcome| outcome.forecast);
+        let forecast = forecast.into_iter().flatten().map(|instant| {
+            let state = scene_state(self.log, instant.get(), self.map.clone());
+            let set = self.draw(rasterizer, &state, &mut StepTimes::default())?;
+            Ok((state, set))
+        });
+        let forecast = forecast.collect::<anyhow::Result<Vec<_>>>()?;
+        going.times.forecast_s = lap(&mut clock);
+
+        // Only now it is sure that there is such a step.
+        going.run.rows.push(row.clone());
+        let traces = traces(going, instant.t_us);
+        going.progress.step(&state.name);
+        Ok(Some(Job { state, set, row, saved: simulation.save(), traces, forecast }))
+    }
+
+    fn draw(
+        &self,
+        rasterizer: &mut dyn Rasterizer,
+        state: &SceneState,
+        times: &mut StepTimes,
+    ) -> anyhow::Result<ConditionSet> {
+        let mut clock = Clock::now();
+        let instances = self.stage.instances(state, &self.options.selection);
+        times.instances_s = lap(&mut clock);
+        let begun = Begun::new(rasterizer, &instances, state, &self.options.conditions);
+        let begun = begun.with_context(|| format!("step {}", state.name))?;
+        times.begin_s = lap(&mut clock);
+        let set = begun.finish(rasterizer).with_context(|| format!("step {}", state.name))?;
+        times.finish_s = lap(&mut clock);
+        Ok(set)
+    }
+}
+
+/// Gives a step to the thread that writes; `false` if that has stopped: it tells why.
+fn hand_over(writer: Option<&Writer>, job: Job, going: &mut Loop, wait: bool) -> bool {
+    let Some(writer) = writer else { return true };
+    let mut clock = Clock::now();
+    let is_up = writer.sender.send(job).is_ok() && (!wait || writer.written.recv().is_ok());
+    going.times.wait_s = lap(&mut clock);
+    is_up
+}
+
+/// The files of a step that a planner may look at, sorted: its maps and what they mean.
+fn files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
+    let folder = std::path::absolute(folder).map_err(FileError::io("read", folder))?;
+    let entries = |folder: &Path| -> std::io::Result<Vec<PathBuf>> {
+        std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect()
+    };
+    let mut files = Vec::new();
+    for path in entries(&folder).map_err(FileError::io("read", &folder))? {
+        if [view::VIEW, FORECAST, STATE].iter().any(|name| path.ends_with(name)) {
+            continue;
+        }
+        match path.is_dir() {
+            true => files.extend(entries(&path).map_err(FileError::io("read", &path))?),
+            false => files.push(path),
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// Lines of the picture from above, in the order of [`TRACES`].
+fn traces(going: &Loop, now_us: i64) -> Vec<Trace> {
+    let driven = going.run.rows.iter().map(StepRow::place_m).collect();
+    let ahead = going.plan.iter().filter(|waypoint| waypoint.t_us >= now_us);
+    let here = going.run.rows.last().map(StepRow::place_m);
+    let plan = here.into_iter().chain(ahead.map(Waypoint::position_m)).collect();
+    let lines = [going.recorded.clone(), driven, plan];
+    let trace = |(points, (_, rgba)): (Vec<DVec2>, (&str, [u8; 4]))| Trace { points, rgba, width_px: 2.5 };
+    lines.into_iter().zip(TRACES).map(trace).collect()
+}

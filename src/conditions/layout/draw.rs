@@ -1,0 +1,69 @@
+use rayon::prelude::*;
+
+use super::super::ConditionOptions;
+use super::super::pil::PilBilinear;
+use super::{LINE_WIDTH_PX, box_segments, map_segments};
+use crate::geometry::{ImageSize, View};
+use crate::raster::{LineRows, Segment, draw_lines};
+use crate::scene::{ActorState, SceneMap};
+
+/// Layouts of a step: an RGB image on black per view, `None` of what was not asked for.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Layouts {
+    /// Outlines of boxes.
+    pub boxes: Option<Vec<Vec<[u8; 3]>>>,
+    /// Outlines of the HD map.
+    pub map: Option<Vec<Vec<[u8; 3]>>>,
+}
+
+/// What a layout shows.
+#[derive(Clone, Copy)]
+enum Shown<'a> {
+    Boxes(&'a [ActorState]),
+    Map(&'a SceneMap),
+}
+
+/// Draws layouts of actors and map at the size at which views are drawn ([`ConditionOptions::drawn_view`]), and reduces
+/// them to what is written as Pillow's BILINEAR does.
+pub fn draw(
+    actors: Option<&[ActorState]>,
+    map: Option<&SceneMap>,
+    views: &[View],
+    options: &ConditionOptions,
+) -> Layouts {
+    let filters = filters(views, options);
+    let shown = [actors.map(Shown::Boxes), map.map(Shown::Map)];
+    let tasks: Vec<(Shown<'_>, &View)> =
+        shown.iter().flatten().flat_map(|shown| views.iter().map(|view| (*shown, view))).collect();
+    let layout = |(shown, view): &(Shown<'_>, &View)| {
+        let (drawn, to) = (options.drawn_view(view), options.written_size(view));
+        let segments = match shown {
+            Shown::Boxes(actors) => box_segments(actors, &drawn),
+            Shown::Map(map) => map_segments(map, &drawn),
+        };
+        image(&segments, [ImageSize::of(&drawn.camera), to], &filters)
+    };
+    let mut images = tasks.par_iter().map(layout).collect::<Vec<_>>().into_iter();
+    let mut of = |shown: bool| shown.then(|| images.by_ref().take(views.len()).collect());
+    Layouts { boxes: of(actors.is_some()), map: of(map.is_some()) }
+}
+
+/// One for each pair of sizes.
+fn filters(views: &[View], options: &ConditionOptions) -> Vec<PilBilinear> {
+    let mut filters: Vec<PilBilinear> = Vec::new();
+    for view in views {
+        let sizes = [ImageSize::of(&options.drawn_view(view).camera), options.written_size(view)];
+        if sizes[0] != sizes[1] && !filters.iter().any(|filter| filter.sizes() == sizes) {
+            filters.push(PilBilinear::new(sizes[0], sizes[1]));
+        }
+    }
+    filters
+}
+
+fn image(segments: &[Segment], sizes: [ImageSize; 2], filters: &[PilBilinear]) -> Vec<[u8; 3]> {
+    let Some(filter) = filters.iter().find(|filter| filter.sizes() == sizes) else {
+        return draw_lines(segments, sizes[0], LINE_WIDTH_PX);
+    };
+    let mut rows = LineRows::new(segments, sizes[0], LINE_WIDTH_PX);
+    filter.filter(|row, painted| rows.row(row, |columns, rgb| painted.fill(columns, rgb)))
+}

@@ -1,0 +1,156 @@
+use std::ops::Range;
+
+use glam::DVec2;
+
+/// A way through the plane by arc length, straight on beyond both ends.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Polyline {
+    /// At least two; no two neighbours are the same.
+    points: Vec<DVec2>,
+    /// Of the points: metres from the first one along the way.
+    stations_m: Vec<f64>,
+}
+
+/// The place of a way that is nearest to a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Foot {
+    /// Metres from the way's first point; below 0 and over its length where the way goes straight on.
+    pub station_m: f64,
+    /// How far the point is to the left of the way, metres.
+    pub offset_m: f64,
+}
+
+impl Polyline {
+    /// Through points, metres; one that equals the one before is left out. `None` where fewer than two are left or one
+    /// is not finite.
+    pub fn new(points: impl IntoIterator<Item = DVec2>) -> Option<Self> {
+        let (mut kept, mut stations_m): (Vec<DVec2>, Vec<f64>) = Default::default();
+        for point in points {
+            let step_m = kept.last().map_or(0.0, |last| last.distance(point));
+            let station_m = stations_m.last().unwrap_or(&0.0) + step_m;
+            if !station_m.is_finite() || !point.is_finite() {
+                return None;
+            }
+            // Far along a way, a step may be too small to count.
+            if kept.is_empty() || stations_m.last().is_some_and(|last| station_m > *last) {
+                kept.push(point);
+                stations_m.push(station_m);
+            }
+        }
+        (kept.len() >= 2).then_some(Self { points: kept, stations_m })
+    }
+
+    /// Its points, metres.
+    pub fn points(&self) -> &[DVec2] {
+        &self.points
+    }
+
+    /// The stations of its points: metres from the first one along the way.
+    pub fn stations_m(&self) -> &[f64] {
+        &self.stations_m
+    }
+
+    /// Its length, metres.
+    pub fn length_m(&self) -> f64 {
+        self.stations_m[self.stations_m.len() - 1]
+    }
+
+    /// The piece that a station (metres) lies on, by the index of its first point; the first and last piece go on.
+    pub fn piece(&self, station_m: f64) -> usize {
+        let next = self.stations_m.partition_point(|s| *s <= station_m);
+        next.clamp(1, self.points.len() - 1) - 1
+    }
+
+    /// The place at a station (metres) and the unit direction there.
+    pub fn at(&self, station_m: f64) -> (DVec2, DVec2) {
+        let (from, direction, _) = self.ray(self.piece(station_m));
+        let start_m = self.stations_m[self.piece(station_m)];
+        (from + direction * (station_m - start_m), direction)
+    }
+
+    /// The foot of a point (metres) on the pieces that lie in some stations; of several at one distance the first.
+    pub fn foot(&self, point: DVec2, stations_m: Range<f64>) -> Foot {
+        let (first, last) = (self.piece(stations_m.start), self.piece(stations_m.end));
+        let mut best = (f64::INFINITY, Foot { station_m: 0.0, offset_m: 0.0 });
+        for piece in first..=last.max(first) {
+            let (from, direction, length_m) = self.ray(piece);
+            let low_m = if piece == 0 { f64::NEG_INFINITY } else { 0.0 };
+            let high_m = if piece + 2 == self.points.len() { f64::INFINITY } else { length_m };
+            let along_m = direction.dot(point - from).clamp(low_m, high_m);
+            let away = point - (from + direction * along_m);
+            if away.length() < best.0 {
+                let side = if direction.perp_dot(away) < 0.0 { -1.0 } else { 1.0 };
+                let station_m = self.stations_m[piece] + along_m;
+                best = (away.length(), Foot { station_m, offset_m: side * away.length() });
+            }
+        }
+        best.1
+    }
+
+    /// Start, unit direction and length of a piece.
+    fn ray(&self, piece: usize) -> (DVec2, DVec2, f64) {
+        let (from, to) = (self.points[piece], self.points[piece + 1]);
+        let length_m = from.distance(to);
+        (from, (to - from) / length_m, length_m)
+    }
+}
+
+/// An angle in radians brought into `[-pi, pi]` by full turns.
+pub fn wrap_angle(angle_rad: f64) -> f64 {
+    use std::f64::consts::{PI, TAU};
+    if angle_rad.abs() <= PI { angle_rad } else { angle_rad - TAU * (angle_rad / TAU).round() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn corner() -> Polyline {
+        let points = [(0.0, 0.0), (0.0, 0.0), (3.0, 0.0), (3.0, 4.0)];
+        Polyline::new(points.map(DVec2::from)).unwrap()
+    }
+
+    #[test]
+    fn stations_are_arc_lengths() {
+        let way = corner();
+        assert_eq!((way.points().len(), way.length_m()), (3, 7.0));
+        assert_eq!(way.at(1.0), (DVec2::new(1.0, 0.0), DVec2::X));
+        assert_eq!(way.at(5.0), (DVec2::new(3.0, 2.0), DVec2::Y));
+        assert_eq!(way.at(-2.0), (DVec2::new(-2.0, 0.0), DVec2::X));
+        assert_eq!(way.at(9.0), (DVec2::new(3.0, 6.0), DVec2::Y));
+    }
+
+    #[test]
+    fn feet_undo_places() {
+        let way = corner();
+        for station_m in [-3.0, 0.5, 2.0, 4.0, 6.5, 11.0] {
+            for offset_m in [-0.9, 0.0, 0.4] {
+                let (place, direction) = way.at(station_m);
+                let foot = way.foot(place + direction.perp() * offset_m, -100.0..100.0);
+                assert!(
+                    (foot.station_m - station_m).abs() < 1e-12 && (foot.offset_m - offset_m).abs() < 1e-12
+                );
+            }
+        }
+        // Only the second piece is asked for.
+        assert_eq!(way.foot(DVec2::new(1.0, 1.0), 3.5..6.0), Foot { station_m: 4.0, offset_m: 2.0 });
+    }
+
+    #[test]
+    fn what_has_no_length_is_no_way() {
+        assert_eq!(Polyline::new([DVec2::ONE; 5]), None);
+        assert_eq!(Polyline::new([DVec2::ONE]), None);
+        assert_eq!(Polyline::new([DVec2::ZERO, DVec2::new(f64::NAN, 0.0)]), None);
+        assert_eq!(Polyline::new([DVec2::ZERO, DVec2::MAX, -DVec2::MAX]), None);
+    }
+
+    #[test]
+    fn angles_are_wrapped_by_full_turns() {
+        use std::f64::consts::PI;
+        for turns in -3..=3 {
+            let angle = wrap_angle(0.25 + f64::from(turns) * 2.0 * PI);
+            assert!((angle - 0.25).abs() < 1e-12);
+        }
+        assert_eq!((wrap_angle(PI), wrap_angle(-PI)), (PI, -PI));
+    }
+}

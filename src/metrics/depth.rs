@@ -1,0 +1,80 @@
+/// Errors of a depth map, over pixels that have a depth in it and in truth.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DepthErrors {
+    absolute_m: Vec<f32>,
+    relative: Vec<f32>,
+}
+
+/// What stands out of many errors.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct DepthSummary {
+    /// Pixels compared.
+    pub pixels: usize,
+    /// Lower median, metres.
+    pub median_m: f32,
+    /// 95 % of the pixels are off by no more, metres.
+    pub p95_m: f32,
+    /// Lower median, shares of the true depth.
+    pub median_relative: f32,
+    /// 95 % of the pixels are off by no more, shares of the true depth.
+    pub p95_relative: f32,
+}
+
+impl DepthErrors {
+    /// Takes in two depth maps of one size, metres; what is not finite is empty, and a true depth of 0 is none.
+    pub fn add(&mut self, map_m: &[f32], truth_m: &[f32]) {
+        for (map, truth) in map_m.iter().zip(truth_m).filter(|(a, b)| a.is_finite() && b.is_finite()) {
+            if *truth > 0.0 {
+                self.absolute_m.push((map - truth).abs());
+                self.relative.push((map - truth).abs() / truth);
+            }
+        }
+    }
+
+    /// `None` if no pixel was compared.
+    pub fn summary(mut self) -> Option<DepthSummary> {
+        Some(DepthSummary {
+            pixels: self.absolute_m.len(),
+            median_m: quantile(&mut self.absolute_m, 0.5)?,
+            p95_m: quantile(&mut self.absolute_m, 0.95)?,
+            median_relative: quantile(&mut self.relative, 0.5)?,
+            p95_relative: quantile(&mut self.relative, 0.95)?,
+        })
+    }
+}
+
+/// The least value that at least this share of all does not exceed.
+fn quantile(values: &mut [f32], share: f64) -> Option<f32> {
+    let at = ((values.len() as f64 * share).ceil() as usize).checked_sub(1)?;
+    Some(*values.select_nth_unstable_by(at, f32::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_by_hand() {
+        let mut errors = DepthErrors::default();
+        assert_eq!(errors.clone().summary(), None);
+        // Truth 10 m, off by 0, 1, .. 19 cm; some pixels of one map alone.
+        let truth: Vec<f32> = vec![10.0; 20];
+        let map: Vec<f32> = (0..20).map(|i| 10.0 - 0.01 * i as f32).collect();
+        errors.add(&map, &truth);
+        errors.add(&[5.0, f32::INFINITY, 5.0], &[f32::INFINITY, 5.0, 0.0]);
+        let summary = errors.summary().unwrap();
+        assert_eq!(summary.pixels, 20);
+        let close = |a: f32, b: f32| (a - b).abs() < 1e-5;
+        assert!(close(summary.median_m, 0.09) && close(summary.p95_m, 0.18), "{summary:?}");
+        assert!(close(summary.median_relative, 0.009) && close(summary.p95_relative, 0.018));
+    }
+
+    #[test]
+    fn the_same_map_is_not_off() {
+        let mut errors = DepthErrors::default();
+        errors.add(&[1.0, f32::INFINITY, 80.5], &[1.0, f32::INFINITY, 80.5]);
+        let exact =
+            DepthSummary { pixels: 2, median_m: 0.0, p95_m: 0.0, median_relative: 0.0, p95_relative: 0.0 };
+        assert_eq!(errors.summary(), Some(exact));
+    }
+}

@@ -1,0 +1,50 @@
+/// Pixels of two masks, over any number of images.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Overlap {
+    /// In both.
+    pub both: u64,
+    /// In at least one.
+    pub either: u64,
+}
+
+impl Overlap {
+    /// Counts a pixel by whether it is in each of the two.
+    pub fn add(&mut self, a: bool, b: bool) {
+        self.both += u64::from(a && b);
+        self.either += u64::from(a || b);
+    }
+
+    /// Counts the pixels of two masks, made of maps of one size by a rule for each.
+    pub fn add_maps<A, B>(
+        &mut self,
+        (a, in_a): (&[A], impl Fn(&A) -> bool),
+        (b, in_b): (&[B], impl Fn(&B) -> bool),
+    ) {
+        a.iter().zip(b).for_each(|(a, b)| self.add(in_a(a), in_b(b)));
+    }
+
+    /// Intersection over union, 0 to 1; `None` where both masks are empty.
+    pub fn iou(&self) -> Option<f64> {
+        (self.either > 0).then(|| self.both as f64 / self.either as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_by_hand() {
+        let mut overlap = Overlap::default();
+        assert_eq!(overlap.iou(), None);
+        let (a, b) = ([1, 1, 2, 0, 0], [7, 0, 7, 7, 0]);
+        overlap.add_maps((&a, |a| *a == 1), (&b, |b| *b == 7));
+        assert_eq!((overlap, overlap.iou()), (Overlap { both: 1, either: 4 }, Some(0.25)));
+        // Over images pixels are summed, not shares.
+        overlap.add_maps((&[1; 4], |a| *a == 1), (&[7; 4], |b| *b == 7));
+        assert_eq!(overlap.iou(), Some(5.0 / 8.0));
+        let mut same = Overlap::default();
+        same.add_maps((&a, |a| *a > 0), (&a, |a| *a > 0));
+        assert_eq!(same.iou(), Some(1.0));
+    }
+}

@@ -1,0 +1,337 @@
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use glam::DVec2;
+use serde::{Deserialize, Serialize};
+
+use super::sight::{SEEN_PX, Seen, was_shown};
+use crate::cloud::cameras::rows;
+use crate::conditions::meta::{IndexActor, IndexFrame, Matrix};
+use crate::dataset::Log;
+use crate::error::{FileError, write_whole};
+use crate::sim::{Deviation, EgoState, Instant, SimActor, Waypoint};
+
+/// A line of `states.jsonl`: a step that was committed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StepRow {
+    /// Steps since the start.
+    pub step: usize,
+    /// Absolute microseconds.
+    pub t_us: i64,
+    /// Who led to it.
+    pub phase: Phase,
+    /// The ego.
+    pub ego: EgoRow,
+    /// In the order of the instance map's numbers.
+    pub actors: Vec<ActorRow>,
+    /// What traffic lights show.
+    pub lights: Vec<LightRow>,
+    /// The plan that was made for this step, if one was; the first waypoint is where it was made.
+    pub plan: Option<Vec<Waypoint>>,
+}
+
+/// Who leads to a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// The log.
+    WarmUp,
+    /// The policies.
+    Policy,
+}
+
+/// The ego in a [`StepRow`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EgoRow {
+    /// 4x4 row by row, metres.
+    pub global_from_ego: Matrix,
+    /// Global, to the left, radians.
+    pub heading_rad: f64,
+    /// Along the heading, metres per second.
+    pub speed_mps: f64,
+    /// Along the heading, metres per second squared.
+    pub acceleration_mps2: f64,
+    /// To the left, radians per second.
+    pub yaw_rate_radps: f64,
+    /// To the left, radians.
+    pub steering_rad: f64,
+    /// Left of the recorded path, metres.
+    pub lateral_deviation_m: f64,
+    /// Turned to the left of the recorded path, radians.
+    pub heading_deviation_rad: f64,
+}
+
+/// An actor in a [`StepRow`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ActorRow {
+    /// Number in the instance map.
+    pub instance: u32,
+    /// Track id.
+    pub track: String,
+    /// The data set's category name.
+    pub category: String,
+    /// Number in the class map.
+    pub class: u8,
+    /// Centre of the box, global metres.
+    pub center_m: [f64; 3],
+    /// Global, to the left, radians.
+    pub heading_rad: f64,
+    /// Length, width, height, metres.
+    pub size_m: [f64; 3],
+    /// Along the heading, metres per second.
+    pub speed_mps: f64,
+    /// Cameras whose maps show it; null without instance maps.
+    pub seen: Option<Vec<Seen>>,
+    /// Whether a camera shows it well and no logged image around did; null without instance maps.
+    pub new_in_view: Option<bool>,
+}
+
+/// A traffic light in a [`StepRow`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LightRow {
+    /// Id of the way through the intersection.
+    pub lane_connector: String,
+    /// As the data set names it.
+    pub color: String,
+}
+
+/// How far the ego is off the recorded path, and who is seen.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Observed {
+    /// Metres, to the left.
+    pub lateral: Deviation,
+    /// Radians, to the left.
+    pub heading: Deviation,
+    /// Per actor; `None` without instance maps.
+    pub seen: Option<Vec<Vec<Seen>>>,
+}
+
+impl StepRow {
+    /// Of a step of a log's rollout.
+    pub fn new(
+        log: &Log,
+        instant: &Instant,
+        phase: Phase,
+        observed: &Observed,
+        plan: Option<Vec<Waypoint>>,
+    ) -> Self {
+        let actor = |(index, actor): (usize, &SimActor)| {
+            let seen = observed.seen.as_ref().and_then(|all| all.get(index)).cloned();
+            ActorRow::new(log, instant.t_us, index, actor, seen)
+        };
+        let light = |light: &crate::dataset::TrafficLight| LightRow {
+            lane_connector: light.lane_connector.clone(),
+            color: light.color.clone(),
+        };
+        Self {
+            step: instant.step,
+            t_us: instant.t_us,
+            phase,
+            ego: EgoRow::new(&instant.ego, observed),
+            actors: instant.actors.iter().enumerate().map(actor).collect(),
+            lights: instant.lights.iter().map(light).collect(),
+            plan,
+        }
+    }
+
+    /// Folder name of its maps.
+    pub fn name(&self) -> String {
+        format!("{:06}", self.step)
+    }
+
+    /// Global x and y of the ego, metres.
+    pub fn place_m(&self) -> DVec2 {
+        DVec2::new(self.ego.global_from_ego[0][3], self.ego.global_from_ego[1][3])
+    }
+
+    /// Its entry in `index.json`.
+    pub fn index_frame(&self, cameras: &[String]) -> IndexFrame {
+        let actor = |actor: &ActorRow| IndexActor {
+            instance: actor.instance,
+            track: actor.track.clone(),
+            category: actor.category.clone(),
+            class: actor.class,
+        };
+        IndexFrame {
+            name: self.name(),
+            t_us: self.t_us,
+            ego: self.ego.global_from_ego,
+            cameras: cameras.to_vec(),
+            actors: self.actors.iter().map(actor).collect(),
+        }
+    }
+}
+
+impl EgoRow {
+    fn new(ego: &EgoState, observed: &Observed) -> Self {
+        Self {
+            global_from_ego: rows(&ego.pose.affine()),
+            heading_rad: ego.heading_rad(),
+            speed_mps: ego.speed_mps,
+            acceleration_mps2: ego.acceleration_mps2,
+            yaw_rate_radps: ego.yaw_rate_radps,
+            steering_rad: ego.steering_rad,
+            lateral_deviation_m: observed.lateral.end,
+            heading_deviation_rad: observed.heading.end,
+        }
+    }
+}
+
+impl ActorRow {
+    fn new(log: &Log, t_us: i64, index: usize, actor: &SimActor, seen: Option<Vec<Seen>>) -> Self {
+        let track = &log.tracks[actor.track];
+        let well = |seen: &Vec<Seen>| seen.iter().any(|seen| seen.pixels >= SEEN_PX);
+        let new_in_view = seen.as_ref().map(|seen| well(seen) && !was_shown(log, actor.track, t_us));
+        Self {
+            instance: index as u32 + 1,
+            track: track.id.clone(),
+            category: track.category.clone(),
+            class: track.class as u8,
+            center_m: actor.cuboid.pose.translation.to_array(),
+            heading_rad: actor.cuboid.pose.yaw_rad(),
+            size_m: actor.cuboid.size.to_array(),
+            speed_mps: actor.speed_mps,
+            seen,
+            new_in_view,
+        }
+    }
+}
+
+/// `states.jsonl`, a line a step.
+#[derive(Debug)]
+pub struct StateFile {
+    file: std::fs::File,
+    path: PathBuf,
+    length: u64,
+}
+
+impl StateFile {
+    /// Begins the file with some rows, in place of what it held before.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn create(path: &Path, rows: &[StepRow]) -> Result<Self, FileError> {
+        write_whole(path, |out| {
+            rows.iter().try_for_each(|row| {
+                let line = line(row, path)?;
+                out.write_all(&line).map_err(FileError::io("write", path))
+            })
+        })?;
+        let file = std::fs::OpenOptions::new().append(true).open(path);
+        let file = file.map_err(FileError::io("open", path))?;
+        let length = file.metadata().map_err(FileError::io("read", path))?.len();
+        Ok(Self { file, path: path.to_owned(), length })
+    }
+
+    /// Adds a row. What was written of a line that did not fit is taken back, so there are whole lines only.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn append(&mut self, row: &StepRow) -> Result<(), FileError> {
+        let line = line(row, &self.path)?;
+        if let Err(error) = self.file.write_all(&line) {
+            let _ = self.file.set_len(self.length); // the error tells what went wrong before
+            return Err(FileError::io("write", &self.path)(error));
+        }
+        self.length += line.len() as u64;
+        Ok(())
+    }
+
+    /// Reads the rows from step 0 on. A last line without an end, of a process that was killed, is left out.
+    ///
+    /// # Errors
+    /// A file that is missing, or lines that are no rows in order.
+    pub fn read(path: &Path) -> Result<Vec<StepRow>, FileError> {
+        let text = std::fs::read_to_string(path).map_err(FileError::io("read", path))?;
+        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+        let mut rows: Vec<StepRow> = Vec::new();
+        for (number, line) in whole.lines().enumerate() {
+            let expected = || format!("a state of step {number} in line {}", number + 1);
+            let row: StepRow = serde_json::from_str(line)
+                .map_err(|error| FileError::content(expected(), error.to_string(), path))?;
+            if row.step != number {
+                return Err(FileError::content(expected(), format!("one of step {}", row.step), path));
+            }
+            rows.push(row);
+        }
+        Ok(rows)
+    }
+}
+
+fn line(row: &StepRow, path: &Path) -> Result<Vec<u8>, FileError> {
+    let mut line = serde_json::to_vec(row).map_err(|e| FileError::io("write", path)(e.into()))?;
+    line.push(b'\n');
+    Ok(line)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::dataset::{Class, Track, TrafficLight};
+    use crate::geometry::{Cuboid, Pose};
+
+    fn row(step: usize) -> StepRow {
+        let track = Track { id: "t".into(), category: "vehicle.car".into(), class: Class::MotorVehicle };
+        let log = Log { tracks: vec![track], ..Log::default() };
+        let pose = Pose::from_yaw(0.1 + step as f64, DVec3::new(664_000.123_456_789, 4e6 / 3.0, 0.1));
+        let ego = EgoState {
+            pose,
+            speed_mps: 1.0 / 3.0,
+            acceleration_mps2: 0.1,
+            yaw_rate_radps: 0.2,
+            steering_rad: 0.3,
+        };
+        let cuboid = Cuboid::new(pose, DVec3::new(4.0, 2.0, 1.5)).unwrap();
+        let actors = vec![SimActor { track: 0, cuboid, speed_mps: 2.0 }];
+        let light = TrafficLight { frame: 0, lane_connector: "7".into(), color: "red".into() };
+        let instant = Instant { step, t_us: 5, ego, actors, lights: vec![light] };
+        let seen = |pixels| Seen { camera: 1, pixels, bounds: [1, 2, 3, 4] };
+        let observed = Observed { seen: Some(vec![vec![seen(29 + step as u32)]]), ..Observed::default() };
+        StepRow::new(&log, &instant, Phase::WarmUp, &observed, None)
+    }
+
+    #[test]
+    fn rows_come_back_to_the_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("states.jsonl");
+        let mut file = StateFile::create(&path, &[row(0)]).unwrap();
+        file.append(&row(1)).unwrap();
+        assert_eq!(StateFile::read(&path).unwrap(), [row(0), row(1)]);
+        // 29 pixels are too few to be seen well.
+        let new = |row: StepRow| row.actors[0].new_in_view;
+        assert_eq!([new(row(0)), new(row(1))], [Some(false), Some(true)]);
+        assert_eq!(row(1).place_m(), DVec2::new(664_000.123_456_789, 4e6 / 3.0));
+        let frame = row(1).index_frame(&["c".to_owned()]);
+        assert_eq!((frame.name.as_str(), frame.actors[0].instance, frame.actors[0].class), ("000001", 1, 1));
+        // A line that was cut off is not there.
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, &text[..text.len() - 1]).unwrap();
+        assert_eq!(StateFile::read(&path).unwrap(), [row(0)]);
+        assert_eq!(StateFile::create(&path, &[row(0)]).unwrap().length, text.find('\n').unwrap() as u64 + 1);
+    }
+
+    #[test]
+    fn lines_that_are_no_rows_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("states.jsonl");
+        StateFile::create(&path, &[row(0), row(2)]).unwrap();
+        let read = || StateFile::read(&path).unwrap_err().to_string();
+        assert!(
+            read().starts_with("expected a state of step 1 in line 2, found one of step 2"),
+            "{}",
+            read()
+        );
+        std::fs::write(&path, "{}\n").unwrap();
+        assert!(
+            read().starts_with("expected a state of step 0 in line 1, found missing field"),
+            "{}",
+            read()
+        );
+        std::fs::write(&path, "").unwrap();
+        assert_eq!(StateFile::read(&path).unwrap(), []);
+        std::fs::remove_file(&path).unwrap();
+        assert!(read().starts_with("cannot read"));
+    }
+}

@@ -1,0 +1,183 @@
+//! Who is seen in a step, and who of them the logged images did not show.
+//!
+//! # How it works
+//! What is seen stands in the instance maps. What the log's cameras could see is a matter of boxes: a logged image shows a
+//! track if the rectangle around its logged box, as it projects into the image, meets the image. Whatever else hides
+//! the track does not count, so that nobody is told to be new who was merely behind something.
+
+use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
+
+use crate::conditions::ConditionSet;
+use crate::dataset::{Frame, ImageRecord, Log};
+use crate::geometry::{Camera, Cuboid};
+
+/// An actor counts as seen from so many pixels on in one camera.
+pub const SEEN_PX: u32 = 30;
+/// Logged images this near in time are asked, microseconds.
+pub const AROUND_US: i64 = 500_000;
+/// What is nearer to a camera than this is cut off, metres.
+const NEAR_M: f64 = 0.1;
+
+/// The part of an actor that a camera sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Seen {
+    /// Index of the camera.
+    pub camera: usize,
+    /// How many of them.
+    pub pixels: u32,
+    /// Left, top, and one beyond right and bottom, in pixels of the map.
+    pub bounds: [u32; 4],
+}
+
+/// Per actor of a step the cameras whose instance map shows it; `None` where there is no such map.
+pub fn seen(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<Seen>>> {
+    let mut all = vec![Vec::new(); actors];
+    for (camera, maps) in set.cameras.iter().enumerate() {
+        let none = Seen { camera, pixels: 0, bounds: [u32::MAX, u32::MAX, 0, 0] };
+        let mut found = vec![none; actors];
+        for (row, numbers) in (0..).zip(maps.instance.as_ref()?.chunks(maps.width.max(1) as usize)) {
+            for (column, number) in (0..).zip(numbers).filter(|(_, number)| **number > 0) {
+                let Some(seen) = found.get_mut(*number as usize - 1) else { continue };
+                let [left, top, right, bottom] = seen.bounds;
+                seen.pixels += 1;
+                seen.bounds = [left.min(column), top.min(row), right.max(column + 1), bottom.max(row + 1)];
+            }
+        }
+        for (actor, seen) in all.iter_mut().zip(found).filter(|(_, seen)| seen.pixels > 0) {
+            actor.push(seen);
+        }
+    }
+    Some(all)
+}
+
+/// Whether a logged image around a time (microseconds) shows a track.
+pub fn was_shown(log: &Log, track: usize, t_us: i64) -> bool {
+    let near = |at_us: i64| at_us.abs_diff(t_us) <= AROUND_US as u64;
+    // Images are up to a frame older than the frame that they belong to.
+    let first = log.frames.partition_point(|f| f.t_us < t_us.saturating_sub(AROUND_US)).saturating_sub(1);
+    let shown_in = |frame: &Frame| {
+        let images = frame.images.iter().chain(&frame.between_images).filter(|image| near(image.t_us));
+        let cuboid = frame.cuboid_of(track);
+        cuboid.is_some_and(|cuboid| images.into_iter().any(|image| shows(image, &cuboid)))
+    };
+    log.frames[first..].iter().take_while(|f| f.t_us.saturating_sub(t_us) <= 2 * AROUND_US).any(shown_in)
+}
+
+fn shows(image: &ImageRecord, cuboid: &Cuboid) -> bool {
+    let camera_from_global = image.camera_from_global();
+    let corners = cuboid.corners().map(|corner| camera_from_global.transform_point(corner));
+    projected(&image.camera, &corners).is_some_and(|[low, high]| {
+        let size = DVec2::new(f64::from(image.camera.width), f64::from(image.camera.height));
+        low.cmplt(size).all() && high.cmpgt(DVec2::ZERO).all()
+    })
+}
+
+/// The rectangle around what is in front of a camera of a box whose corners, in the order of [`Cuboid::corners`], are in
+/// camera coordinates.
+fn projected(camera: &Camera, corners: &[DVec3; 8]) -> Option<[DVec2; 2]> {
+    let pixel = |p: DVec3| {
+        let p = camera.intrinsics * p;
+        p.truncate() / p.z
+    };
+    let ends = (0..8_usize).flat_map(|a| [1, 2, 4].map(|bit| [a, a ^ bit])).filter(|[a, b]| a < b);
+    let mut bounds: Option<[DVec2; 2]> = None;
+    for [a, b] in ends {
+        let (from, to) = (corners[a], corners[b]);
+        let cut =
+            |p: DVec3, q: DVec3| if p.z >= NEAR_M { p } else { p.lerp(q, (NEAR_M - p.z) / (q.z - p.z)) };
+        if from.z < NEAR_M && to.z < NEAR_M {
+            continue;
+        }
+        for end in [cut(from, to), cut(to, from)].map(pixel) {
+            bounds = Some(bounds.map_or([end; 2], |[low, high]| [low.min(end), high.max(end)]));
+        }
+    }
+    bounds
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DQuat};
+
+    use super::*;
+    use crate::conditions::CameraConditions;
+    use crate::dataset::{Class, Track, TrackBox};
+    use crate::geometry::Pose;
+
+    #[test]
+    fn pixels_of_actors_are_counted_where_they_are() {
+        let mut instance = vec![0; 24];
+        (instance[6 + 2], instance[12 + 2], instance[12 + 4], instance[23]) = (2, 2, 2, 9);
+        let maps =
+            |instance| CameraConditions { width: 6, height: 4, instance, ..CameraConditions::default() };
+        let mut set = ConditionSet { cameras: vec![maps(Some(vec![0; 24])), maps(Some(instance))] };
+        let found = seen(&set, 2).unwrap();
+        assert_eq!(found, [vec![], vec![Seen { camera: 1, pixels: 3, bounds: [2, 1, 5, 3] }]]);
+        set.cameras[0] = maps(None);
+        assert_eq!(seen(&set, 2), None);
+    }
+
+    /// A camera of 90 degrees that looks along x from the origin, at 0, 1 and 2 s; a box of 1 m at a place.
+    fn log(at: [DVec3; 3]) -> Log {
+        let axes = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
+        let ego_from_camera = Pose { rotation: DQuat::from_mat3(&axes), translation: DVec3::ZERO };
+        let camera =
+            Camera::new("c", 100, 100, [[50.0, 0.0, 50.0], [0.0, 50.0, 50.0], [0.0, 0.0, 1.0]]).unwrap();
+        let frame = |(i, at): (i64, DVec3)| {
+            let t_us = i * 1_000_000;
+            let pose = Pose { rotation: DQuat::IDENTITY, translation: at };
+            let image = ImageRecord {
+                channel: 0,
+                path: "i".into(),
+                t_us: t_us - 20_000,
+                global_from_ego: Pose::IDENTITY,
+                ego_from_camera,
+                camera: camera.clone(),
+            };
+            let boxes = vec![TrackBox { track: 0, cuboid: Cuboid::new(pose, DVec3::ONE).unwrap() }];
+            let (sweeps, between_images) = Default::default();
+            Frame {
+                t_us,
+                global_from_ego: Pose::IDENTITY,
+                sweeps,
+                images: vec![image],
+                between_images,
+                boxes,
+            }
+        };
+        let track = Track { id: "a".into(), category: "vehicle.car".into(), class: Class::MotorVehicle };
+        Log { tracks: vec![track], frames: (0..).zip(at).map(frame).collect(), ..Log::default() }
+    }
+
+    #[test]
+    fn logged_images_show_what_projects_into_them() {
+        let ahead = DVec3::new(10.0, 0.0, 0.0);
+        let beside = DVec3::new(10.0, 12.0, 0.0);
+        for (place, expected) in [
+            (ahead, true),
+            // Its right front corner is at (10.5, 10.4): just within 45 degrees. Then just not.
+            (DVec3::new(10.0, 10.9, 0.0), true),
+            (DVec3::new(10.0, 11.1, 0.0), false),
+            (DVec3::new(-10.0, 0.0, 0.0), false),
+            // Around the camera itself.
+            (DVec3::ZERO, true),
+            (beside, false),
+        ] {
+            assert_eq!(was_shown(&log([place; 3]), 0, 1_000_000), expected, "{place}");
+        }
+        // Only the middle image shows it: up to half a second away from that.
+        let log = log([beside, ahead, beside]);
+        for (t_us, expected) in [
+            (0, false),
+            (400_000, false),
+            (480_000, true),
+            (1_000_000, true),
+            (1_480_000, true),
+            (1_500_000, false),
+        ] {
+            assert_eq!(was_shown(&log, 0, t_us), expected, "{t_us}");
+        }
+        assert!(!was_shown(&log, 1, 1_000_000) && !was_shown(&Log::default(), 0, 0));
+    }
+}

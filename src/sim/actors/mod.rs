@@ -1,0 +1,143 @@
+//! How everybody but the ego moves.
+//!
+//! # How it works
+//! After the warm-up a policy takes over the actors that it can move as soon as they are near the ego; the others follow
+//! the log and are gone where their track ends. Who was taken over moves on beyond the end of the track, and is gone for
+//! good once far from the ego: it could only jump back to the log. All decide by the same state, so their order counts
+//! for nothing.
+
+mod idm;
+mod leader;
+mod reactive;
+
+pub use idm::idm_step;
+pub use leader::Leader;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::{Deserialize, Serialize};
+
+use self::idm::Follower;
+use self::leader::Others;
+use self::reactive::Cruiser;
+use super::clock::seconds;
+use super::recorded::Recorded;
+use super::{ActorPolicy, EgoState, Instant, SimActor};
+use crate::dataset::Class;
+
+/// Policies move nobody further from the ego than this, metres.
+const REACH_M: f64 = 100.0;
+
+/// Who was taken over from the log, by track.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Driven {
+    pub(super) movers: BTreeMap<usize, Mover>,
+    /// Who is gone for good.
+    pub(super) gone: BTreeSet<usize>,
+}
+
+/// How one of them moves.
+#[derive(Clone, Debug)]
+pub(super) enum Mover {
+    Idm(Follower),
+    Reactive(Cruiser),
+}
+
+impl Mover {
+    /// Takes an actor over from the log at a time (microseconds), if the policy can.
+    fn join(policy: ActorPolicy, recorded: &Recorded<'_>, actor: &SimActor, t_us: i64) -> Option<Self> {
+        let class = recorded.log.tracks[actor.track].class;
+        match (policy, class) {
+            (ActorPolicy::Idm, Class::MotorVehicle | Class::Cycle) => {
+                Follower::join(recorded, actor, t_us).map(Self::Idm)
+            }
+            (ActorPolicy::Reactive, Class::MotorVehicle | Class::Cycle | Class::Pedestrian) => {
+                Some(Self::Reactive(Cruiser::join(recorded, actor, t_us)))
+            }
+            _ => None,
+        }
+    }
+
+    /// What tells it apart from another that was taken over from the same log.
+    pub(super) fn save(&self) -> SavedMover {
+        match self {
+            Self::Idm(follower) => SavedMover::Idm {
+                joined_us: follower.joined_us,
+                way_m: follower.way_m,
+                speed_mps: follower.speed_mps,
+            },
+            Self::Reactive(cruiser) => SavedMover::Reactive(*cruiser),
+        }
+    }
+
+    fn step(&mut self, actor: &SimActor, others: &Others, dt_s: f64) -> SimActor {
+        match self {
+            Self::Idm(follower) => follower.step(actor, others, dt_s),
+            Self::Reactive(cruiser) => cruiser.step(actor, others, dt_s),
+        }
+    }
+}
+
+/// A [`Mover`] on disk.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub(super) enum SavedMover {
+    Idm { joined_us: i64, way_m: f64, speed_mps: f64 },
+    Reactive(Cruiser),
+}
+
+impl SavedMover {
+    /// `None` for one that the log does not have.
+    pub(super) fn open(&self, recorded: &Recorded<'_>, track: usize) -> Option<Mover> {
+        match *self {
+            Self::Idm { joined_us, way_m, speed_mps } => {
+                let there = recorded.actors_at(joined_us);
+                let actor = there.iter().find(|actor| actor.track == track)?;
+                let joined = Follower::join(recorded, actor, joined_us)?;
+                joined.placed(way_m, speed_mps).map(Mover::Idm)
+            }
+            Self::Reactive(cruiser) => Some(Mover::Reactive(cruiser)),
+        }
+    }
+}
+
+/// Everybody at the next step, sorted by track; `next` is its time and the ego there.
+pub(super) fn advance(
+    policy: ActorPolicy,
+    recorded: &Recorded<'_>,
+    driven: &mut Driven,
+    now: &Instant,
+    next: (i64, &EgoState),
+) -> Vec<SimActor> {
+    let (t_us, ego) = next;
+    let by_log = recorded.actors_at(t_us);
+    if policy == ActorPolicy::Replay {
+        return by_log;
+    }
+    let near = |ego: &EgoState, actor: &SimActor| {
+        ego.position_m().distance(actor.cuboid.pose.translation.truncate()) <= REACH_M
+    };
+    for actor in now.actors.iter().filter(|actor| near(&now.ego, actor)) {
+        if !driven.movers.contains_key(&actor.track) {
+            let mover = Mover::join(policy, recorded, actor, now.t_us);
+            driven.movers.extend(mover.map(|mover| (actor.track, mover)));
+        }
+    }
+    let others = Others::new(now);
+    let dt_s = seconds(now.t_us, t_us);
+    let mut actors = Vec::new();
+    for actor in &now.actors {
+        let Some(mover) = driven.movers.get_mut(&actor.track) else { continue };
+        let moved = mover.step(actor, &others, dt_s);
+        if near(ego, &moved) {
+            actors.push(moved);
+        } else {
+            driven.movers.remove(&actor.track);
+            driven.gone.insert(actor.track);
+        }
+    }
+    let follows = |a: &SimActor| !driven.movers.contains_key(&a.track) && !driven.gone.contains(&a.track);
+    actors.extend(by_log.into_iter().filter(follows));
+    actors.sort_by_key(|actor| actor.track);
+    actors
+}

@@ -1,0 +1,123 @@
+//! One lane to the right.
+//!
+//! # How it works
+//! The recorded path from the takeover on is smoothed. Beside it, the offset to the left goes from where the ego is to
+//! one lane on the right by a quintic in the station, whose slope and bend are 0 at its end: the ego's way has a
+//! continuous heading and curvature. The quintic is as long as what is driven in 4 s, but never so short that a slow ego
+//! would turn sharply. Along this way the speed moves to 10 m/s within limits of acceleration and jerk.
+
+use glam::DVec2;
+
+use super::course::{Course, straight};
+use super::profile::Profile;
+use super::smooth::Smooth;
+use crate::geometry::{Polyline, wrap_angle};
+use crate::sim::EgoState;
+use crate::sim::recorded::Recorded;
+
+const SPEED_MPS: f64 = 10.0;
+const ACCELERATION_MPS2: f64 = 1.5;
+const JERK_MPS3: f64 = 2.0;
+/// To the left of the recorded path, metres.
+const OFFSET_M: f64 = -3.5;
+const CHANGE_S: f64 = 4.0;
+/// Over less, a change would turn more sharply than comfort allows at the speed that is reached by then.
+const MIN_CHANGE_M: f64 = 32.0;
+/// Between points of the ego's way, metres.
+const STEP_M: f64 = 0.25;
+/// Seen from the ego, a path that leads elsewhere is none to follow (it drives backward).
+const MAX_TURN_RAD: f64 = 1.0;
+/// Where the takeover is looked for on the recorded path, metres before and after.
+const NEAR_M: f64 = 5.0;
+
+/// The course of an ego at the takeover; `None` where its pose is not finite.
+pub(super) fn course(recorded: &Recorded<'_>, start_us: i64, ego: &EgoState) -> Option<Course> {
+    let from = (ego.speed_mps, ego.acceleration_mps2);
+    let profile = Profile::smooth(from, SPEED_MPS, ACCELERATION_MPS2, JERK_MPS3);
+    let change_m = profile.at(CHANGE_S).way_m.max(MIN_CHANGE_M);
+    let near_m = recorded.route.station_at(start_us);
+    let recorded_line = recorded.route.line().filter(|line| leads_on(line, near_m, ego));
+    let smooth = match recorded_line {
+        Some(line) => {
+            let foot = line.foot(ego.position_m(), near_m - NEAR_M..near_m + NEAR_M);
+            Smooth::new(line, foot.station_m, change_m + NEAR_M)
+        }
+        None => Smooth::new(&straight(ego.position_m(), ego.heading_rad())?, 0.0, change_m + NEAR_M),
+    };
+    let points = beside(&smooth, ego, change_m);
+    let way = Polyline::new(points.iter().map(|(place, _)| *place))?;
+    let headings_rad: Vec<f64> = points.iter().map(|(_, yaw)| *yaw).collect();
+    (way.points().len() == headings_rad.len()).then_some(Course { start_us, way, headings_rad, profile })
+}
+
+/// Whether the recorded path goes on from a station to where the ego looks.
+fn leads_on(line: &Polyline, station_m: f64, ego: &EgoState) -> bool {
+    let ahead_m = NEAR_M.min((line.length_m() - station_m).max(0.0));
+    let (to, _) = line.at(station_m + ahead_m);
+    let (from, direction) = line.at(station_m);
+    let direction = if ahead_m > NEAR_M / 2.0 { to - from } else { direction };
+    wrap_angle(direction.to_angle() - ego.heading_rad()).abs() < MAX_TURN_RAD
+}
+
+/// The ego's way beside a smooth path: points with the yaw there.
+fn beside(smooth: &Smooth, ego: &EgoState, change_m: f64) -> Vec<(DVec2, f64)> {
+    let start = smooth.at(0.0);
+    let left = start.tangent.normalize_or(DVec2::X).perp();
+    let offset_m = left.dot(ego.position_m() - start.position_m);
+    let slope =
+        wrap_angle(ego.heading_rad() - start.tangent.to_angle()).clamp(-MAX_TURN_RAD, MAX_TURN_RAD).tan();
+    let count = (smooth.length_m() / STEP_M) as usize;
+    let mut points: Vec<(DVec2, f64)> = Vec::with_capacity(count + 1);
+    for i in 0..=count {
+        let station_m = i as f64 * STEP_M;
+        let place = smooth.at(station_m);
+        let (d, d_slope) = quintic(offset_m, slope, OFFSET_M, change_m, station_m);
+        let length = place.tangent.length();
+        let left = place.tangent.normalize_or(DVec2::X).perp();
+        // On the inner side of a bend the way is shorter; over its centre it would turn back.
+        let along = (length * (1.0 - place.curvature * d)).max(0.1);
+        let yaw = wrap_angle(place.tangent.to_angle() + d_slope.atan2(along));
+        let point = place.position_m + left * d;
+        let goes_on = |(last, _): &(DVec2, f64)| place.tangent.dot(point - *last) > STEP_M * 0.05;
+        if points.last().is_none_or(goes_on) {
+            points.push((point, yaw));
+        }
+    }
+    points
+}
+
+/// An offset and its slope at a station: from a value and slope without bend at 0 to a value without slope and bend at
+/// `length_m`, where it stays.
+fn quintic(from: f64, slope: f64, to: f64, length_m: f64, station_m: f64) -> (f64, f64) {
+    if station_m >= length_m {
+        return (to, 0.0);
+    }
+    let u = station_m / length_m;
+    let (step, rise) = (to - from, slope * length_m);
+    let (c3, c4, c5) = (10.0 * step - 6.0 * rise, -15.0 * step + 8.0 * rise, 6.0 * step - 3.0 * rise);
+    let value = from + u * (rise + u * u * (c3 + u * (c4 + u * c5)));
+    let derivative = rise + u * u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5));
+    (value, derivative / length_m)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_quintic_meets_its_ends() {
+        let q = |s: f64| quintic(0.2, -0.1, -3.5, 40.0, s);
+        let close = |found: (f64, f64), wanted: (f64, f64)| {
+            assert!((found.0 - wanted.0).abs() < 1e-9 && (found.1 - wanted.1).abs() < 1e-9, "{found:?}");
+        };
+        close(q(0.0), (0.2, -0.1));
+        close(q(40.0), (-3.5, 0.0));
+        close(q(50.0), (-3.5, 0.0));
+        let h = 1e-4;
+        let bend = |s: f64| (q(s + h).1 - q(s).1) / h;
+        assert!(bend(0.0).abs() < 1e-5 && bend(40.0 - 2.0 * h).abs() < 1e-5);
+        for s in [3.0, 17.0, 31.0] {
+            assert!(((q(s + h).0 - q(s - h).0) / (2.0 * h) - q(s).1).abs() < 1e-7);
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! Points of a file that the ego drives along.
+
+use std::path::Path;
+
+use glam::DVec2;
+use npyz::{NpyHeader, Order};
+use serde::Serialize;
+
+use super::course::Course;
+use super::preset;
+use crate::cloud::npy;
+use crate::error::FileError;
+use crate::geometry::Polyline;
+use crate::sim::EgoState;
+
+/// Points for the ego to drive along: metres in its own frame at the takeover, x forward, y to the left.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LocalPath {
+    points: Vec<[f64; 2]>,
+}
+
+/// Why points are no path.
+#[derive(Debug, thiserror::Error)]
+pub enum LocalPathError {
+    /// Of a file.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// Of points.
+    #[error("expected {expected}, found {found}")]
+    Points {
+        /// What makes a path.
+        expected: &'static str,
+        /// What is there.
+        found: String,
+    },
+}
+
+/// More points than a drive around the world at a metre each are a mistake.
+const MAX_POINTS: usize = 20_000_000;
+/// Bytes that a point takes in a text at most, for a limit that holds before anything is read.
+const MAX_BYTES: u64 = 64 * MAX_POINTS as u64;
+/// Further from the ego than this no point can be, metres.
+const MAX_COORDINATE_M: f64 = 1e7;
+
+impl LocalPath {
+    /// From points: metres, x forward and y to the left of the ego at the takeover. The path begins at the ego even if
+    /// the points do not.
+    ///
+    /// # Errors
+    /// Fewer than two points, one that is not finite or absurdly far, or all at one place.
+    pub fn new(points: Vec<[f64; 2]>) -> Result<Self, LocalPathError> {
+        let wrong = |expected: &'static str, found: String| Err(LocalPathError::Points { expected, found });
+        if points.len() < 2 || points.len() > MAX_POINTS {
+            return wrong("a path of 2 to 20 million points", format!("{}", points.len()));
+        }
+        let far = |p: &[f64; 2]| !p.iter().all(|v| v.abs() <= MAX_COORDINATE_M);
+        if let Some(i) = points.iter().position(far) {
+            let [x, y] = points[i];
+            return wrong("finite points within 10000 km of the ego", format!("({x}, {y}) at point {i}"));
+        }
+        if Polyline::new(points.iter().map(|p| DVec2::from_array(*p))).is_none() {
+            return wrong("a path with a length", "points at one place".to_owned());
+        }
+        Ok(Self { points })
+    }
+
+    /// Reads `.json` (a list of points, or an object with one as `points`), `.npy` (floats of 16, 32 or 64 bits, `[N, 2]`)
+    /// or a text of two columns (`.csv`, `.txt`; between them a comma, semicolon or blanks; a first line of words and
+    /// lines from `#` on are left out).
+    ///
+    /// # Errors
+    /// A file that cannot be read or has another form, or what [`LocalPath::new`] says.
+    pub fn read(path: &Path) -> Result<Self, LocalPathError> {
+        let size = std::fs::metadata(path).map_err(FileError::io("read", path))?.len();
+        if size > MAX_BYTES {
+            let expected = format!("a path of at most {MAX_BYTES} bytes");
+            return Err(FileError::content(expected, format!("{size}"), path).into());
+        }
+        let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+        let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+        let points = match extension.as_deref() {
+            Some("json") => from_json(&bytes, path)?,
+            Some("npy") => from_npy(&bytes, path)?,
+            Some("csv" | "txt" | "tsv") => from_text(&bytes, path)?,
+            _ => {
+                let found = extension.unwrap_or_else(|| "none".to_owned());
+                return Err(FileError::content("an ending .json, .npy, .csv or .txt", found, path).into());
+            }
+        };
+        Self::new(points).map_err(|error| match error {
+            LocalPathError::Points { expected, found } => FileError::content(expected, found, path).into(),
+            error => error,
+        })
+    }
+
+    /// The points, metres in the ego's frame at the takeover.
+    pub fn points(&self) -> &[[f64; 2]] {
+        &self.points
+    }
+}
+
+impl Serialize for LocalPath {
+    /// The number of points and a hash of them: enough to tell two paths apart.
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        use std::hash::{Hash, Hasher};
+        let mut hasher = rand_seeder::SipHasher::new();
+        for [x, y] in &self.points {
+            (x.to_bits(), y.to_bits()).hash(&mut hasher);
+        }
+        format!("{} points {:016x}", self.points.len(), hasher.finish()).serialize(serializer)
+    }
+}
+
+fn from_json(bytes: &[u8], path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
+    #[derive(serde::Deserialize)]
+    #[serde(untagged, expecting = "a list of [x, y] or {\"points\": [[x, y], ..]}")]
+    enum File {
+        List(Vec<[f64; 2]>),
+        Named { points: Vec<[f64; 2]> },
+    }
+    let wrong = |e: serde_json::Error| {
+        FileError::content("a list of [x, y] or {\"points\": [[x, y], ..]}", e.to_string(), path)
+    };
+    match serde_json::from_slice(bytes).map_err(wrong)? {
+        File::List(points) | File::Named { points } => Ok(points),
+    }
+}
+
+fn from_npy(bytes: &[u8], path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
+    let wrong = |found: String| FileError::content("an array of <f2, <f4 or <f8 [N, 2]", found, path);
+    let mut data = bytes;
+    let header_bytes = npy::read_header_bytes(&mut data, bytes.len() as u64, path)?;
+    let header = NpyHeader::from_reader(&header_bytes[..])
+        .map_err(|e| FileError::content("an NPY header", e.to_string(), path))?;
+    let (kind, shape) = (header.dtype().descr(), header.shape());
+    let (Some(scalar), &[rows, 2]) = (npy::Scalar::from_descr(&kind), shape) else {
+        return Err(wrong(format!("{kind} {shape:?}")));
+    };
+    let needed = rows.saturating_mul(2 * scalar.bytes() as u64);
+    if needed != data.len() as u64 {
+        return Err(FileError::content(format!("{needed} bytes of data"), data.len().to_string(), path));
+    }
+    let mut numbers = Vec::new();
+    scalar.widen(data, &mut numbers);
+    let count = numbers.len() / 2;
+    let point = |i: usize| match header.order() {
+        Order::C => [numbers[2 * i], numbers[2 * i + 1]],
+        Order::Fortran => [numbers[i], numbers[count + i]],
+    };
+    Ok((0..count).map(point).collect())
+}
+
+fn from_text(bytes: &[u8], path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
+    let text = str::from_utf8(bytes).map_err(|e| FileError::content("text", e.to_string(), path))?;
+    let mut points = Vec::new();
+    let mut header = false;
+    for (number, line) in text.lines().enumerate() {
+        let line = line.split('#').next().unwrap_or_default().trim().trim_start_matches('\u{feff}');
+        if line.is_empty() {
+            continue;
+        }
+        let columns = |c: char| c == ',' || c == ';' || c.is_whitespace();
+        let cells: Vec<&str> = line.split(columns).filter(|cell| !cell.is_empty()).collect();
+        let numbers: Vec<f64> = cells.iter().filter_map(|cell| cell.parse().ok()).collect();
+        match (numbers[..].try_into(), cells.len()) {
+            (Ok(point), 2) => points.push(point),
+            // Names of columns have no number among them, and come once.
+            (_, 2) if numbers.is_empty() && points.is_empty() && !header => header = true,
+            _ => {
+                let found = format!("{:?} in line {}", line.chars().take(60).collect::<String>(), number + 1);
+                return Err(FileError::content("two numbers a line", found, path));
+            }
+        }
+    }
+    Ok(points)
+}
+
+/// The course along a path for an ego at the takeover, with the speeds of presets; `None` where its pose is not finite.
+pub(super) fn course(path: &LocalPath, start_us: i64, ego: &EgoState) -> Option<Course> {
+    let forward = DVec2::from_angle(ego.heading_rad());
+    let global = |[x, y]: [f64; 2]| ego.position_m() + forward * x + forward.perp() * y;
+    let begin = std::iter::once([0.0; 2]).chain(path.points.iter().copied());
+    let way = Polyline::new(begin.map(global))?;
+    let headings_rad = Course::headings_of(&way);
+    Some(Course { start_us, way, headings_rad, profile: preset::profile(ego.speed_mps) })
+}

@@ -1,0 +1,186 @@
+use std::collections::BTreeSet;
+
+use glam::DVec2;
+use serde::{Deserialize, Serialize};
+
+use super::Road;
+use crate::dataset::{Class, Track};
+use crate::geometry::{Footprint, wrap_angle};
+use crate::sim::{EgoState, Instant, SimActor};
+
+/// Up to this speed somebody stands, metres per second. nuPlan's threshold.
+pub(super) const STOPPED_MPS: f64 = 0.05;
+/// Further from straight ahead than this somebody is behind, radians. nuPlan's 150 degrees.
+const BEHIND_RAD: f64 = 150.0 * std::f64::consts::PI / 180.0;
+
+/// The first contact of the ego with an actor, seen from above.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Collision {
+    /// When.
+    pub step: usize,
+    /// Absolute microseconds.
+    pub t_us: i64,
+    /// The actor's track id.
+    pub track: String,
+    /// Its class.
+    pub class: Class,
+    /// How they met.
+    pub kind: CollisionKind,
+    /// Whether nuPlan gives the ego the fault; `None` where that depends on a map and there is none.
+    pub at_fault: Option<bool>,
+    /// Of the ego, metres per second.
+    pub ego_speed_mps: f64,
+    /// Of the actor, metres per second.
+    pub actor_speed_mps: f64,
+}
+
+/// How ego and actor met, as nuPlan tells it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CollisionKind {
+    /// The ego stood: not its fault.
+    StoppedEgo,
+    /// The actor stood: the ego's fault.
+    StoppedActor,
+    /// The actor came from behind: not the ego's fault.
+    Rear,
+    /// The ego's front bumper met it: the ego's fault.
+    Front,
+    /// Side to side: the ego's fault where it was in no single lane, or beside the drivable area.
+    Lateral,
+}
+
+/// Whom the ego touches, but for those it did before, with their tracks.
+pub(super) fn contacts(
+    now: &Instant,
+    tracks: &[Track],
+    road: Option<&Road>,
+    before: &BTreeSet<usize>,
+) -> Vec<(usize, Collision)> {
+    let ego = Footprint::from(&now.ego.cuboid());
+    let touches = |actor: &&SimActor| {
+        let body = Footprint::from(&actor.cuboid);
+        let near = body.center.distance(ego.center) <= body.radius_m() + ego.radius_m();
+        near && !before.contains(&actor.track) && ego.overlaps(&body)
+    };
+    let collision = |actor: &SimActor| {
+        let kind = kind(&now.ego, actor, tracks[actor.track].class);
+        let at_fault = match kind {
+            CollisionKind::StoppedEgo | CollisionKind::Rear => Some(false),
+            CollisionKind::StoppedActor | CollisionKind::Front => Some(true),
+            CollisionKind::Lateral => road.map(|road| !road.is_in_one_lane(&ego)),
+        };
+        let track = &tracks[actor.track];
+        let collision = Collision {
+            step: now.step,
+            t_us: now.t_us,
+            track: track.id.clone(),
+            class: track.class,
+            kind,
+            at_fault,
+            ego_speed_mps: now.ego.speed_mps,
+            actor_speed_mps: actor.speed_mps,
+        };
+        (actor.track, collision)
+    };
+    now.actors.iter().filter(touches).map(collision).collect()
+}
+
+/// In the order in which nuPlan asks.
+fn kind(ego: &EgoState, actor: &SimActor, class: Class) -> CollisionKind {
+    let stands = actor.speed_mps.abs() <= STOPPED_MPS || matches!(class, Class::Object | Class::None);
+    if ego.speed_mps.abs() <= STOPPED_MPS {
+        CollisionKind::StoppedEgo
+    } else if stands {
+        CollisionKind::StoppedActor
+    } else if is_behind(ego, actor) {
+        CollisionKind::Rear
+    } else if front_bumper(&Footprint::from(&ego.cuboid())).overlaps(&Footprint::from(&actor.cuboid)) {
+        CollisionKind::Front
+    } else {
+        CollisionKind::Lateral
+    }
+}
+
+/// Whether an actor's middle lies behind the ego's rear axle, within 30 degrees of straight back.
+pub(super) fn is_behind(ego: &EgoState, actor: &SimActor) -> bool {
+    let arm: DVec2 = actor.cuboid.pose.translation.truncate() - ego.position_m();
+    arm != DVec2::ZERO && wrap_angle(arm.to_angle() - ego.heading_rad()).abs() > BEHIND_RAD
+}
+
+/// The line between the front corners, as a rectangle without length.
+fn front_bumper(ego: &Footprint) -> Footprint {
+    let center = ego.center + ego.forward * ego.half_m.x;
+    Footprint { center, half_m: DVec2::new(0.0, ego.half_m.y), ..*ego }
+}
+
+#[cfg(test)]
+pub(in crate::sim) mod tests {
+    use super::*;
+    use crate::geometry::{Cuboid, Pose};
+    use glam::DVec3;
+
+    /// A car of 4 by 2 m.
+    pub(in crate::sim) fn actor(track: usize, x: f64, y: f64, yaw: f64, speed_mps: f64) -> SimActor {
+        let pose = Pose::from_yaw(yaw, DVec3::new(x, y, 0.8));
+        SimActor { track, cuboid: Cuboid { pose, size: DVec3::new(4.0, 2.0, 1.6) }, speed_mps }
+    }
+
+    /// The ego with its rear axle at the origin, looking along x.
+    pub(in crate::sim) fn instant(speed_mps: f64, actors: &[SimActor]) -> Instant {
+        let pose = Pose::IDENTITY;
+        let ego =
+            EgoState { pose, speed_mps, acceleration_mps2: 0.0, yaw_rate_radps: 0.0, steering_rad: 0.0 };
+        Instant { step: 7, t_us: 700_000, ego, actors: actors.to_vec(), lights: Vec::new() }
+    }
+
+    pub(in crate::sim) fn tracks(classes: &[Class]) -> Vec<Track> {
+        let track = |(i, class): (usize, &Class)| Track {
+            id: format!("t{i}"),
+            category: "vehicle.car".into(),
+            class: *class,
+        };
+        classes.iter().enumerate().map(track).collect()
+    }
+
+    fn kinds(now: &Instant, class: Class) -> Vec<(CollisionKind, Option<bool>)> {
+        let found = contacts(now, &tracks(&[class]), None, &BTreeSet::new());
+        found.iter().map(|(_, c)| (c.kind, c.at_fault)).collect()
+    }
+
+    #[test]
+    fn nobody_is_touched_beside() {
+        // The ego reaches from -1.127 to 4.049 m and 1.1485 m to either side.
+        let beside =
+            [actor(0, 6.06, 0.0, 0.0, 3.0), actor(0, -3.14, 0.0, 0.0, 3.0), actor(0, 1.0, 2.15, 0.0, 3.0)];
+        for one in beside {
+            assert_eq!(kinds(&instant(5.0, &[one]), Class::MotorVehicle), []);
+        }
+    }
+
+    #[test]
+    fn faults_are_as_nuplan_gives_them() {
+        use CollisionKind::{Front, Lateral, Rear, StoppedActor, StoppedEgo};
+        let ahead = actor(0, 6.0, 0.0, 0.0, 3.0);
+        let behind = actor(0, -3.0, 0.0, 0.0, 9.0);
+        let beside = actor(0, 1.0, 2.1, 0.0, 6.0);
+        let kind = |speed: f64, one: SimActor| kinds(&instant(speed, &[one]), Class::MotorVehicle);
+        assert_eq!(kind(5.0, ahead), [(Front, Some(true))]);
+        assert_eq!(kind(5.0, behind), [(Rear, Some(false))]);
+        assert_eq!(kind(5.0, beside), [(Lateral, None)]);
+        assert_eq!(kind(0.05, ahead), [(StoppedEgo, Some(false))]);
+        assert_eq!(kind(5.0, SimActor { speed_mps: 0.05, ..behind }), [(StoppedActor, Some(true))]);
+        // Objects stand whatever their boxes' noise says.
+        assert_eq!(kinds(&instant(5.0, &[ahead]), Class::Object), [(StoppedActor, Some(true))]);
+    }
+
+    #[test]
+    fn a_contact_counts_once() {
+        let now = instant(5.0, &[actor(0, 6.0, 0.0, 0.0, 3.0), actor(1, -3.0, 0.0, 0.0, 9.0)]);
+        let tracks = tracks(&[Class::MotorVehicle; 2]);
+        let found = contacts(&now, &tracks, None, &[0].into());
+        assert_eq!(found.len(), 1);
+        assert_eq!((found[0].0, found[0].1.track.as_str(), found[0].1.step), (1, "t1", 7));
+    }
+}

@@ -1,0 +1,153 @@
+use glam::DVec2;
+use rstar::primitives::{GeomWithData, Rectangle};
+use rstar::{AABB, RTree};
+
+use crate::dataset::{Area, VectorMap};
+use crate::geometry::{Cuboid, Footprint};
+
+/// The footprint is looked at in so many cells along and across.
+const CELLS: [usize; 2] = [10, 4];
+
+/// Where vehicles may drive, and the lanes.
+pub(in crate::sim) struct Road {
+    drivable: Areas,
+    lanes: Areas,
+}
+
+struct Areas {
+    areas: Vec<Area>,
+    /// Numbers of areas, by the rectangle around them.
+    places: RTree<GeomWithData<Rectangle<[f64; 2]>, usize>>,
+}
+
+impl Road {
+    /// `None` for a map without a drivable area.
+    pub(in crate::sim) fn new(map: &VectorMap) -> Option<Self> {
+        let lanes = map.lanes.iter().chain(&map.lane_connectors).map(|lane| &lane.outline);
+        let road = Self { drivable: Areas::new(&map.drivable_area), lanes: Areas::new(lanes) };
+        (!road.drivable.areas.is_empty()).then_some(road)
+    }
+
+    /// The share of a box's footprint that lies beside the drivable area, 0 to 1, by the middles of 10 by 4 cells and the
+    /// corners: a corner beside it counts for a cell at least.
+    pub(in crate::sim) fn share_off(&self, cuboid: &Cuboid) -> f64 {
+        let footprint = Footprint::from(cuboid);
+        let middle = |i: usize, j: usize| {
+            let share = |k: usize, n: usize| (2 * k + 1) as f64 / n as f64 - 1.0;
+            let local = footprint.half_m * DVec2::new(share(i, CELLS[0]), share(j, CELLS[1]));
+            footprint.center + footprint.forward * local.x + footprint.forward.perp() * local.y
+        };
+        let cells = (0..CELLS[0]).flat_map(|i| (0..CELLS[1]).map(move |j| (i, j)));
+        let off = |place: DVec2| self.drivable.around(place).is_empty();
+        let cells_off = cells.filter(|&(i, j)| off(middle(i, j))).count();
+        let corner_off = footprint.corners().into_iter().any(off);
+        cells_off.max(usize::from(corner_off)) as f64 / (CELLS[0] * CELLS[1]) as f64
+    }
+
+    /// Whether all corners lie in one lane or connector, and on the drivable area.
+    pub(super) fn is_in_one_lane(&self, footprint: &Footprint) -> bool {
+        let corners = footprint.corners();
+        let common = corners.map(|corner| self.lanes.around(corner));
+        let [first, rest @ ..] = &common;
+        let shared = first.iter().any(|lane| rest.iter().all(|lanes| lanes.contains(lane)));
+        shared && corners.iter().all(|corner| !self.drivable.around(*corner).is_empty())
+    }
+}
+
+impl Areas {
+    fn new<'a>(areas: impl IntoIterator<Item = &'a Area>) -> Self {
+        let finite = |area: &&Area| !area.exterior.is_empty() && area.exterior.iter().all(|p| p.is_finite());
+        let areas: Vec<Area> = areas.into_iter().filter(finite).cloned().collect();
+        let place = |(number, area): (usize, &Area)| {
+            let (low, high) = (
+                area.exterior.iter().copied().reduce(DVec2::min).unwrap_or_default(),
+                area.exterior.iter().copied().reduce(DVec2::max).unwrap_or_default(),
+            );
+            GeomWithData::new(Rectangle::from_corners(low.to_array(), high.to_array()), number)
+        };
+        let places = RTree::bulk_load(areas.iter().enumerate().map(place).collect());
+        Self { areas, places }
+    }
+
+    /// The numbers of the areas that a place (global, metres) lies in.
+    fn around(&self, place: DVec2) -> Vec<usize> {
+        let near = self.places.locate_in_envelope_intersecting(AABB::from_point(place.to_array()));
+        near.map(|near| near.data).filter(|number| contains(&self.areas[*number], place)).collect()
+    }
+}
+
+/// Whether a place lies within an area and in none of its holes.
+fn contains(area: &Area, place: DVec2) -> bool {
+    in_ring(&area.exterior, place) && !area.holes.iter().any(|hole| in_ring(hole, place))
+}
+
+/// By the number of edges that a ray along x crosses.
+fn in_ring(ring: &[DVec2], place: DVec2) -> bool {
+    let crosses = |i: &usize| {
+        let (a, b) = (ring[*i], ring[(i + 1) % ring.len()]);
+        (a.y > place.y) != (b.y > place.y) && place.x < a.x + (b.x - a.x) * (place.y - a.y) / (b.y - a.y)
+    };
+    (0..ring.len()).filter(crosses).count() % 2 == 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Lane;
+    use crate::geometry::Pose;
+    use glam::DVec3;
+
+    fn rectangle(x: [f64; 2], y: [f64; 2]) -> Area {
+        let corner = |i: usize, j: usize| DVec2::new(x[i], y[j]);
+        Area { exterior: vec![corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)], holes: Vec::new() }
+    }
+
+    /// A road of two lanes of 4 m, the left one cut in two areas that touch, with a hole on the right.
+    fn road() -> Road {
+        let lane = |id: &str, outline: Area| Lane {
+            id: id.into(),
+            outline,
+            centerline: Vec::new(),
+            successors: Vec::new(),
+        };
+        let mut right = rectangle([0.0, 100.0], [-4.0, 0.0]);
+        right.holes.push(rectangle([50.0, 60.0], [-4.0, 0.0]).exterior);
+        let map = VectorMap {
+            lanes: vec![
+                lane("l", rectangle([0.0, 100.0], [0.0, 4.0])),
+                lane("r", rectangle([0.0, 100.0], [-4.0, 0.0])),
+            ],
+            drivable_area: vec![
+                rectangle([0.0, 40.0], [0.0, 4.0]),
+                rectangle([40.0, 100.0], [0.0, 4.0]),
+                right,
+            ],
+            ..VectorMap::default()
+        };
+        Road::new(&map).unwrap()
+    }
+
+    fn cuboid(x: f64, y: f64) -> Cuboid {
+        Cuboid { pose: Pose::from_yaw(0.0, DVec3::new(x, y, 1.0)), size: DVec3::new(5.0, 2.0, 2.0) }
+    }
+
+    #[test]
+    fn shares_by_hand() {
+        let road = road();
+        let share = |x: f64, y: f64| road.share_off(&cuboid(x, y));
+        assert_eq!([share(20.0, 2.0), share(40.0, 0.0), share(20.0, -2.0)], [0.0; 3]);
+        // Beside, half beside, all but nothing beside, over the hole.
+        assert_eq!([share(20.0, 9.0), share(20.0, 4.0), share(20.0, -4.0)], [1.0, 0.5, 0.5]);
+        assert_eq!(share(20.0, 3.01), 1.0 / 40.0);
+        assert_eq!([share(55.0, -2.0), share(50.0, -2.0)], [1.0, 0.5]);
+    }
+
+    #[test]
+    fn lanes_hold_all_corners_or_none() {
+        let road = road();
+        let one = |x: f64, y: f64| road.is_in_one_lane(&Footprint::from(&cuboid(x, y)));
+        assert!(one(20.0, 2.0) && one(40.0, 2.0) && one(20.0, -2.0));
+        assert!(!one(20.0, 0.5) && !one(20.0, 3.5) && !one(50.0, -2.0));
+        assert!(Road::new(&VectorMap::default()).is_none());
+    }
+}

@@ -1,0 +1,228 @@
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use super::actors::{self, Driven};
+use super::clock::Clock;
+use super::ego::Driver;
+use super::metrics::{Road, Tally};
+use super::recorded::Recorded;
+use super::saved::{Saved, SavedState};
+use super::tracking::follow;
+use super::{
+    ActorPolicy, Committed, Forecast, Instant, Metrics, Rates, Scenario, SimError, SimOptions, Trajectory,
+};
+
+/// A rollout: a log whose ego and actors move by policies, step by step.
+///
+/// Everything between two steps is a pure function of what was committed and of the plan.
+pub struct Simulation<'a> {
+    recorded: Recorded<'a>,
+    options: SimOptions,
+    clock: Clock,
+    driver: Driver,
+    road: Option<Road>,
+    /// What was committed, and the plan that the ego follows until the next one.
+    committed: Saved,
+    log_ended: bool,
+}
+
+/// All that has happened until a step and is needed for the next.
+#[derive(Clone, Debug)]
+pub(super) struct World {
+    pub(super) instant: Instant,
+    pub(super) driven: Driven,
+}
+
+/// What a step brought.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepOutcome {
+    /// The plan, if one was made for this step.
+    pub plan: Option<Forecast<Trajectory>>,
+    /// What is expected at the next plan steps, if the step is one itself; fewer than asked for where the log ends.
+    pub forecast: Vec<Forecast<Instant>>,
+}
+
+/// Why a rollout is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EndReason {
+    /// All steps were taken.
+    Steps,
+    /// The ego follows the log and the log is over.
+    LogEnded,
+}
+
+impl<'a> Simulation<'a> {
+    /// Commits step 0, which is the log's.
+    ///
+    /// # Errors
+    /// Options that do not fit each other or the log, or a planner that does not answer.
+    pub fn new(scenario: &Scenario<'a>, options: SimOptions) -> Result<Self, SimError> {
+        Self::start(scenario, options, None)
+    }
+
+    /// Goes on where another rollout of the same log and options was saved; the number of steps may differ. A planner in
+    /// another process is started anew and told the step.
+    ///
+    /// # Errors
+    /// As [`Simulation::new`], or a state that was saved under other options, by another version, or damaged.
+    pub fn resume(
+        scenario: &Scenario<'a>,
+        options: SimOptions,
+        saved: &SavedState,
+    ) -> Result<Self, SimError> {
+        Self::start(scenario, options, Some(saved))
+    }
+
+    fn start(
+        scenario: &Scenario<'a>,
+        options: SimOptions,
+        saved: Option<&SavedState>,
+    ) -> Result<Self, SimError> {
+        if options.steps == 0 {
+            return Err(SimError::NoSteps);
+        }
+        let log = scenario.log;
+        let recorded = Recorded::new(log).ok_or_else(|| SimError::NoFrames { log: log.name.clone() })?;
+        let (first_us, last_us) = (recorded.first_us, recorded.last_us);
+        let start_us = options.start_us.unwrap_or(first_us);
+        let clock = Clock::new(&options, scenario.rates, start_us)?;
+        let outside = || SimError::Start { first_us, last_us, found_us: start_us, log: log.name.clone() };
+        let first = recorded.instant(0, start_us).ok_or_else(outside)?;
+        let road = scenario.map.as_ref().and_then(|map| Road::new(map.vector_map()));
+        let start = match saved {
+            Some(saved) => saved.open(&options, &clock, &recorded)?,
+            None => {
+                let mut tally = Tally::default();
+                if clock.takeover == 0 {
+                    tally.add(&recorded, road.as_ref(), &first);
+                }
+                let world = World { instant: first, driven: Driven::default() };
+                Saved { world: Committed::new(world), plan: None, tally }
+            }
+        };
+        let driver = Driver::new(&options, &clock, &recorded, start.world.get().instant.step)?;
+        Ok(Self { recorded, options, clock, driver, road, committed: start, log_ended: false })
+    }
+
+    /// What has happened last.
+    pub fn committed(&self) -> Committed<&Instant> {
+        self.committed.world.as_ref().map(|world| &world.instant)
+    }
+
+    /// Takes a step and commits it. `None`, and nothing changes, once the rollout is over; [`Simulation::ended`] says why.
+    ///
+    /// # Errors
+    /// A planner in another process that fails; what was committed stays.
+    pub fn step(&mut self) -> Result<Option<StepOutcome>, SimError> {
+        if self.is_done() {
+            return Ok(None);
+        }
+        let now = self.committed.world.get();
+        let mut made = None;
+        if self.clock.plans_at(now.instant.step) {
+            made = self.driver.plan(&self.recorded, &self.clock, &now.instant)?.map(Forecast::new);
+        }
+        let plan = made.as_ref().or(self.committed.plan.as_ref()).map(Forecast::get);
+        let Some(next) = self.advance(now, plan) else {
+            self.log_ended = true;
+            return Ok(None);
+        };
+        if next.instant.step >= self.clock.takeover {
+            self.committed.tally.add(&self.recorded, self.road.as_ref(), &next.instant);
+        }
+        self.committed.world = Committed::new(next);
+        if made.is_some() {
+            self.committed.plan.clone_from(&made);
+        }
+        let is_plan_step = self.committed.world.get().instant.step.is_multiple_of(self.clock.steps_per_plan);
+        let forecast = if is_plan_step { self.forecast() } else { Vec::new() };
+        Ok(Some(StepOutcome { plan: made, forecast }))
+    }
+
+    /// What is expected one plan step after what was committed, two, and so on: the ego follows the rest of its plan and
+    /// the actors their policy. Until the first plan it is what the log has. Fewer than asked for where the log ends.
+    pub fn forecast(&self) -> Vec<Forecast<Instant>> {
+        let now = self.committed.world.get();
+        let plan = self.committed.plan.as_ref().map(Forecast::get);
+        let mut expected = now.clone();
+        let mut forecast = Vec::new();
+        for _ in 0..self.options.forecast_steps {
+            for _ in 0..self.clock.steps_per_plan {
+                let step = expected.instant.step + 1;
+                let next = match plan {
+                    None => self.recorded.instant(step, self.clock.at(step)),
+                    plan => self.advance(&expected, plan).map(|next| {
+                        expected.driven = next.driven;
+                        next.instant
+                    }),
+                };
+                let Some(next) = next else { return forecast };
+                expected.instant = next;
+            }
+            forecast.push(Forecast::new(expected.instant.clone()));
+        }
+        forecast
+    }
+
+    /// What follows a state; `None` where the ego is to follow a log that is over.
+    fn advance(&self, now: &World, plan: Option<&Trajectory>) -> Option<World> {
+        let step = now.instant.step + 1;
+        let t_us = self.clock.at(step);
+        let by_log = step <= self.clock.takeover;
+        let ego = match plan {
+            Some(plan) if !by_log => {
+                follow(self.options.tracking, &self.recorded.route, &now.instant, plan, t_us)
+            }
+            _ => self.recorded.ego_at(t_us)?,
+        };
+        let policy = if by_log { ActorPolicy::Replay } else { self.options.actors };
+        let mut driven = now.driven.clone();
+        let actors = actors::advance(policy, &self.recorded, &mut driven, &now.instant, (t_us, &ego));
+        let lights = self.recorded.lights_at(t_us);
+        Some(World { instant: Instant { step, t_us, ego, actors, lights }, driven })
+    }
+
+    /// Whether no further step can be taken.
+    pub fn is_done(&self) -> bool {
+        self.ended().is_some()
+    }
+
+    /// Why no further step can be taken.
+    pub fn ended(&self) -> Option<EndReason> {
+        if self.committed.world.get().instant.step >= self.options.steps {
+            return Some(EndReason::Steps);
+        }
+        self.log_ended.then_some(EndReason::LogEnded)
+    }
+
+    /// Figures of all that was committed.
+    pub fn metrics(&self) -> Metrics {
+        self.committed.tally.metrics(self.road.is_some())
+    }
+
+    /// What a user should know of the log, by kind, with counts.
+    pub fn notes(&self) -> BTreeMap<String, usize> {
+        self.recorded.notes()
+    }
+
+    /// All that [`Simulation::resume`] needs.
+    pub fn save(&self) -> SavedState {
+        SavedState::new(&self.options, &self.clock, self.recorded.log, &self.committed)
+    }
+
+    /// Steps a second and plans a second.
+    pub fn rates(&self) -> Rates {
+        self.clock.rates
+    }
+
+    /// The last step whose ego and actors are the log's; the first plan is made there.
+    pub fn takeover_step(&self) -> usize {
+        self.clock.takeover
+    }
+
+    /// Tells a planner in another process which files show what was committed last; with the next observation.
+    pub fn show(&mut self, files: Vec<PathBuf>) {
+        self.driver.show(files);
+    }
+}

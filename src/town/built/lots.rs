@@ -1,0 +1,233 @@
+use glam::DVec2;
+
+use super::cells::Place;
+use super::draw::Draw;
+use super::ground::GROUND_M;
+use super::line::Line;
+use super::room::{Room, Taken};
+use super::sketch::corners;
+use super::style::{Quarter, Style};
+use super::ways::Ways;
+
+/// What is built on a lot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Use {
+    House,
+    Office,
+    Church,
+}
+
+/// What is beyond a side of a house.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Side {
+    /// A street.
+    Street,
+    /// Yards.
+    Open,
+    /// Another house's wall.
+    Party,
+}
+
+/// A house's place: x runs along its front, to the right as seen from the street, y away from the street.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Lot {
+    /// Its left front corner.
+    pub(super) place: Place,
+    /// Along the street and away from it, metres.
+    pub(super) size_m: DVec2,
+    /// From the sidewalk to the front, metres.
+    pub(super) setback_m: f64,
+    pub(super) quarter: Quarter,
+    pub(super) kind: Use,
+    pub(super) seed: u64,
+    /// Front, right, back, left.
+    pub(super) sides: [Side; 4],
+}
+
+/// One side of a road; its side is on the line's left.
+#[derive(Debug)]
+pub(super) struct Frontage {
+    pub(super) line: Line,
+    /// The road's index.
+    pub(super) road: usize,
+    /// From the line to the kerb, metres.
+    pub(super) kerb_m: f64,
+    /// Metres.
+    pub(super) sidewalk_m: f64,
+}
+
+impl Lot {
+    /// The corners of a part of the lot, counter-clockwise.
+    pub(super) fn area(&self, min: DVec2, max: DVec2) -> [DVec2; 4] {
+        corners(min, max).map(|p| self.place.point(p))
+    }
+
+    /// The corners of the house.
+    pub(super) fn footprint(&self) -> [DVec2; 4] {
+        self.area(DVec2::ZERO, self.size_m)
+    }
+}
+
+/// Both sides of all roads.
+pub(super) fn frontages(ways: &Ways) -> Vec<Frontage> {
+    let mut frontages = Vec::new();
+    for (road, (plan, line)) in ways.network.roads.iter().zip(&ways.lines).enumerate() {
+        let Some(line) = line else { continue };
+        for line in [line.clone(), line.reversed()] {
+            frontages.push(Frontage { line, road, kerb_m: plan.half_width_m, sidewalk_m: plan.sidewalk_m });
+        }
+    }
+    frontages
+}
+
+/// Houses along all streets; what they stand on is taken.
+pub(super) fn lots(frontages: &[Frontage], middle: DVec2, style: &Style, room: &mut Room) -> Vec<Lot> {
+    let mut lots = Vec::new();
+    let mut churches = 1;
+    for (i, frontage) in frontages.iter().enumerate() {
+        let mut draw = Draw::new(style.seed, &[0x107, i as i64]);
+        let mut at = -16.0;
+        // Houses of a street stand in one line.
+        let shared = draw.between(0.0, 1.0);
+        let mut in_row = 0;
+        while at < frontage.line.length() + 16.0 {
+            let quarter = style.quarter(frontage.line.point(at, frontage.kerb_m + 10.0), middle);
+            let wish = Wish::new(quarter, shared, churches > 0 && i > frontages.len() / 3, &mut draw);
+            let Some(lot) = wish.fit(frontage, at, room) else {
+                at += 1.0;
+                continue;
+            };
+            room.take(&lot.footprint(), Taken::House);
+            if lot.setback_m > 1.0 {
+                let front = lot.area(DVec2::new(0.0, 0.05 - lot.setback_m), DVec2::new(lot.size_m.x, 0.0));
+                room.take(&front, Taken::Garden);
+            }
+            if lot.kind == Use::Church {
+                churches -= 1;
+            }
+            in_row += 1;
+            at += lot.size_m.x + wish.gap_m(&mut in_row, &mut draw);
+            lots.push(lot);
+        }
+    }
+    for lot in &mut lots {
+        lot.sides = sides(lot, room);
+    }
+    lots
+}
+
+/// What somebody would like to build.
+#[derive(Clone, Copy, Debug)]
+struct Wish {
+    quarter: Quarter,
+    kind: Use,
+    size_m: DVec2,
+    setback_m: f64,
+    seed: u64,
+}
+
+impl Wish {
+    fn new(quarter: Quarter, shared: f64, church: bool, draw: &mut Draw) -> Self {
+        let office = quarter == Quarter::Centre && draw.chance(0.05);
+        let (width, depth, setback_m) = match quarter {
+            Quarter::Centre if office => ([20.0, 27.0], [14.0, 17.0], 0.3),
+            Quarter::Centre => ([9.5, 16.0], [10.0, 13.0], 0.2),
+            Quarter::Rows => ([6.2, 9.0], [8.5, 10.5], 0.6 + 2.6 * shared),
+            Quarter::Gardens => ([9.0, 13.0], [8.0, 10.5], 4.0 + 2.5 * shared + draw.between(0.0, 0.8)),
+        };
+        let church = church && quarter != Quarter::Gardens;
+        let (size_m, setback_m) = if church {
+            (DVec2::new(14.0, 26.0), 3.0)
+        } else {
+            (DVec2::new(draw.between(width[0], width[1]), draw.between(depth[0], depth[1])), setback_m)
+        };
+        let kind = if church {
+            Use::Church
+        } else if office {
+            Use::Office
+        } else {
+            Use::House
+        };
+        Self { quarter, kind, size_m, setback_m, seed: draw.seed() }
+    }
+
+    /// The largest house of the kind that there is room for; a smaller one rather than none.
+    fn fit(&self, frontage: &Frontage, at_m: f64, room: &Room) -> Option<Lot> {
+        let scales = match self.kind {
+            Use::House => [[1.0, 1.0], [1.0, 0.8], [0.72, 0.8], [0.6, 0.62]].as_slice(),
+            Use::Office | Use::Church => &[[1.0, 1.0]],
+        };
+        let mut lots = scales.iter().map(|scale| self.lot(frontage, at_m, self.size_m * DVec2::from(*scale)));
+        lots.find(|lot| {
+            let margin = if self.kind == Use::Church { 3.0 } else { 0.0 };
+            // The garden in front must not reach into another street.
+            let min = DVec2::new(-margin, -lot.setback_m + 0.05);
+            room.is_free(&lot.area(min, lot.size_m + DVec2::splat(margin)))
+        })
+    }
+
+    fn lot(&self, frontage: &Frontage, at_m: f64, size_m: DVec2) -> Lot {
+        let back_m = frontage.kerb_m + frontage.sidewalk_m;
+        let edge = |s: f64| frontage.line.point(s, back_m);
+        let along = (edge(at_m + size_m.x) - edge(at_m)).normalize_or(DVec2::X);
+        // Where the street bends towards the house, all of its front stands back.
+        let behind = |i: i32| (edge(at_m + size_m.x * f64::from(i) / 6.0) - edge(at_m)).dot(along.perp());
+        let bulge = (0..=6).map(behind).fold(0.0, f64::max);
+        let setback_m = self.setback_m + if bulge > 0.02 { bulge } else { 0.0 };
+        let corner = edge(at_m) + along.perp() * setback_m;
+        // Of a bent street's front line, the chord is what there is room for.
+        let width = (edge(at_m + size_m.x) - edge(at_m)).dot(along);
+        let place = Place::facing(corner.extend(GROUND_M), along);
+        Lot {
+            place,
+            size_m: DVec2::new(width, size_m.y),
+            setback_m,
+            quarter: self.quarter,
+            kind: self.kind,
+            seed: self.seed,
+            sides: [Side::Street, Side::Open, Side::Open, Side::Open],
+        }
+    }
+
+    /// From this house to the next, metres.
+    fn gap_m(&self, in_row: &mut i32, draw: &mut Draw) -> f64 {
+        let gap = match (self.quarter, self.kind) {
+            (_, Use::Church) => 4.0,
+            (Quarter::Centre, _) => {
+                if draw.chance(0.1) {
+                    draw.between(2.5, 5.0)
+                } else {
+                    0.02
+                }
+            }
+            (Quarter::Rows, _) if *in_row < 4 && !draw.chance(0.12) => 0.02,
+            (Quarter::Rows, _) => draw.between(2.5, 6.0),
+            (Quarter::Gardens, _) => draw.between(3.5, 9.0),
+        };
+        if gap > 1.0 {
+            *in_row = 0;
+        }
+        gap
+    }
+}
+
+/// What is beyond each side of a house.
+fn sides(lot: &Lot, room: &Room) -> [Side; 4] {
+    let (w, d) = (lot.size_m.x, lot.size_m.y);
+    let beyond = |low: f64, high: f64| {
+        [
+            [DVec2::new(1.0, -high), DVec2::new(w - 1.0, -low)],
+            [DVec2::new(w + low, 1.0), DVec2::new(w + high, d - 1.0)],
+            [DVec2::new(1.0, d + low), DVec2::new(w - 1.0, d + high)],
+            [DVec2::new(-high, 1.0), DVec2::new(-low, d - 1.0)],
+        ]
+    };
+    let meets = |[min, max]: [DVec2; 2], by: Taken| room.meets(&lot.area(min, max)).any(|taken| taken == by);
+    let (next, far) = (beyond(0.05, 0.8), beyond(0.05, 7.0));
+    std::array::from_fn(|i| match () {
+        () if i == 0 => Side::Street,
+        () if meets(next[i], Taken::House) => Side::Party,
+        () if meets(far[i], Taken::Way) && !meets(far[i], Taken::House) => Side::Street,
+        () => Side::Open,
+    })
+}

@@ -1,0 +1,228 @@
+//! The town as a recorded drive: a [`Dataset`] whose sweeps and images are made when they are read.
+//!
+//! # How it works
+//! `record` turns the plan into a log: who is where at the times of frames, sweeps and images. Sweeps are made by the
+//! LiDAR's beams, images by the triangle pipeline (`truth`), from the same meshes. Nothing of it is made before it is
+//! asked for. The town's frame lies in the global frame by one pose that leaves all of the map at positive coordinates,
+//! on z = 0, as nuScenes has it.
+
+mod map;
+mod record;
+mod rig;
+mod truth;
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, OnceLock};
+
+use glam::{DVec2, DVec3};
+use image::RgbImage;
+
+use self::record::{Recorded, Recorder, seconds};
+use self::truth::Film;
+use super::lidar::{Lidar, Mover, Scanner, Turn};
+use super::mesh::Mesh;
+use super::model::Body;
+use super::plan::{Actor, Motion, Plan};
+use super::view::FilmError;
+use super::{Daylight, TownOptions, TownOptionsError, built, hash};
+use crate::dataset::nuscenes::MapLayers;
+use crate::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord, VectorMap};
+use crate::geometry::{CameraError, Pose};
+use crate::gpu::GpuError;
+
+pub use truth::TrueActor;
+
+/// A drive in a town.
+pub struct Town {
+    log: Log,
+    options: TownOptions,
+    plan: Plan,
+    global_from_town: Pose,
+    /// Index in the plan's actors of each of the log's tracks.
+    actors: Vec<usize>,
+    meshes: OnceLock<Meshes>,
+    scanner: OnceLock<Scanner>,
+    film: Mutex<Option<Film>>,
+}
+
+/// All triangles.
+struct Meshes {
+    /// Town frame.
+    standing: Vec<Mesh>,
+    /// By body and pose of its limbs, in the body's frame.
+    bodies: BTreeMap<(Body, usize), Mesh>,
+}
+
+/// Why there is no town, or nothing of it to see.
+#[derive(Debug, thiserror::Error)]
+pub enum TownError {
+    /// Options out of range.
+    #[error(transparent)]
+    Options(#[from] TownOptionsError),
+    /// An image size that no camera has.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// Filming.
+    #[error(transparent)]
+    Film(#[from] FilmError),
+    /// The device or driver.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// Somebody who is not in the town.
+    #[error("expected tracks of town {town}, found {track}")]
+    Track {
+        /// The town's log.
+        town: String,
+        /// The track.
+        track: String,
+    },
+}
+
+impl From<TownError> for DatasetError {
+    fn from(error: TownError) -> Self {
+        Self::Made(Box::new(error))
+    }
+}
+
+impl From<TownOptionsError> for DatasetError {
+    fn from(error: TownOptionsError) -> Self {
+        Self::Made(Box::new(error))
+    }
+}
+
+/// Name of the place, for maps.
+const LOCATION: &str = "town";
+/// Between the map and the edges of the canvas that it is drawn on, metres.
+const EDGE_M: f64 = 40.0;
+
+impl Town {
+    /// Plans a town and the drive; no mesh, sweep or image is made yet.
+    ///
+    /// # Errors
+    /// Options out of range.
+    pub fn new(options: &TownOptions) -> Result<Self, TownError> {
+        options.check()?;
+        // Some frames more than are recorded, for the time before the first.
+        let lead = (record::LEAD_S * options.hz).ceil() as usize;
+        let plan = Plan::new(&TownOptions { frames: options.frames + lead, ..*options });
+        let rig = rig::cameras(options.size)?;
+        let global_from_town = place(&plan, options.seed);
+        let recorder = Recorder { options, traffic: &plan.traffic, global_from_town, rig: &rig };
+        let Recorded { frames, tracks, actors } = recorder.record();
+        let log = Log {
+            name: format!("town-{}", options.seed),
+            location: LOCATION.into(),
+            description: describe(options),
+            cameras: rig::CAMERAS.iter().map(|mount| mount.channel.to_owned()).collect(),
+            rig,
+            tracks,
+            frames,
+            ..Log::default()
+        };
+        let (meshes, scanner, film) = Default::default();
+        Ok(Self { log, options: *options, plan, global_from_town, actors, meshes, scanner, film })
+    }
+
+    /// What there is and who moves how, in the town's frame.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Where the town lies.
+    pub fn global_from_town(&self) -> Pose {
+        self.global_from_town
+    }
+
+    /// Sidewalks, car parks and what else nuScenes' maps hold beyond the [`VectorMap`], in the global frame.
+    pub fn map_layers(&self) -> MapLayers {
+        map::vector_map(&self.plan.network, LOCATION, &self.global_from_town).1
+    }
+
+    fn meshes(&self) -> &Meshes {
+        self.meshes.get_or_init(|| {
+            let poses = |actor: &Actor| {
+                let poses = if actor.motion.poses.len() > 1 { actor.body.poses() } else { 1 };
+                (0..poses.max(1)).map(|pose| (actor.body, pose)).collect::<Vec<_>>()
+            };
+            let keys = self.plan.traffic.actors.iter().flat_map(poses);
+            let bodies: BTreeMap<_, _> = keys.map(|(body, pose)| ((body, pose), body.mesh(pose))).collect();
+            Meshes { standing: built::standing(&self.plan, self.options.seed), bodies }
+        })
+    }
+
+    fn sweep<'a>(&'a self, record: &SweepRecord) -> Sweep {
+        let scanner = self.scanner.get_or_init(|| {
+            let meshes = self.meshes();
+            Scanner::new(&meshes.standing, &meshes.bodies)
+        });
+        let end_s = seconds(record.t_us);
+        let mover = |actor: &'a Actor| {
+            let limbs = limbs(actor.body, &actor.motion, end_s);
+            Mover { body: actor.body, limbs, motion: &actor.motion }
+        };
+        let movers: Vec<Mover<'a>> = self.plan.traffic.actors.iter().map(mover).collect();
+        let town_from_lidar = |t_s: f64| self.plan.traffic.ego.pose(t_s) * record.ego_from_lidar;
+        let lidar = Lidar::new(self.options.beams, self.options.lidar_hz);
+        let seed = Some(hash::hash(self.options.seed, &[record.t_us]));
+        let points = scanner.sweep(&Turn { lidar, end_s, town_from_lidar, movers: &movers, seed });
+        Sweep { points, ..Sweep::default() }
+    }
+}
+
+impl Dataset for Town {
+    fn log(&self) -> &Log {
+        &self.log
+    }
+
+    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
+        Ok(self.sweep(record))
+    }
+
+    fn read_image(&self, record: &ImageRecord) -> Result<RgbImage, DatasetError> {
+        Ok(self.image(record)?)
+    }
+
+    fn check_image(&self, _: &ImageRecord) -> Result<(), DatasetError> {
+        Ok(())
+    }
+
+    fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
+        Ok(Some(map::vector_map(&self.plan.network, LOCATION, &self.global_from_town).0))
+    }
+}
+
+/// Turned by an angle of the seed, and so that all streets lie at positive coordinates, away from the edges.
+fn place(plan: &Plan, seed: u64) -> Pose {
+    let yaw = hash::between(seed, &[0x706c], 0.0, std::f64::consts::TAU);
+    let turned = Pose::from_yaw(yaw, DVec3::ZERO);
+    let roads =
+        plan.network.roads.iter().flat_map(|road| road.centerline.iter().map(|p| (*p, road.half_width_m)));
+    let corners = plan.network.junctions.iter().flat_map(|junction| &junction.outline).map(|p| (*p, 0.0));
+    let low =
+        roads.chain(corners).map(|(p, half_m)| turned.transform_point(p.extend(0.0)).truncate() - half_m);
+    let min = low.reduce(DVec2::min).unwrap_or(DVec2::ZERO);
+    Pose { translation: (DVec2::splat(EDGE_M) - min).extend(0.0), ..turned }
+}
+
+fn describe(options: &TownOptions) -> String {
+    let TownOptions { seed, hz, lidar_hz, beams, size: [height, width], .. } = options;
+    let light = options.light();
+    format!(
+        "A drive in a made town of seed {seed}, {light}, {hz} frames a second of {height}x{width} pixels, LiDAR of {beams} \
+         beams at {lidar_hz} Hz"
+    )
+}
+
+/// Which pose of its limbs somebody shows.
+fn limbs(body: Body, motion: &Motion, t_s: f64) -> usize {
+    if motion.poses.len() > 1 { body.pose_at(motion.travelled_m(t_s)) } else { 0 }
+}
+
+impl TownOptions {
+    /// The light as asked for, or as the seed chooses it.
+    pub fn light(&self) -> Daylight {
+        let chosen =
+            || Daylight::ALL[(hash::hash(self.seed, &[0x6c69]) % Daylight::ALL.len() as u64) as usize];
+        self.daylight.unwrap_or_else(chosen)
+    }
+}

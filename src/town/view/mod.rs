@@ -1,0 +1,228 @@
+//! True pictures of the town: color, depth, class and instance from any place, by triangles on the device.
+//!
+//! # How it works
+//! 1. [`Light`] says where the sun stands and what the sky is like; three depth maps around the camera tell what is in
+//!    its way (`maps`).
+//! 2. A view is a grid of samples at half-pixel steps (`lens`). A first pass finds out what each sample shows
+//!    (`surfaces`), later ones shade it once, and a last one makes pixels of samples (`shade`).
+//! 3. A pixel's depth, class and instance are those of the sample at its centre. The device tells the triangle
+//!    (`corners`), the host works out the depth in `f64` (`truth`).
+//!
+//! Everything that a surface looks like follows from its kind, its color and a seed (`glsl/town_*.frag`); there are no
+//! image files.
+
+mod corners;
+mod error;
+mod lens;
+mod light;
+mod maps;
+mod shade;
+mod surfaces;
+mod truth;
+
+pub use error::FilmError;
+pub use light::Light;
+
+use std::sync::Arc;
+
+use glam::DAffine3;
+use image::RgbImage;
+
+use self::corners::Corners;
+use self::lens::Lens;
+use self::maps::{Frames, Maps, Triangles};
+use self::shade::{Samples, ShadeStage};
+use self::surfaces::SurfaceStage;
+use self::truth::{Read, Scene};
+use super::mesh::Mesh;
+use crate::geometry::View;
+use crate::gpu::{Commands, Device};
+use crate::raster::StageTimes;
+use crate::raster::tiles::{Tile, TileLimits, grown, tiles};
+
+/// What a camera sees, row-major `height * width`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrueView {
+    /// sRGB.
+    pub image: RgbImage,
+    /// Camera z at the pixel's centre, metres; `f32::INFINITY` where the sky is.
+    pub depth_m: Vec<f32>,
+    /// [`MeshDraw::class`] at the pixel's centre, 0 where the sky is.
+    pub class: Vec<u8>,
+    /// [`MeshDraw::instance`] at the pixel's centre, 0 where the sky is.
+    pub instance: Vec<u32>,
+}
+
+/// A mesh at a place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeshDraw {
+    /// Which of the meshes.
+    pub mesh: usize,
+    /// Where it stands, metres: rotation and translation.
+    pub town_from_mesh: DAffine3,
+    /// What the class map shows.
+    pub class: u8,
+    /// What the instance map shows; 0 for what is no instance.
+    pub instance: u32,
+}
+
+/// Films resident meshes.
+pub struct Filmer {
+    device: Arc<Device>,
+    commands: Commands,
+    corners: Corners,
+    triangles: Triangles,
+    maps: Maps,
+    surfaces: SurfaceStage,
+    shade: ShadeStage,
+    samples: Option<Samples>,
+    limits: TileLimits,
+    stages: StageTimes,
+}
+
+impl Filmer {
+    /// Uploads all meshes; they may be dropped afterwards.
+    ///
+    /// # Errors
+    /// A triangle with a corner that its mesh does not have; out of memory, or a device that lacks something.
+    pub fn new(device: &Arc<Device>, meshes: &[&Mesh]) -> Result<Self, FilmError> {
+        let corners = Corners::new(meshes)?;
+        let triangles = Triangles::new(device, &corners)?;
+        let (maps, surfaces) = (Maps::new(device)?, SurfaceStage::new(device)?);
+        let shade = ShadeStage::new(device)?;
+        let commands = Commands::new(device)?;
+        device.check_validation()?;
+        Ok(Self {
+            device: device.clone(),
+            commands,
+            corners,
+            triangles,
+            maps,
+            surfaces,
+            shade,
+            samples: None,
+            limits: tile_limits(device, None),
+            stages: StageTimes::default(),
+        })
+    }
+
+    /// The same with tiles of at most so many pixels a side. Results do not depend on it but for rounding.
+    pub fn with_tile_side(mut self, side: u32) -> Self {
+        self.limits = tile_limits(&self.device, Some(side));
+        self
+    }
+
+    /// Films draws in views, whose world is the town's frame. A view does not depend on the others.
+    ///
+    /// # Errors
+    /// A draw of an unknown mesh; the device's.
+    pub fn film(
+        &mut self,
+        draws: &[MeshDraw],
+        views: &[View],
+        light: &Light,
+    ) -> Result<Vec<TrueView>, FilmError> {
+        let meshes = self.corners.parts.len();
+        if let Some((draw, mesh)) = truth::unknown_mesh(draws, meshes) {
+            return Err(FilmError::UnknownMesh { draw, mesh, meshes });
+        }
+        let mut mapped: Option<Frames> = None;
+        let mut film = |view: &View| {
+            let frames = Frames::new(light, view.camera_from_world.inverse().translation);
+            if mapped != Some(frames) {
+                self.map(draws, light, &frames)?;
+                mapped = Some(frames);
+            }
+            self.film_view(draws, view, (light, &frames))
+        };
+        views.iter().map(&mut film).collect()
+    }
+
+    /// Times of the stages on the device, summed since the last call.
+    pub fn take_stages(&mut self) -> StageTimes {
+        std::mem::take(&mut self.stages)
+    }
+
+    fn map(&mut self, draws: &[MeshDraw], light: &Light, frames: &Frames) -> Result<(), FilmError> {
+        let mut recorder = self.commands.begin()?;
+        let scene = (&self.triangles, &self.corners.parts[..]);
+        self.maps.record(&mut recorder, scene, draws, (light, frames))?;
+        let times = recorder.submit()?;
+        times.into_iter().for_each(|(stage, time)| self.stages.add(stage, time));
+        Ok(())
+    }
+
+    fn film_view(
+        &mut self,
+        draws: &[MeshDraw],
+        view: &View,
+        lit: (&Light, &Frames),
+    ) -> Result<TrueView, FilmError> {
+        let mut shown = TrueView::empty(view);
+        let tiles = tiles(view.camera.width, view.camera.height, self.limits);
+        let Some(largest) = tiles.first() else { return Ok(shown) };
+        self.prepare(largest.size)?;
+        for tile in &tiles {
+            self.film_tile(draws, view, tile, lit, &mut shown)?;
+        }
+        Ok(shown)
+    }
+
+    /// Makes images and buffers if those there are too small.
+    fn prepare(&mut self, size: [u32; 2]) -> Result<(), FilmError> {
+        let current = self.samples.as_ref().map_or([0; 2], |samples| samples.pixels);
+        if size[0] > current[0] || size[1] > current[1] {
+            self.samples = None; // free before allocating
+            let wanted = grown(current, size, self.limits);
+            let scene = (&self.surfaces, &self.maps);
+            self.samples = Some(self.shade.samples(&self.device, scene, wanted)?);
+        }
+        Ok(())
+    }
+
+    fn film_tile(
+        &mut self,
+        draws: &[MeshDraw],
+        view: &View,
+        tile: &Tile,
+        lit: (&Light, &Frames),
+        shown: &mut TrueView,
+    ) -> Result<(), FilmError> {
+        let Some(samples) = &mut self.samples else { return Ok(()) };
+        let lens = Lens::new(view, tile);
+        let mut recorder = self.commands.begin()?;
+        self.shade.update(&mut recorder, &lens, lit)?;
+        let triangles = (&self.triangles, &self.corners.parts[..]);
+        self.surfaces.record(&mut recorder, &samples.surfaces, &lens, triangles, draws)?;
+        self.shade.record(&mut recorder, samples, tile.size)?;
+        let times = recorder.submit()?;
+        times.into_iter().for_each(|(stage, time)| self.stages.add(stage, time));
+        let area = tile.area();
+        // As arrays of bytes, which have no alignment to meet, then as numbers.
+        let owners: &[[u8; 8]] = bytemuck::cast_slice(&samples.shown_back.bytes_mut()?[..8 * area]);
+        let number = |bytes: &[u8; 8], at: usize| {
+            u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
+        };
+        let owners: Vec<[u32; 2]> = owners.iter().map(|b| [number(b, 0), number(b, 4)]).collect();
+        let pixels: &[[u8; 4]] = bytemuck::cast_slice(&samples.pixel_back.bytes_mut()?[..4 * area]);
+        let scene = Scene::new(&self.corners, draws, view);
+        shown.fill(tile, &Read { shown: &owners, pixels }, &scene);
+        Ok(())
+    }
+}
+
+/// A tile's samples fit the device's images.
+fn tile_limits(device: &Device, side: Option<u32>) -> TileLimits {
+    let limits = device.limits();
+    let [viewport_width, viewport_height] = limits.max_viewport_dimensions;
+    let largest = [
+        limits.max_image_dimension2_d,
+        limits.max_framebuffer_width,
+        limits.max_framebuffer_height,
+        viewport_width,
+        viewport_height,
+    ];
+    let largest = largest.into_iter().min().map_or(1, |samples| (samples - 1) / 2);
+    let side = largest.min(side.unwrap_or(largest)).max(1);
+    TileLimits { side, area: ShadeStage::max_area(device).max(1) }
+}

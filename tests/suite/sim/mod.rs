@@ -1,0 +1,9 @@
+//! The closed loop.
+
+mod actors;
+mod course;
+mod external;
+mod local_path;
+mod made;
+mod replay;
+mod resume;

@@ -1,0 +1,318 @@
+//! `pskel simulate`, run as a user runs it.
+
+use std::collections::BTreeSet;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::{Value, json};
+
+use crate::tiny_log::{CAMERAS, FIRST_US, PSKEL, START, TinyLog, assert_failed, tree};
+
+/// Without an option for the number of steps. The log has 1 s at 2 Hz: 12 steps, of which the warm-up takes 6.
+const SIMULATE: &str = "simulate nuscenes:log --skeleton sk --out out --warmup 2 --rasterizer cpu";
+
+fn built() -> TinyLog {
+    let log = TinyLog::new();
+    log.succeed("build nuscenes:log --out sk");
+    log
+}
+
+fn rows(log: &TinyLog, folder: &str) -> Vec<Value> {
+    let text = std::fs::read_to_string(log.path(&format!("{folder}/states.jsonl"))).unwrap();
+    assert!(text.ends_with('\n') || text.is_empty(), "whole lines");
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// The data of a page.
+fn page(log: &TinyLog, folder: &str) -> Value {
+    let html = std::fs::read_to_string(log.path(&format!("{folder}/index.html"))).unwrap();
+    let (_, rest) = html.split_once(r#"id="rollout">"#).unwrap();
+    serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
+}
+
+/// All pictures that a page shows are files of its folder, and all links lead to one.
+fn assert_page_is_whole(log: &TinyLog, folder: &str, steps: usize) {
+    let page = page(log, folder);
+    let names: Vec<&str> =
+        page["steps"].as_array().unwrap().iter().map(|s| s["name"].as_str().unwrap()).collect();
+    assert_eq!(names, (0..steps).map(|i| format!("{i:06}")).collect::<Vec<_>>());
+    for name in names {
+        let step = log.path(&format!("{folder}/steps/{name}"));
+        assert_eq!(image::image_dimensions(step.join("birdseye.png")).unwrap(), (800, 800));
+        for map in page["maps"].as_array().unwrap() {
+            let size =
+                image::image_dimensions(step.join(format!("view/{}.jpg", map.as_str().unwrap()))).unwrap();
+            assert_eq!(
+                (json!(size.0), json!(size.1)),
+                (page["sheet"]["width"].clone(), page["sheet"]["height"].clone())
+            );
+        }
+    }
+    for file in page["files"].as_array().unwrap() {
+        assert!(log.path(&format!("{folder}/{}", file.as_str().unwrap())).is_file(), "{file}");
+    }
+}
+
+/// Width, height, pictures and pictures a second of a video.
+fn video(path: &Path) -> (u16, u16, u32, f64) {
+    let file = std::fs::File::open(path).unwrap();
+    let size = file.metadata().unwrap().len();
+    let reader = mp4::Mp4Reader::read_header(std::io::BufReader::new(file), size).unwrap();
+    let track = &reader.tracks()[&1];
+    (track.width(), track.height(), track.sample_count(), (track.frame_rate() * 100.0).round() / 100.0)
+}
+
+#[test]
+fn a_rollout_leaves_all_its_files() {
+    let log = built();
+    let summary = log.succeed(&format!("{SIMULATE} --steps 8 --ego lane_change --profile profile.json"));
+    assert!(summary.starts_with("simulated 8 steps, ego lane_change, actors replay, by cpu"), "{summary}");
+    assert!(summary.contains("steps a second") && summary.contains("policies"), "{summary}");
+    let mut expected: BTreeSet<String> =
+        ["index.html", "index.json", "metrics.json", "rollout.json", "rollout.mp4", "states.jsonl"]
+            .map(str::to_owned)
+            .into();
+    for step in 0..=8 {
+        let maps = ["boxes", "class", "color", "depth", "instance"];
+        let mut add = |name: String| expected.insert(format!("steps/{step:06}/{name}"));
+        for name in ["birdseye.png", "meta.json", "state.json"] {
+            add(name.to_owned());
+        }
+        for map in maps {
+            add(format!("view/{map}.jpg"));
+            for camera in CAMERAS {
+                add(format!("{camera}/{map}.png"));
+            }
+        }
+    }
+    assert_eq!(tree(&log.path("out")).into_keys().collect::<BTreeSet<_>>(), expected);
+
+    let rows = rows(&log, "out");
+    assert_eq!(rows.len(), 9);
+    for (step, row) in rows.iter().enumerate() {
+        let seconds = step as f64 / 12.0;
+        assert_eq!(
+            (&row["step"], &row["t_us"]),
+            (&json!(step), &json!(FIRST_US + (seconds * 1e6).round() as i64))
+        );
+        assert_eq!(row["phase"], if step <= 6 { "warm_up" } else { "policy" });
+        assert_eq!(row["plan"].is_array(), step == 7, "the first plan leads to step 7");
+        let x = row["ego"]["global_from_ego"][0][3].as_f64().unwrap() - START.x;
+        if step <= 6 {
+            // 2 m/s, times rounded to microseconds.
+            assert!((x - 2.0 * seconds).abs() < 2e-6, "step {step}: {x}");
+        } else {
+            assert!(x > 1.0 + 2.0 * (seconds - 0.5) && x < 1.5, "step {step}: {x}");
+        }
+        let car = &row["actors"][0];
+        assert_eq!(
+            (&car["instance"], &car["track"], &car["new_in_view"]),
+            (&json!(1), &json!("car"), &json!(false))
+        );
+        let ahead = car["center_m"][0].as_f64().unwrap() - START.x;
+        assert!((ahead - (12.0 + 4.0 * seconds)).abs() < 4e-6);
+        assert_eq!(car["size_m"], json!([4.0, 2.0, 1.5]));
+        assert_eq!(car["seen"][0]["camera"], 0);
+        assert!(car["seen"][0]["pixels"].as_u64() > Some(30));
+    }
+    let index = log.json("out/index.json");
+    assert_eq!((&index["options"]["sim_hz"], &index["options"]["takeover_step"]), (&json!(12.0), &json!(6)));
+    let frames = index["frames"].as_array().unwrap();
+    assert_eq!(
+        (frames.len(), &frames[8]["name"], &frames[8]["cameras"]),
+        (9, &json!("000008"), &json!(CAMERAS))
+    );
+    assert_eq!(
+        (&frames[8]["ego"], &frames[8]["t_us"]),
+        (&rows[8]["ego"]["global_from_ego"], &rows[8]["t_us"])
+    );
+    let metrics = log.json("out/metrics.json");
+    assert_eq!(
+        (&metrics["ended"], &metrics["failure"], &metrics["steps"]),
+        (&json!("steps"), &Value::Null, &json!(2)),
+        "those after the warm-up"
+    );
+    let (width, height, pictures, rate) = video(&log.path("out/rollout.mp4"));
+    assert_eq!((pictures, rate), (9, 12.0));
+    assert!(width.is_multiple_of(2) && height.is_multiple_of(2) && width > 400, "{width} x {height}");
+    assert_page_is_whole(&log, "out", 9);
+    assert_eq!(log.json("profile.json")["steps"].as_array().unwrap().len(), 9);
+    // Maps are those that render makes of the same instant.
+    log.succeed("render nuscenes:log --skeleton sk --out maps --rasterizer cpu --at 1000500000");
+    let (step, frame) = (tree(&log.path("out/steps/000006")), tree(&log.path("maps/1000500000")));
+    for camera in CAMERAS {
+        for map in ["color", "depth", "class", "instance", "boxes"] {
+            let name = format!("{camera}/{map}.png");
+            assert!(step[&name] == frame[&name], "{name}");
+        }
+    }
+}
+
+#[test]
+fn a_rollout_that_is_resumed_is_the_one_that_ran_through() {
+    let log = built();
+    let simulate = |out: &str, rest: &str| {
+        let policies = "--ego lane_change --tracking bicycle --actors reactive --maps color,instance";
+        format!("{} {policies} {rest}", SIMULATE.replace("--out out", &format!("--out {out}")))
+    };
+    log.succeed(&simulate("whole", "--steps 9"));
+    let whole = tree(&log.path("whole"));
+    // Other threads, and another number of them.
+    let output = log.run_with(&simulate("one", "--steps 9"), "1");
+    assert!(output.status.success(), "{output:?}");
+    assert!(tree(&log.path("one")) == whole);
+    // In three pieces; the second run's process died within a line.
+    log.succeed(&simulate("parts", "--steps 2"));
+    log.succeed(&simulate("parts", "--steps 7 --resume"));
+    let states = log.path("parts/states.jsonl");
+    let mut text = std::fs::read_to_string(&states).unwrap();
+    text.push_str(r#"{"step": 8, "#);
+    std::fs::write(&states, text).unwrap();
+    std::fs::create_dir(log.path("parts/steps/.pskel-left")).unwrap();
+    log.succeed(&simulate("parts", "--steps 9 --resume"));
+    assert!(tree(&log.path("parts")) == whole);
+    // From a step before the end, and from the end, where nothing is left to do.
+    for extra in ["--resume-from 3", "--resume-from 9", "--resume"] {
+        log.succeed(&simulate("parts", &format!("--steps 9 {extra}")));
+        assert!(tree(&log.path("parts")) == whole, "{extra}");
+    }
+    // Other options are refused, and nothing is touched.
+    for (rest, code, parts) in [
+        ("--steps 9 --resume --radius 50", 1, ["radius_m 100", "rollout.json"]),
+        ("--steps 9 --resume --forecast 3", 1, ["saved state", "found"]),
+        ("--steps 12 --resume-from 10", 1, ["a step from 0 to 9", "states.jsonl"]),
+    ] {
+        assert_failed(&log.run(&simulate("parts", rest)), code, &parts);
+        assert!(tree(&log.path("parts")) == whole, "{rest}");
+    }
+    // Without --resume the rollout in the folder is replaced.
+    log.succeed(&simulate("parts", "--steps 1"));
+    assert_eq!(rows(&log, "parts").len(), 2);
+    assert!(!log.path("parts/steps/000002").exists());
+}
+
+#[test]
+fn a_rollout_ends_with_the_log() {
+    let log = built();
+    let summary = log.succeed(&format!("{SIMULATE} --steps 40 --maps depth --forecast-maps --forecast 1"));
+    assert!(summary.starts_with("simulated 12 steps of 40 (the log ended), ego replay"), "{summary}");
+    assert_eq!(log.json("out/metrics.json")["ended"], "log_ended");
+    assert_page_is_whole(&log, "out", 13);
+    // What was expected at step 6 for step 12 is what came, with replay.
+    let expected = tree(&log.path("out/steps/000006/forecast/000012"));
+    assert_eq!(
+        expected.keys().collect::<Vec<_>>(),
+        ["CAM_BACK/depth.png", "CAM_FRONT/depth.png", "meta.json"]
+    );
+    let came = tree(&log.path("out/steps/000012"));
+    assert!(expected.iter().all(|(name, bytes)| came[name] == *bytes));
+    assert_eq!(std::fs::read_dir(log.path("out/steps/000006/forecast")).unwrap().count(), 1);
+    assert!(!log.path("out/steps/000005/forecast").exists(), "no plan step");
+}
+
+#[test]
+fn a_planner_that_dies_leaves_the_steps_until_then() {
+    let log = built();
+    let script = r#"#!/bin/sh
+read -r hello
+echo '{"protocol": "pskel-planner", "version": 1}'
+read -r observation
+echo "$observation" > observed.json
+echo '{"frame": "ego", "trajectory": [{"t": 0.5, "x": 1, "y": 0, "heading": 0, "v": 2}, {"t": 1, "x": 2, "y": 0, "heading": 0, "v": 2}]}'
+read -r observation
+exit 3
+"#;
+    let path = log.path("planner.sh");
+    std::fs::write(&path, script).unwrap();
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let args = format!("{SIMULATE} --steps 20 --ego external --planner ./planner.sh");
+    assert_failed(&log.run(&args), 1, &["stopped after 13 steps, which are in out", "planner", "exit"]);
+    assert_eq!(rows(&log, "out").len(), 13);
+    assert_page_is_whole(&log, "out", 13);
+    let metrics = log.json("out/metrics.json");
+    assert_eq!((&metrics["ended"], &metrics["steps"]), (&Value::Null, &json!(6)));
+    assert!(metrics["failure"].as_str().unwrap().contains("planner"));
+    assert_eq!(page(&log, "out")["failure"], metrics["failure"]);
+    // It was told the files of the step before its first plan.
+    let observed = log.json("observed.json");
+    let files: Vec<&str> =
+        observed["files"].as_array().unwrap().iter().map(|f| f.as_str().unwrap()).collect();
+    assert!(
+        files.iter().all(|file| Path::new(file).is_file() && file.contains("out/steps/000006/")),
+        "{files:?}"
+    );
+    assert!(files.iter().any(|file| file.ends_with("CAM_FRONT/color.png")));
+    // One that says no word leaves nothing.
+    std::fs::remove_dir_all(log.path("out")).unwrap();
+    std::fs::create_dir(log.path("out")).unwrap();
+    log.fail(&args.replace("./planner.sh", "true"), 1, &["planner"]);
+}
+
+#[test]
+fn a_full_disk_leaves_whole_steps_and_lines() {
+    let log = built();
+    // 1 KiB: not even the options; then enough for some lines of states, which grow beyond it.
+    for limit in [1, 16] {
+        let script =
+            format!("ulimit -f {limit}; exec '{PSKEL}' {SIMULATE} --maps boxes --steps 30 --ego straight");
+        let output = Command::new("bash").arg("-c").arg(script).current_dir(log.path("")).output().unwrap();
+        assert_failed(&output, 1, &["cannot write"]);
+        let files = tree(&log.path("out"));
+        if limit == 1 {
+            assert_eq!(files.len(), 0, "{:?}", files.keys());
+            continue;
+        }
+        let rows = rows(&log, "out");
+        assert!(!rows.is_empty() && rows.len() < 31, "{} rows", rows.len());
+        for step in 0..rows.len() {
+            for name in ["meta.json", "state.json", "birdseye.png", "view/boxes.jpg", "CAM_BACK/boxes.png"] {
+                assert!(files.contains_key(&format!("steps/{step:06}/{name}")), "step {step} {name}");
+            }
+        }
+        assert!(!files.contains_key("index.json") && files.keys().all(|name| !name.contains(".pskel-")));
+    }
+    // With room it goes on.
+    log.succeed(&format!("{SIMULATE} --maps boxes --steps 30 --ego straight --resume"));
+    assert_page_is_whole(&log, "out", 31);
+}
+
+#[test]
+fn a_dry_run_writes_nothing() {
+    let log = built();
+    let summary = log.succeed(&format!("{SIMULATE} --steps 3 --dry --profile p.json"));
+    assert!(summary.starts_with("simulated 3 steps") && summary.contains("steps a second"), "{summary}");
+    log.assert_out_is_empty();
+    let profile = log.json("p.json");
+    assert_eq!((profile["steps"].as_array().unwrap().len(), &profile["written"]), (4, &json!([])));
+    assert!(profile["medians"]["step_s"].as_f64() > Some(0.0));
+}
+
+#[test]
+fn wrong_usage_exits_with_2_and_wrong_files_with_1() {
+    let log = built();
+    std::fs::write(log.path("one.json"), "[[1, 2]]").unwrap();
+    for (extra, code, parts) in [
+        ("--steps 0", 2, ["at least one step", ""]),
+        ("--steps 5 --sim-hz 10 --plan-hz 4", 2, ["10 Hz and 4 Hz", "multiple"]),
+        ("--steps 5 --sim-hz 0", 2, ["0.1 to 100", ""]),
+        ("--steps 5 --ego fly", 2, ["lane_change", "replay"]),
+        ("--steps 5 --actors fly", 2, ["idm", "reactive"]),
+        ("--steps 5 --ego file", 2, ["--trajectory", ""]),
+        ("--steps 5 --ego external", 2, ["--planner", ""]),
+        ("--steps 5 --trajectory one.json", 2, ["--ego file with --trajectory", "replay"]),
+        ("--steps 5 --ego file --trajectory one.json", 1, ["one.json", "expected"]),
+        ("--steps 5 --ego file --trajectory none.csv", 1, ["none.csv", "cannot read"]),
+        ("--steps 5 --start 7", 2, ["1000000000 to 1001000000", "found 7"]),
+        ("--steps 5 --maps tensor", 2, ["npz or safetensors", ""]),
+        ("--steps 5 --maps map", 1, ["an HD map", "none"]),
+        ("--steps 5 --resume", 1, ["cannot read", "states.jsonl"]),
+        ("--steps 5 --dry --resume", 2, ["cannot be used with", ""]),
+    ] {
+        log.fail(&format!("{SIMULATE} {extra}"), code, &parts);
+    }
+    // What somebody else has there stays.
+    std::fs::write(log.path("out/mine.txt"), "mine").unwrap();
+    assert_failed(&log.run(&format!("{SIMULATE} --steps 1")), 1, &["an older one with rollout.json", "out"]);
+    assert_eq!(tree(&log.path("out")).into_keys().collect::<Vec<_>>(), ["mine.txt"]);
+}
