@@ -71,7 +71,7 @@ fn fill(
         if along_m + size_m.x + 2.0 * room_m > end_m {
             return;
         }
-        if size_m.y + KERB_GAP_M < strip_m + 0.05 && random.chance(TAKEN) {
+        if size_m.y + KERB_GAP_M < strip_m && random.chance(TAKEN) {
             let middle_m = along_m + room_m + size_m.x / 2.0;
             let aside_m = KERB_GAP_M + size_m.y / 2.0 + random.between(0.0, 0.08);
             let yaw_rad = random.between(-0.015, 0.015);

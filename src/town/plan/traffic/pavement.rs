@@ -48,17 +48,22 @@ impl Kerb {
             if std::mem::replace(&mut seen[road][usize::from(forward)], true) {
                 break;
             }
-            points.extend(side(network, at));
+            add(&mut points, &side(network, at));
             let junction = &network.junctions[network.roads[road].junctions[usize::from(forward)]];
             let same = |a: &DVec2, b: &DVec2| a.distance(*b) < SAME_M;
             let corners = junction.kerbs();
             let corner = corners.iter().find(|corner| same(&corner[0], &points[points.len() - 1]))?;
             let end = corner[corner.len() - 1];
-            points.extend(&corner[1..]);
+            add(&mut points, corner);
             let sides = junction.roads().into_iter().flat_map(|road| [(road, true), (road, false)]);
             at = sides.into_iter().find(|s| side(network, *s).first().is_some_and(|p| same(p, &end)))?;
         }
-        points.extend(points.first().copied());
+        // Two points in nearly the same place would have no direction.
+        let first = points[0];
+        while points.len() > 2 && points[points.len() - 1].distance(first) < SAME_M {
+            points.pop();
+        }
+        points.push(first);
         (at == start).then_some(Self(points))
     }
 
@@ -73,6 +78,15 @@ impl Kerb {
             Track { path: Path::new(&line), forward: (k + number).is_multiple_of(2) }
         };
         (0..count).map(track).collect()
+    }
+}
+
+/// Goes on with those points that are not where it ends.
+fn add(points: &mut Vec<DVec2>, more: &[DVec2]) {
+    for point in more {
+        if points.last().is_none_or(|last| last.distance(*point) > SAME_M) {
+            points.push(*point);
+        }
     }
 }
 

@@ -6,6 +6,7 @@
 //! room beyond. On lanes, and on ways that begin alike, everybody follows the one in front.
 
 use super::lanes::{BEYOND_CROSSING_M, Lanes, Way};
+use super::route::BRAKING_MPS2;
 use super::vehicle::{Leader, Vehicle};
 use crate::town::plan::{JunctionKind, Signal, Turn};
 
@@ -38,6 +39,7 @@ impl<'a> World<'a> {
     /// Moves everybody on wheels by a step.
     pub(super) fn step(&mut self) {
         let occupants = self.occupants();
+        self.revoke();
         self.grant(&occupants);
         let plans: Vec<(Option<Leader>, f64)> = (0..self.vehicles.len())
             .map(|i| (self.leader(i, &occupants), self.stop_m(&self.vehicles[i])))
@@ -120,6 +122,20 @@ impl<'a> World<'a> {
             }
         }
         best
+    }
+
+    /// Who can still stop before a light that is no longer green has to.
+    fn revoke(&mut self) {
+        for vehicle in &mut self.vehicles {
+            let Some(k) = vehicle.granted else { continue };
+            let Some(way) = self.lanes.ways[vehicle.route.lanes[k]] else { continue };
+            let light = self.lanes.network.signal_at(way.junction, way.road, self.t_s);
+            let left_m = vehicle.route.starts_m[k] - way.stop_m() - vehicle.front_m();
+            let halts_m = vehicle.speed_mps * (vehicle.speed_mps / (2.0 * BRAKING_MPS2) + STEP_S);
+            if light.is_some_and(|light| light != Signal::Green) && left_m > halts_m + 0.1 {
+                vehicle.granted = k.checked_sub(2);
+            }
+        }
     }
 
     /// Grants ways to those who reach a junction: who waits longest goes first, who turns left goes last.
