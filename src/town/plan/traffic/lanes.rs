@@ -7,7 +7,7 @@ use crate::town::plan::line::Path;
 use crate::town::plan::{JunctionKind, LaneKind, Network, Turn};
 
 /// Metres from the end of a road's lane back to where vehicles stop: before the crossing, or before a bend.
-const STOP_M: f64 = 7.0;
+pub(super) const STOP_M: f64 = 7.0;
 const STOP_FREE_M: f64 = 0.5;
 /// Metres from a junction to beyond the crossing on the road after it.
 pub(super) const BEYOND_CROSSING_M: f64 = 6.0;

@@ -151,7 +151,6 @@ fn drive(ego: &Vehicle, duration_s: f64) -> Vec<DVec2> {
     Path::new(&ego.route.path.part(ego.along_m, ego.along_m + length_m)).resampled(15.0)
 }
 
-
 /// Lets everybody go on for some seconds and writes down where they are: vehicles, then walkers.
 fn record(world: &mut World<'_>, walkers: &mut [Walker], duration_s: f64) -> Vec<Motion> {
     let steps = (duration_s.max(0.0) / STEP_S).ceil() as usize;
@@ -197,7 +196,7 @@ fn keep_apart(ego: &Motion, movers: &mut Vec<(Body, Motion)>) {
             let last = own.len().max(others.len()).min(steps);
             (0..last).any(|step| pick(&own, step).overlaps(&pick(others, step)))
         };
-        
+
         if !rects.iter().any(meets) {
             rects.push(own);
             kept.push((body, motion));

@@ -61,13 +61,21 @@ impl People<'_> {
     fn walker(&mut self, path: Path, along_m: f64, pace_mps: f64, crossing: Option<Over>) -> Option<Walker> {
         let body = self.bodies.of(BodyKind::Walker, &mut self.random);
         let size_m = body.size_m().truncate();
-        (path.length_m() > along_m)
-            .then_some(Walker { body, size_m, path, along_m, speed_mps: pace_mps, pace_mps, crossing })
+        (path.length_m() > along_m).then_some(Walker {
+            body,
+            size_m,
+            path,
+            along_m,
+            speed_mps: pace_mps,
+            pace_mps,
+            crossing,
+        })
     }
 
     /// One or two at each crossing.
     fn crossing(&mut self, tracks: &[Track], drive: &[DVec2]) -> Vec<Walker> {
-        let near = |i: &usize| drive.iter().any(|p| p.distance(self.network.crossings[*i].path[0]) < CROSS_NEAR_M);
+        let near =
+            |i: &usize| drive.iter().any(|p| p.distance(self.network.crossings[*i].path[0]) < CROSS_NEAR_M);
         let mut crossings: Vec<usize> = (0..self.network.crossings.len()).filter(near).collect();
         self.random.shuffle(&mut crossings);
         crossings.truncate(CROSSED);

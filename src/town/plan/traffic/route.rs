@@ -34,16 +34,23 @@ pub(super) struct Wish {
     pub(super) right_m: f64,
     /// It must not turn in sharp curves.
     pub(super) long: bool,
-    /// It turns off at every so-manieth junction.
+    /// It turns off at the first junction, and again at every so-manieth.
     pub(super) turn_within: Option<usize>,
 }
 
 impl Route {
     /// From a lane on for so many metres, at random.
-    pub(super) fn draw(lanes: &Lanes<'_>, first: usize, length_m: f64, wish: Wish, random: &mut Random) -> Self {
+    pub(super) fn draw(
+        lanes: &Lanes<'_>,
+        first: usize,
+        length_m: f64,
+        wish: Wish,
+        random: &mut Random,
+    ) -> Self {
         let mut taken = vec![first];
         let (mut left_m, mut last) = (length_m - lanes.length_m(first), first);
-        let mut straight = 0;
+        // Who turns off does so at the first junction.
+        let mut straight = wish.turn_within.unwrap_or(0);
         while left_m > 0.0 {
             let ways = &lanes.network.lanes[last].successors;
             let turn_of = |i: usize| lanes.ways[i].map_or(Turn::Straight, |w| w.turn);

@@ -23,6 +23,8 @@ const NEAR_M: f64 = 140.0;
 /// A vehicle for so many metres of lanes, and least and most of them.
 const SPACING_M: f64 = 52.0;
 const COUNT: [usize; 2] = [26, 90];
+/// Trucks and buses find no way for longer than this, seconds: their streets end.
+const LONG_S: f64 = 24.0;
 /// A cyclist rides so far from the right edge of a lane, metres.
 const EDGE_M: f64 = 0.65;
 
@@ -103,6 +105,11 @@ impl Start<'_> {
         let length_m = 60.0 + driver.free_mps * self.duration_s;
         let wish = Wish { right_m, long, turn_within: None };
         let route = Route::draw(self.lanes, lane, length_m, wish, &mut self.random);
+        let wanted_m = driver.free_mps * self.duration_s.min(LONG_S);
+        if long && route.length_m() - along_m < wanted_m {
+            let car = self.bodies.of(BodyKind::Sedan, &mut self.random);
+            return self.vehicle(car, lane, along_m, speed_mps);
+        }
         // From here it can still stop at the end of its lane.
         let stop_m = route.starts_m[1] - 8.0 - along_m - size_m.x / 2.0;
         let most_mps = (2.0 * BRAKING_MPS2 * (stop_m - 1.0)).max(0.0).sqrt();
@@ -177,7 +184,9 @@ impl Start<'_> {
     /// some who come towards it.
     pub(super) fn join(&mut self, world: &mut World<'_>, ego: Vehicle) {
         let lane = ego.route.lanes[0];
-        let LaneKind::Road(road) = self.lanes.network.lanes[lane].kind else { return world.vehicles.insert(0, ego) };
+        let LaneKind::Road(road) = self.lanes.network.lanes[lane].kind else {
+            return world.vehicles.insert(0, ego);
+        };
         let sides = self.lanes.network.lanes_of(road);
         let (own, other) = if sides[0].contains(&lane) { (0, 1) } else { (1, 0) };
         let here_m = ego.along_m;

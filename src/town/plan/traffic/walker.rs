@@ -97,7 +97,8 @@ pub(super) fn step(walkers: &mut [Walker], world: &mut World<'_>) {
             let others = rects.iter().enumerate().filter(|(k, _)| *k != i && (!first || *k < i));
             let met = others.filter(|(_, other)| rect.overlaps(other));
             // Who is already too near may go away.
-            met.into_iter().any(|(k, _)| !rects[i].grown(ROOM_M).overlaps(&rects[k]) || along_m <= walker.along_m)
+            met.into_iter()
+                .any(|(k, _)| !rects[i].grown(ROOM_M).overlaps(&rects[k]) || along_m <= walker.along_m)
         };
         let sight_m = walker.along_m + SIGHT_M;
         let halts = blocked(sight_m, true) || blocked(walker.along_m + SIGHT_FIRST_M, false);

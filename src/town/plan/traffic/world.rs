@@ -5,7 +5,7 @@
 //! road. A way is granted if the light allows it, nobody is on a way that crosses it, nobody walks over its crossings, and there is
 //! room beyond. On lanes, and on ways that begin alike, everybody follows the one in front.
 
-use super::lanes::{BEYOND_CROSSING_M, Lanes, Way};
+use super::lanes::{BEYOND_CROSSING_M, Lanes, STOP_M, Way};
 use super::route::BRAKING_MPS2;
 use super::vehicle::{Leader, Vehicle};
 use crate::town::plan::{JunctionKind, Signal, Turn};
@@ -85,7 +85,7 @@ impl<'a> World<'a> {
     fn stop_m(&self, vehicle: &Vehicle) -> f64 {
         match self.next_way(vehicle).and_then(|k| Some((k, self.lanes.ways[vehicle.route.lanes[k]]?))) {
             Some((k, way)) => vehicle.route.starts_m[k] - way.stop_m(),
-            None => vehicle.route.length_m() - 2.0,
+            None => vehicle.route.length_m() - STOP_M,
         }
     }
 
@@ -183,9 +183,9 @@ impl<'a> World<'a> {
             let at = other.route.lane_at(other.along_m);
             other.granted.is_none_or(|granted| granted <= at)
         };
-        occupants[lane].iter().all(|(along_m, other)| {
-            *other == index || *along_m <= own_m || !waits(&self.vehicles[*other])
-        })
+        occupants[lane]
+            .iter()
+            .all(|(along_m, other)| *other == index || *along_m <= own_m || !waits(&self.vehicles[*other]))
     }
 
     /// Ways that a vehicle has been granted and has not left behind: how far its middle is along each, and how far its rear is beyond
