@@ -165,7 +165,12 @@ impl<'a> World<'a> {
             JunctionKind::Free => true,
             JunctionKind::Stop => me.waits_since_s.is_some_and(|since| self.t_s - since > HALT_S),
             JunctionKind::Signals => {
-                self.lanes.network.signal_at(way.junction, way.road, self.t_s) == Some(Signal::Green)
+                // Who waits to turn left goes last, when those who come towards it have to stop.
+                let last = way.turn == Turn::Left && me.waits_since_s.is_some();
+                match self.lanes.network.signal_at(way.junction, way.road, self.t_s) {
+                    Some(Signal::Yellow) => last,
+                    light => light == Some(Signal::Green),
+                }
             }
         };
         allowed
@@ -223,7 +228,7 @@ impl<'a> World<'a> {
         for (along_m, other) in occupants[way.to].iter().filter(|o| o.1 != index) {
             let other = &self.vehicles[*other];
             // Who drives makes room.
-            let leaves_m = other.speed_mps * 2.0;
+            let leaves_m = other.speed_mps * 1.2;
             room_m = room_m.min(along_m - other.size_m.x / 2.0 + leaves_m);
         }
         let mut needed_m = BEYOND_CROSSING_M + self.vehicles[index].size_m.x + 3.0;
