@@ -71,8 +71,8 @@ impl Route {
             // Who turns left holds up others.
             let weight = |i: usize| match turn_of(i) {
                 Turn::Left => 1.0,
-                Turn::Straight => 4.0,
-                Turn::Right => 2.0,
+                Turn::Straight => 8.0,
+                Turn::Right => 3.0,
             };
             let weighted: Vec<(usize, f64)> = choices.iter().map(|i| (*i, weight(*i))).collect();
             let Some(next) = random.weighted(&weighted) else { break };
