@@ -2,11 +2,23 @@
 //!
 //! All in the town's frame, metres: x and y on the ground, z up; roads lie at z = 0, sidewalks [`KERB_M`] higher.
 
+mod corner;
+mod graph;
+pub mod line;
 mod network;
+#[cfg(test)]
+mod network_tests;
+mod random;
+mod signals;
+mod streets;
 mod traffic;
+mod ways;
 
-pub use network::{Crossing, Junction, JunctionEdge, JunctionKind, LaneKind, Network, Road, TownLane};
+pub use network::{
+    Crossing, Junction, JunctionEdge, JunctionKind, LaneKind, Network, Road, Side, Signal, TownLane,
+};
 pub use traffic::{Actor, Motion, Traffic};
+pub use ways::Turn;
 
 use super::TownOptions;
 

@@ -1,0 +1,157 @@
+//! Lanes of roads, and the ways that lead from them through junctions.
+
+use glam::DVec2;
+
+use super::line::{Path, bezier, offset_line};
+use super::{LaneKind, Network, TownLane};
+
+/// Ways that turn less than this go straight on.
+const STRAIGHT_RAD: f64 = 0.62;
+/// Metres between the points of a way through a junction: curves are tight there.
+const STEP_M: f64 = 0.4;
+
+/// Where a way leads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[allow(missing_docs)]
+pub enum Turn {
+    Left,
+    Straight,
+    Right,
+}
+
+impl Turn {
+    /// From the direction in which a line starts to that in which it ends.
+    pub fn of(line: &[DVec2]) -> Self {
+        let path = Path::new(line);
+        Self::between(path.direction(0.0), path.direction(path.length_m()))
+    }
+
+    fn between(from: DVec2, to: DVec2) -> Self {
+        match from.angle_to(to) {
+            angle if angle > STRAIGHT_RAD => Self::Left,
+            angle if angle < -STRAIGHT_RAD => Self::Right,
+            _ => Self::Straight,
+        }
+    }
+}
+
+/// Adds the lanes of all roads, then the ways through all junctions.
+pub(super) fn add_lanes(network: &mut Network) {
+    for (index, road) in network.roads.iter().enumerate() {
+        for (forward, sign) in [('f', -1.0), ('b', 1.0)] {
+            for lane in 0..road.lanes_each_way {
+                let middle = (lane as f64 + 0.5) * road.lane_width_m;
+                let mut centerline = offset_line(&road.centerline, sign * middle);
+                if forward == 'b' {
+                    centerline.reverse();
+                }
+                network.lanes.push(TownLane {
+                    id: format!("lane-{index:02}{forward}{lane}"),
+                    kind: LaneKind::Road(index),
+                    centerline,
+                    width_m: road.lane_width_m,
+                    successors: Vec::new(),
+                });
+            }
+        }
+    }
+    for junction in 0..network.junctions.len() {
+        for from in network.junctions[junction].roads() {
+            add_ways(network, junction, from);
+        }
+    }
+}
+
+/// Lanes of a road that end at a junction, and those that start there, each from the middle outward.
+fn lanes_at(network: &Network, junction: usize, road: usize) -> [Vec<usize>; 2] {
+    let [forward, back] = network.lanes_of(road);
+    if network.roads[road].junctions[1] == junction { [forward, back] } else { [back, forward] }
+}
+
+/// Adds the ways from one road through a junction: from the outermost lane to the right, from the innermost to the left,
+/// from each straight on; where a lane would lead nowhere it goes where there is a road.
+fn add_ways(network: &mut Network, junction: usize, from: usize) {
+    let [incoming, _] = lanes_at(network, junction, from);
+    let mut targets: Vec<(Turn, Vec<usize>)> = Vec::new();
+    for road in network.junctions[junction].roads() {
+        let (Some([_, out]), Some([_, back])) =
+            (network.roads[road].mouth(junction), network.roads[from].mouth(junction))
+        else {
+            continue;
+        };
+        if road != from {
+            targets.push((Turn::between(-back, out), lanes_at(network, junction, road)[1].clone()));
+        }
+    }
+    targets.sort();
+    let last = incoming.len().saturating_sub(1);
+    let only = targets.len() == 1;
+    for (k, lane) in incoming.iter().enumerate() {
+        let allowed = |turn: Turn| match turn {
+            Turn::Left => k == 0 || only,
+            Turn::Straight => true,
+            Turn::Right => k == last || only,
+        };
+        let mut ways: Vec<&(Turn, Vec<usize>)> = targets.iter().filter(|t| allowed(t.0)).collect();
+        // Without a road straight ahead that is as wide, the lane in the middle leaves going straight to the outer one.
+        ways.retain(|(turn, lanes)| {
+            only || *turn != Turn::Straight || lanes.len() >= incoming.len() || k == last
+        });
+        if ways.is_empty() {
+            ways = targets.iter().filter(|t| t.0 == Turn::Straight).collect();
+        }
+        if ways.is_empty() {
+            ways = targets.iter().collect();
+        }
+        for (turn, lanes) in ways {
+            let outer = lanes.len() - 1;
+            let to = match turn {
+                _ if only => k.min(outer),
+                Turn::Left => 0,
+                Turn::Right => outer,
+                Turn::Straight if incoming.len() > lanes.len() => outer,
+                Turn::Straight => outer - (last - k),
+            };
+            add_way(network, junction, *lane, lanes[to]);
+        }
+    }
+}
+
+fn add_way(network: &mut Network, junction: usize, from: usize, to: usize) {
+    let (a, b) = (&network.lanes[from], &network.lanes[to]);
+    let (before, after) = (Path::new(&a.centerline), Path::new(&b.centerline));
+    let centerline = way(
+        [before.point(before.length_m()), before.direction(before.length_m())],
+        [after.point(0.0), after.direction(0.0)],
+    );
+    let way = TownLane {
+        id: format!("way-{junction:02}-{}-{}", &a.id["lane-".len()..], &b.id["lane-".len()..]),
+        kind: LaneKind::Junction(junction),
+        centerline,
+        width_m: a.width_m.min(b.width_m),
+        successors: vec![to],
+    };
+    let index = network.lanes.len();
+    network.lanes.push(way);
+    network.lanes[from].successors.push(index);
+}
+
+/// A smooth line from a point and direction to another: straight where there is room, then a curve.
+fn way([from, ahead]: [DVec2; 2], [to, on]: [DVec2; 2]) -> Vec<DVec2> {
+    let turn = ahead.angle_to(on);
+    let denominator = ahead.perp_dot(on);
+    let (a, b) = ((to - from).perp_dot(on) / denominator, (to - from).perp_dot(ahead) / denominator);
+    if turn.abs() < 0.3 || a < 3.0 || b < 3.0 {
+        let handle = from.distance(to) * 0.4;
+        let curve = [from, from + ahead * handle, to - on * handle, to];
+        return Path::new(&bezier(curve, 64)).resampled(STEP_M);
+    }
+    let corner = from + ahead * a;
+    let tangent = a.min(b) - 0.5;
+    let [start, end] = [corner - ahead * tangent, corner + on * tangent];
+    // An arc of a circle has handles of this length; longer ones make the ends of the curve gentler.
+    let handle = tangent * 1.1 * 4.0 / 3.0 * (turn / 4.0).tan() / (turn / 2.0).tan();
+    let curve = bezier([start, start + ahead * handle, end - on * handle, end], 64);
+    let line: Vec<DVec2> = [from].into_iter().chain(curve).chain([to]).collect();
+    Path::new(&line).resampled(STEP_M)
+}
