@@ -3,7 +3,7 @@
 use super::{JunctionKind, Network, Signal};
 
 /// Green, yellow, and all red, seconds.
-const GREEN_S: f64 = 13.0;
+const GREEN_S: f64 = 10.0;
 const YELLOW_S: f64 = 3.0;
 const CLEAR_S: f64 = 2.0;
 const PHASE_S: f64 = GREEN_S + YELLOW_S + CLEAR_S;

@@ -1,0 +1,47 @@
+use glam::DVec2;
+
+use crate::geometry::Pose;
+use crate::town::plan::line::Path;
+
+/// An upright box seen from above.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Rect {
+    pub(super) centre: DVec2,
+    /// Unit, forward.
+    pub(super) ahead: DVec2,
+    /// Half its length and half its width, metres.
+    pub(super) half_m: DVec2,
+}
+
+impl Rect {
+    /// Of what stands on two points of a path, as on axles that are `base_m` apart, around a place along it, metres.
+    pub(super) fn on(path: &Path, along_m: f64, base_m: f64, size_m: DVec2) -> Self {
+        let [rear, front] = [-0.5, 0.5].map(|share| path.point(along_m + share * base_m));
+        let ahead = (front - rear).normalize_or(path.direction(along_m));
+        Self { centre: (rear + front) / 2.0, ahead, half_m: size_m / 2.0 }
+    }
+
+    /// At a pose on the ground below its middle.
+    pub(super) fn at(pose: &Pose, size_m: DVec2) -> Self {
+        let ahead = (pose.rotation * glam::DVec3::X).truncate().normalize_or(DVec2::X);
+        Self { centre: pose.translation.truncate(), ahead, half_m: size_m / 2.0 }
+    }
+
+    /// Larger by so much on all sides, metres.
+    pub(super) fn grown(self, by_m: f64) -> Self {
+        Self { half_m: self.half_m + by_m, ..self }
+    }
+
+    /// Whether two of them share a place: no line parallel to a side of one lies between them.
+    pub(super) fn overlaps(&self, other: &Self) -> bool {
+        let apart = other.centre - self.centre;
+        if apart.length_squared() > (self.half_m.length() + other.half_m.length()).powi(2) {
+            return false;
+        }
+        let reach = |rect: &Self, axis: DVec2| {
+            rect.half_m.x * rect.ahead.dot(axis).abs() + rect.half_m.y * rect.ahead.perp().dot(axis).abs()
+        };
+        let axes = [self.ahead, self.ahead.perp(), other.ahead, other.ahead.perp()];
+        axes.into_iter().all(|axis| apart.dot(axis).abs() <= reach(self, axis) + reach(other, axis))
+    }
+}

@@ -1,0 +1,135 @@
+use super::lanes::Lanes;
+use crate::town::plan::Turn;
+use crate::town::plan::line::{Path, offset_line};
+use crate::town::plan::random::Random;
+
+/// Along curves vehicles slow down to this lateral acceleration, m/s².
+const LATERAL_MPS2: f64 = 1.9;
+/// They brake by this much ahead of a curve or a line, m/s².
+pub(super) const BRAKING_MPS2: f64 = 1.5;
+/// Metres between the places that a limit of speed is kept for.
+const CAP_STEP_M: f64 = 1.0;
+/// A curve is seen over so many metres.
+const CURVE_M: f64 = 3.0;
+/// Trucks and buses do not go where it turns more than 1 m in this many.
+const LONG_RADIUS_M: f64 = 14.0;
+
+/// A way along lanes.
+#[derive(Clone, Debug)]
+pub(super) struct Route {
+    /// Lanes in the order in which they are driven.
+    pub(super) lanes: Vec<usize>,
+    /// Where each of them begins, metres along the path; one more for the end.
+    pub(super) starts_m: Vec<f64>,
+    /// Where it goes.
+    pub(super) path: Path,
+    /// Highest speeds every metre.
+    caps_mps: Vec<f64>,
+}
+
+/// What a route has to be like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Wish {
+    /// Metres to the right of the middle of lanes.
+    pub(super) right_m: f64,
+    /// It must not turn in sharp curves.
+    pub(super) long: bool,
+    /// It turns off at the first junction, and again at every so-manieth.
+    pub(super) turn_within: Option<usize>,
+}
+
+impl Route {
+    /// From a lane on for so many metres, at random.
+    pub(super) fn draw(
+        lanes: &Lanes<'_>,
+        first: usize,
+        length_m: f64,
+        wish: Wish,
+        random: &mut Random,
+    ) -> Self {
+        let mut taken = vec![first];
+        let (mut left_m, mut last) = (length_m - lanes.length_m(first), first);
+        // Who turns off does so at the first junction.
+        let mut straight = wish.turn_within.unwrap_or(0);
+        while left_m > 0.0 {
+            let ways = &lanes.network.lanes[last].successors;
+            let turn_of = |i: usize| lanes.ways[i].map_or(Turn::Straight, |w| w.turn);
+            let mut choices: Vec<usize> = ways.clone();
+            let mut prefer = |keep: &dyn Fn(usize) -> bool| {
+                if choices.iter().any(|i| keep(*i)) {
+                    choices.retain(|i| keep(*i));
+                }
+            };
+            prefer(&|i| lanes.is_open(i, 3));
+            prefer(&|i| !wish.long || gentle(&lanes.paths[i]));
+            if let Some(within) = wish.turn_within {
+                let turns = straight + 1 >= within;
+                prefer(&|i| (turn_of(i) != Turn::Straight) == turns);
+            }
+            if wish.long {
+                choices.retain(|i| gentle(&lanes.paths[*i]));
+            }
+            if choices.is_empty() {
+                break;
+            }
+            let next = choices[random.index(choices.len())];
+            straight = if turn_of(next) == Turn::Straight { straight + 1 } else { 0 };
+            let Some(after) = lanes.ways[next].map(|w| w.to) else { break };
+            taken.extend([next, after]);
+            left_m -= lanes.length_m(next) + lanes.length_m(after);
+            last = after;
+        }
+        Self::along(lanes, taken, wish.right_m)
+    }
+
+    fn along(lanes: &Lanes<'_>, taken: Vec<usize>, right_m: f64) -> Self {
+        let mut points = Vec::new();
+        let mut starts_m = vec![0.0];
+        for lane in &taken {
+            points.extend(offset_line(&lanes.network.lanes[*lane].centerline, -right_m));
+            starts_m.push(Path::new(&points).length_m());
+        }
+        let path = Path::new(&points);
+        let caps_mps = caps_mps(&path);
+        Self { lanes: taken, starts_m, path, caps_mps }
+    }
+
+    pub(super) fn length_m(&self) -> f64 {
+        self.path.length_m()
+    }
+
+    /// Index in `lanes` of where a place along it is, metres.
+    pub(super) fn lane_at(&self, along_m: f64) -> usize {
+        let next = self.starts_m.partition_point(|s| *s <= along_m);
+        next.clamp(1, self.lanes.len()) - 1
+    }
+
+    /// Highest speed at a place, metres along it, that leaves room to slow down for what follows.
+    pub(super) fn cap_mps(&self, along_m: f64) -> f64 {
+        let at = (along_m / CAP_STEP_M).clamp(0.0, (self.caps_mps.len() - 1) as f64);
+        let [a, b] = [at.floor(), at.ceil()].map(|k| self.caps_mps[k as usize]);
+        a + (b - a) * at.fract()
+    }
+}
+
+/// How much a path turns around a place, radians per metre.
+fn curvature(path: &Path, at_m: f64) -> f64 {
+    let [a, b, c] = [-CURVE_M / 2.0, 0.0, CURVE_M / 2.0].map(|d| path.point(at_m + d));
+    (b - a).angle_to(c - b).abs() / (CURVE_M / 2.0)
+}
+
+fn gentle(path: &Path) -> bool {
+    (0..path.length_m() as usize).all(|s| curvature(path, s as f64) < 1.0 / LONG_RADIUS_M)
+}
+
+fn caps_mps(path: &Path) -> Vec<f64> {
+    let steps = (path.length_m() / CAP_STEP_M).ceil() as usize;
+    let mut caps: Vec<f64> = (0..=steps)
+        .map(|i| (LATERAL_MPS2 / curvature(path, i as f64 * CAP_STEP_M).max(1e-3)).sqrt())
+        .collect();
+    for i in (0..caps.len().saturating_sub(1)).rev() {
+        let before = (caps[i + 1].powi(2) + 2.0 * BRAKING_MPS2 * CAP_STEP_M).sqrt();
+        caps[i] = caps[i].min(before);
+    }
+    caps
+}

@@ -1,0 +1,236 @@
+//! Where everybody on wheels begins.
+
+use glam::DVec2;
+
+use super::bodies::{Bodies, DRIVING};
+use super::lanes::Lanes;
+use super::route::{BRAKING_MPS2, Route, Wish};
+use super::vehicle::{Driver, Vehicle};
+use super::world::World;
+use crate::town::model::{Body, BodyKind};
+use crate::town::plan::random::Random;
+use crate::town::plan::{LaneKind, Signal};
+
+/// The recording car: length and width, and how far the middle of its box is ahead of its rear axle, metres.
+pub(super) const EGO_M: DVec2 = DVec2::new(5.176, 2.297);
+pub(super) const EGO_AHEAD_M: f64 = 1.461;
+/// The ego's speed at the start, m/s.
+const EGO_MPS: f64 = 8.0;
+/// The ego begins so far along its lane, metres.
+const EGO_ALONG_M: f64 = 7.0;
+/// Streets so near to the ego's drive have traffic, metres.
+const NEAR_M: f64 = 140.0;
+/// A vehicle for so many metres of lanes, and least and most of them.
+const SPACING_M: f64 = 52.0;
+const COUNT: [usize; 2] = [26, 90];
+/// Trucks and buses find no way for longer than this, seconds: their streets end.
+const LONG_S: f64 = 24.0;
+/// A cyclist rides so far from the right edge of a lane, metres.
+const EDGE_M: f64 = 0.65;
+
+/// Draws vehicles.
+pub(super) struct Start<'a> {
+    pub(super) lanes: &'a Lanes<'a>,
+    pub(super) bodies: &'a Bodies,
+    pub(super) random: Random,
+    /// Routes are long enough for so many seconds.
+    pub(super) duration_s: f64,
+}
+
+impl Start<'_> {
+    /// The ego as it is at time 0: on the left lane of an avenue that has a long way to go.
+    pub(super) fn ego(&mut self) -> Vehicle {
+        let mut best = (f64::NEG_INFINITY, 0);
+        for lane in 0..self.lanes.paths.len() {
+            if let Some(score) = self.score(lane) {
+                let score = score + self.random.between(0.0, 0.9);
+                best = if score > best.0 { (score, lane) } else { best };
+            }
+        }
+        let long_drive = self.duration_s > 14.0;
+        let wish = Wish { right_m: 0.0, long: false, turn_within: long_drive.then_some(2) };
+        let length_m = 60.0 + 10.0 * self.duration_s;
+        let route = Route::draw(self.lanes, best.1, length_m, wish, &mut self.random);
+        Vehicle {
+            body: None,
+            size_m: EGO_M,
+            driver: Driver { free_mps: 8.6, rise_mps2: 1.3, brake_mps2: 2.0 },
+            along_m: EGO_ALONG_M.min(route.length_m() / 2.0),
+            began_m: 0.0,
+            speed_mps: EGO_MPS,
+            granted: None,
+            waits_since_s: None,
+            route,
+        }
+    }
+
+    /// How good a lane is for the ego's start; `None` for ways through junctions.
+    fn score(&self, lane: usize) -> Option<f64> {
+        let LaneKind::Road(road) = self.lanes.network.lanes[lane].kind else { return None };
+        let [forward, back] = self.lanes.network.lanes_of(road);
+        let innermost = forward.first() == Some(&lane) || back.first() == Some(&lane);
+        let left_m = self.lanes.length_m(lane) - EGO_ALONG_M;
+        let mut score = 0.0;
+        score += if self.lanes.network.roads[road].lanes_each_way > 1 && innermost { 8.0 } else { 0.0 };
+        score += if self.lanes.is_open(lane, 2) { 3.0 } else { 0.0 };
+        score += ((left_m - 50.0) / 25.0).clamp(-1.0, 1.0);
+        let way = self.lanes.ways[*self.lanes.network.lanes[lane].successors.first()?]?;
+        let arrives_s = (left_m - 10.0) / EGO_MPS;
+        let is_green = |after_s: f64| {
+            let light = self.lanes.network.signal_at(way.junction, way.road, arrives_s + after_s);
+            light.is_none_or(|light| light == Signal::Green)
+        };
+        score += if [-4.0, -2.0, 2.0].into_iter().all(is_green) { 2.0 } else { 0.0 };
+        Some(score)
+    }
+
+    /// A vehicle with a body on a lane.
+    fn vehicle(&mut self, body: Body, lane: usize, along_m: f64, speed_mps: f64) -> Option<Vehicle> {
+        let size_m = body.size_m().truncate();
+        let long = matches!(body.kind, BodyKind::Truck | BodyKind::Bus);
+        let right_m = match body.kind {
+            BodyKind::Cyclist => self.lanes.network.lanes[lane].width_m / 2.0 - EDGE_M,
+            _ => 0.0,
+        };
+        let driver = match body.kind {
+            BodyKind::Cyclist => {
+                Driver { free_mps: self.random.between(3.0, 5.0), rise_mps2: 0.8, brake_mps2: 3.0 }
+            }
+            _ if long => Driver { free_mps: self.random.between(7.0, 8.5), rise_mps2: 0.9, brake_mps2: 3.2 },
+            _ => {
+                let rise_mps2 = self.random.between(1.2, 1.8);
+                Driver { free_mps: self.random.between(7.8, 10.5), rise_mps2, brake_mps2: 3.3 }
+            }
+        };
+        let length_m = 60.0 + driver.free_mps * self.duration_s;
+        let wish = Wish { right_m, long, turn_within: None };
+        let route = Route::draw(self.lanes, lane, length_m, wish, &mut self.random);
+        let wanted_m = driver.free_mps * self.duration_s.min(LONG_S);
+        if long && route.length_m() - along_m < wanted_m {
+            let car = self.bodies.of(BodyKind::Sedan, &mut self.random);
+            return self.vehicle(car, lane, along_m, speed_mps);
+        }
+        // From here it can still stop at the end of its lane.
+        let stop_m = route.starts_m[1] - 8.0 - along_m - size_m.x / 2.0;
+        let most_mps = (2.0 * BRAKING_MPS2 * (stop_m - 1.0)).max(0.0).sqrt();
+        let speed_mps = speed_mps.min(driver.free_mps).min(route.cap_mps(along_m)).min(most_mps);
+        (stop_m > 0.5).then_some(Vehicle {
+            body: Some(body),
+            size_m,
+            driver,
+            route,
+            along_m,
+            speed_mps,
+            granted: None,
+            waits_since_s: None,
+            began_m: along_m,
+        })
+    }
+
+    /// Vehicles on the streets around a drive.
+    pub(super) fn around(&mut self, drive: &[DVec2]) -> Vec<Vehicle> {
+        let (mut places, mut total_m) = (Vec::new(), 0.0);
+        for lane in 0..self.lanes.paths.len() {
+            let path = &self.lanes.paths[lane];
+            let near = |p: &DVec2| drive.iter().any(|q| p.distance(*q) < NEAR_M);
+            if self.lanes.ways[lane].is_some() || !path.points().iter().step_by(20).any(near) {
+                continue;
+            }
+            total_m += path.length_m();
+            let mut along_m = self.random.between(9.0, 20.0);
+            while along_m < path.length_m() - 18.0 {
+                places.push((lane, along_m));
+                along_m += self.random.between(22.0, 34.0);
+            }
+        }
+        self.random.shuffle(&mut places);
+        let count = ((total_m / SPACING_M) as usize).clamp(COUNT[0], COUNT[1]);
+        let cyclists = 2 + count / 14;
+        let mut vehicles = Vec::new();
+        for (lane, along_m) in places {
+            let body = if vehicles.len() < cyclists && self.is_outermost(lane) {
+                self.bodies.of(BodyKind::Cyclist, &mut self.random)
+            } else {
+                self.body_for(lane)
+            };
+            let speed_mps = self.random.between(4.0, 8.0);
+            vehicles.extend(self.vehicle(body, lane, along_m, speed_mps));
+            if vehicles.len() == count {
+                break;
+            }
+        }
+        vehicles
+    }
+
+    fn is_outermost(&self, lane: usize) -> bool {
+        let LaneKind::Road(road) = self.lanes.network.lanes[lane].kind else { return false };
+        self.lanes.network.lanes_of(road).iter().any(|side| side.last() == Some(&lane))
+    }
+
+    /// Trucks and buses keep to avenues.
+    fn body_for(&mut self, lane: usize) -> Body {
+        let body = self.bodies.any(&DRIVING, &mut self.random);
+        let wide = match self.lanes.network.lanes[lane].kind {
+            LaneKind::Road(road) => self.lanes.network.roads[road].lanes_each_way > 1,
+            LaneKind::Junction(_) => false,
+        };
+        match body.kind {
+            BodyKind::Truck | BodyKind::Bus if !wide => self.bodies.of(BodyKind::Sedan, &mut self.random),
+            _ => body,
+        }
+    }
+
+    /// Puts the ego on the road, and those around it who make a lane change worth a thought: one ahead, two on the lane beside it,
+    /// some who come towards it.
+    pub(super) fn join(&mut self, world: &mut World<'_>, ego: Vehicle) {
+        let lane = ego.route.lanes[0];
+        let LaneKind::Road(road) = self.lanes.network.lanes[lane].kind else {
+            return world.vehicles.insert(0, ego);
+        };
+        let sides = self.lanes.network.lanes_of(road);
+        let (own, other) = if sides[0].contains(&lane) { (0, 1) } else { (1, 0) };
+        let here_m = ego.along_m;
+        let occupants = world.occupants();
+        let mut leaves: Vec<usize> = sides[own]
+            .iter()
+            .flat_map(|lane| &occupants[*lane])
+            .filter(|(along_m, _)| *along_m < here_m + 62.0)
+            .map(|(_, vehicle)| *vehicle)
+            .collect();
+        // Nobody is still on the way into the ego's place.
+        leaves.extend((0..world.vehicles.len()).filter(|i| {
+            let near = world.vehicles[*i].rect().overlaps(&ego.rect().grown(12.0));
+            let comes = world.vehicles[*i].route.lanes.iter().any(|l| sides[own].contains(l));
+            near && comes
+        }));
+        leaves.sort_unstable();
+        leaves.dedup();
+        for i in leaves.into_iter().rev() {
+            world.vehicles.remove(i);
+        }
+        let mut places = vec![(lane, here_m + self.random.between(24.0, 34.0), 7.8)];
+        if let Some(beside) = sides[own].get(1) {
+            places.push((*beside, here_m + self.random.between(13.0, 24.0), 7.6));
+            places.push((*beside, here_m + self.random.between(40.0, 48.0), 7.6));
+        }
+        for (k, towards) in sides[other].iter().enumerate() {
+            let length_m = self.lanes.length_m(*towards);
+            for ahead_m in [28.0, 52.0] {
+                let ahead_m = ahead_m + 9.0 * k as f64 + self.random.between(0.0, 10.0);
+                places.push((*towards, length_m - here_m - ahead_m, 8.0));
+            }
+        }
+        world.vehicles.insert(0, ego);
+        for (lane, along_m, speed_mps) in places {
+            let body = self.body_for(lane);
+            let size_m = body.size_m().truncate();
+            let occupants = world.occupants();
+            let free = occupants[lane].iter().all(|(other_m, i)| {
+                (other_m - along_m).abs() > (world.vehicles[*i].size_m.x + size_m.x) / 2.0 + 7.0
+            });
+            if free && along_m > 8.0 {
+                world.vehicles.extend(self.vehicle(body, lane, along_m, speed_mps));
+            }
+        }
+    }
+}

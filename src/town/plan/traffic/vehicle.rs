@@ -1,0 +1,119 @@
+use glam::{DVec2, DVec3};
+
+use super::rect::Rect;
+use super::route::{BRAKING_MPS2, Route};
+use crate::geometry::Pose;
+use crate::town::model::Body;
+
+/// Who follows a leader by the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000), m, s.
+const HEADWAY_S: f64 = 1.2;
+const LEAST_GAP_M: f64 = 2.2;
+const EXPONENT: i32 = 4;
+
+/// How somebody drives.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Driver {
+    /// Speed on a free road, m/s.
+    pub(super) free_mps: f64,
+    /// Largest acceleration, m/s².
+    pub(super) rise_mps2: f64,
+    /// Strongest braking, m/s².
+    pub(super) brake_mps2: f64,
+}
+
+/// The one in front.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Leader {
+    pub(super) gap_m: f64,
+    pub(super) speed_mps: f64,
+}
+
+/// Somebody on wheels.
+#[derive(Clone, Debug)]
+pub(super) struct Vehicle {
+    /// `None`: the ego.
+    pub(super) body: Option<Body>,
+    /// Length, width.
+    pub(super) size_m: DVec2,
+    pub(super) driver: Driver,
+    pub(super) route: Route,
+    /// Of its middle along its route, metres.
+    pub(super) along_m: f64,
+    pub(super) speed_mps: f64,
+    /// Index in the route's lanes of the last way through a junction that it may take.
+    pub(super) granted: Option<usize>,
+    /// Since when it stands at a line, seconds.
+    pub(super) waits_since_s: Option<f64>,
+    /// Where it began, metres along its route.
+    pub(super) began_m: f64,
+}
+
+impl Vehicle {
+    pub(super) fn front_m(&self) -> f64 {
+        self.along_m + self.size_m.x / 2.0
+    }
+
+    pub(super) fn rear_m(&self) -> f64 {
+        self.along_m - self.size_m.x / 2.0
+    }
+
+    /// Trucks and buses sweep more than others.
+    pub(super) fn is_long(&self) -> bool {
+        self.size_m.x > 6.2
+    }
+
+    /// Metres between its axles.
+    fn base_m(&self) -> f64 {
+        0.6 * self.size_m.x
+    }
+
+    pub(super) fn rect(&self) -> Rect {
+        Rect::on(&self.route.path, self.along_m, self.base_m(), self.size_m)
+    }
+
+    /// On the ground below its middle.
+    pub(super) fn pose(&self) -> Pose {
+        let rect = self.rect();
+        Pose::from_yaw(rect.ahead.to_angle(), rect.centre.extend(0.0))
+    }
+
+    /// On the ground, so many metres behind the middle of its box.
+    pub(super) fn pose_behind(&self, behind_m: f64) -> Pose {
+        let pose = self.pose();
+        Pose { translation: pose.transform_point(DVec3::X * -behind_m), ..pose }
+    }
+
+    /// Moves on: `stop_m` is the place along its route that its front must not pass.
+    pub(super) fn step(&mut self, leader: Option<Leader>, stop_m: f64, dt_s: f64) {
+        let v = self.speed_mps;
+        let rise = self.idm_mps2(leader);
+        let mut next = (v + rise * dt_s).min(self.route.cap_mps(self.along_m + v * dt_s));
+        next = next.min(halting_mps(stop_m - self.front_m(), BRAKING_MPS2, dt_s));
+        if let Some(leader) = leader {
+            let brake = 0.8 * self.driver.brake_mps2;
+            let room = leader.gap_m - 1.0 + leader.speed_mps.powi(2) / (2.0 * brake);
+            next = next.min(halting_mps(room, brake, dt_s));
+        }
+        let least = (v - self.driver.brake_mps2 * dt_s).max(0.0);
+        // Nobody brakes harder than that, but for a line right ahead.
+        self.speed_mps = next.max(least).min(v + self.driver.rise_mps2 * dt_s);
+        self.along_m += self.speed_mps * dt_s;
+    }
+
+    fn idm_mps2(&self, leader: Option<Leader>) -> f64 {
+        let Driver { free_mps, rise_mps2, .. } = self.driver;
+        let v = self.speed_mps;
+        let free = 1.0 - (v / free_mps).powi(EXPONENT);
+        let held = leader.map_or(0.0, |leader| {
+            let closing = v * (v - leader.speed_mps) / (2.0 * (rise_mps2 * BRAKING_MPS2).sqrt());
+            ((LEAST_GAP_M + (v * HEADWAY_S + closing).max(0.0)) / leader.gap_m.max(0.1)).powi(2)
+        });
+        rise_mps2 * (free - held)
+    }
+}
+
+/// The highest speed in the next step from which it can halt within a distance.
+fn halting_mps(room_m: f64, brake_mps2: f64, dt_s: f64) -> f64 {
+    let step = brake_mps2 * dt_s;
+    (step * step + 2.0 * brake_mps2 * room_m.max(0.0)).sqrt() - step
+}

@@ -1,0 +1,242 @@
+//! Who drives on the lanes, step by step.
+//!
+//! # How it works
+//! Everybody follows a route. Nobody enters a junction unasked: until a way through it is granted, its stop line is the end of the
+//! road. A way is granted if the light allows it, nobody is on a way that crosses it, nobody walks over its crossings, and there is
+//! room beyond. On lanes, and on ways that begin alike, everybody follows the one in front.
+
+use super::lanes::{BEYOND_CROSSING_M, Lanes, STOP_M, Way};
+use super::route::BRAKING_MPS2;
+use super::vehicle::{Leader, Vehicle};
+use crate::town::plan::{JunctionKind, Signal, Turn};
+
+/// Seconds between steps.
+pub(super) const STEP_S: f64 = 0.1;
+/// How far ahead a leader is looked for, metres.
+const SIGHT_M: f64 = 60.0;
+/// How long a vehicle stands at a stop sign, seconds.
+const HALT_S: f64 = 0.7;
+
+/// Everybody on wheels, at a moment.
+pub(super) struct World<'a> {
+    pub(super) lanes: &'a Lanes<'a>,
+    pub(super) vehicles: Vec<Vehicle>,
+    /// Of each crossing: how many walk on it.
+    pub(super) walkers_on: Vec<usize>,
+    /// Time, seconds.
+    pub(super) t_s: f64,
+}
+
+/// Who is on each lane: metres along it of the middle, and the index of the vehicle.
+type Occupants = Vec<Vec<(f64, usize)>>;
+
+impl<'a> World<'a> {
+    pub(super) fn new(lanes: &'a Lanes<'a>, t_s: f64) -> Self {
+        let walkers_on = vec![0; lanes.network.crossings.len()];
+        Self { lanes, vehicles: Vec::new(), walkers_on, t_s }
+    }
+
+    /// Moves everybody on wheels by a step.
+    pub(super) fn step(&mut self) {
+        let occupants = self.occupants();
+        self.revoke();
+        self.grant(&occupants);
+        let plans: Vec<(Option<Leader>, f64)> = (0..self.vehicles.len())
+            .map(|i| (self.leader(i, &occupants), self.stop_m(&self.vehicles[i])))
+            .collect();
+        self.t_s += STEP_S;
+        for (vehicle, (leader, stop_m)) in self.vehicles.iter_mut().zip(plans) {
+            vehicle.step(leader, stop_m, STEP_S);
+            let at_line = stop_m - vehicle.front_m() < 1.0 && vehicle.speed_mps < 0.2;
+            vehicle.waits_since_s = at_line.then(|| vehicle.waits_since_s.unwrap_or(self.t_s));
+        }
+    }
+
+    pub(super) fn occupants(&self) -> Occupants {
+        let mut on = vec![Vec::new(); self.lanes.paths.len()];
+        for (i, vehicle) in self.vehicles.iter().enumerate() {
+            let (lane, along_m) = self.place(vehicle);
+            on[lane].push((along_m, i));
+        }
+        on
+    }
+
+    /// The lane on which its middle is, and how far along.
+    fn place(&self, vehicle: &Vehicle) -> (usize, f64) {
+        let k = vehicle.route.lane_at(vehicle.along_m);
+        let lane = vehicle.route.lanes[k];
+        (lane, (vehicle.along_m - vehicle.route.starts_m[k]) * self.scale(vehicle, k))
+    }
+
+    /// Metres of a lane for a metre of a route, which may be beside its middle.
+    fn scale(&self, vehicle: &Vehicle, k: usize) -> f64 {
+        let own_m = vehicle.route.starts_m[k + 1] - vehicle.route.starts_m[k];
+        self.lanes.length_m(vehicle.route.lanes[k]) / own_m.max(0.1)
+    }
+
+    /// The next way through a junction that a vehicle has not been granted: its index in the route.
+    fn next_way(&self, vehicle: &Vehicle) -> Option<usize> {
+        let at = vehicle.route.lane_at(vehicle.along_m);
+        let from = vehicle.granted.map_or(at, |granted| at.max(granted + 1));
+        (from..vehicle.route.lanes.len()).find(|k| self.lanes.ways[vehicle.route.lanes[*k]].is_some())
+    }
+
+    /// Where its front has to stop, metres along its route.
+    fn stop_m(&self, vehicle: &Vehicle) -> f64 {
+        match self.next_way(vehicle).and_then(|k| Some((k, self.lanes.ways[vehicle.route.lanes[k]]?))) {
+            Some((k, way)) => vehicle.route.starts_m[k] - way.stop_m(),
+            None => vehicle.route.length_m() - STOP_M,
+        }
+    }
+
+    /// The nearest in front, on its own lanes or still beside the beginning of its way.
+    fn leader(&self, index: usize, occupants: &Occupants) -> Option<Leader> {
+        let me = &self.vehicles[index];
+        let first = me.route.lane_at(me.along_m);
+        let mut best: Option<Leader> = None;
+        for k in first..me.route.lanes.len() {
+            let (lane, start_m) = (me.route.lanes[k], me.route.starts_m[k]);
+            if start_m - me.along_m > SIGHT_M {
+                break;
+            }
+            let mut look = |on: usize, until_m: f64| {
+                for (along_m, other) in occupants[on].iter().filter(|o| o.1 != index && o.0 < until_m) {
+                    let place_m = start_m + along_m / self.scale(me, k);
+                    if place_m < me.along_m || (place_m == me.along_m && *other > index) {
+                        continue;
+                    }
+                    let other = &self.vehicles[*other];
+                    let gap_m = place_m - other.size_m.x / 2.0 - me.front_m();
+                    if best.is_none_or(|best| gap_m < best.gap_m) {
+                        best = Some(Leader { gap_m, speed_mps: other.speed_mps });
+                    }
+                }
+            };
+            look(lane, f64::INFINITY);
+            let Some(way) = self.lanes.ways[lane] else { continue };
+            for sibling in self.lanes.network.lanes[way.from].successors.iter().filter(|s| **s != lane) {
+                let long = me.is_long() || occupants[*sibling].iter().any(|o| self.vehicles[o.1].is_long());
+                if let Some(clear_m) = self.lanes.clear_m(*sibling, lane, long) {
+                    look(*sibling, clear_m);
+                }
+            }
+        }
+        best
+    }
+
+    /// Who can still stop before a light that is no longer green has to.
+    fn revoke(&mut self) {
+        for vehicle in &mut self.vehicles {
+            let Some(k) = vehicle.granted else { continue };
+            let Some(way) = self.lanes.ways[vehicle.route.lanes[k]] else { continue };
+            let light = self.lanes.network.signal_at(way.junction, way.road, self.t_s);
+            let left_m = vehicle.route.starts_m[k] - way.stop_m() - vehicle.front_m();
+            let halts_m = vehicle.speed_mps * (vehicle.speed_mps / (2.0 * BRAKING_MPS2) + STEP_S);
+            if light.is_some_and(|light| light != Signal::Green) && left_m > halts_m + 0.1 {
+                vehicle.granted = k.checked_sub(2);
+            }
+        }
+    }
+
+    /// Grants ways to those who reach a junction: who waits longest goes first, who turns left goes last.
+    fn grant(&mut self, occupants: &Occupants) {
+        let mut asking = Vec::new();
+        for (i, vehicle) in self.vehicles.iter().enumerate() {
+            let Some(k) = self.next_way(vehicle) else { continue };
+            let Some(way) = self.lanes.ways[vehicle.route.lanes[k]] else { continue };
+            let v = vehicle.speed_mps;
+            let left_m = vehicle.route.starts_m[k] - way.stop_m() - vehicle.front_m();
+            if left_m < v * v / 3.0 + v * 0.6 + 3.0 {
+                let left = way.kind == JunctionKind::Signals && way.turn == Turn::Left;
+                asking.push((left, vehicle.waits_since_s.unwrap_or(f64::INFINITY), i, k, way));
+            }
+        }
+        asking.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
+        for (_, _, i, k, way) in asking {
+            if self.may_enter(i, k, way, occupants) {
+                self.vehicles[i].granted = Some(k);
+            }
+        }
+    }
+
+    fn may_enter(&self, index: usize, k: usize, way: Way, occupants: &Occupants) -> bool {
+        let me = &self.vehicles[index];
+        let allowed = match way.kind {
+            JunctionKind::Free => true,
+            JunctionKind::Stop => me.waits_since_s.is_some_and(|since| self.t_s - since > HALT_S),
+            JunctionKind::Signals => {
+                self.lanes.network.signal_at(way.junction, way.road, self.t_s) == Some(Signal::Green)
+            }
+        };
+        allowed
+            && way.crossings.iter().flatten().all(|crossing| self.walkers_on[*crossing] == 0)
+            && self.is_first(index, k, way.from, occupants)
+            && !self.is_crossed(index, me.route.lanes[k], way)
+            && self.has_room(index, way, occupants)
+    }
+
+    /// Whether nobody ahead on its lane still waits.
+    fn is_first(&self, index: usize, k: usize, lane: usize, occupants: &Occupants) -> bool {
+        let me = &self.vehicles[index];
+        let own_m = (me.along_m - me.route.starts_m[k - 1]) * self.scale(me, k - 1);
+        let waits = |other: &Vehicle| {
+            let at = other.route.lane_at(other.along_m);
+            other.granted.is_none_or(|granted| granted <= at)
+        };
+        occupants[lane]
+            .iter()
+            .all(|(along_m, other)| *other == index || *along_m <= own_m || !waits(&self.vehicles[*other]))
+    }
+
+    /// Ways that a vehicle has been granted and has not left behind: how far its middle is along each, and how far its rear is beyond
+    /// its end, metres.
+    fn held<'v>(&self, vehicle: &'v Vehicle) -> impl Iterator<Item = (usize, Way, f64, f64)> + use<'v, '_> {
+        let at = vehicle.route.lane_at(vehicle.along_m);
+        let lanes = self.lanes;
+        let last = vehicle.granted.unwrap_or(0);
+        (at.saturating_sub(1)..=last).filter_map(move |k| {
+            let lane = *vehicle.route.lanes.get(k)?;
+            let way = lanes.ways[lane]?;
+            let beyond_m = vehicle.rear_m() - vehicle.route.starts_m[k + 1];
+            let along_m = vehicle.along_m - vehicle.route.starts_m[k];
+            (beyond_m < BEYOND_CROSSING_M).then_some((lane, way, along_m, beyond_m))
+        })
+    }
+
+    /// Whether somebody who has been granted a way may still touch who takes this one.
+    fn is_crossed(&self, index: usize, lane: usize, way: Way) -> bool {
+        let me = &self.vehicles[index];
+        let crosses = |other: &Vehicle| {
+            let long = me.is_long() || other.is_long();
+            self.held(other).filter(|held| held.1.junction == way.junction && held.1.from != way.from).any(
+                |(held, _, along_m, _)| {
+                    held != lane && self.lanes.clear_m(held, lane, long).is_some_and(|clear| along_m < clear)
+                },
+            )
+        };
+        self.vehicles.iter().enumerate().any(|(i, other)| i != index && crosses(other))
+    }
+
+    /// Whether it fits on the lane after the junction, with all who go there before it.
+    fn has_room(&self, index: usize, way: Way, occupants: &Occupants) -> bool {
+        let mut room_m = self.lanes.length_m(way.to);
+        for (along_m, other) in occupants[way.to].iter().filter(|o| o.1 != index) {
+            let other = &self.vehicles[*other];
+            // Who drives makes room.
+            let leaves_m = other.speed_mps * 2.0;
+            room_m = room_m.min(along_m - other.size_m.x / 2.0 + leaves_m);
+        }
+        let mut needed_m = BEYOND_CROSSING_M + self.vehicles[index].size_m.x + 3.0;
+        for (i, other) in self.vehicles.iter().enumerate().filter(|(i, _)| *i != index) {
+            let comes = self.held(other).any(|held| held.1.to == way.to && self.place(other).0 != way.to);
+            needed_m += if comes && i != index { other.size_m.x + 3.0 } else { 0.0 };
+        }
+        needed_m < room_m
+    }
+
+    /// Whether nobody on wheels has been granted a way over a crossing.
+    pub(super) fn is_free(&self, crossing: usize) -> bool {
+        let over = |held: &(usize, Way, f64, f64)| held.1.crossings.contains(&Some(crossing));
+        self.vehicles.iter().all(|vehicle| !self.held(vehicle).any(|held| over(&held)))
+    }
+}
