@@ -1,12 +1,15 @@
 #!/usr/bin/env bash
-# From a recorded drive to condition maps: ci/demo.sh [LOG]
+# From a drive to a page that plays another one: ci/demo.sh [LOG]
 #
-# LOG is a drive as pskel names it, for instance nuscenes:/data/nuscenes@v1.0-mini#scene-0061; without it a synthetic
-# street is made first. The maps of a few frames come out as PNG with a contact sheet each, once from where the ego
-# drove and once from 2 m to the left, turned to the right by 5 degrees.
+# LOG is a drive as pskel names it, for instance nuscenes:/data/nuscenes@v1.0-mini#scene-0061; without it the built-in
+# town is driven through. Its skeleton is built; condition maps of a few frames come out as PNG with a contact sheet each,
+# from where the ego drove, and from 2 m to the left, turned to the right by 5 degrees; then the drive is simulated with
+# an ego that changes lanes, and told by a page and a video. The last lines tell where all of it is.
 #
-# Environment: OUT (folder of the output, default out/demo), FRAMES (default 0..3), SIZE (of the maps, default
-# 256x448), STREET (options of the synthetic street), PROFILE (cargo's, default release).
+# Environment: OUT (folder of the output, default out/demo), TOWN (the town, default seed=7,frames=40), FRAMES (of the
+# maps, default 0..3), STEPS (of the simulation, default 80), SIZE (of all maps, default 256x448), LOG_ROOTS (options that
+# tell where parts of LOG are, as --map-root DIR), SIMULATE (further options of pskel simulate), PROFILE (cargo's, default
+# release).
 set -euo pipefail
 root=$(cd "$(dirname "$0")/.." && pwd)
 
@@ -17,11 +20,13 @@ if [ $# -gt 1 ]; then
     exit 2
 fi
 out=${OUT:-$root/out/demo}
+log=${1:-town:${TOWN:-seed=7,frames=40}}
 frames=${FRAMES:-0..3}
+steps=${STEPS:-80}
 size=${SIZE:-256x448}
 profile=${PROFILE:-release}
-read -ra street <<<"${STREET:-}"
-log=${1:-}
+read -ra roots <<<"${LOG_ROOTS:-}"
+read -ra simulate <<<"${SIMULATE:-}"
 
 # Runs a command, tells what it was and how long it took.
 timed() {
@@ -39,32 +44,41 @@ clean() {
     fi
     mkdir -p "$out"
     touch "$out/.demo"
-    rm -rf "$out/log" "$out/skeleton" "$out/maps" "$out/maps-moved"
+    rm -rf "$out/skeleton" "$out/maps" "$out/maps-moved" "$out/rollout"
+}
+
+# Stops unless all of these files are there.
+expect_files() {
+    local file
+    for file in "$@"; do
+        if [ ! -s "$file" ]; then
+            say "expected a file that is not empty, found none: $file"
+            exit 1
+        fi
+    done
 }
 
 "$root/ci/setup.sh"
 export LC_ALL=C # times with a point
 manifest=$root/Cargo.toml
-timed cargo build --manifest-path "$manifest" --locked --profile "$profile" --bin pskel --example synthetic_street
+timed cargo build --manifest-path "$manifest" --locked --profile "$profile" --bin pskel
 target=$(cargo metadata --manifest-path "$manifest" --locked --no-deps --format-version 1 | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p')
 bin=$target/$([ "$profile" = dev ] && echo debug || echo "$profile")
 clean
-if [ -z "$log" ]; then
-    timed "$bin/examples/synthetic_street" --out "$out/log" ${street[@]+"${street[@]}"}
-    log=nuscenes:$out/log
-fi
-timed "$bin/pskel" info "$log"
-timed "$bin/pskel" build "$log" --out "$out/skeleton"
-render() { timed "$bin/pskel" render "$log" --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" "$@"; }
+built=$SECONDS
+pskel() { timed "$bin/pskel" "$1" "$log" ${roots[@]+"${roots[@]}"} "${@:2}"; }
+render() { pskel render --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" "$@"; }
+pskel info
+pskel build --out "$out/skeleton"
 render --out "$out/maps"
 render --out "$out/maps-moved" --ego-offset 0,2,-5
+pskel simulate --skeleton "$out/skeleton" --out "$out/rollout" --ego lane_change --steps "$steps" --out-size "$size" \
+    ${simulate[@]+"${simulate[@]}"}
 
 sheets=("$out"/maps/*/sheet.png "$out"/maps-moved/*/sheet.png)
-for sheet in "${sheets[@]}"; do
-    if [ ! -s "$sheet" ]; then
-        say "expected a contact sheet per frame, found none: $sheet"
-        exit 1
-    fi
-done
-say "contact sheets in $SECONDS s:"
+expect_files "${sheets[@]}" "$out"/rollout/{index.html,rollout.mp4,metrics.json}
+say "done in $((SECONDS - built)) s after compiling"
+say "contact sheets of the maps:"
 printf '%s\n' "${sheets[@]}"
+say "the rollout as a page and as a video:"
+printf '%s\n' "$out/rollout/index.html" "$out/rollout/rollout.mp4"

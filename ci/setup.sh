@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Installs what building and testing need beyond a Rust toolchain: a Vulkan loader, a driver that needs no GPU (Mesa's
-# lavapipe), and the validation layer. Does nothing, quietly, where all of it is there.
+# Installs what building and testing need beyond a Rust toolchain: compilers of C and C++ (SQLite and the encoder of the
+# videos are compiled), a Vulkan loader, a driver that needs no GPU (Mesa's lavapipe), the validation layer, and Python
+# (planners in the tests). Does nothing, quietly, where all of it is there.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -29,7 +30,14 @@ has_layer() {
     any_file "${VK_LAYER_PATH:-/nonexistent}/$path" {/usr/share,/usr/local/share,/etc}/vulkan/explicit_layer.d/"$path"
 }
 
+has_compilers() {
+    local cc=${CC:-cc} cxx=${CXX:-c++}
+    command -v "${cc%% *}" >/dev/null && command -v "${cxx%% *}" >/dev/null
+}
+
 missing() {
+    has_compilers || echo g++
+    command -v python3 >/dev/null || echo python3
     has_loader || echo libvulkan1
     has_driver || echo mesa-vulkan-drivers
     has_layer || echo vulkan-validationlayers
@@ -52,9 +60,9 @@ check_cargo() {
 install() {
     local root=()
     if ! command -v apt-get >/dev/null; then
-        say "expected the Vulkan loader, a driver and the validation layer, found no $*"
-        say "install them with this system's package manager (Fedora: vulkan-loader mesa-vulkan-drivers" \
-            "vulkan-validation-layers; Arch: vulkan-icd-loader vulkan-swrast vulkan-validation-layers)"
+        say "expected a C++ compiler, the Vulkan loader, a driver, the validation layer and Python, found no $*"
+        say "install them with this system's package manager (Fedora: gcc-c++ vulkan-loader mesa-vulkan-drivers" \
+            "vulkan-validation-layers python3; Arch: gcc vulkan-icd-loader vulkan-swrast vulkan-validation-layers python)"
         exit 1
     fi
     if [ "$(id -u)" -ne 0 ]; then

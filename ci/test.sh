@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Checks everything: format, lints, documentation, tests, and the demo on a small street. The last line is
-# `N passed, N failed, N skipped`; a test is skipped where the recordings or fixtures it needs are not there
-# (PSKEL_SHARED, PSKEL_FIXTURES). Exits 1 on any failure.
+# Checks everything: format, lints, documentation, tests, the demo on a small town, and its page in a browser. The last
+# line is `N passed, N failed, N skipped`; a test is skipped where the recordings or fixtures it needs are not there
+# (PSKEL_SHARED, PSKEL_FIXTURES). PSKEL_NO_BROWSER=1 leaves the browser out. Exits 1 on any failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -35,7 +35,16 @@ run_tests() {
 
 run_demo() {
     # The profile of the tests: nothing is compiled again.
-    PROFILE=dev OUT="$scratch/demo" STREET="--frames 4 --size 225x400" ci/demo.sh
+    PROFILE=dev OUT="$scratch/demo" TOWN=seed=7,frames=3,size=113x200 FRAMES=0..1 STEPS=4 SIZE=113x200 ci/demo.sh
+}
+
+# Step of its own: Chromium is installed where it is missing.
+run_page() {
+    if [ "${PSKEL_NO_BROWSER:-0}" = 1 ]; then
+        say "PSKEL_NO_BROWSER: the page is not tried in a browser"
+        return
+    fi
+    ci/page.sh "$scratch/demo/rollout"
 }
 
 step ci/setup.sh
@@ -52,8 +61,10 @@ if [ "$status" -ne 0 ] && [ "$failed" -eq 0 ]; then
     say "the tests did not run through: counted as one that failed"
     failed=1
 fi
-if [ "$status" -eq 0 ] && [ -e ci/demo.sh ]; then
-    step run_demo || status=1
+if [ "$status" -eq 0 ]; then
+    if ! step run_demo || ! step run_page; then
+        status=1
+    fi
 fi
 
 unshared=$(sort -u "$scratch/skipped" | wc -l)

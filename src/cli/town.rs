@@ -11,7 +11,7 @@ use super::{WrongUsage, numbers, say};
 use crate::conditions::{CameraConditions, ConditionSet, DepthBins, ImageSize, exr, png};
 use crate::dataset::nuscenes::LogWriter;
 use crate::dataset::{Dataset, Log};
-use crate::error::{FileError, write_json, write_whole_folder};
+use crate::error::{FileError, check_only_ours, write_json, write_whole_folder};
 use crate::town::view::TrueView;
 use crate::town::{Daylight, Town, TownOptions};
 
@@ -56,6 +56,9 @@ pub(super) struct TownArgs {
 const VERSION: &str = "v1.0-town";
 /// Tells the options, and that the folder is one of ours.
 const MARKER: &str = "town.json";
+/// All that a town's folder holds.
+const OURS: [&str; 6] = [MARKER, VERSION, "maps", "samples", "sweeps", TRUTH];
+const TRUTH: &str = "truth";
 
 fn default_size() -> ImageSize {
     let [height, width] = TownOptions::default().size;
@@ -67,6 +70,7 @@ pub(super) fn run(args: &TownArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let options = args.options();
     options.check().map_err(|error| WrongUsage(error.to_string()))?;
+    check_only_ours(&args.out, MARKER, |name| OURS.contains(&name))?;
     let town = Town::new(&options)?;
     write_whole_folder::<anyhow::Error>(&args.out, MARKER, |folder| {
         let progress = Mutex::new(Progress::new(town.log().frames.len()));
@@ -78,7 +82,7 @@ pub(super) fn run(args: &TownArgs) -> anyhow::Result<()> {
         let writer = LogWriter { version: VERSION, map: Some(&layers), frame_done: &frame_done };
         writer.write(folder, &town)?;
         if args.truth {
-            write_truth(&folder.join("truth"), &town)?;
+            write_truth(&folder.join(TRUTH), &town)?;
         }
         Ok(write_json(&folder.join(MARKER), &serde_json::json!({"town": options.to_string()}))?)
     })?;

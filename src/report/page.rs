@@ -7,6 +7,7 @@
 use std::path::Path;
 
 use serde::Serialize;
+use serde_json::Value;
 
 use super::view::Layout;
 use crate::error::{FileError, write_whole};
@@ -107,23 +108,60 @@ impl Page {
     }
 }
 
-/// Rows of a table out of any JSON: names of nested values are joined, numbers rounded to four digits behind the point.
-pub fn table(value: &serde_json::Value) -> Vec<[String; 2]> {
+/// Rows of a table out of any JSON: names of nested values are joined, units at the ends of names go to the values, least
+/// and largest values stand in one row, and so do mean, largest and last ones. Three digits behind the point.
+pub fn table(value: &Value) -> Vec<[String; 2]> {
     let mut rows = Vec::new();
-    add_rows("", value, &mut rows);
+    add_rows("", "", value, &mut rows);
     rows
 }
 
-fn add_rows(name: &str, value: &serde_json::Value, rows: &mut Vec<[String; 2]>) {
-    use serde_json::Value;
-    let text = match value {
-        Value::Object(fields) => {
-            for (field, value) in fields {
-                let space = if name.is_empty() { "" } else { " " };
-                add_rows(&format!("{name}{space}{}", field.replace('_', " ")), value, rows);
-            }
+/// Ends of names, and how people write them.
+const UNITS: [(&str, &str); 7] = [
+    ("_mps3", " m/s\u{b3}"),
+    ("_mps2", " m/s\u{b2}"),
+    ("_mps", " m/s"),
+    ("_m", " m"),
+    ("_s", " s"),
+    ("_radps", " rad/s"),
+    ("_rad", " rad"),
+];
+
+fn add_rows(name: &str, unit: &str, value: &Value, rows: &mut Vec<[String; 2]>) {
+    let Value::Object(fields) = value else {
+        rows.push([name.to_owned(), format!("{}{}", text(value), if value.is_number() { unit } else { "" })]);
+        return;
+    };
+    let field = |name: &str| fields.get(name).map(text).unwrap_or_default();
+    let mut names: Vec<&str> = fields.keys().map(String::as_str).collect();
+    names.sort_unstable();
+    match names[..] {
+        ["max", "min"] => {
+            rows.push([name.to_owned(), format!("{} to {}{unit}", field("min"), field("max"))]);
             return;
         }
+        ["end", "max", "mean"] => {
+            let [mean, max, end] = ["mean", "max", "end"].map(field);
+            rows.push([name.to_owned(), format!("mean {mean}, most {max}, last {end}{unit}")]);
+            return;
+        }
+        _ => {}
+    }
+    for (field, value) in fields {
+        let (field, unit) = UNITS
+            .iter()
+            .find_map(|(end, unit)| Some((field.strip_suffix(end)?, *unit)))
+            .unwrap_or((field.as_str(), ""));
+        let field = field.replace('_', " ");
+        // "comfortable" needs no "comfort" before it.
+        let whole =
+            if name.is_empty() || field.starts_with(name) { field } else { format!("{name} {field}") };
+        add_rows(&whole, unit, value, rows);
+    }
+}
+
+fn text(value: &Value) -> String {
+    match value {
         Value::Null => "none".to_owned(),
         Value::Bool(true) => "yes".to_owned(),
         Value::Bool(false) => "no".to_owned(),
@@ -134,13 +172,16 @@ fn add_rows(name: &str, value: &serde_json::Value, rows: &mut Vec<[String; 2]>) 
         },
         // What a list holds is for other programs.
         Value::Array(items) => items.len().to_string(),
-    };
-    rows.push([name.to_owned(), text]);
+        Value::Object(fields) => fields.len().to_string(),
+    }
 }
 
 fn rounded(value: f64) -> String {
-    let text = format!("{value:.4}");
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    let text = format!("{value:.3}");
+    match text.trim_end_matches('0').trim_end_matches('.') {
+        "-0" => "0".to_owned(),
+        text => text.to_owned(),
+    }
 }
 
 #[cfg(test)]
@@ -174,9 +215,7 @@ mod tests {
             traces: Vec::new(),
             steps: vec![step],
             events: vec![PageEvent { step: 0, text: "a & b".into() }],
-            metrics: table(
-                &serde_json::json!({"collisions": {"at_fault": 1, "all": [2, 3]}, "ttc_s": 1.23456, "map": null}),
-            ),
+            metrics: table(&serde_json::json!({"steps": 1})),
             files: vec!["metrics.json".into()],
         }
     }
@@ -199,10 +238,27 @@ mod tests {
     }
 
     #[test]
-    fn tables_are_flat() {
-        let rows = page().metrics;
-        let expected =
-            [["collisions all", "2"], ["collisions at fault", "1"], ["map", "none"], ["ttc s", "1.2346"]];
+    fn tables_are_flat_and_for_people() {
+        let rows = table(&serde_json::json!({
+            "collisions": {"at_fault": 1, "all": [2, 3]},
+            "ttc_s": 1.23456,
+            "map_m": null,
+            "comfort": {"comfortable": true, "jerk_mps3": {"min": -0.0001, "max": 2}},
+            "off_m": {"mean": 0.5, "max": 1.25, "end": -1.0},
+            "ends": {"max": 1, "min": 2, "end": 3},
+        }));
+        let expected = [
+            ["collisions all", "2"],
+            ["collisions at fault", "1"],
+            ["comfortable", "yes"],
+            ["comfort jerk", "0 to 2 m/s\u{b3}"],
+            ["ends end", "3"],
+            ["ends max", "1"],
+            ["ends min", "2"],
+            ["map", "none"],
+            ["off", "mean 0.5, most 1.25, last -1 m"],
+            ["ttc", "1.235 s"],
+        ];
         assert_eq!(rows, expected.map(|row| row.map(str::to_owned)));
     }
 }

@@ -82,7 +82,8 @@ pub struct ActorRow {
     pub speed_mps: f64,
     /// Cameras whose maps show it; null without instance maps.
     pub seen: Option<Vec<Seen>>,
-    /// Whether a camera shows it well and no logged image around did; null without instance maps.
+    /// Whether a camera shows it well and none of the log's cameras had it in its image around that time; null without
+    /// instance maps.
     pub new_in_view: Option<bool>,
 }
 

@@ -3,14 +3,15 @@
 //! # How it works
 //! What is seen stands in the instance maps. What the log's cameras could see is a matter of boxes: a logged image shows a
 //! track if the rectangle around its logged box, as it projects into the image, meets the image. Whatever else hides
-//! the track does not count, so that nobody is told to be new who was merely behind something.
+//! the track does not count, so that nobody is told to be new who was merely behind something. Where a frame's image is
+//! missing, as in a log that was unpacked in part, the camera on the frame's ego pose stands for it.
 
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::ConditionSet;
-use crate::dataset::{Frame, ImageRecord, Log};
-use crate::geometry::{Camera, Cuboid};
+use crate::dataset::{Frame, Log, RigCamera};
+use crate::geometry::{Camera, Cuboid, Pose};
 
 /// An actor counts as seen from so many pixels on in one camera.
 pub const SEEN_PX: u32 = 30;
@@ -51,24 +52,31 @@ pub fn seen(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<Seen>>> {
     Some(all)
 }
 
-/// Whether a logged image around a time (microseconds) shows a track.
+/// Whether the log's cameras had a track in their images around a time (microseconds).
 pub fn was_shown(log: &Log, track: usize, t_us: i64) -> bool {
     let near = |at_us: i64| at_us.abs_diff(t_us) <= AROUND_US as u64;
     // Images are up to a frame older than the frame that they belong to.
     let first = log.frames.partition_point(|f| f.t_us < t_us.saturating_sub(AROUND_US)).saturating_sub(1);
     let shown_in = |frame: &Frame| {
+        let Some(cuboid) = frame.cuboid_of(track) else { return false };
         let images = frame.images.iter().chain(&frame.between_images).filter(|image| near(image.t_us));
-        let cuboid = frame.cuboid_of(track);
-        cuboid.is_some_and(|cuboid| images.into_iter().any(|image| shows(image, &cuboid)))
+        images.into_iter().any(|image| shows(&image.camera, &image.camera_from_global(), &cuboid))
+            || near(frame.t_us) && missing(log, frame).any(|(camera, pose)| shows(camera, &pose, &cuboid))
     };
     log.frames[first..].iter().take_while(|f| f.t_us.saturating_sub(t_us) <= 2 * AROUND_US).any(shown_in)
 }
 
-fn shows(image: &ImageRecord, cuboid: &Cuboid) -> bool {
-    let camera_from_global = image.camera_from_global();
+/// The cameras of which a frame has no image, with their inverse poses as far as the frame tells.
+fn missing<'a>(log: &'a Log, frame: &'a Frame) -> impl Iterator<Item = (&'a Camera, Pose)> {
+    let absent = |rig: &&RigCamera| frame.images.iter().all(|image| image.channel != rig.channel);
+    let place = |rig: &'a RigCamera| (&rig.camera, (frame.global_from_ego * rig.ego_from_camera).inverse());
+    log.rig.iter().filter(absent).map(place)
+}
+
+fn shows(camera: &Camera, camera_from_global: &Pose, cuboid: &Cuboid) -> bool {
     let corners = cuboid.corners().map(|corner| camera_from_global.transform_point(corner));
-    projected(&image.camera, &corners).is_some_and(|[low, high]| {
-        let size = DVec2::new(f64::from(image.camera.width), f64::from(image.camera.height));
+    projected(camera, &corners).is_some_and(|[low, high]| {
+        let size = DVec2::new(f64::from(camera.width), f64::from(camera.height));
         low.cmplt(size).all() && high.cmpgt(DVec2::ZERO).all()
     })
 }
@@ -102,8 +110,7 @@ mod tests {
 
     use super::*;
     use crate::conditions::CameraConditions;
-    use crate::dataset::{Class, Track, TrackBox};
-    use crate::geometry::Pose;
+    use crate::dataset::{Class, ImageRecord, Track, TrackBox};
 
     #[test]
     fn pixels_of_actors_are_counted_where_they_are() {
@@ -179,5 +186,26 @@ mod tests {
             assert_eq!(was_shown(&log, 0, t_us), expected, "{t_us}");
         }
         assert!(!was_shown(&log, 1, 1_000_000) && !was_shown(&Log::default(), 0, 0));
+    }
+
+    #[test]
+    fn cameras_stand_for_images_that_are_missing() {
+        let (ahead, beside) = (DVec3::new(10.0, 0.0, 0.0), DVec3::new(10.0, 12.0, 0.0));
+        let mut log = log([beside, ahead, beside]);
+        let ImageRecord { channel, ego_from_camera, camera, .. } = log.frames[0].images[0].clone();
+        log.rig = vec![RigCamera { channel, ego_from_camera, camera }];
+        // While there is an image, its own time counts; the frame's is 20 ms later.
+        assert!(was_shown(&log, 0, 480_000) && !was_shown(&log, 0, 1_490_000));
+        for frame in &mut log.frames {
+            frame.images.clear();
+        }
+        for (t_us, expected) in
+            [(0, false), (499_999, false), (500_000, true), (1_500_000, true), (1_500_001, false)]
+        {
+            assert_eq!(was_shown(&log, 0, t_us), expected, "{t_us}");
+        }
+        // The ego of that frame has turned away.
+        log.frames[1].global_from_ego.rotation = DQuat::from_rotation_z(1.6);
+        assert!(!was_shown(&log, 0, 1_000_000));
     }
 }

@@ -35,8 +35,3 @@ pub(super) fn noise(seed: u64, x: f64, y: f64) -> f64 {
     let high = corner(0, 1) * (1.0 - u) + corner(1, 1) * u;
     low * (1.0 - v) + high * v
 }
-
-/// Two octaves of [`noise`].
-pub(super) fn rough(seed: u64, x: f64, y: f64) -> f64 {
-    0.65 * noise(seed, x, y) + 0.35 * noise(seed ^ 0x5bd1, 3.1 * x, 3.1 * y)
-}

@@ -1,36 +1,28 @@
 //! The town that is built in: a drive that needs no files, with true images, exact boxes and an HD map.
 //!
 //! # How it works
-//! [`plan`] draws streets and lanes and lets traffic move, [`built`] and [`model`] give everything its triangles
-//! ([`mesh`]). Everything follows from a seed. `lidar` casts beams among the triangles, and [`Town`] is the drive as a
-//! [`Dataset`](crate::dataset::Dataset).
+//! [`TownOptions`] say which town; everything follows from its seed by `hash`, whatever the order and the number of
+//! threads. Plans are in the town's own frame: metres, flat, roads on z = 0.
+//! 1. [`plan`] draws streets and lanes and lets traffic move along them: who is where at what time.
+//! 2. [`built`] puts houses, plants and markings along the streets, [`model`] gives everybody a body. Both end as
+//!    triangles with a skin ([`mesh`]).
+//! 3. `lidar` casts beams among the triangles; [`view`] draws them, with true depth, class and instance of each pixel.
+//! 4. [`Town`] (`drive`) records it: a [`Dataset`](crate::dataset::Dataset) like any other, whose sweeps and images are
+//!    made when they are read, and which can be asked for what is true from anywhere.
 //!
-//! `street` is a smaller one of convex solids, filmed by casting rays: [`Street`] is a
-//! [`Dataset`](crate::dataset::Dataset) like any recorded one.
-//!
-//! `cloud` is another street, a bare cloud with cameras in it: what speed is measured on.
+//! `cloud` stands apart: the bare cloud of points, with cameras in it, that speed is measured on.
 
 pub mod built;
 mod cloud;
 mod drive;
-mod film;
 mod hash;
 mod lidar;
-mod material;
 pub mod mesh;
 pub mod model;
-mod model_surface;
-mod models;
 mod options;
 pub mod plan;
-mod scenery;
-mod shape;
-mod street;
 pub mod view;
-mod world;
 
 pub use cloud::{street_cloud, street_views};
 pub use drive::{Town, TownError, TrueActor};
-pub use model_surface::{Model, SurfacePoint};
 pub use options::{Daylight, TownOptions, TownOptionsError};
-pub use street::{Street, StreetOptions};

@@ -54,6 +54,10 @@ impl Default for TownOptions {
 impl TownOptions {
     /// Most frames of a drive.
     pub const MAX_FRAMES: usize = 10_000;
+    /// Longest drive, seconds: who is where takes memory ten times a second.
+    pub const MAX_DURATION_S: f64 = 600.0;
+    /// Most pixels of an image.
+    pub const MAX_PIXELS: usize = 1 << 25;
     const KEYS: [&str; 7] = ["seed", "frames", "hz", "beams", "lidar_hz", "size", "light"];
 
     /// From the first frame to the last, seconds.
@@ -85,6 +89,13 @@ impl TownOptions {
         if size.to_string().parse::<ImageSize>() != Ok(size) {
             return wrong("a size HxW of 1 to 16384 pixels a side", &size);
         }
+        if size.pixels() > Self::MAX_PIXELS {
+            return wrong(&format!("a size of at most {} pixels", Self::MAX_PIXELS), &size);
+        }
+        if self.duration_s() > Self::MAX_DURATION_S {
+            let found = format!("{} frames at {} Hz", self.frames, self.hz);
+            return wrong(&format!("a drive of at most {} s", Self::MAX_DURATION_S), &found);
+        }
         Ok(())
     }
 
@@ -93,14 +104,13 @@ impl TownOptions {
             expected: format!("{expected} for {key} of the town"),
             found: value.to_owned(),
         };
-        let whole = || value.parse::<u64>().map_err(|_| wrong("a whole number"));
         let rate = || value.parse().ok().filter(|hz: &f64| hz.is_finite()).ok_or_else(|| wrong("a number"));
         match key {
-            "seed" => self.seed = whole()?,
-            "frames" => self.frames = usize::try_from(whole()?).map_err(|_| wrong("1 to 10000"))?,
+            "seed" => self.seed = value.parse().map_err(|_| wrong("a whole number below 2^64"))?,
+            "frames" => self.frames = value.parse().map_err(|_| wrong("a whole number, 1 to 10000,"))?,
             "hz" => self.hz = rate()?,
             "lidar_hz" => self.lidar_hz = rate()?,
-            "beams" => self.beams = u16::try_from(whole()?).map_err(|_| wrong("32 or 64"))?,
+            "beams" => self.beams = value.parse().map_err(|_| wrong("32 or 64"))?,
             "size" => {
                 let size: ImageSize = value.parse().map_err(|_| wrong("HxW of 1 to 16384 pixels a side"))?;
                 self.size = [size.height, size.width];
@@ -196,26 +206,35 @@ mod tests {
 
     #[test]
     fn what_no_town_has_is_told() {
-        for (text, said) in [
-            ("seed", "KEY=VALUE with seed, frames"),
-            ("colour=red", "KEY=VALUE"),
-            ("seed=-1", "whole number for seed"),
-            ("seed=1,seed=2", "seed of the town once"),
-            ("frames=0", "1 to 10000 frames"),
-            ("frames=10001", "1 to 10000 frames"),
-            ("frames=1e3", "whole number"),
-            ("hz=0", "hz of 0.5"),
-            ("hz=11", "to lidar_hz"),
-            ("hz=NaN", "a number for hz"),
-            ("lidar_hz=15", "10 or 20"),
-            ("beams=16", "32 or 64"),
-            ("beams=65568", "32 or 64"),
-            ("size=0x4", "HxW"),
-            ("light=night", "day, dusk or overcast"),
-            ("seed=1,", "KEY=VALUE"),
+        for (text, expected, found) in [
+            ("seed", "KEY=VALUE with seed, frames", "seed"),
+            ("colour=red", "KEY=VALUE", "colour"),
+            ("seed=-1", "whole number below 2^64 for seed", "-1"),
+            ("seed=18446744073709551616", "below 2^64 for seed", "18446744073709551616"),
+            ("seed=1,seed=2", "seed of the town once", "seed=1,seed=2"),
+            ("seed=1@v1", "whole number below 2^64", "1@v1"),
+            ("frames=0", "1 to 10000 frames", "0"),
+            ("frames=-3", "1 to 10000, for frames", "-3"),
+            ("frames=10001", "1 to 10000 frames", "10001"),
+            ("frames=99999999999999999999", "1 to 10000, for frames", "99999999999999999999"),
+            ("frames=1e3", "whole number", "1e3"),
+            ("frames=9000", "at most 600 s", "9000 frames at 5 Hz"),
+            ("hz=0", "hz of 0.5", "0"),
+            ("hz=11", "to lidar_hz", "11"),
+            ("hz=NaN", "a number for hz", "NaN"),
+            ("hz=inf", "a number for hz", "inf"),
+            ("lidar_hz=15", "10 or 20", "15"),
+            ("beams=16", "32 or 64", "16"),
+            ("beams=65568", "32 or 64", "65568"),
+            ("size=0x4", "HxW", "0x4"),
+            ("size=16384x16384", "at most 33554432 pixels", "16384x16384"),
+            ("size=16385x1", "1 to 16384", "16385x1"),
+            ("light=night", "day, dusk or overcast", "night"),
+            ("seed=1,", "KEY=VALUE", ""),
         ] {
             let message = text.parse::<TownOptions>().unwrap_err().to_string();
-            assert!(message.starts_with("expected ") && message.contains(said), "{text}: {message}");
+            assert!(message.starts_with("expected ") && message.contains(expected), "{text}: {message}");
+            assert!(message.ends_with(&format!("found {found:?}")), "{text}: {message}");
         }
         let narrow = TownOptions { size: [4, 0], ..TownOptions::default() };
         assert!(narrow.check().is_err());

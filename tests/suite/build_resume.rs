@@ -6,40 +6,38 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use point_skeleton::cloud::Point;
-use point_skeleton::dataset::nuscenes::write_log;
 use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord};
 use point_skeleton::error::FileError;
-use point_skeleton::skeleton::{self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Skeleton};
-use point_skeleton::town::{Street, StreetOptions};
+use point_skeleton::skeleton::{
+    self, Asset, BuildError, BuildInput, BuildOptions, BuildReport, BuildRun, Skeleton,
+};
 use serde_json::json;
 
 use crate::common::WithLog;
+use crate::made_town::{self, FRAMES};
 use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
 
-const FRAMES: usize = 9;
-const STREET: StreetOptions = StreetOptions { seed: 5, frames: FRAMES, size: [45, 80] };
-
-/// A street of which sweeps can be read so many times.
+/// A drive of which sweeps can be read so many times.
 struct Breaking<'a> {
-    street: &'a Street,
+    drive: &'a dyn Dataset,
     left: AtomicUsize,
 }
 
 impl Dataset for Breaking<'_> {
     fn log(&self) -> &Log {
-        self.street.log()
+        self.drive.log()
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
         let take_one = |left: usize| left.checked_sub(1);
         match self.left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take_one) {
-            Ok(_) => self.street.read_sweep(record),
+            Ok(_) => self.drive.read_sweep(record),
             Err(_) => Err(FileError::content("a sweep", "a broken disk", &record.path).into()),
         }
     }
 
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
-        self.street.read_image(record)
+        self.drive.read_image(record)
     }
 }
 
@@ -60,22 +58,22 @@ fn build(
 
 #[test]
 fn wherever_a_build_breaks_it_goes_on_to_the_same_bytes() {
-    let street = Street::new(&STREET).unwrap();
+    let (_files, drive) = made_town::read();
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("sk");
     for voxel_m in [0.0, 0.05] {
         let options = options(voxel_m);
-        build(&out, &street, &options, [100, 0]).unwrap();
+        build(&out, &drive, &options, [100, 0]).unwrap();
         let whole = tree(&out);
         std::fs::remove_dir_all(&out).unwrap();
         let mut kept = 0;
         for reads in 0..FRAMES {
-            let breaking = Breaking { street: &street, left: AtomicUsize::new(reads) };
+            let breaking = Breaking { drive: &drive, left: AtomicUsize::new(reads) };
             match build(&out, &breaking, &options, [1, 0]) {
                 Err(BuildError::Interrupted { frames, path, .. }) => {
                     assert!(frames < FRAMES && path == folder.path().join("sk.partial"), "{frames}");
                     kept = kept.max(frames);
-                    build(&out, &street, &options, [2, 1]).unwrap();
+                    build(&out, &drive, &options, [2, 1]).unwrap();
                     assert!(tree(&out) == whole, "voxel {voxel_m}, {reads} reads, {frames} frames");
                     std::fs::remove_dir_all(&out).unwrap();
                 }
@@ -103,7 +101,7 @@ fn killed_after(folder: &Path, args: &str, time: Duration) -> bool {
 #[test]
 fn a_killed_build_goes_on_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
-    write_log(&folder.path().join("log"), "v1.0-street", &Street::new(&STREET).unwrap()).unwrap();
+    made_town::copy_to(&folder.path().join("log"), |_| true);
     let run = |args: &str| {
         let mut command = Command::new(PSKEL);
         let output = command.current_dir(folder.path()).args(args.split_whitespace()).output().unwrap();
@@ -195,25 +193,36 @@ fn a_build_that_starts_anew_says_what_it_discards() {
     assert!(tree(&log.path("out/sk")) == older);
 }
 
-/// Where cameras are slower than the LiDAR an image serves two frames.
+/// Where cameras are slower than the LiDAR an image serves two frames: as if the second had a copy of its own.
 #[test]
 fn an_image_of_two_frames_colors_both() {
-    let street = Street::new(&StreetOptions { frames: 2, ..STREET }).unwrap();
-    let mut log = street.log().clone();
-    log.frames[1].images = log.frames[0].images.clone();
-    let cameras = log.cameras.len();
-    let shared = WithLog { drive: &street, log };
+    let (_files, drive) = made_town::read();
     let folder = tempfile::tempdir().unwrap();
-    let report = |options: BuildOptions| {
-        build(&folder.path().join("sk"), &shared, &options, [20, 0]).unwrap().manifest.report
+    let reports = |images: Vec<ImageRecord>| {
+        let mut log = drive.log().clone();
+        log.frames.truncate(2);
+        log.frames[1].images = images;
+        let shared = WithLog { drive: &drive, log };
+        [options(0.0), BuildOptions::every_camera()].map(|options| {
+            build(&folder.path().join("sk"), &shared, &options, [20, 0]).unwrap().manifest.report
+        })
     };
-    let [one, every] = [options(0.0), BuildOptions::every_camera()].map(report);
-    // Where the first frame's images are at hand they are not read twice; without a window they are not.
-    assert_eq!([one.images, every.images], [cameras, 2 * cameras]);
-    for report in [one, every] {
-        let share = report.dropped_uncolored as f64 / report.points_read as f64;
-        assert!(share < 0.25, "{share}");
-    }
+    let images = &drive.log().frames[0].images;
+    let copied = |(i, image): (usize, &ImageRecord)| {
+        let path = folder.path().join(format!("{i}.jpg"));
+        std::fs::copy(&image.path, &path).unwrap();
+        ImageRecord { path, ..image.clone() }
+    };
+    let [same, copies] = [images.clone(), images.iter().enumerate().map(copied).collect()].map(reports);
+    // Where the first frame's images are at hand they are not read twice; without a window they are.
+    let cameras = images.len();
+    assert_eq!(same.each_ref().map(|r| r.images), [cameras, 2 * cameras]);
+    assert_eq!(copies.each_ref().map(|r| r.images), [2 * cameras; 2]);
+    let uncolored = |reports: &[BuildReport; 2]| reports.each_ref().map(|r| r.dropped_uncolored);
+    assert_eq!(uncolored(&same), uncolored(&copies));
+    // Without images the second frame would lose all its points.
+    let [_, every] = reports(Vec::new());
+    assert!(every.dropped_uncolored > same[1].dropped_uncolored + same[1].points_read / 4);
 }
 
 /// An unfinished build of the tiny log: templates fail after all frames are done.

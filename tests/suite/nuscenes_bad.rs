@@ -1,15 +1,15 @@
-//! The nuScenes reader on every kind of bad input: a small street is written, one thing is broken, and the message
+//! The nuScenes reader on every kind of bad input: a short drive is written, one thing is broken, and the message
 //! must name what was expected, what was found and the file.
 
-use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::path::PathBuf;
 
-use point_skeleton::dataset::nuscenes::{NuScenes, write_log};
+use point_skeleton::dataset::nuscenes::NuScenes;
 use point_skeleton::dataset::{Dataset, DatasetError, LogLocator};
 use point_skeleton::logs;
-use point_skeleton::town::{Street, StreetOptions};
 use proptest::prelude::*;
 use serde_json::{Value, json};
+
+use crate::made_town::{FRAMES, VERSION, copy_to};
 
 const TABLES: [&str; 13] = [
     "attribute",
@@ -27,26 +27,28 @@ const TABLES: [&str; 13] = [
     "visibility",
 ];
 
-const STREET: StreetOptions = StreetOptions { seed: 5, frames: 2, size: [18, 32] };
-
-/// A copy of the street's files to break.
+/// A copy of a town's files to break.
 struct Broken(tempfile::TempDir);
 
 impl Broken {
+    /// The tables alone.
     fn new() -> Self {
-        static BASE: OnceLock<tempfile::TempDir> = OnceLock::new();
-        let base = BASE.get_or_init(|| {
-            let folder = tempfile::tempdir().unwrap();
-            write_log(folder.path(), "v1.0-mini", &Street::new(&STREET).unwrap()).unwrap();
-            folder
-        });
         let copy = tempfile::tempdir().unwrap();
-        copy_folder(base.path(), copy.path());
+        copy_to(copy.path(), |name| name.starts_with(VERSION));
         Self(copy)
     }
 
+    /// With sweeps and images of the first frame.
+    fn with_files() -> Self {
+        let broken = Self::new();
+        copy_to(broken.0.path(), |name| {
+            name.contains("__1600000000000000.") || name.contains("__15999999999")
+        });
+        broken
+    }
+
     fn table(&self, name: &str) -> PathBuf {
-        self.0.path().join("v1.0-mini").join(format!("{name}.json"))
+        self.0.path().join(VERSION).join(format!("{name}.json"))
     }
 
     /// Changes the records of a table.
@@ -73,19 +75,6 @@ fn assert_says(message: &str, parts: &[&str], ending: &str) {
     assert!(message.ends_with(ending), "{message:?} does not end with {ending:?}");
     for part in parts {
         assert!(message.contains(part), "{message:?} does not contain {part:?}");
-    }
-}
-
-fn copy_folder(from: &Path, to: &Path) {
-    for entry in std::fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        let target = to.join(entry.file_name());
-        if entry.path().is_dir() {
-            std::fs::create_dir(&target).unwrap();
-            copy_folder(&entry.path(), &target);
-        } else {
-            std::fs::copy(entry.path(), target).unwrap();
-        }
     }
 }
 
@@ -192,30 +181,26 @@ fn scenes_and_versions_must_be_chosen() {
     let broken = Broken::new();
     broken.edit("scene", |r| {
         let mut other = r[0].clone();
-        (other["token"], other["name"]) = (json!("other"), json!("street-6"));
+        (other["token"], other["name"]) = (json!("other"), json!("town-6"));
         r.push(other);
     });
-    broken.refuses("", &["expected #SCENE to name one of street-5, street-6, found none"], "scene.json");
-    broken.refuses("#street-9", &["street-5, street-6, found street-9"], "scene.json");
-    assert_eq!(broken.open_as("#street-5").unwrap().log().frames.len(), 2);
+    broken.refuses("", &["expected #SCENE to name one of town-3, town-6, found none"], "scene.json");
+    broken.refuses("#town-9", &["town-3, town-6, found town-9"], "scene.json");
+    assert_eq!(broken.open_as("#town-3").unwrap().log().frames.len(), FRAMES);
     let expand = |tail: &str| {
         let name: LogLocator = format!("nuscenes:{}{tail}", broken.0.path().display()).parse().unwrap();
         let scenes = |logs: Vec<LogLocator>| logs.into_iter().filter_map(|log| log.scene).collect::<Vec<_>>();
         logs::expand(&name).map(scenes)
     };
-    assert_eq!(expand("#*").unwrap(), ["street-5", "street-6"]);
-    assert_eq!(expand("#synthetic-street").unwrap(), ["street-5", "street-6"]);
-    assert_eq!(expand("#street-6").unwrap(), ["street-6"]);
-    assert_says(
-        &expand("#boston").unwrap_err().to_string(),
-        &["street-5, street-6, found boston"],
-        "scene.json",
-    );
+    assert_eq!(expand("#*").unwrap(), ["town-3", "town-6"]);
+    assert_eq!(expand("#town").unwrap(), ["town-3", "town-6"]);
+    assert_eq!(expand("#town-6").unwrap(), ["town-6"]);
+    assert_says(&expand("#boston").unwrap_err().to_string(), &["town-3, town-6, found boston"], "scene.json");
     let root = broken.0.path().to_string_lossy().into_owned();
     broken.refuses("@v1.0-none", &["@VERSION to name one of v1.0-mini, found v1.0-none"], &root);
     std::fs::create_dir(broken.0.path().join("v1.0-trainval")).unwrap();
     broken.refuses("", &["@VERSION to name one of v1.0-mini, v1.0-trainval, found none"], &root);
-    assert!(broken.open_as("@v1.0-mini#street-5").is_ok());
+    assert!(broken.open_as("@v1.0-mini#town-3").is_ok());
     let nowhere = "nuscenes:/nowhere/at/all".parse().unwrap();
     assert_says(&NuScenes::open(&nowhere).err().unwrap().to_string(), &["cannot read"], "/nowhere/at/all");
 }
@@ -234,9 +219,9 @@ fn what_is_left_out_is_counted() {
     let dataset = broken.open_as("").unwrap();
     let notes: Vec<(&str, usize)> = dataset.log().notes.iter().map(|(k, n)| (k.as_str(), *n)).collect();
     let expected = [
-        ("frames without a LiDAR sweep of their own", 2),
+        ("frames without a LiDAR sweep of their own", FRAMES),
         ("missing camera images", 1),
-        ("radar sweeps (not read)", 2),
+        ("radar sweeps (not read)", 2 * FRAMES - 1),
     ];
     assert_eq!(notes, expected);
 }
@@ -254,7 +239,7 @@ fn add_between(records: &mut Vec<Value>, channel: &str, t_us: i64) {
 fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
     let broken = Broken::new();
     let times = broken.open_as("").unwrap().log().frames.iter().map(|f| f.t_us).collect::<Vec<_>>();
-    let (first, last) = (times[0], times[1]);
+    let (first, last) = (times[0], times[FRAMES - 1]);
     broken.edit("sample_data", |records| {
         for t_us in [last - 150_000, last - 50_000, first - 50_000, last + 50_000] {
             add_between(records, "LIDAR_TOP", t_us);
@@ -268,15 +253,17 @@ fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
     let dataset = broken.open_as("").unwrap();
     let log = dataset.log();
     let sweeps = |i: usize| log.frames[i].sweeps.iter().map(|s| s.t_us).collect::<Vec<_>>();
+    // The town has one of its own every 100 ms.
     assert_eq!(sweeps(0), [first, first - 50_000]);
-    assert_eq!(sweeps(1), [last, last - 50_000, last - 150_000]);
+    assert_eq!(sweeps(1), [times[1], times[1] - 100_000]);
+    assert_eq!(sweeps(FRAMES - 1), [last, last - 50_000, last - 100_000, last - 150_000]);
     let between = |i: usize| {
         let images = log.frames[i].between_images.iter();
         images.map(|i| (i.t_us, log.cameras[i.channel].as_str())).collect::<Vec<_>>()
     };
     assert!(between(0).is_empty());
-    let expected = [(first + 1, "CAM_BACK"), (last - 90_000, "CAM_FRONT"), (last - 90_000, "CAM_BACK")];
-    assert_eq!(between(1), expected);
+    assert_eq!(between(1), [(first + 1, "CAM_BACK")]);
+    assert_eq!(between(FRAMES - 1), [(last - 90_000, "CAM_FRONT"), (last - 90_000, "CAM_BACK")]);
     assert!(log.frames.iter().all(|f| f.images.len() == 6));
     let notes: Vec<(&str, usize)> = log.notes.iter().map(|(k, n)| (k.as_str(), *n)).collect();
     assert_eq!(notes, [("sweeps and images after the last sample", 1)]);
@@ -284,7 +271,7 @@ fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
 
 #[test]
 fn damaged_sweeps_are_named() {
-    let broken = Broken::new();
+    let broken = Broken::with_files();
     let dataset = broken.open_as("").unwrap();
     let record = &dataset.log().frames[0].sweeps[0];
     let whole = std::fs::read(&record.path).unwrap();
@@ -312,17 +299,17 @@ fn damaged_sweeps_are_named() {
 
 #[test]
 fn damaged_images_are_named() {
-    let broken = Broken::new();
+    let broken = Broken::with_files();
     let dataset = broken.open_as("").unwrap();
     let record = &dataset.log().frames[0].images[0];
     let path = record.path.to_str().unwrap();
     let whole = std::fs::read(path).unwrap();
-    assert_eq!(dataset.read_image(record).unwrap().dimensions(), (32, 18));
+    assert_eq!(dataset.read_image(record).unwrap().dimensions(), (160, 90));
     image::RgbImage::new(40, 30).save(path).unwrap(); // as JPEG, by its name
     let message = || {
         dataset.read_image(record).map(|image| image.dimensions()).expect_err("a damaged image").to_string()
     };
-    assert_says(&message(), &["expected an image of 18x32 pixels", "found 30x40"], path);
+    assert_says(&message(), &["expected an image of 90x160 pixels", "found 30x40"], path);
     std::fs::write(path, &whole[..whole.len() - 9]).unwrap();
     assert_says(&message(), &["expected a whole JPEG image", "without an end marker"], path);
     std::fs::write(path, "text").unwrap();
@@ -355,7 +342,7 @@ proptest! {
             let opened = copy.open_as("");
             std::fs::write(&path, &whole).unwrap();
             if let Ok(dataset) = opened {
-                assert!(dataset.log().frames.len() <= 2);
+                assert!(dataset.log().frames.len() <= FRAMES);
             }
         });
     }

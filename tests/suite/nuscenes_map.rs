@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
-use point_skeleton::dataset::nuscenes::{NuScenes, read_map_file, write_log};
+use point_skeleton::dataset::nuscenes::{NuScenes, read_map_file};
 use point_skeleton::dataset::{Area, Dataset, LogFormat, LogLocator, VectorMap};
-use point_skeleton::town::{Street, StreetOptions};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
 use crate::common::shared;
+use crate::made_town::{VERSION, copy_to};
 
 /// A square of 10 m with a hole, a lane on it that ends in a connector, a crossing, a stop line, two dividers.
 fn made_up() -> Value {
@@ -185,22 +185,18 @@ fn log_with(map_root: Option<PathBuf>, root: &Path) -> NuScenes {
 fn the_map_of_the_logs_place_is_found() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    let options = StreetOptions { seed: 5, frames: 1, size: [18, 32] };
-    write_log(root, "v1.0-mini", &Street::new(&options).unwrap()).unwrap();
+    copy_to(root, |name| name.starts_with(VERSION));
     assert!(log_with(None, root).read_map().unwrap().is_none());
     for below in ["maps/expansion", "elsewhere"] {
         std::fs::create_dir_all(root.join(below)).unwrap();
     }
-    std::fs::write(root.join("maps/expansion/synthetic-street.json"), made_up().to_string()).unwrap();
+    std::fs::write(root.join("maps/expansion/town.json"), made_up().to_string()).unwrap();
     let map = log_with(None, root).read_map().unwrap().unwrap();
-    assert_eq!((map.location.as_str(), map.lanes.len()), ("synthetic-street", 1));
+    assert_eq!((map.location.as_str(), map.lanes.len()), ("town", 1));
     let elsewhere = Some(root.join("elsewhere"));
     // Where maps are said to be, that of the log must be.
     let message = log_with(elsewhere.clone(), root).read_map().unwrap_err().to_string();
-    assert!(
-        message.contains("expected map synthetic-street.json or") && message.ends_with("elsewhere"),
-        "{message}"
-    );
+    assert!(message.contains("expected map town.json or") && message.ends_with("elsewhere"), "{message}");
     let (gone, file) = (root.join("gone"), root.join("v1.0-mini/log.json"));
     for (place, found) in [(&gone, "cannot read"), (&file, "expected a folder, found a file")] {
         let usual = LogLocator::new(LogFormat::NuScenes, root);
@@ -211,12 +207,9 @@ fn the_map_of_the_logs_place_is_found() {
             assert!(message.contains(found) && message.ends_with(place.to_str().unwrap()), "{message}");
         }
     }
-    std::fs::write(root.join("elsewhere/synthetic-street.json"), "[").unwrap();
+    std::fs::write(root.join("elsewhere/town.json"), "[").unwrap();
     let message = log_with(elsewhere, root).read_map().unwrap_err().to_string();
-    assert!(
-        message.contains("expected a map expansion") && message.ends_with("synthetic-street.json"),
-        "{message}"
-    );
+    assert!(message.contains("expected a map expansion") && message.ends_with("town.json"), "{message}");
 }
 
 /// Area of a ring, m².

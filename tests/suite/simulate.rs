@@ -214,18 +214,10 @@ fn a_rollout_ends_with_the_log() {
 #[test]
 fn a_planner_that_dies_leaves_the_steps_until_then() {
     let log = built();
-    let script = r#"#!/bin/sh
-read -r hello
-echo '{"protocol": "pskel-planner", "version": 1}'
-read -r observation
-echo "$observation" > observed.json
-echo '{"frame": "ego", "trajectory": [{"t": 0.5, "x": 1, "y": 0, "heading": 0, "v": 2}, {"t": 1, "x": 2, "y": 0, "heading": 0, "v": 2}]}'
-read -r observation
-exit 3
-"#;
-    let path = log.path("planner.sh");
-    std::fs::write(&path, script).unwrap();
-    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+    planner(
+        &log,
+        "read -r observation\necho \"$observation\" > observed.json\nanswer\nread -r observation\nexit 3",
+    );
     let args = format!("{SIMULATE} --steps 20 --ego external --planner ./planner.sh");
     assert_failed(&log.run(&args), 1, &["stopped after 13 steps, which are in out", "planner", "exit"]);
     assert_eq!(rows(&log, "out").len(), 13);
@@ -247,6 +239,134 @@ exit 3
     std::fs::remove_dir_all(log.path("out")).unwrap();
     std::fs::create_dir(log.path("out")).unwrap();
     log.fail(&args.replace("./planner.sh", "true"), 1, &["planner"]);
+}
+
+/// A planner that answers hellos, then runs some lines of shell with `answer`, which drives on at 2 m/s.
+fn planner(log: &TinyLog, lines: &str) {
+    let script = format!(
+        r#"#!/bin/sh
+read -r hello
+echo '{{"protocol": "pskel-planner", "version": 1}}'
+answer() {{
+    echo '{{"frame": "ego", "trajectory": [{{"t": 0.5, "x": 1, "y": 0, "heading": 0, "v": 2}}, {{"t": 1, "x": 2, "y": 0, "heading": 0, "v": 2}}]}}'
+}}
+{lines}
+"#
+    );
+    let path = log.path("planner.sh");
+    std::fs::write(&path, script).unwrap();
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+}
+
+#[test]
+fn a_planner_that_hangs_or_talks_nonsense_ends_a_rollout_that_can_go_on() {
+    let log = built();
+    let args = |out: &str| {
+        let ego = "--ego external --planner ./planner.sh --planner-timeout 10 --maps instance --steps 10";
+        format!("{} {ego}", SIMULATE.replace("--out out", &format!("--out {out}")))
+    };
+    planner(&log, "while read -r observation; do answer; done");
+    log.succeed(&args("whole"));
+    for (lines, parts) in [
+        ("read -r observation; echo nonsense", ["an answer", "nonsense"]),
+        (r#"read -r observation; echo '{"trajectory": []}'"#, ["1 to 10000", "found 0"]),
+    ] {
+        planner(&log, lines);
+        let output = log.run(&args("out"));
+        assert_failed(&output, 1, &parts);
+        assert_failed(&output, 1, &["stopped after 7 steps, which are in out", "./planner.sh"]);
+        assert_page_is_whole(&log, "out", 7);
+    }
+    planner(&log, "while read -r observation; do answer; done");
+    log.succeed(&format!("{} --resume", args("out")));
+    assert!(tree(&log.path("out")) == tree(&log.path("whole")));
+    // One that hangs; with more time the rollout goes on.
+    planner(&log, "read -r observation; exec sleep 600");
+    let hasty = args("out").replace("--planner-timeout 10", "--planner-timeout 0.5");
+    assert_failed(&log.run(&hasty), 1, &["within 0.5 s", "stopped after 7 steps", "./planner.sh"]);
+    assert_page_is_whole(&log, "out", 7);
+    planner(&log, "while read -r observation; do answer; done");
+    log.succeed(&format!("{} --resume", args("out")));
+    assert!(tree(&log.path("out")) == tree(&log.path("whole")));
+}
+
+#[test]
+fn every_saved_step_can_be_gone_on_from() {
+    let log = built();
+    for (ego, tracking, actors) in [
+        ("lane_change", "bicycle", "idm"),
+        ("cosine", "perfect", "reactive"),
+        ("straight", "bicycle", "replay"),
+    ] {
+        let simulate = format!(
+            "{} --ego {ego} --tracking {tracking} --actors {actors} --maps instance --steps 6",
+            SIMULATE.replace("--warmup 2", "--warmup 1")
+        );
+        log.succeed(&simulate);
+        let whole = tree(&log.path("out"));
+        for step in 0..6 {
+            log.succeed(&format!("{simulate} --resume-from {step}"));
+            assert!(tree(&log.path("out")) == whole, "{ego} {tracking} {actors} from step {step}");
+        }
+    }
+}
+
+#[test]
+fn logs_without_boxes_or_with_a_gap_are_driven_and_told() {
+    let log = built();
+    // The last frame comes 3 s late: 4 s in all.
+    let late = FIRST_US + 4_000_000;
+    log.change("sample", "/2/timestamp", json!(late));
+    for data in 6..9 {
+        log.change("sample_data", &format!("/{data}/timestamp"), json!(late));
+    }
+    let summary = log.succeed(&format!("{SIMULATE} --maps instance --steps 100 --ego replay"));
+    assert!(summary.starts_with("simulated 48 steps of 100 (the log ended)"), "{summary}");
+    assert!(summary.contains("; 1 x gaps of more than 1 s between frames"), "{summary}");
+    assert_page_is_whole(&log, "out", 49);
+    let told = page(&log, "out");
+    let notes = told["metrics"].as_array().unwrap();
+    assert!(notes.contains(&json!(["note: gaps of more than 1 s between frames", "1"])), "{notes:?}");
+
+    let log = TinyLog::new();
+    log.change("sample_annotation", "", json!([]));
+    log.change("instance", "", json!([]));
+    log.succeed("build nuscenes:log --out sk");
+    for actors in ["replay", "idm", "reactive"] {
+        let summary = log.succeed(&format!("{SIMULATE} --steps 8 --ego lane_change --actors {actors}"));
+        assert!(summary.contains("; 1 x logs without boxes"), "{summary}");
+        assert!(rows(&log, "out").iter().all(|row| row["actors"] == json!([])));
+        let metrics = log.json("out/metrics.json");
+        // Neither has it a map.
+        let nothing = (&metrics["off_road"], &metrics["min_time_to_collision_s"], &metrics["collisions"]);
+        assert_eq!(nothing, (&Value::Null, &Value::Null, &json!([])));
+        assert_page_is_whole(&log, "out", 9);
+    }
+}
+
+#[test]
+fn trajectories_of_any_length_are_driven_and_bad_ones_told() {
+    let log = built();
+    let args = format!("{SIMULATE} --maps depth --steps 8 --ego file --trajectory");
+    for (name, content, parts) in [
+        ("nan.csv", "0,0\n1,nan\n", ["point 1", "NaN"]),
+        ("three.csv", "0,0,0\n1,0,0\n", ["line 1", "expected"]),
+        ("same.json", "[[1, 2], [1, 2], [1, 2]]", ["with a length", "found"]),
+        ("words.json", "{\"points\": \"none\"}", ["expected", "found"]),
+        ("empty.csv", "", ["2 to 20 million points", "found 0"]),
+        ("path.xml", "<path/>", [".json, .npy, .csv", "path.xml"]),
+    ] {
+        std::fs::write(log.path(name), content).unwrap();
+        log.fail(&format!("{args} {name}"), 1, &parts);
+        log.fail(&format!("{args} {name}"), 1, &[&format!(": {name}\n")]);
+    }
+    // A million points to the left: what is written of the rollout does not grow with them.
+    let points: String =
+        (0..1_000_000).map(|i| format!("{:.3},{:.3}\n", 1e-3 * f64::from(i), 5e-4 * f64::from(i))).collect();
+    std::fs::write(log.path("long.csv"), points).unwrap();
+    log.succeed(&format!("{args} long.csv"));
+    assert!(log.json("out/metrics.json")["lateral_deviation_m"]["end"].as_f64() > Some(0.05));
+    assert!(tree(&log.path("out")).values().all(|file| file.len() < 1 << 20));
 }
 
 #[test]

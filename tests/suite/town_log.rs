@@ -1,24 +1,18 @@
 //! The built-in town as a log: what is recorded fits what is true, and what is written is read again.
 
-use std::sync::OnceLock;
+use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
-use point_skeleton::dataset::nuscenes::{LogWriter, NuScenes, write_log};
-use point_skeleton::dataset::{Dataset, EgoTrack, Lane, LogFormat, LogLocator};
+use point_skeleton::dataset::nuscenes::write_log;
+use point_skeleton::dataset::{Dataset, EgoTrack, ImageRecord, Lane, RigCamera, TrackBox};
 use point_skeleton::geometry::{Cuboid, Pose, View};
 use point_skeleton::scene::{EgoOffset, state_of_frame};
+use point_skeleton::skeleton::{BuildOptions, SplitOptions};
 use point_skeleton::town::{Town, TownOptions, TrueActor};
 
-use crate::tiny_log::{TinyLog, assert_failed, tree};
-
-const OPTIONS: TownOptions =
-    TownOptions { seed: 3, frames: 3, hz: 5.0, lidar_hz: 10.0, beams: 32, size: [90, 160], daylight: None };
-
-/// Meshes and device are made once.
-fn town() -> &'static Town {
-    static TOWN: OnceLock<Town> = OnceLock::new();
-    TOWN.get_or_init(|| Town::new(&OPTIONS).unwrap())
-}
+use crate::common::{WithLog, skeleton_of};
+use crate::made_town::{self, FRAMES, OPTIONS, town};
+use crate::tiny_log::tree;
 
 fn views(town: &Town, frame: usize) -> Vec<View> {
     let state = state_of_frame(town.log(), frame, EgoOffset::default()).unwrap();
@@ -41,7 +35,7 @@ fn away(point: DVec2, line: &[DVec2]) -> f64 {
 #[test]
 fn frames_sweeps_and_images_have_their_times() {
     let log = town().log();
-    assert_eq!((log.name.as_str(), log.location.as_str(), log.frames.len()), ("town-3", "town", 3));
+    assert_eq!((log.name.as_str(), log.location.as_str(), log.frames.len()), ("town-3", "town", FRAMES));
     let start = log.frames[0].t_us;
     for (index, frame) in log.frames.iter().enumerate() {
         assert_eq!(frame.t_us, start + 200_000 * index as i64);
@@ -71,22 +65,20 @@ fn frames_sweeps_and_images_have_their_times() {
 
 #[test]
 fn a_town_written_is_read_as_it_was() {
-    let folder = tempfile::tempdir().unwrap();
-    let (town, done) = (town(), std::cell::RefCell::new(Vec::new()));
-    let layers = town.map_layers();
-    let frame_done = |index: usize| done.borrow_mut().push(index);
-    let writer = LogWriter { version: "v1.0-town", map: Some(&layers), frame_done: &frame_done };
-    writer.write(folder.path(), town).unwrap();
-    assert_eq!(done.take(), [0, 1, 2]);
-    let read = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, folder.path())).unwrap();
+    let (town, (_files, read)) = (town(), made_town::read());
+    assert_eq!(made_town::written().done, (0..FRAMES).collect::<Vec<_>>());
     let (a, b) = (town.log(), read.log());
     assert_eq!((&a.name, &a.location, &a.cameras, &a.tracks), (&b.name, &b.location, &b.cameras, &b.tracks));
-    assert_eq!((&a.rig, b.notes.len()), (&b.rig, 0));
+    let mounts = |(a, b): (&RigCamera, &RigCamera)| {
+        (a.channel, &a.camera) == (b.channel, &b.camera) && close(&a.ego_from_camera, &b.ego_from_camera)
+    };
+    assert!(a.rig.len() == b.rig.len() && a.rig.iter().zip(&b.rig).all(mounts) && b.notes.is_empty());
     for (a, b) in a.frames.iter().zip(&b.frames) {
         assert!(a.t_us == b.t_us && close(&a.global_from_ego, &b.global_from_ego));
         let key = |frame: &point_skeleton::dataset::Frame| {
             let sweeps = frame.sweeps.iter().map(|s| (s.t_us, s.is_key)).collect::<Vec<_>>();
-            let images = frame.images.iter().map(|i| (i.channel, i.t_us)).collect::<Vec<_>>();
+            let images =
+                frame.images.iter().map(|i| (i.channel, i.t_us, i.camera.clone())).collect::<Vec<_>>();
             (sweeps, images, frame.boxes.iter().map(|b| b.track).collect::<Vec<_>>())
         };
         assert_eq!(key(a), key(b));
@@ -96,10 +88,21 @@ fn a_town_written_is_read_as_it_was() {
                 .zip(&b.boxes)
                 .all(|(a, b)| { a.cuboid.size == b.cuboid.size && close(&a.cuboid.pose, &b.cuboid.pose) })
         );
+        let mounted = |(a, b): (&ImageRecord, &ImageRecord)| {
+            close(&a.ego_from_camera, &b.ego_from_camera) && close(&a.global_from_ego, &b.global_from_ego)
+        };
+        assert!(a.images.iter().zip(&b.images).all(mounted));
+    }
+    let (first, same) = (&a.frames[..2], &b.frames[..2]);
+    for (a, b) in first.iter().zip(same) {
         for (x, y) in a.sweeps.iter().zip(&b.sweeps) {
             assert_eq!(town.read_sweep(x).unwrap(), read.read_sweep(y).unwrap());
         }
     }
+    let [image, jpeg] =
+        [town, &read as &dyn Dataset].map(|d| d.read_image(&d.log().frames[1].images[0]).unwrap());
+    let off: u64 = image.iter().zip(jpeg.iter()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+    assert!(off < 4 * image.len() as u64, "JPEG changes a channel by {} levels", off / image.len() as u64);
     let [mut a, mut b] = [town, &read as &dyn Dataset].map(|d| d.read_map().unwrap().unwrap());
     let lines = |lanes: &mut Vec<Lane>| -> Vec<Vec<DVec2>> {
         lanes.iter_mut().map(|lane| std::mem::take(&mut lane.centerline)).collect()
@@ -185,8 +188,9 @@ fn boxes_hold_their_actors() {
         let above = |p: &DVec3| p.z > 0.25 - item.cuboid.size.z / 2.0;
         let inside =
             |margin_m: f64| locals().filter(|p| item.cuboid.contains_local(*p, margin_m) && above(p)).count();
-        let stands =
-            frames[2].cuboid_of(item.track).is_some_and(|c: Cuboid| close(&c.pose, &item.cuboid.pose));
+        let stands = frames[FRAMES - 1]
+            .cuboid_of(item.track)
+            .is_some_and(|c: Cuboid| close(&c.pose, &item.cuboid.pose));
         if stands {
             // Ranges are off by 1.5 cm, five times that at most.
             assert_eq!(inside(0.08), inside(0.12), "{}", town.log().tracks[item.track].id);
@@ -242,73 +246,56 @@ fn the_truth_is_numbered_as_boxes_are() {
     assert_eq!(error, "expected tracks of town town-3, found nobody");
 }
 
+/// Every point that is in a box at the time of its sweep is one of that actor, also between frames, where boxes are
+/// between those of the frames.
 #[test]
-fn a_town_comes_whole_or_not_at_all() {
-    let log = TinyLog::new();
-    let small = "--frames 1 --size 45x80";
-    let summary = log.succeed(&format!("town --seed 2 {small} --truth --out out/town"));
-    assert!(summary.starts_with("wrote town-2: 1 frames, 6 images, 1 sweeps"), "{summary}");
-    for name in [
-        "v1.0-town/sample.json",
-        "maps/town.png",
-        "maps/expansion/town.json",
-        "truth/000000/CAM_BACK/depth.exr",
-    ] {
-        assert!(log.path("out/town").join(name).is_file(), "{name}");
-    }
-    assert!(log.path("out/town/truth/000000/CAM_BACK/instance.png").is_file());
-    assert_eq!(
-        log.json("out/town/town.json")["town"],
-        "seed=2,frames=1,hz=5,beams=32,lidar_hz=10,size=45x80"
-    );
-    log.succeed("info nuscenes:out/town");
-    // Replaced by its like, not by others.
-    log.succeed(&format!("town --seed 4 {small} --out out/town"));
-    assert!(!log.path("out/town/truth").exists());
-    std::fs::remove_file(log.path("out/town/town.json")).unwrap();
-    let output = log.run(&format!("town --seed 4 {small} --out out/town"));
-    assert_failed(&output, 1, &["an older one with town.json"]);
-    for (args, said) in [
-        ("town --beams 16 --out out/x", "beams of 32 or 64"),
-        ("town --frames 0 --out out/x", "1 to 10000 frames"),
-        ("town --lidar-hz 10 --hz 12 --out out/x", "hz of 0.5 to lidar_hz"),
-        ("town --light night --out out/x", "day, dusk or overcast"),
-        ("info town:frames=0", "1 to 10000 frames"),
-        ("build town:seed=x --out out/x", "whole number for seed"),
-        ("render town:colour=3 --skeleton out/x --out out/y", "KEY=VALUE"),
-        ("fidelity nuscenes:log --skeleton out/x", "expected a log town:"),
-    ] {
-        assert_failed(&log.run(args), 2, &[said]);
-        assert!(!log.path("out/x").exists() && !log.path("out/y").exists());
+fn sweeps_between_frames_are_split_by_boxes_in_between() {
+    let (_files, drive) = made_town::read();
+    let log = WithLog::grey(&drive, &[1, 2]);
+    let folder = tempfile::tempdir().unwrap();
+    for between_sweeps in [false, true] {
+        let options = BuildOptions { between_sweeps, voxel_m: 0.0, ..BuildOptions::default() };
+        let all: Vec<usize> = (0..FRAMES).collect();
+        let built = skeleton_of(&folder.path().join("s"), &log, &all, &options).manifest;
+        assert_eq!(built.report.sweeps, if between_sweeps { 4 } else { 2 });
+        let found: BTreeMap<String, usize> = built.actors.into_iter().map(|a| (a.track, a.points)).collect();
+        let expected = points_in_boxes(&log, between_sweeps, true);
+        assert!(expected.values().sum::<usize>() > 500, "{expected:?}");
+        assert_eq!(found, expected);
+        // By the boxes of the frames it would be others.
+        assert_eq!(expected == points_in_boxes(&log, between_sweeps, false), !between_sweeps);
     }
 }
 
-/// Built and rendered from memory; a build of another town is not gone on with.
-#[test]
-fn a_town_goes_through_all_commands() {
-    let log = TinyLog::new();
-    let town = "town:seed=5,frames=2,size=90x160";
-    let summary = log.succeed(&format!("build {town} --out out/sk"));
-    assert!(summary.starts_with("built town-5 from 2 frames") && summary.contains("12 images"), "{summary}");
-    log.succeed(&format!("render {town} --skeleton out/sk --out out/maps --frames 0..1"));
-    assert!(
-        log.path("out/maps/000000/sheet.png").is_file()
-            && log.path("out/maps/000000/CAM_BACK/map.png").is_file()
-    );
-    let output = log.run(&format!("fidelity {town} --skeleton out/sk --frames 0..1 --json out/f.json --markdown out/f.md --csv out/f.csv"));
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let rows = log.json("out/f.json")["poses"].as_array().unwrap().clone();
-    assert_eq!((rows.len(), &rows[0]["pose"], &rows[0]["images"]), (8, &"as driven".into(), &6.into()));
-    let number = |path: &str| rows[0].pointer(path).unwrap().as_f64().unwrap();
-    assert!(number("/color/psnr_db") > 15.0 && number("/color/filled") > 0.1, "{}", rows[0]);
-    assert!(
-        number("/depth/median_m") < 0.5 && number("/rendered/classes/motor_vehicle") > 0.3,
-        "{}",
-        rows[0]
-    );
-    assert_eq!(std::fs::read_to_string(log.path("out/f.md")).unwrap().lines().count(), 10);
-    assert_eq!(std::fs::read_to_string(log.path("out/f.csv")).unwrap().lines().count(), 9);
-    // A skeleton of one town is none of another.
-    let output = log.run("fidelity town:seed=6,frames=2 --skeleton out/sk");
-    assert_failed(&output, 1, &["a skeleton of log town-6"]);
+/// How many points of all sweeps the actors have by the boxes at the sweeps' times, or by those of their frames.
+fn points_in_boxes(
+    drive: &WithLog<'_>,
+    between_sweeps: bool,
+    at_their_times: bool,
+) -> BTreeMap<String, usize> {
+    let SplitOptions { margin_m, ground_m, .. } = SplitOptions::default();
+    let log = drive.log();
+    let mut counts = BTreeMap::new();
+    let records = log.frames.iter().enumerate().flat_map(|(i, f)| f.sweeps.iter().map(move |s| (i, s)));
+    for (index, record) in records.filter(|(_, s)| s.is_key || between_sweeps) {
+        let [before, after] = [index - 1, index].map(|i| &log.frames[i]);
+        let s = (record.t_us - before.t_us) as f64 / (after.t_us - before.t_us) as f64;
+        let s = if at_their_times { s } else { 1.0 };
+        let moved = |b: &TrackBox| Some((b.track, before.cuboid_of(b.track)?.interpolate(&b.cuboid, s)));
+        let boxes: Vec<(usize, Cuboid)> = after.boxes.iter().filter_map(moved).collect();
+        let global_from_lidar = record.global_from_ego * record.ego_from_lidar;
+        for point in drive.read_sweep(record).unwrap().points {
+            let at = global_from_lidar.transform_point(DVec3::from(point.position.map(f64::from)));
+            let deep = |(track, cuboid): &(usize, Cuboid)| {
+                let local = cuboid.pose.inverse().transform_point(at);
+                let inside =
+                    cuboid.contains_local(local, margin_m) && local.z > ground_m - cuboid.size.z / 2.0;
+                inside.then(|| ((local.abs() / (cuboid.size / 2.0)).max_element(), *track))
+            };
+            if let Some((_, track)) = boxes.iter().filter_map(deep).min_by(|a, b| a.0.total_cmp(&b.0)) {
+                *counts.entry(log.tracks[track].id.clone()).or_default() += 1;
+            }
+        }
+    }
+    counts
 }

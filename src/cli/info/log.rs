@@ -126,7 +126,8 @@ fn lights(log: &Log) -> BTreeMap<&str, usize> {
 fn ego_path(log: &Log) -> Value {
     let places: Vec<DVec3> = log.frames.iter().map(|f| f.global_from_ego.translation).collect();
     let (min, max) = (places.iter().copied().reduce(DVec3::min), places.iter().copied().reduce(DVec3::max));
-    let length: f64 = places.windows(2).map(|w| w[0].distance(w[1])).sum();
+    // The sum of nothing would be -0.
+    let length = places.windows(2).map(|w| w[0].distance(w[1])).fold(0.0, |sum, m| sum + m);
     json!({"min": min.map(|v| v.to_array()), "max": max.map(|v| v.to_array()), "path_m": length})
 }
 

@@ -4,7 +4,7 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use crate::cli::WrongUsage;
-use crate::cli::log_args::LogRoots;
+use crate::cli::log_args::{self, LogRoots};
 use crate::cli::map_args::MapArgs;
 use crate::cli::numbers;
 use crate::cli::rasterizer::RasterizerArgs;
@@ -20,6 +20,7 @@ use crate::sim::{ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec,
 #[derive(Debug, Args)]
 pub(in crate::cli) struct SimulateArgs {
     /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    #[arg(value_parser = log_args::log)]
     pub(super) log: LogLocator,
     #[command(flatten)]
     pub(super) roots: LogRoots,

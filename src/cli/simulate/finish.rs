@@ -143,6 +143,9 @@ fn event(collision: &Collision, rows: &[StepRow]) -> PageEvent {
         Some(false) => ", not the ego's fault",
         None => "",
     };
-    let speeds = format!("{:.1} and {:.1} m/s", collision.ego_speed_mps, collision.actor_speed_mps);
-    PageEvent { step: collision.step, text: format!("collision with {category}, {speeds}{fault}") }
+    // No minus before a zero.
+    let speed = |speed_mps: f64| format!("{:.1} m/s", (speed_mps * 10.0).round() / 10.0 + 0.0);
+    let [ego, other] = [collision.ego_speed_mps, collision.actor_speed_mps].map(speed);
+    let text = format!("collision with {category} (ego {ego}, other {other}){fault}");
+    PageEvent { step: collision.step, text }
 }

@@ -121,15 +121,15 @@ fn options(
 
 fn outcome(args: &SimulateArgs, options: &RolloutOptions, run: &mut Run) -> Outcome {
     let ended = match (&run.failure, run.ended) {
-        (Some(_), _) => "stopped",
-        (None, Some(EndReason::LogEnded)) => "ended with the log",
-        (None, _) => "all steps",
+        (Some(_), _) => format!(" of {}, then it failed", args.steps),
+        (None, Some(EndReason::LogEnded)) => format!(" of {}, then the log ended", args.steps),
+        (None, _) => String::new(),
     };
     let facts = vec![
         format!("ego {}", args.ego_name()),
         format!("actors {}", args.actors_name()),
         format!("{} steps and {} plans a second", options.sim_hz, options.plan_hz),
-        format!("{} steps, {ended}", run.rows.len().saturating_sub(1)),
+        format!("{} steps{ended}", run.rows.len().saturating_sub(1)),
     ];
     Outcome {
         metrics: run.metrics.clone(),

@@ -37,7 +37,9 @@ pub enum PlannerAddress {
 pub struct PlannerSpec {
     /// Where it is.
     pub address: PlannerAddress,
-    /// How long to wait for each of its answers, and for a socket to be there, seconds.
+    /// How long to wait for each of its answers, and for a socket to be there, seconds. Not saved: a rollout that ended
+    /// for want of time may go on with more.
+    #[serde(skip)]
     pub timeout_s: f64,
 }
 

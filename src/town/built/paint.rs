@@ -46,22 +46,20 @@ impl Brush<'_> {
     fn lines(&self, road: &Road, style: &Style, cells: &mut Cells) {
         let mut draw = Draw::new(style.seed, &[0x6c1e, self.road as i64]);
         let lanes_m = road.lanes_each_way as f64 * road.lane_width_m;
-        // The lanes of a road with parking on one side only are not in its middle.
-        let middle = (road.parking_m[1] - road.parking_m[0]) / 2.0;
         if road.lanes_each_way > 1 {
             for side in [-0.11, 0.11] {
-                self.stroke(middle + side, [1e9, 0.0], style.middle_line, cells);
+                self.stroke(side, [1e9, 0.0], style.middle_line, cells);
             }
         } else if draw.chance(0.75) {
-            self.stroke(middle, draw.pick(&[[3.0, 4.0], [1e9, 0.0], [4.0, 2.0]]), style.middle_line, cells);
+            self.stroke(0.0, draw.pick(&[[3.0, 4.0], [1e9, 0.0], [4.0, 2.0]]), style.middle_line, cells);
         }
         for k in 1..road.lanes_each_way {
             for side in [-1.0, 1.0] {
-                self.stroke(middle + side * k as f64 * road.lane_width_m, [3.0, 5.0], WHITE, cells);
+                self.stroke(side * k as f64 * road.lane_width_m, [3.0, 5.0], WHITE, cells);
             }
         }
         for (parking, side) in road.parking_m.into_iter().zip([1.0, -1.0]) {
-            let edge = middle + side * lanes_m;
+            let edge = side * lanes_m;
             if parking > 1.0 {
                 self.stroke(edge, [1e9, 0.0], WHITE, cells);
                 self.bays(edge, side * parking, cells);

@@ -1,0 +1,67 @@
+//! A short drive in the town that many tests share: it is made and written once.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::LazyLock;
+
+use point_skeleton::dataset::nuscenes::{LogWriter, NuScenes};
+use point_skeleton::dataset::{LogFormat, LogLocator};
+use point_skeleton::town::{Town, TownOptions};
+
+use crate::tiny_log::tree;
+
+pub(crate) const FRAMES: usize = 9;
+pub(crate) const OPTIONS: TownOptions = TownOptions {
+    seed: 3,
+    frames: FRAMES,
+    hz: 5.0,
+    lidar_hz: 10.0,
+    beams: 32,
+    size: [90, 160],
+    daylight: None,
+};
+/// Folder of the written tables.
+pub(crate) const VERSION: &str = "v1.0-mini";
+
+/// In memory; meshes and device are made once.
+pub(crate) fn town() -> &'static Town {
+    static TOWN: LazyLock<Town> = LazyLock::new(|| Town::new(&OPTIONS).unwrap());
+    &TOWN
+}
+
+/// As a nuScenes data set with its map.
+pub(crate) struct Written {
+    pub(crate) files: BTreeMap<String, Vec<u8>>,
+    /// What the writer told of frames that are done.
+    pub(crate) done: Vec<usize>,
+}
+
+pub(crate) fn written() -> &'static Written {
+    static WRITTEN: LazyLock<Written> = LazyLock::new(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let (layers, done) = (town().map_layers(), RefCell::new(Vec::new()));
+        let frame_done = |index: usize| done.borrow_mut().push(index);
+        let writer = LogWriter { version: VERSION, map: Some(&layers), frame_done: &frame_done };
+        writer.write(folder.path(), town()).unwrap();
+        Written { files: tree(folder.path()), done: done.take() }
+    });
+    &WRITTEN
+}
+
+/// Writes those of the files that are wanted, by their names.
+pub(crate) fn copy_to(folder: &Path, wanted: impl Fn(&str) -> bool) {
+    for (name, bytes) in written().files.iter().filter(|(name, _)| wanted(name)) {
+        let path = folder.join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    }
+}
+
+/// A copy of all files, and the log that is read from them.
+pub(crate) fn read() -> (tempfile::TempDir, NuScenes) {
+    let folder = tempfile::tempdir().unwrap();
+    copy_to(folder.path(), |_| true);
+    let log = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, folder.path())).unwrap();
+    (folder, log)
+}

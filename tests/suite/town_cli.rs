@@ -1,0 +1,114 @@
+//! The built-in town on the command line.
+
+use std::process::Command;
+
+use serde_json::Value;
+
+use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
+
+#[test]
+fn a_town_comes_whole_or_not_at_all() {
+    let log = TinyLog::new();
+    let small = "--frames 1 --size 45x80";
+    let summary = log.succeed(&format!("town --seed 2 {small} --truth --out out/town"));
+    assert!(summary.starts_with("wrote town-2: 1 frames, 6 images, 1 sweeps"), "{summary}");
+    for name in [
+        "v1.0-town/sample.json",
+        "maps/town.png",
+        "maps/expansion/town.json",
+        "truth/000000/CAM_BACK/depth.exr",
+    ] {
+        assert!(log.path("out/town").join(name).is_file(), "{name}");
+    }
+    assert!(log.path("out/town/truth/000000/CAM_BACK/instance.png").is_file());
+    assert_eq!(
+        log.json("out/town/town.json")["town"],
+        "seed=2,frames=1,hz=5,beams=32,lidar_hz=10,size=45x80"
+    );
+    assert!(log.run("info nuscenes:out/town").status.success());
+    // Replaced by its like, not where somebody put something.
+    log.succeed(&format!("town --seed 4 {small} --out out/town"));
+    assert!(!log.path("out/town/truth").exists());
+    std::fs::write(log.path("out/town/notes.txt"), "mine").unwrap();
+    let before = tree(&log.path("out"));
+    let again = || log.run(&format!("town --seed 5 {small} --out out/town"));
+    assert_failed(&again(), 1, &["nothing beside the files that belong to town.json, found notes.txt"]);
+    std::fs::remove_file(log.path("out/town/town.json")).unwrap();
+    assert_failed(&again(), 1, &["an older one with town.json, found other content", "out/town"]);
+    std::fs::write(log.path("out/town/town.json"), &before["town/town.json"]).unwrap();
+    assert!(tree(&log.path("out")) == before);
+}
+
+#[test]
+fn options_that_no_town_has_are_wrong_usage() {
+    let log = TinyLog::new();
+    for (args, said) in [
+        ("town --beams 16 --out out/x", ["beams of 32 or 64", "\"16\""]),
+        ("town --frames 0 --out out/x", ["1 to 10000 frames", "\"0\""]),
+        ("town --frames 20000 --out out/x", ["1 to 10000 frames", "\"20000\""]),
+        ("town --frames 4000 --out out/x", ["at most 600 s", "4000 frames at 5 Hz"]),
+        ("town --lidar-hz 10 --hz 12 --out out/x", ["hz of 0.5 to lidar_hz", "\"12\""]),
+        ("town --lidar-hz 15 --out out/x", ["lidar_hz of 10 or 20", "\"15\""]),
+        ("town --size 9000x9000 --out out/x", ["at most 33554432 pixels", "9000x9000"]),
+        ("town --size 90 --out out/x", ["a size HxW", "90"]),
+        ("town --seed=-1 --out out/x", ["--seed", "-1"]),
+        ("town --light night --out out/x", ["day, dusk or overcast", "night"]),
+        ("town --color red --out out/x", ["unexpected argument", "--color"]),
+        ("town --seed 1", ["required", "--out"]),
+        ("info town:frames=0", ["1 to 10000 frames", "\"0\""]),
+        ("build town:seed=x --out out/x", ["whole number below 2^64 for seed", "\"x\""]),
+        ("render town:colour=3 --skeleton out/x --out out/y", ["KEY=VALUE with seed", "\"colour\""]),
+        ("simulate town:hz=0 --skeleton out/x --out out/y --steps 1", ["hz of 0.5 to lidar_hz", "\"0\""]),
+        ("fidelity nuscenes:log --skeleton out/x", ["expected a log town:", "found log"]),
+    ] {
+        log.fail(args, 2, &said);
+    }
+}
+
+#[test]
+fn a_town_needs_a_place_to_be_written() {
+    let log = TinyLog::new();
+    std::fs::write(log.path("file"), "").unwrap();
+    let cases =
+        [("file", "an empty one"), ("file/town", "cannot create"), ("/proc/none/town", "cannot create")];
+    for (place, said) in cases {
+        let output = log.run(&format!("town --frames 1 --size 45x80 --out {place}"));
+        assert_failed(&output, 1, &[said, place.trim_end_matches("/town")]);
+    }
+    assert_eq!(std::fs::read(log.path("file")).unwrap(), b"");
+    // No room: what was begun is gone.
+    let command = "ulimit -f 64; exec \"$0\" town --frames 1 --size 45x80 --out out/town";
+    let mut shell = Command::new("bash");
+    let output = shell.current_dir(log.path("")).args(["-c", command, PSKEL]).output().unwrap();
+    assert_failed(&output, 1, &["cannot write", "out/"]);
+    log.assert_out_is_empty();
+}
+
+/// Built and rendered from memory; a build of another town is not gone on with.
+#[test]
+fn a_town_goes_through_all_commands() {
+    let log = TinyLog::new();
+    let town = "town:seed=5,frames=2,size=90x160";
+    let summary = log.succeed(&format!("build {town} --out out/sk"));
+    assert!(summary.starts_with("built town-5 from 2 frames") && summary.contains("12 images"), "{summary}");
+    log.succeed(&format!("render {town} --skeleton out/sk --out out/maps --frames 0..1"));
+    assert!(
+        log.path("out/maps/000000/sheet.png").is_file()
+            && log.path("out/maps/000000/CAM_BACK/map.png").is_file()
+    );
+    let output = log.run(&format!("fidelity {town} --skeleton out/sk --frames 0..1 --json out/f.json --markdown out/f.md --csv out/f.csv"));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let rows = log.json("out/f.json")["poses"].as_array().unwrap().clone();
+    assert_eq!((rows.len(), &rows[0]["pose"], &rows[0]["images"]), (8, &"as driven".into(), &6.into()));
+    let number = |path: &str| rows[0].pointer(path).unwrap().as_f64().unwrap();
+    assert!(number("/color/psnr_db") > 15.0 && number("/color/filled") > 0.1, "{}", rows[0]);
+    assert!(number("/depth/median_m") < 0.5, "{}", rows[0]);
+    // Somebody of some class is in view, and shown where he is.
+    let classes = rows[0]["rendered"]["classes"].as_object().unwrap();
+    assert!(classes.values().filter_map(Value::as_f64).any(|iou| iou > 0.3), "{}", rows[0]);
+    assert_eq!(std::fs::read_to_string(log.path("out/f.md")).unwrap().lines().count(), 10);
+    assert_eq!(std::fs::read_to_string(log.path("out/f.csv")).unwrap().lines().count(), 9);
+    // A skeleton of one town is none of another.
+    let output = log.run("fidelity town:seed=6,frames=2 --skeleton out/sk");
+    assert_failed(&output, 1, &["a skeleton of log town-6"]);
+}
