@@ -231,8 +231,12 @@ impl Start<'_> {
             }
         }
         world.vehicles.insert(0, ego);
-        for (lane, along_m, speed_mps) in places {
-            let body = self.body_for(lane);
+        for (i, (lane, along_m, speed_mps)) in places.into_iter().enumerate() {
+            // A low one ahead: who drives behind a truck sees a truck.
+            let body = match i {
+                0 => self.bodies.of(BodyKind::Hatchback, &mut self.random),
+                _ => self.body_for(lane),
+            };
             let size_m = body.size_m().truncate();
             let occupants = world.occupants();
             let free = occupants[lane].iter().all(|(other_m, i)| {
