@@ -220,8 +220,9 @@ impl Start<'_> {
         }
         let mut places = vec![(lane, here_m + self.random.between(24.0, 34.0), 7.8)];
         if let Some(beside) = sides[own].get(1) {
-            places.push((*beside, here_m + self.random.between(13.0, 24.0), 7.6));
-            places.push((*beside, here_m + self.random.between(40.0, 48.0), 7.6));
+            // Room for who changes lanes and gets faster.
+            places.push((*beside, here_m - self.random.between(15.0, 22.0), 7.6));
+            places.push((*beside, here_m + self.random.between(38.0, 46.0), 8.0));
         }
         for (k, towards) in sides[other].iter().enumerate() {
             let length_m = self.lanes.length_m(*towards);
