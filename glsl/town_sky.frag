@@ -13,5 +13,5 @@ void main() {
     vec3 color = cloudy(clear_sky(dir), dir, clouds(dir, 5));
     float disc = smoothstep(0.99985, 0.99993, dot(dir, view.sun.xyz));
     color += view.sunlight.rgb * 12.0 * disc;
-    color_out = vec4(view.sun.w > 0.5 ? vec3(0.0) : developed(color), 1.0);
+    color_out = vec4(mix(developed(color), vec3(0.0), view.sun.w), 1.0);
 }

@@ -11,7 +11,7 @@ use point_skeleton::town::{Town, TownOptions};
 
 use crate::tiny_log::tree;
 
-pub(crate) const FRAMES: usize = 9;
+pub(crate) const FRAMES: usize = 6;
 pub(crate) const OPTIONS: TownOptions = TownOptions {
     seed: 3,
     frames: FRAMES,

@@ -120,14 +120,15 @@ fn a_town_written_is_read_as_it_was() {
 
 #[test]
 fn the_same_options_give_the_same_bytes() {
-    let write = |seed: u64| {
+    let made = |seed: u64| Town::new(&TownOptions { seed, frames: 1, size: [45, 80], ..OPTIONS }).unwrap();
+    let write = || {
         let folder = tempfile::tempdir().unwrap();
-        let town = Town::new(&TownOptions { seed, frames: 1, size: [45, 80], ..OPTIONS }).unwrap();
-        write_log(folder.path(), "v1.0-town", &town).unwrap();
+        write_log(folder.path(), "v1.0-town", &made(3)).unwrap();
         tree(folder.path())
     };
-    let first = write(3);
-    assert!(first == write(3) && first != write(4));
+    assert!(write() == write());
+    // Another seed is another town.
+    assert!(made(3).read_map().unwrap() != made(4).read_map().unwrap());
 }
 
 /// The LiDAR's rays and the triangle pipeline see the same town: points stand where the depth map has them. The back
@@ -251,7 +252,14 @@ fn the_truth_is_numbered_as_boxes_are() {
 #[test]
 fn sweeps_between_frames_are_split_by_boxes_in_between() {
     let (_files, drive) = made_town::read();
-    let log = WithLog::grey(&drive, &[1, 2]);
+    let mut log = WithLog::grey(&drive, &[1, 2]);
+    // All boxes creep ahead, whoever is in them: it matters which boxes are taken.
+    for (frame, item) in
+        (0..).zip(&mut log.log.frames).flat_map(|(i, f)| f.boxes.iter_mut().map(move |b| (i, b)))
+    {
+        let pose = &mut item.cuboid.pose;
+        pose.translation += pose.rotation * DVec3::X * (0.5 * f64::from(frame));
+    }
     let folder = tempfile::tempdir().unwrap();
     for between_sweeps in [false, true] {
         let options = BuildOptions { between_sweeps, voxel_m: 0.0, ..BuildOptions::default() };
@@ -260,7 +268,7 @@ fn sweeps_between_frames_are_split_by_boxes_in_between() {
         assert_eq!(built.report.sweeps, if between_sweeps { 4 } else { 2 });
         let found: BTreeMap<String, usize> = built.actors.into_iter().map(|a| (a.track, a.points)).collect();
         let expected = points_in_boxes(&log, between_sweeps, true);
-        assert!(expected.values().sum::<usize>() > 500, "{expected:?}");
+        assert!(expected.values().sum::<usize>() > 100, "{expected:?}");
         assert_eq!(found, expected);
         // By the boxes of the frames it would be others.
         assert_eq!(expected == points_in_boxes(&log, between_sweeps, false), !between_sweeps);

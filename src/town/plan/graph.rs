@@ -63,10 +63,12 @@ struct Grid {
     rows: usize,
     turn_rad: f64,
     nodes: Vec<DVec2>,
-    /// Node and side at both ends.
-    links: Vec<([(usize, usize); 2], Section, Course)>,
+    links: Vec<Joined>,
     outs: Vec<(usize, usize, f64, Section)>,
 }
+
+/// A street of the grid: node and side at both ends.
+type Joined = ([(usize, usize); 2], Section, Course);
 
 /// How a street gets from one node to the other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -341,7 +343,7 @@ impl Grid {
         (target - back.unwrap_or(here)).normalize_or(self.side_direction(side))
     }
 
-    fn across(&self, node: usize, side: usize) -> Option<([(usize, usize); 2], Section, Course)> {
+    fn across(&self, node: usize, side: usize) -> Option<Joined> {
         self.link_at(node, side).map(|link| self.links[link]).filter(|link| link.2 == Course::Across)
     }
 

@@ -4,7 +4,7 @@ use super::{JunctionKind, Network, Signal};
 
 /// Green, yellow, and all red, seconds.
 const GREEN_S: f64 = 10.0;
-const YELLOW_S: f64 = 3.0;
+const YELLOW_S: f64 = 3.6;
 const CLEAR_S: f64 = 2.0;
 const PHASE_S: f64 = GREEN_S + YELLOW_S + CLEAR_S;
 const CYCLE_S: f64 = 2.0 * PHASE_S;

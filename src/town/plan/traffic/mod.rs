@@ -20,7 +20,7 @@ mod vehicle;
 mod walker;
 mod world;
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 
 use self::bodies::Bodies;
 use self::lanes::Lanes;
@@ -181,28 +181,44 @@ fn record(world: &mut World<'_>, walkers: &mut [Walker], duration_s: f64) -> Vec
 
 /// Takes away who would ever share a place with somebody before them, or with the ego: a last resort.
 fn keep_apart(ego: &Motion, movers: &mut Vec<(Body, Motion)>) {
-    let steps = ego.poses.len();
-    let mut kept: Vec<(Body, Motion)> = Vec::new();
-    let mut rects: Vec<Vec<Rect>> = vec![Vec::new()];
-    for pose in &ego.poses {
-        let middle = pose.transform_point(glam::DVec3::X * EGO_AHEAD_M);
-        rects[0].push(Rect::at(&Pose { translation: middle, ..*pose }, EGO_M));
-    }
-    for (body, motion) in movers.drain(..) {
+    let ego_at = |pose: &Pose| {
+        let middle = pose.transform_point(DVec3::X * EGO_AHEAD_M);
+        Rect::at(&Pose { translation: middle, ..*pose }, EGO_M)
+    };
+    let mut swept = vec![Swept::new(ego.poses.iter().map(ego_at).collect())];
+    movers.retain(|(body, motion)| {
         let size_m = body.size_m().truncate();
-        let own: Vec<Rect> = motion.poses.iter().map(|pose| Rect::at(pose, size_m)).collect();
-        let meets = |others: &Vec<Rect>| {
-            let pick = |rects: &Vec<Rect>, step: usize| rects[step.min(rects.len() - 1)];
-            let last = own.len().max(others.len()).min(steps);
-            (0..last).any(|step| pick(&own, step).overlaps(&pick(others, step)))
-        };
-
-        if !rects.iter().any(meets) {
-            rects.push(own);
-            kept.push((body, motion));
+        let own = Swept::new(motion.poses.iter().map(|pose| Rect::at(pose, size_m)).collect());
+        let alone = !swept.iter().any(|other| own.meets(other));
+        if alone {
+            swept.push(own);
         }
+        alone
+    });
+}
+
+/// The places that a box takes over time; a single one of what stands.
+struct Swept {
+    rects: Vec<Rect>,
+    min: DVec2,
+    max: DVec2,
+}
+
+impl Swept {
+    fn new(rects: Vec<Rect>) -> Self {
+        let middles = || rects.iter().map(|rect| rect.centre);
+        let reach = DVec2::splat(rects.first().map_or(0.0, |rect| rect.half_m.length()));
+        let min = middles().fold(DVec2::INFINITY, DVec2::min) - reach;
+        let max = middles().fold(DVec2::NEG_INFINITY, DVec2::max) + reach;
+        Self { rects, min, max }
     }
-    *movers = kept;
+
+    fn meets(&self, other: &Self) -> bool {
+        let near = self.min.cmple(other.max).all() && other.min.cmple(self.max).all();
+        let steps = self.rects.len().max(other.rects.len());
+        let at = |rects: &[Rect], step: usize| rects[step.min(rects.len() - 1)];
+        near && (0..steps).any(|step| at(&self.rects, step).overlaps(&at(&other.rects, step)))
+    }
 }
 
 /// A track id, always the same for a seed and a number.

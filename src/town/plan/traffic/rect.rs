@@ -14,11 +14,11 @@ pub(super) struct Rect {
 }
 
 impl Rect {
-    /// Of what stands on two points of a path, as on axles that are `base_m` apart, around a place along it, metres.
+    /// Of what is on a path with its middle, a place along it in metres, and looks as if axles `base_m` apart were on it too.
     pub(super) fn on(path: &Path, along_m: f64, base_m: f64, size_m: DVec2) -> Self {
         let [rear, front] = [-0.5, 0.5].map(|share| path.point(along_m + share * base_m));
         let ahead = (front - rear).normalize_or(path.direction(along_m));
-        Self { centre: (rear + front) / 2.0, ahead, half_m: size_m / 2.0 }
+        Self { centre: path.point(along_m), ahead, half_m: size_m / 2.0 }
     }
 
     /// At a pose on the ground below its middle.

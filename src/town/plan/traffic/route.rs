@@ -11,7 +11,7 @@ pub(super) const BRAKING_MPS2: f64 = 1.5;
 const CAP_STEP_M: f64 = 1.0;
 /// A curve is seen over so many metres.
 const CURVE_M: f64 = 3.0;
-/// Trucks and buses do not go where it turns more than 1 m in this many.
+/// Trucks and buses avoid curves that are narrower than this.
 const LONG_RADIUS_M: f64 = 14.0;
 
 /// A way along lanes.
@@ -61,18 +61,21 @@ impl Route {
                 }
             };
             prefer(&|i| lanes.is_open(i, 3));
+            // Where all ways are narrow, the one to the left is the widest.
+            prefer(&|i| !wish.long || turn_of(i) != Turn::Right);
             prefer(&|i| !wish.long || gentle(&lanes.paths[i]));
             if let Some(within) = wish.turn_within {
                 let turns = straight + 1 >= within;
                 prefer(&|i| (turn_of(i) != Turn::Straight) == turns);
             }
-            if wish.long {
-                choices.retain(|i| gentle(&lanes.paths[*i]));
-            }
-            if choices.is_empty() {
-                break;
-            }
-            let next = choices[random.index(choices.len())];
+            // Who turns left holds up others.
+            let weight = |i: usize| match turn_of(i) {
+                Turn::Left => 1.0,
+                Turn::Straight => 8.0,
+                Turn::Right => 3.0,
+            };
+            let weighted: Vec<(usize, f64)> = choices.iter().map(|i| (*i, weight(*i))).collect();
+            let Some(next) = random.weighted(&weighted) else { break };
             straight = if turn_of(next) == Turn::Straight { straight + 1 } else { 0 };
             let Some(after) = lanes.ways[next].map(|w| w.to) else { break };
             taken.extend([next, after]);
@@ -92,6 +95,11 @@ impl Route {
         let path = Path::new(&points);
         let caps_mps = caps_mps(&path);
         Self { lanes: taken, starts_m, path, caps_mps }
+    }
+
+    /// Whether a long vehicle fits for so many metres from a place on.
+    pub(super) fn is_wide(&self, from_m: f64, length_m: f64) -> bool {
+        self.length_m() > from_m + length_m && gentle(&Path::new(&self.path.part(from_m, from_m + length_m)))
     }
 
     pub(super) fn length_m(&self) -> f64 {

@@ -9,7 +9,7 @@ use super::vehicle::{Driver, Vehicle};
 use super::world::World;
 use crate::town::model::{Body, BodyKind};
 use crate::town::plan::random::Random;
-use crate::town::plan::{LaneKind, Signal};
+use crate::town::plan::{LaneKind, Signal, Turn};
 
 /// The recording car: length and width, and how far the middle of its box is ahead of its rear axle, metres.
 pub(super) const EGO_M: DVec2 = DVec2::new(5.176, 2.297);
@@ -18,13 +18,15 @@ pub(super) const EGO_AHEAD_M: f64 = 1.461;
 const EGO_MPS: f64 = 8.0;
 /// The ego begins so far along its lane, metres.
 const EGO_ALONG_M: f64 = 7.0;
+/// With the time before the start: from here on the ego turns off, seconds.
+const LONG_DRIVE_S: f64 = 24.0;
 /// Streets so near to the ego's drive have traffic, metres.
 const NEAR_M: f64 = 140.0;
 /// A vehicle for so many metres of lanes, and least and most of them.
-const SPACING_M: f64 = 52.0;
-const COUNT: [usize; 2] = [26, 90];
-/// Trucks and buses find no way for longer than this, seconds: their streets end.
-const LONG_S: f64 = 24.0;
+const SPACING_M: f64 = 66.0;
+const COUNT: [usize; 2] = [26, 70];
+/// Trucks and buses drive along wide curves for so long, seconds; streets that go on for ever without others are rare.
+const LONG_S: f64 = 22.0;
 /// A cyclist rides so far from the right edge of a lane, metres.
 const EDGE_M: f64 = 0.65;
 
@@ -47,8 +49,7 @@ impl Start<'_> {
                 best = if score > best.0 { (score, lane) } else { best };
             }
         }
-        let long_drive = self.duration_s > 14.0;
-        let wish = Wish { right_m: 0.0, long: false, turn_within: long_drive.then_some(2) };
+        let wish = Wish { right_m: 0.0, long: false, turn_within: self.is_long_drive().then_some(2) };
         let length_m = 60.0 + 10.0 * self.duration_s;
         let route = Route::draw(self.lanes, best.1, length_m, wish, &mut self.random);
         Vehicle {
@@ -64,6 +65,11 @@ impl Start<'_> {
         }
     }
 
+    /// Whether the ego gets farther than a junction.
+    fn is_long_drive(&self) -> bool {
+        self.duration_s > LONG_DRIVE_S
+    }
+
     /// How good a lane is for the ego's start; `None` for ways through junctions.
     fn score(&self, lane: usize) -> Option<f64> {
         let LaneKind::Road(road) = self.lanes.network.lanes[lane].kind else { return None };
@@ -74,6 +80,9 @@ impl Start<'_> {
         score += if self.lanes.network.roads[road].lanes_each_way > 1 && innermost { 8.0 } else { 0.0 };
         score += if self.lanes.is_open(lane, 2) { 3.0 } else { 0.0 };
         score += ((left_m - 50.0) / 25.0).clamp(-1.0, 1.0);
+        let turns = self.lanes.network.lanes[lane].successors.iter();
+        let turns = turns.filter_map(|way| self.lanes.ways[*way]).any(|way| way.turn != Turn::Straight);
+        score += if turns && self.is_long_drive() { 3.0 } else { 0.0 };
         let way = self.lanes.ways[*self.lanes.network.lanes[lane].successors.first()?]?;
         let arrives_s = (left_m - 10.0) / EGO_MPS;
         let is_green = |after_s: f64| {
@@ -106,7 +115,7 @@ impl Start<'_> {
         let wish = Wish { right_m, long, turn_within: None };
         let route = Route::draw(self.lanes, lane, length_m, wish, &mut self.random);
         let wanted_m = driver.free_mps * self.duration_s.min(LONG_S);
-        if long && route.length_m() - along_m < wanted_m {
+        if long && !route.is_wide(along_m, wanted_m) {
             let car = self.bodies.of(BodyKind::Sedan, &mut self.random);
             return self.vehicle(car, lane, along_m, speed_mps);
         }
@@ -133,7 +142,8 @@ impl Start<'_> {
         for lane in 0..self.lanes.paths.len() {
             let path = &self.lanes.paths[lane];
             let near = |p: &DVec2| drive.iter().any(|q| p.distance(*q) < NEAR_M);
-            if self.lanes.ways[lane].is_some() || !path.points().iter().step_by(20).any(near) {
+            let closed = self.lanes.ways[lane].is_some() || !self.lanes.is_open(lane, 2);
+            if closed || !path.points().iter().step_by(20).any(near) {
                 continue;
             }
             total_m += path.length_m();
@@ -221,8 +231,12 @@ impl Start<'_> {
             }
         }
         world.vehicles.insert(0, ego);
-        for (lane, along_m, speed_mps) in places {
-            let body = self.body_for(lane);
+        for (i, (lane, along_m, speed_mps)) in places.into_iter().enumerate() {
+            // A low one ahead: who drives behind a truck sees a truck.
+            let body = match i {
+                0 => self.bodies.of(BodyKind::Hatchback, &mut self.random),
+                _ => self.body_for(lane),
+            };
             let size_m = body.size_m().truncate();
             let occupants = world.occupants();
             let free = occupants[lane].iter().all(|(other_m, i)| {

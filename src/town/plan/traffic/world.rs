@@ -14,6 +14,8 @@ use crate::town::plan::{JunctionKind, Signal, Turn};
 pub(super) const STEP_S: f64 = 0.1;
 /// How far ahead a leader is looked for, metres.
 const SIGHT_M: f64 = 60.0;
+/// Who has waited for longer goes first, seconds.
+const PATIENCE_S: f64 = 3.0;
 /// How long a vehicle stands at a stop sign, seconds.
 const HALT_S: f64 = 0.7;
 
@@ -147,31 +149,47 @@ impl<'a> World<'a> {
             let v = vehicle.speed_mps;
             let left_m = vehicle.route.starts_m[k] - way.stop_m() - vehicle.front_m();
             if left_m < v * v / 3.0 + v * 0.6 + 3.0 {
-                let left = way.kind == JunctionKind::Signals && way.turn == Turn::Left;
-                asking.push((left, vehicle.waits_since_s.unwrap_or(f64::INFINITY), i, k, way));
+                let waits_s = vehicle.waits_since_s.map_or(0.0, |since| self.t_s - since);
+                let patient = waits_s < PATIENCE_S;
+                let last = patient && way.kind == JunctionKind::Signals && way.turn == Turn::Left;
+                asking.push((last, waits_s, i, k, way));
             }
         }
-        asking.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
-        for (_, _, i, k, way) in asking {
-            if self.may_enter(i, k, way, occupants) {
+        asking.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
+        let mut kept_free: Vec<usize> = Vec::new();
+        for (_, waits_s, i, k, way) in asking {
+            let lane = self.vehicles[i].route.lanes[k];
+            let kept = kept_free.iter().any(|other| self.lanes.clear_m(*other, lane, false).is_some());
+            if kept || !self.could_enter(i, k, way, occupants) {
+                continue;
+            }
+            if !self.is_crossed(i, lane, way) {
                 self.vehicles[i].granted = Some(k);
+            } else if waits_s > PATIENCE_S {
+                // Nobody else goes before who has waited for long.
+                kept_free.push(lane);
             }
         }
     }
 
-    fn may_enter(&self, index: usize, k: usize, way: Way, occupants: &Occupants) -> bool {
+    /// Whether a vehicle may enter a junction if nobody crosses its way there.
+    fn could_enter(&self, index: usize, k: usize, way: Way, occupants: &Occupants) -> bool {
         let me = &self.vehicles[index];
         let allowed = match way.kind {
             JunctionKind::Free => true,
             JunctionKind::Stop => me.waits_since_s.is_some_and(|since| self.t_s - since > HALT_S),
             JunctionKind::Signals => {
-                self.lanes.network.signal_at(way.junction, way.road, self.t_s) == Some(Signal::Green)
+                // Who waits to turn left goes last, when those who come towards it have to stop.
+                let last = way.turn == Turn::Left && me.waits_since_s.is_some();
+                match self.lanes.network.signal_at(way.junction, way.road, self.t_s) {
+                    Some(Signal::Yellow) => last,
+                    light => light == Some(Signal::Green),
+                }
             }
         };
         allowed
             && way.crossings.iter().flatten().all(|crossing| self.walkers_on[*crossing] == 0)
             && self.is_first(index, k, way.from, occupants)
-            && !self.is_crossed(index, me.route.lanes[k], way)
             && self.has_room(index, way, occupants)
     }
 
@@ -223,7 +241,7 @@ impl<'a> World<'a> {
         for (along_m, other) in occupants[way.to].iter().filter(|o| o.1 != index) {
             let other = &self.vehicles[*other];
             // Who drives makes room.
-            let leaves_m = other.speed_mps * 2.0;
+            let leaves_m = other.speed_mps * 1.2;
             room_m = room_m.min(along_m - other.size_m.x / 2.0 + leaves_m);
         }
         let mut needed_m = BEYOND_CROSSING_M + self.vehicles[index].size_m.x + 3.0;
