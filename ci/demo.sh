@@ -36,12 +36,15 @@ timed() {
     say "$(awk -v a="$start" -v b="$EPOCHREALTIME" 'BEGIN { printf "%.1f s", b - a }')"
 }
 
-# Only what an earlier run made is removed.
-clean() {
+# Only what an earlier run made is removed; what else is there stops the demo before it compiles.
+check_out() {
     if [ -e "$out" ] && [ ! -e "$out/.demo" ] && [ -n "$(ls -A "$out")" ]; then
         say "expected an empty folder or an earlier demo, found other content: $out"
         exit 1
     fi
+}
+
+clean() {
     mkdir -p "$out"
     touch "$out/.demo"
     rm -rf "$out/skeleton" "$out/maps" "$out/maps-moved" "$out/rollout"
@@ -58,6 +61,7 @@ expect_files() {
     done
 }
 
+check_out
 "$root/ci/setup.sh"
 export LC_ALL=C # times with a point
 manifest=$root/Cargo.toml

@@ -47,13 +47,25 @@ impl Cuboid {
 
     /// Between two boxes: position linear, rotation by slerp, size linear.
     pub fn interpolate(&self, other: &Self, s: f64) -> Self {
-        Self { pose: self.pose.interpolate(&other.pose, s), size: self.size.lerp(other.size, s) }
+        // The same size to the bit where both have it, which a weighted mean does not give.
+        let size = if self.size == other.size { self.size } else { self.size.lerp(other.size, s) };
+        Self { pose: self.pose.interpolate(&other.pose, s), size }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sizes_between_two_boxes_are_linear_and_stay_where_they_are_alike() {
+        let of = |height_m: f64| Cuboid { pose: Pose::IDENTITY, size: DVec3::new(4.0, 2.0, height_m) };
+        for step in 0..=100 {
+            let s = f64::from(step) / 100.0;
+            assert_eq!(of(1.777).interpolate(&of(1.777), s).size, of(1.777).size);
+            assert!((of(1.0).interpolate(&of(3.0), s).size.z - (1.0 + 2.0 * s)).abs() < 1e-15);
+        }
+    }
 
     #[test]
     fn sizes_must_be_positive() {

@@ -135,7 +135,12 @@ fn a_rollout_leaves_all_its_files() {
     );
     let (width, height, pictures, rate) = video(&log.path("out/rollout.mp4"));
     assert_eq!((pictures, rate), (9, 12.0));
-    assert!(width.is_multiple_of(2) && height.is_multiple_of(2) && width > 400, "{width} x {height}");
+    // One map large, two of half the size below it, and as high as these a picture from above; text on top.
+    let sheet = &page(&log, "out")["sheet"];
+    let side = |name: &str| sheet[name].as_u64().unwrap() as u16;
+    let above = side("height") + 4 + side("height") / 2;
+    let even = [side("width") + 4 + above, 28 + above].map(|side| side.next_multiple_of(2));
+    assert_eq!([width, height], even);
     assert_page_is_whole(&log, "out", 9);
     assert_eq!(log.json("profile.json")["steps"].as_array().unwrap().len(), 9);
     // Maps are those that render makes of the same instant.
@@ -179,7 +184,7 @@ fn a_rollout_that_is_resumed_is_the_one_that_ran_through() {
     }
     // Other options are refused, and nothing is touched.
     for (rest, code, parts) in [
-        ("--steps 9 --resume --radius 50", 1, ["radius_m 100", "rollout.json"]),
+        ("--steps 9 --resume --radius 50 --far 100", 1, ["radius_m 100", "rollout.json"]),
         ("--steps 9 --resume --forecast 3", 1, ["saved state", "found"]),
         ("--steps 12 --resume-from 10", 1, ["a step from 0 to 9", "states.jsonl"]),
     ] {
@@ -268,7 +273,7 @@ fn a_planner_that_hangs_or_talks_nonsense_ends_a_rollout_that_can_go_on() {
     planner(&log, "while read -r observation; do answer; done");
     log.succeed(&args("whole"));
     for (lines, parts) in [
-        ("read -r observation; echo nonsense", ["an answer", "nonsense"]),
+        ("read -r observation; echo nonsense", [r#"expected {"trajectory": "#, r#"found "nonsense""#]),
         (r#"read -r observation; echo '{"trajectory": []}'"#, ["1 to 10000", "found 0"]),
     ] {
         planner(&log, lines);
@@ -372,19 +377,27 @@ fn trajectories_of_any_length_are_driven_and_bad_ones_told() {
 #[test]
 fn a_full_disk_leaves_whole_steps_and_lines() {
     let log = built();
-    // 1 KiB: not even the options; then enough for some lines of states, which grow beyond it.
-    for limit in [1, 16] {
+    // Not even room for the options; then enough KiB for the files of each step, but not for all lines of states.
+    log.succeed(&format!("{SIMULATE} --maps boxes --steps 60 --ego straight"));
+    let whole = tree(&log.path("out"));
+    let largest =
+        whole.iter().filter(|(name, _)| name.starts_with("steps/")).map(|(_, file)| file.len()).max();
+    let largest = largest.unwrap() / 1024 + 1;
+    assert!(whole["states.jsonl"].len() / 1024 > largest, "{largest} KiB");
+    std::fs::remove_dir_all(log.path("out")).unwrap();
+    std::fs::create_dir(log.path("out")).unwrap();
+    for limit in [0, largest] {
         let script =
-            format!("ulimit -f {limit}; exec '{PSKEL}' {SIMULATE} --maps boxes --steps 30 --ego straight");
+            format!("ulimit -f {limit}; exec '{PSKEL}' {SIMULATE} --maps boxes --steps 60 --ego straight");
         let output = Command::new("bash").arg("-c").arg(script).current_dir(log.path("")).output().unwrap();
         assert_failed(&output, 1, &["cannot write"]);
         let files = tree(&log.path("out"));
-        if limit == 1 {
+        if limit == 0 {
             assert_eq!(files.len(), 0, "{:?}", files.keys());
             continue;
         }
         let rows = rows(&log, "out");
-        assert!(!rows.is_empty() && rows.len() < 31, "{} rows", rows.len());
+        assert!(!rows.is_empty() && rows.len() < 61, "{} rows", rows.len());
         for step in 0..rows.len() {
             for name in ["meta.json", "state.json", "birdseye.png", "view/boxes.jpg", "CAM_BACK/boxes.png"] {
                 assert!(files.contains_key(&format!("steps/{step:06}/{name}")), "step {step} {name}");
@@ -393,8 +406,9 @@ fn a_full_disk_leaves_whole_steps_and_lines() {
         assert!(!files.contains_key("index.json") && files.keys().all(|name| !name.contains(".pskel-")));
     }
     // With room it goes on.
-    log.succeed(&format!("{SIMULATE} --maps boxes --steps 30 --ego straight --resume"));
-    assert_page_is_whole(&log, "out", 31);
+    log.succeed(&format!("{SIMULATE} --maps boxes --steps 60 --ego straight --resume"));
+    assert_page_is_whole(&log, "out", 61);
+    assert!(tree(&log.path("out")) == whole);
 }
 
 #[test]

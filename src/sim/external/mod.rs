@@ -158,7 +158,10 @@ impl Planner {
         let observation = Observation::new(recorded, clock, now, std::mem::take(&mut self.shown));
         let answer = self.link.ask(protocol::line(&observation, &self.link.name())?)?;
         let due_us = clock.at(now.step + clock.steps_per_plan);
-        read_plan(&answer, now, due_us).map_err(|error| error.of(&self.link.name()))
+        read_plan(&answer, now, due_us).map_err(|error| {
+            self.link.close();
+            error.of(&self.link.name())
+        })
     }
 
     /// Files for the next observation.

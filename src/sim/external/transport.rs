@@ -82,9 +82,14 @@ impl Link {
     pub(super) fn ask(&mut self, line: Vec<u8>) -> Result<Vec<u8>, PlannerError> {
         let answer = self.ask_once(line);
         if answer.is_err() {
-            self.lines = None;
+            self.close();
         }
         answer
+    }
+
+    /// Asks nothing any more.
+    pub(super) fn close(&mut self) {
+        self.lines = None;
     }
 
     fn ask_once(&mut self, line: Vec<u8>) -> Result<Vec<u8>, PlannerError> {

@@ -153,7 +153,7 @@ pub(in crate::sim) mod tests {
     fn nobody_is_touched_beside() {
         // The ego reaches from -1.127 to 4.049 m and 1.1485 m to either side.
         let beside =
-            [actor(0, 6.06, 0.0, 0.0, 3.0), actor(0, -3.13, 0.0, 0.0, 3.0), actor(0, 1.0, 2.15, 0.0, 3.0)];
+            [actor(0, 6.06, 0.0, 0.0, 3.0), actor(0, -3.1275, 0.0, 0.0, 3.0), actor(0, 1.0, 2.15, 0.0, 3.0)];
         for one in beside {
             assert_eq!(kinds(&instant(5.0, &[one]), Class::MotorVehicle), []);
         }

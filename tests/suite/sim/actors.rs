@@ -100,13 +100,15 @@ fn vehicles_leave_the_log_and_others_do_not() {
 
 #[test]
 fn a_follower_keeps_off_an_ego_that_stops() {
-    // The ego stops by its own log after 3 s; "brief" drives behind it from 2 s on.
+    // The ego brakes by its own log, 2 m/s² from 1 s to 5 s, as hard as one who follows by IDM can; "brief" drives behind
+    // it from 2 s on.
     let mut log = made::log(12);
-    let stop = made::road(made::SPEED_MPS * 3.0, 0.0);
+    let stop = made::road(24.0, 0.0);
     for (i, frame) in log.frames.iter_mut().enumerate() {
-        if i > 30 {
-            frame.global_from_ego = stop;
-        }
+        let t = i as f64 / 10.0;
+        let braking = (t - 1.0).clamp(0.0, 4.0);
+        let station = made::SPEED_MPS * (t.min(1.0) + braking) - braking * braking;
+        frame.global_from_ego = made::road(station, 0.0);
         frame.boxes.retain(|b| b.track == track("brief"));
     }
     let run = |actors: ActorPolicy| {

@@ -26,9 +26,9 @@ fn offset_m(log: &Log, instant: &Instant) -> f64 {
     way.foot(instant.ego.position_m(), 0.0..way.length_m()).offset_m
 }
 
-/// What a lane change must show, for a rollout of 9 s after a warm-up of 0.8 s.
+/// What a lane change must show, for a rollout of 8.2 s after a warm-up of five plans.
 fn assert_changes_lane(log: &Log, rates: Rates, tracking: Tracking) {
-    let steps = (9.0 * rates.sim_hz) as usize;
+    let steps = ((4.0 / rates.plan_hz + 8.2) * rates.sim_hz) as usize;
     let options =
         SimOptions { steps, warmup_frames: 5, ego: EgoPolicy::LaneChange, tracking, ..SimOptions::default() };
     let mut sim = Simulation::new(&Scenario { log, map: None, rates }, options).unwrap();

@@ -191,12 +191,12 @@ fn bad_answers_end_the_rollout_with_what_was_wrong() {
         (plan(&point("200000", "664004.0", "8")), "t 200000"),
         (plan(&format!("{}, {}", good("0.2"), good("0.2"))), "times that rise"),
         (plan(&format!("{}, {}", good("0.2"), good("0.1"))), "times that rise"),
-        (plan(&good("0.1")), "at least 0.2 s, found one of 0.1 s"),
-        (plan(&good("0")), "at least 0.2 s, found one of 0 s"),
+        (plan(&good("0.1")), "at least 0.2 s from the planner, found one of 0.1 s"),
+        (plan(&good("0")), "at least 0.2 s from the planner, found one of 0 s"),
         (format!("'{{\"step\": 9, \"trajectory\": [{}]}}'", good("1")), "step 9"),
         (format!("'{{\"frame\": \"moon\", \"trajectory\": [{}]}}'", good("1")), "moon"),
         (format!("'{{\"trajectory\": [' + ', '.join(['{}'] * 10001) + ']}}'", good("1")), "found 10001"),
-        ("'[' * 100000".to_owned(), "recursion limit"),
+        (r#"'{"more": ' + '[' * 100000"#.to_owned(), "EOF while parsing a list"),
         ("'x' * (17 << 20)".to_owned(), "a longer one"),
     ];
     for (answer, part) in cases {
