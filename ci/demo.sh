@@ -3,8 +3,9 @@
 #
 # LOG is a drive as pskel names it, for instance nuscenes:/data/nuscenes@v1.0-mini#scene-0061; without it the built-in
 # town is driven through. Its skeleton is built; condition maps of a few frames come out as PNG with a contact sheet each,
-# from where the ego drove, and from 2 m to the left, turned to the right by 5 degrees; then the drive is simulated with
-# an ego that changes lanes, and told by a page and a video. The last lines tell where all of it is.
+# from where the ego drove, and from 2 m to the left, turned to the right by 5 degrees; of the town, whose truth is known,
+# also how true those frames are. Then the drive is simulated with an ego that changes lanes, and told by a page and a
+# video. The last lines tell where all of it is.
 #
 # Environment: OUT (folder of the output, default out/demo), TOWN (the town, default seed=7,frames=40), FRAMES (of the
 # maps, default 0..3), STEPS (of the simulation, default 80), SIZE (of all maps, default 256x448), LOG_ROOTS (options that
@@ -47,7 +48,7 @@ check_out() {
 clean() {
     mkdir -p "$out"
     touch "$out/.demo"
-    rm -rf "$out/skeleton" "$out/maps" "$out/maps-moved" "$out/rollout"
+    rm -rf "$out/skeleton" "$out/maps" "$out/maps-moved" "$out/rollout" "$out"/fidelity.{md,csv}
 }
 
 # Stops unless all of these files are there.
@@ -76,6 +77,9 @@ pskel info
 pskel build --out "$out/skeleton"
 render --out "$out/maps"
 render --out "$out/maps-moved" --ego-offset 0,2,-5
+if [[ $log == town:* ]]; then
+    pskel fidelity --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" --markdown "$out/fidelity.md" --csv "$out/fidelity.csv"
+fi
 pskel simulate --skeleton "$out/skeleton" --out "$out/rollout" --ego lane_change --steps "$steps" --out-size "$size" \
     ${simulate[@]+"${simulate[@]}"}
 

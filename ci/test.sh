@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Checks everything: format, lints, documentation, tests, the demo on a small town, and its page in a browser. The last
 # line is `N passed, N failed, N skipped`; a test is skipped where the recordings or fixtures it needs are not there
-# (PSKEL_SHARED, PSKEL_FIXTURES). PSKEL_NO_BROWSER=1 leaves the browser out. Exits 1 on any failure.
+# (PSKEL_SHARED, PSKEL_FIXTURES). PSKEL_NO_BROWSER=1 leaves the browser out; PSKEL_ARTIFACTS is a folder for
+# the table of the demo's fidelity and for pictures of its page. Exits 1 on any failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -36,6 +37,10 @@ run_tests() {
 run_demo() {
     # The profile of the tests: nothing is compiled again.
     PROFILE=dev OUT="$scratch/demo" TOWN=seed=7,frames=3,size=113x200 FRAMES=0..1 STEPS=4 SIZE=113x200 ci/demo.sh
+    if [ -n "${PSKEL_ARTIFACTS:-}" ]; then
+        mkdir -p "$PSKEL_ARTIFACTS"
+        cp "$scratch/demo"/fidelity.{md,csv} "$PSKEL_ARTIFACTS"
+    fi
 }
 
 # Step of its own: Chromium is installed where it is missing.
@@ -44,7 +49,7 @@ run_page() {
         say "PSKEL_NO_BROWSER: the page is not tried in a browser"
         return
     fi
-    ci/page.sh "$scratch/demo/rollout"
+    ci/page.sh "$scratch/demo/rollout" ${PSKEL_ARTIFACTS:+"$PSKEL_ARTIFACTS"}
 }
 
 step ci/setup.sh

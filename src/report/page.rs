@@ -62,7 +62,7 @@ pub struct PageStep {
     pub lateral_m: Option<f64>,
     /// Off the recorded path's direction, radians.
     pub heading_rad: Option<f64>,
-    /// Who is seen that no logged image around showed.
+    /// Who is seen by a camera whose own logged images around that time did not show it.
     pub fresh: Vec<PageActor>,
 }
 
@@ -73,7 +73,7 @@ pub struct PageActor {
     pub track: String,
     /// The data set's category name.
     pub category: String,
-    /// Left, top, width and height in the pictures, per camera that sees it.
+    /// Left, top, width and height in the pictures of those cameras.
     pub boxes: Vec<[f64; 4]>,
 }
 

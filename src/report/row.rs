@@ -82,9 +82,8 @@ pub struct ActorRow {
     pub speed_mps: f64,
     /// Cameras whose maps show it; null without instance maps.
     pub seen: Option<Vec<Seen>>,
-    /// Whether a camera shows it well and none of the log's cameras had it in its image around that time; null without
-    /// instance maps.
-    pub new_in_view: Option<bool>,
+    /// Cameras that show it well and in whose own logged images around that time it was not; null without instance maps.
+    pub new_in_view: Option<Vec<usize>>,
 }
 
 /// A traffic light in a [`StepRow`].
@@ -181,8 +180,10 @@ impl EgoRow {
 impl ActorRow {
     fn new(log: &Log, t_us: i64, index: usize, actor: &SimActor, seen: Option<Vec<Seen>>) -> Self {
         let track = &log.tracks[actor.track];
-        let well = |seen: &Vec<Seen>| seen.iter().any(|seen| seen.pixels >= SEEN_PX);
-        let new_in_view = seen.as_ref().map(|seen| well(seen) && !was_shown(log, actor.track, t_us));
+        let channel = |camera: usize| log.rig.get(camera).map_or(camera, |rig| rig.channel);
+        let new =
+            |seen: &&Seen| seen.pixels >= SEEN_PX && !was_shown(log, actor.track, channel(seen.camera), t_us);
+        let new_in_view = seen.as_ref().map(|seen| seen.iter().filter(new).map(|seen| seen.camera).collect());
         Self {
             instance: index as u32 + 1,
             track: track.id.clone(),
@@ -301,8 +302,8 @@ mod tests {
         file.append(&row(1)).unwrap();
         assert_eq!(StateFile::read(&path).unwrap(), [row(0), row(1)]);
         // 29 pixels are too few to be seen well.
-        let new = |row: StepRow| row.actors[0].new_in_view;
-        assert_eq!([new(row(0)), new(row(1))], [Some(false), Some(true)]);
+        let new = |row: StepRow| row.actors[0].new_in_view.clone();
+        assert_eq!([new(row(0)), new(row(1))], [Some(vec![]), Some(vec![1])]);
         assert_eq!(row(1).place_m(), DVec2::new(664_000.123_456_789, 4e6 / 3.0));
         let frame = row(1).index_frame(&["c".to_owned()]);
         assert_eq!((frame.name.as_str(), frame.actors[0].instance, frame.actors[0].class), ("000001", 1, 1));

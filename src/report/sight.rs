@@ -1,7 +1,7 @@
 //! Who is seen in a step, and who of them the logged images did not show.
 //!
 //! # How it works
-//! What is seen stands in the instance maps. What the log's cameras could see is a matter of boxes: a logged image shows a
+//! What is seen stands in the instance maps. What a camera of the log could see is a matter of boxes: a logged image shows a
 //! track if the rectangle around its logged box, as it projects into the image, meets the image. Whatever else hides
 //! the track does not count, so that nobody is told to be new who was merely behind something. Where a frame's image is
 //! missing, as in a log that was unpacked in part, the camera on the frame's ego pose stands for it.
@@ -52,25 +52,29 @@ pub fn seen(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<Seen>>> {
     Some(all)
 }
 
-/// Whether the log's cameras had a track in their images around a time (microseconds).
-pub fn was_shown(log: &Log, track: usize, t_us: i64) -> bool {
+/// Whether a camera of the log (a channel) had a track in its images around a time (microseconds).
+pub fn was_shown(log: &Log, track: usize, channel: usize, t_us: i64) -> bool {
     let near = |at_us: i64| at_us.abs_diff(t_us) <= AROUND_US as u64;
     // Images are up to a frame older than the frame that they belong to.
     let first = log.frames.partition_point(|f| f.t_us < t_us.saturating_sub(AROUND_US)).saturating_sub(1);
     let shown_in = |frame: &Frame| {
         let Some(cuboid) = frame.cuboid_of(track) else { return false };
-        let images = frame.images.iter().chain(&frame.between_images).filter(|image| near(image.t_us));
-        images.into_iter().any(|image| shows(&image.camera, &image.camera_from_global(), &cuboid))
-            || near(frame.t_us) && missing(log, frame).any(|(camera, pose)| shows(camera, &pose, &cuboid))
+        let all = frame.images.iter().chain(&frame.between_images);
+        let mut images = all.filter(|image| image.channel == channel && near(image.t_us));
+        images.any(|image| shows(&image.camera, &image.camera_from_global(), &cuboid))
+            || near(frame.t_us)
+                && missing(log, frame, channel).is_some_and(|(camera, pose)| shows(camera, &pose, &cuboid))
     };
     log.frames[first..].iter().take_while(|f| f.t_us.saturating_sub(t_us) <= 2 * AROUND_US).any(shown_in)
 }
 
-/// The cameras of which a frame has no image, with their inverse poses as far as the frame tells.
-fn missing<'a>(log: &'a Log, frame: &'a Frame) -> impl Iterator<Item = (&'a Camera, Pose)> {
-    let absent = |rig: &&RigCamera| frame.images.iter().all(|image| image.channel != rig.channel);
-    let place = |rig: &'a RigCamera| (&rig.camera, (frame.global_from_ego * rig.ego_from_camera).inverse());
-    log.rig.iter().filter(absent).map(place)
+/// A camera of which a frame has no image, with its inverse pose as far as the frame tells.
+fn missing<'a>(log: &'a Log, frame: &Frame, channel: usize) -> Option<(&'a Camera, Pose)> {
+    if frame.images.iter().any(|image| image.channel == channel) {
+        return None;
+    }
+    let rig: &RigCamera = log.rig.iter().find(|rig| rig.channel == channel)?;
+    Some((&rig.camera, (frame.global_from_ego * rig.ego_from_camera).inverse()))
 }
 
 fn shows(camera: &Camera, camera_from_global: &Pose, cuboid: &Cuboid) -> bool {
@@ -171,7 +175,7 @@ mod tests {
             (DVec3::ZERO, true),
             (beside, false),
         ] {
-            assert_eq!(was_shown(&log([place; 3]), 0, 1_000_000), expected, "{place}");
+            assert_eq!(was_shown(&log([place; 3]), 0, 0, 1_000_000), expected, "{place}");
         }
         // Only the middle image shows it: up to half a second away from that.
         let log = log([beside, ahead, beside]);
@@ -183,9 +187,11 @@ mod tests {
             (1_480_000, true),
             (1_500_000, false),
         ] {
-            assert_eq!(was_shown(&log, 0, t_us), expected, "{t_us}");
+            assert_eq!(was_shown(&log, 0, 0, t_us), expected, "{t_us}");
         }
-        assert!(!was_shown(&log, 1, 1_000_000) && !was_shown(&Log::default(), 0, 0));
+        assert!(!was_shown(&log, 1, 0, 1_000_000) && !was_shown(&Log::default(), 0, 0, 0));
+        // Another camera.
+        assert!(!was_shown(&log, 0, 1, 1_000_000));
     }
 
     #[test]
@@ -195,17 +201,17 @@ mod tests {
         let ImageRecord { channel, ego_from_camera, camera, .. } = log.frames[0].images[0].clone();
         log.rig = vec![RigCamera { channel, ego_from_camera, camera }];
         // While there is an image, its own time counts; the frame's is 20 ms later.
-        assert!(was_shown(&log, 0, 480_000) && !was_shown(&log, 0, 1_490_000));
+        assert!(was_shown(&log, 0, 0, 480_000) && !was_shown(&log, 0, 0, 1_490_000));
         for frame in &mut log.frames {
             frame.images.clear();
         }
         for (t_us, expected) in
             [(0, false), (499_999, false), (500_000, true), (1_500_000, true), (1_500_001, false)]
         {
-            assert_eq!(was_shown(&log, 0, t_us), expected, "{t_us}");
+            assert_eq!(was_shown(&log, 0, 0, t_us), expected, "{t_us}");
         }
         // The ego of that frame has turned away.
         log.frames[1].global_from_ego.rotation = DQuat::from_rotation_z(1.6);
-        assert!(!was_shown(&log, 0, 1_000_000));
+        assert!(!was_shown(&log, 0, 0, 1_000_000));
     }
 }

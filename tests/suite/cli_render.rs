@@ -121,11 +121,11 @@ fn all_rasterizers_and_threads_give_the_same_bytes() {
 #[test]
 fn the_car_moves_in_the_image_as_the_ego_does() {
     let log = built();
-    // Its back is 2 m wide, 10 m away: columns 48 -+ 4.8.
+    // The template's back is 1.75 m wide, with mirrors it fills the box of 2 m; 10 m away: columns 48 -+ 4.2.
     let frame = "--frames 0..1";
     assert_eq!(car(&log, frame, "000000"), Car { depth_m: 10.0, columns: [43, 52] });
     let moved = car(&log, &format!("{frame} --ego-offset 0,0.5,0"), "000000");
-    assert_eq!(moved, Car { depth_m: 10.0, columns: [45, 55] });
+    assert_eq!(moved, Car { depth_m: 10.0, columns: [46, 54] });
     assert_eq!(car(&log, &format!("{frame} --ego-offset 3,0,0"), "000000").depth_m, 7.0);
     // Two metres to the left of it at half the distance between frames 0 and 1 (10.5 m).
     let between = FIRST_US + STEP_US / 2;
@@ -143,7 +143,7 @@ fn the_car_moves_in_the_image_as_the_ego_does() {
     cameras::write(&log.path("c.json"), &[view]).unwrap();
     assert_eq!(
         car(&log, &format!("{frame} --cameras c.json"), "000000"),
-        Car { depth_m: 5.0, columns: [21, 29] }
+        Car { depth_m: 5.0, columns: [22, 28] }
     );
     assert_eq!(log.json("out/000000/meta.json")["cameras"][0]["name"], "own");
     // A template in the car's place fills its box.

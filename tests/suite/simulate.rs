@@ -108,7 +108,7 @@ fn a_rollout_leaves_all_its_files() {
         let car = &row["actors"][0];
         assert_eq!(
             (&car["instance"], &car["track"], &car["new_in_view"]),
-            (&json!(1), &json!("car"), &json!(false))
+            (&json!(1), &json!("car"), &json!([]))
         );
         let ahead = car["center_m"][0].as_f64().unwrap() - START.x;
         assert!((ahead - (12.0 + 4.0 * seconds)).abs() < 4e-6);

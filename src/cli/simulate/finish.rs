@@ -115,7 +115,7 @@ fn page(output: &Output<'_>, rows: &[StepRow], outcome: &Outcome) -> Page {
     }
 }
 
-/// The actors that are new in view, with their places in the pictures.
+/// The actors that are new in the view of a camera, with their places in its picture.
 fn fresh(row: &StepRow, outcome: &Outcome) -> Vec<PageActor> {
     let place = |seen: &sight::Seen| {
         let place = outcome.layout.cameras.get(seen.camera)?;
@@ -126,12 +126,13 @@ fn fresh(row: &StepRow, outcome: &Outcome) -> Vec<PageActor> {
         let at = [f64::from(place.left) + left * x, f64::from(place.top) + top * y];
         Some([at[0], at[1], (right - left) * x, (bottom - top) * y])
     };
-    let actor = |actor: &ActorRow| PageActor {
-        track: actor.track.clone(),
-        category: actor.category.clone(),
-        boxes: actor.seen.iter().flatten().filter_map(place).collect(),
+    let actor = |actor: &ActorRow| {
+        let new = actor.new_in_view.as_ref().filter(|new| !new.is_empty())?;
+        let seen = actor.seen.iter().flatten().filter(|seen| new.contains(&seen.camera));
+        let (track, category) = (actor.track.clone(), actor.category.clone());
+        Some(PageActor { track, category, boxes: seen.filter_map(place).collect() })
     };
-    row.actors.iter().filter(|actor| actor.new_in_view == Some(true)).map(actor).collect()
+    row.actors.iter().filter_map(actor).collect()
 }
 
 fn event(collision: &Collision, rows: &[StepRow]) -> PageEvent {

@@ -91,7 +91,7 @@ impl Line {
 }
 
 /// Longest distance between kept points, metres, and their greatest bend, radians.
-const KEPT: [f64; 2] = [12.0, 0.03];
+const KEPT: [f64; 2] = [10.0, 0.025];
 
 fn thinned(points: &[DVec2]) -> Vec<DVec2> {
     let mut kept: Vec<DVec2> = Vec::new();
