@@ -4,8 +4,8 @@
 # LOG is a drive as pskel names it, for instance nuscenes:/data/nuscenes@v1.0-mini#scene-0061; without it the built-in
 # town is driven through. Its skeleton is built; condition maps of a few frames come out as PNG with a contact sheet each,
 # from where the ego drove, and from 2 m to the left, turned to the right by 5 degrees; of the town, whose truth is known,
-# also how true those frames are. Then the drive is simulated with an ego that changes lanes, and told by a page and a
-# video. The last lines tell where all of it is.
+# also how true those frames are. Then the drive is simulated with an ego that changes lanes among vehicles that react,
+# and told by a page and a video. The last lines tell where all of it is.
 #
 # Environment: OUT (folder of the output, default out/demo), TOWN (the town, default seed=7,frames=40), FRAMES (of the
 # maps, default 0..3), STEPS (of the simulation, default 80), SIZE (of all maps, default 256x448), LOG_ROOTS (options that
@@ -80,7 +80,7 @@ render --out "$out/maps-moved" --ego-offset 0,2,-5
 if [[ $log == town:* ]]; then
     pskel fidelity --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" --markdown "$out/fidelity.md" --csv "$out/fidelity.csv"
 fi
-pskel simulate --skeleton "$out/skeleton" --out "$out/rollout" --ego lane_change --steps "$steps" --out-size "$size" \
+pskel simulate --skeleton "$out/skeleton" --out "$out/rollout" --ego lane_change --actors idm --steps "$steps" --out-size "$size" \
     ${simulate[@]+"${simulate[@]}"}
 
 sheets=("$out"/maps/*/sheet.png "$out"/maps-moved/*/sheet.png)

@@ -7,6 +7,7 @@ use point_skeleton::geometry::{Polyline, wrap_angle};
 use point_skeleton::sim::{
     EgoPolicy, EndReason, Instant, LocalPath, Rates, Scenario, SimOptions, Simulation, Tracking,
 };
+use point_skeleton::town::{Town, TownOptions};
 
 use super::made;
 use crate::common::shared;
@@ -63,6 +64,17 @@ fn a_lane_change_reaches_its_lane_in_comfort() {
     for tracking in [Tracking::Perfect, Tracking::Bicycle] {
         for rates in [Rates::default(), Rates::NUSCENES, Rates { sim_hz: 20.0, plan_hz: 5.0 }] {
             assert_changes_lane(&log, rates, tracking);
+        }
+    }
+}
+
+#[test]
+fn a_lane_change_in_the_town_reaches_its_lane_in_comfort() {
+    for seed in [3, 7] {
+        let town =
+            Town::new(&TownOptions { seed, frames: 50, size: [18, 32], ..TownOptions::default() }).unwrap();
+        for tracking in [Tracking::Perfect, Tracking::Bicycle] {
+            assert_changes_lane(town.log(), Rates::default(), tracking);
         }
     }
 }
