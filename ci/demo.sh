@@ -9,8 +9,8 @@
 #
 # Environment: OUT (folder of the output, default out/demo), TOWN (the town, default seed=7,frames=40), FRAMES (of the
 # maps, default 0..3), STEPS (of the simulation, default 80), SIZE (of all maps, default 256x448), LOG_ROOTS (options that
-# tell where parts of LOG are, as --map-root DIR), SIMULATE (further options of pskel simulate), PROFILE (cargo's, default
-# release).
+# tell where parts of LOG are, as --map-root DIR), SIMULATE (further options of pskel simulate), PSKEL (the program;
+# without it a release build is made).
 set -euo pipefail
 root=$(cd "$(dirname "$0")/.." && pwd)
 
@@ -25,7 +25,6 @@ log=${1:-town:${TOWN:-seed=7,frames=40}}
 frames=${FRAMES:-0..3}
 steps=${STEPS:-80}
 size=${SIZE:-256x448}
-profile=${PROFILE:-release}
 read -ra roots <<<"${LOG_ROOTS:-}"
 read -ra simulate <<<"${SIMULATE:-}"
 
@@ -65,13 +64,15 @@ expect_files() {
 check_out
 "$root/ci/setup.sh"
 export LC_ALL=C # times with a point
-manifest=$root/Cargo.toml
-timed cargo build --manifest-path "$manifest" --locked --profile "$profile" --bin pskel
-target=$(cargo metadata --manifest-path "$manifest" --locked --no-deps --format-version 1 | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p')
-bin=$target/$([ "$profile" = dev ] && echo debug || echo "$profile")
+pskel=${PSKEL:-}
+if [ -z "$pskel" ]; then
+    timed cargo build --manifest-path "$root/Cargo.toml" --locked --release --bin pskel
+    target=$(cargo metadata --manifest-path "$root/Cargo.toml" --locked --no-deps --format-version 1 | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p')
+    pskel=$target/release/pskel
+fi
 clean
 built=$SECONDS
-pskel() { timed "$bin/pskel" "$1" "$log" ${roots[@]+"${roots[@]}"} "${@:2}"; }
+pskel() { timed "$pskel" "$1" "$log" ${roots[@]+"${roots[@]}"} "${@:2}"; }
 render() { pskel render --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" "$@"; }
 pskel info
 pskel build --out "$out/skeleton"
