@@ -8,9 +8,10 @@
 # and told by a page and a video. The last lines tell where all of it is.
 #
 # Environment: OUT (folder of the output, default out/demo), TOWN (the town, default seed=7,frames=40), FRAMES (of the
-# maps, default 0..3), STEPS (of the simulation, default 80), SIZE (of all maps, default 256x448), LOG_ROOTS (options that
-# tell where parts of LOG are, as --map-root DIR), SIMULATE (further options of pskel simulate), PSKEL (the program;
-# without it a release build is made).
+# maps, default 0..3), STEPS (of the simulation, default 80), SIZE (of all maps, default 256x448), SPLAT (radius by
+# depth, default 5:4,15:2,35:1,100:0, which closes holes in what is very near), LOG_ROOTS (options that tell where parts
+# of LOG are, as --map-root DIR), SIMULATE (further options of pskel simulate), PSKEL (the program; without it a release
+# build is made).
 set -euo pipefail
 root=$(cd "$(dirname "$0")/.." && pwd)
 
@@ -25,6 +26,7 @@ log=${1:-town:${TOWN:-seed=7,frames=40}}
 frames=${FRAMES:-0..3}
 steps=${STEPS:-80}
 size=${SIZE:-256x448}
+splat=${SPLAT:-5:4,15:2,35:1,100:0}
 read -ra roots <<<"${LOG_ROOTS:-}"
 read -ra simulate <<<"${SIMULATE:-}"
 
@@ -73,16 +75,17 @@ fi
 clean
 built=$SECONDS
 pskel() { timed "$pskel" "$1" "$log" ${roots[@]+"${roots[@]}"} "${@:2}"; }
-render() { pskel render --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" "$@"; }
+render() { pskel render --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" --splat "$splat" "$@"; }
 pskel info
 pskel build --out "$out/skeleton"
 render --out "$out/maps"
 render --out "$out/maps-moved" --ego-offset 0,2,-5
 if [[ $log == town:* ]]; then
-    pskel fidelity --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" --markdown "$out/fidelity.md" --csv "$out/fidelity.csv"
+    pskel fidelity --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" --splat "$splat" \
+        --markdown "$out/fidelity.md" --csv "$out/fidelity.csv"
 fi
-pskel simulate --skeleton "$out/skeleton" --out "$out/rollout" --ego lane_change --actors idm --steps "$steps" --out-size "$size" \
-    ${simulate[@]+"${simulate[@]}"}
+pskel simulate --skeleton "$out/skeleton" --out "$out/rollout" --ego lane_change --actors idm --steps "$steps" \
+    --out-size "$size" --splat "$splat" ${simulate[@]+"${simulate[@]}"}
 
 sheets=("$out"/maps/*/sheet.png "$out"/maps-moved/*/sheet.png)
 expect_files "${sheets[@]}" "$out"/rollout/{index.html,rollout.mp4,metrics.json}
