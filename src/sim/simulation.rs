@@ -9,7 +9,8 @@ use super::recorded::Recorded;
 use super::saved::{Saved, SavedState};
 use super::tracking::follow;
 use super::{
-    ActorPolicy, Committed, Forecast, Instant, Metrics, Rates, Scenario, SimError, SimOptions, Trajectory,
+    ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Metrics, Rates, Scenario, SimError, SimOptions,
+    Trajectory,
 };
 
 /// A rollout: a log whose ego and actors move by policies, step by step.
@@ -145,14 +146,16 @@ impl<'a> Simulation<'a> {
     pub fn forecast(&self) -> Vec<Forecast<Instant>> {
         let now = self.committed.world.get();
         let plan = self.committed.plan.as_ref().map(Forecast::get);
+        // An ego of the log has no plans: its actors go by their policy all the same.
+        let is_unplanned = plan.is_none() && self.options.ego != EgoPolicy::Replay;
         let mut expected = now.clone();
         let mut forecast = Vec::new();
         for _ in 0..self.options.forecast_steps {
             for _ in 0..self.clock.steps_per_plan {
                 let step = expected.instant.step + 1;
-                let next = match plan {
-                    None => self.recorded.instant(step, self.clock.at(step)),
-                    plan => self.advance(&expected, plan).map(|next| {
+                let next = match is_unplanned {
+                    true => self.recorded.instant(step, self.clock.at(step)),
+                    false => self.advance(&expected, plan).map(|next| {
                         expected.driven = next.driven;
                         next.instant
                     }),

@@ -121,10 +121,6 @@ impl Rollout<'_> {
                     if !hand_over(writer.as_ref(), job, &mut going, self.shown_to_planner) {
                         break;
                     }
-                    if self.shown_to_planner {
-                        let name = format!("{:06}", simulation.committed().get().step);
-                        simulation.show(files(&step_folder(self.output.folder, &name))?);
-                    }
                 }
                 Ok(None) => {}
                 // Without a first step there is nothing to report.
@@ -133,6 +129,10 @@ impl Rollout<'_> {
                     going.run.failure = Some(error);
                     break;
                 }
+            }
+            if self.shown_to_planner {
+                let name = format!("{:06}", simulation.committed().get().step);
+                simulation.show(files(&step_folder(self.output.folder, &name))?);
             }
             if is_new {
                 going.run.profile.steps.push(going.times);

@@ -3,7 +3,7 @@ use std::net::{Shutdown, TcpStream, ToSocketAddrs};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
@@ -93,10 +93,18 @@ impl Link {
     }
 
     fn ask_once(&mut self, line: Vec<u8>) -> Result<Vec<u8>, PlannerError> {
-        // The writer is gone if writing failed: the planner is, too.
-        let sent = self.lines.as_ref().is_some_and(|lines| lines.send(line).is_ok());
-        if !sent {
-            return Err(self.gone());
+        match self.lines.as_ref().map(|lines| lines.try_send(line)) {
+            Some(Ok(())) => {}
+            // It has answered without reading what it was asked.
+            Some(Err(TrySendError::Full(_))) => {
+                return Err(PlannerError::Answer {
+                    expected: "a planner that reads each line before it answers".to_owned(),
+                    found: "one that does not read".to_owned(),
+                    planner: self.name(),
+                });
+            }
+            // The writer is gone if writing failed: the planner is, too.
+            Some(Err(TrySendError::Disconnected(_))) | None => return Err(self.gone()),
         }
         match self.answers.recv_timeout(self.timeout) {
             Ok(Ok(answer)) if answer.len() as u64 > MAX_LINE_BYTES => Err(PlannerError::Answer {

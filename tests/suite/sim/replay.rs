@@ -87,6 +87,27 @@ fn forecasts_of_a_replay_are_the_log() {
     assert!(outcomes > 0);
 }
 
+/// What is expected of actors who drive by themselves comes true, though the ego has no plan.
+#[test]
+fn forecasts_beside_a_replay_come_true() {
+    for actors in [ActorPolicy::Idm, ActorPolicy::Reactive] {
+        let log = made::log(4);
+        let options = SimOptions { steps: 30, forecast_steps: 4, actors, ..SimOptions::default() };
+        let mut sim = made::start(&log, &options);
+        let mut expected = sim.forecast();
+        let mut seen = 0;
+        while let Some(outcome) = sim.step().unwrap() {
+            let now: Instant = (*sim.committed().get()).clone();
+            for forecast in expected.iter().filter(|forecast| forecast.get().step == now.step) {
+                assert_eq!(*forecast.get(), now);
+                seen += 1;
+            }
+            expected.extend(outcome.forecast);
+        }
+        assert!(seen > 40, "{seen}");
+    }
+}
+
 #[test]
 fn options_that_do_not_fit_are_usage_errors() {
     let log = made::log(2);
