@@ -63,8 +63,18 @@ pub(super) struct WorkFolder {
     path: PathBuf,
     plan: Plan,
     /// Held as long as this process is at work in the folder.
-    _lock: File,
+    _lock: Lock,
     kept: bool,
+}
+
+/// Held until dropped, also where a process that is being started still has a copy of the file.
+struct Lock(File);
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // Closing the file does the same, if later.
+        let _ = self.0.unlock();
+    }
 }
 
 impl WorkFolder {
@@ -101,7 +111,7 @@ impl WorkFolder {
                 return Err(FileError::content(expected, "one that holds the lock", &lock_path));
             }
         }
-        let mut folder = Self { path, plan, _lock: lock, kept: true };
+        let mut folder = Self { path, plan, _lock: Lock(lock), kept: true };
         // A build that was killed before its first checkpoint left none.
         let done =
             if resume && folder.path.join(FILE).is_file() { folder.read()? } else { folder.clear()? };
