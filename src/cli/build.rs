@@ -97,6 +97,11 @@ pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
             "warning: an unfinished build with {frames} frames done is not gone on with (--resume would do so)"
         );
     }
+    if args.resume && skeleton::unfinished_frames(&args.out).is_none() {
+        eprintln!(
+            "warning: no unfinished build was found to go on with; this one starts with the first frame"
+        );
+    }
     let given = read_templates(&args.templates)?;
     let library = args.templates_from.as_deref().map(TemplateLibrary::open).transpose()?.unwrap_or_default();
     let datasets = args.open()?;

@@ -1,3 +1,4 @@
+use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -43,6 +44,15 @@ impl LogLocator {
     }
 }
 
+/// As on the command line, without the folders that are given beside it.
+impl fmt::Display for LogLocator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}", self.format.name(), self.path.display())?;
+        self.version.as_ref().map_or(Ok(()), |version| write!(f, "@{version}"))?;
+        self.scene.as_ref().map_or(Ok(()), |scene| write!(f, "#{scene}"))
+    }
+}
+
 /// The formats that can be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogFormat {
@@ -59,8 +69,22 @@ pub enum LogFormat {
 }
 
 impl LogFormat {
+    /// All of them.
+    pub const ALL: [Self; 5] =
+        [Self::NuScenes, Self::NuPlan, Self::NuPlanSimgen, Self::Argoverse, Self::Town];
     /// Names on the command line.
     pub const NAMES: &'static str = "nuscenes, nuplan, nuplan-simgen, av2 or town";
+
+    /// Name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NuScenes => "nuscenes",
+            Self::NuPlan => "nuplan",
+            Self::NuPlanSimgen => "nuplan-simgen",
+            Self::Argoverse => "av2",
+            Self::Town => "town",
+        }
+    }
 }
 
 impl FromStr for LogLocator {
@@ -69,15 +93,10 @@ impl FromStr for LogLocator {
     fn from_str(text: &str) -> Result<Self, DatasetError> {
         let wrong = || DatasetError::Locator { found: text.to_owned(), formats: LogFormat::NAMES };
         let (format, rest) = text.split_once(':').ok_or_else(wrong)?;
-        let format = match format {
-            "nuscenes" => LogFormat::NuScenes,
-            "av2" => LogFormat::Argoverse,
-            "nuplan" => LogFormat::NuPlan,
-            "nuplan-simgen" => LogFormat::NuPlanSimgen,
-            // Not a path: nothing is split off.
-            "town" => return Ok(Self::new(LogFormat::Town, rest)),
-            _ => return Err(wrong()),
-        };
+        let format = LogFormat::ALL.into_iter().find(|known| known.name() == format).ok_or_else(wrong)?;
+        if format == LogFormat::Town {
+            return Ok(Self::new(format, rest)); // not a path: nothing is split off
+        }
         let (rest, scene) = split_tail(rest, '#');
         let (path, version) = split_tail(rest, '@');
         if path.is_empty() || version == Some("") || scene == Some("") {
@@ -103,6 +122,7 @@ mod tests {
     #[test]
     fn all_parts_are_found() {
         let locator: LogLocator = "nuscenes:/data/a@b/nuscenes@v1.0-mini#scene-0061".parse().unwrap();
+        assert_eq!(locator.to_string(), "nuscenes:/data/a@b/nuscenes@v1.0-mini#scene-0061");
         assert_eq!(locator.path, PathBuf::from("/data/a@b/nuscenes"));
         assert_eq!(locator.version.as_deref(), Some("v1.0-mini"));
         assert_eq!(locator.scene.as_deref(), Some("scene-0061"));
@@ -110,6 +130,11 @@ mod tests {
         assert_eq!((bare.version, bare.scene), (None, None));
         let town: LogLocator = "town:seed=7,frames=40".parse().unwrap();
         assert_eq!(town, LogLocator::new(LogFormat::Town, "seed=7,frames=40"));
+        let names = LogFormat::ALL.map(LogFormat::name);
+        assert_eq!(
+            LogFormat::NAMES.split([',', ' ']).filter(|n| !["", "or"].contains(n)).collect::<Vec<_>>(),
+            names
+        );
     }
 
     #[test]

@@ -37,12 +37,12 @@ pub trait Dataset: Sync {
     /// A file that is missing or not as its format says.
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError>;
 
-    /// Number of points of a sweep by its header and size, so far as the format tells without reading them all.
+    /// Number of points of a sweep by its header and size; `None` for one that is made when it is read.
     ///
     /// # Errors
     /// As [`Dataset::read_sweep`], but for what stands in the points.
-    fn check_sweep(&self, record: &SweepRecord) -> Result<u64, DatasetError> {
-        self.read_sweep(record).map(|sweep| (sweep.points.len() + sweep.dropped_non_finite) as u64)
+    fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
+        self.read_sweep(record).map(|sweep| Some((sweep.points.len() + sweep.dropped_non_finite) as u64))
     }
 
     /// Reads an image; its size is as the record says.

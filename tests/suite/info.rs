@@ -87,7 +87,7 @@ fn anything_else_is_an_error() {
     assert_failed(&log.run("info gone"), 1, &["found nothing: gone"]);
     assert_failed(
         &log.run("info kitti:log"),
-        1,
+        2,
         &["FORMAT nuscenes, nuplan, nuplan-simgen, av2 or town", "kitti:log"],
     );
     assert_failed(&log.run("info nuscenes:gone"), 1, &["gone"]);

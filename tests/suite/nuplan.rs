@@ -96,7 +96,7 @@ fn points_lie_in_the_box_that_they_were_put_into() {
         let record = &frame.sweeps[0];
         let sweep = dataset.read_sweep(record).unwrap();
         assert!(sweep.devices);
-        assert_eq!(dataset.check_sweep(record).unwrap(), sweep.points.len() as u64);
+        assert_eq!(dataset.check_sweep(record).unwrap(), Some(sweep.points.len() as u64));
         let global_from_lidar = record.global_from_ego * record.ego_from_lidar;
         let mut car = frame.cuboid_of(1).unwrap();
         car.pose.rotation = glam::DQuat::IDENTITY; // how the points were put

@@ -181,7 +181,7 @@ fn scenes_and_versions_must_be_chosen() {
     let broken = Broken::new();
     broken.edit("scene", |r| {
         let mut other = r[0].clone();
-        (other["token"], other["name"]) = (json!("other"), json!("town-6"));
+        (r[0]["name"], other["token"], other["name"]) = (json!("town-3"), json!("other"), json!("town-6"));
         r.push(other);
     });
     broken.refuses("", &["expected #SCENE to name one of town-3, town-6, found none"], "scene.json");

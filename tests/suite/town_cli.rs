@@ -11,7 +11,7 @@ fn a_town_comes_whole_or_not_at_all() {
     let log = TinyLog::new();
     let small = "--frames 1 --size 45x80";
     let summary = log.succeed(&format!("town --seed 2 {small} --truth --out out/town"));
-    assert!(summary.starts_with("wrote town-2: 1 frames, 6 images, 1 sweeps"), "{summary}");
+    assert!(summary.starts_with("wrote town-2-1f-dusk: 1 frames, 6 images, 1 sweeps"), "{summary}");
     for name in [
         "v1.0-town/sample.json",
         "maps/town.png",
@@ -59,7 +59,7 @@ fn options_that_no_town_has_are_wrong_usage() {
         ("build town:seed=x --out out/x", ["whole number below 2^64 for seed", "\"x\""]),
         ("render town:colour=3 --skeleton out/x --out out/y", ["KEY=VALUE with seed", "\"colour\""]),
         ("simulate town:hz=0 --skeleton out/x --out out/y --steps 1", ["hz of 0.5 to lidar_hz", "\"0\""]),
-        ("fidelity nuscenes:log --skeleton out/x", ["expected a log town:", "found log"]),
+        ("fidelity nuscenes:log --skeleton out/x", ["expected a log town:", "found nuscenes:log"]),
     ] {
         log.fail(args, 2, &said);
     }
@@ -90,7 +90,10 @@ fn a_town_goes_through_all_commands() {
     let log = TinyLog::new();
     let town = "town:seed=5,frames=2,size=90x160";
     let summary = log.succeed(&format!("build {town} --out out/sk"));
-    assert!(summary.starts_with("built town-5 from 2 frames") && summary.contains("12 images"), "{summary}");
+    assert!(
+        summary.starts_with("built town-5-2f-day from 2 frames") && summary.contains("12 images"),
+        "{summary}"
+    );
     log.succeed(&format!("render {town} --skeleton out/sk --out out/maps --frames 0..1"));
     assert!(
         log.path("out/maps/000000/sheet.png").is_file()
@@ -109,6 +112,8 @@ fn a_town_goes_through_all_commands() {
     assert_eq!(std::fs::read_to_string(log.path("out/f.md")).unwrap().lines().count(), 10);
     assert_eq!(std::fs::read_to_string(log.path("out/f.csv")).unwrap().lines().count(), 9);
     // A skeleton of one town is none of another.
-    let output = log.run("fidelity town:seed=6,frames=2 --skeleton out/sk");
-    assert_failed(&output, 1, &["a skeleton of log town-6"]);
+    for (other, name) in [("seed=6,frames=2", "town-6-2f-day"), ("seed=5,frames=3", "town-5-3f-day")] {
+        let output = log.run(&format!("fidelity town:{other} --skeleton out/sk"));
+        assert_failed(&output, 1, &[&format!("a skeleton of log {name}, found one of log town-5-2f-day")]);
+    }
 }

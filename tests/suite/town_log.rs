@@ -8,7 +8,7 @@ use point_skeleton::dataset::{Dataset, EgoTrack, ImageRecord, Lane, RigCamera, T
 use point_skeleton::geometry::{Cuboid, Pose, View};
 use point_skeleton::scene::{EgoOffset, state_of_frame};
 use point_skeleton::skeleton::{BuildOptions, SplitOptions};
-use point_skeleton::town::{Town, TownOptions, TrueActor};
+use point_skeleton::town::{Daylight, Town, TownOptions, TrueActor};
 
 use crate::common::{WithLog, skeleton_of};
 use crate::made_town::{self, FRAMES, OPTIONS, town};
@@ -35,7 +35,10 @@ fn away(point: DVec2, line: &[DVec2]) -> f64 {
 #[test]
 fn frames_sweeps_and_images_have_their_times() {
     let log = town().log();
-    assert_eq!((log.name.as_str(), log.location.as_str(), log.frames.len()), ("town-3", "town", FRAMES));
+    assert_eq!(
+        (log.name.as_str(), log.location.as_str(), log.frames.len()),
+        ("town-3-6f-dusk", "town", FRAMES)
+    );
     let start = log.frames[0].t_us;
     for (index, frame) in log.frames.iter().enumerate() {
         assert_eq!(frame.t_us, start + 200_000 * index as i64);
@@ -61,6 +64,11 @@ fn frames_sweeps_and_images_have_their_times() {
     let other = Town::new(&TownOptions { frames: 4, hz: 4.0, lidar_hz: 20.0, ..OPTIONS }).unwrap();
     let counts: Vec<usize> = other.log().frames.iter().map(|frame| frame.sweeps.len()).collect();
     assert_eq!(counts, [1, 5, 5, 5]);
+    // A name tells drives apart, not how they are recorded.
+    let named = |options: TownOptions| Town::new(&options).unwrap().log().name.clone();
+    assert_eq!(other.log().name, "town-3-4f-4hz-dusk");
+    assert_eq!(named(TownOptions { beams: 64, size: [45, 80], ..OPTIONS }), log.name);
+    assert_eq!(named(TownOptions { daylight: Some(Daylight::Day), ..OPTIONS }), "town-3-6f-day");
 }
 
 #[test]
@@ -248,7 +256,7 @@ fn the_truth_is_numbered_as_boxes_are() {
     assert!(town.truth_of(frame.t_us, &[], &views).unwrap().iter().all(|v| v.class.iter().all(|c| *c == 0)));
     let stranger = [TrueActor { track: "nobody", cuboid: frame.boxes[0].cuboid }];
     let error = town.truth_of(frame.t_us, &stranger, &views).unwrap_err().to_string();
-    assert_eq!(error, "expected tracks of town town-3, found nobody");
+    assert_eq!(error, "expected tracks of town town-3-6f-dusk, found nobody");
 }
 
 /// Every point that is in a box at the time of its sweep is one of that actor, also between frames, where boxes are

@@ -69,11 +69,8 @@ pub(super) struct FidelityArgs {
 pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     if args.log.format != LogFormat::Town {
-        let found = args.log.path.display();
-        return Err(WrongUsage(format!(
-            "expected a log town:.., of which the truth is known, found {found}"
-        ))
-        .into());
+        let message = format!("expected a log town:.., of which the truth is known, found {}", args.log);
+        return Err(WrongUsage(message).into());
     }
     let town = logs::open_town(&args.log)?;
     let skeleton = open_skeleton(&args.skeleton, &town)?;

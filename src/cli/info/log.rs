@@ -45,11 +45,12 @@ pub(super) fn describe(dataset: &dyn Dataset) -> Value {
     })
 }
 
-/// Points in all sweeps by their sizes, and what is wrong with their files.
-fn sweeps(dataset: &dyn Dataset) -> (u64, Vec<String>) {
+/// Points in all sweeps by their sizes, where those tell, and what is wrong with their files.
+fn sweeps(dataset: &dyn Dataset) -> (Option<u64>, Vec<String>) {
     let records: Vec<_> = dataset.log().frames.iter().flat_map(|f| &f.sweeps).collect();
     let results: Vec<_> = records.par_iter().map(|record| dataset.check_sweep(record)).collect();
-    let points = results.iter().flatten().fold(0, |sum: u64, points| sum.saturating_add(*points));
+    let points =
+        results.iter().flatten().try_fold(0, |sum: u64, points| Some(sum.saturating_add((*points)?)));
     (points, results.into_iter().filter_map(Result::err).map(|e| e.to_string()).collect())
 }
 
@@ -143,7 +144,8 @@ pub(super) fn text(json: &Value) -> String {
     line("log", format!("{} ({}) {}", plain("name"), plain("location"), plain("description")));
     let (seconds, rate) = (number(&json["seconds"]), number(&json["frame_rate_hz"]));
     line("frames", format!("{} over {seconds} s at {rate} Hz", json["frames"]));
-    line("sweeps", format!("{} with {} points", json["sweeps"], json["points"]));
+    let points = json["points"].as_u64().map_or("made when read".to_owned(), |n| format!("with {n} points"));
+    line("sweeps", format!("{} {points}", json["sweeps"]));
     for camera in json["cameras"].as_array().into_iter().flatten() {
         let (name, size) = (camera["name"].as_str().unwrap_or("?"), camera["size"].as_str().unwrap_or("?"));
         let focal = number(&camera["focal_px"]);
@@ -162,7 +164,7 @@ pub(super) fn text(json: &Value) -> String {
     let ego = &json["ego"];
     line(
         "ego",
-        format!("{} m from {} to {}", number(&ego["path_m"]), corner(&ego["min"]), corner(&ego["max"])),
+        format!("{} m, within {} and {}", number(&ego["path_m"]), corner(&ego["min"]), corner(&ego["max"])),
     );
     line("map", map_line(&json["map"]));
     for (kind, frames) in json["scenarios"].as_object().into_iter().flatten() {

@@ -6,7 +6,6 @@ use serde_json::Value;
 
 use super::log_args::LogRoots;
 use super::{WrongUsage, say};
-use crate::dataset::DatasetError;
 use crate::logs;
 use crate::skeleton::{Skeleton, TemplateLibrary};
 
@@ -59,17 +58,14 @@ fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
         return Ok((json.clone(), as_lines(&json)));
     }
     if target.contains(':') && !path.exists() {
-        let locator = match logs::locate(target) {
-            Err(error @ DatasetError::Made(_)) => return Err(WrongUsage(error.to_string()).into()),
-            located => located?,
-        };
+        let locator = logs::locate(target).map_err(|error| WrongUsage(error.to_string()))?;
         let log = roots.open(&locator)?;
         let json = log::describe(log.as_ref());
         return Ok((json.clone(), log::text(&json)));
     }
     let found = what_is_there(&path);
     bail!(
-        "expected a log (FORMAT:PATH, like nuscenes:PATH), a skeleton's folder or a file, found {found}: {target}"
+        "expected a log (FORMAT:PATH, like nuscenes:PATH or town:), a skeleton's folder or a file, found {found}: {target}"
     )
 }
 

@@ -78,8 +78,8 @@ impl Dataset for Argoverse {
         Ok(read_sweep_file(&record.path)?)
     }
 
-    fn check_sweep(&self, record: &SweepRecord) -> Result<u64, DatasetError> {
-        Ok(sweep::declared_points(&record.path)?)
+    fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
+        Ok(Some(sweep::declared_points(&record.path)?))
     }
 
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {

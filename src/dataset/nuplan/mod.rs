@@ -62,8 +62,8 @@ impl Dataset for NuPlan {
         Ok(read_pcd_file(&record.path)?)
     }
 
-    fn check_sweep(&self, record: &SweepRecord) -> Result<u64, DatasetError> {
-        Ok(check_pcd_file(&record.path)?)
+    fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
+        Ok(Some(check_pcd_file(&record.path)?))
     }
 
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {

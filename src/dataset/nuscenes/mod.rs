@@ -64,10 +64,10 @@ impl Dataset for NuScenes {
         Ok(read_sweep_file(&record.path)?)
     }
 
-    fn check_sweep(&self, record: &SweepRecord) -> Result<u64, DatasetError> {
+    fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
         let path = &record.path;
         let bytes = std::fs::metadata(path).map_err(FileError::io("read", path))?.len();
-        Ok(check_sweep_len(bytes, path)?)
+        Ok(Some(check_sweep_len(bytes, path)?))
     }
 
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {

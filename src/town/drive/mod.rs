@@ -110,7 +110,7 @@ impl Town {
         let recorder = Recorder { options, traffic: &plan.traffic, global_from_town, rig: &rig };
         let Recorded { frames, tracks, actors } = recorder.record();
         let log = Log {
-            name: format!("town-{}", options.seed),
+            name: name(options),
             location: LOCATION.into(),
             description: describe(options),
             cameras: rig::CAMERAS.iter().map(|mount| mount.channel.to_owned()).collect(),
@@ -182,6 +182,10 @@ impl Dataset for Town {
         Ok(self.image(record)?)
     }
 
+    fn check_sweep(&self, _: &SweepRecord) -> Result<Option<u64>, DatasetError> {
+        Ok(None)
+    }
+
     fn check_image(&self, _: &ImageRecord) -> Result<(), DatasetError> {
         Ok(())
     }
@@ -202,6 +206,14 @@ fn place(plan: &Plan, seed: u64) -> Pose {
         roads.chain(corners).map(|(p, half_m)| turned.transform_point(p.extend(0.0)).truncate() - half_m);
     let min = low.reduce(DVec2::min).unwrap_or(DVec2::ZERO);
     Pose { translation: (DVec2::splat(EDGE_M) - min).extend(0.0), ..turned }
+}
+
+/// Tells drives apart: what a skeleton of one holds is not in another, where the seed is the same too. How it is recorded
+/// (images, LiDAR) makes no other drive.
+fn name(options: &TownOptions) -> String {
+    let TownOptions { seed, frames, hz, .. } = options;
+    let rate = if *hz == TownOptions::default().hz { String::new() } else { format!("-{hz}hz") };
+    format!("town-{seed}-{frames}f{rate}-{}", options.light())
 }
 
 fn describe(options: &TownOptions) -> String {
