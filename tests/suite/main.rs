@@ -11,6 +11,7 @@ mod cli_render;
 mod common;
 mod conditions;
 mod distortion;
+mod generate;
 mod info;
 mod made_town;
 mod npz;

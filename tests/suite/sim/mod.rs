@@ -4,6 +4,6 @@ mod actors;
 mod course;
 mod external;
 mod local_path;
-mod made;
+pub(crate) mod made;
 mod replay;
 mod resume;

@@ -1,0 +1,224 @@
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+
+use super::rolling::{self, Known};
+use super::window::Roll;
+use super::{
+    Denoiser, DenoiserError, Guidance, Latent, LatentShape, NoiseSource, Sampler, SamplerOptions, Strategy,
+};
+use crate::sim::{Committed, Forecast};
+
+/// How frames are generated.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GenerateOptions {
+    /// Frames in the window, L.
+    pub window: usize,
+    /// Inference steps, T: a multiple of `window - clean`.
+    pub steps: usize,
+    /// Leading frames of the window that are always clean, C.
+    pub clean: usize,
+    /// How the window moves.
+    pub strategy: Strategy,
+    /// The schedule.
+    pub sampler: SamplerOptions,
+    /// Classifier-free guidance.
+    pub guidance: Guidance,
+}
+
+/// Makes frame after frame. Frames are numbered from the first reference: the references are `0 .. L-1`, the first
+/// generated frame is `L-1`.
+pub struct Generator<D: Denoiser, N> {
+    denoiser: D,
+    noise: N,
+    options: GenerateOptions,
+    sampler: Sampler,
+    cache: Cache,
+    /// Conditions of the last frames, at most L-1.
+    shown: VecDeque<Committed<D::Condition>>,
+}
+
+/// What goes from step to step. It has seen no forecast, but under [`Strategy::Rolling`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cache {
+    /// Number of the frame that is generated next.
+    pub next: usize,
+    /// The window: L frames, or the L-1 last finished ones before the first step and without rolls.
+    pub frames: Vec<Latent>,
+    /// Leading frames of the window that are references, f.
+    pub references: usize,
+    /// Rolls that the window has made in place, at the end of all conditions.
+    pub in_place: usize,
+}
+
+/// Why no frame comes.
+#[derive(Debug, thiserror::Error)]
+pub enum GenerateError {
+    /// Numbers that do not go together, or frames that do not fit them.
+    #[error("expected {expected}, found {found}")]
+    Options {
+        /// What would do.
+        expected: String,
+        /// What was given.
+        found: String,
+    },
+    /// The network.
+    #[error("frame {frame}: {source}")]
+    Denoiser {
+        /// Number of the frame that was generated.
+        frame: usize,
+        /// What is wrong.
+        source: DenoiserError,
+    },
+}
+
+impl GenerateOptions {
+    /// Whether they go together.
+    ///
+    /// # Errors
+    /// Steps that frames cannot share, a window without room.
+    pub fn check(&self) -> Result<(), GenerateError> {
+        let Self { window, steps, clean, strategy, .. } = *self;
+        let wrong = |expected: String, found: String| Err(GenerateError::Options { expected, found });
+        if !(2..=MAX_WINDOW).contains(&window) || clean + 1 >= window.max(2) && clean > 0 {
+            let expected = format!("a window of 2 to {MAX_WINDOW} frames and fewer clean ones");
+            return wrong(expected, format!("a window of {window} with {clean} clean"));
+        }
+        if !(1..=1000).contains(&steps) {
+            return wrong("1 to 1000 inference steps".to_owned(), steps.to_string());
+        }
+        match strategy {
+            Strategy::ResetAndRoll | Strategy::Rolling if self.roll().per_roll().is_none() => {
+                wrong(format!("steps that are a multiple of {}", window - clean), steps.to_string())
+            }
+            Strategy::Rolling if clean > 0 => {
+                wrong("no clean frames with rolling".to_owned(), clean.to_string())
+            }
+            Strategy::NonCausal { forecasts } if forecasts + 1 > window => {
+                wrong(format!("at most {} forecasts in the window", window - 1), forecasts.to_string())
+            }
+            Strategy::Causal { history_noise } if history_noise >= 1000 => {
+                wrong("noise of less than 1000 steps".to_owned(), history_noise.to_string())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Clean frames that are needed to begin, L-1.
+    pub fn references(&self) -> usize {
+        self.window - 1
+    }
+
+    /// Forecasts that a step can make use of.
+    pub fn forecasts(&self) -> usize {
+        match self.strategy {
+            Strategy::ResetAndRoll => self.window - self.clean - 1,
+            Strategy::Rolling => self.window - 1,
+            Strategy::Causal { .. } => 0,
+            Strategy::NonCausal { forecasts } => forecasts,
+        }
+    }
+
+    pub(super) fn roll(&self) -> Roll {
+        Roll { window: self.window, clean: self.clean, steps: self.steps }
+    }
+}
+
+/// Frames in a window.
+const MAX_WINDOW: usize = 64;
+
+impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
+    /// Begins with references, oldest first, and what was committed when they were recorded.
+    ///
+    /// # Errors
+    /// Options that do not go together; another number of references than [`GenerateOptions::references`], or of another
+    /// shape.
+    pub fn new(
+        denoiser: D,
+        noise: N,
+        options: GenerateOptions,
+        references: Vec<(Latent, Committed<D::Condition>)>,
+    ) -> Result<Self, GenerateError> {
+        options.check()?;
+        let (frames, shown): (Vec<_>, Vec<_>) = references.into_iter().unzip();
+        let count = options.references();
+        let cache = Cache { next: count, frames, references: count, in_place: 0 };
+        Self::resume(denoiser, noise, options, cache, shown)
+    }
+
+    /// Goes on from a cache, with the conditions that were committed for the last L-1 frames.
+    ///
+    /// # Errors
+    /// As [`Generator::new`].
+    pub fn resume(
+        denoiser: D,
+        noise: N,
+        options: GenerateOptions,
+        cache: Cache,
+        shown: Vec<Committed<D::Condition>>,
+    ) -> Result<Self, GenerateError> {
+        options.check()?;
+        let count = options.references();
+        let wrong = |expected: String, found: String| Err(GenerateError::Options { expected, found });
+        if ![count, count + 1].contains(&cache.frames.len()) {
+            return wrong(format!("{count} reference frames"), cache.frames.len().to_string());
+        }
+        if shown.len() != count {
+            return wrong(format!("the conditions of {count} frames"), shown.len().to_string());
+        }
+        let shape = denoiser.shape();
+        if let Some(other) = cache.frames.iter().map(Latent::shape).find(|other| *other != shape) {
+            return wrong(format!("latents of {shape}"), other.to_string());
+        }
+        let sampler = Sampler::new(options.sampler, options.steps);
+        Ok(Self { denoiser, noise, options, sampler, cache, shown: shown.into() })
+    }
+
+    /// What goes on to the next step.
+    pub fn cache(&self) -> &Cache {
+        &self.cache
+    }
+
+    /// Size of the latents.
+    pub fn shape(&self) -> LatentShape {
+        self.denoiser.shape()
+    }
+
+    /// The network.
+    pub fn denoiser(&self) -> &D {
+        &self.denoiser
+    }
+
+    /// Makes the next frame. Fewer forecasts than [`GenerateOptions::forecasts`] are the end of what is known: the window
+    /// stays in place.
+    ///
+    /// # Errors
+    /// What the network does wrong; the cache is as before.
+    pub fn step(
+        &mut self,
+        now: Committed<D::Condition>,
+        forecasts: &[Forecast<D::Condition>],
+    ) -> Result<Latent, GenerateError> {
+        let frame = self.cache.next;
+        let mut cache = self.cache.clone();
+        let finished = {
+            let used = forecasts.len().min(self.options.forecasts());
+            let committed = self.shown.iter().chain([&now]).map(Committed::get);
+            let mut known = Known {
+                denoiser: &mut self.denoiser,
+                noise: &mut self.noise,
+                options: &self.options,
+                sampler: &self.sampler,
+                first: frame - self.shown.len(),
+                conditions: committed.chain(forecasts[..used].iter().map(Forecast::get)).collect(),
+                forecasts: used,
+            };
+            rolling::step(&mut known, &mut cache)
+        };
+        let finished = finished.map_err(|source| GenerateError::Denoiser { frame, source })?;
+        self.cache = Cache { next: frame + 1, ..cache };
+        self.shown.pop_front();
+        self.shown.push_back(now);
+        Ok(finished)
+    }
+}

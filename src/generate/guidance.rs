@@ -1,0 +1,71 @@
+use serde::{Deserialize, Serialize};
+
+use super::denoiser::predict;
+use super::{Condition, Denoiser, DenoiserError, Frame, Latent};
+
+/// Which conditions are taken away.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Dropped {
+    /// Boxes and map.
+    pub layout: bool,
+    /// The ego's motion and the text.
+    pub action: bool,
+    /// Color of the points.
+    pub color: bool,
+    /// Depth of the points.
+    pub depth: bool,
+}
+
+impl Dropped {
+    /// What the unconditional half of guidance is without: color and depth stay.
+    pub const GUIDED: Self = Self { layout: true, action: true, color: false, depth: false };
+    /// Everything.
+    pub const ALL: Self = Self { layout: true, action: true, color: true, depth: true };
+
+    /// Whatever one of two takes away.
+    pub fn or(self, other: Self) -> Self {
+        Self {
+            layout: self.layout || other.layout,
+            action: self.action || other.action,
+            color: self.color || other.color,
+            depth: self.depth || other.depth,
+        }
+    }
+}
+
+/// Classifier-free guidance: away from what the network would show without conditions.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Guidance {
+    /// `v = v_without + scale (v_with - v_without)`; 1 asks the network once.
+    pub scale: f32,
+    /// What the other half is without.
+    pub dropped: Dropped,
+}
+
+impl Default for Guidance {
+    fn default() -> Self {
+        Self { scale: 1.0, dropped: Dropped::GUIDED }
+    }
+}
+
+impl Guidance {
+    /// Predictions for a window.
+    pub(super) fn predict<D: Denoiser + ?Sized>(
+        &self,
+        denoiser: &mut D,
+        window: &[Frame<'_, D::Condition>],
+    ) -> Result<Vec<Latent>, DenoiserError> {
+        let with = predict(denoiser, window)?;
+        if self.scale == 1.0 {
+            return Ok(with);
+        }
+        let conditions: Vec<_> = window.iter().map(|frame| frame.condition.without(self.dropped)).collect();
+        let bare = window.iter().zip(&conditions);
+        let bare: Vec<_> = bare.map(|(frame, condition)| Frame { condition, ..*frame }).collect();
+        let without = predict(denoiser, &bare)?;
+        let guided = |(with, without): (&Latent, &Latent)| {
+            without.zip(with, |without, with| without + self.scale * (with - without))
+        };
+        Ok(with.iter().zip(&without).map(guided).collect())
+    }
+}

@@ -1,0 +1,33 @@
+//! The generator: turns conditions step by step into camera images, by a denoiser that is called frame by frame.
+//!
+//! # How it works
+//! A [`Generator`] keeps a window of latents. At each step of the simulation it takes the committed conditions of the step
+//! and forecasts of the next ones, calls its [`Denoiser`] as its [`Strategy`] has it, and gives the finished latent of the
+//! step, which a [`Codec`] turns into images. `schedule` and `sampler` say how noisy a frame is after how many steps and
+//! how a prediction takes noise off it, `window` which frame of the window is where in its schedule, `guidance` what becomes
+//! of two predictions. Networks are exchangeable: [`toy`] is a linear one for tests.
+
+pub mod toy;
+
+mod denoiser;
+mod generator;
+mod guidance;
+mod latent;
+mod noise;
+mod rolling;
+mod sampler;
+mod saved;
+mod schedule;
+mod strategy;
+mod window;
+
+pub use denoiser::{Codec, Condition, Denoiser, DenoiserError, Frame};
+pub use generator::{Cache, GenerateError, GenerateOptions, Generator};
+pub use guidance::{Dropped, Guidance};
+pub use latent::{Latent, LatentShape};
+pub use noise::{GaussianNoise, NoiseSource};
+pub use sampler::{Level, Sampler, SamplerOptions};
+pub use saved::CacheError;
+pub use schedule::{Ddim, FlowMatch, Prediction};
+pub use strategy::Strategy;
+pub use window::{Progress, Roll};

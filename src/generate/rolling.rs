@@ -1,0 +1,174 @@
+//! One step of each strategy.
+
+use std::ops::Range;
+
+use super::{
+    Cache, Denoiser, DenoiserError, Frame, GenerateOptions, Latent, NoiseSource, Progress, Sampler, Strategy,
+};
+
+/// What there is at a step.
+pub(super) struct Known<'a, D: Denoiser, N> {
+    pub(super) denoiser: &'a mut D,
+    pub(super) noise: &'a mut N,
+    pub(super) options: &'a GenerateOptions,
+    pub(super) sampler: &'a Sampler,
+    /// Number of the frame that the first condition is of.
+    pub(super) first: usize,
+    /// Of the L-1 frames before, this one, and the forecasts.
+    pub(super) conditions: Vec<&'a D::Condition>,
+    /// How many of them are forecasts.
+    pub(super) forecasts: usize,
+}
+
+/// Makes frame `cache.next`, and leaves in the cache what the next step starts from.
+pub(super) fn step<D: Denoiser, N: NoiseSource>(
+    known: &mut Known<'_, D, N>,
+    cache: &mut Cache,
+) -> Result<Latent, DenoiserError> {
+    match known.options.strategy {
+        Strategy::ResetAndRoll => reset_and_roll(known, cache),
+        Strategy::Rolling => rolling(known, cache),
+        Strategy::Causal { history_noise } => at_once(known, cache, 0, history_noise),
+        Strategy::NonCausal { .. } => at_once(known, cache, known.forecasts, 0),
+    }
+}
+
+fn reset_and_roll<D: Denoiser, N: NoiseSource>(
+    known: &mut Known<'_, D, N>,
+    cache: &mut Cache,
+) -> Result<Latent, DenoiserError> {
+    let GenerateOptions { window: size, clean, .. } = *known.options;
+    let (frame, rolls) = (cache.next, size - clean);
+    append(known, cache, frame, 0);
+    known.roll(cache, frame)?;
+    // All that follows has seen forecasts: it is done with a copy.
+    let mut ahead = cache.clone();
+    let mut last = frame;
+    for roll in 1..rolls {
+        if roll <= known.forecasts {
+            last += 1;
+            append(known, &mut ahead, frame, roll);
+        } else {
+            ahead.in_place += 1;
+        }
+        known.roll(&mut ahead, last)?;
+    }
+    Ok(ahead.frames.swap_remove(size - 1 - (last - frame)))
+}
+
+fn rolling<D: Denoiser, N: NoiseSource>(
+    known: &mut Known<'_, D, N>,
+    cache: &mut Cache,
+) -> Result<Latent, DenoiserError> {
+    let (size, frame) = (known.options.window, cache.next);
+    let end = frame + known.forecasts;
+    let is_first = cache.frames.len() < size;
+    // The references go through the window before the first frame, a roll each.
+    let (rolls, mut last) = if is_first { (size, size - 2) } else { (1, last_of(cache, frame, size)) };
+    for _ in 0..rolls {
+        if last < end && cache.in_place == 0 {
+            last += 1;
+            append(known, cache, last, 0);
+        } else {
+            cache.in_place += 1;
+        }
+        known.roll(cache, last)?;
+    }
+    Ok(cache.frames[size - 1 - (last - frame)].clone())
+}
+
+/// The frame at the window's end, before the step of frame `next`: the one before it has left, or would have, had the
+/// window not stayed in place.
+fn last_of(cache: &Cache, next: usize, size: usize) -> usize {
+    next - 1 + (size - 1) - cache.in_place
+}
+
+/// Clean frames, then this one and `forecasts` more, which go through all steps together.
+fn at_once<D: Denoiser, N: NoiseSource>(
+    known: &mut Known<'_, D, N>,
+    cache: &mut Cache,
+    forecasts: usize,
+    history_noise: usize,
+) -> Result<Latent, DenoiserError> {
+    let (size, frame) = (known.options.window, cache.next);
+    let shape = known.denoiser.shape();
+    let history = size - 1 - forecasts;
+    let mut frames = cache.frames[cache.frames.len() - history..].to_vec();
+    let level = (history_noise > 0).then(|| known.sampler.level_at(history_noise));
+    if let Some(level) = level {
+        for (position, clean) in frames.iter_mut().enumerate() {
+            let noise = known.noise.noise(shape, frame, 1 + forecasts + position);
+            *clean = known.sampler.noised(clean, &noise, level);
+        }
+    }
+    frames.extend((0..=forecasts).map(|draw| known.noise.noise(shape, frame, draw)));
+    let steps = known.sampler.steps();
+    for call in 0..steps {
+        let of = |position: usize| match position < history {
+            true => Progress { index: steps - 1, is_updated: false },
+            false => Progress { index: call, is_updated: true },
+        };
+        let progress: Vec<Progress> = (0..size).map(of).collect();
+        known.call(&mut frames, &progress, frame + forecasts, level)?;
+    }
+    let finished = frames.swap_remove(history);
+    cache.frames.remove(0);
+    cache.frames.push(finished.clone());
+    Ok(finished)
+}
+
+/// Puts noise at the window's end; its first frame leaves if it is full.
+fn append<D: Denoiser, N: NoiseSource>(
+    known: &mut Known<'_, D, N>,
+    cache: &mut Cache,
+    frame: usize,
+    draw: usize,
+) {
+    if cache.frames.len() == known.options.window {
+        cache.frames.remove(0);
+        cache.references = cache.references.saturating_sub(1).max(known.options.clean);
+    }
+    cache.frames.push(known.noise.noise(known.denoiser.shape(), frame, draw));
+}
+
+impl<D: Denoiser, N: NoiseSource> Known<'_, D, N> {
+    /// One roll of a window that ends with frame `last`.
+    fn roll(&mut self, window: &mut Cache, last: usize) -> Result<(), DenoiserError> {
+        let roll = self.options.roll();
+        let per_roll = roll.per_roll().unwrap_or(roll.steps);
+        let begin = roll.steps - per_roll + window.in_place * per_roll;
+        let calls: Range<usize> = begin..begin + per_roll;
+        for call in calls {
+            let progress = roll.progress(call, window.references);
+            self.call(&mut window.frames, &progress, last, None)?;
+        }
+        Ok(())
+    }
+
+    /// One call of the network; `history` is the level of the frames that are not updated, if it is another than the
+    /// last of the schedule.
+    fn call(
+        &mut self,
+        frames: &mut [Latent],
+        progress: &[Progress],
+        last: usize,
+        history: Option<super::Level>,
+    ) -> Result<(), DenoiserError> {
+        let begin = last + 1 - frames.len() - self.first;
+        let conditions = &self.conditions[begin..begin + frames.len()];
+        let level = |progress: &Progress| match history {
+            Some(level) if !progress.is_updated => level,
+            _ => self.sampler.level(progress.index),
+        };
+        let sees = frames.iter().zip(progress.iter().map(level)).zip(conditions);
+        let window: Vec<_> =
+            sees.map(|((latent, level), &condition)| Frame { latent, level, condition }).collect();
+        let predictions = self.options.guidance.predict(self.denoiser, &window)?;
+        for ((frame, progress), prediction) in frames.iter_mut().zip(progress).zip(&predictions) {
+            if progress.is_updated {
+                *frame = self.sampler.step(progress.index, frame, prediction);
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,38 @@
+//! A linear network, whose answers can be worked out by hand: for tests, and for trying out what is around a network.
+
+use super::guidance::Dropped;
+use super::{Condition, Denoiser, DenoiserError, Frame, Latent, LatentShape};
+
+/// `v = 0.6 x - 0.25 x[next frame] + 0.1 x[frame before] + 0.5 condition + 0.05 sigma`; at the window's ends the frame
+/// itself stands in for the one that is missing.
+#[derive(Clone, Copy, Debug)]
+pub struct Toy {
+    /// Of its latents, and of its conditions.
+    pub shape: LatentShape,
+}
+
+/// Latents are conditions of the toy; without any of it, it is grey.
+impl Condition for Latent {
+    fn without(&self, dropped: Dropped) -> Self {
+        if dropped == Dropped::default() { self.clone() } else { Self::filled(self.shape(), 0.0) }
+    }
+}
+
+impl Denoiser for Toy {
+    type Condition = Latent;
+
+    fn shape(&self) -> LatentShape {
+        self.shape
+    }
+
+    fn predict(&mut self, window: &[Frame<'_, Latent>]) -> Result<Vec<Latent>, DenoiserError> {
+        let last = window.len().saturating_sub(1);
+        let of = |(position, frame): (usize, &Frame<'_, Latent>)| {
+            let (next, before) = (window[(position + 1).min(last)], window[position.saturating_sub(1)]);
+            let neighbours = next.latent.zip(before.latent, |next, before| 0.1 * before - 0.25 * next);
+            let own = frame.latent.zip(frame.condition, |x, condition| 0.6 * x + 0.5 * condition);
+            own.zip(&neighbours, |own, neighbours| own + neighbours + 0.05 * frame.level.sigma)
+        };
+        Ok(window.iter().enumerate().map(of).collect())
+    }
+}

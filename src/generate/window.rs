@@ -1,0 +1,72 @@
+/// The numbers of a window: L frames, C of them clean, T steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Roll {
+    /// Frames in the window, L.
+    pub window: usize,
+    /// Leading frames that are always clean, C.
+    pub clean: usize,
+    /// Inference steps, T.
+    pub steps: usize,
+}
+
+/// Where a frame is in its schedule.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Progress {
+    /// The step it stands before, or the last if it is past that.
+    pub index: usize,
+    /// Whether this call of the network moves it on.
+    pub is_updated: bool,
+}
+
+impl Roll {
+    /// Steps that each frame takes in a roll, S; `None` if the steps cannot be shared out evenly.
+    pub fn per_roll(&self) -> Option<usize> {
+        let moving = self.window.checked_sub(self.clean).filter(|frames| *frames > 0)?;
+        (self.steps > 0 && self.steps.is_multiple_of(moving)).then(|| self.steps / moving)
+    }
+
+    /// Where each frame of the window is at a call of the network. `call` runs from `T - S` to `T - 1` in a roll, and on
+    /// from there while a window stays in place; the first `references` frames are done.
+    pub fn progress(&self, call: usize, references: usize) -> Vec<Progress> {
+        let per_roll = self.per_roll().unwrap_or(self.steps);
+        let last = self.steps.saturating_sub(1);
+        let of = |position: usize| {
+            let step = call as isize - (position.saturating_sub(self.clean) * per_roll) as isize;
+            if position < references {
+                return Progress { index: last, is_updated: false };
+            }
+            let index = step.clamp(0, last as isize) as usize;
+            Progress { index, is_updated: index as isize == step }
+        };
+        (0..self.window).map(of).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_shared_out_evenly_or_not_at_all() {
+        let roll = |window, clean, steps| Roll { window, clean, steps }.per_roll();
+        assert_eq!([roll(12, 0, 36), roll(5, 1, 12), roll(1, 0, 3)], [Some(3), Some(3), Some(3)]);
+        assert_eq!([roll(12, 0, 35), roll(4, 4, 8), roll(0, 0, 1), roll(4, 0, 0)], [None; 4]);
+    }
+
+    /// A window that stays in place finishes one frame after the other.
+    #[test]
+    fn a_window_in_place_is_flushed() {
+        let roll = Roll { window: 3, clean: 0, steps: 6 };
+        let updated = |call| roll.progress(call, 0).iter().map(|p| p.is_updated).collect::<Vec<_>>();
+        assert_eq!(
+            [updated(5), updated(6), updated(8)],
+            [vec![true; 3], vec![false, true, true], vec![false, false, true]]
+        );
+        assert_eq!(roll.progress(9, 0)[2], Progress { index: 5, is_updated: true });
+        assert_eq!(updated(10), [false; 3]);
+        // Whatever is updated in all calls of all rolls goes through all steps, in order.
+        let taken: Vec<usize> =
+            (4..10).map(|call| roll.progress(call, 0)[2]).filter(|p| p.is_updated).map(|p| p.index).collect();
+        assert_eq!(taken, [0, 1, 2, 3, 4, 5]);
+    }
+}
