@@ -10,6 +10,7 @@
 pub mod toy;
 
 mod denoiser;
+mod frame_conditions;
 mod generator;
 mod guidance;
 mod latent;
@@ -22,6 +23,7 @@ mod strategy;
 mod window;
 
 pub use denoiser::{Codec, Condition, Denoiser, DenoiserError, Frame};
+pub use frame_conditions::{CAMERA_NUMBERS, FrameConditions};
 pub use generator::{Cache, GenerateError, GenerateOptions, Generator};
 pub use guidance::{Dropped, Guidance};
 pub use latent::{Latent, LatentShape};
