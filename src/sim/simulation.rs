@@ -9,9 +9,10 @@ use super::recorded::Recorded;
 use super::saved::{Saved, SavedState};
 use super::tracking::follow;
 use super::{
-    ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Metrics, Rates, Scenario, SimError, SimOptions,
-    Trajectory,
+    ActorPolicy, Committed, EgoPolicy, EgoState, Forecast, Instant, Metrics, Rates, Scenario, SimError,
+    SimOptions, Trajectory,
 };
+use crate::geometry::Foot;
 
 /// A rollout: a log whose ego and actors move by policies, step by step.
 ///
@@ -32,6 +33,8 @@ pub struct Simulation<'a> {
 pub(super) struct World {
     pub(super) instant: Instant,
     pub(super) driven: Driven,
+    /// Of the ego on the recorded path.
+    pub(super) foot: Foot,
 }
 
 /// What a step brought.
@@ -94,11 +97,12 @@ impl<'a> Simulation<'a> {
         let start = match saved {
             Some(saved) => saved.open(&options, &clock, &recorded)?,
             None => {
+                let foot = logged_foot(&recorded, &first.ego, start_us);
+                let world = World { instant: first, driven: Driven::default(), foot };
                 let mut tally = Tally::default();
                 if clock.takeover == 0 {
-                    tally.add(&recorded, road.as_ref(), &first);
+                    tally.add(&recorded, road.as_ref(), &world);
                 }
-                let world = World { instant: first, driven: Driven::default() };
                 Saved { world: Committed::new(world), plan: None, tally }
             }
         };
@@ -122,7 +126,7 @@ impl<'a> Simulation<'a> {
         let now = self.committed.world.get();
         let mut made = None;
         if self.clock.plans_at(now.instant.step) {
-            made = self.driver.plan(&self.recorded, &self.clock, &now.instant)?.map(Forecast::new);
+            made = self.driver.plan(&self.recorded, &self.clock, now)?.map(Forecast::new);
         }
         let plan = made.as_ref().or(self.committed.plan.as_ref()).map(Forecast::get);
         let Some(next) = self.advance(now, plan) else {
@@ -130,7 +134,7 @@ impl<'a> Simulation<'a> {
             return Ok(None);
         };
         if next.instant.step >= self.clock.takeover {
-            self.committed.tally.add(&self.recorded, self.road.as_ref(), &next.instant);
+            self.committed.tally.add(&self.recorded, self.road.as_ref(), &next);
         }
         self.committed.world = Committed::new(next);
         if made.is_some() {
@@ -173,17 +177,23 @@ impl<'a> Simulation<'a> {
         let step = now.instant.step + 1;
         let t_us = self.clock.at(step);
         let by_log = step <= self.clock.takeover;
-        let ego = match plan {
+        let (ego, foot) = match plan {
             Some(plan) if !by_log => {
-                follow(self.options.tracking, &self.recorded.route, &now.instant, plan, t_us)
+                let place_m = now.instant.ego.position_m();
+                let stretch = self.recorded.route.around(now.foot.station_m, place_m);
+                let ego = follow(self.options.tracking, stretch, &now.instant, plan, t_us);
+                (ego, stretch.foot(ego.position_m()))
             }
-            _ => self.recorded.ego_at(t_us)?,
+            _ => {
+                let ego = self.recorded.ego_at(t_us)?;
+                (ego, logged_foot(&self.recorded, &ego, t_us))
+            }
         };
         let policy = if by_log { ActorPolicy::Replay } else { self.options.actors };
         let mut driven = now.driven.clone();
         let actors = actors::advance(policy, &self.recorded, &mut driven, &now.instant, (t_us, &ego));
         let lights = self.recorded.lights_at(t_us);
-        Some(World { instant: Instant { step, t_us, ego, actors, lights }, driven })
+        Some(World { instant: Instant { step, t_us, ego, actors, lights }, driven, foot })
     }
 
     /// Whether no further step can be taken.
@@ -228,4 +238,10 @@ impl<'a> Simulation<'a> {
     pub fn show(&mut self, files: Vec<PathBuf>) {
         self.driver.show(files);
     }
+}
+
+/// Where the log's ego is on its own path at a time, microseconds.
+fn logged_foot(recorded: &Recorded<'_>, ego: &EgoState, t_us: i64) -> Foot {
+    let (route, place_m) = (&recorded.route, ego.position_m());
+    route.around(route.station_at(t_us), place_m).foot(place_m)
 }

@@ -99,10 +99,11 @@ fn states_of_other_rollouts_and_damaged_ones_are_refused() {
     let other = SimOptions { ego: EgoPolicy::Cosine, ..options.clone() };
     assert!(resume(saved.clone(), &other).unwrap_err().contains("cosine"));
     let changes = [
-        ("/version", json!(2)),
+        ("/version", json!(1)),
         ("/log", json!("elsewhere")),
         ("/ego/pose/3", json!(4.0)),
         ("/ego/speed_mps", json!(null)),
+        ("/foot_m/0", json!(null)),
         ("/actors/0/track", json!(99)),
         ("/actors/1/track", json!(0)),
         ("/actors/0/size_m/0", json!(-1.0)),
