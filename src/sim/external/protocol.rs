@@ -312,7 +312,11 @@ fn placed(point: &PlannedPoint, frame: Frame, start: &Waypoint, index: usize) ->
 
 /// What is wrong and how the answer begins.
 fn shown(answer: &[u8], error: &serde_json::Error) -> String {
-    let text = String::from_utf8_lossy(&answer[..answer.len().min(400)]);
-    let begin: String = text.chars().take(80).collect();
-    format!("{begin:?} ({error})")
+    format!("{} ({error})", begin_of(answer))
+}
+
+/// How a line begins, in quotes.
+pub(super) fn begin_of(line: &[u8]) -> String {
+    let text = String::from_utf8_lossy(&line[..line.len().min(400)]);
+    format!("{:?}", text.chars().take(80).collect::<String>())
 }
