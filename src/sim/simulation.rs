@@ -42,8 +42,6 @@ pub(super) struct World {
 pub struct StepOutcome {
     /// The plan, if one was made for this step.
     pub plan: Option<Forecast<Trajectory>>,
-    /// What is expected at the next plan steps, if the step is one itself; fewer than asked for where the log ends.
-    pub forecast: Vec<Forecast<Instant>>,
 }
 
 /// Why a rollout is over.
@@ -140,36 +138,34 @@ impl<'a> Simulation<'a> {
         if made.is_some() {
             self.committed.plan.clone_from(&made);
         }
-        let is_plan_step = self.committed.world.get().instant.step.is_multiple_of(self.clock.steps_per_plan);
-        let forecast = if is_plan_step { self.forecast() } else { Vec::new() };
-        Ok(Some(StepOutcome { plan: made, forecast }))
+        Ok(Some(StepOutcome { plan: made }))
     }
 
-    /// What is expected one plan step after what was committed, two, and so on: the ego follows the rest of its plan and
-    /// the actors their policy. Until the first plan it is what the log has. Fewer than asked for where the log ends.
-    pub fn forecast(&self) -> Vec<Forecast<Instant>> {
-        let now = self.committed.world.get();
-        let plan = self.committed.plan.as_ref().map(Forecast::get);
-        // An ego of the log has no plans: its actors go by their policy all the same.
-        let is_unplanned = plan.is_none() && self.options.ego != EgoPolicy::Replay;
-        let mut expected = now.clone();
+    /// What is expected one plan step after what was committed, two, and so on up to a number of them: the ego follows the
+    /// rest of its plan and the actors their policy. Until the first plan it is what the log has. Fewer where the log ends.
+    pub fn forecast(&self, plan_steps: usize) -> Vec<Forecast<Instant>> {
+        let mut expected = self.committed.world.get().clone();
         let mut forecast = Vec::new();
-        for _ in 0..self.options.forecast_steps {
+        for _ in 0..plan_steps {
             for _ in 0..self.clock.steps_per_plan {
-                let step = expected.instant.step + 1;
-                let next = match is_unplanned {
-                    true => self.recorded.instant(step, self.clock.at(step)),
-                    false => self.advance(&expected, plan).map(|next| {
-                        expected.driven = next.driven;
-                        next.instant
-                    }),
-                };
-                let Some(next) = next else { return forecast };
-                expected.instant = next;
+                let Some(next) = self.expect(&expected) else { return forecast };
+                expected = next;
             }
             forecast.push(Forecast::new(expected.instant.clone()));
         }
         forecast
+    }
+
+    /// What is expected after a state; `None` where the log ends.
+    fn expect(&self, now: &World) -> Option<World> {
+        let plan = self.committed.plan.as_ref().map(Forecast::get);
+        // An ego of the log has no plans: its actors go by their policy all the same.
+        if plan.is_some() || self.options.ego == EgoPolicy::Replay {
+            return self.advance(now, plan);
+        }
+        let step = now.instant.step + 1;
+        let instant = self.recorded.instant(step, self.clock.at(step))?;
+        Some(World { instant, driven: now.driven.clone(), foot: now.foot })
     }
 
     /// What follows a state; `None` where the ego is to follow a log that is over.
@@ -227,6 +223,11 @@ impl<'a> Simulation<'a> {
     /// Steps a second and plans a second.
     pub fn rates(&self) -> Rates {
         self.clock.rates
+    }
+
+    /// Steps from one plan to the next, at least 1.
+    pub fn steps_per_plan(&self) -> usize {
+        self.clock.steps_per_plan
     }
 
     /// The last step whose ego and actors are the log's; the first plan is made there.

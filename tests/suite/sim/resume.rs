@@ -17,7 +17,7 @@ fn rest(sim: &mut Simulation<'_>) -> Vec<String> {
     let mut told = Vec::new();
     while let Some(outcome) = sim.step().unwrap() {
         let now: Instant = (*sim.committed().get()).clone();
-        told.push(format!("{now:?} {outcome:?}"));
+        told.push(format!("{now:?} {outcome:?} {:?}", sim.forecast(2)));
     }
     told.push(serde_json::to_string(&sim.metrics()).unwrap());
     told.push(serde_json::to_string(&sim.save()).unwrap());
@@ -44,7 +44,6 @@ proptest! {
             sim_hz: Some(12.0),
             plan_hz: Some(12.0 / ratio as f64),
             warmup_frames,
-            forecast_steps: 2,
             ego: policies()[policy].clone(),
             tracking,
             actors,
