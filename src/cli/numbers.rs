@@ -71,6 +71,12 @@ pub(super) fn rate_hz(text: &str) -> Result<f64, String> {
         .ok_or_else(|| "expected a rate of 0.1 to 100 a second".into())
 }
 
+/// 1 to 100: all maps of a forecast are in memory at a time.
+pub(super) fn forecast_steps(text: &str) -> Result<usize, String> {
+    let count = text.trim().parse().ok().filter(|count| (1..=100).contains(count));
+    count.ok_or_else(|| "expected 1 to 100 plan steps".into())
+}
+
 /// Points of a cloud: an integer, also like `4e6`; as many as one job may have.
 pub(super) fn points(text: &str) -> Result<usize, String> {
     const MOST: u32 = u32::MAX - 1;
@@ -124,6 +130,14 @@ mod tests {
         assert_eq!([rate_hz("6"), rate_hz("0.1"), rate_hz("100")], [Ok(6.0), Ok(0.1), Ok(100.0)]);
         for text in ["0", "0.09", "100.1", "-6", "NaN", "inf", "x", ""] {
             assert!(rate_hz(text).unwrap_err().contains("0.1 to 100"), "{text}");
+        }
+    }
+
+    #[test]
+    fn forecasts_have_a_limit() {
+        assert_eq!([forecast_steps("1"), forecast_steps("100")], [Ok(1), Ok(100)]);
+        for text in ["0", "101", "-1", "1e9", "99999999999999999999", "2.5", ""] {
+            assert!(forecast_steps(text).unwrap_err().contains("1 to 100 plan steps"), "{text}");
         }
     }
 

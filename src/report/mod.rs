@@ -13,5 +13,8 @@ pub mod sight;
 mod video;
 pub mod view;
 
+/// The file that tells that a folder is a rollout, of what and with what options.
+pub const ROLLOUT: &str = "rollout.json";
+
 pub use row::{ActorRow, EgoRow, LightRow, Observed, Phase, StateFile, StepRow};
 pub use video::{MAX_SIDE_PX, Video, VideoError};

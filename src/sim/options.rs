@@ -15,8 +15,6 @@ pub struct SimOptions {
     pub plan_hz: Option<f64>,
     /// Frames of a generator's window that follow the log, one a plan: the first `(N - 1) * sim_hz / plan_hz` steps do.
     pub warmup_frames: usize,
-    /// How many plan steps are forecast after each committed one.
-    pub forecast_steps: usize,
     /// When to start, absolute microseconds; `None`: at the log's first frame.
     pub start_us: Option<i64>,
     /// Who drives the ego after the warm-up.
@@ -35,7 +33,6 @@ impl Default for SimOptions {
             sim_hz: None,
             plan_hz: None,
             warmup_frames: 1,
-            forecast_steps: 9,
             start_us: None,
             ego: EgoPolicy::Replay,
             tracking: Tracking::Perfect,

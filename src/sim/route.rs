@@ -1,8 +1,4 @@
-use std::ops::Range;
-
 use glam::DVec2;
-use rstar::RTree;
-use rstar::primitives::{GeomWithData, Line};
 
 use super::clock::seconds;
 use super::pose_path::PosePath;
@@ -11,6 +7,9 @@ use crate::geometry::{Foot, Polyline, Pose};
 
 /// Poses nearer than this to the one before are left out: they would tell the noise of a vehicle that stands.
 const KNOT_STEP_M: f64 = 0.1;
+/// Where on the way a place is looked for, metres before and after where the ego was; what it has driven since comes on
+/// top.
+const WINDOW_M: f64 = 25.0;
 
 /// The way that the ego drove in the log, with the ground under it.
 pub(super) struct Route {
@@ -18,13 +17,16 @@ pub(super) struct Route {
     /// When the ego came to the points of the way, absolute microseconds.
     times_us: Vec<i64>,
     /// `None` where the ego stood all the time.
-    way: Option<Way>,
+    way: Option<PosePath>,
 }
 
-struct Way {
-    path: PosePath,
-    /// Pieces of the path by place.
-    pieces: RTree<GeomWithData<Line<[f64; 2]>, usize>>,
+/// The way around where the ego was. Places belong to this stretch: a way may cross itself or come back beside itself, so
+/// what is nearest of all of it may be met much later.
+#[derive(Clone, Copy)]
+pub(super) struct Stretch<'a> {
+    route: &'a Route,
+    station_m: f64,
+    place_m: DVec2,
 }
 
 impl Route {
@@ -39,23 +41,17 @@ impl Route {
             }
         }
         let first = kept.first().copied().unwrap_or(Pose::IDENTITY);
-        let way = PosePath::new(kept).map(|path| {
-            let piece = |(i, ends): (usize, &[DVec2])| {
-                GeomWithData::new(Line::new(ends[0].to_array(), ends[1].to_array()), i)
-            };
-            let pieces = RTree::bulk_load(path.line().points().windows(2).enumerate().map(piece).collect());
-            Way { path, pieces }
-        });
+        let way = PosePath::new(kept);
         Self { first, times_us, way }
     }
 
     /// The station (metres) where the ego was at a time, microseconds.
     pub(super) fn station_at(&self, t_us: i64) -> f64 {
         let Some(way) = &self.way else { return 0.0 };
-        let stations = way.path.line().stations_m();
+        let stations = way.line().stations_m();
         let next = self.times_us.partition_point(|at| *at <= t_us);
         let (Some(before), true) = (next.checked_sub(1), next < stations.len()) else {
-            return if next == 0 { 0.0 } else { way.path.line().length_m() };
+            return if next == 0 { 0.0 } else { way.line().length_m() };
         };
         let s = seconds(self.times_us[before], t_us) / seconds(self.times_us[before], self.times_us[next]);
         stations[before] + s * (stations[next] - stations[before])
@@ -63,37 +59,43 @@ impl Route {
 
     /// The way seen from above; `None` where the ego stood all the time.
     pub(super) fn line(&self) -> Option<&Polyline> {
-        self.way.as_ref().map(|way| way.path.line())
+        self.way.as_ref().map(PosePath::line)
+    }
+
+    /// The yaw that the ego had at a station (metres), radians.
+    pub(super) fn yaw_at(&self, station_m: f64) -> f64 {
+        self.ground(station_m).yaw_rad()
+    }
+
+    /// Around where the ego was: a station and a place, metres.
+    pub(super) fn around(&self, station_m: f64, place_m: DVec2) -> Stretch<'_> {
+        Stretch { route: self, station_m, place_m }
+    }
+
+    fn ground(&self, station_m: f64) -> Pose {
+        self.way.as_ref().map_or(self.first, |way| way.at(station_m))
+    }
+}
+
+impl Stretch<'_> {
+    /// The foot of a place (global, metres).
+    pub(super) fn foot(&self, place: DVec2) -> Foot {
+        if let Some(way) = &self.route.way {
+            let reach_m = WINDOW_M + self.place_m.distance(place);
+            return way.line().foot(place, self.station_m - reach_m..self.station_m + reach_m);
+        }
+        let first = &self.route.first;
+        let (forward, arm) = (DVec2::from_angle(first.yaw_rad()), place - first.translation.truncate());
+        Foot { station_m: forward.dot(arm), offset_m: forward.perp_dot(arm) }
     }
 
     /// A pose at a place (global, metres) with a yaw (radians), on the ground of the nearest place of the way and tilted
     /// as the ego was there.
     pub(super) fn pose_at(&self, place: DVec2, yaw_rad: f64) -> Pose {
-        let ground = self.ground(place);
+        let ground = self.route.ground(self.foot(place).station_m);
         let mut pose = ground.with_yaw(yaw_rad);
         pose.translation = place.extend(ground.translation.z);
         pose
-    }
-
-    /// The foot of a place (global, metres) on the way within some stations, and the yaw that the ego had there.
-    pub(super) fn foot(&self, place: DVec2, stations_m: Range<f64>) -> (Foot, f64) {
-        if let Some(way) = &self.way {
-            let foot = way.path.line().foot(place, stations_m);
-            return (foot, way.path.at(foot.station_m).yaw_rad());
-        }
-        let yaw_rad = self.first.yaw_rad();
-        let (forward, arm) = (DVec2::from_angle(yaw_rad), place - self.first.translation.truncate());
-        (Foot { station_m: forward.dot(arm), offset_m: forward.perp_dot(arm) }, yaw_rad)
-    }
-
-    fn ground(&self, place: DVec2) -> Pose {
-        let nearest = |way: &Way| {
-            let piece = way.pieces.nearest_neighbor(place.to_array())?.data;
-            let station_m = way.path.line().stations_m()[piece];
-            let foot = way.path.line().foot(place, station_m..station_m);
-            Some(way.path.at(foot.station_m))
-        };
-        self.way.as_ref().and_then(nearest).unwrap_or(self.first)
     }
 }
 
@@ -122,16 +124,36 @@ mod tests {
         let nose_up = DQuat::from_rotation_y(-0.1f64.atan());
         let pose = |x: f64| Pose { rotation: nose_up, translation: DVec3::new(x, 0.0, x / 10.0) };
         let route = route(&[pose(0.0), pose(10.0), pose(20.0)]);
-        let found = route.pose_at(DVec2::new(12.0, 3.0), 0.4);
+        let stretch = route.around(10.0, DVec2::new(10.0, 3.0));
+        let found = stretch.pose_at(DVec2::new(12.0, 3.0), 0.4);
         assert!((found.translation - DVec3::new(12.0, 3.0, 1.2)).length() < 1e-12, "{found:?}");
         assert!((found.yaw_rad() - 0.4).abs() < 1e-12);
         let forward = found.rotation * DVec3::X;
         assert!((forward.z - 0.1f64.atan().sin()).abs() < 1e-12, "the nose stays up: {forward}");
         assert_eq!([-1, 0, 1, 2, 9].map(|t| route.station_at(t)), [0.0, 0.0, 10.0, 20.0, 20.0]);
-        let (foot, yaw_rad) = route.foot(DVec2::new(12.0, 3.0), 0.0..20.0);
-        assert!(
-            (foot.station_m - 12.0).abs() < 1e-12 && (foot.offset_m - 3.0).abs() < 1e-12 && yaw_rad == 0.0
-        );
+        let foot = stretch.foot(DVec2::new(12.0, 3.0));
+        assert!((foot.station_m - 12.0).abs() < 1e-12 && (foot.offset_m - 3.0).abs() < 1e-12);
+        assert_eq!(route.yaw_at(12.0), 0.0);
+    }
+
+    /// East over a bridge, around to the left, and south below it.
+    #[test]
+    fn a_way_that_crosses_itself_is_followed_in_its_order() {
+        let corners =
+            [(0.0, 0.0, 8.0), (100.0, 0.0, 8.0), (100.0, 50.0, 4.0), (50.0, 50.0, 0.0), (50.0, -50.0, 0.0)];
+        let route = route(&corners.map(|(x, y, z)| Pose::from_yaw(0.0, DVec3::new(x, y, z))));
+        // On the bridge and below it: one place seen from above, a metre off the way below and two off that above.
+        let crossing = DVec2::new(51.0, 2.0);
+        for (station_m, before, expected_m, height_m) in
+            [(45.0, DVec2::new(45.0, 0.0), 51.0, 8.0), (245.0, DVec2::new(50.0, 5.0), 248.0, 0.0)]
+        {
+            let stretch = route.around(station_m, before);
+            assert!((stretch.foot(crossing).station_m - expected_m).abs() < 1e-9, "{station_m}");
+            assert!((stretch.pose_at(crossing, 0.0).translation.z - height_m).abs() < 1e-9, "{station_m}");
+        }
+        // A long step is looked for as far as it went.
+        let far = route.around(20.0, DVec2::new(20.0, 0.0)).foot(DVec2::new(100.0, 40.0));
+        assert!((far.station_m - 140.0).abs() < 1e-9 && far.offset_m.abs() < 1e-9);
     }
 
     #[test]
@@ -139,8 +161,9 @@ mod tests {
         let pose = Pose::from_yaw(std::f64::consts::FRAC_PI_2, DVec3::new(5.0, 6.0, 7.0));
         let route = route(&[pose; 3]);
         assert!(route.line().is_none());
-        assert_eq!(route.pose_at(DVec2::new(5.0, 9.0), 0.0).translation, DVec3::new(5.0, 9.0, 7.0));
-        let (foot, _) = route.foot(DVec2::new(4.0, 9.0), 0.0..0.0);
+        let stretch = route.around(0.0, DVec2::new(5.0, 6.0));
+        assert_eq!(stretch.pose_at(DVec2::new(5.0, 9.0), 0.0).translation, DVec3::new(5.0, 9.0, 7.0));
+        let foot = stretch.foot(DVec2::new(4.0, 9.0));
         assert!((foot.station_m - 3.0).abs() < 1e-12 && (foot.offset_m - 1.0).abs() < 1e-12);
     }
 }

@@ -11,9 +11,9 @@ use super::recorded::Recorded;
 use super::simulation::World;
 use super::{Committed, EgoState, Forecast, Instant, SimActor, SimError, SimOptions, Trajectory};
 use crate::dataset::Log;
-use crate::geometry::{Cuboid, Pose};
+use crate::geometry::{Cuboid, Foot, Pose};
 
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// How far a rotation's length may be from 1.
 const UNIT_TOLERANCE: f64 = 1e-6;
 
@@ -27,6 +27,8 @@ pub struct SavedState {
     options: Value,
     step: usize,
     ego: SavedEgo,
+    /// Station and offset of the ego on the recorded path.
+    foot_m: [f64; 2],
     actors: Vec<SavedActor>,
     movers: Vec<(usize, SavedMover)>,
     gone: BTreeSet<usize>,
@@ -65,7 +67,7 @@ struct SavedActor {
 
 impl SavedState {
     pub(super) fn new(options: &SimOptions, clock: &Clock, log: &Log, saved: &Saved) -> Self {
-        let World { instant, driven } = saved.world.get();
+        let World { instant, driven, foot } = saved.world.get();
         let ego = &instant.ego;
         let actor = |a: &SimActor| SavedActor {
             track: a.track,
@@ -85,6 +87,7 @@ impl SavedState {
                 yaw_rate_radps: ego.yaw_rate_radps,
                 steering_rad: ego.steering_rad,
             },
+            foot_m: [foot.station_m, foot.offset_m],
             actors: instant.actors.iter().map(actor).collect(),
             movers: driven.movers.iter().map(|(track, mover)| (*track, mover.save())).collect(),
             gone: driven.gone.clone(),
@@ -125,7 +128,12 @@ impl SavedState {
         if self.plan.as_ref().is_some_and(|plan| !plan.is_valid()) {
             return Err(damaged("waypoints"));
         }
-        let world = Committed::new(World { instant, driven });
+        let [station_m, offset_m] = self.foot_m;
+        if !(station_m.is_finite() && offset_m.is_finite()) {
+            return Err(damaged("places on the recorded path"));
+        }
+        let foot = Foot { station_m, offset_m };
+        let world = Committed::new(World { instant, driven, foot });
         Ok(Saved { world, plan: self.plan.clone().map(Forecast::new), tally: self.tally.clone() })
     }
 

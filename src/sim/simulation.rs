@@ -9,9 +9,10 @@ use super::recorded::Recorded;
 use super::saved::{Saved, SavedState};
 use super::tracking::follow;
 use super::{
-    ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Metrics, Rates, Scenario, SimError, SimOptions,
-    Trajectory,
+    ActorPolicy, Committed, EgoPolicy, EgoState, Forecast, Instant, Metrics, Rates, Scenario, SimError,
+    SimOptions, Trajectory,
 };
+use crate::geometry::Foot;
 
 /// A rollout: a log whose ego and actors move by policies, step by step.
 ///
@@ -32,6 +33,8 @@ pub struct Simulation<'a> {
 pub(super) struct World {
     pub(super) instant: Instant,
     pub(super) driven: Driven,
+    /// Of the ego on the recorded path.
+    pub(super) foot: Foot,
 }
 
 /// What a step brought.
@@ -39,8 +42,6 @@ pub(super) struct World {
 pub struct StepOutcome {
     /// The plan, if one was made for this step.
     pub plan: Option<Forecast<Trajectory>>,
-    /// What is expected at the next plan steps, if the step is one itself; fewer than asked for where the log ends.
-    pub forecast: Vec<Forecast<Instant>>,
 }
 
 /// Why a rollout is over.
@@ -94,11 +95,12 @@ impl<'a> Simulation<'a> {
         let start = match saved {
             Some(saved) => saved.open(&options, &clock, &recorded)?,
             None => {
+                let foot = logged_foot(&recorded, &first.ego, start_us);
+                let world = World { instant: first, driven: Driven::default(), foot };
                 let mut tally = Tally::default();
                 if clock.takeover == 0 {
-                    tally.add(&recorded, road.as_ref(), &first);
+                    tally.add(&recorded, road.as_ref(), &world);
                 }
-                let world = World { instant: first, driven: Driven::default() };
                 Saved { world: Committed::new(world), plan: None, tally }
             }
         };
@@ -122,7 +124,7 @@ impl<'a> Simulation<'a> {
         let now = self.committed.world.get();
         let mut made = None;
         if self.clock.plans_at(now.instant.step) {
-            made = self.driver.plan(&self.recorded, &self.clock, &now.instant)?.map(Forecast::new);
+            made = self.driver.plan(&self.recorded, &self.clock, now)?.map(Forecast::new);
         }
         let plan = made.as_ref().or(self.committed.plan.as_ref()).map(Forecast::get);
         let Some(next) = self.advance(now, plan) else {
@@ -130,42 +132,40 @@ impl<'a> Simulation<'a> {
             return Ok(None);
         };
         if next.instant.step >= self.clock.takeover {
-            self.committed.tally.add(&self.recorded, self.road.as_ref(), &next.instant);
+            self.committed.tally.add(&self.recorded, self.road.as_ref(), &next);
         }
         self.committed.world = Committed::new(next);
         if made.is_some() {
             self.committed.plan.clone_from(&made);
         }
-        let is_plan_step = self.committed.world.get().instant.step.is_multiple_of(self.clock.steps_per_plan);
-        let forecast = if is_plan_step { self.forecast() } else { Vec::new() };
-        Ok(Some(StepOutcome { plan: made, forecast }))
+        Ok(Some(StepOutcome { plan: made }))
     }
 
-    /// What is expected one plan step after what was committed, two, and so on: the ego follows the rest of its plan and
-    /// the actors their policy. Until the first plan it is what the log has. Fewer than asked for where the log ends.
-    pub fn forecast(&self) -> Vec<Forecast<Instant>> {
-        let now = self.committed.world.get();
-        let plan = self.committed.plan.as_ref().map(Forecast::get);
-        // An ego of the log has no plans: its actors go by their policy all the same.
-        let is_unplanned = plan.is_none() && self.options.ego != EgoPolicy::Replay;
-        let mut expected = now.clone();
+    /// What is expected one plan step after what was committed, two, and so on up to a number of them: the ego follows the
+    /// rest of its plan and the actors their policy. Until the first plan it is what the log has. Fewer where the log ends.
+    pub fn forecast(&self, plan_steps: usize) -> Vec<Forecast<Instant>> {
+        let mut expected = self.committed.world.get().clone();
         let mut forecast = Vec::new();
-        for _ in 0..self.options.forecast_steps {
+        for _ in 0..plan_steps {
             for _ in 0..self.clock.steps_per_plan {
-                let step = expected.instant.step + 1;
-                let next = match is_unplanned {
-                    true => self.recorded.instant(step, self.clock.at(step)),
-                    false => self.advance(&expected, plan).map(|next| {
-                        expected.driven = next.driven;
-                        next.instant
-                    }),
-                };
-                let Some(next) = next else { return forecast };
-                expected.instant = next;
+                let Some(next) = self.expect(&expected) else { return forecast };
+                expected = next;
             }
             forecast.push(Forecast::new(expected.instant.clone()));
         }
         forecast
+    }
+
+    /// What is expected after a state; `None` where the log ends.
+    fn expect(&self, now: &World) -> Option<World> {
+        let plan = self.committed.plan.as_ref().map(Forecast::get);
+        // An ego of the log has no plans: its actors go by their policy all the same.
+        if plan.is_some() || self.options.ego == EgoPolicy::Replay {
+            return self.advance(now, plan);
+        }
+        let step = now.instant.step + 1;
+        let instant = self.recorded.instant(step, self.clock.at(step))?;
+        Some(World { instant, driven: now.driven.clone(), foot: now.foot })
     }
 
     /// What follows a state; `None` where the ego is to follow a log that is over.
@@ -173,17 +173,23 @@ impl<'a> Simulation<'a> {
         let step = now.instant.step + 1;
         let t_us = self.clock.at(step);
         let by_log = step <= self.clock.takeover;
-        let ego = match plan {
+        let (ego, foot) = match plan {
             Some(plan) if !by_log => {
-                follow(self.options.tracking, &self.recorded.route, &now.instant, plan, t_us)
+                let place_m = now.instant.ego.position_m();
+                let stretch = self.recorded.route.around(now.foot.station_m, place_m);
+                let ego = follow(self.options.tracking, stretch, &now.instant, plan, t_us);
+                (ego, stretch.foot(ego.position_m()))
             }
-            _ => self.recorded.ego_at(t_us)?,
+            _ => {
+                let ego = self.recorded.ego_at(t_us)?;
+                (ego, logged_foot(&self.recorded, &ego, t_us))
+            }
         };
         let policy = if by_log { ActorPolicy::Replay } else { self.options.actors };
         let mut driven = now.driven.clone();
         let actors = actors::advance(policy, &self.recorded, &mut driven, &now.instant, (t_us, &ego));
         let lights = self.recorded.lights_at(t_us);
-        Some(World { instant: Instant { step, t_us, ego, actors, lights }, driven })
+        Some(World { instant: Instant { step, t_us, ego, actors, lights }, driven, foot })
     }
 
     /// Whether no further step can be taken.
@@ -219,6 +225,11 @@ impl<'a> Simulation<'a> {
         self.clock.rates
     }
 
+    /// Steps from one plan to the next, at least 1.
+    pub fn steps_per_plan(&self) -> usize {
+        self.clock.steps_per_plan
+    }
+
     /// The last step whose ego and actors are the log's; the first plan is made there.
     pub fn takeover_step(&self) -> usize {
         self.clock.takeover
@@ -228,4 +239,10 @@ impl<'a> Simulation<'a> {
     pub fn show(&mut self, files: Vec<PathBuf>) {
         self.driver.show(files);
     }
+}
+
+/// Where the log's ego is on its own path at a time, microseconds.
+fn logged_foot(recorded: &Recorded<'_>, ego: &EgoState, t_us: i64) -> Foot {
+    let (route, place_m) = (&recorded.route, ego.position_m());
+    route.around(route.station_at(t_us), place_m).foot(place_m)
 }

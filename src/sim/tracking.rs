@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::clock::seconds;
-use super::route::Route;
+use super::route::Stretch;
 use super::trajectory::{Trajectory, Waypoint};
 use super::{EgoState, Instant, Tracking, WHEELBASE_M};
 use crate::geometry::wrap_angle;
@@ -27,10 +27,16 @@ const MAX_LATERAL_MPS2: f64 = 8.0;
 /// Under this speed nothing tells how the wheels stand, metres per second.
 const CREEP_MPS: f64 = 0.1;
 
-/// The ego at the next step, on the ground of the recorded path.
-pub(super) fn follow(how: Tracking, route: &Route, now: &Instant, plan: &Trajectory, t_us: i64) -> EgoState {
+/// The ego at the next step, on the ground of the recorded path around where it is now.
+pub(super) fn follow(
+    how: Tracking,
+    stretch: Stretch<'_>,
+    now: &Instant,
+    plan: &Trajectory,
+    t_us: i64,
+) -> EgoState {
     match how {
-        Tracking::Perfect => perfect(route, now, &plan.at(t_us)),
+        Tracking::Perfect => perfect(stretch, now, &plan.at(t_us)),
         Tracking::Bicycle => {
             let mut bicycle = Bicycle::of(&now.ego);
             let pieces = (seconds(now.t_us, t_us) / CONTROL_S).ceil().max(1.0) as i64;
@@ -38,19 +44,19 @@ pub(super) fn follow(how: Tracking, route: &Route, now: &Instant, plan: &Traject
             for i in 0..pieces {
                 bicycle.step(plan, at_us(i), seconds(at_us(i), at_us(i + 1)));
             }
-            bicycle.state(route)
+            bicycle.state(stretch)
         }
     }
 }
 
 /// The ego at a waypoint; what a waypoint does not tell follows from the step before.
-fn perfect(route: &Route, now: &Instant, to: &Waypoint) -> EgoState {
+fn perfect(stretch: Stretch<'_>, now: &Instant, to: &Waypoint) -> EgoState {
     let dt_s = seconds(now.t_us, to.t_us);
     let yaw_rate_radps = wrap_angle(to.heading_rad - now.ego.heading_rad()) / dt_s;
     let rolls = to.speed_mps.abs() > CREEP_MPS;
     let steering_rad = (WHEELBASE_M * yaw_rate_radps / to.speed_mps).atan();
     EgoState {
-        pose: route.pose_at(to.position_m(), to.heading_rad),
+        pose: stretch.pose_at(to.position_m(), to.heading_rad),
         speed_mps: to.speed_mps,
         acceleration_mps2: (to.speed_mps - now.ego.speed_mps) / dt_s,
         yaw_rate_radps,
@@ -83,9 +89,9 @@ impl Bicycle {
         self.speed_mps * self.steering_rad.tan() / WHEELBASE_M
     }
 
-    fn state(&self, route: &Route) -> EgoState {
+    fn state(&self, stretch: Stretch<'_>) -> EgoState {
         EgoState {
-            pose: route.pose_at(self.place_m, self.heading_rad),
+            pose: stretch.pose_at(self.place_m, self.heading_rad),
             speed_mps: self.speed_mps,
             acceleration_mps2: self.acceleration_mps2,
             yaw_rate_radps: self.yaw_rate_radps(),
@@ -139,6 +145,7 @@ mod tests {
     use super::*;
     use crate::dataset::{EgoTrack, Log};
     use crate::geometry::Pose;
+    use crate::sim::route::Route;
 
     fn ego(place: DVec2, heading_rad: f64, speed_mps: f64) -> EgoState {
         let pose = Pose::from_yaw(heading_rad, place.extend(0.0));
@@ -158,7 +165,8 @@ mod tests {
         let mut driven = vec![instant(0, start)];
         for step in 1..=seconds * 10 {
             let now = &driven[step - 1];
-            let next = follow(how, &route, now, plan, step as i64 * 100_000);
+            let stretch = route.around(0.0, now.ego.position_m());
+            let next = follow(how, stretch, now, plan, step as i64 * 100_000);
             driven.push(instant(step, next));
         }
         driven

@@ -31,6 +31,7 @@ mod real_log;
 mod sheet;
 mod sim;
 mod simulate;
+mod simulate_folder;
 mod skeleton_store;
 mod splat_cli;
 mod templates;

@@ -10,15 +10,15 @@ use serde_json::{Value, json};
 use crate::tiny_log::{CAMERAS, FIRST_US, PSKEL, START, TinyLog, assert_failed, tree};
 
 /// Without an option for the number of steps. The log has 1 s at 2 Hz: 12 steps, of which the warm-up takes 6.
-const SIMULATE: &str = "simulate nuscenes:log --skeleton sk --out out --warmup 2 --rasterizer cpu";
+pub(crate) const SIMULATE: &str = "simulate nuscenes:log --skeleton sk --out out --warmup 2 --rasterizer cpu";
 
-fn built() -> TinyLog {
+pub(crate) fn built() -> TinyLog {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out sk");
     log
 }
 
-fn rows(log: &TinyLog, folder: &str) -> Vec<Value> {
+pub(crate) fn rows(log: &TinyLog, folder: &str) -> Vec<Value> {
     let text = std::fs::read_to_string(log.path(&format!("{folder}/states.jsonl"))).unwrap();
     assert!(text.ends_with('\n') || text.is_empty(), "whole lines");
     text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
@@ -32,7 +32,7 @@ fn page(log: &TinyLog, folder: &str) -> Value {
 }
 
 /// All pictures that a page shows are files of its folder, and all links lead to one.
-fn assert_page_is_whole(log: &TinyLog, folder: &str, steps: usize) {
+pub(crate) fn assert_page_is_whole(log: &TinyLog, folder: &str, steps: usize) {
     let page = page(log, folder);
     let names: Vec<&str> =
         page["steps"].as_array().unwrap().iter().map(|s| s["name"].as_str().unwrap()).collect();
@@ -185,7 +185,7 @@ fn a_rollout_that_is_resumed_is_the_one_that_ran_through() {
     // Other options are refused, and nothing is touched.
     for (rest, code, parts) in [
         ("--steps 9 --resume --radius 50 --far 100", 1, ["radius_m 100", "rollout.json"]),
-        ("--steps 9 --resume --forecast 3", 1, ["saved state", "found"]),
+        ("--steps 9 --resume --seed 3", 1, ["saved state", "found"]),
         ("--steps 12 --resume-from 10", 1, ["a step from 0 to 9", "states.jsonl"]),
     ] {
         assert_failed(&log.run(&simulate("parts", rest)), code, &parts);
@@ -212,7 +212,11 @@ fn a_rollout_ends_with_the_log() {
     );
     let came = tree(&log.path("out/steps/000012"));
     assert!(expected.iter().all(|(name, bytes)| came[name] == *bytes));
-    assert_eq!(std::fs::read_dir(log.path("out/steps/000006/forecast")).unwrap().count(), 1);
+    // The first step has one, too; it is the log's.
+    for (step, next) in [("000006", "000012"), ("000000", "000006")] {
+        let forecast = tree(&log.path(&format!("out/steps/{step}/forecast")));
+        assert!(forecast.len() == 3 && forecast.keys().all(|name| name.starts_with(next)), "{forecast:?}");
+    }
     assert!(!log.path("out/steps/000005/forecast").exists(), "no plan step");
 }
 
@@ -247,7 +251,7 @@ fn a_planner_that_dies_leaves_the_steps_until_then() {
 }
 
 /// A planner that answers hellos, then runs some lines of shell with `answer`, which drives on at 2 m/s.
-fn planner(log: &TinyLog, lines: &str) {
+pub(crate) fn planner(log: &TinyLog, lines: &str) {
     let script = format!(
         r#"#!/bin/sh
 read -r hello
@@ -440,7 +444,10 @@ fn wrong_usage_exits_with_2_and_wrong_files_with_1() {
         ("--steps 5 --start 7", 2, ["1000000000 to 1001000000", "found 7"]),
         ("--steps 5 --maps tensor", 2, ["npz or safetensors", ""]),
         ("--steps 5 --maps map", 1, ["an HD map", "none"]),
-        ("--steps 5 --resume", 1, ["cannot read", "states.jsonl"]),
+        ("--steps 5 --resume", 1, ["a rollout to go on with, found no rollout.json: out", ""]),
+        ("--steps 5 --planner x", 2, ["--ego external with --planner", "found replay"]),
+        ("--steps 5 --forecast 3", 2, ["--forecast-maps", ""]),
+        ("--steps 5 --forecast-maps --forecast 101", 2, ["1 to 100 plan steps", "101"]),
         ("--steps 5 --dry --resume", 2, ["cannot be used with", ""]),
     ] {
         log.fail(&format!("{SIMULATE} {extra}"), code, &parts);

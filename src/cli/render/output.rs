@@ -6,6 +6,7 @@ use crate::conditions::birdseye::{self, BirdseyeOptions};
 use crate::conditions::meta::{FrameMeta, Index, PromptParts};
 use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
 use crate::error::{FileError, write_whole_folder};
+use crate::report::ROLLOUT;
 use crate::scene::SceneState;
 
 /// A step with its maps.
@@ -33,8 +34,12 @@ const INDEX: &str = "index.json";
 const META: &str = "meta.json";
 
 impl Output<'_> {
-    /// An index of an earlier run goes first: while there is one, the folder is complete.
+    /// An index of an earlier run goes first: while there is one, the folder is complete. That of a rollout stays.
     pub(super) fn begin(&self) -> Result<(), FileError> {
+        if self.folder.join(ROLLOUT).exists() {
+            let expected = "a folder for maps of render";
+            return Err(FileError::content(expected, format!("a rollout with {ROLLOUT}"), self.folder));
+        }
         let index = self.folder.join(INDEX);
         match std::fs::remove_file(&index) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {

@@ -12,6 +12,9 @@ use crate::cli::stand_ins::StandInArgs;
 use crate::dataset::LogLocator;
 use crate::sim::{ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, SimOptions, Tracking};
 
+/// As many as a generator sees at once beside the frame that is there.
+const FORECAST_STEPS: usize = 9;
+
 /// Simulate a drive in a closed loop: ego and others move by policies, and every step is rendered
 ///
 /// Writes steps/STEP with the maps (as render writes a frame), birdseye.png, view/MAP.jpg (what the page shows) and
@@ -30,20 +33,26 @@ pub(in crate::cli) struct SimulateArgs {
     /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
     #[arg(long, value_name = "DIR")]
     pub(super) out: PathBuf,
-    /// How many steps to take; step 0 is the log's
+    /// How many steps to take; step 0 is the log's. An ego that replays ends with the log; others drive on beyond its end,
+    /// where nobody is left but actors that a policy has taken over, and the skeleton may have no points
     #[arg(long, value_name = "N")]
     pub(super) steps: usize,
     #[command(flatten)]
     policies: PolicyArgs,
     #[command(flatten)]
     pub(super) maps: MapArgs,
-    /// Also render what is expected at the next plan steps, as steps/STEP/forecast/STEP
+    /// Also render at each plan step what is expected at the next ones, as steps/STEP/forecast/STEP
     #[arg(long)]
-    pub(super) forecast_maps: bool,
+    forecast_maps: bool,
+    /// With --forecast-maps: how many plan steps are forecast, 1 to 100
+    #[arg(long, value_name = "K", default_value_t = FORECAST_STEPS, value_parser = numbers::forecast_steps)]
+    #[arg(requires = "forecast_maps", allow_negative_numbers = true)]
+    forecast: usize,
     /// Also write steps/STEP/sheet.png with all maps at a glance
     #[arg(long)]
     pub(super) sheets: bool,
-    /// Go on with the rollout in --out behind its last step; options must be the same but for --steps
+    /// Go on with the rollout in --out behind its last step, with the same log, skeleton and options; --steps,
+    /// --planner-timeout, --profile and the rasterizer may change
     #[arg(long)]
     pub(super) resume: bool,
     /// Go on behind this step; later ones are made anew
@@ -95,9 +104,6 @@ struct PolicyArgs {
     /// Frames of a generator's window, one a plan: the first (N - 1) * SIM_HZ / PLAN_HZ steps follow the log
     #[arg(long, value_name = "N", default_value_t = SimOptions::default().warmup_frames)]
     warmup: usize,
-    /// How many plan steps are forecast
-    #[arg(long, value_name = "K", default_value_t = SimOptions::default().forecast_steps)]
-    forecast: usize,
     /// Start at this time, absolute microseconds [default: the log's first frame]
     #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
     start: Option<i64>,
@@ -161,6 +167,11 @@ impl SimulateArgs {
         self.maps.check()
     }
 
+    /// How many plan steps are forecast and rendered at each of them.
+    pub(super) fn forecast_steps(&self) -> usize {
+        if self.forecast_maps { self.forecast } else { 0 }
+    }
+
     /// Name of the ego's policy.
     pub(super) fn ego_name(&self) -> &'static str {
         self.policies.ego.name()
@@ -196,7 +207,6 @@ impl SimulateArgs {
             sim_hz: p.sim_hz,
             plan_hz: p.plan_hz,
             warmup_frames: p.warmup,
-            forecast_steps: p.forecast,
             start_us: p.start,
             ego,
             tracking: match p.tracking {

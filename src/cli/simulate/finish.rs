@@ -23,6 +23,8 @@ pub(super) struct Outcome {
     /// `None` if it failed.
     pub(super) ended: Option<EndReason>,
     pub(super) failure: Option<String>,
+    /// How many steps lie beyond the end of the log.
+    pub(super) steps_beyond_log: usize,
     /// Of the log.
     pub(super) notes: std::collections::BTreeMap<String, usize>,
     /// For the page.
@@ -40,13 +42,15 @@ struct Told<'a> {
     failure: Option<&'a str>,
     #[serde(flatten)]
     metrics: &'a Metrics,
+    steps_beyond_log: usize,
     notes: &'a std::collections::BTreeMap<String, usize>,
 }
 
 /// Writes what is made of all steps: metrics, video, page, and the index last.
 pub(super) fn finish(output: &Output<'_>, rows: &[StepRow], outcome: &Outcome) -> anyhow::Result<()> {
-    let Outcome { metrics, ended, notes, .. } = outcome;
-    let told = Told { ended: *ended, failure: outcome.failure.as_deref(), metrics, notes };
+    let Outcome { metrics, ended, notes, steps_beyond_log, .. } = outcome;
+    let (failure, steps_beyond_log) = (outcome.failure.as_deref(), *steps_beyond_log);
+    let told = Told { ended: *ended, failure, metrics, steps_beyond_log, notes };
     write_json(&output.folder.join(METRICS), &told)?;
     video(output, rows, outcome)?;
     page(output, rows, outcome).write(&output.folder.join(PAGE))?;

@@ -1,11 +1,14 @@
 //! `pskel simulate`: [`args`] are the options, [`rollout`] is the loop, [`output`] writes its steps on a thread of its
-//! own, [`finish`] what is made of all of them, [`profile`] tells where the time went.
+//! own, [`finish`] what is made of all of them, [`profile`] tells where the time went, [`sources`] what it is made of,
+//! [`summary`] is the last line.
 
 mod args;
 mod finish;
 mod output;
 mod profile;
 mod rollout;
+mod sources;
+mod summary;
 
 pub(super) use args::SimulateArgs;
 
@@ -15,16 +18,17 @@ use std::time::Instant;
 use anyhow::Context;
 
 use self::finish::{Outcome, finish};
-use self::output::{Earlier, Output, RolloutOptions, read_earlier};
-use self::profile::Profile;
+use self::output::{Earlier, Output, Resumed, RolloutOptions};
 use self::rollout::{Rollout, Run};
+use self::sources::{Places, Sources};
+use self::summary::summary;
 use super::render::{open_skeleton, read_prompt};
 use super::stand_ins::StandInReport;
 use super::{WrongUsage, say};
 use crate::conditions::meta::PromptParts;
 use crate::conditions::{ConditionOptions, ImageSize, MapSet};
 use crate::dataset::Log;
-use crate::raster::RasterizerInfo;
+use crate::error::FileError;
 use crate::report::StepRow;
 use crate::scene::{SceneMap, Stage};
 use crate::sim::{EndReason, Scenario, SimError, Simulation};
@@ -45,10 +49,8 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
         format!("expected an HD map of {:?} for --maps map, found none in log {}", log.location, log.name)
     })?;
     let sim_options = args.sim_options()?;
-    let earlier = match args.resume || args.resume_from.is_some() {
-        true => Some(read_earlier(&args.out, args.resume_from)?),
-        false => None,
-    };
+    let sources = Sources::new(log, &skeleton, &prompt)?;
+    let earlier = earlier(&args, &sources)?;
     let scenario = Scenario::new(log, map.clone(), args.log.format);
     let (saved, rows) = earlier.map_or((None, Vec::new()), |Earlier { rows, saved }| (Some(saved), rows));
     let simulation = match &saved {
@@ -59,31 +61,42 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
     let (stand_ins, told) = args.stand_ins.make(&skeleton, &log.name)?;
     let stage = Stage::with(&skeleton, &log.name, &stand_ins);
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
-    let options = options(&args, log, maps, told, &simulation, sim_options);
+    let options = options(&args, log, (maps, told, sources), &simulation, sim_options);
     let output = Output { folder: &args.out, options: &options, prompt: &prompt };
     let states = (!args.dry).then(|| output.begin(&rows)).transpose()?;
     let shown_to_planner = args.ego_name() == "external" && !args.dry;
     let rollout = Rollout { log, map, stage, options: &options, output: &output, shown_to_planner };
     let mut run = rollout.run(simulation, rasterizer.as_mut(), rows, states)?;
     let stages = rasterizer.take_stages();
-    let outcome = outcome(&args, &options, &mut run);
+    let outcome = outcome(&args, &options, log, &mut run);
     let clock = Instant::now();
-    if !args.dry {
-        finish(&output, &run.rows, &outcome)?;
-    }
+    let finished = if args.dry { Ok(()) } else { finish(&output, &run.rows, &outcome) };
     run.profile.report_s = clock.elapsed().as_secs_f64();
     run.profile.close(rasterizer.info(), &stages);
-    if let Some(path) = &args.profile {
-        run.profile.write(path)?;
-    }
-    match run.failure {
-        Some(failure) => Err(failure.context(told_failure(&args, &run.rows))),
-        None => {
-            let text = summary(&args, &outcome, &run.rows, &run.profile, &rasterizer.info());
-            say(&format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
-            Ok(())
+    let profiled = args.profile.as_deref().map_or(Ok(()), |path| run.profile.write(path));
+    let reported = finished.and_then(|()| Ok(profiled?));
+    if let Some(failure) = run.failure {
+        // What came first counts.
+        if let Err(error) = reported {
+            eprintln!("warning: after the rollout had failed: {}", super::with_causes(&error));
         }
+        return Err(failure.context(told_failure(&args, &run.rows)));
     }
+    reported?;
+    let text = summary(&args, &outcome, &run.rows, &run.profile, &rasterizer.info());
+    say(&format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
+    Ok(())
+}
+
+/// The rollout to go on with, if one is asked for.
+fn earlier(args: &SimulateArgs, sources: &Sources) -> Result<Option<Earlier>, FileError> {
+    if !args.resume && args.resume_from.is_none() {
+        return Ok(None);
+    }
+    let places =
+        Places { log: &args.log.path, skeleton: &args.skeleton, annotations: args.annotations.as_deref() };
+    let (folder, until) = (&args.out, args.resume_from);
+    Resumed { folder, until, steps: args.steps, sources, places }.read().map(Some)
 }
 
 /// Options that are wrong have an exit code of their own.
@@ -94,8 +107,7 @@ fn usage(error: SimError) -> anyhow::Error {
 fn options(
     args: &SimulateArgs,
     log: &Log,
-    maps: MapSet,
-    stand_ins: StandInReport,
+    (maps, stand_ins, sources): (MapSet, StandInReport, Sources),
     simulation: &Simulation<'_>,
     sim_options: crate::sim::SimOptions,
 ) -> RolloutOptions {
@@ -109,9 +121,10 @@ fn options(
         selection: args.maps.selection(),
         stand_ins,
         format: args.maps.format,
-        forecast_maps: args.forecast_maps,
+        forecast_steps: args.forecast_steps(),
         sheets: args.sheets,
         log: log.name.clone(),
+        sources,
         simulation: sim_options,
         sim_hz: rates.sim_hz,
         plan_hz: rates.plan_hz,
@@ -119,22 +132,26 @@ fn options(
     }
 }
 
-fn outcome(args: &SimulateArgs, options: &RolloutOptions, run: &mut Run) -> Outcome {
+fn outcome(args: &SimulateArgs, options: &RolloutOptions, log: &Log, run: &mut Run) -> Outcome {
     let ended = match (&run.failure, run.ended) {
         (Some(_), _) => format!(" of {}, then it failed", args.steps),
         (None, Some(EndReason::LogEnded)) => format!(" of {}, then the log ended", args.steps),
         (None, _) => String::new(),
     };
-    let facts = vec![
+    let beyond = |row: &&StepRow| log.frames.last().is_some_and(|last| row.t_us > last.t_us);
+    let steps_beyond_log = run.rows.iter().filter(beyond).count();
+    let mut facts = vec![
         format!("ego {}", args.ego_name()),
         format!("actors {}", args.actors_name()),
         format!("{} steps and {} plans a second", options.sim_hz, options.plan_hz),
         format!("{} steps{ended}", run.rows.len().saturating_sub(1)),
     ];
+    facts.extend(summary::beyond_log(steps_beyond_log));
     Outcome {
         metrics: run.metrics.clone(),
         ended: run.ended.filter(|_| run.failure.is_none()),
         failure: run.failure.as_ref().map(super::with_causes),
+        steps_beyond_log,
         notes: std::mem::take(&mut run.notes),
         facts,
         layout: std::mem::take(&mut run.layout),
@@ -148,30 +165,4 @@ fn told_failure(args: &SimulateArgs, rows: &[StepRow]) -> String {
         return format!("stopped after {steps} steps");
     }
     format!("stopped after {steps} steps, which are in {}", args.out.display())
-}
-
-fn summary(
-    args: &SimulateArgs,
-    outcome: &Outcome,
-    rows: &[StepRow],
-    profile: &Profile,
-    info: &RasterizerInfo,
-) -> String {
-    let steps = rows.len().saturating_sub(1);
-    let ended = match outcome.ended {
-        Some(EndReason::LogEnded) => format!(" of {} (the log ended)", args.steps),
-        _ => String::new(),
-    };
-    let notes: Vec<String> =
-        outcome.notes.iter().map(|(note, count)| format!("; {count} x {note}")).collect();
-    format!(
-        "simulated {steps} steps{ended}, ego {}, actors {}, by {} on {}: {}; {} collisions{}",
-        args.ego_name(),
-        args.actors_name(),
-        info.rasterizer,
-        info.device,
-        profile.summary(),
-        outcome.metrics.collisions.len(),
-        notes.concat(),
-    )
 }

@@ -6,18 +6,17 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::profile::{WriteTimes, lap};
+use super::sources::{Places, Sources};
 use crate::cli::map_args::MapFormat;
 use crate::cli::stand_ins::StandInReport;
 use crate::conditions::birdseye::{self, BirdseyeOptions, Trace};
 use crate::conditions::meta::{FrameMeta, PromptParts};
 use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
 use crate::error::{FileError, check_replaceable, write_json, write_whole_folder};
-use crate::report::{StateFile, StepRow, film, view};
+use crate::report::{ROLLOUT, StateFile, StepRow, film, view};
 use crate::scene::{SceneState, SelectionOptions};
 use crate::sim::{SavedState, SimOptions};
 
-/// The file that tells that a folder is a rollout, and with what options.
-pub(super) const ROLLOUT: &str = "rollout.json";
 pub(super) const STATES: &str = "states.jsonl";
 pub(super) const STEPS: &str = "steps";
 pub(super) const INDEX: &str = "index.json";
@@ -38,9 +37,11 @@ pub(super) struct RolloutOptions {
     #[serde(flatten)]
     pub(super) stand_ins: StandInReport,
     pub(super) format: MapFormat,
-    pub(super) forecast_maps: bool,
+    /// How many plan steps are forecast and rendered at each of them.
+    pub(super) forecast_steps: usize,
     pub(super) sheets: bool,
     pub(super) log: String,
+    pub(super) sources: Sources,
     pub(super) simulation: SimOptions,
     /// Steps a second.
     pub(super) sim_hz: f64,
@@ -78,23 +79,52 @@ pub(super) fn step_folder(folder: &Path, name: &str) -> PathBuf {
     folder.join(STEPS).join(name)
 }
 
-/// Reads a rollout until a step, or until its last one.
-pub(super) fn read_earlier(folder: &Path, until: Option<usize>) -> Result<Earlier, FileError> {
-    let path = folder.join(STATES);
-    let mut rows = StateFile::read(&path)?;
-    let last = rows.len().checked_sub(1);
-    let last = last.ok_or_else(|| FileError::content("states of a rollout to go on with", "none", &path))?;
-    let step = until.unwrap_or(last);
-    if step > last {
-        let (expected, found) = (format!("a step from 0 to {last} to go on behind"), step.to_string());
-        return Err(FileError::content(expected, found, &path));
+/// A rollout to go on with.
+pub(super) struct Resumed<'a> {
+    pub(super) folder: &'a Path,
+    /// Behind this step; `None`: behind the last one.
+    pub(super) until: Option<usize>,
+    /// How many steps it is to have in the end.
+    pub(super) steps: usize,
+    pub(super) sources: &'a Sources,
+    pub(super) places: Places<'a>,
+}
+
+impl Resumed<'_> {
+    /// Reads its rows and its saved state.
+    pub(super) fn read(&self) -> Result<Earlier, FileError> {
+        let marker = self.folder.join(ROLLOUT);
+        if !marker.is_file() {
+            return Err(FileError::content("a rollout to go on with", format!("no {ROLLOUT}"), self.folder));
+        }
+        let before = read_marker(&marker)?;
+        self.sources.check(&before["sources"], &marker, &self.places)?;
+        let path = self.folder.join(STATES);
+        let mut rows = StateFile::read(&path)?;
+        let last = rows.len().checked_sub(1);
+        let last =
+            last.ok_or_else(|| FileError::content("states of a rollout to go on with", "none", &path))?;
+        let step = self.until.unwrap_or(last);
+        if step > last {
+            let (expected, found) = (format!("a step from 0 to {last} to go on behind"), step.to_string());
+            return Err(FileError::content(expected, found, &path));
+        }
+        if step > self.steps {
+            let expected = format!("--steps of {step} or more to go on behind step {step}");
+            return Err(FileError::content(expected, self.steps.to_string(), &path));
+        }
+        rows.truncate(step + 1);
+        let path = step_folder(self.folder, &rows[step].name()).join(STATE);
+        let text = read(&path).map_err(FileError::io("read", &path))?;
+        let saved = serde_json::from_slice(&text)
+            .map_err(|error| FileError::content("a saved state", error.to_string(), &path))?;
+        Ok(Earlier { rows, saved })
     }
-    rows.truncate(step + 1);
-    let path = step_folder(folder, &rows[step].name()).join(STATE);
-    let text = read(&path).map_err(FileError::io("read", &path))?;
-    let saved = serde_json::from_slice(&text)
-        .map_err(|error| FileError::content("a saved state", error.to_string(), &path))?;
-    Ok(Earlier { rows, saved })
+}
+
+fn read_marker(marker: &Path) -> Result<Value, FileError> {
+    let text = read(marker).map_err(FileError::io("read", marker))?;
+    serde_json::from_slice(&text).map_err(|error| FileError::content("a rollout", error.to_string(), marker))
 }
 
 impl Output<'_> {
@@ -130,9 +160,8 @@ impl Output<'_> {
 
     /// A rollout can only be gone on with as it was begun, but for the number of steps.
     fn check_same(&self, marker: &Path) -> Result<(), FileError> {
-        let text = read(marker).map_err(FileError::io("read", marker))?;
+        let before = read_marker(marker)?;
         let parsed = |error: serde_json::Error| FileError::content("a rollout", error.to_string(), marker);
-        let before: Value = serde_json::from_slice(&text).map_err(parsed)?;
         let text = serde_json::to_vec(self.options).map_err(parsed)?;
         let now: Value = serde_json::from_slice(&text).map_err(parsed)?;
         let same = |name: &str| match (before.get(name), now.get(name)) {

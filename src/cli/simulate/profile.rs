@@ -10,7 +10,7 @@ use crate::raster::{RasterizerInfo, StageTimes};
 /// What a step took, seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(super) struct StepTimes {
-    /// Ego, actors and what is expected.
+    /// Ego and actors.
     pub(super) policies_s: f64,
     /// Which clouds stand where.
     pub(super) instances_s: f64,
@@ -18,7 +18,7 @@ pub(super) struct StepTimes {
     pub(super) begin_s: f64,
     /// Until all maps are in memory.
     pub(super) finish_s: f64,
-    /// Maps of what is expected.
+    /// What is expected, with its maps.
     pub(super) forecast_s: f64,
     /// Who is seen, and what else goes into the line of the step.
     pub(super) observe_s: f64,
@@ -95,6 +95,9 @@ impl Profile {
 
     /// For the summary: the median step, its parts, and how often a second.
     pub(super) fn summary(&self) -> String {
+        if self.steps.is_empty() {
+            return "no step was left to take".to_owned();
+        }
         let ms = |name: &str| 1e3 * self.medians.get(name).copied().unwrap_or(0.0);
         let names = ["write_maps_s", "write_view_s", "write_birdseye_s", "write_rest_s"];
         let writing: f64 = names.iter().map(|name| ms(name)).sum();
@@ -151,6 +154,7 @@ mod tests {
             "{text}"
         );
         assert_eq!(median(std::iter::empty()), None);
+        assert_eq!(Profile::default().summary(), "no step was left to take");
         let json = serde_json::to_value(&profile).unwrap();
         assert_eq!(
             (&json["medians"]["policies_s"], json["steps"].as_array().unwrap().len()),

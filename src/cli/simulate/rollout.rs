@@ -35,6 +35,7 @@ pub(super) struct Rollout<'a> {
 pub(super) struct Run {
     /// Of all steps that were written.
     pub(super) rows: Vec<StepRow>,
+    /// Of the same steps.
     pub(super) metrics: Metrics,
     pub(super) notes: BTreeMap<String, usize>,
     pub(super) ended: Option<EndReason>,
@@ -132,7 +133,13 @@ impl Rollout<'_> {
             }
             if self.shown_to_planner {
                 let name = format!("{:06}", simulation.committed().get().step);
-                simulation.show(files(&step_folder(self.output.folder, &name))?);
+                match files(&step_folder(self.output.folder, &name)) {
+                    Ok(files) => simulation.show(files),
+                    Err(error) => {
+                        going.run.failure = Some(error.into());
+                        break;
+                    }
+                }
             }
             if is_new {
                 going.run.profile.steps.push(going.times);
@@ -151,7 +158,7 @@ impl Rollout<'_> {
             going.times.policies_s = lap(&mut clock);
         }
         let Loop { mut run, .. } = going;
-        (run.metrics, run.notes, run.ended) = (simulation.metrics(), simulation.notes(), simulation.ended());
+        (run.notes, run.ended) = (simulation.notes(), simulation.ended());
         Ok(run)
     }
 
@@ -208,20 +215,31 @@ impl Rollout<'_> {
         let phase = if by_log { Phase::WarmUp } else { Phase::Policy };
         let row = StepRow::new(self.log, instant, phase, &observed, plan);
         going.times.observe_s = lap(&mut clock);
-        let forecast = outcome.filter(|_| self.options.forecast_maps).map(|outcome| outcome.forecast);
-        let forecast = forecast.into_iter().flatten().map(|instant| {
-            let state = scene_state(self.log, instant.get(), self.map.clone());
-            let set = self.draw(rasterizer, &state, &mut StepTimes::default())?;
-            Ok((state, set))
-        });
-        let forecast = forecast.collect::<anyhow::Result<Vec<_>>>()?;
+        let forecast = self.forecast(simulation, rasterizer)?;
         going.times.forecast_s = lap(&mut clock);
 
         // Only now it is sure that there is such a step.
         going.run.rows.push(row.clone());
+        going.run.metrics = metrics;
         let traces = traces(going, instant.t_us);
         going.progress.step(&state.name);
         Ok(Some(Job { state, set, row, saved: simulation.save(), traces, forecast }))
+    }
+
+    /// Draws what is expected, if that is wanted and a plan is due.
+    fn forecast(
+        &self,
+        simulation: &Simulation<'_>,
+        rasterizer: &mut dyn Rasterizer,
+    ) -> anyhow::Result<Vec<(SceneState, ConditionSet)>> {
+        let is_due = simulation.committed().get().step.is_multiple_of(simulation.steps_per_plan());
+        let wanted = if is_due { self.options.forecast_steps } else { 0 };
+        let expected = simulation.forecast(wanted).into_iter().map(|instant| {
+            let state = scene_state(self.log, instant.get(), self.map.clone());
+            let set = self.draw(rasterizer, &state, &mut StepTimes::default())?;
+            Ok((state, set))
+        });
+        expected.collect()
     }
 
     fn draw(
@@ -280,4 +298,122 @@ fn traces(going: &Loop, now_us: i64) -> Vec<Trace> {
     let lines = [going.recorded.clone(), driven, plan];
     let trace = |(points, (_, rgba)): (Vec<DVec2>, (&str, [u8; 4]))| Trace { points, rgba, width_px: 2.5 };
     lines.into_iter().zip(TRACES).map(trace).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DVec3};
+
+    use super::*;
+    use crate::cli::map_args::MapFormat;
+    use crate::cli::simulate::sources::Sources;
+    use crate::cli::stand_ins::StandInReport;
+    use crate::conditions::ConditionOptions;
+    use crate::conditions::meta::PromptParts;
+    use crate::dataset::{Frame, LogFormat, RigCamera};
+    use crate::geometry::{Camera, Pose};
+    use crate::raster::{
+        self, FrameJob, FrameMaps, RasterError, RasterizerDesc, RasterizerInfo, RasterizerKind, SplatJob,
+        SplatMaps, StageTimes,
+    };
+    use crate::scene::SelectionOptions;
+    use crate::sim::{Scenario, SimOptions};
+    use crate::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
+
+    /// Draws some frames and then none.
+    struct Failing<'a> {
+        drawn: Box<dyn Rasterizer + 'a>,
+        left: usize,
+    }
+
+    impl Rasterizer for Failing<'_> {
+        fn info(&self) -> RasterizerInfo {
+            self.drawn.info()
+        }
+
+        fn begin(&mut self, job: &FrameJob<'_>) -> Result<(), RasterError> {
+            self.left = self.left.checked_sub(1).ok_or(RasterError::TooManyPoints { found: 2, max: 1 })?;
+            self.drawn.begin(job)
+        }
+
+        fn finish(&mut self) -> Result<FrameMaps<'_>, RasterError> {
+            self.drawn.finish()
+        }
+
+        fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {
+            self.drawn.splat(job)
+        }
+
+        fn stages(&mut self) -> &mut StageTimes {
+            self.drawn.stages()
+        }
+    }
+
+    /// A second at 10 frames a second with one camera.
+    fn log() -> Log {
+        let intrinsics = DMat3::from_cols(DVec3::X * 8.0, DVec3::Y * 8.0, DVec3::new(8.0, 4.0, 1.0));
+        let camera = Camera { name: "c".into(), width: 16, height: 8, intrinsics, distortion: None };
+        let frame = |i: i64| Frame {
+            t_us: i * 100_000,
+            global_from_ego: Pose::from_yaw(0.0, DVec3::X * i as f64),
+            sweeps: Vec::new(),
+            images: Vec::new(),
+            between_images: Vec::new(),
+            boxes: Vec::new(),
+        };
+        Log {
+            name: "made".into(),
+            cameras: vec!["c".into()],
+            rig: vec![RigCamera { channel: 0, ego_from_camera: Pose::IDENTITY, camera }],
+            frames: (0..=10).map(frame).collect(),
+            ..Log::default()
+        }
+    }
+
+    #[test]
+    fn metrics_are_of_the_steps_that_were_drawn() {
+        let (log, folder) = (log(), tempfile::tempdir().unwrap());
+        let place = folder.path().join("sk");
+        let nothing = |writer: &mut SkeletonWriter| {
+            writer.finish(Vec::new(), BuildOptions::default(), BuildReport::default())
+        };
+        SkeletonWriter::write::<FileError>(&place, nothing).unwrap();
+        let skeleton = Skeleton::open(&place).unwrap();
+        let prompt = PromptParts::default();
+        let simulation = SimOptions { steps: 9, ..SimOptions::default() };
+        let options = RolloutOptions {
+            conditions: ConditionOptions::default(),
+            selection: SelectionOptions::default(),
+            stand_ins: StandInReport::default(),
+            format: MapFormat::Png,
+            forecast_steps: 0,
+            sheets: false,
+            log: log.name.clone(),
+            sources: Sources::new(&log, &skeleton, &prompt).unwrap(),
+            simulation: simulation.clone(),
+            sim_hz: 10.0,
+            plan_hz: 5.0,
+            takeover_step: 0,
+        };
+        let output = Output { folder: folder.path(), options: &options, prompt: &prompt };
+        let stage = Stage::new(&skeleton, &log.name);
+        let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
+        let drawn = raster::create(&desc, stage.cloud_set()).unwrap();
+        let rollout = Rollout {
+            log: &log,
+            map: None,
+            stage,
+            options: &options,
+            output: &output,
+            shown_to_planner: false,
+        };
+        let scenario = Scenario::new(&log, None, LogFormat::Town);
+        let simulation = Simulation::new(&scenario, simulation).unwrap();
+        // The first step and three more.
+        let run = rollout.run(simulation, &mut Failing { drawn, left: 4 }, Vec::new(), None).unwrap();
+        let failure = crate::cli::with_causes(&run.failure.unwrap());
+        assert!(failure.contains("step 000004") && failure.contains("found 2"), "{failure}");
+        assert_eq!((run.rows.len(), run.metrics.steps, run.ended), (4, 3, None));
+        assert!((run.metrics.progress_m - 3.0).abs() < 1e-9, "{}", run.metrics.progress_m);
+    }
 }

@@ -16,7 +16,8 @@ use self::preset::Preset;
 use super::clock::Clock;
 use super::external::Planner;
 use super::recorded::Recorded;
-use super::{EgoPolicy, EgoState, Instant, SimError, SimOptions, Trajectory, Waypoint};
+use super::simulation::World;
+use super::{EgoPolicy, EgoState, SimError, SimOptions, Trajectory, Waypoint};
 
 /// How far plans of ours look ahead: 22 waypoints at 0.1 s.
 const HORIZON_US: i64 = 2_200_000;
@@ -57,13 +58,14 @@ impl Driver {
         })
     }
 
-    /// The plan at an instant; `None` where the ego follows the log.
+    /// The plan at a state; `None` where the ego follows the log.
     pub(super) fn plan(
         &mut self,
         recorded: &Recorded<'_>,
         clock: &Clock,
-        now: &Instant,
+        world: &World,
     ) -> Result<Option<Trajectory>, SimError> {
+        let now = &world.instant;
         match self {
             Self::Replay | Self::Course(None) => Ok(None),
             Self::Preset(preset) => {
@@ -83,7 +85,7 @@ impl Driver {
                 }
                 Ok(Some(Trajectory::new(waypoint(&now.ego, now.t_us), next)))
             }
-            Self::External(planner) => Ok(Some(planner.plan(recorded, clock, now)?)),
+            Self::External(planner) => Ok(Some(planner.plan(recorded, clock, world)?)),
         }
     }
 

@@ -18,7 +18,8 @@ use self::protocol::{Hello, Observation, read_hello, read_plan};
 use self::transport::Link;
 use super::clock::Clock;
 use super::recorded::Recorded;
-use super::{Instant, SimOptions, Trajectory};
+use super::simulation::World;
+use super::{SimOptions, Trajectory};
 
 /// Where a planner is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -148,14 +149,15 @@ impl Planner {
         Ok(Self { link, shown: Vec::new() })
     }
 
-    /// Its plan at an instant.
+    /// Its plan at a state.
     pub(super) fn plan(
         &mut self,
         recorded: &Recorded<'_>,
         clock: &Clock,
-        now: &Instant,
+        world: &World,
     ) -> Result<Trajectory, PlannerError> {
-        let observation = Observation::new(recorded, clock, now, std::mem::take(&mut self.shown));
+        let now = &world.instant;
+        let observation = Observation::new(recorded, clock, world, std::mem::take(&mut self.shown));
         let answer = self.link.ask(protocol::line(&observation, &self.link.name())?)?;
         let due_us = clock.at(now.step + clock.steps_per_plan);
         read_plan(&answer, now, due_us).map_err(|error| {

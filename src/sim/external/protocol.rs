@@ -5,10 +5,11 @@ use serde::{Deserialize, Serialize};
 
 use super::PlannerError;
 use crate::dataset::{Class, TrafficLight};
-use crate::geometry::wrap_angle;
+use crate::geometry::{Foot, wrap_angle};
 use crate::sim::clock::{Clock, seconds};
 use crate::sim::ego::waypoint;
 use crate::sim::recorded::Recorded;
+use crate::sim::simulation::World;
 use crate::sim::{
     EGO_SIZE_M, Instant, REAR_AXLE_TO_CENTER_M, SimActor, SimOptions, Trajectory, WHEELBASE_M, Waypoint,
 };
@@ -162,9 +163,10 @@ impl<'a> Observation<'a> {
     pub(super) fn new(
         recorded: &'a Recorded<'_>,
         clock: &Clock,
-        now: &'a Instant,
+        world: &'a World,
         files: Vec<PathBuf>,
     ) -> Self {
+        let now = &world.instant;
         let (ego, at) = (&now.ego, now.ego.pose.translation);
         let light =
             |light: &'a TrafficLight| Light { lane_connector: &light.lane_connector, color: &light.color };
@@ -185,7 +187,7 @@ impl<'a> Observation<'a> {
             },
             actors: now.actors.iter().map(|actor| told(recorded, actor)).collect(),
             lights: now.lights.iter().map(light).collect(),
-            path: path_ahead(recorded, now),
+            path: path_ahead(recorded, world.foot),
             files,
         }
     }
@@ -210,9 +212,9 @@ fn told<'a>(recorded: &'a Recorded<'_>, actor: &SimActor) -> Actor<'a> {
 }
 
 /// The recorded path from beside the ego on, global metres; empty where the ego stood all the time.
-fn path_ahead(recorded: &Recorded<'_>, now: &Instant) -> Vec<[f64; 2]> {
+fn path_ahead(recorded: &Recorded<'_>, ego: Foot) -> Vec<[f64; 2]> {
     let Some(line) = recorded.route.line() else { return Vec::new() };
-    let from_m = line.foot(now.ego.position_m(), 0.0..line.length_m()).station_m.clamp(0.0, line.length_m());
+    let from_m = ego.station_m.clamp(0.0, line.length_m());
     let to_m = (from_m + AHEAD_M).min(line.length_m());
     let count = ((to_m - from_m) / AHEAD_STEP_M).floor() as usize;
     let inner = (0..=count).map(|i| from_m + i as f64 * AHEAD_STEP_M);
@@ -310,7 +312,11 @@ fn placed(point: &PlannedPoint, frame: Frame, start: &Waypoint, index: usize) ->
 
 /// What is wrong and how the answer begins.
 fn shown(answer: &[u8], error: &serde_json::Error) -> String {
-    let text = String::from_utf8_lossy(&answer[..answer.len().min(400)]);
-    let begin: String = text.chars().take(80).collect();
-    format!("{begin:?} ({error})")
+    format!("{} ({error})", begin_of(answer))
+}
+
+/// How a line begins, in quotes.
+pub(super) fn begin_of(line: &[u8]) -> String {
+    let text = String::from_utf8_lossy(&line[..line.len().min(400)]);
+    format!("{:?}", text.chars().take(80).collect::<String>())
 }

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
+use super::protocol::begin_of;
 use super::{PlannerAddress, PlannerError};
 
 /// Longer answers are a mistake, bytes.
@@ -49,12 +50,14 @@ impl Link {
         let (end, (writer, reader)) = match address {
             PlannerAddress::Command(command) => start(command).map_err(failed("start"))?,
             PlannerAddress::Unix(path) => {
-                let stream = retry(timeout, || UnixStream::connect(path)).map_err(failed("reach"))?;
+                let path = path.clone();
+                let stream = reach(timeout, move |_| UnixStream::connect(&path)).map_err(failed("reach"))?;
                 let streams = unix_streams(&stream).map_err(failed("reach"))?;
                 (End::Unix(stream), streams)
             }
             PlannerAddress::Tcp(address) => {
-                let stream = retry(timeout, || connect(address, timeout)).map_err(failed("reach"))?;
+                let address = address.clone();
+                let stream = reach(timeout, move |left| connect(&address, left)).map_err(failed("reach"))?;
                 let streams = tcp_streams(&stream).map_err(failed("reach"))?;
                 (End::Tcp(stream), streams)
             }
@@ -93,6 +96,20 @@ impl Link {
     }
 
     fn ask_once(&mut self, line: Vec<u8>) -> Result<Vec<u8>, PlannerError> {
+        // It would be taken for the answer to what is asked now.
+        match self.answers.try_recv() {
+            Ok(Ok(unasked)) => {
+                return Err(PlannerError::Answer {
+                    expected: "no line that was not asked for".to_owned(),
+                    found: begin_of(&unasked),
+                    planner: self.name(),
+                });
+            }
+            Ok(Err(source)) => {
+                return Err(PlannerError::Io { verb: "read from", source, planner: self.name() });
+            }
+            Err(_) => {}
+        }
         match self.lines.as_ref().map(|lines| lines.try_send(line)) {
             Some(Ok(())) => {}
             // It has answered without reading what it was asked.
@@ -176,16 +193,27 @@ fn connect(address: &str, timeout: Duration) -> std::io::Result<TcpStream> {
     Err(last)
 }
 
-/// Tries until it works or the time is over.
-fn retry<T>(timeout: Duration, mut attempt: impl FnMut() -> std::io::Result<T>) -> std::io::Result<T> {
+/// Tries until it works or the time is over; an attempt is told what is left of it. All of it is done on another thread:
+/// names that are looked up and servers with a full queue hold an attempt up for longer.
+fn reach<T: Send + 'static>(
+    timeout: Duration,
+    attempt: impl Fn(Duration) -> std::io::Result<T> + Send + 'static,
+) -> std::io::Result<T> {
+    let (send, reached) = sync_channel(1);
     let start = Instant::now();
-    loop {
-        match attempt() {
-            Err(error) if start.elapsed() + RETRY >= timeout => return Err(error),
-            Err(_) => std::thread::sleep(RETRY),
-            done => return done,
+    let tries = move || loop {
+        let done = attempt(timeout.saturating_sub(start.elapsed()).max(RETRY));
+        if done.is_ok() || start.elapsed() + RETRY >= timeout {
+            let _ = send.send(done); // nobody may wait any more
+            return;
         }
-    }
+        std::thread::sleep(RETRY);
+    };
+    std::thread::Builder::new().spawn(tries)?;
+    reached.recv_timeout(timeout + RETRY).unwrap_or_else(|_| {
+        let text = format!("no connection within {} s", timeout.as_secs_f64());
+        Err(std::io::Error::new(std::io::ErrorKind::TimedOut, text))
+    })
 }
 
 /// Ends a process and whatever it started in its group; its exit status if it ended by itself in time.

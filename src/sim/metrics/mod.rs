@@ -18,7 +18,8 @@ use super::Instant;
 use super::clock::seconds;
 use super::recorded::Recorded;
 use super::route::Route;
-use crate::geometry::wrap_angle;
+use super::simulation::World;
+use crate::geometry::{Foot, wrap_angle};
 
 /// Figures of a rollout, from the takeover (or the start) on.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -85,9 +86,6 @@ impl Range {
     }
 }
 
-/// Where on the recorded path the ego is looked for, metres before and after where it was.
-const WINDOW_M: f64 = 25.0;
-
 /// What the figures are made of.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -111,8 +109,9 @@ pub(super) struct Tally {
 
 impl Tally {
     /// One more instant.
-    pub(super) fn add(&mut self, recorded: &Recorded<'_>, road: Option<&Road>, now: &Instant) {
-        self.go(&recorded.route, now);
+    pub(super) fn add(&mut self, recorded: &Recorded<'_>, road: Option<&Road>, world: &World) {
+        let now = &world.instant;
+        self.go(&recorded.route, now, world.foot);
         let hits = collision::contacts(now, &recorded.log.tracks, road, &self.collided);
         self.collided.extend(hits.iter().map(|(track, _)| *track));
         self.collisions.extend(hits.into_iter().map(|(_, collision)| collision));
@@ -127,20 +126,16 @@ impl Tally {
     }
 
     /// Along the path and beside it.
-    fn go(&mut self, route: &Route, now: &Instant) {
-        let place = now.ego.position_m();
+    fn go(&mut self, route: &Route, now: &Instant, foot: Foot) {
         self.log_m = route.station_at(now.t_us);
-        if self.instants == 0 {
-            (self.start_us, self.log_start_m) = (now.t_us, self.log_m);
-            self.start_m = route.foot(place, self.log_m - WINDOW_M..self.log_m + WINDOW_M).0.station_m;
-            self.station_m = self.start_m;
-        }
-        let (foot, yaw_rad) = route.foot(place, self.station_m - WINDOW_M..self.station_m + WINDOW_M);
         self.station_m = foot.station_m;
+        if self.instants == 0 {
+            (self.start_us, self.start_m, self.log_start_m) = (now.t_us, self.station_m, self.log_m);
+        }
         self.end_us = now.t_us;
         self.instants += 1;
         self.lateral.add(foot.offset_m, self.instants);
-        self.heading.add(wrap_angle(now.ego.heading_rad() - yaw_rad), self.instants);
+        self.heading.add(wrap_angle(now.ego.heading_rad() - route.yaw_at(foot.station_m)), self.instants);
     }
 
     /// The figures; `has_road` tells whether there was a map.

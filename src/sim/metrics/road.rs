@@ -1,8 +1,10 @@
+use std::collections::BTreeMap;
+
 use glam::DVec2;
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
 
-use crate::dataset::{Area, VectorMap};
+use crate::dataset::{Area, Lane, VectorMap};
 use crate::geometry::{Cuboid, Footprint};
 
 /// The footprint is looked at in so many cells along and across.
@@ -12,6 +14,8 @@ const CELLS: [usize; 2] = [10, 4];
 pub(in crate::sim) struct Road {
     drivable: Areas,
     lanes: Areas,
+    /// Per lane the numbers of those that follow it.
+    successors: Vec<Vec<usize>>,
 }
 
 struct Areas {
@@ -23,8 +27,19 @@ struct Areas {
 impl Road {
     /// `None` for a map without a drivable area.
     pub(in crate::sim) fn new(map: &VectorMap) -> Option<Self> {
-        let lanes = map.lanes.iter().chain(&map.lane_connectors).map(|lane| &lane.outline);
-        let road = Self { drivable: Areas::new(&map.drivable_area), lanes: Areas::new(lanes) };
+        let lanes = map.lanes.iter().chain(&map.lane_connectors);
+        let lanes: Vec<&Lane> = lanes.filter(|lane| is_sound(&lane.outline)).collect();
+        let mut numbers: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        for (number, lane) in lanes.iter().enumerate() {
+            numbers.entry(&lane.id).or_default().push(number);
+        }
+        // Some lie beyond the edge of the map.
+        let known = |id: &String| numbers.get(id.as_str()).into_iter().flatten().copied();
+        let road = Self {
+            drivable: Areas::new(&map.drivable_area),
+            lanes: Areas::new(lanes.iter().map(|lane| &lane.outline)),
+            successors: lanes.iter().map(|lane| lane.successors.iter().flat_map(known).collect()).collect(),
+        };
         (!road.drivable.areas.is_empty()).then_some(road)
     }
 
@@ -44,20 +59,22 @@ impl Road {
         cells_off.max(usize::from(corner_off)) as f64 / (CELLS[0] * CELLS[1]) as f64
     }
 
-    /// Whether all corners lie in one lane or connector, and on the drivable area.
+    /// Whether all corners lie in one lane or connector, or in one and one that follows it, and on the drivable area.
     pub(super) fn is_in_one_lane(&self, footprint: &Footprint) -> bool {
         let corners = footprint.corners();
         let common = corners.map(|corner| self.lanes.around(corner));
-        let [first, rest @ ..] = &common;
-        let shared = first.iter().any(|lane| rest.iter().all(|lanes| lanes.contains(lane)));
+        let hold = |lane: usize, next: usize| {
+            common.iter().all(|lanes| lanes.contains(&lane) || lanes.contains(&next))
+        };
+        let follows = |lane: usize| self.successors[lane].iter().any(|next| hold(lane, *next));
+        let shared = common.iter().flatten().any(|lane| hold(*lane, *lane) || follows(*lane));
         shared && corners.iter().all(|corner| !self.drivable.around(*corner).is_empty())
     }
 }
 
 impl Areas {
     fn new<'a>(areas: impl IntoIterator<Item = &'a Area>) -> Self {
-        let finite = |area: &&Area| !area.exterior.is_empty() && area.exterior.iter().all(|p| p.is_finite());
-        let areas: Vec<Area> = areas.into_iter().filter(finite).cloned().collect();
+        let areas: Vec<Area> = areas.into_iter().filter(|area| is_sound(area)).cloned().collect();
         let place = |(number, area): (usize, &Area)| {
             let (low, high) = (
                 area.exterior.iter().copied().reduce(DVec2::min).unwrap_or_default(),
@@ -74,6 +91,10 @@ impl Areas {
         let near = self.places.locate_in_envelope_intersecting(AABB::from_point(place.to_array()));
         near.map(|near| near.data).filter(|number| contains(&self.areas[*number], place)).collect()
     }
+}
+
+fn is_sound(area: &Area) -> bool {
+    !area.exterior.is_empty() && area.exterior.iter().all(|p| p.is_finite())
 }
 
 /// Whether a place lies within an area and in none of its holes.
@@ -93,7 +114,6 @@ fn in_ring(ring: &[DVec2], place: DVec2) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::Lane;
     use crate::geometry::Pose;
     use glam::DVec3;
 
@@ -149,5 +169,43 @@ mod tests {
         assert!(one(20.0, 2.0) && one(40.0, 2.0) && one(20.0, -2.0));
         assert!(!one(20.0, 0.5) && !one(20.0, 3.5) && !one(50.0, -2.0));
         assert!(Road::new(&VectorMap::default()).is_none());
+    }
+
+    /// A lane along x that forks at 40 m into one to the left and one to the right, beside one that goes on.
+    #[test]
+    fn a_lane_goes_on_in_each_of_its_successors() {
+        let lane = |id: &str, outline: Area, successors: &[&str]| Lane {
+            id: id.into(),
+            outline,
+            centerline: Vec::new(),
+            successors: successors.iter().map(|id| (*id).to_owned()).collect(),
+        };
+        let broken = Area { exterior: vec![DVec2::NAN; 3], holes: Vec::new() };
+        let map = VectorMap {
+            lanes: vec![
+                lane("broken", broken, &["right"]),
+                lane("first", rectangle([0.0, 40.0], [0.0, 4.0]), &["elsewhere", "left", "right"]),
+                lane("beside", rectangle([0.0, 100.0], [4.0, 8.0]), &[]),
+            ],
+            lane_connectors: vec![
+                lane("left", rectangle([40.0, 60.0], [2.0, 4.0]), &["last"]),
+                lane("right", rectangle([40.0, 60.0], [0.0, 2.9]), &[]),
+                lane("last", rectangle([60.0, 64.0], [1.0, 4.0]), &[]),
+            ],
+            drivable_area: vec![rectangle([0.0, 100.0], [0.0, 8.0])],
+            ..VectorMap::default()
+        };
+        let road = Road::new(&map).unwrap();
+        let one = |x: f64, y: f64, yaw_rad: f64| {
+            let pose = Pose::from_yaw(yaw_rad, DVec3::new(x, y, 1.0));
+            road.is_in_one_lane(&Footprint::from(&Cuboid { pose, size: DVec3::new(5.0, 1.6, 2.0) }))
+        };
+        // Over the joint into the left one, the right one, and between both; from the left one on.
+        assert!(one(40.0, 3.0, 0.0) && one(40.0, 1.5, 0.0) && one(60.0, 3.0, 0.0));
+        assert!(!one(40.0, 2.2, 0.0));
+        // Neither what lies beside nor what follows another lane is its own.
+        assert!(!one(20.0, 4.0, 0.0) && !one(40.0, 4.0, 0.0) && !one(60.0, 1.95, 0.0));
+        // Backward over the joint it is the same lane.
+        assert!(one(40.0, 3.0, std::f64::consts::PI));
     }
 }

@@ -125,7 +125,7 @@ fn forecasts_of_a_course_come_true_and_change_nothing() {
     let log = made::log(12);
     let options =
         SimOptions { steps: 60, warmup_frames: 3, ego: EgoPolicy::LaneChange, ..SimOptions::default() };
-    let plain = all(&mut made::start(&log, &SimOptions { forecast_steps: 0, ..options.clone() }));
+    let plain = all(&mut made::start(&log, &options));
     let mut sim = made::start(&log, &options);
     let mut seen = 0;
     while let Some(outcome) = sim.step().unwrap() {
@@ -135,7 +135,7 @@ fn forecasts_of_a_course_come_true_and_change_nothing() {
         );
         if sim.committed().get().step > 4 {
             // As far as the plan reaches: the ego's and the log's part of the forecast is what happens.
-            for forecast in outcome.forecast.iter().filter(|f| f.get().step <= 60) {
+            for forecast in sim.forecast(9).iter().filter(|f| f.get().step <= 60) {
                 let (expected, happened) = (forecast.get(), &plain[forecast.get().step]);
                 assert_eq!(expected.ego.pose, happened.ego.pose, "step {}", expected.step);
                 assert_eq!(expected.actors, happened.actors);

@@ -1,10 +1,13 @@
 //! Planners in Python.
 
+use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
 use std::time::Instant;
 
+use glam::DVec2;
 use point_skeleton::dataset::Log;
+use point_skeleton::geometry::{Polyline, Pose};
 use point_skeleton::sim::{
     EgoPolicy, EndReason, PlannerAddress, PlannerError, PlannerSpec, SavedState, SimError, SimOptions,
     Simulation, Tracking,
@@ -116,14 +119,39 @@ fn the_example_drives_over_sockets() {
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let cases = [
         (format!("unix:{}", socket.display()), PlannerAddress::Unix(socket.clone())),
-        (format!("tcp:{port}"), PlannerAddress::Tcp(format!("127.0.0.1:{port}"))),
+        (format!("tcp:127.0.0.1:{port}"), PlannerAddress::Tcp(format!("127.0.0.1:{port}"))),
     ];
+    // A socket of an earlier run is in the way, with nobody behind it.
+    drop(UnixListener::bind(&socket).unwrap());
     for (argument, address) in cases {
+        assert_eq!(argument.parse::<PlannerAddress>().unwrap(), address, "the same name on both sides");
         // It is waited for until it listens.
         let mut server = Server(Command::new("python3").arg(example()).arg(argument).spawn().unwrap());
         assert_drives(&log, options(address, 20.0));
         assert!(server.0.wait().unwrap().success(), "it ends with the connection");
     }
+}
+
+#[test]
+fn the_example_stops_at_the_end_of_the_path() {
+    let log = made::log(4);
+    let end = log.frames[40].global_from_ego;
+    let options =
+        SimOptions { steps: 140, ..options(command(format!("exec python3 {}", example().display())), 20.0) };
+    let mut sim = Simulation::new(&made::scenario(&log), options.clone()).unwrap();
+    while sim.step().unwrap().is_some() {}
+    let ego = sim.committed().get().ego;
+    let local = end.inverse().transform_point(ego.pose.translation);
+    assert!(ego.speed_mps < 0.01 && local.x.abs() < 2.0 && local.y.abs() < 0.5, "{local} {}", ego.speed_mps);
+    assert!(sim.metrics().lateral_deviation_m.max < 0.5, "{:?}", sim.metrics().lateral_deviation_m);
+    // Set out at the end of the path at full speed, it brakes on a straight line.
+    let late = SimOptions { steps: 80, start_us: Some(made::FIRST_US + 3_600_000), ..options.clone() };
+    let mut sim = Simulation::new(&made::scenario(&log), late).unwrap();
+    while sim.step().unwrap().is_some() {}
+    let ego = sim.committed().get().ego;
+    let local = end.inverse().transform_point(ego.pose.translation);
+    assert!(ego.speed_mps < 0.01 && (5.0..20.0).contains(&local.x), "{local} {}", ego.speed_mps);
+    assert!(local.y.abs() < 0.5, "{local}");
 }
 
 #[test]
@@ -166,6 +194,85 @@ fn planners_see_what_is_promised() {
     let path = see["path"].as_array().unwrap();
     assert_eq!(path.len(), 46, "44.8 m are left of 48");
     assert!((path[0][0].as_f64().unwrap() - start.translation.x).abs() < 1e-6);
+}
+
+/// The path that a planner sees goes on in the order in which it was driven, also where it crosses itself.
+#[test]
+fn paths_that_cross_themselves_are_told_in_their_order() {
+    // East, around to the left, and south over where it came from after 20 m.
+    let corners = [(0.0, 0.0), (40.0, 0.0), (40.0, 20.0), (20.0, 20.0), (20.0, -20.0)].map(DVec2::from);
+    let line = Polyline::new(corners).unwrap();
+    let mut log = made::log(15);
+    for (i, frame) in log.frames.iter_mut().enumerate() {
+        let (place, direction) = line.at(0.8 * i as f64);
+        frame.global_from_ego = Pose::from_yaw(direction.to_angle(), place.extend(0.0));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let seen = folder.path().join("seen");
+    // Goes to where the first piece is nearer than the last, and tells what it sees there.
+    let lines = format!(
+        "see()\n{HELLO}\nwhile True:\n    m = see()\n    open({:?}, 'w').write(json.dumps(m['path']))\n    \
+         print(json.dumps({{'trajectory': [{{'t': 0.2, 'x': 20.9, 'y': 0.1, 'heading': -1.57, 'v': 4}}]}}), flush=True)",
+        seen.display().to_string()
+    );
+    let takeover = 124; // 0.8 m before the crossing
+    let options = SimOptions {
+        steps: takeover + 3,
+        warmup_frames: takeover / 2 + 1,
+        ..options(script(folder.path(), &lines), 20.0)
+    };
+    let mut sim = Simulation::new(&made::scenario(&log), options).unwrap();
+    while sim.step().unwrap().is_some() {}
+    let path: Vec<[f64; 2]> = serde_json::from_slice(&std::fs::read(&seen).unwrap()).unwrap();
+    assert_eq!(path.len(), 22, "20.1 m are left: {path:?}");
+    let near = |[x, y]: [f64; 2], place: [f64; 2]| (x - place[0]).abs() < 1e-6 && (y - place[1]).abs() < 1e-6;
+    assert!(near(path[0], [20.0, 0.1]) && near(path[5], [20.0, -4.9]) && near(path[21], [20.0, -20.0]));
+}
+
+/// What a planner says unasked is no answer to what it is asked next.
+#[test]
+fn lines_that_nobody_asked_for_are_told() {
+    let log = made::log(2);
+    let folder = tempfile::tempdir().unwrap();
+    let lines = format!("see()\n{HELLO}\nprint('model loaded', flush=True)\ntime.sleep(60)");
+    let address = script(folder.path(), &lines);
+    // The line may come only after the first observation was sent; then it is a bad answer.
+    let unasked = |_: i32| {
+        let mut sim = Simulation::new(&made::scenario(&log), options(address.clone(), 20.0)).unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(100));
+        let error = loop {
+            match sim.step() {
+                Ok(outcome) => assert!(outcome.is_some()),
+                Err(error) => break error.to_string(),
+            }
+        };
+        assert!(error.contains("found \"model loaded\""), "{error}");
+        error.contains("expected no line that was not asked for")
+    };
+    assert!((0..50).any(unasked));
+}
+
+/// A server whose queue is full holds a client up until its time is over, not for good.
+#[test]
+fn planners_that_accept_nobody_are_given_up() {
+    let log = made::log(2);
+    let folder = tempfile::tempdir().unwrap();
+    let socket = folder.path().join("planner");
+    let listens = format!(
+        "import socket, time\ns = socket.socket(socket.AF_UNIX)\ns.bind({:?})\ns.listen(0)\ntime.sleep(600)",
+        socket.display().to_string()
+    );
+    let _server = Server(Command::new("python3").arg("-c").arg(listens).spawn().unwrap());
+    let first = loop {
+        match UnixStream::connect(&socket) {
+            Ok(stream) => break stream,
+            Err(_) => std::thread::sleep(std::time::Duration::from_millis(10)),
+        }
+    };
+    let error = fails(&log, options(PlannerAddress::Unix(socket), 0.5));
+    assert!(matches!(error, PlannerError::Io { verb: "reach", .. }), "{error}");
+    assert!(error.to_string().contains("no connection within 0.5 s"), "{error}");
+    drop(first);
 }
 
 #[test]

@@ -68,23 +68,23 @@ fn steps_between_frames_are_interpolated_and_the_log_ends() {
 #[test]
 fn forecasts_of_a_replay_are_the_log() {
     let log = made::log(4);
-    let options = SimOptions { steps: 40, forecast_steps: 5, ..SimOptions::default() };
+    let options = SimOptions { steps: 40, ..SimOptions::default() };
     let mut sim = made::start(&log, &options);
-    assert_eq!(sim.forecast().len(), 5);
-    let mut outcomes = 0;
-    while let Some(outcome) = sim.step().unwrap() {
+    loop {
+        // At any step, the first too, and as far as the log goes.
         let step = sim.committed().get().step;
-        assert_eq!(outcome.plan, None);
-        let expected = if step % 2 == 1 { 0 } else { 5.min((40 - step) / 2) };
-        assert_eq!(outcome.forecast.len(), expected, "step {step}");
-        for (k, forecast) in outcome.forecast.iter().enumerate() {
+        let forecast = sim.forecast(5);
+        assert_eq!(forecast.len(), 5.min((40 - step) / 2), "step {step}");
+        assert!(sim.forecast(0).is_empty() && sim.forecast(3) == forecast[..3.min(forecast.len())]);
+        for (k, forecast) in forecast.iter().enumerate() {
             let instant = forecast.get();
             assert_eq!(instant.step, step + 2 * (k + 1));
             assert_eq!(instant.ego.pose, log.frames[instant.step].global_from_ego);
         }
-        outcomes += outcome.forecast.len();
+        let Some(outcome) = sim.step().unwrap() else { break };
+        assert_eq!(outcome.plan, None);
     }
-    assert!(outcomes > 0);
+    assert_eq!((sim.committed().get().step, sim.steps_per_plan()), (40, 2));
 }
 
 /// What is expected of actors who drive by themselves comes true, though the ego has no plan.
@@ -92,17 +92,17 @@ fn forecasts_of_a_replay_are_the_log() {
 fn forecasts_beside_a_replay_come_true() {
     for actors in [ActorPolicy::Idm, ActorPolicy::Reactive] {
         let log = made::log(4);
-        let options = SimOptions { steps: 30, forecast_steps: 4, actors, ..SimOptions::default() };
+        let options = SimOptions { steps: 30, actors, ..SimOptions::default() };
         let mut sim = made::start(&log, &options);
-        let mut expected = sim.forecast();
+        let mut expected = sim.forecast(4);
         let mut seen = 0;
-        while let Some(outcome) = sim.step().unwrap() {
+        while sim.step().unwrap().is_some() {
             let now: Instant = (*sim.committed().get()).clone();
             for forecast in expected.iter().filter(|forecast| forecast.get().step == now.step) {
                 assert_eq!(*forecast.get(), now);
                 seen += 1;
             }
-            expected.extend(outcome.forecast);
+            expected.extend(sim.forecast(4));
         }
         assert!(seen > 40, "{seen}");
     }

@@ -17,7 +17,7 @@ fn rest(sim: &mut Simulation<'_>) -> Vec<String> {
     let mut told = Vec::new();
     while let Some(outcome) = sim.step().unwrap() {
         let now: Instant = (*sim.committed().get()).clone();
-        told.push(format!("{now:?} {outcome:?}"));
+        told.push(format!("{now:?} {outcome:?} {:?}", sim.forecast(2)));
     }
     told.push(serde_json::to_string(&sim.metrics()).unwrap());
     told.push(serde_json::to_string(&sim.save()).unwrap());
@@ -44,7 +44,6 @@ proptest! {
             sim_hz: Some(12.0),
             plan_hz: Some(12.0 / ratio as f64),
             warmup_frames,
-            forecast_steps: 2,
             ego: policies()[policy].clone(),
             tracking,
             actors,
@@ -99,10 +98,11 @@ fn states_of_other_rollouts_and_damaged_ones_are_refused() {
     let other = SimOptions { ego: EgoPolicy::Cosine, ..options.clone() };
     assert!(resume(saved.clone(), &other).unwrap_err().contains("cosine"));
     let changes = [
-        ("/version", json!(2)),
+        ("/version", json!(1)),
         ("/log", json!("elsewhere")),
         ("/ego/pose/3", json!(4.0)),
         ("/ego/speed_mps", json!(null)),
+        ("/foot_m/0", json!(null)),
         ("/actors/0/track", json!(99)),
         ("/actors/1/track", json!(0)),
         ("/actors/0/size_m/0", json!(-1.0)),
