@@ -8,7 +8,7 @@
 # and told by a page and a video. The last lines tell where all of it is.
 #
 # Environment: OUT (folder of the output, default out/demo), TOWN (the town, default seed=7,frames=40), FRAMES (of the
-# maps, default 0..3), STEPS (of the simulation, default 80), SIZE (of all maps, default 256x448), SPLAT (radius by
+# maps, default 0..3), STEPS (of the simulation, default 78), SIZE (of all maps, default 256x448), SPLAT (radius by
 # depth, default 5:4,15:2,35:1,100:0, which closes holes in what is very near), LOG_ROOTS (options that tell where parts
 # of LOG are, as --map-root DIR), SIMULATE (further options of pskel simulate), PSKEL (the program; without it a release
 # build is made).
@@ -24,7 +24,7 @@ fi
 out=${OUT:-$root/out/demo}
 log=${1:-town:${TOWN:-seed=7,frames=40}}
 frames=${FRAMES:-0..3}
-steps=${STEPS:-80}
+steps=${STEPS:-78}
 size=${SIZE:-256x448}
 splat=${SPLAT:-5:4,15:2,35:1,100:0}
 read -ra roots <<<"${LOG_ROOTS:-}"
