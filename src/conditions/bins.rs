@@ -1,9 +1,9 @@
 //! Depth bins: depth as one of `n` classes, linear or logarithmic, all in `f32` as the condition contract has it.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// How depth is cut into bins.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum BinScale {
     /// Bins of one width.
@@ -14,7 +14,7 @@ pub enum BinScale {
 }
 
 /// Bins of depth; bin 0 is "empty".
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DepthBins {
     /// How the bins are spaced.
     pub scale: BinScale,

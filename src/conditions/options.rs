@@ -1,7 +1,6 @@
-use std::fmt;
 use std::str::FromStr;
 
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 
 use super::{DepthBins, DepthEmbedding};
 use crate::geometry::{ImageSize, ParseOptionError};
@@ -131,7 +130,7 @@ impl Serialize for MapSet {
 }
 
 /// How a color map is reduced.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum ColorFilter {
     /// As OpenCV's INTER_LINEAR; empty pixels count as black.
@@ -147,7 +146,6 @@ pub struct ConditionOptions {
     /// Which ones.
     pub maps: MapSet,
     /// Splat radius by depth.
-    #[serde(serialize_with = "as_text")]
     pub splat: SplatSchedule,
     /// Points farther than this from the ego along the world's x or y are not used, metres.
     pub radius_m: f64,
@@ -179,10 +177,6 @@ impl Default for ConditionOptions {
             depth_embedding: DepthEmbedding::default(),
         }
     }
-}
-
-fn as_text<S: Serializer>(value: &impl fmt::Display, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_str(value)
 }
 
 #[cfg(test)]

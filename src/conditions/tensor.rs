@@ -108,15 +108,20 @@ impl TensorEncoder {
 
     /// The point conditions `[20, H, W]` of color and camera depth in metres (infinite where empty), both `[H, W]`.
     pub fn points(&self, color: &[[u8; 3]], depth_m: &[f32]) -> Vec<f32> {
-        let pixels = color.len();
         let bins: Vec<u16> = depth_m.par_iter().map(|depth_m| self.bins.bin(*depth_m)).collect();
+        self.points_of_bins(color, &bins)
+    }
+
+    /// The point conditions `[20, H, W]` of color and bins of depth, 0 where empty, both `[H, W]`.
+    pub fn points_of_bins(&self, color: &[[u8; 3]], bins: &[u16]) -> Vec<f32> {
+        let pixels = color.len();
         let mut points = vec![0.0; POINT_CHANNELS * pixels];
         let (rgb, depth) = points.split_at_mut(3 * pixels);
         fill_levels(rgb, color);
         let channels = depth.par_chunks_exact_mut(pixels.max(1)).zip(&self.by_bin);
         channels.for_each(|(channel, by_bin)| {
             if let Some(by_bin) = by_bin {
-                channel.iter_mut().zip(&bins).for_each(|(value, bin)| *value = by_bin[usize::from(*bin)]);
+                channel.iter_mut().zip(bins).for_each(|(value, bin)| *value = by_bin[usize::from(*bin)]);
             }
         });
         points

@@ -60,10 +60,7 @@ impl FrameConditions {
             points.extend_from_slice(&tensor.points);
             layout.extend_from_slice(&tensor.layout);
         }
-        let action = before.map_or([0.0; 3], |before| {
-            let moved = before.inverse() * state.global_from_ego;
-            [moved.translation.x as f32, moved.translation.y as f32, moved.yaw_rad() as f32]
-        });
+        let action = action(before, state);
         let cameras = state.cameras.iter().map(camera_numbers).collect();
         Ok(Self { size, points, layout, action, cameras, prompt: prompt.to_owned() })
     }
@@ -74,7 +71,16 @@ impl FrameConditions {
     }
 }
 
-fn camera_numbers(camera: &crate::scene::SceneCamera) -> [f32; CAMERA_NUMBERS] {
+/// [`FrameConditions::action`] of a step.
+pub(super) fn action(before: Option<Pose>, state: &SceneState) -> [f32; 3] {
+    before.map_or([0.0; 3], |before| {
+        let moved = before.inverse() * state.global_from_ego;
+        [moved.translation.x as f32, moved.translation.y as f32, moved.yaw_rad() as f32]
+    })
+}
+
+/// [`FrameConditions::cameras`] of a camera.
+pub(super) fn camera_numbers(camera: &crate::scene::SceneCamera) -> [f32; CAMERA_NUMBERS] {
     let pose = camera.ego_from_camera.unwrap_or(Pose::IDENTITY);
     let rotation = glam::DMat3::from_quat(pose.rotation);
     let row = |i: usize| [rotation.row(i).x, rotation.row(i).y, rotation.row(i).z, pose.translation[i]];

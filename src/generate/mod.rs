@@ -10,11 +10,14 @@
 pub mod toy;
 
 mod denoiser;
+mod drive;
+mod drive_file;
 mod frame_conditions;
 mod generator;
 mod guidance;
 mod latent;
 mod noise;
+mod recipe;
 mod rolling;
 mod sampler;
 mod saved;
@@ -23,11 +26,13 @@ mod strategy;
 mod window;
 
 pub use denoiser::{Codec, Condition, Denoiser, DenoiserError, Frame};
+pub use drive::{Drive, DriveFrame, DriveInfo};
 pub use frame_conditions::{CAMERA_NUMBERS, FrameConditions};
 pub use generator::{Cache, GenerateError, GenerateOptions, Generator};
 pub use guidance::{Dropped, Guidance};
 pub use latent::{Latent, LatentShape};
 pub use noise::{GaussianNoise, NoiseSource};
+pub use recipe::Recipe;
 pub use sampler::{Level, Sampler, SamplerOptions};
 pub use saved::CacheError;
 pub use schedule::{Ddim, FlowMatch, Prediction};

@@ -1,6 +1,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
 /// One entry of a splat schedule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SplatStep {
@@ -106,6 +108,19 @@ impl FromStr for SplatSchedule {
             Ok(SplatStep { z_max_m, radius: r.trim().parse().map_err(|_| form())? })
         };
         Self::new(text.split(',').map(step).collect::<Result<_, _>>()?)
+    }
+}
+
+/// In files it stands as its text form.
+impl Serialize for SplatSchedule {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for SplatSchedule {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
     }
 }
 
