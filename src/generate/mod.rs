@@ -5,7 +5,7 @@
 //! and forecasts of the next ones, calls its [`Denoiser`] as its [`Strategy`] has it, and gives the finished latent of the
 //! step, which a [`Codec`] turns into images. `schedule` and `sampler` say how noisy a frame is after how many steps and
 //! how a prediction takes noise off it, `window` which frame of the window is where in its schedule, `guidance` what becomes
-//! of two predictions. Networks are exchangeable: [`toy`] is a linear one for tests.
+//! of two predictions. Networks are exchangeable: [`toy`] is a linear one for tests, `process` asks one in another process.
 
 pub mod toy;
 
@@ -15,6 +15,7 @@ mod generator;
 mod guidance;
 mod latent;
 mod noise;
+mod process;
 mod rolling;
 mod sampler;
 mod saved;
@@ -28,6 +29,7 @@ pub use generator::{Cache, GenerateError, GenerateOptions, Generator};
 pub use guidance::{Dropped, Guidance};
 pub use latent::{Latent, LatentShape};
 pub use noise::{GaussianNoise, NoiseSource};
+pub use process::ProcessDenoiser;
 pub use sampler::{Level, Sampler, SamplerOptions};
 pub use saved::CacheError;
 pub use schedule::{Ddim, FlowMatch, Prediction};
