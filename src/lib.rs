@@ -18,6 +18,7 @@ pub mod geometry;
 pub mod gpu;
 pub mod logs;
 pub mod metrics;
+pub mod peer;
 pub mod raster;
 pub mod report;
 pub mod scene;

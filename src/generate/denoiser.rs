@@ -2,6 +2,7 @@ use image::RgbImage;
 
 use super::guidance::Dropped;
 use super::{Latent, LatentShape, Level};
+use crate::peer::PeerError;
 
 /// A frame of the window as a network sees it.
 #[derive(Debug)]
@@ -81,6 +82,9 @@ pub enum DenoiserError {
         /// What was given.
         found: String,
     },
+    /// A network in another process.
+    #[error(transparent)]
+    Process(#[from] PeerError),
     /// The network itself.
     #[error("the denoiser failed: {0}")]
     Network(#[from] Box<dyn std::error::Error + Send + Sync>),
@@ -89,6 +93,10 @@ pub enum DenoiserError {
 impl DenoiserError {
     pub(super) fn answer(expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self::Answer { expected: expected.into(), found: found.into() }
+    }
+
+    pub(super) fn input(expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self::Input { expected: expected.into(), found: found.into() }
     }
 }
 

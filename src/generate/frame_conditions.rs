@@ -44,19 +44,18 @@ impl FrameConditions {
         before: Option<Pose>,
         prompt: &str,
     ) -> Result<Self, DenoiserError> {
-        let wrong =
-            |expected: &str, found: String| DenoiserError::Input { expected: expected.to_owned(), found };
         let size = set.cameras.first().map(|camera| camera.size());
-        let size = size.ok_or_else(|| wrong("conditions of a camera at least", "none".to_owned()))?;
+        let size = size.ok_or_else(|| DenoiserError::input("conditions of a camera at least", "none"))?;
         let (mut points, mut layout) = (Vec::new(), Vec::new());
         for camera in &set.cameras {
             if camera.size() != size {
                 let found = format!("{} of {}", camera.name, camera.size());
-                return Err(wrong(&format!("conditions of {size} for all cameras"), found));
+                return Err(DenoiserError::input(format!("conditions of {size} for all cameras"), found));
             }
             let tensor = camera.tensor.as_ref();
-            let tensor = tensor
-                .ok_or_else(|| wrong("model tensors of all cameras", format!("none of {}", camera.name)))?;
+            let tensor = tensor.ok_or_else(|| {
+                DenoiserError::input("model tensors of all cameras", format!("none of {}", camera.name))
+            })?;
             points.extend_from_slice(&tensor.points);
             layout.extend_from_slice(&tensor.layout);
         }

@@ -5,7 +5,7 @@
 //! and forecasts of the next ones, calls its [`Denoiser`] as its [`Strategy`] has it, and gives the finished latent of the
 //! step, which a [`Codec`] turns into images. `schedule` and `sampler` say how noisy a frame is after how many steps and
 //! how a prediction takes noise off it, `window` which frame of the window is where in its schedule, `guidance` what becomes
-//! of two predictions. Networks are exchangeable: [`toy`] is a linear one for tests.
+//! of two predictions. Networks are exchangeable: [`toy`] is a linear one for tests, `process` asks one in another process.
 
 pub mod toy;
 
@@ -17,6 +17,7 @@ mod generator;
 mod guidance;
 mod latent;
 mod noise;
+mod process;
 mod recipe;
 mod rolling;
 mod sampler;
@@ -32,6 +33,7 @@ pub use generator::{Cache, GenerateError, GenerateOptions, Generator};
 pub use guidance::{Dropped, Guidance};
 pub use latent::{Latent, LatentShape};
 pub use noise::{GaussianNoise, NoiseSource};
+pub use process::ProcessDenoiser;
 pub use recipe::Recipe;
 pub use sampler::{Level, Sampler, SamplerOptions};
 pub use saved::CacheError;

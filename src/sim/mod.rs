@@ -32,7 +32,6 @@ mod trajectory;
 pub use actors::{Leader, idm_step};
 pub use ego::{LocalPath, LocalPathError};
 pub use error::SimError;
-pub use external::{PlannerAddress, PlannerError, PlannerSpec};
 pub use metrics::{Collision, CollisionKind, Comfort, Deviation, Metrics, OffRoad, Range};
 pub use options::{ActorPolicy, EgoPolicy, Rates, SimOptions, Tracking};
 pub use saved::SavedState;
@@ -42,3 +41,5 @@ pub use state::{
     Committed, EGO_SIZE_M, EgoState, Forecast, Instant, REAR_AXLE_TO_CENTER_M, SimActor, WHEELBASE_M,
 };
 pub use trajectory::{Trajectory, Waypoint};
+
+pub use crate::peer::{PeerAddress as PlannerAddress, PeerError as PlannerError, PeerSpec as PlannerSpec};

@@ -1,11 +1,14 @@
 //! Windows, schedules and strategies of the generator.
 
+mod process;
+
 use std::path::Path;
 
 use point_skeleton::generate::toy::Toy;
 use point_skeleton::generate::{
-    Cache, Ddim, Denoiser, DenoiserError, FlowMatch, Frame, GaussianNoise, GenerateError, GenerateOptions,
-    Generator, Guidance, Latent, LatentShape, NoiseSource, Prediction, Roll, SamplerOptions, Strategy,
+    Cache, Condition, Ddim, Denoiser, DenoiserError, FlowMatch, Frame, GaussianNoise, GenerateError,
+    GenerateOptions, Generator, Guidance, Latent, LatentShape, NoiseSource, Prediction, Roll, SamplerOptions,
+    Strategy,
 };
 use point_skeleton::sim::{Committed, EgoPolicy, Forecast, SimOptions};
 use proptest::prelude::*;
@@ -18,7 +21,7 @@ use crate::sim::made;
 const SHAPE: LatentShape = LatentShape { views: 2, channels: 3, height: 2, width: 2 };
 
 /// What a simulation commits: only that has happened.
-fn committed(conditions: &[Latent]) -> Vec<Committed<Latent>> {
+fn committed<C: Clone>(conditions: &[C]) -> Vec<Committed<C>> {
     let log = made::log(8);
     let options = SimOptions { steps: conditions.len(), ego: EgoPolicy::Replay, ..SimOptions::default() };
     let mut sim = made::start(&log, &options);
@@ -39,8 +42,8 @@ fn made_ups(seed: u64, count: usize) -> Vec<Latent> {
     (0..count).map(|number| made_up(seed, number)).collect()
 }
 
-fn forecasts(latents: &[Latent]) -> Vec<Forecast<Latent>> {
-    latents.iter().cloned().map(Forecast::new).collect()
+fn forecasts<C: Clone>(conditions: &[C]) -> Vec<Forecast<C>> {
+    conditions.iter().cloned().map(Forecast::new).collect()
 }
 
 fn options(strategy: Strategy) -> GenerateOptions {
@@ -55,31 +58,33 @@ fn options(strategy: Strategy) -> GenerateOptions {
 }
 
 /// Frames in, frames out.
-struct Drive {
+struct Drive<C = Latent> {
     references: Vec<Latent>,
-    committed: Vec<Committed<Latent>>,
+    committed: Vec<Committed<C>>,
     /// Per generated frame.
-    forecasts: Vec<Vec<Forecast<Latent>>>,
+    forecasts: Vec<Vec<Forecast<C>>>,
 }
 
 impl Drive {
-    /// Eleven frames, three of them references; forecasts that come true.
+    /// Eleven frames, three of them references.
     fn new(options: &GenerateOptions) -> Self {
         let count = options.references();
-        let conditions = made_ups(7, count + 8);
+        Self::of(options, made_ups(8, count), &made_ups(7, count + 8))
+    }
+}
+
+impl<C: Condition> Drive<C> {
+    /// Forecasts come true.
+    fn of(options: &GenerateOptions, references: Vec<Latent>, conditions: &[C]) -> Self {
         let ahead = |frame: usize| {
             let end = (frame + 1 + options.forecasts()).min(conditions.len());
             forecasts(&conditions[frame + 1..end])
         };
-        let generated = count..conditions.len();
-        Self {
-            references: made_ups(8, count),
-            forecasts: generated.map(ahead).collect(),
-            committed: committed(&conditions),
-        }
+        let forecasts = (references.len()..conditions.len()).map(ahead).collect();
+        Self { references, forecasts, committed: committed(conditions) }
     }
 
-    fn generator<D: Denoiser<Condition = Latent>, N: NoiseSource>(
+    fn generator<D: Denoiser<Condition = C>, N: NoiseSource>(
         &self,
         denoiser: D,
         noise: N,
@@ -90,7 +95,7 @@ impl Drive {
     }
 
     /// Frames, and the cache after each.
-    fn run<D: Denoiser<Condition = Latent>, N: NoiseSource>(
+    fn run<D: Denoiser<Condition = C>, N: NoiseSource>(
         &self,
         generator: &mut Generator<D, N>,
     ) -> (Vec<Latent>, Vec<Cache>) {

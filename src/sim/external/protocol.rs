@@ -3,9 +3,9 @@ use std::path::PathBuf;
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::PlannerError;
 use crate::dataset::{Class, TrafficLight};
 use crate::geometry::{Foot, wrap_angle};
+use crate::peer::{Wrong, begin_of};
 use crate::sim::clock::{Clock, seconds};
 use crate::sim::ego::waypoint;
 use crate::sim::recorded::Recorded;
@@ -126,24 +126,6 @@ struct PlannedPoint {
     v: f64,
 }
 
-/// An answer that the protocol does not allow.
-#[derive(Debug)]
-pub(super) struct Wrong {
-    expected: String,
-    found: String,
-}
-
-impl Wrong {
-    fn new(expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self { expected: expected.into(), found: found.into() }
-    }
-
-    /// With the planner's address.
-    pub(super) fn of(self, planner: &str) -> PlannerError {
-        PlannerError::Answer { expected: self.expected, found: self.found, planner: planner.to_owned() }
-    }
-}
-
 impl<'a> Hello<'a> {
     pub(super) fn new(options: &SimOptions, clock: &Clock, log: &'a str, step: usize) -> Self {
         let size = EGO_SIZE_M;
@@ -220,18 +202,6 @@ fn path_ahead(recorded: &Recorded<'_>, ego: Foot) -> Vec<[f64; 2]> {
     let inner = (0..=count).map(|i| from_m + i as f64 * AHEAD_STEP_M);
     let end = Some(to_m).filter(|to_m| to_m - (from_m + count as f64 * AHEAD_STEP_M) > 1e-6);
     inner.chain(end).map(|station_m| line.at(station_m).0.to_array()).collect()
-}
-
-/// A message as a line.
-pub(super) fn line(message: &impl Serialize, planner: &str) -> Result<Vec<u8>, PlannerError> {
-    let io = |source: serde_json::Error| PlannerError::Io {
-        verb: "write to",
-        source: source.into(),
-        planner: planner.to_owned(),
-    };
-    let mut bytes = serde_json::to_vec(message).map_err(io)?;
-    bytes.push(b'\n');
-    Ok(bytes)
 }
 
 /// Checks the answer to a hello.
@@ -313,10 +283,4 @@ fn placed(point: &PlannedPoint, frame: Frame, start: &Waypoint, index: usize) ->
 /// What is wrong and how the answer begins.
 fn shown(answer: &[u8], error: &serde_json::Error) -> String {
     format!("{} ({error})", begin_of(answer))
-}
-
-/// How a line begins, in quotes.
-pub(super) fn begin_of(line: &[u8]) -> String {
-    let text = String::from_utf8_lossy(&line[..line.len().min(400)]);
-    format!("{:?}", text.chars().take(80).collect::<String>())
 }

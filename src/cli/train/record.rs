@@ -1,0 +1,79 @@
+//! Drives to train on, recorded from logs: conditions as the network will see them, and true images.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::DVec3;
+use image::RgbImage;
+
+use crate::cli::rasterizer::RasterizerArgs;
+use crate::cli::stand_ins::StandInArgs;
+use crate::conditions;
+use crate::dataset::{Dataset, Log};
+use crate::generate::{Drive, DriveFrame, DriveInfo, Recipe};
+use crate::geometry::{Pose, View};
+use crate::scene::{
+    EgoOffset, SceneMap, SceneState, SelectionOptions, Stage, frame_rate_hz, state_of_frame,
+};
+use crate::skeleton::Skeleton;
+use crate::town::Town;
+
+/// A log to record from, and the skeleton that was built of it.
+pub(super) struct Source<'a> {
+    /// The town knows what it looks like from elsewhere.
+    pub(super) town: &'a Town,
+    pub(super) skeleton: &'a Skeleton,
+    pub(super) recipe: &'a Recipe,
+    pub(super) rasterizer: &'a RasterizerArgs,
+}
+
+/// How a recording differs from the log's own drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Variant {
+    /// From where the ego drove.
+    pub(super) offset: EgoOffset,
+    /// Seed by which assets are made worse.
+    pub(super) augment: Option<u64>,
+}
+
+impl Source<'_> {
+    /// Records all frames.
+    pub(super) fn record(&self, variant: Variant) -> anyhow::Result<Drive> {
+        let log = self.town.log();
+        let (stand_ins, _) = StandInArgs::augmented(variant.augment).make(self.skeleton, &log.name)?;
+        let stage = Stage::with(self.skeleton, &log.name, &stand_ins);
+        let mut rasterizer = self.rasterizer.create(stage.cloud_set())?;
+        let map = self.town.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
+        let options = self.recipe.options(map.is_some());
+        let about = self.about(log);
+        let (mut frames, mut before) = (Vec::new(), None);
+        for index in 0..log.frames.len() {
+            let state = state_of_frame(log, index, variant.offset);
+            let state = state.ok_or_else(|| anyhow::anyhow!("expected frame {index} in log {}", log.name))?;
+            let state = SceneState { map: map.clone(), ..state };
+            let instances = stage.instances(&state, &SelectionOptions::default());
+            let set = conditions::render(rasterizer.as_mut(), &instances, &state, &options)?;
+            let images = self.images(&state)?;
+            frames.push(DriveFrame::new(&about, &set, &state, before, &images)?);
+            before = Some(state.global_from_ego);
+        }
+        Ok(Drive { about, frames })
+    }
+
+    fn about(&self, log: &Log) -> DriveInfo {
+        DriveInfo {
+            log: log.name.clone(),
+            hz: frame_rate_hz(&log.frames).unwrap_or(0.0),
+            size: self.recipe.size,
+            cameras: log.cameras.clone(),
+            bins: self.recipe.bins,
+        }
+    }
+
+    /// What the cameras of a state see.
+    fn images(&self, state: &SceneState) -> anyhow::Result<Vec<RgbImage>> {
+        let options = self.recipe.options(true);
+        let views: Vec<View> = state.cameras.iter().map(|camera| options.drawn_view(&camera.view)).collect();
+        Ok(self.town.truth(state.t_us, &views)?.into_iter().map(|seen| seen.image).collect())
+    }
+}

@@ -1,0 +1,104 @@
+use half::{bf16, f16};
+use safetensors::Dtype;
+
+use super::hello::{Given, Precision};
+use super::message::{Answer, Values, message, shown};
+use crate::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
+use crate::generate::{CAMERA_NUMBERS, DenoiserError, Frame, FrameConditions, Latent, LatentShape};
+use crate::geometry::ImageSize;
+use crate::peer::Wrong;
+
+const CALL: &str = "call";
+const PREDICTION: &str = "prediction";
+
+/// A window as a message; latents are of `shape`, conditions of one size.
+pub(super) fn request(
+    window: &[Frame<'_, FrameConditions>],
+    shape: LatentShape,
+    call: u64,
+) -> Result<Vec<u8>, DenoiserError> {
+    let frames = window.len();
+    let [views, channels, height, width] = shape.to_array();
+    let size = window.first().map_or(ImageSize { height: 0, width: 0 }, |frame| frame.condition.size);
+    let maps = |channels: usize| vec![frames, views, channels, size.height as usize, size.width as usize];
+    let timesteps: Vec<f32> = window.iter().map(|frame| frame.level.timestep).collect();
+    let sigmas: Vec<f32> = window.iter().map(|frame| frame.level.sigma).collect();
+    let tensors = [
+        ("latents", vec![frames, views, channels, height, width], parts(window, |f| f.latent.values())),
+        ("timesteps", vec![frames], vec![timesteps.as_slice()]),
+        ("sigmas", vec![frames], vec![sigmas.as_slice()]),
+        ("points", maps(POINT_CHANNELS), parts(window, |f| &f.condition.points)),
+        ("layout", maps(LAYOUT_CHANNELS), parts(window, |f| &f.condition.layout)),
+        ("action", vec![frames, 3], parts(window, |f| &f.condition.action)),
+        (
+            "cameras",
+            vec![frames, views, CAMERA_NUMBERS],
+            parts(window, |f| f.condition.cameras.as_flattened()),
+        ),
+    ];
+    let prompts: Vec<&str> = window.iter().map(|frame| frame.condition.prompt.as_str()).collect();
+    let texts = [(CALL, call.to_string()), ("prompts", serde_json::json!(prompts).to_string())];
+    message(texts, tensors.map(|(name, shape, parts)| (name, Values { shape, parts })))
+}
+
+fn parts<'a>(
+    window: &[Frame<'a, FrameConditions>],
+    of: impl Fn(Frame<'a, FrameConditions>) -> &'a [f32],
+) -> Vec<&'a [f32]> {
+    window.iter().map(|frame| of(*frame)).collect()
+}
+
+/// The predictions for a window of `frames`.
+pub(super) fn read_prediction(
+    answer: &[u8],
+    given: Given,
+    frames: usize,
+    call: u64,
+) -> Result<Vec<Latent>, Wrong> {
+    let answer = Answer::read(answer)?;
+    if answer.texts.get(CALL).is_some_and(|answered| *answered != call.to_string()) {
+        return Err(Wrong::new(format!("an answer to `call` \"{call}\""), answer.quoted(CALL)));
+    }
+    let tensor = answer.tensors.tensor(PREDICTION).map_err(|_| {
+        let mut names = answer.tensors.names();
+        names.sort_unstable();
+        let found = if names.is_empty() { "none".to_owned() } else { shown(&names.join(", ")) };
+        Wrong::new(format!("a tensor `{PREDICTION}`"), found)
+    })?;
+    let dtype = match given.precision {
+        Precision::F32 => Dtype::F32,
+        Precision::F16 => Dtype::F16,
+        Precision::Bf16 => Dtype::BF16,
+    };
+    if tensor.dtype() != dtype {
+        let expected = format!("`{PREDICTION}` as {dtype}, which its hello says,");
+        return Err(Wrong::new(expected, tensor.dtype().to_string()));
+    }
+    let shape = given.shape;
+    let [views, channels, height, width] = shape.to_array();
+    let sizes = [frames, views, channels, height, width];
+    if tensor.shape() != sizes {
+        let found = shown(&format!("{:?}", tensor.shape()));
+        return Err(Wrong::new(format!("`{PREDICTION}` of {sizes:?}"), found));
+    }
+    let values = values(tensor.data(), given.precision);
+    if let Some((index, value)) = values.iter().enumerate().find(|(_, value)| !value.is_finite()) {
+        let position = index / shape.len();
+        return Err(Wrong::new(
+            format!("finite values for frame {position} of the window"),
+            value.to_string(),
+        ));
+    }
+    Ok(values.chunks(shape.len()).filter_map(|frame| Latent::new(shape, frame.to_vec())).collect())
+}
+
+fn values(bytes: &[u8], precision: Precision) -> Vec<f32> {
+    let halves = || bytes.chunks_exact(2).map(|b| [b[0], b[1]]);
+    match precision {
+        Precision::F32 => {
+            bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+        }
+        Precision::F16 => halves().map(|b| f16::from_le_bytes(b).to_f32()).collect(),
+        Precision::Bf16 => halves().map(|b| bf16::from_le_bytes(b).to_f32()).collect(),
+    }
+}

@@ -1,0 +1,118 @@
+use super::MAX_ANSWER_BYTES;
+use super::message::{Answer, message};
+use crate::generate::{DenoiserError, LatentShape, Prediction, SamplerOptions};
+use crate::geometry::ImageSize;
+use crate::peer::Wrong;
+
+const PROTOCOL: &str = "pskel-denoiser";
+const VERSION: &str = "1";
+
+/// What a denoiser is called with.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Taken {
+    /// Frames, L.
+    pub(super) window: usize,
+    /// Cameras, V.
+    pub(super) views: usize,
+    /// Of the conditions, H x W.
+    pub(super) size: ImageSize,
+    /// What becomes of its predictions.
+    pub(super) sampler: SamplerOptions,
+}
+
+/// What it answers.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Given {
+    /// Of a frame, `[V, C, h, w]`.
+    pub(super) shape: LatentShape,
+    pub(super) precision: Precision,
+}
+
+/// Numbers of predictions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Precision {
+    F32,
+    F16,
+    Bf16,
+}
+
+pub(super) fn hello(taken: &Taken) -> Result<Vec<u8>, DenoiserError> {
+    let (sampler, prediction) = match taken.sampler {
+        SamplerOptions::FlowMatch { .. } => ("flow_match", "velocity"),
+        SamplerOptions::Ddim { prediction: Prediction::Epsilon } => ("ddim", "epsilon"),
+        SamplerOptions::Ddim { prediction: Prediction::Sample } => ("ddim", "sample"),
+        SamplerOptions::Ddim { prediction: Prediction::Velocity } => ("ddim", "velocity"),
+    };
+    let texts = [
+        ("protocol", PROTOCOL.to_owned()),
+        ("version", VERSION.to_owned()),
+        ("window", taken.window.to_string()),
+        ("views", taken.views.to_string()),
+        ("condition_size", format!("{},{}", taken.size.height, taken.size.width)),
+        ("sampler", sampler.to_owned()),
+        ("prediction", prediction.to_owned()),
+    ];
+    message(texts, [])
+}
+
+/// Checks the answer to a hello.
+pub(super) fn read_hello(answer: &[u8], taken: &Taken) -> Result<Given, Wrong> {
+    let answer = Answer::read(answer)?;
+    let text = |name: &str| answer.texts.get(name).map_or("", String::as_str);
+    if (text("protocol"), text("version")) != (PROTOCOL, VERSION) {
+        let found =
+            format!("`protocol` {} of `version` {}", answer.quoted("protocol"), answer.quoted("version"));
+        return Err(Wrong::new(format!("`protocol` {PROTOCOL:?} of `version` {VERSION:?}"), found));
+    }
+    let shape = latent_shape(text("latent_shape")).filter(|shape| shape.views == taken.views);
+    let shape = shape.ok_or_else(|| {
+        let expected = format!("`latent_shape` \"V,C,h,w\" of positive numbers with V = {}", taken.views);
+        Wrong::new(expected, answer.quoted("latent_shape"))
+    })?;
+    let precision = Precision::named(text("dtype"));
+    let precision = precision
+        .ok_or_else(|| Wrong::new("`dtype` \"F32\", \"F16\" or \"BF16\"", answer.quoted("dtype")))?;
+    // With room for a header.
+    let most = (MAX_ANSWER_BYTES / 2) as usize / size_of::<f32>() / taken.window.max(1);
+    if shape.len() > most {
+        let expected = format!("`latent_shape` of at most {most} values in a window of {}", taken.window);
+        return Err(Wrong::new(expected, answer.quoted("latent_shape")));
+    }
+    Ok(Given { shape, precision })
+}
+
+/// Four positive numbers whose product is one.
+fn latent_shape(text: &str) -> Option<LatentShape> {
+    let sizes: Result<Vec<usize>, _> = text.split(',').map(|size| size.trim().parse()).collect();
+    let &[views, channels, height, width] = sizes.ok()?.as_slice() else { return None };
+    let product = [views, channels, height, width].iter().try_fold(1usize, |all, n| all.checked_mul(*n));
+    product.filter(|values| *values > 0)?;
+    Some(LatentShape { views, channels, height, width })
+}
+
+impl Precision {
+    /// As safetensors call it.
+    fn named(name: &str) -> Option<Self> {
+        match name {
+            "F32" => Some(Self::F32),
+            "F16" => Some(Self::F16),
+            "BF16" => Some(Self::Bf16),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shapes_are_four_positive_numbers() {
+        let shape = LatentShape { views: 6, channels: 48, height: 14, width: 25 };
+        assert_eq!([latent_shape("6,48,14,25"), latent_shape(" 6, 48,14 ,25")], [Some(shape); 2]);
+        let huge = format!("6,{},2,2", usize::MAX / 4);
+        for text in ["", "6,48,14", "6,48,14,25,1", "6,48,0,25", "6,48,-1,25", "6,48,14,x", &huge] {
+            assert_eq!(latent_shape(text), None, "{text:?}");
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! A network in another process, which gets and gives safetensors: see `docs/DENOISER.md`.
+
+mod call;
+mod hello;
+mod message;
+
+use self::call::{read_prediction, request};
+use self::hello::{Given, Taken, hello, read_hello};
+use super::{Denoiser, DenoiserError, Frame, FrameConditions, GenerateOptions, Latent, LatentShape};
+use crate::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
+use crate::geometry::ImageSize;
+use crate::peer::{Framing, Link, PeerSpec, Wrong};
+
+/// Longer answers are a mistake, bytes.
+const MAX_ANSWER_BYTES: u64 = 1 << 30;
+
+/// A network in another process that has said hello. After a failure it fails for good; a [`Generator`](super::Generator)
+/// goes on from its cache with a new one.
+pub struct ProcessDenoiser {
+    link: Link,
+    taken: Taken,
+    given: Given,
+    /// Calls so far.
+    calls: u64,
+}
+
+impl ProcessDenoiser {
+    /// Starts or reaches it and exchanges hellos; `views` cameras with conditions of `size` are what it will see.
+    ///
+    /// # Errors
+    /// It cannot be started or reached, does not answer in time, or says what the protocol does not allow.
+    pub fn start(
+        spec: &PeerSpec,
+        options: &GenerateOptions,
+        views: usize,
+        size: ImageSize,
+    ) -> Result<Self, DenoiserError> {
+        let taken = Taken { window: options.window, views, size, sampler: options.sampler };
+        let mut link = Link::open("denoiser", spec, Framing::Lengths { max_bytes: MAX_ANSWER_BYTES })?;
+        let given = ask(&mut link, hello(&taken)?, |answer| read_hello(answer, &taken))?;
+        Ok(Self { link, taken, given, calls: 0 })
+    }
+
+    /// Whether a window is what was told in the hello.
+    fn check(&self, window: &[Frame<'_, FrameConditions>]) -> Result<(), DenoiserError> {
+        let Taken { window: frames, views, size, .. } = self.taken;
+        if window.len() != frames {
+            return Err(DenoiserError::input(
+                format!("a window of {frames} frames"),
+                window.len().to_string(),
+            ));
+        }
+        for (position, Frame { latent, condition, .. }) in window.iter().enumerate() {
+            let shape = self.given.shape;
+            if latent.shape() != shape {
+                let expected = format!("latents of {shape} for frame {position} of the window");
+                return Err(DenoiserError::input(expected, latent.shape().to_string()));
+            }
+            let [points, layout] = [POINT_CHANNELS, LAYOUT_CHANNELS].map(|n| views * n * size.pixels());
+            let (found_points, found_layout) = (condition.points.len(), condition.layout.len());
+            let found = (condition.views(), condition.size, found_points, found_layout);
+            if found != (views, size, points, layout) {
+                let expected = format!(
+                    "conditions of {views} cameras of {size} ({points} and {layout} values) for frame {position} of the window"
+                );
+                let (views, size) = (condition.views(), condition.size);
+                let found = format!("{views} of {size} ({found_points} and {found_layout} values)");
+                return Err(DenoiserError::input(expected, found));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Denoiser for ProcessDenoiser {
+    type Condition = FrameConditions;
+
+    fn shape(&self) -> LatentShape {
+        self.given.shape
+    }
+
+    fn predict(&mut self, window: &[Frame<'_, FrameConditions>]) -> Result<Vec<Latent>, DenoiserError> {
+        self.check(window)?;
+        let (call, given) = (self.calls, self.given);
+        self.calls += 1;
+        let request = request(window, given.shape, call)?;
+        ask(&mut self.link, request, |answer| read_prediction(answer, given, window.len(), call))
+    }
+}
+
+fn ask<T>(
+    link: &mut Link,
+    message: Vec<u8>,
+    read: impl FnOnce(&[u8]) -> Result<T, Wrong>,
+) -> Result<T, DenoiserError> {
+    let answer = link.ask(message)?;
+    Ok(read(&answer).map_err(|wrong| link.refuse(wrong))?)
+}

@@ -1,0 +1,140 @@
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpStream, ToSocketAddrs};
+use std::os::unix::net::UnixStream;
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::sync_channel;
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
+
+use super::PeerAddress;
+
+/// How often a socket is looked for that is not there yet.
+const RETRY: Duration = Duration::from_millis(50);
+/// How long a process may take to end by itself once its input is closed.
+const GRACE: Duration = Duration::from_millis(500);
+
+/// Both directions, and what ends with them.
+pub(super) struct Connection {
+    pub(super) end: End,
+    pub(super) writer: Box<dyn Write + Send>,
+    pub(super) reader: Box<dyn Read + Send>,
+}
+
+/// What ends with a connection.
+pub(super) enum End {
+    Child(Child),
+    Unix(UnixStream),
+    Tcp(TcpStream),
+    /// It has been ended.
+    Over,
+}
+
+impl End {
+    /// Ends it; the exit status of a command that ended by itself.
+    pub(super) fn end(&mut self) -> Option<ExitStatus> {
+        match std::mem::replace(self, Self::Over) {
+            Self::Child(mut child) => end(&mut child),
+            Self::Unix(stream) => {
+                let _ = stream.shutdown(Shutdown::Both); // fails where the other side was first
+                None
+            }
+            Self::Tcp(stream) => {
+                let _ = stream.shutdown(Shutdown::Both);
+                None
+            }
+            Self::Over => None,
+        }
+    }
+}
+
+/// Starts a command or reaches a socket, which may take until the time-out to be there. An error comes with what could
+/// not be done.
+pub(super) fn open(
+    address: &PeerAddress,
+    timeout: Duration,
+) -> Result<Connection, (&'static str, std::io::Error)> {
+    match address.clone() {
+        PeerAddress::Command(command) => start(&command).map_err(|error| ("start", error)),
+        PeerAddress::Unix(path) => reach(timeout, move |_| UnixStream::connect(&path))
+            .and_then(unix)
+            .map_err(|error| ("reach", error)),
+        PeerAddress::Tcp(address) => reach(timeout, move |left| connect(&address, left))
+            .and_then(tcp)
+            .map_err(|error| ("reach", error)),
+    }
+}
+
+/// Starts a command in a process group of its own; what it writes to its standard error is seen by the user.
+fn start(command: &str) -> std::io::Result<Connection> {
+    let mut shell = Command::new("sh");
+    shell.arg("-c").arg(command).stdin(Stdio::piped()).stdout(Stdio::piped()).process_group(0);
+    let mut child = shell.spawn()?;
+    let missing = || std::io::Error::other("no pipe");
+    let writer = child.stdin.take().ok_or_else(missing)?;
+    let reader = child.stdout.take().ok_or_else(missing)?;
+    Ok(Connection { end: End::Child(child), writer: Box::new(writer), reader: Box::new(reader) })
+}
+
+fn unix(stream: UnixStream) -> std::io::Result<Connection> {
+    let (writer, reader) = (stream.try_clone()?, stream.try_clone()?);
+    Ok(Connection { end: End::Unix(stream), writer: Box::new(writer), reader: Box::new(reader) })
+}
+
+fn tcp(stream: TcpStream) -> std::io::Result<Connection> {
+    stream.set_nodelay(true)?;
+    let (writer, reader) = (stream.try_clone()?, stream.try_clone()?);
+    Ok(Connection { end: End::Tcp(stream), writer: Box::new(writer), reader: Box::new(reader) })
+}
+
+fn connect(address: &str, timeout: Duration) -> std::io::Result<TcpStream> {
+    let mut last = std::io::Error::new(std::io::ErrorKind::NotFound, "no such host");
+    for address in address.to_socket_addrs()? {
+        match TcpStream::connect_timeout(&address, timeout) {
+            Ok(stream) => return Ok(stream),
+            Err(error) => last = error,
+        }
+    }
+    Err(last)
+}
+
+/// Tries until it works or the time is over; an attempt is told what is left of it. All of it is done on another thread:
+/// names that are looked up and servers with a full queue hold an attempt up for longer.
+fn reach<T: Send + 'static>(
+    timeout: Duration,
+    attempt: impl Fn(Duration) -> std::io::Result<T> + Send + 'static,
+) -> std::io::Result<T> {
+    let (send, reached) = sync_channel(1);
+    let start = Instant::now();
+    let tries = move || loop {
+        let done = attempt(timeout.saturating_sub(start.elapsed()).max(RETRY));
+        if done.is_ok() || start.elapsed() + RETRY >= timeout {
+            let _ = send.send(done); // nobody may wait any more
+            return;
+        }
+        std::thread::sleep(RETRY);
+    };
+    std::thread::Builder::new().spawn(tries)?;
+    reached.recv_timeout(timeout + RETRY).unwrap_or_else(|_| {
+        let text = format!("no connection within {} s", timeout.as_secs_f64());
+        Err(std::io::Error::new(std::io::ErrorKind::TimedOut, text))
+    })
+}
+
+/// Ends a process and whatever it started in its group; its exit status if it ended by itself in time.
+fn end(child: &mut Child) -> Option<ExitStatus> {
+    let pid = i32::try_from(child.id()).ok().and_then(Pid::from_raw)?;
+    let start = Instant::now();
+    // Not reaped yet, it keeps its number, so the group that is killed is its own.
+    let look = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+    let mut ended = false;
+    while !ended && start.elapsed() < GRACE {
+        ended = matches!(waitid(WaitId::Pid(pid), look), Ok(Some(_)));
+        if !ended {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+    let _ = kill_process_group(pid, Signal::KILL); // fails where nobody is left
+    child.wait().ok().filter(|_| ended)
+}

@@ -1,0 +1,139 @@
+use std::io::{BufRead, Read, Result, Write};
+
+use super::error::begin_of;
+
+/// How messages are told apart, and how long an answer may be.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Framing {
+    /// Each ends with a newline.
+    Lines {
+        /// Without the newline.
+        max_bytes: u64,
+    },
+    /// Each comes after its length, a little-endian `u64`.
+    Lengths {
+        /// Without the length.
+        max_bytes: u64,
+    },
+}
+
+/// What is read.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Heard {
+    /// A message, without what tells it from the next one.
+    Message(Vec<u8>),
+    /// More than is allowed; what it is, and how it begins.
+    TooLong(String),
+    /// The end within a message.
+    Cut {
+        /// What there is of it.
+        bytes: u64,
+        /// What there should be.
+        of: u64,
+    },
+}
+
+const LENGTH_BYTES: u64 = 8;
+
+impl Framing {
+    /// What a message is called.
+    pub(super) fn unit(self) -> &'static str {
+        match self {
+            Self::Lines { .. } => "line",
+            Self::Lengths { .. } => "message",
+        }
+    }
+
+    pub(super) fn max_bytes(self) -> u64 {
+        match self {
+            Self::Lines { max_bytes } | Self::Lengths { max_bytes } => max_bytes,
+        }
+    }
+
+    /// Writes a message.
+    pub(super) fn write(self, writer: &mut impl Write, mut message: Vec<u8>) -> Result<()> {
+        match self {
+            Self::Lines { .. } => message.push(b'\n'),
+            Self::Lengths { .. } => writer.write_all(&(message.len() as u64).to_le_bytes())?,
+        }
+        writer.write_all(&message)?;
+        writer.flush()
+    }
+
+    /// Waits for a message; `None` at the end.
+    pub(super) fn read(self, reader: &mut impl BufRead) -> Result<Option<Heard>> {
+        match self {
+            Self::Lines { max_bytes } => read_line(reader, max_bytes),
+            Self::Lengths { max_bytes } => read_counted(reader, max_bytes),
+        }
+    }
+}
+
+fn read_line(reader: &mut impl BufRead, max_bytes: u64) -> Result<Option<Heard>> {
+    let mut line = Vec::new();
+    if reader.take(max_bytes + 1).read_until(b'\n', &mut line)? == 0 {
+        return Ok(None);
+    }
+    if line.last() == Some(&b'\n') {
+        line.pop();
+    }
+    let is_long = line.len() as u64 > max_bytes;
+    Ok(Some(if is_long { Heard::TooLong("a longer one".to_owned()) } else { Heard::Message(line) }))
+}
+
+fn read_counted(reader: &mut impl BufRead, max_bytes: u64) -> Result<Option<Heard>> {
+    let mut length = Vec::new();
+    reader.by_ref().take(LENGTH_BYTES).read_to_end(&mut length)?;
+    let Ok(counted) = <[u8; LENGTH_BYTES as usize]>::try_from(length.as_slice()) else {
+        let bytes = length.len() as u64;
+        return Ok((bytes > 0).then_some(Heard::Cut { bytes, of: LENGTH_BYTES }));
+    };
+    let of = u64::from_le_bytes(counted);
+    if of > max_bytes {
+        // Text where the length should be is the usual mistake.
+        return Ok(Some(Heard::TooLong(format!("a length of {of}, bytes {}", begin_of(&length)))));
+    }
+    // Grows with what comes, whatever was declared.
+    let mut message = Vec::new();
+    reader.take(of).read_to_end(&mut message)?;
+    let bytes = message.len() as u64;
+    Ok(Some(if bytes < of {
+        Heard::Cut { bytes: LENGTH_BYTES + bytes, of: LENGTH_BYTES + of }
+    } else {
+        Heard::Message(message)
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn all(framing: Framing, mut bytes: &[u8]) -> Vec<Heard> {
+        std::iter::from_fn(|| framing.read(&mut bytes).unwrap()).collect()
+    }
+
+    #[test]
+    fn messages_come_as_they_were_written() {
+        for framing in [Framing::Lines { max_bytes: 4 }, Framing::Lengths { max_bytes: 4 }] {
+            let mut bytes = Vec::new();
+            for message in ["", "abcd", "e"] {
+                framing.write(&mut bytes, message.into()).unwrap();
+            }
+            let heard = ["", "abcd", "e"].map(|message| Heard::Message(message.into()));
+            assert_eq!(all(framing, &bytes), heard);
+            framing.write(&mut bytes, b"abcde".to_vec()).unwrap();
+            assert!(matches!(all(framing, &bytes)[3], Heard::TooLong(_)));
+        }
+    }
+
+    #[test]
+    fn ends_within_messages_are_told() {
+        let counted = Framing::Lengths { max_bytes: 4 };
+        assert_eq!(all(counted, &[3, 0, 0]), [Heard::Cut { bytes: 3, of: 8 }]);
+        assert_eq!(all(counted, &[3, 0, 0, 0, 0, 0, 0, 0, 7]), [Heard::Cut { bytes: 9, of: 11 }]);
+        let Heard::TooLong(found) = &all(counted, b"loading the model")[0] else { panic!() };
+        assert_eq!(found, "a length of 2334956330749620076, bytes \"loading \"");
+        // A line may end with the connection.
+        assert_eq!(all(Framing::Lines { max_bytes: 4 }, b"ab"), [Heard::Message(b"ab".to_vec())]);
+    }
+}

@@ -1,0 +1,19 @@
+//! A process beside this one that is asked one message at a time: a planner, a denoiser.
+//!
+//! # How it works
+//! It is a command, spoken to over its standard input and output, or listens at a socket ([`PeerAddress`]). One thread
+//! writes and one reads, so that a process that neither reads nor answers is noticed when its time is over. A command is
+//! killed, with all that it started in its group, when the link to it is dropped.
+
+mod address;
+mod connection;
+mod error;
+mod framing;
+mod link;
+
+pub use address::{PeerAddress, PeerSpec};
+pub use error::{PeerError, PeerName};
+
+pub(crate) use error::{Wrong, begin_of};
+pub(crate) use framing::Framing;
+pub(crate) use link::Link;
