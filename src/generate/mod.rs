@@ -9,6 +9,7 @@
 
 pub mod toy;
 
+mod conditioner;
 mod denoiser;
 mod drive;
 mod drive_file;
@@ -26,6 +27,7 @@ mod schedule;
 mod strategy;
 mod window;
 
+pub use conditioner::{Conditioner, ConditionerError, Drawn};
 pub use denoiser::{Codec, Condition, Denoiser, DenoiserError, Frame};
 pub use drive::{Drive, DriveFrame, DriveInfo};
 pub use frame_conditions::{CAMERA_NUMBERS, FrameConditions};
