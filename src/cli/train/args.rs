@@ -5,6 +5,7 @@ use clap::Args;
 use crate::cli::log_args;
 use crate::cli::rasterizer::RasterizerArgs;
 use crate::dataset::LogLocator;
+use crate::generate::train::TrainOptions;
 
 /// Train the small network of `pskel generate` on drives in the built-in town
 ///
@@ -34,6 +35,18 @@ pub(in crate::cli) struct TrainArgs {
     /// Steps in all; 0 records the drives alone
     #[arg(long, value_name = "N", default_value = "10000")]
     pub(super) steps: u64,
+    /// Windows a step
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().batch)]
+    pub(super) batch: usize,
+    /// Network, as JSON; what is missing is as shipped
+    #[arg(long, value_name = "FILE")]
+    pub(super) config: Option<PathBuf>,
+    /// Go on from the last checkpoint, if there is one
+    #[arg(long)]
+    pub(super) resume: bool,
+    /// Steps from one checkpoint to the next
+    #[arg(long, value_name = "N", default_value = "200", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(super) checkpoint: u64,
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
 }

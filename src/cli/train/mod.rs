@@ -1,17 +1,23 @@
-//! `pskel train`: [`args`] are the options, [`drives`] keeps what is trained on, [`record`] makes it.
+//! `pskel train`: [`args`] are the options, [`drives`] keeps what is trained on, [`record`] makes it,
+//! [`steps`] trains.
 
 mod args;
 mod drives;
 mod record;
+mod steps;
 
 pub(super) use args::TrainArgs;
 
+use std::path::Path;
 use std::time::Instant;
 
 use self::drives::Recording;
+use self::steps::{Training, recent};
 use super::{WrongUsage, say};
 use crate::dataset::LogFormat;
-use crate::generate::Recipe;
+use crate::error::FileError;
+use crate::generate::network::NetworkConfig;
+use crate::generate::train::TrainOptions;
 
 /// Records, trains, writes.
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
@@ -20,11 +26,11 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
         let message = format!("expected logs town:.., of which the truth is known, found {other}");
         return Err(WrongUsage(message).into());
     }
-    let recipe = Recipe::default();
+    let config = config(args.config.as_deref())?;
     let folder = args.drives.clone().unwrap_or_else(|| args.out.join("drives"));
     let recording = Recording {
         folder: &folder,
-        recipe: &recipe,
+        recipe: &config.recipe,
         variants: usize::from(args.variants),
         augment: !args.no_augment,
         seed: args.seed,
@@ -32,11 +38,35 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     };
     let drives = recording.drives(&args.logs)?;
     let frames: usize = drives.iter().map(|drive| drive.frames.len()).sum();
+    let seconds = start.elapsed().as_secs_f64();
+    say(&format!("{} drives of {frames} frames in {seconds:.2} s: {}", drives.len(), folder.display()));
+    if args.steps == 0 {
+        return Ok(());
+    }
+    let options =
+        TrainOptions { seed: args.seed, steps: args.steps, batch: args.batch, ..TrainOptions::default() };
+    let command = std::env::args().skip(1).collect::<Vec<_>>().join(" ");
+    let training = Training {
+        folder: &args.out,
+        options,
+        config,
+        checkpoint_steps: args.checkpoint,
+        command: format!("pskel {command}"),
+    };
+    let losses = training.run(&drives, args.resume)?;
     say(&format!(
-        "recorded {} drives of {frames} frames in {:.2} s: {}",
-        drives.len(),
+        "trained {} steps, loss {:.4}, in {:.2} s: {}",
+        losses.len(),
+        recent(&losses),
         start.elapsed().as_secs_f64(),
-        folder.display()
+        training.weights().display()
     ));
     Ok(())
+}
+
+fn config(path: Option<&Path>) -> Result<NetworkConfig, FileError> {
+    let Some(path) = path else { return Ok(NetworkConfig::default()) };
+    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    serde_json::from_slice(&text)
+        .map_err(|e| FileError::content("a network's configuration", e.to_string(), path))
 }

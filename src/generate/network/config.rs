@@ -7,7 +7,7 @@ use crate::generate::{LatentShape, Recipe};
 
 /// Size and shape of the network. It stands in the weights' header.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct NetworkConfig {
     /// How its conditions are made; images are of `recipe.size`.
     pub recipe: Recipe,

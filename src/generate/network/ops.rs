@@ -16,12 +16,11 @@ fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
 fn lend<R>(tensors: &[&Tensor], f: impl FnOnce(&[&[f32]]) -> R) -> Result<R> {
     let tensors = tensors.iter().map(|tensor| tensor.contiguous()).collect::<Result<Vec<_>>>()?;
     let guards: Vec<_> = tensors.iter().map(Tensor::storage_and_layout).collect();
-    let of = |(storage, layout)| match storage {
-        Storage::Cpu(storage) => slice(storage, layout),
-        _ => bail!("expected a tensor of the CPU"),
-    };
-    let slices =
-        guards.iter().map(|(storage, layout)| of((&**storage, *layout))).collect::<Result<Vec<_>>>()?;
+    let mut slices = Vec::with_capacity(guards.len());
+    for (storage, layout) in &guards {
+        let Storage::Cpu(storage) = &**storage else { bail!("expected a tensor of the CPU") };
+        slices.push(slice(storage, layout)?);
+    }
     Ok(f(&slices))
 }
 

@@ -73,12 +73,12 @@ pub(super) fn check(config: &NetworkConfig, drives: &[Drive]) -> Result<(), Netw
             Err(NetworkError::input(expected, format!("{found} in {}", about.log)))
         };
         let (size, cameras, bins) = (config.recipe.size, config.cameras, config.recipe.bins);
-        if (about.size, about.cameras.len()) != (size, cameras) {
-            let found = format!("{} of {}", about.cameras.len(), about.size);
+        if (about.recipe.size, about.cameras.len()) != (size, cameras) {
+            let found = format!("{} of {}", about.cameras.len(), about.recipe.size);
             return wrong(format!("{cameras} cameras of {size}"), found);
         }
-        if about.bins != bins {
-            return wrong(format!("depth in {bins:?}"), format!("{:?}", about.bins));
+        if about.recipe != config.recipe {
+            return wrong(format!("maps made as {:?}", config.recipe), format!("{:?}", about.recipe));
         }
         if drive.frames.len() < config.frames {
             return wrong(format!("at least {} frames", config.frames), drive.frames.len().to_string());

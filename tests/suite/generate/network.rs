@@ -4,7 +4,6 @@ use std::path::Path;
 use std::process::Command;
 
 use image::RgbImage;
-use point_skeleton::conditions::DepthBins;
 use point_skeleton::generate::network::{
     Attend, Network, NetworkConfig, NetworkError, PatchCodec, Statistics, Weights,
 };
@@ -23,7 +22,7 @@ const VIEWS: usize = 2;
 
 fn config() -> NetworkConfig {
     NetworkConfig {
-        recipe: Recipe { size: SIZE, ..Recipe::default() },
+        recipe: recipe(),
         cameras: VIEWS,
         frames: 4,
         patch: 4,
@@ -38,6 +37,10 @@ fn train_options() -> TrainOptions {
     TrainOptions { steps: 4, warmup: 2, batch: 2, learning_rate: 3e-3, ..TrainOptions::default() }
 }
 
+fn recipe() -> Recipe {
+    Recipe { size: SIZE, ..Recipe::default() }
+}
+
 /// A byte that is smooth in space and time.
 fn shade(number: usize, frame: usize, x: usize, y: usize) -> u8 {
     let (x, y, phase) = (x as f64, y as f64, (number * 3) as f64 + 0.4 * frame as f64);
@@ -47,8 +50,7 @@ fn shade(number: usize, frame: usize, x: usize, y: usize) -> u8 {
 /// A drive past something colored, whose color map has holes.
 fn made(number: usize, frames: usize) -> Drive {
     let cameras = vec!["left".to_owned(), "right".to_owned()];
-    let about =
-        DriveInfo { log: format!("made {number}"), hz: 5.0, size: SIZE, cameras, bins: DepthBins::default() };
+    let about = DriveInfo { log: format!("made {number}"), hz: 5.0, cameras, recipe: recipe() };
     let frame = |frame: usize| {
         let mut made = DriveFrame { action: [1.0, 0.1 * frame as f32, 0.02], ..DriveFrame::default() };
         for (view, y, x) in places() {
