@@ -13,17 +13,20 @@ pub struct Statistics {
     pub means: Vec<f32>,
     /// Their standard deviation: latents are divided by it.
     pub scales: Vec<f32>,
-    /// Mean of the images' latents less those of the color maps.
+    /// Factor of the color maps' latents in the best linear guess of the images'.
+    pub gains: Vec<f32>,
+    /// What is added to it.
     pub offsets: Vec<f32>,
-    /// Standard deviation of the same: how far the images are from what their conditions show.
+    /// Standard deviation of what that guess leaves, at most 1: how far the images are from what their conditions show.
     pub priors: Vec<f32>,
 }
 
 impl Statistics {
     /// Whether there are finite numbers for so many channels, and all scales are positive.
     pub(in crate::generate) fn check(&self, channels: usize) -> Result<(), NetworkError> {
-        let Self { means, scales, offsets, priors } = self;
-        for (name, values) in [("means", means), ("scales", scales), ("offsets", offsets), ("priors", priors)]
+        let Self { means, scales, gains, offsets, priors } = self;
+        for (name, values) in
+            [("means", means), ("scales", scales), ("gains", gains), ("offsets", offsets), ("priors", priors)]
         {
             let is_scale = ["scales", "priors"].contains(&name);
             let wrong = values.iter().find(|value| !value.is_finite() || is_scale && **value <= 0.0);

@@ -86,7 +86,8 @@ pub(super) fn shapes(config: &NetworkConfig) -> Vec<(String, Vec<usize>)> {
     parameters(config).into_iter().map(|parameter| (parameter.name, parameter.shape)).collect()
 }
 
-/// Parameters before training. The guess begins as the color map's own latent, moved to the images' mean.
+/// Parameters before training. The guess begins as the color map's own latent, by the gains and offsets that were
+/// measured.
 ///
 /// # Errors
 /// The tensor library's.
@@ -105,21 +106,16 @@ pub(in crate::generate) fn fresh(
             "maps.guess" => {
                 let first = LAYOUT_CHANNELS * config.patch * config.patch;
                 let axes = transform(config.patch);
-                let rows = values
-                    .chunks_mut(config.map_numbers())
-                    .zip(axes.chunks(channels))
-                    .zip(&statistics.scales);
-                for ((row, axis), scale) in rows {
-                    row[first..first + channels]
-                        .iter_mut()
-                        .zip(axis)
-                        .for_each(|(to, axis)| *to = axis / scale);
+                let rows = values.chunks_mut(config.map_numbers()).zip(axes.chunks(channels));
+                for (channel, (row, axis)) in rows.enumerate() {
+                    let factor = statistics.gains[channel] / statistics.scales[channel];
+                    row[first..].iter_mut().zip(axis).for_each(|(to, axis)| *to = axis * factor);
                 }
             }
             "maps.guess_bias" => {
-                let Statistics { means, scales, offsets, .. } = statistics;
+                let Statistics { means, scales, gains, offsets, .. } = statistics;
                 for (channel, value) in values.iter_mut().enumerate() {
-                    *value = offsets[channel] - means[channel] / scales[channel];
+                    *value = offsets[channel] - gains[channel] * means[channel] / scales[channel];
                 }
             }
             "modulation_bias" => {

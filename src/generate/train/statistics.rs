@@ -7,11 +7,11 @@ use crate::generate::{Drive, DriveFrame};
 const SCALE_MIN: f64 = 1e-3;
 const PRIOR_MIN: f64 = 1e-2;
 
-/// Sums over patches, per channel: of the images' coefficients and their squares, of their differences to the color maps'
-/// and those squares.
-type Sums = Vec<[f64; 4]>;
+/// Sums over patches, per channel: of the images' coefficients and the color maps', of both squares and their product.
+type Sums = Vec<[f64; 5]>;
 
-/// Mean and standard deviation of the images' coefficients, and of what the color maps leave of them.
+/// Mean and standard deviation of the images' coefficients, and of what the best linear guess from the same coefficient of
+/// the color map leaves of them.
 ///
 /// # Errors
 /// A configuration that does not go together, drives without frames or of other sizes.
@@ -22,6 +22,7 @@ pub fn measure(config: &NetworkConfig, drives: &[Drive]) -> Result<Statistics, N
     let plain = Statistics {
         means: vec![0.0; channels],
         scales: vec![1.0; channels],
+        gains: vec![1.0; channels],
         offsets: vec![0.0; channels],
         priors: vec![1.0; channels],
     };
@@ -29,30 +30,36 @@ pub fn measure(config: &NetworkConfig, drives: &[Drive]) -> Result<Statistics, N
     let frames: Vec<&DriveFrame> = drives.iter().flat_map(|drive| &drive.frames).collect();
     let sums: Vec<Sums> = frames.par_iter().map(|frame| sums(&codec, frame, channels)).collect();
     // One frame after the other: the same bytes for any number of threads.
-    let all = sums.iter().fold(vec![[0.0; 4]; channels], |mut all: Sums, sums| {
+    let all = sums.iter().fold(vec![[0.0; 5]; channels], |mut all: Sums, sums| {
         all.iter_mut().zip(sums).for_each(|(all, sums)| *all = std::array::from_fn(|i| all[i] + sums[i]));
         all
     });
     let count = (frames.len() * config.shape().len() / channels) as f64;
     let mut measured = plain;
-    for (channel, [sum, squares, off, off_squares]) in all.into_iter().enumerate() {
-        let deviation = |sum: f64, squares: f64| (squares / count - (sum / count).powi(2)).max(0.0).sqrt();
-        let scale = deviation(sum, squares).max(SCALE_MIN);
-        measured.means[channel] = (sum / count) as f32;
+    for (channel, sums) in all.into_iter().enumerate() {
+        let [mean, color, square, color_square, product] = sums.map(|sum| sum / count);
+        let (variance, color_variance) = (square - mean * mean, color_square - color * color);
+        let covariance = product - mean * color;
+        // The color map has edges where it is empty that the image has not: its gain may be far below 1.
+        let gain = if color_variance > SCALE_MIN * SCALE_MIN { covariance / color_variance } else { 0.0 };
+        let scale = variance.max(0.0).sqrt().max(SCALE_MIN);
+        let left = (variance - gain * covariance).max(0.0).sqrt();
+        measured.means[channel] = mean as f32;
         measured.scales[channel] = scale as f32;
-        measured.offsets[channel] = (off / count / scale) as f32;
-        measured.priors[channel] = (deviation(off, off_squares) / scale).max(PRIOR_MIN) as f32;
+        measured.gains[channel] = gain as f32;
+        measured.offsets[channel] = (gain * (mean - color) / scale) as f32;
+        measured.priors[channel] = (left / scale).max(PRIOR_MIN) as f32;
     }
     Ok(measured)
 }
 
 fn sums(codec: &PatchCodec, frame: &DriveFrame, channels: usize) -> Sums {
     let (truth, color) = (codec.encode_rows(&frame.truth), codec.encode_rows(&frame.color));
-    let mut sums = vec![[0.0; 4]; channels];
+    let mut sums = vec![[0.0; 5]; channels];
     for (truth, color) in truth.chunks(channels).zip(color.chunks(channels)) {
         for (sums, (truth, color)) in sums.iter_mut().zip(truth.iter().zip(color)) {
-            let (value, off) = (f64::from(*truth), f64::from(*truth) - f64::from(*color));
-            let of = [value, value * value, off, off * off];
+            let (truth, color) = (f64::from(*truth), f64::from(*color));
+            let of = [truth, color, truth * truth, color * color, truth * color];
             *sums = std::array::from_fn(|i| sums[i] + of[i]);
         }
     }
