@@ -13,21 +13,15 @@ pub struct Statistics {
     pub means: Vec<f32>,
     /// Their standard deviation: latents are divided by it.
     pub scales: Vec<f32>,
-    /// Factor of the color maps' latents in the best linear guess of the images'.
-    pub gains: Vec<f32>,
-    /// What is added to it.
-    pub offsets: Vec<f32>,
-    /// Standard deviation of what that guess leaves, at most 1: how far the images are from what their conditions show.
+    /// Standard deviation of what the best linear guess of latents from conditions leaves of them, at most 1.
     pub priors: Vec<f32>,
 }
 
 impl Statistics {
     /// Whether there are finite numbers for so many channels, and all scales are positive.
     pub(in crate::generate) fn check(&self, channels: usize) -> Result<(), NetworkError> {
-        let Self { means, scales, gains, offsets, priors } = self;
-        for (name, values) in
-            [("means", means), ("scales", scales), ("gains", gains), ("offsets", offsets), ("priors", priors)]
-        {
+        let Self { means, scales, priors } = self;
+        for (name, values) in [("means", means), ("scales", scales), ("priors", priors)] {
             let is_scale = ["scales", "priors"].contains(&name);
             let wrong = values.iter().find(|value| !value.is_finite() || is_scale && **value <= 0.0);
             if values.len() != channels || wrong.is_some() {
@@ -43,7 +37,7 @@ impl Statistics {
 /// An orthonormal transform of patches: the DCT along y, along x and over the three colors, of levels from 0 to 1. Row
 /// `(a p + ky) p + kx` is coefficient (ky, kx) of color axis `a` (0 is gray), column `(c p + y) p + x` a pixel:
 /// `[C, C]`. Source: Ahmed, Natarajan and Rao, "Discrete Cosine Transform", 1974 (DCT-II).
-pub(in crate::generate) fn transform(patch: usize) -> Vec<f32> {
+fn transform(patch: usize) -> Vec<f32> {
     let (space, color) = (cosines(patch), cosines(3));
     let channels = 3 * patch * patch;
     let parts = |i: usize| [i / (patch * patch), i / patch % patch, i % patch];

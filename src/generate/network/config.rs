@@ -102,6 +102,11 @@ impl NetworkConfig {
         Grid { windows, frames, views, height, width }
     }
 
+    /// Numbers of a patch's maps, and of its latent.
+    pub(in crate::generate) fn maps_and_channels(&self) -> [usize; 2] {
+        [self.map_numbers(), self.channels()]
+    }
+
     /// Numbers of a patch's maps.
     pub(super) fn map_numbers(&self) -> usize {
         MAPS * self.patch * self.patch

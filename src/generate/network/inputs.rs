@@ -26,6 +26,11 @@ pub(in crate::generate) struct Inputs {
 }
 
 impl Inputs {
+    /// Maps of patches, `[R, 26 p^2]`.
+    pub(in crate::generate) fn maps(&self) -> &Tensor {
+        &self.maps
+    }
+
     /// Of frames, one after the other.
     ///
     /// # Errors

@@ -24,11 +24,11 @@ pub use config::NetworkConfig;
 pub use denoiser::Network;
 pub use error::NetworkError;
 pub use kernels::Attend;
+pub use model::FirstGuess;
 pub use weights::{About, Weights};
 
-pub(super) use codec::transform;
 pub(super) use inputs::Inputs;
 pub(super) use levels::Levels;
 pub(super) use model::Taken;
-pub(super) use model::{Model, fresh};
+pub(super) use model::{Model, fresh, shapes};
 pub(super) use weights::{find, in_file, read, read_whole, serialized};

@@ -7,8 +7,7 @@ use rand_seeder::Seeder;
 
 use super::inputs::{EGO, RAY};
 use super::kernels::{Grid, Mix};
-use super::{Inputs, Levels, NetworkConfig, NetworkError, Statistics, ops, transform};
-use crate::conditions::tensor::LAYOUT_CHANNELS;
+use super::{Inputs, Levels, NetworkConfig, NetworkError, Statistics, ops};
 
 /// Waves that a level of noise is told in.
 const WAVES: usize = 32;
@@ -82,42 +81,41 @@ fn parameters(config: &NetworkConfig) -> Vec<Parameter> {
 }
 
 /// Names and shapes of the parameters.
-pub(super) fn shapes(config: &NetworkConfig) -> Vec<(String, Vec<usize>)> {
+pub(in crate::generate) fn shapes(config: &NetworkConfig) -> Vec<(String, Vec<usize>)> {
     parameters(config).into_iter().map(|parameter| (parameter.name, parameter.shape)).collect()
 }
 
-/// Parameters before training. The guess begins as the color map's own latent, by the gains and offsets that were
-/// measured.
+/// A linear guess of latents from the maps of their patches; training goes on from it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FirstGuess {
+    /// `[C, 26 p^2]`; a column per layout, color or depth channel and pixel of a patch.
+    pub matrix: Vec<f32>,
+    /// `[C]`.
+    pub bias: Vec<f32>,
+}
+
+/// Parameters before training.
 ///
 /// # Errors
-/// The tensor library's.
+/// A guess of another size than the configuration's; the tensor library's.
 pub(in crate::generate) fn fresh(
     config: &NetworkConfig,
-    statistics: &Statistics,
+    guess: &FirstGuess,
     seed: u64,
-) -> Result<BTreeMap<String, Tensor>> {
-    let channels = config.channels();
+) -> std::result::Result<BTreeMap<String, Tensor>, NetworkError> {
+    let expected = [config.channels() * config.map_numbers(), config.channels()];
+    let found = [guess.matrix.len(), guess.bias.len()];
+    if found != expected {
+        return Err(NetworkError::input(format!("a guess of {expected:?} numbers"), format!("{found:?}")));
+    }
     let make = |Parameter { name, shape, spread }| {
         let mut random: ChaCha8Rng = Seeder::from((seed, &name)).into_rng();
         let normal =
             || spread as f32 * <StandardNormal as Distribution<f32>>::sample(&StandardNormal, &mut random);
         let mut values = vec![0.0_f32; shape.iter().product()];
         match name.as_str() {
-            "maps.guess" => {
-                let first = LAYOUT_CHANNELS * config.patch * config.patch;
-                let axes = transform(config.patch);
-                let rows = values.chunks_mut(config.map_numbers()).zip(axes.chunks(channels));
-                for (channel, (row, axis)) in rows.enumerate() {
-                    let factor = statistics.gains[channel] / statistics.scales[channel];
-                    row[first..].iter_mut().zip(axis).for_each(|(to, axis)| *to = axis * factor);
-                }
-            }
-            "maps.guess_bias" => {
-                let Statistics { means, scales, gains, offsets, .. } = statistics;
-                for (channel, value) in values.iter_mut().enumerate() {
-                    *value = offsets[channel] - gains[channel] * means[channel] / scales[channel];
-                }
-            }
+            "maps.guess" => values.copy_from_slice(&guess.matrix),
+            "maps.guess_bias" => values.copy_from_slice(&guess.bias),
             "modulation_bias" => {
                 let gates = values.chunks_mut(config.width).skip(2).step_by(3).take(config.blocks.len());
                 gates.for_each(|gate| gate.fill(FIRST_GATE));

@@ -7,7 +7,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::model::{fresh, shapes};
+use super::model::{FirstGuess, fresh, shapes};
 use super::{NetworkConfig, NetworkError, Statistics};
 use crate::error::{FileError, write_whole};
 
@@ -50,11 +50,16 @@ impl Weights {
     /// Of a network that was not trained: it shows what its conditions show, and noise.
     ///
     /// # Errors
-    /// A configuration that does not go together, statistics that do not fit it.
-    pub fn fresh(config: &NetworkConfig, statistics: &Statistics, seed: u64) -> Result<Self, NetworkError> {
+    /// A configuration that does not go together, statistics or a guess that do not fit it.
+    pub fn fresh(
+        config: &NetworkConfig,
+        statistics: &Statistics,
+        guess: &FirstGuess,
+        seed: u64,
+    ) -> Result<Self, NetworkError> {
         config.check_with(statistics)?;
         let about = About { seed, ..About::default() };
-        let parameters = fresh(config, statistics, seed)?;
+        let parameters = fresh(config, guess, seed)?;
         Ok(Self { config: config.clone(), statistics: statistics.clone(), about, parameters })
     }
 

@@ -9,7 +9,7 @@ use super::optimizer::{State, Trained};
 use crate::error::{FileError, write_whole};
 use crate::generate::Drive;
 use crate::generate::network::{
-    NetworkConfig, NetworkError, Statistics, find, fresh, in_file, read, serialized,
+    NetworkConfig, NetworkError, Statistics, find, in_file, read, read_whole, serialized, shapes,
 };
 
 /// What a checkpoint has beside its arrays, as JSON in the metadata's `training`.
@@ -45,15 +45,15 @@ pub(super) fn save(path: &Path, header: &Header, state: &State) -> Result<(), Ne
 
 /// Reads what [`save`] wrote.
 pub(super) fn open(path: &Path) -> Result<(Header, State), NetworkError> {
-    let bytes = crate::generate::network::read_whole(path)?;
+    let bytes = read_whole(path)?;
     let (header, tensors) = read::<Header>(&bytes, HEADER, "a saved training", path)?;
     let Header { options, config, statistics, step, .. } = &header;
     let checked = config.check_with(statistics).and_then(|()| options.check(config));
     checked.map_err(|error| in_file(error, path))?;
     let mut state = State { step: *step, parameters: std::collections::BTreeMap::new() };
-    for (name, tensor) in fresh(config, statistics, options.seed)? {
-        let part = |part: &str| find(&tensors, &format!("{part}/{name}"), tensor.dims(), path);
-        let value = Var::from_tensor(&Tensor::from_vec(part("value")?, tensor.shape(), &Device::Cpu)?)?;
+    for (name, shape) in shapes(config) {
+        let part = |part: &str| find(&tensors, &format!("{part}/{name}"), &shape, path);
+        let value = Var::from_tensor(&Tensor::from_vec(part("value")?, &shape[..], &Device::Cpu)?)?;
         let trained =
             Trained { value, first: part("first")?, second: part("second")?, average: part("average")? };
         state.parameters.insert(name, trained);

@@ -1,7 +1,7 @@
 //! Training of the [`network`](super::network) on [`Drive`](super::Drive)s.
 //!
 //! # How it works
-//! A [`Trainer`] measures the drives (`statistics`), then takes step after step: `batch` draws windows of frames, levels of
+//! A [`Trainer`] measures the drives (`statistics`) and fits the first guess to them (`regression`), then takes step after step: `batch` draws windows of frames, levels of
 //! noise and which conditions are dropped, `objective` says how far the network's answers are off, `optimizer` moves the
 //! parameters and their average. All that a step does follows from the seed, its number, the drives and the parameters
 //! before, so a run that is saved (`checkpoint`) and resumed ends with the bytes of one that went through. Source of the
@@ -12,6 +12,7 @@ mod checkpoint;
 mod objective;
 mod optimizer;
 mod options;
+mod regression;
 mod statistics;
 mod trainer;
 

@@ -1,66 +1,71 @@
 use rayon::prelude::*;
 
-use crate::generate::network::{NetworkConfig, NetworkError, PatchCodec, Statistics};
+use super::regression::Regression;
+use crate::conditions::{DepthEmbedding, TensorEncoder};
+use crate::generate::network::{FirstGuess, Inputs, NetworkConfig, NetworkError, PatchCodec, Statistics};
 use crate::generate::{Drive, DriveFrame};
 
-/// Smallest standard deviation of a coefficient, and of what the color map leaves of it: nothing is divided by 0.
+/// Smallest standard deviation of a coefficient, and of what the guess leaves of it: nothing is divided by 0.
 const SCALE_MIN: f64 = 1e-3;
 const PRIOR_MIN: f64 = 1e-2;
+/// Frames that the guess is fitted to, spread evenly over all drives.
+const FITTED: usize = 400;
 
-/// Sums over patches, per channel: of the images' coefficients and the color maps', of both squares and their product.
-type Sums = Vec<[f64; 5]>;
+/// Sums over patches, per channel: of the coefficients and of their squares.
+type Sums = Vec<[f64; 2]>;
 
-/// Mean and standard deviation of the images' coefficients, and of what the best linear guess from the same coefficient of
-/// the color map leaves of them.
+/// Mean and standard deviation of the images' coefficients; and the best linear guess of latents from the maps of their
+/// patches, with what it leaves of them.
 ///
 /// # Errors
 /// A configuration that does not go together, drives without frames or of other sizes.
-pub fn measure(config: &NetworkConfig, drives: &[Drive]) -> Result<Statistics, NetworkError> {
+pub fn measure(config: &NetworkConfig, drives: &[Drive]) -> Result<(Statistics, FirstGuess), NetworkError> {
     config.check()?;
     check(config, drives)?;
-    let channels = config.channels();
-    let plain = Statistics {
-        means: vec![0.0; channels],
-        scales: vec![1.0; channels],
-        gains: vec![1.0; channels],
-        offsets: vec![0.0; channels],
-        priors: vec![1.0; channels],
-    };
-    let codec = PatchCodec::new(config, &plain)?;
+    let ones = || vec![1.0; config.channels()];
+    let plain = Statistics { means: vec![0.0; config.channels()], scales: ones(), priors: ones() };
+    let mut statistics = moments(config, drives, plain)?;
+    let codec = PatchCodec::new(config, &statistics)?;
+    let encoder = TensorEncoder::new(config.recipe.bins, DepthEmbedding::Both);
+    let all: Vec<(&Drive, usize)> =
+        drives.iter().flat_map(|drive| (0..drive.frames.len()).map(move |frame| (drive, frame))).collect();
+    let mut sums = Regression::new(config.maps_and_channels());
+    for (drive, frame) in all.iter().step_by(all.len().div_ceil(FITTED)) {
+        let conditions = drive.conditions(*frame, &encoder);
+        let inputs = Inputs::new(config, std::iter::once(&conditions))?;
+        sums.add(inputs.maps(), &codec.encode_rows(&drive.frames[*frame].truth))?;
+    }
+    let (guess, left) = sums.solve();
+    statistics.priors = left.iter().map(|left| left.max(PRIOR_MIN) as f32).collect();
+    Ok((statistics, guess))
+}
+
+/// Means and scales.
+fn moments(config: &NetworkConfig, drives: &[Drive], plain: Statistics) -> Result<Statistics, NetworkError> {
+    let (codec, channels) = (PatchCodec::new(config, &plain)?, config.channels());
     let frames: Vec<&DriveFrame> = drives.iter().flat_map(|drive| &drive.frames).collect();
     let sums: Vec<Sums> = frames.par_iter().map(|frame| sums(&codec, frame, channels)).collect();
     // One frame after the other: the same bytes for any number of threads.
-    let all = sums.iter().fold(vec![[0.0; 5]; channels], |mut all: Sums, sums| {
-        all.iter_mut().zip(sums).for_each(|(all, sums)| *all = std::array::from_fn(|i| all[i] + sums[i]));
+    let all = sums.iter().fold(vec![[0.0; 2]; channels], |mut all: Sums, sums| {
+        all.iter_mut().zip(sums).for_each(|(all, sums)| *all = [all[0] + sums[0], all[1] + sums[1]]);
         all
     });
     let count = (frames.len() * config.shape().len() / channels) as f64;
     let mut measured = plain;
-    for (channel, sums) in all.into_iter().enumerate() {
-        let [mean, color, square, color_square, product] = sums.map(|sum| sum / count);
-        let (variance, color_variance) = (square - mean * mean, color_square - color * color);
-        let covariance = product - mean * color;
-        // The color map has edges where it is empty that the image has not: its gain may be far below 1.
-        let gain = if color_variance > SCALE_MIN * SCALE_MIN { covariance / color_variance } else { 0.0 };
-        let scale = variance.max(0.0).sqrt().max(SCALE_MIN);
-        let left = (variance - gain * covariance).max(0.0).sqrt();
+    for (channel, [sum, squares]) in all.into_iter().enumerate() {
+        let mean = sum / count;
         measured.means[channel] = mean as f32;
-        measured.scales[channel] = scale as f32;
-        measured.gains[channel] = gain as f32;
-        measured.offsets[channel] = (gain * (mean - color) / scale) as f32;
-        measured.priors[channel] = (left / scale).max(PRIOR_MIN) as f32;
+        measured.scales[channel] = (squares / count - mean * mean).max(0.0).sqrt().max(SCALE_MIN) as f32;
     }
     Ok(measured)
 }
 
 fn sums(codec: &PatchCodec, frame: &DriveFrame, channels: usize) -> Sums {
-    let (truth, color) = (codec.encode_rows(&frame.truth), codec.encode_rows(&frame.color));
-    let mut sums = vec![[0.0; 5]; channels];
-    for (truth, color) in truth.chunks(channels).zip(color.chunks(channels)) {
-        for (sums, (truth, color)) in sums.iter_mut().zip(truth.iter().zip(color)) {
-            let (truth, color) = (f64::from(*truth), f64::from(*color));
-            let of = [truth, color, truth * truth, color * color, truth * color];
-            *sums = std::array::from_fn(|i| sums[i] + of[i]);
+    let mut sums = vec![[0.0; 2]; channels];
+    for row in codec.encode_rows(&frame.truth).chunks(channels) {
+        for (sums, value) in sums.iter_mut().zip(row) {
+            let value = f64::from(*value);
+            *sums = [sums[0] + value, sums[1] + value * value];
         }
     }
     sums

@@ -50,8 +50,8 @@ impl<'a> Trainer<'a> {
     ) -> Result<Self, NetworkError> {
         config.check()?;
         options.check(&config)?;
-        let statistics = measure(&config, drives)?;
-        let state = State::fresh(fresh(&config, &statistics, options.seed)?)?;
+        let (statistics, guess) = measure(&config, drives)?;
+        let state = State::fresh(fresh(&config, &guess, options.seed)?)?;
         let fingerprint = fingerprint(drives);
         Self::of(Header { options, config, statistics, step: 0, fingerprint }, drives, state)
     }
