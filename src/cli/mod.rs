@@ -21,6 +21,7 @@ mod splat;
 mod stand_ins;
 mod templates;
 mod town;
+mod train;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -50,6 +51,7 @@ enum Command {
     Bench(Box<bench::BenchArgs>),
     Town(town::TownArgs),
     Fidelity(Box<fidelity::FidelityArgs>),
+    Train(train::TrainArgs),
 }
 
 impl Command {
@@ -65,6 +67,7 @@ impl Command {
             Self::Bench(args) => bench::run(&args),
             Self::Town(args) => town::run(&args),
             Self::Fidelity(args) => fidelity::run(&args),
+            Self::Train(args) => train::run(&args),
         }
     }
 }

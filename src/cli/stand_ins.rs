@@ -59,6 +59,12 @@ struct AugmentReport {
 }
 
 impl StandInArgs {
+    /// The built-in templates alone, and assets made worse if a seed is given.
+    pub(super) fn augmented(seed: Option<u64>) -> Self {
+        let augment_share = AugmentOptions::default().share;
+        Self { templates: None, no_default_templates: false, augment: seed, augment_share }
+    }
+
     /// Reads, makes, and tells what there is.
     pub(super) fn make(
         &self,

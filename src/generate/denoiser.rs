@@ -45,6 +45,18 @@ pub trait Denoiser {
     fn predict(&mut self, window: &[Frame<'_, Self::Condition>]) -> Result<Vec<Latent>, DenoiserError>;
 }
 
+impl<D: Denoiser + ?Sized> Denoiser for Box<D> {
+    type Condition = D::Condition;
+
+    fn shape(&self) -> LatentShape {
+        (**self).shape()
+    }
+
+    fn predict(&mut self, window: &[Frame<'_, D::Condition>]) -> Result<Vec<Latent>, DenoiserError> {
+        (**self).predict(window)
+    }
+}
+
 /// Between images and latents.
 pub trait Codec {
     /// Size of a frame's latents.

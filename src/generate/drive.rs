@@ -2,10 +2,10 @@ use image::RgbImage;
 use image::imageops::{FilterType, resize};
 use serde::{Deserialize, Serialize};
 
-use super::DenoiserError;
 use super::frame_conditions::{CAMERA_NUMBERS, FrameConditions, action, camera_numbers};
+use super::{DenoiserError, Recipe};
 use crate::conditions::tensor::layout;
-use crate::conditions::{CameraConditions, ConditionSet, DepthBins, DepthEmbedding, TensorEncoder};
+use crate::conditions::{CameraConditions, ConditionSet, DepthEmbedding, TensorEncoder};
 use crate::geometry::{ImageSize, Pose};
 use crate::scene::SceneState;
 
@@ -25,12 +25,10 @@ pub struct DriveInfo {
     pub log: String,
     /// Frames a second.
     pub hz: f64,
-    /// Size of maps and images.
-    pub size: ImageSize,
     /// Channel names.
     pub cameras: Vec<String>,
-    /// What depth is cut into.
-    pub bins: DepthBins,
+    /// How its maps were made.
+    pub recipe: Recipe,
 }
 
 /// A frame of all cameras, one after the other: `[V, H, W]`.
@@ -85,14 +83,15 @@ impl DriveFrame {
         camera: &CameraConditions,
         image: &RgbImage,
     ) -> Result<(), DenoiserError> {
-        let size = about.size;
+        let size = about.recipe.size;
         if camera.size() != size {
             return Err(wrong(format!("maps of {size}"), format!("{} of {}", camera.name, camera.size())));
         }
         let missing =
             || wrong("color, depth and boxes".to_owned(), format!("{} without one of them", camera.name));
         self.color.extend(camera.color.as_ref().ok_or_else(missing)?);
-        self.bins.extend(camera.depth_m.as_ref().ok_or_else(missing)?.iter().map(|d| about.bins.bin(*d)));
+        self.bins
+            .extend(camera.depth_m.as_ref().ok_or_else(missing)?.iter().map(|d| about.recipe.bins.bin(*d)));
         self.boxes.extend(camera.boxes.as_ref().ok_or_else(missing)?);
         let no_map = || vec![[0; 3]; size.pixels()];
         self.map.extend(camera.map.clone().unwrap_or_else(no_map));
@@ -105,16 +104,16 @@ impl DriveFrame {
 impl Drive {
     /// What turns its frames into [`Drive::conditions`].
     pub fn encoder(&self) -> TensorEncoder {
-        TensorEncoder::new(self.about.bins, DepthEmbedding::Both)
+        TensorEncoder::new(self.about.recipe.bins, DepthEmbedding::Both)
     }
 
     /// What a frame is to show.
     pub fn conditions(&self, frame: usize, encoder: &TensorEncoder) -> FrameConditions {
-        let (pixels, frame) = (self.about.size.pixels(), &self.frames[frame]);
+        let (pixels, frame) = (self.about.recipe.size.pixels(), &self.frames[frame]);
         let views = frame.color.chunks(pixels).zip(frame.bins.chunks(pixels));
         let layouts = frame.boxes.chunks(pixels).zip(frame.map.chunks(pixels));
         FrameConditions {
-            size: self.about.size,
+            size: self.about.recipe.size,
             points: views.flat_map(|(color, bins)| encoder.points_of_bins(color, bins)).collect(),
             layout: layouts.flat_map(|(boxes, map)| layout(boxes, Some(map))).collect(),
             action: frame.action,
@@ -125,12 +124,12 @@ impl Drive {
 
     /// The images of a frame.
     pub fn images(&self, frame: usize) -> Vec<RgbImage> {
-        let ImageSize { height, width } = self.about.size;
+        let ImageSize { height, width } = self.about.recipe.size;
         let image = |pixels: &[[u8; 3]]| {
             let pixel = |x: u32, y: u32| image::Rgb(pixels[(y * width + x) as usize]);
             RgbImage::from_fn(width, height, pixel)
         };
-        self.frames[frame].truth.chunks(self.about.size.pixels()).map(image).collect()
+        self.frames[frame].truth.chunks(self.about.recipe.size.pixels()).map(image).collect()
     }
 }
 
@@ -149,7 +148,7 @@ mod tests {
 
     fn about() -> DriveInfo {
         let cameras = vec!["a".to_owned(), "b".to_owned()];
-        DriveInfo { log: "l".into(), hz: 5.0, size: SIZE, cameras, bins: DepthBins::default() }
+        DriveInfo { log: "l".into(), hz: 5.0, cameras, recipe: Recipe { size: SIZE, ..Recipe::default() } }
     }
 
     fn camera(name: &str, level: u8) -> CameraConditions {

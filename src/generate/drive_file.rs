@@ -21,7 +21,7 @@ impl Drive {
         use std::io::Write;
         let failed = |error: String| FileError::io("write", path)(std::io::Error::other(error));
         let (frames, views) = (self.frames.len(), self.about.cameras.len());
-        let (height, width) = (self.about.size.height as usize, self.about.size.width as usize);
+        let (height, width) = (self.about.recipe.size.height as usize, self.about.recipe.size.width as usize);
         let rgb = |of: fn(&DriveFrame) -> &Vec<[u8; 3]>| -> Vec<u8> {
             self.frames.iter().flat_map(|frame| of(frame).as_flattened()).copied().collect()
         };
@@ -62,7 +62,7 @@ impl Drive {
         let about = head.metadata().as_ref().and_then(|all| all.get(ABOUT)).map_or("", String::as_str);
         let about: DriveInfo = serde_json::from_str(about).map_err(|e| wrong(e.to_string()))?;
         let tensors = SafeTensors::deserialize(&bytes).map_err(|e| wrong(e.to_string()))?;
-        let (views, pixels) = (about.cameras.len(), about.size.pixels());
+        let (views, pixels) = (about.cameras.len(), about.recipe.size.pixels());
         let tensor = |name: &str, dtype: Dtype, per_frame: usize| -> Result<&[u8], FileError> {
             let tensor = tensors.tensor(name).map_err(|e| wrong(e.to_string()))?;
             let frames = tensor.shape().first().copied().unwrap_or(0);

@@ -31,7 +31,7 @@ const NO_COLOR: f32 = 0.1255;
 /// Value of dropped depth.
 const NO_DEPTH: f32 = -1.0;
 /// Value of a dropped action.
-const NO_ACTION: f32 = -1000.0;
+pub(super) const NO_ACTION: f32 = -1000.0;
 
 impl FrameConditions {
     /// Of a step with model tensors; `before` is where the ego was a step earlier.

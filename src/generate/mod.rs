@@ -5,10 +5,14 @@
 //! and forecasts of the next ones, calls its [`Denoiser`] as its [`Strategy`] has it, and gives the finished latent of the
 //! step, which a [`Codec`] turns into images. `schedule` and `sampler` say how noisy a frame is after how many steps and
 //! how a prediction takes noise off it, `window` which frame of the window is where in its schedule, `guidance` what becomes
-//! of two predictions. Networks are exchangeable: [`toy`] is a linear one for tests, `process` asks one in another process.
+//! of two predictions. Networks are exchangeable: [`network`] is a small transformer that [`train`] makes of [`Drive`]s,
+//! [`toy`] a linear one for tests, `process` asks one in another process.
 
+pub mod network;
 pub mod toy;
+pub mod train;
 
+mod conditioner;
 mod denoiser;
 mod drive;
 mod drive_file;
@@ -26,6 +30,7 @@ mod schedule;
 mod strategy;
 mod window;
 
+pub use conditioner::{Conditioner, ConditionerError, Drawn};
 pub use denoiser::{Codec, Condition, Denoiser, DenoiserError, Frame};
 pub use drive::{Drive, DriveFrame, DriveInfo};
 pub use frame_conditions::{CAMERA_NUMBERS, FrameConditions};

@@ -119,6 +119,14 @@ impl<T> Committed<T> {
         Committed(f(self.0))
     }
 
+    /// What is made of it, if it can be made, has happened as well.
+    ///
+    /// # Errors
+    /// Those of making it.
+    pub fn try_map<U, E>(self, f: impl FnOnce(T) -> Result<U, E>) -> Result<Committed<U>, E> {
+        f(self.0).map(Committed)
+    }
+
     /// The same by reference.
     pub fn as_ref(&self) -> Committed<&T> {
         Committed(&self.0)

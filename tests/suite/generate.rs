@@ -1,5 +1,6 @@
 //! Windows, schedules and strategies of the generator.
 
+mod network;
 mod process;
 
 use std::path::Path;

@@ -1,9 +1,7 @@
 //! Drives to train on, recorded from logs: conditions as the network will see them, and true images.
 
-use std::path::Path;
 use std::sync::Arc;
 
-use glam::DVec3;
 use image::RgbImage;
 
 use crate::cli::rasterizer::RasterizerArgs;
@@ -11,16 +9,14 @@ use crate::cli::stand_ins::StandInArgs;
 use crate::conditions;
 use crate::dataset::{Dataset, Log};
 use crate::generate::{Drive, DriveFrame, DriveInfo, Recipe};
-use crate::geometry::{Pose, View};
-use crate::scene::{
-    EgoOffset, SceneMap, SceneState, SelectionOptions, Stage, frame_rate_hz, state_of_frame,
-};
+use crate::geometry::View;
+use crate::scene::{EgoOffset, SceneMap, SceneState, SelectionOptions, Stage, frame_rate_hz, state_of_frame};
 use crate::skeleton::Skeleton;
 use crate::town::Town;
 
-/// A log to record from, and the skeleton that was built of it.
+/// A town to record from, and the skeleton that was built of it.
 pub(super) struct Source<'a> {
-    /// The town knows what it looks like from elsewhere.
+    /// It knows what it looks like from elsewhere.
     pub(super) town: &'a Town,
     pub(super) skeleton: &'a Skeleton,
     pub(super) recipe: &'a Recipe,
@@ -64,9 +60,8 @@ impl Source<'_> {
         DriveInfo {
             log: log.name.clone(),
             hz: frame_rate_hz(&log.frames).unwrap_or(0.0),
-            size: self.recipe.size,
             cameras: log.cameras.clone(),
-            bins: self.recipe.bins,
+            recipe: self.recipe.clone(),
         }
     }
 

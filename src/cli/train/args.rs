@@ -1,0 +1,52 @@
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::cli::log_args;
+use crate::cli::rasterizer::RasterizerArgs;
+use crate::dataset::LogLocator;
+use crate::generate::train::TrainOptions;
+
+/// Train the small network of `pskel generate` on drives in the built-in town
+///
+/// Records drives first, unless DIR/drives has them: a skeleton of each town, its condition maps, true images. Everything
+/// follows from logs, options and seed; --resume goes on to the same bytes. Leaves weights.safetensors, loss.csv and
+/// loss.svg.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct TrainArgs {
+    /// Towns: town:seed=101,frames=40[,..]
+    #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
+    pub(super) logs: Vec<LogLocator>,
+    /// Folder to write
+    #[arg(long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+    /// Folder of recorded drives; those that are missing are recorded [default: DIR/drives]
+    #[arg(long, value_name = "DIR")]
+    pub(super) drives: Option<PathBuf>,
+    /// Drives of each log: one as it was driven, the others from up to 3.5 m beside and turned by up to 6 degrees
+    #[arg(long, value_name = "N", default_value = "3", value_parser = clap::value_parser!(u16).range(1..=100))]
+    pub(super) variants: u16,
+    /// Leave the assets of the other drives as they are; else a share of them is thinned or cut to what one camera sees
+    #[arg(long)]
+    pub(super) no_augment: bool,
+    /// What first weights, choices, noise and drives follow from
+    #[arg(long, value_name = "SEED", default_value = "1")]
+    pub(super) seed: u64,
+    /// Steps in all; 0 records the drives alone
+    #[arg(long, value_name = "N", default_value = "10000")]
+    pub(super) steps: u64,
+    /// Windows a step
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().batch)]
+    pub(super) batch: usize,
+    /// Network, as JSON; what is missing is as shipped
+    #[arg(long, value_name = "FILE")]
+    pub(super) config: Option<PathBuf>,
+    /// Go on from the last checkpoint, if there is one
+    #[arg(long)]
+    pub(super) resume: bool,
+    /// Steps from one checkpoint to the next
+    #[arg(long, value_name = "N", default_value = "200", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(super) checkpoint: u64,
+    #[command(flatten)]
+    pub(super) rasterizer: RasterizerArgs,
+}

@@ -1,0 +1,103 @@
+//! The drives to train on: recorded once, kept in a folder, found there again.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Uniform};
+use rand_seeder::Seeder;
+
+use super::record::{Source, Variant};
+use crate::cli::progress::Progress;
+use crate::cli::rasterizer::RasterizerArgs;
+use crate::dataset::{Dataset, LogLocator};
+use crate::error::FileError;
+use crate::generate::{Drive, Recipe};
+use crate::logs;
+use crate::scene::EgoOffset;
+use crate::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
+use crate::town::Town;
+
+/// What is recorded of each log.
+pub(super) struct Recording<'a> {
+    /// Where drives are kept.
+    pub(super) folder: &'a Path,
+    pub(super) recipe: &'a Recipe,
+    /// Drives of each log: the first as driven, the others from beside.
+    pub(super) variants: usize,
+    /// Whether the assets of the others are made worse.
+    pub(super) augment: bool,
+    pub(super) seed: u64,
+    pub(super) rasterizer: &'a RasterizerArgs,
+}
+
+/// Farthest to either side that a variant drives, metres.
+const BESIDE_M: f64 = 3.5;
+/// Most that a variant is turned, radians.
+const TURNED_RAD: f64 = 0.1;
+
+impl Recording<'_> {
+    /// The drives of all logs, in order; those that are not there yet are recorded.
+    pub(super) fn drives(&self, locators: &[LogLocator]) -> anyhow::Result<Vec<Drive>> {
+        std::fs::create_dir_all(self.folder).map_err(FileError::io("create", self.folder))?;
+        let mut progress = Progress::new(locators.len());
+        let mut drives = Vec::new();
+        for locator in locators {
+            let town = logs::open_town(locator)?;
+            drives.extend(self.of_town(&town).with_context(|| format!("log {locator}"))?);
+            progress.step(&town.log().name);
+        }
+        Ok(drives)
+    }
+
+    fn of_town(&self, town: &Town) -> anyhow::Result<Vec<Drive>> {
+        let files: Vec<PathBuf> = (0..self.variants).map(|number| self.file(town, number)).collect();
+        if files.iter().any(|file| !file.is_file()) {
+            self.record(town, &files)?;
+        }
+        files.iter().map(|file| Ok(self.open(town, file)?)).collect()
+    }
+
+    /// `LOG-SEED-VARIANT[a].safetensors`.
+    fn file(&self, town: &Town, number: usize) -> PathBuf {
+        let worse = if self.augment && number > 0 { "a" } else { "" };
+        self.folder.join(format!("{}-{}-{number}{worse}.safetensors", town.log().name, self.seed))
+    }
+
+    fn record(&self, town: &Town, files: &[PathBuf]) -> anyhow::Result<()> {
+        let scratch = tempfile::Builder::new().prefix(".pskel-").tempdir_in(self.folder);
+        let scratch = scratch.map_err(FileError::io("create a folder in", self.folder))?;
+        let path = scratch.path().join("skeleton");
+        let input = [BuildInput::all(town)];
+        skeleton::build(&path, &input, &BuildOptions::default(), &|_| Ok(Vec::new()), &BuildRun::default())?;
+        let skeleton = Skeleton::open(&path)?;
+        let source = Source { town, skeleton: &skeleton, recipe: self.recipe, rasterizer: self.rasterizer };
+        for (number, file) in files.iter().enumerate().filter(|(_, file)| !file.is_file()) {
+            source.record(self.variant(&town.log().name, number))?.save(file)?;
+        }
+        Ok(())
+    }
+
+    fn variant(&self, log: &str, number: usize) -> Variant {
+        if number == 0 {
+            return Variant::default();
+        }
+        let mut random: ChaCha8Rng = Seeder::from((self.seed, log, number as u64)).into_rng();
+        let mut within =
+            |most: f64| Uniform::new_inclusive(-most, most).map_or(0.0, |range| range.sample(&mut random));
+        let offset = EgoOffset { x_m: 0.0, y_m: within(BESIDE_M), yaw_rad: within(TURNED_RAD) };
+        Variant { offset, augment: self.augment.then_some(self.seed ^ number as u64) }
+    }
+
+    /// A drive that was made in another way is none of these.
+    fn open(&self, town: &Town, file: &Path) -> Result<Drive, FileError> {
+        let drive = Drive::open(file)?;
+        let (log, recipe) = (&town.log().name, self.recipe);
+        if (&drive.about.log, &drive.about.recipe) != (log, recipe) {
+            let expected = format!("a drive of {log} recorded at {} as {}", recipe.drawn, recipe.size);
+            let found = format!("one of {} at {}", drive.about.log, drive.about.recipe.drawn);
+            return Err(FileError::content(expected, found, file));
+        }
+        Ok(drive)
+    }
+}

@@ -1,0 +1,72 @@
+//! `pskel train`: [`args`] are the options, [`drives`] keeps what is trained on, [`record`] makes it,
+//! [`steps`] trains.
+
+mod args;
+mod drives;
+mod record;
+mod steps;
+
+pub(super) use args::TrainArgs;
+
+use std::path::Path;
+use std::time::Instant;
+
+use self::drives::Recording;
+use self::steps::{Training, recent};
+use super::{WrongUsage, say};
+use crate::dataset::LogFormat;
+use crate::error::FileError;
+use crate::generate::network::NetworkConfig;
+use crate::generate::train::TrainOptions;
+
+/// Records, trains, writes.
+pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    if let Some(other) = args.logs.iter().find(|log| log.format != LogFormat::Town) {
+        let message = format!("expected logs town:.., of which the truth is known, found {other}");
+        return Err(WrongUsage(message).into());
+    }
+    let config = config(args.config.as_deref())?;
+    let folder = args.drives.clone().unwrap_or_else(|| args.out.join("drives"));
+    let recording = Recording {
+        folder: &folder,
+        recipe: &config.recipe,
+        variants: usize::from(args.variants),
+        augment: !args.no_augment,
+        seed: args.seed,
+        rasterizer: &args.rasterizer,
+    };
+    let drives = recording.drives(&args.logs)?;
+    let frames: usize = drives.iter().map(|drive| drive.frames.len()).sum();
+    let seconds = start.elapsed().as_secs_f64();
+    say(&format!("{} drives of {frames} frames in {seconds:.2} s: {}", drives.len(), folder.display()));
+    if args.steps == 0 {
+        return Ok(());
+    }
+    let options =
+        TrainOptions { seed: args.seed, steps: args.steps, batch: args.batch, ..TrainOptions::default() };
+    let command = std::env::args().skip(1).collect::<Vec<_>>().join(" ");
+    let training = Training {
+        folder: &args.out,
+        options,
+        config,
+        checkpoint_steps: args.checkpoint,
+        command: format!("pskel {command}"),
+    };
+    let losses = training.run(&drives, args.resume)?;
+    say(&format!(
+        "trained {} steps, loss {:.4}, in {:.2} s: {}",
+        losses.len(),
+        recent(&losses),
+        start.elapsed().as_secs_f64(),
+        training.weights().display()
+    ));
+    Ok(())
+}
+
+fn config(path: Option<&Path>) -> Result<NetworkConfig, FileError> {
+    let Some(path) = path else { return Ok(NetworkConfig::default()) };
+    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    serde_json::from_slice(&text)
+        .map_err(|e| FileError::content("a network's configuration", e.to_string(), path))
+}

@@ -1,0 +1,149 @@
+//! The steps of a training, and the files that it leaves.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::cli::progress::Progress;
+use crate::error::{FileError, write_whole};
+use crate::generate::Drive;
+use crate::generate::network::NetworkConfig;
+use crate::generate::train::{StepReport, TrainOptions, Trainer};
+
+/// Where a training is.
+pub(super) struct Training<'a> {
+    pub(super) folder: &'a Path,
+    pub(super) options: TrainOptions,
+    pub(super) config: NetworkConfig,
+    pub(super) checkpoint_steps: u64,
+    /// For the weights' file.
+    pub(super) command: String,
+}
+
+/// A line of `loss.csv`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Loss {
+    pub(super) step: u64,
+    pub(super) loss: f64,
+    pub(super) gradient_norm: f64,
+    pub(super) learning_rate: f64,
+}
+
+const CHECKPOINT: &str = "checkpoint.safetensors";
+const WEIGHTS: &str = "weights.safetensors";
+const LOSS: &str = "loss.csv";
+const HEADER: &str = "step,loss,gradient_norm,learning_rate";
+
+impl From<StepReport> for Loss {
+    fn from(report: StepReport) -> Self {
+        let StepReport { step, loss, gradient_norm, learning_rate } = report;
+        Self { step, loss, gradient_norm, learning_rate }
+    }
+}
+
+impl Training<'_> {
+    /// Takes all steps that are left and writes the weights. Returns the losses of all steps.
+    pub(super) fn run(&self, drives: &[Drive], resume: bool) -> anyhow::Result<Vec<Loss>> {
+        let checkpoint = self.folder.join(CHECKPOINT);
+        let mut trainer = match resume && checkpoint.is_file() {
+            true => self.resumed(&checkpoint, drives)?,
+            false => Trainer::new(self.options, self.config.clone(), drives)?,
+        };
+        let mut losses = read_losses(&self.folder.join(LOSS), trainer.done())?;
+        let left = self.options.steps - trainer.done();
+        let mut progress = Progress::new(usize::try_from(left)?);
+        while !trainer.is_done() {
+            let report = trainer.step()?;
+            losses.push(report.into());
+            progress.step(&format!("step {}, loss {:.4}", report.step, recent(&losses)));
+            if trainer.done().is_multiple_of(self.checkpoint_steps) || trainer.is_done() {
+                write_losses(&self.folder.join(LOSS), &losses)?;
+                trainer.save(&checkpoint)?;
+            }
+        }
+        trainer.weights(&self.command)?.write(&self.folder.join(WEIGHTS))?;
+        Ok(losses)
+    }
+
+    /// The number of steps is part of how it was begun: the learning rate falls over all of them.
+    fn resumed<'d>(&self, checkpoint: &Path, drives: &'d [Drive]) -> anyhow::Result<Trainer<'d>> {
+        let trainer = Trainer::resume(checkpoint, drives)?;
+        let text = |options: &TrainOptions, config: &NetworkConfig| format!("{options:?} of {config:?}");
+        let (before, now) = (text(trainer.options(), trainer.config()), text(&self.options, &self.config));
+        if before != now {
+            return Err(FileError::content(before, now, checkpoint).into());
+        }
+        Ok(trainer)
+    }
+
+    /// The weights' file.
+    pub(super) fn weights(&self) -> PathBuf {
+        self.folder.join(WEIGHTS)
+    }
+}
+
+/// Mean of the last steps.
+pub(super) fn recent(losses: &[Loss]) -> f64 {
+    let last = &losses[losses.len().saturating_sub(100)..];
+    last.iter().map(|loss| loss.loss).sum::<f64>() / last.len().max(1) as f64
+}
+
+fn read_losses(path: &Path, done: u64) -> Result<Vec<Loss>, FileError> {
+    if done == 0 {
+        return Ok(Vec::new());
+    }
+    let text = std::fs::read_to_string(path).map_err(FileError::io("read", path))?;
+    let wrong = |line: &str| FileError::content(format!("lines of {HEADER}"), line, path);
+    let loss = |line: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        let &[step, loss, norm, rate] = cells.as_slice() else { return None };
+        let number = |cell: &str| cell.parse::<f64>().ok();
+        Some(Loss {
+            step: step.parse().ok()?,
+            loss: number(loss)?,
+            gradient_norm: number(norm)?,
+            learning_rate: number(rate)?,
+        })
+    };
+    let lines = text.lines().skip(1).map(|line| loss(line).ok_or_else(|| wrong(line)));
+    let losses: Vec<Loss> = lines.collect::<Result<_, _>>()?;
+    let known = losses.into_iter().filter(|loss| loss.step < done).collect::<Vec<_>>();
+    if known.len() as u64 != done {
+        return Err(FileError::content(format!("{done} steps"), known.len().to_string(), path));
+    }
+    Ok(known)
+}
+
+fn write_losses(path: &Path, losses: &[Loss]) -> Result<(), FileError> {
+    use std::io::Write;
+    write_whole(path, |out| {
+        let mut line = |text: String| writeln!(out, "{text}").map_err(FileError::io("write", path));
+        line(HEADER.to_owned())?;
+        losses.iter().try_for_each(|loss| {
+            let Loss { step, loss, gradient_norm, learning_rate } = loss;
+            line(format!("{step},{loss},{gradient_norm},{learning_rate}"))
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn losses_are_read_as_they_were_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(LOSS);
+        let loss =
+            |step: u64| Loss { step, loss: 1.0 / (step + 3) as f64, gradient_norm: 0.1, learning_rate: 1e-3 };
+        let losses: Vec<Loss> = (0..5).map(loss).collect();
+        write_losses(&path, &losses).unwrap();
+        assert_eq!(read_losses(&path, 5).unwrap(), losses);
+        assert_eq!(read_losses(&path, 3).unwrap(), losses[..3]);
+        assert!(read_losses(&path, 0).unwrap().is_empty());
+        let error = read_losses(&path, 6).unwrap_err().to_string();
+        assert!(error.contains("expected 6 steps, found 5"), "{error}");
+        std::fs::write(&path, "step,loss\n1,x\n").unwrap();
+        assert!(read_losses(&path, 1).unwrap_err().to_string().contains("found 1,x"));
+    }
+}

@@ -1,0 +1,220 @@
+use rayon::prelude::*;
+
+use super::math::{Product, dot, each, every, exp, gelu, gelu_slope, total, wide};
+use super::{Attend, EPSILON, Grid, LANES};
+
+/// Attention and a hidden layer's activation side by side: rows `[q, k, v, hidden]` of width `3d + m` become rows
+/// `[softmax(q k / sqrt c) v, gelu(hidden)]` of width `d + m`. q and k are brought to a mean square of 1 per head, so that
+/// no softmax needs the largest of its inputs. Source: Dehghani et al., "Scaling Vision Transformers to 22 Billion
+/// Parameters", 2023 (normed queries and keys, parallel layers).
+#[derive(Clone, Copy, Debug)]
+pub(in super::super) struct Mix {
+    /// The tokens.
+    pub(in super::super) grid: Grid,
+    /// Who sees whom.
+    pub(in super::super) attend: Attend,
+    /// Width, d.
+    pub(in super::super) width: usize,
+    /// Width of a head, c.
+    pub(in super::super) head: usize,
+    /// Width of the hidden layer, m.
+    pub(in super::super) hidden: usize,
+}
+
+/// Rows that a task takes at least.
+const ROWS_PER_TASK: usize = 64;
+
+/// A head of a group: n tokens of width c; rows of weights are padded to N, a multiple of [`LANES`].
+#[derive(Default)]
+struct Scratch {
+    /// Normed queries and keys, values: `[n, c]`.
+    q: Vec<f32>,
+    k: Vec<f32>,
+    v: Vec<f32>,
+    /// Keys, and values, the other way round: `[c, N]`.
+    k_across: Vec<f32>,
+    v_across: Vec<f32>,
+    /// What queries and keys were multiplied by: `[n]`.
+    q_factors: Vec<f32>,
+    k_factors: Vec<f32>,
+    /// Weights of attention, and their gradient: `[n, N]`.
+    weights: Vec<f32>,
+    slopes: Vec<f32>,
+    /// Gradient of the output: `[n, c]`.
+    grad: Vec<f32>,
+    /// A product: `[n, c]`.
+    out: Vec<f32>,
+}
+
+impl Mix {
+    fn stride(&self) -> usize {
+        3 * self.width + self.hidden
+    }
+
+    /// Tokens of a group, n, and the same as a multiple of [`LANES`], N.
+    fn lengths(&self) -> (usize, usize) {
+        let tokens = self.grid.group_len(self.attend);
+        (tokens, tokens.next_multiple_of(LANES))
+    }
+
+    #[inline(always)]
+    fn gather(&self, u: &[f32], group: usize, head: usize, s: &mut Scratch) {
+        let ((n, padded), c) = (self.lengths(), self.head);
+        s.k_across.clear();
+        s.k_across.resize(c * padded, 0.0);
+        for rows in [&mut s.q, &mut s.k, &mut s.v, &mut s.out] {
+            rows.resize(n * c, 0.0);
+        }
+        for rows in [&mut s.weights, &mut s.slopes] {
+            rows.resize(n * padded, 0.0);
+        }
+        s.q_factors.resize(n, 0.0);
+        s.k_factors.resize(n, 0.0);
+        for i in 0..n {
+            let at = self.grid.row(self.attend, group, i) * self.stride() + head * c;
+            let [q, k, v] = [0, 1, 2].map(|part| &u[at + part * self.width..][..c]);
+            let factor = |x: &[f32]| 1.0 / (dot(x, x) / c as f32 + EPSILON).sqrt();
+            let (q_factor, k_factor) = (factor(q), factor(k));
+            (s.q_factors[i], s.k_factors[i]) = (q_factor, k_factor);
+            for j in 0..c {
+                s.q[i * c + j] = q[j] * q_factor;
+                s.k[i * c + j] = k[j] * k_factor;
+            }
+            for j in 0..c {
+                s.k_across[j * padded + i] = k[j] * k_factor;
+            }
+            s.v[i * c..(i + 1) * c].copy_from_slice(v);
+        }
+    }
+
+    /// Gathers a head of a group, and leaves its weights in `s.weights`.
+    #[inline(always)]
+    fn weigh(&self, u: &[f32], group: usize, head: usize, s: &mut Scratch) {
+        self.gather(u, group, head, s);
+        let ((n, padded), c) = (self.lengths(), self.head);
+        let (a, b, out) = (&s.q, &s.k_across, &mut s.weights);
+        Product { rows: n, inner: c, columns: padded, a, strides: [c, 1], b, out }.run();
+        // |q k| <= c, so what goes into `exp` is never above 0.
+        let (scale, most) = (1.0 / (c as f32).sqrt(), (c as f32).sqrt());
+        for i in 0..n {
+            let weights = &mut s.weights[i * padded..(i + 1) * padded];
+            every(weights, |x| exp(x.mul_add(scale, -most)));
+            weights[n..].fill(0.0);
+            let factor = 1.0 / total(weights, |x| x);
+            every(weights, |x| x * factor);
+        }
+    }
+
+    /// `[R, 3d + m]` to `[R, d + m]`.
+    pub(in super::super) fn forward(&self, u: &[f32]) -> Vec<f32> {
+        let ((n, padded), c, d, m) = (self.lengths(), self.head, self.width, self.hidden);
+        let rows = self.grid.rows();
+        let mut seen = vec![0.0_f32; rows * d]; // [group, token, d]
+        seen.par_chunks_mut(n * d).enumerate().for_each_init(Scratch::default, |s, (group, seen)| {
+            wide(
+                #[inline(always)]
+                || {
+                    for head in 0..d / c {
+                        self.weigh(u, group, head, s);
+                        let (a, b, out) = (&s.weights, &s.v, &mut s.out);
+                        Product { rows: n, inner: n, columns: c, a, strides: [padded, 1], b, out }.run();
+                        for (i, row) in s.out.chunks(c).enumerate() {
+                            seen[i * d + head * c..][..c].copy_from_slice(row);
+                        }
+                    }
+                },
+            );
+        });
+        let mut out = vec![0.0_f32; rows * (d + m)];
+        out.par_chunks_mut(d + m).with_min_len(ROWS_PER_TASK).enumerate().for_each(|(row, out)| {
+            let (group, token) = self.grid.place(self.attend, row);
+            let (out_seen, out_hidden) = out.split_at_mut(d);
+            out_seen.copy_from_slice(&seen[(group * n + token) * d..][..d]);
+            let hidden = &u[row * self.stride() + 3 * d..][..m];
+            wide(
+                #[inline(always)]
+                || each(out_hidden, hidden, hidden, |x, _| gelu(x)),
+            );
+        });
+        out
+    }
+
+    /// Gradient of the input `[R, 3d + m]` from that of the output `[R, d + m]`.
+    pub(in super::super) fn backward(&self, u: &[f32], grad: &[f32]) -> Vec<f32> {
+        let ((n, _), c, d, m) = (self.lengths(), self.head, self.width, self.hidden);
+        let rows = self.grid.rows();
+        let mut slopes = vec![0.0_f32; rows * 3 * d]; // [group, token, 3d]
+        slopes.par_chunks_mut(n * 3 * d).enumerate().for_each_init(Scratch::default, |s, (group, slopes)| {
+            wide(
+                #[inline(always)]
+                || {
+                    for head in 0..d / c {
+                        self.head_backward(u, grad, group, head, s, slopes);
+                    }
+                },
+            );
+        });
+        let mut out = vec![0.0_f32; rows * self.stride()];
+        out.par_chunks_mut(self.stride()).with_min_len(ROWS_PER_TASK).enumerate().for_each(|(row, out)| {
+            let (group, token) = self.grid.place(self.attend, row);
+            let (out_seen, out_hidden) = out.split_at_mut(3 * d);
+            out_seen.copy_from_slice(&slopes[(group * n + token) * 3 * d..][..3 * d]);
+            let hidden = &u[row * self.stride() + 3 * d..][..m];
+            let grad = &grad[row * (d + m) + d..][..m];
+            wide(
+                #[inline(always)]
+                || each(out_hidden, hidden, grad, |x, grad| grad * gelu_slope(x)),
+            );
+        });
+        out
+    }
+
+    /// Gradients of q, k and v of a head of a group, into `slopes` `[n, 3d]`.
+    #[inline(always)]
+    fn head_backward(
+        &self,
+        u: &[f32],
+        grad: &[f32],
+        group: usize,
+        head: usize,
+        s: &mut Scratch,
+        slopes: &mut [f32],
+    ) {
+        let ((n, padded), c, d) = (self.lengths(), self.head, self.width);
+        self.weigh(u, group, head, s);
+        s.grad.resize(n * c, 0.0);
+        s.v_across.clear();
+        s.v_across.resize(c * padded, 0.0);
+        for i in 0..n {
+            let at = self.grid.row(self.attend, group, i) * (d + self.hidden) + head * c;
+            s.grad[i * c..(i + 1) * c].copy_from_slice(&grad[at..at + c]);
+            for j in 0..c {
+                s.v_across[j * padded + i] = s.v[i * c + j];
+            }
+        }
+        let (a, b, out) = (&s.grad, &s.v_across, &mut s.slopes);
+        Product { rows: n, inner: c, columns: padded, a, strides: [c, 1], b, out }.run();
+        let (a, b, out) = (&s.weights, &s.grad, &mut s.out);
+        Product { rows: n, inner: n, columns: c, a, strides: [1, padded], b, out }.run();
+        for (i, row) in s.out.chunks(c).enumerate() {
+            slopes[i * 3 * d + 2 * d + head * c..][..c].copy_from_slice(row);
+        }
+        let scale = 1.0 / (c as f32).sqrt();
+        for (weights, slopes) in s.weights.chunks(padded).zip(s.slopes.chunks_mut(padded)) {
+            let mean = dot(weights, slopes);
+            for (slope, weight) in slopes.iter_mut().zip(weights) {
+                *slope = weight * (*slope - mean) * scale;
+            }
+        }
+        for (part, unit, factors, other, strides) in
+            [(0, &s.q, &s.q_factors, &s.k, [padded, 1]), (1, &s.k, &s.k_factors, &s.q, [1, padded])]
+        {
+            Product { rows: n, inner: n, columns: c, a: &s.slopes, strides, b: other, out: &mut s.out }.run();
+            for (i, (unit, slope)) in unit.chunks(c).zip(s.out.chunks(c)).enumerate() {
+                let mean = dot(unit, slope) / c as f32;
+                let out = &mut slopes[i * 3 * d + part * d + head * c..][..c];
+                each(out, unit, slope, |unit, slope| factors[i] * (slope - unit * mean));
+            }
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! What the network is asked at a level of noise, and what its answer means.
+//!
+//! # How it works
+//! A noisy latent is `x = (1-s) x0 + s e`. The conditions of a patch give a guess `mu` of `x0`, which is off by a standard
+//! deviation `p` per channel. With `y = x - (1-s) mu` and `D = (1-s)^2 p^2 + s^2`, the variance of `y`, the best linear
+//! estimate (Wiener, 1949) of `x0` is `mu + a y` with `a = (1-s) p^2 / D`, and what is missing to it has the variance
+//! `c^2 = s^2 p^2 / D`. The network is shown `y / sqrt D` and answers with `F`, what is missing in units of `c`:
+//! `x0 = mu + a y + c F`. So what it is shown and what it is to answer have unit variance at all levels and in all channels.
+//! Source: Karras et al., "Elucidating the Design Space of Diffusion-Based Generative Models", 2022, section 5, there for
+//! `mu = 0` and one `p`.
+
+use candle_core::{Device, Result, Tensor};
+
+/// Levels of noise below which a velocity is as of this one: nothing is divided by 0.
+const SIGMA_MIN: f32 = 0.005;
+
+/// The factors of frames (F) and channels (C). Latents are rows `[R, C]`, `R / F` after one another of a frame.
+#[derive(Debug)]
+pub(in crate::generate) struct Levels<'a> {
+    sigmas: &'a [f32],
+    priors: &'a [f32],
+}
+
+/// `D`.
+fn variance(s: f64, p: f64) -> f64 {
+    (1.0 - s).powi(2) * p * p + s * s
+}
+
+impl<'a> Levels<'a> {
+    /// Of frames with noise `sigmas [F]` and channels whose guess is off by `priors [C]`.
+    pub(in crate::generate) fn new(sigmas: &'a [f32], priors: &'a [f32]) -> Self {
+        Self { sigmas, priors }
+    }
+
+    /// A factor per frame and channel, `[F, 1, C]`.
+    fn factors(&self, of: impl Fn(f64, f64) -> f64) -> Result<Tensor> {
+        let of = |s: &f32, p: &f32| of(f64::from(*s), f64::from(*p)) as f32;
+        let values: Vec<f32> = self
+            .sigmas
+            .iter()
+            .flat_map(|s| self.priors.iter().map(move |p| (s, p)))
+            .map(|(s, p)| of(s, p))
+            .collect();
+        Tensor::from_vec(values, (self.sigmas.len(), 1, self.priors.len()), &Device::Cpu)
+    }
+
+    /// Rows times a factor per frame and channel.
+    fn times(&self, rows: &Tensor, of: impl Fn(f64, f64) -> f64) -> Result<Tensor> {
+        let (count, channels) = rows.dims2()?;
+        let frames = self.sigmas.len();
+        let scaled = rows.reshape((frames, count / frames, channels))?.broadcast_mul(&self.factors(of)?)?;
+        scaled.reshape((count, channels))
+    }
+
+    /// `y`, of rows `x` and `mu`.
+    fn residual(&self, noisy: &Tensor, guess: &Tensor) -> Result<Tensor> {
+        noisy - self.times(guess, |s, _| 1.0 - s)?
+    }
+
+    /// `y / sqrt D`, what the network is shown.
+    pub(in crate::generate) fn shown(&self, noisy: &Tensor, guess: &Tensor) -> Result<Tensor> {
+        self.times(&self.residual(noisy, guess)?, |s, p| 1.0 / variance(s, p).sqrt())
+    }
+
+    /// `mu + a y + c F`, the clean latent.
+    pub(in crate::generate) fn clean(
+        &self,
+        noisy: &Tensor,
+        guess: &Tensor,
+        answer: &Tensor,
+    ) -> Result<Tensor> {
+        let known = self.times(&self.residual(noisy, guess)?, |s, p| (1.0 - s) * p * p / variance(s, p))?;
+        let missing = self.times(answer, |s, p| s * p / variance(s, p).sqrt())?;
+        (guess + known)? + missing
+    }
+
+    /// The `F` for which [`Levels::clean`] is `x0`, of `x = (1-s) x0 + s e`: `(s (x0 - mu) / p - (1-s) p e) / sqrt D`, which
+    /// is `(x0 - mu - a y) / c` without the difference of what is nearly the same.
+    pub(in crate::generate) fn answer(
+        &self,
+        clean: &Tensor,
+        guess: &Tensor,
+        noise: &Tensor,
+    ) -> Result<Tensor> {
+        let off = self.times(&(clean - guess)?, |s, p| s / (p * variance(s, p).sqrt()))?;
+        let noise = self.times(noise, |s, p| (1.0 - s) * p / variance(s, p).sqrt())?;
+        off - noise
+    }
+
+    /// The velocity `(x - x0) / s` that leads to a clean latent.
+    pub(in crate::generate) fn velocity(&self, noisy: &Tensor, clean: &Tensor) -> Result<Tensor> {
+        self.times(&(noisy - clean)?, |s, _| 1.0 / s.max(f64::from(SIGMA_MIN)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PRIORS: [f32; 3] = [0.05, 0.4, 1.0];
+    const ROWS: usize = 4;
+
+    fn rows(values: impl Fn(usize) -> f32) -> Tensor {
+        let values: Vec<f32> = (0..ROWS * 3).map(values).collect();
+        Tensor::from_vec(values, (ROWS, 3), &Device::Cpu).unwrap()
+    }
+
+    fn off(a: &Tensor, b: &Tensor) -> f32 {
+        (a - b).unwrap().abs().unwrap().max_all().unwrap().to_scalar().unwrap()
+    }
+
+    fn mixed(clean: &Tensor, noise: &Tensor, s: f64) -> Tensor {
+        ((clean * (1.0 - s)).unwrap() + (noise * s).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn the_right_answer_gives_the_clean_latent() {
+        let (clean, guess) = (rows(|i| (i as f32).sin()), rows(|i| 0.5 * (i as f32).cos()));
+        let noise = rows(|i| (1.7 * i as f32).cos());
+        for sigma in [0.0025_f32, 0.01, 0.3, 0.8, 0.97, 1.0] {
+            let sigmas = [sigma, sigma];
+            let levels = Levels::new(&sigmas, &PRIORS);
+            let noisy = mixed(&clean, &noise, f64::from(sigma));
+            let answer = levels.answer(&clean, &guess, &noise).unwrap();
+            let found = levels.clean(&noisy, &guess, &answer).unwrap();
+            assert!(off(&found, &clean) < 2e-5, "{sigma}: {found}");
+            let velocity = levels.velocity(&noisy, &clean).unwrap();
+            let (expected, within) = ((&noise - &clean).unwrap(), 1e-4);
+            assert_eq!(off(&velocity, &expected) < within, sigma > 0.005, "{sigma}");
+        }
+    }
+
+    #[test]
+    fn without_noise_it_is_what_was_given_and_with_nothing_else_the_guess() {
+        let (noisy, guess, answer) =
+            (rows(|i| (i as f32).sin()), rows(|i| (i as f32).cos()), rows(|i| (2.0 * i as f32).sin()));
+        let faint = Levels::new(&[1e-5, 1e-5], &PRIORS).clean(&noisy, &guess, &answer).unwrap();
+        assert!(off(&faint, &noisy) < 1e-4);
+        let noise = Levels::new(&[1.0, 1.0], &PRIORS);
+        let scaled = rows(|i| PRIORS[i % 3] * (2.0 * i as f32).sin());
+        assert!(off(&noise.clean(&noisy, &guess, &answer).unwrap(), &(&guess + scaled).unwrap()) < 1e-6);
+        assert!(off(&noise.shown(&noisy, &guess).unwrap(), &noisy) < 1e-6);
+        // The other level tells another frame's rows from these.
+        let both = Levels::new(&[1.0, 1e-5], &PRIORS).clean(&noisy, &guess, &answer).unwrap();
+        assert!(off(&both.narrow(0, 2, 2).unwrap(), &noisy.narrow(0, 2, 2).unwrap()) < 1e-4);
+        assert!(off(&both, &noisy) > 0.1);
+    }
+
+    /// Over many values whose guess is off by `p`, both what is shown and what is asked for have unit variance, and they
+    /// are not correlated: no linear share is left to learn.
+    #[test]
+    fn question_and_answer_have_unit_variance() {
+        use crate::generate::{GaussianNoise, LatentShape, NoiseSource};
+        let (count, p) = (40_000, 0.3_f32);
+        let shape = LatentShape { views: 1, channels: 1, height: 1, width: count };
+        let normal = |draw| {
+            let values = GaussianNoise { seed: 4 }.noise(shape, 0, draw).values().to_vec();
+            Tensor::from_vec(values, (count, 1), &Device::Cpu).unwrap()
+        };
+        let (guess, noise) = (normal(0), normal(1));
+        let clean = (&guess + (normal(2) * f64::from(p)).unwrap()).unwrap();
+        let mean = |a: &Tensor, b: &Tensor| (a * b).unwrap().mean_all().unwrap().to_scalar::<f32>().unwrap();
+        for sigma in [0.01_f32, 0.2, 0.5, 0.9, 1.0] {
+            let (sigmas, priors) = ([sigma], [p]);
+            let levels = Levels::new(&sigmas, &priors);
+            let noisy = mixed(&clean, &noise, f64::from(sigma));
+            let shown = levels.shown(&noisy, &guess).unwrap();
+            let answer = levels.answer(&clean, &guess, &noise).unwrap();
+            let found = [mean(&shown, &shown), mean(&answer, &answer), mean(&shown, &answer)];
+            assert!(
+                found.iter().zip([1.0, 1.0, 0.0]).all(|(a, b)| (a - b).abs() < 0.04),
+                "{sigma}: {found:?}"
+            );
+        }
+    }
+}

@@ -1,0 +1,173 @@
+use std::collections::BTreeMap;
+
+use candle_core::backprop::GradStore;
+use candle_core::{Device, Result, Tensor, Var};
+use rayon::prelude::*;
+
+use super::TrainOptions;
+
+/// Shares of the moments that a step leaves.
+const FIRST: f32 = 0.9;
+const SECOND: f32 = 0.99;
+const EPSILON: f32 = 1e-8;
+
+/// What is trained, and what AdamW and the average remember of each parameter. Source: Loshchilov and Hutter, "Decoupled
+/// Weight Decay Regularization", 2019.
+#[derive(Debug)]
+pub(super) struct State {
+    /// Steps done.
+    pub(super) step: u64,
+    /// By name, in order.
+    pub(super) parameters: BTreeMap<String, Trained>,
+}
+
+/// A parameter.
+#[derive(Debug)]
+pub(super) struct Trained {
+    pub(super) value: Var,
+    /// Moments of its gradient.
+    pub(super) first: Vec<f32>,
+    pub(super) second: Vec<f32>,
+    /// Its moving average.
+    pub(super) average: Vec<f32>,
+}
+
+/// Factors of a step.
+#[derive(Clone, Copy)]
+struct Factors {
+    clip: f32,
+    rate: f32,
+    /// Of the second moments' root.
+    second: f32,
+    /// What is left of matrices.
+    kept: f32,
+    average: f32,
+}
+
+impl Trained {
+    /// Before the first step.
+    pub(super) fn fresh(value: &Tensor) -> Result<Self> {
+        let average = value.flatten_all()?.to_vec1::<f32>()?;
+        let zeros = vec![0.0; average.len()];
+        Ok(Self { value: Var::from_tensor(value)?, first: zeros.clone(), second: zeros, average })
+    }
+
+    fn update(&mut self, gradient: &[f32], by: Factors) -> Result<()> {
+        let kept = if self.value.rank() > 1 { by.kept } else { 1.0 };
+        let mut values = self.value.flatten_all()?.to_vec1::<f32>()?;
+        for (i, value) in values.iter_mut().enumerate() {
+            let slope = gradient[i] * by.clip;
+            let (first, second) = (&mut self.first[i], &mut self.second[i]);
+            *first = FIRST * *first + (1.0 - FIRST) * slope;
+            *second = SECOND * *second + (1.0 - SECOND) * slope * slope;
+            *value = *value * kept - by.rate * *first / (second.sqrt() / by.second + EPSILON);
+            self.average[i] = by.average * self.average[i] + (1.0 - by.average) * *value;
+        }
+        self.value.set(&Tensor::from_vec(values, self.value.shape(), &Device::Cpu)?)
+    }
+}
+
+impl State {
+    /// Before the first step.
+    pub(super) fn fresh(parameters: BTreeMap<String, Tensor>) -> Result<Self> {
+        let trained = parameters.iter().map(|(name, value)| Ok((name.clone(), Trained::fresh(value)?)));
+        Ok(Self { step: 0, parameters: trained.collect::<Result<_>>()? })
+    }
+
+    /// The parameters that are trained, not copied.
+    pub(super) fn tensors(&self) -> BTreeMap<String, Tensor> {
+        self.parameters.iter().map(|(name, t)| (name.clone(), t.value.as_tensor().clone())).collect()
+    }
+
+    /// The averages.
+    pub(super) fn averages(&self) -> Result<BTreeMap<String, Tensor>> {
+        let of = |(name, t): (&String, &Trained)| {
+            Ok((name.clone(), Tensor::from_slice(&t.average, t.value.shape(), &Device::Cpu)?))
+        };
+        self.parameters.iter().map(of).collect()
+    }
+
+    /// Gradients of the parameters in the order of their names, and the length of all of them together.
+    pub(super) fn gradients(&self, gradients: &GradStore) -> Result<(Vec<Vec<f32>>, f64)> {
+        let of = |trained: &Trained| match gradients.get(&trained.value) {
+            Some(gradient) => gradient.flatten_all()?.to_vec1::<f32>(),
+            None => Ok(vec![0.0; trained.average.len()]),
+        };
+        let all = self.parameters.values().map(of).collect::<Result<Vec<_>>>()?;
+        let squares = |gradient: &Vec<f32>| gradient.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
+        let length = all.iter().map(squares).sum::<f64>().sqrt();
+        Ok((all, length))
+    }
+
+    /// Moves the parameters by their gradients, whose length is `length`, and then their averages.
+    pub(super) fn update(
+        &mut self,
+        options: &TrainOptions,
+        gradients: &[Vec<f32>],
+        length: f64,
+    ) -> Result<()> {
+        let done = (self.step + 1).min(i32::MAX as u64) as i32;
+        let left = |share: f32| 1.0 - f64::from(share).powi(done);
+        let rate = options.rate(self.step);
+        // The average of few steps is theirs, not that of the first parameters.
+        let young = (1 + self.step) as f64 / (10 + self.step) as f64;
+        let by = Factors {
+            clip: (options.clip / length).min(1.0) as f32,
+            rate: (rate / left(FIRST)) as f32,
+            second: left(SECOND).sqrt() as f32,
+            kept: 1.0 - (rate * options.weight_decay) as f32,
+            average: options.average.min(young) as f32,
+        };
+        let all: Vec<_> = self.parameters.values_mut().zip(gradients).collect();
+        all.into_par_iter().try_for_each(|(trained, gradient)| trained.update(gradient, by))?;
+        self.step += 1;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The first step of AdamW is the learning rate along the gradient's sign, less the decay.
+    #[test]
+    fn a_step_is_what_the_definition_says() {
+        let options = TrainOptions {
+            warmup: 0,
+            learning_rate: 0.1,
+            weight_decay: 0.5,
+            clip: 1e9,
+            ..TrainOptions::default()
+        };
+        let tensor = |shape: &[usize]| Tensor::from_vec(vec![1.0_f32, -2.0], shape, &Device::Cpu).unwrap();
+        let parameters = BTreeMap::from([("a".to_owned(), tensor(&[1, 2])), ("b".to_owned(), tensor(&[2]))]);
+        let mut state = State::fresh(parameters).unwrap();
+        let near =
+            |found: &[f32], expected: [f32; 2]| found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6);
+        state.update(&options, &[vec![3.0, -4.0], vec![3.0, 0.0]], 1.0).unwrap();
+        let values = |state: &State, name: &str| {
+            state.parameters[name].value.flatten_all().unwrap().to_vec1::<f32>().unwrap()
+        };
+        assert!(near(&values(&state, "a"), [0.95 - 0.1, -1.9 + 0.1]), "{:?}", values(&state, "a"));
+        assert!(near(&values(&state, "b"), [0.9, -2.0]));
+        assert!(near(&state.parameters["b"].average, [0.1 + 0.9 * 0.9, -2.0]));
+        // Moments of two steps, by hand: 0.9 * 0.3 + 0.1 * 1 and 0.99 * 0.09 + 0.01 * 1, both less what is not there yet.
+        let rate = options.rate(1) as f32;
+        state.update(&options, &[vec![0.0; 2], vec![1.0, 0.0]], 1.0).unwrap();
+        let (first, second) = (0.37 / 0.19, (0.0991_f32 / 0.0199).sqrt());
+        assert!(near(&values(&state, "b"), [0.9 - rate * first / second, -2.0]), "{:?}", values(&state, "b"));
+    }
+
+    #[test]
+    fn long_gradients_are_cut() {
+        let options = TrainOptions { clip: 1.0, warmup: 0, ..TrainOptions::default() };
+        let zero =
+            || BTreeMap::from([("a".to_owned(), Tensor::from_vec(vec![0.0_f32], 1, &Device::Cpu).unwrap())]);
+        let moment = |gradient: f32, length: f64| {
+            let mut state = State::fresh(zero()).unwrap();
+            state.update(&options, &[vec![gradient]], length).unwrap();
+            state.parameters["a"].first[0]
+        };
+        assert!((moment(30.0, 30.0) - 0.1).abs() < 1e-7 && (moment(0.3, 0.3) - 0.03).abs() < 1e-7);
+    }
+}

@@ -1,0 +1,168 @@
+use std::path::Path;
+
+use super::TrainOptions;
+use super::batch::Source;
+use super::checkpoint::{self, Header, fingerprint};
+use super::objective::loss;
+use super::optimizer::State;
+use super::statistics::{check, measure};
+use crate::conditions::{DepthEmbedding, TensorEncoder};
+use crate::error::FileError;
+use crate::generate::Drive;
+use crate::generate::network::{
+    About, Model, NetworkConfig, NetworkError, PatchCodec, Statistics, Weights, fresh,
+};
+
+/// Trains a network on drives, step by step.
+pub struct Trainer<'a> {
+    options: TrainOptions,
+    config: NetworkConfig,
+    statistics: Statistics,
+    drives: &'a [Drive],
+    fingerprint: String,
+    codec: PatchCodec,
+    encoder: TensorEncoder,
+    state: State,
+}
+
+/// What a step did.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepReport {
+    /// Number of the step, from 0.
+    pub step: u64,
+    /// Mean square of what the answers were off; about 1 before training.
+    pub loss: f64,
+    /// Length of the gradient before it was cut.
+    pub gradient_norm: f64,
+    /// How far it was followed.
+    pub learning_rate: f64,
+}
+
+impl<'a> Trainer<'a> {
+    /// Measures the drives and makes the first parameters.
+    ///
+    /// # Errors
+    /// Options or a configuration that do not go together, drives that do not fit them.
+    pub fn new(
+        options: TrainOptions,
+        config: NetworkConfig,
+        drives: &'a [Drive],
+    ) -> Result<Self, NetworkError> {
+        config.check()?;
+        options.check(&config)?;
+        let (statistics, guess) = measure(&config, drives)?;
+        let state = State::fresh(fresh(&config, &guess, options.seed)?)?;
+        let fingerprint = fingerprint(drives);
+        Self::of(Header { options, config, statistics, step: 0, fingerprint }, drives, state)
+    }
+
+    /// Goes on from what [`Trainer::save`] wrote, with the drives that it was trained on.
+    ///
+    /// # Errors
+    /// Another file, or other drives.
+    pub fn resume(path: &Path, drives: &'a [Drive]) -> Result<Self, NetworkError> {
+        let (header, state) = checkpoint::open(path)?;
+        check(&header.config, drives)?;
+        let found = fingerprint(drives);
+        if found != header.fingerprint {
+            let expected = format!("the drives that it began with, {}", header.fingerprint);
+            return Err(FileError::content(expected, format!("others, {found}"), path).into());
+        }
+        Self::of(header, drives, state)
+    }
+
+    fn of(header: Header, drives: &'a [Drive], state: State) -> Result<Self, NetworkError> {
+        let Header { options, config, statistics, fingerprint, .. } = header;
+        let codec = PatchCodec::new(&config, &statistics)?;
+        let encoder = TensorEncoder::new(config.recipe.bins, DepthEmbedding::Both);
+        Ok(Self { options, config, statistics, drives, fingerprint, codec, encoder, state })
+    }
+
+    /// What it was begun with.
+    pub fn options(&self) -> &TrainOptions {
+        &self.options
+    }
+
+    /// The network that is trained.
+    pub fn config(&self) -> &NetworkConfig {
+        &self.config
+    }
+
+    /// What was measured over the drives.
+    pub fn statistics(&self) -> &Statistics {
+        &self.statistics
+    }
+
+    /// Steps done.
+    pub fn done(&self) -> u64 {
+        self.state.step
+    }
+
+    /// Whether all steps are done.
+    pub fn is_done(&self) -> bool {
+        self.state.step >= self.options.steps
+    }
+
+    /// Takes a step.
+    ///
+    /// # Errors
+    /// A loss or a gradient that is not finite; the parameters are as before.
+    pub fn step(&mut self) -> Result<StepReport, NetworkError> {
+        let step = self.state.step;
+        let source = Source {
+            options: &self.options,
+            config: &self.config,
+            drives: self.drives,
+            codec: &self.codec,
+            encoder: &self.encoder,
+        };
+        let batch = source.batch(step)?;
+        let model = Model::new(&self.config, &self.statistics, self.state.tensors())?;
+        let loss = loss(&model, &batch, self.options.batch, &self.statistics.priors)?;
+        let value = f64::from(loss.to_scalar::<f32>()?);
+        finite("loss", step, value)?;
+        let (gradients, gradient_norm) = self.state.gradients(&loss.backward()?)?;
+        finite("gradient", step, gradient_norm)?;
+        let learning_rate = self.options.rate(step);
+        self.state.update(&self.options, &gradients, gradient_norm)?;
+        Ok(StepReport { step, loss: value, gradient_norm, learning_rate })
+    }
+
+    /// Writes all that [`Trainer::resume`] goes on from.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn save(&self, path: &Path) -> Result<(), NetworkError> {
+        let header = Header {
+            options: self.options,
+            config: self.config.clone(),
+            statistics: self.statistics.clone(),
+            step: self.state.step,
+            fingerprint: self.fingerprint.clone(),
+        };
+        checkpoint::save(path, &header, &self.state)
+    }
+
+    /// The network as it is: the moving average of the parameters. `command` is told in the file.
+    ///
+    /// # Errors
+    /// The tensor library's.
+    pub fn weights(&self, command: &str) -> Result<Weights, NetworkError> {
+        let logs = self.drives.iter().map(|drive| drive.about.log.clone()).collect();
+        Ok(Weights {
+            config: self.config.clone(),
+            statistics: self.statistics.clone(),
+            about: About {
+                seed: self.options.seed,
+                steps: self.state.step,
+                logs,
+                command: command.to_owned(),
+            },
+            parameters: self.state.averages()?,
+        })
+    }
+}
+
+fn finite(what: &'static str, step: u64, value: f64) -> Result<(), NetworkError> {
+    if value.is_finite() { Ok(()) } else { Err(NetworkError::NotFinite { what, step, found: value }) }
+}
