@@ -9,6 +9,7 @@ mod bench;
 mod build;
 mod convert;
 mod fidelity;
+mod generator;
 mod info;
 mod log_args;
 mod map_args;

@@ -53,6 +53,17 @@ pub(super) fn margin_m(text: &str) -> Result<f64, String> {
     finite(text).filter(|v| *v >= 0.0).ok_or_else(|| "expected metres, 0 or more".into())
 }
 
+/// A factor, 0 or more.
+pub(super) fn scale(text: &str) -> Result<f32, String> {
+    let scale = finite(text).filter(|v| (0.0..=100.0).contains(v)).map(|v| v as f32);
+    scale.ok_or_else(|| "expected a factor from 0 to 100".into())
+}
+
+/// How long to wait.
+pub(super) fn timeout_s(text: &str) -> Result<f64, String> {
+    finite(text).filter(|v| *v > 0.0 && *v <= 1e6).ok_or_else(|| "expected seconds, more than 0".into())
+}
+
 /// From 0 to 1.
 pub(super) fn share(text: &str) -> Result<f64, String> {
     finite(text).filter(|v| (0.0..=1.0).contains(v)).ok_or_else(|| "expected a share from 0 to 1".into())
@@ -123,6 +134,14 @@ mod tests {
         }
         assert!(margin_m("0").is_ok() && margin_m("-0.1").is_err() && margin_m("NaN").is_err());
         assert!(distance_m("0").is_err() && distance_m("1e300").is_err() && distance_m("50").is_ok());
+    }
+
+    #[test]
+    fn factors_and_waits() {
+        assert_eq!((scale("1.5"), scale("0")), (Ok(1.5), Ok(0.0)));
+        assert!(scale("-1").is_err() && scale("nan").is_err() && scale("101").is_err());
+        assert_eq!(timeout_s("0.5"), Ok(0.5));
+        assert!(timeout_s("0").is_err() && timeout_s("inf").is_err());
     }
 
     #[test]

@@ -16,7 +16,8 @@ use crate::scene::MapLayer;
 /// Widest tile, pixels.
 pub const TILE_WIDTH_PX: u32 = 448;
 
-const BACKGROUND: [u8; 3] = [17, 19, 24];
+/// Between the pictures.
+pub const BACKGROUND: [u8; 3] = [17, 19, 24];
 const EMPTY: [u8; 3] = [8, 9, 11];
 const TEXT: [u8; 3] = [232, 234, 237];
 const DIM_TEXT: [u8; 3] = [148, 153, 163];

@@ -57,17 +57,17 @@ impl<'a> Conditioner<'a> {
         &self.options
     }
 
-    /// Of what was committed last; `before` is where the ego was a frame earlier.
+    /// Of what was committed; `before` is where the ego was a frame earlier.
     ///
     /// # Errors
     /// The device's; cameras of several sizes.
     pub fn committed(
         &self,
-        simulation: &Simulation<'_>,
+        instant: Committed<&Instant>,
         before: Option<Pose>,
         rasterizer: &mut dyn Rasterizer,
     ) -> Result<Committed<Drawn>, ConditionerError> {
-        simulation.committed().try_map(|instant| self.draw(instant, before, rasterizer))
+        instant.try_map(|instant| self.draw(instant, before, rasterizer))
     }
 
     /// Of the next plan steps, at most `count` of them and none beyond the end of the log: there everybody who follows it

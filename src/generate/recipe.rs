@@ -7,6 +7,7 @@ use crate::raster::{SplatSchedule, SplatStep};
 /// How the conditions of a network are made. It belongs to the weights: a network that was trained on maps of one kind
 /// does not know those of another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Recipe {
     /// Size at which maps are drawn.
     pub drawn: ImageSize,

@@ -8,6 +8,7 @@
 
 pub mod film;
 pub mod page;
+pub mod plot;
 mod row;
 pub mod sight;
 mod video;

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageError};
+use image::imageops::{self, FilterType};
+use image::{ExtendedColorType, ImageError, RgbImage};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -65,6 +66,20 @@ impl Layout {
     }
 }
 
+/// Writes `NAME.jpg`, images of all cameras in their places, into a folder, which is made.
+///
+/// # Errors
+/// The system's.
+pub fn write_images(folder: &Path, name: &str, layout: &Layout, images: &[RgbImage]) -> Result<(), FileError> {
+    std::fs::create_dir_all(folder).map_err(FileError::io("create", folder))?;
+    let mut picture = RgbImage::from_pixel(layout.width, layout.height, image::Rgb(sheet::BACKGROUND));
+    for (place, image) in layout.cameras.iter().zip(images) {
+        let scaled = imageops::resize(image, place.width, place.height, FilterType::CatmullRom);
+        imageops::replace(&mut picture, &scaled, i64::from(place.left), i64::from(place.top));
+    }
+    jpeg(&folder.join(format!("{name}.jpg")), picture.as_raw(), picture.dimensions())
+}
+
 /// Writes the pictures of a step into a folder, which is made.
 ///
 /// # Errors
@@ -75,14 +90,16 @@ pub fn write(folder: &Path, set: &ConditionSet, bins: &DepthBins) -> Result<(), 
     sheet::kinds(set).par_iter().try_for_each(|kind: &MapKind| {
         let (size, pixels) = sheet::draw_map(set, *kind, tile, bins);
         let path = folder.join(format!("{}.jpg", kind.name()));
-        write_whole(&path, |out| {
-            let mut encoder = JpegEncoder::new_with_quality(out, QUALITY);
-            let written =
-                encoder.encode(pixels.as_flattened(), size.width, size.height, ExtendedColorType::Rgb8);
-            written.map_err(|error| match error {
-                ImageError::IoError(source) => FileError::io("write", &path)(source),
-                other => FileError::io("write", &path)(std::io::Error::other(other)),
-            })
+        jpeg(&path, pixels.as_flattened(), (size.width, size.height))
+    })
+}
+
+fn jpeg(path: &Path, pixels: &[u8], (width, height): (u32, u32)) -> Result<(), FileError> {
+    write_whole(path, |out| {
+        let mut encoder = JpegEncoder::new_with_quality(out, QUALITY);
+        encoder.encode(pixels, width, height, ExtendedColorType::Rgb8).map_err(|error| match error {
+            ImageError::IoError(source) => FileError::io("write", path)(source),
+            other => FileError::io("write", path)(std::io::Error::other(other)),
         })
     })
 }

@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use super::clock::seconds;
 use super::fit::motion;
 use super::route::Route;
-use super::{EgoState, Instant, SimActor, WHEELBASE_M};
+use super::{EgoState, Instant, Scenario, SimActor, SimError, WHEELBASE_M};
 use crate::dataset::{EgoTrack, Log, TrackBox, TrafficLight};
 use crate::geometry::{Cuboid, Pose, wrap_angle};
 
@@ -31,6 +31,12 @@ pub(super) struct Recorded<'a> {
 }
 
 impl<'a> Recorded<'a> {
+    /// Of a scenario's log.
+    pub(super) fn of(scenario: &Scenario<'a>) -> Result<Self, SimError> {
+        let log = scenario.log;
+        Self::new(log).ok_or_else(|| SimError::NoFrames { log: log.name.clone() })
+    }
+
     /// `None` for a log without frames.
     pub(super) fn new(log: &'a Log) -> Option<Self> {
         let (first_us, last_us) = (log.frames.first()?.t_us, log.frames.last()?.t_us);

@@ -9,7 +9,9 @@ use super::clock::Clock;
 use super::metrics::Tally;
 use super::recorded::Recorded;
 use super::simulation::World;
-use super::{Committed, EgoState, Forecast, Instant, SimActor, SimError, SimOptions, Trajectory};
+use super::{
+    Committed, EgoState, Forecast, Instant, Scenario, SimActor, SimError, SimOptions, Trajectory,
+};
 use crate::dataset::Log;
 use crate::geometry::{Cuboid, Foot, Pose};
 
@@ -99,6 +101,20 @@ impl SavedState {
     /// Number of steps since the start when it was saved.
     pub fn step(&self) -> usize {
         self.step
+    }
+
+    /// What was committed when it was saved.
+    ///
+    /// # Errors
+    /// As [`Simulation::resume`](super::Simulation::resume).
+    pub fn committed(
+        &self,
+        scenario: &Scenario<'_>,
+        options: &SimOptions,
+    ) -> Result<Committed<Instant>, SimError> {
+        let recorded = Recorded::of(scenario)?;
+        let clock = Clock::new(options, scenario.rates, options.start_us.unwrap_or(recorded.first_us))?;
+        Ok(self.open(options, &clock, &recorded)?.world.map(|world| world.instant))
     }
 
     /// Checks that it belongs to a log and options and is sound.

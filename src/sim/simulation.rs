@@ -85,7 +85,7 @@ impl<'a> Simulation<'a> {
             return Err(SimError::NoSteps);
         }
         let log = scenario.log;
-        let recorded = Recorded::new(log).ok_or_else(|| SimError::NoFrames { log: log.name.clone() })?;
+        let recorded = Recorded::of(scenario)?;
         let (first_us, last_us) = (recorded.first_us, recorded.last_us);
         let start_us = options.start_us.unwrap_or(first_us);
         let clock = Clock::new(&options, scenario.rates, start_us)?;

@@ -4,6 +4,7 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use crate::cli::WrongUsage;
+use crate::cli::generator::{GeneratorArgs, NetworkName};
 use crate::cli::log_args::{self, LogRoots};
 use crate::cli::map_args::MapArgs;
 use crate::cli::numbers;
@@ -67,7 +68,14 @@ pub(in crate::cli) struct SimulateArgs {
     /// For the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, either may be missing
     #[arg(long, value_name = "F.json")]
     pub(super) annotations: Option<PathBuf>,
-    #[command(flatten)]
+    /// Also make the images that the cameras would see, by a network: network:FILE with weights of `pskel train`, or
+    /// process:COMMAND|unix:PATH|tcp:HOST:PORT (docs/DENOISER.md). At each plan step it writes steps/STEP/generated, and
+    /// truth where that is known
+    #[arg(long, value_name = "NETWORK")]
+    pub(super) generator: Option<NetworkName>,
+    #[command(flatten, next_help_heading = "Options of --generator")]
+    pub(super) generating: GeneratorArgs,
+    #[command(flatten, next_help_heading = "Options")]
     pub(super) stand_ins: StandInArgs,
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
@@ -101,9 +109,10 @@ struct PolicyArgs {
     /// Plans a second, which divide the steps [default: 2 of nuScenes, 5 of other logs]
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     plan_hz: Option<f64>,
-    /// Frames of a generator's window, one a plan: the first (N - 1) * SIM_HZ / PLAN_HZ steps follow the log
-    #[arg(long, value_name = "N", default_value_t = SimOptions::default().warmup_frames)]
-    warmup: usize,
+    /// Frames of a generator's window, one a plan: the first (N - 1) * SIM_HZ / PLAN_HZ steps follow the log [default: 1;
+    /// with --generator its window]
+    #[arg(long, value_name = "N")]
+    warmup: Option<usize>,
     /// Start at this time, absolute microseconds [default: the log's first frame]
     #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
     start: Option<i64>,
@@ -172,6 +181,11 @@ impl SimulateArgs {
         if self.forecast_maps { self.forecast } else { 0 }
     }
 
+    /// Whether ego and others follow the log all along.
+    pub(super) fn follow_log(&self) -> [bool; 2] {
+        [self.policies.ego == EgoName::Replay, matches!(self.policies.actors, ActorName::Replay)]
+    }
+
     /// Name of the ego's policy.
     pub(super) fn ego_name(&self) -> &'static str {
         self.policies.ego.name()
@@ -187,8 +201,14 @@ impl SimulateArgs {
     }
 
     /// What is to be simulated; reads the trajectory.
-    pub(super) fn sim_options(&self) -> anyhow::Result<SimOptions> {
+    /// A generator with a window of `window` frames needs as many for its warm-up.
+    pub(super) fn sim_options(&self, window: Option<usize>) -> anyhow::Result<SimOptions> {
         let p = &self.policies;
+        let least = window.unwrap_or(0);
+        if let Some(warmup) = p.warmup.filter(|warmup| *warmup < least) {
+            let message = format!("expected --warmup of {least} or more, the generator's window, found {warmup}");
+            return Err(WrongUsage(message).into());
+        }
         let ego = match (p.ego, &p.trajectory, &p.planner) {
             (EgoName::Straight, ..) => EgoPolicy::Straight,
             (EgoName::RightThenBack, ..) => EgoPolicy::RightThenBack,
@@ -206,7 +226,7 @@ impl SimulateArgs {
             steps: self.steps,
             sim_hz: p.sim_hz,
             plan_hz: p.plan_hz,
-            warmup_frames: p.warmup,
+            warmup_frames: p.warmup.or(window).unwrap_or(SimOptions::default().warmup_frames),
             start_us: p.start,
             ego,
             tracking: match p.tracking {

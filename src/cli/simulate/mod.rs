@@ -1,9 +1,10 @@
-//! `pskel simulate`: [`args`] are the options, [`rollout`] is the loop, [`output`] writes its steps on a thread of its
-//! own, [`finish`] what is made of all of them, [`profile`] tells where the time went, [`sources`] what it is made of,
+//! `pskel simulate`: [`args`] are the options, [`rollout`] is the loop, [`generation`] makes images in it, [`output`]
+//! writes its steps on a thread of its own, [`finish`] what is made of all of them, [`profile`] tells where the time went, [`sources`] what it is made of,
 //! [`summary`] is the last line.
 
 mod args;
 mod finish;
+mod generation;
 mod output;
 mod profile;
 mod rollout;
@@ -18,17 +19,22 @@ use std::time::Instant;
 use anyhow::Context;
 
 use self::finish::{Outcome, finish};
+use self::generation::{EarlierSteps, Generation};
 use self::output::{Earlier, Output, Resumed, RolloutOptions};
 use self::rollout::{Rollout, Run};
 use self::sources::{Places, Sources};
 use self::summary::summary;
+use super::generator::{GeneratorReport, Opened, Subject};
 use super::render::{open_skeleton, read_prompt};
 use super::stand_ins::StandInReport;
 use super::{WrongUsage, say};
 use crate::conditions::meta::PromptParts;
 use crate::conditions::{ConditionOptions, ImageSize, MapSet};
-use crate::dataset::Log;
+use crate::dataset::{Log, LogFormat};
 use crate::error::FileError;
+use crate::generate::TrueImages;
+use crate::logs;
+use crate::raster::{RasterizerInfo, StageTimes};
 use crate::report::StepRow;
 use crate::scene::{SceneMap, Stage};
 use crate::sim::{EndReason, Scenario, SimError, Simulation};
@@ -48,7 +54,8 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
     let maps = args.maps.kinds(map.is_some()).with_context(|| {
         format!("expected an HD map of {:?} for --maps map, found none in log {}", log.location, log.name)
     })?;
-    let sim_options = args.sim_options()?;
+    let opened = args.generator.as_ref().map(|name| args.generating.open(name, log.rig.len())).transpose()?;
+    let sim_options = args.sim_options(opened.as_ref().map(Opened::window))?;
     let sources = Sources::new(log, &skeleton, &prompt)?;
     let earlier = earlier(&args, &sources)?;
     let scenario = Scenario::new(log, map.clone(), args.log.format);
@@ -61,18 +68,53 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
     let (stand_ins, told) = args.stand_ins.make(&skeleton, &log.name)?;
     let stage = Stage::with(&skeleton, &log.name, &stand_ins);
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
-    let options = options(&args, log, (maps, told, sources), &simulation, sim_options);
+    let generator = opened.as_ref().map(Opened::report);
+    let options = options(&args, log, (maps, told, sources, generator), &simulation, sim_options.clone());
     let output = Output { folder: &args.out, options: &options, prompt: &prompt };
     let states = (!args.dry).then(|| output.begin(&rows)).transpose()?;
+    let town = opened.as_ref().filter(|_| args.log.format == LogFormat::Town);
+    let town = town.map(|_| logs::open_town(&args.log)).transpose()?;
+    let [ego_follows_log, actors_follow_log] = args.follow_log();
+    let subject = Subject {
+        log,
+        map: map.clone(),
+        stage: &stage,
+        prompt: &prompt,
+        truth: town.as_ref().map_or(TrueImages::Logged(dataset.as_ref()), TrueImages::Town),
+        ego_follows_log,
+        actors_follow_log,
+    };
+    let before = EarlierSteps {
+        folder: &args.out,
+        rows: &rows,
+        steps_per_plan: simulation.steps_per_plan(),
+        scenario: &scenario,
+        options: &sim_options,
+    };
+    let begin = |opened: Opened| Generation::begin(opened, &subject, rasterizer.as_mut(), &before);
+    let mut generation = opened.map(begin).transpose()?;
     let shown_to_planner = args.ego_name() == "external" && !args.dry;
-    let rollout = Rollout { log, map, stage, options: &options, output: &output, shown_to_planner };
-    let mut run = rollout.run(simulation, rasterizer.as_mut(), rows, states)?;
-    let stages = rasterizer.take_stages();
-    let outcome = outcome(&args, &options, log, &mut run);
+    let rollout = Rollout { log, map, stage: &stage, options: &options, output: &output, shown_to_planner };
+    let run = rollout.run(simulation, rasterizer.as_mut(), generation.as_mut(), rows, states)?;
+    let (stages, info) = (rasterizer.take_stages(), rasterizer.info());
+    let text = report(&args, &output, log, run, (&stages, info))?;
+    say(&format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
+    Ok(())
+}
+
+/// Writes what is made of all steps; gives the line to end with.
+fn report(
+    args: &SimulateArgs,
+    output: &Output<'_>,
+    log: &Log,
+    mut run: Run,
+    (stages, info): (&StageTimes, RasterizerInfo),
+) -> anyhow::Result<String> {
+    let outcome = outcome(args, output.options, log, &mut run);
     let clock = Instant::now();
-    let finished = if args.dry { Ok(()) } else { finish(&output, &run.rows, &outcome) };
+    let finished = if args.dry { Ok(()) } else { finish(output, &run.rows, &outcome) };
     run.profile.report_s = clock.elapsed().as_secs_f64();
-    run.profile.close(rasterizer.info(), &stages);
+    run.profile.close(info.clone(), stages);
     let profiled = args.profile.as_deref().map_or(Ok(()), |path| run.profile.write(path));
     let reported = finished.and_then(|()| Ok(profiled?));
     if let Some(failure) = run.failure {
@@ -80,12 +122,10 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
         if let Err(error) = reported {
             eprintln!("warning: after the rollout had failed: {}", super::with_causes(&error));
         }
-        return Err(failure.context(told_failure(&args, &run.rows)));
+        return Err(failure.context(told_failure(args, &run.rows)));
     }
     reported?;
-    let text = summary(&args, &outcome, &run.rows, &run.profile, &rasterizer.info());
-    say(&format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
-    Ok(())
+    Ok(summary(args, &outcome, &run.rows, &run.profile, &info))
 }
 
 /// The rollout to go on with, if one is asked for.
@@ -107,7 +147,7 @@ fn usage(error: SimError) -> anyhow::Error {
 fn options(
     args: &SimulateArgs,
     log: &Log,
-    (maps, stand_ins, sources): (MapSet, StandInReport, Sources),
+    (maps, stand_ins, sources, generator): (MapSet, StandInReport, Sources, Option<GeneratorReport>),
     simulation: &Simulation<'_>,
     sim_options: crate::sim::SimOptions,
 ) -> RolloutOptions {
@@ -129,6 +169,7 @@ fn options(
         sim_hz: rates.sim_hz,
         plan_hz: rates.plan_hz,
         takeover_step: simulation.takeover_step(),
+        generator,
     }
 }
 
@@ -140,12 +181,14 @@ fn outcome(args: &SimulateArgs, options: &RolloutOptions, log: &Log, run: &mut R
     };
     let beyond = |row: &&StepRow| log.frames.last().is_some_and(|last| row.t_us > last.t_us);
     let steps_beyond_log = run.rows.iter().filter(beyond).count();
+    let made = options.generator.as_ref().map(GeneratorReport::fact);
     let mut facts = vec![
         format!("ego {}", args.ego_name()),
         format!("actors {}", args.actors_name()),
         format!("{} steps and {} plans a second", options.sim_hz, options.plan_hz),
         format!("{} steps{ended}", run.rows.len().saturating_sub(1)),
     ];
+    facts.extend(made);
     facts.extend(summary::beyond_log(steps_beyond_log));
     Outcome {
         metrics: run.metrics.clone(),

@@ -5,8 +5,10 @@ use std::time::Instant;
 use serde::Serialize;
 use serde_json::Value;
 
+use super::generation::Images;
 use super::profile::{WriteTimes, lap};
 use super::sources::{Places, Sources};
+use crate::cli::generator::GeneratorReport;
 use crate::cli::map_args::MapFormat;
 use crate::cli::stand_ins::StandInReport;
 use crate::conditions::birdseye::{self, BirdseyeOptions, Trace};
@@ -49,6 +51,8 @@ pub(super) struct RolloutOptions {
     pub(super) plan_hz: f64,
     /// The last step of the warm-up.
     pub(super) takeover_step: usize,
+    /// How images are made, if they are.
+    pub(super) generator: Option<GeneratorReport>,
 }
 
 /// A step with all that is written of it.
@@ -59,6 +63,7 @@ pub(super) struct Job {
     pub(super) saved: SavedState,
     pub(super) traces: Vec<Trace>,
     pub(super) forecast: Vec<(SceneState, ConditionSet)>,
+    pub(super) images: Option<Images>,
 }
 
 /// The folder of a rollout.
@@ -192,6 +197,9 @@ impl Output<'_> {
             }
             times.maps_s = lap(&mut clock);
             view::write(&folder.join(view::VIEW), set, bins)?;
+            if let Some(images) = &job.images {
+                images.write(folder, &view::Layout::of(set))?;
+            }
             times.view_s = lap(&mut clock);
             let above = folder.join(film::BIRDSEYE);
             birdseye::write_with(&above, state, &job.traces, &BirdseyeOptions::default())?;

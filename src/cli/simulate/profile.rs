@@ -5,6 +5,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use crate::error::{FileError, write_json};
+use crate::generate::SessionTimes;
 use crate::raster::{RasterizerInfo, StageTimes};
 
 /// What a step took, seconds.
@@ -22,6 +23,9 @@ pub(super) struct StepTimes {
     pub(super) forecast_s: f64,
     /// Who is seen, and what else goes into the line of the step.
     pub(super) observe_s: f64,
+    /// What the generator took, at plan steps.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) generated: Option<SessionTimes>,
     /// Until the step before was written so far that this one could be handed over.
     pub(super) wait_s: f64,
 }
@@ -73,7 +77,16 @@ impl Profile {
         self.stages_s = stages.0.iter().map(|(name, time)| (*name, time.as_secs_f64())).collect();
         let of = |get: fn(&StepTimes) -> f64| median(self.steps.iter().map(get));
         let written = |get: fn(&WriteTimes) -> f64| median(self.written.iter().map(get));
+        let made = |get: fn(&SessionTimes) -> f64| {
+            median(self.steps.iter().filter_map(|step| step.generated).filter(|t| t.network_s > 0.0).map(|t| get(&t)))
+        };
         self.medians = [
+            ("generate_s", made(SessionTimes::total_s)),
+            ("generate_conditions_s", made(|t| t.conditions_s)),
+            ("generate_forecasts_s", made(|t| t.forecasts_s)),
+            ("generate_truth_s", made(|t| t.truth_s)),
+            ("generate_network_s", made(|t| t.network_s)),
+            ("generate_decode_s", made(|t| t.decode_s)),
             ("step_s", of(StepTimes::loop_s)),
             ("policies_s", of(|t| t.policies_s)),
             ("conditions_s", of(StepTimes::conditions_s)),
@@ -103,8 +116,18 @@ impl Profile {
         let writing: f64 = names.iter().map(|name| ms(name)).sum();
         let stages: Vec<String> =
             self.stages_s.iter().map(|(name, time)| format!("{name} {time:.2}")).collect();
+        let generating = match ms("generate_s") {
+            0.0 => String::new(),
+            all => format!(
+                "an image of each camera takes {all:.0} ms (median; network {:.0}, conditions {:.0}, truth {:.0}), {:.2} a second; ",
+                ms("generate_network_s"),
+                ms("generate_conditions_s") + ms("generate_forecasts_s"),
+                ms("generate_truth_s"),
+                1e3 / all,
+            ),
+        };
         format!(
-            "a step takes {:.1} ms (median; policies {:.1}, instances {:.1}, drawing {:.1}), {:.1} steps a second; \
+            "{generating}a step takes {:.1} ms (median; policies {:.1}, instances {:.1}, drawing {:.1}), {:.1} steps a second; \
              writing {writing:.1} ms beside it; drawing in seconds: {}; loop {:.2} s, report {:.2} s",
             ms("step_s"),
             ms("policies_s"),

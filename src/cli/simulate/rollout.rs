@@ -8,6 +8,7 @@ use anyhow::Context;
 use glam::DVec2;
 
 use super::finish::TRACES;
+use super::generation::{CACHE, Generation, TRUTH};
 use super::output::{FORECAST, Job, Output, RolloutOptions, STATE, step_folder};
 use super::profile::{Profile, StepTimes, WriteTimes, lap};
 use crate::cli::progress::Progress;
@@ -24,7 +25,7 @@ use crate::sim::{EndReason, Metrics, Simulation, StepOutcome, Waypoint, scene_st
 pub(super) struct Rollout<'a> {
     pub(super) log: &'a Log,
     pub(super) map: Option<Arc<SceneMap>>,
-    pub(super) stage: Stage<'a>,
+    pub(super) stage: &'a Stage<'a>,
     pub(super) options: &'a RolloutOptions,
     pub(super) output: &'a Output<'a>,
     /// Whether a planner is told the folder of each step, once it is written.
@@ -74,6 +75,7 @@ impl Rollout<'_> {
         &self,
         simulation: Simulation<'_>,
         rasterizer: &mut dyn Rasterizer,
+        generation: Option<&mut Generation<'_>>,
         kept: Vec<StepRow>,
         states: Option<StateFile>,
     ) -> anyhow::Result<Run> {
@@ -92,7 +94,7 @@ impl Rollout<'_> {
                 receiver.into_iter().map(write).collect()
             });
             let writer_way = writes.then_some(Writer { sender, written });
-            let run = self.steps(simulation, rasterizer, kept, writer_way);
+            let run = self.steps(simulation, rasterizer, generation, kept, writer_way);
             match writer.join() {
                 Ok(times) => times.map(|times| (run, times)),
                 Err(panic) => std::panic::resume_unwind(panic),
@@ -108,6 +110,7 @@ impl Rollout<'_> {
         &self,
         mut simulation: Simulation<'_>,
         rasterizer: &mut dyn Rasterizer,
+        mut generation: Option<&mut Generation<'_>>,
         kept: Vec<StepRow>,
         writer: Option<Writer>,
     ) -> anyhow::Result<Run> {
@@ -116,7 +119,8 @@ impl Rollout<'_> {
         let mut is_new = going.run.rows.is_empty();
         let mut outcome = None;
         loop {
-            let step = self.step(&simulation, rasterizer, &mut going, outcome.take(), is_new);
+            let maker = generation.as_deref_mut();
+            let step = self.step(&simulation, rasterizer, maker, &mut going, outcome.take(), is_new);
             match step {
                 Ok(Some(job)) => {
                     if !hand_over(writer.as_ref(), job, &mut going, self.shown_to_planner) {
@@ -185,6 +189,7 @@ impl Rollout<'_> {
         &self,
         simulation: &Simulation<'_>,
         rasterizer: &mut dyn Rasterizer,
+        generation: Option<&mut Generation<'_>>,
         going: &mut Loop,
         outcome: Option<StepOutcome>,
         is_new: bool,
@@ -196,6 +201,12 @@ impl Rollout<'_> {
         let mut clock = Clock::now();
         if going.run.cameras.is_empty() {
             going.run.layout = view::Layout::of(&set);
+            let made = generation.as_ref().map(|generation| generation.pictures()).unwrap_or_default();
+            // What was made stands before the maps, what it was made of and what is true beside it.
+            for (name, place) in made.into_iter().zip([0, 2]) {
+                let maps = &mut going.run.layout.maps;
+                maps.insert(place.min(maps.len()), name.to_owned());
+            }
             let camera = |c: &crate::conditions::CameraConditions| (c.name.clone(), [c.width, c.height]);
             going.run.cameras = set.cameras.iter().map(camera).collect();
         }
@@ -217,13 +228,17 @@ impl Rollout<'_> {
         going.times.observe_s = lap(&mut clock);
         let forecast = self.forecast(simulation, rasterizer)?;
         going.times.forecast_s = lap(&mut clock);
+        let generate = |generation: &mut Generation<'_>| generation.step(simulation, rasterizer);
+        let images = generation.map(generate).transpose();
+        let images = images.with_context(|| format!("step {}", state.name))?.flatten();
+        going.times.generated = images.as_ref().and_then(|images| Some(images.fresh.as_ref()?.times));
 
         // Only now it is sure that there is such a step.
         going.run.rows.push(row.clone());
         going.run.metrics = metrics;
         let traces = traces(going, instant.t_us);
         going.progress.step(&state.name);
-        Ok(Some(Job { state, set, row, saved: simulation.save(), traces, forecast }))
+        Ok(Some(Job { state, set, row, saved: simulation.save(), traces, forecast, images }))
     }
 
     /// Draws what is expected, if that is wanted and a plan is due.
@@ -277,7 +292,8 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
     };
     let mut files = Vec::new();
     for path in entries(&folder).map_err(FileError::io("read", &folder))? {
-        if [view::VIEW, FORECAST, STATE].iter().any(|name| path.ends_with(name)) {
+        // What is true is not for planners.
+        if [view::VIEW, FORECAST, STATE, TRUTH, CACHE].iter().any(|name| path.ends_with(name)) {
             continue;
         }
         match path.is_dir() {
@@ -394,6 +410,7 @@ mod tests {
             sim_hz: 10.0,
             plan_hz: 5.0,
             takeover_step: 0,
+            generator: None,
         };
         let output = Output { folder: folder.path(), options: &options, prompt: &prompt };
         let stage = Stage::new(&skeleton, &log.name);
@@ -402,7 +419,7 @@ mod tests {
         let rollout = Rollout {
             log: &log,
             map: None,
-            stage,
+            stage: &stage,
             options: &options,
             output: &output,
             shown_to_planner: false,
@@ -410,7 +427,7 @@ mod tests {
         let scenario = Scenario::new(&log, None, LogFormat::Town);
         let simulation = Simulation::new(&scenario, simulation).unwrap();
         // The first step and three more.
-        let run = rollout.run(simulation, &mut Failing { drawn, left: 4 }, Vec::new(), None).unwrap();
+        let run = rollout.run(simulation, &mut Failing { drawn, left: 4 }, None, Vec::new(), None).unwrap();
         let failure = crate::cli::with_causes(&run.failure.unwrap());
         assert!(failure.contains("step 000004") && failure.contains("found 2"), "{failure}");
         assert_eq!((run.rows.len(), run.metrics.steps, run.ended), (4, 3, None));

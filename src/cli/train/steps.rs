@@ -9,6 +9,7 @@ use crate::error::{FileError, write_whole};
 use crate::generate::Drive;
 use crate::generate::network::NetworkConfig;
 use crate::generate::train::{StepReport, TrainOptions, Trainer};
+use crate::report::plot::{Curve, Plot};
 
 /// Where a training is.
 pub(super) struct Training<'a> {
@@ -32,6 +33,9 @@ pub(super) struct Loss {
 const CHECKPOINT: &str = "checkpoint.safetensors";
 const WEIGHTS: &str = "weights.safetensors";
 const LOSS: &str = "loss.csv";
+const CURVE: &str = "loss.svg";
+/// Steps whose mean is drawn and told.
+const RECENT: usize = 100;
 const HEADER: &str = "step,loss,gradient_norm,learning_rate";
 
 impl From<StepReport> for Loss {
@@ -44,6 +48,7 @@ impl From<StepReport> for Loss {
 impl Training<'_> {
     /// Takes all steps that are left and writes the weights. Returns the losses of all steps.
     pub(super) fn run(&self, drives: &[Drive], resume: bool) -> anyhow::Result<Vec<Loss>> {
+        std::fs::create_dir_all(self.folder).map_err(FileError::io("create", self.folder))?;
         let checkpoint = self.folder.join(CHECKPOINT);
         let mut trainer = match resume && checkpoint.is_file() {
             true => self.resumed(&checkpoint, drives)?,
@@ -58,6 +63,7 @@ impl Training<'_> {
             progress.step(&format!("step {}, loss {:.4}", report.step, recent(&losses)));
             if trainer.done().is_multiple_of(self.checkpoint_steps) || trainer.is_done() {
                 write_losses(&self.folder.join(LOSS), &losses)?;
+                plot(&losses).write(&self.folder.join(CURVE))?;
                 trainer.save(&checkpoint)?;
             }
         }
@@ -84,8 +90,23 @@ impl Training<'_> {
 
 /// Mean of the last steps.
 pub(super) fn recent(losses: &[Loss]) -> f64 {
-    let last = &losses[losses.len().saturating_sub(100)..];
+    let last = &losses[losses.len().saturating_sub(RECENT)..];
     last.iter().map(|loss| loss.loss).sum::<f64>() / last.len().max(1) as f64
+}
+
+/// The loss of each step, and its mean over the last ones.
+fn plot(losses: &[Loss]) -> Plot<'static> {
+    let each = losses.iter().map(|loss| [loss.step as f64, loss.loss]);
+    let mean = (1..=losses.len()).map(|end| [(end - 1) as f64, recent(&losses[..end])]);
+    let curve = |name: &str, points, is_faint| Curve { name: name.to_owned(), points, is_faint };
+    Plot {
+        title: "Training",
+        axes: ["step", "loss"],
+        curves: vec![
+            curve("a step", each.collect(), true),
+            curve(&format!("mean of {RECENT} steps"), mean.collect(), false),
+        ],
+    }
 }
 
 fn read_losses(path: &Path, done: u64) -> Result<Vec<Loss>, FileError> {

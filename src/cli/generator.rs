@@ -1,0 +1,314 @@
+//! The generator on the command line: which network, how its window moves, and the session that is made of both.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use super::WrongUsage;
+use super::numbers;
+use crate::conditions::meta::PromptParts;
+use crate::dataset::Log;
+use crate::error::FileError;
+use crate::generate::network::{About, Network};
+use crate::generate::{
+    AnyDenoiser, Codec, Conditioner, Denoiser, Dropped, GenerateOptions, Guidance, PixelCodec, Prediction,
+    ProcessDenoiser, Recipe, SamplerOptions, Session, SessionParts, Strategy, TrueImages,
+};
+use crate::geometry::ImageSize;
+use crate::peer::{PeerAddress, PeerSpec};
+use crate::scene::{SceneMap, Stage};
+
+/// Makes images of the conditions.
+#[derive(Clone, Debug, Args)]
+pub(super) struct GeneratorArgs {
+    /// How the window moves
+    #[arg(long, value_enum, value_name = "STRATEGY", default_value = "reset_and_roll")]
+    strategy: StrategyName,
+    /// Frames in the window, L; the first L - 1 frames are true images [default: what the network is trained for; 4 of a
+    /// process]
+    #[arg(long, value_name = "L")]
+    window: Option<usize>,
+    /// Inference steps, T, a multiple of L - C with the strategies that roll [default: 2 (L - C)]
+    #[arg(long, value_name = "T")]
+    infer_steps: Option<usize>,
+    /// Leading frames of the window that are always clean
+    #[arg(long, value_name = "C", default_value = "0")]
+    clean: usize,
+    /// With --strategy non_causal: forecasts in the window
+    #[arg(long, value_name = "K", default_value = "1")]
+    ahead: usize,
+    /// With --strategy causal: noise on the frames before, in steps of 1000
+    #[arg(long, value_name = "N", default_value = "0")]
+    history_noise: usize,
+    /// Scale of classifier-free guidance; 1 is none, more asks the network twice
+    #[arg(long, value_name = "S", default_value = "1", value_parser = numbers::scale)]
+    guidance: f32,
+    /// What the other half of the guidance does without: layout, text and action, or color and depth too
+    #[arg(long, value_enum, default_value = "layout")]
+    guide: Guide,
+    /// What noise follows from
+    #[arg(long, value_name = "SEED", default_value = "0")]
+    noise_seed: u64,
+    /// With process:.. what its predictions are
+    #[arg(long, value_enum, default_value = "flow_match")]
+    sampler: SamplerName,
+    /// With process:.. how its conditions are made, as JSON; what is missing is as of the built-in network
+    #[arg(long, value_name = "F.json")]
+    recipe: Option<PathBuf>,
+    /// With process:.. how long to wait for each of its answers, seconds
+    #[arg(long, value_name = "S", default_value = "60", value_parser = numbers::timeout_s)]
+    generator_timeout: f64,
+}
+
+/// Which network.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum NetworkName {
+    /// Ours, with the weights of a file.
+    Network(PathBuf),
+    /// One in another process.
+    Process(PeerAddress),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum StrategyName {
+    /// Rolls on to the forecasts and throws away what has seen them.
+    ResetAndRoll,
+    /// One roll a step; frames keep what old forecasts left in them.
+    Rolling,
+    /// Clean frames before, no forecasts.
+    Causal,
+    /// Clean frames before, and --ahead forecasts.
+    NonCausal,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum Guide {
+    /// Without layout, text and action.
+    Layout,
+    /// Without any condition.
+    All,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum SamplerName {
+    /// Velocities of flow matching, shift 3.
+    FlowMatch,
+    /// Noise, by DDIM.
+    DdimEpsilon,
+    /// Clean frames, by DDIM.
+    DdimSample,
+    /// Velocities, by DDIM.
+    DdimVelocity,
+}
+
+/// A network that is ready, and what goes with it.
+pub(super) struct Opened {
+    denoiser: AnyDenoiser,
+    codec: Box<dyn Codec>,
+    recipe: Recipe,
+    size: ImageSize,
+    options: GenerateOptions,
+    seed: u64,
+    about: Option<About>,
+    name: NetworkName,
+}
+
+/// How frames are generated, for `rollout.json` and `index.json`.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct GeneratorReport {
+    network: NetworkName,
+    /// Where the weights come from.
+    weights: Option<About>,
+    /// Size of the images.
+    size: ImageSize,
+    recipe: Recipe,
+    #[serde(flatten)]
+    options: GenerateOptions,
+    noise_seed: u64,
+}
+
+/// Whose images are to be made.
+pub(super) struct Subject<'a> {
+    pub(super) log: &'a Log,
+    pub(super) map: Option<Arc<SceneMap>>,
+    pub(super) stage: &'a Stage<'a>,
+    pub(super) prompt: &'a PromptParts,
+    pub(super) truth: TrueImages<'a>,
+    pub(super) ego_follows_log: bool,
+    pub(super) actors_follow_log: bool,
+}
+
+/// Frames in the window of a network that does not tell.
+const WINDOW: usize = 4;
+/// Of flow matching. Source: the scheduler of Stable Diffusion 3.5.
+const SHIFT: f64 = 3.0;
+
+impl GeneratorArgs {
+    /// Opens or starts the network; `cameras` is what the log has.
+    pub(super) fn open(&self, name: &NetworkName, cameras: usize) -> anyhow::Result<Opened> {
+        match name {
+            NetworkName::Network(path) => self.network(path, cameras),
+            NetworkName::Process(address) => self.process(address, cameras),
+        }
+    }
+
+    fn network(&self, path: &Path, cameras: usize) -> anyhow::Result<Opened> {
+        let for_process = [
+            ("--sampler", self.sampler != SamplerName::FlowMatch),
+            ("--recipe", self.recipe.is_some()),
+        ];
+        if let Some((option, _)) = for_process.into_iter().find(|(_, given)| *given) {
+            return Err(WrongUsage(format!("expected --generator process:.. with {option}, found network")).into());
+        }
+        let network = Network::open(path)?;
+        let config = network.config();
+        let (trained, recipe) = (config.frames, config.recipe.clone());
+        let options = self.options(self.window.unwrap_or(trained))?;
+        if options.window > trained {
+            let message = format!("expected --window of at most {trained} with these weights, found {}", options.window);
+            return Err(WrongUsage(message).into());
+        }
+        if config.cameras != cameras {
+            let found = format!("weights for {}", config.cameras);
+            return Err(FileError::content(format!("weights for {cameras} cameras"), found, path).into());
+        }
+        Ok(Opened {
+            codec: Box::new(network.codec()?),
+            size: recipe.size,
+            about: Some(network.about().clone()),
+            denoiser: Box::new(network),
+            recipe,
+            options,
+            seed: self.noise_seed,
+            name: NetworkName::Network(path.to_owned()),
+        })
+    }
+
+    fn process(&self, address: &PeerAddress, cameras: usize) -> anyhow::Result<Opened> {
+        let options = self.options(self.window.unwrap_or(WINDOW))?;
+        let recipe = self.recipe.as_deref().map_or(Ok(Recipe::default()), read_recipe)?;
+        let spec = PeerSpec { address: address.clone(), timeout_s: self.generator_timeout };
+        let denoiser = ProcessDenoiser::start(&spec, &options, cameras, recipe.size)?;
+        let codec = PixelCodec::new(denoiser.shape())?;
+        let [height, width] = codec.size().map(|side| side as u32);
+        Ok(Opened {
+            codec: Box::new(codec),
+            size: ImageSize { height, width },
+            about: None,
+            denoiser: Box::new(denoiser),
+            recipe,
+            options,
+            seed: self.noise_seed,
+            name: NetworkName::Process(address.clone()),
+        })
+    }
+
+    fn options(&self, window: usize) -> Result<GenerateOptions, WrongUsage> {
+        let dropped = match self.guide {
+            Guide::Layout => Dropped::GUIDED,
+            Guide::All => Dropped::ALL,
+        };
+        let ddim = |prediction| SamplerOptions::Ddim { prediction };
+        let options = GenerateOptions {
+            window,
+            steps: self.infer_steps.unwrap_or(2 * window.saturating_sub(self.clean)),
+            clean: self.clean,
+            strategy: match self.strategy {
+                StrategyName::ResetAndRoll => Strategy::ResetAndRoll,
+                StrategyName::Rolling => Strategy::Rolling,
+                StrategyName::Causal => Strategy::Causal { history_noise: self.history_noise },
+                StrategyName::NonCausal => Strategy::NonCausal { forecasts: self.ahead },
+            },
+            sampler: match self.sampler {
+                SamplerName::FlowMatch => SamplerOptions::FlowMatch { shift: SHIFT },
+                SamplerName::DdimEpsilon => ddim(Prediction::Epsilon),
+                SamplerName::DdimSample => ddim(Prediction::Sample),
+                SamplerName::DdimVelocity => ddim(Prediction::Velocity),
+            },
+            guidance: Guidance { scale: self.guidance, dropped },
+        };
+        options.check().map_err(|error| WrongUsage(error.to_string()))?;
+        Ok(options)
+    }
+}
+
+impl GeneratorReport {
+    /// For the page.
+    pub(super) fn fact(&self) -> String {
+        let GenerateOptions { window, steps, strategy, .. } = self.options;
+        format!("images of {} by {} ({}, L {window}, T {steps})", self.size, self.network, strategy.name())
+    }
+}
+
+impl Opened {
+    /// Frames in the window.
+    pub(super) fn window(&self) -> usize {
+        self.options.window
+    }
+
+    pub(super) fn report(&self) -> GeneratorReport {
+        GeneratorReport {
+            network: self.name.clone(),
+            weights: self.about.clone(),
+            size: self.size,
+            recipe: self.recipe.clone(),
+            options: self.options,
+            noise_seed: self.seed,
+        }
+    }
+
+    /// The session of a simulation.
+    pub(super) fn session<'a>(self, subject: &Subject<'a>) -> anyhow::Result<Session<'a>> {
+        let Subject { log, map, stage, prompt, truth, ego_follows_log, actors_follow_log } = subject;
+        let prompt = prompt.prompt().unwrap_or_default();
+        let conditioner = Conditioner::new(log, map.clone(), stage, &self.recipe, &prompt);
+        let parts = SessionParts {
+            conditioner,
+            truth: *truth,
+            ego_follows_log: *ego_follows_log,
+            actors_follow_log: *actors_follow_log,
+            codec: self.codec,
+            size: self.size,
+            options: self.options,
+            seed: self.seed,
+        };
+        Ok(Session::new(parts, self.denoiser)?)
+    }
+}
+
+impl FromStr for NetworkName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            Some(("network", path)) if !path.is_empty() => Ok(Self::Network(path.into())),
+            Some(("process", address)) => {
+                address.parse().map(Self::Process).map_err(|error: crate::peer::PeerError| error.to_string())
+            }
+            _ => Err("expected network:FILE or process:COMMAND|unix:PATH|tcp:HOST:PORT".to_owned()),
+        }
+    }
+}
+
+impl fmt::Display for NetworkName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Network(path) => write!(f, "network:{}", path.display()),
+            Self::Process(address) => write!(f, "process:{address}"),
+        }
+    }
+}
+
+fn read_recipe(path: &Path) -> Result<Recipe, FileError> {
+    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    serde_json::from_slice(&text)
+        .map_err(|error| FileError::content("a recipe of conditions", error.to_string(), path))
+}

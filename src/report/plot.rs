@@ -1,0 +1,140 @@
+//! Curves as SVG.
+
+use std::io::Write;
+use std::ops::Range;
+use std::path::Path;
+
+use plotters::prelude::{ChartBuilder, IntoDrawingArea, LineSeries, PathElement, RGBAColor, SVGBackend, WHITE};
+use plotters::style::{BLACK, Color};
+
+use crate::error::{FileError, write_whole};
+
+/// What is drawn.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Plot<'a> {
+    /// Above it.
+    pub title: &'a str,
+    /// Names of the axes, x and y.
+    pub axes: [&'a str; 2],
+    /// In the order of the legend.
+    pub curves: Vec<Curve>,
+}
+
+/// A line of a [`Plot`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Curve {
+    /// In the legend.
+    pub name: String,
+    /// x and y; what is not finite is left out.
+    pub points: Vec<[f64; 2]>,
+    /// Drawn thin and pale, behind what matters.
+    pub is_faint: bool,
+}
+
+const SIZE: (u32, u32) = (900, 480);
+/// Colors of lines that can be told apart by those who confuse red and green, too. Source: Okabe and Ito, 2008.
+const COLORS: [[u8; 3]; 7] = [
+    [0, 114, 178],
+    [213, 94, 0],
+    [0, 158, 115],
+    [204, 121, 167],
+    [230, 159, 0],
+    [86, 180, 233],
+    [0, 0, 0],
+];
+
+impl Plot<'_> {
+    /// Writes it as SVG.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+        let drawn = self.svg().map_err(|error| FileError::io("draw", path)(std::io::Error::other(error)))?;
+        write_whole(path, |out| out.write_all(drawn.as_bytes()).map_err(FileError::io("write", path)))
+    }
+
+    fn svg(&self) -> Result<String, String> {
+        let mut text = String::new();
+        self.draw(&mut text).map_err(|error| error.to_string())?;
+        Ok(text)
+    }
+
+    fn draw(&self, text: &mut String) -> Result<(), Box<dyn std::error::Error>> {
+        let area = SVGBackend::with_string(text, SIZE).into_drawing_area();
+        area.fill(&WHITE)?;
+        let [x, y] = [0, 1].map(|axis| self.range(axis));
+        let mut chart = ChartBuilder::on(&area)
+            .caption(self.title, ("sans-serif", 20))
+            .margin(12)
+            .x_label_area_size(42)
+            .y_label_area_size(64)
+            .build_cartesian_2d(x, y)?;
+        let light = BLACK.mix(0.08);
+        chart.configure_mesh().light_line_style(light).x_desc(self.axes[0]).y_desc(self.axes[1]).draw()?;
+        for (curve, rgb) in self.curves.iter().zip(COLORS.into_iter().cycle()) {
+            let [r, g, b] = rgb;
+            let color = RGBAColor(r, g, b, if curve.is_faint { 0.3 } else { 1.0 });
+            let style = color.stroke_width(if curve.is_faint { 1 } else { 2 });
+            let points = curve.finite().map(|[x, y]| (x, y));
+            chart
+                .draw_series(LineSeries::new(points, style))?
+                .label(&curve.name)
+                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
+        }
+        chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(light).draw()?;
+        area.present()?;
+        Ok(())
+    }
+
+    /// All values of an axis, with some room around.
+    fn range(&self, axis: usize) -> Range<f64> {
+        let values = || self.curves.iter().flat_map(Curve::finite).map(|point| point[axis]);
+        let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
+        if low > high {
+            return 0.0..1.0;
+        }
+        let room = if axis == 0 { 0.0 } else { 0.05 * (high - low) };
+        let least = (low.abs().max(high.abs()) * 1e-6).max(1e-9);
+        low - room..(high + room).max(low + least)
+    }
+}
+
+impl Curve {
+    fn finite(&self) -> impl Iterator<Item = [f64; 2]> {
+        self.points.iter().copied().filter(|point| point.iter().all(|value| value.is_finite()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn curves_are_lines_with_names_and_the_same_bytes() {
+        let curve = |name: &str, points: &[[f64; 2]], is_faint| Curve {
+            name: name.to_owned(),
+            points: points.to_vec(),
+            is_faint,
+        };
+        let plot = Plot {
+            title: "a < b",
+            axes: ["step", "loss"],
+            curves: vec![
+                curve("each step", &[[0.0, 3.0], [1.0, f64::NAN], [2.0, 1.0]], true),
+                curve("mean", &[[0.0, 2.5], [2.0, 1.5]], false),
+            ],
+        };
+        let svg = plot.svg().unwrap();
+        assert_eq!(svg, plot.svg().unwrap());
+        for expected in ["a &lt; b", "each step", "mean", "loss"] {
+            assert!(svg.contains(expected), "{expected} in {svg}");
+        }
+        assert!(svg.matches("<polyline").count() >= 4, "axes, two curves and a legend: {svg}");
+        assert!(!svg.contains("NaN"), "{svg}");
+        assert_eq!(plot.range(0), 0.0..2.0);
+        assert_eq!(plot.range(1), 0.9..3.1);
+        // Nothing and a single value are drawn as well.
+        assert!(Plot::default().svg().is_ok());
+        assert!(Plot { curves: vec![curve("one", &[[1.0, 5.0]], false)], ..plot }.svg().is_ok());
+    }
+}
