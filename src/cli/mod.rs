@@ -9,6 +9,7 @@ mod bench;
 mod build;
 mod convert;
 mod fidelity;
+mod generate;
 mod generator;
 mod info;
 mod log_args;
@@ -53,6 +54,7 @@ enum Command {
     Town(town::TownArgs),
     Fidelity(Box<fidelity::FidelityArgs>),
     Train(train::TrainArgs),
+    Generate(Box<generate::GenerateArgs>),
 }
 
 impl Command {
@@ -69,6 +71,7 @@ impl Command {
             Self::Town(args) => town::run(&args),
             Self::Fidelity(args) => fidelity::run(&args),
             Self::Train(args) => train::run(&args),
+            Self::Generate(args) => generate::run(*args),
         }
     }
 }

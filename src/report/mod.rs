@@ -7,6 +7,7 @@
 //! them.
 
 pub mod film;
+pub mod images;
 pub mod page;
 pub mod plot;
 mod row;

@@ -1,11 +1,13 @@
-use super::{Rates, SimError, SimOptions};
+use super::{ActorPolicy, EgoPolicy, Rates, SimError, SimOptions};
+use crate::dataset::Log;
+use crate::scene::frame_rate_hz;
 
 /// Fewer steps a second move nobody smoothly, more only cost time.
 const SIM_HZ: [f64; 2] = [1.0, 1000.0];
 const MIN_PLAN_HZ: f64 = 0.01;
 
 /// When there is a step, and which steps have a plan.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Clock {
     pub(super) start_us: i64,
     pub(super) rates: Rates,
@@ -13,9 +15,26 @@ pub(super) struct Clock {
     pub(super) steps_per_plan: usize,
     /// The first step whose ego is not taken from the log is the one after this.
     pub(super) takeover: usize,
+    /// Times of the steps where they are frames of a log.
+    frames_us: Option<Vec<i64>>,
 }
 
 impl Clock {
+    /// Checks the rates; steps at frames are those of a log.
+    pub(super) fn of(options: &SimOptions, rates: Rates, start_us: i64, log: &Log) -> Result<Self, SimError> {
+        let Some(every) = options.every_frames else { return Self::new(options, rates, start_us) };
+        let follows_log = options.ego == EgoPolicy::Replay && options.actors == ActorPolicy::Replay;
+        if every == 0 || !follows_log || options.sim_hz.or(options.plan_hz).is_some() {
+            return Err(SimError::Frames { every });
+        }
+        let times = log.frames.iter().map(|frame| frame.t_us).filter(|t_us| *t_us >= start_us);
+        let times: Vec<i64> = times.step_by(every).collect();
+        let hz = frame_rate_hz(&log.frames).map_or(rates.plan_hz, |hz| hz / every as f64);
+        let even = SimOptions { sim_hz: Some(hz), plan_hz: Some(hz), ..options.clone() };
+        let start_us = times.first().copied().unwrap_or(start_us);
+        Ok(Self { frames_us: Some(times), ..Self::new(&even, rates, start_us)? })
+    }
+
     /// Checks the rates.
     pub(super) fn new(options: &SimOptions, rates: Rates, start_us: i64) -> Result<Self, SimError> {
         let sim_hz = options.sim_hz.unwrap_or(rates.sim_hz);
@@ -34,11 +53,15 @@ impl Clock {
         }
         let steps_per_plan = ratio.round() as usize;
         let takeover = options.warmup_frames.saturating_sub(1).saturating_mul(steps_per_plan);
-        Ok(Self { start_us, rates: Rates { sim_hz, plan_hz }, steps_per_plan, takeover })
+        let rates = Rates { sim_hz, plan_hz };
+        Ok(Self { start_us, rates, steps_per_plan, takeover, frames_us: None })
     }
 
-    /// Absolute microseconds of a step.
+    /// Absolute microseconds of a step; of one behind a log's frames the end of time.
     pub(super) fn at(&self, step: usize) -> i64 {
+        if let Some(times) = &self.frames_us {
+            return times.get(step).copied().unwrap_or(i64::MAX);
+        }
         self.start_us.saturating_add((step as f64 * 1e6 / self.rates.sim_hz).round() as i64)
     }
 
@@ -76,6 +99,35 @@ mod tests {
         );
         assert_eq!((clock.steps_per_plan, clock.takeover), (6, 18));
         assert!(!clock.plans_at(12) && clock.plans_at(18) && !clock.plans_at(19) && clock.plans_at(24));
+    }
+
+    #[test]
+    fn steps_at_frames_are_the_log_s() {
+        use crate::dataset::Frame;
+        let frame = |t_us: i64| Frame {
+            t_us,
+            global_from_ego: crate::geometry::Pose::IDENTITY,
+            sweeps: Vec::new(),
+            images: Vec::new(),
+            between_images: Vec::new(),
+            boxes: Vec::new(),
+        };
+        // Uneven, as keyframes are.
+        let frames = [0, 99_000, 201_000, 300_000, 398_000, 502_000].map(frame).to_vec();
+        let log = Log { frames, ..Log::default() };
+        let options = SimOptions { every_frames: Some(2), warmup_frames: 3, ..SimOptions::default() };
+        let clock = Clock::of(&options, Rates::default(), 99_000, &log).unwrap();
+        assert_eq!([0, 1, 2, 3].map(|step| clock.at(step)), [99_000, 300_000, 502_000, i64::MAX]);
+        assert_eq!((clock.start_us, clock.steps_per_plan, clock.takeover), (99_000, 1, 2));
+        assert!((clock.rates.sim_hz - 1e6 / 102_000.0 / 2.0).abs() < 1e-9, "{:?}", clock.rates);
+        for wrong in [
+            SimOptions { every_frames: Some(0), ..options.clone() },
+            SimOptions { ego: EgoPolicy::Straight, ..options.clone() },
+            SimOptions { sim_hz: Some(10.0), ..options.clone() },
+        ] {
+            let error = Clock::of(&wrong, Rates::default(), 0, &log).unwrap_err();
+            assert!(matches!(error, SimError::Frames { .. }) && error.is_usage(), "{error}");
+        }
     }
 
     #[test]

@@ -28,6 +28,14 @@ pub enum SimError {
         /// Plans a second.
         plan_hz: f64,
     },
+    /// Steps at the frames of a log for those who do not follow it.
+    #[error(
+        "expected every so many-th frame to be a step of an ego and actors that follow the log, without rates, found every {every}"
+    )]
+    Frames {
+        /// What was asked for.
+        every: usize,
+    },
     /// A log without frames.
     #[error("expected a log with frames, found none: {log}")]
     NoFrames {
@@ -62,7 +70,7 @@ pub enum SimError {
 impl SimError {
     /// Whether the options are wrong, rather than that something failed.
     pub fn is_usage(&self) -> bool {
-        use SimError::{Clock, NoSteps, Rate, Start};
-        matches!(self, NoSteps | Rate { .. } | Clock { .. } | Start { .. })
+        use SimError::{Clock, Frames, NoSteps, Rate, Start};
+        matches!(self, NoSteps | Rate { .. } | Clock { .. } | Frames { .. } | Start { .. })
     }
 }

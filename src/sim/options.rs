@@ -13,6 +13,10 @@ pub struct SimOptions {
     pub sim_hz: Option<f64>,
     /// Plans a second, which divide the steps; `None`: as [`Rates`] of the log.
     pub plan_hz: Option<f64>,
+    /// Every so many-th frame of the log, from the start on, is a step and a plan, instead of rates: for an ego and actors
+    /// that follow the log.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub every_frames: Option<usize>,
     /// Frames of a generator's window that follow the log, one a plan: the first `(N - 1) * sim_hz / plan_hz` steps do.
     pub warmup_frames: usize,
     /// When to start, absolute microseconds; `None`: at the log's first frame.
@@ -32,6 +36,7 @@ impl Default for SimOptions {
             steps: 1,
             sim_hz: None,
             plan_hz: None,
+            every_frames: None,
             warmup_frames: 1,
             start_us: None,
             ego: EgoPolicy::Replay,

@@ -113,7 +113,8 @@ impl SavedState {
         options: &SimOptions,
     ) -> Result<Committed<Instant>, SimError> {
         let recorded = Recorded::of(scenario)?;
-        let clock = Clock::new(options, scenario.rates, options.start_us.unwrap_or(recorded.first_us))?;
+        let start_us = options.start_us.unwrap_or(recorded.first_us);
+        let clock = Clock::of(options, scenario.rates, start_us, scenario.log)?;
         Ok(self.open(options, &clock, &recorded)?.world.map(|world| world.instant))
     }
 

@@ -88,14 +88,14 @@ impl<'a> Simulation<'a> {
         let recorded = Recorded::of(scenario)?;
         let (first_us, last_us) = (recorded.first_us, recorded.last_us);
         let start_us = options.start_us.unwrap_or(first_us);
-        let clock = Clock::new(&options, scenario.rates, start_us)?;
+        let clock = Clock::of(&options, scenario.rates, start_us, log)?;
         let outside = || SimError::Start { first_us, last_us, found_us: start_us, log: log.name.clone() };
-        let first = recorded.instant(0, start_us).ok_or_else(outside)?;
+        let first = recorded.instant(0, clock.start_us).ok_or_else(outside)?;
         let road = scenario.map.as_ref().and_then(|map| Road::new(map.vector_map()));
         let start = match saved {
             Some(saved) => saved.open(&options, &clock, &recorded)?,
             None => {
-                let foot = logged_foot(&recorded, &first.ego, start_us);
+                let foot = logged_foot(&recorded, &first.ego, clock.start_us);
                 let world = World { instant: first, driven: Driven::default(), foot };
                 let mut tally = Tally::default();
                 if clock.takeover == 0 {

@@ -1,6 +1,6 @@
 //! Windows, schedules and strategies of the generator.
 
-mod network;
+pub(crate) mod network;
 mod process;
 
 use std::path::Path;

@@ -12,6 +12,7 @@ mod common;
 mod conditions;
 mod distortion;
 mod generate;
+mod generated;
 mod info;
 mod made_town;
 mod npz;

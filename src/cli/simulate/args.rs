@@ -11,7 +11,10 @@ use crate::cli::numbers;
 use crate::cli::rasterizer::RasterizerArgs;
 use crate::cli::stand_ins::StandInArgs;
 use crate::dataset::LogLocator;
-use crate::sim::{ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, SimOptions, Tracking};
+use crate::scene::frame_rate_hz;
+use crate::sim::{
+    ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
+};
 
 /// As many as a generator sees at once beside the frame that is there.
 const FORECAST_STEPS: usize = 9;
@@ -79,6 +82,33 @@ pub(in crate::cli) struct SimulateArgs {
     pub(super) stand_ins: StandInArgs,
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
+    /// Steps are frames of the log, to its end if there are that many; `pskel generate` asks for that.
+    #[arg(skip)]
+    frames: Option<EveryFrames>,
+}
+
+/// Every so many-th frame of the log is a step.
+#[derive(Clone, Copy, Debug)]
+struct EveryFrames(Option<usize>);
+
+/// A log that is replayed frame by frame.
+pub(in crate::cli) struct OpenLoop {
+    pub(in crate::cli) log: LogLocator,
+    pub(in crate::cli) roots: LogRoots,
+    pub(in crate::cli) skeleton: PathBuf,
+    pub(in crate::cli) out: PathBuf,
+    pub(in crate::cli) generator: NetworkName,
+    pub(in crate::cli) generating: GeneratorArgs,
+    pub(in crate::cli) steps: usize,
+    pub(in crate::cli) every: Option<usize>,
+    pub(in crate::cli) start: Option<i64>,
+    pub(in crate::cli) maps: MapArgs,
+    pub(in crate::cli) resume: bool,
+    pub(in crate::cli) resume_from: Option<usize>,
+    pub(in crate::cli) profile: Option<PathBuf>,
+    pub(in crate::cli) annotations: Option<PathBuf>,
+    pub(in crate::cli) stand_ins: StandInArgs,
+    pub(in crate::cli) rasterizer: RasterizerArgs,
 }
 
 /// Who moves, and how often.
@@ -163,6 +193,45 @@ enum ActorName {
 }
 
 impl SimulateArgs {
+    /// Ego and actors follow the log; its frames are the steps.
+    pub(in crate::cli) fn open_loop(open: OpenLoop) -> Self {
+        let policies = PolicyArgs {
+            ego: EgoName::Replay,
+            trajectory: None,
+            planner: None,
+            planner_timeout: 10.0,
+            tracking: TrackingName::Perfect,
+            actors: ActorName::Replay,
+            sim_hz: None,
+            plan_hz: None,
+            warmup: None,
+            start: open.start,
+            seed: 0,
+        };
+        Self {
+            log: open.log,
+            roots: open.roots,
+            skeleton: open.skeleton,
+            out: open.out,
+            steps: open.steps,
+            policies,
+            maps: open.maps,
+            forecast_maps: false,
+            forecast: FORECAST_STEPS,
+            sheets: false,
+            resume: open.resume,
+            resume_from: open.resume_from,
+            dry: false,
+            profile: open.profile,
+            annotations: open.annotations,
+            generator: Some(open.generator),
+            generating: open.generating,
+            stand_ins: open.stand_ins,
+            rasterizer: open.rasterizer,
+            frames: Some(EveryFrames(open.every)),
+        }
+    }
+
     /// Options that the parser cannot check.
     pub(super) fn check(&self) -> Result<(), WrongUsage> {
         let PolicyArgs { ego, trajectory, planner, .. } = &self.policies;
@@ -179,6 +248,20 @@ impl SimulateArgs {
     /// How many plan steps are forecast and rendered at each of them.
     pub(super) fn forecast_steps(&self) -> usize {
         if self.forecast_maps { self.forecast } else { 0 }
+    }
+
+    /// Every so many-th frame that is a step, if frames are steps, and how many steps there are to take.
+    fn frames_of(&self, scenario: &Scenario<'_>) -> (Option<usize>, usize) {
+        let Some(EveryFrames(every)) = self.frames else { return (None, self.steps) };
+        let frames = &scenario.log.frames;
+        let nearest = || {
+            let hz = frame_rate_hz(frames).unwrap_or(scenario.rates.plan_hz);
+            (hz / scenario.rates.plan_hz).round().max(1.0) as usize
+        };
+        let every = every.unwrap_or_else(nearest);
+        let start = self.policies.start.unwrap_or(i64::MIN);
+        let there = frames.iter().filter(|frame| frame.t_us >= start).count();
+        (Some(every), self.steps.min(there.saturating_sub(1) / every))
     }
 
     /// Whether ego and others follow the log all along.
@@ -202,8 +285,13 @@ impl SimulateArgs {
 
     /// What is to be simulated; reads the trajectory.
     /// A generator with a window of `window` frames needs as many for its warm-up.
-    pub(super) fn sim_options(&self, window: Option<usize>) -> anyhow::Result<SimOptions> {
+    pub(super) fn sim_options(
+        &self,
+        scenario: &Scenario<'_>,
+        window: Option<usize>,
+    ) -> anyhow::Result<SimOptions> {
         let p = &self.policies;
+        let (every_frames, steps) = self.frames_of(scenario);
         let least = window.unwrap_or(0);
         if let Some(warmup) = p.warmup.filter(|warmup| *warmup < least) {
             let message = format!("expected --warmup of {least} or more, the generator's window, found {warmup}");
@@ -223,9 +311,10 @@ impl SimulateArgs {
         };
         Ok(SimOptions {
             seed: p.seed,
-            steps: self.steps,
+            steps,
             sim_hz: p.sim_hz,
             plan_hz: p.plan_hz,
+            every_frames,
             warmup_frames: p.warmup.or(window).unwrap_or(SimOptions::default().warmup_frames),
             start_us: p.start,
             ego,

@@ -4,28 +4,18 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context;
-use image::RgbImage;
-use serde::{Deserialize, Serialize};
 
 use super::output::{STATE, step_folder};
 use crate::cli::generator::{Opened, Subject};
-use crate::dataset::read_picture;
-use crate::error::{FileError, write_json, write_whole};
+use crate::error::{FileError, write_whole};
 use crate::generate::{Cache, Made, Session, SessionTimes};
-use crate::geometry::ImageSize;
 use crate::raster::Rasterizer;
+use crate::report::images::{self, GENERATED, TRUTH};
 use crate::report::{StepRow, view};
 use crate::sim::{SavedState, Scenario, SimOptions, Simulation};
 
-/// Folder of the images that were made, and their name in the page.
-pub(super) const GENERATED: &str = "generated";
-/// Folder of the true images, and their name in the page.
-pub(super) const TRUTH: &str = "truth";
 /// What goes on to the next frame.
 pub(super) const CACHE: &str = "generator.safetensors";
-/// What kind of images they are.
-pub(super) const KIND: &str = "generated.json";
-
 /// The generator and what it made last.
 pub(super) struct Generation<'a> {
     session: Session<'a>,
@@ -45,20 +35,6 @@ pub(super) struct Fresh {
     /// Bytes of [`CACHE`], once frames are made.
     pub(super) cache: Option<Vec<u8>>,
     pub(super) times: SessionTimes,
-}
-
-/// `generated.json`.
-#[derive(Serialize, Deserialize)]
-struct Kind {
-    kind: KindName,
-}
-
-#[derive(Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum KindName {
-    /// True images, which the generator begins with.
-    Reference,
-    Generated,
 }
 
 impl<'a> Generation<'a> {
@@ -100,8 +76,8 @@ impl<'a> Generation<'a> {
         let saved = cache.is_file().then(|| read_cache(&cache)).transpose()?;
         let session = session.resume(plan_rows.len(), &instants, saved, rasterizer);
         let session = session.with_context(|| cache.display().to_string())?;
-        let shown = read_made(&last, &scenario.log.cameras, &session)?;
-        Ok(Self { session, shown: Some(Arc::new(shown)) })
+        let shown = images::read(&last, &scenario.log.cameras)?.map(Arc::new);
+        Ok(Self { session, shown })
     }
 
     /// Makes the images of what was committed last, if a plan is due.
@@ -139,13 +115,11 @@ pub(super) struct EarlierSteps<'a> {
 impl Images {
     /// Writes what is new into the folder of a step; its pictures for the page always.
     pub(super) fn write(&self, folder: &Path, layout: &view::Layout) -> Result<(), FileError> {
-        let Made { is_reference, images, truth } = &*self.shown;
-        let kinds = [(GENERATED, Some(images)), (TRUTH, truth.as_ref())];
-        for (name, images) in kinds.into_iter().filter_map(|(name, images)| Some((name, images?))) {
-            view::write_images(&folder.join(view::VIEW), name, layout, images)?;
-            if self.fresh.is_some() {
-                write_images(&folder.join(name), layout, images)?;
-            }
+        let Made { images, truth, .. } = &*self.shown;
+        let view = folder.join(view::VIEW);
+        view::write_images(&view, GENERATED, layout, images)?;
+        if let Some(truth) = truth {
+            view::write_images(&view, TRUTH, layout, truth)?;
         }
         let Some(Fresh { cache, .. }) = &self.fresh else { return Ok(()) };
         if let Some(cache) = cache {
@@ -154,36 +128,12 @@ impl Images {
                 std::io::Write::write_all(out, cache).map_err(FileError::io("write", &path))
             })?;
         }
-        let kind = if *is_reference { KindName::Reference } else { KindName::Generated };
-        write_json(&folder.join(KIND), &Kind { kind })
+        let cameras: Vec<&str> = layout.cameras.iter().map(|place| place.name.as_str()).collect();
+        images::write(folder, &cameras, &self.shown)
     }
-}
-
-fn write_images(folder: &Path, layout: &view::Layout, images: &[RgbImage]) -> Result<(), FileError> {
-    std::fs::create_dir_all(folder).map_err(FileError::io("create", folder))?;
-    for (place, image) in layout.cameras.iter().zip(images) {
-        let path = folder.join(format!("{}.png", place.name));
-        image.save(&path).map_err(|error| FileError::io("write", &path)(std::io::Error::other(error)))?;
-    }
-    Ok(())
 }
 
 fn read_cache(path: &Path) -> anyhow::Result<Cache> {
     let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
     Cache::from_bytes(&bytes).with_context(|| path.display().to_string())
-}
-
-fn read_made(folder: &Path, cameras: &[String], session: &Session<'_>) -> Result<Made, FileError> {
-    let ImageSize { height, width } = session.size();
-    let path = folder.join(KIND);
-    let text = std::fs::read(&path).map_err(FileError::io("read", &path))?;
-    let Kind { kind } = serde_json::from_slice(&text)
-        .map_err(|error| FileError::content("what kind of images there are", error.to_string(), &path))?;
-    let read = |name: &str| {
-        let path = |camera: &String| folder.join(name).join(format!("{camera}.png"));
-        let image = |camera: &String| read_picture(&path(camera), height, width);
-        cameras.iter().map(image).collect::<Result<Vec<_>, _>>()
-    };
-    let truth = session.has_truth().then(|| read(TRUTH)).transpose()?;
-    Ok(Made { is_reference: kind == KindName::Reference, images: read(GENERATED)?, truth })
 }

@@ -11,7 +11,7 @@ mod rollout;
 mod sources;
 mod summary;
 
-pub(super) use args::SimulateArgs;
+pub(super) use args::{OpenLoop, SimulateArgs};
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -43,7 +43,7 @@ use crate::sim::{EndReason, Scenario, SimError, Simulation};
 const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
 
 /// Simulates, draws, writes.
-pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
+pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.check()?;
     let dataset = args.roots.open(&args.log)?;
@@ -55,10 +55,11 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
         format!("expected an HD map of {:?} for --maps map, found none in log {}", log.location, log.name)
     })?;
     let opened = args.generator.as_ref().map(|name| args.generating.open(name, log.rig.len())).transpose()?;
-    let sim_options = args.sim_options(opened.as_ref().map(Opened::window))?;
+    let scenario = Scenario::new(log, map.clone(), args.log.format);
+    let sim_options = args.sim_options(&scenario, opened.as_ref().map(Opened::window))?;
+    args.steps = sim_options.steps;
     let sources = Sources::new(log, &skeleton, &prompt)?;
     let earlier = earlier(&args, &sources)?;
-    let scenario = Scenario::new(log, map.clone(), args.log.format);
     let (saved, rows) = earlier.map_or((None, Vec::new()), |Earlier { rows, saved }| (Some(saved), rows));
     let simulation = match &saved {
         Some(saved) => Simulation::resume(&scenario, sim_options.clone(), saved),

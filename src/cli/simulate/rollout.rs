@@ -8,7 +8,7 @@ use anyhow::Context;
 use glam::DVec2;
 
 use super::finish::TRACES;
-use super::generation::{CACHE, Generation, TRUTH};
+use super::generation::{CACHE, Generation};
 use super::output::{FORECAST, Job, Output, RolloutOptions, STATE, step_folder};
 use super::profile::{Profile, StepTimes, WriteTimes, lap};
 use crate::cli::progress::Progress;
@@ -17,6 +17,7 @@ use crate::conditions::{Begun, ConditionError, ConditionSet};
 use crate::dataset::{EgoTrack, Log};
 use crate::error::FileError;
 use crate::raster::Rasterizer;
+use crate::report::images::TRUTH;
 use crate::report::{Observed, Phase, StateFile, StepRow, sight, view};
 use crate::scene::{SceneMap, SceneState, Stage};
 use crate::sim::{EndReason, Metrics, Simulation, StepOutcome, Waypoint, scene_state};

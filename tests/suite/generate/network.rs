@@ -53,7 +53,7 @@ fn shade(kind: usize, x: usize, y: usize, color: usize) -> u8 {
 }
 
 /// A drive past textured patches, whose color map has holes.
-fn made(number: usize, frames: usize) -> Drive {
+pub(crate) fn made(number: usize, frames: usize) -> Drive {
     let cameras = vec!["left".to_owned(), "right".to_owned()];
     let about = DriveInfo { log: format!("made {number}"), hz: 5.0, cameras, recipe: recipe() };
     let frame = |frame: usize| {
@@ -93,7 +93,7 @@ fn conditions(drive: &Drive) -> Vec<FrameConditions> {
     (0..drive.frames.len()).map(|frame| drive.conditions(frame, &encoder)).collect()
 }
 
-fn weights(drives: &[Drive]) -> Weights {
+pub(crate) fn weights(drives: &[Drive]) -> Weights {
     let (statistics, guess) = measure(&config(), drives).unwrap();
     Weights::fresh(&config(), &statistics, &guess, 5).unwrap()
 }

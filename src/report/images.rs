@@ -1,0 +1,104 @@
+//! The images that a generator made of a step, as files of its folder: `generated/CAM.png`, `truth/CAM.png` where that is
+//! known, and `generated.json`, which tells whether they are references.
+
+use std::path::Path;
+
+use image::RgbImage;
+use serde::{Deserialize, Serialize};
+
+use crate::dataset::{picture_size, read_picture};
+use crate::error::{FileError, write_json};
+use crate::generate::Made;
+
+/// Folder of the images that were made, and their name in the page.
+pub const GENERATED: &str = "generated";
+/// Folder of the true images, and their name in the page.
+pub const TRUTH: &str = "truth";
+/// What kind of images they are.
+const KIND: &str = "generated.json";
+
+/// `generated.json`.
+#[derive(Serialize, Deserialize)]
+struct About {
+    kind: Kind,
+}
+
+#[derive(Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Kind {
+    /// True images, which the generator begins with.
+    Reference,
+    Generated,
+}
+
+/// Writes them into the folder of a step; cameras by name.
+///
+/// # Errors
+/// The system's.
+pub fn write(folder: &Path, cameras: &[&str], made: &Made) -> Result<(), FileError> {
+    let kinds = [(GENERATED, Some(&made.images)), (TRUTH, made.truth.as_ref())];
+    for (name, images) in kinds.into_iter().filter_map(|(name, images)| Some((name, images?))) {
+        let folder = folder.join(name);
+        std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
+        for (camera, image) in cameras.iter().zip(images) {
+            let path = folder.join(format!("{camera}.png"));
+            let saved = image.save(&path);
+            saved.map_err(|error| FileError::io("write", &path)(std::io::Error::other(error)))?;
+        }
+    }
+    let kind = if made.is_reference { Kind::Reference } else { Kind::Generated };
+    write_json(&folder.join(KIND), &About { kind })
+}
+
+/// Reads them from the folder of a step; `None` if nothing was made there.
+///
+/// # Errors
+/// Images that are missing or damaged.
+pub fn read(folder: &Path, cameras: &[String]) -> Result<Option<Made>, FileError> {
+    let path = folder.join(KIND);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let text = std::fs::read(&path).map_err(FileError::io("read", &path))?;
+    let About { kind } = serde_json::from_slice(&text)
+        .map_err(|error| FileError::content("what kind of images there are", error.to_string(), &path))?;
+    let read = |name: &str| {
+        let image = |camera: &String| open(&folder.join(name).join(format!("{camera}.png")));
+        cameras.iter().map(image).collect::<Result<Vec<_>, _>>()
+    };
+    let truth = folder.join(TRUTH).is_dir().then(|| read(TRUTH)).transpose()?;
+    Ok(Some(Made { is_reference: kind == Kind::Reference, images: read(GENERATED)?, truth }))
+}
+
+fn open(path: &Path) -> Result<RgbImage, FileError> {
+    let (height, width) = picture_size(path)?;
+    read_picture(path, height, width)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::Rgb;
+
+    #[test]
+    fn images_come_back_as_they_were_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let cameras = ["a", "b"];
+        let names = cameras.map(str::to_owned);
+        let image = |level: u8| RgbImage::from_fn(3, 2, |x, y| Rgb([level, x as u8, y as u8]));
+        let made =
+            Made { is_reference: false, images: vec![image(1), image(2)], truth: Some(vec![image(3), image(4)]) };
+        assert_eq!(read(folder.path(), &names).unwrap(), None);
+        write(folder.path(), &cameras, &made).unwrap();
+        assert_eq!(read(folder.path(), &names).unwrap(), Some(made.clone()));
+        let other = tempfile::tempdir().unwrap();
+        let reference = Made { is_reference: true, truth: None, ..made };
+        write(other.path(), &cameras, &reference).unwrap();
+        assert_eq!(read(other.path(), &names).unwrap(), Some(reference));
+        std::fs::write(folder.path().join("truth/b.png"), "no").unwrap();
+        let message = read(folder.path(), &names).unwrap_err().to_string();
+        assert!(message.contains("JPEG or PNG") && message.ends_with("b.png"), "{message}");
+        std::fs::remove_file(other.path().join("generated/a.png")).unwrap();
+        assert!(read(other.path(), &names).unwrap_err().to_string().ends_with("a.png"));
+    }
+}
