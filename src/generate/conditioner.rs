@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
 use super::{DenoiserError, FrameConditions, Recipe};
-use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, render};
+use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, MapKind, render};
 use crate::dataset::Log;
 use crate::geometry::Pose;
 use crate::raster::Rasterizer;
@@ -50,6 +50,13 @@ impl<'a> Conditioner<'a> {
     ) -> Self {
         let options = recipe.options(map.is_some());
         Self { log, map, stage, options, prompt: prompt.to_owned() }
+    }
+
+    /// The same with more maps in what is drawn.
+    #[must_use]
+    pub fn with_maps(mut self, maps: &[MapKind]) -> Self {
+        self.options.maps = maps.iter().fold(self.options.maps, |all, map| all.with(*map));
+        self
     }
 
     /// How maps are drawn.

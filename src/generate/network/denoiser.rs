@@ -7,6 +7,7 @@ use super::{About, Inputs, Model, NetworkConfig, NetworkError, PatchCodec, Stati
 use crate::generate::{Denoiser, DenoiserError, Frame, FrameConditions, Latent, LatentShape, Recipe};
 
 /// The network, ready to be asked. It tells the velocity of flow matching.
+#[derive(Clone)]
 pub struct Network {
     config: NetworkConfig,
     statistics: Statistics,

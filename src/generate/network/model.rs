@@ -18,7 +18,7 @@ const FIRST_GATE: f32 = 0.1;
 /// behind one norm: `x + gate W_out [attention(q, k, v), gelu(hidden)]` with `[q, k, v, hidden] = W_in norm(x)`; gate and
 /// norm are modulated per frame by level of noise and the ego's motion. Sources: Peebles and Xie, "Scalable Diffusion
 /// Models with Transformers", 2023; Chen et al., "Diffusion Forcing", 2024 (a level per frame).
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(in crate::generate) struct Model {
     config: NetworkConfig,
     priors: Vec<f32>,

@@ -1,0 +1,165 @@
+//! `pskel ablate`: what each part of the generator is worth. [`rows`] are the variants, [`scene`] draws what they are given,
+//! [`run`] lets one of them go through a scene, [`report`] tells.
+
+mod report;
+mod rows;
+mod run;
+mod scene;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context;
+use clap::Args;
+use serde::Serialize;
+use serde_json::Value;
+
+use self::report::Report;
+use self::rows::{Row, rows};
+use self::run::{RunResult, Settings};
+use self::scene::{Scene, SceneOptions};
+use super::log_args;
+use super::progress::Progress;
+use super::rasterizer::RasterizerArgs;
+use super::{WrongUsage, say};
+use crate::dataset::{Dataset, LogFormat, LogLocator};
+use crate::error::{FileError, write_json};
+use crate::generate::network::{About, Network};
+use crate::logs;
+
+/// Compare strategies, conditions and trainings of the generator in towns, where the truth is known
+///
+/// In each town the ego changes lanes in a closed loop; each variant generates the same steps of it. Writes SCENE/ROW.json
+/// and SCENE/ROW.png for each of them, then results.json, table.md and curves as SVG. What is there already is not made
+/// again, so the command goes on where it was interrupted.
+#[derive(Debug, Args)]
+pub(super) struct AblateArgs {
+    /// Towns that the networks have not seen: town:seed=901,frames=66[,..]
+    #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
+    logs: Vec<LogLocator>,
+    /// Weights of `pskel train`
+    #[arg(long, value_name = "FILE")]
+    weights: PathBuf,
+    /// Weights of `pskel train --no-augment`, for the row that tells what augmentation of assets is worth
+    #[arg(long, value_name = "FILE")]
+    plain_weights: Option<PathBuf>,
+    /// Folder to write
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Frames that are generated in each scene, after the references
+    #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u16).range(2..))]
+    steps: u16,
+    /// Inference steps, T
+    #[arg(long, value_name = "T", default_value = "8", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    infer_steps: u16,
+    /// What noise, features and classifiers follow from
+    #[arg(long, value_name = "SEED", default_value = "0")]
+    seed: u64,
+    #[command(flatten)]
+    rasterizer: RasterizerArgs,
+}
+
+/// The file that tells what the folder's results are of.
+const MARKER: &str = "ablation.json";
+
+/// `ablation.json`: results of other networks or settings do not go into one table.
+#[derive(Debug, Serialize)]
+struct Marker<'a> {
+    settings: &'a Settings,
+    networks: Vec<&'a About>,
+}
+
+/// Draws, generates, scores, tells.
+pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    if let Some(other) = args.logs.iter().find(|log| log.format != LogFormat::Town) {
+        let message = format!("expected logs town:.., of which the truth is known, found {other}");
+        return Err(WrongUsage(message).into());
+    }
+    let paths = [Some(&args.weights), args.plain_weights.as_ref()];
+    let networks: Vec<Network> =
+        paths.into_iter().flatten().map(|path| Network::open(path)).collect::<Result<_, _>>()?;
+    let settings = Settings {
+        steps: usize::from(args.steps),
+        infer_steps: usize::from(args.infer_steps),
+        seed: args.seed,
+    };
+    let rows = rows(&networks);
+    for row in &rows {
+        row.options(&networks, &settings).check().map_err(|error| WrongUsage(error.to_string()))?;
+    }
+    std::fs::create_dir_all(&args.out).map_err(FileError::io("create", &args.out))?;
+    let marker = Marker { settings: &settings, networks: networks.iter().map(Network::about).collect() };
+    check_same(&args.out.join(MARKER), &marker)?;
+    let mut progress = Progress::new(args.logs.len() * rows.len());
+    let mut results = Vec::new();
+    for locator in &args.logs {
+        let of_scene = scene_results(args, locator, (&rows, &networks, &settings), &mut progress);
+        results.extend(of_scene.with_context(|| format!("log {locator}"))?);
+    }
+    drop(progress);
+    let report = Report::new(&rows, &results);
+    report.write(&args.out)?;
+    say(report.table().trim_end());
+    let (scenes, seconds) = (args.logs.len(), start.elapsed().as_secs_f64());
+    say(&format!("{} variants in {scenes} scenes in {seconds:.2} s: {}", rows.len(), args.out.display()));
+    Ok(())
+}
+
+/// What is in the folder must be of the same networks and settings.
+fn check_same(path: &Path, marker: &Marker<'_>) -> Result<(), FileError> {
+    let damaged = |error: serde_json::Error| FileError::content("an ablation", error.to_string(), path);
+    let now = serde_json::to_value(marker).map_err(damaged)?;
+    if !path.is_file() {
+        return write_json(path, &now);
+    }
+    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let before: Value = serde_json::from_slice(&text).map_err(damaged)?;
+    if before == now {
+        return Ok(());
+    }
+    Err(FileError::content(format!("an ablation of {now}"), before.to_string(), path))
+}
+
+/// Results of all rows in a scene, which is drawn only if one of them is missing.
+fn scene_results(
+    args: &AblateArgs,
+    locator: &LogLocator,
+    (rows, networks, settings): (&[Row], &[Network], &Settings),
+    progress: &mut Progress,
+) -> anyhow::Result<Vec<RunResult>> {
+    let town = logs::open_town(locator)?;
+    let folder = args.out.join(&town.log().name);
+    std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
+    let mut scene = None;
+    let mut results = Vec::new();
+    for row in rows {
+        let path = folder.join(format!("{}.json", row.name));
+        let known = path.is_file().then(|| RunResult::read(&path)).transpose()?;
+        let result = match known {
+            Some(result) => result,
+            None => {
+                let scene = match &mut scene {
+                    Some(scene) => scene,
+                    none => {
+                        let options = SceneOptions {
+                            recipe: networks[0].recipe(),
+                            references: networks[0].config().frames - 1,
+                            settings,
+                            rasterizer: &args.rasterizer,
+                            folder: &args.out,
+                        };
+                        none.insert(Scene::draw(&town, &options)?)
+                    }
+                };
+                let (result, strip) = run::run(scene, row, networks, settings)?;
+                strip.save(&folder.join(format!("{}.png", row.name)))?;
+                write_json(&path, &result)?;
+                result
+            }
+        };
+        progress.step(&format!("{}, {}", result.scene, row.name));
+        results.push(result);
+    }
+    Ok(results)
+}

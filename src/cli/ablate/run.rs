@@ -1,0 +1,167 @@
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use image::RgbImage;
+use image::imageops::{self, FilterType};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::rows::Row;
+use super::scene::{Scene, SceneFrame};
+use crate::error::{FileError, write_whole};
+use crate::generate::network::Network;
+use crate::generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
+use crate::metrics::{
+    PatchClassifier, PatchOptions, PatchTrainer, RandomConvNet, RolloutScores, ScoredFrame, Segmented, vehicle_mask,
+};
+use crate::sim::{Committed, Forecast};
+
+/// What all variants have in common.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(super) struct Settings {
+    /// Frames that are generated.
+    pub(super) steps: usize,
+    pub(super) infer_steps: usize,
+    pub(super) seed: u64,
+}
+
+/// A variant in a scene, `SCENE/ROW.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct RunResult {
+    pub(super) scene: String,
+    pub(super) row: String,
+    /// By the metric's name; `None` where the scene has no such thing.
+    pub(super) numbers: BTreeMap<String, Option<f64>>,
+    /// Since the first reference, seconds.
+    pub(super) t_s: Vec<f64>,
+    /// By step.
+    pub(super) psnr_db: Vec<Option<f64>>,
+}
+
+/// What a variant looks like: pictures to look at.
+pub(super) struct Strip(RgbImage);
+
+/// Pictures in a strip, and how many times larger they are.
+const SHOWN: usize = 8;
+const ENLARGED: u32 = 3;
+
+impl RunResult {
+    pub(super) fn read(path: &Path) -> Result<Self, FileError> {
+        let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+        serde_json::from_slice(&text)
+            .map_err(|error| FileError::content("scores of a scene", error.to_string(), path))
+    }
+}
+
+/// Generates and scores all frames of a scene.
+pub(super) fn run(
+    scene: &Scene,
+    row: &Row,
+    networks: &[Network],
+    settings: &Settings,
+) -> anyhow::Result<(RunResult, Strip)> {
+    let network = &networks[row.network];
+    let codec = network.codec()?;
+    let given = |conditions: &Committed<FrameConditions>| conditions.clone().map(|c| c.without(row.dropped));
+    let options = row.options(networks, settings);
+    let (before, frames) = scene.frames.split_at(options.references());
+    let reference = |frame: &SceneFrame| Ok((codec.encode(&frame.truth)?, given(&frame.conditions)));
+    let references = before.iter().map(reference).collect::<anyhow::Result<Vec<_>>>()?;
+    let noise = GaussianNoise { seed: settings.seed };
+    let mut generator = Generator::new(network.clone(), noise, options, references)?;
+    let classifiers = classifiers(frames, settings.seed);
+    let mut scores = RolloutScores::new(RandomConvNet::new(settings.seed));
+    let mut strip = Strip::new(frames);
+    for (number, frame) in frames.iter().enumerate() {
+        let forecasts: Vec<_> =
+            frame.forecasts.iter().map(|expected| Forecast::new(expected.get().without(row.dropped))).collect();
+        let latent = generator.step(given(&frame.conditions), &forecasts)?;
+        let images = codec.decode(&latent)?;
+        strip.add(number, frames.len(), &images, &frame.truth);
+        let classifier = classifiers.as_ref().map(|halves| &halves[usize::from(number >= frames.len() / 2)]);
+        score(&mut scores, frame, &images, classifier)?;
+    }
+    let (scores, features) = scores.finish();
+    let distances = features.distances();
+    let mut numbers: BTreeMap<String, Option<f64>> =
+        scores.numbers().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+    numbers.insert("frechet_images".to_owned(), distances.images.map(|d| d.distance));
+    numbers.insert("frechet_videos".to_owned(), distances.videos.map(|d| d.distance));
+    let result = RunResult {
+        scene: scene.name.clone(),
+        row: row.name.to_owned(),
+        numbers,
+        t_s: scores.t_s,
+        psnr_db: scores.psnr_db.steps,
+    };
+    Ok((result, strip))
+}
+
+/// For the first and the second half of the frames, each trained on the true images of the other; none without vehicles.
+fn classifiers(frames: &[SceneFrame], seed: u64) -> Option<[PatchClassifier; 2]> {
+    let (first, second) = frames.split_at(frames.len() / 2);
+    let train = |frames: &[SceneFrame]| {
+        let mut trainer = PatchTrainer::new(PatchOptions { seed, ..PatchOptions::default() });
+        for frame in frames {
+            for (image, class) in frame.truth.iter().zip(&frame.class) {
+                trainer.add(image, &vehicle_mask(class, image.width() as usize));
+            }
+        }
+        trainer.train().ok()
+    };
+    Some([train(second)?, train(first)?])
+}
+
+fn score(
+    scores: &mut RolloutScores,
+    frame: &SceneFrame,
+    images: &[RgbImage],
+    classifier: Option<&PatchClassifier>,
+) -> anyhow::Result<()> {
+    let segment = |images: &[RgbImage]| {
+        let of = |classifier: &PatchClassifier| {
+            images.par_iter().map(|image| classifier.segment(image)).collect::<Result<Vec<_>, _>>()
+        };
+        classifier.map(of).transpose()
+    };
+    let (generated, truth) = (segment(images)?, segment(&frame.truth)?);
+    let segmented: Vec<Segmented<'_>> = generated
+        .iter()
+        .map(|generated| Segmented { name: "patch_classifier", generated, truth: truth.as_deref() })
+        .collect();
+    scores.push(&ScoredFrame {
+        t_s: frame.t_s,
+        generated: images,
+        truth: Some(&frame.truth),
+        class: Some(&frame.class),
+        moving: Some(&frame.moving),
+        segmented: &segmented,
+    })?;
+    Ok(())
+}
+
+impl Strip {
+    /// Two rows: generated above, truth below.
+    fn new(frames: &[SceneFrame]) -> Self {
+        let (width, height) = frames.first().and_then(|f| f.truth.first()).map_or((1, 1), RgbImage::dimensions);
+        Self(RgbImage::new(SHOWN as u32 * width * ENLARGED, 2 * height * ENLARGED))
+    }
+
+    /// Takes the first camera of some of the frames.
+    fn add(&mut self, number: usize, all: usize, images: &[RgbImage], truth: &[RgbImage]) {
+        let Some(place) = (0..SHOWN).find(|place| (place + 1) * all / SHOWN == number + 1) else { return };
+        for (row, image) in [images, truth].into_iter().enumerate() {
+            let Some(image) = image.first() else { continue };
+            let (width, height) = (image.width() * ENLARGED, image.height() * ENLARGED);
+            let large = imageops::resize(image, width, height, FilterType::Nearest);
+            imageops::replace(&mut self.0, &large, i64::from(width) * place as i64, i64::from(height) * row as i64);
+        }
+    }
+
+    pub(super) fn save(&self, path: &Path) -> Result<(), FileError> {
+        write_whole(path, |out| {
+            let written = self.0.write_with_encoder(image::codecs::png::PngEncoder::new(out));
+            written.map_err(|error| FileError::io("write", path)(std::io::Error::other(error)))
+        })
+    }
+}
