@@ -17,6 +17,9 @@ pub enum FrechetError {
     /// NaN, infinity, or too large to be squared.
     #[error("expected finite features, found others")]
     NotFinite,
+    /// The iteration did not come to an end.
+    #[error("expected covariances with eigenvalues, found none")]
+    NoEigenvalues,
 }
 
 /// Fréchet distance of two normal distributions that have the means and the unbiased covariances of two sets of features
@@ -28,7 +31,7 @@ pub enum FrechetError {
 /// compared, and a distance from the truth to itself, split in two, tells what "none" looks like.
 ///
 /// # Errors
-/// Less than two rows, other numbers of features, features that are not finite.
+/// Less than two rows, other numbers of features, features that are not finite, or whose eigenvalues are not found.
 pub fn frechet_distance(a: &FeatureSet, b: &FeatureSet) -> Result<f64, FrechetError> {
     if a.len() < 2 || b.len() < 2 {
         return Err(FrechetError::Rows(a.len(), b.len()));
@@ -50,6 +53,7 @@ pub fn frechet_distance(a: &FeatureSet, b: &FeatureSet) -> Result<f64, FrechetEr
     a.divide_by(scale.sqrt());
     b.divide_by(scale.sqrt());
     let cross = if a.columns() <= a.rows.min(b.rows) { by_covariances(&a, &b) } else { by_products(&a, &b) };
+    let cross = cross.ok_or(FrechetError::NoEigenvalues)?;
     // Rounding may take equal sets a little below.
     Ok((apart + trace_a + trace_b - 2.0 * scale * cross).max(0.0))
 }
@@ -97,9 +101,9 @@ impl Moments {
 }
 
 /// `tr(sqrt(sqrt(A)·B·sqrt(A)))` as it stands there.
-fn by_covariances(a: &Moments, b: &Moments) -> f64 {
+fn by_covariances(a: &Moments, b: &Moments) -> Option<f64> {
     let columns = a.columns();
-    let root = square_root(a.covariance(), columns);
+    let root = square_root(a.covariance(), columns)?;
     // All of them are symmetric: rows are columns.
     let left = rows_product(&root, &b.covariance(), columns);
     trace_of_root(rows_product(&left, &root, columns), columns)
@@ -107,22 +111,23 @@ fn by_covariances(a: &Moments, b: &Moments) -> f64 {
 
 /// The same by deviations X and Y: `sqrt(A)·B·sqrt(A)` has the eigenvalues of `(X·Yᵀ)·(X·Yᵀ)ᵀ`, but for zeros. Less work where
 /// there are fewer rows than features.
-fn by_products(a: &Moments, b: &Moments) -> f64 {
+fn by_products(a: &Moments, b: &Moments) -> Option<f64> {
     let (few, many) = if a.rows <= b.rows { (a, b) } else { (b, a) };
     let cross = rows_product(&few.deviations, &many.deviations, a.columns());
     trace_of_root(rows_product(&cross, &cross, many.rows), few.rows)
 }
 
 /// Of a symmetric matrix `[n, n]` without negative eigenvalues but by rounding.
-fn square_root(matrix: Vec<f64>, n: usize) -> Vec<f64> {
-    let Some((values, vectors)) = eigen(matrix, n) else { return Vec::new() };
+fn square_root(matrix: Vec<f64>, n: usize) -> Option<Vec<f64>> {
+    let (values, vectors) = eigen(matrix, n)?;
     let scaled: Vec<f64> =
         (0..n * n).map(|i| vectors.get((i / n, i % n)) * values[i % n].max(0.0).powf(0.25)).collect();
-    rows_product(&scaled, &scaled, n)
+    Some(rows_product(&scaled, &scaled, n))
 }
 
-fn trace_of_root(matrix: Vec<f64>, n: usize) -> f64 {
-    eigen(matrix, n).map_or(f64::NAN, |(values, _)| values.iter().map(|v| v.max(0.0).sqrt()).sum())
+fn trace_of_root(matrix: Vec<f64>, n: usize) -> Option<f64> {
+    let trace: f64 = eigen(matrix, n)?.0.iter().map(|v| v.max(0.0).sqrt()).sum();
+    trace.is_finite().then_some(trace)
 }
 
 /// Eigenvalues and, in columns, eigenvectors of a symmetric matrix `[n, n]`.
@@ -180,7 +185,7 @@ mod tests {
             Moments::new(&FeatureSet::new(5, (0..rows * 5).map(value).collect()).unwrap())
         };
         for (a, b) in [(wave(20, 0.0), wave(11, 1.0)), (wave(3, 0.5), wave(9, 2.0)), (wave(2, 0.1), wave(2, 0.2))] {
-            let (one, other) = (by_covariances(&a, &b), by_products(&a, &b));
+            let (one, other) = (by_covariances(&a, &b).unwrap(), by_products(&a, &b).unwrap());
             assert!((one - other).abs() < 1e-6 * (1.0 + other), "{one} {other}");
         }
     }
