@@ -8,6 +8,7 @@
 mod bench;
 mod build;
 mod convert;
+mod evaluate;
 mod fidelity;
 mod info;
 mod log_args;
@@ -52,6 +53,7 @@ enum Command {
     Town(town::TownArgs),
     Fidelity(Box<fidelity::FidelityArgs>),
     Train(train::TrainArgs),
+    Evaluate(evaluate::EvaluateArgs),
 }
 
 impl Command {
@@ -68,6 +70,7 @@ impl Command {
             Self::Town(args) => town::run(&args),
             Self::Fidelity(args) => fidelity::run(&args),
             Self::Train(args) => train::run(&args),
+            Self::Evaluate(args) => evaluate::run(&args),
         }
     }
 }

@@ -53,9 +53,11 @@ impl RandomConvNet {
         if input.values.is_empty() {
             return None;
         }
-        let last = self.weights.iter().zip(CHANNELS.windows(2)).fold(input, |plane, (weights, pair)| {
-            layer(&plane, weights, pair[0], pair[1])
-        });
+        let last = self
+            .weights
+            .iter()
+            .zip(CHANNELS.windows(2))
+            .fold(input, |plane, (weights, pair)| layer(&plane, weights, pair[0], pair[1]));
         Some(pooled(&last))
     }
 }
@@ -116,7 +118,7 @@ mod tests {
 
     fn image(width: u32, height: u32) -> RgbImage {
         RgbImage::from_fn(width, height, |x, y| {
-            image::Rgb([(37 * x + 11 * y) as u8, (x * y) as u8, (255 - 5 * x) as u8])
+            image::Rgb([(37 * x + 11 * y) as u8, (x * y) as u8, (255 - 4 * x) as u8])
         })
     }
 

@@ -164,7 +164,8 @@ mod tests {
 
     /// Exactly uncorrelated columns: corners of a box around a mean. The variance of a column is `4·s²·2/(8-1)`.
     fn corners(mean: [f64; 3], half: [f64; 3]) -> FeatureSet {
-        let corner = |i: usize| (0..3).map(move |c| mean[c] + half[c] * if i >> c & 1 == 1 { 1.0 } else { -1.0 });
+        let corner =
+            |i: usize| (0..3).map(move |c| mean[c] + half[c] * if i >> c & 1 == 1 { 1.0 } else { -1.0 });
         FeatureSet::new(3, (0..8).flat_map(corner).collect()).unwrap()
     }
 
@@ -184,7 +185,9 @@ mod tests {
             let value = |i: usize| ((i * i) as f64 * 0.37 + phase).sin() * (1.0 + (i % 5) as f64);
             Moments::new(&FeatureSet::new(5, (0..rows * 5).map(value).collect()).unwrap())
         };
-        for (a, b) in [(wave(20, 0.0), wave(11, 1.0)), (wave(3, 0.5), wave(9, 2.0)), (wave(2, 0.1), wave(2, 0.2))] {
+        for (a, b) in
+            [(wave(20, 0.0), wave(11, 1.0)), (wave(3, 0.5), wave(9, 2.0)), (wave(2, 0.1), wave(2, 0.2))]
+        {
             let (one, other) = (by_covariances(&a, &b).unwrap(), by_products(&a, &b).unwrap());
             assert!((one - other).abs() < 1e-6 * (1.0 + other), "{one} {other}");
         }
@@ -204,7 +207,8 @@ mod tests {
 
     #[test]
     fn sets_without_a_distance() {
-        let (one, two) = (FeatureSet::new(2, vec![1.0; 2]).unwrap(), FeatureSet::new(2, vec![1.0; 4]).unwrap());
+        let (one, two) =
+            (FeatureSet::new(2, vec![1.0; 2]).unwrap(), FeatureSet::new(2, vec![1.0; 4]).unwrap());
         assert_eq!(frechet_distance(&one, &two), Err(FrechetError::Rows(1, 2)));
         let wide = FeatureSet::new(4, vec![1.0; 8]).unwrap();
         assert_eq!(frechet_distance(&two, &wide), Err(FrechetError::Columns(2, 4)));

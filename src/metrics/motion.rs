@@ -143,12 +143,10 @@ mod tests {
     fn motion(generated: impl Fn(u32) -> RgbImage) -> Motion {
         let mut sums = MotionSums::default();
         for frame in 1..FRAMES {
-            let (images, truths) = ([generated(frame - 1), generated(frame)], [truth(frame - 1), truth(frame)]);
-            let at = |i: usize| MovingFrame {
-                generated: &images[i],
-                truth: &truths[i].0,
-                moving: &truths[i].1,
-            };
+            let (images, truths) =
+                ([generated(frame - 1), generated(frame)], [truth(frame - 1), truth(frame)]);
+            let at =
+                |i: usize| MovingFrame { generated: &images[i], truth: &truths[i].0, moving: &truths[i].1 };
             sums.add(&at(0), &at(1));
         }
         sums.finish().unwrap()

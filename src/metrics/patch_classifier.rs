@@ -33,7 +33,9 @@ impl Default for PatchOptions {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PatchClassifierError {
     /// One of the two kinds is missing.
-    #[error("expected true images with pixels of vehicles and of others to train on, found {vehicles} and {others}")]
+    #[error(
+        "expected true images with pixels of vehicles and of others to train on, found {vehicles} and {others}"
+    )]
     Pixels {
         /// Pixels of vehicles.
         vehicles: usize,
@@ -152,7 +154,7 @@ impl PatchClassifier {
     /// # Errors
     /// The forest's own.
     pub fn segment(&self, image: &RgbImage) -> Result<Vec<bool>, PatchClassifierError> {
-        let pixels = (image.width() * image.height()) as usize;
+        let pixels = image.width() as usize * image.height() as usize;
         if pixels == 0 {
             return Ok(Vec::new());
         }
@@ -271,10 +273,19 @@ mod tests {
     #[test]
     fn thresholds_by_hand() {
         // Between 0.8 and 0.4: two of three vehicles and nothing else; one more vehicle costs pixels of weight 4.
-        let judged = vec![(0.9, true, 1.0), (0.4, false, 4.0), (0.8, true, 1.0), (0.3, true, 1.0), (f64::NAN, true, 9.0)];
+        let judged = vec![
+            (0.9, true, 1.0),
+            (0.4, false, 4.0),
+            (0.8, true, 1.0),
+            (0.3, true, 1.0),
+            (f64::NAN, true, 9.0),
+        ];
         assert!((best_threshold(judged) - 0.6).abs() < 1e-12);
         // Equal votes cannot be told apart.
-        assert!((best_threshold(vec![(0.5, true, 1.0), (0.5, false, 1.0), (0.1, false, 9.0)]) - 0.3).abs() < 1e-12);
+        assert!(
+            (best_threshold(vec![(0.5, true, 1.0), (0.5, false, 1.0), (0.1, false, 9.0)]) - 0.3).abs()
+                < 1e-12
+        );
         assert_eq!(best_threshold(Vec::new()), 0.5);
     }
 }

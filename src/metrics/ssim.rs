@@ -37,8 +37,7 @@ fn similarity(x: &[f64], y: &[f64], width: usize) -> f64 {
     let at = |i: usize| {
         let (mx, my) = (mean_x[i], mean_y[i]);
         let (var_x, var_y, covariance) = (xx[i] - mx * mx, yy[i] - my * my, xy[i] - mx * my);
-        ((2.0 * mx * my + C1) * (2.0 * covariance + C2))
-            / ((mx * mx + my * my + C1) * (var_x + var_y + C2))
+        ((2.0 * mx * my + C1) * (2.0 * covariance + C2)) / ((mx * mx + my * my + C1) * (var_x + var_y + C2))
     };
     (0..mean_x.len()).map(at).sum::<f64>() / mean_x.len() as f64
 }
@@ -64,7 +63,10 @@ fn blurred(plane: &[f64], width: usize, weights: &[f64; SIDE]) -> Vec<f64> {
     let value = |row: usize, column: usize| -> f64 {
         weights.iter().enumerate().map(|(k, w)| w * across[(row + k) * narrow + column]).sum()
     };
-    (0..=rows - SIDE).flat_map(|row| (0..narrow).map(move |column| (row, column))).map(|(r, c)| value(r, c)).collect()
+    (0..=rows - SIDE)
+        .flat_map(|row| (0..narrow).map(move |column| (row, column)))
+        .map(|(r, c)| value(r, c))
+        .collect()
 }
 
 #[cfg(test)]

@@ -77,6 +77,8 @@ pub(super) fn student_t(degrees: usize) -> f64 {
         (Z.powi(3) + Z) / 4.0,
         (5.0 * Z.powi(5) + 16.0 * Z.powi(3) + 3.0 * Z) / 96.0,
         (3.0 * Z.powi(7) + 19.0 * Z.powi(5) + 17.0 * Z.powi(3) - 15.0 * Z) / 384.0,
+        (79.0 * Z.powi(9) + 776.0 * Z.powi(7) + 1482.0 * Z.powi(5) - 1920.0 * Z.powi(3) - 945.0 * Z)
+            / 92160.0,
     ];
     terms.iter().rev().fold(0.0, |sum, term| sum / degrees as f64 + term)
 }

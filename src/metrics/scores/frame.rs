@@ -94,7 +94,11 @@ fn check_images(what: &'static str, images: &[RgbImage], sizes: &[(u32, u32)]) -
     }
 }
 
-fn check_maps<T>(what: &'static str, maps: Option<&[Vec<T>]>, sizes: &[(u32, u32)]) -> Result<(), ScoreError> {
+fn check_maps<T>(
+    what: &'static str,
+    maps: Option<&[Vec<T>]>,
+    sizes: &[(u32, u32)],
+) -> Result<(), ScoreError> {
     let Some(maps) = maps else { return Ok(()) };
     check_cameras(what, maps.len(), sizes)?;
     let pixels = sizes.iter().map(|(width, height)| *width as usize * *height as usize);

@@ -201,9 +201,7 @@ impl RolloutScores {
         let features = CollectedFeatures::of(&self.net, &self.generated, &self.truth);
         let steps = self.t_s.len();
         let t_s = std::mem::take(&mut self.t_s);
-        let mut series = |metric: Metric| {
-            Series::new(&t_s, self.series.remove(&metric).unwrap_or_default())
-        };
+        let mut series = |metric: Metric| Series::new(&t_s, self.series.remove(&metric).unwrap_or_default());
         let iou = |mut sums: SegmentedSums| {
             sums.steps.resize(steps, None);
             let (generated, truth) = (sums.generated.iou(), sums.truth.iou());

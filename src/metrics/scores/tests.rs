@@ -72,7 +72,10 @@ fn copies_of_the_truth_are_perfect() {
     let (images, videos) = (distances.images.unwrap(), distances.videos.unwrap());
     assert!(images.distance < 1e-6 && videos.distance < 1e-6, "{distances:?}");
     assert_eq!((images.generated, images.truth, images.features), (34, 34, RandomConvNet::FEATURES));
-    assert_eq!((videos.generated, videos.features), (2 * (17 - WINDOW_FRAMES + 1), 2 * RandomConvNet::FEATURES));
+    assert_eq!(
+        (videos.generated, videos.features),
+        (2 * (17 - WINDOW_FRAMES + 1), 2 * RandomConvNet::FEATURES)
+    );
     assert_eq!(distances.network, "RandomConvNet, seed 1");
 }
 
@@ -118,7 +121,10 @@ fn without_the_truth_some_numbers_are_missing() {
     }
     let (scores, features) = scores.finish();
     assert_eq!((scores.steps_with_truth, scores.motion), (1, None));
-    assert_eq!(scores.ssim.steps.iter().map(Option::is_some).collect::<Vec<_>>(), [false, true, false, false]);
+    assert_eq!(
+        scores.ssim.steps.iter().map(Option::is_some).collect::<Vec<_>>(),
+        [false, true, false, false]
+    );
     assert!(scores.sharpness.mean.is_some() && scores.iou.is_empty());
     assert_eq!(features.distances().images.map(|d| (d.generated, d.truth)), Some((8, 2)));
     serde_json::to_string(&scores).unwrap();
@@ -128,14 +134,8 @@ fn without_the_truth_some_numbers_are_missing() {
 fn other_sizes_are_refused() {
     let mut scores = RolloutScores::new(RandomConvNet::new(1));
     let (images, masks) = truth(0);
-    let frame = ScoredFrame {
-        t_s: 0.0,
-        generated: &images,
-        truth: None,
-        class: None,
-        moving: None,
-        segmented: &[],
-    };
+    let frame =
+        ScoredFrame { t_s: 0.0, generated: &images, truth: None, class: None, moving: None, segmented: &[] };
     scores.push(&frame).unwrap();
     let message = |frame: ScoredFrame<'_>| scores.clone().push(&frame).unwrap_err().to_string();
     assert_eq!(
