@@ -147,7 +147,7 @@ impl Step {
         let moving = row.actors.iter().filter(|actor| actor.speed_mps.abs() > MOVING_MPS);
         Self {
             name: row.name(),
-            t_s: (row.t_us - first_us) as f64 * 1e-6,
+            t_s: (row.t_us - first_us) as f64 / 1e6,
             folder: folder.join(STEPS).join(row.name()),
             moving: moving.map(|actor| actor.instance).collect(),
         }
