@@ -5,9 +5,11 @@
 //! Progress and errors go to stderr, the summary line to stdout.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+mod ablate;
 mod bench;
 mod build;
 mod convert;
+mod evaluate;
 mod fidelity;
 mod generate;
 mod generator;
@@ -55,6 +57,8 @@ enum Command {
     Fidelity(Box<fidelity::FidelityArgs>),
     Train(train::TrainArgs),
     Generate(Box<generate::GenerateArgs>),
+    Evaluate(evaluate::EvaluateArgs),
+    Ablate(ablate::AblateArgs),
 }
 
 impl Command {
@@ -72,6 +76,8 @@ impl Command {
             Self::Fidelity(args) => fidelity::run(&args),
             Self::Train(args) => train::run(&args),
             Self::Generate(args) => generate::run(*args),
+            Self::Evaluate(args) => evaluate::run(&args),
+            Self::Ablate(args) => ablate::run(&args),
         }
     }
 }

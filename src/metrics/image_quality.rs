@@ -1,3 +1,5 @@
+use image::RgbImage;
+
 /// How far a color map is from a true image, over the pixels that are filled (not black).
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct FilledError {
@@ -32,6 +34,17 @@ pub fn compare_filled(map: &[[u8; 3]], truth: &[[u8; 3]]) -> FilledError {
     }
 }
 
+/// Peak signal-to-noise ratio of two RGB images of one size, over all pixels and channels, dB:
+/// `10·log10(255² / mean squared error)`; infinite for equal images. `None` for other sizes, or without pixels.
+pub fn psnr_db(image: &RgbImage, truth: &RgbImage) -> Option<f64> {
+    let (a, b) = (image.as_raw(), truth.as_raw());
+    if image.dimensions() != truth.dimensions() || a.is_empty() {
+        return None;
+    }
+    let squares: u64 = a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b)).pow(2)).sum();
+    Some(10.0 * (255.0_f64.powi(2) * a.len() as f64 / squares as f64).log10())
+}
+
 /// The lower median of a histogram of levels.
 fn median(histogram: &[u64; 256], count: u64) -> f64 {
     let mut below = 0;
@@ -57,6 +70,17 @@ mod tests {
         assert!((error.mean_abs - 10.0 / 6.0).abs() < 1e-12);
         assert_eq!(error.median_abs, 0.0);
         assert!((error.psnr_db - 10.0 * (65025.0_f64 / (52.0 / 6.0)).log10()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn ratios_by_hand() {
+        let image = |level: u8| RgbImage::from_pixel(3, 2, image::Rgb([level, 7, 9]));
+        // One of three channels is off by 6: the mean squared error is 12.
+        let expected = 10.0 * (65025.0_f64 / 12.0).log10();
+        assert!((psnr_db(&image(20), &image(26)).unwrap() - expected).abs() < 1e-12);
+        assert_eq!(psnr_db(&image(20), &image(20)), Some(f64::INFINITY));
+        assert_eq!(psnr_db(&image(20), &RgbImage::new(2, 3)), None);
+        assert_eq!(psnr_db(&RgbImage::new(0, 0), &RgbImage::new(0, 0)), None);
     }
 
     #[test]

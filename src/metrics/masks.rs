@@ -23,6 +23,17 @@ impl Overlap {
         a.iter().zip(b).for_each(|(a, b)| self.add(in_a(a), in_b(b)));
     }
 
+    /// Counts the pixels of two masks of one size.
+    pub fn add_masks(&mut self, a: &[bool], b: &[bool]) {
+        a.iter().zip(b).for_each(|(a, b)| self.add(*a, *b));
+    }
+
+    /// Adds the pixels of others.
+    pub fn join(&mut self, other: &Self) {
+        self.both += other.both;
+        self.either += other.either;
+    }
+
     /// Intersection over union, 0 to 1; `None` where both masks are empty.
     pub fn iou(&self) -> Option<f64> {
         (self.either > 0).then(|| self.both as f64 / self.either as f64)
@@ -43,6 +54,9 @@ mod tests {
         // Over images pixels are summed, not shares.
         overlap.add_maps((&[1; 4], |a| *a == 1), (&[7; 4], |b| *b == 7));
         assert_eq!(overlap.iou(), Some(5.0 / 8.0));
+        overlap.join(&Overlap { both: 1, either: 2 });
+        overlap.add_masks(&[true, true, false], &[true, false, false]);
+        assert_eq!(overlap.iou(), Some(7.0 / 12.0));
         let mut same = Overlap::default();
         same.add_maps((&a, |a| *a > 0), (&a, |a| *a > 0));
         assert_eq!(same.iou(), Some(1.0));

@@ -1,9 +1,40 @@
-//! Numbers that tell how good an image is.
+//! Numbers that tell how good an image is, a set of images, or a rollout of generated ones.
+//!
+//! # How it works
+//! Leaf functions compare two images ([`psnr_db`], [`ssim`], [`sharpness`]), two masks ([`Overlap`]) or two sets of
+//! features ([`frechet_distance`]). [`RolloutScores`] is fed a rollout step by step, in memory, and puts them together:
+//! a series per metric with its [`Drift`], [`Motion`] of actors, and the features of [`RandomConvNet`], of which
+//! [`CollectedFeatures`] takes distances over many rollouts. [`MeanInterval`] sums up over rollouts. Nothing here reads files.
 
+mod conv_net;
 mod depth;
+mod drift;
+mod features;
+mod frechet;
 mod image_quality;
 mod masks;
+mod motion;
+mod patch_classifier;
+mod pseudo_label;
+mod scores;
+mod sharpness;
+mod ssim;
+mod statistics;
 
+pub use conv_net::RandomConvNet;
 pub use depth::{DepthErrors, DepthSummary};
-pub use image_quality::{FilledError, compare_filled};
+pub use drift::Drift;
+pub use features::{FeatureSet, WINDOW_FRAMES, window_features};
+pub use frechet::{FrechetError, frechet_distance};
+pub use image_quality::{FilledError, compare_filled, psnr_db};
 pub use masks::Overlap;
+pub use motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};
+pub use patch_classifier::{PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer};
+pub use pseudo_label::{VEHICLE_CLASS, vehicle_mask};
+pub use scores::{
+    CollectedFeatures, Distance, Distances, RolloutScores, ScoreError, ScoredFrame, Scores, Segmented,
+    Series, VehicleIou,
+};
+pub use sharpness::sharpness;
+pub use ssim::ssim;
+pub use statistics::{MeanInterval, mean_interval, paired_difference};

@@ -41,6 +41,8 @@ pub(super) struct RunResult {
 /// What a variant looks like: pictures to look at.
 pub(super) struct Strip(RgbImage);
 
+/// Its name in the numbers.
+const SEGMENTOR: &str = "vehicles";
 /// Pictures in a strip, and how many times larger they are.
 const SHOWN: usize = 8;
 const ENLARGED: u32 = 3;
@@ -83,8 +85,7 @@ pub(super) fn run(
     }
     let (scores, features) = scores.finish();
     let distances = features.distances();
-    let mut numbers: BTreeMap<String, Option<f64>> =
-        scores.numbers().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+    let mut numbers = scores.numbers();
     numbers.insert("frechet_images".to_owned(), distances.images.map(|d| d.distance));
     numbers.insert("frechet_videos".to_owned(), distances.videos.map(|d| d.distance));
     let result = RunResult {
@@ -127,7 +128,7 @@ fn score(
     let (generated, truth) = (segment(images)?, segment(&frame.truth)?);
     let segmented: Vec<Segmented<'_>> = generated
         .iter()
-        .map(|generated| Segmented { name: "patch_classifier", generated, truth: truth.as_deref() })
+        .map(|generated| Segmented { name: SEGMENTOR, generated, truth: truth.as_deref() })
         .collect();
     scores.push(&ScoredFrame {
         t_s: frame.t_s,

@@ -143,7 +143,9 @@ impl Drive<'_> {
 }
 
 /// Class and instance maps of all cameras.
-fn masks(set: &ConditionSet) -> anyhow::Result<(Vec<Vec<u8>>, Vec<Vec<u32>>)> {
+type Masks = (Vec<Vec<u8>>, Vec<Vec<u32>>);
+
+fn masks(set: &ConditionSet) -> anyhow::Result<Masks> {
     let of = |camera: &CameraConditions| Some((camera.class.clone()?, camera.instance.clone()?));
     let all: Option<Vec<_>> = set.cameras.iter().map(of).collect();
     Ok(all.ok_or_else(|| anyhow::anyhow!("expected class and instance maps, found none"))?.into_iter().unzip())

@@ -1,0 +1,193 @@
+//! A rollout with generated images on disk.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use image::RgbImage;
+use rayon::prelude::*;
+use serde::Deserialize;
+
+use super::picture::{self, Read};
+use crate::conditions::reduce::nearest;
+use crate::dataset::{picture_size, read_picture};
+use crate::error::FileError;
+use crate::geometry::ImageSize;
+use crate::metrics::{MOVING_MPS, moving_mask};
+use crate::report::{ROLLOUT, StateFile, StepRow};
+
+const STATES: &str = "states.jsonl";
+const STEPS: &str = "steps";
+const GENERATED: &str = "generated";
+const TRUTH: &str = "truth";
+/// Beside the folder of generated images: what they are.
+const KIND: &str = "generated.json";
+
+/// Where its files are.
+pub(super) struct GeneratedRollout {
+    pub(super) folder: PathBuf,
+    /// Sorted by name.
+    pub(super) cameras: Vec<String>,
+    /// Of generated images, by camera.
+    pub(super) sizes: Vec<ImageSize>,
+    /// Those with generated images.
+    pub(super) steps: Vec<Step>,
+    /// Steps with references in place of generated images.
+    pub(super) references: usize,
+}
+
+/// A step with generated images.
+pub(super) struct Step {
+    pub(super) name: String,
+    /// Since the first step of the rollout.
+    pub(super) t_s: f64,
+    pub(super) folder: PathBuf,
+    /// Numbers of actors that move, in the instance map.
+    moving: Vec<u32>,
+}
+
+/// What a step shows, all at the size of the generated images, in the order of the cameras.
+pub(super) struct Frame {
+    pub(super) generated: Vec<RgbImage>,
+    pub(super) truth: Option<Vec<RgbImage>>,
+    pub(super) class: Option<Vec<Vec<u8>>>,
+    pub(super) moving: Option<Vec<Vec<bool>>>,
+}
+
+/// True images and class maps of a step.
+pub(super) type Truth = (Vec<RgbImage>, Vec<Vec<u8>>);
+
+#[derive(Deserialize)]
+struct Kind {
+    kind: String,
+}
+
+impl GeneratedRollout {
+    /// Finds the generated images; of them only the sizes of the first ones are read.
+    pub(super) fn open(folder: &Path) -> Result<Self, FileError> {
+        if !folder.join(ROLLOUT).is_file() {
+            return Err(FileError::content(
+                "a rollout with generated images",
+                format!("no {ROLLOUT}"),
+                folder,
+            ));
+        }
+        let rows = StateFile::read(&folder.join(STATES))?;
+        let first_us = rows.first().map_or(0, |row| row.t_us);
+        let (mut steps, mut references) = (Vec::new(), 0);
+        for row in &rows {
+            let step = Step::new(folder, row, first_us);
+            match step.kind()?.as_deref() {
+                None => {}
+                Some("reference") => references += 1,
+                Some(_) => steps.push(step),
+            }
+        }
+        let Some(first) = steps.first() else {
+            let found = format!("none in {} steps ({references} with references)", rows.len());
+            return Err(FileError::content("generated images of simulate --generator", found, folder));
+        };
+        let cameras = cameras(&first.folder.join(GENERATED))?;
+        let size = |camera: &String| {
+            let (height, width) = picture_size(&first.image(GENERATED, camera))?;
+            Ok(ImageSize { height, width })
+        };
+        let sizes = cameras.iter().map(size).collect::<Result<_, FileError>>()?;
+        Ok(Self { folder: folder.to_owned(), cameras, sizes, steps, references })
+    }
+
+    /// Reads all of a step that is needed.
+    pub(super) fn read(&self, step: &Step) -> Result<Frame, FileError> {
+        let class = self.maps(step, "class", picture::class)?;
+        let instance = self.maps(step, "instance", picture::instance)?;
+        let moving = |maps: Vec<Vec<u32>>| maps.iter().map(|map| moving_mask(map, &step.moving)).collect();
+        let generated = self.images(step, GENERATED)?;
+        Ok(Frame { generated, truth: self.truth(step)?, class, moving: instance.map(moving) })
+    }
+
+    /// True images and class maps of a step, where there are both.
+    pub(super) fn read_truth(&self, step: &Step) -> Result<Option<Truth>, FileError> {
+        let Some(truth) = self.truth(step)? else { return Ok(None) };
+        Ok(self.maps(step, "class", picture::class)?.map(|class| (truth, class)))
+    }
+
+    fn truth(&self, step: &Step) -> Result<Option<Vec<RgbImage>>, FileError> {
+        step.folder.join(TRUTH).is_dir().then(|| self.images(step, TRUTH)).transpose()
+    }
+
+    /// Of all cameras, which must be of the size of the first ones.
+    fn images(&self, step: &Step, folder: &str) -> Result<Vec<RgbImage>, FileError> {
+        let cameras = self.cameras.par_iter().zip(&self.sizes);
+        cameras
+            .map(|(camera, size)| read_picture(&step.image(folder, camera), size.height, size.width))
+            .collect()
+    }
+
+    /// Maps of all cameras, reduced to the size of the generated images; `None` if the first camera has none.
+    fn maps<T: Copy + Send + Sync>(
+        &self,
+        step: &Step,
+        map: &str,
+        read: fn(&Path) -> Result<Read<T>, FileError>,
+    ) -> Result<Option<Vec<Vec<T>>>, FileError> {
+        let path = |camera: &String| step.folder.join(camera).join(format!("{map}.png"));
+        if !self.cameras.first().is_some_and(|camera| path(camera).is_file()) {
+            return Ok(None);
+        }
+        let reduced = |(camera, to): (&String, &ImageSize)| {
+            let (map, from) = read(&path(camera))?;
+            Ok(nearest(&map, from, *to))
+        };
+        let maps: Result<_, FileError> = self.cameras.par_iter().zip(&self.sizes).map(reduced).collect();
+        maps.map(Some)
+    }
+}
+
+impl Step {
+    fn new(folder: &Path, row: &StepRow, first_us: i64) -> Self {
+        let moving = row.actors.iter().filter(|actor| actor.speed_mps.abs() > MOVING_MPS);
+        Self {
+            name: row.name(),
+            t_s: (row.t_us - first_us) as f64 / 1e6,
+            folder: folder.join(STEPS).join(row.name()),
+            moving: moving.map(|actor| actor.instance).collect(),
+        }
+    }
+
+    fn image(&self, folder: &str, camera: &str) -> PathBuf {
+        self.folder.join(folder).join(format!("{camera}.png"))
+    }
+
+    /// What its generated images are; `None` without any.
+    fn kind(&self) -> Result<Option<String>, FileError> {
+        if !self.folder.join(GENERATED).is_dir() {
+            return Ok(None);
+        }
+        let path = self.folder.join(KIND);
+        let text = std::fs::read(&path).map_err(FileError::io("read", &path))?;
+        let wrong = |found: String| {
+            FileError::content("kind \"generated\" or \"reference\" of the step's images", found, &path)
+        };
+        let kind: Kind = serde_json::from_slice(&text).map_err(|error| wrong(error.to_string()))?;
+        if !["generated", "reference"].contains(&kind.kind.as_str()) {
+            return Err(wrong(format!("{:?}", kind.kind)));
+        }
+        Ok(Some(kind.kind))
+    }
+}
+
+/// Names of the images in a folder, sorted.
+fn cameras(folder: &Path) -> Result<Vec<String>, FileError> {
+    let mut names = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
+        let path = entry.map_err(FileError::io("read", folder))?.path();
+        if path.extension().is_some_and(|ending| ending == "png")
+            && let Some(name) = path.file_stem().and_then(|stem| stem.to_str())
+        {
+            names.insert(name.to_owned(), ());
+        }
+    }
+    if names.is_empty() {
+        return Err(FileError::content("generated images CAM.png", "none", folder));
+    }
+    Ok(names.into_keys().collect())
+}

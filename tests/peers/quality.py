@@ -1,0 +1,90 @@
+"""Makes quality.json: metrics of images and features by NumPy, SciPy and OpenCV, the peers of src/metrics.
+
+Run: python3 tests/peers/quality.py  (numpy 2.4, scipy 1.17, opencv-python 5.0)
+"""
+
+import json
+import pathlib
+
+import cv2
+import numpy as np
+from scipy.linalg import sqrtm
+from scipy.signal import convolve2d
+from scipy.stats import t as student_t
+
+
+def levels(count, start, step=1):
+    """The numbers that the test makes too: a mixed linear congruence per level."""
+    n = np.arange(count, dtype=np.uint64) * step + start
+    return ((n * 2654435761 + 12345) % (1 << 32) >> 13) % 256
+
+
+def image(height, width, start, smooth):
+    """Noise, or every level mixed with a ramp."""
+    v = levels(height * width * 3, start).reshape(height, width, 3)
+    y, x, c = np.meshgrid(np.arange(height), np.arange(width), np.arange(3), indexing="ij")
+    ramp = (5 * y + 3 * x + 40 * c) % 256
+    return ((v + smooth * ramp) // (1 + smooth)).astype(np.uint8)
+
+
+def psnr(a, b):
+    return 10 * np.log10(255**2 / np.mean((a.astype(float) - b.astype(float)) ** 2))
+
+
+def ssim(a, b):
+    off = np.arange(11) - 5
+    w = np.exp(-off**2 / (2 * 1.5**2))
+    w = np.outer(w, w) / w.sum() ** 2
+    c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+    blur = lambda p: convolve2d(p, w, mode="valid")
+    means = []
+    for c in range(3):
+        x, y = a[..., c].astype(float), b[..., c].astype(float)
+        mx, my = blur(x), blur(y)
+        vx, vy, vxy = blur(x * x) - mx * mx, blur(y * y) - my * my, blur(x * y) - mx * my
+        s = (2 * mx * my + c1) * (2 * vxy + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))
+        means.append(s.mean())
+    return np.mean(means)
+
+
+def sharpness(a):
+    luma = a.astype(float) @ [0.299, 0.587, 0.114]
+    dx, dy = luma[:-1, 1:] - luma[:-1, :-1], luma[1:, :-1] - luma[:-1, :-1]
+    return np.hypot(dx, dy).mean()
+
+
+def features(rows, columns, start):
+    v = levels(rows * columns, start).astype(float).reshape(rows, columns) / 255
+    # Columns of other spreads that hang together.
+    v *= 1 + np.arange(columns) % 4
+    v[:, 1:] += 0.5 * v[:, :-1]
+    return v
+
+
+def frechet(a, b):
+    ca, cb = np.cov(a, rowvar=False), np.cov(b, rowvar=False)
+    root = sqrtm(sqrtm(ca) @ cb @ sqrtm(ca))
+    return float(np.sum((a.mean(0) - b.mean(0)) ** 2) + np.trace(ca) + np.trace(cb) - 2 * np.trace(root).real)
+
+
+images = []
+for h, w, start, other, smooth in [(32, 56, 0, 7, 9), (32, 56, 3, 5, 2), (11, 11, 1, 2, 4), (17, 40, 0, 9, 30)]:
+    a, b = image(h, w, start, smooth), image(h, w, other, smooth)
+    images.append({
+        "size": [h, w], "starts": [start, other], "smooth": smooth,
+        "psnr_db": psnr(a, b), "ssim": ssim(a, b), "sharpness": sharpness(a),
+    })
+sets = []
+for n, m, d in [(40, 30, 6), (100, 90, 16), (10, 12, 16), (5, 40, 8)]:
+    sets.append({"rows": [n, m], "columns": d, "distance": frechet(features(n, d, 0), features(m, d, 50_000))})
+masks = []
+for h, w in [(12, 20), (5, 7), (1, 6)]:
+    smooth = cv2.blur(levels(h * w, 4).astype(np.float32).reshape(h, w), (3, 3))
+    mask = (smooth > 128).astype(np.uint8)
+    kernel = cv2.getGaussianKernel(3, 0)
+    soft = cv2.sepFilter2D(mask.astype(np.float32), -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101)
+    masks.append({"size": [h, w], "class": mask.ravel().tolist(), "mask": (soft > 0.5).astype(int).ravel().tolist()})
+t = {str(n): float(student_t.ppf(0.975, n)) for n in [1, 2, 7, 30, 31, 45, 300]}
+out = {"images": images, "sets": sets, "masks": masks, "student_t": t}
+path = pathlib.Path(__file__).with_name("quality.json")
+path.write_text(json.dumps(out, separators=(",", ":")) + "\n")
