@@ -64,6 +64,7 @@ impl Training<'_> {
             if trainer.done().is_multiple_of(self.checkpoint_steps) || trainer.is_done() {
                 write_losses(&self.folder.join(LOSS), &losses)?;
                 plot(&losses).write(&self.folder.join(CURVE))?;
+                trainer.weights(&self.command)?.write(&self.folder.join(WEIGHTS))?;
                 trainer.save(&checkpoint)?;
             }
         }

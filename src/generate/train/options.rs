@@ -24,6 +24,10 @@ pub struct TrainOptions {
     pub clip: f64,
     /// How often conditions are dropped.
     pub drop: DropChances,
+    /// Share of the first guess's error that the trained network is expected to leave: what it is shown and what it answers
+    /// are scaled for that. Little of it makes a network that was trained for a short time answer with the mean of what
+    /// could be there rather than with noise.
+    pub expected_error: f32,
     /// Inference steps whose levels of noise are trained for, T.
     pub infer_steps: usize,
     /// Shift of the levels towards the noise.
@@ -69,6 +73,7 @@ impl Default for TrainOptions {
             average: 0.999,
             clip: 1.0,
             drop: DropChances::default(),
+            expected_error: 0.4,
             infer_steps: 8,
             shift: 3.0,
             staircase: 0.5,
@@ -97,9 +102,9 @@ impl TrainOptions {
         if let Some(other) = shares.iter().find(|share| !(0.0..=1.0).contains(*share)) {
             return wrong("shares of 0 to 1".to_owned(), other.to_string());
         }
-        let numbers = [self.learning_rate, self.clip, shift];
+        let numbers = [self.learning_rate, self.clip, shift, f64::from(self.expected_error)];
         if let Some(other) = numbers.iter().find(|number| !(number.is_finite() && **number > 0.0)) {
-            return wrong("a learning rate, clip and shift above 0".to_owned(), other.to_string());
+            return wrong("a learning rate, clip, shift and expected error above 0".to_owned(), other.to_string());
         }
         if !(0.0..1.0).contains(&self.average) || !(0.0..).contains(&self.weight_decay) {
             let found = format!("{} and {}", self.average, self.weight_decay);

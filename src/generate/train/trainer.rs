@@ -30,7 +30,7 @@ pub struct Trainer<'a> {
 pub struct StepReport {
     /// Number of the step, from 0.
     pub step: u64,
-    /// Mean square of what the answers were off; about 1 before training.
+    /// Mean square of what the answers were off; about 1 where the network leaves as much as was expected.
     pub loss: f64,
     /// Length of the gradient before it was cut.
     pub gradient_norm: f64,
@@ -50,7 +50,8 @@ impl<'a> Trainer<'a> {
     ) -> Result<Self, NetworkError> {
         config.check()?;
         options.check(&config)?;
-        let (statistics, guess) = measure(&config, drives)?;
+        let (mut statistics, guess) = measure(&config, drives)?;
+        statistics.priors.iter_mut().for_each(|prior| *prior *= options.expected_error);
         let state = State::fresh(fresh(&config, &guess, options.seed)?)?;
         let fingerprint = fingerprint(drives);
         Self::of(Header { options, config, statistics, step: 0, fingerprint }, drives, state)
