@@ -15,7 +15,7 @@ use crate::dataset::Log;
 use crate::error::FileError;
 use crate::generate::network::{About, Network};
 use crate::generate::{
-    AnyDenoiser, Codec, Conditioner, Denoiser, Dropped, GenerateOptions, Guidance, PixelCodec, Prediction,
+    AnyDenoiser, Codec, Conditioner, Dropped, GenerateOptions, Guidance, Prediction,
     ProcessDenoiser, Recipe, SamplerOptions, Session, SessionParts, Strategy, TrueImages,
 };
 use crate::geometry::ImageSize;
@@ -197,11 +197,10 @@ impl GeneratorArgs {
         let recipe = self.recipe.as_deref().map_or(Ok(Recipe::default()), read_recipe)?;
         let spec = PeerSpec { address: address.clone(), timeout_s: self.generator_timeout };
         let denoiser = ProcessDenoiser::start(&spec, &options, cameras, recipe.size)?;
-        let codec = PixelCodec::new(denoiser.shape())?;
-        let [height, width] = codec.size().map(|side| side as u32);
+        let (codec, size) = denoiser.codec()?;
         Ok(Opened {
-            codec: Box::new(codec),
-            size: ImageSize { height, width },
+            codec,
+            size,
             about: None,
             denoiser: Box::new(denoiser),
             recipe,

@@ -186,6 +186,60 @@ fn a_denoiser_that_fails_leaves_a_rollout_that_can_go_on() {
     }
 }
 
+/// A network with an encoder of its own: its latents are one channel of 2 x 2, the mean grey of quarters of 16 x 24 images.
+const WITH_CODEC: &str = "\
+def serve(source, out):
+    told = denoiser.read(source)[0]
+    hello = {'protocol': 'pskel-denoiser', 'version': '1', 'dtype': 'F32', 'image_size': '16,24'}
+    denoiser.write(out, hello | {'latent_shape': '%s,1,2,2' % told['views']})
+    while message := denoiser.read(source):
+        texts, tensors = message
+        ask, values = texts['ask'], array.array('f')
+        if ask == 'encode':
+            name, ((views, _, rows, columns), given) = 'latents', tensors['images']
+            shape = [views, 1, 2, 2]
+            for view in range(views):
+                for quarter in range(4):
+                    top, left = 8 * (quarter // 2), 12 * (quarter % 2)
+                    at = lambda c, y, x: given[((view * 3 + c) * rows + top + y) * columns + left + x]
+                    values.append(sum(at(c, y, x) for c in range(3) for y in range(8) for x in range(12)) / 288)
+        elif ask == 'decode':
+            name, ((views, *_), given) = 'images', tensors['latents']
+            shape = [views, 3, 16, 24]
+            for view in range(views):
+                for _ in range(3):
+                    values.extend(given[4 * view + 2 * (y // 8) + x // 12] for y in range(16) for x in range(24))
+        else:  # Holds the grey of the first frame of the window, which is a reference.
+            name, (shape, given) = 'prediction', tensors['latents']
+            frame = len(given) // shape[0]
+            for place, value in enumerate(given):
+                values.append((value - given[place % frame]) / tensors['sigmas'][1][place // frame])
+        denoiser.write(out, {}, {name: ('F32', shape, values.tobytes())})
+denoiser.serve = serve";
+
+#[test]
+fn a_process_may_encode_and_decode_itself() {
+    let log = built();
+    denoiser(&log, WITH_CODEC);
+    log.succeed(&format!("{GENERATE} --strategy causal --window 2 --infer-steps 3"));
+    let own = image(&log.path(&picture(0, CAMERAS[1])));
+    let reference = image::imageops::resize(&own, 24, 16, image::imageops::FilterType::Triangle);
+    assert_eq!(image(&log.path("out/steps/000000/generated/CAM_BACK.png")), reference);
+    for step in 1..3 {
+        let made = image(&log.path(&format!("out/steps/{step:06}/generated/CAM_BACK.png")));
+        for (quarter, [x, y]) in [[0, 0], [12, 0], [0, 8], [12, 8]].into_iter().enumerate() {
+            let part = image::imageops::crop_imm(&reference, x, y, 12, 8).to_image();
+            let grey = part.iter().map(|level| f32::from(*level)).sum::<f32>() / 288.0;
+            let found = image::imageops::crop_imm(&made, x, y, 12, 8).to_image();
+            assert!(found.iter().all(|level| (f32::from(*level) - grey).abs() < 1.0), "{step} {quarter}: {grey}");
+        }
+    }
+    denoiser(&log, &WITH_CODEC.replace("shape = [views, 3, 16, 24]", "shape = [views, 3, 24, 16]"));
+    assert_failed(&log.run(&format!("{GENERATE} --window 2")), 1, &["`images` of [2, 3, 16, 24]", "[2, 3, 24, 16]"]);
+    denoiser(&log, &WITH_CODEC.replace("'16,24'", "'16x24'"));
+    assert_failed(&log.run(&format!("{GENERATE} --window 2")), 1, &["`image_size`", "16x24"]);
+}
+
 #[test]
 fn planners_see_what_was_generated_and_not_what_is_true() {
     let log = built();

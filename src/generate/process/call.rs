@@ -37,7 +37,7 @@ pub(super) fn request(
         ),
     ];
     let prompts: Vec<&str> = window.iter().map(|frame| frame.condition.prompt.as_str()).collect();
-    let texts = [(CALL, call.to_string()), ("prompts", serde_json::json!(prompts).to_string())];
+    let texts = [("ask", "predict".to_owned()), (CALL, call.to_string()), ("prompts", serde_json::json!(prompts).to_string())];
     message(texts, tensors.map(|(name, shape, parts)| (name, Values { shape, parts })))
 }
 
@@ -59,29 +59,9 @@ pub(super) fn read_prediction(
     if answer.texts.get(CALL).is_some_and(|answered| *answered != call.to_string()) {
         return Err(Wrong::new(format!("an answer to `call` \"{call}\""), answer.quoted(CALL)));
     }
-    let tensor = answer.tensors.tensor(PREDICTION).map_err(|_| {
-        let mut names = answer.tensors.names();
-        names.sort_unstable();
-        let found = if names.is_empty() { "none".to_owned() } else { shown(&names.join(", ")) };
-        Wrong::new(format!("a tensor `{PREDICTION}`"), found)
-    })?;
-    let dtype = match given.precision {
-        Precision::F32 => Dtype::F32,
-        Precision::F16 => Dtype::F16,
-        Precision::Bf16 => Dtype::BF16,
-    };
-    if tensor.dtype() != dtype {
-        let expected = format!("`{PREDICTION}` as {dtype}, which its hello says,");
-        return Err(Wrong::new(expected, tensor.dtype().to_string()));
-    }
     let shape = given.shape;
     let [views, channels, height, width] = shape.to_array();
-    let sizes = [frames, views, channels, height, width];
-    if tensor.shape() != sizes {
-        let found = shown(&format!("{:?}", tensor.shape()));
-        return Err(Wrong::new(format!("`{PREDICTION}` of {sizes:?}"), found));
-    }
-    let values = values(tensor.data(), given.precision);
+    let values = read_values(&answer, PREDICTION, given.precision, &[frames, views, channels, height, width])?;
     if let Some((index, value)) = values.iter().enumerate().find(|(_, value)| !value.is_finite()) {
         let position = index / shape.len();
         return Err(Wrong::new(
@@ -90,6 +70,35 @@ pub(super) fn read_prediction(
         ));
     }
     Ok(values.chunks(shape.len()).filter_map(|frame| Latent::new(shape, frame.to_vec())).collect())
+}
+
+/// A tensor of the dtype of the hello and of some sizes.
+pub(super) fn read_values(
+    answer: &Answer<'_>,
+    name: &str,
+    precision: Precision,
+    sizes: &[usize],
+) -> Result<Vec<f32>, Wrong> {
+    let tensor = answer.tensors.tensor(name).map_err(|_| {
+        let mut names = answer.tensors.names();
+        names.sort_unstable();
+        let found = if names.is_empty() { "none".to_owned() } else { shown(&names.join(", ")) };
+        Wrong::new(format!("a tensor `{name}`"), found)
+    })?;
+    let dtype = match precision {
+        Precision::F32 => Dtype::F32,
+        Precision::F16 => Dtype::F16,
+        Precision::Bf16 => Dtype::BF16,
+    };
+    if tensor.dtype() != dtype {
+        let expected = format!("`{name}` as {dtype}, which its hello says,");
+        return Err(Wrong::new(expected, tensor.dtype().to_string()));
+    }
+    if tensor.shape() != sizes {
+        let found = shown(&format!("{:?}", tensor.shape()));
+        return Err(Wrong::new(format!("`{name}` of {sizes:?}"), found));
+    }
+    Ok(values(tensor.data(), precision))
 }
 
 fn values(bytes: &[u8], precision: Precision) -> Vec<f32> {

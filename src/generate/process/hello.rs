@@ -26,6 +26,8 @@ pub(super) struct Given {
     /// Of a frame, `[V, C, h, w]`.
     pub(super) shape: LatentShape,
     pub(super) precision: Precision,
+    /// Of the images that it encodes and decodes itself; `None`: its latents are pixels.
+    pub(super) images: Option<ImageSize>,
 }
 
 /// Numbers of predictions.
@@ -78,7 +80,18 @@ pub(super) fn read_hello(answer: &[u8], taken: &Taken) -> Result<Given, Wrong> {
         let expected = format!("`latent_shape` of at most {most} values in a window of {}", taken.window);
         return Err(Wrong::new(expected, answer.quoted("latent_shape")));
     }
-    Ok(Given { shape, precision })
+    let images = answer.texts.get("image_size").map(|text| {
+        let size = image_size(text).filter(|size| size.pixels() <= most);
+        size.ok_or_else(|| Wrong::new("`image_size` \"H,W\" of positive numbers", answer.quoted("image_size")))
+    });
+    Ok(Given { shape, precision, images: images.transpose()? })
+}
+
+/// Two positive numbers.
+fn image_size(text: &str) -> Option<ImageSize> {
+    let (height, width) = text.split_once(',')?;
+    let side = |text: &str| text.trim().parse::<u32>().ok().filter(|side| (1..=1 << 15).contains(side));
+    Some(ImageSize { height: side(height)?, width: side(width)? })
 }
 
 /// Four positive numbers whose product is one.
@@ -105,6 +118,14 @@ impl Precision {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sizes_of_images_are_two_positive_numbers() {
+        assert_eq!(image_size("256, 448"), Some(ImageSize { height: 256, width: 448 }));
+        for text in ["", "256", "0,448", "256,-1", "256,448,3", "99999999,1"] {
+            assert_eq!(image_size(text), None, "{text:?}");
+        }
+    }
 
     #[test]
     fn shapes_are_four_positive_numbers() {

@@ -1,12 +1,18 @@
 //! A network in another process, which gets and gives safetensors: see `docs/DENOISER.md`.
 
 mod call;
+mod codec;
 mod hello;
 mod message;
 
+use std::sync::{Arc, Mutex, PoisonError};
+
 use self::call::{read_prediction, request};
+use self::codec::ProcessCodec;
 use self::hello::{Given, Taken, hello, read_hello};
-use super::{Denoiser, DenoiserError, Frame, FrameConditions, GenerateOptions, Latent, LatentShape};
+use super::{
+    Codec, Denoiser, DenoiserError, Frame, FrameConditions, GenerateOptions, Latent, LatentShape, PixelCodec,
+};
 use crate::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use crate::geometry::ImageSize;
 use crate::peer::{Framing, Link, PeerSpec, Wrong};
@@ -17,11 +23,27 @@ const MAX_ANSWER_BYTES: u64 = 1 << 30;
 /// A network in another process that has said hello. After a failure it fails for good; a [`Generator`](super::Generator)
 /// goes on from its cache with a new one.
 pub struct ProcessDenoiser {
-    link: Link,
+    shared: Arc<Shared>,
     taken: Taken,
     given: Given,
     /// Calls so far.
     calls: u64,
+}
+
+/// The way to the process, which the codec goes too.
+struct Shared(Mutex<Link>);
+
+impl Shared {
+    fn ask<T>(
+        &self,
+        message: Vec<u8>,
+        read: impl FnOnce(&[u8]) -> Result<T, Wrong>,
+    ) -> Result<T, DenoiserError> {
+        // A link that somebody panicked over is as good as before: it fails for good by itself.
+        let mut link = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let answer = link.ask(message)?;
+        Ok(read(&answer).map_err(|wrong| link.refuse(wrong))?)
+    }
 }
 
 impl ProcessDenoiser {
@@ -36,9 +58,24 @@ impl ProcessDenoiser {
         size: ImageSize,
     ) -> Result<Self, DenoiserError> {
         let taken = Taken { window: options.window, views, size, sampler: options.sampler };
-        let mut link = Link::open("denoiser", spec, Framing::Lengths { max_bytes: MAX_ANSWER_BYTES })?;
-        let given = ask(&mut link, hello(&taken)?, |answer| read_hello(answer, &taken))?;
-        Ok(Self { link, taken, given, calls: 0 })
+        let link = Link::open("denoiser", spec, Framing::Lengths { max_bytes: MAX_ANSWER_BYTES })?;
+        let shared = Arc::new(Shared(Mutex::new(link)));
+        let given = shared.ask(hello(&taken)?, |answer| read_hello(answer, &taken))?;
+        Ok(Self { shared, taken, given, calls: 0 })
+    }
+
+    /// What turns its latents into images, and their size: the process itself if it has said so, else [`PixelCodec`].
+    ///
+    /// # Errors
+    /// Latents that are no pixels of a process that does not decode.
+    pub fn codec(&self) -> Result<(Box<dyn Codec>, ImageSize), DenoiserError> {
+        let given = self.given;
+        if let Some(size) = given.images {
+            return Ok((Box::new(ProcessCodec { shared: self.shared.clone(), given, size }), size));
+        }
+        let codec = PixelCodec::new(given.shape)?;
+        let [height, width] = codec.size().map(|side| side as u32);
+        Ok((Box::new(codec), ImageSize { height, width }))
     }
 
     /// Whether a window is what was told in the hello.
@@ -84,15 +121,6 @@ impl Denoiser for ProcessDenoiser {
         let (call, given) = (self.calls, self.given);
         self.calls += 1;
         let request = request(window, given.shape, call)?;
-        ask(&mut self.link, request, |answer| read_prediction(answer, given, window.len(), call))
+        self.shared.ask(request, |answer| read_prediction(answer, given, window.len(), call))
     }
-}
-
-fn ask<T>(
-    link: &mut Link,
-    message: Vec<u8>,
-    read: impl FnOnce(&[u8]) -> Result<T, Wrong>,
-) -> Result<T, DenoiserError> {
-    let answer = link.ask(message)?;
-    Ok(read(&answer).map_err(|wrong| link.refuse(wrong))?)
 }
