@@ -15,8 +15,8 @@ use crate::dataset::Log;
 use crate::error::FileError;
 use crate::generate::network::{About, Network};
 use crate::generate::{
-    AnyDenoiser, Codec, Conditioner, Dropped, GenerateOptions, Guidance, Prediction,
-    ProcessDenoiser, Recipe, SamplerOptions, Session, SessionParts, Strategy, TrueImages,
+    AnyDenoiser, Codec, Conditioner, Dropped, GenerateOptions, Guidance, Prediction, ProcessDenoiser, Recipe,
+    SamplerOptions, Session, SessionParts, Strategy, TrueImages,
 };
 use crate::geometry::ImageSize;
 use crate::peer::{PeerAddress, PeerSpec};
@@ -161,19 +161,22 @@ impl GeneratorArgs {
     }
 
     fn network(&self, path: &Path, cameras: usize) -> anyhow::Result<Opened> {
-        let for_process = [
-            ("--sampler", self.sampler != SamplerName::FlowMatch),
-            ("--recipe", self.recipe.is_some()),
-        ];
+        let for_process =
+            [("--sampler", self.sampler != SamplerName::FlowMatch), ("--recipe", self.recipe.is_some())];
         if let Some((option, _)) = for_process.into_iter().find(|(_, given)| *given) {
-            return Err(WrongUsage(format!("expected --generator process:.. with {option}, found network")).into());
+            return Err(
+                WrongUsage(format!("expected --generator process:.. with {option}, found network")).into()
+            );
         }
         let network = Network::open(path)?;
         let config = network.config();
         let (trained, recipe) = (config.frames, config.recipe.clone());
         let options = self.options(self.window.unwrap_or(trained))?;
         if options.window > trained {
-            let message = format!("expected --window of at most {trained} with these weights, found {}", options.window);
+            let message = format!(
+                "expected --window of at most {trained} with these weights, found {}",
+                options.window
+            );
             return Err(WrongUsage(message).into());
         }
         if config.cameras != cameras {

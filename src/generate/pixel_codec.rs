@@ -66,7 +66,10 @@ impl Codec for PixelCodec {
 
     fn decode(&self, latent: &Latent) -> Result<Vec<RgbImage>, DenoiserError> {
         if latent.shape() != self.shape {
-            return Err(DenoiserError::input(format!("latents of {}", self.shape), latent.shape().to_string()));
+            return Err(DenoiserError::input(
+                format!("latents of {}", self.shape),
+                latent.shape().to_string(),
+            ));
         }
         let [height, width] = self.size();
         let image = |view: usize| {

@@ -82,9 +82,7 @@ fn logged(dataset: &dyn Dataset, camera: &str, t_us: i64) -> Result<RgbImage, Tr
         |record: &&ImageRecord| log.cameras.get(record.channel).is_some_and(|name| name == camera);
     let all = log.frames.iter().flat_map(|frame| frame.images.iter().chain(&frame.between_images));
     let nearest = all.filter(of_camera).min_by_key(|record| (record.t_us.abs_diff(t_us), record.t_us));
-    let nearest = nearest.ok_or_else(|| TrueImagesError::NoImage {
-        camera: camera.to_owned(),
-        log: log.name.clone(),
-    })?;
+    let nearest = nearest
+        .ok_or_else(|| TrueImagesError::NoImage { camera: camera.to_owned(), log: log.name.clone() })?;
     Ok(dataset.read_image(nearest)?)
 }

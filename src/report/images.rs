@@ -86,8 +86,11 @@ mod tests {
         let cameras = ["a", "b"];
         let names = cameras.map(str::to_owned);
         let image = |level: u8| RgbImage::from_fn(3, 2, |x, y| Rgb([level, x as u8, y as u8]));
-        let made =
-            Made { is_reference: false, images: vec![image(1), image(2)], truth: Some(vec![image(3), image(4)]) };
+        let made = Made {
+            is_reference: false,
+            images: vec![image(1), image(2)],
+            truth: Some(vec![image(3), image(4)]),
+        };
         assert_eq!(read(folder.path(), &names).unwrap(), None);
         write(folder.path(), &cameras, &made).unwrap();
         assert_eq!(read(folder.path(), &names).unwrap(), Some(made.clone()));

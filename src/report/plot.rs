@@ -4,7 +4,9 @@ use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
 
-use plotters::prelude::{ChartBuilder, IntoDrawingArea, LineSeries, PathElement, RGBAColor, SVGBackend, WHITE};
+use plotters::prelude::{
+    ChartBuilder, IntoDrawingArea, LineSeries, PathElement, RGBAColor, SVGBackend, WHITE,
+};
 use plotters::style::{BLACK, Color};
 
 use crate::error::{FileError, write_whole};
@@ -33,15 +35,8 @@ pub struct Curve {
 
 const SIZE: (u32, u32) = (900, 480);
 /// Colors of lines that can be told apart by those who confuse red and green, too. Source: Okabe and Ito, 2008.
-const COLORS: [[u8; 3]; 7] = [
-    [0, 114, 178],
-    [213, 94, 0],
-    [0, 158, 115],
-    [204, 121, 167],
-    [230, 159, 0],
-    [86, 180, 233],
-    [0, 0, 0],
-];
+const COLORS: [[u8; 3]; 7] =
+    [[0, 114, 178], [213, 94, 0], [0, 158, 115], [204, 121, 167], [230, 159, 0], [86, 180, 233], [0, 0, 0]];
 
 impl Plot<'_> {
     /// Writes it as SVG.
@@ -89,7 +84,8 @@ impl Plot<'_> {
     /// All values of an axis, with some room around.
     fn range(&self, axis: usize) -> Range<f64> {
         let values = || self.curves.iter().flat_map(Curve::finite).map(|point| point[axis]);
-        let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
+        let (low, high) =
+            (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
         if low > high {
             return 0.0..1.0;
         }

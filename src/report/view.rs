@@ -70,7 +70,12 @@ impl Layout {
 ///
 /// # Errors
 /// The system's.
-pub fn write_images(folder: &Path, name: &str, layout: &Layout, images: &[RgbImage]) -> Result<(), FileError> {
+pub fn write_images(
+    folder: &Path,
+    name: &str,
+    layout: &Layout,
+    images: &[RgbImage],
+) -> Result<(), FileError> {
     std::fs::create_dir_all(folder).map_err(FileError::io("create", folder))?;
     let mut picture = RgbImage::from_pixel(layout.width, layout.height, image::Rgb(sheet::BACKGROUND));
     for (place, image) in layout.cameras.iter().zip(images) {

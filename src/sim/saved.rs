@@ -9,9 +9,7 @@ use super::clock::Clock;
 use super::metrics::Tally;
 use super::recorded::Recorded;
 use super::simulation::World;
-use super::{
-    Committed, EgoState, Forecast, Instant, Scenario, SimActor, SimError, SimOptions, Trajectory,
-};
+use super::{Committed, EgoState, Forecast, Instant, Scenario, SimActor, SimError, SimOptions, Trajectory};
 use crate::dataset::Log;
 use crate::geometry::{Cuboid, Foot, Pose};
 

@@ -10,8 +10,7 @@ use crate::generate::network::{made, weights};
 use crate::simulate::{assert_page_is_whole, built, planner};
 use crate::tiny_log::{CAMERAS, HEIGHT, TinyLog, WIDTH, assert_failed, picture, tree};
 
-const GENERATE: &str =
-    "generate nuscenes:log --skeleton sk --out out --rasterizer cpu --maps color --generator process:./denoiser.sh";
+const GENERATE: &str = "generate nuscenes:log --skeleton sk --out out --rasterizer cpu --maps color --generator process:./denoiser.sh";
 
 /// The example as a command without spaces; with lines that change it.
 fn denoiser(log: &TinyLog, lines: &str) {
@@ -85,7 +84,10 @@ fn a_log_s_images_are_made_of_its_conditions() {
         assert_eq!(image(&log.path(&format!("out/steps/000000/{name}/CAM_FRONT.png"))), reduced);
     }
     let options = &log.json("out/rollout.json")["generator"];
-    assert_eq!((&options["window"], &options["steps"], &options["strategy"]), (&json!(2), &json!(4), &json!("reset_and_roll")));
+    assert_eq!(
+        (&options["window"], &options["steps"], &options["strategy"]),
+        (&json!(2), &json!(4), &json!("reset_and_roll"))
+    );
     let medians = &log.json("profile.json")["medians"];
     assert!(medians["generate_network_s"].as_f64() > Some(0.0), "{medians}");
 }
@@ -132,7 +134,12 @@ fn a_closed_loop_goes_on_to_the_same_bytes() {
         let has = |name: &str| whole.contains_key(&format!("steps/{step:06}/{name}"));
         let is_plan = step % 2 == 0;
         assert_eq!(
-            [has("generated/CAM_BACK.png"), has("generated.json"), has("generator.safetensors"), has("view/generated.jpg")],
+            [
+                has("generated/CAM_BACK.png"),
+                has("generated.json"),
+                has("generator.safetensors"),
+                has("view/generated.jpg")
+            ],
             [is_plan, is_plan, is_plan && step >= 4, true],
             "step {step}"
         );
@@ -231,11 +238,18 @@ fn a_process_may_encode_and_decode_itself() {
             let part = image::imageops::crop_imm(&reference, x, y, 12, 8).to_image();
             let grey = part.iter().map(|level| f32::from(*level)).sum::<f32>() / 288.0;
             let found = image::imageops::crop_imm(&made, x, y, 12, 8).to_image();
-            assert!(found.iter().all(|level| (f32::from(*level) - grey).abs() < 1.0), "{step} {quarter}: {grey}");
+            assert!(
+                found.iter().all(|level| (f32::from(*level) - grey).abs() < 1.0),
+                "{step} {quarter}: {grey}"
+            );
         }
     }
     denoiser(&log, &WITH_CODEC.replace("shape = [views, 3, 16, 24]", "shape = [views, 3, 24, 16]"));
-    assert_failed(&log.run(&format!("{GENERATE} --window 2")), 1, &["`images` of [2, 3, 16, 24]", "[2, 3, 24, 16]"]);
+    assert_failed(
+        &log.run(&format!("{GENERATE} --window 2")),
+        1,
+        &["`images` of [2, 3, 16, 24]", "[2, 3, 24, 16]"],
+    );
     denoiser(&log, &WITH_CODEC.replace("'16,24'", "'16x24'"));
     assert_failed(&log.run(&format!("{GENERATE} --window 2")), 1, &["`image_size`", "16x24"]);
 }

@@ -98,7 +98,8 @@ impl Report {
                 let _ = writeln!(text, "| {} | {} |", row.title, cells(&row.mean).join(" | "));
             }
             for row in self.of_table(table).skip(1) {
-                let _ = writeln!(text, "| {}, difference | {} |", row.title, cells(&row.difference).join(" | "));
+                let _ =
+                    writeln!(text, "| {}, difference | {} |", row.title, cells(&row.difference).join(" | "));
             }
             text.push('\n');
         }
@@ -171,12 +172,8 @@ mod tests {
     #[test]
     fn rows_are_compared_scene_by_scene() {
         let rows = [row("a"), row("b")];
-        let results = [
-            result("x", "a", 20.0),
-            result("x", "b", 19.0),
-            result("y", "a", 24.0),
-            result("y", "b", 23.0),
-        ];
+        let results =
+            [result("x", "a", 20.0), result("x", "b", 19.0), result("y", "a", 24.0), result("y", "b", 23.0)];
         let report = Report::new(&rows, &results);
         let table = report.table();
         // 12.706 * sqrt(8 / 2): one degree of freedom.

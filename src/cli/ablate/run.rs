@@ -12,7 +12,8 @@ use crate::error::{FileError, write_whole};
 use crate::generate::network::Network;
 use crate::generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
 use crate::metrics::{
-    PatchClassifier, PatchOptions, PatchTrainer, RandomConvNet, RolloutScores, ScoredFrame, Segmented, vehicle_mask,
+    PatchClassifier, PatchOptions, PatchTrainer, RandomConvNet, RolloutScores, ScoredFrame, Segmented,
+    vehicle_mask,
 };
 use crate::sim::{Committed, Forecast};
 
@@ -75,8 +76,11 @@ pub(super) fn run(
     let mut scores = RolloutScores::new(RandomConvNet::new(settings.seed));
     let mut strip = Strip::new(frames);
     for (number, frame) in frames.iter().enumerate() {
-        let forecasts: Vec<_> =
-            frame.forecasts.iter().map(|expected| Forecast::new(expected.get().without(row.dropped))).collect();
+        let forecasts: Vec<_> = frame
+            .forecasts
+            .iter()
+            .map(|expected| Forecast::new(expected.get().without(row.dropped)))
+            .collect();
         let latent = generator.step(given(&frame.conditions), &forecasts)?;
         let images = codec.decode(&latent)?;
         strip.add(number, frames.len(), &images, &frame.truth);
@@ -144,7 +148,8 @@ fn score(
 impl Strip {
     /// Two rows: generated above, truth below.
     fn new(frames: &[SceneFrame]) -> Self {
-        let (width, height) = frames.first().and_then(|f| f.truth.first()).map_or((1, 1), RgbImage::dimensions);
+        let (width, height) =
+            frames.first().and_then(|f| f.truth.first()).map_or((1, 1), RgbImage::dimensions);
         Self(RgbImage::new(SHOWN as u32 * width * ENLARGED, 2 * height * ENLARGED))
     }
 
@@ -155,7 +160,12 @@ impl Strip {
             let Some(image) = image.first() else { continue };
             let (width, height) = (image.width() * ENLARGED, image.height() * ENLARGED);
             let large = imageops::resize(image, width, height, FilterType::Nearest);
-            imageops::replace(&mut self.0, &large, i64::from(width) * place as i64, i64::from(height) * row as i64);
+            imageops::replace(
+                &mut self.0,
+                &large,
+                i64::from(width) * place as i64,
+                i64::from(height) * row as i64,
+            );
         }
     }
 

@@ -129,7 +129,8 @@ impl Drive<'_> {
         let size = self.options.recipe.size;
         let truth = TrueImages::Town(self.town).of(&drawn.get().state, view, size, true)?;
         let moves = instant.actors.iter().map(|actor| actor.speed_mps.abs() > MOVING_MPS);
-        let moving: Vec<u32> = (1..).zip(moves).filter(|(_, moves)| *moves).map(|(number, _)| number).collect();
+        let moving: Vec<u32> =
+            (1..).zip(moves).filter(|(_, moves)| *moves).map(|(number, _)| number).collect();
         let (class, instance) = masks(&drawn.get().set)?;
         Ok(SceneFrame {
             t_s,
@@ -148,5 +149,8 @@ type Masks = (Vec<Vec<u8>>, Vec<Vec<u32>>);
 fn masks(set: &ConditionSet) -> anyhow::Result<Masks> {
     let of = |camera: &CameraConditions| Some((camera.class.clone()?, camera.instance.clone()?));
     let all: Option<Vec<_>> = set.cameras.iter().map(of).collect();
-    Ok(all.ok_or_else(|| anyhow::anyhow!("expected class and instance maps, found none"))?.into_iter().unzip())
+    Ok(all
+        .ok_or_else(|| anyhow::anyhow!("expected class and instance maps, found none"))?
+        .into_iter()
+        .unzip())
 }

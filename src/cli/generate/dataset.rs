@@ -69,14 +69,19 @@ fn replacements<'a>(log: &'a Log, rollout: &Path) -> Result<Vec<Replacement<'a>>
         }
     }
     if replaced.is_empty() {
-        return Err(FileError::content("generated images at the log's frames", "none", &rollout.join(ROLLOUT)));
+        return Err(FileError::content(
+            "generated images at the log's frames",
+            "none",
+            &rollout.join(ROLLOUT),
+        ));
     }
     Ok(replaced)
 }
 
 fn relative(root: &Path, path: &Path) -> Result<PathBuf, FileError> {
     let within = path.strip_prefix(root).map(Path::to_path_buf);
-    within.map_err(|_| FileError::content(format!("an image below {}", root.display()), "another place", path))
+    within
+        .map_err(|_| FileError::content(format!("an image below {}", root.display()), "another place", path))
 }
 
 /// Makes a folder whose entries are links, but for what is replaced and the folders above it.

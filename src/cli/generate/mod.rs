@@ -82,17 +82,13 @@ pub(super) fn run(args: GenerateArgs) -> anyhow::Result<()> {
     if let Some(folder) = &args.dataset {
         dataset::check_new(folder)?;
     }
-    let (log, roots, out, back) = (args.log.clone(), args.roots.clone(), args.out.clone(), args.dataset.clone());
+    let (log, roots, out, back) =
+        (args.log.clone(), args.roots.clone(), args.out.clone(), args.dataset.clone());
     simulate::run(args.simulation())?;
     if let Some(folder) = back {
         let dataset = roots.open(&log)?;
         let counts = dataset::write(&log.path, dataset.log(), &out, &folder)?;
-        say(&format!(
-            "{} images replaced, {} kept: {}",
-            counts.replaced,
-            counts.kept,
-            folder.display()
-        ));
+        say(&format!("{} images replaced, {} kept: {}", counts.replaced, counts.kept, folder.display()));
     }
     Ok(())
 }

@@ -294,7 +294,8 @@ impl SimulateArgs {
         let (every_frames, steps) = self.frames_of(scenario);
         let least = window.unwrap_or(0);
         if let Some(warmup) = p.warmup.filter(|warmup| *warmup < least) {
-            let message = format!("expected --warmup of {least} or more, the generator's window, found {warmup}");
+            let message =
+                format!("expected --warmup of {least} or more, the generator's window, found {warmup}");
             return Err(WrongUsage(message).into());
         }
         let ego = match (p.ego, &p.trajectory, &p.planner) {

@@ -78,7 +78,13 @@ impl Profile {
         let of = |get: fn(&StepTimes) -> f64| median(self.steps.iter().map(get));
         let written = |get: fn(&WriteTimes) -> f64| median(self.written.iter().map(get));
         let made = |get: fn(&SessionTimes) -> f64| {
-            median(self.steps.iter().filter_map(|step| step.generated).filter(|t| t.network_s > 0.0).map(|t| get(&t)))
+            median(
+                self.steps
+                    .iter()
+                    .filter_map(|step| step.generated)
+                    .filter(|t| t.network_s > 0.0)
+                    .map(|t| get(&t)),
+            )
         };
         self.medians = [
             ("generate_s", made(SessionTimes::total_s)),

@@ -37,7 +37,11 @@ pub(super) fn request(
         ),
     ];
     let prompts: Vec<&str> = window.iter().map(|frame| frame.condition.prompt.as_str()).collect();
-    let texts = [("ask", "predict".to_owned()), (CALL, call.to_string()), ("prompts", serde_json::json!(prompts).to_string())];
+    let texts = [
+        ("ask", "predict".to_owned()),
+        (CALL, call.to_string()),
+        ("prompts", serde_json::json!(prompts).to_string()),
+    ];
     message(texts, tensors.map(|(name, shape, parts)| (name, Values { shape, parts })))
 }
 
@@ -61,7 +65,8 @@ pub(super) fn read_prediction(
     }
     let shape = given.shape;
     let [views, channels, height, width] = shape.to_array();
-    let values = read_values(&answer, PREDICTION, given.precision, &[frames, views, channels, height, width])?;
+    let values =
+        read_values(&answer, PREDICTION, given.precision, &[frames, views, channels, height, width])?;
     if let Some((index, value)) = values.iter().enumerate().find(|(_, value)| !value.is_finite()) {
         let position = index / shape.len();
         return Err(Wrong::new(

@@ -77,15 +77,17 @@ impl Codec for ProcessCodec {
             return Err(DenoiserError::input(expected, latent.shape().to_string()));
         }
         let (sizes, ImageSize { height, width }) = (self.image_sizes(), self.size);
-        let values = self.ask("decode", (LATENTS, self.given.shape.to_array(), latent.values()), |answer| {
-            let values = read_values(answer, IMAGES, self.given.precision, &sizes)?;
-            finite(&values, IMAGES).map(|()| values)
-        })?;
+        let values =
+            self.ask("decode", (LATENTS, self.given.shape.to_array(), latent.values()), |answer| {
+                let values = read_values(answer, IMAGES, self.given.precision, &sizes)?;
+                finite(&values, IMAGES).map(|()| values)
+            })?;
         let pixels = self.size.pixels();
         let image = |planes: &[f32]| {
             RgbImage::from_fn(width, height, |x, y| {
                 let at = (y * width + x) as usize;
-                Rgb([0, 1, 2].map(|color| (planes[color * pixels + at] * 255.0).round().clamp(0.0, 255.0) as u8))
+                Rgb([0, 1, 2]
+                    .map(|color| (planes[color * pixels + at] * 255.0).round().clamp(0.0, 255.0) as u8))
             })
         };
         Ok(values.chunks(3 * pixels).map(image).collect())

@@ -82,7 +82,9 @@ pub(super) fn read_hello(answer: &[u8], taken: &Taken) -> Result<Given, Wrong> {
     }
     let images = answer.texts.get("image_size").map(|text| {
         let size = image_size(text).filter(|size| size.pixels() <= most);
-        size.ok_or_else(|| Wrong::new("`image_size` \"H,W\" of positive numbers", answer.quoted("image_size")))
+        size.ok_or_else(|| {
+            Wrong::new("`image_size` \"H,W\" of positive numbers", answer.quoted("image_size"))
+        })
     });
     Ok(Given { shape, precision, images: images.transpose()? })
 }

@@ -3,30 +3,50 @@ use candle_core::{Device, Result, Tensor};
 use super::batch::Batch;
 use crate::generate::network::Model;
 
+/// How errors weigh.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Weighing<'a> {
+    /// What the network is expected to leave, `[C]`: channels weigh as much as that.
+    pub(super) priors: &'a [f32],
+    /// As [`TrainOptions::expected_error`](super::TrainOptions::expected_error).
+    pub(super) expected_error: f32,
+}
+
 /// How far the network's answers are off: their mean square over patches, channels and frames that count, all levels of
-/// noise alike. Channels weigh as much as their guesses are off (`priors [C]`).
+/// noise alike. A frame whose first guess is worse than usual, since conditions were dropped, weighs less for it: else the
+/// few of them would be all that is learned from.
 ///
 /// # Errors
 /// The tensor library's.
-pub(super) fn loss(model: &Model, batch: &Batch, windows: usize, priors: &[f32]) -> Result<Tensor> {
+pub(super) fn loss(model: &Model, batch: &Batch, windows: usize, weighing: Weighing<'_>) -> Result<Tensor> {
     let frames = batch.sigmas.len();
     let taken = model.take(&batch.inputs, windows, frames / windows)?;
     let answer = model.answer(&batch.noisy, &batch.sigmas, &taken)?;
     let right = model.levels(&batch.sigmas).answer(&batch.clean, taken.guess(), &batch.noise)?;
     let (rows, channels) = answer.dims2()?;
-    let weights =
-        Tensor::from_vec(weights(&batch.counts, priors, rows), (frames, 1, channels), &Device::Cpu)?;
+    let off = guess_errors(&(&batch.clean - taken.guess())?.detach(), frames, weighing)?;
+    let weights = weights(&batch.counts, weighing.priors, &off, rows);
+    let weights = Tensor::from_vec(weights, (frames, 1, channels), &Device::Cpu)?;
     let squares = (answer - right)?.sqr()?.reshape((frames, rows / frames, channels))?;
     squares.broadcast_mul(&weights)?.sum_all()
 }
 
-/// Weights of frames and channels, `[F, C]`; over all rows they sum up to 1.
-fn weights(counts: &[bool], priors: &[f32], rows: usize) -> Vec<f32> {
+/// Mean squares of what the first guess leaves of frames, in units of what it leaves on average.
+fn guess_errors(left: &Tensor, frames: usize, weighing: Weighing<'_>) -> Result<Vec<f32>> {
+    let scales: Vec<f32> = weighing.priors.iter().map(|prior| weighing.expected_error / prior).collect();
+    let scales = Tensor::from_vec(scales, (1, weighing.priors.len()), &Device::Cpu)?;
+    let squares = left.broadcast_mul(&scales)?.sqr()?;
+    squares.reshape((frames, squares.elem_count() / frames))?.mean(1)?.to_vec1()
+}
+
+/// Weights of frames and channels, `[F, C]`; over all rows they sum up to 1 where no guess is worse than usual.
+fn weights(counts: &[bool], priors: &[f32], guess_errors: &[f32], rows: usize) -> Vec<f32> {
     let mean = priors.iter().sum::<f32>() / priors.len() as f32;
     let counted = counts.iter().filter(|counts| **counts).count().max(1);
     let share = 1.0 / (counted * (rows / counts.len()) * priors.len()) as f32;
-    let of = |counts: bool, prior: f32| if counts { share * prior / mean } else { 0.0 };
-    counts.iter().flat_map(|counts| priors.iter().map(|prior| of(*counts, *prior))).collect()
+    let frames = counts.iter().zip(guess_errors);
+    let of = |(counts, error): (&bool, &f32)| if *counts { share / error.max(1.0) } else { 0.0 };
+    frames.map(of).flat_map(|frame| priors.iter().map(move |prior| frame * prior / mean)).collect()
 }
 
 #[cfg(test)]
@@ -35,10 +55,21 @@ mod tests {
 
     #[test]
     fn weights_are_shares_of_what_counts() {
-        let found = weights(&[false, true, true], &[0.5, 1.5], 12);
+        let found = weights(&[false, true, true], &[0.5, 1.5], &[9.0, 0.8, 1.0], 12);
         // Two frames of four rows and two channels.
         let each = 1.0 / 16.0;
         assert_eq!(found, [0.0, 0.0, 0.5 * each, 1.5 * each, 0.5 * each, 1.5 * each]);
         assert!((found.iter().sum::<f32>() * 4.0 - 1.0).abs() < 1e-6);
+        // Twice as far off as usual: a quarter.
+        let found = weights(&[true], &[1.0], &[4.0], 1);
+        assert_eq!(found, [0.25]);
+    }
+
+    #[test]
+    fn errors_of_guesses_are_in_units_of_the_usual_one() {
+        // Usual are 0.5 and 2, of which half is expected to be left.
+        let weighing = Weighing { priors: &[0.25, 1.0], expected_error: 0.5 };
+        let left = Tensor::new(&[[0.5_f32, 2.0], [0.5, -2.0], [1.0, 4.0], [0.0, 0.0]], &Device::Cpu).unwrap();
+        assert_eq!(guess_errors(&left, 2, weighing).unwrap(), [1.0, 2.0]);
     }
 }

@@ -104,7 +104,10 @@ impl TrainOptions {
         }
         let numbers = [self.learning_rate, self.clip, shift, f64::from(self.expected_error)];
         if let Some(other) = numbers.iter().find(|number| !(number.is_finite() && **number > 0.0)) {
-            return wrong("a learning rate, clip, shift and expected error above 0".to_owned(), other.to_string());
+            return wrong(
+                "a learning rate, clip, shift and expected error above 0".to_owned(),
+                other.to_string(),
+            );
         }
         if !(0.0..1.0).contains(&self.average) || !(0.0..).contains(&self.weight_decay) {
             let found = format!("{} and {}", self.average, self.weight_decay);

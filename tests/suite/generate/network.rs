@@ -234,7 +234,8 @@ fn a_small_network_overfits_a_drive() {
     let losses: Vec<f64> = (0..150).map(|_| trainer.step().unwrap().loss).collect();
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
     let (first, last) = (mean(&losses[..5]), mean(&losses[130..]));
-    assert!((0.5..2.0).contains(&first), "{first}");
+    // At most what is left of the first guess, of which 0.4 is expected to be left.
+    assert!((0.5..1.0 / 0.4 / 0.4).contains(&first), "{first}");
     assert!(last < first / 3.0, "{first} {last}");
     let weights = trainer.weights("pskel train").unwrap();
     assert_eq!((weights.about.steps, &weights.about.logs[..]), (150, &["made 1".to_owned()][..]));
