@@ -50,9 +50,7 @@ pub(super) struct GenerateArgs {
     /// are links to the original. A new or empty folder
     #[arg(long, value_name = "DIR")]
     dataset: Option<PathBuf>,
-    #[command(flatten, next_help_heading = "Options of the generator")]
-    generating: GeneratorArgs,
-    #[command(flatten, next_help_heading = "Options")]
+    #[command(flatten)]
     maps: MapArgs,
     /// Go on with the rollout in --out behind its last step, with the same log, skeleton and options; --steps, --profile and
     /// the rasterizer may change
@@ -71,6 +69,8 @@ pub(super) struct GenerateArgs {
     stand_ins: StandInArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
+    #[command(flatten, next_help_heading = "Options of the generator")]
+    generating: GeneratorArgs,
 }
 
 /// Generates, then writes back.

@@ -76,12 +76,12 @@ pub(in crate::cli) struct SimulateArgs {
     /// truth where that is known
     #[arg(long, value_name = "NETWORK")]
     pub(super) generator: Option<NetworkName>,
-    #[command(flatten, next_help_heading = "Options of --generator")]
-    pub(super) generating: GeneratorArgs,
-    #[command(flatten, next_help_heading = "Options")]
+    #[command(flatten)]
     pub(super) stand_ins: StandInArgs,
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
+    #[command(flatten, next_help_heading = "Options of --generator")]
+    pub(super) generating: GeneratorArgs,
     /// Steps are frames of the log, to its end if there are that many; `pskel generate` asks for that.
     #[arg(skip)]
     frames: Option<EveryFrames>,
