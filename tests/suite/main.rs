@@ -43,3 +43,4 @@ mod tiny_log;
 mod town_cli;
 mod town_log;
 mod town_view;
+mod trained;

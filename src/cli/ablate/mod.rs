@@ -15,7 +15,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use self::report::Report;
-use self::rows::{Row, rows};
+use self::rows::{Networks, Row};
 use self::run::{RunResult, Settings};
 use self::scene::{Scene, SceneOptions};
 use super::log_args;
@@ -43,6 +43,9 @@ pub(super) struct AblateArgs {
     /// Weights of `pskel train --no-augment`, for the row that tells what augmentation of assets is worth
     #[arg(long, value_name = "FILE")]
     plain_weights: Option<PathBuf>,
+    /// Weights of the same training with other seeds, for rows that tell what chance does
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    other_seeds: Vec<PathBuf>,
     /// Folder to write
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -76,20 +79,22 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
         let message = format!("expected logs town:.., of which the truth is known, found {other}");
         return Err(WrongUsage(message).into());
     }
-    let paths = [Some(&args.weights), args.plain_weights.as_ref()];
-    let networks: Vec<Network> =
-        paths.into_iter().flatten().map(|path| Network::open(path)).collect::<Result<_, _>>()?;
+    let networks = Networks {
+        main: Network::open(&args.weights)?,
+        plain: args.plain_weights.as_deref().map(Network::open).transpose()?,
+        others: args.other_seeds.iter().map(|path| Network::open(path)).collect::<Result<_, _>>()?,
+    };
     let settings = Settings {
         steps: usize::from(args.steps),
         infer_steps: usize::from(args.infer_steps),
         seed: args.seed,
     };
-    let rows = rows(&networks);
+    let rows = networks.rows();
     for row in &rows {
         row.options(&networks, &settings).check().map_err(|error| WrongUsage(error.to_string()))?;
     }
     std::fs::create_dir_all(&args.out).map_err(FileError::io("create", &args.out))?;
-    let marker = Marker { settings: &settings, networks: networks.iter().map(Network::about).collect() };
+    let marker = Marker { settings: &settings, networks: networks.all().map(Network::about).collect() };
     check_same(&args.out.join(MARKER), &marker)?;
     let mut progress = Progress::new(args.logs.len() * rows.len());
     let mut results = Vec::new();
@@ -125,7 +130,7 @@ fn check_same(path: &Path, marker: &Marker<'_>) -> Result<(), FileError> {
 fn scene_results(
     args: &AblateArgs,
     locator: &LogLocator,
-    (rows, networks, settings): (&[Row], &[Network], &Settings),
+    (rows, networks, settings): (&[Row], &Networks, &Settings),
     progress: &mut Progress,
 ) -> anyhow::Result<Vec<RunResult>> {
     let town = logs::open_town(locator)?;
@@ -143,8 +148,8 @@ fn scene_results(
                     Some(scene) => scene,
                     none => {
                         let options = SceneOptions {
-                            recipe: networks[0].recipe(),
-                            references: networks[0].config().frames - 1,
+                            recipe: networks.main.recipe(),
+                            references: networks.main.config().frames - 1,
                             settings,
                             rasterizer: &args.rasterizer,
                             folder: &args.out,

@@ -127,8 +127,8 @@ impl RowReport {
             Some([*t_s, mean_interval(&known)?.mean])
         };
         Self {
-            name: row.name.to_owned(),
-            title: row.title.to_owned(),
+            name: row.name.clone(),
+            title: row.title.clone(),
             tables: row.tables,
             mean: names().map(mean).collect(),
             difference: names().map(difference).collect(),
@@ -150,13 +150,19 @@ fn cells(numbers: &BTreeMap<String, Option<MeanInterval>>) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::rows::Choice;
     use super::*;
     use crate::generate::{Dropped, Strategy};
 
-    fn row(name: &'static str) -> Row {
-        let tables = &[Table::Strategies];
-        let (strategy, dropped) = (Strategy::ResetAndRoll, Dropped::default());
-        Row { name, title: name, tables, strategy, dropped, network: 0 }
+    fn row(name: &str) -> Row {
+        Row {
+            name: name.into(),
+            title: name.into(),
+            tables: &[Table::Strategies],
+            strategy: Strategy::ResetAndRoll,
+            dropped: Dropped::default(),
+            network: Choice::Main,
+        }
     }
 
     fn result(scene: &str, row: &str, psnr_db: f64) -> RunResult {

@@ -3,19 +3,19 @@ use crate::generate::network::Network;
 use crate::generate::{Dropped, GenerateOptions, Guidance, SamplerOptions, Strategy};
 
 /// A variant of the generator.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Row {
     /// Of its files.
-    pub(super) name: &'static str,
+    pub(super) name: String,
     /// In the tables.
-    pub(super) title: &'static str,
+    pub(super) title: String,
     /// The tables that it is in.
     pub(super) tables: &'static [Table],
     pub(super) strategy: Strategy,
     /// Conditions that it does without.
     pub(super) dropped: Dropped,
     /// Which of the networks.
-    pub(super) network: usize,
+    pub(super) network: Choice,
 }
 
 /// What is compared.
@@ -24,16 +24,18 @@ pub(super) enum Table {
     Strategies,
     Conditions,
     Augmentation,
+    Seeds,
 }
 
 impl Table {
-    pub(super) const ALL: [Self; 3] = [Self::Strategies, Self::Conditions, Self::Augmentation];
+    pub(super) const ALL: [Self; 4] = [Self::Strategies, Self::Conditions, Self::Augmentation, Self::Seeds];
 
     pub(super) fn title(self) -> &'static str {
         match self {
             Self::Strategies => "Strategies",
             Self::Conditions => "Conditions",
             Self::Augmentation => "Augmentation of assets in training",
+            Self::Seeds => "Training with other seeds",
         }
     }
 
@@ -43,89 +45,95 @@ impl Table {
             Self::Strategies => "strategies",
             Self::Conditions => "conditions",
             Self::Augmentation => "augmentation",
+            Self::Seeds => "seeds",
         }
     }
 }
 
 const NONE: Dropped = Dropped { layout: false, action: false, color: false, depth: false };
 
-/// The whole generator first: others are compared with it.
-const ALL: [Row; 8] = [
-    Row {
-        name: "reset_and_roll",
-        title: "reset_and_roll, color and depth, augmented",
-        tables: &[Table::Strategies, Table::Conditions, Table::Augmentation],
-        strategy: Strategy::ResetAndRoll,
-        dropped: NONE,
-        network: 0,
-    },
-    Row {
-        name: "rolling",
-        title: "rolling",
-        tables: &[Table::Strategies],
-        strategy: Strategy::Rolling,
-        dropped: NONE,
-        network: 0,
-    },
-    Row {
-        name: "causal",
-        title: "causal",
-        tables: &[Table::Strategies],
-        strategy: Strategy::Causal { history_noise: 0 },
-        dropped: NONE,
-        network: 0,
-    },
-    Row {
-        name: "non_causal",
-        title: "non_causal",
-        tables: &[Table::Strategies],
-        strategy: Strategy::NonCausal { forecasts: 1 },
-        dropped: NONE,
-        network: 0,
-    },
-    Row {
-        name: "layout",
-        title: "layout alone",
-        tables: &[Table::Conditions],
-        strategy: Strategy::ResetAndRoll,
-        dropped: Dropped { color: true, depth: true, ..NONE },
-        network: 0,
-    },
-    Row {
-        name: "layout_color",
-        title: "layout and color",
-        tables: &[Table::Conditions],
-        strategy: Strategy::ResetAndRoll,
-        dropped: Dropped { depth: true, ..NONE },
-        network: 0,
-    },
-    Row {
-        name: "layout_depth",
-        title: "layout and depth",
-        tables: &[Table::Conditions],
-        strategy: Strategy::ResetAndRoll,
-        dropped: Dropped { color: true, ..NONE },
-        network: 0,
-    },
-    Row {
-        name: "plain_assets",
-        title: "trained on assets as they are",
-        tables: &[Table::Augmentation],
-        strategy: Strategy::ResetAndRoll,
-        dropped: NONE,
-        network: 1,
-    },
-];
+/// Networks that are compared, the one whose worth is told first.
+pub(super) struct Networks {
+    pub(super) main: Network,
+    /// Trained without augmentation.
+    pub(super) plain: Option<Network>,
+    /// Trained as the first, with other seeds.
+    pub(super) others: Vec<Network>,
+}
 
-/// Those whose network is there.
-pub(super) fn rows(networks: &[Network]) -> Vec<Row> {
-    ALL.into_iter().filter(|row| row.network < networks.len()).collect()
+/// Which of [`Networks`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Choice {
+    Main,
+    Plain,
+    Other(usize),
+}
+
+impl Networks {
+    pub(super) fn all(&self) -> impl Iterator<Item = &Network> {
+        [Some(&self.main), self.plain.as_ref()].into_iter().flatten().chain(&self.others)
+    }
+
+    /// What a row of [`Networks::rows`] asks for.
+    pub(super) fn get(&self, choice: Choice) -> &Network {
+        match choice {
+            Choice::Main => &self.main,
+            Choice::Plain => self.plain.as_ref().unwrap_or(&self.main),
+            Choice::Other(place) => self.others.get(place).unwrap_or(&self.main),
+        }
+    }
+
+    /// All variants; the whole generator first, with which others are compared.
+    pub(super) fn rows(&self) -> Vec<Row> {
+        use Table::{Augmentation, Conditions, Seeds, Strategies};
+        let main = || Row {
+            name: "reset_and_roll".to_owned(),
+            title: "reset_and_roll, color and depth".to_owned(),
+            tables: &[Strategies, Conditions, Augmentation, Seeds],
+            strategy: Strategy::ResetAndRoll,
+            dropped: NONE,
+            network: Choice::Main,
+        };
+        let strategy = |strategy: Strategy| Row {
+            name: strategy.name().to_owned(),
+            title: strategy.name().to_owned(),
+            tables: &[Strategies],
+            strategy,
+            ..main()
+        };
+        let without = |name: &str, title: &str, color: bool, depth: bool| Row {
+            name: name.to_owned(),
+            title: title.to_owned(),
+            tables: &[Conditions],
+            dropped: Dropped { color, depth, ..NONE },
+            ..main()
+        };
+        let mut rows = vec![
+            main(),
+            strategy(Strategy::Rolling),
+            strategy(Strategy::Causal { history_noise: 0 }),
+            strategy(Strategy::NonCausal { forecasts: 1 }),
+            without("layout", "layout alone", true, true),
+            without("layout_color", "layout and color", false, true),
+            without("layout_depth", "layout and depth", true, false),
+        ];
+        if self.plain.is_some() {
+            let (name, title) = ("plain_assets".to_owned(), "trained on assets as they are".to_owned());
+            rows.push(Row { name, title, tables: &[Augmentation], network: Choice::Plain, ..main() });
+        }
+        rows.extend(self.others.iter().enumerate().map(|(place, network)| {
+            let seed = network.about().seed;
+            let (name, title) = (format!("seed_{}_{seed}", place + 1), format!("seed {seed}"));
+            Row { name, title, tables: &[Seeds], network: Choice::Other(place), ..main() }
+        }));
+        rows
+    }
 }
 
 impl Row {
-    pub(super) fn options(&self, networks: &[Network], settings: &Settings) -> GenerateOptions {
+    pub(super) fn options(&self, networks: &Networks, settings: &Settings) -> GenerateOptions {
         GenerateOptions {
-            window: networks[self.network].config().frames,
+            window: networks.get(self.network).config().frames,
             steps: settings.infer_steps,
             clean: 0,
             strategy: self.strategy,

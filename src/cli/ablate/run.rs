@@ -6,15 +6,11 @@ use image::imageops::{self, FilterType};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::rows::Row;
+use super::rows::{Networks, Row};
 use super::scene::{Scene, SceneFrame};
 use crate::error::{FileError, write_whole};
-use crate::generate::network::Network;
 use crate::generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
-use crate::metrics::{
-    PatchClassifier, PatchOptions, PatchTrainer, RandomConvNet, RolloutScores, ScoredFrame, Segmented,
-    vehicle_mask,
-};
+use crate::metrics::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, Segmented};
 use crate::sim::{Committed, Forecast};
 
 /// What all variants have in common.
@@ -60,10 +56,10 @@ impl RunResult {
 pub(super) fn run(
     scene: &Scene,
     row: &Row,
-    networks: &[Network],
+    networks: &Networks,
     settings: &Settings,
 ) -> anyhow::Result<(RunResult, Strip)> {
-    let network = &networks[row.network];
+    let network = networks.get(row.network);
     let codec = network.codec()?;
     let given = |conditions: &Committed<FrameConditions>| conditions.clone().map(|c| c.without(row.dropped));
     let options = row.options(networks, settings);
@@ -72,7 +68,6 @@ pub(super) fn run(
     let references = before.iter().map(reference).collect::<anyhow::Result<Vec<_>>>()?;
     let noise = GaussianNoise { seed: settings.seed };
     let mut generator = Generator::new(network.clone(), noise, options, references)?;
-    let classifiers = classifiers(frames, settings.seed);
     let mut scores = RolloutScores::new(RandomConvNet::new(settings.seed));
     let mut strip = Strip::new(frames);
     for (number, frame) in frames.iter().enumerate() {
@@ -84,7 +79,8 @@ pub(super) fn run(
         let latent = generator.step(given(&frame.conditions), &forecasts)?;
         let images = codec.decode(&latent)?;
         strip.add(number, frames.len(), &images, &frame.truth);
-        let classifier = classifiers.as_ref().map(|halves| &halves[usize::from(number >= frames.len() / 2)]);
+        let half = usize::from(number >= frames.len() / 2);
+        let classifier = scene.classifiers.as_ref().map(|halves| &halves[half]);
         score(&mut scores, frame, &images, classifier)?;
     }
     let (scores, features) = scores.finish();
@@ -94,27 +90,12 @@ pub(super) fn run(
     numbers.insert("frechet_videos".to_owned(), distances.videos.map(|d| d.distance));
     let result = RunResult {
         scene: scene.name.clone(),
-        row: row.name.to_owned(),
+        row: row.name.clone(),
         numbers,
         t_s: scores.t_s,
         psnr_db: scores.psnr_db.steps,
     };
     Ok((result, strip))
-}
-
-/// For the first and the second half of the frames, each trained on the true images of the other; none without vehicles.
-fn classifiers(frames: &[SceneFrame], seed: u64) -> Option<[PatchClassifier; 2]> {
-    let (first, second) = frames.split_at(frames.len() / 2);
-    let train = |frames: &[SceneFrame]| {
-        let mut trainer = PatchTrainer::new(PatchOptions { seed, ..PatchOptions::default() });
-        for frame in frames {
-            for (image, class) in frame.truth.iter().zip(&frame.class) {
-                trainer.add(image, &vehicle_mask(class, image.width() as usize));
-            }
-        }
-        trainer.train().ok()
-    };
-    Some([train(second)?, train(first)?])
 }
 
 fn score(

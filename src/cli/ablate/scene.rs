@@ -7,13 +7,15 @@ use super::run::Settings;
 use crate::cli::rasterizer::RasterizerArgs;
 use crate::cli::stand_ins::StandInArgs;
 use crate::conditions::{CameraConditions, ConditionSet, MapKind};
-use crate::dataset::{Dataset, LogFormat};
+use crate::dataset::{Dataset, Log, LogFormat};
 use crate::error::FileError;
 use crate::generate::{Conditioner, Drawn, FrameConditions, Recipe, TrueImages};
-use crate::metrics::{MOVING_MPS, moving_mask};
+use crate::metrics::{MOVING_MPS, PatchClassifier, PatchOptions, PatchTrainer, moving_mask, vehicle_mask};
 use crate::raster::Rasterizer;
 use crate::scene::{SceneMap, Stage};
-use crate::sim::{ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Scenario, SimOptions, Simulation};
+use crate::sim::{
+    ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
+};
 use crate::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 use crate::town::Town;
 
@@ -23,6 +25,8 @@ pub(super) struct Scene {
     pub(super) name: String,
     /// References, then those that are generated.
     pub(super) frames: Vec<SceneFrame>,
+    /// Of the first and the second half of those that are generated; none without vehicles.
+    pub(super) classifiers: Option<[PatchClassifier; 2]>,
 }
 
 /// A plan step.
@@ -52,6 +56,7 @@ pub(super) struct SceneOptions<'a> {
 impl Scene {
     /// Builds the skeleton and drives through the town.
     pub(super) fn draw(town: &Town, options: &SceneOptions<'_>) -> anyhow::Result<Self> {
+        check_length(town.log(), options.count())?;
         let scratch = tempfile::Builder::new().prefix(".pskel-").tempdir_in(options.folder);
         let scratch = scratch.map_err(FileError::io("create a folder in", options.folder))?;
         let path = scratch.path().join("skeleton");
@@ -69,8 +74,25 @@ impl Scene {
         let simulation = Simulation::new(&scenario, sim_options(options))?;
         let drive = Drive { town, conditioner: &conditioner, options };
         let frames = drive.frames(simulation, rasterizer.as_mut())?;
-        Ok(Self { name: log.name.clone(), frames })
+        let classifiers = classifiers(&frames[options.references..], options.settings.seed);
+        Ok(Self { name: log.name.clone(), frames, classifiers })
     }
+}
+
+impl SceneOptions<'_> {
+    /// References and generated frames.
+    fn count(&self) -> usize {
+        self.references + self.settings.steps
+    }
+}
+
+/// Behind the end of a log nobody is left.
+fn check_length(log: &Log, count: usize) -> anyhow::Result<()> {
+    let ends = log.frames.first().zip(log.frames.last());
+    let seconds = ends.map_or(0.0, |(first, last)| (last.t_us - first.t_us) as f64 / 1e6);
+    let found = 1 + (seconds * Rates::default().plan_hz + 1e-6) as usize;
+    anyhow::ensure!(found >= count, "expected a log of {count} plan steps, found {found}");
+    Ok(())
 }
 
 fn sim_options(options: &SceneOptions<'_>) -> SimOptions {
@@ -95,16 +117,10 @@ impl Drive<'_> {
         mut simulation: Simulation<'_>,
         rasterizer: &mut dyn Rasterizer,
     ) -> anyhow::Result<Vec<SceneFrame>> {
-        let count = self.options.references + self.options.settings.steps;
-        let end_us = self.town.log().frames.last().map_or(i64::MIN, |frame| frame.t_us);
+        let count = self.options.count();
         let (mut frames, mut before, mut first_us) = (Vec::new(), None, None);
         while frames.len() < count {
             let instant = (*simulation.committed().get()).clone();
-            anyhow::ensure!(
-                instant.t_us <= end_us,
-                "expected a log of {count} plan steps, found {}",
-                frames.len()
-            );
             if instant.step.is_multiple_of(simulation.steps_per_plan()) {
                 let drawn = self.conditioner.committed(simulation.committed(), before, rasterizer)?;
                 let forecasts =
@@ -141,6 +157,21 @@ impl Drive<'_> {
             moving: instance.iter().map(|map| moving_mask(map, &moving)).collect(),
         })
     }
+}
+
+/// For the first and the second half of the frames, each trained on the true images of the other.
+fn classifiers(frames: &[SceneFrame], seed: u64) -> Option<[PatchClassifier; 2]> {
+    let (first, second) = frames.split_at(frames.len() / 2);
+    let train = |frames: &[SceneFrame]| {
+        let mut trainer = PatchTrainer::new(PatchOptions { seed, ..PatchOptions::default() });
+        for frame in frames {
+            for (image, class) in frame.truth.iter().zip(&frame.class) {
+                trainer.add(image, &vehicle_mask(class, image.width() as usize));
+            }
+        }
+        trainer.train().ok()
+    };
+    Some([train(second)?, train(first)?])
 }
 
 /// Class and instance maps of all cameras.

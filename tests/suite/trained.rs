@@ -1,0 +1,117 @@
+//! From towns to weights, images, scores and tables: `pskel train`, `generate`, `evaluate` and `ablate` as a user runs them.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+
+use crate::tiny_log::{PSKEL, assert_failed, tree};
+
+/// Small, and soon made.
+const TOWN: &str = "town:seed=5,frames=5,size=57x100";
+const CONFIG: &str = r#"{
+    "recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "width": 32, "head": 16, "hidden": 32, "blocks": ["s", "t"]
+}"#;
+
+fn command(folder: &Path, args: &str) -> Command {
+    let mut command = Command::new(PSKEL);
+    command.current_dir(folder).args(args.split_whitespace()).env("PSKEL_VALIDATION", "1");
+    command
+}
+
+/// What a run that succeeds says on its standard output.
+#[track_caller]
+fn succeed(folder: &Path, args: &str) -> String {
+    let output = command(folder, args).output().unwrap();
+    assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+fn train(out: &str) -> String {
+    format!(
+        "train {TOWN} --config net.json --drives drives --variants 2 --steps 6 --checkpoint 2 --batch 1 --out {out}"
+    )
+}
+
+#[test]
+fn towns_become_weights_images_scores_and_tables() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::write(folder.join("net.json"), CONFIG).unwrap();
+    let told = succeed(folder, &train("trained"));
+    assert!(told.contains("2 drives of 10 frames") && told.contains("trained 6 steps"), "{told}");
+    let trained = tree(&folder.join("trained"));
+    let names = ["checkpoint.safetensors", "loss.csv", "loss.svg", "weights.safetensors"];
+    assert_eq!(trained.keys().collect::<Vec<_>>(), names);
+    goes_on(folder, &trained);
+
+    succeed(folder, &format!("build {TOWN} --out sk"));
+    let maps = "--skeleton sk --size 32x64 --maps color,class,instance --generator network:trained/weights.safetensors";
+    succeed(folder, &format!("generate {TOWN} {maps} --out images"));
+    let told = succeed(folder, "evaluate images --out scores.json");
+    assert!(told.contains("scored 24 images of 1 rollout"), "{told}");
+    let scores = &json(&folder.join("scores.json"))["rollouts"][0]["scores"];
+    assert_eq!((&scores["steps"], &scores["steps_with_truth"]), (&Value::from(4), &Value::from(4)));
+    assert!(scores["psnr_db"]["mean"].as_f64() > Some(8.0), "{}", scores["psnr_db"]["mean"]);
+    compared(folder);
+}
+
+/// A training that was killed goes on to the same bytes; other settings are refused.
+fn goes_on(folder: &Path, whole: &BTreeMap<String, Vec<u8>>) {
+    let mut child =
+        command(folder, &train("killed")).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
+    let checkpoint = folder.join("killed/checkpoint.safetensors");
+    while !checkpoint.is_file() && child.try_wait().unwrap().is_none() {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let _ = child.kill(); // it may be done
+    child.wait().unwrap();
+    let told = succeed(folder, &format!("{} --resume", train("killed")));
+    assert!(told.contains("trained 6 steps"), "{told}");
+    // The weights tell the command, which differs.
+    let found = tree(&folder.join("killed"));
+    assert!(found["checkpoint.safetensors"] == whole["checkpoint.safetensors"]);
+    assert_eq!((&found["loss.csv"], &found["loss.svg"]), (&whole["loss.csv"], &whole["loss.svg"]));
+    let other =
+        format!("{} --resume --seed 2", train("killed")).replace("--drives drives", "--drives drives2");
+    let output = command(folder, &other).output().unwrap();
+    assert_failed(&output, 1, &["expected", "killed/checkpoint.safetensors"]);
+    let output = command(folder, &train("new").replace(TOWN, "nuscenes:log")).output().unwrap();
+    assert_failed(&output, 2, &["town:", "nuscenes:log"]);
+}
+
+/// What is there is not made again, and what was lost comes back.
+fn compared(folder: &Path) {
+    let weights = "trained/weights.safetensors";
+    let ablate = format!(
+        "ablate {TOWN} --weights {weights} --plain-weights {weights} --other-seeds {weights} --steps 4 --infer-steps 2 --out table"
+    );
+    let told = succeed(folder, &ablate);
+    assert!(told.contains("9 variants in 1 scenes"), "{told}");
+    let all = tree(&folder.join("table"));
+    let text = String::from_utf8(all["table.md"].clone()).unwrap();
+    for part in
+        ["| rolling |", "| layout alone, difference |", "| trained on assets as they are |", "| seed 1 |"]
+    {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+    // The same network is neither better nor worse than itself.
+    let line = text.lines().find(|line| line.starts_with("| seed 1, difference |")).unwrap();
+    let first = line.split('|').nth(2).unwrap().trim();
+    assert_eq!(first, "0.00");
+    let scene = "town-5-5f-";
+    let lost = all.keys().find(|name| name.starts_with(scene) && name.ends_with("/rolling.json")).unwrap();
+    std::fs::remove_file(folder.join("table").join(lost)).unwrap();
+    succeed(folder, &ablate);
+    assert!(tree(&folder.join("table")) == all);
+    let other = ablate.replace("--steps 4", "--steps 3");
+    let output = command(folder, &other).output().unwrap();
+    assert_failed(&output, 1, &["expected an ablation of", "ablation.json"]);
+    let long = ablate.replace("--steps 4", "--steps 30").replace("--out table", "--out long");
+    assert_failed(&command(folder, &long).output().unwrap(), 1, &["31 plan steps", "found 5"]);
+}
