@@ -55,19 +55,29 @@ pub fn write(folder: &Path, cameras: &[&str], made: &Made) -> Result<(), FileErr
 /// # Errors
 /// Images that are missing or damaged.
 pub fn read(folder: &Path, cameras: &[String]) -> Result<Option<Made>, FileError> {
-    let path = folder.join(KIND);
-    if !path.is_file() {
-        return Ok(None);
-    }
-    let text = std::fs::read(&path).map_err(FileError::io("read", &path))?;
-    let About { kind } = serde_json::from_slice(&text)
-        .map_err(|error| FileError::content("what kind of images there are", error.to_string(), &path))?;
+    let Some(is_reference) = is_reference(folder)? else { return Ok(None) };
     let read = |name: &str| {
         let image = |camera: &String| open(&folder.join(name).join(format!("{camera}.png")));
         cameras.iter().map(image).collect::<Result<Vec<_>, _>>()
     };
     let truth = folder.join(TRUTH).is_dir().then(|| read(TRUTH)).transpose()?;
-    Ok(Some(Made { is_reference: kind == Kind::Reference, images: read(GENERATED)?, truth }))
+    Ok(Some(Made { is_reference, images: read(GENERATED)?, truth }))
+}
+
+/// Whether the images in the folder of a step are references; `None` if nothing was made there.
+///
+/// # Errors
+/// A file that tells neither.
+pub fn is_reference(folder: &Path) -> Result<Option<bool>, FileError> {
+    let path = folder.join(KIND);
+    if !path.is_file() && !folder.join(GENERATED).is_dir() {
+        return Ok(None);
+    }
+    let text = std::fs::read(&path).map_err(FileError::io("read", &path))?;
+    let expected = "kind \"generated\" or \"reference\" of the step's images";
+    let About { kind } = serde_json::from_slice(&text)
+        .map_err(|error| FileError::content(expected, error.to_string(), &path))?;
+    Ok(Some(kind == Kind::Reference))
 }
 
 fn open(path: &Path) -> Result<RgbImage, FileError> {

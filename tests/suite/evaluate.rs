@@ -315,7 +315,7 @@ fn damaged_rollouts_are_refused() {
     rollouts.fail(
         "a",
         1,
-        &["expected kind \"generated\" or \"reference\"", "found \"painted\"", "000004/generated.json"],
+        &["expected kind \"generated\" or \"reference\"", "`painted`", "000004/generated.json"],
     );
     std::fs::remove_file(&kind).unwrap();
     rollouts.fail("a", 1, &["cannot read", "000004/generated.json"]);

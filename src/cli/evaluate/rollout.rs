@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use rayon::prelude::*;
-use serde::Deserialize;
 
 use super::picture::{self, Read};
 use crate::conditions::reduce::nearest;
@@ -13,14 +12,11 @@ use crate::dataset::{picture_size, read_picture};
 use crate::error::FileError;
 use crate::geometry::ImageSize;
 use crate::metrics::{MOVING_MPS, moving_mask};
+use crate::report::images::{self, GENERATED, TRUTH};
 use crate::report::{ROLLOUT, StateFile, StepRow};
 
 const STATES: &str = "states.jsonl";
 const STEPS: &str = "steps";
-const GENERATED: &str = "generated";
-const TRUTH: &str = "truth";
-/// Beside the folder of generated images: what they are.
-const KIND: &str = "generated.json";
 
 /// Where its files are.
 pub(super) struct GeneratedRollout {
@@ -56,11 +52,6 @@ pub(super) struct Frame {
 /// True images and class maps of a step.
 pub(super) type Truth = (Vec<RgbImage>, Vec<Vec<u8>>);
 
-#[derive(Deserialize)]
-struct Kind {
-    kind: String,
-}
-
 impl GeneratedRollout {
     /// Finds the generated images; of them only the sizes of the first ones are read.
     pub(super) fn open(folder: &Path) -> Result<Self, FileError> {
@@ -76,10 +67,10 @@ impl GeneratedRollout {
         let (mut steps, mut references) = (Vec::new(), 0);
         for row in &rows {
             let step = Step::new(folder, row, first_us);
-            match step.kind()?.as_deref() {
+            match images::is_reference(&step.folder)? {
                 None => {}
-                Some("reference") => references += 1,
-                Some(_) => steps.push(step),
+                Some(true) => references += 1,
+                Some(false) => steps.push(step),
             }
         }
         let Some(first) = steps.first() else {
@@ -155,23 +146,6 @@ impl Step {
 
     fn image(&self, folder: &str, camera: &str) -> PathBuf {
         self.folder.join(folder).join(format!("{camera}.png"))
-    }
-
-    /// What its generated images are; `None` without any.
-    fn kind(&self) -> Result<Option<String>, FileError> {
-        if !self.folder.join(GENERATED).is_dir() {
-            return Ok(None);
-        }
-        let path = self.folder.join(KIND);
-        let text = std::fs::read(&path).map_err(FileError::io("read", &path))?;
-        let wrong = |found: String| {
-            FileError::content("kind \"generated\" or \"reference\" of the step's images", found, &path)
-        };
-        let kind: Kind = serde_json::from_slice(&text).map_err(|error| wrong(error.to_string()))?;
-        if !["generated", "reference"].contains(&kind.kind.as_str()) {
-            return Err(wrong(format!("{:?}", kind.kind)));
-        }
-        Ok(Some(kind.kind))
     }
 }
 

@@ -52,11 +52,12 @@ pub(super) fn write(root: &Path, log: &Log, rollout: &Path, folder: &Path) -> Re
 
 /// What was generated at frames of the log.
 fn replacements<'a>(log: &'a Log, rollout: &Path) -> Result<Vec<Replacement<'a>>, FileError> {
+    let cameras: Vec<String> = log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
     let mut replaced = Vec::new();
     for row in StateFile::read(&rollout.join("states.jsonl"))? {
         let Some(frame) = log.frames.iter().find(|frame| frame.t_us == row.t_us) else { continue };
         let step = rollout.join("steps").join(row.name());
-        let made = report::images::read(&step, &log.cameras)?.filter(|made| !made.is_reference);
+        let made = report::images::read(&step, &cameras)?.filter(|made| !made.is_reference);
         let Some(made) = made else { continue };
         for record in &frame.images {
             let place = log.rig.iter().position(|rig| rig.channel == record.channel);

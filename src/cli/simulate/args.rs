@@ -283,8 +283,7 @@ impl SimulateArgs {
         }
     }
 
-    /// What is to be simulated; reads the trajectory.
-    /// A generator with a window of `window` frames needs as many for its warm-up.
+    /// What is to be simulated; reads the trajectory. A generator with a window of `window` frames needs as many for its warm-up.
     pub(super) fn sim_options(
         &self,
         scenario: &Scenario<'_>,

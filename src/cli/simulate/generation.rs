@@ -16,6 +16,7 @@ use crate::sim::{SavedState, Scenario, SimOptions, Simulation};
 
 /// What goes on to the next frame.
 pub(super) const CACHE: &str = "generator.safetensors";
+
 /// The generator and what it made last.
 pub(super) struct Generation<'a> {
     session: Session<'a>,
@@ -76,7 +77,8 @@ impl<'a> Generation<'a> {
         let saved = cache.is_file().then(|| read_cache(&cache)).transpose()?;
         let session = session.resume(plan_rows.len(), &instants, saved, rasterizer);
         let session = session.with_context(|| cache.display().to_string())?;
-        let shown = images::read(&last, &scenario.log.cameras)?.map(Arc::new);
+        let cameras: Vec<String> = scenario.log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
+        let shown = images::read(&last, &cameras)?.map(Arc::new);
         Ok(Self { session, shown })
     }
 

@@ -1,6 +1,6 @@
 //! `pskel simulate`: [`args`] are the options, [`rollout`] is the loop, [`generation`] makes images in it, [`output`]
-//! writes its steps on a thread of its own, [`finish`] what is made of all of them, [`profile`] tells where the time went, [`sources`] what it is made of,
-//! [`summary`] is the last line.
+//! writes its steps on a thread of its own, [`finish`] what is made of all of them, [`profile`] tells where the time
+//! went, [`sources`] what it is made of, [`summary`] is the last line.
 
 mod args;
 mod finish;
