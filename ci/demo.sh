@@ -5,13 +5,13 @@
 # town is driven through. Its skeleton is built; condition maps of a few frames come out as PNG with a contact sheet each,
 # from where the ego drove, and from 2 m to the left, turned to the right by 5 degrees; of the town, whose truth is known,
 # also how true those frames are. Then the drive is simulated with an ego that changes lanes among vehicles that react,
-# and told by a page and a video. The last lines tell where all of it is.
+# in the town with images that a network generates, and told by a page and a video. The last lines tell where all of it is.
 #
 # Environment: OUT (folder of the output, default out/demo), TOWN (the town, default seed=7,frames=40), FRAMES (of the
 # maps, default 0..3), STEPS (of the simulation, default 78), SIZE (of all maps, default 256x448), SPLAT (radius by
 # depth, default 5:4,15:2,35:1,100:0, which closes holes in what is very near), LOG_ROOTS (options that tell where parts
-# of LOG are, as --map-root DIR), SIMULATE (further options of pskel simulate), PSKEL (the program; without it a release
-# build is made).
+# of LOG are, as --map-root DIR), SIMULATE (further options of pskel simulate, default --generator network in the town),
+# PSKEL (the program; without it a release build is made).
 set -euo pipefail
 root=$(cd "$(dirname "$0")/.." && pwd)
 
@@ -28,7 +28,10 @@ steps=${STEPS:-78}
 size=${SIZE:-256x448}
 splat=${SPLAT:-5:4,15:2,35:1,100:0}
 read -ra roots <<<"${LOG_ROOTS:-}"
-read -ra simulate <<<"${SIMULATE:-}"
+if [[ $log == town:* ]]; then
+    generator="--generator network"
+fi
+read -ra simulate <<<"${SIMULATE-${generator:-}}"
 
 # Runs a command, tells what it was and how long it took.
 timed() {

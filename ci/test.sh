@@ -38,7 +38,7 @@ run_demo() {
     # The program that the tests have built: nothing is compiled again.
     local target
     target=$(cargo metadata --locked --no-deps --format-version 1 | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p')
-    PSKEL=$target/debug/pskel OUT="$scratch/demo" TOWN=seed=7,frames=3,size=113x200 FRAMES=0..1 STEPS=4 SIZE=113x200 ci/demo.sh
+    PSKEL=$target/debug/pskel OUT="$scratch/demo" TOWN=seed=7,frames=3,size=113x200 FRAMES=0..1 STEPS=4 SIZE=113x200 SIMULATE='' ci/demo.sh
     if [ -n "${PSKEL_ARTIFACTS:-}" ]; then
         mkdir -p "$PSKEL_ARTIFACTS"
         cp "$scratch/demo"/fidelity.{md,csv} "$PSKEL_ARTIFACTS"

@@ -32,7 +32,7 @@ pub(super) struct GeneratorArgs {
     /// process]
     #[arg(long, value_name = "L")]
     window: Option<usize>,
-    /// Inference steps, T, a multiple of L - C with the strategies that roll [default: 2 (L - C)]
+    /// Inference steps, T, a multiple of L - C with the strategies that roll [default: L - C]
     #[arg(long, value_name = "T")]
     infer_steps: Option<usize>,
     /// Leading frames of the window that are always clean
@@ -66,10 +66,10 @@ pub(super) struct GeneratorArgs {
 
 /// Which network.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[serde(into = "String")]
 pub(super) enum NetworkName {
-    /// Ours, with the weights of a file.
-    Network(PathBuf),
+    /// Ours, with the weights of a file or those that come with the program.
+    Network(Option<PathBuf>),
     /// One in another process.
     Process(PeerAddress),
 }
@@ -155,12 +155,12 @@ impl GeneratorArgs {
     /// Opens or starts the network; `cameras` is what the log has.
     pub(super) fn open(&self, name: &NetworkName, cameras: usize) -> anyhow::Result<Opened> {
         match name {
-            NetworkName::Network(path) => self.network(path, cameras),
+            NetworkName::Network(path) => self.network(path.as_deref(), cameras),
             NetworkName::Process(address) => self.process(address, cameras),
         }
     }
 
-    fn network(&self, path: &Path, cameras: usize) -> anyhow::Result<Opened> {
+    fn network(&self, path: Option<&Path>, cameras: usize) -> anyhow::Result<Opened> {
         let for_process =
             [("--sampler", self.sampler != SamplerName::FlowMatch), ("--recipe", self.recipe.is_some())];
         if let Some((option, _)) = for_process.into_iter().find(|(_, given)| *given) {
@@ -168,7 +168,7 @@ impl GeneratorArgs {
                 WrongUsage(format!("expected --generator process:.. with {option}, found network")).into()
             );
         }
-        let network = Network::open(path)?;
+        let network = Network::open_or_shipped(path)?;
         let config = network.config();
         let (trained, recipe) = (config.frames, config.recipe.clone());
         let options = self.options(self.window.unwrap_or(trained))?;
@@ -181,6 +181,7 @@ impl GeneratorArgs {
         }
         if config.cameras != cameras {
             let found = format!("weights for {}", config.cameras);
+            let path = path.unwrap_or(Path::new("--generator network"));
             return Err(FileError::content(format!("weights for {cameras} cameras"), found, path).into());
         }
         Ok(Opened {
@@ -191,7 +192,7 @@ impl GeneratorArgs {
             recipe,
             options,
             seed: self.noise_seed,
-            name: NetworkName::Network(path.to_owned()),
+            name: NetworkName::Network(path.map(Path::to_owned)),
         })
     }
 
@@ -221,7 +222,7 @@ impl GeneratorArgs {
         let ddim = |prediction| SamplerOptions::Ddim { prediction };
         let options = GenerateOptions {
             window,
-            steps: self.infer_steps.unwrap_or(2 * window.saturating_sub(self.clean)),
+            steps: self.infer_steps.unwrap_or(window.saturating_sub(self.clean)),
             clean: self.clean,
             strategy: match self.strategy {
                 StrategyName::ResetAndRoll => Strategy::ResetAndRoll,
@@ -291,19 +292,27 @@ impl FromStr for NetworkName {
 
     fn from_str(text: &str) -> Result<Self, String> {
         match text.split_once(':') {
-            Some(("network", path)) if !path.is_empty() => Ok(Self::Network(path.into())),
+            None if text == "network" => Ok(Self::Network(None)),
+            Some(("network", path)) if !path.is_empty() => Ok(Self::Network(Some(path.into()))),
             Some(("process", address)) => {
                 address.parse().map(Self::Process).map_err(|error: crate::peer::PeerError| error.to_string())
             }
-            _ => Err("expected network:FILE or process:COMMAND|unix:PATH|tcp:HOST:PORT".to_owned()),
+            _ => Err("expected network, network:FILE or process:COMMAND|unix:PATH|tcp:HOST:PORT".to_owned()),
         }
+    }
+}
+
+impl From<NetworkName> for String {
+    fn from(name: NetworkName) -> Self {
+        name.to_string()
     }
 }
 
 impl fmt::Display for NetworkName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Network(path) => write!(f, "network:{}", path.display()),
+            Self::Network(None) => f.write_str("network"),
+            Self::Network(Some(path)) => write!(f, "network:{}", path.display()),
             Self::Process(address) => write!(f, "process:{address}"),
         }
     }

@@ -1,5 +1,4 @@
 use image::RgbImage;
-use image::imageops::{FilterType, resize};
 use serde::{Deserialize, Serialize};
 
 use super::frame_conditions::{CAMERA_NUMBERS, FrameConditions, action, camera_numbers};
@@ -51,10 +50,10 @@ pub struct DriveFrame {
 }
 
 impl DriveFrame {
-    /// Of a step and its images, which are reduced to the size of the maps; `before` is where the ego was a frame earlier.
+    /// Of a step and its images; `before` is where the ego was a frame earlier.
     ///
     /// # Errors
-    /// Maps of a camera that are missing or of another size; another number of images than cameras.
+    /// Maps of a camera that are missing, maps or images of another size; another number of images than cameras.
     pub fn new(
         about: &DriveInfo,
         set: &ConditionSet,
@@ -87,6 +86,10 @@ impl DriveFrame {
         if camera.size() != size {
             return Err(wrong(format!("maps of {size}"), format!("{} of {}", camera.name, camera.size())));
         }
+        let of_image = ImageSize { height: image.height(), width: image.width() };
+        if of_image != size {
+            return Err(wrong(format!("images of {size}"), format!("{} of {of_image}", camera.name)));
+        }
         let missing =
             || wrong("color, depth and boxes".to_owned(), format!("{} without one of them", camera.name));
         self.color.extend(camera.color.as_ref().ok_or_else(missing)?);
@@ -95,8 +98,7 @@ impl DriveFrame {
         self.boxes.extend(camera.boxes.as_ref().ok_or_else(missing)?);
         let no_map = || vec![[0; 3]; size.pixels()];
         self.map.extend(camera.map.clone().unwrap_or_else(no_map));
-        let reduced = resize(image, size.width, size.height, FilterType::Triangle);
-        self.truth.extend(reduced.pixels().map(|pixel| pixel.0));
+        self.truth.extend(image.pixels().map(|pixel| pixel.0));
         Ok(())
     }
 }
@@ -188,7 +190,7 @@ mod tests {
     fn frames_keep_maps_images_and_numbers() {
         let set = ConditionSet { cameras: vec![camera("a", 1), camera("b", 2)] };
         let images = [
-            RgbImage::from_pixel(6, 4, image::Rgb([5, 6, 7])),
+            RgbImage::from_pixel(3, 2, image::Rgb([5, 6, 7])),
             RgbImage::from_pixel(3, 2, image::Rgb([8, 9, 10])),
         ];
         let before = Pose::from_yaw(0.4, DVec3::new(-1.0, 0.0, 0.0));
@@ -221,6 +223,10 @@ mod tests {
         let path = folder.path().join("drive.safetensors");
         drive.save(&path).unwrap();
         assert_eq!(Drive::open(&path).unwrap(), drive);
+        let mut beyond = drive.clone();
+        beyond.frames[1].bins[0] = 257;
+        beyond.save(&path).unwrap();
+        assert!(Drive::open(&path).unwrap_err().to_string().contains("bin 257 of 256"));
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
         let error = Drive::open(&path).unwrap_err().to_string();
@@ -241,6 +247,9 @@ mod tests {
         let error =
             made(CameraConditions { boxes: None, ..camera("b", 2) }, &images).unwrap_err().to_string();
         assert!(error.contains("b without one of them"), "{error}");
+        let large = [RgbImage::new(3, 2), RgbImage::new(6, 4)];
+        let error = made(camera("b", 2), &large).unwrap_err().to_string();
+        assert!(error.contains("images of 2x3, found b of 4x6"), "{error}");
         let error = made(camera("b", 2), &images[..1]).unwrap_err().to_string();
         assert!(error.contains("2 cameras, found 1 and 2"), "{error}");
     }

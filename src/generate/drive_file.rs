@@ -76,6 +76,9 @@ impl Drive {
         let rgb = |name| tensor(name, Dtype::U8, views * pixels * 3).map(pod_collect_to_vec::<u8, [u8; 3]>);
         let [color, boxes, map, truth] = [rgb("color")?, rgb("boxes")?, rgb("map")?, rgb("truth")?];
         let bins: Vec<u16> = pod_collect_to_vec(tensor("bins", Dtype::U16, views * pixels)?);
+        if let Some(bin) = bins.iter().find(|bin| **bin > about.recipe.bins.count) {
+            return Err(wrong(format!("bin {bin} of {}", about.recipe.bins.count)));
+        }
         let action: Vec<[f32; 3]> = pod_collect_to_vec(tensor("action", Dtype::F32, 3)?);
         let cameras: Vec<[f32; 16]> = pod_collect_to_vec(tensor("cameras", Dtype::F32, views * 16)?);
         let per = views * pixels;

@@ -86,7 +86,7 @@ fn a_log_s_images_are_made_of_its_conditions() {
     let options = &log.json("out/rollout.json")["generator"];
     assert_eq!(
         (&options["window"], &options["steps"], &options["strategy"]),
-        (&json!(2), &json!(4), &json!("reset_and_roll"))
+        (&json!(2), &json!(2), &json!("reset_and_roll"))
     );
     let medians = &log.json("profile.json")["medians"];
     assert!(medians["generate_network_s"].as_f64() > Some(0.0), "{medians}");
@@ -181,8 +181,8 @@ fn a_denoiser_that_fails_leaves_a_rollout_that_can_go_on() {
         ("return array.array('f', [float('nan')] * 336)", ["finite values", "stopped after 2 steps"]),
         ("return array.array('f', [0.0] * 5)", ["safetensors", "stopped after 2 steps"]),
     ] {
-        // Four calls make a frame.
-        denoiser(&log, &at_call(6, happens));
+        // Two calls make a frame.
+        denoiser(&log, &at_call(3, happens));
         let hasty = format!("{GENERATE} --window 2 --generator-timeout 4");
         assert_failed(&log.run(&hasty), 1, &parts);
         let metrics = log.json("out/metrics.json");

@@ -58,6 +58,7 @@ fn towns_become_weights_images_scores_and_tables() {
     let scores = &json(&folder.join("scores.json"))["rollouts"][0]["scores"];
     assert_eq!((&scores["steps"], &scores["steps_with_truth"]), (&Value::from(4), &Value::from(4)));
     assert!(scores["psnr_db"]["mean"].as_f64() > Some(8.0), "{}", scores["psnr_db"]["mean"]);
+    shipped(folder);
     compared(folder);
 }
 
@@ -77,22 +78,31 @@ fn goes_on(folder: &Path, whole: &BTreeMap<String, Vec<u8>>) {
     let found = tree(&folder.join("killed"));
     assert!(found["checkpoint.safetensors"] == whole["checkpoint.safetensors"]);
     assert_eq!((&found["loss.csv"], &found["loss.svg"]), (&whole["loss.csv"], &whole["loss.svg"]));
-    let other =
-        format!("{} --resume --seed 2", train("killed")).replace("--drives drives", "--drives drives2");
+    let other = format!("{} --resume --seed 2", train("killed"));
     let output = command(folder, &other).output().unwrap();
     assert_failed(&output, 1, &["expected", "killed/checkpoint.safetensors"]);
     let output = command(folder, &train("new").replace(TOWN, "nuscenes:log")).output().unwrap();
     assert_failed(&output, 2, &["town:", "nuscenes:log"]);
 }
 
+/// The network that comes with the program, in a town that it has not seen: 21.3 dB, some 3 dB above its first guess.
+fn shipped(folder: &Path) {
+    let told = succeed(folder, &format!("generate {TOWN} --skeleton sk --maps color --out shipped"));
+    assert!(told.contains("2 frames generated"), "{told}");
+    succeed(folder, "evaluate shipped --out shipped.json");
+    let scores = &json(&folder.join("shipped.json"))["rollouts"][0]["scores"];
+    assert!(scores["psnr_db"]["mean"].as_f64() > Some(20.0), "{}", scores["psnr_db"]["mean"]);
+}
+
 /// What is there is not made again, and what was lost comes back.
 fn compared(folder: &Path) {
     let weights = "trained/weights.safetensors";
-    let ablate = format!(
-        "ablate {TOWN} --weights {weights} --plain-weights {weights} --other-seeds {weights} --steps 4 --infer-steps 2 --out table"
-    );
+    let few = format!("ablate {TOWN} --weights {weights} --steps 4 --infer-steps 2 --out table");
+    let told = succeed(folder, &few);
+    assert!(told.contains("8 variants in 1 scenes") && !told.contains("seed 1"), "{told}");
+    let ablate = format!("{few} --plain-weights {weights} --other-seeds {weights}");
     let told = succeed(folder, &ablate);
-    assert!(told.contains("9 variants in 1 scenes"), "{told}");
+    assert!(told.contains("10 variants in 1 scenes"), "{told}");
     let all = tree(&folder.join("table"));
     let text = String::from_utf8(all["table.md"].clone()).unwrap();
     for part in
@@ -111,7 +121,7 @@ fn compared(folder: &Path) {
     assert!(tree(&folder.join("table")) == all);
     let other = ablate.replace("--steps 4", "--steps 3");
     let output = command(folder, &other).output().unwrap();
-    assert_failed(&output, 1, &["expected an ablation of", "ablation.json"]);
+    assert_failed(&output, 1, &["expected scores of {", "\"steps\":4", "reset_and_roll.json"]);
     let long = ablate.replace("--steps 4", "--steps 30").replace("--out table", "--out long");
     assert_failed(&command(folder, &long).output().unwrap(), 1, &["31 plan steps", "found 5"]);
 }

@@ -6,13 +6,11 @@ mod rows;
 mod run;
 mod scene;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
-use serde::Serialize;
-use serde_json::Value;
 
 use self::report::Report;
 use self::rows::{Networks, Row};
@@ -24,22 +22,22 @@ use super::rasterizer::RasterizerArgs;
 use super::{WrongUsage, say};
 use crate::dataset::{Dataset, LogFormat, LogLocator};
 use crate::error::{FileError, write_json};
-use crate::generate::network::{About, Network};
+use crate::generate::network::Network;
 use crate::logs;
 
 /// Compare strategies, conditions and trainings of the generator in towns, where the truth is known
 ///
 /// In each town the ego changes lanes in a closed loop; each variant generates the same steps of it. Writes SCENE/ROW.json
 /// and SCENE/ROW.png for each of them, then results.json, table.md and curves as SVG. What is there already is not made
-/// again, so the command goes on where it was interrupted.
+/// again, so the command goes on where it was interrupted, and takes up other networks and towns.
 #[derive(Debug, Args)]
 pub(super) struct AblateArgs {
     /// Towns that the networks have not seen: town:seed=901,frames=66[,..]
     #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
     logs: Vec<LogLocator>,
-    /// Weights of `pskel train`
+    /// Weights of `pskel train` [default: those that come with the program]
     #[arg(long, value_name = "FILE")]
-    weights: PathBuf,
+    weights: Option<PathBuf>,
     /// Weights of `pskel train --no-augment`, for the row that tells what augmentation of assets is worth
     #[arg(long, value_name = "FILE")]
     plain_weights: Option<PathBuf>,
@@ -53,23 +51,13 @@ pub(super) struct AblateArgs {
     #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u16).range(2..))]
     steps: u16,
     /// Inference steps, T
-    #[arg(long, value_name = "T", default_value = "8", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    #[arg(long, value_name = "T", default_value = "4", value_parser = clap::value_parser!(u16).range(1..=1000))]
     infer_steps: u16,
     /// What noise, features and classifiers follow from
     #[arg(long, value_name = "SEED", default_value = "0")]
     seed: u64,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
-}
-
-/// The file that tells what the folder's results are of.
-const MARKER: &str = "ablation.json";
-
-/// `ablation.json`: results of other networks or settings do not go into one table.
-#[derive(Debug, Serialize)]
-struct Marker<'a> {
-    settings: &'a Settings,
-    networks: Vec<&'a About>,
 }
 
 /// Draws, generates, scores, tells.
@@ -80,7 +68,7 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
         return Err(WrongUsage(message).into());
     }
     let networks = Networks {
-        main: Network::open(&args.weights)?,
+        main: Network::open_or_shipped(args.weights.as_deref())?,
         plain: args.plain_weights.as_deref().map(Network::open).transpose()?,
         others: args.other_seeds.iter().map(|path| Network::open(path)).collect::<Result<_, _>>()?,
     };
@@ -94,8 +82,6 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
         row.options(&networks, &settings).check().map_err(|error| WrongUsage(error.to_string()))?;
     }
     std::fs::create_dir_all(&args.out).map_err(FileError::io("create", &args.out))?;
-    let marker = Marker { settings: &settings, networks: networks.all().map(Network::about).collect() };
-    check_same(&args.out.join(MARKER), &marker)?;
     let mut progress = Progress::new(args.logs.len() * rows.len());
     let mut results = Vec::new();
     for locator in &args.logs {
@@ -109,21 +95,6 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
     let (scenes, seconds) = (args.logs.len(), start.elapsed().as_secs_f64());
     say(&format!("{} variants in {scenes} scenes in {seconds:.2} s: {}", rows.len(), args.out.display()));
     Ok(())
-}
-
-/// What is in the folder must be of the same networks and settings.
-fn check_same(path: &Path, marker: &Marker<'_>) -> Result<(), FileError> {
-    let damaged = |error: serde_json::Error| FileError::content("an ablation", error.to_string(), path);
-    let now = serde_json::to_value(marker).map_err(damaged)?;
-    if !path.is_file() {
-        return write_json(path, &now);
-    }
-    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
-    let before: Value = serde_json::from_slice(&text).map_err(damaged)?;
-    if before == now {
-        return Ok(());
-    }
-    Err(FileError::content(format!("an ablation of {now}"), before.to_string(), path))
 }
 
 /// Results of all rows in a scene, which is drawn only if one of them is missing.
@@ -140,7 +111,8 @@ fn scene_results(
     let mut results = Vec::new();
     for row in rows {
         let path = folder.join(format!("{}.json", row.name));
-        let known = path.is_file().then(|| RunResult::read(&path)).transpose()?;
+        let known =
+            path.is_file().then(|| RunResult::read(&path, &row.origin(networks, settings))).transpose()?;
         let result = match known {
             Some(result) => result,
             None => {
@@ -152,7 +124,7 @@ fn scene_results(
                             references: networks.main.config().frames - 1,
                             settings,
                             rasterizer: &args.rasterizer,
-                            folder: &args.out,
+                            skeleton: &folder.join("skeleton"),
                         };
                         none.insert(Scene::draw(&town, &options)?)
                     }

@@ -151,7 +151,9 @@ fn cells(numbers: &BTreeMap<String, Option<MeanInterval>>) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::super::rows::Choice;
+    use super::super::run::{Origin, Settings};
     use super::*;
+    use crate::generate::network::About;
     use crate::generate::{Dropped, Strategy};
 
     fn row(name: &str) -> Row {
@@ -162,6 +164,7 @@ mod tests {
             strategy: Strategy::ResetAndRoll,
             dropped: Dropped::default(),
             network: Choice::Main,
+            times_steps: 1,
         }
     }
 
@@ -169,6 +172,10 @@ mod tests {
         RunResult {
             scene: scene.into(),
             row: row.into(),
+            origin: Origin {
+                settings: Settings { steps: 2, infer_steps: 4, seed: 0 },
+                network: About::default(),
+            },
             numbers: [("psnr_db".to_owned(), Some(psnr_db)), ("ssim".to_owned(), None)].into(),
             t_s: vec![0.6, 0.8],
             psnr_db: vec![Some(psnr_db), Some(psnr_db - 1.0)],

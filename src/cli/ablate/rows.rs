@@ -1,4 +1,4 @@
-use super::run::Settings;
+use super::run::{Origin, Settings};
 use crate::generate::network::Network;
 use crate::generate::{Dropped, GenerateOptions, Guidance, SamplerOptions, Strategy};
 
@@ -16,6 +16,8 @@ pub(super) struct Row {
     pub(super) dropped: Dropped,
     /// Which of the networks.
     pub(super) network: Choice,
+    /// Inference steps, as a multiple of those of all others.
+    pub(super) times_steps: usize,
 }
 
 /// What is compared.
@@ -23,17 +25,20 @@ pub(super) struct Row {
 pub(super) enum Table {
     Strategies,
     Conditions,
+    InferSteps,
     Augmentation,
     Seeds,
 }
 
 impl Table {
-    pub(super) const ALL: [Self; 4] = [Self::Strategies, Self::Conditions, Self::Augmentation, Self::Seeds];
+    pub(super) const ALL: [Self; 5] =
+        [Self::Strategies, Self::Conditions, Self::InferSteps, Self::Augmentation, Self::Seeds];
 
     pub(super) fn title(self) -> &'static str {
         match self {
             Self::Strategies => "Strategies",
             Self::Conditions => "Conditions",
+            Self::InferSteps => "Inference steps",
             Self::Augmentation => "Augmentation of assets in training",
             Self::Seeds => "Training with other seeds",
         }
@@ -44,6 +49,7 @@ impl Table {
         match self {
             Self::Strategies => "strategies",
             Self::Conditions => "conditions",
+            Self::InferSteps => "infer_steps",
             Self::Augmentation => "augmentation",
             Self::Seeds => "seeds",
         }
@@ -70,10 +76,6 @@ pub(super) enum Choice {
 }
 
 impl Networks {
-    pub(super) fn all(&self) -> impl Iterator<Item = &Network> {
-        [Some(&self.main), self.plain.as_ref()].into_iter().flatten().chain(&self.others)
-    }
-
     /// What a row of [`Networks::rows`] asks for.
     pub(super) fn get(&self, choice: Choice) -> &Network {
         match choice {
@@ -85,14 +87,15 @@ impl Networks {
 
     /// All variants; the whole generator first, with which others are compared.
     pub(super) fn rows(&self) -> Vec<Row> {
-        use Table::{Augmentation, Conditions, Seeds, Strategies};
+        use Table::{Augmentation, Conditions, InferSteps, Seeds, Strategies};
         let main = || Row {
             name: "reset_and_roll".to_owned(),
             title: "reset_and_roll, color and depth".to_owned(),
-            tables: &[Strategies, Conditions, Augmentation, Seeds],
+            tables: &Table::ALL,
             strategy: Strategy::ResetAndRoll,
             dropped: NONE,
             network: Choice::Main,
+            times_steps: 1,
         };
         let strategy = |strategy: Strategy| Row {
             name: strategy.name().to_owned(),
@@ -117,6 +120,8 @@ impl Networks {
             without("layout_color", "layout and color", false, true),
             without("layout_depth", "layout and depth", true, false),
         ];
+        let (name, title) = ("twice_the_steps".to_owned(), "twice the inference steps".to_owned());
+        rows.push(Row { name, title, tables: &[InferSteps], times_steps: 2, ..main() });
         if self.plain.is_some() {
             let (name, title) = ("plain_assets".to_owned(), "trained on assets as they are".to_owned());
             rows.push(Row { name, title, tables: &[Augmentation], network: Choice::Plain, ..main() });
@@ -131,10 +136,14 @@ impl Networks {
 }
 
 impl Row {
+    pub(super) fn origin(&self, networks: &Networks, settings: &Settings) -> Origin {
+        Origin { settings: settings.clone(), network: networks.get(self.network).about().clone() }
+    }
+
     pub(super) fn options(&self, networks: &Networks, settings: &Settings) -> GenerateOptions {
         GenerateOptions {
             window: networks.get(self.network).config().frames,
-            steps: settings.infer_steps,
+            steps: self.times_steps * settings.infer_steps,
             clean: 0,
             strategy: self.strategy,
             sampler: SamplerOptions::default(),

@@ -9,12 +9,13 @@ use serde::{Deserialize, Serialize};
 use super::rows::{Networks, Row};
 use super::scene::{Scene, SceneFrame};
 use crate::error::{FileError, write_whole};
+use crate::generate::network::About;
 use crate::generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
 use crate::metrics::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, Segmented};
 use crate::sim::{Committed, Forecast};
 
 /// What all variants have in common.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Settings {
     /// Frames that are generated.
     pub(super) steps: usize,
@@ -22,11 +23,19 @@ pub(super) struct Settings {
     pub(super) seed: u64,
 }
 
+/// What results must be of, to stand in one table.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Origin {
+    pub(super) settings: Settings,
+    pub(super) network: About,
+}
+
 /// A variant in a scene, `SCENE/ROW.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct RunResult {
     pub(super) scene: String,
     pub(super) row: String,
+    pub(super) origin: Origin,
     /// By the metric's name; `None` where the scene has no such thing.
     pub(super) numbers: BTreeMap<String, Option<f64>>,
     /// Since the first reference, seconds.
@@ -45,10 +54,18 @@ const SHOWN: usize = 8;
 const ENLARGED: u32 = 3;
 
 impl RunResult {
-    pub(super) fn read(path: &Path) -> Result<Self, FileError> {
+    /// What an earlier run has left, which must be of the same network and settings.
+    pub(super) fn read(path: &Path, origin: &Origin) -> Result<Self, FileError> {
+        let damaged =
+            |error: serde_json::Error| FileError::content("scores of a scene", error.to_string(), path);
         let text = std::fs::read(path).map_err(FileError::io("read", path))?;
-        serde_json::from_slice(&text)
-            .map_err(|error| FileError::content("scores of a scene", error.to_string(), path))
+        let result: Self = serde_json::from_slice(&text).map_err(damaged)?;
+        if result.origin == *origin {
+            return Ok(result);
+        }
+        let [now, before] = [origin, &result.origin].map(serde_json::to_string);
+        let expected = format!("scores of {}", now.map_err(damaged)?);
+        Err(FileError::content(expected, before.map_err(damaged)?, path))
     }
 }
 
@@ -91,6 +108,7 @@ pub(super) fn run(
     let result = RunResult {
         scene: scene.name.clone(),
         row: row.name.clone(),
+        origin: row.origin(networks, settings),
         numbers,
         t_s: scores.t_s,
         psnr_db: scores.psnr_db.steps,

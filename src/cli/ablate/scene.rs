@@ -8,7 +8,6 @@ use crate::cli::rasterizer::RasterizerArgs;
 use crate::cli::stand_ins::StandInArgs;
 use crate::conditions::{CameraConditions, ConditionSet, MapKind};
 use crate::dataset::{Dataset, Log, LogFormat};
-use crate::error::FileError;
 use crate::generate::{Conditioner, Drawn, FrameConditions, Recipe, TrueImages};
 use crate::metrics::{MOVING_MPS, PatchClassifier, PatchOptions, PatchTrainer, moving_mask, vehicle_mask};
 use crate::raster::Rasterizer;
@@ -49,20 +48,19 @@ pub(super) struct SceneOptions<'a> {
     pub(super) references: usize,
     pub(super) settings: &'a Settings,
     pub(super) rasterizer: &'a RasterizerArgs,
-    /// Has room for a skeleton.
-    pub(super) folder: &'a Path,
+    /// Where the skeleton is, or will be: it stays for what is asked later.
+    pub(super) skeleton: &'a Path,
 }
 
 impl Scene {
-    /// Builds the skeleton and drives through the town.
+    /// Builds the skeleton, if it is not there, and drives through the town.
     pub(super) fn draw(town: &Town, options: &SceneOptions<'_>) -> anyhow::Result<Self> {
         check_length(town.log(), options.count())?;
-        let scratch = tempfile::Builder::new().prefix(".pskel-").tempdir_in(options.folder);
-        let scratch = scratch.map_err(FileError::io("create a folder in", options.folder))?;
-        let path = scratch.path().join("skeleton");
-        let input = [BuildInput::all(town)];
-        skeleton::build(&path, &input, &BuildOptions::default(), &|_| Ok(Vec::new()), &BuildRun::default())?;
-        let skeleton = Skeleton::open(&path)?;
+        if !options.skeleton.exists() {
+            let (input, how) = ([BuildInput::all(town)], BuildOptions::default());
+            skeleton::build(options.skeleton, &input, &how, &|_| Ok(Vec::new()), &BuildRun::default())?;
+        }
+        let skeleton = Skeleton::open(options.skeleton)?;
         let log = town.log();
         let (stand_ins, _) = StandInArgs::augmented(None).make(&skeleton, &log.name)?;
         let stage = Stage::with(&skeleton, &log.name, &stand_ins);

@@ -33,9 +33,9 @@ pub(super) struct GenerateArgs {
     /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The network: network:FILE with weights of `pskel train`, or process:COMMAND|unix:PATH|tcp:HOST:PORT
-    /// (docs/DENOISER.md)
-    #[arg(long, value_name = "NETWORK")]
+    /// The network: the one that comes with the program, network:FILE with weights of `pskel train`, or
+    /// process:COMMAND|unix:PATH|tcp:HOST:PORT (docs/DENOISER.md)
+    #[arg(long, value_name = "NETWORK", default_value = "network")]
     generator: NetworkName,
     /// Steps to take [default: to the end of the log]
     #[arg(long, value_name = "N", default_value_t = usize::MAX, hide_default_value = true)]

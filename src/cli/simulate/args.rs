@@ -71,9 +71,9 @@ pub(in crate::cli) struct SimulateArgs {
     /// For the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, either may be missing
     #[arg(long, value_name = "F.json")]
     pub(super) annotations: Option<PathBuf>,
-    /// Also make the images that the cameras would see, by a network: network:FILE with weights of `pskel train`, or
-    /// process:COMMAND|unix:PATH|tcp:HOST:PORT (docs/DENOISER.md). At each plan step it writes steps/STEP/generated, and
-    /// truth where that is known
+    /// Also make the images that the cameras would see, by a network: `network`, which comes with the program,
+    /// network:FILE with weights of `pskel train`, or process:COMMAND|unix:PATH|tcp:HOST:PORT (docs/DENOISER.md). At each
+    /// plan step it writes steps/STEP/generated, and truth where that is known
     #[arg(long, value_name = "NETWORK")]
     pub(super) generator: Option<NetworkName>,
     #[command(flatten)]

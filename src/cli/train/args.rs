@@ -29,11 +29,11 @@ pub(in crate::cli) struct TrainArgs {
     /// Leave the assets of the other drives as they are; else a share of them is thinned or cut to what one camera sees
     #[arg(long)]
     pub(super) no_augment: bool,
-    /// What first weights, choices, noise and drives follow from
+    /// What first weights, choices and noise follow from; drives are the same for all seeds
     #[arg(long, value_name = "SEED", default_value = "1")]
     pub(super) seed: u64,
     /// Steps in all; 0 records the drives alone
-    #[arg(long, value_name = "N", default_value = "10000")]
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().steps)]
     pub(super) steps: u64,
     /// Windows a step
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().batch)]

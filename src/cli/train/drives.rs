@@ -27,10 +27,11 @@ pub(super) struct Recording<'a> {
     pub(super) variants: usize,
     /// Whether the assets of the others are made worse.
     pub(super) augment: bool,
-    pub(super) seed: u64,
     pub(super) rasterizer: &'a RasterizerArgs,
 }
 
+/// What places and assets of variants follow from. It is not the training's seed: trainings share drives.
+const SEED: u64 = 1;
 /// Farthest to either side that a variant drives, metres.
 const BESIDE_M: f64 = 3.5;
 /// Most that a variant is turned, radians.
@@ -58,10 +59,10 @@ impl Recording<'_> {
         files.iter().map(|file| Ok(self.open(town, file)?)).collect()
     }
 
-    /// `LOG-SEED-VARIANT[a].safetensors`.
+    /// `LOG-VARIANT[a].safetensors`.
     fn file(&self, town: &Town, number: usize) -> PathBuf {
         let worse = if self.augment && number > 0 { "a" } else { "" };
-        self.folder.join(format!("{}-{}-{number}{worse}.safetensors", town.log().name, self.seed))
+        self.folder.join(format!("{}-{number}{worse}.safetensors", town.log().name))
     }
 
     fn record(&self, town: &Town, files: &[PathBuf]) -> anyhow::Result<()> {
@@ -82,11 +83,11 @@ impl Recording<'_> {
         if number == 0 {
             return Variant::default();
         }
-        let mut random: ChaCha8Rng = Seeder::from((self.seed, log, number as u64)).into_rng();
+        let mut random: ChaCha8Rng = Seeder::from((SEED, log, number as u64)).into_rng();
         let mut within =
             |most: f64| Uniform::new_inclusive(-most, most).map_or(0.0, |range| range.sample(&mut random));
         let offset = EgoOffset { x_m: 0.0, y_m: within(BESIDE_M), yaw_rad: within(TURNED_RAD) };
-        Variant { offset, augment: self.augment.then_some(self.seed ^ number as u64) }
+        Variant { offset, augment: self.augment.then_some(SEED ^ number as u64) }
     }
 
     /// A drive that was made in another way is none of these.

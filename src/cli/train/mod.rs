@@ -33,7 +33,6 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
         recipe: &config.recipe,
         variants: usize::from(args.variants),
         augment: !args.no_augment,
-        seed: args.seed,
         rasterizer: &args.rasterizer,
     };
     let drives = recording.drives(&args.logs)?;

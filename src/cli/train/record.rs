@@ -2,13 +2,11 @@
 
 use std::sync::Arc;
 
-use image::RgbImage;
-
 use crate::cli::rasterizer::RasterizerArgs;
 use crate::cli::stand_ins::StandInArgs;
 use crate::conditions;
 use crate::dataset::{Dataset, Log};
-use crate::generate::{Drive, DriveFrame, DriveInfo, Recipe};
+use crate::generate::{Drive, DriveFrame, DriveInfo, Recipe, TrueImages};
 use crate::geometry::View;
 use crate::scene::{EgoOffset, SceneMap, SceneState, SelectionOptions, Stage, frame_rate_hz, state_of_frame};
 use crate::skeleton::Skeleton;
@@ -49,7 +47,8 @@ impl Source<'_> {
             let state = SceneState { map: map.clone(), ..state };
             let instances = stage.instances(&state, &SelectionOptions::default());
             let set = conditions::render(rasterizer.as_mut(), &instances, &state, &options)?;
-            let images = self.images(&state)?;
+            let drawn = |view: &View| options.drawn_view(view);
+            let images = TrueImages::Town(self.town).of(&state, drawn, self.recipe.size, true)?;
             frames.push(DriveFrame::new(&about, &set, &state, before, &images)?);
             before = Some(state.global_from_ego);
         }
@@ -63,12 +62,5 @@ impl Source<'_> {
             cameras: log.cameras.clone(),
             recipe: self.recipe.clone(),
         }
-    }
-
-    /// What the cameras of a state see.
-    fn images(&self, state: &SceneState) -> anyhow::Result<Vec<RgbImage>> {
-        let options = self.recipe.options(true);
-        let views: Vec<View> = state.cameras.iter().map(|camera| options.drawn_view(&camera.view)).collect();
-        Ok(self.town.truth(state.t_us, &views)?.into_iter().map(|seen| seen.image).collect())
     }
 }

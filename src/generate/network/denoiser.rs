@@ -40,6 +40,22 @@ impl Network {
         Self::new(Weights::open(path)?)
     }
 
+    /// With the weights that come with the program.
+    ///
+    /// # Errors
+    /// As [`Weights::shipped`].
+    pub fn shipped() -> Result<Self, NetworkError> {
+        Self::new(Weights::shipped()?)
+    }
+
+    /// With the weights of a file; else with those that come with the program.
+    ///
+    /// # Errors
+    /// As [`Weights::open`].
+    pub fn open_or_shipped(path: Option<&Path>) -> Result<Self, NetworkError> {
+        path.map_or_else(Self::shipped, Self::open)
+    }
+
     /// Its size and shape.
     pub fn config(&self) -> &NetworkConfig {
         &self.config

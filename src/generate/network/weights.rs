@@ -45,6 +45,8 @@ struct Header {
 }
 
 const HEADER: &str = "network";
+/// What `pskel train` has left; beside it is how its loss fell.
+const SHIPPED: &[u8] = include_bytes!("shipped/weights.safetensors");
 
 impl Weights {
     /// Of a network that was not trained: it shows what its conditions show, and noise.
@@ -88,9 +90,19 @@ impl Weights {
     /// # Errors
     /// Anything else: another header, parameters that are missing, too many, or of other shapes or types.
     pub fn open(path: &Path) -> Result<Self, NetworkError> {
-        let bytes = read_whole(path)?;
-        let (Header { config, statistics, about }, tensors) =
-            read::<Header>(&bytes, HEADER, "weights", path)?;
+        Self::read(&read_whole(path)?, path)
+    }
+
+    /// Those that come with the program.
+    ///
+    /// # Errors
+    /// None, unless the program was built with another file in their place.
+    pub fn shipped() -> Result<Self, NetworkError> {
+        Self::read(SHIPPED, Path::new("shipped/weights.safetensors"))
+    }
+
+    fn read(bytes: &[u8], path: &Path) -> Result<Self, NetworkError> {
+        let (Header { config, statistics, about }, tensors) = read::<Header>(bytes, HEADER, "weights", path)?;
         config.check_with(&statistics).map_err(|error| in_file(error, path))?;
         let shapes = shapes(&config);
         if tensors.len() != shapes.len() {

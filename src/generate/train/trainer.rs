@@ -151,7 +151,8 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// The tensor library's.
     pub fn weights(&self, command: &str) -> Result<Weights, NetworkError> {
-        let logs = self.drives.iter().map(|drive| drive.about.log.clone()).collect();
+        let mut logs: Vec<String> = self.drives.iter().map(|drive| drive.about.log.clone()).collect();
+        logs.dedup(); // there are several drives of each
         Ok(Weights {
             config: self.config.clone(),
             statistics: self.statistics.clone(),

@@ -10,7 +10,7 @@ use point_skeleton::generate::network::{
 use point_skeleton::generate::train::{TrainOptions, Trainer, measure};
 use point_skeleton::generate::{
     Codec, Condition, Denoiser, Drive, DriveFrame, DriveInfo, Dropped, Frame, FrameConditions, GaussianNoise,
-    Latent, Level, NoiseSource, Recipe, Strategy,
+    GenerateOptions, Latent, Level, NoiseSource, Recipe, Strategy,
 };
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::sim::Forecast;
@@ -52,19 +52,25 @@ fn shade(kind: usize, x: usize, y: usize, color: usize) -> u8 {
     (seed.wrapping_mul(2_654_435_761) >> 24) as u8
 }
 
-/// A drive past textured patches, whose color map has holes.
+/// A drive of two cameras past textured patches, whose color map has holes.
 pub(crate) fn made(number: usize, frames: usize) -> Drive {
-    let cameras = vec!["left".to_owned(), "right".to_owned()];
-    let about = DriveInfo { log: format!("made {number}"), hz: 5.0, cameras, recipe: recipe() };
+    made_for(&config(), number, frames)
+}
+
+/// As a network takes it.
+fn made_for(config: &NetworkConfig, number: usize, frames: usize) -> Drive {
+    let views = config.cameras;
+    let cameras = (0..views).map(|view| format!("camera {view}")).collect();
+    let about = DriveInfo { log: format!("made {number}"), hz: 5.0, cameras, recipe: config.recipe.clone() };
     let frame = |frame: usize| {
         let mut made = DriveFrame { action: [1.0, 0.1 * frame as f32, 0.02], ..DriveFrame::default() };
-        for (view, y, x) in places() {
+        for (view, y, x) in places(views, config.recipe.size) {
             let kind = kind(number, view, frame, x, y);
             let truth = [0, 1, 2].map(|color| shade(kind, x, y, color));
             let is_hole = !(x * 7 + y * 3 + frame).is_multiple_of(5);
             made.truth.push(truth);
             made.color.push(if is_hole { [0; 3] } else { [truth[0] / 4; 3] });
-            made.bins.push(if is_hole { 0 } else { 1 + (y * 8 + x) as u16 });
+            made.bins.push(if is_hole { 0 } else { 1 + ((y * 8 + x) % 256) as u16 });
             made.boxes.push(if x / 8 == frame % 4 { [255, 0, 0] } else { [0; 3] });
             // The low bit of the kind is whether two colors differ: no linear guess tells it.
             let [low, high, mask] = [kind & 1, kind >> 1, (x / 4 + y / 4) & 1];
@@ -77,15 +83,16 @@ pub(crate) fn made(number: usize, frames: usize) -> Drive {
             0.0, -1.0, 0.0, 1.5,
             0.8, 1.4, 0.5, 0.5,
         ];
-        made.cameras = vec![camera(0.5), camera(-0.5)];
+        made.cameras = (0..views).map(|view| camera(0.5 - view as f32)).collect();
         made
     };
     Drive { about, frames: (0..frames).map(frame).collect() }
 }
 
-fn places() -> impl Iterator<Item = (usize, usize, usize)> {
-    let (height, width) = (SIZE.height as usize, SIZE.width as usize);
-    (0..VIEWS * height * width).map(move |i| (i / width / height, i / width % height, i % width))
+/// Of pixels: view, row, column.
+fn places(views: usize, size: ImageSize) -> impl Iterator<Item = (usize, usize, usize)> {
+    let (height, width) = (size.height as usize, size.width as usize);
+    (0..views * height * width).map(move |i| (i / width / height, i / width % height, i % width))
 }
 
 fn conditions(drive: &Drive) -> Vec<FrameConditions> {
@@ -348,19 +355,40 @@ fn weights_are_read_as_they_were_written_or_refused() {
 }
 
 /// With the network itself, bit by bit: rolls that are reset have seen no forecast, others have.
+/// They say where they come from, and the log of their training stands beside them.
+#[test]
+fn shipped_weights_are_of_the_default_network_and_its_training() {
+    let weights = Weights::shipped().unwrap();
+    assert_eq!(weights.config, NetworkConfig::default());
+    let log = include_str!("../../../src/generate/network/shipped/loss.csv");
+    let options = TrainOptions::default();
+    assert_eq!((weights.about.seed, weights.about.steps), (options.seed, options.steps));
+    assert_eq!(log.lines().count() as u64, 1 + options.steps);
+    assert!(weights.about.command.starts_with("pskel train town:seed=201"), "{}", weights.about.command);
+    assert_eq!(weights.about.logs.len(), 11);
+}
+
 #[test]
 fn the_cache_of_the_network_has_seen_no_forecast() {
-    let drives = [made(1, 8)];
-    let weights = weights(&drives);
-    let conditions = conditions(&drives[0]);
-    let elsewhere = self::conditions(&made(2, 8));
+    the_cache_has_seen_no_forecast(&weights(&[made(1, 8)]));
+}
+
+#[test]
+fn the_cache_of_the_shipped_network_has_seen_no_forecast() {
+    the_cache_has_seen_no_forecast(&Weights::shipped().unwrap());
+}
+
+/// With the same seed, other forecasts change neither caches nor later frames, unless frames roll on with what they saw.
+fn the_cache_has_seen_no_forecast(weights: &Weights) {
+    let conditions = conditions(&made_for(&weights.config, 1, 8));
+    let elsewhere = self::conditions(&made_for(&weights.config, 2, 8));
+    let network = || Network::new(weights.clone()).unwrap();
     for (strategy, forgets) in [(Strategy::ResetAndRoll, true), (Strategy::Rolling, false)] {
-        let options = roll_options(strategy);
-        let references = noises(&Network::new(weights.clone()).unwrap(), 3)[..3].to_vec();
+        let options = GenerateOptions { steps: 4, ..roll_options(strategy) };
+        let references = noises(&network(), 3)[..3].to_vec();
         let mut drive = Rollout::of(&options, references, &conditions);
         let run = |drive: &Rollout<FrameConditions>| {
-            let network = Network::new(weights.clone()).unwrap();
-            drive.run(&mut drive.generator(network, GaussianNoise { seed: 4 }, options))
+            drive.run(&mut drive.generator(network(), GaussianNoise { seed: 4 }, options))
         };
         let (frames, caches) = run(&drive);
         for (forecast, other) in drive.forecasts[1].iter_mut().zip(&elsewhere) {
