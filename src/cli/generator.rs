@@ -25,9 +25,9 @@ use crate::scene::{SceneMap, Stage};
 /// Makes images of the conditions.
 #[derive(Clone, Debug, Args)]
 pub(super) struct GeneratorArgs {
-    /// How the window moves
-    #[arg(long, value_enum, value_name = "STRATEGY", default_value = "reset_and_roll")]
-    strategy: StrategyName,
+    /// How the window moves [default: reset_and_roll]
+    #[arg(long, value_enum, value_name = "STRATEGY")]
+    strategy: Option<StrategyName>,
     /// Frames in the window, L; the first L - 1 frames are true images [default: what the network is trained for; 4 of a
     /// process]
     #[arg(long, value_name = "L")]
@@ -35,33 +35,33 @@ pub(super) struct GeneratorArgs {
     /// Inference steps, T, a multiple of L - C with the strategies that roll [default: L - C]
     #[arg(long, value_name = "T")]
     infer_steps: Option<usize>,
-    /// Leading frames of the window that are always clean
-    #[arg(long, value_name = "C", default_value = "0")]
-    clean: usize,
-    /// With --strategy non_causal: forecasts in the window
-    #[arg(long, value_name = "K", default_value = "1")]
-    ahead: usize,
-    /// With --strategy causal: noise on the frames before, in steps of 1000
-    #[arg(long, value_name = "N", default_value = "0")]
-    history_noise: usize,
-    /// Scale of classifier-free guidance; 1 is none, more asks the network twice
-    #[arg(long, value_name = "S", default_value = "1", value_parser = numbers::scale)]
-    guidance: f32,
-    /// What the other half of the guidance does without: layout, text and action, or color and depth too
-    #[arg(long, value_enum, default_value = "layout")]
-    guide: Guide,
-    /// What noise follows from
-    #[arg(long, value_name = "SEED", default_value = "0")]
-    noise_seed: u64,
-    /// With process:.. what its predictions are
-    #[arg(long, value_enum, default_value = "flow_match")]
-    sampler: SamplerName,
+    /// With strategies that roll: leading frames of the window that are always clean [default: 0]
+    #[arg(long, value_name = "C")]
+    clean: Option<usize>,
+    /// With --strategy non_causal: forecasts in the window [default: 1]
+    #[arg(long, value_name = "K")]
+    ahead: Option<usize>,
+    /// With --strategy causal: noise on the frames before, in steps of 1000 [default: 0]
+    #[arg(long, value_name = "N")]
+    history_noise: Option<usize>,
+    /// Scale of classifier-free guidance; 1 is none, more asks the network twice [default: 1]
+    #[arg(long, value_name = "S", value_parser = numbers::scale)]
+    guidance: Option<f32>,
+    /// What the other half of the guidance does without: layout, text and action, or color and depth too [default: layout]
+    #[arg(long, value_enum)]
+    guide: Option<Guide>,
+    /// What noise follows from [default: 0]
+    #[arg(long, value_name = "SEED")]
+    noise_seed: Option<u64>,
+    /// With process:.. what its predictions are [default: flow_match]
+    #[arg(long, value_enum)]
+    sampler: Option<SamplerName>,
     /// With process:.. how its conditions are made, as JSON; what is missing is as of the built-in network
     #[arg(long, value_name = "F.json")]
     recipe: Option<PathBuf>,
-    /// With process:.. how long to wait for each of its answers, seconds
-    #[arg(long, value_name = "S", default_value = "60", value_parser = numbers::timeout_s)]
-    generator_timeout: f64,
+    /// With process:.. how long to wait for each of its answers, seconds [default: 60]
+    #[arg(long, value_name = "S", value_parser = numbers::timeout_s)]
+    generator_timeout: Option<f64>,
 }
 
 /// Which network.
@@ -118,6 +118,7 @@ pub(super) struct Opened {
     options: GenerateOptions,
     seed: u64,
     about: Option<About>,
+    fingerprint: Option<String>,
     name: NetworkName,
 }
 
@@ -127,6 +128,7 @@ pub(super) struct GeneratorReport {
     network: NetworkName,
     /// Where the weights come from.
     weights: Option<About>,
+    fingerprint: Option<String>,
     /// Size of the images.
     size: ImageSize,
     recipe: Recipe,
@@ -148,10 +150,47 @@ pub(super) struct Subject<'a> {
 
 /// Frames in the window of a network that does not tell.
 const WINDOW: usize = 4;
+/// How long another process may take to answer, seconds.
+const TIMEOUT_S: f64 = 60.0;
 /// Of flow matching. Source: the scheduler of Stable Diffusion 3.5.
 const SHIFT: f64 = 3.0;
 
 impl GeneratorArgs {
+    /// Options without effect are refused.
+    pub(super) fn check(&self, name: Option<&NetworkName>) -> Result<(), WrongUsage> {
+        let Self { strategy, clean, guidance, .. } = self;
+        let strategy = strategy.unwrap_or(StrategyName::ResetAndRoll);
+        let rolls = matches!(strategy, StrategyName::ResetAndRoll | StrategyName::Rolling);
+        let is_process = matches!(name, Some(NetworkName::Process(_)));
+        let guided = guidance.is_some_and(|scale| scale != 1.0);
+        let network = "--generator";
+        let process = "--generator process:..";
+        let options = [
+            ("--strategy", self.strategy.is_some(), true, network),
+            ("--window", self.window.is_some(), true, network),
+            ("--infer-steps", self.infer_steps.is_some(), true, network),
+            ("--guidance", guidance.is_some(), true, network),
+            ("--noise-seed", self.noise_seed.is_some(), true, network),
+            ("--clean", clean.is_some(), rolls, "--strategy reset_and_roll or rolling"),
+            ("--ahead", self.ahead.is_some(), strategy == StrategyName::NonCausal, "--strategy non_causal"),
+            (
+                "--history-noise",
+                self.history_noise.is_some(),
+                strategy == StrategyName::Causal,
+                "--strategy causal",
+            ),
+            ("--guide", self.guide.is_some(), guided, "--guidance other than 1"),
+            ("--sampler", self.sampler.is_some(), is_process, process),
+            ("--recipe", self.recipe.is_some(), is_process, process),
+            ("--generator-timeout", self.generator_timeout.is_some(), is_process, process),
+        ];
+        let given = options.into_iter().filter(|(_, is_given, ..)| *is_given);
+        let unused = given.into_iter().find(|(_, _, does, _)| name.is_none() || !does);
+        let Some((option, _, _, needs)) = unused else { return Ok(()) };
+        let needs = if name.is_none() { network } else { needs };
+        Err(WrongUsage(format!("expected {needs} with {option}, found none")))
+    }
+
     /// Opens or starts the network; `cameras` is what the log has.
     pub(super) fn open(&self, name: &NetworkName, cameras: usize) -> anyhow::Result<Opened> {
         match name {
@@ -161,13 +200,6 @@ impl GeneratorArgs {
     }
 
     fn network(&self, path: Option<&Path>, cameras: usize) -> anyhow::Result<Opened> {
-        let for_process =
-            [("--sampler", self.sampler != SamplerName::FlowMatch), ("--recipe", self.recipe.is_some())];
-        if let Some((option, _)) = for_process.into_iter().find(|(_, given)| *given) {
-            return Err(
-                WrongUsage(format!("expected --generator process:.. with {option}, found network")).into()
-            );
-        }
         let network = Network::open_or_shipped(path)?;
         let config = network.config();
         let (trained, recipe) = (config.frames, config.recipe.clone());
@@ -188,10 +220,11 @@ impl GeneratorArgs {
             codec: Box::new(network.codec()?),
             size: recipe.size,
             about: Some(network.about().clone()),
+            fingerprint: Some(network.fingerprint().to_owned()),
             denoiser: Box::new(network),
             recipe,
             options,
-            seed: self.noise_seed,
+            seed: self.noise_seed.unwrap_or(0),
             name: NetworkName::Network(path.map(Path::to_owned)),
         })
     }
@@ -199,44 +232,47 @@ impl GeneratorArgs {
     fn process(&self, address: &PeerAddress, cameras: usize) -> anyhow::Result<Opened> {
         let options = self.options(self.window.unwrap_or(WINDOW))?;
         let recipe = self.recipe.as_deref().map_or(Ok(Recipe::default()), read_recipe)?;
-        let spec = PeerSpec { address: address.clone(), timeout_s: self.generator_timeout };
+        let spec =
+            PeerSpec { address: address.clone(), timeout_s: self.generator_timeout.unwrap_or(TIMEOUT_S) };
         let denoiser = ProcessDenoiser::start(&spec, &options, cameras, recipe.size)?;
         let (codec, size) = denoiser.codec()?;
         Ok(Opened {
             codec,
             size,
             about: None,
+            fingerprint: None,
             denoiser: Box::new(denoiser),
             recipe,
             options,
-            seed: self.noise_seed,
+            seed: self.noise_seed.unwrap_or(0),
             name: NetworkName::Process(address.clone()),
         })
     }
 
     fn options(&self, window: usize) -> Result<GenerateOptions, WrongUsage> {
         let dropped = match self.guide {
-            Guide::Layout => Dropped::GUIDED,
-            Guide::All => Dropped::ALL,
+            None | Some(Guide::Layout) => Dropped::GUIDED,
+            Some(Guide::All) => Dropped::ALL,
         };
+        let clean = self.clean.unwrap_or(0);
         let ddim = |prediction| SamplerOptions::Ddim { prediction };
         let options = GenerateOptions {
             window,
-            steps: self.infer_steps.unwrap_or(window.saturating_sub(self.clean)),
-            clean: self.clean,
-            strategy: match self.strategy {
+            steps: self.infer_steps.unwrap_or(window.saturating_sub(clean)),
+            clean,
+            strategy: match self.strategy.unwrap_or(StrategyName::ResetAndRoll) {
                 StrategyName::ResetAndRoll => Strategy::ResetAndRoll,
                 StrategyName::Rolling => Strategy::Rolling,
-                StrategyName::Causal => Strategy::Causal { history_noise: self.history_noise },
-                StrategyName::NonCausal => Strategy::NonCausal { forecasts: self.ahead },
+                StrategyName::Causal => Strategy::Causal { history_noise: self.history_noise.unwrap_or(0) },
+                StrategyName::NonCausal => Strategy::NonCausal { forecasts: self.ahead.unwrap_or(1) },
             },
-            sampler: match self.sampler {
+            sampler: match self.sampler.unwrap_or(SamplerName::FlowMatch) {
                 SamplerName::FlowMatch => SamplerOptions::FlowMatch { shift: SHIFT },
                 SamplerName::DdimEpsilon => ddim(Prediction::Epsilon),
                 SamplerName::DdimSample => ddim(Prediction::Sample),
                 SamplerName::DdimVelocity => ddim(Prediction::Velocity),
             },
-            guidance: Guidance { scale: self.guidance, dropped },
+            guidance: Guidance { scale: self.guidance.unwrap_or(1.0), dropped },
         };
         options.check().map_err(|error| WrongUsage(error.to_string()))?;
         Ok(options)
@@ -261,6 +297,7 @@ impl Opened {
         GeneratorReport {
             network: self.name.clone(),
             weights: self.about.clone(),
+            fingerprint: self.fingerprint.clone(),
             size: self.size,
             recipe: self.recipe.clone(),
             options: self.options,
@@ -320,6 +357,8 @@ impl fmt::Display for NetworkName {
 
 fn read_recipe(path: &Path) -> Result<Recipe, FileError> {
     let text = std::fs::read(path).map_err(FileError::io("read", path))?;
-    serde_json::from_slice(&text)
-        .map_err(|error| FileError::content("a recipe of conditions", error.to_string(), path))
+    let recipe: Recipe = serde_json::from_slice(&text)
+        .map_err(|error| FileError::content("a recipe of conditions", error.to_string(), path))?;
+    recipe.check().map_err(|error| FileError::content(error.expected, error.found, path))?;
+    Ok(recipe)
 }

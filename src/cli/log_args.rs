@@ -2,6 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use super::WrongUsage;
 use crate::dataset::{Dataset, DatasetError, LogLocator};
 use crate::logs;
 
@@ -19,6 +20,14 @@ pub(super) struct LogRoots {
 /// For the parser: a log's name.
 pub(super) fn log(text: &str) -> Result<LogLocator, DatasetError> {
     logs::locate(text)
+}
+
+/// Each log may be named once.
+pub(super) fn check_distinct(logs: &[LogLocator]) -> Result<(), WrongUsage> {
+    match logs.iter().enumerate().find(|(place, log)| logs[..*place].contains(log)) {
+        None => Ok(()),
+        Some((_, log)) => Err(WrongUsage(format!("expected each log once, found {log} again"))),
+    }
 }
 
 impl LogRoots {

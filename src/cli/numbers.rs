@@ -3,6 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::peer::MAX_TIMEOUT_S;
 use crate::scene::EgoOffset;
 use crate::skeleton::CHUNK_M;
 
@@ -61,7 +62,8 @@ pub(super) fn scale(text: &str) -> Result<f32, String> {
 
 /// How long to wait.
 pub(super) fn timeout_s(text: &str) -> Result<f64, String> {
-    finite(text).filter(|v| *v > 0.0 && *v <= 1e6).ok_or_else(|| "expected seconds, more than 0".into())
+    let seconds = finite(text).filter(|v| *v > 0.0 && *v <= MAX_TIMEOUT_S);
+    seconds.ok_or_else(|| format!("expected seconds, more than 0 and at most {MAX_TIMEOUT_S}"))
 }
 
 /// From 0 to 1.

@@ -15,6 +15,7 @@ pub enum BinScale {
 
 /// Bins of depth; bin 0 is "empty".
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct DepthBins {
     /// How the bins are spaced.
     pub scale: BinScale,

@@ -4,9 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::rolling::{self, Known};
 use super::window::Roll;
-use super::{
-    Denoiser, DenoiserError, Guidance, Latent, LatentShape, NoiseSource, Sampler, SamplerOptions, Strategy,
-};
+use super::{Denoiser, DenoiserError, Guidance, Latent, NoiseSource, Sampler, SamplerOptions, Strategy};
 use crate::sim::{Committed, Forecast};
 
 /// How frames are generated.
@@ -45,16 +43,17 @@ pub struct Cache {
     pub next: usize,
     /// The window: L frames, or the L-1 last finished ones before the first step and without rolls.
     pub frames: Vec<Latent>,
-    /// Leading frames of the window that are references, f.
+    /// Leading frames of the window that are finished and not changed: references, f, or what was there before a window
+    /// began anew.
     pub references: usize,
-    /// Rolls that the window has made in place, at the end of all conditions.
+    /// Rolls that the window has made in place, at the end of all conditions: under [`Strategy::Rolling`] alone.
     pub in_place: usize,
 }
 
 /// Why no frame comes.
 #[derive(Debug, thiserror::Error)]
 pub enum GenerateError {
-    /// Numbers that do not go together, or frames that do not fit them.
+    /// Numbers that do not go together, or frames, a cache or forecasts that do not fit them.
     #[error("expected {expected}, found {found}")]
     Options {
         /// What would do.
@@ -80,7 +79,7 @@ impl GenerateOptions {
     pub fn check(&self) -> Result<(), GenerateError> {
         let Self { window, steps, clean, strategy, .. } = *self;
         let wrong = |expected: String, found: String| Err(GenerateError::Options { expected, found });
-        if !(2..=MAX_WINDOW).contains(&window) || clean + 1 >= window.max(2) && clean > 0 {
+        if !(2..=MAX_WINDOW).contains(&window) || clean >= window {
             let expected = format!("a window of 2 to {MAX_WINDOW} frames and fewer clean ones");
             return wrong(expected, format!("a window of {window} with {clean} clean"));
         }
@@ -94,7 +93,7 @@ impl GenerateOptions {
             Strategy::Rolling if clean > 0 => {
                 wrong("no clean frames with rolling".to_owned(), clean.to_string())
             }
-            Strategy::NonCausal { forecasts } if forecasts + 1 > window => {
+            Strategy::NonCausal { forecasts } if forecasts >= window => {
                 wrong(format!("at most {} forecasts in the window", window - 1), forecasts.to_string())
             }
             Strategy::Causal { history_noise } if history_noise >= 1000 => {
@@ -149,7 +148,7 @@ impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
     /// Goes on from a cache, with the conditions that were committed for the last L-1 frames.
     ///
     /// # Errors
-    /// As [`Generator::new`].
+    /// As [`Generator::new`], or a cache that a generator of these options does not leave behind.
     pub fn resume(
         denoiser: D,
         noise: N,
@@ -159,16 +158,10 @@ impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
     ) -> Result<Self, GenerateError> {
         options.check()?;
         let count = options.references();
-        let wrong = |expected: String, found: String| Err(GenerateError::Options { expected, found });
-        if ![count, count + 1].contains(&cache.frames.len()) {
-            return wrong(format!("{count} reference frames"), cache.frames.len().to_string());
-        }
+        cache.check(&options, denoiser.shape())?;
         if shown.len() != count {
-            return wrong(format!("the conditions of {count} frames"), shown.len().to_string());
-        }
-        let shape = denoiser.shape();
-        if let Some(other) = cache.frames.iter().map(Latent::shape).find(|other| *other != shape) {
-            return wrong(format!("latents of {shape}"), other.to_string());
+            let expected = format!("the conditions of {count} frames");
+            return Err(GenerateError::Options { expected, found: shown.len().to_string() });
         }
         let sampler = Sampler::new(options.sampler, options.steps);
         Ok(Self { denoiser, noise, options, sampler, cache, shown: shown.into() })
@@ -177,11 +170,6 @@ impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
     /// What goes on to the next step.
     pub fn cache(&self) -> &Cache {
         &self.cache
-    }
-
-    /// Size of the latents.
-    pub fn shape(&self) -> LatentShape {
-        self.denoiser.shape()
     }
 
     /// The network.
@@ -193,16 +181,18 @@ impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
     /// stays in place.
     ///
     /// # Errors
-    /// What the network does wrong; the cache is as before.
+    /// What the network does wrong; under [`Strategy::Rolling`] forecasts that end before those that are in the window. The
+    /// cache is as before.
     pub fn step(
         &mut self,
         now: Committed<D::Condition>,
         forecasts: &[Forecast<D::Condition>],
     ) -> Result<Latent, GenerateError> {
         let frame = self.cache.next;
+        let used = forecasts.len().min(self.options.forecasts());
+        rolling::check(&self.options, &self.cache, used)?;
         let mut cache = self.cache.clone();
         let finished = {
-            let used = forecasts.len().min(self.options.forecasts());
             let committed = self.shown.iter().chain([&now]).map(Committed::get);
             let mut known = Known {
                 denoiser: &mut self.denoiser,
@@ -220,5 +210,55 @@ impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
         self.shown.pop_front();
         self.shown.push_back(now);
         Ok(finished)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_that_do_not_go_together_are_refused() {
+        let good = GenerateOptions {
+            window: 4,
+            steps: 8,
+            clean: 0,
+            strategy: Strategy::ResetAndRoll,
+            sampler: SamplerOptions::default(),
+            guidance: Guidance::default(),
+        };
+        let options = |change: fn(&mut GenerateOptions)| {
+            let mut options = good;
+            change(&mut options);
+            options.check().map_err(|error: GenerateError| error.to_string())
+        };
+        assert_eq!([options(|_| ()), options(|o| o.clean = 3)], [Ok(()), Ok(())]);
+        assert_eq!(options(|o| (o.window, o.clean) = (2, 1)), Ok(()));
+        type Change = fn(&mut GenerateOptions);
+        let refused: [(Change, &str); 10] = [
+            (|o| o.steps = 7, "a multiple of 4, found 7"),
+            (|o| o.steps = 0, "1 to 1000 inference steps, found 0"),
+            (|o| o.window = 1, "a window of 2 to 64"),
+            (|o| o.clean = 4, "a window of 4 with 4 clean"),
+            (|o| o.clean = usize::MAX, "and fewer clean ones, found a window of 4 with"),
+            (
+                |o| o.strategy = Strategy::NonCausal { forecasts: usize::MAX },
+                "at most 3 forecasts in the window",
+            ),
+            (|o| (o.clean, o.steps) = (1, 8), "a multiple of 3, found 8"),
+            (
+                |o| (o.clean, o.steps, o.strategy) = (1, 9, Strategy::Rolling),
+                "no clean frames with rolling, found 1",
+            ),
+            (
+                |o| o.strategy = Strategy::NonCausal { forecasts: 4 },
+                "at most 3 forecasts in the window, found 4",
+            ),
+            (|o| o.strategy = Strategy::Causal { history_noise: 1000 }, "less than 1000 steps, found 1000"),
+        ];
+        for (change, said) in refused {
+            let error = options(change).unwrap_err();
+            assert!(error.contains(said), "{error}");
+        }
     }
 }

@@ -43,7 +43,7 @@ pub use latent::{Latent, LatentShape};
 pub use noise::{GaussianNoise, NoiseSource};
 pub use pixel_codec::PixelCodec;
 pub use process::ProcessDenoiser;
-pub use recipe::Recipe;
+pub use recipe::{Recipe, RecipeError};
 pub use sampler::{Level, Sampler, SamplerOptions};
 pub use saved::CacheError;
 pub use schedule::{Ddim, FlowMatch, Prediction};

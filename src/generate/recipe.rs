@@ -23,6 +23,16 @@ pub struct Recipe {
     pub bins: DepthBins,
 }
 
+/// A recipe by which no maps are made.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected {expected}, found {found}")]
+pub struct RecipeError {
+    /// What would do.
+    pub expected: String,
+    /// What stands there.
+    pub found: String,
+}
+
 impl Default for Recipe {
     fn default() -> Self {
         Self {
@@ -42,6 +52,26 @@ impl Default for Recipe {
 }
 
 impl Recipe {
+    /// Whether maps can be made so.
+    ///
+    /// # Errors
+    /// Fewer than 2 bins; distances that are not above 0; maps that are drawn smaller than the images.
+    pub fn check(&self) -> Result<(), RecipeError> {
+        let Self { drawn, size, radius_m, bins, .. } = self;
+        let wrong = |expected: &str, found: String| Err(RecipeError { expected: expected.to_owned(), found });
+        if bins.count < 2 {
+            return wrong("2 bins of depth or more", bins.count.to_string());
+        }
+        let distances = [*radius_m, f64::from(bins.far_m), f64::from(bins.gamma)];
+        if let Some(other) = distances.iter().find(|number| !(number.is_finite() && **number > 0.0)) {
+            return wrong("a radius, a farthest depth and a gamma above 0", other.to_string());
+        }
+        if drawn.height < size.height || drawn.width < size.width {
+            return wrong(&format!("maps drawn at {size} or larger"), drawn.to_string());
+        }
+        Ok(())
+    }
+
     /// The options of maps that are made so: all that [`FrameConditions`](super::FrameConditions) and
     /// [`DriveFrame`](super::DriveFrame) take.
     pub fn options(&self, has_map: bool) -> ConditionOptions {
@@ -56,5 +86,33 @@ impl Recipe {
             depth_embedding: DepthEmbedding::Both,
             ..ConditionOptions::default()
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recipes_of_which_no_maps_are_made_are_refused() {
+        let good = Recipe::default();
+        good.check().unwrap();
+        let bins = |count, far_m| DepthBins { count, far_m, ..good.bins };
+        for (recipe, said) in [
+            (Recipe { bins: bins(1, 100.0), ..good.clone() }, "2 bins of depth or more, found 1"),
+            (Recipe { bins: bins(256, 0.0), ..good.clone() }, "above 0, found 0"),
+            (Recipe { radius_m: f64::NAN, ..good.clone() }, "above 0, found NaN"),
+            (
+                Recipe { size: ImageSize { height: 256, width: 56 }, ..good.clone() },
+                "drawn at 256x56 or larger",
+            ),
+        ] {
+            let error = recipe.check().unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+        }
+        let text = r#"{"bins": {"count": 64}}"#;
+        let read: Recipe = serde_json::from_str(text).unwrap();
+        assert_eq!((read.bins.count, read.bins.far_m), (64, 100.0));
+        assert!(serde_json::from_str::<Recipe>(&text.replace("count", "counts")).is_err());
     }
 }

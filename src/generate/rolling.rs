@@ -3,7 +3,8 @@
 use std::ops::Range;
 
 use super::{
-    Cache, Denoiser, DenoiserError, Frame, GenerateOptions, Latent, NoiseSource, Progress, Sampler, Strategy,
+    Cache, Denoiser, DenoiserError, Frame, GenerateError, GenerateOptions, Latent, NoiseSource, Progress,
+    Sampler, Strategy,
 };
 
 /// What there is at a step.
@@ -18,6 +19,24 @@ pub(super) struct Known<'a, D: Denoiser, N> {
     pub(super) conditions: Vec<&'a D::Condition>,
     /// How many of them are forecasts.
     pub(super) forecasts: usize,
+}
+
+/// Whether the forecasts of a step go as far as a window that is kept.
+///
+/// # Errors
+/// Fewer of them.
+pub(super) fn check(options: &GenerateOptions, cache: &Cache, forecasts: usize) -> Result<(), GenerateError> {
+    let end = cache.next + forecasts;
+    match last_of(options, cache).filter(|last| options.strategy == Strategy::Rolling && *last > end) {
+        None => Ok(()),
+        Some(last) => Err(GenerateError::Options {
+            expected: format!(
+                "forecasts up to frame {last}, the last in the window, at frame {}",
+                cache.next
+            ),
+            found: format!("up to frame {end}"),
+        }),
+    }
 }
 
 /// Makes frame `cache.next`, and leaves in the cache what the next step starts from.
@@ -62,9 +81,14 @@ fn rolling<D: Denoiser, N: NoiseSource>(
 ) -> Result<Latent, DenoiserError> {
     let (size, frame) = (known.options.window, cache.next);
     let end = frame + known.forecasts;
-    let is_first = cache.frames.len() < size;
-    // The references go through the window before the first frame, a roll each.
-    let (rolls, mut last) = if is_first { (size, size - 2) } else { (1, last_of(cache, frame, size)) };
+    let (rolls, mut last) = match last_of(known.options, cache) {
+        Some(last) => (1, last),
+        None => {
+            begin(cache, size);
+            // The frames before this one leave first, a roll each.
+            (size, frame - 1)
+        }
+    };
     for _ in 0..rolls {
         if last < end && cache.in_place == 0 {
             last += 1;
@@ -77,10 +101,17 @@ fn rolling<D: Denoiser, N: NoiseSource>(
     Ok(cache.frames[size - 1 - (last - frame)].clone())
 }
 
-/// The frame at the window's end, before the step of frame `next`: the one before it has left, or would have, had the
-/// window not stayed in place.
-fn last_of(cache: &Cache, next: usize, size: usize) -> usize {
-    next - 1 + (size - 1) - cache.in_place
+/// The frame at the end of a rolling window before its next step: it is one farther with each roll that was not made in
+/// place. `None` if there is no window yet, or one whose frames have all come.
+fn last_of(options: &GenerateOptions, cache: &Cache) -> Option<usize> {
+    let last = (cache.next + options.window - 2).saturating_sub(cache.in_place);
+    (cache.frames.len() == options.window && last >= cache.next).then_some(last)
+}
+
+/// The last finished frames, for a new window to begin with.
+fn begin(cache: &mut Cache, size: usize) {
+    cache.frames.drain(..cache.frames.len().saturating_sub(size - 1));
+    (cache.references, cache.in_place) = (size - 1, 0);
 }
 
 /// Clean frames, then this one and `forecasts` more, which go through all steps together.

@@ -1,9 +1,10 @@
 use std::collections::HashMap;
+use std::ops::RangeInclusive;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
 
-use super::{Cache, Latent, LatentShape};
+use super::{Cache, GenerateError, GenerateOptions, Latent, LatentShape, Strategy};
 
 /// What is saved beside the latents.
 #[derive(Serialize, Deserialize)]
@@ -23,6 +24,8 @@ pub struct CacheError {
 
 const FRAMES: &str = "frames";
 const NUMBERS: &str = "cache";
+/// Frames of a rollout: more than any has, and few enough to count on from.
+const MAX_FRAMES: usize = 1_000_000_000;
 
 impl Cache {
     /// As safetensors: `frames` of `[L, V, C, h, w]`, f32.
@@ -55,6 +58,9 @@ impl Cache {
         let &[_, views, channels, height, width] = frames.shape() else {
             return Err(wrong(format!("frames of {:?}", frames.shape())));
         };
+        if frames.shape().contains(&0) {
+            return Err(wrong(format!("frames of {:?}", frames.shape())));
+        }
         if frames.dtype() != Dtype::F32 {
             return Err(wrong(format!("frames as {:?}", frames.dtype())));
         }
@@ -65,8 +71,90 @@ impl Cache {
         let Numbers { next, references, in_place } = numbers;
         Ok(Self { next, frames: frames.collect(), references, in_place })
     }
+
+    /// Whether a generator of some options leaves such behind.
+    ///
+    /// # Errors
+    /// Numbers or frames that it does not.
+    pub(super) fn check(&self, options: &GenerateOptions, shape: LatentShape) -> Result<(), GenerateError> {
+        let Self { next, ref frames, references, in_place } = *self;
+        let wrong = |expected: String, found: String| Err(GenerateError::Options { expected, found });
+        let first = options.references();
+        if !(first..=MAX_FRAMES).contains(&next) {
+            return wrong(format!("{} as the next frame", shown(&(first..=MAX_FRAMES))), next.to_string());
+        }
+        let (count, name) =
+            if next == first { (first, "reference frames") } else { (kept(options), "frames in the cache") };
+        if frames.len() != count {
+            return wrong(format!("{count} {name}"), frames.len().to_string());
+        }
+        let needed = references_at(options, next);
+        if !needed.contains(&references) {
+            return wrong(format!("{} references in the cache", shown(&needed)), references.to_string());
+        }
+        let needed = in_place_at(options, next);
+        if !needed.contains(&in_place) {
+            return wrong(format!("{} rolls in place in the cache", shown(&needed)), in_place.to_string());
+        }
+        if let Some(other) = frames.iter().map(Latent::shape).find(|other| *other != shape) {
+            return wrong(format!("latents of {shape}"), other.to_string());
+        }
+        match frames.iter().flat_map(|frame| frame.values()).find(|value| !value.is_finite()) {
+            Some(value) => wrong("finite latents in the cache".to_owned(), value.to_string()),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Frames that are kept from step to step.
+fn kept(options: &GenerateOptions) -> usize {
+    match options.strategy {
+        Strategy::ResetAndRoll | Strategy::Rolling => options.window,
+        Strategy::Causal { .. } | Strategy::NonCausal { .. } => options.references(),
+    }
+}
+
+/// [`Cache::references`] before a frame.
+fn references_at(options: &GenerateOptions, next: usize) -> RangeInclusive<usize> {
+    let all = options.references();
+    match options.strategy {
+        Strategy::ResetAndRoll => {
+            // The first step fills the window; with each further one a reference leaves.
+            let left = all.saturating_sub(next.saturating_sub(options.window)).max(options.clean);
+            left..=left
+        }
+        Strategy::Rolling if next > all => options.clean..=all,
+        _ => all..=all,
+    }
+}
+
+/// [`Cache::in_place`] before a frame.
+fn in_place_at(options: &GenerateOptions, next: usize) -> RangeInclusive<usize> {
+    let begun = options.strategy == Strategy::Rolling && next > options.references();
+    0..=if begun { options.window - 1 } else { 0 }
+}
+
+fn shown(range: &RangeInclusive<usize>) -> String {
+    let (start, end) = (range.start(), range.end());
+    if start == end { start.to_string() } else { format!("{start} to {end}") }
 }
 
 fn wrong(found: impl ToString) -> CacheError {
     CacheError { found: found.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sizes whose product is no number, behind a zero.
+    #[test]
+    fn frames_without_values_are_no_cache() {
+        let numbers = serde_json::to_string(&Numbers { next: 3, references: 3, in_place: 0 }).unwrap();
+        let metadata = HashMap::from([(NUMBERS.to_owned(), numbers)]);
+        let frames = TensorView::new(Dtype::F32, vec![0, 1 << 40, 1 << 40, 1, 1], &[]).unwrap();
+        let bytes = serialize([(FRAMES, frames)], Some(metadata)).unwrap();
+        let error = Cache::from_bytes(&bytes).unwrap_err().to_string();
+        assert!(error.contains("found frames of [0, 1099511627776, 1099511627776, 1, 1]"), "{error}");
+    }
 }

@@ -63,7 +63,7 @@ enum Stage {
     Warm { denoiser: AnyDenoiser, kept: Vec<(Latent, Committed<FrameConditions>)> },
     /// Frames are made.
     Going(Box<Generator<AnyDenoiser, GaussianNoise>>),
-    /// A step failed half-way; a new session goes on.
+    /// A step failed half-way: what is here is neither as before it nor as behind it.
     Failed,
 }
 
@@ -178,15 +178,31 @@ impl<'a> Session<'a> {
     /// Makes the frame of what was committed last; `None` between plan steps.
     ///
     /// # Errors
-    /// What the device, the files of the log or the network do wrong.
+    /// What the device, the files of the log or the network do wrong. After that no step is made any more: a new session
+    /// goes on, by [`Session::resume`].
     pub fn step(
         &mut self,
         simulation: &Simulation<'_>,
         rasterizer: &mut dyn Rasterizer,
     ) -> Result<Option<Made>, SessionError> {
+        if matches!(self.stage, Stage::Failed) {
+            return Err(SessionError::Failed);
+        }
         if !simulation.committed().get().step.is_multiple_of(simulation.steps_per_plan()) {
             return Ok(None);
         }
+        let made = self.make(simulation, rasterizer);
+        if made.is_err() {
+            self.stage = Stage::Failed;
+        }
+        made.map(Some)
+    }
+
+    fn make(
+        &mut self,
+        simulation: &Simulation<'_>,
+        rasterizer: &mut dyn Rasterizer,
+    ) -> Result<Made, SessionError> {
         let mut clock = Clock::now();
         let mut times = SessionTimes::default();
         let drawn = self.draw(simulation.committed(), rasterizer)?;
@@ -197,7 +213,7 @@ impl<'a> Session<'a> {
             times.truth_s = lap(&mut clock);
             self.times = times;
             let truth = self.has_truth().then(|| images.clone());
-            return Ok(Some(Made { is_reference: true, images, truth }));
+            return Ok(Made { is_reference: true, images, truth });
         }
         let truth = self.has_truth().then(|| self.truth(drawn.get())).transpose()?;
         times.truth_s = lap(&mut clock);
@@ -209,7 +225,7 @@ impl<'a> Session<'a> {
         let images = self.parts.codec.decode(&latent)?;
         times.decode_s = lap(&mut clock);
         self.times = times;
-        Ok(Some(Made { is_reference: false, images, truth }))
+        Ok(Made { is_reference: false, images, truth })
     }
 
     /// What the last frame took.
@@ -223,11 +239,6 @@ impl<'a> Session<'a> {
             Stage::Going(generator) => Some(generator.cache()),
             Stage::Warm { .. } | Stage::Failed => None,
         }
-    }
-
-    /// Size of the images.
-    pub fn size(&self) -> ImageSize {
-        self.parts.size
     }
 
     /// Whether there are true images of every step.
@@ -283,4 +294,178 @@ impl<'a> Session<'a> {
 fn lap(since: &mut Clock) -> f64 {
     let now = Clock::now();
     (now - std::mem::replace(since, now)).as_secs_f64()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+    use std::path::{Path, PathBuf};
+
+    use glam::{DMat3, DVec3};
+
+    use super::*;
+    use crate::dataset::{
+        Dataset, DatasetError, Frame as LogFrame, ImageRecord, Log, LogFormat, RigCamera, Sweep, SweepRecord,
+    };
+    use crate::error::FileError;
+    use crate::generate::{Frame, Guidance, LatentShape, PixelCodec, Recipe, SamplerOptions, Strategy};
+    use crate::geometry::Camera;
+    use crate::raster::{self, RasterizerDesc, RasterizerKind};
+    use crate::scene::Stage as Clouds;
+    use crate::sim::{Scenario, SimOptions};
+    use crate::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
+
+    const SIZE: ImageSize = ImageSize { height: 4, width: 8 };
+    const SHAPE: LatentShape = LatentShape { views: 1, channels: 12, height: 2, width: 4 };
+
+    /// A second at 10 frames a second, grey.
+    struct Grey(Log);
+
+    impl Grey {
+        fn new() -> Self {
+            let intrinsics = DMat3::from_cols(DVec3::X * 8.0, DVec3::Y * 8.0, DVec3::new(8.0, 4.0, 1.0));
+            let camera = Camera { name: "c".into(), width: 16, height: 8, intrinsics, distortion: None };
+            let frame = |i: i64| {
+                let (t_us, global_from_ego) = (i * 100_000, Pose::from_yaw(0.0, DVec3::X * i as f64));
+                let image = ImageRecord {
+                    channel: 0,
+                    path: PathBuf::new(),
+                    t_us,
+                    global_from_ego,
+                    ego_from_camera: Pose::IDENTITY,
+                    camera: camera.clone(),
+                };
+                let (sweeps, between_images, boxes) = Default::default();
+                LogFrame { t_us, global_from_ego, sweeps, images: vec![image], between_images, boxes }
+            };
+            let frames: Vec<LogFrame> = (0..=10).map(frame).collect();
+            let rig = RigCamera::first_used(&frames);
+            Self(Log { name: "grey".into(), cameras: vec!["c".into()], rig, frames, ..Log::default() })
+        }
+    }
+
+    impl Dataset for Grey {
+        fn log(&self) -> &Log {
+            &self.0
+        }
+
+        fn read_sweep(&self, _: &SweepRecord) -> Result<Sweep, DatasetError> {
+            Ok(Sweep::default())
+        }
+
+        fn read_image(&self, record: &ImageRecord) -> Result<RgbImage, DatasetError> {
+            Ok(RgbImage::from_pixel(record.camera.width, record.camera.height, image::Rgb([128; 3])))
+        }
+    }
+
+    /// Leaves frames as they are.
+    struct Still;
+
+    impl Denoiser for Still {
+        type Condition = FrameConditions;
+
+        fn shape(&self) -> LatentShape {
+            SHAPE
+        }
+
+        fn predict(&mut self, window: &[Frame<'_, FrameConditions>]) -> Result<Vec<Latent>, DenoiserError> {
+            Ok(vec![Latent::filled(SHAPE, 0.0); window.len()])
+        }
+    }
+
+    /// Fails once.
+    struct FailsOnce {
+        codec: PixelCodec,
+        calls_before: Cell<Option<usize>>,
+    }
+
+    impl FailsOnce {
+        fn call(&self) -> Result<(), DenoiserError> {
+            let left = self.calls_before.get();
+            self.calls_before.set(left.and_then(|left| left.checked_sub(1)));
+            if left == Some(0) { Err(DenoiserError::answer("images", "none")) } else { Ok(()) }
+        }
+    }
+
+    impl Codec for FailsOnce {
+        fn shape(&self) -> LatentShape {
+            self.codec.shape()
+        }
+
+        fn encode(&self, images: &[RgbImage]) -> Result<Latent, DenoiserError> {
+            self.call().and_then(|()| self.codec.encode(images))
+        }
+
+        fn decode(&self, latent: &Latent) -> Result<Vec<RgbImage>, DenoiserError> {
+            self.call().and_then(|()| self.codec.decode(latent))
+        }
+    }
+
+    fn nothing(path: &Path) -> Skeleton {
+        let fill = |writer: &mut SkeletonWriter| {
+            writer.finish(Vec::new(), BuildOptions::default(), BuildReport::default())
+        };
+        SkeletonWriter::write::<FileError>(path, fill).unwrap();
+        Skeleton::open(path).unwrap()
+    }
+
+    fn parts<'a>(drive: &'a Grey, stage: &'a Clouds<'a>, calls_before: Option<usize>) -> SessionParts<'a> {
+        let recipe = Recipe { drawn: ImageSize { height: 8, width: 16 }, size: SIZE, ..Recipe::default() };
+        let codec = PixelCodec::new(SHAPE).unwrap();
+        SessionParts {
+            conditioner: Conditioner::new(&drive.0, None, stage, &recipe, ""),
+            truth: TrueImages::Logged(drive),
+            ego_follows_log: true,
+            actors_follow_log: true,
+            codec: Box::new(FailsOnce { codec, calls_before: Cell::new(calls_before) }),
+            size: SIZE,
+            options: GenerateOptions {
+                window: 2,
+                steps: 2,
+                clean: 0,
+                strategy: Strategy::ResetAndRoll,
+                sampler: SamplerOptions::default(),
+                guidance: Guidance::default(),
+            },
+            seed: 0,
+        }
+    }
+
+    /// Also where the next attempt would do: it would be of another frame, or of an ego that stands.
+    #[test]
+    fn a_session_that_failed_makes_no_step() {
+        let (drive, folder) = (Grey::new(), tempfile::tempdir().unwrap());
+        let skeleton = nothing(&folder.path().join("sk"));
+        let stage = Clouds::new(&skeleton, "grey");
+        let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
+        let mut rasterizer = raster::create(&desc, stage.cloud_set()).unwrap();
+        // The reference is encoded, all frames behind it are decoded.
+        for (calls_before, made_before) in [(None, 5), (Some(0), 0), (Some(1), 1), (Some(2), 2)] {
+            let scenario = Scenario::new(&drive.0, None, LogFormat::Town);
+            let options = SimOptions { steps: 9, ..SimOptions::default() };
+            let mut simulation = Simulation::new(&scenario, options).unwrap();
+            let mut session = Session::new(parts(&drive, &stage, calls_before), Box::new(Still)).unwrap();
+            let (mut made, mut errors) = (0, Vec::new());
+            loop {
+                for _attempt in 0..2 {
+                    match session.step(&simulation, rasterizer.as_mut()) {
+                        Ok(frame) => {
+                            made += usize::from(frame.is_some());
+                            break;
+                        }
+                        Err(error) => errors.push(error),
+                    }
+                }
+                if simulation.step().unwrap().is_none() {
+                    break;
+                }
+            }
+            assert_eq!((made, errors.is_empty()), (made_before, calls_before.is_none()));
+            if let Some((first, others)) = errors.split_first() {
+                assert!(matches!(first, SessionError::Codec(_)), "{first}");
+                assert!(others.iter().all(|error| matches!(error, SessionError::Failed)), "{others:?}");
+                assert!(others.len() > 2 && session.cache().is_none());
+            }
+        }
+    }
 }

@@ -1,8 +1,9 @@
-use image::RgbImage;
-use image::imageops::{FilterType, resize};
+use glam::{DVec2, DVec3};
+use image::imageops::{FilterType, interpolate_bilinear, resize};
+use image::{Rgb, RgbImage};
 
 use crate::dataset::{Dataset, DatasetError, ImageRecord};
-use crate::geometry::{ImageSize, View};
+use crate::geometry::{Camera, ImageSize, View};
 use crate::scene::{SceneCamera, SceneState};
 use crate::town::{Town, TownError, TrueActor};
 
@@ -41,7 +42,7 @@ impl TrueImages<'_> {
     }
 
     /// What the cameras of a state see, as images of a size: of a town drawn as `drawn` has the views, with actors where
-    /// the state has them unless they follow the log; of a recorded log the image of each camera that is nearest in time.
+    /// the state has them unless they follow the log; of a recorded log the image of each camera that is nearest in time, without what its lens distorts.
     ///
     /// # Errors
     /// The town's device; images that are missing or damaged.
@@ -84,5 +85,57 @@ fn logged(dataset: &dyn Dataset, camera: &str, t_us: i64) -> Result<RgbImage, Tr
     let nearest = all.filter(of_camera).min_by_key(|record| (record.t_us.abs_diff(t_us), record.t_us));
     let nearest = nearest
         .ok_or_else(|| TrueImagesError::NoImage { camera: camera.to_owned(), log: log.name.clone() })?;
-    Ok(dataset.read_image(nearest)?)
+    Ok(rectified(dataset.read_image(nearest)?, &nearest.camera))
+}
+
+/// What a pinhole of the same size and intrinsics would have seen, as conditions show it: between the centres of the
+/// recorded pixels bilinear, black where the lens shows nothing.
+fn rectified(image: RgbImage, camera: &Camera) -> RgbImage {
+    let Some(distortion) = camera.distortion else { return image };
+    let (lens, image_from_camera) = (distortion.lens(), camera.intrinsics);
+    let camera_from_image = image_from_camera.inverse();
+    let ends = DVec2::new(f64::from(image.width()) - 1.0, f64::from(image.height()) - 1.0);
+    let pixel = |x: u32, y: u32| {
+        let ideal = camera_from_image * DVec3::new(f64::from(x) + 0.5, f64::from(y) + 0.5, 1.0);
+        let seen = image_from_camera * lens.distort(ideal.truncate())?.extend(1.0);
+        let seen = seen.truncate() - 0.5;
+        let shown = seen.cmpge(DVec2::splat(-0.5)).all() && seen.cmplt(ends + 0.5).all();
+        let seen = seen.clamp(DVec2::ZERO, ends);
+        interpolate_bilinear(&image, seen.x as f32, seen.y as f32).filter(|_| shown)
+    };
+    RgbImage::from_fn(image.width(), image.height(), |x, y| pixel(x, y).unwrap_or(Rgb([0; 3])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Distortion, View};
+    use glam::DAffine3;
+
+    /// A picture whose levels tell where its pixels are shows, rectified, where the lens puts what a pinhole sees there.
+    #[test]
+    fn rectified_images_show_what_a_pinhole_sees() {
+        let (width, height) = (200, 120);
+        let rows = [[150.0, 0.0, 97.0], [0.0, 160.0, 63.0], [0.0, 0.0, 1.0]];
+        let pinhole = Camera::new("c", width, height, rows).unwrap();
+        let distortion = Distortion::from_opencv([-0.356, 0.17, 0.001, -0.002, -0.05]);
+        let camera = Camera { distortion, ..pinhole.clone() };
+        let recorded = RgbImage::from_fn(width, height, |x, y| Rgb([x as u8, 2 * y as u8, 9]));
+        assert_eq!(rectified(recorded.clone(), &pinhole), recorded);
+        let found = rectified(recorded, &camera);
+        let mut shown = 0;
+        for point in [[0.0, 0.0], [0.3, -0.2], [-0.5, 0.1], [0.55, 0.3], [-0.6, -0.35]] {
+            let world = DVec3::new(point[0], point[1], 1.0) * 7.0;
+            let view = View { camera: camera.clone(), camera_from_world: DAffine3::IDENTITY };
+            let at = view.project(world).unwrap().0.floor();
+            let center = (at + 0.5).extend(1.0);
+            let world = camera.intrinsics.inverse() * center;
+            let expected = view.project_recorded(world).unwrap().0 - 0.5;
+            let Rgb([x, y, blue]) = *found.get_pixel(at.x as u32, at.y as u32);
+            let off = (expected - DVec2::new(f64::from(x), f64::from(y) / 2.0)).abs();
+            assert!(off.x < 1.0 && off.y < 0.75 && blue == 9, "{expected} {x} {y}");
+            shown += usize::from((expected - at).abs().max_element() > 1.0);
+        }
+        assert!(shown > 2, "the lens moves most of them");
+    }
 }

@@ -28,6 +28,9 @@ pub struct PeerSpec {
     pub timeout_s: f64,
 }
 
+/// Longest wait for an answer, seconds: a day.
+pub const MAX_TIMEOUT_S: f64 = 86_400.0;
+
 impl FromStr for PeerAddress {
     type Err = PeerError;
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::connection::{self, Connection, End};
 use super::error::{Wrong, begin_of};
 use super::framing::{Framing, Heard};
-use super::{PeerError, PeerName, PeerSpec};
+use super::{MAX_TIMEOUT_S, PeerError, PeerName, PeerSpec};
 
 /// A connection to a process.
 pub(crate) struct Link {
@@ -21,7 +21,7 @@ impl Link {
     /// Starts a command or reaches a socket, which may take until the time-out to be there. `role` is what the process is
     /// called in errors.
     pub(crate) fn open(role: &'static str, spec: &PeerSpec, framing: Framing) -> Result<Self, PeerError> {
-        if !(spec.timeout_s > 0.0 && spec.timeout_s <= 86_400.0) {
+        if !(spec.timeout_s > 0.0 && spec.timeout_s <= MAX_TIMEOUT_S) {
             return Err(PeerError::Timeout { found: spec.timeout_s });
         }
         let timeout = Duration::from_secs_f64(spec.timeout_s);

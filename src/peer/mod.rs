@@ -11,7 +11,7 @@ mod error;
 mod framing;
 mod link;
 
-pub use address::{PeerAddress, PeerSpec};
+pub use address::{MAX_TIMEOUT_S, PeerAddress, PeerSpec};
 pub use error::{PeerError, PeerName};
 
 pub(crate) use error::{Wrong, begin_of};

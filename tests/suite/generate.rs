@@ -7,9 +7,8 @@ use std::path::Path;
 
 use point_skeleton::generate::toy::Toy;
 use point_skeleton::generate::{
-    Cache, Condition, Ddim, Denoiser, DenoiserError, FlowMatch, Frame, GaussianNoise, GenerateError,
-    GenerateOptions, Generator, Guidance, Latent, LatentShape, NoiseSource, Prediction, Roll, SamplerOptions,
-    Strategy,
+    Cache, Condition, Ddim, Denoiser, DenoiserError, FlowMatch, Frame, GaussianNoise, GenerateOptions,
+    Generator, Guidance, Latent, LatentShape, NoiseSource, Prediction, Roll, SamplerOptions, Strategy,
 };
 use point_skeleton::sim::{Committed, EgoPolicy, Forecast, SimOptions};
 use proptest::prelude::*;
@@ -67,10 +66,14 @@ struct Drive<C = Latent> {
 }
 
 impl Drive {
-    /// Eleven frames, three of them references.
+    /// References and twelve frames, the last four of them behind the end of what is forecast.
     fn new(options: &GenerateOptions) -> Self {
         let count = options.references();
-        Self::of(options, made_ups(8, count), &made_ups(7, count + 8))
+        let mut drive = Self::of(options, made_ups(8, count), &made_ups(7, count + 12));
+        for (frame, ahead) in drive.forecasts.iter_mut().enumerate() {
+            ahead.truncate(7_usize.saturating_sub(frame));
+        }
+        drive
     }
 }
 
@@ -258,7 +261,7 @@ const STRATEGIES: [Strategy; 6] = [
     Strategy::NonCausal { forecasts: 0 },
 ];
 
-/// Also at the end, where forecasts become fewer.
+/// Also at the end, where forecasts become fewer, and behind it, where there are none.
 #[test]
 fn every_frame_is_finished_when_it_comes() {
     for strategy in STRATEGIES {
@@ -269,17 +272,47 @@ fn every_frame_is_finished_when_it_comes() {
         let expected: Vec<Latent> = drive.committed[3..].iter().map(|c| c.get().clone()).collect();
         assert_near(&frames, &expected, 1e-5);
         let calls = match strategy {
-            // The references go through the window first, two calls each.
-            Strategy::Rolling => 2 * (3 + 8),
-            _ => 8 * 8,
+            // The references go through the window first, two calls each; behind the end all four frames do.
+            Strategy::Rolling => 2 * (3 + 8) + 4 * 8,
+            _ => 12 * 8,
         };
         assert_eq!(generator.denoiser().calls, calls, "{strategy:?}");
     }
-    let clean = GenerateOptions { clean: 1, steps: 9, ..options(Strategy::ResetAndRoll) };
-    let drive = Drive::new(&clean);
-    let (frames, _) = drive.run(&mut drive.generator(Knowing::default(), GaussianNoise { seed: 1 }, clean));
-    let expected: Vec<Latent> = drive.committed[3..].iter().map(|c| c.get().clone()).collect();
-    assert_near(&frames, &expected, 1e-5);
+    let causal = Strategy::Causal { history_noise: 0 };
+    for (window, clean, steps) in [(4, 1, 9), (4, 2, 8), (4, 3, 8), (2, 1, 8), (2, 0, 8)] {
+        for strategy in [Strategy::ResetAndRoll, causal, Strategy::NonCausal { forecasts: window - 1 }] {
+            let options = GenerateOptions { window, clean, steps, ..options(strategy) };
+            let drive = Drive::new(&options);
+            let (noise, shown) = (GaussianNoise { seed: 1 }, &drive.committed[window - 1..]);
+            let (frames, _) = drive.run(&mut drive.generator(Knowing::default(), noise, options));
+            let expected: Vec<Latent> = shown.iter().map(|c| c.get().clone()).collect();
+            assert_near(&frames, &expected, 1e-5);
+        }
+    }
+}
+
+/// Nothing is left to roll where all frames but one are clean.
+#[test]
+fn all_but_one_clean_is_causal() {
+    let frames = |strategy: Strategy| {
+        let options = GenerateOptions { clean: 3, ..options(strategy) };
+        let drive = Drive::new(&options);
+        drive.run(&mut drive.generator(Toy { shape: SHAPE }, GaussianNoise { seed: 2 }, options)).0
+    };
+    assert!(frames(Strategy::ResetAndRoll) == frames(Strategy::Causal { history_noise: 0 }));
+}
+
+#[test]
+fn a_window_that_is_kept_needs_its_forecasts() {
+    let options = options(Strategy::Rolling);
+    let drive = Drive::new(&options);
+    let mut generator = drive.generator(Toy { shape: SHAPE }, GaussianNoise { seed: 1 }, options);
+    generator.step(drive.committed[3].clone(), &drive.forecasts[0]).unwrap();
+    let before = generator.cache().clone();
+    let error = generator.step(drive.committed[4].clone(), &drive.forecasts[1][..1]).unwrap_err().to_string();
+    assert!(error.contains("forecasts up to frame 6, the last in the window, at frame 4"), "{error}");
+    assert!(error.contains("found up to frame 5") && *generator.cache() == before, "{error}");
+    generator.step(drive.committed[4].clone(), &drive.forecasts[1][..2]).unwrap();
 }
 
 proptest! {
@@ -327,6 +360,34 @@ fn a_generator_goes_on_from_its_cache() {
                 "{strategy:?} {done}"
             );
         }
+    }
+}
+
+#[test]
+fn damaged_caches_are_refused() {
+    type Damage = fn(&mut Cache);
+    let (rolling, causal) = (Strategy::Rolling, Strategy::Causal { history_noise: 0 });
+    let damages: [(Strategy, Damage, &str); 10] = [
+        (Strategy::ResetAndRoll, |c| c.next = 2, "3 to 1000000000 as the next frame, found 2"),
+        (rolling, |c| c.next = usize::MAX, "3 to 1000000000 as the next frame"),
+        (rolling, |c| c.next = 3, "3 reference frames, found 4"),
+        (rolling, |c| _ = c.frames.pop(), "4 frames in the cache, found 3"),
+        (causal, |c| c.frames.push(c.frames[0].clone()), "3 frames in the cache, found 4"),
+        (Strategy::ResetAndRoll, |c| c.references = 4, "2 references in the cache, found 4"),
+        (rolling, |c| c.references = 4, "0 to 3 references in the cache, found 4"),
+        (Strategy::ResetAndRoll, |c| c.in_place = 1, "0 rolls in place in the cache, found 1"),
+        (rolling, |c| c.in_place = 4, "0 to 3 rolls in place in the cache, found 4"),
+        (causal, |c| c.frames[2].values_mut()[5] = f32::NAN, "finite latents in the cache, found NaN"),
+    ];
+    for (strategy, damage, said) in damages {
+        let (options, noise) = (options(strategy), GaussianNoise { seed: 3 });
+        let drive = Drive::new(&options);
+        let mut cache = drive.run(&mut drive.generator(Toy { shape: SHAPE }, noise, options)).1[1].clone();
+        damage(&mut cache);
+        let cache = Cache::from_bytes(&cache.to_bytes().unwrap()).unwrap();
+        let shown = drive.committed[2..5].to_vec();
+        let error = Generator::resume(Toy { shape: SHAPE }, noise, options, cache, shown).err().unwrap();
+        assert!(error.to_string().contains(said), "{error}");
     }
 }
 
@@ -412,34 +473,5 @@ fn what_a_network_does_wrong_is_told_and_changes_nothing() {
             references(count, shape),
         );
         assert!(made.err().unwrap().to_string().contains(said));
-    }
-}
-
-#[test]
-fn numbers_that_do_not_go_together_are_refused() {
-    let good = options(Strategy::ResetAndRoll);
-    let options = |change: fn(&mut GenerateOptions)| {
-        let mut options = good;
-        change(&mut options);
-        options.check().map_err(|error: GenerateError| error.to_string())
-    };
-    assert_eq!(options(|_| ()), Ok(()));
-    type Change = fn(&mut GenerateOptions);
-    let refused: [(Change, &str); 8] = [
-        (|o| o.steps = 7, "a multiple of 4, found 7"),
-        (|o| o.steps = 0, "1 to 1000 inference steps, found 0"),
-        (|o| o.window = 1, "a window of 2 to 64"),
-        (|o| o.clean = 4, "a window of 4 with 4 clean"),
-        (|o| (o.clean, o.steps) = (1, 8), "a multiple of 3, found 8"),
-        (
-            |o| (o.clean, o.steps, o.strategy) = (1, 9, Strategy::Rolling),
-            "no clean frames with rolling, found 1",
-        ),
-        (|o| o.strategy = Strategy::NonCausal { forecasts: 4 }, "at most 3 forecasts in the window, found 4"),
-        (|o| o.strategy = Strategy::Causal { history_noise: 1000 }, "less than 1000 steps, found 1000"),
-    ];
-    for (change, said) in refused {
-        let error = options(change).unwrap_err();
-        assert!(error.contains(said), "{error}");
     }
 }

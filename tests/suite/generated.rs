@@ -259,10 +259,13 @@ fn planners_see_what_was_generated_and_not_what_is_true() {
     let log = built();
     denoiser(&log, "");
     planner(&log, "while read -r observation; do echo \"$observation\" >> seen.txt; answer; done");
-    log.succeed(
-        "simulate nuscenes:log --skeleton sk --out out --rasterizer cpu --maps color --sim-hz 10 --plan-hz 5 --steps 8 \
-         --ego external --planner ./planner.sh --generator process:./denoiser.sh --window 2",
-    );
+    let town = "town:seed=5,frames=5,size=57x100";
+    log.succeed(&format!("build {town} --out town"));
+    log.succeed(&format!(
+        "simulate {town} --skeleton town --out out --maps color --size 57x100 --sim-hz 10 --plan-hz 5 --steps 8 \
+         --ego external --planner ./planner.sh --generator process:./denoiser.sh --window 2"
+    ));
+    assert!(log.path("out/steps/000004/truth/CAM_FRONT.png").is_file());
     let seen = std::fs::read_to_string(log.path("seen.txt")).unwrap();
     assert!(seen.lines().count() > 2);
     for line in seen.lines() {
@@ -283,13 +286,26 @@ fn wrong_generators_are_told_before_anything_is_written() {
         (format!("{GENERATE} --window 3 --infer-steps 4"), 2, ["multiple of 3", "found 4"]),
         (format!("{GENERATE} --guidance=-1"), 2, ["--guidance", "factor"]),
         (format!("{network} --window 5"), 2, ["--window of at most 4", "found 5"]),
-        (format!("{network} --sampler ddim_sample"), 2, ["--sampler", "network"]),
+        (format!("{network} --sampler ddim_sample"), 2, ["process:.. with --sampler", "found"]),
+        (format!("{network} --generator-timeout 5"), 2, ["process:.. with --generator-timeout", "found"]),
+        (format!("{network} --ahead 2"), 2, ["--strategy non_causal with --ahead", "found"]),
+        (
+            format!("{network} --strategy causal --clean 1"),
+            2,
+            ["reset_and_roll or rolling with --clean", "found"],
+        ),
+        (format!("{network} --guide all"), 2, ["--guidance other than 1 with --guide", "found"]),
         (network.replace("w.safetensors", "missing"), 1, ["cannot read", "missing"]),
         (GENERATE.replace("./denoiser.sh", "true"), 1, ["denoiser", "true"]),
     ] {
         log.fail(&args, code, &parts);
     }
     let simulate = "simulate nuscenes:log --skeleton sk --out out --rasterizer cpu --steps 4 --warmup 2";
+    log.fail(
+        &format!("{simulate} --noise-seed 3"),
+        2,
+        &["expected --generator with --noise-seed", "found none"],
+    );
     let few = format!("{simulate} --generator network:w.safetensors --window 3");
     log.fail(&few, 2, &["--warmup of 3 or more", "found 2"]);
     std::fs::write(log.path("w.safetensors"), "no weights").unwrap();

@@ -74,15 +74,19 @@ fn goes_on(folder: &Path, whole: &BTreeMap<String, Vec<u8>>) {
     child.wait().unwrap();
     let told = succeed(folder, &format!("{} --resume", train("killed")));
     assert!(told.contains("trained 6 steps"), "{told}");
-    // The weights tell the command, which differs.
-    let found = tree(&folder.join("killed"));
-    assert!(found["checkpoint.safetensors"] == whole["checkpoint.safetensors"]);
-    assert_eq!((&found["loss.csv"], &found["loss.svg"]), (&whole["loss.csv"], &whole["loss.svg"]));
+    assert!(tree(&folder.join("killed")) == *whole);
     let other = format!("{} --resume --seed 2", train("killed"));
     let output = command(folder, &other).output().unwrap();
     assert_failed(&output, 1, &["expected", "killed/checkpoint.safetensors"]);
     let output = command(folder, &train("new").replace(TOWN, "nuscenes:log")).output().unwrap();
     assert_failed(&output, 2, &["town:", "nuscenes:log"]);
+    let output = command(folder, &train("new").replace(TOWN, &format!("{TOWN} {TOWN}"))).output().unwrap();
+    assert_failed(&output, 2, &["each log once", TOWN]);
+    // Before anything is recorded.
+    let odd = CONFIG.replace("\"frames\": 2", "\"frames\": 2, \"cameras\": 5");
+    std::fs::write(folder.join("odd.json"), odd).unwrap();
+    let args = train("new").replace("net.json", "odd.json").replace("--drives drives", "--drives none");
+    assert_failed(&command(folder, &args).output().unwrap(), 1, &["expected 5 cameras", "found 6"]);
 }
 
 /// The network that comes with the program, in a town that it has not seen. It leaves 21.3 dB.
@@ -117,7 +121,11 @@ fn compared(folder: &Path) {
     let scene = "town-5-5f-";
     let lost = all.keys().find(|name| name.starts_with(scene) && name.ends_with("/rolling.json")).unwrap();
     std::fs::remove_file(folder.join("table").join(lost)).unwrap();
+    let kept = folder.join("table").join(lost.replace("rolling", "causal"));
+    let written = || std::fs::metadata(&kept).unwrap().modified().unwrap();
+    let before = written();
     succeed(folder, &ablate);
+    assert_eq!(written(), before, "what is there is not made again");
     assert!(tree(&folder.join("table")) == all);
     let other = ablate.replace("--steps 4", "--steps 3");
     let output = command(folder, &other).output().unwrap();

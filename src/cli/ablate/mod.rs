@@ -20,7 +20,7 @@ use super::log_args;
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::{WrongUsage, say};
-use crate::dataset::{Dataset, LogFormat, LogLocator};
+use crate::dataset::{LogFormat, LogLocator};
 use crate::error::{FileError, write_json};
 use crate::generate::network::Network;
 use crate::logs;
@@ -67,11 +67,13 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
         let message = format!("expected logs town:.., of which the truth is known, found {other}");
         return Err(WrongUsage(message).into());
     }
+    log_args::check_distinct(&args.logs)?;
     let networks = Networks {
         main: Network::open_or_shipped(args.weights.as_deref())?,
         plain: args.plain_weights.as_deref().map(Network::open).transpose()?,
         others: args.other_seeds.iter().map(|path| Network::open(path)).collect::<Result<_, _>>()?,
     };
+    networks.check()?;
     let settings = Settings {
         steps: usize::from(args.steps),
         infer_steps: usize::from(args.infer_steps),
@@ -105,7 +107,7 @@ fn scene_results(
     progress: &mut Progress,
 ) -> anyhow::Result<Vec<RunResult>> {
     let town = logs::open_town(locator)?;
-    let folder = args.out.join(&town.log().name);
+    let folder = args.out.join(town.recording());
     std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
     let mut scene = None;
     let mut results = Vec::new();

@@ -153,7 +153,6 @@ mod tests {
     use super::super::rows::Choice;
     use super::super::run::{Origin, Settings};
     use super::*;
-    use crate::generate::network::About;
     use crate::generate::{Dropped, Strategy};
 
     fn row(name: &str) -> Row {
@@ -174,7 +173,7 @@ mod tests {
             row: row.into(),
             origin: Origin {
                 settings: Settings { steps: 2, infer_steps: 4, seed: 0 },
-                network: About::default(),
+                weights: String::new(),
             },
             numbers: [("psnr_db".to_owned(), Some(psnr_db)), ("ssim".to_owned(), None)].into(),
             t_s: vec![0.6, 0.8],

@@ -1,4 +1,5 @@
 use super::run::{Origin, Settings};
+use crate::cli::WrongUsage;
 use crate::generate::network::Network;
 use crate::generate::{Dropped, GenerateOptions, Guidance, SamplerOptions, Strategy};
 
@@ -76,6 +77,21 @@ pub(super) enum Choice {
 }
 
 impl Networks {
+    /// Whether all of them are given the same maps and as many references.
+    pub(super) fn check(&self) -> Result<(), WrongUsage> {
+        let what = |network: &Network| {
+            let config = network.config();
+            (config.recipe.clone(), config.frames, config.cameras)
+        };
+        let main = what(&self.main);
+        match self.plain.iter().chain(&self.others).map(what).find(|other| *other != main) {
+            None => Ok(()),
+            Some(other) => Err(WrongUsage(format!(
+                "expected networks of one recipe, window and number of cameras, found {main:?} and {other:?}"
+            ))),
+        }
+    }
+
     /// What a row of [`Networks::rows`] asks for.
     pub(super) fn get(&self, choice: Choice) -> &Network {
         match choice {
@@ -137,7 +153,7 @@ impl Networks {
 
 impl Row {
     pub(super) fn origin(&self, networks: &Networks, settings: &Settings) -> Origin {
-        Origin { settings: settings.clone(), network: networks.get(self.network).about().clone() }
+        Origin { settings: settings.clone(), weights: networks.get(self.network).fingerprint().to_owned() }
     }
 
     pub(super) fn options(&self, networks: &Networks, settings: &Settings) -> GenerateOptions {

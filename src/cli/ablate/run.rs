@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 use super::rows::{Networks, Row};
 use super::scene::{Scene, SceneFrame};
 use crate::error::{FileError, write_whole};
-use crate::generate::network::About;
 use crate::generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
 use crate::metrics::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, Segmented};
 use crate::sim::{Committed, Forecast};
@@ -27,7 +26,8 @@ pub(super) struct Settings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Origin {
     pub(super) settings: Settings,
-    pub(super) network: About,
+    /// Fingerprint of the network's weights.
+    pub(super) weights: String,
 }
 
 /// A variant in a scene, `SCENE/ROW.json`.
@@ -101,7 +101,7 @@ pub(super) fn run(
         score(&mut scores, frame, &images, classifier)?;
     }
     let (scores, features) = scores.finish();
-    let distances = features.distances();
+    let distances = features.distances()?;
     let mut numbers = scores.numbers();
     numbers.insert("frechet_images".to_owned(), distances.images.map(|d| d.distance));
     numbers.insert("frechet_videos".to_owned(), distances.videos.map(|d| d.distance));

@@ -9,7 +9,9 @@ use crate::cli::stand_ins::StandInArgs;
 use crate::conditions::{CameraConditions, ConditionSet, MapKind};
 use crate::dataset::{Dataset, Log, LogFormat};
 use crate::generate::{Conditioner, Drawn, FrameConditions, Recipe, TrueImages};
-use crate::metrics::{MOVING_MPS, PatchClassifier, PatchOptions, PatchTrainer, moving_mask, vehicle_mask};
+use crate::metrics::{
+    MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
+};
 use crate::raster::Rasterizer;
 use crate::scene::{SceneMap, Stage};
 use crate::sim::{
@@ -72,8 +74,8 @@ impl Scene {
         let simulation = Simulation::new(&scenario, sim_options(options))?;
         let drive = Drive { town, conditioner: &conditioner, options };
         let frames = drive.frames(simulation, rasterizer.as_mut())?;
-        let classifiers = classifiers(&frames[options.references..], options.settings.seed);
-        Ok(Self { name: log.name.clone(), frames, classifiers })
+        let classifiers = classifiers(&frames[options.references..], options.settings.seed)?;
+        Ok(Self { name: town.recording(), frames, classifiers })
     }
 }
 
@@ -157,8 +159,12 @@ impl Drive<'_> {
     }
 }
 
-/// For the first and the second half of the frames, each trained on the true images of the other.
-fn classifiers(frames: &[SceneFrame], seed: u64) -> Option<[PatchClassifier; 2]> {
+/// For the first and the second half of the frames, each trained on the true images of the other; none where one shows
+/// no vehicles.
+fn classifiers(
+    frames: &[SceneFrame],
+    seed: u64,
+) -> Result<Option<[PatchClassifier; 2]>, PatchClassifierError> {
     let (first, second) = frames.split_at(frames.len() / 2);
     let train = |frames: &[SceneFrame]| {
         let mut trainer = PatchTrainer::new(PatchOptions { seed, ..PatchOptions::default() });
@@ -167,9 +173,14 @@ fn classifiers(frames: &[SceneFrame], seed: u64) -> Option<[PatchClassifier; 2]>
                 trainer.add(image, &vehicle_mask(class, image.width() as usize));
             }
         }
-        trainer.train().ok()
+        trainer.train()
     };
-    Some([train(second)?, train(first)?])
+    match (train(second), train(first)) {
+        (Err(PatchClassifierError::Pixels { .. }), _) | (_, Err(PatchClassifierError::Pixels { .. })) => {
+            Ok(None)
+        }
+        (of_second, of_first) => Ok(Some([of_second?, of_first?])),
+    }
 }
 
 /// Class and instance maps of all cameras.

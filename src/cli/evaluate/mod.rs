@@ -32,9 +32,9 @@ pub(super) struct EvaluateArgs {
     /// Folders of rollouts with generated images
     #[arg(required = true, value_name = "DIR")]
     rollouts: Vec<PathBuf>,
-    /// Write all numbers as JSON
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
+    /// Also write all numbers to this file
+    #[arg(long, value_name = "F.json")]
+    out: Option<PathBuf>,
     /// Masks of vehicles by a segmentor, in DIR/NNNNNN/CAM.png of any size, vehicles not 0; once for each rollout, in order
     #[arg(long, value_name = "DIR")]
     masks: Vec<PathBuf>,
@@ -75,14 +75,15 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         scored.push(ScoredRollout::new(rollout, scores));
     }
     drop(progress);
-    let report = Report::new(scored, &collected, &segmentors, features, args.seed);
-    write_json(&args.out, &report)?;
+    let report = Report::new(scored, &collected, &segmentors, features, args.seed)?;
+    args.out.as_ref().map_or(Ok(()), |out| write_json(out, &report))?;
     say(report.table().trim_end());
     for note in report.notes() {
         eprintln!("note: {note}");
     }
     let seconds = start.elapsed().as_secs_f64();
-    say(&format!("{} in {seconds:.2} s: {}", report.summary(), args.out.display()));
+    let out = args.out.as_ref().map_or(String::new(), |out| format!(": {}", out.display()));
+    say(&format!("{} in {seconds:.2} s{out}", report.summary()));
     Ok(())
 }
 

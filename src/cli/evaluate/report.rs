@@ -7,7 +7,8 @@ use serde::Serialize;
 use super::rollout::GeneratedRollout;
 use super::segmentor::{PATCHES, PatchesAbout, Segmentors};
 use crate::metrics::{
-    CollectedFeatures, Distance, Distances, MeanInterval, Scores, mean_interval, paired_difference,
+    CollectedFeatures, Distance, Distances, FrechetError, MeanInterval, Scores, mean_interval,
+    paired_difference,
 };
 
 /// All numbers.
@@ -108,8 +109,8 @@ impl Report {
         segmentors: &Segmentors,
         given_features: Option<Distance>,
         seed: u64,
-    ) -> Self {
-        let distances = features.distances();
+    ) -> Result<Self, FrechetError> {
+        let distances = features.distances()?;
         let mut notes: Vec<String> = rollouts.iter().flat_map(ScoredRollout::notes).collect();
         if let Some(missing) = &segmentors.about.missing {
             notes.push(format!("no patch classifier: {missing}"));
@@ -123,7 +124,7 @@ impl Report {
                 distances.window_frames
             ));
         }
-        Self {
+        Ok(Self {
             seed,
             mean: means(&rollouts),
             distances,
@@ -131,7 +132,7 @@ impl Report {
             patch_classifier: segmentors.about.clone(),
             notes,
             rollouts,
-        }
+        })
     }
 
     pub(super) fn notes(&self) -> &[String] {

@@ -10,7 +10,7 @@ use image::imageops::{self, FilterType};
 use image::{ImageFormat, RgbImage};
 
 use crate::dataset::{ImageRecord, Log};
-use crate::error::{FileError, write_whole};
+use crate::error::{FileError, write_whole, write_whole_folder};
 use crate::report::{self, ROLLOUT, StateFile};
 
 /// Of JPEG: artefacts are to be the generator's.
@@ -46,7 +46,7 @@ pub(super) fn write(root: &Path, log: &Log, rollout: &Path, folder: &Path) -> Re
     let images = log.frames.iter().map(|frame| frame.images.len()).sum::<usize>();
     let by_path = replaced.into_iter().map(|new| Ok((relative(root, &new.record.path)?, new)));
     let by_path = by_path.collect::<Result<BTreeMap<PathBuf, Replacement<'_>>, FileError>>()?;
-    mirror(root, folder, Path::new(""), &by_path)?;
+    write_whole_folder(folder, "", |whole| mirror(root, whole, Path::new(""), &by_path))?;
     Ok(Counts { replaced: by_path.len(), kept: images - by_path.len() })
 }
 

@@ -242,6 +242,7 @@ impl SimulateArgs {
         if let Some((option, _, name)) = unused.into_iter().find(|(_, unused, _)| *unused) {
             return Err(WrongUsage(format!("expected --ego {name} with {option}, found {}", ego.name())));
         }
+        self.generating.check(self.generator.as_ref())?;
         self.maps.check()
     }
 

@@ -50,3 +50,16 @@ pub(in crate::cli) struct TrainArgs {
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
 }
+
+impl TrainArgs {
+    /// What weights follow from, as a command: not where they are written, nor how often that was interrupted.
+    pub(super) fn command(&self) -> String {
+        let Self { logs, config, variants, no_augment, seed, steps, batch, .. } = self;
+        let logs = logs.iter().map(LogLocator::to_string).collect::<Vec<_>>().join(" ");
+        let config = config.as_ref().map_or(String::new(), |path| format!(" --config {}", path.display()));
+        let plain = if *no_augment { " --no-augment" } else { "" };
+        format!(
+            "pskel train {logs}{config} --variants {variants}{plain} --seed {seed} --steps {steps} --batch {batch}"
+        )
+    }
+}

@@ -23,6 +23,8 @@ pub(super) struct Recording<'a> {
     /// Where drives are kept.
     pub(super) folder: &'a Path,
     pub(super) recipe: &'a Recipe,
+    /// Of the network.
+    pub(super) cameras: usize,
     /// Drives of each log: the first as driven, the others from beside.
     pub(super) variants: usize,
     /// Whether the assets of the others are made worse.
@@ -45,10 +47,22 @@ impl Recording<'_> {
         let mut drives = Vec::new();
         for locator in locators {
             let town = logs::open_town(locator)?;
+            self.check(&town).with_context(|| format!("log {locator}"))?;
             drives.extend(self.of_town(&town).with_context(|| format!("log {locator}"))?);
             progress.step(&town.log().name);
         }
         Ok(drives)
+    }
+
+    /// Before anything is recorded.
+    fn check(&self, town: &Town) -> anyhow::Result<()> {
+        let found = town.log().rig.len();
+        anyhow::ensure!(
+            found == self.cameras,
+            "expected {} cameras, as the network has, found {found}",
+            self.cameras
+        );
+        Ok(())
     }
 
     fn of_town(&self, town: &Town) -> anyhow::Result<Vec<Drive>> {
@@ -62,7 +76,7 @@ impl Recording<'_> {
     /// `LOG-VARIANT[a].safetensors`.
     fn file(&self, town: &Town, number: usize) -> PathBuf {
         let worse = if self.augment && number > 0 { "a" } else { "" };
-        self.folder.join(format!("{}-{number}{worse}.safetensors", town.log().name))
+        self.folder.join(format!("{}-{number}{worse}.safetensors", town.recording()))
     }
 
     fn record(&self, town: &Town, files: &[PathBuf]) -> anyhow::Result<()> {
@@ -95,8 +109,8 @@ impl Recording<'_> {
         let drive = Drive::open(file)?;
         let (log, recipe) = (&town.log().name, self.recipe);
         if (&drive.about.log, &drive.about.recipe) != (log, recipe) {
-            let expected = format!("a drive of {log} recorded at {} as {}", recipe.drawn, recipe.size);
-            let found = format!("one of {} at {}", drive.about.log, drive.about.recipe.drawn);
+            let expected = format!("a drive of {log} recorded by {recipe:?}");
+            let found = format!("one of {} by {:?}", drive.about.log, drive.about.recipe);
             return Err(FileError::content(expected, found, file));
         }
         Ok(drive)

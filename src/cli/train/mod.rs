@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use self::drives::Recording;
 use self::steps::{Training, recent};
-use super::{WrongUsage, say};
+use super::{WrongUsage, log_args, say};
 use crate::dataset::LogFormat;
 use crate::error::FileError;
 use crate::generate::network::NetworkConfig;
@@ -26,11 +26,22 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
         let message = format!("expected logs town:.., of which the truth is known, found {other}");
         return Err(WrongUsage(message).into());
     }
+    log_args::check_distinct(&args.logs)?;
     let config = config(args.config.as_deref())?;
+    let options = TrainOptions {
+        seed: args.seed,
+        steps: args.steps,
+        batch: args.batch,
+        infer_steps: 2 * config.frames,
+        ..TrainOptions::default()
+    };
+    config.check()?;
+    TrainOptions { steps: args.steps.max(1), ..options }.check(&config)?;
     let folder = args.drives.clone().unwrap_or_else(|| args.out.join("drives"));
     let recording = Recording {
         folder: &folder,
         recipe: &config.recipe,
+        cameras: config.cameras,
         variants: usize::from(args.variants),
         augment: !args.no_augment,
         rasterizer: &args.rasterizer,
@@ -42,15 +53,12 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     if args.steps == 0 {
         return Ok(());
     }
-    let options =
-        TrainOptions { seed: args.seed, steps: args.steps, batch: args.batch, ..TrainOptions::default() };
-    let command = std::env::args().skip(1).collect::<Vec<_>>().join(" ");
     let training = Training {
         folder: &args.out,
         options,
         config,
         checkpoint_steps: args.checkpoint,
-        command: format!("pskel {command}"),
+        command: args.command(),
     };
     let losses = training.run(&drives, args.resume)?;
     say(&format!(

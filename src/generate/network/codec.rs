@@ -13,7 +13,9 @@ pub struct Statistics {
     pub means: Vec<f32>,
     /// Their standard deviation: latents are divided by it.
     pub scales: Vec<f32>,
-    /// Standard deviation of what the best linear guess of latents from conditions leaves of them, at most 1.
+    /// Standard deviation of what is expected to be left of them by the network: as measured, of what the best linear guess
+    /// from conditions leaves, at most 1; in weights that share of it for which the network was trained,
+    /// [`TrainOptions::expected_error`](crate::generate::train::TrainOptions::expected_error).
     pub priors: Vec<f32>,
 }
 

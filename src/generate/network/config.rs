@@ -78,6 +78,7 @@ impl NetworkConfig {
             let expected = format!("cameras, frames, patch, width, head, hidden and blocks of 1 to {MOST}");
             return Err(NetworkError::input(expected, format!("{numbers:?}")));
         }
+        self.recipe.check().map_err(|error| NetworkError::input(error.expected, error.found))?;
         let size = self.recipe.size;
         let sides = [size.height, size.width].map(|side| side as usize);
         if sides.iter().any(|side| *side == 0 || side % patch != 0) {

@@ -12,6 +12,7 @@ pub struct Network {
     config: NetworkConfig,
     statistics: Statistics,
     about: About,
+    fingerprint: String,
     model: Model,
     /// Conditions of the last windows, the latest last, and what was made of them.
     remembered: Vec<(Vec<FrameConditions>, Taken)>,
@@ -26,10 +27,11 @@ impl Network {
     /// # Errors
     /// Weights that do not go together.
     pub fn new(weights: Weights) -> Result<Self, NetworkError> {
+        let fingerprint = weights.fingerprint()?;
         let Weights { config, statistics, about, parameters } = weights;
         let parameters = parameters.into_iter().map(|(name, tensor)| (name, tensor.detach())).collect();
         let model = Model::new(&config, &statistics, parameters)?;
-        Ok(Self { config, statistics, about, model, remembered: Vec::new() })
+        Ok(Self { config, statistics, about, fingerprint, model, remembered: Vec::new() })
     }
 
     /// With the weights of a file.
@@ -69,6 +71,11 @@ impl Network {
     /// Where its weights come from.
     pub fn about(&self) -> &About {
         &self.about
+    }
+
+    /// As [`Weights::fingerprint`].
+    pub fn fingerprint(&self) -> &str {
+        &self.fingerprint
     }
 
     /// The codec of its latents.

@@ -5,7 +5,8 @@
 //! deviation `p` per channel. With `y = x - (1-s) mu` and `D = (1-s)^2 p^2 + s^2`, the variance of `y`, the best linear
 //! estimate (Wiener, 1949) of `x0` is `mu + a y` with `a = (1-s) p^2 / D`, and what is missing to it has the variance
 //! `c^2 = s^2 p^2 / D`. The network is shown `y / sqrt D` and answers with `F`, what is missing in units of `c`:
-//! `x0 = mu + a y + c F`. So what it is shown and what it is to answer have unit variance at all levels and in all channels.
+//! `x0 = mu + a y + c F`. So what it is shown and what it is to answer have unit variance at all levels and in all channels,
+//! where the guess is off by `p`: `p` is set to what the trained network is to leave, so in the beginning there is more.
 //! Source: Karras et al., "Elucidating the Design Space of Diffusion-Based Generative Models", 2022, section 5, there for
 //! `mu = 0` and one `p`.
 

@@ -1,8 +1,10 @@
 use std::collections::{BTreeMap, HashMap};
+use std::hash::Hasher;
 use std::path::Path;
 
 use bytemuck::{cast_slice, pod_collect_to_vec};
 use candle_core::{Device, Tensor};
+use rand_seeder::SipHasher;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -68,6 +70,17 @@ impl Weights {
     /// Numbers that were trained.
     pub fn count(&self) -> usize {
         self.parameters.values().map(Tensor::elem_count).sum()
+    }
+
+    /// Tells weights apart: a hash of all numbers and of what they are for.
+    pub fn fingerprint(&self) -> Result<String, NetworkError> {
+        let mut hasher = SipHasher::new();
+        hasher.write(format!("{:?} {:?}", self.config, self.statistics).as_bytes());
+        for (name, tensor) in &self.parameters {
+            hasher.write(name.as_bytes());
+            hasher.write(cast_slice(&tensor.flatten_all()?.to_vec1::<f32>()?));
+        }
+        Ok(format!("{:016x}", hasher.finish()))
     }
 
     /// Writes them.

@@ -81,9 +81,13 @@ pub(super) fn read_hello(answer: &[u8], taken: &Taken) -> Result<Given, Wrong> {
         return Err(Wrong::new(expected, answer.quoted("latent_shape")));
     }
     let images = answer.texts.get("image_size").map(|text| {
-        let size = image_size(text).filter(|size| size.pixels() <= most);
-        size.ok_or_else(|| {
-            Wrong::new("`image_size` \"H,W\" of positive numbers", answer.quoted("image_size"))
+        let fits = |size: &ImageSize| 3 * taken.views * size.pixels() <= most;
+        image_size(text).filter(fits).ok_or_else(|| {
+            let expected = format!(
+                "`image_size` \"H,W\" of positive numbers, {} images of at most {most} values",
+                taken.views
+            );
+            Wrong::new(expected, answer.quoted("image_size"))
         })
     });
     Ok(Given { shape, precision, images: images.transpose()? })

@@ -92,6 +92,9 @@ pub(super) fn check(config: &NetworkConfig, drives: &[Drive]) -> Result<(), Netw
         if about.recipe != config.recipe {
             return wrong(format!("maps made as {:?}", config.recipe), format!("{:?}", about.recipe));
         }
+        if about.hz != drives[0].about.hz {
+            return wrong(format!("{} frames a second", drives[0].about.hz), about.hz.to_string());
+        }
         if drive.frames.len() < config.frames {
             return wrong(format!("at least {} frames", config.frames), drive.frames.len().to_string());
         }

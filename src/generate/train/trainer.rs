@@ -89,7 +89,7 @@ impl<'a> Trainer<'a> {
         &self.config
     }
 
-    /// What was measured over the drives.
+    /// What was measured over the drives, with priors as of the network that is to be trained.
     pub fn statistics(&self) -> &Statistics {
         &self.statistics
     }

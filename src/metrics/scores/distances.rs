@@ -1,6 +1,8 @@
 use serde::Serialize;
 
-use super::super::{FeatureSet, RandomConvNet, WINDOW_FRAMES, frechet_distance, window_features};
+use super::super::{
+    FeatureSet, FrechetError, RandomConvNet, WINDOW_FRAMES, frechet_distance, window_features,
+};
 
 /// Features of rollouts, of which distances are taken together.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -84,18 +86,24 @@ impl CollectedFeatures {
     }
 
     /// Of all rollouts so far together.
-    pub fn distances(&self) -> Distances {
-        Distances {
+    ///
+    /// # Errors
+    /// Features that have no distance; too few of them are none.
+    pub fn distances(&self) -> Result<Distances, FrechetError> {
+        Ok(Distances {
             network: format!("RandomConvNet, seed {}", self.seed.unwrap_or_default()),
-            images: distance(&self.generated, &self.truth),
-            videos: distance(&self.generated_windows, &self.truth_windows),
+            images: distance(&self.generated, &self.truth)?,
+            videos: distance(&self.generated_windows, &self.truth_windows)?,
             window_frames: WINDOW_FRAMES,
-        }
+        })
     }
 }
 
-fn distance(generated: &FeatureSet, truth: &FeatureSet) -> Option<Distance> {
-    let distance = frechet_distance(generated, truth).ok()?;
+fn distance(generated: &FeatureSet, truth: &FeatureSet) -> Result<Option<Distance>, FrechetError> {
     let features = generated.columns();
-    Some(Distance { distance, generated: generated.len(), truth: truth.len(), features })
+    let of = |distance| Distance { distance, generated: generated.len(), truth: truth.len(), features };
+    match frechet_distance(generated, truth) {
+        Err(FrechetError::Rows(..)) => Ok(None),
+        found => found.map(of).map(Some),
+    }
 }

@@ -68,7 +68,7 @@ fn copies_of_the_truth_are_perfect() {
     assert_eq!((right.generated, right.truth, right.ratio), (Some(1.0), Some(1.0), Some(1.0)));
     assert_eq!(scores.iou["blind"].steps.steps, [Some(0.0); 17]);
     assert_eq!((scores.iou["blind"].truth, scores.iou["blind"].ratio), (None, None));
-    let distances = features.distances();
+    let distances = features.distances().unwrap();
     let (images, videos) = (distances.images.unwrap(), distances.videos.unwrap());
     assert!(images.distance < 1e-6 && videos.distance < 1e-6, "{distances:?}");
     assert_eq!((images.generated, images.truth, images.features), (34, 34, RandomConvNet::FEATURES));
@@ -89,7 +89,7 @@ fn images_that_fade_drift() {
     let slope = scores.motion.unwrap().slope.unwrap();
     assert!(slope > 0.1 && slope < 0.9, "{slope}");
     // Too short for windows.
-    let distances = features.distances();
+    let distances = features.distances().unwrap();
     assert!(distances.videos.is_none() && distances.images.unwrap().distance > 0.01, "{distances:?}");
 }
 
@@ -98,10 +98,10 @@ fn rollouts_are_taken_together() {
     let ((_, one), (_, other)) = (score(4, |step| truth(step).0), score(3, |step| faded(&truth(step).0, 9)));
     let mut all = CollectedFeatures::default();
     assert!(all.append(&one) && all.append(&other));
-    assert_eq!(all.distances().images.map(|d| (d.generated, d.truth)), Some((14, 14)));
+    assert_eq!(all.distances().unwrap().images.map(|d| (d.generated, d.truth)), Some((14, 14)));
     let (_, foreign) = RolloutScores::new(RandomConvNet::new(2)).finish();
     assert!(!all.append(&foreign));
-    assert_eq!(CollectedFeatures::default().distances().images, None);
+    assert_eq!(CollectedFeatures::default().distances().unwrap().images, None);
 }
 
 #[test]
@@ -126,7 +126,7 @@ fn without_the_truth_some_numbers_are_missing() {
         [false, true, false, false]
     );
     assert!(scores.sharpness.mean.is_some() && scores.iou.is_empty());
-    assert_eq!(features.distances().images.map(|d| (d.generated, d.truth)), Some((8, 2)));
+    assert_eq!(features.distances().unwrap().images.map(|d| (d.generated, d.truth)), Some((8, 2)));
     serde_json::to_string(&scores).unwrap();
 }
 
