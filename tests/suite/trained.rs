@@ -103,10 +103,10 @@ fn compared(folder: &Path) {
     let weights = "trained/weights.safetensors";
     let few = format!("ablate {TOWN} --weights {weights} --steps 4 --infer-steps 2 --out table");
     let told = succeed(folder, &few);
-    assert!(told.contains("8 variants in 1 scenes") && !told.contains("seed 1"), "{told}");
+    assert!(told.contains("10 variants in 1 scenes") && !told.contains("seed 1"), "{told}");
     let ablate = format!("{few} --plain-weights {weights} --other-seeds {weights}");
     let told = succeed(folder, &ablate);
-    assert!(told.contains("10 variants in 1 scenes"), "{told}");
+    assert!(told.contains("12 variants in 1 scenes"), "{told}");
     let all = tree(&folder.join("table"));
     let text = String::from_utf8(all["table.md"].clone()).unwrap();
     for part in

@@ -164,6 +164,7 @@ mod tests {
             dropped: Dropped::default(),
             network: Choice::Main,
             times_steps: 1,
+            expects_standstill: false,
         }
     }
 

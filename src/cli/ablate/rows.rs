@@ -19,12 +19,15 @@ pub(super) struct Row {
     pub(super) network: Choice,
     /// Inference steps, as a multiple of those of all others.
     pub(super) times_steps: usize,
+    /// Whether it is told that nothing will move, rather than what the simulation expects.
+    pub(super) expects_standstill: bool,
 }
 
 /// What is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Table {
     Strategies,
+    Forecasts,
     Conditions,
     InferSteps,
     Augmentation,
@@ -32,12 +35,19 @@ pub(super) enum Table {
 }
 
 impl Table {
-    pub(super) const ALL: [Self; 5] =
-        [Self::Strategies, Self::Conditions, Self::InferSteps, Self::Augmentation, Self::Seeds];
+    pub(super) const ALL: [Self; 6] = [
+        Self::Strategies,
+        Self::Forecasts,
+        Self::Conditions,
+        Self::InferSteps,
+        Self::Augmentation,
+        Self::Seeds,
+    ];
 
     pub(super) fn title(self) -> &'static str {
         match self {
             Self::Strategies => "Strategies",
+            Self::Forecasts => "Forecasts that do not come true",
             Self::Conditions => "Conditions",
             Self::InferSteps => "Inference steps",
             Self::Augmentation => "Augmentation of assets in training",
@@ -49,6 +59,7 @@ impl Table {
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Strategies => "strategies",
+            Self::Forecasts => "forecasts",
             Self::Conditions => "conditions",
             Self::InferSteps => "infer_steps",
             Self::Augmentation => "augmentation",
@@ -103,7 +114,7 @@ impl Networks {
 
     /// All variants; the whole generator first, with which others are compared.
     pub(super) fn rows(&self) -> Vec<Row> {
-        use Table::{Augmentation, Conditions, InferSteps, Seeds, Strategies};
+        use Table::{Augmentation, Conditions, Forecasts, InferSteps, Seeds, Strategies};
         let main = || Row {
             name: "reset_and_roll".to_owned(),
             title: "reset_and_roll, color and depth".to_owned(),
@@ -112,12 +123,21 @@ impl Networks {
             dropped: NONE,
             network: Choice::Main,
             times_steps: 1,
+            expects_standstill: false,
         };
         let strategy = |strategy: Strategy| Row {
             name: strategy.name().to_owned(),
             title: strategy.name().to_owned(),
             tables: &[Strategies],
             strategy,
+            ..main()
+        };
+        let standstill = |strategy: Strategy| Row {
+            name: format!("{}_standstill", strategy.name()),
+            title: format!("{}, told that nothing moves", strategy.name()),
+            tables: &[Forecasts],
+            strategy,
+            expects_standstill: true,
             ..main()
         };
         let without = |name: &str, title: &str, color: bool, depth: bool| Row {
@@ -129,9 +149,11 @@ impl Networks {
         };
         let mut rows = vec![
             main(),
-            strategy(Strategy::Rolling),
+            Row { tables: &[Strategies, Forecasts], ..strategy(Strategy::Rolling) },
             strategy(Strategy::Causal { history_noise: 0 }),
             strategy(Strategy::NonCausal { forecasts: 1 }),
+            standstill(Strategy::ResetAndRoll),
+            standstill(Strategy::Rolling),
             without("layout", "layout alone", true, true),
             without("layout_color", "layout and color", false, true),
             without("layout_depth", "layout and depth", true, false),

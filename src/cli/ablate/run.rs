@@ -88,11 +88,11 @@ pub(super) fn run(
     let mut scores = RolloutScores::new(RandomConvNet::new(settings.seed));
     let mut strip = Strip::new(frames);
     for (number, frame) in frames.iter().enumerate() {
-        let forecasts: Vec<_> = frame
-            .forecasts
-            .iter()
-            .map(|expected| Forecast::new(expected.get().without(row.dropped)))
-            .collect();
+        let expected = |forecast: &Forecast<FrameConditions>| match row.expects_standstill {
+            true => frame.conditions.get().without(row.dropped),
+            false => forecast.get().without(row.dropped),
+        };
+        let forecasts: Vec<_> = frame.forecasts.iter().map(expected).map(Forecast::new).collect();
         let latent = generator.step(given(&frame.conditions), &forecasts)?;
         let images = codec.decode(&latent)?;
         strip.add(number, frames.len(), &images, &frame.truth);
