@@ -30,7 +30,7 @@ use super::stand_ins::StandInReport;
 use super::{WrongUsage, say};
 use crate::conditions::meta::PromptParts;
 use crate::conditions::{ConditionOptions, ImageSize, MapSet};
-use crate::dataset::{Log, LogFormat};
+use crate::dataset::{Dataset, Log, LogFormat};
 use crate::error::FileError;
 use crate::generate::TrueImages;
 use crate::logs;
@@ -38,6 +38,7 @@ use crate::raster::{RasterizerInfo, StageTimes};
 use crate::report::StepRow;
 use crate::scene::{SceneMap, Stage};
 use crate::sim::{EndReason, Scenario, SimError, Simulation};
+use crate::skeleton::Skeleton;
 
 /// The size of maps where cameras are larger and none is given.
 const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
@@ -46,19 +47,14 @@ const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
 pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.check()?;
-    let dataset = args.roots.open(&args.log)?;
+    let inputs = Inputs::open(&args)?;
+    let Inputs { dataset, skeleton, prompt, map, maps } = &inputs;
     let log = dataset.log();
-    let skeleton = open_skeleton(&args.skeleton, dataset.as_ref())?;
-    let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), read_prompt)?;
-    let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
-    let maps = args.maps.kinds(map.is_some()).with_context(|| {
-        format!("expected an HD map of {:?} for --maps map, found none in log {}", log.location, log.name)
-    })?;
     let opened = args.generator.as_ref().map(|name| args.generating.open(name, log.rig.len())).transpose()?;
     let scenario = Scenario::new(log, map.clone(), args.log.format);
     let sim_options = args.sim_options(&scenario, opened.as_ref().map(Opened::window))?;
     args.steps = sim_options.steps;
-    let sources = Sources::new(log, &skeleton, &prompt)?;
+    let sources = Sources::new(log, skeleton, prompt)?;
     let earlier = earlier(&args, &sources)?;
     let (saved, rows) = earlier.map_or((None, Vec::new()), |Earlier { rows, saved }| (Some(saved), rows));
     let simulation = match &saved {
@@ -66,12 +62,12 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
         None => Simulation::new(&scenario, sim_options.clone()),
     };
     let simulation = simulation.map_err(usage)?;
-    let (stand_ins, told) = args.stand_ins.make(&skeleton, &log.name)?;
-    let stage = Stage::with(&skeleton, &log.name, &stand_ins);
+    let (stand_ins, told) = args.stand_ins.make(skeleton, &log.name)?;
+    let stage = Stage::with(skeleton, &log.name, &stand_ins);
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
     let generator = opened.as_ref().map(Opened::report);
-    let options = options(&args, log, (maps, told, sources, generator), &simulation, sim_options.clone());
-    let output = Output { folder: &args.out, options: &options, prompt: &prompt };
+    let options = options(&args, log, (*maps, told, sources, generator), &simulation, sim_options.clone());
+    let output = Output { folder: &args.out, options: &options, prompt };
     let states = (!args.dry).then(|| output.begin(&rows)).transpose()?;
     let town = opened.as_ref().filter(|_| args.log.format == LogFormat::Town);
     let town = town.map(|_| logs::open_town(&args.log)).transpose()?;
@@ -80,7 +76,7 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
         log,
         map: map.clone(),
         stage: &stage,
-        prompt: &prompt,
+        prompt,
         truth: town.as_ref().map_or(TrueImages::Logged(dataset.as_ref()), TrueImages::Town),
         ego_follows_log,
         actors_follow_log,
@@ -95,12 +91,43 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     let begin = |opened: Opened| Generation::begin(opened, &subject, rasterizer.as_mut(), &before);
     let mut generation = opened.map(begin).transpose()?;
     let shown_to_planner = args.ego_name() == "external" && !args.dry;
-    let rollout = Rollout { log, map, stage: &stage, options: &options, output: &output, shown_to_planner };
+    let rollout = Rollout {
+        log,
+        map: map.clone(),
+        stage: &stage,
+        options: &options,
+        output: &output,
+        shown_to_planner,
+    };
     let run = rollout.run(simulation, rasterizer.as_mut(), generation.as_mut(), rows, states)?;
     let (stages, info) = (rasterizer.take_stages(), rasterizer.info());
     let text = report(&args, &output, log, run, (&stages, info))?;
     say(&format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
     Ok(())
+}
+
+/// What is read before anything is simulated.
+struct Inputs {
+    dataset: Box<dyn Dataset>,
+    skeleton: Skeleton,
+    prompt: PromptParts,
+    map: Option<Arc<SceneMap>>,
+    /// Kinds of maps to draw.
+    maps: MapSet,
+}
+
+impl Inputs {
+    fn open(args: &SimulateArgs) -> anyhow::Result<Self> {
+        let dataset = args.roots.open(&args.log)?;
+        let log = dataset.log();
+        let skeleton = open_skeleton(&args.skeleton, dataset.as_ref())?;
+        let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), read_prompt)?;
+        let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
+        let maps = args.maps.kinds(map.is_some()).with_context(|| {
+            format!("expected an HD map of {:?} for --maps map, found none in log {}", log.location, log.name)
+        })?;
+        Ok(Self { dataset, skeleton, prompt, map, maps })
+    }
 }
 
 /// Writes what is made of all steps; gives the line to end with.
