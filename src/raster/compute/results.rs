@@ -62,15 +62,19 @@ pub(super) fn read_parts(
     Ok(())
 }
 
-/// Maps of a frame of one part: where the device wrote them, unless their rows have gaps.
+/// Maps of a frame of one part: where the device wrote them, unless their rows have gaps or views are of several bands. Where
+/// few rows are left of many, the rows between bands are not drawn, and bands together fit where the view did not.
 pub(super) fn read_maps<'s>(
     slot: &'s Slot,
     results: &[BandResult],
     sizes: &[ImageSize],
     kinds: FrameKinds,
 ) -> Result<FrameMaps<'s>, RasterError> {
-    let gapless = |r: &BandResult| r.row_pixels == sizes[r.band.view].width as usize;
-    if !results.iter().all(gapless) {
+    let in_place = |r: &BandResult| {
+        let size = sizes[r.band.view];
+        r.row_pixels == size.width as usize && r.band.rows == [0, size.height]
+    };
+    if !results.iter().all(in_place) {
         let mut maps: Vec<OwnedMaps> = sizes.iter().map(|size| OwnedMaps::new(*size, kinds)).collect();
         read_parts(slot, results, kinds, &mut maps)?;
         return Ok(maps.into_iter().map(OwnedMaps::done).collect());
@@ -86,7 +90,6 @@ pub(super) fn read_maps<'s>(
         instance: plane(&memory[INSTANCE], result, sizes),
         point: plane(&memory[POINT], result, sizes),
     };
-    // One band a view: a view of several does not fit one part.
     Ok(results.iter().map(view).collect())
 }
 
