@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::WrongUsage;
-use crate::dataset::{Dataset, DatasetError, LogLocator};
+use crate::dataset::{Dataset, DatasetError, LogFormat, LogLocator};
 use crate::logs;
 
 /// Where the parts of a data set are.
@@ -22,8 +22,12 @@ pub(super) fn log(text: &str) -> Result<LogLocator, DatasetError> {
     logs::locate(text)
 }
 
-/// Each log may be named once.
-pub(super) fn check_distinct(logs: &[LogLocator]) -> Result<(), WrongUsage> {
+/// For what needs the truth: towns, each named once.
+pub(super) fn check_towns(logs: &[LogLocator]) -> Result<(), WrongUsage> {
+    if let Some(other) = logs.iter().find(|log| log.format != LogFormat::Town) {
+        let message = format!("expected logs town:.., of which the truth is known, found {other}");
+        return Err(WrongUsage(message));
+    }
     match logs.iter().enumerate().find(|(place, log)| logs[..*place].contains(log)) {
         None => Ok(()),
         Some((_, log)) => Err(WrongUsage(format!("expected each log once, found {log} again"))),

@@ -1,6 +1,7 @@
 use glam::{DVec2, DVec3};
 use image::imageops::{FilterType, interpolate_bilinear, resize};
 use image::{Rgb, RgbImage};
+use rayon::prelude::*;
 
 use crate::dataset::{Dataset, DatasetError, ImageRecord};
 use crate::geometry::{Camera, ImageSize, View};
@@ -42,7 +43,8 @@ impl TrueImages<'_> {
     }
 
     /// What the cameras of a state see, as images of a size: of a town drawn as `drawn` has the views, with actors where
-    /// the state has them unless they follow the log; of a recorded log the image of each camera that is nearest in time, without what its lens distorts.
+    /// the state has them unless they follow the log; of a recorded log the image of each camera that is nearest in time,
+    /// without what its lens distorts.
     ///
     /// # Errors
     /// The town's device; images that are missing or damaged.
@@ -69,7 +71,7 @@ impl TrueImages<'_> {
             }
             Self::Logged(dataset) => {
                 let image = |camera: &SceneCamera| logged(*dataset, &camera.view.camera.name, state.t_us);
-                state.cameras.iter().map(image).collect::<Result<Vec<_>, _>>()?
+                state.cameras.par_iter().map(image).collect::<Result<Vec<_>, _>>()?
             }
         };
         Ok(images.iter().map(|image| resize(image, size.width, size.height, FilterType::Triangle)).collect())

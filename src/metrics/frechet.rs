@@ -17,7 +17,7 @@ pub enum FrechetError {
     /// NaN, infinity, or too large to be squared.
     #[error("expected finite features, found others")]
     NotFinite,
-    /// The iteration did not come to an end.
+    /// They could not be decomposed.
     #[error("expected covariances with eigenvalues, found none")]
     NoEigenvalues,
 }

@@ -252,6 +252,8 @@ fn a_process_may_encode_and_decode_itself() {
     );
     denoiser(&log, &WITH_CODEC.replace("'16,24'", "'16x24'"));
     assert_failed(&log.run(&format!("{GENERATE} --window 2")), 1, &["`image_size`", "16x24"]);
+    denoiser(&log, &WITH_CODEC.replace("'16,24'", "'32768,32768'"));
+    assert_failed(&log.run(&format!("{GENERATE} --window 2")), 1, &["images of at most", "32768,32768"]);
 }
 
 #[test]

@@ -82,6 +82,10 @@ fn goes_on(folder: &Path, whole: &BTreeMap<String, Vec<u8>>) {
     assert_failed(&output, 2, &["town:", "nuscenes:log"]);
     let output = command(folder, &train("new").replace(TOWN, &format!("{TOWN} {TOWN}"))).output().unwrap();
     assert_failed(&output, 2, &["each log once", TOWN]);
+    let single = CONFIG.replace("\"frames\": 2", "\"frames\": 1");
+    std::fs::write(folder.join("single.json"), single).unwrap();
+    let output = command(folder, &train("new").replace("net.json", "single.json")).output().unwrap();
+    assert_failed(&output, 1, &["2 frames or more", "found 1"]);
     // Before anything is recorded.
     let odd = CONFIG.replace("\"frames\": 2", "\"frames\": 2, \"cameras\": 5");
     std::fs::write(folder.join("odd.json"), odd).unwrap();
@@ -101,7 +105,7 @@ fn shipped(folder: &Path) {
 /// What is there is not made again, and what was lost comes back.
 fn compared(folder: &Path) {
     let weights = "trained/weights.safetensors";
-    let few = format!("ablate {TOWN} --weights {weights} --steps 4 --infer-steps 2 --out table");
+    let few = format!("ablate {TOWN} --weights {weights} --steps 4 --out table");
     let told = succeed(folder, &few);
     assert!(told.contains("10 variants in 1 scenes") && !told.contains("seed 1"), "{told}");
     let ablate = format!("{few} --plain-weights {weights} --other-seeds {weights}");

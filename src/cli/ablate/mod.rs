@@ -20,7 +20,7 @@ use super::log_args;
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::{WrongUsage, say};
-use crate::dataset::{LogFormat, LogLocator};
+use crate::dataset::LogLocator;
 use crate::error::{FileError, write_json};
 use crate::generate::network::Network;
 use crate::logs;
@@ -32,7 +32,7 @@ use crate::logs;
 /// again, so the command goes on where it was interrupted, and takes up other networks and towns.
 #[derive(Debug, Args)]
 pub(super) struct AblateArgs {
-    /// Towns that the networks have not seen: town:seed=901,frames=66[,..]
+    /// Towns that the networks have not seen: town:seed=904,frames=80[,..]
     #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
     logs: Vec<LogLocator>,
     /// Weights of `pskel train` [default: those that come with the program]
@@ -50,9 +50,9 @@ pub(super) struct AblateArgs {
     /// Frames that are generated in each scene, after the references
     #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u16).range(2..))]
     steps: u16,
-    /// Inference steps, T
-    #[arg(long, value_name = "T", default_value = "4", value_parser = clap::value_parser!(u16).range(1..=1000))]
-    infer_steps: u16,
+    /// Inference steps, T [default: frames of the window]
+    #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    infer_steps: Option<u16>,
     /// What noise, features and classifiers follow from
     #[arg(long, value_name = "SEED", default_value = "0")]
     seed: u64,
@@ -63,11 +63,7 @@ pub(super) struct AblateArgs {
 /// Draws, generates, scores, tells.
 pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    if let Some(other) = args.logs.iter().find(|log| log.format != LogFormat::Town) {
-        let message = format!("expected logs town:.., of which the truth is known, found {other}");
-        return Err(WrongUsage(message).into());
-    }
-    log_args::check_distinct(&args.logs)?;
+    log_args::check_towns(&args.logs)?;
     let networks = Networks {
         main: Network::open_or_shipped(args.weights.as_deref())?,
         plain: args.plain_weights.as_deref().map(Network::open).transpose()?,
@@ -76,7 +72,7 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
     networks.check()?;
     let settings = Settings {
         steps: usize::from(args.steps),
-        infer_steps: usize::from(args.infer_steps),
+        infer_steps: args.infer_steps.map_or(networks.main.config().frames, usize::from),
         seed: args.seed,
     };
     let rows = networks.rows();

@@ -13,8 +13,7 @@ use std::time::Instant;
 
 use self::drives::Recording;
 use self::steps::{Training, recent};
-use super::{WrongUsage, log_args, say};
-use crate::dataset::LogFormat;
+use super::{log_args, say};
 use crate::error::FileError;
 use crate::generate::network::NetworkConfig;
 use crate::generate::train::TrainOptions;
@@ -22,11 +21,7 @@ use crate::generate::train::TrainOptions;
 /// Records, trains, writes.
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    if let Some(other) = args.logs.iter().find(|log| log.format != LogFormat::Town) {
-        let message = format!("expected logs town:.., of which the truth is known, found {other}");
-        return Err(WrongUsage(message).into());
-    }
-    log_args::check_distinct(&args.logs)?;
+    log_args::check_towns(&args.logs)?;
     let config = config(args.config.as_deref())?;
     let options = TrainOptions {
         seed: args.seed,

@@ -61,15 +61,20 @@ impl Training<'_> {
             let report = trainer.step()?;
             losses.push(report.into());
             progress.step(&format!("step {}, loss {:.4}", report.step, recent(&losses)));
-            if trainer.done().is_multiple_of(self.checkpoint_steps) || trainer.is_done() {
-                write_losses(&self.folder.join(LOSS), &losses)?;
-                plot(&losses).write(&self.folder.join(CURVE))?;
-                trainer.weights(&self.command)?.write(&self.folder.join(WEIGHTS))?;
-                trainer.save(&checkpoint)?;
+            if trainer.done().is_multiple_of(self.checkpoint_steps) && !trainer.is_done() {
+                self.write(&trainer, &losses)?;
             }
         }
-        trainer.weights(&self.command)?.write(&self.folder.join(WEIGHTS))?;
+        self.write(&trainer, &losses)?;
         Ok(losses)
+    }
+
+    /// The checkpoint comes last: what it stands for is there.
+    fn write(&self, trainer: &Trainer<'_>, losses: &[Loss]) -> anyhow::Result<()> {
+        write_losses(&self.folder.join(LOSS), losses)?;
+        plot(losses).write(&self.folder.join(CURVE))?;
+        trainer.weights(&self.command)?.write(&self.weights())?;
+        Ok(trainer.save(&self.folder.join(CHECKPOINT))?)
     }
 
     /// The number of steps is part of how it was begun: the learning rate falls over all of them.

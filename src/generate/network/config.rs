@@ -78,6 +78,9 @@ impl NetworkConfig {
             let expected = format!("cameras, frames, patch, width, head, hidden and blocks of 1 to {MOST}");
             return Err(NetworkError::input(expected, format!("{numbers:?}")));
         }
+        if frames < 2 {
+            return Err(NetworkError::input("a window of 2 frames or more", frames.to_string()));
+        }
         self.recipe.check().map_err(|error| NetworkError::input(error.expected, error.found))?;
         let size = self.recipe.size;
         let sides = [size.height, size.width].map(|side| side as usize);

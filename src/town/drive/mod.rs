@@ -130,7 +130,19 @@ impl Town {
 
     /// The log's name, and how it is recorded where that is not as by default: skeletons of two recordings differ.
     pub fn recording(&self) -> String {
-        recording(&self.options)
+        let TownOptions { lidar_hz, beams, size: [height, width], .. } = self.options;
+        let usual = TownOptions::default();
+        let mut name = self.log.name.clone();
+        if beams != usual.beams {
+            name += &format!("-{beams}beams");
+        }
+        if lidar_hz != usual.lidar_hz {
+            name += &format!("-{lidar_hz}turns");
+        }
+        if [height, width] != usual.size {
+            name += &format!("-{height}x{width}");
+        }
+        name
     }
 
     /// Where the town lies.
@@ -219,23 +231,6 @@ fn name(options: &TownOptions) -> String {
     let TownOptions { seed, frames, hz, .. } = options;
     let rate = if *hz == TownOptions::default().hz { String::new() } else { format!("-{hz}hz") };
     format!("town-{seed}-{frames}f{rate}-{}", options.light())
-}
-
-/// As [`name`], and how it is recorded where that is not as by default.
-fn recording(options: &TownOptions) -> String {
-    let TownOptions { lidar_hz, beams, size: [height, width], .. } = *options;
-    let usual = TownOptions::default();
-    let mut name = name(options);
-    if beams != usual.beams {
-        name += &format!("-{beams}beams");
-    }
-    if lidar_hz != usual.lidar_hz {
-        name += &format!("-{lidar_hz}turns");
-    }
-    if [height, width] != usual.size {
-        name += &format!("-{height}x{width}");
-    }
-    name
 }
 
 fn describe(options: &TownOptions) -> String {

@@ -354,7 +354,6 @@ fn weights_are_read_as_they_were_written_or_refused() {
     assert!(error.contains("expected weights, found"), "{error}");
 }
 
-/// With the network itself, bit by bit: rolls that are reset have seen no forecast, others have.
 /// They say where they come from, and the log of their training stands beside them.
 #[test]
 fn shipped_weights_are_of_the_default_network_and_its_training() {
@@ -378,7 +377,7 @@ fn the_cache_of_the_shipped_network_has_seen_no_forecast() {
     the_cache_has_seen_no_forecast(&Weights::shipped().unwrap());
 }
 
-/// With the same seed, other forecasts change neither caches nor later frames, unless frames roll on with what they saw.
+/// Bit by bit, with the network itself and the same seed: other forecasts change neither caches nor later frames, unless frames roll on with what they saw.
 fn the_cache_has_seen_no_forecast(weights: &Weights) {
     let conditions = conditions(&made_for(&weights.config, 1, 8));
     let elsewhere = self::conditions(&made_for(&weights.config, 2, 8));
