@@ -25,8 +25,7 @@ def write(stream, texts, tensors={}):  # texts and tensors (dtype, shape, bytes)
 
 def predict(tensors):  # the velocity `noise - clean`; clean are the mean colors of blocks, from -1 to 1
     (frames, views, channels, rows, columns), latents = tensors["latents"]
-    (_, _, maps, height, width), points = tensors["points"]
-    velocity = array.array("f")
+    ((_, _, maps, height, width), points), velocity = tensors["points"], array.array("f")
     for plane in range(frames * views * channels):
         (view, channel), sigma = divmod(plane, channels), tensors["sigmas"][1][plane // (views * channels)]
         for row in range(rows):
@@ -39,11 +38,12 @@ def predict(tensors):  # the velocity `noise - clean`; clean are the mean colors
 
 def serve(source, out):
     told, hello = read(source)[0], {"protocol": "pskel-denoiser", "version": "1", "dtype": "F32"}
-    height, width = map(int, told["condition_size"].split(","))
-    write(out, hello | {"latent_shape": f"{told['views']},3,{height // 8},{width // 8}"})
-    while message := read(source):
-        shape, values = message[1]["latents"][0], predict(message[1])
-        write(out, {"call": message[0]["call"]}, {"prediction": ("F32", shape, values.tobytes())})
+    if (told["sampler"], told["prediction"]) != ("flow_match", "velocity"):
+        sys.exit("denoiser.py: expected flow_match with velocity, found {sampler} with {prediction}".format_map(told))
+    rows, columns = (int(side) // 8 for side in told["condition_size"].split(","))
+    write(out, hello | {"latent_shape": f"{told['views']},3,{rows},{columns}"})
+    for texts, tensors in iter(lambda: read(source), None):
+        write(out, {"call": texts["call"]}, {"prediction": ("F32", tensors["latents"][0], predict(tensors).tobytes())})
 
 
 if __name__ == "__main__" and len(sys.argv) < 2:

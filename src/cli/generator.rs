@@ -45,7 +45,7 @@ pub(super) struct GeneratorArgs {
     #[arg(long, value_name = "N")]
     history_noise: Option<usize>,
     /// Scale of classifier-free guidance; 1 is none, more asks the network twice [default: 1]
-    #[arg(long, value_name = "S", value_parser = numbers::scale)]
+    #[arg(long, value_name = "S", value_parser = numbers::scale, allow_negative_numbers = true)]
     guidance: Option<f32>,
     /// What the other half of the guidance does without: layout, text and action, or color and depth too [default: layout]
     #[arg(long, value_enum)]
@@ -334,7 +334,9 @@ impl FromStr for NetworkName {
             Some(("process", address)) => {
                 address.parse().map(Self::Process).map_err(|error: crate::peer::PeerError| error.to_string())
             }
-            _ => Err("expected network, network:FILE or process:COMMAND|unix:PATH|tcp:HOST:PORT".to_owned()),
+            _ => Err("expected network, network:FILE, process:COMMAND, process:unix:PATH or \
+                      process:tcp:HOST:PORT"
+                .to_owned()),
         }
     }
 }

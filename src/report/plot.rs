@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use plotters::prelude::{
-    ChartBuilder, IntoDrawingArea, LineSeries, PathElement, RGBAColor, SVGBackend, WHITE,
+    ChartBuilder, IntoDrawingArea, LineSeries, PathElement, RGBAColor, SVGBackend, SeriesLabelPosition, WHITE,
 };
 use plotters::style::{BLACK, Color};
 
@@ -63,7 +63,7 @@ impl Plot<'_> {
             .margin(12)
             .x_label_area_size(42)
             .y_label_area_size(64)
-            .build_cartesian_2d(x, y)?;
+            .build_cartesian_2d(x.clone(), y.clone())?;
         let light = BLACK.mix(0.08);
         chart.configure_mesh().light_line_style(light).x_desc(self.axes[0]).y_desc(self.axes[1]).draw()?;
         for (curve, rgb) in self.curves.iter().zip(COLORS.into_iter().cycle()) {
@@ -76,9 +76,32 @@ impl Plot<'_> {
                 .label(&curve.name)
                 .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
         }
-        chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(light).draw()?;
+        chart
+            .configure_series_labels()
+            .position(self.freest_corner(&x, &y))
+            .background_style(WHITE.mix(0.8))
+            .border_style(light)
+            .draw()?;
         area.present()?;
         Ok(())
+    }
+
+    /// The corner that the fewest points lie in, for the legend.
+    fn freest_corner(&self, x: &Range<f64>, y: &Range<f64>) -> SeriesLabelPosition {
+        let share = |value: f64, range: &Range<f64>| (value - range.start) / (range.end - range.start);
+        let points = || self.curves.iter().flat_map(Curve::finite);
+        let within = |(right, upper): (bool, bool)| {
+            let near = |value: f64, far_end: bool| if far_end { value > 0.5 } else { value < 0.5 };
+            points().filter(|p| near(share(p[0], x), right) && near(share(p[1], y), upper)).count()
+        };
+        let corners = [
+            ((true, true), SeriesLabelPosition::UpperRight),
+            ((false, false), SeriesLabelPosition::LowerLeft),
+            ((true, false), SeriesLabelPosition::LowerRight),
+            ((false, true), SeriesLabelPosition::UpperLeft),
+        ];
+        let freest = corners.into_iter().min_by_key(|(corner, _)| within(*corner));
+        freest.map_or(SeriesLabelPosition::UpperRight, |(_, position)| position)
     }
 
     /// All values of an axis, with some room around.
@@ -129,6 +152,13 @@ mod tests {
         assert!(!svg.contains("NaN"), "{svg}");
         assert_eq!(plot.range(0), 0.0..2.0);
         assert_eq!(plot.range(1), 0.9..3.1);
+        // The legend is where no curve is.
+        let corner = |points: &[[f64; 2]]| {
+            let plot = Plot { curves: vec![curve("c", points, false)], ..Plot::default() };
+            format!("{:?}", plot.freest_corner(&plot.range(0), &plot.range(1)))
+        };
+        assert_eq!(corner(&[[0.0, 1.0], [1.0, 0.0]]), "UpperRight");
+        assert_eq!(corner(&[[0.0, 0.1], [0.9, 1.0], [1.0, 0.0]]), "UpperLeft");
         // Nothing and a single value are drawn as well.
         assert!(Plot::default().svg().is_ok());
         assert!(Plot { curves: vec![curve("one", &[[1.0, 5.0]], false)], ..plot }.svg().is_ok());

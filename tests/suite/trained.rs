@@ -108,7 +108,7 @@ fn compared(folder: &Path) {
     let few = format!("ablate {TOWN} --weights {weights} --steps 4 --out table");
     let told = succeed(folder, &few);
     assert!(told.contains("10 variants in 1 scenes") && !told.contains("seed 1"), "{told}");
-    let ablate = format!("{few} --plain-weights {weights} --other-seeds {weights}");
+    let ablate = format!("{few} --plain-weights {weights} --other-seed {weights}");
     let told = succeed(folder, &ablate);
     assert!(told.contains("12 variants in 1 scenes"), "{told}");
     let all = tree(&folder.join("table"));
@@ -131,6 +131,16 @@ fn compared(folder: &Path) {
     succeed(folder, &ablate);
     assert_eq!(written(), before, "what is there is not made again");
     assert!(tree(&folder.join("table")) == all);
+    let seeds = ablate.replace("--plain-weights trained/weights.safetensors", "--tables seeds");
+    let told = succeed(folder, &seeds);
+    assert!(
+        told.contains("2 variants in 1 scenes") && told.contains("| seed 1, difference | 0.00 |"),
+        "{told}"
+    );
+    assert!(!told.contains("layout"), "{told}");
+    let neither = seeds.replace("--tables seeds", "--tables strategies");
+    let output = command(folder, &neither).output().unwrap();
+    assert_failed(&output, 2, &["expected --other-seed and table seeds together, found the weights alone"]);
     let other = ablate.replace("--steps 4", "--steps 3");
     let output = command(folder, &other).output().unwrap();
     assert_failed(&output, 1, &["expected scores of {", "\"steps\":4", "reset_and_roll.json"]);

@@ -13,7 +13,7 @@ use anyhow::Context;
 use clap::Args;
 
 use self::report::Report;
-use self::rows::{Networks, Row};
+use self::rows::{Networks, Row, Table};
 use self::run::{RunResult, Settings};
 use self::scene::{Scene, SceneOptions};
 use super::log_args;
@@ -41,9 +41,12 @@ pub(super) struct AblateArgs {
     /// Weights of `pskel train --no-augment`, for the row that tells what augmentation of assets is worth
     #[arg(long, value_name = "FILE")]
     plain_weights: Option<PathBuf>,
-    /// Weights of the same training with other seeds, for rows that tell what chance does
-    #[arg(long, value_name = "FILE", num_args = 1..)]
+    /// Weights of the same training with another seed, for a row that tells what chance does; may come several times
+    #[arg(long = "other-seed", value_name = "FILE")]
     other_seeds: Vec<PathBuf>,
+    /// What to compare [default: all]
+    #[arg(long, value_name = "TABLE,..", value_delimiter = ',')]
+    tables: Vec<Table>,
     /// Folder to write
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -75,7 +78,7 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
         infer_steps: args.infer_steps.map_or(networks.main.config().frames, usize::from),
         seed: args.seed,
     };
-    let rows = networks.rows();
+    let rows = networks.rows(&args.tables)?;
     for row in &rows {
         row.options(&networks, &settings).check().map_err(|error| WrongUsage(error.to_string()))?;
     }
@@ -87,7 +90,7 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
         results.extend(of_scene.with_context(|| format!("log {locator}"))?);
     }
     drop(progress);
-    let report = Report::new(&rows, &results);
+    let report = Report::new(&args.tables, &rows, &results);
     report.write(&args.out)?;
     say(report.table().trim_end());
     let (scenes, seconds) = (args.logs.len(), start.elapsed().as_secs_f64());

@@ -30,6 +30,8 @@ const COLUMNS: [(&str, &str, usize); 10] = [
 /// All results.
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
+    #[serde(skip)]
+    tables: Vec<Table>,
     scenes: Vec<String>,
     rows: Vec<RowReport>,
 }
@@ -50,11 +52,13 @@ struct RowReport {
 }
 
 impl Report {
-    pub(super) fn new(rows: &[Row], results: &[RunResult]) -> Self {
+    /// All tables where none are named.
+    pub(super) fn new(tables: &[Table], rows: &[Row], results: &[RunResult]) -> Self {
         let of = |row: &Row| results.iter().filter(|result| result.row == row.name).collect::<Vec<_>>();
         let first = rows.first().map(of).unwrap_or_default();
         let row = |row: &Row| RowReport::new(row, &of(row), &first);
         Self {
+            tables: Table::ALL.into_iter().filter(|t| tables.is_empty() || tables.contains(t)).collect(),
             scenes: first.iter().map(|result| result.scene.clone()).collect(),
             rows: rows.iter().map(row).collect(),
         }
@@ -67,7 +71,7 @@ impl Report {
         write_whole(&path, |out| {
             std::io::Write::write_all(out, self.table().as_bytes()).map_err(FileError::io("write", &path))
         })?;
-        for table in Table::ALL {
+        for &table in &self.tables {
             let curve = |row: &RowReport| Curve {
                 name: row.title.clone(),
                 points: row.psnr_db.clone(),
@@ -89,7 +93,7 @@ impl Report {
     /// As Markdown.
     pub(super) fn table(&self) -> String {
         let mut text = String::new();
-        for table in Table::ALL.into_iter().filter(|table| self.of_table(*table).count() > 1) {
+        for &table in self.tables.iter().filter(|table| self.of_table(**table).count() > 1) {
             let head: Vec<&str> = COLUMNS.iter().map(|(_, column, _)| *column).collect();
             // A String takes all.
             let _ = writeln!(text, "{}\n\n| | {} |", table.title(), head.join(" | "));
@@ -187,7 +191,7 @@ mod tests {
         let rows = [row("a"), row("b")];
         let results =
             [result("x", "a", 20.0), result("x", "b", 19.0), result("y", "a", 24.0), result("y", "b", 23.0)];
-        let report = Report::new(&rows, &results);
+        let report = Report::new(&[], &rows, &results);
         let table = report.table();
         // 12.706 * sqrt(8 / 2): one degree of freedom.
         assert!(table.contains("| a | 22.00 ± 25.41 | - | - |"), "{table}");

@@ -1,3 +1,5 @@
+use clap::ValueEnum;
+
 use super::run::{Origin, Settings};
 use crate::cli::WrongUsage;
 use crate::generate::network::Network;
@@ -24,13 +26,20 @@ pub(super) struct Row {
 }
 
 /// What is compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
 pub(super) enum Table {
+    /// Of generation.
     Strategies,
+    /// Those that come true, and none.
     Forecasts,
+    /// Color and depth of the points.
     Conditions,
+    /// As many, and twice as many.
     InferSteps,
+    /// Of assets in training; with --plain-weights.
     Augmentation,
+    /// Of training; with --other-seed.
     Seeds,
 }
 
@@ -112,8 +121,30 @@ impl Networks {
         }
     }
 
-    /// All variants; the whole generator first, with which others are compared.
-    pub(super) fn rows(&self) -> Vec<Row> {
+    /// The variants of some tables, of all of them where none are named; the whole generator first, with which others are
+    /// compared.
+    pub(super) fn rows(&self, tables: &[Table]) -> Result<Vec<Row>, WrongUsage> {
+        let mut rows = self.all_rows();
+        if tables.is_empty() {
+            return Ok(rows);
+        }
+        for (table, option, given) in [
+            (Table::Augmentation, "--plain-weights", self.plain.is_some()),
+            (Table::Seeds, "--other-seed", !self.others.is_empty()),
+        ] {
+            if given != tables.contains(&table) {
+                let (table, found) =
+                    (table.name(), if given { "the weights alone" } else { "the table alone" });
+                return Err(WrongUsage(format!(
+                    "expected {option} and table {table} together, found {found}"
+                )));
+            }
+        }
+        rows.retain(|row| row.tables.iter().any(|table| tables.contains(table)));
+        Ok(rows)
+    }
+
+    fn all_rows(&self) -> Vec<Row> {
         use Table::{Augmentation, Conditions, Forecasts, InferSteps, Seeds, Strategies};
         let main = || Row {
             name: "reset_and_roll".to_owned(),

@@ -38,8 +38,9 @@ pub(super) struct EvaluateArgs {
     /// Masks of vehicles by a segmentor, in DIR/NNNNNN/CAM.png of any size, vehicles not 0; once for each rollout, in order
     #[arg(long, value_name = "DIR")]
     masks: Vec<PathBuf>,
-    /// Train the patch classifier on true images and class maps of these rollouts [default: on the other half of the steps]
-    #[arg(long, value_name = "DIR", num_args = 1..)]
+    /// Train the patch classifier on true images and class maps of this rollout, may come several times [default: on the
+    /// other half of the steps]
+    #[arg(long, value_name = "DIR")]
     classifier_from: Vec<PathBuf>,
     /// Take a Fréchet distance of features of another network, too: NPY files of f32 or f64 [N, D], of generated and of true
     /// images

@@ -34,7 +34,8 @@ pub(super) struct GenerateArgs {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// The network: the one that comes with the program, network:FILE with weights of `pskel train`, or
-    /// process:COMMAND|unix:PATH|tcp:HOST:PORT (docs/DENOISER.md)
+    /// process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md). Options of maps are for the maps that
+    /// are written: what the network sees is drawn as it was trained for
     #[arg(long, value_name = "NETWORK", default_value = "network")]
     generator: NetworkName,
     /// Steps to take [default: to the end of the log]
@@ -52,8 +53,8 @@ pub(super) struct GenerateArgs {
     dataset: Option<PathBuf>,
     #[command(flatten)]
     maps: MapArgs,
-    /// Go on with the rollout in --out behind its last step, with the same log, skeleton and options; --steps, --profile and
-    /// the rasterizer may change
+    /// Go on with the rollout in --out behind its last step, with the same log, skeleton and options; --steps,
+    /// --generator-timeout, --profile and the rasterizer may change
     #[arg(long)]
     resume: bool,
     /// Go on behind this step; later ones are made anew

@@ -56,7 +56,7 @@ pub(in crate::cli) struct SimulateArgs {
     #[arg(long)]
     pub(super) sheets: bool,
     /// Go on with the rollout in --out behind its last step, with the same log, skeleton and options; --steps,
-    /// --planner-timeout, --profile and the rasterizer may change
+    /// --planner-timeout, --generator-timeout, --profile and the rasterizer may change
     #[arg(long)]
     pub(super) resume: bool,
     /// Go on behind this step; later ones are made anew
@@ -72,8 +72,9 @@ pub(in crate::cli) struct SimulateArgs {
     #[arg(long, value_name = "F.json")]
     pub(super) annotations: Option<PathBuf>,
     /// Also make the images that the cameras would see, by a network: `network`, which comes with the program,
-    /// network:FILE with weights of `pskel train`, or process:COMMAND|unix:PATH|tcp:HOST:PORT (docs/DENOISER.md). At each
-    /// plan step it writes steps/STEP/generated, and truth where that is known
+    /// network:FILE with weights of `pskel train`, or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT
+    /// (docs/DENOISER.md). At each plan step it writes steps/STEP/generated, and truth where that is known. Options of
+    /// maps are for the maps that are written: what the network sees is drawn as it was trained for
     #[arg(long, value_name = "NETWORK")]
     pub(super) generator: Option<NetworkName>,
     #[command(flatten)]
@@ -252,8 +253,8 @@ impl SimulateArgs {
     }
 
     /// Every so many-th frame that is a step, if frames are steps, and how many steps there are to take.
-    fn frames_of(&self, scenario: &Scenario<'_>) -> (Option<usize>, usize) {
-        let Some(EveryFrames(every)) = self.frames else { return (None, self.steps) };
+    fn frames_of(&self, scenario: &Scenario<'_>) -> anyhow::Result<(Option<usize>, usize)> {
+        let Some(EveryFrames(every)) = self.frames else { return Ok((None, self.steps)) };
         let frames = &scenario.log.frames;
         let nearest = || {
             let hz = frame_rate_hz(frames).unwrap_or(scenario.rates.plan_hz);
@@ -262,12 +263,22 @@ impl SimulateArgs {
         let every = every.unwrap_or_else(nearest);
         let start = self.policies.start.unwrap_or(i64::MIN);
         let there = frames.iter().filter(|frame| frame.t_us >= start).count();
-        (Some(every), self.steps.min(there.saturating_sub(1) / every))
+        anyhow::ensure!(
+            there > every,
+            "expected more than {every} frames from --start on (--every {every}), found {there} in log {}",
+            scenario.log.name
+        );
+        Ok((Some(every), self.steps.min((there - 1) / every)))
     }
 
     /// Whether ego and others follow the log all along.
     pub(super) fn follow_log(&self) -> [bool; 2] {
         [self.policies.ego == EgoName::Replay, matches!(self.policies.actors, ActorName::Replay)]
+    }
+
+    /// Whether steps are the log's own frames, as `pskel generate` has it.
+    pub(super) fn is_open_loop(&self) -> bool {
+        self.frames.is_some()
     }
 
     /// Name of the ego's policy.
@@ -291,7 +302,7 @@ impl SimulateArgs {
         window: Option<usize>,
     ) -> anyhow::Result<SimOptions> {
         let p = &self.policies;
-        let (every_frames, steps) = self.frames_of(scenario);
+        let (every_frames, steps) = self.frames_of(scenario)?;
         let least = window.unwrap_or(0);
         if let Some(warmup) = p.warmup.filter(|warmup| *warmup < least) {
             let message =

@@ -145,7 +145,8 @@ impl Profile {
             return String::new();
         }
         if made == 0 {
-            return "no frame generated, all are references; ".to_owned();
+            return "no frame generated, all are references: expected more plan steps than those; "
+                .to_owned();
         }
         let ms = |name: &str| 1e3 * self.medians.get(name).copied().unwrap_or(0.0);
         format!(

@@ -20,11 +20,18 @@ pub(super) fn summary(
         _ => String::new(),
     };
     let notes = outcome.notes.iter().map(|(note, count)| format!("{count} x {note}"));
-    let told: Vec<String> = std::iter::once(results(&outcome.metrics))
+    // A replayed log tells nothing of the ego.
+    let results = (!args.is_open_loop()).then(|| results(&outcome.metrics));
+    let told: Vec<String> = results
+        .into_iter()
         .chain(beyond_log(outcome.steps_beyond_log))
         .chain(notes)
         .chain([profile.summary()])
         .collect();
+    if args.is_open_loop() {
+        let (by, device) = (&info.rasterizer, &info.device);
+        return format!("replayed {} frames by {by} on {device}: {}", rows.len(), told.join("; "));
+    }
     format!(
         "simulated {steps} steps{ended}, ego {}, actors {}, by {} on {}: {}",
         args.ego_name(),

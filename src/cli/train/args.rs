@@ -36,8 +36,9 @@ pub(in crate::cli) struct TrainArgs {
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().steps)]
     pub(super) steps: u64,
     /// Windows a step
-    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().batch)]
-    pub(super) batch: usize,
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().batch as u16,
+          value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(super) batch: u16,
     /// Network, as JSON; what is missing is as shipped
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,

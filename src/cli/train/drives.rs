@@ -79,12 +79,13 @@ impl Recording<'_> {
         self.folder.join(format!("{}-{number}{worse}.safetensors", town.recording()))
     }
 
+    /// The skeleton stays for drives that are asked for later.
     fn record(&self, town: &Town, files: &[PathBuf]) -> anyhow::Result<()> {
-        let scratch = tempfile::Builder::new().prefix(".pskel-").tempdir_in(self.folder);
-        let scratch = scratch.map_err(FileError::io("create a folder in", self.folder))?;
-        let path = scratch.path().join("skeleton");
-        let input = [BuildInput::all(town)];
-        skeleton::build(&path, &input, &BuildOptions::default(), &|_| Ok(Vec::new()), &BuildRun::default())?;
+        let path = self.folder.join(format!("{}.skeleton", town.recording()));
+        if !path.exists() {
+            let (input, how) = ([BuildInput::all(town)], BuildOptions::default());
+            skeleton::build(&path, &input, &how, &|_| Ok(Vec::new()), &BuildRun::default())?;
+        }
         let skeleton = Skeleton::open(&path)?;
         let source = Source { town, skeleton: &skeleton, recipe: self.recipe, rasterizer: self.rasterizer };
         for (number, file) in files.iter().enumerate().filter(|(_, file)| !file.is_file()) {

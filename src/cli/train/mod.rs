@@ -26,7 +26,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     let options = TrainOptions {
         seed: args.seed,
         steps: args.steps,
-        batch: args.batch,
+        batch: usize::from(args.batch),
         infer_steps: 2 * config.frames,
         ..TrainOptions::default()
     };

@@ -169,7 +169,7 @@ pub(in crate::generate) fn read<'a, H: DeserializeOwned>(
     path: &Path,
 ) -> Result<(H, SafeTensors<'a>), FileError> {
     let wrong = |found: String| FileError::content(what, found, path);
-    let (_, head) = SafeTensors::read_metadata(bytes).map_err(|e| wrong(e.to_string()))?;
+    let (_, head) = SafeTensors::read_metadata(bytes).map_err(|e| wrong(format!("no safetensors: {e}")))?;
     let header = head.metadata().as_ref().and_then(|all| all.get(key));
     let header = header.ok_or_else(|| wrong(format!("no {key} in the header")))?;
     let header = serde_json::from_str(header).map_err(|e| wrong(e.to_string()))?;

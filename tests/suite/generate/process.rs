@@ -349,6 +349,11 @@ fn bad_hellos_are_told() {
         let gone = refused(command(lines.into()), PATIENT_S).to_string();
         assert!(gone.contains(part) && gone.ends_with(lines), "{gone}");
     }
+    let sampler = SamplerOptions::Ddim { prediction: Prediction::Sample };
+    let spec = PeerSpec { address: example(), timeout_s: PATIENT_S };
+    let cannot = ProcessDenoiser::start(&spec, &GenerateOptions { sampler, ..options() }, VIEWS, SIZE);
+    let cannot = cannot.err().unwrap().to_string();
+    assert!(cannot.contains("found its end (exit status: 1)"), "{cannot}");
     let nobody = PeerAddress::Unix(folder.path().join("nobody"));
     assert!(matches!(refused(nobody, 0.2), PeerError::Io { verb: "reach", .. }));
 }
