@@ -15,7 +15,7 @@ use crate::dataset::{Dataset, LogLocator};
 use crate::error::FileError;
 use crate::logs;
 use crate::skeleton::{
-    self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, SkeletonWriter, Template,
+    self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, Skeleton, SkeletonWriter, Template,
     TemplateCloud, TemplateKind, TemplateLibrary,
 };
 
@@ -154,6 +154,15 @@ impl BuildArgs {
         options.between_sweeps = self.sweeps;
         options
     }
+}
+
+/// The skeleton of a whole log at a path: built as by default if it is not there, it stays for what is asked later.
+pub(super) fn kept(dataset: &dyn Dataset, path: &Path) -> anyhow::Result<Skeleton> {
+    if !path.exists() {
+        let (input, how) = ([BuildInput::all(dataset)], BuildOptions::default());
+        skeleton::build(path, &input, &how, &|_| Ok(Vec::new()), &BuildRun::default())?;
+    }
+    Ok(Skeleton::open(path)?)
 }
 
 fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<(Template, Vec<Point>)>> {

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use image::RgbImage;
 
 use super::run::Settings;
+use crate::cli::build;
 use crate::cli::rasterizer::RasterizerArgs;
 use crate::cli::stand_ins::StandInArgs;
 use crate::conditions::{CameraConditions, ConditionSet, MapKind};
@@ -17,7 +18,6 @@ use crate::scene::{SceneMap, Stage};
 use crate::sim::{
     ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
 };
-use crate::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 use crate::town::Town;
 
 /// What all variants are given of a town: the ego changes lanes.
@@ -58,11 +58,7 @@ impl Scene {
     /// Builds the skeleton, if it is not there, and drives through the town.
     pub(super) fn draw(town: &Town, options: &SceneOptions<'_>) -> anyhow::Result<Self> {
         check_length(town.log(), options.count())?;
-        if !options.skeleton.exists() {
-            let (input, how) = ([BuildInput::all(town)], BuildOptions::default());
-            skeleton::build(options.skeleton, &input, &how, &|_| Ok(Vec::new()), &BuildRun::default())?;
-        }
-        let skeleton = Skeleton::open(options.skeleton)?;
+        let skeleton = build::kept(town, options.skeleton)?;
         let log = town.log();
         let (stand_ins, _) = StandInArgs::augmented(None).make(&skeleton, &log.name)?;
         let stage = Stage::with(&skeleton, &log.name, &stand_ins);

@@ -8,6 +8,7 @@ use rand_distr::{Distribution, Uniform};
 use rand_seeder::Seeder;
 
 use super::record::{Source, Variant};
+use crate::cli::build;
 use crate::cli::progress::Progress;
 use crate::cli::rasterizer::RasterizerArgs;
 use crate::dataset::{Dataset, LogLocator};
@@ -15,7 +16,6 @@ use crate::error::FileError;
 use crate::generate::{Drive, Recipe};
 use crate::logs;
 use crate::scene::EgoOffset;
-use crate::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 use crate::town::Town;
 
 /// What is recorded of each log.
@@ -82,11 +82,7 @@ impl Recording<'_> {
     /// The skeleton stays for drives that are asked for later.
     fn record(&self, town: &Town, files: &[PathBuf]) -> anyhow::Result<()> {
         let path = self.folder.join(format!("{}.skeleton", town.recording()));
-        if !path.exists() {
-            let (input, how) = ([BuildInput::all(town)], BuildOptions::default());
-            skeleton::build(&path, &input, &how, &|_| Ok(Vec::new()), &BuildRun::default())?;
-        }
-        let skeleton = Skeleton::open(&path)?;
+        let skeleton = build::kept(town, &path)?;
         let source = Source { town, skeleton: &skeleton, recipe: self.recipe, rasterizer: self.rasterizer };
         for (number, file) in files.iter().enumerate().filter(|(_, file)| !file.is_file()) {
             source.record(self.variant(&town.log().name, number))?.save(file)?;
