@@ -56,6 +56,9 @@ pub(super) struct AblateArgs {
     /// Inference steps, T [default: frames of the window]
     #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1000))]
     infer_steps: Option<u16>,
+    /// Make a share of the scenes' assets worse by a seed, as in training: thinned, or cut to what one camera sees
+    #[arg(long, value_name = "SEED", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
+    augment: Option<u64>,
     /// What noise, features and classifiers follow from
     #[arg(long, value_name = "SEED", default_value = "0")]
     seed: u64,
@@ -77,6 +80,7 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
         steps: usize::from(args.steps),
         infer_steps: args.infer_steps.map_or(networks.main.config().frames, usize::from),
         seed: args.seed,
+        augment: args.augment,
     };
     let rows = networks.rows(&args.tables)?;
     for row in &rows {

@@ -177,7 +177,7 @@ mod tests {
             scene: scene.into(),
             row: row.into(),
             origin: Origin {
-                settings: Settings { steps: 2, infer_steps: 4, seed: 0 },
+                settings: Settings { steps: 2, infer_steps: 4, seed: 0, augment: None },
                 weights: String::new(),
             },
             numbers: [("psnr_db".to_owned(), Some(psnr_db)), ("ssim".to_owned(), None)].into(),

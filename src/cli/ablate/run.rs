@@ -20,6 +20,9 @@ pub(super) struct Settings {
     pub(super) steps: usize,
     pub(super) infer_steps: usize,
     pub(super) seed: u64,
+    /// What makes assets worse.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) augment: Option<u64>,
 }
 
 /// What results must be of, to stand in one table.
