@@ -144,6 +144,8 @@ fn compared(folder: &Path) {
     let other = ablate.replace("--steps 4", "--steps 3");
     let output = command(folder, &other).output().unwrap();
     assert_failed(&output, 1, &["expected scores of {", "\"steps\":4", "reset_and_roll.json"]);
+    let output = command(folder, &format!("{ablate} --augment=1")).output().unwrap();
+    assert_failed(&output, 1, &["expected scores of {", "\"augment\":1", "reset_and_roll.json"]);
     let long = ablate.replace("--steps 4", "--steps 30").replace("--out table", "--out long");
     assert_failed(&command(folder, &long).output().unwrap(), 1, &["31 plan steps", "found 5"]);
 }
