@@ -377,7 +377,8 @@ fn the_cache_of_the_shipped_network_has_seen_no_forecast() {
     the_cache_has_seen_no_forecast(&Weights::shipped().unwrap());
 }
 
-/// Bit by bit, with the network itself and the same seed: other forecasts change neither caches nor later frames, unless frames roll on with what they saw.
+/// Bit by bit, with the network itself and the same seed: other forecasts change neither caches nor later frames, unless
+/// frames roll on with what they saw.
 fn the_cache_has_seen_no_forecast(weights: &Weights) {
     let conditions = conditions(&made_for(&weights.config, 1, 8));
     let elsewhere = self::conditions(&made_for(&weights.config, 2, 8));
