@@ -8,7 +8,8 @@ use serde::Serialize;
 
 use super::{WrongUsage, say};
 use crate::cloud::{self, Point, npy, ply};
-use crate::error::{FileError, write_json, write_whole_folder};
+use crate::error::FileError;
+use crate::files::{WholeFolder, check_output_file, write_json};
 use crate::skeleton::{Skeleton, TemplateKind};
 
 /// Convert points: a skeleton to NPY or PLY files, or one such file to the other format
@@ -85,6 +86,7 @@ fn convert_file(args: &ConvertArgs) -> anyhow::Result<String> {
         }
         (format, ending) => format.or(ending).unwrap_or(PointFormat::Npy),
     };
+    check_output_file(&args.out, [args.input.as_path()])?;
     let file = cloud::read(&args.input)?;
     let with_class = file.points.iter().any(|p| p.class() != 0);
     let origin = if file.origin == DVec3::ZERO {
@@ -139,7 +141,7 @@ struct TemplateFile {
 
 fn convert_skeleton(input: &Path, out: &Path, format: PointFormat) -> Result<String, FileError> {
     let skeleton = Skeleton::open(input)?;
-    write_whole_folder(out, ORIGINS, |folder| {
+    WholeFolder::open(out, "points", &[input])?.write::<FileError>(|folder| {
         let origins = Origins {
             background: write_background(&skeleton, folder, format)?,
             actors: write_actors(&skeleton, folder, format)?,

@@ -12,7 +12,8 @@ use npyz::{NpyHeader, Order, WriterBuilder};
 
 use super::rows::{Row, RowCollector};
 use super::{Point, PointFile};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 
 /// Longest header that is read, bytes; NumPy's own limit.
 const MAX_HEADER_BYTES: usize = 10_000;

@@ -7,7 +7,8 @@ use bytemuck::{cast_slice, pod_collect_to_vec};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 
 use super::{Drive, DriveFrame, DriveInfo};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 
 const ABOUT: &str = "drive";
 

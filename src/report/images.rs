@@ -7,7 +7,8 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{picture_size, read_picture};
-use crate::error::{FileError, write_json};
+use crate::error::FileError;
+use crate::files::write_json;
 use crate::generate::Made;
 
 /// Folder of the images that were made, and their name in the page.

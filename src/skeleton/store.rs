@@ -7,9 +7,12 @@ use std::path::{Path, PathBuf};
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use super::{BuildOptions, MakeTemplates};
 use crate::cloud::Point;
-use crate::error::{FileError, check_only_ours, write_json, write_whole_folder, write_whole_folder_by};
+use crate::error::FileError;
+use crate::files::{WholeFolder, WorkFolder, check_whole, write_json, write_whole_by};
 use crate::gpu::MappedFile;
 
+/// Kind of the output folder.
+const KIND: &str = "skeleton";
 const MANIFEST: &str = "skeleton.json";
 const BACKGROUND: &str = "background.points";
 const ACTORS: &str = "actors.points";
@@ -34,24 +37,24 @@ impl SkeletonWriter {
         path: &Path,
         fill: impl FnOnce(&mut Self) -> Result<(), E>,
     ) -> Result<(), E> {
-        write_whole_folder(path, MANIFEST, |folder| fill(&mut Self::new(folder)?))
+        WholeFolder::open(path, KIND, &[])?.write(|folder| fill(&mut Self::new(folder)?))
     }
 
-    /// Whether a skeleton may be written at a path.
+    /// Checks that a skeleton may be written at a path: nothing is there, or a skeleton without files of others.
     ///
     /// # Errors
     /// Something else is there.
     pub fn check_target(path: &Path) -> Result<(), FileError> {
-        check_only_ours(path, MANIFEST, |name| [MANIFEST, BACKGROUND, ACTORS, TEMPLATES].contains(&name))
+        check_whole(path, KIND)
     }
 
-    /// The same with the temporary folder in `scratch`, a folder of the same file system.
+    /// The same in a work folder that the caller owns.
     pub(super) fn write_by<E: From<FileError>>(
         path: &Path,
-        scratch: &Path,
+        work: &WorkFolder,
         fill: impl FnOnce(&mut Self) -> Result<(), E>,
     ) -> Result<(), E> {
-        write_whole_folder_by(path, MANIFEST, scratch, |folder| fill(&mut Self::new(folder)?))
+        write_whole_by(work, path, KIND, |folder| fill(&mut Self::new(folder)?))
     }
 
     fn new(folder: &Path) -> Result<Self, FileError> {

@@ -31,7 +31,7 @@ const DEFAULT_FRAMES: u32 = 20;
 pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     args.check()?;
     if let Some(path) = &args.trace {
-        trace::check(path)?;
+        trace::check(path, [&args.points, &args.cameras].into_iter().flatten())?;
     }
     let workload = Workload::new(args)?;
     let mut rasterizer = args.rasterizer.create(workload.clouds())?;

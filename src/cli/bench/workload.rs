@@ -5,6 +5,7 @@ use super::BenchArgs;
 use super::frames::Steps;
 use crate::cli::numbers::FrameRange;
 use crate::cli::render::open_skeleton;
+use crate::cli::{tell, warn};
 use crate::cloud::{self, Point, PointFile};
 use crate::conditions::{ConditionOptions, ImageSize, MapKind};
 use crate::dataset::{Log, LogLocator};
@@ -58,7 +59,7 @@ impl Workload {
             }
             _ => {
                 let count = args.synthetic.unwrap_or(DEFAULT_POINTS);
-                eprintln!("making a street of {count} points");
+                tell(&format!("making a street of {count} points"));
                 let points = town::street_cloud(count, args.seed);
                 Self::of_cloud(PointFile { points, ..PointFile::default() }, town::street_views())
             }
@@ -99,7 +100,7 @@ impl Workload {
             log.name
         );
         if frames.len() < asked {
-            eprintln!("warning: {} frames have no cameras and are left out", asked - frames.len());
+            warn(&format!("{} frames have no cameras and are left out", asked - frames.len()));
         }
         let clouds = Clouds::Skeleton(Box::new(skeleton), log.name.clone());
         Ok(Self { clouds, frames, is_drive: true, non_finite: 0 })

@@ -20,7 +20,8 @@ use super::stand_ins::StandInArgs;
 use super::{WrongUsage, say};
 use crate::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use crate::dataset::{Dataset, LogFormat, LogLocator};
-use crate::error::{FileError, write_json, write_whole};
+use crate::error::FileError;
+use crate::files::{check_output_file, write_json, write_whole};
 use crate::logs;
 use crate::raster::SplatSchedule;
 use crate::scene::Stage;
@@ -71,6 +72,9 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     if args.log.format != LogFormat::Town {
         let message = format!("expected a log town:.., of which the truth is known, found {}", args.log);
         return Err(WrongUsage(message).into());
+    }
+    for out in [&args.json, &args.csv, &args.markdown].into_iter().flatten() {
+        check_output_file(out, [])?;
     }
     let town = logs::open_town(&args.log)?;
     let skeleton = open_skeleton(&args.skeleton, &town)?;

@@ -7,7 +7,8 @@ use anyhow::Context;
 
 use super::output::{STATE, step_folder};
 use crate::cli::generator::{Opened, Subject};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 use crate::generate::{Cache, Made, Session, SessionTimes};
 use crate::raster::Rasterizer;
 use crate::report::images::{self, GENERATED, TRUTH};

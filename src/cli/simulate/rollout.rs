@@ -16,6 +16,7 @@ use crate::conditions::birdseye::Trace;
 use crate::conditions::{Begun, ConditionError, ConditionSet};
 use crate::dataset::{EgoTrack, Log};
 use crate::error::FileError;
+use crate::files::OutputFolder;
 use crate::raster::Rasterizer;
 use crate::report::images::TRUTH;
 use crate::report::{Observed, Phase, StateFile, StepRow, sight, view};
@@ -29,6 +30,8 @@ pub(super) struct Rollout<'a> {
     pub(super) stage: &'a Stage<'a>,
     pub(super) options: &'a RolloutOptions,
     pub(super) output: &'a Output<'a>,
+    /// Where steps are written; `None` writes nothing.
+    pub(super) files: Option<&'a OutputFolder>,
     /// Whether a planner is told the folder of each step, once it is written.
     pub(super) shown_to_planner: bool,
 }
@@ -86,9 +89,9 @@ impl Rollout<'_> {
         let writes = states.is_some();
         let (run, times) = std::thread::scope(|scope| {
             let writer = scope.spawn(move || -> Result<Vec<WriteTimes>, ConditionError> {
-                let Some(mut states) = states else { return Ok(Vec::new()) };
+                let (Some(files), Some(mut states)) = (self.files, states) else { return Ok(Vec::new()) };
                 let write = |job: Job| {
-                    let times = self.output.write(&job, &mut states)?;
+                    let times = self.output.write(&job, files, &mut states)?;
                     let _ = tell.send(()); // nobody may wait for it
                     Ok(times)
                 };
@@ -423,6 +426,7 @@ mod tests {
             stage: &stage,
             options: &options,
             output: &output,
+            files: None,
             shown_to_planner: false,
         };
         let scenario = Scenario::new(&log, None, LogFormat::Town);

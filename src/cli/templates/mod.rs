@@ -8,7 +8,6 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
-use tempfile::TempDir;
 
 use self::picture::draw;
 use super::log_args::LogRoots;
@@ -17,7 +16,6 @@ use super::say;
 use crate::cloud::Point;
 use crate::conditions::png;
 use crate::dataset::{self, Dataset, LogLocator};
-use crate::error::FileError;
 use crate::logs;
 use crate::skeleton::{
     self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton, Source,
@@ -69,19 +67,23 @@ impl FromStr for Target {
 /// Reads, makes, draws, writes.
 pub(super) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    TemplateLibrary::check_target(&args.out)?;
+    let skeletons = args.targets.iter().filter_map(|target| match target {
+        Target::Skeleton(path) => Some(path.as_path()),
+        Target::Log(_) => None,
+    });
+    let target = TemplateLibrary::target(&args.out, &skeletons.collect::<Vec<_>>())?;
     let options = TemplateOptions {
         target_points: args.target_points,
         min_points: args.min_points,
         ..TemplateOptions::default()
     };
     let mut instances = Instances::new(options);
-    let sources = read(args, &mut instances)?;
+    let sources = read(args, &mut instances, target.scratch())?;
     let made = instances.templates();
     let found = told(&made.1);
     anyhow::ensure!(!made.0.is_empty(), "expected actors with points enough for a template, found {found}");
     let library = TemplateLibrary::new(sources, options, made);
-    library.write::<anyhow::Error>(&args.out, |folder| draw_all(folder, &library.clouds))?;
+    library.write::<anyhow::Error>(target, |folder| draw_all(folder, &library.clouds))?;
     let (count, logs) = (library.clouds.len(), library.manifest.sources.len());
     let seconds = start.elapsed().as_secs_f64();
     say(&format!(
@@ -91,7 +93,7 @@ pub(super) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn read(args: &TemplatesArgs, instances: &mut Instances) -> anyhow::Result<Vec<LogSource>> {
+fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyhow::Result<Vec<LogSource>> {
     let mut sources = Vec::new();
     let mut progress = Progress::new(args.targets.len());
     for target in &args.targets {
@@ -105,8 +107,7 @@ fn read(args: &TemplatesArgs, instances: &mut Instances) -> anyhow::Result<Vec<L
                 for log in logs::expand(&args.roots.locate(locator))? {
                     let dataset = logs::open(&log)?;
                     let name = &dataset.log().name;
-                    let folder = scratch(&args.out)?;
-                    let built = build(&folder.path().join("skeleton"), dataset.as_ref());
+                    let built = build(&scratch.join("skeleton"), dataset.as_ref());
                     sources.extend(take(instances, &built.with_context(|| format!("log {name}"))?));
                     progress.step(name);
                 }
@@ -114,14 +115,6 @@ fn read(args: &TemplatesArgs, instances: &mut Instances) -> anyhow::Result<Vec<L
         }
     }
     Ok(sources)
-}
-
-/// A folder beside the one to write, gone at the end.
-fn scratch(out: &Path) -> Result<TempDir, FileError> {
-    let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    std::fs::create_dir_all(parent).map_err(FileError::io("create", parent))?;
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".pskel-").tempdir_in(parent).map_err(FileError::io("create a folder in", parent))
 }
 
 /// A skeleton of all frames of a log.

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::cli::progress::Progress;
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::{OutputFolder, write_whole};
 use crate::generate::Drive;
 use crate::generate::network::NetworkConfig;
 use crate::generate::train::{StepReport, TrainOptions, Trainer};
@@ -30,6 +31,8 @@ pub(super) struct Loss {
     pub(super) learning_rate: f64,
 }
 
+/// Kind of the output folder.
+const KIND: &str = "training";
 const CHECKPOINT: &str = "checkpoint.safetensors";
 const WEIGHTS: &str = "weights.safetensors";
 const LOSS: &str = "loss.csv";
@@ -48,7 +51,8 @@ impl From<StepReport> for Loss {
 impl Training<'_> {
     /// Takes all steps that are left and writes the weights. Returns the losses of all steps.
     pub(super) fn run(&self, drives: &[Drive], resume: bool) -> anyhow::Result<Vec<Loss>> {
-        std::fs::create_dir_all(self.folder).map_err(FileError::io("create", self.folder))?;
+        let files = OutputFolder::open(self.folder, KIND, &[])?;
+        files.check([CHECKPOINT, WEIGHTS, LOSS, CURVE])?;
         let checkpoint = self.folder.join(CHECKPOINT);
         let mut trainer = match resume && checkpoint.is_file() {
             true => self.resumed(&checkpoint, drives)?,
@@ -62,19 +66,20 @@ impl Training<'_> {
             losses.push(report.into());
             progress.step(&format!("step {}, loss {:.4}", report.step, recent(&losses)));
             if trainer.done().is_multiple_of(self.checkpoint_steps) && !trainer.is_done() {
-                self.write(&trainer, &losses)?;
+                self.write(&files, &trainer, &losses)?;
             }
         }
-        self.write(&trainer, &losses)?;
+        self.write(&files, &trainer, &losses)?;
+        files.close()?;
         Ok(losses)
     }
 
     /// The checkpoint comes last: what it stands for is there.
-    fn write(&self, trainer: &Trainer<'_>, losses: &[Loss]) -> anyhow::Result<()> {
-        write_losses(&self.folder.join(LOSS), losses)?;
-        plot(losses).write(&self.folder.join(CURVE))?;
-        trainer.weights(&self.command)?.write(&self.weights())?;
-        Ok(trainer.save(&self.folder.join(CHECKPOINT))?)
+    fn write(&self, files: &OutputFolder, trainer: &Trainer<'_>, losses: &[Loss]) -> anyhow::Result<()> {
+        write_losses(&files.claim(LOSS)?, losses)?;
+        plot(losses).write(&files.claim(CURVE)?)?;
+        trainer.weights(&self.command)?.write(&files.claim(WEIGHTS)?)?;
+        Ok(trainer.save(&files.claim(CHECKPOINT)?)?)
     }
 
     /// The number of steps is part of how it was begun: the learning rate falls over all of them.

@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use super::model::{FirstGuess, fresh, shapes};
 use super::{NetworkConfig, NetworkError, Statistics};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 
 /// Where weights come from.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -23,7 +23,7 @@ impl Builder<'_> {
         let runs = Runs::open(self.work.path(), &self.done.runs)?;
         let cells = self.ordered(runs.cells())?;
         self.run.progress.start("merge points", cells.len());
-        SkeletonWriter::write_by(out, self.work.path(), |writer| {
+        SkeletonWriter::write_by(out, self.work.work(), |writer| {
             runs.merged(&cells, |cell, sums| {
                 self.run.progress.step();
                 self.write_cell(writer, cell, &sums)

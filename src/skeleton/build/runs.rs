@@ -18,7 +18,8 @@ use serde::{Deserialize, Serialize};
 
 use super::cells::Cell;
 use super::sums::{VoxelSum, merge_two};
-use crate::error::{FileError, write_json, write_whole};
+use crate::error::FileError;
+use crate::files::{write_json, write_whole};
 
 /// Runs that are merged at once.
 const FAN_IN: usize = 8;
@@ -40,11 +41,11 @@ struct Entry {
 }
 
 impl RunName {
-    fn sums(&self, folder: &Path) -> PathBuf {
+    pub(super) fn sums(&self, folder: &Path) -> PathBuf {
         folder.join(format!("run-{:06}.sums", self.number))
     }
 
-    fn index(&self, folder: &Path) -> PathBuf {
+    pub(super) fn index(&self, folder: &Path) -> PathBuf {
         folder.join(format!("run-{:06}.json", self.number))
     }
 
@@ -177,26 +178,6 @@ pub(super) fn push(
     }
 }
 
-/// Deletes the files of runs that are not in the list, and what a killed process left half-written.
-///
-/// # Errors
-/// The system's.
-pub(super) fn sweep_out(folder: &Path, names: &[RunName]) -> Result<(), FileError> {
-    let kept: BTreeSet<PathBuf> =
-        names.iter().flat_map(|name| [name.sums(folder), name.index(folder)]).collect();
-    for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
-        let path = entry.map_err(FileError::io("read", folder))?.path();
-        let file = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let is_ours = file.starts_with("run-") || file.starts_with(".pskel-");
-        if is_ours && !kept.contains(&path) {
-            let gone =
-                if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
-            gone.map_err(FileError::io("delete", &path))?;
-        }
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::sums::{Voxels, merge};
@@ -225,7 +206,6 @@ mod tests {
                 expected.entry(cell).or_default().extend(sums);
             }
             names = push(folder.path(), names, cells(frame)).unwrap();
-            sweep_out(folder.path(), &names).unwrap();
             assert!(names.len() < 2 * FAN_IN + 2, "{names:?}");
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2 * names.len());

@@ -7,11 +7,14 @@ use serde::{Deserialize, Serialize};
 
 use super::{TemplateCloud, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
-use crate::error::{FileError, check_only_ours, write_json, write_whole, write_whole_folder};
+use crate::error::FileError;
+use crate::files::{WholeFolder, write_json, write_whole};
 use crate::gpu::MappedFile;
 use crate::skeleton::store::read_manifest;
 use crate::skeleton::{Source, Template};
 
+/// Kind of the output folder.
+const KIND: &str = "templates";
 const MANIFEST: &str = "templates.json";
 const POINTS: &str = "templates.points";
 
@@ -70,12 +73,12 @@ impl TemplateLibrary {
         Self { manifest: LibraryManifest { format, version, sources, options, report, templates }, clouds }
     }
 
-    /// Whether [`TemplateLibrary::write`] may write at a path.
+    /// Begins the folder that [`TemplateLibrary::write`] fills; it is none of `inputs`.
     ///
     /// # Errors
-    /// Something else is there.
-    pub fn check_target(path: &Path) -> Result<(), FileError> {
-        check_only_ours(path, MANIFEST, |name| name == MANIFEST || name == POINTS || name.ends_with(".png"))
+    /// Those of [`WholeFolder::open`].
+    pub fn target(path: &Path, inputs: &[&Path]) -> Result<WholeFolder, FileError> {
+        WholeFolder::open(path, KIND, inputs)
     }
 
     /// Whether a folder looks like a library.
@@ -83,17 +86,16 @@ impl TemplateLibrary {
         path.join(MANIFEST).is_file()
     }
 
-    /// Writes the folder under a temporary name beside `path`, then renames it; `more` may add files to it. An older library
-    /// at `path` is replaced; a folder with anything else is refused.
+    /// Writes the folder; `more` may add files to it. An older library is replaced.
     ///
     /// # Errors
     /// Whatever `more` returns, the system's, a folder that is no library; nothing is left half-written.
     pub fn write<E: From<FileError>>(
         &self,
-        path: &Path,
+        target: WholeFolder,
         more: impl FnOnce(&Path) -> Result<(), E>,
     ) -> Result<(), E> {
-        write_whole_folder(path, MANIFEST, |folder| {
+        target.write(|folder| {
             let file = folder.join(POINTS);
             write_whole::<FileError>(&file, |writer| {
                 let mut clouds = self.clouds.iter();
