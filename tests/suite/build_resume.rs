@@ -154,7 +154,7 @@ fn what_cannot_be_gone_on_with_is_refused() {
     let lock = std::fs::File::open(partial.join("lock")).unwrap();
     lock.lock().unwrap();
     let output = log.run("build nuscenes:log --out out/sk --resume");
-    assert_failed(&output, 1, &["no other process", "partial/lock"]);
+    assert_failed(&output, 1, &["no other process at work on this output, found process", ": out/sk\n"]);
     drop(lock);
     log.succeed("build nuscenes:log --out out/sk --resume");
     assert!(tree(&log.path("out/sk")) == tree(&log.path("out/whole")) && !partial.exists());
@@ -172,7 +172,11 @@ fn a_folder_of_another_kind_is_not_taken_for_an_unfinished_build() {
     std::fs::write(log.path("out/sk.partial/thesis.tex"), "years of work").unwrap();
     for resume in ["", "--resume"] {
         let output = log.run(&format!("build nuscenes:log --out out/sk {resume}"));
-        assert_failed(&output, 1, &["an unfinished build, or no such folder", "other content", "sk.partial"]);
+        assert_failed(
+            &output,
+            1,
+            &["a folder of an unfinished run, or none", "another folder", "sk.partial"],
+        );
     }
     assert!(log.path("out/sk.partial/thesis.tex").is_file());
 }
@@ -184,7 +188,7 @@ fn a_build_that_starts_anew_says_what_it_discards() {
     let output = log.run("build nuscenes:log --out out/sk");
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(
-        output.status.success() && stderr.contains("an unfinished build with 3 frames done is not"),
+        output.status.success() && stderr.contains("an unfinished build with 3 frames done is discarded"),
         "{stderr}"
     );
     assert!(!partial.exists());
@@ -286,7 +290,7 @@ fn what_somebody_put_into_a_skeleton_is_not_deleted() {
     assert_failed(
         &output,
         1,
-        &["nothing beside the files that belong to skeleton.json, found mine", "out/sk"],
+        &["only files that pskel wrote where it is to write, found another file: out/sk/mine"],
     );
     assert!(log.path("out/sk/mine").is_dir() && !log.path("out/sk.partial").exists());
 }

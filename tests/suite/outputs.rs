@@ -14,6 +14,8 @@ use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
 const RENDER: &str = "render nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu";
 const SIMULATE: &str =
     "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps 2";
+const EXTERNAL: &str = "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps 20 \
+    --ego external --planner ./planner.sh --planner-timeout 600";
 const TOWN: &str = "town --seed 5 --frames 2 --size 57x100 --out out";
 const TEMPLATES: &str = "templates sk --min-points 1 --out out";
 const CONVERT: &str = "convert sk --out out";
@@ -100,7 +102,7 @@ fn a_folder_of_one_kind_is_not_replaced_by_another() {
 #[test]
 fn inputs_are_not_overwritten() {
     let log = ready();
-    log.succeed(&format!("{SIMULATE} --steps 1"));
+    log.succeed(SIMULATE);
     log.succeed("convert sk --out clouds");
     std::fs::copy(log.path("clouds/background.npy"), log.path("p.npy")).unwrap();
     let camera = r#"{"cameras": [{"name": "a", "width": 8, "height": 8, "intrinsics": [[8, 0, 4], [0, 8, 4], [0, 0, 1]],
@@ -177,9 +179,9 @@ fn wait_for(what: &str, is_there: impl Fn() -> bool) {
 }
 
 /// A planner that answers once and then never again.
-fn hangs(log: &TinyLog) -> String {
+fn start_hanging(log: &TinyLog) -> Child {
     planner(log, "read -r observation; sleep 600");
-    format!("{SIMULATE} --steps 20 --ego external --planner ./planner.sh --planner-timeout 600")
+    start(log, EXTERNAL)
 }
 
 fn said(child: &mut Child) -> String {
@@ -192,8 +194,7 @@ fn said(child: &mut Child) -> String {
 fn a_signal_ends_a_run_with_nothing_half_written() {
     for (signal, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
         let log = ready();
-        let args = hangs(&log);
-        let mut child = start(&log, &args);
+        let mut child = start_hanging(&log);
         wait_for("steps", || log.path("out/steps/000000").is_dir() && log.path("out/.pskel/lock").is_file());
         send(&child, signal);
         let status = child.wait().unwrap();
@@ -208,8 +209,7 @@ fn a_signal_ends_a_run_with_nothing_half_written() {
 #[test]
 fn a_second_process_says_that_the_first_is_at_work() {
     let log = ready();
-    let args = hangs(&log);
-    let mut child = start(&log, &args);
+    let mut child = start_hanging(&log);
     wait_for("steps", || log.path("out/steps/000000").is_dir());
     for other in [SIMULATE, "simulate nuscenes:log --skeleton sk --out out --maps depth --steps 3 --resume"] {
         let found = format!("no other process at work on this output, found process {}: out", child.id());

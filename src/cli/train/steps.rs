@@ -48,11 +48,21 @@ impl From<StepReport> for Loss {
     }
 }
 
+/// Opens the folder of a training, before anything is recorded.
+pub(super) fn open(folder: &Path) -> Result<OutputFolder, FileError> {
+    let files = OutputFolder::open(folder, KIND, &[])?;
+    files.check([CHECKPOINT, WEIGHTS, LOSS, CURVE])?;
+    Ok(files)
+}
+
 impl Training<'_> {
     /// Takes all steps that are left and writes the weights. Returns the losses of all steps.
-    pub(super) fn run(&self, drives: &[Drive], resume: bool) -> anyhow::Result<Vec<Loss>> {
-        let files = OutputFolder::open(self.folder, KIND, &[])?;
-        files.check([CHECKPOINT, WEIGHTS, LOSS, CURVE])?;
+    pub(super) fn run(
+        &self,
+        files: OutputFolder,
+        drives: &[Drive],
+        resume: bool,
+    ) -> anyhow::Result<Vec<Loss>> {
         let checkpoint = self.folder.join(CHECKPOINT);
         let mut trainer = match resume && checkpoint.is_file() {
             true => self.resumed(&checkpoint, drives)?,
