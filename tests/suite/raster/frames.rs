@@ -14,7 +14,7 @@ use point_skeleton::raster::{
 use proptest::prelude::*;
 
 use super::random::{ON_BORDERS, Random, random_cloud, random_instances, random_schedule, random_view};
-use super::twins::{self, Division, allowed_share, rasterizers, with_device};
+use super::twins::{self, Division, allowed_share, rasterizers, with_compute_device, with_device};
 
 /// What a random frame shows.
 struct Scene {
@@ -203,7 +203,7 @@ fn frames_in_flight_come_in_order() {
     let scene = Scene::random(random, &[5000, 300]);
     let reduced = FrameJob { kinds: FrameKinds::ALL, out_size: None, ..scene.job(random) };
     let full = FrameJob { out_size: Some(ImageSize { height: 9, width: 13 }), ..reduced };
-    with_device(|device| {
+    with_compute_device(|device| {
         let mut cpu = CpuRasterizer::new(scene.clouds());
         let mut rasterizer = compute(&device, &scene.clouds());
         assert!(matches!(rasterizer.finish(), Err(RasterError::NoFrame)));
@@ -231,7 +231,7 @@ fn a_warm_rasterizer_makes_nothing_new() {
     let random = &mut Random(5);
     let mut scene = Scene::random(random, &[20_000, 3000]);
     scene.color.truncate(2);
-    with_device(|device| {
+    with_compute_device(|device| {
         let clouds = scene.clouds.clone();
         let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
         let mut rasterizer = compute(&device, &set);
@@ -263,7 +263,7 @@ fn a_warm_rasterizer_makes_nothing_new() {
 #[test]
 fn too_little_memory_is_said() {
     let points = vec![Point::default(); 40_000];
-    with_device(|device| {
+    with_compute_device(|device| {
         let desc = ComputeRasterizerDesc { memory_bytes: Some(1 << 16), ..ComputeRasterizerDesc::default() };
         let error = ComputeRasterizer::with_desc(device, &vec![&points], desc).err().unwrap().to_string();
         assert!(error.contains("at least 1 MiB for points") && error.contains("0 MiB allowed"), "{error}");
@@ -275,7 +275,7 @@ fn positions_beyond_the_allowed_memory_are_streamed() {
     let random = &mut Random(21);
     let scene = Scene::random(random, &[60_000]);
     let job = FrameJob { kinds: FrameKinds::ALL, crop: None, ..scene.job(random) };
-    with_device(|device| {
+    with_compute_device(|device| {
         let streams = |memory_bytes| {
             let desc = ComputeRasterizerDesc { memory_bytes, streamed_rows: Some(2), ..Default::default() };
             let mut rasterizer = ComputeRasterizer::with_desc(device.clone(), &scene.clouds(), desc).unwrap();
