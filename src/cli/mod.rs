@@ -24,6 +24,7 @@ mod simulate;
 mod splat;
 mod stand_ins;
 mod templates;
+mod threads;
 mod town;
 mod train;
 
@@ -92,7 +93,7 @@ pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
     };
-    match survive_file_limits().and_then(|()| cli.command.run()) {
+    match prepare().and_then(|()| cli.command.run()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {}", with_causes(&error));
@@ -105,6 +106,12 @@ pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct WrongUsage(String);
+
+/// What comes before any command.
+fn prepare() -> anyhow::Result<()> {
+    threads::check_environment()?;
+    survive_file_limits()
+}
 
 /// Makes a write beyond the allowed file size an error of that write, which names the file and cleans up, rather than
 /// the death of the process.
