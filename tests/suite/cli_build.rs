@@ -206,3 +206,12 @@ fn a_template_is_centred_and_gets_its_kind_s_class() {
     }
     assert!(skeleton.templates().unwrap()[0].iter().all(|p| p.class() == 1));
 }
+
+#[test]
+fn more_threads_than_any_machine_has_use_for_are_refused() {
+    let log = TinyLog::new();
+    let output = log.run_with("build nuscenes:log --out out/sk", "100000");
+    assert_failed(&output, 2, &["threads in RAYON_NUM_THREADS, found 100000"]);
+    log.assert_out_is_empty();
+    assert!(log.run_with("build nuscenes:log --out out/sk", "64").status.success());
+}
