@@ -15,8 +15,8 @@ use crate::dataset::{Dataset, LogLocator};
 use crate::error::FileError;
 use crate::logs;
 use crate::skeleton::{
-    self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, Skeleton, SkeletonWriter, Template,
-    TemplateCloud, TemplateKind, TemplateLibrary,
+    self, Asset, BuildInput, BuildOptions, BuildRun, Checksum, Coloring, Manifest, Skeleton, SkeletonWriter,
+    Template, TemplateCloud, TemplateKind, TemplateLibrary,
 };
 
 /// Build a point skeleton from recorded drives: colored background, an asset per tracked actor
@@ -195,7 +195,8 @@ fn read_template(kind: TemplateKind, path: &Path) -> Result<(Template, Vec<Point
     let points: Vec<Point> = read.iter().filter_map(centred).collect();
     let bounds = Bounds::of(&points).ok_or_else(no_points)?;
     let size = (Vec3::from(bounds.max) - Vec3::from(bounds.min)).as_dvec3().to_array();
-    Ok((Template { kind, class, size, points: points.len(), bounds }, points))
+    let xxh3 = Checksum::of(&points);
+    Ok((Template { kind, class, size, points: points.len(), bounds, xxh3 }, points))
 }
 
 fn summary(built: &Manifest) -> String {

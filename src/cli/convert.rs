@@ -165,7 +165,7 @@ fn write_background(
     let ends = origins().reduce(DVec3::min).zip(origins().reduce(DVec3::max));
     let origin = ends.map_or(DVec3::ZERO, |(min, max)| ((min + max) / 2.0).round());
     let mut points = Vec::new();
-    for (chunk, cloud) in chunks.iter().zip(skeleton.background()) {
+    for (chunk, cloud) in chunks.iter().zip(skeleton.background()?) {
         let shift = DVec3::from(chunk.origin) - origin;
         points.extend(cloud.iter().map(|p| {
             let position = (Vec3::from(p.position).as_dvec3() + shift).as_vec3();
@@ -184,7 +184,7 @@ fn write_actors(
 ) -> Result<Vec<ActorFile>, FileError> {
     create(&folder.join("actors"))?;
     let mut names = BTreeSet::new();
-    let actors = skeleton.manifest.actors.iter().zip(skeleton.actors());
+    let actors = skeleton.manifest.actors.iter().zip(skeleton.actors()?);
     let write = |(asset, points): (&crate::skeleton::Asset, &[Point])| {
         let file = format!("actors/{}.{}", file_name(&asset.track, &mut names), format.ending());
         format.write(&folder.join(&file), points, false)?;
@@ -201,7 +201,7 @@ fn write_templates(
     format: PointFormat,
 ) -> Result<Vec<TemplateFile>, FileError> {
     create(&folder.join("templates"))?;
-    let templates = skeleton.manifest.templates.iter().zip(skeleton.templates());
+    let templates = skeleton.manifest.templates.iter().zip(skeleton.templates()?);
     let write = |(template, points): (&crate::skeleton::Template, &[Point])| {
         let known = TemplateKind::NAMES.iter().find(|(_, kind)| *kind == template.kind);
         let name = known.map_or("template", |(name, _)| name);

@@ -25,6 +25,7 @@ mod splat;
 mod stand_ins;
 mod templates;
 mod terminal;
+mod threads;
 mod town;
 mod train;
 
@@ -109,15 +110,17 @@ pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
     }
 }
 
-fn prepare() -> anyhow::Result<()> {
-    survive_file_limits()?;
-    signals::install().context("cannot handle signals")
-}
-
 /// Options that do not go together, in ways that the parser cannot tell.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct WrongUsage(String);
+
+/// What comes before any command.
+fn prepare() -> anyhow::Result<()> {
+    threads::check_environment()?;
+    survive_file_limits()?;
+    signals::install().context("cannot handle signals")
+}
 
 /// Makes a write beyond the allowed file size an error of that write, which names the file and cleans up, rather than
 /// the death of the process.

@@ -150,6 +150,12 @@ fn what_cannot_be_gone_on_with_is_refused() {
     std::fs::write(&run, &bytes[1..]).unwrap();
     let output = log.run("build nuscenes:log --out out/sk --resume");
     assert_failed(&output, 1, &["run-000000.sums", &format!("found {} bytes", bytes.len() - 1)]);
+    let mut changed = bytes.clone();
+    changed[bytes.len() / 2] ^= 1;
+    std::fs::write(&run, &changed).unwrap();
+    let output = log.run("build nuscenes:log --out out/sk --resume");
+    assert_failed(&output, 1, &["expected sums of ", "with checksum", "run-000000.sums"]);
+    assert!(!log.path("out/sk").exists());
     std::fs::write(&run, &bytes).unwrap();
     let lock = std::fs::File::open(partial.join("lock")).unwrap();
     lock.lock().unwrap();
@@ -263,7 +269,7 @@ fn logs_of_one_place_share_a_background() {
     let (one, both) =
         (Skeleton::open(&log.path("out/one")).unwrap(), Skeleton::open(&log.path("out/both")).unwrap());
     // The second is the first once more: chunk by chunk the points of the one, then those of the other.
-    for (one, both) in one.background().iter().zip(both.background()) {
+    for (one, both) in one.background().unwrap().iter().zip(both.background().unwrap()) {
         assert!(both[..one.len()] == **one && both[one.len()..] == **one);
     }
     let names: Vec<_> = both.manifest.actors.iter().map(|a| [a.track.as_str(), a.log.as_str()]).collect();

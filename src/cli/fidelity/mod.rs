@@ -80,7 +80,7 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let skeleton = open_skeleton(&args.skeleton, &town)?;
     let frames = FrameRange::of(args.frames, town.log().frames.len())?;
     let (stand_ins, _) = args.stand_ins.make(&skeleton, &town.log().name)?;
-    let stage = Stage::with(&skeleton, &town.log().name, &stand_ins);
+    let stage = Stage::with(&skeleton, &town.log().name, &stand_ins)?;
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
     let map = town.read_map()?.map(Arc::new);
     let measurement =

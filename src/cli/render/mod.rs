@@ -44,7 +44,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     })?;
     let steps = Steps::new(log, &args, views, map)?;
     let (stand_ins, told) = args.stand_ins.make(&skeleton, &log.name)?;
-    let stage = Stage::with(&skeleton, &log.name, &stand_ins);
+    let stage = Stage::with(&skeleton, &log.name, &stand_ins)?;
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
     let options = args.options(maps, told);
     let output = Output {

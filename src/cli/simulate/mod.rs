@@ -69,7 +69,7 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     };
     let simulation = simulation.map_err(usage)?;
     let (stand_ins, told) = args.stand_ins.make(skeleton, &log.name)?;
-    let stage = Stage::with(skeleton, &log.name, &stand_ins);
+    let stage = Stage::with(skeleton, &log.name, &stand_ins)?;
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
     let generator = opened.as_ref().map(Opened::report);
     let options = options(&args, log, (*maps, told, sources, generator), &simulation, sim_options.clone());

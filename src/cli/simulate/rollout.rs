@@ -417,7 +417,7 @@ mod tests {
             generator: None,
         };
         let output = Output { folder: folder.path(), options: &options, prompt: &prompt };
-        let stage = Stage::new(&skeleton, &log.name);
+        let stage = Stage::new(&skeleton, &log.name).unwrap();
         let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
         let drawn = raster::create(&desc, stage.cloud_set()).unwrap();
         let rollout = Rollout {

@@ -100,7 +100,7 @@ fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyh
         match target {
             Target::Skeleton(path) => {
                 let skeleton = Skeleton::open(path)?;
-                sources.extend(take(instances, &skeleton));
+                sources.extend(take(instances, &skeleton)?);
                 progress.step(&path.display().to_string());
             }
             Target::Log(locator) => {
@@ -108,7 +108,7 @@ fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyh
                     let dataset = logs::open(&log)?;
                     let name = &dataset.log().name;
                     let built = build(&scratch.join("skeleton"), dataset.as_ref());
-                    sources.extend(take(instances, &built.with_context(|| format!("log {name}"))?));
+                    sources.extend(take(instances, &built.with_context(|| format!("log {name}"))?)?);
                     progress.step(name);
                 }
             }
@@ -130,12 +130,12 @@ fn build(out: &Path, dataset: &dyn Dataset) -> Result<Skeleton, BuildError> {
     })
 }
 
-fn take(instances: &mut Instances, skeleton: &Skeleton) -> Vec<LogSource> {
-    let assets: Vec<_> = skeleton.manifest.actors.iter().zip(skeleton.actors()).collect();
+fn take(instances: &mut Instances, skeleton: &Skeleton) -> Result<Vec<LogSource>, FileError> {
+    let assets: Vec<_> = skeleton.manifest.actors.iter().zip(skeleton.actors()?).collect();
     instances.add(&assets);
     let count = |source: &Source| assets.iter().filter(|(asset, _)| asset.log == source.log).count();
     let source = |source: &Source| LogSource { source: source.clone(), actors: count(source) };
-    skeleton.manifest.sources.iter().map(source).collect()
+    Ok(skeleton.manifest.sources.iter().map(source).collect())
 }
 
 /// Templates of a skeleton's own actors, and what to tell of them in a summary.

@@ -20,6 +20,7 @@ use super::cells::Cell;
 use super::sums::{VoxelSum, merge_two};
 use crate::error::FileError;
 use crate::files::{write_json, write_whole};
+use crate::skeleton::Checksum;
 
 /// Runs that are merged at once.
 const FAN_IN: usize = 8;
@@ -38,6 +39,7 @@ pub(super) struct RunName {
 struct Entry {
     cell: Cell,
     sums: usize,
+    xxh3: Checksum,
 }
 
 impl RunName {
@@ -59,7 +61,7 @@ impl RunName {
         let mut index = Vec::new();
         write_whole(&path, |file| {
             fill(&mut |cell, sums| {
-                index.push(Entry { cell, sums: sums.len() });
+                index.push(Entry { cell, sums: sums.len(), xxh3: Checksum::of(&sums) });
                 file.write_all(bytemuck::cast_slice(&sums)).map_err(FileError::io("write", &path))
             })
         })?;
@@ -69,8 +71,8 @@ impl RunName {
 
 /// A run on disk. It is read cell by cell rather than mapped: what was read of a map stays in memory.
 struct Run {
-    /// First sum and number of sums of each cell.
-    cells: BTreeMap<Cell, [usize; 2]>,
+    /// First sum of each cell, and its entry.
+    cells: BTreeMap<Cell, (usize, Entry)>,
     path: PathBuf,
     file: File,
 }
@@ -83,7 +85,7 @@ impl Run {
         let entries: Vec<Entry> = serde_json::from_slice(&text).map_err(wrong)?;
         let (mut cells, mut end) = (BTreeMap::new(), 0_usize);
         for entry in entries {
-            cells.insert(entry.cell, [end, entry.sums]);
+            cells.insert(entry.cell, (end, entry));
             end = end.saturating_add(entry.sums);
         }
         let file = File::open(&path).map_err(FileError::io("read", &path))?;
@@ -95,12 +97,13 @@ impl Run {
         Ok(Self { cells, path, file })
     }
 
-    /// Reads the sums of a cell.
+    /// Reads the sums of a cell and checks their checksum.
     fn read(&self, cell: Cell) -> Result<Vec<VoxelSum>, FileError> {
-        let Some(&[first, count]) = self.cells.get(&cell) else { return Ok(Vec::new()) };
-        let mut sums = vec![VoxelSum::zeroed(); count];
-        let read = self.file.read_exact_at(bytemuck::cast_slice_mut(&mut sums), first as u64 * SUM_BYTES);
+        let Some((first, entry)) = self.cells.get(&cell) else { return Ok(Vec::new()) };
+        let mut sums = vec![VoxelSum::zeroed(); entry.sums];
+        let read = self.file.read_exact_at(bytemuck::cast_slice_mut(&mut sums), *first as u64 * SUM_BYTES);
         read.map_err(FileError::io("read", &self.path))?;
+        entry.xxh3.check(&sums, || format!("sums of {cell:?}"), &self.path)?;
         Ok(sums)
     }
 }
@@ -229,5 +232,22 @@ mod tests {
         std::fs::File::options().write(true).open(&path).unwrap().set_len(100).unwrap();
         let text = Runs::open(folder.path(), &names).err().unwrap().to_string();
         assert!(text.contains("found 100 bytes") && text.ends_with("run-000000.sums"), "{text}");
+    }
+
+    #[test]
+    fn a_changed_byte_of_a_run_is_found_when_its_cell_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let names = push(folder.path(), Vec::new(), cells(3)).unwrap();
+        let path = names[0].sums(folder.path());
+        let mut bytes = std::fs::read(&path).unwrap();
+        *bytes.last_mut().unwrap() ^= 1;
+        std::fs::write(&path, bytes).unwrap();
+        let runs = Runs::open(folder.path(), &names).unwrap();
+        let [first, last] = [0, 1].map(|i| runs.cells()[i]);
+        let merged = |cell| runs.merged(&[cell], |_, _| Ok::<_, FileError>(()));
+        merged(first).unwrap();
+        let text = merged(last).unwrap_err().to_string();
+        assert!(text.contains("sums of Track { log: 0, track: 0 } with checksum"), "{text}");
+        assert!(text.ends_with("run-000000.sums"), "{text}");
     }
 }

@@ -10,7 +10,7 @@ use crate::cloud::Point;
 use crate::error::FileError;
 use crate::files::{WholeFolder, write_json, write_whole};
 use crate::gpu::MappedFile;
-use crate::skeleton::store::read_manifest;
+use crate::skeleton::store::{Entry, read_manifest};
 use crate::skeleton::{Source, Template};
 
 /// Kind of the output folder.
@@ -49,7 +49,7 @@ impl LibraryManifest {
     /// Marks the folder.
     pub const FORMAT: &'static str = "point-skeleton-templates";
     /// Changes whenever older readers would misread a library.
-    pub const VERSION: u32 = 1;
+    pub const VERSION: u32 = 2;
 }
 
 /// Templates that several skeletons can use.
@@ -123,12 +123,14 @@ impl TemplateLibrary {
             return Err(FileError::content(expected, format!("{} bytes", bytes.len()), &file));
         }
         let mut rest = bytes;
-        let cloud = |template: &Template| {
+        let cloud = |(index, template): (usize, &Template)| {
             let (head, tail) = rest.split_at(template.points * size_of::<Point>());
             rest = tail;
-            (template.clone(), bytemuck::pod_collect_to_vec(head))
+            let points: Vec<Point> = bytemuck::pod_collect_to_vec(head);
+            template.check(index, &points, &file)?;
+            Ok((template.clone(), points))
         };
-        let clouds = manifest.templates.iter().map(cloud).collect();
+        let clouds = manifest.templates.iter().enumerate().map(cloud).collect::<Result<_, FileError>>()?;
         Ok(Self { manifest, clouds })
     }
 }

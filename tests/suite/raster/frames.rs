@@ -127,7 +127,19 @@ fn assert_same(expected: &[ViewMaps<'_>], found: &[ViewMaps<'_>], share: f64, wh
 /// Frames of random scenes by all rasterizers of a device, against those of the processor.
 fn compare(seed: u64, sizes: &[u64], compute: ComputeRasterizerDesc, rounds: usize) {
     let random = &mut Random(seed);
-    let mut scene = Scene::random(random, sizes);
+    let scene = Scene::random(random, sizes);
+    compare_scene(scene, random, compute, rounds);
+}
+
+/// Frames of a scene that changes at random; gives back how many of them were spread.
+fn compare_scene(
+    mut scene: Scene,
+    random: &mut Random,
+    compute: ComputeRasterizerDesc,
+    rounds: usize,
+) -> usize {
+    let seed = random.0;
+    let mut spread = 0;
     with_device(|device| {
         let clouds = scene.clouds.clone();
         let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
@@ -148,10 +160,12 @@ fn compare(seed: u64, sizes: &[u64], compute: ComputeRasterizerDesc, rounds: usi
                 );
                 let share = allowed_share(rasterizer.as_ref(), ON_BORDERS);
                 assert_same(&expected, &frame(rasterizer.as_mut(), &job), share, &what);
+                spread += usize::from(rasterizer.take_stages().0.contains_key("spread"));
             }
             scene.change(random);
         }
     });
+    spread
 }
 
 /// As little memory as clouds of these sizes need, in few rows.
@@ -178,12 +192,33 @@ proptest! {
     fn parts_pages_and_streams_change_nothing(
         seed: u64,
         sizes in prop::collection::vec(0..15_000_u64, 2..5),
-        key_rows in 60..400_u32,
+        key_rows in 70..400_u32,
         page_rows in 1..4_u32,
         streamed_rows in 1..3_u32,
     ) {
         compare(seed, &sizes, divided(&sizes, key_rows, page_rows, streamed_rows), 4);
     }
+}
+
+/// Squares too large to look around for, of many points: several radii at once, cut into parts, streamed or not.
+#[test]
+fn large_squares_of_many_points_agree() {
+    let mut spread = 0;
+    for (seed, schedule) in
+        (40..).zip(["16:31", "2:31,5:17,9:16,11:3,14:2,16:0", "3:5,16:1", "8:3,16:3", "1:8,2:7,3:6,4:5,16:4"])
+    {
+        let random = &mut Random(seed);
+        let sizes = [9000, 500, 4000];
+        let schedule: SplatSchedule = schedule.parse().unwrap();
+        let clouds = sizes.iter().map(|n| random_cloud(random, &schedule, *n)).collect();
+        let mut scene = Scene::random(random, &sizes);
+        (scene.clouds, scene.schedule) = (clouds, schedule);
+        scene.change(random);
+        let whole = ComputeRasterizerDesc::default();
+        let desc = if seed % 2 == 0 { whole } else { divided(&sizes, 80, 1, 2) };
+        spread += compare_scene(scene, random, desc, 6);
+    }
+    assert!(spread >= 20, "{spread} frames were spread");
 }
 
 /// Few rows are left of many: a view is cut into bands that fit one part.
