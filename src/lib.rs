@@ -13,6 +13,7 @@ pub mod cloud;
 pub mod conditions;
 pub mod dataset;
 pub mod error;
+pub mod files;
 pub mod generate;
 pub mod geometry;
 pub mod gpu;

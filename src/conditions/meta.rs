@@ -11,6 +11,7 @@ use super::{ConditionOptions, ImageSize};
 use crate::cloud::cameras::rows;
 use crate::dataset::Class;
 use crate::error::{FileError, write_json};
+use crate::files::FileName;
 use crate::scene::{SceneCamera, SceneState};
 
 /// A 4×4 matrix, row by row.
@@ -58,7 +59,7 @@ pub struct FrameMeta {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CameraMeta {
     /// Channel name.
-    pub name: String,
+    pub name: FileName,
     /// Of the maps as written, pixels.
     pub height: u32,
     /// Of the maps as written, pixels.
@@ -167,7 +168,7 @@ pub struct IndexFrame {
     /// `global_from_ego`.
     pub ego: Matrix,
     /// Names, in the order of the maps.
-    pub cameras: Vec<String>,
+    pub cameras: Vec<FileName>,
     /// What the instance map's numbers mean.
     pub actors: Vec<IndexActor>,
 }

@@ -8,6 +8,7 @@ use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use super::{BuildOptions, MakeTemplates};
 use crate::cloud::Point;
 use crate::error::{FileError, check_only_ours, write_json, write_whole_folder, write_whole_folder_by};
+use crate::files::input::read_table;
 use crate::gpu::MappedFile;
 
 const MANIFEST: &str = "skeleton.json";
@@ -160,7 +161,7 @@ pub struct Skeleton {
 impl Skeleton {
     /// Whether a folder looks like a skeleton.
     pub fn is_at(path: &Path) -> bool {
-        path.join(MANIFEST).is_file()
+        path.join(MANIFEST).exists()
     }
 
     /// Maps a skeleton's files and checks their sizes against the manifest.
@@ -235,7 +236,7 @@ pub(in crate::skeleton) fn read_manifest<T: serde::de::DeserializeOwned>(
     what: &str,
     (own_format, own_version): (&str, u32),
 ) -> Result<T, FileError> {
-    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let text = read_table(path)?;
     let wrong = |e: serde_json::Error| FileError::content(what, e.to_string(), path);
     // The version first: what else stands there depends on it.
     let value: serde_json::Value = serde_json::from_slice(&text).map_err(wrong)?;

@@ -4,6 +4,7 @@ use serde::Serialize;
 use super::output::{INDEX, METRICS, Output, PAGE, STATES, VIDEO, step_folder};
 use crate::conditions::meta::Index;
 use crate::error::write_json;
+use crate::files::FileName;
 use crate::report::page::{self, Page, PageActor, PageEvent, PageStep};
 use crate::report::{ActorRow, Phase, StepRow, Video, film, sight, view};
 use crate::sim::{Collision, EndReason, Metrics};
@@ -32,7 +33,7 @@ pub(super) struct Outcome {
     /// Where cameras stand in the pictures.
     pub(super) layout: view::Layout,
     /// Cameras, in the order of the maps, with the size of the maps.
-    pub(super) cameras: Vec<(String, [u32; 2])>,
+    pub(super) cameras: Vec<(FileName, [u32; 2])>,
 }
 
 /// `metrics.json`.
@@ -54,7 +55,7 @@ pub(super) fn finish(output: &Output<'_>, rows: &[StepRow], outcome: &Outcome) -
     write_json(&output.folder.join(METRICS), &told)?;
     video(output, rows, outcome)?;
     page(output, rows, outcome).write(&output.folder.join(PAGE))?;
-    let cameras: Vec<String> = outcome.cameras.iter().map(|(name, _)| name.clone()).collect();
+    let cameras: Vec<_> = outcome.cameras.iter().map(|(name, _)| name.clone()).collect();
     let frames = rows.iter().map(|row| row.index_frame(&cameras)).collect();
     Index { options: output.options, frames }.write(&output.folder.join(INDEX))?;
     Ok(())

@@ -1,4 +1,4 @@
-use std::fs::{create_dir_all, read, remove_dir_all, remove_file};
+use std::fs::{create_dir_all, remove_dir_all, remove_file};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -15,6 +15,7 @@ use crate::conditions::birdseye::{self, BirdseyeOptions, Trace};
 use crate::conditions::meta::{FrameMeta, PromptParts};
 use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
 use crate::error::{FileError, check_replaceable, write_json, write_whole_folder};
+use crate::files::input::{is_there, read_table};
 use crate::report::{ROLLOUT, StateFile, StepRow, film, view};
 use crate::scene::{SceneState, SelectionOptions};
 use crate::sim::{SavedState, SimOptions};
@@ -99,7 +100,7 @@ impl Resumed<'_> {
     /// Reads its rows and its saved state.
     pub(super) fn read(&self) -> Result<Earlier, FileError> {
         let marker = self.folder.join(ROLLOUT);
-        if !marker.is_file() {
+        if !is_there(&marker)? {
             return Err(FileError::content("a rollout to go on with", format!("no {ROLLOUT}"), self.folder));
         }
         let before = read_marker(&marker)?;
@@ -120,7 +121,7 @@ impl Resumed<'_> {
         }
         rows.truncate(step + 1);
         let path = step_folder(self.folder, &rows[step].name()).join(STATE);
-        let text = read(&path).map_err(FileError::io("read", &path))?;
+        let text = read_table(&path)?;
         let saved = serde_json::from_slice(&text)
             .map_err(|error| FileError::content("a saved state", error.to_string(), &path))?;
         Ok(Earlier { rows, saved })
@@ -128,7 +129,7 @@ impl Resumed<'_> {
 }
 
 fn read_marker(marker: &Path) -> Result<Value, FileError> {
-    let text = read(marker).map_err(FileError::io("read", marker))?;
+    let text = read_table(marker)?;
     serde_json::from_slice(&text).map_err(|error| FileError::content("a rollout", error.to_string(), marker))
 }
 

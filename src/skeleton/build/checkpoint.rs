@@ -10,6 +10,7 @@ use super::cells::Cell;
 use super::runs::{self, RunName};
 use super::sums::VoxelSum;
 use crate::error::{FileError, write_json};
+use crate::files::input::read_table;
 use crate::skeleton::{BuildOptions, BuildReport};
 
 /// What is built: a checkpoint of another plan is of no use.
@@ -86,7 +87,7 @@ impl WorkFolder {
 
     /// How many frames of an unfinished build of `out` are done, if there is one with a checkpoint.
     pub(super) fn frames_done(out: &Path) -> Option<usize> {
-        let text = std::fs::read(Self::beside(out).join(FILE)).ok()?;
+        let text = read_table(&Self::beside(out).join(FILE)).ok()?;
         serde_json::from_slice::<Checkpoint<serde_json::Value, Done>>(&text).ok().map(|c| c.done.frames)
     }
 
@@ -121,7 +122,7 @@ impl WorkFolder {
 
     fn read(&self) -> Result<Done, FileError> {
         let path = self.path.join(FILE);
-        let text = std::fs::read(&path).map_err(FileError::io("read", &path))?;
+        let text = read_table(&path)?;
         let wrong = |e: serde_json::Error| FileError::content("a checkpoint", e.to_string(), &path);
         let checkpoint: Checkpoint<Plan, Done> = serde_json::from_slice(&text).map_err(wrong)?;
         let frames: usize = self.plan.logs.iter().map(|log| log.t_us.len()).sum();

@@ -80,7 +80,7 @@ impl TemplateLibrary {
 
     /// Whether a folder looks like a library.
     pub fn is_at(path: &Path) -> bool {
-        path.join(MANIFEST).is_file()
+        path.join(MANIFEST).exists()
     }
 
     /// Writes the folder under a temporary name beside `path`, then renames it; `more` may add files to it. An older library
