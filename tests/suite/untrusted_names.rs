@@ -113,7 +113,8 @@ fn channels_of_nuscenes_are_names_of_folders() {
     ended.refused("cases", &["differ in more than case", "CAM_BACK", "v1.0-mini/sensor.json"]);
     // Names of other letters, and with dots and blanks, are fine.
     log.change("sensor", "/1/channel", json!("Kamera vörn..1 日本"));
-    let args = format!("render nuscenes:log --skeleton sk --rasterizer cpu --out {OUT} --maps class --frames 0:1");
+    let args =
+        format!("render nuscenes:log --skeleton sk --rasterizer cpu --out {OUT} --maps class --frames 0:1");
     let Ended { code, stderr, .. } = run(&folder, &args.split(' ').collect::<Vec<_>>());
     assert_eq!(code, Some(0), "{stderr}");
     assert!(folder.join(OUT).join("000000/Kamera vörn..1 日本/class.png").is_file());
@@ -180,7 +181,9 @@ fn cameras_of_a_list_are_names_of_folders() {
             "camera_from_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]});
         std::fs::write(folder.join("c.json"), json!({"cameras": [camera]}).to_string()).unwrap();
     };
-    let command = format!("render nuscenes:log --skeleton sk --rasterizer cpu --out {OUT} --maps class --cameras c.json");
+    let command = format!(
+        "render nuscenes:log --skeleton sk --rasterizer cpu --out {OUT} --maps class --cameras c.json"
+    );
     let command: Vec<String> = command.split(' ').map(str::to_owned).collect();
     for name in bad(&folder) {
         list(&name);
@@ -199,7 +202,8 @@ fn a_location_is_the_name_of_a_file() {
         log.change("log", "/0/location", json!(location));
         let before = listing(&folder);
         for maps in ["log/maps", "log"] {
-            let args = format!("render nuscenes:log --skeleton sk --rasterizer cpu --out out --map-root {maps}");
+            let args =
+                format!("render nuscenes:log --skeleton sk --rasterizer cpu --out out --map-root {maps}");
             let ended = run(&folder, &args.split(' ').collect::<Vec<_>>());
             ended.refused(location, &["expected a name", "as location of the log", maps]);
         }
@@ -211,17 +215,33 @@ fn a_location_is_the_name_of_a_file() {
 #[test]
 fn messages_show_names_as_they_are() {
     let log = TinyLog::new();
-    for name in ["\u{1b}]0;owned\u{7}\u{1b}[2J", "a\r\nerror: all is well", "\u{9b}2J", &"long ".repeat(20_000)] {
+    for name in
+        ["\u{1b}]0;owned\u{7}\u{1b}[2J", "a\r\nerror: all is well", "\u{9b}2J", &"long ".repeat(20_000)]
+    {
         log.change("scene", "/0/name", json!(name));
-        run(&log.path(""), &["info", "nuscenes:log#other"]).refused("scene", &["#SCENE to name one of", "scene.json"]);
+        run(&log.path(""), &["info", "nuscenes:log#other"])
+            .refused("scene", &["#SCENE to name one of", "scene.json"]);
         let named: String = name.chars().filter(|c| *c != '\0').take(4000).collect();
         let unknown = run(&log.path(""), &["info", &format!("nuscenes:log#{named}x")]);
         unknown.refused("locator", &["#SCENE to name one of", "scene.json"]);
     }
     log.change("scene", "/0/name", json!("tiny"));
-    for (table, pointer) in [("instance", "/0/category_token"), ("sample", "/0/next"), ("scene", "/0/log_token")] {
+    for (table, pointer) in
+        [("instance", "/0/category_token"), ("sample", "/0/next"), ("scene", "/0/log_token")]
+    {
         log.change(table, pointer, json!(format!("\u{1b}[31m{}", "y".repeat(100_000))));
-        run(&log.path(""), &["info", "nuscenes:log"]).refused(table, &["to hold token \\x1b[31myyy", "(1000"]);
-        log.change(table, pointer, json!(if table == "instance" { "k1" } else if table == "sample" { "s1" } else { "l" }));
+        run(&log.path(""), &["info", "nuscenes:log"])
+            .refused(table, &["to hold token \\x1b[31myyy", "(1000"]);
+        log.change(
+            table,
+            pointer,
+            json!(if table == "instance" {
+                "k1"
+            } else if table == "sample" {
+                "s1"
+            } else {
+                "l"
+            }),
+        );
     }
 }
