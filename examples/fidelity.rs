@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use clap::Parser;
 use point_skeleton::conditions::{self, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
 use point_skeleton::dataset::{Dataset, ImageRecord};
+use point_skeleton::files::FileName;
 use point_skeleton::logs;
 use point_skeleton::metrics::{FilledError, compare_filled};
 use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
@@ -135,7 +136,7 @@ fn truth(log: &dyn Dataset, record: &ImageRecord) -> anyhow::Result<Vec<[u8; 3]>
     Ok(reduce::pil_bilinear(&pixels, from, SIZE))
 }
 
-fn report(cameras: &[String], errors: &[(usize, FilledError)]) {
+fn report(cameras: &[FileName], errors: &[(usize, FilledError)]) {
     println!(
         "{:<18} {:>6} {:>8} {:>8} {:>8} {:>8}",
         "camera", "images", "PSNR dB", "mean", "median", "filled %"

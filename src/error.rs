@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::files::text::{printable, printable_path};
+
 /// A file that cannot be read or written as it should.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
     /// The operating system said no.
-    #[error("cannot {verb}: {source}: {}", path.display())]
+    #[error("cannot {verb}: {}: {}", printable(&source.to_string()), printable_path(path))]
     Io {
         /// "read", "write", ...
         verb: &'static str,
@@ -16,7 +18,7 @@ pub enum FileError {
         path: PathBuf,
     },
     /// The content is not what the format says.
-    #[error("expected {expected}, found {found}: {}", path.display())]
+    #[error("expected {}, found {}: {}", printable(expected), printable(found), printable_path(path))]
     Content {
         /// What the format asks for.
         expected: String,

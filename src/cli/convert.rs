@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::{WrongUsage, say};
 use crate::cloud::{self, Point, npy, ply};
 use crate::error::FileError;
+use crate::files::FileName;
 use crate::files::{WholeFolder, check_output_file, write_json};
 use crate::skeleton::{Skeleton, TemplateKind};
 
@@ -216,10 +217,10 @@ fn create(folder: &Path) -> Result<(), FileError> {
     std::fs::create_dir(folder).map_err(FileError::io("create", folder))
 }
 
-/// A track's id with all but plain characters replaced, and a number behind it where that is taken.
+/// The beginning of a track's id with all but plain characters replaced, and a number behind it where that is taken.
 fn file_name(track: &str, taken: &mut BTreeSet<String>) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' || c == '_' { c } else { '_' };
-    let name: String = track.chars().map(plain).collect();
+    let name: String = track.chars().take(FileName::MAX_BYTES).map(plain).collect();
     let mut unique = name.clone();
     for number in 2.. {
         if taken.insert(unique.clone()) {

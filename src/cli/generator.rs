@@ -13,6 +13,7 @@ use super::numbers;
 use crate::conditions::meta::PromptParts;
 use crate::dataset::Log;
 use crate::error::FileError;
+use crate::files::input::read_table;
 use crate::generate::network::{About, Network};
 use crate::generate::{
     AnyDenoiser, Codec, Conditioner, Dropped, GenerateOptions, Guidance, Prediction, ProcessDenoiser, Recipe,
@@ -358,7 +359,7 @@ impl fmt::Display for NetworkName {
 }
 
 fn read_recipe(path: &Path) -> Result<Recipe, FileError> {
-    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let text = read_table(path)?;
     let recipe: Recipe = serde_json::from_slice(&text)
         .map_err(|error| FileError::content("a recipe of conditions", error.to_string(), path))?;
     recipe.check().map_err(|error| FileError::content(error.expected, error.found, path))?;

@@ -15,6 +15,10 @@ pub(super) struct LogRoots {
     /// Folder of maps, where it is not at the data set's usual place
     #[arg(long, value_name = "DIR")]
     map_root: Option<PathBuf>,
+    /// Also read files that the data set names by absolute paths or by paths with "..", wherever they are: for data sets
+    /// whose maker is trusted
+    #[arg(long)]
+    allow_outside: bool,
 }
 
 /// For the parser: a log's name.
@@ -35,10 +39,10 @@ pub(super) fn check_towns(logs: &[LogLocator]) -> Result<(), WrongUsage> {
 }
 
 impl LogRoots {
-    /// A log's name with these folders.
+    /// A log's name with these folders, and where its files may be.
     pub(super) fn locate(&self, log: &LogLocator) -> LogLocator {
         let (sensor_root, map_root) = (self.sensor_root.clone(), self.map_root.clone());
-        LogLocator { sensor_root, map_root, ..log.clone() }
+        LogLocator { sensor_root, map_root, allow_outside: self.allow_outside, ..log.clone() }
     }
 
     /// Opens a log.

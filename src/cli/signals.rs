@@ -11,7 +11,7 @@ use signal_hook::iterator::Signals;
 use signal_hook::{flag, low_level};
 
 use super::terminal::tell;
-use crate::files;
+use crate::{files, peer};
 
 static IS_STOPPING: AtomicBool = AtomicBool::new(false);
 
@@ -47,7 +47,9 @@ pub(super) fn wait_if_stopping() {
 
 fn stop(signal: i32) {
     IS_STOPPING.store(true, Ordering::SeqCst);
+    // From here on no thread begins or finishes a file, so what fails for want of a peer is not written.
     files::remove_pending();
+    peer::end_all();
     let name = low_level::signal_name(signal).unwrap_or("a signal");
     tell(&format!("stopped by {name}: nothing half-written is left, finished outputs stay"));
     low_level::exit(exit_code(signal));

@@ -12,6 +12,7 @@ use crate::conditions::{CameraConditions, ConditionSet, DepthBins, ImageSize, ex
 use crate::dataset::nuscenes::LogWriter;
 use crate::dataset::{Dataset, Log};
 use crate::error::FileError;
+use crate::files::FileName;
 use crate::files::{WholeFolder, write_json};
 use crate::town::view::TrueView;
 use crate::town::{Daylight, Town, TownOptions};
@@ -124,7 +125,7 @@ fn write_truth(folder: &Path, town: &Town) -> anyhow::Result<()> {
     let log = town.log();
     let mut progress = Progress::new(log.frames.len());
     for (index, frame) in log.frames.iter().enumerate() {
-        let cameras = frame.images.iter().map(|image| log.cameras[image.channel].as_str());
+        let cameras = frame.images.iter().map(|image| log.cameras[image.channel].clone());
         let (depth, masks) =
             cameras.zip(town.truth_of_frame(index)?).map(|(name, view)| maps(name, view)).unzip();
         let folder = folder.join(format!("{index:06}"));
@@ -137,9 +138,9 @@ fn write_truth(folder: &Path, town: &Town) -> anyhow::Result<()> {
 }
 
 /// Depth, and class with instance, as the writers take them.
-fn maps(name: &str, view: TrueView) -> (CameraConditions, CameraConditions) {
+fn maps(name: FileName, view: TrueView) -> (CameraConditions, CameraConditions) {
     let (width, height) = view.image.dimensions();
-    let bare = CameraConditions { name: name.to_owned(), width, height, ..CameraConditions::default() };
+    let bare = CameraConditions { name, width, height, ..CameraConditions::default() };
     let depth = CameraConditions { depth_m: Some(view.depth_m), ..bare.clone() };
     (depth, CameraConditions { class: Some(view.class), instance: Some(view.instance), ..bare })
 }

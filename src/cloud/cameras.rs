@@ -1,12 +1,14 @@
 //! `C.json`: `{"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}`, row-major.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DMat3, DMat4};
 use serde::{Deserialize, Serialize};
 
 use crate::error::FileError;
+use crate::files::first_twice;
+use crate::files::input::read_table;
+use crate::files::text::{printable, printable_path};
 use crate::geometry::{Camera, CameraError, View};
 
 /// How far `R·Rᵀ` may be from the identity: files round to 4 or more digits.
@@ -18,8 +20,8 @@ pub enum CamerasError {
     /// The file or its JSON.
     #[error(transparent)]
     File(#[from] FileError),
-    /// Size or intrinsics.
-    #[error("{source} in camera {camera}: {}", path.display())]
+    /// Name, size or intrinsics.
+    #[error("{source} in camera {}: {}", printable(camera), printable_path(path))]
     Camera {
         /// What is off.
         source: CameraError,
@@ -28,8 +30,13 @@ pub enum CamerasError {
         /// The file.
         path: PathBuf,
     },
-    /// `camera_from_world`, or the name.
-    #[error("expected {expected}, found {found} in camera {camera}: {}", path.display())]
+    /// `camera_from_world`.
+    #[error(
+        "expected {expected}, found {} in camera {}: {}",
+        printable(found),
+        printable(camera),
+        printable_path(path)
+    )]
     Value {
         /// What the format asks for.
         expected: &'static str,
@@ -63,7 +70,7 @@ struct RawCamera {
 /// A file that is missing or is no such JSON, an empty list, a name that is empty, not plain or there twice, a size
 /// or intrinsics that no camera has, a pose that is not rigid.
 pub fn read(path: &Path) -> Result<Vec<View>, CamerasError> {
-    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let text = read_table(path)?;
     let raw: RawCameras = serde_json::from_slice(&text).map_err(|e| {
         let expected =
             r#"{"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}"#;
@@ -72,15 +79,15 @@ pub fn read(path: &Path) -> Result<Vec<View>, CamerasError> {
     if raw.cameras.is_empty() {
         return Err(FileError::content("at least one camera", "an empty list", path).into());
     }
-    let mut names = BTreeSet::new();
-    for camera in &raw.cameras {
-        if !names.insert(camera.name.as_str()) {
-            return Err(
-                FileError::content("names that differ", format!("{:?} twice", camera.name), path).into()
-            );
+    let views: Vec<View> =
+        raw.cameras.into_iter().map(|camera| view(camera, path)).collect::<Result<_, _>>()?;
+    match first_twice(views.iter().map(|view| &view.camera.name)) {
+        None => Ok(views),
+        Some(name) => {
+            let expected = "names that differ in more than case";
+            Err(FileError::content(expected, format!("{name:?} twice"), path).into())
         }
     }
-    raw.cameras.into_iter().map(|camera| view(camera, path)).collect()
 }
 
 /// Writes cameras so that [`read`] gives them back.
@@ -89,7 +96,7 @@ pub fn read(path: &Path) -> Result<Vec<View>, CamerasError> {
 /// The system's, at writing.
 pub fn write(path: &Path, views: &[View]) -> Result<(), FileError> {
     let cameras = views.iter().map(|view| RawCamera {
-        name: view.camera.name.clone(),
+        name: view.camera.name.to_string(),
         width: view.camera.width,
         height: view.camera.height,
         intrinsics: view.camera.rows(),
@@ -110,10 +117,6 @@ fn view(raw: RawCamera, path: &Path) -> Result<View, CamerasError> {
         camera: raw.name.clone(),
         path: path.to_owned(),
     };
-    // Names become folders.
-    if raw.name.is_empty() || raw.name.starts_with('.') || raw.name.contains(['/', '\\', '\0']) {
-        return Err(value("a name that can be a folder's", format!("{:?}", raw.name)));
-    }
     let m = raw.camera_from_world;
     if let Some(number) = m.iter().flatten().find(|v| !v.is_finite()) {
         return Err(value("finite numbers in camera_from_world", number.to_string()));

@@ -4,7 +4,6 @@
 //! The header's declared size is checked against the file and its text against what a plain array needs, before it
 //! is parsed; the data size against the file, before anything is allocated. Rows are then read in blocks.
 
-use std::fs::File;
 use std::io::{BufReader, Read, Write};
 use std::path::Path;
 
@@ -13,6 +12,7 @@ use npyz::{NpyHeader, Order, WriterBuilder};
 use super::rows::{Row, RowCollector};
 use super::{Point, PointFile};
 use crate::error::FileError;
+use crate::files::input::open_regular;
 use crate::files::write_whole;
 
 /// Longest header that is read, bytes; NumPy's own limit.
@@ -27,9 +27,8 @@ const BLOCK_ROWS: usize = 1 << 16;
 /// Another dtype, shape or order, an empty cloud, missing data, a color outside of 0–255, a class that is no integer
 /// of 0–255.
 pub fn read(path: &Path) -> Result<PointFile, FileError> {
-    let file = File::open(path).map_err(FileError::io("read", path))?;
-    let file_bytes = file.metadata().map_err(FileError::io("read", path))?.len();
-    decode(BufReader::with_capacity(1 << 20, file), file_bytes, path)
+    let (file, file_bytes) = open_regular(path)?;
+    decode(BufReader::with_capacity(1 << 20, file.take(file_bytes)), file_bytes, path)
 }
 
 /// Number type of a column.

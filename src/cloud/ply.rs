@@ -4,8 +4,7 @@
 //! The header is read first; element counts are checked against the file's length before any element is. A vertex is
 //! filled property by property; properties other than position, color and class are skipped.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 
 use ply_rs_bw::parser::{Parser, Reader};
@@ -16,6 +15,7 @@ use ply_rs_bw::ply::{
 use super::rows::{Row, RowCollector};
 use super::{Point, PointFile};
 use crate::error::FileError;
+use crate::files::input::open_regular;
 use crate::files::write_whole;
 
 /// Color of points in a file without colors.
@@ -46,9 +46,8 @@ pub fn write(path: &Path, points: &[Point]) -> Result<(), FileError> {
 /// No vertices, coordinates of another type, missing data, a color outside of 0–255, a class that is no integer of
 /// 0–255.
 pub fn read(path: &Path) -> Result<PointFile, FileError> {
-    let file = File::open(path).map_err(FileError::io("read", path))?;
-    let file_bytes = file.metadata().map_err(FileError::io("read", path))?.len();
-    decode(BufReader::with_capacity(1 << 20, file), file_bytes, path)
+    let (file, file_bytes) = open_regular(path)?;
+    decode(BufReader::with_capacity(1 << 20, file.take(file_bytes)), file_bytes, path)
 }
 
 fn decode(reader: impl BufRead, file_bytes: u64, path: &Path) -> Result<PointFile, FileError> {

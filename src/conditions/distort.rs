@@ -125,7 +125,7 @@ impl Warp {
         let sides = high - low;
         let most = |side: u32| f64::from((side * MOST_GROWTH).min(Camera::MAX_SIDE));
         if sides.x > most(size.width) || sides.y > most(size.height) {
-            let (camera, growth) = (camera.name.clone(), MOST_GROWTH);
+            let (camera, growth) = (camera.name.to_string(), MOST_GROWTH);
             return Err(ConditionError::Lens { camera, size, height: sides.y, width: sides.x, growth });
         }
         let width = sides.x as u32;

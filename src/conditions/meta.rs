@@ -11,6 +11,7 @@ use super::{ConditionOptions, ImageSize};
 use crate::cloud::cameras::rows;
 use crate::dataset::Class;
 use crate::error::FileError;
+use crate::files::FileName;
 use crate::files::write_json;
 use crate::scene::{SceneCamera, SceneState};
 
@@ -59,7 +60,7 @@ pub struct FrameMeta {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CameraMeta {
     /// Channel name.
-    pub name: String,
+    pub name: FileName,
     /// Of the maps as written, pixels.
     pub height: u32,
     /// Of the maps as written, pixels.
@@ -168,7 +169,7 @@ pub struct IndexFrame {
     /// `global_from_ego`.
     pub ego: Matrix,
     /// Names, in the order of the maps.
-    pub cameras: Vec<String>,
+    pub cameras: Vec<FileName>,
     /// What the instance map's numbers mean.
     pub actors: Vec<IndexActor>,
 }

@@ -7,6 +7,7 @@ use super::{
     ColorFilter, ConditionError, ConditionOptions, ImageSize, MapKind, MapSet, ModelTensor, TensorEncoder,
     reduce,
 };
+use crate::files::FileName;
 use crate::geometry::View;
 use crate::raster::{Crop, FrameJob, FrameKinds, Planes, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
 use crate::scene::{SceneInstances, SceneState};
@@ -15,7 +16,7 @@ use crate::scene::{SceneInstances, SceneState};
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraConditions {
     /// Channel name.
-    pub name: String,
+    pub name: FileName,
     /// Pixels.
     pub width: u32,
     /// Pixels.
@@ -187,7 +188,7 @@ impl Begun {
 /// The maps of a step that come from points.
 #[derive(Debug)]
 struct Points {
-    names: Vec<String>,
+    names: Vec<FileName>,
     options: ConditionOptions,
     /// Color, one per view, where the rasterizer cannot reduce it.
     color: Option<Vec<Vec<[u8; 3]>>>,
@@ -239,7 +240,7 @@ impl Points {
     }
 
     fn finish(self, rasterizer: &mut dyn Rasterizer) -> Result<Vec<CameraConditions>, ConditionError> {
-        let camera = |(name, size): (String, ImageSize)| CameraConditions {
+        let camera = |(name, size): (FileName, ImageSize)| CameraConditions {
             name,
             width: size.width,
             height: size.height,

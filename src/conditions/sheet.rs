@@ -308,8 +308,10 @@ mod tests {
     use super::*;
 
     fn named(names: &[&str]) -> ConditionSet {
-        let camera =
-            |name: &&str| CameraConditions { name: (*name).into(), ..test_set().cameras.swap_remove(0) };
+        let camera = |name: &&str| CameraConditions {
+            name: name.parse().unwrap(),
+            ..test_set().cameras.swap_remove(0)
+        };
         ConditionSet { cameras: names.iter().map(camera).collect() }
     }
 

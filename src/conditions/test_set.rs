@@ -9,7 +9,7 @@ pub(super) fn test_set() -> ConditionSet {
         let rgb =
             |k: u32| all(&|i| i * k).into_iter().map(|v| [v as u8, (v * 3) as u8, (v * 7) as u8]).collect();
         CameraConditions {
-            name: name.into(),
+            name: name.parse().unwrap(),
             width: 6,
             height: 4,
             color: Some(rgb(5)),

@@ -20,13 +20,16 @@ pub struct LogLocator {
     pub sensor_root: Option<PathBuf>,
     /// Where maps are, if not at the data set's usual place.
     pub map_root: Option<PathBuf>,
+    /// Whether files that the data set names may lie outside of the folder of sweeps and images.
+    pub allow_outside: bool,
 }
 
 impl LogLocator {
     /// The only scene of a path, everything at its usual place.
     pub fn new(format: LogFormat, path: impl Into<PathBuf>) -> Self {
         let path = path.into();
-        Self { format, path, version: None, scene: None, sensor_root: None, map_root: None }
+        let (version, scene, sensor_root, map_root) = Default::default();
+        Self { format, path, version, scene, sensor_root, map_root, allow_outside: false }
     }
 
     /// Checks the folders that were given for sensors and maps.

@@ -2,6 +2,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use super::Class;
+use crate::files::FileName;
 use crate::geometry::{Camera, Cuboid, Pose};
 
 /// One drive: what was recorded when, from where.
@@ -14,7 +15,7 @@ pub struct Log {
     /// Free text of the data set.
     pub description: String,
     /// Camera channels, in the order of every camera list.
-    pub cameras: Vec<String>,
+    pub cameras: Vec<FileName>,
     /// The cameras as they are calibrated, sorted by channel; a camera whose calibration changes is here as it was first.
     pub rig: Vec<RigCamera>,
     /// Tracked objects, sorted by id.

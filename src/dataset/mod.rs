@@ -24,6 +24,7 @@ pub use picture::{picture_size, read_picture};
 use std::path::PathBuf;
 
 use crate::error::FileError;
+use crate::files::text::{printable, printable_path};
 use crate::geometry::{CameraError, CuboidError, PoseError};
 
 /// A drive on disk.
@@ -117,7 +118,7 @@ pub enum DatasetError {
         formats: &'static str,
     },
     /// Several scenes and none chosen, or an unknown one.
-    #[error("expected #SCENE to name one of {}, found {}: {}", scenes.join(", "), found.as_deref().unwrap_or("none"), path.display())]
+    #[error("expected #SCENE to name one of {}, found {}: {}", printable(&scenes.join(", ")), printable(found.as_deref().unwrap_or("none")), printable_path(path))]
     Scene {
         /// What was asked for.
         found: Option<String>,
@@ -127,7 +128,12 @@ pub enum DatasetError {
         path: PathBuf,
     },
     /// A token that leads nowhere.
-    #[error("expected {table}.json to hold token {token}, found none (referred to by {by}): {}", path.display())]
+    #[error(
+        "expected {table}.json to hold token {}, found none (referred to by {}): {}",
+        printable(token),
+        printable(by),
+        printable_path(path)
+    )]
     DanglingToken {
         /// Table that should hold it.
         table: &'static str,
@@ -139,7 +145,7 @@ pub enum DatasetError {
         path: PathBuf,
     },
     /// A pose that is none.
-    #[error("{source} in {record}: {}", path.display())]
+    #[error("{source} in {}: {}", printable(record), printable_path(path))]
     Pose {
         /// What is off.
         source: PoseError,
@@ -149,7 +155,7 @@ pub enum DatasetError {
         path: PathBuf,
     },
     /// A camera that is none.
-    #[error("{source} in {record}: {}", path.display())]
+    #[error("{source} in {}: {}", printable(record), printable_path(path))]
     Camera {
         /// What is off.
         source: CameraError,
@@ -159,7 +165,7 @@ pub enum DatasetError {
         path: PathBuf,
     },
     /// A box that is none.
-    #[error("{source} in {record}: {}", path.display())]
+    #[error("{source} in {}: {}", printable(record), printable_path(path))]
     Cuboid {
         /// What is off.
         source: CuboidError,

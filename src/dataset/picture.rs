@@ -4,6 +4,7 @@ use std::path::Path;
 use image::{DynamicImage, ImageDecoder, ImageReader, RgbImage};
 
 use crate::error::FileError;
+use crate::files::input::{IMAGE_BYTES, read_file};
 
 /// Reads a JPEG or PNG file of `height × width` pixels. The size in the header is compared before any pixel is
 /// decoded.
@@ -11,7 +12,7 @@ use crate::error::FileError;
 /// # Errors
 /// A file that is missing, does not decode, has another size, or is a JPEG file that was cut off.
 pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let bytes = read_file(path, IMAGE_BYTES)?;
     let undecodable = |e: image::ImageError| FileError::content("a JPEG or PNG image", e.to_string(), path);
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
     let reader = reader.map_err(FileError::io("read", path))?;
@@ -45,7 +46,8 @@ fn has_jpeg_end(bytes: &[u8]) -> bool {
 /// # Errors
 /// A file that is missing or has no header of a JPEG or PNG image.
 pub fn picture_size(path: &Path) -> Result<(u32, u32), FileError> {
-    let reader = ImageReader::open(path).map_err(FileError::io("read", path))?;
+    // The decoder of JPEG files reads all of them for their header, too.
+    let reader = ImageReader::new(Cursor::new(read_file(path, IMAGE_BYTES)?));
     let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
     let size = reader.into_dimensions();
     let (width, height) = size.map_err(|e| FileError::content("a JPEG or PNG image", e.to_string(), path))?;

@@ -5,6 +5,7 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use super::input::{is_there, read_text};
 use super::whole::write_whole;
 use crate::error::FileError;
 
@@ -35,11 +36,10 @@ impl Manifest {
     /// does not count.
     pub(super) fn read(folder: &Path) -> Result<Option<Self>, FileError> {
         let path = folder.join(FILES);
-        let text = match std::fs::read_to_string(&path) {
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(error) if error.kind() == std::io::ErrorKind::NotADirectory => return Ok(None),
-            text => text.map_err(FileError::io("read", &path))?,
-        };
+        if !is_there(&path)? {
+            return Ok(None);
+        }
+        let text = read_text(&path)?;
         let (lines, _) = text.rsplit_once('\n').unwrap_or_default();
         let mut lines = lines.lines();
         let kind = lines.next().and_then(|line| line.strip_prefix(HEADER));

@@ -8,6 +8,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 
 use super::{Drive, DriveFrame, DriveInfo};
 use crate::error::FileError;
+use crate::files::input::read_table;
 use crate::files::write_whole;
 
 const ABOUT: &str = "drive";
@@ -57,7 +58,7 @@ impl Drive {
     /// # Errors
     /// Anything else.
     pub fn open(path: &Path) -> Result<Self, FileError> {
-        let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+        let bytes = read_table(path)?;
         let wrong = |found: String| FileError::content("a drive to train on", found, path);
         let (_, head) = SafeTensors::read_metadata(&bytes).map_err(|e| wrong(e.to_string()))?;
         let about = head.metadata().as_ref().and_then(|all| all.get(ABOUT)).map_or("", String::as_str);

@@ -324,7 +324,8 @@ mod tests {
     impl Grey {
         fn new() -> Self {
             let intrinsics = DMat3::from_cols(DVec3::X * 8.0, DVec3::Y * 8.0, DVec3::new(8.0, 4.0, 1.0));
-            let camera = Camera { name: "c".into(), width: 16, height: 8, intrinsics, distortion: None };
+            let camera =
+                Camera { name: "c".parse().unwrap(), width: 16, height: 8, intrinsics, distortion: None };
             let frame = |i: i64| {
                 let (t_us, global_from_ego) = (i * 100_000, Pose::from_yaw(0.0, DVec3::X * i as f64));
                 let image = ImageRecord {
@@ -340,7 +341,13 @@ mod tests {
             };
             let frames: Vec<LogFrame> = (0..=10).map(frame).collect();
             let rig = RigCamera::first_used(&frames);
-            Self(Log { name: "grey".into(), cameras: vec!["c".into()], rig, frames, ..Log::default() })
+            Self(Log {
+                name: "grey".into(),
+                cameras: vec!["c".parse().unwrap()],
+                rig,
+                frames,
+                ..Log::default()
+            })
         }
     }
 

@@ -4,6 +4,7 @@ use image::{Rgb, RgbImage};
 use rayon::prelude::*;
 
 use crate::dataset::{Dataset, DatasetError, ImageRecord};
+use crate::files::text::printable;
 use crate::geometry::{Camera, ImageSize, View};
 use crate::scene::{SceneCamera, SceneState};
 use crate::town::{Town, TownError, TrueActor};
@@ -27,7 +28,7 @@ pub enum TrueImagesError {
     #[error(transparent)]
     Dataset(#[from] DatasetError),
     /// A camera that the log has no image of.
-    #[error("expected images of camera {camera} in log {log}, found none")]
+    #[error("expected images of camera {camera} in log {}, found none", printable(log))]
     NoImage {
         /// Channel name.
         camera: String,

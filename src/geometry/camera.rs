@@ -1,12 +1,13 @@
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 
 use super::Distortion;
+use crate::files::{FileName, NameError};
 
 /// A camera: size in pixels, intrinsics, and how its lens distorts recorded images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// Channel name, for instance `CAM_FRONT`.
-    pub name: String,
+    /// Channel name, for instance `CAM_FRONT`; maps of the camera are written into a folder of this name.
+    pub name: FileName,
     /// Pixels.
     pub width: u32,
     /// Pixels.
@@ -29,6 +30,9 @@ pub struct View {
 /// Why numbers are no camera.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CameraError {
+    /// The name.
+    #[error(transparent)]
+    Name(#[from] NameError),
     /// Zero or over the limit.
     #[error("expected a size of 1 to {max} pixels, found {height}x{width}")]
     Size {
@@ -61,16 +65,17 @@ impl Camera {
     /// Longest side that is taken, pixels: what every Vulkan driver with 16 Ki images can draw.
     pub const MAX_SIDE: u32 = 16_384;
 
-    /// Checks the numbers; `rows` is the 3×3 matrix row by row, as files write it.
+    /// Checks the name and the numbers; `rows` is the 3×3 matrix row by row, as files write it.
     ///
     /// # Errors
-    /// [`CameraError`] says which number is off.
+    /// [`CameraError`] says what is off.
     pub fn new(
-        name: impl Into<String>,
+        name: impl AsRef<str>,
         width: u32,
         height: u32,
         rows: [[f64; 3]; 3],
     ) -> Result<Self, CameraError> {
+        let name = FileName::new(name.as_ref())?;
         if !(1..=Self::MAX_SIDE).contains(&width) || !(1..=Self::MAX_SIDE).contains(&height) {
             return Err(CameraError::Size { width, height, max: Self::MAX_SIDE });
         }
@@ -85,7 +90,7 @@ impl Camera {
         if !(fx > 0.0 && fy > 0.0 && intrinsics.determinant().abs() > 1e-9) {
             return Err(CameraError::Singular { fx, fy });
         }
-        Ok(Self { name: name.into(), width, height, intrinsics, distortion: None })
+        Ok(Self { name, width, height, intrinsics, distortion: None })
     }
 
     /// The intrinsics row by row.

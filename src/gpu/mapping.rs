@@ -1,11 +1,11 @@
 //! Read-only memory-mapped files.
 
-use std::fs::File;
 use std::path::Path;
 
 use memmap2::Mmap;
 
 use crate::error::FileError;
+use crate::files::input::open_regular;
 
 /// A file as bytes, read by the operating system as they are touched.
 ///
@@ -22,8 +22,7 @@ impl MappedFile {
     /// # Errors
     /// The file cannot be opened or mapped.
     pub fn open(path: &Path) -> Result<Self, FileError> {
-        let file = File::open(path).map_err(FileError::io("read", path))?;
-        let length = file.metadata().map_err(FileError::io("read", path))?.len();
+        let (file, length) = open_regular(path)?;
         if length == 0 {
             return Ok(Self(None)); // the system refuses to map nothing
         }

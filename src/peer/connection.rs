@@ -1,19 +1,15 @@
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream, ToSocketAddrs};
 use std::os::unix::net::UnixStream;
-use std::os::unix::process::CommandExt;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::ExitStatus;
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
-use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
-
 use super::PeerAddress;
+use super::group::Group;
 
 /// How often a socket is looked for that is not there yet.
 const RETRY: Duration = Duration::from_millis(50);
-/// How long a process may take to end by itself once its input is closed.
-const GRACE: Duration = Duration::from_millis(500);
 
 /// Both directions, and what ends with them.
 pub(super) struct Connection {
@@ -24,7 +20,7 @@ pub(super) struct Connection {
 
 /// What ends with a connection.
 pub(super) enum End {
-    Child(Child),
+    Group(Group),
     Unix(UnixStream),
     Tcp(TcpStream),
     /// It has been ended.
@@ -35,7 +31,7 @@ impl End {
     /// Ends it; the exit status of a command that ended by itself.
     pub(super) fn end(&mut self) -> Option<ExitStatus> {
         match std::mem::replace(self, Self::Over) {
-            Self::Child(mut child) => end(&mut child),
+            Self::Group(mut group) => group.end(),
             Self::Unix(stream) => {
                 let _ = stream.shutdown(Shutdown::Both); // fails where the other side was first
                 None
@@ -66,15 +62,9 @@ pub(super) fn open(
     }
 }
 
-/// Starts a command in a process group of its own; what it writes to its standard error is seen by the user.
 fn start(command: &str) -> std::io::Result<Connection> {
-    let mut shell = Command::new("sh");
-    shell.arg("-c").arg(command).stdin(Stdio::piped()).stdout(Stdio::piped()).process_group(0);
-    let mut child = shell.spawn()?;
-    let missing = || std::io::Error::other("no pipe");
-    let writer = child.stdin.take().ok_or_else(missing)?;
-    let reader = child.stdout.take().ok_or_else(missing)?;
-    Ok(Connection { end: End::Child(child), writer: Box::new(writer), reader: Box::new(reader) })
+    let (group, writer, reader) = Group::start(command)?;
+    Ok(Connection { end: End::Group(group), writer: Box::new(writer), reader: Box::new(reader) })
 }
 
 fn unix(stream: UnixStream) -> std::io::Result<Connection> {
@@ -120,21 +110,4 @@ fn reach<T: Send + 'static>(
         let text = format!("no connection within {} s", timeout.as_secs_f64());
         Err(std::io::Error::new(std::io::ErrorKind::TimedOut, text))
     })
-}
-
-/// Ends a process and whatever it started in its group; its exit status if it ended by itself in time.
-fn end(child: &mut Child) -> Option<ExitStatus> {
-    let pid = i32::try_from(child.id()).ok().and_then(Pid::from_raw)?;
-    let start = Instant::now();
-    // Not reaped yet, it keeps its number, so the group that is killed is its own.
-    let look = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
-    let mut ended = false;
-    while !ended && start.elapsed() < GRACE {
-        ended = matches!(waitid(WaitId::Pid(pid), look), Ok(Some(_)));
-        if !ended {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-    }
-    let _ = kill_process_group(pid, Signal::KILL); // fails where nobody is left
-    child.wait().ok().filter(|_| ended)
 }

@@ -11,6 +11,7 @@ use super::video::MAX_SIDE_PX;
 use super::view::VIEW;
 use crate::conditions::canvas::Canvas;
 use crate::error::FileError;
+use crate::files::input::{IMAGE_BYTES, read_file};
 use crate::geometry::ImageSize;
 
 /// Name of the picture from above in the folder of a step.
@@ -77,7 +78,7 @@ fn composed(parts: &[(RgbImage, [u32; 2])], caption: &str) -> (ImageSize, Vec<[u
 }
 
 fn open(path: &Path) -> Result<RgbImage, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let bytes = read_file(path, IMAGE_BYTES)?;
     let image = image::load_from_memory(&bytes)
         .map_err(|error| FileError::content("a picture", error.to_string(), path))?;
     Ok(image.into_rgb8())

@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::{picture_size, read_picture};
 use crate::error::FileError;
+use crate::files::FileName;
+use crate::files::input::{is_there, read_table};
 use crate::files::write_json;
 use crate::generate::Made;
 
@@ -36,7 +38,7 @@ enum Kind {
 ///
 /// # Errors
 /// The system's.
-pub fn write(folder: &Path, cameras: &[&str], made: &Made) -> Result<(), FileError> {
+pub fn write(folder: &Path, cameras: &[FileName], made: &Made) -> Result<(), FileError> {
     let kinds = [(GENERATED, Some(&made.images)), (TRUTH, made.truth.as_ref())];
     for (name, images) in kinds.into_iter().filter_map(|(name, images)| Some((name, images?))) {
         let folder = folder.join(name);
@@ -55,10 +57,10 @@ pub fn write(folder: &Path, cameras: &[&str], made: &Made) -> Result<(), FileErr
 ///
 /// # Errors
 /// Images that are missing or damaged.
-pub fn read(folder: &Path, cameras: &[String]) -> Result<Option<Made>, FileError> {
+pub fn read(folder: &Path, cameras: &[FileName]) -> Result<Option<Made>, FileError> {
     let Some(is_reference) = is_reference(folder)? else { return Ok(None) };
     let read = |name: &str| {
-        let image = |camera: &String| open(&folder.join(name).join(format!("{camera}.png")));
+        let image = |camera: &FileName| open(&folder.join(name).join(format!("{camera}.png")));
         cameras.iter().map(image).collect::<Result<Vec<_>, _>>()
     };
     let truth = folder.join(TRUTH).is_dir().then(|| read(TRUTH)).transpose()?;
@@ -71,10 +73,10 @@ pub fn read(folder: &Path, cameras: &[String]) -> Result<Option<Made>, FileError
 /// A file that tells neither.
 pub fn is_reference(folder: &Path) -> Result<Option<bool>, FileError> {
     let path = folder.join(KIND);
-    if !path.is_file() && !folder.join(GENERATED).is_dir() {
+    if !is_there(&path)? && !folder.join(GENERATED).is_dir() {
         return Ok(None);
     }
-    let text = std::fs::read(&path).map_err(FileError::io("read", &path))?;
+    let text = read_table(&path)?;
     let expected = "kind \"generated\" or \"reference\" of the step's images";
     let About { kind } = serde_json::from_slice(&text)
         .map_err(|error| FileError::content(expected, error.to_string(), &path))?;
@@ -95,7 +97,7 @@ mod tests {
     fn images_come_back_as_they_were_written() {
         let folder = tempfile::tempdir().unwrap();
         let cameras = ["a", "b"];
-        let names = cameras.map(str::to_owned);
+        let names = cameras.map(|name| name.parse().unwrap());
         let image = |level: u8| RgbImage::from_fn(3, 2, |x, y| Rgb([level, x as u8, y as u8]));
         let made = Made {
             is_reference: false,
@@ -103,11 +105,11 @@ mod tests {
             truth: Some(vec![image(3), image(4)]),
         };
         assert_eq!(read(folder.path(), &names).unwrap(), None);
-        write(folder.path(), &cameras, &made).unwrap();
+        write(folder.path(), &names, &made).unwrap();
         assert_eq!(read(folder.path(), &names).unwrap(), Some(made.clone()));
         let other = tempfile::tempdir().unwrap();
         let reference = Made { is_reference: true, truth: None, ..made };
-        write(other.path(), &cameras, &reference).unwrap();
+        write(other.path(), &names, &reference).unwrap();
         assert_eq!(read(other.path(), &names).unwrap(), Some(reference));
         std::fs::write(folder.path().join("truth/b.png"), "no").unwrap();
         let message = read(folder.path(), &names).unwrap_err().to_string();

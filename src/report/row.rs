@@ -9,6 +9,8 @@ use crate::cloud::cameras::rows;
 use crate::conditions::meta::{IndexActor, IndexFrame, Matrix};
 use crate::dataset::Log;
 use crate::error::FileError;
+use crate::files::FileName;
+use crate::files::input::read_text;
 use crate::files::write_whole;
 use crate::sim::{Deviation, EgoState, Instant, SimActor, Waypoint};
 
@@ -146,7 +148,7 @@ impl StepRow {
     }
 
     /// Its entry in `index.json`.
-    pub fn index_frame(&self, cameras: &[String]) -> IndexFrame {
+    pub fn index_frame(&self, cameras: &[FileName]) -> IndexFrame {
         let actor = |actor: &ActorRow| IndexActor {
             instance: actor.instance,
             track: actor.track.clone(),
@@ -245,7 +247,7 @@ impl StateFile {
     /// # Errors
     /// A file that is missing, or lines that are no rows in order.
     pub fn read(path: &Path) -> Result<Vec<StepRow>, FileError> {
-        let text = std::fs::read_to_string(path).map_err(FileError::io("read", path))?;
+        let text = read_text(path)?;
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
         let mut rows: Vec<StepRow> = Vec::new();
         for (number, line) in whole.lines().enumerate() {
@@ -306,7 +308,7 @@ mod tests {
         let new = |row: StepRow| row.actors[0].new_in_view.clone();
         assert_eq!([new(row(0)), new(row(1))], [Some(vec![]), Some(vec![1])]);
         assert_eq!(row(1).place_m(), DVec2::new(664_000.123_456_789, 4e6 / 3.0));
-        let frame = row(1).index_frame(&["c".to_owned()]);
+        let frame = row(1).index_frame(&["c".parse().unwrap()]);
         assert_eq!((frame.name.as_str(), frame.actors[0].instance, frame.actors[0].class), ("000001", 1, 1));
         // A line that was cut off is not there.
         let text = std::fs::read_to_string(&path).unwrap();

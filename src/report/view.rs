@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::conditions::{CameraConditions, ConditionSet, DepthBins, MapKind, sheet};
 use crate::error::FileError;
+use crate::files::FileName;
 use crate::files::write_whole;
 
 /// Folder of the pictures in the folder of a step.
@@ -38,7 +39,7 @@ pub struct Layout {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Place {
     /// Channel name.
-    pub name: String,
+    pub name: FileName,
     /// Pixels.
     pub left: u32,
     /// Pixels.
@@ -121,7 +122,7 @@ mod tests {
 
     fn camera(name: &str, [r, g, b]: [u8; 3]) -> CameraConditions {
         CameraConditions {
-            name: name.into(),
+            name: name.parse().unwrap(),
             width: 600,
             height: 300,
             color: Some(vec![[r, g, b]; 180_000]),

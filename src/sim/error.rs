@@ -1,4 +1,5 @@
 use super::PlannerError;
+use crate::files::text::printable;
 
 /// Why a rollout cannot be made, or cannot go on.
 #[derive(Debug, thiserror::Error)]
@@ -37,13 +38,13 @@ pub enum SimError {
         every: usize,
     },
     /// A log without frames.
-    #[error("expected a log with frames, found none: {log}")]
+    #[error("expected a log with frames, found none: {}", printable(log))]
     NoFrames {
         /// Its name.
         log: String,
     },
     /// A start outside of the log.
-    #[error("expected a start from {first_us} to {last_us} us, found {found_us}: {log}")]
+    #[error("expected a start from {first_us} to {last_us} us, found {found_us}: {}", printable(log))]
     Start {
         /// Of the first frame.
         first_us: i64,

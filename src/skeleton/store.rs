@@ -11,6 +11,7 @@ use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use super::{BuildOptions, Checksum, MakeTemplates};
 use crate::cloud::Point;
 use crate::error::FileError;
+use crate::files::input::read_table;
 use crate::files::{WholeFolder, WorkFolder, check_whole, write_json, write_whole_by};
 use crate::gpu::MappedFile;
 
@@ -166,7 +167,7 @@ pub struct Skeleton {
 impl Skeleton {
     /// Whether a folder looks like a skeleton.
     pub fn is_at(path: &Path) -> bool {
-        path.join(MANIFEST).is_file()
+        path.join(MANIFEST).exists()
     }
 
     /// Maps a skeleton's files and checks their sizes against the manifest. Points are checked when they are first
@@ -351,7 +352,7 @@ pub(in crate::skeleton) fn read_manifest<T: serde::de::DeserializeOwned>(
     what: &str,
     (own_format, own_version): (&str, u32),
 ) -> Result<T, FileError> {
-    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let text = read_table(path)?;
     let wrong = |e: serde_json::Error| FileError::content(what, e.to_string(), path);
     // The version first: what else stands there depends on it.
     let value: serde_json::Value = serde_json::from_slice(&text).map_err(wrong)?;

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::hash::{between, hash, unit};
 use crate::cloud::Point;
+use crate::files::FileName;
 use crate::geometry::{Camera, View};
 
 /// Half the length of the street, metres.
@@ -41,20 +42,21 @@ pub fn street_cloud(points: usize, seed: u64) -> Vec<Point> {
 /// Six cameras of 900x1600 pixels that look all around from 1.5 m above the middle of the street of
 /// [`street_cloud`].
 pub fn street_views() -> Vec<View> {
-    CAMERAS.iter().map(|&(name, yaw_deg, focal_px)| view(name, yaw_deg, focal_px)).collect()
+    CAMERAS.iter().filter_map(|&(name, yaw_deg, focal_px)| view(name, yaw_deg, focal_px)).collect()
 }
 
-fn view(name: &str, yaw_deg: f64, focal_px: f64) -> View {
+fn view(name: &str, yaw_deg: f64, focal_px: f64) -> Option<View> {
     let (sin, cos) = (yaw_deg * (PI / 180.0)).sin_cos();
     let (right, down, forward) = (DVec3::new(sin, -cos, 0.0), DVec3::NEG_Z, DVec3::new(cos, sin, 0.0));
     let eye = DVec3::new(1.5 * forward.x, 0.5 * forward.y, 1.5);
     let rotation = DMat3::from_cols(right, down, forward).transpose();
     let (cx, cy) = (f64::from(WIDTH) / 2.0, f64::from(HEIGHT) / 2.0);
     let intrinsics = DMat3::from_cols(DVec3::X * focal_px, DVec3::Y * focal_px, DVec3::new(cx, cy, 1.0));
-    View {
-        camera: Camera { name: name.to_owned(), width: WIDTH, height: HEIGHT, intrinsics, distortion: None },
+    let name = FileName::new(name).ok()?;
+    Some(View {
+        camera: Camera { name, width: WIDTH, height: HEIGHT, intrinsics, distortion: None },
         camera_from_world: DAffine3::from_mat3_translation(rotation, -(rotation * eye)),
-    }
+    })
 }
 
 /// What is drawn at random of a point.

@@ -112,14 +112,8 @@ fn wrong_values_are_named_with_their_row() {
             &["a whole number as timestamp", "found 0.5"],
         ),
         ("UPDATE lidar_pc SET filename = NULL", &["text as filename of lidar_pc 70"]),
-        (
-            "UPDATE lidar_pc SET filename = '../../a.pcd'",
-            &["below the folder of sensor blobs", "../../a.pcd"],
-        ),
-        (
-            "UPDATE lidar_pc SET filename = '/etc/passwd'",
-            &["below the folder of sensor blobs", "/etc/passwd"],
-        ),
+        ("UPDATE lidar_pc SET filename = '../../a.pcd'", &["below the data set's folder", "../../a.pcd"]),
+        ("UPDATE lidar_pc SET filename = '/etc/passwd'", &["below the data set's folder", "/etc/passwd"]),
         (
             "UPDATE image SET filename_jpg = 'a/../../b.jpg'",
             &["below the folder", "filename_jpg of image 69"],
@@ -420,7 +414,11 @@ fn the_index_of_maps_must_fit() {
     std::fs::write(&index, "{}").unwrap();
     assert_eq!(made.open().unwrap().read_map().unwrap(), None);
     std::fs::write(&index, "{\"us-xx-nowhere\": {\"version\": \"../..\"}}").unwrap();
-    assert_says(&message(), &["names of folders", "../.."], "nuplan-maps-v1.0.json");
+    assert_says(
+        &message(),
+        &["a name that can be a folder's", "name or version of a map", "../.."],
+        "nuplan-maps-v1.0.json",
+    );
     std::fs::write(&index, "[1]").unwrap();
     assert_says(&message(), &["a JSON object of maps with their version"], "nuplan-maps-v1.0.json");
     std::fs::remove_file(&index).unwrap();

@@ -22,6 +22,7 @@ use super::rasterizer::RasterizerArgs;
 use super::{WrongUsage, say};
 use crate::dataset::LogLocator;
 use crate::error::FileError;
+use crate::files::input::is_there;
 use crate::files::{OutputFolder, write_json};
 use crate::generate::network::Network;
 use crate::logs;
@@ -120,7 +121,7 @@ fn scene_results(
     for row in rows {
         let path = folder.join(format!("{}.json", row.name));
         let known =
-            path.is_file().then(|| RunResult::read(&path, &row.origin(networks, settings))).transpose()?;
+            is_there(&path)?.then(|| RunResult::read(&path, &row.origin(networks, settings))).transpose()?;
         let result = match known {
             Some(result) => result,
             None => {

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::rows::{Networks, Row};
 use super::scene::{Scene, SceneFrame};
 use crate::error::FileError;
+use crate::files::input::read_table;
 use crate::files::write_whole;
 use crate::generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
 use crate::metrics::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, Segmented};
@@ -62,7 +63,7 @@ impl RunResult {
     pub(super) fn read(path: &Path, origin: &Origin) -> Result<Self, FileError> {
         let damaged =
             |error: serde_json::Error| FileError::content("scores of a scene", error.to_string(), path);
-        let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+        let text = read_table(path)?;
         let result: Self = serde_json::from_slice(&text).map_err(damaged)?;
         if result.origin == *origin {
             return Ok(result);

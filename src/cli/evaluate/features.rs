@@ -1,6 +1,5 @@
 //! Features of other networks: NPY files `[N, D]`.
 
-use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
@@ -9,6 +8,7 @@ use npyz::{NpyHeader, Order};
 
 use crate::cloud::npy::{Scalar, read_header_bytes};
 use crate::error::FileError;
+use crate::files::input::open_regular;
 use crate::metrics::{Distance, FeatureSet, frechet_distance};
 
 /// Of generated and true images.
@@ -21,8 +21,7 @@ pub(super) fn distance(generated: &Path, truth: &Path) -> anyhow::Result<Distanc
 
 /// The declared size is compared with the file's before anything is allocated.
 fn read(path: &Path) -> Result<FeatureSet, FileError> {
-    let file = File::open(path).map_err(FileError::io("read", path))?;
-    let bytes = file.metadata().map_err(FileError::io("read", path))?.len();
+    let (file, bytes) = open_regular(path)?;
     let mut reader = BufReader::new(file);
     let header_bytes = read_header_bytes(&mut reader, bytes, path)?;
     let header = NpyHeader::from_reader(header_bytes.as_slice())

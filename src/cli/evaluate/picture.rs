@@ -1,8 +1,10 @@
+use std::io::Cursor;
 use std::path::Path;
 
 use image::{DynamicImage, ImageReader};
 
 use crate::error::FileError;
+use crate::files::input::{IMAGE_BYTES, read_file};
 use crate::geometry::ImageSize;
 
 /// Pixels row by row, and how many.
@@ -10,7 +12,7 @@ pub(super) type Read<T> = (Vec<T>, ImageSize);
 
 /// Reads a PNG file, whatever it shows.
 fn read(path: &Path) -> Result<DynamicImage, FileError> {
-    let reader = ImageReader::open(path).map_err(FileError::io("read", path))?;
+    let reader = ImageReader::new(Cursor::new(read_file(path, IMAGE_BYTES)?));
     let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
     reader.decode().map_err(|error| FileError::content("a PNG image", error.to_string(), path))
 }

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::rollout::GeneratedRollout;
 use super::segmentor::{PATCHES, PatchesAbout, Segmentors};
+use crate::files::FileName;
 use crate::metrics::{
     CollectedFeatures, Distance, Distances, FrechetError, MeanInterval, Scores, mean_interval,
     paired_difference,
@@ -30,7 +31,7 @@ pub(super) struct Report {
 #[derive(Debug, Serialize)]
 pub(super) struct ScoredRollout {
     folder: String,
-    cameras: Vec<String>,
+    cameras: Vec<FileName>,
     /// Of generated images, HxW, by camera.
     sizes: Vec<String>,
     /// Steps with references, which are not scored.

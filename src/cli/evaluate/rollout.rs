@@ -1,6 +1,6 @@
 //! A rollout with generated images on disk.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
@@ -10,6 +10,8 @@ use super::picture::{self, Read};
 use crate::conditions::reduce::nearest;
 use crate::dataset::{picture_size, read_picture};
 use crate::error::FileError;
+use crate::files::FileName;
+use crate::files::input::is_there;
 use crate::geometry::ImageSize;
 use crate::metrics::{MOVING_MPS, moving_mask};
 use crate::report::images::{self, GENERATED, TRUTH};
@@ -22,7 +24,7 @@ const STEPS: &str = "steps";
 pub(super) struct GeneratedRollout {
     pub(super) folder: PathBuf,
     /// Sorted by name.
-    pub(super) cameras: Vec<String>,
+    pub(super) cameras: Vec<FileName>,
     /// Of generated images, by camera.
     pub(super) sizes: Vec<ImageSize>,
     /// Those with generated images.
@@ -55,7 +57,7 @@ pub(super) type Truth = (Vec<RgbImage>, Vec<Vec<u8>>);
 impl GeneratedRollout {
     /// Finds the generated images; of them only the sizes of the first ones are read.
     pub(super) fn open(folder: &Path) -> Result<Self, FileError> {
-        if !folder.join(ROLLOUT).is_file() {
+        if !is_there(&folder.join(ROLLOUT))? {
             return Err(FileError::content(
                 "a rollout with generated images",
                 format!("no {ROLLOUT}"),
@@ -78,7 +80,7 @@ impl GeneratedRollout {
             return Err(FileError::content("generated images of simulate --generator", found, folder));
         };
         let cameras = cameras(&first.folder.join(GENERATED))?;
-        let size = |camera: &String| {
+        let size = |camera: &FileName| {
             let (height, width) = picture_size(&first.image(GENERATED, camera))?;
             Ok(ImageSize { height, width })
         };
@@ -120,11 +122,11 @@ impl GeneratedRollout {
         map: &str,
         read: fn(&Path) -> Result<Read<T>, FileError>,
     ) -> Result<Option<Vec<Vec<T>>>, FileError> {
-        let path = |camera: &String| step.folder.join(camera).join(format!("{map}.png"));
-        if !self.cameras.first().is_some_and(|camera| path(camera).is_file()) {
+        let path = |camera: &FileName| step.folder.join(camera).join(format!("{map}.png"));
+        if !self.cameras.first().is_some_and(|camera| path(camera).exists()) {
             return Ok(None);
         }
-        let reduced = |(camera, to): (&String, &ImageSize)| {
+        let reduced = |(camera, to): (&FileName, &ImageSize)| {
             let (map, from) = read(&path(camera))?;
             Ok(nearest(&map, from, *to))
         };
@@ -144,24 +146,24 @@ impl Step {
         }
     }
 
-    fn image(&self, folder: &str, camera: &str) -> PathBuf {
+    fn image(&self, folder: &str, camera: &FileName) -> PathBuf {
         self.folder.join(folder).join(format!("{camera}.png"))
     }
 }
 
 /// Names of the images in a folder, sorted.
-fn cameras(folder: &Path) -> Result<Vec<String>, FileError> {
-    let mut names = BTreeMap::new();
+fn cameras(folder: &Path) -> Result<Vec<FileName>, FileError> {
+    let mut names = BTreeSet::new();
     for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
         let path = entry.map_err(FileError::io("read", folder))?.path();
         if path.extension().is_some_and(|ending| ending == "png")
             && let Some(name) = path.file_stem().and_then(|stem| stem.to_str())
         {
-            names.insert(name.to_owned(), ());
+            names.insert(FileName::new(name).map_err(|error| error.in_file(&path))?);
         }
     }
     if names.is_empty() {
         return Err(FileError::content("generated images CAM.png", "none", folder));
     }
-    Ok(names.into_keys().collect())
+    Ok(names.into_iter().collect())
 }

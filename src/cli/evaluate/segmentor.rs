@@ -11,6 +11,7 @@ use super::picture;
 use super::rollout::{Frame, GeneratedRollout, Step};
 use crate::conditions::reduce::nearest;
 use crate::error::FileError;
+use crate::files::FileName;
 use crate::metrics::{PatchClassifier, PatchOptions, PatchTrainer, Segmented, vehicle_mask};
 
 /// Their names in the result.
@@ -105,7 +106,7 @@ impl Segmentors {
         let mut all = Vec::new();
         if let Some(folder) = self.folders.get(number) {
             let folder = folder.join(&rollout.steps[index].name);
-            let read = |(camera, to): (&String, _)| -> Result<Vec<bool>, FileError> {
+            let read = |(camera, to): (&FileName, _)| -> Result<Vec<bool>, FileError> {
                 let (mask, from) = picture::mask(&folder.join(format!("{camera}.png")))?;
                 Ok(nearest(&mask, from, to))
             };

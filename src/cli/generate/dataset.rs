@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
 use std::os::unix::fs::symlink;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
@@ -52,7 +52,7 @@ pub(super) fn write(root: &Path, log: &Log, rollout: &Path, folder: &Path) -> Re
 
 /// What was generated at frames of the log.
 fn replacements<'a>(log: &'a Log, rollout: &Path) -> Result<Vec<Replacement<'a>>, FileError> {
-    let cameras: Vec<String> = log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
+    let cameras: Vec<_> = log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
     let mut replaced = Vec::new();
     for row in StateFile::read(&rollout.join("states.jsonl"))? {
         let Some(frame) = log.frames.iter().find(|frame| frame.t_us == row.t_us) else { continue };
@@ -63,7 +63,7 @@ fn replacements<'a>(log: &'a Log, rollout: &Path) -> Result<Vec<Replacement<'a>>
             let place = log.rig.iter().position(|rig| rig.channel == record.channel);
             let image = place.and_then(|place| made.images.get(place)).cloned();
             let image = image.ok_or_else(|| {
-                let camera = log.cameras.get(record.channel).map_or("a camera", String::as_str);
+                let camera = log.cameras.get(record.channel).map_or("a camera", |name| name.as_str());
                 FileError::content(format!("an image of {camera}"), "none", &step)
             })?;
             replaced.push(Replacement { image, record });
@@ -80,9 +80,11 @@ fn replacements<'a>(log: &'a Log, rollout: &Path) -> Result<Vec<Replacement<'a>>
 }
 
 fn relative(root: &Path, path: &Path) -> Result<PathBuf, FileError> {
-    let within = path.strip_prefix(root).map(Path::to_path_buf);
-    within
-        .map_err(|_| FileError::content(format!("an image below {}", root.display()), "another place", path))
+    let is_plain = |part: Component<'_>| matches!(part, Component::Normal(_));
+    let within = path.strip_prefix(root).ok().filter(|within| within.components().all(is_plain));
+    within.map(Path::to_path_buf).ok_or_else(|| {
+        FileError::content(format!("an image below {}", root.display()), "another place", path)
+    })
 }
 
 /// Makes a folder whose entries are links, but for what is replaced and the folders above it.

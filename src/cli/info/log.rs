@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use crate::dataset::{Dataset, Frame, ImageRecord, Log};
+use crate::files::FileName;
 use crate::scene::frame_rate_hz;
 
 /// All there is to tell, as JSON.
@@ -88,7 +89,7 @@ fn images(dataset: &dyn Dataset) -> Vec<String> {
 
 /// Per channel: size and focal length, and in how many frames it has an image.
 fn cameras(log: &Log) -> Value {
-    let channel = |(index, name): (usize, &String)| {
+    let channel = |(index, name): (usize, &FileName)| {
         let of = |frame: &Frame| frame.images.iter().filter(|i| i.channel == index).count();
         let camera = log.rig.iter().find(|c| c.channel == index).map(|c| &c.camera);
         json!({

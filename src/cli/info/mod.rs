@@ -62,7 +62,7 @@ fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
         let library = TemplateLibrary::open(&path)?;
         return Ok((templates::describe(&library, &path), templates::text(&library, &path)));
     }
-    if path.is_file() {
+    if path.exists() && !path.is_dir() {
         let json = file::describe(&path)?;
         return Ok((json.clone(), as_lines(&json)));
     }

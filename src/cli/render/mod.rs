@@ -25,6 +25,7 @@ use crate::conditions::{Begun, ConditionOptions};
 use crate::dataset::Dataset;
 use crate::error::FileError;
 use crate::files::OutputFolder;
+use crate::files::input::read_table;
 use crate::raster::{FRAMES_IN_FLIGHT, Rasterizer};
 use crate::scene::{SceneMap, SelectionOptions, Stage, frame_rate_hz};
 use crate::skeleton::Skeleton;
@@ -103,7 +104,7 @@ fn warn_of_times_outside(frames: &[IndexFrame], built_from: Option<[i64; 2]>) {
 }
 
 pub(super) fn read_prompt(path: &Path) -> Result<PromptParts, FileError> {
-    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let text = read_table(path)?;
     serde_json::from_slice(&text)
         .map_err(|e| FileError::content(r#"{"weather": text, "city": text}"#, e.to_string(), path))
 }

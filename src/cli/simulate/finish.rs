@@ -5,6 +5,7 @@ use serde::Serialize;
 
 use super::output::{INDEX, METRICS, Output, PAGE, STATES, VIDEO, step_folder};
 use crate::conditions::meta::Index;
+use crate::files::FileName;
 use crate::files::{OutputFolder, write_json};
 use crate::report::page::{self, Page, PageActor, PageEvent, PageStep};
 use crate::report::{ActorRow, Phase, StepRow, Video, film, sight, view};
@@ -34,7 +35,7 @@ pub(super) struct Outcome {
     /// Where cameras stand in the pictures.
     pub(super) layout: view::Layout,
     /// Cameras, in the order of the maps, with the size of the maps.
-    pub(super) cameras: Vec<(String, [u32; 2])>,
+    pub(super) cameras: Vec<(FileName, [u32; 2])>,
 }
 
 /// `metrics.json`.
@@ -61,7 +62,7 @@ pub(super) fn finish(
     write_json(&files.claim(METRICS)?, &told)?;
     video(output, &files.claim(VIDEO)?, rows, outcome)?;
     page(output, rows, outcome).write(&files.claim(PAGE)?)?;
-    let cameras: Vec<String> = outcome.cameras.iter().map(|(name, _)| name.clone()).collect();
+    let cameras: Vec<_> = outcome.cameras.iter().map(|(name, _)| name.clone()).collect();
     let frames = rows.iter().map(|row| row.index_frame(&cameras)).collect();
     Index { options: output.options, frames }.write(&files.claim(INDEX)?)?;
     Ok(())

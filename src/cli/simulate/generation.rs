@@ -8,6 +8,7 @@ use anyhow::Context;
 use super::output::{STATE, step_folder};
 use crate::cli::generator::{Opened, Subject};
 use crate::error::FileError;
+use crate::files::input::{is_there, read_table};
 use crate::files::write_whole;
 use crate::generate::{Cache, Made, Session, SessionTimes};
 use crate::raster::Rasterizer;
@@ -66,7 +67,7 @@ impl<'a> Generation<'a> {
         let first = plan_rows.len().saturating_sub(window);
         let instant = |row: &&StepRow| -> anyhow::Result<_> {
             let path = step_folder(folder, &row.name()).join(STATE);
-            let text = std::fs::read(&path).map_err(FileError::io("read", &path))?;
+            let text = read_table(&path)?;
             let saved: SavedState = serde_json::from_slice(&text)
                 .map_err(|error| FileError::content("a saved state", error.to_string(), &path))?;
             saved.committed(scenario, options).with_context(|| path.display().to_string())
@@ -75,10 +76,10 @@ impl<'a> Generation<'a> {
         let Some(last) = plan_rows.last() else { return Ok(Self { session, shown: None }) };
         let last = step_folder(folder, &last.name());
         let cache = last.join(CACHE);
-        let saved = cache.is_file().then(|| read_cache(&cache)).transpose()?;
+        let saved = is_there(&cache)?.then(|| read_cache(&cache)).transpose()?;
         let session = session.resume(plan_rows.len(), &instants, saved, rasterizer);
         let session = session.with_context(|| cache.display().to_string())?;
-        let cameras: Vec<String> = scenario.log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
+        let cameras: Vec<_> = scenario.log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
         let shown = images::read(&last, &cameras)?.map(Arc::new);
         Ok(Self { session, shown })
     }
@@ -131,12 +132,12 @@ impl Images {
                 std::io::Write::write_all(out, cache).map_err(FileError::io("write", &path))
             })?;
         }
-        let cameras: Vec<&str> = layout.cameras.iter().map(|place| place.name.as_str()).collect();
+        let cameras: Vec<_> = layout.cameras.iter().map(|place| place.name.clone()).collect();
         images::write(folder, &cameras, &self.shown)
     }
 }
 
 fn read_cache(path: &Path) -> anyhow::Result<Cache> {
-    let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let bytes = read_table(path)?;
     Cache::from_bytes(&bytes).with_context(|| path.display().to_string())
 }

@@ -1,4 +1,4 @@
-use std::fs::{create_dir_all, read};
+use std::fs::create_dir_all;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -15,6 +15,7 @@ use crate::conditions::birdseye::{self, BirdseyeOptions, Trace};
 use crate::conditions::meta::{FrameMeta, PromptParts};
 use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
 use crate::error::FileError;
+use crate::files::input::{is_there, read_table};
 use crate::files::{OutputFolder, write_json};
 use crate::report::{ROLLOUT, StateFile, StepRow, film, view};
 use crate::scene::{SceneState, SelectionOptions};
@@ -101,7 +102,7 @@ impl Resumed<'_> {
     pub(super) fn read(&self) -> Result<Option<Earlier>, FileError> {
         let marker = self.folder.join(ROLLOUT);
         let path = self.folder.join(STATES);
-        let mut rows = if path.is_file() { StateFile::read(&path)? } else { Vec::new() };
+        let mut rows = if is_there(&path)? { StateFile::read(&path)? } else { Vec::new() };
         let Some(last) = rows.len().checked_sub(1) else {
             return match self.until {
                 None => Ok(None),
@@ -123,7 +124,7 @@ impl Resumed<'_> {
         }
         rows.truncate(step + 1);
         let path = step_folder(self.folder, &rows[step].name()).join(STATE);
-        let text = read(&path).map_err(FileError::io("read", &path))?;
+        let text = read_table(&path)?;
         let saved = serde_json::from_slice(&text)
             .map_err(|error| FileError::content("a saved state", error.to_string(), &path))?;
         Ok(Some(Earlier { rows, saved }))
@@ -131,7 +132,7 @@ impl Resumed<'_> {
 }
 
 fn read_marker(marker: &Path) -> Result<Value, FileError> {
-    let text = read(marker).map_err(FileError::io("read", marker))?;
+    let text = read_table(marker)?;
     serde_json::from_slice(&text).map_err(|error| FileError::content("a rollout", error.to_string(), marker))
 }
 

@@ -16,6 +16,7 @@ use crate::conditions::birdseye::Trace;
 use crate::conditions::{Begun, ConditionError, ConditionSet};
 use crate::dataset::{EgoTrack, Log};
 use crate::error::FileError;
+use crate::files::FileName;
 use crate::files::OutputFolder;
 use crate::raster::Rasterizer;
 use crate::report::images::TRUTH;
@@ -49,7 +50,7 @@ pub(super) struct Run {
     pub(super) profile: Profile,
     pub(super) layout: view::Layout,
     /// Names and sizes (width, height) of the maps.
-    pub(super) cameras: Vec<(String, [u32; 2])>,
+    pub(super) cameras: Vec<(FileName, [u32; 2])>,
 }
 
 /// What goes from step to step beside the simulation.
@@ -372,7 +373,8 @@ mod tests {
     /// A second at 10 frames a second with one camera.
     fn log() -> Log {
         let intrinsics = DMat3::from_cols(DVec3::X * 8.0, DVec3::Y * 8.0, DVec3::new(8.0, 4.0, 1.0));
-        let camera = Camera { name: "c".into(), width: 16, height: 8, intrinsics, distortion: None };
+        let camera =
+            Camera { name: "c".parse().unwrap(), width: 16, height: 8, intrinsics, distortion: None };
         let frame = |i: i64| Frame {
             t_us: i * 100_000,
             global_from_ego: Pose::from_yaw(0.0, DVec3::X * i as f64),
@@ -383,7 +385,7 @@ mod tests {
         };
         Log {
             name: "made".into(),
-            cameras: vec!["c".into()],
+            cameras: vec!["c".parse().unwrap()],
             rig: vec![RigCamera { channel: 0, ego_from_camera: Pose::IDENTITY, camera }],
             frames: (0..=10).map(frame).collect(),
             ..Log::default()

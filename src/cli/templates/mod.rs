@@ -16,6 +16,7 @@ use super::say;
 use crate::cloud::Point;
 use crate::conditions::png;
 use crate::dataset::{self, Dataset, LogLocator};
+use crate::error::FileError;
 use crate::logs;
 use crate::skeleton::{
     self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton, Source,

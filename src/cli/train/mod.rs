@@ -15,6 +15,7 @@ use self::drives::Recording;
 use self::steps::{Training, recent};
 use super::{log_args, say};
 use crate::error::FileError;
+use crate::files::input::read_table;
 use crate::generate::network::NetworkConfig;
 use crate::generate::train::TrainOptions;
 
@@ -67,7 +68,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
 
 fn config(path: Option<&Path>) -> Result<NetworkConfig, FileError> {
     let Some(path) = path else { return Ok(NetworkConfig::default()) };
-    let text = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let text = read_table(path)?;
     serde_json::from_slice(&text)
         .map_err(|e| FileError::content("a network's configuration", e.to_string(), path))
 }

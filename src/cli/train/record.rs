@@ -59,7 +59,7 @@ impl Source<'_> {
         DriveInfo {
             log: log.name.clone(),
             hz: frame_rate_hz(&log.frames).unwrap_or(0.0),
-            cameras: log.cameras.clone(),
+            cameras: log.cameras.iter().map(ToString::to_string).collect(),
             recipe: self.recipe.clone(),
         }
     }

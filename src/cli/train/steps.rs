@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cli::progress::Progress;
 use crate::error::FileError;
+use crate::files::input::{is_there, read_text};
 use crate::files::{OutputFolder, write_whole};
 use crate::generate::Drive;
 use crate::generate::network::NetworkConfig;
@@ -64,7 +65,7 @@ impl Training<'_> {
         resume: bool,
     ) -> anyhow::Result<Vec<Loss>> {
         let checkpoint = self.folder.join(CHECKPOINT);
-        let mut trainer = match resume && checkpoint.is_file() {
+        let mut trainer = match resume && is_there(&checkpoint)? {
             true => self.resumed(&checkpoint, drives)?,
             false => Trainer::new(self.options, self.config.clone(), drives)?,
         };
@@ -134,7 +135,7 @@ fn read_losses(path: &Path, done: u64) -> Result<Vec<Loss>, FileError> {
     if done == 0 {
         return Ok(Vec::new());
     }
-    let text = std::fs::read_to_string(path).map_err(FileError::io("read", path))?;
+    let text = read_text(path)?;
     let wrong = |line: &str| FileError::content(format!("lines of {HEADER}"), line, path);
     let loss = |line: &str| {
         let cells: Vec<&str> = line.split(',').collect();

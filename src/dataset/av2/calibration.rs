@@ -11,6 +11,7 @@ use super::feather::Table;
 use super::poses::{POSE, poses};
 use crate::dataset::{DatasetError, RigCamera};
 use crate::error::FileError;
+use crate::files::first_twice;
 use crate::geometry::Camera;
 
 /// The seven cameras in ring order, each beside its neighbours. The two of the stereo pair in front are left out.
@@ -38,9 +39,6 @@ pub(super) fn read(folder: &Path) -> Result<Vec<RigCamera>, DatasetError> {
     for name in RING {
         let Some(camera) = cameras.iter().find(|c| c.name == name) else { continue };
         let twice = |path: &Path| FileError::content("every sensor once", format!("{name} twice"), path);
-        if cameras.iter().filter(|c| c.name == name).count() > 1 {
-            return Err(twice(&folder.join("intrinsics.feather")).into());
-        }
         let mut places = sensors.iter().zip(&ego_from_sensor).filter(|(sensor, _)| **sensor == name);
         let found = || FileError::content(format!("a row of sensor {name}"), "none", &path);
         let (_, ego_from_camera) = places.next().ok_or_else(found)?;
@@ -69,5 +67,9 @@ fn intrinsics(path: &Path) -> Result<Vec<Camera>, DatasetError> {
             path: path.to_owned(),
         })
     };
-    (0..table.rows()).map(camera).collect()
+    let cameras: Vec<Camera> = (0..table.rows()).map(camera).collect::<Result<_, DatasetError>>()?;
+    match first_twice(cameras.iter().map(|camera| &camera.name)) {
+        None => Ok(cameras),
+        Some(name) => Err(FileError::content("every sensor once", format!("{name} twice"), path).into()),
+    }
 }

@@ -66,7 +66,7 @@ pub(super) fn part(log: &Path, root: Option<&Path>, part: &str) -> PathBuf {
 
 /// A log with either of its files is one, so that the other is told to be missing.
 fn is_log(path: &Path) -> bool {
-    ["annotations.feather", "city_SE3_egovehicle.feather"].iter().any(|file| path.join(file).is_file())
+    ["annotations.feather", "city_SE3_egovehicle.feather"].iter().any(|file| path.join(file).exists())
 }
 
 fn logs_in(path: &Path) -> Result<Vec<String>, FileError> {

@@ -17,6 +17,7 @@ use arrow_schema::{DataType, Schema, SchemaRef};
 
 use super::column::Column;
 use crate::error::FileError;
+use crate::files::input::{SWEEP_BYTES, read_file};
 
 const MAGIC: &[u8] = b"ARROW1";
 
@@ -42,7 +43,7 @@ impl Table {
     /// # Errors
     /// A file that is missing, is no Feather file or a damaged one; a column that is missing.
     pub(super) fn read(path: &Path, columns: &[&str]) -> Result<Self, FileError> {
-        let bytes = Buffer::from_vec(std::fs::read(path).map_err(FileError::io("read", path))?);
+        let bytes = Buffer::from_vec(read_file(path, SWEEP_BYTES)?);
         let layout = Layout::of(&bytes).map_err(|found| no_feather(found, path))?;
         let places = layout.places(columns, path)?;
         let decoder = FileDecoder::new(layout.schema.clone(), layout.version).with_projection(places);
@@ -81,7 +82,7 @@ impl Table {
 /// # Errors
 /// As [`Table::read`], but for damage within columns.
 pub(super) fn declared_rows(path: &Path, columns: &[&str]) -> Result<u64, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let bytes = read_file(path, SWEEP_BYTES)?;
     let layout = Layout::of(&bytes).map_err(|found| no_feather(found, path))?;
     layout.places(columns, path)?;
     let sum = layout.blocks.iter().try_fold(0_u64, |sum, (_, rows)| sum.checked_add(*rows));

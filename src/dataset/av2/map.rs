@@ -10,6 +10,7 @@ use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
+use crate::files::input::read_table;
 
 /// Points of a centerline are about this far from each other, metres.
 const STEP_M: f64 = 0.5;
@@ -53,7 +54,7 @@ pub(super) fn city(map: Option<&Path>) -> String {
 /// A file that cannot be read or is no such map; boundaries with fewer than two points, areas with fewer than three
 /// corners.
 pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetError> {
-    let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let bytes = read_table(path)?;
     let wrong = |e: serde_json::Error| FileError::content("an Argoverse 2 map", e.to_string(), path);
     let raw: Archive = serde_json::from_slice(&bytes).map_err(wrong)?;
     let told = |e: TooFew| {

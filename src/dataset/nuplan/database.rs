@@ -9,6 +9,7 @@ use rusqlite::{Connection, OpenFlags};
 
 use crate::dataset::DatasetError;
 use crate::error::FileError;
+use crate::files::input::open_regular;
 
 /// A SQLite file.
 pub(super) struct Database {
@@ -41,7 +42,7 @@ impl Database {
     pub(super) fn open(path: &Path) -> Result<Self, FileError> {
         refuse_journal(path)?;
         // SQLite says less about a file that it cannot read.
-        std::fs::File::open(path).map_err(FileError::io("read", path))?;
+        open_regular(path)?;
         let mut uri = String::from("file:");
         for byte in path.as_os_str().as_bytes() {
             match byte {

@@ -4,10 +4,11 @@ use rustc_hash::FxHashMap;
 
 use super::database::{Database, Query, Row, hex};
 use super::pickle;
-use super::place::{Place, leads_below};
+use super::place::Place;
 use super::read::{Notes, note, pose};
 use crate::dataset::{DatasetError, SweepRecord};
 use crate::error::FileError;
+use crate::files::input::is_there;
 use crate::geometry::Pose;
 
 /// A frame without images and boxes.
@@ -86,12 +87,9 @@ fn shot(
     let ego_from_lidar = *lidars.get(lidar).ok_or_else(|| row.dangling("lidar", lidar))?;
     let global_from_ego = ego_pose(row, 6, database)?;
     let name = row.text(5)?;
-    if !leads_below(name) {
-        return Err(row.wrong(5, "a path below the folder of sensor blobs", &format!("{name:?}")));
-    }
-    let path = place.sensors.join(name);
+    let path = place.sensors.resolve(name).map_err(|error| row.wrong(5, &error.expected, &error.found))?;
     let sweep =
-        path.is_file().then_some(SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key: true });
+        is_there(&path)?.then_some(SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key: true });
     Ok(Shot { token, t_us, global_from_ego, sweep })
 }
 

@@ -7,10 +7,12 @@ use rustc_hash::FxHashMap;
 use super::database::{Database, Query, Row};
 use super::frames::{POSE_COLUMNS, ego_pose, extrinsics, unpickled};
 use super::pickle;
-use super::place::{Place, leads_below};
+use super::place::Place;
 use super::read::{Notes, note};
 use crate::dataset::{DatasetError, ImageRecord, RigCamera};
 use crate::error::FileError;
+use crate::files::first_twice;
+use crate::files::input::is_there;
 use crate::geometry::{Camera, Distortion, Pose};
 
 /// How far an image's time may be from its frame's, microseconds: half the time between two images, and
@@ -107,10 +109,10 @@ fn cameras(database: &Database) -> Result<Vec<RawCamera>, DatasetError> {
         cameras.push(RawCamera { token, ego_from_camera, camera: camera(row, database)? });
         Ok(())
     })?;
-    let place = |camera: &RawCamera| RING.iter().position(|r| *r == camera.camera.name).unwrap_or(RING.len());
+    let place = |camera: &RawCamera| RING.iter().position(|r| camera.camera.name == *r).unwrap_or(RING.len());
     cameras.sort_by(|a, b| place(a).cmp(&place(b)).then_with(|| a.camera.name.cmp(&b.camera.name)));
-    if let Some(pair) = cameras.windows(2).find(|pair| pair[0].camera.name == pair[1].camera.name) {
-        let found = format!("two of {}", pair[0].camera.name);
+    if let Some(name) = first_twice(cameras.iter().map(|camera| &camera.camera.name)) {
+        let found = format!("two of {name}");
         return Err(FileError::content("one row in camera for a channel", found, database.path()).into());
     }
     Ok(cameras)
@@ -192,13 +194,10 @@ fn record(
 ) -> Result<Option<ImageRecord>, DatasetError> {
     let global_from_ego = ego_pose(row, 4, database)?;
     let (t_us, name) = (row.integer(1)?, row.text(3)?);
-    if !leads_below(name) {
-        return Err(row.wrong(3, "a path below the folder of sensor blobs", &format!("{name:?}")));
-    }
-    let path = place.sensors.join(name);
+    let path = place.sensors.resolve(name).map_err(|error| row.wrong(3, &error.expected, &error.found))?;
     let (ego_from_camera, camera) = (camera.ego_from_camera, camera.camera.clone());
     let record = ImageRecord { channel, path, t_us, global_from_ego, ego_from_camera, camera };
-    Ok(record.path.is_file().then_some(record))
+    Ok(is_there(&record.path)?.then_some(record))
 }
 
 #[cfg(test)]

@@ -11,11 +11,12 @@ use serde::Deserialize;
 
 use super::database::{Database, Query, Row};
 use super::geometry::{self, Shape};
-use super::place::leads_below;
 use super::projection::Utm;
 use super::read::{Notes, note};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
+use crate::files::FileName;
+use crate::files::input::read_table;
 
 /// The index of a folder of maps.
 const INDEX: &str = "nuplan-maps-v1.0.json";
@@ -29,14 +30,13 @@ struct IndexEntry {
 /// Reads the map of a name; `None` if the index does not have it.
 pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<VectorMap>, DatasetError> {
     let path = folder.join(INDEX);
-    let bytes = std::fs::read(&path).map_err(FileError::io("read", &path))?;
+    let bytes = read_table(&path)?;
     let index: BTreeMap<String, IndexEntry> = serde_json::from_slice(&bytes)
         .map_err(|e| FileError::content("a JSON object of maps with their version", e.to_string(), &path))?;
     let Some(IndexEntry { version }) = index.get(name) else { return Ok(None) };
-    if let Some(part) = [name, version].into_iter().find(|part| !leads_below(part)) {
-        return Err(FileError::content("names of folders", format!("{part:?}"), &path).into());
-    }
-    let database = Database::open(&folder.join(name).join(version).join("map.gpkg"))?;
+    let part =
+        |part: &str| FileName::new(part).map_err(|error| error.of("name or version of a map").in_file(&path));
+    let database = Database::open(&folder.join(part(name)?).join(part(version)?).join("map.gpkg"))?;
     let layers = Layers { utm: utm(&database)?, columns: geometry_columns(&database)?, database };
     let mut notes = Notes::new();
     let (lanes, lane_connectors) = layers.lanes(&mut notes)?;

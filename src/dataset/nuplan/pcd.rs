@@ -10,6 +10,7 @@ use std::path::Path;
 
 use crate::dataset::{Sweep, SweepPoint};
 use crate::error::FileError;
+use crate::files::input::{SWEEP_BYTES, open_regular, read_file};
 
 /// Headers are a few hundred bytes.
 const MAX_HEADER_BYTES: u64 = 1 << 16;
@@ -19,8 +20,7 @@ const MAX_HEADER_BYTES: u64 = 1 << 16;
 /// # Errors
 /// As [`read_pcd_file`], but for what stands in the points.
 pub fn check_pcd_file(path: &Path) -> Result<u64, FileError> {
-    let file = std::fs::File::open(path).map_err(FileError::io("read", path))?;
-    let length = file.metadata().map_err(FileError::io("read", path))?.len();
+    let (file, length) = open_regular(path)?;
     let mut head = Vec::new();
     file.take(MAX_HEADER_BYTES).read_to_end(&mut head).map_err(FileError::io("read", path))?;
     let header = Header::parse(&head, path)?;
@@ -34,7 +34,7 @@ pub fn check_pcd_file(path: &Path) -> Result<u64, FileError> {
 /// A file that is missing, truncated, compressed or text; a header without `x y z` as 4-byte floats, or whose sizes
 /// contradict each other.
 pub fn read_pcd_file(path: &Path) -> Result<Sweep, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let bytes = read_file(path, SWEEP_BYTES)?;
     parse_pcd(&bytes, path)
 }
 

@@ -3,10 +3,11 @@
 //! The usual places are those of the downloads: `nuplan-v1.1/splits/SPLIT/LOG.db`, `nuplan-v1.1/sensor_blobs/LOG/..`
 //! and, beside `nuplan-v1.1`, `maps`.
 
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use crate::dataset::{DatasetError, LogFormat, LogLocator};
 use crate::error::FileError;
+use crate::files::input::DataRoot;
 
 /// The ten evaluation logs of the paper.
 pub const SIMGEN: [&str; 10] = [
@@ -28,7 +29,7 @@ pub(super) struct Place {
     /// The log.
     pub(super) database: PathBuf,
     /// Folder that the names of sweeps and images begin in.
-    pub(super) sensors: PathBuf,
+    pub(super) sensors: DataRoot,
     /// Folder of maps; `None` where there is none at the usual place.
     pub(super) maps: Option<PathBuf>,
     /// Whether the folder of maps was given, so that the log's map must be there.
@@ -42,10 +43,11 @@ impl Place {
         let absolute = std::path::absolute(&locator.path).map_err(FileError::io("find", &locator.path))?;
         let root = absolute.ancestors().nth(3).unwrap_or(Path::new("/"));
         locator.check_roots()?;
+        let sensors = locator.sensor_root.clone().unwrap_or_else(|| root.join("sensor_blobs"));
         let usual_maps = root.parent().unwrap_or(root).join("maps");
         Ok(Self {
             database: locator.path.clone(),
-            sensors: locator.sensor_root.clone().unwrap_or_else(|| root.join("sensor_blobs")),
+            sensors: DataRoot { path: sensors, allow_outside: locator.allow_outside },
             maps: locator.map_root.clone().or_else(|| usual_maps.is_dir().then_some(usual_maps)),
             needs_map: locator.map_root.is_some(),
         })
@@ -122,15 +124,10 @@ fn logs_in(folder: &Path) -> Result<Vec<String>, FileError> {
 /// The names of the set, all of which are in the folder.
 fn simgen(folder: &Path) -> Result<Vec<String>, FileError> {
     let (there, missing): (Vec<&str>, Vec<&str>) =
-        SIMGEN.iter().partition(|name| folder.join(format!("{name}.db")).is_file());
+        SIMGEN.iter().partition(|name| folder.join(format!("{name}.db")).exists());
     if missing.is_empty() {
         return Ok(there.into_iter().map(Into::into).collect());
     }
     let expected = "the ten logs of nuplan-simgen (.db)";
     Err(FileError::content(expected, format!("none named {}", missing.join(", ")), folder))
-}
-
-/// Whether a name from a file leads below the folder that it is joined to.
-pub(super) fn leads_below(name: &str) -> bool {
-    !name.is_empty() && Path::new(name).components().all(|part| matches!(part, Component::Normal(_)))
 }

@@ -11,6 +11,8 @@ use super::read::{Chain, Notes, note};
 use super::tables::{CalibratedSensor, EgoPose, SampleData, Sensor, Table};
 use crate::dataset::{DatasetError, ImageRecord, SweepRecord};
 use crate::error::FileError;
+use crate::files::input::DataRoot;
+use crate::files::{FileName, first_twice};
 use crate::geometry::{Camera, Pose};
 
 /// The six cameras in ring order, each beside its neighbours.
@@ -22,7 +24,7 @@ const MAIN_LIDAR: &str = "LIDAR_TOP";
 
 /// Cameras and frames of a scene.
 pub(super) struct Shots {
-    pub(super) cameras: Vec<String>,
+    pub(super) cameras: Vec<FileName>,
     pub(super) frames: Vec<Shot>,
 }
 
@@ -60,7 +62,7 @@ struct Sensors {
 
 /// Reads the data of every sample of the chain.
 pub(super) fn read(
-    root: &Path,
+    root: &DataRoot,
     tables: &Path,
     chain: &Chain,
     notes: &mut Notes,
@@ -98,15 +100,23 @@ impl Sensors {
     }
 
     /// Channels of the scene's cameras: the six of nuScenes around the ring, then others by name.
-    fn cameras(&self) -> Result<Vec<String>, DatasetError> {
-        let mut channels = Vec::new();
+    ///
+    /// # Errors
+    /// Channels that are no names of folders, or differ in case alone.
+    fn cameras(&self) -> Result<Vec<FileName>, DatasetError> {
+        let mut channels: Vec<FileName> = Vec::new();
         for data in &self.data.records {
             let (sensor, _) = self.sensor_of(data)?;
-            if sensor.modality == "camera" && !channels.contains(&sensor.channel) {
-                channels.push(sensor.channel.clone());
+            if sensor.modality == "camera" && !channels.iter().any(|known| *known == sensor.channel) {
+                let channel = FileName::new(&sensor.channel);
+                channels.push(channel.map_err(|error| error.in_file(&self.sensors.path))?);
             }
         }
-        let place = |channel: &String| RING.iter().position(|r| r == channel).unwrap_or(RING.len());
+        if let Some(channel) = first_twice(&channels) {
+            let expected = "channels of cameras that differ in more than case";
+            return Err(FileError::content(expected, format!("{channel:?} twice"), &self.sensors.path).into());
+        }
+        let place = |channel: &FileName| RING.iter().position(|r| *channel == *r).unwrap_or(RING.len());
         channels.sort_by(|a, b| place(a).cmp(&place(b)).then_with(|| a.cmp(b)));
         Ok(channels)
     }
@@ -116,8 +126,8 @@ impl Sensors {
         &self,
         pile: &mut Pile,
         data: &SampleData,
-        root: &Path,
-        cameras: &[String],
+        root: &DataRoot,
+        cameras: &[FileName],
         notes: &mut Notes,
     ) -> Result<(), DatasetError> {
         let (sensor, calibrated) = self.sensor_of(data)?;
@@ -125,7 +135,11 @@ impl Sensors {
         let global_from_ego = pose(&self.poses, ego, ego.rotation, ego.translation)?;
         let ego_from_sensor =
             pose(&self.calibrated, calibrated, calibrated.rotation, calibrated.translation)?;
-        let (path, t_us) = (root.join(&data.filename), data.timestamp);
+        let path = root.resolve(&data.filename).map_err(|error| {
+            let error = error.of(&format!("filename of sample_data {}", data.token));
+            error.in_file(&self.data.path)
+        })?;
+        let t_us = data.timestamp;
         let twice = |channel: &str| {
             let found = format!("a second key frame of {channel} in sample {}", data.sample_token);
             DatasetError::from(FileError::content(

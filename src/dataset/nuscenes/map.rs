@@ -14,26 +14,33 @@ use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use super::arcline::{ArclinePath, centerline};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
+use crate::files::FileName;
+use crate::files::input::{is_there, read_table};
 
 /// The file of a location: below `map_root` if that is given, else below `root/maps`, where it may be missing.
 ///
 /// # Errors
-/// None below `map_root`.
+/// None below `map_root`; a location that is no name of a file; something else than a file in its place.
 pub(super) fn find(
     root: &Path,
     map_root: Option<&Path>,
     location: &str,
 ) -> Result<Option<PathBuf>, FileError> {
     let maps = map_root.map_or_else(|| root.join("maps"), Path::to_owned);
-    let name = format!("{location}.json");
-    let mut places = [maps.join("expansion").join(&name), maps.join(&name)].into_iter();
-    // A location comes from a file; it must not lead out of the folder.
-    let leads_out = location.contains(['/', '\\']);
-    let found = places.find(|path| !leads_out && path.is_file());
-    if found.is_none() && map_root.is_some() {
-        return Err(FileError::content(format!("map {name} or expansion/{name}"), "none", &maps));
+    if location.is_empty() && map_root.is_none() {
+        return Ok(None);
     }
-    Ok(found)
+    let location = FileName::new(location).map_err(|error| error.of("location of the log").in_file(&maps))?;
+    let name = format!("{location}.json");
+    for path in [maps.join("expansion").join(&name), maps.join(&name)] {
+        if is_there(&path)? {
+            return Ok(Some(path));
+        }
+    }
+    match map_root {
+        None => Ok(None),
+        Some(_) => Err(FileError::content(format!("map {name} or expansion/{name}"), "none", &maps)),
+    }
 }
 
 /// Reads the map of a location.
@@ -42,7 +49,7 @@ pub(super) fn find(
 /// A file that cannot be read or is no map expansion; tokens that are there twice or lead nowhere, areas with fewer
 /// than three corners, a line with a single one, centerlines that are none.
 pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetError> {
-    let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let bytes = read_table(path)?;
     let wrong = |e: serde_json::Error| FileError::content("a map expansion", e.to_string(), path);
     let raw: Expansion = serde_json::from_slice(&bytes).map_err(wrong)?;
     Ok(Resolver::new(&raw, path)?.map(location)?)

@@ -23,7 +23,7 @@ pub use write_map::{MapLayers, RoadSegment, write_map};
 
 use std::path::PathBuf;
 
-use crate::error::FileError;
+use crate::files::input::{DataRoot, open_regular};
 
 use super::{
     Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
@@ -44,13 +44,15 @@ impl NuScenes {
     /// the only scene. No sweep, no image and no map is opened.
     ///
     /// # Errors
-    /// Tables that are missing or damaged, tokens that lead nowhere, poses, cameras or boxes that are none, times
+    /// Tables that are missing or damaged, tokens that lead nowhere, names of files outside of the folder of sweeps and
+    /// images (unless [`LogLocator::allow_outside`]), cameras whose name is no folder's, poses, cameras or boxes that are none, times
     /// that do not grow; versions or scenes to choose from and none chosen.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         locator.check_roots()?;
         let tables = choose::version_folder(&locator.path, locator.version.as_deref())?;
-        let sensors = locator.sensor_root.as_deref().unwrap_or(&locator.path);
-        let (log, box_points) = read::read(sensors, &tables, locator.scene.as_deref())?;
+        let sensors = locator.sensor_root.as_ref().unwrap_or(&locator.path).clone();
+        let sensors = DataRoot { path: sensors, allow_outside: locator.allow_outside };
+        let (log, box_points) = read::read(&sensors, &tables, locator.scene.as_deref())?;
         Ok(Self { log, box_points, root: locator.path.clone(), map_root: locator.map_root.clone() })
     }
 }
@@ -66,7 +68,7 @@ impl Dataset for NuScenes {
 
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
         let path = &record.path;
-        let bytes = std::fs::metadata(path).map_err(FileError::io("read", path))?.len();
+        let (_, bytes) = open_regular(path)?;
         Ok(Some(check_sweep_len(bytes, path)?))
     }
 

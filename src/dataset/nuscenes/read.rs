@@ -9,6 +9,7 @@ use super::tables::{Attribute, LogRecord, MapRecord, Sample, Scene, Table, Visib
 use super::{annotations, choose, frames};
 use crate::dataset::{DatasetError, Frame, Log, RigCamera};
 use crate::error::FileError;
+use crate::files::input::DataRoot;
 
 /// What a reader left out, by kind.
 pub(super) type Notes = BTreeMap<String, usize>;
@@ -28,7 +29,7 @@ pub(super) struct Chain {
 
 /// Reads the log of a scene, and per frame and box the number of LiDAR points that the tables state.
 pub(super) fn read(
-    root: &Path,
+    root: &DataRoot,
     tables: &Path,
     wanted_scene: Option<&str>,
 ) -> Result<(Log, Vec<Vec<u32>>), DatasetError> {

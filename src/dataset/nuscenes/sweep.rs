@@ -5,6 +5,7 @@ use std::path::Path;
 
 use crate::dataset::{Sweep, SweepPoint};
 use crate::error::FileError;
+use crate::files::input::{SWEEP_BYTES, read_file};
 use crate::files::write_whole;
 
 /// Bytes of a point in a `.pcd.bin` file.
@@ -15,7 +16,7 @@ pub const POINT_BYTES: usize = 20;
 /// # Errors
 /// A file that is missing, empty, or whose length is not a multiple of [`POINT_BYTES`].
 pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
-    let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+    let bytes = read_file(path, SWEEP_BYTES)?;
     parse_sweep(&bytes, path)
 }
 

@@ -12,6 +12,7 @@ use serde::de::{Deserialize, DeserializeOwned, Deserializer, SeqAccess, Visitor}
 
 use crate::dataset::DatasetError;
 use crate::error::FileError;
+use crate::files::input::read_table;
 
 /// A record of a table.
 pub(super) trait Record: DeserializeOwned {
@@ -93,7 +94,7 @@ impl<R: Record> Table<R> {
     /// A file that is missing, is no JSON array of such records, or holds a kept token twice.
     pub(super) fn load(folder: &Path, keep: impl FnMut(&R) -> bool) -> Result<Self, FileError> {
         let path = folder.join(format!("{}.json", R::TABLE));
-        let bytes = std::fs::read(&path).map_err(FileError::io("read", &path))?;
+        let bytes = read_table(&path)?;
         Self::parse(&bytes, path, keep)
     }
 

@@ -380,7 +380,7 @@ mod tests {
             let distortion = Distortion::from_opencv([k1, 0.0, 0.0, 0.0, 0.0]);
             let camera = Camera { distortion, ..camera.clone() };
             let rig = vec![RigCamera { channel: 0, ego_from_camera: Pose::IDENTITY, camera }];
-            let log = Log { cameras: vec!["CAM_A".into()], rig, ..Log::default() };
+            let log = Log { cameras: vec!["CAM_A".parse().unwrap()], rig, ..Log::default() };
             write_log(folder.path(), "v1.0-mini", &Bare(log)).map_err(|e| e.to_string())
         };
         let message = write(-0.1).unwrap_err();

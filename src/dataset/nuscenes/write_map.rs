@@ -12,6 +12,7 @@ use tiny_skia::{FillRule, Mask, PathBuilder, Transform};
 use super::arcline::straight_paths;
 use crate::dataset::{Area, Lane, VectorMap};
 use crate::error::FileError;
+use crate::files::FileName;
 use crate::files::{write_json, write_whole};
 
 /// What the map expansion holds beyond a [`VectorMap`], global metres.
@@ -58,10 +59,8 @@ pub(super) fn picture_name(location: &str) -> String {
 /// Coordinates below 0 or over 4 km, which the picture cannot show; a location that is no file's name; the system's.
 pub fn write_map(root: &Path, map: &VectorMap, layers: &MapLayers) -> Result<(), FileError> {
     let location = &map.location;
+    let location = &FileName::new(location).map_err(|error| error.of("location of the map").in_file(root))?;
     let path = root.join("maps/expansion").join(format!("{location}.json"));
-    if location.is_empty() || location.contains(['/', '\\']) {
-        return Err(FileError::content("a location that can name a file", format!("{location:?}"), &path));
-    }
     let size_m = canvas_m(map, layers, &path)?;
     let folder = root.join("maps/expansion");
     std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
@@ -333,7 +332,10 @@ mod tests {
         );
         far.drivable_area[0].exterior[2].x = -1.0;
         assert!(write(&far).contains("[-1, 0]"), "{}", write(&far));
-        assert!(write(&VectorMap { location: "../out".into(), ..map() }).contains("can name a file"));
+        assert!(
+            write(&VectorMap { location: "../out".into(), ..map() })
+                .contains("a name that can be a folder's")
+        );
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }

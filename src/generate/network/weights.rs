@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::model::{FirstGuess, fresh, shapes};
 use super::{NetworkConfig, NetworkError, Statistics};
 use crate::error::FileError;
+use crate::files::input::read_table;
 use crate::files::write_whole;
 
 /// Where weights come from.
@@ -142,7 +143,7 @@ pub(in crate::generate) fn in_file(error: NetworkError, path: &Path) -> NetworkE
 
 /// A file's bytes.
 pub(in crate::generate) fn read_whole(path: &Path) -> Result<Vec<u8>, FileError> {
-    std::fs::read(path).map_err(FileError::io("read", path))
+    read_table(path)
 }
 
 /// Safetensors of named f32 arrays, with a header in the metadata.
@@ -191,5 +192,12 @@ pub(in crate::generate) fn find(
         let found = format!("{:?} {:?}", tensor.dtype(), tensor.shape());
         return Err(FileError::content(expected(), found, path));
     }
-    Ok(pod_collect_to_vec(tensor.data()))
+    let values: Vec<f32> = pod_collect_to_vec(tensor.data());
+    match values.iter().position(|value| !value.is_finite()) {
+        None => Ok(values),
+        Some(place) => {
+            let found = format!("{} at {place}", values[place]);
+            Err(FileError::content(format!("finite numbers in {name}"), found, path))
+        }
+    }
 }

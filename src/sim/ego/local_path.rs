@@ -10,6 +10,7 @@ use super::course::Course;
 use super::preset;
 use crate::cloud::npy;
 use crate::error::FileError;
+use crate::files::input::read_file;
 use crate::geometry::Polyline;
 use crate::sim::EgoState;
 
@@ -71,12 +72,7 @@ impl LocalPath {
     /// # Errors
     /// A file that cannot be read or has another form, or what [`LocalPath::new`] says.
     pub fn read(path: &Path) -> Result<Self, LocalPathError> {
-        let size = std::fs::metadata(path).map_err(FileError::io("read", path))?.len();
-        if size > MAX_BYTES {
-            let expected = format!("a path of at most {MAX_BYTES} bytes");
-            return Err(FileError::content(expected, format!("{size}"), path).into());
-        }
-        let bytes = std::fs::read(path).map_err(FileError::io("read", path))?;
+        let bytes = read_file(path, MAX_BYTES)?;
         let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         let points = match extension.as_deref() {
             Some("json") => from_json(&bytes, path)?,

@@ -9,6 +9,7 @@ use super::cells::Cell;
 use super::runs::{self, RunName};
 use super::sums::VoxelSum;
 use crate::error::FileError;
+use crate::files::input::read_table;
 use crate::files::{WorkFolder, work_of_whole, write_json};
 use crate::skeleton::{BuildOptions, BuildReport};
 
@@ -66,7 +67,7 @@ pub(super) struct Unfinished {
 impl Unfinished {
     /// How many frames of an unfinished build of `out` are done, if there is one with a checkpoint.
     pub(super) fn frames_done(out: &Path) -> Option<usize> {
-        let text = std::fs::read(work_of_whole(out).join(FILE)).ok()?;
+        let text = read_table(&work_of_whole(out).join(FILE)).ok()?;
         serde_json::from_slice::<Checkpoint<serde_json::Value, Done>>(&text).ok().map(|c| c.done.frames)
     }
 
@@ -87,7 +88,7 @@ impl Unfinished {
 
     fn read(&self) -> Result<Done, FileError> {
         let path = self.path().join(FILE);
-        let text = std::fs::read(&path).map_err(FileError::io("read", &path))?;
+        let text = read_table(&path)?;
         let wrong = |e: serde_json::Error| FileError::content("a checkpoint", e.to_string(), &path);
         let checkpoint: Checkpoint<Plan, Done> = serde_json::from_slice(&text).map_err(wrong)?;
         let frames: usize = self.plan.logs.iter().map(|log| log.t_us.len()).sum();

@@ -26,6 +26,7 @@ use super::{BuildOptions, Skeleton, SkeletonWriter, Template};
 use crate::cloud::Point;
 use crate::dataset::{Dataset, DatasetError};
 use crate::error::FileError;
+use crate::files::text::printable;
 
 /// Why no skeleton could be built.
 #[derive(Debug, thiserror::Error)]
@@ -45,7 +46,7 @@ pub enum BuildError {
         found: usize,
     },
     /// No sweep at all.
-    #[error("expected frames with a LiDAR sweep, found none in {frames} frames of {}", logs.join(", "))]
+    #[error("expected frames with a LiDAR sweep, found none in {frames} frames of {}", printable(&logs.join(", ")))]
     NoSweeps {
         /// Frames looked at.
         frames: usize,
@@ -63,7 +64,7 @@ pub enum BuildError {
         points: usize,
     },
     /// Logs that cannot share a background.
-    #[error("expected logs of one place, each once, found {}", found.join(", "))]
+    #[error("expected logs of one place, each once, found {}", printable(&found.join(", ")))]
     Places {
         /// Name and place of each.
         found: Vec<String>,

@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use super::cells::Cell;
 use super::sums::{VoxelSum, merge_two};
 use crate::error::FileError;
+use crate::files::input::{open_regular, read_table};
 use crate::files::{write_json, write_whole};
 use crate::skeleton::Checksum;
 
@@ -80,7 +81,7 @@ struct Run {
 impl Run {
     fn open(folder: &Path, name: &RunName) -> Result<Self, FileError> {
         let (index, path) = (name.index(folder), name.sums(folder));
-        let text = std::fs::read(&index).map_err(FileError::io("read", &index))?;
+        let text = read_table(&index)?;
         let wrong = |e: serde_json::Error| FileError::content("an index of points", e.to_string(), &index);
         let entries: Vec<Entry> = serde_json::from_slice(&text).map_err(wrong)?;
         let (mut cells, mut end) = (BTreeMap::new(), 0_usize);
@@ -88,8 +89,7 @@ impl Run {
             cells.insert(entry.cell, (end, entry));
             end = end.saturating_add(entry.sums);
         }
-        let file = File::open(&path).map_err(FileError::io("read", &path))?;
-        let found = file.metadata().map_err(FileError::io("read", &path))?.len();
+        let (file, found) = open_regular(&path)?;
         let expected = (end as u64).saturating_mul(SUM_BYTES);
         if expected != found {
             return Err(FileError::content(format!("{expected} bytes"), format!("{found} bytes"), &path));

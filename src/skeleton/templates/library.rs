@@ -83,7 +83,7 @@ impl TemplateLibrary {
 
     /// Whether a folder looks like a library.
     pub fn is_at(path: &Path) -> bool {
-        path.join(MANIFEST).is_file()
+        path.join(MANIFEST).exists()
     }
 
     /// Writes the folder; `more` may add files to it. An older library is replaced.

@@ -113,7 +113,7 @@ impl Town {
             name: name(options),
             location: LOCATION.into(),
             description: describe(options),
-            cameras: rig::CAMERAS.iter().map(|mount| mount.channel.to_owned()).collect(),
+            cameras: rig.iter().map(|rig| rig.camera.name.clone()).collect(),
             rig,
             tracks,
             frames,

@@ -352,6 +352,16 @@ fn weights_are_read_as_they_were_written_or_refused() {
     assert!(error.contains("ego.a of f32 [32, 4], found no such array"), "{error}");
     let error = refused(&bytes[..bytes.len() - 4]);
     assert!(error.contains("expected weights, found"), "{error}");
+    // The last number of the last parameter.
+    for (number, name) in [(f32::NAN, "NaN"), (f32::INFINITY, "inf"), (f32::NEG_INFINITY, "-inf")] {
+        let mut bytes = bytes.clone();
+        bytes.splice(bytes.len() - 4.., number.to_le_bytes());
+        let error = refused(&bytes);
+        assert!(
+            error.contains("expected finite numbers in ") && error.contains(&format!("found {name} at ")),
+            "{error}"
+        );
+    }
 }
 
 /// They say where they come from, and the log of their training stands beside them.

@@ -1,0 +1,207 @@
+//! Files that are read: regular ones, of a size that is known before, and those that data names only below its folder.
+//!
+//! A device would be read without end and a FIFO would be waited for without end, so what a path leads to is looked at
+//! before and after it is opened, and it is opened without waiting.
+
+use std::fs::{File, FileType, Metadata, OpenOptions};
+use std::io::{ErrorKind, Read};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::path::{Component, Path, PathBuf};
+
+use rustix::fs::OFlags;
+
+use super::NameError;
+use crate::error::FileError;
+
+/// Most bytes of an image.
+pub const IMAGE_BYTES: u64 = 256 << 20;
+/// Most bytes of a sweep.
+pub const SWEEP_BYTES: u64 = 1 << 30;
+/// Most bytes of a table, a map, weights, or a file of options.
+pub const TABLE_BYTES: u64 = 16 << 30;
+
+/// A folder with files that data names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DataRoot {
+    /// The folder.
+    pub path: PathBuf,
+    /// Whether names may lead out of it.
+    pub allow_outside: bool,
+}
+
+impl DataRoot {
+    /// The path that a name in the data stands for. Symbolic links on it may lead anywhere: whoever made them owns the
+    /// folder.
+    ///
+    /// # Errors
+    /// A name that is empty or has a NUL; one that is absolute or has a component `..`, unless that is allowed.
+    pub fn resolve(&self, name: &str) -> Result<PathBuf, NameError> {
+        let wrong =
+            |expected: &str| Err(NameError { expected: expected.to_owned(), found: format!("{name:?}") });
+        let mut parts = Path::new(name).components();
+        if name.contains('\0') || !parts.clone().any(|part| matches!(part, Component::Normal(_))) {
+            return wrong("the name of a file");
+        }
+        if !self.allow_outside && !parts.all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
+        {
+            return wrong("a path below the data set's folder (--allow-outside takes others)");
+        }
+        Ok(self.path.join(name))
+    }
+}
+
+/// Opens a regular file for reading; also its length. Nothing is waited for.
+///
+/// # Errors
+/// The system's; anything but a regular file.
+pub fn open_regular(path: &Path) -> Result<(File, u64), FileError> {
+    // Some devices do something when they are opened.
+    check_kind(&std::fs::metadata(path).map_err(FileError::io("read", path))?, path)?;
+    let flags = OFlags::NONBLOCK | OFlags::NOCTTY;
+    let file = OpenOptions::new().read(true).custom_flags(flags.bits().cast_signed()).open(path);
+    let file = file.map_err(FileError::io("read", path))?;
+    // It may have changed in between.
+    let about = file.metadata().map_err(FileError::io("read", path))?;
+    check_kind(&about, path)?;
+    Ok((file, about.len()))
+}
+
+/// Reads a regular file of at most `limit` bytes. What is added while it is read is left out.
+///
+/// # Errors
+/// As [`open_regular`]; a longer file.
+pub fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
+    let (file, length) = open_regular(path)?;
+    if length > limit {
+        let expected = format!("a file of at most {limit} bytes");
+        return Err(FileError::content(expected, format!("{length} bytes"), path));
+    }
+    let mut bytes = Vec::new();
+    let room = usize::try_from(length).map_or(false, |length| bytes.try_reserve_exact(length).is_ok());
+    if !room {
+        return Err(FileError::io("read", path)(ErrorKind::OutOfMemory.into()));
+    }
+    file.take(length).read_to_end(&mut bytes).map_err(FileError::io("read", path))?;
+    Ok(bytes)
+}
+
+/// Reads a table, a map, weights or a file of options: [`read_file`] of at most [`TABLE_BYTES`].
+///
+/// # Errors
+/// As [`read_file`].
+pub fn read_table(path: &Path) -> Result<Vec<u8>, FileError> {
+    read_file(path, TABLE_BYTES)
+}
+
+/// Reads a text: [`read_table`] of a file in UTF-8.
+///
+/// # Errors
+/// As [`read_file`]; other bytes.
+pub fn read_text(path: &Path) -> Result<String, FileError> {
+    String::from_utf8(read_table(path)?).map_err(|error| FileError::content("text", error.to_string(), path))
+}
+
+/// Whether a regular file is at a path.
+///
+/// # Errors
+/// Something else is there; the system cannot tell.
+pub fn is_there(path: &Path) -> Result<bool, FileError> {
+    match std::fs::metadata(path) {
+        Ok(about) => check_kind(&about, path).map(|()| true),
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(false),
+        Err(error) => Err(FileError::io("read", path)(error)),
+    }
+}
+
+/// # Errors
+/// Anything but a regular file is at the path.
+pub fn check_regular(path: &Path) -> Result<(), FileError> {
+    check_kind(&std::fs::metadata(path).map_err(FileError::io("read", path))?, path)
+}
+
+fn check_kind(about: &Metadata, path: &Path) -> Result<(), FileError> {
+    if about.is_file() {
+        return Ok(());
+    }
+    Err(FileError::content("a regular file", kind(about.file_type()), path))
+}
+
+fn kind(kind: FileType) -> &'static str {
+    match kind {
+        _ if kind.is_dir() => "a folder",
+        _ if kind.is_fifo() => "a FIFO",
+        _ if kind.is_socket() => "a socket",
+        _ if kind.is_char_device() || kind.is_block_device() => "a device",
+        _ => "something else",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::symlink;
+    use std::os::unix::net::UnixListener;
+
+    #[test]
+    fn only_regular_files_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("file"), "text").unwrap();
+        symlink("file", at("link")).unwrap();
+        for name in ["file", "link"] {
+            assert_eq!(read_file(&at(name), 4).unwrap(), b"text");
+            assert!(is_there(&at(name)).unwrap());
+        }
+        let message = read_file(&at("file"), 3).unwrap_err().to_string();
+        assert!(message.starts_with("expected a file of at most 3 bytes, found 4 bytes: "), "{message}");
+        std::fs::create_dir(at("folder")).unwrap();
+        rustix::fs::mknodat(rustix::fs::CWD, at("fifo"), rustix::fs::FileType::Fifo, 0o600.into(), 0)
+            .unwrap();
+        let _socket = UnixListener::bind(at("socket")).unwrap();
+        for (path, found) in [
+            (at("folder"), "a folder"),
+            (at("fifo"), "a FIFO"),
+            (at("socket"), "a socket"),
+            ("/dev/zero".into(), "a device"),
+        ] {
+            let expected = format!("expected a regular file, found {found}: {}", path.display());
+            assert_eq!(read_table(&path).unwrap_err().to_string(), expected);
+            assert_eq!(is_there(&path).unwrap_err().to_string(), expected);
+            assert_eq!(check_regular(&path).unwrap_err().to_string(), expected);
+        }
+        symlink("loop", at("loop")).unwrap();
+        assert!(is_there(&at("loop")).is_err() && read_table(&at("loop")).is_err());
+        assert!(!is_there(&at("none")).unwrap() && !is_there(&at("file/none")).unwrap());
+        assert!(read_table(&at("none")).unwrap_err().to_string().starts_with("cannot read: "));
+    }
+
+    /// A file of any length that takes no space.
+    #[test]
+    fn a_large_file_is_refused_before_memory_is_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("large");
+        File::create(&path).unwrap().set_len(1 << 42).unwrap();
+        let message = read_table(&path).unwrap_err().to_string();
+        assert!(message.contains("at most") && message.contains("found 4398046511104 bytes"), "{message}");
+    }
+
+    #[test]
+    fn names_lead_below_the_folder() {
+        let root = DataRoot { path: "/data".into(), allow_outside: false };
+        let open = DataRoot { allow_outside: true, ..root.clone() };
+        for (name, path) in [("a/b.jpg", "/data/a/b.jpg"), ("./a", "/data/a"), ("a..b/..c", "/data/a..b/..c")]
+        {
+            assert_eq!(root.resolve(name).unwrap(), Path::new(path));
+        }
+        for (name, path) in
+            [("/etc/passwd", "/etc/passwd"), ("../a", "/data/../a"), ("a/../../b", "/data/a/../../b")]
+        {
+            let message = root.resolve(name).unwrap_err().to_string();
+            assert!(message.contains("below the data set's folder") && message.contains(name), "{message}");
+            assert_eq!(open.resolve(name).unwrap(), Path::new(path));
+        }
+        for name in ["", ".", "..", "/", "a\0b"] {
+            assert!(root.resolve(name).is_err() && open.resolve(name).is_err(), "{name:?}");
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! Text from data in messages: it cannot act on a terminal, nor fill it.
+
+use std::borrow::Cow;
+use std::path::Path;
+
+/// Most characters of a value in a message.
+const MAX_VALUE: usize = 400;
+/// Most characters of a path in a message: more than folders that people make take.
+const MAX_PATH: usize = 1024;
+/// Most characters of a line.
+const MAX_LINE: usize = 8192;
+
+/// A value in a message, in one line: control characters are escaped, and a long value is cut down to its beginning, its
+/// end and its length.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    escaped(shortened(text, MAX_VALUE), |c| acts(c))
+}
+
+/// A path in a message, as [`printable`], but with room for deep folders.
+pub fn printable_path(path: &Path) -> String {
+    let text = path.to_string_lossy();
+    escaped(shortened(&text, MAX_PATH), |c| acts(c)).into_owned()
+}
+
+/// Whole lines of a message whose values may come from data: as [`printable`] line by line, with room for long lines.
+/// Line breaks stay.
+pub fn printable_lines(text: &str) -> Cow<'_, str> {
+    let long = |line: &str| line.len() > MAX_LINE;
+    if !text.lines().any(long) {
+        return escaped(Cow::Borrowed(text), |c| c != '\n' && acts(c));
+    }
+    let lines = text.split('\n').map(|line| escaped(shortened(line, MAX_LINE), |c| acts(c)));
+    Cow::Owned(lines.collect::<Vec<_>>().join("\n"))
+}
+
+/// Whether a character does something to a terminal beyond showing itself: control characters, line and paragraph
+/// separators, and marks that change the direction of the text around them.
+pub(super) fn acts(c: char) -> bool {
+    let turns =
+        matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    c.is_control() || turns || matches!(c, '\u{2028}' | '\u{2029}')
+}
+
+fn escaped(text: Cow<'_, str>, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.chars().any(&is_escaped) {
+        return text;
+    }
+    let mut result = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        match c {
+            _ if !is_escaped(c) => result.push(c),
+            '\n' => result.push_str("\\n"),
+            '\r' => result.push_str("\\r"),
+            '\t' => result.push_str("\\t"),
+            ..='\u{ff}' => result.push_str(&format!("\\x{:02x}", u32::from(c))),
+            _ => result.push_str(&format!("\\u{{{:x}}}", u32::from(c))),
+        }
+    }
+    Cow::Owned(result)
+}
+
+/// Two thirds of what is kept are the beginning.
+fn shortened(text: &str, most: usize) -> Cow<'_, str> {
+    // A character has at least one byte.
+    let count = if text.len() <= most { 0 } else { text.chars().count() };
+    if count <= most {
+        return Cow::Borrowed(text);
+    }
+    let tail = most / 3;
+    let at = |place: usize| text.char_indices().nth(place).map_or(text.len(), |(byte, _)| byte);
+    let (head, tail) = (&text[..at(most - tail)], &text[at(count - tail)..]);
+    Cow::Owned(format!("{head} … {tail} ({count} characters)"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_acts_on_a_terminal_is_escaped() {
+        assert_eq!(printable("CAM_FRONT é 😀"), "CAM_FRONT é 😀");
+        assert_eq!(printable("\u{1b}[2J\u{7}a\nb\tc\r\0"), "\\x1b[2J\\x07a\\nb\\tc\\r\\x00");
+        assert_eq!(printable("\u{9b}31m\u{202e}x\u{2028}"), "\\x9b31m\\u{202e}x\\u{2028}");
+        assert_eq!(printable_path(Path::new("/a\u{1b}b/c")), "/a\\x1bb/c");
+        assert_eq!(printable_lines("a\u{1b}\nb\r"), "a\\x1b\nb\\r");
+        // What is escaped once stays as it is.
+        assert_eq!(printable(&printable("\u{1b}")), "\\x1b");
+    }
+
+    #[test]
+    fn long_text_keeps_its_beginning_and_its_end() {
+        let text = format!("begin{}end", "ä".repeat(100_000));
+        let short = printable(&text);
+        assert!(short.starts_with("beginää") && short.ends_with("äend (100008 characters)"), "{short}");
+        assert!(short.chars().count() < MAX_VALUE + 30);
+        assert_eq!(printable(&"ä".repeat(MAX_VALUE)), "ä".repeat(MAX_VALUE));
+        assert!(printable_path(Path::new(&text)).chars().count() < MAX_PATH + 30);
+        let lines = printable_lines(&format!("a\n{}\nb", "x".repeat(MAX_LINE + 1))).into_owned();
+        assert!(lines.starts_with("a\nxx") && lines.ends_with("(8193 characters)\nb"), "{lines}");
+    }
+}

@@ -1,0 +1,233 @@
+//! Files that data sets name, or that stand where a file should: devices, FIFOs, folders, and files of others.
+
+use std::os::unix::fs::symlink;
+use std::os::unix::net::UnixListener;
+use std::path::Path;
+
+use rustix::fs::{CWD, FileType, mknodat};
+use serde_json::{Value, json};
+
+use crate::av2_log::{LOG_ID, TinyAv2, picture, sweep};
+use crate::guarded::{Ended, listing, run};
+use crate::nuplan_made::{LOG, Made, RING, image_file, sweep_file};
+use crate::tiny_log::TinyLog;
+
+/// What can stand in the place of a file, and what it is called.
+const KINDS: [(&str, &str); 5] = [
+    ("fifo", "expected a regular file, found a FIFO"),
+    ("device", "expected a regular file, found a device"),
+    ("folder", "expected a regular file, found a folder"),
+    ("socket", "expected a regular file, found a socket"),
+    ("loop", "cannot read: "),
+];
+
+/// Puts something of a kind in the place of what is at a path.
+fn put(kind: &str, path: &Path) {
+    if std::fs::remove_file(path).is_err() {
+        let _ = std::fs::remove_dir(path);
+    }
+    match kind {
+        "fifo" => mknodat(CWD, path, FileType::Fifo, 0o600.into(), 0).unwrap(),
+        "device" => symlink("/dev/zero", path).unwrap(),
+        "folder" => std::fs::create_dir(path).unwrap(),
+        "socket" => drop(UnixListener::bind(path).unwrap()),
+        _ => symlink(path.file_name().unwrap(), path).unwrap(),
+    }
+}
+
+/// Each command is refused with the place of each kind of thing that is no file.
+#[track_caller]
+fn refuse_all_kinds(folder: &Path, file: &Path, commands: &[&str]) {
+    let whole = std::fs::read(file).unwrap();
+    for (kind, message) in KINDS {
+        put(kind, file);
+        let before = listing(folder);
+        for command in commands {
+            let ended = run(folder, &command.split(' ').collect::<Vec<_>>());
+            let what = format!("{command} with a {kind} for {}", file.display());
+            ended.refused(&what, &[message, file.file_name().unwrap().to_str().unwrap()]);
+            // An unfinished build may stay, as of any damaged file.
+            let mut after = listing(folder);
+            after.retain(|name, _| !name.starts_with("new.partial"));
+            assert_eq!(after, before, "{what}");
+        }
+        let _ = std::fs::remove_dir_all(folder.join("new.partial"));
+        if std::fs::remove_file(file).is_err() {
+            std::fs::remove_dir(file).unwrap();
+        }
+    }
+    std::fs::write(file, whole).unwrap();
+}
+
+/// `info` counts damaged files of sensors rather than fail.
+#[track_caller]
+fn damaged(folder: &Path, log: &str) -> String {
+    let Ended { code, stdout, stderr } = run(folder, &["info", log]);
+    assert_eq!(code, Some(0), "{stderr}");
+    stdout
+}
+
+const BUILD: &str = "build nuscenes:log --out new";
+
+/// Of the first sweep and of the first image.
+const FIRST: [&str; 2] = ["/0/filename", "/1/filename"];
+
+#[test]
+fn names_of_files_stay_below_the_data_set() {
+    let log = TinyLog::new();
+    let folder = log.path("");
+    std::fs::create_dir(log.path("elsewhere")).unwrap();
+    let original: Value = log.json("log/v1.0-mini/sample_data.json");
+    for (pointer, name) in FIRST.into_iter().zip(["a.pcd.bin", "a.png"]) {
+        let own = original.pointer(pointer).unwrap().as_str().unwrap();
+        std::fs::copy(log.path("log").join(own), log.path("elsewhere").join(name)).unwrap();
+        put("fifo", &log.path("elsewhere/fifo"));
+        let absolute = |name: &str| folder.join("elsewhere").join(name).display().to_string();
+        let inside = format!("samples/../{own}");
+        let before = listing(&folder);
+        for outside in
+            [&absolute(name), &absolute("fifo"), &format!("../elsewhere/{name}"), &inside, "/dev/zero", ".."]
+        {
+            log.change("sample_data", pointer, json!(outside));
+            for command in [BUILD, "info nuscenes:log"] {
+                let ended = run(&folder, &command.split(' ').collect::<Vec<_>>());
+                ended.refused(outside, &["as filename of sample_data", "v1.0-mini/sample_data.json"]);
+            }
+        }
+        for none in ["", ".", "a\0b", "/"] {
+            log.change("sample_data", pointer, json!(none));
+            let ended = run(&folder, &["info", "nuscenes:log", "--allow-outside"]);
+            ended.refused(none, &["expected the name of a file", "v1.0-mini/sample_data.json"]);
+        }
+        // Whoever trusts the data set may say so; devices stay what they are.
+        for outside in [&absolute(name), &format!("../elsewhere/{name}"), &inside] {
+            log.change("sample_data", pointer, json!(outside));
+            let Ended { code, stderr, .. } =
+                run(&folder, &[&BUILD.split(' ').collect::<Vec<_>>()[..], &["--allow-outside"]].concat());
+            assert_eq!(code, Some(0), "{outside}: {stderr}");
+            std::fs::remove_dir_all(log.path("new")).unwrap();
+        }
+        for (outside, kind) in [("/dev/zero".to_owned(), "a device"), (absolute("fifo"), "a FIFO")] {
+            log.change("sample_data", pointer, json!(outside));
+            let ended = run(&folder, &["build", "nuscenes:log", "--out", "new", "--allow-outside"]);
+            ended.refused(&outside, &["expected a regular file", kind, &outside]);
+            let _ = std::fs::remove_dir_all(log.path("new.partial"));
+        }
+        log.change("sample_data", pointer, json!(own));
+        assert_eq!(listing(&folder).len(), before.len());
+    }
+    // Data sets are commonly put together of links.
+    std::fs::rename(log.path("log/samples"), log.path("elsewhere/samples")).unwrap();
+    symlink("../elsewhere/samples", log.path("log/samples")).unwrap();
+    log.succeed(BUILD);
+}
+
+#[test]
+fn sensor_files_of_nuscenes_are_regular() {
+    let log = TinyLog::new();
+    for file in ["log/samples/0.pcd.bin", "log/samples/0-CAM_FRONT.png"] {
+        refuse_all_kinds(&log.path(""), &log.path(file), &[BUILD]);
+        for (kind, message) in KINDS {
+            let whole = std::fs::read(log.path(file)).unwrap();
+            put(kind, &log.path(file));
+            let told = damaged(&log.path(""), "nuscenes:log");
+            assert!(told.contains(message) && told.contains(file), "{told}");
+            put("fifo", &log.path(file));
+            std::fs::remove_file(log.path(file)).unwrap();
+            std::fs::write(log.path(file), whole).unwrap();
+        }
+    }
+    // Longer than any sweep or image, and taking no space.
+    for file in ["log/samples/0.pcd.bin", "log/samples/0-CAM_FRONT.png"] {
+        let whole = std::fs::read(log.path(file)).unwrap();
+        std::fs::File::create(log.path(file)).unwrap().set_len(20 << 40).unwrap();
+        run(&log.path(""), &["build", "nuscenes:log", "--out", "new"])
+            .refused(file, &["a file of at most", file]);
+        std::fs::write(log.path(file), whole).unwrap();
+    }
+}
+
+#[test]
+fn tables_of_nuscenes_are_regular() {
+    let log = TinyLog::new();
+    for table in ["scene", "sample_data", "ego_pose", "sensor", "sample_annotation"] {
+        let file = log.path(&format!("log/v1.0-mini/{table}.json"));
+        refuse_all_kinds(&log.path(""), &file, &["info nuscenes:log", BUILD]);
+    }
+}
+
+#[test]
+fn files_of_nuplan_are_regular() {
+    let made = Made::new();
+    let (folder, log) = (made.path(""), format!("nuplan:nuplan-v1.1/splits/mini/{LOG}.db"));
+    let commands = [format!("info {log}"), format!("build {log} --out new")];
+    let commands = commands.each_ref().map(String::as_str);
+    for file in [made.database(), made.blob(&sweep_file(0)), made.blob(&image_file(RING[0], 0))] {
+        refuse_all_kinds(&folder, &file, &commands);
+    }
+    for file in [made.map(), made.path("maps/nuplan-maps-v1.0.json")] {
+        let whole = std::fs::read(&file).unwrap();
+        put("fifo", &file);
+        assert!(damaged(&folder, &log).contains("expected a regular file, found a FIFO"));
+        std::fs::remove_file(&file).unwrap();
+        std::fs::write(&file, whole).unwrap();
+    }
+    for name in ["../../x.pcd", "/dev/zero", "/etc/passwd", "a/../b", ""] {
+        made.sql(&format!("UPDATE lidar_pc SET filename = '{name}'"));
+        run(&folder, &["info", &log]).refused(name, &["as filename of lidar_pc", LOG]);
+    }
+}
+
+#[test]
+fn files_of_argoverse_are_regular() {
+    let log = TinyAv2::new();
+    let commands = [format!("info av2:{LOG_ID}"), format!("build av2:{LOG_ID} --out new")];
+    let commands = commands.each_ref().map(String::as_str);
+    for file in [
+        "annotations.feather",
+        "city_SE3_egovehicle.feather",
+        "calibration/intrinsics.feather",
+        "calibration/egovehicle_SE3_sensor.feather",
+    ] {
+        refuse_all_kinds(log.root(), &log.path(file), &commands);
+    }
+    for file in [sweep(0), picture(0, "ring_front_center")] {
+        refuse_all_kinds(log.root(), &log.path(&file), &commands[1..]);
+    }
+}
+
+/// Files that are named on the command line.
+#[test]
+fn files_of_all_kinds_are_regular() {
+    let log = TinyLog::new();
+    let folder = log.path("");
+    log.succeed(&format!("{BUILD} --voxel 0.5"));
+    std::fs::rename(log.path("new"), log.path("sk")).unwrap();
+    let cpu = "--skeleton sk --rasterizer cpu --out out";
+    for (file, command) in [
+        ("a.npy", "splat --points a.npy --cameras c.json --out out/f.npz --rasterizer cpu".to_owned()),
+        ("a.ply", "splat --points a.ply --cameras c.json --out out/f.npz --rasterizer cpu".to_owned()),
+        ("c.json", format!("render nuscenes:log --cameras c.json {cpu}")),
+        ("p.json", format!("render nuscenes:log --annotations p.json {cpu}")),
+        ("sk/skeleton.json", "info sk".to_owned()),
+        ("sk/background.points", "info sk".to_owned()),
+        ("sk/actors.points", format!("render nuscenes:log {cpu}")),
+        (
+            "path.csv",
+            format!("simulate nuscenes:log --ego file --trajectory path.csv --warmup 2 --steps 2 {cpu}"),
+        ),
+        (
+            "w.safetensors",
+            format!("simulate nuscenes:log --generator network:w.safetensors --warmup 2 --steps 2 {cpu}"),
+        ),
+        ("sweep.pcd", "info sweep.pcd".to_owned()),
+        ("sweep.feather", "info sweep.feather".to_owned()),
+        ("picture.jpg", "info picture.jpg".to_owned()),
+    ] {
+        let path = log.path(file);
+        if !path.exists() {
+            std::fs::write(&path, "").unwrap();
+        }
+        refuse_all_kinds(&folder, &path, &[&command]);
+    }
+}
