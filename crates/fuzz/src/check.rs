@@ -9,7 +9,11 @@ use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz, state_at, state_
 #[track_caller]
 pub(crate) fn told(error: impl std::fmt::Display, file: &Path, input: &[u8]) {
     let message = error.to_string();
-    assert!(message.ends_with(&file.display().to_string()), "{message:?} does not end with {}", file.display());
+    assert!(
+        message.ends_with(&file.display().to_string()),
+        "{message:?} does not end with {}",
+        file.display()
+    );
     short(&message, input);
 }
 
@@ -17,7 +21,11 @@ pub(crate) fn told(error: impl std::fmt::Display, file: &Path, input: &[u8]) {
 #[track_caller]
 pub(crate) fn told_within(error: impl std::fmt::Display, folder: &Path, input: &[u8]) {
     let message = error.to_string();
-    assert!(message.contains(&folder.display().to_string()), "{message:?} names no file of {}", folder.display());
+    assert!(
+        message.contains(&folder.display().to_string()),
+        "{message:?} names no file of {}",
+        folder.display()
+    );
     short(&message, input);
 }
 
@@ -41,7 +49,9 @@ pub(crate) fn dataset(dataset: &dyn Dataset, folder: &Path, input: &[u8]) {
             (Ok(count), Ok(sweep)) => {
                 assert!(count.is_none_or(|n| n == (sweep.points.len() + sweep.dropped_non_finite) as u64));
             }
-            (check, read) => check.err().into_iter().chain(read.err()).for_each(|e| told(e, &record.path, input)),
+            (check, read) => {
+                check.err().into_iter().chain(read.err()).for_each(|e| told(e, &record.path, input))
+            }
         }
     }
     for record in log.frames.iter().flat_map(|f| &f.images).take(2) {
@@ -61,10 +71,17 @@ fn check_log(log: &Log) {
     assert!(log.tracks.windows(2).all(|w| w[0].id < w[1].id), "tracks that are not sorted");
     assert!(log.rig.windows(2).all(|w| w[0].channel < w[1].channel));
     for frame in &log.frames {
-        assert!(frame.global_from_ego.translation.is_finite() && frame.global_from_ego.rotation.is_normalized());
+        assert!(
+            frame.global_from_ego.translation.is_finite() && frame.global_from_ego.rotation.is_normalized()
+        );
         assert!(frame.boxes.windows(2).all(|w| w[0].track < w[1].track));
         assert!(frame.boxes.iter().all(|b| b.track < log.tracks.len()));
-        assert!(frame.boxes.iter().all(|b| b.cuboid.pose.translation.is_finite() && b.cuboid.size.min_element() > 0.0));
+        assert!(
+            frame
+                .boxes
+                .iter()
+                .all(|b| b.cuboid.pose.translation.is_finite() && b.cuboid.size.min_element() > 0.0)
+        );
         assert!(frame.images.windows(2).all(|w| w[0].channel < w[1].channel));
         assert!(frame.images.iter().chain(&frame.between_images).all(|i| i.channel < log.cameras.len()));
     }
@@ -80,7 +97,9 @@ fn check_log(log: &Log) {
 /// What a map promises.
 pub(crate) fn check_map(map: &VectorMap, log: &Log) {
     let whole = |area: &Area| {
-        std::iter::once(&area.exterior).chain(&area.holes).all(|r| r.len() >= 3 && r.iter().all(|p| p.is_finite()))
+        std::iter::once(&area.exterior)
+            .chain(&area.holes)
+            .all(|r| r.len() >= 3 && r.iter().all(|p| p.is_finite()))
     };
     let lanes = || map.lanes.iter().chain(&map.lane_connectors);
     assert!(lanes().all(|lane| whole(&lane.outline) && lane.centerline.iter().all(|p| p.is_finite())));

@@ -45,8 +45,22 @@ impl<'a> Choices<'a> {
     /// A number that readers may stumble over, or any.
     pub(crate) fn number(&mut self) -> f64 {
         const ODD: [f64; 16] = [
-            0.0, -0.0, 1.0, -1.0, 0.5, 255.0, 256.0, 65_536.0, 4_294_967_296.0, 1e-300, 1e38, 1e300,
-            f64::MAX, f64::NAN, f64::INFINITY, f64::NEG_INFINITY,
+            0.0,
+            -0.0,
+            1.0,
+            -1.0,
+            0.5,
+            255.0,
+            256.0,
+            65_536.0,
+            4_294_967_296.0,
+            1e-300,
+            1e38,
+            1e300,
+            f64::MAX,
+            f64::NAN,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
         ];
         match self.byte() {
             kind @ 0..16 => ODD[usize::from(kind)],
@@ -58,7 +72,18 @@ impl<'a> Choices<'a> {
     /// The same for whole numbers.
     pub(crate) fn integer(&mut self) -> i64 {
         const ODD: [i64; 12] = [
-            0, 1, -1, i64::MAX, i64::MIN, 1 << 62, -(1 << 62), 1 << 32, (1 << 31) - 1, 1 << 53, 16_384, 65_535,
+            0,
+            1,
+            -1,
+            i64::MAX,
+            i64::MIN,
+            1 << 62,
+            -(1 << 62),
+            1 << 32,
+            (1 << 31) - 1,
+            1 << 53,
+            16_384,
+            65_535,
         ];
         match self.byte() {
             kind @ 0..12 => ODD[usize::from(kind)],

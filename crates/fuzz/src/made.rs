@@ -5,8 +5,8 @@ use std::path::Path;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use image::{Rgb, RgbImage};
 use point_skeleton::dataset::{
-    Area, Class, Dataset, DatasetError, Frame, ImageRecord, Lane, Log, RigCamera, Sweep, SweepPoint, SweepRecord,
-    Track, TrackBox, VectorMap,
+    Area, Class, Dataset, DatasetError, Frame, ImageRecord, Lane, Log, RigCamera, Sweep, SweepPoint,
+    SweepRecord, Track, TrackBox, VectorMap,
 };
 use point_skeleton::geometry::{Camera, Cuboid, Pose};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
@@ -85,7 +85,8 @@ impl Dataset for Made {
 
     fn read_sweep(&self, _: &SweepRecord) -> Result<Sweep, DatasetError> {
         let ground = (0..40).map(|i| [f32::from(i as u8) * 0.5 - 2.0, f32::from(i as u8 % 7) - 3.0, -1.8]);
-        let car = (0..20).map(|i| [10.0, f32::from(i as u8 % 5) * 0.4 - 0.8, f32::from(i as u8 / 5) * 0.4 - 1.6]);
+        let car =
+            (0..20).map(|i| [10.0, f32::from(i as u8 % 5) * 0.4 - 0.8, f32::from(i as u8 / 5) * 0.4 - 1.6]);
         let point = |position| SweepPoint { position, intensity: 9.0, ring: 7 };
         Ok(Sweep { points: ground.chain(car).map(point).collect(), ..Sweep::default() })
     }

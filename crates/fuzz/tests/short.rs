@@ -37,7 +37,11 @@ fn corpus(target: &Target) -> Vec<(String, Vec<u8>)> {
     let read = |path: PathBuf| (name(&path), std::fs::read(&path).unwrap());
     let corpus: Vec<_> = files.into_iter().map(read).collect();
     for (seed, _) in (target.seeds)() {
-        assert!(corpus.iter().any(|(file, _)| *file == format!("seed-{seed}")), "{}: no seed {seed}", target.name);
+        assert!(
+            corpus.iter().any(|(file, _)| *file == format!("seed-{seed}")),
+            "{}: no seed {seed}",
+            target.name
+        );
     }
     corpus
 }

@@ -9,7 +9,7 @@ use super::frames::{POSE_COLUMNS, ego_pose, extrinsics, unpickled};
 use super::pickle;
 use super::place::{Place, leads_below};
 use super::read::{Notes, note};
-use crate::dataset::{DatasetError, ImageRecord, RigCamera};
+use crate::dataset::{DatasetError, ImageRecord, MAX_CAMERAS, RigCamera};
 use crate::error::FileError;
 use crate::geometry::{Camera, Distortion, Pose};
 
@@ -107,6 +107,10 @@ fn cameras(database: &Database) -> Result<Vec<RawCamera>, DatasetError> {
         cameras.push(RawCamera { token, ego_from_camera, camera: camera(row, database)? });
         Ok(())
     })?;
+    if cameras.len() > MAX_CAMERAS {
+        let expected = format!("at most {MAX_CAMERAS} rows in camera");
+        return Err(FileError::content(expected, cameras.len().to_string(), database.path()).into());
+    }
     let place = |camera: &RawCamera| RING.iter().position(|r| *r == camera.camera.name).unwrap_or(RING.len());
     cameras.sort_by(|a, b| place(a).cmp(&place(b)).then_with(|| a.camera.name.cmp(&b.camera.name)));
     if let Some(pair) = cameras.windows(2).find(|pair| pair[0].camera.name == pair[1].camera.name) {
@@ -165,7 +169,7 @@ fn images(
     let mut images: Vec<Vec<RawImage>> = cameras.iter().map(|_| Vec::new()).collect();
     let mut outside = 0;
     database.rows(&Query { table: "image", columns: &columns, from }, |row| {
-        let (t_us, token) = (row.integer(1)?, row.blob(2)?);
+        let (t_us, token) = (row.time_us(1)?, row.blob(2)?);
         let channel = *channels.get(token).ok_or_else(|| row.dangling("camera", token))?;
         if images[channel].last().is_some_and(|last| last.t_us == t_us) {
             let found = format!("{t_us} twice, {}", cameras[channel].camera.name);
@@ -191,7 +195,7 @@ fn record(
     database: &Database,
 ) -> Result<Option<ImageRecord>, DatasetError> {
     let global_from_ego = ego_pose(row, 4, database)?;
-    let (t_us, name) = (row.integer(1)?, row.text(3)?);
+    let (t_us, name) = (row.time_us(1)?, row.text(3)?);
     if !leads_below(name) {
         return Err(row.wrong(3, "a path below the folder of sensor blobs", &format!("{name:?}")));
     }

@@ -9,7 +9,7 @@ use rustc_hash::FxHashSet;
 
 use super::read::{Chain, Notes, note};
 use super::tables::{CalibratedSensor, EgoPose, SampleData, Sensor, Table};
-use crate::dataset::{DatasetError, ImageRecord, SweepRecord};
+use crate::dataset::{DatasetError, ImageRecord, MAX_CAMERAS, SweepRecord};
 use crate::error::FileError;
 use crate::geometry::{Camera, Pose};
 
@@ -75,7 +75,7 @@ pub(super) fn read(
     for data in &sensors.data.records {
         let place = match chain.place.get(&data.sample_token) {
             Some(place) if data.is_key_frame => *place,
-            _ => chain.times_us.partition_point(|t| *t < data.timestamp),
+            _ => chain.times_us.partition_point(|t| *t < data.timestamp.0),
         };
         match piles.get_mut(place) {
             Some(pile) => sensors.add(pile, data, root, &cameras, notes)?,
@@ -105,6 +105,10 @@ impl Sensors {
             if sensor.modality == "camera" && !channels.contains(&sensor.channel) {
                 channels.push(sensor.channel.clone());
             }
+            if channels.len() > MAX_CAMERAS {
+                let expected = format!("at most {MAX_CAMERAS} cameras");
+                return Err(FileError::content(expected, "more", &self.sensors.path).into());
+            }
         }
         let place = |channel: &String| RING.iter().position(|r| r == channel).unwrap_or(RING.len());
         channels.sort_by(|a, b| place(a).cmp(&place(b)).then_with(|| a.cmp(b)));
@@ -125,7 +129,7 @@ impl Sensors {
         let global_from_ego = pose(&self.poses, ego, ego.rotation, ego.translation)?;
         let ego_from_sensor =
             pose(&self.calibrated, calibrated, calibrated.rotation, calibrated.translation)?;
-        let (path, t_us) = (root.join(&data.filename), data.timestamp);
+        let (path, t_us) = (root.join(&data.filename), data.timestamp.0);
         let twice = |channel: &str| {
             let found = format!("a second key frame of {channel} in sample {}", data.sample_token);
             DatasetError::from(FileError::content(

@@ -37,7 +37,12 @@ fn sweep_bin(data: &[u8]) {
         Err(error) => told(error, path, data),
         Ok(sweep) => {
             assert_eq!(sweep.points.len() + sweep.dropped_non_finite, data.len() / nuscenes::POINT_BYTES);
-            assert!(sweep.points.iter().all(|p| p.position.iter().all(|v| v.is_finite()) && p.intensity.is_finite()));
+            assert!(
+                sweep
+                    .points
+                    .iter()
+                    .all(|p| p.position.iter().all(|v| v.is_finite()) && p.intensity.is_finite())
+            );
             if !sweep.points.is_empty() {
                 let path = file("b.pcd.bin", &[]);
                 nuscenes::write_sweep_file(&path, &sweep.points).expect("a sweep to write");
@@ -50,7 +55,8 @@ fn sweep_bin(data: &[u8]) {
 
 fn sweep_bin_seeds() -> Vec<Seed> {
     let point = |i: u16| SweepPoint { position: [f32::from(i), -2.5, 0.25], intensity: 17.0, ring: i % 32 };
-    let bytes = |points: Vec<SweepPoint>| written("a.pcd.bin", |path| nuscenes::write_sweep_file(path, &points));
+    let bytes =
+        |points: Vec<SweepPoint>| written("a.pcd.bin", |path| nuscenes::write_sweep_file(path, &points));
     vec![seed("two", bytes((0..2).map(point).collect())), seed("forty", bytes((0..40).map(point).collect()))]
 }
 
@@ -113,7 +119,10 @@ fn points<E: std::fmt::Debug>(path: &Path, data: &[u8], write: impl Fn(&Path, &[
     write(path, &cloud.points).expect("points to write");
     let again = cloud::read(path).expect("points that were written");
     let bits = |points: &[Point]| -> Vec<_> {
-        points.iter().map(|p| (p.position.map(|v| if v.is_nan() { 0 } else { v.to_bits() }), p.rgb_class)).collect()
+        points
+            .iter()
+            .map(|p| (p.position.map(|v| if v.is_nan() { 0 } else { v.to_bits() }), p.rgb_class))
+            .collect()
     };
     assert_eq!(bits(&again.points), bits(&cloud.points));
 }

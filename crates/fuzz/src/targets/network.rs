@@ -7,8 +7,8 @@ use point_skeleton::generate::network::{Attend, Network, NetworkConfig, Weights}
 use point_skeleton::generate::toy::Toy;
 use point_skeleton::generate::train::{TrainOptions, Trainer, measure};
 use point_skeleton::generate::{
-    Cache, Denoiser, Drive, DriveFrame, DriveInfo, Frame, GaussianNoise, GenerateOptions, Generator, Guidance, Latent,
-    LatentShape, Level, Recipe, SamplerOptions, Strategy,
+    Cache, Denoiser, Drive, DriveFrame, DriveInfo, Frame, GaussianNoise, GenerateOptions, Generator,
+    Guidance, Latent, LatentShape, Level, Recipe, SamplerOptions, Strategy,
 };
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::sim::{Committed, Rates, Scenario, SimOptions, Simulation};
@@ -137,7 +137,8 @@ fn predict(weights: Weights, drive: &Drive) {
     let Ok(mut network) = Network::new(weights) else { return };
     let latent = Latent::filled(shape, 0.5);
     let condition = drive.conditions(0, &encoder);
-    let frame = Frame { latent: &latent, level: Level { timestep: 500.0, sigma: 0.5 }, condition: &condition };
+    let frame =
+        Frame { latent: &latent, level: Level { timestep: 500.0, sigma: 0.5 }, condition: &condition };
     if let Ok(predicted) = network.predict(&[frame, frame]) {
         assert!(predicted.len() == 2 && predicted.iter().all(|latent| latent.shape() == shape));
     }
@@ -221,7 +222,8 @@ fn cache_file() -> Vec<u8> {
     let latent = || Latent::filled(SHAPE, 0.5);
     let references = (0..options().references()).map(|_| (latent(), committed())).collect();
     let toy = Toy { shape: SHAPE };
-    let mut generator = Toys::new(toy, GaussianNoise { seed: 1 }, options(), references).expect("a generator");
+    let mut generator =
+        Toys::new(toy, GaussianNoise { seed: 1 }, options(), references).expect("a generator");
     generator.step(committed(), &[]).expect("a frame");
     generator.cache().to_bytes().expect("a cache")
 }

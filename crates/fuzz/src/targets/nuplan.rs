@@ -19,7 +19,13 @@ pub(super) const TARGETS: [Target; 5] = [
     Target { name: "nuplan_pages", run: pages, seeds: page_seeds, max_len: 65_536, memory: LARGE },
     Target { name: "nuplan_cells", run: cells, seeds: cell_seeds, max_len: 512, memory: LARGE },
     Target { name: "nuplan_pickle", run: pickle, seeds: pickle_seeds, max_len: 512, memory: LARGE },
-    Target { name: "nuplan_map_pages", run: map_pages, seeds: map_page_seeds, max_len: 65_536, memory: LARGE },
+    Target {
+        name: "nuplan_map_pages",
+        run: map_pages,
+        seeds: map_page_seeds,
+        max_len: 65_536,
+        memory: LARGE,
+    },
     Target { name: "nuplan_map_cells", run: map_cells, seeds: cell_seeds, max_len: 512, memory: LARGE },
 ];
 
@@ -37,7 +43,9 @@ thread_local! {
 
 fn data_set() -> DataSet {
     let made = Made::new();
-    for statements in ["DELETE FROM lidar_box WHERE rowid > 3", "DELETE FROM image WHERE rowid > 3", SMALL_PAGES] {
+    for statements in
+        ["DELETE FROM lidar_box WHERE rowid > 3", "DELETE FROM image WHERE rowid > 3", SMALL_PAGES]
+    {
         made.sql(statements);
     }
     made.map_sql(SMALL_PAGES);
@@ -144,7 +152,9 @@ fn change_once(connection: &Connection, choices: &mut Choices<'_>) -> rusqlite::
     let column = columns[choices.below(columns.len())].as_str();
     let row = choices.byte();
     let set = |value: Value| {
-        let sql = format!("UPDATE {table} SET {column} = ? WHERE rowid = (SELECT rowid FROM {table} LIMIT 1 OFFSET {row})");
+        let sql = format!(
+            "UPDATE {table} SET {column} = ? WHERE rowid = (SELECT rowid FROM {table} LIMIT 1 OFFSET {row})"
+        );
         connection.execute(&sql, params_from_iter([value])).map(|_| ())
     };
     match choices.byte() % 14 {

@@ -3,7 +3,9 @@
 use std::cell::RefCell;
 
 use point_skeleton::dataset::nuscenes::{LogWriter, MapLayers, NuScenes, expand, read_map_file, write_log};
-use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, LogFormat, LogLocator, Sweep, SweepRecord, VectorMap};
+use point_skeleton::dataset::{
+    Dataset, DatasetError, ImageRecord, Log, LogFormat, LogLocator, Sweep, SweepRecord, VectorMap,
+};
 use serde_json::{Map, Value};
 
 use super::{LARGE, Scratch, edited, seed};
@@ -20,8 +22,19 @@ pub(super) const TARGETS: [Target; 3] = [
 ];
 
 const TABLES: [&str; 13] = [
-    "scene", "sample", "sample_data", "ego_pose", "calibrated_sensor", "sensor", "instance", "sample_annotation",
-    "category", "attribute", "visibility", "log", "map",
+    "scene",
+    "sample",
+    "sample_data",
+    "ego_pose",
+    "calibrated_sensor",
+    "sensor",
+    "instance",
+    "sample_annotation",
+    "category",
+    "attribute",
+    "visibility",
+    "log",
+    "map",
 ];
 
 thread_local! {
@@ -66,7 +79,8 @@ fn table(data: &[u8]) {
 
 fn table_seeds() -> Vec<Seed> {
     let (folder, _) = data_set();
-    let with = |(number, name): (usize, &&str)| seed(name, [&[number as u8], folder.base(&file(name))].concat());
+    let with =
+        |(number, name): (usize, &&str)| seed(name, [&[number as u8], folder.base(&file(name))].concat());
     TABLES.iter().enumerate().map(with).collect()
 }
 

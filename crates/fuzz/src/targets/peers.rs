@@ -8,8 +8,8 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use image::RgbImage;
 use point_skeleton::dataset::Dataset;
 use point_skeleton::generate::{
-    Codec, Denoiser, Frame, FrameConditions, GenerateOptions, Guidance, Latent, Level, ProcessDenoiser, SamplerOptions,
-    Strategy,
+    Codec, Denoiser, Frame, FrameConditions, GenerateOptions, Guidance, Latent, Level, ProcessDenoiser,
+    SamplerOptions, Strategy,
 };
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::peer::{PeerAddress, PeerSpec};
@@ -154,7 +154,8 @@ fn counted(message: &[u8]) -> Vec<u8> {
 }
 
 fn hello(decodes: bool) -> Vec<u8> {
-    let mut texts = vec![("protocol", "pskel-denoiser"), ("version", "1"), ("latent_shape", "1,3,2,2"), ("dtype", "F32")];
+    let mut texts =
+        vec![("protocol", "pskel-denoiser"), ("version", "1"), ("latent_shape", "1,3,2,2"), ("dtype", "F32")];
     texts.extend(decodes.then_some(("image_size", "4,4")));
     let texts = texts.into_iter().map(|(name, text)| (name.to_owned(), text.to_owned())).collect();
     serialize(Vec::<(&str, TensorView<'_>)>::new(), Some(texts)).expect("a message")
@@ -191,7 +192,8 @@ fn ask(spec: &PeerSpec) -> Result<(), point_skeleton::generate::DenoiserError> {
         prompt: String::new(),
     };
     let latent = Latent::filled(shape, 0.5);
-    let frame = Frame { latent: &latent, level: Level { timestep: 500.0, sigma: 0.5 }, condition: &condition };
+    let frame =
+        Frame { latent: &latent, level: Level { timestep: 500.0, sigma: 0.5 }, condition: &condition };
     let predicted = denoiser.predict(&[frame, frame])?;
     assert!(predicted.iter().all(|p| p.shape() == shape && p.values().iter().all(|v| v.is_finite())));
     let (codec, size): (Box<dyn Codec>, ImageSize) = denoiser.codec()?;
@@ -206,7 +208,8 @@ fn ask(spec: &PeerSpec) -> Result<(), point_skeleton::generate::DenoiserError> {
 fn denoiser_seeds() -> Vec<Seed> {
     let message = |bytes: Vec<u8>| [&(bytes.len() as u16).to_le_bytes(), bytes.as_slice()].concat();
     let prediction = || message(tensor("prediction", &[2, 1, 3, 2, 2]));
-    let (latents, images) = (message(tensor("latents", &[1, 3, 2, 2])), message(tensor("images", &[1, 3, 4, 4])));
+    let (latents, images) =
+        (message(tensor("latents", &[1, 3, 2, 2])), message(tensor("images", &[1, 3, 4, 4])));
     vec![
         seed("all", [&[0], &prediction()[..], &latents, &images].concat()),
         seed("hello", [message(hello(false)), prediction()].concat()),

@@ -76,7 +76,10 @@ fn saved_state(data: &[u8]) {
         serde_json::to_string(&sim.metrics()).expect("JSON");
         let again = serde_json::to_string(&sim.save()).expect("JSON");
         let again: SavedState = serde_json::from_str(&again).expect("a state that was saved");
-        assert!(Simulation::resume(&scenario, options(), &again).is_ok(), "a state that cannot be gone on with");
+        assert!(
+            Simulation::resume(&scenario, options(), &again).is_ok(),
+            "a state that cannot be gone on with"
+        );
     });
 }
 

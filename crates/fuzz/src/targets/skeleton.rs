@@ -10,7 +10,8 @@ use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{Crop, FrameJob, FrameKinds, Occlusion, Rasterizer, SplatSchedule};
 use point_skeleton::scene::{EgoOffset, SceneState, SelectionOptions, Stage, StandIns, state_of_frame};
 use point_skeleton::skeleton::{
-    AugmentOptions, Skeleton, Template, TemplateKind, TemplateLibrary, TemplateOptions, TemplateReport, augment,
+    AugmentOptions, Skeleton, Template, TemplateKind, TemplateLibrary, TemplateOptions, TemplateReport,
+    augment,
 };
 use serde_json::Value;
 
@@ -59,7 +60,8 @@ fn skeleton() -> Stored {
 }
 
 fn template(kind: TemplateKind) -> (Template, Vec<Point>) {
-    let points: Vec<Point> = (0..12_u8).map(|i| Point::new([f32::from(i) * 0.3 - 1.8, 0.5, -0.5], [i; 3], 1)).collect();
+    let points: Vec<Point> =
+        (0..12_u8).map(|i| Point::new([f32::from(i) * 0.3 - 1.8, 0.5, -0.5], [i; 3], 1)).collect();
     let bounds = Bounds::of(&points).expect("points");
     (Template { kind, class: kind.class(), size: [4.0, 1.8, 1.5], points: points.len(), bounds }, points)
 }
@@ -68,7 +70,8 @@ fn templates() -> Stored {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("t");
     let clouds = [TemplateKind::Sedan, TemplateKind::Pedestrian].map(template).to_vec();
-    let library = TemplateLibrary::new(Vec::new(), TemplateOptions::default(), (clouds, TemplateReport::default()));
+    let library =
+        TemplateLibrary::new(Vec::new(), TemplateOptions::default(), (clouds, TemplateReport::default()));
     library.write::<FileError>(&path, |_| Ok(())).expect("a library");
     let folder = Folder::copy_of(&path);
     let manifest = serde_json::from_slice(folder.base(LIBRARY)).expect("JSON");
@@ -81,8 +84,12 @@ fn draw_folder(stored: &Stored, data: &[u8]) {
         Ok(skeleton) => {
             let lengths: Vec<usize> = Stage::clouds(&skeleton).iter().map(|cloud| cloud.len()).collect();
             let manifest = &skeleton.manifest;
-            let counts = manifest.background.iter().map(|c| c.points).chain(manifest.actors.iter().map(|a| a.points));
-            assert_eq!(lengths, counts.chain(manifest.templates.iter().map(|t| t.points)).collect::<Vec<_>>());
+            let counts =
+                manifest.background.iter().map(|c| c.points).chain(manifest.actors.iter().map(|a| a.points));
+            assert_eq!(
+                lengths,
+                counts.chain(manifest.templates.iter().map(|t| t.points)).collect::<Vec<_>>()
+            );
             draw(&skeleton, &StandIns::NONE, &stored.state);
             let options = AugmentOptions { share: 1.0, min_points: 2, ..AugmentOptions::default() };
             for (asset, points) in manifest.actors.iter().zip(skeleton.actors()) {
@@ -136,7 +143,8 @@ fn manifest_seeds() -> Vec<Seed> {
 fn points(data: &[u8]) {
     SKELETON.with_borrow_mut(|stored| {
         let (whose, bytes) = data.split_first().unwrap_or((&0, &[]));
-        let (list, file) = [("background", "background.points"), ("actors", "actors.points")][usize::from(whose % 2)];
+        let (list, file) =
+            [("background", "background.points"), ("actors", "actors.points")][usize::from(whose % 2)];
         let count = bytes.len() / size_of::<Point>();
         let mut manifest = stored.manifest.clone();
         if let Some(Value::Array(clouds)) = manifest.get_mut(list) {

@@ -49,9 +49,16 @@ fn names(data: &[u8]) {
 
 fn name_seeds() -> Vec<Seed> {
     let texts = [
-        "nuscenes:/data/a@b/nuscenes@v1.0-mini#scene-0061", "av2:logs#*", "nuplan-simgen:nuplan", "nuplan:a.db",
-        "town:seed=7,frames=40,hz=5,beams=32,lidar_hz=10,size=450x800,light=day", "15:2,35:1,100:0", "450x800",
-        "unix:/run/planner", "tcp:[::1]:80", "seed=7,frames=40,hz=5,beams=64,lidar_hz=20,light=dusk",
+        "nuscenes:/data/a@b/nuscenes@v1.0-mini#scene-0061",
+        "av2:logs#*",
+        "nuplan-simgen:nuplan",
+        "nuplan:a.db",
+        "town:seed=7,frames=40,hz=5,beams=32,lidar_hz=10,size=450x800,light=day",
+        "15:2,35:1,100:0",
+        "450x800",
+        "unix:/run/planner",
+        "tcp:[::1]:80",
+        "seed=7,frames=40,hz=5,beams=64,lidar_hz=20,light=dusk",
     ];
     texts.iter().enumerate().map(|(i, text)| seed(&format!("text{i}"), *text)).collect()
 }
@@ -68,7 +75,8 @@ fn path(data: &[u8]) {
 
 fn path_seeds() -> Vec<Seed> {
     let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (3, 2), }\n";
-    let npy = [&b"\x01\x93NUMPY\x01\x00"[..], &[header.len() as u8, 0], header.as_bytes(), &[62; 12], &[63; 12]];
+    let npy =
+        [&b"\x01\x93NUMPY\x01\x00"[..], &[header.len() as u8, 0], header.as_bytes(), &[62; 12], &[63; 12]];
     vec![
         seed("list", "\0[[0, 0], [5, 0.5], [20, 1]]"),
         seed("object", "\0{\"points\": [[3, 0.1], [20, 1]]}"),
