@@ -68,8 +68,9 @@ impl Drive {
         let tensor = |name: &str, dtype: Dtype, per_frame: usize| -> Result<&[u8], FileError> {
             let tensor = tensors.tensor(name).map_err(|e| wrong(e.to_string()))?;
             let frames = tensor.shape().first().copied().unwrap_or(0);
-            let fits =
-                tensor.dtype() == dtype && tensor.shape().iter().product::<usize>() == frames * per_frame;
+            // The product is that of the bytes, which the format compares; what stands before a zero is any number.
+            let values = frames.checked_mul(per_frame);
+            let fits = tensor.dtype() == dtype && values == Some(tensor.shape().iter().product());
             if !fits {
                 return Err(wrong(format!("{name} as {:?} {:?}", tensor.dtype(), tensor.shape())));
             }
