@@ -8,7 +8,7 @@ use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use super::{BuildOptions, MakeTemplates};
 use crate::cloud::Point;
 use crate::error::{FileError, check_only_ours, write_json, write_whole_folder, write_whole_folder_by};
-use crate::files::input::read_table;
+use crate::files::input::{is_taken, read_table};
 use crate::gpu::MappedFile;
 
 const MANIFEST: &str = "skeleton.json";
@@ -161,7 +161,7 @@ pub struct Skeleton {
 impl Skeleton {
     /// Whether a folder looks like a skeleton.
     pub fn is_at(path: &Path) -> bool {
-        path.join(MANIFEST).exists()
+        is_taken(&path.join(MANIFEST))
     }
 
     /// Maps a skeleton's files and checks their sizes against the manifest.

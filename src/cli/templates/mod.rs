@@ -104,11 +104,11 @@ fn read(args: &TemplatesArgs, instances: &mut Instances) -> anyhow::Result<Vec<L
             Target::Log(locator) => {
                 for log in logs::expand(&args.roots.locate(locator))? {
                     let dataset = logs::open(&log)?;
-                    let name = &dataset.log().name;
+                    let name = dataset.log().shown_name();
                     let folder = scratch(&args.out)?;
                     let built = build(&folder.path().join("skeleton"), dataset.as_ref());
                     sources.extend(take(instances, &built.with_context(|| format!("log {name}"))?));
-                    progress.step(name);
+                    progress.step(&name);
                 }
             }
         }

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{TemplateCloud, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
 use crate::error::{FileError, check_only_ours, write_json, write_whole, write_whole_folder};
+use crate::files::input::is_taken;
 use crate::gpu::MappedFile;
 use crate::skeleton::store::read_manifest;
 use crate::skeleton::{Source, Template};
@@ -80,7 +81,7 @@ impl TemplateLibrary {
 
     /// Whether a folder looks like a library.
     pub fn is_at(path: &Path) -> bool {
-        path.join(MANIFEST).exists()
+        is_taken(&path.join(MANIFEST))
     }
 
     /// Writes the folder under a temporary name beside `path`, then renames it; `more` may add files to it. An older library
