@@ -3,13 +3,15 @@
 use std::io::{ErrorKind, Write};
 use std::sync::OnceLock;
 
+use crate::files::text::{escaped_lines, printable_lines};
+
 /// Why a line of the result could not be written.
 static FAILURE: OnceLock<std::io::Error> = OnceLock::new();
 
 /// Prints a line of the result. A reader that has closed its end is no error; others are reported by [`check`].
 pub(super) fn say(line: &str) {
     let mut out = std::io::stdout().lock();
-    note(writeln!(out, "{line}").and_then(|()| out.flush()));
+    note(writeln!(out, "{}", escaped_lines(line)).and_then(|()| out.flush()));
 }
 
 /// Keeps the first error of writing to stdout.
@@ -23,7 +25,7 @@ pub(super) fn note(written: std::io::Result<()>) {
 
 /// Prints a line of progress. A closed or full stderr does not stop the work.
 pub(super) fn tell(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{line}");
+    let _ = writeln!(std::io::stderr(), "{}", printable_lines(line));
 }
 
 /// Prints a warning.

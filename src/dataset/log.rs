@@ -1,8 +1,10 @@
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use super::Class;
 use crate::files::FileName;
+use crate::files::text::printable;
 use crate::geometry::{Camera, Cuboid, Pose};
 
 /// One drive: what was recorded when, from where.
@@ -122,6 +124,11 @@ pub struct TrackBox {
 }
 
 impl Log {
+    /// The name as messages show it: in one line of bounded length.
+    pub fn shown_name(&self) -> Cow<'_, str> {
+        printable(&self.name)
+    }
+
     /// A track's boxes in time order, with the index of their frames.
     pub fn track_boxes(&self, track: usize) -> Vec<(usize, Cuboid)> {
         let in_frame = |(i, frame): (usize, &Frame)| frame.cuboid_of(track).map(|cuboid| (i, cuboid));

@@ -13,13 +13,23 @@ const MAX_LINE: usize = 8192;
 /// A value in a message, in one line: control characters are escaped, and a long value is cut down to its beginning, its
 /// end and its length.
 pub fn printable(text: &str) -> Cow<'_, str> {
-    escaped(shortened(text, MAX_VALUE), |c| acts(c))
+    escaped(shortened(text, MAX_VALUE), acts)
+}
+
+/// A line whose values may come from data, as [`printable`], with room for long lines.
+pub fn printable_line(text: &str) -> Cow<'_, str> {
+    escaped(shortened(text, MAX_LINE), acts)
 }
 
 /// A path in a message, as [`printable`], but with room for deep folders.
 pub fn printable_path(path: &Path) -> String {
     let text = path.to_string_lossy();
-    escaped(shortened(&text, MAX_PATH), |c| acts(c)).into_owned()
+    escaped(shortened(&text, MAX_PATH), acts).into_owned()
+}
+
+/// Lines of a result whose values may come from data: control characters are escaped, nothing is cut. Line breaks stay.
+pub fn escaped_lines(text: &str) -> Cow<'_, str> {
+    escaped(Cow::Borrowed(text), |c| c != '\n' && acts(c))
 }
 
 /// Whole lines of a message whose values may come from data: as [`printable`] line by line, with room for long lines.
@@ -27,10 +37,9 @@ pub fn printable_path(path: &Path) -> String {
 pub fn printable_lines(text: &str) -> Cow<'_, str> {
     let long = |line: &str| line.len() > MAX_LINE;
     if !text.lines().any(long) {
-        return escaped(Cow::Borrowed(text), |c| c != '\n' && acts(c));
+        return escaped_lines(text);
     }
-    let lines = text.split('\n').map(|line| escaped(shortened(line, MAX_LINE), |c| acts(c)));
-    Cow::Owned(lines.collect::<Vec<_>>().join("\n"))
+    Cow::Owned(text.split('\n').map(printable_line).collect::<Vec<_>>().join("\n"))
 }
 
 /// Whether a character does something to a terminal beyond showing itself: control characters, line and paragraph

@@ -11,8 +11,8 @@ use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use super::{BuildOptions, Checksum, MakeTemplates};
 use crate::cloud::Point;
 use crate::error::FileError;
-use crate::files::input::read_table;
 use crate::files::{WholeFolder, WorkFolder, check_whole, write_json, write_whole_by};
+use crate::files::input::{is_taken, read_table};
 use crate::gpu::MappedFile;
 
 /// Kind of the output folder.
@@ -167,7 +167,7 @@ pub struct Skeleton {
 impl Skeleton {
     /// Whether a folder looks like a skeleton.
     pub fn is_at(path: &Path) -> bool {
-        path.join(MANIFEST).exists()
+        is_taken(&path.join(MANIFEST))
     }
 
     /// Maps a skeleton's files and checks their sizes against the manifest. Points are checked when they are first

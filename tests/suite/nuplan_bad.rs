@@ -116,7 +116,7 @@ fn wrong_values_are_named_with_their_row() {
         ("UPDATE lidar_pc SET filename = '/etc/passwd'", &["below the data set's folder", "/etc/passwd"]),
         (
             "UPDATE image SET filename_jpg = 'a/../../b.jpg'",
-            &["below the folder", "filename_jpg of image 69"],
+            &["below the data set's folder", "filename_jpg of image 69"],
         ),
         ("UPDATE image SET timestamp = 'noon'", &["a whole number as timestamp of image", "\"noon\""]),
         ("UPDATE camera SET width = 1.25", &["whole pixels as width of camera 63", "found 1.25"]),

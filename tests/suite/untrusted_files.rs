@@ -38,8 +38,13 @@ fn put(kind: &str, path: &Path) {
 /// Each command is refused with the place of each kind of thing that is no file.
 #[track_caller]
 fn refuse_all_kinds(folder: &Path, file: &Path, commands: &[&str]) {
+    refuse_kinds(&KINDS, folder, file, commands);
+}
+
+#[track_caller]
+fn refuse_kinds(kinds: &[(&str, &str)], folder: &Path, file: &Path, commands: &[&str]) {
     let whole = std::fs::read(file).unwrap();
-    for (kind, message) in KINDS {
+    for (kind, message) in kinds {
         put(kind, file);
         let before = listing(folder);
         for command in commands {
@@ -140,7 +145,7 @@ fn sensor_files_of_nuscenes_are_regular() {
     // Longer than any sweep or image, and taking no space.
     for file in ["log/samples/0.pcd.bin", "log/samples/0-CAM_FRONT.png"] {
         let whole = std::fs::read(log.path(file)).unwrap();
-        std::fs::File::create(log.path(file)).unwrap().set_len(20 << 40).unwrap();
+        std::fs::File::create(log.path(file)).unwrap().set_len(4 << 40).unwrap();
         run(&log.path(""), &["build", "nuscenes:log", "--out", "new"])
             .refused(file, &["a file of at most", file]);
         std::fs::write(log.path(file), whole).unwrap();
@@ -162,9 +167,12 @@ fn files_of_nuplan_are_regular() {
     let (folder, log) = (made.path(""), format!("nuplan:nuplan-v1.1/splits/mini/{LOG}.db"));
     let commands = [format!("info {log}"), format!("build {log} --out new")];
     let commands = commands.each_ref().map(String::as_str);
-    for file in [made.database(), made.blob(&sweep_file(0)), made.blob(&image_file(RING[0], 0))] {
+    for file in [made.blob(&sweep_file(0)), made.blob(&image_file(RING[0], 0))] {
         refuse_all_kinds(&folder, &file, &commands);
     }
+    // A folder in its place is one of logs.
+    let kinds = KINDS.into_iter().filter(|(kind, _)| *kind != "folder").collect::<Vec<_>>();
+    refuse_kinds(&kinds, &folder, &made.database(), &commands);
     for file in [made.map(), made.path("maps/nuplan-maps-v1.0.json")] {
         let whole = std::fs::read(&file).unwrap();
         put("fifo", &file);
@@ -203,6 +211,9 @@ fn files_of_all_kinds_are_regular() {
     let folder = log.path("");
     log.succeed(&format!("{BUILD} --voxel 0.5"));
     std::fs::rename(log.path("new"), log.path("sk")).unwrap();
+    let camera = json!({"name": "own", "width": 32, "height": 16, "intrinsics": [[16, 0, 16], [0, 16, 8], [0, 0, 1]],
+        "camera_from_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]});
+    std::fs::write(log.path("c.json"), json!({"cameras": [camera]}).to_string()).unwrap();
     let cpu = "--skeleton sk --rasterizer cpu --out out";
     for (file, command) in [
         ("a.npy", "splat --points a.npy --cameras c.json --out out/f.npz --rasterizer cpu".to_owned()),

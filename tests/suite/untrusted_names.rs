@@ -114,7 +114,7 @@ fn channels_of_nuscenes_are_names_of_folders() {
     // Names of other letters, and with dots and blanks, are fine.
     log.change("sensor", "/1/channel", json!("Kamera vörn..1 日本"));
     let args =
-        format!("render nuscenes:log --skeleton sk --rasterizer cpu --out {OUT} --maps class --frames 0:1");
+        format!("render nuscenes:log --skeleton sk --rasterizer cpu --out {OUT} --maps class --frames 0..1");
     let Ended { code, stderr, .. } = run(&folder, &args.split(' ').collect::<Vec<_>>());
     assert_eq!(code, Some(0), "{stderr}");
     assert!(folder.join(OUT).join("000000/Kamera vörn..1 日本/class.png").is_file());

@@ -98,7 +98,7 @@ impl Workload {
         anyhow::ensure!(
             !frames.is_empty(),
             "expected frames with cameras in log {}, found none among {asked} frames",
-            log.name
+            log.shown_name()
         );
         if frames.len() < asked {
             warn(&format!("{} frames have no cameras and are left out", asked - frames.len()));

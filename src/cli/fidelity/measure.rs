@@ -201,8 +201,9 @@ impl Measurement<'_> {
     ) -> anyhow::Result<()> {
         let log = self.town.log();
         let offset = self.offset(frame, row);
-        let state = state_of_frame(log, frame, offset)
-            .ok_or_else(|| anyhow::anyhow!("expected frame {frame} in log {}, found none", log.name))?;
+        let state = state_of_frame(log, frame, offset).ok_or_else(|| {
+            anyhow::anyhow!("expected frame {frame} in log {}, found none", log.shown_name())
+        })?;
         let views: Vec<View> = state.cameras.iter().map(|c| self.options.drawn_view(&c.view)).collect();
         let truth: Vec<TrueMaps> = self
             .town

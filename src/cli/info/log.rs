@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 
 use crate::dataset::{Dataset, Frame, ImageRecord, Log};
 use crate::files::FileName;
+use crate::files::text::printable_line;
 use crate::scene::frame_rate_hz;
 
 /// All there is to tell, as JSON.
@@ -138,7 +139,7 @@ pub(super) fn text(json: &Value) -> String {
     let mut lines = String::new();
     // Writing to a string cannot fail.
     let mut line = |name: &str, rest: String| {
-        let _ = writeln!(lines, "{name:<10} {rest}");
+        let _ = writeln!(lines, "{name:<10} {}", printable_line(&rest));
     };
     let plain = |key: &str| json[key].as_str().unwrap_or_default();
     let number = |value: &Value| value.as_f64().map_or_else(|| "?".to_owned(), |v| format!("{v:.1}"));

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::log_args::LogRoots;
 use super::{WrongUsage, say};
+use crate::files::input::is_taken;
 use crate::logs;
 use crate::skeleton::{Skeleton, TemplateLibrary};
 
@@ -62,7 +63,7 @@ fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
         let library = TemplateLibrary::open(&path)?;
         return Ok((templates::describe(&library, &path), templates::text(&library, &path)));
     }
-    if path.exists() && !path.is_dir() {
+    if is_taken(&path) && !path.is_dir() {
         let json = file::describe(&path)?;
         return Ok((json.clone(), as_lines(&json)));
     }

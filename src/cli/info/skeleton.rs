@@ -7,6 +7,7 @@ use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 
 use crate::cloud::Bounds;
+use crate::files::text::printable_line;
 use crate::skeleton::{BuildReport, Manifest, Skeleton, TemplateKind};
 
 /// Assets of one category.
@@ -52,7 +53,7 @@ pub(super) fn text(skeleton: &Skeleton) -> String {
     let mut lines = format!("skeleton   {}\n", skeleton.path().display());
     // Writing to a string cannot fail.
     let mut line = |name: &str, rest: String| {
-        let _ = writeln!(lines, "{name:<10} {rest}");
+        let _ = writeln!(lines, "{name:<10} {}", printable_line(&rest));
     };
     for source in &manifest.sources {
         let seconds = (source.t_us[1] - source.t_us[0]) as f64 * 1e-6;

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
+use crate::files::text::printable_line;
 use crate::skeleton::{TemplateLibrary, TemplateSummary};
 
 /// All there is to tell, as JSON.
@@ -26,7 +27,7 @@ pub(super) fn text(library: &TemplateLibrary, path: &Path) -> String {
     let mut lines = format!("templates  {}\n", path.display());
     // Writing to a string cannot fail.
     let mut line = |name: &str, rest: String| {
-        let _ = writeln!(lines, "{name:<10} {rest}");
+        let _ = writeln!(lines, "{name:<10} {}", printable_line(&rest));
     };
     for log in &manifest.sources {
         line("log", format!("{} ({}), {} actors", log.source.log, log.source.location, log.actors));

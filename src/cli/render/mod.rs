@@ -41,7 +41,11 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), read_prompt)?;
     let map = read_map(&args, dataset.as_ref())?;
     let maps = args.maps(map.is_some()).with_context(|| {
-        format!("expected an HD map of {:?} for --maps map, found none in log {}", log.location, log.name)
+        format!(
+            "expected an HD map of {:?} for --maps map, found none in log {}",
+            log.location,
+            log.shown_name()
+        )
     })?;
     let steps = Steps::new(log, &args, views, map)?;
     let (stand_ins, told) = args.stand_ins.make(&skeleton, &log.name)?;

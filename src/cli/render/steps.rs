@@ -45,11 +45,11 @@ impl<'a> Steps<'a> {
             check_times(log, &args.at)?;
             args.at.iter().copied().map(When::Time).collect()
         };
-        anyhow::ensure!(!when.is_empty(), "expected a log with frames, found none in {}", log.name);
+        anyhow::ensure!(!when.is_empty(), "expected a log with frames, found none in {}", log.shown_name());
         anyhow::ensure!(
             views.is_some() || !log.cameras.is_empty(),
             "expected cameras in log {} or by --cameras, found none",
-            log.name
+            log.shown_name()
         );
         let (ego, offset) = (EgoTrack::new(log), args.ego_offset.unwrap_or_default());
         Ok(Self { log, ego, offset, views, map, when })
@@ -116,7 +116,7 @@ fn check_times(log: &Log, times: &[i64]) -> anyhow::Result<()> {
         anyhow::ensure!(
             log.covers(*t_us),
             "expected times in --at within log {} ({range} us), found {t_us}",
-            log.name
+            log.shown_name()
         );
     }
     Ok(())

@@ -266,7 +266,7 @@ impl SimulateArgs {
         anyhow::ensure!(
             there > every,
             "expected more than {every} frames from --start on (--every {every}), found {there} in log {}",
-            scenario.log.name
+            scenario.log.shown_name()
         );
         Ok((Some(every), self.steps.min((there - 1) / every)))
     }

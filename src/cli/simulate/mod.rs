@@ -131,7 +131,11 @@ impl Inputs {
         let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), read_prompt)?;
         let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
         let maps = args.maps.kinds(map.is_some()).with_context(|| {
-            format!("expected an HD map of {:?} for --maps map, found none in log {}", log.location, log.name)
+            format!(
+                "expected an HD map of {:?} for --maps map, found none in log {}",
+                log.location,
+                log.shown_name()
+            )
         })?;
         Ok(Self { dataset, skeleton, prompt, map, maps })
     }

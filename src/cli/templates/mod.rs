@@ -107,10 +107,10 @@ fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyh
             Target::Log(locator) => {
                 for log in logs::expand(&args.roots.locate(locator))? {
                     let dataset = logs::open(&log)?;
-                    let name = &dataset.log().name;
+                    let name = dataset.log().shown_name();
                     let built = build(&scratch.join("skeleton"), dataset.as_ref());
                     sources.extend(take(instances, &built.with_context(|| format!("log {name}"))?)?);
-                    progress.step(name);
+                    progress.step(&name);
                 }
             }
         }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
+use crate::files::input::is_taken;
 
 /// The logs that a name stands for, sorted by name: the folder itself, or those in it.
 ///
@@ -66,7 +67,7 @@ pub(super) fn part(log: &Path, root: Option<&Path>, part: &str) -> PathBuf {
 
 /// A log with either of its files is one, so that the other is told to be missing.
 fn is_log(path: &Path) -> bool {
-    ["annotations.feather", "city_SE3_egovehicle.feather"].iter().any(|file| path.join(file).exists())
+    ["annotations.feather", "city_SE3_egovehicle.feather"].iter().any(|file| is_taken(&path.join(file)))
 }
 
 fn logs_in(path: &Path) -> Result<Vec<String>, FileError> {

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use crate::dataset::{DatasetError, LogFormat, LogLocator};
 use crate::error::FileError;
-use crate::files::input::DataRoot;
+use crate::files::input::{DataRoot, is_taken};
 
 /// The ten evaluation logs of the paper.
 pub const SIMGEN: [&str; 10] = [
@@ -124,7 +124,7 @@ fn logs_in(folder: &Path) -> Result<Vec<String>, FileError> {
 /// The names of the set, all of which are in the folder.
 fn simgen(folder: &Path) -> Result<Vec<String>, FileError> {
     let (there, missing): (Vec<&str>, Vec<&str>) =
-        SIMGEN.iter().partition(|name| folder.join(format!("{name}.db")).exists());
+        SIMGEN.iter().partition(|name| is_taken(&folder.join(format!("{name}.db"))));
     if missing.is_empty() {
         return Ok(there.into_iter().map(Into::into).collect());
     }

@@ -9,6 +9,7 @@ use super::{TemplateCloud, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
 use crate::error::FileError;
 use crate::files::{WholeFolder, write_json, write_whole};
+use crate::files::input::is_taken;
 use crate::gpu::MappedFile;
 use crate::skeleton::store::{Entry, read_manifest};
 use crate::skeleton::{Source, Template};
@@ -83,7 +84,7 @@ impl TemplateLibrary {
 
     /// Whether a folder looks like a library.
     pub fn is_at(path: &Path) -> bool {
-        path.join(MANIFEST).exists()
+        is_taken(&path.join(MANIFEST))
     }
 
     /// Writes the folder; `more` may add files to it. An older library is replaced.
