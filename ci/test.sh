@@ -32,8 +32,8 @@ run_tests() {
     RUST_TEST_THREADS=$(nproc | awk '{ print ($1 < 2) ? 2 : $1 }')
     export RUST_TEST_THREADS
     : >"$PSKEL_SKIP_LOG"
-    # One command: unit tests, the suite, doc tests; builds the examples too.
-    cargo test --locked --no-fail-fast 2>&1 | tee "$scratch/tests.log"
+    # One command: unit tests, the suite, doc tests, a short pass over the fuzz targets; builds the examples too.
+    cargo test --workspace --locked --no-fail-fast 2>&1 | tee "$scratch/tests.log"
 }
 
 # The tests that draw, on a second driver.
@@ -69,8 +69,8 @@ run_page() {
 }
 
 step ci/setup.sh
-step cargo fmt --check
-step cargo clippy --all-targets --locked -- -D warnings
+step cargo fmt --all --check
+step cargo clippy --workspace --all-targets --locked -- -D warnings
 RUSTDOCFLAGS=-Dwarnings step cargo doc --no-deps --locked
 status=0
 undrawn=0

@@ -11,8 +11,8 @@ use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use super::{BuildOptions, Checksum, MakeTemplates};
 use crate::cloud::Point;
 use crate::error::FileError;
-use crate::files::{WholeFolder, WorkFolder, check_whole, write_json, write_whole_by};
 use crate::files::input::{is_taken, read_table};
+use crate::files::{WholeFolder, WorkFolder, check_whole, write_json, write_whole_by};
 use crate::gpu::MappedFile;
 
 /// Kind of the output folder.

@@ -76,6 +76,31 @@ fn files_of_others_are_never_deleted() {
     }
 }
 
+/// Every file of a folder but the list itself.
+fn listed(log: &TinyLog) -> Vec<String> {
+    let text = std::fs::read_to_string(log.path("out/.pskel-files")).unwrap();
+    let (header, lines) = text.split_once('\n').unwrap();
+    assert!(header.starts_with("pskel files 1: "), "{header}");
+    lines.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn folders_list_their_files() {
+    for args in [RENDER, SIMULATE, CONVERT, "build nuscenes:log --out out"] {
+        let log = ready();
+        // A shorter run after a longer one.
+        for args in [args, &args.replace("--steps 2", "--steps 1")] {
+            log.succeed(args);
+            let mut expected: Vec<String> = tree(&log.path("out")).into_keys().collect();
+            if args == CONVERT {
+                expected.push("templates".to_owned()); // an empty folder
+            }
+            expected.sort();
+            assert_eq!(listed(&log), expected, "{args}");
+        }
+    }
+}
+
 #[test]
 fn files_of_others_beside_maps_stay() {
     for args in [RENDER, SIMULATE] {

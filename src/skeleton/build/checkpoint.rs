@@ -187,3 +187,26 @@ mod as_list {
         Ok(Vec::<(Cell, usize)>::deserialize(from)?.into_iter().collect())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_listed_runs_stay_in_the_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let plan = Plan { version: "1".to_owned(), options: BuildOptions::default(), logs: Vec::new() };
+        let (mut unfinished, mut done) = Unfinished::open(&folder.path().join("sk"), plan, false).unwrap();
+        let path = unfinished.path().to_owned();
+        std::fs::create_dir(path.join("new")).unwrap();
+        for name in ["run-000009.sums", ".run-000000.sums.pskel-part", "new/skeleton.json"] {
+            std::fs::write(path.join(name), "half").unwrap();
+        }
+        unfinished.save(&mut done, vec![(Cell::Chunk([0; 3]), Vec::new())]).unwrap();
+        let names = std::fs::read_dir(&path).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+        let expected = ["checkpoint.json", "lock", "run-000000.json", "run-000000.sums"];
+        assert_eq!(names.collect::<BTreeSet<_>>(), expected.map(str::to_owned).into());
+        drop(unfinished);
+        assert!(path.is_dir(), "a build with a checkpoint stays");
+    }
+}
