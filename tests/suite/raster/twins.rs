@@ -34,6 +34,9 @@ pub(crate) struct Division {
 /// The name of Mesa's lavapipe, which has all that any rasterizer needs and rounds as the CPU does.
 const LAVAPIPE: &str = "llvmpipe";
 
+/// The name of the driver that comes with Chromium, which rounds as the CPU does.
+const SWIFTSHADER: &str = "SwiftShader";
+
 /// Gives a device that `compute` runs on to a test; another device skips it.
 pub(crate) fn with_compute_device(test: impl FnOnce(Arc<Device>)) {
     with_device(|device| if has_compute(&device) { test(device) } else { skip("no 64-bit atomics") });
@@ -62,10 +65,11 @@ pub(crate) fn rasterizers<'a>(
     all
 }
 
-/// Which share of pixels may differ: none on the driver that rounds as the CPU does, `elsewhere` on others (Vulkan
-/// lets a division be off by 2.5 units in the last place).
+/// Which share of pixels may differ: none on drivers that round as the CPU does, `elsewhere` on others (Vulkan lets a
+/// division be off by 2.5 units in the last place).
 pub(crate) fn allowed_share(rasterizer: &dyn Rasterizer, elsewhere: f64) -> f64 {
-    if rasterizer.info().device.contains(LAVAPIPE) { 0.0 } else { elsewhere }
+    let device = rasterizer.info().device;
+    if [LAVAPIPE, SWIFTSHADER].iter().any(|name| device.contains(name)) { 0.0 } else { elsewhere }
 }
 
 /// How many pixels differ in any plane. Maps of different sizes or planes differ everywhere.
