@@ -35,9 +35,12 @@ impl WorkFolder {
             }
             match LockedFile::open(&lock_path, owner) {
                 Ok(mut lock) => {
-                    lock.sign().map_err(FileError::io("write", &lock_path))?;
+                    let signed = lock.sign();
                     let pending = Some(PendingPath::new(&path));
-                    return Ok(Self { path, lock: Some(lock), pending });
+                    let work = Self { path, lock: Some(lock), pending };
+                    // A full disk leaves no folder.
+                    signed.map_err(FileError::io("write", &lock_path))?;
+                    return Ok(work);
                 }
                 Err(_) if !path.exists() => {}
                 Err(error) => return Err(error),

@@ -146,7 +146,7 @@ fn inputs_are_not_overwritten() {
         ("templates sk --min-points 1 --out sk", "sk"),
         ("render nuscenes:log --skeleton sk --out sk", "sk"),
         ("render nuscenes:log --skeleton sk --out log", "log"),
-        ("simulate nuscenes:log --skeleton sk --out log", "log"),
+        ("simulate nuscenes:log --skeleton sk --out log --steps 1", "log"),
         ("bench --points p.npy --cameras c.json --rasterizer cpu --trace p.npy", "p.npy"),
     ] {
         assert_failed(

@@ -174,7 +174,8 @@ fn a_rollout_that_is_resumed_is_the_one_that_ran_through() {
     let mut text = std::fs::read_to_string(&states).unwrap();
     text.push_str(r#"{"step": 8, "#);
     std::fs::write(&states, text).unwrap();
-    std::fs::create_dir(log.path("parts/steps/.pskel-left")).unwrap();
+    std::fs::create_dir_all(log.path("parts/.pskel/steps_000008")).unwrap();
+    std::fs::write(log.path("parts/.pskel/lock"), "4194305").unwrap();
     log.succeed(&simulate("parts", "--steps 9 --resume"));
     assert!(tree(&log.path("parts")) == whole);
     // From a step before the end, and from the end, where nothing is left to do.

@@ -81,6 +81,6 @@ fn a_folder_with_other_content_is_not_replaced() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("thesis.tex"), "years of work").unwrap();
     let message = write(folder.path()).unwrap_err().to_string();
-    assert!(message.contains("an older one with skeleton.json"), "{message}");
+    assert!(message.contains("expected only files that pskel wrote"), "{message}");
     assert!(folder.path().join("thesis.tex").is_file());
 }
