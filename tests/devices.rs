@@ -7,6 +7,7 @@
 //!
 //! It takes 10 seconds; `PSKEL_STRESS_S=600 cargo test --test devices` takes 10 minutes, with
 //! `PSKEL_STRESS_THREADS=8` on eight threads of each kind instead of three.
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers stand outside `#[test]`
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
