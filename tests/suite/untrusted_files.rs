@@ -239,6 +239,9 @@ fn files_of_all_kinds_are_regular() {
         if !path.exists() {
             std::fs::write(&path, "").unwrap();
         }
-        refuse_all_kinds(&folder, &path, &[&command]);
+        // A folder's name may be that of a skeleton.
+        let is_folder = |kind: &str| kind == "folder" && command == format!("info {file}");
+        let kinds = KINDS.into_iter().filter(|(kind, _)| !is_folder(kind)).collect::<Vec<_>>();
+        refuse_kinds(&kinds, &folder, &path, &[&command]);
     }
 }
