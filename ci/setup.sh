@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Installs what building and testing need beyond a Rust toolchain: compilers of C and C++ (SQLite and the encoder of the
 # videos are compiled), a Vulkan loader, a driver that needs no GPU (Mesa's lavapipe), the validation layer, and Python
-# (planners in the tests). Does nothing, quietly, where all of it is there.
+# (planners in the tests); and a second driver, SwiftShader, where a package has it: without it, tests on a second driver
+# are skipped. Does nothing, quietly, where all of it is there.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -35,6 +36,10 @@ has_compilers() {
     command -v "${cc%% *}" >/dev/null && command -v "${cxx%% *}" >/dev/null
 }
 
+has_swiftshader() {
+    any_file /usr/lib*/{chromium,chromium-browser}/vk_swiftshader_icd.json /opt/google/chrome/vk_swiftshader_icd.json
+}
+
 missing() {
     has_compilers || echo g++
     command -v python3 >/dev/null || echo python3
@@ -57,24 +62,41 @@ check_cargo() {
     fi
 }
 
-install() {
+# Runs apt-get as root.
+apt() {
     local root=()
+    [ "$(id -u)" -eq 0 ] || root=(sudo)
+    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get "$@"
+}
+
+install() {
     if ! command -v apt-get >/dev/null; then
         say "expected a C++ compiler, the Vulkan loader, a driver, the validation layer and Python, found no $*"
         say "install them with this system's package manager (Fedora: gcc-c++ vulkan-loader mesa-vulkan-drivers" \
             "vulkan-validation-layers python3; Arch: gcc vulkan-icd-loader vulkan-swrast vulkan-validation-layers python)"
         exit 1
     fi
-    if [ "$(id -u)" -ne 0 ]; then
-        if ! command -v sudo >/dev/null; then
-            say "expected root or sudo to install $*, found neither: run apt-get install $* as root"
-            exit 1
-        fi
-        root=(sudo)
+    if [ "$(id -u)" -ne 0 ] && ! command -v sudo >/dev/null; then
+        say "expected root or sudo to install $*, found neither: run apt-get install $* as root"
+        exit 1
     fi
     say "installing $*"
-    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -qq
-    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+    apt update -qq
+    apt install -y -qq --no-install-recommends "$@" >/dev/null
+}
+
+# What is good to have: that it cannot be had is said, and no failure.
+install_swiftshader() {
+    local package=chromium-common
+    if ! command -v apt-get >/dev/null || { [ "$(id -u)" -ne 0 ] && ! sudo -n true 2>/dev/null; }; then
+        say "SwiftShader, which comes with Chromium, is not there: tests on a second driver will be skipped"
+        return
+    fi
+    say "installing $package (SwiftShader)"
+    apt update -qq || true
+    if ! apt install -y -qq --no-install-recommends "$package" >/dev/null || ! has_swiftshader; then
+        say "no SwiftShader from $package: tests on a second driver will be skipped"
+    fi
 }
 
 check_cargo
@@ -87,3 +109,4 @@ if [ "${#packages[@]}" -gt 0 ]; then
         exit 1
     fi
 fi
+has_swiftshader || install_swiftshader

@@ -1,7 +1,9 @@
 #!/usr/bin/env bash
-# Checks everything: format, lints, documentation, tests, the demo on a small town, and its page in a browser. The last
-# line is `N passed, N failed, N skipped`; a test is skipped where the recordings or fixtures it needs are not there
-# (PSKEL_SHARED, PSKEL_FIXTURES). PSKEL_NO_BROWSER=1 leaves the browser out; PSKEL_ARTIFACTS is a folder for
+# Checks everything: format, lints, documentation, tests, those that draw once more on a second Vulkan driver
+# (ci/swiftshader.sh), the demo on a small town, and its page in a browser. The last line is `N passed, N failed,
+# N skipped`; a test is skipped where the recordings or fixtures it needs are not there (PSKEL_SHARED, PSKEL_FIXTURES),
+# on the second driver also where the driver lacks something, and the second driver counts as one skipped test where it
+# is not installed. PSKEL_NO_BROWSER=1 leaves the browser out; PSKEL_ARTIFACTS is a folder for
 # the table of the demo's fidelity and for pictures of its page. Exits 1 on any failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -21,7 +23,7 @@ step() {
 
 # Sum of the numbers before a word (passed, failed, ignored) in the `test result:` lines.
 count() {
-    sed -nE "s/^test result: .* ([0-9]+) $1;.*/\1/p" "$scratch/tests.log" | awk '{ sum += $1 } END { print sum + 0 }'
+    sed -nE "s/^test result: .* ([0-9]+) $1;.*/\1/p" "$scratch"/*.log | awk '{ sum += $1 } END { print sum + 0 }'
 }
 
 run_tests() {
@@ -30,8 +32,20 @@ run_tests() {
     RUST_TEST_THREADS=$(nproc | awk '{ print ($1 < 2) ? 2 : $1 }')
     export RUST_TEST_THREADS
     : >"$PSKEL_SKIP_LOG"
-    # One command: unit tests, the suite, doc tests; builds the examples too.
-    cargo test --locked --no-fail-fast 2>&1 | tee "$scratch/tests.log"
+    # One command: unit tests, the suite, doc tests, a short pass over the fuzz targets; builds the examples too.
+    cargo test --workspace --locked --no-fail-fast 2>&1 | tee "$scratch/tests.log"
+}
+
+# The tests that draw, on a second driver.
+run_swiftshader() {
+    local code=0
+    PSKEL_SKIP_LOG="$scratch/skipped-swiftshader" ci/swiftshader.sh 2>&1 | tee "$scratch/swiftshader.log" || code=$?
+    # Neither is it there, nor could it be installed.
+    if [ "$code" -eq 77 ]; then
+        undrawn=1
+        code=0
+    fi
+    return "$code"
 }
 
 run_demo() {
@@ -55,11 +69,14 @@ run_page() {
 }
 
 step ci/setup.sh
-step cargo fmt --check
-step cargo clippy --all-targets --locked -- -D warnings
+step cargo fmt --all --check
+step cargo clippy --workspace --all-targets --locked -- -D warnings
 RUSTDOCFLAGS=-Dwarnings step cargo doc --no-deps --locked
 status=0
+undrawn=0
+: >"$scratch/skipped-swiftshader"
 step run_tests || status=1
+step run_swiftshader || status=1
 passed=$(count passed)
 failed=$(count failed)
 ignored=$(count ignored)
@@ -75,11 +92,15 @@ if [ "$status" -eq 0 ]; then
 fi
 
 unshared=$(sort -u "$scratch/skipped" | wc -l)
+lacking=$(sort -u "$scratch/skipped-swiftshader" | wc -l)
 if [ "$unshared" -gt 0 ]; then
     say "$unshared tests skipped for want of the shared data (set PSKEL_SHARED):"
     sort -u "$scratch/skipped" | sed 's/^/test:   /' >&2
 fi
+[ "$undrawn" -eq 0 ] || say "SwiftShader is not installed: its tests count as one that is skipped"
+[ "$lacking" -eq 0 ] || say "$lacking tests skipped on SwiftShader:" "$(sort -u "$scratch/skipped-swiftshader" | tr '\n' ' ')"
 say "$((passed + failed + ignored)) tests in $SECONDS s, $unshared of them skipped for want of the shared data"
 [ "$status" -eq 0 ] || say "FAILED"
-echo "$((passed - unshared)) passed, $failed failed, $((ignored + unshared)) skipped"
+skipped=$((unshared + lacking))
+echo "$((passed - skipped)) passed, $failed failed, $((ignored + skipped + undrawn)) skipped"
 exit "$status"

@@ -64,7 +64,7 @@ fn main() -> anyhow::Result<()> {
         kept.len(),
         skeleton.manifest.report
     );
-    let mut rasterizer = create(&args.rasterizer.into(), Stage::clouds(&skeleton))?;
+    let mut rasterizer = create(&args.rasterizer.into(), Stage::clouds(&skeleton)?)?;
     let mut errors = Vec::new();
     for frame in (1..frames).step_by(2 * args.stride) {
         errors.extend(compare_frame(log, frame, &skeleton, rasterizer.as_mut(), args.out.as_deref())?);
@@ -97,7 +97,7 @@ fn compare_frame(
     let Some(state) = state_of_frame(log.log(), frame, EgoOffset::default()) else {
         anyhow::bail!("no frame {frame}")
     };
-    let instances = Stage::new(skeleton, &log.log().name).instances(&state, &SelectionOptions::default());
+    let instances = Stage::new(skeleton, &log.log().name)?.instances(&state, &SelectionOptions::default());
     let maps = MapSet::of(&[MapKind::Color]);
     let options = ConditionOptions { maps, size: Some(SIZE), ..ConditionOptions::default() };
     let set = conditions::render(rasterizer, &instances, &state, &options)?;

@@ -2,8 +2,8 @@
 // workgroup draws an item into one band of a view: up to 4096 points of a chunk. The operations and their order are those of `project` in
 // src/raster/cpu.rs.
 //
-// With SQUARE a point goes into all pixels that it covers; without, only into its centre, and the resolve shaders look
-// around. CROP tests the radius crop, which chunks well inside need not. LAYERED knows up to three buffers.
+// With SQUARE a point goes into all pixels that it covers; without, only into its centre, and later shaders look around
+// (resolve_full.wgsl, resolve_reduced.wgsl) or spread it (spread.wgsl). CROP tests the radius crop, which chunks well inside need not. LAYERED knows up to three buffers.
 //
 // LANES points are drawn side by side: as many as a processor has in a vector, so that it reads memory in order, or as a
 // GPU keeps busy.
@@ -24,7 +24,6 @@ override LAYERED: bool;
 override LANES: u32;
 
 const Z_NEAR_M = 1e-5;
-const PAD = 2; // pixels around each band
 const GROUPS_PER_ROW = 32768u;
 
 struct Step {
@@ -39,7 +38,7 @@ struct ProjectFrame {
     step_count: u32,
     z_far_m: f32,
     key_rows: u32,
-    pad_0: u32,
+    pad: u32, // pixels around each band
 }
 
 struct ProjectDraw {
@@ -107,7 +106,8 @@ fn put(layers: u32, at: u32, key: u64) {
 
 // Keys lie in panels of 32 columns, each row by row: what is near in the image is near in memory.
 fn key_index(column: i32, row: i32, band: ProjectBand) -> u32 {
-    let at = vec2<u32>(u32(column + PAD), band.key_row + u32(row + PAD));
+    let pad = i32(frame.pad);
+    let at = vec2<u32>(u32(column + pad), band.key_row + u32(row + pad));
     return ((at.x >> 5u) * frame.key_rows + at.y) * 32u + (at.x & 31u);
 }
 
@@ -142,7 +142,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         }
         let x = floor(dot_row(draw.image_x, p) / z);
         let y = floor(dot_row(draw.image_y, p) / z) - band.first_row;
-        var radius = PAD;
+        var radius = i32(frame.pad);
         if SQUARE {
             radius = radius_at(z);
         }

@@ -34,10 +34,11 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         return;
     }
     let width = (band.width + 3u) & 0xfffffffcu;
-    let c0 = key_column(x / 2u);
-    let c1 = key_column(x / 2u + 1u);
-    let c2 = key_column(x / 2u + 2u);
-    let c3 = key_column(x / 2u + 3u);
+    let first_pair = band.pair + x / 2u;
+    let c0 = key_column(first_pair);
+    let c1 = key_column(first_pair + 1u);
+    let c2 = key_column(first_pair + 2u);
+    let c3 = key_column(first_pair + 3u);
     let reach_1 = key_from(push.reach_1, 0xffffffffu);
     let reach_2 = key_from(push.reach_2, 0xffffffffu);
     // Winners so far of the rows y-2 .. y+2, four columns each.

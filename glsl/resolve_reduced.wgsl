@@ -110,7 +110,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     // Column of the keys of the leftmost pixel that is looked at; with padding, less two for the look around.
     let start = select(column.low, column.nearest, GEOMETRY);
     for (var i = 0u; i < 5u; i++) {
-        columns[i] = key_column(start / 2u + i);
+        columns[i] = key_column(band.pair + start / 2u + i);
     }
     odd = (start & 1u) != 0u;
     shift = column.low - start;

@@ -7,7 +7,7 @@ struct ResolveBand {
     pixel: u32,   // of the result: where the band begins
     columns: u32, // taps of column 0
     rows: u32,    // taps of the band's first row
-    pad_0: u32,
+    pair: u32,    // of the keys: pairs of columns to the left of those that are looked at
     pad_1: u32,
 }
 

@@ -9,14 +9,14 @@ use glam::Vec3;
 use super::log_args::{self, LogRoots};
 use super::numbers::{self, FrameRange};
 use super::progress::StageProgress;
-use super::{WrongUsage, info, say, templates};
+use super::{WrongUsage, info, say, templates, warn};
 use crate::cloud::{self, Bounds, Point};
 use crate::dataset::{Dataset, LogLocator};
 use crate::error::FileError;
 use crate::logs;
 use crate::skeleton::{
-    self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, Skeleton, SkeletonWriter, Template,
-    TemplateCloud, TemplateKind, TemplateLibrary,
+    self, Asset, BuildInput, BuildOptions, BuildRun, Checksum, Coloring, Manifest, Skeleton, SkeletonWriter,
+    Template, TemplateCloud, TemplateKind, TemplateLibrary,
 };
 
 /// Build a point skeleton from recorded drives: colored background, an asset per tracked actor
@@ -93,14 +93,12 @@ pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     SkeletonWriter::check_target(&args.out)?;
     if let Some(frames) = skeleton::unfinished_frames(&args.out).filter(|_| !args.resume) {
-        eprintln!(
-            "warning: an unfinished build with {frames} frames done is not gone on with (--resume would do so)"
-        );
+        warn(&format!(
+            "an unfinished build with {frames} frames done is discarded; pass --resume to continue it"
+        ));
     }
     if args.resume && skeleton::unfinished_frames(&args.out).is_none() {
-        eprintln!(
-            "warning: no unfinished build was found to go on with; this one starts with the first frame"
-        );
+        warn("no unfinished build was found to resume; this one starts with the first frame");
     }
     let given = read_templates(&args.templates)?;
     let library = args.templates_from.as_deref().map(TemplateLibrary::open).transpose()?.unwrap_or_default();
@@ -197,7 +195,8 @@ fn read_template(kind: TemplateKind, path: &Path) -> Result<(Template, Vec<Point
     let points: Vec<Point> = read.iter().filter_map(centred).collect();
     let bounds = Bounds::of(&points).ok_or_else(no_points)?;
     let size = (Vec3::from(bounds.max) - Vec3::from(bounds.min)).as_dvec3().to_array();
-    Ok((Template { kind, class, size, points: points.len(), bounds }, points))
+    let xxh3 = Checksum::of(&points);
+    Ok((Template { kind, class, size, points: points.len(), bounds, xxh3 }, points))
 }
 
 fn summary(built: &Manifest) -> String {

@@ -8,8 +8,9 @@ use serde::Serialize;
 
 use super::{WrongUsage, say};
 use crate::cloud::{self, Point, npy, ply};
-use crate::error::{FileError, write_json, write_whole_folder};
+use crate::error::FileError;
 use crate::files::FileName;
+use crate::files::{WholeFolder, check_output_file, write_json};
 use crate::skeleton::{Skeleton, TemplateKind};
 
 /// Convert points: a skeleton to NPY or PLY files, or one such file to the other format
@@ -86,6 +87,7 @@ fn convert_file(args: &ConvertArgs) -> anyhow::Result<String> {
         }
         (format, ending) => format.or(ending).unwrap_or(PointFormat::Npy),
     };
+    check_output_file(&args.out, [args.input.as_path()])?;
     let file = cloud::read(&args.input)?;
     let with_class = file.points.iter().any(|p| p.class() != 0);
     let origin = if file.origin == DVec3::ZERO {
@@ -140,7 +142,7 @@ struct TemplateFile {
 
 fn convert_skeleton(input: &Path, out: &Path, format: PointFormat) -> Result<String, FileError> {
     let skeleton = Skeleton::open(input)?;
-    write_whole_folder(out, ORIGINS, |folder| {
+    WholeFolder::open(out, "points", &[input])?.write::<FileError>(|folder| {
         let origins = Origins {
             background: write_background(&skeleton, folder, format)?,
             actors: write_actors(&skeleton, folder, format)?,
@@ -164,7 +166,7 @@ fn write_background(
     let ends = origins().reduce(DVec3::min).zip(origins().reduce(DVec3::max));
     let origin = ends.map_or(DVec3::ZERO, |(min, max)| ((min + max) / 2.0).round());
     let mut points = Vec::new();
-    for (chunk, cloud) in chunks.iter().zip(skeleton.background()) {
+    for (chunk, cloud) in chunks.iter().zip(skeleton.background()?) {
         let shift = DVec3::from(chunk.origin) - origin;
         points.extend(cloud.iter().map(|p| {
             let position = (Vec3::from(p.position).as_dvec3() + shift).as_vec3();
@@ -183,7 +185,7 @@ fn write_actors(
 ) -> Result<Vec<ActorFile>, FileError> {
     create(&folder.join("actors"))?;
     let mut names = BTreeSet::new();
-    let actors = skeleton.manifest.actors.iter().zip(skeleton.actors());
+    let actors = skeleton.manifest.actors.iter().zip(skeleton.actors()?);
     let write = |(asset, points): (&crate::skeleton::Asset, &[Point])| {
         let file = format!("actors/{}.{}", file_name(&asset.track, &mut names), format.ending());
         format.write(&folder.join(&file), points, false)?;
@@ -200,7 +202,7 @@ fn write_templates(
     format: PointFormat,
 ) -> Result<Vec<TemplateFile>, FileError> {
     create(&folder.join("templates"))?;
-    let templates = skeleton.manifest.templates.iter().zip(skeleton.templates());
+    let templates = skeleton.manifest.templates.iter().zip(skeleton.templates()?);
     let write = |(template, points): (&crate::skeleton::Template, &[Point])| {
         let known = TemplateKind::NAMES.iter().find(|(_, kind)| *kind == template.kind);
         let name = known.map_or("template", |(name, _)| name);

@@ -3,7 +3,6 @@
 //! # How it works
 //! [`main`] parses, runs the subcommand and turns its result into an exit code: 0 done, 1 failed, 2 wrong usage.
 //! Progress and errors go to stderr, the summary line to stdout.
-#![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod ablate;
 mod bench;
@@ -20,10 +19,13 @@ mod numbers;
 mod progress;
 mod rasterizer;
 mod render;
+mod signals;
 mod simulate;
 mod splat;
 mod stand_ins;
 mod templates;
+mod terminal;
+mod threads;
 mod town;
 mod train;
 
@@ -34,6 +36,8 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
+
+use self::terminal::{say, tell, warn};
 
 /// Turns recorded drives into camera conditions: color, metric depth, class, instance and layout maps.
 #[derive(Debug, Parser)]
@@ -87,15 +91,20 @@ pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
     let cli = match Cli::try_parse_from(args) {
         Ok(cli) => cli,
         Err(error) => {
-            // Help and version come this way too, with exit code 0. Nobody may be listening.
-            let _ = error.print();
-            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+            // Help and version come this way too, with exit code 0.
+            terminal::note(error.print());
+            return match terminal::check() {
+                Ok(()) => ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2)),
+                Err(_) => ExitCode::FAILURE,
+            };
         }
     };
-    match survive_file_limits().and_then(|()| cli.command.run()) {
+    let done = prepare().and_then(|()| cli.command.run()).and_then(|()| terminal::check());
+    signals::wait_if_stopping();
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", with_causes(&error));
+            terminal::tell(&format!("error: {}", with_causes(&error)));
             if error.is::<WrongUsage>() { ExitCode::from(2) } else { ExitCode::FAILURE }
         }
     }
@@ -105,6 +114,13 @@ pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct WrongUsage(String);
+
+/// What comes before any command.
+fn prepare() -> anyhow::Result<()> {
+    threads::check_environment()?;
+    survive_file_limits()?;
+    signals::install().context("cannot handle signals")
+}
 
 /// Makes a write beyond the allowed file size an error of that write, which names the file and cleans up, rather than
 /// the death of the process.
@@ -123,12 +139,6 @@ fn with_causes(error: &anyhow::Error) -> String {
         }
     }
     text
-}
-
-/// Prints a line of the result; a reader that has gone away is no error.
-fn say(line: &str) {
-    use std::io::Write;
-    let _ = writeln!(std::io::stdout(), "{line}");
 }
 
 #[cfg(test)]

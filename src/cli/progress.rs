@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
+use super::tell;
 use crate::skeleton;
 
 /// So many lines a stage gets at most where there is no terminal: logs of long runs stay readable.
@@ -37,7 +38,7 @@ impl Progress {
                 bar.inc(1);
             }
             None if self.is_worth_a_line() => {
-                eprintln!("[{}/{}] {name}{}", self.done, self.total, time_left(self.left()));
+                tell(&format!("[{}/{}] {name}{}", self.done, self.total, time_left(self.left())));
             }
             None => {}
         }

@@ -8,6 +8,7 @@ use super::rasterizer::RasterizerArgs;
 use super::say;
 use crate::cloud;
 use crate::conditions::{ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, npz, render_views};
+use crate::files::check_output_file;
 use crate::raster::{Instance, SplatSchedule};
 use crate::scene::SceneInstances;
 
@@ -40,6 +41,7 @@ pub(super) struct SplatArgs {
 /// Reads, draws, writes.
 pub(super) fn run(args: SplatArgs) -> anyhow::Result<()> {
     let start = Instant::now();
+    check_output_file(&args.out, [args.points.as_path(), args.cameras.as_path()])?;
     let views = cloud::cameras::read(&args.cameras)?;
     let cloud = cloud::read(&args.points)?;
     let mut rasterizer = args.rasterizer.create(vec![&cloud.points])?;

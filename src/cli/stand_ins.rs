@@ -86,13 +86,20 @@ impl StandInArgs {
             default_templates().into_iter().for_each(|cloud| add(Origin::Default, cloud));
         }
         let templates = origins.iter().map(|(kind, origin)| (kind.name(), *origin)).collect();
-        let augment = self.augment.map(|seed| self.augment(seed, skeleton, log, &mut stand_ins));
+        let augment =
+            self.augment.map(|seed| self.augment(seed, skeleton, log, &mut stand_ins)).transpose()?;
         Ok((stand_ins, StandInReport { templates, augment }))
     }
 
-    fn augment(&self, seed: u64, skeleton: &Skeleton, log: &str, stand_ins: &mut StandIns) -> AugmentReport {
+    fn augment(
+        &self,
+        seed: u64,
+        skeleton: &Skeleton,
+        log: &str,
+        stand_ins: &mut StandIns,
+    ) -> Result<AugmentReport, FileError> {
         let options = AugmentOptions { seed, share: self.augment_share, ..AugmentOptions::default() };
-        let all = skeleton.manifest.actors.iter().zip(skeleton.actors());
+        let all = skeleton.manifest.actors.iter().zip(skeleton.actors()?);
         let assets: Vec<_> = all.filter(|(asset, _)| asset.log == log).collect();
         let made: Vec<_> =
             assets.par_iter().map(|(asset, points)| augment(points, &asset.track, &options)).collect();
@@ -103,6 +110,6 @@ impl StandInArgs {
                 stand_ins.assets.insert(asset.track.clone(), points);
             }
         }
-        AugmentReport { options, assets: done }
+        Ok(AugmentReport { options, assets: done })
     }
 }

@@ -11,8 +11,9 @@ use super::{WrongUsage, numbers, say};
 use crate::conditions::{CameraConditions, ConditionSet, DepthBins, ImageSize, exr, png};
 use crate::dataset::nuscenes::LogWriter;
 use crate::dataset::{Dataset, Log};
-use crate::error::{FileError, check_only_ours, write_json, write_whole_folder};
+use crate::error::FileError;
 use crate::files::FileName;
+use crate::files::{WholeFolder, write_json};
 use crate::town::view::TrueView;
 use crate::town::{Daylight, Town, TownOptions};
 
@@ -55,10 +56,8 @@ pub(super) struct TownArgs {
 
 /// Name of the folder of tables.
 const VERSION: &str = "v1.0-town";
-/// Tells the options, and that the folder is one of ours.
-const MARKER: &str = "town.json";
-/// All that a town's folder holds.
-const OURS: [&str; 6] = [MARKER, VERSION, "maps", "samples", "sweeps", TRUTH];
+/// File of the options.
+const OPTIONS: &str = "town.json";
 const TRUTH: &str = "truth";
 
 fn default_size() -> ImageSize {
@@ -71,9 +70,9 @@ pub(super) fn run(args: &TownArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let options = args.options();
     options.check().map_err(|error| WrongUsage(error.to_string()))?;
-    check_only_ours(&args.out, MARKER, |name| OURS.contains(&name))?;
+    let out = WholeFolder::open(&args.out, "town", &[])?;
     let town = Town::new(&options)?;
-    write_whole_folder::<anyhow::Error>(&args.out, MARKER, |folder| {
+    out.write::<anyhow::Error>(|folder| {
         let progress = Mutex::new(Progress::new(town.log().frames.len()));
         let frame_done = |index: usize| {
             let mut progress = progress.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
@@ -85,7 +84,7 @@ pub(super) fn run(args: &TownArgs) -> anyhow::Result<()> {
         if args.truth {
             write_truth(&folder.join(TRUTH), &town)?;
         }
-        Ok(write_json(&folder.join(MARKER), &serde_json::json!({"town": options.to_string()}))?)
+        Ok(write_json(&folder.join(OPTIONS), &serde_json::json!({"town": options.to_string()}))?)
     })?;
     say(&format!(
         "{} in {:.2} s: {}",

@@ -102,7 +102,7 @@ pub fn write(path: &Path, views: &[View]) -> Result<(), FileError> {
         intrinsics: view.camera.rows(),
         camera_from_world: rows(&view.camera_from_world),
     });
-    crate::error::write_json(path, &RawCameras { cameras: cameras.collect() })
+    crate::files::write_json(path, &RawCameras { cameras: cameras.collect() })
 }
 
 /// A transform as 4×4 matrix, row by row.

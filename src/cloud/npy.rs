@@ -11,8 +11,9 @@ use npyz::{NpyHeader, Order, WriterBuilder};
 
 use super::rows::{Row, RowCollector};
 use super::{Point, PointFile};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
 use crate::files::input::open_regular;
+use crate::files::write_whole;
 
 /// Longest header that is read, bytes; NumPy's own limit.
 const MAX_HEADER_BYTES: usize = 10_000;
@@ -168,6 +169,44 @@ fn check_header(header: &NpyHeader, path: &Path) -> Result<(Scalar, u64, usize),
         return Err(FileError::content("1 to 4294967294 points", rows.to_string(), path));
     }
     Ok((scalar, rows, columns))
+}
+
+/// Reads features of `f32` or `f64` (little-endian, C order), `[N, D]`: D and the numbers row by row. The declared size is
+/// compared with the file's before anything is allocated.
+///
+/// # Errors
+/// Another dtype, shape or order, missing data.
+pub fn read_features(path: &Path) -> Result<(usize, Vec<f64>), FileError> {
+    let (file, bytes) = open_regular(path)?;
+    let mut reader = BufReader::new(file);
+    let header_bytes = read_header_bytes(&mut reader, bytes, path)?;
+    let header = NpyHeader::from_reader(header_bytes.as_slice())
+        .map_err(|error| FileError::content("an NPY header", error.to_string(), path))?;
+    let descr = header.dtype().descr();
+    let scalar = Scalar::from_descr(&descr).filter(|scalar| *scalar != Scalar::F16);
+    let scalar =
+        scalar.ok_or_else(|| FileError::content("dtype <f4 or <f8", format!("dtype {descr}"), path))?;
+    let (rows, columns) = match *header.shape() {
+        [rows, columns] if columns > 0 => (rows, columns),
+        _ => {
+            let found = format!("shape {:?}", header.shape());
+            return Err(FileError::content("features of shape [N, D]", found, path));
+        }
+    };
+    if header.order() == Order::Fortran {
+        return Err(FileError::content("C order", "Fortran order", path));
+    }
+    let needed = rows.checked_mul(columns).and_then(|count| count.checked_mul(scalar.bytes() as u64));
+    let left = bytes.saturating_sub(header_bytes.len() as u64);
+    let needed = needed.filter(|needed| *needed <= left).ok_or_else(|| {
+        let expected = format!("{rows} rows of {columns} numbers of {} bytes", scalar.bytes());
+        FileError::content(expected, format!("{left} bytes of data"), path)
+    })?;
+    let mut data = vec![0; needed as usize];
+    reader.read_exact(&mut data).map_err(FileError::io("read", path))?;
+    let mut values = Vec::new();
+    scalar.widen(&data, &mut values);
+    Ok((columns as usize, values))
 }
 
 /// Writes points as `f32` `[N, 6]`, or `[N, 7]` with the class last.

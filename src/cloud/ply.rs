@@ -14,8 +14,9 @@ use ply_rs_bw::ply::{
 
 use super::rows::{Row, RowCollector};
 use super::{Point, PointFile};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
 use crate::files::input::open_regular;
+use crate::files::write_whole;
 
 /// Color of points in a file without colors.
 const GREY: f64 = 128.0;

@@ -8,7 +8,8 @@ use exr::prelude::{SmallVec, WritableImage};
 use rayon::prelude::*;
 
 use super::{CameraConditions, ConditionSet, EMPTY_DEPTH_M, ImageSize, MapKind};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 
 type Channels = SmallVec<[AnyChannel<FlatSamples>; 4]>;
 

@@ -10,8 +10,9 @@ use serde::Serialize;
 use super::{ConditionOptions, ImageSize};
 use crate::cloud::cameras::rows;
 use crate::dataset::Class;
-use crate::error::{FileError, write_json};
+use crate::error::FileError;
 use crate::files::FileName;
+use crate::files::write_json;
 use crate::scene::{SceneCamera, SceneState};
 
 /// A 4×4 matrix, row by row.

@@ -14,7 +14,8 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 use super::arrays::{Array, Scalar, arrays};
 use super::{ConditionError, ConditionSet};
 use crate::cloud::npy::write_header;
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 
 /// Level of deflate: higher ones take several times longer to gain little on these maps.
 const LEVEL: i64 = 3;

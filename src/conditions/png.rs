@@ -8,7 +8,8 @@ use image::{ExtendedColorType, ImageEncoder, ImageError};
 use rayon::prelude::*;
 
 use super::{CameraConditions, ConditionError, ConditionSet, DepthBins, ImageSize, MapKind};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 
 /// Writes all maps of a step but the model tensor below its folder, which is made where it is missing.
 ///

@@ -14,7 +14,8 @@ use safetensors::tensor::{Metadata, TensorInfo};
 
 use super::arrays::{Array, Scalar, arrays};
 use super::{ConditionError, ConditionOptions, ConditionSet, MapKind};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 
 /// The header's length is a multiple of this, so that tensors are aligned.
 const ALIGNMENT: usize = 8;

@@ -27,6 +27,12 @@ use crate::error::FileError;
 use crate::files::text::{printable, printable_path};
 use crate::geometry::{CameraError, CuboidError, PoseError};
 
+/// Times further from 1970 are a mistake, microseconds: a thousand years. So no difference of two overflows.
+const MAX_TIME_US: i64 = 31_557_600_000_000_000;
+
+/// More cameras are a mistake: each has an image in every frame.
+const MAX_CAMERAS: usize = 64;
+
 /// A drive on disk.
 pub trait Dataset: Sync {
     /// Poses, calibration, boxes, and where the files are.

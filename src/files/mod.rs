@@ -1,7 +1,19 @@
-//! Files: names that become paths, what may be read, and text from data in messages.
+//! Files: names that become paths, limited reads of regular files, files that appear whole, output folders that
+//! replace only what earlier runs wrote, and text from data in messages.
 
 pub mod input;
+mod lock;
+mod manifest;
 mod name;
+mod output;
+mod pending;
 pub mod text;
+mod whole;
+mod work;
 
 pub use name::{FileName, NameError, first_twice};
+pub use output::{OutputFolder, WholeFolder, check_whole};
+pub(crate) use output::{work_of_whole, write_whole_by};
+pub use pending::remove_pending;
+pub use whole::{check_output_file, write_json, write_whole};
+pub(crate) use work::WorkFolder;

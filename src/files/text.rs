@@ -27,12 +27,17 @@ pub fn printable_path(path: &Path) -> String {
     escaped(shortened(&text, MAX_PATH), acts).into_owned()
 }
 
+/// Lines of a result whose values may come from data: control characters are escaped, nothing is cut. Line breaks stay.
+pub fn escaped_lines(text: &str) -> Cow<'_, str> {
+    escaped(Cow::Borrowed(text), |c| c != '\n' && acts(c))
+}
+
 /// Whole lines of a message whose values may come from data: as [`printable`] line by line, with room for long lines.
 /// Line breaks stay.
 pub fn printable_lines(text: &str) -> Cow<'_, str> {
     let long = |line: &str| line.len() > MAX_LINE;
     if !text.lines().any(long) {
-        return escaped(Cow::Borrowed(text), |c| c != '\n' && acts(c));
+        return escaped_lines(text);
     }
     Cow::Owned(text.split('\n').map(printable_line).collect::<Vec<_>>().join("\n"))
 }

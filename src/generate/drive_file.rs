@@ -7,8 +7,9 @@ use bytemuck::{cast_slice, pod_collect_to_vec};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 
 use super::{Drive, DriveFrame, DriveInfo};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
 use crate::files::input::read_table;
+use crate::files::write_whole;
 
 const ABOUT: &str = "drive";
 
@@ -67,8 +68,9 @@ impl Drive {
         let tensor = |name: &str, dtype: Dtype, per_frame: usize| -> Result<&[u8], FileError> {
             let tensor = tensors.tensor(name).map_err(|e| wrong(e.to_string()))?;
             let frames = tensor.shape().first().copied().unwrap_or(0);
-            let fits =
-                tensor.dtype() == dtype && tensor.shape().iter().product::<usize>() == frames * per_frame;
+            // The product is that of the bytes, which the format compares; what stands before a zero is any number.
+            let values = frames.checked_mul(per_frame);
+            let fits = tensor.dtype() == dtype && values == Some(tensor.shape().iter().product());
             if !fits {
                 return Err(wrong(format!("{name} as {:?} {:?}", tensor.dtype(), tensor.shape())));
             }

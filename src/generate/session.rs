@@ -443,7 +443,7 @@ mod tests {
     fn a_session_that_failed_makes_no_step() {
         let (drive, folder) = (Grey::new(), tempfile::tempdir().unwrap());
         let skeleton = nothing(&folder.path().join("sk"));
-        let stage = Clouds::new(&skeleton, "grey");
+        let stage = Clouds::new(&skeleton, "grey").unwrap();
         let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
         let mut rasterizer = raster::create(&desc, stage.cloud_set()).unwrap();
         // The reference is encoded, all frames behind it are decoded.

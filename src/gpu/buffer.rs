@@ -74,7 +74,7 @@ impl Buffer {
     pub fn new(device: &Arc<Device>, desc: &BufferDesc<'_>) -> Result<Self, GpuError> {
         let info = vk::BufferCreateInfo::default().size(desc.size).usage(desc.usage);
         // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
-        let raw = unsafe { device.raw.create_buffer(&info, None) }.map_err(call("vkCreateBuffer"))?;
+        let raw = unsafe { device.calls().create_buffer(&info, None) }.map_err(call("vkCreateBuffer"))?;
         let (device, name, memory) = (device.clone(), desc.name.to_owned(), desc.memory);
         let mut buffer = Self {
             device,
@@ -89,7 +89,7 @@ impl Buffer {
         let device = &buffer.device;
         device.set_name(raw, desc.name)?;
         // SAFETY: the buffer is alive.
-        let needs = unsafe { device.raw.get_buffer_memory_requirements(raw) };
+        let needs = unsafe { device.calls().get_buffer_memory_requirements(raw) };
         buffer.memory_types = needs.memory_type_bits;
         let device = &buffer.device;
         let location = match desc.memory {
@@ -101,7 +101,7 @@ impl Buffer {
         // SAFETY: only used for binding, and the allocation outlives the buffer (see `drop`).
         let memory = unsafe { allocation.memory() };
         // SAFETY: the range was allocated for these requirements and is bound once.
-        let bound = unsafe { device.raw.bind_buffer_memory(raw, memory, allocation.offset()) };
+        let bound = unsafe { device.calls().bind_buffer_memory(raw, memory, allocation.offset()) };
         bound.map_err(call("vkBindBufferMemory"))?;
         Ok(buffer)
     }
@@ -202,7 +202,7 @@ impl Drop for Mapped<'_> {
 impl Drop for Buffer {
     fn drop(&mut self) {
         // SAFETY: no commands use it, since recorders borrow it and submits are waited for.
-        unsafe { self.device.raw.destroy_buffer(self.raw, None) };
+        unsafe { self.device.calls().destroy_buffer(self.raw, None) };
         if let Some(allocation) = self.allocation.take() {
             self.device.free(allocation);
         }

@@ -8,6 +8,7 @@ use ash::vk;
 
 use super::buffer::Users;
 use super::error::call;
+use super::gate::Calls;
 use super::image::aspect;
 use super::timer::Timer;
 use super::{Buffer, ComputePipeline, DescriptorSet, Device, GpuError, Image, PipelineLayout};
@@ -29,16 +30,16 @@ impl Commands {
     pub fn new(device: &Arc<Device>) -> Result<Self, GpuError> {
         let info = vk::CommandPoolCreateInfo::default().queue_family_index(device.queue_family);
         // SAFETY: the family is the device's own.
-        let pool = unsafe { device.raw.create_command_pool(&info, None) };
+        let pool = unsafe { device.calls().create_command_pool(&info, None) };
         let pool = pool.map_err(call("vkCreateCommandPool"))?;
         let (raw, fence) = (vk::CommandBuffer::null(), vk::Fence::null());
         let mut commands = Self { device: device.clone(), pool, raw, fence, timer: None };
         let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
         // SAFETY: the pool is alive and used by nobody else.
-        let raw = unsafe { device.raw.allocate_command_buffers(&info) };
+        let raw = unsafe { device.calls().allocate_command_buffers(&info) };
         commands.raw = raw.map_err(call("vkAllocateCommandBuffers"))?[0];
         // SAFETY: a plain description.
-        let fence = unsafe { device.raw.create_fence(&vk::FenceCreateInfo::default(), None) };
+        let fence = unsafe { device.calls().create_fence(&vk::FenceCreateInfo::default(), None) };
         commands.fence = fence.map_err(call("vkCreateFence"))?;
         commands.timer = Timer::new(device)?;
         Ok(commands)
@@ -51,19 +52,19 @@ impl Commands {
     pub fn begin(&mut self) -> Result<Recorder<'_>, GpuError> {
         let flags = vk::CommandPoolResetFlags::empty();
         // SAFETY: nothing of the pool is pending, since every submit is waited for.
-        unsafe { self.device.raw.reset_command_pool(self.pool, flags) }
+        unsafe { self.device.calls().reset_command_pool(self.pool, flags) }
             .map_err(call("vkResetCommandPool"))?;
         let flags = vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT;
         let info = vk::CommandBufferBeginInfo::default().flags(flags);
         // SAFETY: the command buffer was just reset.
-        let begun = unsafe { self.device.raw.begin_command_buffer(self.raw, &info) };
+        let begun = unsafe { self.device.calls().begin_command_buffer(self.raw, &info) };
         begun.map_err(call("vkBeginCommandBuffer"))?;
         if let Some(timer) = &self.timer {
             // SAFETY: recording; the pool has that many queries.
-            unsafe { self.device.raw.cmd_reset_query_pool(self.raw, timer.pool, 0, Timer::MAX) };
+            unsafe { self.device.calls().cmd_reset_query_pool(self.raw, timer.pool, 0, Timer::MAX) };
             let stage = vk::PipelineStageFlags::TOP_OF_PIPE;
             // SAFETY: recording; query 0 was just reset.
-            unsafe { self.device.raw.cmd_write_timestamp(self.raw, stage, timer.pool, 0) };
+            unsafe { self.device.calls().cmd_write_timestamp(self.raw, stage, timer.pool, 0) };
         }
         Ok(Recorder { commands: self, stages: Vec::new(), users: Vec::new() })
     }
@@ -81,9 +82,9 @@ impl Commands {
 impl Drop for Commands {
     fn drop(&mut self) {
         // SAFETY: nothing is pending, since every submit is waited for; null is ignored.
-        unsafe { self.device.raw.destroy_fence(self.fence, None) };
+        unsafe { self.device.calls().destroy_fence(self.fence, None) };
         // SAFETY: as above; the command buffer goes with its pool.
-        unsafe { self.device.raw.destroy_command_pool(self.pool, None) };
+        unsafe { self.device.calls().destroy_command_pool(self.pool, None) };
     }
 }
 
@@ -360,7 +361,7 @@ impl<'a> Recorder<'a> {
         let start = Instant::now();
         let Self { commands, stages, users } = self;
         // SAFETY: recording outside a pass.
-        unsafe { commands.device.raw.end_command_buffer(commands.raw) }
+        unsafe { commands.device.calls().end_command_buffer(commands.raw) }
             .map_err(call("vkEndCommandBuffer"))?;
         let entered = users.iter().take_while(|users| users.enter()).count();
         let submitted = if entered == users.len() {
@@ -407,8 +408,8 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    pub(super) fn device(&self) -> &ash::Device {
-        &self.commands.device.raw
+    pub(super) fn device(&self) -> Calls<'_, ash::Device> {
+        self.commands.device.calls()
     }
 
     pub(super) fn raw(&self) -> vk::CommandBuffer {

@@ -42,14 +42,14 @@ impl DescriptorSet {
         let sizes: Vec<_> = bindings.iter().map(size).collect();
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(1).pool_sizes(&sizes);
         // SAFETY: `info` and what it points to live until after the call.
-        let pool = unsafe { device.raw.create_descriptor_pool(&info, None) };
+        let pool = unsafe { device.calls().create_descriptor_pool(&info, None) };
         let pool = pool.map_err(call("vkCreateDescriptorPool"))?;
         let raw = vk::DescriptorSet::null();
         let mut made = Self { device: device.clone(), pool, raw, binds: Vec::new() };
         let layouts = [layout.set(set)?];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
         // SAFETY: the pool has room for exactly this set.
-        let sets = unsafe { device.raw.allocate_descriptor_sets(&info) };
+        let sets = unsafe { device.calls().allocate_descriptor_sets(&info) };
         made.raw = sets.map_err(call("vkAllocateDescriptorSets"))?[0];
         for (binding, bind) in bindings.iter().zip(&binds) {
             made.write(binding.binding, binding.kind, bind)?;
@@ -89,7 +89,7 @@ impl DescriptorSet {
             }
         };
         // SAFETY: the set is new and unused; buffers and images are alive and owned by the set from here on.
-        unsafe { self.device.raw.update_descriptor_sets(&[write], &[]) };
+        unsafe { self.device.calls().update_descriptor_sets(&[write], &[]) };
         Ok(())
     }
 
@@ -112,6 +112,6 @@ impl DescriptorSet {
 impl Drop for DescriptorSet {
     fn drop(&mut self) {
         // SAFETY: no commands use the set (recorders borrow it, submits are waited for); it goes with its pool.
-        unsafe { self.device.raw.destroy_descriptor_pool(self.pool, None) };
+        unsafe { self.device.calls().destroy_descriptor_pool(self.pool, None) };
     }
 }

@@ -10,6 +10,7 @@ use gpu_allocator::vulkan::{
 use gpu_allocator::{AllocationSizes, MemoryLocation};
 
 use super::error::call;
+use super::gate::{self, Calls};
 use super::instance::Instance;
 use super::select::{Candidate, choose};
 use super::{DeviceDesc, GpuError, ImageDesc, Messages};
@@ -19,7 +20,7 @@ pub struct Device {
     /// Dropped by hand before the device itself.
     allocator: Mutex<Option<Allocator>>,
     utils: Option<ext::debug_utils::Device>,
-    pub(super) raw: ash::Device,
+    raw: ash::Device,
     pub(super) queue_family: u32,
     queue: Mutex<vk::Queue>,
     facts: Facts,
@@ -64,14 +65,14 @@ impl Device {
     pub fn new(desc: &DeviceDesc) -> Result<Arc<Self>, GpuError> {
         let instance = Instance::new(desc.validation)?;
         let physical = instance.physical_devices()?;
-        let candidates: Vec<Candidate> = physical.iter().map(|p| candidate(&instance.raw, *p)).collect();
+        let candidates: Vec<Candidate> = physical.iter().map(|p| candidate(&instance, *p)).collect();
         let physical = physical[choose(&candidates, desc.device.as_deref())?];
-        let (queue_family, timestamp_bits) = queue_family(&instance.raw, physical).unwrap_or_default();
-        let facts = facts(&instance.raw, physical, timestamp_bits)?;
-        let raw = create(&instance.raw, physical, queue_family, &facts)?;
+        let (queue_family, timestamp_bits) = queue_family(&instance, physical).unwrap_or_default();
+        let facts = facts(&instance, physical, timestamp_bits)?;
+        let raw = create(instance.raw(), physical, queue_family, &facts)?;
         // SAFETY: the family and index are those the device was created with.
-        let queue = unsafe { raw.get_device_queue(queue_family, 0) };
-        let utils = instance.validation.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
+        let queue = unsafe { instance.calls_of(&raw).get_device_queue(queue_family, 0) };
+        let utils = instance.validation.then(|| ext::debug_utils::Device::new(&instance.calls(), &raw));
         let (allocator, queue, made) = (Mutex::new(None), Mutex::new(queue), Default::default());
         let device = Self { allocator, utils, raw, queue_family, queue, facts, made, physical, instance };
         *lock(&device.allocator) = Some(device.new_allocator(physical)?);
@@ -82,18 +83,24 @@ impl Device {
     fn new_allocator(&self, physical_device: vk::PhysicalDevice) -> Result<Allocator, GpuError> {
         const BLOCK: u64 = 16 << 20;
         let desc = AllocatorCreateDesc {
-            instance: self.instance.raw.clone(),
+            instance: self.instance.raw().clone(),
             device: self.raw.clone(),
             physical_device,
             debug_settings: gpu_allocator::AllocatorDebugSettings::default(),
             buffer_device_address: false,
             allocation_sizes: AllocationSizes::new(BLOCK, BLOCK),
         };
+        let _share = self.instance.share();
         Allocator::new(&desc).map_err(|source| GpuError::Memory {
             bytes: 0,
             name: "the allocator".into(),
             source,
         })
+    }
+
+    /// The device's functions, for one call.
+    pub(super) fn calls(&self) -> Calls<'_, ash::Device> {
+        self.instance.calls_of(&self.raw)
     }
 
     /// The device's name.
@@ -163,10 +170,10 @@ impl Device {
         usage: vk::ImageUsageFlags,
     ) -> Result<Option<vk::Extent3D>, GpuError> {
         let (kind, flags) = (vk::ImageType::TYPE_2D, vk::ImageCreateFlags::empty());
-        let (raw, physical) = (&self.instance.raw, self.physical);
+        let (calls, physical) = (self.instance.calls(), self.physical);
         // SAFETY: the handle comes from this instance.
         let can = unsafe {
-            raw.get_physical_device_image_format_properties(physical, format, kind, tiling, usage, flags)
+            calls.get_physical_device_image_format_properties(physical, format, kind, tiling, usage, flags)
         };
         match can {
             Ok(can) => Ok(Some(can.max_extent)),
@@ -244,7 +251,8 @@ impl Device {
         let (Some(utils), Ok(name)) = (&self.utils, std::ffi::CString::new(name)) else { return Ok(()) };
         let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(handle).object_name(&name);
         // SAFETY: the handle is alive and of this device, the name lives until after the call.
-        unsafe { utils.set_debug_utils_object_name(&info) }.map_err(call("vkSetDebugUtilsObjectNameEXT"))
+        unsafe { self.instance.calls_of(utils).set_debug_utils_object_name(&info) }
+            .map_err(call("vkSetDebugUtilsObjectNameEXT"))
     }
 
     pub(super) fn allocate(
@@ -259,11 +267,15 @@ impl Device {
         let failed = |source| GpuError::Memory { bytes: requirements.size, name: name.to_owned(), source };
         self.made[0].fetch_add(1, Ordering::Relaxed);
         let no_allocator = || failed(gpu_allocator::AllocationError::NoCompatibleMemoryTypeFound);
-        lock(&self.allocator).as_mut().ok_or_else(no_allocator)?.allocate(&desc).map_err(failed)
+        let mut allocator = lock(&self.allocator);
+        let _share = self.instance.share();
+        allocator.as_mut().ok_or_else(no_allocator)?.allocate(&desc).map_err(failed)
     }
 
     pub(super) fn free(&self, allocation: Allocation) {
-        if let Some(allocator) = lock(&self.allocator).as_mut() {
+        let mut allocator = lock(&self.allocator);
+        let _share = self.instance.share();
+        if let Some(allocator) = allocator.as_mut() {
             // It only fails for allocations of another allocator.
             let freed = allocator.free(allocation);
             debug_assert!(freed.is_ok(), "{freed:?}");
@@ -276,22 +288,28 @@ impl Device {
         let info = vk::SubmitInfo::default().command_buffers(&buffers);
         let queue = lock(&self.queue);
         // SAFETY: the lock gives the queue to this thread; the command buffer is recorded and not pending.
-        unsafe { self.raw.queue_submit(*queue, &[info], fence) }.map_err(call("vkQueueSubmit"))
+        unsafe { self.calls().queue_submit(*queue, &[info], fence) }.map_err(call("vkQueueSubmit"))
     }
 
     /// Waits for a submit. Whatever was recorded is done afterwards, and the host may read results.
     pub(super) fn wait(&self, fence: vk::Fence) -> Result<(), GpuError> {
-        // SAFETY: the fence is of this device and was submitted.
-        let waited = unsafe { self.raw.wait_for_fences(&[fence], true, u64::MAX) };
+        let longest = self.instance.longest_wait();
+        let waited = loop {
+            // SAFETY: the fence is of this device and was submitted.
+            match unsafe { self.calls().wait_for_fences(&[fence], true, longest) } {
+                Err(vk::Result::TIMEOUT) => {}
+                waited => break waited,
+            }
+        };
         if waited.is_err() {
             // Whatever the reason, nothing may run when this returns; a lost device runs nothing any more.
             let _queue = lock(&self.queue);
             // SAFETY: the lock gives the queue to this thread.
-            let _ = unsafe { self.raw.device_wait_idle() };
+            let _ = unsafe { self.calls().device_wait_idle() };
         }
         waited.map_err(call("vkWaitForFences"))?;
         // SAFETY: the fence is signaled, so nothing uses it any more.
-        unsafe { self.raw.reset_fences(&[fence]) }.map_err(call("vkResetFences"))?;
+        unsafe { self.calls().reset_fences(&[fence]) }.map_err(call("vkResetFences"))?;
         self.check_validation()
     }
 }
@@ -300,9 +318,9 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn candidate(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Candidate {
+fn candidate(instance: &Instance, physical: vk::PhysicalDevice) -> Candidate {
     // SAFETY: the handle comes from this instance.
-    let properties = unsafe { instance.get_physical_device_properties(physical) };
+    let properties = unsafe { instance.calls().get_physical_device_properties(physical) };
     Candidate {
         name: text(properties.device_name_as_c_str()),
         kind: properties.device_type,
@@ -311,20 +329,16 @@ fn candidate(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Candidat
 }
 
 /// The first family with graphics and compute, and how many bits its timestamps have.
-fn queue_family(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Option<(u32, u32)> {
+fn queue_family(instance: &Instance, physical: vk::PhysicalDevice) -> Option<(u32, u32)> {
     // SAFETY: the handle comes from this instance.
-    let families = unsafe { instance.get_physical_device_queue_family_properties(physical) };
+    let families = unsafe { instance.calls().get_physical_device_queue_family_properties(physical) };
     let index = families.iter().position(|f| f.queue_flags.contains(QUEUE_NEEDS))?;
     Some((index as u32, families[index].timestamp_valid_bits))
 }
 
-fn facts(
-    instance: &ash::Instance,
-    physical: vk::PhysicalDevice,
-    timestamp_bits: u32,
-) -> Result<Facts, GpuError> {
+fn facts(instance: &Instance, physical: vk::PhysicalDevice, timestamp_bits: u32) -> Result<Facts, GpuError> {
     // SAFETY: the handle comes from this instance.
-    let extensions = unsafe { instance.enumerate_device_extension_properties(physical) };
+    let extensions = unsafe { instance.calls().enumerate_device_extension_properties(physical) };
     let extensions = extensions.map_err(call("vkEnumerateDeviceExtensionProperties"))?;
     let has_driver =
         extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(khr::driver_properties::NAME));
@@ -335,7 +349,7 @@ fn facts(
         all = all.push_next(&mut driver);
     }
     // SAFETY: the handle comes from this instance of 1.1; each chained structure is one that the device knows.
-    unsafe { instance.get_physical_device_properties2(physical, &mut all) };
+    unsafe { instance.calls().get_physical_device_properties2(physical, &mut all) };
     let properties = all.properties;
     let has_atomics =
         extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(khr::shader_atomic_int64::NAME));
@@ -345,7 +359,7 @@ fn facts(
         all_features = all_features.push_next(&mut atomics);
     }
     // SAFETY: as above.
-    unsafe { instance.get_physical_device_features2(physical, &mut all_features) };
+    unsafe { instance.calls().get_physical_device_features2(physical, &mut all_features) };
     let features = all_features.features;
     let atomics_64 = features.shader_int64 == vk::TRUE && atomics.shader_buffer_int64_atomics == vk::TRUE;
     let (name, info) = (text(driver.driver_name_as_c_str()), text(driver.driver_info_as_c_str()));
@@ -380,6 +394,7 @@ fn create(
     if facts.atomics_64 {
         info = info.enabled_extension_names(&extensions).push_next(&mut atomics);
     }
+    let _alone = gate::alone();
     // SAFETY: the handle comes from this instance; queue family, features and extension are the device's own.
     unsafe { instance.create_device(physical, &info, None) }.map_err(call("vkCreateDevice"))
 }
@@ -391,7 +406,11 @@ fn text(name: Result<&std::ffi::CStr, std::ffi::FromBytesUntilNulError>) -> Stri
 impl Drop for Device {
     fn drop(&mut self) {
         // Frees all memory; buffers and images are gone, since each holds an `Arc` of the device.
-        *lock(&self.allocator) = None;
+        let allocator = lock(&self.allocator).take();
+        let share = self.instance.share();
+        drop(allocator);
+        drop(share);
+        let _alone = gate::alone();
         // SAFETY: all children are gone for the same reason, and every submit was waited for.
         unsafe { self.raw.destroy_device(None) };
     }

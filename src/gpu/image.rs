@@ -66,13 +66,13 @@ impl Image {
         let mut image = Self::without_memory(device, desc, vk::ImageTiling::OPTIMAL, read_layout)?;
         let raw = image.raw;
         // SAFETY: the image is alive.
-        let needs = unsafe { device.raw.get_image_memory_requirements(raw) };
+        let needs = unsafe { device.calls().get_image_memory_requirements(raw) };
         let allocation = device.allocate(desc.name, needs, MemoryLocation::GpuOnly, false)?;
         let allocation = image.allocation.insert(allocation);
         // SAFETY: only used for binding, and the allocation outlives the image (see `drop`).
         let memory = unsafe { allocation.memory() };
         // SAFETY: the range was allocated for these requirements and is bound once.
-        let bound = unsafe { device.raw.bind_image_memory(raw, memory, allocation.offset()) };
+        let bound = unsafe { device.calls().bind_image_memory(raw, memory, allocation.offset()) };
         bound.map_err(call("vkBindImageMemory"))?;
         image.make_view()?;
         Ok(image)
@@ -96,15 +96,15 @@ impl Image {
         image._buffer = Some(buffer.clone());
         let raw = image.raw;
         // SAFETY: the image is alive.
-        let needs = unsafe { device.raw.get_image_memory_requirements(raw) };
+        let needs = unsafe { device.calls().get_image_memory_requirements(raw) };
         let part = vk::ImageSubresource::default().aspect_mask(aspect(desc.format));
         // SAFETY: the image is alive and linear, and has that one level and layer.
-        let layout = unsafe { device.raw.get_image_subresource_layout(raw, part) };
+        let layout = unsafe { device.calls().get_image_subresource_layout(raw, part) };
         let gapless = layout.offset == 0 && layout.row_pitch == u64::from(desc.width) * image.pixel_bytes();
         let Some((memory, offset)) = buffer.memory_for(&needs).filter(|_| gapless) else { return Ok(None) };
         // SAFETY: the buffer's memory is of a type that the image takes, large enough and aligned; the image keeps
         // the buffer, so the memory outlives it.
-        let bound = unsafe { device.raw.bind_image_memory(raw, memory, offset) };
+        let bound = unsafe { device.calls().bind_image_memory(raw, memory, offset) };
         bound.map_err(call("vkBindImageMemory"))?;
         image.make_view()?;
         Ok(Some(image))
@@ -119,7 +119,7 @@ impl Image {
     ) -> Result<Self, GpuError> {
         let info = desc.info().tiling(tiling);
         // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
-        let raw = unsafe { device.raw.create_image(&info, None) }.map_err(call("vkCreateImage"))?;
+        let raw = unsafe { device.calls().create_image(&info, None) }.map_err(call("vkCreateImage"))?;
         let image = Self {
             device: device.clone(),
             raw,
@@ -144,7 +144,7 @@ impl Image {
             .format(self.format)
             .subresource_range(whole(self.format));
         // SAFETY: the image is alive, bound, and has this format.
-        let view = unsafe { self.device.raw.create_image_view(&info, None) };
+        let view = unsafe { self.device.calls().create_image_view(&info, None) };
         self.view = view.map_err(call("vkCreateImageView"))?;
         Ok(())
     }
@@ -195,9 +195,9 @@ pub(super) fn whole(format: vk::Format) -> vk::ImageSubresourceRange {
 impl Drop for Image {
     fn drop(&mut self) {
         // SAFETY: no commands use it (recorders borrow it, submits are waited for); null is ignored.
-        unsafe { self.device.raw.destroy_image_view(self.view, None) };
+        unsafe { self.device.calls().destroy_image_view(self.view, None) };
         // SAFETY: as above, and its view is gone.
-        unsafe { self.device.raw.destroy_image(self.raw, None) };
+        unsafe { self.device.calls().destroy_image(self.raw, None) };
         if let Some(allocation) = self.allocation.take() {
             self.device.free(allocation);
         }

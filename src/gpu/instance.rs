@@ -7,12 +7,21 @@ use ash::{ext, vk};
 
 use super::GpuError;
 use super::error::call;
+use super::gate::{self, Calls, Share};
 use super::validation::{LAYER, Messages, messenger_info};
+
+/// The layer that a settings tool puts below every program to force other layers upon it.
+const OVERRIDE_LAYER: &CStr = c"VK_LAYER_LUNARG_override";
+
+/// Variables by which the loader puts layers below every program.
+const FORCED_LAYERS: [&str; 2] = ["VK_INSTANCE_LAYERS", "VK_LOADER_LAYERS_ENABLE"];
 
 /// An instance without any window system; with the validation layer if asked for.
 pub(super) struct Instance {
-    pub(super) raw: ash::Instance,
+    raw: ash::Instance,
     pub(super) validation: bool,
+    /// Whether calls may go through a layer.
+    layered: bool,
     pub(super) messages: Arc<Messages>,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     /// Keeps the loader open.
@@ -22,6 +31,17 @@ pub(super) struct Instance {
 impl Instance {
     /// Opens the loader and creates an instance of Vulkan 1.1.
     pub(super) fn new(validation: bool) -> Result<Self, GpuError> {
+        let messages = Arc::new(Messages::default());
+        let mut instance = Self::open(validation, messages)?;
+        if validation {
+            instance.messenger = Some(instance.new_messenger()?);
+        }
+        instance.messages.check()?;
+        Ok(instance)
+    }
+
+    fn open(validation: bool, messages: Arc<Messages>) -> Result<Self, GpuError> {
+        let _alone = gate::alone();
         // SAFETY: the loader found on this system is taken to be a Vulkan loader.
         let entry = unsafe { ash::Entry::load() }.map_err(|source| GpuError::NoLoader { source })?;
         // SAFETY: a global query without arguments.
@@ -31,36 +51,60 @@ impl Instance {
         {
             return Err(GpuError::NoDevice { found: "a Vulkan 1.0 loader".into() });
         }
-        if validation && !has_layer(&entry)? {
+        // SAFETY: a global query without arguments.
+        let layers = unsafe { entry.enumerate_instance_layer_properties() };
+        let layers = layers.map_err(call("vkEnumerateInstanceLayerProperties"))?;
+        let has = |name| layers.iter().any(|layer| layer.layer_name_as_c_str() == Ok(name));
+        if validation && !has(LAYER) {
             return Err(GpuError::NoValidationLayer);
         }
-        let messages = Arc::new(Messages::default());
+        let forced = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+        let layered = validation || has(OVERRIDE_LAYER) || FORCED_LAYERS.into_iter().any(forced);
         let raw = create(&entry, validation, &messages)?;
-        let mut instance = Self { raw, validation, messages, messenger: None, _entry: entry };
-        if validation {
-            let utils = ext::debug_utils::Instance::new(&instance._entry, &instance.raw);
-            let info = messenger_info(&instance.messages);
-            // SAFETY: the extension is enabled; the messages behind `info` outlive the messenger (see `drop`).
-            let messenger = unsafe { utils.create_debug_utils_messenger(&info, None) };
-            instance.messenger = Some((utils, messenger.map_err(call("vkCreateDebugUtilsMessengerEXT"))?));
-        }
-        instance.messages.check()?;
-        Ok(instance)
+        Ok(Self { raw, validation, layered, messages, messenger: None, _entry: entry })
+    }
+
+    fn new_messenger(&self) -> Result<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT), GpuError> {
+        let info = messenger_info(&self.messages);
+        let _alone = gate::alone();
+        let utils = ext::debug_utils::Instance::new(&self._entry, &self.raw);
+        // SAFETY: the extension is enabled; the messages behind `info` outlive the messenger (see `drop`).
+        let messenger = unsafe { utils.create_debug_utils_messenger(&info, None) };
+        Ok((utils, messenger.map_err(call("vkCreateDebugUtilsMessengerEXT"))?))
+    }
+
+    /// The instance's functions, for one call.
+    pub(super) fn calls(&self) -> Calls<'_, ash::Instance> {
+        Calls::new(&self.raw, self.layered)
+    }
+
+    /// The functions of one of its devices, for one call.
+    pub(super) fn calls_of<'a, T>(&self, functions: &'a T) -> Calls<'a, T> {
+        Calls::new(functions, self.layered)
+    }
+
+    /// For calls that other code makes on the instance or one of its devices.
+    pub(super) fn share(&self) -> Option<Share> {
+        Share::new(self.layered)
+    }
+
+    /// The functions without a lock, to be called under [`Instance::share`] or alone.
+    pub(super) fn raw(&self) -> &ash::Instance {
+        &self.raw
+    }
+
+    /// How long a call may wait for the device, nanoseconds: not for long where others wait for the call.
+    pub(super) fn longest_wait(&self) -> u64 {
+        const MILLISECOND: u64 = 1_000_000;
+        if self.layered { MILLISECOND } else { u64::MAX }
     }
 
     /// All physical devices, in the driver's order.
     pub(super) fn physical_devices(&self) -> Result<Vec<vk::PhysicalDevice>, GpuError> {
         // SAFETY: the instance is alive.
-        let devices = unsafe { self.raw.enumerate_physical_devices() };
+        let devices = unsafe { self.calls().enumerate_physical_devices() };
         devices.map_err(call("vkEnumeratePhysicalDevices"))
     }
-}
-
-fn has_layer(entry: &ash::Entry) -> Result<bool, GpuError> {
-    // SAFETY: a global query without arguments.
-    let layers = unsafe { entry.enumerate_instance_layer_properties() };
-    let layers = layers.map_err(call("vkEnumerateInstanceLayerProperties"))?;
-    Ok(layers.iter().any(|layer| layer.layer_name_as_c_str() == Ok(LAYER)))
 }
 
 fn create(entry: &ash::Entry, validation: bool, messages: &Messages) -> Result<ash::Instance, GpuError> {
@@ -92,6 +136,7 @@ fn create(entry: &ash::Entry, validation: bool, messages: &Messages) -> Result<a
 
 impl Drop for Instance {
     fn drop(&mut self) {
+        let _alone = gate::alone();
         if let Some((utils, messenger)) = self.messenger.take() {
             // SAFETY: created from this instance, destroyed once; nothing else uses it.
             unsafe { utils.destroy_debug_utils_messenger(messenger, None) };

@@ -10,7 +10,10 @@
 //! - shaders are compiled by `build.rs`, and layouts of descriptors, push constants and vertex inputs come from
 //!   what it found in them ([`shaders`]).
 //!
-//! With [`DeviceDesc::validation`] every submit fails on any message of the validation layer.
+//! Devices may be opened, used and closed on any number of threads. The validation layer does not stand that by itself, so
+//! instances and devices are created and destroyed while no other call is inside of it (`gate`).
+//!
+//! With [`DeviceDesc::validation`] every submit fails on any message of the validation layer about its device.
 //!
 //! Memory-mapped files ([`MappedFile`]) are here as well: they need `unsafe`, and a mapped file is memory that a
 //! device can import.
@@ -23,6 +26,7 @@ mod device;
 mod draw;
 mod error;
 mod flight;
+mod gate;
 mod image;
 mod indices;
 mod instance;

@@ -103,7 +103,7 @@ impl RenderPass {
             .subpasses(&subpasses)
             .dependencies(&dependencies);
         // SAFETY: `info` and what it points to live until after the call.
-        let raw = unsafe { device.raw.create_render_pass(&info, None) };
+        let raw = unsafe { device.calls().create_render_pass(&info, None) };
         let raw = raw.map_err(call("vkCreateRenderPass"))?;
         let pass = Self {
             device: device.clone(),
@@ -140,7 +140,7 @@ fn dependencies() -> [vk::SubpassDependency; 2] {
 impl Drop for RenderPass {
     fn drop(&mut self) {
         // SAFETY: no commands use it (recorders borrow it, submits are waited for).
-        unsafe { self.device.raw.destroy_render_pass(self.raw, None) };
+        unsafe { self.device.calls().destroy_render_pass(self.raw, None) };
     }
 }
 
@@ -178,7 +178,7 @@ impl Target {
             .height(height)
             .layers(1);
         // SAFETY: the views are alive and owned by the target from here on.
-        let raw = unsafe { pass.device.raw.create_framebuffer(&info, None) };
+        let raw = unsafe { pass.device.calls().create_framebuffer(&info, None) };
         let raw = raw.map_err(call("vkCreateFramebuffer"))?;
         Ok(Self { pass: pass.clone(), raw, extent: vk::Extent2D { width, height }, _images: images })
     }
@@ -187,6 +187,6 @@ impl Target {
 impl Drop for Target {
     fn drop(&mut self) {
         // SAFETY: no commands use it (recorders borrow it, submits are waited for).
-        unsafe { self.pass.device.raw.destroy_framebuffer(self.raw, None) };
+        unsafe { self.pass.device.calls().destroy_framebuffer(self.raw, None) };
     }
 }

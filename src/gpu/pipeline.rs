@@ -49,7 +49,7 @@ impl PipelineLayout {
             let bindings: Vec<_> = all.values().filter(|(b, _)| b.set == set).map(layout_binding).collect();
             let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
             // SAFETY: `info` and what it points to live until after the call.
-            let raw = unsafe { device.raw.create_descriptor_set_layout(&info, None) };
+            let raw = unsafe { device.calls().create_descriptor_set_layout(&info, None) };
             layout.sets.push(raw.map_err(call("vkCreateDescriptorSetLayout"))?);
         }
         let push =
@@ -58,7 +58,7 @@ impl PipelineLayout {
         let info =
             vk::PipelineLayoutCreateInfo::default().set_layouts(&layout.sets).push_constant_ranges(&pushes);
         // SAFETY: `info` and what it points to live until after the call.
-        let raw = unsafe { device.raw.create_pipeline_layout(&info, None) };
+        let raw = unsafe { device.calls().create_pipeline_layout(&info, None) };
         layout.raw = raw.map_err(call("vkCreatePipelineLayout"))?;
         Ok(layout)
     }
@@ -91,10 +91,10 @@ fn layout_binding(
 impl Drop for PipelineLayout {
     fn drop(&mut self) {
         // SAFETY: pipelines and recorders that use it hold or borrow it; null is ignored.
-        unsafe { self.device.raw.destroy_pipeline_layout(self.raw, None) };
+        unsafe { self.device.calls().destroy_pipeline_layout(self.raw, None) };
         for set in &self.sets {
             // SAFETY: sets made from a layout may outlive it.
-            unsafe { self.device.raw.destroy_descriptor_set_layout(*set, None) };
+            unsafe { self.device.calls().destroy_descriptor_set_layout(*set, None) };
         }
     }
 }
@@ -196,7 +196,8 @@ impl GraphicsPipeline {
             .layout(desc.layout.raw)
             .render_pass(desc.pass.raw);
         // SAFETY: `info` and what it points to live until after the call.
-        let made = unsafe { device.raw.create_graphics_pipelines(vk::PipelineCache::null(), &[info], None) };
+        let made =
+            unsafe { device.calls().create_graphics_pipelines(vk::PipelineCache::null(), &[info], None) };
         let raw = made.map_err(|(_, e)| e).map_err(call("vkCreateGraphicsPipelines"))?[0];
         let pipeline = Self { layout: desc.layout.clone(), raw, stride, per_instance };
         device.set_name(raw, desc.name)?;
@@ -239,7 +240,7 @@ fn attributes(
 impl Drop for GraphicsPipeline {
     fn drop(&mut self) {
         // SAFETY: no commands use it (recorders borrow it, submits are waited for).
-        unsafe { self.layout.device.raw.destroy_pipeline(self.raw, None) };
+        unsafe { self.layout.device.calls().destroy_pipeline(self.raw, None) };
     }
 }
 
@@ -261,7 +262,8 @@ impl ComputePipeline {
         let module = ShaderModule::new(device, shader)?;
         let info = vk::ComputePipelineCreateInfo::default().stage(module.stage()).layout(layout.raw);
         // SAFETY: `info` and what it points to live until after the call.
-        let made = unsafe { device.raw.create_compute_pipelines(vk::PipelineCache::null(), &[info], None) };
+        let made =
+            unsafe { device.calls().create_compute_pipelines(vk::PipelineCache::null(), &[info], None) };
         let raw = made.map_err(|(_, e)| e).map_err(call("vkCreateComputePipelines"))?[0];
         let pipeline = Self { layout, raw, workgroup: shader.workgroup };
         device.set_name(raw, shader.name)?;
@@ -278,6 +280,6 @@ impl ComputePipeline {
 impl Drop for ComputePipeline {
     fn drop(&mut self) {
         // SAFETY: no commands use it (recorders borrow it, submits are waited for).
-        unsafe { self.layout.device.raw.destroy_pipeline(self.raw, None) };
+        unsafe { self.layout.device.calls().destroy_pipeline(self.raw, None) };
     }
 }

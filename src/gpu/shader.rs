@@ -153,7 +153,7 @@ impl ShaderModule {
     pub(super) fn new(device: &Arc<Device>, shader: &'static Shader) -> Result<Self, GpuError> {
         let info = vk::ShaderModuleCreateInfo::default().code(shader.words);
         // SAFETY: the words are SPIR-V that was validated at build time.
-        let raw = unsafe { device.raw.create_shader_module(&info, None) };
+        let raw = unsafe { device.calls().create_shader_module(&info, None) };
         let raw = raw.map_err(call("vkCreateShaderModule"))?;
         let module = Self { device: device.clone(), raw, shader };
         device.set_name(raw, shader.name)?;
@@ -171,6 +171,6 @@ impl ShaderModule {
 impl Drop for ShaderModule {
     fn drop(&mut self) {
         // SAFETY: pipelines do not need their modules once they are made.
-        unsafe { self.device.raw.destroy_shader_module(self.raw, None) };
+        unsafe { self.device.calls().destroy_shader_module(self.raw, None) };
     }
 }

@@ -73,7 +73,7 @@ fn a_leak_is_heard_after_the_device_is_gone() {
     let messages = device.validation_messages();
     let info = ash::vk::FenceCreateInfo::default();
     // SAFETY: a plain description; the fence goes with the device, which is what the layer should complain about.
-    let leaked = unsafe { device.raw.create_fence(&info, None) };
+    let leaked = unsafe { device.calls().create_fence(&info, None) };
     assert!(leaked.is_ok());
     drop(device);
     let text = messages.check().unwrap_err().to_string();

@@ -26,7 +26,7 @@ impl Timer {
         let kind = vk::QueryType::TIMESTAMP;
         let info = vk::QueryPoolCreateInfo::default().query_type(kind).query_count(Self::MAX);
         // SAFETY: a plain description.
-        let pool = unsafe { device.raw.create_query_pool(&info, None) };
+        let pool = unsafe { device.calls().create_query_pool(&info, None) };
         let pool = pool.map_err(call("vkCreateQueryPool"))?;
         Ok(Some(Self { device: device.clone(), pool }))
     }
@@ -36,7 +36,7 @@ impl Timer {
         let mut ticks = vec![0_u64; count + 1];
         let flags = vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT;
         // SAFETY: the pool has that many queries, all were written by commands that are done.
-        let got = unsafe { self.device.raw.get_query_pool_results(self.pool, 0, &mut ticks, flags) };
+        let got = unsafe { self.device.calls().get_query_pool_results(self.pool, 0, &mut ticks, flags) };
         got.map_err(call("vkGetQueryPoolResults"))?;
         let mask = u64::MAX >> (64 - self.device.timestamp_bits().clamp(1, 64));
         let ns_per_tick = f64::from(self.device.limits().timestamp_period);
@@ -51,6 +51,6 @@ impl Timer {
 impl Drop for Timer {
     fn drop(&mut self) {
         // SAFETY: no commands use the pool, since every submit is waited for.
-        unsafe { self.device.raw.destroy_query_pool(self.pool, None) };
+        unsafe { self.device.calls().destroy_query_pool(self.pool, None) };
     }
 }

@@ -86,11 +86,16 @@ impl Visibility {
             let Some(splat) = project(&point.position, draw, schedule) else { continue };
             let Some((columns, rows)) = splat.covered(self.width, self.height) else { continue };
             for row in rows {
-                for column in columns.clone() {
-                    let pixel = row as usize * self.width as usize + column as usize;
-                    if splat.depth_m < self.depth_m[pixel] {
-                        self.depth_m[pixel] = splat.depth_m;
-                        self.winner[pixel] = (draw_index, index as u32);
+                let first = row as usize * self.width as usize;
+                let pixels = first + columns.start as usize..first + columns.end as usize;
+                let (depths, winners) = (&mut self.depth_m[pixels.clone()], &mut self.winner[pixels]);
+                if columns.len() >= WIDE && !is_nearer_somewhere(splat.depth_m, depths) {
+                    continue;
+                }
+                for (depth_m, winner) in depths.iter_mut().zip(winners) {
+                    if splat.depth_m < *depth_m {
+                        *depth_m = splat.depth_m;
+                        *winner = (draw_index, index as u32);
                     }
                 }
             }
@@ -117,6 +122,14 @@ impl Visibility {
             depth_m: if planes.depth { self.depth_m } else { Vec::new() },
         }
     }
+}
+
+/// Pixels in a row from which on a first look at all of them costs less than a test and a branch for each.
+const WIDE: usize = 8;
+
+/// Whether a depth is less than one of these: without branches, so that it becomes comparisons of vectors.
+fn is_nearer_somewhere(depth_m: f32, depths_m: &[f32]) -> bool {
+    depths_m.iter().fold(false, |nearer, other| nearer | (depth_m < *other))
 }
 
 /// A projected point: centre pixel (may lie outside the image), camera depth and radius.

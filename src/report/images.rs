@@ -7,9 +7,10 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{picture_size, read_picture};
-use crate::error::{FileError, write_json};
+use crate::error::FileError;
 use crate::files::FileName;
 use crate::files::input::{is_there, read_table};
+use crate::files::write_json;
 use crate::generate::Made;
 
 /// Folder of the images that were made, and their name in the page.

@@ -10,7 +10,8 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::view::Layout;
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 
 const TEMPLATE: &str = include_str!("page.html");
 /// Where the data go.

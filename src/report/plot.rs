@@ -9,7 +9,8 @@ use plotters::prelude::{
 };
 use plotters::style::{BLACK, Color};
 
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 
 /// What is drawn.
 #[derive(Clone, Debug, Default, PartialEq)]

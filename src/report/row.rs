@@ -8,9 +8,10 @@ use super::sight::{SEEN_PX, Seen, was_shown};
 use crate::cloud::cameras::rows;
 use crate::conditions::meta::{IndexActor, IndexFrame, Matrix};
 use crate::dataset::Log;
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
 use crate::files::FileName;
 use crate::files::input::read_text;
+use crate::files::write_whole;
 use crate::sim::{Deviation, EgoState, Instant, SimActor, Waypoint};
 
 /// A line of `states.jsonl`: a step that was committed.

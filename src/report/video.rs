@@ -13,7 +13,8 @@ use openh264::OpenH264API;
 use openh264::encoder::{Encoder, EncoderConfig, IntraFramePeriod, RateControlMode, VuiConfig};
 use openh264::formats::{RgbSliceU8, YUVBuffer};
 
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 use crate::geometry::ImageSize;
 
 /// Ticks of the file's clock in a second.

@@ -9,8 +9,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{CameraConditions, ConditionSet, DepthBins, MapKind, sheet};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
 use crate::files::FileName;
+use crate::files::write_whole;
 
 /// Folder of the pictures in the folder of a step.
 pub const VIEW: &str = "view";

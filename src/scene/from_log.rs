@@ -4,6 +4,16 @@ use super::{ActorState, SceneCamera, SceneState};
 use crate::dataset::{EgoTrack, Frame, Log, RigCamera, TrackBox};
 use crate::geometry::{Pose, View};
 
+/// Name of the state of a frame.
+pub fn name_of_frame(index: usize) -> String {
+    format!("{index:06}")
+}
+
+/// Name of the state at a time.
+pub fn name_of_time(t_us: i64) -> String {
+    t_us.to_string()
+}
+
 /// Moves the ego in its own frame: metres forward and to the left, radians to the left.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct EgoOffset {
@@ -33,7 +43,7 @@ pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<Scen
         scene_camera(&rig, global_from_ego * offset.pose())
     };
     Some(SceneState {
-        name: format!("{index:06}"),
+        name: name_of_frame(index),
         t_us: frame.t_us,
         global_from_ego: frame.global_from_ego * offset.pose(),
         cameras: rig_at(log, frame).into_iter().map(camera).collect(),
@@ -54,7 +64,7 @@ pub fn state_of(log: &Log, t_us: i64, global_from_ego: Pose, boxes: &[TrackBox])
     let nearest = log.frames.iter().min_by_key(|f| f.t_us.abs_diff(t_us));
     let rig = nearest.map_or_else(|| log.rig.clone(), |frame| rig_at(log, frame));
     SceneState {
-        name: t_us.to_string(),
+        name: name_of_time(t_us),
         t_us,
         global_from_ego,
         cameras: rig.iter().map(|rig| scene_camera(rig, global_from_ego)).collect(),

@@ -6,7 +6,9 @@ mod map;
 mod selection;
 mod state;
 
-pub use from_log::{EgoOffset, frame_rate_hz, state_at, state_of, state_of_frame, with_cameras};
+pub use from_log::{
+    EgoOffset, frame_rate_hz, name_of_frame, name_of_time, state_at, state_of, state_of_frame, with_cameras,
+};
 pub use map::{MapEdge, MapLayer, SceneMap};
 pub use selection::{SceneInstances, SelectionOptions, Stage, StandIns, TemplateFit};
 pub use state::{ActorState, SceneCamera, SceneState};

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{ActorState, SceneState};
 use crate::cloud::Point;
+use crate::error::FileError;
 use crate::raster::{CloudSet, Instance};
 use crate::skeleton::{Skeleton, TemplateCloud, TemplateKind};
 
@@ -70,15 +71,21 @@ pub struct Stage<'a> {
 
 impl<'a> Stage<'a> {
     /// Of a skeleton alone, for steps of one of the logs that it was built from.
-    pub fn new(skeleton: &'a Skeleton, log: &str) -> Self {
+    ///
+    /// # Errors
+    /// Points of the skeleton that do not have their checksum.
+    pub fn new(skeleton: &'a Skeleton, log: &str) -> Result<Self, FileError> {
         static NONE: StandIns = StandIns::NONE;
         Self::with(skeleton, log, &NONE)
     }
 
     /// The same with stand-ins.
-    pub fn with(skeleton: &'a Skeleton, log: &str, stand_ins: &'a StandIns) -> Self {
+    ///
+    /// # Errors
+    /// Points of the skeleton that do not have their checksum.
+    pub fn with(skeleton: &'a Skeleton, log: &str, stand_ins: &'a StandIns) -> Result<Self, FileError> {
         let manifest = &skeleton.manifest;
-        let mut clouds = Self::clouds(skeleton);
+        let mut clouds = Self::clouds(skeleton)?;
         let first_asset = manifest.background.len();
         let first_template = first_asset + manifest.actors.len();
         let mut assets = BTreeMap::new();
@@ -97,15 +104,18 @@ impl<'a> Stage<'a> {
                 (clouds.len() - 1, DVec3::from(template.size))
             });
         }
-        Self { skeleton, clouds, assets, templates }
+        Ok(Self { skeleton, clouds, assets, templates })
     }
 
     /// All clouds of a skeleton alone, for a rasterizer: background chunks, then assets, then templates.
-    pub fn clouds(skeleton: &'a Skeleton) -> CloudSet<'a> {
-        let mut clouds: Vec<&[Point]> = skeleton.background();
-        clouds.extend(skeleton.actors());
-        clouds.extend(skeleton.templates());
-        clouds
+    ///
+    /// # Errors
+    /// Points that do not have their checksum.
+    pub fn clouds(skeleton: &'a Skeleton) -> Result<CloudSet<'a>, FileError> {
+        let mut clouds: Vec<&[Point]> = skeleton.background()?;
+        clouds.extend(skeleton.actors()?);
+        clouds.extend(skeleton.templates()?);
+        Ok(clouds)
     }
 
     /// All clouds of this stage, for a rasterizer.
@@ -169,9 +179,8 @@ mod tests {
     use super::*;
     use crate::cloud::Bounds;
     use crate::dataset::Class;
-    use crate::error::FileError;
     use crate::geometry::{Cuboid, Pose};
-    use crate::skeleton::{Asset, BuildOptions, BuildReport, Chunk, SkeletonWriter, Template};
+    use crate::skeleton::{Asset, BuildOptions, BuildReport, Checksum, Chunk, SkeletonWriter, Template};
 
     fn cube(count: usize) -> (Vec<Point>, Bounds) {
         let corner = |i: usize| [0.0, 1.0, 2.0].map(|_: f32| if i.is_multiple_of(2) { -1.0 } else { 1.0 });
@@ -182,7 +191,8 @@ mod tests {
 
     fn template(kind: TemplateKind, points: usize) -> TemplateCloud {
         let (cloud, bounds) = cube(points);
-        (Template { kind, class: kind.class(), size: [2.0; 3], points, bounds }, cloud)
+        let xxh3 = Checksum::of(&cloud);
+        (Template { kind, class: kind.class(), size: [2.0; 3], points, bounds, xxh3 }, cloud)
     }
 
     /// Background of one chunk; car "big" with 30 points, car "small" with 10, truck "truck" with 10; a template of
@@ -192,13 +202,15 @@ mod tests {
             let (points, bounds) = cube(count);
             let class = Class::from_category(category);
             let (log, track, category) = ("log".to_owned(), track.to_owned(), category.to_owned());
-            (Asset { log, track, category, class, size: [2.0; 3], sweeps: 1, points: count, bounds }, points)
+            let (size, xxh3) = ([2.0; 3], Checksum::of(&points));
+            (Asset { log, track, category, class, size, sweeps: 1, points: count, bounds, xxh3 }, points)
         };
         let assets =
             [("big", "vehicle.car", 30), ("small", "vehicle.car", 10), ("truck", "vehicle.truck", 10)];
         SkeletonWriter::write::<FileError>(folder, |writer| {
             let (points, bounds) = cube(2);
-            writer.chunk(Chunk { origin: [100.0, 200.0, 0.0], points: 2, bounds }, &points)?;
+            let (origin, xxh3) = ([100.0, 200.0, 0.0], Checksum::of(&points));
+            writer.chunk(Chunk { origin, points: 2, bounds, xxh3 }, &points)?;
             for (track, category, count) in assets {
                 let (asset, points) = asset(track, category, count);
                 writer.actor(asset, &points)?;
@@ -229,7 +241,7 @@ mod tests {
     fn the_table_of_two_clouds() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
-        let stage = Stage::new(&skeleton, "log");
+        let stage = Stage::new(&skeleton, "log").unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
         assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(1)]);
@@ -247,7 +259,7 @@ mod tests {
         let skeleton = skeleton(&folder.path().join("s"));
         let templates = vec![template(TemplateKind::Truck, 7), template(TemplateKind::Bus, 7)];
         let stand_ins = StandIns { templates, ..StandIns::NONE };
-        let stage = Stage::with(&skeleton, "log", &stand_ins);
+        let stage = Stage::with(&skeleton, "log", &stand_ins).unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
         assert_eq!(shown("truck", "vehicle.truck"), [Some(3), Some(3)]);
@@ -265,7 +277,7 @@ mod tests {
         // The big car is thinned, the small one becomes large.
         let assets = [("big".to_owned(), cube(12).0), ("small".to_owned(), cube(40).0)].into();
         let stand_ins = StandIns { templates, assets };
-        let stage = Stage::with(&skeleton, "log", &stand_ins);
+        let stage = Stage::with(&skeleton, "log", &stand_ins).unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
         assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(4)]);
@@ -279,7 +291,7 @@ mod tests {
     fn a_template_fills_the_box() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
-        let stage = Stage::new(&skeleton, "log");
+        let stage = Stage::new(&skeleton, "log").unwrap();
         let corner = |template_fit| {
             let options = SelectionOptions { template_fit, ..SelectionOptions::default() };
             let (_, geometry) = stage.actor_instances(&actor("new", "vehicle.car"), 1, &options);
@@ -306,11 +318,11 @@ mod tests {
             map: None,
         };
         let options = SelectionOptions { min_actor_points: 20, ..SelectionOptions::default() };
-        let both = Stage::new(&skeleton, "log").instances(&state, &options);
+        let both = Stage::new(&skeleton, "log").unwrap().instances(&state, &options);
         let list = |instances: &[Instance]| instances.iter().map(|i| (i.cloud, i.number)).collect::<Vec<_>>();
         assert_eq!(list(&both.color), [(0, 0), (1, 1), (2, 3)]);
         assert_eq!(list(&both.geometry), [(0, 0), (1, 1), (4, 2), (4, 3)]);
         assert_eq!(both.color[0].world_from_local.translation, DVec3::new(100.0, 200.0, 0.0));
-        assert_eq!(Stage::clouds(&skeleton).len(), 6);
+        assert_eq!(Stage::clouds(&skeleton).unwrap().len(), 6);
     }
 }

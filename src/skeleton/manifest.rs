@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::BuildOptions;
+use super::{BuildOptions, Checksum};
 use crate::cloud::Bounds;
 use crate::dataset::Class;
 
@@ -29,10 +29,19 @@ pub struct Manifest {
 }
 
 impl Manifest {
+    /// Points of all clouds.
+    pub fn points(&self) -> usize {
+        let background = self.background.iter().map(|c| c.points);
+        background
+            .chain(self.actors.iter().map(|a| a.points))
+            .chain(self.templates.iter().map(|t| t.points))
+            .sum()
+    }
+
     /// Marks the folder.
     pub const FORMAT: &'static str = "point-skeleton";
     /// Changes whenever older readers would misread a skeleton.
-    pub const VERSION: u32 = 2;
+    pub const VERSION: u32 = 3;
 
     /// First and last time of what it was built from of a log, absolute microseconds; `None` for another log.
     pub fn times_us(&self, log: &str) -> Option<[i64; 2]> {
@@ -78,6 +87,8 @@ pub struct Chunk {
     pub points: usize,
     /// Of the points, relative to the origin.
     pub bounds: Bounds,
+    /// Of the points.
+    pub xxh3: Checksum,
 }
 
 /// The points of one track in its box frame: the origin is the centre of the box, x forward.
@@ -99,6 +110,8 @@ pub struct Asset {
     pub points: usize,
     /// Of the points.
     pub bounds: Bounds,
+    /// Of the points.
+    pub xxh3: Checksum,
 }
 
 /// Points that stand in for actors of a kind.
@@ -114,6 +127,8 @@ pub struct Template {
     pub points: usize,
     /// Of the points, centred on the box.
     pub bounds: Bounds,
+    /// Of the points.
+    pub xxh3: Checksum,
 }
 
 /// Counts of a build. Every point read is dropped for one of the reasons below or kept in background or actors (once

@@ -8,6 +8,7 @@
 
 mod augment;
 mod build;
+mod checksum;
 mod colorize;
 mod manifest;
 mod occlusion;
@@ -20,6 +21,7 @@ mod trajectory;
 
 pub use augment::{AugmentOptions, Augmentation, augment};
 pub use build::{BuildError, BuildInput, BuildRun, MakeTemplates, Progress, build, unfinished_frames};
+pub use checksum::Checksum;
 pub use colorize::{Candidate, ColorView, Look, Projector, agreed_color};
 pub use manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap};

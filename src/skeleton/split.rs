@@ -1,4 +1,6 @@
 use glam::DVec3;
+use rstar::primitives::{GeomWithData, Rectangle};
+use rstar::{AABB, RTree};
 use serde::{Deserialize, Serialize};
 
 use super::Trajectories;
@@ -58,8 +60,15 @@ impl Default for SplitOptions {
 /// Splits the points of one sweep by the boxes at its time.
 pub struct Splitter {
     boxes: Vec<SplitBox>,
+    /// Numbers of boxes, by what encloses all they can claim: there are as many as the log says.
+    places: RTree<Place>,
+    /// Boxes that no tree can hold, since their numbers are not finite or too large.
+    unplaced: Vec<usize>,
     ground_m: f64,
 }
+
+/// The number of a box, by the cube around it.
+type Place = GeomWithData<Rectangle<[f64; 3]>, usize>;
 
 struct SplitBox {
     track: usize,
@@ -95,15 +104,33 @@ impl Splitter {
                 centre: pose.translation,
             }
         };
-        Self { boxes: boxes.iter().map(split_box).collect(), ground_m: options.ground_m }
+        let boxes: Vec<SplitBox> = boxes.iter().map(split_box).collect();
+        let (mut places, mut unplaced) = (Vec::new(), Vec::new());
+        for (number, item) in boxes.iter().enumerate() {
+            match item.enclosure() {
+                Some(cube) => places.push(Place::new(cube, number)),
+                None => unplaced.push(number),
+            }
+        }
+        Self { boxes, places: RTree::bulk_load(places), unplaced, ground_m: options.ground_m }
     }
 
     /// Where a global point belongs. Of several boxes the one that it lies deepest in wins. `timely` says whether the
     /// point comes from the LiDAR that the boxes of moving actors fit.
     pub fn part(&self, global: DVec3, timely: bool) -> Part {
-        let mut best: Option<(f64, &SplitBox, DVec3)> = None;
+        if !global.is_finite() {
+            return self.part_among(0..self.boxes.len(), global, timely);
+        }
+        let placed = self.places.locate_all_at_point(global.to_array()).map(|place| place.data);
+        self.part_among(placed.chain(self.unplaced.iter().copied()), global, timely)
+    }
+
+    /// The same by the boxes of some numbers, in any order. Of boxes that the point lies equally deep in the first one wins.
+    fn part_among(&self, numbers: impl Iterator<Item = usize>, global: DVec3, timely: bool) -> Part {
+        let mut best: Option<((f64, usize), DVec3)> = None;
         let mut ghost = false;
-        for item in &self.boxes {
+        for number in numbers {
+            let item = &self.boxes[number];
             if global.distance_squared(item.centre) > item.reach_m * item.reach_m {
                 continue;
             }
@@ -112,24 +139,41 @@ impl Splitter {
                 continue;
             }
             if item.contains(local) {
-                let depth = (local.abs() / item.half).max_element();
-                if best.is_none_or(|(d, ..)| depth < d) {
-                    best = Some((depth, item, local));
+                let rank = ((local.abs() / item.half).max_element(), number);
+                if best.is_none_or(|(best, _)| rank < best) {
+                    best = Some((rank, local));
                 }
             } else {
                 ghost |= item.sweeps_over(local);
             }
         }
-        match best {
-            Some((_, item, _)) if !timely && item.sweep_m.is_some() => Part::Ghost,
-            Some((_, item, local)) => Part::Actor { track: item.track, local },
+        match best.map(|((_, number), local)| (&self.boxes[number], local)) {
+            Some((item, _)) if !timely && item.sweep_m.is_some() => Part::Ghost,
+            Some((item, local)) => Part::Actor { track: item.track, local },
             None if ghost => Part::Ghost,
             None => Part::Background,
         }
     }
 }
 
+/// Coordinates and reaches up to this are placed, metres: rounding is far below [`SLACK_M`] there.
+const MOST_M: f64 = 1e9;
+/// What enclosures are larger than the reach of a box, metres.
+const SLACK_M: f64 = 1e-3;
+
 impl SplitBox {
+    /// A cube around every point within reach.
+    fn enclosure(&self) -> Option<Rectangle<[f64; 3]>> {
+        // Written so that numbers which are none are not placed.
+        let placed =
+            self.centre.abs().max_element() <= MOST_M && self.centre.is_finite() && self.reach_m <= MOST_M;
+        placed.then(|| {
+            let reach = DVec3::splat(self.reach_m + SLACK_M);
+            let corners = [self.centre - reach, self.centre + reach].map(|corner| corner.to_array());
+            Rectangle::from_aabb(AABB::from_corners(corners[0], corners[1]))
+        })
+    }
+
     fn contains(&self, local: DVec3) -> bool {
         local.abs().cmple(self.half + self.margin_m).all()
     }
@@ -163,6 +207,89 @@ mod tests {
     use crate::dataset::Class;
     use crate::dataset::{Frame, Log, Track};
     use crate::geometry::Cuboid;
+    use proptest::prelude::*;
+
+    /// A splitter of boxes that move from where they are by some metres a second.
+    fn splitter_of(boxes: &[(Cuboid, DVec3)]) -> Splitter {
+        let track =
+            |i: usize| Track { id: i.to_string(), category: "car".into(), class: Class::MotorVehicle };
+        let frame = |t_us: i64| {
+            let moved = |(track, (cuboid, velocity)): (usize, &(Cuboid, DVec3))| {
+                let mut cuboid = *cuboid;
+                cuboid.pose.translation += *velocity * (t_us as f64 * 1e-6);
+                TrackBox { track, cuboid }
+            };
+            let (sweeps, images, between_images) = Default::default();
+            let boxes = boxes.iter().enumerate().map(moved).collect();
+            Frame { t_us, global_from_ego: Pose::IDENTITY, sweeps, images, between_images, boxes }
+        };
+        let frames = vec![frame(0), frame(1_000_000)];
+        let tracks = (0..boxes.len()).map(track).collect();
+        let log = Log { tracks, frames: frames.clone(), ..Log::default() };
+        let trajectories = Trajectories::new(&log, &frames.iter().collect::<Vec<_>>());
+        Splitter::new(&frames[0].boxes, &trajectories, 0, &SplitOptions::default())
+    }
+
+    /// Boxes that often touch, enclose or equal each other, far from the origin; some huge, some without a place.
+    fn any_box() -> impl Strategy<Value = (Cuboid, DVec3)> {
+        let place = (0..8_i32, 0..8_i32, 0..3_i32).prop_map(|(x, y, z)| {
+            DVec3::new(664_000.0 + f64::from(x) * 1.5, 3_997_000.0 + f64::from(y), f64::from(z) * 0.5)
+        });
+        let size = prop_oneof![
+            6 => (1..5_i32, 1..3_i32, 1..3_i32).prop_map(|(x, y, z)| DVec3::new(f64::from(x), f64::from(y), f64::from(z))),
+            1 => Just(DVec3::new(300.0, 200.0, 4.0)),
+            1 => Just(DVec3::splat(4e9)),
+        ];
+        let speed =
+            prop_oneof![2 => Just(0.0), 2 => -20.0..20.0_f64, 1 => Just(3e9), 1 => Just(f64::INFINITY)];
+        let yaw = prop_oneof![Just(0.0), -3.0..3.0_f64];
+        (place, size, speed, yaw).prop_map(|(place, size, speed, yaw)| {
+            let velocity = if speed == 0.0 { DVec3::ZERO } else { DVec3::new(speed, speed * 0.5, 0.0) };
+            (Cuboid::new(Pose::from_yaw(yaw, place), size).unwrap(), velocity)
+        })
+    }
+
+    proptest! {
+        /// What is found by the tree is what a look at all boxes in turn gives, whatever the order of the looks.
+        #[test]
+        fn the_tree_finds_what_a_look_at_all_boxes_finds(
+            boxes in prop::collection::vec(any_box(), 0..40),
+            offsets in prop::collection::vec(prop::array::uniform3(-3.0..14.0_f64), 1..60),
+            snapped: bool,
+            timely: bool,
+        ) {
+            let splitter = splitter_of(&boxes);
+            for offset in offsets {
+                let offset = DVec3::from(offset);
+                // Snapped points are equally deep in several boxes, or on their sides.
+                let offset = if snapped { (offset * 2.0).round() / 2.0 } else { offset };
+                let global = DVec3::new(664_000.0, 3_997_000.0, -1.0) + offset;
+                let all = 0..boxes.len();
+                let expected = splitter.part_among(all.clone(), global, timely);
+                prop_assert_eq!(splitter.part_among(all.rev(), global, timely), expected);
+                prop_assert_eq!(splitter.part(global, timely), expected, "{}", global);
+            }
+        }
+    }
+
+    #[test]
+    fn of_equal_boxes_the_first_wins() {
+        let cuboid = Cuboid::new(Pose::from_yaw(0.0, DVec3::ZERO), DVec3::splat(2.0)).unwrap();
+        let splitter = splitter_of(&[(cuboid, DVec3::ZERO); 20]);
+        let part = splitter.part(DVec3::splat(0.25), true);
+        assert_eq!(part, Part::Actor { track: 0, local: DVec3::splat(0.25) });
+    }
+
+    #[test]
+    fn points_and_boxes_that_are_nowhere_are_looked_at_as_before() {
+        let cuboid = Cuboid::new(Pose::from_yaw(0.0, DVec3::ZERO), DVec3::splat(2.0)).unwrap();
+        let nowhere = Cuboid::new(Pose::from_yaw(0.0, DVec3::NAN), DVec3::splat(2.0)).unwrap();
+        let splitter = splitter_of(&[(nowhere, DVec3::ZERO), (cuboid, DVec3::X)]);
+        for global in [DVec3::ZERO, DVec3::NAN, DVec3::INFINITY, DVec3::new(0.0, f64::NAN, 0.5)] {
+            let expected = splitter.part_among(0..2, global, true);
+            assert_eq!(format!("{:?}", splitter.part(global, true)), format!("{expected:?}"));
+        }
+    }
 
     /// A car of 4 x 2 x 1.5 m that drives along x at `speed`, at the origin at t = 0, and its splitter then.
     fn splitter(speed: f64) -> Splitter {

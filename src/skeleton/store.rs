@@ -3,14 +3,20 @@
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use rayon::prelude::*;
 
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
-use super::{BuildOptions, MakeTemplates};
+use super::{BuildOptions, Checksum, MakeTemplates};
 use crate::cloud::Point;
-use crate::error::{FileError, check_only_ours, write_json, write_whole_folder, write_whole_folder_by};
+use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
+use crate::files::{WholeFolder, WorkFolder, check_whole, write_json, write_whole_by};
 use crate::gpu::MappedFile;
 
+/// Kind of the output folder.
+const KIND: &str = "skeleton";
 const MANIFEST: &str = "skeleton.json";
 const BACKGROUND: &str = "background.points";
 const ACTORS: &str = "actors.points";
@@ -35,24 +41,24 @@ impl SkeletonWriter {
         path: &Path,
         fill: impl FnOnce(&mut Self) -> Result<(), E>,
     ) -> Result<(), E> {
-        write_whole_folder(path, MANIFEST, |folder| fill(&mut Self::new(folder)?))
+        WholeFolder::open(path, KIND, &[])?.write(|folder| fill(&mut Self::new(folder)?))
     }
 
-    /// Whether a skeleton may be written at a path.
+    /// Checks that a skeleton may be written at a path: nothing is there, or a skeleton without files of others.
     ///
     /// # Errors
     /// Something else is there.
     pub fn check_target(path: &Path) -> Result<(), FileError> {
-        check_only_ours(path, MANIFEST, |name| [MANIFEST, BACKGROUND, ACTORS, TEMPLATES].contains(&name))
+        check_whole(path, KIND)
     }
 
-    /// The same with the temporary folder in `scratch`, a folder of the same file system.
+    /// The same in a work folder that the caller owns.
     pub(super) fn write_by<E: From<FileError>>(
         path: &Path,
-        scratch: &Path,
+        work: &WorkFolder,
         fill: impl FnOnce(&mut Self) -> Result<(), E>,
     ) -> Result<(), E> {
-        write_whole_folder_by(path, MANIFEST, scratch, |folder| fill(&mut Self::new(folder)?))
+        write_whole_by(work, path, KIND, |folder| fill(&mut Self::new(folder)?))
     }
 
     fn new(folder: &Path) -> Result<Self, FileError> {
@@ -153,9 +159,9 @@ pub struct Skeleton {
     /// What it holds.
     pub manifest: Manifest,
     path: PathBuf,
-    background: MappedFile,
-    actors: MappedFile,
-    templates: MappedFile,
+    background: MappedPoints,
+    actors: MappedPoints,
+    templates: MappedPoints,
 }
 
 impl Skeleton {
@@ -164,7 +170,8 @@ impl Skeleton {
         is_taken(&path.join(MANIFEST))
     }
 
-    /// Maps a skeleton's files and checks their sizes against the manifest.
+    /// Maps a skeleton's files and checks their sizes against the manifest. Points are checked when they are first
+    /// asked for.
     ///
     /// # Errors
     /// A missing or damaged file, another format or version.
@@ -179,7 +186,7 @@ impl Skeleton {
                 let expected = format!("{expected} bytes ({points} points)");
                 return Err(FileError::content(expected, format!("{found} bytes"), &file));
             }
-            Ok(mapped)
+            Ok(MappedPoints { path: file, map: mapped, checked: OnceLock::new() })
         };
         Ok(Self {
             background: map(BACKGROUND, total(manifest.background.iter().map(|c| c.points)))?,
@@ -196,18 +203,127 @@ impl Skeleton {
     }
 
     /// Points of each background chunk.
-    pub fn background(&self) -> Vec<&[Point]> {
-        slices(&self.background, self.manifest.background.iter().map(|c| c.points))
+    ///
+    /// # Errors
+    /// A chunk whose points do not have their checksum.
+    pub fn background(&self) -> Result<Vec<&[Point]>, FileError> {
+        self.background.clouds(&self.manifest.background)
     }
 
     /// Points of each actor asset.
-    pub fn actors(&self) -> Vec<&[Point]> {
-        slices(&self.actors, self.manifest.actors.iter().map(|a| a.points))
+    ///
+    /// # Errors
+    /// An asset whose points do not have their checksum.
+    pub fn actors(&self) -> Result<Vec<&[Point]>, FileError> {
+        self.actors.clouds(&self.manifest.actors)
     }
 
     /// Points of each template.
-    pub fn templates(&self) -> Vec<&[Point]> {
-        slices(&self.templates, self.manifest.templates.iter().map(|t| t.points))
+    ///
+    /// # Errors
+    /// A template whose points do not have their checksum.
+    pub fn templates(&self) -> Result<Vec<&[Point]>, FileError> {
+        self.templates.clouds(&self.manifest.templates)
+    }
+
+    /// Checks all points now; gives back one error for each damaged chunk, asset and template.
+    pub fn damage(&self) -> Vec<FileError> {
+        let Self { manifest, background, actors, templates, .. } = self;
+        let mut damage = background.damage(&manifest.background);
+        damage.extend(actors.damage(&manifest.actors));
+        damage.extend(templates.damage(&manifest.templates));
+        damage
+    }
+}
+
+/// A mapped file of points.
+#[derive(Debug)]
+struct MappedPoints {
+    path: PathBuf,
+    map: MappedFile,
+    /// Set once all checksums were found to be right.
+    checked: OnceLock<()>,
+}
+
+impl MappedPoints {
+    /// The clouds that entries of a manifest describe, after a check of their checksums on first use.
+    fn clouds(&self, entries: &[impl Entry]) -> Result<Vec<&[Point]>, FileError> {
+        if self.checked.get().is_none() {
+            self.damage(entries).into_iter().next().map_or(Ok(()), Err)?;
+            // Another thread may have set it, to the same.
+            let _ = self.checked.set(());
+        }
+        Ok(self.slices(entries))
+    }
+
+    /// An error for each cloud that does not have its checksum, in the order of the file.
+    fn damage(&self, entries: &[impl Entry]) -> Vec<FileError> {
+        let clouds = self.slices(entries);
+        let numbered = entries.par_iter().zip(clouds).enumerate();
+        numbered.filter_map(|(i, (entry, cloud))| entry.check(i, cloud, &self.path).err()).collect()
+    }
+
+    fn slices(&self, entries: &[impl Entry]) -> Vec<&[Point]> {
+        slices(&self.map, entries.iter().map(Entry::points))
+    }
+}
+
+/// What a manifest says of a cloud in a file of points.
+pub(in crate::skeleton) trait Entry: Sync {
+    /// How many points.
+    fn points(&self) -> usize;
+
+    /// Of the points.
+    fn checksum(&self) -> Checksum;
+
+    /// Names the cloud in messages; `index` is its place in the manifest's list.
+    fn name(&self, index: usize) -> String;
+
+    /// Compares points that were read from `path` with the checksum.
+    fn check(&self, index: usize, points: &[Point], path: &Path) -> Result<(), FileError> {
+        self.checksum().check(points, || self.name(index), path)
+    }
+}
+
+impl Entry for Chunk {
+    fn points(&self) -> usize {
+        self.points
+    }
+
+    fn checksum(&self) -> Checksum {
+        self.xxh3
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("chunk {index}")
+    }
+}
+
+impl Entry for Asset {
+    fn points(&self) -> usize {
+        self.points
+    }
+
+    fn checksum(&self) -> Checksum {
+        self.xxh3
+    }
+
+    fn name(&self, _: usize) -> String {
+        format!("track {:?} of log {:?}", self.track, self.log)
+    }
+}
+
+impl Entry for Template {
+    fn points(&self) -> usize {
+        self.points
+    }
+
+    fn checksum(&self) -> Checksum {
+        self.xxh3
+    }
+
+    fn name(&self, _: usize) -> String {
+        format!("template {}", self.kind.name())
     }
 }
 

@@ -150,11 +150,17 @@ fn what_cannot_be_gone_on_with_is_refused() {
     std::fs::write(&run, &bytes[1..]).unwrap();
     let output = log.run("build nuscenes:log --out out/sk --resume");
     assert_failed(&output, 1, &["run-000000.sums", &format!("found {} bytes", bytes.len() - 1)]);
+    let mut changed = bytes.clone();
+    changed[bytes.len() / 2] ^= 1;
+    std::fs::write(&run, &changed).unwrap();
+    let output = log.run("build nuscenes:log --out out/sk --resume");
+    assert_failed(&output, 1, &["expected sums of ", "with checksum", "run-000000.sums"]);
+    assert!(!log.path("out/sk").exists());
     std::fs::write(&run, &bytes).unwrap();
     let lock = std::fs::File::open(partial.join("lock")).unwrap();
     lock.lock().unwrap();
     let output = log.run("build nuscenes:log --out out/sk --resume");
-    assert_failed(&output, 1, &["no other process", "partial/lock"]);
+    assert_failed(&output, 1, &["no other process at work on this output, found process", ": out/sk\n"]);
     drop(lock);
     log.succeed("build nuscenes:log --out out/sk --resume");
     assert!(tree(&log.path("out/sk")) == tree(&log.path("out/whole")) && !partial.exists());
@@ -172,7 +178,11 @@ fn a_folder_of_another_kind_is_not_taken_for_an_unfinished_build() {
     std::fs::write(log.path("out/sk.partial/thesis.tex"), "years of work").unwrap();
     for resume in ["", "--resume"] {
         let output = log.run(&format!("build nuscenes:log --out out/sk {resume}"));
-        assert_failed(&output, 1, &["an unfinished build, or no such folder", "other content", "sk.partial"]);
+        assert_failed(
+            &output,
+            1,
+            &["a folder of an unfinished run, or none", "another folder", "sk.partial"],
+        );
     }
     assert!(log.path("out/sk.partial/thesis.tex").is_file());
 }
@@ -184,7 +194,7 @@ fn a_build_that_starts_anew_says_what_it_discards() {
     let output = log.run("build nuscenes:log --out out/sk");
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(
-        output.status.success() && stderr.contains("an unfinished build with 3 frames done is not"),
+        output.status.success() && stderr.contains("an unfinished build with 3 frames done is discarded"),
         "{stderr}"
     );
     assert!(!partial.exists());
@@ -259,7 +269,7 @@ fn logs_of_one_place_share_a_background() {
     let (one, both) =
         (Skeleton::open(&log.path("out/one")).unwrap(), Skeleton::open(&log.path("out/both")).unwrap());
     // The second is the first once more: chunk by chunk the points of the one, then those of the other.
-    for (one, both) in one.background().iter().zip(both.background()) {
+    for (one, both) in one.background().unwrap().iter().zip(both.background().unwrap()) {
         assert!(both[..one.len()] == **one && both[one.len()..] == **one);
     }
     let names: Vec<_> = both.manifest.actors.iter().map(|a| [a.track.as_str(), a.log.as_str()]).collect();
@@ -286,7 +296,7 @@ fn what_somebody_put_into_a_skeleton_is_not_deleted() {
     assert_failed(
         &output,
         1,
-        &["nothing beside the files that belong to skeleton.json, found mine", "out/sk"],
+        &["only files that pskel wrote where it is to write, found another file: out/sk/mine"],
     );
     assert!(log.path("out/sk/mine").is_dir() && !log.path("out/sk.partial").exists());
 }

@@ -156,7 +156,7 @@ fn wrong_usage_exits_with_2_and_frames_out_of_the_log_with_1() {
     assert_failed(
         &log.run("build nuscenes:log --out log"),
         1,
-        &["an older one with skeleton.json, found other content: log"],
+        &["expected only files that pskel wrote", "another file: log/samples"],
     );
 }
 
@@ -171,7 +171,7 @@ fn converted_points_come_back() {
     let background = cloud::read(&log.path("out/npy/background.npy")).unwrap().points;
     assert_eq!(background, cloud::read(&log.path("out/ply/background.ply")).unwrap().points);
     let origin: Vec<f64> = serde_json::from_value(origins["background"]["origin"].clone()).unwrap();
-    let chunks = skeleton.manifest.background.iter().zip(skeleton.background());
+    let chunks = skeleton.manifest.background.iter().zip(skeleton.background().unwrap());
     let expected = chunks.flat_map(|(c, points)| points.iter().map(|p| (c.origin, *p)));
     for (point, (chunk, source)) in background.iter().zip(expected) {
         for axis in 0..3 {
@@ -189,7 +189,11 @@ fn converted_points_come_back() {
     let bytes = |name: &str| std::fs::read(log.path(name)).unwrap();
     assert_eq!(bytes("out/car.npy"), bytes("out/npy/actors/car.npy"));
     assert_failed(&log.run("convert out/car.npy --out out/car"), 2, &["ending in .npy or .ply"]);
-    assert_failed(&log.run("convert out/sk --out log"), 1, &["origins.json", "other content"]);
+    assert_failed(
+        &log.run("convert out/sk --out log"),
+        1,
+        &["expected only files that pskel wrote", "another file: log/samples"],
+    );
 }
 
 #[test]
@@ -204,5 +208,14 @@ fn a_template_is_centred_and_gets_its_kind_s_class() {
     for axis in 0..3 {
         assert!((template.bounds.min[axis] + template.bounds.max[axis]).abs() < 1e-5);
     }
-    assert!(skeleton.templates()[0].iter().all(|p| p.class() == 1));
+    assert!(skeleton.templates().unwrap()[0].iter().all(|p| p.class() == 1));
+}
+
+#[test]
+fn more_threads_than_any_machine_has_use_for_are_refused() {
+    let log = TinyLog::new();
+    let output = log.run_with("build nuscenes:log --out out/sk", "100000");
+    assert_failed(&output, 2, &["threads in RAYON_NUM_THREADS, found 100000"]);
+    log.assert_out_is_empty();
+    assert!(log.run_with("build nuscenes:log --out out/sk", "64").status.success());
 }

@@ -240,9 +240,9 @@ fn damaged_skeletons_are_errors_that_leave_nothing() {
     let good = std::fs::read_to_string(&path).unwrap();
     for (from, to, parts) in [
         (
-            "\"version\": 2",
+            "\"version\": 3",
             "\"version\": 7",
-            ["version 2, found format \"point-skeleton\" version 7", "skeleton.json"],
+            ["version 3, found format \"point-skeleton\" version 7", "skeleton.json"],
         ),
         ("\"log\": \"tiny\"", "\"log\": \"other\"", ["a skeleton of log tiny, found one of log other", "sk"]),
         ("\"report\"", "\"rapport\"", ["a skeleton manifest, found missing field", "skeleton.json"]),

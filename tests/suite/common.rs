@@ -7,20 +7,25 @@ use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, Sw
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 
 /// The folder of recordings and fixtures: `PSKEL_SHARED`, else `../shared` from the project's root. Where neither
-/// exists the skip is printed, counted in the file `PSKEL_SKIP_LOG` names, and the caller returns.
+/// exists the test is skipped: the caller returns.
 pub(crate) fn shared(what: &str) -> Option<PathBuf> {
     let beside = || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared");
     let folder = std::env::var_os("PSKEL_SHARED").map_or_else(beside, PathBuf::from);
     if folder.is_dir() {
         return Some(folder);
     }
+    skip(&format!("{what} is not at {} (set PSKEL_SHARED)", folder.display()));
+    None
+}
+
+/// Prints that the running test is skipped, and counts it in the file that `PSKEL_SKIP_LOG` names.
+pub(crate) fn skip(why: &str) {
     let test = std::thread::current().name().unwrap_or("?").to_owned();
-    eprintln!("skipped {test}: {what} is not at {} (set PSKEL_SHARED)", folder.display());
+    eprintln!("skipped {test}: {why}");
     if let Some(log) = std::env::var_os("PSKEL_SKIP_LOG") {
         let mut file = std::fs::OpenOptions::new().create(true).append(true).open(log).unwrap();
         writeln!(file, "{test}").unwrap();
     }
-    None
 }
 
 /// The folder of fixtures: `PSKEL_FIXTURES`, else `fixtures` in the shared folder.

@@ -111,7 +111,12 @@ fn generated_images_are_written_back_into_the_data_set() {
     assert_eq!(new, image::imageops::resize(&small, WIDTH, HEIGHT, image::imageops::FilterType::CatmullRom));
     // The copy is a data set like any other.
     assert!(log.run("info nuscenes:copy").status.success());
-    assert_failed(&log.run(&format!("{GENERATE} --dataset copy")), 1, &["a new or empty folder", "copy"]);
+    // It is replaced by its like, but not with what others have there.
+    assert!(log.run(&format!("{GENERATE} --window 2 --dataset copy")).status.success());
+    assert!(tree(&log.path("copy")) == after);
+    std::fs::write(log.path("copy/mine.txt"), "mine").unwrap();
+    let parts = ["expected only files that pskel wrote", "another file: copy/mine.txt"];
+    assert_failed(&log.run(&format!("{GENERATE} --window 2 --dataset copy")), 1, &parts);
     let other = GENERATE.replace("nuscenes:log", "town:seed=1,frames=2");
     assert_failed(&log.run(&format!("{other} --dataset new")), 2, &["nuscenes:", "--dataset", "town:"]);
 }

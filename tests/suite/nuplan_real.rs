@@ -146,7 +146,7 @@ fn background(skeleton: &Skeleton, offset: DVec3) -> Vec<[f64; 3]> {
         let origin = DVec3::from(chunk.origin) - offset;
         points.iter().map(|p| (origin + DVec3::from(p.position.map(f64::from))).to_array()).collect()
     };
-    skeleton.manifest.background.iter().zip(skeleton.background()).flat_map(chunk).collect()
+    skeleton.manifest.background.iter().zip(skeleton.background().unwrap()).flat_map(chunk).collect()
 }
 
 /// Both sweeps are rounded to 1 mm, in two frames: at most 0.87 mm each. Nothing else may be lost.

@@ -40,7 +40,7 @@ fn background_in_boxes(skeleton: &Skeleton, frame: &Frame, ground_m: f64) -> [us
         })
     };
     let mut counts = [0; 2];
-    for (chunk, points) in skeleton.manifest.background.iter().zip(skeleton.background()) {
+    for (chunk, points) in skeleton.manifest.background.iter().zip(skeleton.background().unwrap()) {
         for point in points {
             let global = DVec3::from(chunk.origin) + DVec3::from(point.position.map(f64::from));
             counts[0] += 1;
@@ -71,7 +71,7 @@ const WELL_SEEN: usize = 200;
 fn well_seen_cars(skeletons: &[Skeleton]) -> BTreeMap<&str, Views<'_>> {
     let mut cars: BTreeMap<&str, Views> = BTreeMap::new();
     for (index, skeleton) in FRAMES.into_iter().zip(skeletons) {
-        for (asset, points) in skeleton.manifest.actors.iter().zip(skeleton.actors()) {
+        for (asset, points) in skeleton.manifest.actors.iter().zip(skeleton.actors().unwrap()) {
             if asset.class == Class::MotorVehicle && points.len() >= WELL_SEEN {
                 cars.entry(&asset.track).or_default().push((index, points));
             }

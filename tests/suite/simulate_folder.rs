@@ -65,11 +65,19 @@ fn maps_and_rollouts_do_not_share_a_folder() {
     let simulate = format!("{SIMULATE} --maps depth --steps 1");
     let render = "render nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu";
     log.succeed(&simulate);
-    refused(&log, render, &["expected a folder for maps of render, found a rollout with rollout.json: out"]);
+    refused(&log, render, &["expected a folder of kind maps, or a new one, found one of kind rollout: out"]);
     std::fs::remove_dir_all(log.path("out")).unwrap();
     log.succeed(render);
-    refused(&log, &simulate, &["an older one with rollout.json", "other content: out"]);
-    refused(&log, &format!("{simulate} --resume"), &["a rollout to go on with, found no rollout.json: out"]);
+    refused(
+        &log,
+        &simulate,
+        &["expected a folder of kind rollout, or a new one, found one of kind maps: out"],
+    );
+    refused(
+        &log,
+        &format!("{simulate} --resume"),
+        &["expected a folder of kind rollout, or a new one, found one of kind maps: out"],
+    );
 }
 
 #[test]
@@ -99,6 +107,9 @@ fn a_report_that_fails_does_not_hide_why_the_rollout_did() {
     assert_failed(
         &output,
         1,
-        &["warning: after the rollout had failed: cannot rename to", "out/metrics.json"],
+        &[
+            "warning: after the rollout had failed: expected only files that pskel wrote",
+            "out/metrics.json/full",
+        ],
     );
 }

@@ -4,12 +4,13 @@ use std::path::Path;
 
 use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::error::FileError;
-use point_skeleton::skeleton::{BuildOptions, BuildReport, Chunk, Skeleton, SkeletonWriter};
+use point_skeleton::skeleton::{BuildOptions, BuildReport, Checksum, Chunk, Skeleton, SkeletonWriter};
 
 fn chunk() -> (Chunk, Vec<Point>) {
     let points: Vec<Point> = (0..10).map(|i| Point::new([i as f32, 0.5, -1.0], [i, 2, 3], 0)).collect();
     let bounds = Bounds::of(&points).unwrap();
-    (Chunk { origin: [664_416.0, 3_997_632.0, 0.1 + 0.2], points: points.len(), bounds }, points)
+    let (origin, xxh3) = ([664_416.0, 3_997_632.0, 0.1 + 0.2], Checksum::of(&points));
+    (Chunk { origin, points: points.len(), bounds, xxh3 }, points)
 }
 
 fn write(path: &Path) -> Result<(), FileError> {
@@ -39,8 +40,8 @@ fn a_skeleton_comes_back_as_it_was() {
     let skeleton = Skeleton::open(&path).unwrap();
     let (chunk, points) = chunk();
     assert_eq!(skeleton.manifest.background, [chunk]);
-    assert_eq!(skeleton.background(), [points.as_slice()]);
-    assert!(skeleton.actors().is_empty() && skeleton.templates().is_empty());
+    assert_eq!(skeleton.background().unwrap(), [points.as_slice()]);
+    assert!(skeleton.actors().unwrap().is_empty() && skeleton.templates().unwrap().is_empty());
     let names = std::fs::read_dir(path.parent().unwrap()).unwrap();
     assert_eq!(names.count(), 1, "nothing temporary is left");
 }
@@ -56,9 +57,13 @@ fn damage_is_named() {
     let other = |path: &Path| {
         let file = path.join("skeleton.json");
         let text = std::fs::read_to_string(&file).unwrap();
-        std::fs::write(file, text.replace("\"version\": 2", "\"version\": 1")).unwrap();
+        std::fs::write(file, text.replace("\"version\": 3", "\"version\": 2")).unwrap();
     };
-    refused(folder.path(), other, &["version 2", "version 1", "skeleton.json"]);
+    refused(
+        folder.path(),
+        other,
+        &["version 3", "found format \"point-skeleton\" version 2", "skeleton.json"],
+    );
     let broken = |path: &Path| std::fs::write(path.join("skeleton.json"), "{").unwrap();
     refused(folder.path(), broken, &["a skeleton manifest", "skeleton.json"]);
     let missing = |path: &Path| std::fs::remove_file(path.join("actors.points")).unwrap();
@@ -76,6 +81,6 @@ fn a_folder_with_other_content_is_not_replaced() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("thesis.tex"), "years of work").unwrap();
     let message = write(folder.path()).unwrap_err().to_string();
-    assert!(message.contains("an older one with skeleton.json"), "{message}");
+    assert!(message.contains("expected only files that pskel wrote"), "{message}");
     assert!(folder.path().join("thesis.tex").is_file());
 }

@@ -6,8 +6,8 @@ use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::dataset::Class;
 use point_skeleton::error::FileError;
 use point_skeleton::skeleton::{
-    Asset, BuildOptions, BuildReport, Chunk, Instances, Skeleton, SkeletonWriter, Source, TemplateKind,
-    TemplateLibrary, TemplateOptions, default_templates,
+    Asset, BuildOptions, BuildReport, Checksum, Chunk, Instances, Skeleton, SkeletonWriter, Source,
+    TemplateKind, TemplateLibrary, TemplateOptions, default_templates,
 };
 use serde_json::json;
 
@@ -36,13 +36,15 @@ fn asset(track: &str, category: &str, size: [f64; 3], points: Vec<Point>) -> (As
     let bounds = Bounds::of(&points).unwrap_or(Bounds { min: [0.0; 3], max: [0.0; 3] });
     let (class, count) = (Class::from_category(category), points.len());
     let (log, track, category) = (String::new(), track.to_owned(), category.to_owned());
-    (Asset { log, track, category, class, size, sweeps: 1, points: count, bounds }, points)
+    let xxh3 = Checksum::of(&points);
+    (Asset { log, track, category, class, size, sweeps: 1, points: count, bounds, xxh3 }, points)
 }
 
 /// A skeleton of a log of that name with some actors.
 fn write_skeleton(path: &Path, log: &str, actors: Vec<(Asset, Vec<Point>)>) {
     let points = vec![Point::new([0.0; 3], [1; 3], 0)];
-    let chunk = Chunk { origin: [0.0; 3], points: 1, bounds: Bounds::of(&points).unwrap() };
+    let (bounds, xxh3) = (Bounds::of(&points).unwrap(), Checksum::of(&points));
+    let chunk = Chunk { origin: [0.0; 3], points: 1, bounds, xxh3 };
     let source = Source { log: log.into(), location: "nowhere".into(), frames: 1, t_us: [0, 1] };
     SkeletonWriter::write::<FileError>(path, |writer| {
         writer.chunk(chunk, &points)?;
@@ -138,7 +140,11 @@ fn what_is_wrong_with_templates_is_told_and_leaves_nothing() {
     log.fail("templates --out out/t", 2, &["LOG|SKELETON"]);
     log.fail("templates nowhere --out out/t", 2, &["the folder of a skeleton", "FORMAT:PATH", "nowhere"]);
     log.fail("templates nuscenes:nowhere --out out/t", 1, &["nowhere"]);
-    log.fail("templates sk1 --out log", 1, &["an older one with templates.json, found other content: log"]);
+    log.fail(
+        "templates sk1 --out log",
+        1,
+        &["expected only files that pskel wrote", "another file: log/samples"],
+    );
     std::fs::remove_file(log.path("sk1/actors.points")).unwrap();
     log.fail("templates sk1 --out out/t", 1, &["cannot read", "sk1/actors.points"]);
 }
@@ -159,7 +165,7 @@ fn damaged_libraries_are_errors_that_leave_nothing() {
         good.replace(from, to)
     };
     for (text, parts) in [
-        (with("\"version\": 1", "\"version\": 9"), ["version 1, found format", "templates.json"]),
+        (with("\"version\": 2", "\"version\": 9"), ["version 2, found format", "templates.json"]),
         (with("point-skeleton-templates", "point-skeleton"), ["point-skeleton-templates", "templates.json"]),
         (with("\"sources\"", "\"source\""), ["a list of templates, found missing field", "templates.json"]),
         (with("\"bus\"", "\"sedan\""), ["one template a kind", "sedan twice"]),
@@ -215,8 +221,8 @@ fn a_skeleton_s_own_templates_go_first_then_the_library_s_then_the_built_in_ones
     let kinds: Vec<_> = skeleton.manifest.templates.iter().map(|t| t.kind).collect();
     assert_eq!(kinds, [TemplateKind::Sedan, TemplateKind::Bus]);
     let library = TemplateLibrary::open(&log.path("t")).unwrap();
-    assert_eq!(skeleton.templates()[0], library.clouds[0].1);
-    assert_ne!(skeleton.templates()[1], library.clouds[1].1);
+    assert_eq!(skeleton.templates().unwrap()[0], library.clouds[0].1);
+    assert_ne!(skeleton.templates().unwrap()[1], library.clouds[1].1);
     assert_eq!(render("sk3", "--templates t")["sedan"], "skeleton");
     let summary = log.succeed("build nuscenes:log --out sk4 --templates");
     assert!(summary.contains("templates of its actors: "), "{summary}");
@@ -272,7 +278,7 @@ fn templates_of_a_real_drive_have_sizes_of_their_kind() {
     let options = BuildOptions::default();
     let scratch = tempfile::tempdir().unwrap();
     let built = skeleton_of(&scratch.path().join("s"), dataset.as_ref(), &frames, &options);
-    let assets: Vec<(&Asset, &[Point])> = built.manifest.actors.iter().zip(built.actors()).collect();
+    let assets: Vec<(&Asset, &[Point])> = built.manifest.actors.iter().zip(built.actors().unwrap()).collect();
     let mut instances = Instances::new(TemplateOptions::default());
     instances.add(&assets);
     let (templates, report) = instances.templates();

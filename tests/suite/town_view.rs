@@ -4,6 +4,7 @@
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, EulerRot, Vec3};
 use point_skeleton::geometry::{Camera, View};
+use point_skeleton::gpu::Device;
 use point_skeleton::town::Daylight;
 use point_skeleton::town::mesh::{Mesh, Skin, Surface};
 use point_skeleton::town::view::{FilmError, Filmer, Light, MeshDraw, TrueView};
@@ -104,14 +105,19 @@ impl Rays {
     }
 }
 
-/// Compares every pixel that is not within a hundredth of a pixel of an edge; tells the share of those.
-fn compare(shown: &TrueView, view: &View, rays: &Rays, draws: &[MeshDraw]) -> f64 {
-    const HAIR_PX: f64 = 0.01;
+/// How near to an edge, pixels, a device may take the other side: it rounds corners to its steps in a pixel, and cuts at
+/// the near plane. A hundredth of a pixel with lavapipe's 256 steps.
+fn hair_px(device: &Device) -> f64 {
+    2.56 / f64::from(device.limits().sub_pixel_precision_bits).exp2()
+}
+
+/// Compares every pixel that is not within a hair of an edge; tells the share of those.
+fn compare(shown: &TrueView, view: &View, (rays, draws): (&Rays, &[MeshDraw]), hair_px: f64) -> f64 {
     let width = view.camera.width as usize;
     let mut compared = 0;
     for (i, depth_m) in shown.depth_m.iter().enumerate() {
         let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-        let at = |dx: f64, dy: f64| rays.seen(view, x + dx * HAIR_PX, y + dy * HAIR_PX);
+        let at = |dx: f64, dy: f64| rays.seen(view, x + dx * hair_px, y + dy * hair_px);
         let middle = at(0.0, 0.0);
         let around = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(dx, dy)| at(dx, dy));
         if around.iter().any(|other| other.map(|o| o.0) != middle.map(|m| m.0)) {
@@ -151,7 +157,7 @@ fn maps_are_those_of_rays() {
         let mut seen = std::collections::BTreeSet::new();
         for ((view, a), b) in views.iter().zip(&whole).zip(&tiled) {
             for shown in [a, b] {
-                let share = compare(shown, view, &rays, &draws);
+                let share = compare(shown, view, (&rays, &draws), hair_px(&device));
                 assert!(share > 0.9, "{share}");
             }
             seen.extend(a.class.iter().copied());
@@ -169,11 +175,12 @@ fn maps_from_beside_are_told() {
     let (meshes, draws) = scene();
     let rays = Rays::new(&meshes, &draws);
     let from = |y: f64| view([45, 80], 60.0, DVec3::new(0.0, y, 1.4), [0.2, 0.05, 0.0]);
-    let shown = with_device(|device| {
+    let (shown, hair_px) = with_device(|device| {
         let refs: Vec<&Mesh> = meshes.iter().collect();
-        Filmer::new(&device, &refs).unwrap().film(&draws, &[from(0.0)], &Light::bare()).unwrap()
+        let mut filmer = Filmer::new(&device, &refs).unwrap();
+        (filmer.film(&draws, &[from(0.0)], &Light::bare()).unwrap(), hair_px(&device))
     });
-    compare(&shown[0], &from(0.01), &rays, &draws);
+    compare(&shown[0], &from(0.01), (&rays, &draws), hair_px);
 }
 
 fn srgb(linear: f64) -> u8 {

@@ -21,8 +21,9 @@ use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::{WrongUsage, say};
 use crate::dataset::LogLocator;
-use crate::error::{FileError, write_json};
+use crate::error::FileError;
 use crate::files::input::is_there;
+use crate::files::{OutputFolder, write_json};
 use crate::generate::network::Network;
 use crate::logs;
 
@@ -87,16 +88,17 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
     for row in &rows {
         row.options(&networks, &settings).check().map_err(|error| WrongUsage(error.to_string()))?;
     }
-    std::fs::create_dir_all(&args.out).map_err(FileError::io("create", &args.out))?;
+    let files = OutputFolder::open(&args.out, "ablation", &[])?;
     let mut progress = Progress::new(args.logs.len() * rows.len());
     let mut results = Vec::new();
     for locator in &args.logs {
-        let of_scene = scene_results(args, locator, (&rows, &networks, &settings), &mut progress);
+        let of_scene = scene_results(args, &files, locator, (&rows, &networks, &settings), &mut progress);
         results.extend(of_scene.with_context(|| format!("log {locator}"))?);
     }
     drop(progress);
     let report = Report::new(&args.tables, &rows, &results);
-    report.write(&args.out)?;
+    report.write(&files)?;
+    files.close()?;
     say(report.table().trim_end());
     let (scenes, seconds) = (args.logs.len(), start.elapsed().as_secs_f64());
     say(&format!("{} variants in {scenes} scenes in {seconds:.2} s: {}", rows.len(), args.out.display()));
@@ -106,6 +108,7 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
 /// Results of all rows in a scene, which is drawn only if one of them is missing.
 fn scene_results(
     args: &AblateArgs,
+    files: &OutputFolder,
     locator: &LogLocator,
     (rows, networks, settings): (&[Row], &Networks, &Settings),
     progress: &mut Progress,
@@ -136,8 +139,9 @@ fn scene_results(
                     }
                 };
                 let (result, strip) = run::run(scene, row, networks, settings)?;
-                strip.save(&folder.join(format!("{}.png", row.name)))?;
-                write_json(&path, &result)?;
+                let name = |ending: &str| format!("{}/{}.{ending}", town.recording(), row.name);
+                strip.save(&files.claim(name("png"))?)?;
+                write_json(&files.claim(name("json"))?, &result)?;
                 result
             }
         };

@@ -3,13 +3,13 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::path::Path;
 
 use serde::Serialize;
 
 use super::rows::{Row, Table};
 use super::run::RunResult;
-use crate::error::{FileError, write_json, write_whole};
+use crate::error::FileError;
+use crate::files::{OutputFolder, write_json, write_whole};
 use crate::metrics::{MeanInterval, mean_interval, paired_difference};
 use crate::report::plot::{Curve, Plot};
 
@@ -65,9 +65,9 @@ impl Report {
     }
 
     /// Writes results.json, table.md and a curve for each table.
-    pub(super) fn write(&self, folder: &Path) -> Result<(), FileError> {
-        write_json(&folder.join("results.json"), self)?;
-        let path = folder.join("table.md");
+    pub(super) fn write(&self, files: &OutputFolder) -> Result<(), FileError> {
+        write_json(&files.claim("results.json")?, self)?;
+        let path = files.claim("table.md")?;
         write_whole(&path, |out| {
             std::io::Write::write_all(out, self.table().as_bytes()).map_err(FileError::io("write", &path))
         })?;
@@ -80,7 +80,7 @@ impl Report {
             let curves: Vec<Curve> = self.of_table(table).map(curve).collect();
             if curves.len() > 1 {
                 let plot = Plot { title: table.title(), axes: ["seconds", "PSNR (dB)"], curves };
-                plot.write(&folder.join(format!("{}.svg", table.name())))?;
+                plot.write(&files.claim(format!("{}.svg", table.name()))?)?;
             }
         }
         Ok(())
@@ -199,7 +199,7 @@ mod tests {
         assert!(table.ends_with("over 2 scenes.\n"), "{table}");
         assert_eq!(report.rows[1].psnr_db, [[0.6, 21.0], [0.8, 20.0]]);
         let folder = tempfile::tempdir().unwrap();
-        report.write(folder.path()).unwrap();
+        report.write(&OutputFolder::open(folder.path(), "ablation", &[]).unwrap()).unwrap();
         let svg = std::fs::read_to_string(folder.path().join("strategies.svg")).unwrap();
         assert!(svg.contains("PSNR (dB)") && !folder.path().join("conditions.svg").exists());
     }

@@ -8,8 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use super::rows::{Networks, Row};
 use super::scene::{Scene, SceneFrame};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
 use crate::files::input::read_table;
+use crate::files::write_whole;
 use crate::generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
 use crate::metrics::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, Segmented};
 use crate::sim::{Committed, Forecast};

@@ -61,7 +61,7 @@ impl Scene {
         let skeleton = build::kept(town, options.skeleton)?;
         let log = town.log();
         let (stand_ins, _) = StandInArgs::augmented(options.settings.augment).make(&skeleton, &log.name)?;
-        let stage = Stage::with(&skeleton, &log.name, &stand_ins);
+        let stage = Stage::with(&skeleton, &log.name, &stand_ins)?;
         let mut rasterizer = options.rasterizer.create(stage.cloud_set())?;
         let map = town.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
         let scenario = Scenario::new(log, map.clone(), LogFormat::Town);

@@ -31,10 +31,10 @@ const DEFAULT_FRAMES: u32 = 20;
 pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     args.check()?;
     if let Some(path) = &args.trace {
-        trace::check(path)?;
+        trace::check(path, [&args.points, &args.cameras].into_iter().flatten())?;
     }
     let workload = Workload::new(args)?;
-    let mut rasterizer = args.rasterizer.create(workload.clouds())?;
+    let mut rasterizer = args.rasterizer.create(workload.clouds()?)?;
     let plan = plan(args, &workload);
     let name_of = |frame: usize| workload.frames[plan.job_of(frame, workload.frames.len())].name.clone();
     let mut progress = Progress::new(plan.frames());
@@ -42,7 +42,7 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
         true => progress.step("warm-up"),
         false => progress.step(&name_of(frame)),
     };
-    let mut frames: Box<dyn Frames> = match workload.steps(args) {
+    let mut frames: Box<dyn Frames> = match workload.steps(args)? {
         Some(steps) => Box::new(steps),
         None => Box::new(Jobs(workload.jobs(args))),
     };
@@ -72,7 +72,7 @@ fn plan(args: &BenchArgs, workload: &Workload) -> Plan {
 }
 
 fn report(args: &BenchArgs, workload: &Workload, info: RasterizerInfo, measured: &Measured) -> Report {
-    let (frames, points) = (&measured.frames, workload.points());
+    let (frames, points) = (&measured.frames, workload.points() as u64);
     Report {
         info,
         points,

@@ -1,13 +1,14 @@
 //! Traces in the Chrome trace event format: complete events (`ph: "X"`, times in microseconds), and names of tracks.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::measure::TimedFrame;
-use crate::error::{FileError, write_json};
+use crate::error::FileError;
+use crate::files::{check_output_file, write_json};
 
 /// Tracks of frames are numbered from 1, those of stages from here: far more than frames in flight.
 const FIRST_STAGE_TRACK: usize = 101;
@@ -31,8 +32,9 @@ pub(super) fn write(
     write_json(path, &Trace { events: events(frames, in_flight, name_of), unit: "ms" })
 }
 
-/// Whether a file can be written there, asked before the work is done.
-pub(super) fn check(path: &Path) -> Result<(), FileError> {
+/// Checks that the file can be written, before the work is done.
+pub(super) fn check<'a>(path: &Path, inputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), FileError> {
+    check_output_file(path, inputs.into_iter().map(PathBuf::as_path))?;
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     match std::fs::metadata(folder) {
         Ok(found) if !found.is_dir() => Err(FileError::content("a folder to write to", "a file", folder)),
@@ -129,11 +131,11 @@ mod tests {
     #[test]
     fn bad_places_are_known_before_the_work() {
         let folder = tempfile::tempdir().unwrap();
-        let place = |name: &str| check(&folder.path().join(name));
+        let place = |name: &str| check(&folder.path().join(name), []);
         std::fs::write(folder.path().join("file"), "").unwrap();
         assert!(place("t.json").is_ok() && place("file").is_ok());
         assert!(place("none/t.json").unwrap_err().to_string().ends_with("none/t.json"));
         assert!(place("file/t.json").is_err());
-        assert!(check(folder.path()).unwrap_err().to_string().contains("expected a file to write"));
+        assert!(check(folder.path(), []).unwrap_err().to_string().contains("expected a file to write"));
     }
 }

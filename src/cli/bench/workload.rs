@@ -5,9 +5,11 @@ use super::BenchArgs;
 use super::frames::Steps;
 use crate::cli::numbers::FrameRange;
 use crate::cli::render::open_skeleton;
+use crate::cli::{tell, warn};
 use crate::cloud::{self, Point, PointFile};
 use crate::conditions::{ConditionOptions, ImageSize, MapKind};
 use crate::dataset::{Log, LogLocator};
+use crate::error::FileError;
 use crate::geometry::View;
 use crate::logs;
 use crate::raster::{CloudSet, Crop, FrameJob, Instance, Occlusion};
@@ -58,7 +60,7 @@ impl Workload {
             }
             _ => {
                 let count = args.synthetic.unwrap_or(DEFAULT_POINTS);
-                eprintln!("making a street of {count} points");
+                tell(&format!("making a street of {count} points"));
                 let points = town::street_cloud(count, args.seed);
                 Self::of_cloud(PointFile { points, ..PointFile::default() }, town::street_views())
             }
@@ -92,30 +94,36 @@ impl Workload {
         let with_map = args.maps.contains(MapKind::Map) || args.maps.contains(MapKind::Tensor);
         let map = with_map.then(|| dataset.read_map()).transpose()?.flatten();
         let map = map.map(|map| Arc::new(SceneMap::new(map, log)));
-        let frames = frames_of_drive(log, &skeleton, range, map.as_ref());
+        let frames = frames_of_drive(log, &skeleton, range, map.as_ref())?;
         anyhow::ensure!(
             !frames.is_empty(),
             "expected frames with cameras in log {}, found none among {asked} frames",
             log.shown_name()
         );
         if frames.len() < asked {
-            eprintln!("warning: {} frames have no cameras and are left out", asked - frames.len());
+            warn(&format!("{} frames have no cameras and are left out", asked - frames.len()));
         }
         let clouds = Clouds::Skeleton(Box::new(skeleton), log.name.clone());
         Ok(Self { clouds, frames, is_drive: true, non_finite: 0 })
     }
 
     /// All clouds for a rasterizer.
-    pub(super) fn clouds(&self) -> CloudSet<'_> {
+    ///
+    /// # Errors
+    /// Points of a skeleton that do not have their checksum.
+    pub(super) fn clouds(&self) -> Result<CloudSet<'_>, FileError> {
         match &self.clouds {
-            Clouds::One(points) => vec![points],
+            Clouds::One(points) => Ok(vec![points]),
             Clouds::Skeleton(skeleton, _) => Stage::clouds(skeleton),
         }
     }
 
     /// Points of all clouds.
-    pub(super) fn points(&self) -> u64 {
-        self.clouds().iter().map(|cloud| cloud.len() as u64).sum()
+    pub(super) fn points(&self) -> usize {
+        match &self.clouds {
+            Clouds::One(points) => points.len(),
+            Clouds::Skeleton(skeleton, _) => skeleton.manifest.points(),
+        }
     }
 
     /// The frames as a rasterizer takes them.
@@ -134,11 +142,14 @@ impl Workload {
     }
 
     /// The frames as whole steps, if that is what is asked for.
-    pub(super) fn steps<'a>(&'a self, args: &BenchArgs) -> Option<Steps<'a>> {
-        let Clouds::Skeleton(skeleton, log) = &self.clouds else { return None };
+    ///
+    /// # Errors
+    /// Points of the skeleton that do not have their checksum.
+    pub(super) fn steps<'a>(&'a self, args: &BenchArgs) -> Result<Option<Steps<'a>>, FileError> {
+        let Clouds::Skeleton(skeleton, log) = &self.clouds else { return Ok(None) };
         let states = self.frames.iter().filter_map(|frame| frame.state.as_ref()).collect();
-        let steps = || Steps::new(Stage::new(skeleton, log), states, args.conditions());
-        args.whole_steps().then(steps)
+        let steps = || Ok(Steps::new(Stage::new(skeleton, log)?, states, args.conditions()));
+        args.whole_steps().then(steps).transpose()
     }
 
     /// Most cameras in a frame.
@@ -165,8 +176,8 @@ fn frames_of_drive(
     skeleton: &Skeleton,
     range: std::ops::Range<usize>,
     map: Option<&Arc<SceneMap>>,
-) -> Vec<WorkFrame> {
-    let (stage, selection) = (Stage::new(skeleton, &log.name), SelectionOptions::default());
+) -> Result<Vec<WorkFrame>, FileError> {
+    let (stage, selection) = (Stage::new(skeleton, &log.name)?, SelectionOptions::default());
     let radius_m = ConditionOptions::default().radius_m;
     let frame = |index: usize| {
         let mut state = state_of_frame(log, index, EgoOffset::default())?;
@@ -176,5 +187,5 @@ fn frames_of_drive(
         let views = state.cameras.iter().map(|camera| camera.view.clone()).collect();
         Some(WorkFrame { name: state.name.clone(), views, clouds, crop, state: Some(state) })
     };
-    range.filter_map(frame).filter(|frame: &WorkFrame| !frame.views.is_empty()).collect()
+    Ok(range.filter_map(frame).filter(|frame: &WorkFrame| !frame.views.is_empty()).collect())
 }

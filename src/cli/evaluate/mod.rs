@@ -17,8 +17,9 @@ use self::report::{Report, ScoredRollout};
 use self::rollout::GeneratedRollout;
 use self::segmentor::Segmentors;
 use super::progress::Progress;
-use super::{WrongUsage, say};
-use crate::error::{FileError, write_json};
+use super::{WrongUsage, say, tell};
+use crate::error::FileError;
+use crate::files::{check_output_file, write_json};
 use crate::metrics::{CollectedFeatures, RandomConvNet, RolloutScores, ScoredFrame, Scores};
 
 /// Score the generated images of rollouts against the truth
@@ -59,6 +60,9 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         let message = format!("expected --masks once for each of {rollouts} rollouts, found {masks}");
         return Err(WrongUsage(message).into());
     }
+    if let Some(out) = &args.out {
+        check_output_file(out, args.features.iter().map(PathBuf::as_path))?;
+    }
     let features = match args.features.as_slice() {
         [generated, truth] => Some(features::distance(generated, truth)?),
         _ => None,
@@ -80,7 +84,7 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     args.out.as_ref().map_or(Ok(()), |out| write_json(out, &report))?;
     say(report.table().trim_end());
     for note in report.notes() {
-        eprintln!("note: {note}");
+        tell(&format!("note: {note}"));
     }
     let seconds = start.elapsed().as_secs_f64();
     let out = args.out.as_ref().map_or(String::new(), |out| format!(": {}", out.display()));

@@ -20,7 +20,8 @@ use super::stand_ins::StandInArgs;
 use super::{WrongUsage, say};
 use crate::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use crate::dataset::{Dataset, LogFormat, LogLocator};
-use crate::error::{FileError, write_json, write_whole};
+use crate::error::FileError;
+use crate::files::{check_output_file, write_json, write_whole};
 use crate::logs;
 use crate::raster::SplatSchedule;
 use crate::scene::Stage;
@@ -72,11 +73,14 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
         let message = format!("expected a log town:.., of which the truth is known, found {}", args.log);
         return Err(WrongUsage(message).into());
     }
+    for out in [&args.json, &args.csv, &args.markdown].into_iter().flatten() {
+        check_output_file(out, [])?;
+    }
     let town = logs::open_town(&args.log)?;
     let skeleton = open_skeleton(&args.skeleton, &town)?;
     let frames = FrameRange::of(args.frames, town.log().frames.len())?;
     let (stand_ins, _) = args.stand_ins.make(&skeleton, &town.log().name)?;
-    let stage = Stage::with(&skeleton, &town.log().name, &stand_ins);
+    let stage = Stage::with(&skeleton, &town.log().name, &stand_ins)?;
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
     let map = town.read_map()?.map(Arc::new);
     let measurement =

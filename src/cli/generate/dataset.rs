@@ -10,7 +10,8 @@ use image::imageops::{self, FilterType};
 use image::{ImageFormat, RgbImage};
 
 use crate::dataset::{ImageRecord, Log};
-use crate::error::{FileError, write_whole, write_whole_folder};
+use crate::error::FileError;
+use crate::files::{WholeFolder, check_whole, write_whole};
 use crate::report::{self, ROLLOUT, StateFile};
 
 /// Of JPEG: artefacts are to be the generator's.
@@ -30,23 +31,22 @@ struct Replacement<'a> {
     record: &'a ImageRecord,
 }
 
-/// Only a folder that is new or empty is written.
-pub(super) fn check_new(folder: &Path) -> Result<(), FileError> {
-    let is_empty = std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
-    if folder.symlink_metadata().is_err() || is_empty {
-        return Ok(());
-    }
-    Err(FileError::content("a new or empty folder", "one that is in use", folder))
+/// Kind of the output folder.
+const KIND: &str = "dataset";
+
+/// Checks that the copy may be written, before anything is generated.
+pub(super) fn check(folder: &Path) -> Result<(), FileError> {
+    check_whole(folder, KIND)
 }
 
 /// Writes the images of a rollout of the log into a copy of the data set at `root`.
 pub(super) fn write(root: &Path, log: &Log, rollout: &Path, folder: &Path) -> Result<Counts, FileError> {
-    check_new(folder)?;
+    let target = WholeFolder::open(folder, KIND, &[root, rollout])?;
     let replaced = replacements(log, rollout)?;
     let images = log.frames.iter().map(|frame| frame.images.len()).sum::<usize>();
     let by_path = replaced.into_iter().map(|new| Ok((relative(root, &new.record.path)?, new)));
     let by_path = by_path.collect::<Result<BTreeMap<PathBuf, Replacement<'_>>, FileError>>()?;
-    write_whole_folder(folder, "", |whole| mirror(root, whole, Path::new(""), &by_path))?;
+    target.write(|whole| mirror(root, whole, Path::new(""), &by_path))?;
     Ok(Counts { replaced: by_path.len(), kept: images - by_path.len() })
 }
 

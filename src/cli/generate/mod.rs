@@ -48,7 +48,7 @@ pub(super) struct GenerateArgs {
     #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
     start: Option<i64>,
     /// Also write a copy of the data set (nuScenes) whose images are the generated ones, enlarged to their size; all else
-    /// are links to the original. A new or empty folder
+    /// are links to the original. A new or empty folder, or an earlier copy, which is replaced
     #[arg(long, value_name = "DIR")]
     dataset: Option<PathBuf>,
     #[command(flatten)]
@@ -81,7 +81,7 @@ pub(super) fn run(args: GenerateArgs) -> anyhow::Result<()> {
         return Err(WrongUsage(message).into());
     }
     if let Some(folder) = &args.dataset {
-        dataset::check_new(folder)?;
+        dataset::check(folder)?;
     }
     let (log, roots, out, back) =
         (args.log.clone(), args.roots.clone(), args.out.clone(), args.dataset.clone());

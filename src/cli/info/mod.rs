@@ -14,6 +14,7 @@ mod file;
 mod log;
 mod skeleton;
 mod templates;
+mod verify;
 
 pub(super) use skeleton::dropped;
 
@@ -31,17 +32,25 @@ pub(super) struct InfoArgs {
     /// One JSON object rather than text
     #[arg(long)]
     json: bool,
+    /// Read all points of a skeleton or of templates and compare them with their checksums; fails if any differ
+    #[arg(long)]
+    verify: bool,
 }
 
-/// Looks, prints. Damage that is found is told and is no error.
+/// Looks, prints. Damage that is found is told and is no error, but for points that were to be verified.
 pub(super) fn run(args: InfoArgs) -> anyhow::Result<()> {
-    let (json, text) = describe(&args.target, &args.roots)?;
+    let verified = args.verify.then(|| verify::verify(&args.target)).transpose()?;
+    let (mut json, mut text) = describe(&args.target, &args.roots)?;
+    if let Some(verified) = &verified {
+        json["verified"] = verified.json();
+        text.push_str(&verified.text());
+    }
     if args.json {
         say(&serde_json::to_string_pretty(&json)?);
     } else {
         say(text.trim_end());
     }
-    Ok(())
+    verified.map_or(Ok(()), |verified| verified.result(&args.target))
 }
 
 fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {

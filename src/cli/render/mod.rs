@@ -17,13 +17,14 @@ use anyhow::Context;
 use self::output::{Output, Rendered};
 use self::steps::Steps;
 use super::progress::Progress;
-use super::say;
+use super::{say, warn};
 use crate::cloud;
 use crate::conditions::distort::Distorter;
 use crate::conditions::meta::{Index, IndexFrame, PromptParts};
 use crate::conditions::{Begun, ConditionOptions};
 use crate::dataset::Dataset;
 use crate::error::FileError;
+use crate::files::OutputFolder;
 use crate::files::input::read_table;
 use crate::raster::{FRAMES_IN_FLIGHT, Rasterizer};
 use crate::scene::{SceneMap, SelectionOptions, Stage, frame_rate_hz};
@@ -48,11 +49,11 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     })?;
     let steps = Steps::new(log, &args, views, map)?;
     let (stand_ins, told) = args.stand_ins.make(&skeleton, &log.name)?;
-    let stage = Stage::with(&skeleton, &log.name, &stand_ins);
+    let stage = Stage::with(&skeleton, &log.name, &stand_ins)?;
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
     let options = args.options(maps, told);
     let output = Output {
-        folder: &args.out,
+        folder: OutputFolder::open(&args.out, "maps", &[&args.skeleton, &args.log.path])?,
         format: args.maps.format,
         options: &options.conditions,
         prompt: &prompt,
@@ -62,7 +63,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         log: &log.name,
     };
     let distorter = args.distort.then(|| Distorter::new(&options.conditions)).transpose()?;
-    output.begin()?;
+    output.begin(steps.names())?;
     let frames = Work { stage, steps: &steps, output: &output }.run(
         rasterizer.as_mut(),
         &options.conditions,
@@ -102,9 +103,7 @@ fn warn_of_times_outside(frames: &[IndexFrame], built_from: Option<[i64; 2]>) {
         frames.iter().filter(|f| !(first..=last).contains(&f.t_us)).map(|f| f.name.as_str()).collect();
     if !outside.is_empty() {
         let names = outside.join(", ");
-        eprintln!(
-            "warning: the skeleton was built from times {first} to {last}; outside of them lie: {names}"
-        );
+        warn(&format!("the skeleton was built from times {first} to {last}; outside of them lie: {names}"));
     }
 }
 

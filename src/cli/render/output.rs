@@ -1,12 +1,10 @@
-use std::path::Path;
-
 use super::args::RenderOptions;
 use crate::cli::map_args::MapFormat;
 use crate::conditions::birdseye::{self, BirdseyeOptions};
 use crate::conditions::meta::{FrameMeta, Index, PromptParts};
 use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
-use crate::error::{FileError, write_whole_folder};
-use crate::report::ROLLOUT;
+use crate::error::FileError;
+use crate::files::OutputFolder;
 use crate::scene::SceneState;
 
 /// A step with its maps.
@@ -17,7 +15,7 @@ pub(super) struct Rendered {
 
 /// The folder of maps.
 pub(super) struct Output<'a> {
-    pub(super) folder: &'a Path,
+    pub(super) folder: OutputFolder,
     pub(super) format: MapFormat,
     pub(super) options: &'a ConditionOptions,
     pub(super) prompt: &'a PromptParts,
@@ -34,26 +32,18 @@ const INDEX: &str = "index.json";
 const META: &str = "meta.json";
 
 impl Output<'_> {
-    /// An index of an earlier run goes first: while there is one, the folder is complete. That of a rollout stays.
-    pub(super) fn begin(&self) -> Result<(), FileError> {
-        if self.folder.join(ROLLOUT).exists() {
-            let expected = "a folder for maps of render";
-            return Err(FileError::content(expected, format!("a rollout with {ROLLOUT}"), self.folder));
-        }
-        let index = self.folder.join(INDEX);
-        match std::fs::remove_file(&index) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                Err(FileError::io("replace", &index)(error))
-            }
-            _ => Ok(()),
-        }
+    /// Checks that steps of these names may be written. An index of an earlier run is removed: while there is one, the
+    /// folder is complete.
+    pub(super) fn begin(&self, steps: impl Iterator<Item = String>) -> Result<(), FileError> {
+        self.folder.check(steps)?;
+        self.folder.remove([INDEX])
     }
 
     /// Writes the folder of a step.
     pub(super) fn write(&self, step: &Rendered) -> Result<(), ConditionError> {
         let (state, set) = (&step.state, &step.set);
         let bins = &self.options.depth_bins;
-        write_whole_folder(&self.folder.join(&state.name), META, |folder| {
+        self.folder.write_folder(&state.name, |folder| {
             self.format.write(folder, set, state.t_us, self.options)?;
             let caption = format!("{}  {}", self.log, state.name);
             sheet::write(&folder.join("sheet.png"), set, bins, &caption)?;
@@ -67,7 +57,8 @@ impl Output<'_> {
     }
 
     /// Writes the index, last of all.
-    pub(super) fn end(&self, index: &Index<&RenderOptions>) -> Result<(), FileError> {
-        index.write(&self.folder.join(INDEX))
+    pub(super) fn end(self, index: &Index<&RenderOptions>) -> Result<(), FileError> {
+        index.write(&self.folder.claim(INDEX)?)?;
+        self.folder.close()
     }
 }

@@ -6,7 +6,9 @@ use crate::cli::WrongUsage;
 use crate::cli::numbers::FrameRange;
 use crate::dataset::{EgoTrack, Frame, Log};
 use crate::geometry::View;
-use crate::scene::{EgoOffset, SceneMap, SceneState, state_at, state_of_frame, with_cameras};
+use crate::scene::{
+    EgoOffset, SceneMap, SceneState, name_of_frame, name_of_time, state_at, state_of_frame, with_cameras,
+};
 
 /// What is to be rendered; all of it lies within the log.
 pub(super) struct Steps<'a> {
@@ -55,6 +57,14 @@ impl<'a> Steps<'a> {
 
     pub(super) fn len(&self) -> usize {
         self.when.len()
+    }
+
+    /// Names of the states, in order.
+    pub(super) fn names(&self) -> impl Iterator<Item = String> {
+        self.when.iter().map(|when| match *when {
+            When::Frame(index) => name_of_frame(index),
+            When::Time(t_us) => name_of_time(t_us),
+        })
     }
 
     /// The states, in order.

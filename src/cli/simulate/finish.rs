@@ -1,10 +1,12 @@
+use std::path::Path;
+
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::output::{INDEX, METRICS, Output, PAGE, STATES, VIDEO, step_folder};
 use crate::conditions::meta::Index;
-use crate::error::write_json;
 use crate::files::FileName;
+use crate::files::{OutputFolder, write_json};
 use crate::report::page::{self, Page, PageActor, PageEvent, PageStep};
 use crate::report::{ActorRow, Phase, StepRow, Video, film, sight, view};
 use crate::sim::{Collision, EndReason, Metrics};
@@ -48,22 +50,26 @@ struct Told<'a> {
 }
 
 /// Writes what is made of all steps: metrics, video, page, and the index last.
-pub(super) fn finish(output: &Output<'_>, rows: &[StepRow], outcome: &Outcome) -> anyhow::Result<()> {
+pub(super) fn finish(
+    output: &Output<'_>,
+    files: &OutputFolder,
+    rows: &[StepRow],
+    outcome: &Outcome,
+) -> anyhow::Result<()> {
     let Outcome { metrics, ended, notes, steps_beyond_log, .. } = outcome;
     let (failure, steps_beyond_log) = (outcome.failure.as_deref(), *steps_beyond_log);
     let told = Told { ended: *ended, failure, metrics, steps_beyond_log, notes };
-    write_json(&output.folder.join(METRICS), &told)?;
-    video(output, rows, outcome)?;
-    page(output, rows, outcome).write(&output.folder.join(PAGE))?;
+    write_json(&files.claim(METRICS)?, &told)?;
+    video(output, &files.claim(VIDEO)?, rows, outcome)?;
+    page(output, rows, outcome).write(&files.claim(PAGE)?)?;
     let cameras: Vec<_> = outcome.cameras.iter().map(|(name, _)| name.clone()).collect();
     let frames = rows.iter().map(|row| row.index_frame(&cameras)).collect();
-    Index { options: output.options, frames }.write(&output.folder.join(INDEX))?;
+    Index { options: output.options, frames }.write(&files.claim(INDEX)?)?;
     Ok(())
 }
 
 /// Pictures are drawn on all threads, and encoded in order.
-fn video(output: &Output<'_>, rows: &[StepRow], outcome: &Outcome) -> anyhow::Result<()> {
-    let path = output.folder.join(VIDEO);
+fn video(output: &Output<'_>, path: &Path, rows: &[StepRow], outcome: &Outcome) -> anyhow::Result<()> {
     let mut video = None;
     for rows in rows.chunks(PICTURES) {
         let picture = |row: &StepRow| {
@@ -74,7 +80,7 @@ fn video(output: &Output<'_>, rows: &[StepRow], outcome: &Outcome) -> anyhow::Re
             let (size, pixels) = picture?;
             let video = match &mut video {
                 Some(video) => video,
-                none => none.insert(Video::new(&path, size, output.options.sim_hz)?),
+                none => none.insert(Video::new(path, size, output.options.sim_hz)?),
             };
             video.push(size, &pixels)?;
         }

@@ -7,8 +7,9 @@ use anyhow::Context;
 
 use super::output::{STATE, step_folder};
 use crate::cli::generator::{Opened, Subject};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
 use crate::files::input::{is_there, read_table};
+use crate::files::write_whole;
 use crate::generate::{Cache, Made, Session, SessionTimes};
 use crate::raster::Rasterizer;
 use crate::report::images::{self, GENERATED, TRUTH};

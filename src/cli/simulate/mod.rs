@@ -27,11 +27,12 @@ use self::summary::summary;
 use super::generator::{GeneratorReport, Opened, Subject};
 use super::render::{open_skeleton, read_prompt};
 use super::stand_ins::StandInReport;
-use super::{WrongUsage, say};
+use super::{WrongUsage, say, warn};
 use crate::conditions::meta::PromptParts;
 use crate::conditions::{ConditionOptions, ImageSize, MapSet};
 use crate::dataset::{Dataset, Log, LogFormat};
 use crate::error::FileError;
+use crate::files::OutputFolder;
 use crate::generate::TrueImages;
 use crate::logs;
 use crate::raster::{RasterizerInfo, StageTimes};
@@ -40,6 +41,8 @@ use crate::scene::{SceneMap, Stage};
 use crate::sim::{EndReason, Scenario, SimError, Simulation};
 use crate::skeleton::Skeleton;
 
+/// Kind of the output folder.
+const KIND: &str = "rollout";
 /// The size of maps where cameras are larger and none is given.
 const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
 
@@ -55,6 +58,9 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     let sim_options = args.sim_options(&scenario, opened.as_ref().map(Opened::window))?;
     args.steps = sim_options.steps;
     let sources = Sources::new(log, skeleton, prompt)?;
+    let inputs_of_files = [args.skeleton.as_path(), args.log.path.as_path()];
+    let open_files = || OutputFolder::open(&args.out, KIND, &inputs_of_files);
+    let files = (!args.dry).then(open_files).transpose()?;
     let earlier = earlier(&args, &sources)?;
     let (saved, rows) = earlier.map_or((None, Vec::new()), |Earlier { rows, saved }| (Some(saved), rows));
     let simulation = match &saved {
@@ -63,12 +69,12 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     };
     let simulation = simulation.map_err(usage)?;
     let (stand_ins, told) = args.stand_ins.make(skeleton, &log.name)?;
-    let stage = Stage::with(skeleton, &log.name, &stand_ins);
+    let stage = Stage::with(skeleton, &log.name, &stand_ins)?;
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
     let generator = opened.as_ref().map(Opened::report);
     let options = options(&args, log, (*maps, told, sources, generator), &simulation, sim_options.clone());
     let output = Output { folder: &args.out, options: &options, prompt };
-    let states = (!args.dry).then(|| output.begin(&rows)).transpose()?;
+    let states = files.as_ref().map(|files| output.begin(files, &rows)).transpose()?;
     let town = opened.as_ref().filter(|_| args.log.format == LogFormat::Town);
     let town = town.map(|_| logs::open_town(&args.log)).transpose()?;
     let [ego_follows_log, actors_follow_log] = args.follow_log();
@@ -97,11 +103,12 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
         stage: &stage,
         options: &options,
         output: &output,
+        files: files.as_ref(),
         shown_to_planner,
     };
     let run = rollout.run(simulation, rasterizer.as_mut(), generation.as_mut(), rows, states)?;
     let (stages, info) = (rasterizer.take_stages(), rasterizer.info());
-    let text = report(&args, &output, log, run, (&stages, info))?;
+    let text = report(&args, &output, files, log, run, (&stages, info))?;
     say(&format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
     Ok(())
 }
@@ -138,13 +145,17 @@ impl Inputs {
 fn report(
     args: &SimulateArgs,
     output: &Output<'_>,
+    files: Option<OutputFolder>,
     log: &Log,
     mut run: Run,
     (stages, info): (&StageTimes, RasterizerInfo),
 ) -> anyhow::Result<String> {
     let outcome = outcome(args, output.options, log, &mut run);
     let clock = Instant::now();
-    let finished = if args.dry { Ok(()) } else { finish(output, &run.rows, &outcome) };
+    let finished = files.map_or(Ok(()), |files| {
+        finish(output, &files, &run.rows, &outcome)?;
+        Ok(files.close()?)
+    });
     run.profile.report_s = clock.elapsed().as_secs_f64();
     run.profile.close(info.clone(), stages);
     let profiled = args.profile.as_deref().map_or(Ok(()), |path| run.profile.write(path));
@@ -152,7 +163,7 @@ fn report(
     if let Some(failure) = run.failure {
         // What came first counts.
         if let Err(error) = reported {
-            eprintln!("warning: after the rollout had failed: {}", super::with_causes(&error));
+            warn(&format!("after the rollout had failed: {}", super::with_causes(&error)));
         }
         return Err(failure.context(told_failure(args, &run.rows)));
     }
@@ -168,7 +179,11 @@ fn earlier(args: &SimulateArgs, sources: &Sources) -> Result<Option<Earlier>, Fi
     let places =
         Places { log: &args.log.path, skeleton: &args.skeleton, annotations: args.annotations.as_deref() };
     let (folder, until) = (&args.out, args.resume_from);
-    Resumed { folder, until, steps: args.steps, sources, places }.read().map(Some)
+    let earlier = Resumed { folder, until, steps: args.steps, sources, places }.read()?;
+    if earlier.is_none() {
+        warn("no rollout with a step was found to resume; this one starts at step 0");
+    }
+    Ok(earlier)
 }
 
 /// Options that are wrong have an exit code of their own.

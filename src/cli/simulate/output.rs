@@ -1,4 +1,4 @@
-use std::fs::{create_dir_all, remove_dir_all, remove_file};
+use std::fs::create_dir_all;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -14,8 +14,9 @@ use crate::cli::stand_ins::StandInReport;
 use crate::conditions::birdseye::{self, BirdseyeOptions, Trace};
 use crate::conditions::meta::{FrameMeta, PromptParts};
 use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
-use crate::error::{FileError, check_replaceable, write_json, write_whole_folder};
+use crate::error::FileError;
 use crate::files::input::{is_there, read_table};
+use crate::files::{OutputFolder, write_json};
 use crate::report::{ROLLOUT, StateFile, StepRow, film, view};
 use crate::scene::{SceneState, SelectionOptions};
 use crate::sim::{SavedState, SimOptions};
@@ -97,19 +98,21 @@ pub(super) struct Resumed<'a> {
 }
 
 impl Resumed<'_> {
-    /// Reads its rows and its saved state.
-    pub(super) fn read(&self) -> Result<Earlier, FileError> {
+    /// Reads its rows and its saved state; `None` if it has no step yet and none is asked for.
+    pub(super) fn read(&self) -> Result<Option<Earlier>, FileError> {
         let marker = self.folder.join(ROLLOUT);
-        if !is_there(&marker)? {
-            return Err(FileError::content("a rollout to go on with", format!("no {ROLLOUT}"), self.folder));
-        }
+        let path = self.folder.join(STATES);
+        let mut rows = if is_there(&path)? { StateFile::read(&path)? } else { Vec::new() };
+        let Some(last) = rows.len().checked_sub(1) else {
+            return match self.until {
+                None => Ok(None),
+                Some(step) => {
+                    Err(FileError::content(format!("a rollout with step {step}"), "no step", self.folder))
+                }
+            };
+        };
         let before = read_marker(&marker)?;
         self.sources.check(&before["sources"], &marker, &self.places)?;
-        let path = self.folder.join(STATES);
-        let mut rows = StateFile::read(&path)?;
-        let last = rows.len().checked_sub(1);
-        let last =
-            last.ok_or_else(|| FileError::content("states of a rollout to go on with", "none", &path))?;
         let step = self.until.unwrap_or(last);
         if step > last {
             let (expected, found) = (format!("a step from 0 to {last} to go on behind"), step.to_string());
@@ -124,7 +127,7 @@ impl Resumed<'_> {
         let text = read_table(&path)?;
         let saved = serde_json::from_slice(&text)
             .map_err(|error| FileError::content("a saved state", error.to_string(), &path))?;
-        Ok(Earlier { rows, saved })
+        Ok(Some(Earlier { rows, saved }))
     }
 }
 
@@ -134,31 +137,26 @@ fn read_marker(marker: &Path) -> Result<Value, FileError> {
 }
 
 impl Output<'_> {
-    /// Makes the folder ready: an earlier rollout in it goes, or its steps behind those that are kept.
-    pub(super) fn begin(&self, kept: &[StepRow]) -> Result<StateFile, FileError> {
+    /// Prepares the folder: removes an earlier rollout, or its steps behind those that are retained.
+    pub(super) fn begin(&self, files: &OutputFolder, kept: &[StepRow]) -> Result<StateFile, FileError> {
         let marker = self.folder.join(ROLLOUT);
-        if kept.is_empty() {
-            check_replaceable(self.folder, ROLLOUT)?;
-        } else {
+        if !kept.is_empty() {
             self.check_same(&marker)?;
         }
-        create_dir_all(self.folder).map_err(FileError::io("create", self.folder))?;
+        files.check([ROLLOUT, STATES, STEPS])?;
         // While there is an index, the folder is complete: it goes first.
-        for name in [INDEX, PAGE, VIDEO, METRICS] {
-            gone(&self.folder.join(name))?;
-        }
-        let steps = self.folder.join(STEPS);
+        files.remove([INDEX, PAGE, VIDEO, METRICS])?;
         if kept.is_empty() {
-            gone(&self.folder.join(STATES))?;
-            gone(&steps)?;
+            files.remove([STATES, STEPS])?;
         }
-        write_json(&marker, self.options)?;
+        write_json(&files.claim(ROLLOUT)?, self.options)?;
+        let steps = self.folder.join(STEPS);
         create_dir_all(&steps).map_err(FileError::io("create", &steps))?;
-        let states = StateFile::create(&self.folder.join(STATES), kept)?;
+        let states = StateFile::create(&files.claim(STATES)?, kept)?;
         for entry in std::fs::read_dir(&steps).map_err(FileError::io("read", &steps))? {
-            let path = entry.map_err(FileError::io("read", &steps))?.path();
-            if !kept.iter().any(|row| path.ends_with(row.name())) {
-                gone(&path)?;
+            let name = entry.map_err(FileError::io("read", &steps))?.file_name();
+            if !kept.iter().any(|row| *row.name() == *name) {
+                files.remove([Path::new(STEPS).join(name)])?;
             }
         }
         Ok(states)
@@ -187,11 +185,16 @@ impl Output<'_> {
     }
 
     /// Writes the folder of a step, then its line.
-    pub(super) fn write(&self, job: &Job, states: &mut StateFile) -> Result<WriteTimes, ConditionError> {
+    pub(super) fn write(
+        &self,
+        job: &Job,
+        files: &OutputFolder,
+        states: &mut StateFile,
+    ) -> Result<WriteTimes, ConditionError> {
         let (state, set, options) = (&job.state, &job.set, &self.options.conditions);
         let bins = &options.depth_bins;
         let (mut times, mut clock) = (WriteTimes::default(), Instant::now());
-        write_whole_folder(&step_folder(self.folder, &state.name), META, |folder| {
+        files.write_folder(Path::new(STEPS).join(&state.name), |folder| {
             self.options.format.write(folder, set, state.t_us, options)?;
             for (state, set) in &job.forecast {
                 self.write_forecast(&folder.join(FORECAST).join(&state.name), state, set)?;
@@ -231,18 +234,6 @@ impl Output<'_> {
     fn write_meta(&self, folder: &Path, state: &SceneState) -> Result<(), ConditionError> {
         let meta = FrameMeta::new(state, &self.options.conditions, self.prompt, Some(self.options.sim_hz));
         Ok(meta.write(&folder.join(META))?)
-    }
-}
-
-/// Removes a file or folder that may not be there.
-fn gone(path: &Path) -> Result<(), FileError> {
-    let is_folder = std::fs::symlink_metadata(path).is_ok_and(|data| data.is_dir());
-    let removed = if is_folder { remove_dir_all(path) } else { remove_file(path) };
-    match removed {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            Err(FileError::io("replace", path)(error))
-        }
-        _ => Ok(()),
     }
 }
 

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use crate::error::{FileError, write_json};
+use crate::error::FileError;
+use crate::files::write_json;
 use crate::generate::SessionTimes;
 use crate::raster::{RasterizerInfo, StageTimes};
 

@@ -17,6 +17,7 @@ use crate::conditions::{Begun, ConditionError, ConditionSet};
 use crate::dataset::{EgoTrack, Log};
 use crate::error::FileError;
 use crate::files::FileName;
+use crate::files::OutputFolder;
 use crate::raster::Rasterizer;
 use crate::report::images::TRUTH;
 use crate::report::{Observed, Phase, StateFile, StepRow, sight, view};
@@ -30,6 +31,8 @@ pub(super) struct Rollout<'a> {
     pub(super) stage: &'a Stage<'a>,
     pub(super) options: &'a RolloutOptions,
     pub(super) output: &'a Output<'a>,
+    /// Where steps are written; `None` writes nothing.
+    pub(super) files: Option<&'a OutputFolder>,
     /// Whether a planner is told the folder of each step, once it is written.
     pub(super) shown_to_planner: bool,
 }
@@ -87,9 +90,9 @@ impl Rollout<'_> {
         let writes = states.is_some();
         let (run, times) = std::thread::scope(|scope| {
             let writer = scope.spawn(move || -> Result<Vec<WriteTimes>, ConditionError> {
-                let Some(mut states) = states else { return Ok(Vec::new()) };
+                let (Some(files), Some(mut states)) = (self.files, states) else { return Ok(Vec::new()) };
                 let write = |job: Job| {
-                    let times = self.output.write(&job, &mut states)?;
+                    let times = self.output.write(&job, files, &mut states)?;
                     let _ = tell.send(()); // nobody may wait for it
                     Ok(times)
                 };
@@ -416,7 +419,7 @@ mod tests {
             generator: None,
         };
         let output = Output { folder: folder.path(), options: &options, prompt: &prompt };
-        let stage = Stage::new(&skeleton, &log.name);
+        let stage = Stage::new(&skeleton, &log.name).unwrap();
         let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
         let drawn = raster::create(&desc, stage.cloud_set()).unwrap();
         let rollout = Rollout {
@@ -425,6 +428,7 @@ mod tests {
             stage: &stage,
             options: &options,
             output: &output,
+            files: None,
             shown_to_planner: false,
         };
         let scenario = Scenario::new(&log, None, LogFormat::Town);

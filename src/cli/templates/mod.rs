@@ -8,7 +8,6 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
-use tempfile::TempDir;
 
 use self::picture::draw;
 use super::log_args::LogRoots;
@@ -69,19 +68,23 @@ impl FromStr for Target {
 /// Reads, makes, draws, writes.
 pub(super) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    TemplateLibrary::check_target(&args.out)?;
+    let skeletons = args.targets.iter().filter_map(|target| match target {
+        Target::Skeleton(path) => Some(path.as_path()),
+        Target::Log(_) => None,
+    });
+    let target = TemplateLibrary::target(&args.out, &skeletons.collect::<Vec<_>>())?;
     let options = TemplateOptions {
         target_points: args.target_points,
         min_points: args.min_points,
         ..TemplateOptions::default()
     };
     let mut instances = Instances::new(options);
-    let sources = read(args, &mut instances)?;
+    let sources = read(args, &mut instances, target.scratch())?;
     let made = instances.templates();
     let found = told(&made.1);
     anyhow::ensure!(!made.0.is_empty(), "expected actors with points enough for a template, found {found}");
     let library = TemplateLibrary::new(sources, options, made);
-    library.write::<anyhow::Error>(&args.out, |folder| draw_all(folder, &library.clouds))?;
+    library.write::<anyhow::Error>(target, |folder| draw_all(folder, &library.clouds))?;
     let (count, logs) = (library.clouds.len(), library.manifest.sources.len());
     let seconds = start.elapsed().as_secs_f64();
     say(&format!(
@@ -91,37 +94,28 @@ pub(super) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn read(args: &TemplatesArgs, instances: &mut Instances) -> anyhow::Result<Vec<LogSource>> {
+fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyhow::Result<Vec<LogSource>> {
     let mut sources = Vec::new();
     let mut progress = Progress::new(args.targets.len());
     for target in &args.targets {
         match target {
             Target::Skeleton(path) => {
                 let skeleton = Skeleton::open(path)?;
-                sources.extend(take(instances, &skeleton));
+                sources.extend(take(instances, &skeleton)?);
                 progress.step(&path.display().to_string());
             }
             Target::Log(locator) => {
                 for log in logs::expand(&args.roots.locate(locator))? {
                     let dataset = logs::open(&log)?;
                     let name = dataset.log().shown_name();
-                    let folder = scratch(&args.out)?;
-                    let built = build(&folder.path().join("skeleton"), dataset.as_ref());
-                    sources.extend(take(instances, &built.with_context(|| format!("log {name}"))?));
+                    let built = build(&scratch.join("skeleton"), dataset.as_ref());
+                    sources.extend(take(instances, &built.with_context(|| format!("log {name}"))?)?);
                     progress.step(&name);
                 }
             }
         }
     }
     Ok(sources)
-}
-
-/// A folder beside the one to write, gone at the end.
-fn scratch(out: &Path) -> Result<TempDir, FileError> {
-    let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    std::fs::create_dir_all(parent).map_err(FileError::io("create", parent))?;
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".pskel-").tempdir_in(parent).map_err(FileError::io("create a folder in", parent))
 }
 
 /// A skeleton of all frames of a log.
@@ -137,12 +131,12 @@ fn build(out: &Path, dataset: &dyn Dataset) -> Result<Skeleton, BuildError> {
     })
 }
 
-fn take(instances: &mut Instances, skeleton: &Skeleton) -> Vec<LogSource> {
-    let assets: Vec<_> = skeleton.manifest.actors.iter().zip(skeleton.actors()).collect();
+fn take(instances: &mut Instances, skeleton: &Skeleton) -> Result<Vec<LogSource>, FileError> {
+    let assets: Vec<_> = skeleton.manifest.actors.iter().zip(skeleton.actors()?).collect();
     instances.add(&assets);
     let count = |source: &Source| assets.iter().filter(|(asset, _)| asset.log == source.log).count();
     let source = |source: &Source| LogSource { source: source.clone(), actors: count(source) };
-    skeleton.manifest.sources.iter().map(source).collect()
+    Ok(skeleton.manifest.sources.iter().map(source).collect())
 }
 
 /// Templates of a skeleton's own actors, and what to tell of them in a summary.

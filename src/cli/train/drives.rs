@@ -13,6 +13,7 @@ use crate::cli::progress::Progress;
 use crate::cli::rasterizer::RasterizerArgs;
 use crate::dataset::{Dataset, LogLocator};
 use crate::error::FileError;
+use crate::files::OutputFolder;
 use crate::generate::{Drive, Recipe};
 use crate::logs;
 use crate::scene::EgoOffset;
@@ -32,6 +33,8 @@ pub(super) struct Recording<'a> {
     pub(super) rasterizer: &'a RasterizerArgs,
 }
 
+/// Kind of the output folder.
+const KIND: &str = "recordings";
 /// What places and assets of variants follow from. It is not the training's seed: trainings share drives.
 const SEED: u64 = 1;
 /// Farthest to either side that a variant drives, metres.
@@ -42,7 +45,6 @@ const TURNED_RAD: f64 = 0.1;
 impl Recording<'_> {
     /// The drives of all logs, in order; those that are not there yet are recorded.
     pub(super) fn drives(&self, locators: &[LogLocator]) -> anyhow::Result<Vec<Drive>> {
-        std::fs::create_dir_all(self.folder).map_err(FileError::io("create", self.folder))?;
         let mut progress = Progress::new(locators.len());
         let mut drives = Vec::new();
         for locator in locators {
@@ -79,15 +81,17 @@ impl Recording<'_> {
         self.folder.join(format!("{}-{number}{worse}.safetensors", town.recording()))
     }
 
-    /// The skeleton stays for drives that are asked for later.
+    /// The skeleton stays for drives that are asked for later. Only the recording locks the folder: trainings share it.
     fn record(&self, town: &Town, files: &[PathBuf]) -> anyhow::Result<()> {
+        let folder = OutputFolder::open(self.folder, KIND, &[])?;
         let path = self.folder.join(format!("{}.skeleton", town.recording()));
         let skeleton = build::kept(town, &path)?;
         let source = Source { town, skeleton: &skeleton, recipe: self.recipe, rasterizer: self.rasterizer };
         for (number, file) in files.iter().enumerate().filter(|(_, file)| !file.is_file()) {
-            source.record(self.variant(&town.log().name, number))?.save(file)?;
+            let name = file.file_name().unwrap_or_default();
+            source.record(self.variant(&town.log().name, number))?.save(&folder.claim(name)?)?;
         }
-        Ok(())
+        Ok(folder.close()?)
     }
 
     fn variant(&self, log: &str, number: usize) -> Variant {

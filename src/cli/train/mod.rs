@@ -42,13 +42,12 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
         augment: !args.no_augment,
         rasterizer: &args.rasterizer,
     };
+    let files = (args.steps > 0).then(|| steps::open(&args.out)).transpose()?;
     let drives = recording.drives(&args.logs)?;
     let frames: usize = drives.iter().map(|drive| drive.frames.len()).sum();
     let seconds = start.elapsed().as_secs_f64();
     say(&format!("{} drives of {frames} frames in {seconds:.2} s: {}", drives.len(), folder.display()));
-    if args.steps == 0 {
-        return Ok(());
-    }
+    let Some(files) = files else { return Ok(()) };
     let training = Training {
         folder: &args.out,
         options,
@@ -56,7 +55,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
         checkpoint_steps: args.checkpoint,
         command: args.command(),
     };
-    let losses = training.run(&drives, args.resume)?;
+    let losses = training.run(files, &drives, args.resume)?;
     say(&format!(
         "trained {} steps, loss {:.4}, in {:.2} s: {}",
         losses.len(),

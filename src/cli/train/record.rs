@@ -35,7 +35,7 @@ impl Source<'_> {
     pub(super) fn record(&self, variant: Variant) -> anyhow::Result<Drive> {
         let log = self.town.log();
         let (stand_ins, _) = StandInArgs::augmented(variant.augment).make(self.skeleton, &log.name)?;
-        let stage = Stage::with(self.skeleton, &log.name, &stand_ins);
+        let stage = Stage::with(self.skeleton, &log.name, &stand_ins)?;
         let mut rasterizer = self.rasterizer.create(stage.cloud_set())?;
         let map = self.town.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
         let options = self.recipe.options(map.is_some());

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::cli::progress::Progress;
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
 use crate::files::input::{is_there, read_text};
+use crate::files::{OutputFolder, write_whole};
 use crate::generate::Drive;
 use crate::generate::network::NetworkConfig;
 use crate::generate::train::{StepReport, TrainOptions, Trainer};
@@ -31,6 +32,8 @@ pub(super) struct Loss {
     pub(super) learning_rate: f64,
 }
 
+/// Kind of the output folder.
+const KIND: &str = "training";
 const CHECKPOINT: &str = "checkpoint.safetensors";
 const WEIGHTS: &str = "weights.safetensors";
 const LOSS: &str = "loss.csv";
@@ -46,10 +49,21 @@ impl From<StepReport> for Loss {
     }
 }
 
+/// Opens the folder of a training, before anything is recorded.
+pub(super) fn open(folder: &Path) -> Result<OutputFolder, FileError> {
+    let files = OutputFolder::open(folder, KIND, &[])?;
+    files.check([CHECKPOINT, WEIGHTS, LOSS, CURVE])?;
+    Ok(files)
+}
+
 impl Training<'_> {
     /// Takes all steps that are left and writes the weights. Returns the losses of all steps.
-    pub(super) fn run(&self, drives: &[Drive], resume: bool) -> anyhow::Result<Vec<Loss>> {
-        std::fs::create_dir_all(self.folder).map_err(FileError::io("create", self.folder))?;
+    pub(super) fn run(
+        &self,
+        files: OutputFolder,
+        drives: &[Drive],
+        resume: bool,
+    ) -> anyhow::Result<Vec<Loss>> {
         let checkpoint = self.folder.join(CHECKPOINT);
         let mut trainer = match resume && is_there(&checkpoint)? {
             true => self.resumed(&checkpoint, drives)?,
@@ -63,19 +77,20 @@ impl Training<'_> {
             losses.push(report.into());
             progress.step(&format!("step {}, loss {:.4}", report.step, recent(&losses)));
             if trainer.done().is_multiple_of(self.checkpoint_steps) && !trainer.is_done() {
-                self.write(&trainer, &losses)?;
+                self.write(&files, &trainer, &losses)?;
             }
         }
-        self.write(&trainer, &losses)?;
+        self.write(&files, &trainer, &losses)?;
+        files.close()?;
         Ok(losses)
     }
 
     /// The checkpoint comes last: what it stands for is there.
-    fn write(&self, trainer: &Trainer<'_>, losses: &[Loss]) -> anyhow::Result<()> {
-        write_losses(&self.folder.join(LOSS), losses)?;
-        plot(losses).write(&self.folder.join(CURVE))?;
-        trainer.weights(&self.command)?.write(&self.weights())?;
-        Ok(trainer.save(&self.folder.join(CHECKPOINT))?)
+    fn write(&self, files: &OutputFolder, trainer: &Trainer<'_>, losses: &[Loss]) -> anyhow::Result<()> {
+        write_losses(&files.claim(LOSS)?, losses)?;
+        plot(losses).write(&files.claim(CURVE)?)?;
+        trainer.weights(&self.command)?.write(&files.claim(WEIGHTS)?)?;
+        Ok(trainer.save(&files.claim(CHECKPOINT)?)?)
     }
 
     /// The number of steps is part of how it was begun: the learning rate falls over all of them.

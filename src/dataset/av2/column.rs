@@ -35,10 +35,10 @@ impl<'a> Column<'a> {
                 DataType::Float16 => extend::<Float16Type, _>(&mut values, part, f64::from),
                 DataType::Float32 => extend::<Float32Type, _>(&mut values, part, f64::from),
                 DataType::Float64 => extend::<Float64Type, _>(&mut values, part, |v| v),
-                other => {
-                    let integers = integers(part).ok_or_else(|| self.wrong_type("numbers", other))?;
-                    values.extend(integers.into_iter().map(|v| v as f64));
+                other if !extend_integers(&mut values, part, |v| v as f64) => {
+                    return Err(self.wrong_type("numbers", other));
                 }
+                _ => {}
             }
         }
         Ok(values)
@@ -49,16 +49,21 @@ impl<'a> Column<'a> {
     /// # Errors
     /// Values of another type, empty ones, or one over what 64 bits with a sign hold.
     pub(super) fn integers(&self) -> Result<Vec<i64>, FileError> {
-        let mut values = Vec::new();
+        let (mut values, mut too_much) = (Vec::new(), None);
         for part in self.parts()? {
-            let wide = integers(part).ok_or_else(|| self.wrong_type("integers", part.data_type()))?;
-            for value in wide {
-                let too_much = |_| {
-                    let found = format!("{value} in column {}", self.name);
-                    FileError::content("integers below 2^63", found, self.path)
-                };
-                values.push(i64::try_from(value).map_err(too_much)?);
+            let narrow = |wide: i128| {
+                i64::try_from(wide).unwrap_or_else(|_| {
+                    too_much = Some(wide);
+                    i64::MAX
+                })
+            };
+            if !extend_integers(&mut values, part, narrow) {
+                return Err(self.wrong_type("integers", part.data_type()));
             }
+        }
+        if let Some(value) = too_much {
+            let found = format!("{value} in column {}", self.name);
+            return Err(FileError::content("integers below 2^63", found, self.path));
         }
         Ok(values)
     }
@@ -118,23 +123,26 @@ impl<'a> Column<'a> {
     }
 }
 
-/// Integers, wide enough for all types; `None` for other types.
-fn integers(part: &dyn Array) -> Option<Vec<i128>> {
-    let mut values = Vec::with_capacity(part.len());
+/// Adds integers of any width, as whatever becomes of them; `false` for values of other types.
+fn extend_integers<T>(values: &mut Vec<T>, part: &dyn Array, mut to: impl FnMut(i128) -> T) -> bool {
     match part.data_type() {
-        DataType::Int8 => extend::<Int8Type, _>(&mut values, part, i128::from),
-        DataType::Int16 => extend::<Int16Type, _>(&mut values, part, i128::from),
-        DataType::Int32 => extend::<Int32Type, _>(&mut values, part, i128::from),
-        DataType::Int64 => extend::<Int64Type, _>(&mut values, part, i128::from),
-        DataType::UInt8 => extend::<UInt8Type, _>(&mut values, part, i128::from),
-        DataType::UInt16 => extend::<UInt16Type, _>(&mut values, part, i128::from),
-        DataType::UInt32 => extend::<UInt32Type, _>(&mut values, part, i128::from),
-        DataType::UInt64 => extend::<UInt64Type, _>(&mut values, part, i128::from),
-        _ => return None,
+        DataType::Int8 => extend::<Int8Type, _>(values, part, |v| to(v.into())),
+        DataType::Int16 => extend::<Int16Type, _>(values, part, |v| to(v.into())),
+        DataType::Int32 => extend::<Int32Type, _>(values, part, |v| to(v.into())),
+        DataType::Int64 => extend::<Int64Type, _>(values, part, |v| to(v.into())),
+        DataType::UInt8 => extend::<UInt8Type, _>(values, part, |v| to(v.into())),
+        DataType::UInt16 => extend::<UInt16Type, _>(values, part, |v| to(v.into())),
+        DataType::UInt32 => extend::<UInt32Type, _>(values, part, |v| to(v.into())),
+        DataType::UInt64 => extend::<UInt64Type, _>(values, part, |v| to(v.into())),
+        _ => return false,
     }
-    Some(values)
+    true
 }
 
-fn extend<P: ArrowPrimitiveType, T>(values: &mut Vec<T>, part: &dyn Array, to: impl Fn(P::Native) -> T) {
-    values.extend(part.as_primitive_opt::<P>().into_iter().flat_map(|p| p.values().iter().map(|v| to(*v))));
+fn extend<P: ArrowPrimitiveType, T>(
+    values: &mut Vec<T>,
+    part: &dyn Array,
+    mut to: impl FnMut(P::Native) -> T,
+) {
+    values.extend(part.as_primitive_opt::<P>().into_iter().flat_map(|p| p.values()).map(|v| to(*v)));
 }

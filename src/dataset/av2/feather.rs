@@ -27,8 +27,10 @@ const TAIL_BYTES: usize = 10;
 /// Bytes before a message: a marker and the message's length.
 const PREFIX_BYTES: usize = 8;
 
-/// A compressed column may not declare more than this per batch (eight million numbers of eight bytes).
-const MAX_COLUMN_BYTES: i64 = 64 << 20;
+/// All columns together may declare so many bytes per byte of the file: LZ4 and zstd make numbers a few times smaller.
+const MOST_PER_BYTE: u64 = 64;
+/// More, for small files.
+const MOST_BYTES: u64 = 16 << 20;
 
 /// Some columns of a file.
 pub(super) struct Table {
@@ -130,8 +132,17 @@ impl Layout {
             return Err("columns encoded by dictionaries (write them plain)".to_owned());
         }
         let blocks = footer.recordBatches().into_iter().flatten();
-        let check = |block: &Block| Ok((*block, check_block(block, &schema, &body[..start])?));
-        let blocks = blocks.map(check).collect::<Result<_, String>>()?;
+        let most = MOST_BYTES.max(MOST_PER_BYTE.saturating_mul(bytes.len() as u64));
+        let mut left = most;
+        let mut check = |block: &Block| {
+            let (rows, size) = check_block(block, &schema, &body[..start])?;
+            let rest = left.checked_sub(size);
+            left = rest.ok_or_else(|| {
+                format!("columns that declare more than {most} bytes in a file of {}", bytes.len())
+            })?;
+            Ok((*block, rows))
+        };
+        let blocks = blocks.map(&mut check).collect::<Result<_, String>>()?;
         Ok(Self { schema, version: footer.version(), blocks })
     }
 
@@ -150,8 +161,8 @@ fn span(block: &Block) -> (usize, usize) {
     (block.offset() as usize, block.metaDataLength() as usize + block.bodyLength() as usize)
 }
 
-/// Compares all that a batch declares with the bytes it has; its number of rows.
-fn check_block(block: &Block, schema: &Schema, bytes: &[u8]) -> Result<u64, String> {
+/// Compares all that a batch declares with the bytes it has; its number of rows, and of bytes once it is decompressed.
+fn check_block(block: &Block, schema: &Schema, bytes: &[u8]) -> Result<(u64, u64), String> {
     let outside = || {
         let (offset, header, body) = (block.offset(), block.metaDataLength(), block.bodyLength());
         format!("a batch of {header} + {body} bytes at {offset} of {}", bytes.len())
@@ -180,7 +191,7 @@ fn check_block(block: &Block, schema: &Schema, bytes: &[u8]) -> Result<u64, Stri
         sizes.push(check_buffer(buffer, body, batch.compression().is_some())?);
     }
     check_rows(rows, schema, &sizes)?;
-    Ok(rows)
+    Ok((rows, sizes.iter().fold(0, |sum, size| sum.saturating_add(*size))))
 }
 
 /// Compares the number of rows with the bytes that the columns' buffers have once they are decompressed.
@@ -225,7 +236,7 @@ fn check_buffer(buffer: &arrow_ipc::Buffer, body: &[u8], compressed: bool) -> Re
     let declared = content.first_chunk().map(|bytes| i64::from_le_bytes(*bytes));
     match declared {
         Some(-1) => Ok(content.len() as u64 - 8),
-        Some(declared @ 0..=MAX_COLUMN_BYTES) => Ok(declared as u64),
+        Some(declared @ 0..) => Ok(declared as u64),
         Some(declared) => Err(format!("a column that declares {declared} bytes")),
         None => Err(format!("a compressed column of {} bytes", content.len())),
     }

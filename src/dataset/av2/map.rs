@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
+use rustc_hash::FxHashSet;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
@@ -136,9 +137,10 @@ struct TooFew {
 impl Archive {
     fn map(&self, location: &str) -> Result<VectorMap, TooFew> {
         let mut map = VectorMap { location: location.to_owned(), ..VectorMap::default() };
+        let mut painted = FxHashSet::default();
         for raw in &self.lane_segments.0 {
             let of = if raw.is_intersection { &mut map.lane_connectors } else { &mut map.lanes };
-            of.push(raw.lane(&mut map.dividers)?);
+            of.push(raw.lane(&mut map.dividers, &mut painted)?);
         }
         for raw in &self.drivable_areas.0 {
             let ring = ring(points(&raw.area_boundary), || format!("drivable area {}", raw.id))?;
@@ -155,16 +157,19 @@ impl Archive {
 
 impl LaneSegment {
     /// The lane; boundaries that are painted join the dividers, unless the lane beside has brought them already.
-    fn lane(&self, dividers: &mut Vec<Vec<DVec2>>) -> Result<Lane, TooFew> {
+    fn lane(
+        &self,
+        dividers: &mut Vec<Vec<DVec2>>,
+        brought: &mut FxHashSet<Vec<[u64; 2]>>,
+    ) -> Result<Lane, TooFew> {
         let record = || format!("lane segment {}", self.id);
         let [left, right] = [points(&self.left_lane_boundary), points(&self.right_lane_boundary)];
         for (line, mark) in [(&left, &self.left_lane_mark_type), (&right, &self.right_lane_mark_type)] {
-            let reversed = || line.iter().rev().copied().collect::<Vec<_>>();
             if line.len() < 2 {
                 return Err(TooFew { least: 2, found: line.len(), record: record() });
             }
             let painted = !["NONE", "UNKNOWN"].contains(&mark.as_str());
-            if painted && !dividers.contains(line) && !dividers.contains(&reversed()) {
+            if painted && brought.insert(key(line)) {
                 dividers.push(line.clone());
             }
         }
@@ -176,6 +181,14 @@ impl LaneSegment {
             successors: self.successors.iter().map(i64::to_string).collect(),
         })
     }
+}
+
+/// The same for a line and its reverse.
+fn key(line: &[DVec2]) -> Vec<[u64; 2]> {
+    // Adding 0 makes -0 the same as 0.
+    let bits: Vec<[u64; 2]> = line.iter().map(|p| (*p + 0.0).to_array().map(f64::to_bits)).collect();
+    let reversed = bits.iter().rev().copied().collect();
+    bits.min(reversed)
 }
 
 fn points(raw: &[Point]) -> Vec<DVec2> {

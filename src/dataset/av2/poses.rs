@@ -42,7 +42,7 @@ impl Trajectory {
             return Some(self.poses[next]);
         }
         let before = self.times_ns[next.checked_sub(1)?];
-        let s = (t_ns - before) as f64 / (after - before) as f64;
+        let s = t_ns.abs_diff(before) as f64 / after.abs_diff(before) as f64;
         Some(self.poses[next - 1].interpolate(&self.poses[next], s))
     }
 }

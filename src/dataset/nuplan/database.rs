@@ -1,5 +1,9 @@
 //! SQLite files, read row by row; every value is checked for its type.
+//!
+//! A file may define views that never end, and pages that lie in many places at once. So both the steps that SQLite takes
+//! and the bytes that rows hold are limited by the file's length.
 
+use std::cell::Cell;
 use std::fmt::Write;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
@@ -7,7 +11,7 @@ use std::path::{Path, PathBuf};
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags};
 
-use crate::dataset::DatasetError;
+use crate::dataset::{DatasetError, MAX_TIME_US};
 use crate::error::FileError;
 use crate::files::input::open_regular;
 
@@ -15,7 +19,18 @@ use crate::files::input::open_regular;
 pub(super) struct Database {
     connection: Connection,
     path: PathBuf,
+    /// Bytes that rows may still hold.
+    bytes_left: Cell<u64>,
 }
+
+/// Instructions of SQLite's machine per byte of a file; real logs and maps take less than one.
+const STEPS_PER_BYTE: u64 = 64;
+/// More, for small files.
+const STEPS: u64 = 1_000_000;
+/// How often the steps are counted, instructions.
+const STEPS_COUNTED: u16 = 10_000;
+/// Bytes of rows per byte of a file: rows are read more than once where tables are joined.
+const ROW_BYTES_PER_BYTE: u64 = 8;
 
 /// Which rows are read.
 pub(super) struct Query<'a> {
@@ -42,7 +57,7 @@ impl Database {
     pub(super) fn open(path: &Path) -> Result<Self, FileError> {
         refuse_journal(path)?;
         // SQLite says less about a file that it cannot read.
-        open_regular(path)?;
+        let (_, length) = open_regular(path)?;
         let mut uri = String::from("file:");
         for byte in path.as_os_str().as_bytes() {
             match byte {
@@ -57,11 +72,13 @@ impl Database {
         let flags =
             OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let wrong = |e: rusqlite::Error| FileError::content("a SQLite database", e.to_string(), path);
-        let connection = Connection::open_with_flags(uri, flags).map_err(wrong)?;
+        let mut connection = Connection::open_with_flags(uri, flags).map_err(wrong)?;
+        limit_steps(&mut connection, length).map_err(wrong)?;
         // A view in the file may not call functions with effects; nor is a file taken that is no database.
         connection.pragma_update(None, "trusted_schema", false).map_err(wrong)?;
         connection.query_row("SELECT count(*) FROM sqlite_master", [], |_| Ok(())).map_err(wrong)?;
-        Ok(Self { connection, path: path.to_owned() })
+        let bytes_left = Cell::new(length.saturating_mul(ROW_BYTES_PER_BYTE));
+        Ok(Self { connection, path: path.to_owned(), bytes_left })
     }
 
     /// The file.
@@ -92,10 +109,39 @@ impl Database {
         let mut statement = self.connection.prepare(&sql).map_err(wrong)?;
         let mut rows = statement.query([]).map_err(wrong)?;
         while let Some(row) = rows.next().map_err(wrong)? {
+            self.count_bytes(row, query)?;
             each(&Row { row, query, path })?;
         }
         Ok(())
     }
+}
+
+impl Database {
+    /// Takes a row's bytes off those that are left. A number counts as what SQLite needs for it at least.
+    fn count_bytes(&self, row: &rusqlite::Row<'_>, query: &Query<'_>) -> Result<(), FileError> {
+        let size = |column: usize| match row.get_ref(column) {
+            Ok(ValueRef::Text(bytes) | ValueRef::Blob(bytes)) => bytes.len() as u64,
+            _ => 0,
+        };
+        let bytes = 1 + (0..query.columns.len()).map(size).sum::<u64>();
+        let left = self.bytes_left.get().checked_sub(bytes).ok_or_else(|| {
+            let expected = format!("rows of {} that fit into the file", query.table);
+            FileError::content(expected, "more", &self.path)
+        })?;
+        self.bytes_left.set(left);
+        Ok(())
+    }
+}
+
+/// Ends statements, all together, after a number of instructions that no sound file of this length takes.
+fn limit_steps(connection: &mut Connection, length: u64) -> rusqlite::Result<()> {
+    let most = STEPS + length.saturating_mul(STEPS_PER_BYTE);
+    let mut left = most / u64::from(STEPS_COUNTED);
+    let count = move || {
+        left = left.saturating_sub(1);
+        left == 0
+    };
+    connection.progress_handler(STEPS_COUNTED.into(), Some(count))
 }
 
 impl<'a> Row<'a> {
@@ -139,6 +185,19 @@ impl<'a> Row<'a> {
             ValueRef::Integer(number) => Ok(number),
             other => Err(self.wrong(column, "a whole number", &shown(other))),
         }
+    }
+
+    /// Absolute microseconds, not further from 1970 than [`MAX_TIME_US`].
+    pub(super) fn time_us(&self, column: usize) -> Result<i64, DatasetError> {
+        let t_us = self.integer(column)?;
+        if t_us.unsigned_abs() > MAX_TIME_US.unsigned_abs() {
+            return Err(self.wrong(
+                column,
+                "microseconds within a thousand years of 1970",
+                &t_us.to_string(),
+            ));
+        }
+        Ok(t_us)
     }
 
     /// Any number; SQLite stores whole ones as such in some columns.

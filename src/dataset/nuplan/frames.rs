@@ -60,7 +60,7 @@ pub(super) fn read(
     // By token its time, by token the token and time of the row before it.
     let (mut times, mut nexts) = (FxHashMap::default(), Vec::new());
     database.rows(&query, |row| {
-        let (token, t_us) = (row.blob(0)?, row.integer(1)?);
+        let (token, t_us) = (row.blob(0)?, row.time_us(1)?);
         times.insert(token.to_owned(), t_us);
         if !row.is_null(2) {
             nexts.push((row.blob(2)?.to_owned(), token.to_owned(), t_us));
@@ -83,7 +83,7 @@ fn shot(
     place: &Place,
     lidars: &FxHashMap<Vec<u8>, Pose>,
 ) -> Result<Shot, DatasetError> {
-    let (token, t_us, lidar) = (row.blob(0)?.to_owned(), row.integer(1)?, row.blob(4)?);
+    let (token, t_us, lidar) = (row.blob(0)?.to_owned(), row.time_us(1)?, row.blob(4)?);
     let ego_from_lidar = *lidars.get(lidar).ok_or_else(|| row.dangling("lidar", lidar))?;
     let global_from_ego = ego_pose(row, 6, database)?;
     let name = row.text(5)?;

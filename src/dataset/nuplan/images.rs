@@ -9,7 +9,7 @@ use super::frames::{POSE_COLUMNS, ego_pose, extrinsics, unpickled};
 use super::pickle;
 use super::place::Place;
 use super::read::{Notes, note};
-use crate::dataset::{DatasetError, ImageRecord, RigCamera};
+use crate::dataset::{DatasetError, ImageRecord, MAX_CAMERAS, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;
 use crate::files::input::is_there;
@@ -109,6 +109,10 @@ fn cameras(database: &Database) -> Result<Vec<RawCamera>, DatasetError> {
         cameras.push(RawCamera { token, ego_from_camera, camera: camera(row, database)? });
         Ok(())
     })?;
+    if cameras.len() > MAX_CAMERAS {
+        let expected = format!("at most {MAX_CAMERAS} rows in camera");
+        return Err(FileError::content(expected, cameras.len().to_string(), database.path()).into());
+    }
     let place = |camera: &RawCamera| RING.iter().position(|r| camera.camera.name == *r).unwrap_or(RING.len());
     cameras.sort_by(|a, b| place(a).cmp(&place(b)).then_with(|| a.camera.name.cmp(&b.camera.name)));
     if let Some(name) = first_twice(cameras.iter().map(|camera| &camera.camera.name)) {
@@ -167,7 +171,7 @@ fn images(
     let mut images: Vec<Vec<RawImage>> = cameras.iter().map(|_| Vec::new()).collect();
     let mut outside = 0;
     database.rows(&Query { table: "image", columns: &columns, from }, |row| {
-        let (t_us, token) = (row.integer(1)?, row.blob(2)?);
+        let (t_us, token) = (row.time_us(1)?, row.blob(2)?);
         let channel = *channels.get(token).ok_or_else(|| row.dangling("camera", token))?;
         if images[channel].last().is_some_and(|last| last.t_us == t_us) {
             let found = format!("{t_us} twice, {}", cameras[channel].camera.name);
@@ -193,7 +197,7 @@ fn record(
     database: &Database,
 ) -> Result<Option<ImageRecord>, DatasetError> {
     let global_from_ego = ego_pose(row, 4, database)?;
-    let (t_us, name) = (row.integer(1)?, row.text(3)?);
+    let (t_us, name) = (row.time_us(1)?, row.text(3)?);
     let path = place.sensors.resolve(name).map_err(|error| row.wrong(3, &error.expected, &error.found))?;
     let (ego_from_camera, camera) = (camera.ego_from_camera, camera.camera.clone());
     let record = ImageRecord { channel, path, t_us, global_from_ego, ego_from_camera, camera };

@@ -11,6 +11,9 @@ const STEP_M: f64 = 0.5;
 /// Longest path that is taken, metres: what a damaged length may cost.
 const MAX_PATH_M: f64 = 1000.0;
 
+/// Longest paths of a map together, metres: ten times the largest maps'.
+pub(super) const MAX_MAP_M: f64 = 2e6;
+
 /// Points nearer to each other than this are one, metres: paths of a lane meet.
 const SAME_M: f64 = 1e-3;
 
@@ -96,15 +99,20 @@ fn is_straight(points: &[DVec2]) -> bool {
     first.distance(*last) < MAX_PATH_M && points.iter().all(near) && points.windows(2).all(onward)
 }
 
-/// Points along the paths of a lane, evenly at most [`STEP_M`] apart on each path.
+/// Points along the paths of a lane, evenly at most [`STEP_M`] apart on each path. The paths' length is taken off what is
+/// left for the whole map.
 ///
 /// # Errors
 /// What is off in a path.
-pub(super) fn centerline(paths: &[ArclinePath]) -> Result<Vec<DVec2>, String> {
+pub(super) fn centerline(paths: &[ArclinePath], left_m: &mut f64) -> Result<Vec<DVec2>, String> {
     let mut line: Vec<DVec2> = Vec::new();
     for path in paths {
         let segments = path.segments()?;
         let length_m: f64 = segments.iter().map(|s| s.length_m).sum();
+        *left_m -= length_m;
+        if *left_m < 0.0 {
+            return Err(format!("over {MAX_MAP_M} m of all lanes"));
+        }
         let steps = (length_m / STEP_M).ceil().max(1.0) as u32;
         for step in 0..=steps {
             let at = point_at(path.start_pose, &segments, length_m * f64::from(step) / f64::from(steps));
@@ -143,11 +151,16 @@ mod tests {
         ArclinePath { start_pose, shape: shape.to_owned(), radius, segment_length }
     }
 
+    fn whole(paths: &[ArclinePath]) -> Result<Vec<DVec2>, String> {
+        let mut left_m = MAX_MAP_M;
+        centerline(paths, &mut left_m)
+    }
+
     /// A quarter to the left about (0, 10), 5 m up, a quarter to the right about (20, 15).
     #[test]
     fn quarters_and_a_line_end_where_they_should() {
         let quarter = 10.0 * PI / 2.0;
-        let line = centerline(&[path([0.0, 0.0, 0.0], "LSR", 10.0, [quarter, 5.0, quarter])]).unwrap();
+        let line = whole(&[path([0.0, 0.0, 0.0], "LSR", 10.0, [quarter, 5.0, quarter])]).unwrap();
         assert!(line[0] == DVec2::ZERO && line.last().unwrap().distance(DVec2::new(20.0, 25.0)) < 1e-12);
         for point in &line {
             let on_first = (point.distance(DVec2::new(0.0, 10.0)) - 10.0).abs() < 1e-12 && point.y <= 10.0;
@@ -171,25 +184,27 @@ mod tests {
         assert!(straight_paths(&bent[..1]).is_empty() && straight_paths(&[DVec2::X; 3]).is_empty());
         // There and back again is no straight piece.
         assert_eq!(straight_paths(&[DVec2::ZERO, DVec2::X * 4.0, DVec2::X]).len(), 2);
-        assert_eq!(centerline(&straight_paths(&line)).unwrap().len(), 99);
+        assert_eq!(whole(&straight_paths(&line)).unwrap().len(), 99);
     }
 
     /// Where the first ends the second starts: the point is there once.
     #[test]
     fn paths_of_a_lane_are_joined() {
         let straight = |x: f64| path([x, 1.0, 0.0], "LSL", 999.999, [0.0, 2.0, 0.0]);
-        let line = centerline(&[straight(0.0), straight(2.0)]).unwrap();
+        let line = whole(&[straight(0.0), straight(2.0)]).unwrap();
         assert_eq!(line.len(), 9);
         assert!(line.windows(2).all(|w| (w[1] - w[0]).distance(DVec2::new(0.5, 0.0)) < 1e-12));
     }
 
     #[test]
     fn what_is_no_path_is_told() {
-        let wrong = |shape, radius, length| centerline(&[path([0.0; 3], shape, radius, length)]).unwrap_err();
+        let wrong = |shape, radius, length| whole(&[path([0.0; 3], shape, radius, length)]).unwrap_err();
         assert_eq!(wrong("LXR", 1.0, [1.0; 3]), "a shape of \"LXR\"");
         assert_eq!(wrong("LSRL", 1.0, [1.0; 3]), "a shape of \"LSRL\"");
         assert_eq!(wrong("LSR", 0.0, [1.0; 3]), "a radius of 0 m");
         assert_eq!(wrong("LSR", 1.0, [1.0, -1.0, 0.0]), "a segment length of -1 m");
         assert_eq!(wrong("LSR", 1.0, [1.0, 1e9, 0.0]), "a segment length of 1000000000 m");
+        let many = vec![path([0.0; 3], "SSS", 1.0, [1000.0; 3]); 667];
+        assert_eq!(whole(&many).unwrap_err(), "over 2000000 m of all lanes");
     }
 }

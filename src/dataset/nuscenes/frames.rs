@@ -9,7 +9,7 @@ use rustc_hash::FxHashSet;
 
 use super::read::{Chain, Notes, note};
 use super::tables::{CalibratedSensor, EgoPose, SampleData, Sensor, Table};
-use crate::dataset::{DatasetError, ImageRecord, SweepRecord};
+use crate::dataset::{DatasetError, ImageRecord, MAX_CAMERAS, SweepRecord};
 use crate::error::FileError;
 use crate::files::input::DataRoot;
 use crate::files::{FileName, first_twice};
@@ -77,7 +77,7 @@ pub(super) fn read(
     for data in &sensors.data.records {
         let place = match chain.place.get(&data.sample_token) {
             Some(place) if data.is_key_frame => *place,
-            _ => chain.times_us.partition_point(|t| *t < data.timestamp),
+            _ => chain.times_us.partition_point(|t| *t < data.timestamp.0),
         };
         match piles.get_mut(place) {
             Some(pile) => sensors.add(pile, data, root, &cameras, notes)?,
@@ -111,6 +111,10 @@ impl Sensors {
                 let channel = FileName::new(&sensor.channel);
                 channels.push(channel.map_err(|error| error.in_file(&self.sensors.path))?);
             }
+            if channels.len() > MAX_CAMERAS {
+                let expected = format!("at most {MAX_CAMERAS} cameras");
+                return Err(FileError::content(expected, "more", &self.sensors.path).into());
+            }
         }
         if let Some(channel) = first_twice(&channels) {
             let expected = "channels of cameras that differ in more than case";
@@ -139,7 +143,7 @@ impl Sensors {
             let error = error.of(&format!("filename of sample_data {}", data.token));
             error.in_file(&self.data.path)
         })?;
-        let t_us = data.timestamp;
+        let t_us = data.timestamp.0;
         let twice = |channel: &str| {
             let found = format!("a second key frame of {channel} in sample {}", data.sample_token);
             DatasetError::from(FileError::content(

@@ -3,6 +3,7 @@
 //! Format: version 1.3 of <https://www.nuscenes.org/nuscenes#map-expansion>. Layers of earlier versions (no lane
 //! connectors, no centerlines) are read too.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
@@ -11,7 +12,7 @@ use glam::DVec2;
 use rustc_hash::FxHashMap;
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 
-use super::arcline::{ArclinePath, centerline};
+use super::arcline::{ArclinePath, MAX_MAP_M, centerline};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
 use crate::files::FileName;
@@ -132,6 +133,23 @@ struct Resolver<'a> {
     nodes: FxHashMap<&'a str, DVec2>,
     polygons: FxHashMap<&'a str, &'a Polygon>,
     lines: FxHashMap<&'a str, &'a Line>,
+    /// How long the middles of further lanes may be, metres.
+    centerline_left_m: Cell<f64>,
+    /// How many corners further records may take from polygons and lines.
+    corners_left: Cell<usize>,
+}
+
+/// Records that may share a polygon or line, on average; in nuScenes' maps each has its own.
+const MOST_SHARED: usize = 8;
+
+impl Expansion {
+    /// Corners of all polygons and lines.
+    fn corners(&self) -> usize {
+        let hole = |hole: &Hole| hole.node_tokens.len();
+        let polygon = |p: &Polygon| p.exterior_node_tokens.len() + p.holes.iter().map(hole).sum::<usize>();
+        let lines = self.line.iter().map(|line| line.node_tokens.len());
+        self.polygon.iter().map(polygon).chain(lines).sum()
+    }
 }
 
 impl<'a> Resolver<'a> {
@@ -145,6 +163,8 @@ impl<'a> Resolver<'a> {
             nodes: by_token("node", nodes, path)?,
             polygons: by_token("polygon", raw.polygon.iter().map(|p| (p.token.as_str(), p)), path)?,
             lines: by_token("line", raw.line.iter().map(|l| (l.token.as_str(), l)), path)?,
+            centerline_left_m: Cell::new(MAX_MAP_M),
+            corners_left: Cell::new(raw.corners() * MOST_SHARED),
         })
     }
 
@@ -191,10 +211,13 @@ impl<'a> Resolver<'a> {
                 self.path,
             )
         };
+        let mut left_m = self.centerline_left_m.get();
+        let middle = centerline(paths, &mut left_m).map_err(not_a_path)?;
+        self.centerline_left_m.set(left_m);
         Ok(Lane {
             id: surface.token.clone(),
             outline: self.area(&surface.polygon_token, by)?,
-            centerline: centerline(paths).map_err(not_a_path)?,
+            centerline: middle,
             successors: self.raw.connectivity.get(&surface.token).map_or(Vec::new(), |c| c.outgoing.clone()),
         })
     }
@@ -231,6 +254,11 @@ impl<'a> Resolver<'a> {
     }
 
     fn corners(&self, nodes: &[String], by: impl Fn() -> String) -> Result<Vec<DVec2>, FileError> {
+        let left = self.corners_left.get().checked_sub(nodes.len()).ok_or_else(|| {
+            let expected = format!("polygons and lines that at most {MOST_SHARED} records share on average");
+            FileError::content(expected, "more", self.path)
+        })?;
+        self.corners_left.set(left);
         let corner = |token: &String| {
             self.nodes.get(token.as_str()).copied().ok_or_else(|| self.dangling("node", token, by()))
         };

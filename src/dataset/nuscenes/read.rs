@@ -83,12 +83,13 @@ fn read_chain(tables: &Path, scene: &Scene, notes: &mut Notes) -> Result<Chain, 
             let found = format!("sample {token} of scene {}", sample.scene_token);
             return Err(content(&format!("samples of scene {} in its chain", scene.token), found).into());
         }
-        if let Some(last) = chain.times_us.last().filter(|last| **last >= sample.timestamp) {
-            let found = format!("{} in sample {token} after {last}", sample.timestamp);
+        let t_us = sample.timestamp.0;
+        if let Some(last) = chain.times_us.last().filter(|last| **last >= t_us) {
+            let found = format!("{t_us} in sample {token} after {last}");
             return Err(content("timestamps that grow along the chain of samples", found).into());
         }
         chain.place.insert(token.clone(), chain.times_us.len());
-        chain.times_us.push(sample.timestamp);
+        chain.times_us.push(t_us);
         by = format!("sample {token}");
         token = &sample.next;
     }

@@ -4,8 +4,9 @@ use std::io::Write;
 use std::path::Path;
 
 use crate::dataset::{Sweep, SweepPoint};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
 use crate::files::input::{SWEEP_BYTES, read_file};
+use crate::files::write_whole;
 
 /// Bytes of a point in a `.pcd.bin` file.
 pub const POINT_BYTES: usize = 20;

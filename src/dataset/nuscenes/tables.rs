@@ -8,9 +8,9 @@ use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use rustc_hash::FxHashMap;
-use serde::de::{Deserialize, DeserializeOwned, Deserializer, SeqAccess, Visitor};
+use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error, SeqAccess, Visitor};
 
-use crate::dataset::DatasetError;
+use crate::dataset::{DatasetError, MAX_TIME_US};
 use crate::error::FileError;
 use crate::files::input::read_table;
 
@@ -21,6 +21,20 @@ pub(super) trait Record: DeserializeOwned {
 
     /// Its primary key.
     fn token(&self) -> &str;
+}
+
+/// Absolute microseconds, not further from 1970 than [`MAX_TIME_US`].
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TimeUs(pub(super) i64);
+
+impl<'de> Deserialize<'de> for TimeUs {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        let t_us = i64::deserialize(from)?;
+        if t_us.unsigned_abs() > MAX_TIME_US.unsigned_abs() {
+            return Err(Error::custom(format!("a time of {t_us} us, a thousand years from 1970 or more")));
+        }
+        Ok(Self(t_us))
+    }
 }
 
 /// Declares raw records: the table's name and the fields that are read.
@@ -42,12 +56,12 @@ macro_rules! records {
 
 records! {
     Scene in "scene" { name: String, description: String, log_token: String, first_sample_token: String }
-    Sample in "sample" { timestamp: i64, next: String, scene_token: String }
+    Sample in "sample" { timestamp: TimeUs, next: String, scene_token: String }
     SampleData in "sample_data" {
         sample_token: String,
         ego_pose_token: String,
         calibrated_sensor_token: String,
-        timestamp: i64,
+        timestamp: TimeUs,
         is_key_frame: bool,
         height: Option<u32>,
         width: Option<u32>,

@@ -9,7 +9,8 @@ use serde_json::{Value, json};
 use super::write_map::{MapLayers, picture_name, write_map};
 use super::write_sweep_file;
 use crate::dataset::{Dataset, DatasetError, Frame, ImageRecord, Log, Sweep, SweepRecord};
-use crate::error::{FileError, write_json, write_whole};
+use crate::error::FileError;
+use crate::files::{write_json, write_whole};
 use crate::geometry::Pose;
 
 /// JPEG quality of the images, 1 to 100.

@@ -11,8 +11,9 @@ use tiny_skia::{FillRule, Mask, PathBuilder, Transform};
 
 use super::arcline::straight_paths;
 use crate::dataset::{Area, Lane, VectorMap};
-use crate::error::{FileError, write_json, write_whole};
+use crate::error::FileError;
 use crate::files::FileName;
+use crate::files::{write_json, write_whole};
 
 /// What the map expansion holds beyond a [`VectorMap`], global metres.
 #[derive(Clone, Debug, Default, PartialEq)]

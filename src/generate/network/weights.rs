@@ -11,8 +11,9 @@ use serde::{Deserialize, Serialize};
 
 use super::model::{FirstGuess, fresh, shapes};
 use super::{NetworkConfig, NetworkError, Statistics};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
 use crate::files::input::read_table;
+use crate::files::write_whole;
 
 /// Where weights come from.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

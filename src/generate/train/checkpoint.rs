@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::TrainOptions;
 use super::optimizer::{State, Trained};
-use crate::error::{FileError, write_whole};
+use crate::error::FileError;
+use crate::files::write_whole;
 use crate::generate::Drive;
 use crate::generate::network::{
     NetworkConfig, NetworkError, Statistics, find, in_file, read, read_whole, serialized, shapes,

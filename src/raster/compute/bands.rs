@@ -6,7 +6,7 @@ use crate::geometry::ImageSize;
 use crate::raster::reduce::{nearest_indices, taps};
 use crate::raster::{FrameJob, RasterError};
 
-/// Pixels of keys around each band: what the resolve shaders look around.
+/// Pixels of keys around each band at least: what the resolve shaders look around.
 pub(super) const PAD: u32 = 2;
 /// Columns of keys beyond the padding that a shader may read and not use.
 const SPARE: u32 = 8;
@@ -83,8 +83,8 @@ pub(super) struct Band {
 
 impl Band {
     /// Rows of keys, with padding and one more that is read with weight zero.
-    pub(super) fn key_rows(&self) -> u32 {
-        self.source[1] - self.source[0] + 2 * PAD + 1
+    pub(super) fn key_rows(&self, pad: u32) -> u32 {
+        self.source[1] - self.source[0] + 2 * pad + 1
     }
 }
 
@@ -92,6 +92,8 @@ impl Band {
 pub(super) struct Cut {
     /// Of the keys: whole panels.
     columns: u32,
+    /// Pixels of keys around each band: room for points whose squares reach in.
+    pub(super) pad: u32,
     /// By view; `None` for views that are not reduced, all or none.
     pub(super) reductions: Option<Vec<Reduction>>,
     /// Bands that are drawn together.
@@ -108,7 +110,8 @@ impl Cut {
         let to = |view: usize| job.size_of(&job.views[view]);
         let views = 0..job.views.len();
         let widest = views.clone().map(|v| from(v).width).max().unwrap_or(1);
-        let columns = (widest + 2 * PAD + SPARE).next_multiple_of(PANEL);
+        let pad = pad_for(job.schedule.max_radius());
+        let columns = (widest + 2 * pad + SPARE).next_multiple_of(PANEL);
         let reduced = views.clone().any(|v| from(v) != to(v));
         let reductions: Option<Vec<Reduction>> =
             reduced.then(|| views.clone().map(|v| Reduction::new(from(v), to(v))).collect());
@@ -116,7 +119,7 @@ impl Cut {
             return Ok(None);
         }
         let key_rows = limits.key_rows.min((limits.key_bytes / (8 * u64::from(columns))) as u32);
-        let mut cut = Self { columns, reductions, parts: Vec::new() };
+        let mut cut = Self { columns, pad, reductions, parts: Vec::new() };
         let mut left = (0, 0);
         for view in views {
             let mut first = 0;
@@ -130,11 +133,11 @@ impl Cut {
                 )?;
                 first = band.rows[1];
                 let pixels = u64::from(band.rows[1] - band.rows[0]) * row_pixels(to(view));
-                if cut.parts.is_empty() || band.key_rows() > left.0 || pixels > left.1 {
+                if cut.parts.is_empty() || band.key_rows(pad) > left.0 || pixels > left.1 {
                     cut.parts.push(Vec::new());
                     left = (key_rows, limits.pixels);
                 }
-                left = (left.0 - band.key_rows(), left.1 - pixels);
+                left = (left.0 - band.key_rows(pad), left.1 - pixels);
                 cut.parts.last_mut().into_iter().for_each(|part| part.push(band));
             }
         }
@@ -143,7 +146,12 @@ impl Cut {
 
     /// Bytes of a layer with so many rows of keys.
     pub(super) fn key_bytes(&self, key_rows: u32) -> u64 {
-        8 * u64::from(self.columns) * u64::from(key_rows)
+        8 * self.key_pixels(key_rows)
+    }
+
+    /// Pixels of so many rows of keys.
+    pub(super) fn key_pixels(&self, key_rows: u32) -> u64 {
+        u64::from(self.columns) * u64::from(key_rows)
     }
 
     /// As many rows of the result as fit, from the first on.
@@ -162,7 +170,7 @@ impl Cut {
                 return Err(RasterError::TooWide { width: from.width.max(to.width) });
             }
             let band = self.band_of(view, [first, first + count], from);
-            if band.key_rows() <= key_rows {
+            if band.key_rows(self.pad) <= key_rows {
                 return Ok(band);
             }
             count /= 2;
@@ -176,6 +184,11 @@ impl Cut {
         let end = (bottom.nearest + 1).max(bottom.low + 2).min(from.height);
         Band { view, rows, source: [top.nearest.min(top.low), end] }
     }
+}
+
+/// Padding for squares of a radius: even, since the resolve shaders read pairs of columns.
+fn pad_for(radius: u32) -> u32 {
+    radius.next_multiple_of(2).max(PAD)
 }
 
 /// Pixels of a row as results hold it: shaders write strips of four, as two words of 64 bits.

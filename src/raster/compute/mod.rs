@@ -24,6 +24,7 @@ mod resolve;
 mod results;
 mod shared;
 mod slot;
+mod spread;
 mod store;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -39,8 +40,9 @@ use self::project::{ProjectFrame, ProjectStage, items_of};
 use self::record::{PlacedItem, Resolve, runs_of};
 use self::resolve::ResolveStage;
 use self::results::{OwnedMaps, empty, read_maps, read_parts};
-use self::shared::{KEY_IMAGE_ROW_BYTES, KEY_STEP_BYTES, Shared};
+use self::shared::{KEY_IMAGE_ROW_BYTES, KEY_STEP_BYTES, KeyRoom, Shared};
 use self::slot::{Needs, Slot};
+use self::spread::{Covering, SpreadStage};
 use self::store::{ROW_BYTES, Residency, STREAMED_ROWS, Store, StoreLimits};
 use super::frame::frame_by_views;
 use super::{
@@ -137,15 +139,18 @@ impl<'a> ComputeRasterizer<'a> {
         let copies = desc.copies || !device.shares_memory();
         let bare = Shared {
             project,
+            spread: Arc::new(SpreadStage::new(&device)?),
             full: Arc::new(full),
             reduced: Arc::new(reduced),
             store: Arc::new(store),
             layers: Vec::new(),
-            key_bytes: 0,
+            windows: None,
+            room: KeyRoom::default(),
             generation: 0,
             streamed_rows,
         };
-        let shared = Arc::new(bare.with_keys(&device, &mut commands, 1, 0, desc.copies)?);
+        let room = KeyRoom { layers: 1, ..KeyRoom::default() };
+        let shared = Arc::new(bare.with_keys(&device, &mut commands, room, desc.copies)?);
         let slot = |commands: &mut Commands| -> Result<_, GpuError> {
             Flight::new(&device, Slot::new(&device, commands, &shared, Needs::default(), copies)?)
         };
@@ -211,26 +216,27 @@ impl<'a> ComputeRasterizer<'a> {
         let start = Instant::now();
         let plan = PartPlan::new(work.job, work.cut, part, work.numbering, &self.clouds);
         self.residency.next_frame();
-        let max_radius = work.job.schedule.max_radius();
+        let covering = Covering::choose(work.job.schedule, &plan.items, work.cut.key_pixels(plan.key_rows));
         let (mut placed, mut missing) = (Vec::with_capacity(plan.items.len()), Vec::new());
         for item in &plan.items {
             match self.residency.row(item.cloud, item.chunk) {
-                Some(row) => placed.extend(self.place(item, row, max_radius)),
+                Some(row) => placed.extend(self.place(item, row, covering)),
                 None => missing.push(*item),
             }
         }
         let (items, runs) = runs_of(&placed, self.threads);
         let most =
-            items.len() + missing.iter().map(|item| self.place(item, 0, max_radius).count()).sum::<usize>();
-        self.prepare(work, &plan, slot, (most, !missing.is_empty()))?;
-        let frame = ProjectFrame::new(work.job.schedule, plan.key_rows);
+            items.len() + missing.iter().map(|item| self.place(item, 0, covering).count()).sum::<usize>();
+        self.prepare(work, &plan, slot, (most, !missing.is_empty(), covering))?;
+        let frame = ProjectFrame::new(work.job.schedule, plan.key_rows, work.cut.pad);
         let own = self.slots[slot].own();
         own.write(&frame, &plan, &work.numbering.blocks)?;
         own.write_items(&items)?;
         self.stages.add("plan", start.elapsed());
         let (bands, pixels, key_rows) = (plan.resolve_bands.as_slice(), plan.pixels, plan.key_rows);
         let device = self.device.clone();
-        let phases = Phases { device: &device, resolve: Resolve { work, bands, pixels, key_rows } };
+        let resolve = Resolve { work, bands, pixels, key_rows };
+        let phases = Phases { device: &device, resolve, covering, bands: &plan.project_bands };
         let flight = &mut self.slots[slot];
         if missing.is_empty() {
             phases.start(flight, &self.shared, (true, true), &runs)?;
@@ -252,7 +258,6 @@ impl<'a> ComputeRasterizer<'a> {
         let mut chunks: Vec<(u32, u32)> = missing.iter().map(|item| (item.cloud, item.chunk)).collect();
         chunks.sort_unstable();
         chunks.dedup();
-        let max_radius = phases.resolve.work.job.schedule.max_radius();
         for batch in chunks.chunks(self.shared.streamed_rows as usize) {
             self.wait(slot)?;
             let start = Instant::now();
@@ -263,7 +268,7 @@ impl<'a> ComputeRasterizer<'a> {
             let mut placed = Vec::new();
             for item in missing {
                 let row = row_of.get(&(item.cloud, item.chunk));
-                placed.extend(row.into_iter().flat_map(|row| self.place(item, *row, max_radius)));
+                placed.extend(row.into_iter().flat_map(|row| self.place(item, *row, phases.covering)));
             }
             let (items, runs) = runs_of(&placed, self.threads);
             let own = self.slots[slot].own();
@@ -286,11 +291,11 @@ impl<'a> ComputeRasterizer<'a> {
         &self,
         item: &PlannedItem,
         row: u32,
-        max_radius: u32,
+        covering: Covering,
     ) -> impl Iterator<Item = PlacedItem> + use<> {
         let (page, row) = self.shared.store.place(row);
         let crop = item.crop;
-        items_of(item.draw, row, item.points, max_radius).map(move |item| PlacedItem { page, crop, item })
+        items_of(item.draw, row, item.points, covering).map(move |item| PlacedItem { page, crop, item })
     }
 
     /// Makes buffers if those there are too small.
@@ -299,15 +304,17 @@ impl<'a> ComputeRasterizer<'a> {
         work: &Work<'_>,
         plan: &PartPlan,
         slot: usize,
-        (items, streams): (usize, bool),
+        (items, streams, covering): (usize, bool, Covering),
     ) -> Result<(), GpuError> {
-        let (layers, key_bytes) = (work.layers.count, work.cut.key_bytes(plan.key_rows));
-        let shared = &self.shared;
-        if shared.layers.len() < layers || shared.key_bytes < key_bytes {
+        let room = self.shared.room.grown(KeyRoom {
+            layers: work.layers.count,
+            bytes: work.cut.key_bytes(plan.key_rows),
+            windows: covering == Covering::Spread,
+        });
+        if room != self.shared.room {
             // What is in flight keeps the old ones as long as it needs them.
-            let (layers, key_bytes) = (shared.layers.len().max(layers), shared.key_bytes.max(key_bytes));
-            let copied = shared.layers[0].copied;
-            let shared = shared.with_keys(&self.device, &mut self.commands, layers, key_bytes, copied)?;
+            let copied = self.shared.layers[0].copied;
+            let shared = self.shared.with_keys(&self.device, &mut self.commands, room, copied)?;
             self.shared = Arc::new(shared);
         }
         let wanted = Slot::wanted(work.job.kinds);

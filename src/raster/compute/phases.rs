@@ -5,9 +5,11 @@ use std::sync::Arc;
 use super::bands::Cut;
 use super::layers::Layers;
 use super::plan::Numbering;
+use super::project::ProjectBand;
 use super::record::{self, Resolve, Run};
 use super::shared::Shared;
 use super::slot::Slot;
+use super::spread::{Covering, Spread};
 use super::store::ROW_BYTES;
 use crate::gpu::{Device, Flight, GpuError, Scope};
 use crate::raster::FrameJob;
@@ -24,9 +26,17 @@ pub(super) struct Work<'j> {
 pub(super) struct Phases<'w> {
     pub(super) device: &'w Device,
     pub(super) resolve: Resolve<'w>,
+    pub(super) covering: Covering,
+    pub(super) bands: &'w [ProjectBand],
 }
 
 impl Phases<'_> {
+    fn spread(&self) -> Spread<'_> {
+        let Resolve { work, key_rows, .. } = self.resolve;
+        let (schedule, layers, pad) = (work.job.schedule, work.layers.count, work.cut.pad);
+        Spread { schedule, bands: self.bands, layers, pad, key_rows }
+    }
+
     /// Chunks that are there; before them the clearing, after them the resolving, if it is time for that.
     pub(super) fn start(
         &self,
@@ -36,14 +46,17 @@ impl Phases<'_> {
         runs: &[Run],
     ) -> Result<(), GpuError> {
         let work = self.resolve.work;
-        let (schedule, layers) = (work.job.schedule, work.layers.count);
+        let layers = work.layers.count;
         flight.start(shared, |recorder, shared, slot| {
             if first {
                 let sizes = (work.cut.key_bytes(self.resolve.key_rows), work.numbering.blocks.len());
                 record::clear_maps(recorder, slot, work.job, self.resolve.pixels)?;
                 record::clear(recorder, shared, slot, sizes, layers)?;
             }
-            record::project(recorder, shared, slot, runs, (schedule, layers))?;
+            record::project(recorder, shared, slot, runs, (self.covering, layers))?;
+            if last && self.covering == Covering::Spread {
+                shared.spread.record(recorder, self.device, slot, &self.spread())?;
+            }
             if last {
                 self.resolve.record(recorder, self.device, shared, slot)?;
             }
@@ -60,7 +73,7 @@ impl Phases<'_> {
         runs: &[Run],
     ) -> Result<(), GpuError> {
         let work = self.resolve.work;
-        let (schedule, layers) = (work.job.schedule, work.layers.count);
+        let layers = work.layers.count;
         flight.start(shared, |recorder, shared, slot| {
             recorder.barrier(Scope::Compute, Scope::CopyWrite);
             if let Some(staging) = &slot.staging {
@@ -71,7 +84,7 @@ impl Phases<'_> {
                 }
             }
             recorder.stamp("stream");
-            record::project(recorder, shared, slot, runs, (schedule, layers))
+            record::project(recorder, shared, slot, runs, (self.covering, layers))
         })
     }
 }

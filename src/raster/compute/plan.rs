@@ -76,7 +76,7 @@ pub(super) struct PlannedItem {
     /// Of the chunk: first and end.
     pub(super) points: [u32; 2],
     pub(super) crop: bool,
-    nearest_m: f32,
+    pub(super) nearest_m: f32,
 }
 
 /// Where a band's result is to be found.
@@ -126,7 +126,7 @@ impl PartPlan {
             let view_job = SplatJob { view, schedule, instances: &[], crop, planes };
             let draw = draw_from_instance(&view_job, instance, numbered.first);
             let shown = (view.camera.width, part[band].source);
-            let (pad, z_far_m) = (schedule.max_radius().max(PAD), schedule.z_far_m());
+            let (pad, z_far_m) = (cut.pad, schedule.z_far_m());
             let chunks = seen_points(&clouds[instance.cloud], &draw, shown, pad, z_far_m);
             (ProjectDraw::new(&draw, band as u32, numbered.layered.layers), instance.cloud as u32, chunks)
         };
@@ -158,7 +158,8 @@ impl PartPlan {
             first_row: first as f32,
             key_row,
         });
-        let (mut columns, mut rows, mut row_from) = (0, 0, key_row);
+        let beyond = cut.pad - PAD;
+        let (mut columns, mut rows, mut row_from) = (0, 0, key_row + beyond);
         let mut across = row_pixels(size) as usize;
         if let Some(reductions) = &cut.reductions {
             let reduction = &reductions[band.view];
@@ -166,7 +167,7 @@ impl PartPlan {
             self.taps.extend(&reduction.columns);
             rows = self.taps.len() as u32;
             self.taps.extend(&reduction.rows[band.rows[0] as usize..band.rows[1] as usize]);
-            row_from = key_row.wrapping_sub(first);
+            row_from = row_from.wrapping_sub(first);
             across = size.width as usize;
         }
         let height = band.rows[1] - band.rows[0];
@@ -179,12 +180,12 @@ impl PartPlan {
             pixel: pixel as u32,
             columns,
             rows,
-            pad_0: 0,
+            pair: beyond / 2,
             pad_1: 0,
         });
         self.results.push(BandResult { band: *band, pixel, row_pixels: across });
         self.pixels = pixel + across * height as usize;
-        self.key_rows += band.key_rows();
+        self.key_rows += band.key_rows(cut.pad);
     }
 }
 

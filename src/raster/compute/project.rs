@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
 
+use super::spread::Covering;
 use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, assert_layout, shaders};
 use crate::raster::steps::{Step, steps};
 use crate::raster::{Draw, SplatSchedule};
 
 /// Descriptor set of a page of points.
 pub(super) const PAGE_SET: u32 = 1;
-/// Largest radius that the resolve shaders look around for; larger squares are drawn as such.
+/// Largest radius that the resolve shaders look around for.
 pub(super) const MAX_LOOKED_FOR: u32 = 2;
 /// Points that a workgroup draws as squares: drivers on processors end invocations that loop more than 65 535 times, and
 /// each of these may be one of up to 63 by 63 pixels.
@@ -26,21 +27,21 @@ pub(super) struct ProjectFrame {
     step_count: u32,
     z_far_m: f32,
     key_rows: u32,
-    pad_0: u32,
+    pad: u32,
 }
 assert_layout!(ProjectFrame, shaders::project_wgsl_pixel::project_frame, [
     steps: STEPS,
     step_count: STEP_COUNT,
     z_far_m: Z_FAR_M,
     key_rows: KEY_ROWS,
-    pad_0: PAD_0,
+    pad: PAD,
 ]);
 
 impl ProjectFrame {
-    /// `key_rows`: rows of a panel of keys.
-    pub(super) fn new(schedule: &SplatSchedule, key_rows: u32) -> Self {
+    /// `key_rows`: rows of a panel of keys; `pad`: pixels around each band.
+    pub(super) fn new(schedule: &SplatSchedule, key_rows: u32, pad: u32) -> Self {
         let step_count = schedule.steps().len() as u32;
-        Self { steps: steps(schedule), step_count, z_far_m: schedule.z_far_m(), key_rows, pad_0: 0 }
+        Self { steps: steps(schedule), step_count, z_far_m: schedule.z_far_m(), key_rows, pad }
     }
 }
 
@@ -124,9 +125,9 @@ pub(super) fn items_of(
     draw: u32,
     row: u32,
     [first, end]: [u32; 2],
-    max_radius: u32,
+    covering: Covering,
 ) -> impl Iterator<Item = ProjectItem> {
-    let step = if max_radius > MAX_LOOKED_FOR { SQUARES_AT_ONCE } else { (end - first).max(1) };
+    let step = if covering == Covering::Drawn { SQUARES_AT_ONCE } else { (end - first).max(1) };
     let item = move |first| ProjectItem { draw, row, first, end: end.min(first + step) };
     (first..end).step_by(step as usize).map(item)
 }
@@ -172,9 +173,9 @@ impl ProjectStage {
         })
     }
 
-    /// For chunks that the crop may cut or not, in a frame with so many layers and radii up to this one.
-    pub(super) fn pipeline(&self, crop: bool, layers: usize, max_radius: u32) -> &ComputePipeline {
-        match (max_radius > MAX_LOOKED_FOR, layers > 1) {
+    /// For chunks that the crop may cut or not, in a frame with so many layers.
+    pub(super) fn pipeline(&self, crop: bool, layers: usize, covering: Covering) -> &ComputePipeline {
+        match (covering == Covering::Drawn, layers > 1) {
             (true, _) => &self.square,
             (false, true) => &self.layered[usize::from(crop)],
             (false, false) => &self.pixel[usize::from(crop)],

@@ -6,8 +6,9 @@ use super::project::{ProjectItem, ProjectPush};
 use super::resolve::{Kind, ResolveBand, ResolvePush, ResolveStage, WANT_CLASS, WANT_COLOR, wants};
 use super::shared::{KEY_IMAGE_ROW_BYTES, Shared};
 use super::slot::{DEPTH, MapBuffer, Slot};
+use super::spread::Covering;
 use crate::gpu::{DescriptorSet, Device, GpuError, Recorder, Scope};
-use crate::raster::{FrameJob, SplatSchedule};
+use crate::raster::FrameJob;
 
 /// Both words of a key that no point has.
 const EMPTY_WORD: u32 = 0x7fff_ffff;
@@ -70,10 +71,10 @@ pub(super) fn project<'a>(
     shared: &'a Shared,
     slot: &'a Slot,
     runs: &[Run],
-    (schedule, layers): (&SplatSchedule, usize),
+    (covering, layers): (Covering, usize),
 ) -> Result<(), GpuError> {
     for run in runs {
-        let pipeline = shared.project.pipeline(run.crop, layers, schedule.max_radius());
+        let pipeline = shared.project.pipeline(run.crop, layers, covering);
         let push = ProjectPush { first: run.first, count: run.count };
         let sets = [&slot.project, &shared.store.pages[run.page].set];
         recorder.dispatch_groups(pipeline, &sets, bytemuck::bytes_of(&push), push.groups())?;

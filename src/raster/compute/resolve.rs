@@ -41,7 +41,8 @@ pub(super) struct ResolveBand {
     pub(super) columns: u32,
     /// Tap of the band's first row.
     pub(super) rows: u32,
-    pub(super) pad_0: u32,
+    /// Of the keys: pairs of columns to the left of those that are looked at.
+    pub(super) pair: u32,
     pub(super) pad_1: u32,
 }
 assert_layout!(ResolveBand, shaders::resolve_full_wgsl_both::resolve_band, [
@@ -51,7 +52,7 @@ assert_layout!(ResolveBand, shaders::resolve_full_wgsl_both::resolve_band, [
     pixel: PIXEL,
     columns: COLUMNS,
     rows: ROWS,
-    pad_0: PAD_0,
+    pair: PAIR,
     pad_1: PAD_1,
 ]);
 

@@ -6,6 +6,7 @@ use ash::vk::{self, BufferUsageFlags as Usage, ImageUsageFlags};
 
 use super::project::ProjectStage;
 use super::resolve::ResolveStage;
+use super::spread::SpreadStage;
 use super::store::Store;
 use crate::gpu::{Buffer, BufferDesc, Commands, Device, GpuError, Image, ImageDesc, Memory};
 
@@ -26,15 +27,38 @@ pub(super) struct KeyLayer {
     pub(super) copied: bool,
 }
 
+/// How much room for keys there is, or must be.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct KeyRoom {
+    pub(super) layers: usize,
+    /// Of each layer.
+    pub(super) bytes: u64,
+    /// Whether keys can be spread.
+    pub(super) windows: bool,
+}
+
+impl KeyRoom {
+    /// Room for both.
+    pub(super) fn grown(self, other: Self) -> Self {
+        Self {
+            layers: self.layers.max(other.layers),
+            bytes: self.bytes.max(other.bytes),
+            windows: self.windows || other.windows,
+        }
+    }
+}
+
 /// Never changed while a frame is in flight.
 pub(super) struct Shared {
     pub(super) project: Arc<ProjectStage>,
+    pub(super) spread: Arc<SpreadStage>,
     pub(super) full: Arc<ResolveStage>,
     pub(super) reduced: Arc<ResolveStage>,
     pub(super) store: Arc<Store>,
     pub(super) layers: Vec<KeyLayer>,
-    /// Room in each layer.
-    pub(super) key_bytes: u64,
+    /// The least keys of windows, from pass to pass: as large as a layer each.
+    pub(super) windows: Option<[Arc<Buffer>; 2]>,
+    pub(super) room: KeyRoom,
     /// Counts the buffers of keys that there have been.
     pub(super) generation: u64,
     /// Chunks that are streamed at once.
@@ -47,20 +71,26 @@ impl Shared {
         &self,
         device: &Arc<Device>,
         commands: &mut Commands,
-        layers: usize,
-        key_bytes: u64,
+        room: KeyRoom,
         copied: bool,
     ) -> Result<Self, GpuError> {
-        let rows = key_bytes.div_ceil(KEY_IMAGE_ROW_BYTES) as u32;
+        let rows = room.bytes.div_ceil(KEY_IMAGE_ROW_BYTES) as u32;
         let rows = rows.max(1).next_multiple_of(ROW_STEP);
+        let bytes = KEY_IMAGE_ROW_BYTES * u64::from(rows);
         let layer = |_| KeyLayer::new(device, commands, rows, copied);
+        let windows = || {
+            let (name, usage, memory) = ("windows of keys", Usage::STORAGE_BUFFER, Memory::Device);
+            Buffer::new(device, &BufferDesc { name, size: bytes, usage, memory }).map(Arc::new)
+        };
         Ok(Self {
             project: self.project.clone(),
+            spread: self.spread.clone(),
             full: self.full.clone(),
             reduced: self.reduced.clone(),
             store: self.store.clone(),
-            layers: (0..layers).map(layer).collect::<Result<_, _>>()?,
-            key_bytes: KEY_IMAGE_ROW_BYTES * u64::from(rows),
+            layers: (0..room.layers).map(layer).collect::<Result<_, _>>()?,
+            windows: if room.windows { Some([windows()?, windows()?]) } else { None },
+            room: KeyRoom { bytes, ..room },
             generation: self.generation + 1,
             streamed_rows: self.streamed_rows,
         })

@@ -11,6 +11,7 @@ use super::plan::Block;
 use super::project::{ProjectBand, ProjectDraw, ProjectFrame, ProjectItem};
 use super::resolve::ResolveBand;
 use super::shared::Shared;
+use super::spread;
 use super::store::ROW_BYTES;
 use crate::gpu::{
     Bind, Buffer, BufferDesc, Commands, DescriptorSet, Device, GpuError, Image, ImageDesc, Memory,
@@ -94,6 +95,8 @@ pub(super) struct Slot {
     pub(super) staging: Option<Arc<Buffer>>,
     pub(super) maps: [MapBuffer; MAPS],
     pub(super) project: DescriptorSet,
+    /// By layer; empty without room for windows.
+    pub(super) spread: Vec<[DescriptorSet; spread::SETS]>,
     /// By layer.
     pub(super) full: Vec<DescriptorSet>,
     /// By layer.
@@ -137,6 +140,7 @@ impl Slot {
             key(2),
         ];
         let project = DescriptorSet::new(shared.project.layout(), 0, binds)?;
+        let spread = spread_sets(shared, &project_bands)?;
         let resolve_binds = |layer: usize| {
             let mut binds = vec![
                 buffer(&resolve_bands),
@@ -168,6 +172,7 @@ impl Slot {
             staging: staging.transpose()?,
             maps,
             project,
+            spread,
             full,
             reduced,
         })
@@ -197,6 +202,19 @@ impl Slot {
     pub(super) fn write_items(&self, items: &[ProjectItem]) -> Result<(), GpuError> {
         write(&self.items, items)
     }
+}
+
+/// Of each layer, if there is room for windows.
+fn spread_sets(shared: &Shared, bands: &Arc<Buffer>) -> Result<Vec<[DescriptorSet; spread::SETS]>, GpuError> {
+    let Some([a, b]) = &shared.windows else { return Ok(Vec::new()) };
+    let sets = |keys: &Arc<Buffer>| {
+        let set = |from: &Arc<Buffer>, to: &Arc<Buffer>| {
+            let binds = [bands, from, to, keys].map(|buffer| Bind::Buffer(buffer.clone()));
+            DescriptorSet::new(shared.spread.layout(), 0, binds.into())
+        };
+        Ok([set(keys, a)?, set(a, b)?, set(b, a)?])
+    };
+    shared.layers.iter().map(|layer| sets(&layer.buffer)).collect()
 }
 
 fn write<T: Pod>(buffer: &Buffer, values: &[T]) -> Result<(), GpuError> {

@@ -1,7 +1,6 @@
 //! An unfinished build on disk: enough to go on after the process was killed.
 
-use std::collections::BTreeMap;
-use std::fs::{File, TryLockError};
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -9,8 +8,9 @@ use serde::{Deserialize, Serialize};
 use super::cells::Cell;
 use super::runs::{self, RunName};
 use super::sums::VoxelSum;
-use crate::error::{FileError, write_json};
+use crate::error::FileError;
 use crate::files::input::read_table;
+use crate::files::{WorkFolder, work_of_whole, write_json};
 use crate::skeleton::{BuildOptions, BuildReport};
 
 /// What is built: a checkpoint of another plan is of no use.
@@ -57,37 +57,17 @@ struct Checkpoint<P, D> {
 }
 
 const FILE: &str = "checkpoint.json";
-const LOCK: &str = "lock";
 
-/// The folder of an unfinished build. It goes when this is dropped, unless it holds a checkpoint.
-pub(super) struct WorkFolder {
-    path: PathBuf,
+/// The folder of an unfinished build, kept on drop once it holds a checkpoint.
+pub(super) struct Unfinished {
+    work: WorkFolder,
     plan: Plan,
-    /// Held as long as this process is at work in the folder.
-    _lock: Lock,
-    kept: bool,
 }
 
-/// Held until dropped, also where a process that is being started still has a copy of the file.
-struct Lock(File);
-
-impl Drop for Lock {
-    fn drop(&mut self) {
-        // Closing the file does the same, if later.
-        let _ = self.0.unlock();
-    }
-}
-
-impl WorkFolder {
-    /// Where the unfinished build of `out` lies.
-    pub(super) fn beside(out: &Path) -> PathBuf {
-        let name = out.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        out.with_file_name(format!("{name}.partial"))
-    }
-
+impl Unfinished {
     /// How many frames of an unfinished build of `out` are done, if there is one with a checkpoint.
     pub(super) fn frames_done(out: &Path) -> Option<usize> {
-        let text = read_table(&Self::beside(out).join(FILE)).ok()?;
+        let text = read_table(&work_of_whole(out).join(FILE)).ok()?;
         serde_json::from_slice::<Checkpoint<serde_json::Value, Done>>(&text).ok().map(|c| c.done.frames)
     }
 
@@ -96,32 +76,18 @@ impl WorkFolder {
     /// # Errors
     /// Another process is at work there; `resume` finds a build of something else; the system's.
     pub(super) fn open(out: &Path, plan: Plan, resume: bool) -> Result<(Self, Done), FileError> {
-        let path = Self::beside(out);
-        let lock_path = path.join(LOCK);
-        if path.exists() && !lock_path.is_file() {
-            let expected = "an unfinished build, or no such folder";
-            return Err(FileError::content(expected, "other content", &path));
-        }
-        std::fs::create_dir_all(&path).map_err(FileError::io("create", &path))?;
-        let lock = File::create(&lock_path).map_err(FileError::io("create", &lock_path))?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::Error(error)) => return Err(FileError::io("lock", &lock_path)(error)),
-            Err(TryLockError::WouldBlock) => {
-                let expected = "no other process at work on this skeleton";
-                return Err(FileError::content(expected, "one that holds the lock", &lock_path));
-            }
-        }
-        let mut folder = Self { path, plan, _lock: Lock(lock), kept: true };
+        let mut work = WorkFolder::open(work_of_whole(out), out)?;
+        let has_checkpoint = work.path().join(FILE).is_file();
+        work.keep(has_checkpoint);
+        let mut folder = Self { work, plan };
         // A build that was killed before its first checkpoint left none.
-        let done =
-            if resume && folder.path.join(FILE).is_file() { folder.read()? } else { folder.clear()? };
-        runs::sweep_out(&folder.path, &done.runs)?;
+        let done = if resume && has_checkpoint { folder.read()? } else { folder.clear()? };
+        folder.sweep_out(&done.runs)?;
         Ok((folder, done))
     }
 
     fn read(&self) -> Result<Done, FileError> {
-        let path = self.path.join(FILE);
+        let path = self.path().join(FILE);
         let text = read_table(&path)?;
         let wrong = |e: serde_json::Error| FileError::content("a checkpoint", e.to_string(), &path);
         let checkpoint: Checkpoint<Plan, Done> = serde_json::from_slice(&text).map_err(wrong)?;
@@ -138,23 +104,30 @@ impl WorkFolder {
         Ok(checkpoint.done)
     }
 
+    /// The checkpoint goes first, since it is invalid without its runs.
     fn clear(&mut self) -> Result<Done, FileError> {
-        let path = self.path.join(FILE);
+        let path = self.path().join(FILE);
         if path.exists() {
             std::fs::remove_file(&path).map_err(FileError::io("delete", &path))?;
         }
-        self.kept = false;
+        self.work.keep(false);
+        self.work.clear(|_| false)?;
         Ok(Done::default())
     }
 
-    /// Where runs are.
+    /// Folder of the runs.
     pub(super) fn path(&self) -> &Path {
-        &self.path
+        self.work.path()
     }
 
-    /// Whether there is something to go on with.
+    /// The folder, for the skeleton's temporary files.
+    pub(super) fn work(&self) -> &WorkFolder {
+        &self.work
+    }
+
+    /// Whether there is a checkpoint to resume from.
     pub(super) fn is_kept(&self) -> bool {
-        self.kept
+        self.work.is_kept()
     }
 
     /// Writes points and, behind them, how far the build is: a kill at any moment leaves this checkpoint or the one
@@ -164,27 +137,22 @@ impl WorkFolder {
         done: &mut Done,
         cells: Vec<(Cell, Vec<VoxelSum>)>,
     ) -> Result<(), FileError> {
-        done.runs = runs::push(&self.path, std::mem::take(&mut done.runs), cells)?;
-        write_json(&self.path.join(FILE), &Checkpoint { plan: &self.plan, done: &*done })?;
-        self.kept = true;
-        runs::sweep_out(&self.path, &done.runs)
+        done.runs = runs::push(self.path(), std::mem::take(&mut done.runs), cells)?;
+        write_json(&self.path().join(FILE), &Checkpoint { plan: &self.plan, done: &*done })?;
+        self.work.keep(true);
+        self.sweep_out(&done.runs)
     }
 
-    /// The skeleton is written: nothing is to be kept. The checkpoint goes first, since without its runs it is none.
+    /// Deletes runs that are not in the list, and what a killed process left.
+    fn sweep_out(&self, runs: &[RunName]) -> Result<(), FileError> {
+        let files = |run: &RunName| [run.sums(Path::new("")), run.index(Path::new(""))];
+        let kept: BTreeSet<PathBuf> = runs.iter().flat_map(files).collect();
+        self.work.clear(|name| name == FILE || kept.contains(Path::new(name)))
+    }
+
+    /// Removes the folder: the skeleton is written.
     pub(super) fn close(mut self) -> Result<(), FileError> {
-        let path = self.path.join(FILE);
-        std::fs::remove_file(&path).map_err(FileError::io("delete", &path))?;
-        self.kept = true;
-        std::fs::remove_dir_all(&self.path).map_err(FileError::io("delete", &self.path))
-    }
-}
-
-impl Drop for WorkFolder {
-    fn drop(&mut self) {
-        if !self.kept {
-            // What fails here left nothing but an empty folder or a full disk, of which the error tells.
-            let _ = std::fs::remove_dir_all(&self.path);
-        }
+        self.clear().map(drop)
     }
 }
 
@@ -217,5 +185,28 @@ mod as_list {
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<BTreeMap<Cell, usize>, D::Error> {
         Ok(Vec::<(Cell, usize)>::deserialize(from)?.into_iter().collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_listed_runs_stay_in_the_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let plan = Plan { version: "1".to_owned(), options: BuildOptions::default(), logs: Vec::new() };
+        let (mut unfinished, mut done) = Unfinished::open(&folder.path().join("sk"), plan, false).unwrap();
+        let path = unfinished.path().to_owned();
+        std::fs::create_dir(path.join("new")).unwrap();
+        for name in ["run-000009.sums", ".run-000000.sums.pskel-part", "new/skeleton.json"] {
+            std::fs::write(path.join(name), "half").unwrap();
+        }
+        unfinished.save(&mut done, vec![(Cell::Chunk([0; 3]), Vec::new())]).unwrap();
+        let names = std::fs::read_dir(&path).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+        let expected = ["checkpoint.json", "lock", "run-000000.json", "run-000000.sums"];
+        assert_eq!(names.collect::<BTreeSet<_>>(), expected.map(str::to_owned).into());
+        drop(unfinished);
+        assert!(path.is_dir(), "a build with a checkpoint stays");
     }
 }

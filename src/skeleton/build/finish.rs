@@ -7,7 +7,7 @@ use std::path::Path;
 use crate::cloud::{Bounds, Point};
 use crate::error::FileError;
 use crate::skeleton::store::SkeletonWriter;
-use crate::skeleton::{Asset, CHUNK_M, Chunk};
+use crate::skeleton::{Asset, CHUNK_M, Checksum, Chunk};
 
 impl Builder<'_> {
     /// Merges the cells of all runs and writes the skeleton.
@@ -23,7 +23,7 @@ impl Builder<'_> {
         let runs = Runs::open(self.work.path(), &self.done.runs)?;
         let cells = self.ordered(runs.cells())?;
         self.run.progress.start("merge points", cells.len());
-        SkeletonWriter::write_by(out, self.work.path(), |writer| {
+        SkeletonWriter::write_by(out, self.work.work(), |writer| {
             runs.merged(&cells, |cell, sums| {
                 self.run.progress.step();
                 self.write_cell(writer, cell, &sums)
@@ -64,10 +64,11 @@ impl Builder<'_> {
         };
         let points: Vec<Point> = sums.iter().map(|sum| self.cells.voxels.mean(sum, class)).collect();
         let Some(bounds) = Bounds::of(&points) else { return Ok(()) };
+        let xxh3 = Checksum::of(&points);
         match cell {
             Cell::Chunk(place) => {
                 let origin = place.map(|i| i as f64 * CHUNK_M);
-                writer.chunk(Chunk { origin, points: points.len(), bounds }, &points)?;
+                writer.chunk(Chunk { origin, points: points.len(), bounds, xxh3 }, &points)?;
             }
             Cell::Track { log, track } => {
                 let stream = &self.streams[log];
@@ -83,6 +84,7 @@ impl Builder<'_> {
                     sweeps: self.done.track_sweeps.get(&cell).copied().unwrap_or(0),
                     points: points.len(),
                     bounds,
+                    xxh3,
                 };
                 writer.actor(asset, &points)?;
             }

@@ -18,7 +18,7 @@ mod sums;
 use std::path::{Path, PathBuf};
 
 use self::cells::Cells;
-use self::checkpoint::{Done, Plan, PlannedLog, WorkFolder};
+use self::checkpoint::{Done, Plan, PlannedLog, Unfinished};
 use self::stream::{FrameCloud, Stream};
 use self::sums::Voxels;
 use super::manifest::{BuildReport, Source};
@@ -153,7 +153,7 @@ pub fn build(
         inputs.iter().map(|input| Stream::new(input, options)).collect::<Result<_, _>>()?;
     check_places(&streams)?;
     SkeletonWriter::check_target(out)?;
-    let (work, done) = WorkFolder::open(out, plan(&streams, options), run.resume)?;
+    let (work, done) = Unfinished::open(out, plan(&streams, options), run.resume)?;
     let cells = Cells::new(Voxels { side_m: options.voxel_m });
     let mut builder = Builder { streams, options, run, work, done, cells, since: 0 };
     let built = builder.gather().and_then(|()| builder.finish(out, templates));
@@ -174,7 +174,7 @@ pub fn build(
 
 /// How many frames of an unfinished build of `out` are done; `None` if there is none to go on with.
 pub fn unfinished_frames(out: &Path) -> Option<usize> {
-    WorkFolder::frames_done(out)
+    Unfinished::frames_done(out)
 }
 
 /// A background stands in the frame of one place.
@@ -210,7 +210,7 @@ struct Builder<'a> {
     streams: Vec<Stream<'a>>,
     options: &'a BuildOptions,
     run: &'a BuildRun<'a>,
-    work: WorkFolder,
+    work: Unfinished,
     /// What the checkpoint says; the frames since are in `cells`.
     done: Done,
     cells: Cells,

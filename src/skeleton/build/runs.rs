@@ -18,8 +18,10 @@ use serde::{Deserialize, Serialize};
 
 use super::cells::Cell;
 use super::sums::{VoxelSum, merge_two};
-use crate::error::{FileError, write_json, write_whole};
+use crate::error::FileError;
 use crate::files::input::{open_regular, read_table};
+use crate::files::{write_json, write_whole};
+use crate::skeleton::Checksum;
 
 /// Runs that are merged at once.
 const FAN_IN: usize = 8;
@@ -38,14 +40,15 @@ pub(super) struct RunName {
 struct Entry {
     cell: Cell,
     sums: usize,
+    xxh3: Checksum,
 }
 
 impl RunName {
-    fn sums(&self, folder: &Path) -> PathBuf {
+    pub(super) fn sums(&self, folder: &Path) -> PathBuf {
         folder.join(format!("run-{:06}.sums", self.number))
     }
 
-    fn index(&self, folder: &Path) -> PathBuf {
+    pub(super) fn index(&self, folder: &Path) -> PathBuf {
         folder.join(format!("run-{:06}.json", self.number))
     }
 
@@ -59,7 +62,7 @@ impl RunName {
         let mut index = Vec::new();
         write_whole(&path, |file| {
             fill(&mut |cell, sums| {
-                index.push(Entry { cell, sums: sums.len() });
+                index.push(Entry { cell, sums: sums.len(), xxh3: Checksum::of(&sums) });
                 file.write_all(bytemuck::cast_slice(&sums)).map_err(FileError::io("write", &path))
             })
         })?;
@@ -69,8 +72,8 @@ impl RunName {
 
 /// A run on disk. It is read cell by cell rather than mapped: what was read of a map stays in memory.
 struct Run {
-    /// First sum and number of sums of each cell.
-    cells: BTreeMap<Cell, [usize; 2]>,
+    /// First sum of each cell, and its entry.
+    cells: BTreeMap<Cell, (usize, Entry)>,
     path: PathBuf,
     file: File,
 }
@@ -83,7 +86,7 @@ impl Run {
         let entries: Vec<Entry> = serde_json::from_slice(&text).map_err(wrong)?;
         let (mut cells, mut end) = (BTreeMap::new(), 0_usize);
         for entry in entries {
-            cells.insert(entry.cell, [end, entry.sums]);
+            cells.insert(entry.cell, (end, entry));
             end = end.saturating_add(entry.sums);
         }
         let (file, found) = open_regular(&path)?;
@@ -94,12 +97,13 @@ impl Run {
         Ok(Self { cells, path, file })
     }
 
-    /// Reads the sums of a cell.
+    /// Reads the sums of a cell and checks their checksum.
     fn read(&self, cell: Cell) -> Result<Vec<VoxelSum>, FileError> {
-        let Some(&[first, count]) = self.cells.get(&cell) else { return Ok(Vec::new()) };
-        let mut sums = vec![VoxelSum::zeroed(); count];
-        let read = self.file.read_exact_at(bytemuck::cast_slice_mut(&mut sums), first as u64 * SUM_BYTES);
+        let Some((first, entry)) = self.cells.get(&cell) else { return Ok(Vec::new()) };
+        let mut sums = vec![VoxelSum::zeroed(); entry.sums];
+        let read = self.file.read_exact_at(bytemuck::cast_slice_mut(&mut sums), *first as u64 * SUM_BYTES);
         read.map_err(FileError::io("read", &self.path))?;
+        entry.xxh3.check(&sums, || format!("sums of {cell:?}"), &self.path)?;
         Ok(sums)
     }
 }
@@ -177,26 +181,6 @@ pub(super) fn push(
     }
 }
 
-/// Deletes the files of runs that are not in the list, and what a killed process left half-written.
-///
-/// # Errors
-/// The system's.
-pub(super) fn sweep_out(folder: &Path, names: &[RunName]) -> Result<(), FileError> {
-    let kept: BTreeSet<PathBuf> =
-        names.iter().flat_map(|name| [name.sums(folder), name.index(folder)]).collect();
-    for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
-        let path = entry.map_err(FileError::io("read", folder))?.path();
-        let file = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let is_ours = file.starts_with("run-") || file.starts_with(".pskel-");
-        if is_ours && !kept.contains(&path) {
-            let gone =
-                if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
-            gone.map_err(FileError::io("delete", &path))?;
-        }
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::sums::{Voxels, merge};
@@ -225,10 +209,8 @@ mod tests {
                 expected.entry(cell).or_default().extend(sums);
             }
             names = push(folder.path(), names, cells(frame)).unwrap();
-            sweep_out(folder.path(), &names).unwrap();
             assert!(names.len() < 2 * FAN_IN + 2, "{names:?}");
         }
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2 * names.len());
         let runs = Runs::open(folder.path(), &names).unwrap();
         let mut found = BTreeMap::new();
         let keep = |cell, sums| {
@@ -249,5 +231,22 @@ mod tests {
         std::fs::File::options().write(true).open(&path).unwrap().set_len(100).unwrap();
         let text = Runs::open(folder.path(), &names).err().unwrap().to_string();
         assert!(text.contains("found 100 bytes") && text.ends_with("run-000000.sums"), "{text}");
+    }
+
+    #[test]
+    fn a_changed_byte_of_a_run_is_found_when_its_cell_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let names = push(folder.path(), Vec::new(), cells(3)).unwrap();
+        let path = names[0].sums(folder.path());
+        let mut bytes = std::fs::read(&path).unwrap();
+        *bytes.last_mut().unwrap() ^= 1;
+        std::fs::write(&path, bytes).unwrap();
+        let runs = Runs::open(folder.path(), &names).unwrap();
+        let [first, last] = [0, 1].map(|i| runs.cells()[i]);
+        let merged = |cell| runs.merged(&[cell], |_, _| Ok::<_, FileError>(()));
+        merged(first).unwrap();
+        let text = merged(last).unwrap_err().to_string();
+        assert!(text.contains("sums of Track { log: 0, track: 0 } with checksum"), "{text}");
+        assert!(text.ends_with("run-000000.sums"), "{text}");
     }
 }

@@ -11,7 +11,7 @@ use super::thin::{neighbourhood, poisson_thin};
 use super::{ClusterReport, TemplateCloud, TemplateKind, TemplateOptions, TemplateSummary};
 use crate::cloud::{Bounds, Point};
 use crate::dataset::Class;
-use crate::skeleton::Template;
+use crate::skeleton::{Checksum, Template};
 
 /// Lays the members of a kind's clusters over each other in their mean box. No cloud if that gives too few points.
 pub(super) fn aggregate(
@@ -50,7 +50,8 @@ pub(super) fn aggregate(
     let enough = bounds.filter(|_| points.len() >= options.min_points);
     let cloud = enough.map(|bounds| {
         let (class, size) = (kind.class(), size_m.to_array());
-        (Template { kind, class, size, points: points.len(), bounds }, points)
+        let xxh3 = Checksum::of(&points);
+        (Template { kind, class, size, points: points.len(), bounds, xxh3 }, points)
     });
     (summary, cloud)
 }
@@ -193,6 +194,7 @@ mod tests {
             sweeps: 1,
             points: points.len(),
             bounds: Bounds::of(&points).unwrap(),
+            xxh3: Checksum::of(&points),
         };
         (asset, points)
     }

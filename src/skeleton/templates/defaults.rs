@@ -5,7 +5,7 @@ use super::thin::poisson_thin;
 use super::{TemplateCloud, TemplateKind, TemplateOptions};
 use crate::cloud::{Bounds, Point};
 use crate::dataset::Class;
-use crate::skeleton::Template;
+use crate::skeleton::{Checksum, Template};
 use crate::town::model::{BodyKind, SurfacePoint, surface, typical};
 
 /// All templates that [`default_template`] knows, in the order of kinds.
@@ -37,7 +37,8 @@ pub fn default_template(kind: TemplateKind) -> Option<TemplateCloud> {
     let point = |i: usize| Point::new(position(&surface[i]), surface[i].rgb, class as u8);
     let points: Vec<Point> = kept.into_iter().map(point).collect();
     let bounds = Bounds::of(&points)?;
-    Some((Template { kind, class, size: size_m.to_array(), points: points.len(), bounds }, points))
+    let (size, xxh3) = (size_m.to_array(), Checksum::of(&points));
+    Some((Template { kind, class, size, points: points.len(), bounds, xxh3 }, points))
 }
 
 #[cfg(test)]

@@ -7,12 +7,15 @@ use serde::{Deserialize, Serialize};
 
 use super::{TemplateCloud, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
-use crate::error::{FileError, check_only_ours, write_json, write_whole, write_whole_folder};
+use crate::error::FileError;
 use crate::files::input::is_taken;
+use crate::files::{WholeFolder, write_json, write_whole};
 use crate::gpu::MappedFile;
-use crate::skeleton::store::read_manifest;
+use crate::skeleton::store::{Entry, read_manifest};
 use crate::skeleton::{Source, Template};
 
+/// Kind of the output folder.
+const KIND: &str = "templates";
 const MANIFEST: &str = "templates.json";
 const POINTS: &str = "templates.points";
 
@@ -47,7 +50,7 @@ impl LibraryManifest {
     /// Marks the folder.
     pub const FORMAT: &'static str = "point-skeleton-templates";
     /// Changes whenever older readers would misread a library.
-    pub const VERSION: u32 = 1;
+    pub const VERSION: u32 = 2;
 }
 
 /// Templates that several skeletons can use.
@@ -71,12 +74,12 @@ impl TemplateLibrary {
         Self { manifest: LibraryManifest { format, version, sources, options, report, templates }, clouds }
     }
 
-    /// Whether [`TemplateLibrary::write`] may write at a path.
+    /// Begins the folder that [`TemplateLibrary::write`] fills; it is none of `inputs`.
     ///
     /// # Errors
-    /// Something else is there.
-    pub fn check_target(path: &Path) -> Result<(), FileError> {
-        check_only_ours(path, MANIFEST, |name| name == MANIFEST || name == POINTS || name.ends_with(".png"))
+    /// Those of [`WholeFolder::open`].
+    pub fn target(path: &Path, inputs: &[&Path]) -> Result<WholeFolder, FileError> {
+        WholeFolder::open(path, KIND, inputs)
     }
 
     /// Whether a folder looks like a library.
@@ -84,17 +87,16 @@ impl TemplateLibrary {
         is_taken(&path.join(MANIFEST))
     }
 
-    /// Writes the folder under a temporary name beside `path`, then renames it; `more` may add files to it. An older library
-    /// at `path` is replaced; a folder with anything else is refused.
+    /// Writes the folder; `more` may add files to it. An older library is replaced.
     ///
     /// # Errors
     /// Whatever `more` returns, the system's, a folder that is no library; nothing is left half-written.
     pub fn write<E: From<FileError>>(
         &self,
-        path: &Path,
+        target: WholeFolder,
         more: impl FnOnce(&Path) -> Result<(), E>,
     ) -> Result<(), E> {
-        write_whole_folder(path, MANIFEST, |folder| {
+        target.write(|folder| {
             let file = folder.join(POINTS);
             write_whole::<FileError>(&file, |writer| {
                 let mut clouds = self.clouds.iter();
@@ -122,12 +124,14 @@ impl TemplateLibrary {
             return Err(FileError::content(expected, format!("{} bytes", bytes.len()), &file));
         }
         let mut rest = bytes;
-        let cloud = |template: &Template| {
+        let cloud = |(index, template): (usize, &Template)| {
             let (head, tail) = rest.split_at(template.points * size_of::<Point>());
             rest = tail;
-            (template.clone(), bytemuck::pod_collect_to_vec(head))
+            let points: Vec<Point> = bytemuck::pod_collect_to_vec(head);
+            template.check(index, &points, &file)?;
+            Ok((template.clone(), points))
         };
-        let clouds = manifest.templates.iter().map(cloud).collect();
+        let clouds = manifest.templates.iter().enumerate().map(cloud).collect::<Result<_, FileError>>()?;
         Ok(Self { manifest, clouds })
     }
 }

@@ -88,6 +88,36 @@ fn the_crop_is_a_square_with_its_border() {
     });
 }
 
+/// However many points of one pixel draw the largest squares: the first of the nearest wins all of its square, and one
+/// that is nearer by a step of `f32` all of its own.
+#[test]
+fn points_without_number_in_one_pixel_have_one_winner() {
+    let at = |x: f32, y: f32, z: f32| point([(x + 0.5) * z, (y + 0.5) * z, z]);
+    let mut points = vec![at(40.0, 35.0, 2.0); 20_000];
+    points[0] = at(40.0, 35.0, 2.0_f32.next_up());
+    points.push(at(70.0, 35.0, 2.0_f32.next_down()));
+    let case = Case::new(100, 90, "9:31", &[&points]);
+    let maps = case.draw(Planes::ALL);
+    let pixel = |x: usize, y: usize| maps.point[y * 100 + x];
+    assert_eq!([pixel(9, 4), pixel(38, 66), pixel(9, 67), pixel(8, 4)], [2, 2, 0, 0]);
+    assert_eq!([pixel(39, 35), pixel(70, 4), pixel(99, 66), pixel(99, 67)], [20_001, 20_001, 20_001, 0]);
+    assert_eq!(covered(&maps).len(), 63 * 91);
+    with_device(|device| {
+        let clouds: Vec<&[Point]> = case.clouds.iter().map(Vec::as_slice).collect();
+        let spread = |mut rasterizer: Box<dyn Rasterizer + '_>| {
+            let (view, schedule, instances) = (&case.view, &case.schedule, case.instances.as_slice());
+            rasterizer
+                .splat(&SplatJob { view, schedule, instances, crop: None, planes: Planes::ALL })
+                .unwrap();
+            let stages = rasterizer.take_stages().0;
+            (rasterizer.info().rasterizer, stages.contains_key("spread"))
+        };
+        let found: Vec<_> =
+            rasterizers(&device, &clouds, Division::default()).into_iter().map(spread).collect();
+        assert_eq!(found, [("raster", false), ("compute", true), ("compute", true)]);
+    });
+}
+
 #[test]
 fn unwanted_planes_are_empty() {
     let case = Case::new(4, 4, "9:1", &[&[point([1.0, 1.0, 1.0])]]);

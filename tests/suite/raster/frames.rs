@@ -14,7 +14,7 @@ use point_skeleton::raster::{
 use proptest::prelude::*;
 
 use super::random::{ON_BORDERS, Random, random_cloud, random_instances, random_schedule, random_view};
-use super::twins::{self, Division, allowed_share, rasterizers, with_device};
+use super::twins::{self, Division, allowed_share, rasterizers, with_compute_device, with_device};
 
 /// What a random frame shows.
 struct Scene {
@@ -127,7 +127,19 @@ fn assert_same(expected: &[ViewMaps<'_>], found: &[ViewMaps<'_>], share: f64, wh
 /// Frames of random scenes by all rasterizers of a device, against those of the processor.
 fn compare(seed: u64, sizes: &[u64], compute: ComputeRasterizerDesc, rounds: usize) {
     let random = &mut Random(seed);
-    let mut scene = Scene::random(random, sizes);
+    let scene = Scene::random(random, sizes);
+    compare_scene(scene, random, compute, rounds);
+}
+
+/// Frames of a scene that changes at random; gives back how many of them were spread.
+fn compare_scene(
+    mut scene: Scene,
+    random: &mut Random,
+    compute: ComputeRasterizerDesc,
+    rounds: usize,
+) -> usize {
+    let seed = random.0;
+    let mut spread = 0;
     with_device(|device| {
         let clouds = scene.clouds.clone();
         let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
@@ -148,10 +160,12 @@ fn compare(seed: u64, sizes: &[u64], compute: ComputeRasterizerDesc, rounds: usi
                 );
                 let share = allowed_share(rasterizer.as_ref(), ON_BORDERS);
                 assert_same(&expected, &frame(rasterizer.as_mut(), &job), share, &what);
+                spread += usize::from(rasterizer.take_stages().0.contains_key("spread"));
             }
             scene.change(random);
         }
     });
+    spread
 }
 
 /// As little memory as clouds of these sizes need, in few rows.
@@ -178,12 +192,33 @@ proptest! {
     fn parts_pages_and_streams_change_nothing(
         seed: u64,
         sizes in prop::collection::vec(0..15_000_u64, 2..5),
-        key_rows in 60..400_u32,
+        key_rows in 70..400_u32,
         page_rows in 1..4_u32,
         streamed_rows in 1..3_u32,
     ) {
         compare(seed, &sizes, divided(&sizes, key_rows, page_rows, streamed_rows), 4);
     }
+}
+
+/// Squares too large to look around for, of many points: several radii at once, cut into parts, streamed or not.
+#[test]
+fn large_squares_of_many_points_agree() {
+    let mut spread = 0;
+    for (seed, schedule) in
+        (40..).zip(["16:31", "2:31,5:17,9:16,11:3,14:2,16:0", "3:5,16:1", "8:3,16:3", "1:8,2:7,3:6,4:5,16:4"])
+    {
+        let random = &mut Random(seed);
+        let sizes = [9000, 500, 4000];
+        let schedule: SplatSchedule = schedule.parse().unwrap();
+        let clouds = sizes.iter().map(|n| random_cloud(random, &schedule, *n)).collect();
+        let mut scene = Scene::random(random, &sizes);
+        (scene.clouds, scene.schedule) = (clouds, schedule);
+        scene.change(random);
+        let whole = ComputeRasterizerDesc::default();
+        let desc = if seed % 2 == 0 { whole } else { divided(&sizes, 80, 1, 2) };
+        spread += compare_scene(scene, random, desc, 6);
+    }
+    assert!(spread >= 20, "{spread} frames were spread");
 }
 
 /// Few rows are left of many: a view is cut into bands that fit one part.
@@ -203,7 +238,7 @@ fn frames_in_flight_come_in_order() {
     let scene = Scene::random(random, &[5000, 300]);
     let reduced = FrameJob { kinds: FrameKinds::ALL, out_size: None, ..scene.job(random) };
     let full = FrameJob { out_size: Some(ImageSize { height: 9, width: 13 }), ..reduced };
-    with_device(|device| {
+    with_compute_device(|device| {
         let mut cpu = CpuRasterizer::new(scene.clouds());
         let mut rasterizer = compute(&device, &scene.clouds());
         assert!(matches!(rasterizer.finish(), Err(RasterError::NoFrame)));
@@ -231,7 +266,7 @@ fn a_warm_rasterizer_makes_nothing_new() {
     let random = &mut Random(5);
     let mut scene = Scene::random(random, &[20_000, 3000]);
     scene.color.truncate(2);
-    with_device(|device| {
+    with_compute_device(|device| {
         let clouds = scene.clouds.clone();
         let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
         let mut rasterizer = compute(&device, &set);
@@ -263,7 +298,7 @@ fn a_warm_rasterizer_makes_nothing_new() {
 #[test]
 fn too_little_memory_is_said() {
     let points = vec![Point::default(); 40_000];
-    with_device(|device| {
+    with_compute_device(|device| {
         let desc = ComputeRasterizerDesc { memory_bytes: Some(1 << 16), ..ComputeRasterizerDesc::default() };
         let error = ComputeRasterizer::with_desc(device, &vec![&points], desc).err().unwrap().to_string();
         assert!(error.contains("at least 1 MiB for points") && error.contains("0 MiB allowed"), "{error}");
@@ -275,7 +310,7 @@ fn positions_beyond_the_allowed_memory_are_streamed() {
     let random = &mut Random(21);
     let scene = Scene::random(random, &[60_000]);
     let job = FrameJob { kinds: FrameKinds::ALL, crop: None, ..scene.job(random) };
-    with_device(|device| {
+    with_compute_device(|device| {
         let streams = |memory_bytes| {
             let desc = ComputeRasterizerDesc { memory_bytes, streamed_rows: Some(2), ..Default::default() };
             let mut rasterizer = ComputeRasterizer::with_desc(device.clone(), &scene.clouds(), desc).unwrap();

@@ -12,6 +12,8 @@ use point_skeleton::raster::{
     SplatSchedule, VulkanRasterizer, VulkanRasterizerDesc,
 };
 
+use crate::common::skip;
+
 /// Gives a device under validation to a test, and fails on any message, also of the device's destruction.
 pub(crate) fn with_device<T>(test: impl FnOnce(Arc<Device>) -> T) -> T {
     let desc = DeviceDesc { validation: true, ..DeviceDesc::from_env() };
@@ -29,26 +31,45 @@ pub(crate) struct Division {
     pub(crate) compute: ComputeRasterizerDesc,
 }
 
-/// All rasterizers of a device.
+/// The name of Mesa's lavapipe, which has all that any rasterizer needs and rounds as the CPU does.
+const LAVAPIPE: &str = "llvmpipe";
+
+/// The name of the driver that comes with Chromium, which rounds as the CPU does.
+const SWIFTSHADER: &str = "SwiftShader";
+
+/// Gives a device that `compute` runs on to a test; another device skips it.
+pub(crate) fn with_compute_device(test: impl FnOnce(Arc<Device>)) {
+    with_device(|device| if has_compute(&device) { test(device) } else { skip("no 64-bit atomics") });
+}
+
+fn has_compute(device: &Device) -> bool {
+    assert!(device.atomics_64() || !device.name().contains(LAVAPIPE), "{}", device.name());
+    device.atomics_64()
+}
+
+/// All rasterizers that a device has.
 pub(crate) fn rasterizers<'a>(
     device: &Arc<Device>,
     clouds: &CloudSet<'a>,
     division: Division,
 ) -> Vec<Box<dyn Rasterizer + 'a>> {
     let raster = VulkanRasterizer::with_desc(device.clone(), clouds, division.raster);
-    let compute = |desc| ComputeRasterizer::with_desc(device.clone(), clouds, desc);
-    let copies = ComputeRasterizerDesc { copies: true, ..division.compute };
-    vec![
-        Box::new(raster.unwrap_or_else(|e| panic!("{e}"))),
-        Box::new(compute(division.compute).unwrap_or_else(|e| panic!("{e}"))),
-        Box::new(compute(copies).unwrap_or_else(|e| panic!("{e}"))),
-    ]
+    let mut all: Vec<Box<dyn Rasterizer + 'a>> = vec![Box::new(raster.unwrap_or_else(|e| panic!("{e}")))];
+    if has_compute(device) {
+        let copies = ComputeRasterizerDesc { copies: true, ..division.compute };
+        for desc in [division.compute, copies] {
+            let compute = ComputeRasterizer::with_desc(device.clone(), clouds, desc);
+            all.push(Box::new(compute.unwrap_or_else(|e| panic!("{e}"))));
+        }
+    }
+    all
 }
 
-/// Which share of pixels may differ: none on the driver that rounds as the CPU does, `elsewhere` on others (Vulkan
-/// lets a division be off by 2.5 units in the last place).
+/// Which share of pixels may differ: none on drivers that round as the CPU does, `elsewhere` on others (Vulkan lets a
+/// division be off by 2.5 units in the last place).
 pub(crate) fn allowed_share(rasterizer: &dyn Rasterizer, elsewhere: f64) -> f64 {
-    if rasterizer.info().device.contains("llvmpipe") { 0.0 } else { elsewhere }
+    let device = rasterizer.info().device;
+    if [LAVAPIPE, SWIFTSHADER].iter().any(|name| device.contains(name)) { 0.0 } else { elsewhere }
 }
 
 /// How many pixels differ in any plane. Maps of different sizes or planes differ everywhere.

@@ -1,0 +1,42 @@
+//! A target under libFuzzer: `PSKEL_FUZZ_TARGET` names it. With `PSKEL_FUZZ_BYTES` the bytes of all inputs so far are
+//! written to that file, once a second.
+#![no_main]
+#![allow(unsafe_code)] // of the macro: the function that libFuzzer calls
+
+use std::cell::RefCell;
+use std::path::PathBuf;
+use std::sync::LazyLock;
+use std::time::{Duration, Instant};
+
+use point_skeleton_fuzz::{Target, run, target};
+
+static TARGET: LazyLock<&Target> = LazyLock::new(|| {
+    let name = std::env::var("PSKEL_FUZZ_TARGET").unwrap_or_default();
+    target(&name).unwrap_or_else(|| panic!("PSKEL_FUZZ_TARGET must name a target, found {name:?}"))
+});
+
+/// Bytes of all inputs.
+struct Tally {
+    file: Option<PathBuf>,
+    bytes: u64,
+    written: Instant,
+}
+
+thread_local! {
+    static TALLY: RefCell<Tally> = RefCell::new(Tally {
+        file: std::env::var_os("PSKEL_FUZZ_BYTES").map(PathBuf::from),
+        bytes: 0,
+        written: Instant::now(),
+    });
+}
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| {
+    run(&TARGET, data);
+    TALLY.with_borrow_mut(|tally| {
+        tally.bytes += data.len() as u64;
+        if let Some(file) = tally.file.as_ref().filter(|_| tally.written.elapsed() > Duration::from_secs(1)) {
+            std::fs::write(file, tally.bytes.to_string()).expect("the file of PSKEL_FUZZ_BYTES");
+            tally.written = Instant::now();
+        }
+    });
+});

@@ -1,0 +1,7 @@
+//! Made-up logs that the suite of the library tests with, too.
+#![allow(dead_code, clippy::unwrap_used, missing_docs)]
+
+#[path = "../../../tests/suite/av2_log.rs"]
+pub(crate) mod av2_log;
+#[path = "../../../tests/suite/nuplan_made.rs"]
+pub(crate) mod nuplan_made;

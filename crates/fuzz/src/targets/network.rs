@@ -1,0 +1,252 @@
+//! Networks, trainings, drives and caches: safetensors with a header of JSON.
+
+use std::cell::RefCell;
+
+use point_skeleton::dataset::Dataset;
+use point_skeleton::generate::network::{Attend, Network, NetworkConfig, Weights};
+use point_skeleton::generate::toy::Toy;
+use point_skeleton::generate::train::{TrainOptions, Trainer, measure};
+use point_skeleton::generate::{
+    Cache, Denoiser, Drive, DriveFrame, DriveInfo, Frame, GaussianNoise, GenerateOptions, Generator,
+    Guidance, Latent, LatentShape, Level, Recipe, SamplerOptions, Strategy,
+};
+use point_skeleton::geometry::ImageSize;
+use point_skeleton::sim::{Committed, Rates, Scenario, SimOptions, Simulation};
+use serde_json::{Value, json};
+
+use super::clouds::written;
+use super::{LARGE, SMALL, Scratch, edit_seeds, edited, seed};
+use crate::check::{short, told};
+use crate::made::Made;
+use crate::{Seed, Target};
+
+pub(super) const TARGETS: [Target; 4] = [
+    Target { name: "weights", run: weights, seeds: weight_seeds, max_len: 32_768, memory: LARGE },
+    Target { name: "checkpoint", run: checkpoint, seeds: checkpoint_seeds, max_len: 65_536, memory: LARGE },
+    Target { name: "drive", run: drive, seeds: drive_seeds, max_len: 8192, memory: LARGE },
+    Target { name: "cache", run: cache, seeds: cache_seeds, max_len: 8192, memory: SMALL },
+];
+
+/// Files of ours, and a drive that they fit.
+struct Stored {
+    scratch: Scratch,
+    drives: Vec<Drive>,
+    weights: Vec<u8>,
+    checkpoint: Vec<u8>,
+    drive: Vec<u8>,
+}
+
+thread_local! {
+    static STORED: RefCell<Stored> = RefCell::new(Stored::new());
+    static CACHE: Vec<u8> = cache_file();
+}
+
+fn config() -> NetworkConfig {
+    let sides = |side: u32| ImageSize { height: side, width: side };
+    let recipe = Recipe { drawn: sides(4), size: sides(2), ..Recipe::default() };
+    let blocks = vec![Attend::Space, Attend::Time];
+    NetworkConfig { recipe, cameras: 1, frames: 2, patch: 1, width: 16, head: 16, hidden: 16, blocks }
+}
+
+fn made_drive() -> Drive {
+    let recipe = config().recipe;
+    let pixels = recipe.size.pixels();
+    let about = DriveInfo { log: "made".into(), hz: 2.0, cameras: vec!["front".into()], recipe };
+    let frame = |i: u8| {
+        let image = |factor: u8| (0..pixels).map(|p| [i * factor, p as u8 * 40, 9]).collect::<Vec<_>>();
+        DriveFrame {
+            color: image(3),
+            bins: (0..pixels).map(|p| p as u16 * 9).collect(),
+            boxes: image(5),
+            map: image(7),
+            truth: image(11),
+            action: [0.5, 0.0, f32::from(i)],
+            cameras: vec![[0.25; 16]],
+        }
+    };
+    Drive { about, frames: (0..4).map(frame).collect() }
+}
+
+impl Stored {
+    fn new() -> Self {
+        let drives = vec![made_drive()];
+        let (statistics, guess) = measure(&config(), &drives).expect("statistics");
+        let fresh = Weights::fresh(&config(), &statistics, &guess, 1).expect("weights");
+        let options = TrainOptions { infer_steps: 2, ..TrainOptions::default() };
+        let trainer = Trainer::new(options, config(), &drives).expect("a trainer");
+        Self {
+            weights: written("w", |path| fresh.write(path)),
+            checkpoint: written("c", |path| trainer.save(path)),
+            drive: written("d", |path| drives[0].save(path)),
+            scratch: Scratch::new(),
+            drives,
+        }
+    }
+}
+
+/// The file for an input: those bytes behind a first byte of 0 are edits of the header of `base`, others the file itself.
+fn file(data: &[u8], base: &[u8], key: &str) -> Vec<u8> {
+    match data.split_first() {
+        Some((0, edits)) => with_header(base, key, edits),
+        _ => data.to_vec(),
+    }
+}
+
+fn with_header(base: &[u8], key: &str, edits: &[u8]) -> Vec<u8> {
+    let (length, rest) = base.split_at(8);
+    let length = u64::from_le_bytes(length.try_into().expect("eight bytes")) as usize;
+    let mut header: Value = serde_json::from_slice(&rest[..length]).expect("a header");
+    let text = header["__metadata__"][key].as_str().unwrap_or_default();
+    let about: Value = serde_json::from_str(text).expect("JSON in the header");
+    let mut both = edited(&json!([about, header]), edits);
+    let about = both.get(0).cloned().unwrap_or_default();
+    header = both.get_mut(1).map(Value::take).unwrap_or_default();
+    if let Some(place) = header.pointer_mut(&format!("/__metadata__/{key}")) {
+        *place = about.to_string().into();
+    }
+    let header = header.to_string();
+    [&(header.len() as u64).to_le_bytes(), header.as_bytes(), &rest[length..]].concat()
+}
+
+fn seeds(file: &[u8]) -> Vec<Seed> {
+    let mut seeds = edit_seeds();
+    seeds.iter_mut().for_each(|(_, edits)| edits.insert(0, 0));
+    seeds.push(seed("file", file));
+    seeds
+}
+
+fn weights(data: &[u8]) {
+    STORED.with_borrow(|stored| {
+        let path = stored.scratch.put("weights.safetensors", &file(data, &stored.weights, "network"));
+        let weights = match Weights::open(&path) {
+            Err(error) => return told(error, &path, data),
+            Ok(weights) => weights,
+        };
+        weights.write(&path).expect("weights to write");
+        let again = Weights::open(&path).expect("weights that were written");
+        assert_eq!(again.fingerprint().ok(), weights.fingerprint().ok());
+        if weights.config.shape() == config().shape() && weights.config.recipe == config().recipe {
+            predict(weights, &stored.drives[0]);
+        }
+    });
+}
+
+/// Asks a network once; numbers may be anything.
+fn predict(weights: Weights, drive: &Drive) {
+    let (shape, encoder) = (weights.config.shape(), drive.encoder());
+    let Ok(mut network) = Network::new(weights) else { return };
+    let latent = Latent::filled(shape, 0.5);
+    let condition = drive.conditions(0, &encoder);
+    let frame =
+        Frame { latent: &latent, level: Level { timestep: 500.0, sigma: 0.5 }, condition: &condition };
+    if let Ok(predicted) = network.predict(&[frame, frame]) {
+        assert!(predicted.len() == 2 && predicted.iter().all(|latent| latent.shape() == shape));
+    }
+}
+
+fn weight_seeds() -> Vec<Seed> {
+    seeds(&Stored::new().weights)
+}
+
+fn checkpoint(data: &[u8]) {
+    STORED.with_borrow(|stored| {
+        let path = stored.scratch.put("training.safetensors", &file(data, &stored.checkpoint, "training"));
+        match Trainer::resume(&path, &stored.drives) {
+            // What does not fit the drives is no fault of the file.
+            Err(error) => short(&error.to_string(), data),
+            Ok(mut trainer) => {
+                trainer.save(&path).expect("a training to write");
+                let again = Trainer::resume(&path, &stored.drives).expect("a training that was written");
+                assert_eq!((again.done(), again.options()), (trainer.done(), trainer.options()));
+                if trainer.options().batch <= 4 && !trainer.is_done() {
+                    let _ = trainer.step(); // numbers may be anything
+                }
+            }
+        }
+    });
+}
+
+fn checkpoint_seeds() -> Vec<Seed> {
+    seeds(&Stored::new().checkpoint)
+}
+
+fn drive(data: &[u8]) {
+    STORED.with_borrow(|stored| {
+        let path = stored.scratch.put("drive.safetensors", &file(data, &stored.drive, "drive"));
+        let drive = match Drive::open(&path) {
+            Err(error) => return told(error, &path, data),
+            Ok(drive) => drive,
+        };
+        let encoder = drive.encoder();
+        if !drive.frames.is_empty() {
+            assert_eq!(drive.conditions(0, &encoder).views(), drive.about.cameras.len());
+        }
+        let saved = |drive: &Drive| {
+            drive.save(&path).expect("a drive to write");
+            std::fs::read(&path).expect("a drive that was written")
+        };
+        let first = saved(&drive);
+        assert_eq!(saved(&Drive::open(&path).expect("a drive that was written")), first);
+        let _ = Trainer::new(TrainOptions { infer_steps: 2, ..TrainOptions::default() }, config(), &[drive]);
+    });
+}
+
+fn drive_seeds() -> Vec<Seed> {
+    seeds(&Stored::new().drive)
+}
+
+const SHAPE: LatentShape = LatentShape { views: 1, channels: 2, height: 2, width: 1 };
+
+fn options() -> GenerateOptions {
+    GenerateOptions {
+        window: 3,
+        steps: 3,
+        clean: 0,
+        strategy: Strategy::ResetAndRoll,
+        sampler: SamplerOptions::default(),
+        guidance: Guidance::default(),
+    }
+}
+
+type Toys = Generator<Toy, GaussianNoise>;
+
+/// What a condition was when it was committed: only a rollout commits.
+fn committed() -> Committed<Latent> {
+    let made = Made::new(2);
+    let scenario = Scenario { log: made.log(), map: None, rates: Rates::default() };
+    let rollout = Simulation::new(&scenario, SimOptions::default()).expect("a rollout");
+    rollout.committed().map(|_| Latent::filled(SHAPE, 0.25))
+}
+
+fn cache_file() -> Vec<u8> {
+    let latent = || Latent::filled(SHAPE, 0.5);
+    let references = (0..options().references()).map(|_| (latent(), committed())).collect();
+    let toy = Toy { shape: SHAPE };
+    let mut generator =
+        Toys::new(toy, GaussianNoise { seed: 1 }, options(), references).expect("a generator");
+    generator.step(committed(), &[]).expect("a frame");
+    generator.cache().to_bytes().expect("a cache")
+}
+
+fn cache(data: &[u8]) {
+    let bytes = CACHE.with(|base| file(data, base, "cache"));
+    let cache = match Cache::from_bytes(&bytes) {
+        Err(error) => return short(&error.to_string(), data),
+        Ok(cache) => cache,
+    };
+    let written = cache.to_bytes().expect("a cache to write");
+    let again = Cache::from_bytes(&written).expect("a cache that was written");
+    assert_eq!(again.to_bytes().ok(), Some(written));
+    let shown = (0..options().references()).map(|_| committed()).collect();
+    match Toys::resume(Toy { shape: SHAPE }, GaussianNoise { seed: 1 }, options(), cache, shown) {
+        Err(error) => short(&error.to_string(), data),
+        Ok(mut generator) => {
+            let made = generator.step(committed(), &[]).expect("a frame");
+            assert_eq!(made.shape(), SHAPE);
+        }
+    }
+}
+
+fn cache_seeds() -> Vec<Seed> {
+    seeds(&cache_file())
+}

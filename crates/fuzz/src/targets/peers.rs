@@ -1,0 +1,218 @@
+//! Answers of planners and denoisers, over a socket.
+
+use std::cell::RefCell;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::sync::mpsc::{Receiver, Sender, channel};
+
+use image::RgbImage;
+use point_skeleton::dataset::Dataset;
+use point_skeleton::generate::{
+    Codec, Denoiser, Frame, FrameConditions, GenerateOptions, Guidance, Latent, Level, ProcessDenoiser,
+    SamplerOptions, Strategy,
+};
+use point_skeleton::geometry::ImageSize;
+use point_skeleton::peer::{PeerAddress, PeerSpec};
+use point_skeleton::sim::{EgoPolicy, Rates, Scenario, SimOptions, Simulation};
+use safetensors::tensor::{Dtype, TensorView, serialize};
+
+use super::{LARGE, Scratch, seed};
+use crate::check::short;
+use crate::made::Made;
+use crate::{Seed, Target};
+
+pub(super) const TARGETS: [Target; 2] = [
+    Target { name: "planner", run: planner, seeds: planner_seeds, max_len: 4096, memory: LARGE },
+    Target { name: "denoiser", run: denoiser, seeds: denoiser_seeds, max_len: 8192, memory: LARGE },
+];
+
+/// Longer than any answer takes; nothing waits so long, since a connection ends with its last answer.
+const TIMEOUT_S: f64 = 20.0;
+
+/// Answers to each connection's messages.
+struct Server {
+    spec: PeerSpec,
+    answers: Sender<Vec<Vec<u8>>>,
+    _folder: Scratch,
+}
+
+impl Server {
+    /// `read` reads a message.
+    fn start(read: fn(&mut BufReader<UnixStream>) -> std::io::Result<()>) -> Self {
+        let folder = Scratch::new();
+        let path = folder.path("socket");
+        let listener = UnixListener::bind(&path).expect("a socket");
+        let (answers, received) = channel();
+        std::thread::spawn(move || serve(&listener, &received, read));
+        let spec = PeerSpec { address: PeerAddress::Unix(path), timeout_s: TIMEOUT_S };
+        Self { spec, answers, _folder: folder }
+    }
+
+    /// What the next connection is answered, message by message.
+    fn next(&self, answers: Vec<Vec<u8>>) -> PeerSpec {
+        self.answers.send(answers).expect("a server");
+        self.spec.clone()
+    }
+}
+
+fn serve(
+    listener: &UnixListener,
+    answers: &Receiver<Vec<Vec<u8>>>,
+    read: fn(&mut BufReader<UnixStream>) -> std::io::Result<()>,
+) {
+    while let (Ok(answers), Ok((stream, _))) = (answers.recv(), listener.accept()) {
+        let answer = |stream: UnixStream| -> std::io::Result<()> {
+            let mut reader = BufReader::new(stream.try_clone()?);
+            for answer in answers {
+                read(&mut reader)?;
+                (&stream).write_all(&answer)?;
+            }
+            Ok(())
+        };
+        let _ = answer(stream); // the other side may be gone
+    }
+}
+
+fn read_line(reader: &mut BufReader<UnixStream>) -> std::io::Result<()> {
+    reader.read_until(b'\n', &mut Vec::new()).map(|_| ())
+}
+
+fn read_counted(reader: &mut BufReader<UnixStream>) -> std::io::Result<()> {
+    let mut length = [0; 8];
+    reader.read_exact(&mut length)?;
+    std::io::copy(&mut reader.take(u64::from_le_bytes(length)), &mut std::io::sink()).map(|_| ())
+}
+
+thread_local! {
+    static PLANNER: (Server, Made) = (Server::start(read_line), Made::new(20));
+    static DENOISER: RefCell<Server> = RefCell::new(Server::start(read_counted));
+}
+
+const HELLO: &[u8] = b"{\"protocol\": \"pskel-planner\", \"version\": 1}\n";
+
+/// Lines of answers; behind a first byte of 0 the hello is right.
+fn planner(data: &[u8]) {
+    PLANNER.with(|(server, made)| {
+        let mut answers = Vec::new();
+        let lines = data.strip_prefix(&[0]).inspect(|_| answers.push(HELLO.to_vec())).unwrap_or(data);
+        answers.extend(lines.split_inclusive(|byte| *byte == b'\n').take(6).map(<[u8]>::to_vec));
+        let ego = EgoPolicy::External(server.next(answers));
+        let rates = Some(10.0);
+        let options = SimOptions { steps: 5, sim_hz: rates, plan_hz: rates, ego, ..SimOptions::default() };
+        let scenario = Scenario { log: made.log(), map: None, rates: Rates::default() };
+        let error = match Simulation::new(&scenario, options) {
+            Err(error) => Some(error),
+            Ok(mut sim) => std::iter::repeat_with(|| sim.step()).take(6).find_map(Result::err),
+        };
+        error.iter().for_each(|error| short(&error.to_string(), data));
+    });
+}
+
+fn planner_seeds() -> Vec<Seed> {
+    let plan = "{\"trajectory\": [{\"t\": 0.1, \"x\": 1000.8, \"y\": 500, \"heading\": 0, \"v\": 8}, {\"t\": 0.5, \
+                \"x\": 1004, \"y\": 500.5, \"heading\": 0.1, \"v\": 8}]}\n";
+    let ego = "{\"step\": 0, \"frame\": \"ego\", \"trajectory\": [{\"t\": 0, \"x\": 0, \"y\": 0, \"heading\": 0, \"v\": 8}, \
+               {\"t\": 1, \"x\": 8, \"y\": 0, \"heading\": 0, \"v\": 8}]}\n";
+    vec![
+        seed("plan", format!("\0{plan}{plan}")),
+        seed("ego", format!("\0{ego}{}", ego.replace("\"step\": 0, ", ""))),
+        seed("hello", [HELLO, plan.as_bytes()].concat()),
+        seed("cut", "\0{\"trajectory\": ["),
+    ]
+}
+
+const SIZE: ImageSize = ImageSize { height: 4, width: 4 };
+const VIEWS: usize = 1;
+
+fn options() -> GenerateOptions {
+    GenerateOptions {
+        window: 2,
+        steps: 2,
+        clean: 0,
+        strategy: Strategy::ResetAndRoll,
+        sampler: SamplerOptions::default(),
+        guidance: Guidance::default(),
+    }
+}
+
+/// Messages behind their lengths (two bytes); one whose length has its highest bit set goes without the eight bytes of
+/// the protocol. Behind a first byte of 0 the hello is right.
+fn messages(data: &[u8]) -> Vec<Vec<u8>> {
+    let mut messages = Vec::new();
+    let mut rest = data.strip_prefix(&[0]).inspect(|_| messages.push(counted(&hello(true)))).unwrap_or(data);
+    while let Some((length, behind)) = rest.split_first_chunk::<2>().filter(|_| messages.len() < 6) {
+        let length = u16::from_le_bytes(*length);
+        let (message, others) = behind.split_at(behind.len().min(usize::from(length & 0x7fff)));
+        messages.push(if length < 0x8000 { counted(message) } else { message.to_vec() });
+        rest = others;
+    }
+    messages
+}
+
+fn counted(message: &[u8]) -> Vec<u8> {
+    [&(message.len() as u64).to_le_bytes(), message].concat()
+}
+
+fn hello(decodes: bool) -> Vec<u8> {
+    let mut texts =
+        vec![("protocol", "pskel-denoiser"), ("version", "1"), ("latent_shape", "1,3,2,2"), ("dtype", "F32")];
+    texts.extend(decodes.then_some(("image_size", "4,4")));
+    let texts = texts.into_iter().map(|(name, text)| (name.to_owned(), text.to_owned())).collect();
+    serialize(Vec::<(&str, TensorView<'_>)>::new(), Some(texts)).expect("a message")
+}
+
+fn tensor(name: &str, shape: &[usize]) -> Vec<u8> {
+    let bytes = vec![62; 4 * shape.iter().product::<usize>()];
+    let view = TensorView::new(Dtype::F32, shape.to_vec(), &bytes).expect("a tensor");
+    serialize([(name, view)], None).expect("a message")
+}
+
+fn denoiser(data: &[u8]) {
+    let spec = DENOISER.with_borrow(|server| server.next(messages(data)));
+    if let Err(error) = ask(&spec) {
+        short(&error.to_string(), data);
+    }
+}
+
+/// A prediction, then an image to latents and back.
+fn ask(spec: &PeerSpec) -> Result<(), point_skeleton::generate::DenoiserError> {
+    let mut denoiser = ProcessDenoiser::start(spec, &options(), VIEWS, SIZE)?;
+    let shape = denoiser.shape();
+    assert_eq!(shape.views, VIEWS);
+    if shape.len() > 1 << 16 {
+        return Ok(()); // the hello is believed up to the longest message; asking would take as much
+    }
+    let pixels = SIZE.pixels();
+    let condition = FrameConditions {
+        size: SIZE,
+        points: vec![0.5; VIEWS * 20 * pixels],
+        layout: vec![0.5; VIEWS * 6 * pixels],
+        action: [0.0; 3],
+        cameras: vec![[0.5; 16]; VIEWS],
+        prompt: String::new(),
+    };
+    let latent = Latent::filled(shape, 0.5);
+    let frame =
+        Frame { latent: &latent, level: Level { timestep: 500.0, sigma: 0.5 }, condition: &condition };
+    let predicted = denoiser.predict(&[frame, frame])?;
+    assert!(predicted.iter().all(|p| p.shape() == shape && p.values().iter().all(|v| v.is_finite())));
+    let (codec, size): (Box<dyn Codec>, ImageSize) = denoiser.codec()?;
+    if size.pixels() <= 1 << 16 {
+        let latent = codec.encode(&[RgbImage::new(size.width, size.height)])?;
+        assert_eq!(latent.shape(), shape);
+        assert_eq!(codec.decode(&latent)?.len(), VIEWS);
+    }
+    Ok(())
+}
+
+fn denoiser_seeds() -> Vec<Seed> {
+    let message = |bytes: Vec<u8>| [&(bytes.len() as u16).to_le_bytes(), bytes.as_slice()].concat();
+    let prediction = || message(tensor("prediction", &[2, 1, 3, 2, 2]));
+    let (latents, images) =
+        (message(tensor("latents", &[1, 3, 2, 2])), message(tensor("images", &[1, 3, 4, 4])));
+    vec![
+        seed("all", [&[0], &prediction()[..], &latents, &images].concat()),
+        seed("hello", [message(hello(false)), prediction()].concat()),
+        seed("raw", [&[0, 3, 128][..], b"\x07\0\0"].concat()),
+    ]
+}

@@ -1,0 +1,76 @@
+//! `pskel info --verify`: all points of a skeleton or of templates against their checksums.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use crate::cli::WrongUsage;
+use crate::skeleton::{Skeleton, TemplateLibrary};
+
+/// What the checksums say.
+pub(super) struct Verified {
+    clouds: usize,
+    points: usize,
+    /// A message for each cloud whose points do not have their checksum.
+    damaged: Vec<String>,
+}
+
+/// Reads all points at a path.
+///
+/// # Errors
+/// Neither a skeleton nor templates; a file that cannot be opened; a damaged template of a library.
+pub(super) fn verify(target: &str) -> anyhow::Result<Verified> {
+    let path = Path::new(target);
+    if Skeleton::is_at(path) {
+        let skeleton = Skeleton::open(path)?;
+        let manifest = &skeleton.manifest;
+        return Ok(Verified {
+            clouds: manifest.background.len() + manifest.actors.len() + manifest.templates.len(),
+            points: manifest.points(),
+            damaged: skeleton.damage().iter().map(ToString::to_string).collect(),
+        });
+    }
+    if TemplateLibrary::is_at(path) {
+        // Opening a library compares all of its checksums.
+        let clouds = TemplateLibrary::open(path)?.clouds;
+        let points = clouds.iter().map(|(_, points)| points.len()).sum();
+        return Ok(Verified { clouds: clouds.len(), points, damaged: Vec::new() });
+    }
+    let message = format!("expected a folder of a skeleton or of templates for --verify, found {target}");
+    Err(WrongUsage(message).into())
+}
+
+impl Verified {
+    /// For programs.
+    pub(super) fn json(&self) -> Value {
+        let Self { clouds, points, damaged } = self;
+        json!({"clouds": clouds, "points": points, "damaged": damaged})
+    }
+
+    /// For people, in lines.
+    pub(super) fn text(&self) -> String {
+        let Self { clouds, points, damaged } = self;
+        let found = match damaged.len() {
+            0 => "all have their checksums".to_owned(),
+            count => format!("{count} damaged"),
+        };
+        let mut lines = format!("{:<10} {points} points in {clouds} clouds, {found}\n", "verified");
+        for message in damaged {
+            // Writing to a string cannot fail.
+            let _ = writeln!(lines, "{:<10} {message}", "");
+        }
+        lines
+    }
+
+    /// # Errors
+    /// Something is damaged.
+    pub(super) fn result(&self, target: &str) -> anyhow::Result<()> {
+        let (clouds, damaged) = (self.clouds, self.damaged.len());
+        anyhow::ensure!(
+            damaged == 0,
+            "expected {clouds} clouds with their checksums, found {damaged} damaged: {target}"
+        );
+        Ok(())
+    }
+}

@@ -1,0 +1,45 @@
+//! Lines for the user: results on stdout, progress and warnings on stderr.
+
+use std::io::{ErrorKind, Write};
+use std::sync::OnceLock;
+
+use crate::files::text::{escaped_lines, printable_lines};
+
+/// Why a line of the result could not be written.
+static FAILURE: OnceLock<std::io::Error> = OnceLock::new();
+
+/// Prints a line of the result. A reader that has closed its end is no error; others are reported by [`check`].
+pub(super) fn say(line: &str) {
+    let mut out = std::io::stdout().lock();
+    note(writeln!(out, "{}", escaped_lines(line)).and_then(|()| out.flush()));
+}
+
+/// Keeps the first error of writing to stdout.
+pub(super) fn note(written: std::io::Result<()>) {
+    if let Err(error) = written
+        && error.kind() != ErrorKind::BrokenPipe
+    {
+        let _ = FAILURE.set(error); // the first one counts
+    }
+}
+
+/// Prints a line of progress. A closed or full stderr does not stop the work.
+pub(super) fn tell(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{}", printable_lines(line));
+}
+
+/// Prints a warning.
+pub(super) fn warn(text: &str) {
+    tell(&format!("warning: {text}"));
+}
+
+/// Checks that every line of the result was written.
+///
+/// # Errors
+/// The first one that was not.
+pub(super) fn check() -> anyhow::Result<()> {
+    match FAILURE.get() {
+        None => Ok(()),
+        Some(error) => Err(anyhow::anyhow!("cannot write the result to stdout: {error}")),
+    }
+}

@@ -1,0 +1,145 @@
+//! The list of files that runs wrote into a folder: what a later run may replace.
+
+use std::collections::BTreeSet;
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use super::input::{is_there, read_text};
+use super::whole::write_whole;
+use crate::error::FileError;
+
+/// Name of the list.
+pub(super) const FILES: &str = ".pskel-files";
+const HEADER: &str = "pskel files 1: ";
+
+/// `.pskel-files`: a header with the kind of the folder, then a relative path a line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Manifest {
+    /// What the folder holds: `maps`, `skeleton`, ...
+    pub(super) kind: String,
+    paths: BTreeSet<PathBuf>,
+}
+
+impl Manifest {
+    /// An empty list.
+    pub(super) fn new(kind: &str) -> Self {
+        Self { kind: kind.to_owned(), paths: BTreeSet::new() }
+    }
+
+    /// Of all files below a folder.
+    pub(super) fn of(kind: &str, folder: &Path) -> Result<Self, FileError> {
+        Ok(Self { kind: kind.to_owned(), paths: files_below(folder)? })
+    }
+
+    /// Reads the list of a folder; `None` if it has none. A last line without an end, of a process that was killed,
+    /// does not count.
+    pub(super) fn read(folder: &Path) -> Result<Option<Self>, FileError> {
+        let path = folder.join(FILES);
+        if !is_there(&path)? {
+            return Ok(None);
+        }
+        let text = read_text(&path)?;
+        let (lines, _) = text.rsplit_once('\n').unwrap_or_default();
+        let mut lines = lines.lines();
+        let kind = lines.next().and_then(|line| line.strip_prefix(HEADER));
+        let kind = kind.ok_or_else(|| {
+            FileError::content(format!("a list of files ({HEADER}KIND)"), "another text", &path)
+        })?;
+        Ok(Some(Self { kind: kind.to_owned(), paths: lines.map(PathBuf::from).collect() }))
+    }
+
+    /// Writes the list, sorted, in place of an older one.
+    pub(super) fn write(&self, folder: &Path) -> Result<(), FileError> {
+        let path = folder.join(FILES);
+        write_whole(&path, |out| {
+            let mut line =
+                |line: String| out.write_all(line.as_bytes()).map_err(FileError::io("write", &path));
+            line(format!("{HEADER}{}\n", self.kind))?;
+            self.paths.iter().try_for_each(|path| line(format!("{}\n", path.display())))
+        })
+    }
+
+    /// Adds paths, to the list on disk first.
+    pub(super) fn add(&mut self, folder: &Path, new: BTreeSet<PathBuf>) -> Result<(), FileError> {
+        let new: BTreeSet<PathBuf> = new.difference(&self.paths).cloned().collect();
+        if new.is_empty() {
+            return Ok(());
+        }
+        if self.paths.is_empty() {
+            self.paths = new;
+            return self.write(folder);
+        }
+        let path = folder.join(FILES);
+        let text: String = new.iter().map(|path| format!("{}\n", path.display())).collect();
+        let appended =
+            OpenOptions::new().append(true).open(&path).and_then(|mut f| f.write_all(text.as_bytes()));
+        appended.map_err(FileError::io("write", &path))?;
+        self.paths.extend(new);
+        Ok(())
+    }
+
+    /// Drops a path and all below it from the list in memory.
+    pub(super) fn forget(&mut self, name: &Path) {
+        self.paths.retain(|path| !path.starts_with(name));
+    }
+
+    /// Whether a relative path is in the list.
+    pub(super) fn holds(&self, name: &Path) -> bool {
+        self.paths.contains(name)
+    }
+
+    /// Whether the list is empty.
+    pub(super) fn is_empty(&self) -> bool {
+        self.paths.is_empty()
+    }
+
+    /// Checks that no file at or below `name` in `folder` is missing from the list.
+    pub(super) fn check(&self, folder: &Path, name: &Path) -> Result<(), FileError> {
+        let mut foreign = None;
+        visit(folder, name, &mut |path| {
+            if foreign.is_none() && !self.holds(&path) {
+                foreign = Some(path);
+            }
+        })?;
+        match foreign {
+            None => Ok(()),
+            Some(path) => Err(FileError::content(
+                "only files that pskel wrote where it is to write",
+                "another file",
+                &folder.join(path),
+            )),
+        }
+    }
+}
+
+/// All files below a folder, relative to it.
+pub(super) fn files_below(folder: &Path) -> Result<BTreeSet<PathBuf>, FileError> {
+    let mut paths = BTreeSet::new();
+    visit(folder, Path::new(""), &mut |path| {
+        paths.insert(path);
+    })?;
+    Ok(paths)
+}
+
+/// Calls `see` with every file at or below `name`, relative to `folder`, but for the list itself. An empty
+/// folder counts as a file. Links are not followed.
+fn visit(folder: &Path, name: &Path, see: &mut impl FnMut(PathBuf)) -> Result<(), FileError> {
+    let path = folder.join(name);
+    let Ok(data) = std::fs::symlink_metadata(&path) else { return Ok(()) };
+    if !data.is_dir() {
+        if name != Path::new(FILES) {
+            see(name.to_owned());
+        }
+        return Ok(());
+    }
+    let mut entries = Vec::new();
+    for entry in std::fs::read_dir(&path).map_err(FileError::io("read", &path))? {
+        entries.push(entry.map_err(FileError::io("read", &path))?.file_name());
+    }
+    if entries.is_empty() && name != Path::new("") {
+        see(name.to_owned());
+    }
+    entries.sort();
+    entries.iter().try_for_each(|entry| visit(folder, &name.join(entry), see))
+}

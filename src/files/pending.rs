@@ -1,0 +1,59 @@
+//! Temporary paths of this process, removed where a signal ends it.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+static PENDING: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+/// Tries to remove a folder in which other threads may still create files.
+const TRIES: usize = 20;
+const PAUSE: Duration = Duration::from_millis(5);
+
+/// A temporary path, registered until this value is dropped.
+#[derive(Debug)]
+pub(super) struct PendingPath(PathBuf);
+
+impl PendingPath {
+    /// Registers a path before anything is created there.
+    pub(super) fn new(path: &Path) -> Self {
+        lock().insert(path.to_owned());
+        Self(path.to_owned())
+    }
+}
+
+impl Drop for PendingPath {
+    fn drop(&mut self) {
+        lock().remove(&self.0);
+    }
+}
+
+/// Removes all temporary files and folders of this process, for a process that is about to end: from now on every thread
+/// that begins or finishes a file blocks.
+pub fn remove_pending() {
+    let pending = lock();
+    for path in pending.iter() {
+        for _ in 0..TRIES {
+            if remove(path).is_ok() {
+                break;
+            }
+            std::thread::sleep(PAUSE);
+        }
+    }
+    std::mem::forget(pending);
+}
+
+/// Removes a file, a link or a whole folder, if it exists.
+pub(super) fn remove(path: &Path) -> std::io::Result<()> {
+    let is_folder = std::fs::symlink_metadata(path).is_ok_and(|data| data.is_dir());
+    let removed = if is_folder { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
+    match removed {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+fn lock() -> MutexGuard<'static, BTreeSet<PathBuf>> {
+    PENDING.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,109 @@
+use std::fmt;
+use std::path::Path;
+use std::str::FromStr;
+
+use bytemuck::NoUninit;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use twox_hash::XxHash3_64;
+
+use crate::error::FileError;
+
+/// XXH3 of 64 bits over values as files hold them. It finds damage, not forgery.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Checksum(u64);
+
+impl Checksum {
+    /// Hashes the bytes of values, one after the other.
+    pub fn of<T: NoUninit>(values: &[T]) -> Self {
+        Self(XxHash3_64::oneshot(bytemuck::cast_slice(values)))
+    }
+
+    /// Compares values that were read from a file with this checksum. `name` names them in the message.
+    ///
+    /// # Errors
+    /// The values have another checksum.
+    pub(super) fn check<T: NoUninit>(
+        self,
+        values: &[T],
+        name: impl FnOnce() -> String,
+        path: &Path,
+    ) -> Result<(), FileError> {
+        let found = Self::of(values);
+        if found == self {
+            return Ok(());
+        }
+        Err(FileError::content(format!("{} with checksum {self}", name()), found.to_string(), path))
+    }
+}
+
+/// 16 hexadecimal digits.
+impl fmt::Display for Checksum {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:016x}", self.0)
+    }
+}
+
+impl fmt::Debug for Checksum {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+impl FromStr for Checksum {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let digits = text.len() == 16 && text.bytes().all(|b| b.is_ascii_hexdigit());
+        let value = digits.then(|| u64::from_str_radix(text, 16).ok()).flatten();
+        value.map(Self).ok_or_else(|| format!("expected a checksum of 16 hexadecimal digits, found {text:?}"))
+    }
+}
+
+/// As text: not every reader of JSON keeps all bits of a number.
+impl Serialize for Checksum {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for Checksum {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloud::Point;
+
+    /// Values of the reference implementation (xxHash 0.8).
+    #[test]
+    fn the_checksum_is_xxh3() {
+        assert_eq!(Checksum::of::<u8>(&[]).to_string(), "2d06800538d394c2");
+        assert_eq!(Checksum::of(b"a").to_string(), "e6c632b61e964e1f");
+    }
+
+    #[test]
+    fn every_bit_of_a_point_counts() {
+        let points: Vec<Point> = (0..50).map(|i| Point::new([i as f32, 0.5, -1.0], [i; 3], i)).collect();
+        let whole = Checksum::of(&points);
+        for bit in 0..8 * size_of_val(points.as_slice()) {
+            let mut damaged = points.clone();
+            bytemuck::cast_slice_mut::<Point, u8>(&mut damaged)[bit / 8] ^= 1 << (bit % 8);
+            assert_ne!(Checksum::of(&damaged), whole, "bit {bit}");
+        }
+        assert_ne!(Checksum::of(&points[1..]), whole);
+    }
+
+    #[test]
+    fn text_goes_there_and_back() {
+        let checksum = Checksum(0x00ab_cdef_0123_4567);
+        let json = serde_json::to_string(&checksum).unwrap();
+        assert_eq!(json, "\"00abcdef01234567\"");
+        assert_eq!(serde_json::from_str::<Checksum>(&json).unwrap(), checksum);
+        for text in ["", "1", "+0abcdef01234567", "00abcdef0123456g", "00abcdef012345678"] {
+            assert!(text.parse::<Checksum>().unwrap_err().contains("16 hexadecimal digits"), "{text}");
+        }
+    }
+}

@@ -1,0 +1,312 @@
+//! Output folders and files: what commands replace, what they leave alone, and what stays after an interruption.
+
+use std::io::Read;
+use std::os::unix::process::ExitStatusExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::simulate::{built, planner};
+use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
+
+const RENDER: &str = "render nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu";
+const SIMULATE: &str =
+    "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps 2";
+const EXTERNAL: &str = "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps 20 \
+    --ego external --planner ./planner.sh --planner-timeout 600";
+const TOWN: &str = "town --seed 5 --frames 2 --size 57x100 --out out";
+const TEMPLATES: &str = "templates sk --min-points 1 --out out";
+const CONVERT: &str = "convert sk --out out";
+const TRAIN: &str =
+    "train town:seed=5,frames=5,size=57x100 --variants 1 --batch 1 --config net.json --steps 1 --out out";
+const NETWORK: &str = r#"{"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "width": 32, "head": 16,
+    "hidden": 32, "blocks": ["s", "t"]}"#;
+
+/// A log with a skeleton, and no folder `out`.
+fn ready() -> TinyLog {
+    let log = built();
+    std::fs::remove_dir_all(log.path("out")).unwrap();
+    std::fs::write(log.path("net.json"), NETWORK).unwrap();
+    log
+}
+
+/// A file that no run wrote.
+fn put(log: &TinyLog, name: &str) {
+    let path = log.path(name);
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, "years of work").unwrap();
+}
+
+#[test]
+fn files_of_others_are_never_deleted() {
+    // Into folders of others, and into folders of an earlier run.
+    for (args, fresh, within) in [
+        (CONVERT, "thesis.tex", "out/actors/thesis.tex"),
+        (TOWN, "thesis.tex", "out/samples/CAM_FRONT/thesis.tex"),
+        (TEMPLATES, "car.png", "out/thesis.png"),
+        (RENDER, "index.json", "out/000001/CAM_FRONT/thesis.tex"),
+        (SIMULATE, "steps/thesis.tex", "out/steps/000001/thesis.tex"),
+        (TRAIN, "loss.csv", "out/loss.svg/thesis.tex"),
+    ] {
+        let log = ready();
+        put(&log, &format!("out/{fresh}"));
+        let before = tree(&log.path("out"));
+        assert_failed(&log.run(args), 1, &["expected only files that pskel wrote", "another file: out/"]);
+        assert!(tree(&log.path("out")) == before, "{args}");
+        std::fs::remove_dir_all(log.path("out")).unwrap();
+
+        assert!(log.run(args).status.success(), "{args}");
+        let whole = tree(&log.path("out"));
+        assert!(log.run(args).status.success(), "what a run wrote is replaced: {args}");
+        assert!(tree(&log.path("out")) == whole, "{args}");
+        if within.starts_with("out/loss.svg") {
+            std::fs::remove_file(log.path("out/loss.svg")).unwrap();
+        }
+        put(&log, within);
+        let before = tree(&log.path("out"));
+        assert_failed(
+            &log.run(args),
+            1,
+            &["expected only files that pskel wrote", &format!("another file: {within}")],
+        );
+        assert!(tree(&log.path("out")) == before, "{args}");
+        assert!(!log.path("out/.pskel").exists() && !log.path("out.partial").exists(), "{args}");
+    }
+}
+
+/// Every file of a folder but the list itself.
+fn listed(log: &TinyLog) -> Vec<String> {
+    let text = std::fs::read_to_string(log.path("out/.pskel-files")).unwrap();
+    let (header, lines) = text.split_once('\n').unwrap();
+    assert!(header.starts_with("pskel files 1: "), "{header}");
+    lines.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn folders_list_their_files() {
+    for args in [RENDER, SIMULATE, CONVERT, "build nuscenes:log --out out"] {
+        let log = ready();
+        // A shorter run after a longer one.
+        for args in [args, &args.replace("--steps 2", "--steps 1")] {
+            log.succeed(args);
+            let mut expected: Vec<String> = tree(&log.path("out")).into_keys().collect();
+            if args == CONVERT {
+                expected.push("templates".to_owned()); // an empty folder
+            }
+            expected.sort();
+            let mut found = listed(&log);
+            found.sort();
+            assert_eq!(found, expected, "{args}");
+        }
+    }
+}
+
+#[test]
+fn files_of_others_beside_maps_stay() {
+    for args in [RENDER, SIMULATE] {
+        let log = ready();
+        put(&log, "out/thesis.tex");
+        for _ in 0..2 {
+            assert!(log.run(args).status.success(), "{args}");
+            assert_eq!(std::fs::read(log.path("out/thesis.tex")).unwrap(), b"years of work");
+        }
+    }
+}
+
+#[test]
+fn a_folder_of_one_kind_is_not_replaced_by_another() {
+    let log = ready();
+    log.succeed(RENDER);
+    for args in [SIMULATE, TOWN, TEMPLATES, CONVERT, "build nuscenes:log --out out"] {
+        let before = tree(&log.path("out"));
+        assert_failed(&log.run(args), 1, &["expected a folder of kind", "found one of kind maps: out"]);
+        assert!(tree(&log.path("out")) == before, "{args}");
+    }
+}
+
+#[test]
+fn inputs_are_not_overwritten() {
+    let log = ready();
+    log.succeed(SIMULATE);
+    log.succeed("convert sk --out clouds");
+    std::fs::copy(log.path("clouds/background.npy"), log.path("p.npy")).unwrap();
+    let camera = r#"{"cameras": [{"name": "a", "width": 8, "height": 8, "intrinsics": [[8, 0, 4], [0, 8, 4], [0, 0, 1]],
+        "camera_from_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}]}"#;
+    std::fs::write(log.path("c.json"), camera).unwrap();
+    std::os::unix::fs::symlink("p.npy", log.path("link.npy")).unwrap();
+    let before = tree(&log.path(""));
+    for (args, found) in [
+        ("splat --points p.npy --cameras c.json --rasterizer cpu --out p.npy", "p.npy"),
+        ("splat --points p.npy --cameras c.json --rasterizer cpu --out c.json", "c.json"),
+        ("convert p.npy --out p.npy", "p.npy"),
+        ("convert p.npy --out link.npy", "link.npy"),
+        ("convert sk --out sk", "sk"),
+        ("templates sk --min-points 1 --out sk", "sk"),
+        ("render nuscenes:log --skeleton sk --out sk", "sk"),
+        ("render nuscenes:log --skeleton sk --out log", "log"),
+        ("simulate nuscenes:log --skeleton sk --out log --steps 1", "log"),
+        ("bench --points p.npy --cameras c.json --rasterizer cpu --trace p.npy", "p.npy"),
+    ] {
+        assert_failed(
+            &log.run(args),
+            1,
+            &["expected an output apart from the input", &format!("the same: {found}\n")],
+        );
+    }
+    // Files that belong to another output.
+    for args in [
+        "splat --points p.npy --cameras c.json --rasterizer cpu --out out/rollout.json",
+        "convert p.npy --out sk/background.points --format npy",
+    ] {
+        assert_failed(&log.run(args), 1, &["expected a file that is no part of another output"]);
+    }
+    assert!(tree(&log.path("")) == before);
+}
+
+#[test]
+fn only_regular_files_are_replaced() {
+    let log = ready();
+    log.succeed("convert sk --out clouds");
+    let args = "convert clouds/background.npy --format ply --out";
+    for (path, found) in [("/dev/null", "a device or pipe"), ("clouds", "a folder")] {
+        assert_failed(
+            &log.run(&format!("{args} {path}")),
+            1,
+            &["expected a regular file or none", found, path],
+        );
+    }
+    assert!(!Path::new("/dev/null").is_file());
+    // A link is followed.
+    std::fs::write(log.path("real.ply"), "").unwrap();
+    std::os::unix::fs::symlink("real.ply", log.path("link.ply")).unwrap();
+    log.succeed(&format!("{args} link.ply"));
+    assert!(log.path("link.ply").is_symlink() && log.path("real.ply").metadata().unwrap().len() > 100);
+}
+
+/// A command in the background.
+fn start(log: &TinyLog, args: &str) -> Child {
+    let mut command = Command::new(PSKEL);
+    command.current_dir(log.path("")).args(args.split_whitespace());
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
+}
+
+fn send(child: &Child, signal: Signal) {
+    kill_process(Pid::from_child(child), signal).unwrap();
+}
+
+#[track_caller]
+fn wait_for(what: &str, is_there: impl Fn() -> bool) {
+    let begin = Instant::now();
+    while !is_there() {
+        assert!(begin.elapsed() < Duration::from_secs(60), "waited for {what}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// A planner that answers once and then never again.
+fn start_hanging(log: &TinyLog) -> Child {
+    planner(log, "read -r observation; sleep 600");
+    start(log, EXTERNAL)
+}
+
+fn said(child: &mut Child) -> String {
+    let mut text = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut text).unwrap();
+    text
+}
+
+#[test]
+fn a_signal_ends_a_run_with_nothing_half_written() {
+    for (signal, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
+        let log = ready();
+        let mut child = start_hanging(&log);
+        wait_for("steps", || log.path("out/steps/000000").is_dir() && log.path("out/.pskel/lock").is_file());
+        send(&child, signal);
+        let status = child.wait().unwrap();
+        let text = said(&mut child);
+        assert_eq!(status.code(), Some(code), "{text}");
+        assert!(text.contains(": nothing half-written is left"), "{text}");
+        assert!(!log.path("out/.pskel").exists(), "{signal:?}");
+        assert!(tree(&log.path("out")).keys().all(|name| !name.ends_with(".pskel-part")));
+    }
+}
+
+#[test]
+fn a_second_process_says_that_the_first_is_at_work() {
+    let log = ready();
+    let mut child = start_hanging(&log);
+    wait_for("steps", || log.path("out/steps/000000").is_dir());
+    for other in [SIMULATE, "simulate nuscenes:log --skeleton sk --out out --maps depth --steps 3 --resume"] {
+        let found = format!("no other process at work on this output, found process {}: out", child.id());
+        assert_failed(&log.run(other), 1, &[&found]);
+    }
+    send(&child, Signal::KILL);
+    assert_eq!(child.wait().unwrap().signal(), Some(9));
+    // What the killed process left goes with the next run.
+    std::fs::write(log.path("out/.pskel/half"), "half").unwrap();
+    log.succeed(SIMULATE);
+    assert!(!log.path("out/.pskel").exists());
+    let found = tree(&log.path("out"));
+    std::fs::remove_dir_all(log.path("out")).unwrap();
+    log.succeed(SIMULATE);
+    assert!(tree(&log.path("out")) == found, "the same as without the killed one");
+}
+
+#[test]
+fn a_rollout_without_a_step_resumes_from_the_start() {
+    let log = ready();
+    log.succeed(SIMULATE);
+    let whole = tree(&log.path("out"));
+    // Killed before the folder, before the marker, and before the first step.
+    for left in ["", ".pskel-files", ".pskel-files rollout.json", ".pskel-files rollout.json states.jsonl"] {
+        let keep: Vec<&str> = left.split_whitespace().collect();
+        let old = log.path("old");
+        std::fs::rename(log.path("out"), &old).unwrap();
+        if !keep.is_empty() {
+            std::fs::create_dir(log.path("out")).unwrap();
+        }
+        for name in keep {
+            std::fs::copy(old.join(name), log.path("out").join(name)).unwrap();
+        }
+        if left.contains("states") {
+            std::fs::write(log.path("out/states.jsonl"), "").unwrap();
+        }
+        std::fs::remove_dir_all(old).unwrap();
+        let output = log.run(&format!("{SIMULATE} --resume"));
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            output.status.success() && stderr.contains("warning: no rollout with a step was found"),
+            "{stderr}"
+        );
+        assert!(tree(&log.path("out")) == whole, "{left}");
+    }
+}
+
+#[test]
+fn closed_and_full_outputs_do_not_stop_the_work() {
+    let log = ready();
+    let shell = |line: &str| {
+        let mut command = Command::new("bash");
+        command.args(["-c", line]).current_dir(log.path("")).env("PSKEL", PSKEL).output().unwrap()
+    };
+    // Progress that cannot be written is no failure.
+    for redirected in ["2>/dev/full", "2>&-", "2> >(true)"] {
+        let output = shell(&format!("$PSKEL {RENDER} {redirected}"));
+        assert!(output.status.success(), "{redirected}: {output:?}");
+        assert!(log.path("out/index.json").is_file(), "{redirected}");
+        std::fs::remove_dir_all(log.path("out")).unwrap();
+    }
+    // A result that cannot be written is one; a reader that has seen enough is none.
+    for args in ["info sk", "info --json sk", "--help", RENDER] {
+        let output = shell(&format!("$PSKEL {args} >/dev/full"));
+        assert_eq!(output.status.code(), Some(1), "{args}: {output:?}");
+        let output = shell(&format!("set -o pipefail; $PSKEL {args} | true"));
+        assert!(output.status.success(), "{args}: {output:?}");
+    }
+    let output = shell("$PSKEL info sk >/dev/full");
+    assert!(
+        String::from_utf8_lossy(&output.stderr).contains("cannot write the result to stdout: No space left")
+    );
+}
