@@ -77,7 +77,7 @@ pub fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
         return Err(FileError::content(expected, format!("{length} bytes"), path));
     }
     let mut bytes = Vec::new();
-    let room = usize::try_from(length).map_or(false, |length| bytes.try_reserve_exact(length).is_ok());
+    let room = usize::try_from(length).is_ok_and(|length| bytes.try_reserve_exact(length).is_ok());
     if !room {
         return Err(FileError::io("read", path)(ErrorKind::OutOfMemory.into()));
     }
