@@ -25,6 +25,7 @@ mod nuplan_real;
 mod nuscenes;
 mod nuscenes_bad;
 mod nuscenes_map;
+mod oversized;
 mod parity;
 mod peer_lines;
 mod raster;
