@@ -28,6 +28,7 @@ mod nuscenes;
 mod nuscenes_bad;
 mod nuscenes_map;
 mod outputs;
+mod oversized;
 mod parity;
 mod peer_ends;
 mod peer_lines;

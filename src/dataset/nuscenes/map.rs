@@ -12,7 +12,7 @@ use glam::DVec2;
 use rustc_hash::FxHashMap;
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 
-use super::arcline::{ArclinePath, MAX_MAP_M, centerline};
+use super::arcline::{ArclinePath, centerline};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
 use crate::files::FileName;
@@ -53,7 +53,7 @@ pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetEr
     let bytes = read_table(path)?;
     let wrong = |e: serde_json::Error| FileError::content("a map expansion", e.to_string(), path);
     let raw: Expansion = serde_json::from_slice(&bytes).map_err(wrong)?;
-    Ok(Resolver::new(&raw, path)?.map(location)?)
+    Ok(Resolver::new(&raw, bytes.len(), path)?.map(location)?)
 }
 
 /// The layers that are read, as they stand in the file.
@@ -139,6 +139,11 @@ struct Resolver<'a> {
     corners_left: Cell<usize>,
 }
 
+/// Lanes of a map may be so long together for each byte of its file, metres: in nuScenes' maps a byte has some centimetres.
+const METRES_PER_BYTE: f64 = 8.0;
+/// More, for small files.
+const LANES_M: f64 = 1e4;
+
 /// Records that may share a polygon or line, on average; in nuScenes' maps each has its own.
 const MOST_SHARED: usize = 8;
 
@@ -153,7 +158,8 @@ impl Expansion {
 }
 
 impl<'a> Resolver<'a> {
-    fn new(raw: &'a Expansion, path: &'a Path) -> Result<Self, FileError> {
+    /// Of a file of so many bytes.
+    fn new(raw: &'a Expansion, bytes: usize, path: &'a Path) -> Result<Self, FileError> {
         let nodes = raw.node.iter().map(|n| (n.token.as_str(), DVec2::new(n.x, n.y)));
         let surfaces = raw.lane.iter().chain(&raw.lane_connector);
         by_token("lane", surfaces.map(|s| (s.token.as_str(), ())), path)?;
@@ -163,7 +169,7 @@ impl<'a> Resolver<'a> {
             nodes: by_token("node", nodes, path)?,
             polygons: by_token("polygon", raw.polygon.iter().map(|p| (p.token.as_str(), p)), path)?,
             lines: by_token("line", raw.line.iter().map(|l| (l.token.as_str(), l)), path)?,
-            centerline_left_m: Cell::new(MAX_MAP_M),
+            centerline_left_m: Cell::new(LANES_M + METRES_PER_BYTE * bytes as f64),
             corners_left: Cell::new(raw.corners() * MOST_SHARED),
         })
     }

@@ -21,8 +21,8 @@ use crate::made::Made;
 use crate::{Seed, Target};
 
 pub(super) const TARGETS: [Target; 4] = [
-    Target { name: "weights", run: weights, seeds: weight_seeds, max_len: 32_768, memory: LARGE },
-    Target { name: "checkpoint", run: checkpoint, seeds: checkpoint_seeds, max_len: 65_536, memory: LARGE },
+    Target { name: "weights", run: weights, seeds: weight_seeds, max_len: 4096, memory: LARGE },
+    Target { name: "checkpoint", run: checkpoint, seeds: checkpoint_seeds, max_len: 4096, memory: LARGE },
     Target { name: "drive", run: drive, seeds: drive_seeds, max_len: 8192, memory: LARGE },
     Target { name: "cache", run: cache, seeds: cache_seeds, max_len: 8192, memory: SMALL },
 ];
@@ -84,10 +84,19 @@ impl Stored {
     }
 }
 
-/// The file for an input: those bytes behind a first byte of 0 are edits of the header of `base`, others the file itself.
+/// The file for an input: those bytes behind a first byte of 0 are edits of the header of `base`, those behind a 1 places
+/// (two bytes) with the bytes to stand there; others are the file itself.
 fn file(data: &[u8], base: &[u8], key: &str) -> Vec<u8> {
     match data.split_first() {
         Some((0, edits)) => with_header(base, key, edits),
+        Some((1, changes)) => {
+            let mut bytes = base.to_vec();
+            for [low, high, byte] in changes.as_chunks().0 {
+                let at = usize::from(u16::from_le_bytes([*low, *high]));
+                bytes.get_mut(at).map(|place| *place = *byte);
+            }
+            bytes
+        }
         _ => data.to_vec(),
     }
 }
@@ -108,10 +117,17 @@ fn with_header(base: &[u8], key: &str, edits: &[u8]) -> Vec<u8> {
     [&(header.len() as u64).to_le_bytes(), header.as_bytes(), &rest[length..]].concat()
 }
 
+/// Longest file that is a seed, bytes.
+const MAX_SEED: usize = 4096;
+
 fn seeds(file: &[u8]) -> Vec<Seed> {
     let mut seeds = edit_seeds();
     seeds.iter_mut().for_each(|(_, edits)| edits.insert(0, 0));
-    seeds.push(seed("file", file));
+    seeds.push(seed("changed", [1, 9, 0, b'x', 255, 2, 255]));
+    // Larger ones would grow the repository for little.
+    if file.len() <= MAX_SEED {
+        seeds.push(seed("file", file));
+    }
     seeds
 }
 

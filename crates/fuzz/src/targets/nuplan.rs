@@ -126,7 +126,7 @@ fn map_cells(data: &[u8]) {
 }
 
 fn cell_seeds() -> Vec<Seed> {
-    let all = (0..28_u8).map(|i| seed(&format!("change{i}"), [i % 14, i, i % 3, i % 12, 3, 9, 9, 9]));
+    let all = (0..28_u8).map(|i| seed(&format!("change{i}"), [i, i % 5, i % 3, i % 14, 3, 9, 9, 9]));
     all.chain([seed("none", [])]).collect()
 }
 
