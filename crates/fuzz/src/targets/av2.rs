@@ -156,14 +156,18 @@ fn change(columns: &mut Columns, choices: &mut Choices<'_>) {
             let old =
                 columns[at].1.as_any().downcast_ref::<Int64Array>().map(|old| old.iter().collect::<Vec<_>>());
             let mut values = old.unwrap_or_else(|| (0..rows as i64).map(Some).collect());
-            values.get_mut(row).map(|place| *place = value);
+            if let Some(place) = values.get_mut(row) {
+                *place = value;
+            }
             columns[at].1 = Arc::new(Int64Array::from(values)) as ArrayRef;
         }
         _ => {
             let (row, value) = (row(choices), choices.number());
             let old = columns[at].1.as_any().downcast_ref::<Float64Array>().map(|old| old.values().to_vec());
             let mut values = old.unwrap_or_else(|| vec![1.0; rows]);
-            values.get_mut(row).map(|place| *place = value);
+            if let Some(place) = values.get_mut(row) {
+                *place = value;
+            }
             columns[at].1 = Arc::new(Float64Array::from(values));
         }
     }

@@ -82,7 +82,9 @@ impl Unfinished {
             bytes = edited(&base, changes).to_string().into_bytes();
         } else {
             for [at, byte] in changes.as_chunks().0 {
-                bytes.get_mut(usize::from(*at)).map(|place| *place = *byte);
+                if let Some(place) = bytes.get_mut(usize::from(*at)) {
+                    *place = *byte;
+                }
             }
         }
         self.folder.put(&name, &bytes);

@@ -93,7 +93,9 @@ fn file(data: &[u8], base: &[u8], key: &str) -> Vec<u8> {
             let mut bytes = base.to_vec();
             for [low, high, byte] in changes.as_chunks().0 {
                 let at = usize::from(u16::from_le_bytes([*low, *high]));
-                bytes.get_mut(at).map(|place| *place = *byte);
+                if let Some(place) = bytes.get_mut(at) {
+                    *place = *byte;
+                }
             }
             bytes
         }
