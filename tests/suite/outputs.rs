@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::simulate::{built, planner};
-use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
+use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree, with_default_signals};
 
 const RENDER: &str = "render nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu";
 const SIMULATE: &str =
@@ -187,7 +187,7 @@ fn only_regular_files_are_replaced() {
 
 /// A command in the background.
 fn start(log: &TinyLog, args: &str) -> Child {
-    let mut command = Command::new(PSKEL);
+    let mut command = with_default_signals();
     command.current_dir(log.path("")).args(args.split_whitespace());
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
 }

@@ -1,7 +1,7 @@
 //! Commands that are asked end with the program, however that ends.
 
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 use point_skeleton::peer::PeerAddress;
@@ -10,7 +10,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::sim::made;
 use crate::simulate::{SIMULATE, built};
-use crate::tiny_log::PSKEL;
+use crate::tiny_log::with_default_signals;
 
 /// How long processes may outlive the program.
 const MAX_TIME: Duration = Duration::from_secs(2);
@@ -71,7 +71,7 @@ fn assert_all_end(group: u32, what: &str) {
 }
 
 fn simulate(folder: &Path, planner: &str) -> Child {
-    let mut command = Command::new(PSKEL);
+    let mut command = with_default_signals();
     let args = format!("{SIMULATE} --steps 12 --ego external --planner-timeout 600 --planner");
     command.current_dir(folder).args(args.split(' ')).arg(planner);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()

@@ -106,6 +106,13 @@ impl TinyLog {
     }
 }
 
+/// The command, with signals that the tests' own parent may have had ignored (nohup, a job in the background).
+pub(crate) fn with_default_signals() -> Command {
+    let mut command = Command::new("env");
+    command.args(["--default-signal=HUP,INT,TERM", PSKEL]);
+    command
+}
+
 #[track_caller]
 pub(crate) fn assert_failed(output: &Output, code: i32, parts: &[&str]) {
     let stderr = String::from_utf8_lossy(&output.stderr);
