@@ -1,5 +1,4 @@
 mod av2;
-mod build;
 mod clouds;
 mod network;
 mod nuplan;
@@ -26,7 +25,6 @@ pub static TARGETS: std::sync::LazyLock<Vec<Target>> = std::sync::LazyLock::new(
     all.extend(nuplan::TARGETS);
     all.extend(av2::TARGETS);
     all.extend(skeleton::TARGETS);
-    all.extend(build::TARGETS);
     all.extend(network::TARGETS);
     all.extend(rollout::TARGETS);
     all.extend(peers::TARGETS);
