@@ -6,7 +6,7 @@ use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{Crop, Planes, Rasterizer, Segment, SplatJob, SplatMaps, draw_lines};
 
-use super::twins::{Case, Division, rasterizers, with_device};
+use super::twins::{Case, Division, rasterizers, with_compute_device, with_device};
 
 fn point(position: [f32; 3]) -> Point {
     Point::new(position, [1, 2, 3], 0)
@@ -102,7 +102,7 @@ fn points_without_number_in_one_pixel_have_one_winner() {
     assert_eq!([pixel(9, 4), pixel(38, 66), pixel(9, 67), pixel(8, 4)], [2, 2, 0, 0]);
     assert_eq!([pixel(39, 35), pixel(70, 4), pixel(99, 66), pixel(99, 67)], [20_001, 20_001, 20_001, 0]);
     assert_eq!(covered(&maps).len(), 63 * 91);
-    with_device(|device| {
+    with_compute_device(|device| {
         let clouds: Vec<&[Point]> = case.clouds.iter().map(Vec::as_slice).collect();
         let spread = |mut rasterizer: Box<dyn Rasterizer + '_>| {
             let (view, schedule, instances) = (&case.view, &case.schedule, case.instances.as_slice());

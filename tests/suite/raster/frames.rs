@@ -218,7 +218,7 @@ fn large_squares_of_many_points_agree() {
         let desc = if seed % 2 == 0 { whole } else { divided(&sizes, 80, 1, 2) };
         spread += compare_scene(scene, random, desc, 6);
     }
-    assert!(spread >= 20, "{spread} frames were spread");
+    with_compute_device(|_| assert!(spread >= 20, "{spread} frames were spread"));
 }
 
 /// Few rows are left of many: a view is cut into bands that fit one part.
