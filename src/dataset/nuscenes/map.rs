@@ -139,7 +139,7 @@ struct Resolver<'a> {
     corners_left: Cell<usize>,
 }
 
-/// Lanes of a map may be so long together for each byte of its file, metres: in nuScenes' maps a byte has some centimetres.
+/// Lanes of a map may be so long together for each byte of its file, metres.
 const METRES_PER_BYTE: f64 = 8.0;
 /// More, for small files.
 const LANES_M: f64 = 1e4;
