@@ -100,7 +100,7 @@ fi
 [ "$undrawn" -eq 0 ] || say "SwiftShader is not installed: its tests count as one that is skipped"
 [ "$lacking" -eq 0 ] || say "$lacking tests skipped on SwiftShader:" "$(sort -u "$scratch/skipped-swiftshader" | tr '\n' ' ')"
 say "$((passed + failed + ignored)) tests in $SECONDS s, $unshared of them skipped for want of the shared data"
-[ "$status" -eq 0 ] || say "FAILED"
+[ "$status" -eq 0 ] || say "FAILED" $(sed -nE 's/^test (.*) \.\.\. FAILED$/\1/p' "$scratch"/*.log)
 skipped=$((unshared + lacking))
 echo "$((passed - skipped)) passed, $failed failed, $((ignored + skipped + undrawn)) skipped"
 exit "$status"

@@ -61,8 +61,9 @@ fn escaped(text: Cow<'_, str>, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str
             '\n' => result.push_str("\\n"),
             '\r' => result.push_str("\\r"),
             '\t' => result.push_str("\\t"),
-            ..='\u{ff}' => result.push_str(&format!("\\x{:02x}", u32::from(c))),
-            _ => result.push_str(&format!("\\u{{{:x}}}", u32::from(c))),
+            ..'\u{20}' => result.push_str(&format!("\\x{:02x}", u32::from(c))),
+            // As JSON writes it, whose strings may hold these characters as they are: escaped, it is still JSON.
+            _ => result.push_str(&format!("\\u{:04x}", u32::from(c))),
         }
     }
     Cow::Owned(result)
@@ -89,11 +90,21 @@ mod tests {
     fn what_acts_on_a_terminal_is_escaped() {
         assert_eq!(printable("CAM_FRONT é 😀"), "CAM_FRONT é 😀");
         assert_eq!(printable("\u{1b}[2J\u{7}a\nb\tc\r\0"), "\\x1b[2J\\x07a\\nb\\tc\\r\\x00");
-        assert_eq!(printable("\u{9b}31m\u{202e}x\u{2028}"), "\\x9b31m\\u{202e}x\\u{2028}");
+        assert_eq!(printable("\u{9b}31m\u{202e}x\u{2028}"), "\\u009b31m\\u202ex\\u2028");
         assert_eq!(printable_path(Path::new("/a\u{1b}b/c")), "/a\\x1bb/c");
         assert_eq!(printable_lines("a\u{1b}\nb\r"), "a\\x1b\nb\\r");
         // What is escaped once stays as it is.
         assert_eq!(printable(&printable("\u{1b}")), "\\x1b");
+    }
+
+    #[test]
+    fn escaped_json_is_the_same_json() {
+        let name = "a\u{1b}[2J\u{7f}\u{9b}31m\u{202e}\u{2028}\u{61c}\n\"\\é😀";
+        let json = serde_json::to_string_pretty(&serde_json::json!({ name: [name] })).unwrap();
+        let printed = escaped_lines(&json).into_owned();
+        assert!(!printed.contains(|c| c != '\n' && acts(c)), "{printed}");
+        let read: serde_json::Value = serde_json::from_str(&printed).unwrap();
+        assert_eq!(read[name][0], name);
     }
 
     #[test]

@@ -131,7 +131,7 @@ impl SavedState {
             return Err(wrong(format!("log {}", recorded.log.name), self.log.clone()));
         }
         let wanted = told(options, clock);
-        for key in wanted.as_object().into_iter().flat_map(|o| o.keys()) {
+        for key in [&wanted, &self.options].into_iter().filter_map(Value::as_object).flat_map(|o| o.keys()) {
             if self.options.get(key) != wanted.get(key) {
                 let text = |options: &Value| options.get(key).map_or("none".to_owned(), Value::to_string);
                 return Err(wrong(format!("{key} {}", text(&wanted)), text(&self.options)));
@@ -181,7 +181,8 @@ impl SavedState {
             Some((*track, saved.open(recorded, *track)?))
         };
         let movers = self.movers.iter().map(mover).collect::<Option<_>>()?;
-        Some(Driven { movers, gone: self.gone.clone() })
+        let sorted = self.movers.windows(2).all(|w| w[0].0 < w[1].0);
+        sorted.then(|| Driven { movers, gone: self.gone.clone() })
     }
 }
 

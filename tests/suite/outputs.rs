@@ -135,6 +135,7 @@ fn inputs_are_not_overwritten() {
     let camera = r#"{"cameras": [{"name": "a", "width": 8, "height": 8, "intrinsics": [[8, 0, 4], [0, 8, 4], [0, 0, 1]],
         "camera_from_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}]}"#;
     std::fs::write(log.path("c.json"), camera).unwrap();
+    std::fs::write(log.path("a.json"), r#"{"city": "Boston"}"#).unwrap();
     std::os::unix::fs::symlink("p.npy", log.path("link.npy")).unwrap();
     let before = tree(&log.path(""));
     for (args, found) in [
@@ -148,6 +149,10 @@ fn inputs_are_not_overwritten() {
         ("render nuscenes:log --skeleton sk --out log", "log"),
         ("simulate nuscenes:log --skeleton sk --out log --steps 1", "log"),
         ("bench --points p.npy --cameras c.json --rasterizer cpu --trace p.npy", "p.npy"),
+        (
+            "simulate nuscenes:log --skeleton sk --out new --steps 1 --annotations a.json --profile a.json",
+            "a.json",
+        ),
     ] {
         assert_failed(
             &log.run(args),
@@ -159,6 +164,7 @@ fn inputs_are_not_overwritten() {
     for args in [
         "splat --points p.npy --cameras c.json --rasterizer cpu --out out/rollout.json",
         "convert p.npy --out sk/background.points --format npy",
+        "simulate nuscenes:log --skeleton sk --out new --steps 1 --profile sk/skeleton.json",
     ] {
         assert_failed(&log.run(args), 1, &["expected a file that is no part of another output"]);
     }

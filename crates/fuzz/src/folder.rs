@@ -41,6 +41,17 @@ impl Folder {
         &self.base[name]
     }
 
+    /// Of all unchanged files.
+    pub(crate) fn names(&self) -> Vec<String> {
+        self.base.keys().cloned().collect()
+    }
+
+    /// Writes all files as they were, also those that others have removed.
+    pub(crate) fn rewrite(&mut self) {
+        self.changed.clear();
+        self.base.iter().for_each(|(name, bytes)| write(&self.path(name), bytes));
+    }
+
     /// Makes the files that were changed as they were.
     pub(crate) fn reset(&mut self) {
         for name in std::mem::take(&mut self.changed) {

@@ -13,19 +13,24 @@ const TIME: Duration = Duration::from_millis(600);
 /// In one test: the memory of a run is that of the process.
 #[test]
 fn corpus_and_mutations_hold() {
-    for target in TARGETS.iter() {
-        let corpus = corpus(target);
-        let mut numbers = Numbers(0x9e37_79b9_7f4a_7c15);
-        corpus.iter().for_each(|(name, bytes)| attempt(target, name, bytes));
-        let start = Instant::now();
-        // Always the same ones in the same order; a slow machine tries fewer of them.
-        for i in (0..MUTATIONS).take_while(|_| start.elapsed() < TIME) {
-            let (_, bytes) = &corpus[numbers.below(corpus.len())];
-            let (_, other) = &corpus[numbers.below(corpus.len())];
-            let mutated = mutate(bytes, other, target.max_len, &mut numbers);
-            attempt(target, &format!("mutation {i}"), &mutated);
-        }
+    let failed: Vec<String> = TARGETS.iter().filter_map(|target| all_hold(target).err()).collect();
+    assert!(failed.is_empty(), "{}", failed.join("; "));
+}
+
+/// Ends with the first input that a target fails on.
+fn all_hold(target: &'static Target) -> Result<(), String> {
+    let corpus = corpus(target);
+    let mut numbers = Numbers(0x9e37_79b9_7f4a_7c15);
+    corpus.iter().try_for_each(|(name, bytes)| attempt(target, name, bytes))?;
+    let start = Instant::now();
+    // Always the same ones in the same order; a slow machine tries fewer of them.
+    for i in (0..MUTATIONS).take_while(|_| start.elapsed() < TIME) {
+        let (_, bytes) = &corpus[numbers.below(corpus.len())];
+        let (_, other) = &corpus[numbers.below(corpus.len())];
+        let mutated = mutate(bytes, other, target.max_len, &mut numbers);
+        attempt(target, &format!("mutation {i}"), &mutated)?;
     }
+    Ok(())
 }
 
 fn corpus(target: &Target) -> Vec<(String, Vec<u8>)> {
@@ -47,14 +52,12 @@ fn corpus(target: &Target) -> Vec<(String, Vec<u8>)> {
 }
 
 /// Runs a target; where something does not hold, the input is left in a file that is named.
-fn attempt(target: &'static Target, name: &str, bytes: &[u8]) {
-    let tried = std::panic::catch_unwind(|| run(target, bytes));
-    if let Err(panic) = tried {
+fn attempt(target: &'static Target, name: &str, bytes: &[u8]) -> Result<(), String> {
+    std::panic::catch_unwind(|| run(target, bytes)).map_err(|_| {
         let path = std::env::temp_dir().join(format!("pskel-fuzz-{}", target.name));
         std::fs::write(&path, bytes).unwrap();
-        eprintln!("{} fails on {name}, left in {}", target.name, path.display());
-        std::panic::resume_unwind(panic);
-    }
+        format!("{} fails on {name}, left in {}", target.name, path.display())
+    })
 }
 
 /// SplitMix64.

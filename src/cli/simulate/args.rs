@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -245,6 +245,15 @@ impl SimulateArgs {
         }
         self.generating.check(self.generator.as_ref())?;
         self.maps.check()
+    }
+
+    /// Files that are named one by one and only read.
+    pub(super) fn input_files(&self) -> impl Iterator<Item = &Path> {
+        let weights = match &self.generator {
+            Some(NetworkName::Network(weights)) => weights.as_deref(),
+            _ => None,
+        };
+        [self.annotations.as_deref(), self.policies.trajectory.as_deref(), weights].into_iter().flatten()
     }
 
     /// How many plan steps are forecast and rendered at each of them.

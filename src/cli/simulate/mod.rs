@@ -32,7 +32,7 @@ use crate::conditions::meta::PromptParts;
 use crate::conditions::{ConditionOptions, ImageSize, MapSet};
 use crate::dataset::{Dataset, Log, LogFormat};
 use crate::error::FileError;
-use crate::files::OutputFolder;
+use crate::files::{OutputFolder, check_output_file};
 use crate::generate::TrueImages;
 use crate::logs;
 use crate::raster::{RasterizerInfo, StageTimes};
@@ -50,6 +50,9 @@ const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
 pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.check()?;
+    if let Some(profile) = &args.profile {
+        check_output_file(profile, args.input_files())?;
+    }
     let inputs = Inputs::open(&args)?;
     let Inputs { dataset, skeleton, prompt, map, maps } = &inputs;
     let log = dataset.log();

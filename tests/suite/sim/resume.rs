@@ -119,4 +119,12 @@ fn states_of_other_rollouts_and_damaged_ones_are_refused() {
         *damaged.pointer_mut(pointer).unwrap_or_else(|| panic!("{pointer} in {saved}")) = value;
         assert!(resume(damaged, &options).is_err(), "{pointer}");
     }
+    // What would get lost unseen is refused, too.
+    let mut damaged = saved.clone();
+    damaged["options"]["wind"] = json!(3);
+    assert!(resume(damaged, &options).unwrap_err().contains("wind none, found 3"));
+    let mut damaged = saved.clone();
+    let mover = damaged["movers"][0].clone();
+    damaged["movers"].as_array_mut().unwrap().push(mover);
+    assert!(resume(damaged, &options).unwrap_err().contains("sound actors"));
 }

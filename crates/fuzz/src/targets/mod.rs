@@ -1,4 +1,5 @@
 mod av2;
+mod build;
 mod clouds;
 mod network;
 mod nuplan;
@@ -25,6 +26,7 @@ pub static TARGETS: std::sync::LazyLock<Vec<Target>> = std::sync::LazyLock::new(
     all.extend(nuplan::TARGETS);
     all.extend(av2::TARGETS);
     all.extend(skeleton::TARGETS);
+    all.extend(build::TARGETS);
     all.extend(network::TARGETS);
     all.extend(rollout::TARGETS);
     all.extend(peers::TARGETS);
