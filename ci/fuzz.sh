@@ -27,10 +27,10 @@ coverage="-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 -Cllvm-
 coverage+=" -Cllvm-args=-sanitizer-coverage-pc-table -Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing"
 say "building into $target_dir"
 RUSTFLAGS="$coverage" CARGO_TARGET_DIR="$target_dir" cargo build --locked --quiet -p point-skeleton-fuzz \
-    --features libfuzzer --profile fuzz --target "$triple" --bin fuzz --bin seeds
+    --features libfuzzer --profile fuzz --target "$triple" --bin fuzz
 programs=$target_dir/$triple/fuzz
 
-known=$("$programs/seeds" --targets)
+known=$("$programs/fuzz")
 chosen=("$@")
 if [ $# -eq 0 ]; then
     mapfile -t chosen < <(cut -d' ' -f1 <<<"$known")

@@ -1,6 +1,7 @@
-//! A target under libFuzzer: `PSKEL_FUZZ_TARGET` names it. With `PSKEL_FUZZ_BYTES` the bytes of all inputs so far are
-//! written to that file, once a second.
+//! A target under libFuzzer: `PSKEL_FUZZ_TARGET` names it; without, all targets are printed with the longest input of
+//! each. With `PSKEL_FUZZ_BYTES` the bytes of all inputs so far are written to that file, once a second.
 #![no_main]
+#![allow(clippy::print_stdout)]
 #![allow(unsafe_code)] // of the macro: the function that libFuzzer calls
 
 use std::cell::RefCell;
@@ -8,7 +9,7 @@ use std::path::PathBuf;
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
-use point_skeleton_fuzz::{Target, run, target};
+use point_skeleton_fuzz::{TARGETS, Target, run, target};
 
 static TARGET: LazyLock<&Target> = LazyLock::new(|| {
     let name = std::env::var("PSKEL_FUZZ_TARGET").unwrap_or_default();
@@ -30,7 +31,14 @@ thread_local! {
     });
 }
 
-libfuzzer_sys::fuzz_target!(|data: &[u8]| {
+fn init() {
+    if std::env::var_os("PSKEL_FUZZ_TARGET").is_none() {
+        TARGETS.iter().for_each(|target| println!("{} {}", target.name, target.max_len));
+        std::process::exit(0);
+    }
+}
+
+libfuzzer_sys::fuzz_target!(init: init(), |data: &[u8]| {
     run(&TARGET, data);
     TALLY.with_borrow_mut(|tally| {
         tally.bytes += data.len() as u64;

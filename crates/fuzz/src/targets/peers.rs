@@ -4,6 +4,7 @@ use std::cell::RefCell;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::Duration;
 
 use image::RgbImage;
 use point_skeleton::dataset::Dataset;
@@ -28,6 +29,10 @@ pub(super) const TARGETS: [Target; 2] = [
 
 /// Longer than any answer takes; nothing waits so long, since a connection ends with its last answer.
 const TIMEOUT_S: f64 = 20.0;
+
+/// How long an answer waits for its message. After an answer that breaks off none comes: the other side waits for the
+/// rest of it.
+const PATIENCE: Duration = Duration::from_millis(50);
 
 /// Answers to each connection's messages.
 struct Server {
@@ -62,9 +67,10 @@ fn serve(
 ) {
     while let (Ok(answers), Ok((stream, _))) = (answers.recv(), listener.accept()) {
         let answer = |stream: UnixStream| -> std::io::Result<()> {
+            stream.set_read_timeout(Some(PATIENCE))?;
             let mut reader = BufReader::new(stream.try_clone()?);
             for answer in answers {
-                read(&mut reader)?;
+                let _ = read(&mut reader);
                 (&stream).write_all(&answer)?;
             }
             Ok(())
