@@ -94,11 +94,18 @@ impl Manifest {
         self.paths.is_empty()
     }
 
+    /// Whether a folder is one of those that files in the list are in: if it is empty, a run was killed before it had
+    /// written the first of them, or behind the removal of the last.
+    fn holds_below(&self, folder: &Path) -> bool {
+        self.paths.range(folder.to_owned()..).next().is_some_and(|path| path.starts_with(folder))
+    }
+
     /// Checks that no file at or below `name` in `folder` is missing from the list.
     pub(super) fn check(&self, folder: &Path, name: &Path) -> Result<(), FileError> {
+        let is_folder = |path: &Path| folder.join(path).symlink_metadata().is_ok_and(|data| data.is_dir());
         let mut foreign = None;
         visit(folder, name, &mut |path| {
-            if foreign.is_none() && !self.holds(&path) {
+            if foreign.is_none() && !self.holds(&path) && !(self.holds_below(&path) && is_folder(&path)) {
                 foreign = Some(path);
             }
         })?;
@@ -142,4 +149,30 @@ fn visit(folder: &Path, name: &Path, see: &mut impl FnMut(PathBuf)) -> Result<()
     }
     entries.sort();
     entries.iter().try_for_each(|entry| visit(folder, &name.join(entry), see))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn empty_folders_of_listed_files_are_no_foreign_ones() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut manifest = Manifest::new("maps");
+        manifest.add(folder.path(), ["a/b/c.png", "d.png"].map(PathBuf::from).into()).unwrap();
+        let check = |name: &str| manifest.check(folder.path(), Path::new(name));
+        std::fs::create_dir_all(folder.path().join("a/b")).unwrap();
+        check("a").unwrap();
+        // A file in the place of such a folder, another empty folder, one with a foreign file.
+        std::fs::remove_dir(folder.path().join("a/b")).unwrap();
+        std::fs::write(folder.path().join("a/b"), "foreign").unwrap();
+        assert!(check("a").unwrap_err().to_string().ends_with("a/b"));
+        std::fs::remove_file(folder.path().join("a/b")).unwrap();
+        std::fs::create_dir(folder.path().join("a/bb")).unwrap();
+        assert!(check("a").unwrap_err().to_string().ends_with("a/bb"));
+        std::fs::remove_dir(folder.path().join("a/bb")).unwrap();
+        std::fs::create_dir(folder.path().join("a/b")).unwrap();
+        std::fs::write(folder.path().join("a/b/e.png"), "foreign").unwrap();
+        assert!(check("a").unwrap_err().to_string().ends_with("a/b/e.png"));
+    }
 }

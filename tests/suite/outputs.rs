@@ -278,6 +278,7 @@ fn a_rollout_without_a_step_resumes_from_the_start() {
         }
         if left.contains("states") {
             std::fs::write(log.path("out/states.jsonl"), "").unwrap();
+            std::fs::create_dir(log.path("out/steps")).unwrap(); // before the first folder in it was renamed
         }
         std::fs::remove_dir_all(old).unwrap();
         let output = log.run(&format!("{SIMULATE} --resume"));

@@ -150,9 +150,11 @@ impl Output<'_> {
             files.remove([STATES, STEPS])?;
         }
         write_json(&files.claim(ROLLOUT)?, self.options)?;
-        let steps = self.folder.join(STEPS);
-        create_dir_all(&steps).map_err(FileError::io("create", &steps))?;
         let states = StateFile::create(&files.claim(STATES)?, kept)?;
+        let steps = self.folder.join(STEPS);
+        if !steps.is_dir() {
+            return Ok(states);
+        }
         for entry in std::fs::read_dir(&steps).map_err(FileError::io("read", &steps))? {
             let name = entry.map_err(FileError::io("read", &steps))?.file_name();
             if !kept.iter().any(|row| *row.name() == *name) {
