@@ -113,6 +113,9 @@ pub(super) fn centerline(paths: &[ArclinePath], left_m: &mut f64) -> Result<Vec<
         let steps = (length_m / STEP_M).ceil().max(1.0) as u32;
         for step in 0..=steps {
             let at = point_at(path.start_pose, &segments, length_m * f64::from(step) / f64::from(steps));
+            if !at.is_finite() {
+                return Err("a point that is not finite".to_owned());
+            }
             if line.last().is_none_or(|last| last.distance(at) > SAME_M) {
                 line.push(at);
             }
@@ -201,6 +204,7 @@ mod tests {
         assert_eq!(wrong("LSR", 0.0, [1.0; 3]), "a radius of 0 m");
         assert_eq!(wrong("LSR", 1.0, [1.0, -1.0, 0.0]), "a segment length of -1 m");
         assert_eq!(wrong("LSR", 1.0, [1.0, 1e9, 0.0]), "a segment length of 1000000000 m");
+        assert_eq!(wrong("LSR", 1e-320, [1.0; 3]), "a point that is not finite");
         let many = vec![path([0.0; 3], "SSS", 1.0, [1000.0; 3]); 4];
         assert!(whole(&many).unwrap_err().starts_with("more metres of lanes"));
     }

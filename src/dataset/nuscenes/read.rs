@@ -72,6 +72,10 @@ fn read_chain(tables: &Path, scene: &Scene, notes: &mut Notes) -> Result<Chain, 
     let samples = Table::<Sample>::load_all(tables)?;
     let mut chain = Chain { times_us: Vec::new(), place: FxHashMap::default() };
     let mut seen = FxHashSet::default();
+    if scene.first_sample_token.is_empty() {
+        let found = format!("none in scene {}", scene.token);
+        return Err(FileError::content("a first sample", found, &tables.join("scene.json")).into());
+    }
     let (mut token, mut by) = (&scene.first_sample_token, format!("scene {}", scene.token));
     while !token.is_empty() {
         let sample = samples.get(token, || by.clone())?;
