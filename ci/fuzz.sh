@@ -56,23 +56,22 @@ seconds=$((minutes * 60 * jobs / ${#chosen[@]}))
 libfuzzer() {
     local target=$1
     shift
-    local max_len
-    max_len=$(sed -n "s/^$target //p" <<<"$known")
     mkdir -p "$scratch/$target"
     PSKEL_FUZZ_TARGET=$target PSKEL_FUZZ_BYTES=$scratch/logs/$target.bytes TMPDIR=$scratch/$target RAYON_NUM_THREADS=2 \
-        "$programs/fuzz" -max_len="$max_len" -rss_limit_mb=1024 -timeout=10 "$@"
+        "$programs/fuzz" -rss_limit_mb=1024 -timeout=10 "$@"
 }
 
 fuzz() {
-    local target=$1
+    local target=$1 max_len
+    max_len=$(sed -n "s/^$target //p" <<<"$known")
     mkdir -p "$corpus/$target"
-    if ! libfuzzer "$target" -max_total_time="$seconds" -print_final_stats=1 -artifact_prefix="$findings/$target-" \
-        "$corpus/$target" "crates/fuzz/corpus/$target" >"$scratch/logs/$target" 2>&1; then
+    if ! libfuzzer "$target" -max_len="$max_len" -max_total_time="$seconds" -print_final_stats=1 \
+        -artifact_prefix="$findings/$target-" "$corpus/$target" "crates/fuzz/corpus/$target" >"$scratch/logs/$target" 2>&1; then
         local found
         found=$(sed -n 's/.*Test unit written to //p' "$scratch/logs/$target" | tail -1)
         cp "$scratch/logs/$target" "$findings/$target.log"
         # Smaller, if that takes no more than half a minute.
-        if [ -n "$found" ] && timeout 60 bash -c "$(declare -f libfuzzer); $(declare -p known scratch programs); \
+        if [ -n "$found" ] && timeout 60 bash -c "$(declare -f libfuzzer); $(declare -p scratch programs); \
             libfuzzer $target -minimize_crash=1 -max_total_time=30 -exact_artifact_path='$found.small' '$found'" \
             >/dev/null 2>&1 && [ -s "$found.small" ]; then
             found=$found.small

@@ -13,6 +13,7 @@ use super::{WrongUsage, info, say, templates, warn};
 use crate::cloud::{self, Bounds, Point};
 use crate::dataset::{Dataset, LogLocator};
 use crate::error::FileError;
+use crate::files::text::printable;
 use crate::logs;
 use crate::skeleton::{
     self, Asset, BuildInput, BuildOptions, BuildRun, Checksum, Coloring, Manifest, Skeleton, SkeletonWriter,
@@ -33,7 +34,7 @@ pub(super) struct BuildArgs {
     #[command(flatten)]
     roots: LogRoots,
     /// Folder to write
-    #[arg(long, value_name = "SKEL")]
+    #[arg(long, value_name = "SKEL", value_parser = log_args::output_folder())]
     out: PathBuf,
     /// Side of the voxels that points are merged in, metres; 0 keeps all points [default: 0.01, with --coloring
     /// every-camera 0]
@@ -206,7 +207,7 @@ fn summary(built: &Manifest) -> String {
     let merged = report.background_points + report.actor_points - background - actors;
     let notes: Vec<String> = report.notes.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
     let notes = if notes.is_empty() { String::new() } else { format!("; the log has {}", notes.join(", ")) };
-    let logs: Vec<&str> = built.sources.iter().map(|source| source.log.as_str()).collect();
+    let logs: Vec<_> = built.sources.iter().map(|source| printable(&source.log)).collect();
     format!(
         "built {} from {} frames ({} points of {} sweeps, {} images): {background} background points in {} chunks, \
          {actors} points of {} actors, {} templates; {merged} merged into others of their voxel; dropped {}{notes}",

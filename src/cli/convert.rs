@@ -6,7 +6,7 @@ use clap::Args;
 use glam::{DVec3, Vec3};
 use serde::Serialize;
 
-use super::{WrongUsage, say};
+use super::{WrongUsage, log_args, say};
 use crate::cloud::{self, Point, npy, ply};
 use crate::error::FileError;
 use crate::files::FileName;
@@ -23,7 +23,7 @@ pub(super) struct ConvertArgs {
     #[arg(value_name = "SKEL|P.npy|P.ply")]
     input: PathBuf,
     /// Folder or file to write
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, value_name = "PATH", value_parser = log_args::output_folder())]
     out: PathBuf,
     /// Format to write [default: npy for a skeleton; for a file what the ending of --out says]
     #[arg(long, value_enum)]

@@ -1,9 +1,11 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 
 use super::WrongUsage;
 use crate::dataset::{Dataset, DatasetError, LogFormat, LogLocator};
+use crate::files::resolved_output;
 use crate::logs;
 
 /// Where the parts of a data set are.
@@ -24,6 +26,11 @@ pub(super) struct LogRoots {
 /// For the parser: a log's name.
 pub(super) fn log(text: &str) -> Result<LogLocator, DatasetError> {
     logs::locate(text)
+}
+
+/// For the parser: a folder to write.
+pub(super) fn output_folder() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().map(resolved_output)
 }
 
 /// For what needs the truth: towns, each named once.

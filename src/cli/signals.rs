@@ -1,10 +1,12 @@
 //! SIGHUP, SIGINT and SIGTERM end the command: temporary files are removed and peers ended first.
 //!
 //! Files appear under their names only when they are whole, so the work can stop at any moment: a thread of its own
-//! cleans up and exits, while the others are still at work. A second signal exits at once.
+//! cleans up and exits, while the others are still at work. A second signal exits at once, but not one that comes
+//! together with the first: `timeout` and job schedulers signal a process and then its group.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -12,6 +14,9 @@ use signal_hook::{flag, low_level};
 
 use super::terminal::tell;
 use crate::{files, peer};
+
+/// Signals so close together are one.
+const TOGETHER: Duration = Duration::from_millis(500);
 
 static IS_STOPPING: AtomicBool = AtomicBool::new(false);
 
@@ -26,11 +31,16 @@ pub(super) fn install() -> std::io::Result<()> {
     let is_second = Arc::new(AtomicBool::new(false));
     for &signal in &handled {
         flag::register_conditional_shutdown(signal, exit_code(signal), is_second.clone())?;
-        flag::register(signal, is_second.clone())?;
     }
     let mut signals = Signals::new(&handled)?;
     let wait = move || {
         if let Some(signal) = signals.forever().next() {
+            let arm = move || {
+                std::thread::sleep(TOGETHER);
+                is_second.store(true, Ordering::SeqCst);
+            };
+            // Without this thread there is no second signal.
+            let _ = std::thread::Builder::new().name("second signal".to_owned()).spawn(arm);
             stop(signal);
         }
     };

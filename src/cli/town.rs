@@ -7,7 +7,7 @@ use std::time::Instant;
 use clap::Args;
 
 use super::progress::Progress;
-use super::{WrongUsage, numbers, say};
+use super::{WrongUsage, log_args, numbers, say};
 use crate::conditions::{CameraConditions, ConditionSet, DepthBins, ImageSize, exr, png};
 use crate::dataset::nuscenes::LogWriter;
 use crate::dataset::{Dataset, Log};
@@ -31,7 +31,7 @@ pub(super) struct TownArgs {
     #[arg(long, value_name = "N", default_value_t = TownOptions::default().frames)]
     frames: usize,
     /// Folder to write; an older town there is replaced once the new one is complete
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     out: PathBuf,
     /// Annotated frames a second
     #[arg(long, value_name = "F", default_value_t = TownOptions::default().hz, value_parser = numbers::rate_hz)]

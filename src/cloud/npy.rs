@@ -146,8 +146,23 @@ fn is_plain(text: &[u8]) -> bool {
     text.is_ascii()
         && !text.contains(&b'\\')
         && count(&|b| matches!(b, b'(' | b'[' | b'{')) <= 16
+        && nesting(text) <= 3
         && count(&|b| b.is_ascii_digit()) <= 19
         && !text.windows(2).any(prefixed)
+}
+
+/// How deep brackets are nested: parsing takes time that doubles with each of them.
+fn nesting(text: &[u8]) -> usize {
+    let (mut depth, mut deepest) = (0_usize, 0);
+    for byte in text {
+        match byte {
+            b'(' | b'[' | b'{' => depth += 1,
+            b')' | b']' | b'}' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        deepest = deepest.max(depth);
+    }
+    deepest
 }
 
 /// Number type, rows and columns.
@@ -293,6 +308,7 @@ mod tests {
             (array("<f4", false, "(4000000000, 7)", &data), "found 28 bytes of data"),
             (array("<f4", false, "(99999999999999999999999, 7)", &data), "a plain array"),
             (array("<f4", false, &"(".repeat(5000), &data), "a plain array"),
+            (array("<f4", false, &"{".repeat(14), &data), "a plain array"),
             (b"PK\x03\x04 and so on".to_vec(), "an NPY file, found other content"),
             (Vec::new(), "an NPY file, found 0 bytes"),
             (b"\x93NUMPY\x02\x00\xff\xff\xff\xff{}".to_vec(), "header of at most 2 bytes, found 4294967295"),

@@ -63,9 +63,7 @@ impl FileName {
             return wrong("a name of 1 to 128 bytes");
         }
         if text.starts_with('.') || text.contains(['/', '\\']) || text.chars().any(acts) {
-            return wrong(
-                "a name that can be a folder's, without / and \\, control characters and a dot in front",
-            );
+            return wrong("a name without /, \\, control characters or a leading dot");
         }
         if RESERVED.contains(&text.to_lowercase().as_str()) {
             return wrong("a name other than those of the files that stand beside cameras");

@@ -211,12 +211,28 @@ pub(crate) fn work_of_whole(path: &Path) -> PathBuf {
     path.with_file_name(format!("{name}.partial"))
 }
 
+/// Path of an output without `.` in it; of a link to a folder the folder's, which would else be replaced itself.
+pub(crate) fn resolved_output(path: PathBuf) -> PathBuf {
+    let path: PathBuf = path.components().collect();
+    if path.is_symlink() && path.is_dir() { path.canonicalize().unwrap_or(path) } else { path }
+}
+
 /// Checks that a whole folder may be written: nothing is at `path`, or an empty folder, or one of the same kind that holds
 /// only what a run wrote.
 ///
 /// # Errors
 /// Something else is there.
 pub fn check_whole(path: &Path, kind: &str) -> Result<(), FileError> {
+    if path.file_name().is_none() {
+        return Err(FileError::content(
+            "the name of a folder to write",
+            "a path that ends without one",
+            path,
+        ));
+    }
+    if path.is_symlink() {
+        return Err(FileError::content("a folder or none", "a link", path));
+    }
     if path.is_dir() {
         let manifest = manifest_of(path, kind)?.unwrap_or(Manifest::new(kind));
         return manifest.check(path, Path::new(""));

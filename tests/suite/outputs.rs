@@ -191,6 +191,30 @@ fn only_regular_files_are_replaced() {
     assert!(log.path("link.ply").is_symlink() && log.path("real.ply").metadata().unwrap().len() > 100);
 }
 
+#[test]
+fn folders_are_written_where_their_path_leads() {
+    let log = ready();
+    let whole = tree(&log.path("sk"));
+    // A link stays one.
+    std::fs::create_dir(log.path("disk")).unwrap();
+    std::os::unix::fs::symlink("disk", log.path("link")).unwrap();
+    log.succeed("build nuscenes:log --out link");
+    assert!(log.path("link").is_symlink() && tree(&log.path("disk")) == whole);
+    log.succeed("build nuscenes:log --out new/.");
+    assert!(tree(&log.path("new")) == whole);
+    log.succeed("convert sk --out clouds/.");
+    log.succeed(&RENDER.replace("--out out", "--out maps/."));
+    assert!(log.path("clouds/origins.json").is_file() && log.path("maps/index.json").is_file());
+    // A folder that would replace itself, and a link to nothing.
+    std::os::unix::fs::symlink("nothing", log.path("dangling")).unwrap();
+    for (out, found) in [(".", "a path that ends without one"), ("dangling", "a link")] {
+        for command in ["build nuscenes:log", "convert sk", "templates sk --min-points 1"] {
+            assert_failed(&log.run(&format!("{command} --out {out}")), 1, &[found]);
+        }
+    }
+    assert!(!log.path(".partial").exists() && !log.path("nothing").exists());
+}
+
 /// A command in the background.
 fn start(log: &TinyLog, args: &str) -> Child {
     let mut command = with_default_signals();
@@ -229,6 +253,8 @@ fn a_signal_ends_a_run_with_nothing_half_written() {
         let log = ready();
         let mut child = start_hanging(&log);
         wait_for("steps", || log.path("out/steps/000000").is_dir() && log.path("out/.pskel/lock").is_file());
+        // Twice at once, as `timeout` does: to the process, then to its group.
+        send(&child, signal);
         send(&child, signal);
         let status = child.wait().unwrap();
         let text = said(&mut child);

@@ -50,7 +50,7 @@ pub(super) struct AblateArgs {
     #[arg(long, value_name = "TABLE,..", value_delimiter = ',')]
     tables: Vec<Table>,
     /// Folder to write
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     out: PathBuf,
     /// Frames that are generated in each scene, after the references
     #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u16).range(2..))]

@@ -31,7 +31,7 @@ pub(super) struct GenerateArgs {
     #[arg(long, value_name = "SKEL")]
     skeleton: PathBuf,
     /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     out: PathBuf,
     /// The network: the one that comes with the program, network:FILE with weights of `pskel train`, or
     /// process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md). Options of maps are for the maps that

@@ -29,7 +29,7 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "SKEL")]
     pub(super) skeleton: PathBuf,
     /// Folder to write; frames of an earlier run in it are replaced one by one
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     pub(super) out: PathBuf,
     /// Only these frames, numbered from 0 in the log's order, without B [default: all]
     #[arg(long, value_name = "A..B")]

@@ -35,7 +35,7 @@ pub(in crate::cli) struct SimulateArgs {
     #[arg(long, value_name = "SKEL")]
     pub(super) skeleton: PathBuf,
     /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     pub(super) out: PathBuf,
     /// How many steps to take; step 0 is the log's. An ego that replays ends with the log; others drive on beyond its end,
     /// where nobody is left but actors that a policy has taken over, and the skeleton may have no points

@@ -10,7 +10,7 @@ use anyhow::Context;
 use clap::Args;
 
 use self::picture::draw;
-use super::log_args::LogRoots;
+use super::log_args::{self, LogRoots};
 use super::progress::{Progress, StageProgress};
 use super::say;
 use crate::cloud::Point;
@@ -36,7 +36,7 @@ pub(super) struct TemplatesArgs {
     #[command(flatten)]
     roots: LogRoots,
     /// Folder to write
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     out: PathBuf,
     /// About how many points a template has where its box is covered
     #[arg(long, value_name = "N", default_value_t = TemplateOptions::default().target_points)]

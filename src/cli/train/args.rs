@@ -18,7 +18,7 @@ pub(in crate::cli) struct TrainArgs {
     #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
     pub(super) logs: Vec<LogLocator>,
     /// Folder to write
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     pub(super) out: PathBuf,
     /// Folder of recorded drives; those that are missing are recorded [default: DIR/drives]
     #[arg(long, value_name = "DIR")]
