@@ -172,7 +172,7 @@ mod tests {
         for (text, message) in [
             (with("/cameras", serde_json::json!([])), "at least one camera, found an empty list"),
             (with("/cameras/0/name", "right".into()), "\"right\" twice"),
-            (with("/cameras/0/name", "../x".into()), "a name that can be a folder's"),
+            (with("/cameras/0/name", "../x".into()), "a name without /"),
             (with("/cameras/0/width", 0.into()), "a size of 1 to 16384 pixels, found 900x0 in camera left"),
             (with("/cameras/0/width", (-1).into()), "invalid value"),
             (with("/cameras/0/intrinsics/0/0", 0.0.into()), "invertible intrinsics"),

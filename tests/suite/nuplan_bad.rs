@@ -416,7 +416,7 @@ fn the_index_of_maps_must_fit() {
     std::fs::write(&index, "{\"us-xx-nowhere\": {\"version\": \"../..\"}}").unwrap();
     assert_says(
         &message(),
-        &["a name that can be a folder's", "name or version of a map", "../.."],
+        &["a name without /", "name or version of a map", "../.."],
         "nuplan-maps-v1.0.json",
     );
     std::fs::write(&index, "[1]").unwrap();
