@@ -1,7 +1,7 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use image::{DynamicImage, ImageDecoder, ImageReader, RgbImage};
+use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, RgbImage};
 
 use crate::error::FileError;
 use crate::files::input::{IMAGE_BYTES, read_file};
@@ -13,7 +13,7 @@ use crate::files::input::{IMAGE_BYTES, read_file};
 /// A file that is missing, does not decode, has another size, or is a JPEG file that was cut off.
 pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, FileError> {
     let bytes = read_file(path, IMAGE_BYTES)?;
-    let undecodable = |e: image::ImageError| FileError::content("a JPEG or PNG image", e.to_string(), path);
+    let undecodable = |error| undecodable(error, path);
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
     let reader = reader.map_err(FileError::io("read", path))?;
     let decoder = reader.into_decoder().map_err(undecodable)?;
@@ -28,6 +28,15 @@ pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, Fi
         return Err(FileError::content("a whole JPEG image", found, path));
     }
     DynamicImage::from_decoder(decoder).map(DynamicImage::into_rgb8).map_err(undecodable)
+}
+
+fn undecodable(error: ImageError, path: &Path) -> FileError {
+    let found = match error {
+        // "The image format could not be determined", where something is to follow "found".
+        ImageError::Unsupported(_) => "another format".to_owned(),
+        error => error.to_string(),
+    };
+    FileError::content("a JPEG or PNG image", found, path)
 }
 
 fn is_jpeg(bytes: &[u8]) -> bool {
@@ -50,7 +59,7 @@ pub fn picture_size(path: &Path) -> Result<(u32, u32), FileError> {
     let reader = ImageReader::new(Cursor::new(read_file(path, IMAGE_BYTES)?));
     let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
     let size = reader.into_dimensions();
-    let (width, height) = size.map_err(|e| FileError::content("a JPEG or PNG image", e.to_string(), path))?;
+    let (width, height) = size.map_err(|error| undecodable(error, path))?;
     Ok((height, width))
 }
 

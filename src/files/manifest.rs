@@ -109,14 +109,9 @@ impl Manifest {
                 foreign = Some(path);
             }
         })?;
-        match foreign {
-            None => Ok(()),
-            Some(path) => Err(FileError::content(
-                "only files that pskel wrote where it is to write",
-                "another file",
-                &folder.join(path),
-            )),
-        }
+        let Some(path) = foreign else { return Ok(()) };
+        let found = if is_folder(&path) { "another folder" } else { "another file" };
+        Err(FileError::content("only files that pskel wrote where it is to write", found, &folder.join(path)))
     }
 }
 

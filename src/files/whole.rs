@@ -78,6 +78,22 @@ pub fn check_output_file<'a>(
     Ok(())
 }
 
+/// Checks that a file to be written is not in a folder that the same run writes, whose files could take its place.
+///
+/// # Errors
+/// It is.
+pub fn check_outside(path: &Path, folder: &Path) -> Result<(), FileError> {
+    let resolved = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    match (resolved(parent), resolved(folder)) {
+        (Ok(parent), Ok(folder)) if parent.starts_with(&folder) => {
+            let expected = format!("a file outside of the output {}", folder.display());
+            Err(FileError::content(expected, "one in it", path))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// A file under its temporary name, removed on drop unless renamed.
 struct PartialFile {
     file: LockedFile,

@@ -304,7 +304,7 @@ fn what_somebody_put_into_a_skeleton_is_not_deleted() {
     assert_failed(
         &output,
         1,
-        &["only files that pskel wrote where it is to write, found another file: out/sk/mine"],
+        &["only files that pskel wrote where it is to write, found another folder: out/sk/mine"],
     );
     assert!(log.path("out/sk/mine").is_dir() && !log.path("out/sk.partial").exists());
 }

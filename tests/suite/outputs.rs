@@ -160,6 +160,12 @@ fn inputs_are_not_overwritten() {
             &["expected an output apart from the input", &format!("the same: {found}\n")],
         );
     }
+    // Files that the run itself would write, in a folder that is there or not yet.
+    for profile in ["new/index.json", "./new/steps/p.json", "out/p.json"] {
+        let out = if profile.starts_with("out") { "out" } else { "new" };
+        let args = format!("simulate nuscenes:log --skeleton sk --out {out} --steps 1 --profile {profile}");
+        assert_failed(&log.run(&args), 1, &["expected a file outside of the output", "found one in it"]);
+    }
     // Files that belong to another output.
     for args in [
         "splat --points p.npy --cameras c.json --rasterizer cpu --out out/rollout.json",

@@ -32,7 +32,7 @@ use crate::conditions::meta::PromptParts;
 use crate::conditions::{ConditionOptions, ImageSize, MapSet};
 use crate::dataset::{Dataset, Log, LogFormat};
 use crate::error::FileError;
-use crate::files::{OutputFolder, check_output_file};
+use crate::files::{OutputFolder, check_output_file, check_outside};
 use crate::generate::TrueImages;
 use crate::logs;
 use crate::raster::{RasterizerInfo, StageTimes};
@@ -52,6 +52,9 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     args.check()?;
     if let Some(profile) = &args.profile {
         check_output_file(profile, args.input_files())?;
+        if !args.dry {
+            check_outside(profile, &args.out)?;
+        }
     }
     let inputs = Inputs::open(&args)?;
     let Inputs { dataset, skeleton, prompt, map, maps } = &inputs;
