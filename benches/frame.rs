@@ -1,7 +1,8 @@
-//! A frame of the synthetic street: six cameras of 900x1600, all maps but point numbers, reduced and not.
+//! A frame of the synthetic street: six cameras of 900x1600, all maps except point numbers, with and without
+//! reduction.
 //!
 //! `cargo bench`; with a filter, for instance `cargo bench -- cpu/full`.
-#![allow(clippy::unwrap_used, clippy::print_stderr)] // a frame that cannot be drawn ends it
+#![allow(clippy::unwrap_used, clippy::print_stderr)] // a frame that cannot be rendered ends the benchmark
 
 use std::hint::black_box;
 use std::time::Duration;

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Frame times of pskel beside those of other programs that draw the same points into the same cameras.
+"""Compares the frame times of pskel with other programs that render the same points into the same cameras.
 
-The peers' folder holds `street.py` (OUT_DIR N, writes points.npy and cameras.json), `native/` (a Cargo package;
+The peers' folder contains `street.py` (OUT_DIR N, writes points.npy and cameras.json), `native/` (a Cargo package;
 POINTS CAMERAS REPEAT, prints JSON with reduced_ms, full_ms and filled) and `numpy_splat.py` (POINTS CAMERAS, prints JSON
 with seconds and filled). It may be read-only: `native` is built in a copy.
 
-All programs run in turn, round by round, so that a machine that slows down slows all of them. Each run gives its own
-median; the tables on stdout, in Markdown, hold medians over the rounds and ratios of those medians, with the smallest
-and the largest of the rounds. Fails where a program fails or fills other pixels than the rest.
+All programs run alternately in rounds, so that changes of the machine's speed affect all of them. Each run reports its
+median; the Markdown tables on stdout contain medians over the rounds and ratios of those medians, with the minimum
+and maximum over the rounds. Fails if a program fails or fills different pixels.
 
     ci/compare_peers.py --peers DIR --points 4e6 --rounds 5 --work DIR [--raster] [--numpy]
 """
@@ -25,18 +25,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT_SIZE = "256x448"
-# All programs get as many threads, unless the environment says otherwise.
+# Number of threads of all programs, unless set in the environment.
 THREADS = {"RAYON_NUM_THREADS": "2", "LP_NUM_THREADS": "2"}
-# Programs round divisions in their own way, so a few points fall into the pixel beside.
+# Programs round divisions differently, so a few points fall into a neighboring pixel.
 FILLED_TOLERANCE = 1e-3
-# Frames that pskel draws before it is timed.
+# Warm-up frames of pskel.
 WARM_UP = 3
-# Slow programs are timed on this part of the frames.
+# Slow programs render one frame of this many.
 SLOW_PART = 4
 
 
 class Failure(Exception):
-    """What was expected, what was found."""
+    """A failed check: the expected and the actual result."""
 
 
 def say(text):
@@ -44,7 +44,7 @@ def say(text):
 
 
 def run(command, **options):
-    """Runs a command; its standard output. What it says on the way is shown only where it fails."""
+    """Runs a command and returns its standard output. Shows its standard error only on failure."""
     command = [str(part) for part in command]
     done = subprocess.run(command, capture_output=True, text=True, check=False, **options)
     if done.returncode != 0:
@@ -54,7 +54,7 @@ def run(command, **options):
 
 
 def run_json(command):
-    """Runs a command that prints one JSON object."""
+    """Runs a command and returns the JSON object that it prints."""
     text = run(command)
     try:
         return json.loads(text)
@@ -65,7 +65,7 @@ def run_json(command):
 
 @dataclass
 class Series:
-    """Medians of one program at one size, one a round, in milliseconds."""
+    """Median times of one program at one size, one per round, in milliseconds."""
 
     ms: list = field(default_factory=list)
     filled: int | None = None
@@ -87,7 +87,7 @@ class Results:
         series.filled = filled
 
     def check_filled(self):
-        """All programs that count the pixels of their maps have to agree."""
+        """Checks that all programs that count filled pixels agree."""
         for size in ("reduced", "full"):
             of_size = {name: s.filled for (name, at), s in self.series.items() if at == size}
             counts = [filled for filled in of_size.values() if filled is not None]
@@ -96,7 +96,7 @@ class Results:
 
 
 def copy_package(source, target):
-    """Copies a Cargo package with its .cargo, but neither modes (it may be read-only) nor what was built there."""
+    """Copies a Cargo package with its .cargo folder, without file modes (it may be read-only) and build output."""
     for folder, folders, files in os.walk(source):
         folders[:] = [name for name in folders if name not in ("target", ".git")]
         into = target / Path(folder).relative_to(source)
@@ -104,17 +104,17 @@ def copy_package(source, target):
         for name in files:
             new = into / name
             old_bytes = (Path(folder) / name).read_bytes()
-            if not new.is_file() or new.read_bytes() != old_bytes:  # what is as it was is not built again
+            if not new.is_file() or new.read_bytes() != old_bytes:  # an unchanged file does not trigger a rebuild
                 new.write_bytes(old_bytes)
 
 
 def build_native(peers, work):
-    """The binary of the native peer, built in a copy of its package."""
+    """Builds the native peer in a copy of its package and returns the path of the binary."""
     package = work / "native"
     copy_package(peers / "native", package)
     say(f"building {package}")
     target = package / "target"
-    # In its folder, or its .cargo/config would not count.
+    # Cargo reads .cargo/config relative to the working directory.
     build = ["cargo", "build", "--release", "--quiet", "--target-dir", target, "--message-format", "json"]
     for line in run(build, cwd=package).splitlines():
         message = json.loads(line)
@@ -124,7 +124,7 @@ def build_native(peers, work):
 
 
 def make_street(peers, work, points):
-    """Points and cameras; made once per folder."""
+    """Returns point and camera files, created once per folder."""
     folder = work / f"street-{points}"
     files = folder / "points.npy", folder / "cameras.json"
     if all(file.is_file() for file in files):
@@ -140,7 +140,7 @@ def make_street(peers, work, points):
 
 
 class Bench:
-    """Runs the programs and gathers what they print."""
+    """Runs the programs and collects their results."""
 
     def __init__(self, args, native, street):
         self.args, self.native = args, native
@@ -179,7 +179,7 @@ def times_table(results):
 
 
 def ratios_table(results):
-    """How many times faster pskel is than each of the others; under 1 it is slower."""
+    """Formats the speedup of pskel over each other program; values below 1 mean slower."""
     yield "| ratio | maps | of medians | min..max of rounds |"
     yield "|---|---|---|---|"
     for (program, size), other in results.series.items():
@@ -192,7 +192,7 @@ def ratios_table(results):
 
 
 def heading(args, results):
-    """What was compared, and on what."""
+    """Describes the programs, the data and the machine."""
     pskel = results.pskel["pskel"]
     threads = ", ".join(f"{name}={os.environ[name]}" for name in THREADS)
     yield f"{pskel['points']} points, {pskel['cameras']} cameras of {pskel['size']}, reduced to {OUT_SIZE} or full;"
@@ -202,7 +202,7 @@ def heading(args, results):
 
 
 def check_peers(args):
-    """All that will be run is there."""
+    """Checks that all programs exist."""
     needed = ["street.py"] + ["numpy_splat.py"] * args.numpy + ["native/Cargo.toml"] * (args.native_bin is None)
     missing = [name for name in needed if not (args.peers / name).is_file()]
     if missing:
@@ -210,7 +210,7 @@ def check_peers(args):
 
 
 def compare(args, work):
-    """Builds, makes, runs, prints."""
+    """Builds the programs, creates the data, runs the rounds and prints the tables."""
     check_peers(args)
     native = args.native_bin or build_native(args.peers, work)
     bench = Bench(args, native, make_street(args.peers, work, args.points))

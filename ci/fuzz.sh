@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Fuzzes every reader and protocol under libFuzzer, guided by coverage: ci/fuzz.sh MINUTES [TARGET..]
-# The minutes are shared out evenly among the targets (all of them by default), of which JOBS (default 2) run at a time.
-# Begins with the inputs in crates/fuzz/corpus, which stay as they are; new ones go to FUZZ_CORPUS (default
-# target/fuzz/corpus), where the next run begins with them, too. An input that crashes, hangs for 10 s or takes more
-# memory than it may is a finding: it is made smaller, kept, and its path printed; then the exit code is 1. To keep it
-# as a test, copy it to crates/fuzz/corpus/TARGET. Needs a C++ compiler; Rust stable is enough.
+# Coverage-guided fuzzing of all readers and protocols with libFuzzer: ci/fuzz.sh MINUTES [TARGET..]
+# The time is divided evenly among the targets (default: all), of which JOBS (default 2) run at a time. The seed
+# corpus is crates/fuzz/corpus, which is not changed; new inputs are added to FUZZ_CORPUS (default target/fuzz/corpus),
+# which later runs also start from. An input that crashes, hangs for 10 s or exceeds the memory limit is a finding: it is
+# minimized and saved, its path is printed, and the exit code is 1. To use it as a test, copy it to
+# crates/fuzz/corpus/TARGET. Requires a C++ compiler and stable Rust.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -22,7 +22,7 @@ corpus=${FUZZ_CORPUS:-$target_dir/corpus}
 findings=$target_dir/findings
 triple=$(rustc -vV | sed -n 's/^host: //p')
 
-# Counters of edges and comparisons, by flags of the stable compiler. With --target build scripts have none of it.
+# Coverage counters of edges and comparisons, with flags of the stable compiler. With --target they do not apply to build scripts.
 coverage="-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 -Cllvm-args=-sanitizer-coverage-inline-8bit-counters"
 coverage+=" -Cllvm-args=-sanitizer-coverage-pc-table -Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing"
 say "building into $target_dir"
@@ -42,7 +42,7 @@ for target in "${chosen[@]}"; do
     fi
 done
 
-# Data sets that targets write anew each time lie in memory where that can be.
+# Targets rewrite data sets in every run: use a memory file system if possible.
 memory=/dev/shm
 [ -w "$memory" ] || memory=${TMPDIR:-/tmp}
 scratch=$(mktemp -d "$memory/pskel-fuzz.XXXXXX")
@@ -52,7 +52,7 @@ mkdir -p "$findings" "$scratch/logs"
 seconds=$((minutes * 60 * jobs / ${#chosen[@]}))
 [ "$seconds" -ge 5 ] || seconds=5
 
-# Runs libFuzzer on a target with some options, in a folder for temporary files of its own.
+# Runs libFuzzer on a target with the given options and a separate folder for temporary files.
 libfuzzer() {
     local target=$1
     shift
@@ -70,7 +70,7 @@ fuzz() {
         local found
         found=$(sed -n 's/.*Test unit written to //p' "$scratch/logs/$target" | tail -1)
         cp "$scratch/logs/$target" "$findings/$target.log"
-        # Smaller, if that takes no more than half a minute.
+        # Minimize for at most half a minute.
         if [ -n "$found" ] && timeout 60 bash -c "$(declare -f libfuzzer); $(declare -p scratch programs); \
             libfuzzer $target -minimize_crash=1 -max_total_time=30 -exact_artifact_path='$found.small' '$found'" \
             >/dev/null 2>&1 && [ -s "$found.small" ]; then
@@ -88,7 +88,7 @@ for target in "${chosen[@]}"; do
 done
 wait
 
-# A number of the statistics at the end of a log; of the last line with one where it did not come to them.
+# Prints a number of the final statistics of a log, or of its last progress line if there are no statistics.
 stat() { sed -n "s/^stat::$2: *//p" "$scratch/logs/$1" | tail -1; }
 last() { sed -nE "s/^#([0-9]+).* $2: ([0-9]+).*/\2/p" "$scratch/logs/$1" | tail -1; }
 runs_of() {
@@ -110,6 +110,6 @@ for target in "${chosen[@]}"; do
     all_runs=$((all_runs + runs)) all_bytes=$((all_bytes + bytes)) all_edges=$((all_edges + ${edges:-0}))
     [ -z "$finding" ] || all_findings=$((all_findings + 1))
 done
-# Bytes are counted once a second: those of each target's last second are missing.
+# Bytes are counted once per second: those of the last second of each target are missing.
 echo "$all_runs runs over at least $all_bytes bytes, $all_edges edges in all targets together, $all_findings findings"
 [ "$all_findings" -eq 0 ]

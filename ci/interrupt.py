@@ -1,19 +1,19 @@
 #!/usr/bin/env python3
-"""Interrupts pskel at random moments, races it against itself, and checks what is left.
+"""Interrupts pskel at random moments, starts it twice at once, and checks the remaining files and processes.
 
     ci/interrupt.py [--kills N] [--terms N] [--races N] [--seed S] [--pskel FILE]
 
 A trial runs a command in a new folder and sends SIGKILL or SIGTERM at a random moment of its run. Then the command runs
-again, with --resume where it has that option. Checked after each trial:
-- SIGTERM: exit code 143 (0 if the command was already done, the signal itself in its first milliseconds), no temporary
-  name but the checkpoint of a build;
-- no process of the trial is left, a planner among them;
-- the second run succeeds and leaves the bytes of an uninterrupted one and nothing else: no temporary name, no lock.
-A race starts a command twice at once on one folder: one succeeds, the other succeeds too or says that a process is at
-work, and the folder has the bytes of a single run.
+again, with --resume if it has that option. Checks of each trial:
+- SIGTERM: exit code 143 (0 if the command had already finished, the signal itself in its first milliseconds), and no
+  temporary file except the checkpoint of a build;
+- no process of the trial remains, including planners;
+- the second run succeeds, and its output equals that of an uninterrupted run, without temporary files or locks.
+A race starts a command twice at once on one folder: one succeeds, the other succeeds as well or reports that a process is
+at work, and the folder has the bytes of a single run.
 
-The commands are build, render, simulate, generate, train, town, templates and convert on a small town. Prints a line per
-command, and exits 1 where a check failed.
+The commands are build, render, simulate, generate, train, town, templates and convert on a small town. Prints one line per
+command, and exits with 1 if a check failed.
 """
 
 import argparse
@@ -52,7 +52,7 @@ COMMANDS = [
 
 
 class Failure(Exception):
-    """What was expected, what was found."""
+    """A failed check: the expected and the actual result."""
 
 
 def expect(condition, text):
@@ -61,7 +61,7 @@ def expect(condition, text):
 
 
 def tree(folder):
-    """Hashes of all files below a folder; links by their target."""
+    """Returns the hashes of all files below a folder, and the targets of links."""
     found = {}
     for path in sorted(folder.rglob("*")):
         name = str(path.relative_to(folder))
@@ -78,7 +78,7 @@ def difference(found, expected):
 
 
 def processes(mark):
-    """Processes of a trial that are alive, by a variable of their environment."""
+    """Returns the live processes of a trial, identified by an environment variable."""
     alive = []
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
@@ -94,7 +94,7 @@ def processes(mark):
 
 
 class Trials:
-    """Runs trials of one command in folders of their own below `work`."""
+    """Runs trials of one command in separate folders below `work`."""
 
     def __init__(self, work, pskel, command):
         self.work, self.pskel = work, pskel
@@ -115,7 +115,7 @@ class Trials:
         return folder
 
     def reference(self):
-        """The bytes and the time of an uninterrupted run."""
+        """Measures output and duration of an uninterrupted run."""
         folder = self.folder()
         start = time.monotonic()
         process = self.start(folder)
@@ -139,7 +139,7 @@ class Trials:
         return [n for n in names if n.endswith((".pskel", ".pskel-part", ".partial", "/lock")) or ".partial/" in n]
 
     def interrupt(self, number, rng):
-        """Returns whether the signal came before the end."""
+        """Returns whether the signal arrived before the end of the run."""
         folder = self.folder()
         process = self.start(folder)
         time.sleep(rng.random() * 1.05 * self.seconds)
@@ -147,7 +147,7 @@ class Trials:
         error = process.communicate()[1]
         was_running = process.returncode != 0
         if was_running:
-            # The system ends a process that has not installed its handlers yet.
+            # The kernel ends a process that has not installed its handlers yet.
             codes = [-number] + [128 + number] * (number == signal.SIGTERM)
             expect(process.returncode in codes, f"expected exit code {codes}, found {process.returncode}: {error}")
         if number == signal.SIGTERM:
@@ -173,7 +173,7 @@ class Trials:
         raise Failure(f"expected no process, found {alive}")
 
     def race(self, rng):
-        """Returns whether one of them was refused."""
+        """Returns whether one of the two was refused."""
         folder = self.folder()
         first = self.start(folder)
         time.sleep(rng.random() * 0.2 * self.seconds)
@@ -192,7 +192,7 @@ class Trials:
 
 
 def prepare(work, pskel):
-    """What the commands read."""
+    """Writes the inputs of the commands."""
     shared = work / "shared"
     shared.mkdir()
     (shared / "net.json").write_text(NETWORK)
@@ -213,7 +213,7 @@ def parse_args():
 
 
 def share(total, index):
-    """The part of a command of a number of trials."""
+    """Returns the number of trials of a command."""
     return total * (index + 1) // len(COMMANDS) - total * index // len(COMMANDS)
 
 

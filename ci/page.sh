@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Checks the page of a rollout in a browser: ci/page.sh ROLLOUT [PICTURES]
+# Tests the web page of a rollout in a browser: ci/page.sh ROLLOUT [PICTURES]
 #
-# ROLLOUT is a folder that `pskel simulate` wrote. Headless Chromium opens its index.html with #selftest: the page goes
-# through all steps and maps, looks whether every picture is there, and tries slider, keys, playback and enlarging. It
-# is tried in a wide and in a narrow window, and once with a picture taken away, which must be told. Screenshots go to
-# the folder PICTURES, if given. Chromium is installed from apt where it is missing.
+# ROLLOUT is an output folder of `pskel simulate`. Headless Chromium opens its index.html with #selftest: the page visits
+# all steps and maps, checks that every image loads, and exercises slider, keys, playback and zoom. The test runs in a
+# wide and in a narrow window, and once with a missing image, which the page must report. Screenshots are written to
+# the folder PICTURES, if given. Chromium is installed with apt if it is missing.
 set -euo pipefail
 
 say() { echo "page: $*" >&2; }
@@ -35,7 +35,7 @@ install() {
 browser >/dev/null || install
 chromium=$(browser)
 
-# Opens a page in a window of a size, with a profile of its own.
+# Opens a page in a window of the given size, with a fresh profile.
 run() {
     local size=$1
     shift

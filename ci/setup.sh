@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# Installs what building and testing need beyond a Rust toolchain: compilers of C and C++ (SQLite and the encoder of the
-# videos are compiled), a Vulkan loader, a driver that needs no GPU (Mesa's lavapipe), the validation layer, and Python
-# (planners in the tests); and a second driver, SwiftShader, where a package has it: without it, tests on a second driver
-# are skipped. Does nothing, quietly, where all of it is there.
+# Installs the build and test dependencies other than the Rust toolchain: C and C++ compilers (for SQLite and the video
+# encoder), a Vulkan loader, a CPU driver (Mesa's lavapipe), the validation layer, and Python (for planners in the tests).
+# Also installs a second driver, SwiftShader, if a package provides it; without it, tests on a second driver are skipped.
+# Prints nothing if everything is installed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 say() { echo "setup: $*" >&2; }
 
-# Whether any of the given globs matches a file.
+# Succeeds if any of the given globs matches a file.
 any_file() {
     local file
     for file in "$@"; do
@@ -85,11 +85,11 @@ install() {
     apt install -y -qq --no-install-recommends "$@" >/dev/null
 }
 
-# What is good to have: that it cannot be had is said, and no failure.
+# Optional: a failed installation is reported, but is no error.
 install_swiftshader() {
     local package=chromium-common
     if ! command -v apt-get >/dev/null || { [ "$(id -u)" -ne 0 ] && ! sudo -n true 2>/dev/null; }; then
-        say "SwiftShader, which comes with Chromium, is not there: tests on a second driver will be skipped"
+        say "SwiftShader (part of Chromium) is missing: tests on a second driver will be skipped"
         return
     fi
     say "installing $package (SwiftShader)"

@@ -1,16 +1,16 @@
 #!/usr/bin/env bash
-# Runs the tests that draw on a second Vulkan driver: ci/swiftshader.sh [TESTS...]
+# Runs the rendering tests on a second Vulkan driver: ci/swiftshader.sh [TESTS...]
 #
-# SwiftShader needs no GPU and comes with Chromium (Debian's package chromium-common, which ci/setup.sh installs where it can
-# be had). It has neither 64-bit atomics nor Mesa's code generator: `raster` is compared with its twin there, tests of
-# `compute` are skipped and counted. TESTS are parts of test names, instead of those below. Exits 77 where SwiftShader
-# is not there.
+# SwiftShader needs no GPU and is part of Chromium (Debian's package chromium-common, installed by ci/setup.sh if
+# available). It lacks 64-bit atomics and uses another code generator than Mesa: `raster` is compared with the CPU
+# reference there, tests of `compute` are skipped and counted. TESTS are parts of test names that replace those below.
+# Exits with 77 if SwiftShader is not installed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 say() { echo "swiftshader: $*" >&2; }
 
-# The file that leads the Vulkan loader to the driver.
+# Prints the driver manifest for the Vulkan loader.
 manifest() {
     local file
     for file in /usr/lib*/{chromium,chromium-browser}/vk_swiftshader_icd.json /opt/google/chrome/vk_swiftshader_icd.json; do
@@ -23,7 +23,7 @@ if ! driver=$(manifest); then
     say "expected vk_swiftshader_icd.json of Chromium (apt-get install chromium-common), found none: no test is run"
     exit 77
 fi
-# Loaders before 1.3.207 know the second name alone.
+# Loaders before 1.3.207 know only the second name.
 export VK_DRIVER_FILES=$driver VK_ICD_FILENAMES=$driver PSKEL_DEVICE=SwiftShader
 if [ $# -eq 0 ]; then
     set -- gpu:: raster:: town_view:: real_frames:: devices_

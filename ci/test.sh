@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Checks everything: format, lints, documentation, tests, those that draw once more on a second Vulkan driver
-# (ci/swiftshader.sh), the demo on a small town, and its page in a browser. The last line is `N passed, N failed,
-# N skipped`; a test is skipped where the recordings or fixtures it needs are not there (PSKEL_SHARED, PSKEL_FIXTURES),
-# on the second driver also where the driver lacks something, and the second driver counts as one skipped test where it
-# is not installed. PSKEL_NO_BROWSER=1 leaves the browser out; PSKEL_ARTIFACTS is a folder for
-# the table of the demo's fidelity and for pictures of its page. Exits 1 on any failure.
+# Checks everything: format, lints, documentation, tests, rendering tests again on a second Vulkan driver
+# (ci/swiftshader.sh), the demo on a small town, and its web page in a browser. The last line is `N passed, N failed,
+# N skipped`. A test is skipped if its recordings or fixtures are missing (PSKEL_SHARED, PSKEL_FIXTURES) or if the second
+# driver lacks a feature; a second driver that is not installed counts as one skipped test. PSKEL_NO_BROWSER=1 skips the
+# browser. PSKEL_ARTIFACTS is a folder for the accuracy table of the demo and screenshots of its page. Exits with 1 on
+# any failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -13,7 +13,7 @@ say() { echo "test: $*" >&2; }
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 
-# Runs a step, tells how long it took.
+# Runs a step and prints its duration.
 step() {
     local start=$SECONDS
     say "$*"
@@ -21,26 +21,26 @@ step() {
     say "done in $((SECONDS - start)) s"
 }
 
-# Sum of the numbers before a word (passed, failed, ignored) in the `test result:` lines.
+# Sums the counts of a word (passed, failed, ignored) in the `test result:` lines.
 count() {
     sed -nE "s/^test result: .* ([0-9]+) $1;.*/\1/p" "$scratch"/*.log | awk '{ sum += $1 } END { print sum + 0 }'
 }
 
 run_tests() {
     export PSKEL_SKIP_LOG="$scratch/skipped" RUST_BACKTRACE=1
-    # With one thread tests have no names, and skips are counted by name.
+    # Skips are counted by test name, and libtest names threads only if there are several.
     RUST_TEST_THREADS=$(nproc | awk '{ print ($1 < 2) ? 2 : $1 }')
     export RUST_TEST_THREADS
     : >"$PSKEL_SKIP_LOG"
-    # One command: unit tests, the suite, doc tests, a short pass over the fuzz targets; builds the examples too.
+    # Unit tests, the suite, doc tests and a short pass over the fuzz targets; also builds the examples.
     cargo test --workspace --locked --no-fail-fast 2>&1 | tee "$scratch/tests.log"
 }
 
-# The tests that draw, on a second driver.
+# Runs the rendering tests on a second driver.
 run_swiftshader() {
     local code=0
     PSKEL_SKIP_LOG="$scratch/skipped-swiftshader" ci/swiftshader.sh 2>&1 | tee "$scratch/swiftshader.log" || code=$?
-    # Neither is it there, nor could it be installed.
+    # The driver is neither installed nor installable.
     if [ "$code" -eq 77 ]; then
         undrawn=1
         code=0
@@ -49,7 +49,7 @@ run_swiftshader() {
 }
 
 run_demo() {
-    # The program that the tests have built: nothing is compiled again.
+    # Use the program built by the tests instead of compiling again.
     local target
     target=$(cargo metadata --locked --no-deps --format-version 1 | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p')
     PSKEL=$target/debug/pskel OUT="$scratch/demo" TOWN=seed=7,frames=3,size=113x200 FRAMES=0..1 STEPS=4 SIZE=113x200 SIMULATE='' ci/demo.sh
@@ -59,10 +59,10 @@ run_demo() {
     fi
 }
 
-# Step of its own: Chromium is installed where it is missing.
+# A separate step, because it installs Chromium if it is missing.
 run_page() {
     if [ "${PSKEL_NO_BROWSER:-0}" = 1 ]; then
-        say "PSKEL_NO_BROWSER: the page is not tried in a browser"
+        say "PSKEL_NO_BROWSER: the page is not tested in a browser"
         return
     fi
     ci/page.sh "$scratch/demo/rollout" ${PSKEL_ARTIFACTS:+"$PSKEL_ARTIFACTS"}
@@ -80,7 +80,7 @@ step run_swiftshader || status=1
 passed=$(count passed)
 failed=$(count failed)
 ignored=$(count ignored)
-# A build that breaks or a test that kills its process has no line of its own.
+# A failed build or a test that kills its process prints no result line.
 if [ "$status" -ne 0 ] && [ "$failed" -eq 0 ]; then
     say "the tests did not run through: counted as one that failed"
     failed=1

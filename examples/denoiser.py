@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""A denoiser (docs/DENOISER.md) without weights: what it shows are the color conditions at an eighth of their size.
-Over standard input and output: denoiser.py; at a socket, named as for pskel: denoiser.py unix:PATH|tcp:HOST:PORT."""
+"""A denoiser (docs/DENOISER.md) without weights: it outputs the color conditions at an eighth of their size.
+Uses standard input and output (denoiser.py), or a socket named as for pskel (denoiser.py unix:PATH|tcp:HOST:PORT)."""
 import array, json, pathlib, socket, struct, sys
 
-def read(stream):  # texts and tensors (shape, values) of the next message; None at the end
+def read(stream):  # returns texts and tensors (shape, values) of a message; None at the end
     if not (length := stream.read(8)):
         return None
     message = stream.read(*struct.unpack("<Q", length))
@@ -23,7 +23,7 @@ def write(stream, texts, tensors={}):  # texts and tensors (dtype, shape, bytes)
     stream.flush()
 
 
-def predict(tensors):  # the velocity `noise - clean`; clean are the mean colors of blocks, from -1 to 1
+def predict(tensors):  # the velocity `noise - clean`, where clean is the mean color of each block, -1 to 1
     (frames, views, channels, rows, columns), latents = tensors["latents"]
     ((_, _, maps, height, width), points), velocity = tensors["points"], array.array("f")
     for plane in range(frames * views * channels):

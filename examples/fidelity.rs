@@ -1,8 +1,8 @@
-//! How true the color map is: builds a skeleton from every other frame of a log, renders the frames in between and
-//! compares with their images.
+//! Fidelity of the color map: builds a skeleton from every other frame of a log, renders the frames in between and
+//! compares them with their images.
 //!
 //! `cargo run --release --example fidelity -- nuscenes:DIR [--way every-camera]`
-#![allow(clippy::print_stdout)] // it speaks to the user
+#![allow(clippy::print_stdout)] // prints its results
 
 use std::path::PathBuf;
 
@@ -16,30 +16,30 @@ use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
 use point_skeleton::scene::{EgoOffset, SelectionOptions, Stage, state_of_frame};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Coloring, Skeleton, SplitOptions};
 
-/// Builds from every other frame, renders the frames in between, compares with the true images.
+/// Builds from every other frame, renders the frames in between, compares with the ground-truth images.
 #[derive(Parser)]
 struct Args {
     /// The log, `FORMAT:PATH[@VERSION][#SCENE]`.
     log: String,
-    /// How points get their color; every-camera is the comparison.
+    /// Coloring of points; every-camera is the baseline.
     #[arg(long, value_enum, default_value = "best-view")]
     way: Coloring,
-    /// Only every so many of the frames in between.
+    /// Use only every n-th of the frames in between.
     #[arg(long, default_value_t = 1)]
     stride: usize,
-    /// Which rasterizer.
+    /// Rasterizer.
     #[arg(long, default_value = "auto")]
     rasterizer: RasterizerKind,
-    /// Also writes map and truth of each camera here.
+    /// Also write the color map and the ground truth of each camera here.
     #[arg(long)]
     out: Option<PathBuf>,
-    /// Frames before and after a point's own whose images may color it.
+    /// Number of frames before and after a point's own whose images may color it.
     #[arg(long)]
     color_window: Option<usize>,
-    /// Do not ask whether something hides a point from a camera.
+    /// Skip the occlusion test when coloring points.
     #[arg(long)]
     no_occlusion: bool,
-    /// Keep what moving actors leave behind, the ego's own returns, and every LiDAR on moving actors.
+    /// Keep the ghosts of moving actors, the ego's own returns, and the returns of all LiDARs on moving actors.
     #[arg(long)]
     keep_ghosts: bool,
 }
@@ -128,7 +128,7 @@ fn save(path: &std::path::Path, pixels: &[[u8; 3]]) -> anyhow::Result<()> {
     )?)
 }
 
-/// The image at [`SIZE`], reduced as PIL's BILINEAR does.
+/// Returns the image at [`SIZE`], reduced with PIL's BILINEAR filter.
 fn truth(log: &dyn Dataset, record: &ImageRecord) -> anyhow::Result<Vec<[u8; 3]>> {
     let image = log.read_image(record)?;
     let from = ImageSize { height: image.height(), width: image.width() };

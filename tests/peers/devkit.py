@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Reads a data set in nuScenes layout by the official development kit and checks what it finds.
+"""Reads a data set in nuScenes layout with the official development kit and checks its consistency.
 
     pip install nuscenes-devkit
     tests/peers/devkit.py DIR [--version v1.0-town]
 
 Loads all tables and the map expansion, walks all samples, their data and annotations both ways, projects the LiDAR
-points of each sample into each of its cameras, and looks up the ego's place on the map. Prints counts as JSON and exits 1
-where something does not hold.
+points of each sample into each of its cameras, and looks up the ego's position on the map. Prints counts as JSON and exits 1
+if a check fails.
 """
 import argparse
 import json
@@ -20,7 +20,7 @@ from nuscenes.utils.data_classes import LidarPointCloud
 
 
 def walk(nusc, table, first, count):
-    """The chain of records from the first on, which must hold so many, back and forth."""
+    """Returns the chain of records from the first on; checks its back links and its length."""
     chain, token, before = [], first, ""
     while token:
         record = nusc.get(table, token)
@@ -66,7 +66,7 @@ def check_scene(nusc, scene, counts):
 
 
 def points_in_boxes(nusc, counts):
-    """The stated number of points of each annotation is the number that the kit finds."""
+    """Checks the stated number of points of each annotation against the kit's count, within 2."""
     from nuscenes.utils.geometry_utils import points_in_box
     for sample in nusc.sample:
         lidar = sample["data"]["LIDAR_TOP"]
@@ -81,7 +81,7 @@ def points_in_boxes(nusc, counts):
 
 def check_map(nusc, location, counts):
     if location not in map_api.locations:
-        map_api.locations.append(location)  # the kit knows four places
+        map_api.locations.append(location)  # the kit knows only four locations
     town = map_api.NuScenesMap(nusc.dataroot, location)
     for layer in town.layer_names:
         counts["map " + layer] = len(getattr(town, layer))

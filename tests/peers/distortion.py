@@ -1,4 +1,4 @@
-"""Makes distortion.json: points projected by OpenCV's projectPoints, the peer of src/geometry/distortion.rs.
+"""Generates distortion.json: points projected by OpenCV's projectPoints, the reference for src/geometry/distortion.rs.
 
 Run: python3 tests/peers/distortion.py  (opencv-python 5.0, numpy 2.4)
 """

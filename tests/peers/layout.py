@@ -1,18 +1,18 @@
-"""Draws the layouts of a nuScenes log with Pillow and compares them with those that pskel wrote: the peer of
+"""Draws the layouts of a nuScenes log with Pillow and compares them with those written by pskel: the reference for
 src/conditions/layout.
 
-It shares nothing with the program but the files of the data set: tables and map are read, edges made, clipped in
-depth and projected by numpy, drawn by ImageDraw.line with a width of 8, and reduced by Image.resize with BILINEAR.
+It shares only the files of the data set with the program. Tables and map are read here; edges are computed, clipped in
+depth and projected with numpy, drawn by ImageDraw.line with a width of 8, and reduced by Image.resize with BILINEAR.
 
-Pillow cuts the ends of a line to whole pixels. A line that is nearly upright or level moves by up to a pixel by that, and
+Pillow truncates the ends of a line to whole pixels. This moves a nearly vertical or horizontal line by up to a pixel, and
 the corners of its 8 px are rounded once more. So the full size is also drawn FINE times larger, 8 * FINE px wide, and the
-middle one of FINE x FINE pixels is taken: the same lines by the same code, with ends cut to 1/FINE px. Ours is held to SHARE
-against that one. How far the plain drawing is from ours, and from Pillow's own finer one, is printed beside it. The reduced
-sizes are held to LEVELS against the plain one.
+middle one of FINE x FINE pixels is sampled: the same lines by the same code, with ends truncated to 1/FINE px. Our drawing
+must agree with that one within SHARE. The distances of the plain drawing from ours and from Pillow's finer one are printed
+beside it. The reduced sizes must agree with the reduced plain drawing within LEVELS.
 
     python3 tests/peers/layout.py LOG_DIR FULL_DIR [REDUCED_DIR] [--every N] [--map NAME] [--keep DIR]
 
-LOG_DIR is the data set. FULL_DIR and REDUCED_DIR are folders that `pskel render --maps boxes,map --format npz` wrote,
+LOG_DIR is the data set. FULL_DIR and REDUCED_DIR are folders written by `pskel render --maps boxes,map --format npz`,
 the latter with --out-size. Exit code 0 if everything is within the bounds below, 1 if not.
 (Pillow 13.0, numpy 2.4)
 """
@@ -26,21 +26,21 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFilter
 
 WIDTH = 8  # pixels
-NEAR = 0.05  # metres
+NEAR = 0.05  # meters
 BOXES_FAR, MAP_FAR = 512.0, 65.0
 LAYERS = [("lane", (0, 255, 0)), ("drivable_area", (0, 0, 255)), ("ped_crossing", (255, 0, 0))]
-CATEGORIES = [  # the first that is a part of the name
+CATEGORIES = [  # the first entry that is a part of the category name wins
     ("pedestrian", (255, 0, 0)), ("bicycle", (128, 255, 0)), ("motorcycle", (0, 255, 128)), ("bus", (128, 0, 255)),
     ("car", (0, 0, 255)), ("construction", (128, 128, 255)), ("emergency", (255, 128, 128)),
     ("trailer", (255, 255, 255)), ("truck", (255, 255, 0)),
 ]
-SHARE = 0.999  # of a color's pixels within 1 px of the other drawing's (in all eight directions)
+SHARE = 0.999  # minimum share of a color's pixels within 1 px of the other drawing's (eight directions)
 FINE = 5
-LEVELS = 2.0  # mean absolute difference where reduced
+LEVELS = 2.0  # maximum mean absolute difference of reduced layouts
 
 
 def rotation(w, x, y, z):
-    """The 3x3 matrix of a unit quaternion."""
+    """Returns the 3x3 matrix of a quaternion, which is normalized."""
     n = np.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w / n, x / n, y / n, z / n
     return np.array([
@@ -51,7 +51,7 @@ def rotation(w, x, y, z):
 
 
 def pose(record):
-    """The 4x4 matrix of a record with a rotation and a translation."""
+    """Returns the 4x4 matrix of a record with a rotation and a translation."""
     matrix = np.eye(4)
     matrix[:3, :3] = rotation(*record["rotation"])
     matrix[:3, 3] = record["translation"]
@@ -59,7 +59,7 @@ def pose(record):
 
 
 class Tables:
-    """The tables of the data set, by token."""
+    """Tables of the data set, by token."""
 
     def __init__(self, folder):
         self.folder = next(folder.glob("v1.0-*"))
@@ -73,7 +73,7 @@ class Tables:
 
 
 def box_lines(tables, sample):
-    """Edges and diagonals of all boxes of a frame, sorted by track: pairs of points, global, with colors."""
+    """Returns edges and diagonals of all boxes of a frame, sorted by track: pairs of global points with colors."""
     lines = []
     boxes = [a for a in tables("sample_annotation").values() if a["sample_token"] == sample]
     for box in sorted(boxes, key=lambda a: a["instance_token"]):
@@ -99,7 +99,7 @@ def box_lines(tables, sample):
 
 
 def map_lines(path, origins):
-    """Outlines of the map in the order of drawing, each corner at the height of the nearest ego origin."""
+    """Returns the map outlines in drawing order, each corner at the height of the nearest ego origin."""
     data = json.loads(path.read_text())
     nodes = {n["token"]: (n["x"], n["y"]) for n in data["node"]}
     polygons = {p["token"]: p for p in data["polygon"]}
@@ -123,7 +123,7 @@ def map_lines(path, origins):
 
 
 def projected(lines, intrinsics, camera_from_global, far):
-    """Lines clipped in depth and projected: pairs of pixels with colors."""
+    """Clips lines in depth and projects them: pairs of pixels with colors."""
     out = []
     for a, b, color in lines:
         a, b = (camera_from_global[:3, :3] @ p + camera_from_global[:3, 3] for p in (a, b))
@@ -143,7 +143,7 @@ def projected(lines, intrinsics, camera_from_global, far):
 
 
 def drawn(lines, size, fine=1):
-    """An RGB image of lines; drawn larger by an odd factor, of whose pixels the middle ones are taken."""
+    """Returns an RGB image of lines, drawn larger by an odd factor and sampled at the middle pixels."""
     image = Image.new("RGB", (size[1] * fine, size[0] * fine))
     draw = ImageDraw.Draw(image)
     for a, b, color in lines:
@@ -154,7 +154,7 @@ def drawn(lines, size, fine=1):
 
 
 def grown(mask):
-    """A mask grown by a pixel in all eight directions."""
+    """Dilates a mask by one pixel in all eight directions."""
     return np.asarray(Image.fromarray(mask).filter(ImageFilter.MaxFilter(3)))
 
 
@@ -162,14 +162,14 @@ PAIRS = ["1 ours, fine Pillow", "2 ours, Pillow", "3 fine Pillow, Pillow"]
 
 
 class Totals:
-    """Counts over all frames and cameras."""
+    """Sums over all frames and cameras."""
 
     def __init__(self):
         self.near = {}
         self.differences = {}
 
     def compare_full(self, name, ours, peer):
-        """Counts, per color, the pixels of each drawing near one of the other; `name` is of pair and layout."""
+        """Counts, per color, the pixels of each drawing near one of the other; `name` is the pair and the layout."""
         ours, peer = (image.astype(np.int32) @ [1 << 16, 1 << 8, 1] for image in (ours, peer))
         for color in (set(np.unique(ours)) | set(np.unique(peer))) - {0}:
             key = (name, (int(color) >> 16, int(color) >> 8 & 255, int(color) & 255))
@@ -191,7 +191,7 @@ class Totals:
         sums[4] = max(sums[4], difference.mean())
 
     def report(self):
-        """Prints all; whether everything is within bounds."""
+        """Prints all results; returns whether everything is within bounds."""
         good = bool(self.near)
         for ((pair, name), color), (a, n, b, m, xor) in sorted(self.near.items()):
             ours, peer = a / max(n, 1), b / max(m, 1)

@@ -1,4 +1,4 @@
-"""Makes quality.json: metrics of images and features by NumPy, SciPy and OpenCV, the peers of src/metrics.
+"""Generates quality.json: metrics of images and features by NumPy, SciPy and OpenCV, the references for src/metrics.
 
 Run: python3 tests/peers/quality.py  (numpy 2.4, scipy 1.17, opencv-python 5.0)
 """
@@ -14,13 +14,13 @@ from scipy.stats import t as student_t
 
 
 def levels(count, start, step=1):
-    """The numbers that the test makes too: a mixed linear congruence per level."""
+    """Returns the same numbers as the test: a mixed linear congruence per level."""
     n = np.arange(count, dtype=np.uint64) * step + start
     return ((n * 2654435761 + 12345) % (1 << 32) >> 13) % 256
 
 
 def image(height, width, start, smooth):
-    """Noise, or every level mixed with a ramp."""
+    """Returns noise, mixed with a ramp if `smooth` is positive."""
     v = levels(height * width * 3, start).reshape(height, width, 3)
     y, x, c = np.meshgrid(np.arange(height), np.arange(width), np.arange(3), indexing="ij")
     ramp = (5 * y + 3 * x + 40 * c) % 256
@@ -55,7 +55,7 @@ def sharpness(a):
 
 def features(rows, columns, start):
     v = levels(rows * columns, start).astype(float).reshape(rows, columns) / 255
-    # Columns of other spreads that hang together.
+    # Correlated columns of different variance.
     v *= 1 + np.arange(columns) % 4
     v[:, 1:] += 0.5 * v[:, :-1]
     return v

@@ -1,9 +1,9 @@
-"""Makes a longer nuScenes log out of a short one: its scene driven again and again.
+"""Generates a longer nuScenes log from a short one by repeating its scene.
 
     python3 tests/peers/repeat_log.py /data/short /data/long --times 10
 
-Every repetition has tokens, instances and times of its own; sweeps and images are links to those of the short log. What
-`pskel build` needs in memory for both shows whether it grows with a log's length:
+Every repetition has its own tokens, instances and times; sweeps and images are links to those of the short log. The
+memory that `pskel build` needs for both shows whether it grows with a log's length:
 
     /usr/bin/time -f "%e s, %M kB" pskel build nuscenes:/data/long --out skeleton
 """

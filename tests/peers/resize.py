@@ -1,4 +1,4 @@
-"""Makes resize.json: small images resized by OpenCV and Pillow, the peers of src/conditions/reduce.rs.
+"""Generates resize.json: small images resized by OpenCV and Pillow, the references for src/conditions/reduce.rs.
 
 Run: python3 tests/peers/resize.py  (opencv-python 5.0, Pillow 13.0, numpy 2.4)
 """
@@ -21,7 +21,7 @@ SIZES = [  # height, width -> height, width
 
 
 def image(height, width):
-    """The image that the test makes too: a mixed linear congruence per level, with black holes."""
+    """Returns the same image as the test: a mixed linear congruence per level, with black holes."""
     n = np.arange(height * width * 3, dtype=np.uint64)
     v = (n * 2654435761 + 12345) % (1 << 32)
     v = (v >> 13) % 256

@@ -1,4 +1,4 @@
-"""Makes tensor.json: model tensors of a small image by NumPy, the peer of src/conditions/tensor.rs.
+"""Generates tensor.json: model tensors of a small image by NumPy, the reference for src/conditions/tensor.rs.
 
 Run: python3 tests/peers/tensor.py  (numpy 2.4)
 """
