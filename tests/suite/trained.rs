@@ -1,4 +1,5 @@
-//! From towns to weights, images, scores and tables: `pskel train`, `generate`, `evaluate` and `ablate` as a user runs them.
+//! From towns to weights, images, scores and tables: `pskel train`, `generate`, `evaluate` and `ablate` through the
+//! command line.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,7 +9,7 @@ use serde_json::Value;
 
 use crate::tiny_log::{PSKEL, assert_failed, tree};
 
-/// Small, and soon made.
+/// A small town that is quick to generate.
 const TOWN: &str = "town:seed=5,frames=5,size=57x100";
 const CONFIG: &str = r#"{
     "recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "width": 32, "head": 16, "hidden": 32, "blocks": ["s", "t"]
@@ -20,7 +21,7 @@ fn command(folder: &Path, args: &str) -> Command {
     command
 }
 
-/// What a run that succeeds says on its standard output.
+/// Returns the standard output of a run, which must succeed.
 #[track_caller]
 fn succeed(folder: &Path, args: &str) -> String {
     let output = command(folder, args).output().unwrap();
@@ -62,7 +63,7 @@ fn towns_become_weights_images_scores_and_tables() {
     compared(folder);
 }
 
-/// A training that was killed goes on to the same bytes; other settings are refused.
+/// A killed training is resumed to the same bytes; other settings are refused.
 fn goes_on(folder: &Path, whole: &BTreeMap<String, Vec<u8>>) {
     let mut child =
         command(folder, &train("killed")).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
@@ -70,7 +71,7 @@ fn goes_on(folder: &Path, whole: &BTreeMap<String, Vec<u8>>) {
     while !checkpoint.is_file() && child.try_wait().unwrap().is_none() {
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
-    let _ = child.kill(); // it may be done
+    let _ = child.kill(); // it may have ended already
     child.wait().unwrap();
     let told = succeed(folder, &format!("{} --resume", train("killed")));
     assert!(told.contains("trained 6 steps"), "{told}");
@@ -86,14 +87,14 @@ fn goes_on(folder: &Path, whole: &BTreeMap<String, Vec<u8>>) {
     std::fs::write(folder.join("single.json"), single).unwrap();
     let output = command(folder, &train("new").replace("net.json", "single.json")).output().unwrap();
     assert_failed(&output, 1, &["2 frames or more", "found 1"]);
-    // Before anything is recorded.
+    // Refused before anything is recorded.
     let odd = CONFIG.replace("\"frames\": 2", "\"frames\": 2, \"cameras\": 5");
     std::fs::write(folder.join("odd.json"), odd).unwrap();
     let args = train("new").replace("net.json", "odd.json").replace("--drives drives", "--drives none");
     assert_failed(&command(folder, &args).output().unwrap(), 1, &["expected 5 cameras", "found 6"]);
 }
 
-/// The network that comes with the program, in a town that it has not seen. It leaves 21.3 dB.
+/// Evaluates the shipped network in a town that it was not trained on. It reaches 21.3 dB.
 fn shipped(folder: &Path) {
     let told = succeed(folder, &format!("generate {TOWN} --skeleton sk --maps color --out shipped"));
     assert!(told.contains("2 frames generated"), "{told}");
@@ -102,7 +103,7 @@ fn shipped(folder: &Path) {
     assert!(scores["psnr_db"]["mean"].as_f64() > Some(20.0), "{}", scores["psnr_db"]["mean"]);
 }
 
-/// What is there is not made again, and what was lost comes back.
+/// Existing results are not computed again, and lost ones are restored.
 fn compared(folder: &Path) {
     let weights = "trained/weights.safetensors";
     let few = format!("ablate {TOWN} --weights {weights} --steps 4 --out table");
@@ -114,11 +115,11 @@ fn compared(folder: &Path) {
     let all = tree(&folder.join("table"));
     let text = String::from_utf8(all["table.md"].clone()).unwrap();
     for part in
-        ["| rolling |", "| layout alone, difference |", "| trained on assets as they are |", "| seed 1 |"]
+        ["| rolling |", "| layout alone, difference |", "| trained without augmentation |", "| seed 1 |"]
     {
         assert!(text.contains(part), "{part} in {text}");
     }
-    // The same network is neither better nor worse than itself.
+    // A network does not differ from itself.
     let line = text.lines().find(|line| line.starts_with("| seed 1, difference |")).unwrap();
     let first = line.split('|').nth(2).unwrap().trim();
     assert_eq!(first, "0.00");

@@ -1,5 +1,5 @@
-//! `pskel ablate`: what each part of the generator is worth. [`rows`] are the variants, [`scene`] draws what they are given,
-//! [`run`] lets one of them go through a scene, [`report`] tells.
+//! `pskel ablate`: ablation study of the generator. [`rows`] defines the variants, [`scene`] renders their inputs,
+//! [`run`] generates and scores one variant in a scene, [`report`] writes the results.
 
 mod report;
 mod rows;
@@ -27,48 +27,49 @@ use crate::files::{OutputFolder, write_json};
 use crate::generate::network::Network;
 use crate::logs;
 
-/// Compare strategies, conditions and trainings of the generator in towns, where the truth is known
+/// Compare strategies, conditions and trainings of the generator in synthetic towns, where ground truth is known
 ///
-/// In each town the ego changes lanes in a closed loop; each variant generates the same steps of it. Writes SCENE/ROW.json
-/// and SCENE/ROW.png for each of them, then results.json, table.md and curves as SVG. What is there already is not made
-/// again, so the command goes on where it was interrupted, and takes up other networks and towns.
+/// In each town the ego changes lanes in a closed loop, and each variant generates the same steps. Writes
+/// SCENE/ROW.json and SCENE/ROW.png for each variant, then results.json, table.md and curves as SVG. Existing results
+/// are reused, so the command resumes after an interruption and accepts additional networks and towns.
 #[derive(Debug, Args)]
 pub(super) struct AblateArgs {
-    /// Towns that the networks have not seen: town:seed=904,frames=80[,..]
+    /// Towns that were not used to train the networks: town:seed=904,frames=80[,..]
     #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
     logs: Vec<LogLocator>,
-    /// Weights of `pskel train` [default: those that come with the program]
+    /// Weights of `pskel train` [default: those shipped with the program]
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    /// Weights of `pskel train --no-augment`, for the row that tells what augmentation of assets is worth
+    /// Weights of `pskel train --no-augment`, for the row that measures the effect of asset augmentation
     #[arg(long, value_name = "FILE")]
     plain_weights: Option<PathBuf>,
-    /// Weights of the same training with another seed, for a row that tells what chance does; may come several times
+    /// Weights of the same training with another seed, for a row that measures random variation; may be repeated
     #[arg(long = "other-seed", value_name = "FILE")]
     other_seeds: Vec<PathBuf>,
-    /// What to compare [default: all]
+    /// Tables to compute [default: all]
     #[arg(long, value_name = "TABLE,..", value_delimiter = ',')]
     tables: Vec<Table>,
     /// Folder to write
     #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     out: PathBuf,
-    /// Frames that are generated in each scene, after the references
+    /// Number of frames to generate in each scene, after the references
     #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u16).range(2..))]
     steps: u16,
     /// Inference steps, T [default: frames of the window]
     #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1000))]
     infer_steps: Option<u16>,
-    /// Make a share of the scenes' assets worse by a seed, as in training: thinned, or cut to what one camera sees
+    /// Augment a share of the scenes' assets with this seed, as in training: thinned, or reduced to the points seen
+    /// by one camera
     #[arg(long, value_name = "SEED", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
     augment: Option<u64>,
-    /// What noise, features and classifiers follow from
+    /// Seed of noise, features and classifiers
     #[arg(long, value_name = "SEED", default_value = "0")]
     seed: u64,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
 }
 
-/// Draws, generates, scores, tells.
+/// Runs the command: renders, generates, scores, writes the report.
 pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     log_args::check_towns(&args.logs)?;
@@ -105,7 +106,7 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Results of all rows in a scene, which is drawn only if one of them is missing.
+/// Returns the results of all rows in a scene. The scene is rendered only if a result is missing.
 fn scene_results(
     args: &AblateArgs,
     files: &OutputFolder,

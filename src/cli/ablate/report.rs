@@ -1,4 +1,4 @@
-//! What is told: tables with means and 95 % confidence intervals over scenes, differences from the whole generator, and
+//! Results: tables with means and 95 % confidence intervals over scenes, differences from the full generator, and
 //! curves over the horizon.
 
 use std::collections::BTreeMap;
@@ -13,21 +13,21 @@ use crate::files::{OutputFolder, write_json, write_whole};
 use crate::metrics::{MeanInterval, mean_interval, paired_difference};
 use crate::report::plot::{Curve, Plot};
 
-/// Numbers that are told: name in the results, column, digits.
+/// Reported metrics: name in the results, column, digits.
 const COLUMNS: [(&str, &str, usize); 10] = [
     ("psnr_db", "PSNR (dB)", 2),
-    ("psnr_db_slope_per_s", "PSNR a second", 3),
+    ("psnr_db_slope_per_s", "PSNR slope (dB/s)", 3),
     ("ssim", "SSIM", 3),
-    ("sharpness_ratio", "sharpness (of truth)", 2),
+    ("sharpness_ratio", "sharpness ratio", 2),
     ("motion_slope", "motion", 2),
     ("flicker", "flicker", 2),
     ("iou_vehicles", "IoU vehicles", 3),
-    ("iou_vehicles_ratio", "of truth's", 2),
+    ("iou_vehicles_ratio", "IoU ratio", 2),
     ("frechet_images", "Fréchet, images", 3),
     ("frechet_videos", "Fréchet, videos", 3),
 ];
 
-/// All results.
+/// Results of all variants.
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
     #[serde(skip)]
@@ -36,23 +36,23 @@ pub(super) struct Report {
     rows: Vec<RowReport>,
 }
 
-/// A variant over all scenes.
+/// Results of a variant over all scenes.
 #[derive(Debug, Serialize)]
 struct RowReport {
     name: String,
     title: String,
     #[serde(skip)]
     tables: &'static [Table],
-    /// By the metric's name.
+    /// Means by metric name.
     mean: BTreeMap<String, Option<MeanInterval>>,
-    /// Less those of the first row, scene by scene.
+    /// Differences from the first row, paired by scene.
     difference: BTreeMap<String, Option<MeanInterval>>,
-    /// Mean over scenes by step: seconds and dB.
+    /// Mean PSNR over scenes by step: seconds and dB.
     psnr_db: Vec<[f64; 2]>,
 }
 
 impl Report {
-    /// All tables where none are named.
+    /// Creates the report with the given tables, or with all tables if none are given.
     pub(super) fn new(tables: &[Table], rows: &[Row], results: &[RunResult]) -> Self {
         let of = |row: &Row| results.iter().filter(|result| result.row == row.name).collect::<Vec<_>>();
         let first = rows.first().map(of).unwrap_or_default();
@@ -90,12 +90,12 @@ impl Report {
         self.rows.iter().filter(move |row| row.tables.contains(&table))
     }
 
-    /// As Markdown.
+    /// Formats the tables as Markdown.
     pub(super) fn table(&self) -> String {
         let mut text = String::new();
         for &table in self.tables.iter().filter(|table| self.of_table(**table).count() > 1) {
             let head: Vec<&str> = COLUMNS.iter().map(|(_, column, _)| *column).collect();
-            // A String takes all.
+            // Writing to a string cannot fail.
             let _ = writeln!(text, "{}\n\n| | {} |", table.title(), head.join(" | "));
             let _ = writeln!(text, "|---|{}", "---|".repeat(COLUMNS.len()));
             for row in self.of_table(table) {

@@ -5,41 +5,41 @@ use crate::cli::WrongUsage;
 use crate::generate::network::Network;
 use crate::generate::{Dropped, GenerateOptions, Guidance, SamplerOptions, Strategy};
 
-/// A variant of the generator.
+/// Variant of the generator.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Row {
-    /// Of its files.
+    /// Stem of its file names.
     pub(super) name: String,
-    /// In the tables.
+    /// Title in the tables.
     pub(super) title: String,
-    /// The tables that it is in.
+    /// Tables with this row.
     pub(super) tables: &'static [Table],
     pub(super) strategy: Strategy,
-    /// Conditions that it does without.
+    /// Conditions that are dropped.
     pub(super) dropped: Dropped,
-    /// Which of the networks.
+    /// Network to use.
     pub(super) network: Choice,
-    /// Inference steps, as a multiple of those of all others.
+    /// Inference steps, as a multiple of those of the other rows.
     pub(super) times_steps: usize,
-    /// Whether it is told that nothing will move, rather than what the simulation expects.
+    /// `true` if its forecasts repeat the current conditions (standstill) instead of those of the simulation.
     pub(super) expects_standstill: bool,
 }
 
-/// What is compared.
+/// Table of compared variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 #[value(rename_all = "snake_case")]
 pub(super) enum Table {
-    /// Of generation.
+    /// Generation strategies.
     Strategies,
-    /// Those that come true, and none.
+    /// Forecasts that come true, against forecasts of a standstill.
     Forecasts,
-    /// Color and depth of the points.
+    /// Color and depth of the points as conditions.
     Conditions,
-    /// As many, and twice as many.
+    /// The same and twice the number of inference steps.
     InferSteps,
-    /// Of assets in training; with --plain-weights.
+    /// Asset augmentation in training; requires --plain-weights.
     Augmentation,
-    /// Of training; with --other-seed.
+    /// Training seeds; requires --other-seed.
     Seeds,
 }
 
@@ -56,7 +56,7 @@ impl Table {
     pub(super) fn title(self) -> &'static str {
         match self {
             Self::Strategies => "Strategies",
-            Self::Forecasts => "Forecasts that do not come true",
+            Self::Forecasts => "Wrong forecasts",
             Self::Conditions => "Conditions",
             Self::InferSteps => "Inference steps",
             Self::Augmentation => "Augmentation of assets in training",
@@ -64,7 +64,7 @@ impl Table {
         }
     }
 
-    /// Of its file.
+    /// Returns the stem of its file name.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Strategies => "strategies",
@@ -79,16 +79,16 @@ impl Table {
 
 const NONE: Dropped = Dropped { layout: false, action: false, color: false, depth: false };
 
-/// Networks that are compared, the one whose worth is told first.
+/// Compared networks.
 pub(super) struct Networks {
     pub(super) main: Network,
     /// Trained without augmentation.
     pub(super) plain: Option<Network>,
-    /// Trained as the first, with other seeds.
+    /// Trained like `main`, with other seeds.
     pub(super) others: Vec<Network>,
 }
 
-/// Which of [`Networks`].
+/// Selects one of [`Networks`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Choice {
     Main,
@@ -97,7 +97,7 @@ pub(super) enum Choice {
 }
 
 impl Networks {
-    /// Whether all of them are given the same maps and as many references.
+    /// Checks that all networks have the same recipe, window and number of cameras.
     pub(super) fn check(&self) -> Result<(), WrongUsage> {
         let what = |network: &Network| {
             let config = network.config();
@@ -112,7 +112,7 @@ impl Networks {
         }
     }
 
-    /// What a row of [`Networks::rows`] asks for.
+    /// Returns the network of a row of [`Networks::rows`].
     pub(super) fn get(&self, choice: Choice) -> &Network {
         match choice {
             Choice::Main => &self.main,
@@ -121,8 +121,8 @@ impl Networks {
         }
     }
 
-    /// The variants of some tables, of all of them where none are named; the whole generator first, with which others are
-    /// compared.
+    /// Returns the variants of some tables, or of all tables if none are given. The first row is the full generator,
+    /// the baseline of the others.
     pub(super) fn rows(&self, tables: &[Table]) -> Result<Vec<Row>, WrongUsage> {
         let mut rows = self.all_rows();
         if tables.is_empty() {
@@ -165,7 +165,7 @@ impl Networks {
         };
         let standstill = |strategy: Strategy| Row {
             name: format!("{}_standstill", strategy.name()),
-            title: format!("{}, told that nothing moves", strategy.name()),
+            title: format!("{}, static forecasts", strategy.name()),
             tables: &[Forecasts],
             strategy,
             expects_standstill: true,
@@ -192,7 +192,7 @@ impl Networks {
         let (name, title) = ("twice_the_steps".to_owned(), "twice the inference steps".to_owned());
         rows.push(Row { name, title, tables: &[InferSteps], times_steps: 2, ..main() });
         if self.plain.is_some() {
-            let (name, title) = ("plain_assets".to_owned(), "trained on assets as they are".to_owned());
+            let (name, title) = ("plain_assets".to_owned(), "trained without augmentation".to_owned());
             rows.push(Row { name, title, tables: &[Augmentation], network: Choice::Plain, ..main() });
         }
         rows.extend(self.others.iter().enumerate().map(|(place, network)| {

@@ -15,19 +15,19 @@ use crate::generate::{Codec, Condition, FrameConditions, GaussianNoise, Generato
 use crate::metrics::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, Segmented};
 use crate::sim::{Committed, Forecast};
 
-/// What all variants have in common.
+/// Settings shared by all variants.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Settings {
-    /// Frames that are generated.
+    /// Number of generated frames.
     pub(super) steps: usize,
     pub(super) infer_steps: usize,
     pub(super) seed: u64,
-    /// What makes assets worse.
+    /// Seed of the asset augmentation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) augment: Option<u64>,
 }
 
-/// What results must be of, to stand in one table.
+/// Provenance of a result. Results of one table must have the same.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Origin {
     pub(super) settings: Settings,
@@ -35,31 +35,31 @@ pub(super) struct Origin {
     pub(super) weights: String,
 }
 
-/// A variant in a scene, `SCENE/ROW.json`.
+/// Result of a variant in a scene, `SCENE/ROW.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct RunResult {
     pub(super) scene: String,
     pub(super) row: String,
     pub(super) origin: Origin,
-    /// By the metric's name; `None` where the scene has no such thing.
+    /// By metric name; `None` if the metric is undefined in the scene.
     pub(super) numbers: BTreeMap<String, Option<f64>>,
-    /// Since the first reference, seconds.
+    /// Time since the first reference, seconds.
     pub(super) t_s: Vec<f64>,
     /// By step.
     pub(super) psnr_db: Vec<Option<f64>>,
 }
 
-/// What a variant looks like: pictures to look at.
+/// Image strip of a variant, for visual inspection.
 pub(super) struct Strip(RgbImage);
 
-/// Its name in the numbers.
+/// Name of the segmentor in the numbers.
 const SEGMENTOR: &str = "vehicles";
-/// Pictures in a strip, and how many times larger they are.
+/// Number of images in a strip, and their magnification.
 const SHOWN: usize = 8;
 const ENLARGED: u32 = 3;
 
 impl RunResult {
-    /// What an earlier run has left, which must be of the same network and settings.
+    /// Reads the result of an earlier run, which must have the same network and settings.
     pub(super) fn read(path: &Path, origin: &Origin) -> Result<Self, FileError> {
         let damaged =
             |error: serde_json::Error| FileError::content("scores of a scene", error.to_string(), path);
@@ -150,14 +150,14 @@ fn score(
 }
 
 impl Strip {
-    /// Two rows: generated above, truth below.
+    /// Creates a strip of two rows: generated images above, ground truth below.
     fn new(frames: &[SceneFrame]) -> Self {
         let (width, height) =
             frames.first().and_then(|f| f.truth.first()).map_or((1, 1), RgbImage::dimensions);
         Self(RgbImage::new(SHOWN as u32 * width * ENLARGED, 2 * height * ENLARGED))
     }
 
-    /// Takes the first camera of some of the frames.
+    /// Adds the first camera's images if the frame is one of those shown.
     fn add(&mut self, number: usize, all: usize, images: &[RgbImage], truth: &[RgbImage]) {
         let Some(place) = (0..SHOWN).find(|place| (place + 1) * all / SHOWN == number + 1) else { return };
         for (row, image) in [images, truth].into_iter().enumerate() {

@@ -20,42 +20,42 @@ use crate::sim::{
 };
 use crate::town::Town;
 
-/// What all variants are given of a town: the ego changes lanes.
+/// Inputs shared by all variants in a town where the ego changes lanes.
 pub(super) struct Scene {
-    /// Of the log.
+    /// Name of the log.
     pub(super) name: String,
-    /// References, then those that are generated.
+    /// References, then the frames to generate.
     pub(super) frames: Vec<SceneFrame>,
-    /// Of the first and the second half of those that are generated; none without vehicles.
+    /// Classifiers for the first and the second half of the frames to generate; `None` without vehicles.
     pub(super) classifiers: Option<[PatchClassifier; 2]>,
 }
 
-/// A plan step.
+/// Inputs and ground truth of a planning step.
 pub(super) struct SceneFrame {
-    /// Since the first.
+    /// Time since the first frame, seconds.
     pub(super) t_s: f64,
     pub(super) conditions: Committed<FrameConditions>,
     pub(super) forecasts: Vec<Forecast<FrameConditions>>,
     pub(super) truth: Vec<RgbImage>,
     /// Class map of each camera.
     pub(super) class: Vec<Vec<u8>>,
-    /// Pixels of actors that move, of each camera.
+    /// Pixels of moving actors, by camera.
     pub(super) moving: Vec<Vec<bool>>,
 }
 
-/// How a scene is drawn.
+/// Options for rendering a scene.
 pub(super) struct SceneOptions<'a> {
     pub(super) recipe: &'a Recipe,
-    /// Frames before the first that is generated: as many forecasts are drawn, too.
+    /// Number of frames before the first generated one, and of forecasts.
     pub(super) references: usize,
     pub(super) settings: &'a Settings,
     pub(super) rasterizer: &'a RasterizerArgs,
-    /// Where the skeleton is, or will be: it stays for what is asked later.
+    /// Path of the skeleton, which is built if it does not exist and retained for later runs.
     pub(super) skeleton: &'a Path,
 }
 
 impl Scene {
-    /// Builds the skeleton, if it is not there, and drives through the town.
+    /// Builds the skeleton if it does not exist, and simulates the ego's path through the town.
     pub(super) fn draw(town: &Town, options: &SceneOptions<'_>) -> anyhow::Result<Self> {
         check_length(town.log(), options.count())?;
         let skeleton = build::kept(town, options.skeleton)?;
@@ -76,13 +76,13 @@ impl Scene {
 }
 
 impl SceneOptions<'_> {
-    /// References and generated frames.
+    /// Returns the number of references and generated frames.
     fn count(&self) -> usize {
         self.references + self.settings.steps
     }
 }
 
-/// Behind the end of a log nobody is left.
+/// Rejects logs that are too short, because replayed actors are removed after the log ends.
 fn check_length(log: &Log, count: usize) -> anyhow::Result<()> {
     let ends = log.frames.first().zip(log.frames.last());
     let seconds = ends.map_or(0.0, |(first, last)| (last.t_us - first.t_us) as f64 / 1e6);
@@ -155,8 +155,8 @@ impl Drive<'_> {
     }
 }
 
-/// For the first and the second half of the frames, each trained on the true images of the other; none where one shows
-/// no vehicles.
+/// Trains classifiers for the first and the second half of the frames, each on the ground-truth images of the other
+/// half. `None` if a half shows no vehicles.
 fn classifiers(
     frames: &[SceneFrame],
     seed: u64,

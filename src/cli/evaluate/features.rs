@@ -8,7 +8,7 @@ use crate::cloud::npy::read_features;
 use crate::error::FileError;
 use crate::metrics::{Distance, FeatureSet, frechet_distance};
 
-/// Of generated and true images.
+/// Returns the Fréchet distance between features of generated and ground-truth images.
 pub(super) fn distance(generated: &Path, truth: &Path) -> anyhow::Result<Distance> {
     let (a, b) = (read(generated)?, read(truth)?);
     let distance = frechet_distance(&a, &b)

@@ -1,5 +1,5 @@
-//! `pskel evaluate`: generated images of rollouts against the truth. [`rollout`] reads a rollout, [`segmentor`] says where
-//! vehicles are seen, [`features`] reads features of other networks, [`report`] tells.
+//! `pskel evaluate`: scores generated images of rollouts against ground truth. [`rollout`] reads a rollout,
+//! [`segmentor`] segments vehicles, [`features`] reads features of other networks, [`report`] outputs the results.
 
 mod features;
 mod picture;
@@ -22,12 +22,13 @@ use crate::error::FileError;
 use crate::files::{check_output_file, write_json};
 use crate::metrics::{CollectedFeatures, RandomConvNet, RolloutScores, ScoredFrame, Scores};
 
-/// Score the generated images of rollouts against the truth
+/// Score the generated images of rollouts against ground truth
 ///
-/// Of each rollout of simulate --generator: PSNR, SSIM and sharpness by step with their drift, whether moving actors move,
-/// and the IoU of vehicles in class maps and in images. Of all together: means with 95 % confidence intervals over rollouts,
-/// and Fréchet distances of images and videos by a network of fixed random convolutions (not Inception: they are none of
-/// the published FID and FVD). Reference images are not scored. What needs a truth or maps that are not there is null.
+/// For each rollout of simulate --generator: PSNR, SSIM and sharpness by step with their drift, motion of moving
+/// actors, and the IoU of vehicles in class maps and in images. For all rollouts: means with 95 % confidence
+/// intervals over rollouts, and Fréchet distances of images and videos by a network of fixed random convolutions (not
+/// Inception, so not comparable with published FID and FVD). Reference images are not scored. Metrics whose ground
+/// truth or maps are missing are null.
 #[derive(Debug, Args)]
 pub(super) struct EvaluateArgs {
     /// Folders of rollouts with generated images
@@ -36,15 +37,16 @@ pub(super) struct EvaluateArgs {
     /// Also write all numbers to this file
     #[arg(long, value_name = "F.json")]
     out: Option<PathBuf>,
-    /// Masks of vehicles by a segmentor, in DIR/NNNNNN/CAM.png of any size, vehicles not 0; once for each rollout, in order
+    /// Vehicle masks of a segmentor, in DIR/NNNNNN/CAM.png of any size, vehicles not 0; once for each rollout, in
+    /// order
     #[arg(long, value_name = "DIR")]
     masks: Vec<PathBuf>,
-    /// Train the patch classifier on true images and class maps of this rollout, may come several times [default: on the
-    /// other half of the steps]
+    /// Train the patch classifier on ground-truth images and class maps of this rollout, may be repeated [default: on
+    /// the other half of the steps]
     #[arg(long, value_name = "DIR")]
     classifier_from: Vec<PathBuf>,
-    /// Take a Fréchet distance of features of another network, too: NPY files of f32 or f64 [N, D], of generated and of true
-    /// images
+    /// Also compute a Fréchet distance of features of another network: NPY files of f32 or f64 [N, D], for generated
+    /// and for ground-truth images
     #[arg(long, value_names = ["GEN.npy", "TRUE.npy"], num_args = 2)]
     features: Vec<PathBuf>,
     /// Seed of the random convolutions and of the patch classifier
@@ -52,7 +54,7 @@ pub(super) struct EvaluateArgs {
     seed: u64,
 }
 
-/// Reads, scores, tells.
+/// Runs the command: reads rollouts, scores them, prints and writes the report.
 pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let (rollouts, masks) = (args.rollouts.len(), args.masks.len());

@@ -7,10 +7,10 @@ use crate::error::FileError;
 use crate::files::input::{IMAGE_BYTES, read_file};
 use crate::geometry::ImageSize;
 
-/// Pixels row by row, and how many.
+/// Pixels in row-major order, and the image size.
 pub(super) type Read<T> = (Vec<T>, ImageSize);
 
-/// Reads a PNG file, whatever it shows.
+/// Reads and decodes an image file of any pixel format.
 fn read(path: &Path) -> Result<DynamicImage, FileError> {
     let reader = ImageReader::new(Cursor::new(read_file(path, IMAGE_BYTES)?));
     let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
@@ -25,7 +25,7 @@ fn other(expected: &str, image: &DynamicImage, path: &Path) -> FileError {
     FileError::content(expected, format!("{:?}", image.color()), path)
 }
 
-/// A class map: 8-bit grey.
+/// Reads a class map: 8-bit grey.
 pub(super) fn class(path: &Path) -> Result<Read<u8>, FileError> {
     match read(path)? {
         DynamicImage::ImageLuma8(image) => {
@@ -36,7 +36,7 @@ pub(super) fn class(path: &Path) -> Result<Read<u8>, FileError> {
     }
 }
 
-/// An instance map: 16-bit grey.
+/// Reads an instance map: 16-bit grey.
 pub(super) fn instance(path: &Path) -> Result<Read<u32>, FileError> {
     match read(path)? {
         DynamicImage::ImageLuma16(image) => {
@@ -47,11 +47,11 @@ pub(super) fn instance(path: &Path) -> Result<Read<u32>, FileError> {
     }
 }
 
-/// A mask: pixels with a level that is not 0, in any color but alpha.
+/// Reads a mask: `true` for pixels with a non-zero value in any channel except alpha.
 pub(super) fn mask(path: &Path) -> Result<Read<bool>, FileError> {
     let image = read(path)?;
     let size = size(&image);
-    // 16 bits: levels below 256 of such images must not vanish.
+    // 16 bits: levels below 256 of 16-bit images must not become 0.
     let mask = image.into_rgb16().as_raw().as_chunks::<3>().0.iter().map(|pixel| *pixel != [0; 3]).collect();
     Ok((mask, size))
 }

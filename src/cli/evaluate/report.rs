@@ -1,4 +1,4 @@
-//! What is told: JSON, a table, a line.
+//! Report: JSON, a table, a summary line.
 
 use std::collections::BTreeMap;
 
@@ -12,15 +12,15 @@ use crate::metrics::{
     paired_difference,
 };
 
-/// All numbers.
+/// All results.
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
     seed: u64,
-    /// Means over rollouts, by the metric's name; `null` where no rollout has it.
+    /// Means over rollouts, by metric name; `null` if no rollout has the metric.
     mean: BTreeMap<String, Option<MeanInterval>>,
-    /// Of all images and videos together.
+    /// Distances over the images and videos of all rollouts.
     distances: Distances,
-    /// Of features that were given.
+    /// Distance of the features given on the command line.
     given_features: Option<Distance>,
     patch_classifier: PatchesAbout,
     notes: Vec<String>,
@@ -32,9 +32,9 @@ pub(super) struct Report {
 pub(super) struct ScoredRollout {
     folder: String,
     cameras: Vec<FileName>,
-    /// Of generated images, HxW, by camera.
+    /// Sizes of generated images, HxW, by camera.
     sizes: Vec<String>,
-    /// Steps with references, which are not scored.
+    /// Number of steps with references, which are not scored.
     references: usize,
     scores: Scores,
 }
@@ -43,14 +43,14 @@ const HEADER: [&str; 11] = [
     "rollout",
     "steps",
     "PSNR (dB)",
-    "a second",
+    "slope (dB/s)",
     "SSIM",
-    "a second",
-    "sharpness (of truth)",
+    "slope (1/s)",
+    "sharpness ratio",
     "motion",
     "flicker",
     "IoU patches",
-    "of truth's",
+    "IoU ratio",
 ];
 
 impl ScoredRollout {
@@ -64,7 +64,7 @@ impl ScoredRollout {
         }
     }
 
-    /// What is missing, and why.
+    /// Returns notes on missing metrics, with reasons.
     fn notes(&self) -> Vec<String> {
         let Scores { steps, steps_with_truth, equal_images, motion, iou, .. } = &self.scores;
         let mut notes = Vec::new();
@@ -140,7 +140,7 @@ impl Report {
         &self.notes
     }
 
-    /// A row per rollout, and one of their means with intervals.
+    /// Formats a row per rollout, and one with their means and intervals.
     pub(super) fn table(&self) -> String {
         let mut cells = vec![HEADER.map(str::to_owned).to_vec()];
         cells.extend(self.rollouts.iter().map(ScoredRollout::row));
@@ -165,7 +165,7 @@ impl Report {
         aligned(&cells)
     }
 
-    /// In a line, without time and place.
+    /// Formats a one-line summary, without duration and path.
     pub(super) fn summary(&self) -> String {
         let images: usize = self.rollouts.iter().map(|r| r.scores.steps * r.scores.cameras).sum();
         let count = self.rollouts.len();
@@ -199,7 +199,7 @@ fn means(rollouts: &[ScoredRollout]) -> BTreeMap<String, Option<MeanInterval>> {
     means
 }
 
-/// A dash where there is none.
+/// Formats a number, or a dash for `None`.
 fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
 }
@@ -210,7 +210,7 @@ fn interval(value: Option<MeanInterval>, digits: usize) -> String {
     format!("{mean:.digits$}{off}")
 }
 
-/// In columns.
+/// Aligns cells in columns.
 fn aligned(cells: &[Vec<String>]) -> String {
     let columns = cells.first().map_or(0, Vec::len);
     let length = |text: &String| text.chars().count();

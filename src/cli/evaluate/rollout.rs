@@ -1,4 +1,4 @@
-//! A rollout with generated images on disk.
+//! Reader of rollouts with generated images.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -20,30 +20,30 @@ use crate::report::{ROLLOUT, StateFile, StepRow};
 const STATES: &str = "states.jsonl";
 const STEPS: &str = "steps";
 
-/// Where its files are.
+/// Index of a rollout's files.
 pub(super) struct GeneratedRollout {
     pub(super) folder: PathBuf,
     /// Sorted by name.
     pub(super) cameras: Vec<FileName>,
-    /// Of generated images, by camera.
+    /// Sizes of generated images, by camera.
     pub(super) sizes: Vec<ImageSize>,
-    /// Those with generated images.
+    /// Steps with generated images.
     pub(super) steps: Vec<Step>,
-    /// Steps with references in place of generated images.
+    /// Number of steps with references instead of generated images.
     pub(super) references: usize,
 }
 
-/// A step with generated images.
+/// Step with generated images.
 pub(super) struct Step {
     pub(super) name: String,
-    /// Since the first step of the rollout.
+    /// Time since the first step of the rollout, seconds.
     pub(super) t_s: f64,
     pub(super) folder: PathBuf,
-    /// Numbers of actors that move, in the instance map.
+    /// Instance numbers of moving actors.
     moving: Vec<u32>,
 }
 
-/// What a step shows, all at the size of the generated images, in the order of the cameras.
+/// Images and maps of a step, at the size of the generated images, in the order of the cameras.
 pub(super) struct Frame {
     pub(super) generated: Vec<RgbImage>,
     pub(super) truth: Option<Vec<RgbImage>>,
@@ -51,11 +51,11 @@ pub(super) struct Frame {
     pub(super) moving: Option<Vec<Vec<bool>>>,
 }
 
-/// True images and class maps of a step.
+/// Ground-truth images and class maps of a step.
 pub(super) type Truth = (Vec<RgbImage>, Vec<Vec<u8>>);
 
 impl GeneratedRollout {
-    /// Finds the generated images; of them only the sizes of the first ones are read.
+    /// Finds the generated images, and reads only the sizes of the first ones.
     pub(super) fn open(folder: &Path) -> Result<Self, FileError> {
         if !is_there(&folder.join(ROLLOUT))? {
             return Err(FileError::content(
@@ -88,7 +88,7 @@ impl GeneratedRollout {
         Ok(Self { folder: folder.to_owned(), cameras, sizes, steps, references })
     }
 
-    /// Reads all of a step that is needed.
+    /// Reads the images and maps of a step.
     pub(super) fn read(&self, step: &Step) -> Result<Frame, FileError> {
         let class = self.maps(step, "class", picture::class)?;
         let instance = self.maps(step, "instance", picture::instance)?;
@@ -97,7 +97,7 @@ impl GeneratedRollout {
         Ok(Frame { generated, truth: self.truth(step)?, class, moving: instance.map(moving) })
     }
 
-    /// True images and class maps of a step, where there are both.
+    /// Reads ground-truth images and class maps of a step; `None` unless both exist.
     pub(super) fn read_truth(&self, step: &Step) -> Result<Option<Truth>, FileError> {
         let Some(truth) = self.truth(step)? else { return Ok(None) };
         Ok(self.maps(step, "class", picture::class)?.map(|class| (truth, class)))
@@ -107,7 +107,7 @@ impl GeneratedRollout {
         step.folder.join(TRUTH).is_dir().then(|| self.images(step, TRUTH)).transpose()
     }
 
-    /// Of all cameras, which must be of the size of the first ones.
+    /// Reads the images of all cameras, which must have the sizes of the first step.
     fn images(&self, step: &Step, folder: &str) -> Result<Vec<RgbImage>, FileError> {
         let cameras = self.cameras.par_iter().zip(&self.sizes);
         cameras
@@ -115,7 +115,8 @@ impl GeneratedRollout {
             .collect()
     }
 
-    /// Maps of all cameras, reduced to the size of the generated images; `None` if the first camera has none.
+    /// Reads the maps of all cameras, reduced to the size of the generated images; `None` if the first camera has
+    /// none.
     fn maps<T: Copy + Send + Sync>(
         &self,
         step: &Step,
@@ -151,7 +152,7 @@ impl Step {
     }
 }
 
-/// Names of the images in a folder, sorted.
+/// Returns the camera names of the images in a folder, sorted.
 fn cameras(folder: &Path) -> Result<Vec<FileName>, FileError> {
     let mut names = BTreeSet::new();
     for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {

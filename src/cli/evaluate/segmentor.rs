@@ -1,4 +1,4 @@
-//! Who says where vehicles are seen: masks of a segmentor on disk, and a patch classifier that is trained here.
+//! Vehicle segmentation: masks of an external segmentor on disk, and a patch classifier that is trained here.
 
 use std::path::PathBuf;
 
@@ -14,13 +14,13 @@ use crate::error::FileError;
 use crate::files::FileName;
 use crate::metrics::{PatchClassifier, PatchOptions, PatchTrainer, Segmented, vehicle_mask};
 
-/// Their names in the result.
+/// Names of the segmentors in the result.
 pub(super) const GIVEN: &str = "masks";
 pub(super) const PATCHES: &str = "patch_classifier";
 
-/// All that are asked.
+/// All segmentors.
 pub(super) struct Segmentors {
-    /// One per rollout, or none.
+    /// Mask folders: one per rollout, or none.
     folders: Vec<PathBuf>,
     patches: Patches,
     pub(super) about: PatchesAbout,
@@ -28,29 +28,29 @@ pub(super) struct Segmentors {
 
 /// Patch classifiers.
 enum Patches {
-    /// There is none.
+    /// No classifier.
     None,
-    /// Of other rollouts.
+    /// Classifier trained on other rollouts.
     One(PatchClassifier),
-    /// For the first and for the second half of the steps of each rollout, each trained on the other halves.
+    /// Classifiers for the first and the second half of the steps of each rollout, each trained on the other halves.
     Halves([PatchClassifier; 2]),
 }
 
-/// What is told of the patch classifier.
+/// Report on the patch classifier.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct PatchesAbout {
-    /// What it is.
+    /// Description of the method.
     what: &'static str,
-    /// What it was trained on.
+    /// Training data.
     pub(super) trained_on: Vec<String>,
-    /// True images that it was trained on, by classifier.
+    /// Number of ground-truth training images, by classifier.
     images: Vec<u64>,
-    /// Why there is none.
+    /// Reason if there is no classifier.
     pub(super) missing: Option<String>,
     options: PatchOptions,
 }
 
-/// Of a step, by a segmentor.
+/// Masks of a step by one segmentor.
 pub(super) struct Masks {
     name: &'static str,
     generated: Vec<Vec<bool>>,
@@ -64,7 +64,8 @@ impl Masks {
 }
 
 impl Segmentors {
-    /// Trains patch classifiers: on the rollouts `from`, or on the other halves of those that are scored.
+    /// Creates the segmentors. Trains patch classifiers on the rollouts `from`, or on the other halves of the scored
+    /// ones.
     pub(super) fn new(
         rollouts: &[GeneratedRollout],
         masks: &[PathBuf],
@@ -95,7 +96,7 @@ impl Segmentors {
         Ok(Self { folders: masks.to_vec(), patches, about })
     }
 
-    /// Of step number `index` of a rollout.
+    /// Returns the masks of step `index` of rollout `number` by each segmentor.
     pub(super) fn masks(
         &self,
         rollout: &GeneratedRollout,
@@ -117,7 +118,7 @@ impl Segmentors {
                 truth: None,
             });
         }
-        // Without class maps there is nothing to compare with.
+        // Without class maps there is no reference to compare with.
         if let Some(classifier) = self.classifier(rollout, index).filter(|_| frame.class.is_some()) {
             let segment = |images: &[RgbImage]| -> Result<Vec<Vec<bool>>, _> {
                 images.par_iter().map(|image| classifier.segment(image)).collect()
@@ -137,17 +138,18 @@ impl Segmentors {
     }
 }
 
-/// Steps before it are the first half.
+/// Returns the index of the first step of the second half.
 fn middle(rollout: &GeneratedRollout) -> usize {
     rollout.steps.len() / 2
 }
 
-/// A half without vehicles or truth is no failure: then there are no classifiers.
+/// Trains classifiers on the halves. A half without vehicles or ground truth is not an error: there are no
+/// classifiers then.
 fn halves(rollouts: &[GeneratedRollout], about: &mut PatchesAbout) -> Result<Patches, FileError> {
     let mut trainers = [0, 1].map(|_| PatchTrainer::new(about.options));
     for rollout in rollouts {
         let (first, second) = rollout.steps.split_at(middle(rollout));
-        // The one for the first half learns from the second.
+        // The first half's classifier is trained on the second half.
         learn(&mut trainers[0], rollout, second)?;
         learn(&mut trainers[1], rollout, first)?;
     }

@@ -12,21 +12,21 @@ use crate::scene::{EgoOffset, SceneState, SelectionOptions, Stage, state_of_fram
 use crate::town::Town;
 use crate::town::view::TrueView;
 
-/// Cars nearer than this count as near, metres from the ego to the middle of the box.
+/// Maximum distance of near cars, meters from the ego to the center of the box.
 const NEAR_M: f64 = 40.0;
 
-/// Where the ego is put.
+/// Ego pose relative to the recorded one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Pose {
-    /// Where it drove.
+    /// Recorded pose.
     Logged,
-    /// So many metres beside.
+    /// Offset to the side, meters.
     Beside(f64),
-    /// Turned to the left by so many degrees.
+    /// Rotated to the left, degrees.
     Turned(f64),
 }
 
-/// What a row of the table is measured with.
+/// Inputs for measuring a row of the table.
 pub(super) struct Measurement<'a> {
     pub(super) town: &'a Town,
     pub(super) stage: &'a Stage<'a>,
@@ -34,25 +34,25 @@ pub(super) struct Measurement<'a> {
     pub(super) map: Option<&'a VectorMap>,
 }
 
-/// Sums of a row.
+/// Accumulated results of a row.
 pub(super) struct Measured {
     pub(super) name: String,
     pose: Pose,
     to_the_left: usize,
     color: Vec<FilledError>,
     depth: DepthErrors,
-    /// By who stands in for actors, in the order of [`Masks::ALL`].
+    /// By selection of actor clouds, in the order of [`Masks::ALL`].
     masks: [MaskSums; 3],
 }
 
-/// Whose points make the masks.
+/// Selection of the actor clouds that produce the masks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Masks {
-    /// As maps are rendered: actors with many points by their own, others by templates.
+    /// As in rendered maps: actors with many points by their own, others by templates.
     Rendered,
-    /// Templates wherever there is one.
+    /// Templates, if available.
     Templates,
-    /// Actors' own points wherever there are any.
+    /// Actors' own points, if they have any.
     Own,
 }
 
@@ -63,14 +63,14 @@ struct MaskSums {
     near_cars: Overlap,
 }
 
-/// A row of the table.
+/// Row of the table.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Row {
     pub(super) pose: String,
     pub(super) images: usize,
-    /// Frames whose ego was put to the left.
+    /// Number of frames with the ego offset to the left.
     pub(super) to_the_left: usize,
-    /// Means over images; of the PSNR over those with filled pixels.
+    /// Means over images; the PSNR is over images with filled pixels.
     pub(super) color: FilledError,
     pub(super) depth: Option<DepthSummary>,
     pub(super) rendered: MaskRow,
@@ -78,18 +78,18 @@ pub(super) struct Row {
     pub(super) own_points: MaskRow,
 }
 
-/// Intersections over unions; none where neither map nor truth shows such a thing.
+/// IoU values; `None` if neither map nor ground truth shows the class.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct MaskRow {
     pub(super) classes: BTreeMap<&'static str, Option<f64>>,
     pub(super) near_cars: Option<f64>,
 }
 
-/// Names of the classes from 1 on.
+/// Names of the classes, starting with class 1.
 pub(super) const CLASS_NAMES: [&str; 4] = ["motor_vehicle", "pedestrian", "cycle", "object"];
 
 impl Pose {
-    /// The rows of the table.
+    /// Returns the poses of all rows.
     pub(super) fn all() -> Vec<Self> {
         let beside = [0.5, 1.0, 2.0, 3.5].map(Self::Beside);
         let turned = [5.0, 10.0, 20.0].map(Self::Turned);
@@ -99,8 +99,8 @@ impl Pose {
     fn name(self) -> String {
         match self {
             Self::Logged => "as driven".to_owned(),
-            Self::Beside(m) => format!("{m} m beside"),
-            Self::Turned(deg) => format!("turned {deg} deg"),
+            Self::Beside(m) => format!("{m} m to the side"),
+            Self::Turned(deg) => format!("turned by {deg} deg"),
         }
     }
 }
@@ -140,7 +140,7 @@ impl Measured {
 }
 
 impl MaskSums {
-    /// Takes in an image. `near` tells by number which actors are cars nearby.
+    /// Adds an image. `near` is indexed by instance number and marks nearby cars.
     fn add(&mut self, map: &CameraConditions, truth: &TrueMaps, near: &[bool]) {
         let (Some(class), Some(instance)) = (&map.class, &map.instance) else { return };
         for (number, overlap) in (1..).zip(&mut self.classes) {
@@ -169,7 +169,7 @@ fn mean(errors: &[FilledError]) -> FilledError {
     }
 }
 
-/// Truth at the size of the maps.
+/// Ground truth at the size of the maps.
 struct TrueMaps {
     color: Vec<[u8; 3]>,
     depth_m: Vec<f32>,
@@ -178,7 +178,7 @@ struct TrueMaps {
 }
 
 impl TrueMaps {
-    /// Reduced as the maps are.
+    /// Reduces ground truth like the maps.
     fn new(seen: &TrueView, to: ImageSize) -> Self {
         let from = ImageSize { height: seen.image.height(), width: seen.image.width() };
         let color: Vec<[u8; 3]> = seen.image.pixels().map(|p| p.0).collect();
@@ -232,7 +232,7 @@ impl Measurement<'_> {
         Ok(())
     }
 
-    /// To the right, or to the left where only that is on a lane.
+    /// Returns the ego offset: to the right, or to the left if only that is on a lane.
     fn offset(&self, frame: usize, row: &mut Measured) -> EgoOffset {
         match row.pose {
             Pose::Logged => EgoOffset::default(),
@@ -259,7 +259,7 @@ impl Measurement<'_> {
     }
 }
 
-/// By number, from 0 on.
+/// Returns whether each actor is a nearby car, indexed by instance number; number 0 is the background.
 fn near_cars(state: &SceneState) -> Vec<bool> {
     let ego = state.global_from_ego.translation;
     let near = state.actors.iter().map(|actor| {
@@ -269,7 +269,7 @@ fn near_cars(state: &SceneState) -> Vec<bool> {
     std::iter::once(false).chain(near).collect()
 }
 
-/// Whether a ray from a point leaves an area's outline an odd number of times.
+/// Returns whether a point lies inside an area's outline (even-odd rule).
 fn is_within(area: &Area, at: DVec2) -> bool {
     let ring = &area.exterior;
     let crosses = |i: usize| {
@@ -289,7 +289,7 @@ mod tests {
         TrueView { image, depth_m: (1..9).map(|i| i as f32).collect(), class, instance }
     }
 
-    /// Truth against itself: every mask is met, no color and no depth is off.
+    /// Ground truth against itself: every IoU is 1, color and depth errors are 0.
     #[test]
     fn truth_is_true() {
         let seen = truth();
@@ -312,7 +312,7 @@ mod tests {
         assert_eq!(summary.depth.map(|d| (d.pixels, d.p95_m)), Some((8, 0.0)));
     }
 
-    /// One pixel of the near car taken for the far one, one person missed.
+    /// One pixel of the near car has the number of the far one, and one pedestrian is missing.
     #[test]
     fn masks_by_hand() {
         let maps = TrueMaps::new(&truth(), ImageSize { height: 2, width: 4 });

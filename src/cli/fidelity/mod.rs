@@ -1,5 +1,5 @@
-//! `pskel fidelity`: condition maps of the built-in town against the truth, from where the ego drove and from beside it.
-//! [`measure`] compares, [`table`] tells.
+//! `pskel fidelity`: compares condition maps of the synthetic town with ground truth, at and beside the recorded
+//! poses. [`measure`] compares, [`table`] formats.
 
 mod measure;
 mod table;
@@ -26,29 +26,30 @@ use crate::logs;
 use crate::raster::SplatSchedule;
 use crate::scene::Stage;
 
-/// Measure how true condition maps are: those of the built-in town against what is true there
+/// Measure the fidelity of condition maps: those of the synthetic town against its ground truth
 ///
-/// For every frame from the recorded pose, from 0.5, 1, 2 and 3.5 m beside it, and turned by 5, 10 and 20 degrees. Color is
-/// compared on filled pixels, depth where both have one, masks by class. Beside is to the right, or to the left where only
-/// that is on a lane.
+/// Every frame is rendered from the recorded pose, from 0.5, 1, 2 and 3.5 m beside it, and rotated by 5, 10 and 20
+/// degrees. Color is compared on filled pixels, depth where both have one, masks by class. Offsets are to the right,
+/// or to the left if only that is on a lane.
 #[derive(Debug, Args)]
 pub(super) struct FidelityArgs {
-    /// The town: town:seed=7,frames=40[,..]
+    /// Synthetic town: town:seed=7,frames=40[,..]
     #[arg(value_parser = log_args::log)]
     log: LogLocator,
-    /// Skeleton that was built from it
+    /// Skeleton that was built from the town
     #[arg(long, value_name = "SKEL")]
     skeleton: PathBuf,
-    /// Only these frames, numbered from 0 in the log's order, without B [default: all]
+    /// Range of frames, numbered from 0 in log order, B excluded [default: all]
     #[arg(long, value_name = "A..B")]
     frames: Option<FrameRange>,
-    /// Draw at this size; scales the intrinsics [default: the size of the cameras]
+    /// Render at this size; scales the intrinsics [default: the size of the cameras]
     #[arg(long, value_name = "HxW")]
     size: Option<ImageSize>,
-    /// Reduce maps and truth to this size after drawing [default: no reduction]
+    /// Reduce maps and ground truth to this size after rendering [default: no reduction]
     #[arg(long, value_name = "HxW")]
     out_size: Option<ImageSize>,
-    /// Splat radius by depth: up to Z metres a point covers (2R+1) x (2R+1) pixels; beyond the last Z nothing is drawn
+    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z are
+    /// culled
     #[arg(long, value_name = "Z:R,..", default_value_t)]
     splat: SplatSchedule,
     #[command(flatten)]
@@ -66,7 +67,7 @@ pub(super) struct FidelityArgs {
     markdown: Option<PathBuf>,
 }
 
-/// Renders, compares, tells.
+/// Runs the command: renders, compares, prints the table.
 pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     if args.log.format != LogFormat::Town {

@@ -1,4 +1,4 @@
-//! The rows as text.
+//! Text formats of the table.
 
 use std::ops::Range;
 
@@ -21,11 +21,11 @@ const HEADER: [&str; 14] = [
     "IoU people",
     "IoU cycles",
     "IoU cars < 40 m",
-    "same by templates",
-    "same by own points",
+    "same, templates only",
+    "same, own points only",
 ];
 
-/// Header and rows.
+/// Returns the cells of header and rows.
 pub(super) fn cells(rows: &[Row]) -> Vec<Vec<String>> {
     let header = HEADER.map(str::to_owned).to_vec();
     std::iter::once(header).chain(rows.iter().map(row)).collect()
@@ -53,7 +53,7 @@ fn row(row: &Row) -> Vec<String> {
     ]
 }
 
-/// A dash where there is none.
+/// Formats a number, or a dash for `None`.
 fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
 }
@@ -69,7 +69,7 @@ pub(super) fn markdown(cells: &[Vec<String>]) -> String {
     line(header) + &rule + &rows.iter().map(line).collect::<String>()
 }
 
-/// In columns, for people.
+/// Aligns cells in columns for the terminal.
 pub(super) fn aligned(cells: &[Vec<String>]) -> String {
     let columns = cells.first().map_or(0, Vec::len);
     let width = |column: usize| cells.iter().map(|row| row[column].len()).max().unwrap_or(0);
@@ -81,7 +81,7 @@ pub(super) fn aligned(cells: &[Vec<String>]) -> String {
     cells.iter().map(line).collect()
 }
 
-/// All numbers.
+/// Formats all numbers as JSON.
 pub(super) fn json(log: &Log, frames: &Range<usize>, options: &ConditionOptions, rows: &[Row]) -> Value {
     json!({
         "log": log.name,
