@@ -1,11 +1,11 @@
-//! Compiles every shader in `glsl/` to SPIR-V and writes down what the Rust side must agree with.
+//! Compiles every shader in `glsl/` to SPIR-V and generates its reflection for Rust.
 //!
 //! # How it works
 //! naga parses GLSL (`x.vert`, `x.frag`, `x.comp`) or WGSL (`x.wgsl`), validates, and emits SPIR-V for Vulkan 1.1.
-//! `shaders.rs` in `OUT_DIR` then holds one module per shader: the words, descriptor bindings, vertex inputs, the
-//! push-constant size, and for each named struct its size and the offset of each member, which the Rust structs are
-//! asserted against. A shader error fails the build with file and line.
-#![allow(clippy::print_stdout, clippy::print_stderr)] // how a build script speaks to cargo
+//! `shaders.rs` in `OUT_DIR` then contains one module per shader: the words, descriptor bindings, vertex inputs,
+//! the push-constant size, and for each named struct its size and the offset of each member, which the Rust structs
+//! are asserted against. A shader error fails the build with file and line.
+#![allow(clippy::print_stdout, clippy::print_stderr)] // a build script's interface to cargo
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -43,7 +43,7 @@ fn compile_all() -> Result<(), String> {
     std::fs::write(Path::new(&out).join("shaders.rs"), rust).map_err(|e| format!("OUT_DIR: {e}"))
 }
 
-/// A shader with its `override` constants set; WGSL files list theirs in lines `// variant NAME: A=1 B=0`.
+/// A shader with values of its `override` constants; WGSL files list variants in lines `// variant NAME: A=1 B=0`.
 struct Variant {
     /// Empty for a shader without variants.
     name: String,
@@ -71,7 +71,7 @@ fn variants(path: &Path) -> Result<Vec<Variant>, String> {
     Ok(variants)
 }
 
-/// The text of a shader, each line `// include FILE` replaced by that file, named from the folder of shaders.
+/// Returns the source of a shader, with each line `// include FILE` replaced by that file (relative to `glsl/`).
 fn with_includes(path: &Path) -> Result<String, String> {
     let file = path.display();
     let source = std::fs::read_to_string(path).map_err(|e| format!("{file}: {e}"))?;
@@ -85,12 +85,12 @@ fn with_includes(path: &Path) -> Result<String, String> {
     source.lines().map(line).collect()
 }
 
-/// One shader: the text of its Rust module.
+/// Compiles one shader and returns the source of its Rust module.
 fn compile(path: &Path, variant: &Variant) -> Result<String, String> {
     let file = path.display().to_string();
     let source = with_includes(path)?;
     let module = parse(path, &file, &source)?;
-    // What 1.1 drivers have with the features that the device enables; anything else is an error here.
+    // Capabilities of Vulkan 1.1 drivers with the features that the device enables; any other is an error.
     let allowed = Capabilities::IMMEDIATES
         | Capabilities::SHADER_INT64
         | Capabilities::SHADER_INT64_ATOMIC_MIN_MAX
@@ -107,7 +107,7 @@ fn compile(path: &Path, variant: &Variant) -> Result<String, String> {
         lang_version: (1, 3),
         // No flipped y, no clamped depth: the shaders are written for Vulkan's own clip space.
         flags: spv::WriterFlags::empty(),
-        // "Fake" is set and binding as the shader has them.
+        // "Fake" bindings are the set and binding numbers of the shader.
         fake_missing_bindings: true,
         force_loop_bounding: false,
         zero_initialize_workgroup_memory: spv::ZeroInitializeWorkgroupMemoryMode::None,
@@ -142,8 +142,8 @@ fn parse(path: &Path, file: &str, source: &str) -> Result<Module, String> {
     })
 }
 
-/// Decorates all float arithmetic with `NoContraction`: a driver that fused a multiply with an add would round
-/// differently from the CPU twin.
+/// Decorates all float arithmetic with `NoContraction`: a driver that fuses a multiply with an add would round
+/// differently from the CPU reference.
 fn without_contraction(words: &[u32]) -> Vec<u32> {
     const HEADER: usize = 5;
     const OP_DECORATE: u32 = 71;
@@ -153,7 +153,7 @@ fn without_contraction(words: &[u32]) -> Vec<u32> {
     while at < words.len() {
         let (opcode, length) = (words[at] & 0xffff, (words[at] >> 16) as usize);
         match opcode {
-            19..=39 => first_type = first_type.min(at), // OpTypeVoid ..: what follows the decorations
+            19..=39 => first_type = first_type.min(at), // OpTypeVoid ..: first instruction after the decorations
             127 | 129 | 131 | 133 | 136 | 140..=146 | 148 => results.push(words[at + 2]), // OpFNegate .. OpDot
             _ => {}
         }
@@ -169,7 +169,7 @@ fn without_contraction(words: &[u32]) -> Vec<u32> {
         .collect()
 }
 
-/// The Rust module of a compiled shader.
+/// Returns the source of a compiled shader's Rust module.
 fn describe(name: &str, module: &Module, info: &ModuleInfo, words: &[u32]) -> Result<String, String> {
     let entry = &module.entry_points[0];
     let used = info.get_entry_point(0);
@@ -228,7 +228,7 @@ fn binding_kind(module: &Module, handle: naga::Handle<naga::GlobalVariable>) -> 
     }
 }
 
-/// Vertex inputs with their formats; other stages have none.
+/// Returns the vertex inputs with their formats; empty for other stages.
 fn inputs(module: &Module) -> Result<String, String> {
     let entry = &module.entry_points[0];
     let mut text = String::new();

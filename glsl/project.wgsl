@@ -1,12 +1,13 @@
-// Points to keys: each point goes into its pixel of a buffer by an atomic minimum of `depth << 32 | number`. One
-// workgroup draws an item into one band of a view: up to 4096 points of a chunk. The operations and their order are those of `project` in
-// src/raster/cpu.rs.
+// Points to keys: each point writes its pixel of a visibility buffer with an atomic minimum of `depth << 32 | number`.
+// One workgroup draws an item into one band (row strip) of a view: up to 4096 points of a chunk. The operations and
+// their order are those of `project` in src/raster/cpu.rs.
 //
-// With SQUARE a point goes into all pixels that it covers; without, only into its centre, and later shaders look around
-// (resolve_full.wgsl, resolve_reduced.wgsl) or spread it (spread.wgsl). CROP tests the radius crop, which chunks well inside need not. LAYERED knows up to three buffers.
+// With SQUARE a point writes all pixels that it covers. Without, it writes only its center, and later shaders
+// gather the neighborhood (resolve_full.wgsl, resolve_reduced.wgsl) or spread the keys (spread.wgsl). CROP tests
+// the square crop, which chunks well inside do not need. LAYERED writes up to three buffers.
 //
-// LANES points are drawn side by side: as many as a processor has in a vector, so that it reads memory in order, or as a
-// GPU keeps busy.
+// LANES points are drawn in parallel: the vector width of a CPU, so that it reads memory in order, or enough
+// to occupy a GPU.
 //
 // variant pixel: SQUARE=0 CROP=0 LAYERED=0 LANES=64
 // variant pixel_crop: SQUARE=0 CROP=1 LAYERED=0 LANES=64
@@ -38,7 +39,7 @@ struct ProjectFrame {
     step_count: u32,
     z_far_m: f32,
     key_rows: u32,
-    pad: u32, // pixels around each band
+    pad: u32, // padding around each band, pixels
 }
 
 struct ProjectDraw {
@@ -50,10 +51,10 @@ struct ProjectDraw {
     crop_radius_m: f32,
     first_number: u32,
     band: u32,
-    layers: u32, // bits
+    layers: u32, // bit mask
 }
 
-// Rows of a view that are drawn together.
+// Row strip of a view, rendered in one batch.
 struct ProjectBand {
     columns: f32,
     rows: f32,
@@ -63,7 +64,7 @@ struct ProjectBand {
 
 struct ProjectItem {
     draw: u32,
-    row: u32,   // of the page
+    row: u32,   // in the page
     first: u32, // column
     end: u32,
 }
@@ -80,7 +81,7 @@ struct ProjectPush {
 @group(0) @binding(4) var<storage, read_write> keys_0: array<atomic<u64>>;
 @group(0) @binding(5) var<storage, read_write> keys_1: array<atomic<u64>>;
 @group(0) @binding(6) var<storage, read_write> keys_2: array<atomic<u64>>;
-@group(1) @binding(0) var points: texture_2d<u32>; // x y z as bits, index within the cloud
+@group(1) @binding(0) var points: texture_2d<u32>; // bits of x, y and z, index within the cloud
 
 var<immediate> push: ProjectPush;
 
@@ -104,7 +105,7 @@ fn put(layers: u32, at: u32, key: u64) {
     }
 }
 
-// Keys lie in panels of 32 columns, each row by row: what is near in the image is near in memory.
+// Keys are stored in tiles of 32 columns, each row by row, so that image neighbors are close in memory.
 fn key_index(column: i32, row: i32, band: ProjectBand) -> u32 {
     let pad = i32(frame.pad);
     let at = vec2<u32>(u32(column + pad), band.key_row + u32(row + pad));

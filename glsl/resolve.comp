@@ -1,10 +1,10 @@
 #version 450
-// Visibility to maps: looks up the winner of every pixel of a tile. Dispatched once per page of points.
+// Visibility buffer to maps: resolves the winner of every pixel of a tile. One dispatch per page of points.
 
 layout(local_size_x = 64) in;
 
 struct Piece {
-    uint number_bias; // point within the page + 1 + this (wrapping) = point number of the job + 1
+    uint number_bias; // point within the page + 1 + this (wrapping) = point number in the job + 1
     uint instance;
     uint page;
     uint pad;
@@ -23,10 +23,10 @@ layout(set = 1, binding = 0) readonly buffer Page {
 };
 
 layout(push_constant) uniform ResolvePush {
-    uint width;  // of the tile, pixels
-    uint page;   // the bound one
-    uint first;  // 1 in the first dispatch, which also writes what needs no page
-    uint point_at; // where each plane begins in `planes`, or NOT_WANTED
+    uint width;  // width of the tile, pixels
+    uint page;   // bound page
+    uint first;  // 1 in the first dispatch, which also writes the planes that need no page
+    uint point_at; // offset of each plane in `planes`, or NOT_WANTED
     uint depth_at;
     uint rgb_class_at;
     uint instance_at;

@@ -1,5 +1,5 @@
-// Keys to maps of the size that was drawn. One invocation walks down a strip of four columns; per row it reads eight
-// keys and folds them into the five rows that they may reach. Two neighbouring values are written at once.
+// Keys to maps of the rendered size. One invocation walks down a strip of four columns; per row it reads eight keys
+// and folds them into the five rows that they may reach. Two neighboring values are written at once.
 //
 // variant both: COLOR=1 GEOMETRY=1 POINT=0
 // variant both_point: COLOR=1 GEOMETRY=1 POINT=1
@@ -80,7 +80,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
                 blocks_of[c].y = select(number + blocks_of[c].y, 0u, a0[c] == EMPTY);
                 blocks_of[c].z = select(blocks_of[c].z, 0u, a0[c] == EMPTY);
             }
-            // Maps are empty already: what is empty need not be written, and most of an image may be.
+            // Maps are cleared: empty pixels, often most of an image, need no write.
             let left = a0[0] != EMPTY || a0[1] != EMPTY;
             let right = a0[2] != EMPTY || a0[3] != EMPTY;
             if GEOMETRY {
@@ -111,7 +111,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
                 high &= 0x00ffffff00fffffflu;
             }
             if GEOMETRY && !COLOR {
-                // Color stands there already, or zeros.
+                // The color, or zero, is already there.
                 let bits = select(0lu, 0xff000000ff000000lu, (push.wants & WANT_CLASS) != 0u);
                 low &= bits;
                 high &= bits;

@@ -1,9 +1,9 @@
-// Keys to maps of a reduced size: class, depth, instance and point from the nearest source pixel, color bilinear as
-// OpenCV does it in its fixed-point arithmetic. One invocation walks down the source rows under one column of the
-// result, and looks a point up only where the result reads it.
+// Keys to maps of a reduced size: class, depth, instance and point from the nearest source pixel, color bilinear
+// with OpenCV's fixed-point arithmetic. One invocation walks down the source rows of one result column, and
+// resolves points only where the result reads them.
 //
-// The taps of rows and columns must never go back: nearest <= low, low + 1 <= the next nearest (each without the other
-// for the variants of one kind), and for `both` low - nearest <= 3 from column to column.
+// The taps of rows and columns must never decrease: nearest <= low, low + 1 <= the next nearest (each without the
+// other for the variants of one kind), and for `both` low - nearest <= 3 in every column.
 //
 // variant both: COLOR=1 GEOMETRY=1 POINT=0
 // variant both_point: COLOR=1 GEOMETRY=1 POINT=1
@@ -19,7 +19,7 @@ override POINT: bool;
 
 struct ResolveTap {
     nearest: u32,
-    low: u32,           // of the two that color is mixed from
+    low: u32,           // first of the two that color interpolates
     weights: vec2<i32>, // 1/2048
 }
 
@@ -33,8 +33,8 @@ var<immediate> push: ResolvePush;
 
 // Per column (nearest, left, right): winners of the rows y-2 .. y+2 so far.
 var<private> winners: array<array<i64, 5>, 3>;
-var<private> row: u32; // of the keys, the next to be taken in
-var<private> columns: array<u32, 5>; // places of the pairs that are looked at
+var<private> row: u32; // next row of keys to fold
+var<private> columns: array<u32, 5>; // offsets of the pairs of columns to read
 var<private> odd: bool;
 var<private> shift: u32;
 var<private> reach_1: i64;
@@ -53,7 +53,7 @@ fn fold(column: u32, k0: i64, k1: i64, k2: i64, k3: i64, k4: i64) {
     winners[column][4] = m2;
 }
 
-// Takes in one more row of keys.
+// Folds one more row of keys.
 fn advance() {
     let t0 = keys_at(columns[0], row);
     let t1 = keys_at(columns[1], row);
@@ -84,7 +84,7 @@ fn advance() {
     row += 1u;
 }
 
-// Red, green, blue between two neighbouring pixels of a complete row, as OpenCV's first pass has it.
+// Red, green and blue between two neighboring pixels of a complete row, as in OpenCV's first pass.
 fn across(weights: vec2<i32>) -> vec3<i32> {
     let left = rgb_of(winners[1][0]) * weights.x;
     let right = rgb_of(winners[2][0]) * weights.y;
@@ -107,7 +107,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         return;
     }
     let column = taps[band.columns + x];
-    // Column of the keys of the leftmost pixel that is looked at; with padding, less two for the look around.
+    // Leftmost key column that is read: the source column plus two of padding, minus two for the gather.
     let start = select(column.low, column.nearest, GEOMETRY);
     for (var i = 0u; i < 5u; i++) {
         columns[i] = key_column(band.pair + start / 2u + i);
@@ -131,7 +131,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         let pixel = band.pixel + y * band.width + x;
         var class_bits = 0u;
         if GEOMETRY {
-            // A row is complete when the two below it have been taken in.
+            // A row is complete after the two rows below it are folded.
             while row < band.key_row + tap.nearest + 2u * PAD + 1u {
                 advance();
             }
@@ -139,7 +139,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
             let number = number_of(key);
             let block = block_of(number);
             class_bits = select(color_of(number + block.x) & 0xff000000u, 0u, key == EMPTY);
-            // Maps are empty already: what is empty need not be written.
+            // Maps are cleared: empty pixels need no write.
             if key != EMPTY && (push.wants & WANT_DEPTH) != 0u {
                 depth[pixel] = depth_bits(key);
             }
@@ -166,7 +166,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
                 rgb_class[pixel] = both;
             }
         } else if class_bits != 0u && (push.wants & WANT_CLASS) != 0u {
-            // Color stands there already, or zeros.
+            // The color, or zero, is already there.
             rgb_class[pixel] |= class_bits;
         }
     }

@@ -1,5 +1,5 @@
 #version 450
-// Writes down whose pixel it is; the depth test does the rest.
+// Writes the owner of a pixel; the depth test selects the nearest.
 
 layout(location = 0) flat in uvec2 owner;
 layout(location = 0) out uvec2 visibility;

@@ -1,5 +1,5 @@
 #version 450
-// One point to one square of pixels. The operations and their order are those of `project` in src/raster/cpu.rs.
+// Projects one point to a square of pixels, with the operations of `project` in src/raster/cpu.rs in the same order.
 
 const float Z_NEAR_M = 1e-5;
 const float DEPTH_FROM_M = 1.0 / 1073741824.0; // 2^-30, exact
@@ -15,7 +15,7 @@ layout(set = 0, binding = 0) uniform SplatFrame {
     Step steps[16];
     vec2 tile_origin;  // pixels
     vec2 tile_size;    // pixels
-    float viewport_pad; // pixels on each side: the largest radius
+    float viewport_pad; // padding on each side, pixels: the maximum radius
     uint step_count;
 } frame;
 
@@ -37,7 +37,7 @@ float dot_row(vec4 row, vec3 p) {
 }
 
 void main() {
-    // Dropped points stand outside the clip volume.
+    // Discarded points are placed outside the clip volume.
     gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
     gl_PointSize = 1.0;
     owner = uvec2(uint(gl_VertexIndex) + 1u, push.piece);

@@ -1,16 +1,16 @@
-// Keys of points to keys of squares, where radii are too large to look around for: the least key of a window around each
-// pixel, in passes whose windows grow. A pass takes the least of nine windows of the pass before, `step` pixels apart, which
-// together cover the larger window. A window whose radius is one of the schedule's holds the squares of the points up
-// to the depth for that radius: what such a window has within `bound` is put into `squares`.
+// Keys of points to keys of squares, for radii that are too large to gather: the minimum key of a window around each
+// pixel, in passes of growing windows. A pass takes the minimum of nine windows of the previous pass, `step` pixels
+// apart, which together cover the larger window. A window whose radius is in the schedule contains the squares of the
+// points up to the depth of that radius: keys of such a window within `bound` are merged into `squares`.
 //
-// The first pass reads the keys of points from the buffer of `squares`, so it must not write there. The last one writes
-// no windows.
+// The first pass reads the keys of points from the buffer of `squares`, so it must not write there. The last pass
+// writes no windows.
 //
 // variant widen: FOLD=0 LAST=0
 // variant fold: FOLD=1 LAST=0
 // variant last: FOLD=1 LAST=1
 
-override FOLD: bool; // whether windows of the pass before are put into `squares`
+override FOLD: bool; // whether windows of the previous pass are merged into `squares`
 override LAST: bool; // whether those of this pass are
 
 // As in project.wgsl.
@@ -23,12 +23,12 @@ struct SpreadBand {
 
 struct SpreadPush {
     step: u32,       // pixels
-    pad: u32,        // pixels around each band
-    key_rows: u32,   // of a panel of keys
-    rows: u32,       // per invocation
-    bound: u32,      // bits of the depth up to which windows of the pass before are squares; 0 where they are none
+    pad: u32,        // padding around each band, pixels
+    key_rows: u32,   // rows of a tile of keys
+    rows: u32,       // rows per invocation
+    bound: u32,      // bits of the depth up to which windows of the previous pass are squares; 0 if they are not
     last_bound: u32, // the same for the windows of the last pass
-    keep: u32,       // 1 if `squares` holds squares already
+    keep: u32,       // 1 if `squares` already contains squares
 }
 
 @group(0) @binding(0) var<storage, read> bands: array<SpreadBand>;
@@ -48,12 +48,12 @@ fn within(key: u64, bound: u32) -> u64 {
     return select(EMPTY, key, u32(key >> 32u) <= bound);
 }
 
-// The place of a column in row 0 of a panel.
+// Index of a column in row 0 of its tile.
 fn key_column(column: u32) -> u32 {
     return (column >> 5u) * push.key_rows * 32u + (column & 31u);
 }
 
-// The least of three windows in a row.
+// Minimum of three windows in a row.
 fn three(columns: vec3<u32>, row: u32) -> u64 {
     return lower(lower(windows[columns.x + row * 32u], windows[columns.y + row * 32u]), windows[columns.z + row * 32u]);
 }
@@ -69,7 +69,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if x >= width || first >= end {
         return;
     }
-    // Windows beyond the border are none. The one at the border takes their place: it lies within the larger window.
+    // There are no windows beyond the border. The one at the border replaces them: it lies within the larger window.
     let left = key_column(x - min(x, push.step));
     let middle = key_column(x);
     let right = key_column(min(x + push.step, width - 1u));

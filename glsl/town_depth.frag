@@ -1,5 +1,5 @@
 #version 450
-// Depth alone.
+// Writes only depth.
 
 void main() {
 }

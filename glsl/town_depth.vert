@@ -1,5 +1,5 @@
 #version 450
-// Corners to a depth map: orthographic, as the sun or the sky sees them.
+// Projects vertices to a depth map, orthographically along the rays of the sun or from above.
 
 layout(push_constant) uniform TownDraw {
     vec4 clip_x; // clip_from_mesh, row by row

@@ -1,5 +1,5 @@
 #version 450
-// Asphalt, paint on it, slabs, grass.
+// Shades asphalt, road paint, slabs and grass.
 
 // include common/town_view.glsl
 // include common/town_finish.glsl
@@ -11,7 +11,7 @@ const uint SIDEWALK = 2u;
 const uint PAINT = 3u;
 const uint GRASS = 4u;
 
-// Tone around 1: grain, patches, stains.
+// Returns the tone of asphalt, around 1: grain, patches, stains, cracks.
 float asphalt(Sample s, vec2 p) {
     float grain = (random(ivec2(floor(p * 90.0)), 11u) - 0.5) * detail(s, 0.022);
     float coarse = (noise(p * 31.0, 12u) - 0.5) * detail(s, 0.06);
@@ -57,7 +57,7 @@ void main() {
     color = s.surface == SIDEWALK ? slab : color;
     color = s.surface == PAINT ? paint : color;
     color = s.surface == GRASS ? grass(s, s.color, p) : color;
-    // A road that is looked at flatly throws some of the sky back.
+    // At grazing angles a road reflects some of the sky.
     float cosine = max(dot(s.normal, s.to_eye), 0.0);
     vec3 sheen = 0.22 * fresnel(cosine, 0.0) * (s.surface == GRASS ? 0.0 : s.sky) * view.horizon.rgb;
     finish(s, matt(s, max(color, vec3(0.0)), s.normal) + sheen);

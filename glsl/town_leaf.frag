@@ -1,5 +1,5 @@
 #version 450
-// Crowns of trees: clusters of leaves that lean every way, dark between, bright where the sun comes through.
+// Shades tree crowns: clusters of leaves with random orientation, dark gaps, bright where the sun shines through.
 
 // include common/town_view.glsl
 // include common/town_finish.glsl
@@ -7,7 +7,7 @@
 // include common/town_sample.glsl
 // include common/town_shade.glsl
 
-// The nearest of jittered centres, one a unit cell: how it lies from here, and its hash in the fourth.
+// Returns the offset to the nearest of jittered centres, one per unit cell, and a hash of it in w.
 vec4 cluster(vec3 p, uint seed) {
     vec3 cell = floor(p - 0.5);
     vec4 best = vec4(0.0, 0.0, 0.0, 0.0);
@@ -37,7 +37,7 @@ void main() {
     float tone = 1.0 + 0.45 * leaves * (leaf.w - 0.5) + 0.25 * twigs * (twig.w - 0.5);
     vec3 warm = mix(s.color, s.color * vec3(1.25, 1.08, 0.6), clamp(twig.w * 0.7, 0.0, 1.0));
     vec3 color = warm * tone * gaps;
-    // Lower and inner leaves see less of the sky.
+    // Lower leaves see less of the sky.
     float open = 0.62 + 0.38 * smoothstep(-0.8, 0.9, s.normal.z);
     vec3 light = matt(s, color, normal) * open;
     float through = max(dot(-s.normal, view.sun.xyz) * 0.5 + 0.4, 0.0) * max(dot(-s.to_eye, view.sun.xyz), 0.0);

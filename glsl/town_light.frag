@@ -1,5 +1,5 @@
 #version 450
-// How much of the sun and of the sky each sample sees; and, as depth, which shader is to shade it.
+// Computes the visible share of the sun and of the sky for each sample, and writes the kind of its shader as depth.
 
 // include common/town_view.glsl
 // include common/town_sample.glsl
@@ -24,7 +24,7 @@ vec3 on_map(vec4 x, vec4 y, vec4 z, vec3 p) {
     return vec3(dot(x.xyz, p) + x.w, dot(y.xyz, p) + y.w, dot(z.xyz, p) + z.w);
 }
 
-// 4 x 4 texels around a place, weighed by a box three texels wide: the share that does not hide it.
+// Returns the share of 4 x 4 texels around a position that do not hide it, weighted by a box three texels wide.
 float seen_near(vec3 at) {
     vec2 corner = at.xy - 0.5;
     vec2 t = fract(corner);
@@ -50,7 +50,7 @@ float seen_far(vec3 at) {
     return mix(mix(seen.x, seen.y, t.x), mix(seen.z, seen.w, t.x), t.y);
 }
 
-// Texels from the border of a map: below 0 outside.
+// Returns the distance to the border of a map less 4, texels; below 0 near the border and outside.
 float inside(vec2 at, ivec2 size) {
     vec2 least = min(at, vec2(size) - at);
     return min(least.x, least.y) - 4.0;
@@ -73,7 +73,7 @@ float sun_seen(vec3 p, vec3 n) {
     return facing > 0.0 ? seen : 0.0;
 }
 
-// Share of the sky: what stands above the place and near it, from the map from above.
+// Returns the visible share of the sky: occluders above and near the position come from the map from above.
 float sky_seen(vec3 p, vec3 n, float height_m) {
     vec2 out_of = n.xy * 0.75;
     vec3 at = on_map(view.over_x, view.over_y, view.over_z, p + vec3(out_of, 0.04));
@@ -85,7 +85,7 @@ float sky_seen(vec3 p, vec3 n, float height_m) {
     float turn = float((grid.x * 5u + grid.y * 11u) & 15u) * 0.0490874;
     vec2 axis = vec2(cos(turn), sin(turn));
     for (int i = 0; i < 12; i++) {
-        // Two rings: 4 near, 8 farther.
+        // Three rings of four taps.
         float r = i < 4 ? 0.28 : (i < 8 ? 0.62 : 1.05);
         float s = (i & 4) == 0 ? 0.0 : 0.7071;
         vec2 side = (i & 1) == 0 ? vec2(1.0, 0.0) : vec2(0.0, 1.0);

@@ -1,5 +1,5 @@
 #version 450
-// Plain colors, rubber, lamps, signs, cloth.
+// Shades plain colors, rubber, lamps, signs and cloth.
 
 // include common/town_view.glsl
 // include common/town_finish.glsl
@@ -12,7 +12,7 @@ const uint LAMP = 16u;
 const uint SIGN = 17u;
 const uint CLOTH = 19u;
 
-// Something like letters in rows: 1 where one is.
+// Returns 1 inside pseudo-letters in rows, else 0.
 float letters(Sample s) {
     vec2 size = vec2(0.17, 0.26);
     vec2 at = (s.uv - vec2(0.10, 0.12)) / size;
@@ -21,7 +21,7 @@ float letters(Sample s) {
     vec2 dot_at = fract(at) * vec2(5.0, 7.0);
     ivec2 d = ivec2(floor(dot_at));
     bool margin = d.x >= 4 || d.y < 1 || d.y >= 6;
-    // Upright strokes at the sides, bars between.
+    // Vertical strokes at the sides, bars between.
     uint row = uint(clamp(d.y - 1, 0, 4));
     bool stroke = (d.x == 0 && (glyph & 3u) != 0u) || (d.x == 3 && ((glyph >> 2) & 3u) > 1u);
     bool bar = ((glyph >> (4u + row)) & 1u) == 1u && (row & 1u) == 0u;
@@ -43,7 +43,7 @@ void main() {
     color = s.surface == CLOTH ? cloth : color;
     vec3 light = matt(s, max(color, vec3(0.0)), s.normal);
     light += s.surface == RUBBER ? 0.04 * view.sunlight.rgb * gleam(s, s.normal, 12.0) : vec3(0.0);
-    // Signs shine a little, and are lit at dusk.
+    // Signs reflect a little light, and are lit at dusk.
     vec3 sheen = 0.05 * view.horizon.rgb * fresnel(dot(s.normal, s.to_eye), 0.1);
     light += s.surface == SIGN ? sheen + sign * view.ground.w * 0.35 : vec3(0.0);
     vec3 lamp = s.color * (0.55 + 5.5 * view.ground.w) + 0.2 * light;

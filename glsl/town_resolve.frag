@@ -1,10 +1,11 @@
 #version 450
-// Samples at half-pixel steps to pixels: color by the tent 1-2-1, what is shown from the sample at the pixel's centre.
+// Resolves samples at half-pixel steps to pixels: color with the tent filter 1-2-1, triangle and draw from the sample
+// at the pixel's centre.
 
 layout(set = 0, binding = 7) uniform utexture2D owners;
 layout(set = 0, binding = 8) uniform texture2D colors;
 
-layout(location = 0) out uvec2 shown; // corner; draw and one
+layout(location = 0) out uvec2 shown; // provoking vertex; draw index + 1
 layout(location = 1) out uint color; // sRGB
 
 vec3 srgb_from_linear(vec3 c) {

@@ -1,5 +1,5 @@
 #version 450
-// One triangle over all samples, at one depth.
+// Covers all samples with one triangle at one depth.
 
 layout(push_constant) uniform TownScreen {
     float depth;

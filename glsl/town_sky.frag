@@ -1,5 +1,5 @@
 #version 450
-// Sky, clouds, sun.
+// Renders sky, clouds and sun.
 
 // include common/town_view.glsl
 // include common/town_finish.glsl

@@ -1,14 +1,14 @@
 #version 450
-// What a sample shows, for the shading that follows.
+// Writes the surface of each sample for later shading.
 
 layout(location = 0) in vec3 town_normal;
 layout(location = 1) in vec2 surface_uv;
 layout(location = 2) flat in uvec4 what;
 
 layout(location = 0) out uvec4 surface; // normal, color and surface, seed, uv
-layout(location = 1) out uvec2 owner;   // corner that begins the triangle, draw and one
+layout(location = 1) out uvec2 owner; // provoking vertex of the triangle, draw index + 1
 
-const float STEPS_PER_M = 512.0; // of uv in 16 bits
+const float STEPS_PER_M = 512.0; // resolution of uv in 16 bits
 
 void main() {
     vec3 n = gl_FrontFacing ? town_normal : -town_normal;

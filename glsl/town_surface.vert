@@ -1,14 +1,14 @@
 #version 450
-// Corners to samples of a view: depth is NEAR / z, so 1 at the near plane and 0 at infinity.
+// Projects vertices to the samples of a view; depth is NEAR / z, 1 at the near plane and 0 at infinity.
 
 layout(push_constant) uniform TownSurfaceDraw {
     vec4 clip_x; // clip_from_mesh, row by row: x, y, and camera z
     vec4 clip_y;
     vec4 camera_z;
-    vec4 turn_x; // town_from_mesh without place, row by row; its fourths: nothing
+    vec4 turn_x; // rotation of town_from_mesh, row by row; w unused
     vec4 turn_y;
     vec4 turn_z;
-    uint draw;   // its number and one
+    uint draw; // draw index + 1
     float near_m;
 } push;
 
@@ -20,7 +20,7 @@ layout(location = 4) in uint surface;
 
 layout(location = 0) out vec3 town_normal;
 layout(location = 1) out vec2 surface_uv;
-layout(location = 2) flat out uvec4 what; // color and surface, seed, corner, draw
+layout(location = 2) flat out uvec4 what; // color and surface, seed, vertex, draw
 
 void main() {
     vec4 p = vec4(position, 1.0);

@@ -1,5 +1,5 @@
 #version 450
-// Windows of houses: the street in them, and a room or curtains behind.
+// Shades house windows: reflection of the street, and a room or curtains behind.
 
 // include common/town_view.glsl
 // include common/town_finish.glsl
@@ -9,10 +9,10 @@
 // include common/town_sky.glsl
 
 const float ROOM_M = 3.2;
-const float CEILING_M = 1.9;  // above the pane's first corner
+const float CEILING_M = 1.9; // above the pane's first corner
 const float FLOOR_M = -1.0;
 
-// A box of a room behind the pane; what a straight ray meets in it.
+// Returns the color where a straight ray hits a box-shaped room behind the pane.
 vec3 room(Sample s, vec3 inward, vec3 along, float lit, float shop) {
     vec2 slope = vec2(dot(-s.to_eye, along), -s.to_eye.z) / max(dot(-s.to_eye, inward), 0.05);
     float width = ROOM_M * 0.5;
@@ -26,7 +26,7 @@ vec3 room(Sample s, vec3 inward, vec3 along, float lit, float shop) {
     vec3 wall = mix(vec3(0.75, 0.66, 0.52), vec3(0.55, 0.60, 0.66), unit(hash(ivec2(4, 1), s.seed))) * tone;
     float shelf = step(0.55, noise(hit * vec2(1.7, 1.2), s.seed + 1u)) * step(hit.y, 0.9);
     wall *= 1.0 - 0.55 * shelf * (1.0 - shop);
-    // A shop's goods stand in rows.
+    // The goods of a shop are in rows.
     vec2 row = hit * vec2(2.6, 2.1);
     uint thing = hash(ivec2(floor(row)), s.seed);
     vec2 border = abs(fract(row) - 0.5);
@@ -47,12 +47,12 @@ void main() {
     uint kind = hash(ivec2(7, 7), s.seed);
     float chance = unit(kind);
     float lit = unit(kind * 747796405u) < 0.42 ? view.ground.w : 0.0;
-        // Panes that begin near the ground are those of shops and of doors.
+    // Panes with their lower edge near the ground belong to shops and doors.
     float shop = s.place.z - s.uv.y < 0.75 ? 1.0 : 0.0;
     lit = shop > 0.5 ? 0.55 * view.ground.w : lit;
     vec3 inside = room(s, -s.normal, along, lit, shop);
 
-    // Curtains at both sides or a blind from above, in some windows.
+    // Some windows have curtains at both sides or a blind from above.
     float folds = 0.75 + 0.25 * cos(s.uv.x * 55.0) * detail(s, 0.12);
     float drawn = 0.12 + 0.35 * unit(kind * 2891336453u);
     bool at_side = s.uv.x < drawn || (s.uv.x > 1.2 - drawn && s.uv.x < 1.35);
@@ -62,7 +62,7 @@ void main() {
     vec3 behind = cloth * folds * (skylight(s.normal) * 0.45 * s.sky + vec3(1.0, 0.60, 0.30) * lit * 0.4);
     inside = curtain || blind ? behind : inside;
 
-    // Panes are never quite flat, nor quite upright.
+    // Panes are not perfectly flat or vertical.
     vec2 wave = vec2(noise(s.place.xy * 1.3 + s.place.z, 81u), noise(s.place.yx * 1.1 - s.place.z, 82u)) - 0.5;
     float lean = (unit(kind * 277803737u) - 0.5) * 0.03;
     vec3 normal = normalize(s.normal + along * (wave.x * 0.02 + lean) + vec3(0.0, 0.0, wave.y * 0.02 + lean));

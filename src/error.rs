@@ -1,28 +1,28 @@
-//! Errors of files: what was expected, what was found, and the file, last.
+//! File errors. Messages list the expected content, the found content and the file, in this order.
 
 use std::path::{Path, PathBuf};
 
 use crate::files::text::{printable, printable_path};
 
-/// A file that cannot be read or written as it should.
+/// Error of a file that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// The operating system said no.
+    /// The operating system reported an error.
     #[error("cannot {verb}: {}: {}", printable(&source.to_string()), printable_path(path))]
     Io {
         /// "read", "write", ...
         verb: &'static str,
-        /// What the system said.
+        /// Error reported by the operating system.
         source: std::io::Error,
         /// The file.
         path: PathBuf,
     },
-    /// The content is not what the format says.
+    /// The content violates the format.
     #[error("expected {}, found {}: {}", printable(expected), printable(found), printable_path(path))]
     Content {
-        /// What the format asks for.
+        /// Content required by the format.
         expected: String,
-        /// What stands in the file.
+        /// Content found in the file.
         found: String,
         /// The file.
         path: PathBuf,
@@ -30,13 +30,13 @@ pub enum FileError {
 }
 
 impl FileError {
-    /// For `map_err`: an I/O error with its file.
+    /// Returns a closure for `map_err` that creates an I/O error for a file.
     pub fn io(verb: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self + use<> {
         let path = path.to_owned();
         move |source| Self::Io { verb, source, path }
     }
 
-    /// A wrong content with its file.
+    /// Creates an error of unexpected content for a file.
     pub fn content(expected: impl Into<String>, found: impl Into<String>, path: &Path) -> Self {
         Self::Content { expected: expected.into(), found: found.into(), path: path.to_owned() }
     }

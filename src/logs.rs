@@ -1,13 +1,13 @@
-//! Logs by their names, whatever their format: recorded ones and the town that is built in.
+//! Access to logs of all formats by locator: recorded logs and the built-in synthetic town.
 
 use crate::dataset::{Dataset, DatasetError, LogFormat, LogLocator, av2, nuplan, nuscenes};
 use crate::error::FileError;
 use crate::town::{Town, TownOptions};
 
-/// The log that a text names, `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. Nothing is opened.
+/// Parses a log locator, `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. No file is opened.
 ///
 /// # Errors
-/// A text of another form; options that the town does not have.
+/// Fails if the text has another form or the town does not support an option.
 pub fn locate(text: &str) -> Result<LogLocator, DatasetError> {
     let locator: LogLocator = text.parse()?;
     if locator.format == LogFormat::Town {
@@ -16,10 +16,10 @@ pub fn locate(text: &str) -> Result<LogLocator, DatasetError> {
     Ok(locator)
 }
 
-/// The logs that a name stands for, in order: itself, unless it names a set of them.
+/// Returns the logs that a locator refers to, in order: the locator itself unless it names a set of logs.
 ///
 /// # Errors
-/// A set that holds none, or whose index cannot be read.
+/// Fails if the set is empty or its index cannot be read.
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     match locator.format {
         LogFormat::NuScenes => nuscenes::expand(locator),
@@ -29,10 +29,10 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     }
 }
 
-/// Opens a log by its name.
+/// Opens the log that a locator names.
 ///
 /// # Errors
-/// A name of another form, or what the format's reader finds wrong.
+/// Fails if the locator is invalid. Returns any error of the format's reader.
 pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
     match locator.format {
         LogFormat::NuScenes => Ok(Box::new(nuscenes::NuScenes::open(locator)?)),
@@ -42,10 +42,10 @@ pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
     }
 }
 
-/// Opens the built-in town, which can do more than a recorded log: it knows what is true.
+/// Opens the built-in synthetic town, which provides ground truth in addition to a log.
 ///
 /// # Errors
-/// A log of another format, options that it does not have.
+/// Fails if the locator has another format, names a folder of sensors or maps, or has invalid options.
 pub fn open_town(locator: &LogLocator) -> Result<Town, DatasetError> {
     Ok(Town::new(&town_options(locator)?)?)
 }

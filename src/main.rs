@@ -1,4 +1,4 @@
-//! The command `pskel`.
+//! Entry point of the command `pskel`.
 
 use std::process::ExitCode;
 

@@ -1,13 +1,13 @@
-//! Devices that come and go on several threads, under the validation layer.
+//! Opens and closes devices on several threads, under the validation layer.
 //!
-//! The layer finds what belongs to a device in a map that it does not lock: opening or closing a device on one thread
-//! while another thread calls Vulkan ended the process (`src/gpu/gate.rs`). Some threads here open a device, copy with
-//! it, make a mistake now and then, and close it; others copy all the time with a device of their own. Every byte must
-//! arrive, and every message must reach the device that caused it and no other.
+//! The layer looks up a device's state in a map that it does not lock: opening or closing a device on one thread
+//! while another thread calls Vulkan crashed the process (`src/gpu/gate.rs`). Some threads here open a device, copy
+//! with it, sometimes make a mistake, and close it; others copy continuously with their own device. Every byte must
+//! arrive, and every message must reach only the device that caused it.
 //!
-//! It takes 10 seconds; `PSKEL_STRESS_S=600 cargo test --test devices` takes 10 minutes, with
-//! `PSKEL_STRESS_THREADS=8` on eight threads of each kind instead of three.
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers stand outside `#[test]`
+//! The test takes 10 seconds. `PSKEL_STRESS_S=600 cargo test --test devices` takes 10 minutes;
+//! `PSKEL_STRESS_THREADS=8` uses eight threads of each kind instead of three.
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers are outside `#[test]` functions
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -48,9 +48,9 @@ fn copy(device: &Arc<Device>, commands: &mut Commands, byte: u8) -> Result<(), G
     Ok(())
 }
 
-/// Opens a device, uses it, closes it; every fourth time something is wrong, which this device alone must hear.
+/// Opens, uses and closes a device. Every fourth time it makes a mistake, which only this device must report.
 fn come_and_go(round: u64) -> Result<(), GpuError> {
-    // Devices without the layer come and go beside the others.
+    // Devices without the layer are opened and closed beside the others.
     let validation = !round.is_multiple_of(5);
     let device = open(validation);
     let messages = device.validation_messages();

@@ -1,27 +1,27 @@
-// What the resolve shaders share: tables, keys and how a key leads to a point's color, number and instance.
+// Common part of the resolve shaders: tables, keys, and the lookup of a key's color, number and instance.
 
 struct ResolveBand {
-    width: u32,   // of the result
+    width: u32,   // of the result, pixels
     height: u32,  // rows of the result in this band
-    key_row: u32, // of the keys of source row 0, wrapping
-    pixel: u32,   // of the result: where the band begins
-    columns: u32, // taps of column 0
-    rows: u32,    // taps of the band's first row
-    pair: u32,    // of the keys: pairs of columns to the left of those that are looked at
+    key_row: u32, // key row where the gather for source row 0 (full size: the band's first row) begins, wrapping
+    pixel: u32,   // offset of the band in the results, pixels
+    columns: u32, // index of the tap of column 0
+    rows: u32,    // index of the tap of the band's first row
+    pair: u32,    // number of pairs of key columns to the left of those that are read
     pad_1: u32,
 }
 
 struct ResolvePush {
-    reach_1: u32, // bits of the depth up to which a point covers its neighbours
-    reach_2: u32, // and the pixels beyond them
-    rows: u32,    // of the result, per invocation
-    wants: u32,   // bits WANT_
+    reach_1: u32, // bits of the depth up to which a point covers its neighbors
+    reach_2: u32, // the same for the pixels beyond them
+    rows: u32,    // result rows per invocation
+    wants: u32,   // WANT_ bits
     key_rows: u32,
 }
 
 @group(0) @binding(0) var<storage, read> bands: array<ResolveBand>;
-@group(0) @binding(1) var keys: texture_2d<u32>;         // two pixels a texel, in panels of 16 texels
-@group(0) @binding(2) var blocks: texture_2d<u32>;       // by number / 4096: to color index, to point number, instance
+@group(0) @binding(1) var keys: texture_2d<u32>;         // two pixels per texel, in tiles of 16 texels
+@group(0) @binding(2) var blocks: texture_2d<u32>;       // by number / 4096: offsets to color, to point; instance
 @group(0) @binding(3) var colors: texture_2d_array<u32>; // by color index
 
 const PAD = 2u;
@@ -44,7 +44,7 @@ fn depth_bits(key: i64) -> u32 {
     return select(u32(u64(key) >> 32u), INFINITY_BITS, key == EMPTY);
 }
 
-// The place of a pair of columns in row 0 of the keys.
+// Offset of a pair of columns in row 0 of the keys.
 fn key_column(pair: u32) -> u32 {
     return (pair >> 4u) * push.key_rows * 16u + (pair & 15u);
 }
@@ -55,7 +55,7 @@ fn keys_at(column: u32, row: u32) -> vec4<u32> {
     return textureLoad(keys, vec2<u32>(at & 4095u, at >> 12u), 0);
 }
 
-// Of an empty pixel: 0.
+// Returns 0 for an empty pixel.
 fn number_of(key: i64) -> u32 {
     return select(u32(u64(key) & 0xfffffffflu), 0u, key == EMPTY);
 }

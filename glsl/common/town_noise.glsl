@@ -1,4 +1,4 @@
-// Numbers that look random and depend on a place and a seed alone.
+// Pseudo-random numbers that depend only on a position and a seed.
 uint hash(ivec2 p, uint seed) {
     uint h = uint(p.x) * 0x9e3779b1u ^ uint(p.y) * 0x85ebca77u ^ seed * 0xc2b2ae3du;
     h = (h ^ (h >> 15)) * 0x2c1b3c6du;
@@ -6,7 +6,7 @@ uint hash(ivec2 p, uint seed) {
     return h ^ (h >> 16);
 }
 
-// 24 bits to [0, 1).
+// Converts 24 bits to [0, 1).
 float unit(uint h) {
     return float(h >> 8) * (1.0 / 16777216.0);
 }
@@ -15,7 +15,7 @@ float random(ivec2 p, uint seed) {
     return unit(hash(p, seed));
 }
 
-// Smooth, [0, 1), features of length 1.
+// Returns smooth noise in [0, 1) with features of length 1.
 float noise(vec2 p, uint seed) {
     vec2 cell = floor(p);
     ivec2 c = ivec2(cell);

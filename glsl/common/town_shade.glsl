@@ -1,4 +1,4 @@
-// What a sample shows, and its light.
+// Surface and light of a sample.
 layout(set = 0, binding = 3) uniform texture2D lights;
 
 layout(location = 0) out vec4 color_out;
@@ -7,14 +7,14 @@ struct Sample {
     vec3 place;    // town, m
     vec3 to_eye;   // unit
     float away;    // m
-    float sample_m; // its width on the surface
+    float sample_m; // width of the sample on the surface
     vec3 normal;
     vec3 color;    // linear
     uint surface;
     uint seed;
     vec2 uv;       // m
-    float sun;     // how much of the sun is seen
-    float sky;     // how much of the sky is seen
+    float sun; // visible share of the sun
+    float sky; // visible share of the sky
 };
 
 vec3 linear_from_srgb(vec3 c) {
@@ -45,7 +45,7 @@ Sample sample_here() {
     return s;
 }
 
-// How much of a pattern with features of this length, m, is left at the sample's width: it ends in its mean.
+// Returns the weight of a pattern with features of this length, m, at the sample's width; at 0 it fades to its mean.
 float detail(Sample s, float feature_m) {
     return 1.0 - smoothstep(0.25, 0.9, s.sample_m / feature_m);
 }
@@ -55,20 +55,20 @@ vec3 skylight(vec3 normal) {
     return mix(view.ground.rgb, above, 0.5 + 0.5 * normal.z);
 }
 
-// Light that a matt surface throws back.
+// Returns the light that a matt surface reflects.
 vec3 matt(Sample s, vec3 color, vec3 normal) {
     float facing = max(dot(normal, view.sun.xyz), 0.0) * s.sun;
     return color * (view.sunlight.rgb * facing + skylight(normal) * s.sky);
 }
 
-// Share of light that a smooth surface mirrors, after Schlick (1994).
+// Returns the share of light that a smooth surface reflects, after Schlick (1994).
 float fresnel(float cosine, float least) {
     float x = 1.0 - clamp(cosine, 0.0, 1.0);
     float x2 = x * x;
     return least + (1.0 - least) * x2 * x2 * x;
 }
 
-// The sun in a surface: high powers are sharp.
+// Returns the specular highlight of the sun; high powers are sharp.
 float gleam(Sample s, vec3 normal, float power) {
     vec3 halfway = normalize(view.sun.xyz + s.to_eye);
     return pow(max(dot(normal, halfway), 0.0), power) * s.sun;
@@ -77,7 +77,7 @@ float gleam(Sample s, vec3 normal, float power) {
 void finish(Sample s, vec3 light) {
     vec3 air = 0.8 * view.horizon.rgb + 0.06 * view.sunlight.rgb;
     vec3 seen = mix(air, light, exp(-view.horizon.w * s.away));
-    // Not a condition: lavapipe compiles a shader anew for every picture if a uniform decides on a branch of it.
+    // No branch here: lavapipe recompiles the shader for every image if a uniform decides on a branch.
     vec3 shown = mix(developed(seen), s.color, view.sun.w);
     color_out = vec4(shown, 1.0);
 }

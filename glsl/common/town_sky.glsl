@@ -1,4 +1,4 @@
-// Light from a direction of the sky, without clouds.
+// Returns the light from a direction of the clear sky.
 vec3 clear_sky(vec3 dir) {
     float up = clamp(dir.z, 0.0, 1.0);
     float low = 1.0 - up;
@@ -10,7 +10,7 @@ vec3 clear_sky(vec3 dir) {
     return color + view.sunlight.rgb * (0.035 * n8 + 0.16 * n8 * n8 * n8 * n8);
 }
 
-// How much cloud, [0, 1], and how thick.
+// Returns the cloud cover in [0, 1], and the density.
 vec2 clouds(vec3 dir, int octaves) {
     vec2 at = dir.xy / (max(dir.z, 0.0) + 0.12) * 1.1 + view.scale.z;
     float sum = 0.0;
@@ -31,7 +31,7 @@ vec3 cloudy(vec3 color, vec3 dir, vec2 cloud) {
     return mix(color, white * (1.18 - 0.5 * cloud.y), 0.85 * cloud.x);
 }
 
-// What a mirror on the street sees: sky above roofs that stand around, ground below.
+// Returns the light that a mirror on the street reflects: sky above surrounding roofs, ground below.
 vec3 mirrored(vec3 dir, float blur) {
     vec3 sky = cloudy(clear_sky(dir), dir, clouds(dir, 2));
     float length_xy = inversesqrt(dot(dir.xy, dir.xy) + 1e-4);

@@ -20,15 +20,15 @@ use crate::skeleton::{
     Template, TemplateCloud, TemplateKind, TemplateLibrary,
 };
 
-/// Build a point skeleton from recorded drives: colored background, an asset per tracked actor
+/// Build a point skeleton from recordings: colored background, and an asset per tracked actor
 ///
-/// Writes a folder with skeleton.json (what it holds, how it was made, and how many points were dropped and why) and
-/// three files of points. An older skeleton at that place is replaced once the new one is complete. Until then a folder
-/// SKEL.partial holds what is done; after an interruption --resume goes on from there.
+/// Writes a folder with skeleton.json (content, options, and counts of dropped points by reason) and three files of
+/// points. An older skeleton in that folder is replaced once the new one is complete. Until then, a folder
+/// SKEL.partial holds the finished part; after an interruption, --resume continues it.
 #[derive(Debug, Args)]
 pub(super) struct BuildArgs {
-    /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061; several drives of one
-    /// place share a background
+    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061; several
+    /// recordings of one place share a background
     #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
     logs: Vec<LogLocator>,
     #[command(flatten)]
@@ -36,44 +36,45 @@ pub(super) struct BuildArgs {
     /// Folder to write
     #[arg(long, value_name = "SKEL", value_parser = log_args::output_folder())]
     out: PathBuf,
-    /// Side of the voxels that points are merged in, metres; 0 keeps all points [default: 0.01, with --coloring
-    /// every-camera 0]
+    /// Side of the voxels in which points are merged, meters; 0 retains all points [default: 0.01; 0 with --coloring
+    /// every-camera]
     #[arg(long, value_name = "M", value_parser = numbers::voxel_m, allow_negative_numbers = true)]
     voxel: Option<f64>,
-    /// Go on with an interrupted build of the same logs, frames and options, if there is one
+    /// Continue an interrupted build of the same logs, frames and options, if there is one
     #[arg(long)]
     resume: bool,
-    /// Frames from one checkpoint to the next
+    /// Number of frames between checkpoints
     #[arg(long, value_name = "N", default_value = "20", value_parser = clap::value_parser!(u32).range(1..))]
     checkpoint: u32,
     /// Use only every N-th frame
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
-    /// Use only these frames, numbered from 0 in the log's order, without B
+    /// Use only this range of frames, numbered from 0 in log order, B excluded
     #[arg(long, value_name = "A..B")]
     frames: Option<FrameRange>,
-    /// Also use the sweeps between annotated frames, with boxes in between
+    /// Also use the sweeps between annotated frames, with interpolated boxes
     #[arg(long)]
     sweeps: bool,
-    /// Grow boxes by this on every side before points are told apart, metres [default: depends on --coloring]
+    /// Grow boxes by this margin on every side before points are assigned to actors, meters [default: depends on
+    /// --coloring]
     #[arg(long, value_name = "M", value_parser = numbers::margin_m, allow_negative_numbers = true)]
     box_margin: Option<f64>,
-    /// How points get their color; every-camera is what existing scripts do, for comparison
+    /// How points are colored; every-camera reproduces existing scripts, for comparison
     #[arg(long, value_enum, default_value = "best-view")]
     coloring: Coloring,
-    /// Points that stand in for actors of a kind (sedan, suv, pickup, pedestrian, bike, truck, bus, trailer,
-    /// construction), x forward, z up; may be given once per kind
+    /// Template for actors of a kind (sedan, suv, pickup, pedestrian, bike, truck, bus, trailer, construction):
+    /// points with x forward and z up; at most once per kind
     #[arg(long = "template", value_name = "KIND=FILE.npy|ply")]
     templates: Vec<TemplateFile>,
-    /// Make templates from the log's own actors; those given by --template go before them
+    /// Create templates from the log's own actors; those of --template take precedence
     #[arg(long = "templates")]
     own_templates: bool,
-    /// Take templates of kinds that there are none of so far from a folder of `pskel templates`
+    /// Folder of `pskel templates`, used for kinds that have no template yet
     #[arg(long, value_name = "DIR")]
     templates_from: Option<PathBuf>,
 }
 
-/// `KIND=FILE`.
+/// Argument `KIND=FILE`.
 #[derive(Clone, Debug)]
 struct TemplateFile {
     kind: TemplateKind,
@@ -89,7 +90,7 @@ impl FromStr for TemplateFile {
     }
 }
 
-/// Reads, builds, writes.
+/// Runs the command: opens the logs, builds and writes the skeleton.
 pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     SkeletonWriter::check_target(&args.out)?;
@@ -155,7 +156,8 @@ impl BuildArgs {
     }
 }
 
-/// The skeleton of a whole log at a path: built as by default if it is not there, it stays for what is asked later.
+/// Opens the skeleton of a whole log at a path. Builds it with default options if it does not exist, and retains it
+/// for later runs.
 pub(super) fn kept(dataset: &dyn Dataset, path: &Path) -> anyhow::Result<Skeleton> {
     if !path.exists() {
         let (input, how) = ([BuildInput::all(dataset)], BuildOptions::default());
@@ -175,14 +177,14 @@ fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<(Template, Vec<P
     files.iter().map(|file| Ok(read_template(file.kind, &file.path)?)).collect()
 }
 
-/// Sorted by kind.
+/// Returns the first template of each kind, sorted by kind.
 fn first_of_each_kind(mut templates: Vec<TemplateCloud>) -> Vec<TemplateCloud> {
     templates.sort_by_key(|(template, _)| template.kind);
     templates.dedup_by_key(|(template, _)| template.kind);
     templates
 }
 
-/// Reads a template and moves it so that its bounds are centred on the origin, as those of a box are.
+/// Reads a template and centers its bounds on the origin, like those of a box.
 fn read_template(kind: TemplateKind, path: &Path) -> Result<(Template, Vec<Point>), FileError> {
     let read = cloud::read(path)?.points;
     let no_points = || FileError::content("points with finite coordinates", "none", path);

@@ -16,7 +16,7 @@ use crate::skeleton::{Skeleton, TemplateKind};
 /// Convert points: a skeleton to NPY or PLY files, or one such file to the other format
 ///
 /// A skeleton becomes a folder with background, actors/TRACK and templates/KIND, floats Nx6 (x y z r g b), and
-/// origins.json, which tells what the background's coordinates are relative to and which file holds which track.
+/// origins.json, which holds the origin of the background's coordinates and the file of each track.
 #[derive(Debug, Args)]
 pub(super) struct ConvertArgs {
     /// Skeleton folder, or a file of points
@@ -25,7 +25,7 @@ pub(super) struct ConvertArgs {
     /// Folder or file to write
     #[arg(long, value_name = "PATH", value_parser = log_args::output_folder())]
     out: PathBuf,
-    /// Format to write [default: npy for a skeleton; for a file what the ending of --out says]
+    /// Format to write [default: npy for a skeleton; for a file, the extension of --out]
     #[arg(long, value_enum)]
     format: Option<PointFormat>,
 }
@@ -57,7 +57,7 @@ impl PointFormat {
     }
 }
 
-/// Reads, writes.
+/// Runs the command: reads and writes points.
 pub(super) fn run(args: ConvertArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let what = if args.input.is_dir() {
@@ -69,7 +69,7 @@ pub(super) fn run(args: ConvertArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What stands beside points whose coordinates had an origin taken off.
+/// Origin file beside points whose coordinates are relative to an origin.
 #[derive(Serialize)]
 struct FileOrigin {
     origin: [f64; 3],
@@ -93,7 +93,7 @@ fn convert_file(args: &ConvertArgs) -> anyhow::Result<String> {
     let origin = if file.origin == DVec3::ZERO {
         String::new()
     } else {
-        // Before the points: whoever sees them can place them.
+        // Written before the points, so that points never exist without their origin.
         let path = args.out.with_extension("origin.json");
         write_json(&path, &FileOrigin { origin: file.origin.to_array() })?;
         format!(", relative to the origin in {}", path.display())
@@ -104,7 +104,7 @@ fn convert_file(args: &ConvertArgs) -> anyhow::Result<String> {
 
 const ORIGINS: &str = "origins.json";
 
-/// `origins.json`.
+/// Content of `origins.json`.
 #[derive(Serialize)]
 struct Origins {
     background: BackgroundFile,
@@ -115,19 +115,19 @@ struct Origins {
 #[derive(Serialize)]
 struct BackgroundFile {
     file: String,
-    /// Global position that the coordinates are relative to, metres.
+    /// Global position that the coordinates are relative to, meters.
     origin: [f64; 3],
     points: usize,
 }
 
-/// Coordinates are relative to the centre of the box, x forward.
+/// Coordinates are relative to the center of the box, x forward.
 #[derive(Serialize)]
 struct ActorFile {
     file: String,
     track: String,
     category: String,
     class: u8,
-    /// Length, width, height of the box, metres.
+    /// Length, width, height of the box, meters.
     size: [f64; 3],
     points: usize,
 }
@@ -217,7 +217,8 @@ fn create(folder: &Path) -> Result<(), FileError> {
     std::fs::create_dir(folder).map_err(FileError::io("create", folder))
 }
 
-/// The beginning of a track's id with all but plain characters replaced, and a number behind it where that is taken.
+/// Returns a unique file name for a track: the beginning of its id with special characters replaced, and a number
+/// appended if the name is taken.
 fn file_name(track: &str, taken: &mut BTreeSet<String>) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' || c == '_' { c } else { '_' };
     let name: String = track.chars().take(FileName::MAX_BYTES).map(plain).collect();

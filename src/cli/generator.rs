@@ -1,4 +1,4 @@
-//! The generator on the command line: which network, how its window moves, and the session that is made of both.
+//! Generator options of the command line: the network, its strategy, and the session created from both.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -23,77 +23,78 @@ use crate::geometry::ImageSize;
 use crate::peer::{PeerAddress, PeerSpec};
 use crate::scene::{SceneMap, Stage};
 
-/// Makes images of the conditions.
+/// Options for generating images from conditions.
 #[derive(Clone, Debug, Args)]
 pub(super) struct GeneratorArgs {
-    /// How the window moves [default: reset_and_roll]
+    /// Strategy for advancing the window [default: reset_and_roll]
     #[arg(long, value_enum, value_name = "STRATEGY")]
     strategy: Option<StrategyName>,
-    /// Frames in the window, L; the first L - 1 frames are true images [default: what the network is trained for; 4 of a
-    /// process]
+    /// Frames in the window, L; the first L - 1 frames are ground-truth images [default: the window the network was
+    /// trained with; 4 for a process]
     #[arg(long, value_name = "L")]
     window: Option<usize>,
-    /// Inference steps, T, a multiple of L - C with the strategies that roll [default: L - C]
+    /// Inference steps, T; with rolling strategies a multiple of L - C [default: L - C]
     #[arg(long, value_name = "T")]
     infer_steps: Option<usize>,
-    /// With strategies that roll: leading frames of the window that are always clean [default: 0]
+    /// With rolling strategies: leading frames of the window that are always clean [default: 0]
     #[arg(long, value_name = "C")]
     clean: Option<usize>,
     /// With --strategy non_causal: forecasts in the window [default: 1]
     #[arg(long, value_name = "K")]
     ahead: Option<usize>,
-    /// With --strategy causal: noise on the frames before, in steps of 1000 [default: 0]
+    /// With --strategy causal: noise on the previous frames, in steps of 1000 [default: 0]
     #[arg(long, value_name = "N")]
     history_noise: Option<usize>,
-    /// Scale of classifier-free guidance; 1 is none, more asks the network twice [default: 1]
+    /// Scale of classifier-free guidance; 1 disables it, other values evaluate the network twice [default: 1]
     #[arg(long, value_name = "S", value_parser = numbers::scale, allow_negative_numbers = true)]
     guidance: Option<f32>,
-    /// What the other half of the guidance does without: layout, text and action, or color and depth too [default: layout]
+    /// Conditions dropped in the second evaluation of the guidance: layout, text and action, or also color and depth
+    /// [default: layout]
     #[arg(long, value_enum)]
     guide: Option<Guide>,
-    /// What noise follows from [default: 0]
+    /// Seed of the noise [default: 0]
     #[arg(long, value_name = "SEED")]
     noise_seed: Option<u64>,
-    /// With process:.. what its predictions are [default: flow_match]
+    /// With process:.., the kind of its predictions [default: flow_match]
     #[arg(long, value_enum)]
     sampler: Option<SamplerName>,
-    /// With process:.. how its conditions are made, as JSON; what is missing is as of the built-in network
+    /// With process:.., the recipe of its conditions, as JSON; missing fields are as in the built-in network
     #[arg(long, value_name = "F.json")]
     recipe: Option<PathBuf>,
-    /// With process:.. how long to wait for each of its answers, seconds [default: 60]
+    /// With process:.., time-out for each of its answers, seconds [default: 60]
     #[arg(long, value_name = "S", value_parser = numbers::timeout_s)]
     generator_timeout: Option<f64>,
 }
 
-/// Which network.
+/// Network selected on the command line.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "String")]
 pub(super) enum NetworkName {
-    /// Ours, with the weights of a file or those that come with the program.
+    /// Built-in network, with the weights of a file or those shipped with the program.
     Network(Option<PathBuf>),
-    /// One in another process.
+    /// Network in another process.
     Process(PeerAddress),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 #[value(rename_all = "snake_case")]
 enum StrategyName {
-    /// Rolls on to the forecasts and throws away what has seen them.
+    /// Rolls on to the forecasts, then discards all frames influenced by them.
     ResetAndRoll,
-    /// One roll a step; frames keep what old forecasts left in them.
+    /// One roll per step; frames retain the influence of old forecasts.
     Rolling,
-    /// Clean frames before, no forecasts.
+    /// Clean previous frames, no forecasts.
     Causal,
-    /// Clean frames before, and --ahead forecasts.
+    /// Clean previous frames, and --ahead forecasts.
     NonCausal,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 #[value(rename_all = "snake_case")]
 enum Guide {
-    /// Without layout, text and action.
+    /// Drops layout, text and action.
     Layout,
-    /// Without any condition.
+    /// Drops all conditions.
     All,
 }
 
@@ -102,15 +103,15 @@ enum Guide {
 enum SamplerName {
     /// Velocities of flow matching, shift 3.
     FlowMatch,
-    /// Noise, by DDIM.
+    /// Noise, with DDIM.
     DdimEpsilon,
-    /// Clean frames, by DDIM.
+    /// Clean frames, with DDIM.
     DdimSample,
-    /// Velocities, by DDIM.
+    /// Velocities, with DDIM.
     DdimVelocity,
 }
 
-/// A network that is ready, and what goes with it.
+/// Opened network with its options.
 pub(super) struct Opened {
     denoiser: AnyDenoiser,
     codec: Box<dyn Codec>,
@@ -123,11 +124,11 @@ pub(super) struct Opened {
     name: NetworkName,
 }
 
-/// How frames are generated, for `rollout.json` and `index.json`.
+/// Generator settings in `rollout.json` and `index.json`.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct GeneratorReport {
     network: NetworkName,
-    /// Where the weights come from.
+    /// Provenance of the weights.
     weights: Option<About>,
     fingerprint: Option<String>,
     /// Size of the images.
@@ -138,7 +139,7 @@ pub(super) struct GeneratorReport {
     noise_seed: u64,
 }
 
-/// Whose images are to be made.
+/// Scene whose images are generated.
 pub(super) struct Subject<'a> {
     pub(super) log: &'a Log,
     pub(super) map: Option<Arc<SceneMap>>,
@@ -149,15 +150,15 @@ pub(super) struct Subject<'a> {
     pub(super) actors_follow_log: bool,
 }
 
-/// Frames in the window of a network that does not tell.
+/// Default window of a network process, frames.
 const WINDOW: usize = 4;
-/// How long another process may take to answer, seconds.
+/// Default time-out of a network process, seconds.
 const TIMEOUT_S: f64 = 60.0;
-/// Of flow matching. Source: the scheduler of Stable Diffusion 3.5.
+/// Shift of flow matching. Source: the scheduler of Stable Diffusion 3.5.
 const SHIFT: f64 = 3.0;
 
 impl GeneratorArgs {
-    /// Options without effect are refused.
+    /// Rejects options that have no effect.
     pub(super) fn check(&self, name: Option<&NetworkName>) -> Result<(), WrongUsage> {
         let Self { strategy, clean, guidance, .. } = self;
         let strategy = strategy.unwrap_or(StrategyName::ResetAndRoll);
@@ -192,7 +193,7 @@ impl GeneratorArgs {
         Err(WrongUsage(format!("expected {needs} with {option}, found none")))
     }
 
-    /// Opens or starts the network; `cameras` is what the log has.
+    /// Opens or starts the network; `cameras` is the number of cameras of the log.
     pub(super) fn open(&self, name: &NetworkName, cameras: usize) -> anyhow::Result<Opened> {
         match name {
             NetworkName::Network(path) => self.network(path.as_deref(), cameras),
@@ -281,7 +282,7 @@ impl GeneratorArgs {
 }
 
 impl GeneratorReport {
-    /// For the page.
+    /// Formats a summary for the HTML page.
     pub(super) fn fact(&self) -> String {
         let GenerateOptions { window, steps, strategy, .. } = self.options;
         format!("images of {} by {} ({}, L {window}, T {steps})", self.size, self.network, strategy.name())
@@ -289,7 +290,7 @@ impl GeneratorReport {
 }
 
 impl Opened {
-    /// Frames in the window.
+    /// Returns the number of frames in the window.
     pub(super) fn window(&self) -> usize {
         self.options.window
     }
@@ -306,7 +307,7 @@ impl Opened {
         }
     }
 
-    /// The session of a simulation.
+    /// Creates the session of a simulation.
     pub(super) fn session<'a>(self, subject: &Subject<'a>) -> anyhow::Result<Session<'a>> {
         let Subject { log, map, stage, prompt, truth, ego_follows_log, actors_follow_log } = subject;
         let prompt = prompt.prompt().unwrap_or_default();

@@ -8,32 +8,32 @@ use crate::dataset::{Dataset, DatasetError, LogFormat, LogLocator};
 use crate::files::resolved_output;
 use crate::logs;
 
-/// Where the parts of a data set are.
+/// Locations of the parts of a data set.
 #[derive(Clone, Debug, Default, Args)]
 pub(super) struct LogRoots {
-    /// Folder of sweeps and images, where it is not at the data set's usual place
+    /// Folder of sweeps and images, if not in the data set's usual place
     #[arg(long, value_name = "DIR")]
     sensor_root: Option<PathBuf>,
-    /// Folder of maps, where it is not at the data set's usual place
+    /// Folder of maps, if not in the data set's usual place
     #[arg(long, value_name = "DIR")]
     map_root: Option<PathBuf>,
-    /// Also read files that the data set names by absolute paths or by paths with "..", wherever they are: for data sets
-    /// whose maker is trusted
+    /// Also read files outside the data set's folder that it names by absolute paths or by paths with "..": only for
+    /// data sets from trusted sources
     #[arg(long)]
     allow_outside: bool,
 }
 
-/// For the parser: a log's name.
+/// Argument parser for the name of a log.
 pub(super) fn log(text: &str) -> Result<LogLocator, DatasetError> {
     logs::locate(text)
 }
 
-/// For the parser: a folder to write.
+/// Argument parser for an output folder.
 pub(super) fn output_folder() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().map(resolved_output)
 }
 
-/// For what needs the truth: towns, each named once.
+/// Checks that all logs are distinct synthetic towns, for commands that need ground truth.
 pub(super) fn check_towns(logs: &[LogLocator]) -> Result<(), WrongUsage> {
     if let Some(other) = logs.iter().find(|log| log.format != LogFormat::Town) {
         let message = format!("expected logs town:.., of which the truth is known, found {other}");
@@ -46,7 +46,7 @@ pub(super) fn check_towns(logs: &[LogLocator]) -> Result<(), WrongUsage> {
 }
 
 impl LogRoots {
-    /// A log's name with these folders, and where its files may be.
+    /// Adds these folders and the permission for outside files to the name of a log.
     pub(super) fn locate(&self, log: &LogLocator) -> LogLocator {
         let (sensor_root, map_root) = (self.sensor_root.clone(), self.map_root.clone());
         LogLocator { sensor_root, map_root, allow_outside: self.allow_outside, ..log.clone() }

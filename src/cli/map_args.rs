@@ -12,55 +12,56 @@ use crate::conditions::{
 use crate::raster::SplatSchedule;
 use crate::scene::{SelectionOptions, TemplateFit};
 
-/// Which maps are made and how, shared by all commands that render a log.
+/// Options of condition maps, shared by all commands that render a log.
 #[derive(Clone, Debug, Args)]
 pub(super) struct MapArgs {
-    /// Which maps: color, depth, class, instance, boxes, map (of the log's HD map), point (numbers of the points), and
-    /// tensor (what networks are fed; npz and safetensors alone) [default: color,depth,class,instance,boxes, and map
-    /// where the log has one]
+    /// Maps to render: color, depth, class, instance, boxes, map (the log's HD map), point (point numbers), and
+    /// tensor (network inputs; npz and safetensors only) [default: color,depth,class,instance,boxes, and map if the
+    /// log has one]
     #[arg(long, value_name = "MAP,..")]
     pub(super) maps: Option<MapSet>,
-    /// Files: png (depth as 16-bit bins); exr, npz or safetensors (depth in metres, -300 where empty)
+    /// Files: png (depth as 16-bit bins); exr, npz or safetensors (depth in meters, -300 where empty)
     #[arg(long, value_enum, default_value = "png")]
     pub(super) format: MapFormat,
-    /// Draw at this size; scales the intrinsics [default: the size of the cameras]
+    /// Render at this size; scales the intrinsics [default: the size of the cameras]
     #[arg(long, value_name = "HxW")]
     pub(super) size: Option<ImageSize>,
-    /// Reduce the maps to this size after drawing [default: no reduction]
+    /// Reduce the maps to this size after rendering [default: no reduction]
     #[arg(long, value_name = "HxW")]
     pub(super) out_size: Option<ImageSize>,
-    /// Splat radius by depth: up to Z metres a point covers (2R+1) x (2R+1) pixels; beyond the last Z nothing is drawn
+    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z are
+    /// culled
     #[arg(long, value_name = "Z:R,..", default_value_t)]
     pub(super) splat: SplatSchedule,
-    /// Use points up to this far from the ego along x and y of the log's frame, metres
+    /// Use points up to this distance from the ego along x and y of the log's frame, meters
     #[arg(long, value_name = "M", default_value = "100", value_parser = numbers::distance_m)]
     #[arg(allow_negative_numbers = true)]
     pub(super) radius: f64,
-    /// How depth is cut into the bins of depth.png, of the sheet and of the tensor
+    /// Scale of the depth bins in depth.png, the contact sheet and the tensor
     #[arg(long, value_enum, default_value = "linear")]
     pub(super) depth_bins: BinScale,
-    /// Depth in the tensor: itself (continuous), its sines and cosines (discrete), or both
+    /// Depth in the tensor: metric values (continuous), their sines and cosines (discrete), or both
     #[arg(long, value_enum, default_value = "continuous")]
     pub(super) depth_embedding: DepthEmbedding,
-    /// Where the last depth bin ends, metres [default: --radius]
+    /// End of the last depth bin, meters [default: --radius]
     #[arg(long, value_name = "M", value_parser = numbers::distance_m, allow_negative_numbers = true)]
     pub(super) far: Option<f64>,
-    /// What hides actors in class and instance maps: the whole scene, or only other actors
+    /// Occluders of actors in class and instance maps: the whole scene, or only other actors
     #[arg(long, value_enum, default_value = "scene")]
     pub(super) occlusion: Occlusion,
-    /// Scale templates to the actor's box, or leave them as they are
+    /// Scale templates to the actor's box, or retain their size
     #[arg(long, value_enum, default_value = "box")]
     pub(super) template_fit: TemplateFit,
-    /// How color is reduced: as OpenCV's INTER_LINEAR, or as the mean of the pixels that are not empty
+    /// Filter for reducing color: OpenCV's INTER_LINEAR, or the mean of the pixels that are not empty
     #[arg(long, value_enum, default_value = "bilinear")]
     pub(super) color_filter: ColorFilter,
-    /// Actors with more points than this show their own points in depth, class and instance maps, others the
-    /// template of their category where there is one
+    /// Actors with more points than this are rendered with their own points in depth, class and instance maps; others
+    /// with the template of their category, if available
     #[arg(long, value_name = "N", default_value_t = SelectionOptions::default().min_actor_points)]
     pub(super) min_actor_points: usize,
 }
 
-/// What is written for the maps.
+/// File format of the maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum MapFormat {
@@ -96,7 +97,7 @@ impl MapFormat {
 }
 
 impl MapArgs {
-    /// Files of images hold no tensors.
+    /// Rejects tensors in image formats.
     pub(super) fn check(&self) -> Result<(), WrongUsage> {
         let images = matches!(self.format, MapFormat::Png | MapFormat::Exr);
         if images && self.asks_for(MapKind::Tensor) {
@@ -111,7 +112,7 @@ impl MapArgs {
         self.maps.is_some_and(|maps| maps.contains(kind))
     }
 
-    /// The maps to make of a log with or without an HD map; `None` if that is missing and was asked for.
+    /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but missing.
     pub(super) fn kinds(&self, has_map: bool) -> Option<MapSet> {
         match self.maps {
             None if has_map => Some(MapSet::default().with(MapKind::Map)),
@@ -120,12 +121,12 @@ impl MapArgs {
         }
     }
 
-    /// Whether the log's HD map is of use.
+    /// Returns whether the maps use the log's HD map.
     pub(super) fn wants_map(&self) -> bool {
         self.maps.is_none() || self.asks_for(MapKind::Map) || self.asks_for(MapKind::Tensor)
     }
 
-    /// How the maps are made.
+    /// Returns the options for rendering these maps.
     pub(super) fn conditions(&self, maps: MapSet) -> ConditionOptions {
         let far_m = self.far.unwrap_or(self.radius) as f32;
         ConditionOptions {
@@ -141,7 +142,7 @@ impl MapArgs {
         }
     }
 
-    /// Which clouds stand for actors.
+    /// Returns the options for selecting the clouds of actors.
     pub(super) fn selection(&self) -> SelectionOptions {
         SelectionOptions { min_actor_points: self.min_actor_points, template_fit: self.template_fit }
     }

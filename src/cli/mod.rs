@@ -1,8 +1,8 @@
-//! The command line: one file per subcommand, and the only part that speaks to the user.
+//! The command line: one module per subcommand, and the only part that prints to the user.
 //!
 //! # How it works
-//! [`main`] parses, runs the subcommand and turns its result into an exit code: 0 done, 1 failed, 2 wrong usage.
-//! Progress and errors go to stderr, the summary line to stdout.
+//! [`main`] parses the arguments, runs the subcommand and converts its result into an exit code: 0 success, 1
+//! failure, 2 wrong usage. Progress and errors go to stderr, the summary line to stdout.
 
 mod ablate;
 mod bench;
@@ -39,7 +39,7 @@ use clap::{Parser, Subcommand};
 
 use self::terminal::{say, tell, warn};
 
-/// Turns recorded drives into camera conditions: color, metric depth, class, instance and layout maps.
+/// Converts driving recordings into camera conditions: color, metric depth, class, instance and layout maps.
 #[derive(Debug, Parser)]
 #[command(name = "pskel", version, max_term_width = 110)]
 struct Cli {
@@ -91,7 +91,7 @@ pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
     let cli = match Cli::try_parse_from(args) {
         Ok(cli) => cli,
         Err(error) => {
-            // Help and version come this way too, with exit code 0.
+            // Help and version are also reported as errors, with exit code 0.
             terminal::note(error.print());
             return match terminal::check() {
                 Ok(()) => ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2)),
@@ -110,27 +110,27 @@ pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
     }
 }
 
-/// Options that do not go together, in ways that the parser cannot tell.
+/// Invalid combination of options that the parser cannot detect.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct WrongUsage(String);
 
-/// What comes before any command.
+/// Sets up the process before any command.
 fn prepare() -> anyhow::Result<()> {
     threads::check_environment()?;
     survive_file_limits()?;
     signals::install().context("cannot handle signals")
 }
 
-/// Makes a write beyond the allowed file size an error of that write, which names the file and cleans up, rather than
-/// the death of the process.
+/// Makes a write beyond the file size limit return an error, which names the file and cleans up, instead of killing
+/// the process.
 fn survive_file_limits() -> anyhow::Result<()> {
     let seen = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(signal_hook::consts::SIGXFSZ, seen).context("cannot handle SIGXFSZ")?;
     Ok(())
 }
 
-/// The message and its causes, less those that a message above them holds already.
+/// Formats an error with its causes, except causes that are already part of the text.
 fn with_causes(error: &anyhow::Error) -> String {
     let mut text = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {

@@ -1,4 +1,4 @@
-//! Numbers on the command line, and what is allowed of them.
+//! Parsers of numeric arguments, with their valid ranges.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,7 +7,7 @@ use crate::peer::MAX_TIMEOUT_S;
 use crate::scene::EgoOffset;
 use crate::skeleton::CHUNK_M;
 
-/// Frames `A..B`, half-open, at least one.
+/// Half-open, non-empty range of frames `A..B`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct FrameRange {
     first: usize,
@@ -15,7 +15,7 @@ pub(super) struct FrameRange {
 }
 
 impl FrameRange {
-    /// The frames of a log that has `frames` of them; without a range all.
+    /// Resolves an optional range for a log of `frames` frames; the default is all frames.
     pub(super) fn of(range: Option<Self>, frames: usize) -> anyhow::Result<std::ops::Range<usize>> {
         let Some(range) = range else { return Ok(0..frames) };
         anyhow::ensure!(range.end <= frames, "expected --frames within 0..{frames}, found {range}");
@@ -42,55 +42,55 @@ impl FromStr for FrameRange {
     }
 }
 
-/// 0, or a side of voxels that 21 bits can count within a chunk, and no larger than one.
+/// Parses a voxel size: 0, or a side that 21 bits can count within a chunk and that is not larger than a chunk.
 pub(super) fn voxel_m(text: &str) -> Result<f64, String> {
     finite(text).filter(|v| *v == 0.0 || (1e-4..=CHUNK_M).contains(v)).ok_or_else(|| {
-        format!("expected metres, 0 (keeps all points) or at least 0.0001 and at most {CHUNK_M}")
+        format!("expected meters, 0 (keeps all points) or at least 0.0001 and at most {CHUNK_M}")
     })
 }
 
-/// Zero or more metres.
+/// Parses a distance of zero or more meters.
 pub(super) fn margin_m(text: &str) -> Result<f64, String> {
-    finite(text).filter(|v| *v >= 0.0).ok_or_else(|| "expected metres, 0 or more".into())
+    finite(text).filter(|v| *v >= 0.0).ok_or_else(|| "expected meters, 0 or more".into())
 }
 
-/// A factor, 0 or more.
+/// Parses a factor from 0 to 100.
 pub(super) fn scale(text: &str) -> Result<f32, String> {
     let scale = finite(text).filter(|v| (0.0..=100.0).contains(v)).map(|v| v as f32);
     scale.ok_or_else(|| "expected a factor from 0 to 100".into())
 }
 
-/// How long to wait.
+/// Parses a time-out in seconds.
 pub(super) fn timeout_s(text: &str) -> Result<f64, String> {
     let seconds = finite(text).filter(|v| *v > 0.0 && *v <= MAX_TIMEOUT_S);
     seconds.ok_or_else(|| format!("expected seconds, more than 0 and at most {MAX_TIMEOUT_S}"))
 }
 
-/// From 0 to 1.
+/// Parses a share from 0 to 1.
 pub(super) fn share(text: &str) -> Result<f64, String> {
     finite(text).filter(|v| (0.0..=1.0).contains(v)).ok_or_else(|| "expected a share from 0 to 1".into())
 }
 
-/// More than zero metres, and finite as `f32` too.
+/// Parses a distance of more than zero meters that is also finite as `f32`.
 pub(super) fn distance_m(text: &str) -> Result<f64, String> {
     let fits = |v: &f64| *v as f32 > 0.0 && (*v as f32).is_finite();
-    finite(text).filter(fits).ok_or_else(|| "expected metres, more than 0".into())
+    finite(text).filter(fits).ok_or_else(|| "expected meters, more than 0".into())
 }
 
-/// 0.1 to 100 a second.
+/// Parses a rate of 0.1 to 100 per second.
 pub(super) fn rate_hz(text: &str) -> Result<f64, String> {
     finite(text)
         .filter(|hz| (0.1..=100.0).contains(hz))
         .ok_or_else(|| "expected a rate of 0.1 to 100 a second".into())
 }
 
-/// 1 to 100: all maps of a forecast are in memory at a time.
+/// Parses a number of forecast steps, 1 to 100: all maps of a forecast are in memory at the same time.
 pub(super) fn forecast_steps(text: &str) -> Result<usize, String> {
     let count = text.trim().parse().ok().filter(|count| (1..=100).contains(count));
     count.ok_or_else(|| "expected 1 to 100 plan steps".into())
 }
 
-/// Points of a cloud: an integer, also like `4e6`; as many as one job may have.
+/// Parses a number of points: an integer, also like `4e6`, up to the maximum of one job.
 pub(super) fn points(text: &str) -> Result<usize, String> {
     const MOST: u32 = u32::MAX - 1;
     finite(text)
@@ -99,7 +99,7 @@ pub(super) fn points(text: &str) -> Result<usize, String> {
         .ok_or_else(|| format!("expected 1 to {MOST} points, like 4000000 or 4e6"))
 }
 
-/// `X,Y,YAW_DEG`.
+/// Parses an ego offset `X,Y,YAW_DEG`.
 pub(super) fn ego_offset(text: &str) -> Result<EgoOffset, String> {
     let numbers: Option<Vec<f64>> = text.split(',').map(finite).collect();
     match numbers.as_deref() {

@@ -7,10 +7,10 @@ use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 use super::tell;
 use crate::skeleton;
 
-/// So many lines a stage gets at most where there is no terminal: logs of long runs stay readable.
+/// Maximum number of lines per stage without a terminal, so that logs of long runs stay readable.
 const LINES: u64 = 10;
 
-/// Progress of a stage on stderr: a bar on a terminal, else lines.
+/// Progress of a stage on stderr: a bar on a terminal, lines otherwise.
 pub(super) struct Progress {
     bar: Option<ProgressBar>,
     done: u64,
@@ -19,7 +19,7 @@ pub(super) struct Progress {
 }
 
 impl Progress {
-    /// Of `total` steps.
+    /// Creates the progress of a stage with `total` steps.
     pub(super) fn new(total: usize) -> Self {
         let total = total as u64;
         let bar = std::io::stderr().is_terminal().then(|| {
@@ -29,7 +29,7 @@ impl Progress {
         Self { bar, done: 0, total, start: Instant::now() }
     }
 
-    /// Counts a step that is done.
+    /// Counts a finished step.
     pub(super) fn step(&mut self, name: &str) {
         self.done += 1;
         match &self.bar {
@@ -44,20 +44,20 @@ impl Progress {
         }
     }
 
-    /// Time that the rest will take if it goes on as before.
+    /// Estimates the remaining time from the average time per step.
     fn left(&self) -> Duration {
         let rest = (self.total - self.done.min(self.total)) as f64 / self.done.max(1) as f64;
         self.start.elapsed().mul_f64(rest)
     }
 
-    /// Every step of a short stage; each tenth part of a long one.
+    /// Returns whether to print a line: at every step of a short stage, at each tenth of a long one.
     fn is_worth_a_line(&self) -> bool {
         let part = |done: u64| done * LINES / self.total.max(LINES);
         self.total <= LINES || part(self.done) > part(self.done - 1)
     }
 }
 
-/// Told only where it is worth waiting for.
+/// Formats the remaining time; empty if it is below 10 seconds.
 fn time_left(left: Duration) -> String {
     match left.as_secs() {
         0..10 => String::new(),
@@ -65,7 +65,7 @@ fn time_left(left: Duration) -> String {
     }
 }
 
-/// The bar vanishes.
+/// Removes the bar.
 impl Drop for Progress {
     fn drop(&mut self) {
         if let Some(bar) = &self.bar {
@@ -74,7 +74,7 @@ impl Drop for Progress {
     }
 }
 
-/// Progress of a work of several stages, heard from any thread.
+/// Progress of work with several stages, updated from any thread.
 #[derive(Default)]
 pub(super) struct StageProgress(Mutex<Option<(String, Progress)>>);
 

@@ -3,25 +3,25 @@ use clap::Args;
 use super::WrongUsage;
 use crate::raster::{self, CloudSet, Rasterizer, RasterizerDesc, RasterizerKind};
 
-/// Which rasterizer draws, shared by all commands that draw.
+/// Rasterizer options, shared by all commands that render.
 #[derive(Clone, Debug, Args)]
 pub(super) struct RasterizerArgs {
-    /// What draws: auto, compute (Vulkan with 64-bit atomics), raster (Vulkan's fixed functions) or cpu (plain Rust, needs
-    /// no driver); all of them give the same maps
+    /// Rasterizer: auto, compute (Vulkan with 64-bit atomics), raster (Vulkan graphics pipeline) or cpu (plain Rust,
+    /// needs no driver); all output the same maps
     #[arg(long, default_value_t, value_name = "KIND")]
     pub(super) rasterizer: RasterizerKind,
     /// Vulkan device by index or by part of its name [default: $PSKEL_DEVICE, else the fastest]
     #[arg(long, value_name = "NAME|INDEX")]
     pub(super) device: Option<String>,
-    /// Device memory for points, MiB, 20 bytes a point; with less, positions are streamed from the host (compute alone).
-    /// At least 64 MiB and 4 bytes a point, or all points if they take less; keys and maps come on top
-    /// [default: all that is needed]
+    /// Device memory for points, MiB, 20 bytes per point; with less, positions are streamed from the host (compute
+    /// only). At least 64 MiB and 4 bytes per point, or all points if they need less; keys and maps need additional
+    /// memory [default: as much as needed]
     #[arg(long, value_name = "MIB")]
     pub(super) gpu_memory: Option<u32>,
 }
 
 impl RasterizerArgs {
-    /// Makes the rasterizer and gives it its clouds.
+    /// Creates the rasterizer and passes the clouds to it.
     pub(super) fn create<'a>(&self, clouds: CloudSet<'a>) -> anyhow::Result<Box<dyn Rasterizer + 'a>> {
         let kind = self.rasterizer;
         let unfit = match (&self.device, self.gpu_memory) {

@@ -1,8 +1,8 @@
-//! SIGHUP, SIGINT and SIGTERM end the command: temporary files are removed and peers ended first.
+//! SIGHUP, SIGINT and SIGTERM end the command: temporary files are removed and peers are ended first.
 //!
-//! Files appear under their names only when they are whole, so the work can stop at any moment: a thread of its own
-//! cleans up and exits, while the others are still at work. A second signal exits at once, but not one that comes
-//! together with the first: `timeout` and job schedulers signal a process and then its group.
+//! Files appear under their names only when they are complete, so the work can stop at any moment: a separate thread
+//! cleans up and exits while the other threads are still running. A second signal exits immediately, unless it
+//! arrives together with the first: `timeout` and job schedulers signal a process and then its group.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,15 +15,15 @@ use signal_hook::{flag, low_level};
 use super::terminal::tell;
 use crate::{files, peer};
 
-/// Signals so close together are one.
+/// Interval within which signals count as one.
 const TOGETHER: Duration = Duration::from_millis(500);
 
 static IS_STOPPING: AtomicBool = AtomicBool::new(false);
 
-/// Installs the handlers, but for signals that the parent process had ignored (nohup).
+/// Installs the handlers, except for signals that the parent process had ignored (nohup).
 ///
 /// # Errors
-/// Those of the system.
+/// Fails if a handler or the thread cannot be created.
 pub(super) fn install() -> std::io::Result<()> {
     let ignored = ignored_signals();
     let handled = [SIGHUP, SIGINT, SIGTERM].into_iter().filter(|signal| ignored >> (signal - 1) & 1 == 0);
@@ -39,7 +39,7 @@ pub(super) fn install() -> std::io::Result<()> {
                 std::thread::sleep(TOGETHER);
                 is_second.store(true, Ordering::SeqCst);
             };
-            // Without this thread there is no second signal.
+            // If the thread cannot be started, second signals are not handled.
             let _ = std::thread::Builder::new().name("second signal".to_owned()).spawn(arm);
             stop(signal);
         }
@@ -48,7 +48,7 @@ pub(super) fn install() -> std::io::Result<()> {
     Ok(())
 }
 
-/// Blocks for good if a signal is ending the process: what fails meanwhile is not the command's result.
+/// Blocks forever if a signal is ending the process: errors during that time are not the command's result.
 pub(super) fn wait_if_stopping() {
     while IS_STOPPING.load(Ordering::SeqCst) {
         std::thread::park();
@@ -57,7 +57,7 @@ pub(super) fn wait_if_stopping() {
 
 fn stop(signal: i32) {
     IS_STOPPING.store(true, Ordering::SeqCst);
-    // From here on no thread begins or finishes a file, so what fails for want of a peer is not written.
+    // From here on no thread begins or finishes a file, so results of ended peers are not written.
     files::remove_pending();
     peer::end_all();
     let name = low_level::signal_name(signal).unwrap_or("a signal");
@@ -65,12 +65,12 @@ fn stop(signal: i32) {
     low_level::exit(exit_code(signal));
 }
 
-/// As shells report it.
+/// Returns the exit code that shells report for a signal.
 fn exit_code(signal: i32) -> i32 {
     128 + signal
 }
 
-/// Bit `n - 1` is signal `n`.
+/// Returns the mask of ignored signals; bit `n - 1` is signal `n`.
 fn ignored_signals() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

@@ -13,32 +13,32 @@ use crate::skeleton::{
     default_templates,
 };
 
-/// What stands in for a skeleton's own clouds.
+/// Options of substitute clouds: templates and augmented assets.
 #[derive(Clone, Debug, Args)]
 pub(super) struct StandInArgs {
-    /// Folder of `pskel templates`: its templates serve for kinds that the skeleton has none of
+    /// Folder of `pskel templates`, used for kinds without a template in the skeleton
     #[arg(long, value_name = "DIR")]
     templates: Option<PathBuf>,
-    /// Leave out the built-in templates of sedan, suv, pickup, pedestrian and bike, which serve for kinds that there
-    /// are no others of
+    /// Disable the built-in templates of sedan, suv, pickup, pedestrian and bike, which are used for kinds without
+    /// another template
     #[arg(long)]
     no_default_templates: bool,
-    /// Make assets worse, as for training: half of --augment-share of them are thinned to 5 to 80 % of their points,
-    /// half are cut to what one camera sees; which and how follows from the seed and the track
+    /// Augment assets as in training: a share of them (--augment-share) is degraded, half of these thinned to 5 to 80
+    /// % of their points, half reduced to the points seen by one camera; the choice depends on the seed and the track
     #[arg(long, value_name = "SEED", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
     augment: Option<u64>,
-    /// Share of the assets that --augment changes
+    /// Share of the assets that --augment degrades
     #[arg(long, value_name = "SHARE", value_parser = numbers::share, requires = "augment")]
     #[arg(allow_negative_numbers = true, default_value_t = AugmentOptions::default().share)]
     augment_share: f64,
 }
 
-/// What stands in, for `index.json`.
+/// Substitute clouds in use, for `index.json`.
 #[derive(Clone, Debug, Default, Serialize)]
 pub(super) struct StandInReport {
-    /// Where the template of a kind comes from.
+    /// Origin of each kind's template.
     templates: BTreeMap<&'static str, Origin>,
-    /// `None` for assets as they are.
+    /// `None` for unchanged assets.
     augment: Option<AugmentReport>,
 }
 
@@ -54,18 +54,18 @@ enum Origin {
 struct AugmentReport {
     #[serde(flatten)]
     options: AugmentOptions,
-    /// By track.
+    /// Augmentation by track.
     assets: BTreeMap<String, Augmentation>,
 }
 
 impl StandInArgs {
-    /// The built-in templates alone, and assets made worse if a seed is given.
+    /// Creates options with only the built-in templates, and with augmented assets if a seed is given.
     pub(super) fn augmented(seed: Option<u64>) -> Self {
         let augment_share = AugmentOptions::default().share;
         Self { templates: None, no_default_templates: false, augment: seed, augment_share }
     }
 
-    /// Reads, makes, and tells what there is.
+    /// Reads templates, augments assets, and returns both with a report.
     pub(super) fn make(
         &self,
         skeleton: &Skeleton,

@@ -5,21 +5,21 @@ use std::sync::OnceLock;
 
 use crate::files::text::{escaped_lines, printable_lines};
 
-/// Why a line of the result could not be written.
+/// First error of writing the result.
 static FAILURE: OnceLock<std::io::Error> = OnceLock::new();
 
-/// Prints a line of the result. A reader that has closed its end is no error; others are reported by [`check`].
+/// Prints a line of the result. A closed pipe is not an error; other errors are reported by [`check`].
 pub(super) fn say(line: &str) {
     let mut out = std::io::stdout().lock();
     note(writeln!(out, "{}", escaped_lines(line)).and_then(|()| out.flush()));
 }
 
-/// Keeps the first error of writing to stdout.
+/// Records the first error of writing to stdout.
 pub(super) fn note(written: std::io::Result<()>) {
     if let Err(error) = written
         && error.kind() != ErrorKind::BrokenPipe
     {
-        let _ = FAILURE.set(error); // the first one counts
+        let _ = FAILURE.set(error); // only the first one is recorded
     }
 }
 
@@ -36,7 +36,7 @@ pub(super) fn warn(text: &str) {
 /// Checks that every line of the result was written.
 ///
 /// # Errors
-/// The first one that was not.
+/// Returns the first error of writing to stdout.
 pub(super) fn check() -> anyhow::Result<()> {
     match FAILURE.get() {
         None => Ok(()),

@@ -1,24 +1,24 @@
-//! How many threads the environment may ask for.
+//! Limit on the number of threads that the environment requests.
 
 use super::WrongUsage;
 
-/// What rayon reads: the second where the first is not set.
+/// Variables that rayon reads: the second one if the first is not set.
 const VARIABLES: [&str; 2] = ["RAYON_NUM_THREADS", "RAYON_RS_NUM_CPUS"];
-/// Threads that any machine starts; more are allowed where there are processors for a quarter of them.
+/// Number of threads that is always allowed, and the limit per processor on larger machines.
 const ALWAYS_ALLOWED: usize = 256;
 const PER_PROCESSOR: usize = 4;
 
-/// Refuses a number of threads that would only keep the machine busy with starting them. Several libraries read the
-/// variable, each for threads of its own, so that no smaller number can be put in its place.
+/// Rejects a number of threads that would only keep the machine busy with starting them. Several libraries read the
+/// variable, each for its own threads, so it cannot be replaced by a smaller number.
 ///
 /// # Errors
-/// More threads than the machine has use for.
+/// Fails if a variable requests more threads than the machine can use.
 pub(super) fn check_environment() -> Result<(), WrongUsage> {
     let processors = std::thread::available_parallelism().map_or(1, usize::from);
     VARIABLES.iter().try_for_each(|name| check(name, std::env::var(name).ok().as_deref(), processors))
 }
 
-/// What is no number is ignored by those that read it, too.
+/// Checks a variable. Invalid numbers are ignored, as the libraries that read it do.
 fn check(name: &str, value: Option<&str>, processors: usize) -> Result<(), WrongUsage> {
     let most = ALWAYS_ALLOWED.max(PER_PROCESSOR * processors);
     match value.and_then(|text| text.parse::<usize>().ok()) {

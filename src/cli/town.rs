@@ -1,4 +1,4 @@
-//! `pskel town`: the built-in town as a data set in nuScenes layout.
+//! `pskel town`: writes the synthetic town as a data set in nuScenes layout.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -17,39 +17,39 @@ use crate::files::{WholeFolder, write_json};
 use crate::town::view::TrueView;
 use crate::town::{Daylight, Town, TownOptions};
 
-/// Write the built-in town as a data set in nuScenes layout: true images, LiDAR sweeps, boxes, and the HD map
+/// Write the synthetic town as a data set in nuScenes layout: images, LiDAR sweeps, boxes, and the HD map
 ///
-/// Everything follows from the seed. Tables in v1.0-town, images and sweeps in samples and sweeps, the map in
-/// maps/expansion/town.json and maps/town.png; town.json tells the options. The same drive without files is the log
-/// town:seed=S,frames=N.
+/// Everything is determined by the seed. Writes tables to v1.0-town, images and sweeps to samples and sweeps, the map
+/// to maps/expansion/town.json and maps/town.png, and the options to town.json. The same recording without files is
+/// the log town:seed=S,frames=N.
 #[derive(Debug, Args)]
 pub(super) struct TownArgs {
-    /// What the town and the drive follow from
+    /// Seed of the town and of the recorded drive
     #[arg(long, default_value_t = TownOptions::default().seed)]
     seed: u64,
-    /// Annotated frames
+    /// Number of annotated frames
     #[arg(long, value_name = "N", default_value_t = TownOptions::default().frames)]
     frames: usize,
-    /// Folder to write; an older town there is replaced once the new one is complete
+    /// Folder to write; an older town in it is replaced once the new one is complete
     #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     out: PathBuf,
-    /// Annotated frames a second
+    /// Annotated frames per second
     #[arg(long, value_name = "F", default_value_t = TownOptions::default().hz, value_parser = numbers::rate_hz)]
     hz: f64,
     /// LiDAR beams: 32 or 64
     #[arg(long, value_name = "N", default_value_t = TownOptions::default().beams)]
     beams: u16,
-    /// LiDAR turns a second: 10 or 20
+    /// LiDAR rotations per second: 10 or 20
     #[arg(long, value_name = "F", default_value_t = TownOptions::default().lidar_hz, value_parser = numbers::rate_hz)]
     lidar_hz: f64,
     /// Size of the images
     #[arg(long, value_name = "HxW", default_value_t = default_size())]
     size: ImageSize,
-    /// Light: day, dusk or overcast [default: the seed chooses]
+    /// Daylight: day, dusk or overcast [default: chosen by the seed]
     #[arg(long, value_name = "LIGHT")]
     light: Option<Daylight>,
-    /// Also write what is true of every image: truth/FRAME/CAM/depth.exr (metres), class.png and instance.png, numbers
-    /// as in the maps of that frame
+    /// Also write the ground truth of every image: truth/FRAME/CAM/depth.exr (meters), class.png and instance.png,
+    /// with the numbers of that frame's maps
     #[arg(long)]
     truth: bool,
 }
@@ -65,7 +65,7 @@ fn default_size() -> ImageSize {
     ImageSize { height, width }
 }
 
-/// Makes, writes.
+/// Runs the command: generates and writes the town.
 pub(super) fn run(args: &TownArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let options = args.options();
@@ -137,7 +137,7 @@ fn write_truth(folder: &Path, town: &Town) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Depth, and class with instance, as the writers take them.
+/// Splits a view into depth, and class with instance, as the writers require.
 fn maps(name: FileName, view: TrueView) -> (CameraConditions, CameraConditions) {
     let (width, height) = view.image.dimensions();
     let bare = CameraConditions { name, width, height, ..CameraConditions::default() };

@@ -11,26 +11,26 @@ use crate::files::input::read_table;
 use crate::files::text::{printable, printable_path};
 use crate::geometry::{Camera, CameraError, View};
 
-/// How far `R·Rᵀ` may be from the identity: files round to 4 or more digits.
+/// Tolerance of `R·Rᵀ` around the identity: files round to 4 or more digits.
 const RIGID_TOLERANCE: f64 = 1e-3;
 
-/// What can be wrong with a list of cameras.
+/// Error of a camera list.
 #[derive(Debug, thiserror::Error)]
 pub enum CamerasError {
-    /// The file or its JSON.
+    /// The file cannot be read or its JSON is invalid.
     #[error(transparent)]
     File(#[from] FileError),
-    /// Name, size or intrinsics.
+    /// Invalid name, size or intrinsics.
     #[error("{source} in camera {}: {}", printable(camera), printable_path(path))]
     Camera {
-        /// What is off.
+        /// Reason.
         source: CameraError,
-        /// Its name.
+        /// Name of the camera.
         camera: String,
         /// The file.
         path: PathBuf,
     },
-    /// `camera_from_world`.
+    /// Invalid `camera_from_world`.
     #[error(
         "expected {expected}, found {} in camera {}: {}",
         printable(found),
@@ -38,18 +38,18 @@ pub enum CamerasError {
         printable_path(path)
     )]
     Value {
-        /// What the format asks for.
+        /// Value required by the format.
         expected: &'static str,
-        /// What stands in the file.
+        /// Value found in the file.
         found: String,
-        /// Its name.
+        /// Name of the camera.
         camera: String,
         /// The file.
         path: PathBuf,
     },
 }
 
-/// The file as it is.
+/// JSON layout of the file.
 #[derive(Debug, Serialize, Deserialize)]
 struct RawCameras {
     cameras: Vec<RawCamera>,
@@ -64,11 +64,11 @@ struct RawCamera {
     camera_from_world: [[f64; 4]; 4],
 }
 
-/// Reads cameras; at least one.
+/// Reads a list of at least one camera.
 ///
 /// # Errors
-/// A file that is missing or is no such JSON, an empty list, a name that is empty, not plain or there twice, a size
-/// or intrinsics that no camera has, a pose that is not rigid.
+/// Fails if the file is missing, its JSON has another layout, or the list is empty. Fails if a name is not a valid
+/// `FileName` or repeats another (ignoring case), a size or intrinsics are invalid, or a pose is not rigid.
 pub fn read(path: &Path) -> Result<Vec<View>, CamerasError> {
     let text = read_table(path)?;
     let raw: RawCameras = serde_json::from_slice(&text).map_err(|e| {
@@ -90,10 +90,10 @@ pub fn read(path: &Path) -> Result<Vec<View>, CamerasError> {
     }
 }
 
-/// Writes cameras so that [`read`] gives them back.
+/// Writes cameras in the format of [`read`].
 ///
 /// # Errors
-/// The system's, at writing.
+/// Fails if the file cannot be written.
 pub fn write(path: &Path, views: &[View]) -> Result<(), FileError> {
     let cameras = views.iter().map(|view| RawCamera {
         name: view.camera.name.to_string(),
@@ -105,7 +105,7 @@ pub fn write(path: &Path, views: &[View]) -> Result<(), FileError> {
     crate::files::write_json(path, &RawCameras { cameras: cameras.collect() })
 }
 
-/// A transform as 4×4 matrix, row by row.
+/// Returns a transform as a row-major 4×4 matrix.
 pub(crate) fn rows(transform: &DAffine3) -> [[f64; 4]; 4] {
     DMat4::from(*transform).transpose().to_cols_array_2d()
 }

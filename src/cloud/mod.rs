@@ -1,9 +1,9 @@
 //! Point clouds in memory and on disk.
 //!
 //! # How it works
-//! [`Point`] is the one layout of a point, on the device as in memory. Files of others ([`npy`], [`ply`]) are read
-//! row by row into a [`PointFile`], which keeps the rows' order, takes a large origin off before the coordinates
-//! become `f32`, and counts rows that cannot be drawn. [`cameras`] reads the views that a bare cloud is drawn into.
+//! [`Point`] is the only point layout, in host and device memory. Files of other tools ([`npy`], [`ply`]) are read
+//! row by row into a [`PointFile`]. It preserves the row order, subtracts a large origin before the coordinates
+//! become `f32`, and counts rows that cannot be rendered. [`cameras`] reads the views for rendering a bare cloud.
 
 pub mod cameras;
 mod morton;
@@ -20,10 +20,10 @@ use std::path::Path;
 
 use crate::error::FileError;
 
-/// Reads `P.npy` or `P.ply`, told apart by the name's ending.
+/// Reads a point cloud from `P.npy` or `P.ply`, depending on the file extension.
 ///
 /// # Errors
-/// Another ending, a file that is missing or not as its format says.
+/// Fails if the extension is another one, the file is missing, or its content violates the format.
 pub fn read(path: &Path) -> Result<PointFile, FileError> {
     match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
         Some("npy") => npy::read(path),

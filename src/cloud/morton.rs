@@ -1,14 +1,14 @@
-//! Order along a Morton curve: points that are near each other in space stand near each other in memory.
+//! Morton (Z-order) sorting, which places points that are close in space close in memory.
 
 use rayon::prelude::*;
 
 use super::{Bounds, Point};
 
-/// Cells along the longest side of the bounds.
+/// Number of cells along the longest side of the bounds.
 const CELLS: f32 = 1024.0;
 
-/// Indices of points along a Morton curve through cubic cells, 1024 along the longest side of the bounds; points of one
-/// cell in the order they had. `None` if they stand in that order already. The same whatever the number of threads.
+/// Returns the point indices in Morton order over cubic cells, 1024 along the longest side of the bounds. Points of
+/// one cell keep their order. `None` if the points are already sorted. Independent of the number of threads.
 pub fn morton_order(points: &[Point], bounds: &Bounds) -> Option<Vec<u32>> {
     let side = (0..3).map(|axis| bounds.max[axis] - bounds.min[axis]).fold(0.0, f32::max);
     let cells_per_m = if side > 0.0 { CELLS / side } else { 0.0 };
@@ -27,7 +27,7 @@ pub fn morton_order(points: &[Point], bounds: &Bounds) -> Option<Vec<u32>> {
     Some(keys.into_par_iter().map(|key| key as u32).collect())
 }
 
-/// Ten bits to every third of thirty.
+/// Spreads the low ten bits to every third bit of thirty.
 fn spread(value: u32) -> u32 {
     let v = value & 0x3ff;
     let v = (v | v << 16) & 0x0300_00ff;

@@ -1,8 +1,8 @@
-//! `P.npy`: floats `[N, 6]` (x y z r g b) or `[N, 7]` (class last), C order.
+//! NPY point clouds `P.npy`: floats `[N, 6]` (x y z r g b) or `[N, 7]` (class last), C order.
 //!
 //! # How it works
-//! The header's declared size is checked against the file and its text against what a plain array needs, before it
-//! is parsed; the data size against the file, before anything is allocated. Rows are then read in blocks.
+//! The declared size of the header is validated against the file, and its text against the syntax of a plain array,
+//! before parsing. The data size is validated against the file before anything is allocated. Rows are read in blocks.
 
 use std::io::{BufReader, Read, Write};
 use std::path::Path;
@@ -15,23 +15,23 @@ use crate::error::FileError;
 use crate::files::input::open_regular;
 use crate::files::write_whole;
 
-/// Longest header that is read, bytes; NumPy's own limit.
+/// Maximum header length in bytes, as in NumPy.
 const MAX_HEADER_BYTES: usize = 10_000;
 /// Rows per block.
 const BLOCK_ROWS: usize = 1 << 16;
 
-/// Reads a cloud of `f16`, `f32` or `f64` (little-endian). Colors are rounded to the nearest level; without column 7
-/// the class is 0.
+/// Reads a cloud of `f16`, `f32` or `f64` (little-endian). Rounds colors to the nearest level. The class is 0 without
+/// column 7.
 ///
 /// # Errors
-/// Another dtype, shape or order, an empty cloud, missing data, a color outside of 0–255, a class that is no integer
-/// of 0–255.
+/// Fails if the file cannot be read, its dtype, shape or order is unsupported, it has no points, or data is missing.
+/// Fails if a color is outside 0–255 or a class is not an integer of 0–255.
 pub fn read(path: &Path) -> Result<PointFile, FileError> {
     let (file, file_bytes) = open_regular(path)?;
     decode(BufReader::with_capacity(1 << 20, file.take(file_bytes)), file_bytes, path)
 }
 
-/// Number type of a column.
+/// Number type of the array.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Scalar {
     F16,
@@ -57,7 +57,7 @@ impl Scalar {
         }
     }
 
-    /// Widens all numbers of a block.
+    /// Converts all numbers of a block to `f64`.
     pub(crate) fn widen(self, block: &[u8], into: &mut Vec<f64>) {
         into.clear();
         match self {
@@ -102,8 +102,8 @@ fn decode(mut reader: impl Read, file_bytes: u64, path: &Path) -> Result<PointFi
     Ok(collector.finish())
 }
 
-/// The magic, version, length and text of the header, checked so far that parsing it can neither run out of memory
-/// nor of stack.
+/// Reads the magic, version, length and text of the header. Rejects any text whose parsing could exhaust memory or
+/// the stack.
 pub(crate) fn read_header_bytes(
     reader: &mut impl Read,
     file_bytes: u64,
@@ -138,8 +138,8 @@ pub(crate) fn read_header_bytes(
     Ok(bytes)
 }
 
-/// Whether a header's text is as simple as that of an array of numbers: little nesting, and so few digits (decimal
-/// only) that no product of them can overflow 64 bits.
+/// Returns whether a header text is as simple as that of a numeric array. Nesting is limited, and the number of
+/// (decimal) digits is so small that no product of the numbers can overflow 64 bits.
 fn is_plain(text: &[u8]) -> bool {
     let count = |wanted: &dyn Fn(u8) -> bool| text.iter().filter(|b| wanted(**b)).count();
     let prefixed = |w: &[u8]| w[0] == b'0' && matches!(w[1].to_ascii_lowercase(), b'x' | b'o' | b'b');
@@ -151,7 +151,7 @@ fn is_plain(text: &[u8]) -> bool {
         && !text.windows(2).any(prefixed)
 }
 
-/// How deep brackets are nested: parsing takes time that doubles with each of them.
+/// Maximum nesting depth of brackets. Parsing time doubles with each level.
 fn nesting(text: &[u8]) -> usize {
     let (mut depth, mut deepest) = (0_usize, 0);
     for byte in text {
@@ -165,7 +165,7 @@ fn nesting(text: &[u8]) -> usize {
     deepest
 }
 
-/// Number type, rows and columns.
+/// Validates the header and returns the number type, rows and columns.
 fn check_header(header: &NpyHeader, path: &Path) -> Result<(Scalar, u64, usize), FileError> {
     let descr = header.dtype().descr();
     let scalar = Scalar::from_descr(&descr)
@@ -186,11 +186,11 @@ fn check_header(header: &NpyHeader, path: &Path) -> Result<(Scalar, u64, usize),
     Ok((scalar, rows, columns))
 }
 
-/// Reads features of `f32` or `f64` (little-endian, C order), `[N, D]`: D and the numbers row by row. The declared size is
-/// compared with the file's before anything is allocated.
+/// Reads features `[N, D]` of `f32` or `f64` (little-endian, C order). Returns D and the numbers in row-major order.
+/// The declared size is compared with the file's before anything is allocated.
 ///
 /// # Errors
-/// Another dtype, shape or order, missing data.
+/// Fails if the file cannot be read, its dtype, shape or order is unsupported, or data is missing.
 pub fn read_features(path: &Path) -> Result<(usize, Vec<f64>), FileError> {
     let (file, bytes) = open_regular(path)?;
     let mut reader = BufReader::new(file);
@@ -227,7 +227,7 @@ pub fn read_features(path: &Path) -> Result<(usize, Vec<f64>), FileError> {
 /// Writes points as `f32` `[N, 6]`, or `[N, 7]` with the class last.
 ///
 /// # Errors
-/// The system's, at writing.
+/// Fails if the file cannot be written.
 pub fn write(path: &Path, points: &[Point], with_class: bool) -> Result<(), FileError> {
     let columns = if with_class { 7 } else { 6 };
     write_whole(path, |out| {
@@ -243,7 +243,7 @@ pub fn write(path: &Path, points: &[Point], with_class: bool) -> Result<(), File
     })
 }
 
-/// Writes the header of an array in C order; the data is to follow.
+/// Writes the header of a C-order array; the caller writes the data.
 pub(crate) fn write_header<T: npyz::AutoSerialize>(
     out: &mut impl Write,
     shape: &[u64],
@@ -257,7 +257,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// An array as NumPy writes it.
+    /// Returns an array in NumPy's format.
     fn array(descr: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
         let order = if fortran { "True" } else { "False" };
         let mut text = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}");

@@ -1,8 +1,8 @@
-//! Polygon files (PLY) with a `vertex` element: written binary and little-endian, read in all three encodings.
+//! Polygon files (PLY) with a `vertex` element: written as binary little-endian, read in all three encodings.
 //!
 //! # How it works
-//! The header is read first; element counts are checked against the file's length before any element is. A vertex is
-//! filled property by property; properties other than position, color and class are skipped.
+//! The header is parsed first. Element counts are validated against the file length before any element is read.
+//! Vertices are read property by property; properties other than position, color and class are skipped.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
@@ -18,13 +18,13 @@ use crate::error::FileError;
 use crate::files::input::open_regular;
 use crate::files::write_whole;
 
-/// Color of points in a file without colors.
+/// Default color of points in a file without colors.
 const GREY: f64 = 128.0;
 
 /// Writes points: `x y z` float, `red green blue class` uchar, binary little-endian.
 ///
 /// # Errors
-/// The system's, at writing.
+/// Fails if the file cannot be written.
 pub fn write(path: &Path, points: &[Point]) -> Result<(), FileError> {
     let header = format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\n\
@@ -34,17 +34,17 @@ pub fn write(path: &Path, points: &[Point]) -> Result<(), FileError> {
     );
     write_whole(path, |out| {
         out.write_all(header.as_bytes()).map_err(FileError::io("write", path))?;
-        // A point's 16 bytes are these seven properties in this order.
+        // The 16 bytes of a point are these seven properties in this order.
         out.write_all(bytemuck::cast_slice(points)).map_err(FileError::io("write", path))
     })
 }
 
-/// Reads the element `vertex`: `x y z` float or double; `red green blue` (0–255) and `class` where there are any,
-/// else grey 128 and class 0.
+/// Reads the element `vertex`: `x y z` float or double, optional `red green blue` (0–255) and `class`. Defaults are
+/// gray 128 and class 0.
 ///
 /// # Errors
-/// No vertices, coordinates of another type, missing data, a color outside of 0–255, a class that is no integer of
-/// 0–255.
+/// Fails if the file cannot be read, has no vertices or missing data, or its coordinates have another type. Fails if
+/// a color is outside 0–255 or a class is not an integer of 0–255.
 pub fn read(path: &Path) -> Result<PointFile, FileError> {
     let (file, file_bytes) = open_regular(path)?;
     decode(BufReader::with_capacity(1 << 20, file.take(file_bytes)), file_bytes, path)
@@ -54,7 +54,7 @@ fn decode(reader: impl BufRead, file_bytes: u64, path: &Path) -> Result<PointFil
     let parser = Parser::<Vertex>::new();
     let mut reader = Reader::new(reader);
     let bad = |e: ply_rs_bw::parser::ParseError| {
-        // Parser messages run over several lines.
+        // Parser messages span several lines.
         let found = e.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
         FileError::content("a PLY file", found, path)
     };
@@ -74,7 +74,7 @@ fn decode(reader: impl BufRead, file_bytes: u64, path: &Path) -> Result<PointFil
     Err(FileError::content("an element vertex", "none", path))
 }
 
-/// Whether coordinates are doubles.
+/// Validates the header. Returns whether any coordinate is a double.
 fn check_header(header: &Header, file_bytes: u64, path: &Path) -> Result<bool, FileError> {
     let vertex =
         header.elements.get("vertex").ok_or_else(|| FileError::content("an element vertex", "none", path))?;
@@ -105,7 +105,7 @@ fn check_header(header: &Header, file_bytes: u64, path: &Path) -> Result<bool, F
     Ok(double)
 }
 
-/// Least number of bytes that a property takes in the file.
+/// Minimum number of bytes of a property in the file.
 fn least_bytes(data_type: &PropertyType, encoding: Encoding) -> u64 {
     let (PropertyType::Scalar(scalar) | PropertyType::List(scalar, _)) = data_type;
     match (encoding, scalar) {
@@ -116,7 +116,7 @@ fn least_bytes(data_type: &PropertyType, encoding: Encoding) -> u64 {
     }
 }
 
-/// What is kept of an element.
+/// Properties read from an element.
 struct Vertex(Row);
 
 impl PropertyAccess for Vertex {
@@ -141,7 +141,7 @@ impl PropertyAccess for Vertex {
     }
 }
 
-/// A number of any type; `None` for lists.
+/// Converts a scalar property to `f64`; `None` for lists.
 fn scalar(property: &Property) -> Option<f64> {
     Some(match *property {
         Property::Char(v) => f64::from(v),

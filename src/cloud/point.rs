@@ -1,44 +1,44 @@
 use bytemuck::{Pod, Zeroable};
 
-/// One point as the device and our files hold it: 16 bytes, little-endian.
+/// Point layout in device memory and in the program's own files: 16 bytes, little-endian.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Point {
-    /// Metres, in the cloud's local frame.
+    /// Meters, in the cloud's local frame.
     pub position: [f32; 3],
     /// Packed `r | g << 8 | b << 16 | class << 24`.
     pub rgb_class: u32,
 }
 
 impl Point {
-    /// From a position in metres, a color and a class.
+    /// Creates a point from a position in meters, a color and a class.
     pub fn new(position: [f32; 3], rgb: [u8; 3], class: u8) -> Self {
         Self { position, rgb_class: u32::from_le_bytes([rgb[0], rgb[1], rgb[2], class]) }
     }
 
-    /// Red, green, blue.
+    /// Returns red, green, blue.
     pub fn rgb(&self) -> [u8; 3] {
         let [r, g, b, _] = self.rgb_class.to_le_bytes();
         [r, g, b]
     }
 
-    /// Class as in the class map.
+    /// Returns the class, as in the class map.
     pub fn class(&self) -> u8 {
         self.rgb_class.to_le_bytes()[3]
     }
 }
 
-/// Axis-aligned bounds of a cloud, metres; NaN coordinates do not count.
+/// Axis-aligned bounds of a cloud, meters. NaN coordinates are ignored.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Bounds {
-    /// Smallest coordinates.
+    /// Minimum coordinates.
     pub min: [f32; 3],
-    /// Largest coordinates.
+    /// Maximum coordinates.
     pub max: [f32; 3],
 }
 
 impl Bounds {
-    /// Of points; `None` if there are none (or none but NaN).
+    /// Returns the bounds of points; `None` if there are none or all are NaN.
     pub fn of<'p>(points: impl IntoIterator<Item = &'p Point>) -> Option<Self> {
         let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
         for point in points {
@@ -50,7 +50,7 @@ impl Bounds {
         (0..3).all(|axis| min[axis] <= max[axis]).then_some(Self { min, max })
     }
 
-    /// The eight corners, metres.
+    /// Returns the eight corners, meters.
     pub fn corners(&self) -> [[f32; 3]; 8] {
         std::array::from_fn(|i| {
             std::array::from_fn(|axis| if i >> axis & 1 == 0 { self.min[axis] } else { self.max[axis] })

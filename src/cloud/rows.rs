@@ -5,56 +5,57 @@ use glam::{DAffine3, DVec3};
 use super::Point;
 use crate::error::FileError;
 
-/// Points of a file, in the order of its rows: point `i` is row `i`.
+/// Points of a file in row order: point `i` is row `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointFile {
-    /// Relative to [`PointFile::origin`]. A row with a coordinate that is not finite has NaN in all three, and so is
-    /// never drawn.
+    /// Points relative to [`PointFile::origin`]. A row with a non-finite coordinate has NaN in all three and is never
+    /// rendered.
     pub points: Vec<Point>,
-    /// What was taken off the coordinates before they became `f32`, metres. Zero but for double precision far from
-    /// zero.
+    /// Origin subtracted from the coordinates before conversion to `f32`, meters. Nonzero only for double precision
+    /// far from zero.
     pub origin: DVec3,
-    /// Rows with a coordinate that is NaN or infinite.
+    /// Number of rows with a NaN or infinite coordinate.
     pub non_finite: usize,
 }
 
 impl PointFile {
-    /// Where the points stand: the translation by [`PointFile::origin`].
+    /// Returns the translation by [`PointFile::origin`].
     pub fn world_from_local(&self) -> DAffine3 {
         DAffine3::from_translation(self.origin)
     }
 }
 
-/// Beyond this a step of `f32` is over half a millimetre, metres.
+/// Threshold for an origin, meters. From here on, the spacing of `f32` is about half a millimeter or more.
 const FAR_FROM_ZERO_M: f64 = 4096.0;
 
-/// One row as the file has it.
+/// Row of a file, not validated yet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Row {
-    /// Metres.
+    /// Meters.
     pub(super) position: [f64; 3],
     /// 0 to 255.
     pub(super) rgb: [f64; 3],
-    /// An integer of 0 to 255.
+    /// Integer of 0 to 255.
     pub(super) class: f64,
 }
 
-/// Checks rows and gathers them.
+/// Validates and collects rows.
 pub(super) struct RowCollector<'a> {
     cloud: PointFile,
     path: &'a Path,
-    /// The origin is yet to be chosen.
+    /// `true` until the origin is chosen.
     choose_origin: bool,
 }
 
 impl<'a> RowCollector<'a> {
-    /// `double`: the file holds more than `f32`, so coordinates far from zero need an origin.
+    /// Creates a collector. `double`: the file has more precision than `f32`, so coordinates far from zero need an
+    /// origin.
     pub(super) fn new(rows: usize, double: bool, path: &'a Path) -> Self {
         let cloud = PointFile { points: Vec::with_capacity(rows), ..PointFile::default() };
         Self { cloud, path, choose_origin: double }
     }
 
-    /// Adds a row.
+    /// Validates and appends a row.
     pub(super) fn push(&mut self, row: &Row) -> Result<(), FileError> {
         let position = DVec3::from(row.position);
         if self.choose_origin && position.is_finite() {
@@ -65,7 +66,7 @@ impl<'a> RowCollector<'a> {
         }
         let local = (position - self.cloud.origin).to_array().map(|v| v as f32);
         if !local.iter().all(|v| v.is_finite()) {
-            // Color and class of a row that nobody sees are not worth an error.
+            // The color and class of a row that is never rendered do not matter.
             self.cloud.non_finite += 1;
             self.cloud.points.push(Point { position: [f32::NAN; 3], rgb_class: 0 });
             return Ok(());

@@ -1,4 +1,4 @@
-//! Maps as arrays over all cameras, as [`npz`](super::npz) and [`safetensors`](super::safetensors) hold them.
+//! Maps as arrays over all cameras, the form that [`npz`](super::npz) and [`safetensors`](super::safetensors) store.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -14,27 +14,27 @@ pub(super) enum Scalar {
     U8,
 }
 
-/// A map of all cameras, little-endian as the machines we run on.
+/// One map of all cameras; little-endian, the byte order of all supported machines.
 pub(super) struct Array<'a> {
     pub(super) name: &'static str,
     pub(super) scalar: Scalar,
-    /// Cameras first.
+    /// Cameras are the first axis.
     pub(super) shape: Vec<usize>,
-    /// Camera by camera.
+    /// Bytes of each camera, in camera order.
     pub(super) parts: Vec<Cow<'a, [u8]>>,
 }
 
 impl Array<'_> {
-    /// Length of all parts.
+    /// Returns the length of all parts, bytes.
     pub(super) fn bytes(&self) -> usize {
         self.parts.iter().map(|part| part.len()).sum()
     }
 }
 
-/// All arrays of a set, in the order of [`MapKind::ALL`]; `path` is the file that they are for.
+/// Returns all arrays of a set, in the order of [`MapKind::ALL`]; `path` is the file that errors name.
 ///
 /// # Errors
-/// Cameras of differing size.
+/// Returns an error if the cameras differ in size.
 pub(super) fn arrays<'a>(set: &'a ConditionSet, path: &Path) -> Result<Vec<Array<'a>>, ConditionError> {
     check_sizes(set, path)?;
     Ok(MapKind::ALL.into_iter().flat_map(|kind| arrays_of(set, kind)).collect())
@@ -53,7 +53,7 @@ fn check_sizes(set: &ConditionSet, path: &Path) -> Result<(), ConditionError> {
     }
 }
 
-/// Shape of an array without the cameras: channels stand before or after height and width, or there are none.
+/// Position of the channels in an array's shape (cameras not counted): none, before, or after height and width.
 #[derive(Clone, Copy)]
 enum Channels {
     None,
@@ -73,7 +73,7 @@ fn arrays_of(set: &ConditionSet, kind: MapKind) -> Vec<Array<'_>> {
         MapKind::Color => array(name, Scalar::U8, rgb, |c| levels(c.color.as_ref()?)),
         MapKind::Boxes => array(name, Scalar::U8, rgb, |c| levels(c.boxes.as_ref()?)),
         MapKind::Map => array(name, Scalar::U8, rgb, |c| levels(c.map.as_ref()?)),
-        MapKind::Depth => array(name, Scalar::F32, gray, |c| metres(c.depth_m.as_ref()?)),
+        MapKind::Depth => array(name, Scalar::F32, gray, |c| meters(c.depth_m.as_ref()?)),
         MapKind::Class => array(name, Scalar::U8, gray, |c| Some(Cow::Borrowed(c.class.as_ref()?))),
         MapKind::Instance => array(name, Scalar::U32, gray, |c| numbers(c.instance.as_ref()?)),
         MapKind::Point => array(name, Scalar::U32, gray, |c| numbers(c.point.as_ref()?)),
@@ -105,7 +105,7 @@ fn numbers<T: bytemuck::NoUninit>(map: &[T]) -> Option<Cow<'_, [u8]>> {
     Some(Cow::Borrowed(bytemuck::cast_slice(map)))
 }
 
-fn metres(depth_m: &[f32]) -> Option<Cow<'_, [u8]>> {
-    let metres = |d: &f32| if d.is_finite() { *d } else { EMPTY_DEPTH_M };
-    Some(Cow::Owned(depth_m.iter().flat_map(|d| metres(d).to_le_bytes()).collect()))
+fn meters(depth_m: &[f32]) -> Option<Cow<'_, [u8]>> {
+    let meters = |d: &f32| if d.is_finite() { *d } else { EMPTY_DEPTH_M };
+    Some(Cow::Owned(depth_m.iter().flat_map(|d| meters(d).to_le_bytes()).collect()))
 }

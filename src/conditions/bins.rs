@@ -1,27 +1,28 @@
-//! Depth bins: depth as one of `n` classes, linear or logarithmic, all in `f32` as the condition contract has it.
+//! Depth bins: depth as one of `n` classes, linear or logarithmic, computed in `f32` as the condition contract
+//! requires.
 
 use serde::{Deserialize, Serialize};
 
-/// How depth is cut into bins.
+/// Spacing of the depth bins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum BinScale {
-    /// Bins of one width.
+    /// Bins of equal width.
     #[default]
     Linear,
-    /// Fine near the camera: 85 % of the bins for the nearest 60 %, logarithmic in both parts.
+    /// Finer near the camera: 85 % of the bins for the nearest 60 % of the range, logarithmic in both parts.
     Log,
 }
 
-/// Bins of depth; bin 0 is "empty".
+/// Depth bins; bin 0 is "empty".
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DepthBins {
-    /// How the bins are spaced.
+    /// Spacing of the bins.
     pub scale: BinScale,
-    /// How many, at least 2.
+    /// Number of bins, at least 2.
     pub count: u16,
-    /// Where the last one ends, metres.
+    /// Far end of the last bin, meters.
     pub far_m: f32,
     /// Exponent of the near part of [`BinScale::Log`].
     pub gamma: f32,
@@ -33,12 +34,12 @@ impl Default for DepthBins {
     }
 }
 
-/// Keeps denominators off zero. Next to 16 and more it vanishes in `f32`, so depths at `far` get bin `n`.
+/// Keeps denominators off zero. Added to 32 or more it vanishes in `f32`, so depths at such a `far_m` get bin `n`.
 const EPSILON: f32 = 1e-6;
 
 impl DepthBins {
-    /// Bin of a camera depth in metres: 1 to `count`, or 0 for an empty pixel (infinite, NaN, or not positive as −300
-    /// in files).
+    /// Returns the bin of a camera depth in meters: 1 to `count`, or 0 for an empty pixel (infinite, NaN, or not
+    /// positive, as the −300 in files).
     pub fn bin(&self, depth_m: f32) -> u16 {
         if !(depth_m.is_finite() && depth_m > 0.0) {
             return 0;
@@ -55,7 +56,7 @@ impl DepthBins {
 
     fn log_bin(&self, depth_m: f32) -> u16 {
         let near_m = 0.6 * self.far_m;
-        // Python's round(): ties go to the even number.
+        // Same as Python's `round()`: ties go to the even number.
         let near_bins =
             (0.85 * f64::from(self.count)).round_ties_even().min(f64::from(self.count) - 1.0) as u16;
         let far_bins = self.count - near_bins;
@@ -68,12 +69,13 @@ impl DepthBins {
         (part * (f32::from(far_bins) - 1.0)).trunc() as u16 + 1 + near_bins
     }
 
-    /// What a 16-bit PNG stores for a bin: bins spread over the whole range.
+    /// Returns the 16-bit PNG value of a bin; the bins are spread over the whole range.
     pub fn png_value(&self, bin: u16) -> u16 {
         bin * (u16::MAX / self.count)
     }
 
-    /// Color of every bin, `count + 1` of them: black for 0, then the TURBO colormap of `(bin − 1) / (count − 1)`.
+    /// Returns the color of every bin (`count + 1` colors): black for 0, then the TURBO colormap at `(bin − 1) /
+    /// (count − 1)`.
     pub fn colors(&self) -> Vec<[u8; 3]> {
         use colorgrad::Gradient;
         let turbo = colorgrad::preset::turbo();
@@ -85,7 +87,7 @@ impl DepthBins {
     }
 }
 
-/// `ln(1 + x)` rounded to `f32` once, so that the result depends on no system's `log1pf`.
+/// `ln(1 + x)` in `f64`, rounded once to `f32`, so that the result does not depend on the platform's `log1pf`.
 fn ln_1p(x: f32) -> f32 {
     f64::from(x).ln_1p() as f32
 }
@@ -129,7 +131,7 @@ mod tests {
         assert_eq!((LINEAR.png_value(0), LINEAR.png_value(1), LINEAR.png_value(256)), (0, 255, 65_280));
         let colors = LINEAR.colors();
         assert_eq!((colors.len(), colors[0]), (257, [0; 3]));
-        // Near is dark blue, the middle green, far dark red.
+        // Near is dark blue, the middle is green, far is dark red.
         let ([_, _, b], [_, g, _], [r, _, _]) = (colors[20], colors[128], colors[250]);
         assert!(b > 120 && g > 240 && r > 120, "{:?} {:?} {:?}", colors[20], colors[128], colors[250]);
     }

@@ -1,9 +1,10 @@
-//! `FRAME/birdseye.png`: a step from above, the ego in the middle and driving up.
+//! `FRAME/birdseye.png`: bird's-eye view (BEV) of a step, with the ego at the center, facing up.
 //!
 //! # How it works
-//! Everything is brought into the ego's frame in `f64`, then into pixels, and drawn antialiased by tiny-skia on one
-//! thread: the HD map if the state has one, what the cameras see, the boxes in the colors of the sheet's classes
-//! with a line from centre to front, the ego as an arrow, a scale. What lies outside of the picture is left out.
+//! All geometry is transformed into the ego frame in `f64`, then into pixels, and drawn antialiased by tiny-skia on
+//! one thread. The layers are: the HD map if the state has one, the camera wedges, traces, the boxes, the ego as an
+//! arrow, and a scale bar. Boxes have the class colors of the contact sheet and a line from center to front. Geometry
+//! outside the image is clipped.
 
 use std::path::Path;
 
@@ -18,12 +19,12 @@ use crate::error::FileError;
 use crate::geometry::View;
 use crate::scene::{ActorState, SceneState};
 
-/// Size and reach of the picture.
+/// Size and range of the bird's-eye view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BirdseyeOptions {
-    /// Height and width, 1 to 4096 pixels; others are brought there.
+    /// Height and width, pixels; clamped to 1 to 4096.
     pub side_px: u32,
-    /// From the ego to the middle of each side, metres, positive.
+    /// Distance from the ego to the middle of each side, meters, positive.
     pub reach_m: f64,
 }
 
@@ -50,40 +51,40 @@ const UNKNOWN: [u8; 3] = [148, 153, 163];
 const EGO: Rgba = [255, 255, 255, 255];
 const SCALE: [u8; 3] = [148, 153, 163];
 
-/// How far the wedges of the cameras reach, metres.
+/// Radius of the camera wedges, meters.
 const SIGHT_M: f64 = 14.0;
-/// Corners of the ego's arrow: metres forward and to the left.
+/// Corners of the ego arrow: meters forward and to the left.
 const ARROW: [[f64; 2]; 4] = [[2.6, 0.0], [-2.0, 1.5], [-1.1, 0.0], [-2.0, -1.5]];
-/// How far beyond the picture is drawn: more than the widest line, pixels.
+/// Margin around the image within which geometry is drawn, pixels; more than the widest line.
 const MARGIN_PX: f64 = 8.0;
-/// Corners farther away are taken for errors, pixels.
+/// Corners farther away are treated as invalid, pixels.
 const FARTHEST_PX: f64 = 1e12;
-/// Largest picture, pixels.
+/// Maximum side of the image, pixels.
 const MAX_SIDE_PX: u32 = 4096;
 
-/// A line on the ground, for instance where the ego drove.
+/// Polyline on the ground, for instance the ego's path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trace {
-    /// Global x and y in order, metres.
+    /// Points in order, global x and y, meters.
     pub points: Vec<DVec2>,
     /// Red, green, blue, opacity.
     pub rgba: [u8; 4],
-    /// Pixels.
+    /// Line width, pixels.
     pub width_px: f32,
 }
 
-/// Writes the picture as PNG.
+/// Writes the bird's-eye view as PNG.
 ///
 /// # Errors
-/// The system's, at writing.
+/// Fails if the file cannot be written.
 pub fn write(path: &Path, state: &SceneState, options: &BirdseyeOptions) -> Result<(), FileError> {
     write_with(path, state, &[], options)
 }
 
-/// As [`write()`], with lines between the map and the actors.
+/// Same as [`write()`], with traces drawn between the map and the actors.
 ///
 /// # Errors
-/// The system's, at writing.
+/// Fails if the file cannot be written.
 pub fn write_with(
     path: &Path,
     state: &SceneState,
@@ -94,12 +95,12 @@ pub fn write_with(
     png::write_rgb(path, &pixels, size)
 }
 
-/// Draws the picture: its size and RGB pixels.
+/// Draws the bird's-eye view and returns its size and RGB pixels.
 pub fn draw(state: &SceneState, options: &BirdseyeOptions) -> (ImageSize, Vec<[u8; 3]>) {
     draw_with(state, &[], options)
 }
 
-/// As [`draw`], with lines between the map and the actors.
+/// Same as [`draw`], with traces drawn between the map and the actors.
 pub fn draw_with(
     state: &SceneState,
     traces: &[Trace],
@@ -123,7 +124,7 @@ pub fn draw_with(
     (size, canvas.pixels)
 }
 
-/// A bar of 20 m, or of less where the picture shows less.
+/// Draws a scale bar of 20 m, or a shorter one if the image covers less.
 fn scale(canvas: &mut Canvas, reach_m: f64) {
     let steps_m = [20.0, 10.0, 5.0, 2.0, 1.0];
     let Some(length_m) = steps_m.into_iter().find(|step| *step <= reach_m / 2.0) else { return };
@@ -134,10 +135,10 @@ fn scale(canvas: &mut Canvas, reach_m: f64) {
     canvas.text([16, bottom.saturating_sub(GLYPH + 4)], 1, SCALE, &format!("{length_m} m"));
 }
 
-/// What is drawn into, and where global places stand in it.
+/// Draw target with its transform from global coordinates.
 struct Picture {
     pixmap: Pixmap,
-    /// The ego, global, metres.
+    /// Position of the ego, global, meters.
     origin: DVec2,
     pixel_from_global: DMat2,
     center_px: f64,
@@ -145,13 +146,13 @@ struct Picture {
 }
 
 impl Picture {
-    /// `None` where the numbers leave no picture.
+    /// Returns `None` if the image cannot be created or the transform is not finite.
     fn new(state: &SceneState, side: u32, reach_m: f64) -> Option<Self> {
         let mut pixmap = Pixmap::new(side, side)?;
         pixmap.fill(color(BACKGROUND));
         let forward = (state.global_from_ego.rotation * DVec3::X).truncate().normalize_or(DVec2::X);
         let px_per_m = f64::from(side) / (2.0 * reach_m);
-        // Rows: to the right, and down the picture, which is backward.
+        // The rows are the image axes in global coordinates: right, and down, which is backward.
         let axes = DMat2::from_cols(DVec2::new(forward.y, -forward.x), -forward).transpose();
         let origin = state.global_from_ego.translation.truncate();
         let center_px = f64::from(side) / 2.0;
@@ -186,7 +187,7 @@ impl Picture {
         self.shape(&rings, fill, edge.map(|rgba| (rgba, 1.2)));
     }
 
-    /// Rings in pixels: filled by the even-odd rule, then their outlines with a width in pixels.
+    /// Draws rings in pixel coordinates: fills them by the even-odd rule, then strokes outlines of a width in pixels.
     fn shape(&mut self, rings: &[Vec<DVec2>], fill: Option<Rgba>, edge: Option<(Rgba, f32)>) {
         let side = 2.0 * self.center_px;
         let rings: Vec<Vec<DVec2>> = rings.iter().map(|ring| clipped(ring, side)).collect();
@@ -208,13 +209,13 @@ impl Picture {
         }
     }
 
-    /// A line that is open, in pieces where it leaves the picture.
+    /// Draws an open polyline, split where it leaves the image.
     fn trace(&mut self, trace: &Trace) {
         let pixels: Vec<DVec2> = trace.points.iter().map(|point| self.pixel(*point)).collect();
         let mut builder = PathBuilder::new();
         for pair in pixels.windows(2) {
             let Some([from, to]) = clipped_line([pair[0], pair[1]], 2.0 * self.center_px) else { continue };
-            // One path, so that it is as opaque where its pieces meet as elsewhere.
+            // A single path, so that overlapping joints of a translucent line are not drawn twice.
             if builder.last_point().is_none_or(|p| (p.x, p.y) != (from.x as f32, from.y as f32)) {
                 builder.move_to(from.x as f32, from.y as f32);
             }
@@ -227,7 +228,7 @@ impl Picture {
         self.pixmap.stroke_path(&path, &paint(trace.rgba), &stroke, Transform::identity(), None);
     }
 
-    /// A camera as a dot with a wedge over its columns.
+    /// Draws a camera as a dot with a wedge over its horizontal field of view.
     fn camera(&mut self, view: &View) {
         let world_from_camera = view.camera_from_world.inverse();
         let camera_from_image = view.camera.intrinsics.inverse();
@@ -246,11 +247,11 @@ impl Picture {
         self.shape(&[dot.collect()], Some(CAMERA), None);
     }
 
-    /// A box with a line from its centre to the middle of its front.
+    /// Draws a box with a line from its center to the middle of its front.
     fn actor(&mut self, actor: &ActorState) {
         let [r, g, b] = (actor.class as usize).checked_sub(1).map_or(UNKNOWN, |class| CLASSES[class].0);
         let corners = actor.cuboid.corners().map(|corner| self.pixel(corner.truncate()));
-        // Around the floor: back right, front right, front left, back left.
+        // Corner order around the floor: back right, front right, front left, back left.
         let [a, b_, c, d] = [0, 1, 3, 2].map(|i: usize| corners[i]);
         self.shape(&[vec![a, b_, c, d]], Some([r, g, b, 96]), Some(([r, g, b, 255], 1.5)));
         let center = self.pixel(actor.cuboid.pose.translation.truncate());
@@ -264,8 +265,9 @@ impl Picture {
     }
 }
 
-/// The part of a ring within the picture and a margin (Sutherland and Hodgman 1974), where what it runs along is not
-/// seen: tiny-skia counts pixels in few bits. Nothing of a ring with numbers that are none.
+/// Clips a ring to the image plus a margin (Sutherland and Hodgman 1974). The margin hides the edges that clipping
+/// adds. Clipping is needed because tiny-skia stores coordinates in few bits. Returns an empty ring if a coordinate
+/// is invalid.
 fn clipped(ring: &[DVec2], side: f64) -> Vec<DVec2> {
     if !ring.iter().all(|corner| corner.abs().max_element() < FARTHEST_PX) {
         return Vec::new();
@@ -292,7 +294,7 @@ fn clipped(ring: &[DVec2], side: f64) -> Vec<DVec2> {
     ring
 }
 
-/// The part of a segment within the picture and a margin (Liang and Barsky 1984).
+/// Clips a segment to the image plus a margin (Liang and Barsky 1984).
 fn clipped_line([from, to]: [DVec2; 2], side: f64) -> Option<[DVec2; 2]> {
     if ![from, to].iter().all(|end| end.abs().max_element() < FARTHEST_PX) {
         return None;
@@ -333,8 +335,8 @@ mod tests {
     use crate::geometry::{Cuboid, Pose};
     use crate::scene::SceneMap;
 
-    /// 8 px a metre: a drivable square of 60 m around the ego with a hole of 10 m that begins 10 m ahead, a car 20 m to the
-    /// left; everything turned about the ego.
+    /// Scene at 8 px/m, all rotated about the ego by `yaw_rad`: a drivable square of 60 m around the ego with a hole
+    /// of 10 m that starts 10 m ahead, and a car 20 m to the left.
     fn state(yaw_rad: f64) -> SceneState {
         let ego = Pose::from_yaw(yaw_rad, DVec3::new(600_000.0, 4_000_000.0, 3.0));
         let global = |x: f64, y: f64| ego.transform_point(DVec3::new(x, y, 0.0)).truncate();
@@ -371,13 +373,13 @@ mod tests {
         for yaw in [0.0, 0.7, 2.0, -1.9] {
             let (size, pixels) = draw(&state(yaw), &BirdseyeOptions::default());
             assert_eq!((size.height, size.width, pixels.len()), (800, 800, 640_000));
-            // Metres forward and to the left to a pixel.
+            // Pixel at a position in meters forward and to the left.
             let at = |x: f64, y: f64| pixels[(400.0 - 8.0 * x) as usize * 800 + (400.0 - 8.0 * y) as usize];
             let [background, drivable] = [BACKGROUND, DRIVABLE].map(|c| [c[0], c[1], c[2]]);
             assert_eq!(at(0.5, 0.0), [255; 3], "the arrow");
             assert_eq!((at(15.0, 0.0), at(-15.0, 0.0), at(15.0, 7.0)), (background, drivable, drivable));
             assert_eq!((at(29.0, 29.0), at(31.0, 0.0), at(0.0, -31.0)), (drivable, background, background));
-            // The car is blue, its heading mark, from the centre to the front, more so than its back.
+            // The car is blue; its heading line, from center to front, is brighter than its back.
             let [front, back] = [at(1.0, 20.0), at(-1.0, 20.0)];
             assert!(back[2] > drivable[2] + 40 && front[2] > back[2] + 40, "{front:?} {back:?}");
             assert_eq!((at(2.5, 20.0), at(0.0, 18.5), at(0.0, -20.0)), (drivable, drivable, drivable));
@@ -408,7 +410,7 @@ mod tests {
             let next = |i: usize| ring[(i + 1) % ring.len()];
             (0..ring.len()).map(|i| ring[i].perp_dot(next(i)) / 2.0).sum::<f64>()
         };
-        // The picture and its margin are -8..18.
+        // The image and its margin span -8..18.
         for (ring, expected) in [
             (square(-1e9, 1e9), 26.0 * 26.0),
             (square(8.0, 1e6), 10.0 * 10.0),
@@ -429,7 +431,7 @@ mod tests {
         (state.map, state.actors) = (None, Vec::new());
         let global = |x: f64, y: f64| state.global_from_ego.transform_point(DVec3::new(x, y, 0.0)).truncate();
         let line = |points: Vec<DVec2>| Trace { points, rgba: [0, 200, 0, 255], width_px: 4.0 };
-        // Along x 10 m to the left, from far behind to far ahead; and one with a number that is none.
+        // One line runs along x, 10 m to the left, from far behind to far ahead; the other has a NaN.
         let long = line(vec![global(-1e6, 10.0), global(20.0, 10.0), global(1e6, 10.0)]);
         let bad = line(vec![global(0.0, -10.0), DVec2::NAN, global(5.0, -10.0)]);
         let (_, pixels) = draw_with(&state, &[long, bad, line(Vec::new())], &BirdseyeOptions::default());
@@ -464,7 +466,7 @@ mod tests {
         let (_, pixels) = draw(&state, &BirdseyeOptions::default());
         let at = |x: f64, y: f64| pixels[(400.0 - 8.0 * x) as usize * 800 + (400.0 - 8.0 * y) as usize];
         let background = [17, 19, 24];
-        // 90 degrees wide, 14 m long, from 4 m ahead of the ego.
+        // 90 degrees wide and 14 m long, starting 4 m ahead of the ego.
         for inside in [at(17.5, 0.0), at(10.0, 5.5), at(10.0, -5.5)] {
             assert!(inside[2] > background[2] + 10, "{inside:?}");
         }

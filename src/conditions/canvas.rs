@@ -2,7 +2,7 @@ use font8x8::legacy::BASIC_LEGACY;
 
 use super::ImageSize;
 
-/// An RGB picture that is drawn into; everything outside of it is cut off.
+/// RGB image to draw into; clips drawing to its bounds.
 pub(crate) struct Canvas {
     pub(crate) size: ImageSize,
     pub(crate) pixels: Vec<[u8; 3]>,
@@ -12,12 +12,12 @@ pub(crate) struct Canvas {
 pub(crate) const GLYPH: u32 = 8;
 
 impl Canvas {
-    /// One color all over.
+    /// Creates a canvas filled with one color.
     pub(crate) fn new(size: ImageSize, rgb: [u8; 3]) -> Self {
         Self { size, pixels: vec![rgb; size.pixels()] }
     }
 
-    /// Applies a function to every pixel of a rectangle; it gets the pixel's place within the rectangle.
+    /// Applies a function to every pixel of a rectangle; the function also gets the position within the rectangle.
     pub(crate) fn map(
         &mut self,
         [left, top]: [u32; 2],
@@ -32,19 +32,19 @@ impl Canvas {
         }
     }
 
-    /// Copies a picture.
+    /// Copies an image to a position.
     pub(crate) fn blit(&mut self, at: [u32; 2], size: ImageSize, pixels: &[[u8; 3]]) {
         self.map(at, size, |_, [x, y]| pixels[y as usize * size.width as usize + x as usize]);
     }
 
-    /// Writes ASCII text with `at` as its upper left corner; other characters become `?`. Gives back its width, pixels.
+    /// Draws ASCII text with `at` as its upper left corner; other characters become `?`. Returns the width, pixels.
     pub(crate) fn text(&mut self, [left, top]: [u32; 2], scale: u32, rgb: [u8; 3], text: &str) -> u32 {
         let side = GLYPH * scale;
         let cell = ImageSize { height: side, width: side };
         for (place, character) in (0..).zip(text.chars()) {
             let code = if character.is_ascii() { character as usize } else { '?' as usize };
             let glyph = BASIC_LEGACY[code];
-            // A row is a byte, its lowest bit to the left.
+            // Each row is one byte; its lowest bit is the leftmost pixel.
             let inked = |[x, y]: [u32; 2]| glyph[(y / scale) as usize] >> (x / scale) & 1 == 1;
             self.map([left + place * side, top], cell, |under, at| if inked(at) { rgb } else { under });
         }
@@ -52,7 +52,7 @@ impl Canvas {
     }
 }
 
-/// Width of a text, pixels.
+/// Returns the width of a text, pixels.
 pub(crate) fn text_width(text: &str, scale: u32) -> u32 {
     text.chars().count() as u32 * GLYPH * scale
 }
@@ -67,7 +67,7 @@ mod tests {
         assert_eq!(canvas.text([1, 1], 1, [255; 3], "L\u{e9}"), 16);
         let row =
             |y: usize| (0..12).map(|x| u8::from(canvas.pixels[y * 12 + x] != [0; 3])).collect::<Vec<_>>();
-        // The stem of the L is to the left.
+        // The stem of the L is at its left.
         assert_eq!(row(3)[..8], [0, 0, 1, 1, 0, 0, 0, 0]);
         assert_eq!(row(0), [0; 12]);
     }

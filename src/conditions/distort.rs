@@ -1,10 +1,10 @@
-//! Maps that look like recorded images: distorted as the cameras' lenses do.
+//! Lens distortion of condition maps, so that they match recorded images.
 //!
 //! # How it works
-//! Rasterizers draw what a pinhole sees. A lens shows other parts of the world, so the pinhole's image is made larger
-//! until it holds all that the lens shows, at the same focal length. Every pixel of the distorted map then takes the
-//! pixel of the larger one that its centre's ray meets, for all maps alike: a mean of depths or of numbers would be
-//! none. Reductions come after.
+//! Rasterizers render pinhole images. A lens shows other parts of the world, so the pinhole image is enlarged, at the
+//! same focal length, until it covers everything that the lens shows. Every pixel of the distorted map then takes the
+//! pinhole pixel that its center's ray hits. This is nearest sampling for all maps, because a mean of depths or of
+//! instance numbers is meaningless. Reductions follow.
 
 use std::sync::Arc;
 
@@ -17,34 +17,34 @@ use super::{
 use crate::geometry::{Camera, Lens, View};
 use crate::scene::SceneState;
 
-/// How many times larger than the camera's a side of the pinhole's image may be.
+/// Maximum ratio of a side of the pinhole image to the same side of the camera's image.
 const MOST_GROWTH: u32 = 4;
 
-/// Distorts the maps of step after step; what a lens does to an image is worked out
-/// once, as long as steps have the same cameras.
+/// Distorts the maps of a sequence of steps; the warp of a camera is computed once and reused while the cameras stay
+/// the same.
 #[derive(Clone, Debug)]
 pub struct Distorter {
     options: ConditionOptions,
-    /// Cameras as drawn, with what their lenses do.
+    /// Cameras as rendered, with their warps.
     known: Vec<(Camera, Arc<Warp>)>,
 }
 
-/// A step as it is to be drawn so that its maps can be distorted.
+/// Step to render so that its maps can be distorted.
 #[derive(Clone, Debug)]
 pub struct PinholeStep {
-    /// With pinhole cameras that see all that the lenses show.
+    /// The state with pinhole cameras that cover everything that the lenses show.
     pub state: SceneState,
-    /// For the maps of that state: at full size.
+    /// Options for rendering that state: maps at full size.
     pub options: ConditionOptions,
     asked: ConditionOptions,
     warps: Vec<Arc<Warp>>,
 }
 
 impl Distorter {
-    /// For maps that are made with these options.
+    /// Creates a distorter for maps rendered with these options.
     ///
     /// # Errors
-    /// [`ColorFilter::ValidArea`], which would have to know which pixels are empty.
+    /// Returns an error for [`ColorFilter::ValidArea`], which needs to know which pixels are empty.
     pub fn new(options: &ConditionOptions) -> Result<Self, ConditionError> {
         if options.color_filter == ColorFilter::ValidArea {
             return Err(ConditionError::DistortedArea);
@@ -52,10 +52,10 @@ impl Distorter {
         Ok(Self { options: options.clone(), known: Vec::new() })
     }
 
-    /// The step to draw in place of this one.
+    /// Returns the step to render in place of `state`.
     ///
     /// # Errors
-    /// A lens that shows more than a pinhole's image of reasonable size can hold.
+    /// Returns an error if a lens shows more than a pinhole image of reasonable size can cover.
     pub fn pinholes(&mut self, state: &SceneState) -> Result<PinholeStep, ConditionError> {
         let mut state = state.clone();
         let mut warps = Vec::with_capacity(state.cameras.len());
@@ -65,10 +65,10 @@ impl Distorter {
             camera.view = View { camera: warp.pinhole.clone(), ..camera.view };
             warps.push(warp);
         }
-        // A drive whose calibration changes from frame to frame would fill the memory.
+        // The cache would grow without bound on a log whose calibration changes from frame to frame.
         self.known.retain(|(_, known)| warps.iter().any(|warp| Arc::ptr_eq(warp, known)));
         let asked = self.options.clone();
-        // Model tensors are made of the distorted maps.
+        // Model tensors are encoded from the distorted maps.
         let maps = asked.maps.with_parts(state.map.is_some()).without(MapKind::Tensor);
         let options = ConditionOptions { maps, size: None, out_size: None, ..asked.clone() };
         Ok(PinholeStep { state, options, asked, warps })
@@ -85,7 +85,7 @@ impl Distorter {
 }
 
 impl PinholeStep {
-    /// Distorts and reduces the maps that were made of [`PinholeStep::state`].
+    /// Distorts and reduces the maps rendered from [`PinholeStep::state`].
     pub fn distort(&self, set: ConditionSet) -> ConditionSet {
         let camera = |(camera, warp): (CameraConditions, &Arc<Warp>)| {
             let to = self.asked.out_size.unwrap_or(warp.size);
@@ -98,17 +98,17 @@ impl PinholeStep {
     }
 }
 
-/// From a pinhole's image to a distorted one.
+/// Lookup table from a distorted image to its pinhole image.
 #[derive(Clone, Debug)]
 struct Warp {
     pinhole: Camera,
-    /// Of the distorted image.
+    /// Size of the distorted image.
     size: ImageSize,
-    /// Per pixel of the distorted image the pixel of the pinhole's; `None` where the images are the same.
+    /// For each pixel of the distorted image, the index of the pinhole pixel; `None` if the images are the same.
     sources: Option<Vec<u32>>,
 }
 
-/// In [`Warp::sources`] a pixel that no ray reaches.
+/// Entry of [`Warp::sources`] for a pixel that no ray reaches.
 const NO_SOURCE: u32 = u32::MAX;
 
 impl Warp {
@@ -157,13 +157,13 @@ impl Warp {
         }
     }
 
-    /// Distorted and reduced by nearest.
+    /// Distorts a map and reduces it by nearest sampling.
     fn reduced<T: Copy + Send + Sync>(&self, map: Vec<T>, empty: T, to: ImageSize) -> Vec<T> {
         let picked = self.pick(map, empty);
         if self.size == to { picked } else { reduce::nearest(&picked, self.size, to) }
     }
 
-    /// The distorted map.
+    /// Returns the distorted map.
     fn pick<T: Copy + Send + Sync>(&self, map: Vec<T>, empty: T) -> Vec<T> {
         let Some(sources) = &self.sources else { return map };
         let pixel = |source: &u32| map.get(*source as usize).copied().unwrap_or(empty);
@@ -171,8 +171,8 @@ impl Warp {
     }
 }
 
-/// Where the pinhole camera of the same intrinsics sees what the lens shows at the centre of every pixel, row by row;
-/// `None` where it shows nothing.
+/// Returns, for the center of every pixel in row-major order, where a pinhole camera of the same intrinsics sees the
+/// point that the lens shows; `None` if the lens shows nothing there.
 fn rays(camera: &Camera, lens: &Lens) -> Vec<Option<DVec2>> {
     let camera_from_image = camera.intrinsics.inverse();
     let ray = |pixel: u32| {

@@ -4,22 +4,22 @@ use super::ImageSize;
 use crate::error::FileError;
 use crate::raster::RasterError;
 
-/// Why condition maps were not made or not written.
+/// Reason why condition maps could not be rendered or written.
 #[derive(Debug, thiserror::Error)]
 pub enum ConditionError {
-    /// The rasterizer.
+    /// Error of the rasterizer.
     #[error(transparent)]
     Raster(#[from] RasterError),
-    /// A file.
+    /// Error of a file.
     #[error(transparent)]
     File(#[from] FileError),
-    /// A layout of a map that is not there.
+    /// A map layout was requested, but the step has no HD map.
     #[error("expected an HD map to draw map layouts from, found none in step {step}")]
     NoMap {
-        /// The step.
+        /// Name of the step.
         step: String,
     },
-    /// Arrays of all cameras need one size.
+    /// Cameras of one array differ in size.
     #[error(
         "expected cameras of one size in one array (--size or --out-size make it so), found {first} and {other}: {}",
         path.display()
@@ -29,39 +29,39 @@ pub enum ConditionError {
         first: String,
         /// Name and size of one that differs.
         other: String,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// A lens that bends rays from too far beside the image.
+    /// A lens shows rays from too far outside the pinhole image.
     #[error(
         "expected a lens that shows no more than a pinhole image {growth} times as large as {size}, found one that needs \
          {height}x{width}: camera {camera}"
     )]
     Lens {
-        /// The camera.
+        /// Name of the camera.
         camera: String,
-        /// Of its image.
+        /// Size of its image.
         size: ImageSize,
-        /// What it would take, pixels.
+        /// Required height of the pinhole image, pixels.
         height: f64,
-        /// What it would take, pixels.
+        /// Required width of the pinhole image, pixels.
         width: f64,
-        /// How many times larger a side may be.
+        /// Maximum enlargement of a side.
         growth: u32,
     },
-    /// Distorted maps are reduced without knowing which pixels are empty.
+    /// The valid-area color filter was requested for distorted maps, which do not record which pixels are empty.
     #[error("expected bilinear color for distorted maps, found valid-area")]
     DistortedArea,
-    /// A number that the file's pixels cannot hold.
+    /// A number exceeds the range of the file's pixels.
     #[error("expected {map} numbers of at most {max} in a PNG (EXR and NPZ hold more), found {found}: {}", path.display())]
     PngRange {
-        /// The map.
+        /// Name of the map.
         map: &'static str,
         /// Largest number that fits.
         max: u32,
         /// Largest number in the map.
         found: u32,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
 }

@@ -1,5 +1,5 @@
-//! `FRAME/CAM/MAP.exr`: color, boxes and map as `R G B` f32 (level / 255), depth as `Z` f32 metres (−300 where empty),
-//! class, instance and point as one u32 channel of the map's name.
+//! EXR writer, `FRAME/CAM/MAP.exr`: color, boxes and map as `R G B` f32 (level / 255), depth as `Z` f32 meters (−300
+//! where empty), class, instance and point as one u32 channel with the map's name.
 
 use std::path::Path;
 
@@ -13,10 +13,10 @@ use crate::files::write_whole;
 
 type Channels = SmallVec<[AnyChannel<FlatSamples>; 4]>;
 
-/// Writes all maps of a step but the model tensor below its folder, which is made where it is missing.
+/// Writes all maps of a step except the model tensor below `folder`, which is created if it does not exist.
 ///
 /// # Errors
-/// The system's, at writing.
+/// Fails if a folder or a file cannot be written.
 pub fn write(folder: &Path, set: &ConditionSet) -> Result<(), FileError> {
     set.cameras.par_iter().try_for_each(|camera| {
         let folder = folder.join(&camera.name);
@@ -30,21 +30,21 @@ pub fn write(folder: &Path, set: &ConditionSet) -> Result<(), FileError> {
     })
 }
 
-/// `None` where the camera has no such map.
+/// Returns `None` if the camera has no such map.
 fn channels(camera: &CameraConditions, kind: MapKind) -> Option<Channels> {
     let numbers = |map: &Vec<u32>| one(kind.name(), FlatSamples::U32(map.clone()));
     Some(match kind {
         MapKind::Color | MapKind::Boxes | MapKind::Map => rgb(camera.rgb(kind)?),
         MapKind::Depth => {
-            let metres = |d: &f32| if d.is_finite() { *d } else { EMPTY_DEPTH_M };
-            one("Z", FlatSamples::F32(camera.depth_m.as_ref()?.iter().map(metres).collect()))
+            let meters = |d: &f32| if d.is_finite() { *d } else { EMPTY_DEPTH_M };
+            one("Z", FlatSamples::F32(camera.depth_m.as_ref()?.iter().map(meters).collect()))
         }
         MapKind::Class => {
             one("class", FlatSamples::U32(camera.class.as_ref()?.iter().map(|c| u32::from(*c)).collect()))
         }
         MapKind::Instance => numbers(camera.instance.as_ref()?),
         MapKind::Point => numbers(camera.point.as_ref()?),
-        // No image.
+        // The model tensor is not an image.
         MapKind::Tensor => return None,
     })
 }
@@ -93,7 +93,7 @@ mod tests {
         let rgb = [("color.exr", &camera.color), ("boxes.exr", &camera.boxes), ("map.exr", &camera.map)];
         for (map, expected) in rgb {
             let channels = read(map);
-            // Stored in the order of the alphabet.
+            // EXR stores channels in alphabetical order.
             for (channel, (name, index)) in channels.iter().zip([("B", 2), ("G", 1), ("R", 0)]) {
                 let levels: Vec<u8> =
                     channel.sample_data.values_as_f32().map(|v| (v * 255.0).round() as u8).collect();
@@ -102,9 +102,9 @@ mod tests {
             }
         }
         let depth = read("depth.exr");
-        let metres: Vec<f32> = depth[0].sample_data.values_as_f32().collect();
+        let meters: Vec<f32> = depth[0].sample_data.values_as_f32().collect();
         let expected = camera.depth_m.as_ref().unwrap();
-        assert!(metres.iter().zip(expected).all(|(m, d)| m == d || (*m == -300.0 && d.is_infinite())));
+        assert!(meters.iter().zip(expected).all(|(m, d)| m == d || (*m == -300.0 && d.is_infinite())));
         assert_eq!(depth[0].name.to_string(), "Z");
         let class = camera.class.as_ref().unwrap().iter().map(|c| u32::from(*c)).collect();
         let instance = camera.instance.clone().unwrap();

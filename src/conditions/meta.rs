@@ -1,6 +1,6 @@
-//! `FRAME/meta.json`, what a network needs beside the maps, and `index.json`, what lies in an output folder.
+//! `FRAME/meta.json`, the network inputs other than maps, and `index.json`, the index of an output folder.
 //!
-//! Poses are 4×4 matrices row by row, named target first, metres.
+//! Poses are row-major 4×4 matrices in meters; their names put the target frame first.
 
 use std::path::Path;
 
@@ -15,20 +15,20 @@ use crate::files::FileName;
 use crate::files::write_json;
 use crate::scene::{SceneCamera, SceneState};
 
-/// A 4×4 matrix, row by row.
+/// Row-major 4×4 matrix.
 pub type Matrix = [[f64; 4]; 4];
 
-/// What the prompt says; from an annotation file.
+/// Parts of the text prompt, from an annotation file.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, serde::Deserialize)]
 pub struct PromptParts {
-    /// For instance `Sunny`.
+    /// Weather, for instance `Sunny`.
     pub weather: Option<String>,
-    /// For instance `Boston`.
+    /// City, for instance `Boston`.
     pub city: Option<String>,
 }
 
 impl PromptParts {
-    /// `"{weather}. A driving scene in {city}"`, less what is not known; `None` if nothing is.
+    /// Returns `"{weather}. A driving scene in {city}"` without unknown parts; `None` if both are unknown.
     pub fn prompt(&self) -> Option<String> {
         match (&self.weather, &self.city) {
             (Some(weather), Some(city)) => Some(format!("{weather}. A driving scene in {city}")),
@@ -39,20 +39,20 @@ impl PromptParts {
     }
 }
 
-/// `meta.json`.
+/// Content of `meta.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FrameMeta {
     /// Folder name of the frame.
     pub name: String,
-    /// Absolute microseconds.
+    /// Timestamp, absolute microseconds.
     pub t_us: i64,
-    /// Text condition.
+    /// Text prompt.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub prompt: Option<String>,
     /// Frames per second of the sequence.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fps: Option<f64>,
-    /// In the order of the maps.
+    /// Cameras, in the order of the maps.
     pub cameras: Vec<CameraMeta>,
 }
 
@@ -61,27 +61,27 @@ pub struct FrameMeta {
 pub struct CameraMeta {
     /// Channel name.
     pub name: FileName,
-    /// Of the maps as written, pixels.
+    /// Height of the written maps, pixels.
     pub height: u32,
-    /// Of the maps as written, pixels.
+    /// Width of the written maps, pixels.
     pub width: u32,
-    /// 3×3, for the size above.
+    /// 3×3 intrinsics for this height and width.
     pub intrinsics: [[f64; 3]; 3],
-    /// k1, k2, p1, p2, k3 as OpenCV has them, if the maps are distorted by the lens.
+    /// OpenCV coefficients k1, k2, p1, p2, k3 if the maps are distorted by the lens.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distortion: Option<[f64; 5]>,
-    /// Extrinsics; null for a camera that no ego carries.
+    /// Extrinsics; null for a camera that is not mounted on an ego.
     pub ego_from_camera: Option<Matrix>,
-    /// Ego pose at the camera's time.
+    /// Ego pose at the camera's timestamp.
     pub global_from_ego: Matrix,
-    /// Where the camera stands.
+    /// Pose of the camera, as a transform from global to camera coordinates.
     pub camera_from_global: Matrix,
-    /// Indices of the neighbour to the left, of the camera itself, and of the neighbour to the right.
+    /// Indices of the left neighbor, of the camera itself, and of the right neighbor.
     pub neighbours: [usize; 3],
 }
 
 impl FrameMeta {
-    /// Of a step as it was rendered.
+    /// Creates the metadata of a rendered step.
     pub fn new(
         state: &SceneState,
         options: &ConditionOptions,
@@ -112,7 +112,7 @@ impl FrameMeta {
         }
     }
 
-    /// Tells that the maps of this step were distorted as the cameras' lenses do.
+    /// Records the lens distortion of the cameras, for a step whose maps were distorted.
     pub fn distorted(mut self, state: &SceneState) -> Self {
         for (meta, camera) in self.cameras.iter_mut().zip(&state.cameras) {
             meta.distortion = camera.view.camera.distortion.map(|d| d.coefficients());
@@ -123,14 +123,14 @@ impl FrameMeta {
     /// Writes `meta.json`.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
         write_json(path, self)
     }
 }
 
-/// Per camera the neighbours in the ring around the ego: left, itself, right. The ring is the order of the optical
-/// axes by their angle in the ego frame. With fewer than three cameras a camera is there more than once.
+/// Returns for each camera its neighbors in the ring around the ego: left, itself, right. The ring orders the optical
+/// axes by their angle in the ego frame. With fewer than three cameras an index occurs more than once.
 pub fn ring_neighbours(cameras: &[SceneCamera]) -> Vec<[usize; 3]> {
     let angle = |camera: &SceneCamera| {
         let world_from_camera: DAffine3 = camera.view.camera_from_world.inverse();
@@ -142,7 +142,7 @@ pub fn ring_neighbours(cameras: &[SceneCamera]) -> Vec<[usize; 3]> {
     ring.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let mut neighbours = vec![[0; 3]; ring.len()];
     for (place, &(_, camera)) in ring.iter().enumerate() {
-        // Angles grow to the left.
+        // Angles increase to the left.
         let left = ring[(place + 1) % ring.len()].1;
         let right = ring[(place + ring.len() - 1) % ring.len()].1;
         neighbours[camera] = [left, camera, right];
@@ -150,27 +150,27 @@ pub fn ring_neighbours(cameras: &[SceneCamera]) -> Vec<[usize; 3]> {
     neighbours
 }
 
-/// `index.json`. The options are [`ConditionOptions`], or whatever else is to be told with them.
+/// Content of `index.json`. The options are [`ConditionOptions`] or any other serializable type.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Index<O = ConditionOptions> {
-    /// How the maps were made.
+    /// Options with which the maps were rendered.
     pub options: O,
-    /// In the order they were rendered.
+    /// Frames in rendering order.
     pub frames: Vec<IndexFrame>,
 }
 
 /// A frame of [`Index`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct IndexFrame {
-    /// Folder name.
+    /// Name of the frame's folder.
     pub name: String,
-    /// Absolute microseconds.
+    /// Timestamp, absolute microseconds.
     pub t_us: i64,
-    /// `global_from_ego`.
+    /// Pose `global_from_ego`.
     pub ego: Matrix,
-    /// Names, in the order of the maps.
+    /// Camera names, in the order of the maps.
     pub cameras: Vec<FileName>,
-    /// What the instance map's numbers mean.
+    /// Actors that the numbers in the instance map refer to.
     pub actors: Vec<IndexActor>,
 }
 
@@ -181,14 +181,14 @@ pub struct IndexActor {
     pub instance: u32,
     /// Track id.
     pub track: String,
-    /// The data set's category name.
+    /// Category name of the data set.
     pub category: String,
     /// Number in the class map.
     pub class: u8,
 }
 
 impl IndexFrame {
-    /// Of a step.
+    /// Creates the entry of a step.
     pub fn new(state: &SceneState) -> Self {
         let actor = |(number, actor): (u32, &crate::scene::ActorState)| IndexActor {
             instance: number,
@@ -210,7 +210,7 @@ impl<O: Serialize> Index<O> {
     /// Writes `index.json`.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
         write_json(path, self)
     }
@@ -227,7 +227,7 @@ mod tests {
     use crate::scene::ActorState;
     use glam::{DMat3, DQuat};
 
-    /// A camera that looks along `yaw` (to the left of the ego's x).
+    /// Returns a camera that looks along `yaw`, counted to the left from the ego's x axis.
     fn camera(name: &str, yaw: f64, ego: Pose) -> SceneCamera {
         let axes = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
         let rotation = DQuat::from_rotation_z(yaw) * DQuat::from_mat3(&axes);
@@ -264,7 +264,7 @@ mod tests {
     #[test]
     fn neighbours_stand_left_and_right_in_the_ring() {
         let neighbours = ring_neighbours(&state().cameras);
-        // front: left is front_left, right is front_right; the ring closes between front_right and back.
+        // front: left is front_left, right is front_right. The ring closes between front_right and back.
         assert_eq!(neighbours, [[1, 0, 2], [4, 1, 0], [0, 2, 3], [2, 3, 4], [3, 4, 1]]);
         assert_eq!(ring_neighbours(&state().cameras[..1]), [[0, 0, 0]]);
     }

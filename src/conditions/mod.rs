@@ -1,12 +1,14 @@
-//! Condition maps of one step: made, reduced, written.
+//! Condition maps of one step: rendering, reduction and writers.
 //!
 //! # How it works
-//! [`render()`] splats the two clouds of the condition contract (color and geometry, [`SceneInstances`](crate::scene::SceneInstances)) into every
-//! camera, draws the layouts of boxes and HD map, and reduces the maps to the size of the model ([`reduce`]).
-//! [`distort`] makes them look like recorded images. Within the program an empty depth is `f32::INFINITY`; −300 stands
-//! only in files. What networks are fed is made of these maps ([`tensor`]). Writers: [`png`], [`exr`], [`npz`],
-//! [`safetensors`], the contact [`sheet`], a picture from above ([`birdseye`]) and the metadata ([`meta`]). What every map
-//! means stands in `docs/CONDITIONS.md`.
+//! [`render()`] splats the color and the geometry cloud of the condition contract
+//! ([`SceneInstances`](crate::scene::SceneInstances)) into every camera, draws the layouts of boxes and HD map, and
+//! reduces the maps to the model's size ([`reduce`]). [`distort`] applies the lens distortion of recorded images.
+//! [`tensor`] encodes the maps as network input. In memory an empty depth is `f32::INFINITY`; −300 occurs only in
+//! files.
+//!
+//! Writers: [`png`], [`exr`], [`npz`], [`safetensors`], the contact [`sheet`], the bird's-eye view ([`birdseye`]) and
+//! the metadata ([`meta`]). See `docs/CONDITIONS.md` for the map definitions.
 
 mod arrays;
 pub mod bins;
@@ -38,5 +40,5 @@ pub use tensor::{DepthEmbedding, ModelTensor, TensorEncoder};
 pub use crate::geometry::{ImageSize, ParseOptionError};
 pub use crate::raster::Occlusion;
 
-/// What stands for an empty depth in files, metres.
+/// Value of an empty depth in files, meters.
 pub const EMPTY_DEPTH_M: f32 = -300.0;

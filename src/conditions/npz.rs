@@ -1,9 +1,8 @@
-//! `maps.npz`: one array per map, `[V, H, W]` or `[V, H, W, 3]`, views in the set's order, −300 for empty depth; two of
-//! the model tensor.
+//! NPZ writer, `maps.npz`: one array per map, `[V, H, W]` or `[V, H, W, 3]`, views in the set's order, −300 for empty
+//! depth; two arrays for the model tensor.
 //!
 //! # How it works
-//! An NPZ is a ZIP of NPY files. Every entry has the same time stamp and compression, so the same maps give the same
-//! bytes.
+//! An NPZ is a ZIP of NPY files. All entries have the same timestamp and compression, so equal maps give equal bytes.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -17,16 +16,16 @@ use crate::cloud::npy::write_header;
 use crate::error::FileError;
 use crate::files::write_whole;
 
-/// Level of deflate: higher ones take several times longer to gain little on these maps.
+/// Deflate level; higher levels take several times longer for little gain on these maps.
 const LEVEL: i64 = 3;
 
-/// Writes all maps of a step. Arrays are named as the maps; the model tensor is `points` `[V, 20, H, W]` and `layout`
-/// `[V, 6, H, W]`.
+/// Writes all maps of a step. Arrays have the names of the maps; the model tensor is `points` `[V, 20, H, W]` and
+/// `layout` `[V, 6, H, W]`.
 ///
 /// # Errors
-/// Cameras of differing size; the system's, at writing.
+/// Returns an error if the cameras differ in size or the file cannot be written.
 pub fn write(path: &Path, set: &ConditionSet) -> Result<(), ConditionError> {
-    // In memory first: a ZipWriter that meets a full disk tries to write on when it is dropped.
+    // Written to memory first: a ZipWriter that hits a full disk tries to write again when it is dropped.
     let archive =
         archive(&arrays(set, path)?).map_err(|e| FileError::io("write", path)(std::io::Error::other(e)))?;
     write_whole(path, |out| out.write_all(&archive).map_err(FileError::io("write", path)))?;

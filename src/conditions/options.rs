@@ -6,7 +6,7 @@ use super::{DepthBins, DepthEmbedding};
 use crate::geometry::{ImageSize, ParseOptionError};
 use crate::raster::{Occlusion, SplatSchedule};
 
-/// A map of a camera.
+/// Kind of condition map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MapKind {
@@ -14,22 +14,22 @@ pub enum MapKind {
     Color,
     /// Camera depth of the nearest point of the geometry cloud.
     Depth,
-    /// Coarse class of that point.
+    /// Coarse class of the nearest point of the geometry cloud.
     Class,
-    /// Actor number of that point.
+    /// Actor number of the nearest point of the geometry cloud.
     Instance,
     /// Outlines of the actors' boxes.
     Boxes,
     /// Outlines of the HD map: lanes, drivable area, crossings.
     Map,
-    /// Index of that point + 1, counted through the geometry instances.
+    /// Index + 1 of the nearest point of the geometry cloud, counted through the geometry instances.
     Point,
-    /// What a network is fed: color and depth in 20 channels, boxes and map in 6.
+    /// Network input: color and depth in 20 channels, boxes and map in 6.
     Tensor,
 }
 
 impl MapKind {
-    /// All of them, in the order of files and sheets.
+    /// All kinds, in the order of files and sheets.
     pub const ALL: [Self; 8] = [
         Self::Color,
         Self::Depth,
@@ -41,7 +41,7 @@ impl MapKind {
         Self::Tensor,
     ];
 
-    /// Name of files, arrays and command-line values.
+    /// Returns the name used for files, arrays and command-line values.
     pub fn name(self) -> &'static str {
         match self {
             Self::Color => "color",
@@ -56,28 +56,29 @@ impl MapKind {
     }
 }
 
-/// Which maps are made. Text form: names with commas, `color,depth`.
+/// Set of map kinds. Text form: names with commas, `color,depth`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MapSet([bool; MapKind::ALL.len()]);
 
 impl MapSet {
-    /// Of some kinds.
+    /// Creates a set of some kinds.
     pub fn of(kinds: &[MapKind]) -> Self {
         Self(MapKind::ALL.map(|kind| kinds.contains(&kind)))
     }
 
-    /// These and one more.
+    /// Returns the set with one more kind.
     pub fn with(mut self, kind: MapKind) -> Self {
         self.0[kind as usize] = true;
         self
     }
 
-    /// Whether a map is made.
+    /// Returns whether the set contains a kind.
     pub fn contains(self, kind: MapKind) -> bool {
         self.0[kind as usize]
     }
 
-    /// With the maps that the model tensor is made of, if it is asked for; the HD map's layout only where there is a map.
+    /// Adds the maps that the model tensor is encoded from, if it is requested; the map layout only if there is an HD
+    /// map.
     pub fn with_parts(mut self, has_map: bool) -> Self {
         if self.contains(MapKind::Tensor) {
             for part in [MapKind::Color, MapKind::Depth, MapKind::Boxes] {
@@ -88,19 +89,19 @@ impl MapSet {
         self
     }
 
-    /// These less one.
+    /// Returns the set without one kind.
     pub fn without(mut self, kind: MapKind) -> Self {
         self.0[kind as usize] = false;
         self
     }
 
-    /// Those that are made, in the order of [`MapKind::ALL`].
+    /// Iterates over the kinds of the set, in the order of [`MapKind::ALL`].
     pub fn iter(self) -> impl Iterator<Item = MapKind> {
         MapKind::ALL.into_iter().filter(move |kind| self.contains(*kind))
     }
 }
 
-/// All that every log has: not the HD map's layout, nor the point numbers and the model tensor.
+/// All maps that every log supports: without map layout, point numbers and model tensor.
 impl Default for MapSet {
     fn default() -> Self {
         let extra = |kind| matches!(kind, MapKind::Map | MapKind::Point | MapKind::Tensor);
@@ -129,37 +130,37 @@ impl Serialize for MapSet {
     }
 }
 
-/// How a color map is reduced.
+/// Reduction filter of color maps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum ColorFilter {
-    /// As OpenCV's INTER_LINEAR; empty pixels count as black.
+    /// OpenCV's INTER_LINEAR; empty pixels count as black.
     #[default]
     Bilinear,
     /// Area-weighted mean of the pixels that are not empty.
     ValidArea,
 }
 
-/// How condition maps are made.
+/// Options for rendering condition maps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ConditionOptions {
-    /// Which ones.
+    /// Maps to render.
     pub maps: MapSet,
     /// Splat radius by depth.
     pub splat: SplatSchedule,
-    /// Points farther than this from the ego along the world's x or y are not used, metres.
+    /// Points farther than this from the ego along the world's x or y are cropped, meters.
     pub radius_m: f64,
-    /// Size at which maps are drawn; `None` for the camera's own.
+    /// Render size; `None` for the camera's own.
     pub size: Option<ImageSize>,
-    /// Size to which they are reduced; `None` for no reduction.
+    /// Size after reduction; `None` for no reduction.
     pub out_size: Option<ImageSize>,
-    /// How color is reduced.
+    /// Reduction filter of the color map.
     pub color_filter: ColorFilter,
-    /// What hides actors.
+    /// Points that can occlude actors.
     pub occlusion: Occlusion,
-    /// How depth is cut in PNG, sheet and model tensor.
+    /// Depth bins of PNG, sheet and model tensor.
     pub depth_bins: DepthBins,
-    /// Which depth channels of the model tensor are filled.
+    /// Depth channels of the model tensor to fill.
     pub depth_embedding: DepthEmbedding,
 }
 

@@ -1,9 +1,9 @@
 //! Pillow's BILINEAR: a triangle filter widened by the scale, so reductions are antialiased.
 //!
 //! # How it works
-//! Layouts are mostly black, and black gives black. So the image comes row by row as colored spans, and only pixels of
-//! the result that see one of them are worked out: across first, rounded to bytes, then down, in Pillow's fixed-point
-//! arithmetic. Few rows are held at a time.
+//! Layouts are mostly black, and black pixels contribute nothing. So the image is passed row by row as colored spans,
+//! and only output pixels that overlap a span are computed: first horizontally, rounded to bytes, then vertically, in
+//! Pillow's fixed-point arithmetic. Only a few rows are in memory at a time.
 
 use std::ops::Range;
 
@@ -13,20 +13,20 @@ use crate::geometry::ImageSize;
 
 /// Fraction bits of Pillow's weights.
 const PIL_BITS: u32 = 22;
-/// Half of the last bit that is kept.
+/// Half of the last retained bit, for rounding.
 const HALF: u64 = 1 << (PIL_BITS - 1);
-/// Two channels stand in one word.
+/// Shift of the second of two channels packed in one word.
 const SECOND: u32 = 32;
 
-/// Weights of one axis, in 1/2²². Windows go forward, and there is the same number of weights for each.
+/// Filter weights of one axis, in units of 1/2²². Windows advance monotonically and have the same number of weights.
 #[derive(Clone, Debug)]
 struct Axis {
-    /// First source index by output index.
+    /// First source index of each output.
     first: Vec<u32>,
-    /// [`Axis::taps`] of them by output index; zero beyond the window.
+    /// [`Axis::taps`] weights per output; zero beyond the window.
     weights: Vec<u64>,
     taps: usize,
-    /// By source index: the outputs that look at it, first and end.
+    /// For each source index, the range of outputs that read it: first and end.
     seen_by: Vec<[u32; 2]>,
 }
 
@@ -58,20 +58,20 @@ impl Axis {
         axis
     }
 
-    /// Where an output's window begins, and its weights.
+    /// Returns the first source index of an output's window, and its weights.
     fn window(&self, output: usize) -> (usize, &[u64]) {
         (self.first[output] as usize, &self.weights[output * self.taps..][..self.taps])
     }
 }
 
-/// A pixel as two words: red and green, blue.
+/// Pixel packed in two words: red and green, blue.
 type Words = [u64; 2];
 
 fn words([r, g, b]: [u8; 3]) -> Words {
     [u64::from(r) | u64::from(g) << SECOND, u64::from(b)]
 }
 
-/// Weighted sum of pixels, rounded to bytes. Weights add up to about 2²², so no channel reaches its neighbour.
+/// Weighted sum of pixels, rounded to bytes. Weights sum to about 2²², so no channel overflows into its neighbor.
 fn weighted<'a>(pixels: impl Iterator<Item = &'a Words>, weights: &[u64]) -> [u8; 3] {
     let mut sum = [HALF | HALF << SECOND, HALF];
     for (pixel, weight) in pixels.zip(weights) {
@@ -82,7 +82,7 @@ fn weighted<'a>(pixels: impl Iterator<Item = &'a Words>, weights: &[u64]) -> [u8
     [byte(sum[0]), byte(sum[0] >> SECOND), byte(sum[1])]
 }
 
-/// A set of columns.
+/// Bit set of columns.
 #[derive(Clone, Debug)]
 struct Columns(Vec<u64>);
 
@@ -109,7 +109,7 @@ impl Columns {
         self.0.fill(0);
     }
 
-    /// All columns, in ascending order.
+    /// Visits all columns in ascending order.
     fn each(&self, mut each: impl FnMut(usize)) {
         for (index, word) in self.0.iter().enumerate() {
             let mut word = *word;
@@ -121,7 +121,7 @@ impl Columns {
     }
 }
 
-/// A row of the image that spans are painted into; black where nothing was painted.
+/// Source row that spans are painted into; black elsewhere.
 #[derive(Debug)]
 pub(super) struct PaintedRow {
     pixels: Vec<Words>,
@@ -129,7 +129,7 @@ pub(super) struct PaintedRow {
 }
 
 impl PaintedRow {
-    /// Paints columns, over what was painted before. Columns beyond the image are left out.
+    /// Paints columns over earlier ones, clipped to the image.
     pub(super) fn fill(&mut self, columns: Range<usize>, rgb: [u8; 3]) {
         let columns = columns.start..columns.end.min(self.pixels.len());
         if !columns.is_empty() {
@@ -138,7 +138,7 @@ impl PaintedRow {
         }
     }
 
-    /// Paints a row of pixels, which is black so far.
+    /// Paints a row of pixels into a row that is still black.
     fn copy(&mut self, row: &[[u8; 3]]) {
         let colored = |pixel: &[u8; 3]| *pixel != [0; 3];
         let (Some(first), Some(last)) = (row.iter().position(colored), row.iter().rposition(colored)) else {
@@ -153,14 +153,14 @@ impl PaintedRow {
     }
 }
 
-/// A row of the image after the filter across; black where it has no columns.
+/// Row after the horizontal pass; black outside its columns.
 #[derive(Clone, Debug)]
 struct AcrossRow {
     pixels: Vec<Words>,
     columns: Columns,
 }
 
-/// The filter from one size to another.
+/// Filter from one size to another.
 #[derive(Clone, Debug)]
 pub(super) struct PilBilinear {
     from: ImageSize,
@@ -170,29 +170,29 @@ pub(super) struct PilBilinear {
 }
 
 impl PilBilinear {
-    /// Works out the weights.
+    /// Computes the weights.
     pub(super) fn new(from: ImageSize, to: ImageSize) -> Self {
         let (columns, rows) = (Axis::new(from.width, to.width), Axis::new(from.height, to.height));
         Self { from, to, columns, rows }
     }
 
-    /// Size of the image, and of the result.
+    /// Returns the size of the image and of the result.
     pub(super) fn sizes(&self) -> [ImageSize; 2] {
         [self.from, self.to]
     }
 
-    /// Filters an image. `paint` paints a row of it; it is asked for rows in ascending order, each once.
+    /// Filters an image. `paint` paints one row; it is called for each row once, in ascending order.
     pub(super) fn filter(&self, paint: impl FnMut(u32, &mut PaintedRow)) -> Vec<[u8; 3]> {
         self.part(0..self.to.height as usize, paint)
     }
 
-    /// Some rows of the result.
+    /// Computes a range of output rows.
     fn part(&self, outputs: Range<usize>, mut paint: impl FnMut(u32, &mut PaintedRow)) -> Vec<[u8; 3]> {
         let width = self.to.width as usize;
         let mut result = vec![[0; 3]; outputs.len() * width];
         let mut painted = PaintedRow { pixels: vec![[0; 2]; self.from.width as usize], spans: Vec::new() };
         let none = AcrossRow { pixels: vec![[0; 2]; width], columns: Columns::none(self.to.width) };
-        // A source row has the place of its number in this ring until no output row needs it.
+        // Ring buffer: a source row occupies the slot of its number until no output row needs it.
         let mut across = vec![none; self.rows.taps];
         let mut columns = Columns::none(self.to.width);
         let mut next = 0;
@@ -212,7 +212,7 @@ impl PilBilinear {
         result
     }
 
-    /// Filters a row and makes it black again.
+    /// Filters a row horizontally and resets it to black.
     fn across(&self, from: &mut PaintedRow, to: &mut AcrossRow) {
         to.columns.each(|x| to.pixels[x] = [0; 2]);
         to.columns.clear();
@@ -230,7 +230,7 @@ impl PilBilinear {
     }
 }
 
-/// Rows of a result that a thread filters at a time.
+/// Output rows per parallel task.
 const ROWS_AT_ONCE: usize = 32;
 
 /// Filters a whole image of `from.pixels()` pixels.
@@ -285,7 +285,7 @@ mod tests {
         let white = filter.filter(|_, row| row.fill(0..500, [255; 3]));
         assert!(white.iter().all(|pixel| *pixel == [255; 3]), "columns beyond the image are left out");
         assert!(filter.filter(|_, _| ()).iter().all(|pixel| *pixel == [0; 3]));
-        // One row alone: rows that do not see it are black.
+        // A single lit row: output rows that do not read it are black.
         let one = filter.filter(|at, row| {
             if at == 15 {
                 row.fill(64..130, [255; 3])

@@ -1,4 +1,5 @@
-//! `FRAME/CAM/MAP.png`: color, boxes and map RGB, depth 16-bit bins, class 8-bit grey, instance 16-bit grey.
+//! PNG writer, `FRAME/CAM/MAP.png`: color, boxes and map as RGB, depth as 16-bit bins, class as 8-bit gray, instance
+//! and point as 16-bit gray.
 
 use std::io::Write;
 use std::path::Path;
@@ -11,10 +12,10 @@ use super::{CameraConditions, ConditionError, ConditionSet, DepthBins, ImageSize
 use crate::error::FileError;
 use crate::files::write_whole;
 
-/// Writes all maps of a step but the model tensor below its folder, which is made where it is missing.
+/// Writes all maps of a step except the model tensor below `folder`, which is created if it does not exist.
 ///
 /// # Errors
-/// The system's at writing; numbers over 65535 in instance or point maps.
+/// Returns an error if an instance or point number exceeds 65535, or if a folder or a file cannot be written.
 pub fn write(folder: &Path, set: &ConditionSet, bins: &DepthBins) -> Result<(), ConditionError> {
     set.cameras.par_iter().try_for_each(|camera| {
         let folder = folder.join(&camera.name);
@@ -24,7 +25,7 @@ pub fn write(folder: &Path, set: &ConditionSet, bins: &DepthBins) -> Result<(), 
     })
 }
 
-/// Nothing happens where the camera has no such map.
+/// Writes one map; does nothing if the camera has no such map.
 fn write_map(
     path: &Path,
     camera: &CameraConditions,
@@ -52,7 +53,7 @@ fn write_map(
             let values = to_u16(numbers, kind, path)?;
             encode(path, bytemuck::cast_slice(&values), size, ExtendedColorType::L16)?;
         }
-        // No image.
+        // The model tensor is not an image.
         MapKind::Tensor => {}
     }
     Ok(())
@@ -70,12 +71,12 @@ fn to_u16(numbers: &[u32], kind: MapKind, path: &Path) -> Result<Vec<u16>, Condi
 /// Writes one RGB image.
 ///
 /// # Errors
-/// The system's, at writing.
+/// Fails if the file cannot be written.
 pub fn write_rgb(path: &Path, rgb: &[[u8; 3]], size: ImageSize) -> Result<(), FileError> {
     encode(path, rgb.as_flattened(), size, ExtendedColorType::Rgb8)
 }
 
-/// `bytes` in the machine's order, as the encoder wants 16-bit samples.
+/// Encodes `bytes` as PNG; 16-bit samples are in native byte order, as the encoder expects.
 fn encode(path: &Path, bytes: &[u8], size: ImageSize, color: ExtendedColorType) -> Result<(), FileError> {
     write_whole(path, |out| {
         let encoder = PngEncoder::new(out.by_ref());

@@ -1,7 +1,7 @@
-//! Resizing of maps, each as another library does it.
+//! Resizing of maps, each compatible with another library.
 //!
-//! [`nearest`] is OpenCV's INTER_NEAREST, [`bilinear`] its INTER_LINEAR for bytes, [`pil_bilinear`] Pillow's BILINEAR.
-//! [`valid_area`] is ours: a mean that leaves empty pixels out.
+//! [`nearest`] is OpenCV's INTER_NEAREST, [`bilinear`] its INTER_LINEAR for bytes, [`pil_bilinear`] Pillow's
+//! BILINEAR. [`valid_area`] is specific to this project: a mean over the pixels that are not empty.
 
 use rayon::prelude::*;
 
@@ -9,7 +9,7 @@ pub use super::pil::pil_bilinear;
 use crate::geometry::ImageSize;
 pub use crate::raster::reduce::{bilinear, nearest, nearest_indices};
 
-/// Source pixels under an output pixel along one axis, with the length that lies under it.
+/// Source pixels covered by each output pixel along one axis, with the covered length.
 fn spans(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     let scale = f64::from(from) / f64::from(to);
     let span = |i: u32| {
@@ -21,8 +21,8 @@ fn spans(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     (0..to).map(span).collect()
 }
 
-/// Mean of the pixels that `depth_m` says are not empty (finite), weighted by the area under the output pixel; black
-/// where all are empty.
+/// Returns the area-weighted mean of the pixels with finite `depth_m` (not empty) under each output pixel; black if
+/// all are empty.
 pub fn valid_area(map: &[[u8; 3]], depth_m: &[f32], from: ImageSize, to: ImageSize) -> Vec<[u8; 3]> {
     let (rows, columns) = (spans(from.height, to.height), spans(from.width, to.width));
     let width = from.width as usize;
@@ -57,7 +57,7 @@ mod tests {
         let empty = f32::INFINITY;
         let depth = [1.0, empty, 1.0, empty, empty, empty];
         assert_eq!(valid_area(&map, &depth, size(1, 6), size(1, 2)), [[20, 0, 0], [0, 0, 0]]);
-        // 6 to 4: one and a half pixels each; the third lies with one half under the second output pixel.
+        // 6 to 4: one and a half pixels each; half of the third pixel lies under the second output pixel.
         assert_eq!(
             valid_area(&map, &depth, size(1, 6), size(1, 4)),
             [[10, 0, 0], [30, 0, 0], [0, 0, 0], [0, 0, 0]]

@@ -12,18 +12,18 @@ use crate::geometry::View;
 use crate::raster::{Crop, FrameJob, FrameKinds, Planes, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
 use crate::scene::{SceneInstances, SceneState};
 
-/// Maps of one camera, row-major `height * width`; `None` where they were not asked for.
+/// Maps of one camera, row-major `height * width`; `None` for maps that were not requested.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraConditions {
     /// Channel name.
     pub name: FileName,
-    /// Pixels.
+    /// Width of all maps, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height of all maps, pixels.
     pub height: u32,
     /// RGB, black where empty.
     pub color: Option<Vec<[u8; 3]>>,
-    /// Camera depth in metres, `f32::INFINITY` where empty.
+    /// Camera depth in meters, `f32::INFINITY` where empty.
     pub depth_m: Option<Vec<f32>>,
     /// Coarse class, 0 where empty.
     pub class: Option<Vec<u8>>,
@@ -35,17 +35,17 @@ pub struct CameraConditions {
     pub map: Option<Vec<[u8; 3]>>,
     /// Number of the winning geometry point + 1, 0 where empty.
     pub point: Option<Vec<u32>>,
-    /// What a network is fed.
+    /// Network input.
     pub tensor: Option<ModelTensor>,
 }
 
 impl CameraConditions {
-    /// Size of all maps.
+    /// Returns the size of all maps.
     pub fn size(&self) -> ImageSize {
         ImageSize { height: self.height, width: self.width }
     }
 
-    /// A map whose pixels are RGB; `None` for other kinds, too.
+    /// Returns a map whose pixels are RGB; `None` if it was not rendered or the kind is not RGB.
     pub fn rgb(&self, kind: MapKind) -> Option<&[[u8; 3]]> {
         match kind {
             MapKind::Color => self.color.as_deref(),
@@ -55,7 +55,7 @@ impl CameraConditions {
         }
     }
 
-    /// Drops maps that were only made for others.
+    /// Drops maps that were not requested themselves.
     fn keep_only(&mut self, asked: MapSet) {
         self.color.take_if(|_| !asked.contains(MapKind::Color));
         self.depth_m.take_if(|_| !asked.contains(MapKind::Depth));
@@ -72,7 +72,7 @@ pub struct ConditionSet {
 }
 
 impl ConditionSet {
-    /// Makes the model tensors, if asked for, and drops maps that were made for them alone.
+    /// Encodes the model tensors if requested, and drops maps that were rendered only for them.
     pub(super) fn make_tensors(&mut self, asked: &ConditionOptions) {
         if asked.maps.contains(MapKind::Tensor) {
             let encoder = TensorEncoder::new(asked.depth_bins, asked.depth_embedding);
@@ -85,23 +85,23 @@ impl ConditionSet {
 }
 
 impl ConditionOptions {
-    /// The view as it is drawn: at [`ConditionOptions::size`], intrinsics scaled.
+    /// Returns the view at render size ([`ConditionOptions::size`]), with scaled intrinsics.
     pub fn drawn_view(&self, view: &View) -> View {
         let camera =
             self.size.map_or_else(|| view.camera.clone(), |s| view.camera.resized(s.height, s.width));
         View { camera, camera_from_world: view.camera_from_world }
     }
 
-    /// Size of a camera's maps as they are written.
+    /// Returns the size of a camera's maps as written.
     pub fn written_size(&self, view: &View) -> ImageSize {
         self.out_size.or(self.size).unwrap_or_else(|| ImageSize::of(&view.camera))
     }
 }
 
-/// Makes the maps of a step: all cameras, cropped to a square of `options.radius_m` around the ego.
+/// Renders the maps of a step for all cameras, with clouds cropped to a square of `options.radius_m` around the ego.
 ///
 /// # Errors
-/// The rasterizer's; [`MapKind::Map`] where the state has no HD map.
+/// Returns an error if the rasterizer fails, or if [`MapKind::Map`] is requested and the state has no HD map.
 pub fn render(
     rasterizer: &mut dyn Rasterizer,
     clouds: &SceneInstances,
@@ -111,11 +111,11 @@ pub fn render(
     Begun::new(rasterizer, clouds, state, options)?.finish(rasterizer)
 }
 
-/// Makes the maps of some views that come from points, so all but [`MapKind::Boxes`], [`MapKind::Map`] and
+/// Renders the maps of some views that come from points: all except [`MapKind::Boxes`], [`MapKind::Map`] and
 /// [`MapKind::Tensor`].
 ///
 /// # Errors
-/// The rasterizer's.
+/// Returns an error if the rasterizer fails.
 pub fn render_views(
     rasterizer: &mut dyn Rasterizer,
     clouds: &SceneInstances,
@@ -126,21 +126,21 @@ pub fn render_views(
     Points::begin(rasterizer, clouds, views, crop, options)?.finish(rasterizer)
 }
 
-/// A step that the rasterizer is at work on. Steps are finished in the order in which they were begun, at most
+/// Step in flight on the rasterizer. Steps finish in the order in which they were started, with at most
 /// [`FRAMES_IN_FLIGHT`](crate::raster::FRAMES_IN_FLIGHT) at a time.
 #[derive(Debug)]
 pub struct Begun {
     points: Points,
     layouts: Layouts,
-    /// What was asked for; more is drawn for the model tensor.
+    /// Options as requested; more maps are rendered for the model tensor.
     asked: ConditionOptions,
 }
 
 impl Begun {
-    /// Begins the maps of a step as [`render`] makes them.
+    /// Starts rendering the maps of a step, as [`render`] does.
     ///
     /// # Errors
-    /// As [`render`].
+    /// Returns any error of [`render`].
     pub fn new(
         rasterizer: &mut dyn Rasterizer,
         clouds: &SceneInstances,
@@ -157,7 +157,7 @@ impl Begun {
         let crop = Crop { center, radius_m: options.radius_m };
         let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
         let points = Points::begin(rasterizer, clouds, &views, Some(crop), options)?;
-        // The device is at work on the points meanwhile.
+        // The device processes the points meanwhile.
         let start = Instant::now();
         let boxes = options.maps.contains(MapKind::Boxes).then_some(state.actors.as_slice());
         let layouts = layout::draw(boxes, map, &views, options);
@@ -167,10 +167,10 @@ impl Begun {
         Ok(Self { points, layouts, asked })
     }
 
-    /// Waits for the maps; the same rasterizer as it was begun with.
+    /// Waits for the maps. `rasterizer` must be the one that the step was started with.
     ///
     /// # Errors
-    /// The rasterizer's.
+    /// Returns an error if the rasterizer fails.
     pub fn finish(self, rasterizer: &mut dyn Rasterizer) -> Result<ConditionSet, ConditionError> {
         let mut cameras = self.points.finish(rasterizer)?;
         for (camera, layout) in cameras.iter_mut().zip(self.layouts.boxes.into_iter().flatten()) {
@@ -185,14 +185,14 @@ impl Begun {
     }
 }
 
-/// The maps of a step that come from points.
+/// Point-based maps of a step, in flight.
 #[derive(Debug)]
 struct Points {
     names: Vec<FileName>,
     options: ConditionOptions,
-    /// Color, one per view, where the rasterizer cannot reduce it.
+    /// Color of each view, if the rasterizer cannot reduce it.
     color: Option<Vec<Vec<[u8; 3]>>>,
-    /// Whether the rasterizer was asked for a frame.
+    /// Whether a frame was submitted to the rasterizer.
     in_flight: bool,
     sizes: Vec<ImageSize>,
 }
@@ -260,7 +260,7 @@ impl Points {
     }
 }
 
-/// From the rasterizer's maps to those of the contract.
+/// Converts the rasterizer's maps to those of the contract.
 fn fill(camera: &mut CameraConditions, maps: ViewMaps<'_>, options: &ConditionOptions) {
     let wants = |kind| options.maps.contains(kind);
     camera.color = wants(MapKind::Color).then(|| maps.rgb_class.iter().map(|p| rgb_of(*p)).collect());
@@ -270,8 +270,8 @@ fn fill(camera: &mut CameraConditions, maps: ViewMaps<'_>, options: &ConditionOp
     camera.point = wants(MapKind::Point).then(|| maps.point.into_owned());
 }
 
-/// Color as the mean of the pixels that are not empty, which needs all of them: drawn at full size, reduced here.
-/// Depth tells which ones are empty, since a black point is not.
+/// Renders color reduced to the mean of the pixels that are not empty. The filter needs all pixels, so the map is
+/// rendered at full size and reduced here. Depth identifies empty pixels, since a point can be black.
 fn valid_area_color(
     rasterizer: &mut dyn Rasterizer,
     job: &FrameJob<'_>,

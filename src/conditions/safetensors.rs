@@ -1,9 +1,10 @@
-//! `conditions.safetensors`: one tensor per map as in an NPZ, and what they are as text.
+//! Safetensors writer, `conditions.safetensors`: one tensor per map as in an NPZ, with a description as text
+//! metadata.
 //!
 //! # How it works
-//! A file is the length of its header, the header in JSON, and the tensors one after the other. The header is made and
-//! checked by the crate `safetensors`; tensors go to the file as they lie in memory. Keys are sorted, so the same maps
-//! give the same bytes. The widest numbers come first, which keeps all of them aligned.
+//! The file holds the length of its header, the JSON header, and the tensors one after the other. The crate
+//! `safetensors` builds and checks the header; tensors are written as they are in memory. Keys are sorted, so equal
+//! maps give equal bytes. Tensors of 4-byte numbers come first, which aligns all of them.
 
 use std::collections::HashMap;
 use std::io::Write;
@@ -17,14 +18,14 @@ use super::{ConditionError, ConditionOptions, ConditionSet, MapKind};
 use crate::error::FileError;
 use crate::files::write_whole;
 
-/// The header's length is a multiple of this, so that tensors are aligned.
+/// The header's length is a multiple of this, to align the tensors.
 const ALIGNMENT: usize = 8;
 
-/// Writes all maps of a step at a time in microseconds, with `cameras` (a JSON list of names), `t_us`, `depth_bins`
-/// and, beside model tensors, `depth_embedding` in its metadata.
+/// Writes all maps of a step at `t_us` (microseconds). The metadata holds `cameras` (a JSON list of names), `t_us`,
+/// `depth_bins` and, with model tensors, `depth_embedding`.
 ///
 /// # Errors
-/// Cameras of differing size; the system's, at writing.
+/// Returns an error if the cameras differ in size or the file cannot be written.
 pub fn write(
     path: &Path,
     set: &ConditionSet,
@@ -37,7 +38,7 @@ pub fn write(
         FileError::io("write", path)(std::io::Error::other(error.to_string()))
     };
     let header = Metadata::new(Some(texts(set, t_us, options)), infos(&arrays)).map_err(|e| failed(&e))?;
-    // By way of a value, whose keys are sorted: those of the metadata are in no order.
+    // Converted through a JSON value, whose keys are sorted; the metadata map has no defined order.
     let mut header = serde_json::to_value(&header).map_err(|e| failed(&e))?.to_string().into_bytes();
     header.resize(header.len().next_multiple_of(ALIGNMENT), b' ');
     write_whole(path, |out| {
@@ -88,7 +89,7 @@ mod tests {
         ConditionOptions { maps: MapSet::of(&MapKind::ALL), ..ConditionOptions::default() }
     }
 
-    /// The test set with model tensors.
+    /// Returns the test set with model tensors.
     fn set() -> ConditionSet {
         let mut set = test_set();
         let encoder = TensorEncoder::new(options().depth_bins, DepthEmbedding::Both);

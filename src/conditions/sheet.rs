@@ -1,9 +1,9 @@
-//! The contact sheet of a step: every map of every camera in one picture.
+//! Contact sheet of a step: every map of every camera in one image.
 //!
 //! # How it works
-//! Each map is a block with a title and a legend; in it the six cameras of a surround rig stand in their places (front
-//! left, front, front right over back left, back, back right), any other cameras in rows of three. Numbers become
-//! colors (`tile_colors`), and tiles are scaled down to at most [`TILE_WIDTH_PX`].
+//! Each map is a block with a title and a legend. In it, the cameras of a known surround rig are arranged by
+//! direction (front left, front, front right above back left, back, back right); other cameras are in rows of three.
+//! Numbers are shown as colors (`tile_colors`). Tiles are scaled down to at most [`TILE_WIDTH_PX`].
 
 use std::path::Path;
 
@@ -13,24 +13,24 @@ use super::{CameraConditions, ConditionSet, DepthBins, ImageSize, MapKind, png, 
 use crate::error::FileError;
 use crate::scene::MapLayer;
 
-/// Widest tile, pixels.
+/// Maximum tile width, pixels.
 pub const TILE_WIDTH_PX: u32 = 448;
 
-/// Between the pictures.
+/// Color between the tiles.
 pub const BACKGROUND: [u8; 3] = [17, 19, 24];
 const EMPTY: [u8; 3] = [8, 9, 11];
 const TEXT: [u8; 3] = [232, 234, 237];
 const DIM_TEXT: [u8; 3] = [148, 153, 163];
-/// Around the sheet and between blocks.
+/// Margin around the sheet and between blocks, pixels.
 const MARGIN: u32 = 16;
-/// Between tiles.
+/// Gap between tiles, pixels.
 const GAP: u32 = 4;
-/// Height of a title.
+/// Height of a block's title, pixels.
 const TITLE: u32 = 28;
-/// Width of the depth legend.
+/// Width of the depth legend, pixels.
 const BAR: u32 = 160;
 
-/// Where the cameras of known rigs stand: two rows each, forward and backward, from left to right.
+/// Camera layouts of known rigs: two rows each, forward and backward, from left to right.
 const RIGS: [[&[&str]; 2]; 4] = [
     [&["CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT"], &["CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT"]],
     [&["CAM_L0", "CAM_F0", "CAM_R0"], &["CAM_L1", "CAM_B0", "CAM_R1"]],
@@ -41,7 +41,7 @@ const RIGS: [[&[&str]; 2]; 4] = [
     ],
 ];
 
-/// Colors and names of the classes from 1 on.
+/// Colors and names of the classes, starting at class 1.
 pub(super) const CLASSES: [([u8; 3], &str); 4] = [
     ([79, 148, 255], "vehicle"),
     ([255, 92, 92], "pedestrian"),
@@ -49,20 +49,20 @@ pub(super) const CLASSES: [([u8; 3], &str); 4] = [
     ([255, 201, 77], "object"),
 ];
 
-/// Names of the layers of the HD map.
+/// Names of the HD map layers.
 const LAYERS: [(MapLayer, &str); 3] =
     [(MapLayer::Lane, "lane"), (MapLayer::DrivableArea, "drivable area"), (MapLayer::Crossing, "crossing")];
 
-/// Writes the sheet as PNG; `caption` stands on top of it.
+/// Writes the sheet as PNG, with `caption` at its top.
 ///
 /// # Errors
-/// The system's, at writing.
+/// Fails if the file cannot be written.
 pub fn write(path: &Path, set: &ConditionSet, bins: &DepthBins, caption: &str) -> Result<(), FileError> {
     let (size, pixels) = draw(set, bins, caption);
     png::write_rgb(path, &pixels, size)
 }
 
-/// Draws the sheet: its size and RGB pixels.
+/// Draws the sheet and returns its size and RGB pixels.
 pub fn draw(set: &ConditionSet, bins: &DepthBins, caption: &str) -> (ImageSize, Vec<[u8; 3]>) {
     let grid = Grid::of(set, TILE_WIDTH_PX);
     let kinds = kinds(set);
@@ -85,7 +85,7 @@ pub fn draw(set: &ConditionSet, bins: &DepthBins, caption: &str) -> (ImageSize, 
     (canvas.size, canvas.pixels)
 }
 
-/// Draws one map of all cameras, tiles at most `tile_width` pixels wide: size and RGB pixels.
+/// Draws one map of all cameras, with tiles at most `tile_width` pixels wide; returns its size and RGB pixels.
 pub fn draw_map(
     set: &ConditionSet,
     kind: MapKind,
@@ -101,7 +101,8 @@ pub fn draw_map(
     (size, canvas.pixels)
 }
 
-/// The size of what [`draw_map`] draws, and where the cameras' pictures stand in it: left, top, width and height, pixels.
+/// Returns the size of the image that [`draw_map`] draws and each camera's rectangle in it: left, top, width, height,
+/// pixels.
 pub fn places(set: &ConditionSet, tile_width: u32) -> (ImageSize, Vec<[u32; 4]>) {
     let grid = Grid::of(set, tile_width);
     let size = ImageSize { height: grid.height(), width: grid.width() };
@@ -112,12 +113,12 @@ pub fn places(set: &ConditionSet, tile_width: u32) -> (ImageSize, Vec<[u32; 4]>)
     (size, set.cameras.iter().zip(&grid.corners).map(place).collect())
 }
 
-/// The maps of a set that can be shown.
+/// Returns the maps of a set that can be displayed.
 pub fn kinds(set: &ConditionSet) -> Vec<MapKind> {
     MapKind::ALL.into_iter().filter(|kind| shown(set, *kind)).collect()
 }
 
-/// Point numbers say nothing to the eye.
+/// Point numbers are not displayed: they carry no visual information.
 fn shown(set: &ConditionSet, kind: MapKind) -> bool {
     set.cameras.iter().any(|camera| match kind {
         MapKind::Color => camera.color.is_some(),
@@ -131,7 +132,7 @@ fn shown(set: &ConditionSet, kind: MapKind) -> bool {
     })
 }
 
-/// Where tiles stand within a block.
+/// Arrangement of tiles within a block.
 struct Grid {
     tile: ImageSize,
     /// Upper left corner of each camera's tile, x and y.
@@ -155,7 +156,7 @@ impl Grid {
         Self { tile, corners: places.into_iter().map(corner).collect(), rows, columns }
     }
 
-    /// Upper left corner of a camera's picture in its tile.
+    /// Returns the upper left corner of a camera's image, centered in its tile.
     fn centered(&self, [left, top]: [u32; 2], camera: &CameraConditions) -> [u32; 2] {
         let size = fitted(camera.size(), self.tile.width);
         [left + (self.tile.width - size.width) / 2, top + (self.tile.height - size.height) / 2]
@@ -170,7 +171,7 @@ impl Grid {
     }
 }
 
-/// Column and row of each camera; `None` unless these are just the cameras of the rig.
+/// Returns column and row of each camera; `None` unless the names are exactly the cameras of the rig.
 fn places_in_rig(rig: &[&[&str]; 2], names: &[&str]) -> Option<Vec<[u32; 2]>> {
     let place = |name: &&str| {
         let in_row = |row: usize| Some([rig[row].iter().position(|n| n == name)? as u32, row as u32]);
@@ -180,7 +181,7 @@ fn places_in_rig(rig: &[&[&str]; 2], names: &[&str]) -> Option<Vec<[u32; 2]>> {
     names.iter().map(place).collect::<Option<Vec<_>>>().filter(|_| whole)
 }
 
-/// Size of a picture shrunk to a width; smaller ones keep theirs.
+/// Returns the size of an image scaled down to a width; smaller images keep their size.
 fn fitted(size: ImageSize, width: u32) -> ImageSize {
     if size.width <= width {
         return size;
@@ -216,8 +217,8 @@ fn draw_tile(
     }
 }
 
-/// Colors of a map of numbers, reduced by nearest: depth as TURBO; class and instance each in a color of its own over
-/// the depth in dark grey.
+/// Colors a map of numbers, reduced by nearest: depth with TURBO; class and instance with one color per number over
+/// the depth in dark gray.
 fn tile_colors(
     camera: &CameraConditions,
     kind: MapKind,
@@ -255,11 +256,11 @@ fn tile_colors(
     Some(picture)
 }
 
-/// A bright color per number: hues a golden angle apart, so neighbours in number are far apart in color.
+/// Returns a bright color for a number. Hues are a golden angle apart, so consecutive numbers differ clearly.
 fn number_color(number: u32) -> [u8; 3] {
     let hue = (f64::from(number) * 0.618_033_988_749_895).fract() * 6.0;
     let value = if number.is_multiple_of(2) { 0.82 } else { 1.0 };
-    // The distance of the hue from a channel's own, as in the usual HSV formula.
+    // Distance of the hue from the channel's own hue, as in the usual HSV formula.
     let channel = |offset: f64| {
         let distance = (hue + offset) % 6.0;
         let level = distance.min(4.0 - distance).clamp(0.0, 1.0);
@@ -268,7 +269,7 @@ fn number_color(number: u32) -> [u8; 3] {
     [channel(5.0), channel(3.0), channel(1.0)]
 }
 
-/// What the colors of a block mean, ending at `right`.
+/// Draws the legend of a block, ending at `right`.
 fn legend(canvas: &mut Canvas, right: u32, top: u32, kind: MapKind, bins: &DepthBins) {
     let text_top = top + 4;
     match kind {
@@ -290,7 +291,7 @@ fn legend(canvas: &mut Canvas, right: u32, top: u32, kind: MapKind, bins: &Depth
     }
 }
 
-/// Colors with their names in a row that ends at `right`.
+/// Draws color swatches with names in a row that ends at `right`.
 fn named_colors(canvas: &mut Canvas, right: u32, top: u32, colors: &[([u8; 3], &str)]) {
     let width = |name: &str| 14 + text_width(name, 1) + 14;
     let total: u32 = colors.iter().map(|(_, name)| width(name)).sum();
@@ -327,7 +328,7 @@ mod tests {
         assert_eq!((grid.columns, grid.rows), (5, 2));
         assert_eq!((grid.corners[0], grid.corners[4]), ([2 * column, 0], [column, row]));
         assert_eq!((grid.corners[7], grid.corners[2]), ([column, 0], [4 * column, 0]));
-        // Others in their own order.
+        // Cameras of an unknown rig are in list order.
         assert_eq!(Grid::of(&named(&["a", "b", "c", "d"]), 448).corners[3], [0, row]);
         assert_eq!(Grid::of(&named(&["CAM_BACK"]), 448).corners, [[0, 0]]);
     }
@@ -341,7 +342,7 @@ mod tests {
         let first_tile = (MARGIN + TITLE + TITLE) as usize * size.width as usize + MARGIN as usize;
         assert_eq!(&pixels[first_tile..first_tile + 6], &set.cameras[0].color.as_ref().unwrap()[..6]);
         assert!(!draw(&ConditionSet::default(), &DepthBins::default(), "").1.is_empty());
-        // One map alone stands as in the sheet; cameras are where it is said.
+        // A single map is drawn as in the sheet, and cameras are at the reported positions.
         let (size, color) = draw_map(&set, MapKind::Color, TILE_WIDTH_PX, &DepthBins::default());
         let (same, places) = places(&set, TILE_WIDTH_PX);
         assert_eq!(same, size);

@@ -1,39 +1,39 @@
-//! What a network is fed: the 20 channels of the point conditions and the 6 channels of the layout.
+//! Network input: 20 channels of point conditions and 6 channels of layout.
 //!
 //! # How it works
-//! All that the depth channels hold depends on the depth's bin alone, so every value a channel can have is worked out
-//! once and looked up per pixel. The arithmetic is `f32` in the order that the condition contract
-//! (`docs/CONDITIONS.md`) has it: near the highest frequency another order is off by more than 10⁻⁵.
+//! The depth channels depend only on the depth bin, so every possible value is computed once and looked up per pixel.
+//! The arithmetic is `f32` in the order of the condition contract (`docs/CONDITIONS.md`): near the highest frequency,
+//! another order differs by more than 10⁻⁵.
 
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{CameraConditions, DepthBins};
 
-/// Channels of the point conditions: color, depth, sines, cosines.
+/// Number of channels of the point conditions: color, depth, sines, cosines.
 pub const POINT_CHANNELS: usize = 3 + 1 + 2 * FREQUENCIES;
-/// Channels of the layout: boxes, then map.
+/// Number of channels of the layout: boxes, then map.
 pub const LAYOUT_CHANNELS: usize = 6;
-/// Sines (and cosines) of the depth embedding.
+/// Number of sines (and of cosines) in the depth embedding.
 pub const FREQUENCIES: usize = 8;
-/// The depth channel where a pixel is empty, and everywhere in [`DepthEmbedding::Discrete`].
+/// Value of the depth channel at empty pixels, and everywhere in [`DepthEmbedding::Discrete`].
 const NO_DEPTH: f32 = -1.0;
 
-/// Which of the depth channels are filled.
+/// Choice of depth channels to fill.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum DepthEmbedding {
-    /// The depth itself; sines and cosines are 0.
+    /// Depth only; sines and cosines are 0.
     #[default]
     Continuous,
-    /// Sines and cosines; the depth is −1 everywhere.
+    /// Sines and cosines only; the depth is −1 everywhere.
     Discrete,
-    /// All of them.
+    /// Depth, sines and cosines.
     Both,
 }
 
 impl DepthEmbedding {
-    /// Name on the command line and in files.
+    /// Returns the name used on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Continuous => "continuous",
@@ -43,7 +43,7 @@ impl DepthEmbedding {
     }
 }
 
-/// What a network is fed for one camera, channels first.
+/// Network input of one camera, channels first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ModelTensor {
     /// `[20, H, W]`: color / 255 (3), depth (1), its sines (8) and cosines (8).
@@ -53,7 +53,7 @@ pub struct ModelTensor {
 }
 
 impl ModelTensor {
-    /// What of it an eye can see: the layout over the color.
+    /// Returns a preview image: the layout over the color.
     pub fn preview(&self) -> Vec<[u8; 3]> {
         let pixels = self.points.len() / POINT_CHANNELS;
         let rgb = |channels: &[f32], first: usize, pixel: usize| {
@@ -67,19 +67,19 @@ impl ModelTensor {
     }
 }
 
-/// Makes model tensors; made once for all cameras.
+/// Encodes model tensors; create one for all cameras.
 #[derive(Clone, Debug)]
 pub struct TensorEncoder {
     bins: DepthBins,
-    /// Per depth channel (1 + 8 + 8) its value for every bin, `count + 1` of them; `None` for a channel of zeros.
+    /// For each depth channel (1 + 8 + 8) its value at every bin (`count + 1` values); `None` for a channel of zeros.
     by_bin: Vec<Option<Vec<f32>>>,
 }
 
 impl TensorEncoder {
-    /// For depth in these bins.
+    /// Creates an encoder for depth in these bins.
     pub fn new(bins: DepthBins, embedding: DepthEmbedding) -> Self {
         let steps = f32::from(bins.count) - 1.0;
-        // Of a bin from 1 on: where the depth lies between 0 and 1.
+        // Normalized depth, 0 to 1, of a bin from 1 upward.
         let unit = |bin: u16| f32::from(bin.min(bins.count - 1)) / steps;
         let channel = |empty: f32, value: &dyn Fn(f32) -> f32| -> Vec<f32> {
             std::iter::once(empty).chain((1..=bins.count).map(|bin| value(unit(bin)))).collect()
@@ -89,7 +89,7 @@ impl TensorEncoder {
             _ => channel(NO_DEPTH, &|u| u),
         };
         let wave = |of: fn(f64) -> f64, frequency: f32| {
-            // Rounded to `f32` once, so that the result depends on no system's `sinf`.
+            // Rounded once to `f32`, so that the result does not depend on the platform's `sinf`.
             let value = |u: f32| of(f64::from((std::f32::consts::TAU * u) * frequency)) as f32;
             (embedding != DepthEmbedding::Continuous).then(|| channel(0.0, &value))
         };
@@ -100,19 +100,20 @@ impl TensorEncoder {
         Self { bins, by_bin }
     }
 
-    /// Of one camera; `None` where it lacks color, depth or boxes.
+    /// Encodes one camera; `None` if it lacks color, depth or boxes.
     pub fn encode(&self, camera: &CameraConditions) -> Option<ModelTensor> {
         let points = self.points(camera.color.as_ref()?, camera.depth_m.as_ref()?);
         Some(ModelTensor { points, layout: layout(camera.boxes.as_ref()?, camera.map.as_deref()) })
     }
 
-    /// The point conditions `[20, H, W]` of color and camera depth in metres (infinite where empty), both `[H, W]`.
+    /// Encodes point conditions `[20, H, W]` from color and camera depth in meters (infinite where empty), both `[H,
+    /// W]`.
     pub fn points(&self, color: &[[u8; 3]], depth_m: &[f32]) -> Vec<f32> {
         let bins: Vec<u16> = depth_m.par_iter().map(|depth_m| self.bins.bin(*depth_m)).collect();
         self.points_of_bins(color, &bins)
     }
 
-    /// The point conditions `[20, H, W]` of color and bins of depth, 0 where empty, both `[H, W]`.
+    /// Encodes point conditions `[20, H, W]` from color and depth bins (0 where empty), both `[H, W]`.
     pub fn points_of_bins(&self, color: &[[u8; 3]], bins: &[u16]) -> Vec<f32> {
         let pixels = color.len();
         let mut points = vec![0.0; POINT_CHANNELS * pixels];
@@ -128,7 +129,7 @@ impl TensorEncoder {
     }
 }
 
-/// The layout `[6, H, W]` of two images `[H, W]`; black where there is no map.
+/// Encodes the layout `[6, H, W]` from two images `[H, W]`; map channels are 0 without a map.
 pub fn layout(boxes: &[[u8; 3]], map: Option<&[[u8; 3]]>) -> Vec<f32> {
     let mut layout = vec![0.0; LAYOUT_CHANNELS * boxes.len()];
     let (boxes_part, map_part) = layout.split_at_mut(3 * boxes.len());
@@ -139,7 +140,7 @@ pub fn layout(boxes: &[[u8; 3]], map: Option<&[[u8; 3]]>) -> Vec<f32> {
     layout
 }
 
-/// `f_k = 2^(k · log2(n/2) / 7)`: from one wave over the range of depth to one over two bins.
+/// Returns `f_k = 2^(k · log2(n/2) / 7)`: from one period over the depth range to one period over two bins.
 fn frequencies(bins: u16) -> [f32; FREQUENCIES] {
     let octaves = (f32::from(bins) / 2.0).log2();
     let last = (FREQUENCIES - 1) as f32;
@@ -162,7 +163,7 @@ mod tests {
     const DEFAULT_BINS: DepthBins =
         DepthBins { scale: super::super::BinScale::Linear, count: 256, far_m: 100.0, gamma: 1.0 };
 
-    /// The 20 channels of one gray pixel at a depth.
+    /// Returns the 20 channels of one pixel at a depth.
     fn pixel(depth_m: f32, embedding: DepthEmbedding) -> Vec<f32> {
         TensorEncoder::new(BINS, embedding).points(&[[51, 0, 255]], &[depth_m])
     }
@@ -196,7 +197,7 @@ mod tests {
             let values = pixel(empty, DepthEmbedding::Both);
             assert_eq!((values[3], &values[4..]), (-1.0, &[0.0; 16][..]));
         }
-        // Depths at `far` get bin n, which counts as n − 1.
+        // Depths at `far` get bin n, which is clamped to n − 1.
         assert_eq!((BINS.bin(50.0), pixel(50.0, DepthEmbedding::Both)[3]), (256, 1.0));
         assert_eq!(pixel(1e-3, DepthEmbedding::Both)[3], 1.0 / 255.0);
     }

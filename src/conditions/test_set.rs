@@ -1,8 +1,8 @@
-//! Small maps for the tests of writers.
+//! Small maps for the tests of the writers.
 
 use super::{CameraConditions, ConditionSet};
 
-/// Two cameras of 4x6 pixels with all maps but the point numbers.
+/// Returns two cameras of 4x6 pixels with all maps except point numbers and model tensor.
 pub(super) fn test_set() -> ConditionSet {
     let camera = |name: &str, seed: u32| {
         let all = |f: &dyn Fn(u32) -> u32| (0..24).map(|i| f(i + seed)).collect::<Vec<u32>>();

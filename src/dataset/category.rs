@@ -5,12 +5,12 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "snake_case")]
 #[repr(u8)]
 pub enum Class {
-    /// None, or background.
+    /// No object, or background.
     #[default]
     None = 0,
-    /// Any motor vehicle with four wheels or more.
+    /// Vehicle with four or more wheels, including trailers.
     MotorVehicle = 1,
-    /// A person on foot, or pushing or riding something without pedals.
+    /// Person on foot, or pushing or riding something without pedals. In Argoverse 2 also the riders of cycles.
     Pedestrian = 2,
     /// Bicycle or motorcycle.
     Cycle = 3,
@@ -19,10 +19,10 @@ pub enum Class {
 }
 
 impl Class {
-    /// All of them, by number.
+    /// All classes, by number.
     pub const ALL: [Self; 5] = [Self::None, Self::MotorVehicle, Self::Pedestrian, Self::Cycle, Self::Object];
 
-    /// Of a category name of nuScenes or nuPlan.
+    /// Returns the class of a category name of nuScenes or nuPlan.
     pub fn from_category(category: &str) -> Self {
         let has = |part: &str| category.split('.').any(|p| p == part);
         if has("bicycle") || has("motorcycle") {
@@ -35,8 +35,8 @@ impl Class {
     }
 }
 
-/// Color of a category's boxes in the layout image, `None` for categories that are not drawn. Source: the
-/// condition contract, `docs/CONDITIONS.md`.
+/// Returns the color of a category's boxes in the layout image; `None` if they are not drawn. Source: condition
+/// contract, `docs/CONDITIONS.md`.
 pub fn layout_rgb(category: &str) -> Option<[u8; 3]> {
     const COLORS: [(&str, [u8; 3]); 9] = [
         ("pedestrian", [255, 0, 0]),

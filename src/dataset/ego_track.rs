@@ -1,28 +1,28 @@
 use super::Log;
 use crate::geometry::Pose;
 
-/// Where the ego was when: the recorded poses of frames and sweeps, in time order.
+/// Ego poses over time: the recorded poses of frames and sweeps, in time order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EgoTrack(Vec<(i64, Pose)>);
 
 impl EgoTrack {
-    /// Of a drive.
+    /// Collects the poses of a log.
     pub fn new(log: &Log) -> Self {
         let frames = log.frames.iter().map(|f| (f.t_us, f.global_from_ego));
         let sweeps = log.frames.iter().flat_map(|f| &f.sweeps).map(|s| (s.t_us, s.global_from_ego));
         let mut poses: Vec<(i64, Pose)> = frames.chain(sweeps).collect();
-        // Stable: of two poses of one time the frame's stays first.
+        // The sort is stable: of two poses at the same time, the frame's comes first.
         poses.sort_by_key(|(t_us, _)| *t_us);
         Self(poses)
     }
 
-    /// All recorded poses, `global_from_ego`, with absolute microseconds, in time order; there may be two of one time.
+    /// Returns all recorded poses, `global_from_ego`, with absolute microseconds, in time order. Times may repeat.
     pub fn poses(&self) -> &[(i64, Pose)] {
         &self.0
     }
 
-    /// `global_from_ego` at any time (microseconds) within the drive, between two recorded poses (position linear,
-    /// rotation slerp). `None` outside.
+    /// Returns `global_from_ego` at any time (microseconds) within the recording, interpolated between recorded poses
+    /// (linear position, slerp rotation). `None` outside.
     pub fn at(&self, t_us: i64) -> Option<Pose> {
         let next = self.0.partition_point(|(at, _)| *at < t_us);
         let (t1, after) = self.0.get(next)?;
@@ -58,7 +58,7 @@ mod tests {
             between_images: Vec::new(),
             boxes: Vec::new(),
         };
-        // The frame's own sweep first, then the one before it.
+        // The frame's own sweep comes first, then the earlier one.
         let later = frame(100, 10.0, vec![sweep(100, 10.0), sweep(60, 9.0)]);
         let log = Log { frames: vec![frame(0, 0.0, Vec::new()), later], ..Log::default() };
         let ego = EgoTrack::new(&log);

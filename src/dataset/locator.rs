@@ -5,37 +5,37 @@ use std::str::FromStr;
 use super::DatasetError;
 use crate::error::FileError;
 
-/// A log's name on the command line: `FORMAT:PATH[@VERSION][#SCENE]`, or `town:OPTIONS` for what is built in.
+/// Log name on the command line: `FORMAT:PATH[@VERSION][#SCENE]`, or `town:OPTIONS` for the built-in synthetic town.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogLocator {
-    /// Which reader.
+    /// Format, which selects the reader.
     pub format: LogFormat,
-    /// Folder or file; of the town its options.
+    /// Folder or file; for the town, its options.
     pub path: PathBuf,
-    /// Data set version, for instance `v1.0-mini`.
+    /// Dataset version, for instance `v1.0-mini`.
     pub version: Option<String>,
     /// Scene name or token.
     pub scene: Option<String>,
-    /// Where sweeps and images are, if not at the data set's usual place.
+    /// Folder of sweeps and images, if not the dataset's default.
     pub sensor_root: Option<PathBuf>,
-    /// Where maps are, if not at the data set's usual place.
+    /// Folder of maps, if not the dataset's default.
     pub map_root: Option<PathBuf>,
-    /// Whether files that the data set names may lie outside of the folder of sweeps and images.
+    /// Whether file names in the dataset may point outside the folder of sweeps and images.
     pub allow_outside: bool,
 }
 
 impl LogLocator {
-    /// The only scene of a path, everything at its usual place.
+    /// Creates a locator for the only scene of a path, with default folders.
     pub fn new(format: LogFormat, path: impl Into<PathBuf>) -> Self {
         let path = path.into();
         let (version, scene, sensor_root, map_root) = Default::default();
         Self { format, path, version, scene, sensor_root, map_root, allow_outside: false }
     }
 
-    /// Checks the folders that were given for sensors and maps.
+    /// Validates the given folders of sensors and maps.
     ///
     /// # Errors
-    /// One that is not there, or is a file.
+    /// Fails if a folder does not exist or is a file.
     pub(super) fn check_roots(&self) -> Result<(), FileError> {
         for folder in self.sensor_root.iter().chain(&self.map_root) {
             let found = std::fs::metadata(folder).map_err(FileError::io("read", folder))?;
@@ -47,7 +47,7 @@ impl LogLocator {
     }
 }
 
-/// As on the command line, without the folders that are given beside it.
+/// Formats as on the command line, without the separately given folders.
 impl fmt::Display for LogLocator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}:{}", self.format.name(), self.path.display())?;
@@ -56,23 +56,23 @@ impl fmt::Display for LogLocator {
     }
 }
 
-/// The formats that can be read.
+/// Supported log formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogFormat {
-    /// The 13 JSON tables of nuScenes.
+    /// nuScenes: 13 JSON tables.
     NuScenes,
-    /// A folder of an Argoverse 2 sensor log, or a folder of them.
+    /// Argoverse 2: folder of a sensor log, or folder of logs.
     Argoverse,
-    /// A SQLite log of nuPlan, or a folder of them.
+    /// nuPlan: SQLite log, or folder of logs.
     NuPlan,
-    /// The ten evaluation logs of the paper in a folder of nuPlan logs.
+    /// Folder of nuPlan logs, restricted to the ten evaluation logs of the paper.
     NuPlanSimgen,
-    /// The town that is built in.
+    /// Built-in synthetic town.
     Town,
 }
 
 impl LogFormat {
-    /// All of them.
+    /// All formats.
     pub const ALL: [Self; 5] =
         [Self::NuScenes, Self::NuPlan, Self::NuPlanSimgen, Self::Argoverse, Self::Town];
     /// Names on the command line.
@@ -98,7 +98,7 @@ impl FromStr for LogLocator {
         let (format, rest) = text.split_once(':').ok_or_else(wrong)?;
         let format = LogFormat::ALL.into_iter().find(|known| known.name() == format).ok_or_else(wrong)?;
         if format == LogFormat::Town {
-            return Ok(Self::new(format, rest)); // not a path: nothing is split off
+            return Ok(Self::new(format, rest)); // options are not a path and are not split
         }
         let (rest, scene) = split_tail(rest, '#');
         let (path, version) = split_tail(rest, '@');
@@ -110,7 +110,7 @@ impl FromStr for LogLocator {
     }
 }
 
-/// Splits at the last `mark`, unless a folder separator comes behind it (it is part of the path then).
+/// Splits at the last `mark`. A mark before the last folder separator belongs to the path.
 fn split_tail(text: &str, mark: char) -> (&str, Option<&str>) {
     match text.rsplit_once(mark) {
         Some((head, tail)) if !tail.contains('/') => (head, Some(tail)),

@@ -7,71 +7,71 @@ use crate::files::FileName;
 use crate::files::text::printable;
 use crate::geometry::{Camera, Cuboid, Pose};
 
-/// One drive: what was recorded when, from where.
+/// One log: frames with poses, sensor files and boxes, and the calibration.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Log {
     /// Scene or log name.
     pub name: String,
     /// Map location, for instance `singapore-onenorth`.
     pub location: String,
-    /// Free text of the data set.
+    /// Free-text description from the dataset.
     pub description: String,
     /// Camera channels, in the order of every camera list.
     pub cameras: Vec<FileName>,
-    /// The cameras as they are calibrated, sorted by channel; a camera whose calibration changes is here as it was first.
+    /// Calibrated cameras, sorted by channel. A camera whose calibration changes has its first one here.
     pub rig: Vec<RigCamera>,
     /// Tracked objects, sorted by id.
     pub tracks: Vec<Track>,
     /// Annotated frames in time order.
     pub frames: Vec<Frame>,
-    /// Kinds of situation that the data set has found, with the indices of their frames in order.
+    /// Scenario types tagged in the dataset, with their frame indices in ascending order.
     pub scenarios: BTreeMap<String, Vec<usize>>,
-    /// What traffic lights showed, by frame, then by lane connector.
+    /// Traffic light states, sorted by frame, then by lane connector.
     pub lights: Vec<TrafficLight>,
-    /// What the reader left out, by kind, with counts.
+    /// Number of items that the reader skipped or missed, by kind.
     pub notes: BTreeMap<String, usize>,
 }
 
-/// What the traffic light of a way through an intersection showed at a frame.
+/// State of the traffic light of a lane connector at a frame.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TrafficLight {
     /// Index in [`Log::frames`].
     pub frame: usize,
     /// Id of the connector, as in [`VectorMap::lane_connectors`](super::VectorMap::lane_connectors).
     pub lane_connector: String,
-    /// As the data set names it: `green`, `yellow`, `red` or `unknown`.
+    /// Color as named by the dataset: `green`, `yellow`, `red` or `unknown`.
     pub color: String,
 }
 
-/// A tracked object.
+/// Tracked object.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Track {
-    /// The data set's id.
+    /// Id in the dataset.
     pub id: String,
-    /// The data set's category name.
+    /// Category name in the dataset.
     pub category: String,
     /// Coarse class.
     pub class: Class,
 }
 
-/// An annotated instant.
+/// Annotated frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
     /// Absolute microseconds.
     pub t_us: i64,
     /// Ego pose at that time.
     pub global_from_ego: Pose,
-    /// The frame's own sweeps first (one per LiDAR), then the sweeps without annotation since the last frame (latest first).
+    /// The frame's own sweeps first (one per LiDAR), then the unannotated sweeps since the last frame (latest first).
     pub sweeps: Vec<SweepRecord>,
     /// At most one image per camera, sorted by camera.
     pub images: Vec<ImageRecord>,
-    /// Images without annotation since the last frame, sorted by time, then camera.
+    /// Unannotated images since the last frame, sorted by time, then camera.
     pub between_images: Vec<ImageRecord>,
     /// Boxes at the frame's time, sorted by track.
     pub boxes: Vec<TrackBox>,
 }
 
-/// Where a sweep is and from where it was taken.
+/// File, time and sensor pose of a sweep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SweepRecord {
     /// File.
@@ -82,11 +82,11 @@ pub struct SweepRecord {
     pub global_from_ego: Pose,
     /// Extrinsics.
     pub ego_from_lidar: Pose,
-    /// Whether it belongs to the annotated instant itself.
+    /// Whether it belongs to the annotated frame itself.
     pub is_key: bool,
 }
 
-/// Where an image is and from where it was taken.
+/// File, time and camera of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageRecord {
     /// Index in [`Log::cameras`].
@@ -103,7 +103,7 @@ pub struct ImageRecord {
     pub camera: Camera,
 }
 
-/// A camera on the ego, whatever images there are of it.
+/// Camera mounted on the ego, independent of its images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RigCamera {
     /// Index in [`Log::cameras`].
@@ -114,29 +114,29 @@ pub struct RigCamera {
     pub camera: Camera,
 }
 
-/// A track's box in a frame.
+/// Box of a track in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackBox {
     /// Index in [`Log::tracks`].
     pub track: usize,
-    /// Where it stands, global.
+    /// Box in the global frame.
     pub cuboid: Cuboid,
 }
 
 impl Log {
-    /// The name as messages show it: in one line of bounded length.
+    /// Returns the name for messages: one line of bounded length.
     pub fn shown_name(&self) -> Cow<'_, str> {
         printable(&self.name)
     }
 
-    /// A track's boxes in time order, with the index of their frames.
+    /// Returns a track's boxes in time order, with their frame indices.
     pub fn track_boxes(&self, track: usize) -> Vec<(usize, Cuboid)> {
         let in_frame = |(i, frame): (usize, &Frame)| frame.cuboid_of(track).map(|cuboid| (i, cuboid));
         self.frames.iter().enumerate().filter_map(in_frame).collect()
     }
 
-    /// All boxes at any time within the log, sorted by track, each between its boxes in the frames before and
-    /// after. A track that one of these two frames lacks is not there in between.
+    /// Returns all boxes at any time within the log, sorted by track, interpolated between the frames before and
+    /// after. A track missing from either frame is omitted.
     pub fn boxes_at(&self, t_us: i64) -> Vec<TrackBox> {
         let next = self.frames.partition_point(|f| f.t_us < t_us);
         match (next.checked_sub(1).map(|i| &self.frames[i]), self.frames.get(next)) {
@@ -153,7 +153,7 @@ impl Log {
         }
     }
 
-    /// Whether a time lies within the log.
+    /// Returns whether a time lies within the log.
     pub fn covers(&self, t_us: i64) -> bool {
         let ends = self.frames.first().zip(self.frames.last());
         ends.is_some_and(|(first, last)| (first.t_us..=last.t_us).contains(&t_us))
@@ -161,14 +161,14 @@ impl Log {
 }
 
 impl Frame {
-    /// A track's box, if it stands in this frame.
+    /// Returns a track's box; `None` if the frame has none.
     pub fn cuboid_of(&self, track: usize) -> Option<Cuboid> {
         self.boxes.binary_search_by_key(&track, |b| b.track).ok().map(|i| self.boxes[i].cuboid)
     }
 }
 
 impl RigCamera {
-    /// The cameras as the first images of some frames have them, sorted by channel.
+    /// Returns the cameras as calibrated at their first image, sorted by channel.
     pub fn first_used(frames: &[Frame]) -> Vec<Self> {
         let mut first: BTreeMap<usize, &ImageRecord> = BTreeMap::new();
         let images = |frame| {
@@ -190,7 +190,7 @@ impl From<&ImageRecord> for RigCamera {
 }
 
 impl ImageRecord {
-    /// `camera_from_global` at the image's own time.
+    /// Returns `camera_from_global` at the image's own time.
     pub fn camera_from_global(&self) -> Pose {
         (self.global_from_ego * self.ego_from_camera).inverse()
     }

@@ -2,45 +2,45 @@ use std::collections::BTreeMap;
 
 use glam::DVec2;
 
-/// The HD map of a place, seen from above: global x and y, metres.
+/// HD map of a location in 2D: global x and y, meters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VectorMap {
     /// Map location, as in [`Log::location`](super::Log::location).
     pub location: String,
-    /// Lanes outside of intersections, in the file's order.
+    /// Lanes outside of intersections, in file order.
     pub lanes: Vec<Lane>,
-    /// Ways through intersections, in the file's order.
+    /// Lane connectors through intersections, in file order.
     pub lane_connectors: Vec<Lane>,
-    /// Where vehicles may drive.
+    /// Drivable areas.
     pub drivable_area: Vec<Area>,
-    /// Where pedestrians cross.
+    /// Pedestrian crossings.
     pub crossings: Vec<Area>,
-    /// Where vehicles stop: a thin area before the line.
+    /// Stop areas of vehicles: a thin area before each stop line.
     pub stop_lines: Vec<Area>,
-    /// Painted or built lines between lanes and roads.
+    /// Dividers: painted or built lines between lanes and roads.
     pub dividers: Vec<Vec<DVec2>>,
-    /// What the reader left out, by kind, with counts.
+    /// Number of items that the reader skipped or missed, by kind.
     pub notes: BTreeMap<String, usize>,
 }
 
-/// A lane or the way from one to another.
+/// Lane, or connector between two lanes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lane {
-    /// The data set's id.
+    /// Id in the dataset.
     pub id: String,
-    /// Its area.
+    /// Lane area.
     pub outline: Area,
-    /// Its middle in driving direction; empty if the map has none.
+    /// Centerline in driving direction; empty if the map has none.
     pub centerline: Vec<DVec2>,
-    /// Ids of the lanes and connectors that follow; some may lie beyond the edge of the map.
+    /// Ids of the following lanes and connectors; some may lie beyond the edge of the map.
     pub successors: Vec<String>,
 }
 
-/// An area with holes. Rings have at least three corners and are not closed: the last corner is not the first again.
+/// Polygon with holes. Rings have at least three corners; the first corner is not repeated at the end.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Area {
-    /// Outline.
+    /// Outer ring.
     pub exterior: Vec<DVec2>,
-    /// Outlines of what is left out.
+    /// Rings of the holes.
     pub holes: Vec<Vec<DVec2>>,
 }

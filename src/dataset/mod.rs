@@ -1,8 +1,7 @@
-//! Recorded drives, whatever their format.
+//! Driving logs, independent of their format.
 //!
-//! A reader turns its raw tables into one [`Log`] (light: poses, calibration, boxes and where the files are) and
-//! reads sweeps and images on demand. Nothing is dropped in silence: a reader counts what it left out in
-//! [`Log::notes`].
+//! A reader converts its raw tables to a lightweight [`Log`] (poses, calibration, boxes and file paths) and reads
+//! sweeps and images on demand. Nothing is dropped silently: a reader counts skipped items in [`Log::notes`].
 
 pub mod av2;
 mod category;
@@ -27,41 +26,42 @@ use crate::error::FileError;
 use crate::files::text::{printable, printable_path};
 use crate::geometry::{CameraError, CuboidError, PoseError};
 
-/// Times further from 1970 are a mistake, microseconds: a thousand years. So no difference of two overflows.
+/// Maximum distance of a time from 1970, microseconds: a thousand years. Later times are rejected as damaged, so
+/// differences of times cannot overflow.
 const MAX_TIME_US: i64 = 31_557_600_000_000_000;
 
-/// More cameras are a mistake: each has an image in every frame.
+/// Maximum number of cameras. More are rejected as damaged, since each has an image in every frame.
 const MAX_CAMERAS: usize = 64;
 
-/// A drive on disk.
+/// Source of one log: metadata, sweeps, images and map.
 pub trait Dataset: Sync {
-    /// Poses, calibration, boxes, and where the files are.
+    /// Returns poses, calibration, boxes and file paths.
     fn log(&self) -> &Log;
 
-    /// Reads a sweep; points that are not finite are left out and counted.
+    /// Reads a sweep. Drops and counts points that are not finite.
     ///
     /// # Errors
-    /// A file that is missing or not as its format says.
+    /// Fails if the file is missing or violates its format.
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError>;
 
-    /// Number of points of a sweep by its header and size; `None` for one that is made when it is read.
+    /// Returns the number of points of a sweep from its header and size; `None` if the sweep is generated on reading.
     ///
     /// # Errors
-    /// As [`Dataset::read_sweep`], but for what stands in the points.
+    /// Fails as [`Dataset::read_sweep`], except for errors in the points themselves.
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
         self.read_sweep(record).map(|sweep| Some((sweep.points.len() + sweep.dropped_non_finite) as u64))
     }
 
-    /// Reads an image; its size is as the record says.
+    /// Reads an image of the size in its record.
     ///
     /// # Errors
-    /// A file that is missing, does not decode, or has another size.
+    /// Fails if the file is missing, cannot be decoded, or has another size.
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError>;
 
-    /// Whether an image is there and has the size that its record says, by its header alone.
+    /// Checks that an image exists and has the size in its record. Only the header is decoded.
     ///
     /// # Errors
-    /// As [`Dataset::read_image`], but for what stands in the pixels.
+    /// Fails as [`Dataset::read_image`], except for errors in the pixel data.
     fn check_image(&self, record: &ImageRecord) -> Result<(), DatasetError> {
         let camera = &record.camera;
         let (height, width) = picture_size(&record.path)?;
@@ -72,16 +72,16 @@ pub trait Dataset: Sync {
         Err(FileError::content(expected, format!("{height}x{width}"), &record.path).into())
     }
 
-    /// Per frame and box, in the log's order, how many LiDAR points the data set states to lie in the box; `None`
-    /// if it states nothing.
+    /// Returns the number of LiDAR points per frame and box, in the log's order, as stated by the dataset. `None` if
+    /// the dataset states none.
     fn box_points(&self) -> Option<&[Vec<u32>]> {
         None
     }
 
-    /// Reads the HD map of the log's place; `None` where the data set has none for it.
+    /// Reads the HD map of the log's location; `None` if the dataset has none.
     ///
     /// # Errors
-    /// A file that is not as its format says.
+    /// Fails if the file violates its format.
     fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
         Ok(None)
     }
@@ -90,50 +90,50 @@ pub trait Dataset: Sync {
 /// One LiDAR sweep.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sweep {
-    /// In the LiDAR frame.
+    /// Points in the LiDAR frame.
     pub points: Vec<SweepPoint>,
-    /// Points left out since a coordinate was NaN or infinite.
+    /// Number of points dropped because a value was NaN or infinite.
     pub dropped_non_finite: usize,
-    /// Whether the points of several merged LiDARs are told apart by [`SweepPoint::ring`], rather than beams.
+    /// Whether [`SweepPoint::ring`] identifies the devices of a merged sweep instead of beams.
     pub devices: bool,
 }
 
 /// One LiDAR return.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SweepPoint {
-    /// Metres, LiDAR frame.
+    /// Meters, LiDAR frame.
     pub position: [f32; 3],
-    /// As recorded (0–255).
+    /// Recorded intensity (0–255).
     pub intensity: f32,
     /// Beam number, or the device if [`Sweep::devices`].
     pub ring: u16,
 }
 
-/// What can be wrong with a recorded drive.
+/// Error of a log.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
-    /// A file.
+    /// Error of a file.
     #[error(transparent)]
     File(#[from] FileError),
-    /// A log's name.
+    /// Invalid locator of a log.
     #[error("expected a log named FORMAT:PATH[@VERSION][#SCENE] with FORMAT {formats}, found {found:?}")]
     Locator {
-        /// What was given.
+        /// Given text.
         found: String,
-        /// Known formats.
+        /// Supported formats.
         formats: &'static str,
     },
-    /// Several scenes and none chosen, or an unknown one.
+    /// No scene selected among several, or an unknown one.
     #[error("expected #SCENE to name one of {}, found {}: {}", printable(&scenes.join(", ")), printable(found.as_deref().unwrap_or("none")), printable_path(path))]
     Scene {
-        /// What was asked for.
+        /// Requested scene.
         found: Option<String>,
-        /// What there is.
+        /// Available scenes.
         scenes: Vec<String>,
-        /// The data set's folder.
+        /// Folder of the dataset.
         path: PathBuf,
     },
-    /// A token that leads nowhere.
+    /// Token without a record.
     #[error(
         "expected {table}.json to hold token {}, found none (referred to by {}): {}",
         printable(token),
@@ -141,46 +141,46 @@ pub enum DatasetError {
         printable_path(path)
     )]
     DanglingToken {
-        /// Table that should hold it.
+        /// Table that should contain the record.
         table: &'static str,
         /// The token.
         token: String,
-        /// The record that names it.
+        /// Record that refers to it.
         by: String,
-        /// The table's file.
+        /// File of the table.
         path: PathBuf,
     },
-    /// A pose that is none.
+    /// Invalid pose.
     #[error("{source} in {}: {}", printable(record), printable_path(path))]
     Pose {
-        /// What is off.
+        /// Reason.
         source: PoseError,
         /// The record.
         record: String,
         /// The file.
         path: PathBuf,
     },
-    /// A camera that is none.
+    /// Invalid camera.
     #[error("{source} in {}: {}", printable(record), printable_path(path))]
     Camera {
-        /// What is off.
+        /// Reason.
         source: CameraError,
         /// The record.
         record: String,
         /// The file.
         path: PathBuf,
     },
-    /// A box that is none.
+    /// Invalid box.
     #[error("{source} in {}: {}", printable(record), printable_path(path))]
     Cuboid {
-        /// What is off.
+        /// Reason.
         source: CuboidError,
         /// The record.
         record: String,
         /// The file.
         path: PathBuf,
     },
-    /// A log that is made rather than read: what went wrong at making it.
+    /// Error while generating a synthetic log.
     #[error(transparent)]
     Made(Box<dyn std::error::Error + Send + Sync>),
 }

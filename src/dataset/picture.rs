@@ -6,11 +6,10 @@ use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, RgbImage};
 use crate::error::FileError;
 use crate::files::input::{IMAGE_BYTES, read_file};
 
-/// Reads a JPEG or PNG file of `height × width` pixels. The size in the header is compared before any pixel is
-/// decoded.
+/// Reads a JPEG or PNG file of `height × width` pixels. The size in the header is compared before pixels are decoded.
 ///
 /// # Errors
-/// A file that is missing, does not decode, has another size, or is a JPEG file that was cut off.
+/// Fails if the file is missing, cannot be decoded, has another size, or is a truncated JPEG file.
 pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, FileError> {
     let bytes = read_file(path, IMAGE_BYTES)?;
     let undecodable = |error| undecodable(error, path);
@@ -22,7 +21,7 @@ pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, Fi
         let found = format!("{found_height}x{found_width}");
         return Err(FileError::content(format!("an image of {height}x{width} pixels"), found, path));
     }
-    // The decoder fills what a truncated JPEG file lacks with grey and says nothing.
+    // The decoder silently fills the missing part of a truncated JPEG file with gray.
     if is_jpeg(&bytes) && !has_jpeg_end(&bytes) {
         let found = format!("{} bytes without an end marker (truncated)", bytes.len());
         return Err(FileError::content("a whole JPEG image", found, path));
@@ -32,7 +31,7 @@ pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, Fi
 
 fn undecodable(error: ImageError, path: &Path) -> FileError {
     let found = match error {
-        // "The image format could not be determined", where something is to follow "found".
+        // The library's text, "The image format could not be determined", does not fit after "found".
         ImageError::Unsupported(_) => "another format".to_owned(),
         error => error.to_string(),
     };
@@ -43,19 +42,19 @@ fn is_jpeg(bytes: &[u8]) -> bool {
     bytes.starts_with(&[0xff, 0xd8])
 }
 
-/// Whether an end marker (`FF D9`) follows the last start of a scan (`FF DA`). Neither occurs within a scan, where
-/// `FF` is followed by 0 or a restart marker; thumbnails, which have both, lie before it.
+/// Returns whether an end marker (`FF D9`) follows the last start of a scan (`FF DA`). Neither occurs within a scan,
+/// where `FF` is followed by 0 or a restart marker. Thumbnails, which contain both, precede the scan.
 fn has_jpeg_end(bytes: &[u8]) -> bool {
     let last = |code: u8| bytes.windows(2).rposition(|pair| pair == [0xff, code]);
     last(0xd9) > last(0xda)
 }
 
-/// Height and width as an image's header tells; nothing is decoded.
+/// Returns the height and width from an image header; no pixels are decoded.
 ///
 /// # Errors
-/// A file that is missing or has no header of a JPEG or PNG image.
+/// Fails if the file is missing or has no JPEG or PNG header.
 pub fn picture_size(path: &Path) -> Result<(u32, u32), FileError> {
-    // The decoder of JPEG files reads all of them for their header, too.
+    // The JPEG decoder reads the whole file even for its header.
     let reader = ImageReader::new(Cursor::new(read_file(path, IMAGE_BYTES)?));
     let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
     let size = reader.into_dimensions();
@@ -68,7 +67,7 @@ mod tests {
     use super::*;
     use image::codecs::jpeg::JpegEncoder;
 
-    /// A cut in the pixels leaves no end marker, wherever it is.
+    /// Any truncation of the pixel data removes the end marker.
     #[test]
     fn truncated_files_are_refused() {
         let folder = tempfile::tempdir().unwrap();
@@ -78,7 +77,7 @@ mod tests {
         JpegEncoder::new_with_quality(&mut bytes, 90).encode_image(&image).unwrap();
         std::fs::write(&jpeg, &bytes).unwrap();
         assert_eq!(read_picture(&jpeg, 48, 64).unwrap().dimensions(), (64, 48));
-        // Bytes after the end, as some cameras write them, do no harm.
+        // Bytes after the end, which some cameras write, are accepted.
         std::fs::write(&jpeg, [bytes.as_slice(), &[0; 9]].concat()).unwrap();
         assert!(read_picture(&jpeg, 48, 64).is_ok());
         for cut in (0..bytes.len()).step_by(41).chain(bytes.len() - 3..bytes.len()) {

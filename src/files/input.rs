@@ -1,7 +1,7 @@
-//! Files that are read: regular ones, of a size that is known before, and those that data names only below its folder.
+//! Limited reads of regular files, and names in data that resolve to paths below the data's folder.
 //!
-//! A device would be read without end and a FIFO would be waited for without end, so what a path leads to is looked at
-//! before and after it is opened, and it is opened without waiting.
+//! Reading a device or waiting for a FIFO might never end. So the file type is checked before and after opening, and
+//! files are opened without blocking.
 
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{ErrorKind, Read};
@@ -13,28 +13,29 @@ use rustix::fs::OFlags;
 use super::NameError;
 use crate::error::FileError;
 
-/// Most bytes of an image.
+/// Maximum size of an image in bytes.
 pub const IMAGE_BYTES: u64 = 256 << 20;
-/// Most bytes of a sweep.
+/// Maximum size of a sweep in bytes.
 pub const SWEEP_BYTES: u64 = 1 << 30;
-/// Most bytes of a table, a map, weights, or a file of options.
+/// Maximum size in bytes of a table, a map, weights, or a file of options.
 pub const TABLE_BYTES: u64 = 16 << 30;
 
-/// A folder with files that data names.
+/// Folder with files that are named by data.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DataRoot {
     /// The folder.
     pub path: PathBuf,
-    /// Whether names may lead out of it.
+    /// `true` if names may lead out of it.
     pub allow_outside: bool,
 }
 
 impl DataRoot {
-    /// The path that a name in the data stands for. Symbolic links on it may lead anywhere: whoever made them owns the
-    /// folder.
+    /// Resolves a name from the data to a path. Symbolic links may lead anywhere: they are trusted as much as the
+    /// folder's owner.
     ///
     /// # Errors
-    /// A name that is empty or has a NUL; one that is absolute or has a component `..`, unless that is allowed.
+    /// Fails if the name is empty or contains a NUL. Unless `allow_outside` is set, also fails if it is absolute or
+    /// has a `..` component.
     pub fn resolve(&self, name: &str) -> Result<PathBuf, NameError> {
         let wrong =
             |expected: &str| Err(NameError { expected: expected.to_owned(), found: format!("{name:?}") });
@@ -50,26 +51,26 @@ impl DataRoot {
     }
 }
 
-/// Opens a regular file for reading; also its length. Nothing is waited for.
+/// Opens a regular file for reading without blocking, and returns its length too.
 ///
 /// # Errors
-/// The system's; anything but a regular file.
+/// Fails if the file cannot be opened or is not a regular file.
 pub fn open_regular(path: &Path) -> Result<(File, u64), FileError> {
-    // Some devices do something when they are opened.
+    // Opening some devices has side effects.
     check_kind(&std::fs::metadata(path).map_err(FileError::io("read", path))?, path)?;
     let flags = OFlags::NONBLOCK | OFlags::NOCTTY;
     let file = OpenOptions::new().read(true).custom_flags(flags.bits().cast_signed()).open(path);
     let file = file.map_err(FileError::io("read", path))?;
-    // It may have changed in between.
+    // The file may have been replaced in between.
     let about = file.metadata().map_err(FileError::io("read", path))?;
     check_kind(&about, path)?;
     Ok((file, about.len()))
 }
 
-/// Reads a regular file of at most `limit` bytes. What is added while it is read is left out.
+/// Reads a regular file of at most `limit` bytes. Bytes that are appended during the read are ignored.
 ///
 /// # Errors
-/// As [`open_regular`]; a longer file.
+/// Returns any error of [`open_regular`]. Fails if the file is longer than `limit` or cannot be read.
 pub fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
     let (file, length) = open_regular(path)?;
     if length > limit {
@@ -88,23 +89,23 @@ pub fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
 /// Reads a table, a map, weights or a file of options: [`read_file`] of at most [`TABLE_BYTES`].
 ///
 /// # Errors
-/// As [`read_file`].
+/// Returns any error of [`read_file`].
 pub fn read_table(path: &Path) -> Result<Vec<u8>, FileError> {
     read_file(path, TABLE_BYTES)
 }
 
-/// Reads a text: [`read_table`] of a file in UTF-8.
+/// Reads a UTF-8 text with [`read_table`].
 ///
 /// # Errors
-/// As [`read_file`]; other bytes.
+/// Returns any error of [`read_file`]. Fails if the bytes are not UTF-8.
 pub fn read_text(path: &Path) -> Result<String, FileError> {
     String::from_utf8(read_table(path)?).map_err(|error| FileError::content("text", error.to_string(), path))
 }
 
-/// Whether a regular file is at a path.
+/// Returns whether a regular file exists at a path.
 ///
 /// # Errors
-/// Something else is there; the system cannot tell.
+/// Fails if the path is something other than a regular file, or if its metadata cannot be read.
 pub fn is_there(path: &Path) -> Result<bool, FileError> {
     match std::fs::metadata(path) {
         Ok(about) => check_kind(&about, path).map(|()| true),
@@ -113,7 +114,7 @@ pub fn is_there(path: &Path) -> Result<bool, FileError> {
     }
 }
 
-/// Whether anything is at a path, be it a link that leads nowhere: reading it says what is wrong with it.
+/// Returns whether anything exists at a path, including a dangling link: reading it later reports what is wrong.
 pub fn is_taken(path: &Path) -> bool {
     std::fs::symlink_metadata(path).is_ok()
 }
@@ -175,7 +176,7 @@ mod tests {
         assert!(read_table(&at("none")).unwrap_err().to_string().starts_with("cannot read: "));
     }
 
-    /// A file of any length that takes no space.
+    /// Uses a sparse file, which takes no disk space.
     #[test]
     fn a_large_file_is_refused_before_memory_is_taken() {
         let folder = tempfile::tempdir().unwrap();

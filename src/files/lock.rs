@@ -1,4 +1,4 @@
-//! Files that one process at a time has open.
+//! Files that only one process at a time has open.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
@@ -9,18 +9,18 @@ use rustix::fs::OFlags;
 
 use crate::error::FileError;
 
-/// Attempts to open a file whose folder or name another process is removing at the same time.
+/// Attempts to open a file while another process removes its folder or name.
 const TRIES: usize = 100;
 
-/// An empty file that this process alone has open.
+/// Empty file that is locked by this process.
 #[derive(Debug)]
 pub(super) struct LockedFile(File);
 
 impl LockedFile {
-    /// Creates the file, or takes over one that a dead process left. `owner` is the output that the file protects.
+    /// Creates the file, or takes over one left by a dead process. `owner` is the output that the file protects.
     ///
     /// # Errors
-    /// Another process holds the file; a link, folder or device of that name; the system's.
+    /// Fails if another process holds the lock, if a link, folder or device has that name, or on an I/O error.
     pub(super) fn open(path: &Path, owner: &Path) -> Result<Self, FileError> {
         for _ in 0..TRIES {
             if let Some(file) = attempt(path, owner)? {
@@ -30,12 +30,12 @@ impl LockedFile {
         Err(busy(owner, "one that keeps removing its lock"))
     }
 
-    /// The file.
+    /// Returns the file.
     pub(super) fn file(&mut self) -> &mut File {
         &mut self.0
     }
 
-    /// Writes the process's number, for messages of others.
+    /// Writes the process id, which other processes show in their messages.
     pub(super) fn sign(&mut self) -> std::io::Result<()> {
         self.0.write_all(std::process::id().to_string().as_bytes())
     }
@@ -43,12 +43,12 @@ impl LockedFile {
 
 impl Drop for LockedFile {
     fn drop(&mut self) {
-        // Closing unlocks too, but not while a process that is being started still has a copy of the file.
+        // Closing unlocks too, but not while a child process that is being spawned still holds a copy of the file.
         let _ = self.0.unlock();
     }
 }
 
-/// `None` where the name was removed or replaced meanwhile.
+/// Tries to lock the file once. `None` if the name was removed or replaced meanwhile.
 fn attempt(path: &Path, owner: &Path) -> Result<Option<LockedFile>, FileError> {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
     let mut options = OpenOptions::new();
@@ -65,7 +65,7 @@ fn attempt(path: &Path, owner: &Path) -> Result<Option<LockedFile>, FileError> {
         return Err(FileError::content("a regular file", "something else", path));
     }
     match file.try_lock() {
-        // Some network file systems have no locks. Files still appear whole there.
+        // Some network file systems have no locks. Files are still replaced atomically there.
         Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {}
         Err(TryLockError::Error(error)) => return Err(FileError::io("lock", path)(error)),
         Err(TryLockError::WouldBlock) => return Err(busy(owner, &holder(&mut file))),
@@ -85,7 +85,7 @@ fn busy(owner: &Path, found: &str) -> FileError {
     FileError::content("no other process at work on this output", found, owner)
 }
 
-/// The process that holds a lock, as far as the lock says.
+/// Describes the process that holds a lock, with its id if the lock file has one.
 fn holder(file: &mut File) -> String {
     let mut text = String::new();
     let read = file.seek(SeekFrom::Start(0)).and_then(|_| file.take(20).read_to_string(&mut text));

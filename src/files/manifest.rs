@@ -1,4 +1,4 @@
-//! The list of files that runs wrote into a folder: what a later run may replace.
+//! List of the files written into a folder by runs, which later runs may replace.
 
 use std::collections::BTreeSet;
 use std::fs::OpenOptions;
@@ -13,27 +13,27 @@ use crate::error::FileError;
 pub(super) const FILES: &str = ".pskel-files";
 const HEADER: &str = "pskel files 1: ";
 
-/// `.pskel-files`: a header with the kind of the folder, then a relative path a line.
+/// Content of `.pskel-files`: a header with the kind of the folder, then one relative path per line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Manifest {
-    /// What the folder holds: `maps`, `skeleton`, ...
+    /// Kind of content: `maps`, `skeleton`, ...
     pub(super) kind: String,
     paths: BTreeSet<PathBuf>,
 }
 
 impl Manifest {
-    /// An empty list.
+    /// Creates an empty list.
     pub(super) fn new(kind: &str) -> Self {
         Self { kind: kind.to_owned(), paths: BTreeSet::new() }
     }
 
-    /// Of all files below a folder.
+    /// Lists all files below a folder.
     pub(super) fn of(kind: &str, folder: &Path) -> Result<Self, FileError> {
         Ok(Self { kind: kind.to_owned(), paths: files_below(folder)? })
     }
 
-    /// Reads the list of a folder; `None` if it has none. A last line without an end, of a process that was killed,
-    /// does not count.
+    /// Reads the list of a folder; `None` if it has none. Ignores a last line without a newline, which a killed
+    /// process may leave.
     pub(super) fn read(folder: &Path) -> Result<Option<Self>, FileError> {
         let path = folder.join(FILES);
         if !is_there(&path)? {
@@ -49,7 +49,7 @@ impl Manifest {
         Ok(Some(Self { kind: kind.to_owned(), paths: lines.map(PathBuf::from).collect() }))
     }
 
-    /// Writes the list, sorted, in place of an older one.
+    /// Writes the list, sorted, and replaces an older one.
     pub(super) fn write(&self, folder: &Path) -> Result<(), FileError> {
         let path = folder.join(FILES);
         write_whole(&path, |out| {
@@ -60,7 +60,7 @@ impl Manifest {
         })
     }
 
-    /// Adds paths, to the list on disk first.
+    /// Adds paths, first to the list on disk.
     pub(super) fn add(&mut self, folder: &Path, new: BTreeSet<PathBuf>) -> Result<(), FileError> {
         let new: BTreeSet<PathBuf> = new.difference(&self.paths).cloned().collect();
         if new.is_empty() {
@@ -79,28 +79,28 @@ impl Manifest {
         Ok(())
     }
 
-    /// Drops a path and all below it from the list in memory.
+    /// Removes a path and everything below it from the list in memory.
     pub(super) fn forget(&mut self, name: &Path) {
         self.paths.retain(|path| !path.starts_with(name));
     }
 
-    /// Whether a relative path is in the list.
+    /// Returns whether a relative path is in the list.
     pub(super) fn holds(&self, name: &Path) -> bool {
         self.paths.contains(name)
     }
 
-    /// Whether the list is empty.
+    /// Returns whether the list is empty.
     pub(super) fn is_empty(&self) -> bool {
         self.paths.is_empty()
     }
 
-    /// Whether a folder is one of those that files in the list are in: if it is empty, a run was killed before it had
-    /// written the first of them, or behind the removal of the last.
+    /// Returns whether the list has a file below a folder. If such a folder is empty, a run was killed before it
+    /// wrote the first of them, or after it removed the last.
     fn holds_below(&self, folder: &Path) -> bool {
         self.paths.range(folder.to_owned()..).next().is_some_and(|path| path.starts_with(folder))
     }
 
-    /// Checks that no file at or below `name` in `folder` is missing from the list.
+    /// Checks that all files at or below `name` in `folder` are in the list.
     pub(super) fn check(&self, folder: &Path, name: &Path) -> Result<(), FileError> {
         let is_folder = |path: &Path| folder.join(path).symlink_metadata().is_ok_and(|data| data.is_dir());
         let mut foreign = None;
@@ -115,7 +115,7 @@ impl Manifest {
     }
 }
 
-/// All files below a folder, relative to it.
+/// Returns all files below a folder, relative to it.
 pub(super) fn files_below(folder: &Path) -> Result<BTreeSet<PathBuf>, FileError> {
     let mut paths = BTreeSet::new();
     visit(folder, Path::new(""), &mut |path| {
@@ -124,8 +124,8 @@ pub(super) fn files_below(folder: &Path) -> Result<BTreeSet<PathBuf>, FileError>
     Ok(paths)
 }
 
-/// Calls `see` with every file at or below `name`, relative to `folder`, but for the list itself. An empty
-/// folder counts as a file. Links are not followed.
+/// Calls `see` with every file at or below `name`, relative to `folder`, except the list itself. An empty folder
+/// counts as a file. Links are not followed.
 fn visit(folder: &Path, name: &Path, see: &mut impl FnMut(PathBuf)) -> Result<(), FileError> {
     let path = folder.join(name);
     let Ok(data) = std::fs::symlink_metadata(&path) else { return Ok(()) };
@@ -158,7 +158,7 @@ mod tests {
         let check = |name: &str| manifest.check(folder.path(), Path::new(name));
         std::fs::create_dir_all(folder.path().join("a/b")).unwrap();
         check("a").unwrap();
-        // A file in the place of such a folder, another empty folder, one with a foreign file.
+        // Cases: a file in place of such a folder, another empty folder, and a folder with a foreign file.
         std::fs::remove_dir(folder.path().join("a/b")).unwrap();
         std::fs::write(folder.path().join("a/b"), "foreign").unwrap();
         assert!(check("a").unwrap_err().to_string().ends_with("a/b"));

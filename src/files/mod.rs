@@ -1,5 +1,5 @@
-//! Files: names that become paths, limited reads of regular files, files that appear whole, output folders that
-//! replace only what earlier runs wrote, and text from data in messages.
+//! File handling: checked file names, limited reads of regular files, atomic writes, output folders that replace only
+//! files of earlier runs, and escaping of text from data in messages.
 
 pub mod input;
 mod lock;

@@ -1,4 +1,4 @@
-//! Names from data that become names of files and folders.
+//! Validation of names in data that become names of files and folders.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -11,19 +11,19 @@ use serde::{Deserialize, Serialize};
 use super::text::{acts, printable};
 use crate::error::FileError;
 
-/// A name that is one component of a path: joined to a folder, it stays in that folder, and beside the files that commands
-/// write there under names of their own.
+/// Name that is a single path component: joined to a folder, it stays in that folder and does not collide with the
+/// files that commands write there.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct FileName(String);
 
-/// A text that is no [`FileName`], or no name of a file below a data set's folder.
+/// Error for a text that is not a valid [`FileName`], or not the name of a file below a data set's folder.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected {expected}, found {}", printable(found))]
 pub struct NameError {
-    /// What would do.
+    /// Description of a valid name.
     pub expected: String,
-    /// The text in quotes.
+    /// The rejected text in quotes.
     pub found: String,
 }
 
@@ -48,14 +48,14 @@ const RESERVED: [&str; 16] = [
 ];
 
 impl FileName {
-    /// Most bytes: file systems allow 255, and endings follow.
+    /// Maximum length in bytes: file systems allow 255, and suffixes are appended.
     pub const MAX_BYTES: usize = 128;
 
-    /// Checks a text.
+    /// Validates a text.
     ///
     /// # Errors
-    /// An empty or long text, one with a dot in front, with `/`, `\` or a character that acts on a terminal, or the name of
-    /// a file that commands write.
+    /// Fails if the text is empty or longer than [`Self::MAX_BYTES`], begins with a dot, contains `/`, `\` or a
+    /// character that controls a terminal, or is the name of a file that commands write.
     pub fn new(text: &str) -> Result<Self, NameError> {
         let wrong =
             |expected: &str| Err(NameError { expected: expected.to_owned(), found: format!("{text:?}") });
@@ -71,32 +71,32 @@ impl FileName {
         Ok(Self(text.to_owned()))
     }
 
-    /// The text.
+    /// Returns the text.
     pub fn as_str(&self) -> &str {
         &self.0
     }
 }
 
 impl NameError {
-    /// With what has the name.
+    /// Adds to the error which item has the name.
     #[must_use]
     pub fn of(self, what: &str) -> Self {
         Self { expected: format!("{} as {what}", self.expected), ..self }
     }
 
-    /// With the file that holds the name.
+    /// Adds the file that contains the name.
     pub fn in_file(self, path: &Path) -> FileError {
         FileError::content(self.expected, self.found, path)
     }
 }
 
-/// The first name that was there before, where upper and lower case are one: some file systems take them for one.
+/// Returns the first repeated name, ignoring case, because some file systems ignore it too.
 pub fn first_twice<'a>(names: impl IntoIterator<Item = &'a FileName>) -> Option<&'a FileName> {
     let mut seen = BTreeSet::new();
     names.into_iter().find(|name| !seen.insert(name.to_lowercase()))
 }
 
-/// Of what has no name of its own.
+/// Name of unnamed items.
 impl Default for FileName {
     fn default() -> Self {
         Self("camera".to_owned())
@@ -145,7 +145,7 @@ impl AsRef<Path> for FileName {
     }
 }
 
-/// As the text's, so that what is made of such descriptions is that of the text.
+/// Formats like the inner string, so that values derived from debug output do not depend on the type.
 impl fmt::Debug for FileName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Debug::fmt(&self.0, f)

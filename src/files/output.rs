@@ -1,15 +1,16 @@
-//! Output folders: one process at a time writes one, and it replaces only what earlier runs wrote.
+//! Output folders: each is locked by one process, which replaces only files written by earlier runs.
 //!
 //! # How it works
-//! A folder lists the files that runs wrote into it (`.pskel-files`). A name may be written if nothing is there, or if
-//! all files there are in the list. There are two kinds of folders:
-//! - [`OutputFolder`] grows entry by entry (maps, rollouts, trainings). Entries are written under temporary names in
-//!   `OUT/.pskel`, then renamed. Foreign files beside them stay.
-//! - [`WholeFolder`] appears as a whole (skeletons, towns). It is written in `OUT.partial`, then changes places with an
-//!   older one in one step, so readers see the old or the new one. Foreign files in the older one are refused.
+//! A folder lists the files written into it by runs (`.pskel-files`). A name may be written if it does not exist, or
+//! if all files at or below it are listed. There are two kinds of folders:
+//! - [`OutputFolder`] grows entry by entry (maps, rollouts, trainings). Whole-folder entries are written under
+//!   temporary names in `OUT/.pskel`, then renamed. Foreign files beside them stay.
+//! - [`WholeFolder`] appears as a whole (skeletons, towns). It is written in `OUT.partial`, then swapped with an
+//!   older folder in one step, so readers see either the old or the new one. It is refused if the older folder has
+//!   foreign files.
 //!
-//! `.pskel` and `OUT.partial` hold the lock. They go with the run, by a signal too; those of a killed process go when
-//! the next run opens the output.
+//! `.pskel` and `OUT.partial` hold the lock. They are removed when the run ends, also by a signal. After a killed
+//! process, the next run that opens the output removes them.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -21,7 +22,7 @@ use crate::error::FileError;
 
 const WORK: &str = ".pskel";
 
-/// A folder that grows entry by entry.
+/// Output folder that grows entry by entry.
 #[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,
@@ -31,23 +32,23 @@ pub struct OutputFolder {
     _new: NewFolder,
 }
 
-/// A folder that goes again if it is empty on drop.
+/// Folder that is removed on drop if it is empty.
 #[derive(Debug)]
 struct NewFolder(Option<PathBuf>);
 
 impl Drop for NewFolder {
     fn drop(&mut self) {
         if let Some(path) = &self.0 {
-            let _ = std::fs::remove_dir(path); // fails where it is not empty
+            let _ = std::fs::remove_dir(path); // fails if it is not empty
         }
     }
 }
 
 impl OutputFolder {
-    /// Opens a folder for a kind of content (`maps`, `rollout`, ...); it is created where it is missing.
+    /// Opens a folder for a kind of content (`maps`, `rollout`, ...), and creates it if it does not exist.
     ///
     /// # Errors
-    /// Another process is at work there; a folder of another kind; one of `inputs`; the system's.
+    /// Fails if another process uses the folder, if it has another kind or is one of `inputs`, or on an I/O error.
     pub fn open(path: &Path, kind: &str, inputs: &[&Path]) -> Result<Self, FileError> {
         check_apart(path, inputs)?;
         let new = NewFolder((!path.exists()).then(|| path.to_owned()));
@@ -58,29 +59,30 @@ impl OutputFolder {
         Ok(Self { path: path.to_owned(), manifest, work, _new: new })
     }
 
-    /// The folder.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Whether an earlier run has written into the folder.
+    /// Returns whether an earlier run has written into the folder.
     pub fn has_files(&self) -> bool {
         !self.manifest().is_empty()
     }
 
-    /// Checks that names may be written, before any work is done: files and folders, relative to the folder.
+    /// Checks that names of files and folders, relative to this folder, may be written; for use before any work is
+    /// done.
     ///
     /// # Errors
-    /// The first file of a name or below it that no earlier run wrote.
+    /// Returns an error that names the first file at or below a name that no earlier run wrote.
     pub fn check<N: AsRef<Path>>(&self, names: impl IntoIterator<Item = N>) -> Result<(), FileError> {
         let manifest = self.manifest();
         names.into_iter().try_for_each(|name| manifest.check(&self.path, name.as_ref()))
     }
 
-    /// Path of a file that the caller writes next, now in the list.
+    /// Adds a file to the list and returns the path where the caller may write it.
     ///
     /// # Errors
-    /// A file of that name that no earlier run wrote; the system's.
+    /// Fails if a file of that name exists that no earlier run wrote, or on an I/O error.
     pub fn claim(&self, name: impl AsRef<Path>) -> Result<PathBuf, FileError> {
         let name = name.as_ref();
         let mut manifest = self.manifest();
@@ -89,10 +91,12 @@ impl OutputFolder {
         Ok(self.path.join(name))
     }
 
-    /// Writes a whole folder below this one: `fill` gets a temporary one, which is renamed. An older one is replaced.
+    /// Writes a whole folder below this one: `fill` writes a temporary folder, which is then renamed and replaces an
+    /// older one.
     ///
     /// # Errors
-    /// Those of `fill`; files in the older one that no earlier run wrote; the system's.
+    /// Returns any error of `fill`. Fails if the older folder has files that no earlier run wrote, or on an I/O
+    /// error.
     pub fn write_folder<E: From<FileError>>(
         &self,
         name: impl AsRef<Path>,
@@ -103,7 +107,7 @@ impl OutputFolder {
         let new = self.work.path().join(flat);
         std::fs::create_dir(&new).map_err(FileError::io("create", &new))?;
         let written = fill(&new).and_then(|()| Ok(self.put(&new, name)?));
-        let _ = remove(&new); // the older folder, or what `fill` left; the next owner removes it too
+        let _ = remove(&new); // the older folder, or leftovers of `fill`; the next owner removes them too
         written
     }
 
@@ -119,10 +123,10 @@ impl OutputFolder {
         put(new, &path)
     }
 
-    /// Removes files and folders of earlier runs, where they exist.
+    /// Removes files and folders of earlier runs if they exist.
     ///
     /// # Errors
-    /// A file that no earlier run wrote: nothing is removed then; the system's.
+    /// Fails without removing anything if a file was not written by an earlier run. Fails on an I/O error.
     pub fn remove<N: AsRef<Path>>(
         &self,
         names: impl IntoIterator<Item = N> + Clone,
@@ -137,10 +141,10 @@ impl OutputFolder {
         Ok(())
     }
 
-    /// Ends the run: the list of files is written anew, sorted and without those that were removed.
+    /// Ends the run: rewrites the list of files, sorted and without the removed ones.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the list cannot be written.
     pub fn close(self) -> Result<(), FileError> {
         let manifest = self.manifest();
         if manifest.is_empty() { Ok(()) } else { manifest.write(&self.path) }
@@ -151,7 +155,7 @@ impl OutputFolder {
     }
 }
 
-/// A folder that appears as a whole.
+/// Output folder that appears as a whole.
 #[derive(Debug)]
 pub struct WholeFolder {
     path: PathBuf,
@@ -160,10 +164,11 @@ pub struct WholeFolder {
 }
 
 impl WholeFolder {
-    /// Begins a folder for a kind of content (`skeleton`, ...) at `path`.
+    /// Opens a work folder for content of a kind (`skeleton`, ...) that is to appear at `path`.
     ///
     /// # Errors
-    /// Another process is at work on it; something else at `path`; `path` is one of `inputs`; the system's.
+    /// Fails if another process writes this output, if [`check_whole`] rejects `path`, if `path` is one of `inputs`,
+    /// or on an I/O error.
     pub fn open(path: &Path, kind: &'static str, inputs: &[&Path]) -> Result<Self, FileError> {
         check_apart(path, inputs)?;
         check_whole(path, kind)?;
@@ -172,21 +177,21 @@ impl WholeFolder {
         Ok(Self { path: path.to_owned(), kind, work })
     }
 
-    /// A folder for temporary files, on the same file system.
+    /// Returns a folder for temporary files on the same file system.
     pub fn scratch(&self) -> &Path {
         self.work.path()
     }
 
-    /// Writes the folder: `fill` gets an empty one, which then takes the place of an older one.
+    /// Writes the folder: `fill` writes into an empty folder, which then replaces an older one.
     ///
     /// # Errors
-    /// Those of `fill`; something else at the path; the system's.
+    /// Returns any error of `fill`. Fails if [`check_whole`] rejects the path, or on an I/O error.
     pub fn write<E: From<FileError>>(self, fill: impl FnOnce(&Path) -> Result<(), E>) -> Result<(), E> {
         write_whole_by(&self.work, &self.path, self.kind, fill)
     }
 }
 
-/// Writes a [`WholeFolder`] in a work folder that the caller owns, [`work_of_whole`].
+/// Writes a [`WholeFolder`] by means of a work folder that the caller has opened at [`work_of_whole`].
 pub(crate) fn write_whole_by<E: From<FileError>>(
     work: &WorkFolder,
     path: &Path,
@@ -201,27 +206,28 @@ pub(crate) fn write_whole_by<E: From<FileError>>(
         check_whole(path, kind)?;
         Ok(put(&new, path)?)
     });
-    let _ = remove(&new); // the older folder, or what `fill` left; the next owner removes it too
+    let _ = remove(&new); // the older folder, or leftovers of `fill`; the next owner removes them too
     written
 }
 
-/// Where a [`WholeFolder`] is written: `OUT.partial`.
+/// Returns the path of the work folder of a [`WholeFolder`], `OUT.partial`.
 pub(crate) fn work_of_whole(path: &Path) -> PathBuf {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     path.with_file_name(format!("{name}.partial"))
 }
 
-/// Path of an output without `.` in it; of a link to a folder the folder's, which would else be replaced itself.
+/// Removes `.` components from an output path, and resolves a link to a folder, so that the link itself is not
+/// replaced.
 pub(crate) fn resolved_output(path: PathBuf) -> PathBuf {
     let path: PathBuf = path.components().collect();
     if path.is_symlink() && path.is_dir() { path.canonicalize().unwrap_or(path) } else { path }
 }
 
-/// Checks that a whole folder may be written: nothing is at `path`, or an empty folder, or one of the same kind that holds
-/// only what a run wrote.
+/// Checks that a whole folder may be written at `path`: it does not exist, is empty, or is a folder of the same kind
+/// that holds only files written by runs.
 ///
 /// # Errors
-/// Something else is there.
+/// Fails if anything else exists at the path, if the path has no file name, or on an I/O error.
 pub fn check_whole(path: &Path, kind: &str) -> Result<(), FileError> {
     if path.file_name().is_none() {
         return Err(FileError::content(
@@ -243,7 +249,7 @@ pub fn check_whole(path: &Path, kind: &str) -> Result<(), FileError> {
     }
 }
 
-/// The list of a folder, which must be of this kind.
+/// Reads the list of a folder, and fails if it has another kind.
 fn manifest_of(path: &Path, kind: &str) -> Result<Option<Manifest>, FileError> {
     match Manifest::read(path)? {
         Some(manifest) if manifest.kind != kind => {
@@ -266,21 +272,21 @@ fn check_apart(path: &Path, inputs: &[&Path]) -> Result<(), FileError> {
     }
 }
 
-/// Renames a folder. One that is there changes places with it in one step, so that at every moment there is one.
+/// Renames a folder. If the target exists, both are swapped in one step, so the path is never empty.
 fn put(new: &Path, path: &Path) -> Result<(), FileError> {
     use rustix::fs::{CWD, RenameFlags, renameat_with};
     let is_older = path.symlink_metadata().is_ok();
     if is_older && renameat_with(CWD, new, CWD, path, RenameFlags::EXCHANGE).is_ok() {
         return Ok(());
     }
-    // Not every file system can do this.
+    // Not every file system supports the exchange.
     let old = new.with_extension("old");
     if is_older {
         std::fs::rename(path, &old).map_err(FileError::io("replace", path))?;
     }
     let renamed = std::fs::rename(new, path).map_err(FileError::io("rename to", path));
     if is_older && renamed.is_err() {
-        let _ = std::fs::rename(&old, path); // the error says what went wrong before
+        let _ = std::fs::rename(&old, path); // the first error is the one to report
     }
     renamed
 }

@@ -1,4 +1,4 @@
-//! Temporary paths of this process, removed where a signal ends it.
+//! Registry of this process's temporary paths, which are removed when a signal ends it.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -7,11 +7,11 @@ use std::time::Duration;
 
 static PENDING: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
-/// Tries to remove a folder in which other threads may still create files.
+/// Attempts to remove a folder in which other threads may still create files.
 const TRIES: usize = 20;
 const PAUSE: Duration = Duration::from_millis(5);
 
-/// A temporary path, registered until this value is dropped.
+/// Temporary path that is registered until this value is dropped.
 #[derive(Debug)]
 pub(super) struct PendingPath(PathBuf);
 
@@ -29,8 +29,8 @@ impl Drop for PendingPath {
     }
 }
 
-/// Removes all temporary files and folders of this process, for a process that is about to end: from now on every thread
-/// that begins or finishes a file blocks.
+/// Removes all temporary files and folders of a process that is about to end. Afterwards, every thread that begins or
+/// finishes a file blocks.
 pub fn remove_pending() {
     let pending = lock();
     for path in pending.iter() {

@@ -1,39 +1,38 @@
-//! Text from data in messages: it cannot act on a terminal, nor fill it.
+//! Escapes and shortens text from data in messages, so that it can neither control a terminal nor flood it.
 
 use std::borrow::Cow;
 use std::path::Path;
 
-/// Most characters of a value in a message.
+/// Maximum number of characters of a value in a message.
 const MAX_VALUE: usize = 400;
-/// Most characters of a path in a message: more than folders that people make take.
+/// Maximum number of characters of a path in a message: more than usual folders need.
 const MAX_PATH: usize = 1024;
-/// Most characters of a line.
+/// Maximum number of characters of a line.
 const MAX_LINE: usize = 8192;
 
-/// A value in a message, in one line: control characters are escaped, and a long value is cut down to its beginning, its
-/// end and its length.
+/// Formats a value for a message, in one line: escapes control characters, and shortens a long value to its
+/// beginning, its end and its length.
 pub fn printable(text: &str) -> Cow<'_, str> {
     escaped(shortened(text, MAX_VALUE), acts)
 }
 
-/// A line whose values may come from data, as [`printable`], with room for long lines.
+/// Formats a line with values from data like [`printable`], with a limit for long lines.
 pub fn printable_line(text: &str) -> Cow<'_, str> {
     escaped(shortened(text, MAX_LINE), acts)
 }
 
-/// A path in a message, as [`printable`], but with room for deep folders.
+/// Formats a path for a message like [`printable`], with a limit for deep folders.
 pub fn printable_path(path: &Path) -> String {
     let text = path.to_string_lossy();
     escaped(shortened(&text, MAX_PATH), acts).into_owned()
 }
 
-/// Lines of a result whose values may come from data: control characters are escaped, nothing is cut. Line breaks stay.
+/// Escapes control characters in lines of a result with values from data. Nothing is shortened; line breaks stay.
 pub fn escaped_lines(text: &str) -> Cow<'_, str> {
     escaped(Cow::Borrowed(text), |c| c != '\n' && acts(c))
 }
 
-/// Whole lines of a message whose values may come from data: as [`printable`] line by line, with room for long lines.
-/// Line breaks stay.
+/// Formats the lines of a message like [`printable`], each with a limit for long lines. Line breaks stay.
 pub fn printable_lines(text: &str) -> Cow<'_, str> {
     let long = |line: &str| line.len() > MAX_LINE;
     if !text.lines().any(long) {
@@ -42,8 +41,8 @@ pub fn printable_lines(text: &str) -> Cow<'_, str> {
     Cow::Owned(text.split('\n').map(printable_line).collect::<Vec<_>>().join("\n"))
 }
 
-/// Whether a character does something to a terminal beyond showing itself: control characters, line and paragraph
-/// separators, and marks that change the direction of the text around them.
+/// Returns whether a character controls a terminal or the layout: control characters, line and paragraph separators,
+/// and marks that change the text direction.
 pub(super) fn acts(c: char) -> bool {
     let turns =
         matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
@@ -62,14 +61,15 @@ fn escaped(text: Cow<'_, str>, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str
             '\r' => result.push_str("\\r"),
             '\t' => result.push_str("\\t"),
             ..'\u{20}' => result.push_str(&format!("\\x{:02x}", u32::from(c))),
-            // As JSON writes it, whose strings may hold these characters as they are: escaped, it is still JSON.
+            // JSON's own syntax: its strings may hold these characters unescaped, and JSON text stays valid when they
+            // are escaped here.
             _ => result.push_str(&format!("\\u{:04x}", u32::from(c))),
         }
     }
     Cow::Owned(result)
 }
 
-/// Two thirds of what is kept are the beginning.
+/// Shortens a text to `most` characters, two thirds of them from the beginning.
 fn shortened(text: &str, most: usize) -> Cow<'_, str> {
     // A character has at least one byte.
     let count = if text.len() <= most { 0 } else { text.chars().count() };
@@ -93,7 +93,7 @@ mod tests {
         assert_eq!(printable("\u{9b}31m\u{202e}x\u{2028}"), "\\u009b31m\\u202ex\\u2028");
         assert_eq!(printable_path(Path::new("/a\u{1b}b/c")), "/a\\x1bb/c");
         assert_eq!(printable_lines("a\u{1b}\nb\r"), "a\\x1b\nb\\r");
-        // What is escaped once stays as it is.
+        // Escaped text is not escaped again.
         assert_eq!(printable(&printable("\u{1b}")), "\\x1b");
     }
 

@@ -1,4 +1,4 @@
-//! Files that appear whole under their name, or not at all.
+//! Atomic file writes: a file appears complete under its name, or not at all.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -12,19 +12,19 @@ use super::manifest::Manifest;
 use super::pending::PendingPath;
 use crate::error::FileError;
 
-/// Ending of temporary names.
+/// Suffix of temporary names.
 const PARTIAL: &str = ".pskel-part";
-/// Bytes of the final name that a temporary one repeats: names have at most 255.
+/// Number of bytes of the final name in the temporary name: file systems allow 255 bytes in total.
 const MAX_NAME: usize = 200;
 const BUFFER: usize = 1 << 20;
 
-/// Writes a file under a temporary name in the same folder (`.NAME.pskel-part`), then renames it. `fill` gets a
-/// buffered writer. The temporary name follows from the final one, so the next writer takes over what a killed process
-/// left; a link is followed.
+/// Writes a file under a temporary name in the same folder (`.NAME.pskel-part`), then renames it. `fill` writes to a
+/// buffered writer. The temporary name depends only on the final one, so the next writer takes over the temporary
+/// file of a killed process. Links are followed.
 ///
 /// # Errors
-/// Those of `fill` and of the system; another process that writes the same file; a folder, device or pipe of that name.
-/// The temporary file is removed then.
+/// Returns any error of `fill`. Fails if another process writes the same file, if the path is a folder, device or
+/// pipe, or on an I/O error. The temporary file is removed then.
 pub fn write_whole<E: From<FileError>>(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<&mut File>) -> Result<(), E>,
@@ -40,10 +40,10 @@ pub fn write_whole<E: From<FileError>>(
     Ok(())
 }
 
-/// Writes a value as indented JSON with a newline at the end, by [`write_whole`].
+/// Writes a value as indented JSON with a final newline, using [`write_whole`].
 ///
 /// # Errors
-/// Those of [`write_whole`].
+/// Returns any error of [`write_whole`].
 pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), FileError> {
     write_whole(path, |out| {
         let written = serde_json::to_writer_pretty(&mut *out, value).map_err(std::io::Error::from);
@@ -51,10 +51,10 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), File
     })
 }
 
-/// Checks that a file may be written: it is none of the inputs, and no file of a run's output folder.
+/// Checks that an output file is none of the inputs and is not listed in a run's output folder.
 ///
 /// # Errors
-/// It is.
+/// Fails if it is one of these, or if a list of files cannot be read.
 pub fn check_output_file<'a>(
     path: &Path,
     inputs: impl IntoIterator<Item = &'a Path>,
@@ -78,10 +78,10 @@ pub fn check_output_file<'a>(
     Ok(())
 }
 
-/// Checks that a file to be written is not in a folder that the same run writes, whose files could take its place.
+/// Checks that an output file is outside a folder written by the same run, whose files could replace it.
 ///
 /// # Errors
-/// It is.
+/// Fails if the file is in the folder.
 pub fn check_outside(path: &Path, folder: &Path) -> Result<(), FileError> {
     let resolved = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -94,7 +94,7 @@ pub fn check_outside(path: &Path, folder: &Path) -> Result<(), FileError> {
     }
 }
 
-/// A file under its temporary name, removed on drop unless renamed.
+/// File under its temporary name, removed on drop unless renamed.
 struct PartialFile {
     file: LockedFile,
     path: PathBuf,
@@ -117,13 +117,13 @@ impl PartialFile {
 impl Drop for PartialFile {
     fn drop(&mut self) {
         if !self.is_renamed {
-            // The caller's error says what went wrong before.
+            // The caller reports the error that occurred before.
             let _ = std::fs::remove_file(&self.path);
         }
     }
 }
 
-/// The file itself where `path` is a link to one.
+/// Resolves `path` if it is a link to a file.
 fn target(path: &Path) -> Result<PathBuf, FileError> {
     match path.metadata() {
         Ok(data) if !data.is_file() => {

@@ -10,35 +10,35 @@ const LOCK: &str = "lock";
 /// Attempts to lock a folder that another process is removing.
 const TRIES: usize = 100;
 
-/// A locked folder, removed with all it holds on drop, or by a signal, unless it is kept.
+/// Locked folder. Unless it is retained, it is removed with its content on drop or by a signal.
 #[derive(Debug)]
 pub(crate) struct WorkFolder {
     path: PathBuf,
     lock: Option<LockedFile>,
-    /// `None` for a kept folder.
+    /// `None` for a retained folder.
     pending: Option<PendingPath>,
 }
 
 impl WorkFolder {
-    /// Creates and locks the folder at `path`, or takes over one that a dead process left, with what it holds.
+    /// Creates and locks the folder at `path`, or takes over one left by a dead process, including its content.
     /// `owner` is the output that the work is for.
     ///
     /// # Errors
-    /// Another process is at work there; a folder that is no work folder; the system's.
+    /// Fails if another process uses it, if the folder is not a work folder, or on an I/O error.
     pub(crate) fn open(path: PathBuf, owner: &Path) -> Result<Self, FileError> {
         let lock_path = path.join(LOCK);
         for _ in 0..TRIES {
             std::fs::create_dir_all(&path).map_err(FileError::io("create", &path))?;
             let is_empty = || std::fs::read_dir(&path).is_ok_and(|mut entries| entries.next().is_none());
             if !lock_path.is_file() && !is_empty() {
-                continue; // a folder of somebody else, or one that another process is locking
+                continue; // a foreign folder, or one that another process is locking
             }
             match LockedFile::open(&lock_path, owner) {
                 Ok(mut lock) => {
                     let signed = lock.sign();
                     let pending = Some(PendingPath::new(&path));
                     let work = Self { path, lock: Some(lock), pending };
-                    // A full disk leaves no folder.
+                    // On a full disk, dropping `work` removes the folder.
                     signed.map_err(FileError::io("write", &lock_path))?;
                     return Ok(work);
                 }
@@ -49,27 +49,27 @@ impl WorkFolder {
         Err(FileError::content("a folder of an unfinished run, or none", "another folder", &path))
     }
 
-    /// The folder.
+    /// Returns the path of the folder.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Whether the folder stays on drop.
+    /// Returns whether the folder is retained on drop.
     pub(crate) fn is_kept(&self) -> bool {
         self.pending.is_none()
     }
 
-    /// Sets whether the folder stays on drop and where a signal ends the process.
+    /// Sets whether the folder is retained on drop and when a signal ends the process.
     pub(crate) fn keep(&mut self, is_kept: bool) {
         if is_kept != self.is_kept() {
             self.pending = (!is_kept).then(|| PendingPath::new(&self.path));
         }
     }
 
-    /// Removes everything but the lock and the entries that `keeps` names.
+    /// Removes everything except the lock and the entries for which `keeps` returns `true`.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the folder cannot be read or an entry cannot be deleted.
     pub(crate) fn clear(&self, keeps: impl Fn(&str) -> bool) -> Result<(), FileError> {
         for entry in std::fs::read_dir(&self.path).map_err(FileError::io("read", &self.path))? {
             let entry = entry.map_err(FileError::io("read", &self.path))?;
@@ -88,10 +88,10 @@ impl Drop for WorkFolder {
         if self.is_kept() {
             return;
         }
-        // What fails here leaves a folder that the next owner clears.
+        // After a failure here, the next owner clears the folder.
         let _ = self.clear(|_| false);
-        // The lock goes while it is held, so no other process holds the removed file; a folder that another process
-        // has locked since is not empty and stays.
+        // The lock file is removed while it is locked, so no other process locks the removed file. If another process
+        // has locked the folder since, it is not empty and stays.
         let _ = std::fs::remove_file(self.path.join(LOCK));
         let _ = std::fs::remove_dir(&self.path);
         drop(self.lock.take());
@@ -114,7 +114,7 @@ mod tests {
         std::fs::create_dir(path.join("new")).unwrap();
         drop(work);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-        // A kept folder is taken over with what it holds.
+        // A retained folder is taken over with its content.
         let mut work = open().unwrap();
         std::fs::write(path.join("checkpoint"), "1").unwrap();
         work.keep(true);
@@ -134,7 +134,7 @@ mod tests {
         assert_eq!(std::fs::read(folder.path().join("notes")).unwrap(), b"mine");
     }
 
-    /// Threads stand for processes: locks are held by open files.
+    /// Threads replace processes here: locks belong to open files.
     #[test]
     fn owners_take_turns() {
         let folder = tempfile::tempdir().unwrap();

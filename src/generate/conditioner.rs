@@ -8,7 +8,7 @@ use crate::raster::Rasterizer;
 use crate::scene::{SceneMap, SceneState, SelectionOptions, Stage};
 use crate::sim::{Committed, Forecast, Instant, Simulation, scene_state};
 
-/// Draws what a network is fed for a simulation: of what was committed, and of what is expected.
+/// Renders the network input of a simulation, from committed and forecast instants.
 pub struct Conditioner<'a> {
     log: &'a Log,
     map: Option<Arc<SceneMap>>,
@@ -17,30 +17,30 @@ pub struct Conditioner<'a> {
     prompt: String,
 }
 
-/// What was drawn of one instant.
+/// Rendered conditions of one instant.
 #[derive(Clone, Debug)]
 pub struct Drawn {
-    /// Where everybody is.
+    /// Scene state: poses of the ego, the cameras and the actors.
     pub state: SceneState,
-    /// The maps.
+    /// Condition maps.
     pub set: ConditionSet,
-    /// The same for a network.
+    /// The maps as network input.
     pub conditions: FrameConditions,
 }
 
-/// Why there are no conditions.
+/// Error of rendering conditions.
 #[derive(Debug, thiserror::Error)]
 pub enum ConditionerError {
-    /// Drawing.
+    /// Error of rendering.
     #[error(transparent)]
     Drawing(#[from] ConditionError),
-    /// Maps that no network takes.
+    /// The maps do not fit a network.
     #[error(transparent)]
     Maps(#[from] DenoiserError),
 }
 
 impl<'a> Conditioner<'a> {
-    /// For a log, its HD map, and the clouds that stand for it.
+    /// Creates a conditioner for a log, its HD map and its scene clouds.
     pub fn new(
         log: &'a Log,
         map: Option<Arc<SceneMap>>,
@@ -52,22 +52,22 @@ impl<'a> Conditioner<'a> {
         Self { log, map, stage, options, prompt: prompt.to_owned() }
     }
 
-    /// The same with more maps in what is drawn.
+    /// Adds map kinds to those that are rendered.
     #[must_use]
     pub fn with_maps(mut self, maps: &[MapKind]) -> Self {
         self.options.maps = maps.iter().fold(self.options.maps, |all, map| all.with(*map));
         self
     }
 
-    /// How maps are drawn.
+    /// Rendering options.
     pub fn options(&self) -> &ConditionOptions {
         &self.options
     }
 
-    /// Of what was committed; `before` is where the ego was a frame earlier.
+    /// Renders a committed instant; `before` is the ego pose one frame earlier.
     ///
     /// # Errors
-    /// The device's; cameras of several sizes.
+    /// Returns an error if the device fails, or if the cameras differ in size.
     pub fn committed(
         &self,
         instant: Committed<&Instant>,
@@ -77,11 +77,11 @@ impl<'a> Conditioner<'a> {
         instant.try_map(|instant| self.draw(instant, before, rasterizer))
     }
 
-    /// Of the next plan steps, at most `count` of them and none beyond the end of the log: there everybody who follows it
-    /// is gone.
+    /// Renders the forecasts of at most `count` planning steps. Stops at the end of the log, since replayed actors
+    /// are removed after it.
     ///
     /// # Errors
-    /// As [`Conditioner::committed`].
+    /// Returns the errors of [`Conditioner::committed`].
     pub fn forecasts(
         &self,
         simulation: &Simulation<'_>,

@@ -4,14 +4,14 @@ use super::guidance::Dropped;
 use super::{Latent, LatentShape, Level};
 use crate::peer::PeerError;
 
-/// A frame of the window as a network sees it.
+/// A frame of the window, as input of a network.
 #[derive(Debug)]
 pub struct Frame<'a, C> {
-    /// `[V, C, h, w]`.
+    /// Noisy latent, `[V, C, h, w]`.
     pub latent: &'a Latent,
-    /// How noisy it is.
+    /// Noise level of the latent.
     pub level: Level,
-    /// What it is to show.
+    /// Condition of the frame.
     pub condition: &'a C,
 }
 
@@ -23,25 +23,25 @@ impl<C> Clone for Frame<'_, C> {
 
 impl<C> Copy for Frame<'_, C> {}
 
-/// What a frame is to show, in the form that a network takes.
+/// Condition of a frame, in the form that a network takes.
 pub trait Condition: Clone {
-    /// The same with some of it taken away, as it is for training and guidance.
+    /// Returns the condition with parts dropped, for training and guidance.
     fn without(&self, dropped: Dropped) -> Self;
 }
 
-/// A network that takes noise off frames.
+/// A network that denoises frames.
 pub trait Denoiser {
-    /// What frames are to show.
+    /// Type of its conditions.
     type Condition: Condition;
 
-    /// Size of the latents it takes.
+    /// Shape of its latents.
     fn shape(&self) -> LatentShape;
 
-    /// What the network predicts for each frame of a window, `[V, C, h, w]` each: a velocity, noise or the clean frame,
-    /// whichever the sampler is told.
+    /// Predicts a velocity, the noise or the clean latent (as set in the sampler) for each frame of a window,
+    /// `[V, C, h, w]` each.
     ///
     /// # Errors
-    /// As the network has it; shapes and finite values are checked by who calls.
+    /// Returns an error if the network fails. The caller checks shapes and finiteness of the result.
     fn predict(&mut self, window: &[Frame<'_, Self::Condition>]) -> Result<Vec<Latent>, DenoiserError>;
 }
 
@@ -57,47 +57,48 @@ impl<D: Denoiser + ?Sized> Denoiser for Box<D> {
     }
 }
 
-/// Between images and latents.
+/// Encodes images into latents and decodes latents into images.
 pub trait Codec {
-    /// Size of a frame's latents.
+    /// Shape of the latents of a frame.
     fn shape(&self) -> LatentShape;
 
-    /// Latents of one frame's images, a camera after the other.
+    /// Encodes the images of one frame, one per camera.
     ///
     /// # Errors
-    /// Another number of images than cameras, or images of another size.
+    /// Returns an error if the number of images differs from the number of cameras, or if an image has another
+    /// size.
     fn encode(&self, images: &[RgbImage]) -> Result<Latent, DenoiserError>;
 
-    /// The images of a frame.
+    /// Decodes the images of a frame, one per camera.
     ///
     /// # Errors
-    /// Latents of another size.
+    /// Returns an error if the latent has another shape.
     fn decode(&self, latent: &Latent) -> Result<Vec<RgbImage>, DenoiserError>;
 }
 
-/// Why a network gives nothing that is of use.
+/// Error of a network or a codec.
 #[derive(Debug, thiserror::Error)]
 pub enum DenoiserError {
-    /// Something other than was asked for.
+    /// The network returned an invalid result.
     #[error("expected {expected} from the denoiser, found {found}")]
     Answer {
-        /// What would do.
+        /// Valid result.
         expected: String,
-        /// What came.
+        /// Returned result.
         found: String,
     },
-    /// What it was given does not fit it.
+    /// The input does not fit the network.
     #[error("expected {expected}, found {found}")]
     Input {
-        /// What would do.
+        /// Accepted input.
         expected: String,
-        /// What was given.
+        /// Given input.
         found: String,
     },
-    /// A network in another process.
+    /// Error of a network in another process.
     #[error(transparent)]
     Process(#[from] PeerError),
-    /// The network itself.
+    /// Error inside the network.
     #[error("the denoiser failed: {0}")]
     Network(#[from] Box<dyn std::error::Error + Send + Sync>),
 }
@@ -112,7 +113,7 @@ impl DenoiserError {
     }
 }
 
-/// Calls a network and looks at what comes: a latent a frame, of its shape, finite.
+/// Calls a network and validates its predictions: one per frame, of the frame's shape, finite.
 pub(super) fn predict<D: Denoiser + ?Sized>(
     denoiser: &mut D,
     window: &[Frame<'_, D::Condition>],

@@ -8,52 +8,53 @@ use crate::conditions::{CameraConditions, ConditionSet, DepthEmbedding, TensorEn
 use crate::geometry::{ImageSize, Pose};
 use crate::scene::SceneState;
 
-/// A drive as networks are trained on it: what each frame is to show, and what it showed. Maps are kept as bytes and bins.
+/// A recording for training networks: conditions and images of each frame. Maps are stored as bytes and depth bins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drive {
-    /// What it is of.
+    /// Metadata of the recording.
     pub about: DriveInfo,
-    /// In order, evenly spaced in time.
+    /// Frames in order, evenly spaced in time.
     pub frames: Vec<DriveFrame>,
 }
 
-/// What a drive is of.
+/// Metadata of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DriveInfo {
     /// Name of the log.
     pub log: String,
-    /// Frames a second.
+    /// Frames per second.
     pub hz: f64,
     /// Channel names.
     pub cameras: Vec<String>,
-    /// How its maps were made.
+    /// Recipe of its maps.
     pub recipe: Recipe,
 }
 
-/// A frame of all cameras, one after the other: `[V, H, W]`.
+/// One frame of a recording. Maps and images of the cameras are concatenated: `[V, H, W]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DriveFrame {
-    /// RGB, black where empty.
+    /// RGB colors of the points, black where empty.
     pub color: Vec<[u8; 3]>,
-    /// Bins of depth, 0 where empty.
+    /// Depth bins, 0 where empty.
     pub bins: Vec<u16>,
     /// RGB layout of boxes on black.
     pub boxes: Vec<[u8; 3]>,
     /// RGB layout of the HD map on black.
     pub map: Vec<[u8; 3]>,
-    /// The images, RGB.
+    /// Ground-truth images, RGB.
     pub truth: Vec<[u8; 3]>,
-    /// As [`FrameConditions::action`].
+    /// Ego motion, as [`FrameConditions::action`].
     pub action: [f32; 3],
-    /// As [`FrameConditions::cameras`], `[V, 16]`.
+    /// Camera parameters, as [`FrameConditions::cameras`], `[V, 16]`.
     pub cameras: Vec<[f32; CAMERA_NUMBERS]>,
 }
 
 impl DriveFrame {
-    /// Of a step and its images; `before` is where the ego was a frame earlier.
+    /// Creates a frame from the rendered maps of a step and its images; `before` is the ego pose one frame earlier.
     ///
     /// # Errors
-    /// Maps of a camera that are missing, maps or images of another size; another number of images than cameras.
+    /// Returns an error if a camera lacks a map, if maps or images have another size, or if the number of images
+    /// differs from the number of cameras.
     pub fn new(
         about: &DriveInfo,
         set: &ConditionSet,
@@ -104,12 +105,12 @@ impl DriveFrame {
 }
 
 impl Drive {
-    /// What turns its frames into [`Drive::conditions`].
+    /// Returns the encoder that [`Drive::conditions`] needs.
     pub fn encoder(&self) -> TensorEncoder {
         TensorEncoder::new(self.about.recipe.bins, DepthEmbedding::Both)
     }
 
-    /// What a frame is to show.
+    /// Returns the conditions of a frame.
     pub fn conditions(&self, frame: usize, encoder: &TensorEncoder) -> FrameConditions {
         let (pixels, frame) = (self.about.recipe.size.pixels(), &self.frames[frame]);
         let views = frame.color.chunks(pixels).zip(frame.bins.chunks(pixels));
@@ -124,7 +125,7 @@ impl Drive {
         }
     }
 
-    /// The images of a frame.
+    /// Returns the images of a frame.
     pub fn images(&self, frame: usize) -> Vec<RgbImage> {
         let ImageSize { height, width } = self.about.recipe.size;
         let image = |pixels: &[[u8; 3]]| {
@@ -185,7 +186,7 @@ mod tests {
         }
     }
 
-    /// What goes into a drive comes out as what networks are fed, and from a file as it was.
+    /// Frames return the conditions that they were created from, and a file returns the recording unchanged.
     #[test]
     fn frames_keep_maps_images_and_numbers() {
         let set = ConditionSet { cameras: vec![camera("a", 1), camera("b", 2)] };
@@ -205,7 +206,7 @@ mod tests {
         tensors.cameras.iter_mut().for_each(|camera| camera.tensor = encoder.encode(camera));
         let expected = FrameConditions::new(&tensors, &state(1.0), Some(before), "").unwrap();
         assert_eq!(drive.conditions(1, &encoder), expected);
-        // Two metres along x, seen from a yaw of 0.4, and 0.1 to the left.
+        // The ego moved two meters along x, at a yaw of 0.4, and turned 0.1 to the left.
         let moved = [2.0 * 0.4_f32.cos(), -2.0 * 0.4_f32.sin(), 0.1];
         assert!(
             expected.action.iter().zip(moved).all(|(a, b)| (a - b).abs() < 1e-6),

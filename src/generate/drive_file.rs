@@ -1,4 +1,4 @@
-//! Drives on disk: safetensors, an array per map.
+//! Recordings as safetensors files, with one array per map.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -14,11 +14,11 @@ use crate::files::write_whole;
 const ABOUT: &str = "drive";
 
 impl Drive {
-    /// Writes `color`, `boxes`, `map`, `truth` (u8 `[F, V, H, W, 3]`), `bins` (u16 `[F, V, H, W]`), `action` (f32 `[F, 3]`) and
-    /// `cameras` (f32 `[F, V, 16]`); what it is of stands as JSON in the metadata.
+    /// Writes the recording: `color`, `boxes`, `map`, `truth` (u8 `[F, V, H, W, 3]`), `bins` (u16 `[F, V, H, W]`),
+    /// `action` (f32 `[F, 3]`) and `cameras` (f32 `[F, V, 16]`). The file metadata contain [`DriveInfo`] as JSON.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), FileError> {
         use std::io::Write;
         let failed = |error: String| FileError::io("write", path)(std::io::Error::other(error));
@@ -53,10 +53,10 @@ impl Drive {
         write_whole(path, |out| out.write_all(&bytes).map_err(FileError::io("write", path)))
     }
 
-    /// Reads what [`Drive::save`] wrote.
+    /// Reads a file written by [`Drive::save`].
     ///
     /// # Errors
-    /// Anything else.
+    /// Fails if the file cannot be read, or if its content is not a valid recording.
     pub fn open(path: &Path) -> Result<Self, FileError> {
         let bytes = read_table(path)?;
         let wrong = |found: String| FileError::content("a drive to train on", found, path);
@@ -68,7 +68,8 @@ impl Drive {
         let tensor = |name: &str, dtype: Dtype, per_frame: usize| -> Result<&[u8], FileError> {
             let tensor = tensors.tensor(name).map_err(|e| wrong(e.to_string()))?;
             let frames = tensor.shape().first().copied().unwrap_or(0);
-            // The product is that of the bytes, which the format compares; what stands before a zero is any number.
+            // The format checks the product of a shape against its bytes, but a shape with a zero may contain any
+            // other sizes.
             let values = frames.checked_mul(per_frame);
             let fits = tensor.dtype() == dtype && values == Some(tensor.shape().iter().product());
             if !fits {

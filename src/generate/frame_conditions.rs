@@ -5,7 +5,7 @@ use crate::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use crate::geometry::{ImageSize, Pose};
 use crate::scene::SceneState;
 
-/// What a frame is to show, for networks: the model tensors of all cameras, and numbers.
+/// Conditions of one frame as network input: the model tensors of all cameras, and numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameConditions {
     /// Size of the maps, H x W.
@@ -14,17 +14,17 @@ pub struct FrameConditions {
     pub points: Vec<f32>,
     /// Boxes / 255 (3) and map / 255 (3) of each camera: `[V, 6, H, W]`.
     pub layout: Vec<f32>,
-    /// How the ego moved since the frame before, in its frame there: forward and left in metres, yaw in radians. Zero for
-    /// the first frame.
+    /// Ego motion since the previous frame, in the previous ego frame: forward and left in meters, yaw in radians.
+    /// Zero for the first frame.
     pub action: [f32; 3],
-    /// Of each camera, `[V, 16]`: the upper three rows of `ego_from_camera` (row-major, metres), then focal lengths and
-    /// principal point (x, y each) as shares of width and height.
+    /// Parameters of each camera, `[V, 16]`: the upper three rows of `ego_from_camera` (row-major, meters), then
+    /// focal lengths and principal point (x, y each) as fractions of width and height.
     pub cameras: Vec<[f32; CAMERA_NUMBERS]>,
-    /// What a text encoder is told; may be empty.
+    /// Prompt for a text encoder; may be empty.
     pub prompt: String,
 }
 
-/// Numbers of a camera in [`FrameConditions::cameras`].
+/// Number of parameters per camera in [`FrameConditions::cameras`].
 pub const CAMERA_NUMBERS: usize = 16;
 /// Value of dropped color and layout. Source: the condition contract.
 const NO_COLOR: f32 = 0.1255;
@@ -34,10 +34,11 @@ const NO_DEPTH: f32 = -1.0;
 pub(super) const NO_ACTION: f32 = -1000.0;
 
 impl FrameConditions {
-    /// Of a step with model tensors; `before` is where the ego was a step earlier.
+    /// Creates the conditions of a step with model tensors; `before` is the ego pose one step earlier.
     ///
     /// # Errors
-    /// Cameras without model tensors, or of several sizes.
+    /// Returns an error if there is no camera, if a camera lacks its model tensors, or if the cameras differ in
+    /// size.
     pub fn new(
         set: &ConditionSet,
         state: &SceneState,
@@ -70,7 +71,7 @@ impl FrameConditions {
     }
 }
 
-/// [`FrameConditions::action`] of a step.
+/// Computes [`FrameConditions::action`] of a step.
 pub(super) fn action(before: Option<Pose>, state: &SceneState) -> [f32; 3] {
     before.map_or([0.0; 3], |before| {
         let moved = before.inverse() * state.global_from_ego;
@@ -78,7 +79,7 @@ pub(super) fn action(before: Option<Pose>, state: &SceneState) -> [f32; 3] {
     })
 }
 
-/// [`FrameConditions::cameras`] of a camera.
+/// Computes [`FrameConditions::cameras`] of a camera.
 pub(super) fn camera_numbers(camera: &crate::scene::SceneCamera) -> [f32; CAMERA_NUMBERS] {
     let pose = camera.ego_from_camera.unwrap_or(Pose::IDENTITY);
     let rotation = glam::DMat3::from_quat(pose.rotation);

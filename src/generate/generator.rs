@@ -7,75 +7,77 @@ use super::window::Roll;
 use super::{Denoiser, DenoiserError, Guidance, Latent, NoiseSource, Sampler, SamplerOptions, Strategy};
 use crate::sim::{Committed, Forecast};
 
-/// How frames are generated.
+/// Options of the generator.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GenerateOptions {
-    /// Frames in the window, L.
+    /// Number of frames in the window, L.
     pub window: usize,
-    /// Inference steps, T: a multiple of `window - clean`.
+    /// Number of inference steps, T. A multiple of `window - clean` for the strategies that roll.
     pub steps: usize,
-    /// Leading frames of the window that are always clean, C.
+    /// Number of leading frames of the window that are always clean, C.
     pub clean: usize,
-    /// How the window moves.
+    /// Strategy by which the window moves.
     pub strategy: Strategy,
-    /// The schedule.
+    /// Noise schedule and denoising update.
     pub sampler: SamplerOptions,
     /// Classifier-free guidance.
     pub guidance: Guidance,
 }
 
-/// Makes frame after frame. Frames are numbered from the first reference: the references are `0 .. L-1`, the first
-/// generated frame is `L-1`.
+/// Generates frames one after the other. Frames are numbered from the first reference: the references are
+/// `0 .. L-1`, the first generated frame is `L-1`.
 pub struct Generator<D: Denoiser, N> {
     denoiser: D,
     noise: N,
     options: GenerateOptions,
     sampler: Sampler,
     cache: Cache,
-    /// Conditions of the last frames, at most L-1.
+    /// Conditions of the last L-1 frames.
     shown: VecDeque<Committed<D::Condition>>,
 }
 
-/// What goes from step to step. It has seen no forecast, but under [`Strategy::Rolling`].
+/// State that is carried from step to step. It depends on no forecast, except with [`Strategy::Rolling`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cache {
-    /// Number of the frame that is generated next.
+    /// Number of the next frame.
     pub next: usize,
-    /// The window: L frames, or the L-1 last finished ones before the first step and without rolls.
+    /// Latents of the window: L frames, or the last L-1 finished frames before the first step and with strategies
+    /// that do not roll.
     pub frames: Vec<Latent>,
-    /// Leading frames of the window that are finished and not changed: references, f, or what was there before a window
-    /// began anew.
+    /// Number of leading frames of the window that are finished and no longer updated: references, or the frames
+    /// that a new window began with.
     pub references: usize,
-    /// Rolls that the window has made in place, at the end of all conditions: under [`Strategy::Rolling`] alone.
+    /// Number of rolls in place after the end of all conditions; only with [`Strategy::Rolling`].
     pub in_place: usize,
 }
 
-/// Why no frame comes.
+/// Error of generating a frame.
 #[derive(Debug, thiserror::Error)]
 pub enum GenerateError {
-    /// Numbers that do not go together, or frames, a cache or forecasts that do not fit them.
+    /// Inconsistent options, or frames, a cache or forecasts that do not fit them.
     #[error("expected {expected}, found {found}")]
     Options {
-        /// What would do.
+        /// Accepted values.
         expected: String,
-        /// What was given.
+        /// Given values.
         found: String,
     },
-    /// The network.
+    /// Error of the network.
     #[error("frame {frame}: {source}")]
     Denoiser {
-        /// Number of the frame that was generated.
+        /// Number of the frame being generated.
         frame: usize,
-        /// What is wrong.
+        /// Underlying error.
         source: DenoiserError,
     },
 }
 
 impl GenerateOptions {
-    /// Whether they go together.
+    /// Validates the options.
     ///
     /// # Errors
-    /// Steps that frames cannot share, a window without room.
+    /// Returns an error if the inference steps cannot be divided evenly among the frames, or if the window is too
+    /// small.
     pub fn check(&self) -> Result<(), GenerateError> {
         let Self { window, steps, clean, strategy, .. } = *self;
         let wrong = |expected: String, found: String| Err(GenerateError::Options { expected, found });
@@ -103,12 +105,12 @@ impl GenerateOptions {
         }
     }
 
-    /// Clean frames that are needed to begin, L-1.
+    /// Number of clean frames that are needed to begin, L-1.
     pub fn references(&self) -> usize {
         self.window - 1
     }
 
-    /// Forecasts that a step can make use of.
+    /// Maximum number of forecasts that a step uses.
     pub fn forecasts(&self) -> usize {
         match self.strategy {
             Strategy::ResetAndRoll => self.window - self.clean - 1,
@@ -123,15 +125,15 @@ impl GenerateOptions {
     }
 }
 
-/// Frames in a window.
+/// Maximum number of frames in a window.
 const MAX_WINDOW: usize = 64;
 
 impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
-    /// Begins with references, oldest first, and what was committed when they were recorded.
+    /// Creates a generator from reference latents, oldest first, each with its committed conditions.
     ///
     /// # Errors
-    /// Options that do not go together; another number of references than [`GenerateOptions::references`], or of another
-    /// shape.
+    /// Returns an error if the options are inconsistent, if there are not [`GenerateOptions::references`]
+    /// references, or if one has another shape.
     pub fn new(
         denoiser: D,
         noise: N,
@@ -145,10 +147,11 @@ impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
         Self::resume(denoiser, noise, options, cache, shown)
     }
 
-    /// Goes on from a cache, with the conditions that were committed for the last L-1 frames.
+    /// Resumes from a cache and the committed conditions of the last L-1 frames.
     ///
     /// # Errors
-    /// As [`Generator::new`], or a cache that a generator of these options does not leave behind.
+    /// Returns the errors of [`Generator::new`], or an error if a generator with these options cannot have produced
+    /// the cache.
     pub fn resume(
         denoiser: D,
         noise: N,
@@ -167,22 +170,22 @@ impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
         Ok(Self { denoiser, noise, options, sampler, cache, shown: shown.into() })
     }
 
-    /// What goes on to the next step.
+    /// State for the next step.
     pub fn cache(&self) -> &Cache {
         &self.cache
     }
 
-    /// The network.
+    /// Network that the generator calls.
     pub fn denoiser(&self) -> &D {
         &self.denoiser
     }
 
-    /// Makes the next frame. Fewer forecasts than [`GenerateOptions::forecasts`] are the end of what is known: the window
-    /// stays in place.
+    /// Generates the next frame. Fewer forecasts than [`GenerateOptions::forecasts`] mean that the conditions end
+    /// there: the window then stays in place.
     ///
     /// # Errors
-    /// What the network does wrong; under [`Strategy::Rolling`] forecasts that end before those that are in the window. The
-    /// cache is as before.
+    /// Returns an error if the network fails, or, with [`Strategy::Rolling`], if the forecasts end before the last
+    /// frame of the window. The cache is then unchanged.
     pub fn step(
         &mut self,
         now: Committed<D::Condition>,

@@ -3,12 +3,12 @@ use serde::{Deserialize, Serialize};
 use super::denoiser::predict;
 use super::{Condition, Denoiser, DenoiserError, Frame, Latent};
 
-/// Which conditions are taken away.
+/// Conditions that are dropped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Dropped {
     /// Boxes and map.
     pub layout: bool,
-    /// The ego's motion and the text.
+    /// Ego motion and text prompt.
     pub action: bool,
     /// Color of the points.
     pub color: bool,
@@ -17,12 +17,12 @@ pub struct Dropped {
 }
 
 impl Dropped {
-    /// What the unconditional half of guidance is without: color and depth stay.
+    /// Dropped in the unconditional prediction of guidance: layout and action, not color and depth.
     pub const GUIDED: Self = Self { layout: true, action: true, color: false, depth: false };
-    /// Everything.
+    /// All conditions.
     pub const ALL: Self = Self { layout: true, action: true, color: true, depth: true };
 
-    /// Whatever one of two takes away.
+    /// Union of two sets.
     pub fn or(self, other: Self) -> Self {
         Self {
             layout: self.layout || other.layout,
@@ -33,12 +33,12 @@ impl Dropped {
     }
 }
 
-/// Classifier-free guidance: away from what the network would show without conditions.
+/// Classifier-free guidance: extrapolates from the unconditional prediction through the conditional one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Guidance {
-    /// `v = v_without + scale (v_with - v_without)`; 1 asks the network once.
+    /// Scale of `v = v_without + scale (v_with - v_without)`; 1 needs a single network call.
     pub scale: f32,
-    /// What the other half is without.
+    /// Conditions dropped in the unconditional prediction.
     pub dropped: Dropped,
 }
 
@@ -49,7 +49,7 @@ impl Default for Guidance {
 }
 
 impl Guidance {
-    /// Predictions for a window.
+    /// Predicts a window, with guidance.
     pub(super) fn predict<D: Denoiser + ?Sized>(
         &self,
         denoiser: &mut D,

@@ -1,15 +1,15 @@
 use serde::{Deserialize, Serialize};
 
-/// Size of a frame's latents.
+/// Shape of the latents of a frame, `[V, C, h, w]`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LatentShape {
-    /// Cameras, V.
+    /// Number of cameras, V.
     pub views: usize,
-    /// Channels, C.
+    /// Number of channels, C.
     pub channels: usize,
-    /// Rows, h.
+    /// Number of rows, h.
     pub height: usize,
-    /// Columns, w.
+    /// Number of columns, w.
     pub width: usize,
 }
 
@@ -21,17 +21,17 @@ pub struct Latent {
 }
 
 impl LatentShape {
-    /// Values of a frame.
+    /// Number of values in a frame.
     pub fn len(&self) -> usize {
         self.views * self.channels * self.height * self.width
     }
 
-    /// Whether a frame has none.
+    /// Returns whether a frame has no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// `[V, C, h, w]`.
+    /// Returns the shape as `[V, C, h, w]`.
     pub fn to_array(self) -> [usize; 4] {
         [self.views, self.channels, self.height, self.width]
     }
@@ -45,17 +45,17 @@ impl std::fmt::Display for LatentShape {
 }
 
 impl Latent {
-    /// Values of a shape; `None` if there are more or fewer of them.
+    /// Creates a latent from its values; `None` if their number does not match the shape.
     pub fn new(shape: LatentShape, values: Vec<f32>) -> Option<Self> {
         (values.len() == shape.len()).then_some(Self { shape, values })
     }
 
-    /// The same value everywhere.
+    /// Creates a latent with all values equal.
     pub fn filled(shape: LatentShape, value: f32) -> Self {
         Self { shape, values: vec![value; shape.len()] }
     }
 
-    /// Its size.
+    /// Shape of the latent.
     pub fn shape(&self) -> LatentShape {
         self.shape
     }
@@ -65,12 +65,12 @@ impl Latent {
         &self.values
     }
 
-    /// All values, `[V, C, h, w]`, to change.
+    /// All values, `[V, C, h, w]`, mutable.
     pub fn values_mut(&mut self) -> &mut [f32] {
         &mut self.values
     }
 
-    /// Value by value of two of one shape.
+    /// Combines two latents of the same shape value by value.
     pub(super) fn zip(&self, other: &Self, f: impl Fn(f32, f32) -> f32) -> Self {
         debug_assert_eq!(self.shape, other.shape);
         let values = self.values.iter().zip(&other.values).map(|(a, b)| f(*a, *b)).collect();

@@ -1,12 +1,13 @@
-//! The generator: turns conditions step by step into camera images, by a denoiser that is called frame by frame.
+//! The generator: a denoising loop that turns the conditions of a simulation into camera images, frame by frame.
 //!
 //! # How it works
-//! A [`Generator`] keeps a window of latents. At each step of the simulation it takes the committed conditions of the step
-//! and forecasts of the next ones, calls its [`Denoiser`] as its [`Strategy`] has it, and gives the finished latent of the
-//! step, which a [`Codec`] turns into images. `schedule` and `sampler` say how noisy a frame is after how many steps and
-//! how a prediction takes noise off it, `window` which frame of the window is where in its schedule, `guidance` what becomes
-//! of two predictions. Networks are exchangeable: [`network`] is a small transformer that [`train`] makes of [`Drive`]s,
-//! [`toy`] a linear one for tests, `process` asks one in another process.
+//! A [`Generator`] holds a window of latents. At each simulation step it takes the committed conditions of the step
+//! and forecasts of the next steps, calls its [`Denoiser`] according to its [`Strategy`], and returns the finished
+//! latent of the step. A [`Codec`] decodes that latent into images. `schedule` and `sampler` define the noise
+//! levels and the denoising update. `window` computes the position of every frame of the window in its schedule,
+//! and `guidance` combines two predictions. Networks are exchangeable: [`network`] is a small transformer that
+//! [`train`] trains on recordings ([`Drive`]), [`toy`] is a linear network for tests, and `process` calls a network
+//! in another process.
 
 pub mod network;
 pub mod toy;

@@ -4,16 +4,16 @@ use rand_seeder::Seeder;
 
 use super::{Latent, LatentShape};
 
-/// Where fresh frames come from.
+/// Source of the noise that new frames start from.
 pub trait NoiseSource {
-    /// Noise of unit variance for frame number `frame`, the `draw`-th that is made of it. Whoever asks again gets the same.
+    /// Returns unit-variance noise for draw number `draw` of frame `frame`. Repeated calls return the same noise.
     fn noise(&mut self, shape: LatentShape, frame: usize, draw: usize) -> Latent;
 }
 
-/// Gaussian noise that follows from a seed, the frame's number and the draw alone.
+/// Gaussian noise, determined by a seed, the frame number and the draw number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GaussianNoise {
-    /// What it follows from.
+    /// Random seed.
     pub seed: u64,
 }
 
@@ -46,7 +46,7 @@ mod tests {
         }
         let moment =
             |n: i32| noise.values().iter().map(|v| f64::from(*v).powi(n)).sum::<f64>() / shape.len() as f64;
-        // Of 43 008 values: five standard errors.
+        // With 43 008 values, these bounds are five standard errors.
         assert!(moment(1).abs() < 0.025 && (moment(2) - 1.0).abs() < 0.035 && (moment(4) - 3.0).abs() < 0.24);
     }
 }

@@ -2,8 +2,8 @@ use image::{Rgb, RgbImage};
 
 use super::{Codec, DenoiserError, Latent, LatentShape};
 
-/// Latents that are the pixels themselves, in patches: channel `(color * p + row) * p + column` of a place is a pixel of its
-/// patch of `p x p`, from -1 to 1. The order is that of PyTorch's `pixel_unshuffle`.
+/// Codec whose latents are the pixels themselves, in patches. Channel `(color * p + row) * p + column` of a
+/// location is one pixel of its `p x p` patch, from -1 to 1. The order is that of PyTorch's `pixel_unshuffle`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PixelCodec {
     shape: LatentShape,
@@ -11,10 +11,10 @@ pub struct PixelCodec {
 }
 
 impl PixelCodec {
-    /// For latents of a shape.
+    /// Creates a codec for latents of a shape.
     ///
     /// # Errors
-    /// A number of channels that is not 3 times a square.
+    /// Returns an error if the number of channels is not 3 times a square.
     pub fn new(shape: LatentShape) -> Result<Self, DenoiserError> {
         let patch = (1..=64).find(|patch| 3 * patch * patch == shape.channels);
         let patch = patch.ok_or_else(|| {
@@ -24,12 +24,12 @@ impl PixelCodec {
         Ok(Self { shape, patch })
     }
 
-    /// Height and width of its images, pixels.
+    /// Height and width of the images, pixels.
     pub fn size(&self) -> [usize; 2] {
         [self.shape.height * self.patch, self.shape.width * self.patch]
     }
 
-    /// Where a color of a pixel stands.
+    /// Returns the index of a pixel's color value in the latent.
     fn place(&self, view: usize, color: usize, [x, y]: [usize; 2]) -> usize {
         let (LatentShape { channels, height, width, .. }, patch) = (self.shape, self.patch);
         let channel = (color * patch + y % patch) * patch + x % patch;

@@ -4,32 +4,32 @@ use crate::conditions::{ColorFilter, ConditionOptions, DepthBins, DepthEmbedding
 use crate::geometry::ImageSize;
 use crate::raster::{SplatSchedule, SplatStep};
 
-/// How the conditions of a network are made. It belongs to the weights: a network that was trained on maps of one kind
-/// does not know those of another.
+/// How the conditions of a network are rendered. It belongs to the weights: a network only understands maps
+/// rendered in the way that it was trained on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Recipe {
-    /// Size at which maps are drawn.
+    /// Size at which maps are rendered.
     pub drawn: ImageSize,
-    /// Size to which they are reduced, that of the images.
+    /// Size to which maps are reduced; also the size of the images.
     pub size: ImageSize,
     /// Splat radius by depth.
     pub splat: SplatSchedule,
-    /// Points farther than this from the ego along the world's x or y are not used, metres.
+    /// Points farther than this from the ego along the world's x or y are culled, meters.
     pub radius_m: f64,
-    /// How color is reduced.
+    /// Filter that reduces color.
     pub color_filter: ColorFilter,
-    /// How depth is cut.
+    /// Quantization of depth.
     pub bins: DepthBins,
 }
 
-/// A recipe by which no maps are made.
+/// Invalid recipe.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected {expected}, found {found}")]
 pub struct RecipeError {
-    /// What would do.
+    /// Accepted values.
     pub expected: String,
-    /// What stands there.
+    /// Value in the recipe.
     pub found: String,
 }
 
@@ -38,7 +38,7 @@ impl Default for Recipe {
         Self {
             drawn: ImageSize { height: 128, width: 224 },
             size: ImageSize { height: 32, width: 56 },
-            // Pixels are large: points need not cover more of them than close the gaps between the LiDAR's lines.
+            // Pixels are large: splats only need to close the gaps between LiDAR scan lines.
             splat: SplatSchedule::new(vec![
                 SplatStep { z_max_m: 15.0, radius: 1 },
                 SplatStep { z_max_m: 100.0, radius: 0 },
@@ -52,10 +52,11 @@ impl Default for Recipe {
 }
 
 impl Recipe {
-    /// Whether maps can be made so.
+    /// Validates the recipe.
     ///
     /// # Errors
-    /// Fewer than 2 bins; distances that are not above 0; maps that are drawn smaller than the images.
+    /// Returns an error if there are fewer than 2 bins, if a distance or gamma is not above 0, or if maps are
+    /// rendered smaller than the images.
     pub fn check(&self) -> Result<(), RecipeError> {
         let Self { drawn, size, radius_m, bins, .. } = self;
         let wrong = |expected: &str, found: String| Err(RecipeError { expected: expected.to_owned(), found });
@@ -72,8 +73,8 @@ impl Recipe {
         Ok(())
     }
 
-    /// The options of maps that are made so: all that [`FrameConditions`](super::FrameConditions) and
-    /// [`DriveFrame`](super::DriveFrame) take.
+    /// Returns the rendering options, with all maps that [`FrameConditions`](super::FrameConditions) and
+    /// [`DriveFrame`](super::DriveFrame) need.
     pub fn options(&self, has_map: bool) -> ConditionOptions {
         ConditionOptions {
             maps: MapSet::of(&[MapKind::Tensor]).with_parts(has_map),

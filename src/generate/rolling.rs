@@ -1,4 +1,4 @@
-//! One step of each strategy.
+//! The generation step of each strategy.
 
 use std::ops::Range;
 
@@ -7,24 +7,24 @@ use super::{
     Sampler, Strategy,
 };
 
-/// What there is at a step.
+/// Inputs of a generation step.
 pub(super) struct Known<'a, D: Denoiser, N> {
     pub(super) denoiser: &'a mut D,
     pub(super) noise: &'a mut N,
     pub(super) options: &'a GenerateOptions,
     pub(super) sampler: &'a Sampler,
-    /// Number of the frame that the first condition is of.
+    /// Frame number of the first condition.
     pub(super) first: usize,
-    /// Of the L-1 frames before, this one, and the forecasts.
+    /// Conditions of the L-1 previous frames, the current frame and the forecasts.
     pub(super) conditions: Vec<&'a D::Condition>,
-    /// How many of them are forecasts.
+    /// Number of forecasts among the conditions.
     pub(super) forecasts: usize,
 }
 
-/// Whether the forecasts of a step go as far as a window that is kept.
+/// Checks that the forecasts of a step cover the rolling window in the cache.
 ///
 /// # Errors
-/// Fewer of them.
+/// Returns an error if the forecasts end before the last frame of the window.
 pub(super) fn check(options: &GenerateOptions, cache: &Cache, forecasts: usize) -> Result<(), GenerateError> {
     let end = cache.next + forecasts;
     match last_of(options, cache).filter(|last| options.strategy == Strategy::Rolling && *last > end) {
@@ -39,7 +39,7 @@ pub(super) fn check(options: &GenerateOptions, cache: &Cache, forecasts: usize) 
     }
 }
 
-/// Makes frame `cache.next`, and leaves in the cache what the next step starts from.
+/// Generates frame `cache.next`, and updates the cache for the next step.
 pub(super) fn step<D: Denoiser, N: NoiseSource>(
     known: &mut Known<'_, D, N>,
     cache: &mut Cache,
@@ -60,7 +60,7 @@ fn reset_and_roll<D: Denoiser, N: NoiseSource>(
     let (frame, rolls) = (cache.next, size - clean);
     append(known, cache, frame, 0);
     known.roll(cache, frame)?;
-    // All that follows has seen forecasts: it is done with a copy.
+    // From here on, latents depend on forecasts, so work on a copy of the cache.
     let mut ahead = cache.clone();
     let mut last = frame;
     for roll in 1..rolls {
@@ -85,7 +85,7 @@ fn rolling<D: Denoiser, N: NoiseSource>(
         Some(last) => (1, last),
         None => {
             begin(cache, size);
-            // The frames before this one leave first, a roll each.
+            // The previous frames leave the window first, one per roll.
             (size, frame - 1)
         }
     };
@@ -101,20 +101,20 @@ fn rolling<D: Denoiser, N: NoiseSource>(
     Ok(cache.frames[size - 1 - (last - frame)].clone())
 }
 
-/// The frame at the end of a rolling window before its next step: it is one farther with each roll that was not made in
-/// place. `None` if there is no window yet, or one whose frames have all come.
+/// Last frame of a rolling window before its next step. The window advances by one frame with each roll that was
+/// not in place. `None` if there is no window yet, or if all its frames were returned.
 fn last_of(options: &GenerateOptions, cache: &Cache) -> Option<usize> {
     let last = (cache.next + options.window - 2).saturating_sub(cache.in_place);
     (cache.frames.len() == options.window && last >= cache.next).then_some(last)
 }
 
-/// The last finished frames, for a new window to begin with.
+/// Starts a new window with the last finished frames.
 fn begin(cache: &mut Cache, size: usize) {
     cache.frames.drain(..cache.frames.len().saturating_sub(size - 1));
     (cache.references, cache.in_place) = (size - 1, 0);
 }
 
-/// Clean frames, then this one and `forecasts` more, which go through all steps together.
+/// Denoises the current frame and `forecasts` more frames together through all inference steps, after clean frames.
 fn at_once<D: Denoiser, N: NoiseSource>(
     known: &mut Known<'_, D, N>,
     cache: &mut Cache,
@@ -148,7 +148,7 @@ fn at_once<D: Denoiser, N: NoiseSource>(
     Ok(finished)
 }
 
-/// Puts noise at the window's end; its first frame leaves if it is full.
+/// Appends noise to the window; drops the first frame if the window is full.
 fn append<D: Denoiser, N: NoiseSource>(
     known: &mut Known<'_, D, N>,
     cache: &mut Cache,
@@ -163,7 +163,7 @@ fn append<D: Denoiser, N: NoiseSource>(
 }
 
 impl<D: Denoiser, N: NoiseSource> Known<'_, D, N> {
-    /// One roll of a window that ends with frame `last`.
+    /// Rolls a window that ends with frame `last` once.
     fn roll(&mut self, window: &mut Cache, last: usize) -> Result<(), DenoiserError> {
         let roll = self.options.roll();
         let per_roll = roll.per_roll().unwrap_or(roll.steps);
@@ -176,8 +176,8 @@ impl<D: Denoiser, N: NoiseSource> Known<'_, D, N> {
         Ok(())
     }
 
-    /// One call of the network; `history` is the level of the frames that are not updated, if it is another than the
-    /// last of the schedule.
+    /// Calls the network once. `history` is the noise level of the frames that are not updated, if it differs from
+    /// the last of the schedule.
     fn call(
         &mut self,
         frames: &mut [Latent],

@@ -3,32 +3,32 @@ use serde::{Deserialize, Serialize};
 use super::Latent;
 use super::schedule::{Ddim, FlowMatch, Prediction, TRAIN_STEPS};
 
-/// How a prediction takes noise off a frame.
+/// Noise schedule and denoising update.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SamplerOptions {
     /// Euler steps along the velocity `noise - clean`.
     FlowMatch {
-        /// 3 for Stable Diffusion 3.5, 1 for evenly spaced levels.
+        /// Shift towards the noise: 3 for Stable Diffusion 3.5, 1 for evenly spaced levels.
         shift: f64,
     },
-    /// [`Ddim`].
+    /// DDIM, see [`Ddim`].
     Ddim {
-        /// What the network predicts.
+        /// Quantity that the network predicts.
         prediction: Prediction,
     },
 }
 
-/// How noisy a frame is, as a network is told.
+/// Noise level of a frame, as passed to a network.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Level {
-    /// From 0 (clean) to 1000.
+    /// Timestep, 0 (clean) to 1000.
     pub timestep: f32,
-    /// Factor of the noise in it.
+    /// Standard deviation of the noise in the frame, 0 to 1.
     pub sigma: f32,
 }
 
-/// A schedule of some steps, and its update.
+/// Noise schedule of a number of inference steps, with its denoising update.
 #[derive(Clone, Debug)]
 pub struct Sampler {
     steps: usize,
@@ -48,7 +48,7 @@ impl Default for SamplerOptions {
 }
 
 impl Sampler {
-    /// A schedule of `steps` inference steps, 1 to 1000.
+    /// Creates a schedule of `steps` inference steps, 1 to 1000.
     pub fn new(options: SamplerOptions, steps: usize) -> Self {
         let kind = match options {
             SamplerOptions::FlowMatch { shift } => Kind::FlowMatch(FlowMatch::new(steps, shift)),
@@ -57,12 +57,12 @@ impl Sampler {
         Self { steps, kind }
     }
 
-    /// Inference steps, T.
+    /// Number of inference steps, T.
     pub fn steps(&self) -> usize {
         self.steps
     }
 
-    /// How noisy a frame is before a step.
+    /// Returns the noise level before inference step `index`.
     pub fn level(&self, index: usize) -> Level {
         match &self.kind {
             Kind::FlowMatch(table) => {
@@ -75,7 +75,7 @@ impl Sampler {
         }
     }
 
-    /// How noisy a frame is at a step of training, of 1000.
+    /// Returns the noise level at a training timestep, out of 1000.
     pub fn level_at(&self, timestep: usize) -> Level {
         let sigma = match &self.kind {
             Kind::FlowMatch(_) => timestep as f64 / TRAIN_STEPS as f64,
@@ -84,7 +84,7 @@ impl Sampler {
         Level { timestep: timestep as f32, sigma: sigma as f32 }
     }
 
-    /// A clean frame with noise put on it.
+    /// Adds noise to a clean frame.
     pub fn noised(&self, clean: &Latent, noise: &Latent, level: Level) -> Latent {
         let sigma = level.sigma;
         let share = match self.kind {
@@ -94,7 +94,7 @@ impl Sampler {
         clean.zip(noise, |clean, noise| share * clean + sigma * noise)
     }
 
-    /// A frame after a step.
+    /// Returns the frame after inference step `index`.
     pub fn step(&self, index: usize, x: &Latent, prediction: &Latent) -> Latent {
         match &self.kind {
             Kind::FlowMatch(table) => {

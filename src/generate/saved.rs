@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Cache, GenerateError, GenerateOptions, Latent, LatentShape, Strategy};
 
-/// What is saved beside the latents.
+/// Numbers saved beside the latents, in the file metadata.
 #[derive(Serialize, Deserialize)]
 struct Numbers {
     next: usize,
@@ -14,24 +14,24 @@ struct Numbers {
     in_place: usize,
 }
 
-/// Bytes that are no saved cache.
+/// The bytes are not a saved cache.
 #[derive(Debug, thiserror::Error)]
 #[error("expected a saved cache of the generator, found {found}")]
 pub struct CacheError {
-    /// What is wrong with them.
+    /// What was found instead.
     pub found: String,
 }
 
 const FRAMES: &str = "frames";
 const NUMBERS: &str = "cache";
-/// Frames of a rollout: more than any has, and few enough to count on from.
+/// Maximum frame number of a rollout; small enough that later additions do not overflow.
 const MAX_FRAMES: usize = 1_000_000_000;
 
 impl Cache {
-    /// As safetensors: `frames` of `[L, V, C, h, w]`, f32.
+    /// Serializes the cache as safetensors: `frames` of `[L, V, C, h, w]`, f32.
     ///
     /// # Errors
-    /// Frames of several shapes.
+    /// Returns an error if the frames differ in shape.
     pub fn to_bytes(&self) -> Result<Vec<u8>, CacheError> {
         let Self { next, references, in_place, .. } = *self;
         let shape = self.frames.first().map(Latent::shape);
@@ -45,10 +45,10 @@ impl Cache {
         serialize([(FRAMES, frames)], Some(metadata)).map_err(wrong)
     }
 
-    /// What was saved.
+    /// Parses the bytes written by [`Cache::to_bytes`].
     ///
     /// # Errors
-    /// Anything else.
+    /// Returns an error if the bytes are not a saved cache.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CacheError> {
         let (_, head) = SafeTensors::read_metadata(bytes).map_err(wrong)?;
         let numbers = head.metadata().as_ref().and_then(|all| all.get(NUMBERS));
@@ -72,10 +72,10 @@ impl Cache {
         Ok(Self { next, frames: frames.collect(), references, in_place })
     }
 
-    /// Whether a generator of some options leaves such behind.
+    /// Checks that a generator with these options and latent shape can have produced the cache.
     ///
     /// # Errors
-    /// Numbers or frames that it does not.
+    /// Returns an error if a number or a frame does not fit.
     pub(super) fn check(&self, options: &GenerateOptions, shape: LatentShape) -> Result<(), GenerateError> {
         let Self { next, ref frames, references, in_place } = *self;
         let wrong = |expected: String, found: String| Err(GenerateError::Options { expected, found });
@@ -106,7 +106,7 @@ impl Cache {
     }
 }
 
-/// Frames that are kept from step to step.
+/// Number of frames that are retained from step to step.
 fn kept(options: &GenerateOptions) -> usize {
     match options.strategy {
         Strategy::ResetAndRoll | Strategy::Rolling => options.window,
@@ -114,12 +114,12 @@ fn kept(options: &GenerateOptions) -> usize {
     }
 }
 
-/// [`Cache::references`] before a frame.
+/// Valid values of [`Cache::references`] before a frame.
 fn references_at(options: &GenerateOptions, next: usize) -> RangeInclusive<usize> {
     let all = options.references();
     match options.strategy {
         Strategy::ResetAndRoll => {
-            // The first step fills the window; with each further one a reference leaves.
+            // The first step fills the window; each further step drops one reference.
             let left = all.saturating_sub(next.saturating_sub(options.window)).max(options.clean);
             left..=left
         }
@@ -128,7 +128,7 @@ fn references_at(options: &GenerateOptions, next: usize) -> RangeInclusive<usize
     }
 }
 
-/// [`Cache::in_place`] before a frame.
+/// Valid values of [`Cache::in_place`] before a frame.
 fn in_place_at(options: &GenerateOptions, next: usize) -> RangeInclusive<usize> {
     let begun = options.strategy == Strategy::Rolling && next > options.references();
     0..=if begun { options.window - 1 } else { 0 }
@@ -147,7 +147,7 @@ fn wrong(found: impl ToString) -> CacheError {
 mod tests {
     use super::*;
 
-    /// Sizes whose product is no number, behind a zero.
+    /// The product of these sizes overflows, but the leading zero hides that.
     #[test]
     fn frames_without_values_are_no_cache() {
         let numbers = serde_json::to_string(&Numbers { next: 3, references: 3, in_place: 0 }).unwrap();

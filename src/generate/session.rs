@@ -10,114 +10,115 @@ use crate::geometry::{ImageSize, Pose};
 use crate::raster::Rasterizer;
 use crate::sim::{Committed, Instant, Simulation};
 
-/// A network whose kind is known when the program runs.
+/// A network whose type is chosen at run time.
 pub type AnyDenoiser = Box<dyn Denoiser<Condition = FrameConditions>>;
 
-/// What a [`Session`] is made of.
+/// Components and options of a [`Session`].
 pub struct SessionParts<'a> {
-    /// Draws what the network is fed.
+    /// Renders the network input.
     pub conditioner: Conditioner<'a>,
-    /// Where the first images come from, and those to compare with.
+    /// Source of the reference images and of the ground truth for comparison.
     pub truth: TrueImages<'a>,
-    /// Whether the ego follows the log all along.
+    /// Whether the ego follows the log in the whole rollout.
     pub ego_follows_log: bool,
-    /// Whether the actors do.
+    /// Whether the actors follow the log in the whole rollout.
     pub actors_follow_log: bool,
-    /// Between images and the network's latents.
+    /// Codec between images and the network's latents.
     pub codec: Box<dyn Codec>,
     /// Size of the images.
     pub size: ImageSize,
-    /// How frames are generated.
+    /// Options of the generator.
     pub options: GenerateOptions,
-    /// What noise follows from.
+    /// Seed of the noise.
     pub seed: u64,
 }
 
-/// The generator in a simulation: at each plan step it makes a frame of what was committed and what is expected. Its first
-/// frames are references, the true images of the plan steps of the warm-up.
+/// A generator that runs with a simulation. At each planning step it generates a frame from the committed and
+/// forecast instants. The first frames are references: the ground-truth images of the planning steps in the
+/// warm-up.
 pub struct Session<'a> {
     parts: SessionParts<'a>,
     stage: Stage,
-    /// Where the ego was at the plan step before.
+    /// Ego pose at the previous planning step.
     before: Option<Pose>,
     times: SessionTimes,
 }
 
-/// What the last frame took, seconds.
+/// Durations of the parts of the last frame, seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct SessionTimes {
-    /// Drawing what was committed, for the network.
+    /// Rendering the committed instant as network input.
     pub conditions_s: f64,
-    /// Drawing what is expected.
+    /// Rendering the forecasts.
     pub forecasts_s: f64,
-    /// True images.
+    /// Getting the ground-truth images.
     pub truth_s: f64,
-    /// The network's calls and what is between them.
+    /// The generator step with all its network calls.
     pub network_s: f64,
-    /// Images of the latent.
+    /// Decoding the latent into images.
     pub decode_s: f64,
 }
 
 enum Stage {
-    /// References are collected.
+    /// Collects references.
     Warm { denoiser: AnyDenoiser, kept: Vec<(Latent, Committed<FrameConditions>)> },
-    /// Frames are made.
+    /// Generates frames.
     Going(Box<Generator<AnyDenoiser, GaussianNoise>>),
-    /// A step failed half-way: what is here is neither as before it nor as behind it.
+    /// A step failed, so the state is inconsistent.
     Failed,
 }
 
-/// Images of a plan step, a camera after the other.
+/// Images of a planning step, one per camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Made {
-    /// Whether the images are the true ones, which the generator begins with.
+    /// Whether the images are references, that is ground truth.
     pub is_reference: bool,
-    /// What the step looks like.
+    /// Generated images, or the references.
     pub images: Vec<RgbImage>,
-    /// What it truly looks like, where that is known.
+    /// Ground-truth images, if available.
     pub truth: Option<Vec<RgbImage>>,
 }
 
-/// Why a session makes no frame.
+/// Error of generating a frame in a session.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
-    /// Drawing what the network is fed.
+    /// Error of rendering the network input.
     #[error(transparent)]
     Conditions(#[from] ConditionerError),
-    /// True images.
+    /// Error of getting ground-truth images.
     #[error(transparent)]
     Truth(#[from] TrueImagesError),
-    /// The codec.
+    /// Error of the codec.
     #[error(transparent)]
     Codec(#[from] DenoiserError),
-    /// The loop or the network.
+    /// Error of the generator or the network.
     #[error(transparent)]
     Generate(#[from] GenerateError),
-    /// A step before has failed.
+    /// A previous step failed.
     #[error("expected a generator that works, found one that has failed")]
     Failed,
-    /// A rollout to go on with that lacks something.
+    /// The rollout cannot be resumed because something is missing.
     #[error("expected {expected} to go on with, found {found}")]
     Resume {
-        /// What is needed.
+        /// Needed input.
         expected: String,
-        /// What there is.
+        /// Given input.
         found: String,
     },
 }
 
 impl SessionTimes {
-    /// What a frame costs: all but the true images, which serve comparison alone.
+    /// Cost of a frame: all parts except the ground-truth images, which only serve for comparison.
     pub fn total_s(&self) -> f64 {
         self.conditions_s + self.forecasts_s + self.network_s + self.decode_s
     }
 }
 
 impl<'a> Session<'a> {
-    /// Begins a rollout.
+    /// Starts a rollout.
     ///
     /// # Errors
-    /// Options that do not go together, or a codec whose latents the network does not take.
+    /// Returns an error if the options are inconsistent, or if codec and network differ in latent shape.
     pub fn new(parts: SessionParts<'a>, denoiser: AnyDenoiser) -> Result<Self, SessionError> {
         parts.options.check()?;
         let (takes, gives) = (denoiser.shape(), parts.codec.shape());
@@ -129,11 +130,13 @@ impl<'a> Session<'a> {
         Ok(Self { parts, stage, before: None, times: SessionTimes::default() })
     }
 
-    /// Goes on with a rollout in which `frames` plan steps were made. `last` are the last of them, as many as the window has
-    /// frames or all there are; the cache is what was left behind the last one, if the generator had begun.
+    /// Resumes a rollout after `frames` planning steps. `last` are the last of these steps, as many as the window
+    /// has frames or all if there are fewer. `cache` is the cache after the last step, if frames were generated
+    /// already.
     ///
     /// # Errors
-    /// Another number of steps; a cache that is missing or of another frame; what [`Session::step`] may find.
+    /// Returns an error if the number of steps differs, or if the cache is missing or of another frame. Also
+    /// returns the errors of [`Session::step`].
     pub fn resume(
         mut self,
         frames: usize,
@@ -175,11 +178,11 @@ impl<'a> Session<'a> {
         Ok(self)
     }
 
-    /// Makes the frame of what was committed last; `None` between plan steps.
+    /// Generates the frame of the last committed instant; `None` between planning steps.
     ///
     /// # Errors
-    /// What the device, the files of the log or the network do wrong. After that no step is made any more: a new session
-    /// goes on, by [`Session::resume`].
+    /// Returns an error if the device, the files of the log, the codec or the network fail. All further steps then
+    /// fail; resume in a new session with [`Session::resume`].
     pub fn step(
         &mut self,
         simulation: &Simulation<'_>,
@@ -228,12 +231,12 @@ impl<'a> Session<'a> {
         Ok(Made { is_reference: false, images, truth })
     }
 
-    /// What the last frame took.
+    /// Durations of the last frame.
     pub fn times(&self) -> SessionTimes {
         self.times
     }
 
-    /// What goes on to the next step, once frames are made.
+    /// State for the next step, once frames are generated.
     pub fn cache(&self) -> Option<&Cache> {
         match &self.stage {
             Stage::Going(generator) => Some(generator.cache()),
@@ -241,7 +244,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Whether there are true images of every step.
+    /// Returns whether every step has ground-truth images.
     pub fn has_truth(&self) -> bool {
         let SessionParts { truth, ego_follows_log, actors_follow_log, .. } = &self.parts;
         truth.are_known(*ego_follows_log, *actors_follow_log)
@@ -258,7 +261,7 @@ impl<'a> Session<'a> {
         Ok(drawn)
     }
 
-    /// Takes a step as a reference.
+    /// Adds a step as a reference.
     fn keep(&mut self, drawn: &Committed<Drawn>) -> Result<Vec<RgbImage>, SessionError> {
         let images = self.truth(drawn.get())?;
         let latent = self.parts.codec.encode(&images)?;
@@ -274,7 +277,7 @@ impl<'a> Session<'a> {
         Ok(truth.of(&drawn.state, view, *size, *actors_follow_log)?)
     }
 
-    /// The generator, which begins when the references are complete.
+    /// Returns the generator; creates it when the references are complete.
     fn generator(&mut self) -> Result<&mut Generator<AnyDenoiser, GaussianNoise>, SessionError> {
         if let Stage::Warm { .. } = self.stage
             && let Stage::Warm { denoiser, kept } = std::mem::replace(&mut self.stage, Stage::Failed)
@@ -290,7 +293,7 @@ impl<'a> Session<'a> {
     }
 }
 
-/// Seconds since a moment; the moment becomes now.
+/// Returns the seconds since `since`, and sets it to now.
 fn lap(since: &mut Clock) -> f64 {
     let now = Clock::now();
     (now - std::mem::replace(since, now)).as_secs_f64()
@@ -318,7 +321,7 @@ mod tests {
     const SIZE: ImageSize = ImageSize { height: 4, width: 8 };
     const SHAPE: LatentShape = LatentShape { views: 1, channels: 12, height: 2, width: 4 };
 
-    /// A second at 10 frames a second, grey.
+    /// Log of one second at 10 frames per second, with gray images.
     struct Grey(Log);
 
     impl Grey {
@@ -365,7 +368,7 @@ mod tests {
         }
     }
 
-    /// Leaves frames as they are.
+    /// Denoiser that leaves frames unchanged.
     struct Still;
 
     impl Denoiser for Still {
@@ -380,7 +383,7 @@ mod tests {
         }
     }
 
-    /// Fails once.
+    /// Codec that fails once, after `calls_before` calls.
     struct FailsOnce {
         codec: PixelCodec,
         calls_before: Cell<Option<usize>>,
@@ -438,7 +441,7 @@ mod tests {
         }
     }
 
-    /// Also where the next attempt would do: it would be of another frame, or of an ego that stands.
+    /// It stays failed even if a retry could succeed: the retry would be of another frame, or without ego motion.
     #[test]
     fn a_session_that_failed_makes_no_step() {
         let (drive, folder) = (Grey::new(), tempfile::tempdir().unwrap());
@@ -446,7 +449,7 @@ mod tests {
         let stage = Clouds::new(&skeleton, "grey").unwrap();
         let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
         let mut rasterizer = raster::create(&desc, stage.cloud_set()).unwrap();
-        // The reference is encoded, all frames behind it are decoded.
+        // The reference is encoded, all later frames are decoded.
         for (calls_before, made_before) in [(None, 5), (Some(0), 0), (Some(1), 1), (Some(2), 2)] {
             let scenario = Scenario::new(&drive.0, None, LogFormat::Town);
             let options = SimOptions { steps: 9, ..SimOptions::default() };

@@ -1,31 +1,32 @@
 use serde::{Deserialize, Serialize};
 
-/// How the window moves and what a network sees beside the frame of the step.
+/// How the window moves, and which frames a network sees beside the current one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strategy {
-    /// Each step rolls on to the forecasts and throws away what has seen them: the next step starts from what was there
-    /// before them. T calls of the network a step. Source: *Point as Skeleton*.
+    /// Each step rolls the window on to the forecasts, then discards all latents that depend on them: the next step
+    /// resets to the cache from before the forecasts. T network calls per step. Source: *Point as Skeleton*.
     #[default]
     ResetAndRoll,
-    /// The window begins at the frame of the step; one roll a step, nothing is thrown away: frames keep what old
-    /// forecasts left in them. S calls a step.
+    /// The window begins at the current frame and rolls once per step. Nothing is discarded, so frames retain the
+    /// influence of old forecasts. S network calls per step.
     Rolling,
-    /// Clean frames before it, no forecasts. T calls a step.
+    /// Clean previous frames, then the current one; no forecasts. T network calls per step.
     Causal {
-        /// Noise that the frames before it get, in steps of 1000; a network for windows of two frames is trained with 50
-        /// to 200.
+        /// Training timestep, of 1000, of the noise added to the previous frames. A network for windows of two
+        /// frames is trained with 50 to 200.
         history_noise: usize,
     },
-    /// Clean frames before it, and forecasts that are made together with it and thrown away. T calls a step.
+    /// Clean previous frames, the current one, and forecasts that are denoised together with it and discarded. T
+    /// network calls per step.
     NonCausal {
-        /// Forecasts in the window, K.
+        /// Number of forecasts in the window, K.
         forecasts: usize,
     },
 }
 
 impl Strategy {
-    /// Name on the command line.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::ResetAndRoll => "reset_and_roll",

@@ -1,17 +1,17 @@
-//! A linear network, whose answers can be worked out by hand: for tests, and for trying out what is around a network.
+//! A linear network whose predictions can be computed by hand, for tests and for trying out the generator loop.
 
 use super::guidance::Dropped;
 use super::{Condition, Denoiser, DenoiserError, Frame, Latent, LatentShape};
 
-/// `v = 0.6 x - 0.25 x[next frame] + 0.1 x[frame before] + 0.5 condition + 0.05 sigma`; at the window's ends the frame
-/// itself stands in for the one that is missing.
+/// Denoiser that predicts `v = 0.6 x - 0.25 x[next frame] + 0.1 x[frame before] + 0.5 condition + 0.05 sigma`. At
+/// the ends of the window, the frame itself replaces the missing neighbor.
 #[derive(Clone, Copy, Debug)]
 pub struct Toy {
-    /// Of its latents, and of its conditions.
+    /// Shape of its latents and of its conditions.
     pub shape: LatentShape,
 }
 
-/// Latents are conditions of the toy; without any of it, it is grey.
+/// Conditions of the toy are latents; dropping any part of one sets it to 0.
 impl Condition for Latent {
     fn without(&self, dropped: Dropped) -> Self {
         if dropped == Dropped::default() { self.clone() } else { Self::filled(self.shape(), 0.0) }

@@ -9,25 +9,25 @@ use crate::geometry::{Camera, ImageSize, View};
 use crate::scene::{SceneCamera, SceneState};
 use crate::town::{Town, TownError, TrueActor};
 
-/// Where true images come from.
+/// Source of ground-truth images.
 #[derive(Clone, Copy)]
 pub enum TrueImages<'a> {
-    /// The town knows what it looks like from anywhere.
+    /// Synthetic town, which renders ground truth from any pose.
     Town(&'a Town),
-    /// A recorded log knows what its cameras saw.
+    /// Recorded log, which has only the images that its cameras recorded.
     Logged(&'a dyn Dataset),
 }
 
-/// Why there are no true images.
+/// Error of looking up ground-truth images.
 #[derive(Debug, thiserror::Error)]
 pub enum TrueImagesError {
-    /// The town.
+    /// Error of the town.
     #[error(transparent)]
     Town(#[from] TownError),
-    /// A file of the log.
+    /// Error of reading a file of the log.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// A camera that the log has no image of.
+    /// The log has no image of a camera.
     #[error("expected images of camera {camera} in log {}, found none", printable(log))]
     NoImage {
         /// Channel name.
@@ -38,17 +38,18 @@ pub enum TrueImagesError {
 }
 
 impl TrueImages<'_> {
-    /// Whether they show what is so when `ego` and actors need not be where the log has them.
+    /// Returns whether ground truth is available: always in the town, in a recorded log only if the ego and the
+    /// actors follow the log.
     pub fn are_known(&self, ego_follows_log: bool, actors_follow_log: bool) -> bool {
         matches!(self, Self::Town(_)) || ego_follows_log && actors_follow_log
     }
 
-    /// What the cameras of a state see, as images of a size: of a town drawn as `drawn` has the views, with actors where
-    /// the state has them unless they follow the log; of a recorded log the image of each camera that is nearest in time,
-    /// without what its lens distorts.
+    /// Returns the ground-truth images of all cameras of a state, resized to `size`. In the town, the views are
+    /// mapped by `drawn` and rendered, with the actors of the state unless they follow the log. In a recorded log,
+    /// each camera gets its image that is nearest in time, with the lens distortion removed.
     ///
     /// # Errors
-    /// The town's device; images that are missing or damaged.
+    /// Returns an error if the town cannot render, or if an image is missing or damaged.
     pub fn of(
         &self,
         state: &SceneState,
@@ -79,7 +80,7 @@ impl TrueImages<'_> {
     }
 }
 
-/// The image of a camera that is nearest in time.
+/// Reads the image of a camera that is nearest in time, and rectifies it.
 fn logged(dataset: &dyn Dataset, camera: &str, t_us: i64) -> Result<RgbImage, TrueImagesError> {
     let log = dataset.log();
     let of_camera =
@@ -91,8 +92,8 @@ fn logged(dataset: &dyn Dataset, camera: &str, t_us: i64) -> Result<RgbImage, Tr
     Ok(rectified(dataset.read_image(nearest)?, &nearest.camera))
 }
 
-/// What a pinhole of the same size and intrinsics would have seen, as conditions show it: between the centres of the
-/// recorded pixels bilinear, black where the lens shows nothing.
+/// Resamples an image to a pinhole camera of the same size and intrinsics, like the conditions. Interpolates
+/// bilinearly between pixel centers; pixels outside the recorded image are black.
 fn rectified(image: RgbImage, camera: &Camera) -> RgbImage {
     let Some(distortion) = camera.distortion else { return image };
     let (lens, image_from_camera) = (distortion.lens(), camera.intrinsics);
@@ -115,7 +116,8 @@ mod tests {
     use crate::geometry::{Distortion, View};
     use glam::DAffine3;
 
-    /// A picture whose levels tell where its pixels are shows, rectified, where the lens puts what a pinhole sees there.
+    /// Pixel values encode pixel positions, so the rectified image shows where the lens put each point of the
+    /// pinhole.
     #[test]
     fn rectified_images_show_what_a_pinhole_sees() {
         let (width, height) = (200, 120);

@@ -1,32 +1,33 @@
-/// The numbers of a window: L frames, C of them clean, T steps.
+/// Dimensions of a rolling window: L frames, C of them clean, T inference steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Roll {
-    /// Frames in the window, L.
+    /// Number of frames in the window, L.
     pub window: usize,
-    /// Leading frames that are always clean, C.
+    /// Number of leading frames that are always clean, C.
     pub clean: usize,
-    /// Inference steps, T.
+    /// Number of inference steps, T.
     pub steps: usize,
 }
 
-/// Where a frame is in its schedule.
+/// Position of a frame in its noise schedule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
-    /// The step it stands before, or the last if it is past that.
+    /// Index of its next inference step, or of the last step if all are done.
     pub index: usize,
-    /// Whether this call of the network moves it on.
+    /// Whether this network call updates the frame.
     pub is_updated: bool,
 }
 
 impl Roll {
-    /// Steps that each frame takes in a roll, S; `None` if the steps cannot be shared out evenly.
+    /// Number of inference steps that each frame takes per roll, S; `None` if T is not a multiple of `L - C`.
     pub fn per_roll(&self) -> Option<usize> {
         let moving = self.window.checked_sub(self.clean).filter(|frames| *frames > 0)?;
         (self.steps > 0 && self.steps.is_multiple_of(moving)).then(|| self.steps / moving)
     }
 
-    /// Where each frame of the window is at a call of the network. `call` runs from `T - S` to `T - 1` in a roll, and on
-    /// from there while a window stays in place; the first `references` frames are done.
+    /// Returns the schedule position of every frame of the window at a network call. `call` runs from `T - S` to
+    /// `T - 1` in a roll, and on from there while the window stays in place. The first `references` frames are
+    /// finished.
     pub fn progress(&self, call: usize, references: usize) -> Vec<Progress> {
         let per_roll = self.per_roll().unwrap_or(self.steps);
         let last = self.steps.saturating_sub(1);
@@ -53,7 +54,7 @@ mod tests {
         assert_eq!([roll(12, 0, 35), roll(4, 4, 8), roll(0, 0, 1), roll(4, 0, 0)], [None; 4]);
     }
 
-    /// A window that stays in place finishes one frame after the other.
+    /// A window that stays in place finishes its frames one after the other.
     #[test]
     fn a_window_in_place_is_flushed() {
         let roll = Roll { window: 3, clean: 0, steps: 6 };
@@ -64,7 +65,7 @@ mod tests {
         );
         assert_eq!(roll.progress(9, 0)[2], Progress { index: 5, is_updated: true });
         assert_eq!(updated(10), [false; 3]);
-        // Whatever is updated in all calls of all rolls goes through all steps, in order.
+        // Over all calls of all rolls, a frame takes all inference steps in order.
         let taken: Vec<usize> =
             (4..10).map(|call| roll.progress(call, 0)[2]).filter(|p| p.is_updated).map(|p| p.index).collect();
         assert_eq!(taken, [0, 1, 2, 3, 4, 5]);

@@ -3,7 +3,7 @@ use glam::{DAffine3, DMat3, DVec2, DVec3};
 use super::Distortion;
 use crate::files::{FileName, NameError};
 
-/// A camera: size in pixels, intrinsics, and how its lens distorts recorded images.
+/// Camera model: image size, intrinsics, and lens distortion of recorded images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     /// Channel name, for instance `CAM_FRONT`; maps of the camera are written into a folder of this name.
@@ -14,26 +14,26 @@ pub struct Camera {
     pub height: u32,
     /// 3×3 matrix `image_from_camera` in pixels, last row `0 0 1`; pixel `(i, j)` covers `[i, i+1) × [j, j+1)`.
     pub intrinsics: DMat3,
-    /// Of recorded images; `None` for a pinhole. Maps are drawn as a pinhole sees the world.
+    /// Lens distortion of recorded images; `None` for a pinhole. Maps are rendered with the pinhole model.
     pub distortion: Option<Distortion>,
 }
 
-/// A camera at a place: what a rasterizer draws into.
+/// Camera at a pose: the target of a rasterizer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
     /// Size and intrinsics.
     pub camera: Camera,
-    /// Takes world (global or scene) coordinates to camera coordinates, metres.
+    /// Transforms world (global or scene) coordinates to camera coordinates, meters.
     pub camera_from_world: DAffine3,
 }
 
-/// Why numbers are no camera.
+/// Reason why a camera is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CameraError {
-    /// The name.
+    /// Invalid name.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// Zero or over the limit.
+    /// A side is zero or above the limit.
     #[error("expected a size of 1 to {max} pixels, found {height}x{width}")]
     Size {
         /// Pixels.
@@ -43,13 +43,13 @@ pub enum CameraError {
         /// [`Camera::MAX_SIDE`].
         max: u32,
     },
-    /// NaN or infinite.
+    /// An intrinsic is NaN or infinite.
     #[error("expected finite intrinsics, found {0}")]
     NotFinite(f64),
-    /// Other than `0 0 1`.
+    /// The last row is not `0 0 1`.
     #[error("expected intrinsics with last row 0 0 1, found {0:?}")]
     LastRow([f64; 3]),
-    /// Zero determinant, or a focal length that is not positive.
+    /// The determinant is zero, or a focal length is not positive.
     #[error(
         "expected invertible intrinsics with positive focal lengths, found a singular matrix (fx {fx}, fy {fy})"
     )]
@@ -62,13 +62,13 @@ pub enum CameraError {
 }
 
 impl Camera {
-    /// Longest side that is taken, pixels: what every Vulkan driver with 16 Ki images can draw.
+    /// Maximum width and height in pixels. Every Vulkan driver that supports 16 Ki images can render it.
     pub const MAX_SIDE: u32 = 16_384;
 
-    /// Checks the name and the numbers; `rows` is the 3×3 matrix row by row, as files write it.
+    /// Creates a camera after validating its name and numbers. `rows` is the 3×3 intrinsic matrix in row-major order.
     ///
     /// # Errors
-    /// [`CameraError`] says what is off.
+    /// Returns a [`CameraError`] if the name or a number is invalid.
     pub fn new(
         name: impl AsRef<str>,
         width: u32,
@@ -93,12 +93,12 @@ impl Camera {
         Ok(Self { name, width, height, intrinsics, distortion: None })
     }
 
-    /// The intrinsics row by row.
+    /// Returns the intrinsics in row-major order.
     pub fn rows(&self) -> [[f64; 3]; 3] {
         self.intrinsics.transpose().to_cols_array_2d()
     }
 
-    /// The same camera with an image of another size: the intrinsics scale by the ratio of sizes.
+    /// Returns the same camera with another image size. The intrinsics scale by the ratio of the sizes.
     pub fn resized(&self, height: u32, width: u32) -> Self {
         let scale = DVec3::new(
             f64::from(width) / f64::from(self.width),
@@ -116,8 +116,8 @@ impl Camera {
 }
 
 impl View {
-    /// Row-major 3×4 matrix that takes local homogeneous coordinates to `(x·z, y·z, z)` in pixels and metres,
-    /// multiplied in `f64` and rounded to `f32` once. The third entry of a product is the camera depth.
+    /// Returns the row-major 3×4 matrix that maps local homogeneous coordinates to `(x·z, y·z, z)` in pixels and
+    /// meters. The product is computed in `f64` and rounded to `f32` once. The third component is the camera depth.
     pub fn image_from_local(&self, world_from_local: &DAffine3) -> [[f32; 4]; 3] {
         let camera_from_local = self.camera_from_world * *world_from_local;
         let linear = self.camera.intrinsics * camera_from_local.matrix3;
@@ -127,15 +127,15 @@ impl View {
         std::array::from_fn(|r| [rows[r][0] as f32, rows[r][1] as f32, rows[r][2] as f32, offset[r] as f32])
     }
 
-    /// Projects a world point in `f64`: pixel coordinates and camera depth in metres. `None` at or behind the
-    /// camera plane.
+    /// Projects a world point in `f64`. Returns pixel coordinates and camera depth in meters; `None` for a depth of
+    /// at most 10⁻⁵ m.
     pub fn project(&self, world: DVec3) -> Option<(DVec2, f64)> {
         let q = self.camera.intrinsics * self.camera_from_world.transform_point3(world);
         (q.z > 1e-5).then(|| (DVec2::new(q.x, q.y) / q.z, q.z))
     }
 
-    /// As [`View::project`], but to where recorded images show the point: through the lens. `None` also where the lens
-    /// shows nothing.
+    /// Projects a world point into recorded images, including the lens distortion. Returns `None` as
+    /// [`View::project`], and also outside the valid radius of the lens.
     pub fn project_recorded(&self, world: DVec3) -> Option<(DVec2, f64)> {
         let Some(distortion) = self.camera.distortion else { return self.project(world) };
         let p = self.camera_from_world.transform_point3(world);

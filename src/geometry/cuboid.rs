@@ -2,28 +2,28 @@ use glam::DVec3;
 
 use super::Pose;
 
-/// An oriented 3D box: x along its length (forward), y along its width (left), z along its height (up).
+/// Oriented 3D box: x along its length (forward), y along its width (left), z along its height (up).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cuboid {
-    /// `global_from_box`; the origin is the centre of the box.
+    /// `global_from_box`; the origin is the center of the box.
     pub pose: Pose,
-    /// Length, width, height in metres, all positive.
+    /// Length, width, height in meters, all positive.
     pub size: DVec3,
 }
 
-/// Why a box is none.
+/// Reason why a box is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CuboidError {
-    /// Zero, negative or not finite.
+    /// A side is zero, negative or not finite.
     #[error("expected a box of positive length, width and height, found {0} x {1} x {2} m")]
     Size(f64, f64, f64),
 }
 
 impl Cuboid {
-    /// Checks the size: length, width, height in metres.
+    /// Creates a box after validating its size: length, width, height in meters.
     ///
     /// # Errors
-    /// A side that is zero, negative or not finite.
+    /// Fails if a side is zero, negative or not finite.
     pub fn new(pose: Pose, size: DVec3) -> Result<Self, CuboidError> {
         if size.is_finite() && size.min_element() > 0.0 {
             return Ok(Self { pose, size });
@@ -31,7 +31,7 @@ impl Cuboid {
         Err(CuboidError::Size(size.x, size.y, size.z))
     }
 
-    /// The eight corners in the global frame, metres; bit 0 of the index is front, bit 1 left, bit 2 up.
+    /// Returns the eight corners in the global frame, meters. Bit 0 of the index is front, bit 1 left, bit 2 up.
     pub fn corners(&self) -> [DVec3; 8] {
         std::array::from_fn(|i| {
             let side = |bit: usize| if i >> bit & 1 == 1 { 0.5 } else { -0.5 };
@@ -39,15 +39,15 @@ impl Cuboid {
         })
     }
 
-    /// Whether a point in box coordinates (metres) lies inside the box grown by `margin_m` on every side.
+    /// Returns whether a point in box coordinates (meters) lies inside the box grown by `margin_m` on every side.
     pub fn contains_local(&self, local: DVec3, margin_m: f64) -> bool {
         let half = self.size / 2.0 + margin_m;
         local.abs().cmple(half).all()
     }
 
-    /// Between two boxes: position linear, rotation by slerp, size linear.
+    /// Interpolates between two boxes: linear position and size, slerp rotation.
     pub fn interpolate(&self, other: &Self, s: f64) -> Self {
-        // The same size to the bit where both have it, which a weighted mean does not give.
+        // A weighted mean of equal sizes could differ in the last bit.
         let size = if self.size == other.size { self.size } else { self.size.lerp(other.size, s) };
         Self { pose: self.pose.interpolate(&other.pose, s), size }
     }

@@ -1,7 +1,7 @@
 use glam::{DMat2, DVec2};
 
-/// Lens distortion of Brown and Conrady, as OpenCV has it: three radial and two tangential coefficients, on coordinates
-/// in the plane at depth 1.
+/// Brown–Conrady lens distortion in OpenCV's form: three radial and two tangential coefficients. It applies to
+/// normalized coordinates, in the plane at depth 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Distortion {
     /// Radial, `r²`.
@@ -17,22 +17,22 @@ pub struct Distortion {
 }
 
 impl Distortion {
-    /// From OpenCV's order `k1 k2 p1 p2 k3`; `None` for all zeros, which distort nothing.
+    /// Creates the model from OpenCV's order `k1 k2 p1 p2 k3`; `None` if all are zero (no distortion).
     pub fn from_opencv([k1, k2, p1, p2, k3]: [f64; 5]) -> Option<Self> {
         ([k1, k2, p1, p2, k3] != [0.0; 5]).then_some(Self { k1, k2, p1, p2, k3 })
     }
 
-    /// OpenCV's order: `k1 k2 p1 p2 k3`.
+    /// Returns the coefficients in OpenCV's order: `k1 k2 p1 p2 k3`.
     pub fn coefficients(&self) -> [f64; 5] {
         [self.k1, self.k2, self.p1, self.p2, self.k3]
     }
 
-    /// The model with what is worked out once for many points.
+    /// Returns the model with precomputed values, for distorting many points.
     pub fn lens(&self) -> Lens {
         Lens { distortion: *self, limit_r2: self.turning_r2() }
     }
 
-    /// Where the lens puts a point of the plane at depth 1; see [`Lens::distort`].
+    /// Distorts a point of the plane at depth 1; see [`Lens::distort`].
     pub fn distort(&self, ideal: DVec2) -> Option<DVec2> {
         self.lens().distort(ideal)
     }
@@ -42,14 +42,14 @@ impl Distortion {
         1.0 + r2 * (3.0 * self.k1 + r2 * (5.0 * self.k2 + r2 * 7.0 * self.k3))
     }
 
-    /// The smallest `r²` at which the slope is no longer positive; infinite if there is none.
+    /// Returns the smallest `r²` at which the slope is no longer positive; infinite if there is none.
     fn turning_r2(&self) -> f64 {
-        // Between the places where the slope itself turns it has at most one zero.
+        // Between two extrema, the slope has at most one zero.
         let (a, b, c) = (21.0 * self.k3, 10.0 * self.k2, 3.0 * self.k1);
         let root = (b * b - 4.0 * a * c).sqrt();
         let mut ends = [(-b - root) / (2.0 * a), (-b + root) / (2.0 * a), -c / b];
         ends.sort_by(f64::total_cmp);
-        // Farther out no image reaches: the angle from the axis is over 89.9 degrees.
+        // No image reaches beyond this: the angle from the axis exceeds 89.9 degrees.
         const FARTHEST_R2: f64 = 1e6;
         let mut start = 0.0;
         for end in ends.into_iter().filter(|r2| (0.0..FARTHEST_R2).contains(r2)).chain([FARTHEST_R2]) {
@@ -61,7 +61,7 @@ impl Distortion {
         f64::INFINITY
     }
 
-    /// By bisection: the slope is positive at `inside` and not at `outside`.
+    /// Finds the zero by bisection; the slope is positive at `inside` and not positive at `outside`.
     fn zero_of_slope(&self, mut inside: f64, mut outside: f64) -> f64 {
         loop {
             let middle = f64::midpoint(inside, outside);
@@ -73,17 +73,17 @@ impl Distortion {
     }
 }
 
-/// A [`Distortion`] for many points.
+/// [`Distortion`] prepared for many points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
     distortion: Distortion,
-    /// Beyond this squared radius the polynomial turns back.
+    /// Squared radius beyond which the polynomial is no longer monotonic.
     limit_r2: f64,
 }
 
 impl Lens {
-    /// Where the lens puts a point of the plane at depth 1 (OpenCV's `projectPoints`). `None` beyond the radius at which
-    /// the polynomial turns back: no ray from there reaches the image.
+    /// Distorts a point of the plane at depth 1, as OpenCV's `projectPoints`. Returns `None` beyond the radius at
+    /// which the polynomial stops growing: no ray from there reaches the image.
     pub fn distort(&self, ideal: DVec2) -> Option<DVec2> {
         let r2 = ideal.length_squared();
         (r2 <= self.limit_r2).then(|| self.polynomial(ideal, r2))
@@ -100,7 +100,7 @@ impl Lens {
         ideal * radial + tangential
     }
 
-    /// Derivative of [`Lens::polynomial`].
+    /// Jacobian of [`Lens::polynomial`].
     fn jacobian(&self, ideal: DVec2) -> DMat2 {
         let Distortion { k1, k2, p1, p2, k3 } = self.distortion;
         let (DVec2 { x, y }, r2) = (ideal, ideal.length_squared());
@@ -113,8 +113,8 @@ impl Lens {
         )
     }
 
-    /// The point of the plane at depth 1 that the lens puts at `seen`, to 10⁻¹² of the focal length. `None` where it
-    /// puts none.
+    /// Inverts [`Lens::distort`] to within 10⁻¹² focal lengths. Returns `None` if Newton's method finds no point that
+    /// the lens maps to `seen`.
     pub fn undistort(&self, seen: DVec2) -> Option<DVec2> {
         const STEPS: u32 = 50;
         const CLOSE: f64 = 1e-12;
@@ -129,7 +129,7 @@ impl Lens {
         None
     }
 
-    /// The whole step or, where that leaves the lens or comes no nearer, a half, a quarter ...
+    /// Takes a Newton step. Halves it until the point stays inside the lens and the error decreases.
     fn newton_step(&self, ideal: DVec2, error: DVec2, seen: DVec2) -> Option<(DVec2, DVec2)> {
         const HALVINGS: i32 = 30;
         let step = self.jacobian(ideal).inverse() * error;
@@ -151,11 +151,11 @@ mod tests {
 
     #[test]
     fn lenses_turn_back_where_their_slope_is_zero() {
-        // 1 + 3 k1 r² = 0.
+        // Zero of 1 + 3 k1 r².
         assert!((lens([-0.3, 0.0, 0.0, 0.0, 0.0]).limit_r2 - 1.0 / 0.9).abs() < 1e-12);
-        // 1 - 2.5 r² + r⁴ = (1 - r²/2)(1 - 2 r²): the smaller of two.
+        // 1 - 2.5 r² + r⁴ = (1 - r²/2)(1 - 2 r²) has two zeros; the smaller one counts.
         assert!((lens([-2.5 / 3.0, 0.2, 0.0, 0.0, 0.0]).limit_r2 - 0.5).abs() < 1e-12);
-        // (1 - r²)³ touches zero; (1 - r²/3)(1 + r⁴) and 1 + r⁶ + ..: one and none.
+        // (1 - r²)³ touches zero; (1 - r²/3)(1 + r⁴) has one zero, 1 + r⁶ + .. has none.
         let cubic = |c1: f64, c2: f64, c3: f64| lens([c1 / 3.0, c2 / 5.0, 0.0, 0.0, c3 / 7.0]).limit_r2;
         assert!((cubic(-3.0, 3.0, -1.0) - 1.0).abs() < 1e-4);
         assert!((cubic(-1.0 / 3.0, 1.0, -1.0 / 3.0) - 3.0).abs() < 1e-9);
@@ -169,7 +169,7 @@ mod tests {
         let limit = (1.0_f64 / 0.9).sqrt();
         assert!(lens.distort(DVec2::X * (limit - 1e-9)).is_some());
         assert_eq!([DVec2::X * (limit + 1e-9), DVec2::splat(30.0)].map(|p| lens.distort(p)), [None; 2]);
-        // The farthest that the lens reaches, r (1 - 0.3 r²), and beyond.
+        // Maximum radius in the image, r (1 - 0.3 r²), and beyond.
         let reach = limit * (1.0 - 0.3 * limit * limit);
         assert!(lens.undistort(DVec2::X * (reach - 1e-6)).is_some());
         assert_eq!([reach + 1e-6, 5.0, f64::NAN].map(|r| lens.undistort(DVec2::X * r)), [None; 3]);

@@ -4,19 +4,19 @@ use glam::DVec2;
 
 use super::Cuboid;
 
-/// A box seen from above: a rectangle, metres.
+/// Rectangular footprint of a box in bird's-eye view, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Footprint {
-    /// Middle, global.
+    /// Center, global.
     pub center: DVec2,
-    /// Unit direction of its length.
+    /// Unit vector along the length.
     pub forward: DVec2,
-    /// Half its length and half its width.
+    /// Half length and half width.
     pub half_m: DVec2,
 }
 
 impl From<&Cuboid> for Footprint {
-    /// Turned by the box's yaw; its tilt is left out.
+    /// Uses the yaw of the box and ignores its tilt.
     fn from(cuboid: &Cuboid) -> Self {
         let forward = DVec2::from_angle(cuboid.pose.yaw_rad());
         Self { center: cuboid.pose.translation.truncate(), forward, half_m: cuboid.size.truncate() / 2.0 }
@@ -24,24 +24,24 @@ impl From<&Cuboid> for Footprint {
 }
 
 impl Footprint {
-    /// Its corners counter-clockwise: front left, rear left, rear right, front right.
+    /// Returns the corners counter-clockwise: front left, rear left, rear right, front right.
     pub fn corners(&self) -> [DVec2; 4] {
         let (length, width) = (self.forward * self.half_m.x, self.forward.perp() * self.half_m.y);
         [length + width, width - length, -length - width, length - width].map(|arm| self.center + arm)
     }
 
-    /// A point of the plane in its own axes, metres forward and to the left of its middle.
+    /// Transforms a point to the rectangle's axes: meters forward and to the left of its center.
     pub fn local(&self, point: DVec2) -> DVec2 {
         let arm = point - self.center;
         DVec2::new(self.forward.dot(arm), self.forward.perp_dot(arm))
     }
 
-    /// The radius of the circle around it, metres.
+    /// Radius of the circumscribed circle, meters.
     pub fn radius_m(&self) -> f64 {
         self.half_m.length()
     }
 
-    /// Whether two rectangles share more than their edge, by the separating axis theorem.
+    /// Returns whether two rectangles share more than an edge, by the separating axis theorem.
     pub fn overlaps(&self, other: &Self) -> bool {
         self.axes(other).into_iter().all(|axis| {
             let (reach_m, apart_m) = self.along(other, axis);
@@ -49,8 +49,9 @@ impl Footprint {
         })
     }
 
-    /// When two rectangles overlap while `other` moves at a velocity relative to `self` (metres per second) and none
-    /// turns: seconds from now, which may be negative or infinite. `None` if never.
+    /// Returns the time interval in which two rectangles overlap while `other` moves at a velocity relative to `self`
+    /// (meters per second) without turning. Seconds from now, may be negative or infinite. `None` if they never
+    /// overlap.
     pub fn meets(&self, other: &Self, velocity: DVec2) -> Option<Range<f64>> {
         let mut times_s = f64::NEG_INFINITY..f64::INFINITY;
         for axis in self.axes(other) {
@@ -69,7 +70,8 @@ impl Footprint {
         (times_s.start < times_s.end).then_some(times_s)
     }
 
-    /// The smallest local x (metres, along `self`) of what `other` shares with this rectangle; `None` if it is apart.
+    /// Returns the smallest local x (meters, along `self`) of the intersection with `other`; `None` if they do not
+    /// overlap.
     pub fn first_contact_m(&self, other: &Self) -> Option<f64> {
         let mut shape: Vec<DVec2> = other.corners().iter().map(|corner| self.local(*corner)).collect();
         for (axis, half_m) in [(DVec2::X, self.half_m.x), (DVec2::Y, self.half_m.y)] {
@@ -83,7 +85,7 @@ impl Footprint {
         [self.forward, self.forward.perp(), other.forward, other.forward.perp()]
     }
 
-    /// Sum of the half extents along an axis, and how far the middles are apart along it, metres.
+    /// Returns the sum of the half extents along an axis, and the distance of the centers along it, meters.
     fn along(&self, other: &Self, axis: DVec2) -> (f64, f64) {
         let half_m =
             |f: &Self| f.half_m.x * axis.dot(f.forward).abs() + f.half_m.y * axis.dot(f.forward.perp()).abs();
@@ -91,7 +93,7 @@ impl Footprint {
     }
 }
 
-/// What of a convex shape lies within a distance along an axis (Sutherland and Hodgman).
+/// Clips a convex shape at a distance along an axis (Sutherland and Hodgman).
 fn clip(shape: &[DVec2], axis: DVec2, limit_m: f64) -> Vec<DVec2> {
     let mut kept = Vec::with_capacity(shape.len() + 1);
     for (i, &to) in shape.iter().enumerate() {
@@ -122,7 +124,7 @@ mod tests {
         let a = footprint(0.0, 0.0, 0.0, 4.0, 2.0);
         assert!(!a.overlaps(&footprint(4.0, 0.0, 0.0, 4.0, 2.0)));
         assert!(a.overlaps(&footprint(3.999, 0.0, 0.0, 4.0, 2.0)));
-        // A corner beside a corner: only the turned box's axes tell that they are apart.
+        // Corner next to corner: only the axes of the rotated box separate them.
         let turned = |x: f64| footprint(x, x - 1.0, std::f64::consts::FRAC_PI_4, 2.0, 2.0);
         assert!(!a.overlaps(&turned(2.71)) && a.overlaps(&turned(2.70)));
     }
@@ -132,9 +134,9 @@ mod tests {
         let corridor = footprint(10.0, 0.0, 0.0, 20.0, 2.0);
         assert_eq!(corridor.first_contact_m(&footprint(15.0, 1.5, 0.0, 4.0, 2.0)), Some(3.0));
         assert_eq!(corridor.first_contact_m(&footprint(15.0, 2.5, 0.0, 4.0, 2.0)), None);
-        // Behind its start there is nothing of the corridor.
+        // The box starts behind the corridor, so the contact is at the corridor's rear edge.
         assert_eq!(corridor.first_contact_m(&footprint(0.0, 0.0, 0.0, 4.0, 2.0)), Some(-10.0));
-        // A square on its corner comes in with less than its full length.
+        // A rotated square reaches into the corridor with less than its full length.
         let diamond = footprint(15.0, 2.0, std::f64::consts::FRAC_PI_4, 2.0, 2.0);
         let reach = 5.0 - (2f64.sqrt() - 1.0);
         assert!((corridor.first_contact_m(&diamond).unwrap() - reach).abs() < 1e-12);

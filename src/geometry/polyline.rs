@@ -2,27 +2,27 @@ use std::ops::Range;
 
 use glam::DVec2;
 
-/// A way through the plane by arc length, straight on beyond both ends.
+/// Path in the plane, parameterized by arc length and extended straight beyond both ends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polyline {
-    /// At least two; no two neighbours are the same.
+    /// At least two points; consecutive points differ.
     points: Vec<DVec2>,
-    /// Of the points: metres from the first one along the way.
+    /// Arc length of each point from the first one, meters.
     stations_m: Vec<f64>,
 }
 
-/// The place of a way that is nearest to a point.
+/// Point of a path that is nearest to a given point (foot).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Foot {
-    /// Metres from the way's first point; below 0 and over its length where the way goes straight on.
+    /// Arc length from the path's first point, meters; negative or above its length on the straight extensions.
     pub station_m: f64,
-    /// How far the point is to the left of the way, metres.
+    /// Signed distance of the point from the path, positive to the left, meters.
     pub offset_m: f64,
 }
 
 impl Polyline {
-    /// Through points, metres; one that equals the one before is left out. `None` where fewer than two are left or one
-    /// is not finite.
+    /// Creates a path through points, meters, and skips repeated ones. Returns `None` if fewer than two remain or a
+    /// point is not finite.
     pub fn new(points: impl IntoIterator<Item = DVec2>) -> Option<Self> {
         let (mut kept, mut stations_m): (Vec<DVec2>, Vec<f64>) = Default::default();
         for point in points {
@@ -31,7 +31,7 @@ impl Polyline {
             if !station_m.is_finite() || !point.is_finite() {
                 return None;
             }
-            // Far along a way, a step may be too small to count.
+            // Far along a path, a step may vanish in the rounding of the station.
             if kept.is_empty() || stations_m.last().is_some_and(|last| station_m > *last) {
                 kept.push(point);
                 stations_m.push(station_m);
@@ -40,35 +40,36 @@ impl Polyline {
         (kept.len() >= 2).then_some(Self { points: kept, stations_m })
     }
 
-    /// Its points, metres.
+    /// Returns the points, meters.
     pub fn points(&self) -> &[DVec2] {
         &self.points
     }
 
-    /// The stations of its points: metres from the first one along the way.
+    /// Returns the stations of the points: arc length from the first one, meters.
     pub fn stations_m(&self) -> &[f64] {
         &self.stations_m
     }
 
-    /// Its length, metres.
+    /// Returns the length, meters.
     pub fn length_m(&self) -> f64 {
         self.stations_m[self.stations_m.len() - 1]
     }
 
-    /// The piece that a station (metres) lies on, by the index of its first point; the first and last piece go on.
+    /// Returns the piece that contains a station (meters), as the index of its first point. The first and last piece
+    /// extend beyond the ends.
     pub fn piece(&self, station_m: f64) -> usize {
         let next = self.stations_m.partition_point(|s| *s <= station_m);
         next.clamp(1, self.points.len() - 1) - 1
     }
 
-    /// The place at a station (metres) and the unit direction there.
+    /// Returns the position and unit direction at a station (meters).
     pub fn at(&self, station_m: f64) -> (DVec2, DVec2) {
         let (from, direction, _) = self.ray(self.piece(station_m));
         let start_m = self.stations_m[self.piece(station_m)];
         (from + direction * (station_m - start_m), direction)
     }
 
-    /// The foot of a point (metres) on the pieces that lie in some stations; of several at one distance the first.
+    /// Returns the foot of a point (meters) on the pieces in a range of stations. Ties go to the first piece.
     pub fn foot(&self, point: DVec2, stations_m: Range<f64>) -> Foot {
         let (first, last) = (self.piece(stations_m.start), self.piece(stations_m.end));
         let mut best = (f64::INFINITY, Foot { station_m: 0.0, offset_m: 0.0 });
@@ -95,7 +96,7 @@ impl Polyline {
     }
 }
 
-/// An angle in radians brought into `[-pi, pi]` by full turns.
+/// Wraps an angle in radians into `[-pi, pi]`.
 pub fn wrap_angle(angle_rad: f64) -> f64 {
     use std::f64::consts::{PI, TAU};
     if angle_rad.abs() <= PI { angle_rad } else { angle_rad - TAU * (angle_rad / TAU).round() }
@@ -132,7 +133,7 @@ mod tests {
                 );
             }
         }
-        // Only the second piece is asked for.
+        // The range selects only the second piece.
         assert_eq!(way.foot(DVec2::new(1.0, 1.0), 3.5..6.0), Foot { station_m: 4.0, offset_m: 2.0 });
     }
 

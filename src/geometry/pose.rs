@@ -1,15 +1,15 @@
 use glam::{DAffine3, DQuat, DVec3};
 
-/// A rigid transform `target_from_source` in `f64`: rotation, then translation in metres.
+/// Rigid transform `target_from_source` in `f64`: rotation, then translation in meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Unit quaternion.
     pub rotation: DQuat,
-    /// Metres, in the target frame.
+    /// Meters, in the target frame.
     pub translation: DVec3,
 }
 
-/// Why four quaternion numbers and three coordinates are no pose.
+/// Reason why four quaternion numbers and three coordinates are not a pose.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum PoseError {
     /// The quaternion's length is not 1.
@@ -21,22 +21,23 @@ pub enum PoseError {
     /// A number is NaN or infinite.
     #[error("expected finite numbers in a pose, found {value}")]
     NotFinite {
-        /// The first such number.
+        /// First such number.
         value: f64,
     },
 }
 
-/// How far a quaternion's length may be from 1: files round to 6 or more digits.
+/// Tolerance of a quaternion's length around 1: files round to 6 or more digits.
 const UNIT_TOLERANCE: f64 = 1e-3;
 
 impl Pose {
-    /// The transform that changes nothing.
+    /// Identity transform.
     pub const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
 
-    /// From a file's quaternion `w x y z` and translation in metres; the quaternion is normalized exactly.
+    /// Creates a pose from a quaternion `w x y z` and a translation in meters, as stored in files. Normalizes the
+    /// quaternion.
     ///
     /// # Errors
-    /// A number that is not finite, a quaternion whose length is not 1 within 10⁻³.
+    /// Fails if a number is not finite or the length of the quaternion differs from 1 by more than 10⁻³.
     pub fn from_wxyz([w, x, y, z]: [f64; 4], translation: [f64; 3]) -> Result<Self, PoseError> {
         if let Some(&value) = [w, x, y, z].iter().chain(&translation).find(|v| !v.is_finite()) {
             return Err(PoseError::NotFinite { value });
@@ -49,46 +50,47 @@ impl Pose {
         Ok(Self { rotation: rotation.normalize(), translation: DVec3::from(translation) })
     }
 
-    /// The quaternion as files write it, `w x y z`.
+    /// Returns the quaternion in file order, `w x y z`.
     pub fn wxyz(&self) -> [f64; 4] {
         let q = self.rotation;
         [q.w, q.x, q.y, q.z]
     }
 
-    /// From a yaw to the left (radians, about z) and a translation in metres.
+    /// Creates a pose from a yaw (radians about z, positive to the left) and a translation in meters.
     pub fn from_yaw(yaw_rad: f64, translation: DVec3) -> Self {
         Self { rotation: DQuat::from_rotation_z(yaw_rad), translation }
     }
 
-    /// Where the source frame's x axis points in the target's x and y, radians to the left of its x axis.
+    /// Returns the heading of the source frame's x axis in the target's xy plane, radians to the left of its x axis.
     pub fn yaw_rad(&self) -> f64 {
         let forward = self.rotation * DVec3::X;
         forward.y.atan2(forward.x)
     }
 
-    /// The same place and tilt, turned about the target's z axis to another yaw.
+    /// Returns the same position and tilt, rotated about the target's z axis to another yaw.
     pub fn with_yaw(&self, yaw_rad: f64) -> Self {
         let turn = DQuat::from_rotation_z(yaw_rad - self.yaw_rad());
         Self { rotation: (turn * self.rotation).normalize(), translation: self.translation }
     }
 
-    /// `source_from_target`.
+    /// Returns `source_from_target`.
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.inverse();
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// Moves a point of the source frame into the target frame, metres.
+    /// Transforms a point from the source frame to the target frame, meters.
     pub fn transform_point(&self, point: DVec3) -> DVec3 {
         self.rotation * point + self.translation
     }
 
-    /// The same as an affine matrix.
+    /// Returns the pose as an affine matrix.
     pub fn affine(&self) -> DAffine3 {
         DAffine3::from_rotation_translation(self.rotation, self.translation)
     }
 
-    /// Between `self` (`s = 0`) and `other` (`s = 1`): position linear, rotation by slerp the shorter way.
+    /// Interpolates between `self` (`s = 0`) and `other` (`s = 1`): linear position, slerp rotation along the shorter
+    /// arc.
     pub fn interpolate(&self, other: &Self, s: f64) -> Self {
         Self {
             rotation: self.rotation.slerp(other.rotation, s).normalize(),
@@ -97,7 +99,7 @@ impl Pose {
     }
 }
 
-/// `a_from_b * b_from_c = a_from_c`.
+/// Composes poses: `a_from_b * b_from_c = a_from_c`.
 impl std::ops::Mul for Pose {
     type Output = Self;
 

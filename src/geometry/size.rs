@@ -5,13 +5,13 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Camera;
 
-/// Text that is no option's value.
+/// Error of an option value that cannot be parsed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected {expected}, found {found:?}")]
 pub struct ParseOptionError {
-    /// What would do.
+    /// Accepted form.
     pub expected: &'static str,
-    /// What was given.
+    /// Given text.
     pub found: String,
 }
 
@@ -25,12 +25,12 @@ pub struct ImageSize {
 }
 
 impl ImageSize {
-    /// Of a camera.
+    /// Returns the image size of a camera.
     pub fn of(camera: &Camera) -> Self {
         Self { height: camera.height, width: camera.width }
     }
 
-    /// Number of pixels.
+    /// Returns the number of pixels.
     pub fn pixels(self) -> usize {
         self.height as usize * self.width as usize
     }

@@ -1,4 +1,4 @@
-//! Buffers, with memory by intent.
+//! Buffers, with memory chosen by access.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
@@ -11,27 +11,27 @@ use gpu_allocator::vulkan::Allocation;
 use super::error::call;
 use super::{Device, GpuError};
 
-/// Who reaches a buffer's memory.
+/// Which side accesses a buffer's memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Memory {
-    /// The device alone.
+    /// Device only.
     Device,
-    /// The host writes, the device reads.
+    /// Host writes, device reads.
     Upload,
-    /// The device writes, the host reads (cached).
+    /// Device writes, host reads (cached).
     Readback,
 }
 
-/// A buffer to be made.
+/// Parameters of a buffer to create.
 #[derive(Clone, Debug)]
 pub struct BufferDesc<'a> {
-    /// What validation messages call it.
+    /// Name in validation messages.
     pub name: &'a str,
-    /// Bytes.
+    /// Size, bytes.
     pub size: u64,
-    /// What it is used for.
+    /// Allowed uses.
     pub usage: vk::BufferUsageFlags,
-    /// Who reaches it.
+    /// Which side accesses its memory.
     pub memory: Memory,
 }
 
@@ -42,20 +42,20 @@ pub struct Buffer {
     size: u64,
     name: String,
     memory: Memory,
-    /// Bits of the memory types it may have been given.
+    /// Bit mask of the memory types that its memory may come from.
     memory_types: u32,
     allocation: Option<Allocation>,
     users: Arc<Users>,
 }
 
-/// Who is at a buffer's host memory now: the host ([`Users::HOST`]), or so many submits.
+/// Host/device access state of a buffer's memory: [`Users::HOST`] while mapped, else the number of pending submits.
 #[derive(Debug, Default)]
 pub(super) struct Users(AtomicI32);
 
 impl Users {
     const HOST: i32 = -1;
 
-    /// One more submit uses the memory, unless the host has it.
+    /// Registers one more pending submit; returns `false` if the host has the memory mapped.
     pub(super) fn enter(&self) -> bool {
         let more = |users: i32| (users != Self::HOST).then_some(users + 1);
         self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, more).is_ok()
@@ -67,13 +67,13 @@ impl Users {
 }
 
 impl Buffer {
-    /// Makes a buffer; its content is undefined.
+    /// Creates a buffer with undefined contents.
     ///
     /// # Errors
-    /// Out of memory, or a size over the device's limits.
+    /// Fails if memory is exhausted or the size exceeds the device's limits.
     pub fn new(device: &Arc<Device>, desc: &BufferDesc<'_>) -> Result<Self, GpuError> {
         let info = vk::BufferCreateInfo::default().size(desc.size).usage(desc.usage);
-        // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
+        // SAFETY: the create info contains no pointers; the call or the validation layer reports an invalid one.
         let raw = unsafe { device.calls().create_buffer(&info, None) }.map_err(call("vkCreateBuffer"))?;
         let (device, name, memory) = (device.clone(), desc.name.to_owned(), desc.memory);
         let mut buffer = Self {
@@ -106,7 +106,7 @@ impl Buffer {
         Ok(buffer)
     }
 
-    /// Bytes.
+    /// Returns the size in bytes.
     pub fn size(&self) -> u64 {
         self.size
     }
@@ -115,19 +115,19 @@ impl Buffer {
         &self.device
     }
 
-    /// Its memory and where it begins there, if something with these needs can lie over it.
+    /// Returns its memory and its offset there, bytes, if a resource with these requirements can alias it.
     pub(super) fn memory_for(&self, needs: &vk::MemoryRequirements) -> Option<(vk::DeviceMemory, u64)> {
         let allocation = self.allocation.as_ref()?;
         let (offset, size) = (allocation.offset(), allocation.size());
         let fits = needs.size <= size
             && offset.is_multiple_of(needs.alignment)
             && needs.memory_type_bits & self.memory_types == self.memory_types;
-        // SAFETY: the caller binds it to an image that keeps this buffer.
+        // SAFETY: the caller binds it to an image that owns a reference to this buffer.
         let memory = unsafe { allocation.memory() };
         fits.then_some((memory, offset))
     }
 
-    /// Whether the buffer has this many bytes.
+    /// Fails if the buffer is smaller than `expected` bytes.
     pub(super) fn check(&self, expected: u64) -> Result<(), GpuError> {
         if expected <= self.size {
             return Ok(());
@@ -135,11 +135,11 @@ impl Buffer {
         Err(GpuError::Range { expected, found: self.size, name: self.name.clone() })
     }
 
-    /// The host memory of a buffer that others hold as well.
+    /// Maps the host memory of a shared buffer.
     ///
     /// # Errors
-    /// [`GpuError::Range`] for memory of the device alone, [`GpuError::Busy`] while a submit uses the buffer or it is
-    /// mapped already.
+    /// Returns [`GpuError::Range`] for device-only memory, and [`GpuError::Busy`] while a submit uses the buffer or
+    /// it is already mapped.
     pub fn map(&self) -> Result<Mapped<'_>, GpuError> {
         let (expected, name) = (self.size, self.name.clone());
         // Some drivers map all memory, but only that of the other kinds is coherent.
@@ -148,21 +148,21 @@ impl Buffer {
         let Some(pointer) = pointer else { return Err(GpuError::Range { expected, found: 0, name }) };
         let taken = self.users.0.compare_exchange(0, Users::HOST, Ordering::AcqRel, Ordering::Acquire);
         taken.map_err(|_| GpuError::Busy { name })?;
-        // SAFETY: the allocation is mapped as long as the buffer lives and has at least `size` bytes; nobody else
-        // uses them, since `users` says that the host does.
+        // SAFETY: the allocation is mapped as long as the buffer lives and has at least `size` bytes; no other
+        // access exists, since `users` marks the host as the only user.
         let bytes = unsafe { std::slice::from_raw_parts_mut(pointer.as_ptr().cast(), self.size as usize) };
         Ok(Mapped { bytes, users: &self.users })
     }
 
-    /// For submits that use the buffer; `None` if the host never sees its memory.
+    /// Returns the access state for submits that use the buffer; `None` if the memory is device-only.
     pub(super) fn users(&self) -> Option<Arc<Users>> {
         (self.memory != Memory::Device).then(|| self.users.clone())
     }
 
-    /// Host memory for the device to read later. `&mut` keeps commands that use the buffer away.
+    /// Returns the host memory for the device to read later. `&mut` excludes commands that use the buffer.
     ///
     /// # Errors
-    /// [`GpuError::Range`] for memory of the device alone.
+    /// Returns [`GpuError::Range`] for device-only memory.
     pub fn bytes_mut(&mut self) -> Result<&mut [u8], GpuError> {
         let (size, name) = (self.size, &self.name);
         // Some drivers map all memory, but only that of the other kinds is coherent.
@@ -173,7 +173,7 @@ impl Buffer {
     }
 }
 
-/// A buffer's bytes in the hands of the host.
+/// A buffer's bytes, mapped for exclusive access by the host.
 pub struct Mapped<'a> {
     bytes: &'a mut [u8],
     users: &'a Users,

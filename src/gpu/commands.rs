@@ -1,4 +1,4 @@
-//! Recording and running commands.
+//! Command recording and submission.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -23,10 +23,10 @@ pub struct Commands {
 }
 
 impl Commands {
-    /// Makes a command buffer.
+    /// Creates a command buffer.
     ///
     /// # Errors
-    /// Out of memory.
+    /// Fails if memory is exhausted.
     pub fn new(device: &Arc<Device>) -> Result<Self, GpuError> {
         let info = vk::CommandPoolCreateInfo::default().queue_family_index(device.queue_family);
         // SAFETY: the family is the device's own.
@@ -35,23 +35,23 @@ impl Commands {
         let (raw, fence) = (vk::CommandBuffer::null(), vk::Fence::null());
         let mut commands = Self { device: device.clone(), pool, raw, fence, timer: None };
         let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
-        // SAFETY: the pool is alive and used by nobody else.
+        // SAFETY: the pool is alive and used by no other code.
         let raw = unsafe { device.calls().allocate_command_buffers(&info) };
         commands.raw = raw.map_err(call("vkAllocateCommandBuffers"))?[0];
-        // SAFETY: a plain description.
+        // SAFETY: the create info contains no pointers.
         let fence = unsafe { device.calls().create_fence(&vk::FenceCreateInfo::default(), None) };
         commands.fence = fence.map_err(call("vkCreateFence"))?;
         commands.timer = Timer::new(device)?;
         Ok(commands)
     }
 
-    /// Starts over. What is recorded is borrowed until it has run.
+    /// Resets the command buffer and starts recording. Recorded resources are borrowed until the commands complete.
     ///
     /// # Errors
-    /// Out of memory.
+    /// Fails if memory is exhausted.
     pub fn begin(&mut self) -> Result<Recorder<'_>, GpuError> {
         let flags = vk::CommandPoolResetFlags::empty();
-        // SAFETY: nothing of the pool is pending, since every submit is waited for.
+        // SAFETY: no command buffer of the pool is pending, since every submit is waited for.
         unsafe { self.device.calls().reset_command_pool(self.pool, flags) }
             .map_err(call("vkResetCommandPool"))?;
         let flags = vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT;
@@ -60,7 +60,7 @@ impl Commands {
         let begun = unsafe { self.device.calls().begin_command_buffer(self.raw, &info) };
         begun.map_err(call("vkBeginCommandBuffer"))?;
         if let Some(timer) = &self.timer {
-            // SAFETY: recording; the pool has that many queries.
+            // SAFETY: recording; the pool has `Timer::MAX` queries.
             unsafe { self.device.calls().cmd_reset_query_pool(self.raw, timer.pool, 0, Timer::MAX) };
             let stage = vk::PipelineStageFlags::TOP_OF_PIPE;
             // SAFETY: recording; query 0 was just reset.
@@ -69,7 +69,7 @@ impl Commands {
         Ok(Recorder { commands: self, stages: Vec::new(), users: Vec::new() })
     }
 
-    /// Waits for what was submitted from these commands.
+    /// Waits for a submit of these commands. Returns the duration of each stage.
     pub(super) fn wait(&mut self, submitted: Submitted) -> Result<Vec<(&'static str, Duration)>, GpuError> {
         self.device.wait(self.fence)?;
         submitted.users.iter().for_each(|users| users.leave());
@@ -83,23 +83,23 @@ impl Drop for Commands {
     fn drop(&mut self) {
         // SAFETY: nothing is pending, since every submit is waited for; null is ignored.
         unsafe { self.device.calls().destroy_fence(self.fence, None) };
-        // SAFETY: as above; the command buffer goes with its pool.
+        // SAFETY: as above; destroying the pool frees the command buffer.
         unsafe { self.device.calls().destroy_command_pool(self.pool, None) };
     }
 }
 
-/// Who wrote, or who will read or write, on either side of a barrier.
+/// Accesses on either side of a barrier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
-    /// Copies and updates that write.
+    /// Writes by copies, fills and updates.
     CopyWrite,
-    /// Copies that read.
+    /// Reads by copies.
     CopyRead,
-    /// Vertices, indices, and what shaders of any stage read.
+    /// Reads of vertices and indices, and reads by shaders of any stage.
     ShaderRead,
-    /// Compute shaders that read and write.
+    /// Reads and writes by compute shaders.
     Compute,
-    /// The host, after the submit.
+    /// Reads by the host after the submit.
     Host,
 }
 
@@ -122,15 +122,15 @@ impl Scope {
     }
 }
 
-/// Commands being recorded. Dropping it without [`Recorder::submit`] forgets them.
+/// A command buffer being recorded. Dropping it without [`Recorder::submit`] discards the commands.
 pub struct Recorder<'a> {
     commands: &'a mut Commands,
     stages: Vec<&'static str>,
-    /// Of the buffers with host memory that are used.
+    /// Access states of the host-visible buffers in use.
     users: Vec<Arc<Users>>,
 }
 
-/// What has been submitted and not been waited for.
+/// A submit that has not been waited for.
 pub(super) struct Submitted {
     stages: Vec<&'static str>,
     users: Vec<Arc<Users>>,
@@ -138,7 +138,7 @@ pub(super) struct Submitted {
 }
 
 impl<'a> Recorder<'a> {
-    /// Ends a stage: the time since the last stamp counts as its time. At most 15 a submit.
+    /// Ends a stage and measures its time since the previous stamp. At most 15 per submit; further ones are ignored.
     pub fn stamp(&mut self, stage: &'static str) {
         let query = self.stages.len() as u32 + 1;
         let Some(timer) = self.commands.timer.as_ref().filter(|_| query < Timer::MAX) else { return };
@@ -148,7 +148,7 @@ impl<'a> Recorder<'a> {
         self.stages.push(stage);
     }
 
-    /// What was written before is done, and seen by what comes after.
+    /// Makes earlier accesses of `before` complete and visible to later accesses of `after`.
     pub fn barrier(&mut self, before: Scope, after: Scope) {
         let ((src_stage, src), (dst_stage, dst)) = (before.masks(), after.masks());
         let barriers = [vk::MemoryBarrier::default().src_access_mask(src).dst_access_mask(dst)];
@@ -162,7 +162,7 @@ impl<'a> Recorder<'a> {
     /// Writes host data into a device buffer. Both the offset and the length are multiples of 4 bytes.
     ///
     /// # Errors
-    /// The buffer is too small.
+    /// Fails if the buffer is too small.
     pub fn update(&mut self, buffer: &'a Buffer, offset: u64, data: &[u8]) -> Result<(), GpuError> {
         const MAX: usize = 65_536;
         self.uses(buffer);
@@ -178,7 +178,7 @@ impl<'a> Recorder<'a> {
     /// Fills a range of a buffer with a repeated word. Offset and size are multiples of 4 bytes.
     ///
     /// # Errors
-    /// The buffer is too small.
+    /// Fails if the buffer is too small.
     pub fn fill(&mut self, buffer: &'a Buffer, offset: u64, size: u64, word: u32) -> Result<(), GpuError> {
         self.uses(buffer);
         buffer.check(offset + size)?;
@@ -187,16 +187,16 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    /// Makes an image ready for [`Recorder::write_rows`]; its content so far is forgotten.
+    /// Prepares an image for [`Recorder::write_rows`] and discards its contents.
     pub fn forget(&mut self, image: &'a Image) {
         self.transition(image, vk::ImageLayout::UNDEFINED, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL);
     }
 
-    /// Copies whole rows of a layer from a buffer into an image that shaders read, after [`Recorder::forget`] has run
-    /// once.
+    /// Copies whole rows from a buffer into one layer of an image that shaders read. Requires one earlier
+    /// [`Recorder::forget`] of the image.
     ///
     /// # Errors
-    /// The image or the buffer is too small.
+    /// Fails if the image or the buffer is too small.
     pub fn write_rows(
         &mut self,
         (from, offset): (&'a Buffer, u64),
@@ -229,12 +229,12 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    /// Makes an image over a buffer ready to be read; once, before the buffer is first written.
+    /// Transitions an image over a buffer to its read layout; needed once, before the first write to the buffer.
     pub fn adopt(&mut self, image: &'a Image) {
         self.transition(image, vk::ImageLayout::UNDEFINED, image.read_layout);
     }
 
-    /// A barrier between compute reads and copies of an image.
+    /// Records a layout transition with a barrier between reads by compute shaders and copies.
     fn transition(&mut self, image: &'a Image, old: vk::ImageLayout, new: vk::ImageLayout) {
         use vk::{AccessFlags as Access, PipelineStageFlags as At};
         let to_copy = new == vk::ImageLayout::TRANSFER_DST_OPTIMAL;
@@ -251,7 +251,7 @@ impl<'a> Recorder<'a> {
             .image(image.raw)
             .subresource_range(super::image::whole(image.format))];
         let flags = vk::DependencyFlags::empty();
-        // SAFETY: recording outside a pass; the image is alive and was left in the old layout, or is forgotten.
+        // SAFETY: recording outside a pass; the image is alive and in the old layout, or its contents are discarded.
         unsafe {
             self.device().cmd_pipeline_barrier(self.raw(), src_stage, dst_stage, flags, &[], &[], &barriers);
         }
@@ -260,7 +260,7 @@ impl<'a> Recorder<'a> {
     /// Copies `size` bytes between buffers.
     ///
     /// # Errors
-    /// One of them is too small.
+    /// Fails if one of the buffers is too small.
     pub fn copy(
         &mut self,
         (from, src_offset): (&'a Buffer, u64),
@@ -277,11 +277,11 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    /// Copies the top left `width × height` pixels of an image, which its pass left to be copied, to the start of a
-    /// buffer, row by row without gaps.
+    /// Copies the top left `width × height` pixels of an image to the start of a buffer, as tightly packed rows.
+    /// The image's pass must leave it in the transfer source layout.
     ///
     /// # Errors
-    /// The image or the buffer is too small.
+    /// Fails if the image or the buffer is too small.
     pub fn copy_image(
         &mut self,
         from: &'a Image,
@@ -311,7 +311,7 @@ impl<'a> Recorder<'a> {
     /// Runs a compute pipeline with enough workgroups for `size` invocations.
     ///
     /// # Errors
-    /// The push constants are not as large as the shader's.
+    /// Fails if the push constants do not have the shader's size.
     pub fn dispatch(
         &mut self,
         pipeline: &'a ComputePipeline,
@@ -323,10 +323,10 @@ impl<'a> Recorder<'a> {
         self.dispatch_groups(pipeline, sets, push, [size[0].div_ceil(x), size[1].div_ceil(y), 1])
     }
 
-    /// Runs a compute pipeline with so many workgroups.
+    /// Runs a compute pipeline with the given number of workgroups.
     ///
     /// # Errors
-    /// The push constants are not as large as the shader's.
+    /// Fails if the push constants do not have the shader's size.
     pub fn dispatch_groups(
         &mut self,
         pipeline: &'a ComputePipeline,
@@ -344,19 +344,19 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    /// Runs what was recorded and waits for it. Returns the time of each stage (without timestamps, all of it under
-    /// `gpu`).
+    /// Submits the recorded commands and waits for them. Returns the duration of each stage; without timestamps one
+    /// total, named `gpu`.
     ///
     /// # Errors
-    /// The device is lost or out of memory; any message of the validation layer; the host has one of the buffers
-    /// mapped.
+    /// Fails if the device is lost or out of memory, if the validation layer reports any message, or if the host
+    /// has one of the buffers mapped.
     pub fn submit(self) -> Result<Vec<(&'static str, Duration)>, GpuError> {
         let (commands, submitted) = self.start()?;
         commands.wait(submitted)
     }
 
-    /// Runs what was recorded. Until [`Commands::wait`] returns, all of it must stay alive: what calls this sees to
-    /// it.
+    /// Submits the recorded commands without waiting. The caller keeps all recorded resources alive until
+    /// [`Commands::wait`] returns.
     pub(super) fn start(self) -> Result<(&'a mut Commands, Submitted), GpuError> {
         let start = Instant::now();
         let Self { commands, stages, users } = self;
@@ -391,7 +391,7 @@ impl<'a> Recorder<'a> {
         }
         self.users.extend(sets.iter().flat_map(|set| set.users()));
         let sets: Vec<_> = sets.iter().map(|set| set.raw).collect();
-        // SAFETY: recording; the sets were made for this layout and are borrowed by the recorder.
+        // SAFETY: recording; the sets were created for this layout, and the recorder borrows them.
         unsafe { self.device().cmd_bind_descriptor_sets(self.raw(), point, layout.raw, 0, &sets, &[]) };
     }
 

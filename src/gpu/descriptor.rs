@@ -1,4 +1,4 @@
-//! Descriptor sets: what a shader sees.
+//! Descriptor sets: the resources bound to a shader.
 
 use std::sync::Arc;
 
@@ -8,16 +8,16 @@ use super::buffer::Users;
 use super::error::call;
 use super::{BindingKind, Buffer, Device, GpuError, Image, PipelineLayout};
 
-/// What stands behind one binding.
+/// Resource behind one binding.
 #[derive(Clone)]
 pub enum Bind {
     /// A whole buffer.
     Buffer(Arc<Buffer>),
-    /// An image in the layout that its render pass leaves it in.
+    /// An image in its read layout.
     Image(Arc<Image>),
 }
 
-/// A descriptor set; it owns what it binds.
+/// A descriptor set that owns its resources.
 pub struct DescriptorSet {
     device: Arc<Device>,
     pool: vk::DescriptorPool,
@@ -26,10 +26,11 @@ pub struct DescriptorSet {
 }
 
 impl DescriptorSet {
-    /// A set for `set` of a layout; `binds` in the order of the bindings.
+    /// Creates set number `set` of a layout, with `binds` in the order of the bindings.
     ///
     /// # Errors
-    /// Out of memory; as [`GpuError::Unsupported`] if the binds are not what the shader has, or over a limit.
+    /// Fails if memory is exhausted. Returns [`GpuError::Unsupported`] if the resources do not match the shader's
+    /// bindings or exceed a limit.
     pub fn new(layout: &PipelineLayout, set: u32, binds: Vec<Bind>) -> Result<Self, GpuError> {
         let device = layout.device();
         let bindings: Vec<_> = layout.bindings().iter().filter(|b| b.set == set).copied().collect();
@@ -59,7 +60,7 @@ impl DescriptorSet {
         Ok(made)
     }
 
-    /// Of the buffers in it whose memory the host sees.
+    /// Returns the access states of its host-visible buffers.
     pub(super) fn users(&self) -> impl Iterator<Item = Arc<Users>> {
         self.binds.iter().filter_map(|bind| match bind {
             Bind::Buffer(buffer) => buffer.users(),
@@ -111,7 +112,7 @@ impl DescriptorSet {
 
 impl Drop for DescriptorSet {
     fn drop(&mut self) {
-        // SAFETY: no commands use the set (recorders borrow it, submits are waited for); it goes with its pool.
+        // SAFETY: no commands use the set (recorders borrow it, submits are waited for); destroying the pool frees it.
         unsafe { self.device.calls().destroy_descriptor_pool(self.pool, None) };
     }
 }

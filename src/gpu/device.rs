@@ -15,33 +15,33 @@ use super::instance::Instance;
 use super::select::{Candidate, choose};
 use super::{DeviceDesc, GpuError, ImageDesc, Messages};
 
-/// An open device. Everything made from it holds an `Arc` of it.
+/// An open device. Every object created from it holds an `Arc` of it.
 pub struct Device {
-    /// Dropped by hand before the device itself.
+    /// Dropped explicitly before the device itself.
     allocator: Mutex<Option<Allocator>>,
     utils: Option<ext::debug_utils::Device>,
     raw: ash::Device,
     pub(super) queue_family: u32,
     queue: Mutex<vk::Queue>,
     facts: Facts,
-    /// Allocations, pipelines, descriptor sets.
+    /// Numbers of allocations, pipelines and descriptor sets created.
     made: [AtomicU64; 3],
     physical: vk::PhysicalDevice,
     instance: Instance,
 }
 
-/// How much has been made on a device since it was opened.
+/// Numbers of objects created on a device since it was opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Made {
-    /// Of memory.
+    /// Memory allocations.
     pub allocations: u64,
-    /// Compute and graphics.
+    /// Compute and graphics pipelines.
     pub pipelines: u64,
-    /// Of any layout.
+    /// Descriptor sets of any layout.
     pub descriptor_sets: u64,
 }
 
-/// What the device can do and is called.
+/// Name, properties, limits and supported features of a physical device.
 #[derive(Clone, Debug)]
 pub(super) struct Facts {
     pub(super) name: String,
@@ -61,7 +61,8 @@ impl Device {
     /// Opens a device.
     ///
     /// # Errors
-    /// No loader, driver or device; an unknown name; a missing validation layer; whatever the layer says.
+    /// Fails if there is no Vulkan loader, driver or suitable device, if no device has the requested name, if the
+    /// validation layer is missing, or if that layer reports any message.
     pub fn new(desc: &DeviceDesc) -> Result<Arc<Self>, GpuError> {
         let instance = Instance::new(desc.validation)?;
         let physical = instance.physical_devices()?;
@@ -70,7 +71,7 @@ impl Device {
         let (queue_family, timestamp_bits) = queue_family(&instance, physical).unwrap_or_default();
         let facts = facts(&instance, physical, timestamp_bits)?;
         let raw = create(instance.raw(), physical, queue_family, &facts)?;
-        // SAFETY: the family and index are those the device was created with.
+        // SAFETY: the device was created with this family and index.
         let queue = unsafe { instance.calls_of(&raw).get_device_queue(queue_family, 0) };
         let utils = instance.validation.then(|| ext::debug_utils::Device::new(&instance.calls(), &raw));
         let (allocator, queue, made) = (Mutex::new(None), Mutex::new(queue), Default::default());
@@ -98,57 +99,57 @@ impl Device {
         })
     }
 
-    /// The device's functions, for one call.
+    /// Returns the device's functions for one call.
     pub(super) fn calls(&self) -> Calls<'_, ash::Device> {
         self.instance.calls_of(&self.raw)
     }
 
-    /// The device's name.
+    /// Returns the device's name.
     pub fn name(&self) -> &str {
         &self.facts.name
     }
 
-    /// The driver's name and version.
+    /// Returns the driver's name and version.
     pub fn driver(&self) -> &str {
         &self.facts.driver
     }
 
-    /// Limits as Vulkan names them.
+    /// Returns the limits, with Vulkan's names.
     pub fn limits(&self) -> &vk::PhysicalDeviceLimits {
         &self.facts.limits
     }
 
-    /// Largest buffer that a shader can see as a whole, bytes.
+    /// Returns the size of the largest buffer that a shader can bind as a whole, bytes.
     pub fn max_storage_buffer(&self) -> u64 {
         u64::from(self.facts.limits.max_storage_buffer_range).min(self.facts.max_allocation)
     }
 
-    /// Most bytes of one allocation.
+    /// Returns the maximum size of one allocation, bytes.
     pub fn max_allocation(&self) -> u64 {
         self.facts.max_allocation
     }
 
-    /// Longest side of an image, pixels.
+    /// Returns the maximum side length of an image, pixels.
     pub fn max_image_side(&self) -> u32 {
         self.facts.limits.max_image_dimension2_d
     }
 
-    /// Whether points may be larger than one pixel; see also the limit `point_size_range`.
+    /// Returns whether points may be larger than one pixel; see also the limit `point_size_range`.
     pub fn large_points(&self) -> bool {
         self.facts.large_points
     }
 
-    /// Whether compute shaders have 64-bit integers and 64-bit atomics on storage buffers.
+    /// Returns whether compute shaders have 64-bit integers and 64-bit atomics on storage buffers.
     pub fn atomics_64(&self) -> bool {
         self.facts.atomics_64
     }
 
-    /// How many bits of a timestamp the queue writes; 0 for no timestamps.
+    /// Returns the number of valid bits in the queue's timestamps; 0 without timestamps.
     pub(super) fn timestamp_bits(&self) -> u32 {
         self.facts.timestamp_bits
     }
 
-    /// Whether images of this format, tiling, use and size can be made.
+    /// Returns whether images of this format, tiling, usage and size can be created.
     pub(super) fn has_image(
         &self,
         format: vk::Format,
@@ -162,7 +163,7 @@ impl Device {
         }
     }
 
-    /// The largest image of this format, tiling and use; `None` if there is none.
+    /// Returns the maximum extent of images of this format, tiling and usage; `None` if unsupported.
     fn image_extent(
         &self,
         format: vk::Format,
@@ -182,7 +183,7 @@ impl Device {
         }
     }
 
-    /// That an image can be made with optimal tiling.
+    /// Validates that an image can be created with optimal tiling.
     pub(super) fn check_image(&self, desc: &ImageDesc<'_>) -> Result<(), GpuError> {
         let (format, usage, layers) = (desc.format, desc.usage, desc.layers.unwrap_or(1));
         let expected =
@@ -198,7 +199,8 @@ impl Device {
         }
     }
 
-    /// Allocations, pipelines and descriptor sets made so far: they stand still once a program has warmed up.
+    /// Returns the numbers of allocations, pipelines and descriptor sets created so far. They are constant after a
+    /// program's warm-up.
     pub fn made(&self) -> Made {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let [allocations, pipelines, descriptor_sets] = self.made.each_ref().map(count);
@@ -213,17 +215,17 @@ impl Device {
         self.made[2].fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Whether host and device share their memory, so that the device may as well write where the host reads.
+    /// Returns whether host and device share memory, so that the device may write directly to host-visible memory.
     pub fn shares_memory(&self) -> bool {
         matches!(self.facts.kind, vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU)
     }
 
-    /// Whether the device is the host's own processor.
+    /// Returns whether the device is the host's own processor.
     pub fn is_cpu(&self) -> bool {
         self.facts.kind == vk::PhysicalDeviceType::CPU
     }
 
-    /// An error that names this device.
+    /// Returns a [`GpuError::Unsupported`] that names this device.
     pub fn unsupported(&self, expected: impl Into<String>, found: impl Into<String>) -> GpuError {
         GpuError::Unsupported {
             expected: expected.into(),
@@ -232,25 +234,25 @@ impl Device {
         }
     }
 
-    /// What the validation layer said since the last look; always empty without validation. The handle outlives
-    /// the device, so that messages about its destruction can be read too.
+    /// Returns the validation layer's messages since the last check; always empty without validation. The handle
+    /// outlives the device, so that messages about its destruction can be read too.
     pub fn validation_messages(&self) -> Arc<Messages> {
         self.instance.messages.clone()
     }
 
-    /// Any message of the validation layer is an error.
+    /// Fails on any pending message of the validation layer.
     ///
     /// # Errors
-    /// [`GpuError::Validation`].
+    /// Returns [`GpuError::Validation`] if there is a message.
     pub fn check_validation(&self) -> Result<(), GpuError> {
         self.instance.messages.check()
     }
 
-    /// Gives an object the name that validation messages show.
+    /// Sets the name that validation messages show for an object.
     pub(super) fn set_name<H: vk::Handle>(&self, handle: H, name: &str) -> Result<(), GpuError> {
         let (Some(utils), Ok(name)) = (&self.utils, std::ffi::CString::new(name)) else { return Ok(()) };
         let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(handle).object_name(&name);
-        // SAFETY: the handle is alive and of this device, the name lives until after the call.
+        // SAFETY: the handle is alive and belongs to this device; the name lives until after the call.
         unsafe { self.instance.calls_of(utils).set_debug_utils_object_name(&info) }
             .map_err(call("vkSetDebugUtilsObjectNameEXT"))
     }
@@ -276,39 +278,40 @@ impl Device {
         let mut allocator = lock(&self.allocator);
         let _share = self.instance.share();
         if let Some(allocator) = allocator.as_mut() {
-            // It only fails for allocations of another allocator.
+            // Freeing only fails for allocations of another allocator.
             let freed = allocator.free(allocation);
             debug_assert!(freed.is_ok(), "{freed:?}");
         }
     }
 
-    /// Hands commands to the queue; the fence tells when they are done.
+    /// Submits commands to the queue; the device signals the fence when they are complete.
     pub(super) fn submit(&self, commands: vk::CommandBuffer, fence: vk::Fence) -> Result<(), GpuError> {
         let buffers = [commands];
         let info = vk::SubmitInfo::default().command_buffers(&buffers);
         let queue = lock(&self.queue);
-        // SAFETY: the lock gives the queue to this thread; the command buffer is recorded and not pending.
+        // SAFETY: the lock gives this thread exclusive access to the queue; the command buffer is recorded
+        // and not pending.
         unsafe { self.calls().queue_submit(*queue, &[info], fence) }.map_err(call("vkQueueSubmit"))
     }
 
-    /// Waits for a submit. Whatever was recorded is done afterwards, and the host may read results.
+    /// Waits for a submit. Afterwards all of its commands are complete, and the host may read results.
     pub(super) fn wait(&self, fence: vk::Fence) -> Result<(), GpuError> {
         let longest = self.instance.longest_wait();
         let waited = loop {
-            // SAFETY: the fence is of this device and was submitted.
+            // SAFETY: the fence belongs to this device and was submitted.
             match unsafe { self.calls().wait_for_fences(&[fence], true, longest) } {
                 Err(vk::Result::TIMEOUT) => {}
                 waited => break waited,
             }
         };
         if waited.is_err() {
-            // Whatever the reason, nothing may run when this returns; a lost device runs nothing any more.
+            // Nothing may run after this function returns, whatever the error; a lost device runs nothing.
             let _queue = lock(&self.queue);
-            // SAFETY: the lock gives the queue to this thread.
+            // SAFETY: the lock gives this thread exclusive access to the queue.
             let _ = unsafe { self.calls().device_wait_idle() };
         }
         waited.map_err(call("vkWaitForFences"))?;
-        // SAFETY: the fence is signaled, so nothing uses it any more.
+        // SAFETY: the fence is signaled, so no submit uses it.
         unsafe { self.calls().reset_fences(&[fence]) }.map_err(call("vkResetFences"))?;
         self.check_validation()
     }
@@ -328,7 +331,7 @@ fn candidate(instance: &Instance, physical: vk::PhysicalDevice) -> Candidate {
     }
 }
 
-/// The first family with graphics and compute, and how many bits its timestamps have.
+/// Returns the first queue family with graphics and compute, and the number of valid bits in its timestamps.
 fn queue_family(instance: &Instance, physical: vk::PhysicalDevice) -> Option<(u32, u32)> {
     // SAFETY: the handle comes from this instance.
     let families = unsafe { instance.calls().get_physical_device_queue_family_properties(physical) };
@@ -348,7 +351,7 @@ fn facts(instance: &Instance, physical: vk::PhysicalDevice, timestamp_bits: u32)
     if has_driver {
         all = all.push_next(&mut driver);
     }
-    // SAFETY: the handle comes from this instance of 1.1; each chained structure is one that the device knows.
+    // SAFETY: the handle comes from this 1.1 instance; the device supports each chained structure.
     unsafe { instance.calls().get_physical_device_properties2(physical, &mut all) };
     let properties = all.properties;
     let has_atomics =
@@ -395,7 +398,7 @@ fn create(
         info = info.enabled_extension_names(&extensions).push_next(&mut atomics);
     }
     let _alone = gate::alone();
-    // SAFETY: the handle comes from this instance; queue family, features and extension are the device's own.
+    // SAFETY: the handle comes from this instance; the device has this queue family, these features and the extension.
     unsafe { instance.create_device(physical, &info, None) }.map_err(call("vkCreateDevice"))
 }
 
@@ -405,13 +408,13 @@ fn text(name: Result<&std::ffi::CStr, std::ffi::FromBytesUntilNulError>) -> Stri
 
 impl Drop for Device {
     fn drop(&mut self) {
-        // Frees all memory; buffers and images are gone, since each holds an `Arc` of the device.
+        // Frees all memory. No buffer or image is left, since each holds an `Arc` of the device.
         let allocator = lock(&self.allocator).take();
         let share = self.instance.share();
         drop(allocator);
         drop(share);
         let _alone = gate::alone();
-        // SAFETY: all children are gone for the same reason, and every submit was waited for.
+        // SAFETY: all child objects are destroyed for the same reason, and every submit was waited for.
         unsafe { self.raw.destroy_device(None) };
     }
 }

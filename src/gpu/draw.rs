@@ -1,4 +1,4 @@
-//! Recording what is drawn into a target.
+//! Recording of draws into a target.
 
 use std::ops::Range;
 
@@ -7,8 +7,8 @@ use ash::vk;
 use super::{Area, Buffer, DepthTest, DescriptorSet, GpuError, GraphicsPipeline, Indices, Recorder, Target};
 
 impl<'a> Recorder<'a> {
-    /// Starts drawing into the top left of a target, which is cleared: colors to 0, depth as its
-    /// [`DepthTest`] says.
+    /// Begins a render pass on the top left area of a target and clears it: colors to 0, depth to the value of
+    /// its [`DepthTest`].
     pub fn pass(&mut self, target: &'a Target, area: Area) -> Pass<'_, 'a> {
         let extent = vk::Extent2D {
             width: area.width.min(target.extent.width),
@@ -43,7 +43,7 @@ impl<'a> Recorder<'a> {
     }
 }
 
-/// Drawing into a target; it ends when this is dropped.
+/// A render pass being recorded; ends on drop.
 pub struct Pass<'r, 'a> {
     recorder: &'r mut Recorder<'a>,
     pipeline: Option<&'a GraphicsPipeline>,
@@ -52,7 +52,7 @@ pub struct Pass<'r, 'a> {
 }
 
 impl<'a> Pass<'_, 'a> {
-    /// Draws with this pipeline and these sets from now on.
+    /// Binds a pipeline and descriptor sets for the following draws.
     pub fn bind(&mut self, pipeline: &'a GraphicsPipeline, sets: &[&'a DescriptorSet]) {
         let point = vk::PipelineBindPoint::GRAPHICS;
         // SAFETY: recording; the pipeline is alive and fits the pass.
@@ -61,7 +61,7 @@ impl<'a> Pass<'_, 'a> {
         self.pipeline = Some(pipeline);
     }
 
-    /// Takes vertices (or instances) from this buffer from now on.
+    /// Binds a buffer of vertices (or instances) for the following draws.
     pub fn vertices(&mut self, buffer: &'a Buffer) {
         self.recorder.uses(buffer);
         // SAFETY: recording; the buffer is alive.
@@ -71,19 +71,19 @@ impl<'a> Pass<'_, 'a> {
         self.vertices = Some(buffer);
     }
 
-    /// Takes indices from this buffer from now on.
+    /// Binds an index buffer for the following draws.
     pub fn indices(&mut self, indices: &'a Indices) {
         let (buffer, kind) = (indices.raw(), vk::IndexType::UINT32);
-        // SAFETY: recording; the buffer is alive and has that use.
+        // SAFETY: recording; the buffer is alive and has the index buffer usage.
         unsafe { self.recorder.device().cmd_bind_index_buffer(self.recorder.raw(), buffer, 0, kind) };
         self.indices = Some(indices);
     }
 
-    /// Draws vertices of the bound buffer once, or so many instances of it. A pipeline without vertex inputs needs no
-    /// buffer.
+    /// Draws a range of vertices of the bound buffer, or the given number of instances. A pipeline without vertex
+    /// inputs needs no buffer.
     ///
     /// # Errors
-    /// The buffer is too small, or nothing is bound.
+    /// Fails if the buffer is too small, or if no pipeline or buffer is bound.
     pub fn draw(&mut self, push: &[u8], vertices: Range<u32>, instances: u32) -> Result<(), GpuError> {
         let pipeline = self.pipeline.ok_or_else(|| unbound("pipeline"))?;
         self.check_vertices(pipeline, if pipeline.per_instance { instances } else { vertices.end })?;
@@ -94,10 +94,10 @@ impl<'a> Pass<'_, 'a> {
         Ok(())
     }
 
-    /// Draws the vertices of the bound buffer that a range of the bound indices names.
+    /// Draws the vertices selected by a range of the bound indices.
     ///
     /// # Errors
-    /// One of the buffers is too small, or nothing is bound.
+    /// Fails if one of the buffers is too small, or if no pipeline or buffer is bound.
     pub fn draw_indexed(&mut self, push: &[u8], indices: Range<u32>) -> Result<(), GpuError> {
         let pipeline = self.pipeline.ok_or_else(|| unbound("pipeline"))?;
         let bound = self.indices.ok_or_else(|| unbound("index buffer"))?;
@@ -106,12 +106,12 @@ impl<'a> Pass<'_, 'a> {
         self.recorder.push_constants(&pipeline.layout, push)?;
         let (first, count) = (indices.start, indices.end.saturating_sub(indices.start));
         // SAFETY: recording inside a pass with a bound pipeline; all indices are inside their buffer, and all
-        // vertices that they name inside theirs.
+        // vertices that they select inside theirs.
         unsafe { self.recorder.device().cmd_draw_indexed(self.recorder.raw(), count, 1, first, 0, 0) };
         Ok(())
     }
 
-    /// That the bound buffer has so many vertices (or instances).
+    /// Fails if the bound buffer has fewer than `count` vertices (or instances).
     fn check_vertices(&self, pipeline: &GraphicsPipeline, count: u32) -> Result<(), GpuError> {
         let Some(stride) = pipeline.stride else { return Ok(()) };
         let buffer = self.vertices.ok_or_else(|| unbound("vertex buffer"))?;

@@ -1,92 +1,93 @@
 use ash::vk;
 
-/// How to get a Vulkan driver that needs no GPU.
+/// How to install a Vulkan driver that needs no GPU.
 const INSTALL_DRIVER: &str = "install one with `apt-get install libvulkan1 mesa-vulkan-drivers` (Mesa's lavapipe needs \
      no GPU; ci/setup.sh does it), or draw without Vulkan: --rasterizer cpu";
 
-/// What the device or driver did not do.
+/// Error of the device or its driver.
 #[derive(Debug, thiserror::Error)]
 pub enum GpuError {
     /// The Vulkan loader cannot be opened.
     #[error("expected a Vulkan loader (libvulkan.so.1), found none; {INSTALL_DRIVER}")]
     NoLoader {
-        /// What the dynamic linker said.
+        /// Error of the dynamic linker.
         source: ash::LoadingError,
     },
-    /// No driver, or no device with what is needed.
+    /// There is no driver, or no device with the required features.
     #[error(
         "expected a Vulkan 1.1 device with a graphics and compute queue, found {found}; {INSTALL_DRIVER}"
     )]
     NoDevice {
-        /// What there is instead.
+        /// Devices or driver found instead.
         found: String,
     },
-    /// The name or index asked for fits no device.
+    /// No device matches the requested name or index.
     #[error(
         "expected a Vulkan device whose name contains {wanted:?} or that has this index (PSKEL_DEVICE), found {found}"
     )]
     UnknownDevice {
-        /// As given.
+        /// Name or index as given.
         wanted: String,
         /// Names of all devices, with their indices.
         found: String,
     },
-    /// Validation was asked for, and the layer is not installed.
+    /// Validation was requested, and the layer is not installed.
     #[error(
         "expected the layer VK_LAYER_KHRONOS_validation (PSKEL_VALIDATION=1 asks for it), found none; install it with \
          `apt-get install vulkan-validationlayers`"
     )]
     NoValidationLayer,
-    /// A limit, format or feature of the device does not reach.
+    /// The device does not support a limit, format or feature.
     #[error("expected {expected}, found {found} on device {device}")]
     Unsupported {
-        /// What is needed.
+        /// Required capability.
         expected: String,
-        /// What the device has.
+        /// Capability of the device.
         found: String,
-        /// Its name.
+        /// Device name.
         device: String,
     },
     /// A Vulkan function failed.
     #[error("{call} failed: {source}")]
     Call {
-        /// Its name.
+        /// Name of the function.
         call: &'static str,
-        /// What it returned.
+        /// Result code.
         source: vk::Result,
     },
-    /// No memory for a buffer or an image.
+    /// Device memory could not be allocated.
     #[error("expected {bytes} bytes of device memory for {name}, found: {source}")]
     Memory {
-        /// Size.
+        /// Requested size.
         bytes: u64,
-        /// What for.
+        /// Name of the buffer or image.
         name: String,
-        /// What the allocator said.
+        /// Error of the allocator.
         source: gpu_allocator::AllocationError,
     },
-    /// A buffer is smaller than what is copied, read or drawn, or the host cannot reach it (0 bytes then).
+    /// An access exceeds a buffer or an image, push constants have the wrong size, or a resource is not bound or
+    /// not host-visible (`found` is 0 then).
     #[error("expected {expected} bytes in {name}, found {found}")]
     Range {
-        /// What is to be reached, bytes.
+        /// Size of the access, bytes.
         expected: u64,
-        /// What there is, bytes.
+        /// Size of the resource, bytes.
         found: u64,
-        /// Of what.
+        /// Name of the resource.
         name: String,
     },
     /// Host and device would use a buffer's memory at the same time.
     #[error("expected {name} to be free, found it in use by a submit or mapped")]
     Busy {
-        /// Which buffer.
+        /// Name of the buffer.
         name: String,
     },
-    /// The validation layer complained.
+    /// The validation layer reported messages.
     #[error("expected no message from the Vulkan validation layer, found {}:\n{}", .0.len(), .0.join("\n"))]
     Validation(Vec<String>),
 }
 
-/// For `map_err`: a failed call with its name.
+/// Returns a function for `map_err` that names the failed call.
 pub(super) fn call(call: &'static str) -> impl FnOnce(vk::Result) -> GpuError {
     move |source| GpuError::Call { call, source }
 }

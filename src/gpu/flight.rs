@@ -1,4 +1,4 @@
-//! Commands that run while the host goes on.
+//! Frames in flight: commands that the device runs while the host continues.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -6,11 +6,11 @@ use std::time::Duration;
 use super::commands::{Commands, Submitted};
 use super::{Device, GpuError, Recorder};
 
-/// A command buffer, what it alone uses (`T`: buffers that the host fills and reads), and, while it runs, a share of
-/// what all flights use (`S`).
+/// A frame in flight: a command buffer with resources of its own (`T`: buffers that the host fills and reads) and,
+/// while it runs, a reference to resources shared by all flights (`S`).
 ///
-/// What is recorded can only come from the two of them, and neither is let go or changed before it is done. Both own all
-/// that they hold (`'static`), so that a flight which is never dropped keeps it alive too.
+/// Recorded commands can only use these two. Neither is dropped or changed before the commands complete. Both own
+/// all of their resources (`'static`), so that a flight which is never dropped keeps them alive too.
 pub struct Flight<S: 'static, T: 'static> {
     commands: Commands,
     own: T,
@@ -18,32 +18,32 @@ pub struct Flight<S: 'static, T: 'static> {
 }
 
 impl<S: 'static, T: 'static> Flight<S, T> {
-    /// A command buffer with its own things.
+    /// Creates a command buffer with resources of its own.
     ///
     /// # Errors
-    /// Out of memory.
+    /// Fails if memory is exhausted.
     pub fn new(device: &Arc<Device>, own: T) -> Result<Self, GpuError> {
         Ok(Self { commands: Commands::new(device)?, own, running: None })
     }
 
-    /// Its own things. The host memory of buffers that it uses cannot be mapped while it runs.
+    /// Returns its own resources. The host memory of their buffers cannot be mapped while it runs.
     pub fn own(&self) -> &T {
         &self.own
     }
 
-    /// Its own things, to be changed; waits first.
+    /// Waits, then returns its own resources for modification.
     ///
     /// # Errors
-    /// The device's.
+    /// Returns any error of [`Flight::wait`].
     pub fn own_mut(&mut self) -> Result<&mut T, GpuError> {
         self.wait()?;
         Ok(&mut self.own)
     }
 
-    /// Records and starts; waits first for what it still runs.
+    /// Waits for the previous submit, then records and submits new commands.
     ///
     /// # Errors
-    /// Those of the recording, the device's; nothing runs then.
+    /// Returns any error of `record` or of the device; no commands run then.
     pub fn start<E: From<GpuError>>(
         &mut self,
         shared: &Arc<S>,
@@ -57,10 +57,10 @@ impl<S: 'static, T: 'static> Flight<S, T> {
         Ok(())
     }
 
-    /// Waits until it is done. Returns the time of each stage; nothing if it did not run.
+    /// Waits for completion. Returns the duration of each stage; empty if it was not running.
     ///
     /// # Errors
-    /// The device's, any message of the validation layer.
+    /// Fails on any error of the device or message of the validation layer.
     pub fn wait(&mut self) -> Result<Vec<(&'static str, Duration)>, GpuError> {
         match self.running.take() {
             Some((submitted, _shared)) => self.commands.wait(submitted),
@@ -71,7 +71,7 @@ impl<S: 'static, T: 'static> Flight<S, T> {
 
 impl<S: 'static, T: 'static> Drop for Flight<S, T> {
     fn drop(&mut self) {
-        // A lost device runs nothing any more; there is nobody to tell.
+        // A lost device runs nothing, and a drop cannot return the error.
         let _ = self.wait();
     }
 }

@@ -1,33 +1,34 @@
 //! The lock between Vulkan calls and the creation and destruction of instances and devices.
 //!
 //! # Why
-//! The Khronos validation layer finds the state of an instance or device in one map per process, at the start of every
-//! call of every device. Until version 1.4.304 nothing locks that map (`GetLayerDataPtr` in its `vk_layer_data.h` says so):
-//! `vkCreateInstance`, `vkCreateDevice` and their counterparts change it while other threads read it, and a reader
-//! follows a wild or null pointer. Vulkan allows such calls on several threads, so callers of this module may make them.
+//! At the start of every call of every device, the Khronos validation layer looks up the state of the instance or
+//! device in one map per process. Until version 1.4.304 no lock protects that map (`GetLayerDataPtr` in its
+//! `vk_layer_data.h` says so). `vkCreateInstance`, `vkCreateDevice` and their counterparts change it while other
+//! threads read it, and a reader follows a wild or null pointer. Vulkan allows such calls on several threads, so
+//! callers of this module may make them.
 //!
 //! # How it works
-//! Whatever creates or destroys an instance, a messenger or a device holds the lock alone ([`alone`]). A call of an
-//! instance or device with a layer takes a share of it for as long as the call lasts ([`Calls`]); without a layer there
-//! is nothing to protect, and the call takes no lock. Each instance keeps its own messenger, so messages reach
-//! the device that caused them.
+//! Code that creates or destroys an instance, a messenger or a device holds the lock exclusively ([`alone`]). A
+//! call of an instance or device with a layer holds a share for the duration of the call ([`Calls`]). Without a
+//! layer there is nothing to protect, and the call takes no lock. Each instance has its own messenger, so messages
+//! reach the device that caused them.
 //!
-//! To be free of deadlocks, a thread takes one share at a time, takes other locks before its share, and waits for
-//! the device in short calls. Vulkan calls of other code in the process do not go through the gate.
+//! To avoid deadlocks, a thread takes one share at a time, takes other locks before its share, and waits for the
+//! device in short calls. Vulkan calls by other code in the process bypass the gate.
 
 use std::ops::Deref;
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 static GATE: RwLock<()> = RwLock::new(());
 
-/// Keeps all other instances and devices with layers out of Vulkan for as long as it lives.
+/// Locks the gate exclusively: blocks all other instances and devices with layers from Vulkan until dropped.
 pub(super) fn alone() -> RwLockWriteGuard<'static, ()> {
     #[cfg(debug_assertions)]
     nesting::check();
     GATE.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Keeps instances and devices from being created and destroyed for as long as it lives.
+/// A share of the gate: blocks the creation and destruction of instances and devices until dropped.
 pub(super) struct Share {
     _guard: RwLockReadGuard<'static, ()>,
     #[cfg(debug_assertions)]
@@ -35,7 +36,7 @@ pub(super) struct Share {
 }
 
 impl Share {
-    /// A share for calls that go through a layer; other calls need none.
+    /// Takes a share for calls that pass through a layer; returns `None` for other calls.
     pub(super) fn new(layered: bool) -> Option<Self> {
         layered.then(|| Self {
             #[cfg(debug_assertions)]
@@ -65,8 +66,8 @@ impl<T> Deref for Calls<'_, T> {
     }
 }
 
-/// Finds threads that would wait for themselves: a second share waits for a thread that waits to be alone, which waits
-/// for the first share.
+/// Detects threads that would deadlock with themselves: a second share waits for a thread that waits for exclusive
+/// access, which waits for the first share.
 #[cfg(debug_assertions)]
 mod nesting {
     use std::cell::Cell;
@@ -75,12 +76,12 @@ mod nesting {
         static SHARED: Cell<bool> = const { Cell::new(false) };
     }
 
-    /// That this thread has no share.
+    /// Asserts that this thread holds no share.
     pub(super) fn check() {
         debug_assert!(!SHARED.get(), "this thread holds a share of the gate already");
     }
 
-    /// Notes that this thread has a share.
+    /// Marks this thread as holding a share.
     pub(super) struct Nesting;
 
     impl Nesting {

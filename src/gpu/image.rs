@@ -9,20 +9,20 @@ use gpu_allocator::vulkan::Allocation;
 use super::error::call;
 use super::{Buffer, Device, GpuError};
 
-/// An image to be made: one level, device memory.
+/// Parameters of an image to create: one mip level, device memory.
 #[derive(Clone, Debug)]
 pub struct ImageDesc<'a> {
-    /// What validation messages call it.
+    /// Name in validation messages.
     pub name: &'a str,
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
-    /// So many of them, one behind the other, for shaders that take an array; `None` for a plain image.
+    /// Number of layers of an array image; `None` for a plain image.
     pub layers: Option<u32>,
     /// Pixel format.
     pub format: vk::Format,
-    /// What it is used for.
+    /// Allowed uses.
     pub usage: vk::ImageUsageFlags,
 }
 
@@ -51,15 +51,15 @@ pub struct Image {
     height: u32,
     layers: Option<u32>,
     allocation: Option<Allocation>,
-    /// The owner of the memory, for an image over a buffer.
+    /// Owner of the memory, for an image over a buffer.
     _buffer: Option<Arc<Buffer>>,
 }
 
 impl Image {
-    /// Makes an image; its content is undefined.
+    /// Creates an image with undefined contents.
     ///
     /// # Errors
-    /// Out of memory; a format, use or size that the device does not have.
+    /// Fails if memory is exhausted or the device does not support the format, usage or size.
     pub fn new(device: &Arc<Device>, desc: &ImageDesc<'_>) -> Result<Self, GpuError> {
         device.check_image(desc)?;
         let read_layout = super::pass::read_layout(desc.format);
@@ -78,12 +78,12 @@ impl Image {
         Ok(image)
     }
 
-    /// Another face of a buffer's memory: an image to be sampled whose pixels are the buffer's bytes, row by row
-    /// without gaps. It is read in the layout GENERAL, after [`Recorder::adopt`](super::Recorder::adopt) has run once.
-    /// `None` where the device does not have such images (or not so large, or only with gaps).
+    /// Creates a sampled image that aliases a buffer's memory: its pixels are the buffer's bytes in tightly packed
+    /// rows. Its read layout is GENERAL, entered by one [`Recorder::adopt`](super::Recorder::adopt). Returns `None`
+    /// if the device does not support such images, this size, or rows without padding.
     ///
     /// # Errors
-    /// Out of memory; a buffer that the host can map.
+    /// Fails if memory is exhausted or the host can map the buffer.
     pub fn over_buffer(buffer: &Arc<Buffer>, desc: &ImageDesc<'_>) -> Result<Option<Self>, GpuError> {
         let (device, tiling) = (buffer.device(), vk::ImageTiling::LINEAR);
         if buffer.users().is_some() {
@@ -98,19 +98,19 @@ impl Image {
         // SAFETY: the image is alive.
         let needs = unsafe { device.calls().get_image_memory_requirements(raw) };
         let part = vk::ImageSubresource::default().aspect_mask(aspect(desc.format));
-        // SAFETY: the image is alive and linear, and has that one level and layer.
+        // SAFETY: the image is alive and linear, and has this one level and layer.
         let layout = unsafe { device.calls().get_image_subresource_layout(raw, part) };
         let gapless = layout.offset == 0 && layout.row_pitch == u64::from(desc.width) * image.pixel_bytes();
         let Some((memory, offset)) = buffer.memory_for(&needs).filter(|_| gapless) else { return Ok(None) };
-        // SAFETY: the buffer's memory is of a type that the image takes, large enough and aligned; the image keeps
-        // the buffer, so the memory outlives it.
+        // SAFETY: the buffer's memory is of a type that the image accepts, large enough and aligned; the image owns
+        // a reference to the buffer, so the memory outlives it.
         let bound = unsafe { device.calls().bind_image_memory(raw, memory, offset) };
         bound.map_err(call("vkBindImageMemory"))?;
         image.make_view()?;
         Ok(Some(image))
     }
 
-    /// An image that is yet to be bound; tiling and layout go with its memory.
+    /// Creates an image without bound memory; tiling and layout depend on the memory that the caller binds.
     fn without_memory(
         device: &Arc<Device>,
         desc: &ImageDesc<'_>,
@@ -118,7 +118,7 @@ impl Image {
         read_layout: vk::ImageLayout,
     ) -> Result<Self, GpuError> {
         let info = desc.info().tiling(tiling);
-        // SAFETY: a plain description; a bad one is reported by the call or by the validation layer.
+        // SAFETY: the create info contains no pointers; the call or the validation layer reports an invalid one.
         let raw = unsafe { device.calls().create_image(&info, None) }.map_err(call("vkCreateImage"))?;
         let image = Self {
             device: device.clone(),
@@ -149,22 +149,22 @@ impl Image {
         Ok(())
     }
 
-    /// Pixels.
+    /// Returns the width in pixels.
     pub fn width(&self) -> u32 {
         self.width
     }
 
-    /// Pixels.
+    /// Returns the height in pixels.
     pub fn height(&self) -> u32 {
         self.height
     }
 
-    /// How many images it is.
+    /// Returns the number of layers.
     pub fn layers(&self) -> u32 {
         self.layers.unwrap_or(1)
     }
 
-    /// Bytes of a pixel.
+    /// Returns the size of a pixel in bytes.
     pub(super) fn pixel_bytes(&self) -> u64 {
         match self.format {
             vk::Format::R32G32B32A32_UINT => 16,
@@ -175,12 +175,12 @@ impl Image {
     }
 }
 
-/// Whether a format holds depth.
+/// Returns whether a format holds depth.
 pub(super) fn is_depth(format: vk::Format) -> bool {
     format == vk::Format::D32_SFLOAT
 }
 
-/// Color or depth.
+/// Returns the aspect of a format: color or depth.
 pub(super) fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
     if is_depth(format) { vk::ImageAspectFlags::DEPTH } else { vk::ImageAspectFlags::COLOR }
 }
@@ -196,7 +196,7 @@ impl Drop for Image {
     fn drop(&mut self) {
         // SAFETY: no commands use it (recorders borrow it, submits are waited for); null is ignored.
         unsafe { self.device.calls().destroy_image_view(self.view, None) };
-        // SAFETY: as above, and its view is gone.
+        // SAFETY: as above, and its view is destroyed.
         unsafe { self.device.calls().destroy_image(self.raw, None) };
         if let Some(allocation) = self.allocation.take() {
             self.device.free(allocation);

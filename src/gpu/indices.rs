@@ -1,4 +1,4 @@
-//! Indices of vertices.
+//! Index buffers.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -7,11 +7,11 @@ use ash::vk;
 
 use super::{Buffer, BufferDesc, Commands, Device, GpuError, Memory, Scope};
 
-/// Indices of vertices on the device. They never change, so that a draw can tell that all vertices are there.
+/// An immutable index buffer on the device, so that a draw can validate that all indexed vertices exist.
 pub struct Indices {
     buffer: Buffer,
     count: u32,
-    /// The greatest index and one.
+    /// Largest index plus one.
     end: u32,
 }
 
@@ -19,7 +19,7 @@ impl Indices {
     /// Uploads indices.
     ///
     /// # Errors
-    /// Out of memory; an index that the device cannot take.
+    /// Fails if memory is exhausted or an index exceeds the device's limit.
     pub fn new(device: &Arc<Device>, commands: &mut Commands, indices: &[u32]) -> Result<Self, GpuError> {
         let most = device.limits().max_draw_indexed_index_value.min(u32::MAX - 1);
         let greatest = indices.iter().copied().max();
@@ -37,12 +37,12 @@ impl Indices {
         self.buffer.raw
     }
 
-    /// How many vertices a draw may reach.
+    /// Returns the number of vertices that a draw may access.
     pub(super) fn end(&self) -> u32 {
         self.end
     }
 
-    /// That there are so many.
+    /// Fails if the range exceeds the indices.
     pub(super) fn check(&self, range: &Range<u32>) -> Result<(), GpuError> {
         if range.end <= self.count {
             return Ok(());
@@ -53,10 +53,10 @@ impl Indices {
 }
 
 impl Buffer {
-    /// A buffer of the device that holds some bytes, a multiple of 4.
+    /// Creates a device buffer from bytes, a multiple of 4.
     ///
     /// # Errors
-    /// Out of memory.
+    /// Fails if memory is exhausted.
     pub fn uploaded(
         device: &Arc<Device>,
         commands: &mut Commands,

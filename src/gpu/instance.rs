@@ -10,17 +10,17 @@ use super::error::call;
 use super::gate::{self, Calls, Share};
 use super::validation::{LAYER, Messages, messenger_info};
 
-/// The layer that a settings tool puts below every program to force other layers upon it.
+/// Layer through which a settings tool forces other layers upon every program.
 const OVERRIDE_LAYER: &CStr = c"VK_LAYER_LUNARG_override";
 
-/// Variables by which the loader puts layers below every program.
+/// Environment variables through which the loader inserts layers into every program.
 const FORCED_LAYERS: [&str; 2] = ["VK_INSTANCE_LAYERS", "VK_LOADER_LAYERS_ENABLE"];
 
-/// An instance without any window system; with the validation layer if asked for.
+/// An instance without a window system, optionally with the validation layer.
 pub(super) struct Instance {
     raw: ash::Instance,
     pub(super) validation: bool,
-    /// Whether calls may go through a layer.
+    /// Whether calls may pass through a layer.
     layered: bool,
     pub(super) messages: Arc<Messages>,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
@@ -42,7 +42,7 @@ impl Instance {
 
     fn open(validation: bool, messages: Arc<Messages>) -> Result<Self, GpuError> {
         let _alone = gate::alone();
-        // SAFETY: the loader found on this system is taken to be a Vulkan loader.
+        // SAFETY: the library found under the loader's name is assumed to be a Vulkan loader.
         let entry = unsafe { ash::Entry::load() }.map_err(|source| GpuError::NoLoader { source })?;
         // SAFETY: a global query without arguments.
         let version = unsafe { entry.try_enumerate_instance_version() };
@@ -73,33 +73,33 @@ impl Instance {
         Ok((utils, messenger.map_err(call("vkCreateDebugUtilsMessengerEXT"))?))
     }
 
-    /// The instance's functions, for one call.
+    /// Returns the instance's functions for one call.
     pub(super) fn calls(&self) -> Calls<'_, ash::Instance> {
         Calls::new(&self.raw, self.layered)
     }
 
-    /// The functions of one of its devices, for one call.
+    /// Returns the functions of one of its devices for one call.
     pub(super) fn calls_of<'a, T>(&self, functions: &'a T) -> Calls<'a, T> {
         Calls::new(functions, self.layered)
     }
 
-    /// For calls that other code makes on the instance or one of its devices.
+    /// Returns a share of the gate for calls by other code on the instance or one of its devices.
     pub(super) fn share(&self) -> Option<Share> {
         Share::new(self.layered)
     }
 
-    /// The functions without a lock, to be called under [`Instance::share`] or alone.
+    /// Returns the functions without a lock, to be called under [`Instance::share`] or `gate::alone`.
     pub(super) fn raw(&self) -> &ash::Instance {
         &self.raw
     }
 
-    /// How long a call may wait for the device, nanoseconds: not for long where others wait for the call.
+    /// Returns the maximum duration of one wait for the device, nanoseconds; short if other threads wait for the call.
     pub(super) fn longest_wait(&self) -> u64 {
         const MILLISECOND: u64 = 1_000_000;
         if self.layered { MILLISECOND } else { u64::MAX }
     }
 
-    /// All physical devices, in the driver's order.
+    /// Returns all physical devices, in the driver's order.
     pub(super) fn physical_devices(&self) -> Result<Vec<vk::PhysicalDevice>, GpuError> {
         // SAFETY: the instance is alive.
         let devices = unsafe { self.calls().enumerate_physical_devices() };
@@ -117,7 +117,7 @@ fn create(entry: &ash::Entry, validation: bool, messages: &Messages) -> Result<a
     let extensions = extensions.map(CStr::as_ptr);
     let enabled = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
     let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&enabled);
-    // The same messenger hears about the creation and destruction of the instance itself.
+    // The same messenger receives messages about the creation and destruction of the instance itself.
     let mut messenger = messenger_info(messages);
     let mut info = vk::InstanceCreateInfo::default().application_info(&application);
     if validation {
@@ -127,7 +127,8 @@ fn create(entry: &ash::Entry, validation: bool, messages: &Messages) -> Result<a
             .push_next(&mut features)
             .push_next(&mut messenger);
     }
-    // SAFETY: all that `info` points to lives until after the call, the messages until the instance is gone.
+    // SAFETY: everything that `info` points to lives until after the call, the messages until the
+    // instance is destroyed.
     unsafe { entry.create_instance(&info, None) }.map_err(|source| match source {
         vk::Result::ERROR_INCOMPATIBLE_DRIVER => GpuError::NoDevice { found: "no driver".into() },
         source => GpuError::Call { call: "vkCreateInstance", source },
@@ -138,10 +139,10 @@ impl Drop for Instance {
     fn drop(&mut self) {
         let _alone = gate::alone();
         if let Some((utils, messenger)) = self.messenger.take() {
-            // SAFETY: created from this instance, destroyed once; nothing else uses it.
+            // SAFETY: created from this instance, destroyed once and unused otherwise.
             unsafe { utils.destroy_debug_utils_messenger(messenger, None) };
         }
-        // SAFETY: the device, the only child left, is destroyed before its `Instance` is dropped.
+        // SAFETY: the device, the only remaining child, is destroyed before its `Instance` is dropped.
         unsafe { self.raw.destroy_instance(None) };
         if Arc::strong_count(&self.messages) == 1 {
             report(&self.messages.take());
@@ -149,7 +150,7 @@ impl Drop for Instance {
     }
 }
 
-/// What the layer said about the destruction, where nobody holds the messages to look at them any more.
+/// Prints messages about the destruction, for use when no other handle to them remains.
 #[expect(clippy::print_stderr, reason = "a drop cannot return an error, and validation is for developers")]
 fn report(messages: &[String]) {
     for message in messages {

@@ -7,31 +7,31 @@ use memmap2::Mmap;
 use crate::error::FileError;
 use crate::files::input::open_regular;
 
-/// A file as bytes, read by the operating system as they are touched.
+/// The bytes of a file, paged in by the operating system on access.
 ///
-/// It stands here, beside Vulkan, because mapping needs `unsafe`, which only this module may use, and because a
-/// mapped file is memory that a device can import.
+/// Part of this module because mapping needs `unsafe`, which is confined to it, and because a device can import the
+/// memory of a mapped file.
 #[derive(Debug)]
 pub struct MappedFile(Option<Mmap>);
 
 impl MappedFile {
-    /// Maps a whole file; an empty one has no bytes. The file must not be shortened while it is mapped: touching
-    /// the lost part ends the process with a bus error. This program only ever replaces its files by renaming,
-    /// which leaves mapped ones as they are.
+    /// Maps a whole file; an empty file has no bytes. The file must not be truncated while it is mapped: accessing
+    /// the lost part terminates the process with a bus error. This program replaces its files only by renaming,
+    /// which leaves existing mappings intact.
     ///
     /// # Errors
-    /// The file cannot be opened or mapped.
+    /// Fails if the file cannot be opened or mapped.
     pub fn open(path: &Path) -> Result<Self, FileError> {
         let (file, length) = open_regular(path)?;
         if length == 0 {
-            return Ok(Self(None)); // the system refuses to map nothing
+            return Ok(Self(None)); // an empty mapping is an error of the system
         }
-        // SAFETY: sound as long as nobody writes into the file or shortens it, which the contract above asks for.
+        // SAFETY: sound as long as no process writes to the file or truncates it, which the contract above demands.
         let mapped = unsafe { Mmap::map(&file) };
         mapped.map(|map| Self(Some(map))).map_err(FileError::io("map", path))
     }
 
-    /// The content.
+    /// Returns the contents.
     pub fn as_bytes(&self) -> &[u8] {
         self.0.as_deref().unwrap_or_default()
     }

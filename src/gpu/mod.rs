@@ -1,22 +1,22 @@
-//! Vulkan 1.1, headless: devices, buffers, images, pipelines, recorded commands.
+//! Headless Vulkan 1.1: devices, buffers, images, pipelines and command recording.
 //!
 //! # How it works
-//! This is the only place with `unsafe`. What it hands out is safe to use:
-//! - every object holds an `Arc` of its [`Device`] and destroys itself on `Drop`, also on error paths;
-//! - a [`Recorder`] borrows what it records for as long as it lives, [`DescriptorSet`]s own what they bind, and
-//!   [`Recorder::submit`] waits until the device is done; so nothing can be freed or read while it is in use;
-//! - a [`Flight`] does not wait, but keeps what it runs on until it is waited for; host memory that a submit uses
-//!   cannot be mapped meanwhile ([`Buffer::map`]);
-//! - shaders are compiled by `build.rs`, and layouts of descriptors, push constants and vertex inputs come from
-//!   what it found in them ([`shaders`]).
+//! All `unsafe` code of the crate is in this module. Its public interface is safe:
+//! - Every object holds an `Arc` of its [`Device`] and destroys itself on `Drop`, also on error paths.
+//! - A [`Recorder`] borrows the resources that it records, [`DescriptorSet`]s own the resources that they bind, and
+//!   [`Recorder::submit`] waits for the device. No resource is freed or read while it is in use.
+//! - A [`Flight`] does not wait. It owns its resources until they are waited for, and host memory in use by a
+//!   submit cannot be mapped ([`Buffer::map`]).
+//! - `build.rs` compiles the shaders. Layouts of descriptors, push constants and vertex inputs come from its
+//!   reflection of them ([`shaders`]).
 //!
-//! Devices may be opened, used and closed on any number of threads. The validation layer does not stand that by itself, so
-//! instances and devices are created and destroyed while no other call is inside of it (`gate`).
+//! Any number of threads may open, use and close devices. The validation layer alone does not support that, so
+//! instances and devices are created and destroyed while no other call is inside the layer (`gate`).
 //!
 //! With [`DeviceDesc::validation`] every submit fails on any message of the validation layer about its device.
 //!
-//! Memory-mapped files ([`MappedFile`]) are here as well: they need `unsafe`, and a mapped file is memory that a
-//! device can import.
+//! Memory-mapped files ([`MappedFile`]) are part of this module because they need `unsafe`, and because a device
+//! can import the memory of a mapped file.
 #![allow(unsafe_code)]
 
 mod buffer;

@@ -1,4 +1,4 @@
-//! Render passes and the images that they draw into.
+//! Render passes and their target images.
 
 use std::sync::Arc;
 
@@ -8,14 +8,15 @@ use super::error::call;
 use super::image::is_depth;
 use super::{Device, GpuError, Image};
 
-/// A render pass to be made: its attachments are cleared at the start, stored at the end, and then read.
+/// Parameters of a render pass: its attachments are cleared at the start (except for [`DepthTest::Equal`]), stored at
+/// the end, and then read.
 #[derive(Clone, Debug)]
 pub struct RenderPassDesc<'a> {
-    /// What validation messages call it.
+    /// Name in validation messages.
     pub name: &'a str,
     /// Formats of the color attachments.
     pub colors: &'a [vk::Format],
-    /// What colors are read for afterwards.
+    /// Final layout of the color attachments, for the later read.
     pub color_read: vk::ImageLayout,
     /// Depth attachment if any; shaders read it afterwards.
     pub depth: Option<Depth>,
@@ -26,18 +27,18 @@ pub struct RenderPassDesc<'a> {
 pub struct Depth {
     /// Format.
     pub format: vk::Format,
-    /// What is drawn where something was drawn already.
+    /// Depth test against earlier draws.
     pub test: DepthTest,
 }
 
-/// What a new depth must be, compared with the one that is there.
+/// Comparison of a new depth with the stored depth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DepthTest {
-    /// Less; cleared to 1.
+    /// Passes if less; cleared to 1.
     Less,
-    /// Greater; cleared to 0.
+    /// Passes if greater; cleared to 0.
     Greater,
-    /// The one that an earlier pass left there, which stays: no clear, no write.
+    /// Passes if equal to the depth of an earlier pass, which is neither cleared nor written.
     Equal,
 }
 
@@ -49,7 +50,7 @@ pub struct RenderPass {
     pub(super) depth: Option<DepthTest>,
 }
 
-/// Layout that shaders read an image in after a pass has drawn it.
+/// Returns the layout in which shaders read an image after a pass has drawn it.
 pub(super) fn read_layout(format: vk::Format) -> vk::ImageLayout {
     if is_depth(format) {
         vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL
@@ -59,10 +60,10 @@ pub(super) fn read_layout(format: vk::Format) -> vk::ImageLayout {
 }
 
 impl RenderPass {
-    /// Makes a render pass.
+    /// Creates a render pass.
     ///
     /// # Errors
-    /// Out of memory.
+    /// Fails if memory is exhausted.
     pub fn new(device: &Arc<Device>, desc: &RenderPassDesc<'_>) -> Result<Self, GpuError> {
         let kept = desc.depth.is_some_and(|depth| depth.test == DepthTest::Equal);
         let attachment = |format: vk::Format, layout| {
@@ -116,7 +117,7 @@ impl RenderPass {
     }
 }
 
-/// Earlier readers are done before the pass writes, and its writes are seen by later shaders and copies.
+/// Returns the dependencies: earlier reads finish before the pass writes, and later shaders and copies see its writes.
 fn dependencies() -> [vk::SubpassDependency; 2] {
     use vk::{AccessFlags as Access, PipelineStageFlags as At};
     let draws = At::COLOR_ATTACHMENT_OUTPUT | At::EARLY_FRAGMENT_TESTS | At::LATE_FRAGMENT_TESTS;
@@ -144,14 +145,14 @@ impl Drop for RenderPass {
     }
 }
 
-/// The part of a target that is drawn: its top left corner, pixels.
+/// Drawn area of a target, from its top left corner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Area {
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
-    /// By how much the viewport is larger on each side, so that large points centred outside are drawn.
+    /// Padding of the viewport on each side, pixels, so that large points with centers outside the area are drawn.
     pub viewport_pad: u32,
 }
 
@@ -164,10 +165,10 @@ pub struct Target {
 }
 
 impl Target {
-    /// Colors first, then depth if the pass has it; all of one size.
+    /// Creates a framebuffer from images of one size: colors first, then depth if the pass has it.
     ///
     /// # Errors
-    /// Out of memory, a size over the device's limits.
+    /// Fails if memory is exhausted or the size exceeds the device's limits.
     pub fn new(pass: &Arc<RenderPass>, images: Vec<Arc<Image>>) -> Result<Self, GpuError> {
         let views: Vec<_> = images.iter().map(|image| image.view).collect();
         let (width, height) = images.first().map_or((0, 0), |i| (i.width(), i.height()));

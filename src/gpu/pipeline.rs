@@ -9,7 +9,7 @@ use super::error::call;
 use super::shader::ShaderModule;
 use super::{Binding, DepthTest, Device, GpuError, RenderPass, Shader};
 
-/// Descriptor set layouts and push constants of the shaders of a pipeline, as `build.rs` found them.
+/// Descriptor set layouts and push constants of a pipeline's shaders, as reflected by `build.rs`.
 pub struct PipelineLayout {
     device: Arc<Device>,
     pub(super) raw: vk::PipelineLayout,
@@ -20,10 +20,10 @@ pub struct PipelineLayout {
 }
 
 impl PipelineLayout {
-    /// The layout of shaders that run together; where several have push constants, it is the same block.
+    /// Creates the layout of shaders that run together. All shaders with push constants share one block.
     ///
     /// # Errors
-    /// Out of memory.
+    /// Fails if memory is exhausted.
     pub fn new(device: &Arc<Device>, shaders: &[&'static Shader]) -> Result<Self, GpuError> {
         let pushing = || shaders.iter().filter(|s| s.push_size > 0);
         let mut layout = Self {
@@ -93,37 +93,37 @@ impl Drop for PipelineLayout {
         // SAFETY: pipelines and recorders that use it hold or borrow it; null is ignored.
         unsafe { self.device.calls().destroy_pipeline_layout(self.raw, None) };
         for set in &self.sets {
-            // SAFETY: sets made from a layout may outlive it.
+            // SAFETY: descriptor sets may outlive the layout that they were created from.
             unsafe { self.device.calls().destroy_descriptor_set_layout(*set, None) };
         }
     }
 }
 
-/// What vertices form.
+/// Primitive topology.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Topology {
-    /// Each its own point.
+    /// A point per vertex.
     Points,
     /// A strip of triangles.
     TriangleStrip,
-    /// Triangles of three vertices each.
+    /// A triangle per three vertices.
     Triangles,
 }
 
-/// How vertices lie in their buffer.
+/// Vertex layout in a buffer.
 #[derive(Clone, Copy, Debug)]
 pub struct VertexBuffer<'a> {
-    /// Bytes from one to the next.
+    /// Stride, bytes.
     pub stride: u32,
-    /// Whether to go on with each instance instead of with each vertex.
+    /// Whether the data advances per instance instead of per vertex.
     pub per_instance: bool,
     /// Offset of each input by its location, bytes.
     pub offsets: &'a [u32],
 }
 
-/// A graphics pipeline to be made: opaque, both sides; it tests depth where the pass has it.
+/// Parameters of a graphics pipeline: opaque, no face culling; tests depth if the pass has a depth attachment.
 pub struct GraphicsPipelineDesc<'a> {
-    /// What validation messages call it.
+    /// Name in validation messages.
     pub name: &'a str,
     /// Layout of both shaders.
     pub layout: &'a Arc<PipelineLayout>,
@@ -131,19 +131,19 @@ pub struct GraphicsPipelineDesc<'a> {
     pub vertex: &'static Shader,
     /// Fragment shader.
     pub fragment: &'static Shader,
-    /// What it draws into.
+    /// Render pass that it draws in.
     pub pass: &'a Arc<RenderPass>,
-    /// What vertices form.
+    /// Primitive topology.
     pub topology: Topology,
-    /// How vertices lie in their buffer; `None` for a vertex shader without inputs.
+    /// Vertex layout; `None` for a vertex shader without inputs.
     pub vertices: Option<VertexBuffer<'a>>,
 }
 
-/// A pipeline that draws.
+/// A graphics pipeline.
 pub struct GraphicsPipeline {
     pub(super) layout: Arc<PipelineLayout>,
     pub(super) raw: vk::Pipeline,
-    /// Of the vertex buffer, bytes; `None` if there is none.
+    /// Stride of the vertex buffer, bytes; `None` if there is none.
     pub(super) stride: Option<u32>,
     pub(super) per_instance: bool,
 }
@@ -152,7 +152,7 @@ impl GraphicsPipeline {
     /// Compiles a pipeline.
     ///
     /// # Errors
-    /// Out of memory; an input without offset.
+    /// Fails if memory is exhausted or a vertex input has no offset.
     pub fn new(desc: &GraphicsPipelineDesc<'_>) -> Result<Self, GpuError> {
         let device = &desc.layout.device;
         let modules = [ShaderModule::new(device, desc.vertex)?, ShaderModule::new(device, desc.fragment)?];
@@ -205,7 +205,7 @@ impl GraphicsPipeline {
         Ok(pipeline)
     }
 
-    /// Its layout.
+    /// Returns its layout.
     pub fn layout(&self) -> &Arc<PipelineLayout> {
         &self.layout
     }
@@ -244,7 +244,7 @@ impl Drop for GraphicsPipeline {
     }
 }
 
-/// A pipeline that computes.
+/// A compute pipeline.
 pub struct ComputePipeline {
     pub(super) layout: Arc<PipelineLayout>,
     pub(super) raw: vk::Pipeline,
@@ -256,7 +256,7 @@ impl ComputePipeline {
     /// Compiles a pipeline.
     ///
     /// # Errors
-    /// Out of memory.
+    /// Fails if memory is exhausted.
     pub fn new(device: &Arc<Device>, shader: &'static Shader) -> Result<Self, GpuError> {
         let layout = Arc::new(PipelineLayout::new(device, &[shader])?);
         let module = ShaderModule::new(device, shader)?;
@@ -271,7 +271,7 @@ impl ComputePipeline {
         Ok(pipeline)
     }
 
-    /// Its layout.
+    /// Returns its layout.
     pub fn layout(&self) -> &Arc<PipelineLayout> {
         &self.layout
     }

@@ -1,37 +1,37 @@
-//! Which device is taken: a pure choice among candidates.
+//! Device selection: a pure choice among candidates.
 
 use ash::vk;
 
 use super::GpuError;
 
-/// What to open.
+/// Which device to open, and how.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct DeviceDesc {
-    /// Part of the device's name in any case, or its index; `None` for the best one: discrete before integrated
-    /// before virtual before CPU, the first among equals.
+    /// Part of the device's name (case-insensitive), or its index. `None` selects the best: discrete before
+    /// integrated before virtual before CPU, the first among equals.
     pub device: Option<String>,
-    /// Run under the validation layer with synchronization validation; any message is an error then.
+    /// Run under the validation layer with synchronization validation; any message is then an error.
     pub validation: bool,
 }
 
 impl DeviceDesc {
-    /// From `PSKEL_DEVICE` (empty is unset) and `PSKEL_VALIDATION` (`1` is on).
+    /// Reads `PSKEL_DEVICE` (empty counts as unset) and `PSKEL_VALIDATION` (`1` enables it).
     pub fn from_env() -> Self {
         let device = std::env::var("PSKEL_DEVICE").ok().filter(|name| !name.is_empty());
         Self { device, validation: std::env::var("PSKEL_VALIDATION").is_ok_and(|v| v == "1") }
     }
 }
 
-/// A device that could be taken.
+/// A physical device to choose from.
 #[derive(Clone, Debug)]
 pub(super) struct Candidate {
     pub(super) name: String,
     pub(super) kind: vk::PhysicalDeviceType,
-    /// Whether the device has the version and the queue that we need.
+    /// Whether the device has the required version and queue.
     pub(super) usable: bool,
 }
 
-/// Index of the candidate to take.
+/// Returns the index of the selected candidate.
 pub(super) fn choose(candidates: &[Candidate], wanted: Option<&str>) -> Result<usize, GpuError> {
     if !candidates.iter().any(|c| c.usable) {
         let found = if candidates.is_empty() { "no device".into() } else { list(candidates) };

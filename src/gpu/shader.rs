@@ -1,4 +1,4 @@
-//! Compiled shaders and what `build.rs` found in them.
+//! Compiled shaders and their reflection by `build.rs`.
 
 use std::ffi::CStr;
 use std::sync::Arc;
@@ -15,52 +15,52 @@ pub struct Shader {
     pub name: &'static str,
     /// Entry point.
     pub entry: &'static CStr,
-    /// Where it runs.
+    /// Pipeline stage.
     pub stage: Stage,
     /// Size of the push constants, bytes; 0 for none.
     pub push_size: u32,
-    /// Descriptors that it uses.
+    /// Descriptors in use.
     pub bindings: &'static [Binding],
-    /// Vertex attributes that it takes.
+    /// Vertex attributes.
     pub inputs: &'static [Input],
-    /// Invocations per workgroup; zeros outside compute.
+    /// Invocations per workgroup; zeros for other stages than compute.
     pub workgroup: [u32; 3],
-    /// SPIR-V.
+    /// SPIR-V words.
     pub words: &'static [u32],
 }
 
-/// Where a shader runs.
+/// Pipeline stage of a shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Per vertex.
+    /// Vertex shader.
     Vertex,
-    /// Per covered pixel.
+    /// Fragment shader.
     Fragment,
-    /// On its own.
+    /// Compute shader.
     Compute,
 }
 
-/// A descriptor that a shader uses.
+/// A descriptor in use by a shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Binding {
-    /// Set.
+    /// Descriptor set.
     pub set: u32,
-    /// Binding.
+    /// Binding number.
     pub binding: u32,
-    /// What is bound.
+    /// Descriptor type.
     pub kind: BindingKind,
 }
 
-/// What is bound.
+/// Descriptor type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BindingKind {
     /// Uniform buffer.
     Uniform,
     /// Storage buffer.
     Storage,
-    /// Image to be read without a sampler.
+    /// Image read without a sampler.
     SampledImage,
-    /// Image to be read and written.
+    /// Image for reads and writes.
     StorageImage,
 }
 
@@ -93,7 +93,7 @@ pub mod shaders {
     include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
 }
 
-/// Asserts at compile time that the members of a `#[repr(C)]` struct lie where the shader has them:
+/// Asserts at compile time that the members of a `#[repr(C)]` struct have the shader's offsets:
 /// `assert_layout!(Push, shaders::x_vert::push, [a: A, b: B])`.
 macro_rules! assert_layout {
     ($rust:ty, $($module:ident)::+, [$($member:ident: $offset:ident),+ $(,)?]) => {
@@ -142,7 +142,7 @@ impl InputFormat {
     }
 }
 
-/// A shader module; needed only while pipelines are made from it.
+/// A shader module; needed only until its pipelines are created.
 pub(super) struct ShaderModule {
     device: Arc<Device>,
     raw: vk::ShaderModule,
@@ -170,7 +170,7 @@ impl ShaderModule {
 
 impl Drop for ShaderModule {
     fn drop(&mut self) {
-        // SAFETY: pipelines do not need their modules once they are made.
+        // SAFETY: pipelines do not need their modules after creation.
         unsafe { self.device.calls().destroy_shader_module(self.raw, None) };
     }
 }

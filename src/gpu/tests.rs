@@ -1,4 +1,4 @@
-//! The validation layer must be on, and must be heard: a check that cannot fail proves nothing.
+//! Tests that the validation layer is on and that its messages are reported: a check that cannot fail proves nothing.
 
 use std::sync::Arc;
 
@@ -35,7 +35,7 @@ fn bytes_go_there_and_back() {
     assert!(stages.len() == 1 && ["copy", "gpu"].contains(&stages[0].0), "{stages:?}");
     let bytes = back.bytes_mut().unwrap();
     assert!(bytes[..32] == [7; 32] && bytes[32..] == [9; 32]);
-    // What does not fit is an error, not a call.
+    // A copy out of range is an error and never reaches Vulkan.
     let mut recorder = commands.begin().unwrap();
     let text = recorder.copy((&middle, 8), (&back, 0), 64).unwrap_err().to_string();
     assert_eq!(text, "expected 72 bytes in test, found 64");
@@ -72,7 +72,7 @@ fn a_leak_is_heard_after_the_device_is_gone() {
     let device = device();
     let messages = device.validation_messages();
     let info = ash::vk::FenceCreateInfo::default();
-    // SAFETY: a plain description; the fence goes with the device, which is what the layer should complain about.
+    // SAFETY: the create info contains no pointers; the fence leaks with the device, which the layer should report.
     let leaked = unsafe { device.calls().create_fence(&info, None) };
     assert!(leaked.is_ok());
     drop(device);
@@ -125,7 +125,7 @@ fn host_memory_in_use_cannot_be_mapped() {
     flight.wait().unwrap();
     let mapped = back.map().unwrap();
     assert!(mapped.chunks(4).all(|word| word == [4, 3, 2, 1]));
-    // Nor can it be used while it is mapped, or be mapped twice.
+    // A mapped buffer can neither be used nor be mapped again.
     assert!(matches!(back.map(), Err(GpuError::Busy { .. })));
     assert!(matches!(fill(&mut flight, 5), Err(GpuError::Busy { .. })));
     drop(mapped);

@@ -1,4 +1,4 @@
-//! Time per stage from the device's timestamps.
+//! Durations of stages, measured with the device's timestamps.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,34 +8,35 @@ use ash::vk;
 use super::error::call;
 use super::{Device, GpuError};
 
-/// A pool of timestamps; one more than there are stages.
+/// A pool of timestamp queries; one more than there are stages.
 pub(super) struct Timer {
     device: Arc<Device>,
     pub(super) pool: vk::QueryPool,
 }
 
 impl Timer {
-    /// Most timestamps of one command buffer.
+    /// Maximum number of timestamps of one command buffer.
     pub(super) const MAX: u32 = 16;
 
-    /// `None` where the queue has no timestamps.
+    /// Creates a pool; `None` if the queue has no timestamps.
     pub(super) fn new(device: &Arc<Device>) -> Result<Option<Self>, GpuError> {
         if device.timestamp_bits() == 0 {
             return Ok(None);
         }
         let kind = vk::QueryType::TIMESTAMP;
         let info = vk::QueryPoolCreateInfo::default().query_type(kind).query_count(Self::MAX);
-        // SAFETY: a plain description.
+        // SAFETY: the create info contains no pointers.
         let pool = unsafe { device.calls().create_query_pool(&info, None) };
         let pool = pool.map_err(call("vkCreateQueryPool"))?;
         Ok(Some(Self { device: device.clone(), pool }))
     }
 
-    /// Time between consecutive timestamps, of which `count + 1` were written and waited for.
+    /// Returns the durations between consecutive timestamps. `count + 1` of them must have been written
+    /// and waited for.
     pub(super) fn durations(&self, count: usize) -> Result<Vec<Duration>, GpuError> {
         let mut ticks = vec![0_u64; count + 1];
         let flags = vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT;
-        // SAFETY: the pool has that many queries, all were written by commands that are done.
+        // SAFETY: the pool has `count + 1` queries, and completed commands wrote all of them.
         let got = unsafe { self.device.calls().get_query_pool_results(self.pool, 0, &mut ticks, flags) };
         got.map_err(call("vkGetQueryPoolResults"))?;
         let mask = u64::MAX >> (64 - self.device.timestamp_bits().clamp(1, 64));

@@ -1,27 +1,28 @@
-/// Errors of a depth map, over pixels that have a depth in it and in truth.
+/// Errors of a depth map, over pixels that have a depth in both the map and the ground truth.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DepthErrors {
     absolute_m: Vec<f32>,
     relative: Vec<f32>,
 }
 
-/// What stands out of many errors.
+/// Summary statistics of depth errors.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct DepthSummary {
-    /// Pixels compared.
+    /// Number of pixels compared.
     pub pixels: usize,
-    /// Lower median, metres.
+    /// Lower median of the absolute error, meters.
     pub median_m: f32,
-    /// 95 % of the pixels are off by no more, metres.
+    /// 95th percentile of the absolute error, meters.
     pub p95_m: f32,
-    /// Lower median, shares of the true depth.
+    /// Lower median of the relative error, as a fraction of the true depth.
     pub median_relative: f32,
-    /// 95 % of the pixels are off by no more, shares of the true depth.
+    /// 95th percentile of the relative error, as a fraction of the true depth.
     pub p95_relative: f32,
 }
 
 impl DepthErrors {
-    /// Takes in two depth maps of one size, metres; what is not finite is empty, and a true depth of 0 is none.
+    /// Adds the errors of a depth map against the ground truth, both of one size, in meters. Values that are not
+    /// finite are empty, and so is a true depth of 0.
     pub fn add(&mut self, map_m: &[f32], truth_m: &[f32]) {
         for (map, truth) in map_m.iter().zip(truth_m).filter(|(a, b)| a.is_finite() && b.is_finite()) {
             if *truth > 0.0 {
@@ -31,7 +32,7 @@ impl DepthErrors {
         }
     }
 
-    /// `None` if no pixel was compared.
+    /// Computes the summary; `None` if no pixel was compared.
     pub fn summary(mut self) -> Option<DepthSummary> {
         Some(DepthSummary {
             pixels: self.absolute_m.len(),
@@ -43,7 +44,7 @@ impl DepthErrors {
     }
 }
 
-/// The least value that at least this share of all does not exceed.
+/// Returns a quantile: the smallest value that at least `share` of all values do not exceed.
 fn quantile(values: &mut [f32], share: f64) -> Option<f32> {
     let at = ((values.len() as f64 * share).ceil() as usize).checked_sub(1)?;
     Some(*values.select_nth_unstable_by(at, f32::total_cmp).1)
@@ -57,7 +58,7 @@ mod tests {
     fn numbers_by_hand() {
         let mut errors = DepthErrors::default();
         assert_eq!(errors.clone().summary(), None);
-        // Truth 10 m, off by 0, 1, .. 19 cm; some pixels of one map alone.
+        // True depth of 10 m, errors of 0, 1, .. 19 cm; plus pixels that are empty in one map.
         let truth: Vec<f32> = vec![10.0; 20];
         let map: Vec<f32> = (0..20).map(|i| 10.0 - 0.01 * i as f32).collect();
         errors.add(&map, &truth);

@@ -1,15 +1,15 @@
-/// How a metric changes over a rollout.
+/// Change of a metric over a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Drift {
-    /// Slope of the line of least squares through the values, a second.
+    /// Slope of the least-squares line through the values, per second.
     pub slope_per_s: f64,
     /// Mean of the last third of the values minus mean of the first third.
     pub last_minus_first_third: f64,
 }
 
 impl Drift {
-    /// Of a series at times in seconds; steps without a value count as if they were not there. A third is rounded down to whole
-    /// values. `None` for less than three values, or where they are all of one time.
+    /// Computes the drift of a series at times in seconds. Missing and non-finite values are skipped. A third is
+    /// rounded down to whole values. `None` if there are less than three values, or if all are of the same time.
     pub fn of(t_s: &[f64], values: &[Option<f64>]) -> Option<Self> {
         let known = |(t, value): (&f64, &Option<f64>)| value.filter(|v| v.is_finite()).map(|v| (*t, v));
         let known: Vec<(f64, f64)> = t_s.iter().zip(values).filter_map(known).collect();
@@ -43,7 +43,7 @@ mod tests {
         assert!((drift.slope_per_s + 3.0).abs() < 1e-12);
         // Thirds of two values each, 2.5 s apart.
         assert!((drift.last_minus_first_third + 7.5).abs() < 1e-12);
-        // What is unknown is left out: the rest is on the same line.
+        // Missing values are skipped; the others are on the same line.
         values[3] = None;
         values[0] = Some(f64::INFINITY);
         let drift = Drift::of(&t_s, &values).unwrap();

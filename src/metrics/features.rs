@@ -1,4 +1,4 @@
-/// Frames of a window of a video.
+/// Number of frames in a window of a video.
 pub const WINDOW_FRAMES: usize = 15;
 
 /// Features `[N, D]`, a row per image or per window of a video.
@@ -9,28 +9,28 @@ pub struct FeatureSet {
 }
 
 impl FeatureSet {
-    /// Of `values`, row by row. `None` if they are not whole rows of `columns` numbers.
+    /// Creates a set from `values`, row by row. `None` if they are not whole rows of `columns` values.
     pub fn new(columns: usize, values: Vec<f64>) -> Option<Self> {
         let whole = values.is_empty() || (columns > 0 && values.len().is_multiple_of(columns));
         whole.then_some(Self { columns, values })
     }
 
-    /// D.
+    /// Number of features per row, D.
     pub fn columns(&self) -> usize {
         self.columns
     }
 
-    /// N.
+    /// Number of rows, N.
     pub fn len(&self) -> usize {
         self.values.len().checked_div(self.columns).unwrap_or(0)
     }
 
-    /// Whether there is no row.
+    /// Returns whether there are no rows.
     pub fn is_empty(&self) -> bool {
         self.values.is_empty()
     }
 
-    /// A row, `[D]` each.
+    /// Iterates over the rows, `[D]` each.
     pub fn rows(&self) -> impl Iterator<Item = &[f64]> {
         self.values.chunks_exact(self.columns.max(1))
     }
@@ -40,7 +40,7 @@ impl FeatureSet {
         &self.values
     }
 
-    /// Adds a row; the first one tells how long rows are. `false`, and nothing is added, if it is of another length.
+    /// Appends a row; the first row sets the row length. Returns `false` and appends nothing if the length differs.
     pub fn push(&mut self, row: &[f64]) -> bool {
         if self.values.is_empty() {
             self.columns = row.len();
@@ -52,7 +52,7 @@ impl FeatureSet {
         fits
     }
 
-    /// Adds all rows of another set. `false`, and nothing is added, if they are of another length.
+    /// Appends all rows of another set. Returns `false` and appends nothing if their length differs.
     pub fn append(&mut self, other: &Self) -> bool {
         if other.is_empty() {
             return true;
@@ -68,9 +68,10 @@ impl FeatureSet {
     }
 }
 
-/// Features of videos, of features `[D]` of one camera's frames in order: of each window of [`WINDOW_FRAMES`] frames, one
-/// frame after the other, the mean over time of the frames' features, then the mean over time of the absolute differences
-/// of consecutive frames' features: `[N, 2·D]`. Frames that are `None` are in no window. Empty for shorter videos.
+/// Computes features of a video from features `[D]` of one camera's frames in order, `[N, 2·D]`. Each window of
+/// [`WINDOW_FRAMES`] frames (stride 1) gives a row: the mean over time of the frames' features, then the mean of
+/// the absolute differences between consecutive frames. Windows with a `None` frame are skipped. The result is
+/// empty for shorter videos.
 pub fn window_features(frames: &[Option<Vec<f64>>]) -> FeatureSet {
     let mut set = FeatureSet::default();
     for window in frames.windows(WINDOW_FRAMES) {
@@ -110,7 +111,7 @@ mod tests {
 
     #[test]
     fn windows_by_hand() {
-        // The first feature rises by 2 a frame, the second jumps to and fro, the third stands.
+        // The first feature rises by 2 per frame, the second alternates, the third is constant.
         let frame = |i: usize| vec![2.0 * i as f64, (i % 2) as f64, 7.0];
         let mut frames: Vec<Option<Vec<f64>>> = (0..17).map(|i| Some(frame(i))).collect();
         let set = window_features(&frames);

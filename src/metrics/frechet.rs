@@ -5,33 +5,34 @@ use smartcore::linalg::traits::evd::EVDDecomposable;
 
 use super::FeatureSet;
 
-/// Why two sets of features have no distance.
+/// Error of a Fréchet distance between two sets of features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrechetError {
-    /// A covariance needs two rows.
+    /// A set has less than the two rows that a covariance needs.
     #[error("expected features of at least 2 images in each set, found {0} and {1}")]
     Rows(usize, usize),
-    /// Other features.
+    /// The sets differ in the number of features.
     #[error("expected as many features in both sets, found {0} and {1}")]
     Columns(usize, usize),
-    /// NaN, infinity, or too large to be squared.
+    /// A feature is NaN, infinite, or too large to be squared.
     #[error("expected finite features, found others")]
     NotFinite,
-    /// They could not be decomposed.
+    /// An eigenvalue decomposition failed.
     #[error("expected covariances with eigenvalues, found none")]
     NoEigenvalues,
 }
 
-/// Fréchet distance of two normal distributions that have the means and the unbiased covariances of two sets of features
-/// (M. Heusel et al., *GANs trained by a two time-scale update rule*, 2017, equation 6):
+/// Computes the Fréchet distance between two normal distributions with the means and unbiased covariances of two
+/// sets of features (M. Heusel et al., *GANs trained by a two time-scale update rule*, 2017, equation 6):
 /// `|m_a - m_b|² + tr(A) + tr(B) - 2·tr(sqrt(sqrt(A)·B·sqrt(A)))`. In squared units of the features.
 ///
-/// With fewer rows than features a covariance has a rank below D. The distance is still defined, but its expectation depends
-/// on the number of rows (it is too large): then only distances of sets with the same numbers of rows can be
-/// compared, and a distance from the truth to itself, split in two, tells what "none" looks like.
+/// With fewer rows than features, the rank of a covariance is below D. The distance is still defined, but it is
+/// biased upwards, depending on the number of rows. Then only compare distances between sets with the same numbers
+/// of rows; the distance between two halves of the ground truth shows the level of no difference.
 ///
 /// # Errors
-/// Less than two rows, other numbers of features, features that are not finite, or whose eigenvalues are not found.
+/// Returns an error if a set has less than two rows, if the sets differ in the number of features, if a feature is
+/// not finite, or if eigenvalues are not found.
 pub fn frechet_distance(a: &FeatureSet, b: &FeatureSet) -> Result<f64, FrechetError> {
     if a.len() < 2 || b.len() < 2 {
         return Err(FrechetError::Rows(a.len(), b.len()));
@@ -49,20 +50,20 @@ pub fn frechet_distance(a: &FeatureSet, b: &FeatureSet) -> Result<f64, FrechetEr
     if scale == 0.0 {
         return Ok(apart);
     }
-    // Eigenvalues near 1, whatever the features' unit.
+    // Scales the eigenvalues to about 1, whatever the unit of the features.
     a.divide_by(scale.sqrt());
     b.divide_by(scale.sqrt());
     let cross = if a.columns() <= a.rows.min(b.rows) { by_covariances(&a, &b) } else { by_products(&a, &b) };
     let cross = cross.ok_or(FrechetError::NoEigenvalues)?;
-    // Rounding may take equal sets a little below.
+    // Rounding may make the distance of equal sets slightly negative.
     Ok((apart + trace_a + trace_b - 2.0 * scale * cross).max(0.0))
 }
 
-/// Mean and deviations from it.
+/// Mean of a set of features, and deviations from it.
 struct Moments {
     mean: Vec<f64>,
     rows: usize,
-    /// `[N, D]`, divided by `sqrt(N - 1)`: the covariance is `deviationsᵀ·deviations`.
+    /// Deviations `[N, D]`, divided by `sqrt(N - 1)`: the covariance is `deviationsᵀ·deviations`.
     deviations: Vec<f64>,
 }
 
@@ -92,7 +93,7 @@ impl Moments {
         self.deviations.iter_mut().for_each(|v| *v /= scale);
     }
 
-    /// `[D, D]`
+    /// Covariance matrix, `[D, D]`.
     fn covariance(&self) -> Vec<f64> {
         let columns = self.columns();
         let flipped = transposed(&self.deviations, columns);
@@ -100,24 +101,24 @@ impl Moments {
     }
 }
 
-/// `tr(sqrt(sqrt(A)·B·sqrt(A)))` as it stands there.
+/// Computes `tr(sqrt(sqrt(A)·B·sqrt(A)))` directly.
 fn by_covariances(a: &Moments, b: &Moments) -> Option<f64> {
     let columns = a.columns();
     let root = square_root(a.covariance(), columns)?;
-    // All of them are symmetric: rows are columns.
+    // All of these matrices are symmetric, so rows are columns.
     let left = rows_product(&root, &b.covariance(), columns);
     trace_of_root(rows_product(&left, &root, columns), columns)
 }
 
-/// The same by deviations X and Y: `sqrt(A)·B·sqrt(A)` has the eigenvalues of `(X·Yᵀ)·(X·Yᵀ)ᵀ`, but for zeros. Less work where
-/// there are fewer rows than features.
+/// Computes the same trace from the deviations X and Y: `sqrt(A)·B·sqrt(A)` has the eigenvalues of
+/// `(X·Yᵀ)·(X·Yᵀ)ᵀ`, except for zeros. Faster if there are fewer rows than features.
 fn by_products(a: &Moments, b: &Moments) -> Option<f64> {
     let (few, many) = if a.rows <= b.rows { (a, b) } else { (b, a) };
     let cross = rows_product(&few.deviations, &many.deviations, a.columns());
     trace_of_root(rows_product(&cross, &cross, many.rows), few.rows)
 }
 
-/// Of a symmetric matrix `[n, n]` without negative eigenvalues but by rounding.
+/// Returns the square root of a symmetric matrix `[n, n]` whose eigenvalues are nonnegative, except for rounding.
 fn square_root(matrix: Vec<f64>, n: usize) -> Option<Vec<f64>> {
     let (values, vectors) = eigen(matrix, n)?;
     let scaled: Vec<f64> =
@@ -130,19 +131,20 @@ fn trace_of_root(matrix: Vec<f64>, n: usize) -> Option<f64> {
     trace.is_finite().then_some(trace)
 }
 
-/// Eigenvalues and, in columns, eigenvectors of a symmetric matrix `[n, n]`.
+/// Returns the eigenvalues and, in columns, the eigenvectors of a symmetric matrix `[n, n]`.
 fn eigen(matrix: Vec<f64>, n: usize) -> Option<(Vec<f64>, DenseMatrix<f64>)> {
     let matrix = DenseMatrix::new(n, n, matrix, false).ok()?;
     let parts = matrix.evd_mut(true).ok()?;
     Some((parts.d, parts.V))
 }
 
-/// `[columns, N]` of `[N, columns]`.
+/// Transposes `[N, columns]`.
 fn transposed(matrix: &[f64], columns: usize) -> Vec<f64> {
     (0..columns).flat_map(|c| matrix.iter().skip(c).step_by(columns).copied()).collect()
 }
 
-/// `a·bᵀ`, `[N, M]`, of `[N, inner]` and `[M, inner]`. Sums run in an order of their own, whatever the number of threads.
+/// Computes `a·bᵀ`, `[N, M]`, of `[N, inner]` and `[M, inner]`. The order of the sums does not depend on the number
+/// of threads.
 fn rows_product(a: &[f64], b: &[f64], inner: usize) -> Vec<f64> {
     let row = |a: &[f64]| b.chunks_exact(inner).map(|b| dot(a, b)).collect::<Vec<f64>>();
     a.par_chunks_exact(inner).flat_map_iter(row).collect()
@@ -162,7 +164,8 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Exactly uncorrelated columns: corners of a box around a mean. The variance of a column is `4·s²·2/(8-1)`.
+    /// Returns the corners of a box around a mean: exactly uncorrelated columns. The variance of a column is
+    /// `s²·8/(8-1)` for half sides `s`.
     fn corners(mean: [f64; 3], half: [f64; 3]) -> FeatureSet {
         let corner =
             |i: usize| (0..3).map(move |c| mean[c] + half[c] * if i >> c & 1 == 1 { 1.0 } else { -1.0 });
@@ -172,7 +175,7 @@ mod tests {
     #[test]
     fn diagonal_gaussians_by_hand() {
         let (a, b) = (corners([0.0; 3], [1.0, 2.0, 3.0]), corners([1.0, -2.0, 0.5], [2.0, 2.0, 0.0]));
-        // |m|² and the squared differences of standard deviations, which are sqrt(8/7) of the half sides.
+        // |m|² plus the squared differences of standard deviations, which are sqrt(8/7) times the half sides.
         let expected = (1.0 + 4.0 + 0.25) + (1.0 + 0.0 + 9.0) * 8.0 / 7.0;
         assert!((frechet_distance(&a, &b).unwrap() - expected).abs() < 1e-9);
         assert!((frechet_distance(&b, &a).unwrap() - expected).abs() < 1e-9);
@@ -195,10 +198,10 @@ mod tests {
 
     #[test]
     fn fewer_rows_than_features_by_hand() {
-        // Two rows of four features: deviations along one direction each.
+        // Two rows of four features each, so each set varies along one direction.
         let a = FeatureSet::new(4, vec![3.0, 0.0, 0.0, 0.0, -3.0, 0.0, 0.0, 0.0]).unwrap();
         let b = FeatureSet::new(4, vec![0.0, 2.0, 0.0, 0.0, 0.0, -2.0, 0.0, 0.0]).unwrap();
-        // Variances 18 and 8 along different axes: nothing is shared.
+        // Variances 18 and 8 along different axes have no common part.
         assert!((frechet_distance(&a, &b).unwrap() - 26.0).abs() < 1e-9);
         let c = FeatureSet::new(4, vec![2.0, 0.0, 0.0, 0.0, -2.0, 0.0, 0.0, 0.0]).unwrap();
         let shared = 18.0_f64.sqrt() - 8.0_f64.sqrt();
@@ -214,7 +217,7 @@ mod tests {
         assert_eq!(frechet_distance(&two, &wide), Err(FrechetError::Columns(2, 4)));
         let bad = FeatureSet::new(2, vec![1.0, f64::NAN, 2.0, 3.0]).unwrap();
         assert_eq!(frechet_distance(&two, &bad), Err(FrechetError::NotFinite));
-        // No spread: the means alone.
+        // Without spread, only the means count.
         let other = FeatureSet::new(2, vec![2.0; 4]).unwrap();
         assert_eq!(frechet_distance(&two, &other), Ok(2.0));
         assert_eq!(frechet_distance(&two, &two), Ok(0.0));

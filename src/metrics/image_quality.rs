@@ -1,10 +1,10 @@
 use image::RgbImage;
 
-/// How far a color map is from a true image, over the pixels that are filled (not black).
+/// Error of a color map against a ground-truth image, over the pixels that are filled (not black).
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct FilledError {
-    /// Peak signal-to-noise ratio over all channels of filled pixels, dB: `10·log10(255² / mean squared error)`;
-    /// infinite for equal images, NaN where nothing is filled.
+    /// Peak signal-to-noise ratio over all channels of filled pixels, dB: `10·log10(255² / mean squared error)`.
+    /// Infinite for equal images, NaN if no pixel is filled.
     pub psnr_db: f64,
     /// Mean absolute error, levels.
     pub mean_abs: f64,
@@ -14,7 +14,7 @@ pub struct FilledError {
     pub filled: f64,
 }
 
-/// Compares a color map with a true image of the same size.
+/// Compares a color map with a ground-truth image of the same size.
 pub fn compare_filled(map: &[[u8; 3]], truth: &[[u8; 3]]) -> FilledError {
     let mut histogram = [0_u64; 256];
     let mut pixels = 0_u64;
@@ -34,8 +34,9 @@ pub fn compare_filled(map: &[[u8; 3]], truth: &[[u8; 3]]) -> FilledError {
     }
 }
 
-/// Peak signal-to-noise ratio of two RGB images of one size, over all pixels and channels, dB:
-/// `10·log10(255² / mean squared error)`; infinite for equal images. `None` for other sizes, or without pixels.
+/// Computes the peak signal-to-noise ratio of two RGB images over all pixels and channels, dB:
+/// `10·log10(255² / mean squared error)`. Infinite for equal images. `None` if the sizes differ, or if there are no
+/// pixels.
 pub fn psnr_db(image: &RgbImage, truth: &RgbImage) -> Option<f64> {
     let (a, b) = (image.as_raw(), truth.as_raw());
     if image.dimensions() != truth.dimensions() || a.is_empty() {
@@ -45,7 +46,7 @@ pub fn psnr_db(image: &RgbImage, truth: &RgbImage) -> Option<f64> {
     Some(10.0 * (255.0_f64.powi(2) * a.len() as f64 / squares as f64).log10())
 }
 
-/// The lower median of a histogram of levels.
+/// Returns the lower median of a histogram of levels.
 fn median(histogram: &[u64; 256], count: u64) -> f64 {
     let mut below = 0;
     for (level, n) in histogram.iter().enumerate() {
@@ -75,7 +76,7 @@ mod tests {
     #[test]
     fn ratios_by_hand() {
         let image = |level: u8| RgbImage::from_pixel(3, 2, image::Rgb([level, 7, 9]));
-        // One of three channels is off by 6: the mean squared error is 12.
+        // One of three channels has an error of 6, so the mean squared error is 12.
         let expected = 10.0 * (65025.0_f64 / 12.0).log10();
         assert!((psnr_db(&image(20), &image(26)).unwrap() - expected).abs() < 1e-12);
         assert_eq!(psnr_db(&image(20), &image(20)), Some(f64::INFINITY));

@@ -1,20 +1,20 @@
-/// Pixels of two masks, over any number of images.
+/// Pixel counts of the overlap of two masks, over any number of images.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Overlap {
-    /// In both.
+    /// Pixels in both masks.
     pub both: u64,
-    /// In at least one.
+    /// Pixels in at least one mask.
     pub either: u64,
 }
 
 impl Overlap {
-    /// Counts a pixel by whether it is in each of the two.
+    /// Adds a pixel that is or is not in each of the two masks.
     pub fn add(&mut self, a: bool, b: bool) {
         self.both += u64::from(a && b);
         self.either += u64::from(a || b);
     }
 
-    /// Counts the pixels of two masks, made of maps of one size by a rule for each.
+    /// Adds the pixels of two masks, each given as a map and a predicate; both maps are of one size.
     pub fn add_maps<A, B>(
         &mut self,
         (a, in_a): (&[A], impl Fn(&A) -> bool),
@@ -23,18 +23,18 @@ impl Overlap {
         a.iter().zip(b).for_each(|(a, b)| self.add(in_a(a), in_b(b)));
     }
 
-    /// Counts the pixels of two masks of one size.
+    /// Adds the pixels of two masks of one size.
     pub fn add_masks(&mut self, a: &[bool], b: &[bool]) {
         a.iter().zip(b).for_each(|(a, b)| self.add(*a, *b));
     }
 
-    /// Adds the pixels of others.
+    /// Adds the counts of another overlap.
     pub fn join(&mut self, other: &Self) {
         self.both += other.both;
         self.either += other.either;
     }
 
-    /// Intersection over union, 0 to 1; `None` where both masks are empty.
+    /// Intersection over union, 0 to 1; `None` if both masks are empty.
     pub fn iou(&self) -> Option<f64> {
         (self.either > 0).then(|| self.both as f64 / self.either as f64)
     }
@@ -51,7 +51,7 @@ mod tests {
         let (a, b) = ([1, 1, 2, 0, 0], [7, 0, 7, 7, 0]);
         overlap.add_maps((&a, |a| *a == 1), (&b, |b| *b == 7));
         assert_eq!((overlap, overlap.iou()), (Overlap { both: 1, either: 4 }, Some(0.25)));
-        // Over images pixels are summed, not shares.
+        // Over several images, pixels are summed; the ratios are not averaged.
         overlap.add_maps((&[1; 4], |a| *a == 1), (&[7; 4], |b| *b == 7));
         assert_eq!(overlap.iou(), Some(5.0 / 8.0));
         overlap.join(&Overlap { both: 1, either: 2 });

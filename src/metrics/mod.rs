@@ -1,10 +1,11 @@
-//! Numbers that tell how good an image is, a set of images, or a rollout of generated ones.
+//! Metrics of an image, a set of images, or a rollout of generated images.
 //!
 //! # How it works
 //! Leaf functions compare two images ([`psnr_db`], [`ssim`], [`sharpness`]), two masks ([`Overlap`]) or two sets of
-//! features ([`frechet_distance`]). [`RolloutScores`] is fed a rollout step by step, in memory, and puts them together:
-//! a series per metric with its [`Drift`], [`Motion`] of actors, and the features of [`RandomConvNet`], of which
-//! [`CollectedFeatures`] takes distances over many rollouts. [`MeanInterval`] sums up over rollouts. Nothing here reads files.
+//! features ([`frechet_distance`]). [`RolloutScores`] takes the steps of a rollout, in memory, and computes a
+//! series per metric with its [`Drift`], the [`Motion`] of actors, and the features of [`RandomConvNet`].
+//! [`CollectedFeatures`] computes distances between the features of many rollouts, and [`MeanInterval`] averages
+//! over rollouts. This module reads no files.
 
 mod conv_net;
 mod depth;

@@ -1,27 +1,30 @@
 use image::RgbImage;
 use rayon::prelude::*;
 
-/// Actors that are faster move, metres per second.
+/// Minimum speed of a moving actor, meters per second (exclusive).
 pub const MOVING_MPS: f64 = 0.5;
 
-/// Whether moving actors move in generated images as they do in true ones, and how much the rest flickers.
+/// Motion of generated images relative to the ground truth: how well moving actors move, and how much the rest
+/// flickers.
 ///
-/// Of all channels of pixels that show a moving actor in a frame or in the one before, the change of the generated image dG is
-/// regressed on the change of the true one dT. Flicker that does not depend on the truth averages out.
+/// The change dG of a generated image is regressed on the change dT of the ground truth, over all channels of
+/// pixels that show a moving actor in a frame or in the previous one. Flicker that is independent of the ground
+/// truth averages out.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Motion {
-    /// `sum(dG·dT) / sum(dT·dT)` on moving actors: 1 moves as the truth, 0 stands still. `None` where the truth has no change.
+    /// `sum(dG·dT) / sum(dT·dT)` on moving actors: 1 moves like the ground truth, 0 does not move. `None` if the
+    /// ground truth does not change.
     pub slope: Option<f64>,
-    /// Pixels of moving actors that were compared.
+    /// Number of pixels of moving actors that were compared.
     pub moving_pixels: u64,
-    /// Root mean square of dG over that of dT on all other pixels: 1 changes as the truth. `None` where the truth
-    /// does not change, as with an ego that stands.
+    /// Root mean square of dG over that of dT on all other pixels: 1 changes like the ground truth. `None` if the
+    /// ground truth does not change, as with a stationary ego.
     pub flicker: Option<f64>,
-    /// Root mean square of dG on all other pixels, levels; `None` without any.
+    /// Root mean square of dG on all other pixels, levels; `None` if there are none.
     pub static_generated_rms: Option<f64>,
-    /// Root mean square of dT on all other pixels, levels; `None` without any.
+    /// Root mean square of dT on all other pixels, levels; `None` if there are none.
     pub static_truth_rms: Option<f64>,
-    /// Other pixels that were compared.
+    /// Number of other pixels that were compared.
     pub static_pixels: u64,
 }
 
@@ -30,13 +33,13 @@ pub struct Motion {
 pub struct MovingFrame<'a> {
     /// The generated image.
     pub generated: &'a RgbImage,
-    /// The true image, of the same size.
+    /// The ground-truth image, of the same size.
     pub truth: &'a RgbImage,
-    /// Pixels that show actors that move, row by row.
+    /// Whether each pixel shows a moving actor, row by row.
     pub moving: &'a [bool],
 }
 
-/// What [`Motion`] is made of, summed over frames and cameras. Sums are whole numbers: their order changes nothing.
+/// Sums for [`Motion`], over frames and cameras. They are integers, so their order does not matter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MotionSums {
     moving: Sums,
@@ -71,7 +74,7 @@ impl Sums {
 }
 
 impl MotionSums {
-    /// Adds the change from a frame to the next, of one camera. All images and masks are of one size.
+    /// Adds the change between two consecutive frames of one camera. All images and masks are of one size.
     pub fn add(&mut self, before: &MovingFrame<'_>, now: &MovingFrame<'_>) {
         let pixels = |image: &RgbImage| -> Vec<[u8; 3]> { image.as_raw().as_chunks::<3>().0.to_vec() };
         let generated = pixels(before.generated).into_iter().zip(pixels(now.generated));
@@ -92,7 +95,7 @@ impl MotionSums {
         self.rest.join(&other.rest);
     }
 
-    /// `None` if no frame was compared with the one before.
+    /// Computes the motion; `None` if no frames were compared.
     pub fn finish(&self) -> Option<Motion> {
         let ratio = |a: i64, b: i64| (b > 0).then(|| a as f64 / b as f64);
         let (moving, rest) = (&self.moving, &self.rest);
@@ -107,7 +110,7 @@ impl MotionSums {
     }
 }
 
-/// Pixels of an instance map that show one of the actors with the given numbers.
+/// Returns the mask of pixels of an instance map that show one of the actors with the given numbers.
 pub fn moving_mask(instance: &[u32], moving: &[u32]) -> Vec<bool> {
     instance.par_iter().map(|number| moving.contains(number)).collect()
 }
@@ -130,7 +133,7 @@ mod tests {
         (0..WIDTH * HEIGHT * 3).map(|_| levels.sample(&mut random)).collect()
     }
 
-    /// A bright square of 6x6 pixels that moves by 2 a frame over a background that gets brighter.
+    /// A bright square of 6x6 pixels that moves by 2 per frame over a background that gets brighter.
     fn truth(frame: u32) -> (RgbImage, Vec<bool>) {
         let inside = |x: u32, y: u32| (2 * frame..2 * frame + 6).contains(&x) && (5..11).contains(&y);
         let image = RgbImage::from_fn(WIDTH, HEIGHT, |x, y| {
@@ -156,7 +159,7 @@ mod tests {
     fn copies_move_frozen_images_stand_and_noise_flickers() {
         let copy = motion(|frame| truth(frame).0);
         assert_eq!((copy.slope, copy.flicker), (Some(1.0), Some(1.0)));
-        // Two columns of six are new, two are left, four stay.
+        // Two of six columns are newly covered, two are uncovered, four remain: eight in all.
         assert_eq!(copy.moving_pixels, u64::from(8 * 6 * (FRAMES - 1)));
         assert_eq!((copy.static_truth_rms, copy.static_generated_rms), (Some(1.0), Some(1.0)));
         let frozen = motion(|_| truth(0).0);
@@ -164,7 +167,7 @@ mod tests {
         let noisy = motion(|frame| RgbImage::from_raw(WIDTH, HEIGHT, noise(frame)).unwrap());
         assert!(noisy.slope.unwrap().abs() < 0.05, "{noisy:?}");
         assert!(noisy.flicker.unwrap() > 10.0 && noisy.static_generated_rms.unwrap() > 10.0, "{noisy:?}");
-        // Half the contrast moves half as much, with noise on top as without.
+        // Half the contrast has half the slope, with or without added noise.
         let half = motion(|frame| {
             let mut image = truth(frame).0;
             image.iter_mut().zip(noise(frame)).for_each(|(v, n)| *v = *v / 2 + n);

@@ -6,20 +6,20 @@ use serde::Serialize;
 use smartcore::ensemble::random_forest_regressor::{RandomForestRegressor, RandomForestRegressorParameters};
 use smartcore::linalg::basic::matrix::DenseMatrix;
 
-/// How a [`PatchClassifier`] is trained.
+/// Training options of a [`PatchClassifier`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct PatchOptions {
-    /// What the choice of pixels and the trees follow from.
+    /// Seed of the pixel sampling and of the trees.
     pub seed: u64,
-    /// Pixels beside the middle one: patches have a side of `2·radius + 1`.
+    /// Patch radius, pixels: patches have a side of `2·radius + 1`.
     pub radius: usize,
-    /// Trees of the forest.
+    /// Number of trees in the forest.
     pub trees: usize,
-    /// Decisions one below the other, at most.
+    /// Maximum depth of a tree.
     pub max_depth: u16,
-    /// Pixels taken of an image, at most: half of them of vehicles, where there are so many.
+    /// Maximum number of pixels sampled per image: half of them of vehicles, if there are enough.
     pub pixels_per_image: usize,
-    /// Pixels trained on, at most.
+    /// Maximum number of training pixels.
     pub pixels: usize,
 }
 
@@ -29,10 +29,10 @@ impl Default for PatchOptions {
     }
 }
 
-/// Why a [`PatchClassifier`] cannot be trained.
+/// Error of a [`PatchClassifier`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PatchClassifierError {
-    /// One of the two kinds is missing.
+    /// Pixels of vehicles or of other things are missing.
     #[error(
         "expected true images with pixels of vehicles and of others to train on, found {vehicles} and {others}"
     )]
@@ -42,20 +42,21 @@ pub enum PatchClassifierError {
         /// All other pixels.
         others: usize,
     },
-    /// The forest's own.
+    /// Error of the random forest.
     #[error("the random forest cannot be trained: {0}")]
     Forest(String),
 }
 
 type Forest = RandomForestRegressor<f32, f64, DenseMatrix<f32>, Vec<f64>>;
 
-/// Tells by the colors around a pixel, and by where it is, whether it shows a vehicle: a stand-in for a segmentation network
-/// where there is none.
+/// Classifies pixels as vehicle or not, from the colors around them and from their position; a fallback if there is
+/// no segmentation network.
 ///
-/// A random forest on RGB of a small patch and on row and column as shares of the image's sides. It knows vehicles of the
-/// scenes that it was trained on, at their size; it is no general segmentor, and an IoU by it means something only beside its
-/// IoU on true images. The forest tells a share of votes; a pixel counts as vehicle from the share on that gives the best IoU
-/// on the training pixels, each judged by trees that have not seen it.
+/// A random forest on the RGB values of a small patch, and on row and column as fractions of the image's sides. It
+/// recognizes vehicles of the scenes that it was trained on, at their size; it is not a general segmentation model.
+/// Its IoU is only meaningful beside its IoU on ground-truth images. The forest returns a share of votes. The
+/// threshold on that share is the one with the best IoU on the training pixels, each classified by trees that were
+/// not trained on it.
 #[derive(Debug)]
 pub struct PatchClassifier {
     forest: Forest,
@@ -63,7 +64,7 @@ pub struct PatchClassifier {
     threshold: f64,
 }
 
-/// Collects pixels for a [`PatchClassifier`].
+/// Collects training pixels for a [`PatchClassifier`].
 #[derive(Clone, Debug)]
 pub struct PatchTrainer {
     options: PatchOptions,
@@ -75,18 +76,18 @@ pub struct PatchTrainer {
 struct Sample {
     features: Vec<f32>,
     vehicle: bool,
-    /// Pixels of its kind and image that it stands for.
+    /// Number of pixels of the same class and image that it represents.
     weight: f64,
 }
 
 impl PatchTrainer {
-    /// Without any image yet.
+    /// Creates a trainer without images.
     pub fn new(options: PatchOptions) -> Self {
         Self { options, images: 0, samples: Vec::new() }
     }
 
-    /// Takes pixels of a true image and the mask of its vehicles, row by row, of the same size. Which ones follows from the
-    /// seed and the number of the image.
+    /// Samples pixels of a ground-truth image. `vehicles` is the mask of its vehicles, row by row, of the same
+    /// size. The choice depends on the seed and the number of the image.
     pub fn add(&mut self, image: &RgbImage, vehicles: &[bool]) {
         let mut random: ChaCha8Rng = Seeder::from((self.options.seed, "patches", self.images)).into_rng();
         self.images += 1;
@@ -95,7 +96,7 @@ impl PatchTrainer {
         for vehicle in [true, false] {
             let mut of_kind: Vec<usize> = (0..vehicles.len()).filter(|i| vehicles[*i] == vehicle).collect();
             let all = of_kind.len();
-            // What vehicles do not need is left to the others.
+            // If there are few vehicle pixels, more of the other pixels are taken.
             let taken = all.min(if vehicle { half } else { left });
             left -= taken;
             for place in 0..taken {
@@ -107,15 +108,16 @@ impl PatchTrainer {
         }
     }
 
-    /// Images so far.
+    /// Number of images added so far.
     pub fn images(&self) -> u64 {
         self.images
     }
 
-    /// Trains on the pixels so far, or on evenly chosen ones where there are more than wanted.
+    /// Trains on the pixels added so far, or on an evenly spaced subset if there are more than
+    /// [`PatchOptions::pixels`].
     ///
     /// # Errors
-    /// Pixels of one kind alone, or none.
+    /// Returns an error if there are no pixels of vehicles or no other pixels, or if the forest cannot be trained.
     pub fn train(&self) -> Result<PatchClassifier, PatchClassifierError> {
         let (options, all) = (&self.options, self.samples.len());
         let kept = all.min(options.pixels);
@@ -144,15 +146,15 @@ impl PatchTrainer {
 }
 
 impl PatchClassifier {
-    /// The share of votes from which on a pixel counts as vehicle.
+    /// Minimum share of votes for a pixel to count as vehicle.
     pub fn threshold(&self) -> f64 {
         self.threshold
     }
 
-    /// The mask of vehicles, row by row.
+    /// Returns the mask of vehicles, row by row.
     ///
     /// # Errors
-    /// The forest's own.
+    /// Returns any error of the forest.
     pub fn segment(&self, image: &RgbImage) -> Result<Vec<bool>, PatchClassifierError> {
         let pixels = image.width() as usize * image.height() as usize;
         if pixels == 0 {
@@ -166,7 +168,8 @@ impl PatchClassifier {
     }
 }
 
-/// RGB of the patch around a pixel, 0 to 1, the border's pixels beyond it, then row and column, 0 to 1.
+/// Returns the RGB values of the patch around a pixel, 0 to 1, then row and column, 0 to 1. Border pixels are
+/// replicated beyond the image.
 fn features(image: &RgbImage, at: usize, radius: usize) -> Vec<f32> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let (row, column) = (at / width, at % width);
@@ -190,7 +193,8 @@ fn matrix<'a>(
     DenseMatrix::new(count, values.len() / count.max(1), values, false)
 }
 
-/// The share of votes that gives the best IoU of (votes, is a vehicle, weight). Votes that are no number are left out.
+/// Returns the threshold on votes with the best IoU over (votes, is a vehicle, weight). Votes that are NaN or
+/// infinite are ignored.
 fn best_threshold(mut judged: Vec<(f64, bool, f64)>) -> f64 {
     judged.retain(|(vote, ..)| vote.is_finite());
     judged.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -199,7 +203,7 @@ fn best_threshold(mut judged: Vec<(f64, bool, f64)>) -> f64 {
     let mut best = (0.0, 0.5);
     for (index, (vote, vehicle, weight)) in judged.iter().enumerate() {
         *(if *vehicle { &mut hit } else { &mut wrong }) += weight;
-        // Between two different votes; half-way, so that rounding decides nothing.
+        // The threshold is halfway between two different votes, so that rounding does not matter.
         let next = judged.get(index + 1).map_or(0.0, |next| next.0);
         let iou = hit / (vehicles + wrong);
         if next < *vote && iou > best.0 {
@@ -217,7 +221,7 @@ mod tests {
     const WIDTH: u32 = 40;
     const HEIGHT: u32 = 24;
 
-    /// A street of greys under a blue sky with a reddish car, which is elsewhere in each image.
+    /// A gray street under a blue sky with a reddish car, whose position differs from image to image.
     fn scene(number: u32) -> (RgbImage, Vec<bool>) {
         let (left, top) = (3 + 7 * number % 25, 10 + number % 5);
         let inside = |x: u32, y: u32| (left..left + 9).contains(&x) && (top..top + 6).contains(&y);
@@ -250,7 +254,7 @@ mod tests {
             let (image, mask) = scene(number);
             let found = iou(&classifier, &image, &mask);
             assert!(found > 0.8, "{number}: {found}");
-            // A street without its car has none: the mask of where it was is not found.
+            // In a scene with the car elsewhere, its old position is not classified as vehicle.
             let (empty, _) = scene(number + 3);
             assert!(iou(&classifier, &empty, &mask) < 0.5);
         }
@@ -272,7 +276,8 @@ mod tests {
 
     #[test]
     fn thresholds_by_hand() {
-        // Between 0.8 and 0.4: two of three vehicles and nothing else; one more vehicle costs pixels of weight 4.
+        // Threshold between 0.8 and 0.4: two of three vehicles and nothing else. A third would cost pixels of
+        // weight 4.
         let judged = vec![
             (0.9, true, 1.0),
             (0.4, false, 4.0),
@@ -281,7 +286,7 @@ mod tests {
             (f64::NAN, true, 9.0),
         ];
         assert!((best_threshold(judged) - 0.6).abs() < 1e-12);
-        // Equal votes cannot be told apart.
+        // Equal votes cannot be separated.
         assert!(
             (best_threshold(vec![(0.5, true, 1.0), (0.5, false, 1.0), (0.1, false, 9.0)]) - 0.3).abs()
                 < 1e-12

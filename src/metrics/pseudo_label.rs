@@ -1,9 +1,10 @@
-/// Motor vehicles in a class map.
+/// Class number of motor vehicles in a class map.
 pub const VEHICLE_CLASS: u8 = 1;
 
-/// The mask of motor vehicles that segmentors are compared with (pseudo label): `class == 1`, blurred by a Gaussian of 3x3
-/// (weights 1 2 1 of 4 each way, mirrored about the border's pixels, as OpenCV does it), above 0.5. `class` is row by row,
-/// `width` pixels a row; the mask is as large. Lines of one pixel and specks vanish.
+/// Returns the mask of motor vehicles that segmentation is compared with (pseudo label): `class == 1`, blurred by a
+/// 3x3 Gaussian (weights 1 2 1 over 4 along each axis, mirrored about the border pixels, as in OpenCV), above 0.5.
+/// `class` is row by row, with `width` pixels per row; the mask has the same size. Lines of one pixel and specks
+/// vanish.
 pub fn vehicle_mask(class: &[u8], width: usize) -> Vec<bool> {
     let height = class.len().checked_div(width).unwrap_or(0);
     let at = |y: usize, x: usize| u16::from(class[y * width + x] == VEHICLE_CLASS);
@@ -16,7 +17,7 @@ pub fn vehicle_mask(class: &[u8], width: usize) -> Vec<bool> {
     (0..height * width).map(|i| pixel(i / width, i % width)).collect()
 }
 
-/// Both neighbours along an axis; beyond the border the one on the other side.
+/// Returns both neighbors along an axis; beyond the border, the one on the other side.
 fn beside(at: usize, length: usize) -> (usize, usize) {
     let last = length - 1;
     let before = if at == 0 { 1.min(last) } else { at - 1 };
@@ -40,10 +41,10 @@ mod tests {
 
     #[test]
     fn masks_by_hand() {
-        // Edges and corners stay; lines and other classes are none.
+        // Edges and corners remain; lines and other classes vanish.
         let found = mask(["0000000", "0111010", "0111010", "0111012", "0000010"]);
         assert_eq!(text(&found, 7), ["0000000", "0111000", "0111000", "0111000", "0000000"]);
-        // At the border what is beyond is mirrored: a corner stays. Holes close, specks vanish.
+        // The border is mirrored, so a corner there remains. Holes close, specks vanish.
         let found = mask(["1100010", "1100000", "0100000", "1103000", "1100000"]);
         assert_eq!(text(&found, 7), ["1100000"; 5]);
         assert_eq!(vehicle_mask(&[1], 1), [true]);

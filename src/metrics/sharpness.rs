@@ -1,8 +1,8 @@
 use image::RgbImage;
 
-/// Mean gradient magnitude of luma, levels per pixel: `sqrt(dx² + dy²)` of differences to the next column and the next row,
-/// over all pixels that have both. Luma is that of ITU-R BT.601: 0.299 R + 0.587 G + 0.114 B. `None` for images of a
-/// single row or column.
+/// Computes the mean gradient magnitude of luma, levels per pixel: `sqrt(dx² + dy²)` of the differences to the next
+/// column and the next row, over all pixels that have both. Luma is that of ITU-R BT.601: 0.299 R + 0.587 G + 0.114
+/// B. `None` for images of a single row or column.
 pub fn sharpness(image: &RgbImage) -> Option<f64> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     if width < 2 || height < 2 {

@@ -8,13 +8,13 @@ const SIGMA: f64 = 1.5;
 const C1: f64 = 2.55 * 2.55;
 const C2: f64 = 7.65 * 7.65;
 
-/// Structural similarity of two RGB images of one size, at most 1 (equal). `None` for other sizes, or where the window does
-/// not fit.
+/// Computes the structural similarity of two RGB images of one size, at most 1 (equal). `None` if the sizes differ,
+/// or if the images are smaller than the window.
 ///
-/// Z. Wang et al., *Image quality assessment: from error visibility to structural similarity*, 2004, equation 13: Gaussian
-/// window of 11x11 pixels with a standard deviation of 1.5, K1 = 0.01, K2 = 0.03, a range of 255 levels. The mean over all
-/// places where the window lies within the image (nothing is padded), for each of R, G and B; their mean is the result.
-/// No downsampling beforehand.
+/// Z. Wang et al., *Image quality assessment: from error visibility to structural similarity*, 2004, equation 13,
+/// with a Gaussian window of 11x11 pixels and a standard deviation of 1.5, K1 = 0.01, K2 = 0.03, and a range of 255
+/// levels. The similarity is averaged over all positions where the window lies within the image (no padding), for
+/// each of R, G and B, and then over the three. The images are not downsampled first.
 pub fn ssim(image: &RgbImage, truth: &RgbImage) -> Option<f64> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     if image.dimensions() != truth.dimensions() || width < SIDE || height < SIDE {
@@ -27,7 +27,7 @@ pub fn ssim(image: &RgbImage, truth: &RgbImage) -> Option<f64> {
     Some((0..3).map(channel).sum::<f64>() / 3.0)
 }
 
-/// Of two planes `[H, W]` of levels.
+/// Returns the mean similarity of two planes `[H, W]` of levels.
 fn similarity(x: &[f64], y: &[f64], width: usize) -> f64 {
     let weights = weights();
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<f64>>();
@@ -42,7 +42,7 @@ fn similarity(x: &[f64], y: &[f64], width: usize) -> f64 {
     (0..mean_x.len()).map(at).sum::<f64>() / mean_x.len() as f64
 }
 
-/// Of one axis, of sum 1.
+/// Returns the weights of the window along one axis, with sum 1.
 fn weights() -> [f64; SIDE] {
     let raw: [f64; SIDE] = std::array::from_fn(|i| {
         let off = i as f64 - (SIDE / 2) as f64;
@@ -52,7 +52,7 @@ fn weights() -> [f64; SIDE] {
     raw.map(|w| w / sum)
 }
 
-/// Both axes, only where the window lies within the plane: `[H-10, W-10]`.
+/// Blurs along both axes, only where the window lies within the plane: `[H-10, W-10]`.
 fn blurred(plane: &[f64], width: usize, weights: &[f64; SIDE]) -> Vec<f64> {
     let across: Vec<f64> = plane
         .chunks_exact(width)

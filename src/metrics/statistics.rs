@@ -1,16 +1,16 @@
-/// Mean of independent values, one per scene, and the 95 % confidence interval of it by Student's t.
+/// Mean of independent values, one per scene, and its 95 % confidence interval by Student's t.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct MeanInterval {
-    /// How many values.
+    /// Number of values.
     pub count: usize,
-    /// Their mean.
+    /// Mean of the values.
     pub mean: f64,
     /// Half the length of the interval, which is `mean - half_width` to `mean + half_width`; `None` for a single value.
     pub half_width: Option<f64>,
 }
 
-/// Of all values that are finite; `None` if there are none. The half width is `t·s/sqrt(n)`, with s the unbiased standard
-/// deviation and t the 97.5 % quantile for n - 1 degrees of freedom.
+/// Computes the mean of all finite values; `None` if there are none. The half width is `t·s/sqrt(n)`, with the
+/// unbiased standard deviation s and the 97.5 % quantile t for n - 1 degrees of freedom.
 pub fn mean_interval(values: &[f64]) -> Option<MeanInterval> {
     let values: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
     let count = values.len();
@@ -25,13 +25,14 @@ pub fn mean_interval(values: &[f64]) -> Option<MeanInterval> {
     Some(MeanInterval { count, mean, half_width })
 }
 
-/// Of the differences `a - b` of values that belong to the same scenes; pairs with a missing value are left out.
+/// Computes the mean of the differences `a - b` between values of the same scenes; skips pairs with a missing
+/// value.
 pub fn paired_difference(a: &[Option<f64>], b: &[Option<f64>]) -> Option<MeanInterval> {
     let differences: Vec<f64> = a.iter().zip(b).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect();
     mean_interval(&differences)
 }
 
-/// 97.5 % quantiles of Student's t for 1 degree of freedom and more.
+/// 97.5 % quantiles of Student's t for 1 to 30 degrees of freedom.
 const STUDENT_T: [f64; 30] = [
     12.706_204_736,
     4.302_652_730,
@@ -65,8 +66,8 @@ const STUDENT_T: [f64; 30] = [
     2.042_272_456,
 ];
 
-/// Beyond the table by the expansion about the normal quantile (M. Abramowitz, I. Stegun, *Handbook of Mathematical
-/// Functions*, 26.7.5), which is off by less than 1e-6 there.
+/// Returns the 97.5 % quantile of Student's t. Beyond the table it uses the expansion about the normal quantile (M.
+/// Abramowitz, I. Stegun, *Handbook of Mathematical Functions*, 26.7.5), with an error below 1e-6 there.
 pub(super) fn student_t(degrees: usize) -> f64 {
     const Z: f64 = 1.959_963_984_540_054;
     if let Some(t) = degrees.checked_sub(1).and_then(|at| STUDENT_T.get(at)) {
@@ -91,7 +92,7 @@ mod tests {
     fn intervals_by_hand() {
         let interval = mean_interval(&[1.0, 2.0, 3.0, 4.0, f64::INFINITY]).unwrap();
         assert_eq!((interval.count, interval.mean), (4, 2.5));
-        // Variance 5/3, three degrees of freedom.
+        // The variance is 5/3, with three degrees of freedom.
         let expected = 3.182_446_305 * (5.0_f64 / 3.0 / 4.0).sqrt();
         assert!((interval.half_width.unwrap() - expected).abs() < 1e-12);
         assert_eq!(mean_interval(&[7.0]), Some(MeanInterval { count: 1, mean: 7.0, half_width: None }));

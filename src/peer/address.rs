@@ -5,30 +5,30 @@ use serde::Serialize;
 
 use super::PeerError;
 
-/// Where a process is.
+/// Address of a peer process.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PeerAddress {
-    /// A command for `sh`; messages go over its standard input and output.
+    /// Command for `sh`; messages are exchanged over its standard input and output.
     Command(String),
-    /// A Unix socket that it listens at.
+    /// Unix socket on which the process listens.
     Unix(PathBuf),
-    /// `HOST:PORT` that it listens at.
+    /// TCP address `HOST:PORT` on which the process listens.
     Tcp(String),
 }
 
-/// A process that answers.
+/// Address of a peer process and its time-out.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PeerSpec {
-    /// Where it is.
+    /// Address of the process.
     pub address: PeerAddress,
-    /// How long to wait for each of its answers, and for a socket to be there, seconds. Not saved: a rollout that ended
-    /// for want of time may go on with more.
+    /// Time-out for each answer and for the connection, seconds. Not saved: a rollout that failed due to a time-out
+    /// may be resumed with a longer one.
     #[serde(skip)]
     pub timeout_s: f64,
 }
 
-/// Longest wait for an answer, seconds: a day.
+/// Maximum time-out, seconds: one day.
 pub const MAX_TIMEOUT_S: f64 = 86_400.0;
 
 impl FromStr for PeerAddress {

@@ -8,32 +8,32 @@ use std::time::{Duration, Instant};
 use super::PeerAddress;
 use super::group::Group;
 
-/// How often a socket is looked for that is not there yet.
+/// Interval between attempts to connect to a socket that does not exist yet.
 const RETRY: Duration = Duration::from_millis(50);
 
-/// Both directions, and what ends with them.
+/// Reader and writer of a connection, and the resource that closes with it.
 pub(super) struct Connection {
     pub(super) end: End,
     pub(super) writer: Box<dyn Write + Send>,
     pub(super) reader: Box<dyn Read + Send>,
 }
 
-/// What ends with a connection.
+/// Resource that closes with a connection.
 pub(super) enum End {
     Group(Group),
     Unix(UnixStream),
     Tcp(TcpStream),
-    /// It has been ended.
+    /// Already ended.
     Over,
 }
 
 impl End {
-    /// Ends it; the exit status of a command that ended by itself.
+    /// Ends the connection. Returns the exit status of a command that exited by itself.
     pub(super) fn end(&mut self) -> Option<ExitStatus> {
         match std::mem::replace(self, Self::Over) {
             Self::Group(mut group) => group.end(),
             Self::Unix(stream) => {
-                let _ = stream.shutdown(Shutdown::Both); // fails where the other side was first
+                let _ = stream.shutdown(Shutdown::Both); // fails if the other side closed first
                 None
             }
             Self::Tcp(stream) => {
@@ -45,8 +45,8 @@ impl End {
     }
 }
 
-/// Starts a command or reaches a socket, which may take until the time-out to be there. An error comes with what could
-/// not be done.
+/// Starts a command, or connects to a socket, which may take until the time-out to appear. An error comes with the
+/// verb of the failed operation.
 pub(super) fn open(
     address: &PeerAddress,
     timeout: Duration,
@@ -89,8 +89,8 @@ fn connect(address: &str, timeout: Duration) -> std::io::Result<TcpStream> {
     Err(last)
 }
 
-/// Tries until it works or the time is over; an attempt is told what is left of it. All of it is done on another thread:
-/// names that are looked up and servers with a full queue hold an attempt up for longer.
+/// Retries `attempt`, which gets the remaining time, until it succeeds or the time-out expires. All attempts run on
+/// another thread, because name resolution and servers with a full queue can block for longer.
 fn reach<T: Send + 'static>(
     timeout: Duration,
     attempt: impl Fn(Duration) -> std::io::Result<T> + Send + 'static,
@@ -100,7 +100,7 @@ fn reach<T: Send + 'static>(
     let tries = move || loop {
         let done = attempt(timeout.saturating_sub(start.elapsed()).max(RETRY));
         if done.is_ok() || start.elapsed() + RETRY >= timeout {
-            let _ = send.send(done); // nobody may wait any more
+            let _ = send.send(done); // the receiver may have timed out
             return;
         }
         std::thread::sleep(RETRY);

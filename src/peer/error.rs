@@ -1,66 +1,66 @@
-/// Who is spoken to.
+/// Role and address of a peer, for error messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PeerName {
-    /// What it is: "planner", "denoiser".
+    /// Role: "planner", "denoiser".
     pub role: &'static str,
-    /// Where it is.
+    /// Address.
     pub address: String,
 }
 
-/// How a process that is asked fails.
+/// Failure of a peer process or of its specification.
 #[derive(Debug, thiserror::Error)]
 pub enum PeerError {
-    /// A name that is none.
+    /// The address is invalid.
     #[error("expected unix:PATH, tcp:HOST:PORT or a command, found {found:?}")]
     Address {
-        /// What was given.
+        /// The given text.
         found: String,
     },
-    /// A limit that is none.
+    /// The time-out is out of range.
     #[error("expected a time-out over 0 s, at most a day, found {found} s")]
     Timeout {
-        /// Seconds.
+        /// The given time-out, seconds.
         found: f64,
     },
-    /// It cannot be started or reached, or the connection breaks.
+    /// The process cannot be started or reached, or the connection breaks.
     #[error("cannot {verb} the {}: {source}: {}", peer.role, peer.address)]
     Io {
-        /// "start", "write to", ...
+        /// Failed operation: "start", "write to", ...
         verb: &'static str,
-        /// What the system said.
+        /// I/O error of the system.
         source: std::io::Error,
-        /// Who it is.
+        /// The peer.
         peer: PeerName,
     },
-    /// It does not answer.
+    /// The process does not answer in time.
     #[error("expected an answer of the {} within {timeout_s} s, found none: {}", peer.role, peer.address)]
     Silent {
-        /// Seconds.
+        /// Time-out, seconds.
         timeout_s: f64,
-        /// Who it is.
+        /// The peer.
         peer: PeerName,
     },
-    /// It ends, or closes the connection.
+    /// The process ends or closes the connection.
     #[error("expected an answer of the {}, found its end{after}: {}", peer.role, peer.address)]
     Gone {
-        /// After what part of a message and with what exit status, where known; begins with a blank.
+        /// Received part of a message and exit status, if known; begins with a space.
         after: String,
-        /// Who it is.
+        /// The peer.
         peer: PeerName,
     },
-    /// It says something else.
+    /// The answer is invalid.
     #[error("expected {expected} from the {}, found {found}: {}", peer.role, peer.address)]
     Answer {
-        /// What the protocol asks for.
+        /// Answer that the protocol requires.
         expected: String,
-        /// What it said.
+        /// Received answer.
         found: String,
-        /// Who it is.
+        /// The peer.
         peer: PeerName,
     },
 }
 
-/// An answer that a protocol does not allow.
+/// An answer that violates the protocol.
 #[derive(Debug)]
 pub(crate) struct Wrong {
     expected: String,
@@ -72,13 +72,13 @@ impl Wrong {
         Self { expected: expected.into(), found: found.into() }
     }
 
-    /// With who said it.
+    /// Adds the peer that sent the answer.
     pub(super) fn of(self, peer: PeerName) -> PeerError {
         PeerError::Answer { expected: self.expected, found: self.found, peer }
     }
 }
 
-/// How a message begins, in quotes.
+/// Returns the beginning of a message in quotes: at most 80 characters.
 pub(crate) fn begin_of(message: &[u8]) -> String {
     let text = String::from_utf8_lossy(&message[..message.len().min(400)]);
     format!("{:?}", text.chars().take(80).collect::<String>())

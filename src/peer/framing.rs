@@ -2,33 +2,33 @@ use std::io::{BufRead, Read, Result, Write};
 
 use super::error::begin_of;
 
-/// How messages are told apart, and how long an answer may be.
+/// Delimiting of messages in the byte stream, with the maximum length of an answer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Framing {
-    /// Each ends with a newline.
+    /// Each message ends with a newline.
     Lines {
-        /// Without the newline.
+        /// Maximum length without the newline.
         max_bytes: u64,
     },
-    /// Each comes after its length, a little-endian `u64`.
+    /// Each message follows its length, a little-endian `u64`.
     Lengths {
-        /// Without the length.
+        /// Maximum length without the length field.
         max_bytes: u64,
     },
 }
 
-/// What is read.
+/// Result of reading one message.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Heard {
-    /// A message, without what tells it from the next one.
+    /// A message without its delimiter.
     Message(Vec<u8>),
-    /// More than is allowed; what it is, and how it begins.
+    /// A message over the length limit; describes the received bytes.
     TooLong(String),
-    /// The end within a message.
+    /// The stream ended within a message.
     Cut {
-        /// What there is of it.
+        /// Number of bytes received.
         bytes: u64,
-        /// What there should be.
+        /// Number of bytes expected.
         of: u64,
     },
 }
@@ -36,7 +36,7 @@ pub(super) enum Heard {
 const LENGTH_BYTES: u64 = 8;
 
 impl Framing {
-    /// What a message is called.
+    /// Returns the noun for a message in error texts.
     pub(super) fn unit(self) -> &'static str {
         match self {
             Self::Lines { .. } => "line",
@@ -50,7 +50,7 @@ impl Framing {
         }
     }
 
-    /// Writes a message.
+    /// Writes a message with its delimiter.
     pub(super) fn write(self, writer: &mut impl Write, mut message: Vec<u8>) -> Result<()> {
         match self {
             Self::Lines { .. } => message.push(b'\n'),
@@ -60,7 +60,7 @@ impl Framing {
         writer.flush()
     }
 
-    /// Waits for a message; `None` at the end.
+    /// Waits for a message; `None` at the end of the stream.
     pub(super) fn read(self, reader: &mut impl BufRead) -> Result<Option<Heard>> {
         match self {
             Self::Lines { max_bytes } => read_line(reader, max_bytes),
@@ -90,10 +90,10 @@ fn read_counted(reader: &mut impl BufRead, max_bytes: u64) -> Result<Option<Hear
     };
     let of = u64::from_le_bytes(counted);
     if of > max_bytes {
-        // Text where the length should be is the usual mistake.
+        // Usually text was sent without the length field.
         return Ok(Some(Heard::TooLong(format!("a length of {of}, bytes {}", begin_of(&length)))));
     }
-    // Grows with what comes, whatever was declared.
+    // Grows with the received bytes, so a wrong length does not allocate.
     let mut message = Vec::new();
     reader.take(of).read_to_end(&mut message)?;
     let bytes = message.len() as u64;
@@ -133,7 +133,7 @@ mod tests {
         assert_eq!(all(counted, &[3, 0, 0, 0, 0, 0, 0, 0, 7]), [Heard::Cut { bytes: 9, of: 11 }]);
         let Heard::TooLong(found) = &all(counted, b"loading the model")[0] else { panic!() };
         assert_eq!(found, "a length of 2334956330749620076, bytes \"loading \"");
-        // A line may end with the connection.
+        // The last line may end without a newline.
         assert_eq!(all(Framing::Lines { max_bytes: 4 }, b"ab"), [Heard::Message(b"ab".to_vec())]);
     }
 }

@@ -1,9 +1,9 @@
-//! The processes of a command: a process group that ends when this process does, however that ends.
+//! Process group of a peer command, which ends with this process, however this process ends.
 //!
 //! # How it works
-//! A command that is started alone goes on when this process is killed. So the group is led by a guard, a shell that waits
-//! for the end of its input, a pipe whose other end this process alone holds. The system closes that end with this process,
-//! and the guard kills its group, itself last of all.
+//! A command that is started directly keeps running when this process is killed. So the group is led by a guard: a
+//! shell that waits for the end of its input, a pipe whose other end only this process holds. The system closes that
+//! end when this process ends. The guard then kills its group, including itself.
 
 use std::io::{Error, Result};
 use std::os::unix::process::CommandExt;
@@ -13,50 +13,50 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
-/// How long a process may take to end by itself once its input is closed.
+/// Grace period in which a process may exit by itself after its input is closed.
 const GRACE: Duration = Duration::from_millis(500);
-/// What the guard does. It stays while the command ends its own group by a signal, or stops it.
+/// Script of the guard. It ignores signals with which the command ends or stops its own group.
 const GUARD: &str = "trap '' HUP INT QUIT TERM TSTP TTIN TTOU; read -r _; kill -KILL 0";
 
-/// A command with all that it started.
+/// A command with all processes that it started.
 pub(super) struct Group {
     guard: Child,
     id: Pid,
-    /// `None` where it did not start.
+    /// `None` if the command did not start.
     command: Option<Child>,
-    /// Whether it was killed: its number may be another's.
+    /// `true` once the group is killed: its id may be reused by another group.
     is_over: bool,
 }
 
-/// All groups that run.
+/// All running groups.
 #[derive(Default)]
 struct Running {
     groups: Vec<Pid>,
-    /// Whether all were ended, so that none is to start.
+    /// `true` once all groups were ended; no further group may start.
     is_over: bool,
 }
 
 static RUNNING: Mutex<Running> = Mutex::new(Running { groups: Vec::new(), is_over: false });
 
 fn running() -> MutexGuard<'static, Running> {
-    // The list is whole at every moment.
+    // The list is consistent at every moment.
     RUNNING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Kills all commands that were started as peers, with all that they started, and lets none start any more. For the end of
-/// the process; sockets that were reached are none of its processes.
+/// Kills all peer commands with all processes that they started, and prevents further ones from starting. For the end
+/// of the process; peers reached over sockets are not affected.
 pub fn end_all() {
     let mut running = running();
     running.is_over = true;
     for group in &running.groups {
-        let _ = kill_process_group(*group, Signal::KILL); // fails where all have ended
+        let _ = kill_process_group(*group, Signal::KILL); // fails if all have ended
     }
 }
 
 impl Group {
-    /// Starts a command for `sh`; what it writes to its standard error is seen by the user.
+    /// Starts a command for `sh`; its standard error is inherited and visible to the user.
     pub(super) fn start(command: &str) -> Result<(Self, ChildStdin, ChildStdout)> {
-        // Until the end of this function: a group that has started is one that `end_all` ends.
+        // Locked until the function returns, so that `end_all` ends every group that has started.
         let mut running = running();
         if running.is_over {
             return Err(Error::other("the program is ending"));
@@ -80,13 +80,13 @@ impl Group {
                 Ok((group, writer, reader))
             }
             Err(error) => {
-                drop(running); // the group's end asks for it
+                drop(running); // dropping `group` locks it again
                 Err(error)
             }
         }
     }
 
-    /// Ends the command and whatever it started in its group; its exit status if it ended by itself in time.
+    /// Ends the command and all processes in its group. Returns its exit status if it exited by itself in time.
     pub(super) fn end(&mut self) -> Option<ExitStatus> {
         let mut command = self.command.take()?;
         let ended = ends_within(GRACE, Pid::from_child(&command));
@@ -94,11 +94,11 @@ impl Group {
         command.wait().ok().filter(|_| ended)
     }
 
-    /// Kills all processes of the group, and takes it off the list before its number may become another's.
+    /// Kills all processes of the group, and removes it from the list before its id may be reused.
     fn kill(&mut self) {
         self.is_over = true;
         let mut running = running();
-        let _ = kill_process_group(self.id, Signal::KILL); // fails where all have ended
+        let _ = kill_process_group(self.id, Signal::KILL); // fails if all have ended
         running.groups.retain(|group| *group != self.id);
         let _ = self.guard.wait();
     }
@@ -115,7 +115,7 @@ impl Drop for Group {
     }
 }
 
-/// Whether a child ends in time. It is not reaped, so that it keeps its number.
+/// Returns whether a child exits in time. The child is not reaped, so its process id stays reserved.
 fn ends_within(time: Duration, child: Pid) -> bool {
     let start = Instant::now();
     let look = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;

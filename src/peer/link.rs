@@ -7,7 +7,7 @@ use super::error::{Wrong, begin_of};
 use super::framing::{Framing, Heard};
 use super::{MAX_TIMEOUT_S, PeerError, PeerName, PeerSpec};
 
-/// A connection to a process.
+/// Connection to a peer process.
 pub(crate) struct Link {
     name: PeerName,
     timeout: Duration,
@@ -18,8 +18,8 @@ pub(crate) struct Link {
 }
 
 impl Link {
-    /// Starts a command or reaches a socket, which may take until the time-out to be there. `role` is what the process is
-    /// called in errors.
+    /// Starts a command, or connects to a socket, which may take until the time-out to appear. `role` is the name of
+    /// the process in errors.
     pub(crate) fn open(role: &'static str, spec: &PeerSpec, framing: Framing) -> Result<Self, PeerError> {
         if !(spec.timeout_s > 0.0 && spec.timeout_s <= MAX_TIMEOUT_S) {
             return Err(PeerError::Timeout { found: spec.timeout_s });
@@ -45,8 +45,8 @@ impl Link {
         Ok(link)
     }
 
-    /// Sends a message and waits for the answer. After a failure there are no more answers: a late one would be taken for
-    /// that to the next message.
+    /// Sends a message and waits for the answer. After a failure, further calls fail: a late answer would be taken
+    /// for the answer to the next message.
     pub(crate) fn ask(&mut self, message: Vec<u8>) -> Result<Vec<u8>, PeerError> {
         let answer = self.ask_once(message);
         if answer.is_err() {
@@ -55,19 +55,19 @@ impl Link {
         answer
     }
 
-    /// An answer that is of no use; nothing is asked any more.
+    /// Converts an invalid answer into an error, and stops asking.
     pub(crate) fn refuse(&mut self, wrong: Wrong) -> PeerError {
         self.messages = None;
         wrong.of(self.name.clone())
     }
 
-    /// A message that cannot be put into bytes.
+    /// Returns the error for a message that cannot be serialized.
     pub(crate) fn cannot_write(&self, source: std::io::Error) -> PeerError {
         PeerError::Io { verb: "write to", source, peer: self.name.clone() }
     }
 
     fn ask_once(&mut self, message: Vec<u8>) -> Result<Vec<u8>, PeerError> {
-        // It would be taken for the answer to what is asked now.
+        // An unsolicited answer would be taken for the answer to this message.
         if let Ok(heard) = self.answers.try_recv() {
             let unasked = self.message(heard)?;
             let expected = format!("no {} that was not asked for", self.framing.unit());
@@ -75,13 +75,13 @@ impl Link {
         }
         match self.messages.as_ref().map(|messages| messages.try_send(message)) {
             Some(Ok(())) => {}
-            // It has answered without reading what it was asked.
+            // The peer has answered without reading the previous message.
             Some(Err(TrySendError::Full(_))) => {
                 let expected =
                     format!("a {} that reads each {} before it answers", self.name.role, self.framing.unit());
                 return Err(self.wrong(expected, "one that does not read"));
             }
-            // The writer is gone if writing failed: the process is, too.
+            // The writer thread ends when writing fails, because the process has ended.
             Some(Err(TrySendError::Disconnected(_))) | None => return Err(self.gone(String::new())),
         }
         match self.answers.recv_timeout(self.timeout) {
@@ -93,7 +93,7 @@ impl Link {
         }
     }
 
-    /// What was read, if it is a message.
+    /// Returns the message that was read, or an error.
     fn message(&mut self, heard: std::io::Result<Heard>) -> Result<Vec<u8>, PeerError> {
         match heard {
             Ok(Heard::Message(message)) => Ok(message),
@@ -110,7 +110,8 @@ impl Link {
         Wrong::new(expected, found).of(self.name.clone())
     }
 
-    /// After what part of a message it ended; begins with a blank.
+    /// Ends the peer and returns the error. `part` is the received part of a message; it is empty or begins with a
+    /// space.
     fn gone(&mut self, part: String) -> PeerError {
         let status = self.end.end().map(|status| format!(" ({status})"));
         PeerError::Gone { after: part + &status.unwrap_or_default(), peer: self.name.clone() }
@@ -126,7 +127,7 @@ impl Drop for Link {
 
 fn write_messages(framing: Framing, mut writer: Box<dyn Write + Send>, messages: &Receiver<Vec<u8>>) {
     while let Ok(message) = messages.recv() {
-        // Whoever waits for the answer learns that the process is gone.
+        // The thread that waits for the answer notices that the process has ended.
         if framing.write(&mut writer, message).is_err() {
             return;
         }
@@ -140,7 +141,7 @@ fn read_messages(
 ) {
     let mut reader = BufReader::new(reader);
     while let Some(heard) = framing.read(&mut reader).transpose() {
-        // Where a message ends is not known any more.
+        // The position of the next message is unknown.
         let is_last = !matches!(heard, Ok(Heard::Message(_)));
         if answers.send(heard).is_err() || is_last {
             return;

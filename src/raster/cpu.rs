@@ -1,7 +1,7 @@
-//! The exact twin of the splat shaders in plain Rust: the oracle of the tests, and a rasterizer that needs no driver.
+//! CPU reference of the splat shaders in Rust: the oracle of the tests, and a rasterizer that needs no driver.
 //!
-//! Every `f32` operation stands in the same order as in `glsl/splat.vert`, without fused multiply-adds, so the results
-//! agree bit for bit where the driver does not fuse either.
+//! Every `f32` operation is in the same order as in `glsl/splat.vert`, without fused multiply-adds, so the results
+//! are bit-exact where the driver does not fuse either.
 
 use std::time::Instant;
 
@@ -13,7 +13,7 @@ use super::{
 };
 use crate::cloud::{Bounds, Point};
 
-/// The twin as a [`Rasterizer`].
+/// The CPU reference as a [`Rasterizer`].
 pub struct CpuRasterizer<'a> {
     clouds: CloudSet<'a>,
     extents: Vec<(usize, Option<Bounds>)>,
@@ -22,7 +22,7 @@ pub struct CpuRasterizer<'a> {
 }
 
 impl<'a> CpuRasterizer<'a> {
-    /// Holds clouds; nothing is copied.
+    /// Creates a rasterizer that borrows the clouds; nothing is copied.
     pub fn new(clouds: CloudSet<'a>) -> Self {
         let extents = clouds.iter().map(|c| (c.len(), Bounds::of(*c))).collect();
         Self { clouds, extents, stages: StageTimes::default(), done: DoneFrames::default() }
@@ -65,7 +65,7 @@ impl Rasterizer for CpuRasterizer<'_> {
     }
 }
 
-/// The visibility buffer: per pixel the winner's depth, draw and point.
+/// The visibility buffer: depth, draw and point of each pixel's winner.
 struct Visibility {
     width: u32,
     height: u32,
@@ -80,7 +80,7 @@ impl Visibility {
         Self { width, height, depth_m: vec![f32::INFINITY; pixels], winner: vec![(0, 0); pixels] }
     }
 
-    /// Later points never take a pixel from earlier ones of equal depth.
+    /// Splats points. Later points never replace earlier ones of equal depth.
     fn splat(&mut self, points: &[Point], draw: &Draw, draw_index: u32, schedule: &SplatSchedule) {
         for (index, point) in points.iter().enumerate() {
             let Some(splat) = project(&point.position, draw, schedule) else { continue };
@@ -124,29 +124,29 @@ impl Visibility {
     }
 }
 
-/// Pixels in a row from which on a first look at all of them costs less than a test and a branch for each.
+/// Row length, pixels, from which a vectorized pretest costs less than a test and a branch per pixel.
 const WIDE: usize = 8;
 
-/// Whether a depth is less than one of these: without branches, so that it becomes comparisons of vectors.
+/// Returns whether a depth is less than any of these; branch-free, so that it compiles to vector comparisons.
 fn is_nearer_somewhere(depth_m: f32, depths_m: &[f32]) -> bool {
     depths_m.iter().fold(false, |nearer, other| nearer | (depth_m < *other))
 }
 
-/// A projected point: centre pixel (may lie outside the image), camera depth and radius.
+/// A projected point: center pixel (may lie outside the image), camera depth and radius.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Splat {
-    /// Column of the centre, an integer.
+    /// Column of the center, an integer.
     pub x: f32,
-    /// Row of the centre, an integer.
+    /// Row of the center, an integer.
     pub y: f32,
-    /// Camera depth, metres.
+    /// Camera depth, meters.
     pub depth_m: f32,
-    /// Pixels.
+    /// Radius, pixels.
     pub radius: u32,
 }
 
 impl Splat {
-    /// Columns and rows of a `width × height` image that the square covers; `None` if there are none.
+    /// Returns the columns and rows of a `width × height` image that the square covers; `None` if empty.
     fn covered(&self, width: u32, height: u32) -> Option<(std::ops::Range<i32>, std::ops::Range<i32>)> {
         let r = self.radius as f32;
         let reaches = |c: f32, side: u32| c >= -r && c < side as f32 + r;
@@ -161,7 +161,7 @@ impl Splat {
     }
 }
 
-/// The vertex stage: `None` where the splat rule or the crop drops the point.
+/// Projects a point as the vertex shader does; `None` if the splat rule or the crop discards it.
 pub fn project(p: &[f32; 3], draw: &Draw, schedule: &SplatSchedule) -> Option<Splat> {
     let dot = |row: &[f32; 4]| row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3];
     let depth_m = dot(&draw.image_from_local[2]);

@@ -5,71 +5,71 @@ use super::{Planes, RasterError, SplatSchedule};
 use crate::cloud::Bounds;
 use crate::geometry::View;
 
-/// A resident cloud standing somewhere.
+/// A posed instance of a resident cloud.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Instance {
-    /// Which cloud: its place in the rasterizer's [`CloudSet`](super::CloudSet).
+    /// Index of the cloud in the rasterizer's [`CloudSet`](super::CloudSet).
     pub cloud: usize,
-    /// Where it stands, `f64`.
+    /// Pose in the world, `f64`.
     pub world_from_local: DAffine3,
-    /// What the instance map shows; 0 for the background.
+    /// Value in the instance map; 0 for the background.
     pub number: u32,
 }
 
-/// Only points within `radius_m` of `center` along the world's x and along its y are drawn (a square).
+/// Square crop: only points within `radius_m` of `center` along the world's x and y axes are drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crop {
-    /// World x and y, metres.
+    /// World x and y, meters.
     pub center: DVec2,
-    /// Half the side of the square, metres.
+    /// Half of the side length, meters.
     pub radius_m: f64,
 }
 
-/// What one view shows.
+/// Input of one view's rendering.
 #[derive(Clone, Copy, Debug)]
 pub struct SplatJob<'a> {
-    /// The camera and where it stands.
+    /// Camera and its pose.
     pub view: &'a View,
-    /// Radius by depth.
+    /// Splat radius by depth.
     pub schedule: &'a SplatSchedule,
-    /// In order: earlier ones win ties of depth, and point numbers run through them.
+    /// Instances in order: earlier ones win depth ties, and point numbers are consecutive across them.
     pub instances: &'a [Instance],
-    /// Which points are used at all; `None` for all.
+    /// Crop of the points; `None` for all points.
     pub crop: Option<Crop>,
-    /// Which maps are wanted.
+    /// Maps to render.
     pub planes: Planes,
 }
 
-/// An instance as the shaders get it: everything `f32`, relative to the cloud's own origin.
+/// An instance in the layout of the shaders: all `f32`, relative to the cloud's own origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Draw {
-    /// Which cloud.
+    /// Index of the cloud.
     pub cloud: usize,
-    /// Row-major 3×4: local homogeneous coordinates to `(x·z, y·z, z)`, pixels and metres.
+    /// Row-major 3×4: local homogeneous coordinates to `(x·z, y·z, z)`, pixels and meters.
     pub image_from_local: [[f32; 4]; 3],
-    /// Row-major 2×4: local homogeneous coordinates to x and y relative to the crop's centre, metres. A point is
-    /// used where both are within ± [`Draw::crop_radius_m`]. Zeros without a crop.
+    /// Row-major 2×4: local homogeneous coordinates to x and y relative to the crop's center, meters. A point is
+    /// drawn if both are within ± [`Draw::crop_radius_m`]. Zeros without a crop.
     pub crop_from_local: [[f32; 4]; 2],
-    /// Metres.
+    /// Half of the crop's side length, meters.
     pub crop_radius_m: f32,
-    /// Points of the job before this draw: point `i` of the cloud has number `first_number + i`.
+    /// Number of points in the job before this draw: point `i` of the cloud has number `first_number + i`.
     pub first_number: u32,
     /// [`Instance::number`].
     pub instance: u32,
 }
 
 impl Draw {
-    /// Whether a crop leaves points out.
+    /// Returns whether a crop applies.
     pub(super) fn cropped(&self) -> bool {
         self.crop_from_local != [[0.0; 4]; 2]
     }
 }
 
-/// The draws of a job: matrices multiplied out in `f64`, instances that cannot reach the image left out (their
-/// points are counted in the numbering all the same). `clouds` gives length and bounds of each resident cloud.
+/// Returns the draws of a job: matrices multiplied out in `f64`, instances that cannot reach the image omitted (the
+/// numbering still counts their points). `clouds` contains the length and bounds of each resident cloud.
 ///
 /// # Errors
-/// An unknown cloud, more than 2³² − 2 points.
+/// Fails for an unknown cloud, and for more than 2³² − 2 points.
 pub fn draws_from_job(
     job: &SplatJob<'_>,
     clouds: &[(usize, Option<Bounds>)],
@@ -93,7 +93,7 @@ pub fn draws_from_job(
     Ok(draws)
 }
 
-/// The draw of an instance in a job, whose first point has this number.
+/// Returns the draw of an instance in a job; `first_number` is the number of its first point.
 pub(super) fn draw_from_instance(job: &SplatJob<'_>, instance: &Instance, first_number: u32) -> Draw {
     let world = instance.world_from_local;
     let crop_row = |axis: usize, center: f64| {
@@ -114,8 +114,8 @@ pub(super) fn draw_from_instance(job: &SplatJob<'_>, instance: &Instance, first_
     }
 }
 
-/// Whether some point within the bounds may cover a pixel: no false "no" (bounds are tested with a margin that is
-/// far larger than the rounding of `f32`).
+/// Returns whether a point within the bounds may cover a pixel. Conservative: the margins far exceed the
+/// rounding of `f32`.
 fn may_be_seen(draw: &Draw, job: &SplatJob<'_>, bounds: &Bounds) -> bool {
     let pad = f64::from(job.schedule.max_radius()) + 2.0;
     let (width, height) = (f64::from(job.view.camera.width), f64::from(job.view.camera.height));
@@ -129,7 +129,7 @@ fn may_be_seen(draw: &Draw, job: &SplatJob<'_>, bounds: &Bounds) -> bool {
         };
         let [u, v, z] = draw.image_from_local.each_ref().map(dot);
         let [cx, cy] = draw.crop_from_local.each_ref().map(dot);
-        // A slack in pixel·metres covers rounding where z is tiny.
+        // The slack in pixel·meters covers rounding for tiny z.
         let (reach, slack) = (pad * z.max(0.0), 1.0);
         let here = [
             z < near,

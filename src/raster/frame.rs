@@ -3,18 +3,18 @@ use serde::Serialize;
 use super::{Crop, Instance, Plane, Planes, RasterError, SplatJob, SplatMaps, SplatSchedule, reduce};
 use crate::geometry::{ImageSize, View};
 
-/// What hides an actor in the class and instance maps.
+/// Which points occlude an actor in the class and instance maps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum Occlusion {
-    /// Whatever is in front of it.
+    /// All points in front of it.
     #[default]
     Scene,
-    /// Only other actors.
+    /// Only points of other actors.
     Actors,
 }
 
-/// Which maps a frame has.
+/// Maps of a frame to render.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[allow(clippy::struct_excessive_bools)]
 pub struct FrameKinds {
@@ -26,67 +26,67 @@ pub struct FrameKinds {
     pub class: bool,
     /// Instance number of that point (see [`Occlusion`]).
     pub instance: bool,
-    /// Number of that point.
+    /// Point number of that point.
     pub point: bool,
 }
 
 impl FrameKinds {
-    /// All of them.
+    /// All maps.
     pub const ALL: Self = Self { color: true, depth: true, class: true, instance: true, point: true };
 }
 
-/// What a frame shows: two clouds in all cameras of one instant.
+/// Input of a frame: two clouds in all cameras of one instant.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameJob<'a> {
-    /// The cameras as they are drawn.
+    /// Cameras to render.
     pub views: &'a [View],
-    /// Radius by depth.
+    /// Splat radius by depth.
     pub schedule: &'a SplatSchedule,
-    /// The cloud that gives color. Earlier instances win ties of depth.
+    /// Cloud for the color map. Earlier instances win depth ties.
     pub color: &'a [Instance],
-    /// The cloud that gives all else; point numbers run through it. What both clouds have in common at the same place
-    /// of their order is splatted once.
+    /// Cloud for all other maps; point numbers are consecutive across it. Instances that both clouds share at the
+    /// same position of their order are splatted once.
     pub geometry: &'a [Instance],
-    /// What hides actors (instances of the geometry cloud with a number above 0).
+    /// Occlusion of actors (instances of the geometry cloud with a number above 0).
     pub occlusion: Occlusion,
-    /// Which points are used at all; `None` for all.
+    /// Crop of the points; `None` for all points.
     pub crop: Option<Crop>,
-    /// Which maps are wanted.
+    /// Maps to render.
     pub kinds: FrameKinds,
-    /// All maps are reduced to this size: color as OpenCV's INTER_LINEAR, all else as its INTER_NEAREST. `None` for the
-    /// size of each view.
+    /// Size that all maps are reduced to: color as OpenCV's INTER_LINEAR, all others as its INTER_NEAREST. `None`
+    /// for the size of each view.
     pub out_size: Option<ImageSize>,
 }
 
 impl FrameJob<'_> {
-    /// Size of a view's maps.
+    /// Returns the size of a view's maps.
     pub fn size_of(&self, view: &View) -> ImageSize {
         self.out_size.unwrap_or_else(|| ImageSize::of(&view.camera))
     }
 }
 
-/// Maps of one view, row-major `height * width`; a map that was not asked for has length 0. Borrowed from the memory
-/// that the device wrote them to where that is possible.
+/// Maps of one view, row-major `height * width`; a map that was not requested has length 0. Borrows the memory that
+/// the device wrote where possible.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewMaps<'a> {
-    /// Of all maps.
+    /// Size of all maps.
     pub size: ImageSize,
-    /// `r | g << 8 | b << 16 | class << 24`; zero where empty, and in the bytes of what was not asked for. Length 0 if
-    /// neither color nor class is wanted.
+    /// `r | g << 8 | b << 16 | class << 24`; zero where empty, and in the bytes of a map that was not requested.
+    /// Length 0 if neither color nor class is requested.
     pub rgb_class: Plane<'a, u32>,
-    /// Camera depth in metres, `f32::INFINITY` where empty.
+    /// Camera depth in meters, `f32::INFINITY` where empty.
     pub depth_m: Plane<'a, f32>,
     /// [`Instance::number`] of the winning point, 0 where empty.
     pub instance: Plane<'a, u32>,
-    /// Number of the winning point + 1, 0 where empty. Points are numbered through the geometry instances in order.
+    /// Number of the winning point + 1, 0 where empty. Points are numbered across the geometry instances in order.
     pub point: Plane<'a, u32>,
 }
 
 /// Maps of a frame, one entry per view of the job.
 pub type FrameMaps<'a> = Vec<ViewMaps<'a>>;
 
-/// Draws a frame view by view and cloud by cloud, and reduces on the host: how a rasterizer that knows only `splat`
-/// makes frames.
+/// Renders a frame view by view and cloud by cloud, and reduces on the host. Used by rasterizers that
+/// implement only `splat`.
 pub(super) fn frame_by_views(
     job: &FrameJob<'_>,
     splat: &mut dyn FnMut(&SplatJob<'_>) -> Result<SplatMaps, RasterError>,
@@ -145,7 +145,7 @@ fn view_of_frame(
     })
 }
 
-/// Color of one pass and class of another, reduced.
+/// Combines the color of one pass with the class of another, both reduced.
 fn rgb_class(
     kinds: FrameKinds,
     color: &SplatMaps,
@@ -167,13 +167,13 @@ fn rgb_class(
     packed
 }
 
-/// The color of a packed pixel.
+/// Returns the color of a packed pixel.
 pub fn rgb_of(rgb_class: u32) -> [u8; 3] {
     let [r, g, b, _] = rgb_class.to_le_bytes();
     [r, g, b]
 }
 
-/// The class of a packed pixel.
+/// Returns the class of a packed pixel.
 pub fn class_of(rgb_class: u32) -> u8 {
     rgb_class.to_le_bytes()[3]
 }

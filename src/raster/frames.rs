@@ -2,12 +2,12 @@ use std::collections::VecDeque;
 
 use super::{FRAMES_IN_FLIGHT, FrameMaps, RasterError};
 
-/// Frames of a rasterizer that is done with each when it has begun it.
+/// Queue of completed frames, for rasterizers that render synchronously in `begin`.
 #[derive(Debug, Default)]
 pub(super) struct DoneFrames(VecDeque<FrameMaps<'static>>);
 
 impl DoneFrames {
-    /// Whether another frame may be begun.
+    /// Fails if no further frame may be begun.
     pub(super) fn check(&self) -> Result<(), RasterError> {
         if self.0.len() < FRAMES_IN_FLIGHT {
             return Ok(());

@@ -5,21 +5,21 @@ use super::cpu::CpuRasterizer;
 use super::{CloudSet, ComputeRasterizer, ComputeRasterizerDesc, RasterError, Rasterizer, VulkanRasterizer};
 use crate::gpu::{Device, DeviceDesc};
 
-/// Which rasterizer to use; all give the same maps.
+/// Choice of rasterizer; all produce the same maps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RasterizerKind {
-    /// The fastest one that the device can do.
+    /// The fastest one that the device supports.
     #[default]
     Auto,
-    /// Vulkan's compute shaders; needs 64-bit atomics.
+    /// Vulkan compute shaders; needs 64-bit atomics.
     Compute,
-    /// Vulkan's fixed-function pipeline.
+    /// Vulkan's graphics pipeline.
     Raster,
-    /// Plain Rust, without a driver.
+    /// CPU reference in Rust; needs no driver.
     Cpu,
 }
 
-/// A name that is no rasterizer's.
+/// An unknown rasterizer name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected a rasterizer (auto, compute, raster or cpu), found {0:?}")]
 pub struct UnknownRasterizer(pub String);
@@ -44,16 +44,16 @@ impl fmt::Display for RasterizerKind {
     }
 }
 
-/// Which rasterizer to make.
+/// Parameters of a rasterizer to create.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RasterizerDesc {
-    /// What draws.
+    /// Rasterizer to use.
     pub kind: RasterizerKind,
-    /// Part of the device's name or its index; without it the environment variable `PSKEL_DEVICE` decides, then the
-    /// best device.
+    /// Part of the device's name, or its index; by default the environment variable `PSKEL_DEVICE`, then
+    /// the best device.
     pub device: Option<String>,
-    /// Bytes that points may take on the device, 20 a point; beyond them positions are streamed, which only compute shaders
-    /// do. `None` for all that is needed. Plain Rust holds nothing on a device and ignores it.
+    /// Memory budget for points on the device, bytes (20 per point). Beyond it positions are streamed, which only
+    /// the compute rasterizer supports. `None` for no limit. The CPU reference ignores it.
     pub memory_bytes: Option<u64>,
 }
 
@@ -63,10 +63,11 @@ impl From<RasterizerKind> for RasterizerDesc {
     }
 }
 
-/// A rasterizer that holds these clouds. `PSKEL_VALIDATION=1` turns on validation.
+/// Creates a rasterizer with these resident clouds. `PSKEL_VALIDATION=1` turns on validation.
 ///
 /// # Errors
-/// No device (never for [`RasterizerKind::Cpu`]), an unknown one, one that lacks what the kind needs, out of memory.
+/// Fails if there is no device (never for [`RasterizerKind::Cpu`]), if the named device is unknown or lacks a
+/// required feature, or if memory is exhausted.
 pub fn create<'a>(
     desc: &RasterizerDesc,
     clouds: CloudSet<'a>,

@@ -2,31 +2,31 @@ use std::ops::Range;
 
 use super::Segment;
 
-/// By how much rectangles are grown where pixels that may be covered are looked for: far more than `f32` rounds, pixels.
+/// Margin of rectangles in the search for covered pixels, far above the rounding of `f32`, pixels.
 const SLACK_PX: f64 = 0.05;
 
-/// The rectangle of a segment: what decides which pixels it covers.
+/// Rectangle of a segment, which determines the pixels that it covers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LineTest {
     /// One end, pixels.
     pub(super) from: [f32; 2],
     /// Unit vector along the segment.
     pub(super) along: [f32; 2],
-    /// Pixels.
+    /// Length, pixels.
     pub(super) length: f32,
-    /// Pixels.
+    /// Half of the width, pixels.
     pub(super) half_width: f32,
 }
 
 impl LineTest {
-    /// For a segment that can reach a `width × height` image; `None` for one that cannot, one without length, and
-    /// numbers that are not finite. What is far outside is cut off first, in `f64`: the rest is small enough for
-    /// exact positions in `f32`.
+    /// Creates the test of a segment that can reach a `width × height` image. Returns `None` for segments that
+    /// cannot, of zero length, or with non-finite numbers. Parts far outside are clipped first, in `f64`; the rest
+    /// is small enough for exact positions in `f32`.
     pub(super) fn new(segment: &Segment, half_width: f32, size: [u32; 2]) -> Option<Self> {
         if !(half_width > 0.0 && half_width.is_finite()) {
             return None;
         }
-        // A pixel that is covered is at most half the width away from the line.
+        // A covered pixel is at most half the width away from the line.
         let margin = f64::from(half_width) + 2.0;
         let (from, to) = clip(segment, margin, size)?;
         let d = [to[0] - from[0], to[1] - from[1]];
@@ -35,7 +35,8 @@ impl LineTest {
         (length > 0.0).then_some(Self { from, along, length, half_width })
     }
 
-    /// Whether the centre of a pixel at `x`, `y` lies inside: on the near end and the one side, not on the others.
+    /// Returns whether a pixel center at `x`, `y` lies inside: the near end and one side inclusive, the
+    /// others exclusive.
     pub(super) fn covers(&self, x: f32, y: f32) -> bool {
         let (dx, dy) = (x - self.from[0], y - self.from[1]);
         let along = dx * self.along[0] + dy * self.along[1];
@@ -43,7 +44,7 @@ impl LineTest {
         along >= 0.0 && along < self.length && across >= -self.half_width && across < self.half_width
     }
 
-    /// Rows of an image among which all covered pixels are.
+    /// Returns a range of image rows that contains all covered pixels.
     pub(super) fn rows(&self, height: u32) -> Range<u32> {
         let (a, b) = (self.from[1], self.from[1] + self.along[1] * self.length);
         let low = (a.min(b) - self.half_width - 1.0).max(0.0) as u32;
@@ -51,8 +52,8 @@ impl LineTest {
         low..high.saturating_add(1).min(height)
     }
 
-    /// The columns that [`LineTest::covers`] tells covered in a row. They stand side by side: each of its four
-    /// comparisons changes at most once along a row, since rounding keeps the order of numbers.
+    /// Returns the columns that [`LineTest::covers`] accepts in a row. They are contiguous: each of its four
+    /// comparisons changes at most once along a row, since rounding is monotonic.
     pub(super) fn columns(&self, row: u32, width: u32) -> Range<u32> {
         let y = row as f32 + 0.5;
         let Some([low, high]) = self.reach(f64::from(y)) else { return 0..0 };
@@ -67,7 +68,7 @@ impl LineTest {
         start..end
     }
 
-    /// From where to where along x the rectangle reaches at `y`, a little more than less; `None` where it does not.
+    /// Returns the x range of the rectangle at `y`, slightly enlarged; `None` if it is empty.
     fn reach(&self, y: f64) -> Option<[f64; 2]> {
         let [along_x, along_y] = self.along.map(f64::from);
         let (x, dy) = (f64::from(self.from[0]), y - f64::from(self.from[1]));
@@ -80,7 +81,8 @@ impl LineTest {
     }
 }
 
-/// Cuts `reach` down to where `factor` times it lies between two numbers; `None` if that is nowhere.
+/// Intersects `reach` with the numbers whose product with `factor` lies in a range. Returns `None` if `factor` is
+/// zero and the range excludes zero.
 fn within(reach: &mut [f64; 2], factor: f64, [low, high]: [f64; 2]) -> Option<()> {
     if factor == 0.0 {
         return (low <= 0.0 && 0.0 <= high).then_some(());
@@ -90,8 +92,8 @@ fn within(reach: &mut [f64; 2], factor: f64, [low, high]: [f64; 2]) -> Option<()
     Some(())
 }
 
-/// The part of a segment inside the image grown by a margin, cut at one border after the other (Cohen and
-/// Sutherland). Ends inside stay as they are.
+/// Clips a segment to the image grown by a margin, one border after the other (Cohen and Sutherland). Ends
+/// inside are unchanged.
 fn clip(segment: &Segment, margin: f64, size: [u32; 2]) -> Option<([f32; 2], [f32; 2])> {
     let (mut from, mut to) = (segment.from.map(f64::from), segment.to.map(f64::from));
     if !from.iter().chain(&to).all(|v| v.is_finite()) {
@@ -111,7 +113,8 @@ fn clip(segment: &Segment, margin: f64, size: [u32; 2]) -> Option<([f32; 2], [f3
     Some((from.map(|v| v as f32), to.map(|v| v as f32)))
 }
 
-/// Where the way from `inside` to `outside` meets a border; measured from inside, where numbers are small.
+/// Returns the intersection of the line from `inside` to `outside` with a border, computed from `inside`, where
+/// numbers are small.
 fn cut(inside: [f64; 2], outside: [f64; 2], axis: usize, border: f64) -> [f64; 2] {
     let share = (border - inside[axis]) / (outside[axis] - inside[axis]);
     let mut point = [0, 1].map(|i| inside[i] + (outside[i] - inside[i]) * share);

@@ -1,8 +1,8 @@
-//! Lines, drawn on the host row by row.
+//! Line rasterization on the host, row by row.
 //!
 //! # How it works
-//! Layouts are mostly black, so what costs is to go over all of their pixels. [`LineRows`] tells row by row which columns
-//! the lines cover, from the numbers of [`LineTest`], and whoever asks touches only these.
+//! Layouts are mostly black, so visiting all of their pixels would dominate the cost. [`LineRows`] computes the
+//! covered columns of each row from [`LineTest`]s, and callers touch only these.
 
 use std::ops::Range;
 
@@ -10,15 +10,15 @@ use super::Segment;
 use super::line_test::LineTest;
 use crate::geometry::ImageSize;
 
-/// What lines cover in an image, row by row.
+/// Coverage of lines in an image, row by row.
 #[derive(Clone, Debug)]
 pub struct LineRows {
     width: u32,
-    /// In the order of drawing.
+    /// In drawing order.
     lines: Vec<Line>,
-    /// Numbers of those that were not met yet, the lowest last.
+    /// Indices of the lines not reached yet, lowest start row last.
     waiting: Vec<u32>,
-    /// Numbers of those that may meet the row, in the order of drawing.
+    /// Indices of the lines that may intersect the row, in drawing order.
     active: Vec<u32>,
 }
 
@@ -30,8 +30,9 @@ struct Line {
 }
 
 impl LineRows {
-    /// Segments `width_px` wide with butt ends, later over earlier, in an image of this size. A pixel is covered when its
-    /// centre lies in the segment's rectangle. Segments without length or place, and outside, cover nothing.
+    /// Prepares segments `width_px` wide with butt ends, later ones over earlier ones, in an image of this size. A
+    /// pixel is covered if its center lies in the segment's rectangle. Segments of zero length, with non-finite
+    /// coordinates, or outside the image cover nothing.
     pub fn new(segments: &[Segment], size: ImageSize, width_px: f32) -> Self {
         let sides = [size.width, size.height];
         let line = |segment: &Segment| {
@@ -44,8 +45,8 @@ impl LineRows {
         Self { width: size.width, lines, waiting, active: Vec::new() }
     }
 
-    /// Tells the columns and the color of each line in a row, in the order of drawing. Rows must be asked for in
-    /// ascending order.
+    /// Calls `paint` with the columns and the color of each line in a row, in drawing order. Rows must be requested
+    /// in ascending order.
     pub fn row(&mut self, row: u32, mut paint: impl FnMut(Range<usize>, [u8; 3])) {
         let lines = &self.lines;
         self.active.retain(|number| lines[*number as usize].rows.end > row);
@@ -66,7 +67,7 @@ impl LineRows {
     }
 }
 
-/// Draws segments `width_px` wide as [`LineRows::new`] says, on black: `height * width` RGB pixels.
+/// Draws segments `width_px` wide as in [`LineRows::new`], on black. Returns `height * width` RGB pixels.
 pub fn draw_lines(segments: &[Segment], size: ImageSize, width_px: f32) -> Vec<[u8; 3]> {
     let mut image = vec![[0; 3]; size.pixels()];
     let mut rows = LineRows::new(segments, size, width_px);
@@ -80,7 +81,7 @@ pub fn draw_lines(segments: &[Segment], size: ImageSize, width_px: f32) -> Vec<[
 mod tests {
     use super::*;
 
-    /// Every pixel against the test of every line.
+    /// Reference: tests every pixel against every line.
     fn drawn_pixel_by_pixel(segments: &[Segment], size: ImageSize, width_px: f32) -> Vec<[u8; 3]> {
         let mut image = vec![[0; 3]; size.pixels()];
         for segment in segments {
@@ -102,7 +103,7 @@ mod tests {
         (*state >> 33) % n
     }
 
-    /// Ends in the image, around it, far away, at the same place, or nonsense; often level, upright or nearly so.
+    /// Ends in the image, around it, far away, coincident or non-finite; often horizontal, vertical or nearly so.
     fn random_segment(state: &mut u64) -> Segment {
         let mut end = || -> [f32; 2] {
             let reach = [1.0, 2.0, 100.0, 1e7, 1e30][below(state, 5) as usize];

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// Which maps a job fills.
+/// Requested maps of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(clippy::struct_excessive_bools)]
 pub struct Planes {
@@ -16,12 +16,12 @@ pub struct Planes {
 }
 
 impl Planes {
-    /// All of them.
+    /// All maps.
     pub const ALL: Self = Self { point: true, depth: true, rgb_class: true, instance: true };
-    /// None.
+    /// No maps.
     pub const NONE: Self = Self { point: false, depth: false, rgb_class: false, instance: false };
 
-    /// What either of them has.
+    /// Returns the union of both.
     pub(super) fn and(self, other: Self) -> Self {
         Self {
             point: self.point || other.point,
@@ -32,16 +32,16 @@ impl Planes {
     }
 }
 
-/// Maps of one view, row-major `height * width`; a plane that was not asked for has length 0.
+/// Maps of one view, row-major `height * width`; a plane that was not requested has length 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplatMaps {
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
-    /// Number of the winning point + 1, 0 where empty. Points are numbered through the job's instances in order.
+    /// Number of the winning point + 1, 0 where empty. Points are numbered across the job's instances in order.
     pub point: Vec<u32>,
-    /// Camera depth in metres, `f32::INFINITY` where nothing was hit.
+    /// Camera depth in meters, `f32::INFINITY` where empty.
     pub depth_m: Vec<f32>,
     /// `r | g << 8 | b << 16 | class << 24` of the winning point, 0 where empty.
     pub rgb_class: Vec<u32>,
@@ -52,7 +52,7 @@ pub struct SplatMaps {
 /// A line segment in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment {
-    /// One end, pixels: x to the right, y down, pixel centres at half-integers.
+    /// One end, pixels: x to the right, y down, pixel centers at half-integers.
     pub from: [f32; 2],
     /// Other end, pixels.
     pub to: [f32; 2],
@@ -65,12 +65,12 @@ pub struct Segment {
 pub struct StageTimes(pub BTreeMap<&'static str, Duration>);
 
 impl StageTimes {
-    /// Adds to a stage.
+    /// Adds time to a stage.
     pub fn add(&mut self, stage: &'static str, time: Duration) {
         *self.0.entry(stage).or_default() += time;
     }
 
-    /// Adds all stages of another.
+    /// Adds all stage times of another.
     pub fn merge(&mut self, other: &Self) {
         for (stage, time) in &other.0 {
             self.add(stage, *time);

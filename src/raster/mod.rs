@@ -1,10 +1,10 @@
-//! The splat rasterizers: one interface, exact twins behind it.
+//! The splat rasterizers: one interface, implementations with identical output.
 //!
 //! # How it works
-//! A rasterizer is made once from all clouds of a scene ([`CloudSet`]), which then stay resident. Per frame and
-//! view only [`Instance`]s (which cloud stands where) and the camera change. [`draws_from_job`] turns them into
-//! [`Draw`]s: `f32` matrices multiplied out in `f64`, culled by bounds. Every rasterizer takes the same draws and
-//! does the same `f32` operations in the same order, so the maps agree to the pixel.
+//! A rasterizer is created once from all clouds of a scene ([`CloudSet`]), which then stay resident. Per frame and
+//! view only the camera and the [`Instance`]s (posed clouds) change. [`draws_from_job`] converts them to [`Draw`]s:
+//! `f32` matrices multiplied out in `f64`, culled by bounds. Every rasterizer takes the same draws and does the
+//! same `f32` operations in the same order, so the maps agree to the pixel.
 
 mod compute;
 pub mod cpu;
@@ -37,49 +37,49 @@ pub use vulkan::{VulkanRasterizer, VulkanRasterizerDesc};
 
 use crate::cloud::Point;
 
-/// All clouds that a rasterizer holds, in the order of their ids.
+/// All resident clouds of a rasterizer, in the order of their ids.
 pub type CloudSet<'a> = Vec<&'a [Point]>;
 
-/// What went wrong while drawing.
+/// Rendering error.
 #[derive(Debug, thiserror::Error)]
 pub enum RasterError {
-    /// The device or driver.
+    /// Error of the device or driver.
     #[error(transparent)]
     Gpu(#[from] crate::gpu::GpuError),
-    /// More points than an index of 32 bits can tell apart.
+    /// More points than a 32-bit index can address.
     #[error("expected at most {max} points in one job, found {found}")]
     TooManyPoints {
-        /// Points asked for.
+        /// Number of points in the job.
         found: u64,
         /// 2³² − 2.
         max: u64,
     },
-    /// A row of an image that no buffer of the device holds.
+    /// A row of an image does not fit into any buffer of the device.
     #[error("expected images that the device can hold a row of, found {width} pixels in a row")]
     TooWide {
-        /// Pixels.
+        /// Width, pixels.
         width: u32,
     },
-    /// [`Rasterizer::begin`] without [`Rasterizer::finish`], too often.
+    /// [`Rasterizer::begin`] was called too often without [`Rasterizer::finish`].
     #[error("expected at most {max} frames in flight, found one more")]
     TooManyFrames {
         /// [`FRAMES_IN_FLIGHT`].
         max: usize,
     },
-    /// [`Rasterizer::finish`] without [`Rasterizer::begin`].
+    /// [`Rasterizer::finish`] was called without [`Rasterizer::begin`].
     #[error("expected a frame in flight, found none")]
     NoFrame,
     /// An instance names a cloud that was never uploaded.
     #[error("expected a cloud id below {clouds}, found {cloud}")]
     UnknownCloud {
-        /// The id.
+        /// Cloud id.
         cloud: usize,
-        /// How many there are.
+        /// Number of uploaded clouds.
         clouds: usize,
     },
 }
 
-/// What draws: the device and driver, for reports.
+/// Rasterizer, device and driver, for reports.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct RasterizerInfo {
     /// `compute`, `raster` or `cpu`.
@@ -96,36 +96,37 @@ impl RasterizerInfo {
     }
 }
 
-/// How many frames may be begun before the first of them is finished.
+/// Maximum number of frames begun and not yet finished.
 pub const FRAMES_IN_FLIGHT: usize = 2;
 
-/// Splats resident clouds.
+/// Renders resident clouds as splats.
 pub trait Rasterizer {
-    /// Which rasterizer, device and driver this is.
+    /// Returns the rasterizer, device and driver.
     fn info(&self) -> RasterizerInfo;
 
-    /// Begins a frame: all views of the job. The device may work on it until [`Rasterizer::finish`] asks for it.
+    /// Begins a frame: all views of the job. The device may work on it until [`Rasterizer::finish`] waits for it.
     ///
     /// # Errors
-    /// The device's, an unknown cloud, more than 2³² − 2 points, more than [`FRAMES_IN_FLIGHT`] frames.
+    /// Fails on any device error, for an unknown cloud, for more than 2³² − 2 points, and for more than
+    /// [`FRAMES_IN_FLIGHT`] frames.
     fn begin(&mut self, job: &FrameJob<'_>) -> Result<(), RasterError>;
 
-    /// Waits for the oldest frame that was begun. Its maps are borrowed until something else is asked for.
+    /// Waits for the oldest frame in flight. Its maps borrow the rasterizer until its next call.
     ///
     /// # Errors
-    /// The device's, no frame in flight.
+    /// Fails on any device error, or if no frame is in flight.
     fn finish(&mut self) -> Result<FrameMaps<'_>, RasterError>;
 
-    /// Draws one cloud into one view at its full size by the splat rule. Planes that were not asked for are empty.
+    /// Renders a view at its full size by the splat rule. Planes that were not requested are empty.
     ///
     /// # Errors
-    /// The device's, an unknown cloud, more than 2³² − 2 points.
+    /// Fails on any device error, for an unknown cloud, and for more than 2³² − 2 points.
     fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError>;
 
-    /// Times of the stages since they were last taken, to which others may be added.
+    /// Returns the stage times since they were last taken; callers may add to them.
     fn stages(&mut self) -> &mut StageTimes;
 
-    /// Times of the stages, summed since the last call.
+    /// Returns the stage times summed since the last call, and resets them.
     fn take_stages(&mut self) -> StageTimes {
         std::mem::take(self.stages())
     }

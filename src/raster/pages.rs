@@ -1,7 +1,7 @@
-//! Resident clouds: all points of a scene, one after the other, in a few large buffers.
+//! Resident clouds of the graphics-pipeline rasterizer: all points of a scene, concatenated in a few large buffers.
 //!
-//! A page is as large as a shader can bind whole. A cloud that crosses the end of a page is drawn in several pieces;
-//! pieces stand in the order of the points, so ties are still won by the smallest index.
+//! A page is a chunk buffer as large as a shader can bind. A cloud that crosses a page boundary is drawn in several
+//! pieces, in the order of its points, so the smallest index still wins ties.
 
 use std::sync::Arc;
 
@@ -15,33 +15,33 @@ use crate::gpu::{
 };
 
 const POINT_BYTES: u64 = size_of::<Point>() as u64;
-/// Upload goes through host memory of this size, bytes.
+/// Maximum size of the upload's staging buffer, bytes.
 const STAGING_BYTES: u64 = 16 << 20;
-/// No page is larger, bytes.
+/// Maximum size of a page, bytes.
 const MAX_PAGE_BYTES: u64 = 1 << 30;
 
-/// A part of a cloud that lies in one page.
+/// Range of a cloud's points within one page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Slice {
-    /// Which page.
+    /// Page index.
     pub(super) page: u32,
     /// First point within the page.
     pub(super) first: u32,
-    /// Points.
+    /// Number of points.
     pub(super) count: u32,
-    /// The same first point within the cloud.
+    /// Index of that first point within the cloud.
     pub(super) first_in_cloud: u32,
 }
 
-/// A slice to be drawn.
+/// A slice to draw.
 pub(super) struct PieceDraw {
-    /// Which of the job's draws.
+    /// Index of the draw in the job.
     pub(super) draw: usize,
-    /// Which points.
+    /// Points to draw.
     pub(super) slice: Slice,
 }
 
-/// A buffer of points, and the descriptor set with which the resolve shader sees it.
+/// A buffer of points, and the descriptor set that binds it to the resolve shader.
 pub(super) struct Page {
     pub(super) points: Arc<Buffer>,
     pub(super) set: DescriptorSet,
@@ -55,7 +55,7 @@ pub(super) struct Pages {
 }
 
 impl Pages {
-    /// Uploads all clouds. Pages have at most `page_points` points, fewer where the device's limits ask for it.
+    /// Uploads all clouds. Pages have at most `page_points` points, or fewer if the device's limits require it.
     pub(super) fn upload(
         device: &Arc<Device>,
         commands: &mut Commands,
@@ -90,7 +90,7 @@ impl Pages {
         Ok(Self { pages, slices })
     }
 
-    /// What to draw for a job, in order, and the table through which its pixels are resolved.
+    /// Returns the pieces to draw for a job, in order, and the table for resolving its pixels.
     pub(super) fn pieces(&self, draws: &[Draw]) -> (Vec<PieceDraw>, Vec<Piece>) {
         let (mut pieces, mut table) = (Vec::new(), Vec::new());
         for (index, draw) in draws.iter().enumerate() {
@@ -108,7 +108,7 @@ impl Pages {
         (pieces, table)
     }
 
-    /// Pages that the resolve shader must see: one at least, all that were drawn where colors are wanted.
+    /// Returns the pages that the resolve shader must bind: all drawn ones if colors are requested, else only one.
     pub(super) fn used(table: &[Piece], planes: Planes) -> Vec<u32> {
         let mut used: Vec<u32> = table.iter().map(|piece| piece.page).collect();
         used.sort_unstable();
@@ -125,7 +125,7 @@ fn staging_desc(largest: u64) -> BufferDesc<'static> {
     BufferDesc { name: "upload", size, usage: Usage::TRANSFER_SRC, memory: Memory::Upload }
 }
 
-/// Fills a page from the next points of the source, a bounded slice at a time.
+/// Fills a page from the next points of the source, in bounded steps.
 fn fill(
     page: &Buffer,
     source: &mut Concatenated<'_, '_>,
@@ -145,7 +145,7 @@ fn fill(
     Ok(())
 }
 
-/// Where clouds of these lengths lie when they stand one after the other in pages of `page_points`.
+/// Returns the slices of clouds with these lengths, concatenated in pages of `page_points` points.
 fn plan(lengths: &[u64], page_points: u64) -> Vec<Vec<Slice>> {
     let mut at = 0;
     let slices = |&length: &u64| {
@@ -163,10 +163,10 @@ fn plan(lengths: &[u64], page_points: u64) -> Vec<Vec<Slice>> {
     lengths.iter().map(slices).collect()
 }
 
-/// Reads clouds as if they were one.
+/// Reads clouds as one byte stream.
 struct Concatenated<'c, 'a> {
     clouds: &'c [&'a [Point]],
-    /// Bytes of the first cloud that were read.
+    /// Number of bytes read from the first cloud.
     at: usize,
 }
 

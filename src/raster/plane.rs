@@ -5,8 +5,8 @@ use bytemuck::Pod;
 
 use crate::gpu::Mapped;
 
-/// A map's values: their own, or where the device wrote them. The device's memory is not used for another frame before
-/// all of a frame's planes are dropped.
+/// Values of one map: owned, or in the memory that the device wrote. The device reuses that memory only after all
+/// planes of a frame are dropped.
 #[derive(Clone)]
 pub struct Plane<'a, T>(Place<'a, T>);
 
@@ -17,12 +17,12 @@ enum Place<'a, T> {
 }
 
 impl<'a, T: Pod> Plane<'a, T> {
-    /// Values in mapped memory; the range of bytes is aligned for them.
+    /// Returns a plane over mapped memory; the byte range must be aligned for `T`.
     pub(super) fn mapped(memory: Arc<Mapped<'a>>, bytes: Range<usize>) -> Self {
         Self(Place::Mapped { memory, bytes })
     }
 
-    /// The values; copied if the device wrote them.
+    /// Returns the values; copies them from mapped memory.
     pub fn into_owned(self) -> Vec<T> {
         match self.0 {
             Place::Owned(values) => values,

@@ -1,18 +1,18 @@
-//! Reduction of splatted maps, as OpenCV does it: [`nearest`] is its INTER_NEAREST, [`bilinear`] its INTER_LINEAR for
-//! bytes.
+//! Downscaling of splatted maps with OpenCV's arithmetic: [`nearest`] is INTER_NEAREST, [`bilinear`] is
+//! INTER_LINEAR for bytes.
 
 use rayon::prelude::*;
 
 use crate::geometry::ImageSize;
 
-/// Source index per output index, as OpenCV's INTER_NEAREST: `floor(i · (1 / (out / in)))`, in `f64` and in just this
-/// order.
+/// Returns the source index of each output index, as OpenCV's INTER_NEAREST: `floor(i · (1 / (out / in)))`, in
+/// `f64` and in exactly this order of operations.
 pub fn nearest_indices(from: u32, to: u32) -> Vec<u32> {
     let step = 1.0 / (f64::from(to) / f64::from(from));
     (0..to).map(|i| ((f64::from(i) * step).floor() as u32).min(from - 1)).collect()
 }
 
-/// Takes one source pixel per output pixel. `map` has `from.pixels()` values, row by row.
+/// Samples one source pixel per output pixel. `map` has `from.pixels()` values, row by row.
 pub fn nearest<T: Copy + Send + Sync>(map: &[T], from: ImageSize, to: ImageSize) -> Vec<T> {
     let columns = nearest_indices(from.width, to.width);
     let rows = nearest_indices(from.height, to.height);
@@ -27,7 +27,7 @@ pub(super) struct Tap {
     pub(super) weight: [i32; 2],
 }
 
-/// Half-pixel centres, no antialiasing; the fraction is `f32` as in OpenCV.
+/// Returns the taps per output index: half-pixel centers, no antialiasing; the fraction is `f32` as in OpenCV.
 pub(super) fn taps(from: u32, to: u32) -> Vec<Tap> {
     let scale = f64::from(from) / f64::from(to);
     let last = from as usize - 1;
@@ -42,8 +42,8 @@ pub(super) fn taps(from: u32, to: u32) -> Vec<Tap> {
     (0..to).map(tap).collect()
 }
 
-/// OpenCV's INTER_LINEAR for 8-bit RGB, in its fixed-point arithmetic: 11 bits of weight each way, and the four bits
-/// that its vector code drops between the two passes.
+/// Downscales 8-bit RGB with OpenCV's INTER_LINEAR in its fixed-point arithmetic: 11-bit weights in each direction,
+/// and the four bits that its vector code drops between the two passes.
 pub fn bilinear(map: &[[u8; 3]], from: ImageSize, to: ImageSize) -> Vec<[u8; 3]> {
     let columns = taps(from.width, to.width);
     let rows = taps(from.height, to.height);

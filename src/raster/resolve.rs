@@ -1,9 +1,9 @@
-//! Visibility to maps: a compute shader looks up the winner of each pixel (`glsl/resolve.comp`).
+//! Visibility buffer to maps: a compute shader resolves the winner of each pixel (`glsl/resolve.comp`).
 //!
 //! # How it works
-//! A pixel names a point within a page and a piece; the table of pieces says what that is in the job. Only one page
-//! can be bound at a time, so there is a dispatch per page that was drawn, of which the first also writes what needs
-//! no page. All planes lie in one buffer, one after the other.
+//! A pixel contains a point within a page and a piece; the table of pieces maps them to the job's numbering. Only
+//! one page can be bound at a time, so each drawn page has a dispatch; the first one also writes the planes that
+//! need no page. All planes are concatenated in one buffer.
 
 use std::sync::Arc;
 
@@ -19,22 +19,22 @@ use crate::gpu::{
     Recorder, Scope, assert_layout, shaders,
 };
 
-/// Descriptor set of a page.
+/// Descriptor set number of a page.
 pub(super) const PAGE_SET: u32 = 1;
-/// A plane that is not wanted.
+/// Offset of a plane that is not requested.
 const NOT_WANTED: u32 = u32::MAX;
-/// Bytes per pixel if all planes are wanted.
+/// Bytes per pixel if all planes are requested.
 pub(super) const MAX_PIXEL_BYTES: u64 = 16;
 
-/// What a pixel's piece stands for.
+/// Entry of the piece table.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub(super) struct Piece {
-    /// Point within the page + this, wrapping, is the point's number in the job.
+    /// Added (wrapping) to the point within the page to get the point's number in the job.
     pub(super) number_bias: u32,
-    /// What the instance map shows.
+    /// Value in the instance map.
     pub(super) instance: u32,
-    /// Where the point lies.
+    /// Page of its points.
     pub(super) page: u32,
     pub(super) pad: u32,
 }
@@ -66,7 +66,7 @@ assert_layout!(ResolvePush, shaders::resolve_comp::resolve_push, [
     instance_at: INSTANCE_AT,
 ]);
 
-/// Where each wanted plane begins in the buffer of planes, pixels, and how many pixels there are in all.
+/// Offset of each requested plane in the buffer of planes, pixels, and the total size, pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PlaneOffsets {
     pub(super) point: Option<usize>,
@@ -90,7 +90,7 @@ impl PlaneOffsets {
     }
 }
 
-/// What does not depend on sizes.
+/// Resources independent of image sizes.
 pub(super) struct ResolveStage {
     pipeline: ComputePipeline,
 }
@@ -100,12 +100,12 @@ pub(super) struct ResolveTarget {
     set: DescriptorSet,
     pieces: Arc<Buffer>,
     planes: Arc<Buffer>,
-    /// What the host reads, laid out by [`PlaneOffsets`].
+    /// Planes for the host, laid out by [`PlaneOffsets`].
     pub(super) readback: Buffer,
 }
 
 impl ResolveTarget {
-    /// How many pieces its table holds.
+    /// Returns the number of pieces that its table can hold.
     pub(super) fn piece_capacity(&self) -> u64 {
         self.pieces.size() / size_of::<Piece>() as u64
     }
@@ -116,12 +116,12 @@ impl ResolveStage {
         Ok(Self { pipeline: ComputePipeline::new(device, &shaders::resolve_comp::SHADER)? })
     }
 
-    /// Layout that pages make their descriptor sets for.
+    /// Returns the layout for the descriptor sets of pages.
     pub(super) fn layout(&self) -> &PipelineLayout {
         self.pipeline.layout()
     }
 
-    /// Buffers for tiles drawn into these images, and for up to `pieces` pieces.
+    /// Creates buffers for tiles in these images and for up to `pieces` pieces.
     pub(super) fn target(
         &self,
         device: &Arc<Device>,
@@ -147,7 +147,7 @@ impl ResolveStage {
         Ok(ResolveTarget { set, pieces, planes, readback })
     }
 
-    /// Resolves one tile, of which at least one piece was drawn, and copies the planes to the host.
+    /// Records the resolve of one tile with at least one drawn piece, and the copy of the planes to the host.
     pub(super) fn record<'a>(
         &'a self,
         recorder: &mut Recorder<'a>,

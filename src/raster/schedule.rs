@@ -6,29 +6,29 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// One entry of a splat schedule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SplatStep {
-    /// Up to this camera depth, metres, inclusive ...
+    /// Maximum camera depth of this entry, meters, inclusive.
     pub z_max_m: f32,
-    /// ... a point covers `(2·radius + 1)²` pixels.
+    /// Radius of a point up to that depth: it covers `(2·radius + 1)²` pixels.
     pub radius: u32,
 }
 
-/// Splat radius by depth: `z_max` strictly rising, radii never increasing. Text form `15:2,35:1,100:0`.
+/// Splat radius by depth: `z_max` strictly increasing, radii never increasing. Text form `15:2,35:1,100:0`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SplatSchedule(Vec<SplatStep>);
 
-/// Why a schedule is refused.
+/// Reason for rejecting a schedule.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ScheduleError {
     /// Not of the form `Z:R,Z:R`.
     #[error("expected a splat schedule like 15:2,35:1,100:0, found {0:?}")]
     Form(String),
-    /// `z_max` not positive, not rising, or 2³⁰ m and more.
+    /// `z_max` not positive, not increasing, or at least 2³⁰ m.
     #[error("expected positive, rising depths in the splat schedule, found {0}")]
     Depths(SplatSchedule),
-    /// A radius that grows with depth, or over the limit.
+    /// A radius that increases with depth or exceeds the limit.
     #[error("expected radii of at most {max} that never increase with depth, found {schedule}", max = SplatSchedule::MAX_RADIUS)]
     Radii {
-        /// What was given.
+        /// Rejected schedule.
         schedule: SplatSchedule,
     },
     /// Too many entries.
@@ -37,17 +37,17 @@ pub enum ScheduleError {
 }
 
 impl SplatSchedule {
-    /// Largest radius, pixels: points of 63 pixels are what drivers guarantee.
+    /// Maximum radius, pixels: drivers guarantee points of 63 pixels.
     pub const MAX_RADIUS: u32 = 31;
-    /// Depths stay below 2³⁰ m, since the depth buffer holds `z·2⁻³⁰`.
+    /// Upper bound of depths (exclusive): 2³⁰ m, since the depth buffer stores `z·2⁻³⁰`.
     pub const Z_LIMIT_M: f32 = 1_073_741_824.0;
-    /// Most entries that the shaders hold.
+    /// Maximum number of entries in the shaders.
     pub const MAX_STEPS: usize = 16;
 
-    /// Checks the entries.
+    /// Validates the entries.
     ///
     /// # Errors
-    /// [`ScheduleError`] says what is off.
+    /// Returns [`ScheduleError`] with the reason if an entry is invalid.
     pub fn new(steps: Vec<SplatStep>) -> Result<Self, ScheduleError> {
         if steps.is_empty() || steps.len() > Self::MAX_STEPS {
             return Err(ScheduleError::Count(steps.len()));
@@ -65,28 +65,28 @@ impl SplatSchedule {
         Ok(schedule)
     }
 
-    /// The entries, nearest first; never empty.
+    /// Returns the entries, nearest first; never empty.
     pub fn steps(&self) -> &[SplatStep] {
         &self.0
     }
 
-    /// Radius of the nearest points: the padding that a viewport needs.
+    /// Returns the radius of the nearest points, which is the padding of the viewport.
     pub fn max_radius(&self) -> u32 {
         self.0.iter().map(|s| s.radius).max().unwrap_or(0)
     }
 
-    /// Depth beyond which nothing is drawn, metres.
+    /// Returns the depth beyond which nothing is drawn, meters.
     pub fn z_far_m(&self) -> f32 {
         self.0.last().map_or(0.0, |s| s.z_max_m)
     }
 
-    /// Radius at camera depth `z` in metres; `None` where the point is not drawn (also for NaN).
+    /// Returns the radius at camera depth `z` in meters; `None` if the point is not drawn (also for NaN).
     pub fn radius_at(&self, z: f32) -> Option<u32> {
         if z > Z_NEAR_M { self.0.iter().find(|s| z <= s.z_max_m).map(|s| s.radius) } else { None }
     }
 }
 
-/// Points at or nearer than this camera depth are not drawn, metres.
+/// Near plane: points at or below this camera depth are not drawn, meters.
 pub(super) const Z_NEAR_M: f32 = 1e-5;
 
 /// The nuScenes schedule.
@@ -111,7 +111,7 @@ impl FromStr for SplatSchedule {
     }
 }
 
-/// In files it stands as its text form.
+/// Serializes to the text form.
 impl Serialize for SplatSchedule {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_str(self)

@@ -1,9 +1,9 @@
-//! Points to visibility: the fixed-function pipeline draws squares with a depth test (`glsl/splat.vert`, `.frag`).
+//! Points to visibility buffer: the graphics pipeline draws squares with a depth test (`glsl/splat.vert`, `.frag`).
 //!
 //! # How it works
-//! Every point snaps to the centre of its pixel, so that a square of odd size covers whole pixels. Depth is `z·2⁻³⁰`,
-//! exact in `f32`; the test is LESS and primitives keep their order, so the smallest index wins ties. Since points
-//! centred outside the viewport may be dropped, the viewport is larger than the image by the largest radius.
+//! Every point snaps to the center of its pixel, so that a square of odd size covers whole pixels. Depth is
+//! `z·2⁻³⁰`, exact in `f32`; the test is LESS and primitives are in order, so the smallest index wins ties. Points
+//! centered outside the viewport may be discarded, so the viewport exceeds the image by the maximum radius.
 
 use std::sync::Arc;
 
@@ -24,7 +24,7 @@ use crate::gpu::{
 const VISIBILITY: vk::Format = vk::Format::R32G32_UINT;
 const DEPTH: vk::Format = vk::Format::D32_SFLOAT;
 
-/// What all draws of a tile share.
+/// Uniforms shared by all draws of a tile.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 struct SplatFrame {
@@ -43,7 +43,7 @@ assert_layout!(SplatFrame, shaders::splat_vert::splat_frame, [
     step_count: STEP_COUNT,
 ]);
 
-/// What a draw needs.
+/// Push constants of a draw.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 struct SplatPush {
@@ -66,7 +66,7 @@ assert_layout!(SplatPush, shaders::splat_vert::splat_push, [
     piece: PIECE,
 ]);
 
-/// What does not depend on sizes.
+/// Resources independent of image sizes.
 pub(super) struct SplatStage {
     pipeline: GraphicsPipeline,
     pass: Arc<RenderPass>,
@@ -74,7 +74,7 @@ pub(super) struct SplatStage {
     set: DescriptorSet,
 }
 
-/// Images of one size.
+/// Target images of one size.
 pub(super) struct SplatTarget {
     /// Per pixel: point within the page + 1, or 0; piece.
     pub(super) visibility: Arc<Image>,
@@ -112,7 +112,7 @@ impl SplatStage {
         Ok(Self { pipeline, pass, frame, set })
     }
 
-    /// Images for tiles of up to this width and height, pixels.
+    /// Creates target images for tiles of up to this width and height, pixels.
     pub(super) fn target(
         &self,
         device: &Arc<Device>,
@@ -128,7 +128,7 @@ impl SplatStage {
         Ok(SplatTarget { visibility, depth, target })
     }
 
-    /// Draws the pieces of one tile.
+    /// Records the draws of a tile's pieces.
     pub(super) fn record<'a>(
         &'a self,
         recorder: &mut Recorder<'a>,
@@ -153,7 +153,7 @@ impl SplatStage {
     }
 }
 
-/// Whether the device draws points as large as the schedule wants.
+/// Fails if the device does not support points as large as the schedule's maximum.
 pub(super) fn check_point_size(device: &Device, schedule: &SplatSchedule) -> Result<(), GpuError> {
     let size = 2.0 * schedule.max_radius() as f32 + 1.0;
     if size == 1.0 {

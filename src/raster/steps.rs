@@ -1,4 +1,4 @@
-//! A schedule as shaders get it.
+//! Splat schedule in the layout of the shaders.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -17,7 +17,7 @@ pub(super) struct Step {
 assert_layout!(Step, shaders::splat_vert::step, [z_max_m: Z_MAX_M, radius: RADIUS, pad_0: PAD_0, pad_1: PAD_1]);
 assert_layout!(Step, shaders::project_wgsl_pixel::step, [z_max_m: Z_MAX_M, radius: RADIUS, pad_0: PAD_0, pad_1: PAD_1]);
 
-/// All entries, then zeros.
+/// Returns all entries, padded with zeros.
 pub(super) fn steps(schedule: &SplatSchedule) -> [Step; SplatSchedule::MAX_STEPS] {
     let mut steps = [Step::default(); SplatSchedule::MAX_STEPS];
     for (to, from) in steps.iter_mut().zip(schedule.steps()) {

@@ -1,4 +1,4 @@
-/// A part of an image that is drawn at once.
+/// Rectangular part of an image, rendered in one pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Tile {
     /// Top left corner: x and y, pixels.
@@ -7,22 +7,22 @@ pub(crate) struct Tile {
     pub(crate) size: [u32; 2],
 }
 
-/// How large tiles may be.
+/// Size limits of tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TileLimits {
-    /// Longest side, pixels.
+    /// Maximum side length, pixels.
     pub(crate) side: u32,
-    /// Most pixels.
+    /// Maximum area, pixels.
     pub(crate) area: u32,
 }
 
 impl Tile {
-    /// Pixels.
+    /// Returns the number of pixels.
     pub(crate) fn area(&self) -> usize {
         self.size[0] as usize * self.size[1] as usize
     }
 
-    /// Copies the tile's pixels, row by row without gaps, to where they belong in an image `width` pixels wide.
+    /// Copies the tile's pixels (tightly packed rows) to their position in an image `width` pixels wide.
     pub(crate) fn copy_into<T: Copy>(&self, pixels: &[T], image: &mut [T], width: u32) {
         let (from, to) = (self.size[0] as usize, width as usize);
         for (row, line) in pixels.chunks_exact(from).take(self.size[1] as usize).enumerate() {
@@ -32,7 +32,7 @@ impl Tile {
     }
 }
 
-/// Tiles that make up a `width × height` image; the first is the largest.
+/// Returns the tiles that cover a `width × height` image; the first is the largest.
 pub(crate) fn tiles(width: u32, height: u32, limits: TileLimits) -> Vec<Tile> {
     let columns = width.min(limits.side).min(limits.area).max(1);
     let rows = height.min(limits.side).min(limits.area / columns).max(1);
@@ -45,8 +45,8 @@ pub(crate) fn tiles(width: u32, height: u32, limits: TileLimits) -> Vec<Tile> {
     tiles
 }
 
-/// Size of images that hold `needed` pixels per side and replace images of size `current`: no side shrinks, so that
-/// views of different sizes share them, unless that would be too large.
+/// Returns the size of images that replace images of size `current` and hold `needed` pixels per side. No side
+/// shrinks, so that views of different sizes share them, unless the area would exceed the limit.
 pub(crate) fn grown(current: [u32; 2], needed: [u32; 2], limits: TileLimits) -> [u32; 2] {
     let both = [current[0].max(needed[0]), current[1].max(needed[1])];
     let fits = u64::from(both[0]) * u64::from(both[1]) <= u64::from(limits.area);

@@ -1,4 +1,4 @@
-//! The rasterizer on Vulkan's fixed-function pipeline: splat, resolve, read back.
+//! The rasterizer on Vulkan's graphics pipeline: splat, resolve, read back.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -16,16 +16,16 @@ use super::{
 use crate::cloud::Bounds;
 use crate::gpu::{Commands, Device, GpuError};
 
-/// How a [`VulkanRasterizer`] divides its work; the default is what the device can do. Results never depend on it.
+/// Partitioning of a [`VulkanRasterizer`]'s work; the default uses the device's limits. Results never depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct VulkanRasterizerDesc {
-    /// Most points in one buffer.
+    /// Maximum number of points per buffer.
     pub page_points: Option<u32>,
-    /// Longest side of what is drawn at once, pixels.
+    /// Maximum side length of a tile, pixels.
     pub tile_side: Option<u32>,
 }
 
-/// Clouds on a Vulkan device, and what draws them.
+/// Rasterizer with clouds resident on a Vulkan device.
 pub struct VulkanRasterizer {
     device: Arc<Device>,
     commands: Commands,
@@ -39,30 +39,30 @@ pub struct VulkanRasterizer {
     done: DoneFrames,
 }
 
-/// What depends on the size of images and the number of pieces.
+/// Resources that depend on the image size and the number of pieces.
 struct Targets {
     splat: SplatTarget,
     resolve: ResolveTarget,
 }
 
-/// Room for pieces to begin with.
+/// Initial capacity of the piece table.
 const MIN_PIECES: u64 = 256;
-/// Most pixels that are drawn at once: what fits the smallest storage buffers among drivers.
+/// Maximum area of a tile, pixels: fits the smallest storage buffers among drivers.
 const MAX_TILE_AREA: u64 = 1 << 23;
 
 impl VulkanRasterizer {
     /// Uploads all clouds; they may be dropped afterwards.
     ///
     /// # Errors
-    /// Out of memory, or a device that lacks something.
+    /// Fails if memory is exhausted or the device lacks a required feature.
     pub fn new(device: Arc<Device>, clouds: &CloudSet<'_>) -> Result<Self, GpuError> {
         Self::with_desc(device, clouds, VulkanRasterizerDesc::default())
     }
 
-    /// The same with pages and tiles of other sizes.
+    /// Uploads all clouds, with other sizes of pages and tiles.
     ///
     /// # Errors
-    /// Out of memory, or a device that lacks something.
+    /// Fails if memory is exhausted or the device lacks a required feature.
     pub fn with_desc(
         device: Arc<Device>,
         clouds: &CloudSet<'_>,
@@ -93,7 +93,7 @@ impl VulkanRasterizer {
         })
     }
 
-    /// Makes images and buffers if those there are too small.
+    /// Creates larger images and buffers if the current ones are too small.
     fn prepare(&mut self, size: [u32; 2], pieces: u64) -> Result<&mut Targets, GpuError> {
         let (mut current, mut capacity) = ([0; 2], MIN_PIECES);
         if let Some(targets) = &self.targets {
@@ -133,14 +133,14 @@ impl VulkanRasterizer {
     }
 }
 
-/// What all tiles of a job share.
+/// Inputs shared by all tiles of a job.
 struct Work<'a> {
     draws: &'a [Draw],
     pieces: &'a [PieceDraw],
     table: &'a [Piece],
     schedule: &'a SplatSchedule,
     planes: Planes,
-    /// Of the largest tile.
+    /// Size of the largest tile.
     tile_size: [u32; 2],
 }
 
@@ -196,7 +196,7 @@ fn tile_limits(device: &Device, side: Option<u32>) -> TileLimits {
         limits.max_image_dimension2_d,
         limits.max_framebuffer_width,
         limits.max_framebuffer_height,
-        // The viewport is larger by the radius of points on each side.
+        // The viewport is padded by the point radius on each side.
         viewport_width - 2 * SplatSchedule::MAX_RADIUS,
         viewport_height - 2 * SplatSchedule::MAX_RADIUS,
     ];
@@ -218,13 +218,13 @@ fn empty_maps(width: u32, height: u32, planes: Planes) -> SplatMaps {
     }
 }
 
-/// Copies the wanted planes of a tile to where they belong.
+/// Copies the requested planes of a tile to their position in the maps.
 fn read_planes(bytes: &[u8], tile: &Tile, planes: Planes, maps: &mut SplatMaps) {
     let (pixels, width) = (tile.area(), maps.width);
     let offsets = PlaneOffsets::new(planes, pixels);
     let read = |at: Option<usize>, map: &mut [u32]| {
         if let Some(at) = at {
-            // As arrays of bytes, which have no alignment to meet.
+            // Byte arrays have no alignment requirement.
             let part: &[[u8; 4]] = bytemuck::cast_slice(&bytes[4 * at..4 * (at + pixels)]);
             tile.copy_into(part, bytemuck::cast_slice_mut(map), width);
         }

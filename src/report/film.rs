@@ -1,6 +1,6 @@
-//! A picture of `rollout.mp4`: the first map large over the next two, and the picture from above beside them.
+//! Frames of `rollout.mp4`: the first map large above the next two, with the bird's-eye view beside them.
 //!
-//! It is made of the files of a step, so that a rollout that was interrupted gives the same video.
+//! Frames are composed from the files of a step, so a rollout that was interrupted gives the same video.
 
 use std::path::Path;
 
@@ -14,22 +14,23 @@ use crate::error::FileError;
 use crate::files::input::{IMAGE_BYTES, read_file};
 use crate::geometry::ImageSize;
 
-/// Name of the picture from above in the folder of a step.
+/// File name of the bird's-eye view in the folder of a step.
 pub const BIRDSEYE: &str = "birdseye.png";
 
 const BACKGROUND: [u8; 3] = [17, 19, 24];
 const TEXT: [u8; 3] = [232, 234, 237];
-/// Between pictures.
+/// Gap between the images, pixels.
 const GAP: u32 = 4;
-/// Height of the line of text.
+/// Height of the caption, pixels.
 const CAPTION: u32 = 28;
-/// Largest pictures from above and of the maps, pixels.
+/// Maximum side of the bird's-eye view, and maximum width of the first map, pixels.
 const LARGEST: [u32; 2] = [720, 1160];
 
-/// Draws the picture of a step's folder: `maps` are names of maps that are shown; `caption` stands on top.
+/// Composes the frame of a step's folder. `maps` are names of maps, of which the first three are shown; `caption`
+/// is at the top.
 ///
 /// # Errors
-/// A picture that is missing or damaged.
+/// Returns an error if an image is missing or damaged.
 pub fn picture(
     folder: &Path,
     maps: &[String],
@@ -57,7 +58,7 @@ pub fn picture(
     Ok(composed(&parts, caption))
 }
 
-/// Pictures at their places under a line of text, as large as it takes with even sides.
+/// Places images below a caption, on a canvas that fits them and has even sides.
 fn composed(parts: &[(RgbImage, [u32; 2])], caption: &str) -> (ImageSize, Vec<[u8; 3]>) {
     let end = |axis: usize| {
         let end = |(image, at): &(RgbImage, [u32; 2])| at[axis] + [image.width(), image.height()][axis];
@@ -94,7 +95,7 @@ fn scaled(image: &RgbImage, width: u32, height: u32) -> RgbImage {
     }
 }
 
-/// A picture shrunk to a largest width and height.
+/// Shrinks an image to a maximum width and height.
 fn fitted(image: RgbImage, [width, height]: [u32; 2]) -> RgbImage {
     let ratio = |most: u32, side: u32| f64::from(most) / f64::from(side.max(1));
     let scale = ratio(width, image.width()).min(ratio(height, image.height()));
@@ -123,7 +124,7 @@ mod tests {
             save(&format!("{VIEW}/{name}.jpg"), [400, 201], rgb);
         }
         let (size, pixels) = picture(folder.path(), &names, "x").unwrap();
-        // 201 rows and half of them below; the picture from above as high as both.
+        // The lower maps have half the 201 rows; the bird's-eye view is as high as both rows of maps.
         assert_eq!((size.width, size.height), (400 + 4 + 306 - 1 + 1, 28 + 201 + 4 + 100 + 1));
         let at = |x: u32, y: u32| pixels[((y + CAPTION) * size.width + x) as usize];
         let close = |found: [u8; 3], rgb: [u8; 3]| found.iter().zip(rgb).all(|(a, b)| a.abs_diff(b) < 5);

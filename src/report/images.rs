@@ -1,5 +1,5 @@
-//! The images that a generator made of a step, as files of its folder: `generated/CAM.png`, `truth/CAM.png` where that is
-//! known, and `generated.json`, which tells whether they are references.
+//! Images of the generator at a step, as files in its folder: `generated/CAM.png`, `truth/CAM.png` if available,
+//! and `generated.json`, which records whether they are references.
 
 use std::path::Path;
 
@@ -13,14 +13,14 @@ use crate::files::input::{is_there, read_table};
 use crate::files::write_json;
 use crate::generate::Made;
 
-/// Folder of the images that were made, and their name in the page.
+/// Folder of the generated images, and their name in the page.
 pub const GENERATED: &str = "generated";
-/// Folder of the true images, and their name in the page.
+/// Folder of the ground-truth images, and their name in the page.
 pub const TRUTH: &str = "truth";
-/// What kind of images they are.
+/// File that records the kind of the images.
 const KIND: &str = "generated.json";
 
-/// `generated.json`.
+/// Content of `generated.json`.
 #[derive(Serialize, Deserialize)]
 struct About {
     kind: Kind,
@@ -29,15 +29,15 @@ struct About {
 #[derive(Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Kind {
-    /// True images, which the generator begins with.
+    /// Ground-truth images that the generator begins with.
     Reference,
     Generated,
 }
 
-/// Writes them into the folder of a step; cameras by name.
+/// Writes the images into the folder of a step, with the names of the cameras.
 ///
 /// # Errors
-/// The system's.
+/// Fails if a folder cannot be created, or if a file cannot be written.
 pub fn write(folder: &Path, cameras: &[FileName], made: &Made) -> Result<(), FileError> {
     let kinds = [(GENERATED, Some(&made.images)), (TRUTH, made.truth.as_ref())];
     for (name, images) in kinds.into_iter().filter_map(|(name, images)| Some((name, images?))) {
@@ -53,10 +53,10 @@ pub fn write(folder: &Path, cameras: &[FileName], made: &Made) -> Result<(), Fil
     write_json(&folder.join(KIND), &About { kind })
 }
 
-/// Reads them from the folder of a step; `None` if nothing was made there.
+/// Reads the images from the folder of a step; `None` if there are none.
 ///
 /// # Errors
-/// Images that are missing or damaged.
+/// Fails if a file is missing or damaged.
 pub fn read(folder: &Path, cameras: &[FileName]) -> Result<Option<Made>, FileError> {
     let Some(is_reference) = is_reference(folder)? else { return Ok(None) };
     let read = |name: &str| {
@@ -67,10 +67,10 @@ pub fn read(folder: &Path, cameras: &[FileName]) -> Result<Option<Made>, FileErr
     Ok(Some(Made { is_reference, images: read(GENERATED)?, truth }))
 }
 
-/// Whether the images in the folder of a step are references; `None` if nothing was made there.
+/// Returns whether the images in the folder of a step are references; `None` if there are none.
 ///
 /// # Errors
-/// A file that tells neither.
+/// Fails if `generated.json` is missing beside images, or if it is invalid.
 pub fn is_reference(folder: &Path) -> Result<Option<bool>, FileError> {
     let path = folder.join(KIND);
     if !is_there(&path)? && !folder.join(GENERATED).is_dir() {

@@ -1,10 +1,10 @@
-//! What a rollout leaves for people and programs: a line of `states.jsonl` per step, a video, and a page that plays it.
+//! Reports of a rollout: a line of `states.jsonl` per step, a video, and a web page that plays it.
 //!
 //! # How it works
-//! Everything is made of files that lie in the folders of the steps and of the lines of `states.jsonl`, so a rollout that
-//! was interrupted and resumed gives the same bytes as one that ran through. [`sight`] tells who is seen, [`view`]
-//! writes the pictures of a step, [`film`] puts them together for the [`video`](Video), and [`page`] is the HTML around
-//! them.
+//! All reports are created from the files in the folders of the steps and from the lines of `states.jsonl`. A
+//! rollout that was interrupted and resumed therefore gives the same bytes as an uninterrupted one. [`sight`]
+//! determines which actors are visible, [`view`] writes the images of a step, [`film`] composes them into frames of
+//! the [`video`](Video), and [`page`] writes the HTML page.
 
 pub mod film;
 pub mod images;
@@ -15,7 +15,7 @@ pub mod sight;
 mod video;
 pub mod view;
 
-/// The file that tells that a folder is a rollout, of what and with what options.
+/// File that marks a folder as a rollout, and records its source and options.
 pub const ROLLOUT: &str = "rollout.json";
 
 pub use row::{ActorRow, EgoRow, LightRow, Observed, Phase, StateFile, StepRow};

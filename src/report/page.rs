@@ -1,8 +1,8 @@
-//! `index.html`: the page that plays a rollout.
+//! `index.html`: the web page that plays a rollout.
 //!
 //! # How it works
-//! `page.html` is the whole page but for its data, which stand in it as JSON. It needs nothing from elsewhere, and
-//! refers to the pictures in the folders of the steps beside it, so it works from a folder as from a server.
+//! `page.html` is the template; the data are inserted as JSON. The page loads nothing from other sites. It refers
+//! to the images in the folders of the steps beside it, so it works from a folder as well as from a server.
 
 use std::path::Path;
 
@@ -14,33 +14,33 @@ use crate::error::FileError;
 use crate::files::write_whole;
 
 const TEMPLATE: &str = include_str!("page.html");
-/// Where the data go.
+/// Placeholder of the data in the template.
 const MARK: &str = "/*ROLLOUT*/";
 
-/// What the page tells.
+/// Data of the page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Page {
     /// Name of the log.
     pub log: String,
-    /// Short facts for the line under the title.
+    /// Short facts for the line below the title.
     pub facts: Vec<String>,
-    /// Why the rollout stopped before its end, if it failed.
+    /// Reason why the rollout stopped early, if it failed.
     pub failure: Option<String>,
-    /// Steps a second.
+    /// Simulation steps per second.
     pub sim_hz: f64,
-    /// Maps that can be chosen.
+    /// Names of the maps that can be selected.
     pub maps: Vec<String>,
-    /// Where cameras stand in the pictures.
+    /// Arrangement of the cameras in the images.
     pub sheet: Layout,
-    /// Colors and names of the lines in the picture from above.
+    /// Colors and names of the lines in the bird's-eye view.
     pub traces: Vec<[String; 2]>,
-    /// In order.
+    /// Steps in order.
     pub steps: Vec<PageStep>,
-    /// What happened when.
+    /// Events of the rollout.
     pub events: Vec<PageEvent>,
-    /// Names and values of a table.
+    /// Names and values of the table of metrics.
     pub metrics: Vec<[String; 2]>,
-    /// Files to link to.
+    /// Names of the files to link to.
     pub files: Vec<String>,
 }
 
@@ -49,21 +49,21 @@ pub struct Page {
 pub struct PageStep {
     /// Folder name.
     pub name: String,
-    /// Its number.
+    /// Number of the step.
     pub step: usize,
     /// Seconds since the start.
     pub t_s: f64,
-    /// Whether it follows the log.
+    /// Whether the step follows the log.
     pub warm_up: bool,
-    /// Metres per second.
+    /// Speed of the ego, meters per second.
     pub speed_mps: f64,
-    /// Metres per second squared.
+    /// Acceleration of the ego, meters per second squared.
     pub acceleration_mps2: f64,
-    /// Left of the recorded path, metres.
+    /// Lateral deviation from the recorded path, to the left, meters.
     pub lateral_m: Option<f64>,
-    /// Off the recorded path's direction, radians.
+    /// Heading deviation from the recorded path, to the left, radians.
     pub heading_rad: Option<f64>,
-    /// Who is seen by a camera whose own logged images around that time did not show it.
+    /// Actors visible in a camera whose own logged images around that time did not show them.
     pub fresh: Vec<PageActor>,
 }
 
@@ -72,36 +72,36 @@ pub struct PageStep {
 pub struct PageActor {
     /// Track id.
     pub track: String,
-    /// The data set's category name.
+    /// Category name in the dataset.
     pub category: String,
-    /// Left, top, width and height in the pictures of those cameras.
+    /// Left, top, width and height in the images, one box per such camera.
     pub boxes: Vec<[f64; 4]>,
 }
 
-/// Something that happened.
+/// An event of the rollout.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PageEvent {
-    /// At this step.
+    /// Number of the step at which it happened.
     pub step: usize,
-    /// In words.
+    /// Description.
     pub text: String,
 }
 
 impl Page {
-    /// The page as HTML.
+    /// Renders the page as HTML.
     ///
     /// # Errors
-    /// Numbers that JSON has no words for.
+    /// Returns an error if the data cannot be serialized as JSON.
     pub fn html(&self) -> serde_json::Result<String> {
-        // Within a script no name of a track may end it.
+        // Escapes `<`, so that no text (such as a track id) can end the script element.
         let data = serde_json::to_string(self)?.replace('<', "\\u003c");
         Ok(TEMPLATE.replacen(MARK, &data, 1))
     }
 
-    /// Writes the page.
+    /// Writes the page to a file.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
         use std::io::Write;
         let html = self.html().map_err(|e| FileError::io("write", path)(e.into()))?;
@@ -109,15 +109,15 @@ impl Page {
     }
 }
 
-/// Rows of a table out of any JSON: names of nested values are joined, units at the ends of names go to the values, least
-/// and largest values stand in one row, and so do mean, largest and last ones. Three digits behind the point.
+/// Flattens JSON into the rows of a table. Names of nested values are joined, and a unit at the end of a name moves
+/// to the value. Min and max share a row, and so do mean, max and end. Numbers are rounded to three decimals.
 pub fn table(value: &Value) -> Vec<[String; 2]> {
     let mut rows = Vec::new();
     add_rows("", "", value, &mut rows);
     rows
 }
 
-/// Ends of names, and how people write them.
+/// Suffixes of names, and how the units are displayed.
 const UNITS: [(&str, &str); 7] = [
     ("_mps3", " m/s\u{b3}"),
     ("_mps2", " m/s\u{b2}"),
@@ -154,7 +154,7 @@ fn add_rows(name: &str, unit: &str, value: &Value, rows: &mut Vec<[String; 2]>) 
             .find_map(|(end, unit)| Some((field.strip_suffix(end)?, *unit)))
             .unwrap_or((field.as_str(), ""));
         let field = field.replace('_', " ");
-        // "comfortable" needs no "comfort" before it.
+        // Avoids repetition: "comfortable" instead of "comfort comfortable".
         let whole =
             if name.is_empty() || field.starts_with(name) { field } else { format!("{name} {field}") };
         add_rows(&whole, unit, value, rows);
@@ -171,7 +171,7 @@ fn text(value: &Value) -> String {
             Some(value) if number.is_f64() => rounded(value),
             _ => number.to_string(),
         },
-        // What a list holds is for other programs.
+        // Lists are shown by their length; their items are for other programs.
         Value::Array(items) => items.len().to_string(),
         Value::Object(fields) => fields.len().to_string(),
     }
@@ -228,7 +228,7 @@ mod tests {
         let data = &html[start..start + html[start..].find("</script>").unwrap()];
         let data: serde_json::Value = serde_json::from_str(data).unwrap();
         assert_eq!(data, serde_json::to_value(page()).unwrap());
-        // As many tags as without data.
+        // The data add no tags to the template.
         let tags = |text: &str| text.matches('<').count();
         assert_eq!(tags(&html), tags(TEMPLATE));
         assert_eq!(TEMPLATE.matches(MARK).count(), 1);

@@ -1,4 +1,4 @@
-//! Curves as SVG.
+//! Line plots as SVG.
 
 use std::io::Write;
 use std::ops::Range;
@@ -12,38 +12,38 @@ use plotters::style::{BLACK, Color};
 use crate::error::FileError;
 use crate::files::write_whole;
 
-/// What is drawn.
+/// A line plot.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plot<'a> {
-    /// Above it.
+    /// Title above the plot.
     pub title: &'a str,
     /// Names of the axes, x and y.
     pub axes: [&'a str; 2],
-    /// In the order of the legend.
+    /// Curves in the order of the legend.
     pub curves: Vec<Curve>,
 }
 
-/// A line of a [`Plot`].
+/// A curve of a [`Plot`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
-    /// In the legend.
+    /// Name in the legend.
     pub name: String,
-    /// x and y; what is not finite is left out.
+    /// Points (x, y); points that are not finite are skipped.
     pub points: Vec<[f64; 2]>,
-    /// Drawn thin and pale, behind what matters.
+    /// Whether the curve is drawn thin and pale, as background for the others.
     pub is_faint: bool,
 }
 
 const SIZE: (u32, u32) = (900, 480);
-/// Colors of lines that can be told apart by those who confuse red and green, too. Source: Okabe and Ito, 2008.
+/// Line colors that are distinguishable with red-green color blindness, too. Source: Okabe and Ito, 2008.
 const COLORS: [[u8; 3]; 7] =
     [[0, 114, 178], [213, 94, 0], [0, 158, 115], [204, 121, 167], [230, 159, 0], [86, 180, 233], [0, 0, 0]];
 
 impl Plot<'_> {
-    /// Writes it as SVG.
+    /// Writes the plot as SVG.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the plot cannot be drawn, or if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
         let drawn = self.svg().map_err(|error| FileError::io("draw", path)(std::io::Error::other(error)))?;
         write_whole(path, |out| out.write_all(drawn.as_bytes()).map_err(FileError::io("write", path)))
@@ -87,7 +87,7 @@ impl Plot<'_> {
         Ok(())
     }
 
-    /// The corner that the fewest points lie in, for the legend.
+    /// Returns the corner with the fewest points, for the legend.
     fn freest_corner(&self, x: &Range<f64>, y: &Range<f64>) -> SeriesLabelPosition {
         let share = |value: f64, range: &Range<f64>| (value - range.start) / (range.end - range.start);
         let points = || self.curves.iter().flat_map(Curve::finite);
@@ -105,7 +105,7 @@ impl Plot<'_> {
         freest.map_or(SeriesLabelPosition::UpperRight, |(_, position)| position)
     }
 
-    /// All values of an axis, with some room around.
+    /// Returns the range of all values of an axis, with a margin in y.
     fn range(&self, axis: usize) -> Range<f64> {
         let values = || self.curves.iter().flat_map(Curve::finite).map(|point| point[axis]);
         let (low, high) =
@@ -153,14 +153,14 @@ mod tests {
         assert!(!svg.contains("NaN"), "{svg}");
         assert_eq!(plot.range(0), 0.0..2.0);
         assert_eq!(plot.range(1), 0.9..3.1);
-        // The legend is where no curve is.
+        // The legend is in the corner without curves.
         let corner = |points: &[[f64; 2]]| {
             let plot = Plot { curves: vec![curve("c", points, false)], ..Plot::default() };
             format!("{:?}", plot.freest_corner(&plot.range(0), &plot.range(1)))
         };
         assert_eq!(corner(&[[0.0, 1.0], [1.0, 0.0]]), "UpperRight");
         assert_eq!(corner(&[[0.0, 0.1], [0.9, 1.0], [1.0, 0.0]]), "UpperLeft");
-        // Nothing and a single value are drawn as well.
+        // Empty plots and single points are drawn, too.
         assert!(Plot::default().svg().is_ok());
         assert!(Plot { curves: vec![curve("one", &[[1.0, 5.0]], false)], ..plot }.svg().is_ok());
     }

@@ -14,103 +14,104 @@ use crate::files::input::read_text;
 use crate::files::write_whole;
 use crate::sim::{Deviation, EgoState, Instant, SimActor, Waypoint};
 
-/// A line of `states.jsonl`: a step that was committed.
+/// A line of `states.jsonl`: a committed step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StepRow {
-    /// Steps since the start.
+    /// Number of the step, from 0.
     pub step: usize,
-    /// Absolute microseconds.
+    /// Absolute time, microseconds.
     pub t_us: i64,
-    /// Who led to it.
+    /// Source of the step.
     pub phase: Phase,
-    /// The ego.
+    /// State of the ego.
     pub ego: EgoRow,
-    /// In the order of the instance map's numbers.
+    /// Actors, in the order of their numbers in the instance map.
     pub actors: Vec<ActorRow>,
-    /// What traffic lights show.
+    /// States of traffic lights.
     pub lights: Vec<LightRow>,
-    /// The plan that was made for this step, if one was; the first waypoint is where it was made.
+    /// Plan computed for this step, if any; its first waypoint is the ego state from which it was planned.
     pub plan: Option<Vec<Waypoint>>,
 }
 
-/// Who leads to a step.
+/// Source of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
     /// The log.
     WarmUp,
-    /// The policies.
+    /// The policies of ego and actors.
     Policy,
 }
 
-/// The ego in a [`StepRow`].
+/// State of the ego in a [`StepRow`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EgoRow {
-    /// 4x4 row by row, metres.
+    /// Ego pose, 4x4 row by row, meters.
     pub global_from_ego: Matrix,
-    /// Global, to the left, radians.
+    /// Global heading, counterclockwise, radians.
     pub heading_rad: f64,
-    /// Along the heading, metres per second.
+    /// Speed along the heading, meters per second.
     pub speed_mps: f64,
-    /// Along the heading, metres per second squared.
+    /// Acceleration along the heading, meters per second squared.
     pub acceleration_mps2: f64,
-    /// To the left, radians per second.
+    /// Yaw rate, to the left, radians per second.
     pub yaw_rate_radps: f64,
-    /// To the left, radians.
+    /// Steering angle, to the left, radians.
     pub steering_rad: f64,
-    /// Left of the recorded path, metres.
+    /// Lateral deviation from the recorded path, to the left, meters.
     pub lateral_deviation_m: f64,
-    /// Turned to the left of the recorded path, radians.
+    /// Heading deviation from the recorded path, to the left, radians.
     pub heading_deviation_rad: f64,
 }
 
-/// An actor in a [`StepRow`].
+/// State of an actor in a [`StepRow`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ActorRow {
     /// Number in the instance map.
     pub instance: u32,
     /// Track id.
     pub track: String,
-    /// The data set's category name.
+    /// Category name in the dataset.
     pub category: String,
     /// Number in the class map.
     pub class: u8,
-    /// Centre of the box, global metres.
+    /// Center of the box, global, meters.
     pub center_m: [f64; 3],
-    /// Global, to the left, radians.
+    /// Global heading, counterclockwise, radians.
     pub heading_rad: f64,
-    /// Length, width, height, metres.
+    /// Length, width and height, meters.
     pub size_m: [f64; 3],
-    /// Along the heading, metres per second.
+    /// Speed along the heading, meters per second.
     pub speed_mps: f64,
-    /// Cameras whose maps show it; null without instance maps.
+    /// Cameras whose maps show the actor; null without instance maps.
     pub seen: Option<Vec<Seen>>,
-    /// Cameras that show it well and in whose own logged images around that time it was not; null without instance maps.
+    /// Cameras that show at least [`SEEN_PX`] pixels of the actor, and whose own logged images around that time did
+    /// not show it; null without instance maps.
     pub new_in_view: Option<Vec<usize>>,
 }
 
-/// A traffic light in a [`StepRow`].
+/// State of a traffic light in a [`StepRow`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LightRow {
-    /// Id of the way through the intersection.
+    /// Id of the lane connector through the intersection.
     pub lane_connector: String,
-    /// As the data set names it.
+    /// Color name in the dataset.
     pub color: String,
 }
 
-/// How far the ego is off the recorded path, and who is seen.
+/// Deviation of the ego from the recorded path, and visible actors.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Observed {
-    /// Metres, to the left.
+    /// Lateral deviation, to the left, meters.
     pub lateral: Deviation,
-    /// Radians, to the left.
+    /// Heading deviation, to the left, radians.
     pub heading: Deviation,
-    /// Per actor; `None` without instance maps.
+    /// Visible parts per actor; `None` without instance maps.
     pub seen: Option<Vec<Vec<Seen>>>,
 }
 
 impl StepRow {
-    /// Of a step of a log's rollout.
+    /// Creates the row of a step of a log's rollout.
     pub fn new(
         log: &Log,
         instant: &Instant,
@@ -137,17 +138,17 @@ impl StepRow {
         }
     }
 
-    /// Folder name of its maps.
+    /// Returns the name of its folder.
     pub fn name(&self) -> String {
         format!("{:06}", self.step)
     }
 
-    /// Global x and y of the ego, metres.
+    /// Returns the global x and y of the ego, meters.
     pub fn place_m(&self) -> DVec2 {
         DVec2::new(self.ego.global_from_ego[0][3], self.ego.global_from_ego[1][3])
     }
 
-    /// Its entry in `index.json`.
+    /// Returns its entry in `index.json`.
     pub fn index_frame(&self, cameras: &[FileName]) -> IndexFrame {
         let actor = |actor: &ActorRow| IndexActor {
             instance: actor.instance,
@@ -202,7 +203,7 @@ impl ActorRow {
     }
 }
 
-/// `states.jsonl`, a line a step.
+/// The file `states.jsonl`, with one line per step.
 #[derive(Debug)]
 pub struct StateFile {
     file: std::fs::File,
@@ -211,10 +212,10 @@ pub struct StateFile {
 }
 
 impl StateFile {
-    /// Begins the file with some rows, in place of what it held before.
+    /// Creates the file with some rows; replaces an existing file.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the file cannot be written.
     pub fn create(path: &Path, rows: &[StepRow]) -> Result<Self, FileError> {
         write_whole(path, |out| {
             rows.iter().try_for_each(|row| {
@@ -228,24 +229,24 @@ impl StateFile {
         Ok(Self { file, path: path.to_owned(), length })
     }
 
-    /// Adds a row. What was written of a line that did not fit is taken back, so there are whole lines only.
+    /// Appends a row. A partly written line is removed, so that the file only contains whole lines.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the line cannot be written.
     pub fn append(&mut self, row: &StepRow) -> Result<(), FileError> {
         let line = line(row, &self.path)?;
         if let Err(error) = self.file.write_all(&line) {
-            let _ = self.file.set_len(self.length); // the error tells what went wrong before
+            let _ = self.file.set_len(self.length); // the write error is the one to report
             return Err(FileError::io("write", &self.path)(error));
         }
         self.length += line.len() as u64;
         Ok(())
     }
 
-    /// Reads the rows from step 0 on. A last line without an end, of a process that was killed, is left out.
+    /// Reads all rows. Skips an incomplete last line, from a process that was killed.
     ///
     /// # Errors
-    /// A file that is missing, or lines that are no rows in order.
+    /// Fails if the file cannot be read, or if a line is not the row of its step.
     pub fn read(path: &Path) -> Result<Vec<StepRow>, FileError> {
         let text = read_text(path)?;
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
@@ -310,7 +311,7 @@ mod tests {
         assert_eq!(row(1).place_m(), DVec2::new(664_000.123_456_789, 4e6 / 3.0));
         let frame = row(1).index_frame(&["c".parse().unwrap()]);
         assert_eq!((frame.name.as_str(), frame.actors[0].instance, frame.actors[0].class), ("000001", 1, 1));
-        // A line that was cut off is not there.
+        // An incomplete last line is skipped.
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::write(&path, &text[..text.len() - 1]).unwrap();
         assert_eq!(StateFile::read(&path).unwrap(), [row(0)]);

@@ -1,10 +1,10 @@
-//! Who is seen in a step, and who of them the logged images did not show.
+//! Visible actors of a step, and which of them the logged images did not show.
 //!
 //! # How it works
-//! What is seen stands in the instance maps. What a camera of the log could see is a matter of boxes: a logged image shows a
-//! track if the rectangle around its logged box, as it projects into the image, meets the image. Whatever else hides
-//! the track does not count, so that nobody is told to be new who was merely behind something. Where a frame's image is
-//! missing, as in a log that was unpacked in part, the camera on the frame's ego pose stands for it.
+//! The instance maps show which actors are visible. Visibility in the log is determined by boxes: a logged image
+//! shows a track if the rectangle around its logged box, projected into the image, intersects the image. Occlusion
+//! does not count, so an actor that was merely occluded is not reported as new. If a frame's image is missing, as
+//! in a partly unpacked log, the camera at the frame's ego pose replaces it.
 
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -13,25 +13,25 @@ use crate::conditions::ConditionSet;
 use crate::dataset::{Frame, Log, RigCamera};
 use crate::geometry::{Camera, Cuboid, Pose};
 
-/// An actor counts as seen from so many pixels on in one camera.
+/// Minimum number of pixels in one camera for an actor to count as visible.
 pub const SEEN_PX: u32 = 30;
-/// Logged images this near in time are asked, microseconds.
+/// Maximum time difference of logged images to compare with, microseconds.
 pub const AROUND_US: i64 = 500_000;
-/// What is nearer to a camera than this is cut off, metres.
+/// Near plane at which boxes are clipped, meters.
 const NEAR_M: f64 = 0.1;
 
-/// The part of an actor that a camera sees.
+/// Visible part of an actor in a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Seen {
     /// Index of the camera.
     pub camera: usize,
-    /// How many of them.
+    /// Number of visible pixels.
     pub pixels: u32,
-    /// Left, top, and one beyond right and bottom, in pixels of the map.
+    /// Left and top, and exclusive right and bottom, in pixels of the map.
     pub bounds: [u32; 4],
 }
 
-/// Per actor of a step the cameras whose instance map shows it; `None` where there is no such map.
+/// Returns, per actor of a step, the cameras whose instance maps show it; `None` if a camera has no instance map.
 pub fn seen(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<Seen>>> {
     let mut all = vec![Vec::new(); actors];
     for (camera, maps) in set.cameras.iter().enumerate() {
@@ -52,7 +52,7 @@ pub fn seen(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<Seen>>> {
     Some(all)
 }
 
-/// Whether a camera of the log (a channel) had a track in its images around a time (microseconds).
+/// Returns whether a camera of the log (a channel) showed a track in its images around a time (microseconds).
 pub fn was_shown(log: &Log, track: usize, channel: usize, t_us: i64) -> bool {
     let near = |at_us: i64| at_us.abs_diff(t_us) <= AROUND_US as u64;
     // Images are up to a frame older than the frame that they belong to.
@@ -68,7 +68,7 @@ pub fn was_shown(log: &Log, track: usize, channel: usize, t_us: i64) -> bool {
     log.frames[first..].iter().take_while(|f| f.t_us.saturating_sub(t_us) <= 2 * AROUND_US).any(shown_in)
 }
 
-/// A camera of which a frame has no image, with its inverse pose as far as the frame tells.
+/// Returns a camera whose image is missing in a frame, with its inverse pose at the frame's ego pose.
 fn missing<'a>(log: &'a Log, frame: &Frame, channel: usize) -> Option<(&'a Camera, Pose)> {
     if frame.images.iter().any(|image| image.channel == channel) {
         return None;
@@ -85,8 +85,8 @@ fn shows(camera: &Camera, camera_from_global: &Pose, cuboid: &Cuboid) -> bool {
     })
 }
 
-/// The rectangle around what is in front of a camera of a box whose corners, in the order of [`Cuboid::corners`], are in
-/// camera coordinates.
+/// Returns the rectangle around the part of a box in front of a camera. The corners, in the order of
+/// [`Cuboid::corners`], are in camera coordinates.
 fn projected(camera: &Camera, corners: &[DVec3; 8]) -> Option<[DVec2; 2]> {
     let pixel = |p: DVec3| {
         let p = camera.intrinsics * p;
@@ -129,7 +129,7 @@ mod tests {
         assert_eq!(seen(&set, 2), None);
     }
 
-    /// A camera of 90 degrees that looks along x from the origin, at 0, 1 and 2 s; a box of 1 m at a place.
+    /// Log of a 90-degree camera at the origin that looks along x, at 0, 1 and 2 s; a 1 m box is at `at` per frame.
     fn log(at: [DVec3; 3]) -> Log {
         let axes = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
         let ego_from_camera = Pose { rotation: DQuat::from_mat3(&axes), translation: DVec3::ZERO };
@@ -167,17 +167,18 @@ mod tests {
         let beside = DVec3::new(10.0, 12.0, 0.0);
         for (place, expected) in [
             (ahead, true),
-            // Its right front corner is at (10.5, 10.4): just within 45 degrees. Then just not.
+            // The box's right front corner is at (10.5, 10.4), just within 45 degrees; the next one is just
+            // outside.
             (DVec3::new(10.0, 10.9, 0.0), true),
             (DVec3::new(10.0, 11.1, 0.0), false),
             (DVec3::new(-10.0, 0.0, 0.0), false),
-            // Around the camera itself.
+            // The box surrounds the camera.
             (DVec3::ZERO, true),
             (beside, false),
         ] {
             assert_eq!(was_shown(&log([place; 3]), 0, 0, 1_000_000), expected, "{place}");
         }
-        // Only the middle image shows it: up to half a second away from that.
+        // Only the middle image shows it, so it counts up to half a second from that image.
         let log = log([beside, ahead, beside]);
         for (t_us, expected) in [
             (0, false),
@@ -190,7 +191,7 @@ mod tests {
             assert_eq!(was_shown(&log, 0, 0, t_us), expected, "{t_us}");
         }
         assert!(!was_shown(&log, 1, 0, 1_000_000) && !was_shown(&Log::default(), 0, 0, 0));
-        // Another camera.
+        // Another camera did not show it.
         assert!(!was_shown(&log, 0, 1, 1_000_000));
     }
 
@@ -200,7 +201,7 @@ mod tests {
         let mut log = log([beside, ahead, beside]);
         let ImageRecord { channel, ego_from_camera, camera, .. } = log.frames[0].images[0].clone();
         log.rig = vec![RigCamera { channel, ego_from_camera, camera }];
-        // While there is an image, its own time counts; the frame's is 20 ms later.
+        // While there is an image, its own time counts; the frame is 20 ms later.
         assert!(was_shown(&log, 0, 0, 480_000) && !was_shown(&log, 0, 0, 1_490_000));
         for frame in &mut log.frames {
             frame.images.clear();
@@ -210,7 +211,7 @@ mod tests {
         {
             assert_eq!(was_shown(&log, 0, 0, t_us), expected, "{t_us}");
         }
-        // The ego of that frame has turned away.
+        // Now the ego of that frame is turned away.
         log.frames[1].global_from_ego.rotation = DQuat::from_rotation_z(1.6);
         assert!(!was_shown(&log, 0, 0, 1_000_000));
     }

@@ -1,9 +1,9 @@
-//! `rollout.mp4`: pictures of one size as H.264 in an MP4 file.
+//! `rollout.mp4`: images of one size as H.264 in an MP4 file.
 //!
 //! # How it works
-//! OpenH264 encodes on one thread with a constant quantizer, so the same pictures give the same bytes. Its byte stream
-//! (NAL units behind start codes, ITU-T H.264 Annex B) becomes what MP4 holds: lengths instead of start codes, and the
-//! parameter sets apart from the samples (ISO/IEC 14496-15).
+//! OpenH264 encodes on one thread with a constant quantizer, so the same images give the same bytes. Its byte
+//! stream (NAL units after start codes, ITU-T H.264 Annex B) is converted to the MP4 form: lengths instead of start
+//! codes, and the parameter sets apart from the samples (ISO/IEC 14496-15).
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -17,69 +17,69 @@ use crate::error::FileError;
 use crate::files::write_whole;
 use crate::geometry::ImageSize;
 
-/// Ticks of the file's clock in a second.
+/// Clock ticks per second in the file.
 const TICKS_HZ: u32 = 90_000;
-/// Every so many pictures one stands on its own, so that players can jump to it.
+/// Key-frame interval, frames; players can seek to key frames.
 const KEY_PERIOD: u32 = 20;
-/// Longest side of a picture, pixels; a limit of the encoder.
+/// Maximum side of a frame, pixels; a limit of the encoder.
 pub const MAX_SIDE_PX: u32 = 2160;
 
-/// Why there is no video.
+/// Error of writing a video.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    /// The file.
+    /// Error of the file.
     #[error(transparent)]
     File(#[from] FileError),
-    /// Pictures that make none.
+    /// A size that cannot be encoded, or that differs from the first one.
     #[error("expected pictures of one even size up to {MAX_SIDE_PX}x{MAX_SIDE_PX} pixels, found {found}: {}", path.display())]
     Size {
-        /// The first size that does not fit.
+        /// The rejected size.
         found: ImageSize,
-        /// The video's file.
+        /// Path of the video.
         path: PathBuf,
     },
-    /// What the encoder says.
+    /// Error of the encoder.
     #[error("cannot encode the video: {source}: {}", path.display())]
     Encoder {
-        /// Its words.
+        /// Underlying error.
         source: openh264::Error,
-        /// The video's file.
+        /// Path of the video.
         path: PathBuf,
     },
-    /// What the writer of MP4 says.
+    /// Error of the MP4 writer.
     #[error("cannot write the video: {source}: {}", path.display())]
     Container {
-        /// Its words.
+        /// Underlying error.
         source: mp4::Error,
-        /// The video's file.
+        /// Path of the video.
         path: PathBuf,
     },
 }
 
-/// A video in the making; it is in memory until [`Video::write`].
+/// A video being encoded; in memory until [`Video::write`].
 pub struct Video {
     encoder: Encoder,
     size: ImageSize,
-    /// Ticks per picture.
+    /// Duration of a frame, ticks.
     duration: u32,
     samples: Vec<Sample>,
-    /// Parameter sets.
+    /// Sequence and picture parameter sets.
     sps: Vec<u8>,
     pps: Vec<u8>,
     path: PathBuf,
 }
 
-/// A picture as MP4 holds it.
+/// An encoded frame in MP4 form.
 struct Sample {
     bytes: Vec<u8>,
     is_key: bool,
 }
 
 impl Video {
-    /// Of pictures of one size, `rate_hz` a second, to be written to `path`.
+    /// Starts a video of frames of one size, `rate_hz` per second, that will be written to `path`.
     ///
     /// # Errors
-    /// A size that is odd or too large; no encoder.
+    /// Returns an error if a side is odd, below 16 or above [`MAX_SIDE_PX`], or if the encoder cannot be created.
     pub fn new(path: &Path, size: ImageSize, rate_hz: f64) -> Result<Self, VideoError> {
         let fits = |side: u32| side.is_multiple_of(2) && (16..=MAX_SIDE_PX).contains(&side);
         if !fits(size.height) || !fits(size.width) {
@@ -98,10 +98,10 @@ impl Video {
         Ok(Self { encoder, size, duration, samples, sps, pps, path: path.to_owned() })
     }
 
-    /// Adds a picture, RGB row by row.
+    /// Encodes a frame, RGB row by row.
     ///
     /// # Errors
-    /// Another size; what the encoder says.
+    /// Returns an error if the frame has another size, or if the encoder fails.
     pub fn push(&mut self, size: ImageSize, pixels: &[[u8; 3]]) -> Result<(), VideoError> {
         if size != self.size || pixels.len() != size.pixels() {
             return Err(VideoError::Size { found: size, path: self.path.clone() });
@@ -116,7 +116,7 @@ impl Video {
             (0..layer.nal_count()).filter_map(|i| layer.nal_unit(i).map(<[u8]>::to_vec)).collect::<Vec<_>>()
         }) {
             let unit = without_start_code(&unit);
-            // The lower five bits of the first byte: 7 and 8 are parameter sets, 5 a picture on its own.
+            // The lower five bits of the first byte are the type: 7 and 8 are parameter sets, 5 is a key frame.
             match unit.first().map(|header| header & 31) {
                 Some(7) => self.sps = unit.to_vec(),
                 Some(8) => self.pps = unit.to_vec(),
@@ -132,12 +132,12 @@ impl Video {
         Ok(())
     }
 
-    /// Writes the file; nothing without pictures.
+    /// Writes the file; writes nothing if there are no frames.
     ///
     /// # Errors
-    /// The system's, at writing.
+    /// Fails if the MP4 data cannot be assembled, or if the file cannot be written.
     pub fn write(self) -> Result<(), VideoError> {
-        // Parameter sets begin with a header and three bytes of profile and level.
+        // A parameter set begins with a header, and three bytes of profile and level.
         if self.samples.is_empty() || self.sps.len() < 4 || self.pps.is_empty() {
             return Ok(());
         }
@@ -150,7 +150,7 @@ impl Video {
         .map_err(|error: FileError| error.into())
     }
 
-    /// The file's bytes. They are made in memory, since sizes are known last.
+    /// Returns the bytes of the file, assembled in memory because sizes are known last.
     fn container(self) -> mp4::Result<Vec<u8>> {
         let brands = [*b"isom", *b"iso2", *b"avc1", *b"mp41"];
         let config = Mp4Config {
@@ -160,7 +160,7 @@ impl Video {
             timescale: TICKS_HZ,
         };
         let mut writer = Mp4Writer::write_start(Cursor::new(Vec::new()), &config)?;
-        // Sides were checked: they fit.
+        // The sides are at most `MAX_SIDE_PX`, so the casts are lossless.
         let avc = AvcConfig {
             width: self.size.width as u16,
             height: self.size.height as u16,
@@ -190,7 +190,7 @@ impl Video {
     }
 }
 
-/// What stands behind `00 00 01` or `00 00 00 01`.
+/// Removes the start code `00 00 01` or `00 00 00 01`.
 fn without_start_code(unit: &[u8]) -> &[u8] {
     let zeros = unit.iter().take_while(|byte| **byte == 0).count();
     if zeros >= 2 && unit.get(zeros) == Some(&1) { &unit[zeros + 1..] } else { unit }
@@ -205,7 +205,7 @@ mod tests {
 
     const SIZE: ImageSize = ImageSize { height: 48, width: 64 };
 
-    /// Grey all over, brighter from picture to picture.
+    /// Returns a uniform gray image, brighter with each number.
     fn picture(number: usize) -> Vec<[u8; 3]> {
         vec![[40 + 5 * number as u8; 3]; SIZE.pixels()]
     }
@@ -239,12 +239,12 @@ mod tests {
             let sample = reader.read_sample(1, number as u32 + 1).unwrap().unwrap();
             assert_eq!(sample.is_sync, number.is_multiple_of(20), "{number}");
             assert_eq!(sample.start_time, 7500 * number as u64);
-            // One NAL unit a picture: a length, then the rest.
+            // Each frame is one NAL unit: a length, then its bytes.
             let length = u32::from_be_bytes(sample.bytes[..4].try_into().unwrap()) as usize;
             assert_eq!(length + 4, sample.bytes.len());
             let unit: Vec<u8> = start.iter().chain(&sample.bytes[4..]).copied().collect();
             let decoded = decoder.decode(&unit).unwrap().unwrap();
-            // BT.601: grey v is luma 16 + v * 219 / 255.
+            // BT.601: gray v is luma 16 + v * 219 / 255.
             let expected = 16.0 + f64::from(picture(number)[0][0]) * 219.0 / 255.0;
             let luma = f64::from(decoded.y()[decoded.strides().0 * 24 + 32]);
             assert!((luma - expected).abs() < 3.0, "{number}: {luma}, expected {expected}");

@@ -1,4 +1,4 @@
-//! The pictures that the page shows: `view/MAP.jpg`, one map of all cameras in their places.
+//! Images for the page: `view/MAP.jpg`, one map of all cameras, arranged like a block of the contact sheet.
 
 use std::path::Path;
 
@@ -13,45 +13,45 @@ use crate::error::FileError;
 use crate::files::FileName;
 use crate::files::write_whole;
 
-/// Folder of the pictures in the folder of a step.
+/// Folder of the images in the folder of a step.
 pub const VIEW: &str = "view";
-/// Widest tile, pixels.
+/// Maximum width of a tile, pixels.
 const TILE_WIDTH_PX: u32 = 384;
-/// Widest picture, pixels: rows of more than three cameras have smaller tiles.
+/// Maximum width of an image, pixels: rows of more than three cameras have smaller tiles.
 const WIDTH_PX: u32 = 1160;
-/// Of JPEG.
+/// JPEG quality.
 const QUALITY: u8 = 75;
 
-/// Where the cameras stand in the pictures.
+/// Arrangement of the cameras in an image.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Layout {
-    /// Of a picture, pixels.
+    /// Width of an image, pixels.
     pub width: u32,
-    /// Of a picture, pixels.
+    /// Height of an image, pixels.
     pub height: u32,
-    /// In the order of the maps.
+    /// Rectangles of the cameras, in the order of the maps.
     pub cameras: Vec<Place>,
-    /// The maps that are shown, by name.
+    /// Names of the maps that are shown.
     pub maps: Vec<String>,
 }
 
-/// Where a camera stands.
+/// Rectangle of a camera in an image.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Place {
     /// Channel name.
     pub name: FileName,
-    /// Pixels.
+    /// Left edge, pixels.
     pub left: u32,
-    /// Pixels.
+    /// Top edge, pixels.
     pub top: u32,
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
 }
 
 impl Layout {
-    /// Of the pictures of a step.
+    /// Returns the arrangement for the maps of a step.
     pub fn of(set: &ConditionSet) -> Self {
         let tile = tile_width(set);
         let place = |(camera, [left, top, width, height]): (&CameraConditions, [u32; 4])| Place {
@@ -68,10 +68,10 @@ impl Layout {
     }
 }
 
-/// Writes `NAME.jpg`, images of all cameras in their places, into a folder, which is made.
+/// Writes `NAME.jpg`, with the images of all cameras at their places, into a folder; creates the folder.
 ///
 /// # Errors
-/// The system's.
+/// Fails if the folder cannot be created, or if the file cannot be written.
 pub fn write_images(
     folder: &Path,
     name: &str,
@@ -87,10 +87,10 @@ pub fn write_images(
     jpeg(&folder.join(format!("{name}.jpg")), picture.as_raw(), picture.dimensions())
 }
 
-/// Writes the pictures of a step into a folder, which is made.
+/// Writes the images of a step, one per map, into a folder; creates the folder.
 ///
 /// # Errors
-/// The system's.
+/// Fails if the folder cannot be created, or if a file cannot be written.
 pub fn write(folder: &Path, set: &ConditionSet, bins: &DepthBins) -> Result<(), FileError> {
     std::fs::create_dir_all(folder).map_err(FileError::io("create", folder))?;
     let tile = tile_width(set);

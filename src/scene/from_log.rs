@@ -4,36 +4,36 @@ use super::{ActorState, SceneCamera, SceneState};
 use crate::dataset::{EgoTrack, Frame, Log, RigCamera, TrackBox};
 use crate::geometry::{Pose, View};
 
-/// Name of the state of a frame.
+/// Returns the name of a frame's state.
 pub fn name_of_frame(index: usize) -> String {
     format!("{index:06}")
 }
 
-/// Name of the state at a time.
+/// Returns the name of the state at a time, microseconds.
 pub fn name_of_time(t_us: i64) -> String {
     t_us.to_string()
 }
 
-/// Moves the ego in its own frame: metres forward and to the left, radians to the left.
+/// Ego displacement in its own frame: meters forward and to the left, radians to the left.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct EgoOffset {
-    /// Metres.
+    /// Forward, meters.
     pub x_m: f64,
-    /// Metres.
+    /// To the left, meters.
     pub y_m: f64,
-    /// Radians.
+    /// To the left, radians.
     pub yaw_rad: f64,
 }
 
 impl EgoOffset {
-    /// `ego_from_moved_ego`.
+    /// Returns `ego_from_moved_ego`.
     pub fn pose(&self) -> Pose {
         Pose::from_yaw(self.yaw_rad, DVec3::new(self.x_m, self.y_m, 0.0))
     }
 }
 
-/// The state of a log's frame: every camera at the ego pose of its own image, or at the frame's where it has no image;
-/// actors where their boxes are at the frame's time. It has no HD map.
+/// Returns the state at a frame of a log; `None` if there is no such frame. Each camera uses the ego pose of its own
+/// image, or the frame's if it has no image. Actors use their boxes at the frame's time. The HD map is not set.
 pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<SceneState> {
     let frame = log.frames.get(index)?;
     let own_pose =
@@ -52,14 +52,14 @@ pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<Scen
     })
 }
 
-/// The state at any time within the log: all cameras share the ego pose at that instant, ego and actors are
-/// interpolated. It has no HD map. `None` outside the log, whose poses `ego` are.
+/// Returns the state at any time within the log; `None` outside it. All cameras share the ego pose at that instant;
+/// ego and actors are interpolated. `ego` holds the log's ego poses. The HD map is not set.
 pub fn state_at(log: &Log, ego: &EgoTrack, t_us: i64, offset: EgoOffset) -> Option<SceneState> {
     Some(state_of(log, t_us, ego.at(t_us)? * offset.pose(), &log.boxes_at(t_us)))
 }
 
-/// The state with the ego and boxes of a log's tracks anywhere at any time: all cameras share the ego pose, calibrated
-/// as in the nearest frame. It has no HD map, and the time for a name.
+/// Returns the state for any ego pose and boxes of a log's tracks at any time. All cameras share the ego pose and
+/// have the calibration of the nearest frame. The state is named after the time; the HD map is not set.
 pub fn state_of(log: &Log, t_us: i64, global_from_ego: Pose, boxes: &[TrackBox]) -> SceneState {
     let nearest = log.frames.iter().min_by_key(|f| f.t_us.abs_diff(t_us));
     let rig = nearest.map_or_else(|| log.rig.clone(), |frame| rig_at(log, frame));
@@ -73,7 +73,7 @@ pub fn state_of(log: &Log, t_us: i64, global_from_ego: Pose, boxes: &[TrackBox])
     }
 }
 
-/// Replaces a state's cameras by cameras that stand in the global frame.
+/// Replaces a state's cameras with cameras fixed in the global frame.
 pub fn with_cameras(mut state: SceneState, views: &[View]) -> SceneState {
     let camera = |view: &View| SceneCamera {
         view: view.clone(),
@@ -84,7 +84,7 @@ pub fn with_cameras(mut state: SceneState, views: &[View]) -> SceneState {
     state
 }
 
-/// All cameras of a log, calibrated as a frame's images have them.
+/// Returns all cameras of a log with the calibration of a frame's images, or the rig's where a camera has no image.
 fn rig_at(log: &Log, frame: &Frame) -> Vec<RigCamera> {
     let camera = |channel: usize| {
         let of_image = frame.images.iter().find(|i| i.channel == channel).map(RigCamera::from);
@@ -115,7 +115,7 @@ fn actors(log: &Log, boxes: &[TrackBox]) -> Vec<ActorState> {
     boxes.iter().map(actor).collect()
 }
 
-/// Frames per second: from the median time between frames; `None` for a single frame.
+/// Returns the frame rate from the median time between frames; `None` for a single frame.
 pub fn frame_rate_hz(frames: &[Frame]) -> Option<f64> {
     let mut steps: Vec<i64> = frames.windows(2).map(|w| w[1].t_us - w[0].t_us).collect();
     steps.sort_unstable();

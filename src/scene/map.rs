@@ -1,8 +1,9 @@
-//! The HD map of a drive, laid on the ground that the ego drove on.
+//! HD map of a log with ground heights from the ego's trajectory.
 //!
 //! # How it works
-//! A map is flat: x and y. Every corner of an outline gets the height of the nearest ego origin of the log (in x and y,
-//! by an R-tree), and its edges stand in another R-tree, so that a city costs a step no more than a street does.
+//! The source map is 2D (x and y). Each corner of an outline gets the height of the nearest ego origin of the log,
+//! found in x and y with an R-tree. A second R-tree indexes the edges, so the cost of a step does not grow with the
+//! size of the map.
 
 use std::fmt;
 
@@ -12,39 +13,39 @@ use rstar::{AABB, RTree};
 
 use crate::dataset::{Area, Log, VectorMap};
 
-/// What an edge bounds; layers are drawn in this order.
+/// Kind of area that an edge bounds; layers are drawn in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MapLayer {
     /// A lane outside of intersections.
     Lane,
-    /// Where vehicles may drive.
+    /// Area where vehicles may drive.
     DrivableArea,
-    /// Where pedestrians cross.
+    /// Pedestrian crossing.
     Crossing,
 }
 
-/// A straight piece of an outline.
+/// Straight segment of an outline.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapEdge {
-    /// What it bounds.
+    /// Kind of the bounded area.
     pub layer: MapLayer,
-    /// Global, metres.
+    /// Start, global frame, meters.
     pub from: DVec3,
-    /// Global, metres.
+    /// End, global frame, meters.
     pub to: DVec3,
 }
 
-/// The HD map of a drive with heights.
+/// HD map of a log with heights.
 pub struct SceneMap {
     map: VectorMap,
     edges: Vec<MapEdge>,
-    /// Numbers of edges, by the rectangle around them.
+    /// Indices of edges, keyed by their bounding rectangle.
     places: RTree<GeomWithData<Rectangle<[f64; 2]>, usize>>,
 }
 
 impl SceneMap {
-    /// Lays a map on the ground of a log. Edges with coordinates that are not finite are left out, and all of them where
-    /// the log has no ego pose: nothing tells their height.
+    /// Assigns ground heights from a log to a map. Skips edges with coordinates that are not finite, and all edges if
+    /// the log has no ego pose and thus no heights.
     pub fn new(map: VectorMap, log: &Log) -> Self {
         let ground = Ground::of(log);
         let lanes = map.lanes.iter().map(|lane| (MapLayer::Lane, &lane.outline));
@@ -60,17 +61,17 @@ impl SceneMap {
         Self { map, edges, places }
     }
 
-    /// The map as it was read.
+    /// Returns the map as read from its source.
     pub fn vector_map(&self) -> &VectorMap {
         &self.map
     }
 
-    /// All edges in the order of drawing: by layer, then in the file's order, exterior before holes.
+    /// Returns all edges in drawing order: by layer, then in the file's order, exterior before holes.
     pub fn edges(&self) -> &[MapEdge] {
         &self.edges
     }
 
-    /// The edges whose rectangle in x and y meets another (global, metres), in the order of drawing.
+    /// Returns the edges whose bounding rectangle intersects a window in x and y (global, meters), in drawing order.
     pub fn edges_within(&self, min: DVec2, max: DVec2) -> Vec<MapEdge> {
         let window = AABB::from_corners(min.to_array(), max.to_array());
         let mut numbers: Vec<usize> =
@@ -87,7 +88,7 @@ impl fmt::Debug for SceneMap {
 }
 
 impl PartialEq for SceneMap {
-    /// The tree follows from the edges.
+    /// Ignores the R-tree, which is derived from the edges.
     fn eq(&self, other: &Self) -> bool {
         (&self.map, &self.edges) == (&other.map, &other.edges)
     }
@@ -105,15 +106,15 @@ fn edges_of(layer: MapLayer, area: &Area, ground: &Ground) -> Vec<MapEdge> {
     edges.collect()
 }
 
-/// Heights of the ground where the ego was.
+/// Ground heights along the ego's trajectory.
 struct Ground {
     heights_m: Vec<f64>,
-    /// Indices of heights, by x and y.
+    /// Indices of heights, keyed by x and y.
     places: RTree<GeomWithData<[f64; 2], usize>>,
 }
 
 impl Ground {
-    /// From the ego poses of all frames and their sweeps.
+    /// Collects the ego poses of all frames and their sweeps.
     fn of(log: &Log) -> Self {
         let poses = log.frames.iter().flat_map(|frame| {
             std::iter::once(frame.global_from_ego).chain(frame.sweeps.iter().map(|s| s.global_from_ego))
@@ -124,7 +125,7 @@ impl Ground {
         Self { heights_m: origins.iter().map(|p| p.z).collect(), places }
     }
 
-    /// A place at the height of the nearest ego origin; of several at one distance that of the first.
+    /// Returns a position at the height of the nearest ego origin; of equally near origins, the first.
     fn under(&self, at: DVec2) -> Option<DVec3> {
         if !at.is_finite() {
             return None;
@@ -165,7 +166,7 @@ mod tests {
         Lane { id: "lane".into(), outline: area(at, side_m), centerline, successors }
     }
 
-    /// A fixed sequence of numbers in 0..1.
+    /// Returns a fixed pseudorandom sequence of numbers in 0..1.
     fn numbers() -> impl FnMut() -> f64 {
         let mut state = 7_u64;
         move || {
@@ -177,7 +178,7 @@ mod tests {
     #[test]
     fn every_corner_has_the_height_of_the_nearest_ego_origin() {
         let mut number = numbers();
-        // UTM numbers, and many origins at one place, as of an ego that waits.
+        // UTM coordinates, and many origins at one position, as for a waiting ego.
         let base = DVec3::new(600_000.0, 4_000_000.0, 100.0);
         let mut origins = vec![base; 50];
         origins.extend((0..200).map(|_| base + DVec3::new(number(), number(), number()) * 300.0));
@@ -252,7 +253,7 @@ mod tests {
         let mut broken = area(DVec2::ZERO, 2.0);
         broken.exterior[1].x = f64::NAN;
         let map = VectorMap { crossings: vec![broken, Area::default()], ..VectorMap::default() };
-        // Two of the four edges end at the corner without a place.
+        // Two of the four edges end at the corner that is not finite.
         assert_eq!(SceneMap::new(map.clone(), &log(&[DVec3::ZERO])).edges().len(), 2);
         assert!(SceneMap::new(map, &log(&[])).edges().is_empty());
     }

@@ -1,5 +1,5 @@
-//! The state of one step: where ego, cameras and actors stand, and which clouds stand in for them. What the
-//! rasterizer and the layout are fed.
+//! Scene state of one step (ego, cameras, actors) and the clouds that represent it: the input of the rasterizer and
+//! the layout.
 
 mod from_log;
 mod map;

@@ -9,23 +9,23 @@ use crate::error::FileError;
 use crate::raster::{CloudSet, Instance};
 use crate::skeleton::{Skeleton, TemplateCloud, TemplateKind};
 
-/// How a template is placed.
+/// How a template is fitted to an actor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum TemplateFit {
-    /// Scaled along each axis to the actor's box.
+    /// Scales the template along each axis to the actor's box.
     #[default]
     Box,
-    /// As it is.
+    /// Leaves the template at its own size.
     None,
 }
 
-/// Which cloud stands in for an actor.
+/// Options for the choice of the cloud that represents an actor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SelectionOptions {
-    /// Assets of more points than this serve as geometry; smaller ones give way to the category's template.
+    /// Assets with more points than this are used as geometry; the category's template replaces smaller ones.
     pub min_actor_points: usize,
-    /// How templates are placed.
+    /// How templates are fitted.
     pub template_fit: TemplateFit,
 }
 
@@ -35,54 +35,54 @@ impl Default for SelectionOptions {
     }
 }
 
-/// The two clouds of a step, as instances: background first (number 0), then actors (number = index + 1).
+/// Color and geometry clouds of a step, as instances: background first (number 0), then actors (number = index + 1).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SceneInstances {
-    /// What the color map shows.
+    /// Shown in the color map.
     pub color: Vec<Instance>,
-    /// What depth, class and instance maps show.
+    /// Shown in depth, class and instance maps.
     pub geometry: Vec<Instance>,
 }
 
-/// Clouds that a stage may show beside a skeleton's own.
+/// Substitute clouds that supplement or replace a skeleton's own.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StandIns {
-    /// Templates of kinds that the skeleton has none of. Of several of a kind the first counts.
+    /// Templates of kinds that the skeleton lacks. If a kind occurs several times, the first is used.
     pub templates: Vec<TemplateCloud>,
-    /// Points that take the place of an asset's, by track.
+    /// Points that replace those of an asset, by track.
     pub assets: BTreeMap<String, Vec<Point>>,
 }
 
 impl StandIns {
-    /// The skeleton's own clouds and nothing else.
+    /// No substitutes: only the skeleton's own clouds.
     pub const NONE: Self = Self { templates: Vec::new(), assets: BTreeMap::new() };
 }
 
-/// Knows a skeleton's clouds, and what stands in for them, by their ids in the rasterizer.
+/// Scene clouds: a skeleton's clouds and their substitutes, with their ids in the rasterizer.
 pub struct Stage<'a> {
     skeleton: &'a Skeleton,
     /// All clouds: background chunks, then assets, then templates.
     clouds: CloudSet<'a>,
-    /// Asset by track id.
+    /// Cloud id of each asset, by track id.
     assets: BTreeMap<&'a str, usize>,
-    /// Cloud and box size (metres) by kind.
+    /// Cloud id and box size (meters), by kind.
     templates: BTreeMap<TemplateKind, (usize, DVec3)>,
 }
 
 impl<'a> Stage<'a> {
-    /// Of a skeleton alone, for steps of one of the logs that it was built from.
+    /// Creates the scene clouds of a skeleton for one of its source logs, without substitutes.
     ///
     /// # Errors
-    /// Points of the skeleton that do not have their checksum.
+    /// Fails if points of the skeleton do not match their checksum.
     pub fn new(skeleton: &'a Skeleton, log: &str) -> Result<Self, FileError> {
         static NONE: StandIns = StandIns::NONE;
         Self::with(skeleton, log, &NONE)
     }
 
-    /// The same with stand-ins.
+    /// Creates the scene clouds of a skeleton for one of its source logs, with substitutes.
     ///
     /// # Errors
-    /// Points of the skeleton that do not have their checksum.
+    /// Fails if points of the skeleton do not match their checksum.
     pub fn with(skeleton: &'a Skeleton, log: &str, stand_ins: &'a StandIns) -> Result<Self, FileError> {
         let manifest = &skeleton.manifest;
         let mut clouds = Self::clouds(skeleton)?;
@@ -107,10 +107,10 @@ impl<'a> Stage<'a> {
         Ok(Self { skeleton, clouds, assets, templates })
     }
 
-    /// All clouds of a skeleton alone, for a rasterizer: background chunks, then assets, then templates.
+    /// Returns all clouds of a skeleton for a rasterizer: background chunks, then assets, then templates.
     ///
     /// # Errors
-    /// Points that do not have their checksum.
+    /// Fails if points do not match their checksum.
     pub fn clouds(skeleton: &'a Skeleton) -> Result<CloudSet<'a>, FileError> {
         let mut clouds: Vec<&[Point]> = skeleton.background()?;
         clouds.extend(skeleton.actors()?);
@@ -118,12 +118,12 @@ impl<'a> Stage<'a> {
         Ok(clouds)
     }
 
-    /// All clouds of this stage, for a rasterizer.
+    /// Returns all clouds for a rasterizer, substitutes included.
     pub fn cloud_set(&self) -> CloudSet<'a> {
         self.clouds.clone()
     }
 
-    /// Which clouds stand where in a step.
+    /// Returns the instances (cloud and pose) of all clouds shown in a step.
     pub fn instances(&self, state: &SceneState, options: &SelectionOptions) -> SceneInstances {
         let chunks = self.skeleton.manifest.background.iter().enumerate();
         let background: Vec<Instance> = chunks
@@ -141,7 +141,7 @@ impl<'a> Stage<'a> {
         both
     }
 
-    /// The table "two clouds" of the condition contract, for one actor.
+    /// Selects the color and geometry clouds of one actor: the table "two clouds" of the condition contract.
     fn actor_instances(
         &self,
         actor: &ActorState,
@@ -151,7 +151,7 @@ impl<'a> Stage<'a> {
         let size_m = actor.cuboid.size;
         let kind = TemplateKind::of_actor(&actor.category, size_m);
         let template = kind.and_then(|kind| self.templates.get(&kind));
-        // An asset that was seen in no frame of the skeleton may be there without points.
+        // An asset that was observed in no frame of the skeleton can exist without points.
         let asset = self.assets.get(actor.track.as_str()).filter(|cloud| !self.clouds[**cloud].is_empty());
         let pose = actor.cuboid.pose.affine();
         let of_asset = asset.map(|cloud| Instance { cloud: *cloud, world_from_local: pose, number });
@@ -166,7 +166,7 @@ impl<'a> Stage<'a> {
     }
 }
 
-/// `box_from_template`: scales a template's box to an actor's about their common centre, metres.
+/// Returns `box_from_template`, which scales a template's box to an actor's about their common center, meters.
 fn fit(how: TemplateFit, template_size_m: DVec3, size_m: DVec3) -> DAffine3 {
     match how {
         TemplateFit::Box => DAffine3::from_scale(size_m / template_size_m.max(DVec3::splat(1e-3))),
@@ -195,7 +195,7 @@ mod tests {
         (Template { kind, class: kind.class(), size: [2.0; 3], points, bounds, xxh3 }, cloud)
     }
 
-    /// Background of one chunk; car "big" with 30 points, car "small" with 10, truck "truck" with 10; a template of
+    /// One background chunk; car "big" with 30 points, car "small" with 10, truck "truck" with 10; one template of
     /// sedans and one of pedestrians.
     fn skeleton(folder: &std::path::Path) -> Skeleton {
         let asset = |track: &str, category: &str, count: usize| {
@@ -231,7 +231,7 @@ mod tests {
         ActorState { track, class: Class::from_category(&category), category, cuboid: cuboid.unwrap() }
     }
 
-    /// Ids of the clouds that show one actor: color, geometry. 0 background, 1 to 3 assets, 4 and 5 templates.
+    /// Ids of the color and geometry clouds of one actor: 0 is background, 1 to 3 assets, 4 and 5 templates.
     fn shown(stage: &Stage<'_>, actor: ActorState, options: &SelectionOptions) -> [Option<usize>; 2] {
         let (color, geometry) = stage.actor_instances(&actor, 1, options);
         [color, geometry].map(|instance| instance.map(|i| i.cloud))
@@ -274,7 +274,7 @@ mod tests {
         let skeleton = skeleton(&folder.path().join("s"));
         let kinds = [TemplateKind::Sedan, TemplateKind::Bike, TemplateKind::Bike];
         let templates = kinds.iter().zip(5..).map(|(kind, points)| template(*kind, points)).collect();
-        // The big car is thinned, the small one becomes large.
+        // The big car loses points, the small one gains some.
         let assets = [("big".to_owned(), cube(12).0), ("small".to_owned(), cube(40).0)].into();
         let stand_ins = StandIns { templates, assets };
         let stage = Stage::with(&skeleton, "log", &stand_ins).unwrap();

@@ -4,43 +4,43 @@ use super::SceneMap;
 use crate::dataset::Class;
 use crate::geometry::{Cuboid, Pose, View};
 
-/// One instant of a drive, recorded or simulated.
+/// State of a recorded or simulated scene at one instant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneState {
-    /// Folder name of its maps: six digits, or a time.
+    /// Folder name of the maps: six digits, or a time.
     pub name: String,
-    /// Absolute microseconds.
+    /// Absolute time, microseconds.
     pub t_us: i64,
-    /// Ego pose: the centre of the radius crop.
+    /// Ego pose; its origin is the center of the radius crop.
     pub global_from_ego: Pose,
-    /// In the log's order.
+    /// Cameras, in the log's order.
     pub cameras: Vec<SceneCamera>,
-    /// Sorted by track id; actor `i` has number `i + 1` in the instance map.
+    /// Actors, sorted by track id; actor `i` has number `i + 1` in the instance map.
     pub actors: Vec<ActorState>,
-    /// The HD map around; `None` where there is none or none is needed. All steps of a drive share one.
+    /// HD map of the surroundings; `None` if unavailable or not needed. All steps of a recording share one.
     pub map: Option<Arc<SceneMap>>,
 }
 
-/// A camera of a step.
+/// Camera of a scene state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneCamera {
-    /// Size, intrinsics, and `camera_from_world` with the world being the global frame.
+    /// Image size, intrinsics and `camera_from_world`; the world is the global frame.
     pub view: View,
-    /// Extrinsics; `None` for cameras that no ego carries.
+    /// Extrinsics; `None` for cameras that are not mounted on the ego.
     pub ego_from_camera: Option<Pose>,
-    /// Ego pose at the camera's own time.
+    /// Ego pose at the camera's own timestamp.
     pub global_from_ego: Pose,
 }
 
-/// An actor of a step.
+/// Actor of a scene state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActorState {
     /// Track id.
     pub track: String,
-    /// The data set's category name.
+    /// Category name in the data set.
     pub category: String,
     /// Coarse class.
     pub class: Class,
-    /// Where it stands, global.
+    /// Bounding box in the global frame.
     pub cuboid: Cuboid,
 }

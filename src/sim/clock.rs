@@ -2,25 +2,25 @@ use super::{ActorPolicy, EgoPolicy, Rates, SimError, SimOptions};
 use crate::dataset::Log;
 use crate::scene::frame_rate_hz;
 
-/// Fewer steps a second move nobody smoothly, more only cost time.
+/// Range of simulation rates, hertz: fewer steps per second do not move smoothly, more only cost time.
 const SIM_HZ: [f64; 2] = [1.0, 1000.0];
 const MIN_PLAN_HZ: f64 = 0.01;
 
-/// When there is a step, and which steps have a plan.
+/// Times of the steps, and the steps at which a plan is due.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Clock {
     pub(super) start_us: i64,
     pub(super) rates: Rates,
-    /// Steps from one plan to the next, at least 1.
+    /// Steps per plan, at least 1.
     pub(super) steps_per_plan: usize,
-    /// The first step whose ego is not taken from the log is the one after this.
+    /// Last step whose ego is taken from the log.
     pub(super) takeover: usize,
-    /// Times of the steps where they are frames of a log.
+    /// Times of the steps if they are frames of a log, absolute microseconds.
     frames_us: Option<Vec<i64>>,
 }
 
 impl Clock {
-    /// Checks the rates; steps at frames are those of a log.
+    /// Validates the rates and creates the clock; steps at frames use the times of a log.
     pub(super) fn of(options: &SimOptions, rates: Rates, start_us: i64, log: &Log) -> Result<Self, SimError> {
         let Some(every) = options.every_frames else { return Self::new(options, rates, start_us) };
         let follows_log = options.ego == EgoPolicy::Replay && options.actors == ActorPolicy::Replay;
@@ -35,7 +35,7 @@ impl Clock {
         Ok(Self { frames_us: Some(times), ..Self::new(&even, rates, start_us)? })
     }
 
-    /// Checks the rates.
+    /// Validates the rates and creates a clock with even steps.
     pub(super) fn new(options: &SimOptions, rates: Rates, start_us: i64) -> Result<Self, SimError> {
         let sim_hz = options.sim_hz.unwrap_or(rates.sim_hz);
         let plan_hz = options.plan_hz.unwrap_or(rates.plan_hz);
@@ -47,7 +47,7 @@ impl Clock {
             }
         }
         let ratio = sim_hz / plan_hz;
-        // Rates like 10 and 10/3 Hz are divided with rounding.
+        // Quotients of rates like 10 and 10/3 Hz have rounding errors.
         if ratio.round() < 1.0 || (ratio - ratio.round()).abs() > 1e-9 * ratio {
             return Err(SimError::Clock { sim_hz, plan_hz });
         }
@@ -57,7 +57,7 @@ impl Clock {
         Ok(Self { start_us, rates, steps_per_plan, takeover, frames_us: None })
     }
 
-    /// Absolute microseconds of a step; of one behind a log's frames the end of time.
+    /// Returns the time of a step, absolute microseconds; `i64::MAX` beyond a log's frames.
     pub(super) fn at(&self, step: usize) -> i64 {
         if let Some(times) = &self.frames_us {
             return times.get(step).copied().unwrap_or(i64::MAX);
@@ -65,13 +65,13 @@ impl Clock {
         self.start_us.saturating_add((step as f64 * 1e6 / self.rates.sim_hz).round() as i64)
     }
 
-    /// Whether a plan is due at a step.
+    /// Returns whether a plan is due at a step.
     pub(super) fn plans_at(&self, step: usize) -> bool {
         step >= self.takeover && step.is_multiple_of(self.steps_per_plan)
     }
 }
 
-/// From one time to another, both microseconds.
+/// Returns the seconds between two times in microseconds.
 pub(super) fn seconds(from_us: i64, to_us: i64) -> f64 {
     to_us.saturating_sub(from_us) as f64 / 1e6
 }
@@ -112,14 +112,14 @@ mod tests {
             between_images: Vec::new(),
             boxes: Vec::new(),
         };
-        // Uneven, as keyframes are.
+        // Uneven times, as of keyframes.
         let frames = [0, 99_000, 201_000, 300_000, 398_000, 502_000].map(frame).to_vec();
         let log = Log { frames, ..Log::default() };
         let options = SimOptions { every_frames: Some(2), warmup_frames: 3, ..SimOptions::default() };
         let clock = Clock::of(&options, Rates::default(), 99_000, &log).unwrap();
         assert_eq!([0, 1, 2, 3].map(|step| clock.at(step)), [99_000, 300_000, 502_000, i64::MAX]);
         assert_eq!((clock.start_us, clock.steps_per_plan, clock.takeover), (99_000, 1, 2));
-        // Half of the median of the frames.
+        // Half of the median frame rate.
         assert!((clock.rates.sim_hz - 1e6 / 99_000.0 / 2.0).abs() < 1e-9, "{:?}", clock.rates);
         for wrong in [
             SimOptions { every_frames: Some(0), ..options.clone() },

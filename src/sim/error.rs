@@ -1,75 +1,75 @@
 use super::PlannerError;
 use crate::files::text::printable;
 
-/// Why a rollout cannot be made, or cannot go on.
+/// Errors of starting or continuing a rollout.
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
-    /// No steps.
+    /// The number of steps is 0.
     #[error("expected at least one step, found none")]
     NoSteps,
-    /// A rate that is none.
+    /// A rate is out of range.
     #[error("expected {what} to be from {min} to {max} Hz, found {found}")]
     Rate {
-        /// Which rate.
+        /// Name of the rate.
         what: &'static str,
-        /// Hertz.
+        /// Minimum, hertz.
         min: f64,
-        /// Hertz.
+        /// Maximum, hertz.
         max: f64,
-        /// Hertz.
+        /// Given value, hertz.
         found: f64,
     },
-    /// Plans that fall between steps.
+    /// The simulation rate is not a multiple of the planning rate.
     #[error(
         "expected the steps a second to be a multiple of the plans a second, found {sim_hz} Hz and {plan_hz} Hz"
     )]
     Clock {
-        /// Steps a second.
+        /// Simulation steps per second.
         sim_hz: f64,
-        /// Plans a second.
+        /// Plans per second.
         plan_hz: f64,
     },
-    /// Steps at the frames of a log for those who do not follow it.
+    /// `every_frames` is 0, given together with rates, or used with an ego or actors that do not follow the log.
     #[error(
         "expected every so many-th frame to be a step of an ego and actors that follow the log, without rates, found every {every}"
     )]
     Frames {
-        /// What was asked for.
+        /// Given interval, frames.
         every: usize,
     },
-    /// A log without frames.
+    /// The log has no frames.
     #[error("expected a log with frames, found none: {}", printable(log))]
     NoFrames {
-        /// Its name.
+        /// Name of the log.
         log: String,
     },
-    /// A start outside of the log.
+    /// The start lies outside the log.
     #[error("expected a start from {first_us} to {last_us} us, found {found_us}: {}", printable(log))]
     Start {
-        /// Of the first frame.
+        /// Time of the first frame, absolute microseconds.
         first_us: i64,
-        /// Of the last frame.
+        /// Time of the last frame, absolute microseconds.
         last_us: i64,
-        /// What was asked for.
+        /// Given start, absolute microseconds.
         found_us: i64,
-        /// The log's name.
+        /// Name of the log.
         log: String,
     },
-    /// A saved state of another rollout, or none at all.
+    /// The saved state belongs to another rollout, or is invalid.
     #[error("expected a saved state with {expected}, found {found}")]
     Saved {
-        /// What this rollout asks for.
+        /// Value required by this rollout.
         expected: String,
-        /// What was saved.
+        /// Saved value.
         found: String,
     },
-    /// A planner in another process.
+    /// An external planner failed.
     #[error(transparent)]
     Planner(#[from] PlannerError),
 }
 
 impl SimError {
-    /// Whether the options are wrong, rather than that something failed.
+    /// Returns whether the options are invalid, as opposed to a failure at run time.
     pub fn is_usage(&self) -> bool {
         use SimError::{Clock, Frames, NoSteps, Rate, Start};
         matches!(self, NoSteps | Rate { .. } | Clock { .. } | Frames { .. } | Start { .. })

@@ -1,6 +1,6 @@
 use glam::{DMat3, DVec3};
 
-/// How three numbers that were recorded move at a time: value, first and second derivative per second.
+/// Values of three recorded quantities at a time, with first and second derivatives per second.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Motion {
     pub(super) value: DVec3,
@@ -8,11 +8,11 @@ pub(super) struct Motion {
     pub(super) second: DVec3,
 }
 
-/// The quadratic through samples (seconds from the time in question, numbers) with least squares; a line where there
-/// are fewer than three times or `line` is asked for, a constant for one.
+/// Evaluates a least-squares quadratic through samples (seconds relative to the evaluated time, values). It fits a line
+/// for fewer than three distinct times or if `line` is set, a constant for one time.
 pub(super) fn motion(samples: &[(f64, DVec3)], line: bool) -> Motion {
     let Some((_, first)) = samples.first() else { return Motion::default() };
-    // Times of the order of 1 keep the matrices well-conditioned.
+    // Times of order 1 keep the matrix well-conditioned.
     let scale_s = samples.iter().map(|(t, _)| t.abs()).fold(0.0, f64::max);
     if scale_s == 0.0 {
         return Motion { value: *first, ..Motion::default() };
@@ -32,7 +32,7 @@ pub(super) fn motion(samples: &[(f64, DVec3)], line: bool) -> Motion {
             *sum += p * number;
         }
     }
-    // What is left out has coefficient 0.
+    // Unused coefficients are 0.
     for row in degree + 1..3 {
         matrix.col_mut(row)[row] = 1.0;
     }
@@ -71,7 +71,7 @@ mod tests {
         assert_eq!(two.second, DVec3::ZERO);
         assert_eq!(motion(&[(0.0, p)], false), Motion { value: p, ..Motion::default() });
         assert_eq!(motion(&[(0.3, p)], false), Motion { value: p, ..Motion::default() });
-        // Two poses of one time.
+        // Two poses at the same time.
         let same = motion(&[(0.0, p), (0.0, p), (0.1, p)], false);
         assert!(same.rate.length() < 1e-12 && same.second == DVec3::ZERO);
         assert_eq!(motion(&[], true), Motion::default());

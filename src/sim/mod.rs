@@ -1,15 +1,16 @@
-//! The closed loop: ego and actors move step by step, and every step is a state that conditions are made of.
+//! Closed-loop simulation: ego and actors move step by step, and each step is a state from which conditions are
+//! rendered.
 //!
 //! # How it works
-//! What has happened is [`Committed`], what is only expected is [`Forecast`]. They are different types, and nothing
-//! turns a forecast into something committed.
+//! Past states are [`Committed`], predicted ones are [`Forecast`]. They are different types, and no forecast can be
+//! converted to a committed state.
 //!
-//! A [`Simulation`] commits the first steps from the log (the warm-up). Then, at each plan step, the ego's policy makes a
-//! plan from what was committed; the ego follows it, exactly or as a bicycle does, until the next one, and the actors
-//! move by theirs. What is expected next is found by the same rules on a copy that is thrown away.
+//! A [`Simulation`] commits the first steps from the log (the warm-up). Then, at each planning step, the ego's policy
+//! computes a plan from the committed state. Until the next plan, the ego tracks it exactly or with a kinematic
+//! bicycle, and the actors move by their own policy. Forecasts apply the same rules to a copy that is then discarded.
 //!
 //! A step is a pure function: the same log, options and plans give the same bytes, and a rollout that was saved and
-//! resumed is the one that ran through.
+//! resumed equals an uninterrupted one.
 
 mod actors;
 mod clock;

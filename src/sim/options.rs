@@ -2,30 +2,31 @@ use serde::Serialize;
 
 use super::{LocalPath, PlannerSpec};
 
-/// What a rollout is to do.
+/// Options of a rollout.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SimOptions {
-    /// Told to planners; no policy of ours draws numbers.
+    /// Seed passed to external planners; built-in policies use no random numbers.
     pub seed: u64,
-    /// How many steps to take from the start, at least 1; the steps of the warm-up count.
+    /// Number of steps from the start, at least 1, including the warm-up.
     pub steps: usize,
-    /// Steps a second; `None`: as [`Rates`] of the log.
+    /// Simulation rate, hertz; `None` for the [`Rates`] of the log.
     pub sim_hz: Option<f64>,
-    /// Plans a second, which divide the steps; `None`: as [`Rates`] of the log.
+    /// Planning rate, hertz; must divide the simulation rate. `None` for the [`Rates`] of the log.
     pub plan_hz: Option<f64>,
-    /// Every so many-th frame of the log, from the start on, is a step and a plan, instead of rates: for an ego and actors
-    /// that follow the log.
+    /// Uses every n-th frame of the log from the start as a simulation and planning step, instead of fixed rates.
+    /// Requires an ego and actors that follow the log.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub every_frames: Option<usize>,
-    /// Frames of a generator's window that follow the log, one a plan: the first `(N - 1) * sim_hz / plan_hz` steps do.
+    /// Number of frames in a generative model's window that follow the log, one per plan. They cover the first
+    /// `(N - 1) * sim_hz / plan_hz` simulation steps.
     pub warmup_frames: usize,
-    /// When to start, absolute microseconds; `None`: at the log's first frame.
+    /// Start time, absolute microseconds; `None` for the log's first frame.
     pub start_us: Option<i64>,
-    /// Who drives the ego after the warm-up.
+    /// Policy of the ego after the warm-up.
     pub ego: EgoPolicy,
-    /// How the ego follows what was planned.
+    /// Tracking of the plan by the ego.
     pub tracking: Tracking,
-    /// Who moves the others after the warm-up.
+    /// Policy of the actors after the warm-up.
     pub actors: ActorPolicy,
 }
 
@@ -46,66 +47,67 @@ impl Default for SimOptions {
     }
 }
 
-/// Who drives the ego.
+/// Policy of the ego.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EgoPolicy {
-    /// The log.
+    /// Replays the log.
     Replay,
-    /// Straight on.
+    /// Drives straight on.
     Straight,
-    /// Aims to the right, more and more with every plan.
+    /// Aims increasingly to the right from the 8th to the 17th plan, constantly afterwards.
     RightThenBack,
-    /// Aims 1.5 m to the right along half a wave of a cosine.
+    /// Moves 1.5 m to the right along half a cosine wave.
     Cosine,
-    /// One lane to the right of the recorded path, at 10 m/s.
+    /// Changes to one lane right of the recorded path, at 10 m/s.
     LaneChange,
-    /// Along points of a file.
+    /// Follows a path read from a file.
     File(LocalPath),
-    /// As another process says.
+    /// Follows the plans of an external process.
     External(PlannerSpec),
 }
 
-/// How the ego follows a plan.
+/// Tracking of a plan by the ego.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Tracking {
-    /// It is where the plan says.
+    /// The ego follows the plan exactly.
     #[default]
     Perfect,
-    /// A kinematic bicycle with limits steers after the plan.
+    /// A kinematic bicycle model with limits tracks the plan.
     Bicycle,
 }
 
-/// Who moves the others.
+/// Policy of the actors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ActorPolicy {
-    /// The log.
+    /// Replays the log.
     #[default]
     Replay,
-    /// Vehicles and cycles near the ego follow their recorded paths by the Intelligent Driver Model; others the log.
+    /// Vehicles and cycles near the ego follow their recorded paths with the Intelligent Driver Model; others replay
+    /// the log.
     Idm,
-    /// Everybody near the ego but objects keeps speed and curve, and brakes for what is in front.
+    /// Vehicles, cycles and pedestrians near the ego maintain speed and curvature and brake for obstacles ahead.
     Reactive,
 }
 
-/// How often there is a step and a plan.
+/// Simulation and planning rates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
-    /// Steps a second.
+    /// Simulation steps per second.
     pub sim_hz: f64,
-    /// Plans a second.
+    /// Plans per second.
     pub plan_hz: f64,
 }
 
 impl Rates {
-    /// Of nuScenes.
+    /// Rates for nuScenes.
     pub const NUSCENES: Self = Self { sim_hz: 12.0, plan_hz: 2.0 };
 }
 
 impl Default for Rates {
-    /// Of nuPlan, and of any other log.
+    /// Returns the rates for nuPlan and all other logs.
     fn default() -> Self {
         Self { sim_hz: 10.0, plan_hz: 5.0 }
     }

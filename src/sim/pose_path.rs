@@ -1,27 +1,28 @@
 use crate::geometry::{Polyline, Pose};
 
-/// Poses along a way: between two of them position and rotation are interpolated, beyond both ends the way goes straight
-/// on with the pose of the end.
+/// Path of poses by arc length. Position and rotation are interpolated between poses; beyond both ends the path
+/// continues straight with the end's rotation.
 #[derive(Clone, Debug)]
 pub(super) struct PosePath {
     line: Polyline,
-    /// One for each point of the line.
+    /// One pose per point of the line.
     poses: Vec<Pose>,
 }
 
 impl PosePath {
-    /// Through poses. `None` where fewer than two are left, two neighbours are at one place or one is not finite.
+    /// Creates a path through poses; `None` if there are fewer than two, two neighbors coincide in x and y, or one is
+    /// not finite.
     pub(super) fn new(poses: Vec<Pose>) -> Option<Self> {
         let line = Polyline::new(poses.iter().map(|pose| pose.translation.truncate()))?;
         (line.points().len() == poses.len()).then_some(Self { line, poses })
     }
 
-    /// The way seen from above.
+    /// Returns the path in x and y.
     pub(super) fn line(&self) -> &Polyline {
         &self.line
     }
 
-    /// The pose at a station, metres.
+    /// Returns the pose at a station, meters.
     pub(super) fn at(&self, station_m: f64) -> Pose {
         let piece = self.line.piece(station_m);
         let (from_m, to_m) = (self.line.stations_m()[piece], self.line.stations_m()[piece + 1]);

@@ -9,35 +9,36 @@ use super::{EgoState, Instant, Scenario, SimActor, SimError, WHEELBASE_M};
 use crate::dataset::{EgoTrack, Log, TrackBox, TrafficLight};
 use crate::geometry::{Cuboid, Pose, wrap_angle};
 
-/// How far around a time (seconds) poses tell how the ego moves.
+/// Half width of the window of poses from which the ego's motion is estimated, seconds.
 const EGO_WINDOW_S: f64 = 0.5;
-/// How far around a time (seconds) boxes tell how an actor moves; logs with 2 frames a second have two of them at least.
+/// Half width of the window of boxes from which an actor's motion is estimated, seconds. It holds at least two frames
+/// of a 2 Hz log.
 const ACTOR_WINDOW_S: f64 = 0.6;
-/// Frames further apart than this (seconds) are a gap.
+/// Minimum time between frames that counts as a gap, seconds.
 const GAP_S: f64 = 1.0;
-/// Under this speed (metres per second) yaw rates tell nothing of the wheels.
+/// Minimum speed for steering angles from yaw rates, meters per second.
 const CREEP_MPS: f64 = 0.5;
 
-/// What a log tells of any time.
+/// Recorded states of a log, interpolated at any time.
 pub(super) struct Recorded<'a> {
     pub(super) log: &'a Log,
     pub(super) route: Route,
     ego: EgoTrack,
-    /// By track: its boxes in time order.
+    /// Boxes of each track, in time order with absolute microseconds.
     tracks: Vec<Vec<(i64, Cuboid)>>,
-    /// First and last time at which there are boxes, absolute microseconds.
+    /// Times of the first and last frame, absolute microseconds.
     pub(super) first_us: i64,
     pub(super) last_us: i64,
 }
 
 impl<'a> Recorded<'a> {
-    /// Of a scenario's log.
+    /// Indexes a scenario's log. Fails if the log has no frames.
     pub(super) fn of(scenario: &Scenario<'a>) -> Result<Self, SimError> {
         let log = scenario.log;
         Self::new(log).ok_or_else(|| SimError::NoFrames { log: log.name.clone() })
     }
 
-    /// `None` for a log without frames.
+    /// Indexes a log; `None` if it has no frames.
     pub(super) fn new(log: &'a Log) -> Option<Self> {
         let (first_us, last_us) = (log.frames.first()?.t_us, log.frames.last()?.t_us);
         let mut tracks = vec![Vec::new(); log.tracks.len()];
@@ -52,7 +53,7 @@ impl<'a> Recorded<'a> {
         Some(Self { log, route: Route::new(&ego), ego, tracks, first_us, last_us })
     }
 
-    /// What a rollout's user should know of the log, by kind, with counts.
+    /// Returns notes on the log for the user: kinds with their counts.
     pub(super) fn notes(&self) -> BTreeMap<String, usize> {
         let gaps = self.log.frames.windows(2).filter(|w| seconds(w[0].t_us, w[1].t_us) > GAP_S).count();
         let boxless = usize::from(self.tracks.iter().all(Vec::is_empty));
@@ -60,14 +61,14 @@ impl<'a> Recorded<'a> {
         notes.into_iter().filter(|(_, n)| *n > 0).map(|(kind, n)| (kind.to_owned(), n)).collect()
     }
 
-    /// Everybody as recorded at a time; `None` outside of the log.
+    /// Returns the recorded state at a time; `None` outside the log.
     pub(super) fn instant(&self, step: usize, t_us: i64) -> Option<Instant> {
         let ego = self.ego_at(t_us)?;
         Some(Instant { step, t_us, ego, actors: self.actors_at(t_us), lights: self.lights_at(t_us) })
     }
 
-    /// The ego as recorded: its pose exactly, the rest from a parabola through the poses around. `None` outside of the
-    /// log.
+    /// Returns the recorded ego state: the exact pose, and motion from a parabola fitted to the surrounding poses.
+    /// `None` outside the log.
     pub(super) fn ego_at(&self, t_us: i64) -> Option<EgoState> {
         let pose = self.ego.at(t_us).filter(|_| (self.first_us..=self.last_us).contains(&t_us))?;
         let forward = pose.rotation * DVec3::X;
@@ -84,7 +85,7 @@ impl<'a> Recorded<'a> {
         })
     }
 
-    /// Sorted by track.
+    /// Returns the recorded actors at a time, sorted by track.
     pub(super) fn actors_at(&self, t_us: i64) -> Vec<SimActor> {
         let actor = |item: TrackBox| SimActor {
             track: item.track,
@@ -95,8 +96,8 @@ impl<'a> Recorded<'a> {
         boxes.into_iter().filter(|b| b.track < self.tracks.len()).map(actor).collect()
     }
 
-    /// How fast a track moves along its heading (metres per second) and turns to the left (radians per second) at a
-    /// time: from a line through the boxes around.
+    /// Returns a track's speed along its heading (meters per second) and its yaw rate to the left (radians per
+    /// second) at a time. Both come from a line fitted to the surrounding boxes.
     pub(super) fn actor_motion(&self, track: usize, t_us: i64) -> (f64, f64) {
         let near = window(&self.tracks[track], t_us, ACTOR_WINDOW_S, 2);
         let Some((_, base)) = near.iter().min_by_key(|(at, _)| at.abs_diff(t_us)) else { return (0.0, 0.0) };
@@ -106,12 +107,12 @@ impl<'a> Recorded<'a> {
         (moved.rate.truncate().dot(heading), moved.rate.z)
     }
 
-    /// A track's boxes in time order, with absolute microseconds.
+    /// Returns a track's boxes in time order, with absolute microseconds.
     pub(super) fn boxes_of(&self, track: usize) -> &[(i64, Cuboid)] {
         &self.tracks[track]
     }
 
-    /// What traffic lights showed in the last frame until a time; they stay so after the log.
+    /// Returns the traffic lights of the last frame up to a time; after the log they keep their last state.
     pub(super) fn lights_at(&self, t_us: i64) -> Vec<TrafficLight> {
         let Some(frame) = self.log.frames.partition_point(|f| f.t_us <= t_us).checked_sub(1) else {
             return Vec::new();
@@ -123,7 +124,7 @@ impl<'a> Recorded<'a> {
     }
 }
 
-/// The samples not further than `reach_s` from a time; where they are fewer than `enough`, those around as well.
+/// Returns the samples within `reach_s` of a time, extended on both sides to at least `enough` samples if available.
 fn window<T>(samples: &[(i64, T)], t_us: i64, reach_s: f64, enough: usize) -> &[(i64, T)] {
     let reach_us = (reach_s * 1e6) as i64;
     let mut first = samples.partition_point(|(at, _)| *at < t_us.saturating_sub(reach_us));
@@ -135,7 +136,7 @@ fn window<T>(samples: &[(i64, T)], t_us: i64, reach_s: f64, enough: usize) -> &[
     &samples[first..last]
 }
 
-/// Seconds from a time, and x, y (metres) and yaw (radians) from a pose.
+/// Converts poses to seconds from a time, and x, y (meters) and yaw (radians) relative to a base pose.
 fn samples(poses: &[(i64, Pose)], t_us: i64, base: &Pose) -> Vec<(f64, DVec3)> {
     let yaw = base.yaw_rad();
     let sample = |(at, pose): &(i64, Pose)| {

@@ -5,23 +5,23 @@ use super::pose_path::PosePath;
 use crate::dataset::EgoTrack;
 use crate::geometry::{Foot, Polyline, Pose};
 
-/// Poses nearer than this to the one before are left out: they would tell the noise of a vehicle that stands.
+/// Minimum distance between poses of a route, meters: smaller motion is the noise of a standing vehicle.
 const KNOT_STEP_M: f64 = 0.1;
-/// Where on the way a place is looked for, metres before and after where the ego was; what it has driven since comes on
-/// top.
+/// Search window along the route before and after the ego's last station, meters. The distance driven since is added
+/// to it.
 const WINDOW_M: f64 = 25.0;
 
-/// The way that the ego drove in the log, with the ground under it.
+/// Recorded route of the ego in a log, with ground poses.
 pub(super) struct Route {
     first: Pose,
-    /// When the ego came to the points of the way, absolute microseconds.
+    /// Times at which the ego reached the points of the route, absolute microseconds.
     times_us: Vec<i64>,
-    /// `None` where the ego stood all the time.
+    /// `None` if the ego never moved.
     way: Option<PosePath>,
 }
 
-/// The way around where the ego was. Places belong to this stretch: a way may cross itself or come back beside itself, so
-/// what is nearest of all of it may be met much later.
+/// Part of a route around the ego's last position. Projections are restricted to it: a route can cross itself or
+/// return beside itself, so the nearest point of the whole route may belong to a much later time.
 #[derive(Clone, Copy)]
 pub(super) struct Stretch<'a> {
     route: &'a Route,
@@ -30,7 +30,7 @@ pub(super) struct Stretch<'a> {
 }
 
 impl Route {
-    /// Of a drive.
+    /// Builds the route from the ego's recorded poses.
     pub(super) fn new(track: &EgoTrack) -> Self {
         let (mut times_us, mut kept): (Vec<i64>, Vec<Pose>) = Default::default();
         let place = |pose: &Pose| pose.translation.truncate();
@@ -45,7 +45,7 @@ impl Route {
         Self { first, times_us, way }
     }
 
-    /// The station (metres) where the ego was at a time, microseconds.
+    /// Returns the station (meters) of the ego at a time, microseconds.
     pub(super) fn station_at(&self, t_us: i64) -> f64 {
         let Some(way) = &self.way else { return 0.0 };
         let stations = way.line().stations_m();
@@ -57,17 +57,17 @@ impl Route {
         stations[before] + s * (stations[next] - stations[before])
     }
 
-    /// The way seen from above; `None` where the ego stood all the time.
+    /// Returns the route in x and y; `None` if the ego never moved.
     pub(super) fn line(&self) -> Option<&Polyline> {
         self.way.as_ref().map(PosePath::line)
     }
 
-    /// The yaw that the ego had at a station (metres), radians.
+    /// Returns the recorded yaw (radians) at a station, meters.
     pub(super) fn yaw_at(&self, station_m: f64) -> f64 {
         self.ground(station_m).yaw_rad()
     }
 
-    /// Around where the ego was: a station and a place, metres.
+    /// Returns the part of the route around an ego position, given as station and global position, meters.
     pub(super) fn around(&self, station_m: f64, place_m: DVec2) -> Stretch<'_> {
         Stretch { route: self, station_m, place_m }
     }
@@ -78,7 +78,7 @@ impl Route {
 }
 
 impl Stretch<'_> {
-    /// The foot of a place (global, metres).
+    /// Projects a position (global, meters) onto the route.
     pub(super) fn foot(&self, place: DVec2) -> Foot {
         if let Some(way) = &self.route.way {
             let reach_m = WINDOW_M + self.place_m.distance(place);
@@ -89,8 +89,8 @@ impl Stretch<'_> {
         Foot { station_m: forward.dot(arm), offset_m: forward.perp_dot(arm) }
     }
 
-    /// A pose at a place (global, metres) with a yaw (radians), on the ground of the nearest place of the way and tilted
-    /// as the ego was there.
+    /// Returns a pose at a position (global, meters) with a yaw (radians). Height and tilt are those of the recorded
+    /// ego at the nearest position of the route.
     pub(super) fn pose_at(&self, place: DVec2, yaw_rad: f64) -> Pose {
         let ground = self.route.ground(self.foot(place).station_m);
         let mut pose = ground.with_yaw(yaw_rad);
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn the_ground_is_that_of_the_way() {
-        // Uphill at 10 % with the nose up.
+        // A 10 % climb with the nose up.
         let nose_up = DQuat::from_rotation_y(-0.1f64.atan());
         let pose = |x: f64| Pose { rotation: nose_up, translation: DVec3::new(x, 0.0, x / 10.0) };
         let route = route(&[pose(0.0), pose(10.0), pose(20.0)]);
@@ -142,7 +142,7 @@ mod tests {
         let corners =
             [(0.0, 0.0, 8.0), (100.0, 0.0, 8.0), (100.0, 50.0, 4.0), (50.0, 50.0, 0.0), (50.0, -50.0, 0.0)];
         let route = route(&corners.map(|(x, y, z)| Pose::from_yaw(0.0, DVec3::new(x, y, z))));
-        // On the bridge and below it: one place seen from above, a metre off the way below and two off that above.
+        // One position on the bridge and below it: 1 m off the lower path and 2 m off the upper one.
         let crossing = DVec2::new(51.0, 2.0);
         for (station_m, before, expected_m, height_m) in
             [(45.0, DVec2::new(45.0, 0.0), 51.0, 8.0), (245.0, DVec2::new(50.0, 5.0), 248.0, 0.0)]
@@ -151,7 +151,7 @@ mod tests {
             assert!((stretch.foot(crossing).station_m - expected_m).abs() < 1e-9, "{station_m}");
             assert!((stretch.pose_at(crossing, 0.0).translation.z - height_m).abs() < 1e-9, "{station_m}");
         }
-        // A long step is looked for as far as it went.
+        // A long step widens the search window by its length.
         let far = route.around(20.0, DVec2::new(20.0, 0.0)).foot(DVec2::new(100.0, 40.0));
         assert!((far.station_m - 140.0).abs() < 1e-9 && far.offset_m.abs() < 1e-9);
     }

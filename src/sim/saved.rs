@@ -14,16 +14,16 @@ use crate::dataset::Log;
 use crate::geometry::{Cuboid, Foot, Pose};
 
 const VERSION: u32 = 2;
-/// How far a rotation's length may be from 1.
+/// Maximum deviation of a rotation's length from 1.
 const UNIT_TOLERANCE: f64 = 1e-6;
 
-/// A rollout between two steps, to be written (as JSON, numbers exact) and gone on with later.
+/// Saved state of a rollout between two steps; serializes to JSON without loss and can be resumed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SavedState {
     version: u32,
     log: String,
-    /// All but the number of steps, with the rates that they stand for.
+    /// All options except the number of steps, with defaults resolved.
     options: Value,
     step: usize,
     ego: SavedEgo,
@@ -36,14 +36,14 @@ pub struct SavedState {
     tally: Tally,
 }
 
-/// What a simulation is made of, beside log and options.
+/// State of a simulation, apart from log and options.
 pub(super) struct Saved {
     pub(super) world: Committed<World>,
     pub(super) plan: Option<Forecast<Trajectory>>,
     pub(super) tally: Tally,
 }
 
-/// A rotation as x y z w, then a translation in metres.
+/// Rotation as x y z w, then translation in meters.
 type SavedPose = [f64; 7];
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -96,15 +96,15 @@ impl SavedState {
         }
     }
 
-    /// Number of steps since the start when it was saved.
+    /// Returns the number of steps from the start to the saved state.
     pub fn step(&self) -> usize {
         self.step
     }
 
-    /// What was committed when it was saved.
+    /// Returns the committed instant of the saved state.
     ///
     /// # Errors
-    /// As [`Simulation::resume`](super::Simulation::resume).
+    /// Returns any error of [`Simulation::resume`](super::Simulation::resume) about log, options and state.
     pub fn committed(
         &self,
         scenario: &Scenario<'_>,
@@ -116,7 +116,7 @@ impl SavedState {
         Ok(self.open(options, &clock, &recorded)?.world.map(|world| world.instant))
     }
 
-    /// Checks that it belongs to a log and options and is sound.
+    /// Validates the state against a log and options and restores it.
     pub(super) fn open(
         &self,
         options: &SimOptions,
@@ -186,7 +186,7 @@ impl SavedState {
     }
 }
 
-/// Options that must be the same for a rollout to go on.
+/// Returns the options that must match for a rollout to resume.
 fn told(options: &SimOptions, clock: &Clock) -> Value {
     let mut told = serde_json::to_value(options).unwrap_or_default();
     if let Some(told) = told.as_object_mut() {
@@ -203,7 +203,7 @@ fn write_pose(pose: &Pose) -> SavedPose {
     [x, y, z, w, a, b, c]
 }
 
-/// The very pose that was written; `None` for one that is none.
+/// Restores exactly the pose that was written; `None` if it is invalid.
 fn read_pose(saved: &SavedPose) -> Option<Pose> {
     let [x, y, z, w, a, b, c] = *saved;
     let pose = Pose { rotation: DQuat::from_xyzw(x, y, z, w), translation: DVec3::new(a, b, c) };

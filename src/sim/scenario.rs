@@ -4,19 +4,19 @@ use super::{Instant, Rates, SimActor};
 use crate::dataset::{Log, LogFormat};
 use crate::scene::{SceneMap, SceneState, state_of};
 
-/// What a rollout is made on.
+/// Input of a rollout.
 #[derive(Clone, Debug)]
 pub struct Scenario<'a> {
-    /// The drive.
+    /// Recorded or synthetic log.
     pub log: &'a Log,
-    /// Its HD map; without one nobody is off the road.
+    /// HD map of the log; off-road metrics require it.
     pub map: Option<Arc<SceneMap>>,
-    /// What its format is simulated at, unless the options say otherwise.
+    /// Default rates of the log's format, which the options can override.
     pub rates: Rates,
 }
 
 impl<'a> Scenario<'a> {
-    /// Of a log of a format.
+    /// Creates a scenario with the default rates of the log's format.
     pub fn new(log: &'a Log, map: Option<Arc<SceneMap>>, format: LogFormat) -> Self {
         let rates = match format {
             LogFormat::NuScenes => Rates::NUSCENES,
@@ -28,8 +28,8 @@ impl<'a> Scenario<'a> {
     }
 }
 
-/// What conditions are made of, for an instant of a rollout on a log: all cameras share its time and the ego's pose.
-/// Its name is the step in six digits.
+/// Returns the scene state for an instant of a rollout, as the input of condition rendering. All cameras share its
+/// time and the ego's pose. The name is the step in six digits.
 pub fn scene_state(log: &Log, instant: &Instant, map: Option<Arc<SceneMap>>) -> SceneState {
     let boxes: Vec<_> = instant.actors.iter().map(SimActor::track_box).collect();
     let state = state_of(log, instant.t_us, instant.ego.pose, &boxes);

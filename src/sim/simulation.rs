@@ -14,60 +14,61 @@ use super::{
 };
 use crate::geometry::Foot;
 
-/// A rollout: a log whose ego and actors move by policies, step by step.
+/// Closed-loop rollout: moves a log's ego and actors by policies, step by step.
 ///
-/// Everything between two steps is a pure function of what was committed and of the plan.
+/// The transition between two steps is a pure function of the committed state and the plan.
 pub struct Simulation<'a> {
     recorded: Recorded<'a>,
     options: SimOptions,
     clock: Clock,
     driver: Driver,
     road: Option<Road>,
-    /// What was committed, and the plan that the ego follows until the next one.
+    /// Committed state, and the plan that the ego follows until the next one.
     committed: Saved,
     log_ended: bool,
 }
 
-/// All that has happened until a step and is needed for the next.
+/// Committed state that the next step depends on.
 #[derive(Clone, Debug)]
 pub(super) struct World {
     pub(super) instant: Instant,
     pub(super) driven: Driven,
-    /// Of the ego on the recorded path.
+    /// Projection of the ego onto the recorded path.
     pub(super) foot: Foot,
 }
 
-/// What a step brought.
+/// Result of a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepOutcome {
-    /// The plan, if one was made for this step.
+    /// Plan computed at this step; `None` if the step has none.
     pub plan: Option<Forecast<Trajectory>>,
 }
 
-/// Why a rollout is over.
+/// Reason for the end of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EndReason {
-    /// All steps were taken.
+    /// All steps were simulated.
     Steps,
-    /// The ego follows the log and the log is over.
+    /// The ego follows the log, and the log has ended.
     LogEnded,
 }
 
 impl<'a> Simulation<'a> {
-    /// Commits step 0, which is the log's.
+    /// Creates a rollout and commits step 0, which is taken from the log.
     ///
     /// # Errors
-    /// Options that do not fit each other or the log, or a planner that does not answer.
+    /// Fails if the options are inconsistent or do not fit the log, or if the planner does not answer.
     pub fn new(scenario: &Scenario<'a>, options: SimOptions) -> Result<Self, SimError> {
         Self::start(scenario, options, None)
     }
 
-    /// Goes on where another rollout of the same log and options was saved; the number of steps may differ. A planner in
-    /// another process is started anew and told the step.
+    /// Resumes a rollout of the same log and options; the number of steps may differ. An external planner is
+    /// restarted and receives the current step.
     ///
     /// # Errors
-    /// As [`Simulation::new`], or a state that was saved under other options, by another version, or damaged.
+    /// Returns any error of [`Simulation::new`]. Fails if the state was saved with other options or by another
+    /// version, or is damaged.
     pub fn resume(
         scenario: &Scenario<'a>,
         options: SimOptions,
@@ -108,15 +109,16 @@ impl<'a> Simulation<'a> {
         Ok(Self { recorded, options, clock, driver, road, committed: start, log_ended: false })
     }
 
-    /// What has happened last.
+    /// Returns the last committed instant.
     pub fn committed(&self) -> Committed<&Instant> {
         self.committed.world.as_ref().map(|world| &world.instant)
     }
 
-    /// Takes a step and commits it. `None`, and nothing changes, once the rollout is over; [`Simulation::ended`] says why.
+    /// Computes and commits the next step. Returns `None` and changes nothing once the rollout is over;
+    /// [`Simulation::ended`] gives the reason.
     ///
     /// # Errors
-    /// A planner in another process that fails; what was committed stays.
+    /// Fails if an external planner fails; the committed state remains unchanged.
     pub fn step(&mut self) -> Result<Option<StepOutcome>, SimError> {
         if self.is_done() {
             return Ok(None);
@@ -141,8 +143,8 @@ impl<'a> Simulation<'a> {
         Ok(Some(StepOutcome { plan: made }))
     }
 
-    /// What is expected one plan step after what was committed, two, and so on up to a number of them: the ego follows the
-    /// rest of its plan and the actors their policy. Until the first plan it is what the log has. Fewer where the log ends.
+    /// Predicts the next `plan_steps` planning steps after the committed one. The ego follows the rest of its plan
+    /// and the actors follow their policy; before the first plan the log is used. Returns fewer if the log ends.
     pub fn forecast(&self, plan_steps: usize) -> Vec<Forecast<Instant>> {
         let mut expected = self.committed.world.get().clone();
         let mut forecast = Vec::new();
@@ -156,10 +158,10 @@ impl<'a> Simulation<'a> {
         forecast
     }
 
-    /// What is expected after a state; `None` where the log ends.
+    /// Predicts the state after another; `None` if the log ends.
     fn expect(&self, now: &World) -> Option<World> {
         let plan = self.committed.plan.as_ref().map(Forecast::get);
-        // An ego of the log has no plans: its actors go by their policy all the same.
+        // An ego that replays the log has no plans, but its actors still follow their policy.
         if plan.is_some() || self.options.ego == EgoPolicy::Replay {
             return self.advance(now, plan);
         }
@@ -168,7 +170,7 @@ impl<'a> Simulation<'a> {
         Some(World { instant, driven: now.driven.clone(), foot: now.foot })
     }
 
-    /// What follows a state; `None` where the ego is to follow a log that is over.
+    /// Computes the state after another; `None` if the ego follows the log and the log has ended.
     fn advance(&self, now: &World, plan: Option<&Trajectory>) -> Option<World> {
         let step = now.instant.step + 1;
         let t_us = self.clock.at(step);
@@ -192,12 +194,12 @@ impl<'a> Simulation<'a> {
         Some(World { instant: Instant { step, t_us, ego, actors, lights }, driven, foot })
     }
 
-    /// Whether no further step can be taken.
+    /// Returns whether the rollout is over.
     pub fn is_done(&self) -> bool {
         self.ended().is_some()
     }
 
-    /// Why no further step can be taken.
+    /// Returns the reason for the end of the rollout; `None` while it is running.
     pub fn ended(&self) -> Option<EndReason> {
         if self.committed.world.get().instant.step >= self.options.steps {
             return Some(EndReason::Steps);
@@ -205,43 +207,44 @@ impl<'a> Simulation<'a> {
         self.log_ended.then_some(EndReason::LogEnded)
     }
 
-    /// Figures of all that was committed.
+    /// Returns the metrics of the committed steps from the takeover on.
     pub fn metrics(&self) -> Metrics {
         self.committed.tally.metrics(self.road.is_some())
     }
 
-    /// What a user should know of the log, by kind, with counts.
+    /// Returns notes on the log for the user: kinds with their counts.
     pub fn notes(&self) -> BTreeMap<String, usize> {
         self.recorded.notes()
     }
 
-    /// All that [`Simulation::resume`] needs.
+    /// Returns the state required by [`Simulation::resume`].
     pub fn save(&self) -> SavedState {
         SavedState::new(&self.options, &self.clock, self.recorded.log, &self.committed)
     }
 
-    /// Steps a second and plans a second.
+    /// Returns the simulation and planning rates.
     pub fn rates(&self) -> Rates {
         self.clock.rates
     }
 
-    /// Steps from one plan to the next, at least 1.
+    /// Returns the number of steps per plan, at least 1.
     pub fn steps_per_plan(&self) -> usize {
         self.clock.steps_per_plan
     }
 
-    /// The last step whose ego and actors are the log's; the first plan is made there.
+    /// Returns the last step whose ego and actors are taken from the log; the first plan is computed there.
     pub fn takeover_step(&self) -> usize {
         self.clock.takeover
     }
 
-    /// Tells a planner in another process which files show what was committed last; with the next observation.
+    /// Sets the files that show the last committed state; an external planner receives them with the next
+    /// observation.
     pub fn show(&mut self, files: Vec<PathBuf>) {
         self.driver.show(files);
     }
 }
 
-/// Where the log's ego is on its own path at a time, microseconds.
+/// Projects the log's ego onto its own path at a time, microseconds.
 fn logged_foot(recorded: &Recorded<'_>, ego: &EgoState, t_us: i64) -> Foot {
     let (route, place_m) = (&recorded.route, ego.position_m());
     route.around(route.station_at(t_us), place_m).foot(place_m)

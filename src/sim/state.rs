@@ -3,9 +3,9 @@ use glam::{DVec2, DVec3};
 use crate::dataset::{TrackBox, TrafficLight};
 use crate::geometry::{Cuboid, Pose};
 
-/// What has happened: states, and whatever is made of them.
+/// Simulated past: a committed state, or a value derived from committed states.
 ///
-/// A forecast is none:
+/// A forecast cannot take its place:
 ///
 /// ```compile_fail,E0308
 /// use point_skeleton::sim::{Committed, Forecast, Instant};
@@ -14,7 +14,7 @@ use crate::geometry::{Cuboid, Pose};
 /// }
 /// ```
 ///
-/// Nor can anybody else say that it has happened:
+/// Nor can code outside the simulation create one:
 ///
 /// ```compile_fail,E0624
 /// use point_skeleton::sim::{Committed, Forecast, Instant};
@@ -25,70 +25,70 @@ use crate::geometry::{Cuboid, Pose};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Committed<T>(T);
 
-/// What is expected to happen: it is made anew at each step and never enters the state.
+/// Predicted value: computed anew at each step and never part of the state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Forecast<T>(T);
 
-/// Everybody at one instant.
+/// State of ego and actors at one instant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Instant {
     /// Number of simulation steps since the start.
     pub step: usize,
-    /// Absolute microseconds.
+    /// Absolute time, microseconds.
     pub t_us: i64,
-    /// The ego.
+    /// State of the ego.
     pub ego: EgoState,
-    /// Sorted by track.
+    /// Actors, sorted by track.
     pub actors: Vec<SimActor>,
-    /// What traffic lights show, by lane connector: as in the log's last frame until then.
+    /// Traffic light states by lane connector, from the log's last frame up to this time.
     pub lights: Vec<TrafficLight>,
 }
 
-/// How the ego moves.
+/// Pose and motion of the ego.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EgoState {
-    /// `global_from_ego`; the origin is that of the log's ego frame, which counts as the middle of the rear axle.
+    /// `global_from_ego`; the origin is that of the log's ego frame, taken as the center of the rear axle.
     pub pose: Pose,
-    /// Along the heading, metres per second.
+    /// Speed along the heading, meters per second.
     pub speed_mps: f64,
-    /// Along the heading, metres per second squared.
+    /// Acceleration along the heading, meters per second squared.
     pub acceleration_mps2: f64,
-    /// To the left, radians per second.
+    /// Yaw rate to the left, radians per second.
     pub yaw_rate_radps: f64,
-    /// Of the front wheels to the left, radians.
+    /// Steering angle of the front wheels to the left, radians.
     pub steering_rad: f64,
 }
 
-/// How somebody else moves.
+/// Pose and speed of an actor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimActor {
     /// Index in [`Log::tracks`](crate::dataset::Log::tracks).
     pub track: usize,
-    /// Where it stands, global.
+    /// Bounding box in the global frame.
     pub cuboid: Cuboid,
-    /// Along the heading, metres per second.
+    /// Speed along the heading, meters per second.
     pub speed_mps: f64,
 }
 
-/// Length, width and height of the ego, a Chrysler Pacifica, metres. Source: nuPlan's vehicle parameters.
+/// Length, width and height of the ego, a Chrysler Pacifica, meters. Source: nuPlan's vehicle parameters.
 pub const EGO_SIZE_M: DVec3 = DVec3::new(5.176, 2.297, 1.777);
-/// From the ego's rear axle forward to the centre of its box, metres.
+/// Distance from the ego's rear axle forward to the center of its box, meters.
 pub const REAR_AXLE_TO_CENTER_M: f64 = 1.461;
-/// From the ego's rear axle to its front axle, metres.
+/// Distance from the ego's rear axle to its front axle, meters.
 pub const WHEELBASE_M: f64 = 3.089;
 
 impl EgoState {
-    /// Its yaw, radians.
+    /// Returns the global yaw, radians.
     pub fn heading_rad(&self) -> f64 {
         self.pose.yaw_rad()
     }
 
-    /// The middle of the rear axle seen from above, global metres.
+    /// Returns the center of the rear axle in x and y, global meters.
     pub fn position_m(&self) -> DVec2 {
         self.pose.translation.truncate()
     }
 
-    /// The box around the vehicle.
+    /// Returns the vehicle's bounding box.
     pub fn cuboid(&self) -> Cuboid {
         let center = DVec3::new(REAR_AXLE_TO_CENTER_M, 0.0, EGO_SIZE_M.z / 2.0);
         let pose = Pose { rotation: self.pose.rotation, translation: self.pose.transform_point(center) };
@@ -97,59 +97,59 @@ impl EgoState {
 }
 
 impl SimActor {
-    /// As a log has it.
+    /// Returns the bounding box in the log's format.
     pub fn track_box(&self) -> TrackBox {
         TrackBox { track: self.track, cuboid: self.cuboid }
     }
 }
 
 impl<T> Committed<T> {
-    /// Says that something has happened: for the loop alone.
+    /// Marks a value as committed; only the simulation may do so.
     pub(super) fn new(value: T) -> Self {
         Self(value)
     }
 
-    /// What has happened.
+    /// Returns the committed value.
     pub fn get(&self) -> &T {
         &self.0
     }
 
-    /// What is made of it has happened as well.
+    /// Derives a committed value from this one.
     pub fn map<U>(self, f: impl FnOnce(T) -> U) -> Committed<U> {
         Committed(f(self.0))
     }
 
-    /// What is made of it, if it can be made, has happened as well.
+    /// Derives a committed value from this one by a fallible function.
     ///
     /// # Errors
-    /// Those of making it.
+    /// Returns any error of `f`.
     pub fn try_map<U, E>(self, f: impl FnOnce(T) -> Result<U, E>) -> Result<Committed<U>, E> {
         f(self.0).map(Committed)
     }
 
-    /// The same by reference.
+    /// Returns a committed reference to the value.
     pub fn as_ref(&self) -> Committed<&T> {
         Committed(&self.0)
     }
 }
 
 impl<T> Forecast<T> {
-    /// Something expected.
+    /// Marks a value as predicted.
     pub fn new(value: T) -> Self {
         Self(value)
     }
 
-    /// What is expected.
+    /// Returns the predicted value.
     pub fn get(&self) -> &T {
         &self.0
     }
 
-    /// What is made of it is only expected as well.
+    /// Derives a predicted value from this one.
     pub fn map<U>(self, f: impl FnOnce(T) -> U) -> Forecast<U> {
         Forecast(f(self.0))
     }
 
-    /// The same by reference.
+    /// Returns a predicted reference to the value.
     pub fn as_ref(&self) -> Forecast<&T> {
         Forecast(&self.0)
     }

@@ -1,4 +1,4 @@
-//! How the ego follows a plan.
+//! Tracking of a plan by the ego.
 
 use glam::DVec2;
 
@@ -8,26 +8,28 @@ use super::trajectory::{Trajectory, Waypoint};
 use super::{EgoState, Instant, Tracking, WHEELBASE_M};
 use crate::geometry::wrap_angle;
 
-/// Of the front wheels to either side, radians.
+/// Maximum steering angle of the front wheels to either side, radians.
 const MAX_STEERING_RAD: f64 = 0.6;
 const MAX_STEERING_RADPS: f64 = 0.8;
 const MAX_ACCELERATION_MPS2: f64 = 4.0;
 const MAX_BRAKING_MPS2: f64 = 8.0;
-/// The controller runs at least this often, seconds.
+/// Maximum time between controller steps, seconds.
 const CONTROL_S: f64 = 0.01;
-/// Of errors along the way, per second squared and per second: they die out within about 2 s, without overshoot.
+/// Gains of longitudinal errors in position (per second squared) and speed (per second). Errors decay within about 2
+/// s, without overshoot.
 const GAINS_ALONG: [f64; 2] = [4.0, 4.0];
-/// Of the offset, per metre squared, and of the heading, per metre, of the rear-wheel feedback (Samson 1992; Paden et
-/// al. 2016, section V-B): offsets die out over about 16 m, without overshoot.
+/// Gains of lateral offset (per meter squared) and heading (per meter) of the rear-wheel feedback controller (Samson
+/// 1992; Paden et al. 2016, section V-B). Offsets decay over about 16 m, without overshoot.
 const GAINS_ACROSS: [f64; 2] = [0.0625, 0.5];
-/// Larger errors count as these (metres), so that who is behind goes only that many metres per second faster.
+/// Limits of longitudinal and lateral position errors, meters: a lagging ego exceeds the planned speed by at most as
+/// many meters per second.
 const MAX_ERRORS_M: [f64; 2] = [2.0, 3.0];
-/// What the controller steers for at most: over this, tyres slip.
+/// Maximum commanded lateral acceleration: above it, tires slip.
 const MAX_LATERAL_MPS2: f64 = 8.0;
-/// Under this speed nothing tells how the wheels stand, metres per second.
+/// Minimum speed for steering angles from yaw rates, meters per second.
 const CREEP_MPS: f64 = 0.1;
 
-/// The ego at the next step, on the ground of the recorded path around where it is now.
+/// Returns the ego at the next step, on the ground of the recorded path around its current position.
 pub(super) fn follow(
     how: Tracking,
     stretch: Stretch<'_>,
@@ -49,7 +51,7 @@ pub(super) fn follow(
     }
 }
 
-/// The ego at a waypoint; what a waypoint does not tell follows from the step before.
+/// Places the ego at a waypoint; acceleration, yaw rate and steering follow from the difference to the previous step.
 fn perfect(stretch: Stretch<'_>, now: &Instant, to: &Waypoint) -> EgoState {
     let dt_s = seconds(now.t_us, to.t_us);
     let yaw_rate_radps = wrap_angle(to.heading_rad - now.ego.heading_rad()) / dt_s;
@@ -64,7 +66,7 @@ fn perfect(stretch: Stretch<'_>, now: &Instant, to: &Waypoint) -> EgoState {
     }
 }
 
-/// A kinematic bicycle about the middle of its rear axle.
+/// Kinematic bicycle model about the center of its rear axle.
 #[derive(Clone, Copy, Debug)]
 struct Bicycle {
     place_m: DVec2,
@@ -99,7 +101,7 @@ impl Bicycle {
         }
     }
 
-    /// Steers after a plan for a short time.
+    /// Advances by a short time while steering towards the plan.
     fn step(&mut self, plan: &Trajectory, t_us: i64, dt_s: f64) {
         let (wanted, (acceleration, curvature)) = (plan.at(t_us), plan.changes_at(t_us));
         let forward = DVec2::from_angle(wanted.heading_rad);
@@ -110,7 +112,7 @@ impl Bicycle {
             - GAINS_ALONG[0] * ahead_m.clamp(-MAX_ERRORS_M[0], MAX_ERRORS_M[0])
             - GAINS_ALONG[1] * faster_mps;
         let mut braked = wish.clamp(-MAX_BRAKING_MPS2, MAX_ACCELERATION_MPS2);
-        // Who brakes for a stop does not back up.
+        // Braking for a stop must not drive backward.
         if wanted.speed_mps >= 0.0 && self.speed_mps >= 0.0 && self.speed_mps + braked * dt_s < 0.0 {
             braked = -self.speed_mps / dt_s;
         }
@@ -119,7 +121,7 @@ impl Bicycle {
         self.steering_rad += (target_rad - self.steering_rad).clamp(-most_rad, most_rad);
         self.acceleration_mps2 = braked;
         let (speed_mps, yaw_rate_radps) = (self.speed_mps + braked * dt_s / 2.0, self.yaw_rate_radps());
-        // The middle of the short time, for speed and heading alike.
+        // Midpoint values for speed and heading.
         let heading_rad = self.heading_rad + yaw_rate_radps * dt_s / 2.0;
         self.place_m += DVec2::from_angle(heading_rad) * (speed_mps * dt_s);
         self.heading_rad = wrap_angle(self.heading_rad + yaw_rate_radps * dt_s);
@@ -129,7 +131,7 @@ impl Bicycle {
     fn wanted_steering(&self, left_m: f64, heading_rad: f64, curvature: f64) -> f64 {
         let turned_rad = wrap_angle(self.heading_rad - heading_rad);
         let sinc = if turned_rad.abs() < 1e-6 { 1.0 } else { turned_rad.sin() / turned_rad };
-        // Per metre that is driven; nearer to the centre of a bend the way is shorter.
+        // Curvature per driven meter: closer to the center of a bend the path is shorter.
         let along = curvature * turned_rad.cos() / (1.0 - curvature * left_m).max(0.2);
         let sign = if self.speed_mps < 0.0 { -1.0 } else { 1.0 };
         let offset_m = left_m.clamp(-MAX_ERRORS_M[1], MAX_ERRORS_M[1]);
@@ -172,7 +174,7 @@ mod tests {
         driven
     }
 
-    /// Around (0, radius) to the left, from the origin along x.
+    /// Returns a left turn around (0, radius), from the origin along x.
     fn circle(radius_m: f64, speed_mps: f64, seconds: i64) -> Trajectory {
         let at = |i: i64| {
             let angle = speed_mps * i as f64 / 10.0 / radius_m;
@@ -190,7 +192,7 @@ mod tests {
             assert!((b.steering_rad - a.steering_rad).abs() <= MAX_STEERING_RADPS * 0.1 + 1e-12);
             let rise = (b.speed_mps - a.speed_mps) / 0.1;
             assert!((-MAX_BRAKING_MPS2 - 1e-9..=MAX_ACCELERATION_MPS2 + 1e-9).contains(&rise), "{rise}");
-            // Nothing slips: the rear axle moves along the heading.
+            // No slip: the rear axle moves along the heading.
             let moved = b.position_m() - a.position_m();
             let sideways =
                 DVec2::from_angle(a.heading_rad() + wrap_angle(b.heading_rad() - a.heading_rad()) / 2.0);
@@ -201,7 +203,7 @@ mod tests {
     #[test]
     fn circles_are_kept_within_a_decimetre() {
         for (radius_m, speed_mps) in [(8.0, 4.0), (15.0, 6.0), (40.0, 10.0)] {
-            // The wheels stand for the bend already.
+            // The wheels already have the angle for the bend.
             let steering_rad = (WHEELBASE_M / radius_m).atan();
             let start = EgoState { steering_rad, ..ego(DVec2::ZERO, 0.0, speed_mps) };
             let driven = drive(Tracking::Bicycle, start, &circle(radius_m, speed_mps, 20), 20);
@@ -228,7 +230,7 @@ mod tests {
 
     #[test]
     fn impossible_plans_meet_the_limits_and_stops_are_stops() {
-        // A jump of 30 m to the side, full speed at once, then a dead stop.
+        // A jump of 30 m to the side at full speed, then a sudden stop.
         let at = |t_us: i64, x_m: f64, y_m: f64, speed_mps: f64| Waypoint {
             t_us,
             x_m,

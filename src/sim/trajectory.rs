@@ -4,34 +4,34 @@ use serde::{Deserialize, Serialize};
 use super::clock::seconds;
 use crate::geometry::wrap_angle;
 
-/// Where the ego is to be when.
+/// Planned pose and speed of the ego at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Waypoint {
-    /// Absolute microseconds.
+    /// Absolute time, microseconds.
     pub t_us: i64,
-    /// Global, metres.
+    /// Global x, meters.
     pub x_m: f64,
-    /// Global, metres.
+    /// Global y, meters.
     pub y_m: f64,
     /// Global yaw, radians.
     pub heading_rad: f64,
-    /// Along the heading, metres per second.
+    /// Speed along the heading, meters per second.
     pub speed_mps: f64,
 }
 
-/// A plan: waypoints in time order, at least one. The first is where the ego was when the plan was made.
+/// Plan: at least one waypoint, in time order. The first is the ego's state at planning time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Trajectory {
     waypoints: Vec<Waypoint>,
 }
 
 impl Waypoint {
-    /// Global x and y, metres.
+    /// Returns global x and y, meters.
     pub fn position_m(&self) -> DVec2 {
         DVec2::new(self.x_m, self.y_m)
     }
 
-    /// Between two waypoints: all linear, the heading the shorter way.
+    /// Interpolates linearly between two waypoints; the heading takes the shorter turn.
     fn between(&self, next: &Self, t_us: i64) -> Self {
         let s = seconds(self.t_us, t_us) / seconds(self.t_us, next.t_us);
         let place = self.position_m().lerp(next.position_m(), s);
@@ -47,7 +47,8 @@ impl Waypoint {
 }
 
 impl Trajectory {
-    /// From where the ego is now and where it is to be; what is not later than the waypoint before is left out.
+    /// Creates a plan from the ego's current state and its future waypoints; drops each waypoint that is not later
+    /// than its predecessor.
     pub(super) fn new(now: Waypoint, next: impl IntoIterator<Item = Waypoint>) -> Self {
         let mut waypoints = vec![now];
         for waypoint in next {
@@ -58,20 +59,21 @@ impl Trajectory {
         Self { waypoints }
     }
 
-    /// Whether waypoints are what [`Trajectory::new`] makes: some, later and later, of finite numbers.
+    /// Returns whether the waypoints satisfy the guarantees of [`Trajectory::new`]: at least one, strictly increasing
+    /// times, finite values.
     pub(super) fn is_valid(&self) -> bool {
         let finite = |w: &Waypoint| [w.x_m, w.y_m, w.heading_rad, w.speed_mps].iter().all(|v| v.is_finite());
         let later = self.waypoints.windows(2).all(|w| w[0].t_us < w[1].t_us);
         !self.waypoints.is_empty() && later && self.waypoints.iter().all(finite)
     }
 
-    /// All waypoints; the first is where the ego was when the plan was made.
+    /// Returns all waypoints; the first is the ego's state at planning time.
     pub fn waypoints(&self) -> &[Waypoint] {
         &self.waypoints
     }
 
-    /// The place at a time (microseconds). Behind the last waypoint it goes straight on at that speed, before the first
-    /// it stands there.
+    /// Returns the waypoint at a time, microseconds. Beyond the last waypoint it extrapolates straight on at constant
+    /// speed; before the first it returns the first one's pose.
     pub fn at(&self, t_us: i64) -> Waypoint {
         let next = self.waypoints.partition_point(|w| w.t_us < t_us);
         match (self.waypoints[..next].last(), self.waypoints.get(next)) {
@@ -86,15 +88,15 @@ impl Trajectory {
         }
     }
 
-    /// How speed (metres per second squared) and heading (radians per metre) change at a time (microseconds): between
-    /// the waypoints around it. Both are 0 behind the last.
+    /// Returns acceleration (meters per second squared) and curvature (radians per meter) at a time (microseconds),
+    /// from the waypoints around it. Both are 0 before the first and from the last waypoint on.
     pub(super) fn changes_at(&self, t_us: i64) -> (f64, f64) {
         let next = self.waypoints.partition_point(|w| w.t_us <= t_us);
         let around = next.checked_sub(1).map(|i| &self.waypoints[i]).zip(self.waypoints.get(next));
         let Some((before, after)) = around else { return (0.0, 0.0) };
         let acceleration = (after.speed_mps - before.speed_mps) / seconds(before.t_us, after.t_us);
         let way_m = before.position_m().distance(after.position_m());
-        // Waypoints on one spot say nothing of curves.
+        // Waypoints at one position do not define a curvature.
         let turn_rad = wrap_angle(after.heading_rad - before.heading_rad);
         let backward = before.speed_mps + after.speed_mps < 0.0;
         let curvature = if way_m < 1e-3 { 0.0 } else { turn_rad / if backward { -way_m } else { way_m } };
@@ -119,7 +121,7 @@ mod tests {
         assert_eq!(plan.at(1_000_000), next[0]);
         let half = plan.at(500_000);
         assert_eq!((half.x_m, half.speed_mps), (2.5, 4.0));
-        // The shorter way leads over pi.
+        // The shorter turn passes through pi.
         assert!((half.heading_rad.abs() - std::f64::consts::PI).abs() < 1e-12);
         let beyond = plan.at(3_000_000);
         assert!((beyond.x_m - (4.0 + 12.0 * (-3f64).cos())).abs() < 1e-12 && beyond.speed_mps == 6.0);

@@ -1,4 +1,5 @@
-//! Worse assets for training: what a network sees at inference is often sparse or seen from one side only.
+//! Instance augmentation: degraded assets for training, as assets at inference are often sparse or seen from one side
+//! only.
 
 use std::collections::BTreeSet;
 use std::f64::consts::{FRAC_PI_4, FRAC_PI_6};
@@ -15,16 +16,16 @@ use crate::geometry::{Camera, View};
 use crate::raster::cpu::{CpuRasterizer, project};
 use crate::raster::{Instance, Planes, Rasterizer, SplatJob, SplatSchedule, SplatStep, draws_from_job};
 
-/// How assets are made worse.
+/// Options for the degradation of assets.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AugmentOptions {
-    /// Everything random follows from it and from the track's id.
+    /// Seed; all random choices depend only on it and on the track's id.
     pub seed: u64,
-    /// Share of the assets that are changed: half of them thinned, half cut to one view.
+    /// Share of the assets that are degraded: half of them are thinned, half reduced to one view.
     pub share: f64,
-    /// Thinned assets keep a share of their points in this range, log-uniform.
+    /// Range of the share of points that thinned assets retain, sampled log-uniformly.
     pub ratio: [f64; 2],
-    /// No asset is left with fewer points; one that has no more stays as it is.
+    /// Minimum number of points of a degraded asset; an asset with no more points is unchanged.
     pub min_points: usize,
 }
 
@@ -34,37 +35,37 @@ impl Default for AugmentOptions {
     }
 }
 
-/// What was done to an asset.
+/// Degradation applied to an asset.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Augmentation {
-    /// Nothing.
+    /// Unchanged.
     None,
-    /// One point a voxel.
+    /// Thinned to one point per voxel.
     Thinned {
-        /// Share of the points that was asked for.
+        /// Requested share of points.
         ratio: f64,
-        /// Side of the voxels, metres.
+        /// Side of the voxels, meters.
         voxel_m: f64,
-        /// How many are left.
+        /// Number of remaining points.
         points: usize,
     },
-    /// What one camera sees.
+    /// Reduced to the points visible from one camera.
     OneView {
-        /// Where the camera stands, radians to the left from the front.
+        /// Direction of the camera, radians to the left from the front.
         azimuth_rad: f64,
-        /// How many are left.
+        /// Number of remaining points.
         points: usize,
     },
 }
 
-/// An asset for training: as it is, thinned, or cut to what one camera sees. `points` are in box coordinates (metres)
-/// and stay in their order. The result depends on the points, the track's id and the options alone.
+/// Returns an asset unchanged, thinned, or reduced to one camera's view. `points` are in box coordinates (meters) and
+/// remain in order. The result depends only on the points, the track's id and the options.
 pub fn augment(points: &[Point], track: &str, options: &AugmentOptions) -> (Vec<Point>, Augmentation) {
     // ChaCha, and the SipHash that seeds it, give the same numbers on every machine.
     let mut rng: ChaCha8Rng = Seeder::from((options.seed, track)).into_rng();
     let mut unit = || (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
-    // Always the same draws, so that one does not depend on what another came to.
+    // Always draws all numbers, so that no draw depends on the outcome of another.
     let (changed, thinned, first, second) = (unit() < options.share, unit() < 0.5, unit(), unit());
     let done = if !changed || points.len() <= options.min_points {
         None
@@ -79,20 +80,20 @@ pub fn augment(points: &[Point], track: &str, options: &AugmentOptions) -> (Vec<
     }
 }
 
-/// Indices of points that stay, rising, and how they were found.
+/// Ascending indices of the retained points, and the degradation.
 type Kept = (Vec<usize>, Augmentation);
 
-/// Halvings of the range of voxel sizes.
+/// Number of bisection steps of the voxel size.
 const HALVINGS: u32 = 30;
 
-/// One point a voxel, with the voxel size that comes nearest to a share of the points that is log-uniform in `at` (0 to
-/// 1).
+/// Retains one point per voxel. The voxel size approximates a target share of the points, which is log-uniform in
+/// `at` (0 to 1).
 fn thin(points: &[Point], at: f64, options: &AugmentOptions) -> Kept {
     let [low, high] = options.ratio.map(f64::ln);
     let ratio = (low + (high - low) * at).exp();
     let wanted = (ratio * points.len() as f64).round().max(options.min_points as f64);
     let (mut small, mut large) = (1e-4_f64, 100.0_f64);
-    // All points, in case no voxels leave enough.
+    // Fallback: all points, if no voxel size leaves enough.
     let mut best = (points.len() as f64 - wanted, 0.0, (0..points.len()).collect::<Vec<_>>());
     for _ in 0..HALVINGS {
         let voxel_m = (small * large).sqrt();
@@ -113,7 +114,7 @@ fn thin(points: &[Point], at: f64, options: &AugmentOptions) -> Kept {
     (kept, how)
 }
 
-/// The first point of every voxel.
+/// Returns the index of the first point in each voxel, ascending.
 fn one_a_voxel(points: &[Point], voxel_m: f64) -> Vec<usize> {
     let mut first: FxHashMap<[i64; 3], usize> = FxHashMap::default();
     for (index, point) in points.iter().enumerate() {
@@ -123,19 +124,19 @@ fn one_a_voxel(points: &[Point], voxel_m: f64) -> Vec<usize> {
     first.into_values().collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// The camera: 1024x768 pixels over 90 degrees from left to right, so many radii of the asset away from its centre and
-/// level with it.
+/// Camera of 1024x768 pixels with a horizontal field of view of 90 degrees, at a distance of `RADII_AWAY` asset radii
+/// from the asset's center and level with it.
 const WIDTH: u32 = 1024;
 const HEIGHT: u32 = 768;
 const FOCAL_PX: f64 = 512.0;
 const RADII_AWAY: f64 = 2.5;
-/// A point still belongs to the surface that is nearest in its pixel if it lies so many radii behind it ...
+/// Depth tolerance for points behind the nearest surface in their pixel: a number of asset radii ...
 const SURFACE_RADII: f64 = 0.04;
-/// ... and so many distances between points, since their squares stand out from surfaces that are seen at a slant.
+/// ... plus a number of point distances, since splats protrude from surfaces at a slant.
 const SURFACE_APART: f64 = 2.0;
 
-/// What a camera sees that stands half to the front (or to the back) of the side with more points, turned by up to 30
-/// degrees more. Both choices are in 0 to 1. `None` for points that are no solid thing.
+/// Returns the points visible from a camera on the side with more points, halfway to the front (or back), rotated by
+/// up to 30 degrees more. `end` and `turn` are in 0 to 1. `None` if the points have no extent.
 fn one_view(points: &[Point], end: f64, turn: f64) -> Option<Kept> {
     let bounds = Bounds::of(points)?;
     let [min, max] = [bounds.min, bounds.max].map(|v| DVec3::from(v.map(f64::from)));
@@ -163,9 +164,9 @@ fn camera_at(azimuth_rad: f64, centre: DVec3, radius_m: f64) -> Option<View> {
     usable.then(|| View { camera, camera_from_world: world_from_camera.inverse() })
 }
 
-/// Indices of points that nothing hides in a view.
+/// Returns the indices of the unoccluded points in a view.
 fn seen(points: &[Point], view: &View, bounds: &Bounds, radius_m: f64) -> Option<Vec<usize>> {
-    // Points are about as far apart as if they covered their bounds; a square of that size closes the gaps.
+    // Estimates the distance between points as if they covered their bounds; splats of that size close the gaps.
     let [x, y, z]: [f64; 3] = std::array::from_fn(|a| f64::from(bounds.max[a]) - f64::from(bounds.min[a]));
     let apart_m = (2.0 * (x * y + y * z + z * x) / points.len() as f64).sqrt();
     let radius_px = (apart_m * FOCAL_PX / (RADII_AWAY * radius_m)).ceil();
@@ -195,7 +196,7 @@ mod tests {
 
     const SIZE: [f64; 3] = [4.6, 1.9, 1.5];
 
-    /// The four sides of a box and its top, a point every `step_m`.
+    /// Returns the four sides of a box and its top, with a point every `step_m`.
     fn shell(step_m: f64) -> Vec<Point> {
         let counts = SIZE.map(|s| (s / step_m) as i32);
         let at = |axis: usize, i: i32| (SIZE[axis] * (f64::from(i) / f64::from(counts[axis]) - 0.5)) as f32;
@@ -227,7 +228,7 @@ mod tests {
             assert!((ratio - 0.05 * 16.0_f64.powf(at)).abs() < 1e-12, "log-uniform in 0.05 to 0.8");
             assert_eq!((count, &kept), (kept.len(), &one_a_voxel(&points, voxel_m)));
             let found = count as f64 / points.len() as f64;
-            // Points on a grid fall into voxels by rows at a time, so not every ratio can be had.
+            // Points on a grid fall into voxels in whole rows, so not every ratio is attainable.
             assert!((found / ratio - 1.0).abs() < 0.2, "{ratio} {found}");
         }
         let few = shell(0.3);
@@ -243,7 +244,7 @@ mod tests {
             let (kept, how) = one_view(&points, end, turn).unwrap();
             let Augmentation::OneView { azimuth_rad, .. } = how else { panic!("{how:?}") };
             let out = DVec3::new(azimuth_rad.cos(), azimuth_rad.sin(), 0.0);
-            // What faces the camera, by geometry: the plane of a side has the camera before it.
+            // Geometric test: a side faces the camera if the camera is in front of its plane.
             let radius_m = DVec3::from(SIZE).length() / 2.0;
             let eye = out * RADII_AWAY * radius_m;
             let faces = |p: &Point, axis: usize| {
@@ -254,7 +255,7 @@ mod tests {
             let facing = points.iter().filter(|p| on_front(p)).count();
             let seen_facing = kept.iter().filter(|i| on_front(&points[**i])).count();
             assert!(seen_facing as f64 > 0.99 * facing as f64, "{seen_facing} of {facing}");
-            // Of the far sides and the top only what lies within the tolerance of a facing edge.
+            // Points on the far sides and the top may only lie within the tolerance of a facing edge.
             for point in kept.iter().map(|i| &points[*i]).filter(|p| !on_front(p)) {
                 let to_edge = [0, 1].map(|axis| {
                     let edge = SIZE[axis] / 2.0 * eye[axis].signum();
@@ -290,7 +291,7 @@ mod tests {
         backwards.reverse();
         assert_eq!(all, backwards);
         let count = |test: fn(&Augmentation) -> bool| all.iter().filter(|(_, how)| test(how)).count();
-        // Four standard deviations of 400 draws are 0.08 of clean ones and 0.1 of the halves.
+        // Four standard deviations of 400 draws are 0.08 for unchanged assets and 0.1 for the halves.
         let clean = count(|how| matches!(how, Augmentation::None));
         assert!((48..=112).contains(&clean), "{clean}");
         let thinned = count(|how| matches!(how, Augmentation::Thinned { .. }));

@@ -8,20 +8,20 @@ use twox_hash::XxHash3_64;
 
 use crate::error::FileError;
 
-/// XXH3 of 64 bits over values as files hold them. It finds damage, not forgery.
+/// 64-bit XXH3 of values in their file representation. It detects damage, not forgery.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Checksum(u64);
 
 impl Checksum {
-    /// Hashes the bytes of values, one after the other.
+    /// Hashes the bytes of consecutive values.
     pub fn of<T: NoUninit>(values: &[T]) -> Self {
         Self(XxHash3_64::oneshot(bytemuck::cast_slice(values)))
     }
 
-    /// Compares values that were read from a file with this checksum. `name` names them in the message.
+    /// Validates values read from a file against this checksum; `name` describes them in the message.
     ///
     /// # Errors
-    /// The values have another checksum.
+    /// Fails if the values have another checksum.
     pub(super) fn check<T: NoUninit>(
         self,
         values: &[T],
@@ -36,7 +36,7 @@ impl Checksum {
     }
 }
 
-/// 16 hexadecimal digits.
+/// Formats as 16 hexadecimal digits.
 impl fmt::Display for Checksum {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:016x}", self.0)
@@ -59,7 +59,7 @@ impl FromStr for Checksum {
     }
 }
 
-/// As text: not every reader of JSON keeps all bits of a number.
+/// Serializes as text, because not every JSON reader preserves all bits of a number.
 impl Serialize for Checksum {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_str(self)
@@ -77,7 +77,7 @@ mod tests {
     use super::*;
     use crate::cloud::Point;
 
-    /// Values of the reference implementation (xxHash 0.8).
+    /// Reference values from xxHash 0.8.
     #[test]
     fn the_checksum_is_xxh3() {
         assert_eq!(Checksum::of::<u8>(&[]).to_string(), "2d06800538d394c2");

@@ -1,12 +1,12 @@
-//! One color a point, from the camera with the best view.
+//! Coloring: one color per point, from the camera with the best view.
 //!
 //! # How it works
-//! Every image whose frame is within a window around a point's own frame is a candidate. The point is projected
+//! Every image whose frame lies within a window around a point's own frame is a candidate. The point is projected
 //! into it at the image's own time (a point of an actor moves with its box) and tested against the image's
-//! [`OcclusionMap`]. Each view that passes has a [`Look`]: the mean over the pixels that the point will cover when it is
-//! splatted, and a weight that falls with distance and time. The best view is the one that the others agree with
-//! most (the weighted medoid of the colors): what a wrong occlusion, a passing car or the sky behind a twig shows in
-//! one image is outvoted by the others.
+//! [`OcclusionMap`]. Each view that passes yields a [`Look`]: the mean color over the pixels that the point covers
+//! when splatted, and a weight that decreases with distance and time. The best view is the one that agrees most with
+//! the others (weighted medoid of the colors). The other views thus outvote an error in one image: a wrong occlusion,
+//! a passing car, or the sky behind a twig.
 
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use image::RgbImage;
@@ -14,44 +14,44 @@ use image::RgbImage;
 use super::OcclusionMap;
 use crate::geometry::{Lens, View};
 
-/// A point that looks for its color.
+/// Point to be colored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
-    /// Metres: global for the background, box frame for actors.
+    /// Position, meters: global for the background, box frame for actors.
     pub position: DVec3,
-    /// Its color, once it has one.
+    /// Color, once assigned.
     pub rgb: Option<[u8; 3]>,
 }
 
-/// An image with what it takes to color points from it.
+/// Image with the data required to color points from it.
 pub struct ColorView {
-    /// Pixels.
+    /// Image pixels.
     pub image: RgbImage,
-    /// Where it was taken.
+    /// Camera and pose of the image.
     pub view: View,
-    /// Absolute microseconds.
+    /// Time of the image, absolute microseconds.
     pub t_us: i64,
-    /// What hides what; `None` to believe every projection.
+    /// Occlusion in the image; `None` disables the test.
     pub occlusion: Option<OcclusionMap>,
 }
 
-/// How one view shows a point.
+/// Color of a point in one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
-    /// Color.
+    /// Mean color.
     pub rgb: [u8; 3],
-    /// How much the view counts: larger for near ones, in space and time.
+    /// Weight of the view: larger for views near in space and time.
     pub weight: f32,
 }
 
-/// Depths, metres, up to which a splat of the default schedule has a radius in an image of [`SPLAT_WIDTH`] pixels.
+/// Depths (meters) and radii of the splats in the default schedule, for an image of [`SPLAT_WIDTH`] pixels.
 const SPLATS: [(f64, f64); 2] = [(15.0, 2.0), (35.0, 1.0)];
 const SPLAT_WIDTH: f64 = 1600.0;
-/// A second between sweep and image weighs like this share of distance.
+/// Relative increase in distance that is equivalent to a second between sweep and image.
 const TIME_WEIGHT: f64 = 0.3;
 
 impl ColorView {
-    /// How this view shows a point at local metres; `None` outside the image and where the point is hidden.
+    /// Returns this view's color of a point at local meters; `None` outside the image and for an occluded point.
     /// `dt_s` is the time between the point's sweep and the image.
     pub fn look(&self, project: &Projector, position: DVec3, dt_s: f64) -> Option<Look> {
         let (pixel, depth_m) = project.pixel(position)?;
@@ -62,7 +62,7 @@ impl ColorView {
         Some(Look { rgb: self.mean_color(pixel, depth_m), weight: weight as f32 })
     }
 
-    /// The mean color over the pixels that a splat at this depth covers.
+    /// Returns the mean color over the pixels that a splat at this depth covers.
     fn mean_color(&self, pixel: DVec2, depth_m: f64) -> [u8; 3] {
         let splat = SPLATS.iter().find(|(z, _)| depth_m <= *z).map_or(0.0, |(_, radius)| *radius);
         let r = ((splat + 0.5) * f64::from(self.image.width()) / SPLAT_WIDTH).round() as i64;
@@ -85,8 +85,8 @@ impl ColorView {
     }
 }
 
-/// The color of the look that the others agree with most: the one with the least weighted distance to all of them,
-/// the heavier one of two. `None` without looks.
+/// Returns the color of the look that agrees most with the others: the minimum weighted distance to all of them. Of
+/// equal looks the one with the larger weight wins. `None` without looks.
 pub fn agreed_color(looks: &[Look]) -> Option<[u8; 3]> {
     let disagreement = |a: &Look| -> f32 {
         let distance = |b: &Look| (0..3).map(|c| f32::from(a.rgb[c].abs_diff(b.rgb[c]))).sum::<f32>();
@@ -97,20 +97,20 @@ pub fn agreed_color(looks: &[Look]) -> Option<[u8; 3]> {
     best.map(|(_, look)| look.rgb)
 }
 
-/// Projects local points into a recorded image.
+/// Projection of local points into a recorded image.
 pub struct Projector {
-    /// To pixels times depth; with a lens to the camera frame.
+    /// Maps to pixels times depth; with a lens, to the camera frame.
     from_local: DAffine3,
-    /// How the image is distorted, and the intrinsics.
+    /// Lens distortion and intrinsics of the image.
     lens: Option<(Lens, DMat3)>,
     size: DVec2,
 }
 
-/// Nearer points are not colored, metres.
+/// Minimum depth of colored points, meters.
 const NEAREST_M: f64 = 0.1;
 
 impl Projector {
-    /// For points placed by `global_from_local`.
+    /// Creates a projector for points placed by `global_from_local`.
     pub fn new(view: &View, global_from_local: &DAffine3) -> Self {
         let intrinsics = view.camera.intrinsics;
         let lens = view.camera.distortion.map(|distortion| (distortion.lens(), intrinsics));
@@ -119,8 +119,8 @@ impl Projector {
         Self { from_local: camera * view.camera_from_world * *global_from_local, lens, size }
     }
 
-    /// Pixel coordinates and camera depth in metres; `None` behind the camera and outside the image. A lens moves the
-    /// point to where the recorded image shows it.
+    /// Returns pixel coordinates and camera depth in meters; `None` behind the camera and outside the image. Lens
+    /// distortion is applied, so the pixel is that of the recorded image.
     pub fn pixel(&self, local: DVec3) -> Option<(DVec2, f64)> {
         let q = self.from_local.transform_point3(local);
         if q.z < NEAREST_M {
@@ -158,19 +158,19 @@ mod tests {
         let [bent, straight] =
             [camera, pinhole].map(|camera| View { camera, camera_from_world: place.inverse() });
         let project = [&bent, &straight].map(|view| Projector::new(view, &place));
-        // At the edge of the image a point is seen 100 pixels farther in.
+        // At the edge of the image the lens moves a point inward by 100 pixels.
         let point = DVec3::new(6.0, 2.0, 5.5);
         let [(seen, depth_m), (ideal, _)] = [0, 1].map(|i| project[i].pixel(point).unwrap());
         assert!(seen.distance(ideal) > 100.0 && seen.x < ideal.x, "{seen} {ideal}");
         let (expected, z) = bent.project_recorded(place.transform_point3(point)).unwrap();
         assert!(seen.distance(expected) < 1e-9 && (depth_m - z).abs() < 1e-12);
         assert_eq!(straight.project_recorded(DVec3::ONE), straight.project(DVec3::ONE));
-        // The image is colored by columns, so the color tells where it was looked at.
+        // The image is colored by columns, so the color identifies the sampled column.
         let image = RgbImage::from_fn(1600, 900, |x, _| image::Rgb([(x / 10) as u8, 0, 0]));
         let view = ColorView { image, view: bent, t_us: 0, occlusion: None };
         let look = view.look(&project[0], point, 0.0).unwrap();
         assert!((f64::from(look.rgb[0]) - seen.x / 10.0).abs() < 1.0, "{look:?} {seen}");
-        // A lens that bends less and less ends before the plane does: no ghost from beyond.
+        // Beyond the range where its distortion is monotonic, the lens yields no pixel, thus no ghost image.
         assert_eq!(project[0].pixel(DVec3::new(40.0, 0.0, 5.0)), None);
     }
 
@@ -186,7 +186,7 @@ mod tests {
         // Pixel column 20: of 7 columns 17..=23 four are bright; far away, of 3 columns two.
         assert_eq!(at(0.0, 10.0), Some([40, 8, 9]));
         assert_eq!(at(0.0, 50.0), Some([47, 8, 9]));
-        // Cut at the border: columns 0..=5.
+        // Clipped at the border: columns 0..=5.
         assert_eq!(at(-1.75, 10.0), Some([0, 8, 9]));
         assert_eq!([at(-2.1, 10.0), at(158.1, 10.0), at(0.0, 0.05), at(0.0, -5.0)], [None; 4]);
     }

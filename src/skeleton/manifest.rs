@@ -6,30 +6,30 @@ use super::{BuildOptions, Checksum};
 use crate::cloud::Bounds;
 use crate::dataset::Class;
 
-/// `skeleton.json`: what the point files hold. Points of the listed clouds follow each other in the order of the
-/// lists.
+/// Contents of `skeleton.json`: description of the point files. Each file stores the clouds of its list
+/// consecutively, in the list's order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// [`Manifest::FORMAT`].
     pub format: String,
     /// [`Manifest::VERSION`].
     pub version: u32,
-    /// Where it comes from: one entry a log.
+    /// Source logs.
     pub sources: Vec<Source>,
-    /// How it was made.
+    /// Build options.
     pub options: BuildOptions,
-    /// What went in and what was left out.
+    /// Counts of the build: points used and dropped.
     pub report: BuildReport,
-    /// `background.points`: chunks of the static background.
+    /// Chunks of the static background, in `background.points`.
     pub background: Vec<Chunk>,
-    /// `actors.points`: one asset a track, sorted by track, then log.
+    /// Assets, one per track, sorted by track, then log, in `actors.points`.
     pub actors: Vec<Asset>,
-    /// `templates.points`: one cloud a category template.
+    /// Category templates, one cloud each, in `templates.points`.
     pub templates: Vec<Template>,
 }
 
 impl Manifest {
-    /// Points of all clouds.
+    /// Returns the number of points in all clouds.
     pub fn points(&self) -> usize {
         let background = self.background.iter().map(|c| c.points);
         background
@@ -38,18 +38,19 @@ impl Manifest {
             .sum()
     }
 
-    /// Marks the folder.
+    /// Format identifier in the manifest.
     pub const FORMAT: &'static str = "point-skeleton";
-    /// Changes whenever older readers would misread a skeleton.
+    /// Format version; incremented when older readers would misread a skeleton.
     pub const VERSION: u32 = 3;
 
-    /// First and last time of what it was built from of a log, absolute microseconds; `None` for another log.
+    /// Returns the first and last time used of a log, absolute microseconds; `None` if the skeleton was not built
+    /// from it.
     pub fn times_us(&self, log: &str) -> Option<[i64; 2]> {
         self.sources.iter().find(|source| source.log == log).map(|source| source.t_us)
     }
 }
 
-/// Without clouds.
+/// Returns a manifest without clouds.
 impl Default for Manifest {
     fn default() -> Self {
         Self {
@@ -65,94 +66,95 @@ impl Default for Manifest {
     }
 }
 
-/// The log that a skeleton was built from.
+/// Source log of a skeleton.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Source {
     /// Scene or log name.
     pub log: String,
     /// Map location.
     pub location: String,
-    /// Annotated frames used.
+    /// Number of annotated frames used.
     pub frames: usize,
-    /// First and last time, absolute microseconds.
+    /// Times of the first and last frame used, absolute microseconds.
     pub t_us: [i64; 2],
 }
 
-/// A cube of the background.
+/// Cube of the background.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Chunk {
-    /// Global position that its points are relative to, metres.
+    /// Global position that the points are relative to, meters.
     pub origin: [f64; 3],
-    /// How many.
+    /// Number of points.
     pub points: usize,
-    /// Of the points, relative to the origin.
+    /// Bounds of the points, relative to the origin.
     pub bounds: Bounds,
-    /// Of the points.
+    /// Checksum of the points.
     pub xxh3: Checksum,
 }
 
-/// The points of one track in its box frame: the origin is the centre of the box, x forward.
+/// Points of one track in its box frame: the origin is the center of the box, x points forward.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Asset {
-    /// Log that the track is in.
+    /// Log of the track.
     pub log: String,
     /// Track id.
     pub track: String,
-    /// The data set's category name.
+    /// Category name in the data set.
     pub category: String,
     /// Coarse class.
     pub class: Class,
-    /// Median length, width, height of the track's boxes, metres.
+    /// Median length, width, height of the track's boxes, meters.
     pub size: [f64; 3],
-    /// Sweeps that gave points.
+    /// Number of sweeps that contributed points.
     pub sweeps: usize,
-    /// How many.
+    /// Number of points.
     pub points: usize,
-    /// Of the points.
+    /// Bounds of the points.
     pub bounds: Bounds,
-    /// Of the points.
+    /// Checksum of the points.
     pub xxh3: Checksum,
 }
 
-/// Points that stand in for actors of a kind.
+/// Substitute cloud for actors of a kind.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Template {
-    /// Kind: see [`TemplateKind`](super::TemplateKind).
+    /// Kind of the represented actors.
     pub kind: super::TemplateKind,
     /// Coarse class.
     pub class: Class,
-    /// Length, width, height of its points, metres.
+    /// Length, width, height of the template's box, meters.
     pub size: [f64; 3],
-    /// How many.
+    /// Number of points.
     pub points: usize,
-    /// Of the points, centred on the box.
+    /// Bounds of the points, relative to the box center.
     pub bounds: Bounds,
-    /// Of the points.
+    /// Checksum of the points.
     pub xxh3: Checksum,
 }
 
-/// Counts of a build. Every point read is dropped for one of the reasons below or kept in background or actors (once
-/// for every camera that sees it where copies are wanted).
+/// Point counts of a build. Every point read is either dropped for one of the reasons below or retained in background
+/// or actors. With [`Coloring::EveryCamera`](super::Coloring::EveryCamera) it is retained once per camera that sees
+/// it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BuildReport {
-    /// Read from sweeps, the not finite ones included.
+    /// Points read from sweeps, including those that are not finite.
     pub points_read: usize,
-    /// NaN or infinite coordinates.
+    /// Points with NaN or infinite coordinates.
     pub dropped_not_finite: usize,
-    /// On or in the way of a moving actor, seen at another time than its box stands for.
+    /// Points on a moving actor or in its path, measured at another time than its box.
     pub dropped_ghost: usize,
-    /// Returns from the ego vehicle itself.
+    /// LiDAR returns from the ego vehicle itself.
     pub dropped_ego: usize,
-    /// No image colors them.
+    /// Points without a color from any image.
     pub dropped_uncolored: usize,
-    /// Kept, before voxels are merged: background, ...
+    /// Retained background points, before voxels are merged.
     pub background_points: usize,
-    /// ... and actors.
+    /// Retained actor points, before voxels are merged.
     pub actor_points: usize,
-    /// Sweeps read.
+    /// Number of sweeps read.
     pub sweeps: usize,
-    /// Images read.
+    /// Number of images read.
     pub images: usize,
-    /// What the reader of the log left out.
+    /// Items skipped by the log's reader: kinds with counts.
     pub notes: BTreeMap<String, usize>,
 }

@@ -1,10 +1,10 @@
-//! The point skeleton of a drive: static background, one asset per tracked actor, category templates.
+//! Point skeleton of a recording: static background, one asset per tracked actor, category templates.
 //!
 //! # How it works
-//! [`build()`] reads the sweeps, tells background from actors by the boxes ([`Splitter`]), finds what hides what in
-//! every image ([`OcclusionGrid`]), gives every point one color from the camera with the best view ([`ColorView`]),
-//! merges voxels, and keeps the background in chunks with an origin each, so that global coordinates stay `f64` and
-//! points are `f32`. [`Skeleton`] is the result on disk, memory-mapped.
+//! [`build()`] reads the sweeps and separates actors from background with the boxes ([`Splitter`]). It computes
+//! occlusion in every image ([`OcclusionGrid`]), assigns each point one color from the camera with the best view
+//! ([`ColorView`]) and merges the points of each voxel. The background is stored in chunks with an origin each, so
+//! that global coordinates stay `f64` and points are `f32`. [`Skeleton`] is the result on disk, memory-mapped.
 
 mod augment;
 mod build;
@@ -34,5 +34,5 @@ pub use templates::{
 };
 pub use trajectory::Trajectories;
 
-/// Side of a background chunk, metres: `f32` offsets within it are exact to a few micrometres.
+/// Side of a background chunk, meters: `f32` offsets within it are exact to a few micrometres.
 pub const CHUNK_M: f64 = 32.0;

@@ -1,11 +1,10 @@
-//! What hides what in a camera image, from sparse points.
+//! Occlusion in camera images, estimated from sparse points.
 //!
 //! # How it works
-//! Points are splatted as inverse depth (nearest wins) into a grid of [`CELL_PX`] pixels. LiDAR points are sparse,
-//! so the gaps between them are closed by a grey-scale closing (dilation, then erosion, both over
-//! `(2·CLOSE_CELLS + 1)²` cells): it fills what lies *between* nearer points without growing them beyond their
-//! outline, and leaves a plane as it is, since inverse depth is linear on planes. A point is hidden where it is
-//! clearly farther than the closed surface.
+//! Points are splatted as inverse depth (nearest wins) into a grid of [`CELL_PX`] pixels. LiDAR points are sparse, so
+//! a grayscale closing fills the gaps between them: dilation, then erosion, both over `(2·CLOSE_CELLS + 1)²` cells.
+//! The closing fills areas *between* nearer points without growing them beyond their outline. It preserves planes,
+//! since inverse depth is linear on planes. A point is occluded if it is clearly farther than the closed surface.
 
 use glam::DVec2;
 
@@ -15,22 +14,22 @@ use crate::geometry::Camera;
 pub const CELL_PX: u32 = 4;
 /// Radius of the closing, cells.
 const CLOSE_CELLS: usize = 2;
-/// A point within this share of the surface's depth is on it.
+/// Relative depth tolerance within which a point lies on the surface.
 const RELATIVE_SLACK: f32 = 0.03;
-/// Height above the road, metres, from which its slope across a cell is still no step: cameras stand higher.
+/// Minimum camera height above the road, meters: from there, the road's slope across a cell is not a depth step.
 const EYE_HEIGHT_M: f64 = 1.5;
 
-/// Nearest inverse depth per cell, 0 where nothing is.
+/// Maximum inverse depth per cell, 0 in empty cells.
 pub struct OcclusionGrid {
     columns: usize,
     rows: usize,
     inverse_depth: Vec<f32>,
-    /// Inverse depth that a road spans across a cell, 1/m.
+    /// Range of inverse depth that a road spans across a cell, 1/m.
     cell_slack: f32,
 }
 
 impl OcclusionGrid {
-    /// An empty grid for a camera's image.
+    /// Creates an empty grid for a camera's image.
     pub fn new(camera: &Camera) -> Self {
         let (width, height, focal_px) = (camera.width, camera.height, camera.intrinsics.y_axis.y);
         let (columns, rows) = (width.div_ceil(CELL_PX) as usize, height.div_ceil(CELL_PX) as usize);
@@ -38,7 +37,7 @@ impl OcclusionGrid {
         Self { columns, rows, inverse_depth: vec![0.0; columns * rows], cell_slack }
     }
 
-    /// Adds a point that projects to `pixel` at a camera depth in metres.
+    /// Adds a point that projects to `pixel` at a camera depth in meters.
     pub fn add(&mut self, pixel: DVec2, depth_m: f64) {
         if let Some(cell) = self.cell(pixel) {
             let inverse = (1.0 / depth_m) as f32;
@@ -63,12 +62,12 @@ impl OcclusionGrid {
     }
 }
 
-/// A closed [`OcclusionGrid`].
+/// Closed [`OcclusionGrid`].
 pub struct OcclusionMap(OcclusionGrid);
 
 impl OcclusionMap {
-    /// Whether something clearly nearer lies in front of a point at `pixel` and a camera depth in metres. Nothing
-    /// does outside the image.
+    /// Returns whether a clearly nearer surface occludes a point at `pixel` and a camera depth in meters. Always
+    /// `false` outside the image.
     pub fn hides(&self, pixel: DVec2, depth_m: f64) -> bool {
         let Some(cell) = self.0.cell(pixel) else { return false };
         let surface = self.0.inverse_depth[cell];
@@ -76,7 +75,7 @@ impl OcclusionMap {
     }
 }
 
-/// The extreme over a square of `(2·radius + 1)²` cells around each, along rows, then along columns.
+/// Returns the extreme over a square of `(2·radius + 1)²` cells around each cell, filtering rows, then columns.
 fn filter(cells: &[f32], columns: usize, radius: usize, pick: fn(f32, f32) -> f32) -> Vec<f32> {
     let rows = cells.len() / columns.max(1);
     let mut along_rows = cells.to_vec();
@@ -108,7 +107,7 @@ mod tests {
             .unwrap()
     }
 
-    /// A wall at 10 m with a point every third cell, in columns 30 to 60 of 100.
+    /// Returns a wall at 10 m with a point every third cell, in columns 30 to 60 of 100.
     fn wall() -> OcclusionMap {
         let mut grid = OcclusionGrid::new(&camera(400, 400));
         for row in (0..100).step_by(3) {

@@ -2,34 +2,34 @@ use serde::{Deserialize, Serialize};
 
 use super::SplitOptions;
 
-/// How a skeleton is built.
+/// Options for building a skeleton.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BuildOptions {
-    /// Side of the voxels that points are merged in, metres; 0 keeps all points.
+    /// Side of the voxels in which points are merged, meters; 0 retains all points.
     pub voxel_m: f64,
-    /// How points are told apart.
+    /// Options for separating background and actors.
     pub split: SplitOptions,
-    /// How points get their color.
+    /// Method of coloring points.
     pub coloring: Coloring,
-    /// Frames before and after a point's own whose images may color it.
+    /// Number of frames before and after a point's own whose images may color it.
     pub color_window: usize,
     /// Whether a view must pass the occlusion test.
     pub occlusion_test: bool,
-    /// Frames before and after an image's whose points may hide others in it.
+    /// Number of frames before and after an image's whose points may occlude others in it.
     pub occlusion_window: usize,
-    /// Also use the sweeps between annotated frames, with boxes in between.
+    /// Also uses the sweeps between annotated frames, with interpolated boxes.
     pub between_sweeps: bool,
 }
 
-/// How points get their color.
+/// Method of coloring points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Coloring {
-    /// One color, from the camera with the best view: of those that pass an occlusion test the one that the others
-    /// agree with most.
+    /// One color, from the camera with the best view: of the views that pass an occlusion test, the one that agrees
+    /// most with the others.
     BestView,
-    /// A copy of the point for every camera of its frame that it projects into, hidden or not (for comparison: what
-    /// existing scripts do).
+    /// One copy of the point for every camera of its frame that it projects into, occluded or not. For comparison:
+    /// the behavior of existing scripts.
     EveryCamera,
 }
 
@@ -48,8 +48,8 @@ impl Default for BuildOptions {
 }
 
 impl BuildOptions {
-    /// What existing scripts do, for comparison: color from every camera that sees a point, no occlusion test, all
-    /// copies kept, boxes grown by 0.5 m.
+    /// Returns the behavior of existing scripts, for comparison: colors from every camera that sees a point, no
+    /// occlusion test, all copies retained, boxes grown by 0.5 m.
     pub fn every_camera() -> Self {
         let split = SplitOptions {
             margin_m: 0.5,

@@ -7,39 +7,39 @@ use super::Trajectories;
 use crate::dataset::TrackBox;
 use crate::geometry::Pose;
 
-/// Where a point of a sweep belongs.
+/// Part of the scene that a point of a sweep belongs to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Part {
-    /// The static background.
+    /// Static background.
     Background,
-    /// A track's asset, at box coordinates in metres.
+    /// Asset of a track.
     Actor {
         /// Index of the track.
         track: usize,
-        /// Metres, box frame.
+        /// Position in the box frame, meters.
         local: DVec3,
     },
-    /// Nowhere: a moving actor, seen at another time than its box stands for.
+    /// Discarded point of a moving actor, measured at another time than its box.
     Ghost,
 }
 
-/// How sweeps are split.
+/// Options for separating background and actors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SplitOptions {
-    /// Boxes are grown by this much on every side, metres.
+    /// Margin added to every side of a box, meters.
     pub margin_m: f64,
-    /// Points up to this much above the floor of a box stay background, metres: the road under a car.
+    /// Height above the floor of a box up to which points remain background, meters: the road under a car.
     pub ground_m: f64,
-    /// An actor faster than this counts as moving, m/s.
+    /// Minimum speed of a moving actor, m/s.
     pub moving_m_s: f64,
-    /// Where several LiDARs are merged into one sweep: the one that the boxes of moving actors fit. Points of the
-    /// others on a moving actor are left out, since they saw it elsewhere.
+    /// LiDAR whose timing the boxes of moving actors match, if several LiDARs are merged into one sweep. Points of
+    /// the others on a moving actor are dropped, since they measured it elsewhere.
     pub primary_lidar: u16,
-    /// Keep the points of all merged LiDARs on moving actors.
+    /// Retains the points of all merged LiDARs on moving actors.
     pub every_lidar: bool,
-    /// Returns this near to the LiDAR along its x and along its y are the ego vehicle itself, metres.
+    /// Maximum distance from the LiDAR along its x and its y of returns from the ego vehicle itself, meters.
     pub ego_clearance_m: f64,
-    /// Time by which LiDARs may have seen a moving actor before and after the boxes' time, seconds.
+    /// Time before and after that of the boxes within which LiDARs may have measured a moving actor, seconds.
     pub ghost_window_s: [f64; 2],
 }
 
@@ -57,17 +57,18 @@ impl Default for SplitOptions {
     }
 }
 
-/// Splits the points of one sweep by the boxes at its time.
+/// Separates the points of one sweep using the boxes at its time.
 pub struct Splitter {
     boxes: Vec<SplitBox>,
-    /// Numbers of boxes, by what encloses all they can claim: there are as many as the log says.
+    /// Indices of boxes, keyed by a cube around all points they can claim. An R-tree, as the number of boxes is
+    /// unbounded.
     places: RTree<Place>,
-    /// Boxes that no tree can hold, since their numbers are not finite or too large.
+    /// Boxes excluded from the tree because their coordinates are not finite or too large.
     unplaced: Vec<usize>,
     ground_m: f64,
 }
 
-/// The number of a box, by the cube around it.
+/// Index of a box, with the cube around it.
 type Place = GeomWithData<Rectangle<[f64; 3]>, usize>;
 
 struct SplitBox {
@@ -75,15 +76,15 @@ struct SplitBox {
     box_from_global: Pose,
     half: DVec3,
     margin_m: f64,
-    /// How far the actor moves within the ghost window, box frame: backward and forward in time.
+    /// Displacement of the actor within the ghost window, box frame: backward and forward in time.
     sweep_m: Option<[DVec3; 2]>,
-    /// Around everything the box can claim, for a quick no.
+    /// Radius around everything that the box can claim, for early rejection.
     reach_m: f64,
     centre: DVec3,
 }
 
 impl Splitter {
-    /// For a sweep taken when `boxes` were as given (`t_us` for their velocities).
+    /// Creates a splitter for a sweep at time `t_us` (which sets the velocities) with the boxes at that time.
     pub fn new(boxes: &[TrackBox], trajectories: &Trajectories, t_us: i64, options: &SplitOptions) -> Self {
         let split_box = |item: &TrackBox| {
             let pose = item.cuboid.pose;
@@ -115,8 +116,8 @@ impl Splitter {
         Self { boxes, places: RTree::bulk_load(places), unplaced, ground_m: options.ground_m }
     }
 
-    /// Where a global point belongs. Of several boxes the one that it lies deepest in wins. `timely` says whether the
-    /// point comes from the LiDAR that the boxes of moving actors fit.
+    /// Classifies a global point. Of several boxes, the one in which it lies deepest wins. `timely` is `true` if the
+    /// point comes from the LiDAR whose timing matches the boxes of moving actors.
     pub fn part(&self, global: DVec3, timely: bool) -> Part {
         if !global.is_finite() {
             return self.part_among(0..self.boxes.len(), global, timely);
@@ -125,7 +126,8 @@ impl Splitter {
         self.part_among(placed.chain(self.unplaced.iter().copied()), global, timely)
     }
 
-    /// The same by the boxes of some numbers, in any order. Of boxes that the point lies equally deep in the first one wins.
+    /// Classifies a point using the boxes with some indices, in any order. Of equally deep boxes the one with the
+    /// lowest index wins.
     fn part_among(&self, numbers: impl Iterator<Item = usize>, global: DVec3, timely: bool) -> Part {
         let mut best: Option<((f64, usize), DVec3)> = None;
         let mut ghost = false;
@@ -156,15 +158,15 @@ impl Splitter {
     }
 }
 
-/// Coordinates and reaches up to this are placed, metres: rounding is far below [`SLACK_M`] there.
+/// Maximum coordinates and reaches in the tree, meters: rounding there is far below [`SLACK_M`].
 const MOST_M: f64 = 1e9;
-/// What enclosures are larger than the reach of a box, metres.
+/// Margin of enclosures beyond the reach of a box, meters.
 const SLACK_M: f64 = 1e-3;
 
 impl SplitBox {
-    /// A cube around every point within reach.
+    /// Returns a cube around every point within reach; `None` if the box cannot be placed in the tree.
     fn enclosure(&self) -> Option<Rectangle<[f64; 3]>> {
-        // Written so that numbers which are none are not placed.
+        // The comparisons are written so that NaN is not placed.
         let placed =
             self.centre.abs().max_element() <= MOST_M && self.centre.is_finite() && self.reach_m <= MOST_M;
         placed.then(|| {
@@ -178,10 +180,10 @@ impl SplitBox {
         local.abs().cmple(self.half + self.margin_m).all()
     }
 
-    /// Whether the box, moved along its path within the ghost window, covers the point.
+    /// Returns whether the box, moved along its path within the ghost window, covers the point.
     fn sweeps_over(&self, local: DVec3) -> bool {
         let Some([before, after]) = self.sweep_m else { return false };
-        // The slab test of a segment against the grown box: the point moves the other way.
+        // Slab test of a segment against the grown box: in the box frame the point moves in the opposite direction.
         let (from, to) = (local - before, local - after);
         let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
         for axis in 0..3 {
@@ -209,7 +211,7 @@ mod tests {
     use crate::geometry::Cuboid;
     use proptest::prelude::*;
 
-    /// A splitter of boxes that move from where they are by some metres a second.
+    /// Returns a splitter for boxes with the given velocities, meters per second.
     fn splitter_of(boxes: &[(Cuboid, DVec3)]) -> Splitter {
         let track =
             |i: usize| Track { id: i.to_string(), category: "car".into(), class: Class::MotorVehicle };
@@ -230,7 +232,8 @@ mod tests {
         Splitter::new(&frames[0].boxes, &trajectories, 0, &SplitOptions::default())
     }
 
-    /// Boxes that often touch, enclose or equal each other, far from the origin; some huge, some without a place.
+    /// Generates boxes that often touch, enclose or equal each other, far from the origin; some are huge or excluded
+    /// from the tree.
     fn any_box() -> impl Strategy<Value = (Cuboid, DVec3)> {
         let place = (0..8_i32, 0..8_i32, 0..3_i32).prop_map(|(x, y, z)| {
             DVec3::new(664_000.0 + f64::from(x) * 1.5, 3_997_000.0 + f64::from(y), f64::from(z) * 0.5)
@@ -250,7 +253,7 @@ mod tests {
     }
 
     proptest! {
-        /// What is found by the tree is what a look at all boxes in turn gives, whatever the order of the looks.
+        /// The tree gives the same result as a scan of all boxes, in any order.
         #[test]
         fn the_tree_finds_what_a_look_at_all_boxes_finds(
             boxes in prop::collection::vec(any_box(), 0..40),
@@ -261,7 +264,7 @@ mod tests {
             let splitter = splitter_of(&boxes);
             for offset in offsets {
                 let offset = DVec3::from(offset);
-                // Snapped points are equally deep in several boxes, or on their sides.
+                // Snapped points lie equally deep in several boxes, or on their sides.
                 let offset = if snapped { (offset * 2.0).round() / 2.0 } else { offset };
                 let global = DVec3::new(664_000.0, 3_997_000.0, -1.0) + offset;
                 let all = 0..boxes.len();
@@ -291,7 +294,7 @@ mod tests {
         }
     }
 
-    /// A car of 4 x 2 x 1.5 m that drives along x at `speed`, at the origin at t = 0, and its splitter then.
+    /// Returns the splitter at t = 0 of a car of 4 x 2 x 1.5 m at the origin, driving along x at `speed`.
     fn splitter(speed: f64) -> Splitter {
         let track = Track { id: "a".into(), category: "vehicle.car".into(), class: Class::MotorVehicle };
         let frame = |t_us: i64| {

@@ -1,4 +1,4 @@
-//! A skeleton on disk: a folder with `skeleton.json` and three files of 16-byte points that are memory-mapped.
+//! Skeleton on disk: a folder with `skeleton.json` and three memory-mapped files of 16-byte points.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -22,7 +22,7 @@ const BACKGROUND: &str = "background.points";
 const ACTORS: &str = "actors.points";
 const TEMPLATES: &str = "templates.points";
 
-/// Writes a skeleton cloud by cloud: first chunks, then assets, then templates, each in the order they are to have.
+/// Writer of a skeleton, cloud by cloud: chunks, then assets, then templates, each in their final order.
 pub struct SkeletonWriter {
     folder: PathBuf,
     background: PointFile,
@@ -33,10 +33,11 @@ pub struct SkeletonWriter {
 
 impl SkeletonWriter {
     /// Writes the folder under a temporary name beside `path`, then renames it. `fill` adds the clouds and ends with
-    /// [`SkeletonWriter::finish`]. An older skeleton at `path` is replaced; a folder with anything else is refused.
+    /// [`SkeletonWriter::finish`]. An existing skeleton at `path` is replaced.
     ///
     /// # Errors
-    /// Those of `fill`, the system's, a folder that is no skeleton; nothing is left half-written.
+    /// Returns any error of `fill`. Fails if a file cannot be written or if `path` holds anything but a skeleton.
+    /// Partial output is removed.
     pub fn write<E: From<FileError>>(
         path: &Path,
         fill: impl FnOnce(&mut Self) -> Result<(), E>,
@@ -44,15 +45,16 @@ impl SkeletonWriter {
         WholeFolder::open(path, KIND, &[])?.write(|folder| fill(&mut Self::new(folder)?))
     }
 
-    /// Checks that a skeleton may be written at a path: nothing is there, or a skeleton without files of others.
+    /// Checks that a skeleton may be written at a path: it does not exist, is empty, or is a skeleton without foreign
+    /// files.
     ///
     /// # Errors
-    /// Something else is there.
+    /// Fails if the path holds anything else.
     pub fn check_target(path: &Path) -> Result<(), FileError> {
         check_whole(path, KIND)
     }
 
-    /// The same in a work folder that the caller owns.
+    /// Writes a skeleton as [`SkeletonWriter::write`] does, in a work folder that the caller owns.
     pub(super) fn write_by<E: From<FileError>>(
         path: &Path,
         work: &WorkFolder,
@@ -75,7 +77,7 @@ impl SkeletonWriter {
     /// Adds a chunk of the background.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the file cannot be written.
     pub fn chunk(&mut self, chunk: Chunk, points: &[Point]) -> Result<(), FileError> {
         self.manifest.background.push(chunk);
         self.background.add(points)
@@ -84,7 +86,7 @@ impl SkeletonWriter {
     /// Adds the asset of a track.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the file cannot be written.
     pub fn actor(&mut self, asset: Asset, points: &[Point]) -> Result<(), FileError> {
         self.manifest.actors.push(asset);
         self.actors.add(points)
@@ -93,16 +95,16 @@ impl SkeletonWriter {
     /// Adds a template.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the file cannot be written.
     pub fn template(&mut self, template: Template, points: &[Point]) -> Result<(), FileError> {
         self.manifest.templates.push(template);
         self.templates.add(points)
     }
 
-    /// Adds what is made from the assets written so far.
+    /// Generates templates from the assets written so far and adds them.
     ///
     /// # Errors
-    /// Those of `make`, the system's.
+    /// Returns any error of `make`. Fails if a file cannot be read or written.
     pub fn templates_from(&mut self, make: &MakeTemplates) -> Result<(), FileError> {
         self.actors.flush()?;
         let file = MappedFile::open(&self.actors.path)?;
@@ -114,10 +116,10 @@ impl SkeletonWriter {
         Ok(())
     }
 
-    /// Writes what remains, and the manifest, the last of all.
+    /// Flushes all files, then writes the manifest.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if a file cannot be written.
     pub fn finish(
         &mut self,
         sources: Vec<Source>,
@@ -132,7 +134,7 @@ impl SkeletonWriter {
     }
 }
 
-/// A file of points that grows.
+/// Append-only file of points.
 struct PointFile {
     path: PathBuf,
     file: BufWriter<File>,
@@ -153,10 +155,10 @@ impl PointFile {
     }
 }
 
-/// A skeleton on disk, memory-mapped.
+/// Skeleton on disk, memory-mapped.
 #[derive(Debug)]
 pub struct Skeleton {
-    /// What it holds.
+    /// Contents of the point files.
     pub manifest: Manifest,
     path: PathBuf,
     background: MappedPoints,
@@ -165,16 +167,16 @@ pub struct Skeleton {
 }
 
 impl Skeleton {
-    /// Whether a folder looks like a skeleton.
+    /// Returns whether a folder looks like a skeleton.
     pub fn is_at(path: &Path) -> bool {
         is_taken(&path.join(MANIFEST))
     }
 
-    /// Maps a skeleton's files and checks their sizes against the manifest. Points are checked when they are first
-    /// asked for.
+    /// Maps a skeleton's files and validates their sizes against the manifest. Checksums are validated on first
+    /// access.
     ///
     /// # Errors
-    /// A missing or damaged file, another format or version.
+    /// Fails if a file is missing or damaged, or has another format or version.
     pub fn open(path: &Path) -> Result<Self, FileError> {
         let format = (Manifest::FORMAT, Manifest::VERSION);
         let manifest: Manifest = read_manifest(&path.join(MANIFEST), "a skeleton manifest", format)?;
@@ -197,36 +199,36 @@ impl Skeleton {
         })
     }
 
-    /// The folder.
+    /// Returns the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Points of each background chunk.
+    /// Returns the points of each background chunk.
     ///
     /// # Errors
-    /// A chunk whose points do not have their checksum.
+    /// Fails if the points of a chunk do not match their checksum.
     pub fn background(&self) -> Result<Vec<&[Point]>, FileError> {
         self.background.clouds(&self.manifest.background)
     }
 
-    /// Points of each actor asset.
+    /// Returns the points of each actor asset.
     ///
     /// # Errors
-    /// An asset whose points do not have their checksum.
+    /// Fails if the points of an asset do not match their checksum.
     pub fn actors(&self) -> Result<Vec<&[Point]>, FileError> {
         self.actors.clouds(&self.manifest.actors)
     }
 
-    /// Points of each template.
+    /// Returns the points of each template.
     ///
     /// # Errors
-    /// A template whose points do not have their checksum.
+    /// Fails if the points of a template do not match their checksum.
     pub fn templates(&self) -> Result<Vec<&[Point]>, FileError> {
         self.templates.clouds(&self.manifest.templates)
     }
 
-    /// Checks all points now; gives back one error for each damaged chunk, asset and template.
+    /// Validates all points now; returns one error for each damaged chunk, asset and template.
     pub fn damage(&self) -> Vec<FileError> {
         let Self { manifest, background, actors, templates, .. } = self;
         let mut damage = background.damage(&manifest.background);
@@ -236,27 +238,27 @@ impl Skeleton {
     }
 }
 
-/// A mapped file of points.
+/// Memory-mapped file of points.
 #[derive(Debug)]
 struct MappedPoints {
     path: PathBuf,
     map: MappedFile,
-    /// Set once all checksums were found to be right.
+    /// Set once all checksums were validated.
     checked: OnceLock<()>,
 }
 
 impl MappedPoints {
-    /// The clouds that entries of a manifest describe, after a check of their checksums on first use.
+    /// Returns the clouds that entries of a manifest describe; validates their checksums on first use.
     fn clouds(&self, entries: &[impl Entry]) -> Result<Vec<&[Point]>, FileError> {
         if self.checked.get().is_none() {
             self.damage(entries).into_iter().next().map_or(Ok(()), Err)?;
-            // Another thread may have set it, to the same.
+            // Another thread may have set the same value.
             let _ = self.checked.set(());
         }
         Ok(self.slices(entries))
     }
 
-    /// An error for each cloud that does not have its checksum, in the order of the file.
+    /// Returns an error for each cloud that does not match its checksum, in the order of the file.
     fn damage(&self, entries: &[impl Entry]) -> Vec<FileError> {
         let clouds = self.slices(entries);
         let numbered = entries.par_iter().zip(clouds).enumerate();
@@ -268,18 +270,18 @@ impl MappedPoints {
     }
 }
 
-/// What a manifest says of a cloud in a file of points.
+/// Manifest entry of a cloud in a file of points.
 pub(in crate::skeleton) trait Entry: Sync {
-    /// How many points.
+    /// Returns the number of points.
     fn points(&self) -> usize;
 
-    /// Of the points.
+    /// Returns the checksum of the points.
     fn checksum(&self) -> Checksum;
 
-    /// Names the cloud in messages; `index` is its place in the manifest's list.
+    /// Returns the cloud's name for messages; `index` is its position in the manifest's list.
     fn name(&self, index: usize) -> String;
 
-    /// Compares points that were read from `path` with the checksum.
+    /// Validates points read from `path` against the checksum.
     fn check(&self, index: usize, points: &[Point], path: &Path) -> Result<(), FileError> {
         self.checksum().check(points, || self.name(index), path)
     }
@@ -327,14 +329,14 @@ impl Entry for Template {
     }
 }
 
-/// Without overflow, whatever a manifest claims.
+/// Sums in `u128`, so that no manifest can cause an overflow.
 fn total(points: impl Iterator<Item = usize>) -> u128 {
     points.map(|p| p as u128).sum()
 }
 
-/// Cuts a file of points into clouds of given lengths, which [`Skeleton::open`] has checked.
+/// Splits a file of points into clouds of given lengths, whose sum [`Skeleton::open`] has validated.
 fn slices(file: &MappedFile, lengths: impl Iterator<Item = usize>) -> Vec<&[Point]> {
-    // An empty file has no map, thus no alignment.
+    // An empty file has no mapping, thus no alignment.
     let bytes = file.as_bytes();
     let mut rest: &[Point] = if bytes.is_empty() { &[] } else { bytemuck::cast_slice(bytes) };
     lengths
@@ -346,7 +348,7 @@ fn slices(file: &MappedFile, lengths: impl Iterator<Item = usize>) -> Vec<&[Poin
         .collect()
 }
 
-/// Reads a manifest of a format and version; `what` it is is for messages.
+/// Reads a manifest of a format and version; `what` describes it in messages.
 pub(in crate::skeleton) fn read_manifest<T: serde::de::DeserializeOwned>(
     path: &Path,
     what: &str,
@@ -354,7 +356,7 @@ pub(in crate::skeleton) fn read_manifest<T: serde::de::DeserializeOwned>(
 ) -> Result<T, FileError> {
     let text = read_table(path)?;
     let wrong = |e: serde_json::Error| FileError::content(what, e.to_string(), path);
-    // The version first: what else stands there depends on it.
+    // The version is checked first, since the other fields depend on it.
     let value: serde_json::Value = serde_json::from_slice(&text).map_err(wrong)?;
     let (format, version) = (&value["format"], &value["version"]);
     if format != own_format || version != own_version {

@@ -8,13 +8,13 @@ use crate::dataset::{Sweep, SweepRecord};
 /// Color of the points of a log without images.
 const GREY: [u8; 3] = [128; 3];
 
-/// A sweep, split.
+/// Points of a sweep, separated into background and actors.
 #[derive(Default)]
 pub(super) struct SweepCloud {
     pub(super) t_us: i64,
-    /// Global.
+    /// Background points in the global frame.
     pub(super) background: Vec<Candidate>,
-    /// Box frame, by track.
+    /// Points of each track in its box frame.
     pub(super) actors: BTreeMap<usize, Vec<Candidate>>,
     pub(super) read: usize,
     pub(super) not_finite: usize,
@@ -23,7 +23,7 @@ pub(super) struct SweepCloud {
 }
 
 impl SweepCloud {
-    /// Sorts the points of a sweep into background and actors.
+    /// Separates the points of a sweep into background, actors, ghosts and ego returns.
     pub(super) fn split(
         sweep: &Sweep,
         record: &SweepRecord,

@@ -3,15 +3,15 @@ use glam::DVec3;
 use crate::dataset::{Frame, Log};
 use crate::geometry::Cuboid;
 
-/// Where every track's box stands over time.
+/// Boxes of every track over time.
 pub struct Trajectories(Vec<Vec<(i64, Cuboid)>>);
 
-/// How far beyond its first and last box a track is carried on at constant velocity, microseconds: cameras fire up
-/// to 100 ms before the LiDAR stamp that the boxes belong to.
+/// Maximum extrapolation of a track beyond its first and last box at constant velocity, microseconds: cameras fire up
+/// to 100 ms before the LiDAR timestamp of the boxes.
 const CARRY_ON_US: i64 = 150_000;
 
 impl Trajectories {
-    /// Of the tracks of a log, from the boxes of some of its frames, in time order.
+    /// Collects the tracks of a log from the boxes of some of its frames, in time order.
     pub fn new(log: &Log, frames: &[&Frame]) -> Self {
         let mut tracks = vec![Vec::new(); log.tracks.len()];
         for frame in frames {
@@ -22,8 +22,8 @@ impl Trajectories {
         Self(tracks)
     }
 
-    /// A track's box at a time: between its boxes before and after, or carried on at most 0.15 s (a single box stands
-    /// still). `None` where it is not known.
+    /// Returns a track's box at a time, interpolated between its boxes or extrapolated by at most 0.15 s; a single
+    /// box does not move. `None` outside this range.
     pub fn at(&self, track: usize, t_us: i64) -> Option<Cuboid> {
         let boxes = &self.0[track];
         let next = boxes.partition_point(|(t, _)| *t < t_us);
@@ -39,13 +39,13 @@ impl Trajectories {
         if (0.0..=1.0).contains(&s) {
             return Some(a.1.interpolate(&b.1, s));
         }
-        // Only the position is carried on: a turn over so short a time is below the noise of the boxes.
+        // Only the position is extrapolated: rotation over so short a time is below the noise of the boxes.
         let mut cuboid = if s < 0.0 { a.1 } else { b.1 };
         cuboid.pose.translation = a.1.pose.translation.lerp(b.1.pose.translation, s);
         Some(cuboid)
     }
 
-    /// A track's velocity around a time, global m/s; zero where there is but one box.
+    /// Returns a track's velocity at a time, global m/s; zero for a track with one box.
     pub fn velocity(&self, track: usize, t_us: i64) -> DVec3 {
         let boxes = &self.0[track];
         let next = boxes.partition_point(|(t, _)| *t <= t_us);
@@ -54,7 +54,7 @@ impl Trajectories {
         })
     }
 
-    /// Median size of a track's boxes, metres; `None` without boxes.
+    /// Returns the median size of a track's boxes, meters; `None` without boxes.
     pub fn median_size(&self, track: usize) -> Option<DVec3> {
         let mut sides: [Vec<f64>; 3] = Default::default();
         for (_, cuboid) in &self.0[track] {
@@ -68,7 +68,7 @@ impl Trajectories {
     }
 }
 
-/// The two samples that `next` lies between, or the two nearest at an end.
+/// Returns the two samples around index `next`, or the two nearest at an end.
 fn pair_around(boxes: &[(i64, Cuboid)], next: usize) -> Option<[&(i64, Cuboid); 2]> {
     let after = next.clamp(1, boxes.len().saturating_sub(1).max(1));
     Some([boxes.get(after - 1)?, boxes.get(after)?])

@@ -8,9 +8,9 @@ use crate::cloud::Point;
 use crate::files::FileName;
 use crate::geometry::{Camera, View};
 
-/// Half the length of the street, metres.
+/// Half the length of the street, meters.
 const HALF_LENGTH_M: f64 = 100.0;
-/// Name, yaw to the left in degrees and focal length in pixels of the street's cameras.
+/// Name, yaw to the left in degrees and focal length in pixels of each camera in the street.
 const CAMERAS: [(&str, f64, f64); 6] = [
     ("CAM_FRONT", 0.0, 1266.0),
     ("CAM_FRONT_RIGHT", -55.0, 1260.0),
@@ -21,15 +21,16 @@ const CAMERAS: [(&str, f64, f64); 6] = [
 ];
 const WIDTH: u32 = 1600;
 const HEIGHT: u32 = 900;
-/// Bits of a sort key that hold the point's number; a key of [`Site::cell`] has 18.
+/// Bits of a sort key that hold the point's index; a key of [`Site::cell`] has 18.
 const NUMBER_BITS: u32 = 46;
 
-/// A cloud as speed is measured on, of any number of points: a street 200 m long in random colors. Three of five
-/// points lie on the ground, thin at its middle and up to 40 m to both sides; the others on two wavy rows of facades
-/// 7 to 20 m away and up to 15 m high, dense at the bottom. Points stand in Morton order of cells of half a metre, as
-/// in clouds that were merged by voxel. Class 0.
+/// Generates the benchmark cloud with any number of points: a street 200 m long in random colors. Three of five
+/// points lie on the ground, up to 40 m to both sides and denser towards the middle. The others lie on two wavy rows
+/// of facades 7 to 20 m away and up to 15 m high, denser towards the bottom. Points are in Morton order of half-meter
+/// cells, as in clouds merged by voxel. Their class is 0.
 ///
-/// The same seed gives the same points whatever the number of threads. Takes 24 bytes a point, of which 16 stay.
+/// The same seed gives the same points for any number of threads. Peak memory is 24 bytes per point, 16 of them for
+/// the result.
 pub fn street_cloud(points: usize, seed: u64) -> Vec<Point> {
     let key = |number: usize| Site::new(number as u64, seed).cell() << NUMBER_BITS | number as u64;
     let mut order: Vec<u64> = (0..points).into_par_iter().map(key).collect();
@@ -39,7 +40,7 @@ pub fn street_cloud(points: usize, seed: u64) -> Vec<Point> {
     order.par_iter().map(point).collect()
 }
 
-/// Six cameras of 900x1600 pixels that look all around from 1.5 m above the middle of the street of
+/// Returns six cameras of 900x1600 pixels that cover all directions from 1.5 m above the middle of the street of
 /// [`street_cloud`].
 pub fn street_views() -> Vec<View> {
     CAMERAS.iter().filter_map(|&(name, yaw_deg, focal_px)| view(name, yaw_deg, focal_px)).collect()
@@ -59,7 +60,7 @@ fn view(name: &str, yaw_deg: f64, focal_px: f64) -> Option<View> {
     })
 }
 
-/// What is drawn at random of a point.
+/// Random quantities of a point; each is a separate hash input.
 #[derive(Clone, Copy)]
 enum Draw {
     X,
@@ -69,7 +70,7 @@ enum Draw {
     Color,
 }
 
-/// Where a point stands in the plane, metres.
+/// Horizontal position of a point, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Site {
     on_ground: bool,
@@ -84,7 +85,7 @@ impl Site {
         let x_m = between(seed, &[number as i64, Draw::X as i64], -HALF_LENGTH_M, HALF_LENGTH_M);
         let y_m = if on_ground {
             let t = 2.0 * draw(Draw::Y) - 1.0;
-            // t to the power of 1.5
+            // |t|^1.5 with the sign of t.
             40.0 * t * t.abs().sqrt()
         } else {
             let side = if draw(Draw::Side) < 0.5 { -1.0 } else { 1.0 };
@@ -93,14 +94,14 @@ impl Site {
         Self { on_ground, x_m, y_m }
     }
 
-    /// Number of the cell in Morton order.
+    /// Returns the index of the cell in Morton order.
     fn cell(&self) -> u64 {
         let side = |v: f64| spread(((v + 128.0) * 2.0) as u16);
         side(self.x_m) | side(self.y_m) << 1
     }
 }
 
-/// Puts a zero before every bit.
+/// Inserts a zero before every bit.
 fn spread(value: u16) -> u64 {
     [(8, 0x00ff_00ff), (4, 0x0f0f_0f0f), (2, 0x3333_3333), (1, 0x5555_5555)]
         .iter()
@@ -133,7 +134,7 @@ mod tests {
         assert!(street_cloud(0, 1).is_empty());
     }
 
-    /// The plain way: a stable sort by interleaved bits.
+    /// Compares with the reference method: a stable sort by interleaved bits.
     #[test]
     fn points_stand_in_morton_order() {
         let cell = |number: &u64| {
@@ -169,13 +170,13 @@ mod tests {
         assert_close(mean(of(0)), 0.0, 1.0);
         assert_close(mean(of(0).map(|x| x * x)), 1e4 / 3.0, 50.0);
         assert_close(mean(of(1)), 0.0, 0.3);
-        // Of facades u^1.7 * 15 <= 0.05 holds for u <= 300^(-1 / 1.7).
+        // On facades u^1.7 * 15 <= 0.05 holds for u <= 300^(-1 / 1.7).
         let low = 300.0_f64.powf(-1.0 / 1.7);
         assert_close(share(&|p| p[2] <= 0.05), 0.6 + 0.4 * low, 0.002);
         assert_close(mean(of(2)), 0.6 * 0.025 + 0.4 * 15.0 / 2.7, 0.05);
         let (ground, facade): (Vec<[f64; 3]>, Vec<_>) =
             points.iter().map(position).partition(|p| p[2] <= 0.05);
-        // Mean of 40 |t|^1.5 is 16, and facades are 13.5 m away.
+        // The mean of 40 |t|^1.5 is 16, and facades are 13.5 m away on average.
         assert_close(
             mean(ground.iter().map(|p| p[1].abs())),
             (0.6 * 16.0 + 0.4 * low * 13.5) / (0.6 + 0.4 * low),
@@ -190,7 +191,7 @@ mod tests {
         assert!(points.iter().all(|p| p.class() == 0));
     }
 
-    /// Numbers that the script wrote which makes the street for the programs that speed is compared with.
+    /// Compares with values from the script that generates the street for the renderers in the speed comparison.
     #[test]
     fn cameras_stand_where_the_peers_have_them() {
         let views = street_views();
@@ -210,7 +211,7 @@ mod tests {
 
     type Peer = (f64, [f64; 2], [f64; 2]);
 
-    /// Focal length; the first row of the rotation; offsets along the first and the third row.
+    /// Focal length; first row of the rotation; offsets along the first and the third row.
     const PEERS: [Peer; 6] = [
         (1266.0, [0.0, -1.0], [0.0, -1.5]),
         (

@@ -1,6 +1,6 @@
-//! Numbers that look random and depend on nothing but a seed and a place.
+//! Pseudo-random numbers that depend only on a seed and integer keys.
 
-/// Mixes a seed and some numbers into 64 well-spread bits (splitmix64 steps).
+/// Mixes a seed and integers into 64 well-distributed bits (splitmix64 steps).
 pub(super) fn hash(seed: u64, parts: &[i64]) -> u64 {
     let mut state = mix(seed.wrapping_add(0x9e37_79b9_7f4a_7c15));
     for &part in parts {
@@ -15,17 +15,17 @@ fn mix(mut x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// Uniform in `[0, 1)`.
+/// Returns a uniform value in `[0, 1)`.
 pub(super) fn unit(seed: u64, parts: &[i64]) -> f64 {
     (hash(seed, parts) >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Uniform in `[low, high)`.
+/// Returns a uniform value in `[low, high)`.
 pub(super) fn between(seed: u64, parts: &[i64], low: f64, high: f64) -> f64 {
     low + (high - low) * unit(seed, parts)
 }
 
-/// Smooth noise in `[0, 1)` with features of length 1.
+/// Returns smooth noise in `[0, 1)` with features of length 1.
 pub(super) fn noise(seed: u64, x: f64, y: f64) -> f64 {
     let (x0, y0) = (x.floor(), y.floor());
     let smooth = |t: f64| t * t * (3.0 - 2.0 * t);

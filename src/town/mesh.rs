@@ -1,4 +1,4 @@
-//! Triangles with what their surface is: what the town is made of, for the camera and for the LiDAR.
+//! Triangle meshes with surface materials, shared by the town's cameras and LiDAR.
 
 mod smooth;
 mod solids;
@@ -8,22 +8,22 @@ use glam::{DVec2, DVec3};
 
 pub use solids::Ring;
 
-/// What a surface is made of; it tells how it is shaded and how it throws light back.
+/// Material of a surface; selects its shading and its LiDAR reflectance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 #[allow(missing_docs)]
 pub enum Surface {
-    /// One matt color.
+    /// Matt, of one color.
     Plain = 0,
     Asphalt = 1,
-    /// Slabs.
+    /// Paved with slabs.
     Sidewalk = 2,
     /// Worn paint on asphalt.
     Paint = 3,
     Grass = 4,
     Plaster = 5,
     Brick = 6,
-    /// Window of a house: mirrors the sky; a room or curtains behind.
+    /// Window of a house: mirrors the sky, with a room or curtains behind.
     Window = 7,
     /// Window of a vehicle.
     CarGlass = 8,
@@ -34,60 +34,60 @@ pub enum Surface {
     Bark = 13,
     RoofTiles = 14,
     Concrete = 15,
-    /// A lamp: bright whatever the light, brighter at dusk.
+    /// Lamp: bright in any daylight, brighter at dusk.
     Lamp = 16,
-    /// A traffic sign or a shop sign.
+    /// Traffic sign or shop sign.
     Sign = 17,
     Wood = 18,
     Cloth = 19,
 }
 
-/// A corner of a triangle. 40 bytes; the device takes it as it is.
+/// Vertex of a triangle: 40 bytes, uploaded to the device unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Vertex {
-    /// Metres, in the mesh's frame.
+    /// Position in the mesh's frame, meters.
     pub position: [f32; 3],
-    /// Unit, outward.
+    /// Unit normal, outward.
     pub normal: [f32; 3],
-    /// Metres along the surface, for patterns.
+    /// Texture coordinates along the surface, meters.
     pub uv: [f32; 2],
-    /// sRGB; the fourth is 255.
+    /// sRGB color; alpha is 255.
     pub rgba: [u8; 4],
-    /// [`Surface`] in the low 8 bits, a seed of the pattern above.
+    /// [`Surface`] in the low 8 bits, the pattern's seed in the high 24.
     pub surface: u32,
 }
 
-/// Color and kind of a surface, for building meshes.
+/// Color and material that meshes are built with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Skin {
-    /// sRGB.
+    /// sRGB color.
     pub rgb: [u8; 3],
-    /// What it is made of.
+    /// Material.
     pub surface: Surface,
-    /// Of its pattern; 24 bits count.
+    /// Seed of the pattern; only the low 24 bits are used.
     pub seed: u32,
 }
 
-/// Triangles, counter-clockwise seen from outside.
+/// Triangle mesh; triangles are counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
-    /// Corners.
+    /// Vertices.
     pub vertices: Vec<Vertex>,
-    /// Indices of corners.
+    /// Indices of vertices.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Skin {
-    /// Without a pattern's seed.
+    /// Creates a skin with pattern seed 0.
     pub const fn new(rgb: [u8; 3], surface: Surface) -> Self {
         Self { rgb, surface, seed: 0 }
     }
 }
 
 impl Mesh {
-    /// Adds a convex polygon, counter-clockwise seen from outside, with one normal; `uv` runs along its first edge
-    /// and across, metres, from its first corner.
+    /// Adds a flat-shaded convex polygon, counter-clockwise seen from outside. `uv` starts at its first corner and
+    /// runs along its first edge and perpendicular to it, meters.
     pub fn polygon(&mut self, corners: &[DVec3], skin: Skin) {
         let [a, b, .., last] = corners else { return };
         let along = (*b - *a).normalize_or_zero();
@@ -98,7 +98,7 @@ impl Mesh {
         self.fan(&corners, skin);
     }
 
-    /// Adds a convex polygon of corners with position, normal and uv of their own.
+    /// Adds a convex polygon with a position, normal and uv for each corner.
     pub fn fan(&mut self, corners: &[(DVec3, DVec3, DVec2)], skin: Skin) {
         let first = self.vertices.len() as u32;
         self.vertices.extend(corners.iter().map(|(position, normal, uv)| Vertex {
@@ -122,14 +122,14 @@ impl Mesh {
         }
     }
 
-    /// Adds another mesh.
+    /// Appends another mesh.
     pub fn append(&mut self, other: &Self) {
         let first = self.vertices.len() as u32;
         self.vertices.extend_from_slice(&other.vertices);
         self.triangles.extend(other.triangles.iter().map(|t| t.map(|i| i + first)));
     }
 
-    /// Least and greatest coordinates, metres; `None` without corners.
+    /// Returns the min and max coordinates, meters; `None` without vertices.
     pub fn bounds(&self) -> Option<[DVec3; 2]> {
         let positions = self.vertices.iter().map(|v| glam::Vec3::from(v.position).as_dvec3());
         positions.map(|p| [p, p]).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])

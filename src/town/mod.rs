@@ -1,16 +1,18 @@
-//! The town that is built in: a drive that needs no files, with true images, exact boxes and an HD map.
+//! Synthetic town: a procedural driving log that needs no files, with ground-truth images, exact boxes and an HD map.
 //!
 //! # How it works
-//! [`TownOptions`] say which town; everything follows from its seed by `hash`, whatever the order and the number of
-//! threads. Plans are in the town's own frame: metres, flat, roads on z = 0.
-//! 1. [`plan`] draws streets and lanes and lets traffic move along them: who is where at what time.
-//! 2. [`built`] puts houses, plants and markings along the streets, [`model`] gives everybody a body. Both end as
-//!    triangles with a skin ([`mesh`]).
-//! 3. `lidar` casts beams among the triangles; [`view`] draws them, with true depth, class and instance of each pixel.
-//! 4. [`Town`] (`drive`) records it: a [`Dataset`](crate::dataset::Dataset) like any other, whose sweeps and images are
-//!    made when they are read, and which can be asked for what is true from anywhere.
+//! [`TownOptions`] select a town. Everything derives from its seed, by `hash` or by a seeded generator, independent of
+//! order and number of threads. Plans use the town's frame: meters, flat, roads at z = 0.
+//! 1. [`plan`] generates streets and lanes and simulates traffic on them; the result is the pose of every actor over
+//!    time.
+//! 2. [`built`] places houses, plants and markings along the streets; [`model`] generates the actors' bodies. Both
+//!    produce triangles with a skin ([`mesh`]).
+//! 3. `lidar` casts beams against the triangles; [`view`] renders them, with ground-truth depth, class and instance
+//!    of each pixel.
+//! 4. [`Town`] (`drive`) exposes the result as a [`Dataset`](crate::dataset::Dataset). It generates sweeps and images
+//!    when they are read, and renders ground truth for any camera pose.
 //!
-//! `cloud` stands apart: the bare cloud of points, with cameras in it, that speed is measured on.
+//! `cloud` is independent of the rest: a synthetic point cloud with cameras, used for benchmarks.
 
 pub mod built;
 mod cloud;

@@ -3,44 +3,45 @@ use std::str::FromStr;
 
 use crate::geometry::ImageSize;
 
-/// What a town is like and how it is recorded. Text form: `seed=7,frames=40[,hz=5,beams=32,lidar_hz=10,size=450x800,light=day]`
-/// in any order; what is missing is as by default.
+/// Options of a town and of its recording. Text form:
+/// `seed=7,frames=40[,hz=5,beams=32,lidar_hz=10,size=450x800,light=day]` in any order; omitted keys take their
+/// defaults.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TownOptions {
-    /// What everything follows from.
+    /// Seed that everything is derived from.
     pub seed: u64,
-    /// Annotated frames.
+    /// Number of annotated frames.
     pub frames: usize,
-    /// Annotated frames a second.
+    /// Annotated frames per second.
     pub hz: f64,
-    /// LiDAR turns a second: 10 or 20.
+    /// LiDAR rotations per second: 10 or 20.
     pub lidar_hz: f64,
-    /// LiDAR beams: 32 or 64.
+    /// Number of LiDAR beams: 32 or 64.
     pub beams: u16,
     /// Height and width of the images, pixels.
     pub size: [u32; 2],
-    /// `None`: the seed chooses.
+    /// Daylight; `None` derives it from the seed.
     pub daylight: Option<Daylight>,
 }
 
 /// Time of day and sky.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Daylight {
-    /// Sun, blue sky.
+    /// Sun in a blue sky.
     Day,
-    /// A low sun, lamps are lit.
+    /// Low sun, lamps lit.
     Dusk,
     /// Grey sky, soft shadows.
     Overcast,
 }
 
-/// Options that no town has.
+/// Error: invalid town options.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected {expected}, found {found:?}")]
 pub struct TownOptionsError {
-    /// What would do.
+    /// Description of the accepted values.
     pub expected: String,
-    /// What was given.
+    /// The rejected value.
     pub found: String,
 }
 
@@ -52,23 +53,23 @@ impl Default for TownOptions {
 }
 
 impl TownOptions {
-    /// Most frames of a drive.
+    /// Maximum number of frames of a recording.
     pub const MAX_FRAMES: usize = 10_000;
-    /// Longest drive, seconds: who is where takes memory ten times a second.
+    /// Maximum duration of a recording, seconds: poses take memory ten times a second.
     pub const MAX_DURATION_S: f64 = 600.0;
-    /// Most pixels of an image.
+    /// Maximum number of pixels of an image.
     pub const MAX_PIXELS: usize = 1 << 25;
     const KEYS: [&str; 7] = ["seed", "frames", "hz", "beams", "lidar_hz", "size", "light"];
 
-    /// From the first frame to the last, seconds.
+    /// Returns the time from the first frame to the last, seconds.
     pub fn duration_s(&self) -> f64 {
         self.frames.saturating_sub(1) as f64 / self.hz
     }
 
-    /// Whether all values are in their ranges.
+    /// Validates the ranges of all values.
     ///
     /// # Errors
-    /// The first that is not.
+    /// Returns an error for the first value that is out of range.
     pub fn check(&self) -> Result<(), TownOptionsError> {
         let wrong = |expected: &str, found: &dyn fmt::Display| {
             Err(TownOptionsError { expected: expected.to_owned(), found: found.to_string() })
@@ -147,7 +148,7 @@ impl FromStr for TownOptions {
     }
 }
 
-/// The text form, whole.
+/// Writes the complete text form.
 impl fmt::Display for TownOptions {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { seed, frames, hz, lidar_hz, beams, size: [height, width], daylight } = self;
@@ -160,10 +161,10 @@ impl fmt::Display for TownOptions {
 }
 
 impl Daylight {
-    /// All of them.
+    /// All variants.
     pub const ALL: [Self; 3] = [Self::Day, Self::Dusk, Self::Overcast];
 
-    /// Name on the command line.
+    /// Returns the name used on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Day => "day",

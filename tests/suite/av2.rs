@@ -1,4 +1,4 @@
-//! The Argoverse 2 reader: a made-up log, and a real one against what its files and NumPy say.
+//! The Argoverse 2 reader, on a synthetic log and on a real one compared with its files and NumPy.
 
 use std::process::Command;
 use std::sync::Arc;
@@ -47,7 +47,7 @@ fn a_made_up_log_is_read_whole() {
                 (&image.path, image.t_us),
                 (&made.path(&picture(i, name)), (frame_ns(i) + IMAGE_NS) / 1000)
             );
-            // A fifth of the way from the pose at the frame to that 50 ms later.
+            // Interpolated: one fifth of the way from the pose at the frame to the pose 50 ms later.
             assert!((image.global_from_ego.translation - (ego + DVec3::X * 0.1)).length() < 1e-9);
             assert_eq!(dataset.read_image(image).unwrap().dimensions(), (SIZE[1].into(), SIZE[0].into()));
             assert_eq!(image.camera.distortion, None);
@@ -77,7 +77,7 @@ fn a_made_up_map_is_read_whole() {
     );
     assert_eq!(lane.centerline.len(), 41);
     assert!(lane.centerline.iter().enumerate().all(|(i, p)| p.distance(at(0.5 * i as f64, 0.0)) < 1e-9));
-    // What two lanes share is there once, what is not painted not at all.
+    // A border shared by two lanes occurs once; an unpainted border does not occur.
     assert_eq!(map.dividers, [[at(0.0, -2.0), at(20.0, -2.0)], [at(0.0, 2.0), at(20.0, 2.0)]]);
     let crossing = [at(20.0, -6.0), at(20.0, 2.0), at(23.0, 2.0), at(23.0, -6.0)];
     assert_eq!((&map.crossings[0].exterior[..], map.drivable_area[0].exterior.len()), (&crossing[..], 4));
@@ -110,7 +110,7 @@ fn a_folder_of_logs_is_a_set() {
     assert!(told(&locator(root.join("no log"))).contains("or a folder of logs, found neither"));
     let versioned = LogLocator { version: Some("v2".into()), ..locator(root) };
     assert!(told(&versioned).contains("without @VERSION, found @v2"));
-    // What the log lacks is told as missing, not as no log.
+    // A missing file is reported as missing, not as an unrecognized log.
     assert!(told(&locator(root.join("ffff"))).contains("cannot read"));
 }
 
@@ -151,12 +151,12 @@ fn parts_that_are_said_to_be_elsewhere_must_be_there() {
     let said = LogLocator { map_root: Some(made.path("sensors")), ..locator(made.path("")) };
     let message = Argoverse::open(&said).unwrap().read_map().unwrap_err().to_string();
     assert!(message.contains("expected a map (log_map_archive_*.json), found none"), "{message}");
-    // Of two the first is read.
+    // If there are two map files, the first is read.
     assert!(made.open().unwrap().read_map().unwrap().unwrap().notes.is_empty());
     std::fs::write(made.path("map/log_map_archive_z.json"), "{}").unwrap();
     let notes = made.open().unwrap().read_map().unwrap().unwrap().notes;
     assert_eq!(notes.into_iter().collect::<Vec<_>>(), [("further map files".to_owned(), 1)]);
-    // A usual place that is no folder is not taken for none.
+    // A file at the default map location is an error, not a missing map.
     std::fs::remove_dir_all(made.path("map")).unwrap();
     assert!(made.open().unwrap().read_map().unwrap().is_none());
     std::fs::write(made.path("map"), "").unwrap();
@@ -179,7 +179,7 @@ fn boxes_without_a_size_are_counted() {
     assert_eq!(dataset.box_points().unwrap()[1], [0]);
 }
 
-/// Every place in the file that tells the number of rows tells another.
+/// Overwrites each place in the file that stores the number of rows.
 #[test]
 fn rows_that_the_columns_have_no_bytes_for_are_refused() {
     const ROWS: usize = 1237;
@@ -188,7 +188,7 @@ fn rows_that_the_columns_have_no_bytes_for_are_refused() {
     let record = &dataset.log().frames[0].sweeps[0];
     let mut columns: Vec<_> =
         read(&record.path).into_iter().map(|(name, c)| (name, c.slice(0, ROWS))).collect();
-    // Of one byte a row the number of bytes would be changed too.
+    // For columns of one byte per row, the edit would also change the byte count.
     for name in ["intensity", "laser_number"] {
         set(&mut columns, name, Arc::new(Int32Array::from_iter_values(0..ROWS as i32)));
     }
@@ -225,7 +225,7 @@ fn pskel(folder: &std::path::Path, args: &str) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// The car is seen by the camera in front, 8 m away, with images and without any.
+/// The front camera sees the car 8 m away, with and without images.
 #[test]
 fn a_log_is_built_and_rendered_with_images_and_without() {
     let made = TinyAv2::new();
@@ -257,11 +257,11 @@ fn a_log_is_built_and_rendered_with_images_and_without() {
         let pixels = usize::from(SIZE[0]) * usize::from(SIZE[1]);
         assert_eq!(class.shape, [7, SIZE[0].into(), SIZE[1].into()]);
         let on_car: Vec<usize> = (0..7 * pixels).filter(|i| class.data[*i] == 1).collect();
-        // It is in front, at the inner edges of the two cameras beside that one, and nowhere else.
+        // The car is in the front view, at the inner edges of the two adjacent views, and nowhere else.
         let mut seen_by: Vec<usize> = on_car.iter().map(|i| i / pixels).collect();
         seen_by.dedup();
         assert_eq!(seen_by, [0, 1, 6]);
-        // Images are taken when the ego is 0.1 m further; without any the camera stands at the frame's own pose.
+        // Images are taken when the ego is 0.1 m further along; without images the camera is at the frame's own pose.
         let expected = if images { 7.9 } else { 8.0 };
         let in_front = || on_car.iter().filter(|i| **i < pixels);
         assert!(in_front().all(|i| (depth[*i] - expected).abs() < 2e-3), "{}", depth[on_car[0]]);
@@ -296,14 +296,14 @@ fn the_real_log_is_read_as_its_readme_says() {
     let points: Vec<_> =
         log.frames.iter().flat_map(|f| &f.sweeps).map(|s| dataset.check_sweep(s).unwrap()).collect();
     assert_eq!(points, [Some(99_229), Some(99_466)]);
-    // A box's place in the city, as NumPy has it.
+    // Position of a box in city coordinates, computed with NumPy.
     let bicycle = log.tracks.iter().position(|t| t.id.starts_with("1046f12a")).unwrap();
     let at = log.frames[0].cuboid_of(bicycle).unwrap().pose.translation;
     assert!((at - DVec3::new(5_219.828_573_64, 2_398.255_392_32, 68.812_085_36)).length() < 1e-7, "{at}");
     assert_eq!(log.tracks[bicycle].category, "vehicle.bicycle.bicycle");
 }
 
-/// Poses, boxes and sweeps fit together: in each box there are exactly the points that the file states.
+/// Poses, boxes and sweeps are consistent: each box contains exactly the number of points that the file states.
 #[test]
 fn real_boxes_hold_the_points_that_are_stated() {
     let Some(dataset) = real() else { return };
@@ -325,7 +325,8 @@ fn real_boxes_hold_the_points_that_are_stated() {
     assert_eq!(boxes, 162);
 }
 
-/// Points of the ego frame in the cameras: pixel and depth as NumPy and SciPy make them from the same files.
+/// Projects points of the ego frame into the cameras: pixel and depth as computed by NumPy and SciPy from the same
+/// files.
 #[test]
 fn known_points_are_seen_where_they_should_be() {
     let Some(dataset) = real() else { return };
@@ -362,7 +363,7 @@ fn the_real_map_fits_the_drive() {
         let ego = frame.global_from_ego.translation.truncate();
         assert!(map.drivable_area.iter().any(|area| inside(&area.exterior, ego)), "{ego}");
     }
-    // Lanes that follow each other meet.
+    // Each lane ends where its successor starts.
     let lanes = || map.lanes.iter().chain(&map.lane_connectors);
     let mut met = 0;
     for lane in lanes() {

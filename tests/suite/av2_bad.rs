@@ -1,5 +1,5 @@
-//! The Argoverse 2 reader on every kind of bad input: one thing of a made-up log is broken, and the message must name
-//! what was expected, what was found and the file.
+//! The Argoverse 2 reader on bad input of every kind. One part of a synthetic log is broken, and the message must
+//! name the expected and the found value, and the file.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -108,7 +108,7 @@ fn wrong_columns_are_named() {
     }
 }
 
-/// The same values in other types are the same log.
+/// The same values in other numeric types give the same log.
 #[test]
 fn numbers_may_have_any_width() {
     let log = TinyAv2::new();
@@ -181,7 +181,7 @@ fn times_that_do_not_grow_are_told() {
         set(columns, "timestamp_ns", integers(old.into_iter().rev().collect()));
     });
     log.refuses(&["timestamps that grow from row to row", "in row 1"], TABLES[1]);
-    // Rows of boxes may come in any order.
+    // Rows of boxes may be in any order.
     let log = TinyAv2::new();
     let expected = log.open().unwrap().log().clone();
     log.edit(TABLES[0], |columns| {
@@ -289,7 +289,7 @@ fn what_is_left_out_is_counted() {
 fn frames_without_an_ego_pose_are_left_out() {
     let log = TinyAv2::new();
     log.edit(TABLES[1], |columns| columns.iter_mut().for_each(|(_, c)| *c = c.slice(0, 5)));
-    // Poses end at the second frame and half a step.
+    // The poses end half a step after the second frame.
     assert_eq!(log.open().unwrap().log().frames.len(), 2);
     let told = notes(&log);
     assert_eq!(told[0], ("annotated times without an ego pose".to_owned(), 1));
@@ -300,7 +300,7 @@ fn frames_without_an_ego_pose_are_left_out() {
     log.refuses(&["at least one ego pose", "none"], TABLES[1]);
 }
 
-/// A sweep and images between two frames belong to the later one.
+/// A sweep and images between two frames belong to the later frame.
 #[test]
 fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
     let log = TinyAv2::new();
@@ -358,7 +358,7 @@ fn damaged_sweeps_and_images_are_named() {
     assert!(dataset.read_image(image).unwrap_err().to_string().contains("a JPEG or PNG image"));
 }
 
-/// Every byte of a small file in turn is changed: the reader gives points or an error, whatever the compression.
+/// Changes every byte of a small file in turn: the reader returns points or an error, for every compression.
 #[test]
 fn no_byte_of_a_feather_file_makes_the_reader_panic() {
     let log = TinyAv2::new();
@@ -392,7 +392,7 @@ fn no_byte_of_a_feather_file_makes_the_reader_panic() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever stands in a table, the reader gives a log or an error.
+    /// The reader returns a log or an error for any table content.
     #[test]
     fn no_table_makes_the_reader_panic(
         table in 0..TABLES.len(),
@@ -405,7 +405,7 @@ proptest! {
             let whole = std::fs::read(&path).unwrap();
             let mut bytes = whole.clone();
             for (place, value) in places {
-                // The footer, which tells where everything is, gets half of it.
+                // The footer, which holds all offsets, gets half of the changes.
                 let span = if from_the_end { bytes.len().min(900) } else { bytes.len() };
                 let place = bytes.len() - span + place.index(span - 4);
                 bytes[place..place + 4].copy_from_slice(&value);

@@ -1,7 +1,7 @@
-//! A made-up log in the layout of Argoverse 2, written by `arrow-ipc`'s own writer.
+//! A synthetic log in Argoverse 2 layout, written with `arrow-ipc`'s writer.
 //!
-//! Three frames 100 ms apart. The ego drives 1 m a frame along x, a car stays 8 m in front of it (its back), a sign
-//! stands. Seven ring cameras look around; each takes an image 10 ms after a frame.
+//! Three frames 100 ms apart. The ego drives 1 m per frame along x. The back of a car stays 8 m ahead of it; a sign
+//! is static. Seven ring cameras cover the surroundings; each takes an image 10 ms after a frame.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -26,12 +26,12 @@ pub(crate) const LOG_ID: &str = "0a1b2c3d";
 pub(crate) const FRAMES: usize = 3;
 pub(crate) const FIRST_NS: i64 = 315_966_000_000_000_123;
 pub(crate) const STEP_NS: i64 = 100_000_000;
-/// Images are taken this much after their frame.
+/// Delay of an image after its frame, ns.
 pub(crate) const IMAGE_NS: i64 = 10_000_000;
-/// Where the ego starts, metres in the city.
+/// Start position of the ego, meters in city coordinates.
 pub(crate) const START: DVec3 = DVec3::new(5000.0, 2000.0, 60.0);
 pub(crate) const SIZE: [u16; 2] = [48, 64];
-/// Cameras in ring order with their yaw to the left, degrees.
+/// Cameras in ring order, with their yaw to the left in degrees.
 pub(crate) const RING: [(&str, f64); 7] = [
     ("ring_front_center", 0.0),
     ("ring_front_right", -45.0),
@@ -43,10 +43,10 @@ pub(crate) const RING: [(&str, f64); 7] = [
 ];
 pub(crate) const MAP: &str = "map/log_map_archive_0a1b2c3d____PIT_city_1.json";
 
-/// Columns of a table by name.
+/// Columns of a table, with their names.
 pub(crate) type Columns = Vec<(String, ArrayRef)>;
 
-/// A folder of logs with one log.
+/// A folder that contains one log.
 pub(crate) struct TinyAv2 {
     folder: tempfile::TempDir,
 }
@@ -77,12 +77,12 @@ impl TinyAv2 {
         log
     }
 
-    /// The folder of logs.
+    /// Returns the folder that contains the log.
     pub(crate) fn root(&self) -> &Path {
         self.folder.path()
     }
 
-    /// A file of the log.
+    /// Returns the path of a file of the log.
     pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.root().join(LOG_ID).join(name)
     }
@@ -91,7 +91,7 @@ impl TinyAv2 {
         Argoverse::open(&LogLocator::new(LogFormat::Argoverse, self.path("")))
     }
 
-    /// Changes the columns of a table.
+    /// Edits the columns of a table.
     pub(crate) fn edit(&self, name: &str, edit: impl FnOnce(&mut Columns)) {
         let path = self.path(name);
         let mut columns = read(&path);
@@ -99,7 +99,7 @@ impl TinyAv2 {
         write(&path, columns, Some(CompressionType::LZ4_FRAME));
     }
 
-    /// The message of opening, which must hold all parts and end with the file's name.
+    /// Opens the log and checks that the error message contains all parts and ends with the file's name.
     #[track_caller]
     pub(crate) fn refuses(&self, parts: &[&str], ending: &str) {
         let message = self.open().expect_err("a damaged log").to_string();
@@ -115,7 +115,7 @@ pub(crate) fn set(columns: &mut Columns, name: &str, values: ArrayRef) {
     columns.iter_mut().find(|(n, _)| n == name).unwrap().1 = values;
 }
 
-/// Changes one number of a column of `f64`.
+/// Changes one number of an `f64` column.
 pub(crate) fn set_number(columns: &mut Columns, name: &str, row: usize, value: f64) {
     let (_, column) = columns.iter_mut().find(|(n, _)| n == name).unwrap();
     let old = column.as_any().downcast_ref::<Float64Array>().unwrap();
@@ -145,7 +145,7 @@ pub(crate) fn write(path: &Path, columns: Columns, compression: Option<Compressi
     writer.finish().unwrap();
 }
 
-/// The columns of a table of one batch.
+/// Reads the columns of a table of one batch.
 pub(crate) fn read(path: &Path) -> Columns {
     let batch = FileReader::try_new(File::open(path).unwrap(), None).unwrap().next().unwrap().unwrap();
     let names = batch.schema().fields().iter().map(|f| f.name().clone()).collect::<Vec<_>>();
@@ -168,7 +168,7 @@ fn named(columns: Vec<(&str, ArrayRef)>) -> Columns {
     columns.into_iter().map(|(name, values)| (name.to_owned(), values)).collect()
 }
 
-/// The seven columns of poses.
+/// Returns the seven pose columns.
 fn pose_columns(poses: &[(DQuat, DVec3)]) -> Vec<(&'static str, ArrayRef)> {
     let column = |of: fn(&(DQuat, DVec3)) -> f64| numbers(poses.iter().map(of).collect());
     vec![
@@ -182,7 +182,7 @@ fn pose_columns(poses: &[(DQuat, DVec3)]) -> Vec<(&'static str, ArrayRef)> {
     ]
 }
 
-/// A car whose back is 8 m in front of the ego, and a sign beside it, in each frame.
+/// Returns the boxes of every frame: a car whose back is 8 m ahead of the ego, and a sign beside the road.
 fn annotations() -> Columns {
     let per_frame = |values: [f64; 2]| numbers(values.repeat(FRAMES));
     let boxes: Vec<_> = (0..FRAMES)
@@ -204,7 +204,7 @@ fn annotations() -> Columns {
     named(columns)
 }
 
-/// The ego every 50 ms, from before the first frame to after the last.
+/// Returns the ego poses every 50 ms, from before the first frame until after the last.
 fn poses() -> Columns {
     let halves = -1..=2 * FRAMES as i64;
     let ego = |half: i64| (DQuat::IDENTITY, START + DVec3::X * (0.5 * half as f64));
@@ -214,7 +214,7 @@ fn poses() -> Columns {
     named(columns)
 }
 
-/// Cameras in the order of the data set, which is by name, with one of the stereo pair.
+/// Returns the camera names in the data set's order (alphabetical), with one stereo camera.
 fn sensor_names() -> Vec<&'static str> {
     let mut names: Vec<&str> = RING.iter().map(|(name, _)| *name).collect();
     names.sort_unstable();
@@ -243,7 +243,7 @@ fn extrinsics() -> Columns {
     named(columns)
 }
 
-/// The ground around and the back of the car, 11 by 7 points, in the ego frame.
+/// Returns the points of a sweep in the ego frame: the surrounding ground, and the back of the car as 11 by 7 points.
 fn sweep_columns() -> Columns {
     let ground = (0..60)
         .flat_map(|i| (0..40).map(move |j| [0.5 * f64::from(i) - 5.0, 0.5 * f64::from(j) - 10.0, 0.0]));

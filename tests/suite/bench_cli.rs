@@ -1,4 +1,4 @@
-//! `pskel bench`, run as a user runs it, with small clouds.
+//! `pskel bench` through the command line, with small clouds.
 
 use std::collections::BTreeSet;
 
@@ -10,10 +10,10 @@ use serde_json::Value;
 use crate::npz;
 use crate::tiny_log::{FRAMES, HEIGHT, TinyLog, WIDTH};
 
-/// A small street on the rasterizer that needs no driver.
+/// A small street, rendered by the rasterizer that needs no driver.
 const SMALL: &str = "bench --synthetic 3000 --size 90x160 --repeat 3 --warm-up 1 --rasterizer cpu";
 
-/// The object of a run with `--json`.
+/// Returns the JSON object of a run with `--json`.
 #[track_caller]
 fn json(log: &TinyLog, args: &str) -> Value {
     serde_json::from_str(&log.succeed(&format!("{args} --json"))).unwrap()
@@ -92,7 +92,7 @@ fn seeds_make_streets() {
     assert_eq!(json(&log, &format!("{SMALL} --maps color,point"))["filled"], Value::Null);
 }
 
-/// The same points and cameras by files, once as `splat` draws them.
+/// The same points and cameras from files, rendered once with `splat` for comparison.
 #[test]
 fn frames_are_those_that_splat_draws() {
     let log = TinyLog::new();
@@ -225,7 +225,7 @@ fn bad_files_exit_with_1_and_leave_nothing() {
         (format!("bench --points p.npy --cameras bad.json {trace}"), "bad.json"),
         (format!("bench nuscenes:none --skeleton sk {trace}"), "none"),
         ("bench --synthetic 9 --device no-such-device".to_owned(), "no-such-device"),
-        // Known before anything is drawn.
+        // Fails before rendering starts.
         (format!("{SMALL} --trace none/t.json"), "none/t.json"),
         (format!("{SMALL} --trace out"), "expected a file to write, found a folder: out"),
     ] {

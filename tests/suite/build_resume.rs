@@ -1,4 +1,4 @@
-//! Builds that are interrupted and gone on with, and builds from several logs.
+//! Interrupted and resumed builds, and builds from several logs.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -17,7 +17,7 @@ use crate::common::WithLog;
 use crate::made_town::{self, FRAMES};
 use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
 
-/// A drive of which sweeps can be read so many times.
+/// A log whose sweeps can be read only a limited number of times.
 struct Breaking<'a> {
     drive: &'a dyn Dataset,
     left: AtomicUsize,
@@ -41,7 +41,7 @@ impl Dataset for Breaking<'_> {
     }
 }
 
-/// Small windows, so that a build moves along the log.
+/// Small windows, so that a build advances along the log.
 fn options(voxel_m: f64) -> BuildOptions {
     BuildOptions { voxel_m, color_window: 2, occlusion_window: 1, ..BuildOptions::default() }
 }
@@ -86,7 +86,7 @@ fn wherever_a_build_breaks_it_goes_on_to_the_same_bytes() {
     }
 }
 
-/// Spawns a build, kills it after some time.
+/// Spawns a build and kills it after some time; returns whether it was still running.
 fn killed_after(folder: &Path, args: &str, time: Duration) -> bool {
     let mut command = Command::new(PSKEL);
     command.current_dir(folder).args(args.split_whitespace()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -112,7 +112,8 @@ fn a_killed_build_goes_on_to_the_same_bytes() {
     let mut whole_ms = start.elapsed().as_millis() as u64;
     let checkpoint = folder.path().join("sk.partial/checkpoint.json");
     let (mut kills, mut resumed) = (0, 0);
-    // Moments spread over the whole build, in no order. Other work makes builds slower and faster: then moments follow.
+    // Kill times spread over the whole build, in no order. Other load makes builds slower or faster, so the times are
+    // repeated.
     for share in [61, 23, 97, 42, 78, 88, 55].into_iter().cycle().take(70) {
         let resume = if checkpoint.is_file() { "--resume" } else { "" };
         let args = format!("build nuscenes:log --out sk --checkpoint 1 {resume}");
@@ -172,7 +173,7 @@ fn what_cannot_be_gone_on_with_is_refused() {
     drop(lock);
     log.succeed("build nuscenes:log --out out/sk --resume");
     assert!(tree(&log.path("out/sk")) == tree(&log.path("out/whole")) && !partial.exists());
-    // Nothing to go on with: a build that was killed before its first checkpoint.
+    // Nothing to resume: the build was killed before its first checkpoint.
     let output = log.run("build nuscenes:log --out out/sk --resume");
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success() && said.contains("warning: no unfinished build was found"), "{said}");
@@ -206,14 +207,14 @@ fn a_build_that_starts_anew_says_what_it_discards() {
         "{stderr}"
     );
     assert!(!partial.exists());
-    // An older skeleton is there until the new one takes its place.
+    // An older skeleton stays until the new one replaces it.
     let older = tree(&log.path("out/sk"));
     std::fs::write(log.path(&crate::tiny_log::sweep(2)), "cut").unwrap();
     assert_failed(&log.run("build nuscenes:log --out out/sk --checkpoint 1"), 1, &["2.pcd.bin"]);
     assert!(tree(&log.path("out/sk")) == older);
 }
 
-/// Where cameras are slower than the LiDAR an image serves two frames: as if the second had a copy of its own.
+/// If cameras are slower than the LiDAR, one image serves two frames, as if the second frame had its own copy.
 #[test]
 fn an_image_of_two_frames_colors_both() {
     let (_files, drive) = made_town::read();
@@ -234,7 +235,7 @@ fn an_image_of_two_frames_colors_both() {
         ImageRecord { path, ..image.clone() }
     };
     let [same, copies] = [images.clone(), images.iter().enumerate().map(copied).collect()].map(reports);
-    // Where the first frame's images are at hand they are not read twice; without a window they are.
+    // With a color window the first frame's images are cached and not read twice; without a window they are.
     let cameras = images.len();
     assert_eq!(same.each_ref().map(|r| r.images), [cameras, 2 * cameras]);
     assert_eq!(copies.each_ref().map(|r| r.images), [2 * cameras; 2]);
@@ -245,7 +246,7 @@ fn an_image_of_two_frames_colors_both() {
     assert!(every.dropped_uncolored > same[1].dropped_uncolored + same[1].points_read / 4);
 }
 
-/// An unfinished build of the tiny log: templates fail after all frames are done.
+/// Returns an unfinished build of the tiny log: templates fail after all frames are done.
 fn partial_of_tiny(log: &TinyLog) -> PathBuf {
     let dataset =
         point_skeleton::logs::open(&format!("nuscenes:{}", log.path("log").display()).parse().unwrap());
@@ -276,14 +277,14 @@ fn logs_of_one_place_share_a_background() {
     assert!(summary.starts_with("built tiny, second from 6 frames"), "{summary}");
     let (one, both) =
         (Skeleton::open(&log.path("out/one")).unwrap(), Skeleton::open(&log.path("out/both")).unwrap());
-    // The second is the first once more: chunk by chunk the points of the one, then those of the other.
+    // The second log is a copy of the first: each chunk holds the points of the first, then the same points again.
     for (one, both) in one.background().unwrap().iter().zip(both.background().unwrap()) {
         assert!(both[..one.len()] == **one && both[one.len()..] == **one);
     }
     let names: Vec<_> = both.manifest.actors.iter().map(|a| [a.track.as_str(), a.log.as_str()]).collect();
     assert_eq!(names, [["car", "tiny"], ["car", "second"], ["cone", "tiny"], ["cone", "second"]]);
     assert_eq!(both.manifest.actors[0].points, one.manifest.actors[0].points);
-    // By voxels nothing is added: the same points again.
+    // With voxels the copy adds nothing, because its points are the same.
     log.succeed("build nuscenes:log --out out/one");
     log.succeed("build nuscenes:log nuscenes:log2 --out out/both");
     let points = |name: &str| std::fs::read(log.path(name).join("background.points")).unwrap();

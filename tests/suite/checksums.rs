@@ -1,4 +1,5 @@
-//! Points that changed on disk at the same length: no command uses them, and `pskel info --verify` lists them.
+//! Point files that changed on disk without changing length: no command uses them, and `pskel info --verify` lists
+//! them.
 
 use serde_json::{Value, json};
 
@@ -6,7 +7,7 @@ use crate::tiny_log::{TinyLog, assert_failed};
 
 const RENDER: &str = "render nuscenes:log --skeleton sk --rasterizer cpu --out out";
 
-/// A log with a skeleton in `sk` that has background, actors and a template.
+/// Returns a log with a skeleton in `sk` that has background, actors and a template.
 fn built() -> TinyLog {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out first");
@@ -15,7 +16,7 @@ fn built() -> TinyLog {
     log
 }
 
-/// Flips one bit of a file and gives back what it held before.
+/// Flips one bit of a file and returns its previous content.
 fn flip_bit(log: &TinyLog, file: &str, at: usize) -> Vec<u8> {
     let before = std::fs::read(log.path(file)).unwrap();
     let mut bytes = before.clone();
@@ -54,7 +55,7 @@ fn a_changed_byte_of_each_file_is_found_before_its_points_are_used() {
         let told = verified(&log, "sk", 1);
         let [damaged] = told["damaged"].as_array().unwrap().as_slice() else { panic!("{told}") };
         assert!(damaged.as_str().unwrap().starts_with(&expected), "{damaged}");
-        // Without being asked to, `info` reads no points.
+        // Without `--verify`, `info` reads no points.
         assert!(log.run("info sk").status.success());
         std::fs::write(log.path(&path), whole).unwrap();
     }

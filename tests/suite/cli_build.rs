@@ -1,4 +1,4 @@
-//! `pskel build` and `pskel convert`, run as a user runs them.
+//! `pskel build` and `pskel convert` through the command line.
 
 use std::process::Command;
 
@@ -28,7 +28,7 @@ fn a_log_becomes_a_skeleton_and_every_point_is_accounted_for() {
     let tracks: Vec<_> = manifest["actors"].as_array().unwrap().iter().map(|a| a["track"].clone()).collect();
     assert_eq!(tracks, ["car", "cone"]);
     assert_eq!(manifest["actors"][0]["sweeps"], 3);
-    // One frame of its own; every other one.
+    // A single frame; then every other frame.
     log.succeed("build nuscenes:log --out out/sk --frames 1..2 --voxel 0 --box-margin 0.2");
     let one = log.json("out/sk/skeleton.json");
     assert_eq!((&one["sources"][0]["frames"], &one["options"]["voxel_m"]), (&json!(1), &json!(0.0)));
@@ -183,7 +183,7 @@ fn converted_points_come_back() {
     assert_eq!(origins["actors"][0]["file"], "actors/car.npy");
     let car = cloud::read(&log.path("out/npy/actors/car.npy")).unwrap().points;
     assert_eq!(car.len(), skeleton.manifest.actors[0].points);
-    // A file to the other format and back.
+    // Converts a file to the other format and back.
     log.succeed("convert out/npy/actors/car.npy --out out/car.ply");
     log.succeed("convert out/car.ply --out out/car.npy");
     let bytes = |name: &str| std::fs::read(log.path(name)).unwrap();

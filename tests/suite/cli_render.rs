@@ -1,4 +1,4 @@
-//! `pskel render`, run as a user runs it, on every rasterizer with validation.
+//! `pskel render` through the command line, on every rasterizer with validation.
 
 use std::process::Command;
 
@@ -13,7 +13,7 @@ use crate::tiny_log::{
     camera_rotation, tree,
 };
 
-/// A log with its skeleton in `sk`.
+/// Returns a log with its skeleton in `sk`.
 fn built() -> TinyLog {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out sk");
@@ -22,14 +22,14 @@ fn built() -> TinyLog {
 
 const RENDER: &str = "render nuscenes:log --skeleton sk --out out";
 
-/// What the instance map shows of the car (instance 1) in a view: nearest depth, first and last column.
+/// The car (instance 1) in the instance map of a view: nearest depth, first and last column.
 #[derive(Debug, PartialEq)]
 struct Car {
     depth_m: f32,
     columns: [usize; 2],
 }
 
-/// Renders single points into NPZ and looks for the car in the first view.
+/// Renders single points to NPZ and finds the car in the first view.
 #[track_caller]
 fn car(log: &TinyLog, extra: &str, folder: &str) -> Car {
     log.succeed(&format!("{RENDER} --format npz --splat 100:0 {extra}"));
@@ -85,7 +85,7 @@ fn all_formats_hold_the_same_frames() {
     assert!(class.pixels().any(|p| p.0 == [1]) && class.pixels().any(|p| p.0 == [4]));
 
     log.succeed(&format!("{RENDER} --format exr --frames 0..1 --maps depth,color"));
-    // The index is new; frames of the earlier run that were not rendered again stay.
+    // The index is new; frames of the earlier run that were not rendered again remain.
     assert_eq!(log.json("out/index.json")["frames"].as_array().unwrap().len(), 1);
     let exr = tree(&log.path("out/000000"));
     assert!(
@@ -121,22 +121,22 @@ fn all_rasterizers_and_threads_give_the_same_bytes() {
 #[test]
 fn the_car_moves_in_the_image_as_the_ego_does() {
     let log = built();
-    // The template's back is 1.75 m wide, with mirrors it fills the box of 2 m; 10 m away: columns 48 -+ 4.2.
+    // The template's back is 1.75 m wide and fills the 2 m box with its mirrors; at 10 m: columns 48 -+ 4.2.
     let frame = "--frames 0..1";
     assert_eq!(car(&log, frame, "000000"), Car { depth_m: 10.0, columns: [43, 52] });
     let moved = car(&log, &format!("{frame} --ego-offset 0,0.5,0"), "000000");
     assert_eq!(moved, Car { depth_m: 10.0, columns: [46, 54] });
     assert_eq!(car(&log, &format!("{frame} --ego-offset 3,0,0"), "000000").depth_m, 7.0);
-    // Two metres to the left of it at half the distance between frames 0 and 1 (10.5 m).
+    // Two meters to the left of it, at half the distance between frames 0 and 1 (10.5 m).
     let between = FIRST_US + STEP_US / 2;
     assert_eq!(car(&log, &format!("--at {between}"), &between.to_string()).depth_m, 10.5);
     assert_eq!(car(&log, "--frames 2..3", "000002").depth_m, 12.0);
-    // Backwards and turned around it is in no view of the front camera.
+    // With the ego moved back and turned around, the car is not in the front camera's view.
     log.succeed(&format!("{RENDER} --format npz {frame} --ego-offset -1,-2,180"));
     let instance = npz::read::<u32>(&log.path("out/000000/maps.npz"), "instance").data;
     let pixels = (WIDTH * HEIGHT) as usize;
     assert!(!instance[..pixels].contains(&1) && instance[pixels..].contains(&1));
-    // A camera of its own 5 m behind it.
+    // A custom camera 5 m behind the car.
     let place = Pose { rotation: camera_rotation(0.0), translation: START + DVec3::new(5.0, 0.0, CAMERA_Z) };
     let camera = Camera::new("own", 50, 40, [[20.0, 0.0, 25.5], [0.0, 20.0, 20.0], [0.0, 0.0, 1.0]]).unwrap();
     let view = View { camera, camera_from_world: place.inverse().affine() };
@@ -146,13 +146,14 @@ fn the_car_moves_in_the_image_as_the_ego_does() {
         Car { depth_m: 5.0, columns: [22, 28] }
     );
     assert_eq!(log.json("out/000000/meta.json")["cameras"][0]["name"], "own");
-    // A template in the car's place fills its box.
+    // A template in place of the car fills its box.
     log.succeed("convert sk --out npy");
     log.succeed("build nuscenes:log --out sk --template sedan=npy/actors/car.npy");
     assert_eq!(car(&log, frame, "000000").depth_m, 10.0);
 }
 
-/// A map of the drive's place: a drivable square 9 m wide and ahead, with a hole, and a crossing across the view.
+/// Writes a map of the log's location: a drivable rectangle that extends 25 m ahead and 9 m to each side, with a
+/// hole, and a crossing across the view.
 fn write_map(log: &TinyLog) {
     let rings = [
         [[-5.0, -9.0], [25.0, -9.0], [25.0, 9.0], [-5.0, 9.0]],
@@ -183,7 +184,7 @@ fn the_map_is_drawn_where_the_log_has_one() {
         1,
         &["an HD map of \"nowhere\" for --maps map, found none in log tiny"],
     );
-    // A picture from above needs no map.
+    // The bird's-eye view does not need a map.
     log.succeed(&format!("{RENDER} {frame} --maps boxes --birdseye"));
     let without = std::fs::read(log.path("out/000000/birdseye.png")).unwrap();
     write_map(&log);
@@ -194,18 +195,18 @@ fn the_map_is_drawn_where_the_log_has_one() {
     assert_eq!(index["options"]["birdseye"], true);
     let map = image::open(log.path("out/000000/CAM_FRONT/map.png")).unwrap().to_rgb8();
     assert_eq!((map.width(), map.height()), (WIDTH, HEIGHT));
-    // A level line x metres ahead is 48 * 1.5 / x rows below row 32 and 8 rows high: the crossing's far edge (9 m) is at
-    // row 40, that of the area (25 m) at 35. The area ends 9 m to the sides, where its own edge is lower.
+    // A level line x meters ahead is 48 * 1.5 / x rows below row 32 and 8 rows high: the crossing's far edge (9 m) is
+    // at row 40, the area's far edge (25 m) at row 35. The area ends 9 m to the sides, where its own edge is lower.
     for (column, row, rgb) in
         [(48, 40, [255, 0, 0]), (48, 32, [0, 0, 255]), (10, 32, [0; 3]), (48, 30, [0; 3])]
     {
         assert_eq!(map.get_pixel(column, row), &image::Rgb(rgb), "column {column}, row {row}");
     }
-    // The drivable area's near left corner is behind: its left edge runs out of the picture, 9 m to the left.
+    // The drivable area's near left corner is behind the camera: its left edge leaves the image, 9 m to the left.
     let left = |x: f64| [(48.0 - 48.0 * 9.0 / x) as u32, (32.0 + 72.0 / x) as u32];
     let [column, row] = left(12.0);
     assert_eq!(map.get_pixel(column, row), &image::Rgb([0, 0, 255]));
-    // No rasterizer draws another one.
+    // All rasterizers draw the same map.
     for rasterizer in ["raster", "cpu"] {
         log.succeed(&format!("{RENDER} {frame} --maps map --rasterizer {rasterizer}"));
         let other = image::open(log.path("out/000000/CAM_FRONT/map.png")).unwrap().to_rgb8();
@@ -222,7 +223,7 @@ fn the_map_is_drawn_where_the_log_has_one() {
 #[test]
 fn cameras_without_an_image_are_drawn_and_counted() {
     let log = built();
-    // The back camera of frame 1 is no key frame any more.
+    // The back camera's image of frame 1 is no longer a key frame.
     log.change("sample_data", "/5/is_key_frame", json!(false));
     let summary = log.succeed(RENDER);
     let told = "6 camera views (images missing, drawn from the frame's own pose: 1 of CAM_BACK)";

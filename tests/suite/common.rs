@@ -1,4 +1,4 @@
-//! Where test data lies, and skeletons made from it.
+//! Locations of test data, and skeletons built from it.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 
-/// The folder of recordings and fixtures: `PSKEL_SHARED`, else `../shared` from the project's root. Where neither
-/// exists the test is skipped: the caller returns.
+/// Returns the folder of recordings and fixtures: `PSKEL_SHARED`, else `../shared` from the project's root. Returns
+/// `None` if neither exists; the caller then returns, and the test counts as skipped.
 pub(crate) fn shared(what: &str) -> Option<PathBuf> {
     let beside = || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared");
     let folder = std::env::var_os("PSKEL_SHARED").map_or_else(beside, PathBuf::from);
@@ -18,7 +18,7 @@ pub(crate) fn shared(what: &str) -> Option<PathBuf> {
     None
 }
 
-/// Prints that the running test is skipped, and counts it in the file that `PSKEL_SKIP_LOG` names.
+/// Prints that the running test is skipped, and appends its name to the file that `PSKEL_SKIP_LOG` names.
 pub(crate) fn skip(why: &str) {
     let test = std::thread::current().name().unwrap_or("?").to_owned();
     eprintln!("skipped {test}: {why}");
@@ -28,12 +28,12 @@ pub(crate) fn skip(why: &str) {
     }
 }
 
-/// The folder of fixtures: `PSKEL_FIXTURES`, else `fixtures` in the shared folder.
+/// Returns the folder of fixtures: `PSKEL_FIXTURES`, else `fixtures` in the shared folder.
 pub(crate) fn fixtures(what: &str) -> Option<PathBuf> {
     std::env::var_os("PSKEL_FIXTURES").map(PathBuf::from).or_else(|| shared(what).map(|s| s.join("fixtures")))
 }
 
-/// A skeleton of some frames of a log, without templates.
+/// Builds a skeleton from some frames of a log, without templates.
 pub(crate) fn skeleton_of(
     out: &Path,
     log: &dyn Dataset,
@@ -44,15 +44,15 @@ pub(crate) fn skeleton_of(
     skeleton::build(out, &[input], options, &|_| Ok(Vec::new()), &BuildRun::default()).unwrap()
 }
 
-/// A drive's files under another log.
+/// Files of one dataset combined with another log.
 pub(crate) struct WithLog<'a> {
     pub(crate) drive: &'a dyn Dataset,
     pub(crate) log: Log,
 }
 
 impl<'a> WithLog<'a> {
-    /// The sweeps of some frames alone and no images, so that all their points are kept, in grey. Boxes stay: they tell
-    /// what moves.
+    /// Keeps only the sweeps of some frames and drops all images, so that all points are retained, in gray. Boxes
+    /// stay, because they define the moving objects.
     pub(crate) fn grey(drive: &'a dyn Dataset, kept: &[usize]) -> Self {
         let mut log = drive.log().clone();
         for (index, frame) in log.frames.iter_mut().enumerate() {

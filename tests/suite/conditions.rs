@@ -1,4 +1,4 @@
-//! Condition maps: resizing and bins against other implementations, passes against the contract.
+//! Condition maps: resizing and bins compared with other implementations, render passes compared with the contract.
 
 use std::sync::Arc;
 
@@ -32,7 +32,7 @@ struct ResizeCase {
     pil: Vec<u8>,
 }
 
-/// The image of `tests/peers/resize.py`.
+/// Returns the image of `tests/peers/resize.py`.
 fn peer_image(size: ImageSize) -> Vec<[u8; 3]> {
     let level = |n: u64| {
         let mixed = (n * 2_654_435_761 + 12_345) % (1 << 32);
@@ -73,7 +73,7 @@ fn fixture_bins_of_fixture_depth_are_equal() {
     }
 }
 
-/// A camera at the ego's origin that looks along its x.
+/// Returns a camera 1 m above the ego's origin that looks along its x axis.
 fn scene_camera(name: &str, ego: Pose) -> SceneCamera {
     let axes = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
     let ego_from_camera = Pose { rotation: glam::DQuat::from_mat3(&axes), translation: DVec3::Z };
@@ -87,7 +87,7 @@ fn scene_camera(name: &str, ego: Pose) -> SceneCamera {
     }
 }
 
-/// A wall across the view at a distance, metres in the ego frame.
+/// Returns a wall across the view at a distance, meters in the ego frame.
 fn wall(distance_m: f32, half_width_m: f32, rgb: [u8; 3], class: u8) -> Vec<Point> {
     let steps = 60;
     let at = |i: i32| half_width_m * (i as f32 / steps as f32 * 2.0 - 1.0);
@@ -95,7 +95,7 @@ fn wall(distance_m: f32, half_width_m: f32, rgb: [u8; 3], class: u8) -> Vec<Poin
     (0..(steps + 1) * (steps + 1)).map(point).collect()
 }
 
-/// One ego at large coordinates, a far wall, a car 8 m ahead and a near background wall that hides half of it.
+/// An ego at large coordinates, a far wall, a car 8 m ahead and a near background wall that hides half of the car.
 struct Street {
     clouds: Vec<Vec<Point>>,
     instances: SceneInstances,
@@ -138,7 +138,7 @@ impl Street {
 }
 
 const CENTER: usize = 18 * 64 + 32;
-/// Beside the near wall, on the car.
+/// Pixel on the car, beside the near wall.
 const BESIDE: usize = 18 * 64 + 40;
 
 #[test]
@@ -219,7 +219,8 @@ fn moving_world_and_ego_together_changes_nothing() {
     assert_eq!(moved.render(&options), set);
 }
 
-/// A map whose areas begin ahead of the ego, metres, and go on to where nothing is drawn any more, on all sides.
+/// Returns a map whose areas start at given distances ahead of the ego, meters, and extend past the clip range on all
+/// sides.
 fn map_ahead(ego: Pose, [lane, drivable, hole, crossing]: [f64; 4]) -> SceneMap {
     let ring = |from: f64| {
         let corners = [[from, 110.0], [from, -110.0], [100.0, -110.0], [100.0, 110.0]];
@@ -247,8 +248,9 @@ fn map_layouts_have_the_colors_of_the_contract_row_by_row() {
     street.state.map = Some(Arc::new(map));
     let set = street.render(&options);
     assert!(set.cameras[0].boxes.is_none() && set.cameras[0].color.is_none());
-    // The camera is 1 m up: a line x metres ahead is 40 / x rows below row 18, and 4 px thick to either side. The lane
-    // at row 20 lies under the drivable area at 22, that under the crossing at 26; the hole at row 34 is for itself.
+    // The camera is 1 m up: a line x meters ahead is 40 / x rows below row 18, and extends 4 px to either side. The
+    // drivable area's line at row 22 is drawn over the lane's at row 20, and the crossing's at row 26 over both; the
+    // hole's line at row 34 does not overlap them.
     let (green, blue, red) = ([0, 255, 0], [0, 0, 255], [255, 0, 0]);
     let row = |row: usize| match row {
         0..16 => [0; 3],
@@ -259,7 +261,7 @@ fn map_layouts_have_the_colors_of_the_contract_row_by_row() {
     };
     let expected: Vec<[u8; 3]> = (0..36 * 64).map(|pixel| row(pixel / 64)).collect();
     assert_eq!(set.cameras[0].map.as_ref(), Some(&expected));
-    // Reduced by a whole factor: what Pillow makes of this image.
+    // Reduced by an integer factor, the result equals Pillow's.
     let out_size = Some(ImageSize { height: 9, width: 16 });
     let reduced = street.render(&ConditionOptions { out_size, ..options.clone() });
     let (from, to) = (ImageSize { height: 36, width: 64 }, ImageSize { height: 9, width: 16 });

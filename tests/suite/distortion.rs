@@ -1,4 +1,4 @@
-//! Distortion of lenses against OpenCV's, and maps that are distorted by it.
+//! Lens distortion compared with OpenCV, and distorted maps.
 
 use glam::{DAffine3, DVec2, DVec3};
 use point_skeleton::cloud::Point;
@@ -49,7 +49,7 @@ fn projected_points_are_opencvs() {
             assert_eq!(depth_m, point.z);
             farthest = farthest.max(found.distance(expected));
             moved = moved.max(view.project(point).unwrap().0.distance(expected));
-            // What colors points agrees, and leaves out what the image does not show.
+            // The projection used for coloring agrees, and rejects points outside the image.
             let in_image = expected.cmpge(DVec2::ZERO).all() && expected.cmplt(size).all();
             let found = project.pixel(point).map(|(pixel, _)| pixel);
             assert_eq!(found.is_some(), in_image, "{}: {point}", peer.name);
@@ -65,7 +65,7 @@ fn projected_points_are_opencvs() {
 const BARREL: [f64; 5] = [-0.28, 0.071, 0.0011, -0.0007, -0.0079];
 const BUMP: [f64; 5] = [0.18, -0.05, -0.004, 0.006, 0.012];
 
-/// A camera at the origin that looks along z.
+/// Returns a camera at the origin that looks along z.
 fn view(name: &str, coefficients: [f64; 5]) -> View {
     let rows = [[90.0, 0.0, 81.0], [0.0, 91.0, 44.0], [0.0, 0.0, 1.0]];
     let camera = Camera::new(name, 160, 90, rows).unwrap();
@@ -73,7 +73,7 @@ fn view(name: &str, coefficients: [f64; 5]) -> View {
     View { camera, camera_from_world: DAffine3::IDENTITY }
 }
 
-/// A wall 5 m ahead with more points than pixels, an actor's box in front of it.
+/// A wall 5 m ahead with more points than pixels, and an actor's box in front of it.
 struct Wall {
     points: Vec<Point>,
     state: SceneState,
@@ -124,7 +124,8 @@ impl Wall {
     }
 }
 
-/// How far from the pixels' centres the points that they show are seen, at most; and how many pixels show none.
+/// Returns the maximum distance between a pixel's center and the projection of the point it shows, and the number of
+/// empty pixels.
 fn farthest_px(wall: &Wall, camera: usize, set: &ConditionSet) -> (f64, usize) {
     let view = &wall.state.cameras[camera].view;
     let camera = &set.cameras[camera];
@@ -153,7 +154,7 @@ fn distorted_maps_show_points_where_the_lens_does() {
         assert_eq!((camera.height, camera.width), (90, 160));
         let (farthest, empty) = farthest_px(&wall, index, &set);
         println!("{}: {farthest:.2} px, {empty} empty", camera.name);
-        // A point lies somewhere in the pinhole's pixel that the ray meets; the bump enlarges it.
+        // A point lies somewhere in the pinhole pixel that the ray hits; the splat enlarges it.
         assert!(farthest < 1.6 && empty == 0, "{}: {farthest} px, {empty} empty", camera.name);
         for (pixel, number) in camera.point.as_ref().unwrap().iter().enumerate() {
             let point = wall.points[*number as usize - 1];
@@ -162,13 +163,13 @@ fn distorted_maps_show_points_where_the_lens_does() {
             assert_eq!(camera.depth_m.as_ref().unwrap()[pixel], 5.0);
         }
     }
-    // Without distortion the check sees it, and the pinhole's maps are the usual ones.
+    // Without distortion the check fails as it must, and the pinhole camera's maps are the usual ones.
     let plain = wall.render(&wall.state, &options);
     assert!(farthest_px(&wall, 0, &plain).0 > 10.0 && farthest_px(&wall, 1, &plain).0 > 5.0);
     assert_eq!(set.cameras[2], plain.cameras[2]);
 }
 
-/// The middle of what is drawn, pixels.
+/// Returns the center of the drawn pixels' bounding box, pixels.
 fn middle(image: &[[u8; 3]], width: u32) -> DVec2 {
     let drawn = (0_u32..).zip(image).filter(|(_, rgb)| **rgb != [0; 3]).map(|(i, _)| [i % width, i / width]);
     let [mut low, mut high] = [[u32::MAX; 2], [0; 2]];
@@ -179,7 +180,7 @@ fn middle(image: &[[u8; 3]], width: u32) -> DVec2 {
 #[test]
 fn boxes_bend_as_points_do() {
     let mut wall = wall(vec![view("barrel", BARREL)]);
-    // A small box, so that its lines stay about its middle.
+    // A small box, so that its lines stay near its center.
     let center = DVec3::new(-3.2, -1.6, 5.0);
     wall.state.actors[0].cuboid.size = DVec3::splat(0.05);
     wall.state.actors[0].cuboid.pose.translation = center;
@@ -229,7 +230,7 @@ fn distorted_sizes_follow_the_options() {
 fn what_cannot_be_distorted_is_an_error() {
     let area = ConditionOptions { color_filter: ColorFilter::ValidArea, ..ConditionOptions::default() };
     assert!(matches!(Distorter::new(&area), Err(ConditionError::DistortedArea)));
-    // A cut-out from the corner of a wide image: the lens shows there what a pinhole sees far outside of it.
+    // A crop of the corner of a wide image: there the lens shows points that a pinhole sees far outside the image.
     let mut view = view("corner", BARREL);
     view.camera.intrinsics.z_axis = DVec3::new(-80.0, -44.0, 1.0);
     (view.camera.width, view.camera.height) = (8, 4);

@@ -1,4 +1,4 @@
-//! `pskel evaluate` on small rollouts that are made by hand.
+//! `pskel evaluate` on small synthetic rollouts.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -10,17 +10,17 @@ use crate::tiny_log::{PSKEL, assert_failed};
 
 const WIDTH: u32 = 28;
 const HEIGHT: u32 = 16;
-/// Maps are so many times larger.
+/// Scale of the maps relative to the images.
 const SCALE: u32 = 4;
 /// Images are generated at every second step; the first two are references.
 const STEPS: u32 = 36;
 const GENERATED: usize = 16;
 const CAMERAS: [&str; 2] = ["CAM_BACK", "CAM_FRONT"];
 
-/// A folder with rollouts.
+/// A folder of rollouts.
 struct Rollouts(tempfile::TempDir);
 
-/// Number of the actor that a pixel shows: 1 drives to the right, 2 is parked.
+/// Returns the number of the actor at a pixel: 1 drives to the right, 2 is parked.
 fn actor(step: u32, x: u32, y: u32) -> u32 {
     let (left, top) = (2 + step / 3, 5);
     match ((left..left + 7).contains(&x) && (top..top + 5).contains(&y), x >= 22 && y >= 11) {
@@ -41,7 +41,7 @@ fn truth(step: u32, camera: usize) -> RgbImage {
     })
 }
 
-/// Mixed with grey: the more, the later; 0 leaves it as it is.
+/// Blends an image with gray by `parts` percent; 0 leaves it unchanged.
 fn faded(image: &RgbImage, parts: u32) -> RgbImage {
     let mut image = image.clone();
     image.iter_mut().for_each(|v| *v = ((u32::from(*v) * (100 - parts) + 128 * parts) / 100) as u8);
@@ -76,7 +76,7 @@ impl Rollouts {
         self.0.path().join(name)
     }
 
-    /// A rollout whose images fade by so much more at each step.
+    /// Adds a rollout whose images fade by `fade` percent more at each step.
     fn add(&self, name: &str, fade: u32) {
         let folder = self.path(name);
         std::fs::create_dir(&folder).unwrap();
@@ -114,7 +114,7 @@ impl Rollouts {
         command.env("RAYON_NUM_THREADS", threads).output().unwrap()
     }
 
-    /// Standard output, standard error, and what was written to `out.json`.
+    /// Returns standard output, standard error, and the content of `out.json`.
     #[track_caller]
     fn succeed(&self, args: &str) -> (String, String, Value) {
         let output = self.run_with(&format!("{args} --out out.json"), "2");
@@ -170,13 +170,13 @@ fn rollouts_are_scored_alone_and_together() {
     assert_eq!((&copy["psnr_db"]["mean"], &copy["equal_images"]), (&Value::Null, &json!(32)));
     assert!((number(&copy["ssim"]["mean"]) - 1.0).abs() < 1e-12);
     assert_eq!((&copy["motion"]["slope"], &copy["motion"]["flicker"]), (&json!(1.0), &json!(1.0)));
-    // The parked car and the one that has no pixels do not count as moving.
+    // The parked car and the actor without pixels do not count as moving.
     let moving = number(&copy["motion"]["moving_pixels"]) / (2.0 * (GENERATED - 1) as f64);
     assert!((35.0..=40.0).contains(&moving), "{moving}");
     let patches = &copy["iou"]["patch_classifier"];
     assert!(number(&patches["truth"]) > 0.8 && patches["ratio"] == json!(1.0), "{patches}");
     assert_eq!(copy["t_s"][0], json!(0.4));
-    // Every step is 0.1 s and 2 % nearer to grey.
+    // Every step is 0.1 s and 2 % closer to gray.
     for metric in ["psnr_db", "ssim", "sharpness_ratio"] {
         let drift = &faded[metric]["drift"];
         assert!(number(&drift["slope_per_s"]) < 0.0, "{metric}: {drift}");
@@ -196,7 +196,7 @@ fn rollouts_are_scored_alone_and_together() {
     );
     assert_eq!(distances["videos"]["generated"], json!(8));
     assert!(number(&distances["images"]["distance"]) > 0.01);
-    // Threads change nothing.
+    // The number of threads does not change the result.
     let bytes = std::fs::read(rollouts.path("out.json")).unwrap();
     assert!(rollouts.run_with("copy faded --seed 5 --out again.json", "1").status.success());
     assert!(std::fs::read(rollouts.path("again.json")).unwrap() == bytes);
@@ -205,7 +205,7 @@ fn rollouts_are_scored_alone_and_together() {
     assert!(number(&json["distances"]["videos"]["distance"]) < 1e-6);
 }
 
-/// An array of `f64` as NumPy writes it.
+/// Writes an `f64` array in NumPy's format.
 fn npy(path: &Path, shape: &str, values: &[f64]) {
     let mut text = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
     text += &" ".repeat(63 - (10 + text.len()) % 64);
@@ -225,7 +225,8 @@ fn masks_classifiers_and_features_of_others_are_used() {
     for step in (4..STEPS).step_by(2) {
         let folder = rollouts.path(&format!("masks/{step:06}"));
         std::fs::create_dir_all(&folder).unwrap();
-        // At another size, any level but 0; the corners that the blur leaves are as in the class map.
+        // Masks may have another size and any nonzero level; the corners that the blur leaves are those of the class
+        // map.
         let mask =
             GrayImage::from_fn(2 * WIDTH, 2 * HEIGHT, |x, y| Luma([3 * actor(step, x / 2, y / 2) as u8]));
         CAMERAS.iter().for_each(|camera| mask.save(folder.join(format!("{camera}.png"))).unwrap());
@@ -243,7 +244,7 @@ fn masks_classifiers_and_features_of_others_are_used() {
     assert!(number(&iou["patch_classifier"]["truth"]) > 0.8);
     let about = &json["patch_classifier"];
     assert_eq!((&about["trained_on"], &about["images"]), (&json!(["other"]), &json!([32])));
-    // Masks are read by camera.
+    // Masks are read per camera.
     std::fs::remove_file(rollouts.path("masks/000010/CAM_FRONT.png")).unwrap();
     rollouts.fail(args, 1, &["cannot read", "masks/000010/CAM_FRONT.png"]);
     let args = "a --features gen.npy true.npy";

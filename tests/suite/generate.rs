@@ -20,7 +20,7 @@ use crate::sim::made;
 
 const SHAPE: LatentShape = LatentShape { views: 2, channels: 3, height: 2, width: 2 };
 
-/// What a simulation commits: only that has happened.
+/// Wraps conditions as committed by a simulation, the only source of committed conditions.
 fn committed<C: Clone>(conditions: &[C]) -> Vec<Committed<C>> {
     let log = made::log(8);
     let options = SimOptions { steps: conditions.len(), ego: EgoPolicy::Replay, ..SimOptions::default() };
@@ -33,7 +33,7 @@ fn committed<C: Clone>(conditions: &[C]) -> Vec<Committed<C>> {
     all
 }
 
-/// A latent from a seed.
+/// Returns a latent generated from a seed.
 fn made_up(seed: u64, number: usize) -> Latent {
     GaussianNoise { seed }.noise(SHAPE, number, 0)
 }
@@ -57,16 +57,16 @@ fn options(strategy: Strategy) -> GenerateOptions {
     }
 }
 
-/// Frames in, frames out.
+/// Inputs of a generator run.
 struct Drive<C = Latent> {
     references: Vec<Latent>,
     committed: Vec<Committed<C>>,
-    /// Per generated frame.
+    /// Forecasts for each generated frame.
     forecasts: Vec<Vec<Forecast<C>>>,
 }
 
 impl Drive {
-    /// References and twelve frames, the last four of them behind the end of what is forecast.
+    /// References and twelve frames; the last four have no forecasts.
     fn new(options: &GenerateOptions) -> Self {
         let count = options.references();
         let mut drive = Self::of(options, made_ups(8, count), &made_ups(7, count + 12));
@@ -78,7 +78,7 @@ impl Drive {
 }
 
 impl<C: Condition> Drive<C> {
-    /// Forecasts come true.
+    /// Inputs whose forecasts equal the later conditions.
     fn of(options: &GenerateOptions, references: Vec<Latent>, conditions: &[C]) -> Self {
         let ahead = |frame: usize| {
             let end = (frame + 1 + options.forecasts()).min(conditions.len());
@@ -98,7 +98,7 @@ impl<C: Condition> Drive<C> {
         Generator::new(denoiser, noise, options, references).unwrap()
     }
 
-    /// Frames, and the cache after each.
+    /// Returns the generated frames, and the cache after each.
     fn run<D: Denoiser<Condition = C>, N: NoiseSource>(
         &self,
         generator: &mut Generator<D, N>,
@@ -172,7 +172,7 @@ fn schedules_are_those_of_diffusers() {
     }
 }
 
-/// Noise of the fixture, in the order that it was used.
+/// Noise of the fixture, in order of use.
 struct Listed<'a> {
     noise: &'a [Latent],
     per_step: usize,
@@ -228,7 +228,7 @@ fn rollouts_are_those_of_another_implementation() {
     assert_near(&ours, &named("causal"), 1e-4);
 }
 
-/// Knows what is under the noise: whatever is finished is the condition, whatever is not is something else.
+/// Denoiser with perfect predictions: it returns the velocity from each frame's latent to its condition.
 #[derive(Default)]
 struct Knowing {
     calls: usize,
@@ -261,7 +261,7 @@ const STRATEGIES: [Strategy; 6] = [
     Strategy::NonCausal { forecasts: 0 },
 ];
 
-/// Also at the end, where forecasts become fewer, and behind it, where there are none.
+/// Also at the end, where there are fewer forecasts, and after it, where there are none.
 #[test]
 fn every_frame_is_finished_when_it_comes() {
     for strategy in STRATEGIES {
@@ -272,7 +272,8 @@ fn every_frame_is_finished_when_it_comes() {
         let expected: Vec<Latent> = drive.committed[3..].iter().map(|c| c.get().clone()).collect();
         assert_near(&frames, &expected, 1e-5);
         let calls = match strategy {
-            // The references go through the window first, two calls each; behind the end all four frames do.
+            // The references pass through the window first, two calls each; at the end all four frames of the window
+            // do.
             Strategy::Rolling => 2 * (3 + 8) + 4 * 8,
             _ => 12 * 8,
         };
@@ -291,7 +292,7 @@ fn every_frame_is_finished_when_it_comes() {
     }
 }
 
-/// Nothing is left to roll where all frames but one are clean.
+/// Rolling has no effect if all frames except one are clean.
 #[test]
 fn all_but_one_clean_is_causal() {
     let frames = |strategy: Strategy| {
@@ -318,7 +319,7 @@ fn a_window_that_is_kept_needs_its_forecasts() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(20))]
 
-    /// Rolls that are reset forget what was forecast, bit by bit; frames that are kept do not.
+    /// Resetting rolls leave no trace of forecasts, bit by bit; frames that roll on retain it.
     #[test]
     fn the_cache_has_seen_no_forecast(seed in 0u64.., changed in 0usize..8) {
         for (strategy, forgets) in STRATEGIES.map(|strategy| (strategy, strategy == Strategy::ResetAndRoll)) {
@@ -334,7 +335,7 @@ proptest! {
             }
             let (others, other_caches) = run(&drive);
             prop_assert_eq!(caches == other_caches, forgets || !had_forecasts, "{:?}", strategy);
-            // It is not that forecasts do nothing.
+            // Forecasts do have an effect.
             prop_assert_eq!(frames[changed] == others[changed], !had_forecasts);
             if forgets {
                 prop_assert!(frames[changed + 1..] == others[changed + 1..]);
@@ -391,7 +392,7 @@ fn damaged_caches_are_refused() {
     }
 }
 
-/// Guidance moves away from what there is without conditions, by hand.
+/// Guidance moves away from the unconditional prediction; expected values are computed by hand.
 #[test]
 fn guidance_weighs_two_predictions() {
     let plain = options(Strategy::Causal { history_noise: 0 });
@@ -408,16 +409,16 @@ fn guidance_weighs_two_predictions() {
     let without =
         grey.run(&mut grey.generator(Toy { shape: SHAPE }, GaussianNoise { seed: 4 }, plain)).0[0].clone();
     assert_near(&[frame(0.0)], std::slice::from_ref(&without), 1e-6);
-    // The toy is linear, so frames are what velocities are.
+    // The toy denoiser is linear, so frames combine as velocities do.
     let twice: Vec<f32> =
         frame(1.0).values().iter().zip(without.values()).map(|(a, b)| 2.0 * a - b).collect();
     assert_near(&[frame(2.0)], &[Latent::new(SHAPE, twice).unwrap()], 1e-5);
 }
 
-/// What a network says, from a latent that it was given.
+/// Predictions of a denoiser, given the first latent of the window.
 type Answer = fn(&Latent) -> Vec<Latent>;
 
-/// A network that fails in some way in its second frame.
+/// Denoiser that returns a bad prediction in its second frame.
 struct Failing {
     calls: usize,
     answer: Answer,

@@ -1,4 +1,4 @@
-//! `pskel generate` and `pskel simulate --generator`, run as a user runs them.
+//! `pskel generate` and `pskel simulate --generator` through the command line.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
@@ -12,7 +12,7 @@ use crate::tiny_log::{CAMERAS, HEIGHT, TinyLog, WIDTH, assert_failed, picture, t
 
 const GENERATE: &str = "generate nuscenes:log --skeleton sk --out out --rasterizer cpu --maps color --generator process:./denoiser.sh";
 
-/// The example as a command without spaces; with lines that change it.
+/// Writes the example denoiser as a command without spaces, modified by some lines.
 fn denoiser(log: &TinyLog, lines: &str) {
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples");
     let script = format!(
@@ -25,7 +25,7 @@ fn denoiser(log: &TinyLog, lines: &str) {
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
 }
 
-/// Does something in the n-th call.
+/// Returns lines that run a statement in the n-th call.
 fn at_call(number: usize, happens: &str) -> String {
     format!(
         "inner, calls = denoiser.predict, []\ndef predict(tensors):\n    calls.append(0)\n    \
@@ -41,7 +41,7 @@ fn kinds(log: &TinyLog, steps: usize) -> Vec<Value> {
     (0..steps).map(|step| log.json(&format!("out/steps/{step:06}/generated.json"))["kind"].clone()).collect()
 }
 
-/// Means of blocks of 8 x 8 pixels.
+/// Returns the means of blocks of 8 x 8 pixels.
 fn block_means(image: &RgbImage) -> RgbImage {
     RgbImage::from_fn(image.width() / 8, image.height() / 8, |x, y| {
         let block = image::imageops::crop_imm(image, 8 * x, 8 * y, 8, 8).to_image();
@@ -61,7 +61,7 @@ fn a_log_s_images_are_made_of_its_conditions() {
     log.succeed(&format!("{GENERATE} --window 2 --profile profile.json"));
     assert_eq!(kinds(&log, 3), ["reference", "generated", "generated"]);
     assert_page_is_whole(&log, "out", 3);
-    // The color maps of the same frames, drawn by another command.
+    // The color maps of the same frames, rendered by another command.
     log.succeed(
         "render nuscenes:log --skeleton sk --out maps --maps color --size 128x224 --out-size 32x56 \
          --splat 15:1,100:0 --color-filter valid-area --at 1000000000,1000500000,1001000000 --rasterizer cpu",
@@ -77,7 +77,7 @@ fn a_log_s_images_are_made_of_its_conditions() {
             assert!(expected.iter().any(|level| *level > 0), "there is something to see");
         }
     }
-    // References and truth are the log's images, reduced.
+    // References and ground truth are the log's images, reduced.
     let own = image(&log.path(&picture(0, CAMERAS[0])));
     let reduced = image::imageops::resize(&own, 7, 4, image::imageops::FilterType::Triangle);
     for name in ["generated", "truth"] {
@@ -109,9 +109,9 @@ fn generated_images_are_written_back_into_the_data_set() {
     assert_eq!((new.width(), new.height()), (WIDTH, HEIGHT));
     let small = image(&log.path("out/steps/000001/generated/CAM_FRONT.png"));
     assert_eq!(new, image::imageops::resize(&small, WIDTH, HEIGHT, image::imageops::FilterType::CatmullRom));
-    // The copy is a data set like any other.
+    // The copy is a valid data set.
     assert!(log.run("info nuscenes:copy").status.success());
-    // It is replaced by its like, but not with what others have there.
+    // A data set written by `pskel` is replaced, unless it contains other files.
     assert!(log.run(&format!("{GENERATE} --window 2 --dataset copy")).status.success());
     assert!(tree(&log.path("copy")) == after);
     std::fs::write(log.path("copy/mine.txt"), "mine").unwrap();
@@ -134,7 +134,7 @@ fn a_closed_loop_goes_on_to_the_same_bytes() {
     log.succeed(&format!("{} --steps 11", args("whole")));
     let whole = tree(&log.path("whole"));
     assert_page_is_whole(&log, "whole", 12);
-    // Plan steps have images, the others show the last ones; there is no truth off the log.
+    // Planning steps have images, the other steps show the latest one; off the log there is no ground truth.
     for step in 0..12 {
         let has = |name: &str| whole.contains_key(&format!("steps/{step:06}/{name}"));
         let is_plan = step % 2 == 0;
@@ -150,7 +150,7 @@ fn a_closed_loop_goes_on_to_the_same_bytes() {
         );
         assert!(!has("truth/CAM_BACK.png") && !has("view/truth.jpg"));
     }
-    // Interrupted among the references, at a plan step, and between two.
+    // Interrupted among the references, at a planning step, and between two.
     for until in [1, 4, 7] {
         let out = format!("out{until}");
         log.succeed(&format!("{} --steps {until}", args(&out)));
@@ -162,11 +162,11 @@ fn a_closed_loop_goes_on_to_the_same_bytes() {
         }
         assert_eq!(found.len(), whole.len());
     }
-    // Threads change nothing.
+    // The number of threads does not change the result.
     let alone = log.run_with(&format!("{} --steps 11", args("alone")), "1");
     assert!(alone.status.success());
     assert!(tree(&log.path("alone")) == whole);
-    // Another seed makes other images.
+    // Another seed gives other images.
     log.succeed(&format!("{} --steps 4 --noise-seed 1", args("other")));
     let front = "steps/000004/generated/CAM_FRONT.png";
     assert_ne!(tree(&log.path("other"))[front], whole[front]);
@@ -186,7 +186,7 @@ fn a_denoiser_that_fails_leaves_a_rollout_that_can_go_on() {
         ("return array.array('f', [float('nan')] * 336)", ["finite values", "stopped after 2 steps"]),
         ("return array.array('f', [0.0] * 5)", ["safetensors", "stopped after 2 steps"]),
     ] {
-        // Two calls make a frame.
+        // Each frame takes two calls.
         denoiser(&log, &at_call(3, happens));
         let hasty = format!("{GENERATE} --window 2 --generator-timeout 4");
         assert_failed(&log.run(&hasty), 1, &parts);
@@ -198,7 +198,7 @@ fn a_denoiser_that_fails_leaves_a_rollout_that_can_go_on() {
     }
 }
 
-/// A network with an encoder of its own: its latents are one channel of 2 x 2, the mean grey of quarters of 16 x 24 images.
+/// Denoiser with its own encoder: its latents are one channel of 2 x 2, the mean gray of quarters of 16 x 24 images.
 const WITH_CODEC: &str = "\
 def serve(source, out):
     told = denoiser.read(source)[0]

@@ -1,4 +1,4 @@
-//! The command on data that nothing is known of: within limits of time and memory, with an eye on all files around.
+//! Runs the command on untrusted data, with limits of time and memory, and lists files to detect changes.
 
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -9,15 +9,15 @@ use std::time::{Duration, Instant};
 
 use crate::tiny_log::PSKEL;
 
-/// What a run may take. Debug builds on busy machines are slow; what waits for a FIFO waits for ever.
+/// Time limit of a run. Debug builds on busy machines are slow; a read from a FIFO never returns.
 const MAX_TIME: Duration = Duration::from_secs(60);
-/// Address space that a run may take, KiB: its threads and libraries take some, a device read as a file all of it.
+/// Address space limit of a run, KiB. Threads and libraries need some of it; a device read as a file would use all.
 const MAX_MEMORY_KIB: u64 = 6 << 20;
 
-/// How a run ended.
+/// Result of a run.
 #[derive(Debug)]
 pub(crate) struct Ended {
-    /// `None` if it was killed, for its time or by a signal.
+    /// Exit code; `None` if the process was killed, for its time or by a signal.
     pub(crate) code: Option<i32>,
     pub(crate) stdout: String,
     pub(crate) stderr: String,
@@ -47,7 +47,7 @@ pub(crate) fn run(folder: &Path, args: &[&str]) -> Ended {
 }
 
 impl Ended {
-    /// It was refused with a message that can be shown, which has all of `parts`.
+    /// Asserts that the run was refused with a printable message that contains all of `parts`.
     #[track_caller]
     pub(crate) fn refused(&self, what: &str, parts: &[&str]) {
         let Self { code, stderr, .. } = self;
@@ -68,8 +68,8 @@ fn text(mut file: std::fs::File) -> String {
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// All that is in a folder: kinds, sizes and hashes of what is in files. Nothing is followed, and nothing but files is
-/// opened.
+/// Lists the content of a folder: types, and sizes and hashes of files. Follows no links and opens only regular
+/// files.
 pub(crate) fn listing(folder: &Path) -> BTreeMap<String, String> {
     let mut all = BTreeMap::new();
     for entry in std::fs::read_dir(folder).unwrap() {

@@ -42,7 +42,7 @@ fn a_log_is_told_with_its_damage() {
     assert!(text.contains("3 over 1.0 s at 2.0 Hz") && text.contains("damaged    3 files"), "{text}");
 }
 
-/// What the map's reader left out is told; an image that serves two frames is looked at once.
+/// Reports features that the map reader skipped; checks an image that serves two frames only once.
 #[test]
 fn a_log_of_nuplan_is_told_with_its_map() {
     let (log, made) = (TinyLog::new(), Made::new());

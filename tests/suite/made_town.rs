@@ -1,4 +1,4 @@
-//! A short drive in the town that many tests share: it is made and written once.
+//! A short synthetic log that many tests share; it is generated and written once.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -24,16 +24,16 @@ pub(crate) const OPTIONS: TownOptions = TownOptions {
 /// Folder of the written tables.
 pub(crate) const VERSION: &str = "v1.0-mini";
 
-/// In memory; meshes and device are made once.
+/// Returns the town in memory; meshes and device are created once.
 pub(crate) fn town() -> &'static Town {
     static TOWN: LazyLock<Town> = LazyLock::new(|| Town::new(&OPTIONS).unwrap());
     &TOWN
 }
 
-/// As a nuScenes data set with its map.
+/// The log written as a nuScenes data set with its map.
 pub(crate) struct Written {
     pub(crate) files: BTreeMap<String, Vec<u8>>,
-    /// What the writer told of frames that are done.
+    /// Frame indices that the writer reported as done.
     pub(crate) done: Vec<usize>,
 }
 
@@ -49,7 +49,7 @@ pub(crate) fn written() -> &'static Written {
     &WRITTEN
 }
 
-/// Writes those of the files that are wanted, by their names.
+/// Writes the files whose names are selected.
 pub(crate) fn copy_to(folder: &Path, wanted: impl Fn(&str) -> bool) {
     for (name, bytes) in written().files.iter().filter(|(name, _)| wanted(name)) {
         let path = folder.join(name);
@@ -58,7 +58,7 @@ pub(crate) fn copy_to(folder: &Path, wanted: impl Fn(&str) -> bool) {
     }
 }
 
-/// A copy of all files, and the log that is read from them.
+/// Writes all files to a folder and opens the log there.
 pub(crate) fn read() -> (tempfile::TempDir, NuScenes) {
     let folder = tempfile::tempdir().unwrap();
     copy_to(folder.path(), |_| true);

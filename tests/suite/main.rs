@@ -1,5 +1,5 @@
-//! Tests of the whole library, by subject.
-#![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)] // helpers stand outside `#[test]`
+//! Tests of the whole library, one module per subject.
+#![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)] // helpers outside `#[test]`
 
 mod av2;
 mod av2_bad;

@@ -1,4 +1,4 @@
-//! Metrics against those of NumPy, SciPy and OpenCV (`tests/peers/quality.py`).
+//! Metrics compared with NumPy, SciPy and OpenCV (`tests/peers/quality.py`).
 
 use std::collections::BTreeMap;
 
@@ -44,7 +44,7 @@ fn peers() -> Peers {
     serde_json::from_str(include_str!("../peers/quality.json")).unwrap()
 }
 
-/// The numbers of the script.
+/// Same numbers as in the script.
 fn level(n: u64) -> u64 {
     (((n * 2_654_435_761 + 12_345) % (1 << 32)) >> 13) % 256
 }
@@ -88,7 +88,7 @@ fn images_are_compared_as_numpy_does() {
 fn distances_are_those_of_scipy() {
     for case in peers().sets {
         let (a, b) = (features(case.rows[0], case.columns, 0), features(case.rows[1], case.columns, 50_000));
-        // Ranks below the number of features: roots of rounding errors.
+        // With fewer rows than features the rank is deficient: square roots amplify rounding errors.
         let most = if case.rows.iter().all(|rows| *rows > case.columns) { 1e-9 } else { 1e-6 };
         let ours = frechet_distance(&a, &b).unwrap();
         assert_close(&format!("{:?} rows", case.rows), ours, case.distance, most);

@@ -1,9 +1,9 @@
-//! Reading archives of arrays.
+//! Reads arrays from NPZ archives.
 
 use std::io::Read;
 use std::path::Path;
 
-/// An array of an NPZ.
+/// Array of an NPZ.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Array<T> {
     pub(crate) shape: Vec<usize>,

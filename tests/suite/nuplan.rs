@@ -1,4 +1,4 @@
-//! The nuPlan reader on a made-up log.
+//! The nuPlan reader on a synthetic log.
 
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::nuplan::SIMGEN;
@@ -30,7 +30,7 @@ fn eight_cameras_at_half_the_rate_serve_every_frame() {
         assert_eq!((sweep.t_us, sweep.global_from_ego.translation), (frame.t_us, ego_at(i as f64)));
         assert_eq!(sweep.ego_from_lidar.translation, DVec3::Z * LIDAR_Z);
         for (channel, image) in frame.images.iter().enumerate() {
-            // 5 ms late or 45 ms early: of two frames each has the same image, with that image's pose.
+            // The image is 5 ms late or 45 ms early: two consecutive frames share an image, with that image's pose.
             let shot = i / 2;
             assert_eq!((image.channel, &image.camera.name), (channel, &log.cameras[channel]));
             assert_eq!(image.t_us, FIRST_US + 2 * STEP_US * shot as i64 + DELAY_US);
@@ -61,7 +61,7 @@ fn tracks_are_those_with_boxes_in_order_of_their_ids() {
     }
 }
 
-/// A camera looks along x, y or -x from 1.5 m above an ego whose place is known: where a point falls follows by hand.
+/// A camera looks along x, y or -x from 1.5 m above a known ego position, so pixels are computed by hand.
 #[test]
 fn known_points_fall_on_known_pixels() {
     let made = Made::new();
@@ -78,16 +78,16 @@ fn known_points_fall_on_known_pixels() {
         let (p, z) = found.unwrap();
         assert!(p.distance(DVec2::from(pixel)) < 1e-6 && (z - depth_m).abs() < 1e-8, "{p} {z}");
     };
-    // Forward, 1 m to the left, 0.5 m down: f = 48, centre (48, 32).
+    // Ahead, 1 m to the left, 0.5 m down: f = 48, center (48, 32).
     near(pixel(0, DVec3::new(10.0, 1.0, -0.5)), [48.0 - 4.8, 32.0 + 2.4], 10.0);
-    // The right camera has forward on its left; the left one on its right.
+    // For the right camera, forward is on its left; for the left camera, on its right.
     near(pixel(2, DVec3::new(1.0, -8.0, 0.0)), [48.0 - 6.0, 32.0], 8.0);
     near(pixel(6, DVec3::new(1.0, 8.0, 0.0)), [48.0 + 6.0, 32.0], 8.0);
     near(pixel(4, DVec3::new(-6.0, 1.0, 2.0)), [48.0 + 8.0, 32.0 - 16.0], 6.0);
     assert!(pixel(4, DVec3::X).is_none());
 }
 
-/// The points that the car's box holds are those that were put onto its back, of both devices.
+/// The car's box contains exactly the points that were placed on its back, of both devices.
 #[test]
 fn points_lie_in_the_box_that_they_were_put_into() {
     let made = Made::new();
@@ -99,7 +99,7 @@ fn points_lie_in_the_box_that_they_were_put_into() {
         assert_eq!(dataset.check_sweep(record).unwrap(), Some(sweep.points.len() as u64));
         let global_from_lidar = record.global_from_ego * record.ego_from_lidar;
         let mut car = frame.cuboid_of(1).unwrap();
-        car.pose.rotation = glam::DQuat::IDENTITY; // how the points were put
+        car.pose.rotation = glam::DQuat::IDENTITY; // the orientation used when placing the points
         let inside = |p: &&dataset::SweepPoint| {
             let global = global_from_lidar.transform_point(DVec3::from(p.position.map(f64::from)));
             let local = car.pose.inverse().transform_point(global);
@@ -150,7 +150,7 @@ fn files_that_are_not_there_are_left_out_and_counted() {
     assert_eq!(count(|f| f.images.len()), [5, 5, 8, 8]);
     assert_eq!(count(|f| f.boxes.len()), [2; 4]);
     assert!(log.frames[0].images.iter().all(|image| image.channel >= 3));
-    // All blobs may lack.
+    // All blobs may be missing.
     std::fs::remove_dir_all(made.blob("")).unwrap();
     let notes = made.open().unwrap().log().notes.clone();
     assert_eq!(notes.into_values().collect::<Vec<_>>(), [16, 4]);
@@ -170,7 +170,7 @@ fn cameras_without_an_image_near_a_frame_are_counted() {
         let has = |frame: &dataset::Frame| frame.images.iter().any(|i| i.channel == channel);
         log.frames.iter().map(has).collect::<Vec<_>>()
     };
-    // The image at 105 ms is 55 ms from the second frame.
+    // The image at 105 ms is 55 ms away from the second frame.
     assert_eq!(of(0), [false, true, true, true]);
     assert_eq!(of(2), [true, true, false, false]);
 }
@@ -185,7 +185,7 @@ fn images_that_no_frame_is_near_lie_between_frames() {
     ));
     let dataset = made.open().unwrap();
     let between: Vec<usize> = dataset.log().frames.iter().map(|f| f.between_images.len()).collect();
-    // At 30 ms it is nearer to the frame at 50 ms than the one at 5 ms, which still serves the frame at 0 ms.
+    // The image at 30 ms is closer to the frame at 50 ms than the one at 5 ms, which still serves the frame at 0 ms.
     assert_eq!(between, [0; 4]);
     assert_eq!(dataset.log().frames[1].images[3].t_us, FIRST_US + 30_000);
     made.sql(&format!("UPDATE image SET timestamp = timestamp - 3000 WHERE token = {};", token('i', 99)));
@@ -252,7 +252,7 @@ fn parts_may_lie_elsewhere() {
     assert!(dataset.log().notes.is_empty() && dataset.read_map().unwrap().is_some());
     let gone = LogLocator { sensor_root: Some(made.path("gone")), ..made.locator() };
     assert_says(&logs::open(&gone).err().unwrap().to_string(), &["cannot read"], "gone");
-    // Where maps are said to be, that of the log must be.
+    // The given map folder must contain the log's map.
     std::fs::write(made.path("places/nuplan-maps-v1.0.json"), "{}").unwrap();
     let said = LogLocator { map_root: Some(made.path("places")), ..made.locator() };
     let message = logs::open(&said).unwrap().read_map().unwrap_err().to_string();
@@ -262,7 +262,7 @@ fn parts_may_lie_elsewhere() {
 #[test]
 fn nothing_is_written_beside_the_data() {
     let made = Made::new();
-    // A log that was written with a journal of this kind asks readers for two more files.
+    // A log written with this journal mode makes readers create two more files.
     made.sql("PRAGMA journal_mode = WAL; UPDATE log SET date = 'today';");
     let before = tree(&made.path(""));
     let dataset = made.open().unwrap();
@@ -270,7 +270,7 @@ fn nothing_is_written_beside_the_data() {
     assert!(before == tree(&made.path("")));
 }
 
-/// What is still in the journal would not be read.
+/// Data that is still in the journal would not be read.
 #[test]
 fn a_journal_beside_a_log_is_an_error() {
     let made = Made::new();
@@ -293,7 +293,7 @@ fn a_map_is_read_into_metres() {
             assert!(point.distance(DVec2::from(*expected)) < 1e-6, "{point} {expected:?}");
         }
     };
-    // The drivable area is that of two layers.
+    // The drivable area combines two layers.
     for (areas, count) in [(&map.drivable_area, 2), (&map.crossings, 1), (&map.stop_lines, 1)] {
         assert_eq!((areas.len(), areas[0].holes.len()), (count, 0));
         areas.iter().for_each(|area| assert_near(&area.exterior, &CORNERS));

@@ -1,5 +1,5 @@
-//! The nuPlan reader on every kind of bad input: one thing of a made-up log is broken, and the message must name what was
-//! expected, what was found and the file.
+//! The nuPlan reader on bad input of every kind. One part of a synthetic log is broken, and the message must name the
+//! expected and the found value, and the file.
 
 use point_skeleton::dataset::nuplan::NuPlan;
 use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
@@ -10,7 +10,7 @@ use crate::nuplan_made::{
     EAST, LOG, Made, NORTH, RING, SOUTH, WEST, assert_says, geometry, image_file, pickled, sweep_file, token,
 };
 
-/// The message after some statements.
+/// Checks the message after some statements.
 #[track_caller]
 fn refused(statements: &str, parts: &[&str]) {
     let made = Made::new();
@@ -135,7 +135,7 @@ fn wrong_values_are_named_with_their_row() {
 
 #[test]
 fn pickles_that_do_anything_but_lists_are_refused() {
-    // `os.system("true")` by `__reduce__`, as Python pickles it.
+    // `os.system("true")` through `__reduce__`, as Python pickles it.
     let attack = "x'8004951f000000000000008c05706f736978948c0673797374656d9493948c047472756594859452942e'";
     let cases = [
         (attack, "class posix.system"),
@@ -183,7 +183,7 @@ fn times_that_do_not_grow_are_named() {
         &format!("UPDATE lidar_pc SET timestamp = timestamp + 50000 WHERE token = {a};"),
         &["timestamps that grow from frame to frame", "1600000000100000 in lidar_pc 70"],
     );
-    // Rows are sorted by time, but their chain says another order.
+    // Rows are sorted by time, but their chain has another order.
     refused(
         &format!("UPDATE lidar_pc SET timestamp = timestamp + 60000 WHERE token = {a};"),
         &["timestamps that grow along next_token", "1600000000100000 in lidar_pc 7000000000000002 after"],
@@ -193,13 +193,13 @@ fn times_that_do_not_grow_are_named() {
         &format!("UPDATE image SET timestamp = {} ;", 1_600_000_000_000_000_i64),
         &["timestamps that grow from image to image as timestamp of image", "twice, CAM_"],
     );
-    // The end of a longer chain.
+    // A next_token of a row outside the log ends the chain without an error.
     let made = Made::new();
     made.sql(&format!("UPDATE lidar_pc SET next_token = x'00' WHERE token = {b};"));
     assert!(made.open().is_ok());
 }
 
-/// Logs are cut out of longer drives, and their rows are not all cut with them.
+/// Logs are cut from longer recordings, and some tables keep rows of the remainder.
 #[test]
 fn what_belongs_to_no_frame_is_counted() {
     let tables = ["scenario_tag", "traffic_light_status", "lidar_box"];
@@ -277,7 +277,7 @@ fn damaged_blobs_are_named() {
     assert_says(&dataset.read_image(&frame.images[0]).unwrap_err().to_string(), &["expected"], "0.jpg");
 }
 
-/// The message of reading the map after some statements.
+/// Checks the message of reading the map after some statements.
 #[track_caller]
 fn map_refused(statements: &str, parts: &[&str]) {
     let made = Made::new();
@@ -333,7 +333,7 @@ fn wrong_geometry_is_named_with_its_feature() {
         (set("x'47500001e610000001010000000000000000805cc00000000000004240'"), "a point"),
         (set("x'47500001e610000001070000000100000001070000000100000001'"), "a geometry collection"),
         (set(&format!("{}ff'", &area[..area.len() - 1])), "1 bytes behind the geometry"),
-        // Four thousand million corners.
+        // Four billion corners.
         (set(&area.replace("0100000004000000", "01000000ffffffff")), "lines or polygons"),
         (
             "UPDATE baseline_paths SET lane_fid = 'left';".to_owned(),
@@ -345,7 +345,7 @@ fn wrong_geometry_is_named_with_its_feature() {
     }
 }
 
-/// The blob of a geometry of parts, as SQL: those of `geometry` with their headers taken off.
+/// Returns the blob of a multi-part geometry, as SQL: blobs of `geometry` without their headers.
 fn several(parts: &[String], kind: u8) -> String {
     let count = parts.len();
     let parts: String = parts.iter().map(|p| p["x'47500001e6100000".len()..p.len() - 1].to_owned()).collect();
@@ -373,7 +373,7 @@ fn what_a_map_leaves_out_is_counted() {
     assert_eq!(told, lost);
     assert!(map.lane_connectors.is_empty() && map.lanes[0].successors.is_empty());
 
-    // Polygons, lines and several of them, all of no part.
+    // Polygons, lines and their multi-part types, all without parts.
     for kind in [2, 3, 5, 6] {
         let empty = format!("x'47500011e610000001{kind:02x}00000000000000'");
         let (map, told) = notes(&format!("UPDATE crosswalks SET geom = {empty};"));
@@ -381,7 +381,7 @@ fn what_a_map_leaves_out_is_counted() {
         assert!(map.crossings.is_empty() && map.lanes == whole.lanes);
     }
 
-    // A small part before and behind the lane's.
+    // A small part before and after the lane's.
     let small = geometry(true, &[[-115.0, 36.0], [-115.0001, 36.0], [-115.0, 36.0001], [-115.0, 36.0]]);
     let large = [[WEST, SOUTH], [WEST, NORTH], [EAST, NORTH], [EAST, SOUTH], [WEST, SOUTH]];
     let parts = several(&[small.clone(), geometry(true, &large), small], 6);
@@ -450,7 +450,7 @@ fn the_generated_minimal_log_is_refused_for_its_numbers() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 150, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever stands in a database, the reader gives a log or an error.
+    /// The reader returns a log or an error for any database content.
     #[test]
     fn no_database_makes_the_reader_panic(
         is_map in any::<bool>(),

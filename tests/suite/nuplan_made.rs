@@ -1,4 +1,4 @@
-//! A made-up nuPlan log: four frames at 20 Hz, eight cameras at 10 Hz, a map; and ways to break it.
+//! A synthetic nuPlan log with a map, four frames at 20 Hz and eight cameras at 10 Hz, and functions that break it.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -12,23 +12,23 @@ use crate::tiny_log::camera_rotation;
 
 pub(crate) const LOG: &str = "2021.01.01.00.00.00_veh-01_00000_00001";
 pub(crate) const MAP: &str = "us-xx-nowhere";
-/// Around the ring, to the right of the front camera.
+/// Camera channels around the ring, clockwise from the front camera.
 pub(crate) const RING: [&str; 8] =
     ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_L2", "CAM_L1", "CAM_L0"];
 pub(crate) const FRAMES: usize = 4;
 pub(crate) const FIRST_US: i64 = 1_600_000_000_000_000;
 pub(crate) const STEP_US: i64 = 50_000;
-/// How long after a frame its images are taken.
+/// Delay of an image after its frame, microseconds.
 pub(crate) const DELAY_US: i64 = 5_000;
-/// Where the ego starts, global metres. It drives 1 m a frame along x, 0.1 m between a frame and its images.
+/// Start position of the ego, global meters. It drives 1 m per frame along x, 0.1 m between a frame and its images.
 pub(crate) const START: DVec3 = DVec3::new(664_460.0, 3_997_715.0, 600.0);
 pub(crate) const CAMERA_Z: f64 = 1.5;
 pub(crate) const LIDAR_Z: f64 = 1.8;
-/// Of the right front camera.
+/// Distortion of the right front camera.
 pub(crate) const DISTORTION: [f64; 5] = [-0.3, 0.1, -0.002, 0.0005, -0.05];
 const SIZE: [u32; 2] = [96, 64];
 
-/// A data set in a folder of its own.
+/// A data set in its own folder.
 pub(crate) struct Made(tempfile::TempDir);
 
 impl Made {
@@ -61,12 +61,12 @@ impl Made {
         self.path(&format!("maps/{MAP}/1.0/map.gpkg"))
     }
 
-    /// Changes the log.
+    /// Runs statements on the log.
     pub(crate) fn sql(&self, statements: &str) {
         Connection::open(self.database()).unwrap().execute_batch(statements).unwrap();
     }
 
-    /// Changes the map.
+    /// Runs statements on the map.
     pub(crate) fn map_sql(&self, statements: &str) {
         Connection::open(self.map()).unwrap().execute_batch(statements).unwrap();
     }
@@ -79,7 +79,7 @@ impl Made {
         NuPlan::open(&self.locator())
     }
 
-    /// The message of opening; it must hold all parts and end with the log's file.
+    /// Opens the log and checks that the error message contains all parts and ends with the log's file.
     #[track_caller]
     pub(crate) fn refuses(&self, parts: &[&str]) {
         let message = self.open().expect_err("a damaged log").to_string();
@@ -124,12 +124,12 @@ pub(crate) fn image_file(camera: &str, shot: usize) -> String {
     format!("{LOG}/{camera}/{shot}.jpg")
 }
 
-/// A token as SQL: a letter for the table, then a number.
+/// Returns a token as SQL: a letter for the table, then a number.
 pub(crate) fn token(table: char, number: usize) -> String {
     format!("x'{:02x}{number:014x}'", table as u32)
 }
 
-/// A pickled list of numbers, as SQL.
+/// Returns a pickled list of numbers, as SQL.
 pub(crate) fn pickled(numbers: &[f64]) -> String {
     format!("x'8004{}2e'", list(numbers))
 }
@@ -148,12 +148,12 @@ pub(crate) fn ego_at(frame: f64) -> DVec3 {
     START + DVec3::X * frame
 }
 
-/// Where the car's centre is; its back is 10 m before the ego, and it drives as the ego does.
+/// Returns the car's center. Its back is 10 m ahead of the ego, and it drives as the ego does.
 pub(crate) fn car_at(frame: usize) -> DVec3 {
     ego_at(frame as f64) + DVec3::new(12.0, 0.0, 0.75)
 }
 
-/// The ground around the ego, the car's back by two devices: position and device.
+/// Returns position and device of the points: the ground around the ego, and the car's back as seen by two devices.
 fn sweep_points(frame: usize) -> Vec<(DVec3, u8)> {
     let mut points = Vec::new();
     for i in 0..80 {
@@ -174,7 +174,7 @@ fn sweep_points(frame: usize) -> Vec<(DVec3, u8)> {
     points.into_iter().map(|(p, device)| (p - lidar, device)).collect()
 }
 
-/// A PCD file as nuPlan has them, padded.
+/// Returns a PCD file in nuPlan's padded layout.
 fn pcd(points: &[(DVec3, u8)]) -> Vec<u8> {
     let n = points.len();
     let header = format!(
@@ -210,7 +210,7 @@ const SCHEMA: &str = "CREATE TABLE log (token BLOB PRIMARY KEY, vehicle_name, da
          CREATE TABLE traffic_light_status (token BLOB PRIMARY KEY, lidar_pc_token, lane_connector_id INTEGER,
              status VARCHAR(8));\n";
 
-/// Statements that make the log.
+/// Returns the statements that create the log.
 fn tables() -> String {
     let mut sql = String::from(SCHEMA);
     let mut insert = |table: &str, values: String| {
@@ -230,7 +230,7 @@ fn tables() -> String {
     let (level, up) = (pickled(&[1.0, 0.0, 0.0, 0.0]), pickled(&[0.0, 0.0, LIDAR_Z]));
     insert("lidar", format!("{}, x'00', 'MergedPointCloud', 'm', {up}, {level}", token('l', 0)));
     let intrinsic = pickled_matrix(&[[48.0, 0.0, 48.0], [0.0, 48.0, 32.0], [0.0, 0.0, 1.0]]);
-    // In the file they stand the other way round.
+    // The file stores the cameras in reverse order.
     for (i, name) in RING.iter().enumerate().rev() {
         let q = camera_rotation(-(i as f64) * std::f64::consts::FRAC_PI_4);
         let (up, turn) = (pickled(&[0.0, 0.0, CAMERA_Z]), pickled(&[q.w, q.x, q.y, q.z]));
@@ -249,7 +249,7 @@ fn tables() -> String {
         let keys = format!("{}, {next}, NULL, {}, {}", token('p', frame), token('e', frame), token('l', 0));
         let file = sweep_file(frame);
         insert("lidar_pc", format!("{keys}, {}, '{file}', {t_us}", token('s', frame / 2)));
-        // Two tags of one kind, of two agents; a light that turns green.
+        // Two tags of the same kind for two agents; a light that turns green.
         for (i, kind) in ["following", "following", "waiting"].iter().enumerate().skip(frame % 2) {
             let tag = format!("{}, {}, '{kind}', NULL", token('g', 10 * frame + i), token('p', frame));
             insert("scenario_tag", tag);
@@ -284,17 +284,17 @@ fn tables() -> String {
     sql
 }
 
-/// Width, length, height of a track, metres.
+/// Returns width, length, height of a track, meters.
 pub(crate) fn sizes(track: usize) -> [f64; 3] {
     if track == 0 { [2.0, 4.0, 1.5] } else { [0.6, 1.8, 1.0] }
 }
 
-/// Corners of a rectangle, degrees.
+/// Bounds of a rectangle, degrees.
 pub(crate) const WEST: f64 = -115.1729;
 pub(crate) const EAST: f64 = -115.1727;
 pub(crate) const SOUTH: f64 = 36.1101;
 pub(crate) const NORTH: f64 = 36.1103;
-/// The same corners south-west, north-west, north-east, south-east in zone 11, metres, by PROJ 9.5.1.
+/// Its corners south-west, north-west, north-east, south-east in UTM zone 11, meters, by PROJ 9.5.1.
 pub(crate) const CORNERS: [[f64; 2]; 4] = [
     [664_451.567_964_090_5, 3_997_705.869_355_971_5],
     [664_451.150_855_567_1, 3_997_728.056_162_812],
@@ -302,7 +302,7 @@ pub(crate) const CORNERS: [[f64; 2]; 4] = [
     [664_469.571_219_659_6, 3_997_706.207_832_108_3],
 ];
 
-/// Well-known binary of a line or a closed ring in a GeoPackage, as SQL.
+/// Returns the well-known binary of a line or a closed ring in a GeoPackage, as SQL.
 pub(crate) fn geometry(is_polygon: bool, points: &[[f64; 2]]) -> String {
     let mut hex = String::from("x'47500001e6100000");
     hex += if is_polygon { "010300000001000000" } else { "0102000000" };
@@ -312,7 +312,8 @@ pub(crate) fn geometry(is_polygon: bool, points: &[[f64; 2]]) -> String {
     hex + "'"
 }
 
-/// Statements that make the map: a lane, a connector behind it, a lane behind that, all of the same shape.
+/// Returns the statements that create the map: a lane, a connector after it, a lane after that, all of the same
+/// shape.
 fn map_tables() -> String {
     let ring = [[WEST, SOUTH], [WEST, NORTH], [EAST, NORTH], [EAST, SOUTH], [WEST, SOUTH]];
     let (area, line) = (geometry(true, &ring), geometry(false, &ring[..2]));

@@ -1,4 +1,4 @@
-//! The nuPlan reader on a real drive that stands beside it in nuScenes layout, with another origin.
+//! The nuPlan reader on a real log that is also available in nuScenes layout, with another origin.
 
 use std::path::{Path, PathBuf};
 
@@ -15,9 +15,9 @@ use serde_json::Value;
 use crate::common::{WithLog, shared, skeleton_of};
 
 const NAME: &str = "2020.01.01.00.00.00_veh-02_00000_00079";
-/// Global coordinates here minus those of the nuScenes layout, metres.
+/// Global coordinates here minus those of the nuScenes layout, meters.
 const OFFSET: DVec3 = DVec3::new(663_830.25, 3_996_050.75, 606.5);
-/// The same cameras in both.
+/// Channel names of the same cameras in both layouts.
 const CAMERAS: [(&str, &str); 6] = [
     ("CAM_F0", "CAM_FRONT"),
     ("CAM_R0", "CAM_FRONT_RIGHT"),
@@ -26,7 +26,7 @@ const CAMERAS: [(&str, &str); 6] = [
     ("CAM_L1", "CAM_BACK_LEFT"),
     ("CAM_L0", "CAM_FRONT_LEFT"),
 ];
-/// Frames whose files are there.
+/// Frames whose sensor files exist.
 const KEPT: [usize; 6] = [0, 4, 8, 16, 24, 34];
 
 fn folder() -> Option<PathBuf> {
@@ -79,7 +79,7 @@ fn the_drive_is_read_as_its_readme_says() {
     assert_eq!(points, Some(1_001_556));
 }
 
-/// Poses, boxes, calibration and images are those of the other layout, moved by the offset.
+/// Poses, boxes, calibration and images equal those of the other layout, up to the offset.
 #[test]
 fn both_layouts_show_the_same_world() {
     let Some(folder) = folder() else { return };
@@ -90,7 +90,7 @@ fn both_layouts_show_the_same_world() {
         assert_eq!(one.t_us + 50_000, other.t_us);
         assert_eq!(one.boxes.len(), other.boxes.len());
         for item in &one.boxes {
-            // A track's token is the beginning of the instance's.
+            // A track's token is a prefix of the instance's.
             let id = &a.tracks[item.track].id;
             let track = b.tracks.iter().position(|t| t.id.starts_with(id.as_str())).unwrap();
             let twin = other.cuboid_of(track).unwrap();
@@ -111,7 +111,7 @@ fn both_layouts_show_the_same_world() {
     assert!(compared[1] > 2000, "{} corners", compared[1]);
 }
 
-/// Corners of the boxes fall on the same pixels; tells how many lie in the image.
+/// Checks that the corners of the boxes project to the same pixels; returns how many lie in the image.
 fn project_alike(image: &ImageRecord, twin: &ImageRecord, frame: &point_skeleton::dataset::Frame) -> usize {
     let view = |record: &ImageRecord| View {
         camera: record.camera.clone(),
@@ -132,8 +132,8 @@ fn project_alike(image: &ImageRecord, twin: &ImageRecord, frame: &point_skeleton
     seen
 }
 
-/// Background points less an offset. What the ego itself reflects is kept: which points count as such depends on where the
-/// LiDAR's origin is said to be, and here that differs.
+/// Builds a skeleton that retains the ego's own returns: which points count as such depends on the LiDAR's origin,
+/// which differs between the layouts.
 fn skeleton(out: &Path, drive: &dyn Dataset) -> Skeleton {
     let mut options = BuildOptions { voxel_m: 0.0, ..BuildOptions::default() };
     options.split.ego_clearance_m = 0.0;
@@ -149,10 +149,10 @@ fn background(skeleton: &Skeleton, offset: DVec3) -> Vec<[f64; 3]> {
     skeleton.manifest.background.iter().zip(skeleton.background().unwrap()).flat_map(chunk).collect()
 }
 
-/// Both sweeps are rounded to 1 mm, in two frames: at most 0.87 mm each. Nothing else may be lost.
+/// Both sweeps are rounded to 1 mm, in two frames: at most 0.87 mm each. No other loss is allowed.
 const PRECISION_M: f64 = 2e-3;
 
-/// Points of one cloud without a point of the other within 2 mm.
+/// Returns the points of one cloud that have no point of the other within 2 mm.
 fn lonely(of: &[[f64; 3]], among: &[[f64; 3]]) -> Vec<DVec3> {
     let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(among).unwrap();
     let squared = |p: &[f64; 3]| tree.query(p).nearest_one::<SquaredEuclidean<f64>>().execute().distance;
@@ -180,10 +180,11 @@ fn background_points_are_within_two_millimetres_of_the_other_layout() {
         reports[1].dropped_ghost
     );
     assert!(near.len() > 750_000);
-    // The comparison can fail: by 5 mm nearly all points are off.
+    // The comparison can fail: moved by 5 mm, most points have no match.
     let moved: Vec<[f64; 3]> = near.iter().step_by(50).map(|[x, y, z]| [*x, *y, z + 0.005]).collect();
     assert!(lonely(&moved, &far).len() > moved.len() / 2);
-    // A point at the side of a box, or of where it moves, may fall in on one side and out on the other.
+    // A point near the side of a box, or of the volume it sweeps, may be inside in one layout and outside in the
+    // other.
     let log = nuscenes.log();
     let frames: Vec<_> = log.frames.iter().collect();
     let trajectories = Trajectories::new(log, &frames);
@@ -194,12 +195,12 @@ fn background_points_are_within_two_millimetres_of_the_other_layout() {
     for point in lonely_ones.iter().flatten() {
         assert!(near_a_side(*point), "{point}");
     }
-    // Few points are near one.
+    // Few points are near a side.
     let near_one = near.iter().step_by(50).filter(|p| near_a_side(DVec3::from(**p))).count();
     assert!(near_one * 50 < near.len() / 10, "{near_one} of {}", near.len() / 50);
 }
 
-/// Whether the split of a sweep turns within 2 mm of a point.
+/// Returns whether the classification of a sweep changes within 2 mm of a point.
 fn is_at_a_side(splitter: &Splitter, point: DVec3) -> bool {
     let corner = |bits: i32| {
         let side = |bit: i32| if bits >> bit & 1 == 1 { PRECISION_M } else { -PRECISION_M };
@@ -209,7 +210,7 @@ fn is_at_a_side(splitter: &Splitter, point: DVec3) -> bool {
     (0..8).any(|bits| is_background(corner(bits)) != is_background(point))
 }
 
-/// Corners of a map's areas by kind.
+/// Returns the corners of a map's areas by kind.
 fn corners(map: &VectorMap) -> Vec<(&'static str, Vec<DVec2>)> {
     let lanes = map.lanes.iter().chain(&map.lane_connectors);
     let of =
@@ -228,7 +229,7 @@ fn the_map_is_that_of_the_other_layout() {
     assert_eq!((map.lanes.len(), map.lane_connectors.len()), (8, 4));
     assert_eq!((map.crossings.len(), map.stop_lines.len(), map.dividers.len()), (2, 1, 22));
     assert!(map.lanes.iter().chain(&map.lane_connectors).all(|lane| lane.centerline.len() > 1));
-    // Lanes, stop lines and crossings are made of the nodes of the other map.
+    // Lanes, stop lines and crossings consist of the nodes of the other map.
     let file = folder.join("nuscenes/maps/expansion/pandaset-002.json");
     let json: Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
     let node = |n: &Value| [n["x"].as_f64().unwrap(), n["y"].as_f64().unwrap()];
@@ -246,12 +247,12 @@ fn the_map_is_that_of_the_other_layout() {
     let connector = map.lane_connectors.iter().find(|lane| lane.id == "68001").unwrap();
     assert_eq!(connector.successors, ["67005"]);
     assert_eq!(map.lanes.iter().find(|lane| lane.id == "67001").unwrap().successors, ["68001"]);
-    // The way through the intersection begins where the lane ends.
+    // The lane connector through the intersection starts where the lane ends.
     let end = map.lanes.iter().find(|lane| lane.id == "67001").unwrap().centerline.last().unwrap();
     assert!(end.distance(connector.centerline[0]) < 1e-6);
 }
 
-/// Whether a point lies in a ring, by how often a ray to the right crosses it.
+/// Returns whether a point lies in a ring, from the number of edges that a ray to the right crosses.
 fn is_in_ring(point: DVec2, ring: &[DVec2]) -> bool {
     let crosses = |i: usize| {
         let (a, b) = (ring[i], ring[(i + 1) % ring.len()]);
@@ -264,7 +265,7 @@ fn is_in_area(point: DVec2, exterior: &[DVec2], holes: &[Vec<DVec2>]) -> bool {
     is_in_ring(point, exterior) && !holes.iter().any(|hole| is_in_ring(point, hole))
 }
 
-/// The drivable area of the other layout is one polygon; here it is made of four layers, one of which is the whole
+/// The drivable area of the other layout is one polygon; here it consists of four layers, one of which is the whole
 /// junction.
 #[test]
 fn the_drivable_area_covers_that_of_the_other_layout() {

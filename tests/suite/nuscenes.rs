@@ -14,7 +14,7 @@ fn open(path: &Path) -> NuScenes {
     NuScenes::open(&LogLocator::new(LogFormat::NuScenes, path)).unwrap()
 }
 
-/// Number of points of a sweep in a box.
+/// Returns the number of a sweep's points in a box.
 fn points_in(sweep: &Sweep, global_from_lidar: &Pose, cuboid: &Cuboid) -> u32 {
     let box_from_lidar = cuboid.pose.inverse() * *global_from_lidar;
     let inside = |p: &[f32; 3]| {

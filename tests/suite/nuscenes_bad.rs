@@ -1,5 +1,5 @@
-//! The nuScenes reader on every kind of bad input: a short drive is written, one thing is broken, and the message
-//! must name what was expected, what was found and the file.
+//! The nuScenes reader on bad input of every kind. A short log is written, one part is broken, and the message must
+//! name the expected and the found value, and the file.
 
 use std::path::PathBuf;
 
@@ -27,18 +27,18 @@ const TABLES: [&str; 13] = [
     "visibility",
 ];
 
-/// A copy of a town's files to break.
+/// Copy of a town's files that a test breaks.
 struct Broken(tempfile::TempDir);
 
 impl Broken {
-    /// The tables alone.
+    /// Copies only the tables.
     fn new() -> Self {
         let copy = tempfile::tempdir().unwrap();
         copy_to(copy.path(), |name| name.starts_with(VERSION));
         Self(copy)
     }
 
-    /// With sweeps and images of the first frame.
+    /// Also copies sweeps and images of the first frame.
     fn with_files() -> Self {
         let broken = Self::new();
         copy_to(broken.0.path(), |name| {
@@ -51,7 +51,7 @@ impl Broken {
         self.0.path().join(VERSION).join(format!("{name}.json"))
     }
 
-    /// Changes the records of a table.
+    /// Edits the records of a table.
     fn edit(&self, name: &str, edit: impl FnOnce(&mut Vec<Value>)) {
         let text = std::fs::read(self.table(name)).unwrap();
         let mut records: Vec<Value> = serde_json::from_slice(&text).unwrap();
@@ -64,7 +64,7 @@ impl Broken {
         NuScenes::open(&name.parse::<LogLocator>().unwrap())
     }
 
-    /// The message of opening; it must hold all parts and end with a path.
+    /// Opens the log and checks that the error message contains all parts and ends with a path.
     fn refuses(&self, tail: &str, parts: &[&str], ending: &str) {
         let message = self.open_as(tail).expect_err("a damaged log").to_string();
         assert_says(&message, parts, ending);
@@ -226,7 +226,8 @@ fn what_is_left_out_is_counted() {
     assert_eq!(notes, expected);
 }
 
-/// Adds a sweep or image that is no key frame: a copy of a sensor's key frame in the last sample, at another time.
+/// Adds a sweep or image that is not a key frame: a copy of the sensor's key frame in the last sample, at another
+/// time.
 fn add_between(records: &mut Vec<Value>, channel: &str, t_us: i64) {
     let of_channel = |r: &&Value| r["filename"].as_str().unwrap().contains(&format!("/{channel}/"));
     let mut copy = records.iter().rfind(of_channel).unwrap().clone();
@@ -253,7 +254,7 @@ fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
     let dataset = broken.open_as("").unwrap();
     let log = dataset.log();
     let sweeps = |i: usize| log.frames[i].sweeps.iter().map(|s| s.t_us).collect::<Vec<_>>();
-    // The town has one of its own every 100 ms.
+    // The town itself has a sweep every 100 ms.
     assert_eq!(sweeps(0), [first, first - 50_000]);
     assert_eq!(sweeps(1), [times[1], times[1] - 100_000]);
     assert_eq!(sweeps(FRAMES - 1), [last, last - 50_000, last - 100_000, last - 150_000]);
@@ -305,7 +306,7 @@ fn damaged_images_are_named() {
     let path = record.path.to_str().unwrap();
     let whole = std::fs::read(path).unwrap();
     assert_eq!(dataset.read_image(record).unwrap().dimensions(), (160, 90));
-    image::RgbImage::new(40, 30).save(path).unwrap(); // as JPEG, by its name
+    image::RgbImage::new(40, 30).save(path).unwrap(); // encoded as JPEG because of its name
     let message = || {
         dataset.read_image(record).map(|image| image.dimensions()).expect_err("a damaged image").to_string()
     };
@@ -321,7 +322,7 @@ fn damaged_images_are_named() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever stands in a table, the reader gives a log or an error.
+    /// The reader returns a log or an error for any table content.
     #[test]
     fn no_table_makes_the_reader_panic(
         table in 0..TABLES.len(),

@@ -1,4 +1,4 @@
-//! The map expansion of nuScenes: a made-up one, broken ones, real ones.
+//! The map expansion of nuScenes: a synthetic map, broken maps, real maps.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,8 @@ use serde_json::{Value, json};
 use crate::common::shared;
 use crate::made_town::{VERSION, copy_to};
 
-/// A square of 10 m with a hole, a lane on it that ends in a connector, a crossing, a stop line, two dividers.
+/// Returns a 10 m square with a hole, a lane on it that ends in a connector, a crossing, a stop line and two
+/// dividers.
 fn made_up() -> Value {
     let square = [("a", 0, 0), ("b", 10, 0), ("c", 10, 10), ("d", 0, 10)];
     let hole = [("e", 4, 4), ("f", 6, 4), ("g", 5, 6)];
@@ -74,7 +75,7 @@ fn a_made_up_map_is_read_whole() {
     assert_eq!(map.dividers, vec![vec![at(0.0, 0.0), at(10.0, 10.0)]; 2]);
 }
 
-/// Maps before version 1.2 lack these layers; some write an empty array for an empty object.
+/// Maps before version 1.2 lack these layers; some write an empty array in place of an empty object.
 #[test]
 fn layers_of_later_versions_may_be_missing() {
     let mut map = made_up();
@@ -155,7 +156,7 @@ fn broken_maps_are_told() {
 }
 
 proptest! {
-    /// Whatever stands in a map's file, the reader gives a map or an error.
+    /// The reader returns a map or an error for any file content.
     #[test]
     fn no_map_makes_the_reader_panic(
         places in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
@@ -180,7 +181,7 @@ fn log_with(map_root: Option<PathBuf>, root: &Path) -> NuScenes {
     NuScenes::open(&LogLocator { map_root, ..LogLocator::new(LogFormat::NuScenes, root) }).unwrap()
 }
 
-/// The file is named after the log's location; `--map-root` goes first; without a file there is no map.
+/// The file is named after the log's location. `--map-root` takes precedence; without a file there is no map.
 #[test]
 fn the_map_of_the_logs_place_is_found() {
     let folder = tempfile::tempdir().unwrap();
@@ -194,7 +195,7 @@ fn the_map_of_the_logs_place_is_found() {
     let map = log_with(None, root).read_map().unwrap().unwrap();
     assert_eq!((map.location.as_str(), map.lanes.len()), ("town", 1));
     let elsewhere = Some(root.join("elsewhere"));
-    // Where maps are said to be, that of the log must be.
+    // The given map folder must contain the log's map.
     let message = log_with(elsewhere.clone(), root).read_map().unwrap_err().to_string();
     assert!(message.contains("expected map town.json or") && message.ends_with("elsewhere"), "{message}");
     let (gone, file) = (root.join("gone"), root.join("v1.0-mini/log.json"));
@@ -212,7 +213,7 @@ fn the_map_of_the_logs_place_is_found() {
     assert!(message.contains("expected a map expansion") && message.ends_with("town.json"), "{message}");
 }
 
-/// Area of a ring, m².
+/// Returns the area of a ring, m².
 fn area(ring: &[DVec2]) -> f64 {
     let next = ring.iter().cycle().skip(1);
     ring.iter().zip(next).map(|(a, b)| a.perp_dot(*b)).sum::<f64>().abs() / 2.0
@@ -230,7 +231,7 @@ fn a_real_map_without_centerlines_is_read() {
     assert!((total - 45_985.065_640_3).abs() < 1e-3, "{total} m2, NumPy says 45985.0656");
 }
 
-/// Centerlines against what the file says of where each path starts and ends, and lanes against their successors.
+/// Compares centerlines with the start and end of each path in the file, and lanes with their successors.
 #[test]
 fn the_map_of_the_pandaset_drive_fits_together() {
     let Some(shared) = shared("the PandaSet drive") else { return };

@@ -1,4 +1,4 @@
-//! Output folders and files: what commands replace, what they leave alone, and what stays after an interruption.
+//! Output folders and files: replaced files, untouched files, and the state after an interruption.
 
 use std::io::Read;
 use std::os::unix::process::ExitStatusExt;
@@ -24,7 +24,7 @@ const TRAIN: &str =
 const NETWORK: &str = r#"{"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "width": 32, "head": 16,
     "hidden": 32, "blocks": ["s", "t"]}"#;
 
-/// A log with a skeleton, and no folder `out`.
+/// Returns a log with a skeleton, without a folder `out`.
 fn ready() -> TinyLog {
     let log = built();
     std::fs::remove_dir_all(log.path("out")).unwrap();
@@ -32,7 +32,7 @@ fn ready() -> TinyLog {
     log
 }
 
-/// A file that no run wrote.
+/// Creates a file that was not written by any run.
 fn put(log: &TinyLog, name: &str) {
     let path = log.path(name);
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -41,7 +41,7 @@ fn put(log: &TinyLog, name: &str) {
 
 #[test]
 fn files_of_others_are_never_deleted() {
-    // Into folders of others, and into folders of an earlier run.
+    // Foreign files in a folder that was never an output, and in the output of an earlier run.
     for (args, fresh, within) in [
         (CONVERT, "thesis.tex", "out/actors/thesis.tex"),
         (TOWN, "thesis.tex", "out/samples/CAM_FRONT/thesis.tex"),
@@ -76,7 +76,7 @@ fn files_of_others_are_never_deleted() {
     }
 }
 
-/// Every file of a folder but the list itself.
+/// Returns the listed files: every file of the folder except the list itself.
 fn listed(log: &TinyLog) -> Vec<String> {
     let text = std::fs::read_to_string(log.path("out/.pskel-files")).unwrap();
     let (header, lines) = text.split_once('\n').unwrap();
@@ -160,7 +160,7 @@ fn inputs_are_not_overwritten() {
             &["expected an output apart from the input", &format!("the same: {found}\n")],
         );
     }
-    // Files that the run itself would write, in a folder that is there or not yet.
+    // Files that the run itself would write, in an existing or a new folder.
     for profile in ["new/index.json", "./new/steps/p.json", "out/p.json"] {
         let out = if profile.starts_with("out") { "out" } else { "new" };
         let args = format!("simulate nuscenes:log --skeleton sk --out {out} --steps 1 --profile {profile}");
@@ -190,7 +190,7 @@ fn only_regular_files_are_replaced() {
         );
     }
     assert!(!Path::new("/dev/null").is_file());
-    // A link is followed.
+    // Links are followed.
     std::fs::write(log.path("real.ply"), "").unwrap();
     std::os::unix::fs::symlink("real.ply", log.path("link.ply")).unwrap();
     log.succeed(&format!("{args} link.ply"));
@@ -201,7 +201,7 @@ fn only_regular_files_are_replaced() {
 fn folders_are_written_where_their_path_leads() {
     let log = ready();
     let whole = tree(&log.path("sk"));
-    // A link stays one.
+    // A link stays a link.
     std::fs::create_dir(log.path("disk")).unwrap();
     std::os::unix::fs::symlink("disk", log.path("link")).unwrap();
     log.succeed("build nuscenes:log --out link");
@@ -211,7 +211,7 @@ fn folders_are_written_where_their_path_leads() {
     log.succeed("convert sk --out clouds/.");
     log.succeed(&RENDER.replace("--out out", "--out maps/."));
     assert!(log.path("clouds/origins.json").is_file() && log.path("maps/index.json").is_file());
-    // A folder that would replace itself, and a link to nothing.
+    // A folder that would replace itself, and a dangling link.
     std::os::unix::fs::symlink("nothing", log.path("dangling")).unwrap();
     for (out, found) in [(".", "a path that ends without one"), ("dangling", "a link")] {
         for command in ["build nuscenes:log", "convert sk", "templates sk --min-points 1"] {
@@ -221,7 +221,7 @@ fn folders_are_written_where_their_path_leads() {
     assert!(!log.path(".partial").exists() && !log.path("nothing").exists());
 }
 
-/// A command in the background.
+/// Starts a command in the background.
 fn start(log: &TinyLog, args: &str) -> Child {
     let mut command = with_default_signals();
     command.current_dir(log.path("")).args(args.split_whitespace());
@@ -241,7 +241,7 @@ fn wait_for(what: &str, is_there: impl Fn() -> bool) {
     }
 }
 
-/// A planner that answers once and then never again.
+/// Starts a simulation with a planner that answers once and then hangs.
 fn start_hanging(log: &TinyLog) -> Child {
     planner(log, "read -r observation; sleep 600");
     start(log, EXTERNAL)
@@ -259,7 +259,7 @@ fn a_signal_ends_a_run_with_nothing_half_written() {
         let log = ready();
         let mut child = start_hanging(&log);
         wait_for("steps", || log.path("out/steps/000000").is_dir() && log.path("out/.pskel/lock").is_file());
-        // Twice at once, as `timeout` does: to the process, then to its group.
+        // Twice in a row, as `timeout` does: to the process, then to its group.
         send(&child, signal);
         send(&child, signal);
         let status = child.wait().unwrap();
@@ -282,7 +282,7 @@ fn a_second_process_says_that_the_first_is_at_work() {
     }
     send(&child, Signal::KILL);
     assert_eq!(child.wait().unwrap().signal(), Some(9));
-    // What the killed process left goes with the next run.
+    // The next run removes the leftovers of the killed process.
     std::fs::write(log.path("out/.pskel/half"), "half").unwrap();
     log.succeed(SIMULATE);
     assert!(!log.path("out/.pskel").exists());
@@ -297,7 +297,7 @@ fn a_rollout_without_a_step_resumes_from_the_start() {
     let log = ready();
     log.succeed(SIMULATE);
     let whole = tree(&log.path("out"));
-    // Killed before the folder, before the marker, and before the first step.
+    // Killed before the folder, before `rollout.json`, before `states.jsonl`, and before the first step.
     for left in ["", ".pskel-files", ".pskel-files rollout.json", ".pskel-files rollout.json states.jsonl"] {
         let keep: Vec<&str> = left.split_whitespace().collect();
         let old = log.path("old");
@@ -310,7 +310,7 @@ fn a_rollout_without_a_step_resumes_from_the_start() {
         }
         if left.contains("states") {
             std::fs::write(log.path("out/states.jsonl"), "").unwrap();
-            std::fs::create_dir(log.path("out/steps")).unwrap(); // before the first folder in it was renamed
+            std::fs::create_dir(log.path("out/steps")).unwrap(); // before the first step's folder was renamed into it
         }
         std::fs::remove_dir_all(old).unwrap();
         let output = log.run(&format!("{SIMULATE} --resume"));
@@ -330,14 +330,14 @@ fn closed_and_full_outputs_do_not_stop_the_work() {
         let mut command = Command::new("bash");
         command.args(["-c", line]).current_dir(log.path("")).env("PSKEL", PSKEL).output().unwrap()
     };
-    // Progress that cannot be written is no failure.
+    // Progress output that cannot be written is not a failure.
     for redirected in ["2>/dev/full", "2>&-", "2> >(true)"] {
         let output = shell(&format!("$PSKEL {RENDER} {redirected}"));
         assert!(output.status.success(), "{redirected}: {output:?}");
         assert!(log.path("out/index.json").is_file(), "{redirected}");
         std::fs::remove_dir_all(log.path("out")).unwrap();
     }
-    // A result that cannot be written is one; a reader that has seen enough is none.
+    // A result that cannot be written is a failure; a reader that closes the pipe early is not.
     for args in ["info sk", "info --json sk", "--help", RENDER] {
         let output = shell(&format!("$PSKEL {args} >/dev/full"));
         assert_eq!(output.status.code(), Some(1), "{args}: {output:?}");

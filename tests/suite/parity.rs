@@ -1,16 +1,16 @@
-//! Comparing maps with those of another implementation: how large a part of the pixels differs.
+//! Compares maps with those of another implementation by the share of pixels that differ.
 
-/// Maps of views, `[view, height, width, channel]`.
+/// Layout of maps of several views, `[view, height, width, channel]`.
 #[derive(Clone, Copy)]
 pub(crate) struct Layout {
     pub(crate) height: usize,
     pub(crate) width: usize,
     pub(crate) channels: usize,
-    /// Pixels along every side of every view that are not compared.
+    /// Width of the border of every view that is not compared, pixels.
     pub(crate) border: usize,
 }
 
-/// Which part of the compared pixels differs: those where `differs` is true in any channel.
+/// Returns the share of compared pixels for which `differs` is true in any channel.
 pub(crate) fn differing<T: Copy>(
     found: &[T],
     expected: &[T],
@@ -33,7 +33,7 @@ pub(crate) fn differing<T: Copy>(
     off as f64 / compared as f64
 }
 
-/// Fails when more than `most` of the pixels differ; prints the part either way.
+/// Fails if more than `most` of the pixels differ; prints the share in either case.
 pub(crate) fn assert_parity(what: &str, part: f64, most: f64) {
     eprintln!("{what}: {part:.2e} of the pixels differ, at most {most:.0e} may");
     assert!(part <= most, "{what}: {part:.2e} of the pixels differ, at most {most:.0e} may");

@@ -1,4 +1,4 @@
-//! Commands that are asked end with the program, however that ends.
+//! Peer commands end with the program, however it ends.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
@@ -12,11 +12,11 @@ use crate::sim::made;
 use crate::simulate::{SIMULATE, built};
 use crate::tiny_log::with_default_signals;
 
-/// How long processes may outlive the program.
+/// Maximum time by which processes may outlive the program.
 const MAX_TIME: Duration = Duration::from_secs(2);
 
-/// A command that neither reads nor answers nor ends, with a child and a grandchild that ignore signals to end. The numbers
-/// of all three go to files.
+/// Returns a command that neither reads nor answers nor ends, with a child and a grandchild; all ignore termination
+/// signals. Each writes its process id to a file.
 fn planner(folder: &Path) -> String {
     let at = |name: &str| folder.join(name).display().to_string();
     let sleep =
@@ -33,7 +33,7 @@ fn planner(folder: &Path) -> String {
     format!("sh {command}")
 }
 
-/// The numbers of the planner's processes, once all have started.
+/// Returns the process ids of the planner's processes, once all have started.
 fn started(folder: &Path) -> Vec<u32> {
     let files: Vec<PathBuf> = ["command", "child", "grandchild"].map(|name| folder.join(name)).into();
     let start = Instant::now();
@@ -44,7 +44,7 @@ fn started(folder: &Path) -> Vec<u32> {
     files.iter().map(|file| std::fs::read_to_string(file).unwrap().trim().parse().unwrap()).collect()
 }
 
-/// State and group of a process; `None` if it has ended, whether or not that was waited for.
+/// Returns the group of a process; `None` if it has ended, even as a zombie.
 fn group_of(pid: u32) -> Option<u32> {
     let about = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
     let (_, rest) = about.rsplit_once(')')?;
@@ -54,7 +54,7 @@ fn group_of(pid: u32) -> Option<u32> {
     (state != "Z" && state != "X").then_some(group)
 }
 
-/// Those that run of a group.
+/// Returns the running processes of a group.
 fn members(group: u32) -> Vec<u32> {
     let all = std::fs::read_dir("/proc").unwrap();
     let pids = all.filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
@@ -96,7 +96,7 @@ fn planners_end_with_the_program() {
     }
 }
 
-/// What ends in its own time leaves no guard behind, neither running nor to be waited for.
+/// A stopped planner leaves no guard process behind, neither running nor as a zombie.
 #[test]
 fn nothing_is_left_of_a_planner_that_was_let_go() {
     let log = made::log(6);
@@ -113,7 +113,7 @@ fn nothing_is_left_of_a_planner_that_was_let_go() {
             std::thread::sleep(Duration::from_millis(10));
         }
     }
-    // The guard's number is the group's; of what was not waited for there would be an entry.
+    // The guard's process id is that of its group. A zombie would still have an entry.
     let guard = std::fs::read_to_string(folder.path().join("group")).unwrap();
     assert!(!Path::new("/proc").join(guard.trim()).exists(), "guard {guard}");
 }

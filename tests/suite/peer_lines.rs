@@ -1,4 +1,4 @@
-//! Lines against those that Pillow draws (`tests/peers/lines.py`).
+//! Lines compared with those that Pillow draws (`tests/peers/lines.py`).
 
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{Segment, draw_lines};
@@ -7,13 +7,14 @@ use point_skeleton::raster::{Segment, draw_lines};
 struct Peer {
     height: u32,
     width: u32,
-    /// Ends, x and y; line `i` is drawn as number `i + 1`.
+    /// End points, x and y; line `i` is drawn with number `i + 1`.
     lines: Vec<[f32; 4]>,
-    /// A number, then how many pixels in a row have it.
+    /// Run lengths: a number, then how many consecutive pixels have it.
     runs: Vec<u16>,
 }
 
-/// How many pixels of `number` in one picture have no such pixel of the other within 1 px, and how many there are.
+/// Returns how many pixels of `number` in one image have no such pixel within 1 px in the other, and their total
+/// number.
 fn far_off(number: u8, one: &[u8], other: &[u8], width: usize) -> [usize; 2] {
     let pixels: Vec<usize> = (0..one.len()).filter(|i| one[*i] == number).collect();
     let near = |i: &&usize| {
@@ -43,7 +44,7 @@ fn lines_lie_within_a_pixel_of_those_of_pillow() {
     let segments: Vec<Segment> = (1..).zip(&peer.lines).map(segment).collect();
     let found = draw(&segments);
     assert_eq!(found.len(), expected.len());
-    // Pictures that differ: by a shift of 2 px, by the order of drawing.
+    // Images that differ: by a shift of 2 px, by the drawing order.
     let shift =
         |s: &Segment| Segment { from: [s.from[0] + 2.0, s.from[1]], to: [s.to[0] + 2.0, s.to[1]], ..*s };
     let shifted = draw(&segments.iter().map(shift).collect::<Vec<_>>());

@@ -1,7 +1,7 @@
-//! The rasterizers: exact cases, twins against each other, and other implementations' results.
+//! The rasterizers: exact cases, comparisons with each other, and results of other implementations.
 //!
 //! All tests run under the validation layer with synchronization validation, and fail on any message. They need a
-//! Vulkan device; where there is none they fail and say how to install one.
+//! Vulkan device; without one they fail with instructions to install a driver.
 
 mod device;
 mod exact;

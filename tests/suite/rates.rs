@@ -16,7 +16,7 @@ fn turned(axis: DVec3, angle: f64) -> DQuat {
     DQuat::from_axis_angle(axis.normalize(), angle)
 }
 
-/// Ego and one car at a keyframe; keyframes are not quite half a second apart.
+/// Returns the ego and one car at a keyframe; keyframes are not exactly half a second apart.
 fn keyframe(index: usize) -> (i64, Pose, Cuboid) {
     let i = index as f64;
     let t_us = FROM_US + 500_000 * index as i64 + [0, 137, -2_911, 50_000, 499][index];
@@ -31,7 +31,7 @@ fn keyframe(index: usize) -> (i64, Pose, Cuboid) {
     (t_us, ego, Cuboid::new(car, DVec3::new(4.0 + 0.1 * i, 2.0, 1.5)).unwrap())
 }
 
-/// 2 Hz keyframes; a second track is in the first two alone.
+/// Returns a log of 2 Hz keyframes; a second track exists only in the first two.
 fn log() -> Log {
     let frame = |index: usize| {
         let (t_us, global_from_ego, cuboid) = keyframe(index);
@@ -46,7 +46,7 @@ fn log() -> Log {
     Log { tracks, frames: (0..KEYFRAMES).map(frame).collect(), ..Log::default() }
 }
 
-/// Another way between two poses: the rotation from one to the other about its axis, in part.
+/// Interpolates two poses independently: rotates by a fraction of the angle about the axis between them.
 fn between(a: &Pose, b: &Pose, s: f64) -> Pose {
     let step = b.rotation * a.rotation.conjugate();
     let step = if step.w < 0.0 { -step } else { step };
@@ -57,9 +57,9 @@ fn between(a: &Pose, b: &Pose, s: f64) -> Pose {
     }
 }
 
-/// Metres or radians between two poses, whichever is more.
+/// Returns the distance between two poses, meters or radians, whichever is larger.
 fn apart(a: &Pose, b: &Pose) -> f64 {
-    // By the chord: an arccosine loses half the digits of small angles.
+    // From the chord: an arccosine loses half the digits of small angles.
     let chord = (a.rotation - b.rotation).length().min((a.rotation + b.rotation).length());
     a.translation.distance(b.translation).max(2.0 * chord)
 }
@@ -78,7 +78,7 @@ fn keyframes_at_2_hz_become_12_hz() {
         let after = (1..KEYFRAMES).find(|i| keyframe(*i).0 >= t_us).unwrap();
         let ((t0, ego0, car0), (t1, ego1, car1)) = (keyframe(after - 1), keyframe(after));
         let s = (t_us - t0) as f64 / (t1 - t0) as f64;
-        // Coordinates reach 4 000 000 m, where f64 holds steps of 5e-10 m.
+        // Coordinates reach 4 000 000 m, where the spacing of f64 is 5e-10 m.
         assert!(apart(&state.global_from_ego, &between(&ego0, &ego1, s)) < 2e-9, "{t_us}");
         let car = state.actors[0].cuboid;
         assert!(apart(&car.pose, &between(&car0.pose, &car1.pose, s)) < 2e-9, "{t_us}");
@@ -103,7 +103,7 @@ fn render_at_a_rate_steps_through_the_chosen_frames() {
     for (i, frame) in index["frames"].as_array().unwrap().iter().enumerate() {
         let t_us = FIRST_US + (i as f64 * 1e6 / 12.0).round() as i64;
         assert_eq!((&frame["name"], &frame["t_us"]), (&json!(t_us.to_string()), &json!(t_us)));
-        // The ego drives 2 m/s; its car 4 m/s from 10 m ahead.
+        // The ego drives at 2 m/s; the car at 4 m/s, starting 10 m ahead.
         let seconds = (t_us - FIRST_US) as f64 * 1e-6;
         let x = frame["ego"][0][3].as_f64().unwrap();
         assert!((x - START.x - 2.0 * seconds).abs() < 1e-8, "{i}: {x}");
@@ -120,7 +120,7 @@ fn render_at_a_rate_steps_through_the_chosen_frames() {
         let nearest = on_car.reduce(f32::min).unwrap();
         assert!((f64::from(nearest) - 10.0 - 2.0 * seconds).abs() < 1e-3, "{i}: {nearest}");
     }
-    // The chosen frames alone: from frame 1 to frame 2, at a rate that does not meet the end.
+    // Only the selected frames: from frame 1 to frame 2, at a rate that does not hit the end.
     log.succeed(&format!("{render}/part --hz 3 --frames 1..3 --ego-offset 0,1,0"));
     let index = log.json("out/part/index.json");
     let names: Vec<String> =
@@ -128,7 +128,7 @@ fn render_at_a_rate_steps_through_the_chosen_frames() {
     let from = FIRST_US + STEP_US;
     assert_eq!(names, [from.to_string(), (from + 333_333).to_string()]);
     assert_eq!(index["frames"][0]["ego"][1][3], START.y + 1.0);
-    // One frame is one time.
+    // A single frame gives a single time.
     log.succeed(&format!("{render}/one --hz 100 --frames 1..2"));
     assert_eq!(log.json("out/one/index.json")["frames"].as_array().unwrap().len(), 1);
     assert_eq!(

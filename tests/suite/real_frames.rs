@@ -1,4 +1,4 @@
-//! Frames of a real drive: the rasterizers of a device against plain Rust.
+//! Frames of a real log: the rasterizers of a device compared with the CPU rasterizer.
 
 use point_skeleton::dataset::nuscenes::NuScenes;
 use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
@@ -13,7 +13,7 @@ use point_skeleton::skeleton::BuildOptions;
 use crate::common::{shared, skeleton_of};
 use crate::raster::twins::{Division, allowed_share, rasterizers, with_device};
 
-/// Every pixel of every map of both.
+/// Compares every pixel of every map of two frames.
 fn differing(a: &FrameMaps<'_>, b: &FrameMaps<'_>) -> [usize; 2] {
     let (mut pixels, mut count) = (0, 0);
     for (a, b) in a.iter().zip(b) {

@@ -1,4 +1,4 @@
-//! Skeletons of a real drive: what the split leaves where, and how well the sweeps of a car agree.
+//! Skeletons of a real log: where the split assigns points, and how well the sweeps of a car agree.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use crate::common::{WithLog, shared, skeleton_of};
 
 const FRAMES: [usize; 6] = [0, 2, 4, 6, 8, 10];
 
-/// The drive, and a skeleton of each frame's sweep with all its points, in a folder.
+/// Returns the log, and a skeleton of each frame's sweep with all its points, in a folder.
 fn single_sweeps() -> Option<(NuScenes, Vec<Skeleton>, TempDir)> {
     let path = shared("the PandaSet drive")?.join("data/pandaset-002/nuscenes");
     let drive = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, path)).unwrap();
@@ -28,9 +28,9 @@ fn single_sweeps() -> Option<(NuScenes, Vec<Skeleton>, TempDir)> {
     Some((drive, built.into(), folder))
 }
 
-/// Background points of a sweep, and how many of them lie in a box of its frame more than `ground_m` above the floor.
+/// Counts the background points of a sweep, and those in a box of its frame more than `ground_m` above the floor.
 fn background_in_boxes(skeleton: &Skeleton, frame: &Frame, ground_m: f64) -> [usize; 2] {
-    // Half a millimetre for what f32 rounds off.
+    // Half a millimeter for the rounding of f32.
     const ROUNDING_M: f64 = 5e-4;
     let inside = |global: DVec3| {
         frame.boxes.iter().any(|item| {
@@ -57,15 +57,15 @@ fn no_background_point_lies_in_a_box_above_the_ground() {
         let frame = &dataset.log().frames[index];
         let [checked, inside] = background_in_boxes(skeleton, frame, 0.2);
         assert!(checked > 50_000 && inside == 0, "frame {index}: {inside} of {checked} background points");
-        // The count can fail: the road under the cars is there.
+        // The count can fail: the road under the cars is in the boxes.
         assert!(background_in_boxes(skeleton, frame, 0.0)[1] > 0, "frame {index}");
     }
 }
 
-/// Points of a car by frame.
+/// Points of a car, by frame.
 type Views<'a> = Vec<(usize, &'a [Point])>;
 
-/// Sweeps with fewer points show too little of a car.
+/// Minimum points of a sweep; fewer show too little of a car.
 const WELL_SEEN: usize = 200;
 
 fn well_seen_cars(skeletons: &[Skeleton]) -> BTreeMap<&str, Views<'_>> {
@@ -81,7 +81,7 @@ fn well_seen_cars(skeletons: &[Skeleton]) -> BTreeMap<&str, Views<'_>> {
     cars
 }
 
-/// Median distance from a point of one sweep to the nearest point of the others, metres.
+/// Returns the median distance from a point of one sweep to the nearest point of the others, meters.
 fn median_distance_m(views: &Views) -> f64 {
     let mut distances = Vec::new();
     for (one, (_, points)) in views.iter().enumerate() {
@@ -98,13 +98,13 @@ fn median_distance_m(views: &Views) -> f64 {
     f64::from(distances[distances.len() / 2])
 }
 
-/// A point moved up, metres.
+/// Returns a point moved up by `by_m` meters.
 fn raised(point: &Point, by_m: f32) -> Point {
     let [x, y, z] = point.position;
     Point { position: [x, y, z + by_m], ..*point }
 }
 
-/// How far a track's boxes are apart within the frames, metres.
+/// Returns the distance between a track's first and last box within the frames, meters.
 fn travel_m(dataset: &NuScenes, track: &str) -> f64 {
     let log = dataset.log();
     let track = log.tracks.iter().position(|t| t.id == track).unwrap();
@@ -132,7 +132,7 @@ fn the_sweeps_of_a_car_agree() {
             off.push(format!("{track} (moved {travel_m:.1} m): {median_m:.3} m"));
         }
     }
-    // The distance can fail: a car of which one sweep stands 0.3 m higher.
+    // The distance can fail: for a car with one sweep raised by 0.3 m.
     let mut views = cars.into_values().next().unwrap();
     let raised: Vec<Point> = views[0].1.iter().map(|p| raised(p, 0.3)).collect();
     views[0].1 = &raised;

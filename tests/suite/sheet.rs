@@ -1,4 +1,4 @@
-//! The contact sheet of a small procedural street; the picture lies in cargo's folder for test files afterwards.
+//! The contact sheet of a small procedural street; the image remains in cargo's folder for test files.
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use point_skeleton::cloud::Point;
@@ -9,7 +9,7 @@ use point_skeleton::raster::Instance;
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneState};
 
-/// Points of a parallelogram, shaded a little by a fixed pattern.
+/// Adds points of a parallelogram, slightly shaded by a fixed pattern.
 fn patch(points: &mut Vec<Point>, corner: Vec3, [u, v]: [Vec3; 2], step_m: f32, rgb: [u8; 3], class: u8) {
     let (columns, rows) = ((u.length() / step_m) as u32 + 1, (v.length() / step_m) as u32 + 1);
     for i in 0..columns * rows {
@@ -50,7 +50,7 @@ fn background() -> Vec<Point> {
     points
 }
 
-/// The faces of a box around its centre.
+/// Returns the faces of a box around its center.
 fn body(size: Vec3, rgb: [u8; 3], class: Class) -> Vec<Point> {
     let mut points = Vec::new();
     let axes = [Vec3::X * size.x, Vec3::Y * size.y, Vec3::Z * size.z];
@@ -113,7 +113,7 @@ fn a_street_makes_a_sheet() {
     sheet::write(&path, &set, &bins, "000000  procedural street").unwrap();
     let image = image::open(&path).unwrap().to_rgb8();
     assert_eq!(image.width(), 2 * 16 + 3 * 448 + 2 * 4);
-    // Every actor is seen by some camera, in all maps.
+    // Every actor is visible in some camera, in all maps.
     let numbers: std::collections::BTreeSet<u32> =
         set.cameras.iter().flat_map(|c| c.instance.as_ref().unwrap()).copied().collect();
     assert_eq!(numbers.into_iter().collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5, 6]);

@@ -1,4 +1,4 @@
-//! `pskel simulate`, run as a user runs it.
+//! `pskel simulate` through the command line.
 
 use std::collections::BTreeSet;
 use std::os::unix::fs::PermissionsExt;
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::tiny_log::{CAMERAS, FIRST_US, PSKEL, START, TinyLog, assert_failed, tree};
 
-/// Without an option for the number of steps. The log has 1 s at 2 Hz: 12 steps, of which the warm-up takes 6.
+/// Command without a number of steps. The log covers 1 s at 2 Hz, which gives 12 steps, 6 of them warm-up.
 pub(crate) const SIMULATE: &str = "simulate nuscenes:log --skeleton sk --out out --warmup 2 --rasterizer cpu";
 
 pub(crate) fn built() -> TinyLog {
@@ -24,14 +24,14 @@ pub(crate) fn rows(log: &TinyLog, folder: &str) -> Vec<Value> {
     text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
-/// The data of a page.
+/// Returns the data embedded in a page.
 fn page(log: &TinyLog, folder: &str) -> Value {
     let html = std::fs::read_to_string(log.path(&format!("{folder}/index.html"))).unwrap();
     let (_, rest) = html.split_once(r#"id="rollout">"#).unwrap();
     serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
 }
 
-/// All pictures that a page shows are files of its folder, and all links lead to one.
+/// Checks that all images shown by a page are files of its folder, and that all links lead to one.
 pub(crate) fn assert_page_is_whole(log: &TinyLog, folder: &str, steps: usize) {
     let page = page(log, folder);
     let names: Vec<&str> =
@@ -54,7 +54,7 @@ pub(crate) fn assert_page_is_whole(log: &TinyLog, folder: &str, steps: usize) {
     }
 }
 
-/// Width, height, pictures and pictures a second of a video.
+/// Returns width, height, frame count and frame rate of a video.
 fn video(path: &Path) -> (u16, u16, u32, f64) {
     let file = std::fs::File::open(path).unwrap();
     let size = file.metadata().unwrap().len();
@@ -100,7 +100,7 @@ fn a_rollout_leaves_all_its_files() {
         assert_eq!(row["plan"].is_array(), step == 7, "the first plan leads to step 7");
         let x = row["ego"]["global_from_ego"][0][3].as_f64().unwrap() - START.x;
         if step <= 6 {
-            // 2 m/s, times rounded to microseconds.
+            // At 2 m/s, with times rounded to microseconds.
             assert!((x - 2.0 * seconds).abs() < 2e-6, "step {step}: {x}");
         } else {
             assert!(x > 1.0 + 2.0 * (seconds - 0.5) && x < 1.5, "step {step}: {x}");
@@ -135,7 +135,8 @@ fn a_rollout_leaves_all_its_files() {
     );
     let (width, height, pictures, rate) = video(&log.path("out/rollout.mp4"));
     assert_eq!((pictures, rate), (9, 12.0));
-    // One map large, two of half the size below it, and as high as these a picture from above; text on top.
+    // One large map, two of half its size below it, and the bird's-eye view beside them at their total height; text
+    // on top.
     let sheet = &page(&log, "out")["sheet"];
     let side = |name: &str| sheet[name].as_u64().unwrap() as u16;
     let above = side("height") + 4 + side("height") / 2;
@@ -143,7 +144,7 @@ fn a_rollout_leaves_all_its_files() {
     assert_eq!([width, height], even);
     assert_page_is_whole(&log, "out", 9);
     assert_eq!(log.json("profile.json")["steps"].as_array().unwrap().len(), 9);
-    // Maps are those that render makes of the same instant.
+    // Maps equal those rendered by `render` at the same time.
     log.succeed("render nuscenes:log --skeleton sk --out maps --rasterizer cpu --at 1000500000");
     let (step, frame) = (tree(&log.path("out/steps/000006")), tree(&log.path("maps/1000500000")));
     for camera in CAMERAS {
@@ -163,11 +164,11 @@ fn a_rollout_that_is_resumed_is_the_one_that_ran_through() {
     };
     log.succeed(&simulate("whole", "--steps 9"));
     let whole = tree(&log.path("whole"));
-    // Other threads, and another number of them.
+    // On other threads, and with another number of them.
     let output = log.run_with(&simulate("one", "--steps 9"), "1");
     assert!(output.status.success(), "{output:?}");
     assert!(tree(&log.path("one")) == whole);
-    // In three pieces; the second run's process died within a line.
+    // In three pieces; the second run's process died in the middle of a line.
     log.succeed(&simulate("parts", "--steps 2"));
     log.succeed(&simulate("parts", "--steps 7 --resume"));
     let states = log.path("parts/states.jsonl");
@@ -178,12 +179,12 @@ fn a_rollout_that_is_resumed_is_the_one_that_ran_through() {
     std::fs::write(log.path("parts/.pskel/lock"), "4194305").unwrap();
     log.succeed(&simulate("parts", "--steps 9 --resume"));
     assert!(tree(&log.path("parts")) == whole);
-    // From a step before the end, and from the end, where nothing is left to do.
+    // From a step before the end, and from the end, where no step remains.
     for extra in ["--resume-from 3", "--resume-from 9", "--resume"] {
         log.succeed(&simulate("parts", &format!("--steps 9 {extra}")));
         assert!(tree(&log.path("parts")) == whole, "{extra}");
     }
-    // Other options are refused, and nothing is touched.
+    // Other options are refused, and no file changes.
     for (rest, code, parts) in [
         ("--steps 9 --resume --radius 50 --far 100", 1, ["radius_m 100", "rollout.json"]),
         ("--steps 9 --resume --seed 3", 1, ["saved state", "found"]),
@@ -205,7 +206,7 @@ fn a_rollout_ends_with_the_log() {
     assert!(summary.starts_with("simulated 12 steps of 40 (the log ended), ego replay"), "{summary}");
     assert_eq!(log.json("out/metrics.json")["ended"], "log_ended");
     assert_page_is_whole(&log, "out", 13);
-    // What was expected at step 6 for step 12 is what came, with replay.
+    // With replay, the forecast at step 6 for step 12 equals the result.
     let expected = tree(&log.path("out/steps/000006/forecast/000012"));
     assert_eq!(
         expected.keys().collect::<Vec<_>>(),
@@ -213,7 +214,7 @@ fn a_rollout_ends_with_the_log() {
     );
     let came = tree(&log.path("out/steps/000012"));
     assert!(expected.iter().all(|(name, bytes)| came[name] == *bytes));
-    // The first step has one, too; it is the log's.
+    // The first step has a forecast, too, taken from the log.
     for (step, next) in [("000006", "000012"), ("000000", "000006")] {
         let forecast = tree(&log.path(&format!("out/steps/{step}/forecast")));
         assert!(forecast.len() == 3 && forecast.keys().all(|name| name.starts_with(next)), "{forecast:?}");
@@ -236,7 +237,7 @@ fn a_planner_that_dies_leaves_the_steps_until_then() {
     assert_eq!((&metrics["ended"], &metrics["steps"]), (&Value::Null, &json!(6)));
     assert!(metrics["failure"].as_str().unwrap().contains("planner"));
     assert_eq!(page(&log, "out")["failure"], metrics["failure"]);
-    // It was told the files of the step before its first plan.
+    // The planner received the files of the step before its first plan.
     let observed = log.json("observed.json");
     let files: Vec<&str> =
         observed["files"].as_array().unwrap().iter().map(|f| f.as_str().unwrap()).collect();
@@ -245,13 +246,13 @@ fn a_planner_that_dies_leaves_the_steps_until_then() {
         "{files:?}"
     );
     assert!(files.iter().any(|file| file.ends_with("CAM_FRONT/color.png")));
-    // One that says no word leaves nothing.
+    // A planner that exits without an answer leaves no output.
     std::fs::remove_dir_all(log.path("out")).unwrap();
     std::fs::create_dir(log.path("out")).unwrap();
     log.fail(&args.replace("./planner.sh", "true"), 1, &["planner"]);
 }
 
-/// A planner that answers hellos, then runs some lines of shell with `answer`, which drives on at 2 m/s.
+/// Writes a planner that answers the hello, then runs some lines of shell; `answer` drives on at 2 m/s.
 pub(crate) fn planner(log: &TinyLog, lines: &str) {
     let script = format!(
         r#"#!/bin/sh
@@ -290,7 +291,7 @@ fn a_planner_that_hangs_or_talks_nonsense_ends_a_rollout_that_can_go_on() {
     planner(&log, "while read -r observation; do answer; done");
     log.succeed(&format!("{} --resume", args("out")));
     assert!(tree(&log.path("out")) == tree(&log.path("whole")));
-    // One that hangs; with more time the rollout goes on.
+    // A planner that hangs; with more time the rollout is resumed.
     planner(&log, "read -r observation; exec sleep 600");
     let hasty = args("out").replace("--planner-timeout 10", "--planner-timeout 0.5");
     assert_failed(&log.run(&hasty), 1, &["within 0.5 s", "stopped after 7 steps", "./planner.sh"]);
@@ -324,7 +325,7 @@ fn every_saved_step_can_be_gone_on_from() {
 #[test]
 fn logs_without_boxes_or_with_a_gap_are_driven_and_told() {
     let log = built();
-    // The last frame comes 3 s late: 4 s in all.
+    // The last frame is 3 s late: the log covers 4 s.
     let late = FIRST_US + 4_000_000;
     log.change("sample", "/2/timestamp", json!(late));
     for data in 6..9 {
@@ -347,7 +348,7 @@ fn logs_without_boxes_or_with_a_gap_are_driven_and_told() {
         assert!(summary.contains("; 1 x logs without boxes"), "{summary}");
         assert!(rows(&log, "out").iter().all(|row| row["actors"] == json!([])));
         let metrics = log.json("out/metrics.json");
-        // Neither has it a map.
+        // The log has no map either.
         let nothing = (&metrics["off_road"], &metrics["min_time_to_collision_s"], &metrics["collisions"]);
         assert_eq!(nothing, (&Value::Null, &Value::Null, &json!([])));
         assert_page_is_whole(&log, "out", 9);
@@ -370,7 +371,7 @@ fn trajectories_of_any_length_are_driven_and_bad_ones_told() {
         log.fail(&format!("{args} {name}"), 1, &parts);
         log.fail(&format!("{args} {name}"), 1, &[&format!(": {name}\n")]);
     }
-    // A million points to the left: what is written of the rollout does not grow with them.
+    // A path of a million points to the left: the rollout's files do not grow with their number.
     let points: String =
         (0..1_000_000).map(|i| format!("{:.3},{:.3}\n", 1e-3 * f64::from(i), 5e-4 * f64::from(i))).collect();
     std::fs::write(log.path("long.csv"), points).unwrap();
@@ -382,7 +383,8 @@ fn trajectories_of_any_length_are_driven_and_bad_ones_told() {
 #[test]
 fn a_full_disk_leaves_whole_steps_and_lines() {
     let log = built();
-    // Not even room for the options; then enough KiB for the files of each step, but not for all lines of states.
+    // First without room even for the options; then with enough KiB for the files of each step, but not for all state
+    // lines.
     log.succeed(&format!("{SIMULATE} --maps boxes --steps 60 --ego straight"));
     let whole = tree(&log.path("out"));
     let largest =
@@ -410,7 +412,7 @@ fn a_full_disk_leaves_whole_steps_and_lines() {
         }
         assert!(!files.contains_key("index.json") && files.keys().all(|name| !name.contains(".pskel-")));
     }
-    // With room it goes on.
+    // With enough room the rollout is resumed.
     log.succeed(&format!("{SIMULATE} --maps boxes --steps 60 --ego straight --resume"));
     assert_page_is_whole(&log, "out", 61);
     assert!(tree(&log.path("out")) == whole);

@@ -1,11 +1,11 @@
-//! The folder of a rollout: what may go on in it and what it is made of.
+//! The folder of a rollout: conditions for resuming it, and its content.
 
 use serde_json::json;
 
 use crate::simulate::{SIMULATE, assert_page_is_whole, built, planner, rows};
 use crate::tiny_log::{TinyLog, assert_failed, tree};
 
-/// A failure that leaves the rollout as it was.
+/// Asserts that a command fails and leaves the rollout unchanged.
 #[track_caller]
 fn refused(log: &TinyLog, args: &str, parts: &[&str]) {
     let before = tree(&log.path("out"));
@@ -31,12 +31,12 @@ fn a_rollout_goes_on_with_what_it_was_begun_with_only() {
     log.succeed("build nuscenes:log --out coarse --voxel 0.5");
     let coarse = args("--annotations sunny.json", more).replace("--skeleton sk", "--skeleton coarse");
     refused(&log, &coarse, &["expected the skeleton that out/rollout.json tells", " points ", ": coarse\n"]);
-    // Another log of the same name: somebody stands elsewhere.
+    // Another log of the same name: one actor has another position.
     log.change("sample_annotation", "/1/translation/1", json!(3_997_005.0));
     let sunny = args("--annotations sunny.json", more);
     refused(&log, &sunny, &["expected the frames that out/rollout.json tells", "3 frames from", ": log\n"]);
     log.change("sample_annotation", "/1/translation/1", json!(3_997_004.0));
-    // The same elsewhere is the same.
+    // Identical inputs at other paths are accepted.
     std::fs::rename(log.path("sk"), log.path("moved")).unwrap();
     std::fs::rename(log.path("sunny.json"), log.path("same.json")).unwrap();
     log.succeed(&args("--annotations same.json", more).replace("--skeleton sk", "--skeleton moved"));
@@ -54,7 +54,7 @@ fn fewer_steps_than_there_are_are_refused() {
     let summary = log.succeed(&args("--steps 8 --resume"));
     assert!(summary.contains("no step was left to take") && !summary.contains("steps a second"), "{summary}");
     assert!(summary.starts_with("simulated 8 steps, "), "{summary}");
-    // An earlier step may be the last.
+    // An earlier step may become the last.
     log.succeed(&args("--steps 5 --resume-from 5"));
     assert_page_is_whole(&log, "out", 6);
 }
@@ -100,7 +100,7 @@ fn what_a_rollout_came_to_is_told() {
 #[test]
 fn a_report_that_fails_does_not_hide_why_the_rollout_did() {
     let log = built();
-    // It is in the way of the metrics, and then gone.
+    // The planner blocks the path of the metrics file with a folder, then exits.
     planner(&log, "read -r observation; mkdir -p out/metrics.json/full; exit 3");
     let output = log.run(&format!("{SIMULATE} --maps depth --steps 9 --ego external --planner ./planner.sh"));
     assert_failed(&output, 1, &["error: stopped after 7 steps", "exit status: 3"]);

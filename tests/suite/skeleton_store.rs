@@ -1,4 +1,4 @@
-//! A skeleton on disk: there and back, and what a damaged one says.
+//! A skeleton on disk: writing and reading it, and errors of damaged ones.
 
 use std::path::Path;
 
@@ -36,7 +36,7 @@ fn a_skeleton_comes_back_as_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("deep/er/s");
     write(&path).unwrap();
-    write(&path).unwrap(); // an older one is replaced
+    write(&path).unwrap(); // replaces the older one
     let skeleton = Skeleton::open(&path).unwrap();
     let (chunk, points) = chunk();
     assert_eq!(skeleton.manifest.background, [chunk]);

@@ -1,4 +1,4 @@
-//! The command `pskel splat`, run as a user runs it.
+//! `pskel splat` through the command line.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -55,7 +55,7 @@ impl Case {
         std::fs::read_dir(self.path("out")).unwrap().count()
     }
 
-    /// The command fails with a code and a message, and leaves nothing.
+    /// Asserts that the command fails with a code and a message, and leaves no output.
     #[track_caller]
     fn assert_fails(&self, output: &Output, code: i32, message: &str) {
         let stderr = String::from_utf8_lossy(&output.stderr);
@@ -65,7 +65,7 @@ impl Case {
     }
 }
 
-/// An array of zeros as NumPy writes it.
+/// Returns an array of zeros in NumPy's format.
 fn zeros(descr: &str, fortran: &str, shape: &str, bytes: usize) -> Vec<u8> {
     let mut text = format!("{{'descr': '{descr}', 'fortran_order': {fortran}, 'shape': {shape}, }}");
     text += &" ".repeat(63 - (10 + text.len()) % 64);
@@ -88,7 +88,7 @@ fn the_nearest_point_wins_and_ties_go_to_the_first_row() {
     let point = npz::read::<u32>(&path, "point");
     assert_eq!(point.shape, [2, 20, 30]);
     let at = |view: usize, row: usize, column: usize| (view * 20 + row) * 30 + column;
-    // Points 2 and 4 stand at one place; point 1 is behind, within their squares.
+    // Points 2 and 4 have the same position; point 1 is behind them, within their squares.
     assert_eq!(point.data[at(0, 10, 15)], 2);
     assert_eq!((point.data[at(0, 8, 13)], point.data[at(0, 7, 13)]), (2, 0));
     assert_eq!(point.data[at(1, 10, 6)], 2);
@@ -170,7 +170,7 @@ fn wrong_usage_exits_with_2() {
 #[test]
 fn a_file_size_limit_is_an_error_that_names_the_file() {
     let case = Case::new();
-    // The archive is larger than the limit of one block.
+    // The archive is larger than the file size limit of one block.
     let big: Vec<Point> = (0..40_000_u32)
         .map(|i| {
             Point::new(
@@ -220,7 +220,7 @@ fn fixture_reduced_maps_agree_with_the_reference() {
     }
 }
 
-/// Compares a rasterizer's reduced maps with the reference's; gives the map of point numbers.
+/// Compares a rasterizer's reduced maps with the reference's; returns the map of point numbers.
 fn reduced_points(fixture: &Path, rasterizer: &str) -> Vec<u32> {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("f.npz");

@@ -1,4 +1,4 @@
-//! Templates: `pskel templates`, `build --templates`, and what rendering makes of them and of worse assets.
+//! Templates: `pskel templates`, `build --templates`, and rendering with templates and with degraded assets.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use serde_json::json;
 use crate::common::{shared, skeleton_of};
 use crate::tiny_log::{TinyLog, tree};
 
-/// The sides and the top of a box, a point every 5 cm.
+/// Returns the sides and the top of a box, with a point every 5 cm.
 fn shell([length, width, height]: [f64; 3]) -> Vec<Point> {
     let mut points = Vec::new();
     let steps = |size: f64| (size / 0.05).round() as i32;
@@ -40,7 +40,7 @@ fn asset(track: &str, category: &str, size: [f64; 3], points: Vec<Point>) -> (As
     (Asset { log, track, category, class, size, sweeps: 1, points: count, bounds, xxh3 }, points)
 }
 
-/// A skeleton of a log of that name with some actors.
+/// Writes a skeleton of a log of that name with some actors.
 fn write_skeleton(path: &Path, log: &str, actors: Vec<(Asset, Vec<Point>)>) {
     let points = vec![Point::new([0.0; 3], [1; 3], 0)];
     let (bounds, xxh3) = (Bounds::of(&points).unwrap(), Checksum::of(&points));
@@ -59,7 +59,8 @@ fn write_skeleton(path: &Path, log: &str, actors: Vec<(Asset, Vec<Point>)>) {
 const SEDAN: [f64; 3] = [4.6, 1.9, 1.5];
 const BUS: [f64; 3] = [12.0, 3.0, 3.3];
 
-/// Two skeletons: a car, a vehicle as long as a bus and a cone; a car without points, one without a size, and a truck of few points.
+/// Writes two skeletons. The first has a vehicle as long as a bus, a car and a cone; the second has a car without
+/// points, one without a size, and a truck with few points.
 fn two_skeletons(log: &TinyLog) {
     let first = vec![
         asset("bus", "vehicle", BUS, shell(BUS)),
@@ -102,7 +103,7 @@ fn actors_of_several_skeletons_become_a_library() {
     assert_eq!(manifest["report"]["templates"][0]["clusters"][0]["members"], json!(["one/car"]));
     let picture = image::open(log.path("out/t/bus.png")).unwrap().into_rgb8();
     assert!(picture.pixels().filter(|p| p.0 != [0; 3]).count() > 50_000);
-    // The same bytes by any number of threads, in the place of the older ones.
+    // The bytes do not depend on the number of threads; the older library is replaced.
     let first = tree(&log.path("out/t"));
     for threads in ["1", "2"] {
         assert!(log.run_with("templates sk1 sk2 --out out/t", threads).status.success());
@@ -214,7 +215,7 @@ fn a_skeleton_s_own_templates_go_first_then_the_library_s_then_the_built_in_ones
     both["sedan"] = json!("library");
     both["bus"] = json!("library");
     assert_eq!(render("sk", "--templates t"), both);
-    // Into the skeleton: from a file, then its own actors, then the library.
+    // Sources of a skeleton's templates by precedence: a file, its own actors, the library.
     log.succeed("convert sk --out npy");
     log.succeed("build nuscenes:log --out sk3 --templates-from t --template bus=npy/actors/car.npy");
     let skeleton = Skeleton::open(&log.path("sk3")).unwrap();
@@ -256,7 +257,7 @@ fn worse_assets_are_the_same_every_time_and_stand_in_the_index() {
     assert!(none[color] == clean[color]);
 }
 
-/// Extents that things of a kind have in the world: length, width, height, least and most, metres.
+/// Returns real-world extents of a kind: length, width, height, each min and max, meters.
 fn known(kind: TemplateKind) -> [[f64; 2]; 3] {
     match kind {
         TemplateKind::Sedan => [[3.2, 5.3], [1.5, 2.3], [1.1, 1.8]],
@@ -293,7 +294,7 @@ fn templates_of_a_real_drive_have_sizes_of_their_kind() {
             assert!((least..=most).contains(&extent), "{:?}: {extent} m along axis {axis}", template.kind);
         }
     }
-    // Every actor went somewhere.
+    // Every actor is accounted for.
     let used: usize = report.templates.iter().map(|t| t.instances).sum();
     let not_used = report.templates.iter().flat_map(|t| &t.clusters).filter(|c| !c.used);
     let of_another_size: usize = not_used.map(|c| c.members.len()).sum();

@@ -1,4 +1,4 @@
-//! Model tensors against NumPy's, the reference's bins, and as `pskel render` writes them.
+//! Model tensors compared with NumPy and with the reference's bins, and as written by `pskel render`.
 
 use point_skeleton::conditions::{
     BinScale, CameraConditions, DepthBins, DepthEmbedding, TensorEncoder, tensor,
@@ -12,7 +12,7 @@ use crate::{common, npz};
 const RENDER: &str = "render nuscenes:log --skeleton sk --out out";
 const ALLOWED: f32 = 1e-5;
 
-/// Largest difference of two tensors.
+/// Returns the maximum absolute difference of two tensors.
 fn farthest(found: &[f32], expected: &[f32]) -> f32 {
     assert_eq!(found.len(), expected.len());
     found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
@@ -58,7 +58,7 @@ fn tensors_equal_numpys() {
     assert!(farthest(&layout, &peers.layout) <= ALLOWED);
 }
 
-/// Another way to the depth channels: pixel by pixel, from the reference's bins.
+/// Computes the depth channels independently: pixel by pixel, from the reference's bins.
 fn channels_of(bin: u16) -> [f32; 17] {
     if bin == 0 {
         return std::array::from_fn(|channel| if channel == 0 { -1.0 } else { 0.0 });
@@ -98,7 +98,7 @@ fn fixture_tensors_are_those_of_the_references_bins() {
         }
         assert!(filled > pixels, "{filled}");
     }
-    // The comparison sees a bin that is off by one, in the finest waves most of all.
+    // The comparison detects a bin that is off by one, most of all at the highest frequency.
     assert!(farthest(&channels_of(100), &channels_of(101)) > 100.0 * ALLOWED);
 }
 

@@ -1,7 +1,8 @@
-//! A made-up drive in nuScenes layout, and the command run on it.
+//! A synthetic log in nuScenes layout, and functions that run the command on it.
 //!
-//! Three frames half a second apart. The ego drives 1 m a frame along x, a car 2 m a frame in front of it (its back
-//! 10, 11, 12 m away), a cone and a wall stand. One camera looks forward, one back, both over 90 degrees.
+//! Three frames half a second apart. The ego drives 1 m per frame along x; a car ahead of it drives 2 m per frame
+//! (its back is 10, 11, 12 m away); a cone and a wall are static. One camera looks forward, one back, both with 90
+//! degrees.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,7 +17,7 @@ pub(crate) const PSKEL: &str = env!("CARGO_BIN_EXE_pskel");
 pub(crate) const WIDTH: u32 = 96;
 pub(crate) const HEIGHT: u32 = 64;
 pub(crate) const FRAMES: usize = 3;
-/// Where the ego starts, global metres.
+/// Start position of the ego, global meters.
 pub(crate) const START: DVec3 = DVec3::new(664_000.0, 3_997_000.0, 0.0);
 pub(crate) const FIRST_US: i64 = 1_000_000_000;
 pub(crate) const STEP_US: i64 = 500_000;
@@ -25,7 +26,7 @@ pub(crate) const INTRINSICS: [[f64; 3]; 3] = [[48.0, 0.0, 48.0], [0.0, 48.0, 32.
 const LIDAR_Z: f64 = 1.8;
 pub(crate) const CAMERA_Z: f64 = 1.5;
 
-/// A folder with the drive in `log`, and room for what commands write.
+/// Folder with the log in `log`, and an output folder `out`.
 pub(crate) struct TinyLog {
     folder: tempfile::TempDir,
 }
@@ -59,7 +60,7 @@ impl TinyLog {
         std::fs::write(self.path(&format!("log/v1.0-mini/{table}.json")), records.to_string()).unwrap();
     }
 
-    /// Changes one number or text of a table, found by its JSON pointer.
+    /// Replaces one value of a table, found by its JSON pointer.
     pub(crate) fn change(&self, table: &str, pointer: &str, value: Value) {
         let text = std::fs::read(self.path(&format!("log/v1.0-mini/{table}.json"))).unwrap();
         let mut records: Value = serde_json::from_slice(&text).unwrap();
@@ -67,7 +68,7 @@ impl TinyLog {
         self.write_table(table, &records);
     }
 
-    /// Runs `pskel` with arguments separated by spaces, in the folder, with validation.
+    /// Runs `pskel` in the folder with validation; the arguments are separated by spaces.
     pub(crate) fn run(&self, args: &str) -> Output {
         self.run_with(args, "2")
     }
@@ -78,7 +79,7 @@ impl TinyLog {
         command.env("RAYON_NUM_THREADS", threads).env("LP_NUM_THREADS", threads).output().unwrap()
     }
 
-    /// The summary of a run that succeeds.
+    /// Returns the summary of a run, which must succeed.
     #[track_caller]
     pub(crate) fn succeed(&self, args: &str) -> String {
         let output = self.run(args);
@@ -88,7 +89,7 @@ impl TinyLog {
         summary
     }
 
-    /// The run fails with a code and a message that has all of `parts`, and leaves nothing in `out`.
+    /// Asserts that a run fails with a code and a message that has all of `parts`, and leaves `out` empty.
     #[track_caller]
     pub(crate) fn fail(&self, args: &str, code: i32, parts: &[&str]) {
         assert_failed(&self.run(args), code, parts);
@@ -106,7 +107,8 @@ impl TinyLog {
     }
 }
 
-/// The command, with signals that the tests' own parent may have had ignored (nohup, a job in the background).
+/// Returns the command with default handling of signals, which a parent process may have set to be ignored (nohup, a
+/// background job).
 pub(crate) fn with_default_signals() -> Command {
     let mut command = Command::new("env");
     command.args(["--default-signal=HUP,INT,TERM", PSKEL]);
@@ -122,7 +124,7 @@ pub(crate) fn assert_failed(output: &Output, code: i32, parts: &[&str]) {
     }
 }
 
-/// All files below a folder with their bytes.
+/// Returns all files below a folder with their bytes.
 pub(crate) fn tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = BTreeMap::new();
     for entry in std::fs::read_dir(folder).unwrap() {
@@ -147,7 +149,7 @@ pub(crate) fn picture(frame: usize, camera: &str) -> String {
     format!("log/samples/{frame}-{camera}.png")
 }
 
-/// Rotation and place of a camera on the ego that looks along `yaw`.
+/// Returns the rotation of a camera on the ego that looks along `yaw`.
 pub(crate) fn camera_rotation(yaw: f64) -> DQuat {
     let axes = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
     DQuat::from_rotation_z(yaw) * DQuat::from_mat3(&axes)
@@ -165,7 +167,7 @@ fn cone_at() -> DVec3 {
     START + DVec3::new(8.0, 4.0, 0.5)
 }
 
-/// Rows of a plane, metres: from a corner along two sides.
+/// Returns the points of a plane, meters, in rows from a corner along two sides.
 fn plane(corner: DVec3, sides: [DVec3; 2], step_m: f64) -> impl Iterator<Item = DVec3> {
     let count = |side: DVec3| (side.length() / step_m).round() as usize;
     let [m, n] = sides.map(count);

@@ -1,4 +1,4 @@
-//! The built-in town on the command line.
+//! The built-in synthetic town on the command line.
 
 use std::process::Command;
 
@@ -26,7 +26,7 @@ fn a_town_comes_whole_or_not_at_all() {
         "seed=2,frames=1,hz=5,beams=32,lidar_hz=10,size=45x80"
     );
     assert!(log.run("info nuscenes:out/town").status.success());
-    // Replaced by its like, not where somebody put something.
+    // A town written before is replaced, unless the folder has other files.
     log.succeed(&format!("town --seed 4 {small} --out out/town"));
     assert!(!log.path("out/town/truth").exists());
     std::fs::write(log.path("out/town/notes.txt"), "mine").unwrap();
@@ -76,7 +76,7 @@ fn a_town_needs_a_place_to_be_written() {
         assert_failed(&output, 1, &[said, place.trim_end_matches("/town")]);
     }
     assert_eq!(std::fs::read(log.path("file")).unwrap(), b"");
-    // No room: what was begun is gone.
+    // Disk full: the unfinished output is removed.
     let command = "ulimit -f 64; exec \"$0\" town --frames 1 --size 45x80 --out out/town";
     let mut shell = Command::new("bash");
     let output = shell.current_dir(log.path("")).args(["-c", command, PSKEL]).output().unwrap();
@@ -84,7 +84,7 @@ fn a_town_needs_a_place_to_be_written() {
     log.assert_out_is_empty();
 }
 
-/// Built and rendered from memory; a build of another town is not gone on with.
+/// Builds, renders and evaluates from memory; a skeleton of another town is refused.
 #[test]
 fn a_town_goes_through_all_commands() {
     let log = TinyLog::new();
@@ -106,12 +106,12 @@ fn a_town_goes_through_all_commands() {
     let number = |path: &str| rows[0].pointer(path).unwrap().as_f64().unwrap();
     assert!(number("/color/psnr_db") > 15.0 && number("/color/filled") > 0.1, "{}", rows[0]);
     assert!(number("/depth/median_m") < 0.5, "{}", rows[0]);
-    // Somebody of some class is in view, and shown where he is.
+    // An actor of some class is in view, and rendered at its position.
     let classes = rows[0]["rendered"]["classes"].as_object().unwrap();
     assert!(classes.values().filter_map(Value::as_f64).any(|iou| iou > 0.3), "{}", rows[0]);
     assert_eq!(std::fs::read_to_string(log.path("out/f.md")).unwrap().lines().count(), 10);
     assert_eq!(std::fs::read_to_string(log.path("out/f.csv")).unwrap().lines().count(), 9);
-    // A skeleton of one town is none of another.
+    // A skeleton of one town is not accepted for another.
     for (other, name) in [("seed=6,frames=2", "town-6-2f-day"), ("seed=5,frames=3", "town-5-3f-day")] {
         let output = log.run(&format!("fidelity town:{other} --skeleton out/sk"));
         assert_failed(&output, 1, &[&format!("a skeleton of log {name}, found one of log town-5-2f-day")]);

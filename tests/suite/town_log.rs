@@ -1,4 +1,4 @@
-//! The built-in town as a log: what is recorded fits what is true, and what is written is read again.
+//! The built-in town as a log: the recording agrees with the ground truth, and written logs are read unchanged.
 
 use std::collections::BTreeMap;
 
@@ -23,7 +23,7 @@ fn close(a: &Pose, b: &Pose) -> bool {
     a.rotation.angle_between(b.rotation) < 1e-7 && (a.translation - b.translation).length() < 1e-9
 }
 
-/// How far a point is from a line of points.
+/// Returns the distance from a point to a polyline.
 fn away(point: DVec2, line: &[DVec2]) -> f64 {
     let to_piece = |w: &[DVec2]| {
         let s = (point - w[0]).dot(w[1] - w[0]) / (w[1] - w[0]).length_squared();
@@ -55,16 +55,16 @@ fn frames_sweeps_and_images_have_their_times() {
     }
     assert!(log.tracks.windows(2).all(|w| w[0].id < w[1].id));
     assert!((0..log.tracks.len()).all(|track| !log.track_boxes(track).is_empty()));
-    // The ego moves along, and its poses of images lie between those of frames.
+    // The ego moves, and its poses at images lie between those at frames.
     let ego = EgoTrack::new(log);
     let image = &log.frames[1].images[0];
     let between = ego.at(image.t_us).unwrap();
     assert!(between.translation.distance(image.global_from_ego.translation) < 0.02);
-    // Another rate of frames and turns: every turn is there once.
+    // With other rates of frames and LiDAR turns, every turn occurs once.
     let other = Town::new(&TownOptions { frames: 4, hz: 4.0, lidar_hz: 20.0, ..OPTIONS }).unwrap();
     let counts: Vec<usize> = other.log().frames.iter().map(|frame| frame.sweeps.len()).collect();
     assert_eq!(counts, [1, 5, 5, 5]);
-    // A name tells drives apart, not how they are recorded.
+    // Names distinguish drives, but not recording options.
     let named = |options: TownOptions| Town::new(&options).unwrap().log().name.clone();
     assert_eq!(other.log().name, "town-3-4f-4hz-dusk");
     assert_eq!(named(TownOptions { beams: 64, size: [45, 80], ..OPTIONS }), log.name);
@@ -135,19 +135,19 @@ fn the_same_options_give_the_same_bytes() {
         tree(folder.path())
     };
     assert!(write() == write());
-    // Another seed is another town.
+    // Another seed gives another town.
     assert!(made(3).read_map().unwrap() != made(4).read_map().unwrap());
 }
 
-/// The LiDAR's rays and the triangle pipeline see the same town: points stand where the depth map has them. The back
-/// camera fires at the time stamp of the sweep.
+/// The LiDAR's rays and the triangle pipeline render the same town: points agree with the depth map. The back camera
+/// fires at the timestamp of the sweep.
 #[test]
 fn the_lidar_and_the_cameras_agree() {
     let town = town();
     let frame = &town.log().frames[1];
     let image = &frame.images[3];
     assert_eq!(image.t_us, frame.t_us);
-    // Pixels so fine that even a far ground changes little within one.
+    // Pixels so small that the depth of distant ground changes little within one.
     let (height, width) = (720, 1280);
     let camera = image.camera.resized(height, width);
     let view = View { camera, camera_from_world: image.camera_from_global().affine() };
@@ -165,14 +165,14 @@ fn the_lidar_and_the_cameras_agree() {
         }
         compared += 1;
         let own = seen.depth_m[pixel.y as usize * width as usize + pixel.x as usize];
-        // What is behind an edge is behind it for one of the two.
+        // At an edge, one of the two may hit the surface behind it.
         off.push((f64::from(own) - depth_m).abs() / depth_m);
     }
     off.sort_by(f64::total_cmp);
     assert!(compared > 1000, "{compared}");
     assert!(off[compared / 2] < 0.01, "median {}", off[compared / 2]);
     assert!(off[compared * 8 / 10] < 0.05, "80 %: {}", off[compared * 8 / 10]);
-    // Moved by half a metre the same points do not fit: the test can fail.
+    // The test can fail: shifted by half a meter, the same points do not fit.
     let shifted = View {
         camera_from_world: glam::DAffine3::from_translation(DVec3::X * 0.5) * view.camera_from_world,
         ..view
@@ -181,7 +181,7 @@ fn the_lidar_and_the_cameras_agree() {
     assert!(moved[0].depth_m != seen.depth_m);
 }
 
-/// Points in the boxes of those who stand still: none sticks out, and who is near is seen.
+/// Points in the boxes of static actors: none sticks out, and at least half of the actors near the ego have points.
 #[test]
 fn boxes_hold_their_actors() {
     let town = town();
@@ -205,7 +205,7 @@ fn boxes_hold_their_actors() {
             .cuboid_of(item.track)
             .is_some_and(|c: Cuboid| close(&c.pose, &item.cuboid.pose));
         if stands {
-            // Ranges are off by 1.5 cm, five times that at most.
+            // Range errors are 1.5 cm, and at most five times that.
             assert_eq!(inside(0.08), inside(0.12), "{}", town.log().tracks[item.track].id);
         }
         if item.cuboid.pose.translation.distance(frame.global_from_ego.translation) < 20.0 {
@@ -231,7 +231,7 @@ fn the_truth_is_numbered_as_boxes_are() {
             };
             let item = &frame.boxes[index];
             assert_eq!(*class, town.log().tracks[item.track].class as u8);
-            // The point of the pixel lies in the box.
+            // The point that the pixel shows lies in the box.
             let centre = DVec3::new((pixel % 160) as f64 + 0.5, (pixel / 160) as f64 + 0.5, 1.0);
             let in_camera = view.camera.intrinsics.inverse() * centre * f64::from(seen.depth_m[pixel]);
             let at = view.camera_from_world.inverse().transform_point3(in_camera);
@@ -241,7 +241,7 @@ fn the_truth_is_numbered_as_boxes_are() {
         }
     }
     assert!(shown > 100, "{shown} pixels of actors");
-    // The same state given actor by actor.
+    // The same state, passed actor by actor.
     let actors: Vec<TrueActor<'_>> = frame
         .boxes
         .iter()
@@ -252,20 +252,20 @@ fn the_truth_is_numbered_as_boxes_are() {
         let differ = a.instance.iter().zip(&b.instance).filter(|(a, b)| a != b).count();
         assert!(differ * 500 < a.instance.len(), "{differ} pixels");
     }
-    // Nobody: no pixel of anybody.
+    // Without actors, no pixel shows one.
     assert!(town.truth_of(frame.t_us, &[], &views).unwrap().iter().all(|v| v.class.iter().all(|c| *c == 0)));
     let stranger = [TrueActor { track: "nobody", cuboid: frame.boxes[0].cuboid }];
     let error = town.truth_of(frame.t_us, &stranger, &views).unwrap_err().to_string();
     assert_eq!(error, "expected tracks of town town-3-6f-dusk, found nobody");
 }
 
-/// Every point that is in a box at the time of its sweep is one of that actor, also between frames, where boxes are
-/// between those of the frames.
+/// Every point inside a box at the time of its sweep belongs to that actor. Between frames, the boxes are
+/// interpolated.
 #[test]
 fn sweeps_between_frames_are_split_by_boxes_in_between() {
     let (_files, drive) = made_town::read();
     let mut log = WithLog::grey(&drive, &[1, 2]);
-    // All boxes creep ahead, whoever is in them: it matters which boxes are taken.
+    // All boxes creep forward independently of the actors, so that the choice of boxes matters.
     for (frame, item) in
         (0..).zip(&mut log.log.frames).flat_map(|(i, f)| f.boxes.iter_mut().map(move |b| (i, b)))
     {
@@ -282,12 +282,12 @@ fn sweeps_between_frames_are_split_by_boxes_in_between() {
         let expected = points_in_boxes(&log, between_sweeps, true);
         assert!(expected.values().sum::<usize>() > 100, "{expected:?}");
         assert_eq!(found, expected);
-        // By the boxes of the frames it would be others.
+        // The boxes of the frames would select other points.
         assert_eq!(expected == points_in_boxes(&log, between_sweeps, false), !between_sweeps);
     }
 }
 
-/// How many points of all sweeps the actors have by the boxes at the sweeps' times, or by those of their frames.
+/// Counts the points of all sweeps per actor, with boxes at the sweeps' times or at those of their frames.
 fn points_in_boxes(
     drive: &WithLog<'_>,
     between_sweeps: bool,

@@ -1,6 +1,6 @@
-//! True views of the town: maps against rays cast in `f64`, color against what is known by hand.
+//! Ground-truth views of the town: maps compared with rays cast in `f64`, color compared with values known by hand.
 //!
-//! All run under the validation layer, which fails them on any message.
+//! All tests run under the validation layer and fail on any message.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, EulerRot, Vec3};
 use point_skeleton::geometry::{Camera, View};
@@ -17,7 +17,7 @@ fn plain(grey: u8) -> Skin {
     Skin::new([grey; 3], Surface::Plain)
 }
 
-/// At `place`, looking along x turned by yaw, pitch (down) and roll, radians.
+/// Returns a view at `place` along x, turned by yaw, pitch (down) and roll, radians.
 fn view([height, width]: [u32; 2], focal: f64, place: DVec3, [yaw, pitch, roll]: [f64; 3]) -> View {
     let rows = [
         [focal, 0.0, 0.47 * f64::from(width)],
@@ -35,7 +35,8 @@ fn at(place: DVec3, yaw: f64) -> DAffine3 {
     DAffine3::from_rotation_translation(DQuat::from_rotation_z(yaw), place)
 }
 
-/// A wall, a box in front of it twice, leaning slabs, ground that runs on behind the camera, a pipe around it.
+/// Returns a scene: a wall, two boxes in front of it, leaning slabs, ground that extends behind the camera, a rail
+/// beside it.
 fn scene() -> (Vec<Mesh>, Vec<MeshDraw>) {
     let block = |min: [f64; 3], max: [f64; 3], surface| {
         let mut mesh = Mesh::default();
@@ -52,7 +53,7 @@ fn scene() -> (Vec<Mesh>, Vec<MeshDraw>) {
         leaning.polygon(&corners.map(|c| DVec3::from(c) + DVec3::new(x, y, 0.0)), skin);
     }
     let ground = block([-80.0, -60.0, -1.0], [120.0, 60.0, 0.0], Surface::Asphalt);
-    // Within the near plane on one side, so that the near plane cuts it.
+    // Partly nearer than the near plane, so that it is clipped.
     let rail = block([-3.0, -0.5, 1.2], [6.0, -0.45, 1.3], Surface::Metal);
     let draw = |mesh, town_from_mesh, class, instance| MeshDraw { mesh, town_from_mesh, class, instance };
     let draws = vec![
@@ -68,7 +69,7 @@ fn scene() -> (Vec<Mesh>, Vec<MeshDraw>) {
     (vec![wall, car, leaning, ground, rail], draws)
 }
 
-/// All triangles in `f64`: what the pictures are held against.
+/// All triangles in `f64`, the reference for the images.
 struct Rays(Vec<(usize, [DVec3; 3])>);
 
 impl Rays {
@@ -83,7 +84,7 @@ impl Rays {
         Self(triangles.collect())
     }
 
-    /// Triangle and length along the ray of the first hit beyond `least` (Möller and Trumbore 1997).
+    /// Returns triangle and length along the ray of the first hit beyond `least` (Möller and Trumbore 1997).
     fn cast(&self, from: DVec3, ray: DVec3, least: f64) -> Option<(usize, f64)> {
         let hit = |(number, (_, [a, b, c])): (usize, &(usize, [DVec3; 3]))| {
             let (ab, ac) = (b - a, c - a);
@@ -97,7 +98,7 @@ impl Rays {
         self.0.iter().enumerate().filter_map(hit).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Triangle and camera z of what a view shows at a place in the image.
+    /// Returns the triangle and camera z that a view shows at an image position.
     fn seen(&self, view: &View, x: f64, y: f64) -> Option<(usize, f64)> {
         let town_from_camera = view.camera_from_world.inverse();
         let ray = town_from_camera.matrix3 * (view.camera.intrinsics.inverse() * DVec3::new(x, y, 1.0));
@@ -105,13 +106,13 @@ impl Rays {
     }
 }
 
-/// How near to an edge, pixels, a device may take the other side: it rounds corners to its steps in a pixel, and cuts at
-/// the near plane. A hundredth of a pixel with lavapipe's 256 steps.
+/// Returns the distance from an edge, pixels, within which a device may resolve to the other side: it rounds corners
+/// to its sub-pixel steps and clips at the near plane. A hundredth of a pixel with lavapipe's 256 steps.
 fn hair_px(device: &Device) -> f64 {
     2.56 / f64::from(device.limits().sub_pixel_precision_bits).exp2()
 }
 
-/// Compares every pixel that is not within a hair of an edge; tells the share of those.
+/// Compares every pixel farther than `hair_px` from an edge; returns the share of compared pixels.
 fn compare(shown: &TrueView, view: &View, (rays, draws): (&Rays, &[MeshDraw]), hair_px: f64) -> f64 {
     let width = view.camera.width as usize;
     let mut compared = 0;
@@ -151,7 +152,7 @@ fn maps_are_those_of_rays() {
         let mut filmer = Filmer::new(&device, &refs).unwrap();
         let light = Light::new(Daylight::Day, 1);
         let whole = filmer.film(&draws, &views, &light).unwrap();
-        // In tiles: the same to a rounding.
+        // In tiles: the same except for rounding.
         let mut filmer = filmer.with_tile_side(23);
         let tiled = filmer.film(&draws, &views, &light).unwrap();
         let mut seen = std::collections::BTreeSet::new();
@@ -168,7 +169,7 @@ fn maps_are_those_of_rays() {
     });
 }
 
-/// The comparison must be able to fail: a view from one centimetre beside is another one.
+/// The comparison must be able to fail: a view shifted by one centimeter differs.
 #[test]
 #[should_panic(expected = "for")]
 fn maps_from_beside_are_told() {
@@ -190,8 +191,8 @@ fn srgb(linear: f64) -> u8 {
 
 #[test]
 fn edges_are_blended_in_linear_light() {
-    // A white sheet at 10 m whose corner lies at pixel (20.3, 11.7): of the samples of pixel 20 at 20, 20.5 and 21,
-    // which weigh 1, 2 and 1, two are white; of those of row 11 one.
+    // A white sheet at 10 m whose corner lies at pixel (20.3, 11.7). Of the samples of pixel 20 at 20, 20.5 and 21,
+    // with weights 1, 2 and 1, two are white; of those of row 11 one is white.
     let focal = 50.0;
     let view = view([30, 40], focal, DVec3::ZERO, [0.0; 3]);
     let [k, c] = [view.camera.intrinsics.x_axis.x, view.camera.intrinsics.z_axis.x];
@@ -229,7 +230,7 @@ fn the_sun_throws_shadows_where_something_is_in_its_way() {
     let meshes = [ground, post];
     let draw =
         |mesh, x| MeshDraw { mesh, town_from_mesh: at(DVec3::new(x, 3.0, 0.0), 0.7), class: 1, instance: 0 };
-    // One near, in the fine map, and one far, in the coarse one.
+    // One post near, in the fine shadow map, and one far, in the coarse one.
     let draws = [draw(0, 0.0), draw(1, 4.0), draw(1, 90.0)];
     let rays = Rays::new(&meshes, &draws);
     let near = view([60, 90], 40.0, DVec3::new(4.0, -12.0, 12.0), [1.57, 0.8, 0.0]);
@@ -265,7 +266,7 @@ fn the_sun_throws_shadows_where_something_is_in_its_way() {
                 let mean = |values: &[u32]| f64::from(values.iter().sum::<u32>()) / values.len() as f64;
                 lit.sort_unstable();
                 dark.sort_unstable();
-                // The low sun at dusk gives little more light than the sky, of which the posts hide a part, too.
+                // At dusk the low sun adds little to the light of the sky, part of which the posts block too.
                 let (aside, share) = if daylight == Daylight::Dusk { (20, 0.9) } else { (usize::MAX, 0.85) };
                 let (least, most) = (lit[lit.len() / aside], dark[dark.len() - 1 - dark.len() / aside]);
                 assert!(most < least, "{daylight:?} {seed}: {most} in the shadow, {least} in the sun");
@@ -275,7 +276,7 @@ fn the_sun_throws_shadows_where_something_is_in_its_way() {
     });
 }
 
-/// Bytes of a picture of everything, to be the same in every process.
+/// Returns a digest of images of the whole scene, which must be equal in every process.
 fn digest() -> String {
     let (meshes, draws) = scene();
     let views = [0.0, 1.2, 3.0].map(|yaw| view([45, 80], 60.0, DVec3::new(0.0, 0.4, 1.4), [yaw, 0.05, 0.0]));
@@ -299,7 +300,7 @@ fn digest() -> String {
     })
 }
 
-/// Lavapipe's threads are chosen by the environment, so in processes of their own.
+/// The environment sets the number of lavapipe's threads, so each run needs its own process.
 #[test]
 fn pictures_do_not_depend_on_threads() {
     const INNER: &str = "PSKEL_TEST_TOWN_DIGEST";

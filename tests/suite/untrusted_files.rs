@@ -1,4 +1,4 @@
-//! Files that data sets name, or that stand where a file should: devices, FIFOs, folders, and files of others.
+//! File names in data sets, and devices, FIFOs, folders and files outside the data set in place of regular files.
 
 use std::os::unix::fs::symlink;
 use std::os::unix::net::UnixListener;
@@ -12,7 +12,7 @@ use crate::guarded::{Ended, listing, run};
 use crate::nuplan_made::{LOG, Made, RING, image_file, sweep_file};
 use crate::tiny_log::TinyLog;
 
-/// What can stand in the place of a file, and what it is called.
+/// Kinds of objects in place of a file, with the error message for each.
 const KINDS: [(&str, &str); 5] = [
     ("fifo", "expected a regular file, found a FIFO"),
     ("device", "expected a regular file, found a device"),
@@ -21,7 +21,7 @@ const KINDS: [(&str, &str); 5] = [
     ("loop", "cannot read: "),
 ];
 
-/// Puts something of a kind in the place of what is at a path.
+/// Replaces whatever is at a path by an object of a kind.
 fn put(kind: &str, path: &Path) {
     if std::fs::remove_file(path).is_err() {
         let _ = std::fs::remove_dir(path);
@@ -35,7 +35,7 @@ fn put(kind: &str, path: &Path) {
     }
 }
 
-/// Each command is refused with the place of each kind of thing that is no file.
+/// Asserts that each command refuses every kind of non-regular file, and names the file.
 #[track_caller]
 fn refuse_all_kinds(folder: &Path, file: &Path, commands: &[&str]) {
     refuse_kinds(&KINDS, folder, file, commands);
@@ -51,7 +51,7 @@ fn refuse_kinds(kinds: &[(&str, &str)], folder: &Path, file: &Path, commands: &[
             let ended = run(folder, &command.split(' ').collect::<Vec<_>>());
             let what = format!("{command} with a {kind} for {}", file.display());
             ended.refused(&what, &[message, file.file_name().unwrap().to_str().unwrap()]);
-            // An unfinished build may stay, as of any damaged file.
+            // An unfinished build may remain, as after any damaged file.
             let mut after = listing(folder);
             after.retain(|name, _| !name.starts_with("new.partial"));
             assert_eq!(after, before, "{what}");
@@ -64,7 +64,7 @@ fn refuse_kinds(kinds: &[(&str, &str)], folder: &Path, file: &Path, commands: &[
     std::fs::write(file, whole).unwrap();
 }
 
-/// `info` counts damaged files of sensors rather than fail.
+/// Runs `info`, which counts damaged sensor files and does not fail.
 #[track_caller]
 fn damaged(folder: &Path, log: &str) -> String {
     let Ended { code, stdout, stderr } = run(folder, &["info", log]);
@@ -74,7 +74,7 @@ fn damaged(folder: &Path, log: &str) -> String {
 
 const BUILD: &str = "build nuscenes:log --out new";
 
-/// Of the first sweep and of the first image.
+/// JSON pointers of the first sweep's and the first image's file name.
 const FIRST: [&str; 2] = ["/0/filename", "/1/filename"];
 
 #[test]
@@ -104,7 +104,7 @@ fn names_of_files_stay_below_the_data_set() {
             let ended = run(&folder, &["info", "nuscenes:log", "--allow-outside"]);
             ended.refused(none, &["expected the name of a file", "v1.0-mini/sample_data.json"]);
         }
-        // Whoever trusts the data set may say so; devices stay what they are.
+        // `--allow-outside` permits files outside the data set, but not devices or FIFOs.
         for outside in [&absolute(name), &format!("../elsewhere/{name}"), &inside] {
             log.change("sample_data", pointer, json!(outside));
             let Ended { code, stderr, .. } =
@@ -121,7 +121,7 @@ fn names_of_files_stay_below_the_data_set() {
         log.change("sample_data", pointer, json!(own));
         assert_eq!(listing(&folder).len(), before.len());
     }
-    // Data sets are commonly put together of links.
+    // Data sets are commonly assembled from links.
     std::fs::rename(log.path("log/samples"), log.path("elsewhere/samples")).unwrap();
     symlink("../elsewhere/samples", log.path("log/samples")).unwrap();
     log.succeed(BUILD);
@@ -142,7 +142,7 @@ fn sensor_files_of_nuscenes_are_regular() {
             std::fs::write(log.path(file), whole).unwrap();
         }
     }
-    // Longer than any sweep or image, and taking no space.
+    // Larger than any sweep or image, in a sparse file.
     for file in ["log/samples/0.pcd.bin", "log/samples/0-CAM_FRONT.png"] {
         let whole = std::fs::read(log.path(file)).unwrap();
         std::fs::File::create(log.path(file)).unwrap().set_len(4 << 40).unwrap();
@@ -170,7 +170,7 @@ fn files_of_nuplan_are_regular() {
     for file in [made.blob(&sweep_file(0)), made.blob(&image_file(RING[0], 0))] {
         refuse_all_kinds(&folder, &file, &commands);
     }
-    // A folder in its place is one of logs.
+    // A folder in its place is read as a folder of logs.
     let kinds = KINDS.into_iter().filter(|(kind, _)| *kind != "folder").collect::<Vec<_>>();
     refuse_kinds(&kinds, &folder, &made.database(), &commands);
     for file in [made.map(), made.path("maps/nuplan-maps-v1.0.json")] {
@@ -239,7 +239,7 @@ fn files_of_all_kinds_are_regular() {
         if !path.exists() {
             std::fs::write(&path, "").unwrap();
         }
-        // A folder's name may be that of a skeleton.
+        // `info` accepts a folder as a skeleton.
         let is_folder = |kind: &str| kind == "folder" && command == format!("info {file}");
         let kinds = KINDS.into_iter().filter(|(kind, _)| !is_folder(kind)).collect::<Vec<_>>();
         refuse_kinds(&kinds, &folder, &path, &[&command]);

@@ -1,4 +1,4 @@
-//! Names in data sets that would lead out of the folder that is written, or cannot be shown.
+//! Names in data sets that would lead out of the output folder, or that cannot be displayed.
 
 use std::path::Path;
 
@@ -9,8 +9,8 @@ use crate::guarded::{Ended, listing, run};
 use crate::nuplan_made::{LOG, Made};
 use crate::tiny_log::TinyLog;
 
-/// Names of cameras that are refused; `OUTSIDE` stands for a folder beside the data set. Folders are written five levels
-/// below the folder that is looked at.
+/// Camera names that are refused; `OUTSIDE` is replaced by a folder beside the data set. The output is five levels
+/// below the folder that is checked for changes.
 const BAD: [&str; 34] = [
     "",
     ".",
@@ -48,7 +48,7 @@ const BAD: [&str; 34] = [
     "state.json",
 ];
 
-/// Too long ones are not written out.
+/// Returns the bad names, including overlong ones.
 fn bad(folder: &Path) -> Vec<String> {
     let outside = folder.join("outside").display().to_string();
     let mut names: Vec<String> = BAD.iter().map(|name| name.replace("OUTSIDE", &outside)).collect();
@@ -56,10 +56,10 @@ fn bad(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Where commands write.
+/// Output folder of the commands.
 const OUT: &str = "1/2/3/4/out";
 
-/// Something to overwrite, and room to write.
+/// Creates files that could be overwritten, and the folders around the output.
 fn make_room(folder: &Path) {
     for place in ["outside", "1/2/3/4", "1/2/3/x", "1/2/x", "1/x"] {
         std::fs::create_dir_all(folder.join(place)).unwrap();
@@ -67,7 +67,7 @@ fn make_room(folder: &Path) {
     }
 }
 
-/// Commands refuse a log, name its file and write nothing.
+/// Asserts that commands refuse a log, name its file and write nothing.
 #[track_caller]
 fn refuse(folder: &Path, commands: &[Vec<String>], name: &str, file: &str) {
     let before = listing(folder);
@@ -79,7 +79,7 @@ fn refuse(folder: &Path, commands: &[Vec<String>], name: &str, file: &str) {
     }
 }
 
-/// Commands that read a log, with a skeleton of it in `sk`.
+/// Returns commands that read a log, with a skeleton of it in `sk`.
 fn commands(log: &str) -> Vec<Vec<String>> {
     let render = format!("render {log} --skeleton sk --rasterizer cpu --out {OUT} --maps class");
     let texts = [
@@ -107,11 +107,11 @@ fn channels_of_nuscenes_are_names_of_folders() {
         log.change("sensor", "/1/channel", json!(name));
         refuse(&folder, &commands("nuscenes:log"), &name, "v1.0-mini/sensor.json");
     }
-    // Two cameras that some file systems put into one folder.
+    // Two cameras whose folders are the same on some file systems.
     log.change("sensor", "/1/channel", json!("cam_BACK"));
     let ended = run(&folder, &["info", "nuscenes:log"]);
     ended.refused("cases", &["differ in more than case", "CAM_BACK", "v1.0-mini/sensor.json"]);
-    // Names of other letters, and with dots and blanks, are fine.
+    // Names with other scripts, dots and blanks are accepted.
     log.change("sensor", "/1/channel", json!("Kamera vörn..1 日本"));
     let args =
         format!("render nuscenes:log --skeleton sk --rasterizer cpu --out {OUT} --maps class --frames 0..1");
@@ -211,7 +211,7 @@ fn a_location_is_the_name_of_a_file() {
     }
 }
 
-/// What the data calls itself cannot act on a terminal, nor fill it.
+/// Names in the data cannot control a terminal or flood it.
 #[test]
 fn messages_show_names_as_they_are() {
     let log = TinyLog::new();

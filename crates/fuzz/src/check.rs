@@ -1,11 +1,11 @@
-//! What must hold for whatever is read.
+//! Invariants of everything that is read.
 
 use std::path::Path;
 
 use point_skeleton::dataset::{Area, Dataset, EgoTrack, Log, VectorMap};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz, state_at, state_of_frame};
 
-/// An error names its file last, and is no longer than what it may quote of the input.
+/// Asserts that an error ends with its file's name, and is not much longer than the input it may quote.
 #[track_caller]
 pub(crate) fn told(error: impl std::fmt::Display, file: &Path, input: &[u8]) {
     let message = error.to_string();
@@ -17,7 +17,7 @@ pub(crate) fn told(error: impl std::fmt::Display, file: &Path, input: &[u8]) {
     short(&message, input);
 }
 
-/// The same for errors of one of several files in a folder.
+/// Same as [`told`], for an error of one of several files in a folder.
 #[track_caller]
 pub(crate) fn told_within(error: impl std::fmt::Display, folder: &Path, input: &[u8]) {
     let message = error.to_string();
@@ -29,14 +29,14 @@ pub(crate) fn told_within(error: impl std::fmt::Display, folder: &Path, input: &
     short(&message, input);
 }
 
-/// Of a message that has no file.
+/// Asserts the maximum length of a message, which may name no file.
 #[track_caller]
 pub(crate) fn short(message: &str, input: &[u8]) {
     let most = 4096 + 16 * input.len();
     assert!(message.len() <= most, "a message of {} bytes for {} of input", message.len(), input.len());
 }
 
-/// What a log promises, and that its users can work with it.
+/// Checks the guarantees of a log, and that its users can process it.
 pub(crate) fn dataset(dataset: &dyn Dataset, folder: &Path, input: &[u8]) {
     let log = dataset.log();
     check_log(log);
@@ -94,7 +94,7 @@ fn check_log(log: &Log) {
     assert!(state_at(log, &ego, middle, EgoOffset::default()).is_some());
 }
 
-/// What a map promises.
+/// Checks the guarantees of a map.
 pub(crate) fn check_map(map: &VectorMap, log: &Log) {
     let whole = |area: &Area| {
         std::iter::once(&area.exterior)

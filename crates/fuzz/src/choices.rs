@@ -1,4 +1,4 @@
-/// Numbers drawn from bytes; zeros once they are used up.
+/// Numbers drawn from bytes; zeros after the last byte.
 pub(crate) struct Choices<'a>(&'a [u8]);
 
 impl<'a> Choices<'a> {
@@ -24,7 +24,7 @@ impl<'a> Choices<'a> {
         byte
     }
 
-    /// Below `n`; 0 for an `n` of 0.
+    /// Returns a number below `n`; 0 if `n` is 0.
     pub(crate) fn below(&mut self, n: usize) -> usize {
         let drawn = if n <= 256 { usize::from(self.byte()) } else { u16::from_le_bytes(self.take()).into() };
         drawn.checked_rem(n).unwrap_or(0)
@@ -34,7 +34,7 @@ impl<'a> Choices<'a> {
         all[self.below(all.len())]
     }
 
-    /// So many bytes as the next one says, or as there are.
+    /// Returns as many bytes as the next byte says, or all remaining ones.
     pub(crate) fn bytes(&mut self) -> &'a [u8] {
         let count = usize::from(self.byte()).min(self.0.len());
         let (head, rest) = self.0.split_at(count);
@@ -42,7 +42,7 @@ impl<'a> Choices<'a> {
         head
     }
 
-    /// A number that readers may stumble over, or any.
+    /// Returns an edge-case number or an arbitrary one.
     pub(crate) fn number(&mut self) -> f64 {
         const ODD: [f64; 16] = [
             0.0,
@@ -69,7 +69,7 @@ impl<'a> Choices<'a> {
         }
     }
 
-    /// The same for whole numbers.
+    /// Returns an edge-case integer or an arbitrary one.
     pub(crate) fn integer(&mut self) -> i64 {
         const ODD: [i64; 12] = [
             0,

@@ -1,10 +1,11 @@
-//! JSON that is changed by value, so that it stays JSON.
+//! Edits of JSON values; the result is always valid JSON.
 
 use serde_json::{Map, Value};
 
 use crate::choices::Choices;
 
-/// Bytes of a JSON file for an input: those behind a first byte of 0 are edits of `base`, others the file itself.
+/// Returns the JSON file for an input: after a first byte of 0, the input is edits of `base`; any other input is the
+/// file itself.
 pub fn json_file(data: &[u8], base: &Value) -> Vec<u8> {
     match data.split_first() {
         Some((0, edits)) => {
@@ -16,10 +17,10 @@ pub fn json_file(data: &[u8], base: &Value) -> Vec<u8> {
     }
 }
 
-/// Changes a document: each edit goes down to a value, and changes it.
+/// Edits a document: each edit descends to a value and changes it.
 pub fn edit(document: &mut Value, edits: &[u8]) {
     let mut choices = Choices::new(edits);
-    // What is copied grows: a few edits must not make a large file.
+    // Copies multiply: a few edits must not create a large file.
     let mut left = 64;
     while !choices.is_empty() && left > 0 {
         let copy = descend(document, &mut choices).clone();
@@ -28,7 +29,7 @@ pub fn edit(document: &mut Value, edits: &[u8]) {
     }
 }
 
-/// A value somewhere in a document.
+/// Returns a value somewhere in a document.
 fn descend<'v>(mut value: &'v mut Value, choices: &mut Choices<'_>) -> &'v mut Value {
     loop {
         let children = match &*value {
@@ -55,7 +56,7 @@ fn descend<'v>(mut value: &'v mut Value, choices: &mut Choices<'_>) -> &'v mut V
     }
 }
 
-/// Most bytes of a value that is copied.
+/// Maximum size of a copied value, bytes.
 const MAX_COPY: usize = 4096;
 
 fn change(value: &mut Value, copy: Value, choices: &mut Choices<'_>) {

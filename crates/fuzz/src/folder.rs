@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 
-/// Files that a target changes and that are as before in its next run.
+/// Folder whose files a target changes and restores before its next run.
 pub(crate) struct Folder {
     folder: TempDir,
     base: BTreeMap<String, Vec<u8>>,
@@ -11,7 +11,7 @@ pub(crate) struct Folder {
 }
 
 impl Folder {
-    /// With some files, by their path in it.
+    /// Creates a folder with some files, by their relative path.
     pub(crate) fn new(base: BTreeMap<String, Vec<u8>>) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let mut folder = Self { folder, base: BTreeMap::new(), changed: BTreeSet::new() };
@@ -21,7 +21,7 @@ impl Folder {
         Self { base, changed: BTreeSet::new(), ..folder }
     }
 
-    /// Of all files of another folder.
+    /// Creates a folder with a copy of all files of another.
     pub(crate) fn copy_of(other: &Path) -> Self {
         let mut files = BTreeMap::new();
         gather(other, "", &mut files);
@@ -36,23 +36,23 @@ impl Folder {
         self.root().join(name)
     }
 
-    /// An unchanged file.
+    /// Returns the original content of a file.
     pub(crate) fn base(&self, name: &str) -> &[u8] {
         &self.base[name]
     }
 
-    /// Of all unchanged files.
+    /// Returns the names of all original files.
     pub(crate) fn names(&self) -> Vec<String> {
         self.base.keys().cloned().collect()
     }
 
-    /// Writes all files as they were, also those that others have removed.
+    /// Restores all files, including those removed by other code.
     pub(crate) fn rewrite(&mut self) {
         self.changed.clear();
         self.base.iter().for_each(|(name, bytes)| write(&self.path(name), bytes));
     }
 
-    /// Makes the files that were changed as they were.
+    /// Restores the files that were changed.
     pub(crate) fn reset(&mut self) {
         for name in std::mem::take(&mut self.changed) {
             match self.base.get(&name) {
@@ -70,7 +70,7 @@ impl Folder {
         path
     }
 
-    /// Takes note of a file that is changed by others.
+    /// Marks a file as changed by other code, and returns its path.
     pub(crate) fn touch(&mut self, name: &str) -> PathBuf {
         self.changed.insert(name.to_owned());
         self.path(name)

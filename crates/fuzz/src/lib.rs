@@ -1,13 +1,13 @@
-//! Fuzz targets: every reader and protocol of `point-skeleton`, each behind a function of bytes.
+//! Fuzz targets: every reader and protocol of `point-skeleton`, each as a function of bytes.
 //!
 //! # How it works
-//! A target writes its bytes to a file (or answers a socket with them), reads them by the library's public entry and
-//! asserts what must hold whatever they are: no panic, an error that ends with the file's name, results within their
-//! ranges, the same again after writing. [`run`] adds that memory stays within a small multiple of the bytes. Formats
-//! that random bytes hardly get into are changed by value instead: see [`edits`].
+//! A target writes its bytes to a file (or sends them through a socket), reads them through the library's public API
+//! and asserts the invariants: no panic, an error that ends with the file's name, results within their ranges,
+//! equality after writing and reading again. [`run`] also checks that memory stays within a small multiple of the
+//! bytes. Formats that random bytes rarely match are edited by value instead; see [`edits`].
 //!
-//! `ci/fuzz.sh` runs the targets under libFuzzer with coverage; `tests/short.rs` runs the committed corpus and a few
-//! mutations of it as a test. `cargo run -p point-skeleton-fuzz --bin seeds` makes the corpus' seeds anew.
+//! `ci/fuzz.sh` runs the targets under libFuzzer with coverage. `tests/short.rs` runs the committed corpus and a few
+//! mutations of it as a test. `cargo run -p point-skeleton-fuzz --bin seeds` regenerates the seeds of the corpus.
 
 mod check;
 mod choices;
@@ -28,46 +28,46 @@ pub use targets::TARGETS;
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// What is fuzzed.
+/// Fuzz target.
 pub struct Target {
-    /// Of its corpus folder, too.
+    /// Name of the target and of its corpus folder.
     pub name: &'static str,
-    /// Reads the bytes, and panics if something does not hold.
+    /// Reads the bytes, and panics if an invariant does not hold.
     pub run: fn(&[u8]),
-    /// Inputs to begin with, by name.
+    /// Initial inputs, by name.
     pub seeds: fn() -> Vec<Seed>,
-    /// Longest input, bytes.
+    /// Maximum length of an input, bytes.
     pub max_len: usize,
-    /// What a run may allocate at most.
+    /// Memory limit of a run.
     pub memory: Memory,
 }
 
-/// A named input.
+/// Name and bytes of an input.
 pub type Seed = (String, Vec<u8>);
 
-/// Memory that a run may take: `fixed + factor * input`, bytes.
+/// Memory limit of a run: `fixed + factor * input`, bytes.
 #[derive(Clone, Copy)]
 pub struct Memory {
-    /// Whatever the input is: threads, buffers, the files that are not changed.
+    /// Constant part: threads, buffers, the unchanged files.
     pub fixed: usize,
-    /// Per byte of input.
+    /// Bytes per byte of input.
     pub factor: usize,
 }
 
-/// The target of a name.
+/// Returns the target of a name.
 pub fn target(name: &str) -> Option<&'static Target> {
     TARGETS.iter().find(|target| target.name == name)
 }
 
 thread_local! {
-    /// Targets whose unchanged files are there: making them must not count.
+    /// Targets whose unchanged files exist: creating them must not count.
     static READY: RefCell<BTreeSet<&'static str>> = const { RefCell::new(BTreeSet::new()) };
 }
 
 /// Runs a target and measures its memory. Allocations of other threads count, so nothing else may run beside it.
 ///
 /// # Panics
-/// Something does not hold.
+/// Panics if an invariant does not hold or the run exceeds its memory limit.
 pub fn run(target: &'static Target, data: &[u8]) {
     if READY.with_borrow_mut(|ready| ready.insert(target.name)) {
         (target.run)(&[]);

@@ -1,4 +1,4 @@
-//! A made-up drive: the ego drives along x, a car in front of it, a cone stands.
+//! A synthetic log: the ego drives along x behind a car, and a cone is static.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ pub(crate) const FIRST_US: i64 = 1_600_000_000_000_000;
 const STEP_US: i64 = 100_000;
 const START: DVec3 = DVec3::new(1000.0, 500.0, 2.0);
 
-/// A drive in memory.
+/// A log in memory.
 pub(crate) struct Made(Log);
 
 impl Made {
@@ -45,7 +45,7 @@ fn rig() -> RigCamera {
     RigCamera { channel: 0, ego_from_camera: forward(), camera }
 }
 
-/// A camera that looks along x.
+/// Returns the pose of a camera that looks along x.
 pub(crate) fn forward() -> Pose {
     let axes = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
     Pose { rotation: DQuat::from_mat3(&axes), translation: DVec3::new(0.0, 0.0, 1.5) }
@@ -96,7 +96,7 @@ impl Dataset for Made {
     }
 }
 
-/// A lane with a way behind it, a crossing, a divider.
+/// Returns a map: a lane, a connector after it, a drivable area with a hole, a crossing, a stop line, a divider.
 pub(crate) fn map() -> VectorMap {
     let corner = |x: f64, y: f64| DVec2::new(START.x + x, START.y + y);
     let area = |x: f64, length: f64| Area {
@@ -121,7 +121,7 @@ pub(crate) fn map() -> VectorMap {
     }
 }
 
-/// The skeleton of a drive, in a folder.
+/// Builds the skeleton of a log in a folder.
 pub(crate) fn skeleton(path: &Path, made: &Made) -> Skeleton {
     let options = BuildOptions { voxel_m: 0.2, ..BuildOptions::default() };
     let input = BuildInput::all(made);

@@ -1,4 +1,4 @@
-//! Made-up logs that the suite of the library tests with, too.
+//! Synthetic logs that are shared with the library's test suite.
 #![allow(dead_code, clippy::unwrap_used, missing_docs)]
 
 #[path = "../../../tests/suite/av2_log.rs"]

@@ -1,26 +1,26 @@
-//! Every target over its committed corpus and over mutations of it, without instrumentation: what `ci/fuzz.sh` does in
-//! minutes, in seconds. Inputs that once found a fault are files of the corpus.
+//! Runs every target on its committed corpus and on mutations of it, without instrumentation: a short version of
+//! `ci/fuzz.sh` that takes seconds. The corpus includes inputs that once revealed a fault.
 
 use std::path::{Path, PathBuf};
 
 use point_skeleton_fuzz::{TARGETS, Target, run};
 
-/// Mutations of a target.
+/// Number of mutations per target.
 const MUTATIONS: u64 = 300;
 
-/// In one test: the memory of a run is that of the process.
+/// In a single test, because the memory of a run is that of the process.
 #[test]
 fn corpus_and_mutations_hold() {
     let failed: Vec<String> = TARGETS.iter().filter_map(|target| all_hold(target).err()).collect();
     assert!(failed.is_empty(), "{}", failed.join("; "));
 }
 
-/// Ends with the first input that a target fails on.
+/// Stops at the first input on which a target fails.
 fn all_hold(target: &'static Target) -> Result<(), String> {
     let corpus = corpus(target);
     let mut numbers = Numbers(0x9e37_79b9_7f4a_7c15);
     corpus.iter().try_for_each(|(name, bytes)| attempt(target, name, bytes))?;
-    // The same ones everywhere.
+    // The mutations are the same on every machine.
     for i in 0..MUTATIONS {
         let (_, bytes) = &corpus[numbers.below(corpus.len())];
         let (_, other) = &corpus[numbers.below(corpus.len())];
@@ -48,7 +48,7 @@ fn corpus(target: &Target) -> Vec<(String, Vec<u8>)> {
     corpus
 }
 
-/// Runs a target; where something does not hold, the input is left in a file that is named.
+/// Runs a target; on failure, saves the input to a file and names it.
 fn attempt(target: &'static Target, name: &str, bytes: &[u8]) -> Result<(), String> {
     std::panic::catch_unwind(|| run(target, bytes)).map_err(|_| {
         let path = std::env::temp_dir().join(format!("pskel-fuzz-{}", target.name));
@@ -73,7 +73,7 @@ impl Numbers {
     }
 }
 
-/// A few changes of bytes, as fuzzers make them.
+/// Applies a few byte mutations, as fuzzers do.
 fn mutate(bytes: &[u8], other: &[u8], max_len: usize, numbers: &mut Numbers) -> Vec<u8> {
     const ODD: [u64; 8] = [0, 1, 0x7f, 0xff, 0x7fff_ffff, 0xffff_ffff, i64::MAX as u64, u64::MAX];
     let mut bytes = bytes.to_vec();

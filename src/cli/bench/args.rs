@@ -10,23 +10,24 @@ use crate::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use crate::dataset::LogLocator;
 use crate::raster::{FRAMES_IN_FLIGHT, FrameKinds, SplatSchedule};
 
-/// Measure how fast frames are drawn: time per frame and per stage, points a second, peak memory
+/// Measure rendering speed: time per frame and per stage, points per second, peak memory
 ///
-/// A frame is all cameras of one instant: from its poses to all maps in the host's memory, the clouds being resident
-/// already. What is drawn: a synthetic street, a file of points, or the frames of a drive from its skeleton.
+/// A frame is all cameras of one instant: from its poses to all maps in host memory, with the clouds already
+/// resident. The workload is a synthetic street, a file of points, or the frames of a recording with its skeleton.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct BenchArgs {
-    /// Drive whose frames are drawn in turn: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes#scene-0061
+    /// Recording whose frames are rendered in turn: FORMAT:PATH[@VERSION][#SCENE], like
+    /// nuscenes:/data/nuscenes#scene-0061
     #[arg(value_parser = log_args::log, requires = "skeleton", conflicts_with_all = ["synthetic", "seed", "points", "cameras"])]
     pub(super) log: Option<LogLocator>,
-    /// Skeleton that was built from the drive
+    /// Skeleton that was built from the recording
     #[arg(long, value_name = "SKEL", requires = "log")]
     pub(super) skeleton: Option<PathBuf>,
-    /// Only these frames of the drive, numbered from 0 in the log's order, without B [default: all]
+    /// Range of frames of the recording, numbered from 0 in log order, B excluded [default: all]
     #[arg(long, value_name = "A..B", requires = "log")]
     pub(super) frames: Option<FrameRange>,
-    /// Points of a synthetic street with six cameras of 900x1600, like 4000000 or 4e6; what is drawn where nothing else
-    /// is named [default: 4e6]
+    /// Number of points of a synthetic street with six cameras of 900x1600, like 4000000 or 4e6; the default workload
+    /// [default: 4e6]
     #[arg(long, value_name = "N", value_parser = numbers::points, conflicts_with_all = ["points", "cameras"])]
     #[arg(allow_negative_numbers = true)]
     pub(super) synthetic: Option<usize>,
@@ -40,28 +41,29 @@ pub(in crate::cli) struct BenchArgs {
     /// Cameras: {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
     #[arg(long, value_name = "C.json", requires = "points")]
     pub(super) cameras: Option<PathBuf>,
-    /// Draw at this size; scales the intrinsics [default: the size of the cameras]
+    /// Render at this size; scales the intrinsics [default: the size of the cameras]
     #[arg(long, value_name = "HxW")]
     pub(super) size: Option<ImageSize>,
-    /// Reduce the maps to this size after drawing [default: no reduction]
+    /// Reduce the maps to this size after rendering [default: no reduction]
     #[arg(long, value_name = "HxW")]
     pub(super) out_size: Option<ImageSize>,
-    /// Splat radius by depth: up to Z metres a point covers (2R+1) x (2R+1) pixels; beyond the last Z nothing is drawn
+    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z are
+    /// culled
     #[arg(long, value_name = "Z:R,..", default_value_t)]
     pub(super) splat: SplatSchedule,
-    /// Which maps: color, depth, class, instance, and point (numbers of the points); with boxes, map (of a drive's HD
-    /// map) or tensor a frame is a whole step: what stands where, drawing, layouts, and maps as networks get them
+    /// Maps to render: color, depth, class, instance, and point (point numbers); with boxes, map (the recording's HD
+    /// map) or tensor a frame is a whole step: instance selection, rendering, layouts, and network inputs
     #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance")]
     pub(super) maps: MapSet,
-    /// Frames that are timed [default: 20]; with a drive, passes over all its frames [default: 1]
+    /// Number of timed frames [default: 20]; with a recording, passes over all its frames [default: 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     #[arg(allow_negative_numbers = true)]
     pub(super) repeat: Option<u32>,
-    /// Frames that are drawn before and not timed
+    /// Number of frames rendered before the timed ones
     #[arg(long, value_name = "N", default_value = "3", allow_negative_numbers = true)]
     pub(super) warm_up: u32,
-    /// 1: a frame is begun when the one before is finished; its time is from begin to end. 2: a frame is begun before
-    /// the one before is finished; its time is from end to end
+    /// Frames in flight. 1: a frame begins after the previous one is finished; its time is from begin to end. 2: a
+    /// frame begins before the previous one is finished; its time is from end to end
     #[arg(long, value_name = "1|2", default_value = "1")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=FRAMES_IN_FLIGHT as i64))]
     pub(super) in_flight: u32,
@@ -76,12 +78,12 @@ pub(in crate::cli) struct BenchArgs {
 }
 
 impl BenchArgs {
-    /// Whether a frame is a whole step of a drive.
+    /// Returns whether a frame is a whole step of a recording.
     pub(super) fn whole_steps(&self) -> bool {
         [MapKind::Boxes, MapKind::Map, MapKind::Tensor].into_iter().any(|kind| self.maps.contains(kind))
     }
 
-    /// What needs boxes or a map needs a drive.
+    /// Rejects maps that are only available in whole steps if there is no recording.
     pub(super) fn check(&self) -> Result<(), WrongUsage> {
         if self.whole_steps() && self.log.is_none() {
             let maps: Vec<&str> = self.maps.iter().map(MapKind::name).collect();
@@ -91,7 +93,7 @@ impl BenchArgs {
         Ok(())
     }
 
-    /// The maps that a rasterizer makes.
+    /// Returns the maps that the rasterizer outputs.
     pub(super) fn frame_kinds(&self) -> FrameKinds {
         FrameKinds {
             color: self.maps.contains(MapKind::Color),
@@ -102,7 +104,7 @@ impl BenchArgs {
         }
     }
 
-    /// How whole steps are made.
+    /// Returns the options of whole steps.
     pub(super) fn conditions(&self) -> ConditionOptions {
         ConditionOptions {
             maps: self.maps,

@@ -5,31 +5,31 @@ use crate::conditions::{Begun, ConditionOptions, ConditionSet, MapKind};
 use crate::raster::{FrameJob, FrameMaps, RasterError, Rasterizer};
 use crate::scene::{SceneState, SelectionOptions, Stage};
 
-/// What is drawn in turn.
+/// Frames to render in turn.
 pub(super) trait Frames {
-    /// How many there are; at least one.
+    /// Returns the number of frames; at least one.
     fn count(&self) -> usize;
 
-    /// Whether they have depth maps.
+    /// Returns whether the frames have depth maps.
     fn have_depth(&self) -> bool;
 
-    /// Begins one of them.
+    /// Begins a frame.
     fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> anyhow::Result<()>;
 
-    /// Finishes the oldest that was begun.
+    /// Finishes the oldest begun frame.
     fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> anyhow::Result<Drawn<'r>>;
 }
 
-/// A finished frame.
+/// Output of a finished frame.
 pub(super) enum Drawn<'r> {
-    /// As the rasterizer gives it.
+    /// Maps of the rasterizer.
     Maps(FrameMaps<'r>),
-    /// A whole step.
+    /// Maps of a whole step.
     Step(ConditionSet),
 }
 
 impl Drawn<'_> {
-    /// Pixels with a depth.
+    /// Returns the number of pixels with a finite depth.
     pub(super) fn filled(&self) -> u64 {
         let count = |depth_m: &[f32]| depth_m.iter().filter(|depth| depth.is_finite()).count() as u64;
         match self {
@@ -41,7 +41,7 @@ impl Drawn<'_> {
     }
 }
 
-/// What a rasterizer makes of clouds alone.
+/// Jobs that run only the rasterizer.
 pub(super) struct Jobs<'a>(pub(super) Vec<FrameJob<'a>>);
 
 impl Frames for Jobs<'_> {
@@ -62,7 +62,7 @@ impl Frames for Jobs<'_> {
     }
 }
 
-/// Whole steps of a drive: which clouds stand where, drawing, layouts, and the maps as they are handed on.
+/// Whole steps of a recording: instance selection, rendering, layouts, and the final maps.
 pub(super) struct Steps<'a> {
     stage: Stage<'a>,
     states: Vec<&'a SceneState>,

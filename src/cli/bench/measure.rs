@@ -4,40 +4,40 @@ use std::time::{Duration, Instant};
 use super::frames::Frames;
 use crate::raster::{Rasterizer, StageTimes};
 
-/// How many frames are drawn, and how.
+/// Number of frames to render, and of those in flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Plan {
-    /// Frames that come first and are not timed.
+    /// Untimed frames at the start.
     pub(super) warm_up: usize,
-    /// Frames that are.
+    /// Timed frames.
     pub(super) timed: usize,
-    /// Frames at work at a time; at least 1.
+    /// Frames in flight; at least 1.
     pub(super) in_flight: usize,
 }
 
 impl Plan {
-    /// Frames that are waited for.
+    /// Returns the number of frames that are finished and waited for.
     pub(super) fn frames(&self) -> usize {
         self.warm_up + self.timed
     }
 
-    /// The job of a frame: all of them in turn, timed ones from the first.
+    /// Returns the job of a frame. Jobs are rendered in turn; the timed frames start with the first job.
     pub(super) fn job_of(&self, frame: usize, jobs: usize) -> usize {
         frame.checked_sub(self.warm_up).unwrap_or(frame) % jobs
     }
 }
 
-/// A timed frame. Times are from the first one's begin.
+/// Timed frame. Times are relative to the begin of the first timed frame.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct TimedFrame {
     pub(super) begun: Duration,
     pub(super) finished: Duration,
-    /// From begin to end; where frames overlap, from the end of the one before to its own.
+    /// From begin to end; with several frames in flight, from the end of the previous frame to its own end.
     pub(super) took: Duration,
     pub(super) stages: StageTimes,
 }
 
-/// What came of it.
+/// Result of a measurement.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Measured {
     pub(super) frames: Vec<TimedFrame>,
@@ -45,7 +45,7 @@ pub(super) struct Measured {
     pub(super) filled: Option<u64>,
 }
 
-/// Frames that were begun and not yet finished, with the time of their begin.
+/// Begun but unfinished frames, with their begin times.
 struct Pipe<'a> {
     frames: &'a mut dyn Frames,
     plan: &'a Plan,
@@ -63,9 +63,9 @@ impl Pipe<'_> {
     }
 }
 
-/// Draws frames in turn and times them. Where they overlap, as many are at work when the first timed one is waited
-/// for as when the last one is: every time has one begin and one end in it. `on_frame` hears of each frame that is
-/// finished.
+/// Renders frames in turn and times them. With several frames in flight, their number is the same at the first and at
+/// the last timed frame: every interval contains one begin and one end. `on_frame` is called with each finished
+/// frame.
 pub(super) fn measure(
     rasterizer: &mut dyn Rasterizer,
     frames: &mut dyn Frames,
@@ -74,7 +74,7 @@ pub(super) fn measure(
 ) -> anyhow::Result<Measured> {
     let mut pipe = Pipe { frames, plan, clock: Instant::now(), next: 0, begun: VecDeque::new() };
     let mut measured = Measured::default();
-    rasterizer.take_stages(); // set-up and upload are no part of a frame
+    rasterizer.take_stages(); // set-up and upload are not part of a frame
     for _ in 1..plan.in_flight {
         pipe.begin(rasterizer)?;
     }
@@ -117,7 +117,7 @@ mod tests {
         SplatSchedule, ViewMaps,
     };
 
-    /// Works a millisecond on each frame, half of it at the begin, and keeps a diary.
+    /// Takes a millisecond per frame, half of it in `begin`, and logs the calls.
     #[derive(Default)]
     struct Fake {
         in_flight: VecDeque<u32>,
@@ -170,7 +170,7 @@ mod tests {
 
     const HALF: Duration = Duration::from_micros(500);
 
-    /// Draws two jobs, told apart by their height of 1 and 2.
+    /// Renders two jobs that are identified by their heights of 1 and 2.
     fn run(plan: Plan, kinds: FrameKinds) -> (Measured, String, usize) {
         let schedule = SplatSchedule::default();
         let job = |height: u32| FrameJob {
@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn frames_one_after_the_other() {
         let (measured, diary, left) = run(Plan { warm_up: 3, timed: 3, in_flight: 1 }, FrameKinds::ALL);
-        // The timed ones start with the first job.
+        // The timed frames start with the first job.
         assert_eq!((diary.as_str(), left), ("b1 f1 b2 f2 b1 f1 b1 f1 b2 f2 b1 f1", 0));
         assert_eq!((measured.frames.len(), measured.filled), (3, Some(2)));
         assert_eq!(measured.frames[0].begun, Duration::ZERO);

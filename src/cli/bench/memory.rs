@@ -1,9 +1,9 @@
-/// Most memory that this process has held so far, bytes; `None` where the system does not tell.
+/// Returns the peak memory of this process so far, bytes; `None` if the system does not report it.
 pub(super) fn peak_rss_bytes() -> Option<u64> {
     peak_of_status(&std::fs::read_to_string("/proc/self/status").ok()?)
 }
 
-/// The line `VmHWM: N kB` of Linux' `/proc/PID/status`; its kB are 1024 bytes.
+/// Parses the line `VmHWM: N kB` of Linux' `/proc/PID/status`; its kB are 1024 bytes.
 fn peak_of_status(status: &str) -> Option<u64> {
     let rest = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     rest.trim().strip_suffix("kB")?.trim_end().parse::<u64>().ok()?.checked_mul(1024)

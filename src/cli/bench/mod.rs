@@ -1,6 +1,5 @@
-//! `pskel bench`: [`args`] are the options, [`workload`] and
-//! [`frames`] what is drawn, [`measure`] draws and times it, [`report`] and
-//! [`trace`] tell what came of it.
+//! `pskel bench`: [`args`] defines the options, [`workload`] and [`frames`] the rendered frames, [`measure`] renders
+//! and times them, [`report`] and [`trace`] output the results.
 
 mod args;
 mod frames;
@@ -24,10 +23,10 @@ use super::progress::Progress;
 use super::say;
 use crate::raster::RasterizerInfo;
 
-/// Frames that are timed where nothing is asked for and the workload is no drive.
+/// Default number of timed frames for workloads other than recordings.
 const DEFAULT_FRAMES: u32 = 20;
 
-/// Reads, draws, tells.
+/// Runs the command: loads the workload, measures, prints the report.
 pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     args.check()?;
     if let Some(path) = &args.trace {
@@ -88,7 +87,7 @@ fn report(args: &BenchArgs, workload: &Workload, info: RasterizerInfo, measured:
     }
 }
 
-/// What the table adds to some of its lines.
+/// Returns notes for lines of the table.
 fn notes(workload: &Workload, plan: &Plan) -> BTreeMap<&'static str, String> {
     let Plan { warm_up, in_flight, .. } = plan;
     let mut notes =

@@ -8,33 +8,33 @@ use super::measure::TimedFrame;
 use crate::conditions::ImageSize;
 use crate::raster::RasterizerInfo;
 
-/// What `--json` prints.
+/// Output of `--json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Report {
     #[serde(flatten)]
     pub(super) info: RasterizerInfo,
-    /// Of all clouds.
+    /// Points of all clouds.
     pub(super) points: u64,
-    /// Most in a frame.
+    /// Maximum number of cameras in a frame.
     pub(super) cameras: usize,
-    /// At which the cameras are drawn.
+    /// Rendered size of the cameras.
     pub(super) size: String,
-    /// To which maps are reduced.
+    /// Size to which maps are reduced.
     pub(super) out_size: Option<ImageSize>,
-    /// Timed ones.
+    /// Number of timed frames.
     pub(super) frames: usize,
     pub(super) frame_ms: Spread,
-    /// Median over the frames, by name.
+    /// Median over the frames, by stage name.
     pub(super) stages_ms: BTreeMap<&'static str, f64>,
-    /// Points times frames by the time of all frames.
+    /// Points times frames, divided by the total time of all frames.
     pub(super) points_per_s: f64,
-    /// 10⁶ bytes; `None` where the system does not tell.
+    /// Peak memory in 10⁶ bytes; `None` if the system does not report it.
     pub(super) peak_rss_mb: Option<f64>,
     /// Pixels of the last frame with a depth; `None` without depth maps.
     pub(super) filled: Option<u64>,
 }
 
-/// How far times are apart.
+/// Spread of times: min, median, max.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Spread {
     pub(super) min: f64,
@@ -43,7 +43,7 @@ pub(super) struct Spread {
 }
 
 impl Spread {
-    /// Of numbers, in their unit; zero of none.
+    /// Computes the spread of numbers, in their unit; zeros if there are none.
     pub(super) fn of(values: impl IntoIterator<Item = f64>) -> Self {
         let mut values: Vec<f64> = values.into_iter().collect();
         values.sort_by(f64::total_cmp);
@@ -57,12 +57,12 @@ impl Spread {
     }
 }
 
-/// Spread of the times of frames, milliseconds.
+/// Returns the spread of frame times, milliseconds.
 pub(super) fn frame_ms(frames: &[TimedFrame]) -> Spread {
     Spread::of(frames.iter().map(|frame| ms(frame.took)))
 }
 
-/// Median of every stage over the frames, milliseconds. A frame without a stage spent nothing on it.
+/// Returns the median time of every stage over the frames, milliseconds. A stage that a frame lacks counts as zero.
 pub(super) fn stages_ms(frames: &[TimedFrame]) -> BTreeMap<&'static str, f64> {
     let names: BTreeSet<&'static str> = frames.iter().flat_map(|f| f.stages.0.keys().copied()).collect();
     let median = |name: &'static str| {
@@ -72,7 +72,7 @@ pub(super) fn stages_ms(frames: &[TimedFrame]) -> BTreeMap<&'static str, f64> {
     names.into_iter().map(|name| (name, median(name))).collect()
 }
 
-/// How many of `points` go through a second.
+/// Returns the throughput in points per second.
 pub(super) fn points_per_s(points: u64, frames: &[TimedFrame]) -> f64 {
     let seconds = frames.iter().map(|frame| frame.took).sum::<Duration>().as_secs_f64();
     points as f64 * frames.len() as f64 / seconds.max(1e-9)
@@ -83,7 +83,7 @@ fn ms(time: Duration) -> f64 {
 }
 
 impl Report {
-    /// The table for people. `notes` stand behind what they are named after.
+    /// Formats the table for the terminal. `notes` are appended to the lines that their keys name.
     pub(super) fn table(&self, notes: &BTreeMap<&str, String>) -> String {
         let mut table = String::new();
         // Writing to a string cannot fail.
@@ -113,7 +113,7 @@ impl Report {
         table
     }
 
-    /// One line.
+    /// Formats a one-line summary.
     pub(super) fn summary(&self) -> String {
         format!(
             "drew {} frames of {} points in {} cameras by {} on {}: {:.2} ms a frame, {:.1} million points/s",
@@ -162,7 +162,7 @@ mod tests {
             frame(200, &[("splat", 70)]),
         ];
         assert_eq!(frame_ms(&frames), Spread { min: 100.0, median: 200.0, max: 300.0 });
-        // Two of three frames copied nothing.
+        // Two of three frames have no copy stage.
         assert_eq!(stages_ms(&frames), BTreeMap::from([("copy", 0.0), ("splat", 70.0)]));
         assert!((points_per_s(1000, &frames) - 5000.0).abs() < 1e-6);
         assert!(points_per_s(1000, &[frame(0, &[])]).is_finite());

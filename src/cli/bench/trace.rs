@@ -10,7 +10,7 @@ use super::measure::TimedFrame;
 use crate::error::FileError;
 use crate::files::{check_output_file, write_json};
 
-/// Tracks of frames are numbered from 1, those of stages from here: far more than frames in flight.
+/// First track of stages; tracks of frames start at 1. Far more than frames in flight.
 const FIRST_STAGE_TRACK: usize = 101;
 
 #[derive(Debug, Serialize)]
@@ -21,8 +21,8 @@ struct Trace {
     unit: &'static str,
 }
 
-/// Writes frames, from begin to end, and their stages, laid one after the other from the frame's begin. Frames that are
-/// in flight together stand on tracks of their own. `name_of` tells what a frame shows.
+/// Writes frames, from begin to end, and their stages, placed one after the other from the frame's begin. Frames in
+/// flight together get separate tracks. `name_of` returns the name of a frame's content.
 pub(super) fn write(
     path: &Path,
     frames: &[TimedFrame],
@@ -32,7 +32,7 @@ pub(super) fn write(
     write_json(path, &Trace { events: events(frames, in_flight, name_of), unit: "ms" })
 }
 
-/// Checks that the file can be written, before the work is done.
+/// Checks that the file can be written, before any work is done.
 pub(super) fn check<'a>(path: &Path, inputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), FileError> {
     check_output_file(path, inputs.into_iter().map(PathBuf::as_path))?;
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -64,7 +64,7 @@ fn events(frames: &[TimedFrame], in_flight: usize, name_of: &dyn Fn(usize) -> St
     events
 }
 
-/// Category and name; start and length.
+/// Returns a complete event from category and name, start and duration.
 fn complete(
     (category, name): (&str, &str),
     track: usize,
@@ -95,7 +95,7 @@ mod tests {
         TimedFrame { begun, finished, took: finished - begun, stages }
     }
 
-    /// Name, track, start and length of the complete events.
+    /// Returns name, track, start and duration of the complete events.
     fn bars(frames: &[TimedFrame], in_flight: usize) -> Vec<(String, u64, f64, f64)> {
         let events = events(frames, in_flight, &|number| format!("{number:06}"));
         let bars = events.iter().filter(|e| e["ph"] == "X").map(|e| {

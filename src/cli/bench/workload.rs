@@ -19,38 +19,38 @@ use crate::scene::{
 use crate::skeleton::Skeleton;
 use crate::town;
 
-/// Points of the synthetic street where nothing is asked for.
+/// Default number of points of the synthetic street.
 const DEFAULT_POINTS: usize = 4_000_000;
 
-/// What is drawn: clouds, and frames of them.
+/// Clouds and frames to render.
 pub(super) struct Workload {
     clouds: Clouds,
     /// At least one.
     pub(super) frames: Vec<WorkFrame>,
-    /// The frames come from a drive.
+    /// `true` if the frames come from a recording.
     pub(super) is_drive: bool,
-    /// Points that are never drawn since they are not finite.
+    /// Number of points that are never rendered because they are not finite.
     pub(super) non_finite: usize,
 }
 
 enum Clouds {
     One(Vec<Point>),
-    /// With the name of the log.
+    /// Skeleton and name of the log.
     Skeleton(Box<Skeleton>, String),
 }
 
-/// One frame: what stands where, and the cameras as they are drawn.
+/// One frame: placed clouds and rendered cameras.
 pub(super) struct WorkFrame {
     pub(super) name: String,
     pub(super) views: Vec<View>,
     clouds: SceneInstances,
     crop: Option<Crop>,
-    /// Of a drive.
+    /// State of a recording's frame.
     state: Option<SceneState>,
 }
 
 impl Workload {
-    /// Makes or reads what the options name.
+    /// Generates or loads the workload that the options select.
     pub(super) fn new(args: &BenchArgs) -> anyhow::Result<Self> {
         let mut work = match (&args.log, &args.skeleton, &args.points, &args.cameras) {
             (Some(log), Some(skeleton), ..) => Self::of_drive(args, log, skeleton)?,
@@ -107,10 +107,10 @@ impl Workload {
         Ok(Self { clouds, frames, is_drive: true, non_finite: 0 })
     }
 
-    /// All clouds for a rasterizer.
+    /// Returns all clouds for a rasterizer.
     ///
     /// # Errors
-    /// Points of a skeleton that do not have their checksum.
+    /// Fails if points of a skeleton do not match their checksum.
     pub(super) fn clouds(&self) -> Result<CloudSet<'_>, FileError> {
         match &self.clouds {
             Clouds::One(points) => Ok(vec![points]),
@@ -118,7 +118,7 @@ impl Workload {
         }
     }
 
-    /// Points of all clouds.
+    /// Returns the number of points of all clouds.
     pub(super) fn points(&self) -> usize {
         match &self.clouds {
             Clouds::One(points) => points.len(),
@@ -126,7 +126,7 @@ impl Workload {
         }
     }
 
-    /// The frames as a rasterizer takes them.
+    /// Returns the frames as rasterizer jobs.
     pub(super) fn jobs<'a>(&'a self, args: &'a BenchArgs) -> Vec<FrameJob<'a>> {
         let job = |frame: &'a WorkFrame| FrameJob {
             views: &frame.views,
@@ -141,10 +141,10 @@ impl Workload {
         self.frames.iter().map(job).collect()
     }
 
-    /// The frames as whole steps, if that is what is asked for.
+    /// Returns the frames as whole steps, if the options ask for them.
     ///
     /// # Errors
-    /// Points of the skeleton that do not have their checksum.
+    /// Fails if points of the skeleton do not match their checksum.
     pub(super) fn steps<'a>(&'a self, args: &BenchArgs) -> Result<Option<Steps<'a>>, FileError> {
         let Clouds::Skeleton(skeleton, log) = &self.clouds else { return Ok(None) };
         let states = self.frames.iter().filter_map(|frame| frame.state.as_ref()).collect();
@@ -152,12 +152,12 @@ impl Workload {
         args.whole_steps().then(steps).transpose()
     }
 
-    /// Most cameras in a frame.
+    /// Returns the maximum number of cameras in a frame.
     pub(super) fn cameras(&self) -> usize {
         self.frames.iter().map(|frame| frame.views.len()).max().unwrap_or(0)
     }
 
-    /// Sizes at which cameras are drawn, each once, `HxW` with commas.
+    /// Returns the distinct rendered sizes of the cameras, `HxW` separated by commas.
     pub(super) fn sizes(&self) -> String {
         let mut sizes: Vec<String> = Vec::new();
         for view in self.frames.iter().flat_map(|frame| &frame.views) {
@@ -170,7 +170,7 @@ impl Workload {
     }
 }
 
-/// Frames without a camera are left out.
+/// Returns the frames of a recording; frames without cameras are skipped.
 fn frames_of_drive(
     log: &Log,
     skeleton: &Skeleton,

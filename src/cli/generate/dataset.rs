@@ -1,4 +1,4 @@
-//! A copy of a nuScenes data set with other images: what is not replaced are links to the original.
+//! Writes a copy of a nuScenes data set with other images: files that are not replaced are links to the original.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
@@ -14,18 +14,18 @@ use crate::error::FileError;
 use crate::files::{WholeFolder, check_whole, write_whole};
 use crate::report::{self, ROLLOUT, StateFile};
 
-/// Of JPEG: artefacts are to be the generator's.
+/// JPEG quality: high, so that visible artifacts are the generator's.
 const QUALITY: u8 = 95;
 
-/// What became of the images of the log's frames.
+/// Counts of replaced and unchanged images of the log's frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Counts {
     pub(super) replaced: usize,
-    /// Of references, and of frames that were not generated.
+    /// Images of references, and of frames that were not generated.
     pub(super) kept: usize,
 }
 
-/// An image in the place of a file of the data set.
+/// Image that replaces a file of the data set.
 struct Replacement<'a> {
     image: RgbImage,
     record: &'a ImageRecord,
@@ -50,7 +50,7 @@ pub(super) fn write(root: &Path, log: &Log, rollout: &Path, folder: &Path) -> Re
     Ok(Counts { replaced: by_path.len(), kept: images - by_path.len() })
 }
 
-/// What was generated at frames of the log.
+/// Returns the generated images at frames of the log.
 fn replacements<'a>(log: &'a Log, rollout: &Path) -> Result<Vec<Replacement<'a>>, FileError> {
     let cameras: Vec<_> = log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
     let mut replaced = Vec::new();
@@ -87,7 +87,7 @@ fn relative(root: &Path, path: &Path) -> Result<PathBuf, FileError> {
     })
 }
 
-/// Makes a folder whose entries are links, but for what is replaced and the folders above it.
+/// Creates a folder of links to the original, except for replaced files and their parent folders.
 fn mirror(
     root: &Path,
     folder: &Path,

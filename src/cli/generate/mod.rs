@@ -1,4 +1,4 @@
-//! `pskel generate`: a log is replayed frame by frame and its images are made anew. It is `pskel simulate` on the log's own
+//! `pskel generate`: replays a log frame by frame and generates its images. It runs `pskel simulate` on the log's own
 //! frames; [`dataset`] writes the images back into a copy of the data set.
 
 mod dataset;
@@ -16,54 +16,55 @@ use super::stand_ins::StandInArgs;
 use super::{WrongUsage, say};
 use crate::dataset::{LogFormat, LogLocator};
 
-/// Make the images of a log anew from its conditions: ego and actors are where the log has them
+/// Regenerate the images of a log from its conditions: ego and actors follow the log
 ///
-/// Writes a rollout like that of `pskel simulate` with one step per frame: steps/STEP with the maps, generated/CAM.png and
-/// truth/CAM.png, index.html, a page that plays it, and rollout.mp4. The first frames are references, true images.
+/// Writes a rollout like that of `pskel simulate` with one step per frame: steps/STEP with the maps,
+/// generated/CAM.png and truth/CAM.png, index.html, a page that plays it, and rollout.mp4. The first frames are
+/// references, which are ground-truth images.
 #[derive(Debug, Args)]
 pub(super) struct GenerateArgs {
-    /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
     #[arg(value_parser = log_args::log)]
     log: LogLocator,
     #[command(flatten)]
     roots: LogRoots,
-    /// Skeleton that was built from it
+    /// Skeleton that was built from the recording
     #[arg(long, value_name = "SKEL")]
     skeleton: PathBuf,
     /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
     #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     out: PathBuf,
-    /// The network: the one that comes with the program, network:FILE with weights of `pskel train`, or
-    /// process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md). Options of maps are for the maps that
-    /// are written: what the network sees is drawn as it was trained for
+    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, or process:COMMAND,
+    /// process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md). Map options apply to the written maps; the
+    /// network's conditions are rendered as in its training
     #[arg(long, value_name = "NETWORK", default_value = "network")]
     generator: NetworkName,
-    /// Steps to take [default: to the end of the log]
+    /// Number of steps [default: to the end of the log]
     #[arg(long, value_name = "N", default_value_t = usize::MAX, hide_default_value = true)]
     steps: usize,
-    /// Make every so many-th frame [default: what comes nearest to 2 frames a second of nuScenes, 5 of other logs]
+    /// Generate every N-th frame [default: the N closest to 2 frames per second for nuScenes, 5 for other logs]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     every: Option<u16>,
-    /// Start at the first frame from this time on, absolute microseconds [default: the log's first frame]
+    /// Start at the first frame at or after this time, absolute microseconds [default: the log's first frame]
     #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
     start: Option<i64>,
-    /// Also write a copy of the data set (nuScenes) whose images are the generated ones, enlarged to their size; all else
-    /// are links to the original. A new or empty folder, or an earlier copy, which is replaced
+    /// Also write a copy of the data set (nuScenes) with the generated images, enlarged to the original size; all
+    /// other files are links to the original. A new or empty folder, or an earlier copy, which is replaced
     #[arg(long, value_name = "DIR")]
     dataset: Option<PathBuf>,
     #[command(flatten)]
     maps: MapArgs,
-    /// Go on with the rollout in --out behind its last step, with the same log, skeleton and options; --steps,
+    /// Continue the rollout in --out after its last step, with the same log, skeleton and options; --steps,
     /// --generator-timeout, --profile and the rasterizer may change
     #[arg(long)]
     resume: bool,
-    /// Go on behind this step; later ones are made anew
+    /// Continue after this step; later ones are generated again
     #[arg(long, value_name = "STEP")]
     resume_from: Option<usize>,
     /// Write the times of all steps and stages to this file
     #[arg(long, value_name = "F.json")]
     profile: Option<PathBuf>,
-    /// For the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, either may be missing
+    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
     #[arg(long, value_name = "F.json")]
     annotations: Option<PathBuf>,
     #[command(flatten)]
@@ -74,7 +75,7 @@ pub(super) struct GenerateArgs {
     generating: GeneratorArgs,
 }
 
-/// Generates, then writes back.
+/// Runs the command: generates the rollout, then writes the copy of the data set.
 pub(super) fn run(args: GenerateArgs) -> anyhow::Result<()> {
     if args.dataset.is_some() && args.log.format != LogFormat::NuScenes {
         let message = format!("expected a log nuscenes:.. with --dataset, found {}", args.log);

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use crate::cloud::{self, Bounds, Point};
 use crate::dataset::{Sweep, av2, nuplan, nuscenes, picture_size};
 
-/// What a single file holds.
+/// Describes a single file as JSON.
 pub(super) fn describe(path: &Path) -> anyhow::Result<Value> {
     let name = path.file_name().map(|n| n.to_string_lossy().to_lowercase()).unwrap_or_default();
     let mut json = match name.rsplit_once('.').map_or("", |(_, ending)| ending) {
@@ -42,7 +42,7 @@ fn cloud_file(path: &Path) -> anyhow::Result<Value> {
     }))
 }
 
-/// Numbers of the classes that occur, with counts.
+/// Counts the points of each class, by class number.
 fn classes(points: &[Point]) -> Value {
     let mut counts = std::collections::BTreeMap::<u8, usize>::new();
     points.iter().for_each(|p| *counts.entry(p.class()).or_default() += 1);

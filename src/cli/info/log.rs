@@ -1,4 +1,4 @@
-//! What a log holds, and which of its files are missing or damaged: sizes and headers, no pixel and no point.
+//! Summary of a log, and its missing or damaged files: only sizes and headers are read, no pixels or points.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -12,7 +12,7 @@ use crate::files::FileName;
 use crate::files::text::printable_line;
 use crate::scene::frame_rate_hz;
 
-/// All there is to tell, as JSON.
+/// Describes a log as JSON.
 pub(super) fn describe(dataset: &dyn Dataset) -> Value {
     let log = dataset.log();
     let (points, mut damaged) = sweeps(dataset);
@@ -47,7 +47,8 @@ pub(super) fn describe(dataset: &dyn Dataset) -> Value {
     })
 }
 
-/// Points in all sweeps by their sizes, where those tell, and what is wrong with their files.
+/// Returns the number of points of all sweeps, derived from file sizes and `None` if they do not determine it, and
+/// the errors of damaged sweep files.
 fn sweeps(dataset: &dyn Dataset) -> (Option<u64>, Vec<String>) {
     let records: Vec<_> = dataset.log().frames.iter().flat_map(|f| &f.sweeps).collect();
     let results: Vec<_> = records.par_iter().map(|record| dataset.check_sweep(record)).collect();
@@ -56,7 +57,7 @@ fn sweeps(dataset: &dyn Dataset) -> (Option<u64>, Vec<String>) {
     (points, results.into_iter().filter_map(Result::err).map(|e| e.to_string()).collect())
 }
 
-/// How much of what is on the HD map; null where there is none. What the map's reader left out joins `left_out`.
+/// Counts the elements of the HD map; null if there is none. Adds the notes of the map's reader to `left_out`.
 fn map(dataset: &dyn Dataset, left_out: &mut BTreeMap<String, usize>, damaged: &mut Vec<String>) -> Value {
     match dataset.read_map() {
         Ok(map) => map.map_or(Value::Null, |map| {
@@ -78,7 +79,7 @@ fn map(dataset: &dyn Dataset, left_out: &mut BTreeMap<String, usize>, damaged: &
     }
 }
 
-/// What is wrong with the files of images; one that serves several frames is looked at once.
+/// Returns the errors of image files. A file that is shared by several frames is checked once.
 fn images(dataset: &dyn Dataset) -> Vec<String> {
     let log = dataset.log();
     let mut seen = BTreeSet::new();
@@ -88,7 +89,7 @@ fn images(dataset: &dyn Dataset) -> Vec<String> {
     records.par_iter().filter_map(check).collect()
 }
 
-/// Per channel: size and focal length, and in how many frames it has an image.
+/// Describes each channel: image size, focal length, and number of images.
 fn cameras(log: &Log) -> Value {
     let channel = |(index, name): (usize, &FileName)| {
         let of = |frame: &Frame| frame.images.iter().filter(|i| i.channel == index).count();
@@ -104,7 +105,7 @@ fn cameras(log: &Log) -> Value {
     log.cameras.iter().enumerate().map(channel).collect()
 }
 
-/// Per category: tracks and boxes.
+/// Counts tracks and boxes by category.
 fn categories(log: &Log) -> Value {
     let mut tally: BTreeMap<&str, (BTreeSet<usize>, usize)> = BTreeMap::new();
     for item in log.frames.iter().flat_map(|f| &f.boxes) {
@@ -118,23 +119,23 @@ fn categories(log: &Log) -> Value {
     tally.into_iter().map(entry).collect::<serde_json::Map<_, _>>().into()
 }
 
-/// How often lights showed which color.
+/// Counts the states of traffic lights by color.
 fn lights(log: &Log) -> BTreeMap<&str, usize> {
     let mut tally = BTreeMap::new();
     log.lights.iter().for_each(|light| *tally.entry(light.color.as_str()).or_default() += 1);
     tally
 }
 
-/// Bounds and length of the path, global metres.
+/// Returns bounds and length of the ego path, global meters.
 fn ego_path(log: &Log) -> Value {
     let places: Vec<DVec3> = log.frames.iter().map(|f| f.global_from_ego.translation).collect();
     let (min, max) = (places.iter().copied().reduce(DVec3::min), places.iter().copied().reduce(DVec3::max));
-    // The sum of nothing would be -0.
+    // An empty sum would be -0.
     let length = places.windows(2).map(|w| w[0].distance(w[1])).fold(0.0, |sum, m| sum + m);
     json!({"min": min.map(|v| v.to_array()), "max": max.map(|v| v.to_array()), "path_m": length})
 }
 
-/// The same for people, in lines.
+/// Formats the description as lines for the terminal.
 pub(super) fn text(json: &Value) -> String {
     let mut lines = String::new();
     // Writing to a string cannot fail.
@@ -194,7 +195,7 @@ fn map_line(map: &Value) -> String {
     format!("{} with {}", map["location"].as_str().unwrap_or_default(), counts.join(", "))
 }
 
-/// A corner of bounds, metres.
+/// Formats a corner of bounds, meters.
 fn corner(value: &Value) -> String {
     let numbers: Vec<String> = value
         .as_array()

@@ -18,18 +18,18 @@ mod verify;
 
 pub(super) use skeleton::dropped;
 
-/// Tell what a log, a skeleton or a file holds, and what of it is missing or damaged
+/// Describe a log, a skeleton or a file, and report missing or damaged parts
 ///
-/// Of a log the tables are read whole, of sweeps and images only sizes and headers.
+/// Of a log, the tables are read completely; of sweeps and images, only sizes and headers.
 #[derive(Debug, Args)]
 pub(super) struct InfoArgs {
-    /// FORMAT:PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather, .npy,
-    /// .ply, .json cameras, JPEG, PNG)
+    /// FORMAT:PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather,
+    /// .npy, .ply, .json cameras, JPEG, PNG)
     #[arg(value_name = "LOG|SKELETON|FILE")]
     target: String,
     #[command(flatten)]
     roots: LogRoots,
-    /// One JSON object rather than text
+    /// Print one JSON object instead of text
     #[arg(long)]
     json: bool,
     /// Read all points of a skeleton or of templates and compare them with their checksums; fails if any differ
@@ -37,7 +37,7 @@ pub(super) struct InfoArgs {
     verify: bool,
 }
 
-/// Looks, prints. Damage that is found is told and is no error, but for points that were to be verified.
+/// Runs the command: describes the target. Damage is reported and is an error only with --verify.
 pub(super) fn run(args: InfoArgs) -> anyhow::Result<()> {
     let verified = args.verify.then(|| verify::verify(&args.target)).transpose()?;
     let (mut json, mut text) = describe(&args.target, &args.roots)?;
@@ -83,7 +83,7 @@ fn what_is_there(path: &Path) -> &'static str {
     if path.is_dir() { "another folder" } else { "nothing" }
 }
 
-/// An object as aligned lines `key value`.
+/// Formats an object as aligned lines `key value`.
 fn as_lines(json: &Value) -> String {
     let line = |(key, value): (&String, &Value)| match value {
         Value::String(text) => format!("{key:<12} {text}\n"),

@@ -1,4 +1,4 @@
-//! What a skeleton holds, for people and for programs.
+//! Description of a skeleton as text and as JSON.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -18,7 +18,7 @@ struct Tally {
     sweeps: usize,
 }
 
-/// All there is to tell, as JSON.
+/// Describes a skeleton as JSON.
 pub(super) fn describe(skeleton: &Skeleton) -> Value {
     let manifest = &skeleton.manifest;
     let categories: BTreeMap<&str, Value> = tallies(manifest)
@@ -46,7 +46,7 @@ pub(super) fn describe(skeleton: &Skeleton) -> Value {
     })
 }
 
-/// The same for people, in lines.
+/// Formats the description as lines for the terminal.
 pub(super) fn text(skeleton: &Skeleton) -> String {
     let manifest = &skeleton.manifest;
     let report = &manifest.report;
@@ -89,14 +89,14 @@ pub(super) fn text(skeleton: &Skeleton) -> String {
     lines
 }
 
-/// How many points were dropped, by reason.
+/// Lists the numbers of dropped points, by reason.
 pub(in crate::cli) fn dropped(report: &BuildReport) -> String {
     let Ok(Value::Object(report)) = serde_json::to_value(report) else { return String::new() };
     let reasons = report.iter().filter_map(|(name, count)| Some((name.strip_prefix("dropped_")?, count)));
     reasons.map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")
 }
 
-/// By category.
+/// Counts assets by category.
 fn tallies(manifest: &Manifest) -> BTreeMap<&str, Tally> {
     let mut tallies: BTreeMap<&str, Tally> = BTreeMap::new();
     for asset in &manifest.actors {
@@ -120,7 +120,7 @@ fn kind_name(kind: TemplateKind) -> &'static str {
     TemplateKind::NAMES.iter().find(|(_, k)| *k == kind).map_or("", |(name, _)| name)
 }
 
-/// Least and greatest global coordinates of the background.
+/// Returns minimum and maximum global coordinates of the background.
 fn bounds(manifest: &Manifest) -> Option<[DVec3; 2]> {
     let global = |origin: [f64; 3], local: [f32; 3]| DVec3::from(origin) + Vec3::from(local).as_dvec3();
     let of = |origin: [f64; 3], b: &Bounds| [global(origin, b.min), global(origin, b.max)];

@@ -1,4 +1,4 @@
-//! What a folder of templates holds, for people and for programs.
+//! Description of a folder of templates as text and as JSON.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use crate::files::text::printable_line;
 use crate::skeleton::{TemplateLibrary, TemplateSummary};
 
-/// All there is to tell, as JSON.
+/// Describes a library of templates as JSON.
 pub(super) fn describe(library: &TemplateLibrary, path: &Path) -> Value {
     let manifest = &library.manifest;
     json!({
@@ -21,7 +21,7 @@ pub(super) fn describe(library: &TemplateLibrary, path: &Path) -> Value {
     })
 }
 
-/// The same for people, in lines.
+/// Formats the description as lines for the terminal.
 pub(super) fn text(library: &TemplateLibrary, path: &Path) -> String {
     let manifest = &library.manifest;
     let mut lines = format!("templates  {}\n", path.display());

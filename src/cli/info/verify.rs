@@ -1,4 +1,4 @@
-//! `pskel info --verify`: all points of a skeleton or of templates against their checksums.
+//! `pskel info --verify`: checks all points of a skeleton or of templates against their checksums.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -8,18 +8,19 @@ use serde_json::{Value, json};
 use crate::cli::WrongUsage;
 use crate::skeleton::{Skeleton, TemplateLibrary};
 
-/// What the checksums say.
+/// Result of the verification.
 pub(super) struct Verified {
     clouds: usize,
     points: usize,
-    /// A message for each cloud whose points do not have their checksum.
+    /// A message for each cloud whose points do not match their checksum.
     damaged: Vec<String>,
 }
 
-/// Reads all points at a path.
+/// Reads and verifies all points at a path.
 ///
 /// # Errors
-/// Neither a skeleton nor templates; a file that cannot be opened; a damaged template of a library.
+/// Fails if the path is neither a skeleton nor a folder of templates, if a file cannot be opened, or if a template of
+/// a library is damaged.
 pub(super) fn verify(target: &str) -> anyhow::Result<Verified> {
     let path = Path::new(target);
     if Skeleton::is_at(path) {
@@ -32,7 +33,7 @@ pub(super) fn verify(target: &str) -> anyhow::Result<Verified> {
         });
     }
     if TemplateLibrary::is_at(path) {
-        // Opening a library compares all of its checksums.
+        // Opening a library verifies all checksums.
         let clouds = TemplateLibrary::open(path)?.clouds;
         let points = clouds.iter().map(|(_, points)| points.len()).sum();
         return Ok(Verified { clouds: clouds.len(), points, damaged: Vec::new() });
@@ -42,13 +43,13 @@ pub(super) fn verify(target: &str) -> anyhow::Result<Verified> {
 }
 
 impl Verified {
-    /// For programs.
+    /// Formats the result as JSON.
     pub(super) fn json(&self) -> Value {
         let Self { clouds, points, damaged } = self;
         json!({"clouds": clouds, "points": points, "damaged": damaged})
     }
 
-    /// For people, in lines.
+    /// Formats the result as lines for the terminal.
     pub(super) fn text(&self) -> String {
         let Self { clouds, points, damaged } = self;
         let found = match damaged.len() {
@@ -63,8 +64,10 @@ impl Verified {
         lines
     }
 
+    /// Checks that no cloud is damaged.
+    ///
     /// # Errors
-    /// Something is damaged.
+    /// Fails if any cloud is damaged.
     pub(super) fn result(&self, target: &str) -> anyhow::Result<()> {
         let (clouds, damaged) = (self.clouds, self.damaged.len());
         anyhow::ensure!(

@@ -13,53 +13,56 @@ use crate::conditions::{ColorFilter, ConditionOptions, MapSet};
 use crate::dataset::LogLocator;
 use crate::scene::{EgoOffset, SelectionOptions};
 
-/// Render condition maps of a drive's frames from its skeleton: color, depth, class, instance, boxes, map
+/// Render condition maps of a recording's frames from its skeleton: color, depth, class, instance, boxes, map
 ///
-/// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz or conditions.safetensors (arrays V,H,W(,3) named as the maps,
-/// points V,20,H,W and layout V,6,H,W of the tensor, cameras in the order of index.json); FRAME/meta.json with poses and intrinsics; FRAME/sheet.png with all maps at a glance; at the end
-/// index.json. FRAME is the frame's number with six digits, or the time with --at and --hz.
+/// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz or conditions.safetensors (arrays V,H,W(,3) named like the
+/// maps, points V,20,H,W and layout V,6,H,W of the tensor, cameras in the order of index.json); FRAME/meta.json with
+/// poses and intrinsics; FRAME/sheet.png, a contact sheet of all maps; finally index.json. FRAME is the six-digit
+/// frame number, or the time with --at and --hz.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct RenderArgs {
-    /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
     #[arg(value_parser = log_args::log)]
     pub(super) log: LogLocator,
     #[command(flatten)]
     pub(super) roots: LogRoots,
-    /// Skeleton that was built from it
+    /// Skeleton that was built from the recording
     #[arg(long, value_name = "SKEL")]
     pub(super) skeleton: PathBuf,
     /// Folder to write; frames of an earlier run in it are replaced one by one
     #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     pub(super) out: PathBuf,
-    /// Only these frames, numbered from 0 in the log's order, without B [default: all]
+    /// Range of frames, numbered from 0 in log order, B excluded [default: all]
     #[arg(long, value_name = "A..B")]
     pub(super) frames: Option<FrameRange>,
-    /// Instead of frames any times within the log, absolute microseconds; ego and actors are interpolated
+    /// Render at these times within the log instead of at frames, absolute microseconds; ego and actors are
+    /// interpolated
     #[arg(long, value_name = "T_US,..", value_delimiter = ',', allow_hyphen_values = true)]
     #[arg(conflicts_with = "frames")]
     pub(super) at: Vec<i64>,
-    /// Times at this rate (0.1 to 100 a second) from the first to the last of the frames; ego and actors are interpolated
+    /// Render at this rate (0.1 to 100 per second) from the first to the last of the frames; ego and actors are
+    /// interpolated
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     #[arg(conflicts_with = "at")]
     pub(super) hz: Option<f64>,
     #[command(flatten)]
     pub(super) maps: MapArgs,
-    /// Also write FRAME/birdseye.png: 100 x 100 m around the ego from above, with HD map, boxes and cameras
+    /// Also write FRAME/birdseye.png: bird's-eye view of 100 x 100 m around the ego, with HD map, boxes and cameras
     #[arg(long)]
     pub(super) birdseye: bool,
-    /// Move the ego in its own frame: metres forward, metres to the left, degrees to the left
+    /// Move the ego in its own frame: meters forward, meters to the left, degrees to the left
     #[arg(long, value_name = "X,Y,YAW_DEG", value_parser = numbers::ego_offset, allow_hyphen_values = true)]
     #[arg(conflicts_with = "cameras")]
     pub(super) ego_offset: Option<EgoOffset>,
-    /// These cameras instead of the log's, standing in the log's global frame:
+    /// Use these cameras instead of the log's, posed in the log's global frame:
     /// {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
     #[arg(long, value_name = "C.json")]
     pub(super) cameras: Option<PathBuf>,
-    /// Draw what the cameras recorded, lens distortion included; every pixel takes the nearest one of a pinhole's image
+    /// Render with the lens distortion of the recorded cameras; every pixel is the nearest one of a pinhole image
     /// [default: pinhole cameras]
     #[arg(long, conflicts_with = "cameras")]
     pub(super) distort: bool,
-    /// For the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, either may be missing
+    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
     #[arg(long, value_name = "F.json")]
     pub(super) annotations: Option<PathBuf>,
     #[command(flatten)]
@@ -68,19 +71,19 @@ pub(in crate::cli) struct RenderArgs {
     pub(super) rasterizer: RasterizerArgs,
 }
 
-/// What stands in `index.json` about how the maps were made.
+/// Rendering options in `index.json`.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct RenderOptions {
     #[serde(flatten)]
     pub(super) conditions: ConditionOptions,
     #[serde(flatten)]
     pub(super) selection: SelectionOptions,
-    /// Times per second, where not frames were rendered.
+    /// Times per second, unless frames were rendered.
     hz: Option<f64>,
     #[serde(flatten)]
     stand_ins: StandInReport,
     ego_offset: EgoOffset,
-    /// Whether maps look like recorded images.
+    /// `true` if maps have lens distortion.
     distort: bool,
     /// File of other cameras.
     cameras: Option<PathBuf>,
@@ -89,7 +92,8 @@ pub(super) struct RenderOptions {
 }
 
 impl RenderArgs {
-    /// Files of images hold no tensors; distorted maps do not know which pixels were empty.
+    /// Rejects tensors in image formats, and the valid-area filter with distortion, since distorted maps do not
+    /// record which pixels were empty.
     pub(super) fn check(&self) -> Result<(), WrongUsage> {
         if self.distort && self.maps.color_filter == ColorFilter::ValidArea {
             let message = "expected --color-filter bilinear with --distort, found valid-area";
@@ -98,12 +102,12 @@ impl RenderArgs {
         self.maps.check()
     }
 
-    /// The maps to make of a log with or without an HD map; `None` if that is missing and was asked for.
+    /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but missing.
     pub(super) fn maps(&self, has_map: bool) -> Option<MapSet> {
         self.maps.kinds(has_map)
     }
 
-    /// Whether the log's HD map is of use.
+    /// Returns whether the output uses the log's HD map.
     pub(super) fn wants_map(&self) -> bool {
         self.birdseye || self.maps.wants_map()
     }

@@ -1,4 +1,4 @@
-//! `pskel render`: [`args`] are the options, [`steps`] what is to be rendered, [`output`] writes it.
+//! `pskel render`: [`args`] defines the options, [`steps`] the times to render, [`output`] writes the maps.
 
 mod args;
 mod output;
@@ -30,7 +30,7 @@ use crate::raster::{FRAMES_IN_FLIGHT, Rasterizer};
 use crate::scene::{SceneMap, SelectionOptions, Stage, frame_rate_hz};
 use crate::skeleton::Skeleton;
 
-/// Reads, draws, writes.
+/// Runs the command: opens the inputs, renders and writes the maps.
 pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.check()?;
@@ -77,7 +77,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A skeleton stands in the global frame of the log it was built from: with any other it makes no sense.
+/// Opens a skeleton, which must be built from this log: its coordinates are in the log's global frame.
 pub(super) fn open_skeleton(path: &Path, dataset: &dyn Dataset) -> Result<Skeleton, FileError> {
     let skeleton = Skeleton::open(path)?;
     let name = &dataset.log().name;
@@ -90,13 +90,13 @@ pub(super) fn open_skeleton(path: &Path, dataset: &dyn Dataset) -> Result<Skelet
     Ok(skeleton)
 }
 
-/// The log's HD map, if there is one and it is of use.
+/// Reads the log's HD map if it exists and is used.
 fn read_map(args: &RenderArgs, dataset: &dyn Dataset) -> anyhow::Result<Option<Arc<SceneMap>>> {
     let map = args.wants_map().then(|| dataset.read_map()).transpose()?.flatten();
     Ok(map.map(|map| Arc::new(SceneMap::new(map, dataset.log()))))
 }
 
-/// Where the skeleton saw nothing there may be little to show.
+/// Warns of times outside those that the skeleton was built from, where it may have few points.
 fn warn_of_times_outside(frames: &[IndexFrame], built_from: Option<[i64; 2]>) {
     let Some([first, last]) = built_from else { return };
     let outside: Vec<&str> =
@@ -113,7 +113,7 @@ pub(super) fn read_prompt(path: &Path) -> Result<PromptParts, FileError> {
         .map_err(|e| FileError::content(r#"{"weather": text, "city": text}"#, e.to_string(), path))
 }
 
-/// All that stays the same from step to step.
+/// State shared by all steps.
 struct Work<'a> {
     stage: Stage<'a>,
     steps: &'a Steps<'a>,
@@ -121,7 +121,7 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// Renders step by step, while another thread writes the step before.
+    /// Renders step by step while another thread writes the previous step.
     fn run(
         &self,
         rasterizer: &mut dyn Rasterizer,
@@ -140,7 +140,7 @@ impl Work<'_> {
             let mut in_flight = VecDeque::new();
             let mut states = self.steps.states();
             loop {
-                // One step is drawn while the host looks after the one before.
+                // The device renders one step while the host processes the previous one.
                 if let Some(state) = states.next() {
                     let state = state?;
                     let instances = self.stage.instances(&state, selection);
@@ -163,7 +163,7 @@ impl Work<'_> {
                 frames.push(IndexFrame::new(&state));
                 progress.step(&state.name);
                 if sender.send(Rendered { state, set }).is_err() {
-                    // The writer has stopped; it tells why.
+                    // The writer thread has stopped; its result has the error.
                     break;
                 }
             }

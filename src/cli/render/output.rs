@@ -7,22 +7,22 @@ use crate::error::FileError;
 use crate::files::OutputFolder;
 use crate::scene::SceneState;
 
-/// A step with its maps.
+/// Rendered step with its maps.
 pub(super) struct Rendered {
     pub(super) state: SceneState,
     pub(super) set: ConditionSet,
 }
 
-/// The folder of maps.
+/// Output folder of maps.
 pub(super) struct Output<'a> {
     pub(super) folder: OutputFolder,
     pub(super) format: MapFormat,
     pub(super) options: &'a ConditionOptions,
     pub(super) prompt: &'a PromptParts,
     pub(super) fps: Option<f64>,
-    /// Whether maps are distorted.
+    /// `true` if maps are distorted.
     pub(super) distort: bool,
-    /// Whether a picture from above is written.
+    /// `true` if a bird's-eye view is written.
     pub(super) birdseye: bool,
     /// Name of the log.
     pub(super) log: &'a str,
@@ -32,8 +32,8 @@ const INDEX: &str = "index.json";
 const META: &str = "meta.json";
 
 impl Output<'_> {
-    /// Checks that steps of these names may be written. An index of an earlier run is removed: while there is one, the
-    /// folder is complete.
+    /// Checks that steps of these names may be written, and removes the index of an earlier run: a folder with an
+    /// index is complete.
     pub(super) fn begin(&self, steps: impl Iterator<Item = String>) -> Result<(), FileError> {
         self.folder.check(steps)?;
         self.folder.remove([INDEX])
@@ -56,7 +56,7 @@ impl Output<'_> {
         })
     }
 
-    /// Writes the index, last of all.
+    /// Writes the index, as the last file.
     pub(super) fn end(self, index: &Index<&RenderOptions>) -> Result<(), FileError> {
         index.write(&self.folder.claim(INDEX)?)?;
         self.folder.close()

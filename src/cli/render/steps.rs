@@ -10,14 +10,14 @@ use crate::scene::{
     EgoOffset, SceneMap, SceneState, name_of_frame, name_of_time, state_at, state_of_frame, with_cameras,
 };
 
-/// What is to be rendered; all of it lies within the log.
+/// Times to render; all of them are within the log.
 pub(super) struct Steps<'a> {
     log: &'a Log,
     ego: EgoTrack,
     offset: EgoOffset,
-    /// Instead of the log's.
+    /// Cameras that replace the log's.
     views: Option<Vec<View>>,
-    /// For every state.
+    /// HD map of every state.
     map: Option<Arc<SceneMap>>,
     when: Vec<When>,
 }
@@ -59,7 +59,7 @@ impl<'a> Steps<'a> {
         self.when.len()
     }
 
-    /// Names of the states, in order.
+    /// Returns the names of the states, in order.
     pub(super) fn names(&self) -> impl Iterator<Item = String> {
         self.when.iter().map(|when| match *when {
             When::Frame(index) => name_of_frame(index),
@@ -67,7 +67,7 @@ impl<'a> Steps<'a> {
         })
     }
 
-    /// The states, in order.
+    /// Returns the states, in order.
     pub(super) fn states(&self) -> impl Iterator<Item = anyhow::Result<SceneState>> {
         self.when.iter().map(|when| {
             let state = match *when {
@@ -81,7 +81,7 @@ impl<'a> Steps<'a> {
         })
     }
 
-    /// How many frames lack an image of a camera of the log, by camera.
+    /// Counts the frames without an image of a log's camera, by camera.
     pub(super) fn missing_images(&self) -> BTreeMap<&str, usize> {
         let mut missing = BTreeMap::new();
         for when in &self.when {
@@ -95,8 +95,8 @@ impl<'a> Steps<'a> {
     }
 }
 
-/// Times at a rate from the first frame's on, as far as the last frame's: the first and every `1 / hz` seconds,
-/// each rounded to microseconds on its own, so that they do not drift.
+/// Returns the times from the first to the last frame at a rate: the first one and every `1 / hz` seconds, each
+/// rounded to microseconds separately, so that they do not drift.
 fn times_at_rate(frames: &[Frame], hz: f64) -> impl Iterator<Item = i64> {
     let ends = frames.first().zip(frames.last()).map(|(first, last)| [first.t_us, last.t_us]);
     ends.into_iter().flat_map(move |[first, last]| {
@@ -105,7 +105,7 @@ fn times_at_rate(frames: &[Frame], hz: f64) -> impl Iterator<Item = i64> {
     })
 }
 
-/// Times become names of folders, so each may be there once.
+/// Checks that times are distinct, since they become folder names, and that they are within the log.
 fn check_times(log: &Log, times: &[i64]) -> anyhow::Result<()> {
     for (i, t_us) in times.iter().enumerate() {
         if times[..i].contains(t_us) {

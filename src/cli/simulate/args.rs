@@ -16,65 +16,66 @@ use crate::sim::{
     ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
 };
 
-/// As many as a generator sees at once beside the frame that is there.
+/// Number of frames that a generator sees besides the current one.
 const FORECAST_STEPS: usize = 9;
 
-/// Simulate a drive in a closed loop: ego and others move by policies, and every step is rendered
+/// Simulate a recording in a closed loop: ego and other actors move by policies, and every step is rendered
 ///
-/// Writes steps/STEP with the maps (as render writes a frame), birdseye.png, view/MAP.jpg (what the page shows) and
-/// state.json (what --resume needs); states.jsonl, a line a step; at the end metrics.json, index.json, rollout.mp4 and
-/// index.html, a page that plays the rollout. If a planner fails, all of it is there for the steps until then.
+/// Writes steps/STEP with the maps (as render writes a frame), birdseye.png, view/MAP.jpg (images of the page) and
+/// state.json (for --resume); states.jsonl, one line per step; finally metrics.json, index.json, rollout.mp4 and
+/// index.html, a page that plays the rollout. If a planner fails, all of these are written for the steps before the
+/// failure.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct SimulateArgs {
-    /// Drive: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
     #[arg(value_parser = log_args::log)]
     pub(super) log: LogLocator,
     #[command(flatten)]
     pub(super) roots: LogRoots,
-    /// Skeleton that was built from it
+    /// Skeleton that was built from the recording
     #[arg(long, value_name = "SKEL")]
     pub(super) skeleton: PathBuf,
     /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
     #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     pub(super) out: PathBuf,
-    /// How many steps to take; step 0 is the log's. An ego that replays ends with the log; others drive on beyond its end,
-    /// where nobody is left but actors that a policy has taken over, and the skeleton may have no points
+    /// Number of simulation steps; step 0 is the log's. A replayed ego stops when the log ends. With other policies
+    /// it drives on: only actors under a policy remain there, and the skeleton may have no points
     #[arg(long, value_name = "N")]
     pub(super) steps: usize,
     #[command(flatten)]
     policies: PolicyArgs,
     #[command(flatten)]
     pub(super) maps: MapArgs,
-    /// Also render at each plan step what is expected at the next ones, as steps/STEP/forecast/STEP
+    /// Also render the forecasts for the next planning steps at each planning step, as steps/STEP/forecast/STEP
     #[arg(long)]
     forecast_maps: bool,
-    /// With --forecast-maps: how many plan steps are forecast, 1 to 100
+    /// With --forecast-maps: number of forecast planning steps, 1 to 100
     #[arg(long, value_name = "K", default_value_t = FORECAST_STEPS, value_parser = numbers::forecast_steps)]
     #[arg(requires = "forecast_maps", allow_negative_numbers = true)]
     forecast: usize,
-    /// Also write steps/STEP/sheet.png with all maps at a glance
+    /// Also write steps/STEP/sheet.png, a contact sheet of all maps
     #[arg(long)]
     pub(super) sheets: bool,
-    /// Go on with the rollout in --out behind its last step, with the same log, skeleton and options; --steps,
+    /// Continue the rollout in --out after its last step, with the same log, skeleton and options; --steps,
     /// --planner-timeout, --generator-timeout, --profile and the rasterizer may change
     #[arg(long)]
     pub(super) resume: bool,
-    /// Go on behind this step; later ones are made anew
+    /// Continue after this step; later ones are simulated again
     #[arg(long, value_name = "STEP")]
     pub(super) resume_from: Option<usize>,
-    /// Write nothing below --out, only tell the times: how fast is the loop without writing?
+    /// Write nothing below --out and only print the times, to measure the loop without output
     #[arg(long, conflicts_with_all = ["resume", "resume_from"])]
     pub(super) dry: bool,
     /// Write the times of all steps and stages to this file
     #[arg(long, value_name = "F.json")]
     pub(super) profile: Option<PathBuf>,
-    /// For the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, either may be missing
+    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
     #[arg(long, value_name = "F.json")]
     pub(super) annotations: Option<PathBuf>,
-    /// Also make the images that the cameras would see, by a network: `network`, which comes with the program,
-    /// network:FILE with weights of `pskel train`, or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT
-    /// (docs/DENOISER.md). At each plan step it writes steps/STEP/generated, and truth where that is known. Options of
-    /// maps are for the maps that are written: what the network sees is drawn as it was trained for
+    /// Also generate the cameras' images with a network: network (shipped with the program), network:FILE with
+    /// weights of `pskel train`, or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md).
+    /// Each planning step gets steps/STEP/generated, and truth if ground truth is known. Map options apply to the
+    /// written maps; the network's conditions are rendered as in its training
     #[arg(long, value_name = "NETWORK")]
     pub(super) generator: Option<NetworkName>,
     #[command(flatten)]
@@ -83,16 +84,16 @@ pub(in crate::cli) struct SimulateArgs {
     pub(super) rasterizer: RasterizerArgs,
     #[command(flatten, next_help_heading = "Options of --generator")]
     pub(super) generating: GeneratorArgs,
-    /// Steps are frames of the log, to its end if there are that many; `pskel generate` asks for that.
+    /// Set if steps are frames of the log, until its end at most; used by `pskel generate`.
     #[arg(skip)]
     frames: Option<EveryFrames>,
 }
 
-/// Every so many-th frame of the log is a step.
+/// Stride of the log's frames that are steps; `None` selects the default.
 #[derive(Clone, Copy, Debug)]
 struct EveryFrames(Option<usize>);
 
-/// A log that is replayed frame by frame.
+/// Options for replaying a log frame by frame.
 pub(in crate::cli) struct OpenLoop {
     pub(in crate::cli) log: LogLocator,
     pub(in crate::cli) roots: LogRoots,
@@ -112,42 +113,42 @@ pub(in crate::cli) struct OpenLoop {
     pub(in crate::cli) rasterizer: RasterizerArgs,
 }
 
-/// Who moves, and how often.
+/// Policies of ego and actors, and their rates.
 #[derive(Debug, Args)]
 struct PolicyArgs {
-    /// Who drives the ego after the warm-up
+    /// Policy of the ego after the warm-up
     #[arg(long, value_enum, value_name = "POLICY", default_value = "replay")]
     ego: EgoName,
-    /// With --ego file: the path in the ego's frame, metres forward and to the left; JSON, CSV, TXT or NPY
+    /// With --ego file: the path in the ego's frame, meters forward and to the left; JSON, CSV, TXT or NPY
     #[arg(long, value_name = "FILE", required_if_eq("ego", "file"))]
     trajectory: Option<PathBuf>,
-    /// With --ego external: a command, which talks over its standard input and output, or a socket that it listens at,
-    /// unix:PATH or tcp:HOST:PORT
+    /// With --ego external: a command that communicates over its standard input and output, or the socket on which it
+    /// listens, unix:PATH or tcp:HOST:PORT
     #[arg(long, value_name = "COMMAND|ADDRESS", required_if_eq("ego", "external"))]
     planner: Option<PlannerAddress>,
-    /// How long to wait for each answer of the planner, seconds
+    /// Time-out for each answer of the planner, seconds
     #[arg(long, value_name = "S", default_value_t = 10.0)]
     planner_timeout: f64,
-    /// How the ego follows what was planned
+    /// How the ego tracks the plan
     #[arg(long, value_enum, default_value = "perfect")]
     tracking: TrackingName,
-    /// Who moves the others after the warm-up
+    /// Policy of the other actors after the warm-up
     #[arg(long, value_enum, value_name = "POLICY", default_value = "replay")]
     actors: ActorName,
-    /// Steps a second [default: 12 of nuScenes, 10 of other logs]
+    /// Simulation steps per second [default: 12 for nuScenes, 10 for other logs]
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     sim_hz: Option<f64>,
-    /// Plans a second, which divide the steps [default: 2 of nuScenes, 5 of other logs]
+    /// Planning steps per second, a divisor of the simulation rate [default: 2 for nuScenes, 5 for other logs]
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     plan_hz: Option<f64>,
-    /// Frames of a generator's window, one a plan: the first (N - 1) * SIM_HZ / PLAN_HZ steps follow the log [default: 1;
-    /// with --generator its window]
+    /// Warm-up in frames of a generator's window, one per planning step: the first (N - 1) * SIM_HZ / PLAN_HZ steps
+    /// follow the log [default: 1; with --generator its window]
     #[arg(long, value_name = "N")]
     warmup: Option<usize>,
     /// Start at this time, absolute microseconds [default: the log's first frame]
     #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
     start: Option<i64>,
-    /// Seed, told to planners
+    /// Seed that is passed to planners
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
 }
@@ -157,28 +158,28 @@ struct PolicyArgs {
 #[value(rename_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
 pub(super) enum EgoName {
-    /// Where the log's ego drove.
+    /// Recorded path of the ego.
     Replay,
-    /// Straight on.
+    /// Straight ahead.
     Straight,
-    /// To the right, more and more.
+    /// Increasingly to the right.
     RightThenBack,
-    /// 1.5 m to the right along half a wave.
+    /// 1.5 m to the right along half a cosine wave.
     Cosine,
     /// One lane to the right of the recorded path, at 10 m/s.
     LaneChange,
     /// Along the points of --trajectory.
     File,
-    /// As --planner says.
+    /// Plans of --planner.
     External,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 #[value(rename_all = "snake_case")]
 enum TrackingName {
-    /// The ego is where the plan says.
+    /// The ego follows the plan exactly.
     Perfect,
-    /// A kinematic bicycle with limits follows the plan.
+    /// A kinematic bicycle model with limits tracks the plan.
     Bicycle,
 }
 
@@ -187,14 +188,14 @@ enum TrackingName {
 enum ActorName {
     /// As in the log.
     Replay,
-    /// Vehicles follow their paths by the Intelligent Driver Model.
+    /// Vehicles and cycles near the ego follow their paths by the Intelligent Driver Model.
     Idm,
-    /// All keep speed and curve, and brake.
+    /// Actors near the ego keep speed and curvature, and brake.
     Reactive,
 }
 
 impl SimulateArgs {
-    /// Ego and actors follow the log; its frames are the steps.
+    /// Creates options for a replay: ego and actors follow the log, and its frames are the steps.
     pub(in crate::cli) fn open_loop(open: OpenLoop) -> Self {
         let policies = PolicyArgs {
             ego: EgoName::Replay,
@@ -233,7 +234,7 @@ impl SimulateArgs {
         }
     }
 
-    /// Options that the parser cannot check.
+    /// Checks options that the parser cannot check.
     pub(super) fn check(&self) -> Result<(), WrongUsage> {
         let PolicyArgs { ego, trajectory, planner, .. } = &self.policies;
         let unused = [
@@ -247,7 +248,7 @@ impl SimulateArgs {
         self.maps.check()
     }
 
-    /// Files that are named one by one and only read.
+    /// Returns the files that are named individually and only read.
     pub(super) fn input_files(&self) -> impl Iterator<Item = &Path> {
         let weights = match &self.generator {
             Some(NetworkName::Network(weights)) => weights.as_deref(),
@@ -256,12 +257,12 @@ impl SimulateArgs {
         [self.annotations.as_deref(), self.policies.trajectory.as_deref(), weights].into_iter().flatten()
     }
 
-    /// How many plan steps are forecast and rendered at each of them.
+    /// Returns the number of planning steps to forecast and render at each planning step.
     pub(super) fn forecast_steps(&self) -> usize {
         if self.forecast_maps { self.forecast } else { 0 }
     }
 
-    /// Every so many-th frame that is a step, if frames are steps, and how many steps there are to take.
+    /// Returns the stride of the frames that are steps, `None` if steps are not frames, and the number of steps.
     fn frames_of(&self, scenario: &Scenario<'_>) -> anyhow::Result<(Option<usize>, usize)> {
         let Some(EveryFrames(every)) = self.frames else { return Ok((None, self.steps)) };
         let frames = &scenario.log.frames;
@@ -280,22 +281,22 @@ impl SimulateArgs {
         Ok((Some(every), self.steps.min((there - 1) / every)))
     }
 
-    /// Whether ego and others follow the log all along.
+    /// Returns whether ego and other actors follow the log throughout.
     pub(super) fn follow_log(&self) -> [bool; 2] {
         [self.policies.ego == EgoName::Replay, matches!(self.policies.actors, ActorName::Replay)]
     }
 
-    /// Whether steps are the log's own frames, as `pskel generate` has it.
+    /// Returns whether steps are the log's own frames, as in `pskel generate`.
     pub(super) fn is_open_loop(&self) -> bool {
         self.frames.is_some()
     }
 
-    /// Name of the ego's policy.
+    /// Returns the name of the ego's policy.
     pub(super) fn ego_name(&self) -> &'static str {
         self.policies.ego.name()
     }
 
-    /// Name of the others' policy.
+    /// Returns the name of the other actors' policy.
     pub(super) fn actors_name(&self) -> &'static str {
         match self.policies.actors {
             ActorName::Replay => "replay",
@@ -304,7 +305,8 @@ impl SimulateArgs {
         }
     }
 
-    /// What is to be simulated; reads the trajectory. A generator with a window of `window` frames needs as many for its warm-up.
+    /// Returns the simulation options; reads the trajectory. The warm-up has at least the `window` frames of a
+    /// generator.
     pub(super) fn sim_options(
         &self,
         scenario: &Scenario<'_>,
@@ -327,7 +329,7 @@ impl SimulateArgs {
             (EgoName::External, _, Some(address)) => {
                 EgoPolicy::External(PlannerSpec { address: address.clone(), timeout_s: p.planner_timeout })
             }
-            // The parser asks for what File and External need.
+            // The parser requires the arguments of File and External.
             (EgoName::Replay | EgoName::File | EgoName::External, ..) => EgoPolicy::Replay,
         };
         Ok(SimOptions {
@@ -353,7 +355,7 @@ impl SimulateArgs {
 }
 
 impl EgoName {
-    /// As on the command line.
+    /// Returns the name on the command line.
     fn name(self) -> &'static str {
         match self {
             Self::Replay => "replay",

@@ -11,34 +11,34 @@ use crate::report::page::{self, Page, PageActor, PageEvent, PageStep};
 use crate::report::{ActorRow, Phase, StepRow, Video, film, sight, view};
 use crate::sim::{Collision, EndReason, Metrics};
 
-/// So many pictures of the video are in memory at a time.
+/// Number of video images in memory at the same time.
 const PICTURES: usize = 16;
-/// Names and colors of the lines in the picture from above.
+/// Names and colors of the lines in the bird's-eye view.
 pub(super) const TRACES: [(&str, [u8; 4]); 3] = [
     ("recorded path", [150, 160, 182, 150]),
     ("driven path", [64, 196, 255, 230]),
     ("plan", [255, 201, 77, 255]),
 ];
 
-/// What a rollout came to.
+/// Outcome of a rollout.
 pub(super) struct Outcome {
     pub(super) metrics: Metrics,
     /// `None` if it failed.
     pub(super) ended: Option<EndReason>,
     pub(super) failure: Option<String>,
-    /// How many steps lie beyond the end of the log.
+    /// Number of steps after the end of the log.
     pub(super) steps_beyond_log: usize,
-    /// Of the log.
+    /// Notes on the log, with counts.
     pub(super) notes: std::collections::BTreeMap<String, usize>,
-    /// For the page.
+    /// Lines for the HTML page.
     pub(super) facts: Vec<String>,
-    /// Where cameras stand in the pictures.
+    /// Placement of the cameras in the page's images.
     pub(super) layout: view::Layout,
     /// Cameras, in the order of the maps, with the size of the maps.
     pub(super) cameras: Vec<(FileName, [u32; 2])>,
 }
 
-/// `metrics.json`.
+/// Content of `metrics.json`.
 #[derive(Serialize)]
 struct Told<'a> {
     ended: Option<EndReason>,
@@ -49,7 +49,7 @@ struct Told<'a> {
     notes: &'a std::collections::BTreeMap<String, usize>,
 }
 
-/// Writes what is made of all steps: metrics, video, page, and the index last.
+/// Writes the summary files of all steps: metrics, video, page, and the index last.
 pub(super) fn finish(
     output: &Output<'_>,
     files: &OutputFolder,
@@ -68,7 +68,7 @@ pub(super) fn finish(
     Ok(())
 }
 
-/// Pictures are drawn on all threads, and encoded in order.
+/// Encodes the video. Images are composed on all threads and encoded in order.
 fn video(output: &Output<'_>, path: &Path, rows: &[StepRow], outcome: &Outcome) -> anyhow::Result<()> {
     let mut video = None;
     for rows in rows.chunks(PICTURES) {
@@ -126,7 +126,7 @@ fn page(output: &Output<'_>, rows: &[StepRow], outcome: &Outcome) -> Page {
     }
 }
 
-/// The actors that are new in the view of a camera, with their places in its picture.
+/// Returns the actors that newly enter a camera's view, with their boxes in the page's image.
 fn fresh(row: &StepRow, outcome: &Outcome) -> Vec<PageActor> {
     let place = |seen: &sight::Seen| {
         let place = outcome.layout.cameras.get(seen.camera)?;
@@ -155,7 +155,7 @@ fn event(collision: &Collision, rows: &[StepRow]) -> PageEvent {
         Some(false) => ", not the ego's fault",
         None => "",
     };
-    // No minus before a zero.
+    // Avoids a minus before zero.
     let speed = |speed_mps: f64| format!("{:.1} m/s", (speed_mps * 10.0).round() / 10.0 + 0.0);
     let [ego, other] = [collision.ego_speed_mps, collision.actor_speed_mps].map(speed);
     let text = format!("collision with {category} (ego {ego}, other {other}){fault}");

@@ -1,4 +1,4 @@
-//! The generator in the rollout: what it makes, how that is kept with the step, and how it is taken up again.
+//! The generator in the rollout: generated images, their files in a step, and resuming.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,10 +16,10 @@ use crate::report::images::{self, GENERATED, TRUTH};
 use crate::report::{StepRow, view};
 use crate::sim::{SavedState, Scenario, SimOptions, Simulation};
 
-/// What goes on to the next frame.
+/// File of the generator state that is carried over to the next frame.
 pub(super) const CACHE: &str = "generator.safetensors";
 
-/// The generator and what it made last.
+/// The generator and its latest images.
 pub(super) struct Generation<'a> {
     session: Session<'a>,
     shown: Option<Arc<Made>>,
@@ -27,21 +27,21 @@ pub(super) struct Generation<'a> {
 
 /// Images of a step.
 pub(super) struct Images {
-    /// What was made at this plan step or at the last one before.
+    /// Images of this planning step or of the previous one.
     pub(super) shown: Arc<Made>,
-    /// Whether it was made at this step, with what goes on to the next one.
+    /// `Some` if they were generated at this step.
     pub(super) fresh: Option<Fresh>,
 }
 
-/// What is new at a plan step.
+/// New data of a planning step.
 pub(super) struct Fresh {
-    /// Bytes of [`CACHE`], once frames are made.
+    /// Bytes of [`CACHE`], once frames are generated.
     pub(super) cache: Option<Vec<u8>>,
     pub(super) times: SessionTimes,
 }
 
 impl<'a> Generation<'a> {
-    /// Begins, or goes on behind the last step of an earlier run.
+    /// Creates the generator, or resumes it after the last step of an earlier run.
     pub(super) fn begin(
         opened: Opened,
         subject: &Subject<'a>,
@@ -84,7 +84,7 @@ impl<'a> Generation<'a> {
         Ok(Self { session, shown })
     }
 
-    /// Makes the images of what was committed last, if a plan is due.
+    /// Generates the images of the latest committed state if a planning step is due, and returns the latest images.
     pub(super) fn step(
         &mut self,
         simulation: &Simulation<'_>,
@@ -101,13 +101,13 @@ impl<'a> Generation<'a> {
         Ok(Some(Images { shown, fresh }))
     }
 
-    /// Names of its pictures in the page.
+    /// Returns the names of its images in the page.
     pub(super) fn pictures(&self) -> Vec<&'static str> {
         [GENERATED].into_iter().chain(self.session.has_truth().then_some(TRUTH)).collect()
     }
 }
 
-/// The steps of an earlier run.
+/// Steps of an earlier run.
 pub(super) struct EarlierSteps<'a> {
     pub(super) folder: &'a Path,
     pub(super) rows: &'a [StepRow],
@@ -117,7 +117,7 @@ pub(super) struct EarlierSteps<'a> {
 }
 
 impl Images {
-    /// Writes what is new into the folder of a step; its pictures for the page always.
+    /// Writes the images of the page into the folder of a step, and new images and state.
     pub(super) fn write(&self, folder: &Path, layout: &view::Layout) -> Result<(), FileError> {
         let Made { images, truth, .. } = &*self.shown;
         let view = folder.join(view::VIEW);

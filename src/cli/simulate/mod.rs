@@ -1,6 +1,6 @@
-//! `pskel simulate`: [`args`] are the options, [`rollout`] is the loop, [`generation`] makes images in it, [`output`]
-//! writes its steps on a thread of its own, [`finish`] what is made of all of them, [`profile`] tells where the time
-//! went, [`sources`] what it is made of, [`summary`] is the last line.
+//! `pskel simulate`: [`args`] defines the options, [`rollout`] is the loop, [`generation`] generates images in it,
+//! [`output`] writes its steps on a separate thread, [`finish`] writes the summary files, [`profile`] records times,
+//! [`sources`] identifies the inputs, [`summary`] formats the last line.
 
 mod args;
 mod finish;
@@ -43,10 +43,10 @@ use crate::skeleton::Skeleton;
 
 /// Kind of the output folder.
 const KIND: &str = "rollout";
-/// The size of maps where cameras are larger and none is given.
+/// Default size of maps if cameras are larger.
 const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
 
-/// Simulates, draws, writes.
+/// Runs the command: simulates, renders, writes.
 pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.check()?;
@@ -119,13 +119,13 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What is read before anything is simulated.
+/// Inputs that are read before the simulation starts.
 struct Inputs {
     dataset: Box<dyn Dataset>,
     skeleton: Skeleton,
     prompt: PromptParts,
     map: Option<Arc<SceneMap>>,
-    /// Kinds of maps to draw.
+    /// Kinds of maps to render.
     maps: MapSet,
 }
 
@@ -147,7 +147,7 @@ impl Inputs {
     }
 }
 
-/// Writes what is made of all steps; gives the line to end with.
+/// Writes the summary files of all steps, and returns the summary line.
 fn report(
     args: &SimulateArgs,
     output: &Output<'_>,
@@ -167,7 +167,7 @@ fn report(
     let profiled = args.profile.as_deref().map_or(Ok(()), |path| run.profile.write(path));
     let reported = finished.and_then(|()| Ok(profiled?));
     if let Some(failure) = run.failure {
-        // What came first counts.
+        // The first error is the result.
         if let Err(error) = reported {
             warn(&format!("after the rollout had failed: {}", super::with_causes(&error)));
         }
@@ -177,7 +177,7 @@ fn report(
     Ok(summary(args, &outcome, &run.rows, &run.profile, &info))
 }
 
-/// The rollout to go on with, if one is asked for.
+/// Reads the rollout to resume, if requested.
 fn earlier(args: &SimulateArgs, sources: &Sources) -> Result<Option<Earlier>, FileError> {
     if !args.resume && args.resume_from.is_none() {
         return Ok(None);
@@ -192,7 +192,7 @@ fn earlier(args: &SimulateArgs, sources: &Sources) -> Result<Option<Earlier>, Fi
     Ok(earlier)
 }
 
-/// Options that are wrong have an exit code of their own.
+/// Converts invalid options into [`WrongUsage`], which has its own exit code.
 fn usage(error: SimError) -> anyhow::Error {
     if error.is_usage() { WrongUsage(error.to_string()).into() } else { error.into() }
 }

@@ -31,7 +31,7 @@ const META: &str = "meta.json";
 pub(super) const STATE: &str = "state.json";
 pub(super) const FORECAST: &str = "forecast";
 
-/// What stands in `rollout.json` and `index.json` about how the rollout was made.
+/// Options and inputs of a rollout in `rollout.json` and `index.json`.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct RolloutOptions {
     #[serde(flatten)]
@@ -41,23 +41,23 @@ pub(super) struct RolloutOptions {
     #[serde(flatten)]
     pub(super) stand_ins: StandInReport,
     pub(super) format: MapFormat,
-    /// How many plan steps are forecast and rendered at each of them.
+    /// Number of planning steps to forecast and render at each planning step.
     pub(super) forecast_steps: usize,
     pub(super) sheets: bool,
     pub(super) log: String,
     pub(super) sources: Sources,
     pub(super) simulation: SimOptions,
-    /// Steps a second.
+    /// Simulation steps per second.
     pub(super) sim_hz: f64,
-    /// Plans a second.
+    /// Planning steps per second.
     pub(super) plan_hz: f64,
-    /// The last step of the warm-up.
+    /// Last step of the warm-up.
     pub(super) takeover_step: usize,
-    /// How images are made, if they are.
+    /// Generator of images, if any.
     pub(super) generator: Option<GeneratorReport>,
 }
 
-/// A step with all that is written of it.
+/// A step with all data to write.
 pub(super) struct Job {
     pub(super) state: SceneState,
     pub(super) set: ConditionSet,
@@ -68,37 +68,37 @@ pub(super) struct Job {
     pub(super) images: Option<Images>,
 }
 
-/// The folder of a rollout.
+/// Output folder of a rollout.
 pub(super) struct Output<'a> {
     pub(super) folder: &'a Path,
     pub(super) options: &'a RolloutOptions,
     pub(super) prompt: &'a PromptParts,
 }
 
-/// What an earlier run left.
+/// State of an earlier run.
 pub(super) struct Earlier {
     pub(super) rows: Vec<StepRow>,
     pub(super) saved: SavedState,
 }
 
-/// Where the files of a step are.
+/// Returns the folder of a step.
 pub(super) fn step_folder(folder: &Path, name: &str) -> PathBuf {
     folder.join(STEPS).join(name)
 }
 
-/// A rollout to go on with.
+/// A rollout to resume.
 pub(super) struct Resumed<'a> {
     pub(super) folder: &'a Path,
-    /// Behind this step; `None`: behind the last one.
+    /// Step to resume after; `None` for the last one.
     pub(super) until: Option<usize>,
-    /// How many steps it is to have in the end.
+    /// Total number of steps.
     pub(super) steps: usize,
     pub(super) sources: &'a Sources,
     pub(super) places: Places<'a>,
 }
 
 impl Resumed<'_> {
-    /// Reads its rows and its saved state; `None` if it has no step yet and none is asked for.
+    /// Reads its rows and its saved state; `None` if it has no step yet and `until` is not set.
     pub(super) fn read(&self) -> Result<Option<Earlier>, FileError> {
         let marker = self.folder.join(ROLLOUT);
         let path = self.folder.join(STATES);
@@ -137,14 +137,14 @@ fn read_marker(marker: &Path) -> Result<Value, FileError> {
 }
 
 impl Output<'_> {
-    /// Prepares the folder: removes an earlier rollout, or its steps behind those that are retained.
+    /// Prepares the folder: removes an earlier rollout, or its steps after the retained ones.
     pub(super) fn begin(&self, files: &OutputFolder, kept: &[StepRow]) -> Result<StateFile, FileError> {
         let marker = self.folder.join(ROLLOUT);
         if !kept.is_empty() {
             self.check_same(&marker)?;
         }
         files.check([ROLLOUT, STATES, STEPS])?;
-        // While there is an index, the folder is complete: it goes first.
+        // The index goes first: a folder with an index is complete.
         files.remove([INDEX, PAGE, VIDEO, METRICS])?;
         if kept.is_empty() {
             files.remove([STATES, STEPS])?;
@@ -164,7 +164,7 @@ impl Output<'_> {
         Ok(states)
     }
 
-    /// A rollout can only be gone on with as it was begun, but for the number of steps.
+    /// Checks that a resumed rollout has the same options, except for the number of steps.
     fn check_same(&self, marker: &Path) -> Result<(), FileError> {
         let before = read_marker(marker)?;
         let parsed = |error: serde_json::Error| FileError::content("a rollout", error.to_string(), marker);

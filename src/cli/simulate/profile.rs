@@ -9,30 +9,30 @@ use crate::files::write_json;
 use crate::generate::SessionTimes;
 use crate::raster::{RasterizerInfo, StageTimes};
 
-/// What a step took, seconds.
+/// Times of a step, seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(super) struct StepTimes {
-    /// Ego and actors.
+    /// Policies of ego and actors.
     pub(super) policies_s: f64,
-    /// Which clouds stand where.
+    /// Instance selection.
     pub(super) instances_s: f64,
-    /// Until the points are with the rasterizer and the layouts are drawn.
+    /// Submitting points to the rasterizer and rendering layouts.
     pub(super) begin_s: f64,
-    /// Until all maps are in memory.
+    /// Waiting until all maps are in memory.
     pub(super) finish_s: f64,
-    /// What is expected, with its maps.
+    /// Forecasts with their maps.
     pub(super) forecast_s: f64,
-    /// Who is seen, and what else goes into the line of the step.
+    /// Visible actors, and other data of the step's line.
     pub(super) observe_s: f64,
-    /// What the generator took, at plan steps.
+    /// Generator times, at planning steps.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) generated: Option<SessionTimes>,
-    /// Until the step before was written so far that this one could be handed over.
+    /// Waiting until the writer thread can take this step.
     pub(super) wait_s: f64,
 }
 
 impl StepTimes {
-    /// Policies and conditions: what a step costs whoever closes the loop.
+    /// Returns the time of policies and conditions, which every closed loop needs.
     pub(super) fn loop_s(&self) -> f64 {
         self.policies_s + self.conditions_s()
     }
@@ -42,20 +42,20 @@ impl StepTimes {
     }
 }
 
-/// What writing a step took, on a thread of its own, seconds.
+/// Times for writing a step, on a separate thread, seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(super) struct WriteTimes {
-    /// The maps.
+    /// Maps.
     pub(super) maps_s: f64,
-    /// The pictures of the page.
+    /// Images of the page.
     pub(super) view_s: f64,
-    /// The picture from above.
+    /// Bird's-eye view.
     pub(super) birdseye_s: f64,
     /// Contact sheet, metadata and states.
     pub(super) rest_s: f64,
 }
 
-/// Where the time went.
+/// Times of a rollout.
 #[derive(Clone, Debug, Default, Serialize)]
 pub(super) struct Profile {
     rasterizer: Option<RasterizerInfo>,
@@ -67,12 +67,12 @@ pub(super) struct Profile {
     pub(super) written: Vec<WriteTimes>,
     /// The rasterizer's own stages over all steps, seconds.
     stages_s: BTreeMap<&'static str, f64>,
-    /// Medians of all stages, and what follows from them.
+    /// Medians of all stages, and values derived from them.
     medians: BTreeMap<&'static str, f64>,
 }
 
 impl Profile {
-    /// Takes what is known once the loop is over.
+    /// Adds the data that is known after the loop.
     pub(super) fn close(&mut self, info: RasterizerInfo, stages: &StageTimes) {
         self.rasterizer = Some(info);
         self.stages_s = stages.0.iter().map(|(name, time)| (*name, time.as_secs_f64())).collect();
@@ -113,7 +113,7 @@ impl Profile {
         .collect();
     }
 
-    /// For the summary: the median step, its parts, and how often a second.
+    /// Formats the summary: the median step, its parts, and the rate.
     pub(super) fn summary(&self) -> String {
         if self.steps.is_empty() {
             return "no step was left to take".to_owned();
@@ -138,7 +138,7 @@ impl Profile {
         )
     }
 
-    /// What generating took; truth is there for comparison alone.
+    /// Formats the generator times. Ground-truth images are only for comparison, so their time is separate.
     fn generating(&self) -> String {
         let all: Vec<&SessionTimes> = self.steps.iter().filter_map(|step| step.generated.as_ref()).collect();
         let made = all.iter().filter(|times| times.network_s > 0.0).count();
@@ -168,14 +168,14 @@ impl Profile {
     }
 }
 
-/// Seconds since a moment; the moment becomes now.
+/// Returns the seconds since a moment, and sets the moment to now.
 pub(super) fn lap(since: &mut std::time::Instant) -> f64 {
     let now = std::time::Instant::now();
     let time: Duration = now - std::mem::replace(since, now);
     time.as_secs_f64()
 }
 
-/// The upper one of the two in the middle.
+/// Returns the median; of two middle values the upper one.
 fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);

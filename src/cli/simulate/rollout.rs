@@ -24,28 +24,28 @@ use crate::report::{Observed, Phase, StateFile, StepRow, sight, view};
 use crate::scene::{SceneMap, SceneState, Stage};
 use crate::sim::{EndReason, Metrics, Simulation, StepOutcome, Waypoint, scene_state};
 
-/// All that stays the same from step to step.
+/// State shared by all steps.
 pub(super) struct Rollout<'a> {
     pub(super) log: &'a Log,
     pub(super) map: Option<Arc<SceneMap>>,
     pub(super) stage: &'a Stage<'a>,
     pub(super) options: &'a RolloutOptions,
     pub(super) output: &'a Output<'a>,
-    /// Where steps are written; `None` writes nothing.
+    /// Folder of the steps; `None` writes nothing.
     pub(super) files: Option<&'a OutputFolder>,
-    /// Whether a planner is told the folder of each step, once it is written.
+    /// `true` if a planner receives the files of each step after they are written.
     pub(super) shown_to_planner: bool,
 }
 
-/// What the loop leaves.
+/// Result of the loop.
 pub(super) struct Run {
-    /// Of all steps that were written.
+    /// Rows of all written steps.
     pub(super) rows: Vec<StepRow>,
-    /// Of the same steps.
+    /// Metrics of the same steps.
     pub(super) metrics: Metrics,
     pub(super) notes: BTreeMap<String, usize>,
     pub(super) ended: Option<EndReason>,
-    /// Why it stopped before its end, though all steps until then were written.
+    /// Reason for stopping early; all steps until then were written.
     pub(super) failure: Option<anyhow::Error>,
     pub(super) profile: Profile,
     pub(super) layout: view::Layout,
@@ -53,29 +53,29 @@ pub(super) struct Run {
     pub(super) cameras: Vec<(FileName, [u32; 2])>,
 }
 
-/// What goes from step to step beside the simulation.
+/// State of the loop besides the simulation.
 struct Loop {
     run: Run,
-    /// Where the log's ego drove.
+    /// Recorded path of the ego.
     recorded: Vec<DVec2>,
-    /// The latest.
+    /// The latest plan.
     plan: Vec<Waypoint>,
     times: StepTimes,
     progress: Progress,
 }
 
-/// The way to the thread that writes.
+/// Channels to the writer thread.
 struct Writer {
     sender: SyncSender<Job>,
-    /// A step was written.
+    /// Receives a message for each written step.
     written: Receiver<()>,
 }
 
 impl Rollout<'_> {
-    /// Simulates, draws and hands over step by step, while another thread writes. `kept` are the steps of an earlier
-    /// run, whose last one is where the simulation stands; without `states` nothing is written.
+    /// Simulates and renders step by step, while another thread writes. `kept` has the steps of an earlier run, the
+    /// last of which is the current state of the simulation. Without `states` nothing is written.
     ///
-    /// Fails where a step cannot be written; other failures stand in [`Run::failure`].
+    /// Fails if a step cannot be written; other failures are in [`Run::failure`].
     pub(super) fn run(
         &self,
         simulation: Simulation<'_>,
@@ -93,7 +93,7 @@ impl Rollout<'_> {
                 let (Some(files), Some(mut states)) = (self.files, states) else { return Ok(Vec::new()) };
                 let write = |job: Job| {
                     let times = self.output.write(&job, files, &mut states)?;
-                    let _ = tell.send(()); // nobody may wait for it
+                    let _ = tell.send(()); // the receiver may be unused
                     Ok(times)
                 };
                 receiver.into_iter().map(write).collect()
@@ -120,7 +120,7 @@ impl Rollout<'_> {
         writer: Option<Writer>,
     ) -> anyhow::Result<Run> {
         let mut going = self.begin(&simulation, kept);
-        // The last step of an earlier run is there; its maps tell where cameras stand in the pictures.
+        // The last step of an earlier run exists, but its maps are needed for the layout of the page.
         let mut is_new = going.run.rows.is_empty();
         let mut outcome = None;
         loop {
@@ -189,7 +189,7 @@ impl Rollout<'_> {
         Loop { run, recorded, plan, times: StepTimes::default(), progress: Progress::new(left) }
     }
 
-    /// Draws what was committed last. `None` for a step that an earlier run wrote.
+    /// Renders the latest committed state. `None` for a step that was written by an earlier run.
     fn step(
         &self,
         simulation: &Simulation<'_>,
@@ -207,7 +207,7 @@ impl Rollout<'_> {
         if going.run.cameras.is_empty() {
             going.run.layout = view::Layout::of(&set);
             let made = generation.as_ref().map(|generation| generation.pictures()).unwrap_or_default();
-            // What was made stands before the maps, what it was made of and what is true beside it.
+            // Generated images come first; ground truth follows the first map.
             for (name, place) in made.into_iter().zip([0, 2]) {
                 let maps = &mut going.run.layout.maps;
                 maps.insert(place.min(maps.len()), name.to_owned());
@@ -238,7 +238,7 @@ impl Rollout<'_> {
         let images = images.with_context(|| format!("step {}", state.name))?.flatten();
         going.times.generated = images.as_ref().and_then(|images| Some(images.fresh.as_ref()?.times));
 
-        // Only now it is sure that there is such a step.
+        // Only now the step is certain to be complete.
         going.run.rows.push(row.clone());
         going.run.metrics = metrics;
         let traces = traces(going, instant.t_us);
@@ -246,7 +246,7 @@ impl Rollout<'_> {
         Ok(Some(Job { state, set, row, saved: simulation.save(), traces, forecast, images }))
     }
 
-    /// Draws what is expected, if that is wanted and a plan is due.
+    /// Renders the forecasts, if requested and at planning steps only.
     fn forecast(
         &self,
         simulation: &Simulation<'_>,
@@ -280,7 +280,7 @@ impl Rollout<'_> {
     }
 }
 
-/// Gives a step to the thread that writes; `false` if that has stopped: it tells why.
+/// Sends a step to the writer thread; `false` if the thread has stopped, whose result has the error.
 fn hand_over(writer: Option<&Writer>, job: Job, going: &mut Loop, wait: bool) -> bool {
     let Some(writer) = writer else { return true };
     let mut clock = Clock::now();
@@ -289,7 +289,7 @@ fn hand_over(writer: Option<&Writer>, job: Job, going: &mut Loop, wait: bool) ->
     is_up
 }
 
-/// The files of a step that a planner may look at, sorted: its maps and what they mean.
+/// Returns the files of a step that a planner may read, sorted: its maps and metadata.
 fn files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
     let folder = std::path::absolute(folder).map_err(FileError::io("read", folder))?;
     let entries = |folder: &Path| -> std::io::Result<Vec<PathBuf>> {
@@ -297,7 +297,7 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
     };
     let mut files = Vec::new();
     for path in entries(&folder).map_err(FileError::io("read", &folder))? {
-        // What is true is not for planners.
+        // Planners must not see ground truth.
         if [view::VIEW, FORECAST, STATE, TRUTH, CACHE].iter().any(|name| path.ends_with(name)) {
             continue;
         }
@@ -310,7 +310,7 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
     Ok(files)
 }
 
-/// Lines of the picture from above, in the order of [`TRACES`].
+/// Returns the lines of the bird's-eye view, in the order of [`TRACES`].
 fn traces(going: &Loop, now_us: i64) -> Vec<Trace> {
     let driven = going.run.rows.iter().map(StepRow::place_m).collect();
     let ahead = going.plan.iter().filter(|waypoint| waypoint.t_us >= now_us);
@@ -341,7 +341,7 @@ mod tests {
     use crate::sim::{Scenario, SimOptions};
     use crate::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
 
-    /// Draws some frames and then none.
+    /// Renders some frames, then fails.
     struct Failing<'a> {
         drawn: Box<dyn Rasterizer + 'a>,
         left: usize,
@@ -370,7 +370,7 @@ mod tests {
         }
     }
 
-    /// A second at 10 frames a second with one camera.
+    /// Returns a log of one second at 10 frames per second with one camera.
     fn log() -> Log {
         let intrinsics = DMat3::from_cols(DVec3::X * 8.0, DVec3::Y * 8.0, DVec3::new(8.0, 4.0, 1.0));
         let camera =

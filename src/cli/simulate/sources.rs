@@ -1,4 +1,4 @@
-//! What a rollout is made of: only of the same it can go on.
+//! Inputs of a rollout, which must be the same to resume it.
 
 use std::fmt::Write;
 use std::hash::{Hash, Hasher};
@@ -13,18 +13,18 @@ use crate::error::FileError;
 use crate::geometry::{Cuboid, Pose};
 use crate::skeleton::Skeleton;
 
-/// What stands in `rollout.json` about files.
+/// Inputs recorded in `rollout.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Sources {
-    /// Frames of the log, their times, and a hash of who stands where.
+    /// Number of frames and their time range, and a hash of poses, boxes, tracks and lights.
     frames: String,
-    /// Points of the skeleton, and a hash of its manifest.
+    /// Number of points of the skeleton, and a hash of its manifest.
     skeleton: String,
-    /// What the annotations say.
+    /// Prompt parts from the annotations.
     prompt: PromptParts,
 }
 
-/// Where all of it is, for errors.
+/// Paths of the inputs, for errors.
 pub(super) struct Places<'a> {
     pub(super) log: &'a Path,
     pub(super) skeleton: &'a Path,
@@ -64,7 +64,7 @@ impl Sources {
 fn frames(log: &Log) -> String {
     let mut text = format!("{} frames", log.frames.len());
     if let (Some(first), Some(last)) = (log.frames.first(), log.frames.last()) {
-        let _ = write!(text, " from {} to {} us", first.t_us, last.t_us); // a String takes all
+        let _ = write!(text, " from {} to {} us", first.t_us, last.t_us); // writing to a string cannot fail
     }
     let mut hasher = rand_seeder::SipHasher::new();
     for frame in &log.frames {

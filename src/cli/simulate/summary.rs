@@ -1,4 +1,4 @@
-//! The line that a rollout ends with: what came of it, then what it took.
+//! Last line of a rollout: its results, then its times.
 
 use super::SimulateArgs;
 use super::finish::Outcome;
@@ -20,7 +20,7 @@ pub(super) fn summary(
         _ => String::new(),
     };
     let notes = outcome.notes.iter().map(|(note, count)| format!("{count} x {note}"));
-    // A replayed log tells nothing of the ego.
+    // The ego of a replayed log has no results.
     let results = (!args.is_open_loop()).then(|| results(&outcome.metrics));
     let told: Vec<String> = results
         .into_iter()
@@ -42,7 +42,7 @@ pub(super) fn summary(
     )
 }
 
-/// What a user should know of steps beyond the end of the log; `None` where there are none.
+/// Returns a note on steps after the end of the log; `None` if there are none.
 pub(super) fn beyond_log(steps: usize) -> Option<String> {
     let lie = match steps {
         0 => return None,
@@ -54,7 +54,7 @@ pub(super) fn beyond_log(steps: usize) -> Option<String> {
     ))
 }
 
-/// Collisions, comfort and deviation from the recorded path.
+/// Formats collisions, comfort and deviation from the recorded path.
 fn results(metrics: &Metrics) -> String {
     let collisions = match (metrics.collisions.len(), metrics.at_fault_collisions) {
         (0, _) => "0 collisions".to_owned(),

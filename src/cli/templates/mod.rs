@@ -1,4 +1,4 @@
-//! `pskel templates`: reads actors of many logs, makes templates, draws a picture of each (`picture`).
+//! `pskel templates`: reads the actors of logs, creates templates, and renders a preview image of each (`picture`).
 
 mod picture;
 
@@ -23,14 +23,15 @@ use crate::skeleton::{
     TemplateCloud, TemplateLibrary, TemplateOptions, TemplateReport,
 };
 
-/// Make category templates from the actors of logs: points that stand in for actors without many of their own
+/// Create category templates from the actors of logs: substitute clouds for actors with few points of their own
 ///
-/// Actors are clustered by category and size; the points of a kind's actors are laid over each other, vehicles also
-/// mirrored, freed of outliers and thinned. Writes templates.json (what was made of what), templates.points, and a
-/// picture of each. `build --templates-from` and `render --templates` use the folder.
+/// Actors are clustered by category and size; the points of a kind's actors are superimposed, for vehicles also
+/// mirrored, then outliers are removed and the points are thinned. Writes templates.json (templates and their
+/// sources), templates.points, and a preview image of each template. `build --templates-from` and `render
+/// --templates` use the folder.
 #[derive(Debug, Args)]
 pub(super) struct TemplatesArgs {
-    /// Drives (FORMAT:PATH[@VERSION][#SCENE]) or folders of skeletons that were built from them, which is faster
+    /// Recordings (FORMAT:PATH[@VERSION][#SCENE]) or folders of skeletons that were built from them, which is faster
     #[arg(required = true, value_name = "LOG|SKELETON")]
     targets: Vec<Target>,
     #[command(flatten)]
@@ -38,15 +39,15 @@ pub(super) struct TemplatesArgs {
     /// Folder to write
     #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     out: PathBuf,
-    /// About how many points a template has where its box is covered
+    /// Approximate number of points of a template whose box is fully covered
     #[arg(long, value_name = "N", default_value_t = TemplateOptions::default().target_points)]
     target_points: usize,
-    /// Leave out templates with fewer points
+    /// Omit templates with fewer points
     #[arg(long, value_name = "N", default_value_t = TemplateOptions::default().min_points)]
     min_points: usize,
 }
 
-/// Where actors come from.
+/// Source of actors.
 #[derive(Clone, Debug)]
 enum Target {
     Skeleton(PathBuf),
@@ -65,7 +66,7 @@ impl FromStr for Target {
     }
 }
 
-/// Reads, makes, draws, writes.
+/// Runs the command: reads actors, creates templates, renders previews, writes the folder.
 pub(super) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let skeletons = args.targets.iter().filter_map(|target| match target {
@@ -118,14 +119,14 @@ fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyh
     Ok(sources)
 }
 
-/// A skeleton of all frames of a log.
+/// Builds a skeleton of all frames of a log.
 fn build(out: &Path, dataset: &dyn Dataset) -> Result<Skeleton, BuildError> {
     let progress = StageProgress::default();
     let run = BuildRun { progress: &progress, ..BuildRun::default() };
     let inputs = [BuildInput::all(dataset)];
     let built = skeleton::build(out, &inputs, &BuildOptions::default(), &|_| Ok(Vec::new()), &run);
     built.map_err(|error| match error {
-        // Nothing is kept of what is built here.
+        // The partial build is temporary, so it cannot be resumed.
         BuildError::Interrupted { source, .. } => *source,
         error => error,
     })
@@ -139,7 +140,7 @@ fn take(instances: &mut Instances, skeleton: &Skeleton) -> Result<Vec<LogSource>
     Ok(skeleton.manifest.sources.iter().map(source).collect())
 }
 
-/// Templates of a skeleton's own actors, and what to tell of them in a summary.
+/// Creates templates of a skeleton's own actors, and a text for the summary.
 pub(super) fn of_assets(assets: &[(&Asset, &[Point])]) -> (Vec<TemplateCloud>, String) {
     let mut instances = Instances::new(TemplateOptions::default());
     instances.add(assets);
@@ -155,7 +156,7 @@ fn told(report: &TemplateReport) -> String {
     if all.is_empty() { "no actors".to_owned() } else { all.join(", ") }
 }
 
-/// `KIND.png` of each.
+/// Writes `KIND.png` for each template.
 fn draw_all(folder: &Path, clouds: &[TemplateCloud]) -> anyhow::Result<()> {
     for (template, points) in clouds {
         let (pixels, size) = draw(points, &template.bounds)?;

@@ -6,16 +6,16 @@ use crate::geometry::{Camera, ImageSize, View};
 use crate::raster::cpu::CpuRasterizer;
 use crate::raster::{Instance, Planes, Rasterizer, SplatJob, SplatSchedule, SplatStep};
 
-/// A panel of the picture, pixels.
+/// Size of a view in the image, pixels.
 const WIDTH: u32 = 480;
 const HEIGHT: u32 = 360;
-/// From so many radii away, so that there is little perspective.
+/// Distance of the camera in radii, large for little perspective.
 const RADII_AWAY: f64 = 8.0;
-/// The bounds fill this share of a panel.
+/// Share of a view that the bounds fill.
 const FILLS: f64 = 0.85;
 
-/// Draws points from four sides, light where near: from the right, from above (front to the right), from the front
-/// right, from behind left.
+/// Renders points from four sides, nearer points brighter: from the right, from above (front to the right), from the
+/// front right, and from behind left.
 pub(super) fn draw(points: &[Point], bounds: &Bounds) -> anyhow::Result<(Vec<[u8; 3]>, ImageSize)> {
     let size = ImageSize { height: 2 * HEIGHT, width: 2 * WIDTH };
     let mut pixels = vec![[0; 3]; size.pixels()];
@@ -52,7 +52,7 @@ fn panel(points: &[Point], bounds: &Bounds, from: DVec3, up: DVec3) -> anyhow::R
         camera: Camera::new("picture", WIDTH, HEIGHT, intrinsics)?,
         camera_from_world: DAffine3::from_mat3_translation(rotation, place).inverse(),
     };
-    // Squares that close the gaps of points that cover their bounds.
+    // Splat squares that close the gaps if points cover their bounds.
     let [x, y, z] = (max - min).to_array();
     let apart_m = (2.0 * (x * y + y * z + z * x) / points.len().max(1) as f64).sqrt();
     let radius =
@@ -66,10 +66,10 @@ fn panel(points: &[Point], bounds: &Bounds, from: DVec3, up: DVec3) -> anyhow::R
     Ok(shaded(&maps.depth_m, 1.0 / pixels_per_m))
 }
 
-/// Slopes are taken over so many pixels to either side.
+/// Distance to either side for slopes, pixels.
 const SLOPE_PX: usize = 4;
 
-/// Grey on black: near is light, and so is what faces the eye.
+/// Shades depth in grey on black: bright where near, and where the surface faces the camera.
 fn shaded(depth_m: &[f32], pixel_m: f64) -> Vec<[u8; 3]> {
     let drawn = || depth_m.iter().copied().filter(|d| d.is_finite());
     let (near, far) = (drawn().fold(f32::INFINITY, f32::min), drawn().fold(f32::NEG_INFINITY, f32::max));
@@ -111,7 +111,8 @@ mod tests {
         let count = |xs: std::ops::Range<usize>, ys: std::ops::Range<usize>| {
             xs.flat_map(|x| ys.clone().map(move |y| (x, y))).filter(|(x, y)| lit(*x, *y)).count()
         };
-        // Seen from the right: the post rises at the right end. Seen from above: the left one goes up from the middle.
+        // Seen from the right, the post rises at the right end. Seen from above, the left post points up from the
+        // middle.
         assert!(count(400..470, 100..170) > 50 && count(10..80, 100..170) == 0);
         assert!(count(690..750, 100..170) > 50 && count(880..950, 100..170) == 0);
         for (left, top) in [(0, 0), (480, 0), (0, 360), (480, 360)] {

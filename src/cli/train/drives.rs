@@ -1,4 +1,4 @@
-//! The drives to train on: recorded once, kept in a folder, found there again.
+//! Training clips: recorded once, stored in a folder, reused later.
 
 use std::path::{Path, PathBuf};
 
@@ -19,31 +19,31 @@ use crate::logs;
 use crate::scene::EgoOffset;
 use crate::town::Town;
 
-/// What is recorded of each log.
+/// Recording of training clips.
 pub(super) struct Recording<'a> {
-    /// Where drives are kept.
+    /// Folder of the clips.
     pub(super) folder: &'a Path,
     pub(super) recipe: &'a Recipe,
-    /// Of the network.
+    /// Number of cameras of the network.
     pub(super) cameras: usize,
-    /// Drives of each log: the first as driven, the others from beside.
+    /// Clips per log: the first at the recorded poses, the others offset.
     pub(super) variants: usize,
-    /// Whether the assets of the others are made worse.
+    /// `true` if the assets of the other clips are degraded.
     pub(super) augment: bool,
     pub(super) rasterizer: &'a RasterizerArgs,
 }
 
 /// Kind of the output folder.
 const KIND: &str = "recordings";
-/// What places and assets of variants follow from. It is not the training's seed: trainings share drives.
+/// Seed of poses and assets of variants. It is not the training's seed: trainings share clips.
 const SEED: u64 = 1;
-/// Farthest to either side that a variant drives, metres.
+/// Maximum offset of a variant to either side, meters.
 const BESIDE_M: f64 = 3.5;
-/// Most that a variant is turned, radians.
+/// Maximum rotation of a variant, radians.
 const TURNED_RAD: f64 = 0.1;
 
 impl Recording<'_> {
-    /// The drives of all logs, in order; those that are not there yet are recorded.
+    /// Returns the clips of all logs, in order; missing ones are recorded.
     pub(super) fn drives(&self, locators: &[LogLocator]) -> anyhow::Result<Vec<Drive>> {
         let mut progress = Progress::new(locators.len());
         let mut drives = Vec::new();
@@ -56,7 +56,7 @@ impl Recording<'_> {
         Ok(drives)
     }
 
-    /// Before anything is recorded.
+    /// Checks the number of cameras before anything is recorded.
     fn check(&self, town: &Town) -> anyhow::Result<()> {
         let found = town.log().rig.len();
         anyhow::ensure!(
@@ -75,13 +75,14 @@ impl Recording<'_> {
         files.iter().map(|file| Ok(self.open(town, file)?)).collect()
     }
 
-    /// `LOG-VARIANT[a].safetensors`.
+    /// Returns the path of a clip, `LOG-VARIANT[a].safetensors`.
     fn file(&self, town: &Town, number: usize) -> PathBuf {
         let worse = if self.augment && number > 0 { "a" } else { "" };
         self.folder.join(format!("{}-{number}{worse}.safetensors", town.recording()))
     }
 
-    /// The skeleton stays for drives that are asked for later. Only the recording locks the folder: trainings share it.
+    /// Records missing clips. The skeleton is retained for later ones. Only recording locks the folder: trainings
+    /// share it.
     fn record(&self, town: &Town, files: &[PathBuf]) -> anyhow::Result<()> {
         let folder = OutputFolder::open(self.folder, KIND, &[])?;
         let path = self.folder.join(format!("{}.skeleton", town.recording()));
@@ -105,7 +106,7 @@ impl Recording<'_> {
         Variant { offset, augment: self.augment.then_some(SEED ^ number as u64) }
     }
 
-    /// A drive that was made in another way is none of these.
+    /// Opens a clip, which must have the same log and recipe.
     fn open(&self, town: &Town, file: &Path) -> Result<Drive, FileError> {
         let drive = Drive::open(file)?;
         let (log, recipe) = (&town.log().name, self.recipe);

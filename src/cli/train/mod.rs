@@ -1,4 +1,4 @@
-//! `pskel train`: [`args`] are the options, [`drives`] keeps what is trained on, [`record`] makes it,
+//! `pskel train`: [`args`] defines the options, [`drives`] manages the training clips, [`record`] records them,
 //! [`steps`] trains.
 
 mod args;
@@ -19,7 +19,7 @@ use crate::files::input::read_table;
 use crate::generate::network::NetworkConfig;
 use crate::generate::train::TrainOptions;
 
-/// Records, trains, writes.
+/// Runs the command: records, trains, writes.
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     log_args::check_towns(&args.logs)?;

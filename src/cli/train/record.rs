@@ -1,4 +1,4 @@
-//! Drives to train on, recorded from logs: conditions as the network will see them, and true images.
+//! Recording of training clips from logs: conditions as the network receives them, and ground-truth images.
 
 use std::sync::Arc;
 
@@ -12,21 +12,21 @@ use crate::scene::{EgoOffset, SceneMap, SceneState, SelectionOptions, Stage, fra
 use crate::skeleton::Skeleton;
 use crate::town::Town;
 
-/// A town to record from, and the skeleton that was built of it.
+/// A town to record, and the skeleton that was built from it.
 pub(super) struct Source<'a> {
-    /// It knows what it looks like from elsewhere.
+    /// Renders ground truth from any pose.
     pub(super) town: &'a Town,
     pub(super) skeleton: &'a Skeleton,
     pub(super) recipe: &'a Recipe,
     pub(super) rasterizer: &'a RasterizerArgs,
 }
 
-/// How a recording differs from the log's own drive.
+/// Difference between a clip and the recorded drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Variant {
-    /// From where the ego drove.
+    /// Offset from the recorded ego pose.
     pub(super) offset: EgoOffset,
-    /// Seed by which assets are made worse.
+    /// Seed of the asset augmentation.
     pub(super) augment: Option<u64>,
 }
 

@@ -1,4 +1,4 @@
-//! The steps of a training, and the files that it leaves.
+//! The steps of a training, and its output files.
 
 use std::path::{Path, PathBuf};
 
@@ -13,13 +13,13 @@ use crate::generate::network::NetworkConfig;
 use crate::generate::train::{StepReport, TrainOptions, Trainer};
 use crate::report::plot::{Curve, Plot};
 
-/// Where a training is.
+/// Folder and settings of a training.
 pub(super) struct Training<'a> {
     pub(super) folder: &'a Path,
     pub(super) options: TrainOptions,
     pub(super) config: NetworkConfig,
     pub(super) checkpoint_steps: u64,
-    /// For the weights' file.
+    /// Command line, for the file of the weights.
     pub(super) command: String,
 }
 
@@ -38,7 +38,7 @@ const CHECKPOINT: &str = "checkpoint.safetensors";
 const WEIGHTS: &str = "weights.safetensors";
 const LOSS: &str = "loss.csv";
 const CURVE: &str = "loss.svg";
-/// Steps whose mean is drawn and told.
+/// Number of last steps for the plotted and reported mean.
 const RECENT: usize = 100;
 const HEADER: &str = "step,loss,gradient_norm,learning_rate";
 
@@ -57,7 +57,7 @@ pub(super) fn open(folder: &Path) -> Result<OutputFolder, FileError> {
 }
 
 impl Training<'_> {
-    /// Takes all steps that are left and writes the weights. Returns the losses of all steps.
+    /// Runs all remaining steps and writes the weights. Returns the losses of all steps.
     pub(super) fn run(
         &self,
         files: OutputFolder,
@@ -85,7 +85,7 @@ impl Training<'_> {
         Ok(losses)
     }
 
-    /// The checkpoint comes last: what it stands for is there.
+    /// Writes the checkpoint last, so that the files it refers to exist.
     fn write(&self, files: &OutputFolder, trainer: &Trainer<'_>, losses: &[Loss]) -> anyhow::Result<()> {
         write_losses(&files.claim(LOSS)?, losses)?;
         plot(losses).write(&files.claim(CURVE)?)?;
@@ -93,7 +93,8 @@ impl Training<'_> {
         Ok(trainer.save(&files.claim(CHECKPOINT)?)?)
     }
 
-    /// The number of steps is part of how it was begun: the learning rate falls over all of them.
+    /// Resumes a training with the same options. These include the number of steps, on which the learning rate
+    /// depends.
     fn resumed<'d>(&self, checkpoint: &Path, drives: &'d [Drive]) -> anyhow::Result<Trainer<'d>> {
         let trainer = Trainer::resume(checkpoint, drives)?;
         let text = |options: &TrainOptions, config: &NetworkConfig| format!("{options:?} of {config:?}");
@@ -104,19 +105,19 @@ impl Training<'_> {
         Ok(trainer)
     }
 
-    /// The weights' file.
+    /// Returns the path of the weights.
     pub(super) fn weights(&self) -> PathBuf {
         self.folder.join(WEIGHTS)
     }
 }
 
-/// Mean of the last steps.
+/// Returns the mean loss of the last steps.
 pub(super) fn recent(losses: &[Loss]) -> f64 {
     let last = &losses[losses.len().saturating_sub(RECENT)..];
     last.iter().map(|loss| loss.loss).sum::<f64>() / last.len().max(1) as f64
 }
 
-/// The loss of each step, and its mean over the last ones.
+/// Plots the loss of each step, and its mean over the last ones.
 fn plot(losses: &[Loss]) -> Plot<'static> {
     let each = losses.iter().map(|loss| [loss.step as f64, loss.loss]);
     let mean = (1..=losses.len()).map(|end| [(end - 1) as f64, recent(&losses[..end])]);

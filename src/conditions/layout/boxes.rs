@@ -4,11 +4,11 @@ use crate::geometry::{Cuboid, View};
 use crate::raster::Segment;
 use crate::scene::ActorState;
 
-/// Farthest depth of box edges, metres.
+/// Maximum depth of box edges, meters.
 pub const BOXES_FAR_M: f64 = 512.0;
 
-/// Pairs of [`Cuboid::corners`]: 12 edges, then the diagonals of the front and the left face from the lower front-left
-/// corner. Bit 0 of a corner's index is front, bit 1 left, bit 2 up.
+/// Pairs of indices into [`Cuboid::corners`]: 12 edges, then the diagonals of the front and the left face from the
+/// lower front-left corner. Bit 0 of an index is front, bit 1 left, bit 2 up.
 const BOX_LINES: [[usize; 2]; 14] = [
     [0, 1],
     [2, 3],
@@ -26,7 +26,7 @@ const BOX_LINES: [[usize; 2]; 14] = [
     [3, 6],
 ];
 
-/// Segments of all boxes in the order of the list, colored by category; categories without a color are not drawn.
+/// Returns the segments of all boxes in list order, colored by category; skips categories without a color.
 pub fn box_segments(actors: &[ActorState], view: &View) -> Vec<Segment> {
     let drawn = actors.iter().filter_map(|actor| Some((&actor.cuboid, layout_rgb(&actor.category)?)));
     drawn.flat_map(|(cuboid, rgb)| cuboid_segments(cuboid, rgb, view)).collect()

@@ -7,7 +7,7 @@ use crate::geometry::{ImageSize, View};
 use crate::raster::{LineRows, Segment, draw_lines};
 use crate::scene::{ActorState, SceneMap};
 
-/// Layouts of a step: an RGB image on black per view, `None` of what was not asked for.
+/// Layouts of a step: one RGB image on black per view; `None` for a layout that was not requested.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Layouts {
     /// Outlines of boxes.
@@ -16,15 +16,15 @@ pub struct Layouts {
     pub map: Option<Vec<Vec<[u8; 3]>>>,
 }
 
-/// What a layout shows.
+/// Content of a layout.
 #[derive(Clone, Copy)]
 enum Shown<'a> {
     Boxes(&'a [ActorState]),
     Map(&'a SceneMap),
 }
 
-/// Draws layouts of actors and map at the size at which views are drawn ([`ConditionOptions::drawn_view`]), and reduces
-/// them to what is written as Pillow's BILINEAR does.
+/// Draws the layouts of actors and map at render size ([`ConditionOptions::drawn_view`]) and reduces them to the
+/// written size with Pillow's BILINEAR filter.
 pub fn draw(
     actors: Option<&[ActorState]>,
     map: Option<&SceneMap>,
@@ -48,7 +48,7 @@ pub fn draw(
     Layouts { boxes: of(actors.is_some()), map: of(map.is_some()) }
 }
 
-/// One for each pair of sizes.
+/// Returns one filter for each pair of sizes.
 fn filters(views: &[View], options: &ConditionOptions) -> Vec<PilBilinear> {
     let mut filters: Vec<PilBilinear> = Vec::new();
     for view in views {

@@ -5,13 +5,13 @@ use crate::geometry::View;
 use crate::raster::Segment;
 use crate::scene::{MapEdge, MapLayer, SceneMap};
 
-/// Farthest depth of the map's edges, metres.
+/// Maximum depth of map edges, meters.
 pub const MAP_FAR_M: f64 = 65.0;
 
-/// What rounding may cost where a view's window is cut out of a map, metres.
+/// Allowance for rounding when a view's window is cut out of a map, meters.
 const SLACK_M: f64 = 0.01;
 
-/// Color of a layer. Source: the condition contract, `docs/CONDITIONS.md`.
+/// Returns the color of a layer. Source: the condition contract, `docs/CONDITIONS.md`.
 pub fn map_rgb(layer: MapLayer) -> [u8; 3] {
     match layer {
         MapLayer::Lane => [0, 255, 0],
@@ -20,7 +20,7 @@ pub fn map_rgb(layer: MapLayer) -> [u8; 3] {
     }
 }
 
-/// Segments of the map's outlines in the order of drawing: lanes, drivable area, crossings.
+/// Returns the segments of the map outlines in drawing order: lanes, drivable area, crossings.
 pub fn map_segments(map: &SceneMap, view: &View) -> Vec<Segment> {
     let [min, max] = window(view);
     let camera = |p: DVec3| view.camera_from_world.transform_point3(p);
@@ -31,8 +31,8 @@ pub fn map_segments(map: &SceneMap, view: &View) -> Vec<Segment> {
     map.edges_within(min, max).into_iter().filter_map(line).collect()
 }
 
-/// A rectangle in global x and y around all that [`segment`] lets through: the corners of the view's frustum. The whole
-/// plane where there is no such frustum.
+/// Returns a rectangle in global x and y that bounds everything [`segment`] can return: the bounds of the corners of
+/// the view's frustum, or the whole plane if the view has no finite frustum.
 fn window(view: &View) -> [DVec2; 2] {
     let world_from_camera = view.camera_from_world.inverse();
     let camera_from_image = view.camera.intrinsics.inverse();
@@ -61,7 +61,7 @@ mod tests {
     use crate::geometry::Pose;
     use glam::{DAffine3, DQuat};
 
-    /// A map on flat ground, 2 m below the origin.
+    /// Returns a map on flat ground, 2 m below the origin.
     fn scene_map(map: VectorMap, origin: DVec3) -> SceneMap {
         let (sweeps, images, between_images, boxes) = Default::default();
         let global_from_ego = Pose::from_yaw(0.0, origin + DVec3::new(0.0, 0.0, -2.0));
@@ -77,13 +77,13 @@ mod tests {
 
     #[test]
     fn outlines_end_at_both_clip_depths() {
-        // One edge straight ahead, 1 m to the left: from behind the camera to beyond 65 m; the others lie behind.
+        // One edge straight ahead, 1 m to the left, from behind the camera to beyond 65 m; the others are behind it.
         let map = crossing(&[[-50.0, 1.0], [200.0, 1.0], [-50.0, 1.0]], DVec3::ZERO);
         let segments = map_segments(&scene_map(map, DVec3::ZERO), &view());
-        // Forth and back, and from a point to itself.
+        // The edge is drawn in both directions; the edge from a point to itself is not drawn.
         assert_eq!(segments.len(), 2);
         let far = [400.0 - 500.0 / 65.0, 225.0 + 1000.0 / 65.0].map(|v: f64| v as f32);
-        // Clipped by depth at the far end, and by the rectangle below the image (16 px) at the near one.
+        // The far end is clipped by depth, the near end by the rectangle that extends 16 px below the image.
         let depth = 1000.0 / (450.0 + 16.0 - 225.0);
         let near = [400.0 - 500.0 / depth, 466.0].map(|v: f64| v as f32);
         for (segment, [from, to]) in segments.iter().zip([[near, far], [far, near]]) {
@@ -97,7 +97,7 @@ mod tests {
 
     #[test]
     fn the_window_leaves_out_nothing_that_is_seen() {
-        // Triangles all over, seen by cameras that look anywhere, at UTM coordinates.
+        // Random triangles at UTM coordinates, seen by cameras of random orientation.
         let origin = DVec3::new(600_000.0, 4_000_000.0, 30.0);
         let mut state = 3_u64;
         let mut number = || {

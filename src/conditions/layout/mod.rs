@@ -1,9 +1,10 @@
 //! Layout images: outlines of the actors' boxes ([`box_segments`]) and of the HD map ([`map_segments`]).
 //!
 //! # How it works
-//! Edges are clipped in camera space in `f64`, projected, and clipped to a rectangle that is larger than the image by
-//! more than a line's width, so that the butt ends of clipped lines lie outside. What is left fits `f32` well, is drawn
-//! as [`LineRows`](crate::raster::LineRows) tells, and reduced row by row: no image of full size is made.
+//! Edges are clipped in camera space in `f64`, projected, and clipped to a rectangle that exceeds the image by more
+//! than the line width, so that the butt ends of clipped lines lie outside it. The result fits `f32` without visible
+//! loss. It is drawn by [`LineRows`](crate::raster::LineRows) and reduced row by row, so no full-size image is
+//! allocated.
 
 mod boxes;
 mod draw;
@@ -18,15 +19,15 @@ use glam::{DVec2, DVec3};
 use crate::geometry::View;
 use crate::raster::Segment;
 
-/// Width of lines, pixels at camera size.
+/// Line width, pixels at render size.
 pub const LINE_WIDTH_PX: f32 = 8.0;
-/// Nearest depth of edges, metres.
+/// Minimum depth of edges, meters.
 pub const NEAR_M: f64 = 0.05;
 
-/// How far the clip rectangle reaches beyond the image, pixels.
+/// Distance by which the clip rectangle exceeds the image, pixels.
 const MARGIN_PX: f64 = 2.0 * LINE_WIDTH_PX as f64;
 
-/// The visible part of a line between two points in camera coordinates (metres), in pixels; `None` where there is none.
+/// Clips and projects a line between two points in camera coordinates (meters); `None` if no part of it is visible.
 pub fn segment(from: DVec3, to: DVec3, depths_m: [f64; 2], rgb: [u8; 3], view: &View) -> Option<Segment> {
     let (from, to) = clip_depth(from, to, depths_m)?;
     let project = |p: DVec3| {
@@ -39,7 +40,7 @@ pub fn segment(from: DVec3, to: DVec3, depths_m: [f64; 2], rgb: [u8; 3], view: &
     Some(Segment { from: pixel(from), to: pixel(to), rgb })
 }
 
-/// The part of a line within two depths.
+/// Clips a line to a depth range.
 fn clip_depth(from: DVec3, to: DVec3, [near, far]: [f64; 2]) -> Option<(DVec3, DVec3)> {
     let along = to - from;
     let mut part = [0.0, 1.0];
@@ -48,7 +49,7 @@ fn clip_depth(from: DVec3, to: DVec3, [near, far]: [f64; 2]) -> Option<(DVec3, D
     Some((from + along * part[0], from + along * part[1]))
 }
 
-/// The part of a line within a rectangle (Liang and Barsky 1984).
+/// Clips a line to a rectangle (Liang and Barsky 1984).
 fn clip_rectangle(from: DVec2, to: DVec2, min: DVec2, max: DVec2) -> Option<(DVec2, DVec2)> {
     let along = to - from;
     let mut part = [0.0, 1.0];
@@ -59,7 +60,7 @@ fn clip_rectangle(from: DVec2, to: DVec2, min: DVec2, max: DVec2) -> Option<(DVe
     Some((from + along * part[0], from + along * part[1]))
 }
 
-/// Cuts `part` down to where `s · step ≤ room`; `None` if nothing is left (also for NaN).
+/// Shrinks the parameter range `part` to where `s · step ≤ room`; `None` if it becomes empty (also for NaN).
 fn keep([start, end]: &mut [f64; 2], step: f64, room: f64) -> Option<()> {
     if step < 0.0 {
         *start = start.max(room / step);
@@ -77,7 +78,7 @@ mod tests {
     use crate::geometry::Camera;
     use glam::{DAffine3, DMat3, DQuat};
 
-    /// A camera at the origin that looks along the world's x.
+    /// Camera at the origin that looks along the world's x axis.
     pub(super) fn view() -> View {
         let rows = [[500.0, 0.0, 400.0], [0.0, 500.0, 225.0], [0.0, 0.0, 1.0]];
         let camera = Camera::new("c", 800, 450, rows).unwrap();
@@ -94,7 +95,7 @@ mod tests {
         let direction = (DVec2::new(end.x, end.y)
             - DVec2::new(clipped.from[0].into(), clipped.from[1].into()))
         .normalize();
-        // The vanishing line: the image of the whole line runs through the image of any of its points.
+        // Projection preserves lines: the image of the line passes through the image of any of its points.
         let middle = view.camera.intrinsics * (a + (b - a) * 0.6);
         let middle = DVec2::new(middle.x, middle.y) / middle.z - DVec2::new(end.x, end.y);
         assert!(middle.perp_dot(direction).abs() < 1e-2, "{}", middle.perp_dot(direction));

@@ -1,4 +1,4 @@
-//! `annotations.feather`: the boxes, each in the ego frame at its time.
+//! `annotations.feather`: boxes, each in the ego frame at its time.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,36 +12,38 @@ use crate::dataset::{Class, DatasetError, Track};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, CuboidError, Pose};
 
-/// A row: a box where it stands at its time.
+/// Row of the file: a box at one time.
 #[derive(Clone, Copy)]
 pub(super) struct Annotation {
     /// Row in the file.
     pub(super) row: usize,
-    /// Index in the tracks.
+    /// Index in [`Annotations::tracks`].
     pub(super) track: usize,
     /// In the ego frame.
     pub(super) ego_from_box: Pose,
-    /// Length, width, height in metres.
+    /// Length, width, height in meters.
     pub(super) size: DVec3,
-    /// LiDAR points in the box, as the file states.
+    /// Number of LiDAR points in the box, as stated by the file.
     pub(super) points: u32,
 }
 
-/// All boxes.
+/// All boxes of a log.
 pub(super) struct Annotations {
     /// Sorted by id.
     pub(super) tracks: Vec<Track>,
-    /// By time in nanoseconds; each list sorted by track.
+    /// Boxes by time in nanoseconds; each list is sorted by track.
     pub(super) frames: BTreeMap<i64, Vec<Annotation>>,
-    /// Boxes whose category is not in the data set's list.
+    /// Number of boxes per category that the dataset does not define.
     pub(super) unknown_categories: BTreeMap<String, usize>,
-    /// Boxes whose category is not that of the first row of their track.
+    /// Number of boxes whose category differs from the first row of their track.
     pub(super) other_category: usize,
 }
 
 impl Annotations {
+    /// Reads and validates the file.
+    ///
     /// # Errors
-    /// A damaged file, poses that are none, a track twice at a time.
+    /// Fails if the file is damaged, a pose is invalid, or a track occurs twice at one time.
     pub(super) fn read(path: &Path) -> Result<Self, DatasetError> {
         const OTHERS: [&str; 7] =
             ["timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height_m", "num_interior_pts"];
@@ -76,21 +78,21 @@ impl Annotations {
 }
 
 impl Annotation {
-    /// Whether no side is zero or negative. Sides that are no numbers are left to [`Annotation::cuboid`].
+    /// Returns `false` if a side is zero or negative. Non-finite sides are left for [`Annotation::cuboid`] to reject.
     pub(super) fn has_size(&self) -> bool {
         !self.size.is_finite() || self.size.min_element() > 0.0
     }
 
-    /// The box in the city's frame.
+    /// Returns the box in the city frame.
     ///
     /// # Errors
-    /// A side that is not positive.
+    /// Fails if a side is not positive and finite.
     pub(super) fn cuboid(&self, city_from_ego: &Pose) -> Result<Cuboid, CuboidError> {
         Cuboid::new(*city_from_ego * self.ego_from_box, self.size)
     }
 }
 
-/// The rows by time; `track_of` tells the track of a row.
+/// Groups the rows by time; `track_of` returns the track of a row.
 fn frames(
     table: &Table,
     track_of: impl Fn(usize) -> usize,

@@ -1,7 +1,7 @@
-//! `calibration/`: the ring cameras and where they sit on the ego.
+//! `calibration/`: intrinsics and extrinsics of the ring cameras.
 //!
-//! The images are published without lens distortion: `k1 k2 k3` in the file are those of the lenses before that, and the
-//! data set's own API projects by the focal lengths and the centre alone. So cameras are pinholes here. Source:
+//! The published images are undistorted: `k1 k2 k3` in the file describe the original lenses. The dataset's own API
+//! projects with focal lengths and principal point only, so cameras are pinholes here. Source:
 //! <https://argoverse.github.io/user-guide/datasets/sensor.html> ("Sensor suite") and issues 219 and 226 of
 //! <https://github.com/argoverse/av2-api>.
 
@@ -14,7 +14,7 @@ use crate::error::FileError;
 use crate::files::first_twice;
 use crate::geometry::Camera;
 
-/// The seven cameras in ring order, each beside its neighbours. The two of the stereo pair in front are left out.
+/// The seven ring cameras in ring order, each next to its neighbors. The front stereo pair is excluded.
 pub(super) const RING: [&str; 7] = [
     "ring_front_center",
     "ring_front_right",
@@ -25,10 +25,10 @@ pub(super) const RING: [&str; 7] = [
     "ring_front_left",
 ];
 
-/// Those ring cameras that the files hold, in ring order; `channel` is the index in this list.
+/// Reads the ring cameras that the files contain, in ring order. `channel` is the index in this list.
 ///
 /// # Errors
-/// Damaged files, a camera that is none or is there twice, or one whose place on the ego is not told.
+/// Fails if a file is damaged, or a camera is invalid, occurs twice or has no extrinsics.
 pub(super) fn read(folder: &Path) -> Result<Vec<RigCamera>, DatasetError> {
     let path = folder.join("egovehicle_SE3_sensor.feather");
     let extrinsics = Table::read(&path, &[&["sensor_name"], &POSE[..]].concat())?;
@@ -51,7 +51,7 @@ pub(super) fn read(folder: &Path) -> Result<Vec<RigCamera>, DatasetError> {
     Ok(rig)
 }
 
-/// Sizes and intrinsics of all cameras.
+/// Reads the sizes and intrinsics of all cameras.
 fn intrinsics(path: &Path) -> Result<Vec<Camera>, DatasetError> {
     const NUMBERS: [&str; 4] = ["fx_px", "fy_px", "cx_px", "cy_px"];
     let table = Table::read(path, &[&["sensor_name", "width_px", "height_px"], &NUMBERS[..]].concat())?;

@@ -1,11 +1,12 @@
-//! Categories of Argoverse 2 as dotted names like those of nuScenes, which tell class, color and template.
+//! Maps Argoverse 2 categories to dotted names as in nuScenes, which determine class, color and template.
 
-/// A category's dotted name: group, kind, and the data set's own name in lower case, like
-/// `vehicle.car.regular_vehicle`. `None` for a category that is not in the data set's list.
+/// Returns the dotted name of a category: group, kind, and the dataset's own name in lower case, like
+/// `vehicle.car.regular_vehicle`. `None` if the dataset does not define the category.
 ///
-/// Riders have boxes of their own beside those of what they ride, so they are people. Trams stand with buses, the
-/// nearest in shape. Boards and lights on trailers are signs rather than vehicles, and devices on wheels are boxed
-/// without who stands on them. Source of the list: `AnnotationCategories` of <https://github.com/argoverse/av2-api>.
+/// Riders are pedestrians, since they have boxes separate from their cycles. Trams are buses, the nearest in shape.
+/// Message boards and traffic lights on trailers are signs rather than vehicles. Boxes of wheeled devices exclude
+/// their rider, so they are objects. Source of the list: `AnnotationCategories` of
+/// <https://github.com/argoverse/av2-api>.
 pub(super) fn dotted(category: &str) -> Option<String> {
     let group = match category {
         "REGULAR_VEHICLE" => "vehicle.car",
@@ -29,7 +30,7 @@ pub(super) fn dotted(category: &str) -> Option<String> {
     Some(format!("{group}.{}", category.to_lowercase()))
 }
 
-/// The dotted name of a category that the list lacks.
+/// Returns the dotted name of a category that the dataset does not define.
 pub(super) fn unknown(category: &str) -> String {
     format!("object.{}", category.to_lowercase())
 }

@@ -1,4 +1,4 @@
-//! Which log: a folder may be one, or hold many.
+//! Selection of logs: a folder may be a log or contain many.
 
 use std::path::{Path, PathBuf};
 
@@ -6,10 +6,11 @@ use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
 use crate::files::input::is_taken;
 
-/// The logs that a name stands for, sorted by name: the folder itself, or those in it.
+/// Returns the logs that a locator refers to, sorted by name: the folder itself, or the logs in it.
 ///
 /// # Errors
-/// A folder that cannot be read or holds no log, a `#LOG_ID` that is not there, an `@VERSION`, which logs do not have.
+/// Fails if the folder cannot be read or has no logs, `#LOG_ID` is unknown, or an `@VERSION` is given, since logs
+/// have none.
 pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     let path = &locator.path;
     if let Some(version) = &locator.version {
@@ -37,10 +38,10 @@ pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetErr
     Ok(chosen)
 }
 
-/// The only log that a name stands for.
+/// Returns the only log that a locator refers to.
 ///
 /// # Errors
-/// As [`expand`], and several logs.
+/// Fails as [`expand`], or if there are several logs.
 pub(super) fn choose(locator: &LogLocator) -> Result<LogLocator, DatasetError> {
     let mut logs = expand(locator)?;
     match (logs.pop(), logs.is_empty()) {
@@ -52,20 +53,21 @@ pub(super) fn choose(locator: &LogLocator) -> Result<LogLocator, DatasetError> {
     }
 }
 
-/// The folder's name, which is the log's id.
+/// Returns the folder's name, which is the log's id.
 pub(super) fn log_name(path: &Path) -> String {
     let resolved = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     resolved.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
 }
 
-/// A part of the log (`sensors`, `map`): below the log, or where it is said to be: `ROOT/LOG_ID/PART` or `ROOT`.
+/// Returns the folder of a part of the log (`sensors`, `map`). It is below the log by default. With a given `ROOT`,
+/// it is `ROOT/LOG_ID/PART` if that exists, else `ROOT`.
 pub(super) fn part(log: &Path, root: Option<&Path>, part: &str) -> PathBuf {
     let Some(root) = root else { return log.join(part) };
     let own = root.join(log_name(log)).join(part);
     if own.is_dir() { own } else { root.to_owned() }
 }
 
-/// A log with either of its files is one, so that the other is told to be missing.
+/// Returns whether a folder has either file of a log. Only one is required, so that the other is reported as missing.
 fn is_log(path: &Path) -> bool {
     ["annotations.feather", "city_SE3_egovehicle.feather"].iter().any(|file| is_taken(&path.join(file)))
 }

@@ -1,4 +1,4 @@
-//! Values of a column, whatever width its numbers have.
+//! Column values, independent of the width of the numbers.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use arrow_schema::DataType;
 
 use crate::error::FileError;
 
-/// A column of a table, batch by batch.
+/// Column of a table, in batches.
 pub(super) struct Column<'a> {
     name: String,
     parts: Vec<&'a ArrayRef>,
@@ -24,10 +24,10 @@ impl<'a> Column<'a> {
         Self { name, parts, path }
     }
 
-    /// Floating-point numbers or integers of any width.
+    /// Returns floating-point numbers or integers of any width as `f64`.
     ///
     /// # Errors
-    /// Values of another type, or empty ones.
+    /// Fails if values have another type or are null.
     pub(super) fn numbers(&self) -> Result<Vec<f64>, FileError> {
         let mut values = Vec::new();
         for part in self.parts()? {
@@ -44,10 +44,10 @@ impl<'a> Column<'a> {
         Ok(values)
     }
 
-    /// Integers of any width.
+    /// Returns integers of any width as `i64`.
     ///
     /// # Errors
-    /// Values of another type, empty ones, or one over what 64 bits with a sign hold.
+    /// Fails if values have another type, are null or do not fit into `i64`.
     pub(super) fn integers(&self) -> Result<Vec<i64>, FileError> {
         let (mut values, mut too_much) = (Vec::new(), None);
         for part in self.parts()? {
@@ -68,10 +68,10 @@ impl<'a> Column<'a> {
         Ok(values)
     }
 
-    /// Integers from 0 to 2³² − 1.
+    /// Returns integers from 0 to 2³² − 1.
     ///
     /// # Errors
-    /// As [`Column::integers`], and another value.
+    /// Fails as [`Column::integers`], or if a value is out of range.
     pub(super) fn counts(&self) -> Result<Vec<u32>, FileError> {
         let count = |value: i64| {
             let found = || format!("{value} in column {}", self.name);
@@ -81,10 +81,10 @@ impl<'a> Column<'a> {
         self.integers()?.into_iter().map(count).collect()
     }
 
-    /// Texts.
+    /// Returns strings.
     ///
     /// # Errors
-    /// Values of another type, or empty ones.
+    /// Fails if values have another type or are null.
     pub(super) fn texts(&self) -> Result<Vec<&'a str>, FileError> {
         let mut values = Vec::new();
         for part in self.parts()? {
@@ -102,7 +102,7 @@ impl<'a> Column<'a> {
         Ok(values)
     }
 
-    /// The batches, none of which has an empty value.
+    /// Returns the batches after checking that they contain no nulls.
     fn parts(&self) -> Result<&[&'a ArrayRef], FileError> {
         match self.parts.iter().map(|p| p.null_count()).sum::<usize>() {
             0 => Ok(&self.parts),
@@ -123,7 +123,7 @@ impl<'a> Column<'a> {
     }
 }
 
-/// Adds integers of any width, as whatever becomes of them; `false` for values of other types.
+/// Appends integers of any width, converted by `to`. Returns `false` for values of other types.
 fn extend_integers<T>(values: &mut Vec<T>, part: &dyn Array, mut to: impl FnMut(i128) -> T) -> bool {
     match part.data_type() {
         DataType::Int8 => extend::<Int8Type, _>(values, part, |v| to(v.into())),

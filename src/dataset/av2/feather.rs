@@ -1,8 +1,9 @@
-//! Feather files (version 2, which is the Arrow IPC file format): a table by named columns.
+//! Feather files (version 2, the Arrow IPC file format): tables with named columns.
 //!
-//! How it works: a file ends with a footer that tells the columns and where the batches of rows are. The `arrow-ipc`
-//! crate decodes batches, but trusts what they declare: a wrong offset would stop the program and a wrong size would
-//! take all its memory. So the whole file is in memory, and every offset and size is compared with it before a batch is
+//! # How it works
+//! The footer at the end of a file lists the columns and the offsets of the row batches. The `arrow-ipc` crate
+//! decodes batches, but trusts their declared offsets and sizes: a wrong offset would panic, and a wrong size would
+//! exhaust memory. So the whole file is loaded, and every offset and size is validated against it before a batch is
 //! decoded. Format: <https://arrow.apache.org/docs/format/Columnar.html#ipc-file-format>.
 
 use std::path::{Path, PathBuf};
@@ -21,18 +22,18 @@ use crate::files::input::{SWEEP_BYTES, read_file};
 
 const MAGIC: &[u8] = b"ARROW1";
 
-/// Footer length and magic at the end of a file.
+/// Bytes of the footer length and the magic at the end of a file.
 const TAIL_BYTES: usize = 10;
 
-/// Bytes before a message: a marker and the message's length.
+/// Bytes before a message: a marker and the message length.
 const PREFIX_BYTES: usize = 8;
 
-/// All columns together may declare so many bytes per byte of the file: LZ4 and zstd make numbers a few times smaller.
+/// Maximum declared bytes of all columns per byte of the file: LZ4 and zstd shrink numbers by a small factor only.
 const MOST_PER_BYTE: u64 = 64;
-/// More, for small files.
+/// Lower bound of this limit, for small files, bytes.
 const MOST_BYTES: u64 = 16 << 20;
 
-/// Some columns of a file.
+/// Selected columns of a file.
 pub(super) struct Table {
     path: PathBuf,
     schema: SchemaRef,
@@ -40,10 +41,10 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Reads these columns of a file; others are left alone.
+    /// Reads the given columns of a file and ignores the others.
     ///
     /// # Errors
-    /// A file that is missing, is no Feather file or a damaged one; a column that is missing.
+    /// Fails if the file is missing, damaged or not a Feather file, or if a column is missing.
     pub(super) fn read(path: &Path, columns: &[&str]) -> Result<Self, FileError> {
         let bytes = Buffer::from_vec(read_file(path, SWEEP_BYTES)?);
         let layout = Layout::of(&bytes).map_err(|found| no_feather(found, path))?;
@@ -68,10 +69,10 @@ impl Table {
         &self.path
     }
 
-    /// A column that was asked for when reading.
+    /// Returns a column that was read.
     ///
     /// # Errors
-    /// It was not.
+    /// Fails if the column was not read.
     pub(super) fn column(&self, name: &str) -> Result<Column<'_>, FileError> {
         let parts: Option<Vec<&ArrayRef>> = self.batches.iter().map(|b| b.column_by_name(name)).collect();
         let parts = parts.ok_or_else(|| missing_column(name, &self.schema, &self.path))?;
@@ -79,10 +80,10 @@ impl Table {
     }
 }
 
-/// Number of rows that a file declares to have, if it has these columns; no column is decoded.
+/// Returns the number of rows that a file declares, after checking that it has the given columns. Decodes no column.
 ///
 /// # Errors
-/// As [`Table::read`], but for damage within columns.
+/// Fails as [`Table::read`], except for damage within columns.
 pub(super) fn declared_rows(path: &Path, columns: &[&str]) -> Result<u64, FileError> {
     let bytes = read_file(path, SWEEP_BYTES)?;
     let layout = Layout::of(&bytes).map_err(|found| no_feather(found, path))?;
@@ -100,17 +101,19 @@ fn missing_column(name: &str, schema: &Schema, path: &Path) -> FileError {
     FileError::content(format!("a column {name}"), format!("columns {}", names.join(", ")), path)
 }
 
-/// What the footer tells, compared with the file.
+/// Content of the footer, validated against the file.
 struct Layout {
     schema: SchemaRef,
     version: arrow_ipc::MetadataVersion,
-    /// Batches with their numbers of rows.
+    /// Batches with their number of rows.
     blocks: Vec<(Block, u64)>,
 }
 
 impl Layout {
+    /// Parses and validates the footer.
+    ///
     /// # Errors
-    /// What was found instead of a whole file.
+    /// Returns a description of the invalid content.
     fn of(bytes: &[u8]) -> Result<Self, String> {
         let cut = || format!("{} bytes (cut off, or another format)", bytes.len());
         let (body, tail) = bytes.split_last_chunk::<TAIL_BYTES>().ok_or_else(cut)?;
@@ -120,7 +123,7 @@ impl Layout {
         let length = read_footer_length(*tail).map_err(|e| e.to_string())?;
         let start = body.len().checked_sub(length);
         let start = start.ok_or_else(|| format!("a footer of {length} bytes in {} bytes", bytes.len()))?;
-        // The verifier asks for aligned bytes.
+        // The flatbuffer verifier requires aligned bytes.
         let footer = Buffer::from_slice_ref(&body[start..]);
         let footer = root_as_footer(&footer).map_err(|e| format!("a damaged footer ({e})"))?;
         let schema = footer.schema().ok_or("no columns")?;
@@ -146,7 +149,7 @@ impl Layout {
         Ok(Self { schema, version: footer.version(), blocks })
     }
 
-    /// Where these columns are.
+    /// Returns the indices of columns in the schema.
     fn places(&self, columns: &[&str], path: &Path) -> Result<Vec<usize>, FileError> {
         let place = |name: &&str| {
             let found = self.schema.fields().iter().position(|f| f.name() == name);
@@ -156,12 +159,12 @@ impl Layout {
     }
 }
 
-/// Where a block that was checked lies: first byte and number of bytes.
+/// Returns the byte offset and length of a validated block.
 fn span(block: &Block) -> (usize, usize) {
     (block.offset() as usize, block.metaDataLength() as usize + block.bodyLength() as usize)
 }
 
-/// Compares all that a batch declares with the bytes it has; its number of rows, and of bytes once it is decompressed.
+/// Validates the declared sizes of a batch against its bytes. Returns its number of rows and of decompressed bytes.
 fn check_block(block: &Block, schema: &Schema, bytes: &[u8]) -> Result<(u64, u64), String> {
     let outside = || {
         let (offset, header, body) = (block.offset(), block.metaDataLength(), block.bodyLength());
@@ -194,9 +197,9 @@ fn check_block(block: &Block, schema: &Schema, bytes: &[u8]) -> Result<(u64, u64
     Ok((rows, sizes.iter().fold(0, |sum, size| sum.saturating_add(*size))))
 }
 
-/// Compares the number of rows with the bytes that the columns' buffers have once they are decompressed.
+/// Validates the number of rows against the decompressed sizes of the column buffers.
 fn check_rows(rows: u64, schema: &Schema, sizes: &[u64]) -> Result<(), String> {
-    // A bit is the least that a row takes.
+    // A row takes at least one bit.
     let bits = sizes.iter().map(|size| size.saturating_mul(8)).max().unwrap_or(0);
     if rows > bits {
         return Err(format!("a batch of {rows} rows in columns of at most {} bytes", bits / 8));
@@ -204,13 +207,13 @@ fn check_rows(rows: u64, schema: &Schema, sizes: &[u64]) -> Result<(), String> {
     let mut sizes = sizes.iter();
     for field in schema.fields() {
         let kind = field.data_type();
-        // What comes behind the buffer that tells which rows are empty: least bytes of the next one, and how many more.
+        // Minimum bytes of the buffer after the validity bitmap, and number of further buffers.
         let (least, more) = match (kind, kind.primitive_width()) {
             (_, Some(width)) => (rows.saturating_mul(width as u64), 0),
             (DataType::Boolean, _) => (rows.div_ceil(8), 0),
             (DataType::Utf8 | DataType::Binary, _) => (rows.saturating_mul(4), 1),
             (DataType::LargeUtf8 | DataType::LargeBinary, _) => (rows.saturating_mul(8), 1),
-            // Those of other columns are not told apart here.
+            // The number of buffers of other types is not known here, so this and later columns are not checked.
             _ => return Ok(()),
         };
         let size = sizes.nth(1).copied().unwrap_or(0);
@@ -222,7 +225,7 @@ fn check_rows(rows: u64, schema: &Schema, sizes: &[u64]) -> Result<(), String> {
     Ok(())
 }
 
-/// Compares a buffer with the bytes there are; its size once it is decompressed.
+/// Validates a buffer against the available bytes. Returns its decompressed size.
 fn check_buffer(buffer: &arrow_ipc::Buffer, body: &[u8], compressed: bool) -> Result<u64, String> {
     let start = usize::try_from(buffer.offset()).ok();
     let end = start.zip(usize::try_from(buffer.length()).ok()).and_then(|(s, n)| s.checked_add(n));
@@ -232,7 +235,7 @@ fn check_buffer(buffer: &arrow_ipc::Buffer, body: &[u8], compressed: bool) -> Re
     if content.is_empty() || !compressed {
         return Ok(content.len() as u64);
     }
-    // Compressed bytes follow their size before; -1 says that they are stored as they are.
+    // Compressed data starts with the decompressed size; -1 means that the bytes are not compressed.
     let declared = content.first_chunk().map(|bytes| i64::from_le_bytes(*bytes));
     match declared {
         Some(-1) => Ok(content.len() as u64 - 8),

@@ -1,7 +1,7 @@
-//! `map/log_map_archive_*.json`: the vector map around a log, in the frame of its city.
+//! `map/log_map_archive_*.json`: vector map of a log's surroundings, in the city frame.
 //!
 //! Format: <https://argoverse.github.io/user-guide/api/hd_maps.html>. Lanes of all kinds (vehicles, bikes, buses) are
-//! read. Dividers are the boundaries of lanes that are painted.
+//! read. Dividers are the painted lane boundaries.
 
 use std::path::{Path, PathBuf};
 
@@ -13,18 +13,18 @@ use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
 use crate::files::input::read_table;
 
-/// Points of a centerline are about this far from each other, metres.
+/// Approximate spacing of centerline points, meters.
 const STEP_M: f64 = 0.5;
 
-/// Most steps of a centerline: what a damaged coordinate may cost.
+/// Maximum number of centerline steps, which limits the cost of a damaged coordinate.
 const MAX_STEPS: f64 = 2000.0;
 
 const NAME_START: &str = "log_map_archive_";
 
-/// The maps' files in a folder by name; none if there is no such folder. There should be one.
+/// Returns the map files in a folder, sorted by name; empty if the folder does not exist. One file is expected.
 ///
 /// # Errors
-/// A folder that cannot be read.
+/// Fails if the folder cannot be read.
 pub(super) fn find(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
     let entries = match std::fs::read_dir(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -42,7 +42,7 @@ pub(super) fn find(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
     Ok(maps)
 }
 
-/// The city in the name of a map's file, `.._LOG_ID____PIT_city_47896.json`; empty if it has none.
+/// Returns the city in a map file's name, `.._LOG_ID____PIT_city_47896.json`; empty if it has none.
 pub(super) fn city(map: Option<&Path>) -> String {
     let name = map.and_then(|path| path.file_name()?.to_str()).unwrap_or_default();
     let city = name.split_once("____").and_then(|(_, rest)| rest.split_once("_city_"));
@@ -52,8 +52,8 @@ pub(super) fn city(map: Option<&Path>) -> String {
 /// Reads a map.
 ///
 /// # Errors
-/// A file that cannot be read or is no such map; boundaries with fewer than two points, areas with fewer than three
-/// corners.
+/// Fails if the file cannot be read or is not such a map, a boundary has fewer than two points, or an area has fewer
+/// than three corners.
 pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetError> {
     let bytes = read_table(path)?;
     let wrong = |e: serde_json::Error| FileError::content("an Argoverse 2 map", e.to_string(), path);
@@ -102,7 +102,7 @@ struct Point {
     y: f64,
 }
 
-/// The values of an object, in the file's order.
+/// Values of a JSON object, in file order.
 struct Entries<T>(Vec<T>);
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for Entries<T> {
@@ -127,7 +127,7 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Entries<T> {
     }
 }
 
-/// A line or ring with too few points.
+/// Error of a line or ring with too few points.
 struct TooFew {
     least: usize,
     found: usize,
@@ -156,7 +156,7 @@ impl Archive {
 }
 
 impl LaneSegment {
-    /// The lane; boundaries that are painted join the dividers, unless the lane beside has brought them already.
+    /// Converts the lane. Appends painted boundaries to `dividers`, unless the adjacent lane has already added them.
     fn lane(
         &self,
         dividers: &mut Vec<Vec<DVec2>>,
@@ -183,9 +183,9 @@ impl LaneSegment {
     }
 }
 
-/// The same for a line and its reverse.
+/// Returns a key that is equal for a line and its reverse.
 fn key(line: &[DVec2]) -> Vec<[u64; 2]> {
-    // Adding 0 makes -0 the same as 0.
+    // Adding 0 turns -0 into 0.
     let bits: Vec<[u64; 2]> = line.iter().map(|p| (*p + 0.0).to_array().map(f64::to_bits)).collect();
     let reversed = bits.iter().rev().copied().collect();
     bits.min(reversed)
@@ -197,7 +197,7 @@ fn points(raw: &[Point]) -> Vec<DVec2> {
     points
 }
 
-/// Corners that follow each other and differ.
+/// Removes repeated corners. Fails if fewer than three remain.
 fn ring(mut corners: Vec<DVec2>, record: impl FnOnce() -> String) -> Result<Vec<DVec2>, TooFew> {
     corners.dedup();
     while corners.len() > 1 && corners.first() == corners.last() {
@@ -207,8 +207,8 @@ fn ring(mut corners: Vec<DVec2>, record: impl FnOnce() -> String) -> Result<Vec<
     if found >= 3 { Ok(corners) } else { Err(TooFew { least: 3, found, record: record() }) }
 }
 
-/// The outline between two edges, whichever way they run. Sides of a convex quadrangle are together shorter than its
-/// diagonals, so the shorter way to join the edges does not cross itself.
+/// Returns the outline between two edges of either direction. The sides of a convex quadrilateral are shorter in sum
+/// than its diagonals, so joining the edges the shorter way avoids self-intersection.
 fn between(edge1: &[DVec2], mut edge2: Vec<DVec2>) -> Vec<DVec2> {
     if let (Some((a, b)), Some((c, d))) = (ends(edge1), ends(&edge2))
         && b.distance(d) + c.distance(a) < b.distance(c) + d.distance(a)
@@ -222,7 +222,7 @@ fn ends(line: &[DVec2]) -> Option<(DVec2, DVec2)> {
     line.first().copied().zip(line.last().copied())
 }
 
-/// The line midway between two, which are walked along together, each at an even pace.
+/// Returns the line midway between two lines, sampled at equal fractions of their lengths.
 fn midway(left: &[DVec2], right: &[DVec2]) -> Vec<DVec2> {
     let (left_m, right_m) = (lengths(left), lengths(right));
     let last = |lengths: &[f64]| lengths.last().copied().unwrap_or(0.0);
@@ -241,7 +241,7 @@ fn midway(left: &[DVec2], right: &[DVec2]) -> Vec<DVec2> {
     (0..=steps).map(middle).collect()
 }
 
-/// How far along a line each of its points is, metres.
+/// Returns the arc length at each point of a line, meters.
 fn lengths(line: &[DVec2]) -> Vec<f64> {
     let mut along = 0.0;
     let steps = line.windows(2).map(|pair| pair[0].distance(pair[1]));
@@ -267,7 +267,7 @@ mod tests {
         let middle = midway(&left, &line(&[(0.0, 0.0), (10.0, 0.0)]));
         assert_eq!(middle.len(), 21);
         assert!(middle.iter().enumerate().all(|(i, p)| p.distance(DVec2::new(0.5 * i as f64, 1.0)) < 1e-12));
-        // In a curve about the origin from radius 10 and 14 to 12.
+        // Arcs about the origin with radius 10 and 14; their center line has radius 12.
         let arc =
             |r: f64| (0..=90).map(|d| DVec2::from_angle(f64::from(d).to_radians()) * r).collect::<Vec<_>>();
         let middle = midway(&arc(10.0), &arc(14.0));

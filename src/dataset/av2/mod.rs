@@ -1,9 +1,10 @@
-//! Argoverse 2 sensor logs: a folder per log with boxes, poses, calibration and sweeps as Feather files, images, and
-//! a map as JSON.
+//! Argoverse 2 sensor logs: one folder per log with Feather files (boxes, poses, calibration, sweeps), images, and a
+//! JSON map.
 //!
-//! How it works: `feather` and `column` read tables, `read` puts those of a log together; `sweep` and `map` read what is
-//! read on demand. A frame is a time with boxes; its sweep is the file of that time, its images are the nearest ones.
-//! Times are nanoseconds in files and whole microseconds in a [`Log`]. Format:
+//! # How it works
+//! `feather` and `column` read tables, and `read` combines those of a log. `sweep` and `map` read their files on
+//! demand. A frame is an annotated time; its sweep is the file with the same time, its images are the nearest in
+//! time. Times are nanoseconds in files and whole microseconds in a [`Log`]. Format:
 //! <https://argoverse.github.io/user-guide/datasets/sensor.html>.
 
 mod annotations;
@@ -29,24 +30,23 @@ use super::{
     Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
 };
 
-/// One log.
+/// One Argoverse 2 log.
 #[derive(Debug)]
 pub struct Argoverse {
     log: Log,
     box_points: Vec<Vec<u32>>,
-    /// Of several the first is read.
+    /// Map files; only the first is read.
     maps: Vec<PathBuf>,
-    /// Where a map must be, since it was said to be there.
+    /// Folder that must contain a map, because it was given explicitly.
     needs_map: Option<PathBuf>,
 }
 
 impl Argoverse {
-    /// Reads the tables of a log: the folder itself, or that of `#LOG_ID` in it. No sweep, no image and no map is
-    /// opened.
+    /// Reads the tables of a log: the folder itself, or the log `#LOG_ID` in it. Opens no sweeps, images or maps.
     ///
     /// # Errors
-    /// A folder that is no log, or holds several and none is chosen; tables that are missing or damaged, poses, cameras
-    /// or boxes that are none, times that do not grow.
+    /// Fails if the folder is not a log, or contains several and none is selected. Fails if tables are missing or
+    /// damaged, poses, cameras or boxes are invalid, or times do not increase.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         locator.check_roots()?;
         let chosen = choose::choose(locator)?;
@@ -61,10 +61,10 @@ impl Argoverse {
     }
 }
 
-/// The logs that a name stands for, sorted by name: the folder itself, those in it, or the one of `#LOG_ID`.
+/// Returns the logs that a locator refers to, sorted by name: the folder itself, the logs in it, or `#LOG_ID`.
 ///
 /// # Errors
-/// A folder that cannot be read or holds no log, a `#LOG_ID` that is not there.
+/// Fails if the folder cannot be read or has no logs, `#LOG_ID` is unknown, or an `@VERSION` is given.
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     choose::expand(locator)
 }

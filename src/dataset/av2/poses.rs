@@ -1,4 +1,4 @@
-//! `city_SE3_egovehicle.feather`: where the ego was, at the times of all sensors.
+//! `city_SE3_egovehicle.feather`: ego poses at the times of all sensors.
 
 use std::path::Path;
 
@@ -7,19 +7,21 @@ use crate::dataset::DatasetError;
 use crate::error::FileError;
 use crate::geometry::Pose;
 
-/// Columns of a pose.
+/// Pose columns.
 pub(super) const POSE: [&str; 7] = ["qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"];
 
 /// `city_from_ego` over time.
 pub(super) struct Trajectory {
-    /// Nanoseconds, growing.
+    /// Nanoseconds, ascending.
     times_ns: Vec<i64>,
     poses: Vec<Pose>,
 }
 
 impl Trajectory {
+    /// Reads and validates the file.
+    ///
     /// # Errors
-    /// A damaged file, no pose, times that do not grow, poses that are none.
+    /// Fails if the file is damaged or has no poses, times do not increase, or a pose is invalid.
     pub(super) fn read(path: &Path) -> Result<Self, DatasetError> {
         let table = Table::read(path, &[&["timestamp_ns"], &POSE[..]].concat())?;
         let times_ns = table.column("timestamp_ns")?.integers()?;
@@ -34,7 +36,7 @@ impl Trajectory {
         Ok(Self { times_ns, poses })
     }
 
-    /// The pose at a time: that of its row, else between the rows before and after. `None` outside of them.
+    /// Returns the pose at a time, interpolated between rows if necessary. `None` outside the recorded times.
     pub(super) fn at(&self, t_ns: i64) -> Option<Pose> {
         let next = self.times_ns.partition_point(|t| *t < t_ns);
         let after = *self.times_ns.get(next)?;
@@ -47,7 +49,7 @@ impl Trajectory {
     }
 }
 
-/// The poses in the columns [`POSE`], row by row; `record` names a row in messages.
+/// Reads the poses in the columns [`POSE`], row by row; `record` names a row in messages.
 pub(super) fn poses(table: &Table, record: impl Fn(usize) -> String) -> Result<Vec<Pose>, DatasetError> {
     let mut columns = Vec::with_capacity(POSE.len());
     for name in POSE {

@@ -1,4 +1,4 @@
-//! The files of a log to a [`Log`].
+//! Conversion of a log's files to a [`Log`].
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,16 +9,16 @@ use super::{calibration, sensors};
 use crate::dataset::{DatasetError, Frame, Log, TrackBox};
 use crate::error::FileError;
 
-/// What a reader left out, by kind.
+/// Number of skipped or missing items by kind.
 pub(super) type Notes = BTreeMap<String, usize>;
 
-/// Counts something that was left out.
+/// Counts a skipped item.
 pub(super) fn note(notes: &mut Notes, kind: &str) {
     *notes.entry(kind.to_owned()).or_default() += 1;
 }
 
-/// Reads a log whose sweeps and images are in `sensors`, and per frame and box the number of LiDAR points that the
-/// file states.
+/// Reads a log with its sweeps and images in `sensors`. Also returns the stated number of LiDAR points per frame and
+/// box.
 pub(super) fn read(
     folder: &Path,
     sensors: &Path,

@@ -1,4 +1,4 @@
-//! `sensors/`: sweeps and images by time. Files are named by their time in nanoseconds.
+//! `sensors/`: sweeps and images. File names are times in nanoseconds.
 
 use std::path::{Path, PathBuf};
 
@@ -8,16 +8,16 @@ use crate::dataset::{Frame, ImageRecord, RigCamera, SweepRecord};
 use crate::error::FileError;
 use crate::geometry::Pose;
 
-/// How far an image may be from a frame to be the frame's, nanoseconds. Ring cameras take 20 images a second.
+/// Maximum time difference between a frame and its image, nanoseconds. Ring cameras run at 20 Hz.
 const IMAGE_TOLERANCE_NS: u64 = 50_000_000;
 
-/// A file with the time in its name.
+/// File named by its time.
 struct Timed {
     t_ns: i64,
     path: PathBuf,
 }
 
-/// The files of a sensor by time; none where there is no such folder. Files of other names are counted.
+/// Lists the files of a sensor by time; empty if the folder does not exist. Counts files with other names.
 fn list(folder: &Path, extensions: &[&str], notes: &mut Notes) -> Result<Vec<Timed>, FileError> {
     if !folder.exists() {
         return Ok(Vec::new());
@@ -36,10 +36,10 @@ fn list(folder: &Path, extensions: &[&str], notes: &mut Notes) -> Result<Vec<Tim
     Ok(files)
 }
 
-/// Puts the sweeps into their frames: those at a frame's time, and before them those since the frame before.
+/// Assigns sweeps to frames: each belongs to the first frame at or after its time.
 ///
 /// # Errors
-/// A folder that cannot be read.
+/// Fails if the folder cannot be read.
 pub(super) fn add_sweeps(
     folder: &Path,
     times_ns: &[i64],
@@ -54,9 +54,9 @@ pub(super) fn add_sweeps(
             continue;
         };
         let (t_us, is_key) = (micros(t_ns), times_ns[place] == t_ns);
-        // Sweeps are written in the ego frame, corrected for its motion.
+        // Sweeps are stored in the ego frame, with motion compensation.
         let ego_from_lidar = Pose::IDENTITY;
-        // The frame's own comes first, then the latest.
+        // Sweeps arrive in time order, so the frame's own ends up first, then the latest.
         let record = SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key };
         frame.sweeps.insert(0, record);
     }
@@ -66,10 +66,10 @@ pub(super) fn add_sweeps(
     Ok(())
 }
 
-/// Puts a camera's images into their frames: the nearest in time to each frame, others between frames.
+/// Assigns a camera's images to frames: the nearest in time to each frame, the others between frames.
 ///
 /// # Errors
-/// A folder that cannot be read.
+/// Fails if the folder cannot be read.
 pub(super) fn add_images(
     folder: &Path,
     times_ns: &[i64],
@@ -107,7 +107,7 @@ pub(super) fn add_images(
     Ok(())
 }
 
-/// The nearest of some growing times, if it is near enough to be of the same instant; the earlier of two.
+/// Returns the index of the nearest of ascending times within [`IMAGE_TOLERANCE_NS`]. Ties go to the earlier one.
 fn nearest(times_ns: &[i64], t_ns: i64) -> Option<usize> {
     let next = times_ns.partition_point(|t| *t < t_ns);
     let candidates = next.saturating_sub(1)..times_ns.len().min(next + 1);
@@ -115,7 +115,7 @@ fn nearest(times_ns: &[i64], t_ns: i64) -> Option<usize> {
     (times_ns[best].abs_diff(t_ns) <= IMAGE_TOLERANCE_NS).then_some(best)
 }
 
-/// Nanoseconds as whole microseconds.
+/// Converts nanoseconds to whole microseconds.
 pub(super) fn micros(t_ns: i64) -> i64 {
     t_ns.div_euclid(1000)
 }

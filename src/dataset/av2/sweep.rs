@@ -8,11 +8,11 @@ use crate::error::FileError;
 
 const COLUMNS: [&str; 5] = ["x", "y", "z", "intensity", "laser_number"];
 
-/// Reads a sweep: x, y, z in metres (floating-point numbers of any width, the data set has 16 bits), intensity 0–255,
-/// and the beam's number as ring. A point with a coordinate that is NaN or infinite is left out and counted.
+/// Reads a sweep: x, y, z in meters (floats of any width; the dataset uses 16 bits), intensity 0–255, and the beam
+/// number as ring. Drops and counts points with a NaN or infinite coordinate or intensity.
 ///
 /// # Errors
-/// A file that is missing, is no Feather file, or lacks a column.
+/// Fails if the file is missing, is not a Feather file, or lacks a column.
 pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
     let table = Table::read(path, &COLUMNS)?;
     let numbers = |name: &str| table.column(name)?.numbers();
@@ -31,10 +31,10 @@ pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
     Ok(sweep)
 }
 
-/// Number of points that a sweep's file declares.
+/// Returns the number of points that a sweep's file declares.
 ///
 /// # Errors
-/// A file that is missing, is no Feather file, lacks a column, or holds no point.
+/// Fails if the file is missing, is not a Feather file, lacks a column, or has no points.
 pub(super) fn declared_points(path: &Path) -> Result<u64, FileError> {
     match declared_rows(path, &COLUMNS)? {
         0 => Err(FileError::content("at least one point", "none", path)),

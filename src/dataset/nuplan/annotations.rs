@@ -1,4 +1,4 @@
-//! Tracks and boxes.
+//! Tracks and boxes of a log.
 
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
@@ -10,15 +10,15 @@ use crate::dataset::{Class, DatasetError, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, Pose, PoseError};
 
-/// Tracks that have a box in some frame, and the boxes of each frame.
+/// Tracks with a box in at least one frame, and the boxes of each frame.
 pub(super) struct Annotated {
     /// Sorted by id.
     pub(super) tracks: Vec<Track>,
-    /// Sorted by track.
+    /// Boxes per frame, sorted by track.
     pub(super) frames: Vec<Vec<TrackBox>>,
 }
 
-/// Reads the boxes of the frames. Boxes of frames that the log does not have are counted, as are those without a size.
+/// Reads the boxes of the frames. Counts boxes without a size and boxes of frames that are missing from the log.
 pub(super) fn read(
     database: &Database,
     shots: &[Shot],
@@ -36,7 +36,7 @@ pub(super) fn read(
     database.rows(&Query { table: "lidar_box", columns, from: "FROM lidar_box" }, |row| {
         let (frame, track) = (row.blob(1)?, row.blob(2)?);
         let Some(place) = places.get(frame) else {
-            // Of a frame of another scene, or of none: logs are cut out of longer drives.
+            // The frame belongs to another scene or is missing, since logs are cut from longer recordings.
             let others = match &mut others {
                 Some(others) => others,
                 empty => empty.insert(frame_tokens(database)?),
@@ -63,7 +63,7 @@ pub(super) fn read(
     Ok(without_unseen(all, frames))
 }
 
-/// All tracks in order of their tokens.
+/// Reads all tracks in token order.
 fn tracks(database: &Database) -> Result<Vec<(Vec<u8>, Track)>, DatasetError> {
     let columns = &["track.token", "track.category_token", "category.token", "category.name"];
     let from = "FROM track LEFT JOIN category ON category.token = track.category_token ORDER BY track.token";
@@ -81,7 +81,7 @@ fn tracks(database: &Database) -> Result<Vec<(Vec<u8>, Track)>, DatasetError> {
     Ok(tracks)
 }
 
-/// The tokens of all frames of the log.
+/// Reads the tokens of all frames of the log.
 pub(super) fn frame_tokens(database: &Database) -> Result<FxHashSet<Vec<u8>>, DatasetError> {
     let mut tokens = FxHashSet::default();
     database.rows(&Query { table: "lidar_pc", columns: &["token"], from: "FROM lidar_pc" }, |row| {
@@ -91,7 +91,7 @@ pub(super) fn frame_tokens(database: &Database) -> Result<FxHashSet<Vec<u8>>, Da
     Ok(tokens)
 }
 
-/// The box of a row: centre and yaw in the global frame. `None` if a side is zero or negative.
+/// Returns the box of a row, from its center and yaw in the global frame. `None` if a side is zero or negative.
 fn cuboid(row: &Row<'_>, database: &Database) -> Result<Option<Cuboid>, DatasetError> {
     let [x, y, z, length, width, height, yaw_rad] = row.numbers(3)?;
     let (record, path) = (row.name(), database.path().to_owned());
@@ -107,7 +107,7 @@ fn cuboid(row: &Row<'_>, database: &Database) -> Result<Option<Cuboid>, DatasetE
     cuboid.map(Some).map_err(|source| DatasetError::Cuboid { source, record, path })
 }
 
-/// Leaves out tracks without a box, and numbers the others anew in the same order.
+/// Removes tracks without a box and renumbers the others in the same order.
 fn without_unseen(all: Vec<(Vec<u8>, Track)>, mut frames: Vec<Vec<TrackBox>>) -> Annotated {
     let seen: FxHashSet<usize> = frames.iter().flatten().map(|b| b.track).collect();
     let (mut tracks, mut places) = (Vec::new(), vec![0; all.len()]);

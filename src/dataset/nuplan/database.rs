@@ -1,7 +1,7 @@
-//! SQLite files, read row by row; every value is checked for its type.
+//! SQLite files, read row by row with type-checked values.
 //!
-//! A file may define views that never end, and pages that lie in many places at once. So both the steps that SQLite takes
-//! and the bytes that rows hold are limited by the file's length.
+//! A damaged file may define endless views, or reference a page many times. So the number of SQLite instructions and
+//! the bytes of rows are both limited in proportion to the file length.
 
 use std::cell::Cell;
 use std::fmt::Write;
@@ -15,34 +15,34 @@ use crate::dataset::{DatasetError, MAX_TIME_US};
 use crate::error::FileError;
 use crate::files::input::open_regular;
 
-/// A SQLite file.
+/// An open SQLite file.
 pub(super) struct Database {
     connection: Connection,
     path: PathBuf,
-    /// Bytes that rows may still hold.
+    /// Remaining budget for the bytes of rows.
     bytes_left: Cell<u64>,
 }
 
-/// Instructions of SQLite's machine per byte of a file; real logs and maps take less than one.
+/// Maximum SQLite VM instructions per byte of a file; real logs and maps take less than one.
 const STEPS_PER_BYTE: u64 = 64;
-/// More, for small files.
+/// Additional instructions, for small files.
 const STEPS: u64 = 1_000_000;
-/// How often the steps are counted, instructions.
+/// Interval for counting instructions.
 const STEPS_COUNTED: u16 = 10_000;
-/// Bytes of rows per byte of a file: rows are read more than once where tables are joined.
+/// Maximum bytes of rows per byte of a file: joins read rows more than once.
 const ROW_BYTES_PER_BYTE: u64 = 8;
 
-/// Which rows are read.
+/// Selection of rows.
 pub(super) struct Query<'a> {
-    /// The table, for messages.
+    /// Name of the table, for messages.
     pub(super) table: &'a str,
-    /// What is read; the first is what a row is called in messages.
+    /// Columns to read; the first one identifies the row in messages.
     pub(super) columns: &'a [&'a str],
-    /// What follows `SELECT columns`.
+    /// SQL text after `SELECT columns`.
     pub(super) from: &'a str,
 }
 
-/// A row of a query; columns go by their place in it.
+/// Row of a query; columns are addressed by their position in it.
 pub(super) struct Row<'a> {
     row: &'a rusqlite::Row<'a>,
     query: &'a Query<'a>,
@@ -50,13 +50,13 @@ pub(super) struct Row<'a> {
 }
 
 impl Database {
-    /// Opens a file. It is taken for unchanging, so that SQLite makes no lock or journal files beside it.
+    /// Opens a file as immutable, so that SQLite creates no lock or journal files beside it.
     ///
     /// # Errors
-    /// A file that is missing, is no SQLite database, or has a write-ahead log beside it.
+    /// Fails if the file is missing, is not a SQLite database, or has a non-empty write-ahead log beside it.
     pub(super) fn open(path: &Path) -> Result<Self, FileError> {
         refuse_journal(path)?;
-        // SQLite says less about a file that it cannot read.
+        // SQLite's message for an unreadable file is less specific.
         let (_, length) = open_regular(path)?;
         let mut uri = String::from("file:");
         for byte in path.as_os_str().as_bytes() {
@@ -74,7 +74,8 @@ impl Database {
         let wrong = |e: rusqlite::Error| FileError::content("a SQLite database", e.to_string(), path);
         let mut connection = Connection::open_with_flags(uri, flags).map_err(wrong)?;
         limit_steps(&mut connection, length).map_err(wrong)?;
-        // A view in the file may not call functions with effects; nor is a file taken that is no database.
+        // Views in the file may not call functions with side effects. The query rejects files that are not a
+        // database.
         connection.pragma_update(None, "trusted_schema", false).map_err(wrong)?;
         connection.query_row("SELECT count(*) FROM sqlite_master", [], |_| Ok(())).map_err(wrong)?;
         let bytes_left = Cell::new(length.saturating_mul(ROW_BYTES_PER_BYTE));
@@ -86,10 +87,10 @@ impl Database {
         &self.path
     }
 
-    /// Hands every row to `each`, in the query's order.
+    /// Passes every row to `each`, in the query's order.
     ///
     /// # Errors
-    /// A table or column that is not there, damaged pages, whatever `each` returns.
+    /// Fails if a table or column is missing, pages are damaged, or a limit is exceeded. Returns any error of `each`.
     pub(super) fn rows(
         &self,
         query: &Query<'_>,
@@ -97,7 +98,7 @@ impl Database {
     ) -> Result<(), DatasetError> {
         let (table, path) = (query.table, self.path.as_path());
         let wrong = |e: rusqlite::Error| {
-            // The message of SQLite alone: the rest would be the whole statement.
+            // SQLite's message alone; the full error would include the whole statement.
             let found = match e {
                 rusqlite::Error::SqliteFailure(_, Some(message)) => message,
                 rusqlite::Error::SqlInputError { msg, .. } => msg,
@@ -117,7 +118,8 @@ impl Database {
 }
 
 impl Database {
-    /// Takes a row's bytes off those that are left. A number counts as what SQLite needs for it at least.
+    /// Subtracts a row's size from the budget: one byte, plus the lengths of texts and blobs. Numbers count as 0, the
+    /// minimum that SQLite needs for them.
     fn count_bytes(&self, row: &rusqlite::Row<'_>, query: &Query<'_>) -> Result<(), FileError> {
         let size = |column: usize| match row.get_ref(column) {
             Ok(ValueRef::Text(bytes) | ValueRef::Blob(bytes)) => bytes.len() as u64,
@@ -133,7 +135,7 @@ impl Database {
     }
 }
 
-/// Ends statements, all together, after a number of instructions that no sound file of this length takes.
+/// Aborts statements once all of them together exceed the instruction limit. No valid file of this length reaches it.
 fn limit_steps(connection: &mut Connection, length: u64) -> rusqlite::Result<()> {
     let most = STEPS + length.saturating_mul(STEPS_PER_BYTE);
     let mut left = most / u64::from(STEPS_COUNTED);
@@ -145,7 +147,7 @@ fn limit_steps(connection: &mut Connection, length: u64) -> rusqlite::Result<()>
 }
 
 impl<'a> Row<'a> {
-    /// Table and first column, for messages.
+    /// Returns the table and the first column, for messages.
     pub(super) fn name(&self) -> String {
         let key = match self.value(0) {
             ValueRef::Blob(bytes) => hex(bytes),
@@ -154,7 +156,7 @@ impl<'a> Row<'a> {
         format!("{} {key}", self.query.table)
     }
 
-    /// A wrong content of this row; `column` is what it stands in.
+    /// Creates an error about the value of a column in this row.
     pub(super) fn wrong(&self, column: usize, expected: &str, found: &str) -> DatasetError {
         let (table, column) = (self.query.table, self.query.columns[column]);
         let column = column.strip_prefix(&format!("{table}.")).unwrap_or(column);
@@ -162,7 +164,7 @@ impl<'a> Row<'a> {
         FileError::content(expected, found, self.path).into()
     }
 
-    /// A key in another table that holds no such row.
+    /// Creates an error about a reference to a missing row of another table.
     pub(super) fn dangling(&self, table: &str, token: &[u8]) -> DatasetError {
         let expected = format!("{table} to hold token {}", hex(token));
         FileError::content(expected, format!("none (referred to by {})", self.name()), self.path).into()
@@ -172,7 +174,7 @@ impl<'a> Row<'a> {
         self.value(column) == ValueRef::Null
     }
 
-    /// A key of bytes.
+    /// Returns a binary key.
     pub(super) fn blob(&self, column: usize) -> Result<&'a [u8], DatasetError> {
         match self.value(column) {
             ValueRef::Blob(bytes) => Ok(bytes),
@@ -187,7 +189,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// Absolute microseconds, not further from 1970 than [`MAX_TIME_US`].
+    /// Returns absolute microseconds, at most [`MAX_TIME_US`] from 1970.
     pub(super) fn time_us(&self, column: usize) -> Result<i64, DatasetError> {
         let t_us = self.integer(column)?;
         if t_us.unsigned_abs() > MAX_TIME_US.unsigned_abs() {
@@ -200,7 +202,7 @@ impl<'a> Row<'a> {
         Ok(t_us)
     }
 
-    /// Any number; SQLite stores whole ones as such in some columns.
+    /// Returns any number; SQLite stores whole numbers as integers in some columns.
     pub(super) fn number(&self, column: usize) -> Result<f64, DatasetError> {
         match self.value(column) {
             ValueRef::Integer(number) => Ok(number as f64),
@@ -209,7 +211,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// Numbers of neighbouring columns.
+    /// Returns the numbers of adjacent columns.
     pub(super) fn numbers<const N: usize>(&self, first: usize) -> Result<[f64; N], DatasetError> {
         let mut numbers = [0.0; N];
         for (i, number) in numbers.iter_mut().enumerate() {
@@ -226,7 +228,8 @@ impl<'a> Row<'a> {
         text.ok_or_else(|| self.wrong(column, "text", &shown(self.value(column))))
     }
 
-    /// A whole number, however it is stored: maps have identifiers as numbers with and without fraction, and as text.
+    /// Returns a whole number of any storage type: maps store identifiers as integers, as floats and as text. `None`
+    /// if empty.
     pub(super) fn identifier(&self, column: usize) -> Result<Option<i64>, DatasetError> {
         let number = match self.value(column) {
             ValueRef::Null => return Ok(None),
@@ -241,12 +244,12 @@ impl<'a> Row<'a> {
     }
 
     fn value(&self, column: usize) -> ValueRef<'a> {
-        // A column that is not in the query is a mistake of ours; it shows as one of the data.
+        // A column outside the query is a bug in this program; it appears as a NULL in the data.
         self.row.get_ref(column).unwrap_or(ValueRef::Null)
     }
 }
 
-/// What stands in a write-ahead log is not in the file yet, and taking it over would write to the file.
+/// Rejects a non-empty write-ahead log. Its rows are not in the file yet, and merging them would modify the file.
 fn refuse_journal(path: &Path) -> Result<(), FileError> {
     let mut journal = path.as_os_str().to_owned();
     journal.push("-wal");
@@ -262,7 +265,7 @@ fn refuse_journal(path: &Path) -> Result<(), FileError> {
     Err(FileError::content(expected, format!("{bytes} bytes in {}", journal.display()), path))
 }
 
-/// Bytes as hexadecimal digits.
+/// Returns bytes as hexadecimal digits.
 pub(super) fn hex(bytes: &[u8]) -> String {
     bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
         // Writing to a string cannot fail.
@@ -271,7 +274,7 @@ pub(super) fn hex(bytes: &[u8]) -> String {
     })
 }
 
-/// A value in a message.
+/// Formats a value for messages.
 fn shown(value: ValueRef<'_>) -> String {
     match value {
         ValueRef::Null => "NULL".to_owned(),

@@ -1,4 +1,4 @@
-//! Frames: every row of `lidar_pc` is one, with the sweep that it names.
+//! Frames: one per row of `lidar_pc`, with the sweep that it references.
 
 use rustc_hash::FxHashMap;
 
@@ -11,23 +11,23 @@ use crate::error::FileError;
 use crate::files::input::is_there;
 use crate::geometry::Pose;
 
-/// A frame without images and boxes.
+/// Frame without images and boxes.
 pub(super) struct Shot {
     pub(super) token: Vec<u8>,
     pub(super) t_us: i64,
     pub(super) global_from_ego: Pose,
-    /// `None` where its file is not there.
+    /// `None` if its file does not exist.
     pub(super) sweep: Option<SweepRecord>,
 }
 
-/// `ego_pose` columns that make a pose, after the token that refers to it.
+/// Pose columns of `ego_pose`. They follow the referencing token and the own token in a query.
 pub(super) const POSE_COLUMNS: [&str; 7] =
     ["ego_pose.x", "ego_pose.y", "ego_pose.z", "ego_pose.qw", "ego_pose.qx", "ego_pose.qy", "ego_pose.qz"];
 
-/// Reads all frames in time order, or those of a scene.
+/// Reads all frames of the log or of a scene, in time order.
 ///
 /// # Errors
-/// Times that do not grow from a row to the one it names as its next, no frame.
+/// Fails if times do not increase from frame to frame or along `next_token`, or if there is no frame.
 pub(super) fn read(
     database: &Database,
     place: &Place,
@@ -57,7 +57,7 @@ pub(super) fn read(
         ORDER BY lidar_pc.timestamp, lidar_pc.token";
     let query = Query { table: "lidar_pc", columns, from };
     let (mut shots, mut missing) = (Vec::new(), 0);
-    // By token its time, by token the token and time of the row before it.
+    // Time by token, and for each `next_token` the token and time of the referencing row.
     let (mut times, mut nexts) = (FxHashMap::default(), Vec::new());
     database.rows(&query, |row| {
         let (token, t_us) = (row.blob(0)?, row.time_us(1)?);
@@ -93,8 +93,8 @@ fn shot(
     Ok(Shot { token, t_us, global_from_ego, sweep })
 }
 
-/// The pose of a joined row of `ego_pose`: at `by` the token that refers to it, then its own token, then
-/// [`POSE_COLUMNS`].
+/// Returns the pose of a joined row of `ego_pose`. Column `by` is the referencing token; `ego_pose.token` and
+/// [`POSE_COLUMNS`] follow.
 pub(super) fn ego_pose(row: &Row<'_>, by: usize, database: &Database) -> Result<Pose, DatasetError> {
     let token = row.blob(by)?;
     if row.is_null(by + 1) {
@@ -103,7 +103,7 @@ pub(super) fn ego_pose(row: &Row<'_>, by: usize, database: &Database) -> Result<
     pose(row, by + 2, &format!("ego_pose {}", hex(token)), database)
 }
 
-/// Times grow, also along the chain of rows.
+/// Checks that times increase from frame to frame and along `next_token`.
 fn check_times(
     shots: &[Shot],
     nexts: &[(Vec<u8>, Vec<u8>, i64)],
@@ -123,7 +123,7 @@ fn check_times(
         }
     }
     for (next, token, t_us) in nexts {
-        // Logs are cut out of longer drives, so the last row may name one that is not there.
+        // Logs are cut from longer recordings, so the last row may reference a missing one.
         if let Some(after) = times.get(next).filter(|after| *after <= t_us) {
             let found = format!("{after} in lidar_pc {} after {t_us} in {}", hex(next), hex(token));
             return content("timestamps that grow along next_token", found);
@@ -132,7 +132,7 @@ fn check_times(
     Ok(())
 }
 
-/// Extrinsics of the LiDARs, by token.
+/// Reads the extrinsics of the LiDARs, by token.
 fn lidars(database: &Database) -> Result<FxHashMap<Vec<u8>, Pose>, DatasetError> {
     let mut lidars = FxHashMap::default();
     let query = Query { table: "lidar", columns: &["token", "translation", "rotation"], from: "FROM lidar" };
@@ -143,7 +143,7 @@ fn lidars(database: &Database) -> Result<FxHashMap<Vec<u8>, Pose>, DatasetError>
     Ok(lidars)
 }
 
-/// Translation and rotation of a sensor on the ego, from two neighbouring columns of pickles.
+/// Returns the extrinsics of a sensor from two adjacent columns of pickles: translation and rotation.
 pub(super) fn extrinsics(row: &Row<'_>, first: usize, database: &Database) -> Result<Pose, DatasetError> {
     let translation = unpickled(row, first, "a pickled list of 3 numbers", pickle::Value::vector)?;
     let rotation = unpickled(row, first + 1, "a pickled list of 4 numbers", pickle::Value::vector)?;
@@ -154,7 +154,7 @@ pub(super) fn extrinsics(row: &Row<'_>, first: usize, database: &Database) -> Re
     })
 }
 
-/// A column with a pickle of an expected shape.
+/// Decodes a pickle column of an expected shape.
 pub(super) fn unpickled<T>(
     row: &Row<'_>,
     column: usize,

@@ -1,6 +1,4 @@
-//! Geometry columns of a GeoPackage: a header, then well-known binary in longitude and latitude.
-//!
-//! Format: <https://www.geopackage.org/spec/#gpb_format>.
+//! Geometry columns of a GeoPackage: a header, then well-known binary (WKB) in longitude and latitude.
 
 use geozero::error::{GeozeroError, Result};
 use geozero::wkb::process_gpkg_geom;
@@ -10,22 +8,22 @@ use glam::DVec2;
 use super::projection::Utm;
 use crate::dataset::Area;
 
-/// What lines and rings of a layer are made of.
+/// Geometry of a feature.
 pub(super) enum Shape {
-    /// A polygon or several.
+    /// One or more polygons.
     Areas(Vec<Area>),
-    /// A line or several.
+    /// One or more lines.
     Lines(Vec<Vec<DVec2>>),
 }
 
-/// Coordinates of the header's system must be these: WGS 84.
+/// Required coordinate system of the header: WGS 84.
 const SRS_ID: i32 = 4326;
 
-/// Decodes a geometry and takes it to a UTM zone; `None` if it is empty. Empty parts of it are left out.
+/// Decodes a geometry and projects it to a UTM zone. `None` if it is empty; empty parts are skipped.
 ///
 /// # Errors
-/// Anything but a line, polygon or several of them, truncated bytes, a ring of fewer than three corners, coordinates that
-/// are no longitude and latitude; the message tells what was found.
+/// Returns a description of the content if it is not lines or polygons, bytes are truncated, a ring has fewer than
+/// three corners, or coordinates are not longitude and latitude.
 pub(super) fn decode(bytes: &[u8], utm: &Utm) -> std::result::Result<Option<Shape>, String> {
     let mut collector = Collector { utm, areas: Vec::new(), lines: Vec::new(), rings: None };
     let mut rest = bytes;
@@ -42,13 +40,13 @@ pub(super) fn decode(bytes: &[u8], utm: &Utm) -> std::result::Result<Option<Shap
     }
 }
 
-/// Hears the parts of a geometry one after the other.
+/// Collects the parts of a geometry from the parser's callbacks.
 struct Collector<'a> {
     utm: &'a Utm,
     areas: Vec<Area>,
-    /// The last is the one being read, whether ring or line.
+    /// The last entry is the ring or line being read.
     lines: Vec<Vec<DVec2>>,
-    /// Within a polygon: its rings.
+    /// Rings of the polygon being read.
     rings: Option<Vec<Vec<DVec2>>>,
 }
 
@@ -72,7 +70,7 @@ impl GeomProcessor for Collector<'_> {
         Ok(())
     }
 
-    // The declared lengths are not believed: bytes end before memory does.
+    // Declared lengths are not trusted for allocation; the input limits the number of points.
     fn linestring_begin(&mut self, _: bool, _: usize, _: usize) -> Result<()> {
         self.lines.push(Vec::new());
         Ok(())
@@ -125,7 +123,7 @@ impl GeomProcessor for Collector<'_> {
         Err(wrong("points"))
     }
 
-    // Collections may nest without end, and curves are none of what is drawn.
+    // Collections may nest without limit, and curves are not supported.
     fn geometrycollection_begin(&mut self, _: usize, _: usize) -> Result<()> {
         Err(wrong("a geometry collection"))
     }

@@ -1,6 +1,6 @@
-//! Images: each frame has the nearest one of every camera.
+//! Images: each frame gets the nearest one of every camera.
 //!
-//! Cameras run at 10 Hz beside a LiDAR of 20 Hz, so an image may serve two frames.
+//! Cameras run at 10 Hz and the LiDAR at 20 Hz, so an image may belong to two frames.
 
 use rustc_hash::FxHashMap;
 
@@ -15,46 +15,46 @@ use crate::files::first_twice;
 use crate::files::input::is_there;
 use crate::geometry::{Camera, Distortion, Pose};
 
-/// How far an image's time may be from its frame's, microseconds: half the time between two images, and
-/// half of that again since their clocks are not quite even.
+/// Maximum time difference between a frame and its image, microseconds: half the image interval, plus half of that
+/// for uneven clocks.
 const TOLERANCE_US: u64 = 75_000;
 
-/// The eight cameras in ring order, each beside its neighbours.
+/// The eight cameras in ring order, each next to its neighbors.
 const RING: [&str; 8] = ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_L2", "CAM_L1", "CAM_L0"];
 
-/// What an image is counted as that no frame comes after, or long before.
+/// Note for images after the last frame, or more than the tolerance outside the frames' time range.
 const OUTSIDE: &str = "images outside of the frames' time";
 
-/// Cameras, and what they saw in each frame.
+/// Cameras, and their images per frame.
 pub(super) struct Seen {
     /// In ring order.
     pub(super) rig: Vec<RigCamera>,
     pub(super) frames: Vec<Pictures>,
 }
 
-/// A frame's images.
+/// Images of a frame.
 #[derive(Clone, Default)]
 pub(super) struct Pictures {
     pub(super) images: Vec<ImageRecord>,
     pub(super) between_images: Vec<ImageRecord>,
 }
 
-/// A row of `camera`.
+/// Row of `camera`.
 struct RawCamera {
     token: Vec<u8>,
     ego_from_camera: Pose,
     camera: Camera,
 }
 
-/// A row of `image`; without a record its file is not there.
+/// Row of `image`; the record is `None` if the file does not exist.
 struct RawImage {
     t_us: i64,
     record: Option<ImageRecord>,
     is_used: bool,
 }
 
-/// Reads the cameras and the images of frames at these times, which grow. `is_whole` says whether these are all frames
-/// of the log, so that images at other times are counted.
+/// Reads the cameras and the images of frames at ascending times. With `is_whole`, the frames are the entire log and
+/// images outside their time range are counted.
 pub(super) fn read(
     database: &Database,
     place: &Place,
@@ -91,7 +91,7 @@ pub(super) fn read(
     Ok(Seen { rig: cameras.into_iter().enumerate().map(rig).collect(), frames })
 }
 
-/// The image nearest to a time, within the tolerance; of two the earlier.
+/// Returns the image nearest to a time, within the tolerance. Ties go to the earlier one.
 fn nearest(images: &mut [RawImage], t_us: i64) -> Option<&mut RawImage> {
     let next = images.partition_point(|image| image.t_us < t_us);
     let near = [next.checked_sub(1), Some(next)].into_iter().flatten().filter(|i| *i < images.len());
@@ -99,7 +99,7 @@ fn nearest(images: &mut [RawImage], t_us: i64) -> Option<&mut RawImage> {
     Some(&mut images[best]).filter(|image| image.t_us.abs_diff(t_us) <= TOLERANCE_US)
 }
 
-/// Cameras in ring order, others behind them by name.
+/// Reads the cameras in ring order; others follow by name.
 fn cameras(database: &Database) -> Result<Vec<RawCamera>, DatasetError> {
     let columns =
         &["token", "translation", "rotation", "channel", "intrinsic", "distortion", "width", "height"];
@@ -122,7 +122,7 @@ fn cameras(database: &Database) -> Result<Vec<RawCamera>, DatasetError> {
     Ok(cameras)
 }
 
-/// Size, intrinsics and distortion of a row of `camera`.
+/// Returns the size, intrinsics and distortion of a row of `camera`.
 fn camera(row: &Row<'_>, database: &Database) -> Result<Camera, DatasetError> {
     let rows = unpickled(row, 4, "a pickled 3x3 matrix", pickle::Value::matrix)?;
     let distortion: [f64; 5] = unpickled(row, 5, "a pickled list of 5 numbers", pickle::Value::vector)?;
@@ -137,12 +137,12 @@ fn camera(row: &Row<'_>, database: &Database) -> Result<Camera, DatasetError> {
     let camera = Camera::new(row.text(3)?, side(6)?, side(7)?, rows).map_err(|source| {
         DatasetError::Camera { source, record: row.name(), path: database.path().to_owned() }
     })?;
-    // The column's order is k1 k2 p1 p2 k3, that of OpenCV.
+    // The column has OpenCV's order, k1 k2 p1 p2 k3.
     Ok(Camera { distortion: Distortion::from_opencv(distortion), ..camera })
 }
 
-/// The images of each camera in time order, so far as they are near enough to the frames; also how many
-/// are not.
+/// Reads the images of each camera in time order, if they are within the tolerance of the frames' time range. Also
+/// returns the number of other images.
 fn images(
     database: &Database,
     place: &Place,
@@ -188,7 +188,7 @@ fn images(
     Ok((images, outside))
 }
 
-/// Where a row's image is; `None` if its file is not there.
+/// Returns the record of a row's image; `None` if the file does not exist.
 fn record(
     row: &Row<'_>,
     channel: usize,
@@ -219,7 +219,7 @@ mod tests {
         assert!(nearest(&mut [], 0).is_none());
     }
 
-    /// Cameras of about 10 Hz beside a LiDAR of 20 Hz, whatever lies between their clocks.
+    /// Cameras at about 10 Hz and a LiDAR at 20 Hz, with any offset between their clocks.
     #[test]
     fn every_frame_has_an_image_though_the_clocks_are_uneven() {
         let mut images: Vec<RawImage> =
@@ -228,7 +228,7 @@ mod tests {
         let frames = |first_us: i64| (0..5).map(move |i| first_us + i * 50_000);
         let even = [0, 0, 101_000, 101_000, 199_000].map(Some);
         assert_eq!(frames(0).map(&mut at).collect::<Vec<_>>(), even);
-        // Half a millisecond later one is 50.4 ms from the image before and 50.6 ms from the next.
+        // With an offset of 0.4 ms, the second frame is 50.4 ms from the image before and 50.6 ms from the next.
         let late = [0, 0, 101_000, 199_000, 199_000].map(Some);
         assert_eq!(frames(400).map(&mut at).collect::<Vec<_>>(), late);
     }

@@ -1,6 +1,6 @@
-//! `map.gpkg`: the HD map of a place, a layer a table.
+//! `map.gpkg`: the HD map of a location, one table per layer.
 //!
-//! A connector's area stands in another layer than its lanes, and the middle of both in a third.
+//! The areas of connectors and of lanes are in different layers, and the centerlines of both are in a third one.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -18,16 +18,16 @@ use crate::error::FileError;
 use crate::files::FileName;
 use crate::files::input::read_table;
 
-/// The index of a folder of maps.
+/// Index file of a folder of maps.
 const INDEX: &str = "nuplan-maps-v1.0.json";
 
-/// An entry of the index.
+/// Entry of the index.
 #[derive(Deserialize)]
 struct IndexEntry {
     version: String,
 }
 
-/// Reads the map of a name; `None` if the index does not have it.
+/// Reads a map by name; `None` if the index does not contain it.
 pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<VectorMap>, DatasetError> {
     let path = folder.join(INDEX);
     let bytes = read_table(&path)?;
@@ -52,7 +52,7 @@ pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<V
     }))
 }
 
-/// The system that the log's coordinates are in.
+/// Reads the projected coordinate system of the log.
 fn utm(database: &Database) -> Result<Utm, DatasetError> {
     const KEY: &str = "projectedCoordSystem";
     let mut found = None;
@@ -68,7 +68,7 @@ fn utm(database: &Database) -> Result<Utm, DatasetError> {
     found.ok_or_else(none)
 }
 
-/// The layers' columns of geometry, quoted.
+/// Returns the quoted geometry column of each layer.
 fn geometry_columns(database: &Database) -> Result<BTreeMap<String, String>, DatasetError> {
     let query = Query {
         table: "gpkg_geometry_columns",
@@ -90,8 +90,8 @@ struct Layers {
 }
 
 impl Layers {
-    /// Hands every feature of a layer to `each`, in order of their ids: the id, the geometry, and further columns as
-    /// identifiers. Features whose geometry is empty are counted instead.
+    /// Passes every feature of a layer to `each`, in order of ids: the id, the geometry, and further columns as
+    /// identifiers. Counts features with an empty geometry instead.
     fn features<const N: usize>(
         &self,
         layer: &str,
@@ -102,7 +102,7 @@ impl Layers {
         let geometry = self.columns.get(layer).ok_or_else(|| {
             FileError::content(format!("layer {layer}"), "none of that name", self.database.path())
         })?;
-        // The rowid is the feature's id, whatever its column is called.
+        // The rowid is the feature id, whatever its column name.
         let columns: Vec<&str> = ["rowid", geometry].into_iter().chain(further).collect();
         let from = format!("FROM {layer} ORDER BY rowid");
         self.database.rows(&Query { table: layer, columns: &columns, from: &from }, |row| {
@@ -129,7 +129,8 @@ impl Layers {
         Ok(all)
     }
 
-    /// Roads outside of junctions, junctions, and what is neither: the layer of that name has only the last.
+    /// Reads roads, intersections, generic drivable areas and car parks. The layer `generic_drivable_areas` alone
+    /// lacks roads and intersections.
     fn drivable_area(&self, notes: &mut Notes) -> Result<Vec<Area>, DatasetError> {
         let mut all = Vec::new();
         for layer in ["lane_groups_polygons", "intersections", "generic_drivable_areas", "carpark_areas"] {
@@ -147,7 +148,7 @@ impl Layers {
         Ok(all)
     }
 
-    /// Lanes and lane connectors, each in order of their ids.
+    /// Reads lanes and lane connectors, each in order of ids.
     fn lanes(&self, notes: &mut Notes) -> Result<(Vec<Lane>, Vec<Lane>), DatasetError> {
         let (mut lanes, mut connectors) = (BTreeMap::new(), BTreeMap::new());
         self.features("lanes_polygons", [], notes, |notes, row, shape, []| {
@@ -190,7 +191,7 @@ impl Layers {
     }
 }
 
-/// Adds a lane of an area; of several parts the largest, of several areas of an id the first.
+/// Adds a lane. Uses the largest part of an area, and the first area of an id.
 fn add_lane(
     lanes: &mut BTreeMap<i64, Lane>,
     id: i64,
@@ -211,10 +212,10 @@ fn add_lane(
     Ok(())
 }
 
-/// The area without its holes, square metres.
+/// Returns the area without holes, square meters.
 fn size_m2(area: &Area) -> f64 {
     let ring = |ring: &Vec<DVec2>| {
-        // About a corner rather than the origin, which is far away.
+        // Relative to a corner, since the coordinate origin is far away.
         let Some(origin) = ring.first() else { return 0.0 };
         let next = ring.iter().cycle().skip(1);
         let twice: f64 = ring.iter().zip(next).map(|(a, b)| (*a - origin).perp_dot(*b - origin)).sum();

@@ -1,9 +1,10 @@
-//! nuPlan: a log is a SQLite database of tables that refer to each other by token; merged sweeps (PCD) and images
-//! (JPEG) lie in a folder, maps (GeoPackage) in another.
+//! nuPlan: a log is a SQLite database of tables linked by tokens. Merged sweeps (PCD) and images (JPEG) are in one
+//! folder, maps (GeoPackage) in another.
 //!
-//! How it works: `place` finds the folders, `database` reads checked rows, `frames`, `images` and `annotations` turn
-//! them into a [`Log`], `map` reads the place's map. Calibration columns are Python pickles, of which `pickle` decodes
-//! lists of numbers and nothing else. Format: <https://nuplan-devkit.readthedocs.io>.
+//! # How it works
+//! `place` finds the folders and `database` reads checked rows. `frames`, `images` and `annotations` convert them to
+//! a [`Log`], and `map` reads the HD map. Calibration columns are Python pickles; `pickle` decodes only lists of
+//! numbers. Format: <https://nuplan-devkit.readthedocs.io>.
 
 mod annotations;
 mod database;
@@ -38,13 +39,14 @@ pub struct NuPlan {
 }
 
 impl NuPlan {
-    /// Reads the tables of a log. The path is its `.db` file, and the scene a name or token of its table `scene`, if not
-    /// all is wanted; or the path is a folder with logs, one of which the scene names, unless there is but one. No sweep
-    /// and no image is opened; those that are not there are left out of their frames and counted.
+    /// Reads the tables of a log. The path is a `.db` file, and the optional scene is a name or token of its table
+    /// `scene`. Or the path is a folder, and the scene names one of its logs; it is optional if there is only one.
+    /// Opens no sweeps or images; missing files are omitted from their frames and counted.
     ///
     /// # Errors
-    /// A file that is no log, tables, columns or tokens that are not there, values of a wrong type, poses, cameras or
-    /// boxes that are none, times that do not grow; several logs and none chosen, an unknown scene.
+    /// Fails if the file is not a log, tables, columns or tokens are missing, or values have a wrong type. Fails if
+    /// poses, cameras or boxes are invalid, or times do not increase. Fails if several logs exist and none is
+    /// selected, or the scene is unknown.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         let locator = place::single(locator)?;
         let place = place::Place::new(&locator)?;

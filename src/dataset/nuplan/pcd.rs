@@ -1,9 +1,8 @@
-//! PCD files: a sweep with a header of text that names its fields, then rows of binary numbers.
+//! PCD files: sweeps with a text header that names the fields, then rows of binary numbers.
 //!
-//! Only `DATA binary` is read. Fields other than coordinates, intensity, ring and `lidar_info` (which of the merged
-//! LiDARs saw a point) are skipped by their sizes. Bytes behind the last point are ignored: in nuPlan's files they are
-//! garbage, mostly zeros.
-//! Format: <https://pointclouds.org/documentation/tutorials/pcd_file_format.html>.
+//! Only `DATA binary` is supported. Fields other than coordinates, intensity, ring and `lidar_info` (device of a
+//! merged sweep) are skipped by their sizes. Bytes after the last point are ignored: in nuPlan's files they are
+//! garbage, mostly zeros. Format: <https://pointclouds.org/documentation/tutorials/pcd_file_format.html>.
 
 use std::io::Read;
 use std::path::Path;
@@ -12,13 +11,13 @@ use crate::dataset::{Sweep, SweepPoint};
 use crate::error::FileError;
 use crate::files::input::{SWEEP_BYTES, open_regular, read_file};
 
-/// Headers are a few hundred bytes.
+/// Maximum header length, bytes; real headers take a few hundred.
 const MAX_HEADER_BYTES: u64 = 1 << 16;
 
-/// Number of points that a PCD file holds, by its header and its length.
+/// Returns the number of points of a PCD file from its header, after checking its length.
 ///
 /// # Errors
-/// As [`read_pcd_file`], but for what stands in the points.
+/// Fails as [`read_pcd_file`], except for errors in the points themselves.
 pub fn check_pcd_file(path: &Path) -> Result<u64, FileError> {
     let (file, length) = open_regular(path)?;
     let mut head = Vec::new();
@@ -28,20 +27,20 @@ pub fn check_pcd_file(path: &Path) -> Result<u64, FileError> {
     Ok(header.points as u64)
 }
 
-/// Reads a PCD file. A point with a coordinate that is NaN or infinite is left out and counted.
+/// Reads a PCD file. Drops and counts points with a NaN or infinite coordinate.
 ///
 /// # Errors
-/// A file that is missing, truncated, compressed or text; a header without `x y z` as 4-byte floats, or whose sizes
-/// contradict each other.
+/// Fails if the file is missing, truncated, compressed or text, its header lacks `x y z` as 4-byte floats, or sizes
+/// in the header contradict each other.
 pub fn read_pcd_file(path: &Path) -> Result<Sweep, FileError> {
     let bytes = read_file(path, SWEEP_BYTES)?;
     parse_pcd(&bytes, path)
 }
 
-/// The same from a file's bytes; `path` is for messages.
+/// Parses the bytes of a PCD file; `path` is for messages.
 ///
 /// # Errors
-/// As [`read_pcd_file`].
+/// Fails as [`read_pcd_file`].
 pub fn parse_pcd(bytes: &[u8], path: &Path) -> Result<Sweep, FileError> {
     let header = Header::parse(&bytes[..bytes.len().min(MAX_HEADER_BYTES as usize)], path)?;
     let end = header.check_length(bytes.len() as u64, path)?;
@@ -64,13 +63,13 @@ pub fn parse_pcd(bytes: &[u8], path: &Path) -> Result<Sweep, FileError> {
     Ok(sweep)
 }
 
-/// What a header says.
+/// Parsed header.
 #[derive(Debug)]
 struct Header {
-    /// Where the points begin.
+    /// Byte offset of the points.
     start: usize,
     points: usize,
-    /// Bytes of a point.
+    /// Bytes per point.
     stride: usize,
     position: [Field; 3],
     intensity: Option<Field>,
@@ -78,7 +77,7 @@ struct Header {
     ring: Option<Field>,
 }
 
-/// A number in a row.
+/// Numeric field of a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Field {
     offset: usize,
@@ -114,7 +113,7 @@ impl Kind {
 }
 
 impl Field {
-    /// The number in a row that is as long as the header's stride.
+    /// Returns the field's value in a row of the header's stride.
     fn number(self, row: &[u8]) -> f64 {
         let rest = row.get(self.offset..).unwrap_or_default();
         let number = match self.kind {
@@ -127,15 +126,15 @@ impl Field {
             Kind::I16 => rest.first_chunk().map(|b| f64::from(i16::from_le_bytes(*b))),
             Kind::I32 => rest.first_chunk().map(|b| f64::from(i32::from_le_bytes(*b))),
         };
-        // Every field was checked to lie within the row.
+        // Every field was validated to lie within the row.
         number.unwrap_or(f64::NAN)
     }
 }
 
-/// Name and place of a field; no place for arrays and unknown types.
+/// Name and layout of a field; no layout for arrays and unknown types.
 type Column<'a> = (&'a str, Option<Field>);
 
-/// The lines of a header, by key.
+/// Header values by key.
 #[derive(Default)]
 struct Lines<'a> {
     fields: Vec<&'a str>,
@@ -177,7 +176,7 @@ impl Header {
         Ok(Self { start, points, stride, position, intensity, device, ring })
     }
 
-    /// Where the points end in a file of this many bytes.
+    /// Returns the end offset of the points, or an error if the file is shorter.
     fn check_length(&self, length: u64, path: &Path) -> Result<usize, FileError> {
         let end = self.points.checked_mul(self.stride).and_then(|bytes| bytes.checked_add(self.start));
         end.filter(|end| *end as u64 <= length).ok_or_else(|| {
@@ -189,7 +188,7 @@ impl Header {
 }
 
 impl<'a> Lines<'a> {
-    /// Sorts the lines up to `DATA`; also where the points begin.
+    /// Parses the lines up to `DATA`. Also returns the byte offset of the points.
     fn split(head: &'a [u8], path: &Path) -> Result<(Self, usize), FileError> {
         let mut lines = Self::default();
         let mut at = 0;
@@ -217,7 +216,7 @@ impl<'a> Lines<'a> {
         Err(FileError::content("a PCD header that ends with DATA binary", found_instead(head, at), path))
     }
 
-    /// Every field, and the bytes of a point.
+    /// Returns all fields and the bytes per point.
     fn columns(&self, path: &Path) -> Result<(Vec<Column<'a>>, usize), FileError> {
         let wrong = || FileError::content("SIZE, TYPE and COUNT for every field", self.layout(), path);
         let ones = vec!["1"; self.fields.len()];
@@ -236,7 +235,7 @@ impl<'a> Lines<'a> {
         Ok((columns, offset))
     }
 
-    /// As a message shows it.
+    /// Formats the layout for messages.
     fn layout(&self) -> String {
         let part = |key: &str, values: &[&str]| format!("{key} {}", values.join(" "));
         let parts = [
@@ -249,7 +248,7 @@ impl<'a> Lines<'a> {
     }
 }
 
-/// The beginning of what stands in the place of a header's line.
+/// Returns the start of the unexpected content, for messages.
 fn found_instead(head: &[u8], at: usize) -> String {
     if head.is_empty() {
         return "an empty file".to_owned();
@@ -268,7 +267,7 @@ mod tests {
     const HEADER: &str = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity lidar_info ring\nSIZE 4 4 4 1 1 1\n\
         TYPE F F F U U U\nCOUNT 1 1 1 1 1 1\nWIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA binary\n";
 
-    /// Two points of the layout above.
+    /// Two points in the layout above.
     fn file() -> Vec<u8> {
         let mut bytes = HEADER.as_bytes().to_vec();
         for (position, rest) in [([1.5_f32, -2.0, 0.25], [200, 0, 63]), ([3.0, 4.0, 5.0], [7, 4, 0])] {
@@ -282,7 +281,7 @@ mod tests {
         parse_pcd(bytes, Path::new("a.pcd"))
     }
 
-    /// The file with some text replaced.
+    /// The file with some header text replaced.
     fn changed(from: &str, to: &str) -> Vec<u8> {
         assert!(HEADER.contains(from));
         [HEADER.replace(from, to).as_bytes(), &file()[HEADER.len()..]].concat()

@@ -1,18 +1,19 @@
-//! Pickles of lists of numbers, as calibration columns hold them. Nothing is ever executed.
+//! Decoder for pickles of numeric lists, as in calibration columns. Nothing is ever executed.
 //!
-//! How it works: nuPlan writes a translation, rotation or intrinsic matrix as a Python pickle (protocol 2 to 5) of a
-//! list, or of a class that is a list. A pickle is a program for a stack machine. Of its instructions only those are
-//! known here that make lists of numbers; a class may be named, but only to make an empty list. Any other
-//! instruction or class is an error. Source: Python's `pickletools`.
+//! # How it works
+//! nuPlan stores a translation, rotation or intrinsic matrix as a Python pickle (protocol 2 to 5) of a list, or of a
+//! list subclass. A pickle is a program for a stack machine. Only the instructions that build lists of numbers are
+//! implemented. A class is accepted only to create an empty list. Any other instruction or class is an error. Source:
+//! Python's `pickletools`.
 
-/// A number or a list.
+/// Number or list.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Value {
     Number(f64),
     List(Vec<Value>),
 }
 
-/// The beginning, for messages.
+/// Formats the first values, for messages.
 impl std::fmt::Display for Value {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         const SHOWN: usize = 9;
@@ -26,7 +27,7 @@ impl std::fmt::Display for Value {
     }
 }
 
-/// Why bytes are no pickle of lists of numbers.
+/// Reason why bytes are not a pickle of numeric lists.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(super) enum PickleError {
     #[error("{0} bytes where at most {MAX_BYTES} are taken")]
@@ -47,21 +48,21 @@ pub(super) enum PickleError {
     Trailing(usize),
 }
 
-/// Real ones have about 160.
+/// Maximum length of a pickle; real ones have about 160 bytes.
 const MAX_BYTES: usize = 4096;
-/// A matrix has two.
+/// Maximum nesting of lists; a matrix has two levels.
 const MAX_DEPTH: usize = 4;
-/// Where the classes are that are known to be lists.
+/// Module of the accepted list classes.
 const MODULE: &str = "nuplan.database.common.data_types";
 const CLASSES: [&str; 3] = ["Translation", "Rotation", "CameraIntrinsic"];
 
 impl Value {
-    /// The numbers of a list of exactly `N`.
+    /// Returns the numbers of a list of exactly `N`.
     pub(super) fn vector<const N: usize>(&self) -> Option<[f64; N]> {
         self.list()?.iter().map(Self::number).collect::<Option<Vec<_>>>()?.try_into().ok()
     }
 
-    /// The rows of a list of lists.
+    /// Returns the rows of a list of lists.
     pub(super) fn matrix<const N: usize, const M: usize>(&self) -> Option<[[f64; M]; N]> {
         self.list()?.iter().map(Self::vector).collect::<Option<Vec<_>>>()?.try_into().ok()
     }
@@ -88,7 +89,7 @@ impl Value {
 /// Decodes a pickle.
 ///
 /// # Errors
-/// Anything but a list of numbers and lists, made by the instructions that nuPlan's pickles have.
+/// Fails if the content is not a list of numbers and lists, or uses instructions that nuPlan's pickles lack.
 pub(super) fn decode(bytes: &[u8]) -> Result<Value, PickleError> {
     if bytes.len() > MAX_BYTES {
         return Err(PickleError::Long(bytes.len()));
@@ -104,7 +105,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Value, PickleError> {
     }
 }
 
-/// What the stack holds.
+/// Item of the machine's stack.
 enum Item {
     Mark,
     Text(String),
@@ -123,8 +124,8 @@ impl Machine<'_> {
     fn step(&mut self, code: u8, at: usize) -> Result<(), PickleError> {
         match code {
             0x80 => self.protocol(),
-            0x95 => self.take::<8>().map(|_| ()), // FRAME: its length only helps those who read from a stream
-            // MEMOIZE, BINPUT, LONG_BINPUT: nothing here asks for what was memoized.
+            0x95 => self.take::<8>().map(|_| ()), // FRAME: its length only helps stream readers
+            // MEMOIZE, BINPUT, LONG_BINPUT: memoized values are never used here.
             0x94 => Ok(()),
             b'q' => self.take::<1>().map(|_| ()),
             b'r' => self.take::<4>().map(|_| ()),
@@ -175,7 +176,7 @@ impl Machine<'_> {
         self.push(Item::Text(text))
     }
 
-    /// STACK_GLOBAL: a module and a class in it.
+    /// STACK_GLOBAL: a module and a class name from the stack.
     fn class(&mut self, at: usize) -> Result<(), PickleError> {
         let (Some(Item::Text(name)), Some(Item::Text(module))) = (self.stack.pop(), self.stack.pop()) else {
             return Err(PickleError::Misplaced("STACK_GLOBAL", at));
@@ -183,7 +184,7 @@ impl Machine<'_> {
         self.known_class(&module, &name)
     }
 
-    /// GLOBAL: the same, each a line behind the instruction.
+    /// GLOBAL: the same, as two lines after the instruction.
     fn class_by_lines(&mut self, at: usize) -> Result<(), PickleError> {
         let (bytes, mut lines) = (self.bytes, [""; 2]);
         for line in &mut lines {
@@ -203,7 +204,7 @@ impl Machine<'_> {
         self.push(Item::Class)
     }
 
-    /// NEWOBJ: the classes that are let through are lists, and are made without arguments.
+    /// NEWOBJ: accepted classes are lists, created without arguments.
     fn new_list(&mut self, at: usize) -> Result<(), PickleError> {
         let (Some(Item::NoArguments), Some(Item::Class)) = (self.stack.pop(), self.stack.pop()) else {
             return Err(PickleError::Misplaced("NEWOBJ", at));
@@ -218,7 +219,7 @@ impl Machine<'_> {
         self.extend("APPEND", at, vec![value])
     }
 
-    /// APPENDS: all since the last mark.
+    /// APPENDS: appends all values since the last mark.
     fn append_all(&mut self, at: usize) -> Result<(), PickleError> {
         let mut values = Vec::new();
         loop {
@@ -233,7 +234,7 @@ impl Machine<'_> {
     }
 
     fn extend(&mut self, name: &'static str, at: usize, values: Vec<Value>) -> Result<(), PickleError> {
-        // Before they are nested: what is nested too deep could not even be dropped.
+        // Check before nesting: dropping a very deep list would overflow the stack.
         if values.iter().any(|value| value.depth() >= MAX_DEPTH) {
             return Err(PickleError::Deep);
         }
@@ -244,7 +245,7 @@ impl Machine<'_> {
         Ok(())
     }
 
-    /// STOP: one list is left, and nothing comes behind.
+    /// STOP: exactly one list must remain, without trailing bytes.
     fn finish(mut self, at: usize) -> Result<Value, PickleError> {
         let left = self.bytes.len() - self.at;
         match (self.stack.pop(), self.stack.pop(), left) {
@@ -259,7 +260,7 @@ fn utf8(bytes: &[u8], at: usize) -> Result<&str, PickleError> {
     str::from_utf8(bytes).map_err(|_| PickleError::Misplaced("text that is no UTF-8", at))
 }
 
-/// Names of the instructions that are refused.
+/// Returns the names of rejected instructions.
 fn opcode_name(code: u8) -> &'static str {
     match code {
         b'0' => "POP",
@@ -319,7 +320,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    // Written by Python's `pickle` with protocols 4, 4, 5.
+    // Created by Python's `pickle` with protocols 4, 4, 5.
     const TRANSLATION: &str = "8004954b000000000000008c216e75706c616e2e64617461626173652e636f6d6d6f6e2e646174615f7479\
         706573948c0b5472616e736c6174696f6e94939429819428473ff80000000000004afeffffff4d2c01652e";
     const INTRINSIC: &str = "80049586000000000000008c216e75706c616e2e64617461626173652e636f6d6d6f6e2e646174615f747970\
@@ -327,7 +328,7 @@ mod tests {
         000000655d9428470000000000000000474098240000000000474081800000000000655d94284b004b004b0165652e";
     const DISTORTION: &str = "80059532000000000000005d942847bfd6cab81f969e3d473fc615f45e0b4e1247bf6172ef0ae53650473f3e\
         68a0d349be9047bfaac8605681ecd5652e";
-    // Another class of the same module, and `os.system("true")` by `__reduce__`.
+    // Another class of the same module, and `os.system("true")` as returned by `__reduce__`.
     const OTHER: &str = "8004953c000000000000008c216e75706c616e2e64617461626173652e636f6d6d6f6e2e646174615f7479706573\
         948c054f74686572949394298194473ff0000000000000612e";
     const REDUCE: &str =
@@ -396,7 +397,7 @@ mod tests {
         assert_eq!(message(&nested), "lists nested deeper than 4");
     }
 
-    /// Every opcode but those that are known is refused, wherever it stands.
+    /// Every unknown opcode is rejected.
     #[test]
     fn known_opcodes_are_few() {
         let known = b"\x80\x95\x94qr()]GJMK\x8cX\x93c\x81ae.";
@@ -422,7 +423,7 @@ mod tests {
             prop_assert!(decode(&bytes).is_err() || bytes.ends_with(b"."));
         }
 
-        /// Mostly known instructions: these get far.
+        /// Mostly known instructions, so decoding gets far.
         #[test]
         fn any_instructions_are_a_list_or_an_error(
             bytes in proptest::collection::vec(

@@ -1,7 +1,7 @@
-//! Where a log and what belongs to it are.
+//! Locations of a log and its sensor and map folders.
 //!
-//! The usual places are those of the downloads: `nuplan-v1.1/splits/SPLIT/LOG.db`, `nuplan-v1.1/sensor_blobs/LOG/..`
-//! and, beside `nuplan-v1.1`, `maps`.
+//! The defaults follow the downloads: `nuplan-v1.1/splits/SPLIT/LOG.db`, `nuplan-v1.1/sensor_blobs/LOG/..` and,
+//! beside `nuplan-v1.1`, `maps`.
 
 use std::path::{Path, PathBuf};
 
@@ -23,23 +23,23 @@ pub const SIMGEN: [&str; 10] = [
     "2021.06.14.16.32.09_veh-35_05038_05402",
 ];
 
-/// Where a log's files are.
+/// File locations of a log.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Place {
-    /// The log.
+    /// Database of the log.
     pub(super) database: PathBuf,
-    /// Folder that the names of sweeps and images begin in.
+    /// Folder that the paths of sweeps and images are relative to.
     pub(super) sensors: DataRoot,
-    /// Folder of maps; `None` where there is none at the usual place.
+    /// Folder of maps; `None` if not given and the default folder does not exist.
     pub(super) maps: Option<PathBuf>,
-    /// Whether the folder of maps was given, so that the log's map must be there.
+    /// Whether the folder of maps was given, so that it must contain the log's map.
     pub(super) needs_map: bool,
 }
 
 impl Place {
-    /// Of a log's file.
+    /// Finds the folders of a log file.
     pub(super) fn new(locator: &LogLocator) -> Result<Self, DatasetError> {
-        // A relative path may begin within the folders that are looked for.
+        // A relative path may start below the folders searched for here.
         let absolute = std::path::absolute(&locator.path).map_err(FileError::io("find", &locator.path))?;
         let root = absolute.ancestors().nth(3).unwrap_or(Path::new("/"));
         locator.check_roots()?;
@@ -54,10 +54,10 @@ impl Place {
     }
 }
 
-/// The logs that a name stands for: a file, all logs of a folder in order of their names, or the named set.
+/// Returns the logs that a locator refers to: a file, all logs of a folder sorted by name, or the named set.
 ///
 /// # Errors
-/// A folder without logs or without some of the set, an unknown `#LOG`, a `@VERSION`.
+/// Fails if a folder has no logs or lacks some of the set, `#LOG` is unknown, or a `@VERSION` is given.
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     let path = &locator.path;
     if let Some(version) = &locator.version {
@@ -84,10 +84,10 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     }
 }
 
-/// The one log that a name stands for.
+/// Returns the only log that a locator refers to.
 ///
 /// # Errors
-/// As [`expand`], and several logs.
+/// Fails as [`expand`], or if there are several logs.
 pub(super) fn single(locator: &LogLocator) -> Result<LogLocator, DatasetError> {
     let mut logs = expand(locator)?;
     match (logs.pop(), logs.is_empty()) {
@@ -105,7 +105,7 @@ fn choose(names: &[String], found: &str, path: &Path) -> DatasetError {
     FileError::content(format!("#LOG to name one of {}", names.join(", ")), found, path).into()
 }
 
-/// Names of the `.db` files of a folder, sorted.
+/// Returns the names of a folder's `.db` files, sorted.
 fn logs_in(folder: &Path) -> Result<Vec<String>, FileError> {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
@@ -121,7 +121,7 @@ fn logs_in(folder: &Path) -> Result<Vec<String>, FileError> {
     Ok(names)
 }
 
-/// The names of the set, all of which are in the folder.
+/// Returns the names of the set after checking that the folder contains all of them.
 fn simgen(folder: &Path) -> Result<Vec<String>, FileError> {
     let (there, missing): (Vec<&str>, Vec<&str>) =
         SIMGEN.iter().partition(|name| is_taken(&folder.join(format!("{name}.db"))));

@@ -1,21 +1,21 @@
-//! Longitude and latitude (WGS 84) to metres of a UTM zone.
+//! Projection of longitude and latitude (WGS 84) to meters of a UTM zone.
 
 use glam::DVec2;
 use proj4rs::Proj;
 use proj4rs::adaptors::transform_xy;
 
-/// EPSG codes of the zones: 1 to 60 after these.
+/// Base EPSG codes; adding the zone number, 1 to 60, gives the code of a zone.
 const NORTH: u32 = 32_600;
 const SOUTH: u32 = 32_700;
 
-/// A UTM zone.
+/// UTM zone.
 pub(super) struct Utm {
     geographic: Proj,
     projected: Proj,
 }
 
 impl Utm {
-    /// Of a name like `epsg:32611`; `None` if it names no UTM zone of WGS 84.
+    /// Creates a zone from a name like `epsg:32611`; `None` if it is not a UTM zone of WGS 84.
     pub(super) fn from_epsg(name: &str) -> Option<Self> {
         let (authority, code) = name.trim().split_once(':')?;
         let code: u32 = code.parse().ok().filter(|_| authority.eq_ignore_ascii_case("epsg"))?;
@@ -29,7 +29,7 @@ impl Utm {
         Some(Self { geographic, projected: Proj::from_proj_string(&utm).ok()? })
     }
 
-    /// Easting and northing of a longitude and latitude in degrees; `None` where the projection is not defined.
+    /// Projects longitude and latitude in degrees to easting and northing; `None` where the projection is undefined.
     pub(super) fn project(&self, degrees: DVec2) -> Option<DVec2> {
         let in_range = degrees.is_finite() && degrees.x.abs() <= 180.0 && degrees.y.abs() <= 90.0;
         let (lon_rad, lat_rad) = (degrees.x.to_radians(), degrees.y.to_radians());
@@ -43,8 +43,8 @@ impl Utm {
 mod tests {
     use super::*;
 
-    /// Numbers of PROJ 9.5.1 (`Transformer.from_crs(4326, epsg, always_xy=True)`): the four places of nuPlan, the south,
-    /// the edge of a zone.
+    /// Reference values from PROJ 9.5.1 (`Transformer.from_crs(4326, epsg, always_xy=True)`): the four nuPlan
+    /// locations, the southern hemisphere, the edge of a zone.
     const EXPECTED: [(u32, [f64; 2], [f64; 2]); 7] = [
         (32_611, [-115.1729, 36.1101], [664451.5679640905, 3997705.8693559715]),
         (32_611, [-115.17272, 36.11027], [664467.4163169947, 3997725.032769178]),

@@ -1,4 +1,4 @@
-//! Tables of a log to a [`Log`].
+//! Conversion of a log's tables to a [`Log`].
 
 use std::collections::BTreeMap;
 
@@ -9,17 +9,17 @@ use crate::dataset::{DatasetError, Frame, Log};
 use crate::error::FileError;
 use crate::geometry::Pose;
 
-/// What a reader left out, by kind.
+/// Number of skipped or missing items by kind.
 pub(super) type Notes = BTreeMap<String, usize>;
 
-/// Counts something that was left out.
+/// Counts skipped items.
 pub(super) fn note(notes: &mut Notes, kind: &str, count: usize) {
     if count > 0 {
         *notes.entry(kind.to_owned()).or_default() += count;
     }
 }
 
-/// Reads a log, or one scene of it; also the name of its map.
+/// Reads a log, or one scene of it. Also returns the name of its map.
 pub(super) fn read(place: &Place, scene: Option<&str>) -> Result<(Log, String), DatasetError> {
     let database = Database::open(&place.database)?;
     let about = About::read(&database)?;
@@ -58,7 +58,7 @@ pub(super) fn read(place: &Place, scene: Option<&str>) -> Result<(Log, String), 
     Ok((log, about.map_name))
 }
 
-/// The log's own row.
+/// Row of the table `log`.
 struct About {
     name: String,
     location: String,
@@ -88,14 +88,14 @@ impl About {
     }
 }
 
-/// A slice of the log.
+/// Row of the table `scene`, a time slice of the log.
 struct Scene {
     token: Vec<u8>,
     name: String,
 }
 
 impl Scene {
-    /// The one of a name or token.
+    /// Finds a scene by name or token.
     fn read(database: &Database, wanted: &str) -> Result<Self, DatasetError> {
         let mut scenes = Vec::new();
         database.rows(&Query { table: "scene", columns: &["token", "name"], from: "FROM scene" }, |row| {
@@ -112,7 +112,7 @@ impl Scene {
     }
 }
 
-/// Quaternion and translation columns of a row as a pose; the quaternion's `w x y z` come last.
+/// Reads a pose from translation and quaternion columns; the quaternion `w x y z` comes last.
 pub(super) fn pose(
     row: &super::database::Row<'_>,
     first: usize,

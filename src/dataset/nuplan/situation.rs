@@ -1,4 +1,4 @@
-//! What the frames show: kinds of situation, and traffic lights.
+//! Scenario tags and traffic lights of the frames.
 
 use std::collections::BTreeMap;
 
@@ -10,18 +10,18 @@ use super::frames::Shot;
 use super::read::{Notes, note};
 use crate::dataset::{DatasetError, TrafficLight};
 
-/// Frames by token; rows may also name frames of other scenes.
+/// Frames by token. Rows may also refer to frames of other scenes.
 struct Frames<'a> {
     database: &'a Database,
     places: FxHashMap<&'a [u8], usize>,
-    /// All of the log, once they are needed.
+    /// Tokens of all frames of the log, loaded on demand.
     all: Option<FxHashSet<Vec<u8>>>,
     notes: &'a mut Notes,
 }
 
 impl Frames<'_> {
-    /// The frame of a token in a row; `None` for one of another scene. Logs are cut out of longer drives, so there may
-    /// be rows of frames that the log does not have; they are counted as `kind`.
+    /// Returns the frame of a token in a row; `None` if it is not among the frames read. Logs are cut from longer
+    /// recordings, so rows may refer to frames missing from the log; these are counted as `kind`.
     fn place(&mut self, row: &Row<'_>, column: usize, kind: &str) -> Result<Option<usize>, DatasetError> {
         let token = row.blob(column)?;
         if let Some(place) = self.places.get(token) {
@@ -36,7 +36,7 @@ impl Frames<'_> {
     }
 }
 
-/// Frames by kind of situation, and what traffic lights showed.
+/// Frames by scenario type, and traffic light states.
 pub(super) type Situation = (BTreeMap<String, Vec<usize>>, Vec<TrafficLight>);
 
 /// Reads `scenario_tag` and `traffic_light_status`.
@@ -56,7 +56,7 @@ pub(super) fn read(
         Ok(())
     })?;
     for list in scenarios.values_mut() {
-        // One tag an agent.
+        // Frames have one tag per agent, so entries repeat.
         list.sort_unstable();
         list.dedup();
     }

@@ -12,11 +12,11 @@ use crate::dataset::{Class, DatasetError, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::Cuboid;
 
-/// Tracks, and per frame its boxes with the number of LiDAR points stated for each.
+/// Tracks, and per frame the boxes with their stated number of LiDAR points.
 pub(super) struct Annotated {
     /// Sorted by id.
     pub(super) tracks: Vec<Track>,
-    /// Sorted by track; both lists have the same length.
+    /// Boxes and point counts per frame, sorted by track; both lists have the same length.
     pub(super) frames: Vec<(Vec<TrackBox>, Vec<u32>)>,
 }
 
@@ -54,7 +54,7 @@ pub(super) fn read(tables: &Path, chain: &Chain) -> Result<Annotated, DatasetErr
     Ok(Annotated { tracks, frames: frames.into_iter().map(|f| f.into_iter().unzip()).collect() })
 }
 
-/// A box: the tables have width, length, height.
+/// Converts an annotation; the tables store width, length, height.
 fn cuboid(table: &Table<Annotation>, annotation: &Annotation) -> Result<Cuboid, DatasetError> {
     let pose = pose(table, annotation, annotation.rotation, annotation.translation)?;
     let [width, length, height] = annotation.size;

@@ -1,36 +1,36 @@
-//! Arc-line paths: how the map expansion writes the middle of a lane.
+//! Arc-line paths: the centerline format of the map expansion.
 //!
-//! A path is an arc, a line or another arc, and a last arc, in the shapes of Dubins' paths: `L` turns left on a
-//! circle of the path's radius, `R` right, `S` goes straight. A lane is several of them, end to end.
+//! A path consists of an arc, a line or another arc, and a final arc, as in Dubins paths. `L` turns left on a circle
+//! of the path's radius, `R` turns right, `S` goes straight. A lane is a sequence of connected paths.
 
 use glam::DVec2;
 
-/// Points of a centerline are at most this far from each other, metres.
+/// Maximum spacing of centerline points, meters.
 const STEP_M: f64 = 0.5;
 
-/// Longest path that is taken, metres: what a damaged length may cost.
+/// Maximum segment length, meters, which limits the cost of a damaged length.
 const MAX_PATH_M: f64 = 1000.0;
 
-/// Points nearer to each other than this are one, metres: paths of a lane meet.
+/// Points closer than this are merged, meters: consecutive paths of a lane share a point.
 const SAME_M: f64 = 1e-3;
 
-/// A written path may miss the points of its line by this, metres.
+/// Tolerance of a written path around the points of its line, meters.
 const FIT_M: f64 = 2e-3;
 
-/// A path as it stands in the file.
+/// Path as stored in the file.
 #[derive(Clone, Debug, serde::Deserialize, serde::Serialize)]
 pub(super) struct ArclinePath {
-    /// x and y (global metres) and yaw (radians).
+    /// x and y (global meters) and yaw (radians).
     start_pose: [f64; 3],
     /// Letters `L`, `S`, `R`.
     shape: String,
-    /// Metres.
+    /// Meters.
     radius: f64,
-    /// Metres.
+    /// Meters.
     segment_length: [f64; 3],
 }
 
-/// A piece of constant curvature.
+/// Segment of constant curvature.
 #[derive(Clone, Copy)]
 struct Segment {
     length_m: f64,
@@ -39,10 +39,10 @@ struct Segment {
 }
 
 impl ArclinePath {
-    /// The three pieces.
+    /// Returns the three segments.
     ///
     /// # Errors
-    /// What is off: a shape of other letters, a radius or a length that cannot be.
+    /// Returns a description of the problem if the shape has other letters, or a radius or length is invalid.
     fn segments(&self) -> Result<[Segment; 3], String> {
         if let Some(length) = self.segment_length.iter().find(|l| !(0.0..=MAX_PATH_M).contains(*l)) {
             return Err(format!("a segment length of {length} m"));
@@ -66,8 +66,8 @@ impl ArclinePath {
     }
 }
 
-/// Straight pieces along a line, each as long as it stays within [`FIT_M`] of the line's points; none of fewer than two
-/// points.
+/// Approximates a line by straight paths, each as long as possible within [`FIT_M`] of the line's points. Empty for
+/// fewer than two points.
 pub(super) fn straight_paths(line: &[DVec2]) -> Vec<ArclinePath> {
     let mut paths = Vec::new();
     let mut first = 0;
@@ -78,7 +78,7 @@ pub(super) fn straight_paths(line: &[DVec2]) -> Vec<ArclinePath> {
         let length_m = along.length();
         if length_m > 0.0 {
             let start_pose = [line[first].x, line[first].y, along.to_angle()];
-            // What nuScenes' own maps have for straight lanes.
+            // Values of straight lanes in nuScenes' own maps.
             let (shape, radius) = ("LSR".to_owned(), 999.999);
             paths.push(ArclinePath { start_pose, shape, radius, segment_length: [0.0, length_m, 0.0] });
         }
@@ -87,7 +87,7 @@ pub(super) fn straight_paths(line: &[DVec2]) -> Vec<ArclinePath> {
     paths
 }
 
-/// Whether points lie along the line from the first to the last, in order, on a path that may be written.
+/// Returns whether points lie in order along the line from the first to the last, and the path length is valid.
 fn is_straight(points: &[DVec2]) -> bool {
     let [first, .., last] = points else { return true };
     let along = (*last - *first).normalize_or_zero();
@@ -96,11 +96,11 @@ fn is_straight(points: &[DVec2]) -> bool {
     first.distance(*last) < MAX_PATH_M && points.iter().all(near) && points.windows(2).all(onward)
 }
 
-/// Points along the paths of a lane, evenly at most [`STEP_M`] apart on each path. The paths' length is taken off what is
-/// left for the whole map.
+/// Samples the paths of a lane, evenly on each path and at most [`STEP_M`] apart. Subtracts the path lengths from
+/// `left_m`, the remaining budget of the whole map.
 ///
 /// # Errors
-/// What is off in a path.
+/// Returns a description of the problem if a path is invalid or the budget is exceeded.
 pub(super) fn centerline(paths: &[ArclinePath], left_m: &mut f64) -> Result<Vec<DVec2>, String> {
     let mut line: Vec<DVec2> = Vec::new();
     for path in paths {
@@ -108,7 +108,7 @@ pub(super) fn centerline(paths: &[ArclinePath], left_m: &mut f64) -> Result<Vec<
         let length_m: f64 = segments.iter().map(|s| s.length_m).sum();
         *left_m -= length_m;
         if *left_m < 0.0 {
-            return Err("more metres of lanes than a file of this size has".to_owned());
+            return Err("more meters of lanes than a file of this size has".to_owned());
         }
         let steps = (length_m / STEP_M).ceil().max(1.0) as u32;
         for step in 0..=steps {
@@ -124,7 +124,7 @@ pub(super) fn centerline(paths: &[ArclinePath], left_m: &mut f64) -> Result<Vec<
     Ok(line)
 }
 
-/// The point this many metres along a path.
+/// Returns the point at an arc length along a path, meters.
 fn point_at([x, y, yaw]: [f64; 3], segments: &[Segment; 3], along_m: f64) -> DVec2 {
     let (mut at, mut yaw, mut left_m) = (DVec2::new(x, y), yaw, along_m);
     for segment in segments {
@@ -133,7 +133,7 @@ fn point_at([x, y, yaw]: [f64; 3], segments: &[Segment; 3], along_m: f64) -> DVe
         at += if segment.curvature == 0.0 {
             DVec2::from_angle(yaw) * s
         } else {
-            // Along the circle whose centre lies to the left (positive curvature) or right.
+            // Along the circle centered to the left (positive curvature) or right.
             DVec2::new(turned.sin() - yaw.sin(), yaw.cos() - turned.cos()) / segment.curvature
         };
         (yaw, left_m) = (turned, left_m - s);
@@ -156,7 +156,7 @@ mod tests {
         centerline(paths, &mut left_m)
     }
 
-    /// A quarter to the left about (0, 10), 5 m up, a quarter to the right about (20, 15).
+    /// A quarter turn left about (0, 10), 5 m straight in +y, a quarter turn right about (20, 15).
     #[test]
     fn quarters_and_a_line_end_where_they_should() {
         let quarter = 10.0 * PI / 2.0;
@@ -182,12 +182,12 @@ mod tests {
         assert_eq!((paths[0].start_pose, paths[0].segment_length), ([0.0, 0.5, 0.0], [0.0, 49.0, 0.0]));
         assert_eq!((paths[1].start_pose, paths[1].segment_length), ([49.0, 0.5, PI / 2.0], [0.0, 4.0, 0.0]));
         assert!(straight_paths(&bent[..1]).is_empty() && straight_paths(&[DVec2::X; 3]).is_empty());
-        // There and back again is no straight piece.
+        // A line that reverses is not one straight path.
         assert_eq!(straight_paths(&[DVec2::ZERO, DVec2::X * 4.0, DVec2::X]).len(), 2);
         assert_eq!(whole(&straight_paths(&line)).unwrap().len(), 99);
     }
 
-    /// Where the first ends the second starts: the point is there once.
+    /// Consecutive paths share a point, which appears once.
     #[test]
     fn paths_of_a_lane_are_joined() {
         let straight = |x: f64| path([x, 1.0, 0.0], "LSL", 999.999, [0.0, 2.0, 0.0]);
@@ -206,6 +206,6 @@ mod tests {
         assert_eq!(wrong("LSR", 1.0, [1.0, 1e9, 0.0]), "a segment length of 1000000000 m");
         assert_eq!(wrong("LSR", 1e-320, [1.0; 3]), "a point that is not finite");
         let many = vec![path([0.0; 3], "SSS", 1.0, [1000.0; 3]); 4];
-        assert!(whole(&many).unwrap_err().starts_with("more metres of lanes"));
+        assert!(whole(&many).unwrap_err().starts_with("more meters of lanes"));
     }
 }

@@ -1,4 +1,4 @@
-//! Which version and which scene.
+//! Selection of version and scene.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use super::tables::{LogRecord, Scene, Table};
 use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
 
-/// The folder of the tables: `root/version`, or the only `root/v1.0-*`.
+/// Returns the folder of the tables: `root/version`, or the only `root/v1.0-*`.
 pub(super) fn version_folder(root: &Path, version: Option<&str>) -> Result<PathBuf, DatasetError> {
     let mut known = Vec::new();
     for entry in std::fs::read_dir(root).map_err(FileError::io("read", root))? {
@@ -30,7 +30,7 @@ pub(super) fn version_folder(root: &Path, version: Option<&str>) -> Result<PathB
     Err(FileError::content(expected, found, root).into())
 }
 
-/// The scene of a name or token, or the only one.
+/// Returns the scene with a name or token, or the only one.
 pub(super) fn choose_scene<'a>(
     scenes: &'a Table<Scene>,
     wanted: Option<&str>,
@@ -45,11 +45,11 @@ pub(super) fn choose_scene<'a>(
     Err(DatasetError::Scene { found: wanted.map(Into::into), scenes: names, path: scenes.path.clone() })
 }
 
-/// The scenes that a name stands for, sorted by name: `#*` all of the version, `#LOCATION` those recorded there, else
-/// the name itself. A scene of that name goes first.
+/// Returns the scenes that a locator refers to, sorted by name. `#*` selects all scenes of the version, `#LOCATION`
+/// those recorded there; otherwise the locator itself is returned. Scene names take precedence over locations.
 ///
 /// # Errors
-/// Tables that are missing or damaged, a `#SCENE` that is neither a scene nor a location.
+/// Fails if tables are missing or damaged, or `#SCENE` is neither a scene nor a location.
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     let Some(wanted) = locator.scene.as_deref() else { return Ok(vec![locator.clone()]) };
     let tables = version_folder(&locator.path, locator.version.as_deref())?;

@@ -1,7 +1,7 @@
-//! Sweeps and images of a scene, sorted into its frames.
+//! Sweeps and images of a scene, grouped by frame.
 //!
-//! Key frames belong to the sample they name. The others belong to the interval that ends with a frame, by their
-//! timestamp; what was recorded after the last frame has no boxes after it and is left out and counted.
+//! Key frames belong to the sample they reference. Other data belongs to the first frame at or after its timestamp.
+//! Data after the last frame has no later boxes, so it is skipped and counted.
 
 use std::path::Path;
 
@@ -15,11 +15,11 @@ use crate::files::input::DataRoot;
 use crate::files::{FileName, first_twice};
 use crate::geometry::{Camera, Pose};
 
-/// The six cameras in ring order, each beside its neighbours.
+/// The six cameras in ring order, each next to its neighbors.
 const RING: [&str; 6] =
     ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_FRONT_LEFT"];
 
-/// The LiDAR whose pose is the frame's.
+/// LiDAR that defines the ego pose of a frame.
 const MAIN_LIDAR: &str = "LIDAR_TOP";
 
 /// Cameras and frames of a scene.
@@ -28,7 +28,7 @@ pub(super) struct Shots {
     pub(super) frames: Vec<Shot>,
 }
 
-/// What was recorded for a frame.
+/// Sensor data and ego pose of a frame.
 #[derive(Debug)]
 pub(super) struct Shot {
     pub(super) global_from_ego: Pose,
@@ -37,14 +37,14 @@ pub(super) struct Shot {
     pub(super) between_images: Vec<ImageRecord>,
 }
 
-/// A sweep on its way into a frame.
+/// Sweep before sorting into a frame.
 struct RawSweep {
     channel: String,
     is_key: bool,
     record: SweepRecord,
 }
 
-/// Sweeps and images of one frame before they are sorted.
+/// Unsorted sweeps and images of one frame.
 #[derive(Default)]
 struct Pile {
     sweeps: Vec<RawSweep>,
@@ -52,7 +52,7 @@ struct Pile {
     between_images: Vec<ImageRecord>,
 }
 
-/// The tables that a sensor's data refers to.
+/// Tables for resolving sensor data.
 struct Sensors {
     data: Table<SampleData>,
     poses: Table<EgoPose>,
@@ -60,7 +60,7 @@ struct Sensors {
     sensors: Table<Sensor>,
 }
 
-/// Reads the data of every sample of the chain.
+/// Reads the sensor data of every sample of the chain.
 pub(super) fn read(
     root: &DataRoot,
     tables: &Path,
@@ -91,7 +91,7 @@ pub(super) fn read(
 }
 
 impl Sensors {
-    /// The sensor and the extrinsics of some data.
+    /// Returns the sensor and the calibration of a data record.
     fn sensor_of(&self, data: &SampleData) -> Result<(&Sensor, &CalibratedSensor), DatasetError> {
         let calibrated =
             self.calibrated.get(&data.calibrated_sensor_token, || format!("sample_data {}", data.token))?;
@@ -99,10 +99,11 @@ impl Sensors {
         Ok((self.sensors.get(&calibrated.sensor_token, by)?, calibrated))
     }
 
-    /// Channels of the scene's cameras: the six of nuScenes around the ring, then others by name.
+    /// Returns the camera channels of the scene: the six of nuScenes in ring order, then others by name.
     ///
     /// # Errors
-    /// Channels that are no names of folders, or differ in case alone.
+    /// Fails if a channel is not a valid folder name, two channels differ only in case, or there are too many
+    /// cameras.
     fn cameras(&self) -> Result<Vec<FileName>, DatasetError> {
         let mut channels: Vec<FileName> = Vec::new();
         for data in &self.data.records {
@@ -125,7 +126,7 @@ impl Sensors {
         Ok(channels)
     }
 
-    /// Puts a sweep or image onto a frame's pile.
+    /// Adds a sweep or image to a frame's data.
     fn add(
         &self,
         pile: &mut Pile,
@@ -179,7 +180,7 @@ impl Sensors {
         Ok(())
     }
 
-    /// Size and intrinsics of an image's camera.
+    /// Returns the camera of an image: size and intrinsics.
     fn camera(
         &self,
         data: &SampleData,
@@ -207,7 +208,7 @@ impl Sensors {
 }
 
 impl Pile {
-    /// Sorts a frame; `None` if neither a sweep nor an image tells where the ego was.
+    /// Sorts a frame; `None` if it has neither a key sweep nor a key image to provide the ego pose.
     fn finish(mut self, cameras: usize, notes: &mut Notes) -> Option<Shot> {
         for channel in 0..cameras {
             if !self.images.iter().any(|i| i.channel == channel) {
@@ -234,7 +235,7 @@ impl Pile {
     }
 }
 
-/// A record's pose.
+/// Returns the pose of a record.
 pub(super) fn pose<R: super::tables::Record>(
     table: &Table<R>,
     record: &R,

@@ -1,7 +1,7 @@
-//! The map expansion: `maps/expansion/LOCATION.json`, layers of polygons and lines whose corners are shared nodes.
+//! Map expansion: `maps/expansion/LOCATION.json`, layers of polygons and lines with shared corner nodes.
 //!
-//! Format: version 1.3 of <https://www.nuscenes.org/nuscenes#map-expansion>. Layers of earlier versions (no lane
-//! connectors, no centerlines) are read too.
+//! Format: version 1.3 of <https://www.nuscenes.org/nuscenes#map-expansion>. Earlier versions (no lane connectors, no
+//! centerlines) are supported too.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -18,10 +18,11 @@ use crate::error::FileError;
 use crate::files::FileName;
 use crate::files::input::{is_there, read_table};
 
-/// The file of a location: below `map_root` if that is given, else below `root/maps`, where it may be missing.
+/// Finds the map file of a location: below `map_root` if given, else below `root/maps`, where it is optional.
 ///
 /// # Errors
-/// None below `map_root`; a location that is no name of a file; something else than a file in its place.
+/// Fails if `map_root` is given and has no such file, the location is not a valid file name, or the path is not a
+/// regular file.
 pub(super) fn find(
     root: &Path,
     map_root: Option<&Path>,
@@ -47,8 +48,8 @@ pub(super) fn find(
 /// Reads the map of a location.
 ///
 /// # Errors
-/// A file that cannot be read or is no map expansion; tokens that are there twice or lead nowhere, areas with fewer
-/// than three corners, a line with a single one, centerlines that are none.
+/// Fails if the file cannot be read or is not a map expansion, or tokens are duplicate or unresolved. Fails if an
+/// area has fewer than three corners, a line has a single point, or a centerline is invalid.
 pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetError> {
     let bytes = read_table(path)?;
     let wrong = |e: serde_json::Error| FileError::content("a map expansion", e.to_string(), path);
@@ -56,7 +57,7 @@ pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetEr
     Ok(Resolver::new(&raw, bytes.len(), path)?.map(location)?)
 }
 
-/// The layers that are read, as they stand in the file.
+/// Layers that are read, as stored in the file.
 #[derive(serde::Deserialize)]
 struct Expansion {
     node: Vec<Node>,
@@ -102,7 +103,7 @@ struct Line {
     node_tokens: Vec<String>,
 }
 
-/// Lane, connector, crossing or stop line.
+/// Record with one polygon: lane, connector, crossing or stop line.
 #[derive(serde::Deserialize)]
 struct Surface {
     token: String,
@@ -126,29 +127,29 @@ struct Connectivity {
     outgoing: Vec<String>,
 }
 
-/// The layer with its lookups.
+/// Map layers with token lookups.
 struct Resolver<'a> {
     raw: &'a Expansion,
     path: &'a Path,
     nodes: FxHashMap<&'a str, DVec2>,
     polygons: FxHashMap<&'a str, &'a Polygon>,
     lines: FxHashMap<&'a str, &'a Line>,
-    /// How long the middles of further lanes may be, metres.
+    /// Remaining budget for the total length of centerlines, meters.
     centerline_left_m: Cell<f64>,
-    /// How many corners further records may take from polygons and lines.
+    /// Remaining budget for corners of referenced polygons and lines.
     corners_left: Cell<usize>,
 }
 
-/// Lanes of a map may be so long together for each byte of its file, metres.
+/// Maximum total lane length per byte of the file, meters.
 const METRES_PER_BYTE: f64 = 8.0;
-/// More, for small files.
+/// Additional lane length, for small files.
 const LANES_M: f64 = 1e4;
 
-/// Records that may share a polygon or line, on average; in nuScenes' maps each has its own.
+/// Maximum number of records per polygon or line, on average; in nuScenes' maps each record has its own.
 const MOST_SHARED: usize = 8;
 
 impl Expansion {
-    /// Corners of all polygons and lines.
+    /// Returns the number of corners of all polygons and lines.
     fn corners(&self) -> usize {
         let hole = |hole: &Hole| hole.node_tokens.len();
         let polygon = |p: &Polygon| p.exterior_node_tokens.len() + p.holes.iter().map(hole).sum::<usize>();
@@ -158,7 +159,7 @@ impl Expansion {
 }
 
 impl<'a> Resolver<'a> {
-    /// Of a file of so many bytes.
+    /// Builds the lookups for a file of `bytes` bytes.
     fn new(raw: &'a Expansion, bytes: usize, path: &'a Path) -> Result<Self, FileError> {
         let nodes = raw.node.iter().map(|n| (n.token.as_str(), DVec2::new(n.x, n.y)));
         let surfaces = raw.lane.iter().chain(&raw.lane_connector);
@@ -237,7 +238,7 @@ impl<'a> Resolver<'a> {
         })
     }
 
-    /// A ring's corners; one that closes it is left out.
+    /// Returns a ring's corners without the closing one.
     fn ring(&self, nodes: &[String], polygon: &Polygon) -> Result<Vec<DVec2>, FileError> {
         let by = || format!("polygon {}", polygon.token);
         let mut ring = self.corners(nodes, by)?;
@@ -247,7 +248,7 @@ impl<'a> Resolver<'a> {
         self.at_least(3, ring, by)
     }
 
-    /// `None` for a line without nodes, which some maps have.
+    /// Returns a divider's line; `None` if it has no nodes, which occurs in some maps.
     fn divider(&self, divider: &Divider) -> Result<Option<Vec<DVec2>>, FileError> {
         let by = || format!("divider {}", divider.token);
         let line = self.lines.get(divider.line_token.as_str());
@@ -290,7 +291,7 @@ impl<'a> Resolver<'a> {
     }
 }
 
-/// Records by token, each of which may be there once.
+/// Indexes records by token. Fails if a token occurs twice.
 fn by_token<'a, T>(
     layer: &str,
     records: impl Iterator<Item = (&'a str, T)>,
@@ -306,7 +307,7 @@ fn by_token<'a, T>(
     Ok(found)
 }
 
-/// An object whose keys are lanes; maps that have none write an empty array.
+/// Deserializes an object keyed by lane. Maps without entries contain an empty array instead.
 fn by_lane<'de, T: Deserialize<'de>, D: Deserializer<'de>>(from: D) -> Result<BTreeMap<String, T>, D::Error> {
     from.deserialize_any(ByLane(PhantomData))
 }

@@ -1,7 +1,8 @@
-//! nuScenes: 13 JSON tables that refer to each other by token, with LiDAR sweeps and camera images beside them.
+//! nuScenes: 13 JSON tables linked by tokens, with LiDAR sweeps and camera images beside them.
 //!
-//! How it works: `tables` holds the raw records, `read` turns those of one scene into a [`Log`], `sweep` reads and
-//! writes `.pcd.bin` files. Format: <https://www.nuscenes.org/nuscenes#data-format>.
+//! # How it works
+//! `tables` defines the raw records, `read` converts those of one scene to a [`Log`], and `sweep` reads and writes
+//! `.pcd.bin` files. Format: <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
 mod arcline;
@@ -29,24 +30,25 @@ use super::{
     Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
 };
 
-/// One scene of a nuScenes data set.
+/// One scene of a nuScenes dataset.
 #[derive(Debug)]
 pub struct NuScenes {
     log: Log,
     box_points: Vec<Vec<u32>>,
     root: PathBuf,
-    /// Folder of maps, if not the usual one.
+    /// Folder of maps, if not the default one.
     map_root: Option<PathBuf>,
 }
 
 impl NuScenes {
-    /// Reads the tables in `PATH/VERSION`. Without a version the only `v1.0-*` folder is taken, without a scene
-    /// the only scene. No sweep, no image and no map is opened.
+    /// Reads the tables in `PATH/VERSION`. Defaults to the only `v1.0-*` folder and to the only scene. Opens no
+    /// sweeps, images or maps.
     ///
     /// # Errors
-    /// Tables that are missing or damaged, tokens that lead nowhere, names of files outside of the folder of sweeps and
-    /// images (unless [`LogLocator::allow_outside`]), cameras whose name is no folder's, poses, cameras or boxes that are none, times
-    /// that do not grow; versions or scenes to choose from and none chosen.
+    /// Fails if tables are missing or damaged, tokens are unresolved, or times do not increase. Fails if file names
+    /// point outside the folder of sweeps and images (unless [`LogLocator::allow_outside`]), or a camera name is not
+    /// a valid folder name. Fails if poses, cameras or boxes are invalid, or if several versions or scenes exist and
+    /// none is selected.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         locator.check_roots()?;
         let tables = choose::version_folder(&locator.path, locator.version.as_deref())?;

@@ -1,4 +1,4 @@
-//! Tables of one scene to a [`Log`].
+//! Conversion of one scene's tables to a [`Log`].
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,23 +11,23 @@ use crate::dataset::{DatasetError, Frame, Log, RigCamera};
 use crate::error::FileError;
 use crate::files::input::DataRoot;
 
-/// What a reader left out, by kind.
+/// Number of skipped or missing items by kind.
 pub(super) type Notes = BTreeMap<String, usize>;
 
-/// Counts something that was left out.
+/// Counts a skipped item.
 pub(super) fn note(notes: &mut Notes, kind: &str) {
     *notes.entry(kind.to_owned()).or_default() += 1;
 }
 
-/// The samples of a scene in time order.
+/// Samples of a scene in time order.
 pub(super) struct Chain {
     /// Timestamp of each sample.
     pub(super) times_us: Vec<i64>,
-    /// Place in the chain by token.
+    /// Index in the chain by token.
     pub(super) place: FxHashMap<String, usize>,
 }
 
-/// Reads the log of a scene, and per frame and box the number of LiDAR points that the tables state.
+/// Reads the log of a scene. Also returns the stated number of LiDAR points per frame and box.
 pub(super) fn read(
     root: &DataRoot,
     tables: &Path,
@@ -37,7 +37,7 @@ pub(super) fn read(
     let scene = choose::choose_scene(&scenes, wanted_scene)?;
     let logs = Table::<LogRecord>::load_all(tables)?;
     let recorded = logs.get(&scene.log_token, || format!("scene {}", scene.token))?;
-    // Nothing of these three goes into a log, but a data set without them is damaged.
+    // These three tables are unused, but a dataset without them is damaged.
     Table::<Attribute>::load_all(tables)?;
     Table::<Visibility>::load_all(tables)?;
     Table::<MapRecord>::load_all(tables)?;
@@ -67,7 +67,7 @@ pub(super) fn read(
     Ok((log, box_points))
 }
 
-/// Follows the samples of a scene from its first one.
+/// Follows the chain of a scene's samples from the first one.
 fn read_chain(tables: &Path, scene: &Scene, notes: &mut Notes) -> Result<Chain, DatasetError> {
     let samples = Table::<Sample>::load_all(tables)?;
     let mut chain = Chain { times_us: Vec::new(), place: FxHashMap::default() };

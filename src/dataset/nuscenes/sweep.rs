@@ -1,4 +1,4 @@
-//! `.pcd.bin`: a sweep as rows of five little-endian `f32`: x, y, z (metres, LiDAR frame), intensity, ring.
+//! `.pcd.bin`: sweeps as rows of five little-endian `f32`: x, y, z (meters, LiDAR frame), intensity, ring.
 
 use std::io::Write;
 use std::path::Path;
@@ -8,23 +8,23 @@ use crate::error::FileError;
 use crate::files::input::{SWEEP_BYTES, read_file};
 use crate::files::write_whole;
 
-/// Bytes of a point in a `.pcd.bin` file.
+/// Bytes per point in a `.pcd.bin` file.
 pub const POINT_BYTES: usize = 20;
 
 /// Reads a `.pcd.bin` file.
 ///
 /// # Errors
-/// A file that is missing, empty, or whose length is not a multiple of [`POINT_BYTES`].
+/// Fails if the file is missing or empty, or its length is not a multiple of [`POINT_BYTES`].
 pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
     let bytes = read_file(path, SWEEP_BYTES)?;
     parse_sweep(&bytes, path)
 }
 
-/// The same from a file's bytes; `path` is for messages. A point with any number that is NaN or infinite is left
-/// out and counted; a ring outside of `u16` is clamped.
+/// Parses the bytes of a `.pcd.bin` file; `path` is for messages. Drops and counts points with a NaN or infinite
+/// number, and clamps rings to `u16`.
 ///
 /// # Errors
-/// No bytes, or a length that is not a multiple of [`POINT_BYTES`].
+/// Fails if the input is empty or its length is not a multiple of [`POINT_BYTES`].
 pub fn parse_sweep(bytes: &[u8], path: &Path) -> Result<Sweep, FileError> {
     check_sweep_len(bytes.len() as u64, path)?;
     let mut sweep = Sweep { points: Vec::with_capacity(bytes.len() / POINT_BYTES), ..Sweep::default() };
@@ -43,16 +43,17 @@ pub fn parse_sweep(bytes: &[u8], path: &Path) -> Result<Sweep, FileError> {
     Ok(sweep)
 }
 
-/// Whether the ring column numbers merged LiDARs rather than beams: no spinning LiDAR has fewer than four beams.
+/// Returns whether the ring column identifies merged LiDARs instead of beams: a spinning LiDAR has at least four
+/// beams.
 fn names_devices(points: &[SweepPoint]) -> bool {
     let last = points.iter().map(|p| p.ring).max();
     last.is_some_and(|last| (1..4).contains(&last))
 }
 
-/// Number of points that a file of this many bytes holds.
+/// Returns the number of points in a file of this many bytes.
 ///
 /// # Errors
-/// Zero, or no multiple of [`POINT_BYTES`].
+/// Fails if the length is zero or not a multiple of [`POINT_BYTES`].
 pub fn check_sweep_len(bytes: u64, path: &Path) -> Result<u64, FileError> {
     if bytes == 0 {
         return Err(FileError::content("at least one point of 20 bytes", "an empty file", path));
@@ -67,7 +68,7 @@ pub fn check_sweep_len(bytes: u64, path: &Path) -> Result<u64, FileError> {
 /// Writes a `.pcd.bin` file.
 ///
 /// # Errors
-/// What the system says.
+/// Fails if the file cannot be written.
 pub fn write_sweep_file(path: &Path, points: &[SweepPoint]) -> Result<(), FileError> {
     write_whole(path, |writer| {
         for point in points {

@@ -1,8 +1,8 @@
-//! The raw tables: what stands in the JSON files, as it stands there.
+//! Raw records of the JSON tables.
 //!
-//! How it works: a table is one JSON array of records. The whole trainval set has tables of a gigabyte, so records
-//! are looked at one by one while the file is parsed and only those that belong to the scene are kept; fields
-//! that nobody reads are skipped by the parser.
+//! # How it works
+//! A table is one JSON array of records. The trainval set has tables of a gigabyte, so records are filtered during
+//! parsing and only those of the scene are retained. The parser skips unused fields.
 
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
@@ -14,16 +14,16 @@ use crate::dataset::{DatasetError, MAX_TIME_US};
 use crate::error::FileError;
 use crate::files::input::read_table;
 
-/// A record of a table.
+/// Record of a table.
 pub(super) trait Record: DeserializeOwned {
     /// Name of the file, without `.json`.
     const TABLE: &'static str;
 
-    /// Its primary key.
+    /// Returns the primary key.
     fn token(&self) -> &str;
 }
 
-/// Absolute microseconds, not further from 1970 than [`MAX_TIME_US`].
+/// Absolute microseconds, at most [`MAX_TIME_US`] from 1970.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TimeUs(pub(super) i64);
 
@@ -37,7 +37,7 @@ impl<'de> Deserialize<'de> for TimeUs {
     }
 }
 
-/// Declares raw records: the table's name and the fields that are read.
+/// Declares raw records: the table name and the fields to read.
 macro_rules! records {
     ($($name:ident in $table:literal { $($field:ident: $type:ty),* $(,)? })*) => {$(
         #[derive(Debug, serde::Deserialize)]
@@ -91,36 +91,37 @@ records! {
     MapRecord in "map" {}
 }
 
-/// Records of a table in the file's order, found by token.
+/// Records of a table in file order, with lookup by token.
 #[derive(Debug)]
 pub(super) struct Table<R> {
     /// The file.
     pub(super) path: PathBuf,
-    /// In the file's order.
+    /// In file order until sorted.
     pub(super) records: Vec<R>,
     by_token: FxHashMap<String, usize>,
 }
 
 impl<R: Record> Table<R> {
-    /// Reads the records that `keep` wants.
+    /// Reads the records accepted by `keep`.
     ///
     /// # Errors
-    /// A file that is missing, is no JSON array of such records, or holds a kept token twice.
+    /// Fails if the file is missing, is not a JSON array of such records, or has duplicate tokens among the retained
+    /// records.
     pub(super) fn load(folder: &Path, keep: impl FnMut(&R) -> bool) -> Result<Self, FileError> {
         let path = folder.join(format!("{}.json", R::TABLE));
         let bytes = read_table(&path)?;
         Self::parse(&bytes, path, keep)
     }
 
-    /// Every record of the table.
+    /// Reads all records of the table.
     ///
     /// # Errors
-    /// As [`Table::load`].
+    /// Fails as [`Table::load`].
     pub(super) fn load_all(folder: &Path) -> Result<Self, FileError> {
         Self::load(folder, |_| true)
     }
 
-    /// The same from a file's bytes; `path` is for messages.
+    /// Parses the bytes of a table; `path` is for messages.
     pub(super) fn parse(
         bytes: &[u8],
         path: PathBuf,
@@ -143,18 +144,18 @@ impl<R: Record> Table<R> {
         Ok(Self { path, records, by_token })
     }
 
-    /// The record of a token; `by` names the record that refers to it.
+    /// Returns the record of a token; `by` names the referring record.
     ///
     /// # Errors
-    /// [`DatasetError::DanglingToken`].
+    /// Returns [`DatasetError::DanglingToken`] if there is none.
     pub(super) fn get(&self, token: &str, by: impl FnOnce() -> String) -> Result<&R, DatasetError> {
         self.position(token, by).map(|i| &self.records[i])
     }
 
-    /// Where in [`Table::records`] a token's record stands.
+    /// Returns the index in [`Table::records`] of a token's record.
     ///
     /// # Errors
-    /// [`DatasetError::DanglingToken`].
+    /// Returns [`DatasetError::DanglingToken`] if there is none.
     pub(super) fn position(&self, token: &str, by: impl FnOnce() -> String) -> Result<usize, DatasetError> {
         self.by_token.get(token).copied().ok_or_else(|| DatasetError::DanglingToken {
             table: R::TABLE,
@@ -164,7 +165,7 @@ impl<R: Record> Table<R> {
         })
     }
 
-    /// Changes the order of the records to that of their tokens.
+    /// Sorts the records by token.
     pub(super) fn sort_by_token(&mut self) {
         self.records.sort_by(|a, b| a.token().cmp(b.token()));
         for (i, record) in self.records.iter().enumerate() {
@@ -173,7 +174,7 @@ impl<R: Record> Table<R> {
     }
 }
 
-/// Walks a JSON array and keeps some of its records.
+/// Visitor that filters the records of a JSON array.
 struct Kept<R, F> {
     keep: F,
     record: PhantomData<R>,

@@ -1,4 +1,4 @@
-//! Any log as a nuScenes data set.
+//! Export of any log as a nuScenes dataset.
 
 use std::path::Path;
 
@@ -16,32 +16,32 @@ use crate::geometry::Pose;
 /// JPEG quality of the images, 1 to 100.
 const QUALITY: u8 = 95;
 
-/// Writes a log as `root/version/*.json` (13 tables), `root/samples` and `root/sweeps`. Reading it back gives the
-/// same log, but for paths, the order of cameras and tracks (by token), and losses of JPEG. Scenarios, traffic lights,
-/// notes and the map are not written: the tables have no place for them. The tables come last.
+/// Writes a log as `root/version/*.json` (13 tables), `root/samples` and `root/sweeps`. Reading it back yields the
+/// same log, except for paths, the order of cameras and tracks (by token), and JPEG losses. Scenarios, traffic
+/// lights, notes and the map are omitted, since the tables cannot represent them. The tables are written last.
 ///
 /// # Errors
-/// The log's own, more than one LiDAR, a camera with lens distortion (the tables cannot tell it), and the system's at
-/// writing.
+/// Returns any error of the log. Fails if a frame has more than one LiDAR, a camera has lens distortion (which the
+/// tables cannot represent), or a file cannot be written.
 pub fn write_log(root: &Path, version: &str, dataset: &dyn Dataset) -> Result<(), DatasetError> {
     LogWriter { version, map: None, frame_done: &|_| () }.write(root, dataset)
 }
 
-/// How a log is written.
+/// Options for writing a log.
 pub struct LogWriter<'a> {
     /// Name of the folder of tables.
     pub version: &'a str,
-    /// What the map holds beyond the log's [`VectorMap`](crate::dataset::VectorMap); `None` to write no map.
+    /// Map content beyond the log's [`VectorMap`](crate::dataset::VectorMap); `None` to write no map.
     pub map: Option<&'a MapLayers>,
-    /// Told after each frame, with its index.
+    /// Progress callback, called after each frame with its index.
     pub frame_done: &'a dyn Fn(usize),
 }
 
 impl LogWriter<'_> {
-    /// As [`write_log`], and the map, if it is asked for and the log has one.
+    /// Writes a log as [`write_log`] does, and also its map, if requested and available.
     ///
     /// # Errors
-    /// As [`write_log`] and [`write_map`](super::write_map()).
+    /// Fails as [`write_log`] and [`write_map`](super::write_map()).
     pub fn write(&self, root: &Path, dataset: &dyn Dataset) -> Result<(), DatasetError> {
         refuse_distortion(dataset.log(), root)?;
         let mut tables = Tables::default();
@@ -109,7 +109,7 @@ fn refuse_distortion(log: &Log, root: &Path) -> Result<(), FileError> {
     }
 }
 
-/// The one LiDAR channel that is written.
+/// The only LiDAR channel that is written.
 const LIDAR: &str = "LIDAR_TOP";
 
 fn make_folders(root: &Path, channel: &str) -> Result<(), FileError> {
@@ -137,7 +137,7 @@ fn write_image(path: &Path, image: &image::RgbImage) -> Result<(), DatasetError>
     })?)
 }
 
-/// How many points of the frame's sweep lie in each box.
+/// Counts the points of the frame's sweep in each box.
 fn points_in_boxes(frame: &Frame, record: &SweepRecord, sweep: &Sweep) -> Vec<usize> {
     let global_from_lidar = record.global_from_ego * record.ego_from_lidar;
     let count = |cuboid: &crate::geometry::Cuboid| {
@@ -151,19 +151,19 @@ fn points_in_boxes(frame: &Frame, record: &SweepRecord, sweep: &Sweep) -> Vec<us
     frame.boxes.par_iter().map(|b| count(&b.cuboid)).collect()
 }
 
-/// In the order of their times.
+/// Sorts items by time.
 fn by_time<T>(items: &[T], t_us: impl Fn(&T) -> i64) -> Vec<&T> {
     let mut sorted: Vec<&T> = items.iter().collect();
     sorted.sort_by_key(|item| t_us(item));
     sorted
 }
 
-/// A token of 32 hexadecimal digits, like nuScenes' own.
+/// Returns a token of 32 hexadecimal digits, like nuScenes' own.
 fn token(kind: Kind, index: usize) -> String {
     format!("{:02x}{index:030x}", kind as u8 + 0xa0)
 }
 
-/// An empty string where there is none, as nuScenes writes the ends of a chain.
+/// Returns the token of a neighbor in a chain; empty at its ends, as in nuScenes.
 fn neighbour(kind: Kind, index: Option<usize>) -> String {
     index.map_or_else(String::new, |i| token(kind, i))
 }
@@ -180,7 +180,7 @@ enum Kind {
     Other,
 }
 
-/// The tables as they grow, in nuScenes' order.
+/// Tables under construction, in nuScenes' layout.
 #[derive(Default)]
 struct Tables {
     tables: std::collections::BTreeMap<&'static str, Vec<Value>>,
@@ -188,7 +188,7 @@ struct Tables {
     last: std::collections::BTreeMap<usize, usize>,
     /// Last file of each sensor.
     last_data: std::collections::BTreeMap<usize, usize>,
-    /// File of the map's picture; empty without a map.
+    /// File name of the map image; empty without a map.
     map_picture: String,
 }
 
@@ -197,7 +197,7 @@ impl Tables {
         self.tables.entry(table).or_default()
     }
 
-    /// What does not depend on frames.
+    /// Adds the records that do not depend on frames.
     fn fixed(&mut self, dataset: &dyn Dataset) {
         let log = dataset.log();
         let (scene, record) = (token(Kind::Other, 0), token(Kind::Other, 1));
@@ -269,7 +269,8 @@ impl Tables {
         }
     }
 
-    /// A file: its row, its ego pose and its calibration. `sensor`: index, extrinsics, intrinsics, height and width.
+    /// Adds a sensor file: its row, ego pose and calibration. `sensor`: index, extrinsics, intrinsics, height and
+    /// width.
     fn data(
         &mut self,
         frame: usize,
@@ -299,7 +300,7 @@ impl Tables {
         }));
     }
 
-    /// The token of a sensor's calibration, which is written once as long as it stays the same.
+    /// Returns the token of a sensor's calibration. Equal calibrations share one record.
     fn calibration(&mut self, sensor: usize, extrinsics: Pose, intrinsics: Value) -> String {
         let row = |token: &str| {
             json!({
@@ -354,7 +355,7 @@ mod tests {
     use crate::dataset::RigCamera;
     use crate::geometry::{Camera, Distortion};
 
-    /// A log of one camera and no frames.
+    /// A log with one camera and no frames.
     struct Bare(Log);
 
     impl Dataset for Bare {

@@ -1,4 +1,4 @@
-//! A map as nuScenes has it: the map expansion, and a picture of where one may drive.
+//! Export of a map in nuScenes' formats: the map expansion, and an image of the drivable and walkable areas.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,48 +15,50 @@ use crate::error::FileError;
 use crate::files::FileName;
 use crate::files::{write_json, write_whole};
 
-/// What the map expansion holds beyond a [`VectorMap`], global metres.
+/// Layers of the map expansion beyond a [`VectorMap`], global meters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MapLayers {
-    /// So many of the first [`VectorMap::dividers`] part directions; the others part lanes of one direction.
+    /// Number of leading [`VectorMap::dividers`] that separate directions; the others separate lanes of one
+    /// direction.
     pub road_dividers: usize,
     /// Sidewalks.
     pub walkways: Vec<Area>,
     /// Parking strips.
     pub carparks: Vec<Area>,
-    /// Roads between junctions, and junctions.
+    /// Roads between intersections, and intersections.
     pub road_segments: Vec<RoadSegment>,
-    /// All lanes of a road in one direction.
+    /// Areas of all lanes of a road in one direction.
     pub road_blocks: Vec<Area>,
 }
 
-/// A piece of road.
+/// Segment of a road.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoadSegment {
-    /// Its area.
+    /// Area of the segment.
     pub area: Area,
-    /// Whether roads cross here.
+    /// Whether it is an intersection.
     pub is_intersection: bool,
 }
 
-/// Side of a pixel of the picture, metres: what the development kit expects.
+/// Pixel size of the map image, meters, as expected by the development kit.
 const PIXEL_M: f64 = 0.1;
-/// Around the map, metres.
+/// Margin beyond the largest x and y, meters.
 const EDGE_M: f64 = 20.0;
-/// Longest side of the picture, metres; the largest of nuScenes' own is 3.7 km.
+/// Maximum side of the map image, meters; the largest of nuScenes' own is 3.7 km.
 const MAX_SIDE_M: f64 = 4000.0;
 
-/// Where the picture of a location lies in a data set.
+/// Returns the path of a location's map image within a dataset.
 pub(super) fn picture_name(location: &str) -> String {
     format!("maps/{location}.png")
 }
 
 /// Writes `maps/expansion/LOCATION.json` (version 1.3) and `maps/LOCATION.png` (white where one may drive or walk)
-/// below a folder. Reading the expansion gives the same map; centerlines become straight pieces within 2 mm of their
-/// points.
+/// below a folder. Reading the expansion yields the same map, except that centerlines become straight pieces within 2
+/// mm of their points.
 ///
 /// # Errors
-/// Coordinates below 0 or over 4 km, which the picture cannot show; a location that is no file's name; the system's.
+/// Fails if areas have coordinates below 0 or the image with its margin would exceed 4 km. Fails if the location is
+/// not a valid file name or a file cannot be written.
 pub fn write_map(root: &Path, map: &VectorMap, layers: &MapLayers) -> Result<(), FileError> {
     let location = &map.location;
     let location = &FileName::new(location).map_err(|error| error.of("location of the map").in_file(root))?;
@@ -68,7 +70,7 @@ pub fn write_map(root: &Path, map: &VectorMap, layers: &MapLayers) -> Result<(),
     write_picture(&root.join(picture_name(location)), map, layers, size_m)
 }
 
-/// Width and height that hold all areas, metres.
+/// Returns the width and height that cover all drivable areas and walkways with a margin, meters.
 fn canvas_m(map: &VectorMap, layers: &MapLayers, path: &Path) -> Result<DVec2, FileError> {
     let areas = map.drivable_area.iter().chain(&layers.walkways);
     let (mut min, mut max) = (DVec2::ZERO, DVec2::ZERO);
@@ -84,7 +86,7 @@ fn canvas_m(map: &VectorMap, layers: &MapLayers, path: &Path) -> Result<DVec2, F
     Ok(size_m)
 }
 
-/// The layers as they grow.
+/// Geometry layers under construction.
 #[derive(Default)]
 struct Layers {
     nodes: Vec<Value>,
@@ -135,7 +137,7 @@ impl Layers {
         layers.into()
     }
 
-    /// Records of one polygon each, with more fields that are the same for all.
+    /// Creates records with one polygon each, plus fields with the same value for all.
     fn areas(&mut self, layer: &str, areas: &[Area], fields: Value) -> Vec<Value> {
         let record = |(i, area): (usize, &Area)| {
             let mut record = fields.clone();
@@ -173,7 +175,7 @@ impl Layers {
         lines.iter().enumerate().map(record).collect()
     }
 
-    /// Adds an area, tells its token.
+    /// Adds an area and returns its token.
     fn polygon(&mut self, area: &Area) -> Value {
         let exterior = self.ring(&area.exterior);
         let holes: Vec<Value> =
@@ -183,7 +185,7 @@ impl Layers {
         token.into()
     }
 
-    /// Adds corners, tells their tokens.
+    /// Adds corners and returns their tokens.
     fn ring(&mut self, corners: &[DVec2]) -> Vec<Value> {
         let node = |corner: &DVec2| {
             let token = format!("node-{}", self.nodes.len());
@@ -220,7 +222,7 @@ fn connectivity(map: &VectorMap) -> Value {
     all_lanes(map).map(entry).collect::<Map<_, _>>().into()
 }
 
-/// White where one may drive or walk; its lower left corner is the origin.
+/// Writes the map image, white where one may drive or walk. The lower left corner is the origin.
 fn write_picture(path: &Path, map: &VectorMap, layers: &MapLayers, size_m: DVec2) -> Result<(), FileError> {
     let [width, height] = (size_m / PIXEL_M).round().to_array().map(|side| side as u32);
     let too_large = || FileError::content("a map that a picture can hold", format!("{size_m} m"), path);

@@ -5,22 +5,22 @@ use serde::{Deserialize, Serialize};
 use super::{NetworkConfig, NetworkError};
 use crate::generate::{Codec, DenoiserError, Latent, LatentShape};
 
-/// What was measured over the data that a network is trained on, per channel of its latents, C of each.
+/// Statistics of the training data, with one value per latent channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Statistics {
-    /// Mean of the images' coefficients.
+    /// Means of the images' coefficients.
     pub means: Vec<f32>,
-    /// Their standard deviation: latents are divided by it.
+    /// Standard deviations of the coefficients, by which latents are divided.
     pub scales: Vec<f32>,
-    /// Standard deviation of what is expected to be left of them by the network: as measured, of what the best linear guess
-    /// from conditions leaves, at most 1; in weights that share of it for which the network was trained,
+    /// Standard deviations of the error that the network is expected to leave. As measured, they are those of the
+    /// best linear guess from conditions, at most 1. In weights they are multiplied by
     /// [`TrainOptions::expected_error`](crate::generate::train::TrainOptions::expected_error).
     pub priors: Vec<f32>,
 }
 
 impl Statistics {
-    /// Whether there are finite numbers for so many channels, and all scales are positive.
+    /// Checks that there is a finite value per channel, and that scales and priors are positive.
     pub(in crate::generate) fn check(&self, channels: usize) -> Result<(), NetworkError> {
         let Self { means, scales, priors } = self;
         for (name, values) in [("means", means), ("scales", scales), ("priors", priors)] {
@@ -36,9 +36,9 @@ impl Statistics {
     }
 }
 
-/// An orthonormal transform of patches: the DCT along y, along x and over the three colors, of levels from 0 to 1. Row
-/// `(a p + ky) p + kx` is coefficient (ky, kx) of color axis `a` (0 is gray), column `(c p + y) p + x` a pixel:
-/// `[C, C]`. Source: Ahmed, Natarajan and Rao, "Discrete Cosine Transform", 1974 (DCT-II).
+/// Returns an orthonormal transform of patches, `[C, C]`: the DCT along y, along x and over the three colors, of
+/// levels from 0 to 1. Row `(a p + ky) p + kx` is coefficient (ky, kx) of color axis `a` (0 is gray), column
+/// `(c p + y) p + x` is a pixel. Source: Ahmed, Natarajan and Rao, "Discrete Cosine Transform", 1974 (DCT-II).
 fn transform(patch: usize) -> Vec<f32> {
     let (space, color) = (cosines(patch), cosines(3));
     let channels = 3 * patch * patch;
@@ -50,7 +50,7 @@ fn transform(patch: usize) -> Vec<f32> {
     (0..channels * channels).map(value).collect()
 }
 
-/// The DCT of `n` values, `[n, n]`, orthonormal.
+/// Returns the orthonormal DCT of `n` values, `[n, n]`.
 fn cosines(n: usize) -> Vec<f64> {
     let value = |i: usize| {
         let (k, x) = ((i / n) as f64, (i % n) as f64);
@@ -60,22 +60,22 @@ fn cosines(n: usize) -> Vec<f64> {
     (0..n * n).map(value).collect()
 }
 
-/// Between images and whitened coefficients of their patches.
+/// Linear codec whose latents are normalized DCT coefficients of patches.
 #[derive(Clone, Debug)]
 pub struct PatchCodec {
     shape: LatentShape,
     patch: usize,
-    /// `[C, C]`.
+    /// Transform of a patch, `[C, C]`.
     transform: Vec<f32>,
     means: Vec<f32>,
     scales: Vec<f32>,
 }
 
 impl PatchCodec {
-    /// Of a network.
+    /// Creates the codec of a network.
     ///
     /// # Errors
-    /// A configuration that does not go together, statistics of another number of channels.
+    /// Returns an error if the configuration is inconsistent, or if the statistics have another number of channels.
     pub fn new(config: &NetworkConfig, statistics: &Statistics) -> Result<Self, NetworkError> {
         config.check_with(statistics)?;
         Ok(Self {
@@ -87,7 +87,7 @@ impl PatchCodec {
         })
     }
 
-    /// Latents of a frame's pixels `[V, H, W]`, RGB, as rows `[V h w, C]`.
+    /// Encodes a frame's pixels `[V, H, W]`, RGB, as rows `[V h w, C]`.
     pub(in crate::generate) fn encode_rows(&self, pixels: &[[u8; 3]]) -> Vec<f32> {
         let LatentShape { channels, height, width, .. } = self.shape;
         let p = self.patch;
@@ -108,7 +108,7 @@ impl PatchCodec {
         rows
     }
 
-    /// The image of a camera from rows of patches `[h w, C]`.
+    /// Decodes the image of a camera from rows of patches `[h w, C]`.
     fn image(&self, rows: &[f32]) -> RgbImage {
         let LatentShape { channels, height, width, .. } = self.shape;
         let p = self.patch;
@@ -160,7 +160,7 @@ impl Codec for PatchCodec {
     }
 }
 
-/// `[V, C, h, w]` as rows `[V h w, C]`.
+/// Reorders `[V, C, h, w]` into rows `[V h w, C]`.
 pub(super) fn rows_of_latent(latent: &Latent) -> Vec<f32> {
     let LatentShape { channels, height, width, .. } = latent.shape();
     let places = height * width;
@@ -174,7 +174,7 @@ pub(super) fn rows_of_latent(latent: &Latent) -> Vec<f32> {
     rows
 }
 
-/// Rows `[V h w, C]` as `[V, C, h, w]`.
+/// Reorders rows `[V h w, C]` into `[V, C, h, w]`.
 pub(super) fn latent_of_rows(shape: LatentShape, rows: &[f32]) -> Latent {
     let LatentShape { channels, height, width, .. } = shape;
     let places = height * width;

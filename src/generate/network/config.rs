@@ -5,17 +5,17 @@ use super::{NetworkError, Statistics};
 use crate::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use crate::generate::{LatentShape, Recipe};
 
-/// Size and shape of the network. It stands in the weights' header.
+/// Dimensions of the network. Stored in the header of the weights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NetworkConfig {
-    /// How its conditions are made; images are of `recipe.size`.
+    /// How its conditions are rendered; images are of `recipe.size`.
     pub recipe: Recipe,
-    /// Cameras, V.
+    /// Number of cameras, V.
     pub cameras: usize,
-    /// Frames of the window that it is trained for, L; it takes fewer, too.
+    /// Number of frames in the training windows, L; the network also accepts fewer.
     pub frames: usize,
-    /// Side of a patch, pixels.
+    /// Side of a patch, pixels, p.
     pub patch: usize,
     /// Width of the tokens, d.
     pub width: usize,
@@ -23,12 +23,12 @@ pub struct NetworkConfig {
     pub head: usize,
     /// Width of the hidden layers, m.
     pub hidden: usize,
-    /// The blocks' attentions, one after the other.
+    /// Kind of attention of each block, in order.
     pub blocks: Vec<Attend>,
 }
 
 impl Default for NetworkConfig {
-    /// 2.1 million parameters: six cameras of 32x56 pixels.
+    /// Configuration with 2.1 million parameters, for six cameras of 32x56 pixels.
     fn default() -> Self {
         use Attend::{Space, Time, Views};
         Self {
@@ -46,11 +46,11 @@ impl Default for NetworkConfig {
 
 /// Channels of the maps of a camera: layout (6), color (3), depth (1 + 8 + 8).
 pub(super) const MAPS: usize = LAYOUT_CHANNELS + POINT_CHANNELS;
-/// What is larger is a mistake, not a configuration.
+/// Maximum of each dimension; rejects mistyped configurations.
 const MOST: usize = 1 << 14;
 
 impl NetworkConfig {
-    /// Size of a frame's latents: `3 p^2` channels, one row and column per patch.
+    /// Latent shape of a frame: `3 p^2` channels, one row and column per patch.
     pub fn shape(&self) -> LatentShape {
         let size = self.recipe.size;
         let patches = |side: u32| side as usize / self.patch.max(1);
@@ -62,15 +62,16 @@ impl NetworkConfig {
         }
     }
 
-    /// Channels of a latent, C.
+    /// Number of channels of a latent, C.
     pub fn channels(&self) -> usize {
         3 * self.patch * self.patch
     }
 
-    /// Whether all of it goes together.
+    /// Validates the configuration.
     ///
     /// # Errors
-    /// Sizes of zero, images that are no whole patches, widths that are no whole heads.
+    /// Returns an error if a dimension is out of range, if images cannot be divided into whole patches, or if the
+    /// width is not a multiple of the head width.
     pub fn check(&self) -> Result<(), NetworkError> {
         let Self { cameras, frames, patch, width, head, hidden, .. } = *self;
         let numbers = [cameras, frames, patch, width, head, hidden, self.blocks.len()];
@@ -94,24 +95,24 @@ impl NetworkConfig {
         Ok(())
     }
 
-    /// As [`NetworkConfig::check`], with what was measured.
+    /// Validates the configuration and its statistics; see [`NetworkConfig::check`].
     pub(in crate::generate) fn check_with(&self, statistics: &Statistics) -> Result<(), NetworkError> {
         self.check()?;
         statistics.check(self.channels())
     }
 
-    /// Tokens of some windows of some frames.
+    /// Returns the token grid of a number of windows and frames.
     pub(super) fn grid(&self, windows: usize, frames: usize) -> Grid {
         let LatentShape { views, height, width, .. } = self.shape();
         Grid { windows, frames, views, height, width }
     }
 
-    /// Numbers of a patch's maps, and of its latent.
+    /// Number of values in a patch's maps, and in its latent.
     pub(in crate::generate) fn maps_and_channels(&self) -> [usize; 2] {
         [self.map_numbers(), self.channels()]
     }
 
-    /// Numbers of a patch's maps.
+    /// Number of values in a patch's maps.
     pub(super) fn map_numbers(&self) -> usize {
         MAPS * self.patch * self.patch
     }

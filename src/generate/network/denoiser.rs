@@ -6,7 +6,7 @@ use super::codec::{latent_of_rows, rows_of_latent};
 use super::{About, Inputs, Model, NetworkConfig, NetworkError, PatchCodec, Statistics, Taken, Weights};
 use crate::generate::{Denoiser, DenoiserError, Frame, FrameConditions, Latent, LatentShape, Recipe};
 
-/// The network, ready to be asked. It tells the velocity of flow matching.
+/// The network as a denoiser; it predicts the velocity of flow matching.
 #[derive(Clone)]
 pub struct Network {
     config: NetworkConfig,
@@ -14,18 +14,18 @@ pub struct Network {
     about: About,
     fingerprint: String,
     model: Model,
-    /// Conditions of the last windows, the latest last, and what was made of them.
+    /// Cache of the last windows' conditions, latest last, with their embeddings.
     remembered: Vec<(Vec<FrameConditions>, Taken)>,
 }
 
-/// Windows that are remembered: a roll asks several times for one, with guidance for two.
+/// Number of cached windows: a roll calls the network several times for one window, with guidance for two.
 const REMEMBERED: usize = 2;
 
 impl Network {
-    /// With weights.
+    /// Creates a network from weights.
     ///
     /// # Errors
-    /// Weights that do not go together.
+    /// Returns an error if the weights are inconsistent.
     pub fn new(weights: Weights) -> Result<Self, NetworkError> {
         let fingerprint = weights.fingerprint()?;
         let Weights { config, statistics, about, parameters } = weights;
@@ -34,59 +34,59 @@ impl Network {
         Ok(Self { config, statistics, about, fingerprint, model, remembered: Vec::new() })
     }
 
-    /// With the weights of a file.
+    /// Reads a network from a file of weights.
     ///
     /// # Errors
-    /// As [`Weights::open`].
+    /// Returns the errors of [`Weights::open`].
     pub fn open(path: &Path) -> Result<Self, NetworkError> {
         Self::new(Weights::open(path)?)
     }
 
-    /// With the weights that come with the program.
+    /// Creates the network that is included in the program.
     ///
     /// # Errors
-    /// As [`Weights::shipped`].
+    /// Returns the errors of [`Weights::shipped`].
     pub fn shipped() -> Result<Self, NetworkError> {
         Self::new(Weights::shipped()?)
     }
 
-    /// With the weights of a file; else with those that come with the program.
+    /// Reads a network from a file of weights, or else creates the one that is included in the program.
     ///
     /// # Errors
-    /// As [`Weights::open`].
+    /// Returns the errors of [`Weights::open`].
     pub fn open_or_shipped(path: Option<&Path>) -> Result<Self, NetworkError> {
         path.map_or_else(Self::shipped, Self::open)
     }
 
-    /// Its size and shape.
+    /// Dimensions of the network.
     pub fn config(&self) -> &NetworkConfig {
         &self.config
     }
 
-    /// How its conditions are made.
+    /// How its conditions are rendered.
     pub fn recipe(&self) -> &Recipe {
         &self.config.recipe
     }
 
-    /// Where its weights come from.
+    /// Provenance of its weights.
     pub fn about(&self) -> &About {
         &self.about
     }
 
-    /// As [`Weights::fingerprint`].
+    /// Hash of its weights, see [`Weights::fingerprint`].
     pub fn fingerprint(&self) -> &str {
         &self.fingerprint
     }
 
-    /// The codec of its latents.
+    /// Returns the codec of its latents.
     ///
     /// # Errors
-    /// None that a network can be made with.
+    /// Never fails: a network has a valid configuration and statistics.
     pub fn codec(&self) -> Result<PatchCodec, NetworkError> {
         PatchCodec::new(&self.config, &self.statistics)
     }
 
-    /// Takes up the conditions of a window, or remembers it.
+    /// Embeds the conditions of a window, or takes the embedding from the cache.
     fn take(&mut self, window: &[Frame<'_, FrameConditions>]) -> Result<Taken, NetworkError> {
         let is_same = |known: &[FrameConditions]| {
             known.len() == window.len()

@@ -1,31 +1,31 @@
 use crate::error::FileError;
 use crate::generate::DenoiserError;
 
-/// Why a network is not made, read, run or trained.
+/// Error of creating, reading, running or training a network.
 #[derive(Debug, thiserror::Error)]
 pub enum NetworkError {
-    /// What it was given does not fit it.
+    /// The input does not fit the network.
     #[error("expected {expected}, found {found}")]
     Input {
-        /// What would do.
+        /// Accepted input.
         expected: String,
-        /// What was given.
+        /// Given input.
         found: String,
     },
-    /// Training left the numbers that can be computed with.
+    /// Training diverged.
     #[error("expected a finite {what} in step {step} of training, found {found}")]
     NotFinite {
-        /// Loss or gradient.
+        /// `loss` or `gradient`.
         what: &'static str,
-        /// Steps done before.
+        /// Number of steps done before.
         step: u64,
-        /// What it is.
+        /// The value found.
         found: f64,
     },
-    /// A file of weights or of training.
+    /// Error of a file of weights or of a checkpoint.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The tensor library.
+    /// Error of the tensor library.
     #[error("tensors: {0}")]
     Tensor(#[from] candle_core::Error),
 }

@@ -6,22 +6,23 @@ use crate::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use crate::generate::frame_conditions::NO_ACTION;
 use crate::generate::{CAMERA_NUMBERS, FrameConditions};
 
-/// Numbers of a patch's ray: its direction in the ego's frame, and sines and cosines of 1, 2, 4 and 8 times it.
+/// Number of values of a patch's ray: its direction in the ego frame, and sines and cosines of 1, 2, 4 and 8 times
+/// it.
 pub(super) const RAY: usize = 3 + 2 * 3 * OCTAVES;
 const OCTAVES: usize = 4;
-/// Numbers of the ego's motion: forward, left, turn, and whether it is known.
+/// Number of values of the ego motion: forward, left, turn, and whether it is known.
 pub(super) const EGO: usize = 4;
-/// What motion is divided by: metres forward, metres to the left, radians; typical of a frame.
+/// Typical ego motion per frame, by which it is divided: meters forward, meters to the left, radians.
 const EGO_SCALES: [f32; 3] = [2.0, 0.5, 0.1];
 
-/// Conditions of windows as rows, R of them: all patches of all cameras, frames and windows.
+/// Conditions of windows as R rows, for all patches of all cameras, frames and windows.
 #[derive(Clone, Debug)]
 pub(in crate::generate) struct Inputs {
     /// Maps of patches, `[R, 26 p^2]`.
     pub(super) maps: Tensor,
     /// Rays of patches, `[R, 27]`.
     pub(super) rays: Tensor,
-    /// The ego's motion of frames, `[B L, 4]`.
+    /// Ego motion of frames, `[B L, 4]`.
     pub(super) ego: Tensor,
 }
 
@@ -31,10 +32,10 @@ impl Inputs {
         &self.maps
     }
 
-    /// Of frames, one after the other.
+    /// Converts the conditions of frames, in order.
     ///
     /// # Errors
-    /// Frames of other sizes or cameras than the configuration's.
+    /// Returns an error if a frame differs from the configuration in size or number of cameras.
     pub(in crate::generate) fn new<'a>(
         config: &NetworkConfig,
         frames: impl Iterator<Item = &'a FrameConditions>,
@@ -53,10 +54,10 @@ impl Inputs {
     }
 }
 
-/// Maps of a frame's patches, `[V h w, 26 p^2]`: layout, color, depth.
+/// Returns the maps of a frame's patches, `[V h w, 26 p^2]`: layout, color, depth.
 ///
 /// # Errors
-/// Maps of another size or other cameras than the configuration's.
+/// Returns an error if the maps differ from the configuration in size or number of cameras.
 fn frame_maps(
     config: &NetworkConfig,
     frame: &FrameConditions,
@@ -79,8 +80,8 @@ fn frame_maps(
     Ok(maps)
 }
 
-/// Patches of planes `[channels, H, W]`, one array after the other: rows `[h w, channels p^2]`, a row in the order (channel,
-/// y, x).
+/// Cuts the planes of arrays `[channels, H, W]` into patches: rows `[h w, channels p^2]`, each in the order
+/// (channel, y, x).
 fn patches(arrays: &[&[f32]], width: usize, pixels: usize, patch: usize) -> Vec<f32> {
     let (down, across) = (pixels / width / patch, width / patch);
     let channels: usize = arrays.iter().map(|array| array.len() / pixels).sum();
@@ -95,14 +96,14 @@ fn patches(arrays: &[&[f32]], width: usize, pixels: usize, patch: usize) -> Vec<
     rows
 }
 
-/// Rays of a camera's patches, `[h w, 27]`, through their centres.
+/// Returns the rays through the centers of a camera's patches, `[h w, 27]`.
 fn camera_rays(config: &NetworkConfig, camera: &[f32; CAMERA_NUMBERS]) -> Vec<f32> {
     let numbers = camera.map(f64::from);
     let [fx, fy, cx, cy] = [12, 13, 14, 15].map(|i| numbers[i]);
     let (down, across) = (config.shape().height, config.shape().width);
     let mut rays = Vec::with_capacity(down * across * RAY);
     for (y, x) in (0..down).flat_map(|y| (0..across).map(move |x| (y, x))) {
-        // In shares of the image's width and height, as the lens is told.
+        // In fractions of the image's width and height, like the camera parameters.
         let right = ((x as f64 + 0.5) / across as f64 - cx) / fx;
         let low = ((y as f64 + 0.5) / down as f64 - cy) / fy;
         let length = (right * right + low * low + 1.0).sqrt();
@@ -119,7 +120,7 @@ fn camera_rays(config: &NetworkConfig, camera: &[f32; CAMERA_NUMBERS]) -> Vec<f3
     rays
 }
 
-/// The ego's motion as the network is told; of a dropped one that it is not known.
+/// Returns the ego motion as network input; zeros, including the known flag, if it was dropped.
 fn ego_numbers(action: [f32; 3]) -> [f32; EGO] {
     if action == [NO_ACTION; 3] {
         return [0.0; EGO];
@@ -148,7 +149,7 @@ mod tests {
         assert_eq!(ego_numbers([-1000.0; 3]), [0.0; 4]);
     }
 
-    /// A camera that looks along the ego's x: right is -y, down is -z.
+    /// The camera looks along the ego's x axis: right is -y, down is -z.
     #[test]
     fn rays_look_where_the_camera_looks() {
         let mut config = NetworkConfig { patch: 4, ..NetworkConfig::default() };
@@ -164,7 +165,8 @@ mod tests {
         assert_eq!(rays.len(), 9 * RAY);
         let ray = |patch: usize| &rays[patch * RAY..][..RAY];
         assert_eq!(ray(4)[..9], [1.0, 0.0, 0.0, 1.0_f32.sin(), 0.0, 0.0, 1.0_f32.cos(), 1.0, 1.0]);
-        // A third of the width to the right at a focal length of the width; a third of the height up at half of it.
+        // Right by a third of the width, with a focal length of the width; up by a third of the height, with half
+        // of it.
         let (right, up) = (1.0 / 3.0, 2.0 / 3.0);
         let length = (1.0_f32 + right * right + up * up).sqrt();
         let expected = [1.0, -right, up].map(|d| d / length);

@@ -1,39 +1,40 @@
-//! What the network is asked at a level of noise, and what its answer means.
+//! Preconditioning of the network: its input and output at a noise level.
 //!
 //! # How it works
-//! A noisy latent is `x = (1-s) x0 + s e`. The conditions of a patch give a guess `mu` of `x0`, which is off by a standard
-//! deviation `p` per channel. With `y = x - (1-s) mu` and `D = (1-s)^2 p^2 + s^2`, the variance of `y`, the best linear
-//! estimate (Wiener, 1949) of `x0` is `mu + a y` with `a = (1-s) p^2 / D`, and what is missing to it has the variance
-//! `c^2 = s^2 p^2 / D`. The network is shown `y / sqrt D` and answers with `F`, what is missing in units of `c`:
-//! `x0 = mu + a y + c F`. So what it is shown and what it is to answer have unit variance at all levels and in all channels,
-//! where the guess is off by `p`: `p` is set to what the trained network is to leave, so in the beginning there is more.
-//! Source: Karras et al., "Elucidating the Design Space of Diffusion-Based Generative Models", 2022, section 5, there for
-//! `mu = 0` and one `p`.
+//! A noisy latent is `x = (1-s) x0 + s e`. The conditions of a patch give a guess `mu` of `x0`, whose error has a
+//! standard deviation `p` per channel. With `y = x - (1-s) mu` and `D = (1-s)^2 p^2 + s^2`, the variance of `y`,
+//! the best linear estimate (Wiener, 1949) of `x0` is `mu + a y` with `a = (1-s) p^2 / D`. Its error has the
+//! variance `c^2 = s^2 p^2 / D`. The network's input is `y / sqrt D`, and its output `F` is that error in units of
+//! `c`: `x0 = mu + a y + c F`. Input and target output therefore have unit variance at all levels and in all
+//! channels where the error of the guess is `p`. `p` is set to the expected error of the trained network, so the
+//! variance is larger at the beginning of training. Source: Karras et al., "Elucidating the Design Space of
+//! Diffusion-Based Generative Models", 2022, section 5, for `mu = 0` and a single `p`.
 
 use candle_core::{Device, Result, Tensor};
 
-/// Levels of noise below which a velocity is as of this one: nothing is divided by 0.
+/// Minimum noise level in the computation of velocities; prevents division by 0.
 const SIGMA_MIN: f32 = 0.005;
 
-/// The factors of frames (F) and channels (C). Latents are rows `[R, C]`, `R / F` after one another of a frame.
+/// Preconditioning factors of frames (F) and channels (C). Latents are rows `[R, C]`; each frame has `R / F`
+/// consecutive rows.
 #[derive(Debug)]
 pub(in crate::generate) struct Levels<'a> {
     sigmas: &'a [f32],
     priors: &'a [f32],
 }
 
-/// `D`.
+/// Returns `D`, the variance of `y`.
 fn variance(s: f64, p: f64) -> f64 {
     (1.0 - s).powi(2) * p * p + s * s
 }
 
 impl<'a> Levels<'a> {
-    /// Of frames with noise `sigmas [F]` and channels whose guess is off by `priors [C]`.
+    /// Creates the factors for frames with noise `sigmas [F]` and channels whose guess has errors `priors [C]`.
     pub(in crate::generate) fn new(sigmas: &'a [f32], priors: &'a [f32]) -> Self {
         Self { sigmas, priors }
     }
 
-    /// A factor per frame and channel, `[F, 1, C]`.
+    /// Returns a factor per frame and channel, `[F, 1, C]`.
     fn factors(&self, of: impl Fn(f64, f64) -> f64) -> Result<Tensor> {
         let of = |s: &f32, p: &f32| of(f64::from(*s), f64::from(*p)) as f32;
         let values: Vec<f32> = self
@@ -45,7 +46,7 @@ impl<'a> Levels<'a> {
         Tensor::from_vec(values, (self.sigmas.len(), 1, self.priors.len()), &Device::Cpu)
     }
 
-    /// Rows times a factor per frame and channel.
+    /// Multiplies rows by a factor per frame and channel.
     fn times(&self, rows: &Tensor, of: impl Fn(f64, f64) -> f64) -> Result<Tensor> {
         let (count, channels) = rows.dims2()?;
         let frames = self.sigmas.len();
@@ -53,17 +54,17 @@ impl<'a> Levels<'a> {
         scaled.reshape((count, channels))
     }
 
-    /// `y`, of rows `x` and `mu`.
+    /// Returns `y` of rows `x` and `mu`.
     fn residual(&self, noisy: &Tensor, guess: &Tensor) -> Result<Tensor> {
         noisy - self.times(guess, |s, _| 1.0 - s)?
     }
 
-    /// `y / sqrt D`, what the network is shown.
+    /// Returns `y / sqrt D`, the network's input.
     pub(in crate::generate) fn shown(&self, noisy: &Tensor, guess: &Tensor) -> Result<Tensor> {
         self.times(&self.residual(noisy, guess)?, |s, p| 1.0 / variance(s, p).sqrt())
     }
 
-    /// `mu + a y + c F`, the clean latent.
+    /// Returns `mu + a y + c F`, the clean latent.
     pub(in crate::generate) fn clean(
         &self,
         noisy: &Tensor,
@@ -75,8 +76,9 @@ impl<'a> Levels<'a> {
         (guess + known)? + missing
     }
 
-    /// The `F` for which [`Levels::clean`] is `x0`, of `x = (1-s) x0 + s e`: `(s (x0 - mu) / p - (1-s) p e) / sqrt D`, which
-    /// is `(x0 - mu - a y) / c` without the difference of what is nearly the same.
+    /// Returns the target `F`, for which [`Levels::clean`] is `x0` if `x = (1-s) x0 + s e`:
+    /// `(s (x0 - mu) / p - (1-s) p e) / sqrt D`. This equals `(x0 - mu - a y) / c` without the cancellation of
+    /// nearly equal terms.
     pub(in crate::generate) fn answer(
         &self,
         clean: &Tensor,
@@ -88,7 +90,7 @@ impl<'a> Levels<'a> {
         off - noise
     }
 
-    /// The velocity `(x - x0) / s` that leads to a clean latent.
+    /// Returns the velocity `(x - x0) / s` that leads to a clean latent.
     pub(in crate::generate) fn velocity(&self, noisy: &Tensor, clean: &Tensor) -> Result<Tensor> {
         self.times(&(noisy - clean)?, |s, _| 1.0 / s.max(f64::from(SIGMA_MIN)))
     }
@@ -141,14 +143,14 @@ mod tests {
         let scaled = rows(|i| PRIORS[i % 3] * (2.0 * i as f32).sin());
         assert!(off(&noise.clean(&noisy, &guess, &answer).unwrap(), &(&guess + scaled).unwrap()) < 1e-6);
         assert!(off(&noise.shown(&noisy, &guess).unwrap(), &noisy) < 1e-6);
-        // The other level tells another frame's rows from these.
+        // Each frame's rows use the level of that frame.
         let both = Levels::new(&[1.0, 1e-5], &PRIORS).clean(&noisy, &guess, &answer).unwrap();
         assert!(off(&both.narrow(0, 2, 2).unwrap(), &noisy.narrow(0, 2, 2).unwrap()) < 1e-4);
         assert!(off(&both, &noisy) > 0.1);
     }
 
-    /// Over many values whose guess is off by `p`, both what is shown and what is asked for have unit variance, and they
-    /// are not correlated: no linear share is left to learn.
+    /// If the error of the guess is `p`, input and target have unit variance and are not correlated: no linear
+    /// relation is left to learn.
     #[test]
     fn question_and_answer_have_unit_variance() {
         use crate::generate::{GaussianNoise, LatentShape, NoiseSource};

@@ -1,12 +1,13 @@
 //! A small diffusion transformer on the CPU, and the linear codec of its latents.
 //!
 //! # How it works
-//! [`PatchCodec`] makes a latent of every patch of an image; its channels have mean 0 and variance 1 over the images that the
-//! network was trained on ([`Statistics`]). `inputs` makes rows of numbers of [`FrameConditions`](super::FrameConditions), a
-//! row per patch. `model` is the transformer over all patches of all cameras and frames of a window; `kernels` and `ops` are
-//! its parts that the tensor library has not, or not fast enough. `levels` says what it is asked and what its answer
-//! means at a level of noise: the conditions alone give a first guess, the transformer what is missing to it.
-//! [`Weights`] is all of it in one file, [`Network`] the [`Denoiser`](super::Denoiser) that runs it.
+//! [`PatchCodec`] encodes every patch of an image into a latent, whose channels have mean 0 and variance 1 over the
+//! training images ([`Statistics`]). `inputs` turns [`FrameConditions`](super::FrameConditions) into rows of
+//! numbers, one per patch. `model` is the transformer over all patches of all cameras and frames of a window.
+//! `kernels` and `ops` implement operations that the tensor library lacks or runs too slowly. `levels` defines the
+//! network's input and output at a noise level: the conditions alone give a first guess, and the transformer
+//! predicts the remainder. [`Weights`] holds all of it in one file, and [`Network`] is the
+//! [`Denoiser`](super::Denoiser) that runs it.
 
 mod codec;
 mod config;

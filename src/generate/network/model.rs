@@ -9,15 +9,16 @@ use super::inputs::{EGO, RAY};
 use super::kernels::{Grid, Mix};
 use super::{Inputs, Levels, NetworkConfig, NetworkError, Statistics, ops};
 
-/// Waves that a level of noise is told in.
+/// Number of frequencies in the encoding of a noise level.
 const WAVES: usize = 32;
-/// Share of a block's result that is added at the beginning of training.
+/// Initial value of the blocks' gates.
 const FIRST_GATE: f32 = 0.1;
 
-/// The transformer: a token is a patch of a camera of a frame. A block is one attention and one hidden layer side by side,
-/// behind one norm: `x + gate W_out [attention(q, k, v), gelu(hidden)]` with `[q, k, v, hidden] = W_in norm(x)`; gate and
-/// norm are modulated per frame by level of noise and the ego's motion. Sources: Peebles and Xie, "Scalable Diffusion
-/// Models with Transformers", 2023; Chen et al., "Diffusion Forcing", 2024 (a level per frame).
+/// The transformer; a token is a patch of a camera of a frame. A block computes one attention and one hidden layer
+/// in parallel after a shared norm: `x + gate W_out [attention(q, k, v), gelu(hidden)]` with
+/// `[q, k, v, hidden] = W_in norm(x)`. Gate and norm are modulated per frame by the noise level and the ego motion.
+/// Sources: Peebles and Xie, "Scalable Diffusion Models with Transformers", 2023; Chen et al., "Diffusion Forcing",
+/// 2024 (a level per frame).
 #[derive(Clone, Debug)]
 pub(in crate::generate) struct Model {
     config: NetworkConfig,
@@ -25,19 +26,19 @@ pub(in crate::generate) struct Model {
     parameters: BTreeMap<String, Tensor>,
 }
 
-/// Conditions of windows as the network takes them up: the same for all levels of noise.
+/// Embedded conditions of windows; the same for all noise levels.
 #[derive(Clone, Debug)]
 pub(in crate::generate) struct Taken {
     grid: Grid,
-    /// `[R, d]`.
+    /// Tokens of the conditions, `[R, d]`.
     tokens: Tensor,
-    /// `[R, C]`, the latent that patches alone tell.
+    /// First guess of the latents, from the maps of each patch alone, `[R, C]`.
     guess: Tensor,
-    /// `[B L, d]`.
+    /// Embedded ego motion, `[B L, d]`.
     ego: Tensor,
 }
 
-/// A parameter: a matrix `[out, in]` or a vector, and how far its values spread at first.
+/// A parameter: a matrix `[out, in]` or a vector, with the standard deviation of its initial values.
 struct Parameter {
     name: String,
     shape: Vec<usize>,
@@ -56,7 +57,7 @@ fn parameters(config: &NetworkConfig) -> Vec<Parameter> {
     };
     let mut all = vec![
         parameter("latent.in", &[d, channels], of(channels)),
-        // Neighbouring pixels of a map are much alike.
+        // Neighboring pixels of a map are strongly correlated.
         parameter("maps.in", &[d, maps], 2.0 * of(maps)),
         parameter("maps.guess", &[channels, maps], 0.0),
         parameter("maps.guess_bias", &[channels], 0.0),
@@ -80,24 +81,24 @@ fn parameters(config: &NetworkConfig) -> Vec<Parameter> {
     all
 }
 
-/// Names and shapes of the parameters.
+/// Returns names and shapes of the parameters.
 pub(in crate::generate) fn shapes(config: &NetworkConfig) -> Vec<(String, Vec<usize>)> {
     parameters(config).into_iter().map(|parameter| (parameter.name, parameter.shape)).collect()
 }
 
-/// A linear guess of latents from the maps of their patches; training goes on from it.
+/// A linear guess of latents from the maps of their patches; the starting point of training.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FirstGuess {
-    /// `[C, 26 p^2]`; a column per layout, color or depth channel and pixel of a patch.
+    /// Matrix `[C, 26 p^2]`, with a column per layout, color or depth channel and pixel of a patch.
     pub matrix: Vec<f32>,
-    /// `[C]`.
+    /// Bias `[C]`.
     pub bias: Vec<f32>,
 }
 
-/// Parameters before training.
+/// Creates the initial parameters.
 ///
 /// # Errors
-/// A guess of another size than the configuration's; the tensor library's.
+/// Returns an error if the guess does not fit the configuration, or any error of the tensor library.
 pub(in crate::generate) fn fresh(
     config: &NetworkConfig,
     guess: &FirstGuess,
@@ -128,7 +129,7 @@ pub(in crate::generate) fn fresh(
     parameters(config).into_iter().map(make).collect()
 }
 
-/// Waves of levels, `[F, 64]`.
+/// Returns the sinusoidal encoding of noise levels, `[F, 64]`.
 fn waves(sigmas: &[f32]) -> Result<Tensor> {
     let wave = |sigma: f32, wave: usize| {
         let angle = sigma * 0.5 * 200.0_f32.powf(wave as f32 / (WAVES - 1) as f32);
@@ -139,10 +140,10 @@ fn waves(sigmas: &[f32]) -> Result<Tensor> {
 }
 
 impl Model {
-    /// With these parameters, which are not copied.
+    /// Creates a model that shares the given parameters.
     ///
     /// # Errors
-    /// A configuration that does not go together; parameters that are missing or have other shapes.
+    /// Returns an error if the configuration is inconsistent, or if parameters are missing or have other shapes.
     pub(in crate::generate) fn new(
         config: &NetworkConfig,
         statistics: &Statistics,
@@ -158,7 +159,7 @@ impl Model {
         Ok(Self { config: config.clone(), priors: statistics.priors.clone(), parameters })
     }
 
-    /// Its factors for levels of frames.
+    /// Returns the preconditioning factors for the noise levels of frames.
     pub(in crate::generate) fn levels<'a>(&'a self, sigmas: &'a [f32]) -> Levels<'a> {
         Levels::new(sigmas, &self.priors)
     }
@@ -175,7 +176,7 @@ impl Model {
         self.linear(x, name)?.broadcast_add(self.parameter(&format!("{name}_bias"))?)
     }
 
-    /// Takes up the conditions of windows of so many frames.
+    /// Embeds the conditions of windows of `frames` frames each.
     pub(in crate::generate) fn take(&self, inputs: &Inputs, windows: usize, frames: usize) -> Result<Taken> {
         let grid = self.config.grid(windows, frames);
         let (d, patches) = (self.config.width, grid.height * grid.width);
@@ -190,7 +191,8 @@ impl Model {
         Ok(Taken { grid, tokens, guess, ego })
     }
 
-    /// What is missing to the guess, `[R, C]` in units of [`Levels`], in noisy latents `[R, C]` with noise `sigmas [B L]`.
+    /// Returns the network's output for noisy latents `[R, C]` with noise `sigmas [B L]`: the error of the linear
+    /// estimate, `[R, C]`, in the units of [`Levels`].
     pub(in crate::generate) fn answer(
         &self,
         noisy: &Tensor,
@@ -202,7 +204,7 @@ impl Model {
         let frame = (self.linear(&level, "level.b")? + &taken.ego)?.silu()?;
         let modulation = self.biased(&frame, "modulation")?;
         let part = |first: usize, count: usize| modulation.narrow(1, first * d, count * d)?.contiguous();
-        // The guess is learned from what it leaves to be answered, not through what is shown.
+        // No gradient through the input: the guess is trained through the target output only.
         let shown = self.levels(sigmas).shown(noisy, &taken.guess.detach())?;
         let mut x = (self.linear(&shown, "latent.in")? + &taken.tokens)?;
         for (block, &attend) in self.config.blocks.iter().enumerate() {
@@ -221,7 +223,7 @@ impl Model {
         self.linear(&ops::norm_modulate(&x, &part(3 * blocks, 2)?)?, "out")
     }
 
-    /// The velocity, `[R, C]`, of noisy latents `[R, C]` with noise `sigmas [B L]`.
+    /// Returns the velocity, `[R, C]`, of noisy latents `[R, C]` with noise `sigmas [B L]`.
     pub(in crate::generate) fn velocity(
         &self,
         noisy: &Tensor,
@@ -235,7 +237,7 @@ impl Model {
 }
 
 impl Taken {
-    /// The latent that patches of conditions alone tell, `[R, C]`.
+    /// First guess of the latents, from the maps of each patch alone, `[R, C]`.
     pub(in crate::generate) fn guess(&self) -> &Tensor {
         &self.guess
     }

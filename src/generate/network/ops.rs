@@ -1,4 +1,4 @@
-//! The kernels as operations of the tensor library, with gradients.
+//! The kernels as differentiable operations of the tensor library.
 
 use candle_core::{
     CpuStorage, CustomOp1, CustomOp2, CustomOp3, Device, Layout, Result, Shape, Storage, Tensor, bail,
@@ -6,13 +6,13 @@ use candle_core::{
 
 use super::kernels::{self, Mix};
 
-/// The numbers of a tensor that lie one after the other.
+/// Returns the values of a contiguous tensor.
 fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
     let Some((begin, end)) = layout.contiguous_offsets() else { bail!("expected a contiguous tensor") };
     Ok(&storage.as_slice::<f32>()?[begin..end])
 }
 
-/// Lends the numbers of tensors to `f`.
+/// Calls `f` with the values of tensors.
 fn lend<R>(tensors: &[&Tensor], f: impl FnOnce(&[&[f32]]) -> R) -> Result<R> {
     let tensors = tensors.iter().map(|tensor| tensor.contiguous()).collect::<Result<Vec<_>>>()?;
     let guards: Vec<_> = tensors.iter().map(Tensor::storage_and_layout).collect();
@@ -28,17 +28,18 @@ fn like(tensor: &Tensor, values: Vec<f32>) -> Result<Tensor> {
     Tensor::from_vec(values, tensor.shape(), &Device::Cpu)
 }
 
-/// `[attention, gelu(hidden)] [R, d + m]` of rows `[q, k, v, hidden] [R, 3d + m]`.
+/// Returns `[attention, gelu(hidden)] [R, d + m]` of rows `[q, k, v, hidden] [R, 3d + m]`.
 pub(super) fn mix(rows: &Tensor, shape: Mix) -> Result<Tensor> {
     rows.apply_op1(MixOp(shape))
 }
 
-/// `norm(x) (1 + scale) + shift`; `x [R, d]`, `modulation [G, 2d]` of `(shift, scale)`, a row of it for `R / G` rows.
+/// Returns `norm(x) (1 + scale) + shift`; `x [R, d]`, `modulation [G, 2d]` of `(shift, scale)`, each row of which
+/// applies to `R / G` rows.
 pub(super) fn norm_modulate(x: &Tensor, modulation: &Tensor) -> Result<Tensor> {
     x.apply_op2(modulation, NormOp)
 }
 
-/// `x + gate y`; `x, y [R, d]`, `gate [G, d]`.
+/// Returns `x + gate y`; `x, y [R, d]`, `gate [G, d]`.
 pub(super) fn gated_add(x: &Tensor, y: &Tensor, gate: &Tensor) -> Result<Tensor> {
     x.apply_op3(y, gate, GateOp)
 }

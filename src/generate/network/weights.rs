@@ -15,27 +15,27 @@ use crate::error::FileError;
 use crate::files::input::read_table;
 use crate::files::write_whole;
 
-/// Where weights come from.
+/// Provenance of weights.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct About {
-    /// What training followed from.
+    /// Seed of the training.
     pub seed: u64,
-    /// Steps of it.
+    /// Number of training steps.
     pub steps: u64,
-    /// Logs that it saw.
+    /// Logs in the training data.
     pub logs: Vec<String>,
-    /// The command that made them.
+    /// Command that trained the weights.
     pub command: String,
 }
 
-/// All that a network needs: a file of safetensors, f32, with the rest as JSON in the metadata's `network`.
+/// Weights of a network. The file is safetensors, f32; everything else is JSON in the metadata entry `network`.
 #[derive(Clone, Debug)]
 pub struct Weights {
-    /// Its size and shape.
+    /// Configuration of the network.
     pub config: NetworkConfig,
-    /// What was measured over the training data.
+    /// Statistics of the training data.
     pub statistics: Statistics,
-    /// Where it comes from.
+    /// Provenance of the weights.
     pub about: About,
     pub(in crate::generate) parameters: BTreeMap<String, Tensor>,
 }
@@ -49,14 +49,14 @@ struct Header {
 }
 
 const HEADER: &str = "network";
-/// What `pskel train` has left; beside it is how its loss fell.
+/// Output of `pskel train`; `loss.csv` beside it is the course of its loss.
 const SHIPPED: &[u8] = include_bytes!("shipped/weights.safetensors");
 
 impl Weights {
-    /// Of a network that was not trained: it shows what its conditions show, and noise.
+    /// Creates the weights of an untrained network: its images are the first guess from the conditions, plus noise.
     ///
     /// # Errors
-    /// A configuration that does not go together, statistics or a guess that do not fit it.
+    /// Returns an error if the configuration is inconsistent, or if the statistics or the guess do not fit it.
     pub fn fresh(
         config: &NetworkConfig,
         statistics: &Statistics,
@@ -69,12 +69,12 @@ impl Weights {
         Ok(Self { config: config.clone(), statistics: statistics.clone(), about, parameters })
     }
 
-    /// Numbers that were trained.
+    /// Number of trained parameters.
     pub fn count(&self) -> usize {
         self.parameters.values().map(Tensor::elem_count).sum()
     }
 
-    /// Tells weights apart: a hash of all numbers and of what they are for.
+    /// Returns a hash of the configuration, the statistics and all parameters.
     pub fn fingerprint(&self) -> Result<String, NetworkError> {
         let mut hasher = SipHasher::new();
         hasher.write(format!("{:?} {:?}", self.config, self.statistics).as_bytes());
@@ -85,10 +85,10 @@ impl Weights {
         Ok(format!("{:016x}", hasher.finish()))
     }
 
-    /// Writes them.
+    /// Writes the weights to a file.
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), NetworkError> {
         use std::io::Write;
         let Self { config, statistics, about, .. } = self.clone();
@@ -100,18 +100,19 @@ impl Weights {
         Ok(write_whole(path, |out| out.write_all(&bytes).map_err(FileError::io("write", path)))?)
     }
 
-    /// Reads what [`Weights::write`] wrote.
+    /// Reads a file written by [`Weights::write`].
     ///
     /// # Errors
-    /// Anything else: another header, parameters that are missing, too many, or of other shapes or types.
+    /// Fails if the file cannot be read or its header is invalid, or if parameters are missing, superfluous, or of
+    /// another shape or type.
     pub fn open(path: &Path) -> Result<Self, NetworkError> {
         Self::read(&read_whole(path)?, path)
     }
 
-    /// Those that come with the program.
+    /// Returns the weights that are included in the program.
     ///
     /// # Errors
-    /// None, unless the program was built with another file in their place.
+    /// Never fails, unless the program was built with an invalid file.
     pub fn shipped() -> Result<Self, NetworkError> {
         Self::read(SHIPPED, Path::new("shipped/weights.safetensors"))
     }
@@ -133,7 +134,7 @@ impl Weights {
     }
 }
 
-/// What does not go together, with the file that it stands in.
+/// Adds the path of the file to an error about its content.
 pub(in crate::generate) fn in_file(error: NetworkError, path: &Path) -> NetworkError {
     match error {
         NetworkError::Input { expected, found } => FileError::content(expected, found, path).into(),
@@ -141,12 +142,12 @@ pub(in crate::generate) fn in_file(error: NetworkError, path: &Path) -> NetworkE
     }
 }
 
-/// A file's bytes.
+/// Reads all bytes of a file.
 pub(in crate::generate) fn read_whole(path: &Path) -> Result<Vec<u8>, FileError> {
     read_table(path)
 }
 
-/// Safetensors of named f32 arrays, with a header in the metadata.
+/// Serializes named f32 arrays as safetensors, with a header in the metadata.
 pub(in crate::generate) fn serialized(
     arrays: &[(String, Vec<usize>, Vec<f32>)],
     key: &str,
@@ -163,7 +164,7 @@ pub(in crate::generate) fn serialized(
     serialize(views, Some(HashMap::from([(key.to_owned(), header)]))).map_err(|e| failed(e.to_string()))
 }
 
-/// The header and the arrays of such a file.
+/// Parses the bytes written by [`serialized`] into header and arrays.
 pub(in crate::generate) fn read<'a, H: DeserializeOwned>(
     bytes: &'a [u8],
     key: &str,
@@ -179,7 +180,7 @@ pub(in crate::generate) fn read<'a, H: DeserializeOwned>(
     Ok((header, tensors))
 }
 
-/// The values of one of its arrays.
+/// Returns the values of an array; checks type, shape and finiteness.
 pub(in crate::generate) fn find(
     tensors: &SafeTensors<'_>,
     name: &str,

@@ -11,7 +11,7 @@ use crate::peer::Wrong;
 const CALL: &str = "call";
 const PREDICTION: &str = "prediction";
 
-/// A window as a message; latents are of `shape`, conditions of one size.
+/// Serializes a window as a `predict` request. All latents are of `shape`, all conditions of one size.
 pub(super) fn request(
     window: &[Frame<'_, FrameConditions>],
     shape: LatentShape,
@@ -52,7 +52,7 @@ fn parts<'a>(
     window.iter().map(|frame| of(*frame)).collect()
 }
 
-/// The predictions for a window of `frames`.
+/// Parses the predictions for a window of `frames` frames.
 pub(super) fn read_prediction(
     answer: &[u8],
     given: Given,
@@ -77,7 +77,7 @@ pub(super) fn read_prediction(
     Ok(values.chunks(shape.len()).filter_map(|frame| Latent::new(shape, frame.to_vec())).collect())
 }
 
-/// A tensor of the dtype of the hello and of some sizes.
+/// Reads a tensor of the given name, sizes and precision, as `f32`.
 pub(super) fn read_values(
     answer: &Answer<'_>,
     name: &str,

@@ -10,11 +10,11 @@ use crate::generate::{Codec, DenoiserError, Latent, LatentShape};
 use crate::geometry::ImageSize;
 use crate::peer::Wrong;
 
-/// The codec of a network in another process: it is asked for latents of images and for images of latents.
+/// Codec of a network in another process, which encodes and decodes images on request.
 pub(super) struct ProcessCodec {
     pub(super) shared: Arc<Shared>,
     pub(super) given: Given,
-    /// Of its images.
+    /// Size of the images.
     pub(super) size: ImageSize,
 }
 
@@ -22,7 +22,7 @@ const IMAGES: &str = "images";
 const LATENTS: &str = "latents";
 
 impl ProcessCodec {
-    /// `[V, 3, H, W]`.
+    /// Shape of the image tensor, `[V, 3, H, W]`.
     fn image_sizes(&self) -> [usize; 4] {
         [self.given.shape.views, 3, self.size.height as usize, self.size.width as usize]
     }

@@ -7,30 +7,30 @@ use crate::peer::Wrong;
 const PROTOCOL: &str = "pskel-denoiser";
 const VERSION: &str = "1";
 
-/// What a denoiser is called with.
+/// Inputs of the denoiser, announced in the hello.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Taken {
-    /// Frames, L.
+    /// Number of frames in the window, L.
     pub(super) window: usize,
-    /// Cameras, V.
+    /// Number of cameras, V.
     pub(super) views: usize,
-    /// Of the conditions, H x W.
+    /// Size of the conditions, H x W.
     pub(super) size: ImageSize,
-    /// What becomes of its predictions.
+    /// Sampler, which determines the quantity to predict.
     pub(super) sampler: SamplerOptions,
 }
 
-/// What it answers.
+/// Outputs of the denoiser, announced in its answer to the hello.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Given {
-    /// Of a frame, `[V, C, h, w]`.
+    /// Latent shape of a frame, `[V, C, h, w]`.
     pub(super) shape: LatentShape,
     pub(super) precision: Precision,
-    /// Of the images that it encodes and decodes itself; `None`: its latents are pixels.
+    /// Size of the images that the process encodes and decodes itself; `None` if its latents are pixels.
     pub(super) images: Option<ImageSize>,
 }
 
-/// Numbers of predictions.
+/// Number format of predictions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Precision {
     F32,
@@ -57,7 +57,7 @@ pub(super) fn hello(taken: &Taken) -> Result<Vec<u8>, DenoiserError> {
     message(texts, [])
 }
 
-/// Checks the answer to a hello.
+/// Parses and validates the answer to the hello.
 pub(super) fn read_hello(answer: &[u8], taken: &Taken) -> Result<Given, Wrong> {
     let answer = Answer::read(answer)?;
     let text = |name: &str| answer.texts.get(name).map_or("", String::as_str);
@@ -74,7 +74,7 @@ pub(super) fn read_hello(answer: &[u8], taken: &Taken) -> Result<Given, Wrong> {
     let precision = Precision::named(text("dtype"));
     let precision = precision
         .ok_or_else(|| Wrong::new("`dtype` \"F32\", \"F16\" or \"BF16\"", answer.quoted("dtype")))?;
-    // With room for a header.
+    // Half of the limit leaves room for the header.
     let most = (MAX_ANSWER_BYTES / 2) as usize / size_of::<f32>() / taken.window.max(1);
     if shape.len() > most {
         let expected = format!("`latent_shape` of at most {most} values in a window of {}", taken.window);
@@ -93,14 +93,14 @@ pub(super) fn read_hello(answer: &[u8], taken: &Taken) -> Result<Given, Wrong> {
     Ok(Given { shape, precision, images: images.transpose()? })
 }
 
-/// Two positive numbers.
+/// Parses `H,W`, two positive numbers.
 fn image_size(text: &str) -> Option<ImageSize> {
     let (height, width) = text.split_once(',')?;
     let side = |text: &str| text.trim().parse::<u32>().ok().filter(|side| (1..=1 << 15).contains(side));
     Some(ImageSize { height: side(height)?, width: side(width)? })
 }
 
-/// Four positive numbers whose product is one.
+/// Parses `V,C,h,w`, four positive numbers whose product does not overflow.
 fn latent_shape(text: &str) -> Option<LatentShape> {
     let sizes: Result<Vec<usize>, _> = text.split(',').map(|size| size.trim().parse()).collect();
     let &[views, channels, height, width] = sizes.ok()?.as_slice() else { return None };
@@ -110,7 +110,7 @@ fn latent_shape(text: &str) -> Option<LatentShape> {
 }
 
 impl Precision {
-    /// As safetensors call it.
+    /// Parses the safetensors name of a number format.
     fn named(name: &str) -> Option<Self> {
         match name {
             "F32" => Some(Self::F32),

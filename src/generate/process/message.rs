@@ -6,10 +6,10 @@ use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, View, serialize};
 use crate::generate::DenoiserError;
 use crate::peer::Wrong;
 
-/// Longer texts of a denoiser are not shown whole, characters.
+/// Maximum length of quoted texts of a denoiser, characters.
 const SHOWN: usize = 200;
 
-/// A tensor that is sent: a frame after the other.
+/// A tensor to send, as consecutive parts (one per frame).
 pub(super) struct Values<'a> {
     pub(super) shape: Vec<usize>,
     pub(super) parts: Vec<&'a [f32]>,
@@ -37,7 +37,7 @@ impl View for Values<'_> {
     }
 }
 
-/// A message of texts and tensors.
+/// Serializes texts and tensors as a message.
 pub(super) fn message<'a>(
     texts: impl IntoIterator<Item = (&'static str, String)>,
     tensors: impl IntoIterator<Item = (&'static str, Values<'a>)>,
@@ -46,7 +46,7 @@ pub(super) fn message<'a>(
     serialize(tensors, Some(texts)).map_err(|error| DenoiserError::Network(error.into()))
 }
 
-/// A message that was read.
+/// A parsed message.
 pub(super) struct Answer<'a> {
     pub(super) texts: HashMap<String, String>,
     pub(super) tensors: SafeTensors<'a>,
@@ -62,13 +62,13 @@ impl<'a> Answer<'a> {
         Ok(Self { texts, tensors: SafeTensors::deserialize(bytes).map_err(wrong)? })
     }
 
-    /// A text in quotes, or that there is none.
+    /// Returns a text in quotes, or `none` if it is absent.
     pub(super) fn quoted(&self, name: &str) -> String {
         self.texts.get(name).map_or_else(|| "none".to_owned(), |text| format!("{:?}", shown(text)))
     }
 }
 
-/// The beginning of a text that may be long.
+/// Truncates a text that may be long.
 pub(super) fn shown(text: &str) -> String {
     text.chars().take(SHOWN).collect()
 }

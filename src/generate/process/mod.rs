@@ -1,4 +1,4 @@
-//! A network in another process, which gets and gives safetensors: see `docs/DENOISER.md`.
+//! A network in another process, which exchanges safetensors with this one: see `docs/DENOISER.md`.
 
 mod call;
 mod codec;
@@ -17,20 +17,20 @@ use crate::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use crate::geometry::ImageSize;
 use crate::peer::{Framing, Link, PeerSpec, Wrong};
 
-/// Longer answers are a mistake, bytes.
+/// Maximum length of an answer, bytes.
 const MAX_ANSWER_BYTES: u64 = 1 << 30;
 
-/// A network in another process that has said hello. After a failure it fails for good; a [`Generator`](super::Generator)
-/// goes on from its cache with a new one.
+/// A network in another process, after the exchange of hellos. After a failure, all further calls fail; a
+/// [`Generator`](super::Generator) resumes from its cache with a new process.
 pub struct ProcessDenoiser {
     shared: Arc<Shared>,
     taken: Taken,
     given: Given,
-    /// Calls so far.
+    /// Number of calls so far.
     calls: u64,
 }
 
-/// The way to the process, which the codec goes too.
+/// Connection to the process, shared with the codec.
 struct Shared(Mutex<Link>);
 
 impl Shared {
@@ -39,7 +39,8 @@ impl Shared {
         message: Vec<u8>,
         read: impl FnOnce(&[u8]) -> Result<T, Wrong>,
     ) -> Result<T, DenoiserError> {
-        // A link that somebody panicked over is as good as before: it fails for good by itself.
+        // The link stays valid if a thread panicked while holding the lock: it rejects calls after a failure
+        // itself.
         let mut link = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let answer = link.ask(message)?;
         Ok(read(&answer).map_err(|wrong| link.refuse(wrong))?)
@@ -47,10 +48,12 @@ impl Shared {
 }
 
 impl ProcessDenoiser {
-    /// Starts or reaches it and exchanges hellos; `views` cameras with conditions of `size` are what it will see.
+    /// Starts the process or connects to it, and exchanges hellos. It will receive `views` cameras with conditions
+    /// of `size`.
     ///
     /// # Errors
-    /// It cannot be started or reached, does not answer in time, or says what the protocol does not allow.
+    /// Returns an error if the process cannot be started or reached, does not answer in time, or violates the
+    /// protocol.
     pub fn start(
         spec: &PeerSpec,
         options: &GenerateOptions,
@@ -64,10 +67,11 @@ impl ProcessDenoiser {
         Ok(Self { shared, taken, given, calls: 0 })
     }
 
-    /// What turns its latents into images, and their size: the process itself if it has said so, else [`PixelCodec`].
+    /// Returns the codec of its latents and the image size: the process itself if it announced that, else a
+    /// [`PixelCodec`].
     ///
     /// # Errors
-    /// Latents that are no pixels of a process that does not decode.
+    /// Returns an error if the process does not decode and its latents cannot be pixels.
     pub fn codec(&self) -> Result<(Box<dyn Codec>, ImageSize), DenoiserError> {
         let given = self.given;
         if let Some(size) = given.images {
@@ -78,7 +82,7 @@ impl ProcessDenoiser {
         Ok((Box::new(codec), ImageSize { height, width }))
     }
 
-    /// Whether a window is what was told in the hello.
+    /// Checks that a window matches the hello.
     fn check(&self, window: &[Frame<'_, FrameConditions>]) -> Result<(), DenoiserError> {
         let Taken { window: frames, views, size, .. } = self.taken;
         if window.len() != frames {

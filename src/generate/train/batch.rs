@@ -9,40 +9,40 @@ use crate::conditions::TensorEncoder;
 use crate::generate::network::{Inputs, NetworkConfig, NetworkError, PatchCodec};
 use crate::generate::{Condition, Drive, Dropped, FlowMatch, FrameConditions, Roll};
 
-/// Least noise of a frame that is not finished.
+/// Minimum noise level of a frame that is not finished.
 const SIGMA_MIN: f32 = 0.005;
 
-/// What the network is trained on in a step: windows of frames. Latents are rows `[R, C]`.
+/// Training batch of a step: windows of frames. Latents are rows `[R, C]`.
 #[derive(Debug)]
 pub(super) struct Batch {
-    /// Latents of the images.
+    /// Clean latents of the images.
     pub(super) clean: Tensor,
-    /// What is in the noisy ones.
+    /// Noise in the noisy latents.
     pub(super) noise: Tensor,
-    /// `(1-s) clean + s noise`, of finished frames `clean`.
+    /// Noisy latents `(1-s) clean + s noise`; clean ones for finished frames.
     pub(super) noisy: Tensor,
-    /// Levels of noise that are told, of frames.
+    /// Noise level of each frame, as passed to the network.
     pub(super) sigmas: Vec<f32>,
-    /// Frames whose answers count; finished ones do not.
+    /// Whether the answer for a frame counts in the loss; false for finished frames.
     pub(super) counts: Vec<bool>,
-    /// What the frames are to show.
+    /// Conditions of the frames.
     pub(super) inputs: Inputs,
 }
 
-/// What is drawn for a window.
+/// Random choices for a window.
 #[derive(Clone, Debug, PartialEq)]
 struct Window {
     drive: usize,
-    /// Its first frame.
+    /// Index of its first frame.
     first: usize,
     dropped: Dropped,
-    /// Leading frames that are finished.
+    /// Number of leading frames that are finished.
     finished: usize,
-    /// Levels that are told, of frames.
+    /// Noise level of each frame, as passed to the network.
     sigmas: Vec<f32>,
 }
 
-/// What batches are made of.
+/// Data that batches are built from.
 pub(super) struct Source<'a> {
     pub(super) options: &'a TrainOptions,
     pub(super) config: &'a NetworkConfig,
@@ -51,7 +51,7 @@ pub(super) struct Source<'a> {
     pub(super) encoder: &'a TensorEncoder,
 }
 
-/// From 0 to below 1, in 24 bits.
+/// Samples a uniform number in [0, 1), of 24 bits.
 fn unit(random: &mut ChaCha8Rng) -> f32 {
     (random.next_u32() >> 8) as f32 / (1_u32 << 24) as f32
 }
@@ -61,7 +61,7 @@ fn below(random: &mut ChaCha8Rng, count: usize) -> usize {
 }
 
 impl Source<'_> {
-    /// The batch of a step: it follows from the options' seed and the step's number.
+    /// Returns the batch of a step, determined by the options' seed and the step number.
     pub(super) fn batch(&self, step: u64) -> Result<Batch, NetworkError> {
         let mut random: ChaCha8Rng = Seeder::from((self.options.seed, "batch", step)).into_rng();
         let lengths: Vec<usize> = self.drives.iter().map(|drive| drive.frames.len()).collect();
@@ -104,7 +104,7 @@ impl Source<'_> {
     }
 }
 
-/// Latents of frames at their levels; those that do not count are clean.
+/// Adds noise to latents at the levels of their frames; frames that do not count stay clean.
 fn noisy(clean: &[f32], noise: &[f32], sigmas: &[f32], counts: &[bool]) -> Vec<f32> {
     let per_frame = clean.len() / sigmas.len();
     let frames = clean.chunks(per_frame).zip(noise.chunks(per_frame)).zip(sigmas.iter().zip(counts));
@@ -115,7 +115,7 @@ fn noisy(clean: &[f32], noise: &[f32], sigmas: &[f32], counts: &[bool]) -> Vec<f
     frames.collect()
 }
 
-/// Draws a window of so many frames from drives of some lengths.
+/// Samples a window of `frames` frames from recordings of the given lengths.
 fn draw(options: &TrainOptions, frames: usize, lengths: &[usize], random: &mut ChaCha8Rng) -> Window {
     let drive = below(random, lengths.len());
     let first = below(random, lengths[drive] + 1 - frames);
@@ -137,7 +137,7 @@ fn draw(options: &TrainOptions, frames: usize, lengths: &[usize], random: &mut C
     Window { drive, first, dropped, finished, sigmas }
 }
 
-/// Levels as a roll has them, at one of its calls, after some finished frames.
+/// Samples noise levels as in a random network call of a roll, after a random number of finished frames.
 fn staircase(table: &FlowMatch, frames: usize, random: &mut ChaCha8Rng) -> (usize, Vec<f32>) {
     let steps = table.timesteps().len();
     let roll = Roll { window: frames, clean: 0, steps };
@@ -148,7 +148,7 @@ fn staircase(table: &FlowMatch, frames: usize, random: &mut ChaCha8Rng) -> (usiz
     (finished, progress.iter().map(|progress| table.sigmas()[progress.index]).collect())
 }
 
-/// An independent level per frame, spread as the schedule is.
+/// Samples an independent noise level per frame, distributed like the schedule.
 fn independent(
     options: &TrainOptions,
     table: &FlowMatch,
@@ -181,7 +181,8 @@ mod tests {
         let options = TrainOptions { staircase: 1.0, ..TrainOptions::default() };
         let table = FlowMatch::new(8, 3.0);
         let s = table.sigmas();
-        // Calls 6 and 7 of T = 8, two steps a frame: index 6 and 7, then two less for each frame on.
+        // Calls 6 and 7 of T = 8, with two steps per frame: the first frame is at index 6 or 7, each later frame
+        // two steps behind the previous one.
         let expected = [[s[6], s[4], s[2], s[0]], [s[7], s[5], s[3], s[1]]];
         let (mut seen, mut finished) = ([0; 2], [0; 4]);
         for window in windows(&options) {

@@ -13,22 +13,23 @@ use crate::generate::network::{
     NetworkConfig, NetworkError, Statistics, find, in_file, read, read_whole, serialized, shapes,
 };
 
-/// What a checkpoint has beside its arrays, as JSON in the metadata's `training`.
+/// Header of a checkpoint, as JSON in the metadata entry `training`.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Header {
     pub(super) options: TrainOptions,
     pub(super) config: NetworkConfig,
     pub(super) statistics: Statistics,
-    /// Steps done.
+    /// Number of steps done.
     pub(super) step: u64,
-    /// Of the drives.
+    /// Fingerprint of the recordings.
     pub(super) fingerprint: String,
 }
 
 const HEADER: &str = "training";
 
-/// Writes all that a run goes on from: of each parameter `value/..`, `first/..` and `second/..` moment, and `average/..`.
+/// Writes the state of a run to resume from: for each parameter `value/..`, the moments `first/..` and `second/..`,
+/// and `average/..`.
 pub(super) fn save(path: &Path, header: &Header, state: &State) -> Result<(), NetworkError> {
     use std::io::Write;
     let mut arrays = Vec::with_capacity(4 * state.parameters.len());
@@ -44,7 +45,7 @@ pub(super) fn save(path: &Path, header: &Header, state: &State) -> Result<(), Ne
     Ok(write_whole(path, |out| out.write_all(&bytes).map_err(FileError::io("write", path)))?)
 }
 
-/// Reads what [`save`] wrote.
+/// Reads a checkpoint written by [`save`].
 pub(super) fn open(path: &Path) -> Result<(Header, State), NetworkError> {
     let bytes = read_whole(path)?;
     let (header, tensors) = read::<Header>(&bytes, HEADER, "a saved training", path)?;
@@ -62,7 +63,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, State), NetworkError> {
     Ok((header, state))
 }
 
-/// A number that changes with the drives.
+/// Returns a hash of the recordings.
 pub(super) fn fingerprint(drives: &[Drive]) -> String {
     let mut hasher = rand_seeder::SipHasher::new();
     for drive in drives {

@@ -1,11 +1,12 @@
-//! Training of the [`network`](super::network) on [`Drive`](super::Drive)s.
+//! Training of the [`network`](super::network) on recordings ([`Drive`](super::Drive)).
 //!
 //! # How it works
-//! A [`Trainer`] measures the drives (`statistics`) and fits the first guess to them (`regression`), then takes step after step: `batch` draws windows of frames, levels of
-//! noise and which conditions are dropped, `objective` says how far the network's answers are off, `optimizer` moves the
-//! parameters and their average. All that a step does follows from the seed, its number, the drives and the parameters
-//! before, so a run that is saved (`checkpoint`) and resumed ends with the bytes of one that went through. Source of the
-//! scheme: Chen et al., "Diffusion Forcing", 2024, with flow matching (Lipman et al., 2023).
+//! A [`Trainer`] computes the statistics of the recordings (`statistics`) and fits the first guess to them
+//! (`regression`). Then it takes one step after the other: `batch` samples windows of frames, noise levels and
+//! dropped conditions; `objective` computes the loss; `optimizer` updates the parameters and their moving average.
+//! A step depends only on the seed, its number, the recordings and the previous parameters. A run that was saved
+//! (`checkpoint`) and resumed therefore ends with the same bytes as an uninterrupted one. Source of the scheme:
+//! Chen et al., "Diffusion Forcing", 2024, with flow matching (Lipman et al., 2023).
 
 mod batch;
 mod checkpoint;

@@ -3,21 +3,21 @@ use candle_core::{Device, Result, Tensor};
 use super::batch::Batch;
 use crate::generate::network::Model;
 
-/// How errors weigh.
+/// Weighting of errors in the loss.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Weighing<'a> {
-    /// What the network is expected to leave, `[C]`: channels weigh as much as that.
+    /// Expected error of the network per channel, `[C]`; also the weight of the channel.
     pub(super) priors: &'a [f32],
-    /// As [`TrainOptions::expected_error`](super::TrainOptions::expected_error).
+    /// See [`TrainOptions::expected_error`](super::TrainOptions::expected_error).
     pub(super) expected_error: f32,
 }
 
-/// How far the network's answers are off: their mean square over patches, channels and frames that count, all levels of
-/// noise alike. A frame whose first guess is worse than usual, since conditions were dropped, weighs less for it: else the
-/// few of them would be all that is learned from.
+/// Returns the loss: the weighted mean square error of the network's answers over patches, channels and counted
+/// frames. All noise levels weigh the same. A frame whose first guess is worse than usual, since conditions were
+/// dropped, gets a smaller weight: otherwise these few frames would dominate training.
 ///
 /// # Errors
-/// The tensor library's.
+/// Returns any error of the tensor library.
 pub(super) fn loss(model: &Model, batch: &Batch, windows: usize, weighing: Weighing<'_>) -> Result<Tensor> {
     let frames = batch.sigmas.len();
     let taken = model.take(&batch.inputs, windows, frames / windows)?;
@@ -31,7 +31,7 @@ pub(super) fn loss(model: &Model, batch: &Batch, windows: usize, weighing: Weigh
     squares.broadcast_mul(&weights)?.sum_all()
 }
 
-/// Mean squares of what the first guess leaves of frames, in units of what it leaves on average.
+/// Returns the mean square error of the first guess per frame, relative to its average over the training data.
 fn guess_errors(left: &Tensor, frames: usize, weighing: Weighing<'_>) -> Result<Vec<f32>> {
     let scales: Vec<f32> = weighing.priors.iter().map(|prior| weighing.expected_error / prior).collect();
     let scales = Tensor::from_vec(scales, (1, weighing.priors.len()), &Device::Cpu)?;
@@ -39,7 +39,8 @@ fn guess_errors(left: &Tensor, frames: usize, weighing: Weighing<'_>) -> Result<
     squares.reshape((frames, squares.elem_count() / frames))?.mean(1)?.to_vec1()
 }
 
-/// Weights of frames and channels, `[F, C]`; over all rows they sum up to 1 where no guess is worse than usual.
+/// Returns weights of frames and channels, `[F, C]`. Summed over all rows, they are 1 if no guess is worse than
+/// usual.
 fn weights(counts: &[bool], priors: &[f32], guess_errors: &[f32], rows: usize) -> Vec<f32> {
     let mean = priors.iter().sum::<f32>() / priors.len() as f32;
     let counted = counts.iter().filter(|counts| **counts).count().max(1);
@@ -56,18 +57,18 @@ mod tests {
     #[test]
     fn weights_are_shares_of_what_counts() {
         let found = weights(&[false, true, true], &[0.5, 1.5], &[9.0, 0.8, 1.0], 12);
-        // Two frames of four rows and two channels.
+        // Two counted frames of four rows and two channels.
         let each = 1.0 / 16.0;
         assert_eq!(found, [0.0, 0.0, 0.5 * each, 1.5 * each, 0.5 * each, 1.5 * each]);
         assert!((found.iter().sum::<f32>() * 4.0 - 1.0).abs() < 1e-6);
-        // Twice as far off as usual: a quarter.
+        // The error is 4 times the usual one, so the weight is a quarter.
         let found = weights(&[true], &[1.0], &[4.0], 1);
         assert_eq!(found, [0.25]);
     }
 
     #[test]
     fn errors_of_guesses_are_in_units_of_the_usual_one() {
-        // Usual are 0.5 and 2, of which half is expected to be left.
+        // The usual errors are 0.5 and 2; half of each is expected to remain.
         let weighing = Weighing { priors: &[0.25, 1.0], expected_error: 0.5 };
         let left = Tensor::new(&[[0.5_f32, 2.0], [0.5, -2.0], [1.0, 4.0], [0.0, 0.0]], &Device::Cpu).unwrap();
         assert_eq!(guess_errors(&left, 2, weighing).unwrap(), [1.0, 2.0]);

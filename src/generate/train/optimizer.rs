@@ -6,46 +6,46 @@ use rayon::prelude::*;
 
 use super::TrainOptions;
 
-/// Shares of the moments that a step leaves.
+/// Decay rates of the first and second moments.
 const FIRST: f32 = 0.9;
 const SECOND: f32 = 0.99;
 const EPSILON: f32 = 1e-8;
 
-/// What is trained, and what AdamW and the average remember of each parameter. Source: Loshchilov and Hutter, "Decoupled
-/// Weight Decay Regularization", 2019.
+/// Trained parameters, with the state of AdamW and the moving average of each. Source: Loshchilov and Hutter,
+/// "Decoupled Weight Decay Regularization", 2019.
 #[derive(Debug)]
 pub(super) struct State {
-    /// Steps done.
+    /// Number of steps done.
     pub(super) step: u64,
-    /// By name, in order.
+    /// Parameters by name.
     pub(super) parameters: BTreeMap<String, Trained>,
 }
 
-/// A parameter.
+/// A parameter with its optimizer state.
 #[derive(Debug)]
 pub(super) struct Trained {
     pub(super) value: Var,
-    /// Moments of its gradient.
+    /// First and second moments of its gradient.
     pub(super) first: Vec<f32>,
     pub(super) second: Vec<f32>,
-    /// Its moving average.
+    /// Moving average of its values.
     pub(super) average: Vec<f32>,
 }
 
-/// Factors of a step.
+/// Factors of an optimizer step.
 #[derive(Clone, Copy)]
 struct Factors {
     clip: f32,
     rate: f32,
-    /// Of the second moments' root.
+    /// Square root of the second moment's bias correction.
     second: f32,
-    /// What is left of matrices.
+    /// Factor of weight decay, for matrices.
     kept: f32,
     average: f32,
 }
 
 impl Trained {
-    /// Before the first step.
+    /// Creates the state before the first step.
     pub(super) fn fresh(value: &Tensor) -> Result<Self> {
         let average = value.flatten_all()?.to_vec1::<f32>()?;
         let zeros = vec![0.0; average.len()];
@@ -68,18 +68,18 @@ impl Trained {
 }
 
 impl State {
-    /// Before the first step.
+    /// Creates the state before the first step.
     pub(super) fn fresh(parameters: BTreeMap<String, Tensor>) -> Result<Self> {
         let trained = parameters.iter().map(|(name, value)| Ok((name.clone(), Trained::fresh(value)?)));
         Ok(Self { step: 0, parameters: trained.collect::<Result<_>>()? })
     }
 
-    /// The parameters that are trained, not copied.
+    /// Returns the trained parameters by reference, without copying their values.
     pub(super) fn tensors(&self) -> BTreeMap<String, Tensor> {
         self.parameters.iter().map(|(name, t)| (name.clone(), t.value.as_tensor().clone())).collect()
     }
 
-    /// The averages.
+    /// Returns the moving averages of the parameters.
     pub(super) fn averages(&self) -> Result<BTreeMap<String, Tensor>> {
         let of = |(name, t): (&String, &Trained)| {
             Ok((name.clone(), Tensor::from_slice(&t.average, t.value.shape(), &Device::Cpu)?))
@@ -87,7 +87,7 @@ impl State {
         self.parameters.iter().map(of).collect()
     }
 
-    /// Gradients of the parameters in the order of their names, and the length of all of them together.
+    /// Returns the gradients of the parameters in the order of their names, and their joint norm.
     pub(super) fn gradients(&self, gradients: &GradStore) -> Result<(Vec<Vec<f32>>, f64)> {
         let of = |trained: &Trained| match gradients.get(&trained.value) {
             Some(gradient) => gradient.flatten_all()?.to_vec1::<f32>(),
@@ -99,7 +99,7 @@ impl State {
         Ok((all, length))
     }
 
-    /// Moves the parameters by their gradients, whose length is `length`, and then their averages.
+    /// Updates the parameters with their gradients, of norm `length`, and then the moving averages.
     pub(super) fn update(
         &mut self,
         options: &TrainOptions,
@@ -109,7 +109,7 @@ impl State {
         let done = (self.step + 1).min(i32::MAX as u64) as i32;
         let left = |share: f32| 1.0 - f64::from(share).powi(done);
         let rate = options.rate(self.step);
-        // The average of few steps is theirs, not that of the first parameters.
+        // In the first steps, a faster decay keeps the initial parameters from dominating the average.
         let young = (1 + self.step) as f64 / (10 + self.step) as f64;
         let by = Factors {
             clip: (options.clip / length).min(1.0) as f32,
@@ -129,7 +129,7 @@ impl State {
 mod tests {
     use super::*;
 
-    /// The first step of AdamW is the learning rate along the gradient's sign, less the decay.
+    /// The first step of AdamW moves by the learning rate against the sign of the gradient, after weight decay.
     #[test]
     fn a_step_is_what_the_definition_says() {
         let options = TrainOptions {
@@ -151,7 +151,7 @@ mod tests {
         assert!(near(&values(&state, "a"), [0.95 - 0.1, -1.9 + 0.1]), "{:?}", values(&state, "a"));
         assert!(near(&values(&state, "b"), [0.9, -2.0]));
         assert!(near(&state.parameters["b"].average, [0.1 + 0.9 * 0.9, -2.0]));
-        // Moments of two steps, by hand: 0.9 * 0.3 + 0.1 * 1 and 0.99 * 0.09 + 0.01 * 1, both less what is not there yet.
+        // Moments of two steps by hand, with bias correction: 0.9 * 0.3 + 0.1 * 1 and 0.99 * 0.09 + 0.01 * 1.
         let rate = options.rate(1) as f32;
         state.update(&options, &[vec![0.0; 2], vec![1.0, 0.0]], 1.0).unwrap();
         let (first, second) = (0.37 / 0.19, (0.0991_f32 / 0.0199).sqrt());

@@ -2,56 +2,56 @@ use serde::{Deserialize, Serialize};
 
 use crate::generate::network::{NetworkConfig, NetworkError};
 
-/// What training depends on, beside the network and the drives.
+/// Options of training, beside the network and the recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainOptions {
-    /// What first parameters, choices and noise follow from.
+    /// Seed of the initial parameters, of sampling and of noise.
     pub seed: u64,
-    /// Steps in all: the learning rate falls to a tenth along a cosine.
+    /// Total number of steps; the learning rate falls to a tenth along a cosine.
     pub steps: u64,
-    /// Windows a step.
+    /// Number of windows per step.
     pub batch: usize,
-    /// Highest learning rate.
+    /// Maximum learning rate.
     pub learning_rate: f64,
-    /// Steps until it is reached.
+    /// Number of steps until the maximum learning rate.
     pub warmup: u64,
-    /// Decay of matrices, per step and learning rate.
+    /// Weight decay of matrices, per step and unit of learning rate.
     pub weight_decay: f64,
-    /// Share of the parameters' moving average that a step leaves.
+    /// Decay rate of the parameters' moving average.
     pub average: f64,
-    /// Longest gradient.
+    /// Maximum norm of the gradient; longer ones are clipped.
     pub clip: f64,
-    /// How often conditions are dropped.
+    /// Probabilities of dropping conditions.
     pub drop: DropChances,
-    /// Share of the first guess's error that the trained network is expected to leave: what it is shown and what it answers
-    /// are scaled for that. Little of it makes a network that was trained for a short time answer with the mean of what
-    /// could be there rather than with noise.
+    /// Expected error of the trained network, as a share of the first guess's error; scales the network's input and
+    /// output. A small value makes a network that was trained briefly answer with the mean of the possible images
+    /// rather than with noise.
     pub expected_error: f32,
-    /// Inference steps whose levels of noise are trained for, T.
+    /// Number of inference steps whose noise levels are trained, T.
     pub infer_steps: usize,
-    /// Shift of the levels towards the noise.
+    /// Shift of the noise levels towards the noise.
     pub shift: f64,
-    /// Share of windows with levels as in a roll: a staircase, after some finished frames. Others have an independent level
-    /// per frame.
+    /// Share of windows with the noise levels of a roll: a staircase after some finished frames. The other windows
+    /// have an independent level per frame.
     pub staircase: f32,
-    /// Share of those others that begin with some finished frames, as strategies without rolls have it.
+    /// Share of the other windows that begin with some finished frames, as with strategies that do not roll.
     pub history: f32,
 }
 
-/// How often conditions are dropped, per window and independently.
+/// Probabilities of dropping conditions, per window and independent of each other.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DropChances {
     /// Boxes and map.
     pub layout: f32,
-    /// The ego's motion.
+    /// Ego motion.
     pub action: f32,
     /// Color of the points.
     pub color: f32,
     /// Depth of the points.
     pub depth: f32,
-    /// All of them.
+    /// All of them at once.
     pub all: f32,
 }
 
@@ -83,10 +83,11 @@ impl Default for TrainOptions {
 }
 
 impl TrainOptions {
-    /// Whether they go together, and with a network.
+    /// Checks that the options are consistent and fit a network.
     ///
     /// # Errors
-    /// Counts of zero, shares that are none, inference steps that the window's frames cannot share.
+    /// Returns an error if a value is out of range, or if the frames of the window cannot share the inference steps
+    /// evenly.
     pub fn check(&self, config: &NetworkConfig) -> Result<(), NetworkError> {
         let Self { batch, infer_steps, shift, drop, .. } = *self;
         let wrong = |expected: String, found: String| Err(NetworkError::input(expected, found));
@@ -116,7 +117,7 @@ impl TrainOptions {
         Ok(())
     }
 
-    /// Learning rate of a step: rises along a line, falls along a cosine.
+    /// Returns the learning rate of a step: a linear warm-up, then a cosine decay.
     pub fn rate(&self, step: u64) -> f64 {
         if step < self.warmup {
             return self.learning_rate * (step + 1) as f64 / self.warmup as f64;

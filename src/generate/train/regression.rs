@@ -2,14 +2,14 @@ use candle_core::{DType, Device, Result, Tensor};
 
 use crate::generate::network::FirstGuess;
 
-/// Weight of the matrix' own size beside the squares that are left, per row: keeps out what only fits chance.
+/// Weight of the squared matrix entries beside the squared errors, per row (ridge); prevents overfitting.
 const RIDGE: f64 = 1e-3;
 
-/// Sums for the linear map from rows `x [n, N]` to rows `y [n, C]` that leaves the least squares. Source: Hoerl and
-/// Kennard, "Ridge Regression", 1970.
+/// Sums for the least-squares linear map from rows `x [n, N]` to rows `y [n, C]`. Source: Hoerl and Kennard, "Ridge
+/// Regression", 1970.
 #[derive(Debug)]
 pub(super) struct Regression {
-    /// Of `x`, with a 1 after its last number.
+    /// Width of `x` with a constant 1 appended, N + 1.
     width: usize,
     channels: usize,
     rows: usize,
@@ -22,7 +22,7 @@ pub(super) struct Regression {
 }
 
 impl Regression {
-    /// For rows of N and C numbers.
+    /// Creates empty sums for rows of N and C numbers.
     pub(super) fn new([numbers, channels]: [usize; 2]) -> Self {
         let width = numbers + 1;
         let (squares, products) = (vec![0.0; width * width], vec![0.0; width * channels]);
@@ -47,12 +47,12 @@ impl Regression {
         Ok(())
     }
 
-    /// The map, and the root of the mean square that it leaves of each channel.
+    /// Returns the linear map, and the root mean square of its remaining error per channel.
     pub(super) fn solve(&self) -> (FirstGuess, Vec<f64>) {
         let (n, count) = (self.width, self.rows.max(1) as f64);
         let mut regular = self.squares.clone();
         for i in 0..n {
-            // The constant is hardly held back.
+            // The bias is hardly regularized.
             regular[i * n + i] += if i + 1 < n { RIDGE * count } else { 1e-9 * count };
         }
         let factor = cholesky(&regular, n);
@@ -76,7 +76,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// The lower triangle `L [n, n]` of a positive definite matrix `L L^T`.
+/// Returns the lower triangular `L [n, n]` of a positive definite matrix `L L^T`.
 fn cholesky(matrix: &[f64], n: usize) -> Vec<f64> {
     let mut lower = vec![0.0; n * n];
     for i in 0..n {
@@ -89,7 +89,7 @@ fn cholesky(matrix: &[f64], n: usize) -> Vec<f64> {
     lower
 }
 
-/// `x` of `L L^T x = b`.
+/// Solves `L L^T x = b`.
 fn solved(lower: &[f64], b: &[f64], n: usize) -> Vec<f64> {
     let mut x = b.to_vec();
     for i in 0..n {
@@ -108,7 +108,7 @@ fn solved(lower: &[f64], b: &[f64], n: usize) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// `y = 2 a - b + 3` and something else that neither tells, in two parts.
+    /// Data in two parts: `y = 2 a - b + 3`, and a channel that is independent of both inputs.
     #[test]
     fn the_map_is_found_and_what_it_leaves() {
         let mut sums = Regression::new([2, 2]);

@@ -5,20 +5,20 @@ use crate::conditions::{DepthEmbedding, TensorEncoder};
 use crate::generate::network::{FirstGuess, Inputs, NetworkConfig, NetworkError, PatchCodec, Statistics};
 use crate::generate::{Drive, DriveFrame};
 
-/// Smallest standard deviation of a coefficient, and of what the guess leaves of it: nothing is divided by 0.
+/// Minimum standard deviation of a coefficient, and of the error of the guess; prevents division by 0.
 const SCALE_MIN: f64 = 1e-3;
 const PRIOR_MIN: f64 = 1e-2;
-/// Frames that the guess is fitted to, spread evenly over all drives.
+/// Maximum number of frames that the guess is fitted to, spread evenly over all recordings.
 const FITTED: usize = 400;
 
-/// Sums over patches, per channel: of the coefficients and of their squares.
+/// Sums over patches, per channel: coefficients and their squares.
 type Sums = Vec<[f64; 2]>;
 
-/// Mean and standard deviation of the images' coefficients; and the best linear guess of latents from the maps of their
-/// patches, with what it leaves of them.
+/// Computes mean and standard deviation of the images' coefficients. Also fits the best linear guess of latents
+/// from the maps of their patches, and computes its remaining error.
 ///
 /// # Errors
-/// A configuration that does not go together, drives without frames or of other sizes.
+/// Returns an error if the configuration is inconsistent, or if the recordings have too few frames or other sizes.
 pub fn measure(config: &NetworkConfig, drives: &[Drive]) -> Result<(Statistics, FirstGuess), NetworkError> {
     config.check()?;
     check(config, drives)?;
@@ -40,12 +40,12 @@ pub fn measure(config: &NetworkConfig, drives: &[Drive]) -> Result<(Statistics, 
     Ok((statistics, guess))
 }
 
-/// Means and scales.
+/// Computes means and scales.
 fn moments(config: &NetworkConfig, drives: &[Drive], plain: Statistics) -> Result<Statistics, NetworkError> {
     let (codec, channels) = (PatchCodec::new(config, &plain)?, config.channels());
     let frames: Vec<&DriveFrame> = drives.iter().flat_map(|drive| &drive.frames).collect();
     let sums: Vec<Sums> = frames.par_iter().map(|frame| sums(&codec, frame, channels)).collect();
-    // One frame after the other: the same bytes for any number of threads.
+    // A sequential sum gives the same bytes for any number of threads.
     let all = sums.iter().fold(vec![[0.0; 2]; channels], |mut all: Sums, sums| {
         all.iter_mut().zip(sums).for_each(|(all, sums)| *all = [all[0] + sums[0], all[1] + sums[1]]);
         all
@@ -71,10 +71,10 @@ fn sums(codec: &PatchCodec, frame: &DriveFrame, channels: usize) -> Sums {
     sums
 }
 
-/// Whether drives fit a network: their sizes, cameras and bins, and that each has frames for a window.
+/// Checks that recordings fit a network: sizes, cameras and bins, and enough frames for a window.
 ///
 /// # Errors
-/// One that does not, by name; none at all.
+/// Returns an error that names a recording that does not fit, or an error if there is no recording.
 pub(super) fn check(config: &NetworkConfig, drives: &[Drive]) -> Result<(), NetworkError> {
     if drives.is_empty() {
         return Err(NetworkError::input("a drive to train on", "none"));

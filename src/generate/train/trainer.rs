@@ -13,7 +13,7 @@ use crate::generate::network::{
     About, Model, NetworkConfig, NetworkError, PatchCodec, Statistics, Weights, fresh,
 };
 
-/// Trains a network on drives, step by step.
+/// Trains a network on recordings, step by step.
 pub struct Trainer<'a> {
     options: TrainOptions,
     config: NetworkConfig,
@@ -25,24 +25,24 @@ pub struct Trainer<'a> {
     state: State,
 }
 
-/// What a step did.
+/// Result of a training step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepReport {
     /// Number of the step, from 0.
     pub step: u64,
-    /// Mean square of what the answers were off; about 1 where the network leaves as much as was expected.
+    /// Weighted mean square error of the answers; about 1 if the network reaches the expected error.
     pub loss: f64,
-    /// Length of the gradient before it was cut.
+    /// Norm of the gradient before clipping.
     pub gradient_norm: f64,
-    /// How far it was followed.
+    /// Learning rate of the step.
     pub learning_rate: f64,
 }
 
 impl<'a> Trainer<'a> {
-    /// Measures the drives and makes the first parameters.
+    /// Computes the statistics of the recordings and creates the initial parameters.
     ///
     /// # Errors
-    /// Options or a configuration that do not go together, drives that do not fit them.
+    /// Returns an error if the options or the configuration are inconsistent, or if the recordings do not fit them.
     pub fn new(
         options: TrainOptions,
         config: NetworkConfig,
@@ -57,10 +57,10 @@ impl<'a> Trainer<'a> {
         Self::of(Header { options, config, statistics, step: 0, fingerprint }, drives, state)
     }
 
-    /// Goes on from what [`Trainer::save`] wrote, with the drives that it was trained on.
+    /// Resumes from a file written by [`Trainer::save`], with the same recordings.
     ///
     /// # Errors
-    /// Another file, or other drives.
+    /// Fails if the file is not a readable checkpoint, or if the recordings differ.
     pub fn resume(path: &Path, drives: &'a [Drive]) -> Result<Self, NetworkError> {
         let (header, state) = checkpoint::open(path)?;
         check(&header.config, drives)?;
@@ -79,35 +79,35 @@ impl<'a> Trainer<'a> {
         Ok(Self { options, config, statistics, drives, fingerprint, codec, encoder, state })
     }
 
-    /// What it was begun with.
+    /// Options that training was started with.
     pub fn options(&self) -> &TrainOptions {
         &self.options
     }
 
-    /// The network that is trained.
+    /// Configuration of the network.
     pub fn config(&self) -> &NetworkConfig {
         &self.config
     }
 
-    /// What was measured over the drives, with priors as of the network that is to be trained.
+    /// Statistics of the recordings, with priors scaled by the expected error of the trained network.
     pub fn statistics(&self) -> &Statistics {
         &self.statistics
     }
 
-    /// Steps done.
+    /// Number of steps done.
     pub fn done(&self) -> u64 {
         self.state.step
     }
 
-    /// Whether all steps are done.
+    /// Returns whether all steps are done.
     pub fn is_done(&self) -> bool {
         self.state.step >= self.options.steps
     }
 
-    /// Takes a step.
+    /// Takes a training step.
     ///
     /// # Errors
-    /// A loss or a gradient that is not finite; the parameters are as before.
+    /// Returns an error if the loss or the gradient is not finite; the parameters are then unchanged.
     pub fn step(&mut self) -> Result<StepReport, NetworkError> {
         let step = self.state.step;
         let source = Source {
@@ -131,10 +131,10 @@ impl<'a> Trainer<'a> {
         Ok(StepReport { step, loss: value, gradient_norm, learning_rate })
     }
 
-    /// Writes all that [`Trainer::resume`] goes on from.
+    /// Writes a checkpoint for [`Trainer::resume`].
     ///
     /// # Errors
-    /// The system's.
+    /// Fails if the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), NetworkError> {
         let header = Header {
             options: self.options,
@@ -146,13 +146,13 @@ impl<'a> Trainer<'a> {
         checkpoint::save(path, &header, &self.state)
     }
 
-    /// The network as it is: the moving average of the parameters. `command` is told in the file.
+    /// Returns the current weights: the moving average of the parameters. The file records `command`.
     ///
     /// # Errors
-    /// The tensor library's.
+    /// Returns any error of the tensor library.
     pub fn weights(&self, command: &str) -> Result<Weights, NetworkError> {
         let mut logs: Vec<String> = self.drives.iter().map(|drive| drive.about.log.clone()).collect();
-        logs.dedup(); // there are several drives of each
+        logs.dedup(); // a log can have several recordings
         Ok(Weights {
             config: self.config.clone(),
             statistics: self.statistics.clone(),

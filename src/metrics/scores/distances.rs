@@ -4,46 +4,48 @@ use super::super::{
     FeatureSet, FrechetError, RandomConvNet, WINDOW_FRAMES, frechet_distance, window_features,
 };
 
-/// Features of rollouts, of which distances are taken together.
+/// Features of rollouts, for distances over all of them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CollectedFeatures {
     seed: Option<u64>,
-    /// Of images, `[N, 64]`.
+    /// Features of images, `[N, 64]`.
     generated: FeatureSet,
     truth: FeatureSet,
-    /// Of windows of videos, `[N, 128]`.
+    /// Features of windows of videos, `[N, 128]`.
     generated_windows: FeatureSet,
     truth_windows: FeatureSet,
 }
 
-/// A Fréchet distance and what it was taken of.
+/// A Fréchet distance, with the sizes of its feature sets.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Distance {
-    /// See [`frechet_distance`].
+    /// The distance, see [`frechet_distance`].
     pub distance: f64,
-    /// Rows of generated features.
+    /// Number of rows of generated features.
     pub generated: usize,
-    /// Rows of true features.
+    /// Number of rows of ground-truth features.
     pub truth: usize,
-    /// Numbers a row.
+    /// Number of features per row.
     pub features: usize,
 }
 
-/// Distances of generated images and videos from true ones.
+/// Distances between generated and ground-truth images and videos.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Distances {
-    /// What features are of: the network and its seed.
+    /// Network of the features, with its seed.
     pub network: String,
-    /// As FID: of images. `None` with less than two of a kind.
+    /// Distance of images, like FID. `None` with less than two images of either kind.
     pub images: Option<Distance>,
-    /// As FVD: of all windows of [`WINDOW_FRAMES`] frames, by one frame each. `None` where rollouts are shorter.
+    /// Distance of videos, like FVD, over all windows of [`WINDOW_FRAMES`] frames with stride 1. `None` with less
+    /// than two windows of either kind.
     pub videos: Option<Distance>,
-    /// Frames a window.
+    /// Number of frames per window.
     pub window_frames: usize,
 }
 
 impl CollectedFeatures {
-    /// Of a rollout, by camera and step. Truth is compared as a whole: images without truth count, too.
+    /// Collects the features of a rollout, by camera and step. The sets are compared as a whole, so generated
+    /// images without ground truth count, too.
     pub(super) fn of(
         net: &RandomConvNet,
         generated: &[Vec<Option<Vec<f64>>>],
@@ -72,7 +74,8 @@ impl CollectedFeatures {
         }
     }
 
-    /// Adds those of another rollout. `false`, and nothing is added, if they are of a network of another seed.
+    /// Adds the features of another rollout. Returns `false` and adds nothing if they are of a network with another
+    /// seed.
     pub fn append(&mut self, other: &Self) -> bool {
         let fits = self.seed.is_none() || other.seed.is_none() || self.seed == other.seed;
         if fits {
@@ -85,10 +88,10 @@ impl CollectedFeatures {
         fits
     }
 
-    /// Of all rollouts so far together.
+    /// Computes the distances over all rollouts so far.
     ///
     /// # Errors
-    /// Features that have no distance; too few of them are none.
+    /// Returns an error if features have no distance; too few rows give `None` instead.
     pub fn distances(&self) -> Result<Distances, FrechetError> {
         Ok(Distances {
             network: format!("RandomConvNet, seed {}", self.seed.unwrap_or_default()),

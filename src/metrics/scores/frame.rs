@@ -1,75 +1,75 @@
 use image::RgbImage;
 
-/// A step of a rollout. All slices have an entry per camera, in one order, and all images, maps and masks of a camera are of
-/// the size of its generated image; maps and masks are row by row.
+/// A step of a rollout. All slices have one entry per camera, in the same order. All images, maps and masks of a
+/// camera have the size of its generated image; maps and masks are row by row.
 #[derive(Clone, Copy, Debug)]
 pub struct ScoredFrame<'a> {
     /// Time of the step, seconds.
     pub t_s: f64,
-    /// What was generated.
+    /// Generated images.
     pub generated: &'a [RgbImage],
-    /// What a camera would have seen there, where that is known.
+    /// Ground-truth images, if available.
     pub truth: Option<&'a [RgbImage]>,
     /// Class maps.
     pub class: Option<&'a [Vec<u8>]>,
-    /// Pixels that show actors that move; see [`moving_mask`](crate::metrics::moving_mask).
+    /// Masks of moving actors; see [`moving_mask`](crate::metrics::moving_mask).
     pub moving: Option<&'a [Vec<bool>]>,
-    /// Vehicles as segmentors see them; each is compared with the class maps.
+    /// Vehicle masks of segmentation models, each compared with the class maps.
     pub segmented: &'a [Segmented<'a>],
 }
 
-/// Masks of one segmentor.
+/// Masks of one segmentation model.
 #[derive(Clone, Copy, Debug)]
 pub struct Segmented<'a> {
-    /// Its name in the result.
+    /// Name in the result.
     pub name: &'a str,
-    /// Of the generated images.
+    /// Masks of the generated images.
     pub generated: &'a [Vec<bool>],
-    /// Of the true images.
+    /// Masks of the ground-truth images.
     pub truth: Option<&'a [Vec<bool>]>,
 }
 
-/// A step that cannot be scored.
+/// Error of a step that cannot be scored.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ScoreError {
-    /// Too many or too few.
+    /// Wrong number of cameras.
     #[error("expected {what} of {expected} cameras, found {found}")]
     Cameras {
-        /// Of what.
+        /// Kind of the input.
         what: &'static str,
-        /// As many as generated images, or as in the step before.
+        /// Number of generated images, or of cameras in the previous step.
         expected: usize,
-        /// What there is.
+        /// Number given.
         found: usize,
     },
-    /// An image of another size.
+    /// Wrong size of an image.
     #[error("expected {what} of {}x{} pixels for camera {camera}, found {}x{}", expected.1, expected.0, found.1, found.0)]
     Size {
-        /// Of what.
+        /// Kind of the input.
         what: &'static str,
-        /// Its number.
+        /// Index of the camera.
         camera: usize,
         /// Width and height.
         expected: (u32, u32),
         /// Width and height.
         found: (u32, u32),
     },
-    /// A map or mask of another size.
+    /// Wrong size of a map or mask.
     #[error("expected {what} of {expected} pixels for camera {camera}, found {found}")]
     Pixels {
-        /// Of what.
+        /// Kind of the input.
         what: &'static str,
-        /// Its number.
+        /// Index of the camera.
         camera: usize,
-        /// Pixels of the generated image.
+        /// Number of pixels of the generated image.
         expected: usize,
-        /// What there is.
+        /// Number of pixels given.
         found: usize,
     },
 }
 
 impl ScoredFrame<'_> {
-    /// Whether everything is of these sizes, width and height per camera.
+    /// Checks that all inputs have these sizes, width and height per camera.
     pub(super) fn check(&self, sizes: &[(u32, u32)]) -> Result<(), ScoreError> {
         check_images("generated images", self.generated, sizes)?;
         check_images("true images", self.truth.unwrap_or(self.generated), sizes)?;

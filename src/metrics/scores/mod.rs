@@ -1,5 +1,5 @@
-//! [`RolloutScores`] takes the frames of a rollout one after the other: [`frame`] is what it is fed and checks it,
-//! [`result`] what it gives, [`distances`] what is taken over many rollouts together.
+//! [`RolloutScores`] scores the steps of a rollout. [`frame`] defines and validates its input, [`result`] its
+//! output, and [`distances`] the distances over many rollouts.
 
 mod distances;
 mod frame;
@@ -18,7 +18,7 @@ pub use self::result::{Scores, Series, VehicleIou};
 use super::motion::{MotionSums, MovingFrame};
 use super::{Overlap, RandomConvNet, psnr_db, sharpness, ssim, vehicle_mask};
 
-/// Scores a rollout of generated images, a step at a time, in memory.
+/// Scores a rollout of generated images step by step, in memory.
 #[derive(Clone, Debug)]
 pub struct RolloutScores {
     net: RandomConvNet,
@@ -31,12 +31,12 @@ pub struct RolloutScores {
     motion: MotionSums,
     before: Option<Before>,
     segmented: BTreeMap<String, SegmentedSums>,
-    /// Per camera, in order of the steps.
+    /// Features per camera and step.
     generated: Vec<Vec<Option<Vec<f64>>>>,
     truth: Vec<Vec<Option<Vec<f64>>>>,
 }
 
-/// What is kept as a number a step.
+/// Metrics with one value per step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Metric {
     Psnr,
@@ -46,7 +46,7 @@ enum Metric {
     SharpnessRatio,
 }
 
-/// The step before, as far as motion needs it.
+/// The previous step, as needed for motion.
 #[derive(Clone, Debug)]
 struct Before {
     generated: Vec<RgbImage>,
@@ -54,7 +54,7 @@ struct Before {
     moving: Vec<Vec<bool>>,
 }
 
-/// Of one segmentor.
+/// Sums of one segmentation model.
 #[derive(Clone, Debug, Default)]
 struct SegmentedSums {
     generated: Overlap,
@@ -62,7 +62,7 @@ struct SegmentedSums {
     steps: Vec<Option<f64>>,
 }
 
-/// What one camera's images of a step give.
+/// Scores of one camera's images at a step.
 struct CameraScores {
     psnr_db: Option<f64>,
     ssim: Option<f64>,
@@ -73,7 +73,7 @@ struct CameraScores {
 }
 
 impl RolloutScores {
-    /// Of a rollout without any frame yet; the network gives the features.
+    /// Starts a rollout without steps; `net` computes the features.
     pub fn new(net: RandomConvNet) -> Self {
         Self {
             net,
@@ -90,10 +90,11 @@ impl RolloutScores {
         }
     }
 
-    /// Takes the next step. A number of a step is the mean over its cameras.
+    /// Adds the next step. The value of a step is the mean over its cameras.
     ///
     /// # Errors
-    /// Another number of cameras than before, or images, maps or masks of other sizes; then nothing is taken.
+    /// Returns an error if the number of cameras changes, or if images, maps or masks have other sizes; the step is
+    /// then not added.
     pub fn push(&mut self, frame: &ScoredFrame<'_>) -> Result<(), ScoreError> {
         let sizes: Vec<(u32, u32)> = frame.generated.iter().map(RgbImage::dimensions).collect();
         frame.check(self.sizes.as_ref().unwrap_or(&sizes))?;
@@ -147,7 +148,7 @@ impl RolloutScores {
         }
     }
 
-    /// Compares with the step before, where truth and moving pixels of both are known.
+    /// Compares with the previous step, if ground truth and moving pixels of both are known.
     fn add_motion(&mut self, frame: &ScoredFrame<'_>) {
         let known = frame.truth.zip(frame.moving);
         if let Some(((truth, moving), before)) = known.zip(self.before.as_ref()) {
@@ -176,7 +177,7 @@ impl RolloutScores {
         });
     }
 
-    /// Compares each segmentor's masks with the class maps'.
+    /// Compares the masks of each segmentation model with those of the class maps.
     fn add_segmented(&mut self, frame: &ScoredFrame<'_>) {
         let labels: Option<Vec<Vec<bool>>> = frame.class.map(|class| {
             let maps = class.iter().zip(frame.generated);
@@ -184,7 +185,7 @@ impl RolloutScores {
         });
         for masks in frame.segmented {
             let sums = self.segmented.entry(masks.name.to_owned()).or_default();
-            sums.steps.resize(self.t_s.len(), None); // steps before this segmentor's first
+            sums.steps.resize(self.t_s.len(), None); // pads the steps before this model's first
             let Some(labels) = &labels else { continue };
             let mut step = Overlap::default();
             labels.iter().zip(masks.generated).for_each(|(label, mask)| step.add_masks(label, mask));
@@ -196,7 +197,7 @@ impl RolloutScores {
         }
     }
 
-    /// The scores, and the features for distances over many rollouts.
+    /// Returns the scores, and the features for distances over many rollouts.
     pub fn finish(mut self) -> (Scores, CollectedFeatures) {
         let features = CollectedFeatures::of(&self.net, &self.generated, &self.truth);
         let steps = self.t_s.len();

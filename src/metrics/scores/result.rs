@@ -4,14 +4,14 @@ use serde::Serialize;
 
 use super::super::{Drift, Motion};
 
-/// A metric over a rollout.
+/// Series of a metric over a rollout.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Series {
     /// Mean over the steps that have a value.
     pub mean: Option<f64>,
-    /// How it changes.
+    /// Change over the rollout.
     pub drift: Option<Drift>,
-    /// Per step, as in [`Scores::t_s`].
+    /// Value per step, at the times [`Scores::t_s`].
     pub steps: Vec<Option<f64>>,
 }
 
@@ -21,52 +21,54 @@ impl Series {
     }
 }
 
-/// Intersection over union of class maps' vehicles and those that a segmentor sees, over all pixels of a rollout.
+/// Intersection over union of vehicles in class maps and in the masks of a segmentation model, over all pixels of a
+/// rollout.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VehicleIou {
-    /// In generated images; `None` without class maps or vehicles.
+    /// IoU in generated images; `None` without class maps or vehicles.
     pub generated: Option<f64>,
-    /// In true images: what the segmentor makes of images that are right.
+    /// IoU in ground-truth images: the performance of the segmentation model on correct images.
     pub truth: Option<f64>,
-    /// The first by the second.
+    /// `generated` divided by `truth`.
     pub ratio: Option<f64>,
-    /// In generated images, by step.
+    /// IoU in generated images per step.
     pub steps: Series,
 }
 
-/// How good a rollout is.
+/// Scores of a rollout.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Scores {
-    /// Steps that were scored.
+    /// Number of steps scored.
     pub steps: usize,
-    /// Images a step.
+    /// Number of images per step.
     pub cameras: usize,
-    /// Steps of which the truth is known; what needs it is `None` at the others.
+    /// Number of steps with ground truth; metrics that need it are `None` at the others.
     pub steps_with_truth: usize,
-    /// Images that equal the truth. They have no PSNR and are left out of its means.
+    /// Number of images that equal the ground truth. Their PSNR is infinite, so its means exclude them.
     pub equal_images: usize,
-    /// See [`psnr_db`](crate::metrics::psnr_db); mean over cameras, dB.
+    /// PSNR, see [`psnr_db`](crate::metrics::psnr_db); mean over cameras, dB.
     pub psnr_db: Series,
-    /// See [`ssim`](crate::metrics::ssim); mean over cameras.
+    /// SSIM, see [`ssim`](crate::metrics::ssim); mean over cameras.
     pub ssim: Series,
-    /// See [`sharpness`](crate::metrics::sharpness), of generated images; mean over cameras, levels per pixel.
+    /// Sharpness of generated images, see [`sharpness`](crate::metrics::sharpness); mean over cameras, levels per
+    /// pixel.
     pub sharpness: Series,
-    /// The same of true images.
+    /// Sharpness of ground-truth images.
     pub sharpness_truth: Series,
-    /// Sharpness of generated images by that of true ones, by step.
+    /// Sharpness of generated images divided by that of ground-truth images, per step.
     pub sharpness_ratio: Series,
-    /// How actors move; `None` without two steps in a row that have truth and moving pixels.
+    /// Motion of actors; `None` without two consecutive steps with ground truth and moving pixels.
     pub motion: Option<Motion>,
-    /// By the segmentor's name.
+    /// Vehicle IoU, by name of the segmentation model.
     pub iou: BTreeMap<String, VehicleIou>,
     /// Times of the steps, seconds.
     pub t_s: Vec<f64>,
 }
 
-/// A number of a rollout, where it has one.
+/// Function that extracts a number from the scores, if present.
 type Number = fn(&Scores) -> Option<f64>;
 
-/// [`Scores::numbers`], without segmentors.
+/// Names and functions of [`Scores::numbers`], without segmentation models.
 const NUMBERS: [(&str, Number); 14] = [
     ("psnr_db", |s| s.psnr_db.mean),
     ("psnr_db_slope_per_s", |s| s.psnr_db.drift.map(|d| d.slope_per_s)),
@@ -85,7 +87,8 @@ const NUMBERS: [(&str, Number); 14] = [
 ];
 
 impl Scores {
-    /// What means over rollouts are taken of, by name; `iou_NAME`, `iou_NAME_truth` and `iou_NAME_ratio` of each segmentor.
+    /// Returns the numbers that are averaged over rollouts, by name; `iou_NAME`, `iou_NAME_truth` and
+    /// `iou_NAME_ratio` for each segmentation model.
     pub fn numbers(&self) -> BTreeMap<String, Option<f64>> {
         let own = NUMBERS.iter().map(|(name, of)| ((*name).to_owned(), of(self)));
         let segmented = self.iou.iter().flat_map(|(name, iou)| {

@@ -5,7 +5,7 @@ const WIDTH: u32 = 28;
 const HEIGHT: u32 = 16;
 const CAMERAS: u32 = 2;
 
-/// A car that drives to the right over a pattern, and where it is.
+/// Returns images of a car that drives to the right over a pattern, and its masks.
 fn truth(step: u32) -> (Vec<RgbImage>, Vec<Vec<bool>>) {
     let inside = |x: u32, y: u32| (step..step + 8).contains(&x) && (4..12).contains(&y);
     let image = |camera: u32| {
@@ -18,7 +18,7 @@ fn truth(step: u32) -> (Vec<RgbImage>, Vec<Vec<bool>>) {
     ((0..CAMERAS).map(image).collect(), vec![mask; CAMERAS as usize])
 }
 
-/// Mixed with grey by so much of 10.
+/// Mixes images with `parts` tenths of gray.
 fn faded(images: &[RgbImage], parts: u32) -> Vec<RgbImage> {
     let fade = |level: &mut u8| *level = ((u32::from(*level) * (10 - parts) + 128 * parts) / 10) as u8;
     let image = |image: &RgbImage| {
@@ -63,7 +63,7 @@ fn copies_of_the_truth_are_perfect() {
     assert_eq!(scores.sharpness_ratio.drift.unwrap().slope_per_s, 0.0);
     let motion = scores.motion.unwrap();
     assert_eq!((motion.slope, motion.flicker), (Some(1.0), Some(1.0)));
-    // All but the four corners of a rectangle are left by the blur, and even they: 9 of 16.
+    // The blur leaves the whole rectangle above 0.5: even its corners are 9/16.
     let right = &scores.iou["right"];
     assert_eq!((right.generated, right.truth, right.ratio), (Some(1.0), Some(1.0), Some(1.0)));
     assert_eq!(scores.iou["blind"].steps.steps, [Some(0.0); 17]);
@@ -88,7 +88,7 @@ fn images_that_fade_drift() {
     assert!((last - 0.2).abs() < 0.05, "{last}");
     let slope = scores.motion.unwrap().slope.unwrap();
     assert!(slope > 0.1 && slope < 0.9, "{slope}");
-    // Too short for windows.
+    // The rollout is too short for windows.
     let distances = features.distances().unwrap();
     assert!(distances.videos.is_none() && distances.images.unwrap().distance > 0.01, "{distances:?}");
 }

@@ -1,4 +1,4 @@
-//! Views cut into bands of rows, and bands packed into parts that fit the device's buffers.
+//! Partition of views into row strips ("bands"), and of strips into batches ("parts") that fit the device's buffers.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -6,14 +6,14 @@ use crate::geometry::ImageSize;
 use crate::raster::reduce::{nearest_indices, taps};
 use crate::raster::{FrameJob, RasterError};
 
-/// Pixels of keys around each band at least: what the resolve shaders look around.
+/// Minimum padding of keys around each strip, pixels: the radius that the resolve shaders gather.
 pub(super) const PAD: u32 = 2;
-/// Columns of keys beyond the padding that a shader may read and not use.
+/// Extra columns of keys beyond the padding that a shader may read but not use.
 const SPARE: u32 = 8;
-/// Columns of a panel of keys.
+/// Columns of a tile ("panel") of keys.
 const PANEL: u32 = 32;
 
-/// What fits at once.
+/// Capacity limits of one batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PartLimits {
     /// Bytes of one layer of keys.
@@ -24,18 +24,18 @@ pub(super) struct PartLimits {
     pub(super) pixels: u64,
 }
 
-/// One output row or column of a reduction: where its values come from.
+/// Source positions of one output row or column of a reduction.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub(super) struct ResolveTap {
     pub(super) nearest: u32,
-    /// The first of two that color is mixed from.
+    /// First of the two that color interpolates.
     pub(super) low: u32,
-    /// In 1/2048.
+    /// Weights of these two, in 1/2048.
     pub(super) weights: [i32; 2],
 }
 
-/// How a view is reduced.
+/// Taps of a view's reduction.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Reduction {
     pub(super) columns: Vec<ResolveTap>,
@@ -56,7 +56,7 @@ impl Reduction {
         Self { columns: axis(from.width, to.width), rows: axis(from.height, to.height) }
     }
 
-    /// Whether the shader that walks down for both kinds at once can do it.
+    /// Returns whether the shader that resolves both kinds in one walk supports it.
     pub(super) fn joint(&self) -> bool {
         let near = |tap: &ResolveTap| tap.nearest <= tap.low && tap.low - tap.nearest <= 3;
         let forward = |pair: &[ResolveTap]| pair[0].low < pair[1].nearest;
@@ -65,46 +65,46 @@ impl Reduction {
             && self.rows.windows(2).all(forward)
     }
 
-    /// Whether the shaders that walk down for one kind can do it: always, but where images grow.
+    /// Returns whether the shaders that resolve one kind per walk support it: always, except for upscaling.
     pub(super) fn apart(&self) -> bool {
         self.rows.windows(2).all(|pair| pair[0].low < pair[1].low)
     }
 }
 
-/// Rows of a view that are drawn together.
+/// Row strip of a view, rendered in one batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Band {
     pub(super) view: usize,
-    /// Of the result: first and end.
+    /// Rows of the result: first and end.
     pub(super) rows: [u32; 2],
-    /// Of the view: first and end.
+    /// Rows of the view: first and end.
     pub(super) source: [u32; 2],
 }
 
 impl Band {
-    /// Rows of keys, with padding and one more that is read with weight zero.
+    /// Returns the number of key rows, with padding and one more that is read with weight zero.
     pub(super) fn key_rows(&self, pad: u32) -> u32 {
         self.source[1] - self.source[0] + 2 * pad + 1
     }
 }
 
-/// How a frame's views are cut.
+/// Partition of a frame's views.
 pub(super) struct Cut {
-    /// Of the keys: whole panels.
+    /// Columns of keys: whole tiles.
     columns: u32,
-    /// Pixels of keys around each band: room for points whose squares reach in.
+    /// Padding of keys around each strip, pixels: room for points outside whose squares reach in.
     pub(super) pad: u32,
-    /// By view; `None` for views that are not reduced, all or none.
+    /// One per view; `None` if no view is reduced.
     pub(super) reductions: Option<Vec<Reduction>>,
-    /// Bands that are drawn together.
+    /// Batches of strips.
     pub(super) parts: Vec<Vec<Band>>,
 }
 
 impl Cut {
-    /// `None` if a reduction is none that the shaders can do.
+    /// Partitions the views. Returns `None` if the shaders do not support a reduction.
     ///
     /// # Errors
-    /// A single row is too long.
+    /// Fails if a single row is too long.
     pub(super) fn new(job: &FrameJob<'_>, limits: PartLimits) -> Result<Option<Self>, RasterError> {
         let from = |view: usize| ImageSize::of(&job.views[view].camera);
         let to = |view: usize| job.size_of(&job.views[view]);
@@ -144,17 +144,17 @@ impl Cut {
         Ok(Some(cut))
     }
 
-    /// Bytes of a layer with so many rows of keys.
+    /// Returns the bytes of a layer with this number of key rows.
     pub(super) fn key_bytes(&self, key_rows: u32) -> u64 {
         8 * self.key_pixels(key_rows)
     }
 
-    /// Pixels of so many rows of keys.
+    /// Returns the pixels of this number of key rows.
     pub(super) fn key_pixels(&self, key_rows: u32) -> u64 {
         u64::from(self.columns) * u64::from(key_rows)
     }
 
-    /// As many rows of the result as fit, from the first on.
+    /// Returns a strip that starts at row `first` and fits the limits: its height is halved until it does.
     fn band(
         &self,
         view: usize,
@@ -186,12 +186,12 @@ impl Cut {
     }
 }
 
-/// Padding for squares of a radius: even, since the resolve shaders read pairs of columns.
+/// Returns the padding for squares of a radius: even, since the resolve shaders read pairs of columns.
 fn pad_for(radius: u32) -> u32 {
     radius.next_multiple_of(2).max(PAD)
 }
 
-/// Pixels of a row as results hold it: shaders write strips of four, as two words of 64 bits.
+/// Returns the row stride of full-size results, pixels: shaders write four pixels as two 64-bit words.
 pub(super) fn row_pixels(size: ImageSize) -> u64 {
     u64::from(size.width).next_multiple_of(4)
 }

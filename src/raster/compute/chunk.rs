@@ -1,18 +1,18 @@
-//! Clouds cut into chunks of neighbouring points, each with its bounds.
+//! Clouds split into chunks of neighboring points, with bounds.
 
 use rayon::prelude::*;
 
 use crate::cloud::{Bounds, Point, morton_order};
 
-/// Points in a chunk, but the last of a cloud. Also a row of the images that hold points, and the step of the numbers
-/// that a draw begins at.
+/// Points per chunk; the last one of a cloud may have fewer. Also the width of the images of points, and the
+/// alignment of a draw's first number.
 pub(super) const CHUNK: usize = 4096;
-/// Points that are culled together: a part of a chunk.
+/// Points that are culled as one unit: a part of a chunk.
 pub(super) const PIECE: usize = 1024;
-/// Pieces that are looked at together first.
+/// Number of pieces in a group; a group is culled before its pieces.
 pub(super) const GROUP: usize = 64;
 
-/// An axis-aligned box by centre and half its size, metres.
+/// An axis-aligned box, as center and half size, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Extent {
     pub(super) center: [f64; 3],
@@ -29,14 +29,14 @@ impl Extent {
     }
 }
 
-/// A cloud in the order of its chunks. Points that are not finite are in no bounds: they are never drawn.
+/// A cloud in the order of its chunks. Bounds exclude points with non-finite positions, which are never drawn.
 pub(super) struct ChunkedCloud<'a> {
     points: &'a [Point],
-    /// Where each point of the order stands in the cloud; `None` for the cloud's own order.
+    /// Cloud index of each point in chunk order; `None` for the cloud's own order.
     order: Option<Vec<u32>>,
-    /// Of each [`PIECE`] points; `None` if none of them is ever drawn.
+    /// Bounds of each run of [`PIECE`] points; `None` if none of them is ever drawn.
     pub(super) pieces: Vec<Option<Extent>>,
-    /// Of each [`GROUP`] pieces.
+    /// Bounds of each run of [`GROUP`] pieces.
     pub(super) groups: Vec<Option<Extent>>,
 }
 
@@ -57,22 +57,22 @@ impl<'a> ChunkedCloud<'a> {
         cloud
     }
 
-    /// Points in all.
+    /// Returns the number of points.
     pub(super) fn len(&self) -> usize {
         self.points.len()
     }
 
-    /// Chunks in all.
+    /// Returns the number of chunks.
     pub(super) fn chunks(&self) -> usize {
         self.points.len().div_ceil(CHUNK)
     }
 
-    /// How many points a chunk has.
+    /// Returns the number of points in a chunk.
     pub(super) fn count(&self, chunk: usize) -> u32 {
         (self.points.len() - chunk * CHUNK).min(CHUNK) as u32
     }
 
-    /// Points of the order with their places in the cloud.
+    /// Returns a range of points in chunk order, with their cloud indices.
     fn points_at(&self, places: std::ops::Range<usize>) -> impl Iterator<Item = (u32, &'a Point)> {
         places.map(|place| {
             let index = self.order.as_ref().map_or(place as u32, |order| order[place]);
@@ -80,7 +80,7 @@ impl<'a> ChunkedCloud<'a> {
         })
     }
 
-    /// Writes a chunk as the device holds it: bits of x, y, z and the place in the cloud, a row of [`CHUNK`] texels.
+    /// Writes a chunk in the device's layout: bits of x, y, z and the cloud index, a row of [`CHUNK`] texels.
     pub(super) fn write_row(&self, chunk: usize, row: &mut [[u32; 4]]) {
         let first = chunk * CHUNK;
         let places = first..first + self.count(chunk) as usize;
@@ -90,7 +90,7 @@ impl<'a> ChunkedCloud<'a> {
         }
     }
 
-    /// Colors and classes in the cloud's own order.
+    /// Returns colors and classes in the cloud's own order.
     pub(super) fn colors(&self, range: std::ops::Range<usize>) -> impl Iterator<Item = u32> {
         let end = range.end.min(self.points.len());
         self.points[range.start.min(end)..end].iter().map(|point| point.rgb_class)

@@ -1,34 +1,34 @@
-//! Which parts of chunks a band of a view can show, and how near they are.
+//! Culling of chunk parts per row strip, and their minimum depths.
 
 use super::chunk::{CHUNK, ChunkedCloud, Extent, GROUP, PIECE};
 use crate::raster::Draw;
 use crate::raster::schedule::Z_NEAR_M;
 
-/// Points of a chunk that may be seen.
+/// Range of a chunk's points that may be visible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Seen {
-    /// Of the cloud.
+    /// Chunk index within the cloud.
     pub(super) chunk: u32,
-    /// Of the chunk: first and end.
+    /// First and end point within the chunk.
     pub(super) points: [u32; 2],
-    /// None of them is nearer, metres.
+    /// Lower bound of their depths, meters.
     pub(super) nearest_m: f32,
-    /// Whether the crop may leave some of them out.
+    /// Whether the crop may exclude some of them.
     pub(super) crop: bool,
 }
 
-/// Rows of a view, in pixels: first and end.
+/// Rows of a view, pixels: first and end.
 pub(super) type Rows = [u32; 2];
 
-/// Half-spaces that a point must be in to be drawn, as `normal · p + offset >= 0`: depth, image and crop.
+/// Half-spaces that contain every drawn point, as `normal · p + offset >= 0`: depth, image and crop.
 struct Frustum {
     planes: Vec<[f64; 4]>,
-    /// Where the crop's half-spaces begin.
+    /// Index of the crop's first half-space.
     crop: usize,
     depth: [f64; 4],
 }
 
-/// Slack in metres, and in pixel · metres: far more than `f32` rounds.
+/// Slack in meters, and in pixel · meters: far above the rounding of `f32`.
 const SLACK: f64 = 1e-3;
 const IMAGE_SLACK: f64 = 1.0;
 
@@ -58,7 +58,7 @@ impl Frustum {
         Self { planes, crop, depth: z }
     }
 
-    /// Smallest and largest of `normal · p + offset` over a box, with room for what `f32` rounds.
+    /// Returns the minimum and maximum of `normal · p + offset` over a box, widened by the rounding of `f32`.
     fn range(plane: &[f64; 4], extent: &Extent) -> [f64; 2] {
         let (mut middle, mut reach, mut size) = (plane[3], 0.0, plane[3].abs());
         for ((normal, center), half) in plane.iter().zip(extent.center).zip(extent.half) {
@@ -70,13 +70,13 @@ impl Frustum {
         [middle - reach, middle + reach]
     }
 
-    /// Whether a point of the box may be drawn; no false "no".
+    /// Returns whether a point of the box may be drawn; conservative.
     fn touches(&self, extent: &Extent) -> bool {
-        // Written so that numbers which are none count as touching.
+        // Formulated so that NaN counts as touching.
         !self.planes.iter().any(|plane| Self::range(plane, extent)[1] < 0.0)
     }
 
-    /// Whether the crop may leave points of the box out; no false "no".
+    /// Returns whether the crop may exclude points of the box; conservative.
     fn cuts(&self, extent: &Extent) -> bool {
         !self.planes[self.crop..].iter().all(|plane| Self::range(plane, extent)[0] > 2.0 * SLACK)
     }
@@ -86,8 +86,8 @@ impl Frustum {
     }
 }
 
-/// Parts of chunks of a cloud that may be seen in some rows of a view `width` pixels wide, with `pad` pixels around for
-/// the squares of points. In the order of the points.
+/// Returns the parts of a cloud's chunks that may be visible in some rows of a view `width` pixels wide, in point
+/// order. The view is padded by `pad` pixels for the squares of points.
 pub(super) fn seen_points(
     cloud: &ChunkedCloud<'_>,
     draw: &Draw,
@@ -122,7 +122,7 @@ pub(super) fn seen_points(
 mod tests {
     use super::*;
 
-    /// A camera of focal length 100 at the origin that looks along z into 200x300 pixels; a crop of 30 m in x and z.
+    /// A camera at the origin with focal length 100 that looks along z, 300 × 200 pixels; a crop of 30 m in x and z.
     fn frustum() -> Frustum {
         let draw = Draw {
             cloud: 0,

@@ -1,22 +1,22 @@
-//! Which of a frame's instances go into which buffer of keys.
+//! Assignment of a frame's instances to visibility buffers.
 
 use crate::raster::{FrameJob, Instance, Occlusion};
 
-/// An instance of either cloud.
+/// An instance of either cloud with its visibility buffers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Layered {
     pub(super) instance: Instance,
-    /// Bits of the layers that it goes into.
+    /// Bit mask of its layers.
     pub(super) layers: u32,
-    /// Whether point numbers run through it.
+    /// Whether point numbers include its points.
     pub(super) numbered: bool,
 }
 
-/// The buffers of keys of a frame, at most three: each belongs to one or more of these.
+/// The visibility buffers ("layers") of a frame, at most three. Each serves one or more of these purposes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Layers {
     pub(super) color: Option<usize>,
-    /// Depth and points, and with [`Occlusion::Scene`] classes and instances.
+    /// Depth and points, and with [`Occlusion::Scene`] also classes and instances.
     pub(super) geometry: Option<usize>,
     /// Classes and instances with [`Occlusion::Actors`].
     pub(super) actors: Option<usize>,
@@ -45,7 +45,7 @@ impl Layers {
         bit(self.color, in_color) | bit(self.geometry, in_geometry) | bit(self.actors, in_geometry && actor)
     }
 
-    /// Both clouds as one list in which each has its order, what they share but once.
+    /// Merges both clouds into one list that preserves both orders; shared instances occur once.
     pub(super) fn merge(&self, job: &FrameJob<'_>) -> Vec<Layered> {
         let (mut color, mut geometry) = (job.color, job.geometry);
         let mut merged = Vec::with_capacity(color.len().max(geometry.len()));
@@ -53,7 +53,7 @@ impl Layers {
             let (instance, in_color, in_geometry) = match (color.first(), geometry.first()) {
                 (None, None) => return merged,
                 (Some(c), Some(g)) if c == g => (c, true, true),
-                // Lists that differ go on from actor to actor, so that the next one can be shared again.
+                // Differing lists advance in the order of actors, so that the next instances can be shared again.
                 (Some(c), Some(g)) if c.number <= g.number => (c, true, false),
                 (Some(c), None) => (c, true, false),
                 (_, Some(g)) => (g, false, true),

@@ -1,16 +1,17 @@
-//! The rasterizer in compute shaders: 64-bit atomics instead of a depth test.
+//! The compute rasterizer: visibility buffers with 64-bit atomics instead of a depth test.
 //!
 //! # How it works
-//! Points lie in images, one chunk of 4096 neighbours a row (`chunk`, `store`). A frame is a list of instances in one
-//! numbering (`plan`); its views are rows of one buffer of keys per cloud (`bands`, `layers`). Only chunks that a view
-//! may show are drawn (`cull`), by a dispatch per page and kind for all views: each point takes its pixel by an atomic minimum of
-//! `depth << 32 | number` (`project`). A nearer point of the same pixel covers whatever a farther one covers, so this is
-//! enough: the resolve shaders then look around each pixel that the result reads, and write the maps (`resolve`).
-//! All of it is one submit (`record`) with buffers of its own (`slot`), so the next frame can be begun meanwhile; only
-//! streams, and views that do not fit at once, take several.
+//! Points are stored in images, one chunk of 4096 neighboring points per row (`chunk`, `store`). A frame is a list
+//! of instances in one numbering (`plan`). Its views are row strips ("bands") of one visibility buffer per cloud
+//! (`bands`, `layers`). Only chunks that may be visible in a view are drawn (`cull`), in one dispatch per page and
+//! kind for all views. Each point writes its pixel with an atomic minimum of `depth << 32 | number` (`project`). A
+//! nearer point in the same pixel covers everything that a farther one covers, so one key per pixel suffices: the
+//! resolve shaders gather the neighborhood of each pixel that the result reads, and write the maps (`resolve`). All
+//! passes are one submit (`record`) with buffers of its own (`slot`), so the next frame can be begun meanwhile.
+//! Only streaming, and views that do not fit into one batch ("part"), take several submits.
 //!
-//! Where positions of all points exceed the memory that is allowed, rows of positions are streamed: those drawn longest
-//! ago make room (`Residency`).
+//! If the positions of all points exceed the memory budget, rows of positions are streamed, and the least recently
+//! drawn rows are evicted (`Residency`).
 
 mod bands;
 mod chunk;
@@ -52,29 +53,29 @@ use super::{
 use crate::geometry::ImageSize;
 use crate::gpu::{Commands, Device, Flight, GpuError};
 
-/// How a [`ComputeRasterizer`] divides its work; the default is what the device can do. Results never depend on it.
+/// Partitioning of a [`ComputeRasterizer`]'s work; the default uses the device's limits. Results never depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ComputeRasterizerDesc {
-    /// Bytes that points may take on the device (20 a point); beyond them positions are streamed.
+    /// Memory budget for points on the device, bytes (20 per point); beyond it positions are streamed.
     pub memory_bytes: Option<u64>,
-    /// Most chunks of 4096 points in one image.
+    /// Maximum number of chunks of 4096 points per image.
     pub page_rows: Option<u32>,
-    /// Most rows of keys that are drawn at once.
+    /// Maximum number of key rows per batch.
     pub key_rows: Option<u32>,
-    /// How many chunks of 4096 points are streamed at once; memory must have room for twice as many.
+    /// Maximum number of chunks of 4096 points streamed at once; the budget must hold twice as many.
     pub streamed_rows: Option<u32>,
-    /// Use memory of the device alone and copies, as on a GPU, also where host and device share theirs.
+    /// Use device-only memory and copies, as on a GPU, even if host and device share memory.
     pub copies: bool,
 }
 
-/// Clouds on a Vulkan device, and what draws them.
+/// Rasterizer with clouds on a Vulkan device.
 pub struct ComputeRasterizer<'a> {
     device: Arc<Device>,
     commands: Commands,
     clouds: Vec<ChunkedCloud<'a>>,
     residency: Residency,
     shared: Arc<Shared>,
-    /// Frames in flight take turns in all but the last, which serves what is waited for at once.
+    /// Frames in flight, used in rotation; the last slot is reserved for synchronous work.
     slots: Vec<Flight<Shared, Slot>>,
     turn: usize,
     begun: VecDeque<Begun>,
@@ -84,19 +85,19 @@ pub struct ComputeRasterizer<'a> {
     stages: StageTimes,
 }
 
-/// A frame that was begun.
+/// State of a begun frame.
 enum Begun {
-    /// The device is at it.
+    /// In flight.
     Flying { slot: usize, results: Vec<BandResult>, sizes: Vec<ImageSize>, kinds: FrameKinds },
-    /// It was finished at once.
+    /// Rendered synchronously.
     Done(FrameMaps<'static>),
 }
 
-/// Slot for what is waited for at once.
+/// Slot for synchronous work.
 const AT_ONCE: usize = FRAMES_IN_FLIGHT;
 
 impl<'a> ComputeRasterizer<'a> {
-    /// Whether a device has what it takes: 64-bit integers and atomics in compute shaders.
+    /// Returns whether the device supports 64-bit integers and atomics in compute shaders.
     pub fn supported(device: &Device) -> bool {
         device.atomics_64()
     }
@@ -104,15 +105,15 @@ impl<'a> ComputeRasterizer<'a> {
     /// Uploads all clouds.
     ///
     /// # Errors
-    /// Out of memory, or a device that lacks something.
+    /// Fails if memory is exhausted or the device lacks a required feature.
     pub fn new(device: Arc<Device>, clouds: &CloudSet<'a>) -> Result<Self, GpuError> {
         Self::with_desc(device, clouds, ComputeRasterizerDesc::default())
     }
 
-    /// The same within other limits.
+    /// Uploads all clouds, with other limits.
     ///
     /// # Errors
-    /// Out of memory, or a device that lacks something.
+    /// Fails if memory is exhausted or the device lacks a required feature.
     pub fn with_desc(
         device: Arc<Device>,
         clouds: &CloudSet<'a>,
@@ -175,7 +176,7 @@ impl<'a> ComputeRasterizer<'a> {
         })
     }
 
-    /// Starts a job whose views fit at once, or draws one that does not.
+    /// Submits a job that fits into one batch, or renders any other job synchronously.
     fn begin_job(&mut self, job: &FrameJob<'_>, slot: usize) -> Result<Begun, RasterError> {
         let sizes: Vec<ImageSize> = job.views.iter().map(|view| job.size_of(view)).collect();
         let layers = Layers::of(job);
@@ -183,7 +184,7 @@ impl<'a> ComputeRasterizer<'a> {
             return Ok(Begun::Done(sizes.iter().map(|size| empty(*size)).collect()));
         }
         let Some(cut) = Cut::new(job, self.limits)? else {
-            // No shader makes images grow: full size, then on the host.
+            // The shaders cannot upscale: render at full size, then resample on the host.
             return frame_by_views(job, &mut |job| self.splat(job)).map(Begun::Done);
         };
         let start = Instant::now();
@@ -204,14 +205,14 @@ impl<'a> ComputeRasterizer<'a> {
         Ok(Begun::Done(maps.into_iter().map(OwnedMaps::done).collect()))
     }
 
-    /// Plans a part and starts it; positions that are not there are streamed first.
+    /// Plans and submits a batch: first the resident chunks, then the streamed ones, then the resolve.
     fn draw_part(
         &mut self,
         work: &Work<'_>,
         part: &[Band],
         slot: usize,
     ) -> Result<Vec<BandResult>, RasterError> {
-        // After an error it may still be at the part before.
+        // After an error the previous batch may still be in flight.
         self.wait(slot)?;
         let start = Instant::now();
         let plan = PartPlan::new(work.job, work.cut, part, work.numbering, &self.clouds);
@@ -248,7 +249,7 @@ impl<'a> ComputeRasterizer<'a> {
         Ok(plan.results)
     }
 
-    /// Draws chunks that are not there, a number of rows at a time.
+    /// Streams and projects chunks that are not resident, a bounded number of rows at a time.
     fn stream(
         &mut self,
         phases: &Phases<'_>,
@@ -262,7 +263,7 @@ impl<'a> ComputeRasterizer<'a> {
             self.wait(slot)?;
             let start = Instant::now();
             let rows = self.residency.oldest(batch.len());
-            // Until they are on their way, these rows hold nothing.
+            // These rows count as empty until their upload is submitted.
             rows.iter().for_each(|row| self.residency.forget(*row));
             let row_of: BTreeMap<(u32, u32), u32> = batch.iter().copied().zip(rows.iter().copied()).collect();
             let mut placed = Vec::new();
@@ -298,7 +299,7 @@ impl<'a> ComputeRasterizer<'a> {
         items_of(item.draw, row, item.points, covering).map(move |item| PlacedItem { page, crop, item })
     }
 
-    /// Makes buffers if those there are too small.
+    /// Creates larger buffers if the current ones are too small.
     fn prepare(
         &mut self,
         work: &Work<'_>,
@@ -312,7 +313,7 @@ impl<'a> ComputeRasterizer<'a> {
             windows: covering == Covering::Spread,
         });
         if room != self.shared.room {
-            // What is in flight keeps the old ones as long as it needs them.
+            // Frames in flight own references to the old buffers.
             let copied = self.shared.layers[0].copied;
             let shared = self.shared.with_keys(&self.device, &mut self.commands, room, copied)?;
             self.shared = Arc::new(shared);
@@ -343,7 +344,7 @@ impl<'a> ComputeRasterizer<'a> {
         Ok(())
     }
 
-    /// The maps of a frame that was begun.
+    /// Waits for a begun frame and returns its maps.
     fn maps_of(&mut self, begun: Begun) -> Result<FrameMaps<'_>, RasterError> {
         match begun {
             Begun::Done(maps) => Ok(maps),

@@ -1,4 +1,4 @@
-//! What a part of a frame submits: at once, or in pieces while positions are streamed.
+//! Submits of a batch: one, or several while positions are streamed.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use super::store::ROW_BYTES;
 use crate::gpu::{Device, Flight, GpuError, Scope};
 use crate::raster::FrameJob;
 
-/// What all parts of a frame share.
+/// Inputs shared by all batches of a frame.
 pub(super) struct Work<'j> {
     pub(super) job: &'j FrameJob<'j>,
     pub(super) layers: Layers,
@@ -22,7 +22,7 @@ pub(super) struct Work<'j> {
     pub(super) numbering: &'j Numbering,
 }
 
-/// What a part records.
+/// Inputs for recording a batch.
 pub(super) struct Phases<'w> {
     pub(super) device: &'w Device,
     pub(super) resolve: Resolve<'w>,
@@ -37,7 +37,7 @@ impl Phases<'_> {
         Spread { schedule, bands: self.bands, layers, pad, key_rows }
     }
 
-    /// Chunks that are there; before them the clearing, after them the resolving, if it is time for that.
+    /// Projects resident chunks, with optional clear (`first`) and spread and resolve passes (`last`).
     pub(super) fn start(
         &self,
         flight: &mut Flight<Shared, Slot>,
@@ -64,7 +64,7 @@ impl Phases<'_> {
         })
     }
 
-    /// Chunks that come from the host into these rows.
+    /// Uploads the staged chunks into these rows and projects them.
     pub(super) fn stream(
         &self,
         flight: &mut Flight<Shared, Slot>,
@@ -89,7 +89,7 @@ impl Phases<'_> {
     }
 }
 
-/// Cuts ascending rows where one does not follow the other, or where a page ends: first and count of each piece.
+/// Splits ascending rows into consecutive runs within one page; returns the first index and count of each run.
 fn neighbours(rows: &[u32], page_rows: u32) -> Vec<(usize, usize)> {
     let mut pieces: Vec<(usize, usize)> = Vec::new();
     for (i, row) in rows.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! A part of a frame as tables for the shaders.
+//! Shader tables of a batch.
 
 use rayon::prelude::*;
 
@@ -11,27 +11,28 @@ use super::resolve::ResolveBand;
 use crate::raster::draw::draw_from_instance;
 use crate::raster::{FrameJob, Planes, RasterError, SplatJob};
 
-/// What a block of [`CHUNK`] numbers stands for: what is added (wrapping) to a number for the color's place and for the
-/// point's number + 1; the instance's number; nothing.
+/// Entry for a block of [`CHUNK`] point numbers: the wrapping offsets from a number to its color index and to the
+/// point's number + 1, the instance number, and padding.
 pub(super) type Block = [u32; 4];
 
-/// An instance whose points have numbers from `first` on.
+/// An instance whose points are numbered from `first` on.
 pub(super) struct Numbered {
     layered: Layered,
     first: u32,
 }
 
-/// Both clouds of a frame in one numbering. It leaves room after each instance, so that a block belongs to one.
+/// Joint numbering of both clouds of a frame. Each instance starts at a multiple of [`CHUNK`], so that a block
+/// belongs to one instance.
 pub(super) struct Numbering {
     pub(super) instances: Vec<Numbered>,
     pub(super) blocks: Vec<Block>,
 }
 
 impl Numbering {
-    /// `color_firsts`: where each cloud's colors begin.
+    /// Numbers the instances; `color_firsts` are the first color indices of the clouds.
     ///
     /// # Errors
-    /// An unknown cloud, too many points.
+    /// Fails for an unknown cloud or for too many points.
     pub(super) fn new(
         merged: Vec<Layered>,
         clouds: &[ChunkedCloud<'_>],
@@ -67,41 +68,41 @@ impl Numbering {
     }
 }
 
-/// A part of a chunk to be drawn, before it is known where it lies.
+/// Range of a chunk's points to project, before its row is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PlannedItem {
     pub(super) draw: u32,
     pub(super) cloud: u32,
     pub(super) chunk: u32,
-    /// Of the chunk: first and end.
+    /// First and end point within the chunk.
     pub(super) points: [u32; 2],
     pub(super) crop: bool,
     pub(super) nearest_m: f32,
 }
 
-/// Where a band's result is to be found.
+/// Location of a row strip's result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct BandResult {
     pub(super) band: Band,
-    /// Of the results.
+    /// Offset in the results, pixels.
     pub(super) pixel: usize,
-    /// From row to row.
+    /// Row stride, pixels.
     pub(super) row_pixels: usize,
 }
 
-/// Tables of a part.
+/// Tables of a batch.
 #[derive(Default)]
 pub(super) struct PartPlan {
     pub(super) project_bands: Vec<ProjectBand>,
     pub(super) resolve_bands: Vec<ResolveBand>,
     pub(super) taps: Vec<ResolveTap>,
     pub(super) draws: Vec<ProjectDraw>,
-    /// Near ones first.
+    /// Sorted by depth, nearest first.
     pub(super) items: Vec<PlannedItem>,
     pub(super) results: Vec<BandResult>,
-    /// Rows of keys in all.
+    /// Total number of key rows.
     pub(super) key_rows: u32,
-    /// Of the results.
+    /// Total size of the results, pixels.
     pub(super) pixels: usize,
 }
 
@@ -171,7 +172,7 @@ impl PartPlan {
             across = size.width as usize;
         }
         let height = band.rows[1] - band.rows[0];
-        // Shaders write strips of four, as two words of 64 bits.
+        // Shaders write four pixels at a time, as two 64-bit words.
         let pixel = self.pixels.next_multiple_of(4);
         self.resolve_bands.push(ResolveBand {
             width: size.width,
@@ -189,7 +190,7 @@ impl PartPlan {
     }
 }
 
-/// Sorts by depth, coarsely: what is drawn late then mostly fails the depth test, which is cheaper than to pass it.
+/// Sorts coarsely by depth: later points then mostly fail the depth test, which is cheaper than passing it.
 fn near_first(items: &mut Vec<PlannedItem>, z_far_m: f32) {
     const SLICES: usize = 256;
     let slice = |item: &PlannedItem| ((item.nearest_m / z_far_m * SLICES as f32) as usize).min(SLICES - 1);
@@ -205,7 +206,7 @@ fn near_first(items: &mut Vec<PlannedItem>, z_far_m: f32) {
     *items = sorted;
 }
 
-/// Deals items to so many threads that each take a contiguous share of a dispatch: all of them near ones first.
+/// Interleaves items so that each thread's contiguous share of a dispatch is sorted nearest first.
 pub(super) fn dealt<T: Copy>(items: &[T], threads: usize) -> Vec<T> {
     (0..threads).flat_map(|thread| items.iter().skip(thread).step_by(threads).copied()).collect()
 }

@@ -1,4 +1,4 @@
-//! Points to keys (`glsl/project.wgsl`).
+//! Projection of points into visibility buffers (`glsl/project.wgsl`).
 
 use std::sync::Arc;
 
@@ -11,15 +11,15 @@ use crate::raster::{Draw, SplatSchedule};
 
 /// Descriptor set of a page of points.
 pub(super) const PAGE_SET: u32 = 1;
-/// Largest radius that the resolve shaders look around for.
+/// Maximum radius that the resolve shaders gather.
 pub(super) const MAX_LOOKED_FOR: u32 = 2;
-/// Points that a workgroup draws as squares: drivers on processors end invocations that loop more than 65 535 times, and
-/// each of these may be one of up to 63 by 63 pixels.
+/// Points per workgroup that draws squares: CPU drivers terminate invocations that loop more than 65 535 times, and
+/// each square may have up to 63 by 63 pixels.
 const SQUARES_AT_ONCE: u32 = 512;
 /// Workgroups in a row of a dispatch.
 const GROUPS_PER_ROW: u32 = 32_768;
 
-/// What all draws share.
+/// Uniforms shared by all draws.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 pub(super) struct ProjectFrame {
@@ -38,14 +38,14 @@ assert_layout!(ProjectFrame, shaders::project_wgsl_pixel::project_frame, [
 ]);
 
 impl ProjectFrame {
-    /// `key_rows`: rows of a panel of keys; `pad`: pixels around each band.
+    /// Creates the uniforms. `key_rows`: rows of a tile of keys; `pad`: padding around each strip, pixels.
     pub(super) fn new(schedule: &SplatSchedule, key_rows: u32, pad: u32) -> Self {
         let step_count = schedule.steps().len() as u32;
         Self { steps: steps(schedule), step_count, z_far_m: schedule.z_far_m(), key_rows, pad }
     }
 }
 
-/// An instance in a band.
+/// An instance in a row strip.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub(super) struct ProjectDraw {
@@ -72,7 +72,7 @@ assert_layout!(ProjectDraw, shaders::project_wgsl_pixel::project_draw, [
 ]);
 
 impl ProjectDraw {
-    /// `band`: place in the table of bands; `layers`: bits.
+    /// Creates the entry. `band`: index in the table of strips; `layers`: bit mask.
     pub(super) fn new(draw: &Draw, band: u32, layers: u32) -> Self {
         let [image_x, image_y, image_z] = draw.image_from_local;
         let [crop_x, crop_y] = draw.crop_from_local;
@@ -81,17 +81,17 @@ impl ProjectDraw {
     }
 }
 
-/// Where the keys of a band lie.
+/// Location of a strip's keys.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub(super) struct ProjectBand {
-    /// Pixels.
+    /// Width, pixels.
     pub(super) columns: f32,
-    /// Pixels.
+    /// Height, pixels.
     pub(super) rows: f32,
-    /// In the view.
+    /// First row in the view.
     pub(super) first_row: f32,
-    /// Where its padding begins.
+    /// Key row where its padding begins.
     pub(super) key_row: u32,
 }
 assert_layout!(ProjectBand, shaders::project_wgsl_pixel::project_band, [
@@ -101,16 +101,16 @@ assert_layout!(ProjectBand, shaders::project_wgsl_pixel::project_band, [
     key_row: KEY_ROW,
 ]);
 
-/// Points of a chunk to be drawn.
+/// Range of a chunk's points to draw.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub(super) struct ProjectItem {
     pub(super) draw: u32,
-    /// Of the page.
+    /// Row in the page.
     pub(super) row: u32,
-    /// Of the row.
+    /// First column.
     pub(super) first: u32,
-    /// Of the row.
+    /// End column.
     pub(super) end: u32,
 }
 assert_layout!(ProjectItem, shaders::project_wgsl_pixel::project_item, [
@@ -120,7 +120,7 @@ assert_layout!(ProjectItem, shaders::project_wgsl_pixel::project_item, [
     end: END,
 ]);
 
-/// The items of some points (first and end) of a row.
+/// Returns the items of a range (first and end) of points in a row.
 pub(super) fn items_of(
     draw: u32,
     row: u32,
@@ -132,7 +132,7 @@ pub(super) fn items_of(
     (first..end).step_by(step as usize).map(item)
 }
 
-/// Which items to draw.
+/// Range of items to draw.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 pub(super) struct ProjectPush {
@@ -147,7 +147,7 @@ impl ProjectPush {
     }
 }
 
-/// One pipeline for each kind of work, so that none does more than it must.
+/// One pipeline per kind of work, so that none does unnecessary work.
 pub(super) struct ProjectStage {
     pixel: [ComputePipeline; 2],
     layered: [ComputePipeline; 2],
@@ -173,7 +173,7 @@ impl ProjectStage {
         })
     }
 
-    /// For chunks that the crop may cut or not, in a frame with so many layers.
+    /// Returns the pipeline for chunks with or without crop, in a frame with this number of layers.
     pub(super) fn pipeline(&self, crop: bool, layers: usize, covering: Covering) -> &ComputePipeline {
         match (covering == Covering::Drawn, layers > 1) {
             (true, _) => &self.square,
@@ -182,7 +182,7 @@ impl ProjectStage {
         }
     }
 
-    /// The layout of all of them.
+    /// Returns the layout shared by all pipelines.
     pub(super) fn layout(&self) -> &PipelineLayout {
         self.square.layout()
     }

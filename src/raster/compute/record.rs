@@ -1,4 +1,4 @@
-//! The commands of a frame.
+//! Recording of a frame's commands.
 
 use super::layers::Layers;
 use super::phases::Work;
@@ -10,10 +10,10 @@ use super::spread::Covering;
 use crate::gpu::{DescriptorSet, Device, GpuError, Recorder, Scope};
 use crate::raster::FrameJob;
 
-/// Both words of a key that no point has.
+/// Both words of an empty key.
 const EMPTY_WORD: u32 = 0x7fff_ffff;
 
-/// Chunks that one dispatch draws: of one page, and cut by the crop or not.
+/// Chunks of one dispatch: all from one page, and either all cropped or none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Run {
     pub(super) page: usize,
@@ -22,7 +22,7 @@ pub(super) struct Run {
     pub(super) count: u32,
 }
 
-/// A chunk to be drawn from where it lies.
+/// A chunk to draw, with its location.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PlacedItem {
     pub(super) page: usize,
@@ -30,7 +30,7 @@ pub(super) struct PlacedItem {
     pub(super) item: ProjectItem,
 }
 
-/// Sorts chunks into dispatches; within each they keep their order.
+/// Groups chunks into dispatches; each preserves their order.
 pub(super) fn runs_of(placed: &[PlacedItem], threads: usize) -> (Vec<ProjectItem>, Vec<Run>) {
     let mut kinds: Vec<(usize, bool)> = placed.iter().map(|p| (p.page, p.crop)).collect();
     kinds.sort_unstable();
@@ -45,7 +45,7 @@ pub(super) fn runs_of(placed: &[PlacedItem], threads: usize) -> (Vec<ProjectItem
     (items, runs)
 }
 
-/// The shared tables, and empty buffers of keys.
+/// Uploads the shared tables and clears the visibility buffers.
 pub(super) fn clear<'a>(
     recorder: &mut Recorder<'a>,
     shared: &'a Shared,
@@ -53,7 +53,7 @@ pub(super) fn clear<'a>(
     (key_bytes, blocks): (u64, usize),
     layers: usize,
 ) -> Result<(), GpuError> {
-    // The frame before may still be looking at them.
+    // The previous frame may still be reading them.
     recorder.barrier(Scope::Compute, Scope::CopyWrite);
     let rows = (blocks.div_ceil(super::chunk::CHUNK)).max(1) as u32;
     recorder.write_rows((&slot.block_rows, 0), &slot.blocks, 0, 0..rows)?;
@@ -65,7 +65,7 @@ pub(super) fn clear<'a>(
     Ok(())
 }
 
-/// Points into keys.
+/// Projects points into the visibility buffers.
 pub(super) fn project<'a>(
     recorder: &mut Recorder<'a>,
     shared: &'a Shared,
@@ -84,7 +84,7 @@ pub(super) fn project<'a>(
     Ok(())
 }
 
-/// What is resolved, and how.
+/// Inputs of the resolve passes.
 pub(super) struct Resolve<'j> {
     pub(super) work: &'j Work<'j>,
     pub(super) bands: &'j [ResolveBand],
@@ -94,7 +94,7 @@ pub(super) struct Resolve<'j> {
 }
 
 impl Resolve<'_> {
-    /// Keys into maps that the host can read.
+    /// Resolves keys into maps that the host can read.
     pub(super) fn record<'a>(
         &self,
         recorder: &mut Recorder<'a>,
@@ -140,7 +140,7 @@ impl Resolve<'_> {
         self.read_back(recorder, slot)
     }
 
-    /// Where the image has memory of its own.
+    /// Copies keys to the images with memory of their own.
     fn copy_keys<'a>(&self, recorder: &mut Recorder<'a>, shared: &'a Shared) -> Result<(), GpuError> {
         for layer in shared.layers[..self.work.layers.count].iter().filter(|layer| layer.copied) {
             recorder.barrier(Scope::Compute, Scope::CopyRead);
@@ -169,7 +169,7 @@ impl Resolve<'_> {
     }
 }
 
-/// Empty maps: the resolve shaders write only what is not empty.
+/// Clears the maps: the resolve shaders write only non-empty pixels.
 pub(super) fn clear_maps<'a>(
     recorder: &mut Recorder<'a>,
     slot: &'a Slot,

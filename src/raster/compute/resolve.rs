@@ -1,4 +1,4 @@
-//! Keys to maps (`glsl/resolve_full.wgsl`, `glsl/resolve_reduced.wgsl`).
+//! Resolve of keys into maps (`glsl/resolve_full.wgsl`, `glsl/resolve_reduced.wgsl`).
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ pub(super) const WANT_CLASS: u32 = 2;
 pub(super) const WANT_DEPTH: u32 = 4;
 pub(super) const WANT_INSTANCE: u32 = 8;
 pub(super) const WANT_POINT: u32 = 16;
-/// Columns that an invocation of the shader for full size writes.
+/// Columns per invocation of the full-size shader.
 const COLUMNS_EACH: u32 = 4;
 const GROUP: u32 = 64;
 
@@ -25,23 +25,23 @@ assert_layout!(ResolveTap, shaders::resolve_reduced_wgsl_both::resolve_tap, [
     weights: WEIGHTS,
 ]);
 
-/// Where a band's keys, taps and results lie.
+/// Location of a strip's keys, taps and results.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub(super) struct ResolveBand {
-    /// Of the result.
+    /// Width of the result, pixels.
     pub(super) width: u32,
     /// Rows of the result.
     pub(super) height: u32,
-    /// Of the keys around source row 0 (full size: around the band's first), wrapping.
+    /// Key row at which the gather for source row 0 begins (full size: for the strip's first row), wrapping.
     pub(super) key_row: u32,
-    /// Of the results: where the band begins.
+    /// Offset of the strip in the results, pixels.
     pub(super) pixel: u32,
-    /// Tap of column 0.
+    /// Index of the tap of column 0.
     pub(super) columns: u32,
-    /// Tap of the band's first row.
+    /// Index of the tap of the strip's first row.
     pub(super) rows: u32,
-    /// Of the keys: pairs of columns to the left of those that are looked at.
+    /// Number of pairs of key columns to the left of those that are read.
     pub(super) pair: u32,
     pub(super) pad_1: u32,
 }
@@ -81,9 +81,10 @@ assert_layout!(ResolvePush, shaders::resolve_reduced_wgsl_both::resolve_push, [
 ]);
 
 impl ResolvePush {
-    /// `rows`: of the result, per invocation; `wants`: bits of maps; `key_rows`: of a panel of keys.
+    /// Creates the constants. `rows`: result rows per invocation; `wants`: bits of maps; `key_rows`: rows of
+    /// a tile of keys.
     pub(super) fn new(schedule: &SplatSchedule, rows: u32, wants: u32, key_rows: u32) -> Self {
-        // What was drawn as squares is looked for in its own pixel only.
+        // Squares of larger radii are already drawn or spread: only the own pixel is read.
         let looked_for = schedule.max_radius() <= MAX_LOOKED_FOR;
         let reach = |radius: u32| {
             let covers = |step: &&SplatStep| looked_for && step.radius >= radius;
@@ -93,7 +94,7 @@ impl ResolvePush {
     }
 }
 
-/// All maps of a kind.
+/// Returns the bits of all maps of these kinds.
 pub(super) fn wants(kinds: FrameKinds) -> u32 {
     let bit = |wanted: bool, bit: u32| if wanted { bit } else { 0 };
     bit(kinds.color, WANT_COLOR)
@@ -103,7 +104,7 @@ pub(super) fn wants(kinds: FrameKinds) -> u32 {
         | bit(kinds.point, WANT_POINT)
 }
 
-/// What a pipeline looks up.
+/// Kinds of maps that a pipeline resolves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Both,
@@ -135,7 +136,7 @@ impl ResolveStage {
         Self::new(device, both, &s::resolve_reduced_wgsl_color::SHADER, geometry, true)
     }
 
-    /// Pairs are without and with points.
+    /// Compiles the pipelines; pairs are without and with points.
     fn new(
         device: &Arc<Device>,
         both: [&'static Shader; 2],
@@ -148,7 +149,7 @@ impl ResolveStage {
         Ok(Self { both: pair(both)?, color: pipeline(color)?, geometry: pair(geometry)?, reduced })
     }
 
-    /// `wants`: bits of maps.
+    /// Returns the pipeline of a kind; `wants`: bits of maps.
     pub(super) fn pipeline(&self, kind: Kind, wants: u32) -> &ComputePipeline {
         let point = usize::from(wants & WANT_POINT != 0);
         match kind {
@@ -158,13 +159,13 @@ impl ResolveStage {
         }
     }
 
-    /// The layout of all of them.
+    /// Returns the layout shared by all pipelines.
     pub(super) fn layout(&self) -> &PipelineLayout {
         self.color.layout()
     }
 
-    /// Rows of the result that an invocation walks down. The way down to the first costs four rows of keys, and every
-    /// walk is one invocation: a processor wants them long, a GPU wants many.
+    /// Returns the number of result rows that an invocation walks down. Each walk reads four extra rows of keys
+    /// before its first result, and each walk is one invocation: a CPU prefers long walks, a GPU prefers many.
     pub(super) fn rows_each(&self, device: &Device) -> u32 {
         match (self.reduced, device.is_cpu()) {
             (true, true) => 32,
@@ -174,7 +175,7 @@ impl ResolveStage {
         }
     }
 
-    /// Workgroups for these bands.
+    /// Returns the workgroup counts for these strips.
     pub(super) fn groups(&self, bands: &[ResolveBand], rows_each: u32) -> [u32; 3] {
         let width = bands.iter().map(|band| band.width).max().unwrap_or(0);
         let height = bands.iter().map(|band| band.height).max().unwrap_or(0);

@@ -1,4 +1,4 @@
-//! A frame's maps, as the host gets them.
+//! Maps of a frame, as read by the host.
 
 use std::sync::Arc;
 
@@ -10,13 +10,13 @@ use crate::geometry::ImageSize;
 use crate::gpu::{GpuError, Mapped};
 use crate::raster::{FrameKinds, FrameMaps, Plane, RasterError, ViewMaps};
 
-/// A view without maps.
+/// Returns a view without maps.
 pub(super) fn empty(size: ImageSize) -> ViewMaps<'static> {
     let none = || Plane::from(Vec::new());
     ViewMaps { size, rgb_class: none(), depth_m: Vec::new().into(), instance: none(), point: none() }
 }
 
-/// Maps of a view that are put together from parts.
+/// Maps of a view assembled from batches.
 pub(super) struct OwnedMaps {
     size: ImageSize,
     maps: [Vec<u32>; MAPS],
@@ -40,7 +40,7 @@ impl OwnedMaps {
     }
 }
 
-/// Copies what a part has of each view.
+/// Copies the strips of a batch into the maps of their views.
 pub(super) fn read_parts(
     slot: &Slot,
     results: &[BandResult],
@@ -62,8 +62,9 @@ pub(super) fn read_parts(
     Ok(())
 }
 
-/// Maps of a frame of one part: where the device wrote them, unless their rows have gaps or views are of several bands. Where
-/// few rows are left of many, the rows between bands are not drawn, and bands together fit where the view did not.
+/// Returns the maps of a frame of one batch: in place, unless their rows have padding or a view has several strips.
+/// At strong reductions the source rows between strips are not drawn, so several strips of a view fit into one
+/// batch although the whole view did not.
 pub(super) fn read_maps<'s>(
     slot: &'s Slot,
     results: &[BandResult],
@@ -93,7 +94,7 @@ pub(super) fn read_maps<'s>(
     Ok(results.iter().map(view).collect())
 }
 
-/// A band's part of a map; nothing of a map that there is not.
+/// Returns a strip's part of a map; empty if the map was not requested.
 fn plane<'s, T: Pod>(
     memory: &Option<Arc<Mapped<'s>>>,
     result: &BandResult,

@@ -1,4 +1,4 @@
-//! What all frames in flight use: pipelines, points, and buffers of keys.
+//! Resources shared by all frames in flight: pipelines, points and visibility buffers.
 
 use std::sync::Arc;
 
@@ -10,35 +10,35 @@ use super::spread::SpreadStage;
 use super::store::Store;
 use crate::gpu::{Buffer, BufferDesc, Commands, Device, GpuError, Image, ImageDesc, Memory};
 
-/// Texels of two keys in a row of the image over a buffer of keys, and bytes.
+/// Width of the image over a visibility buffer in texels of two keys, and its row size in bytes.
 const KEY_IMAGE_WIDTH: u32 = 4096;
 pub(super) const KEY_IMAGE_ROW_BYTES: u64 = KEY_IMAGE_WIDTH as u64 * 16;
-/// Rows of an image over a buffer come in such groups.
+/// The height of such an image is a multiple of this.
 const ROW_STEP: u32 = 4;
-/// Keys come in steps of so many bytes.
+/// Granularity of a visibility buffer's size, bytes.
 pub(super) const KEY_STEP_BYTES: u64 = KEY_IMAGE_ROW_BYTES * ROW_STEP as u64;
 
-/// A buffer of keys: `depth << 32 | number` of the nearest point per pixel.
+/// A visibility buffer: key `depth << 32 | number` of the nearest point per pixel.
 pub(super) struct KeyLayer {
     pub(super) buffer: Arc<Buffer>,
-    /// The same as an image of two pixels a texel, for reading.
+    /// Image over the same keys for reading, two pixels per texel.
     pub(super) image: Arc<Image>,
-    /// Whether the image has memory of its own, so that keys must be copied.
+    /// Whether the image has its own memory, so that keys must be copied.
     pub(super) copied: bool,
 }
 
-/// How much room for keys there is, or must be.
+/// Available or required capacity for keys.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct KeyRoom {
     pub(super) layers: usize,
-    /// Of each layer.
+    /// Size of each layer, bytes.
     pub(super) bytes: u64,
-    /// Whether keys can be spread.
+    /// Whether there are window buffers for spreading keys.
     pub(super) windows: bool,
 }
 
 impl KeyRoom {
-    /// Room for both.
+    /// Returns a capacity that covers both.
     pub(super) fn grown(self, other: Self) -> Self {
         Self {
             layers: self.layers.max(other.layers),
@@ -48,7 +48,7 @@ impl KeyRoom {
     }
 }
 
-/// Never changed while a frame is in flight.
+/// Resources of all frames; never changed while a frame is in flight.
 pub(super) struct Shared {
     pub(super) project: Arc<ProjectStage>,
     pub(super) spread: Arc<SpreadStage>,
@@ -56,17 +56,17 @@ pub(super) struct Shared {
     pub(super) reduced: Arc<ResolveStage>,
     pub(super) store: Arc<Store>,
     pub(super) layers: Vec<KeyLayer>,
-    /// The least keys of windows, from pass to pass: as large as a layer each.
+    /// Minimum keys of windows, ping-ponged between passes: each as large as a layer.
     pub(super) windows: Option<[Arc<Buffer>; 2]>,
     pub(super) room: KeyRoom,
-    /// Counts the buffers of keys that there have been.
+    /// Number of times the visibility buffers were recreated.
     pub(super) generation: u64,
-    /// Chunks that are streamed at once.
+    /// Number of chunks streamed at once.
     pub(super) streamed_rows: u32,
 }
 
 impl Shared {
-    /// The same with other buffers of keys.
+    /// Returns the same resources with other visibility buffers.
     pub(super) fn with_keys(
         &self,
         device: &Arc<Device>,

@@ -1,4 +1,4 @@
-//! What one frame in flight has for itself: tables for the shaders, and results.
+//! Resources of one frame in flight: tables for the shaders, and results.
 
 use std::sync::Arc;
 
@@ -18,14 +18,14 @@ use crate::gpu::{
 };
 use crate::raster::FrameKinds;
 
-/// Maps that the shaders write.
+/// Number of maps that the shaders write.
 pub(super) const MAPS: usize = 4;
 pub(super) const RGB_CLASS: usize = 0;
 pub(super) const DEPTH: usize = 1;
 pub(super) const INSTANCE: usize = 2;
 pub(super) const POINT: usize = 3;
 
-/// How much a slot must hold, in entries.
+/// Required capacities of a slot, in entries.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Needs {
     pub(super) draws: usize,
@@ -50,7 +50,7 @@ impl Needs {
         enough && (self.streams || !other.streams)
     }
 
-    /// Enough for both, with room to grow in the tables.
+    /// Returns capacities that cover both; tables grow to powers of two.
     pub(super) fn grown(&self, other: &Self) -> Self {
         let room = |have: usize, need: usize| if need > have { need.next_power_of_two() } else { have };
         Self {
@@ -65,14 +65,14 @@ impl Needs {
     }
 }
 
-/// A map's memory: where the shaders write it, and where the host reads it if that is another place.
+/// Memory of a map: the buffer that the shaders write, and a host copy if that is separate.
 pub(super) struct MapBuffer {
     pub(super) device: Arc<Buffer>,
     pub(super) host: Option<Arc<Buffer>>,
 }
 
 impl MapBuffer {
-    /// What the host reads.
+    /// Returns the buffer that the host reads.
     pub(super) fn readable(&self) -> &Arc<Buffer> {
         self.host.as_ref().unwrap_or(&self.device)
     }
@@ -81,7 +81,7 @@ impl MapBuffer {
 /// Buffers and descriptor sets of a slot.
 pub(super) struct Slot {
     pub(super) needs: Needs,
-    /// Of the shared buffers that its descriptor sets are for.
+    /// Generation of the shared buffers that its descriptor sets bind.
     pub(super) generation: u64,
     frame: Arc<Buffer>,
     draws: Arc<Buffer>,
@@ -91,20 +91,21 @@ pub(super) struct Slot {
     taps: Arc<Buffer>,
     pub(super) block_rows: Arc<Buffer>,
     pub(super) blocks: Arc<Image>,
-    /// Rows of positions on their way.
+    /// Staging buffer for streamed positions.
     pub(super) staging: Option<Arc<Buffer>>,
     pub(super) maps: [MapBuffer; MAPS],
     pub(super) project: DescriptorSet,
-    /// By layer; empty without room for windows.
+    /// One per layer; empty without window buffers.
     pub(super) spread: Vec<[DescriptorSet; spread::SETS]>,
-    /// By layer.
+    /// One per layer.
     pub(super) full: Vec<DescriptorSet>,
-    /// By layer.
+    /// One per layer.
     pub(super) reduced: Vec<DescriptorSet>,
 }
 
 impl Slot {
-    /// `copies`: results are written to the device's memory and copied, instead of straight to the host's.
+    /// Creates a slot. With `copies`, results are written to device memory and copied to the host, instead of
+    /// written to host memory directly.
     pub(super) fn new(
         device: &Arc<Device>,
         commands: &mut Commands,
@@ -178,12 +179,12 @@ impl Slot {
         })
     }
 
-    /// Which of its maps some kinds are in.
+    /// Returns the maps that contain these kinds.
     pub(super) fn wanted(kinds: FrameKinds) -> [bool; MAPS] {
         [kinds.color || kinds.class, kinds.depth, kinds.instance, kinds.point]
     }
 
-    /// Fills the tables that do not depend on where chunks lie.
+    /// Writes the tables that do not depend on the rows of chunks.
     pub(super) fn write(
         &self,
         frame: &ProjectFrame,
@@ -198,13 +199,13 @@ impl Slot {
         write(&self.block_rows, blocks)
     }
 
-    /// Says which chunks are to be drawn.
+    /// Writes the list of chunks to draw.
     pub(super) fn write_items(&self, items: &[ProjectItem]) -> Result<(), GpuError> {
         write(&self.items, items)
     }
 }
 
-/// Of each layer, if there is room for windows.
+/// Creates the sets of each layer; empty without window buffers.
 fn spread_sets(shared: &Shared, bands: &Arc<Buffer>) -> Result<Vec<[DescriptorSet; spread::SETS]>, GpuError> {
     let Some([a, b]) = &shared.windows else { return Ok(Vec::new()) };
     let sets = |keys: &Arc<Buffer>| {

@@ -1,12 +1,12 @@
-//! Squares that are too large to look around for (`glsl/spread.wgsl`).
+//! Spreading of keys for radii that are too large to gather (`glsl/spread.wgsl`).
 //!
 //! # How it works
-//! A point that is nearest in its pixel covers whatever a farther one with the same centre covers, since radii never grow
-//! with depth. So one key a pixel is enough, whatever the radius: a pixel shows the least of the keys around it whose
-//! squares reach it. Of the keys within a radius those with at least that radius are the ones up to a depth, and keys are
-//! ordered by depth. So it is enough to know the least key within each radius of the schedule: a window. Windows grow
-//! from pass to pass, each from nine of the pass before. The cost depends on pixels alone, where that of squares drawn
-//! point by point grows with points and with the area of a square.
+//! A point that is nearest in its pixel covers everything that a farther one with the same center covers, since
+//! radii never increase with depth. One key per pixel is therefore enough for any radius: a pixel shows the minimum
+//! of the surrounding keys whose squares reach it. Keys are ordered by depth, and the keys with at least a given
+//! radius are those up to some depth. The minimum key within each radius of the schedule is therefore sufficient: a
+//! window. Windows grow from pass to pass, each from nine of the previous pass. The cost depends only on the number
+//! of pixels; that of squares drawn per point grows with the number of points and the area of a square.
 
 use std::sync::Arc;
 
@@ -27,22 +27,22 @@ assert_layout!(ProjectBand, shaders::spread_wgsl_fold::spread_band, [
     key_row: KEY_ROW,
 ]);
 
-/// How points come to cover more than their own pixels.
+/// Method by which points cover more than their own pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Covering {
-    /// Radii are small: the resolve shaders look around.
+    /// Radii are small: the resolve shaders gather the neighborhood.
     LookedFor,
     /// Points are few: each draws its square.
     Drawn,
-    /// Each point takes its own pixel, then keys are spread.
+    /// Each point writes its own pixel, then keys are spread.
     Spread,
 }
 
-/// Time of a pixel in a pass, in that of an atomic minimum.
+/// Cost of a pixel in a pass, relative to an atomic minimum.
 const PASS_COST: u64 = 2;
 
 impl Covering {
-    /// What is cheapest for these points in bands of so many pixels of keys.
+    /// Returns the cheapest method for these points and this number of key pixels.
     pub(super) fn choose(schedule: &SplatSchedule, items: &[PlannedItem], key_pixels: u64) -> Self {
         if schedule.max_radius() <= MAX_LOOKED_FOR {
             return Self::LookedFor;
@@ -80,20 +80,20 @@ assert_layout!(SpreadPush, shaders::spread_wgsl_fold::spread_push, [
     keep: KEEP,
 ]);
 
-/// How windows grow once.
+/// One pass of window growth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Pass {
-    /// Radius of the windows before.
+    /// Radius of the previous windows, pixels.
     radius: u32,
-    /// From window to window of the nine, pixels.
+    /// Distance between adjacent windows of the nine, pixels.
     step: u32,
-    /// Bits of the depth up to which the windows before are squares; 0 where they are none.
+    /// Bits of the depth up to which the previous windows are squares; 0 if their radius is not in the schedule.
     bound: u32,
-    /// The same for the larger windows.
+    /// The same for the grown windows.
     next_bound: u32,
 }
 
-/// The passes for a schedule whose largest radius is more than 1.
+/// Returns the passes for a schedule whose maximum radius exceeds 1.
 fn passes(schedule: &SplatSchedule) -> Vec<Pass> {
     let mut radii: Vec<u32> = schedule.steps().iter().map(|step| step.radius).collect();
     radii.sort_unstable();
@@ -106,7 +106,7 @@ fn passes(schedule: &SplatSchedule) -> Vec<Pass> {
     let (mut passes, mut radius) = (Vec::new(), 0);
     for target in &radii {
         while radius < *target {
-            // Three windows in a row leave no gap between them.
+            // With this limit, three windows in a row leave no gap between them.
             let step = (target - radius).min(2 * radius + 1);
             passes.push(Pass { radius, step, bound: bound(radius), next_bound: bound(radius + step) });
             radius += step;
@@ -115,19 +115,19 @@ fn passes(schedule: &SplatSchedule) -> Vec<Pass> {
     passes
 }
 
-/// Where the keys of a part lie.
+/// Inputs of the spread passes of a batch.
 pub(super) struct Spread<'p> {
     pub(super) schedule: &'p SplatSchedule,
     pub(super) bands: &'p [ProjectBand],
     pub(super) layers: usize,
-    /// Pixels around each band.
+    /// Padding around each strip, pixels.
     pub(super) pad: u32,
-    /// Rows of a panel of keys.
+    /// Rows of a tile of keys.
     pub(super) key_rows: u32,
 }
 
 impl Spread<'_> {
-    /// Workgroups for so many rows each.
+    /// Returns the workgroup counts for `rows` rows per invocation.
     fn groups(&self, rows: u32) -> [u32; 3] {
         let most = |side: fn(&ProjectBand) -> f32| {
             let sides = self.bands.iter().map(|band| side(band) as u32 + 2 * self.pad);
@@ -138,14 +138,14 @@ impl Spread<'_> {
     }
 }
 
-/// Pipelines.
+/// Pipelines of the spread passes.
 pub(super) struct SpreadStage {
     widen: ComputePipeline,
     fold: ComputePipeline,
     last: ComputePipeline,
 }
 
-/// Of each layer: from its keys into the first buffer of windows, from that into the second, and back.
+/// Descriptor sets per layer: from its keys to the first window buffer, from that to the second, and back.
 pub(super) const SETS: usize = 3;
 /// Columns of a workgroup.
 const GROUP: u32 = 64;
@@ -160,12 +160,12 @@ impl SpreadStage {
         })
     }
 
-    /// The layout of all of them.
+    /// Returns the layout shared by all pipelines.
     pub(super) fn layout(&self) -> &PipelineLayout {
         self.last.layout()
     }
 
-    /// Keys of points into keys of squares, in the same place.
+    /// Converts keys of points into keys of squares, in place.
     pub(super) fn record<'a>(
         &'a self,
         recorder: &mut Recorder<'a>,
@@ -256,7 +256,7 @@ mod tests {
         assert_eq!(choose("9:2", &many), Covering::LookedFor);
         assert_eq!(choose("9:31", &many), Covering::Spread);
         assert_eq!(choose("9:31", &[item(1000, 1.0)]), Covering::Drawn);
-        // What is far has small squares.
+        // Distant points have small squares.
         assert_eq!(choose("0.5:31,9:0", &many), Covering::Drawn);
     }
 }

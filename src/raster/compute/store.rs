@@ -1,4 +1,4 @@
-//! Points on the device: colors all there, positions as far as the memory allows.
+//! Points on the device: all colors, and as many positions as the memory budget allows.
 
 use std::sync::Arc;
 
@@ -12,18 +12,18 @@ use crate::gpu::{
     PipelineLayout,
 };
 
-/// Bytes of a chunk's positions: a row of texels of 16 bytes.
+/// Size of a chunk's positions, bytes: a row of 16-byte texels.
 pub(super) const ROW_BYTES: u64 = CHUNK as u64 * 16;
-/// Bytes of a chunk's colors.
+/// Size of a chunk's colors, bytes.
 const COLOR_ROW_BYTES: u64 = CHUNK as u64 * 4;
-/// Rows of an image, as the resolve shaders count on it.
+/// Maximum number of rows per image; the resolve shaders assume this value for colors.
 const IMAGE_ROWS: u32 = 16_384;
-/// Uploads go through host memory of at most this size, bytes.
+/// Maximum size of an upload's staging buffer, bytes.
 const STAGING_BYTES: u64 = 32 << 20;
-/// Rows that are streamed at once.
+/// Number of rows streamed at once.
 pub(super) const STREAMED_ROWS: u32 = 512;
 
-/// An image of positions, one chunk a row, and the descriptor set with which it is drawn.
+/// An image of positions with one chunk per row (a chunk buffer), and the descriptor set that binds it.
 pub(super) struct Page {
     pub(super) image: Arc<Image>,
     pub(super) set: DescriptorSet,
@@ -32,30 +32,30 @@ pub(super) struct Page {
 /// Images of points.
 pub(super) struct Store {
     pub(super) pages: Vec<Page>,
-    /// Of every page but the last.
+    /// Number of rows of every page but the last.
     pub(super) page_rows: u32,
-    /// Colors and classes in the order of the clouds, one block of [`CHUNK`] a row.
+    /// Colors and classes in the order of the clouds, one block of [`CHUNK`] per row.
     pub(super) colors: Arc<Image>,
 }
 
-/// How much the device is to hold.
+/// Memory limits of the device's points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct StoreLimits {
-    /// Bytes for points in all; `None` for as many as there are.
+    /// Memory budget for all points, bytes; `None` for no limit.
     pub(super) bytes: Option<u64>,
-    /// Rows of a page; `None` for as many as an image has.
+    /// Maximum number of rows per page; `None` for the device's maximum.
     pub(super) page_rows: Option<u32>,
-    /// Positions have room for at least twice so many rows.
+    /// Number of rows streamed at once; the position images hold at least twice as many.
     pub(super) streamed_rows: u32,
 }
 
-/// Where chunks are.
+/// Residency of chunks on the device.
 pub(super) struct Residency {
-    /// First chunk of each cloud.
+    /// Index of each cloud's first chunk.
     firsts: Vec<u32>,
-    /// Row of each chunk, of those that have one.
+    /// Row of each chunk; `None` if not resident.
     row_of: Vec<Option<u32>>,
-    /// Chunk in each row.
+    /// Chunk in each row; `None` if empty.
     chunk_in: Vec<Option<u32>>,
     /// Frame that last drew each row.
     used: Vec<u64>,
@@ -63,10 +63,10 @@ pub(super) struct Residency {
 }
 
 impl Store {
-    /// Makes images and uploads colors, and positions if there is room for all.
+    /// Creates images and uploads colors, and all positions if they fit.
     ///
     /// # Errors
-    /// The device's; a limit that is too small for these clouds.
+    /// Fails on any device error, or if the memory budget is too small for these clouds.
     pub(super) fn new(
         device: &Arc<Device>,
         commands: &mut Commands,
@@ -109,13 +109,13 @@ impl Store {
         Ok((store, residency))
     }
 
-    /// Page of a row, and its row there.
+    /// Returns the page of a row, and its row within the page.
     pub(super) fn place(&self, row: u32) -> (usize, u32) {
         ((row / self.page_rows) as usize, row % self.page_rows)
     }
 }
 
-/// How many chunks' positions the device is to hold.
+/// Returns the number of chunks whose positions fit on the device.
 fn rows_within(device: &Device, chunks: u64, limits: StoreLimits) -> Result<u64, GpuError> {
     let Some(bytes) = limits.bytes.filter(|b| *b < chunks * (ROW_BYTES + COLOR_ROW_BYTES)) else {
         return Ok(chunks);
@@ -149,7 +149,7 @@ fn page(device: &Arc<Device>, layout: &PipelineLayout, rows: u32) -> Result<Page
     Ok(Page { image, set })
 }
 
-/// An array of images: block `i` is row `i % IMAGE_ROWS` of layer `i / IMAGE_ROWS`.
+/// Creates the array image of colors: block `i` is row `i % IMAGE_ROWS` of layer `i / IMAGE_ROWS`.
 fn colors(
     device: &Arc<Device>,
     commands: &mut Commands,
@@ -182,7 +182,7 @@ fn colors(
     Ok(image)
 }
 
-/// Fills the first rows of a layer, a bounded number at a time, and leaves the image to be read.
+/// Uploads the first rows of a layer in bounded steps, and leaves the image in its read layout.
 fn upload<T: bytemuck::Pod + Send>(
     device: &Arc<Device>,
     commands: &mut Commands,
@@ -214,7 +214,7 @@ fn upload<T: bytemuck::Pod + Send>(
     Ok(())
 }
 
-/// Rows of [`CHUNK`] values each, filled in parallel.
+/// Fills rows of [`CHUNK`] values in parallel.
 pub(super) fn fill_rows<T: bytemuck::Pod + Send>(bytes: &mut [u8], fill: impl Fn(usize, &mut [T]) + Sync) {
     let rows = bytes.par_chunks_mut(CHUNK * size_of::<T>()).enumerate();
     rows.for_each(|(row, bytes)| fill(row, bytemuck::cast_slice_mut(bytes)));
@@ -245,7 +245,7 @@ impl Residency {
         self.used[row as usize] = self.frame;
     }
 
-    /// Where each cloud's colors begin.
+    /// Returns the index of each cloud's first color.
     pub(super) fn color_firsts(&self) -> Vec<u32> {
         self.firsts.iter().map(|first| first.wrapping_mul(CHUNK as u32)).collect()
     }
@@ -255,14 +255,14 @@ impl Residency {
         self.frame += 1;
     }
 
-    /// The row of a chunk, which is drawn now.
+    /// Returns the row of a chunk and marks it as drawn in this frame; `None` if not resident.
     pub(super) fn row(&mut self, cloud: u32, chunk: u32) -> Option<u32> {
         let row = self.row_of[(self.firsts[cloud as usize] + chunk) as usize]?;
         self.used[row as usize] = self.frame;
         Some(row)
     }
 
-    /// Gives so many rows away, those that were drawn longest ago, in the order of the rows. At most all there are.
+    /// Returns the `count` least recently drawn rows (at most all rows) in ascending order, for eviction.
     pub(super) fn oldest(&self, count: usize) -> Vec<u32> {
         let mut rows: Vec<u32> = (0..self.used.len() as u32).collect();
         let count = count.min(rows.len());
@@ -274,14 +274,14 @@ impl Residency {
         rows
     }
 
-    /// Says that a row holds nothing.
+    /// Marks a row as empty.
     pub(super) fn forget(&mut self, row: u32) {
         if let Some(old) = self.chunk_in[row as usize].take() {
             self.row_of[old as usize] = None;
         }
     }
 
-    /// Puts a chunk into a row.
+    /// Assigns a chunk to a row and evicts the previous chunk.
     pub(super) fn replace(&mut self, cloud: u32, chunk: u32, row: u32) {
         self.put(self.firsts[cloud as usize] + chunk, row);
     }

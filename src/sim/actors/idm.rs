@@ -1,4 +1,4 @@
-//! The Intelligent Driver Model (Treiber, Hennecke and Helbing 2000) along recorded paths.
+//! Intelligent Driver Model (Treiber, Hennecke and Helbing 2000) along recorded paths.
 
 use std::sync::Arc;
 
@@ -10,36 +10,37 @@ use crate::sim::SimActor;
 use crate::sim::pose_path::PosePath;
 use crate::sim::recorded::Recorded;
 
-/// Speed on a free road, metres per second.
+/// Desired speed on a free road, meters per second.
 const TARGET_MPS: f64 = 10.0;
-/// Least gap to the one in front, metres.
+/// Minimum gap to the leader, meters.
 const MIN_GAP_M: f64 = 1.0;
 const HEADWAY_S: f64 = 1.5;
 const ACCELERATION_MPS2: f64 = 1.0;
 const BRAKING_MPS2: f64 = 2.0;
 const EXPONENT: i32 = 4;
-/// Boxes nearer than this to the one before are no part of a path: they tell the noise of an actor that stands.
+/// Minimum distance between points of a path, meters: smaller motion is the noise of a standing actor's boxes.
 const KNOT_STEP_M: f64 = 0.5;
-/// An actor that moves less than this in all that follows, and is not faster now, is parked.
+/// An actor is parked if it later moves less than this in total and is slower than `PARKED_MPS` now.
 const PARKED_M: f64 = 1.0;
 const PARKED_MPS: f64 = 1.0;
 
-/// An actor on its recorded path.
+/// Actor that follows its recorded path.
 #[derive(Clone, Debug)]
 pub(in crate::sim) struct Follower {
-    /// When it was taken over, absolute microseconds; its path begins there.
+    /// Time of the takeover from the log, absolute microseconds; the path begins there.
     pub(in crate::sim) joined_us: i64,
-    /// Of its middle along the path, metres.
+    /// Position of the box's center along the path, meters.
     pub(in crate::sim) way_m: f64,
-    /// Along the path, metres per second.
+    /// Speed along the path, meters per second.
     pub(in crate::sim) speed_mps: f64,
     path: Arc<PosePath>,
-    /// 1, or -1 for one that is recorded driving backward.
+    /// 1, or -1 for an actor recorded as driving backward.
     sign: f64,
 }
 
 impl Follower {
-    /// On the path of an actor's boxes from a time (microseconds) on; `None` for one that is parked: it stays on the log.
+    /// Creates a follower of an actor's recorded boxes from a time (microseconds) on; `None` for a parked actor,
+    /// which stays on the log.
     pub(super) fn join(recorded: &Recorded<'_>, actor: &SimActor, t_us: i64) -> Option<Self> {
         let boxes = recorded.boxes_of(actor.track);
         let later = boxes.iter().filter(|(at, _)| *at > t_us).map(|(_, cuboid)| cuboid.pose);
@@ -60,7 +61,7 @@ impl Follower {
             [_] if actor.speed_mps < 0.0 => -1.0,
             _ => 1.0,
         };
-        // Where the boxes end, it goes on as it is turned, not as its last two boxes happen to lie.
+        // Beyond the last box the path follows that box's heading; the direction between the last two boxes is noisy.
         let last = poses[poses.len() - 1];
         poses.push(Pose { translation: last.translation + (heading(&last) * sign).extend(0.0), ..last });
         let speed_mps = (sign * actor.speed_mps).max(0.0);
@@ -68,13 +69,14 @@ impl Follower {
         Some(Self { joined_us: t_us, way_m: 0.0, speed_mps, path, sign })
     }
 
-    /// The same somewhere else on its path: metres along it, metres per second. `None` for what cannot be.
+    /// Moves the follower to a position (meters) on its path with a speed (meters per second); `None` if either is
+    /// negative.
     pub(super) fn placed(self, way_m: f64, speed_mps: f64) -> Option<Self> {
         let is_sound = way_m >= 0.0 && speed_mps >= 0.0;
         is_sound.then_some(Self { way_m, speed_mps, ..self })
     }
 
-    /// Moves on.
+    /// Advances the actor by one step.
     pub(super) fn step(&mut self, actor: &SimActor, others: &Others, dt_s: f64) -> SimActor {
         let size = actor.cuboid.size;
         let leader = others.leader(actor.track, self.path.line(), self.way_m + size.x / 2.0, size.y);
@@ -86,8 +88,9 @@ impl Follower {
     }
 }
 
-/// A step of the Intelligent Driver Model by the forward Euler method, as nuPlan takes it: way (metres) and speed (metres
-/// per second), which may become negative. The acceleration is limited to -2 to 1 m/s², a gap counts as 1 m at least.
+/// Advances position (meters) and speed (meters per second) by one forward Euler step of the Intelligent Driver
+/// Model, as in nuPlan. The speed may become negative. The acceleration is limited to -2 to 1 m/s²; gaps below
+/// 1 m count as 1 m.
 pub fn idm_step((way_m, speed_mps): (f64, f64), leader: Option<Leader>, dt_s: f64) -> (f64, f64) {
     let rise = acceleration_mps2(speed_mps, leader).clamp(-BRAKING_MPS2, ACCELERATION_MPS2);
     (way_m + dt_s * speed_mps, speed_mps + dt_s * rise)

@@ -3,35 +3,35 @@ use glam::DVec2;
 use crate::geometry::{Footprint, Polyline};
 use crate::sim::{Instant, SimActor};
 
-/// How far along its way an actor looks, metres.
+/// Look-ahead distance of an actor along its path, meters.
 pub(super) const SIGHT_M: f64 = 100.0;
 
-/// Everybody who may be in somebody's way at an instant.
+/// All road users at one instant, as possible leaders.
 pub(super) struct Others {
-    /// By actor, the ego last.
+    /// Actors, then the ego.
     bodies: Vec<Body>,
 }
 
-/// One of them.
+/// Road user at one instant.
 #[derive(Clone, Copy, Debug)]
 struct Body {
-    /// `None`: the ego.
+    /// `None` for the ego.
     track: Option<usize>,
     footprint: Footprint,
     speed_mps: f64,
 }
 
-/// Who is next on a way.
+/// Nearest road user ahead on a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Leader {
-    /// From the follower's front to where the leader's box begins, along the way, metres; 0 where they touch.
+    /// Gap along the path from the follower's front to the leader's box, meters; 0 on contact.
     pub gap_m: f64,
-    /// Along the way, metres per second: negative if it comes towards.
+    /// Speed along the path, meters per second; negative for oncoming traffic.
     pub speed_mps: f64,
 }
 
 impl Others {
-    /// All of an instant.
+    /// Collects the actors and the ego of an instant.
     pub(super) fn new(now: &Instant) -> Self {
         let actor = |a: &SimActor| Body {
             track: Some(a.track),
@@ -43,8 +43,8 @@ impl Others {
         Self { bodies: now.actors.iter().map(actor).chain([ego]).collect() }
     }
 
-    /// The nearest other on the corridor along a way: as wide as `width_m`, from the follower's front at a station
-    /// (metres) on as far as it looks.
+    /// Returns the nearest other road user in the corridor along a path. The corridor is `width_m` wide and extends
+    /// from the follower's front (a station, meters) over the look-ahead distance.
     pub(super) fn leader(&self, track: usize, way: &Polyline, front_m: f64, width_m: f64) -> Option<Leader> {
         let (front, _) = way.at(front_m);
         let near = |body: &&Body| {
@@ -58,7 +58,7 @@ impl Others {
             let piece = way.piece(from_m);
             let is_last = piece + 2 == way.points().len();
             let to_m = if is_last { end_m } else { way.stations_m()[piece + 1].min(end_m) };
-            // Before the way's first point its first piece goes on as well.
+            // Before the path's first point, `way.at` extends its first segment.
             let (start, forward) = way.at(from_m);
             let half_m = DVec2::new((to_m - from_m) / 2.0, width_m / 2.0);
             let corridor = Footprint { center: start + forward * half_m.x, forward, half_m };
@@ -72,7 +72,7 @@ impl Others {
     }
 }
 
-/// A body on a straight piece of corridor that begins `start_m` in front of the follower.
+/// Returns the contact with a body in a straight corridor segment that begins `start_m` in front of the follower.
 fn met(corridor: &Footprint, body: &Body, start_m: f64) -> Option<Leader> {
     let reach_m = corridor.radius_m() + body.footprint.radius_m();
     if corridor.center.distance(body.footprint.center) > reach_m {
@@ -88,13 +88,13 @@ mod tests {
     use super::*;
     use crate::sim::metrics::collision::tests::{actor, instant};
 
-    /// Along x from 40 m behind the ego, then to the left after 60 m.
+    /// Returns a path along x from 40 m behind the ego that turns left after 60 m.
     fn way() -> Polyline {
         let points = [(-40.0, 0.0), (20.0, 0.0), (20.0, 60.0)];
         Polyline::new(points.map(DVec2::from)).unwrap()
     }
 
-    /// The leader of a car of 4 m by 2 m whose middle is at x = -30 m, among the ego at the origin and others.
+    /// Returns the leader of a car of 4 m by 2 m centered at x = -30 m, among the ego at the origin and others.
     fn leader(others: &[SimActor]) -> Option<Leader> {
         let me = actor(9, -30.0, 0.0, 0.0, 8.0);
         let all: Vec<SimActor> = others.iter().copied().chain([me]).collect();
@@ -111,23 +111,23 @@ mod tests {
 
     #[test]
     fn the_ego_leads_if_nobody_is_nearer() {
-        // Its rear is 1.127 m behind its rear axle; the car's front is at -28 m.
+        // The ego's rear is 1.127 m behind its rear axle; the car's front is at -28 m.
         close(leader(&[]), 28.0 - (5.176 / 2.0 - 1.461), 5.0);
         close(leader(&[actor(0, -20.0, 0.0, 0.0, 3.0)]), 6.0, 3.0);
     }
 
     #[test]
     fn who_cuts_in_counts_from_where_it_meets_the_corridor() {
-        // Its right front corner has just come over the edge of the corridor.
+        // The right front corner has just crossed the edge of the corridor.
         let turn = -0.2f64;
         let cuts = actor(0, -18.0, 2.3, turn, 6.0);
         let corner =
             DVec2::new(-18.0, 2.3) + DVec2::from_angle(turn) * 2.0 + DVec2::from_angle(turn).perp() * -1.0;
         assert!(corner.y < 1.0);
-        // Its right side meets the edge where it has come down to y = 1.
+        // The right side crosses the edge at y = 1.
         let x = corner.x - (1.0 - corner.y) / (-turn).tan();
         close(leader(&[cuts]), x + 28.0, 6.0 * turn.cos());
-        // A little further out it leads nobody.
+        // A little further out it is not a leader.
         assert_eq!(leader(&[actor(0, -18.0, 2.5, turn, 6.0)]), leader(&[]));
     }
 
@@ -143,7 +143,7 @@ mod tests {
         assert_eq!(leader(&parked), leader(&[]));
         assert_eq!(leader(&[actor(0, -34.1, 0.0, 0.0, 9.0)]), leader(&[]));
         assert_eq!(leader(&[actor(0, -30.0, 1.9, 0.0, 9.0)]), leader(&[]), "side by side");
-        // Around the corner: 48 m to it, then up to the rear bumper. One beyond the sight is not seen.
+        // Around the corner: 48 m to it, then up to the rear bumper. A car beyond the look-ahead distance is ignored.
         let around = |y: f64| actor(0, 20.0, y, std::f64::consts::FRAC_PI_2, 4.0);
         let me = actor(9, -30.0, 0.0, 0.0, 8.0);
         let mut now = instant(5.0, &[around(40.0), me]);
@@ -151,7 +151,7 @@ mod tests {
         close(Others::new(&now).leader(9, &way(), 12.0, 2.0), 48.0 + 38.0, 4.0);
         now.actors[0] = around(54.1);
         assert_eq!(Others::new(&now).leader(9, &way(), 12.0, 2.0), None);
-        // Straight on beyond the end of the path.
+        // The path extends straight beyond its end.
         close(Others::new(&instant(5.0, &[around(70.0)])).leader(9, &way(), 110.0, 2.0), 18.0, 4.0);
     }
 }

@@ -1,10 +1,10 @@
-//! How everybody but the ego moves.
+//! Motion of all road users except the ego.
 //!
 //! # How it works
-//! After the warm-up a policy takes over the actors that it can move as soon as they are near the ego; the others follow
-//! the log and are gone where their track ends. Who was taken over moves on beyond the end of the track, and is gone for
-//! good once far from the ego: it could only jump back to the log. All decide by the same state, so their order counts
-//! for nothing.
+//! After the warm-up, a policy takes over each actor that it supports as soon as the actor is near the ego. The other
+//! actors follow the log and are removed when their track ends. An actor under a policy continues beyond the end of
+//! its track. It is removed permanently once it is far from the ego, because it could only jump back to its logged
+//! position. All actors react to the same state, so the result does not depend on their order.
 
 mod idm;
 mod leader;
@@ -25,18 +25,18 @@ use super::recorded::Recorded;
 use super::{ActorPolicy, EgoState, Instant, SimActor};
 use crate::dataset::Class;
 
-/// Policies move nobody further from the ego than this, metres.
+/// Policies move only actors within this distance of the ego, meters.
 const REACH_M: f64 = 100.0;
 
-/// Who was taken over from the log, by track.
+/// Actors taken over from the log, by track.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Driven {
     pub(super) movers: BTreeMap<usize, Mover>,
-    /// Who is gone for good.
+    /// Actors removed permanently.
     pub(super) gone: BTreeSet<usize>,
 }
 
-/// How one of them moves.
+/// Motion model of an actor.
 #[derive(Clone, Debug)]
 pub(super) enum Mover {
     Idm(Follower),
@@ -44,7 +44,7 @@ pub(super) enum Mover {
 }
 
 impl Mover {
-    /// Takes an actor over from the log at a time (microseconds), if the policy can.
+    /// Takes over an actor from the log at a time (microseconds), if the policy supports it.
     fn join(policy: ActorPolicy, recorded: &Recorded<'_>, actor: &SimActor, t_us: i64) -> Option<Self> {
         let class = recorded.log.tracks[actor.track].class;
         match (policy, class) {
@@ -58,7 +58,7 @@ impl Mover {
         }
     }
 
-    /// What tells it apart from another that was taken over from the same log.
+    /// Returns the state required to restore the mover for the same log.
     pub(super) fn save(&self) -> SavedMover {
         match self {
             Self::Idm(follower) => SavedMover::Idm {
@@ -78,7 +78,7 @@ impl Mover {
     }
 }
 
-/// A [`Mover`] on disk.
+/// Serialized form of a [`Mover`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum SavedMover {
@@ -87,7 +87,7 @@ pub(super) enum SavedMover {
 }
 
 impl SavedMover {
-    /// `None` for one that the log does not have.
+    /// Restores the mover; `None` if the log has no such actor.
     pub(super) fn open(&self, recorded: &Recorded<'_>, track: usize) -> Option<Mover> {
         match *self {
             Self::Idm { joined_us, way_m, speed_mps } => {
@@ -101,7 +101,7 @@ impl SavedMover {
     }
 }
 
-/// Everybody at the next step, sorted by track; `next` is its time and the ego there.
+/// Returns all actors at the next step, sorted by track; `next` holds its time and the ego's state then.
 pub(super) fn advance(
     policy: ActorPolicy,
     recorded: &Recorded<'_>,

@@ -1,4 +1,4 @@
-//! Constant speed and curve, and brakes for what is in front.
+//! Motion at constant speed and curvature with braking for obstacles ahead.
 
 use glam::DVec2;
 
@@ -7,37 +7,37 @@ use crate::geometry::{Cuboid, Polyline};
 use crate::sim::SimActor;
 use crate::sim::recorded::Recorded;
 
-/// Gap that is kept to what is in front, metres.
+/// Minimum gap to a leader, meters.
 const SAFE_GAP_M: f64 = 2.0;
-/// Hardest braking.
+/// Maximum braking.
 const MAX_BRAKING_MPS2: f64 = 6.0;
-/// Braking begins once this much is needed.
+/// Required deceleration at which braking begins.
 const BRAKING_MPS2: f64 = 2.0;
-/// With which the speed is taken up again where nothing is in front.
+/// Acceleration back to the cruise speed on a free path.
 const ACCELERATION_MPS2: f64 = 1.0;
-/// What must be free in front before, beyond the safe gap.
+/// Additional gap beyond the safe gap, required before accelerating again.
 const RESUME_GAP_M: f64 = 1.0;
 const RESUME_HEADWAY_S: f64 = 1.5;
-/// Slower ones stand: the rest is noise of their boxes.
+/// Slower actors are treated as standing: smaller speeds are noise of their boxes.
 const STANDING_MPS: f64 = 0.2;
-/// Sharper curves than this (per metre) are noise of boxes that hardly move.
+/// Sharper curvatures (per meter) are noise of boxes that hardly move.
 const MAX_CURVATURE: f64 = 0.2;
-/// Between points of the way ahead, metres.
+/// Distance between points of the path ahead, meters.
 const STEP_M: f64 = 1.0;
-/// How far the way ahead is curved, metres; then it is straight.
+/// Length of the curved part of the path ahead, meters; beyond it the path is straight.
 const CURVED_M: f64 = 40.0;
 
-/// An actor that goes on as it was when it was taken over.
+/// Actor that maintains its speed and curvature at the takeover.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(in crate::sim) struct Cruiser {
-    /// Along its heading when it was taken over, metres per second.
+    /// Speed along its heading at the takeover, meters per second.
     pub(in crate::sim) cruise_mps: f64,
-    /// Of its way to the left, per metre along its heading.
+    /// Curvature to the left, radians per meter along the heading.
     pub(in crate::sim) curvature: f64,
 }
 
 impl Cruiser {
-    /// With speed and yaw rate as recorded at a time, microseconds.
+    /// Uses the recorded speed and yaw rate at a time, microseconds.
     pub(super) fn join(recorded: &Recorded<'_>, actor: &SimActor, t_us: i64) -> Self {
         let (speed_mps, yaw_rate_radps) = recorded.actor_motion(actor.track, t_us);
         if speed_mps.abs() < STANDING_MPS {
@@ -47,7 +47,7 @@ impl Cruiser {
         Self { cruise_mps: speed_mps, curvature }
     }
 
-    /// Moves on.
+    /// Advances the actor by one step.
     pub(super) fn step(&mut self, actor: &SimActor, others: &Others, dt_s: f64) -> SimActor {
         if self.cruise_mps == 0.0 {
             return SimActor { speed_mps: 0.0, ..*actor };
@@ -61,7 +61,7 @@ impl Cruiser {
         let rise = acceleration_mps2(speed_mps, self.cruise_mps.abs(), leader, dt_s);
         let next_mps = (speed_mps + rise * dt_s).clamp(0.0, self.cruise_mps.abs().max(speed_mps));
         let way_m = sign * (speed_mps + next_mps) / 2.0 * dt_s;
-        // An arc is its chord with the yaw halfway.
+        // An arc's chord points along the yaw at its middle.
         let turn_rad = self.curvature * way_m;
         let yaw_rad = pose.yaw_rad() + turn_rad / 2.0;
         let chord_m = if turn_rad == 0.0 { way_m } else { way_m * (turn_rad / 2.0).sin() / (turn_rad / 2.0) };
@@ -71,7 +71,7 @@ impl Cruiser {
         SimActor { track: actor.track, cuboid, speed_mps: sign * next_mps }
     }
 
-    /// Its way from where it is.
+    /// Returns the path ahead from the current position.
     fn way_ahead(&self, from: DVec2, yaw_rad: f64) -> Option<Polyline> {
         let step_m = self.cruise_mps.signum() * STEP_M;
         let count = (CURVED_M / STEP_M) as usize;
@@ -84,13 +84,13 @@ impl Cruiser {
     }
 }
 
-/// At a speed and with another to go back to, metres per second.
+/// Returns the acceleration at a speed with a cruise speed to return to, both meters per second.
 fn acceleration_mps2(speed_mps: f64, cruise_mps: f64, leader: Option<Leader>, dt_s: f64) -> f64 {
     let back = ((cruise_mps - speed_mps) / dt_s).clamp(0.0, ACCELERATION_MPS2);
     let Some(leader) = leader else { return back };
     let closing = speed_mps.powi(2) - leader.speed_mps.max(0.0).powi(2);
     let room_m = leader.gap_m - SAFE_GAP_M;
-    // By when this step is over, some of the room is used up.
+    // The motion of this step uses up part of the room.
     let left_m = room_m - speed_mps * dt_s;
     let needed = if closing <= 0.0 {
         0.0
@@ -110,7 +110,7 @@ mod tests {
     use super::*;
     use crate::sim::metrics::collision::tests::{actor, instant};
 
-    /// A car that cruises, and others, with the ego far away; for some seconds at 10 Hz.
+    /// Simulates a cruising car among others for some seconds at 10 Hz, with the ego far away.
     fn drive(mut cruiser: Cruiser, start: SimActor, others: &[SimActor], seconds: usize) -> Vec<SimActor> {
         let mut now = instant(0.0, &[]);
         now.ego.pose.translation.y = 1e4;
@@ -158,7 +158,7 @@ mod tests {
         let cruiser = Cruiser { cruise_mps: 8.0, curvature: 0.0 };
         let slowed = drive(cruiser, actor(0, 0.0, 0.0, 0.0, 2.0), &[], 10);
         assert!((slowed[30].speed_mps - 5.0).abs() < 1e-9 && slowed[100].speed_mps == 8.0);
-        // Backward it brakes for what is behind.
+        // Backward it brakes for obstacles behind.
         let back = Cruiser { cruise_mps: -2.0, curvature: 0.0 };
         let driven = drive(back, actor(0, 0.0, 0.0, 0.0, -2.0), &[actor(1, -20.0, 0.0, 0.0, 0.0)], 20);
         let x = driven[200].cuboid.pose.translation.x;

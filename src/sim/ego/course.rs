@@ -6,18 +6,18 @@ use crate::sim::Waypoint;
 use super::profile::Profile;
 use crate::sim::clock::seconds;
 
-/// A way that the ego takes by the clock from the takeover on, straight on where it ends.
+/// Time-parameterized path of the ego from the takeover on; it continues straight beyond its end.
 #[derive(Clone, Debug)]
 pub(in crate::sim) struct Course {
     pub(super) start_us: i64,
     pub(super) way: Polyline,
-    /// Global yaws at the points of the way, radians; in between they are interpolated.
+    /// Global yaws at the points of the path, radians; interpolated in between.
     pub(super) headings_rad: Vec<f64>,
     pub(super) profile: Profile,
 }
 
 impl Course {
-    /// Where the ego is to be at a time, microseconds.
+    /// Returns the planned waypoint at a time, microseconds.
     pub(super) fn at(&self, t_us: i64) -> Waypoint {
         let drive = self.profile.at(seconds(self.start_us, t_us).max(0.0));
         let (place, _) = self.way.at(drive.way_m);
@@ -29,7 +29,8 @@ impl Course {
         Waypoint { t_us, x_m: place.x, y_m: place.y, heading_rad, speed_mps: drive.speed_mps }
     }
 
-    /// Yaws (radians) at the points of a way: halfway between the pieces before and after; at the ends that of the piece.
+    /// Returns the yaws (radians) at the points of a path: the bisector of the adjacent segments, or the segment's
+    /// yaw at an end.
     pub(super) fn headings_of(way: &Polyline) -> Vec<f64> {
         let pieces: Vec<f64> = way.points().windows(2).map(|w| (w[1] - w[0]).to_angle()).collect();
         let at = |i: usize| {
@@ -40,7 +41,7 @@ impl Course {
     }
 }
 
-/// Straight on from a place (metres) along a yaw (radians): two points.
+/// Returns a straight path of two points from a position (meters) along a yaw (radians).
 pub(super) fn straight(from: DVec2, yaw_rad: f64) -> Option<Polyline> {
     Polyline::new([from, from + DVec2::from_angle(yaw_rad)])
 }

@@ -1,10 +1,11 @@
-//! One lane to the right.
+//! Lane change of one lane to the right.
 //!
 //! # How it works
-//! The recorded path from the takeover on is smoothed. Beside it, the offset to the left goes from where the ego is to
-//! one lane on the right by a quintic in the station, whose slope and bend are 0 at its end: the ego's way has a
-//! continuous heading and curvature. The quintic is as long as what is driven in 4 s, but never so short that a slow ego
-//! would turn sharply. Along this way the speed moves to 10 m/s within limits of acceleration and jerk.
+//! The recorded path from the takeover on is smoothed. The lateral offset from it moves from the ego's position to
+//! one lane on the right, as a quintic in the station with zero slope and curvature at its end. The resulting path
+//! has a continuous heading and curvature. The quintic spans the distance driven in 4 s, but has a minimum length so
+//! that a slow ego does not turn sharply. Along this path the speed changes to 10 m/s within limits of acceleration
+//! and jerk.
 
 use glam::DVec2;
 
@@ -18,19 +19,20 @@ use crate::sim::recorded::Recorded;
 const SPEED_MPS: f64 = 10.0;
 const ACCELERATION_MPS2: f64 = 1.5;
 const JERK_MPS3: f64 = 2.0;
-/// To the left of the recorded path, metres.
+/// Final lateral offset to the left of the recorded path, meters.
 const OFFSET_M: f64 = -3.5;
 const CHANGE_S: f64 = 4.0;
-/// Over less, a change would turn more sharply than comfort allows at the speed that is reached by then.
+/// Minimum length of a change: shorter ones would exceed comfortable turning at the speed reached by then.
 const MIN_CHANGE_M: f64 = 32.0;
-/// Between points of the ego's way, metres.
+/// Spacing of the points of the ego's path, meters.
 const STEP_M: f64 = 0.25;
-/// Seen from the ego, a path that leads elsewhere is none to follow (it drives backward).
+/// Maximum angle between the recorded path and the ego's heading; beyond it (the log drives backward) the path is not
+/// followed.
 const MAX_TURN_RAD: f64 = 1.0;
-/// Where the takeover is looked for on the recorded path, metres before and after.
+/// Search window for the takeover on the recorded path, meters before and after.
 const NEAR_M: f64 = 5.0;
 
-/// The course of an ego at the takeover; `None` where its pose is not finite.
+/// Returns the course of an ego at the takeover; `None` if its pose is not finite.
 pub(super) fn course(recorded: &Recorded<'_>, start_us: i64, ego: &EgoState) -> Option<Course> {
     let from = (ego.speed_mps, ego.acceleration_mps2);
     let profile = Profile::smooth(from, SPEED_MPS, ACCELERATION_MPS2, JERK_MPS3);
@@ -50,7 +52,7 @@ pub(super) fn course(recorded: &Recorded<'_>, start_us: i64, ego: &EgoState) -> 
     (way.points().len() == headings_rad.len()).then_some(Course { start_us, way, headings_rad, profile })
 }
 
-/// Whether the recorded path goes on from a station to where the ego looks.
+/// Returns whether the recorded path continues from a station in the ego's direction.
 fn leads_on(line: &Polyline, station_m: f64, ego: &EgoState) -> bool {
     let ahead_m = NEAR_M.min((line.length_m() - station_m).max(0.0));
     let (to, _) = line.at(station_m + ahead_m);
@@ -59,7 +61,7 @@ fn leads_on(line: &Polyline, station_m: f64, ego: &EgoState) -> bool {
     wrap_angle(direction.to_angle() - ego.heading_rad()).abs() < MAX_TURN_RAD
 }
 
-/// The ego's way beside a smooth path: points with the yaw there.
+/// Returns the ego's path beside a smooth path: points with yaws, radians.
 fn beside(smooth: &Smooth, ego: &EgoState, change_m: f64) -> Vec<(DVec2, f64)> {
     let start = smooth.at(0.0);
     let left = start.tangent.normalize_or(DVec2::X).perp();
@@ -74,7 +76,7 @@ fn beside(smooth: &Smooth, ego: &EgoState, change_m: f64) -> Vec<(DVec2, f64)> {
         let (d, d_slope) = quintic(offset_m, slope, OFFSET_M, change_m, station_m);
         let length = place.tangent.length();
         let left = place.tangent.normalize_or(DVec2::X).perp();
-        // On the inner side of a bend the way is shorter; over its centre it would turn back.
+        // The path is shorter on the inner side of a bend; beyond the bend's center it would reverse.
         let along = (length * (1.0 - place.curvature * d)).max(0.1);
         let yaw = wrap_angle(place.tangent.to_angle() + d_slope.atan2(along));
         let point = place.position_m + left * d;
@@ -86,8 +88,8 @@ fn beside(smooth: &Smooth, ego: &EgoState, change_m: f64) -> Vec<(DVec2, f64)> {
     points
 }
 
-/// An offset and its slope at a station: from a value and slope without bend at 0 to a value without slope and bend at
-/// `length_m`, where it stays.
+/// Returns an offset and its slope at a station. The quintic leads from a value and slope with zero curvature at 0 to
+/// a value with zero slope and curvature at `length_m`, and stays constant afterwards.
 fn quintic(from: f64, slope: f64, to: f64, length_m: f64, station_m: f64) -> (f64, f64) {
     if station_m >= length_m {
         return (to, 0.0);

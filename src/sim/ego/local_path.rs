@@ -1,4 +1,4 @@
-//! Points of a file that the ego drives along.
+//! Ego paths read from files.
 
 use std::path::Path;
 
@@ -14,41 +14,42 @@ use crate::files::input::read_file;
 use crate::geometry::Polyline;
 use crate::sim::EgoState;
 
-/// Points for the ego to drive along: metres in its own frame at the takeover, x forward, y to the left.
+/// Path of points for the ego: meters in the ego frame at the takeover, x forward, y to the left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalPath {
     points: Vec<[f64; 2]>,
 }
 
-/// Why points are no path.
+/// Errors of reading or validating a path.
 #[derive(Debug, thiserror::Error)]
 pub enum LocalPathError {
-    /// Of a file.
+    /// A file cannot be read or parsed.
     #[error(transparent)]
     File(#[from] FileError),
-    /// Of points.
+    /// The points do not form a path.
     #[error("expected {expected}, found {found}")]
     Points {
-        /// What makes a path.
+        /// Expected property of the points.
         expected: &'static str,
-        /// What is there.
+        /// Actual value.
         found: String,
     },
 }
 
-/// More points than a drive around the world at a metre each are a mistake.
+/// Maximum number of points: about half the Earth's circumference at a point per meter.
 const MAX_POINTS: usize = 20_000_000;
-/// Bytes that a point takes in a text at most, for a limit that holds before anything is read.
+/// Maximum file size, at an upper bound of bytes per point in text; checked before reading.
 const MAX_BYTES: u64 = 64 * MAX_POINTS as u64;
-/// Further from the ego than this no point can be, metres.
+/// Maximum coordinate, meters.
 const MAX_COORDINATE_M: f64 = 1e7;
 
 impl LocalPath {
-    /// From points: metres, x forward and y to the left of the ego at the takeover. The path begins at the ego even if
-    /// the points do not.
+    /// Creates a path from points in meters, x forward and y to the left of the ego at the takeover. The path starts
+    /// at the ego, even if the points do not.
     ///
     /// # Errors
-    /// Fewer than two points, one that is not finite or absurdly far, or all at one place.
+    /// Fails if there are fewer than 2 or more than 20 million points, if a point is not finite or too far away, or
+    /// if all points coincide.
     pub fn new(points: Vec<[f64; 2]>) -> Result<Self, LocalPathError> {
         let wrong = |expected: &'static str, found: String| Err(LocalPathError::Points { expected, found });
         if points.len() < 2 || points.len() > MAX_POINTS {
@@ -65,12 +66,12 @@ impl LocalPath {
         Ok(Self { points })
     }
 
-    /// Reads `.json` (a list of points, or an object with one as `points`), `.npy` (floats of 16, 32 or 64 bits, `[N, 2]`)
-    /// or a text of two columns (`.csv`, `.txt`; between them a comma, semicolon or blanks; a first line of words and
-    /// lines from `#` on are left out).
+    /// Reads a path from `.json` (a list of points, or an object with such a list as `points`), `.npy` (floats of 16,
+    /// 32 or 64 bits, `[N, 2]`), or text in two columns (`.csv`, `.txt`, `.tsv`). Text columns are separated by
+    /// commas, semicolons or blanks; a header line and text from `#` on are skipped.
     ///
     /// # Errors
-    /// A file that cannot be read or has another form, or what [`LocalPath::new`] says.
+    /// Fails if the file cannot be read or has another format. Returns any error of [`LocalPath::new`].
     pub fn read(path: &Path) -> Result<Self, LocalPathError> {
         let bytes = read_file(path, MAX_BYTES)?;
         let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
@@ -89,14 +90,14 @@ impl LocalPath {
         })
     }
 
-    /// The points, metres in the ego's frame at the takeover.
+    /// Returns the points, meters in the ego frame at the takeover.
     pub fn points(&self) -> &[[f64; 2]] {
         &self.points
     }
 }
 
 impl Serialize for LocalPath {
-    /// The number of points and a hash of them: enough to tell two paths apart.
+    /// Serializes the number of points and a hash of them, which suffices to distinguish paths.
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         use std::hash::{Hash, Hasher};
         let mut hasher = rand_seeder::SipHasher::new();
@@ -160,7 +161,7 @@ fn from_text(bytes: &[u8], path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
         let numbers: Vec<f64> = cells.iter().filter_map(|cell| cell.parse().ok()).collect();
         match (numbers[..].try_into(), cells.len()) {
             (Ok(point), 2) => points.push(point),
-            // Names of columns have no number among them, and come once.
+            // A header line has no number and occurs once.
             (_, 2) if numbers.is_empty() && points.is_empty() && !header => header = true,
             _ => {
                 let found = format!("{:?} in line {}", line.chars().take(60).collect::<String>(), number + 1);
@@ -171,7 +172,8 @@ fn from_text(bytes: &[u8], path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
     Ok(points)
 }
 
-/// The course along a path for an ego at the takeover, with the speeds of presets; `None` where its pose is not finite.
+/// Returns the course along a path for an ego at the takeover, with the speeds of presets; `None` if the ego's pose
+/// is not finite.
 pub(super) fn course(path: &LocalPath, start_us: i64, ego: &EgoState) -> Option<Course> {
     let forward = DVec2::from_angle(ego.heading_rad());
     let global = |[x, y]: [f64; 2]| ego.position_m() + forward * x + forward.perp() * y;

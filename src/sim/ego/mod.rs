@@ -1,4 +1,4 @@
-//! Who drives the ego after the warm-up: each policy makes a plan from what was committed.
+//! Policies of the ego after the warm-up: each computes a plan from the committed state.
 
 mod course;
 mod lane_change;
@@ -19,20 +19,20 @@ use super::recorded::Recorded;
 use super::simulation::World;
 use super::{EgoPolicy, EgoState, SimError, SimOptions, Trajectory, Waypoint};
 
-/// How far plans of ours look ahead: 22 waypoints at 0.1 s.
+/// Horizon of built-in plans: 22 waypoints at 0.1 s.
 const HORIZON_US: i64 = 2_200_000;
 
-/// A policy with all that it needs beside the state.
+/// Ego policy with its private data.
 pub(super) enum Driver {
     Replay,
     Preset(Preset),
-    /// A course that is laid once, at the takeover; `None` where the log is over before.
+    /// Course computed once at the takeover; `None` if the log ends before it or the ego's pose is not finite.
     Course(Option<Course>),
     External(Box<Planner>),
 }
 
 impl Driver {
-    /// `step` is where the rollout starts or goes on.
+    /// Creates the policy; `step` is the first or resumed step of the rollout.
     pub(super) fn new(
         options: &SimOptions,
         clock: &Clock,
@@ -58,7 +58,7 @@ impl Driver {
         })
     }
 
-    /// The plan at a state; `None` where the ego follows the log.
+    /// Returns the plan at a state; `None` if the ego follows the log.
     pub(super) fn plan(
         &mut self,
         recorded: &Recorded<'_>,
@@ -74,7 +74,7 @@ impl Driver {
             }
             Self::Course(Some(course)) => {
                 let times = (now.step + 1..).map(|step| clock.at(step));
-                // The last one is behind the horizon, however far apart steps and plans are.
+                // The last waypoint lies at or beyond the horizon, for any simulation and planning rates.
                 let end_us = now.t_us + HORIZON_US.max(clock.at(clock.steps_per_plan) - clock.start_us);
                 let mut next: Vec<Waypoint> = Vec::new();
                 for t_us in times {
@@ -89,7 +89,7 @@ impl Driver {
         }
     }
 
-    /// Files that show what was committed last.
+    /// Sets the files that show the last committed state.
     pub(super) fn show(&mut self, files: Vec<PathBuf>) {
         if let Self::External(planner) = self {
             planner.show(files);
@@ -97,7 +97,7 @@ impl Driver {
     }
 }
 
-/// Where the ego is.
+/// Returns the ego's current state as a waypoint.
 pub(super) fn waypoint(ego: &EgoState, t_us: i64) -> Waypoint {
     let place = ego.position_m();
     let (heading_rad, speed_mps) = (ego.heading_rad(), ego.speed_mps);

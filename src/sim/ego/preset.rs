@@ -5,19 +5,19 @@ use super::waypoint;
 use crate::geometry::wrap_angle;
 use crate::sim::{EgoState, Trajectory, Waypoint};
 
-/// Presets never drive slower than this, metres per second.
+/// Minimum speed of presets, meters per second.
 const MIN_SPEED_MPS: f64 = 3.0;
-/// Up to this speed presets accelerate, metres per second.
+/// Maximum speed to which presets accelerate, meters per second.
 const MAX_SPEED_MPS: f64 = 6.0;
 const ACCELERATION_MPS2: f64 = 0.6;
 const WAYPOINTS: usize = 22;
 const STEP_US: i64 = 100_000;
-/// Where the cosine ends, to the left of where it began, metres.
+/// Lateral offset to the left between start and end of the cosine, meters.
 const COSINE_OFFSET_M: f64 = -1.5;
-/// How far to the left the first waypoint is at most when aiming to the right, metres.
+/// Lateral offset to the left of the first waypoint at the full aim to the right, meters.
 const RIGHT_OFFSET_M: f64 = -0.06;
 
-/// Plans in the ego's own frame: only the shape differs.
+/// Preset plan shapes in the ego's own frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::sim) enum Preset {
     Straight,
@@ -25,13 +25,13 @@ pub(in crate::sim) enum Preset {
     Cosine,
 }
 
-/// Speeds of a preset from a given speed (metres per second) on.
+/// Returns the speed profile of a preset for an initial speed, meters per second.
 pub(super) fn profile(speed_mps: f64) -> Profile {
     Profile::steady(speed_mps.max(MIN_SPEED_MPS), speed_mps.max(MAX_SPEED_MPS), ACCELERATION_MPS2)
 }
 
 impl Preset {
-    /// Some plans after the takeover (`plans` is 0 for the first): 22 waypoints at 0.1 s.
+    /// Returns the plan with index `plans` since the takeover (0 for the first): 22 waypoints at 0.1 s.
     pub(super) fn plan(self, ego: &EgoState, t_us: i64, plans: usize) -> Trajectory {
         let now = waypoint(ego, t_us);
         let profile = profile(ego.speed_mps);
@@ -53,7 +53,7 @@ impl Preset {
         Trajectory::new(now, next)
     }
 
-    /// How far to the left (metres) the way is, and its slope, where it is `x_m` in front.
+    /// Returns the lateral offset to the left (meters) and its slope at a distance of `x_m` ahead.
     fn shape(self, x_m: f64, first_m: f64, last_m: f64, plans: usize) -> (f64, f64) {
         match self {
             Self::Straight => (0.0, 0.0),
@@ -77,7 +77,7 @@ mod tests {
     use crate::geometry::Pose;
     use glam::DVec3;
 
-    /// Plans of an ego at (100, 50) that looks north.
+    /// Returns the plan of an ego at (100, 50) heading north.
     fn plan(preset: Preset, speed_mps: f64, plans: usize) -> Vec<(f64, DVec2, f64, f64)> {
         let pose = Pose::from_yaw(std::f64::consts::FRAC_PI_2, DVec3::new(100.0, 50.0, 3.0));
         let ego =
@@ -100,7 +100,7 @@ mod tests {
             assert!((speed - (3.0 + 0.6 * t)).abs() < 1e-12 && heading.abs() < 1e-12);
         }
         assert_eq!(waypoints[21].0, 2.2);
-        // From 5.4 m/s the limit is met after 1 s, from 9 m/s at once.
+        // From 5.4 m/s the limit is reached after 1 s, from 9 m/s immediately.
         assert!((plan(Preset::Straight, 5.4, 0)[21].3 - 6.0).abs() < 1e-12);
         assert!((plan(Preset::Straight, 9.0, 0)[21].1.x - 19.8).abs() < 1e-9);
     }
@@ -110,7 +110,7 @@ mod tests {
         let waypoints = plan(Preset::Cosine, 10.0, 3);
         let (_, end, heading, _) = waypoints[21];
         assert!((end.y + 1.5).abs() < 1e-9 && heading.abs() < 1e-9 && (end.x - 22.0).abs() < 1e-9);
-        // Half way it is half way over and turned most.
+        // At half the length the offset is half and the heading deviates most.
         assert!((waypoints[10].1.y + 0.75).abs() < 1e-9);
         assert!((waypoints[10].2.tan() + 0.75 * std::f64::consts::PI / 22.0).abs() < 1e-9);
     }

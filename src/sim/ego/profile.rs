@@ -1,35 +1,36 @@
-/// How the speed moves to another one: at once with an acceleration that is limited, or with a jerk that is limited too.
+/// Speed profile from one speed to another, with limited acceleration and optionally limited jerk.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Profile {
     start_mps: f64,
     start_mps2: f64,
-    /// Length in seconds and jerk of each piece; behind the last the speed stays.
+    /// Duration in seconds and jerk of each segment; after the last the speed stays constant.
     pieces: Vec<(f64, f64)>,
 }
 
-/// At a time.
+/// State of a profile at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Drive {
-    /// Since the start, metres.
+    /// Distance since the start, meters.
     pub(super) way_m: f64,
     pub(super) speed_mps: f64,
     pub(super) acceleration_mps2: f64,
 }
 
 impl Profile {
-    /// From a speed up to a higher one by a constant acceleration, without limits of jerk.
+    /// Accelerates constantly to a higher speed, without a jerk limit.
     pub(super) fn steady(from_mps: f64, to_mps: f64, acceleration_mps2: f64) -> Self {
         let rise_s = ((to_mps - from_mps) / acceleration_mps2).max(0.0);
-        // The jump at the end is made by a piece without length.
+        // The acceleration drops to 0 at the end of the only segment.
         Self { start_mps: from_mps, start_mps2: acceleration_mps2, pieces: vec![(rise_s, 0.0)] }
     }
 
-    /// The fastest way from a speed and acceleration to a constant speed within limits of acceleration and jerk: jerk,
-    /// no jerk, jerk back. The speed never falls under 0, and an acceleration over its limit is cut.
+    /// Creates the fastest profile from a speed and acceleration to a constant speed, within limits of acceleration
+    /// and jerk. Its segments are jerk, constant acceleration and opposite jerk. The speed never falls below 0; an
+    /// initial acceleration beyond its limit is clamped.
     pub(super) fn smooth(from: (f64, f64), to_mps: f64, limit_mps2: f64, jerk_mps3: f64) -> Self {
         let start_mps = from.0.max(0.0);
         let start_mps2 = from.1.clamp(-limit_mps2.min((2.0 * jerk_mps3 * start_mps).sqrt()), limit_mps2);
-        // What is reached if the acceleration goes straight to 0 tells which way is up.
+        // The speed reached when the acceleration ramps directly to 0 determines the direction of the first jerk.
         let eased_mps = start_mps + start_mps2 * start_mps2.abs() / (2.0 * jerk_mps3);
         let sign = if to_mps < eased_mps { -1.0 } else { 1.0 };
         let (gain, first) = (sign * (to_mps - start_mps), sign * start_mps2);
@@ -41,13 +42,13 @@ impl Profile {
         Self { start_mps, start_mps2, pieces: vec![(rise_s, jerk), (hold_s, 0.0), (peak / jerk_mps3, -jerk)] }
     }
 
-    /// How long the speed changes, seconds.
+    /// Returns the duration of the speed change, seconds.
     #[cfg(test)]
     pub(super) fn length_s(&self) -> f64 {
         self.pieces.iter().map(|(length_s, _)| length_s).sum()
     }
 
-    /// At some seconds since the start, not negative.
+    /// Returns the state at a non-negative time since the start, seconds.
     pub(super) fn at(&self, time_s: f64) -> Drive {
         let (mut way_m, mut v, mut a, mut left_s) = (0.0, self.start_mps, self.start_mps2, time_s);
         for &(length_s, jerk) in &self.pieces {
@@ -94,7 +95,7 @@ mod tests {
             for i in 1..count {
                 let drive = profile.at(i as f64 * dt);
                 prop_assert!(drive.speed_mps >= -1e-9 && drive.acceleration_mps2.abs() <= limit + 1e-9);
-                // The derivatives fit, whatever the pieces are: trapezoids are exact to dt squared.
+                // The derivatives are consistent, whatever the segments: the trapezoidal rule is exact to dt squared.
                 let way = (before.speed_mps + drive.speed_mps) / 2.0 * dt;
                 prop_assert!((drive.way_m - before.way_m - way).abs() < 1e-8);
                 let rise = (before.acceleration_mps2 + drive.acceleration_mps2) / 2.0 * dt;

@@ -2,43 +2,44 @@ use glam::DVec2;
 
 use crate::geometry::Polyline;
 
-/// Between control points, metres: recorded poses are off by a centimetre, which a curve over this length hardly feels.
+/// Spacing of control points, meters: recorded poses have errors of a centimeter, which hardly affect a curve at this
+/// spacing.
 const SPACING_M: f64 = 5.0;
 
-/// A smooth curve near a way: a uniform cubic B-spline whose curvature is continuous.
+/// Smooth curve near a path: a uniform cubic B-spline with continuous curvature.
 ///
-/// Its control points are made from places of the way by quasi-interpolation, so that it stays near the way in bends
-/// (order 4; de Boor and Fix 1973).
+/// Control points are computed from positions on the path by quasi-interpolation, so that the curve stays near the
+/// path in bends (order 4; de Boor and Fix 1973).
 pub(super) struct Smooth {
     controls: Vec<DVec2>,
 }
 
-/// At a station.
+/// Position, tangent and curvature at a station.
 pub(super) struct Place {
     pub(super) position_m: DVec2,
-    /// By station; of length 1 but for the fourth order.
+    /// Derivative by station; its length is 1 up to an error of fourth order.
     pub(super) tangent: DVec2,
-    /// To the left, per metre.
+    /// Curvature to the left, per meter.
     pub(super) curvature: f64,
 }
 
 impl Smooth {
-    /// Near a way from a station (metres) on to its end and `beyond_m` more, straight on.
+    /// Fits a curve to a path from a station (meters) to its end, extended straight by `beyond_m`.
     pub(super) fn new(way: &Polyline, start_m: f64, beyond_m: f64) -> Self {
         let left_m = (way.length_m() - start_m).max(0.0) + beyond_m;
         let pieces = (left_m / SPACING_M).ceil().max(1.0) as i64;
         let place = |i: i64| way.at(start_m + i as f64 * SPACING_M).0;
-        // The spline of a station lies between four controls, the first one place before the start.
+        // Four controls determine the spline at a station; the first lies one spacing before the start.
         let control = |i: i64| (place(i) * 8.0 - place(i - 1) - place(i + 1)) / 6.0;
         Self { controls: (-1..=pieces + 1).map(control).collect() }
     }
 
-    /// Where it ends, metres from its start.
+    /// Returns the length, meters.
     pub(super) fn length_m(&self) -> f64 {
         (self.controls.len() - 3) as f64 * SPACING_M
     }
 
-    /// At a station (metres) from 0 to its length.
+    /// Evaluates the curve at a station (meters) between 0 and its length.
     pub(super) fn at(&self, station_m: f64) -> Place {
         let u = (station_m / SPACING_M).max(0.0);
         let first = (u as usize).min(self.controls.len() - 4);
@@ -78,7 +79,7 @@ mod tests {
     fn circles_stay_circles() {
         for radius_m in [12.0, 40.0] {
             let smooth = Smooth::new(&circle(radius_m, 0.0), 0.0, 0.0);
-            // Beyond both ends the way is straight, which is felt over some metres.
+            // Beyond both ends the path is straight, which affects the curve for some meters.
             let mut before = smooth.at(11.9);
             for i in 120..(smooth.length_m() - 15.0) as usize * 10 {
                 let place = smooth.at(i as f64 * 0.1);
@@ -87,7 +88,7 @@ mod tests {
                 assert!((place.curvature * radius_m - 1.0).abs() < 0.12, "{}", place.curvature);
                 let way = before.position_m.distance(place.position_m);
                 assert!((way - 0.1).abs() < 0.002);
-                // Continuous: no jump where controls change.
+                // Continuous: no jump where the set of controls changes.
                 assert!((place.curvature - before.curvature).abs() < 0.01);
                 before = place;
             }

@@ -1,4 +1,4 @@
-//! A planner in another process: lines of JSON, see `docs/PLANNER.md`.
+//! External planner process with a protocol of JSON lines, see `docs/PLANNER.md`.
 
 mod protocol;
 
@@ -13,17 +13,17 @@ use super::simulation::World;
 use super::{PlannerError, PlannerSpec, SimOptions, Trajectory};
 use crate::peer::{Framing, Link, Wrong};
 
-/// Longer answers are a mistake.
+/// Replies longer than this are rejected.
 const LINES: Framing = Framing::Lines { max_bytes: 16 << 20 };
 
-/// A planner that has said hello.
+/// Planner after a successful hello exchange.
 pub(super) struct Planner {
     link: Link,
     shown: Vec<PathBuf>,
 }
 
 impl Planner {
-    /// Starts or reaches it and exchanges hellos; the rollout starts or goes on at `step`.
+    /// Starts or connects to the planner and exchanges hello messages; `step` is the first or resumed step.
     pub(super) fn start(
         spec: &PlannerSpec,
         options: &SimOptions,
@@ -38,7 +38,7 @@ impl Planner {
         Ok(planner)
     }
 
-    /// Its plan at a state.
+    /// Requests a plan for a state.
     pub(super) fn plan(
         &mut self,
         recorded: &Recorded<'_>,
@@ -61,7 +61,7 @@ impl Planner {
         read(&answer).map_err(|wrong| self.link.refuse(wrong))
     }
 
-    /// Files for the next observation.
+    /// Sets the files sent with the next observation.
     pub(super) fn show(&mut self, files: Vec<PathBuf>) {
         self.shown = files;
     }

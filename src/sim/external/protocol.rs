@@ -16,16 +16,16 @@ use crate::sim::{
 
 const PROTOCOL: &str = "pskel-planner";
 const VERSION: u32 = 1;
-/// How much of the recorded path a planner sees, metres, and how far apart its points are at least.
+/// Length of the recorded path sent to a planner, and the spacing of its points, meters.
 const AHEAD_M: f64 = 100.0;
 const AHEAD_STEP_M: f64 = 1.0;
-/// Waypoints further apart than this speed allows are a mistake, metres per second.
+/// Maximum speed between waypoints and at waypoints, meters per second; larger values are rejected.
 const MAX_SPEED_MPS: f64 = 100.0;
 const MAX_WAYPOINTS: usize = 10_000;
-/// Times further ahead are a mistake (microseconds taken for seconds), seconds.
+/// Maximum time of a waypoint, seconds; larger values are rejected, as they are probably microseconds.
 const MAX_TIME_S: f64 = 3600.0;
 
-/// What is said first.
+/// First message to the planner.
 #[derive(Serialize)]
 pub(super) struct Hello<'a> {
     protocol: &'static str,
@@ -47,13 +47,13 @@ struct EgoSize {
     wheelbase: f64,
 }
 
-/// What is said at each plan step.
+/// Message sent at each planning step.
 #[derive(Serialize)]
 pub(super) struct Observation<'a> {
     r#type: &'static str,
     step: usize,
     t_us: i64,
-    /// Seconds to the next observation: the plan must reach so far.
+    /// Seconds to the next observation; the plan must extend at least that far.
     plan_dt: f64,
     ego: Ego,
     actors: Vec<Actor<'a>>,
@@ -193,7 +193,7 @@ fn told<'a>(recorded: &'a Recorded<'_>, actor: &SimActor) -> Actor<'a> {
     }
 }
 
-/// The recorded path from beside the ego on, global metres; empty where the ego stood all the time.
+/// Returns the recorded path ahead of the ego's projection, global meters; empty if the ego never moved.
 fn path_ahead(recorded: &Recorded<'_>, ego: Foot) -> Vec<[f64; 2]> {
     let Some(line) = recorded.route.line() else { return Vec::new() };
     let from_m = ego.station_m.clamp(0.0, line.length_m());
@@ -204,7 +204,7 @@ fn path_ahead(recorded: &Recorded<'_>, ego: Foot) -> Vec<[f64; 2]> {
     inner.chain(end).map(|station_m| line.at(station_m).0.to_array()).collect()
 }
 
-/// Checks the answer to a hello.
+/// Validates the reply to the hello message.
 pub(super) fn read_hello(answer: &[u8]) -> Result<(), Wrong> {
     let expected = format!("{{\"protocol\": \"{PROTOCOL}\", \"version\": {VERSION}}}");
     let hello: HelloAnswer =
@@ -215,7 +215,7 @@ pub(super) fn read_hello(answer: &[u8]) -> Result<(), Wrong> {
     Err(Wrong::new(expected, format!("{:?} of version {}", hello.protocol, hello.version)))
 }
 
-/// Checks the answer to an observation; the plan must reach to the time of the next one, microseconds.
+/// Validates the reply to an observation; the plan must extend to `due_us`, the time of the next one (microseconds).
 pub(super) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Trajectory, Wrong> {
     let expected = "{\"trajectory\": [{\"t\", \"x\", \"y\", \"heading\", \"v\"}, ..]}";
     let plan: PlanAnswer =
@@ -232,7 +232,7 @@ pub(super) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Tra
     for (i, point) in points.iter().enumerate() {
         let to = placed(point, plan.frame, &start, i)?;
         let before = next.last().unwrap_or(&start);
-        // A first waypoint at the time of the observation tells where the ego is: it is known.
+        // A first waypoint at the time of the observation repeats the known ego state.
         if i == 0 && to.t_us == start.t_us {
             continue;
         }
@@ -256,7 +256,7 @@ pub(super) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Tra
     Ok(Trajectory::new(start, next))
 }
 
-/// A planned point in the global frame.
+/// Validates a planned point and converts it to the global frame.
 fn placed(point: &PlannedPoint, frame: Frame, start: &Waypoint, index: usize) -> Result<Waypoint, Wrong> {
     let PlannedPoint { t, x, y, heading, v } = *point;
     let sound = (0.0..=MAX_TIME_S).contains(&t)
@@ -274,13 +274,14 @@ fn placed(point: &PlannedPoint, frame: Frame, start: &Waypoint, index: usize) ->
             (start.position_m() + forward * x + forward.perp() * y, start.heading_rad + heading)
         }
     };
-    // Rounded, a time just after the observation's may become the same; what is due never does.
+    // Rounding can map a time just after the observation to the observation's own time, but never a required later
+    // one.
     let t_us = start.t_us.saturating_add((t * 1e6).round() as i64);
     let heading_rad = wrap_angle(heading_rad);
     Ok(Waypoint { t_us, x_m: place.x, y_m: place.y, heading_rad, speed_mps: v })
 }
 
-/// What is wrong and how the answer begins.
+/// Formats a parse error with the beginning of the reply.
 fn shown(answer: &[u8], error: &serde_json::Error) -> String {
     format!("{} ({error})", begin_of(answer))
 }

@@ -8,50 +8,50 @@ use crate::dataset::{Class, Track};
 use crate::geometry::{Footprint, wrap_angle};
 use crate::sim::{EgoState, Instant, SimActor};
 
-/// Up to this speed somebody stands, metres per second. nuPlan's threshold.
+/// Maximum speed of a stopped road user, meters per second; nuPlan's threshold.
 pub(super) const STOPPED_MPS: f64 = 0.05;
-/// Further from straight ahead than this somebody is behind, radians. nuPlan's 150 degrees.
+/// Minimum angle from straight ahead at which an actor is behind the ego, radians; nuPlan's 150 degrees.
 const BEHIND_RAD: f64 = 150.0 * std::f64::consts::PI / 180.0;
 
-/// The first contact of the ego with an actor, seen from above.
+/// First contact of the ego with an actor, in bird's-eye view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Collision {
-    /// When.
+    /// Step of the contact.
     pub step: usize,
-    /// Absolute microseconds.
+    /// Time of the contact, absolute microseconds.
     pub t_us: i64,
-    /// The actor's track id.
+    /// Track id of the actor.
     pub track: String,
-    /// Its class.
+    /// Class of the actor.
     pub class: Class,
-    /// How they met.
+    /// Kind of the contact.
     pub kind: CollisionKind,
-    /// Whether nuPlan gives the ego the fault; `None` where that depends on a map and there is none.
+    /// Whether the ego is at fault by nuPlan's rules; `None` if that depends on a missing map.
     pub at_fault: Option<bool>,
-    /// Of the ego, metres per second.
+    /// Speed of the ego, meters per second.
     pub ego_speed_mps: f64,
-    /// Of the actor, metres per second.
+    /// Speed of the actor, meters per second.
     pub actor_speed_mps: f64,
 }
 
-/// How ego and actor met, as nuPlan tells it.
+/// Kind of a collision, as in nuPlan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CollisionKind {
-    /// The ego stood: not its fault.
+    /// The ego was stopped: not at fault.
     StoppedEgo,
-    /// The actor stood: the ego's fault.
+    /// The actor was stopped: the ego is at fault.
     StoppedActor,
-    /// The actor came from behind: not the ego's fault.
+    /// The actor hit from behind: the ego is not at fault.
     Rear,
-    /// The ego's front bumper met it: the ego's fault.
+    /// The ego's front bumper hit the actor: the ego is at fault.
     Front,
-    /// Side to side: the ego's fault where it was in no single lane, or beside the drivable area.
+    /// Side contact: the ego is at fault if it was not within a single lane or not on the drivable area.
     Lateral,
 }
 
-/// Whom the ego touches, but for those it did before, with their tracks.
+/// Returns new contacts of the ego with actors, keyed by track; actors in `before` are skipped.
 pub(super) fn contacts(
     now: &Instant,
     tracks: &[Track],
@@ -87,7 +87,7 @@ pub(super) fn contacts(
     now.actors.iter().filter(touches).map(collision).collect()
 }
 
-/// In the order in which nuPlan asks.
+/// Classifies a contact, checking the kinds in nuPlan's order.
 fn kind(ego: &EgoState, actor: &SimActor, class: Class) -> CollisionKind {
     let stands = actor.speed_mps.abs() <= STOPPED_MPS || matches!(class, Class::Object | Class::None);
     if ego.speed_mps.abs() <= STOPPED_MPS {
@@ -103,13 +103,13 @@ fn kind(ego: &EgoState, actor: &SimActor, class: Class) -> CollisionKind {
     }
 }
 
-/// Whether an actor's middle lies behind the ego's rear axle, within 30 degrees of straight back.
+/// Returns whether an actor's center is behind the ego's rear axle, within 30 degrees of straight back.
 pub(super) fn is_behind(ego: &EgoState, actor: &SimActor) -> bool {
     let arm: DVec2 = actor.cuboid.pose.translation.truncate() - ego.position_m();
     arm != DVec2::ZERO && wrap_angle(arm.to_angle() - ego.heading_rad()).abs() > BEHIND_RAD
 }
 
-/// The line between the front corners, as a rectangle without length.
+/// Returns the segment between the front corners, as a rectangle of zero length.
 fn front_bumper(ego: &Footprint) -> Footprint {
     let center = ego.center + ego.forward * ego.half_m.x;
     Footprint { center, half_m: DVec2::new(0.0, ego.half_m.y), ..*ego }
@@ -121,13 +121,13 @@ pub(in crate::sim) mod tests {
     use crate::geometry::{Cuboid, Pose};
     use glam::DVec3;
 
-    /// A car of 4 by 2 m.
+    /// Returns a car of 4 m by 2 m.
     pub(in crate::sim) fn actor(track: usize, x: f64, y: f64, yaw: f64, speed_mps: f64) -> SimActor {
         let pose = Pose::from_yaw(yaw, DVec3::new(x, y, 0.8));
         SimActor { track, cuboid: Cuboid { pose, size: DVec3::new(4.0, 2.0, 1.6) }, speed_mps }
     }
 
-    /// The ego with its rear axle at the origin, looking along x.
+    /// Returns an instant with the ego's rear axle at the origin, heading along x.
     pub(in crate::sim) fn instant(speed_mps: f64, actors: &[SimActor]) -> Instant {
         let pose = Pose::IDENTITY;
         let ego =
@@ -151,7 +151,7 @@ pub(in crate::sim) mod tests {
 
     #[test]
     fn nobody_is_touched_beside() {
-        // The ego reaches from -1.127 to 4.049 m and 1.1485 m to either side.
+        // The ego extends from -1.127 to 4.049 m and 1.1485 m to either side.
         let beside =
             [actor(0, 6.06, 0.0, 0.0, 3.0), actor(0, -3.1275, 0.0, 0.0, 3.0), actor(0, 1.0, 2.15, 0.0, 3.0)];
         for one in beside {
@@ -171,7 +171,7 @@ pub(in crate::sim) mod tests {
         assert_eq!(kind(5.0, beside), [(Lateral, None)]);
         assert_eq!(kind(0.05, ahead), [(StoppedEgo, Some(false))]);
         assert_eq!(kind(5.0, SimActor { speed_mps: 0.05, ..behind }), [(StoppedActor, Some(true))]);
-        // Objects stand whatever their boxes' noise says.
+        // Objects count as stopped, regardless of noise in their boxes.
         assert_eq!(kinds(&instant(5.0, &[ahead]), Class::Object), [(StoppedActor, Some(true))]);
     }
 

@@ -5,29 +5,29 @@ use super::Range;
 use crate::sim::EgoState;
 use crate::sim::clock::seconds;
 
-/// nuPlan's bounds of comfort.
+/// nuPlan's comfort bounds.
 const LONGITUDINAL_MPS2: Range = Range { min: -4.05, max: 2.40 };
 const LATERAL_MPS2: f64 = 4.89;
 const JERK_MPS3: f64 = 8.37;
 const YAW_RATE_RADPS: f64 = 0.95;
 
-/// How comfortable a rollout was, of the middle of the rear axle.
+/// Comfort metrics of a rollout, at the center of the rear axle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Comfort {
-    /// Whether all stayed within nuPlan's bounds: -4.05 to 2.40 m/s² along, 4.89 m/s² across, a jerk of 8.37 m/s³, a yaw
-    /// rate of 0.95 rad/s.
+    /// Whether all values are within nuPlan's bounds: longitudinal acceleration from -4.05 to 2.40 m/s², lateral
+    /// acceleration up to 4.89 m/s², jerk up to 8.37 m/s³, yaw rate up to 0.95 rad/s.
     pub comfortable: bool,
-    /// Along the heading, m/s²; `None` before the first instant.
+    /// Acceleration along the heading, m/s²; `None` before the first instant.
     pub longitudinal_mps2: Option<Range>,
-    /// To the left, m/s²: speed times yaw rate.
+    /// Acceleration to the left, m/s²: speed times yaw rate.
     pub lateral_mps2: Option<Range>,
-    /// To the left, rad/s.
+    /// Yaw rate to the left, rad/s.
     pub yaw_rate_radps: Option<Range>,
-    /// The greatest change of both accelerations from step to step, m/s³.
+    /// Maximum magnitude of the jerk from both accelerations between steps, m/s³.
     pub max_jerk_mps3: f64,
 }
 
-/// What the figures are made of.
+/// Accumulator of the comfort metrics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ComfortTally {
@@ -40,7 +40,7 @@ pub(super) struct ComfortTally {
 }
 
 impl ComfortTally {
-    /// One more instant.
+    /// Adds an instant.
     pub(super) fn add(&mut self, ego: &EgoState, t_us: i64) {
         let (along, across) = (ego.acceleration_mps2, ego.speed_mps * ego.yaw_rate_radps);
         self.longitudinal_mps2 = Some(Range::with(self.longitudinal_mps2, along));

@@ -1,4 +1,4 @@
-//! Figures of a rollout, from the takeover on: added up step by step.
+//! Metrics of a rollout from the takeover on, accumulated step by step.
 
 pub(super) mod collision;
 mod comfort;
@@ -21,76 +21,77 @@ use super::route::Route;
 use super::simulation::World;
 use crate::geometry::{Foot, wrap_angle};
 
-/// Figures of a rollout, from the takeover (or the start) on.
+/// Metrics of a rollout, from the takeover (or the start) on.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Metrics {
-    /// How many steps they are of.
+    /// Number of evaluated steps.
     pub steps: usize,
-    /// How long these took, seconds.
+    /// Duration of these steps, seconds.
     pub seconds: f64,
-    /// The first contact with each actor.
+    /// First contact with each actor.
     pub collisions: Vec<Collision>,
-    /// How many collisions are the ego's fault, so far as known.
+    /// Number of collisions known to be the ego's fault.
     pub at_fault_collisions: usize,
-    /// Where the ego was beside the drivable area; `None` without a map.
+    /// Departures from the drivable area; `None` without a map.
     pub off_road: Option<OffRoad>,
-    /// Along the recorded path, metres.
+    /// Distance along the recorded path, meters.
     pub progress_m: f64,
-    /// What the log's ego made in that time along its path, metres; no more than to its end.
+    /// Distance of the log's ego along its path in the same time, meters; at most to the end of the path.
     pub log_progress_m: f64,
-    /// How far the ego was from the recorded path, metres; `end` is positive to the left.
+    /// Distance of the ego from the recorded path, meters; `end` is positive to the left.
     pub lateral_deviation_m: Deviation,
-    /// How far the ego was turned against the recorded ego at the nearest place, radians; `end` is positive to the left.
+    /// Difference of the ego's heading from the recorded one at the nearest position, radians; `end` is positive to
+    /// the left.
     pub heading_deviation_rad: Deviation,
-    /// Accelerations and the like.
+    /// Accelerations, yaw rate and jerk.
     pub comfort: Comfort,
-    /// The least time until ego and somebody not behind it would meet if both went on straight at their speed, seconds;
-    /// `None` where that was never under 3 s.
+    /// Minimum time to contact between the ego and an actor not behind it, at constant velocities, seconds; `None` if
+    /// it was always over 3 s.
     pub min_time_to_collision_s: Option<f64>,
 }
 
-/// How much of the ego was beside the drivable area.
+/// Part of the ego outside the drivable area.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct OffRoad {
-    /// At how many instants a part of its footprint was.
+    /// Number of instants with a part of the footprint outside.
     pub instants: usize,
-    /// The share of the footprint that was, 0 to 1, as the mean over all instants.
+    /// Share of the footprint that was outside, 0 to 1: mean over all instants.
     pub share: f64,
 }
 
-/// How far something was off, without its sign, and at the end.
+/// Statistics of an absolute error, with its final signed value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Deviation {
-    /// Over all instants.
+    /// Mean absolute value over all instants.
     pub mean: f64,
-    /// Over all instants.
+    /// Maximum absolute value over all instants.
     pub max: f64,
-    /// At the last instant, with its sign.
+    /// Signed value at the last instant.
     pub end: f64,
 }
 
-/// A range of values that were met.
+/// Range of observed values.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Range {
-    /// The least.
+    /// Minimum.
     pub min: f64,
-    /// The greatest.
+    /// Maximum.
     pub max: f64,
 }
 
 impl Range {
-    /// With one more value.
+    /// Extends a range to include a value.
     fn with(range: Option<Self>, value: f64) -> Self {
         let range = range.unwrap_or(Self { min: value, max: value });
         Self { min: range.min.min(value), max: range.max.max(value) }
     }
 }
 
-/// What the figures are made of.
+/// Accumulator of the metrics.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Tally {
-    /// How many instants were added; the first begins the first step.
+    /// Number of added instants; the first is the start of the first step.
     instants: usize,
     start_us: i64,
     end_us: i64,
@@ -108,7 +109,7 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// One more instant.
+    /// Adds an instant.
     pub(super) fn add(&mut self, recorded: &Recorded<'_>, road: Option<&Road>, world: &World) {
         let now = &world.instant;
         self.go(&recorded.route, now, world.foot);
@@ -125,7 +126,7 @@ impl Tally {
         self.min_ttc_s = self.min_ttc_s.into_iter().chain(soonest).reduce(f64::min);
     }
 
-    /// Along the path and beside it.
+    /// Updates progress along the path and deviations from it.
     fn go(&mut self, route: &Route, now: &Instant, foot: Foot) {
         self.log_m = route.station_at(now.t_us);
         self.station_m = foot.station_m;
@@ -138,7 +139,7 @@ impl Tally {
         self.heading.add(wrap_angle(now.ego.heading_rad() - route.yaw_at(foot.station_m)), self.instants);
     }
 
-    /// The figures; `has_road` tells whether there was a map.
+    /// Returns the metrics; `has_road` is `true` if a map was available.
     pub(super) fn metrics(&self, has_road: bool) -> Metrics {
         Metrics {
             steps: self.instants.saturating_sub(1),
@@ -157,7 +158,7 @@ impl Tally {
 }
 
 impl Deviation {
-    /// One more value, the `count`th.
+    /// Adds the `count`th value.
     fn add(&mut self, value: f64, count: usize) {
         self.mean += (value.abs() - self.mean) / count as f64;
         self.max = self.max.max(value.abs());

@@ -7,25 +7,25 @@ use rstar::{AABB, RTree};
 use crate::dataset::{Area, Lane, VectorMap};
 use crate::geometry::{Cuboid, Footprint};
 
-/// The footprint is looked at in so many cells along and across.
+/// Number of cells that sample the footprint, along and across.
 const CELLS: [usize; 2] = [10, 4];
 
-/// Where vehicles may drive, and the lanes.
+/// Drivable area and lanes.
 pub(in crate::sim) struct Road {
     drivable: Areas,
     lanes: Areas,
-    /// Per lane the numbers of those that follow it.
+    /// Indices of the successors of each lane.
     successors: Vec<Vec<usize>>,
 }
 
 struct Areas {
     areas: Vec<Area>,
-    /// Numbers of areas, by the rectangle around them.
+    /// Indices of areas, keyed by their bounding rectangle.
     places: RTree<GeomWithData<Rectangle<[f64; 2]>, usize>>,
 }
 
 impl Road {
-    /// `None` for a map without a drivable area.
+    /// Builds the index; `None` for a map without a drivable area.
     pub(in crate::sim) fn new(map: &VectorMap) -> Option<Self> {
         let lanes = map.lanes.iter().chain(&map.lane_connectors);
         let lanes: Vec<&Lane> = lanes.filter(|lane| is_sound(&lane.outline)).collect();
@@ -33,7 +33,7 @@ impl Road {
         for (number, lane) in lanes.iter().enumerate() {
             numbers.entry(&lane.id).or_default().push(number);
         }
-        // Some lie beyond the edge of the map.
+        // Some successors lie beyond the edge of the map.
         let known = |id: &String| numbers.get(id.as_str()).into_iter().flatten().copied();
         let road = Self {
             drivable: Areas::new(&map.drivable_area),
@@ -43,8 +43,8 @@ impl Road {
         (!road.drivable.areas.is_empty()).then_some(road)
     }
 
-    /// The share of a box's footprint that lies beside the drivable area, 0 to 1, by the middles of 10 by 4 cells and the
-    /// corners: a corner beside it counts for a cell at least.
+    /// Returns the share of a box's footprint outside the drivable area, 0 to 1, sampled at the centers of 10 by 4
+    /// cells and at the corners. A corner outside counts for at least one cell.
     pub(in crate::sim) fn share_off(&self, cuboid: &Cuboid) -> f64 {
         let footprint = Footprint::from(cuboid);
         let middle = |i: usize, j: usize| {
@@ -59,7 +59,8 @@ impl Road {
         cells_off.max(usize::from(corner_off)) as f64 / (CELLS[0] * CELLS[1]) as f64
     }
 
-    /// Whether all corners lie in one lane or connector, or in one and one that follows it, and on the drivable area.
+    /// Returns whether all corners lie on the drivable area and in one lane or connector, or in one and one of its
+    /// successors.
     pub(super) fn is_in_one_lane(&self, footprint: &Footprint) -> bool {
         let corners = footprint.corners();
         let common = corners.map(|corner| self.lanes.around(corner));
@@ -86,7 +87,7 @@ impl Areas {
         Self { areas, places }
     }
 
-    /// The numbers of the areas that a place (global, metres) lies in.
+    /// Returns the indices of the areas that contain a position (global, meters).
     fn around(&self, place: DVec2) -> Vec<usize> {
         let near = self.places.locate_in_envelope_intersecting(AABB::from_point(place.to_array()));
         near.map(|near| near.data).filter(|number| contains(&self.areas[*number], place)).collect()
@@ -97,12 +98,12 @@ fn is_sound(area: &Area) -> bool {
     !area.exterior.is_empty() && area.exterior.iter().all(|p| p.is_finite())
 }
 
-/// Whether a place lies within an area and in none of its holes.
+/// Returns whether a position lies within an area and in none of its holes.
 fn contains(area: &Area, place: DVec2) -> bool {
     in_ring(&area.exterior, place) && !area.holes.iter().any(|hole| in_ring(hole, place))
 }
 
-/// By the number of edges that a ray along x crosses.
+/// Counts the edges crossed by a ray along x: an odd number means inside.
 fn in_ring(ring: &[DVec2], place: DVec2) -> bool {
     let crosses = |i: &usize| {
         let (a, b) = (ring[*i], ring[(i + 1) % ring.len()]);
@@ -122,7 +123,7 @@ mod tests {
         Area { exterior: vec![corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)], holes: Vec::new() }
     }
 
-    /// A road of two lanes of 4 m, the left one cut in two areas that touch, with a hole on the right.
+    /// Returns a road of two lanes of 4 m: the left one split into two adjacent areas, the right one with a hole.
     fn road() -> Road {
         let lane = |id: &str, outline: Area| Lane {
             id: id.into(),
@@ -156,7 +157,7 @@ mod tests {
         let road = road();
         let share = |x: f64, y: f64| road.share_off(&cuboid(x, y));
         assert_eq!([share(20.0, 2.0), share(40.0, 0.0), share(20.0, -2.0)], [0.0; 3]);
-        // Beside, half beside, all but nothing beside, over the hole.
+        // Outside, half outside, a small part outside, over the hole.
         assert_eq!([share(20.0, 9.0), share(20.0, 4.0), share(20.0, -4.0)], [1.0, 0.5, 0.5]);
         assert_eq!(share(20.0, 3.01), 1.0 / 40.0);
         assert_eq!([share(55.0, -2.0), share(50.0, -2.0)], [1.0, 0.5]);
@@ -171,7 +172,7 @@ mod tests {
         assert!(Road::new(&VectorMap::default()).is_none());
     }
 
-    /// A lane along x that forks at 40 m into one to the left and one to the right, beside one that goes on.
+    /// A lane along x that forks at 40 m into a left and a right connector, beside a continuing lane.
     #[test]
     fn a_lane_goes_on_in_each_of_its_successors() {
         let lane = |id: &str, outline: Area, successors: &[&str]| Lane {
@@ -200,10 +201,10 @@ mod tests {
             let pose = Pose::from_yaw(yaw_rad, DVec3::new(x, y, 1.0));
             road.is_in_one_lane(&Footprint::from(&Cuboid { pose, size: DVec3::new(5.0, 1.6, 2.0) }))
         };
-        // Over the joint into the left one, the right one, and between both; from the left one on.
+        // Over the joint into the left connector, into the right one, and between both; out of the left one.
         assert!(one(40.0, 3.0, 0.0) && one(40.0, 1.5, 0.0) && one(60.0, 3.0, 0.0));
         assert!(!one(40.0, 2.2, 0.0));
-        // Neither what lies beside nor what follows another lane is its own.
+        // Neither the adjacent lane nor a successor of another lane counts as the same lane.
         assert!(!one(20.0, 4.0, 0.0) && !one(40.0, 4.0, 0.0) && !one(60.0, 1.95, 0.0));
         // Backward over the joint it is the same lane.
         assert!(one(40.0, 3.0, std::f64::consts::PI));

@@ -4,11 +4,12 @@ use super::collision::{STOPPED_MPS, is_behind};
 use crate::geometry::Footprint;
 use crate::sim::{Instant, SimActor};
 
-/// Contacts further ahead count for nothing: nobody goes straight on that long. nuPlan's horizon.
+/// Maximum time to contact; later contacts are ignored, as velocities do not stay constant that long. nuPlan's
+/// horizon.
 const HORIZON_S: f64 = 3.0;
 
-/// Seconds until the ego and somebody not behind it meet if all go straight on at their speed: 0 for who touches
-/// already. `None` within 3 s, or for an ego that stands.
+/// Returns the seconds until the ego first touches an actor not behind it, at constant velocities; 0 for a present
+/// contact. `None` without a contact within 3 s, or for a stopped ego.
 pub(super) fn seconds_to_contact(now: &Instant) -> Option<f64> {
     let ego = Footprint::from(&now.ego.cuboid());
     if now.ego.speed_mps.abs() <= STOPPED_MPS {
@@ -31,7 +32,7 @@ mod tests {
 
     #[test]
     fn gaps_over_closing_speeds() {
-        // The ego's front is 4.049 m before its rear axle; a car of 4 m stands with its rear at 20 m.
+        // The ego's front is 4.049 m before its rear axle; the rear of a stopped car of 4 m is at 20 m.
         let front = 1.461 + 5.176 / 2.0;
         let found = |speed: f64, others: &[_]| seconds_to_contact(&instant(speed, others));
         let gap = 20.0 - front;
@@ -39,7 +40,7 @@ mod tests {
         assert!((found(10.0, &[stands]).unwrap() - gap / 10.0).abs() < 1e-9);
         assert_eq!(found(5.0, &[stands]), None);
         assert_eq!(found(0.0, &[stands]), None);
-        // One that comes towards, one that drives away, one in the next lane, one that cuts in front.
+        // Oncoming, driving away, in the next lane, and cutting in.
         let towards = actor(1, 22.0, 0.0, std::f64::consts::PI, 5.0);
         assert!((found(10.0, &[stands, towards]).unwrap() - gap / 15.0).abs() < 1e-9);
         assert_eq!(found(10.0, &[actor(1, 22.0, 0.0, 0.0, 10.0), actor(2, 22.0, 3.0, 0.0, 0.0)]), None);

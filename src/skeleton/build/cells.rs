@@ -7,30 +7,30 @@ use super::sums::{VoxelSum, Voxels, merge};
 use crate::skeleton::sweep::SweepCloud;
 use crate::skeleton::{BuildReport, CHUNK_M, Candidate};
 
-/// What points are gathered in.
+/// Unit in which points are collected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Cell {
-    /// A chunk of the background: its place in steps of [`CHUNK_M`].
+    /// Background chunk: its position in steps of [`CHUNK_M`].
     Chunk([i64; 3]),
-    /// A track of one of the logs.
+    /// Track of a log.
     Track {
-        /// Number of the log.
+        /// Index of the log.
         log: usize,
-        /// Number of the track in it.
+        /// Index of the track in the log.
         track: usize,
     },
 }
 
-/// Points in memory that wait to be written.
+/// Points in memory, not yet written to a run.
 pub(super) struct Cells {
     pub(super) voxels: Voxels,
     cells: Vec<(Cell, Vec<VoxelSum>)>,
-    /// Where in the list.
+    /// Position of each cell in the list.
     index: FxHashMap<Cell, usize>,
-    /// The cell of the last point: mostly that of the next.
+    /// Position of the last point's cell, which the next point usually shares.
     last: usize,
-    /// How many.
+    /// Number of points.
     pub(super) points: usize,
 }
 
@@ -39,8 +39,8 @@ impl Cells {
         Self { voxels, cells: Vec::new(), index: FxHashMap::default(), last: 0, points: 0 }
     }
 
-    /// Adds the colored points of a sweep, the one with number `sweep` of all of them; counts them and those without a
-    /// color. Gives back the tracks that got a point.
+    /// Adds the colored points of a sweep with global index `sweep`. Counts them, and those without a color. Returns
+    /// the tracks that received a point.
     pub(super) fn add(
         &mut self,
         log: usize,
@@ -69,7 +69,7 @@ impl Cells {
         tracks
     }
 
-    /// Adds a point if it has a color; gives back how many were added.
+    /// Adds a point if it has a color; returns the number of added points.
     fn add_point(&mut self, cell: Cell, point: &Candidate, origin: DVec3, place: &mut u64) -> usize {
         let Some(rgb) = point.rgb else { return 0 };
         let sum = self.voxels.sum(point.position - origin, rgb, *place);
@@ -89,7 +89,7 @@ impl Cells {
         &mut self.cells[self.last].1
     }
 
-    /// Takes all points out, merged, in the order of cells.
+    /// Removes and returns all points, merged, in the order of cells.
     pub(super) fn take(&mut self) -> Vec<(Cell, Vec<VoxelSum>)> {
         let cells = std::mem::take(&mut self.cells);
         self.index.clear();

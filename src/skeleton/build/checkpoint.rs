@@ -1,4 +1,4 @@
-//! An unfinished build on disk: enough to go on after the process was killed.
+//! Unfinished build on disk, resumable after the process was killed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -13,39 +13,39 @@ use crate::files::input::read_table;
 use crate::files::{WorkFolder, work_of_whole, write_json};
 use crate::skeleton::{BuildOptions, BuildReport};
 
-/// What is built: a checkpoint of another plan is of no use.
+/// Inputs of a build; a checkpoint is only valid for an equal plan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Plan {
-    /// Of this program.
+    /// Version of this program.
     pub(super) version: String,
     pub(super) options: BuildOptions,
     pub(super) logs: Vec<PlannedLog>,
 }
 
-/// A log of a [`Plan`].
+/// Log of a [`Plan`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct PlannedLog {
     pub(super) log: String,
-    /// What the data set says of it: a made log tells how it was made.
+    /// Description from the data set; for a synthetic log, its generation parameters.
     pub(super) description: String,
     /// Times of the frames, absolute microseconds.
     pub(super) t_us: Vec<i64>,
-    /// Sweeps, images and boxes of the frames: files may have come or gone.
+    /// Number of sweeps, images and boxes of each frame; detects added and removed files.
     pub(super) held: Vec<[usize; 3]>,
-    /// Tracks in the log.
+    /// Number of tracks in the log.
     pub(super) tracks: usize,
 }
 
-/// How far a build is.
+/// Progress of a build.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Done {
-    /// Frames whose points are in the runs, counted through all logs.
+    /// Number of frames whose points are in the runs, over all logs.
     pub(super) frames: usize,
-    /// Sweeps whose points are in the runs.
+    /// Number of sweeps whose points are in the runs.
     pub(super) sweeps: u64,
     pub(super) runs: Vec<RunName>,
     pub(super) report: BuildReport,
-    /// Sweeps that gave points to each track.
+    /// Number of sweeps that contributed points to each track.
     #[serde(with = "as_list")]
     pub(super) track_sweeps: BTreeMap<Cell, usize>,
 }
@@ -58,29 +58,30 @@ struct Checkpoint<P, D> {
 
 const FILE: &str = "checkpoint.json";
 
-/// The folder of an unfinished build, kept on drop once it holds a checkpoint.
+/// Folder of an unfinished build, retained on drop once it holds a checkpoint.
 pub(super) struct Unfinished {
     work: WorkFolder,
     plan: Plan,
 }
 
 impl Unfinished {
-    /// How many frames of an unfinished build of `out` are done, if there is one with a checkpoint.
+    /// Returns the number of completed frames in an unfinished build of `out`; `None` without a checkpoint.
     pub(super) fn frames_done(out: &Path) -> Option<usize> {
         let text = read_table(&work_of_whole(out).join(FILE)).ok()?;
         serde_json::from_slice::<Checkpoint<serde_json::Value, Done>>(&text).ok().map(|c| c.done.frames)
     }
 
-    /// Opens the folder for `out`, with what was done there if that is to be gone on with; else an empty one.
+    /// Opens the folder for `out`: with the state of its checkpoint if `resume` is set, otherwise emptied.
     ///
     /// # Errors
-    /// Another process is at work there; `resume` finds a build of something else; the system's.
+    /// Fails if another process uses the folder, if `resume` finds a build with another plan, or if a file cannot be
+    /// read or written.
     pub(super) fn open(out: &Path, plan: Plan, resume: bool) -> Result<(Self, Done), FileError> {
         let mut work = WorkFolder::open(work_of_whole(out), out)?;
         let has_checkpoint = work.path().join(FILE).is_file();
         work.keep(has_checkpoint);
         let mut folder = Self { work, plan };
-        // A build that was killed before its first checkpoint left none.
+        // A build that was killed before its first checkpoint has none.
         let done = if resume && has_checkpoint { folder.read()? } else { folder.clear()? };
         folder.sweep_out(&done.runs)?;
         Ok((folder, done))
@@ -104,7 +105,7 @@ impl Unfinished {
         Ok(checkpoint.done)
     }
 
-    /// The checkpoint goes first, since it is invalid without its runs.
+    /// Empties the folder. Deletes the checkpoint first, since it is invalid without its runs.
     fn clear(&mut self) -> Result<Done, FileError> {
         let path = self.path().join(FILE);
         if path.exists() {
@@ -115,23 +116,22 @@ impl Unfinished {
         Ok(Done::default())
     }
 
-    /// Folder of the runs.
+    /// Returns the folder of the runs.
     pub(super) fn path(&self) -> &Path {
         self.work.path()
     }
 
-    /// The folder, for the skeleton's temporary files.
+    /// Returns the work folder, for the skeleton's temporary files.
     pub(super) fn work(&self) -> &WorkFolder {
         &self.work
     }
 
-    /// Whether there is a checkpoint to resume from.
+    /// Returns whether there is a checkpoint to resume from.
     pub(super) fn is_kept(&self) -> bool {
         self.work.is_kept()
     }
 
-    /// Writes points and, behind them, how far the build is: a kill at any moment leaves this checkpoint or the one
-    /// before.
+    /// Writes the points, then the checkpoint. A kill at any moment leaves either the new or the previous checkpoint.
     pub(super) fn save(
         &mut self,
         done: &mut Done,
@@ -143,20 +143,20 @@ impl Unfinished {
         self.sweep_out(&done.runs)
     }
 
-    /// Deletes runs that are not in the list, and what a killed process left.
+    /// Deletes runs that are not in the list, and leftovers of a killed process.
     fn sweep_out(&self, runs: &[RunName]) -> Result<(), FileError> {
         let files = |run: &RunName| [run.sums(Path::new("")), run.index(Path::new(""))];
         let kept: BTreeSet<PathBuf> = runs.iter().flat_map(files).collect();
         self.work.clear(|name| name == FILE || kept.contains(Path::new(name)))
     }
 
-    /// Removes the folder: the skeleton is written.
+    /// Removes the folder after the skeleton was written.
     pub(super) fn close(mut self) -> Result<(), FileError> {
         self.clear().map(drop)
     }
 }
 
-/// What makes a plan another one.
+/// Describes the difference between two plans.
 fn difference(ours: &Plan, theirs: &Plan) -> String {
     if ours.version != theirs.version {
         return format!("one of version {}", theirs.version);
@@ -171,7 +171,7 @@ fn difference(ours: &Plan, theirs: &Plan) -> String {
     "one of other frames, files or tracks".to_owned()
 }
 
-/// JSON has no maps with such keys.
+/// Serializes a map as a list, since JSON map keys must be strings.
 mod as_list {
     use std::collections::BTreeMap;
 

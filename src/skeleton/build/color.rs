@@ -5,10 +5,10 @@ use crate::skeleton::colorize::agreed_color;
 use crate::skeleton::sweep::SweepCloud;
 use crate::skeleton::{Candidate, ColorView, Coloring, Projector};
 
-/// Points of a job.
+/// Number of points per job.
 const JOB: usize = 16_384;
 
-/// Colors the points of a sweep that was taken at `t_us`. `place` tells where a part of it stands at a time.
+/// Colors the points of a sweep taken at `t_us`. `place` returns the pose of a part of it at a time.
 pub(super) fn sweep(
     cloud: &mut SweepCloud,
     t_us: i64,
@@ -33,7 +33,7 @@ pub(super) fn sweep(
     }
 }
 
-/// Colors points from views, each with its projection and its time from the points' sweep in seconds.
+/// Colors points from views, each with its projection and its time relative to the points' sweep, seconds.
 fn color(points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) {
     let mut looks = Vec::with_capacity(views.len());
     for point in points {
@@ -45,7 +45,7 @@ fn color(points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) {
     }
 }
 
-/// [`Coloring::EveryCamera`]: everything stands where it stood at the sweep's time.
+/// Implements [`Coloring::EveryCamera`]: every part has its pose at the sweep's time.
 fn copy_for_every_view(views: &[&ColorView], place: &DAffine3, points: &mut Vec<Candidate>) {
     let project: Vec<Projector> = views.iter().map(|v| Projector::new(&v.view, place)).collect();
     let mut copies = Vec::with_capacity(points.len());
@@ -57,7 +57,7 @@ fn copy_for_every_view(views: &[&ColorView], place: &DAffine3, points: &mut Vec<
         let before = copies.len();
         copies.extend(seen.map(|rgb| Candidate { rgb: Some(rgb), ..*point }));
         if copies.len() == before {
-            copies.push(*point); // without a color: counted in the end
+            copies.push(*point); // counted as uncolored later
         }
     }
     *points = copies;

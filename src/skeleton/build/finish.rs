@@ -34,7 +34,7 @@ impl Builder<'_> {
         })
     }
 
-    /// Chunks, then tracks by their ids; the ids of a log are sorted, those of several are not.
+    /// Orders chunks first, then tracks by id. Track indices follow the ids within one log only.
     fn ordered(&self, mut cells: Vec<Cell>) -> Result<Vec<Cell>, FileError> {
         let known = |cell: &Cell| match *cell {
             Cell::Chunk(_) => true,

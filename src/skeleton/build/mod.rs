@@ -1,11 +1,11 @@
-//! Building a skeleton from recorded drives.
+//! Building of a skeleton from recorded logs.
 //!
 //! # How it works
-//! [`build()`] takes the frames of its logs one after the other: `stream` reads and colors them within a window that
-//! moves along a log, `cells` gathers their points by chunk of the background and by track, `sums` adds them up by
-//! voxel, `runs` holds on disk what memory need not. Every few frames a `checkpoint` says how far it is. At the end
-//! cells are merged one by one into the skeleton. Memory does not grow with the length of the logs (without voxels: but
-//! for a cell's points), and an interrupted build goes on from its last checkpoint to the same bytes.
+//! [`build()`] processes the frames of its logs in order. `stream` reads and colors them within a window that moves
+//! along a log. `cells` collects their points by background chunk and by track, and `sums` accumulates them per
+//! voxel. `runs` stores these sums on disk. A `checkpoint` every few frames records the progress. At the end, cells
+//! are merged one by one into the skeleton. Memory does not grow with the length of the logs (without voxels: except
+//! for a cell's points). An interrupted build resumes from its last checkpoint and gives the same bytes.
 
 mod cells;
 mod checkpoint;
@@ -28,101 +28,101 @@ use crate::dataset::{Dataset, DatasetError};
 use crate::error::FileError;
 use crate::files::text::printable;
 
-/// Why no skeleton could be built.
+/// Errors of building a skeleton.
 #[derive(Debug, thiserror::Error)]
 pub enum BuildError {
-    /// The log.
+    /// The log cannot be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// A file of the skeleton, or of the unfinished build.
+    /// A file of the skeleton or of the unfinished build cannot be read or written.
     #[error(transparent)]
     File(#[from] FileError),
-    /// A frame that the log does not have.
+    /// The log has no such frame.
     #[error("expected frames below {frames}, found {found}")]
     Frame {
-        /// How many the log has.
+        /// Number of frames in the log.
         frames: usize,
-        /// The one asked for.
+        /// Requested frame.
         found: usize,
     },
-    /// No sweep at all.
+    /// The frames have no sweep.
     #[error("expected frames with a LiDAR sweep, found none in {frames} frames of {}", printable(&logs.join(", ")))]
     NoSweeps {
-        /// Frames looked at.
+        /// Number of inspected frames.
         frames: usize,
         /// Names of their logs.
         logs: Vec<String>,
     },
-    /// Nothing to build from.
+    /// No point has a color.
     #[error(
         "expected at least one point that an image colors, found none in {sweeps} sweeps ({points} points read)"
     )]
     Empty {
-        /// Sweeps read.
+        /// Number of sweeps read.
         sweeps: usize,
-        /// Points read.
+        /// Number of points read.
         points: usize,
     },
-    /// Logs that cannot share a background.
+    /// The logs do not share a location, or one occurs twice.
     #[error("expected logs of one place, each once, found {}", printable(&found.join(", ")))]
     Places {
-        /// Name and place of each.
+        /// Name and location of each log.
         found: Vec<String>,
     },
-    /// It failed on the way; what was done is kept.
+    /// The build failed after its first checkpoint and can be resumed.
     #[error("{source}; {frames} frames are done and kept, --resume goes on from there: {}", path.display())]
     Interrupted {
-        /// What went wrong.
+        /// Cause of the failure.
         source: Box<BuildError>,
-        /// Frames that are done.
+        /// Number of completed frames.
         frames: usize,
-        /// The unfinished build.
+        /// Folder of the unfinished build.
         path: PathBuf,
     },
 }
 
-/// Hears how far a long work is.
+/// Progress callback of a long operation.
 pub trait Progress: Sync {
-    /// A stage of so many steps begins.
+    /// Starts a stage with a number of steps.
     fn start(&self, stage: &str, steps: usize);
-    /// One of its steps is done.
+    /// Completes a step of the stage.
     fn step(&self);
 }
 
-/// Silence.
+/// Ignores progress.
 impl Progress for () {
     fn start(&self, _: &str, _: usize) {}
     fn step(&self) {}
 }
 
-/// Frames of a log.
+/// Frames of a log used in a build.
 #[derive(Clone)]
 pub struct BuildInput<'a> {
-    /// The log.
+    /// Source log.
     pub dataset: &'a dyn Dataset,
-    /// Numbers of the frames, in time order. Sweeps, images and boxes of others are not looked at.
+    /// Indices of the frames, in time order. Sweeps, images and boxes of others are ignored.
     pub frames: Vec<usize>,
 }
 
 impl<'a> BuildInput<'a> {
-    /// All frames of a log.
+    /// Selects all frames of a log.
     pub fn all(dataset: &'a dyn Dataset) -> Self {
         Self { dataset, frames: (0..dataset.log().frames.len()).collect() }
     }
 }
 
-/// Makes templates from the assets of a skeleton: their entries in the manifest, with their points.
+/// Function that generates templates from the assets of a skeleton: manifest entries with their points.
 pub type MakeTemplates<'a> =
     dyn Fn(&[(&super::Asset, &[Point])]) -> Result<Vec<(Template, Vec<Point>)>, FileError> + 'a;
 
-/// How a build is run; none of it changes the skeleton.
+/// Execution options of a build; they do not affect the skeleton.
 #[derive(Clone, Copy)]
 pub struct BuildRun<'a> {
-    /// Go on with an unfinished build of the same logs, frames and options, if there is one.
+    /// Resumes an unfinished build of the same logs, frames and options, if there is one.
     pub resume: bool,
-    /// Frames from one checkpoint to the next.
+    /// Number of frames between checkpoints.
     pub checkpoint_frames: usize,
-    /// Hears how far it is.
+    /// Progress callback.
     pub progress: &'a dyn Progress,
 }
 
@@ -132,16 +132,17 @@ impl Default for BuildRun<'_> {
     }
 }
 
-/// Points in memory from which on they are written out, frames or not.
+/// Number of points in memory that triggers a checkpoint before its regular frame.
 const MOST_POINTS: usize = 1_000_000;
 
-/// Builds a skeleton from some frames of one or more logs of one place. The result depends on the input and the
-/// options alone, not on the number of threads, nor on how often it was interrupted. While it is at work there is a
-/// folder `out` with `.partial` behind its name.
+/// Builds a skeleton from some frames of one or more logs of the same location. The result depends only on the input
+/// and the options, not on the number of threads or interruptions. During the build there is a folder named `out`
+/// with the suffix `.partial`.
 ///
 /// # Errors
-/// What a log's reader finds wrong, an unknown frame, logs of several places, no point that an image colors, and what
-/// the system says about files. After the first checkpoint what was done is kept ([`BuildError::Interrupted`]).
+/// Fails if a log or file cannot be read or written, if a frame does not exist, if the logs have different locations
+/// or one occurs twice, or if there is no sweep or no colored point. After the first checkpoint, completed frames are
+/// retained ([`BuildError::Interrupted`]).
 pub fn build(
     out: &Path,
     inputs: &[BuildInput],
@@ -172,12 +173,12 @@ pub fn build(
     Ok(Skeleton::open(out)?)
 }
 
-/// How many frames of an unfinished build of `out` are done; `None` if there is none to go on with.
+/// Returns the number of completed frames in an unfinished build of `out`; `None` if there is none to resume.
 pub fn unfinished_frames(out: &Path) -> Option<usize> {
     Unfinished::frames_done(out)
 }
 
-/// A background stands in the frame of one place.
+/// Checks that all logs have one location, since they share a global frame, and that none occurs twice.
 fn check_places(streams: &[Stream]) -> Result<(), BuildError> {
     let (first, mut names) = (streams.first().map(|s| &s.log.location), Vec::new());
     for stream in streams {
@@ -205,21 +206,21 @@ fn plan(streams: &[Stream], options: &BuildOptions) -> Plan {
     }
 }
 
-/// A build at work.
+/// Build in progress.
 struct Builder<'a> {
     streams: Vec<Stream<'a>>,
     options: &'a BuildOptions,
     run: &'a BuildRun<'a>,
     work: Unfinished,
-    /// What the checkpoint says; the frames since are in `cells`.
+    /// State of the last checkpoint; later frames are in `cells`.
     done: Done,
     cells: Cells,
-    /// Frames since the checkpoint.
+    /// Number of frames since the checkpoint.
     since: usize,
 }
 
 impl Builder<'_> {
-    /// Takes in all frames that are not done.
+    /// Processes all frames that are not completed.
     fn gather(&mut self) -> Result<(), BuildError> {
         let frames: usize = self.streams.iter().map(|s| s.frames.len()).sum();
         self.run.progress.start("read and color frames", frames.saturating_sub(self.done.frames));
@@ -243,7 +244,7 @@ impl Builder<'_> {
         if self.since > 0 { self.checkpoint(&mut now) } else { Ok(()) }
     }
 
-    /// Adds a frame; `now` counts it.
+    /// Adds a frame; updates the counts in `now`.
     fn take_in(&mut self, log: usize, frame: &FrameCloud, now: &mut Done) -> Result<(), BuildError> {
         now.frames += 1;
         now.report.images += frame.images;
@@ -286,7 +287,7 @@ fn source(stream: &Stream) -> Source {
     }
 }
 
-/// Adds the notes of logs.
+/// Adds the notes of logs to a report.
 fn with_notes(mut report: BuildReport, streams: &[Stream]) -> BuildReport {
     for (kind, count) in streams.iter().flat_map(|stream| &stream.log.notes) {
         *report.notes.entry(kind.clone()).or_default() += count;

@@ -1,10 +1,10 @@
-//! Points on their way: files that hold the sums of some frames, cell by cell.
+//! Intermediate files with the sums of some frames, cell by cell.
 //!
 //! # How it works
-//! Whenever memory has taken up enough, its cells are written as a *run*: a file of sums and its index. A run is never
-//! changed. Where [`FAN_IN`] runs of one level are at the end of the list they are merged to one of the next level, as
-//! log-structured merge trees do, so that there are few of them and each point is rewritten few times. Merging looks
-//! at a cell at a time, so it takes little memory however long the drive is.
+//! When enough points are in memory, their cells are written as a *run*: a file of sums and its index. Runs are
+//! immutable. When the list ends with [`FAN_IN`] runs of one level, they are merged into one of the next level, as in
+//! log-structured merge trees. There are thus few runs, and each point is rewritten few times. Merging processes a
+//! few cells at a time, so its memory use does not depend on the length of the log.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -23,19 +23,19 @@ use crate::files::input::{open_regular, read_table};
 use crate::files::{write_json, write_whole};
 use crate::skeleton::Checksum;
 
-/// Runs that are merged at once.
+/// Number of runs that are merged at once.
 const FAN_IN: usize = 8;
 const SUM_BYTES: u64 = size_of::<VoxelSum>() as u64;
 
-/// Name of a run.
+/// Number and level of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct RunName {
     number: usize,
-    /// How often its points have been merged.
+    /// Number of merges of its points.
     level: usize,
 }
 
-/// How many sums a cell has in a run.
+/// Number and checksum of a cell's sums in a run.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Entry {
     cell: Cell,
@@ -52,7 +52,7 @@ impl RunName {
         folder.join(format!("run-{:06}.json", self.number))
     }
 
-    /// Writes a run: `fill` hands over cell by cell, in order. The index comes last.
+    /// Writes a run, the index last. `fill` passes the cells in order.
     fn write(
         &self,
         folder: &Path,
@@ -70,9 +70,9 @@ impl RunName {
     }
 }
 
-/// A run on disk. It is read cell by cell rather than mapped: what was read of a map stays in memory.
+/// Run on disk. Cells are read rather than mapped, since pages read through a mapping stay in memory.
 struct Run {
-    /// First sum of each cell, and its entry.
+    /// Position of the first sum of each cell, and its entry.
     cells: BTreeMap<Cell, (usize, Entry)>,
     path: PathBuf,
     file: File,
@@ -97,7 +97,7 @@ impl Run {
         Ok(Self { cells, path, file })
     }
 
-    /// Reads the sums of a cell and checks their checksum.
+    /// Reads the sums of a cell and validates their checksum.
     fn read(&self, cell: Cell) -> Result<Vec<VoxelSum>, FileError> {
         let Some((first, entry)) = self.cells.get(&cell) else { return Ok(Vec::new()) };
         let mut sums = vec![VoxelSum::zeroed(); entry.sums];
@@ -108,28 +108,28 @@ impl Run {
     }
 }
 
-/// Some runs, looked at together.
+/// Runs that are read together.
 pub(super) struct Runs(Vec<Run>);
 
 impl Runs {
     /// Opens runs.
     ///
     /// # Errors
-    /// One that is missing or damaged.
+    /// Fails if a run is missing or damaged.
     pub(super) fn open(folder: &Path, names: &[RunName]) -> Result<Self, FileError> {
         Ok(Self(names.iter().map(|name| Run::open(folder, name)).collect::<Result<_, _>>()?))
     }
 
-    /// Every cell that has points, in order.
+    /// Returns every cell that has points, in order.
     pub(super) fn cells(&self) -> Vec<Cell> {
         let cells: BTreeSet<Cell> = self.0.iter().flat_map(|run| run.cells.keys().copied()).collect();
         cells.into_iter().collect()
     }
 
-    /// Hands out the merged sums of each cell, in the order of the list: a few cells at a time are read side by side.
+    /// Passes the merged sums of each cell to `take`, in the order of the list. Reads a few cells in parallel.
     ///
     /// # Errors
-    /// The system's, and those of `take`.
+    /// Fails if a run cannot be read or is damaged. Returns any error of `take`.
     pub(super) fn merged<E: From<FileError>>(
         &self,
         cells: &[Cell],
@@ -137,7 +137,7 @@ impl Runs {
     ) -> Result<(), E> {
         const AT_ONCE: usize = 4;
         let of = |cell: &Cell| {
-            // One run after the other: a cell is in memory three times at most, however many runs there are.
+            // Merges one run after the other: a cell is in memory at most three times, for any number of runs.
             let add = |sums, run: &Run| Ok::<_, FileError>(merge_two(sums, run.read(*cell)?));
             Ok((*cell, self.0.iter().try_fold(Vec::new(), add)?))
         };
@@ -149,11 +149,11 @@ impl Runs {
     }
 }
 
-/// Writes a run behind the others and merges what has become too many. Gives back the new list; runs that are no
-/// longer in it are still there.
+/// Appends a run to the list and merges runs if there are too many of a level. Returns the new list; the files of
+/// merged runs are not deleted.
 ///
 /// # Errors
-/// The system's.
+/// Fails if a file cannot be read or written.
 pub(super) fn push(
     folder: &Path,
     mut names: Vec<RunName>,
@@ -194,7 +194,7 @@ mod tests {
         merge((0..40).map(|i| VOXELS.sum(at(i), [i as u8; 3], frame << 32 | i)).collect())
     }
 
-    /// Frames of points, some cells in each of them.
+    /// Returns the cells of a frame: a chunk and a track.
     fn cells(frame: u64) -> Vec<(Cell, Vec<VoxelSum>)> {
         let chunk = Cell::Chunk([frame as i64 / 10, 0, -1]);
         vec![(chunk, sums(frame)), (Cell::Track { log: 0, track: frame as usize % 3 }, sums(frame + 1))]

@@ -1,9 +1,9 @@
-//! The frames of a log, one after the other, with colored points.
+//! Sequential frames of a log with colored points.
 //!
 //! # How it works
-//! A point may take its color from images of some frames before and after its own, and what hides it in such an image
-//! is told by the sweeps around that one. So sweeps and images are kept in a window that moves along the log: memory
-//! does not grow with the log's length.
+//! A point can take its color from images of some frames before and after its own. Occlusion in such an image is
+//! determined by the sweeps around that image. Sweeps and images are therefore retained in a window that moves along
+//! the log, so memory does not grow with the log's length.
 
 use std::collections::VecDeque;
 
@@ -16,10 +16,10 @@ use crate::geometry::View;
 use crate::skeleton::sweep::SweepCloud;
 use crate::skeleton::{BuildOptions, ColorView, OcclusionGrid, Projector, Splitter, Trajectories};
 
-/// Frames whose sweeps are read at once.
+/// Number of frames whose sweeps are read at once.
 const READ_AHEAD: usize = 4;
 
-/// A log on its way into a skeleton.
+/// Reader of a log for a build.
 pub(super) struct Stream<'a> {
     dataset: &'a dyn Dataset,
     pub(super) log: &'a Log,
@@ -29,12 +29,12 @@ pub(super) struct Stream<'a> {
     has_images: bool,
 }
 
-/// The colored points of a frame.
+/// Colored points of a frame.
 #[derive(Default)]
 pub(super) struct FrameCloud {
-    /// One a sweep.
+    /// One cloud per sweep.
     pub(super) sweeps: Vec<SweepCloud>,
-    /// Images of the frame.
+    /// Number of images of the frame.
     pub(super) images: usize,
 }
 
@@ -49,8 +49,8 @@ impl<'a> Stream<'a> {
         Ok(Self { dataset: input.dataset, log, frames, trajectories, options, has_images })
     }
 
-    /// Frames before and after a point's own whose images may color it, and frames around an image that tell what
-    /// hides what in it.
+    /// Returns two half widths in frames: of the images that may color a point, and of the sweeps that determine
+    /// occlusion in an image.
     fn windows(&self) -> [usize; 2] {
         match (self.has_images, self.options.occlusion_test) {
             (false, _) => [0, 0],
@@ -59,10 +59,10 @@ impl<'a> Stream<'a> {
         }
     }
 
-    /// Hands out the frames from number `first` on, in order. What it hands out does not depend on `first`.
+    /// Emits the frames from index `first` on, in order. The emitted frames do not depend on `first`.
     ///
     /// # Errors
-    /// What the log's reader finds wrong, and those of `emit`.
+    /// Fails if sweeps or images cannot be read. Returns any error of `emit`.
     pub(super) fn run(
         &self,
         first: usize,
@@ -97,7 +97,7 @@ impl<'a> Stream<'a> {
         Ok(())
     }
 
-    /// Reads the sweeps of frames up to number `last`, and of some more while it is at it.
+    /// Reads the sweeps of frames up to index `last`, and of a few further frames.
     fn read_ahead(&self, window: &mut Window, last: usize) -> Result<(), BuildError> {
         let next = window.start + window.clouds.len();
         if next > last.min(self.frames.len() - 1) {
@@ -129,7 +129,7 @@ impl<'a> Stream<'a> {
         Ok(cloud)
     }
 
-    /// The boxes of a frame, or those in between for a sweep at another time.
+    /// Returns the boxes of a frame, interpolated for a sweep at another time.
     fn boxes_at(&self, frame: &Frame, t_us: i64) -> Vec<TrackBox> {
         if t_us == frame.t_us {
             return frame.boxes.clone();
@@ -140,8 +140,8 @@ impl<'a> Stream<'a> {
             .collect()
     }
 
-    /// Reads the images of a frame, with what hides what in each. One that the frame before has too, as where images
-    /// are rarer than sweeps, is left to that one if it colors this frame as well.
+    /// Reads the images of a frame and computes their occlusion maps. Skips images that the previous frame also has
+    /// (images rarer than sweeps) if its views also color this frame.
     fn load_views(&self, frame: usize, window: &Window) -> Result<Vec<ColorView>, BuildError> {
         let before = frame.checked_sub(1).filter(|_| self.options.color_window > 0);
         let before = before.map_or_else(Vec::new, |before| self.records(before));
@@ -180,14 +180,14 @@ impl<'a> Stream<'a> {
         }
     }
 
-    /// Where a part of a sweep stands at a time.
+    /// Returns the pose of a part of a sweep at a time.
     fn place(&self, track: Option<usize>, t_us: i64) -> Option<DAffine3> {
         track.map_or(Some(DAffine3::IDENTITY), |track| {
             self.trajectories.at(track, t_us).map(|cuboid| cuboid.pose.affine())
         })
     }
 
-    /// Colors the points of a frame from the images of all frames that are loaded.
+    /// Colors the points of a frame from all loaded images.
     fn color_frame(&self, clouds: &mut [SweepCloud], views: &VecDeque<(usize, Vec<ColorView>)>) {
         if !self.has_images {
             return;
@@ -200,15 +200,15 @@ impl<'a> Stream<'a> {
     }
 }
 
-/// The sweeps of some frames in a row.
+/// Sweeps of consecutive frames.
 struct Window {
-    /// Number of the first frame.
+    /// Index of the first frame.
     start: usize,
     clouds: VecDeque<FrameCloud>,
 }
 
 impl Window {
-    /// Frames up to `reach` before and after one, as far as the log has them.
+    /// Returns the frames up to `reach` before and after a frame, within the log.
     fn around(&self, frame: usize, reach: usize) -> impl Iterator<Item = &FrameCloud> {
         let (from, to) = (frame.saturating_sub(reach), frame + reach);
         let skip = from.saturating_sub(self.start);

@@ -1,26 +1,26 @@
-//! What a voxel's points add up to.
+//! Accumulated points of a voxel.
 //!
-//! Sums are integers, so neither the order of points nor how often and where sums were merged changes a bit of them.
+//! Sums are integers, so they do not depend on the order of points or merges.
 
 use bytemuck::{Pod, Zeroable};
 use glam::DVec3;
 
 use crate::cloud::Point;
 
-/// The points of a voxel: as it lies in files.
+/// Accumulated points of a voxel, in their file layout.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub(super) struct VoxelSum {
-    /// Which voxel; sorts by x, then y, then z.
+    /// Key of the voxel; sorts by x, then y, then z.
     pub(super) key: u64,
-    /// Offsets from the voxel's corner, in [`UNIT_M`].
+    /// Sum of offsets from the voxel's corner, in steps of 1 / [`STEPS_PER_M`] meters.
     offset: [i64; 3],
     rgb: [u64; 3],
     count: u64,
 }
 
 impl VoxelSum {
-    /// Of both in one voxel.
+    /// Adds two sums of the same voxel.
     fn plus(self, other: Self) -> Self {
         Self {
             key: self.key,
@@ -31,19 +31,19 @@ impl VoxelSum {
     }
 }
 
-/// Steps a metre: a step is 0.2 nm, and a million points in a voxel of a kilometre still fit 64 bits.
+/// Steps per meter: a step is 0.2 nm, and the sum of a million points in a voxel of a kilometer fits 64 bits.
 const STEPS_PER_M: f64 = (1_u64 << 32) as f64;
 
-/// Cuts space into cubes around an origin.
+/// Voxel grid around an origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Voxels {
-    /// Side, metres; 0 where every point is a voxel of its own.
+    /// Side, meters; 0 if every point is its own voxel.
     pub(super) side_m: f64,
 }
 
 impl Voxels {
-    /// A point at a position relative to its cell's origin, metres. `place` numbers it among all points: where none are
-    /// merged they are sorted by it.
+    /// Returns the sum of a single point at a position relative to its cell's origin, meters. `place` is the point's
+    /// global number, by which points are sorted if none are merged.
     pub(super) fn sum(self, position: DVec3, rgb: [u8; 3], place: u64) -> VoxelSum {
         let (key, corner) = if self.side_m > 0.0 {
             let index = (position / self.side_m).floor();
@@ -56,7 +56,7 @@ impl Voxels {
         VoxelSum { key, offset, rgb: rgb.map(u64::from), count: 1 }
     }
 
-    /// The mean of a voxel's points, relative to the cell's origin.
+    /// Returns the mean of a voxel's points, relative to the cell's origin.
     pub(super) fn mean(self, sum: &VoxelSum, class: u8) -> Point {
         let corner = if self.side_m > 0.0 { index(sum.key) * self.side_m } else { DVec3::ZERO };
         let offset = DVec3::from(sum.offset.map(|o| o as f64 / STEPS_PER_M)) / sum.count as f64;
@@ -65,11 +65,11 @@ impl Voxels {
     }
 }
 
-/// Voxels to each side of the origin along an axis.
+/// Number of voxels to each side of the origin along an axis.
 const REACH: i64 = 1 << 20;
 const AXIS: u64 = (1 << 21) - 1;
 
-/// 21 bits an axis.
+/// Packs a voxel index with 21 bits per axis.
 fn key(index: DVec3) -> u64 {
     let axis = |i: f64| (i as i64).saturating_add(REACH).clamp(0, AXIS as i64) as u64;
     axis(index.x) << 42 | axis(index.y) << 21 | axis(index.z)
@@ -80,7 +80,7 @@ fn index(key: u64) -> DVec3 {
     DVec3::new(axis(42), axis(21), axis(0))
 }
 
-/// Adds up two lists of voxels, each sorted and without a voxel twice.
+/// Merges two sorted lists of distinct voxels.
 pub(super) fn merge_two(a: Vec<VoxelSum>, b: Vec<VoxelSum>) -> Vec<VoxelSum> {
     if a.is_empty() || b.is_empty() {
         return if a.is_empty() { b } else { a };
@@ -98,7 +98,7 @@ pub(super) fn merge_two(a: Vec<VoxelSum>, b: Vec<VoxelSum>) -> Vec<VoxelSum> {
     merged
 }
 
-/// Sorts by voxel and adds up what is in one.
+/// Sorts by voxel and merges sums of the same voxel.
 pub(super) fn merge(mut sums: Vec<VoxelSum>) -> Vec<VoxelSum> {
     sums.sort_unstable_by_key(|sum| sum.key);
     sums.dedup_by(|next, kept| {
@@ -140,14 +140,14 @@ mod tests {
         let sums: Vec<VoxelSum> = (0..30).rev().map(|i| voxels.sum(at(i), [i as u8; 3], i)).collect();
         let points: Vec<Point> = merge(sums).iter().map(|s| voxels.mean(s, 0)).collect();
         for (i, point) in (0..).zip(&points) {
-            // What f32 rounds off at 32 m.
+            // Rounding error of f32 at 32 m.
             let off = DVec3::from(point.position.map(f64::from)) - at(i);
             assert!(off.abs().max_element() < 2e-6 && point.rgb() == [i as u8; 3], "{off}");
         }
     }
 
     proptest! {
-        /// However points are dealt out and merged, the sums are the same; no two of them share a voxel.
+        /// Partitioning and merging in any order gives the same sums, with distinct voxels.
         #[test]
         fn merging_in_parts_changes_nothing(
             points in proptest::collection::vec((-0.03..0.03_f64, -0.03..0.03_f64, any::<u8>()), 1..200),

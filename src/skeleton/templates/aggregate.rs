@@ -13,7 +13,7 @@ use crate::cloud::{Bounds, Point};
 use crate::dataset::Class;
 use crate::skeleton::{Checksum, Template};
 
-/// Lays the members of a kind's clusters over each other in their mean box. No cloud if that gives too few points.
+/// Superimposes the members of a kind's clusters in their mean box. Returns no cloud if that gives too few points.
 pub(super) fn aggregate(
     kind: TemplateKind,
     clusters: &[Cluster],
@@ -56,7 +56,7 @@ pub(super) fn aggregate(
     (summary, cloud)
 }
 
-/// What to tell of a cluster.
+/// Returns the report on a cluster.
 pub(super) fn cluster_report(cluster: &Cluster, instances: &[Instance], used: bool) -> ClusterReport {
     let members = || cluster.members.iter().map(|i| &instances[*i]);
     ClusterReport {
@@ -67,7 +67,7 @@ pub(super) fn cluster_report(cluster: &Cluster, instances: &[Instance], used: bo
     }
 }
 
-/// An actor's points scaled along each axis to a box; the right side of what is mirrored is turned over to the left.
+/// Scales an actor's points along each axis to a box; mirrored kinds have their right side reflected to the left.
 fn in_box(actor: &Instance, size_m: DVec3, kind: TemplateKind, mirror: bool) -> Vec<Point> {
     let scale = size_m / actor.size_m;
     let place = |point: &Point| {
@@ -80,17 +80,18 @@ fn in_box(actor: &Instance, size_m: DVec3, kind: TemplateKind, mirror: bool) -> 
     actor.points.iter().map(place).collect()
 }
 
-/// Actors with this share of the points that a template would have were seen well.
+/// Minimum share of a template's target points for an actor to count as well observed.
 const SEEN_WELL: f64 = 0.05;
 
-/// All actors' points, less those that no other actor has points near, where there are others enough to tell.
+/// Returns all actors' points. With enough well-observed actors, points without points of another actor nearby are
+/// dropped.
 fn agreed(actors: &[Vec<Point>], spacing_m: f64, options: &TemplateOptions) -> Vec<Point> {
     let well = SEEN_WELL * options.target_points as f64;
     let seen_well = actors.iter().filter(|points| points.len() as f64 >= well).count();
     if options.agree_from_actors.is_none_or(|from| seen_well < from) {
         return actors.concat();
     }
-    // Of every cell the first actor in it and the first other one.
+    // For each cell: the first actor in it, and the first other actor.
     let mut cells: FxHashMap<[i32; 3], (usize, Option<usize>)> = FxHashMap::default();
     let side_m = options.neighbour_spacings * spacing_m;
     let cell = |p: &Point| p.position.map(|v| (f64::from(v) / side_m).floor() as i32);
@@ -112,8 +113,8 @@ fn agreed(actors: &[Vec<Point>], spacing_m: f64, options: &TemplateOptions) -> V
     actors.iter().enumerate().flat_map(kept).collect()
 }
 
-/// Points with enough neighbours near, the most crowded first: where the surfaces of several actors lie apart, the one that
-/// most agree on is taken. Where all points are sparse, near is twice the usual distance.
+/// Returns the points with enough near neighbors, densest first, so that of diverging surfaces the one shared by most
+/// actors is taken. If all points are sparse, the distance limit is twice the median neighbor distance.
 fn without_outliers(points: &[Point], mirror: bool, spacing_m: f64, options: &TemplateOptions) -> Vec<Point> {
     let distances = neighbour_distances_m(points, mirror, options.neighbours);
     let mut sorted = distances.clone();
@@ -122,12 +123,12 @@ fn without_outliers(points: &[Point], mirror: bool, spacing_m: f64, options: &Te
     let near_m = (options.neighbour_spacings * spacing_m).max(2.0 * usual_m);
     let mut ranked: Vec<(f64, &Point)> =
         distances.into_iter().zip(points).filter(|(d, _)| d.is_finite() && *d <= near_m).collect();
-    // Stable, so points in equal crowds keep their order.
+    // A stable sort, so points of equal density keep their order.
     ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
     ranked.into_iter().map(|(_, point)| *point).collect()
 }
 
-/// Distance of each point to its `count`-th neighbour, metres; infinite where there are fewer.
+/// Returns the distance of each point to its `count`-th neighbor, meters; infinite if there are fewer.
 fn neighbour_distances_m(points: &[Point], mirror: bool, count: usize) -> Vec<f64> {
     let mut rows: Vec<[f32; 3]> = points.iter().map(|p| p.position).collect();
     if mirror {
@@ -137,7 +138,7 @@ fn neighbour_distances_m(points: &[Point], mirror: bool, count: usize) -> Vec<f6
     let Ok(tree): Result<ImmutableKdTree<f32, 3>, _> = ImmutableKdTree::new_from_slice(&rows) else {
         return vec![f64::INFINITY; points.len()];
     };
-    // The nearest is the point itself.
+    // The nearest result is the point itself.
     let wanted = NonZero::<usize>::MIN.saturating_add(count);
     let distance = |p: &Point| {
         let near = tree.query(&p.position).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
@@ -146,8 +147,8 @@ fn neighbour_distances_m(points: &[Point], mirror: bool, count: usize) -> Vec<f6
     points.par_iter().map(distance).collect()
 }
 
-/// An even density. What is mirrored gets its other side back: points nearer to the middle than half the spacing are moved
-/// onto it, so that no two are too near.
+/// Thins to an even density. Mirrored kinds get their other side back: points within half the spacing of the center
+/// plane are moved onto it, so that no two are too near.
 fn thinned(ranked: &[Point], mirror: bool, spacing_m: f64) -> Vec<Point> {
     let in_middle = |p: &Point| mirror && f64::from(p.position[1]) < spacing_m / 2.0;
     let place = |p: &Point| {
@@ -170,7 +171,7 @@ mod tests {
     use super::*;
     use crate::skeleton::Asset;
 
-    /// Points on the left, right, front, back and top of a box, and its asset.
+    /// Returns the points on the left, right, front, back and top of a box, and its asset.
     fn shell(track: &str, category: &str, size: [f64; 3], step_m: f64) -> (Asset, Vec<Point>) {
         let mut points = Vec::new();
         let steps = size.map(|s| (s / step_m) as i32);
@@ -210,7 +211,7 @@ mod tests {
         (templates, report.templates.into_iter().next().unwrap())
     }
 
-    /// Distance of a point to the surface of a centred box, metres.
+    /// Returns the distance of a point to the surface of a centered box, meters.
     fn off_shell(p: &Point, size: [f64; 3]) -> f64 {
         let over: Vec<f64> = (0..3).map(|a| f64::from(p.position[a]).abs() - size[a] / 2.0).collect();
         over.iter().copied().fold(f64::NEG_INFINITY, f64::max).abs()
@@ -220,7 +221,7 @@ mod tests {
     fn boxes_of_several_sizes_become_one_even_mirrored_box() {
         let (sizes, step) = ([[4.4, 1.8, 1.4], [4.8, 1.9, 1.5], [4.6, 1.85, 1.6]], 0.05);
         let mut assets: Vec<_> = sizes.iter().map(|s| shell("a", "vehicle.car", *s, step)).collect();
-        // Of the second one only the left side was seen.
+        // Only the left side of the second one was observed.
         assets[1].1.retain(|p| p.position[1] > 0.0);
         let (templates, summary) = made(&assets, TemplateOptions::default());
         let [(template, points)] = templates.as_slice() else { panic!("one template") };
@@ -238,7 +239,7 @@ mod tests {
         sorted.sort_by(order);
         mirrored.sort_by(order);
         assert_eq!(sorted, mirrored);
-        // All are kept again by a thinning: none are nearer than the spacing.
+        // Thinning again retains all points: none are closer than the spacing.
         let rounding = 1.0 - 1e-6;
         assert_eq!(poisson_thin(positions, summary.spacing_m * rounding).len(), points.len());
         assert!((5_000..=50_000).contains(&points.len()), "{}", points.len());
@@ -293,7 +294,7 @@ mod tests {
         let (long, lone, tiny) = ([9.0, 2.5, 3.2], [12.0, 2.6, 3.8], [5.5, 2.0, 1.9]);
         let sizes = [lone, long, long, tiny, tiny, tiny];
         let mut trucks: Vec<_> = sizes.map(|size| shell("a", "vehicle.truck", size, 0.06)).into();
-        // Fewer points than of the lone one; hardly any of the tiny ones.
+        // The long ones have fewer points than the lone one, the tiny ones hardly any.
         trucks[1..3].iter_mut().for_each(|truck| truck.1.truncate(6000));
         trucks[3..].iter_mut().for_each(|truck| truck.1.truncate(200));
         let (templates, summary) = made(&trucks, TemplateOptions::default());
@@ -301,7 +302,7 @@ mod tests {
         let told: Vec<_> = summary.clusters.iter().map(|c| (c.used, c.size, c.members.len())).collect();
         assert_eq!(told[..2], [(true, long, 2), (false, lone, 1)]);
         assert_eq!((told[2].0, told[2].2), (false, 3));
-        // Cars of two sizes become one.
+        // Cars of two sizes are merged.
         let cars = [[3.6, 1.6, 1.4], [4.8, 1.9, 1.5]].map(|size| shell("a", "vehicle.car", size, 0.06));
         let (templates, summary) = made(&cars, TemplateOptions::default());
         assert_eq!((summary.clusters.len(), summary.instances), (2, 2));

@@ -7,16 +7,16 @@ use smartcore::linalg::basic::matrix::DenseMatrix;
 use super::kind::Family;
 use super::{TemplateKind, TemplateOptions};
 
-/// Members of a cluster, as indices of what was clustered, and its kind.
+/// Cluster of actors: indices into the clustered list, and kind.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Cluster {
     pub(super) kind: TemplateKind,
-    /// Mean length, width, height, metres.
+    /// Mean length, width, height, meters.
     pub(super) size_m: DVec3,
     pub(super) members: Vec<usize>,
 }
 
-/// Clusters actors by what their category tells and by size; a cluster has the kind of its mean size. Sorted by kind,
+/// Clusters actors by category family and size. The kind of a cluster follows from its mean size. Sorted by kind,
 /// then size.
 pub(super) fn clusters(actors: &[(Family, DVec3)], options: &TemplateOptions) -> Vec<Cluster> {
     let mut families: BTreeMap<Family, Vec<usize>> = BTreeMap::new();
@@ -37,7 +37,7 @@ pub(super) fn clusters(actors: &[(Family, DVec3)], options: &TemplateOptions) ->
     all
 }
 
-/// The fewest clusters whose members are of about one size.
+/// Splits actors into the fewest clusters with members of similar size, at most `max_clusters`.
 fn partition(sizes: &[DVec3], options: &TemplateOptions) -> Vec<Vec<usize>> {
     let mut distinct: Vec<[u64; 3]> = sizes.iter().map(|s| s.to_array().map(f64::to_bits)).collect();
     distinct.sort_unstable();
@@ -53,10 +53,10 @@ fn partition(sizes: &[DVec3], options: &TemplateOptions) -> Vec<Vec<usize>> {
     parts
 }
 
-/// Starts of k-means; the one with the least spread counts.
+/// Number of k-means starts; the one with the smallest spread is used.
 const STARTS: u64 = 8;
 
-/// By the logarithms of length, width and height, so that shares of the size count.
+/// Clusters by the logarithms of length, width and height, so that relative differences count.
 fn k_means(sizes: &[DVec3], count: usize) -> Vec<Vec<usize>> {
     let rows: Vec<Vec<f64>> = sizes.iter().map(|s| s.to_array().map(f64::ln).to_vec()).collect();
     let start = |seed: u64| -> Option<Vec<Vec<usize>>> {
@@ -80,7 +80,7 @@ fn mean(part: &[usize], sizes: &[DVec3]) -> DVec3 {
     part.iter().map(|i| sizes[*i]).sum::<DVec3>() / part.len().max(1) as f64
 }
 
-/// Root mean square deviation from the mean, as a share of it: the largest of the axes.
+/// Returns the root mean square deviation from the mean, relative to it: the maximum over the axes.
 fn spread(part: &[usize], sizes: &[DVec3]) -> f64 {
     let centre = mean(part, sizes);
     let squares: DVec3 = part.iter().map(|i| (sizes[*i] / centre - 1.0).powf(2.0)).sum();
@@ -92,7 +92,7 @@ mod tests {
     use super::*;
     use TemplateKind as Kind;
 
-    /// Sizes within 3 % of one.
+    /// Returns sizes within 3 % of a size.
     fn around(size: [f64; 3], count: usize) -> Vec<DVec3> {
         let off = |i: usize, axis: usize| 1.0 + 0.03 * ((i * 7 + axis * 3) as f64).sin();
         (0..count).map(|i| DVec3::from_array(std::array::from_fn(|axis| size[axis] * off(i, axis)))).collect()
@@ -135,7 +135,7 @@ mod tests {
         let other = (Family::Car, DVec3::new(40.0, 2.0, 1.5));
         let two = clusters(&[car, other, car, other], &options);
         assert_eq!(two.iter().map(|c| c.members.clone()).collect::<Vec<_>>(), [vec![0, 2], vec![1, 3]]);
-        // Of a thousand sizes there are no more clusters than asked for.
+        // A thousand sizes give no more clusters than allowed.
         let many: Vec<_> = (1..=1000).map(|i| (Family::Car, DVec3::splat(0.1 * f64::from(i)))).collect();
         let found = clusters(&many, &TemplateOptions { max_clusters: 5, ..options });
         assert_eq!(found.len(), 5);

@@ -8,14 +8,14 @@ use crate::dataset::Class;
 use crate::skeleton::{Checksum, Template};
 use crate::town::model::{BodyKind, SurfacePoint, surface, typical};
 
-/// All templates that [`default_template`] knows, in the order of kinds.
+/// Returns all templates of [`default_template`], in the order of kinds.
 pub fn default_templates() -> Vec<TemplateCloud> {
     TemplateKind::NAMES.par_iter().filter_map(|(_, kind)| default_template(*kind)).collect()
 }
 
-/// A template of sedan, SUV, pickup or van, pedestrian or bike: the evenly thinned surface of the body in the middle of those in the
-/// built-in town (of pickups and vans: a pickup with a lid, whose outline is between both). Always the same points. Trucks, buses
-/// and the like have none, since they differ too much.
+/// Returns a template of sedan, SUV, pickup or van, pedestrian or bike: the evenly thinned surface of the median body
+/// in the built-in synthetic town. For pickups and vans this is a pickup with a lid, an outline between both. The
+/// points are always the same. `None` for trucks, buses and the like, which vary too much.
 pub fn default_template(kind: TemplateKind) -> Option<TemplateCloud> {
     let mesh = typical(match kind {
         TemplateKind::Sedan => BodyKind::Sedan,
@@ -27,7 +27,7 @@ pub fn default_template(kind: TemplateKind) -> Option<TemplateCloud> {
     });
     let [low, high] = mesh.bounds()?;
     let (center, size_m): (DVec3, DVec3) = ((low + high) / 2.0, high - low);
-    // People and riders fill little of their boxes.
+    // People and riders fill only a small part of their boxes.
     let denser = if kind.class() == Class::MotorVehicle { 1.0 } else { 0.85 };
     let spacing_m = denser * TemplateOptions::default().spacing_m(size_m);
     let surface = surface(&mesh, spacing_m);

@@ -11,22 +11,22 @@ use super::{TemplateCloud, TemplateKind, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
 use crate::skeleton::Asset;
 
-/// An actor's points, ready to be laid over others.
+/// Points of an actor, prepared for aggregation.
 #[derive(Clone, Debug)]
 pub(super) struct Instance {
     /// `LOG/TRACK`.
     pub(super) name: String,
     pub(super) family: Family,
-    /// Length, width, height, metres.
+    /// Length, width, height, meters.
     pub(super) size_m: DVec3,
-    /// As given.
+    /// Number of points before thinning.
     pub(super) points_in: usize,
-    /// In box coordinates; at least a template's spacing from each other, so that no actor counts more for having been seen
-    /// longer.
+    /// Points in box coordinates, at least a template's spacing apart, so that long observation gives an actor no
+    /// more weight.
     pub(super) points: Vec<Point>,
 }
 
-/// The assets of any number of skeletons, which templates are made of.
+/// Assets of any number of skeletons, from which templates are generated.
 #[derive(Clone, Debug, Default)]
 pub struct Instances {
     instances: Vec<Instance>,
@@ -35,13 +35,12 @@ pub struct Instances {
 }
 
 impl Instances {
-    /// None yet.
+    /// Creates an empty collection.
     pub fn new(options: TemplateOptions) -> Self {
         Self { options, ..Self::default() }
     }
 
-    /// Takes assets, each with its points in box coordinates (metres). What no template can be made of is
-    /// counted.
+    /// Adds assets, each with its points in box coordinates (meters). Unusable assets are counted by reason.
     pub fn add(&mut self, assets: &[(&Asset, &[Point])]) {
         let taken: Vec<Result<Instance, &str>> =
             assets.par_iter().map(|(asset, points)| instance(asset, points, &self.options)).collect();
@@ -53,8 +52,8 @@ impl Instances {
         }
     }
 
-    /// Makes a template of every kind that there are enough points of, in the order of kinds. The result depends on the assets,
-    /// their order and the options alone.
+    /// Generates a template of every kind with enough points, in the order of kinds. The result depends only on the
+    /// assets, their order and the options.
     pub fn templates(&self) -> (Vec<TemplateCloud>, TemplateReport) {
         let actors: Vec<(Family, DVec3)> = self.instances.iter().map(|i| (i.family, i.size_m)).collect();
         let mut kinds: BTreeMap<TemplateKind, Vec<Cluster>> = BTreeMap::new();
@@ -85,8 +84,8 @@ impl Instances {
         (templates, report)
     }
 
-    /// Leaves the cluster with the most actors, of several the one with the most points; one with too few points for a
-    /// template only if there is no other. The others come back.
+    /// Retains only the main cluster and returns the others. The main cluster has the most actors, or of equal ones
+    /// the most points. Clusters with enough points for a template take precedence.
     fn split_off_main(&self, clusters: &mut Vec<Cluster>) -> Vec<Cluster> {
         let points = |c: &Cluster| c.members.iter().map(|i| self.instances[*i].points.len()).sum::<usize>();
         let rank = |c: &Cluster| (points(c) >= self.options.min_points, c.members.len(), points(c));

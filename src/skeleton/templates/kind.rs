@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::Class;
 
-/// The kinds of category templates.
+/// Kind of a category template.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[allow(missing_docs)]
@@ -22,7 +22,7 @@ pub enum TemplateKind {
 }
 
 impl TemplateKind {
-    /// Names as on the command line and in files.
+    /// Names on the command line and in files.
     pub const NAMES: [(&'static str, Self); 9] = [
         ("sedan", Self::Sedan),
         ("suv", Self::Suv),
@@ -35,24 +35,24 @@ impl TemplateKind {
         ("construction", Self::Construction),
     ];
 
-    /// The kind that stands in for an actor, by category and box size (length, width, height, metres). `None` for what
-    /// has no template (cones, barriers ...).
+    /// Returns the kind of template for an actor, by category and box size (length, width, height, meters). `None`
+    /// for categories without templates (cones, barriers ...).
     pub fn of_actor(category: &str, size_m: DVec3) -> Option<Self> {
         Family::of(category).map(|family| family.kind(size_m))
     }
 
-    /// Its name as on the command line and in files.
+    /// Returns the name on the command line and in files.
     pub fn name(self) -> &'static str {
         Self::NAMES.iter().find(|(_, kind)| *kind == self).map_or("", |(name, _)| name)
     }
 
-    /// Whether the asset of such an actor gives way to the template where it has few points. Others (trucks, buses ..) differ too
-    /// much among themselves: any asset of their own is better.
+    /// Returns whether the template replaces assets of this kind with few points. Other kinds (trucks, buses ..) vary
+    /// so much that any asset is better than a template.
     pub fn replaces_small_assets(self) -> bool {
         matches!(self, Self::Sedan | Self::Suv | Self::Pickup | Self::Pedestrian | Self::Bike)
     }
 
-    /// Coarse class of its points.
+    /// Returns the coarse class of the points.
     pub fn class(self) -> Class {
         match self {
             Self::Pedestrian => Class::Pedestrian,
@@ -62,25 +62,25 @@ impl TemplateKind {
     }
 }
 
-/// What a category alone tells about the kind.
+/// Kinds that are possible for a category.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) enum Family {
-    /// The kind.
+    /// Exactly one kind.
     Of(TemplateKind),
-    /// A car, van or pickup: its size tells more.
+    /// Car, van or pickup, distinguished by size.
     Car,
-    /// Anything with an engine, as in data sets that have one category for all.
+    /// Any motor vehicle, for data sets with a single vehicle category.
     AnyVehicle,
 }
 
-/// A vehicle without a finer category is no car from this length or height on, metres ...
+/// Minimum length or height of a truck without a finer category, meters ...
 const TRUCK_LENGTH_M: f64 = 7.0;
 const TRUCK_HEIGHT_M: f64 = 2.9;
-/// ... and a bus rather than a truck from this length on: most trucks that long are annotated in two parts.
+/// ... and minimum length of a bus: most trucks of that length are annotated in two parts.
 const BUS_LENGTH_M: f64 = 10.0;
 
 impl Family {
-    /// `None` for what has no template.
+    /// Returns the family of a category; `None` for categories without templates.
     pub(super) fn of(category: &str) -> Option<Self> {
         let has = |part: &str| category.split('.').any(|p| p == part);
         match Class::from_category(category) {
@@ -96,7 +96,7 @@ impl Family {
         }
     }
 
-    /// The kind of a member by its size (length, width, height, metres).
+    /// Returns the kind of a member by its size (length, width, height, meters).
     pub(super) fn kind(self, size_m: DVec3) -> TemplateKind {
         match self {
             Self::Of(kind) => kind,

@@ -1,4 +1,4 @@
-//! A folder of templates: `templates.json` and `templates.points`, in the layout of a skeleton's points.
+//! Template library: a folder with `templates.json` and `templates.points`, in the layout of a skeleton's points.
 
 use std::io::Write;
 use std::path::Path;
@@ -19,51 +19,51 @@ const KIND: &str = "templates";
 const MANIFEST: &str = "templates.json";
 const POINTS: &str = "templates.points";
 
-/// `templates.json`.
+/// Contents of `templates.json`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LibraryManifest {
     /// [`LibraryManifest::FORMAT`].
     pub format: String,
     /// [`LibraryManifest::VERSION`].
     pub version: u32,
-    /// The logs whose actors were taken.
+    /// Source logs of the actors.
     pub sources: Vec<LogSource>,
-    /// How the templates were made.
+    /// Options with which the templates were generated.
     pub options: TemplateOptions,
-    /// What went in and what was left out.
+    /// Report: assets used and dropped.
     pub report: TemplateReport,
-    /// `templates.points`: one cloud after the other.
+    /// Templates whose clouds `templates.points` stores consecutively.
     pub templates: Vec<Template>,
 }
 
-/// A log whose actors were taken.
+/// Source log of actors.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LogSource {
-    /// The log.
+    /// Log.
     #[serde(flatten)]
     pub source: Source,
-    /// Assets.
+    /// Number of assets.
     pub actors: usize,
 }
 
 impl LibraryManifest {
-    /// Marks the folder.
+    /// Format identifier in the manifest.
     pub const FORMAT: &'static str = "point-skeleton-templates";
-    /// Changes whenever older readers would misread a library.
+    /// Format version; incremented when older readers would misread a library.
     pub const VERSION: u32 = 2;
 }
 
-/// Templates that several skeletons can use.
+/// Templates that several skeletons can share.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TemplateLibrary {
-    /// What it holds; its `templates` are those of `clouds`.
+    /// Manifest; its `templates` equal those of `clouds`.
     pub manifest: LibraryManifest,
-    /// The templates with their points, in the order of kinds.
+    /// Templates with their points, in the order of kinds.
     pub clouds: Vec<TemplateCloud>,
 }
 
 impl TemplateLibrary {
-    /// Of templates with what they were made of.
+    /// Creates a library from templates and the report on their generation.
     pub fn new(
         sources: Vec<LogSource>,
         options: TemplateOptions,
@@ -74,23 +74,24 @@ impl TemplateLibrary {
         Self { manifest: LibraryManifest { format, version, sources, options, report, templates }, clouds }
     }
 
-    /// Begins the folder that [`TemplateLibrary::write`] fills; it is none of `inputs`.
+    /// Opens the output folder for [`TemplateLibrary::write`]; it must differ from `inputs`.
     ///
     /// # Errors
-    /// Those of [`WholeFolder::open`].
+    /// Returns any error of [`WholeFolder::open`].
     pub fn target(path: &Path, inputs: &[&Path]) -> Result<WholeFolder, FileError> {
         WholeFolder::open(path, KIND, inputs)
     }
 
-    /// Whether a folder looks like a library.
+    /// Returns whether a folder looks like a library.
     pub fn is_at(path: &Path) -> bool {
         is_taken(&path.join(MANIFEST))
     }
 
-    /// Writes the folder; `more` may add files to it. An older library is replaced.
+    /// Writes the folder; `more` may add files to it. An existing library is replaced.
     ///
     /// # Errors
-    /// Whatever `more` returns, the system's, a folder that is no library; nothing is left half-written.
+    /// Returns any error of `more`. Fails if a file cannot be written or if the target holds anything but a library.
+    /// Partial output is removed.
     pub fn write<E: From<FileError>>(
         &self,
         target: WholeFolder,
@@ -111,7 +112,7 @@ impl TemplateLibrary {
     /// Reads a library.
     ///
     /// # Errors
-    /// A missing or damaged file, another format or version.
+    /// Fails if a file is missing or damaged, or has another format or version.
     pub fn open(path: &Path) -> Result<Self, FileError> {
         let manifest = read_library(&path.join(MANIFEST))?;
         let file = path.join(POINTS);

@@ -1,10 +1,10 @@
-//! Category templates: clouds that stand in for actors without many points of their own.
+//! Category templates: substitute clouds for actors with few points of their own.
 //!
 //! # How it works
-//! [`Instances`] takes the assets of any number of skeletons. They are clustered by category and box size (`cluster`),
-//! every cluster gets its kind by the rules that rendering goes by ([`TemplateKind::of_actor`]), and the points of
-//! a kind are laid over each other in one box, mirrored, freed of outliers and thinned (`aggregate`, `thin`). The
-//! result goes into a skeleton or into a [`TemplateLibrary`] on disk. [`default_templates`] are bodies of the built-in town.
+//! [`Instances`] collects the assets of any number of skeletons. `cluster` groups them by category and box size. Each
+//! cluster gets its kind by the rules that rendering uses ([`TemplateKind::of_actor`]). `aggregate` and `thin`
+//! superimpose the points of a kind in one box, mirror them, remove outliers and thin them. The result is written to
+//! a skeleton or to a [`TemplateLibrary`] on disk. [`default_templates`] are bodies of the built-in synthetic town.
 
 mod aggregate;
 mod cluster;
@@ -24,5 +24,5 @@ pub use options::{ClusterReport, TemplateOptions, TemplateReport, TemplateSummar
 use super::Template;
 use crate::cloud::Point;
 
-/// A template with its points.
+/// Template with its points.
 pub type TemplateCloud = (Template, Vec<Point>);

@@ -6,26 +6,26 @@ use serde::{Deserialize, Serialize};
 use super::TemplateKind;
 use crate::cloud::Bounds;
 
-/// How templates are made.
+/// Options for generating templates.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TemplateOptions {
-    /// Clusters are split until their members' sizes deviate by at most this share of the size (root mean square
-    /// along each axis) ...
+    /// Clusters are split until their members' sizes have at most this relative deviation (root mean square along
+    /// each axis) ...
     pub size_spread: f64,
-    /// ... or there are this many clusters of a category.
+    /// ... or a category has this many clusters.
     pub max_clusters: usize,
-    /// Points that a template would have if it covered its box; this sets its spacing.
+    /// Number of points of a template that covers its box; determines its spacing.
     pub target_points: usize,
-    /// The spacing is widened until there are at most this many points.
+    /// Maximum number of points; the spacing is widened to satisfy it.
     pub max_points: usize,
-    /// A template with fewer points is left out.
+    /// Minimum number of points; smaller templates are dropped.
     pub min_points: usize,
-    /// A point stays if this many others ...
+    /// Number of neighbors that a point requires ...
     pub neighbours: usize,
-    /// ... are within so many spacings of it.
+    /// ... within this many spacings.
     pub neighbour_spacings: f64,
-    /// Where this many actors of a kind were seen well, a point stays only if another actor has points near it: what belongs
-    /// to one alone (a ladder, a branch beside it) is no part of the kind. `None` keeps such points.
+    /// Minimum number of well-observed actors of a kind from which a point requires points of another actor nearby.
+    /// Features of a single actor (a ladder, a branch beside it) are not part of the kind. `None` retains them.
     pub agree_from_actors: Option<usize>,
 }
 
@@ -45,58 +45,58 @@ impl Default for TemplateOptions {
 }
 
 impl TemplateOptions {
-    /// Distance between the points of a template, metres, such that `target_points` cover its box: points that are packed at
-    /// random no nearer than `s` to each other have about `0.7 / s²` a square metre.
+    /// Returns the distance between the points of a template, meters, at which `target_points` cover its box. Points
+    /// packed at random with a minimum distance `s` have a density of about `0.7 / s²` per square meter.
     pub fn spacing_m(&self, size_m: DVec3) -> f64 {
         let area_m2 = 2.0 * (size_m.x * size_m.y + size_m.y * size_m.z + size_m.z * size_m.x);
         (0.7 * area_m2 / self.target_points.max(1) as f64).sqrt().clamp(0.005, 0.2)
     }
 }
 
-/// What templates were made of.
+/// Report on the generation of templates.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TemplateReport {
-    /// In the order of their kinds.
+    /// Summaries, in the order of kinds.
     pub templates: Vec<TemplateSummary>,
-    /// What was left out, by reason, with counts.
+    /// Dropped items: reasons with counts.
     pub notes: BTreeMap<String, usize>,
 }
 
-/// What one template was made of.
+/// Report on one template.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TemplateSummary {
-    /// Kind.
+    /// Kind of the template.
     pub kind: TemplateKind,
     /// Clusters of the kind.
     pub clusters: Vec<ClusterReport>,
-    /// Assets of the clusters that were used.
+    /// Number of assets in the used clusters.
     pub instances: usize,
-    /// Points of these assets as given.
+    /// Number of points of these assets before thinning.
     pub points_in: usize,
-    /// Points taken off since few others are near.
+    /// Number of points removed for lack of neighbors.
     pub outliers: usize,
-    /// Points taken off since no other actor has any near.
+    /// Number of points removed because no other actor has points nearby.
     pub not_agreed: usize,
-    /// Points of the template; 0 where it was left out for having too few.
+    /// Number of points of the template; 0 if it was dropped for having too few.
     pub points: usize,
-    /// Distance between them, metres.
+    /// Distance between the points, meters.
     pub spacing_m: f64,
-    /// The box that all were scaled to: the mean length, width, height, metres.
+    /// Box that all assets were scaled to: mean length, width, height, meters.
     pub size: [f64; 3],
-    /// Of the points, metres; `None` without points.
+    /// Bounds of the points, meters; `None` without points.
     pub bounds: Option<Bounds>,
 }
 
-/// Actors of about one size.
+/// Cluster of actors of similar size.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClusterReport {
-    /// Whether the template was made of it: all clusters of cars, people and cycles are laid over each other; of trucks, buses
-    /// and the like, which differ more, only the one with the most actors.
+    /// Whether the template uses the cluster. Cars, people and cycles use all clusters. Trucks, buses and the like
+    /// differ more, so only the cluster with the most actors is used.
     pub used: bool,
-    /// Mean length, width, height, metres.
+    /// Mean length, width, height, meters.
     pub size: [f64; 3],
-    /// `LOG/TRACK`, in the order given.
+    /// Members as `LOG/TRACK`, in input order.
     pub members: Vec<String>,
-    /// Points of the members as given.
+    /// Number of points of the members before thinning.
     pub points_in: usize,
 }

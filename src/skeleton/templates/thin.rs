@@ -1,8 +1,8 @@
 use rustc_hash::FxHashMap;
 
-/// Indices of points that are at least `spacing_m` from each other: each in turn is taken unless one that was taken is nearer
-/// (Poisson-disk thinning by dart throwing). Every point left out has one that was taken within `spacing_m`.
-/// Indices are in the order of `points`.
+/// Returns the indices of points that are at least `spacing_m` apart, ascending (Poisson-disk thinning by dart
+/// throwing). Each point in turn is taken unless a taken point is nearer. Every skipped point has a taken point
+/// within `spacing_m`.
 pub(super) fn poisson_thin(points: impl IntoIterator<Item = [f32; 3]>, spacing_m: f64) -> Vec<usize> {
     let mut taken: FxHashMap<[i32; 3], Vec<[f32; 3]>> = FxHashMap::default();
     let mut kept = Vec::new();
@@ -19,7 +19,7 @@ pub(super) fn poisson_thin(points: impl IntoIterator<Item = [f32; 3]>, spacing_m
     kept
 }
 
-/// A cell of a grid and the 26 around it.
+/// Returns a grid cell and its 26 neighbors.
 pub(super) fn neighbourhood(cell: [i32; 3]) -> impl Iterator<Item = [i32; 3]> {
     (0..27).map(move |i| {
         let step = [i / 9, i / 3 % 3, i % 3];
@@ -49,7 +49,7 @@ mod tests {
             };
             for index in 0..points.len() {
                 prop_assert_eq!(kept.contains(&index), index == kept[0] || nearest(index) >= spacing_m || {
-                    // A later one may be near: it was the earlier that was taken.
+                    // A later point may be near, since the earlier one was taken.
                     let before = kept.iter().filter(|k| **k < index);
                     before.clone().all(|k| squared_distance(points[*k], points[index]).sqrt() >= spacing_m)
                 });

@@ -1,5 +1,5 @@
-//! What stands on sidewalks. x runs along the kerb, y away from the road, z up from the sidewalk; drivers of the near
-//! lanes come from +x.
+//! Street furniture. x runs along the kerb, y away from the road, z up from the sidewalk; drivers on the near lanes
+//! come from +x.
 
 use glam::{DVec2, DVec3};
 
@@ -19,7 +19,7 @@ fn pole(mesh: &mut Mesh, height: f64, radius: f64, skin: Skin) {
     bar(mesh, [at(0.0, 0.0, -0.05), at(0.0, 0.0, height)], [radius, 0.8 * radius], 7, skin);
 }
 
-/// A street lamp: an arm over the road, or a lantern on a post.
+/// Returns a street lamp: an arm over the road, or a lantern on a post.
 pub(super) fn lamp(kind: usize, metal: Skin) -> Mesh {
     let mut mesh = Mesh::default();
     let light = Skin::new([255, 226, 170], Surface::Lamp);
@@ -41,7 +41,8 @@ pub(super) fn lamp(kind: usize, metal: Skin) -> Mesh {
     mesh
 }
 
-/// Traffic lights on a pole, and over the road where an arm reaches there. No lamp is lit: who has to wait changes.
+/// Returns traffic lights on a pole, and on an arm over the road if `arm_m` is given. Lamps are unlit, because their
+/// state changes over time.
 pub(super) fn signal(arm_m: Option<f64>, metal: Skin) -> Mesh {
     let mut mesh = Mesh::default();
     pole(&mut mesh, if arm_m.is_some() { 5.9 } else { 3.4 }, 0.09, metal);
@@ -54,7 +55,7 @@ pub(super) fn signal(arm_m: Option<f64>, metal: Skin) -> Mesh {
     mesh
 }
 
-/// Three lamps that look to +x, from a height on.
+/// Adds a signal head with three lamps that face +x; `foot` is its lower end.
 fn head(mesh: &mut Mesh, foot: DVec3) {
     mesh.block(foot + at(-0.1, -0.17, 0.0), foot + at(0.1, 0.17, 0.96), DARK);
     for side in [0.2, -0.2] {
@@ -70,7 +71,7 @@ fn head(mesh: &mut Mesh, foot: DVec3) {
     }
 }
 
-/// A sign on a post that looks to +x.
+/// Returns a sign on a post, facing +x.
 pub(super) fn sign(kind: Sign, metal: Skin) -> Mesh {
     let mut mesh = Mesh::default();
     pole(&mut mesh, 2.75, 0.035, metal);
@@ -123,17 +124,17 @@ pub(super) fn sign(kind: Sign, metal: Skin) -> Mesh {
     mesh
 }
 
-/// What a sign says.
+/// Kind of a sign.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Sign {
     Stop,
     Speed,
     Parking,
-    /// Names of streets, on plates of a color.
+    /// Street names, on plates of a color.
     Names([u8; 3]),
 }
 
-/// A post that keeps cars off.
+/// Returns a bollard.
 pub(super) fn bollard(metal: Skin) -> Mesh {
     let mut mesh = Mesh::default();
     pole(&mut mesh, 0.95, 0.06, metal);
@@ -141,7 +142,7 @@ pub(super) fn bollard(metal: Skin) -> Mesh {
     mesh
 }
 
-/// A bench that looks at the houses.
+/// Returns a bench that faces the houses.
 pub(super) fn bench(metal: Skin) -> Mesh {
     let mut mesh = Mesh::default();
     for y in [0.02, 0.2] {
@@ -157,7 +158,7 @@ pub(super) fn bench(metal: Skin) -> Mesh {
     mesh
 }
 
-/// A litter bin.
+/// Returns a litter bin.
 pub(super) fn bin(skin: Skin) -> Mesh {
     let mut mesh = Mesh::default();
     bar(&mut mesh, [at(0.0, 0.0, 0.05), at(0.0, 0.0, 0.85)], [0.2, 0.23], 8, skin);
@@ -165,7 +166,7 @@ pub(super) fn bin(skin: Skin) -> Mesh {
     mesh
 }
 
-/// A fire hydrant.
+/// Returns a fire hydrant.
 pub(super) fn hydrant() -> Mesh {
     let mut mesh = Mesh::default();
     let red = Skin::new([186, 38, 34], Surface::Metal);
@@ -176,7 +177,7 @@ pub(super) fn hydrant() -> Mesh {
     mesh
 }
 
-/// A grey box with wires inside.
+/// Returns a grey cable cabinet.
 pub(super) fn cabinet() -> Mesh {
     let mut mesh = Mesh::default();
     mesh.block(at(-0.5, -0.16, 0.0), at(0.5, 0.16, 1.15), Skin::new([148, 152, 148], Surface::Plain));
@@ -184,7 +185,7 @@ pub(super) fn cabinet() -> Mesh {
     mesh
 }
 
-/// A column with bills.
+/// Returns an advertising column.
 pub(super) fn bill_column(rgb: [u8; 3], seed: u32) -> Mesh {
     let mut mesh = Mesh::default();
     let stone = Skin::new([120, 122, 118], Surface::Concrete);
@@ -201,7 +202,7 @@ pub(super) fn bill_column(rgb: [u8; 3], seed: u32) -> Mesh {
     mesh
 }
 
-/// A bus shelter, so shallow that walkers pass behind; its open side is at the road.
+/// Returns a bus shelter, open to the road and shallow, so that walkers can pass behind it.
 pub(super) fn shelter(metal: Skin, rgb: [u8; 3], seed: u32) -> Mesh {
     let mut mesh = Mesh::default();
     let glass = Skin { rgb: [120, 140, 146], surface: Surface::CarGlass, seed: 0 };
@@ -220,7 +221,7 @@ pub(super) fn shelter(metal: Skin, rgb: [u8; 3], seed: u32) -> Mesh {
     mesh
 }
 
-/// Frames that bicycles lean on.
+/// Returns a bicycle stand.
 pub(super) fn bicycle_stand(metal: Skin) -> Mesh {
     let mut mesh = Mesh::default();
     for k in -1..=1 {
@@ -233,7 +234,7 @@ pub(super) fn bicycle_stand(metal: Skin) -> Mesh {
     mesh
 }
 
-/// Earth around a tree's foot, in a frame.
+/// Returns a framed tree pit.
 pub(super) fn pit() -> Mesh {
     let mut mesh = Mesh::default();
     let square = super::sketch::corners(DVec2::new(-0.6, -0.25), DVec2::new(0.6, 0.55));

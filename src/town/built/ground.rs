@@ -13,16 +13,16 @@ use super::ways::{Kerb, Ways, area_twice};
 use crate::town::mesh::{Mesh, Skin, Surface};
 use crate::town::plan::KERB_M;
 
-/// Height of lawns and yards, metres: sidewalks stand out by a little.
+/// Height of lawns and yards, meters: slightly below the sidewalks.
 pub(super) const GROUND_M: f64 = KERB_M - 0.02;
-/// Width of the kerb stones, metres.
+/// Width of the kerb stones, meters.
 const STONE_M: f64 = 0.16;
-/// How far the ground reaches beyond the streets, metres.
+/// Extent of the ground beyond the streets, meters.
 const AROUND_M: f64 = 260.0;
-/// How far the ground reaches below sidewalks, metres.
+/// Overlap of the ground with the sidewalks above it, meters.
 const BELOW_M: f64 = 0.2;
 
-/// Roads, junctions, kerbs, sidewalks, and the ground between them.
+/// Adds roads, junctions, kerbs, sidewalks, and the ground between them.
 pub(super) fn ground(ways: &Ways, style: &Style, cells: &mut Cells) {
     let asphalt = Skin::new(style.asphalt, Surface::Asphalt);
     for (road, line) in ways.network.roads.iter().zip(&ways.lines) {
@@ -45,7 +45,7 @@ pub(super) fn ground(ways: &Ways, style: &Style, cells: &mut Cells) {
     between(ways, style, cells);
 }
 
-/// The triangles of a triangulation, counter-clockwise.
+/// Calls `each` with the triangles of a triangulation, counter-clockwise.
 fn triangles(of: &RawTriangulation<[f64; 2]>, mut each: impl FnMut([DVec2; 3])) {
     let (points, indices) = (of.points(), of.triangle_indices::<u32>());
     for corners in indices.chunks_exact(3) {
@@ -53,13 +53,13 @@ fn triangles(of: &RawTriangulation<[f64; 2]>, mut each: impl FnMut([DVec2; 3])) 
     }
 }
 
-/// Adds a convex polygon of the ground, counter-clockwise from above; the pattern runs through the whole town.
+/// Adds a convex polygon on the ground, counter-clockwise seen from above; its pattern is continuous across the town.
 pub(super) fn flat(mesh: &mut Mesh, corners: &[DVec2], z: f64, skin: Skin) {
     let corners: Vec<(DVec3, DVec3, DVec2)> = corners.iter().map(|p| (p.extend(z), DVec3::Z, *p)).collect();
     mesh.fan(&corners, skin);
 }
 
-/// The face and the stones of a kerb, the slabs behind, and their back edge.
+/// Adds the face and the stones of a kerb, the slabs behind it, and their back edge.
 fn sidewalk(kerb: &Kerb, style: &Style, cells: &mut Cells) {
     let stone = Skin::new(style.kerb, Surface::Concrete);
     let slabs = Skin::new(style.slabs, Surface::Sidewalk);
@@ -89,7 +89,7 @@ fn sidewalk(kerb: &Kerb, style: &Style, cells: &mut Cells) {
     }
 }
 
-/// The ground that no street covers, cell by cell.
+/// Adds the ground that no street covers, cell by cell.
 fn between(ways: &Ways, style: &Style, cells: &mut Cells) {
     let areas = ways.areas(BELOW_M);
     let mut low = DVec2::splat(f64::INFINITY);

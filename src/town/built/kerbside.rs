@@ -9,10 +9,10 @@ use super::style::{Quarter, Style};
 use crate::town::mesh::{Mesh, Skin, Surface};
 use crate::town::plan::{JunctionKind, KERB_M, Network, Road};
 
-/// From the kerb to the middle of what stands beside it, metres: walkers pass behind.
+/// Distance from the kerb to the middle of objects beside it, meters; walkers pass behind them.
 pub(super) const POST_M: f64 = 0.45;
 
-/// Everything on the sidewalks.
+/// Adds all objects on the sidewalks.
 pub(super) fn furnish(
     network: &Network,
     frontages: &[Frontage],
@@ -31,11 +31,11 @@ pub(super) fn furnish(
             style,
             taken: Vec::new(),
             draw: Draw::new(style.seed, &[0xf07, i as i64]),
-            // Both sides of a road are planted alike.
+            // Both sides of a road have the same trees.
             shared: Draw::new(style.seed, &[0x70ad, frontage.road as i64]),
             cells,
         };
-        // Drivers beside the kerb come from the line's end: they reach the junction at its start.
+        // Drivers beside the kerb come from the line's end and reach the junction at its start.
         let ends = if i % 2 == 0 { road.junctions } else { [road.junctions[1], road.junctions[0]] };
         let kind = network.junctions.get(ends[0]).map(|junction| junction.kind);
         street.right_of_way(kind);
@@ -46,20 +46,20 @@ pub(super) fn furnish(
     }
 }
 
-/// Where crossings meet a side of a road, metres along it.
+/// Returns the positions of crossings along a side of a road, meters.
 fn crossings(network: &Network, frontage: &Frontage) -> Vec<f64> {
     let here = network.crossings.iter().filter(|crossing| crossing.road == frontage.road);
     here.map(|crossing| frontage.line.locate(crossing.outline.iter().sum::<DVec2>() / 4.0)[0]).collect()
 }
 
-/// One side of a road while it is furnished.
+/// Side of a road that objects are placed on.
 struct Street<'a> {
     frontage: &'a Frontage,
     road: &'a Road,
     crossings: Vec<f64>,
     quarter: Quarter,
     style: &'a Style,
-    /// Where something stands: metres along, half its width.
+    /// Occupied places: position along the line, and half the width, meters.
     taken: Vec<[f64; 2]>,
     draw: Draw,
     shared: Draw,
@@ -75,7 +75,7 @@ impl Street<'_> {
         Skin::new(self.style.metal, Surface::Metal)
     }
 
-    /// Puts a thing up so far along if there is room for half its width to both sides.
+    /// Places an object at `along_m` if half its width is free on both sides; returns whether it was placed.
     fn stand(&mut self, along_m: f64, half_m: f64, from_kerb_m: f64, thing: &Mesh) -> bool {
         let free = along_m - half_m > 0.5
             && along_m + half_m < self.length() - 0.5
@@ -90,7 +90,7 @@ impl Street<'_> {
         free
     }
 
-    /// Lights or stop signs before the junction at the line's start, and the names of streets.
+    /// Adds lights or stop signs before the junction at the line's start, street names and other signs.
     fn right_of_way(&mut self, kind: Option<JunctionKind>) {
         let crossing = self.crossings.iter().copied().filter(|s| *s < 20.0).reduce(f64::min);
         let at = crossing.map_or(1.6, |s| s + 2.1);
@@ -133,7 +133,7 @@ impl Street<'_> {
         let lamp = furniture::lamp(self.style.lamp, self.metal());
         let mut at = 8.0 + if staggered { step / 2.0 } else { 0.0 };
         while at < self.length() {
-            // One that is in the way moves on by a little.
+            // A lamp without room is shifted along by up to 2.7 m.
             let _ = (0..4).any(|k| self.stand(at + 0.9 * f64::from(k), 0.25, POST_M, &lamp));
             at += step;
         }
@@ -189,7 +189,7 @@ impl Street<'_> {
         }
     }
 
-    /// Bins, benches, hydrants, cabinets, bill columns, bicycle stands.
+    /// Adds bins, benches, hydrants, cabinets, advertising columns, bicycle stands and bollards.
     fn small_things(&mut self) {
         let wide = self.frontage.sidewalk_m > 3.3;
         let busy = match self.quarter {

@@ -1,16 +1,16 @@
 use glam::DVec2;
 
-/// A line along a road that knows how far along and how far aside things are.
+/// Line along a road, with conversion between positions and distances along and to the left.
 #[derive(Clone, Debug)]
 pub(super) struct Line {
     points: Vec<DVec2>,
-    /// To the left of each point, so long that neighbouring edges stay parallel.
+    /// Left offset vector of each point, scaled so that offset edges remain parallel.
     lefts: Vec<DVec2>,
     at_m: Vec<f64>,
 }
 
 impl Line {
-    /// Through points; those that it is as straight without are left out. `None` if there are not two places.
+    /// Creates a line through points and drops those that do not bend it. `None` without two distinct points.
     pub(super) fn new(points: &[DVec2]) -> Option<Self> {
         let kept = thinned(points);
         if kept.len() < 2 {
@@ -33,7 +33,7 @@ impl Line {
         Some(Self { points: kept, lefts, at_m })
     }
 
-    /// The same line from its end to its start.
+    /// Returns the same line from its end to its start.
     pub(super) fn reversed(&self) -> Self {
         let length = self.length();
         Self {
@@ -43,17 +43,17 @@ impl Line {
         }
     }
 
-    /// Metres.
+    /// Returns the length, meters.
     pub(super) fn length(&self) -> f64 {
         self.at_m[self.at_m.len() - 1]
     }
 
-    /// Where its points are, metres along.
+    /// Returns the distances of its points from the start, meters.
     pub(super) fn stations(&self) -> &[f64] {
         &self.at_m
     }
 
-    /// The point so far along and so far to the left; straight on beyond the ends.
+    /// Returns the point at a distance along and to the left, meters; extrapolates straight beyond the ends.
     pub(super) fn point(&self, along_m: f64, left_m: f64) -> DVec2 {
         let i = self.segment(along_m);
         let share = (along_m - self.at_m[i]) / (self.at_m[i + 1] - self.at_m[i]);
@@ -65,13 +65,13 @@ impl Line {
         edge(if share < 0.0 { 0 } else { i + 1 }) + self.direction(along_m) * beyond
     }
 
-    /// Unit, forward.
+    /// Returns the unit forward direction.
     pub(super) fn direction(&self, along_m: f64) -> DVec2 {
         let i = self.segment(along_m);
         (self.points[i + 1] - self.points[i]).normalize_or(DVec2::X)
     }
 
-    /// How far along and to the left the nearest point of the line is from a place, metres.
+    /// Returns the position along and the offset to the left of the line's nearest point, meters.
     pub(super) fn locate(&self, place: DVec2) -> [f64; 2] {
         let mut best = [f64::INFINITY, 0.0, 0.0];
         for (i, pair) in self.points.windows(2).enumerate() {
@@ -90,7 +90,7 @@ impl Line {
     }
 }
 
-/// Longest distance between kept points, metres, and their greatest bend, radians.
+/// Maximum distance between retained points, meters, and maximum bend between them, radians.
 const KEPT: [f64; 2] = [10.0, 0.025];
 
 fn thinned(points: &[DVec2]) -> Vec<DVec2> {

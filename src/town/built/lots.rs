@@ -9,7 +9,7 @@ use super::sketch::corners;
 use super::style::{Quarter, Style};
 use super::ways::Ways;
 
-/// What is built on a lot.
+/// Kind of building on a lot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Use {
     House,
@@ -17,58 +17,58 @@ pub(super) enum Use {
     Church,
 }
 
-/// What is beyond a side of a house.
+/// Surroundings of a side of a house.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
-    /// A street.
+    /// The side faces a street.
     Street,
-    /// Yards.
+    /// The side faces yards.
     Open,
-    /// Another house's wall.
+    /// The side touches another house's wall.
     Party,
 }
 
-/// A house's place: x runs along its front, to the right as seen from the street, y away from the street.
+/// Lot of a house: x runs along its front, to the right as seen from the street, y away from the street.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lot {
     /// Its left front corner.
     pub(super) place: Place,
-    /// Along the street and away from it, metres.
+    /// Size along the street and away from it, meters.
     pub(super) size_m: DVec2,
-    /// From the sidewalk to the front, metres.
+    /// Distance from the sidewalk to the front, meters.
     pub(super) setback_m: f64,
     pub(super) quarter: Quarter,
     pub(super) kind: Use,
     pub(super) seed: u64,
-    /// Front, right, back, left.
+    /// Surroundings of front, right, back and left.
     pub(super) sides: [Side; 4],
 }
 
-/// One side of a road; its side is on the line's left.
+/// One side of a road, on the left of its line.
 #[derive(Debug)]
 pub(super) struct Frontage {
     pub(super) line: Line,
-    /// The road's index.
+    /// Index of the road.
     pub(super) road: usize,
-    /// From the line to the kerb, metres.
+    /// Distance from the line to the kerb, meters.
     pub(super) kerb_m: f64,
-    /// Metres.
+    /// Width of the sidewalk, meters.
     pub(super) sidewalk_m: f64,
 }
 
 impl Lot {
-    /// The corners of a part of the lot, counter-clockwise.
+    /// Returns the corners of a part of the lot, counter-clockwise.
     pub(super) fn area(&self, min: DVec2, max: DVec2) -> [DVec2; 4] {
         corners(min, max).map(|p| self.place.point(p))
     }
 
-    /// The corners of the house.
+    /// Returns the corners of the house.
     pub(super) fn footprint(&self) -> [DVec2; 4] {
         self.area(DVec2::ZERO, self.size_m)
     }
 }
 
-/// Both sides of all roads.
+/// Returns both sides of all roads.
 pub(super) fn frontages(ways: &Ways) -> Vec<Frontage> {
     let mut frontages = Vec::new();
     for (road, (plan, line)) in ways.network.roads.iter().zip(&ways.lines).enumerate() {
@@ -80,14 +80,14 @@ pub(super) fn frontages(ways: &Ways) -> Vec<Frontage> {
     frontages
 }
 
-/// Houses along all streets; what they stand on is taken.
+/// Places houses along all streets and marks their footprints as occupied.
 pub(super) fn lots(frontages: &[Frontage], middle: DVec2, style: &Style, room: &mut Room) -> Vec<Lot> {
     let mut lots = Vec::new();
     let mut churches = 1;
     for (i, frontage) in frontages.iter().enumerate() {
         let mut draw = Draw::new(style.seed, &[0x107, i as i64]);
         let mut at = -16.0;
-        // Houses of a street stand in one line.
+        // Houses of a street share their front line.
         let shared = draw.between(0.0, 1.0);
         let mut in_row = 0;
         while at < frontage.line.length() + 16.0 {
@@ -116,7 +116,7 @@ pub(super) fn lots(frontages: &[Frontage], middle: DVec2, style: &Style, room: &
     lots
 }
 
-/// What somebody would like to build.
+/// Building to be placed, before its lot is known.
 #[derive(Clone, Copy, Debug)]
 struct Wish {
     quarter: Quarter,
@@ -151,7 +151,7 @@ impl Wish {
         Self { quarter, kind, size_m, setback_m, seed: draw.seed() }
     }
 
-    /// The largest house of the kind that there is room for; a smaller one rather than none.
+    /// Returns the lot of the largest variant of the house that fits; `None` if none does.
     fn fit(&self, frontage: &Frontage, at_m: f64, room: &Room) -> Option<Lot> {
         let scales = match self.kind {
             Use::House => [[1.0, 1.0], [1.0, 0.8], [0.72, 0.8], [0.6, 0.62]].as_slice(),
@@ -170,12 +170,12 @@ impl Wish {
         let back_m = frontage.kerb_m + frontage.sidewalk_m;
         let edge = |s: f64| frontage.line.point(s, back_m);
         let along = (edge(at_m + size_m.x) - edge(at_m)).normalize_or(DVec2::X);
-        // Where the street bends towards the house, all of its front stands back.
+        // If the street bends towards the house, the whole front is set back.
         let behind = |i: i32| (edge(at_m + size_m.x * f64::from(i) / 6.0) - edge(at_m)).dot(along.perp());
         let bulge = (0..=6).map(behind).fold(0.0, f64::max);
         let setback_m = self.setback_m + if bulge > 0.02 { bulge } else { 0.0 };
         let corner = edge(at_m) + along.perp() * setback_m;
-        // Of a bent street's front line, the chord is what there is room for.
+        // Along a bent street, the chord limits the width of the front.
         let width = (edge(at_m + size_m.x) - edge(at_m)).dot(along);
         let place = Place::facing(corner.extend(GROUND_M), along);
         Lot {
@@ -189,7 +189,7 @@ impl Wish {
         }
     }
 
-    /// From this house to the next, metres.
+    /// Returns the gap to the next house, meters.
     fn gap_m(&self, in_row: &mut i32, draw: &mut Draw) -> f64 {
         let gap = match (self.quarter, self.kind) {
             (_, Use::Church) => 4.0,
@@ -211,7 +211,7 @@ impl Wish {
     }
 }
 
-/// What is beyond each side of a house.
+/// Returns the surroundings of each side of a house.
 fn sides(lot: &Lot, room: &Room) -> [Side; 4] {
     let (w, d) = (lot.size_m.x, lot.size_m.y);
     let beyond = |low: f64, high: f64| {

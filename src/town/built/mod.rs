@@ -1,10 +1,10 @@
-//! What stands: roads and their paint, sidewalks, houses, trees, lamps, signs.
+//! Static town: roads with markings, sidewalks, houses, trees, lamps and signs.
 //!
 //! # How it works
-//! `ways` makes strips of the plan's roads and junctions; `ground` and `paint` cover them, and what is between them.
-//! `lots` walks along both sides of every road and puts houses down where there is `room`; `house` builds each from the
-//! town's `style`. `kerbside` puts `furniture` and trees next to the kerbs, `yards` trees behind the houses and hills
-//! around. Things are made in frames of their own; `cells` turns them to their places and sorts them by place.
+//! `ways` converts the plan's roads and junctions to strips; `ground` and `paint` cover them and the areas between.
+//! `lots` walks along both sides of every road and places houses where there is `room`; `house` builds each in the
+//! town's `style`. `kerbside` places `furniture` and trees along the kerbs, `yards` adds trees behind the houses and
+//! hills around the town. Objects are built in their own frames; `cells` transforms and groups them by position.
 
 mod cells;
 mod draw;
@@ -32,7 +32,8 @@ use cells::Cells;
 use style::Style;
 use ways::Ways;
 
-/// The standing town in meshes of neighbouring things (each at most about 60 m wide, so that they can be culled), town frame.
+/// Returns the static town as meshes of neighbouring objects, town frame. Each is at most about 60 m wide, which
+/// allows culling.
 pub fn standing(plan: &Plan, seed: u64) -> Vec<Mesh> {
     let style = Style::new(seed);
     let ways = Ways::new(&plan.network);
@@ -51,7 +52,7 @@ pub fn standing(plan: &Plan, seed: u64) -> Vec<Mesh> {
     cells.into_meshes()
 }
 
-/// The mean of the junctions, or of the roads' starts where there are none.
+/// Returns the mean of the junctions, or of the roads' starts if there are no junctions.
 fn middle(network: &Network) -> DVec2 {
     let mut places: Vec<DVec2> = network.junctions.iter().map(|junction| junction.centre).collect();
     if places.is_empty() {

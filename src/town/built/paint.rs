@@ -9,14 +9,14 @@ use super::ways::Ways;
 use crate::town::mesh::{Skin, Surface};
 use crate::town::plan::{LaneKind, Network, Road};
 
-/// Height of paint above the road, and of what is let into the road, metres.
+/// Height of paint, and of covers and patches, above the road, meters.
 const PAINT_M: f64 = 0.006;
 const COVER_M: f64 = 0.003;
 const WHITE: [u8; 3] = [226, 226, 220];
-/// Width of lines, metres.
+/// Width of lines, meters.
 const LINE_M: f64 = 0.13;
 
-/// Lines, bays, stripes, arrows, and covers on the roads.
+/// Adds lines, parking bays, crossings, arrows, covers and patches to the roads.
 pub(super) fn paint(ways: &Ways, style: &Style, cells: &mut Cells) {
     for (i, (road, line)) in ways.network.roads.iter().zip(&ways.lines).enumerate() {
         let Some(line) = line else { continue };
@@ -35,7 +35,7 @@ pub(super) fn paint(ways: &Ways, style: &Style, cells: &mut Cells) {
     }
 }
 
-/// Paints along one road.
+/// Painter of one road.
 struct Brush<'a> {
     network: &'a Network,
     road: usize,
@@ -69,11 +69,11 @@ impl Brush<'_> {
         }
     }
 
-    /// A line along the road, of strokes and gaps so long.
+    /// Adds a line along the road with strokes and gaps of the given lengths.
     fn stroke(&self, left_m: f64, [stroke_m, gap_m]: [f64; 2], rgb: [u8; 3], cells: &mut Cells) {
         let mut at = 0.3;
         while at < self.line.length() - 0.3 {
-            // Long lines are cut where the road bends and at crossings.
+            // Continuous lines are drawn in pieces of at most 2 m, which follow bends and end at crossings.
             let end = (at + stroke_m.min(2.0)).min(self.line.length());
             let next = self.line.stations().iter().copied().find(|s| *s > at + 0.05).unwrap_or(end);
             let long = stroke_m > 100.0;
@@ -83,7 +83,7 @@ impl Brush<'_> {
         }
     }
 
-    /// Strokes across the parking strip, a car's length apart.
+    /// Adds strokes across the parking strip, 6 m apart.
     fn bays(&self, from_m: f64, across_m: f64, cells: &mut Cells) {
         let count = ((self.line.length() - 16.0) / 6.0).floor();
         let start = (self.line.length() - 6.0 * count) / 2.0;
@@ -94,7 +94,7 @@ impl Brush<'_> {
         }
     }
 
-    /// A painted piece, bent at one place; none on crossings.
+    /// Adds a painted rectangle with at most one bend; skips it on crossings.
     fn rectangle(&self, s: [f64; 2], left: [f64; 2], bend: f64, rgb: [u8; 3], cells: &mut Cells) {
         let middle = self.line.point((s[0] + s[1]) / 2.0, (left[0] + left[1]) / 2.0);
         if self
@@ -117,7 +117,7 @@ impl Brush<'_> {
         }
     }
 
-    /// Covers of sewers, gullies at the kerbs, mended places.
+    /// Adds manhole covers, gullies at the kerbs, and asphalt patches.
     fn covers(&self, road: &Road, style: &Style, cells: &mut Cells) {
         let mut draw = Draw::new(style.seed, &[0xc04e, self.road as i64]);
         let mut at = draw.between(6.0, 25.0);
@@ -150,7 +150,7 @@ impl Brush<'_> {
     }
 }
 
-/// Whether a place is on a crossing or right beside.
+/// Returns whether a position is on a crossing or within 0.3 m of it.
 fn inside(crossing: &crate::town::plan::Crossing, place: DVec2) -> bool {
     (0..4).all(|i| {
         let (a, b) = (crossing.outline[i], crossing.outline[(i + 1) % 4]);
@@ -166,7 +166,7 @@ fn stop_lines(network: &Network, cells: &mut Cells) {
     }
 }
 
-/// Stripes along the road, side by side from kerb to kerb.
+/// Adds the stripes of zebra crossings, parallel to the road, from kerb to kerb.
 fn crossings(ways: &Ways, cells: &mut Cells) {
     for crossing in &ways.network.crossings {
         let (Some(road), Some(Some(line))) =
@@ -192,7 +192,7 @@ fn crossings(ways: &Ways, cells: &mut Cells) {
     }
 }
 
-/// Arrows before the end of a lane: where one may go from there.
+/// Adds arrows for the permitted turns before the end of a lane.
 fn arrow(network: &Network, lane: usize, cells: &mut Cells) {
     let lane = &network.lanes[lane];
     let Some(line) = Line::new(&lane.centerline) else { return };

@@ -1,4 +1,4 @@
-//! Trees and bushes: trunks below crowns of uneven balls. What is finer than a branch is up to the shader.
+//! Trees and bushes: trunks with crowns of irregular balls. The shader adds detail finer than a branch.
 
 use std::collections::BTreeMap;
 
@@ -9,32 +9,32 @@ use super::sketch::bar;
 use crate::town::hash::unit;
 use crate::town::mesh::{Mesh, Skin, Surface};
 
-/// How a crown is colored and shaped.
+/// Color and shape seed of a crown.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Crown {
     skin: Skin,
     seed: u64,
 }
 
-/// What kind of tree.
+/// Kind of a tree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Species {
-    /// A wide crown of several balls.
+    /// Wide crown of several balls.
     Broad,
-    /// A narrow, tall crown.
+    /// Narrow, tall crown.
     Slender,
-    /// A fir.
+    /// Fir.
     Conifer,
 }
 
 impl Crown {
-    /// Leaves of a color.
+    /// Creates a crown with leaves of a color.
     pub(super) fn new(rgb: [u8; 3], seed: u64) -> Self {
         Self { skin: Skin { rgb, surface: Surface::Foliage, seed: seed as u32 & 0xff_ffff }, seed }
     }
 }
 
-/// A tree of some height, its crown so wide; `fine`: for one that stands close to the street.
+/// Returns a tree of a height and a crown radius, meters; `fine` adds detail for trees close to the street.
 pub(super) fn tree(species: Species, height: f64, radius: f64, crown: Crown, fine: bool) -> Mesh {
     let mut mesh = Mesh::default();
     let mut draw = Draw::new(crown.seed, &[2]);
@@ -105,12 +105,12 @@ pub(super) fn tree(species: Species, height: f64, radius: f64, crown: Crown, fin
     mesh
 }
 
-/// A bush on the ground.
+/// Adds a bush on the ground.
 pub(super) fn bush(mesh: &mut Mesh, at: DVec3, radius: f64, crown: Crown) {
     ball(mesh, at + DVec3::Z * 0.6 * radius, DVec3::new(1.0, 1.0, 0.85) * radius, 1, 0.16, crown);
 }
 
-/// An uneven ellipsoid: an icosahedron whose faces are split some times and whose corners are moved in and out.
+/// Adds an irregular ellipsoid: an icosahedron subdivided `splits` times, with vertices displaced in and out.
 fn ball(mesh: &mut Mesh, centre: DVec3, radii: DVec3, splits: usize, rough: f64, crown: Crown) {
     let (mut corners, mut faces) = icosahedron();
     for _ in 0..splits {
@@ -120,7 +120,7 @@ fn ball(mesh: &mut Mesh, centre: DVec3, radii: DVec3, splits: usize, rough: f64,
     for (i, direction) in corners.iter().enumerate() {
         let reach = 1.0 + rough * (2.0 * unit(crown.seed, &[i as i64]) - 1.0);
         let p = centre + *direction * radii * reach;
-        // The pattern runs over the whole crown without seams that show.
+        // These uv are continuous over the whole crown, without visible seams.
         let uv = DVec2::new(p.x + 0.6 * p.y, p.z - 0.4 * p.y);
         let normal = (*direction / radii).normalize_or(DVec3::Z);
         mesh.vertices.push(crate::town::mesh::Vertex {

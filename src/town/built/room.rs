@@ -2,18 +2,18 @@ use glam::DVec2;
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
 
-/// What takes up a place.
+/// Occupant of an area.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Taken {
-    /// A road or a sidewalk.
+    /// Road or sidewalk.
     Way,
-    /// A house.
+    /// House.
     House,
-    /// What belongs to a house in front of it.
+    /// Garden in front of a house.
     Garden,
 }
 
-/// What places are taken: convex areas.
+/// Spatial index of occupied convex areas.
 #[derive(Debug)]
 pub(super) struct Room {
     areas: Vec<(Vec<DVec2>, Taken)>,
@@ -21,7 +21,7 @@ pub(super) struct Room {
 }
 
 impl Room {
-    /// With the areas of streets.
+    /// Creates an index with the areas of streets.
     pub(super) fn new(ways: Vec<Vec<DVec2>>) -> Self {
         let areas: Vec<(Vec<DVec2>, Taken)> = ways.into_iter().map(|area| (area, Taken::Way)).collect();
         let boxes =
@@ -29,18 +29,18 @@ impl Room {
         Self { areas, tree: RTree::bulk_load(boxes) }
     }
 
-    /// Takes an area.
+    /// Marks an area as occupied.
     pub(super) fn take(&mut self, area: &[DVec2], by: Taken) {
         self.tree.insert(GeomWithData::new(bounds(area), self.areas.len()));
         self.areas.push((area.to_vec(), by));
     }
 
-    /// Whether a convex area meets nothing by more than a centimetre.
+    /// Returns whether a convex area overlaps no occupied area by more than a centimeter.
     pub(super) fn is_free(&self, area: &[DVec2]) -> bool {
         self.meets(area).next().is_none()
     }
 
-    /// What a convex area meets, in no order.
+    /// Returns the occupants that a convex area overlaps, in no particular order.
     pub(super) fn meets<'a>(&'a self, area: &'a [DVec2]) -> impl Iterator<Item = Taken> + 'a {
         let envelope = rstar::RTreeObject::envelope(&bounds(area));
         let near = self.tree.locate_in_envelope_intersecting(envelope);
@@ -48,10 +48,10 @@ impl Room {
     }
 }
 
-/// How deep areas may stand in each other, metres.
+/// Overlap depth that is tolerated, meters.
 const SLACK_M: f64 = 0.01;
 
-/// Whether two convex polygons overlap: no edge's direction has all of the other on its outer side.
+/// Returns whether two convex polygons overlap (separating axis test).
 pub(super) fn overlap(a: &[DVec2], b: &[DVec2]) -> bool {
     let apart = |a: &[DVec2], b: &[DVec2]| {
         (0..a.len()).any(|i| {
@@ -86,7 +86,7 @@ mod tests {
             (square(0.0, 0.0), square(0.0, 0.98), true),
             (square(0.0, 0.0), diamond, false),
             (square(0.3, 0.5), diamond, true),
-            // Their bounds overlap, they do not.
+            // Only their bounds overlap.
             (square(0.2, -0.8), diamond, false),
         ] {
             assert_eq!((overlap(&a, &b), overlap(&b, &a)), (expected, expected), "{a:?} {b:?}");

@@ -1,56 +1,56 @@
-//! Pieces that things are put together from.
+//! Basic shapes that objects are assembled from.
 
 use glam::{DVec2, DVec3};
 
 use crate::town::mesh::{Mesh, Skin};
 
-/// An upright plane: `u` runs to the right as seen from outside, `v` up, `out` towards who looks at it.
+/// Vertical plane: `u` runs to the right as seen from outside, `v` up, `out` towards the viewer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Wall {
     origin: DVec3,
     along: DVec3,
     out: DVec3,
-    /// From its left to its right end, metres.
+    /// Length from its left to its right end, meters.
     pub(super) length: f64,
 }
 
 impl Wall {
-    /// From its lower left to its lower right corner, seen from outside.
+    /// Creates a wall from its lower left and lower right corners, seen from outside.
     pub(super) fn new(left: DVec3, right: DVec3) -> Self {
         let along = (right - left).normalize_or(DVec3::X);
         Self { origin: left, along, out: along.cross(DVec3::Z), length: left.distance(right) }
     }
 
-    /// A point `u` along, `v` up and `out` in front.
+    /// Returns the point `u` along, `v` up and `out` in front.
     pub(super) fn at(&self, u: f64, v: f64, out: f64) -> DVec3 {
         self.origin + self.along * u + DVec3::Z * v + self.out * out
     }
 
-    /// The same plane with its origin elsewhere.
+    /// Returns the same plane with another origin.
     pub(super) fn moved(&self, u: f64, v: f64, out: f64) -> Self {
         Self { origin: self.at(u, v, out), ..*self }
     }
 
-    /// An upright rectangle; the pattern runs through all rectangles of the wall.
+    /// Adds a vertical rectangle; its pattern is continuous across all rectangles of the wall.
     pub(super) fn quad(&self, mesh: &mut Mesh, u: [f64; 2], v: [f64; 2], out: f64, skin: Skin) {
         if u[1] - u[0] > 1e-6 && v[1] - v[0] > 1e-6 {
             self.shape(mesh, &[[u[0], v[0]], [u[1], v[0]], [u[1], v[1]], [u[0], v[1]]], out, skin);
         }
     }
 
-    /// An upright convex polygon in `u` and `v`, counter-clockwise, as [`Wall::quad`].
+    /// Adds a vertical convex polygon in `u` and `v`, counter-clockwise, with the pattern of [`Wall::quad`].
     pub(super) fn shape(&self, mesh: &mut Mesh, corners: &[[f64; 2]], out: f64, skin: Skin) {
         let corner = |[u, v]: &[f64; 2]| (self.at(*u, *v, out), self.out, DVec2::new(*u, *v));
         mesh.fan(&corners.iter().map(corner).collect::<Vec<_>>(), skin);
     }
 
-    /// A convex polygon in `u`, `v` and `out`, counter-clockwise seen from outside.
+    /// Adds a convex polygon in `u`, `v` and `out`, counter-clockwise seen from outside.
     pub(super) fn polygon(&self, mesh: &mut Mesh, corners: &[[f64; 3]], skin: Skin) {
         let corners: Vec<DVec3> = corners.iter().map(|[u, v, out]| self.at(*u, *v, *out)).collect();
         mesh.polygon(&corners, skin);
     }
 
-    /// A block in front of the wall, without its back.
+    /// Adds a block in front of the wall, without its back.
     pub(super) fn slab(&self, mesh: &mut Mesh, u: [f64; 2], v: [f64; 2], out: [f64; 2], skin: Skin) {
         self.shelf(mesh, u, v, out, skin);
         let ([a, b], [low, high], [back, front]) = (u, v, out);
@@ -58,7 +58,7 @@ impl Wall {
         self.polygon(mesh, &[[b, low, front], [b, low, back], [b, high, back], [b, high, front]], skin);
     }
 
-    /// A [`Wall::slab`] without its ends.
+    /// Adds a [`Wall::slab`] without its ends.
     pub(super) fn shelf(&self, mesh: &mut Mesh, u: [f64; 2], v: [f64; 2], out: [f64; 2], skin: Skin) {
         let ([a, b], [low, high], [back, front]) = (u, v, out);
         self.quad(mesh, u, v, front, skin);
@@ -66,7 +66,7 @@ impl Wall {
         self.polygon(mesh, &[[a, low, back], [b, low, back], [b, low, front], [a, low, front]], skin);
     }
 
-    /// The sides and the top of a hole, from the plane inwards.
+    /// Adds the sides and the top of a hole, from the plane inward.
     pub(super) fn reveal(&self, mesh: &mut Mesh, u: [f64; 2], v: [f64; 2], depth: f64, skin: Skin) {
         let ([a, b], [low, high], back) = (u, v, -depth);
         self.polygon(mesh, &[[a, low, 0.0], [a, low, back], [a, high, back], [a, high, 0.0]], skin);
@@ -75,7 +75,7 @@ impl Wall {
     }
 }
 
-/// Adds a round bar between two points, thinner or thicker at its end, with both ends closed where it has a radius.
+/// Adds a round bar between two points with a radius at each end; ends with a radius above 0 are closed.
 pub(super) fn bar(mesh: &mut Mesh, ends: [DVec3; 2], radii: [f64; 2], sides: usize, skin: Skin) {
     let axis = (ends[1] - ends[0]).normalize_or(DVec3::Z);
     let (x, y) = axis.any_orthonormal_pair();
@@ -105,7 +105,7 @@ pub(super) fn bar(mesh: &mut Mesh, ends: [DVec3; 2], radii: [f64; 2], sides: usi
     }
 }
 
-/// Adds an upright disc that looks along `out`.
+/// Adds a vertical disc that faces `out`.
 pub(super) fn disc(mesh: &mut Mesh, centre: DVec3, out: DVec3, radius: f64, sides: usize, skin: Skin) {
     let across = DVec3::Z.cross(out).normalize_or(DVec3::X);
     let up = out.cross(across);
@@ -117,7 +117,7 @@ pub(super) fn disc(mesh: &mut Mesh, centre: DVec3, out: DVec3, radius: f64, side
     mesh.polygon(&(0..sides).map(corner).collect::<Vec<_>>(), skin);
 }
 
-/// Adds an upright block on four corners of the ground, counter-clockwise seen from above, without its underside.
+/// Adds an upright block over four corners on the ground, counter-clockwise seen from above, without its underside.
 pub(super) fn column(mesh: &mut Mesh, corners: [DVec2; 4], z: [f64; 2], skin: Skin) {
     for i in 0..4 {
         let wall = Wall::new(corners[i].extend(0.0), corners[(i + 1) % 4].extend(0.0));
@@ -126,7 +126,7 @@ pub(super) fn column(mesh: &mut Mesh, corners: [DVec2; 4], z: [f64; 2], skin: Sk
     mesh.polygon(&corners.map(|p| p.extend(z[1])), skin);
 }
 
-/// The four corners of an upright rectangle's footprint, counter-clockwise.
+/// Returns the four corners of an axis-aligned rectangle, counter-clockwise.
 pub(super) fn corners(min: DVec2, max: DVec2) -> [DVec2; 4] {
     [min, DVec2::new(max.x, min.y), max, DVec2::new(min.x, max.y)]
 }

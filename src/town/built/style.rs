@@ -4,49 +4,49 @@ use super::draw::Draw;
 use crate::town::hash::noise;
 use crate::town::mesh::Surface;
 
-/// How a part of the town is built.
+/// Building type of a district.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Quarter {
     /// Tenements wall to wall, shops, offices.
     Centre,
     /// Town houses in short rows.
     Rows,
-    /// Houses in gardens.
+    /// Detached houses in gardens.
     Gardens,
 }
 
-/// What a town's builders agree on.
+/// Style shared by all of a town.
 #[derive(Clone, Debug)]
 pub(super) struct Style {
-    /// Of all that is drawn.
+    /// Seed of all random choices.
     pub(super) seed: u64,
-    /// What houses look like.
+    /// Colors and shapes of houses.
     pub(super) palette: &'static Palette,
-    /// sRGB of the streets and the ground.
+    /// sRGB colors of the streets and the ground.
     pub(super) asphalt: [u8; 3],
     pub(super) kerb: [u8; 3],
     pub(super) slabs: [u8; 3],
     pub(super) lawn: [u8; 3],
     /// Color of lines between directions.
     pub(super) middle_line: [u8; 3],
-    /// Poles, lamps, fences.
+    /// Color of poles, lamps and fences.
     pub(super) metal: [u8; 3],
     /// Colors of leaves.
     pub(super) leaves: &'static [[u8; 3]],
     /// Kind of the street lamps: 0 modern, 1 old.
     pub(super) lamp: usize,
-    /// Shift of the quarters towards the centre's kind.
+    /// Offset of the density that selects the quarter; higher values favor the centre's type.
     density: f64,
 }
 
-/// Colors and habits of a kind of town.
+/// Colors and proportions of houses in a kind of town.
 #[derive(Debug)]
 pub(super) struct Palette {
-    /// sRGB and kind of walls.
+    /// sRGB color and material of walls.
     pub(super) walls: &'static [([u8; 3], Surface)],
-    /// Around windows, at eaves.
+    /// Colors of trim around windows and at eaves.
     pub(super) trims: &'static [[u8; 3]],
-    /// Frames of windows.
+    /// Colors of window frames.
     pub(super) frames: &'static [[u8; 3]],
     pub(super) roofs: &'static [[u8; 3]],
     pub(super) doors: &'static [[u8; 3]],
@@ -54,7 +54,7 @@ pub(super) struct Palette {
     pub(super) flat: f64,
     /// Share of houses with shutters.
     pub(super) shutters: f64,
-    /// Slope of roofs, rise by run.
+    /// Range of roof slopes, rise over run.
     pub(super) slope: [f64; 2],
 }
 
@@ -113,7 +113,7 @@ const PALETTES: [Palette; 6] = [
         shutters: 0.3,
         slope: [0.8, 1.1],
     },
-    // White walls below clay tiles.
+    // White walls and clay tiles.
     Palette {
         walls: &[
             ([240, 236, 226], Surface::Plaster),
@@ -149,7 +149,7 @@ const PALETTES: [Palette; 6] = [
         shutters: 0.05,
         slope: [0.7, 1.1],
     },
-    // New: concrete, white, dark panels.
+    // Modern: concrete, white, dark panels.
     Palette {
         walls: &[
             ([186, 184, 178], Surface::Concrete),
@@ -176,7 +176,7 @@ const AUTUMN: &[[u8; 3]] = &[[176, 118, 44], [196, 146, 52], [150, 84, 40], [120
 const DEEP: &[[u8; 3]] = &[[50, 88, 48], [58, 96, 60], [70, 104, 46], [48, 82, 54]];
 
 impl Style {
-    /// What follows from a town's seed.
+    /// Derives the style from a town's seed.
     pub(super) fn new(seed: u64) -> Self {
         let mut draw = Draw::new(seed, &[0x5747]);
         let leaves = draw.pick(&[GREEN, SPRING, DEEP, AUTUMN, GREEN]);
@@ -200,7 +200,7 @@ impl Style {
         }
     }
 
-    /// The kind of quarter at a place.
+    /// Returns the type of quarter at a position.
     pub(super) fn quarter(&self, place: DVec2, middle: DVec2) -> Quarter {
         let off = place.distance(middle) / 260.0;
         let at = place / 90.0;

@@ -20,19 +20,20 @@ fn plan(seed: u64) -> Plan {
     Plan { network: Network::new(seed), traffic }
 }
 
-/// Distance from a segment, and where along it the nearest point of its line is: 0 at its start, 1 at its end.
+/// Returns the distance from a segment, and the position of the nearest point on its line: 0 at its start, 1 at its
+/// end.
 fn off(place: DVec2, a: DVec2, b: DVec2) -> (f64, f64) {
     let share = (place - a).dot(b - a) / (b - a).length_squared();
     (place.distance(a.lerp(b, share.clamp(0.0, 1.0))), share)
 }
 
-/// How far a place is beyond the kerb of the nearest road that it is beside, negative on the road, and how wide the
-/// sidewalk is there.
+/// Returns the distance of a position beyond the kerb of the nearest road beside it, negative on the road, and the
+/// width of the sidewalk there.
 fn beyond_kerb(network: &Network, place: DVec2) -> Option<[f64; 2]> {
     let beside = network.roads.iter().flat_map(|road| {
         let last = road.centerline.len() - 2;
         let offs = road.centerline.windows(2).map(move |p| off(place, p[0], p[1])).enumerate();
-        // Not what is beyond the road's ends.
+        // Excludes positions beyond the road's ends.
         let offs = offs.filter(move |(i, (_, at))| (*at >= 0.0 || *i > 0) && (*at <= 1.0 || *i < last));
         offs.map(|(_, (off, _))| [off - road.half_width_m, road.sidewalk_m])
     });
@@ -51,7 +52,7 @@ fn in_junction(network: &Network, place: DVec2) -> bool {
     network.junctions.iter().any(|junction| in_polygon(place, &junction.outline))
 }
 
-/// Distance from the nearest kerb of a junction.
+/// Returns the distance from the nearest kerb of a junction.
 fn off_junction_kerbs(network: &Network, place: DVec2) -> f64 {
     let kerbs = network.junctions.iter().flat_map(|junction| {
         let outline = &junction.outline;
@@ -67,7 +68,7 @@ fn built_lots(network: &Network, seed: u64) -> Vec<Lot> {
     lots(&frontages(&ways), middle(network), &style, &mut room)
 }
 
-/// Places all over a house's footprint, its corners among them.
+/// Returns sample positions across a house's footprint, including its corners.
 fn samples(lot: &Lot) -> impl Iterator<Item = DVec2> + '_ {
     let at = |i: i32, j: i32| lot.size_m * DVec2::new(f64::from(i), f64::from(j)) / 12.0;
     (0..=12).flat_map(move |i| (0..=12).map(move |j| lot.place.point(at(i, j))))
@@ -83,7 +84,7 @@ fn houses_stand_beside_streets_and_beside_each_other() {
         for (i, lot) in lots.iter().enumerate() {
             for place in samples(lot) {
                 if let Some([off, sidewalk_m]) = beyond_kerb(&network, place) {
-                    // Lines of roads are drawn with fewer points: a few centimetres.
+                    // Thinning of the roads' lines costs a few centimeters.
                     assert!(off > sidewalk_m - 0.05, "{off} from the kerb at {place}, seed {seed}");
                 }
                 assert!(!in_junction(&network, place), "{place}, seed {seed}");
@@ -110,7 +111,7 @@ fn houses_have_fronts_and_few_triangles() {
             let mesh = house::house(lot, &style);
             triangles += mesh.triangles.len();
             let [low, high] = mesh.bounds().unwrap();
-            // Awnings and eaves reach over the sidewalk, walls do not.
+            // Awnings and eaves extend over the sidewalk, walls do not.
             assert!(
                 low.x > -1.2 && high.x < lot.size_m.x + 1.2 && high.y < lot.size_m.y + 1.0,
                 "{low} {high}"
@@ -135,7 +136,7 @@ fn things_on_sidewalks_keep_off_the_road_and_off_crossings() {
         let mut feet = 0;
         for vertex in meshes.iter().flat_map(|mesh| &mesh.vertices) {
             let at = Vec3::from(vertex.position).as_dvec3();
-            // What is as high as cars.
+            // Only the heights that cars occupy.
             if at.z > KERB_M + 0.05 && at.z < 2.2 {
                 feet += 1;
                 let place = at.truncate();
@@ -168,7 +169,7 @@ fn posts_leave_the_sidewalks_outer_half_to_walkers() {
     }
 }
 
-/// The highest horizontal surface over a place.
+/// Returns the height of the highest horizontal surface at a position.
 fn top(meshes: &[Mesh], place: DVec2) -> Option<f64> {
     let mut top: Option<f64> = None;
     for mesh in meshes {
@@ -204,7 +205,7 @@ fn the_ground_is_closed_and_every_part_has_its_height() {
             let place = middle + DVec2::new(draw(0), draw(1));
             let kerb = beyond_kerb(&network, place);
             let junction_off = off_junction_kerbs(&network, place);
-            // Right at an edge either is right.
+            // Close to an edge, either height is correct.
             let clear = |off: f64| off.abs() > 0.1;
             let expected = match kerb {
                 _ if !clear(junction_off) => continue,
@@ -263,7 +264,7 @@ fn all_that_stands_is_sound() {
                 let out: DVec3 =
                     triangle.iter().map(|i| Vec3::from(mesh.vertices[*i as usize].normal).as_dvec3()).sum();
                 let normal = (b - a).cross(c - a);
-                // Positions of f32 a few hundred metres off are a hair off.
+                // f32 positions a few hundred meters from the origin are slightly rounded.
                 if normal.length() > 1e-3 {
                     assert!(normal.dot(out) > 0.0, "{a} {b} {c}: {out}");
                 }
@@ -284,7 +285,7 @@ fn a_seed_is_a_town() {
         }
         count
     };
-    // How much two histograms of colors share, of 1.
+    // Overlap of two color histograms, as a share of 1.
     let (a, other) = (colors(&a), colors(&other));
     let shared: usize = a.iter().map(|(color, n)| *n.min(other.get(color).unwrap_or(&0))).sum();
     let share = shared as f64 / a.values().sum::<usize>() as f64;

@@ -3,35 +3,35 @@ use glam::DVec2;
 use super::line::Line;
 use crate::town::plan::{Junction, JunctionEdge, Network};
 
-/// The streets as strips: a line along each road, and all kerbs with the sidewalks behind them.
+/// Streets as strips: a line along each road, and all kerbs with the sidewalks behind them.
 #[derive(Debug)]
 pub(super) struct Ways<'a> {
-    /// What they are made from.
+    /// Source network.
     pub(super) network: &'a Network,
-    /// Along each road; `None` where a road has no length.
+    /// Line along each road; `None` if a road has no length.
     pub(super) lines: Vec<Option<Line>>,
-    /// Of roads and junctions.
+    /// Kerbs of roads and junctions.
     pub(super) kerbs: Vec<Kerb>,
 }
 
-/// A kerb: the road is on its left, the sidewalk on its right.
+/// Kerb with the road on its left and the sidewalk on its right.
 #[derive(Debug)]
 pub(super) struct Kerb {
-    /// The edge of the road.
+    /// Edge of the road.
     pub(super) points: Vec<DVec2>,
-    /// Away from the road, so long that neighbouring edges stay parallel.
+    /// Offset vectors away from the road, scaled so that offset edges remain parallel.
     pub(super) outs: Vec<DVec2>,
-    /// Of the sidewalk at each point, metres.
+    /// Width of the sidewalk at each point, meters.
     pub(super) widths_m: Vec<f64>,
 }
 
 impl Kerb {
-    /// The point number `i`, so far into the sidewalk; as far as it reaches at most.
+    /// Returns point `i` moved into the sidewalk by `inwards_m`, limited to its width.
     pub(super) fn point(&self, i: usize, inwards_m: f64) -> DVec2 {
         self.points[i] + self.outs[i] * inwards_m.min(self.widths_m[i])
     }
 
-    /// The back edge of the sidewalk, less so many metres.
+    /// Returns point `i` of the sidewalk's back edge, moved towards the road by `less_m`.
     pub(super) fn back(&self, i: usize, less_m: f64) -> DVec2 {
         self.points[i] + self.outs[i] * (self.widths_m[i] - less_m).max(0.0)
     }
@@ -61,7 +61,8 @@ impl<'a> Ways<'a> {
         Self { network, lines, kerbs }
     }
 
-    /// What streets cover, in convex pieces that are counter-clockwise; sidewalks less so many metres at their backs.
+    /// Returns the area of all streets as convex counter-clockwise polygons; sidewalks are narrowed by `less_m` at
+    /// the back.
     pub(super) fn areas(&self, less_m: f64) -> Vec<Vec<DVec2>> {
         let mut areas = Vec::new();
         for (road, line) in self.network.roads.iter().zip(&self.lines) {
@@ -94,13 +95,13 @@ impl<'a> Ways<'a> {
     }
 }
 
-/// Twice the area of a polygon, m²; positive if counter-clockwise.
+/// Returns twice the area of a polygon, m²; positive if counter-clockwise.
 pub(super) fn area_twice(polygon: &[DVec2]) -> f64 {
     let next = |i: usize| polygon[(i + 1) % polygon.len()];
     (0..polygon.len()).map(|i| polygon[i].perp_dot(next(i))).sum()
 }
 
-/// The kerbs between the roads' mouths of a junction.
+/// Returns the kerbs between the road mouths of a junction.
 fn junction_kerbs(network: &Network, junction: &Junction) -> Vec<Kerb> {
     let count = junction.outline.len().min(junction.edges.len());
     let edge = |i: usize| junction.edges[i % count];
@@ -127,7 +128,7 @@ fn junction_kerbs(network: &Network, junction: &Junction) -> Vec<Kerb> {
     kerbs
 }
 
-/// A kerb whose first and last edges across the sidewalk may be given; its width changes evenly.
+/// Returns a kerb, optionally with given edges across the sidewalk at its ends; the width is interpolated linearly.
 fn kerb(points: Vec<DVec2>, ends: [Option<DVec2>; 2], widths_m: [f64; 2]) -> Kerb {
     let out = |i: usize| -(points[i + 1] - points[i]).normalize_or_zero().perp();
     let last = points.len() - 1;

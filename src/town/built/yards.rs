@@ -10,13 +10,13 @@ use super::ways::Ways;
 use crate::town::hash::noise;
 use crate::town::mesh::{Mesh, Skin, Surface};
 
-/// About one tree in a square so wide, metres.
+/// Width of a square that may hold one tree, meters.
 const SPACING_M: f64 = 13.0;
-/// How far trees stand around the streets, and how far off hills are, metres.
+/// Extent of trees around the streets, and distance of the hills, meters.
 const OUTSIDE_M: f64 = 95.0;
 const HILLS_M: f64 = 225.0;
 
-/// Trees behind the houses and around the town, and hills far off.
+/// Adds trees behind the houses and around the town, and distant hills.
 pub(super) fn yards(ways: &Ways, middle: DVec2, style: &Style, room: &Room, cells: &mut Cells) {
     let corners = || ways.kerbs.iter().flat_map(|kerb| &kerb.points).copied();
     let (Some(low), Some(high)) = (corners().reduce(DVec2::min), corners().reduce(DVec2::max)) else {
@@ -34,7 +34,7 @@ pub(super) fn yards(ways: &Ways, middle: DVec2, style: &Style, room: &Room, cell
     hills((low + high) / 2.0, (high - low).min_element() / 2.0 + HILLS_M, style, cells);
 }
 
-/// A tree or bushes at a place, if nothing is there.
+/// Adds a tree or a bush at a position if it is free.
 fn plant(place: DVec2, middle: DVec2, style: &Style, room: &Room, cells: &mut Cells, draw: &mut Draw) {
     let share = match style.quarter(place, middle) {
         Quarter::Centre => 0.4,
@@ -70,7 +70,7 @@ fn plant(place: DVec2, middle: DVec2, style: &Style, room: &Room, cells: &mut Ce
     cells.stand(&tree(species, height, wide * height, crown, false), at);
 }
 
-/// A ring of wooded hills: what is seen at the ends of streets.
+/// Adds a ring of wooded hills as a background at the ends of streets.
 fn hills(centre: DVec2, radius: f64, style: &Style, cells: &mut Cells) {
     let count = (std::f64::consts::TAU * (radius + 45.0) / 40.0).ceil() as i64;
     let corner = |i: i64, ring: usize| {

@@ -1,4 +1,4 @@
-//! The HD map of a town: what its streets say, in the global frame.
+//! HD map of a town, in the global frame.
 
 use std::collections::BTreeMap;
 
@@ -9,10 +9,10 @@ use crate::dataset::{Area, Lane, VectorMap};
 use crate::geometry::Pose;
 use crate::town::plan::{LaneKind, Network, Road, TownLane};
 
-/// How deep the area before a stop line is, metres.
+/// Depth of the area before a stop line, meters.
 const STOP_DEPTH_M: f64 = 0.5;
 
-/// The map, and what nuScenes' format has beyond it.
+/// Returns the map, and the additional layers of the nuScenes format.
 pub(super) fn vector_map(
     network: &Network,
     location: &str,
@@ -71,15 +71,15 @@ fn lane(network: &Network, lane: &TownLane) -> Lane {
     }
 }
 
-/// Between the lanes of one direction.
+/// Returns the lines between lanes of the same direction.
 fn lane_lines(road: &Road) -> impl Iterator<Item = Vec<DVec2>> + '_ {
     let offsets =
         (1..road.lanes_each_way).flat_map(|i| [1.0, -1.0].map(|side| side * i as f64 * road.lane_width_m));
     offsets.map(|offset_m| parallel(&road.centerline, offset_m))
 }
 
-/// A strip on the left and one on the right of a road, from one distance to another from its middle; none where it has no
-/// width.
+/// Returns a strip on the left and one on the right of a road, between two distances from its middle; skips strips
+/// without width.
 fn beside(road: &Road, ends_m: impl Fn(&Road, usize) -> [f64; 2]) -> Vec<Area> {
     let strip = |(side, sign): (usize, f64)| {
         let [from_m, to_m] = ends_m(road, side).map(|m| sign * m);
@@ -89,7 +89,7 @@ fn beside(road: &Road, ends_m: impl Fn(&Road, usize) -> [f64; 2]) -> Vec<Area> {
     [(0, 1.0), (1, -1.0)].into_iter().filter_map(strip).collect()
 }
 
-/// The area before a stop line, as its lane runs.
+/// Returns the area before a stop line, seen in the lane's direction.
 fn stop_area([a, b]: [DVec2; 2], lane: Option<&TownLane>) -> Area {
     let mut back = (b - a).perp().normalize_or_zero() * STOP_DEPTH_M;
     let ahead = lane.and_then(|lane| lane.centerline.last_chunk::<2>()).map(|[from, to]| *to - *from);
@@ -99,14 +99,14 @@ fn stop_area([a, b]: [DVec2; 2], lane: Option<&TownLane>) -> Area {
     plain(vec![a, b, b + back, a + back])
 }
 
-/// The area along a line from `right_m` to `left_m` of it (metres, positive to the left), counter-clockwise.
+/// Returns the area along a line from `right_m` to `left_m` (meters, positive to the left), counter-clockwise.
 fn strip(line: &[DVec2], right_m: f64, left_m: f64) -> Area {
     let mut ring = parallel(line, right_m);
     ring.extend(parallel(line, left_m).into_iter().rev());
     plain(ring)
 }
 
-/// A line beside a line, metres to the left.
+/// Returns the parallel of a line at a distance to the left, meters.
 fn parallel(line: &[DVec2], left_m: f64) -> Vec<DVec2> {
     let last = line.len().saturating_sub(1);
     let left = |i: usize| {
@@ -120,7 +120,7 @@ fn plain(exterior: Vec<DVec2>) -> Area {
     Area { exterior, holes: Vec::new() }
 }
 
-/// From the town's frame to the global one.
+/// Transforms all coordinates from the town's frame to the global frame.
 fn move_all(map: &mut VectorMap, layers: &mut MapLayers, global_from_town: &Pose) {
     let shift = |p: &mut DVec2| *p = global_from_town.transform_point(p.extend(0.0)).truncate();
     for lane in map.lanes.iter_mut().chain(&mut map.lane_connectors) {
@@ -142,7 +142,7 @@ mod tests {
         (0..ring.len()).map(|i| ring[i].perp_dot(ring[(i + 1) % ring.len()])).sum::<f64>() / 2.0
     }
 
-    /// A road of 100 m with two lanes of 3.5 m each way, parking on its left.
+    /// Returns a road of 100 m with two lanes of 3.5 m each way and parking on its left.
     fn network() -> Network {
         let centerline: Vec<DVec2> = (0..=100).map(|x| DVec2::new(f64::from(x), 0.0)).collect();
         let lane = TownLane {
@@ -177,7 +177,7 @@ mod tests {
         assert_eq!((areas(&layers.walkways), areas(&layers.carparks)), (vec![300.0; 2], vec![200.0]));
         assert_eq!(map.lanes[0].successors, ["b"]); // 9 is no lane
         assert_eq!((map.lane_connectors.len(), map.dividers.len(), layers.road_dividers), (1, 3, 1));
-        // Turned by a quarter: x of the town runs along the global y.
+        // Rotated by 90°: x of the town runs along the global y.
         assert!(map.lanes[0].centerline[10].distance(DVec2::new(1001.75, 60.0)) < 1e-9);
         let offsets: Vec<f64> = map.dividers.iter().map(|line| 1000.0 - line[5].x).collect();
         assert!(offsets.iter().zip([0.0, 3.5, -3.5]).all(|(a, b)| (a - b).abs() < 1e-9), "{offsets:?}");

@@ -1,10 +1,10 @@
-//! The town as a recorded drive: a [`Dataset`] whose sweeps and images are made when they are read.
+//! The town as a recorded log: a [`Dataset`] whose sweeps and images are generated when they are read.
 //!
 //! # How it works
-//! `record` turns the plan into a log: who is where at the times of frames, sweeps and images. Sweeps are made by the
-//! LiDAR's beams, images by the triangle pipeline (`truth`), from the same meshes. Nothing of it is made before it is
-//! asked for. The town's frame lies in the global frame by one pose that leaves all of the map at positive coordinates,
-//! on z = 0, as nuScenes has it.
+//! `record` converts the plan to a log: poses of all actors at the times of frames, sweeps and images. The LiDAR
+//! simulation generates sweeps, the triangle renderer images (`truth`), both from the same meshes and only on
+//! request. One pose transforms the town's frame to the global frame so that the whole map has positive coordinates,
+//! on z = 0, as in nuScenes.
 
 mod map;
 mod record;
@@ -32,48 +32,48 @@ use crate::gpu::GpuError;
 
 pub use truth::TrueActor;
 
-/// A drive in a town.
+/// Recording of a drive through a town.
 pub struct Town {
     log: Log,
     options: TownOptions,
     plan: Plan,
     global_from_town: Pose,
-    /// Index in the plan's actors of each of the log's tracks.
+    /// For each of the log's tracks, its index in the plan's actors.
     actors: Vec<usize>,
     meshes: OnceLock<Meshes>,
     scanner: OnceLock<Scanner>,
     film: Mutex<Option<Film>>,
 }
 
-/// All triangles.
+/// All meshes.
 struct Meshes {
-    /// Town frame.
+    /// Static town, town frame.
     standing: Vec<Mesh>,
-    /// By body and pose of its limbs, in the body's frame.
+    /// Bodies by kind, seed and pose of the limbs, in the body's frame.
     bodies: BTreeMap<(Body, usize), Mesh>,
 }
 
-/// Why there is no town, or nothing of it to see.
+/// Error of creating or rendering a town.
 #[derive(Debug, thiserror::Error)]
 pub enum TownError {
-    /// Options out of range.
+    /// The options are out of range.
     #[error(transparent)]
     Options(#[from] TownOptionsError),
-    /// An image size that no camera has.
+    /// No camera can have the image size.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// Filming.
+    /// Rendering failed.
     #[error(transparent)]
     Film(#[from] FilmError),
-    /// The device or driver.
+    /// The device or driver failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// Somebody who is not in the town.
+    /// A track is not in the town.
     #[error("expected tracks of town {town}, found {track}")]
     Track {
-        /// The town's log.
+        /// Name of the town's log.
         town: String,
-        /// The track.
+        /// The unknown track.
         track: String,
     },
 }
@@ -90,19 +90,19 @@ impl From<TownOptionsError> for DatasetError {
     }
 }
 
-/// Name of the place, for maps.
+/// Name of the location, for maps.
 const LOCATION: &str = "town";
-/// Between the map and the edges of the canvas that it is drawn on, metres.
+/// Margin between the map and the edges of its canvas, meters.
 const EDGE_M: f64 = 40.0;
 
 impl Town {
-    /// Plans a town and the drive; no mesh, sweep or image is made yet.
+    /// Plans a town and its recording; meshes, sweeps and images are not generated yet.
     ///
     /// # Errors
-    /// Options out of range.
+    /// Returns an error if the options are out of range.
     pub fn new(options: &TownOptions) -> Result<Self, TownError> {
         options.check()?;
-        // Some frames more than are recorded, for the time before the first.
+        // Adds frames for the time before the first one.
         let lead = (record::LEAD_S * options.hz).ceil() as usize;
         let plan = Plan::new(&TownOptions { frames: options.frames + lead, ..*options });
         let rig = rig::cameras(options.size)?;
@@ -123,12 +123,13 @@ impl Town {
         Ok(Self { log, options: *options, plan, global_from_town, actors, meshes, scanner, film })
     }
 
-    /// What there is and who moves how, in the town's frame.
+    /// Returns the streets and the motion of all actors, in the town's frame.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
 
-    /// The log's name, and how it is recorded where that is not as by default: skeletons of two recordings differ.
+    /// Returns the log's name and the recording options that differ from the defaults: skeletons of two recordings
+    /// differ.
     pub fn recording(&self) -> String {
         let TownOptions { lidar_hz, beams, size: [height, width], .. } = self.options;
         let usual = TownOptions::default();
@@ -145,12 +146,13 @@ impl Town {
         name
     }
 
-    /// Where the town lies.
+    /// Returns the pose of the town in the global frame.
     pub fn global_from_town(&self) -> Pose {
         self.global_from_town
     }
 
-    /// Sidewalks, car parks and what else nuScenes' maps hold beyond the [`VectorMap`], in the global frame.
+    /// Returns sidewalks, car parks and the other layers of nuScenes' maps beyond the [`VectorMap`], in the global
+    /// frame.
     pub fn map_layers(&self) -> MapLayers {
         map::vector_map(&self.plan.network, LOCATION, &self.global_from_town).1
     }
@@ -212,7 +214,8 @@ impl Dataset for Town {
     }
 }
 
-/// Turned by an angle of the seed, and so that all streets lie at positive coordinates, away from the edges.
+/// Returns `global_from_town`: rotated by an angle of the seed, with all streets at positive coordinates away from
+/// the edges.
 fn place(plan: &Plan, seed: u64) -> Pose {
     let yaw = hash::between(seed, &[0x706c], 0.0, std::f64::consts::TAU);
     let turned = Pose::from_yaw(yaw, DVec3::ZERO);
@@ -225,8 +228,8 @@ fn place(plan: &Plan, seed: u64) -> Pose {
     Pose { translation: (DVec2::splat(EDGE_M) - min).extend(0.0), ..turned }
 }
 
-/// Tells drives apart: what a skeleton of one holds is not in another, where the seed is the same too. How it is recorded
-/// (images, LiDAR) makes no other drive.
+/// Returns the log's name, which identifies the drive: skeletons of different drives differ even with the same seed.
+/// Recording options (images, LiDAR) do not change the drive.
 fn name(options: &TownOptions) -> String {
     let TownOptions { seed, frames, hz, .. } = options;
     let rate = if *hz == TownOptions::default().hz { String::new() } else { format!("-{hz}hz") };
@@ -242,13 +245,13 @@ fn describe(options: &TownOptions) -> String {
     )
 }
 
-/// Which pose of its limbs somebody shows.
+/// Returns the pose of a body's limbs.
 fn limbs(body: Body, motion: &Motion, t_s: f64) -> usize {
     if motion.poses.len() > 1 { body.pose_at(motion.travelled_m(t_s)) } else { 0 }
 }
 
 impl TownOptions {
-    /// The light as asked for, or as the seed chooses it.
+    /// Returns the requested daylight, or the one that the seed selects.
     pub fn light(&self) -> Daylight {
         let chosen =
             || Daylight::ALL[(hash::hash(self.seed, &[0x6c69]) % Daylight::ALL.len() as u64) as usize];

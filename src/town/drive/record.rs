@@ -1,4 +1,4 @@
-//! What is recorded when: frames, sweeps, images, boxes.
+//! Recording schedule: frames, sweeps, images, boxes.
 
 use std::path::PathBuf;
 
@@ -13,19 +13,19 @@ use crate::town::plan::{Actor, Traffic};
 
 /// Time of frame 0, microseconds.
 pub(super) const START_US: i64 = 1_600_000_000_000_000;
-/// How long traffic has moved at frame 0, seconds: the longest turn of the LiDAR, so that all that belongs to the frame
-/// was recorded on the way.
+/// Time of traffic before frame 0, seconds: the longest LiDAR rotation, so that everything in the frame is recorded
+/// in motion.
 pub(super) const LEAD_S: f64 = 0.1;
-/// Who is nearer than this to the ego has a box, metres: whoever the LiDAR can meet, with half the length of a bus and
-/// what it drives in a frame.
+/// Maximum distance of actors with a box from the ego, meters: the LiDAR's range, plus half the length of a bus and
+/// its travel in a frame.
 const BOX_RANGE_M: f64 = RANGE_M[1] + 15.0;
 
-/// Seconds since traffic began to move.
+/// Returns the seconds since traffic began to move.
 pub(super) fn seconds(t_us: i64) -> f64 {
     (t_us - START_US) as f64 * 1e-6 + LEAD_S
 }
 
-/// A drive in the global frame.
+/// Recorder of a drive, in the global frame.
 pub(super) struct Recorder<'a> {
     pub(super) options: &'a TownOptions,
     pub(super) traffic: &'a Traffic,
@@ -33,17 +33,17 @@ pub(super) struct Recorder<'a> {
     pub(super) rig: &'a [RigCamera],
 }
 
-/// What was recorded.
+/// Result of a recording.
 pub(super) struct Recorded {
     pub(super) frames: Vec<Frame>,
-    /// Those with a box, sorted by id.
+    /// Tracks that have a box in any frame, sorted by id.
     pub(super) tracks: Vec<Track>,
-    /// Index in the plan's actors of each track.
+    /// For each track, its index in the plan's actors.
     pub(super) actors: Vec<usize>,
 }
 
 impl Recorder<'_> {
-    /// All frames and whom they show.
+    /// Records all frames and the tracks in them.
     pub(super) fn record(&self) -> Recorded {
         let mut frames: Vec<Frame> = (0..self.options.frames).map(|i| self.frame(i)).collect();
         let mut near: Vec<usize> = frames.iter().flat_map(|f| &f.boxes).map(|b| b.track).collect();
@@ -71,7 +71,7 @@ impl Recorder<'_> {
         START_US + (frame as f64 * 1e6 / self.options.hz).round() as i64
     }
 
-    /// Boxes have the index of their actor in place of the track's.
+    /// Returns a frame; its boxes have the index of their actor in place of the track's.
     fn frame(&self, index: usize) -> Frame {
         let t_us = self.time_us(index);
         let image = |rig: &RigCamera| {
@@ -95,12 +95,12 @@ impl Recorder<'_> {
         }
     }
 
-    /// The frame's own, then those back to the frame before, latest first.
+    /// Returns the frame's own sweep, then those back to the previous frame, latest first.
     fn sweeps(&self, index: usize, t_us: i64) -> Vec<SweepRecord> {
         let turn_us = 1e6 / self.options.lidar_hz;
         let before_us = index.checked_sub(1).map_or(t_us - 1, |before| self.time_us(before));
         let times = (0..).map(|i: i32| t_us - (f64::from(i) * turn_us).round() as i64);
-        // A turn that would begin before the last one's end was not made.
+        // Skips a rotation that would begin before the previous frame's ended.
         let ended = |t_us: &i64| *t_us == self.time_us(index) || *t_us - before_us >= turn_us.floor() as i64;
         let record = |at_us: i64| SweepRecord {
             path: file("LIDAR_TOP", at_us, "pcd.bin"),
@@ -123,12 +123,12 @@ impl Recorder<'_> {
     }
 }
 
-/// There is no such file, but what is made has a name that tells it from others.
+/// Returns the path of a generated record. No such file exists; the path only identifies the record.
 fn file(channel: &str, t_us: i64, ending: &str) -> PathBuf {
     format!("{channel}/{channel}__{t_us}.{ending}").into()
 }
 
-/// The box of somebody who stands on the ground.
+/// Returns the box of an actor on the ground.
 pub(super) fn cuboid(global_from_actor: Pose, size_m: DVec3) -> Cuboid {
     let centre = Pose { translation: DVec3::Z * (size_m.z / 2.0), ..Pose::IDENTITY };
     Cuboid { pose: global_from_actor * centre, size: size_m }

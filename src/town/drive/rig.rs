@@ -1,4 +1,4 @@
-//! The sensors on the ego, as nuScenes mounts them.
+//! Sensors on the ego, mounted as in nuScenes.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -7,20 +7,20 @@ use glam::{DMat3, DQuat, DVec3};
 use crate::dataset::RigCamera;
 use crate::geometry::{Camera, CameraError, Pose};
 
-/// A camera of the ring.
+/// Camera of the ring.
 pub(super) struct Mount {
     pub(super) channel: &'static str,
-    /// Degrees to the left.
+    /// Yaw to the left, degrees.
     yaw_deg: f64,
-    /// Metres, ego frame.
+    /// Position, meters, ego frame.
     at: [f64; 3],
-    /// Focal length in widths of the image.
+    /// Focal length in image widths.
     focal: f64,
-    /// How long before the LiDAR's time stamp it fires, microseconds: when a LiDAR of 20 turns a second looks its way.
+    /// Time by which it fires before the LiDAR's time stamp, microseconds: when a LiDAR at 20 Hz scans its direction.
     pub(super) before_us: i64,
 }
 
-/// In the ring order of nuScenes logs.
+/// Cameras in the ring order of nuScenes logs.
 pub(super) const CAMERAS: [Mount; 6] = [
     mount("CAM_FRONT", 0.0, [1.70, 0.0, 1.51], NARROW, 25_000),
     mount("CAM_FRONT_RIGHT", -55.0, [1.55, -0.49, 1.50], NARROW, 17_000),
@@ -38,15 +38,15 @@ const fn mount(channel: &'static str, yaw_deg: f64, at: [f64; 3], focal: f64, be
     Mount { channel, yaw_deg, at, focal, before_us }
 }
 
-/// The LiDAR on the roof: x to the right, y forward.
+/// Returns the pose of the LiDAR on the roof: x to the right, y forward.
 pub(super) fn ego_from_lidar() -> Pose {
     Pose::from_yaw(-FRAC_PI_2, DVec3::new(0.94, 0.0, 1.84))
 }
 
-/// All cameras, with images of a height and a width.
+/// Creates all cameras, with images of a height and a width.
 ///
 /// # Errors
-/// A size that no camera has.
+/// Returns an error if no camera can have the size.
 pub(super) fn cameras([height, width]: [u32; 2]) -> Result<Vec<RigCamera>, CameraError> {
     let (w, h) = (f64::from(width), f64::from(height));
     let camera = |(channel, mount): (usize, &Mount)| {
@@ -60,7 +60,7 @@ pub(super) fn cameras([height, width]: [u32; 2]) -> Result<Vec<RigCamera>, Camer
 
 impl Mount {
     fn ego_from_camera(&self) -> Pose {
-        // Of a camera's x right, y down, z forward.
+        // Axes of a camera that looks forward: x right, y down, z forward.
         let level = DQuat::from_mat3(&DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X));
         let rotation = DQuat::from_rotation_z(self.yaw_deg.to_radians()) * level;
         Pose { rotation, translation: DVec3::from(self.at) }
@@ -83,7 +83,7 @@ mod tests {
         assert!(cameras([0, 10]).is_err());
     }
 
-    /// The field of view stays whatever the size of the images.
+    /// The field of view does not depend on the image size.
     #[test]
     fn images_are_scaled() {
         let (large, small) = (cameras([900, 1600]).unwrap(), cameras([225, 400]).unwrap());

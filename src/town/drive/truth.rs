@@ -1,4 +1,4 @@
-//! What cameras see, pixel by pixel: images, and the true maps.
+//! Camera images and ground-truth maps.
 
 use std::collections::BTreeMap;
 
@@ -13,49 +13,49 @@ use crate::town::mesh::Mesh;
 use crate::town::model::Body;
 use crate::town::view::{Filmer, Light, MeshDraw, TrueView};
 
-/// Somebody where a state has him.
+/// Actor at a pose that may differ from the log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrueActor<'a> {
     /// Track id.
     pub track: &'a str,
-    /// Global.
+    /// Box in the global frame.
     pub cuboid: Cuboid,
 }
 
-/// The device with all meshes.
+/// Renderer with all meshes on the device.
 pub(super) struct Film {
     filmer: Filmer,
     light: Light,
-    /// The first so many meshes stand in the town's frame.
+    /// Number of static meshes; they come first and are in the town's frame.
     standing: usize,
     bodies: BTreeMap<(Body, usize), usize>,
 }
 
-/// Somebody in the town's frame.
+/// Actor in the town's frame.
 struct Figure {
     actor: usize,
     town_from_actor: Pose,
-    /// Number in the instance map; 0 for those without a box.
+    /// Number in the instance map; 0 for actors without a box.
     number: u32,
 }
 
 impl Town {
-    /// What views see at a time: images and true maps. World of the views is the global frame. Instance numbers are
-    /// those of the log's boxes at that time: index + 1, as in [`Log::boxes_at`](crate::dataset::Log::boxes_at). Who has
-    /// no box there (farther than the LiDAR reaches) is seen, with class and instance 0.
+    /// Renders views at a time: images and ground-truth maps. The views' world is the global frame. Instance numbers
+    /// are index + 1 of the log's boxes at that time, as in [`Log::boxes_at`](crate::dataset::Log::boxes_at). Actors
+    /// without a box (beyond the LiDAR's range) are visible, with class and instance 0.
     ///
     /// # Errors
-    /// The device's.
+    /// Returns an error if the device fails.
     pub fn truth(&self, t_us: i64, views: &[View]) -> Result<Vec<TrueView>, TownError> {
         let tracks: Vec<usize> = self.log.boxes_at(t_us).iter().map(|item| item.track).collect();
         self.film(t_us, &self.figures(t_us, &tracks), views)
     }
 
-    /// What the images of a frame see, each at its own time from its own place, in their order. Instance numbers are
-    /// those of the frame's boxes.
+    /// Renders the cameras of a frame, each at its own time and pose, in their order. Instance numbers are those of
+    /// the frame's boxes. Empty if there is no such frame.
     ///
     /// # Errors
-    /// The device's.
+    /// Returns an error if the device fails.
     pub fn truth_of_frame(&self, index: usize) -> Result<Vec<TrueView>, TownError> {
         let Some(frame) = self.log.frames.get(index) else { return Ok(Vec::new()) };
         let tracks: Vec<usize> = frame.boxes.iter().map(|item| item.track).collect();
@@ -66,11 +66,11 @@ impl Town {
         Ok(seen)
     }
 
-    /// What views see of a state in which somebody is elsewhere than in the log: these actors and nobody else, number
-    /// index + 1. The time tells how they hold their limbs.
+    /// Renders views of a state that differs from the log: only the given actors are visible. Their instance is their
+    /// index + 1. The time selects the pose of their limbs.
     ///
     /// # Errors
-    /// A track that the town does not have; the device's.
+    /// Returns an error if the town does not have a track or if the device fails.
     pub fn truth_of(
         &self,
         t_us: i64,
@@ -90,14 +90,14 @@ impl Town {
         self.film(t_us, &figures, views)
     }
 
-    /// The image alone.
+    /// Renders only the image of a record.
     pub(super) fn image(&self, record: &ImageRecord) -> Result<RgbImage, TownError> {
         let seen = self.film(record.t_us, &self.figures(record.t_us, &[]), &[view_of(record)])?;
         let empty = || RgbImage::new(record.camera.width, record.camera.height);
         Ok(seen.into_iter().next().map_or_else(empty, |seen| seen.image))
     }
 
-    /// Everybody at a time; numbers by the order of some tracks.
+    /// Returns all actors at a time, numbered in the order of `tracks`.
     fn figures(&self, t_us: i64, tracks: &[usize]) -> Vec<Figure> {
         let numbers: BTreeMap<usize, u32> =
             (1..).zip(tracks).map(|(n, track)| (self.actors[*track], n)).collect();
@@ -134,7 +134,7 @@ impl Town {
         Ok(film.filmer.film(&draws, &views, &film.light)?)
     }
 
-    /// The view with the town's frame as its world.
+    /// Returns the view with the town's frame as its world.
     fn in_town(&self, view: &View) -> View {
         let camera_from_world = view.camera_from_world * self.global_from_town.affine();
         View { camera: view.camera.clone(), camera_from_world }

@@ -1,4 +1,4 @@
-//! What comes back of a beam.
+//! Return of a LiDAR beam.
 
 use std::f64::consts::TAU;
 
@@ -6,22 +6,22 @@ use super::solid::Hit;
 use crate::town::hash::unit;
 use crate::town::mesh::Surface;
 
-/// Standard deviation of a range, metres.
+/// Standard deviation of a range, meters.
 pub(super) const NOISE_M: f64 = 0.015;
-/// Share of beams that come back from nothing at all, whatever they meet.
+/// Share of beams that are lost on any surface.
 pub(super) const LOST: f64 = 0.015;
 
-/// How beams come back.
+/// Noise model of beams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Noise {
-    /// Every beam, from exactly where it met something.
+    /// Every beam returns its exact range.
     None,
-    /// As real ones do; numbers follow from the seed.
+    /// Range noise and losses as in real sensors, derived from the seed.
     Seeded(u64),
 }
 
-/// What a beam tells: range in metres and intensity, 0 to 255. `None` if nothing comes back. `facing` is the cosine of
-/// the angle between beam and normal, `beam` tells this beam from all others of a sweep.
+/// Returns the range in meters and the intensity, 0 to 255, of a beam; `None` if it is lost. `facing` is the cosine
+/// of the angle between beam and normal, `beam` is the beam's index, unique within a sweep.
 pub(super) fn echo(hit: &Hit, facing: f64, noise: Noise, beam: i64) -> Option<(f64, f32)> {
     let facing = facing.abs();
     let intensity = (255.0 * reflectance(hit) * facing.sqrt()).clamp(0.0, 255.0).round() as f32;
@@ -30,7 +30,7 @@ pub(super) fn echo(hit: &Hit, facing: f64, noise: Noise, beam: i64) -> Option<(f
     (!lost).then(|| (hit.t + NOISE_M * normal(seed, beam), intensity))
 }
 
-/// Share of light that is thrown back, 0 to 1.
+/// Returns the share of light that is reflected, 0 to 1.
 fn reflectance(hit: &Hit) -> f64 {
     const MIRRORS_BACK: [Surface; 2] = [Surface::Paint, Surface::Sign];
     let is = |surface: &Surface| hit.surface == *surface as u8;
@@ -43,14 +43,14 @@ fn reflectance(hit: &Hit) -> f64 {
     0.05 + 0.55 * brightness(hit)
 }
 
-/// sRGB to linear light, roughly; 0 to 1.
+/// Returns the approximate linear brightness of the sRGB color, 0 to 1.
 fn brightness(hit: &Hit) -> f64 {
     let [r, g, b] = hit.rgb.map(|level| (f64::from(level) / 255.0).powi(2));
     0.3 * r + 0.6 * g + 0.1 * b
 }
 
-/// Share of beams that this surface does not send back: glass lets them through or mirrors them away, dark paint
-/// mirrors what grazes it.
+/// Returns the share of beams lost on this surface: glass transmits or mirrors them, dark paint mirrors them at
+/// grazing angles.
 fn vanishing(hit: &Hit, facing: f64) -> f64 {
     let is = |surface: Surface| hit.surface == surface as u8;
     if is(Surface::Window) || is(Surface::CarGlass) {
@@ -62,7 +62,7 @@ fn vanishing(hit: &Hit, facing: f64) -> f64 {
     0.0
 }
 
-/// Normal with variance 1 (Box and Muller).
+/// Returns a normally distributed value with variance 1 (Box and Muller).
 fn normal(seed: u64, beam: i64) -> f64 {
     let radius = (-2.0 * (1.0 - unit(seed, &[beam, 2])).ln()).sqrt();
     radius * (TAU * unit(seed, &[beam, 3])).cos()
@@ -85,7 +85,7 @@ mod tests {
         assert_eq!((range_m, intensity), (20.0, expected.round() as f32));
     }
 
-    /// 20000 beams: bounds are five standard deviations of what is counted.
+    /// Uses 20000 beams; bounds are five standard deviations of the measured quantities.
     #[test]
     fn noise_has_its_spread_and_its_losses() {
         const BEAMS: i64 = 20_000;

@@ -1,11 +1,11 @@
-//! The LiDAR: a turn of beams among triangles, while ego and actors move.
+//! LiDAR simulation: casts the beams of a rotation against triangles, while ego and actors move.
 //!
 //! # How it works
-//! A column of beams is fired at once, columns one after the other, clockwise from behind, the last one at the sweep's
-//! time stamp. Each column stands where the LiDAR is at its own time and meets actors where they are then. Points are
-//! told in the LiDAR's frame at the stamp: the ego's own motion is taken out, as data sets do it, the motion of the
-//! actors is not. The standing town is one tree of triangles (`solid`); bodies have trees of their own, and a column
-//! asks only those that it may reach. What comes back of a beam says `echo`.
+//! All beams of a column fire at once. Columns follow one another clockwise from behind, the last one at the sweep's
+//! time stamp. Each column uses the poses of LiDAR and actors at its own time. Points are in the LiDAR's frame at the
+//! stamp: the ego's motion is compensated, as in data sets, the actors' motion is not. The static town is one tree of
+//! triangles (`solid`); bodies have their own trees, and a column tests only those in its reach. `echo` computes the
+//! return of a beam.
 
 mod echo;
 mod solid;
@@ -24,35 +24,35 @@ use super::plan::Motion;
 use crate::dataset::SweepPoint;
 use crate::geometry::Pose;
 
-/// Nearest and farthest return, metres.
+/// Minimum and maximum range of a return, meters.
 pub(super) const RANGE_M: [f64; 2] = [0.9, 100.0];
 
-/// A spinning LiDAR.
+/// Spinning LiDAR.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lidar {
     pub(super) beams: u16,
-    /// A turn, seconds.
+    /// Duration of a rotation, seconds.
     pub(super) turn_s: f64,
     pub(super) columns: usize,
-    /// Of the lowest and the highest beam, radians; the others lie evenly between.
+    /// Elevations of the lowest and the highest beam, radians; the others are evenly spaced between.
     elevation_rad: [f64; 2],
 }
 
-/// A body at its places, in one pose of its limbs (they do not move within a turn).
+/// Moving body in one pose of its limbs, which is fixed during a rotation.
 pub(super) struct Mover<'a> {
     pub(super) body: Body,
     pub(super) limbs: usize,
-    /// `town_from_body` by time.
+    /// `town_from_body` over time.
     pub(super) motion: &'a Motion,
 }
 
-/// All that beams can meet.
+/// Ray-casting structures of the static town and of all bodies.
 pub(super) struct Scanner {
     standing: Solid,
     bodies: BTreeMap<(Body, usize), Solid>,
 }
 
-/// One turn.
+/// One rotation.
 pub(super) struct Turn<'a, F> {
     pub(super) lidar: Lidar,
     /// Time of the last column, seconds.
@@ -60,26 +60,27 @@ pub(super) struct Turn<'a, F> {
     /// `town_from_lidar` at a time in seconds; the LiDAR looks forward along x.
     pub(super) town_from_lidar: F,
     pub(super) movers: &'a [Mover<'a>],
-    /// `None` for exact ranges of every beam.
+    /// Seed of the noise; `None` for exact ranges of every beam.
     pub(super) seed: Option<u64>,
 }
 
 impl Lidar {
-    /// Of 32 (as Velodyne's HDL-32E) or 64 beams (as its HDL-64E), at so many turns a second.
+    /// Creates a LiDAR with 32 (as Velodyne's HDL-32E) or 64 beams (as its HDL-64E) and a rotation rate in Hz.
     pub(super) fn new(beams: u16, turns_hz: f64) -> Self {
         let elevation_deg: [f64; 2] = if beams == 32 { [-30.67, 10.67] } else { [-24.9, 2.0] };
-        // A fifth or a third of a degree.
+        // A column every third or fifth of a degree.
         let columns = if turns_hz > 15.0 { 1080 } else { 1800 };
         Self { beams, turn_s: 1.0 / turns_hz, columns, elevation_rad: elevation_deg.map(f64::to_radians) }
     }
 
-    /// Azimuth to the left of forward (radians) of a column, and its time before the end of the turn (seconds).
+    /// Returns the azimuth of a column to the left of forward (radians), and its time before the end of the rotation
+    /// (seconds).
     fn column(&self, index: usize) -> (f64, f64) {
         let share = (index + 1) as f64 / self.columns as f64;
         (PI - TAU * share, self.turn_s * (1.0 - share))
     }
 
-    /// Unit direction of a beam in the LiDAR's frame.
+    /// Returns the unit direction of a beam in the LiDAR's frame.
     fn direction(&self, ring: u16, azimuth_rad: f64) -> DVec3 {
         let share = f64::from(ring) / f64::from(self.beams - 1);
         let elevation = self.elevation_rad[0] + (self.elevation_rad[1] - self.elevation_rad[0]) * share;
@@ -93,7 +94,7 @@ impl Scanner {
         Self { standing: Solid::new(standing), bodies }
     }
 
-    /// The points of a turn, column by column, from the lowest beam up.
+    /// Returns the points of a rotation, column by column, from the lowest beam up.
     pub(super) fn sweep<F: Fn(f64) -> Pose + Sync>(&self, turn: &Turn<'_, F>) -> Vec<SweepPoint> {
         let lidar_from_town = (turn.town_from_lidar)(turn.end_s).inverse();
         let columns = (0..turn.lidar.columns).into_par_iter();
@@ -125,7 +126,7 @@ impl Scanner {
         (0..turn.lidar.beams).filter_map(point).collect()
     }
 
-    /// Bodies that a column may reach, with `body_from_town`.
+    /// Returns the bodies that a column may reach, with `body_from_town`.
     fn in_reach(&self, movers: &[Mover<'_>], t_s: f64, origin: DVec3, ahead: DVec3) -> Vec<(&Solid, Pose)> {
         let ahead = ahead.truncate().normalize_or_zero();
         let reach = |mover: &Mover<'_>| {
@@ -142,7 +143,7 @@ impl Scanner {
         movers.iter().filter_map(reach).collect()
     }
 
-    /// The nearest of all, and the cosine of the angle at which the beam meets it.
+    /// Returns the nearest hit, and the cosine of the angle between beam and normal.
     fn meet(&self, near: &[(&Solid, Pose)], origin: DVec3, direction: DVec3) -> Option<(Hit, f64)> {
         let own = self.standing.meet(origin, direction, RANGE_M[1]);
         let mut best = own.map(|hit| (hit, hit.normal.dot(direction)));

@@ -1,4 +1,4 @@
-//! Triangles in a tree of bounds (`obvhs`), and what a ray meets first among them.
+//! Bounding volume hierarchy of triangles (`obvhs`), and the first hit of a ray.
 
 use std::time::Duration;
 
@@ -11,17 +11,17 @@ use obvhs::triangle::Triangle;
 
 use crate::town::mesh::Mesh;
 
-/// Meshes for rays, in their own frame.
+/// Meshes for ray casting, in their own frame.
 pub(super) struct Solid {
-    /// `None` without triangles, which the tree's builder does not take.
+    /// `None` without triangles, because the tree's builder requires some.
     tree: Option<CwBvh>,
     triangles: Vec<Triangle>,
     skins: Vec<Skin>,
-    /// Middle and radius of a ball around it, metres.
+    /// Center and radius of a bounding sphere, meters.
     pub(super) ball: (DVec3, f64),
 }
 
-/// What a triangle looks like.
+/// Appearance of a triangle.
 #[derive(Clone, Copy)]
 struct Skin {
     rgb: [u8; 3],
@@ -29,14 +29,14 @@ struct Skin {
     surface: u8,
 }
 
-/// Where a ray meets a triangle.
+/// Hit of a ray on a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Hit {
-    /// Along the ray, in lengths of its direction.
+    /// Distance along the ray, in lengths of its direction.
     pub(super) t: f64,
-    /// Unit, in the solid's frame; to either side.
+    /// Unit normal in the solid's frame, to either side.
     pub(super) normal: DVec3,
-    /// sRGB.
+    /// sRGB color.
     pub(super) rgb: [u8; 3],
     /// [`crate::town::mesh::Surface`] as a number.
     pub(super) surface: u8,
@@ -60,8 +60,8 @@ impl Solid {
         Self { tree, ball: ball(&triangles), triangles, skins }
     }
 
-    /// The nearest triangle before `t_max`. The tree is searched in `f32`; where the ray meets the triangle's plane is
-    /// told in `f64`.
+    /// Returns the nearest hit before `t_max`. The tree is searched in `f32`; the intersection with the triangle's
+    /// plane is computed in `f64`.
     pub(super) fn meet(&self, origin: DVec3, direction: DVec3, t_max: f64) -> Option<Hit> {
         let tree = self.tree.as_ref()?;
         let ray = Ray::new(origin.as_vec3a(), direction.as_vec3a(), 0.0, t_max as f32);
@@ -77,13 +77,13 @@ impl Solid {
         let [a, b, c] = [triangle.v0, triangle.v1, triangle.v2].map(|v| v.as_dvec3());
         let normal = (b - a).cross(c - a).normalize_or_zero();
         let facing = normal.dot(direction);
-        // Along a plane the two cannot be told better than the tree has done.
+        // For a ray parallel to the plane, the tree's result is the best available.
         let t = if facing.abs() > 1e-9 { normal.dot(a - origin) / facing } else { f64::from(found.t) };
         Some(Hit { t, normal, rgb: skin.rgb, surface: skin.surface })
     }
 }
 
-/// A ball about the middle of the bounds.
+/// Returns a bounding sphere around the middle of the bounds.
 fn ball(triangles: &[Triangle]) -> (DVec3, f64) {
     let corners = || triangles.iter().flat_map(|t| [t.v0, t.v1, t.v2]).map(|v| v.as_dvec3());
     let ends = corners().reduce(DVec3::min).zip(corners().reduce(DVec3::max));
@@ -108,7 +108,7 @@ mod tests {
         mesh
     }
 
-    /// As Möller and Trumbore have it, in `f64`, each triangle in turn.
+    /// Tests each triangle with the method of Möller and Trumbore, in `f64`.
     fn full_search(mesh: &Mesh, origin: DVec3, direction: DVec3) -> Option<f64> {
         let meet = |corners: &[u32; 3]| {
             let [a, b, c] = corners.map(|i| glam::Vec3::from(mesh.vertices[i as usize].position).as_dvec3());

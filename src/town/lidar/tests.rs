@@ -7,7 +7,7 @@ use crate::town::model::BodyKind;
 const GREY: Skin = Skin::new([128; 3], Surface::Plaster);
 const LIDAR_Z: f64 = 1.9;
 
-/// A ground of 400 m and a wall whose face is at x = 30.
+/// Returns a ground of 400 m and a wall whose face is at x = 30.
 fn ground_and_wall() -> Mesh {
     let mut mesh = Mesh::default();
     mesh.block(DVec3::new(-200.0, -200.0, -1.0), DVec3::new(200.0, 200.0, 0.0), GREY);
@@ -31,23 +31,23 @@ fn points(sweep: &[SweepPoint]) -> impl Iterator<Item = DVec3> {
 fn beams_have_their_angles_and_their_number() {
     for (beams, hz, lowest, highest) in [(32, 10.0, -30.67, 10.67), (64, 20.0, -24.9, 2.0_f64)] {
         let lidar = Lidar::new(beams, hz);
-        // A box all around: every beam meets something.
+        // A box all around: every beam hits.
         let mut room = Mesh::default();
         room.block(DVec3::splat(-50.0), DVec3::splat(50.0), GREY);
         let scanner = Scanner::new(&[room], &BTreeMap::new());
-        // Not in its middle: no beam goes along an edge.
+        // Off its middle, so that no beam runs along an edge.
         let shift = DVec3::new(1.3, 2.7, 0.4);
         let town_from_lidar = |_| Pose::from_yaw(0.0, shift);
         let sweep = scanner.sweep(&Turn { lidar, end_s: 0.0, town_from_lidar, movers: &[], seed: None });
         assert_eq!(sweep.len(), usize::from(beams) * if hz > 15.0 { 1080 } else { 1800 });
         for (point, at) in sweep.iter().zip(points(&sweep)) {
-            // On a side of the box, to the rounding of what is stored.
+            // On a side of the box, up to rounding of the stored values.
             assert!(((at + shift).abs().max_element() - 50.0).abs() < 1e-5);
             let elevation = at.z.atan2(at.truncate().length()).to_degrees();
             let share = f64::from(point.ring) / f64::from(beams - 1);
             assert!((elevation - (lowest + (highest - lowest) * share)).abs() < 1e-4);
         }
-        // Clockwise from behind, evenly.
+        // Clockwise from behind, evenly spaced.
         let azimuth = |i: usize| {
             let at = points(&sweep[i * usize::from(beams)..]).next().unwrap();
             at.y.atan2(at.x)
@@ -79,22 +79,22 @@ fn points_lie_on_the_ground_and_on_the_wall() {
         assert!(at.length() <= RANGE_M[1] + 1e-3);
     }
     assert!(ground > 20_000 && wall > 5_000, "{ground} {wall}");
-    // The forward column meets the wall where it should.
+    // The forward column hits the wall at the expected heights.
     let level = exact.iter().filter(|p| p.position[1].abs() < 1e-3 && (p.position[0] - 30.0).abs() < 1e-3);
     let heights: Vec<f32> = level.map(|p| p.position[2]).collect();
-    // From the lowest beam that does not reach the ground before, to the highest.
+    // From the lowest beam that clears the ground to the highest.
     let rings = (0..32).map(|r| (-30.67 + 41.34 * f64::from(r) / 31.0).to_radians().tan() * 30.0);
     let expected: Vec<f64> = rings.filter(|z| *z > -LIDAR_Z).collect();
     assert_eq!(heights.len(), expected.len());
     assert!(heights.iter().zip(&expected).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-3));
-    // Noise moves points along their beams alone.
+    // Noise drops the expected share of beams and depends on the seed.
     let noisy = scanner.sweep(&turn(Some(4)));
     let share = noisy.len() as f64 / exact.len() as f64;
     assert!((share - (1.0 - echo::LOST)).abs() < 0.004, "{share}");
     assert!(noisy != scanner.sweep(&turn(Some(5))));
 }
 
-/// The ego drives and turns while the LiDAR does: points still lie on the wall, told from where it is at the end.
+/// The ego drives and turns during the rotation: points still lie on the wall, in the LiDAR's final frame.
 #[test]
 fn the_egos_motion_is_taken_out() {
     let scanner = Scanner::new(&[ground_and_wall()], &BTreeMap::new());
@@ -109,7 +109,7 @@ fn the_egos_motion_is_taken_out() {
         wall += usize::from(town.z > 0.1);
     }
     assert!(wall > 5_000, "{wall}");
-    // The first column was fired from 1.5 m behind: it is not on the ray from where the LiDAR ends.
+    // The first column was fired 1.5 m farther back, so it is not on the ray from the LiDAR's final position.
     let first = points(&sweep).next().unwrap();
     let step = TAU / 1800.0;
     assert!((first.y.atan2(first.x) - (PI - step)).abs() > 0.01);
@@ -128,7 +128,7 @@ fn actors_move_while_the_lidar_turns() {
         let lidar = Lidar::new(64, 10.0);
         scanner.sweep(&Turn { lidar, end_s, town_from_lidar: |_| rig(), movers: &movers, seed: None })
     };
-    // It stands: all points lie on its sides.
+    // A static body: all points lie on its sides.
     let still = standing(Pose::from_yaw(0.3, DVec3::new(10.0, 6.0, 0.0)));
     let seen = scan(&still, 0.0);
     assert!(seen.len() > 500, "{}", seen.len());
@@ -137,8 +137,8 @@ fn actors_move_while_the_lidar_turns() {
         let off = (local - DVec3::Z * size.z / 2.0).abs() - size / 2.0;
         assert!(off.max_element().abs() < 1e-5, "{local}");
     }
-    // It drives along y in front of the LiDAR at 20 m/s: the face at x = 9 stays, and the column at azimuth a is fired
-    // when the turn is at (PI - a) / TAU.
+    // It drives along y in front of the LiDAR at 20 m/s: the face at x = 9 stays, and the column at azimuth a is
+    // fired when the rotation is at (PI - a) / TAU.
     let drives = |t: f64| Pose::from_yaw(0.0, DVec3::new(10.0 + 1.0, -1.0 + 20.0 * t, 0.0));
     let steps = 0..=20;
     let motion = Motion {
@@ -153,7 +153,7 @@ fn actors_move_while_the_lidar_turns() {
         let off = (local - DVec3::Z * size.z / 2.0).abs() - size / 2.0;
         assert!(off.max_element().abs() < 1e-4, "{local}");
     }
-    // Behind something that stands nothing of it is seen.
+    // A static wall hides it completely.
     let mut wall = Mesh::default();
     wall.block(DVec3::new(5.0, -50.0, 0.0), DVec3::new(6.0, 50.0, 50.0), GREY);
     let movers = [Mover { body, limbs: 0, motion: &still }];

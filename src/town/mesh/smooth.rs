@@ -1,4 +1,4 @@
-//! Normals of what is round, mirroring, fitting into a box.
+//! Smooth normals, mirroring, and fitting into a box.
 
 use glam::{DVec3, Vec3};
 use rustc_hash::FxHashMap;
@@ -6,8 +6,8 @@ use rustc_hash::FxHashMap;
 use super::{Mesh, Vertex};
 
 impl Mesh {
-    /// Gives every corner the mean normal of the faces that meet there at less than `crease_rad`, weighted by area, and
-    /// merges corners that are alike.
+    /// Sets each corner's normal to the area-weighted mean of the adjacent faces whose normals differ from its own
+    /// face's by at most `crease_rad`, and merges identical vertices.
     pub fn smooth(&mut self, crease_rad: f64) {
         let least_cos = crease_rad.cos();
         let areas: Vec<DVec3> = self.triangles.iter().map(|t| self.area(*t)).collect();
@@ -34,7 +34,7 @@ impl Mesh {
         *self = merged;
     }
 
-    /// Adds the mirror image of all there is, left for right.
+    /// Appends the mirror image of the whole mesh, left and right swapped.
     pub fn mirror_y(&mut self) {
         let mut other = self.clone();
         for vertex in &mut other.vertices {
@@ -45,7 +45,7 @@ impl Mesh {
         self.append(&other);
     }
 
-    /// Scales along each axis such that one box (least and greatest coordinates, metres) comes to be another.
+    /// Scales along each axis so that one box (min and max coordinates, meters) maps to another.
     pub fn fit(&mut self, from: [DVec3; 2], to: [DVec3; 2]) {
         let scale = (to[1] - to[0]) / (from[1] - from[0]);
         for vertex in &mut self.vertices {
@@ -56,18 +56,18 @@ impl Mesh {
         }
     }
 
-    /// Corners of a triangle, metres.
+    /// Returns the corners of a triangle, meters.
     pub fn corners(&self, triangle: [u32; 3]) -> [DVec3; 3] {
         triangle.map(|i| Vec3::from(self.vertices[i as usize].position).as_dvec3())
     }
 
-    /// A triangle's normal, as long as its area in square metres.
+    /// Returns a triangle's normal; its length is the area in square meters.
     pub fn area(&self, triangle: [u32; 3]) -> DVec3 {
         let [a, b, c] = self.corners(triangle);
         (b - a).cross(c - a) / 2.0
     }
 
-    /// The bits of a corner's position; both zeros are one.
+    /// Returns the bits of a vertex's position; -0.0 equals 0.0.
     fn place(&self, corner: u32) -> [u32; 3] {
         self.vertices[corner as usize].position.map(|v| (v + 0.0).to_bits())
     }

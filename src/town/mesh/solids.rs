@@ -1,4 +1,4 @@
-//! Round and rounded solids, from rings and chamfers; call [`Mesh::smooth`] at the end.
+//! Round and chamfered solids built from rings; call [`Mesh::smooth`] at the end.
 
 use std::f64::consts::{PI, TAU};
 
@@ -6,34 +6,34 @@ use glam::{DVec2, DVec3};
 
 use super::{Mesh, Skin};
 
-/// Smaller triangles are left out, square metres.
+/// Triangles with a smaller area are skipped, square meters.
 const LEAST_AREA_M2: f64 = 2e-8;
 
-/// An ellipse in space: `center + u cos t + v sin t`, metres.
+/// Ellipse in space: `center + u cos t + v sin t`, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ring {
-    /// Middle.
+    /// Center.
     pub center: DVec3,
-    /// One half axis ...
+    /// First half axis.
     pub u: DVec3,
-    /// ... and the other.
+    /// Second half axis.
     pub v: DVec3,
 }
 
 impl Ring {
-    /// A circle across a unit axis.
+    /// Returns a circle perpendicular to a unit axis.
     pub fn circle(center: DVec3, axis: DVec3, radius: f64) -> Self {
         let u = if axis.y.abs() < 0.9 { DVec3::Y } else { DVec3::Z };
         let u = (u - axis * u.dot(axis)).normalize_or_zero();
         Self { center, u: u * radius, v: axis.cross(u) * radius }
     }
 
-    /// A level ellipse.
+    /// Returns a horizontal ellipse.
     pub fn level(center: DVec3, half_x: f64, half_y: f64) -> Self {
         Self { center, u: DVec3::X * half_x, v: DVec3::Y * half_y }
     }
 
-    /// Points around it, counter-clockwise seen from where `u × v` looks.
+    /// Returns points on the ring, counter-clockwise seen from the side that `u × v` points to.
     pub fn corners(&self, segments: usize) -> impl Iterator<Item = DVec3> {
         (0..segments).map(move |i| {
             let (sin, cos) = (TAU * i as f64 / segments as f64).sin_cos();
@@ -41,15 +41,15 @@ impl Ring {
         })
     }
 
-    /// Half the extent along each axis.
+    /// Returns half the extent along each axis.
     pub fn half_extent(&self) -> DVec3 {
         (self.u * self.u + self.v * self.v).map(f64::sqrt)
     }
 }
 
 impl Mesh {
-    /// Adds a quad that need not be plane, counter-clockwise seen from outside, cut along its shorter diagonal; `uv` are of
-    /// its corners. Triangles without area are left out.
+    /// Adds a quad that need not be planar, counter-clockwise seen from outside, split along its shorter diagonal.
+    /// `uv` are the coordinates of its corners. Degenerate triangles are skipped.
     pub fn quad(&mut self, corners: [DVec3; 4], uv: [DVec2; 4], skin: Skin) {
         let shorter = corners[0].distance_squared(corners[2]) <= corners[1].distance_squared(corners[3]);
         let halves = if shorter { [[0, 1, 2], [0, 2, 3]] } else { [[0, 1, 3], [1, 2, 3]] };
@@ -63,8 +63,8 @@ impl Mesh {
         }
     }
 
-    /// Adds the surface through lines of as many points each. Seen from outside the second line is to the left of the
-    /// first. `skin` has line and point; `None` leaves a hole.
+    /// Adds the surface through lines with the same number of points. Seen from outside, the second line is to the
+    /// left of the first. `skin` takes the indices of line and point; `None` leaves a hole.
     pub fn loft(&mut self, lines: &[impl AsRef<[DVec3]>], skin: impl Fn(usize, usize) -> Option<Skin>) {
         let mut across = vec![0.0; lines.first().map_or(0, |l| l.as_ref().len())];
         for (i, pair) in lines.windows(2).enumerate() {
@@ -84,8 +84,8 @@ impl Mesh {
         }
     }
 
-    /// Adds the surface through rings whose axes `u × v` look the way that they follow each other, without ends.
-    /// `skin` has ring and segment.
+    /// Adds the surface through rings, open at both ends. The axes `u × v` must point from each ring towards the
+    /// next. `skin` takes the indices of ring and segment.
     pub fn sleeve(&mut self, rings: &[Ring], segments: usize, skin: impl Fn(usize, usize) -> Skin) {
         let line = |ring: &Ring| -> Vec<DVec3> {
             let mut line: Vec<DVec3> = ring.corners(segments).collect();
@@ -96,7 +96,7 @@ impl Mesh {
         self.loft(&lines, |i, j| Some(skin(i, j)));
     }
 
-    /// As [`Mesh::sleeve`], closed at both ends by flat lids.
+    /// Adds the surface of [`Mesh::sleeve`], closed with flat caps at both ends.
     pub fn tube(&mut self, rings: &[Ring], segments: usize, skin: impl Fn(usize, usize) -> Skin) {
         let [first, .., last] = rings else { return };
         let lid = |ring: &Ring| Ring { u: DVec3::ZERO, v: DVec3::ZERO, ..*ring };
@@ -105,8 +105,8 @@ impl Mesh {
         self.sleeve(&closed, segments, |i, j| skin(i.clamp(1, rings.len() - 1) - 1, j));
     }
 
-    /// Adds a body of revolution: `profile` has radius and metres along a unit `axis` from `base`, from its far side over the
-    /// rim to its near side. `skin` has a place in the profile and a segment.
+    /// Adds a body of revolution. `profile` has the radius and the distance along a unit `axis` from `base`, meters,
+    /// from its far side over the rim to its near side. `skin` takes the indices of profile point and segment.
     pub fn lathe(
         &mut self,
         (base, axis): (DVec3, DVec3),
@@ -119,14 +119,14 @@ impl Mesh {
         self.sleeve(&rings, segments, skin);
     }
 
-    /// Adds a cylinder or a cone's stump with a radius at each end.
+    /// Adds a cylinder or a truncated cone with a radius at each end.
     pub fn cylinder(&mut self, from: DVec3, to: DVec3, radii: [f64; 2], segments: usize, skin: Skin) {
         let axis = (to - from).normalize_or_zero();
         let rings = [Ring::circle(from, axis, radii[0]), Ring::circle(to, axis, radii[1])];
         self.tube(&rings, segments, |_, _| skin);
     }
 
-    /// Adds an ellipsoid of `rings` belts.
+    /// Adds an ellipsoid with `rings` latitude bands.
     pub fn ellipsoid(&mut self, center: DVec3, radii: DVec3, [rings, segments]: [usize; 2], skin: Skin) {
         let ring = |i: usize| {
             let (sin, cos) = (PI * i as f64 / rings as f64).sin_cos();
@@ -136,11 +136,11 @@ impl Mesh {
         self.sleeve(&(0..=rings).map(ring).collect::<Vec<_>>(), segments, |_, _| skin);
     }
 
-    /// Adds a box whose edges are cut off by `chamfer` metres; at most half its least side.
+    /// Adds a box with edges chamfered by `chamfer` meters, at most half its shortest side.
     pub fn chamfered(&mut self, min: DVec3, max: DVec3, chamfer: f64, skin: Skin) {
         let (center, half) = ((min + max) / 2.0, (max - min) / 2.0);
         let cut = half - DVec3::splat(chamfer.min(half.min_element()));
-        // The corner that lies in the side across `axis`, on the sides' signs.
+        // The corner in the side perpendicular to `axis`, in the octant given by the signs.
         let at = |signs: DVec3, axis: usize| {
             let mut p = cut * signs;
             p[axis] = half[axis] * signs[axis];
@@ -168,7 +168,7 @@ impl Mesh {
             for side in [-1.0, 1.0] {
                 face(&around.map(|(t, r)| at(signs(axis, side, t, r), axis)));
             }
-            // The edges along this axis lie between the sides across the other two.
+            // The chamfers parallel to this axis lie between the sides perpendicular to the other two.
             for (t, r) in around {
                 let [low, high] = [signs(axis, -1.0, t, r), signs(axis, 1.0, t, r)];
                 let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -194,7 +194,7 @@ mod tests {
         mesh.triangles.iter().map(|t| mesh.corners(*t)).map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
     }
 
-    /// Every edge is walked once in each direction.
+    /// Asserts that every edge occurs once in each direction.
     fn assert_closed(mesh: &Mesh) {
         let mut edges = std::collections::HashMap::new();
         for triangle in &mesh.triangles {
@@ -220,7 +220,7 @@ mod tests {
             ),
             (&|m| m.cylinder(at, at + DVec3::Y * 3.0, [0.5, 0.0], 64, SKIN), PI * 0.25, 0.002),
             (&|m| m.ellipsoid(at, DVec3::new(1.0, 2.0, 0.5), [48, 64], SKIN), PI * 4.0 / 3.0, 0.004),
-            // Twelve edges' wedges and eight corners are missing.
+            // Minus the wedges of twelve edges and eight corners.
             (
                 &|m| m.chamfered(DVec3::ZERO, DVec3::new(2.0, 3.0, 4.0), 0.1, SKIN),
                 24.0 - 4.0 * 0.005 * (1.8 + 2.8 + 3.8) - 8.0 * (0.001 * 5.0 / 6.0),

@@ -9,16 +9,16 @@ use super::shell::{Arch, End, Shell, row};
 use super::wheel;
 use crate::town::mesh::{Mesh, Skin, Surface};
 
-/// Lit letters of a bus's sign.
+/// Lit letters of the destination sign.
 const LETTERS: Skin = Skin::new([240, 170, 60], Surface::Lamp);
 
-/// A bus with its measures, metres.
+/// Bus with its dimensions, meters.
 #[derive(Clone, Debug)]
 pub(super) struct Bus {
     pub(super) size_m: DVec3,
     shell: Shell,
     paint: Skin,
-    /// Below the windows.
+    /// Skin below the windows.
     band: Skin,
     panes: Vec<[f64; 2]>,
     doors: Vec<f64>,
@@ -103,7 +103,7 @@ impl Bus {
         mesh
     }
 
-    /// Doors of two leaves, on the right.
+    /// Adds two-leaf doors on the right side.
     fn doors(&self, mesh: &mut Mesh) {
         let mut right = Mesh::default();
         for x in &self.doors {
@@ -127,7 +127,7 @@ impl Bus {
         mesh.append(&right);
     }
 
-    /// Where it goes, and its plates.
+    /// Adds the destination sign and the number plates.
     fn signs(&self, mesh: &mut Mesh) {
         let section = self.shell.section(self.shell.front.x);
         let z = section[row::GLASS_HIGH].z - 0.05;

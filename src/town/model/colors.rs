@@ -1,4 +1,4 @@
-//! What bodies are painted and dressed in.
+//! Colors of paint, clothes, skin and hair.
 
 use super::dice::Dice;
 use crate::town::mesh::{Skin, Surface};
@@ -14,7 +14,7 @@ pub(super) const TAIL_LAMP: Skin = Skin::new([150, 18, 22], Surface::Plain);
 pub(super) const BLINKER: Skin = Skin::new([222, 120, 24], Surface::Plain);
 pub(super) const PLATE: Skin = Skin::new([222, 222, 214], Surface::Plain);
 
-/// As often as they are seen: the greys first.
+/// Car paints; frequent shades have more entries. The first, a grey, is the typical one.
 const PAINTS: [[u8; 3]; 26] = [
     [168, 171, 175],
     [236, 237, 235],
@@ -44,7 +44,7 @@ const PAINTS: [[u8; 3]; 26] = [
     [196, 128, 44],
 ];
 
-/// Paints of those who carry goods or people.
+/// Paints of commercial vehicles.
 const FLEETS: [[u8; 3]; 14] = [
     [230, 231, 229],
     [236, 236, 234],
@@ -70,7 +70,7 @@ pub(super) fn fleet_paint(dice: &mut Dice) -> Skin {
     shaded(dice.pick(&FLEETS), dice, Surface::CarPaint)
 }
 
-/// A little lighter or darker.
+/// Returns a skin with the brightness varied by up to 8 %.
 pub(super) fn shaded(rgb: [u8; 3], dice: &mut Dice, surface: Surface) -> Skin {
     let factor = dice.between([0.92, 1.08]);
     Skin::new(rgb.map(|v| (f64::from(v) * factor).round().clamp(0.0, 255.0) as u8), surface)

@@ -8,7 +8,7 @@ use crate::town::mesh::{Mesh, Skin, Surface};
 const ORANGE: Skin = Skin::new([222, 92, 30], Surface::Plain);
 const WHITE: Skin = Skin::new([230, 230, 224], Surface::Plain);
 
-/// A cone with its collars.
+/// Traffic cone with its white collars.
 #[derive(Clone, Debug)]
 pub(super) struct Cone {
     pub(super) size_m: DVec3,

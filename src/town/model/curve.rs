@@ -1,6 +1,6 @@
 //! Outlines with rounded corners.
 
-/// A corner of an outline: place, height and how far from it the rounding starts, metres.
+/// Corner of an outline: position, height, and distance from it at which the rounding starts, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Corner {
     pub(super) x: f64,
@@ -8,17 +8,17 @@ pub(super) struct Corner {
     pub(super) round: f64,
 }
 
-/// A height over `x`, piecewise linear.
+/// Height as a piecewise linear function of `x`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Curve {
     points: Vec<[f64; 2]>,
 }
 
-/// Pieces of a rounded corner.
+/// Segments of a rounded corner.
 const PIECES: usize = 3;
 
 impl Curve {
-    /// Through corners in the order of their `x`, each rounded by a parabola.
+    /// Creates a curve through corners sorted by `x`, each rounded by a parabola.
     pub(super) fn new(corners: &[Corner]) -> Self {
         let mut points = Vec::new();
         for (i, corner) in corners.iter().enumerate() {
@@ -44,7 +44,7 @@ impl Curve {
         Self { points }
     }
 
-    /// The height at `x`; beyond the ends that of the end.
+    /// Returns the height at `x`, clamped to the end points.
     pub(super) fn at(&self, x: f64) -> f64 {
         let next = self.points.partition_point(|p| p[0] < x);
         let Some([x1, z1]) = self.points.get(next) else { return self.points.last().map_or(0.0, |p| p[1]) };
@@ -52,7 +52,7 @@ impl Curve {
         z0 + (z1 - z0) * (x - x0) / (x1 - x0)
     }
 
-    /// Where it bends.
+    /// Returns the `x` of its points.
     pub(super) fn bends(&self) -> impl Iterator<Item = f64> {
         self.points.iter().map(|p| p[0])
     }

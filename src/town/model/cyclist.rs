@@ -9,20 +9,20 @@ use super::dice::Dice;
 use super::figure::{Figure, joint};
 use crate::town::mesh::{Ring, Skin, Surface};
 
-/// Poses of a turn of the pedals.
+/// Number of poses of a pedal revolution.
 pub(super) const POSES: usize = 12;
-/// Metres that a turn of the pedals moves the bicycle on.
+/// Distance that the bicycle moves in a pedal revolution, meters.
 pub(super) const CYCLE_M: f64 = 4.2;
 
-/// Somebody on a bicycle; metres.
+/// Person on a bicycle; dimensions in meters.
 #[derive(Clone, Debug)]
 pub(super) struct Cyclist {
-    /// Of everything.
+    /// Scale of the whole figure.
     scale: f64,
     wheel: f64,
     /// Half the distance between the axles.
     half_base: f64,
-    /// Of the spine above the ground, radians.
+    /// Angle of the spine above the horizontal, radians.
     lean_rad: f64,
     grip: DVec3,
     frame: Skin,
@@ -54,7 +54,7 @@ impl Cyclist {
             scale: dice.between([0.94, 1.06]),
             wheel: dice.between([0.325, 0.35]),
             half_base: dice.between([0.50, 0.55]),
-            // Those who sit upright hold their grips higher.
+            // Riders that sit upright have higher grips.
             lean_rad: 1.22 - 0.45 * lean,
             grip: DVec3::new(0.30 + 0.06 * lean, 0.27, 1.06 - 0.10 * lean),
             frame: colors::shaded(dice.pick(&FRAMES), dice, Surface::CarPaint),
@@ -77,7 +77,7 @@ impl Cyclist {
         }
     }
 
-    /// In a pose, on z = 0.
+    /// Returns the figure in a pose, on z = 0.
     pub(super) fn figure(&self, pose: usize) -> Figure {
         let turn = (pose % POSES) as f64 / POSES as f64 * TAU;
         let mut figure = Figure::default();
@@ -141,7 +141,7 @@ impl Cyclist {
         DVec3::new(-0.20, 0.0, 1.0)
     }
 
-    /// From the hip up.
+    /// Unit direction from the hip upward.
     fn spine(&self) -> DVec3 {
         DVec3::new(self.lean_rad.cos(), 0.0, self.lean_rad.sin())
     }

@@ -1,10 +1,10 @@
-//! Bodies of rings: people, and what they ride.
+//! Bodies built from rings: people and bicycles.
 
 use glam::DVec3;
 
 use crate::town::mesh::{Mesh, Ring, Skin};
 
-/// A tube with closed ends.
+/// Tube with closed ends.
 #[derive(Clone, Debug)]
 pub(super) struct Tube {
     pub(super) rings: Vec<Ring>,
@@ -12,16 +12,16 @@ pub(super) struct Tube {
     pub(super) skin: Skin,
 }
 
-/// Tubes, and loops that are open in the middle (wheels).
+/// Figure of closed tubes, and of rings of revolution that are open in the middle (wheels).
 #[derive(Clone, Debug, Default)]
 pub(super) struct Figure {
     pub(super) tubes: Vec<Tube>,
-    /// The first ring is the last one, too.
+    /// Their first ring is also the last one.
     pub(super) loops: Vec<Tube>,
 }
 
 impl Figure {
-    /// A limb through joints, each with its radius, rounded at both ends.
+    /// Adds a limb through joints, each with its radius, rounded at both ends.
     pub(super) fn limb(&mut self, joints: &[(DVec3, f64)], segments: usize, skin: Skin) {
         let [(first, first_radius), .., (last, last_radius)] = joints else { return };
         let towards = |a: DVec3, b: DVec3| (b - a).normalize_or_zero();
@@ -37,14 +37,14 @@ impl Figure {
         self.tubes.push(Tube { rings, segments, skin });
     }
 
-    /// A stiff rod.
+    /// Adds a straight rod.
     pub(super) fn rod(&mut self, from: DVec3, to: DVec3, radius: f64, skin: Skin) {
         let axis = (to - from).normalize_or_zero();
         let rings = vec![Ring::circle(from, axis, radius), Ring::circle(to, axis, radius)];
         self.tubes.push(Tube { rings, segments: 4, skin });
     }
 
-    /// An ellipsoid whose upright axis is `up` (a unit vector across y).
+    /// Adds an ellipsoid with the vertical axis `up` (a unit vector perpendicular to y).
     pub(super) fn ball(&mut self, center: DVec3, radii: DVec3, up: DVec3, skin: Skin) {
         let ahead = DVec3::Y.cross(up);
         let ring = |i: usize| {
@@ -55,7 +55,7 @@ impl Figure {
         self.tubes.push(Tube { rings: (0..=6).map(ring).collect(), segments: 10, skin });
     }
 
-    /// Rings across a bent spine in the plane y = 0: place, half depth and half width.
+    /// Adds rings along a bent spine in the plane y = 0: center, half depth and half width of each.
     pub(super) fn trunk(&mut self, spine: &[(DVec3, f64, f64)], segments: usize, skin: Skin) {
         let last = spine.len().saturating_sub(1);
         let ring = |(i, (center, depth, width)): (usize, &(DVec3, f64, f64))| {
@@ -65,13 +65,14 @@ impl Figure {
         self.tubes.push(Tube { rings: spine.iter().enumerate().map(ring).collect(), segments, skin });
     }
 
-    /// A loop around an axis to the left: radius and metres along the axis, far side first; the last is the first.
+    /// Adds a ring of revolution around an axis to the left. `profile` has radius and distance along the axis, far
+    /// side first; its last point equals the first.
     pub(super) fn revolve(&mut self, hub: DVec3, profile: &[[f64; 2]], segments: usize, skin: Skin) {
         let ring = |[radius, along]: &[f64; 2]| Ring::circle(hub + DVec3::Y * *along, DVec3::Y, *radius);
         self.loops.push(Tube { rings: profile.iter().map(ring).collect(), segments, skin });
     }
 
-    /// Makes all of it larger.
+    /// Scales the whole figure.
     pub(super) fn scale(&mut self, by: f64) {
         let tubes = self.tubes.iter_mut().chain(&mut self.loops);
         for ring in tubes.flat_map(|t| &mut t.rings) {
@@ -79,20 +80,20 @@ impl Figure {
         }
     }
 
-    /// Moves all of it.
+    /// Moves the whole figure.
     pub(super) fn shift(&mut self, by: DVec3) {
         let tubes = self.tubes.iter_mut().chain(&mut self.loops);
         tubes.flat_map(|t| &mut t.rings).for_each(|ring| ring.center += by);
     }
 
-    /// Least and greatest coordinates of its rings, metres.
+    /// Returns the min and max coordinates of its rings, meters.
     pub(super) fn bounds(&self) -> [DVec3; 2] {
         let rings = self.tubes.iter().chain(&self.loops).flat_map(|t| &t.rings);
         let boxes = rings.map(|r| [r.center - r.half_extent(), r.center + r.half_extent()]);
         boxes.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]).unwrap_or_default()
     }
 
-    /// Least and greatest coordinates of its triangles, metres.
+    /// Returns the min and max coordinates of its triangles, meters.
     pub(super) fn corner_bounds(&self) -> [DVec3; 2] {
         let tubes = self.tubes.iter().chain(&self.loops);
         let corners = tubes.flat_map(|t| t.rings.iter().flat_map(|ring| ring.corners(t.segments)));
@@ -100,7 +101,7 @@ impl Figure {
         boxes.unwrap_or_default()
     }
 
-    /// Its triangles.
+    /// Returns its triangles.
     pub(super) fn mesh(&self) -> Mesh {
         let mut mesh = Mesh::default();
         self.tubes.iter().for_each(|t| mesh.tube(&t.rings, t.segments, |_, _| t.skin));
@@ -110,8 +111,8 @@ impl Figure {
     }
 }
 
-/// The joint between two limbs of given lengths from `from` to `to`, bent to the side of `bend` in the plane y = const. Where
-/// the limbs are too short it is on the line.
+/// Returns the joint between two limbs of the given lengths from `from` to `to`, bent towards `bend`. If the limbs
+/// are too short, it is on the line between them.
 pub(super) fn joint(from: DVec3, to: DVec3, lengths: [f64; 2], bend: DVec3) -> DVec3 {
     let (away, distance) = ((to - from).normalize_or_zero(), from.distance(to));
     let [a, b] = lengths;

@@ -1,9 +1,9 @@
-//! The bodies of those who move or park in the town: vehicles, people, riders.
+//! Bodies of the town's actors: vehicles, pedestrians, cyclists and cones.
 //!
 //! # How it works
-//! What a body is like is drawn from its seed (`dice`): first its size, then its proportions and colors. Cars, vans, buses and
-//! cabs of trucks have a skin of sections (`shell`) with wheels and trim on it; people are made of rings (`figure`).
-//! The triangles are then fitted to the size exactly. [`surface`] turns triangles into points.
+//! A body's properties are drawn from its seed (`dice`): first its size, then its proportions and colors. Cars, vans,
+//! buses and the cabs of trucks have a hull of cross sections (`shell`) with wheels and trim; people are built from
+//! rings (`figure`). The triangles are then fitted to the exact size. [`surface`] samples triangles as points.
 
 mod bus;
 mod car;
@@ -45,17 +45,17 @@ pub enum BodyKind {
     Cone,
 }
 
-/// A body: a kind, and a seed that its proportions, colors and clothes follow from.
+/// Body: a kind, and a seed that determines its proportions, colors and clothes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Body {
-    /// What it is.
+    /// Its kind.
     pub kind: BodyKind,
-    /// Of everything else.
+    /// Seed of all other properties.
     pub seed: u64,
 }
 
 impl Body {
-    /// Category name as nuScenes has it.
+    /// Returns the nuScenes category name.
     pub fn category(self) -> &'static str {
         match self.kind {
             BodyKind::Sedan | BodyKind::Hatchback | BodyKind::Suv | BodyKind::Pickup | BodyKind::Van => {
@@ -72,12 +72,12 @@ impl Body {
         }
     }
 
-    /// Length, width and height of its box, metres: what its mesh fills over all poses, mirrors included.
+    /// Returns length, width and height of its box, meters: the bounds of its mesh over all poses, mirrors included.
     pub fn size_m(self) -> DVec3 {
         if self.poses() == 1 {
             return self.drawn().size_m();
         }
-        // It takes all poses to tell, and is asked for often.
+        // Cached: it is requested often, and computing it takes all poses.
         static KNOWN: LazyLock<RwLock<FxHashMap<Body, DVec3>>> = LazyLock::new(RwLock::default);
         let known = KNOWN.read().unwrap_or_else(PoisonError::into_inner).get(&self).copied();
         known.unwrap_or_else(|| {
@@ -87,7 +87,7 @@ impl Body {
         })
     }
 
-    /// How many poses of limbs [`Body::mesh`] knows: 1 for what is stiff.
+    /// Returns the number of poses that [`Body::mesh`] has; 1 for rigid bodies.
     pub fn poses(self) -> usize {
         match self.kind {
             BodyKind::Walker => walker::POSES,
@@ -96,7 +96,7 @@ impl Body {
         }
     }
 
-    /// The pose after so many metres from a stand. Who walks stands with both legs side by side.
+    /// Returns the pose after a distance from standstill, meters. In pose 0 a walker's legs are side by side.
     pub fn pose_at(self, travelled_m: f64) -> usize {
         let cycle_m = match self.drawn() {
             Drawn::Walker(walker) => walker.cycle_m(),
@@ -107,8 +107,8 @@ impl Body {
         (share * self.poses() as f64).round() as usize % self.poses()
     }
 
-    /// Its triangles in one of its poses (counted round); the origin is on the ground below the middle of its box, x forward,
-    /// y left, z up.
+    /// Returns its triangles in one of its poses (modulo their number). The origin is on the ground below the middle
+    /// of its box; x forward, y left, z up.
     pub fn mesh(self, pose: usize) -> Mesh {
         self.drawn().mesh(pose)
     }
@@ -118,8 +118,8 @@ impl Body {
     }
 }
 
-/// The body in the middle of all of its kind, in silver or grey; those with limbs in their widest pose. Its bounds are centred over
-/// the origin.
+/// Returns the typical body of a kind: mid-range dimensions and the first color of each palette. A walker is in its
+/// widest pose, other bodies are in pose 0. Bounds (a cyclist's over all poses) are centred over the origin.
 pub fn typical(kind: BodyKind) -> Mesh {
     match Drawn::new(kind, &mut Dice::Typical) {
         Drawn::Walker(walker) => centred(&walker.figure(walker.widest()).mesh()),
@@ -127,7 +127,7 @@ pub fn typical(kind: BodyKind) -> Mesh {
     }
 }
 
-/// A mesh with its bounds' middle over the origin and nothing below the ground.
+/// Returns a mesh moved so that its bounds are centred over the origin and start at the ground.
 fn centred(mesh: &Mesh) -> Mesh {
     let mut mesh = mesh.clone();
     if let Some(from) = mesh.bounds() {
@@ -136,13 +136,13 @@ fn centred(mesh: &Mesh) -> Mesh {
     mesh
 }
 
-/// The box of a size, on the ground.
+/// Returns the box of a size, on the ground.
 fn box_of(size_m: DVec3) -> [DVec3; 2] {
     let half = DVec3::new(size_m.x / 2.0, size_m.y / 2.0, 0.0);
     [-half, half + DVec3::Z * size_m.z]
 }
 
-/// A body with all that was drawn for it.
+/// Body with all its drawn properties.
 enum Drawn {
     Car(car::Car),
     Truck(truck::Truck),
@@ -207,7 +207,7 @@ fn union(a: [DVec3; 2], b: [DVec3; 2]) -> [DVec3; 2] {
     [a[0].min(b[0]), a[1].max(b[1])]
 }
 
-/// Of all poses.
+/// Returns the size of the bounds over all poses.
 fn extent(poses: usize, bounds: impl Fn(usize) -> [DVec3; 2]) -> DVec3 {
     (0..poses).map(bounds).reduce(union).map_or(DVec3::ONE, |[low, high]| high - low)
 }

@@ -1,16 +1,16 @@
-//! The skin of a vehicle: sections across it, one at each `x`.
+//! Hull of a vehicle: cross sections, one at each `x`.
 //!
 //! # How it works
-//! A section is [`ROWS`] points of the left side, from the middle of the underside over sill, shoulder, window and roof edge to
-//! the middle of the top. All sections have the same rows, so rows from the nose to the tail bound hood, windows,
-//! pillars and roof. Wheel arches lift the underside.
+//! A section is [`ROWS`] points of the left side, from the middle of the underside over sill, shoulder, window and
+//! roof edge to the middle of the top. All sections have the same rows, so rows from nose to tail bound hood,
+//! windows, pillars and roof. Wheel arches raise the underside.
 
 use glam::DVec3;
 
 use super::curve::Curve;
 use crate::town::mesh::{Mesh, Skin};
 
-/// Points of a section.
+/// Number of points of a section.
 pub(super) const ROWS: usize = 12;
 
 /// Rows of a section (see the module).
@@ -25,7 +25,7 @@ pub(super) mod row {
     pub(in super::super) const ROOF_EDGE: usize = 9;
 }
 
-/// Where the underside makes room for a wheel, metres.
+/// Wheel arch in the underside, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Arch {
     pub(super) x: f64,
@@ -34,7 +34,7 @@ pub(super) struct Arch {
     pub(super) radius: f64,
 }
 
-/// A hollow in the top, metres.
+/// Open cargo bed in the top, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bed {
     pub(super) rear: f64,
@@ -42,22 +42,22 @@ pub(super) struct Bed {
     pub(super) floor: f64,
 }
 
-/// An end of the shell.
+/// Front or rear end of the hull.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct End {
     pub(super) x: f64,
-    /// How far its middle stands out, metres.
+    /// Bulge of its middle, meters.
     pub(super) bow: f64,
-    /// The share of the width that it narrows by over `taper_m`.
+    /// Share of the width by which it narrows over `taper_m`.
     pub(super) taper: f64,
     pub(super) taper_m: f64,
-    /// How far the underside rises there, metres.
+    /// Rise of the underside at the end, meters.
     pub(super) lift: f64,
     /// Height of the shoulder line.
     pub(super) belt: f64,
 }
 
-/// The skin of a vehicle.
+/// Hull of a vehicle.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Shell {
     pub(super) rear: End,
@@ -67,22 +67,22 @@ pub(super) struct Shell {
     pub(super) top: Curve,
     /// Height of the underside.
     pub(super) under: f64,
-    /// Metres that a window leans in for one up.
+    /// Inward lean of windows, meters per meter of height.
     pub(super) tumble: f64,
-    /// How far fenders stand out, metres.
+    /// Bulge of fenders, meters.
     pub(super) flare: f64,
     pub(super) arches: Vec<Arch>,
     pub(super) bed: Option<Bed>,
 }
 
-/// The top is at least so far above the shoulder, metres.
+/// Minimum height of the top above the shoulder, meters.
 const EDGE_M: f64 = 0.07;
 
-/// How far borders of patches lie below the shell, metres.
+/// Offset of patch borders from the hull, meters; negative is inside.
 const SUNK_M: f64 = -0.004;
 
 impl Shell {
-    /// The left half of the section at `x`.
+    /// Returns the left half of the section at `x`.
     pub(super) fn section(&self, x: f64) -> [DVec3; ROWS] {
         let (under, top) = (self.under(x), self.top.at(x));
         let shoulder = self.shoulder(x).max(under + 0.05);
@@ -123,16 +123,16 @@ impl Shell {
         .map(|[y, z]| DVec3::new(x, y, z))
     }
 
-    /// Height of the shoulder line at `x`.
+    /// Returns the height of the shoulder line at `x`.
     pub(super) fn shoulder(&self, x: f64) -> f64 {
         let share = (x - self.rear.x) / (self.front.x - self.rear.x);
         let belt = self.rear.belt + (self.front.belt - self.rear.belt) * share;
         let most = self.top.at(x) - EDGE_M;
-        // The lesser of both, rounded where they meet.
+        // Smooth minimum of both.
         (belt + most - (belt - most).hypot(0.03)) / 2.0
     }
 
-    /// Half the width at `x`, at the widest height.
+    /// Returns half the width at `x`, at the widest height.
     pub(super) fn half_width_at(&self, x: f64) -> f64 {
         let narrow = |end: &End| {
             let away = (x - end.x).abs();
@@ -145,7 +145,7 @@ impl Shell {
         (self.half_width - self.flare + flare) * narrow(&self.rear) * narrow(&self.front)
     }
 
-    /// Share of the width at a height: sides curve in below and above.
+    /// Returns the share of the width at a height: sides curve inward at the bottom and the top.
     fn barrel(&self, z: f64) -> f64 {
         let belt = self.rear.belt.max(self.front.belt);
         let widest = 0.62 * belt;
@@ -161,13 +161,14 @@ impl Shell {
         let plain = self.under + lift(&self.rear) + lift(&self.front);
         let arch = |a: &Arch| {
             let square = a.radius * a.radius - (x - a.x).powi(2);
-            // A rounding error more or less must not close the arch's ends.
+            // Tolerates rounding errors, which would close the arch at its ends.
             if square > -1e-9 { a.z + square.max(0.0).sqrt() } else { 0.0 }
         };
         self.arches.iter().map(arch).fold(plain, f64::max)
     }
 
-    /// Where sections are taken: at `edges`, at arches and ends, and where the top bends unless another is near.
+    /// Returns the positions of the sections: at `edges`, at arches and ends, and at bends of the top unless another
+    /// is near.
     pub(super) fn stations(&self, edges: &[f64]) -> Vec<f64> {
         let mut exact: Vec<f64> = edges.to_vec();
         exact.extend([self.rear.x, self.front.x]);
@@ -194,7 +195,7 @@ impl Shell {
         exact
     }
 
-    /// The left half without ends. `skin` has the middle of two neighbouring sections and the row below.
+    /// Returns the left half without ends. `skin` takes the middle between two sections and the lower row.
     pub(super) fn hull(&self, stations: &[f64], skin: impl Fn(f64, usize) -> Skin) -> Mesh {
         let sections: Vec<[DVec3; ROWS]> = stations.iter().map(|x| self.section(*x)).collect();
         let mut mesh = Mesh::default();
@@ -202,7 +203,7 @@ impl Shell {
         mesh
     }
 
-    /// The left half of an end. `skin` has the row below and the place between middle (0) and side (1).
+    /// Returns the left half of an end. `skin` takes the lower row and the position between middle (0) and side (1).
     pub(super) fn cap(&self, front: bool, skin: impl Fn(usize, f64) -> Skin) -> Mesh {
         let end = if front { &self.front } else { &self.rear };
         let section = self.section(end.x);
@@ -229,7 +230,7 @@ impl Shell {
         mesh
     }
 
-    /// A point of an end at a row and a share of the half width there; the row [`row::ROOF_EDGE`] is the upper rim.
+    /// Returns the point of an end at a row and a share of the half width; row [`row::ROOF_EDGE`] is the upper rim.
     fn on_cap(&self, front: bool, section: &[DVec3; ROWS], row: usize, c: f64) -> DVec3 {
         let (end, sign) = if front { (&self.front, 1.0) } else { (&self.rear, -1.0) };
         let [low, high] = [section[1].z, section[row::RAIL].z];
@@ -242,7 +243,7 @@ impl Shell {
         DVec3::new(end.x + sign * bow, section[row].y * c, section[row].z)
     }
 
-    /// The middle of an end at a height, metres.
+    /// Returns the `x` of an end's middle at a height, meters.
     pub(super) fn cap_x(&self, front: bool, z: f64) -> f64 {
         let (end, sign) = if front { (&self.front, 1.0) } else { (&self.rear, -1.0) };
         let section = self.section(end.x);
@@ -250,7 +251,8 @@ impl Shell {
         end.x + sign * end.bow * (1.0 - (2.0 * up - 1.0).powi(4))
     }
 
-    /// A piece of the left side a little outside, between two rows, over given places; its borders go down into the shell.
+    /// Returns a panel offset from the left side, between two rows, at the given `xs`; its borders descend into the
+    /// hull.
     pub(super) fn patch(&self, xs: &[f64], rows: [usize; 2], out: f64, skin: Skin) -> Mesh {
         let (Some(first), Some(last)) = (xs.first(), xs.last()) else { return Mesh::default() };
         let line = |(x, out): (f64, f64)| -> Vec<DVec3> {
@@ -270,14 +272,14 @@ impl Shell {
     }
 }
 
-/// Shares of the half width; among them those where the upper rim has corners.
+/// Returns shares of the half width, including the corners of the upper rim.
 fn cap_columns(section: &[DVec3; ROWS]) -> [f64; 5] {
     let rail = section[row::RAIL].y;
     let [inner, outer] = [section[10].y / rail, section[9].y / rail];
     [0.0, inner, (inner + outer) / 2.0, outer, 1.0]
 }
 
-/// Height of a section's upper rim at `y`.
+/// Returns the height of a section's upper rim at `y`.
 fn rim_height(section: &[DVec3; ROWS], y: f64) -> f64 {
     let rim = &section[row::RAIL..];
     let piece = rim.windows(2).find(|pair| (pair[1].y..=pair[0].y).contains(&y));

@@ -1,37 +1,37 @@
-//! The outer surface of a mesh as points.
+//! Sampling of a mesh's outer surface as points.
 
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use crate::town::mesh::Mesh;
 
-/// Rays are no denser than so many across a mesh.
+/// Maximum number of rays across a mesh.
 const MOST_RAYS: f64 = 2048.0;
-/// Depths as near as this are one, metres.
+/// Depths that differ by less are equal, meters.
 const TIE_M: f64 = 1e-5;
 
-/// A point of a surface.
+/// Point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfacePoint {
-    /// Metres, in the mesh's frame.
+    /// Position in the mesh's frame, meters.
     pub position_m: DVec3,
-    /// sRGB.
+    /// sRGB color.
     pub rgb: [u8; 3],
-    /// The triangle that it is on.
+    /// Index of its triangle.
     pub triangle: usize,
-    /// Whether the outer side of that triangle was seen.
+    /// Whether the outer side of that triangle was hit.
     pub outside: bool,
 }
 
-/// Points of what can be seen from the side or from above, always the same: where parallel rays in thirteen directions,
-/// about three quarters of `spacing_m` apart, first meet the mesh. At most 2048 rays fit across it; where it has no finite extent
-/// there are none.
+/// Samples the surfaces that are visible from the side or from above. The points are the first hits of parallel rays
+/// in thirteen directions, with a spacing of three quarters of `spacing_m`. At most 2048 rays cross the mesh in a
+/// row. The result is deterministic; it is empty if the mesh has no finite extent.
 pub fn surface(mesh: &Mesh, spacing_m: f64) -> Vec<SurfacePoint> {
     let step_m = 0.75 * spacing_m;
     directions().par_iter().flat_map_iter(|direction| seen_along(mesh, *direction, step_m)).collect()
 }
 
-/// From above, from eight sides, and from four corners above.
+/// Returns the ray directions: from above, from eight sides, and from four corners above.
 fn directions() -> Vec<DVec3> {
     let mut all = vec![DVec3::NEG_Z];
     for (x, y) in [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)] {
@@ -44,7 +44,8 @@ fn directions() -> Vec<DVec3> {
     all
 }
 
-/// Where parallel rays along a unit direction first meet the mesh. They pass through a square grid of `step_m` around the origin.
+/// Returns the first hits of parallel rays along a unit direction. Rays pass through a square grid of `step_m`
+/// aligned to the origin.
 pub(super) fn seen_along(mesh: &Mesh, direction: DVec3, step_m: f64) -> Vec<SurfacePoint> {
     let (u, v) = direction.any_orthonormal_pair();
     let turn = DMat3::from_cols(u, v, direction).transpose();
@@ -59,7 +60,7 @@ pub(super) fn seen_along(mesh: &Mesh, direction: DVec3, step_m: f64) -> Vec<Surf
     let mut first: Vec<Option<(f64, usize)>> = vec![None; size[0] * size[1]];
     for (i, triangle) in mesh.triangles.iter().enumerate() {
         let corners = mesh.corners(*triangle).map(|p| turn * p);
-        // Where two sides meet at the outline, the one that is turned to the eye is seen.
+        // At a silhouette edge with equal depths, the side that faces the viewer wins.
         let turned_away = if mesh.area(*triangle).dot(direction) < 0.0 { 0.0 } else { TIE_M };
         cover(corners, step_m, |at, depth| {
             let depth = depth + turned_away;
@@ -83,7 +84,7 @@ pub(super) fn seen_along(mesh: &Mesh, direction: DVec3, step_m: f64) -> Vec<Surf
     first.iter().enumerate().filter_map(point).collect()
 }
 
-/// Of turned triangles; `None` without any, or where one is not finite.
+/// Returns the bounds of the rotated triangles; `None` without triangles or if a corner is not finite.
 fn bounds(mesh: &Mesh, turn: DMat3) -> Option<[DVec3; 2]> {
     let mut places = mesh.triangles.iter().flat_map(|t| mesh.corners(*t)).map(|p| turn * p);
     let first = places.next()?;
@@ -91,7 +92,8 @@ fn bounds(mesh: &Mesh, turn: DMat3) -> Option<[DVec3; 2]> {
     places.try_fold([first, first], join).filter(|_| first.is_finite())
 }
 
-/// Tells the grid points (in steps) that a triangle covers along z, and its z there. Triangles seen edge-on cover none.
+/// Calls `at` with each grid point (in steps) that a triangle covers along z, and its z there. Skips triangles seen
+/// edge-on.
 fn cover(corners: [DVec3; 3], step_m: f64, mut at: impl FnMut([f64; 2], f64)) {
     let [a, b, c] = corners;
     let flat = |p: DVec3| DVec2::new(p.x, p.y);

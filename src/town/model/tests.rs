@@ -27,7 +27,7 @@ fn a_size_is_that_of_the_mesh_over_all_poses() {
     }
 }
 
-/// Fitting to the size hardly changes a shape.
+/// Fitting to the size changes a shape by less than 3 %.
 #[test]
 fn shapes_come_out_about_as_large_as_they_are_told() {
     for body in bodies(0..30) {
@@ -72,7 +72,7 @@ fn triangles_have_area_and_corners_have_unit_normals_to_their_outside() {
     }
 }
 
-/// Whoever looks from outside never sees the back of a triangle: there are no holes, and all look outward.
+/// No back face is visible from outside: meshes have no holes, and all triangles face outward.
 #[test]
 fn no_inside_can_be_seen_from_outside() {
     let mut directions = vec![DVec3::NEG_Z];
@@ -89,7 +89,7 @@ fn no_inside_can_be_seen_from_outside() {
             inside += hits.iter().filter(|h| !h.outside).count();
         }
         println!("{body:?} {inside} of {seen}");
-        // A crack between corners that were rounded apart.
+        // Allows for cracks between corners that were rounded differently.
         assert!(inside * 100_000 <= seen, "{body:?}: of {seen}");
     }
 }
@@ -149,14 +149,14 @@ fn poses_follow_the_way_and_keep_feet_on_the_ground() {
     assert!((0..100).any(child) && !(0..100).all(child));
 }
 
-/// Someone who walks does not slide: the foot that stands goes back as fast as the body goes on.
+/// A walker does not slide: the stance foot moves back as fast as the body moves forward.
 #[test]
 fn a_standing_foot_stays_where_it_is() {
     for seed in 0..6 {
         let body = Body { kind: BodyKind::Walker, seed };
         let Drawn::Walker(walker) = body.drawn() else { panic!() };
         let step_m = walker.cycle_m() / walker::POSES as f64;
-        // Around mid-stance the lowest corners belong to the standing foot.
+        // Around mid-stance the lowest corners belong to the stance foot.
         let foot = |pose: usize| {
             let mesh = body.mesh(pose);
             let low = mesh.vertices.iter().filter(|v| v.position[2] < 0.03 && v.position[1] > 0.0);
@@ -168,14 +168,14 @@ fn a_standing_foot_stays_where_it_is() {
     }
 }
 
-/// The grid cells that a mesh covers, seen along a direction.
+/// Returns the grid cells that a mesh covers, seen along a direction.
 fn silhouette(mesh: &Mesh, direction: DVec3) -> BTreeSet<[i64; 2]> {
     let (u, v) = direction.any_orthonormal_pair();
     let cell = |p: &SurfacePoint| [u, v].map(|axis| (p.position_m.dot(axis) / 0.02).round() as i64);
     seen_along(mesh, direction, 0.02).iter().map(cell).collect()
 }
 
-/// Whoever stands in for a kind has nearly its outline, whatever the body.
+/// The fallback template of a height has nearly the silhouette of every body.
 #[test]
 fn silhouettes_are_those_of_the_typical_body_in_the_same_box() {
     let views = [
@@ -228,7 +228,7 @@ fn surfaces_are_what_can_be_seen() {
         assert!(off.iter().all(|d| *d > -1e-6));
         sides[side] += 1;
     }
-    // 5 directions see the top, and each side is seen by one straight, and by two and two aslant.
+    // 5 directions see the top; each side is seen by one perpendicular direction and by two pairs of oblique ones.
     let per_m2 = 1.0 / (0.015 * 0.015);
     let half = 0.5_f64.sqrt();
     let slant = 1.0 / 3.0_f64.sqrt();

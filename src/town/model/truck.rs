@@ -9,16 +9,16 @@ use super::shell::{Arch, End, Shell, row};
 use super::wheel::{self, Wheel};
 use crate::town::mesh::{Mesh, Ring, Skin, Surface};
 
-/// What a truck carries its goods in.
+/// Kind of load.
 #[derive(Clone, Copy, Debug)]
 enum Load {
     Box,
-    /// With a crate or two.
+    /// Open bed with crates.
     Flat,
     Tank,
 }
 
-/// A truck with its measures, metres.
+/// Truck with its dimensions, meters.
 #[derive(Clone, Debug)]
 pub(super) struct Truck {
     pub(super) size_m: DVec3,
@@ -32,7 +32,7 @@ pub(super) struct Truck {
     wheel: [f64; 2],
     /// Height of the frame.
     frame: f64,
-    /// Where the load starts.
+    /// Front end of the load.
     front: f64,
 }
 
@@ -103,7 +103,7 @@ impl Truck {
         mesh.block(beam[0], beam[1], DARK);
         let lamp = DVec3::new(-half + 0.05, 0.85 * self.cab.half_width, 0.72);
         mesh.block(lamp - DVec3::new(0.04, 0.2, 0.06), lamp + DVec3::new(0.04, 0.2, 0.06), TAIL_LAMP);
-        // Guards between the axles.
+        // Side guards between the axles.
         let first = self.axles.iter().copied().fold(-half, f64::max) + self.wheel[0] + 0.15;
         let last = self.cab.rear.x - 0.1;
         if last > first + 0.3 {
@@ -126,7 +126,7 @@ impl Truck {
         mesh
     }
 
-    /// The left half of the cab.
+    /// Returns the left half of the cab.
     fn cab(&self) -> Mesh {
         let cab = &self.cab;
         let (pane_rear, pane_front) = (cab.rear.x + 0.45, cab.front.x - 0.16);
@@ -170,7 +170,7 @@ impl Truck {
             let from = DVec3::new(min.x, -y - 0.004, low) + inset;
             mesh.block(from, DVec3::new(max.x, y + 0.004, high) - inset, skin);
         }
-        // The gap between the doors, and their bars.
+        // Gap between the rear doors, and their locking bars.
         let bar = |y: f64, r: f64, skin| {
             let at = DVec3::new(min.x, y, 0.0);
             let (low, high) = (DVec3::Z * (min.z + 0.1), DVec3::Z * (max.z - 0.1));
@@ -181,7 +181,7 @@ impl Truck {
         self.floor(mesh);
     }
 
-    /// What the load stands on.
+    /// Adds the floor below the load.
     fn floor(&self, mesh: &mut Mesh) {
         let (half, y) = (self.size_m.x / 2.0, self.cab.half_width);
         mesh.block(DVec3::new(-half + 0.02, -y, 0.8), DVec3::new(self.front, y, self.frame + 0.07), TRIM);

@@ -9,10 +9,10 @@ use super::dice::Dice;
 use super::figure::Figure;
 use crate::town::mesh::{Skin, Surface};
 
-/// Poses of a walking cycle.
+/// Number of poses of a walking cycle.
 pub(super) const POSES: usize = 12;
 
-/// What is worn below the waist.
+/// Clothing below the waist.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Legs {
     Trousers,
@@ -20,17 +20,17 @@ enum Legs {
     Skirt,
 }
 
-/// Somebody, with measures in metres.
+/// Pedestrian, with dimensions in meters.
 #[derive(Clone, Debug)]
 pub(super) struct Walker {
     height: f64,
-    /// Breadth compared to others of that height.
+    /// Breadth relative to the usual one at that height.
     build: f64,
-    /// Half the angle between the legs at the longest, radians.
+    /// Half the maximum angle between the legs, radians.
     stride_rad: f64,
     pub(super) child: bool,
     legs: Legs,
-    /// How far the coat reaches below the waist, share of the height.
+    /// Length of the coat below the waist, share of the height.
     coat: f64,
     long_hair: bool,
     bald: bool,
@@ -82,20 +82,20 @@ impl Walker {
         }
     }
 
-    /// Metres of a whole cycle.
+    /// Returns the length of a whole cycle, meters.
     pub(super) fn cycle_m(&self) -> f64 {
         4.0 * 0.49 * self.height * self.stride_rad.sin()
     }
 
-    /// The pose that reaches farthest ahead and back.
+    /// Returns the pose with the longest reach ahead and back.
     pub(super) fn widest(&self) -> usize {
         POSES / 4
     }
 
-    /// In a pose, standing on z = 0.
+    /// Returns the figure in a pose, with its feet on z = 0.
     pub(super) fn figure(&self, pose: usize) -> Figure {
         let h = self.height;
-        // Both legs side by side at first.
+        // Pose 0 has both legs side by side.
         let phase = (pose % POSES) as f64 / POSES as f64 * TAU + TAU / 4.0;
         let mut figure = Figure::default();
         let hip = 0.525 * h;
@@ -111,7 +111,7 @@ impl Walker {
         figure
     }
 
-    /// Thigh, shank and shoe.
+    /// Adds thigh, shank and shoe.
     fn leg(&self, figure: &mut Figure, side: f64, hip: f64, phase: f64) {
         let (h, b) = (self.height, self.build);
         let y = side * 0.047 * h * b;
@@ -221,7 +221,7 @@ impl Walker {
     }
 
     fn head(&self, figure: &mut Figure) {
-        // Heads of children are nearly as large as those of others.
+        // Children's heads are nearly as large as those of adults.
         let h = self.height;
         let size = 0.062 * (0.55 * h + 0.45 * 1.74);
         let top = 1.0 * h - 0.004 * h;
@@ -268,7 +268,8 @@ impl Walker {
     }
 }
 
-/// Where a leg is between ahead (1) and back (-1): while it stands it goes back evenly, so that the foot does not slide.
+/// Returns the position of a leg between ahead (1) and back (-1). During stance it moves back linearly, so that the
+/// foot does not slide.
 fn swing(phase: f64) -> f64 {
     let phase = phase.rem_euclid(TAU);
     if phase < TAU / 2.0 { 1.0 - 4.0 * phase / TAU } else { phase.cos() }

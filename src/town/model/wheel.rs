@@ -6,19 +6,19 @@ use super::colors::{DARK, TYRE};
 use super::shell::Shell;
 use crate::town::mesh::{Mesh, Skin};
 
-/// A wheel.
+/// Wheel of a vehicle.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Wheel {
-    /// The outer side of the hub.
+    /// Outer end of the hub.
     pub(super) hub: DVec3,
-    /// Metres.
+    /// Radius, meters.
     pub(super) radius: f64,
-    /// Metres, inward from the hub.
+    /// Width, meters, inward from the hub.
     pub(super) width: f64,
-    /// 1: outside is left; -1: right.
+    /// 1 if the outside is left, -1 if right.
     pub(super) side: f64,
     pub(super) rim: Skin,
-    /// At least 5.
+    /// Number of spokes, at least 5.
     pub(super) spokes: usize,
 }
 
@@ -35,7 +35,7 @@ impl Wheel {
             [0.64 * r, -0.09 * w],
             [0.0, -0.02 * w],
         ];
-        // Few spokes are narrower than the gaps between them.
+        // With few spokes, they are narrower than the gaps between them.
         let share = if self.spokes < 7 { 3 } else { 2 };
         mesh.lathe(
             (self.hub, DVec3::Y * self.side),
@@ -50,7 +50,7 @@ impl Wheel {
     }
 }
 
-/// Adds a shell's left wheels (radius and width, metres), and what closes the wells behind them.
+/// Adds a shell's left wheels (radius and width in meters), and blocks that close the wheel wells behind them.
 pub(super) fn under(shell: &Shell, [radius, width]: [f64; 2], (rim, spokes): (Skin, usize), mesh: &mut Mesh) {
     for arch in &shell.arches {
         let out = shell.half_width_at(arch.x) * 0.985 - 0.012;

@@ -1,4 +1,4 @@
-//! The outline of a junction: mouths of roads, and rounded kerbs between them.
+//! Outline of a junction: mouths of roads with rounded kerbs between them.
 
 use std::f64::consts::{PI, TAU};
 
@@ -7,19 +7,19 @@ use glam::DVec2;
 use super::JunctionEdge;
 use super::line::{Path, bezier};
 
-/// Gaps between roads that are wider than this have no corner to round: their kerb is one long curve.
+/// Gaps between roads wider than this have no corner to round; their kerb is one long curve.
 const WIDE_RAD: f64 = 2.6;
-/// Least distance from the middle of a junction to its mouths, metres.
+/// Minimum distance from the middle of a junction to its mouths, meters.
 const LEAST_M: f64 = 6.0;
 
-/// A road as a junction sees it.
+/// End of a road at a junction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mouth {
     /// Index of the road.
     pub(super) road: usize,
-    /// Unit, from the middle of the junction into the road.
+    /// Unit direction from the middle of the junction into the road.
     pub(super) direction: DVec2,
-    /// From the middle of the road to its kerb, metres.
+    /// Distance from the middle of the road to its kerb, meters.
     pub(super) half_width_m: f64,
 }
 
@@ -28,13 +28,14 @@ pub(super) fn sort(mouths: &mut [Mouth]) {
     mouths.sort_by(|a, b| a.direction.to_angle().total_cmp(&b.direction.to_angle()));
 }
 
-/// The angle from one mouth to the next counter-clockwise, radians; a whole turn to itself.
+/// Returns the counter-clockwise angle from one mouth to the next, radians; 2π from a mouth to itself.
 fn gap_rad(from: &Mouth, to: &Mouth) -> f64 {
     let gap = (to.direction.to_angle() - from.direction.to_angle()).rem_euclid(TAU);
     if gap < 1e-9 { TAU } else { gap }
 }
 
-/// Distances of the mouths from the middle, metres, so that kerbs of a radius fit between them. Mouths are sorted.
+/// Returns the distances of the mouths from the middle, meters, at which kerbs of the radius fit between them.
+/// Requires sorted mouths.
 pub(super) fn distances_m(mouths: &[Mouth], radius_m: f64) -> Vec<f64> {
     let n = mouths.len();
     let mut distances_m = vec![LEAST_M; n];
@@ -45,7 +46,7 @@ pub(super) fn distances_m(mouths: &[Mouth], radius_m: f64) -> Vec<f64> {
         if gap > WIDE_RAD {
             continue;
         }
-        // Kerbs would meet this far out; the curve starts a little farther.
+        // Distance at which the kerbs would meet; the curve starts slightly farther out.
         let reach =
             |own: f64, other: f64| (other + own * gap.cos()) / gap.sin() + radius_m / (gap / 2.0).tan() + 0.4;
         distances_m[i] = distances_m[i].max(reach(a.half_width_m, b.half_width_m));
@@ -54,7 +55,7 @@ pub(super) fn distances_m(mouths: &[Mouth], radius_m: f64) -> Vec<f64> {
     distances_m
 }
 
-/// The outline, counter-clockwise, and what its edges are. Mouths are sorted.
+/// Returns the outline, counter-clockwise, and the kind of each of its edges. Requires sorted mouths.
 pub(super) fn outline(
     centre: DVec2,
     mouths: &[Mouth],
@@ -78,7 +79,7 @@ pub(super) fn outline(
     (corners, edges)
 }
 
-/// A point that sees the whole outline where two roads meet: between the kerbs, nearer to the outer one.
+/// Returns a point that sees the whole outline where two roads meet: between the kerbs, nearer to the outer one.
 pub(super) fn middle_of_bend(outline: &[DVec2], edges: &[JunctionEdge]) -> DVec2 {
     let starts: Vec<usize> = (0..edges.len()).filter(|i| edges[*i] != JunctionEdge::Kerb).collect();
     let [a, b] = starts[..] else { return outline.iter().sum::<DVec2>() / outline.len().max(1) as f64 };
@@ -93,7 +94,7 @@ pub(super) fn middle_of_bend(outline: &[DVec2], edges: &[JunctionEdge]) -> DVec2
     inner.lerp(outer, share)
 }
 
-/// From the left end of one mouth to the right end of the next, both included.
+/// Returns the kerb from the left end of one mouth to the right end of the next, both included.
 fn kerb([from, to]: [DVec2; 2], [a, b]: [&Mouth; 2], radius_m: f64) -> Vec<DVec2> {
     let gap = gap_rad(a, b);
     let chord = from.distance(to);
@@ -101,7 +102,7 @@ fn kerb([from, to]: [DVec2; 2], [a, b]: [&Mouth; 2], radius_m: f64) -> Vec<DVec2
         return cap(from, to, a.direction);
     }
     if gap > WIDE_RAD {
-        // As long as handles are for an arc of a circle.
+        // The handle length that approximates an arc of a circle.
         let handle = chord / 3.0 / ((gap - PI) / 4.0).cos().powi(2);
         let curve = [from, from - a.direction * handle, to - b.direction * handle, to];
         return bezier(curve, 8);
@@ -123,7 +124,7 @@ fn kerb([from, to]: [DVec2; 2], [a, b]: [&Mouth; 2], radius_m: f64) -> Vec<DVec2
     kerb
 }
 
-/// Around the end of a road that leads nowhere.
+/// Returns the kerb around the end of a dead-end road.
 fn cap(from: DVec2, to: DVec2, direction: DVec2) -> Vec<DVec2> {
     let (middle, radius) = ((from + to) / 2.0 - direction * LEAST_M, from.distance(to) / 2.0);
     let arc = |i: usize| middle + DVec2::from_angle(PI * i as f64 / 12.0).rotate(direction.perp()) * radius;

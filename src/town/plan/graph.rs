@@ -1,4 +1,4 @@
-//! Which junctions there are and which streets join them: a grid that is bent, thinned and cut.
+//! Street graph of junctions and streets: a grid that is bent, thinned and cut.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -6,58 +6,58 @@ use glam::DVec2;
 
 use super::random::Random;
 
-/// Streets before they have a course.
+/// Topology of the streets, before their courses are computed.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Graph {
-    /// Where streets meet or end, metres.
+    /// Positions where streets meet or end, meters.
     pub(super) nodes: Vec<DVec2>,
     /// Streets.
     pub(super) links: Vec<Link>,
 }
 
-/// A street between two nodes.
+/// Street between two nodes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Link {
-    /// Its nodes.
+    /// Indices of its nodes.
     pub(super) nodes: [usize; 2],
     /// Unit directions in which it leaves its nodes.
     pub(super) directions: [DVec2; 2],
-    /// What it looks like.
+    /// Its cross section.
     pub(super) section: Section,
 }
 
-/// A cross section.
+/// Cross section of a street.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Section {
     /// Lanes in each direction.
     pub(super) lanes_each_way: usize,
-    /// Width of a lane, metres.
+    /// Width of a lane, meters.
     pub(super) lane_width_m: f64,
-    /// Width of the parking strips on the left and on the right, metres.
+    /// Width of the parking strips on the left and on the right, meters.
     pub(super) parking_m: [f64; 2],
 }
 
-/// Width of a parking strip, metres.
+/// Width of a parking strip, meters.
 const PARKING_M: f64 = 2.3;
-/// Width between the outermost lane and a kerb without parking, metres.
+/// Width between the outermost lane and a kerb without parking, meters.
 const GUTTER_M: f64 = 0.3;
-/// How far a street that goes across a block turns towards its other end where it leaves a node, radians.
+/// Maximum turn of a street across a block towards its other end where it leaves a node, radians.
 const ACROSS_RAD: f64 = 0.36;
-/// Sides on which a street may leave a node, counter-clockwise from the east of the grid.
+/// Sides on which a street may leave a node, counter-clockwise from the grid's east.
 const EAST: usize = 0;
 const NORTH: usize = 1;
 const WEST: usize = 2;
 const SOUTH: usize = 3;
 
 impl Section {
-    /// From the middle to the kerb, metres.
+    /// Returns the distance from the middle to the kerb, meters.
     pub(super) fn half_width_m(&self) -> f64 {
         let parking = self.parking_m[0].max(self.parking_m[1]);
         self.lanes_each_way as f64 * self.lane_width_m + parking.max(GUTTER_M)
     }
 }
 
-/// The grid that a town starts from.
+/// Grid that the generation starts from.
 struct Grid {
     columns: usize,
     rows: usize,
@@ -67,20 +67,20 @@ struct Grid {
     outs: Vec<(usize, usize, f64, Section)>,
 }
 
-/// A street of the grid: node and side at both ends.
+/// Street of the grid: node and side at both ends.
 type Joined = ([(usize, usize); 2], Section, Course);
 
-/// How a street gets from one node to the other.
+/// Course of a street between its nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Course {
     Straight,
-    /// Around a corner of the grid.
+    /// Around a removed corner of the grid.
     Around,
     /// From one side of a block to the opposite one.
     Across,
 }
 
-/// Draws a graph. `bend` in 0..=1: how far from a plain grid; 0 always gives streets that fit.
+/// Generates a graph. `bend` in 0..=1 is the deviation from a plain grid; 0 always gives streets that fit.
 pub(super) fn draw(random: &mut Random, bend: f64) -> Graph {
     let mut grid = Grid::new(random, bend);
     let streets = Streets::new(random, &grid);
@@ -95,7 +95,7 @@ pub(super) fn draw(random: &mut Random, bend: f64) -> Graph {
     grid.graph()
 }
 
-/// Which rows and columns are avenues.
+/// Cross sections of the streets: which rows and columns are avenues.
 struct Streets {
     rows: Vec<bool>,
     columns: Vec<bool>,
@@ -187,7 +187,7 @@ impl Grid {
         self.links.iter().filter(|(ends, ..)| ends.iter().any(|e| e.0 == node)).count()
     }
 
-    /// Takes some corners of the grid away: a long bend leads around.
+    /// Removes some corners of the grid and replaces each with a long bend.
     fn cut_corners(&mut self, random: &mut Random) {
         let (right, top) = (self.columns - 1, self.rows - 1);
         for (column, row, sides) in [
@@ -207,7 +207,7 @@ impl Grid {
         }
     }
 
-    /// Makes one street of two opposite sides of a block: it swings from one to the other.
+    /// Replaces two opposite sides of a block with one street that swings from one to the other.
     fn swing(&mut self, random: &mut Random) {
         for _ in 0..2 {
             let (column, row) = (random.index(self.columns - 1), random.index(self.rows - 1));
@@ -232,7 +232,7 @@ impl Grid {
         }
     }
 
-    /// Takes some streets away, so that blocks merge.
+    /// Removes some streets, so that blocks merge.
     fn thin(&mut self, random: &mut Random) {
         let mut order: Vec<_> = self.links.iter().map(|link| link.0).collect();
         random.shuffle(&mut order);
@@ -254,7 +254,7 @@ impl Grid {
         }
     }
 
-    /// Whether a node would be a mere bend without its street on a side.
+    /// Returns whether a node would become a mere bend without its street on a side.
     fn would_bend(&self, (node, side): (usize, usize)) -> bool {
         let others: Vec<usize> = (0..4).filter(|s| *s != side && self.link_at(node, *s).is_some()).collect();
         others.len() == 2 && (others[0] + 2) % 4 != others[1]
@@ -279,7 +279,7 @@ impl Grid {
         (0..self.nodes.len()).all(|node| seen[node] || self.degree(node) == 0)
     }
 
-    /// Streets that leave the town at its edge: avenues always, others here and there.
+    /// Adds streets that leave the town at its edge: all avenues, some others.
     fn lead_out(&mut self, random: &mut Random, streets: &Streets) {
         for row in 1..self.rows - 1 {
             for (node, side) in [(self.node(0, row), WEST), (self.node(self.columns - 1, row), EAST)] {
@@ -300,7 +300,7 @@ impl Grid {
         }
     }
 
-    /// Where only two streets meet they look the same.
+    /// Gives both streets the same cross section where only two meet.
     fn narrow_bends(&mut self) {
         for _ in 0..self.nodes.len() {
             for node in 0..self.nodes.len() {
@@ -318,7 +318,7 @@ impl Grid {
         DVec2::from_angle(self.turn_rad + side as f64 * FRAC_PI_2)
     }
 
-    /// Towards what a street leaves a node on a side, if there is one.
+    /// Returns the point that a street on a side of a node heads for; `None` without a street there.
     fn target(&self, node: usize, side: usize) -> Option<DVec2> {
         let aside = self.nodes[node] + self.side_direction(side) * 100.0;
         if let Some(link) = self.link_at(node, side) {
@@ -329,7 +329,8 @@ impl Grid {
         self.outs.iter().any(|(n, s, ..)| (*n, *s) == (node, side)).then_some(aside)
     }
 
-    /// Streets on opposite sides of a node leave it in opposite directions, but for one that goes across a block.
+    /// Returns the direction in which a street leaves a node. Streets on opposite sides leave in opposite directions,
+    /// except one that crosses a block.
     fn direction(&self, node: usize, side: usize) -> DVec2 {
         let here = self.nodes[node];
         let Some(target) = self.target(node, side) else { return self.side_direction(side) };

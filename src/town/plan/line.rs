@@ -1,19 +1,19 @@
-//! Lines of many short edges on the ground: offsets, lengths, places along them.
+//! Polylines on the ground: offsets, lengths and positions along them.
 
 use glam::DVec2;
 
-/// A point of a line, where the line goes, and how far to its left something is.
+/// Projection of a point onto a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Foot {
-    /// Metres along the line; before its start negative, beyond its end more than its length.
+    /// Position along the line, meters; negative before its start, greater than its length beyond its end.
     pub along_m: f64,
-    /// Metres to the left of the line.
+    /// Offset to the left of the line, meters.
     pub left_m: f64,
-    /// Distance to the line itself, metres; beyond an end the distance to that end.
+    /// Distance to the line itself, meters; beyond an end the distance to that end.
     pub distance_m: f64,
 }
 
-/// A line with the length up to each of its points.
+/// Polyline with the length up to each of its points.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
     points: Vec<DVec2>,
@@ -21,8 +21,8 @@ pub struct Path {
 }
 
 impl Path {
-    /// Points that repeat the one before are left out. A line needs two points that differ: fewer make a line of
-    /// length 0, which goes along x.
+    /// Creates a path and skips points that repeat the previous one. Fewer than two distinct points give a path of
+    /// length 0 in direction x.
     pub fn new(points: &[DVec2]) -> Self {
         let mut kept: Vec<DVec2> = Vec::with_capacity(points.len().max(2));
         for point in points {
@@ -40,22 +40,22 @@ impl Path {
         Self { points: kept, lengths_m }
     }
 
-    /// Its points.
+    /// Returns its points.
     pub fn points(&self) -> &[DVec2] {
         &self.points
     }
 
-    /// Metres from the start to each point.
+    /// Returns the length from the start to each point, meters.
     pub fn lengths_m(&self) -> &[f64] {
         &self.lengths_m
     }
 
-    /// Metres from end to end.
+    /// Returns the total length, meters.
     pub fn length_m(&self) -> f64 {
         self.lengths_m[self.lengths_m.len() - 1]
     }
 
-    /// Index of the edge at a distance from the start, metres; the first or the last beyond the ends.
+    /// Returns the index of the edge at a distance from the start, meters; clamped to the first or last edge.
     fn edge_at(&self, along_m: f64) -> usize {
         let next = self.lengths_m.partition_point(|l| *l <= along_m);
         next.clamp(1, self.points.len().max(2) - 1) - 1
@@ -68,19 +68,19 @@ impl Path {
         }
     }
 
-    /// The point at a distance from the start, metres; the line goes on straight beyond its ends.
+    /// Returns the point at a distance from the start, meters; extrapolates straight beyond the ends.
     pub fn point(&self, along_m: f64) -> DVec2 {
         let edge = self.edge_at(along_m);
         self.points[edge] + self.edge_direction(edge) * (along_m - self.lengths_m[edge])
     }
 
-    /// Unit direction of the edge at a distance from the start, metres.
+    /// Returns the unit direction of the edge at a distance from the start, meters.
     pub fn direction(&self, along_m: f64) -> DVec2 {
         self.edge_direction(self.edge_at(along_m))
     }
 
-    /// Unit direction at a distance from the start, metres, that turns evenly from the middle of an edge to that of the
-    /// next.
+    /// Returns the unit direction at a distance from the start, meters, interpolated between the middles of adjacent
+    /// edges.
     pub fn smooth_direction(&self, along_m: f64) -> DVec2 {
         let edge = self.edge_at(along_m);
         let Some(ends) = self.lengths_m.get(edge..edge + 2) else { return DVec2::X };
@@ -91,7 +91,7 @@ impl Path {
         here.lerp(self.edge_direction(other), share.abs()).normalize_or(here)
     }
 
-    /// Where a point lies beside the line. At its ends the line goes on straight for `along_m` and `left_m`.
+    /// Projects a point onto the line. For `along_m` and `left_m` the line continues straight beyond its ends.
     pub fn foot(&self, point: DVec2) -> Foot {
         let mut best = Foot { along_m: 0.0, left_m: 0.0, distance_m: f64::INFINITY };
         let edges = self.points.len().max(2) - 1;
@@ -112,7 +112,7 @@ impl Path {
         best
     }
 
-    /// Points at even steps of at most `step_m` metres, both ends included.
+    /// Returns points at even steps of at most `step_m` meters, both ends included.
     pub fn resampled(&self, step_m: f64) -> Vec<DVec2> {
         let steps = (self.length_m() / step_m).ceil().max(1.0) as usize;
         let mut points: Vec<DVec2> =
@@ -121,7 +121,7 @@ impl Path {
         points
     }
 
-    /// The part between two distances from the start, metres.
+    /// Returns the part between two distances from the start, meters.
     pub fn part(&self, from_m: f64, to_m: f64) -> Vec<DVec2> {
         let inner =
             (0..self.points.len()).filter(|i| (from_m + 1e-6..to_m - 1e-6).contains(&self.lengths_m[*i]));
@@ -132,8 +132,8 @@ impl Path {
     }
 }
 
-/// The line at a distance to the left of another, metres (negative: to the right): a point for each of its points, on
-/// the bisector of its edges.
+/// Returns the parallel line at a distance to the left, meters (negative: to the right), with a point for each input
+/// point on the bisector of its edges.
 pub fn offset_line(line: &[DVec2], left_m: f64) -> Vec<DVec2> {
     let path = |i: usize| -> Option<DVec2> { (*line.get(i + 1)? - line[i]).try_normalize() };
     let normal = |i: usize| {
@@ -141,18 +141,19 @@ pub fn offset_line(line: &[DVec2], left_m: f64) -> Vec<DVec2> {
         let before = i.checked_sub(1).and_then(path);
         let (a, b) = (before.or(after).unwrap_or(DVec2::X), after.or(before).unwrap_or(DVec2::X));
         let mean = (a + b).normalize_or(a);
-        // On sharp corners the bisector would run far away.
+        // At sharp corners the unclamped offset along the bisector would be very long.
         mean.perp() / mean.dot(b).max(0.3)
     };
     line.iter().enumerate().map(|(i, p)| *p + normal(i) * left_m).collect()
 }
 
-/// The area between two lines that run side by side, counter-clockwise: along the right one, back along the left one.
+/// Returns the area between two lines that run side by side, counter-clockwise: along the right one, back along the
+/// left one.
 pub fn area_between(right: &[DVec2], left: &[DVec2]) -> Vec<DVec2> {
     right.iter().chain(left.iter().rev()).copied().collect()
 }
 
-/// A cubic Bezier curve in `steps` edges, both ends included.
+/// Samples a cubic Bezier curve as `steps` edges, both ends included.
 pub(super) fn bezier([a, b, c, d]: [DVec2; 4], steps: usize) -> Vec<DVec2> {
     let point = |i: usize| {
         let t = i as f64 / steps as f64;
@@ -164,7 +165,8 @@ pub(super) fn bezier([a, b, c, d]: [DVec2; 4], steps: usize) -> Vec<DVec2> {
     points
 }
 
-/// Curvature at each point, 1 per metre, to the left: of the circle through it and its neighbours; 0 at the ends.
+/// Returns the curvature at each point, 1/m, positive to the left: of the circle through it and its neighbours; 0 at
+/// the ends.
 pub(super) fn curvature(line: &[DVec2]) -> Vec<f64> {
     let mut curvature = vec![0.0; line.len()];
     for (i, p) in line.windows(3).enumerate() {
@@ -175,7 +177,7 @@ pub(super) fn curvature(line: &[DVec2]) -> Vec<f64> {
     curvature
 }
 
-/// Whether a point lies inside a polygon.
+/// Returns whether a point lies inside a polygon.
 pub fn contains(polygon: &[DVec2], point: DVec2) -> bool {
     let edges = polygon.iter().zip(polygon.iter().cycle().skip(1));
     let crossed = edges.filter(|(a, b)| {
@@ -196,7 +198,7 @@ mod tests {
     fn an_offset_of_an_arc_is_an_arc() {
         let inner = offset_line(&circle(20.0, 90), 4.0);
         for (i, p) in inner.iter().enumerate() {
-            // The ends have one edge only, so they go along its normal.
+            // End points have one edge only and move along its normal.
             let tolerance = if i == 0 || i == 90 { 0.02 } else { 1e-9 };
             let wanted = 20.0 - 4.0 / (1.0 / 60.0_f64).cos();
             assert!((p.length() - wanted).abs() < tolerance, "{i} {p}");

@@ -1,6 +1,7 @@
-//! What there is in the town and who moves how: streets, lanes, traffic, the ego's drive. No shapes.
+//! Plan of the town: streets, lanes, traffic and the ego's route, without shapes.
 //!
-//! All in the town's frame, metres: x and y on the ground, z up; roads lie at z = 0, sidewalks [`KERB_M`] higher.
+//! All coordinates are in the town's frame, meters: x and y on the ground, z up. Roads lie at z = 0, sidewalks
+//! [`KERB_M`] higher.
 
 mod corner;
 mod graph;
@@ -22,20 +23,20 @@ pub use ways::Turn;
 
 use super::TownOptions;
 
-/// Height of sidewalks above the road, metres.
+/// Height of sidewalks above the road, meters.
 pub const KERB_M: f64 = 0.14;
 
-/// The plan of a town and of a drive in it.
+/// Plan of a town and of a recording in it.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// Streets and lanes.
     pub network: Network,
-    /// The ego and everybody else.
+    /// Motion of the ego and of all actors.
     pub traffic: Traffic,
 }
 
 impl Plan {
-    /// The plan that follows from a seed, with as much traffic as the frames need.
+    /// Generates the plan from the options' seed, with traffic for their duration.
     pub fn new(options: &TownOptions) -> Self {
         let network = Network::new(options.seed);
         let traffic = Traffic::new(&network, options.seed, options.duration_s());

@@ -2,91 +2,91 @@ use glam::DVec2;
 
 use super::line::{area_between, offset_line};
 
-/// The streets.
+/// Street network.
 #[derive(Clone, Debug, Default)]
 pub struct Network {
-    /// Between junctions.
+    /// Roads between junctions.
     pub roads: Vec<Road>,
-    /// Where roads meet, or end.
+    /// Junctions, where roads meet or end.
     pub junctions: Vec<Junction>,
-    /// Lanes of roads, and ways through junctions.
+    /// Lanes of roads, and paths through junctions.
     pub lanes: Vec<TownLane>,
     /// Zebra crossings.
     pub crossings: Vec<Crossing>,
-    /// Both ends of each stop line, and the lane it is on.
+    /// Both ends of each stop line, and the index of its lane.
     pub stop_lines: Vec<([DVec2; 2], usize)>,
 }
 
-/// A road between two junctions. Its cross section, from the middle to either side: lanes, parking, kerb, sidewalk.
+/// Road between two junctions. Its cross section from the middle to either side: lanes, parking, kerb, sidewalk.
 #[derive(Clone, Debug)]
 pub struct Road {
-    /// The middle, a point about every metre; it ends where the junctions' areas begin.
+    /// Middle of the road, a point about every meter; it ends where the junctions' areas begin.
     pub centerline: Vec<DVec2>,
-    /// From the middle to the kerb, metres: lanes and parking.
+    /// Distance from the middle to the kerb, meters: lanes and parking.
     pub half_width_m: f64,
     /// Lanes in each direction.
     pub lanes_each_way: usize,
-    /// Width of a lane, metres.
+    /// Width of a lane, meters.
     pub lane_width_m: f64,
-    /// Width of the parking strip on the left and on the right, metres; 0 without.
+    /// Width of the parking strip on the left and on the right, meters; 0 if absent.
     pub parking_m: [f64; 2],
-    /// Width of the sidewalks, metres.
+    /// Width of the sidewalks, meters.
     pub sidewalk_m: f64,
     /// Indices of the junctions at its start and its end.
     pub junctions: [usize; 2],
 }
 
-/// An area that roads lead to.
+/// Area where roads meet or end.
 #[derive(Clone, Debug)]
 pub struct Junction {
-    /// Its middle.
+    /// Middle of the junction.
     pub centre: DVec2,
-    /// Its outline, counter-clockwise; edge `i` runs from corner `i` to the next. Star-shaped about the middle.
+    /// Outline, counter-clockwise; edge `i` runs from corner `i` to the next. Star-shaped about the middle.
     pub outline: Vec<DVec2>,
-    /// What each edge of the outline is.
+    /// Kind of each edge of the outline.
     pub edges: Vec<JunctionEdge>,
-    /// Who goes first.
+    /// Right-of-way rule.
     pub kind: JunctionKind,
-    /// Width of the sidewalk along its kerbs, metres.
+    /// Width of the sidewalk along its kerbs, meters.
     pub sidewalk_m: f64,
 }
 
-/// What is beyond an edge of a junction.
+/// Kind of an edge of a junction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JunctionEdge {
-    /// A kerb and a sidewalk.
+    /// Kerb with a sidewalk behind it.
     Kerb,
-    /// The end of a road, by index.
+    /// End of a road, by index.
     Road(usize),
 }
 
-/// Who goes first.
+/// Right-of-way rule of a junction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JunctionKind {
     /// Traffic lights.
     Signals,
-    /// Everybody stops.
+    /// All-way stop.
     Stop,
-    /// A bend or a dead end: nobody has to wait.
+    /// Bend or dead end: no vehicle has to wait.
     Free,
 }
 
-/// A way that vehicles take.
+/// Lane of a road, or path through a junction.
 #[derive(Clone, Debug)]
 pub struct TownLane {
-    /// For the HD map.
+    /// Id in the HD map.
     pub id: String,
-    /// Lane or way through a junction.
+    /// Road or junction that it belongs to.
     pub kind: LaneKind,
-    /// In driving direction, a point about every metre.
+    /// Centerline in driving direction: a point about every meter on roads, about every 0.4 m in junctions.
     pub centerline: Vec<DVec2>,
-    /// Metres.
+    /// Width, meters.
     pub width_m: f64,
     /// Indices of the lanes that follow.
     pub successors: Vec<usize>,
 }
 
-/// What a lane belongs to.
+/// Road or junction that a lane belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LaneKind {
     /// A road, by index.
@@ -100,13 +100,13 @@ pub enum LaneKind {
 pub struct Crossing {
     /// Its four corners, counter-clockwise.
     pub outline: [DVec2; 4],
-    /// Where people walk: from one sidewalk to the other.
+    /// Walking path from one sidewalk to the other.
     pub path: [DVec2; 2],
     /// Index of the road that it crosses.
     pub road: usize,
 }
 
-/// What a traffic light shows.
+/// State of a traffic light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum Signal {
@@ -115,7 +115,7 @@ pub enum Signal {
     Red,
 }
 
-/// A side of a road, seen along its centerline.
+/// Side of a road, relative to the direction of its centerline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum Side {
@@ -124,32 +124,33 @@ pub enum Side {
 }
 
 impl Side {
-    /// Both.
+    /// Both sides.
     pub const BOTH: [Self; 2] = [Self::Left, Self::Right];
 
-    /// 1 to the left, -1 to the right: the sign of offsets.
+    /// Returns the sign of offsets: 1 to the left, -1 to the right.
     pub fn sign(self) -> f64 {
         if self == Self::Left { 1.0 } else { -1.0 }
     }
 }
 
 impl Road {
-    /// The line that many metres to the left of the middle (negative: to the right), a point for each of `centerline`.
+    /// Returns the line at a distance to the left of the middle, meters (negative: to the right), with a point for
+    /// each of `centerline`.
     pub fn offset(&self, left_m: f64) -> Vec<DVec2> {
         offset_line(&self.centerline, left_m)
     }
 
-    /// The kerb on a side, in the direction of the centerline.
+    /// Returns the kerb on a side, in the direction of the centerline.
     pub fn kerb(&self, side: Side) -> Vec<DVec2> {
         self.offset(side.sign() * self.half_width_m)
     }
 
-    /// From kerb to kerb, counter-clockwise.
+    /// Returns the area from kerb to kerb, counter-clockwise.
     pub fn outline(&self) -> Vec<DVec2> {
         area_between(&self.kerb(Side::Right), &self.kerb(Side::Left))
     }
 
-    /// The sidewalk on a side, counter-clockwise.
+    /// Returns the sidewalk on a side, counter-clockwise.
     pub fn sidewalk(&self, side: Side) -> Vec<DVec2> {
         let far = self.offset(side.sign() * (self.half_width_m + self.sidewalk_m));
         match side {
@@ -158,23 +159,23 @@ impl Road {
         }
     }
 
-    /// Metres from the middle to where its lanes end.
+    /// Returns the distance from the middle to the outer edge of the lanes, meters.
     pub fn lanes_half_width_m(&self) -> f64 {
         self.lanes_each_way as f64 * self.lane_width_m
     }
 
-    /// The line between the two directions.
+    /// Returns the line between the two directions.
     pub fn middle_divider(&self) -> &[DVec2] {
         &self.centerline
     }
 
-    /// The lines between lanes of one direction, for both directions.
+    /// Returns the lines between lanes of the same direction, for both directions.
     pub fn lane_dividers(&self) -> Vec<Vec<DVec2>> {
         let offsets = (1..self.lanes_each_way).map(|k| k as f64 * self.lane_width_m);
         offsets.flat_map(|d| [self.offset(d), self.offset(-d)]).collect()
     }
 
-    /// Its end at a junction, and the unit direction from there into the road; `None` if it does not end there.
+    /// Returns its end at a junction and the unit direction into the road; `None` if it does not end there.
     pub fn mouth(&self, junction: usize) -> Option<[DVec2; 2]> {
         let (first, second, last, before) = match &self.centerline[..] {
             [first, second, .., before, last] => (*first, *second, *last, *before),
@@ -192,20 +193,20 @@ impl Road {
 }
 
 impl TownLane {
-    /// A line that many metres to the left of its middle, in driving direction.
+    /// Returns the line at a distance to the left of its middle, meters, in driving direction.
     pub fn offset(&self, left_m: f64) -> Vec<DVec2> {
         offset_line(&self.centerline, left_m)
     }
 
-    /// Its area, counter-clockwise.
+    /// Returns its area, counter-clockwise.
     pub fn outline(&self) -> Vec<DVec2> {
         area_between(&self.offset(-self.width_m / 2.0), &self.offset(self.width_m / 2.0))
     }
 }
 
 impl Junction {
-    /// Its kerbs: each runs from the mouth of a road to that of the next, counter-clockwise, so the junction is on the
-    /// left and the sidewalk on the right.
+    /// Returns its kerbs. Each runs counter-clockwise from the mouth of a road to that of the next, with the junction
+    /// on the left and the sidewalk on the right.
     pub fn kerbs(&self) -> Vec<Vec<DVec2>> {
         let n = self.outline.len();
         let Some(start) = self.edges.iter().position(|e| *e != JunctionEdge::Kerb) else { return Vec::new() };
@@ -220,7 +221,7 @@ impl Junction {
         kerbs
     }
 
-    /// The roads that lead to it, in the order of `edges`.
+    /// Returns the roads that lead to it, in the order of `edges`.
     pub fn roads(&self) -> Vec<usize> {
         let road = |edge: &JunctionEdge| match edge {
             JunctionEdge::Road(road) => Some(*road),
@@ -231,12 +232,13 @@ impl Junction {
 }
 
 impl Network {
-    /// The streets that follow from a seed.
+    /// Generates the street network of a seed.
     pub fn new(seed: u64) -> Self {
         super::streets::network(seed)
     }
 
-    /// Indices of a road's lanes: in the direction of its centerline and against it, each from the middle outward.
+    /// Returns the indices of a road's lanes, in the direction of its centerline and against it, each from the middle
+    /// outward.
     pub fn lanes_of(&self, road: usize) -> [Vec<usize>; 2] {
         let lanes = (0..self.lanes.len()).filter(|i| self.lanes[*i].kind == LaneKind::Road(road));
         let mut forward: Vec<usize> = lanes.collect();

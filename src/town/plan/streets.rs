@@ -1,4 +1,4 @@
-//! Roads, junctions and crossings from a graph of streets.
+//! Roads, junctions and crossings built from a street graph.
 
 use glam::DVec2;
 
@@ -8,18 +8,18 @@ use super::line::{Path, bezier, curvature};
 use super::random::Random;
 use super::{Crossing, Junction, JunctionEdge, JunctionKind, Network, Road, ways};
 
-/// Drawn graphs of which none fits before the streets are a plain grid.
+/// Maximum number of random graphs that are tried before the streets fall back to a plain grid.
 const TRIES: u64 = 40;
-/// Roads go straight so far from a junction with crossings, and from others, metres.
+/// Roads are straight for this distance from a junction with crossings, and from a junction without, meters.
 const STRAIGHT_M: f64 = 9.0;
 const STRAIGHT_FREE_M: f64 = 3.0;
-/// Where crossings begin and end and where stop lines are, metres from the mouth of a road.
+/// Distances from the mouth of a road to both edges of its crossing, and to its stop line, meters.
 pub(super) const CROSSING_M: [f64; 2] = [2.5, 5.5];
 const STOP_LINE_M: f64 = 6.7;
-/// Room that roads which do not meet leave between their sidewalks, metres.
+/// Minimum gap between the sidewalks of roads that do not meet, meters.
 const ROOM_M: f64 = 8.0;
 
-/// The streets that follow from a seed.
+/// Generates the street network of a seed.
 pub(super) fn network(seed: u64) -> Network {
     for attempt in 0..TRIES {
         let mut random = Random::new(seed, "streets", attempt);
@@ -116,7 +116,7 @@ fn road(network: &Network, nodes: &[DVec2], link: &Link, distances_m: [f64; 2], 
     }
 }
 
-/// Crossings and stop lines on the roads to a junction.
+/// Adds crossings and stop lines to the roads at a junction.
 fn add_crossings(network: &mut Network, junction: usize) {
     for road in network.junctions[junction].roads() {
         let Some([mouth, along]) = network.roads[road].mouth(junction) else { continue };
@@ -141,7 +141,7 @@ fn add_crossings(network: &mut Network, junction: usize) {
     }
 }
 
-/// Whether nothing overlaps, nothing is too steep a curve and everybody gets somewhere.
+/// Returns whether no roads or junctions overlap, all curves are wide enough and all outlines are star-shaped.
 fn fits(network: &Network) -> bool {
     network.roads.iter().all(road_fits)
         && network.junctions.iter().all(junction_fits)
@@ -164,7 +164,7 @@ fn junction_fits(junction: &Junction) -> bool {
     around && junction.edges.iter().any(|e| *e != JunctionEdge::Kerb)
 }
 
-/// Whether a road keeps away from those after it, and from junctions that it does not lead to.
+/// Returns whether a road has enough clearance to later roads, and to junctions that it does not lead to.
 fn roads_keep_clear(network: &Network, index: usize) -> bool {
     let road = &network.roads[index];
     let path = Path::new(&road.centerline);

@@ -1,16 +1,16 @@
-//! Lanes of roads, and the ways that lead from them through junctions.
+//! Lanes of roads, and the paths that lead from them through junctions.
 
 use glam::DVec2;
 
 use super::line::{Path, bezier, offset_line};
 use super::{LaneKind, Network, TownLane};
 
-/// Ways that turn less than this go straight on.
+/// Paths that turn by less than this count as straight.
 const STRAIGHT_RAD: f64 = 0.62;
-/// Metres between the points of a way through a junction: curves are tight there.
+/// Spacing of the points of a path through a junction, meters; fine because its curves are tight.
 const STEP_M: f64 = 0.4;
 
-/// Where a way leads.
+/// Turn of a path through a junction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)]
 pub enum Turn {
@@ -20,7 +20,7 @@ pub enum Turn {
 }
 
 impl Turn {
-    /// From the direction in which a line starts to that in which it ends.
+    /// Returns the turn between the directions at the start and the end of a line.
     pub fn of(line: &[DVec2]) -> Self {
         let path = Path::new(line);
         Self::between(path.direction(0.0), path.direction(path.length_m()))
@@ -35,7 +35,7 @@ impl Turn {
     }
 }
 
-/// Adds the lanes of all roads, then the ways through all junctions.
+/// Adds the lanes of all roads, then the paths through all junctions.
 pub(super) fn add_lanes(network: &mut Network) {
     for (index, road) in network.roads.iter().enumerate() {
         for (forward, sign) in [('f', -1.0), ('b', 1.0)] {
@@ -62,14 +62,14 @@ pub(super) fn add_lanes(network: &mut Network) {
     }
 }
 
-/// Lanes of a road that end at a junction, and those that start there, each from the middle outward.
+/// Returns the lanes of a road that end at a junction and those that start there, each from the middle outward.
 fn lanes_at(network: &Network, junction: usize, road: usize) -> [Vec<usize>; 2] {
     let [forward, back] = network.lanes_of(road);
     if network.roads[road].junctions[1] == junction { [forward, back] } else { [back, forward] }
 }
 
-/// Adds the ways from one road through a junction: from the outermost lane to the right, from the innermost to the left,
-/// from each straight on; where a lane would lead nowhere it goes where there is a road.
+/// Adds the paths from one road through a junction: from the outermost lane to the right, from the innermost to the
+/// left, from all lanes straight ahead. A lane without any of these gets paths to the available roads.
 fn add_ways(network: &mut Network, junction: usize, from: usize) {
     let [incoming, _] = lanes_at(network, junction, from);
     let mut targets: Vec<(Turn, Vec<usize>)> = Vec::new();
@@ -93,7 +93,7 @@ fn add_ways(network: &mut Network, junction: usize, from: usize) {
             Turn::Right => k == last || only,
         };
         let mut ways: Vec<&(Turn, Vec<usize>)> = targets.iter().filter(|t| allowed(t.0)).collect();
-        // Without a road straight ahead that is as wide, the lane in the middle leaves going straight to the outer one.
+        // If the road straight ahead has fewer lanes, only the outermost lane goes straight.
         ways.retain(|(turn, lanes)| {
             only || *turn != Turn::Straight || lanes.len() >= incoming.len() || k == last
         });
@@ -136,7 +136,7 @@ fn add_way(network: &mut Network, junction: usize, from: usize, to: usize) {
     network.lanes[from].successors.push(index);
 }
 
-/// A smooth line from a point and direction to another: straight where there is room, then a curve.
+/// Returns a smooth line from one point and direction to another: straight where there is room, then a curve.
 fn way([from, ahead]: [DVec2; 2], [to, on]: [DVec2; 2]) -> Vec<DVec2> {
     let turn = ahead.angle_to(on);
     let denominator = ahead.perp_dot(on);
@@ -149,7 +149,7 @@ fn way([from, ahead]: [DVec2; 2], [to, on]: [DVec2; 2]) -> Vec<DVec2> {
     let corner = from + ahead * a;
     let tangent = a.min(b) - 0.5;
     let [start, end] = [corner - ahead * tangent, corner + on * tangent];
-    // An arc of a circle has handles of this length; longer ones make the ends of the curve gentler.
+    // This handle length approximates an arc of a circle; the 10 % extra makes the ends of the curve gentler.
     let handle = tangent * 1.1 * 4.0 / 3.0 * (turn / 4.0).tan() / (turn / 2.0).tan();
     let curve = bezier([start, start + ahead * handle, end - on * handle, end], 64);
     let line: Vec<DVec2> = [from].into_iter().chain(curve).chain([to]).collect();

@@ -1,9 +1,9 @@
-//! Triangles that are named by a corner.
+//! Identification of triangles by their provoking vertex.
 //!
 //! # How it works
-//! The device tells the corner that begins the triangle which a sample shows. So that this is the triangle's name, no two
-//! triangles begin with the same one: they are turned, and where all corners of one are taken, it gets a copy of its
-//! first. The host then knows the triangle and works out its depth in `f64`.
+//! The device reports the provoking vertex of the triangle that a sample shows. To identify the triangle, no two
+//! triangles may start with the same vertex: their corners are rotated, and if all corners of a triangle are taken,
+//! its first is duplicated. The host then looks up the triangle and computes its depth in `f64`.
 
 use std::ops::Range;
 
@@ -12,33 +12,33 @@ use glam::{DVec3, Vec3};
 use super::FilmError;
 use crate::town::mesh::{Mesh, Vertex};
 
-/// All meshes in one list of corners.
+/// All meshes in one vertex and one index list.
 #[derive(Debug, Default)]
 pub(super) struct Corners {
-    /// Of all meshes.
+    /// Vertices of all meshes.
     pub(super) vertices: Vec<Vertex>,
-    /// Three for each triangle; the first is in no other triangle's first place.
+    /// Three indices per triangle; the first is the first of no other triangle.
     pub(super) indices: Vec<u32>,
-    /// The triangle that a corner begins, corners' numbers; `[0; 3]` if it begins none.
+    /// Indices of the triangle that each vertex starts; `[0; 3]` if it starts none.
     begun: Vec<[u32; 3]>,
-    /// One for each mesh.
+    /// One part for each mesh.
     pub(super) parts: Vec<Part>,
 }
 
-/// A mesh among all.
+/// Part of the lists that belongs to a mesh.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Part {
-    /// Its indices.
+    /// Range of its indices.
     pub(super) indices: Range<u32>,
-    /// Least and greatest coordinates, metres, mesh frame; `None` without corners.
+    /// Min and max coordinates, meters, mesh frame; `None` without vertices.
     pub(super) bounds: Option<[DVec3; 2]>,
 }
 
 impl Corners {
-    /// Puts meshes together.
+    /// Concatenates meshes.
     ///
     /// # Errors
-    /// A triangle with a corner that its mesh does not have, too many corners.
+    /// Returns an error if a triangle has a corner that its mesh does not have, or if there are too many corners.
     pub(super) fn new(meshes: &[&Mesh]) -> Result<Self, FilmError> {
         let mut all = Self::default();
         for (number, mesh) in meshes.iter().enumerate() {
@@ -48,7 +48,7 @@ impl Corners {
     }
 
     fn add(&mut self, number: usize, mesh: &Mesh) -> Result<(), FilmError> {
-        // Every triangle may add a corner and adds three indices.
+        // Every triangle adds at most one vertex, and three indices.
         let most = self.vertices.len() + mesh.vertices.len() + mesh.triangles.len();
         let most = most.max(self.indices.len() + 3 * mesh.triangles.len());
         u32::try_from(most).map_err(|_| FilmError::TooManyCorners)?;
@@ -79,7 +79,7 @@ impl Corners {
         Ok(())
     }
 
-    /// The triangle that a corner begins, metres, mesh frame; `None` if there is no such corner.
+    /// Returns the triangle that a vertex starts, meters, mesh frame; `None` if the vertex does not exist.
     pub(super) fn triangle(&self, corner: u32) -> Option<[DVec3; 3]> {
         let corners = self.begun.get(corner as usize)?;
         Some(corners.map(|i| Vec3::from(self.vertices[i as usize].position).as_dvec3()))
@@ -95,7 +95,7 @@ mod tests {
     fn every_triangle_has_a_corner_of_its_own() {
         let mut mesh = Mesh::default();
         mesh.block(DVec3::ZERO, DVec3::ONE, Skin::new([9; 3], Surface::Plain));
-        // A fan around one corner, and more triangles than corners.
+        // Adds a fan around one corner, and more triangles than corners.
         mesh.triangles.extend([[0, 1, 2], [0, 2, 1], [0, 1, 2], [5, 9, 13]]);
         let all = Corners::new(&[&mesh, &Mesh::default(), &mesh]).unwrap();
         assert_eq!(all.parts.len(), 3);
@@ -108,7 +108,7 @@ mod tests {
                 assert!(seen.insert(now[0]));
                 let at = |i: u32| Vec3::from(mesh.vertices[i as usize].position).as_dvec3();
                 let [a, b, c] = was.map(at);
-                // The same triangle, turned.
+                // The same triangle, rotated.
                 let found = all.triangle(now[0]).unwrap();
                 assert!([[a, b, c], [b, c, a], [c, a, b]].contains(&found), "{found:?}");
             }

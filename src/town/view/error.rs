@@ -1,32 +1,32 @@
 use crate::gpu::GpuError;
 
-/// What went wrong while filming.
+/// Error of rendering the town.
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
-    /// The device or driver.
+    /// The device or driver failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// A triangle names a corner that its mesh does not have.
+    /// A triangle has a corner that its mesh does not have.
     #[error("expected corners below {corners} in the triangles of mesh {mesh}, found {corner}")]
     Corner {
-        /// Which mesh.
+        /// Index of the mesh.
         mesh: usize,
-        /// Its corners.
+        /// Number of its corners.
         corners: usize,
-        /// What a triangle names.
+        /// The invalid index.
         corner: u32,
     },
-    /// More than a number of 32 bits tells apart.
+    /// There are more corners than 32-bit indices can address.
     #[error("expected fewer than 2^32 corners in all meshes, found more")]
     TooManyCorners,
-    /// A draw names a mesh that there is not.
+    /// A draw has the index of a mesh that does not exist.
     #[error("expected meshes below {meshes}, found {mesh} in draw {draw}")]
     UnknownMesh {
-        /// Which draw.
+        /// Index of the draw.
         draw: usize,
-        /// What it names.
+        /// The invalid index.
         mesh: usize,
-        /// How many there are.
+        /// Number of meshes.
         meshes: usize,
     },
 }

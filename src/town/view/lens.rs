@@ -1,4 +1,4 @@
-//! A view as a grid of samples.
+//! Sample grid and projection of a view.
 //!
 //! # How it works
 //! A tile of `w × h` pixels has `(2w + 1) × (2h + 1)` samples at half-pixel steps, so that sample `(2i + 1, 2j + 1)`
@@ -9,23 +9,23 @@ use glam::{DAffine3, DMat3, DVec3, DVec4};
 use crate::geometry::View;
 use crate::raster::tiles::Tile;
 
-/// What is nearer is not seen, metres of camera z.
+/// Near plane, meters of camera z.
 pub(super) const NEAR_M: f64 = 0.1;
 
-/// A tile of a view.
+/// Camera of a tile of a view.
 #[derive(Clone, Debug)]
 pub(super) struct Lens {
-    /// Camera from town, metres.
+    /// Camera from town, meters.
     pub(super) camera_from_town: DAffine3,
     /// `(x·z, y·z, z)` in samples from camera coordinates: a sample `(s, t)` covers `[s, s+1) × [t, t+1)`.
     samples_from_camera: DMat3,
     /// Columns and rows of samples.
     pub(super) samples: [u32; 2],
-    /// Where the camera stands, town frame.
+    /// Camera position, town frame.
     pub(super) place: DVec3,
 }
 
-/// The three rows that take homogeneous mesh coordinates to clip x, clip y and clip w.
+/// Three rows that map homogeneous mesh coordinates to clip x, clip y and clip w.
 pub(super) type ClipRows = [DVec4; 3];
 
 impl Lens {
@@ -44,17 +44,17 @@ impl Lens {
         }
     }
 
-    /// Town ray of a sample with camera z 1: columns for sample x, sample y and 1.
+    /// Returns the town rays of samples at camera z 1: columns for sample x, sample y and 1.
     pub(super) fn rays(&self) -> DMat3 {
         self.camera_from_town.inverse().matrix3 * self.samples_from_camera.inverse()
     }
 
-    /// Width of a sample at 1 m, metres.
+    /// Returns the width of a sample at 1 m, meters.
     pub(super) fn sample_m(&self) -> f64 {
         1.0 / self.samples_from_camera.x_axis.x.abs().max(1e-9)
     }
 
-    /// Clip coordinates from those of a mesh.
+    /// Returns the rows that map mesh coordinates to clip coordinates.
     pub(super) fn clip_rows(&self, town_from_mesh: &DAffine3) -> ClipRows {
         let camera_from_mesh = self.camera_from_town * *town_from_mesh;
         let linear = (self.samples_from_camera * camera_from_mesh.matrix3).transpose();
@@ -70,7 +70,7 @@ impl Lens {
     }
 }
 
-/// How near a box comes, camera z in metres, unless none of it is in view.
+/// Returns the minimum camera z of a box, meters; `None` if the box is out of view.
 pub(super) fn nearest_m(clip: &ClipRows, [min, max]: [DVec3; 2]) -> Option<f64> {
     let corner = |bits: usize| {
         let pick = |axis: usize| if bits >> axis & 1 == 1 { max[axis] } else { min[axis] };

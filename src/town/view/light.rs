@@ -3,36 +3,35 @@ use glam::{DVec3, Vec3};
 use crate::town::Daylight;
 use crate::town::hash::between;
 
-/// Sun, sky and air of a picture. Light is linear red, green, blue, in units that `exposure` turns into those of the
-/// film.
+/// Sun, sky and air of an image. Light is linear RGB; `exposure` scales it to the input of the tone curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
-    /// Unit, town frame.
+    /// Unit direction towards the sun, town frame.
     pub towards_sun: DVec3,
-    /// What the sun throws on a surface that faces it.
+    /// Sunlight on a surface that faces the sun.
     pub sun: Vec3,
-    /// The sky overhead.
+    /// Light of the sky overhead.
     pub zenith: Vec3,
-    /// The sky at the horizon.
+    /// Light of the sky at the horizon.
     pub horizon: Vec3,
-    /// What comes back from the ground.
+    /// Light reflected from the ground.
     pub ground: Vec3,
-    /// Share of the sky under clouds, 0–1.
+    /// Share of the sky with clouds, 0–1.
     pub clouds: f32,
-    /// Which clouds: a shift of their pattern.
+    /// Shift of the cloud pattern.
     pub cloud_shift: f32,
-    /// Share of light lost in a metre of air.
+    /// Share of light lost per meter of air.
     pub haze_per_m: f32,
-    /// How much lamps and rooms are lit, 0–1.
+    /// Brightness of lamps and rooms, 0–1.
     pub lamps: f32,
-    /// What light is multiplied by.
+    /// Factor applied to light.
     pub exposure: f32,
-    /// Bare colors instead of light: every surface shows the color of its corners, the sky is black.
+    /// Shows bare vertex colors without lighting; the sky is black.
     pub bare: bool,
 }
 
 impl Light {
-    /// Light of a time of day; where the sun stands and which clouds there are follow from the seed.
+    /// Creates the light of a time of day; the seed selects the sun's position and the clouds.
     pub fn new(daylight: Daylight, seed: u64) -> Self {
         let pick = |number: i64, low: f64, high: f64| between(seed ^ 0x5ca1_ab1e, &[number], low, high);
         let azimuth = pick(0, 0.0, std::f64::consts::TAU);
@@ -84,7 +83,7 @@ impl Light {
         }
     }
 
-    /// No light at all: every surface shows the color of its corners, the sky is black.
+    /// Returns a light that disables shading: every surface shows its vertex colors, the sky is black.
     pub fn bare() -> Self {
         Self { bare: true, ..Self::new(Daylight::Overcast, 0) }
     }

@@ -1,9 +1,9 @@
-//! Depth maps as the sun and the sky see the town (`glsl/town_depth.vert`).
+//! Shadow maps of the sun, and a sky visibility map (`glsl/town_depth.vert`).
 //!
 //! # How it works
-//! Three orthographic maps lie around the camera: a fine and a coarse one across the sun's rays, and one from above,
-//! which tells how much sky a place sees. Their middles step in whole texels, so that shadows do not swim, and depend
-//! on the camera's place alone.
+//! Three orthographic depth maps surround the camera: a fine and a coarse one perpendicular to the sun's rays, and
+//! one from above, which gives the visible share of the sky. Their centers move in whole texels, so that shadows do
+//! not swim. The centers depend only on the camera's position.
 
 use std::sync::Arc;
 
@@ -21,11 +21,11 @@ use crate::gpu::{
 use crate::town::mesh::Vertex;
 
 const FORMAT: vk::Format = vk::Format::D32_SFLOAT;
-/// Middles of maps step by this much, metres: whole texels of each map.
+/// Step of the maps' centers, meters: whole texels of each map.
 const STEP_M: f64 = 10.0;
-/// Side of each map, texels, and half its width, metres: fine, coarse, from above.
+/// Side of each map, texels, and half its width, meters: fine, coarse, from above.
 const MAPS: [(u32, f64); 3] = [(2048, 32.0), (2048, 160.0), (2048, 64.0)];
-/// How far from the middle a map reaches along its rays, metres.
+/// Half the depth range of each map along its rays, meters.
 const REACH_M: [f64; 3] = [500.0, 500.0, 100.0];
 
 #[repr(C)]
@@ -56,7 +56,7 @@ impl Triangles {
     }
 }
 
-/// What does not change from picture to picture.
+/// Pipeline and images of the maps, shared by all views.
 pub(super) struct Maps {
     pipeline: GraphicsPipeline,
     /// Fine, coarse, from above.
@@ -64,23 +64,23 @@ pub(super) struct Maps {
     targets: [Target; 3],
 }
 
-/// Where the maps lie: it follows from the camera's place and the light.
+/// Projections of the maps, which follow from the camera's position and the light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Frames([Frame; 3]);
 
-/// Of one map: clip coordinates from the town's.
+/// Projection of one map: clip coordinates from town coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Frame {
-    /// Rows: clip x, y, and depth from 0 to 1 away from the light.
+    /// Rows for clip x, clip y, and depth from 0 to 1 away from the light.
     rows: [DVec4; 3],
 }
 
 impl Frame {
-    /// Rays come from `towards`.
+    /// Creates the projection of a map whose rays come from `towards`.
     fn new(towards: DVec3, place: DVec3, half_m: f64, reach_m: f64) -> Self {
         let side = DVec3::Z.cross(towards).try_normalize().unwrap_or(DVec3::X);
         let axes = DMat3::from_cols(side, towards.cross(side), towards).transpose();
-        // Added to 0, so that a step of -0 is the same as one of 0.
+        // Adding 0 turns -0 into 0.
         let middle = (axes * place / STEP_M).round() * STEP_M + 0.0;
         let axis = |row: DVec3, middle: f64, scale: f64| row.extend(-middle) * scale;
         let rows = axes.transpose();
@@ -103,7 +103,7 @@ impl Frames {
         Self(std::array::from_fn(|i| Frame::new(towards[i], place, MAPS[i].1, REACH_M[i])))
     }
 
-    /// Rows that take `(place − camera, 1)` to texel x, texel y and depth, for each map.
+    /// Returns rows that map `(place − camera, 1)` to texel x, texel y and depth, for each map.
     pub(super) fn texel_rows(&self, camera: DVec3) -> [[DVec4; 3]; 3] {
         let shift = DAffine3::from_translation(camera);
         std::array::from_fn(|i| {
@@ -148,7 +148,7 @@ impl Maps {
         Ok(Self { pipeline, images, targets })
     }
 
-    /// Draws everything that throws shadows into the maps; those of the sun only if it shines.
+    /// Renders all shadow casters into the maps; into those of the sun only if it shines.
     pub(super) fn record<'a>(
         &'a self,
         recorder: &mut Recorder<'a>,
@@ -178,7 +178,7 @@ impl Maps {
     }
 }
 
-/// Whether a box may reach into a map.
+/// Returns whether a box may reach into a map.
 fn touches(rows: &[DVec4; 3], [min, max]: [DVec3; 2]) -> bool {
     let (middle, half) = ((min + max) / 2.0, (max - min) / 2.0);
     rows[..2].iter().all(|row| {

@@ -1,15 +1,15 @@
-//! True pictures of the town: color, depth, class and instance from any place, by triangles on the device.
+//! Ground-truth renderer of the town: color, depth, class and instance of any view, with triangles on the device.
 //!
 //! # How it works
-//! 1. [`Light`] says where the sun stands and what the sky is like; three depth maps around the camera tell what is in
-//!    its way (`maps`).
-//! 2. A view is a grid of samples at half-pixel steps (`lens`). A first pass finds out what each sample shows
-//!    (`surfaces`), later ones shade it once, and a last one makes pixels of samples (`shade`).
-//! 3. A pixel's depth, class and instance are those of the sample at its centre. The device tells the triangle
-//!    (`corners`), the host works out the depth in `f64` (`truth`).
+//! 1. [`Light`] gives the sun's position and the sky; three depth maps around the camera give their visibility
+//!    (`maps`).
+//! 2. A view is a grid of samples at half-pixel steps (`lens`). A first pass determines the surface of each sample
+//!    (`surfaces`), later passes shade it once, and a last one resolves samples to pixels (`shade`).
+//! 3. A pixel's depth, class and instance are those of the sample at its centre. The device reports the triangle
+//!    (`corners`), the host computes its depth in `f64` (`truth`).
 //!
-//! Everything that a surface looks like follows from its kind, its color and a seed (`glsl/town_*.frag`); there are no
-//! image files.
+//! The appearance of a surface follows from its kind, its color and a seed (`glsl/town_*.frag`); there are no image
+//! files.
 
 mod corners;
 mod error;
@@ -40,33 +40,33 @@ use crate::gpu::{Commands, Device};
 use crate::raster::StageTimes;
 use crate::raster::tiles::{Tile, TileLimits, grown, tiles};
 
-/// What a camera sees, row-major `height * width`.
+/// Ground truth of a view, row-major `height * width`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrueView {
-    /// sRGB.
+    /// sRGB image.
     pub image: RgbImage,
-    /// Camera z at the pixel's centre, metres; `f32::INFINITY` where the sky is.
+    /// Camera z at the pixel's centre, meters; `f32::INFINITY` for the sky.
     pub depth_m: Vec<f32>,
-    /// [`MeshDraw::class`] at the pixel's centre, 0 where the sky is.
+    /// [`MeshDraw::class`] at the pixel's centre, 0 for the sky.
     pub class: Vec<u8>,
-    /// [`MeshDraw::instance`] at the pixel's centre, 0 where the sky is.
+    /// [`MeshDraw::instance`] at the pixel's centre, 0 for the sky.
     pub instance: Vec<u32>,
 }
 
-/// A mesh at a place.
+/// Draw of a mesh at a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeshDraw {
-    /// Which of the meshes.
+    /// Index of the mesh.
     pub mesh: usize,
-    /// Where it stands, metres: rotation and translation.
+    /// Pose of the mesh: rotation and translation, meters.
     pub town_from_mesh: DAffine3,
-    /// What the class map shows.
+    /// Value in the class map.
     pub class: u8,
-    /// What the instance map shows; 0 for what is no instance.
+    /// Value in the instance map; 0 if it is not an instance.
     pub instance: u32,
 }
 
-/// Films resident meshes.
+/// Renderer of resident meshes.
 pub struct Filmer {
     device: Arc<Device>,
     commands: Commands,
@@ -84,7 +84,8 @@ impl Filmer {
     /// Uploads all meshes; they may be dropped afterwards.
     ///
     /// # Errors
-    /// A triangle with a corner that its mesh does not have; out of memory, or a device that lacks something.
+    /// Returns an error if a triangle has a corner that its mesh does not have, if memory is insufficient, or if the
+    /// device lacks a required feature.
     pub fn new(device: &Arc<Device>, meshes: &[&Mesh]) -> Result<Self, FilmError> {
         let corners = Corners::new(meshes)?;
         let triangles = Triangles::new(device, &corners)?;
@@ -106,16 +107,16 @@ impl Filmer {
         })
     }
 
-    /// The same with tiles of at most so many pixels a side. Results do not depend on it but for rounding.
+    /// Limits tiles to `side` pixels per side. Results do not depend on it, except for rounding.
     pub fn with_tile_side(mut self, side: u32) -> Self {
         self.limits = tile_limits(&self.device, Some(side));
         self
     }
 
-    /// Films draws in views, whose world is the town's frame. A view does not depend on the others.
+    /// Renders draws in views whose world is the town's frame. The views are independent of each other.
     ///
     /// # Errors
-    /// A draw of an unknown mesh; the device's.
+    /// Returns an error if a draw has an unknown mesh or if the device fails.
     pub fn film(
         &mut self,
         draws: &[MeshDraw],
@@ -138,7 +139,7 @@ impl Filmer {
         views.iter().map(&mut film).collect()
     }
 
-    /// Times of the stages on the device, summed since the last call.
+    /// Returns the stages' times on the device, summed since the last call.
     pub fn take_stages(&mut self) -> StageTimes {
         std::mem::take(&mut self.stages)
     }
@@ -168,7 +169,7 @@ impl Filmer {
         Ok(shown)
     }
 
-    /// Makes images and buffers if those there are too small.
+    /// Allocates images and buffers if the current ones are too small.
     fn prepare(&mut self, size: [u32; 2]) -> Result<(), FilmError> {
         let current = self.samples.as_ref().map_or([0; 2], |samples| samples.pixels);
         if size[0] > current[0] || size[1] > current[1] {
@@ -198,7 +199,7 @@ impl Filmer {
         let times = recorder.submit()?;
         times.into_iter().for_each(|(stage, time)| self.stages.add(stage, time));
         let area = tile.area();
-        // As arrays of bytes, which have no alignment to meet, then as numbers.
+        // Casts to byte arrays, which need no alignment, and converts those to integers.
         let owners: &[[u8; 8]] = bytemuck::cast_slice(&samples.shown_back.bytes_mut()?[..8 * area]);
         let number = |bytes: &[u8; 8], at: usize| {
             u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
@@ -211,7 +212,7 @@ impl Filmer {
     }
 }
 
-/// A tile's samples fit the device's images.
+/// Returns tile limits that let the samples of a tile fit the device's images.
 fn tile_limits(device: &Device, side: Option<u32>) -> TileLimits {
     let limits = device.limits();
     let [viewport_width, viewport_height] = limits.max_viewport_dimensions;

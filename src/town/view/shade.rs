@@ -1,10 +1,11 @@
-//! Light for every sample, then pixels (`glsl/town_light.frag`, `town_<kind>.frag`, `town_resolve.frag`).
+//! Lighting and shading of samples, and resolve to pixels (`glsl/town_light.frag`, `town_<kind>.frag`,
+//! `town_resolve.frag`).
 //!
 //! # How it works
-//! A first pass over all samples works out how much of sun and sky each sees, and writes as depth which kind of shader
-//! is to shade it. Each of those then runs over all samples under the depth test EQUAL, so that it runs where it is
-//! wanted and nowhere else. A last pass makes pixels of samples: color by the tent 1-2-1 in linear light; what is shown
-//! from the sample at the pixel's centre.
+//! A first pass over all samples computes the visible share of sun and sky, and writes the kind of each sample's
+//! shader as depth. Each shader then runs over all samples with the depth test EQUAL, so that it shades only its own
+//! samples. A last pass resolves samples to pixels: color with the tent filter 1-2-1 in linear light, triangle and
+//! draw from the sample at the pixel's centre.
 
 use std::sync::Arc;
 
@@ -22,16 +23,16 @@ use crate::gpu::{
     Scope, Shader, Target, Topology, assert_layout, shaders,
 };
 
-/// How much of sun and sky a sample sees.
+/// Visible share of sun and sky of a sample.
 const LIGHT: vk::Format = vk::Format::R8G8_UNORM;
-/// A sample's color, linear.
+/// Linear color of a sample.
 const COLOR: vk::Format = vk::Format::R16G16B16A16_SFLOAT;
-/// A pixel's color, sRGB.
+/// sRGB color of a pixel.
 const PIXEL: vk::Format = vk::Format::R32_UINT;
-/// Bytes on the device for a sample and for a pixel.
+/// Device memory of a sample in all images, bytes.
 const SAMPLE_BYTES: u64 = 16 + 8 + 4 + 4 + 2 + 8;
 
-/// Shaders by kind, in the order that `town_light.frag` numbers them.
+/// Shaders by kind, in the order of the numbers in `town_light.frag`.
 const KINDS: [&Shader; 7] = [
     &shaders::town_sky_frag::SHADER,
     &shaders::town_ground_frag::SHADER,
@@ -88,7 +89,7 @@ impl ViewBlock {
     }
 }
 
-/// What does not depend on sizes.
+/// Pipelines and passes that do not depend on image sizes.
 pub(super) struct ShadeStage {
     block: Arc<Buffer>,
     light: Screen,
@@ -99,7 +100,7 @@ pub(super) struct ShadeStage {
     resolve_pass: Arc<RenderPass>,
 }
 
-/// A fragment shader that runs over all samples.
+/// Fragment shader that runs over all samples.
 struct Screen {
     pipeline: GraphicsPipeline,
     fragment: &'static Shader,
@@ -124,27 +125,27 @@ impl Screen {
         Ok(Self { pipeline, fragment })
     }
 
-    /// Picks what the shader has from all that there is, by binding.
+    /// Creates the shader's descriptor set from the bindings that it uses.
     fn set(&self, binds: &[Bind]) -> Result<DescriptorSet, GpuError> {
         let used = self.fragment.bindings.iter().filter_map(|b| binds.get(b.binding as usize).cloned());
         DescriptorSet::new(self.pipeline.layout(), 0, used.collect())
     }
 }
 
-/// Images for tiles of one size.
+/// Images for tiles up to one size.
 pub(super) struct Samples {
-    /// Most pixels, width and height.
+    /// Maximum width and height of a tile, pixels.
     pub(super) pixels: [u32; 2],
-    /// What [`SurfaceStage`] draws into.
+    /// Target of [`SurfaceStage`].
     pub(super) surfaces: Target,
     light: (Target, DescriptorSet),
     colors: (Target, Vec<DescriptorSet>),
     resolve: (Target, DescriptorSet),
     shown: Arc<Image>,
     pixel: Arc<Image>,
-    /// What the host reads: corner, and draw and one, of each pixel of the tile.
+    /// Readback of each pixel of the tile: provoking vertex, and draw index plus 1.
     pub(super) shown_back: Buffer,
-    /// And its color.
+    /// Readback of each pixel's color.
     pub(super) pixel_back: Buffer,
 }
 
@@ -169,14 +170,14 @@ impl ShadeStage {
         Ok(Self { block, light, light_pass, kinds, color_pass, resolve, resolve_pass })
     }
 
-    /// Most pixels of a tile.
+    /// Returns the maximum number of pixels of a tile.
     pub(super) fn max_area(device: &Device) -> u32 {
         const MOST: u64 = 3 << 19;
-        // A pixel is four samples; the largest image has 16 of a sample's bytes.
+        // A pixel has four samples; the largest image takes 16 of a sample's bytes.
         (device.max_allocation() / (4 * SAMPLE_BYTES)).min(MOST) as u32
     }
 
-    /// Images for tiles of up to this width and height, pixels.
+    /// Creates images for tiles of up to this width and height, pixels.
     pub(super) fn samples(
         &self,
         device: &Arc<Device>,
@@ -201,7 +202,7 @@ impl ShadeStage {
         let copied = ImageUsageFlags::COLOR_ATTACHMENT | ImageUsageFlags::TRANSFER_SRC;
         let (shown, pixel) =
             (image("town owners", pixels, OWNER, copied)?, image("town pixels", pixels, PIXEL, copied)?);
-        // By binding, as `glsl` numbers them.
+        // In the order of the binding numbers in `glsl`.
         let [fine, coarse, over] = maps.images.each_ref().map(|image| Bind::Image(image.clone()));
         let images = [&surface, &depth, &light].map(|image| Bind::Image(image.clone()));
         let mut binds = vec![Bind::Buffer(self.block.clone())];
@@ -231,7 +232,7 @@ impl ShadeStage {
         })
     }
 
-    /// Says what the view and its light are; before anything of the view is drawn.
+    /// Uploads the view and its light; must precede all passes of the view.
     pub(super) fn update<'a>(
         &'a self,
         recorder: &mut Recorder<'a>,
@@ -244,7 +245,7 @@ impl ShadeStage {
         Ok(())
     }
 
-    /// Shades the samples of a tile of so many pixels, and copies pixels to the host.
+    /// Shades the samples of a tile with this width and height in pixels, and copies the pixels to the host.
     pub(super) fn record<'a>(
         &'a self,
         recorder: &mut Recorder<'a>,
@@ -258,7 +259,7 @@ impl ShadeStage {
             let mut pass = recorder.pass(target, area);
             for (index, (screen, set)) in shaders.enumerate() {
                 let (screen, set): (&'a Screen, &'a DescriptorSet) = (screen, set);
-                let depth = (index as f32 + 1.0) / 16.0; // the kind of `town_light.frag`
+                let depth = (index as f32 + 1.0) / 16.0; // the kind in `town_light.frag`
                 pass.bind(&screen.pipeline, &[set]);
                 pass.draw(bytemuck::bytes_of(&depth), 0..3, 1)?;
             }

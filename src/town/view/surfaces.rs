@@ -1,9 +1,9 @@
-//! What each sample shows (`glsl/town_surface.vert`, `.frag`).
+//! Visible surface of each sample (`glsl/town_surface.vert`, `.frag`).
 //!
 //! # How it works
 //! Depth is `NEAR / z` under the test GREATER: 1 at the near plane, 0 at infinity, precise everywhere. Two more
-//! attachments take normal, color, surface, seed and uv, and whose triangle it is. Nothing is shaded yet, so what is
-//! hidden later costs little; near meshes are drawn first.
+//! attachments store normal, color, surface, seed and uv, and the triangle with its draw. Shading is deferred, so
+//! overdraw costs little; near meshes are drawn first.
 
 use std::sync::Arc;
 
@@ -22,9 +22,9 @@ use crate::town::mesh::Vertex;
 
 /// Normal, color and surface, seed, uv.
 pub(super) const SURFACE: vk::Format = vk::Format::R32G32B32A32_UINT;
-/// Corner that begins the triangle, draw and one.
+/// Provoking vertex of the triangle, draw index plus 1.
 pub(super) const OWNER: vk::Format = vk::Format::R32G32_UINT;
-/// Of depths.
+/// Depth.
 pub(super) const DEPTH: vk::Format = vk::Format::D32_SFLOAT;
 
 #[repr(C)]
@@ -51,7 +51,7 @@ assert_layout!(SurfacePush, shaders::town_surface_vert::town_surface_draw, [
     near_m: NEAR_M,
 ]);
 
-/// What does not depend on sizes.
+/// Pipeline and pass, which do not depend on image sizes.
 pub(super) struct SurfaceStage {
     pipeline: GraphicsPipeline,
     pub(super) pass: Arc<RenderPass>,
@@ -85,7 +85,7 @@ impl SurfaceStage {
         Ok(Self { pipeline, pass })
     }
 
-    /// Draws what may be seen through a lens, the nearest first.
+    /// Draws all meshes that may be visible, the nearest first.
     pub(super) fn record<'a>(
         &'a self,
         recorder: &mut Recorder<'a>,
@@ -108,7 +108,7 @@ impl SurfaceStage {
         for (_, number, clip) in order {
             let draw = &draws[number];
             let [clip_x, clip_y, camera_z] = clip.map(|row| row.as_vec4().to_array());
-            // Normals turn with what they stand on; meshes are placed, not stretched.
+            // The same rotation applies to normals, because poses have no scale.
             let turn = draw.town_from_mesh.matrix3.transpose();
             let row = |row: glam::DVec3| row.extend(0.0).as_vec4().to_array();
             let push = SurfacePush {

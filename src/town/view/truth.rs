@@ -1,4 +1,4 @@
-//! From what the device tells to what a view shows.
+//! Conversion of device results to ground-truth maps.
 
 use glam::{DAffine3, DMat3, DVec3};
 use image::RgbImage;
@@ -10,16 +10,16 @@ use super::{MeshDraw, TrueView};
 use crate::geometry::View;
 use crate::raster::tiles::Tile;
 
-/// What is read back for a tile, row by row without gaps.
+/// Data read back for a tile, rows without padding.
 pub(super) struct Read<'a> {
-    /// Corner that begins the triangle; draw and one, 0 where nothing is.
+    /// Provoking vertex of the triangle; draw index plus 1, or 0 for the sky.
     pub(super) shown: &'a [[u32; 2]],
-    /// sRGB.
+    /// sRGB color.
     pub(super) pixels: &'a [[u8; 4]],
 }
 
 impl TrueView {
-    /// Of a view that shows nothing yet.
+    /// Creates a view that shows only sky.
     pub(super) fn empty(view: &View) -> Self {
         let pixels = view.camera.width as usize * view.camera.height as usize;
         Self {
@@ -30,7 +30,7 @@ impl TrueView {
         }
     }
 
-    /// Takes a tile over.
+    /// Writes the data of a tile into the view.
     pub(super) fn fill(&mut self, tile: &Tile, read: &Read<'_>, scene: &Scene<'_>) {
         let (left, width) = (tile.origin[0] as usize, self.image.width() as usize);
         let (columns, rows) = (tile.size[0] as usize, tile.size[1] as usize);
@@ -56,7 +56,7 @@ impl TrueView {
     }
 }
 
-/// What rays meet in one view.
+/// Geometry of all draws for the rays of one view.
 pub(super) struct Scene<'a> {
     corners: &'a Corners,
     draws: &'a [MeshDraw],
@@ -70,26 +70,27 @@ impl<'a> Scene<'a> {
         Self { corners, draws, camera_from_image: view.camera.intrinsics.inverse(), camera_from_mesh }
     }
 
-    /// With camera z 1.
+    /// Returns the ray through an image position, with camera z 1.
     fn ray(&self, x: f64, y: f64) -> DVec3 {
         self.camera_from_image * DVec3::new(x, y, 1.0)
     }
 
-    /// Whose triangle is met, and at which camera z, metres.
+    /// Returns the draw of a triangle and the camera z where the ray meets it, meters; `None` for the sky.
     fn hit(&self, [corner, draw]: [u32; 2], ray: DVec3) -> Option<(&'a MeshDraw, f64)> {
         let number = (draw as usize).checked_sub(1)?;
         let (draw, camera_from_mesh) = (self.draws.get(number)?, self.camera_from_mesh.get(number)?);
         let [a, b, c] = self.corners.triangle(corner)?.map(|p| camera_from_mesh.transform_point3(p));
         let normal = (b - a).cross(c - a);
         let z = normal.dot(a) / normal.dot(ray);
-        // A ray along the triangle meets its plane anywhere: the depth stays among those of its corners.
+        // A ray almost parallel to the triangle may meet its plane anywhere, so z is clamped to the range of its
+        // corners.
         let (low, high) = (a.z.min(b.z).min(c.z), a.z.max(b.z).max(c.z));
         let z = if z.is_finite() { z.clamp(low, high) } else { low };
         Some((draw, z.max(NEAR_M)))
     }
 }
 
-/// Draws that name no mesh.
+/// Returns the first draw whose mesh does not exist, as indices of draw and mesh.
 pub(super) fn unknown_mesh(draws: &[MeshDraw], meshes: usize) -> Option<(usize, usize)> {
     draws.iter().enumerate().find(|(_, draw)| draw.mesh >= meshes).map(|(i, draw)| (i, draw.mesh))
 }

@@ -1,4 +1,4 @@
-//! The small network: codec, training, weights, and that what it makes follows from what was committed.
+//! The small network: codec, training, weights, and the independence of its caches from forecasts.
 
 use std::path::Path;
 use std::process::Command;
@@ -41,23 +41,23 @@ fn recipe() -> Recipe {
     Recipe { size: SIZE, ..Recipe::default() }
 }
 
-/// Which of four textures a patch has; the map tells it.
+/// Returns the texture of a patch, one of four; the map determines it.
 fn kind(number: usize, view: usize, frame: usize, x: usize, y: usize) -> usize {
     (x / 4 + 3 * (y / 4) + 2 * view + frame + number) * 5 % 7 % 4
 }
 
-/// A level of a texture.
+/// Returns a level of a texture.
 fn shade(kind: usize, x: usize, y: usize, color: usize) -> u8 {
     let seed = (kind * 48 + (y % 4) * 12 + (x % 4) * 3 + color) as u32 + 1;
     (seed.wrapping_mul(2_654_435_761) >> 24) as u8
 }
 
-/// A drive of two cameras past textured patches, whose color map has holes.
+/// Returns a synthetic recording: two cameras pass textured patches; the color map has holes.
 pub(crate) fn made(number: usize, frames: usize) -> Drive {
     made_for(&config(), number, frames)
 }
 
-/// As a network takes it.
+/// Returns a recording in the format of a network.
 fn made_for(config: &NetworkConfig, number: usize, frames: usize) -> Drive {
     let views = config.cameras;
     let cameras = (0..views).map(|view| format!("camera {view}")).collect();
@@ -72,7 +72,7 @@ fn made_for(config: &NetworkConfig, number: usize, frames: usize) -> Drive {
             made.color.push(if is_hole { [0; 3] } else { [truth[0] / 4; 3] });
             made.bins.push(if is_hole { 0 } else { 1 + ((y * 8 + x) % 256) as u16 });
             made.boxes.push(if x / 8 == frame % 4 { [255, 0, 0] } else { [0; 3] });
-            // The low bit of the kind is whether two colors differ: no linear guess tells it.
+            // The kind's low bit determines whether two colors differ, so no linear guess can predict it.
             let [low, high, mask] = [kind & 1, kind >> 1, (x / 4 + y / 4) & 1];
             made.map.push([high, mask, mask ^ low].map(|bit| 255 * bit as u8));
         }
@@ -89,7 +89,7 @@ fn made_for(config: &NetworkConfig, number: usize, frames: usize) -> Drive {
     Drive { about, frames: (0..frames).map(frame).collect() }
 }
 
-/// Of pixels: view, row, column.
+/// Iterates over pixels: view, row, column.
 fn places(views: usize, size: ImageSize) -> impl Iterator<Item = (usize, usize, usize)> {
     let (height, width) = (size.height as usize, size.width as usize);
     (0..views * height * width).map(move |i| (i / width / height, i / width % height, i % width))
@@ -117,7 +117,7 @@ fn the_codec_is_orthonormal_and_goes_both_ways() {
     let latent = plain.encode(&images).unwrap();
     assert_eq!(latent.shape(), config.shape());
     assert_eq!(latent.shape().to_array(), [2, 48, 4, 8]);
-    // It keeps lengths, patch by patch.
+    // The codec preserves the norm of each patch.
     let energy = |x: usize, y: usize| -> [f64; 2] {
         let pixel = |i: usize| images[1].get_pixel((x * 4 + i % 4) as u32, (y * 4 + i / 4) as u32).0;
         let level = |level: u8| (f64::from(level) / 255.0).powi(2);
@@ -128,7 +128,7 @@ fn the_codec_is_orthonormal_and_goes_both_ways() {
         let [pixels, channels] = energy(x, y);
         assert!((pixels - channels).abs() < 1e-5 * pixels, "{x} {y}: {pixels} {channels}");
     }
-    // Channel 0 is the mean of all pixels and colors, times the root of their number.
+    // Channel 0 is the mean of all pixels and colors, times the square root of their number.
     let gray = PatchCodec::new(&config, &same(48, 0.5, 2.0)).unwrap();
     let latent = gray.encode(&vec![RgbImage::from_pixel(32, 16, image::Rgb([51; 3])); 2]).unwrap();
     let first = (0.2 * 48.0_f32.sqrt() - 0.5) / 2.0;
@@ -160,7 +160,7 @@ fn latents_of_the_drives_have_unit_variance() {
         let square = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64;
         assert!(mean.abs() < 1e-3 && (square - 1.0).abs() < 2e-3, "{channel} {mean} {square}");
     }
-    // The maps tell much of it, linearly; nothing of it where they are empty.
+    // The maps predict much of the image linearly; empty maps predict nothing.
     let mean = |values: &[f32]| values.iter().sum::<f32>() / values.len() as f32;
     assert_eq!((guess.matrix.len(), guess.bias.len()), (48 * 26 * 16, 48));
     assert!(mean(&statistics.priors) < 0.8, "{:?}", statistics.priors);
@@ -186,10 +186,10 @@ fn trained(trainer: &mut Trainer<'_>, steps: u64) {
     }
 }
 
-/// Names the file that a process of this test writes.
+/// Name of the variable with the file that a child process of this test writes.
 const OUT: &str = "PSKEL_TEST_TRAINED";
 
-/// The tensor library looks up its number of threads in the environment: each has a process of its own.
+/// The tensor library reads its number of threads from the environment, so each run needs its own process.
 #[test]
 fn training_is_the_same_for_one_thread_and_two_and_when_resumed() {
     let drives = [made(1, 5), made(2, 6)];
@@ -219,7 +219,7 @@ fn training_is_the_same_for_one_thread_and_two_and_when_resumed() {
     trained(&mut trainer, 1);
     trainer.save(&path("resumed")).unwrap();
     assert!(trainer.is_done() && through == std::fs::read(path("resumed")).unwrap());
-    // Three steps are not four.
+    // Three steps give another result than four.
     assert!(through != std::fs::read(path("half")).unwrap());
 
     let other = [made(1, 5), made(3, 6)];
@@ -232,7 +232,7 @@ fn training_is_the_same_for_one_thread_and_two_and_when_resumed() {
     assert!(error.contains("expected weights, found no network in the header"), "{error}");
 }
 
-/// One window is learned by heart.
+/// The network memorizes one window.
 #[test]
 fn a_small_network_overfits_a_drive() {
     let drives = [made(1, 4)];
@@ -241,7 +241,7 @@ fn a_small_network_overfits_a_drive() {
     let losses: Vec<f64> = (0..150).map(|_| trainer.step().unwrap().loss).collect();
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
     let (first, last) = (mean(&losses[..5]), mean(&losses[130..]));
-    // At most what is left of the first guess, of which 0.4 is expected to be left.
+    // The loss is relative to the expected error, 0.4 of the first guess's, so it starts at most at 1 / 0.4².
     assert!((0.5..1.0 / 0.4 / 0.4).contains(&first), "{first}");
     assert!(last < first / 3.0, "{first} {last}");
     let weights = trainer.weights("pskel train").unwrap();
@@ -290,11 +290,11 @@ fn conditions_and_their_lack_change_what_is_predicted() {
         let without: Vec<_> = conditions.iter().map(|c| c.without(dropped)).collect();
         assert!(predicted(&mut network, &latents, &without) != whole, "{dropped:?}");
     }
-    // What is remembered is that of the same conditions alone.
+    // Cached results are reused only for equal conditions.
     assert!(predicted(&mut network, &latents, &conditions) == whole);
     assert!(predicted(&mut network, &latents, &conditions) == whole);
     assert!(predicted(&mut network, &latents, &conditions[1..]) != whole);
-    // Shorter windows are taken; other sizes are not.
+    // Shorter windows are accepted; other sizes are rejected.
     assert_eq!(predicted(&mut network, &latents[..2], &conditions).len(), 2);
     let mut small = conditions[0].clone();
     small.cameras.pop();
@@ -334,7 +334,7 @@ fn weights_are_read_as_they_were_written_or_refused() {
         assert!(error.ends_with("weights.safetensors"), "{error}");
         error
     };
-    // Another text of the same length in the header.
+    // Replaces a text in the header by another of the same length.
     let changed = |from: &str, to: &str| {
         assert_eq!(from.len(), to.len());
         let at = bytes.windows(from.len()).position(|part| part == from.as_bytes()).unwrap();
@@ -352,7 +352,7 @@ fn weights_are_read_as_they_were_written_or_refused() {
     assert!(error.contains("ego.a of f32 [32, 4], found no such array"), "{error}");
     let error = refused(&bytes[..bytes.len() - 4]);
     assert!(error.contains("expected weights, found"), "{error}");
-    // The last number of the last parameter.
+    // Replaces the last number of the last parameter.
     for (number, name) in [(f32::NAN, "NaN"), (f32::INFINITY, "inf"), (f32::NEG_INFINITY, "-inf")] {
         let mut bytes = bytes.clone();
         bytes.splice(bytes.len() - 4.., number.to_le_bytes());
@@ -364,7 +364,7 @@ fn weights_are_read_as_they_were_written_or_refused() {
     }
 }
 
-/// They say where they come from, and the log of their training stands beside them.
+/// The shipped weights state their origin, and the log of their training is stored beside them.
 #[test]
 fn shipped_weights_are_of_the_default_network_and_its_training() {
     let weights = Weights::shipped().unwrap();
@@ -387,8 +387,8 @@ fn the_cache_of_the_shipped_network_has_seen_no_forecast() {
     the_cache_has_seen_no_forecast(&Weights::shipped().unwrap());
 }
 
-/// Bit by bit, with the network itself and the same seed: other forecasts change neither caches nor later frames, unless
-/// frames roll on with what they saw.
+/// Compares bit by bit, with the network itself and the same seed: other forecasts change neither caches nor later
+/// frames, unless frames roll on.
 fn the_cache_has_seen_no_forecast(weights: &Weights) {
     let conditions = conditions(&made_for(&weights.config, 1, 8));
     let elsewhere = self::conditions(&made_for(&weights.config, 2, 8));

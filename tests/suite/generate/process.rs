@@ -1,4 +1,4 @@
-//! Networks in Python.
+//! Denoisers in Python.
 
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
@@ -16,11 +16,11 @@ use super::{Drive, assert_near, options as options_of};
 
 const VIEWS: usize = 2;
 const SIZE: ImageSize = ImageSize { height: 16, width: 24 };
-/// What the example makes of it.
+/// Latent shape of the example denoiser.
 const SHAPE: LatentShape = LatentShape { views: VIEWS, channels: 3, height: 2, width: 3 };
 /// Long enough for Python to start on a busy machine, seconds.
 const PATIENT_S: f64 = 60.0;
-/// Where a time-out is waited for.
+/// For tests that wait for the timeout, seconds.
 const HASTY_S: f64 = 4.0;
 
 fn options() -> GenerateOptions {
@@ -43,7 +43,7 @@ fn start(address: PeerAddress, timeout_s: f64) -> Result<ProcessDenoiser, Denois
     ProcessDenoiser::start(&PeerSpec { address, timeout_s }, &options(), VIEWS, SIZE)
 }
 
-/// The error of a start.
+/// Returns the error of starting a denoiser.
 fn refused(address: PeerAddress, timeout_s: f64) -> PeerError {
     match start(address, timeout_s) {
         Err(DenoiserError::Process(error)) => error,
@@ -52,8 +52,8 @@ fn refused(address: PeerAddress, timeout_s: f64) -> PeerError {
     }
 }
 
-/// A network that runs some lines of Python: `see()` for the next message, `say(texts, name=(dtype, shape, bytes))`
-/// for an answer, and what the example has.
+/// Denoiser that runs some lines of Python: `see()` returns the next message, `say(texts, name=(dtype, shape,
+/// bytes))` answers; the functions of the example are available.
 fn script(folder: &Path, lines: &str) -> PeerAddress {
     let path = folder.join("fake.py");
     let head = format!(
@@ -68,7 +68,7 @@ fn script(folder: &Path, lines: &str) -> PeerAddress {
     command(format!("exec python3 {}", path.display()))
 }
 
-/// Conditions that differ from frame to frame.
+/// Returns conditions that differ from frame to frame.
 fn conditions(number: usize) -> FrameConditions {
     let values = |count: usize, factor: usize| {
         (0..count).map(|i| ((i * factor + number * 41) % 256) as f32 / 255.0).collect::<Vec<_>>()
@@ -85,7 +85,7 @@ fn conditions(number: usize) -> FrameConditions {
     }
 }
 
-/// What the example shows.
+/// Returns the expected latent of the example.
 fn colors(conditions: &FrameConditions) -> Latent {
     let (height, width) = (SIZE.height as usize, SIZE.width as usize);
     let mut latent = Latent::filled(SHAPE, 0.0);
@@ -115,7 +115,7 @@ fn assert_shows_colors(denoiser: ProcessDenoiser, frames: usize) -> Vec<Latent> 
     made
 }
 
-/// One call with a window of four frames; the latents are noise.
+/// Calls the denoiser once with a window of four frames; the latents are noise.
 fn predict(denoiser: &mut ProcessDenoiser) -> Result<Vec<Latent>, DenoiserError> {
     use point_skeleton::generate::{Denoiser, NoiseSource};
     let latents: Vec<Latent> = (0..4).map(|frame| NOISE.clone().noise(SHAPE, frame, 0)).collect();
@@ -128,7 +128,7 @@ fn predict(denoiser: &mut ProcessDenoiser) -> Result<Vec<Latent>, DenoiserError>
     denoiser.predict(&(0..4).map(frame).collect::<Vec<_>>())
 }
 
-/// The error of a call, after which nothing comes any more.
+/// Returns the error of a call, and checks that later calls fail too.
 fn fails(address: PeerAddress, timeout_s: f64) -> PeerError {
     let mut denoiser = start(address, timeout_s).unwrap();
     let error = match predict(&mut denoiser) {
@@ -159,12 +159,12 @@ impl Drop for Server {
 fn the_example_shows_the_colors_over_sockets() {
     let folder = tempfile::tempdir().unwrap();
     let socket = folder.path().join("denoiser");
-    // A socket of an earlier run is in the way, with nobody behind it.
+    // A stale socket of an earlier run is in the way; no process listens on it.
     drop(UnixListener::bind(&socket).unwrap());
-    // A port that was free a moment ago.
+    // A port that was free just before.
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     for argument in [format!("unix:{}", socket.display()), format!("tcp:127.0.0.1:{port}")] {
-        // It is waited for until it listens.
+        // The client waits until the server listens.
         let server =
             Command::new("python3").arg(examples().join("denoiser.py")).arg(&argument).spawn().unwrap();
         let mut server = Server(server);
@@ -173,7 +173,7 @@ fn the_example_shows_the_colors_over_sockets() {
     }
 }
 
-/// Values of a tensor of a message.
+/// Returns shape and values of a message's tensor.
 fn tensor(message: &SafeTensors<'_>, name: &str) -> (Vec<usize>, Vec<f32>) {
     let tensor = message.tensor(name).unwrap();
     assert_eq!(tensor.dtype(), safetensors::Dtype::F32, "{name}");
@@ -236,7 +236,7 @@ fn denoisers_see_what_is_promised() {
     assert_eq!(latents, noise.collect::<Vec<f32>>());
 }
 
-/// Eighths up to 18 have room in all of them.
+/// Eighths up to 18 are exact in all of these types.
 #[test]
 fn halves_are_the_numbers_that_they_stand_for() {
     let folder = tempfile::tempdir().unwrap();
@@ -362,7 +362,7 @@ fn bad_hellos_are_told() {
 fn denoisers_that_hang_or_die_are_noticed() {
     let folder = tempfile::tempdir().unwrap();
     let after_hello = |lines: &str| script(folder.path(), &format!("see()\nsay(HELLO)\n{lines}"));
-    // A call is longer than what a pipe holds, so the second has nowhere to go.
+    // A call is longer than a pipe's buffer, so in the second case it cannot be sent.
     for hangs in [
         "see()\ntime.sleep(600)",
         "time.sleep(600)",
@@ -393,7 +393,7 @@ fn denoisers_that_hang_or_die_are_noticed() {
     }
 }
 
-/// An answer too many is noticed when it comes, or taken for that to the next call, whose number it has not.
+/// A surplus answer is rejected on arrival, or as the answer to the next call, because its number does not match.
 #[test]
 fn answers_that_were_not_asked_for_are_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -432,11 +432,11 @@ fn windows_other_than_told_are_not_sent() {
         let message = error(count, frame).unwrap_err();
         assert!(message.contains(said), "{message}");
     }
-    // Nothing was sent: the process is still there.
+    // Nothing was sent: the process is still running.
     assert_eq!(error(3, good.clone()).unwrap().len(), 4);
 }
 
-/// Whatever goes wrong, a new process makes the frames that would have come.
+/// After any failure, a new process generates the same frames as without it.
 #[test]
 fn a_generator_goes_on_with_a_new_process() {
     let folder = tempfile::tempdir().unwrap();

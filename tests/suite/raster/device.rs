@@ -1,4 +1,4 @@
-//! Opening a device, and what is said when that does not work.
+//! Opening a device, and the errors if that fails.
 
 use point_skeleton::gpu::{Device, DeviceDesc, GpuError};
 use point_skeleton::raster::{RasterizerDesc, RasterizerKind, create};
@@ -35,7 +35,7 @@ fn a_device_is_found_by_part_of_its_name() {
     assert_eq!((made(RasterizerKind::Auto), made(RasterizerKind::Raster)), (best, "raster"));
 }
 
-/// A loader without any driver, in a process of its own since the environment is the process's.
+/// Runs a loader without drivers, in a child process because the environment belongs to the process.
 #[test]
 fn no_driver_says_what_to_install() {
     const INNER: &str = "PSKEL_TEST_WITHOUT_DRIVER";

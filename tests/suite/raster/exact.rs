@@ -1,4 +1,4 @@
-//! Cases whose result can be worked out by hand; both rasterizers must give it.
+//! Cases whose result can be computed by hand; all rasterizers must return it.
 
 use glam::{DAffine3, DVec2, DVec3};
 use point_skeleton::cloud::Point;
@@ -12,7 +12,7 @@ fn point(position: [f32; 3]) -> Point {
     Point::new(position, [1, 2, 3], 0)
 }
 
-/// Pixels `(column, row)` that are not empty.
+/// Returns the pixels `(column, row)` that are not empty.
 fn covered(maps: &SplatMaps) -> Vec<(u32, u32)> {
     let at = |i: usize| (i as u32 % maps.width, i as u32 / maps.width);
     (0..maps.point.len()).filter(|i| maps.point[*i] > 0).map(at).collect()
@@ -32,7 +32,7 @@ fn a_point_covers_exactly_its_square() {
 
 #[test]
 fn a_square_reaches_in_from_outside() {
-    // Centres at (-2, 8) and (7, -1) around a 6x7 image, radius 2 and 1.
+    // Centers at (-2, 8) and (7, -1) around a 6x7 image, radius 2 and 1.
     let case = Case::new(6, 7, "2:2,4:1", &[&[point([-2.0, 8.0, 1.0]), point([6.5 * 4.0, -4.0, 4.0])]]);
     assert_eq!(covered(&case.draw(Planes::ALL)), [(5, 0), (0, 6)]);
     let out = Case::new(6, 7, "2:2", &[&[point([-3.0, 3.0, 1.0]), point([3.0, 9.0, 1.0])]]);
@@ -45,10 +45,10 @@ fn the_smallest_index_wins_ties_and_the_nearest_wins_otherwise() {
     let case = Case::new(3, 3, "9:1", &[&[far, near, near], &[near]]);
     let maps = case.draw(Planes::ALL);
     assert!(maps.point.iter().all(|p| *p == 2) && maps.instance.iter().all(|i| *i == 10));
-    // Numbers run through the instances.
+    // Point numbers are counted through all instances.
     let maps = Case::new(3, 3, "9:1", &[&[far, far], &[far, near]]).draw(Planes::ALL);
     assert!(maps.point.iter().all(|p| *p == 4) && maps.instance.iter().all(|i| *i == 11));
-    // One step of f32 nearer is nearer.
+    // A point that is one `f32` step nearer wins.
     let z = 50.0_f32;
     let nearer = point([z, z, z.next_down()]);
     let maps = Case::new(3, 3, "60:1", &[&[point([z, z, z]), nearer]]).draw(Planes::ALL);
@@ -88,8 +88,8 @@ fn the_crop_is_a_square_with_its_border() {
     });
 }
 
-/// However many points of one pixel draw the largest squares: the first of the nearest wins all of its square, and one
-/// that is nearer by a step of `f32` all of its own.
+/// Many points of one pixel draw the largest squares. The first of the nearest points wins its whole square, and so
+/// does a point that is nearer by one `f32` step.
 #[test]
 fn points_without_number_in_one_pixel_have_one_winner() {
     let at = |x: f32, y: f32, z: f32| point([(x + 0.5) * z, (y + 0.5) * z, z]);
@@ -145,9 +145,9 @@ fn a_line_covers_the_pixels_whose_centres_it_holds() {
     let image = draw(&[line(4.0)]);
     assert_eq!(rows(&image), [3, 4]);
     assert_eq!(image.iter().filter(|p| **p != [0; 3]).count(), 8);
-    // Centres on the one side are in, on the other out.
+    // Pixel centers on one edge are inside, on the other edge outside.
     assert_eq!(rows(&draw(&[line(4.5)])), [3, 4]);
-    // Later over earlier; butt ends.
+    // Later lines cover earlier ones; line ends are butt caps.
     let over = Segment { from: [3.0, 0.0], to: [3.0, 8.0], rgb: [1, 1, 1] };
     let image = draw(&[line(4.0), over]);
     assert_eq!([1, 2, 3, 4, 5, 6].map(|x| image[4 * 8 + x][0]), [0, 1, 1, 9, 9, 0]);

@@ -1,4 +1,4 @@
-//! Against the reference implementation's maps of real points.
+//! Comparison with the reference implementation's maps of real points.
 
 use std::fs::File;
 use std::io::Read;
@@ -18,7 +18,7 @@ const BORDER: u32 = 3;
 
 struct Projection {
     points: Vec<Point>,
-    /// The two views whose full maps were made, and those maps.
+    /// The two views with complete reference maps, and those maps.
     views: Vec<View>,
     depth_m: Vec<f32>,
     color: Vec<u8>,
@@ -26,7 +26,7 @@ struct Projection {
     class_actors: Vec<u8>,
 }
 
-/// A file of an archive as numbers.
+/// Reads an array of an archive.
 fn npz<T: npyz::Deserialize>(archive: &Path, name: &str) -> Vec<T> {
     let mut archive = zip::ZipArchive::new(File::open(archive).unwrap()).unwrap();
     let mut bytes = Vec::new();
@@ -74,7 +74,7 @@ fn load() -> Option<Projection> {
     })
 }
 
-/// Share of the pixels away from the border for which `differs` holds.
+/// Returns the share of pixels, except at the border, for which `differs` is true.
 fn share(view: &View, differs: impl Fn(usize) -> bool) -> f64 {
     let (width, height) = (view.camera.width, view.camera.height);
     let rows = BORDER..height - BORDER;
@@ -87,7 +87,7 @@ fn class(maps: &SplatMaps, pixel: usize) -> u8 {
     maps.rgb_class[pixel].to_le_bytes()[3]
 }
 
-/// Checks one view's maps of all points and of the actors' points against the fixture.
+/// Compares one view's maps of all points and of the actors' points with the fixture.
 fn check(fixture: &Projection, index: usize, scene: &SplatMaps, actors: &SplatMaps) {
     const PARITY: f64 = 1e-4;
     let view = &fixture.views[index];
@@ -109,7 +109,7 @@ fn check(fixture: &Projection, index: usize, scene: &SplatMaps, actors: &SplatMa
     }
 }
 
-/// Maps of each view with all points (cloud 0) and with the actors' points alone (cloud 1).
+/// Returns the maps of each view with all points (cloud 0) and with only the actors' points (cloud 1).
 fn draw(fixture: &Projection, rasterizer: &mut dyn Rasterizer) -> Vec<[SplatMaps; 2]> {
     let schedule = SplatSchedule::default();
     let mut draw = |view: &View, cloud: usize| {
@@ -142,7 +142,7 @@ fn fixture_maps_are_the_references() {
     }
 }
 
-/// The check must be able to fail: another schedule is not the reference's.
+/// The check must be able to fail: another schedule gives other maps than the reference.
 #[test]
 fn fixture_check_sees_a_wrong_radius() {
     let Some(fixture) = load() else { return };

@@ -1,4 +1,5 @@
-//! Frames: all views and both clouds at once must be what view by view gives, however the work is divided.
+//! Frames: rendering all views and both clouds at once must equal rendering view by view, however the work is
+//! divided.
 
 use std::sync::Arc;
 
@@ -16,7 +17,7 @@ use proptest::prelude::*;
 use super::random::{ON_BORDERS, Random, random_cloud, random_instances, random_schedule, random_view};
 use super::twins::{self, Division, allowed_share, rasterizers, with_compute_device, with_device};
 
-/// What a random frame shows.
+/// Content of a random frame.
 struct Scene {
     clouds: Vec<Vec<Point>>,
     schedule: SplatSchedule,
@@ -35,7 +36,7 @@ impl Scene {
         scene
     }
 
-    /// Other cameras and instances of the same clouds.
+    /// Changes cameras and instances, with the same clouds.
     fn change(&mut self, random: &mut Random) {
         let first = random_view(random);
         let views = 1 + random.below(3);
@@ -98,7 +99,7 @@ fn owned(maps: ViewMaps<'_>) -> ViewMaps<'static> {
     }
 }
 
-/// How many values differ in any map; all if they are not as long.
+/// Returns how many values differ in any map; all of them if lengths differ.
 fn differing(a: &ViewMaps<'_>, b: &ViewMaps<'_>) -> usize {
     fn count<T: PartialEq>(a: &[T], b: &[T]) -> usize {
         if a.len() == b.len() {
@@ -124,14 +125,14 @@ fn assert_same(expected: &[ViewMaps<'_>], found: &[ViewMaps<'_>], share: f64, wh
     }
 }
 
-/// Frames of random scenes by all rasterizers of a device, against those of the processor.
+/// Compares frames of random scenes between all rasterizers of a device and the CPU rasterizer.
 fn compare(seed: u64, sizes: &[u64], compute: ComputeRasterizerDesc, rounds: usize) {
     let random = &mut Random(seed);
     let scene = Scene::random(random, sizes);
     compare_scene(scene, random, compute, rounds);
 }
 
-/// Frames of a scene that changes at random; gives back how many of them were spread.
+/// Compares frames of a scene that changes randomly; returns how many of them used the `spread` stage.
 fn compare_scene(
     mut scene: Scene,
     random: &mut Random,
@@ -168,7 +169,7 @@ fn compare_scene(
     spread
 }
 
-/// As little memory as clouds of these sizes need, in few rows.
+/// Returns a description with the minimum memory for clouds of these sizes, and few rows.
 fn divided(sizes: &[u64], key_rows: u32, page_rows: u32, streamed_rows: u32) -> ComputeRasterizerDesc {
     let chunks: u64 = sizes.iter().map(|n| n.div_ceil(4096)).sum();
     ComputeRasterizerDesc {
@@ -200,7 +201,7 @@ proptest! {
     }
 }
 
-/// Squares too large to look around for, of many points: several radii at once, cut into parts, streamed or not.
+/// Many points with squares too large to gather: several radii at once, split into batches, streamed or not.
 #[test]
 fn large_squares_of_many_points_agree() {
     let mut spread = 0;
@@ -221,7 +222,7 @@ fn large_squares_of_many_points_agree() {
     with_compute_device(|_| assert!(spread >= 20, "{spread} frames were spread"));
 }
 
-/// Few rows are left of many: a view is cut into bands that fit one part.
+/// If few of many rows remain, row strips of one view share a batch.
 #[test]
 fn bands_of_a_view_may_share_a_part() {
     let sizes = [8031, 8811, 12753];
@@ -236,21 +237,21 @@ fn compute<'a>(device: &Arc<Device>, clouds: &CloudSet<'a>) -> ComputeRasterizer
 fn frames_in_flight_come_in_order() {
     let random = &mut Random(11);
     let scene = Scene::random(random, &[5000, 300]);
-    let reduced = FrameJob { kinds: FrameKinds::ALL, out_size: None, ..scene.job(random) };
-    let full = FrameJob { out_size: Some(ImageSize { height: 9, width: 13 }), ..reduced };
+    let full = FrameJob { kinds: FrameKinds::ALL, out_size: None, ..scene.job(random) };
+    let reduced = FrameJob { out_size: Some(ImageSize { height: 9, width: 13 }), ..full };
     with_compute_device(|device| {
         let mut cpu = CpuRasterizer::new(scene.clouds());
         let mut rasterizer = compute(&device, &scene.clouds());
         assert!(matches!(rasterizer.finish(), Err(RasterError::NoFrame)));
-        let expected = [frame(&mut cpu, &reduced), frame(&mut cpu, &full)];
+        let expected = [frame(&mut cpu, &full), frame(&mut cpu, &reduced)];
         for _ in 0..3 {
-            rasterizer.begin(&reduced).unwrap();
             rasterizer.begin(&full).unwrap();
-            let error = rasterizer.begin(&full).unwrap_err();
+            rasterizer.begin(&reduced).unwrap();
+            let error = rasterizer.begin(&reduced).unwrap_err();
             assert!(matches!(error, RasterError::TooManyFrames { max: FRAMES_IN_FLIGHT }), "{error}");
-            // What is waited for at once does not disturb them.
-            let FrameJob { schedule, geometry: instances, crop, .. } = full;
-            let alone = SplatJob { view: &full.views[0], schedule, instances, crop, planes: Planes::ALL };
+            // A synchronous splat does not disturb the frames in flight.
+            let FrameJob { schedule, geometry: instances, crop, .. } = reduced;
+            let alone = SplatJob { view: &reduced.views[0], schedule, instances, crop, planes: Planes::ALL };
             let (a, b) = (cpu.splat(&alone).unwrap(), rasterizer.splat(&alone).unwrap());
             twins::assert_same(&a, &b, allowed_share(&rasterizer, ON_BORDERS), "at once");
             for expected in &expected {
@@ -272,7 +273,7 @@ fn a_warm_rasterizer_makes_nothing_new() {
         let mut rasterizer = compute(&device, &set);
         let frames = |rasterizer: &mut ComputeRasterizer<'_>, scene: &mut Scene, count: usize| {
             for _ in 0..count {
-                // Actors move; two frames are in flight.
+                // Actors move while two frames are in flight.
                 for instance in scene.color.iter_mut().chain(&mut scene.geometry) {
                     instance.world_from_local.translation.x += 0.01;
                 }

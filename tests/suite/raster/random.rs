@@ -11,10 +11,11 @@ use point_skeleton::raster::{
 
 use super::twins::{Division, allowed_share, assert_same, rasterizers, with_device};
 
-/// Many of these points are on borders of pixels, where another rounding of a division is another pixel.
+/// Allowed share of differing pixels. Many of these points are on pixel borders, where another rounding of a division
+/// selects another pixel.
 pub(crate) const ON_BORDERS: f64 = 2e-2;
 
-/// SplitMix64 (Steele, Lea, Flood 2014): the same numbers for the same seed everywhere.
+/// SplitMix64 (Steele, Lea, Flood 2014): the same numbers for the same seed on every platform.
 pub(crate) struct Random(pub(crate) u64);
 
 impl Random {
@@ -34,7 +35,7 @@ impl Random {
     }
 }
 
-/// A point near the camera's frustum; sometimes on the border of a pixel or a depth step, sometimes nonsense.
+/// Returns a point near the camera's frustum; sometimes on the border of a pixel or a depth step, sometimes invalid.
 fn random_point(random: &mut Random, schedule: &SplatSchedule) -> Point {
     let steps = schedule.steps();
     let far = f64::from(schedule.z_far_m());
@@ -61,7 +62,7 @@ fn random_point(random: &mut Random, schedule: &SplatSchedule) -> Point {
 pub(crate) fn random_cloud(random: &mut Random, schedule: &SplatSchedule, count: u64) -> Vec<Point> {
     let mut points: Vec<Point> = Vec::new();
     for _ in 0..count {
-        // Every eighth is a copy of an earlier one: an exact tie.
+        // Every eighth point copies an earlier position: an exact tie.
         let copy = (random.below(8) == 0 && !points.is_empty())
             .then(|| points[random.below(points.len() as u64) as usize].position);
         let point = random_point(random, schedule);
@@ -161,7 +162,7 @@ fn pages_and_tiles_change_nothing() {
         let raster = VulkanRasterizerDesc { page_points, tile_side };
         let compute = ComputeRasterizerDesc {
             page_rows: Some([1, 2, 3][seed as usize % 3]),
-            // The largest radius wants 32 rows of padding on either side of a band.
+            // The largest radius requires 32 rows of padding on either side of a row strip.
             key_rows: Some([72, 100, 130][seed as usize % 3]),
             ..ComputeRasterizerDesc::default()
         };

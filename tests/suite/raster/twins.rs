@@ -1,4 +1,4 @@
-//! Running all rasterizers on one job, and comparing them.
+//! Runs all rasterizers on one job and compares them.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use point_skeleton::raster::{
 
 use crate::common::skip;
 
-/// Gives a device under validation to a test, and fails on any message, also of the device's destruction.
+/// Runs a test with a device under validation; fails on any message, also on destruction of the device.
 pub(crate) fn with_device<T>(test: impl FnOnce(Arc<Device>) -> T) -> T {
     let desc = DeviceDesc { validation: true, ..DeviceDesc::from_env() };
     let device = Device::new(&desc).unwrap_or_else(|e| panic!("{e}"));
@@ -24,20 +24,20 @@ pub(crate) fn with_device<T>(test: impl FnOnce(Arc<Device>) -> T) -> T {
     result
 }
 
-/// How all rasterizers of a device divide their work, for tests that change it.
+/// Work division of all rasterizers of a device, for tests that change it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Division {
     pub(crate) raster: VulkanRasterizerDesc,
     pub(crate) compute: ComputeRasterizerDesc,
 }
 
-/// The name of Mesa's lavapipe, which has all that any rasterizer needs and rounds as the CPU does.
+/// Name of Mesa's lavapipe, which supports all rasterizers and rounds as the CPU does.
 const LAVAPIPE: &str = "llvmpipe";
 
-/// The name of the driver that comes with Chromium, which rounds as the CPU does.
+/// Name of the driver that comes with Chromium, which rounds as the CPU does.
 const SWIFTSHADER: &str = "SwiftShader";
 
-/// Gives a device that `compute` runs on to a test; another device skips it.
+/// Runs a test with a device that supports `compute`; skips it on other devices.
 pub(crate) fn with_compute_device(test: impl FnOnce(Arc<Device>)) {
     with_device(|device| if has_compute(&device) { test(device) } else { skip("no 64-bit atomics") });
 }
@@ -47,7 +47,7 @@ fn has_compute(device: &Device) -> bool {
     device.atomics_64()
 }
 
-/// All rasterizers that a device has.
+/// Creates all rasterizers that a device supports.
 pub(crate) fn rasterizers<'a>(
     device: &Arc<Device>,
     clouds: &CloudSet<'a>,
@@ -65,14 +65,14 @@ pub(crate) fn rasterizers<'a>(
     all
 }
 
-/// Which share of pixels may differ: none on drivers that round as the CPU does, `elsewhere` on others (Vulkan lets a
-/// division be off by 2.5 units in the last place).
+/// Returns the share of pixels that may differ: none on drivers that round as the CPU does, `elsewhere` on others,
+/// since Vulkan allows a division error of 2.5 units in the last place.
 pub(crate) fn allowed_share(rasterizer: &dyn Rasterizer, elsewhere: f64) -> f64 {
     let device = rasterizer.info().device;
     if [LAVAPIPE, SWIFTSHADER].iter().any(|name| device.contains(name)) { 0.0 } else { elsewhere }
 }
 
-/// How many pixels differ in any plane. Maps of different sizes or planes differ everywhere.
+/// Returns how many pixels differ in any plane. Maps of different sizes or planes differ everywhere.
 pub(crate) fn differing(a: &SplatMaps, b: &SplatMaps) -> usize {
     let lengths = |m: &SplatMaps| {
         [
@@ -98,13 +98,13 @@ pub(crate) fn differing(a: &SplatMaps, b: &SplatMaps) -> usize {
     (0..pixels).filter(differs).count()
 }
 
-/// Fails where two rasterizers differ on more than a share of the pixels.
+/// Fails if two rasterizers differ on more than a share of the pixels.
 pub(crate) fn assert_same(a: &SplatMaps, b: &SplatMaps, share: f64, what: &str) {
     let (pixels, count) = (f64::from(a.width) * f64::from(a.height), differing(a, b));
     assert!(count as f64 <= share * pixels, "{what}: {count} of {pixels} pixels differ");
 }
 
-/// What the hand-made cases draw: one cloud per entry, all at the origin, into a camera at the origin.
+/// Input of a hand-computed case: one cloud per entry, all at the origin, and a camera at the origin.
 pub(crate) struct Case {
     pub(crate) clouds: Vec<Vec<Point>>,
     pub(crate) view: View,
@@ -113,7 +113,8 @@ pub(crate) struct Case {
 }
 
 impl Case {
-    /// A camera of focal length 1 whose principal point is the corner: the point `(i·z, j·z, z)` is in pixel (i, j).
+    /// Creates a camera of focal length 1 with its principal point at the corner: the point `(i·z, j·z, z)` is in
+    /// pixel (i, j).
     pub(crate) fn new(width: u32, height: u32, schedule: &str, clouds: &[&[Point]]) -> Self {
         let rows = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let camera = Camera::new("test", width, height, rows).unwrap();
@@ -130,7 +131,7 @@ impl Case {
         }
     }
 
-    /// Maps by all rasterizers, which must be the same.
+    /// Renders maps with all rasterizers, which must agree.
     pub(crate) fn draw(&self, planes: Planes) -> SplatMaps {
         let clouds: CloudSet<'_> = self.clouds.iter().map(Vec::as_slice).collect();
         let job = SplatJob {

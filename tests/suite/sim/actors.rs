@@ -84,7 +84,7 @@ fn vehicles_leave_the_log_and_others_do_not() {
             assert_eq!(actor(instant, "lead").map(|a| a.cuboid), logged("lead"));
         }
     }
-    // On a free road the one in front gains speed, on its recorded path, from where it was.
+    // On a free road the lead car accelerates along its recorded path, without a jump.
     let lead = |step: usize| actor(&instants[step], "lead").unwrap();
     assert!(lead(80).speed_mps > 9.0 && lead(80).speed_mps < 10.0, "{}", lead(80).speed_mps);
     for step in 10..80 {
@@ -100,7 +100,7 @@ fn vehicles_leave_the_log_and_others_do_not() {
 
 #[test]
 fn a_follower_keeps_off_an_ego_that_stops() {
-    // The ego brakes by its own log, 2 m/s² from 1 s to 5 s, as hard as one who follows by IDM can; "brief" drives behind
+    // The ego brakes in its own log at 2 m/s² from 1 s to 5 s, as hard as an IDM follower can; "brief" drives behind
     // it from 2 s on.
     let mut log = made::log(12);
     let stop = made::road(24.0, 0.0);
@@ -117,12 +117,12 @@ fn a_follower_keeps_off_an_ego_that_stops() {
         let instants = all(&mut sim);
         (instants, sim.metrics())
     };
-    // In the log it would drive through.
+    // In replay it drives into the ego.
     assert_eq!(run(ActorPolicy::Replay).1.collisions.len(), 1);
     for policy in [ActorPolicy::Idm, ActorPolicy::Reactive] {
         let (instants, metrics) = run(policy);
         assert!(metrics.collisions.is_empty(), "{policy:?} {:?}", metrics.collisions);
-        // It outlives its track and stands behind the ego.
+        // It outlives its track and stops behind the ego.
         let last = actor(&instants[120], "brief").unwrap();
         assert!(last.speed_mps < 0.3, "{policy:?} {}", last.speed_mps);
         let gap = place(&last).distance(stop.translation.truncate()) - 2.2 - (5.176 / 2.0 - 1.461);
@@ -133,7 +133,7 @@ fn a_follower_keeps_off_an_ego_that_stops() {
 #[test]
 fn who_is_far_follows_the_log_or_is_gone() {
     let log = made::log(20);
-    // The ego turns away and stops being near.
+    // The ego turns away and leaves the vicinity of the lead car.
     let away = LocalPath::new(vec![[0.0, 0.0], [0.0, 900.0]]).unwrap();
     for actors in [ActorPolicy::Idm, ActorPolicy::Reactive] {
         let options =
@@ -143,12 +143,12 @@ fn who_is_far_follows_the_log_or_is_gone() {
         for instant in &instants[1..] {
             let lead = actor(instant, "lead");
             let near = lead.is_some_and(|a| place(&a).distance(instant.ego.position_m()) <= 100.0);
-            // Once gone it never comes back.
+            // A removed actor never reappears.
             assert!(lead.is_none() || (near && near_before), "{actors:?} step {}", instant.step);
             near_before = lead.is_some();
         }
         assert!(!near_before);
-        // Over 100 m away from the start, the oncoming one is on the log.
+        // The oncoming truck, over 100 m from the start, follows the log.
         for (instant, frame) in instants.iter().zip(&log.frames).take(10) {
             assert_eq!(actor(instant, "oncoming").map(|a| a.cuboid), frame.cuboid_of(track("oncoming")));
         }
@@ -158,7 +158,7 @@ fn who_is_far_follows_the_log_or_is_gone() {
 #[test]
 fn the_order_of_tracks_counts_for_nothing() {
     let log = made::log(6);
-    // The same drive with its tracks in the opposite order.
+    // The same log with its tracks in reverse order.
     let flip = |i: usize| made::TRACKS.len() - 1 - i;
     let mut tracks = log.tracks.clone();
     tracks.reverse();

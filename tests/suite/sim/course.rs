@@ -1,4 +1,4 @@
-//! Where policies of the ego lead.
+//! Paths driven by the ego policies.
 
 use glam::DVec2;
 use point_skeleton::dataset::nuscenes::NuScenes;
@@ -20,14 +20,14 @@ fn all(sim: &mut Simulation<'_>) -> Vec<Instant> {
     instants
 }
 
-/// How far to the left of the log's poses an ego is, metres: by plain segments between all of them.
+/// Returns the ego's offset to the left of the log's path, meters, from straight segments between all poses.
 fn offset_m(log: &Log, instant: &Instant) -> f64 {
     let track = EgoTrack::new(log);
     let way = Polyline::new(track.poses().iter().map(|(_, p)| p.translation.truncate())).unwrap();
     way.foot(instant.ego.position_m(), 0.0..way.length_m()).offset_m
 }
 
-/// What a lane change must show, for a rollout of 8.2 s after a warm-up of five plans.
+/// Checks the properties of a lane change in a rollout of 8.2 s after a warm-up of five plans.
 fn assert_changes_lane(log: &Log, rates: Rates, tracking: Tracking) {
     let steps = ((4.0 / rates.plan_hz + 8.2) * rates.sim_hz) as usize;
     let options =
@@ -46,7 +46,7 @@ fn assert_changes_lane(log: &Log, rates: Rates, tracking: Tracking) {
     for pair in instants[takeover..].windows(2) {
         let (a, b) = (&pair[0].ego, &pair[1].ego);
         let dt = 1.0 / rates.sim_hz;
-        // Nothing jumps: the heading turns slowly, and the place is where speed and heading lead.
+        // No jumps: the heading turns slowly, and the position follows from speed and heading.
         let turn = wrap_angle(b.heading_rad() - a.heading_rad());
         assert!(turn.abs() < 0.95 * dt, "{turn} at step {}", pair[1].step);
         let moved = b.position_m() - a.position_m();
@@ -101,7 +101,7 @@ fn a_lane_change_goes_on_beyond_the_log() {
     let (a, b) = (&instants[100].ego, &instants[120].ego);
     assert!((a.position_m().distance(b.position_m()) - 20.0).abs() < 1e-6, "straight at 10 m/s");
     assert!((a.heading_rad() - b.heading_rad()).abs() < 1e-9);
-    // The ground beyond the log is that of its end, the tilt too.
+    // Beyond the end of the log, the ground continues with the height and tilt of the last pose.
     let end = log.frames[30].global_from_ego;
     assert!((b.pose.translation.z - end.translation.z).abs() < 1e-9);
     assert!(((b.pose.rotation * glam::DVec3::X).z - (end.rotation * glam::DVec3::X).z).abs() < 1e-9);
@@ -134,7 +134,7 @@ fn forecasts_of_a_course_come_true_and_change_nothing() {
             sim.committed().get().step > 4 && sim.committed().get().step % 2 == 1
         );
         if sim.committed().get().step > 4 {
-            // As far as the plan reaches: the ego's and the log's part of the forecast is what happens.
+            // Within the range of the plan, the forecast of the ego and of the logged actors comes true.
             for forecast in sim.forecast(9).iter().filter(|f| f.get().step <= 60) {
                 let (expected, happened) = (forecast.get(), &plain[forecast.get().step]);
                 assert_eq!(expected.ego.pose, happened.ego.pose, "step {}", expected.step);
@@ -171,7 +171,7 @@ fn straight_on_is_straight_on() {
     for instant in &instants {
         let arm = instant.ego.position_m() - start.position_m();
         let forward = DVec2::from_angle(start.heading_rad());
-        // Over 6 m/s the speed stays.
+        // Above 6 m/s the speed is constant.
         let way = start.speed_mps * instant.step as f64 / 10.0;
         assert!((forward.dot(arm) - way).abs() < 1e-6 && forward.perp_dot(arm).abs() < 1e-6);
     }
@@ -180,7 +180,7 @@ fn straight_on_is_straight_on() {
 #[test]
 fn points_of_a_file_are_driven_along() {
     let log = made::log(2);
-    // A quarter of a circle to the left with a radius of 20 m, then on.
+    // A quarter circle to the left with a radius of 20 m; then the ego drives on.
     let points =
         (0..=90).map(|i| f64::from(i).to_radians()).map(|a| [20.0 * a.sin(), 20.0 * (1.0 - a.cos())]);
     let path = LocalPath::new(points.collect()).unwrap();

@@ -30,7 +30,7 @@ fn command(text: String) -> PlannerAddress {
     PlannerAddress::Command(text)
 }
 
-/// A planner that runs some lines of Python with `see()` for the next message.
+/// Planner that runs some lines of Python; `see()` returns the next message.
 fn script(folder: &Path, lines: &str) -> PlannerAddress {
     let path = folder.join("planner.py");
     let head = "import json, sys, time\ndef see():\n    return json.loads(sys.stdin.readline())\n";
@@ -38,13 +38,13 @@ fn script(folder: &Path, lines: &str) -> PlannerAddress {
     command(format!("exec python3 {}", path.display()))
 }
 
-/// A planner that answers hellos and then always the same text.
+/// Planner that answers the hello and then always sends the same text.
 fn answers(folder: &Path, answer: &str) -> PlannerAddress {
     let lines = format!("see()\n{HELLO}\nwhile True:\n    see()\n    print({answer}, flush=True)");
     script(folder, &lines)
 }
 
-/// The error of a rollout, which keeps what came before it.
+/// Returns the error of a rollout, and checks that the rollout keeps its earlier steps.
 fn fails(log: &Log, options: SimOptions) -> PlannerError {
     let mut sim = match Simulation::new(&made::scenario(log), options) {
         Err(SimError::Planner(error)) => return error,
@@ -59,7 +59,7 @@ fn fails(log: &Log, options: SimOptions) -> PlannerError {
             Err(error) => panic!("{error}"),
         }
     };
-    // The warm-up stays, and the next attempt fails too.
+    // The warm-up remains, and the next attempt fails too.
     assert_eq!(sim.committed().get().step, sim.takeover_step());
     assert_eq!(sim.committed().get().ego.pose, log.frames[sim.takeover_step()].global_from_ego);
     assert_eq!(sim.save().step(), sim.takeover_step());
@@ -67,7 +67,7 @@ fn fails(log: &Log, options: SimOptions) -> PlannerError {
     error
 }
 
-/// Drives with the example.
+/// Drives with the example planner; returns a description of every step.
 fn assert_drives(log: &Log, options: SimOptions) -> Vec<String> {
     let mut sim = Simulation::new(&made::scenario(log), options).unwrap();
     let mut told = Vec::new();
@@ -86,7 +86,7 @@ fn the_example_drives_over_pipes() {
     let log = made::log(6);
     let address = command(format!("exec python3 {}", example().display()));
     let told = assert_drives(&log, options(address.clone(), 20.0));
-    // Planners that are functions of what they see make rollouts that can be repeated and resumed.
+    // With a planner that depends only on its observations, rollouts can be repeated and resumed.
     let mut sim = Simulation::new(&made::scenario(&log), options(address.clone(), 20.0)).unwrap();
     for _ in 0..21 {
         sim.step().unwrap();
@@ -115,17 +115,17 @@ fn the_example_drives_over_sockets() {
     let log = made::log(6);
     let folder = tempfile::tempdir().unwrap();
     let socket = folder.path().join("planner");
-    // A port that was free a moment ago.
+    // A port that was free just before.
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let cases = [
         (format!("unix:{}", socket.display()), PlannerAddress::Unix(socket.clone())),
         (format!("tcp:127.0.0.1:{port}"), PlannerAddress::Tcp(format!("127.0.0.1:{port}"))),
     ];
-    // A socket of an earlier run is in the way, with nobody behind it.
+    // A stale socket of an earlier run is in the way; no process listens on it.
     drop(UnixListener::bind(&socket).unwrap());
     for (argument, address) in cases {
         assert_eq!(argument.parse::<PlannerAddress>().unwrap(), address, "the same name on both sides");
-        // It is waited for until it listens.
+        // The client waits until the server listens.
         let mut server = Server(Command::new("python3").arg(example()).arg(argument).spawn().unwrap());
         assert_drives(&log, options(address, 20.0));
         assert!(server.0.wait().unwrap().success(), "it ends with the connection");
@@ -144,7 +144,7 @@ fn the_example_stops_at_the_end_of_the_path() {
     let local = end.inverse().transform_point(ego.pose.translation);
     assert!(ego.speed_mps < 0.01 && local.x.abs() < 2.0 && local.y.abs() < 0.5, "{local} {}", ego.speed_mps);
     assert!(sim.metrics().lateral_deviation_m.max < 0.5, "{:?}", sim.metrics().lateral_deviation_m);
-    // Set out at the end of the path at full speed, it brakes on a straight line.
+    // Started at the end of the path at full speed, it brakes on a straight line.
     let late = SimOptions { steps: 80, start_us: Some(made::FIRST_US + 3_600_000), ..options.clone() };
     let mut sim = Simulation::new(&made::scenario(&log), late).unwrap();
     while sim.step().unwrap().is_some() {}
@@ -159,7 +159,7 @@ fn planners_see_what_is_promised() {
     let log = made::log(6);
     let folder = tempfile::tempdir().unwrap();
     let seen = folder.path().join("seen");
-    // Writes down what it sees and stays where it is, said in its own frame.
+    // Records its messages and drives straight on at 8 m/s, with trajectories in the ego frame.
     let lines = format!(
         "out = open({:?}, 'w')\nwhile True:\n    m = see()\n    print(json.dumps(m), file=out, flush=True)\n    \
          print(json.dumps({{'frame': 'ego', 'trajectory': [{{'t': 0, 'x': 9, 'y': 9, 'heading': 9, 'v': 9}}, {{'t': 3, \
@@ -196,10 +196,10 @@ fn planners_see_what_is_promised() {
     assert!((path[0][0].as_f64().unwrap() - start.translation.x).abs() < 1e-6);
 }
 
-/// The path that a planner sees goes on in the order in which it was driven, also where it crosses itself.
+/// The path that a planner sees continues in driving order, also where it crosses itself.
 #[test]
 fn paths_that_cross_themselves_are_told_in_their_order() {
-    // East, around to the left, and south over where it came from after 20 m.
+    // East, around to the left, and south, crossing its own path at 20 m.
     let corners = [(0.0, 0.0), (40.0, 0.0), (40.0, 20.0), (20.0, 20.0), (20.0, -20.0)].map(DVec2::from);
     let line = Polyline::new(corners).unwrap();
     let mut log = made::log(15);
@@ -209,7 +209,7 @@ fn paths_that_cross_themselves_are_told_in_their_order() {
     }
     let folder = tempfile::tempdir().unwrap();
     let seen = folder.path().join("seen");
-    // Goes to where the first piece is nearer than the last, and tells what it sees there.
+    // Drives to where the first part of the path is nearer than the last, and records the path it sees there.
     let lines = format!(
         "see()\n{HELLO}\nwhile True:\n    m = see()\n    open({:?}, 'w').write(json.dumps(m['path']))\n    \
          print(json.dumps({{'trajectory': [{{'t': 0.2, 'x': 20.9, 'y': 0.1, 'heading': -1.57, 'v': 4}}]}}), flush=True)",
@@ -229,14 +229,14 @@ fn paths_that_cross_themselves_are_told_in_their_order() {
     assert!(near(path[0], [20.0, 0.1]) && near(path[5], [20.0, -4.9]) && near(path[21], [20.0, -20.0]));
 }
 
-/// What a planner says unasked is no answer to what it is asked next.
+/// An unsolicited line of a planner is not taken as an answer to the next observation.
 #[test]
 fn lines_that_nobody_asked_for_are_told() {
     let log = made::log(2);
     let folder = tempfile::tempdir().unwrap();
     let lines = format!("see()\n{HELLO}\nprint('model loaded', flush=True)\ntime.sleep(60)");
     let address = script(folder.path(), &lines);
-    // The line may come only after the first observation was sent; then it is a bad answer.
+    // The line may arrive only after the first observation was sent; then it is a bad answer.
     let unasked = |_: i32| {
         let mut sim = Simulation::new(&made::scenario(&log), options(address.clone(), 20.0)).unwrap();
         std::thread::sleep(std::time::Duration::from_millis(100));
@@ -252,7 +252,7 @@ fn lines_that_nobody_asked_for_are_told() {
     assert!((0..50).any(unasked));
 }
 
-/// A server whose queue is full holds a client up until its time is over, not for good.
+/// A server with a full queue blocks a client until its timeout, not forever.
 #[test]
 fn planners_that_accept_nobody_are_given_up() {
     let log = made::log(2);
@@ -344,7 +344,7 @@ fn bad_hellos_are_told() {
     assert!(matches!(fails(&log, options(nobody, 0.2)), PlannerError::Io { verb: "reach", .. }));
 }
 
-/// Whether a process is there and no zombie.
+/// Returns whether a process exists and is not a zombie.
 fn lives(pid: &str) -> bool {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
     stat.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
@@ -355,7 +355,7 @@ fn planners_that_hang_or_die_are_noticed_and_ended() {
     let log = made::log(2);
     let folder = tempfile::tempdir().unwrap();
     let pids = folder.path().join("pids");
-    // It has a child that holds its pipes, and ignores that its input is closed.
+    // The planner has a child that holds its pipes, and ignores that its input is closed.
     let child = format!(
         "import os, subprocess\nchild = subprocess.Popen(['sleep', '600'])\nwith open({:?}, 'w') as f:\n    \
          f.write(f'{{os.getpid()}} {{child.pid}}')\nsee()\n{HELLO}\nsee()\n",
@@ -365,7 +365,7 @@ fn planners_that_hang_or_die_are_noticed_and_ended() {
         let pids = std::fs::read_to_string(&pids).unwrap();
         assert_eq!(pids.split_whitespace().count(), 2);
         for pid in pids.split_whitespace() {
-            // The kernel takes its time.
+            // The kernel needs some time.
             let start = Instant::now();
             while lives(pid) && start.elapsed().as_secs() < 10 {
                 std::thread::sleep(std::time::Duration::from_millis(10));
@@ -382,12 +382,12 @@ fn planners_that_hang_or_die_are_noticed_and_ended() {
     );
     assert!(start.elapsed().as_secs() < 60);
     ended();
-    // Its child would hold the pipe open: only the end of the time tells.
+    // The child is killed first, since it would hold the pipe open.
     let dies = script(folder.path(), &format!("{child}child.kill()\nchild.wait()\nsys.exit(5)"));
     let error = fails(&log, options(dies, 20.0)).to_string();
     assert!(error.contains("exit status: 5"), "{error}");
     ended();
-    // Half a line and no end.
+    // Half a line without an end.
     let half = script(
         folder.path(),
         &format!("see()\n{HELLO}\nsee()\nprint('{{\"traj', end='', flush=True)\ntime.sleep(600)"),

@@ -79,7 +79,7 @@ fn what_is_no_path_is_refused_with_the_file() {
     }
     let missing = LocalPath::read(&folder.path().join("missing.json")).unwrap_err().to_string();
     assert!(missing.contains("cannot read"), "{missing}");
-    // A header that promises more than there is.
+    // A header that declares more rows than the file has.
     let mut bytes = npy(npyz::Order::C, &[2, 2], &[1.0, 2.0, 3.0, 4.0]);
     let at = bytes.windows(5).position(|w| w == b"(2, 2").unwrap();
     bytes[at..at + 5].copy_from_slice(b"(9, 2");

@@ -1,18 +1,18 @@
-//! A made-up drive: an ego on a winding road uphill, others around it.
+//! A synthetic log: an ego on a winding road uphill, with other actors around it.
 
 use glam::{DQuat, DVec2, DVec3};
 use point_skeleton::dataset::{Class, Frame, Log, Track, TrackBox, TrafficLight};
 use point_skeleton::geometry::{Cuboid, Pose};
 use point_skeleton::sim::{Rates, Scenario, SimOptions, Simulation};
 
-/// Where the road begins, global metres.
+/// Start of the road, global meters.
 pub(crate) const START: DVec3 = DVec3::new(664_000.0, 3_997_000.0, 100.0);
 pub(crate) const FIRST_US: i64 = 1_600_000_000_000_000;
-/// Of the ego, metres per second.
+/// Speed of the ego, meters per second.
 pub(crate) const SPEED_MPS: f64 = 8.0;
-/// Rise per metre.
+/// Rise per meter.
 const SLOPE: f64 = 0.03;
-/// Track ids in their order.
+/// Track ids and categories, in track order.
 pub(crate) const TRACKS: [(&str, &str); 6] = [
     ("brief", "vehicle.car"),
     ("cone", "movable_object.trafficcone"),
@@ -22,12 +22,13 @@ pub(crate) const TRACKS: [(&str, &str); 6] = [
     ("walker", "human.pedestrian.adult"),
 ];
 
-/// The yaw of the road at a station, metres.
+/// Returns the yaw of the road at a station in meters.
 fn yaw(station_m: f64) -> f64 {
     0.4 + 0.3 * (station_m / 40.0).sin()
 }
 
-/// A place beside the middle of the road: station and offset to the left, metres. By Simpson's rule over a metre.
+/// Returns the pose beside the road's center line at a station and an offset to the left, meters. Integrates by
+/// Simpson's rule with steps of at most half a meter.
 pub(crate) fn road(station_m: f64, left_m: f64) -> Pose {
     let count = 2 * (station_m.abs().ceil() as usize + 1);
     let h = station_m / count as f64;
@@ -38,7 +39,7 @@ pub(crate) fn road(station_m: f64, left_m: f64) -> Pose {
     Pose { rotation, translation: START + place.extend(station_m * SLOPE) }
 }
 
-/// Frames at some microseconds since the start.
+/// Returns a log with frames at times in microseconds since the start.
 pub(crate) fn log_at(times_us: &[i64]) -> Log {
     let size = DVec3::new(4.4, 1.8, 1.5);
     let turned = DQuat::from_rotation_z(std::f64::consts::PI);
@@ -89,7 +90,7 @@ pub(crate) fn log_at(times_us: &[i64]) -> Log {
     }
 }
 
-/// Ten frames a second.
+/// Returns a log of ten frames per second.
 pub(crate) fn log(seconds: i64) -> Log {
     log_at(&(0..=seconds * 10).map(|i| i * 100_000).collect::<Vec<_>>())
 }

@@ -1,4 +1,4 @@
-//! The closed loop.
+//! Closed-loop simulation.
 
 mod actors;
 mod course;

@@ -60,7 +60,7 @@ fn steps_between_frames_are_interpolated_and_the_log_ends() {
     assert_is_the_log(&log, &instants);
     assert_eq!((instants.len(), sim.ended()), (37, Some(EndReason::LogEnded)));
     assert_eq!(instants[36].t_us, made::FIRST_US + 3_000_000);
-    // Over is over.
+    // The rollout stays ended.
     assert_eq!(sim.step().unwrap(), None);
     assert_eq!(sim.committed().get().step, 36);
 }
@@ -71,7 +71,7 @@ fn forecasts_of_a_replay_are_the_log() {
     let options = SimOptions { steps: 40, ..SimOptions::default() };
     let mut sim = made::start(&log, &options);
     loop {
-        // At any step, the first too, and as far as the log goes.
+        // At any step, including the first, and up to the end of the log.
         let step = sim.committed().get().step;
         let forecast = sim.forecast(5);
         assert_eq!(forecast.len(), 5.min((40 - step) / 2), "step {step}");
@@ -87,7 +87,7 @@ fn forecasts_of_a_replay_are_the_log() {
     assert_eq!((sim.committed().get().step, sim.steps_per_plan()), (40, 2));
 }
 
-/// What is expected of actors who drive by themselves comes true, though the ego has no plan.
+/// Forecasts of self-driving actors come true although the ego has no plan.
 #[test]
 fn forecasts_beside_a_replay_come_true() {
     for actors in [ActorPolicy::Idm, ActorPolicy::Reactive] {
@@ -132,7 +132,7 @@ fn odd_logs_work_where_they_can() {
     for policy in [EgoPolicy::Replay, EgoPolicy::LaneChange, EgoPolicy::Straight, EgoPolicy::Cosine] {
         for actors in [ActorPolicy::Replay, ActorPolicy::Idm, ActorPolicy::Reactive] {
             let options = SimOptions { steps: 30, ego: policy.clone(), actors, ..SimOptions::default() };
-            // One frame alone: replay ends at once, the others go on.
+            // A single frame: replay ends at once, the other policies drive on.
             let single = made::log_at(&[0]);
             let mut sim = made::start(&single, &options);
             let instants = all(&mut sim);
@@ -164,7 +164,7 @@ fn replayed_actors_are_gone_when_their_track_ends() {
     let log = made::log(2);
     let options = SimOptions { steps: 40, ego: EgoPolicy::Straight, ..SimOptions::default() };
     let instants = all(&mut made::start(&log, &options));
-    // A sixth appears in the last frame.
+    // A sixth actor appears in the last frame.
     let counts = [19, 20, 21].map(|step| instants[step].actors.len());
     assert_eq!((counts, instants.len()), ([5, 6, 0], 41));
     assert_eq!(instants[40].lights, log.lights[20..]);

@@ -12,7 +12,7 @@ fn policies() -> Vec<EgoPolicy> {
     vec![Replay, Straight, RightThenBack, Cosine, LaneChange, File(path)]
 }
 
-/// All that a rollout gives from where it is on, as text.
+/// Returns everything that a rollout reports from its current step on, as text.
 fn rest(sim: &mut Simulation<'_>) -> Vec<String> {
     let mut told = Vec::new();
     while let Some(outcome) = sim.step().unwrap() {
@@ -119,7 +119,7 @@ fn states_of_other_rollouts_and_damaged_ones_are_refused() {
         *damaged.pointer_mut(pointer).unwrap_or_else(|| panic!("{pointer} in {saved}")) = value;
         assert!(resume(damaged, &options).is_err(), "{pointer}");
     }
-    // What would get lost unseen is refused, too.
+    // Content that would be lost silently is refused, too.
     let mut damaged = saved.clone();
     damaged["options"]["wind"] = json!(3);
     assert!(resume(damaged, &options).unwrap_err().contains("wind none, found 3"));

@@ -1,8 +1,9 @@
-//! A target under libFuzzer: `PSKEL_FUZZ_TARGET` names it; without, all targets are printed with the longest input of
-//! each. With `PSKEL_FUZZ_BYTES` the bytes of all inputs so far are written to that file, once a second.
+//! Runs a target under libFuzzer. `PSKEL_FUZZ_TARGET` names it; if unset, all targets are printed with their maximum
+//! input length. `PSKEL_FUZZ_BYTES` names a file to which the total size of all inputs is written about once a
+//! second.
 #![no_main]
 #![allow(clippy::print_stdout)]
-#![allow(unsafe_code)] // of the macro: the function that libFuzzer calls
+#![allow(unsafe_code)] // for the macro's function that libFuzzer calls
 
 use std::cell::RefCell;
 use std::path::PathBuf;
@@ -16,7 +17,7 @@ static TARGET: LazyLock<&Target> = LazyLock::new(|| {
     target(&name).unwrap_or_else(|| panic!("PSKEL_FUZZ_TARGET must name a target, found {name:?}"))
 });
 
-/// Bytes of all inputs.
+/// Total size of all inputs.
 struct Tally {
     file: Option<PathBuf>,
     bytes: u64,

@@ -1,4 +1,4 @@
-//! Makes the seeds in `corpus/` anew. Other files there stay: they are inputs that once found a fault.
+//! Regenerates the seeds in `corpus/`. Other files there remain: they are inputs that once revealed a fault.
 
 use std::path::Path;
 

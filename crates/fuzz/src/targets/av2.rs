@@ -25,7 +25,7 @@ use crate::made::Made;
 use crate::shared::av2_log::{Columns, LOG_ID, TinyAv2, map as map_json, read, sweep};
 use crate::{Memory, Seed, Target};
 
-/// A small file may declare 16 MiB, of which a byte may become numbers of eight and a pose.
+/// A small file may declare 16 MiB; each byte may become an eight-byte number, and part of a pose.
 const UNPACKED: Memory = Memory { fixed: 512 << 20, factor: 1000 };
 
 pub(super) const TARGETS: [Target; 3] = [
@@ -50,7 +50,7 @@ fn names() -> [String; 5] {
     names.map(|name| format!("{LOG_ID}/{name}"))
 }
 
-/// A log whose sweeps have few points.
+/// Returns a log whose sweeps have few points.
 fn log() -> Folder {
     let made = TinyAv2::new();
     let path = made.path(&sweep(0));
@@ -66,7 +66,7 @@ fn open(folder: &Folder, data: &[u8]) {
     }
 }
 
-/// The bytes, behind the first, in place of the file that it names.
+/// Replaces the file selected by the first byte with the remaining bytes.
 fn files(data: &[u8]) {
     LOG.with_borrow_mut(|folder| {
         let (number, bytes) = data.split_first().unwrap_or((&0, &[]));
@@ -85,7 +85,7 @@ fn file_seeds() -> Vec<Seed> {
     names().iter().enumerate().map(of).collect()
 }
 
-/// A file with other columns.
+/// Changes the columns of a file.
 fn columns(data: &[u8]) {
     LOG.with_borrow_mut(|folder| {
         let mut choices = Choices::new(data);
@@ -129,7 +129,7 @@ fn write(
     Ok(writer.finish()?)
 }
 
-/// Another type, another value, an empty value, another name, or one column less.
+/// Changes the type, the values or the name of a column, sets a null, or removes the column.
 fn change(columns: &mut Columns, choices: &mut Choices<'_>) {
     if columns.is_empty() {
         return;

@@ -1,4 +1,4 @@
-//! Unfinished builds of skeletons to go on with.
+//! Unfinished skeleton builds to resume.
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use crate::{Seed, Target};
 pub(super) const TARGETS: [Target; 1] =
     [Target { name: "build", run: resume, seeds, max_len: 512, memory: LARGE }];
 
-/// A drive whose last image cannot be read: a build fails behind the checkpoints of all frames before.
+/// A log whose last image cannot be read: a build fails after the checkpoints of all earlier frames.
 struct Broken(Made);
 
 impl Dataset for Broken {
@@ -38,10 +38,10 @@ impl Dataset for Broken {
     }
 }
 
-/// What an interrupted build has left.
+/// Files left by an interrupted build.
 struct Unfinished {
     folder: Folder,
-    /// Names of the files in it.
+    /// Names of its files.
     files: Vec<String>,
     made: Made,
 }
@@ -72,7 +72,8 @@ impl Unfinished {
         Self { folder, files, made: Made::new(3) }
     }
 
-    /// The file that the first byte names, changed: JSON by edits, sums by places (one byte) with the byte to stand there.
+    /// Changes the file selected by the first byte: JSON by edits, checksums by positions (one byte), each with its
+    /// new byte.
     fn change(&mut self, data: &[u8]) {
         let (number, changes) = data.split_first().unwrap_or((&0, &[]));
         let name = self.files[usize::from(*number) % self.files.len()].clone();
@@ -99,7 +100,7 @@ fn resume(data: &[u8]) {
         if let Err(error) = go_on(out.clone(), &unfinished.made) {
             told_within(error, unfinished.folder.root(), data);
         }
-        let _ = std::fs::remove_dir_all(out); // where it came to one
+        let _ = std::fs::remove_dir_all(out); // if the build succeeded
     });
 }
 

@@ -1,4 +1,4 @@
-//! Sweeps and clouds of points.
+//! Sweeps and point clouds.
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -153,7 +153,7 @@ fn features_seeds() -> Vec<Seed> {
 fn read_cameras(data: &[u8]) {
     let path = file("c.json", &json_file(data, &cameras_json()));
     match cameras::read(&path) {
-        // The file's name is last in all of them.
+        // All these errors end with the file's name.
         Err(error) => told(error, &path, data),
         Ok(views) => {
             assert!(!views.is_empty());
@@ -181,7 +181,7 @@ fn cameras_seeds() -> Vec<Seed> {
     vec![seed("file", cameras_file()), seed("edit", vec![0, 0, 1, 3, 0, 0, 0, 0, 1, 7])]
 }
 
-/// The bytes of a file that is written.
+/// Returns the bytes of a file that `write` writes.
 pub(super) fn written<E: std::fmt::Debug>(name: &str, write: impl FnOnce(&Path) -> Result<(), E>) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join(name);

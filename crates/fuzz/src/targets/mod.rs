@@ -18,7 +18,7 @@ use tempfile::TempDir;
 use crate::edits::edit;
 use crate::{Memory, Seed, Target};
 
-/// All of them, by family.
+/// All targets, by family.
 pub static TARGETS: std::sync::LazyLock<Vec<Target>> = std::sync::LazyLock::new(|| {
     let mut all = Vec::new();
     all.extend(clouds::TARGETS);
@@ -35,12 +35,12 @@ pub static TARGETS: std::sync::LazyLock<Vec<Target>> = std::sync::LazyLock::new(
     all
 });
 
-/// Of readers of one file: a buffer of a megabyte is the most that they begin with.
+/// Limit for readers of one file, which start with at most a buffer of one megabyte.
 const SMALL: Memory = Memory { fixed: 4 << 20, factor: 100 };
-/// Of readers of whole data sets.
+/// Limit for readers of whole data sets.
 const LARGE: Memory = Memory { fixed: 16 << 20, factor: 1000 };
 
-/// A folder for files that a target writes anew each time.
+/// Folder for files that a target rewrites in every run.
 struct Scratch(TempDir);
 
 impl Scratch {
@@ -69,7 +69,7 @@ fn edited(base: &Value, edits: &[u8]) -> Value {
     value
 }
 
-/// Edits of whatever JSON there is: down by some steps, then each kind of change.
+/// Returns seeds that edit any JSON: they descend some levels and apply each kind of change.
 fn edit_seeds() -> Vec<Seed> {
     let edits = |kind: u8| {
         let down = [kind, 0, kind / 3, 1];

@@ -1,4 +1,4 @@
-//! Networks, trainings, drives and caches: safetensors with a header of JSON.
+//! Networks, training states, recordings and caches: safetensors with a JSON header.
 
 use std::cell::RefCell;
 
@@ -27,7 +27,7 @@ pub(super) const TARGETS: [Target; 4] = [
     Target { name: "cache", run: cache, seeds: cache_seeds, max_len: 8192, memory: SMALL },
 ];
 
-/// Files of ours, and a drive that they fit.
+/// Valid files, and recordings that fit them.
 struct Stored {
     scratch: Scratch,
     drives: Vec<Drive>,
@@ -84,8 +84,8 @@ impl Stored {
     }
 }
 
-/// The file for an input: those bytes behind a first byte of 0 are edits of the header of `base`, those behind a 1 places
-/// (two bytes) with the bytes to stand there; others are the file itself.
+/// Returns the file for an input. After a first byte of 0, the input is edits of the header of `base`; after a 1, it
+/// is positions (two bytes), each with its new byte. Any other input is the file itself.
 fn file(data: &[u8], base: &[u8], key: &str) -> Vec<u8> {
     match data.split_first() {
         Some((0, edits)) => with_header(base, key, edits),
@@ -119,14 +119,14 @@ fn with_header(base: &[u8], key: &str, edits: &[u8]) -> Vec<u8> {
     [&(header.len() as u64).to_le_bytes(), header.as_bytes(), &rest[length..]].concat()
 }
 
-/// Longest file that is a seed, bytes.
+/// Maximum length of a file that becomes a seed, bytes.
 const MAX_SEED: usize = 4096;
 
 fn seeds(file: &[u8]) -> Vec<Seed> {
     let mut seeds = edit_seeds();
     seeds.iter_mut().for_each(|(_, edits)| edits.insert(0, 0));
     seeds.push(seed("changed", [1, 9, 0, b'x', 255, 2, 255]));
-    // Larger ones would grow the repository for little.
+    // Larger seeds would grow the repository for little benefit.
     if file.len() <= MAX_SEED {
         seeds.push(seed("file", file));
     }
@@ -149,7 +149,7 @@ fn weights(data: &[u8]) {
     });
 }
 
-/// Asks a network once; numbers may be anything.
+/// Runs a network once; the numbers may have any value.
 fn predict(weights: Weights, drive: &Drive) {
     let (shape, encoder) = (weights.config.shape(), drive.encoder());
     let Ok(mut network) = Network::new(weights) else { return };
@@ -170,14 +170,14 @@ fn checkpoint(data: &[u8]) {
     STORED.with_borrow(|stored| {
         let path = stored.scratch.put("training.safetensors", &file(data, &stored.checkpoint, "training"));
         match Trainer::resume(&path, &stored.drives) {
-            // What does not fit the drives is no fault of the file.
+            // A mismatch with the recordings is not a fault of the file, so its name may be missing.
             Err(error) => short(&error.to_string(), data),
             Ok(mut trainer) => {
                 trainer.save(&path).expect("a training to write");
                 let again = Trainer::resume(&path, &stored.drives).expect("a training that was written");
                 assert_eq!((again.done(), again.options()), (trainer.done(), trainer.options()));
                 if trainer.options().batch <= 4 && !trainer.is_done() {
-                    let _ = trainer.step(); // numbers may be anything
+                    let _ = trainer.step(); // the numbers may have any value
                 }
             }
         }
@@ -228,7 +228,7 @@ fn options() -> GenerateOptions {
 
 type Toys = Generator<Toy, GaussianNoise>;
 
-/// What a condition was when it was committed: only a rollout commits.
+/// Returns a committed condition; only a rollout can commit one.
 fn committed() -> Committed<Latent> {
     let made = Made::new(2);
     let scenario = Scenario { log: made.log(), map: None, rates: Rates::default() };

@@ -1,4 +1,4 @@
-//! nuPlan: SQLite logs, pickles in them, GeoPackage maps.
+//! nuPlan: SQLite logs, their pickles, GeoPackage maps.
 
 use std::cell::RefCell;
 use std::path::Path;
@@ -29,7 +29,7 @@ pub(super) const TARGETS: [Target; 5] = [
     Target { name: "nuplan_map_cells", run: map_cells, seeds: cell_seeds, max_len: 512, memory: LARGE },
 ];
 
-/// A data set with small pages.
+/// Data set whose databases have small pages.
 struct DataSet {
     folder: Folder,
     database: String,
@@ -130,7 +130,7 @@ fn cell_seeds() -> Vec<Seed> {
     all.chain([seed("none", [])]).collect()
 }
 
-/// Changes values, rows and tables of a database; statements that cannot be are left out.
+/// Changes values, rows and tables of a database; skips invalid statements.
 fn change(path: &Path, data: &[u8]) {
     let connection = connect(path);
     let mut choices = Choices::new(data);
@@ -163,7 +163,7 @@ fn change_once(connection: &Connection, choices: &mut Choices<'_>) -> rusqlite::
         2 => set(choices.number().into()),
         3 => set(String::from_utf8_lossy(choices.bytes()).into_owned().into()),
         4 => set(choices.bytes().to_vec().into()),
-        // A few bytes of what is there.
+        // Changes a few bytes of an existing value.
         5 | 6 => {
             let sql = format!("SELECT CAST({column} AS BLOB) FROM {table} LIMIT 1 OFFSET {row}");
             let mut bytes: Vec<u8> = connection.query_row(&sql, [], |row| row.get(0))?;
@@ -179,7 +179,7 @@ fn change_once(connection: &Connection, choices: &mut Choices<'_>) -> rusqlite::
             "DELETE FROM {table} WHERE rowid = (SELECT rowid FROM {table} LIMIT 1 OFFSET {row})"
         )),
         8 => connection.execute_batch(&format!("DROP TABLE {table}")),
-        // Without keys, so that rows may be there twice.
+        // Without keys, so that rows may occur twice.
         9 => connection.execute_batch(&format!(
             "CREATE TABLE other AS SELECT * FROM {table} UNION ALL SELECT * FROM {table}; DROP TABLE {table};
              ALTER TABLE other RENAME TO {table}"
@@ -197,7 +197,7 @@ fn change_once(connection: &Connection, choices: &mut Choices<'_>) -> rusqlite::
     }
 }
 
-/// A data set whose first camera's matrix is changed over a connection that stays.
+/// Returns a data set, and an open connection that changes the first camera's matrix.
 fn pickled() -> (DataSet, Connection) {
     let set = data_set();
     let connection = connect(&set.folder.path(&set.database));

@@ -46,7 +46,7 @@ fn file(table: &str) -> String {
     format!("v1.0-mini/{table}.json")
 }
 
-/// The data set, and its tables in one object.
+/// Returns the data set, and its tables in one object.
 fn data_set() -> (Folder, Value) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     write_log(folder.path(), "v1.0-mini", &Made::new(2)).expect("a data set");
@@ -67,7 +67,7 @@ fn open(folder: &Folder, data: &[u8]) {
     }
 }
 
-/// The bytes, behind the first, in place of the table that it names.
+/// Replaces the table selected by the first byte with the remaining bytes.
 fn table(data: &[u8]) {
     DATA_SET.with_borrow_mut(|(folder, _)| {
         let (number, bytes) = data.split_first().unwrap_or((&0, &[]));
@@ -84,7 +84,7 @@ fn table_seeds() -> Vec<Seed> {
     TABLES.iter().enumerate().map(with).collect()
 }
 
-/// Values of all tables changed.
+/// Edits values of all tables.
 fn edits(data: &[u8]) {
     DATA_SET.with_borrow_mut(|(folder, tables)| {
         let edited = edited(tables, data);
@@ -110,7 +110,7 @@ fn map(data: &[u8]) {
     });
 }
 
-/// The drive, and that it has a map.
+/// The synthetic log, with a map.
 struct Mapped(Made);
 
 impl Dataset for Mapped {

@@ -1,4 +1,4 @@
-//! Answers of planners and denoisers, over a socket.
+//! Answers of planners and denoisers over a socket.
 
 use std::cell::RefCell;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -27,14 +27,14 @@ pub(super) const TARGETS: [Target; 2] = [
     Target { name: "denoiser", run: denoiser, seeds: denoiser_seeds, max_len: 8192, memory: LARGE },
 ];
 
-/// Longer than any answer takes; nothing waits so long, since a connection ends with its last answer.
+/// Longer than any answer takes. It is never reached, since a connection ends with its last answer.
 const TIMEOUT_S: f64 = 20.0;
 
-/// How long an answer waits for its message. After an answer that breaks off none comes: the other side waits for the
-/// rest of it.
+/// Maximum wait of an answer for its message. After a truncated answer no message comes: the peer waits for the rest
+/// of the answer.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// Answers to each connection's messages.
+/// Server that answers the messages of each connection.
 struct Server {
     spec: PeerSpec,
     answers: Sender<Vec<Vec<u8>>>,
@@ -42,7 +42,7 @@ struct Server {
 }
 
 impl Server {
-    /// `read` reads a message.
+    /// Starts a server; `read` reads one message.
     fn start(read: fn(&mut BufReader<UnixStream>) -> std::io::Result<()>) -> Self {
         let folder = Scratch::new();
         let path = folder.path("socket");
@@ -53,7 +53,7 @@ impl Server {
         Self { spec, answers, _folder: folder }
     }
 
-    /// What the next connection is answered, message by message.
+    /// Sets the answers of the next connection, one per message.
     fn next(&self, answers: Vec<Vec<u8>>) -> PeerSpec {
         self.answers.send(answers).expect("a server");
         self.spec.clone()
@@ -75,7 +75,7 @@ fn serve(
             }
             Ok(())
         };
-        let _ = answer(stream); // the other side may be gone
+        let _ = answer(stream); // the peer may have closed the connection
     }
 }
 
@@ -96,7 +96,7 @@ thread_local! {
 
 const HELLO: &[u8] = b"{\"protocol\": \"pskel-planner\", \"version\": 1}\n";
 
-/// Lines of answers; behind a first byte of 0 the hello is right.
+/// Sends the input's lines as answers; after a first byte of 0, a valid hello comes first.
 fn planner(data: &[u8]) {
     PLANNER.with(|(server, made)| {
         let mut answers = Vec::new();
@@ -141,8 +141,8 @@ fn options() -> GenerateOptions {
     }
 }
 
-/// Messages behind their lengths (two bytes); one whose length has its highest bit set goes without the eight bytes of
-/// the protocol. Behind a first byte of 0 the hello is right.
+/// Splits an input into messages, each after its length (two bytes). A length with its highest bit set omits the
+/// protocol's eight-byte length. After a first byte of 0, a valid hello comes first.
 fn messages(data: &[u8]) -> Vec<Vec<u8>> {
     let mut messages = Vec::new();
     let mut rest = data.strip_prefix(&[0]).inspect(|_| messages.push(counted(&hello(true)))).unwrap_or(data);
@@ -159,7 +159,7 @@ fn counted(message: &[u8]) -> Vec<u8> {
     [&(message.len() as u64).to_le_bytes(), message].concat()
 }
 
-/// By hand, as the library writes texts in an order that is another one in each process.
+/// Written by hand, since the library's order of texts differs between processes.
 fn hello(decodes: bool) -> Vec<u8> {
     let size = if decodes { r#","image_size":"4,4""# } else { "" };
     let texts = r#""protocol":"pskel-denoiser","version":"1","latent_shape":"1,3,2,2","dtype":"F32""#;
@@ -180,13 +180,13 @@ fn denoiser(data: &[u8]) {
     }
 }
 
-/// A prediction, then an image to latents and back.
+/// Requests a prediction, then encodes and decodes an image.
 fn ask(spec: &PeerSpec) -> Result<(), point_skeleton::generate::DenoiserError> {
     let mut denoiser = ProcessDenoiser::start(spec, &options(), VIEWS, SIZE)?;
     let shape = denoiser.shape();
     assert_eq!(shape.views, VIEWS);
     if shape.len() > 1 << 16 {
-        return Ok(()); // the hello is believed up to the longest message; asking would take as much
+        return Ok(()); // a hello may declare a shape up to the longest message; a request would need as much memory
     }
     let pixels = SIZE.pixels();
     let condition = FrameConditions {

@@ -1,4 +1,4 @@
-//! Pictures: JPEG and PNG.
+//! Images: JPEG and PNG.
 
 use std::cell::RefCell;
 use std::io::Cursor;
@@ -11,7 +11,7 @@ use super::{Scratch, seed};
 use crate::check::told;
 use crate::{Memory, Seed, Target};
 
-/// A picture of 256 x 256 pixels, four channels of 16 bits, and what it becomes; JPEG has planes of it besides.
+/// An image of 256 x 256 pixels with four 16-bit channels, and its converted copy; JPEG also holds planes.
 const PICTURE: Memory = Memory { fixed: 16 << 20, factor: 100 };
 
 pub(super) const TARGETS: [Target; 1] =
@@ -21,7 +21,7 @@ thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::new(Scratch::new());
 }
 
-/// Larger ones are not decoded here: what a camera's size allows is not up to the file.
+/// Maximum side of images that are decoded here. In use, the camera's size sets the limit, not the file.
 const MOST: u32 = 256;
 
 fn picture(data: &[u8]) {
@@ -30,7 +30,7 @@ fn picture(data: &[u8]) {
         Err(error) => return told(error, &path, data),
         Ok(size) => size,
     };
-    // Of another size than the camera's: nothing is decoded.
+    // If the size differs from the camera's, nothing is decoded.
     let other = read_picture(&path, height.wrapping_add(1), width).expect_err("a picture of another size");
     told(other, &path, data);
     if height <= MOST && width <= MOST {

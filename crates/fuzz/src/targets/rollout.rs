@@ -1,4 +1,4 @@
-//! Rollouts to go on with: saved states, lines of steps.
+//! Rollouts to resume: saved states, lines of steps.
 
 use std::cell::RefCell;
 

@@ -1,4 +1,4 @@
-//! Skeletons and template libraries: opened, and drawn.
+//! Skeletons and template libraries: opening and rendering.
 
 use std::cell::RefCell;
 
@@ -34,7 +34,7 @@ const LIBRARY: &str = "templates.json";
 const TEMPLATE_POINTS: &str = "templates.points";
 const LOG: &str = "made";
 
-/// A folder, its manifest, and a step to draw.
+/// A folder, its manifest, and a step to render.
 struct Stored {
     folder: Folder,
     manifest: Value,
@@ -83,7 +83,7 @@ fn templates() -> Stored {
 fn draw_folder(stored: &Stored, data: &[u8]) {
     let opened = Skeleton::open(stored.folder.root());
     let checked = opened.and_then(|skeleton| {
-        // Checksums are compared here.
+        // Reading the clouds compares checksums.
         let lengths = Stage::clouds(&skeleton)?.iter().map(|cloud| cloud.len()).collect::<Vec<usize>>();
         Ok((skeleton, lengths))
     });
@@ -146,7 +146,7 @@ fn manifest_seeds() -> Vec<Seed> {
     seeds
 }
 
-/// Any points, so many as the manifest says; behind the first byte, which chooses whose they are.
+/// Writes arbitrary points and a manifest with their number; the first byte selects background or actors.
 fn points(data: &[u8]) {
     SKELETON.with_borrow_mut(|stored| {
         let (whose, bytes) = data.split_first().unwrap_or((&0, &[]));
@@ -198,7 +198,7 @@ fn open_library(stored: &Stored, data: &[u8]) {
 }
 
 fn library(data: &[u8]) {
-    SKELETON.with(|_| ()); // made in the first run, whose memory does not count
+    SKELETON.with(|_| ()); // created in the first run, whose memory does not count
     TEMPLATES.with_borrow_mut(|stored| {
         stored.folder.put(LIBRARY, &json_file(data, &stored.manifest));
         let path = stored.folder.path(LIBRARY);

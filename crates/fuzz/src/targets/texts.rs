@@ -1,4 +1,4 @@
-//! Names of logs and options that are texts.
+//! Log names and options in text form.
 
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::geometry::ImageSize;
@@ -24,7 +24,7 @@ thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::new(Scratch::new());
 }
 
-/// A text is what it reads as; an error is short.
+/// Checks that a parsed text is written and parsed back to the same value, and that an error is short.
 fn round_trip<T: FromStr<Err: Display> + Display + PartialEq + std::fmt::Debug>(text: &str) {
     match text.parse::<T>() {
         Ok(value) => {
@@ -63,7 +63,7 @@ fn name_seeds() -> Vec<Seed> {
     texts.iter().enumerate().map(|(i, text)| seed(&format!("text{i}"), *text)).collect()
 }
 
-/// Points for the ego to drive along; the first byte chooses the format.
+/// Reads a path for the ego; the first byte selects the format.
 fn path(data: &[u8]) {
     let (format, bytes) = data.split_first().unwrap_or((&0, &[]));
     let name = ["p.json", "p.npy", "p.csv", "p.txt"][usize::from(format % 4)];

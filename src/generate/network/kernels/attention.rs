@@ -3,15 +3,15 @@ use rayon::prelude::*;
 use super::math::{Product, dot, each, every, exp, gelu, gelu_slope, total, wide};
 use super::{Attend, EPSILON, Grid, LANES};
 
-/// Attention and a hidden layer's activation side by side: rows `[q, k, v, hidden]` of width `3d + m` become rows
-/// `[softmax(q k / sqrt c) v, gelu(hidden)]` of width `d + m`. q and k are brought to a mean square of 1 per head, so that
-/// no softmax needs the largest of its inputs. Source: Dehghani et al., "Scaling Vision Transformers to 22 Billion
-/// Parameters", 2023 (normed queries and keys, parallel layers).
+/// Attention and the activation of a hidden layer in parallel: rows `[q, k, v, hidden]` of width `3d + m` become
+/// rows `[softmax(q k / sqrt c) v, gelu(hidden)]` of width `d + m`. q and k are normalized to a mean square of 1
+/// per head, so softmax does not need the maximum of its inputs. Source: Dehghani et al., "Scaling Vision
+/// Transformers to 22 Billion Parameters", 2023 (normed queries and keys, parallel layers).
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Mix {
-    /// The tokens.
+    /// Token grid.
     pub(in super::super) grid: Grid,
-    /// Who sees whom.
+    /// Groups of tokens that attend to each other.
     pub(in super::super) attend: Attend,
     /// Width, d.
     pub(in super::super) width: usize,
@@ -21,28 +21,28 @@ pub(in super::super) struct Mix {
     pub(in super::super) hidden: usize,
 }
 
-/// Rows that a task takes at least.
+/// Minimum number of rows per task.
 const ROWS_PER_TASK: usize = 64;
 
-/// A head of a group: n tokens of width c; rows of weights are padded to N, a multiple of [`LANES`].
+/// Buffers for a head of a group of n tokens of width c. Rows of weights are padded to N, a multiple of [`LANES`].
 #[derive(Default)]
 struct Scratch {
-    /// Normed queries and keys, values: `[n, c]`.
+    /// Normalized queries and keys, and values: `[n, c]`.
     q: Vec<f32>,
     k: Vec<f32>,
     v: Vec<f32>,
-    /// Keys, and values, the other way round: `[c, N]`.
+    /// Transposed keys and values: `[c, N]`.
     k_across: Vec<f32>,
     v_across: Vec<f32>,
-    /// What queries and keys were multiplied by: `[n]`.
+    /// Normalization factors of queries and keys: `[n]`.
     q_factors: Vec<f32>,
     k_factors: Vec<f32>,
-    /// Weights of attention, and their gradient: `[n, N]`.
+    /// Attention weights and their gradient: `[n, N]`.
     weights: Vec<f32>,
     slopes: Vec<f32>,
     /// Gradient of the output: `[n, c]`.
     grad: Vec<f32>,
-    /// A product: `[n, c]`.
+    /// Result of a matrix product: `[n, c]`.
     out: Vec<f32>,
 }
 
@@ -51,7 +51,7 @@ impl Mix {
         3 * self.width + self.hidden
     }
 
-    /// Tokens of a group, n, and the same as a multiple of [`LANES`], N.
+    /// Number of tokens in a group, n, and the next multiple of [`LANES`], N.
     fn lengths(&self) -> (usize, usize) {
         let tokens = self.grid.group_len(self.attend);
         (tokens, tokens.next_multiple_of(LANES))
@@ -87,14 +87,14 @@ impl Mix {
         }
     }
 
-    /// Gathers a head of a group, and leaves its weights in `s.weights`.
+    /// Gathers a head of a group, and computes its attention weights into `s.weights`.
     #[inline(always)]
     fn weigh(&self, u: &[f32], group: usize, head: usize, s: &mut Scratch) {
         self.gather(u, group, head, s);
         let ((n, padded), c) = (self.lengths(), self.head);
         let (a, b, out) = (&s.q, &s.k_across, &mut s.weights);
         Product { rows: n, inner: c, columns: padded, a, strides: [c, 1], b, out }.run();
-        // |q k| <= c, so what goes into `exp` is never above 0.
+        // |q k| <= c, so the argument of `exp` is never above 0.
         let (scale, most) = (1.0 / (c as f32).sqrt(), (c as f32).sqrt());
         for i in 0..n {
             let weights = &mut s.weights[i * padded..(i + 1) * padded];
@@ -105,7 +105,7 @@ impl Mix {
         }
     }
 
-    /// `[R, 3d + m]` to `[R, d + m]`.
+    /// Computes `[R, d + m]` from `[R, 3d + m]`.
     pub(in super::super) fn forward(&self, u: &[f32]) -> Vec<f32> {
         let ((n, padded), c, d, m) = (self.lengths(), self.head, self.width, self.hidden);
         let rows = self.grid.rows();
@@ -139,7 +139,7 @@ impl Mix {
         out
     }
 
-    /// Gradient of the input `[R, 3d + m]` from that of the output `[R, d + m]`.
+    /// Computes the gradient of the input, `[R, 3d + m]`, from that of the output, `[R, d + m]`.
     pub(in super::super) fn backward(&self, u: &[f32], grad: &[f32]) -> Vec<f32> {
         let ((n, _), c, d, m) = (self.lengths(), self.head, self.width, self.hidden);
         let rows = self.grid.rows();
@@ -169,7 +169,7 @@ impl Mix {
         out
     }
 
-    /// Gradients of q, k and v of a head of a group, into `slopes` `[n, 3d]`.
+    /// Computes the gradients of q, k and v of a head of a group into `slopes`, `[n, 3d]`.
     #[inline(always)]
     fn head_backward(
         &self,

@@ -2,10 +2,10 @@ use rayon::prelude::*;
 
 use super::math::wide;
 
-/// Rows that a task takes at least.
+/// Minimum number of rows per task.
 const ROWS_PER_TASK: usize = 64;
 
-/// `x + gate y`; `x, y [R, d]`, `gate [G, d]` for `R / G` rows after one another.
+/// Returns `x + gate y`; `x, y [R, d]`, `gate [G, d]`, each row of which applies to `R / G` consecutive rows.
 pub(in super::super) fn gate_forward(x: &[f32], y: &[f32], gate: &[f32], d: usize) -> Vec<f32> {
     let per_group = x.len() / gate.len();
     let mut out = vec![0.0_f32; x.len()];
@@ -24,7 +24,7 @@ pub(in super::super) fn gate_forward(x: &[f32], y: &[f32], gate: &[f32], d: usiz
     out
 }
 
-/// Gradients of `y` and of the gate from that of the output, which is that of `x`, too.
+/// Returns the gradients of `y` and of the gate from that of the output, which is also that of `x`.
 pub(in super::super) fn gate_backward(
     y: &[f32],
     gate: &[f32],

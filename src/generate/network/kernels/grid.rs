@@ -1,46 +1,46 @@
 use serde::{Deserialize, Serialize};
 
-/// Which tokens see each other.
+/// Groups of tokens that attend to each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Attend {
-    /// All of one image.
+    /// All patches of one image.
     #[serde(rename = "s")]
     Space,
-    /// A row of patches through all cameras of a frame, which stand side by side.
+    /// A row of patches across all cameras of a frame, side by side.
     #[serde(rename = "v")]
     Views,
-    /// One place of one camera in all frames of the window.
+    /// One patch location of one camera in all frames of the window.
     #[serde(rename = "t")]
     Time,
 }
 
-/// How tokens lie in memory: row `(((b L + l) V + v) h + y) w + x` of a matrix.
+/// Memory layout of tokens: row `(((b L + l) V + v) h + y) w + x` of a matrix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in super::super) struct Grid {
-    /// Windows, B.
+    /// Number of windows, B.
     pub(in super::super) windows: usize,
-    /// Frames of a window, L.
+    /// Number of frames in a window, L.
     pub(in super::super) frames: usize,
-    /// Cameras, V.
+    /// Number of cameras, V.
     pub(in super::super) views: usize,
-    /// Patches down, h.
+    /// Number of patch rows, h.
     pub(in super::super) height: usize,
-    /// Patches across, w.
+    /// Number of patch columns, w.
     pub(in super::super) width: usize,
 }
 
 impl Grid {
-    /// Tokens, R.
+    /// Number of tokens, R.
     pub(in super::super) fn rows(&self) -> usize {
         self.windows * self.frames * self.image_rows()
     }
 
-    /// Tokens of a frame.
+    /// Number of tokens in a frame.
     pub(in super::super) fn image_rows(&self) -> usize {
         self.views * self.height * self.width
     }
 
-    /// Tokens that see each other.
+    /// Number of tokens in a group.
     pub(super) fn group_len(&self, attend: Attend) -> usize {
         match attend {
             Attend::Space => self.height * self.width,
@@ -49,7 +49,7 @@ impl Grid {
         }
     }
 
-    /// Row of a group's token.
+    /// Returns the row of a token of a group.
     #[inline]
     pub(super) fn row(&self, attend: Attend, group: usize, token: usize) -> usize {
         match attend {
@@ -66,7 +66,7 @@ impl Grid {
         }
     }
 
-    /// The group of a row, and which of its tokens it is.
+    /// Returns the group of a row, and the index of its token in the group.
     #[inline]
     pub(super) fn place(&self, attend: Attend, row: usize) -> (usize, usize) {
         match attend {

@@ -2,20 +2,21 @@ use pulp::{Simd, WithSimd};
 
 use super::LANES;
 
-/// Runs loops with the widest vectors that the processor has.
+/// Runs loops with the widest vector instructions of the processor.
 #[inline(always)]
 pub(super) fn wide<R>(loops: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(loops)
 }
 
-/// `e^x` by a polynomial, off by less than 4e-7 of it; below -87 it stays at about 1e-38. Source: Cephes, `expf`.
+/// Returns `e^x` by a polynomial, with a relative error below 4e-7. Arguments below -87 give about 1e-38. Source:
+/// Cephes, `expf`.
 #[inline(always)]
 pub(super) fn exp(x: f32) -> f32 {
     let x = x.clamp(-87.0, 88.0);
     let magic = 12_582_912.0_f32; // 1.5 * 2^23: adding it rounds to a whole number
     let shifted = x.mul_add(std::f32::consts::LOG2_E, magic);
     let octaves = shifted - magic;
-    // ln 2 in two parts, so that the first product is exact.
+    // ln 2 is split into two parts, so that the first product is exact.
     let rest = octaves.mul_add(-0.693_145_75, x);
     let rest = octaves.mul_add(-1.428_606_8e-6, rest);
     let mut p = 1.987_569_1e-4_f32;
@@ -31,40 +32,41 @@ pub(super) fn exp(x: f32) -> f32 {
 const GELU_SLOPE: f32 = 1.595_769;
 const GELU_CUBE: f32 = 0.044_715;
 
-/// GELU in its tanh form, `x / (1 + exp(-2 sqrt(2/pi) (x + 0.044715 x^3)))`. Source: Hendrycks and Gimpel, 2016.
+/// Returns GELU in its tanh form, `x / (1 + exp(-2 sqrt(2/pi) (x + 0.044715 x^3)))`. Source: Hendrycks and
+/// Gimpel, 2016.
 #[inline(always)]
 pub(super) fn gelu(x: f32) -> f32 {
     x / (1.0 + exp(-GELU_SLOPE * x * (1.0 + GELU_CUBE * x * x)))
 }
 
-/// The derivative of [`gelu`].
+/// Returns the derivative of [`gelu`].
 #[inline(always)]
 pub(super) fn gelu_slope(x: f32) -> f32 {
     let share = 1.0 / (1.0 + exp(-GELU_SLOPE * x * (1.0 + GELU_CUBE * x * x)));
     share + x * share * (1.0 - share) * GELU_SLOPE * (1.0 + 3.0 * GELU_CUBE * x * x)
 }
 
-/// A small matrix product, `out[rows, columns] = a[rows, inner] b[inner, columns]`. `b` and `out` are row-major, and
-/// `columns` is a multiple of [`LANES`]; each value is summed up in the order of `inner`.
+/// A small matrix product, `out[rows, columns] = a[rows, inner] b[inner, columns]`. `b` and `out` are row-major,
+/// and `columns` is a multiple of [`LANES`]. Each value is summed in the order of `inner`.
 pub(super) struct Product<'a> {
     pub(super) rows: usize,
     pub(super) inner: usize,
     pub(super) columns: usize,
     pub(super) a: &'a [f32],
-    /// Steps in `a` to the next row, and to the next column.
+    /// Strides of `a` to the next row, and to the next column.
     pub(super) strides: [usize; 2],
     pub(super) b: &'a [f32],
     pub(super) out: &'a mut [f32],
 }
 
 impl Product<'_> {
-    /// Works it out.
+    /// Computes the product.
     #[inline(always)]
     pub(super) fn run(self) {
         pulp::Arch::new().dispatch(self);
     }
 
-    /// `R` rows from `first` on, `W` vectors wide from vector `begin` of a row on.
+    /// Computes a tile: `R` rows from `first`, and `W` vectors per row from vector `begin`.
     #[inline(always)]
     fn tile<S: Simd, const R: usize, const W: usize>(&mut self, simd: S, first: usize, begin: usize) {
         let [down, across] = self.strides;
@@ -117,7 +119,7 @@ impl WithSimd for Product<'_> {
     }
 }
 
-/// `sum a b`, in an order that follows from the length alone.
+/// Returns `sum a b`, in an order that depends only on the length.
 #[inline(always)]
 pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut sums = [0.0_f32; LANES];
@@ -129,7 +131,7 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     fold(sums)
 }
 
-/// `sum f(a)`, in an order that follows from the length alone.
+/// Returns `sum f(a)`, in an order that depends only on the length.
 #[inline(always)]
 pub(super) fn total(a: &[f32], f: impl Fn(f32) -> f32) -> f32 {
     let mut sums = [0.0_f32; LANES];
@@ -151,7 +153,7 @@ fn fold(mut sums: [f32; LANES]) -> f32 {
     sums[0]
 }
 
-/// `out = f(a, b)`, value by value.
+/// Computes `out = f(a, b)`, value by value.
 #[inline(always)]
 pub(super) fn each(out: &mut [f32], a: &[f32], b: &[f32], f: impl Fn(f32, f32) -> f32) {
     let out = out.as_chunks_mut::<LANES>().0;
@@ -163,7 +165,7 @@ pub(super) fn each(out: &mut [f32], a: &[f32], b: &[f32], f: impl Fn(f32, f32) -
     }
 }
 
-/// `out = f(out)`, value by value.
+/// Computes `out = f(out)`, value by value.
 #[inline(always)]
 pub(super) fn every(out: &mut [f32], f: impl Fn(f32) -> f32) {
     for out in out.as_chunks_mut::<LANES>().0 {

@@ -3,10 +3,10 @@ use rayon::prelude::*;
 use super::EPSILON;
 use super::math::{dot, total, wide};
 
-/// Rows that a task takes at least.
+/// Minimum number of rows per task.
 const ROWS_PER_TASK: usize = 64;
 
-/// Mean, and one over the standard deviation.
+/// Returns the mean, and one over the standard deviation.
 #[inline(always)]
 fn moments(x: &[f32]) -> (f32, f32) {
     let mean = total(x, |x| x) / x.len() as f32;
@@ -14,9 +14,9 @@ fn moments(x: &[f32]) -> (f32, f32) {
     (mean, 1.0 / (variance + EPSILON).sqrt())
 }
 
-/// `norm(x) (1 + scale) + shift` with each row of `x [R, d]` brought to mean 0 and variance 1; `modulation [G, 2d]` is
-/// `(shift, scale)` for `R / G` rows after one another. Source: Peebles and Xie, "Scalable Diffusion Models with
-/// Transformers", 2023 (adaLN).
+/// Returns `norm(x) (1 + scale) + shift`, where `norm` scales each row of `x [R, d]` to mean 0 and variance 1.
+/// `modulation [G, 2d]` is `(shift, scale)`, each row of which applies to `R / G` consecutive rows. Source: Peebles
+/// and Xie, "Scalable Diffusion Models with Transformers", 2023 (adaLN).
 pub(in super::super) fn norm_forward(x: &[f32], modulation: &[f32], d: usize) -> Vec<f32> {
     let per_group = x.len() / d / (modulation.len() / (2 * d));
     let mut out = vec![0.0_f32; x.len()];
@@ -36,7 +36,7 @@ pub(in super::super) fn norm_forward(x: &[f32], modulation: &[f32], d: usize) ->
     out
 }
 
-/// Gradients of `x` and of the modulation from that of the output, `[R, d]`.
+/// Returns the gradients of `x` and of the modulation from that of the output, `[R, d]`.
 pub(in super::super) fn norm_backward(
     x: &[f32],
     modulation: &[f32],
@@ -58,7 +58,7 @@ pub(in super::super) fn norm_backward(
     (x_grad, modulation_grad)
 }
 
-/// Of the rows that share a row of the modulation.
+/// Computes the gradients for the rows that share a row of the modulation.
 #[inline(always)]
 fn group_backward(x: &[f32], scale: &[f32], grad: &[f32], x_grad: &mut [f32], modulation_grad: &mut [f32]) {
     let d = scale.len();

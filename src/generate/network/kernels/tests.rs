@@ -1,4 +1,4 @@
-//! Kernels against plain loops, gradients against differences.
+//! Compares kernels with plain loops, and gradients with finite differences.
 
 use super::math::{Product, exp};
 use super::*;
@@ -13,7 +13,7 @@ fn sum(a: &[f32], b: &[f32]) -> f64 {
     a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
 }
 
-/// Asserts that a gradient is what differences of `f` give, at some forty places.
+/// Asserts that a gradient matches finite differences of `f`, at about forty places.
 fn assert_gradient(f: impl Fn(&[f32]) -> f64, x: &[f32], gradient: &[f32]) {
     assert_eq!(x.len(), gradient.len());
     for at in (0..x.len()).step_by(x.len() / 40 + 1) {
@@ -50,7 +50,7 @@ fn groups_cover_all_rows_once() {
     }
 }
 
-/// Attention in `f64`, row by row, of what the definition says.
+/// Returns attention by its definition, in `f64`, for one row and channel.
 fn attended(mix: &Mix, u: &[f32], row: usize, channel: usize) -> f64 {
     let (d, c) = (mix.width, mix.head);
     let head = channel / c;

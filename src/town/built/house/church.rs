@@ -5,7 +5,7 @@ use super::{House, walls};
 use crate::town::built::sketch::{Wall, column, corners};
 use crate::town::mesh::{Mesh, Skin, Surface};
 
-/// A nave with a steep roof behind a tower with a spire.
+/// Adds a church: a nave with a steep roof behind a tower with a spire.
 pub(super) fn church(mesh: &mut Mesh, house: &mut House) {
     let (w, d, eaves) = (house.width, house.depth, 7.5);
     house.wall.surface = house.draw.pick(&[Surface::Plaster, Surface::Brick, Surface::Concrete]);
@@ -48,7 +48,7 @@ pub(super) fn church(mesh: &mut Mesh, house: &mut House) {
     tower(mesh, house, ridge + 5.0);
 }
 
-/// In front of the nave; its portal looks at the street.
+/// Adds the tower in front of the nave; its portal faces the street.
 fn tower(mesh: &mut Mesh, house: &mut House, top: f64) {
     let (low, high) = (DVec2::new(house.width / 2.0 - 3.2, 0.0), DVec2::new(house.width / 2.0 + 3.2, 6.4));
     let around = corners(low, high);
@@ -79,7 +79,7 @@ fn tower(mesh: &mut Mesh, house: &mut House, top: f64) {
     mesh.block(tip + DVec3::new(-0.4, -0.05, 0.8), tip + DVec3::new(0.4, 0.05, 0.9), cross);
 }
 
-/// A tall window with a point.
+/// Adds a tall window with a pointed top.
 fn pointed(mesh: &mut Mesh, wall: &Wall, middle: f64, v: [f64; 2], house: &mut House) {
     let half = 0.6;
     let outline = |half: f64, v: [f64; 2]| {

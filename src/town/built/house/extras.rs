@@ -3,7 +3,7 @@ use super::facade::{Opening, OpeningKind, SHOPS, panes};
 use crate::town::built::sketch::Wall;
 use crate::town::mesh::{Mesh, Skin, Surface};
 
-/// A door with a window above, a step before it, and perhaps a canopy.
+/// Adds a door with a window above, a step, and for some houses a canopy.
 pub(super) fn door(mesh: &mut Mesh, wall: &Wall, hole: &Opening, house: &mut House) {
     let Opening { u, v, .. } = *hole;
     let (depth, leaf_top) = (0.24, v[0] + 1.95);
@@ -40,7 +40,7 @@ pub(super) fn door(mesh: &mut Mesh, wall: &Wall, hole: &Opening, house: &mut Hou
     }
 }
 
-/// A shop's name over its windows, and perhaps a plate across the sidewalk.
+/// Adds a shop sign above its windows, and for some shops a projecting sign.
 pub(super) fn shop_sign(
     mesh: &mut Mesh,
     wall: &Wall,
@@ -59,7 +59,7 @@ pub(super) fn shop_sign(
     }
 }
 
-/// A slanted cloth with its front edge hanging.
+/// Adds a slanted awning with a hanging front edge.
 pub(super) fn awning(mesh: &mut Mesh, wall: &Wall, u: [f64; 2], top: f64, house: &mut House) {
     let skin = Skin {
         rgb: house.draw.pick(&SHOPS),
@@ -69,7 +69,7 @@ pub(super) fn awning(mesh: &mut Mesh, wall: &Wall, u: [f64; 2], top: f64, house:
     let (out, low, hem) = (1.15, top - 0.55, top - 0.75);
     let [a, b] = u;
     for (a, b) in [(a, b), (b, a)] {
-        // Both of its faces can be seen.
+        // Both faces are visible.
         wall.polygon(mesh, &[[a, low, out], [b, low, out], [b, top, 0.02], [a, top, 0.02]], skin);
         wall.polygon(mesh, &[[a, hem, out], [b, hem, out], [b, low, out], [a, low, out]], skin);
     }
@@ -79,7 +79,7 @@ pub(super) fn awning(mesh: &mut Mesh, wall: &Wall, u: [f64; 2], top: f64, house:
     }
 }
 
-/// A slab with a railing of bars or of boards.
+/// Adds a balcony: a slab with a railing of bars or boards.
 pub(super) fn balcony(mesh: &mut Mesh, wall: &Wall, u: [f64; 2], floor: f64, house: &mut House) {
     let out = 0.95;
     wall.slab(mesh, u, [floor - 0.14, floor], [0.0, out], house.trim);

@@ -4,26 +4,26 @@ use crate::town::built::draw::Draw;
 use crate::town::built::sketch::Wall;
 use crate::town::mesh::{Mesh, Skin, Surface};
 
-/// How deep panes lie in the wall, metres.
+/// Depth of panes in the wall, meters.
 const RECESS_M: f64 = 0.13;
-/// Width of the frames of windows, metres.
+/// Width of window frames, meters.
 const FRAME_M: f64 = 0.06;
-/// Glass; the shader makes the sky and the room of it.
+/// Color of glass; the shader adds the reflected sky and the room.
 const GLASS: [u8; 3] = [70, 84, 96];
-/// How far walls reach into the ground, metres.
+/// Depth of walls below the ground, meters.
 pub(super) const FOOT_M: f64 = 0.1;
 
-/// A hole in a wall.
+/// Opening in a wall.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Opening {
-    /// From its left to its right, metres along the wall.
+    /// Left and right edges, meters along the wall.
     pub(super) u: [f64; 2],
-    /// From its lower to its upper edge, metres above the ground.
+    /// Lower and upper edges, meters above the ground.
     pub(super) v: [f64; 2],
     pub(super) kind: OpeningKind,
 }
 
-/// What closes a hole.
+/// Kind of an opening.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum OpeningKind {
     Window,
@@ -31,7 +31,7 @@ pub(super) enum OpeningKind {
     Door,
 }
 
-/// A side towards a street: recessed windows, what is on the ground floor, mouldings, balconies.
+/// Adds a facade towards a street: recessed windows, ground floor, mouldings and balconies.
 pub(super) fn street(mesh: &mut Mesh, wall: &Wall, house: &mut House, front: bool) {
     let bays = ((wall.length - 0.6) / house.bay_m).round().max(1.0) as usize;
     let bay_m = wall.length / bays as f64;
@@ -55,7 +55,7 @@ pub(super) fn street(mesh: &mut Mesh, wall: &Wall, house: &mut House, front: boo
             Opening { u, v: [sill, high], kind: OpeningKind::Window }
         };
         let openings: Vec<Opening> = (0..bays).map(opening).collect();
-        // Nobody sees the bars of the highest windows.
+        // Glazing bars of high windows are not visible.
         let leaves = house.leaves;
         house.leaves = if floor < 3 { leaves } else { 1 };
         row(mesh, wall, [low, top], &openings, house, house.wall);
@@ -77,7 +77,7 @@ pub(super) fn street(mesh: &mut Mesh, wall: &Wall, house: &mut House, front: boo
     }
 }
 
-/// A side towards yards: windows without depth.
+/// Adds a facade towards yards, with flat windows.
 pub(super) fn yard(mesh: &mut Mesh, wall: &Wall, house: &mut House) {
     blank(mesh, wall, house);
     let bays = ((wall.length - 1.0) / (1.5 * house.bay_m)).floor() as usize;
@@ -97,7 +97,7 @@ pub(super) fn yard(mesh: &mut Mesh, wall: &Wall, house: &mut House) {
     }
 }
 
-/// A side that nobody sees, but for what stands higher than the neighbour.
+/// Adds a plain wall, of which only the part above the neighbour is visible.
 pub(super) fn blank(mesh: &mut Mesh, wall: &Wall, house: &House) {
     wall.quad(mesh, [0.0, wall.length], [-FOOT_M, house.eaves_m()], 0.0, house.wall);
 }
@@ -124,7 +124,7 @@ fn ground_floor(mesh: &mut Mesh, wall: &Wall, house: &mut House, bays: usize, fr
     }
     row(mesh, wall, [-FOOT_M, house.ground_m], &openings, house, house.base);
     if house.shop {
-        // Shops take the bays to both sides of the house's door.
+        // Shops use the bays on both sides of the house's door.
         for bays in [0..entrance.min(bays), (entrance + 1).min(bays)..bays] {
             let (Some(first), Some(last)) = (openings[bays.clone()].first(), openings[bays].last()) else {
                 continue;
@@ -155,7 +155,7 @@ fn ground_floor(mesh: &mut Mesh, wall: &Wall, house: &mut House, bays: usize, fr
     }
 }
 
-/// sRGB of shops' signs and awnings.
+/// sRGB colors of shop signs and awnings.
 pub(super) const SHOPS: [[u8; 3]; 9] = [
     [164, 36, 40],
     [24, 84, 62],
@@ -168,7 +168,7 @@ pub(super) const SHOPS: [[u8; 3]; 9] = [
     [206, 96, 40],
 ];
 
-/// A storey of a wall, with holes from left to right.
+/// Adds a storey of a wall, with openings from left to right.
 pub(super) fn row(
     mesh: &mut Mesh,
     wall: &Wall,
@@ -210,7 +210,7 @@ fn window(mesh: &mut Mesh, wall: &Wall, hole: &Opening, house: &mut House) {
     wall.reveal(mesh, u, v, RECESS_M, house.trim);
     wall.quad(mesh, u, v, -RECESS_M, house.frame);
     panes(mesh, wall, hole, 0.02 - RECESS_M, house.leaves, &mut house.draw);
-    // The sill is the lower side of the hole, too.
+    // The sill also closes the lower side of the opening.
     wall.shelf(mesh, [u[0] - 0.07, u[1] + 0.07], [v[0] - 0.07, v[0]], [-RECESS_M, 0.09], house.trim);
     if house.lintels {
         wall.quad(mesh, [u[0] - 0.12, u[1] + 0.12], [v[1], v[1] + 0.2], 0.025, house.trim);
@@ -223,7 +223,7 @@ fn window(mesh: &mut Mesh, wall: &Wall, hole: &Opening, house: &mut House) {
     }
 }
 
-/// The glass of a window in leaves side by side; the pattern begins at the hole's lower left corner.
+/// Adds the glass of a window as adjacent leaves; its pattern starts at the opening's lower left corner.
 pub(super) fn panes(mesh: &mut Mesh, wall: &Wall, hole: &Opening, out: f64, leaves: usize, draw: &mut Draw) {
     let glass = Skin { rgb: GLASS, surface: Surface::Window, seed: draw.seed() as u32 & 0xff_ffff };
     let local = wall.moved(hole.u[0], hole.v[0], 0.0);

@@ -8,10 +8,10 @@ use crate::town::built::sketch::{Wall, corners};
 use crate::town::built::style::{Quarter, Style};
 use crate::town::mesh::{Mesh, Skin, Surface};
 
-/// Height of paths and paving over the ground, metres: a little below the sidewalk.
+/// Height of paths and paving above the ground, meters: slightly below the sidewalk.
 const PAVED_M: f64 = 0.012;
 
-/// What lies between a house and the sidewalk: paving, or a path, a fence or a hedge, and bushes.
+/// Adds the area between a house and the sidewalk: paving, or a path, a fence or a hedge, and bushes.
 pub(super) fn front(mesh: &mut Mesh, lot: &Lot, style: &Style, house: &mut House) {
     let (w, out) = (house.width, lot.setback_m);
     let slabs = Skin::new(style.slabs.map(|c| c.saturating_sub(10)), Surface::Sidewalk);
@@ -49,7 +49,7 @@ pub(super) fn front(mesh: &mut Mesh, lot: &Lot, style: &Style, house: &mut House
     }
 }
 
-/// Clipped, with leaves that stick out a little.
+/// Adds a clipped hedge with a slightly uneven surface.
 fn hedge(mesh: &mut Mesh, x: [f64; 2], y: f64, height: f64, style: &Style, house: &mut House) {
     let rgb = house.draw.shade(style.leaves[0], 0.1).map(|c| (f64::from(c) * 0.85) as u8);
     let skin = Skin { rgb, surface: Surface::Foliage, seed: house.draw.seed() as u32 & 0xff_ffff };

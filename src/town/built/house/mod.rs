@@ -1,4 +1,4 @@
-//! Houses: what each is like follows from its lot's seed and the town's palette.
+//! Houses, derived from their lot's seed and the town's palette.
 //!
 //! In a house's frame x runs along its front, to the right as seen from the street, y away from the street, z up.
 
@@ -17,10 +17,10 @@ use super::sketch::Wall;
 use super::style::{Quarter, Style};
 use crate::town::mesh::{Mesh, Skin, Surface};
 
-/// Gravel, felt, sheets.
+/// Colors of flat roofs: gravel, felt, sheets.
 const FLAT_ROOFS: [[u8; 3]; 3] = [[118, 116, 112], [92, 92, 94], [150, 146, 138]];
 
-/// What a house is like. Lengths in metres.
+/// Properties of a house. Lengths in meters.
 #[derive(Clone, Debug)]
 struct House {
     width: f64,
@@ -29,32 +29,32 @@ struct House {
     ground_m: f64,
     floor_m: f64,
     wall: Skin,
-    /// Of the ground floor.
+    /// Skin of the ground floor.
     base: Skin,
     trim: Skin,
     frame: Skin,
     door: Skin,
     roof: Skin,
-    /// Rise by run; `None`: flat.
+    /// Roof slope, rise over run; `None` for a flat roof.
     slope: Option<f64>,
-    /// Ridge across the street instead of along.
+    /// Whether the ridge runs across the street instead of along it.
     gable_front: bool,
     shop: bool,
-    /// Of a window.
+    /// Width and height of a window.
     window: [f64; 2],
-    /// From the floor to windows.
+    /// Height of windows above the floor.
     sill_m: f64,
-    /// From window to window.
+    /// Spacing of windows.
     bay_m: f64,
     leaves: usize,
     shutters: Option<Skin>,
-    /// Lintels over the windows.
+    /// Whether windows have lintels.
     lintels: bool,
-    /// Mouldings between floors and below the roof.
+    /// Whether there are mouldings above the ground floor and below the roof.
     mouldings: bool,
     balconies: bool,
     metal: Skin,
-    /// Where its door is, along its front.
+    /// Extent of its door along the front.
     door_at: [f64; 2],
     sides: [Side; 4],
     draw: Draw,
@@ -130,25 +130,25 @@ impl House {
         }
     }
 
-    /// From the ground to the top of the walls, metres.
+    /// Returns the height of the walls above the ground, meters.
     fn eaves_m(&self) -> f64 {
         self.ground_m + (self.floors - 1) as f64 * self.floor_m
     }
 
-    /// Front, right, back, left.
+    /// Returns the walls: front, right, back, left.
     fn walls(&self) -> [Wall; 4] {
         walls(self.width, self.depth)
     }
 }
 
-/// The walls of a rectangle: front, right, back, left.
+/// Returns the walls of a rectangle: front, right, back, left.
 fn walls(width: f64, depth: f64) -> [Wall; 4] {
     let corner = |x: f64, y: f64| DVec3::new(x, y, 0.0);
     let corners = [corner(0.0, 0.0), corner(width, 0.0), corner(width, depth), corner(0.0, depth)];
     std::array::from_fn(|i| Wall::new(corners[i], corners[(i + 1) % 4]))
 }
 
-/// The triangles of what is built on a lot, in its frame.
+/// Returns the mesh of the building on a lot, in its frame.
 pub(super) fn house(lot: &Lot, style: &Style) -> Mesh {
     let mut mesh = Mesh::default();
     let mut house = House::new(lot, style);

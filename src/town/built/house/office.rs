@@ -5,10 +5,10 @@ use crate::town::built::lots::Side;
 use crate::town::built::sketch::Wall;
 use crate::town::mesh::{Mesh, Skin, Surface};
 
-/// Distance between the bars of glass bands, metres.
+/// Spacing of the mullions in glass bands, meters.
 const MULLION_M: f64 = 2.7;
 
-/// A large house with bands of glass and a flat roof.
+/// Adds an office: a large building with bands of glass and a flat roof.
 pub(super) fn office(mesh: &mut Mesh, house: &mut House) {
     house.floors = 4 + house.draw.below(4);
     house.ground_m = 4.2;
@@ -41,7 +41,7 @@ pub(super) fn office(mesh: &mut Mesh, house: &mut House) {
     roof::roof(mesh, house);
 }
 
-/// A band of glass between two heights, in the wall by a little.
+/// Adds a slightly recessed band of glass between two heights.
 fn band(mesh: &mut Mesh, wall: &Wall, v: [f64; 2], bars: usize, house: &mut House) {
     let edge = 0.35;
     wall.quad(mesh, [0.0, edge], v, 0.0, house.wall);
@@ -60,7 +60,7 @@ fn band(mesh: &mut Mesh, wall: &Wall, v: [f64; 2], bars: usize, house: &mut Hous
     }
 }
 
-/// The ground floor: glass from floor to ceiling, and on the front an entrance below a canopy.
+/// Adds the ground floor: glass almost from floor to ceiling, and at the front a canopy with a sign.
 fn lobby(mesh: &mut Mesh, wall: &Wall, house: &mut House, bars: usize, front: bool) {
     let v = [0.15, house.ground_m - 0.7];
     wall.quad(mesh, [0.0, wall.length], [-FOOT_M, v[0]], 0.0, house.base);

@@ -7,15 +7,15 @@ use crate::town::built::lots::Side;
 use crate::town::built::sketch::Wall;
 use crate::town::mesh::{Mesh, Skin, Surface};
 
-/// How far eaves reach out, metres.
+/// Overhang of eaves, meters.
 const EAVES_M: f64 = 0.4;
 
-/// The roof of a house, with chimneys and dormers.
+/// Adds the roof of a house, with chimneys and dormers.
 pub(super) fn roof(mesh: &mut Mesh, house: &mut House) {
     let top = house.eaves_m();
     match house.slope {
         None => flat(mesh, house, top),
-        // A frame turned by a right angle has its ridge across the street.
+        // In a frame rotated by 90°, the ridge runs across the street.
         Some(slope) if house.gable_front => {
             let mut turned = Mesh::default();
             let party = [house.sides[0], house.sides[2]].map(|side| side == Side::Party);
@@ -40,7 +40,7 @@ pub(super) fn roof(mesh: &mut Mesh, house: &mut House) {
     }
 }
 
-/// A flat roof behind a parapet, with what stands on it.
+/// Adds a flat roof with a parapet and up to two roof structures.
 fn flat(mesh: &mut Mesh, house: &mut House, top: f64) {
     let (w, d, rim, thick) = (house.width, house.depth, top + 0.7, 0.25);
     mesh.polygon(&[[0.0, 0.0], [w, 0.0], [w, d], [0.0, d]].map(|[x, y]| DVec3::new(x, y, top)), house.roof);
@@ -71,7 +71,8 @@ fn flat(mesh: &mut Mesh, house: &mut House, top: f64) {
     }
 }
 
-/// Two slopes over a rectangle, their ridge along x; `party`: houses stand at the left, at the right.
+/// Adds a pitched roof over a rectangle with its ridge along x; `party` marks adjoining houses at the left and the
+/// right.
 fn gable(mesh: &mut Mesh, house: &mut House, [w, d]: [f64; 2], slope: f64, party: [bool; 2]) {
     let (top, rise) = (house.eaves_m(), d / 2.0 * slope);
     let eaves = top - EAVES_M * slope;
@@ -128,7 +129,7 @@ fn gable(mesh: &mut Mesh, house: &mut House, [w, d]: [f64; 2], slope: f64, party
     }
 }
 
-/// The edges of a slope over the gables.
+/// Adds the edges of a slope above the gables.
 fn verges(mesh: &mut Mesh, wall: &Wall, ends: [f64; 2], v: [f64; 2], out: [f64; 2], thick: f64, skin: Skin) {
     for (u, right) in [(ends[0], false), (ends[1], true)] {
         let mut face =
@@ -140,7 +141,7 @@ fn verges(mesh: &mut Mesh, wall: &Wall, ends: [f64; 2], v: [f64; 2], out: [f64; 
     }
 }
 
-/// Small windows that stand out of the front slope.
+/// Adds dormers to the front slope.
 fn dormers(mesh: &mut Mesh, house: &mut House, slope: f64) {
     let front = house.walls()[0];
     let (wide, tall, back) = (1.3, 1.35, 0.6);
@@ -161,7 +162,7 @@ fn dormers(mesh: &mut Mesh, house: &mut House, slope: f64) {
         };
         front.quad(mesh, hole.u, hole.v, out + 0.015, house.frame);
         panes(mesh, &front, &hole, out + 0.03, 2, &mut house.draw);
-        // Its cheeks and its roof end where the slope is as high.
+        // Cheeks and roof of a dormer end where they meet the slope.
         let deep = out - tall / slope;
         front.polygon(
             mesh,

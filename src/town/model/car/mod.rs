@@ -1,7 +1,8 @@
 //! Cars, pickups and vans.
 //!
 //! # How it works
-//! [`Style`] has the ranges of proportions of a shape, [`Car`] what was drawn from them; `parts` gives it its triangles.
+//! [`Style`] has the ranges of proportions of a shape, [`Car`] the values drawn from them; `parts` builds the
+//! triangles.
 
 mod parts;
 mod style;
@@ -15,17 +16,17 @@ use super::shell::{Arch, Bed, End, Shell};
 use crate::town::mesh::{Mesh, Skin};
 use style::Style;
 
-/// A car with all its measures: metres, x forward from the middle of its length.
+/// Car with all its dimensions: meters, x forward from the middle of its length.
 #[derive(Clone, Debug)]
 pub(super) struct Car {
-    /// With mirrors.
+    /// Size including mirrors.
     pub(super) size_m: DVec3,
     shell: Shell,
     paint: Skin,
     roof: Skin,
     /// Sills and bumpers.
     cladding: Skin,
-    /// What is around the windows.
+    /// Surroundings of the windows.
     pillar: Skin,
     /// Panes of a side: from, to.
     panes: Vec<[f64; 2]>,
@@ -37,17 +38,17 @@ pub(super) struct Car {
     spokes: usize,
     rails: bool,
     rim: Skin,
-    /// Where lamps reach to along the side, and whether tail lamps are upright.
+    /// Length of head and tail lamps along the side, and whether tail lamps are upright.
     lamps: [f64; 2],
     upright_lamps: bool,
     grille: Skin,
-    /// The lowest row of the grille; lamps start at this share of the half width.
+    /// Lowest row of the grille, and share of the half width at which lamps start.
     grille_row: usize,
     lamp_share: f64,
 }
 
 impl Car {
-    /// A car of a kind; other kinds give a sedan.
+    /// Draws a car of a kind; other kinds give a sedan.
     pub(super) fn new(kind: super::BodyKind, dice: &mut Dice) -> Self {
         let style = dice.pick(&style::of_kind(kind));
         let [length, height] = [dice.between(style.length), dice.between(style.height)];
@@ -89,7 +90,7 @@ impl Car {
         car
     }
 
-    /// Trim that differs from the paint.
+    /// Draws trim colors that may differ from the paint.
     fn look(&mut self, style: &Style, dice: &mut Dice) {
         self.roof =
             if dice.chance(style.dark_roof) { Skin { rgb: [22, 23, 25], ..self.paint } } else { self.paint };
@@ -121,7 +122,7 @@ impl Car {
     }
 }
 
-/// Where the top bends, metres.
+/// Positions where the top bends, meters.
 struct Marks {
     cowl: f64,
     roof_front: f64,
@@ -129,7 +130,7 @@ struct Marks {
     deck: f64,
 }
 
-/// Between two places, from one share to another.
+/// Interpolates two shares between two positions.
 fn between(from: f64, to: f64, shares: [f64; 2]) -> [f64; 2] {
     shares.map(|share| from + (to - from) * share)
 }
@@ -166,7 +167,7 @@ fn shell(
         corners.push(corner(-half, tail - 0.05 * height, 0.0));
     }
     corners.reverse();
-    // The bed's floor is above the wheels.
+    // Raises the bed's floor above the wheels.
     let floor = 2.0 * radius + style.gap + 0.06;
     let bed = style.bed.then_some(Bed { rear: -half + 0.08, front: marks.deck - 0.10, floor });
     let mut end = |x: f64, bow, taper: [f64; 2], lift, belt| {
@@ -187,7 +188,7 @@ fn shell(
 }
 
 impl Car {
-    /// Its triangles, about as large as its size says.
+    /// Returns its triangles, approximately of its size.
     pub(super) fn mesh(&self) -> Mesh {
         parts::mesh(self)
     }

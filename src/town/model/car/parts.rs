@@ -1,4 +1,4 @@
-//! A car's triangles.
+//! Triangles of a car.
 
 use glam::DVec3;
 
@@ -8,7 +8,7 @@ use crate::town::model::colors::{BLINKER, DARK, GLASS, HEAD_LAMP, PLATE, TAIL_LA
 use crate::town::model::shell::row;
 use crate::town::model::wheel;
 
-/// All parts, with smooth normals.
+/// Returns all parts, with smooth normals.
 pub(super) fn mesh(car: &Car) -> Mesh {
     let mut edges: Vec<f64> = car.panes.iter().flatten().copied().collect();
     edges.extend(car.windscreen.iter().chain(&car.rear_screen));
@@ -50,7 +50,7 @@ fn hull_skin(car: &Car, x: f64, row: usize) -> Skin {
     }
 }
 
-/// Grille, lamps and air intake.
+/// Returns the skin of the nose: grille, lamps and air intake.
 fn nose_skin(car: &Car, row: usize, c: f64) -> Skin {
     let grille = (car.grille_row..row::SHOULDER).contains(&row) && c < car.lamp_share - 0.06;
     match row {
@@ -74,7 +74,7 @@ fn tail_skin(car: &Car, row: usize, c: f64) -> Skin {
     }
 }
 
-/// Gaps and handles of doors, on the left.
+/// Adds gaps and handles of the left doors.
 fn lines(car: &Car, mesh: &mut Mesh) {
     for (i, x) in car.doors.iter().enumerate() {
         mesh.append(&car.shell.patch(&[x - 0.008, x + 0.008], [row::SILL, row::SHOULDER], 0.003, DARK));
@@ -89,7 +89,7 @@ fn lines(car: &Car, mesh: &mut Mesh) {
     }
 }
 
-/// The left mirror; it reaches to the side of the box.
+/// Adds the left mirror, which reaches to the side of the box.
 fn mirror(car: &Car, mesh: &mut Mesh) {
     let x = car.panes.first().map_or(0.0, |pane| pane[1]) - 0.10;
     let section = car.shell.section(x);
@@ -107,7 +107,7 @@ fn mirror(car: &Car, mesh: &mut Mesh) {
     mesh.tube(&rings, 8, |_, _| car.paint);
 }
 
-/// The left roof rail.
+/// Adds the left roof rail.
 fn rail(car: &Car, mesh: &mut Mesh) {
     let [front, rear] = [car.windscreen[0] - 0.35, car.rear_screen[1] + 0.20];
     let at = |i: u8| {
@@ -120,7 +120,7 @@ fn rail(car: &Car, mesh: &mut Mesh) {
     }
 }
 
-/// Number plates; they reach to the ends of the box.
+/// Adds number plates, which reach to the ends of the box.
 fn plates(car: &Car, mesh: &mut Mesh) {
     for front in [true, false] {
         let height = if front {

@@ -1,15 +1,16 @@
-//! Ranges of proportions: what makes a sedan a sedan.
+//! Ranges of proportions of each car shape.
 
 use crate::town::model::BodyKind;
 
-/// Ranges that a car's measures are drawn from. Metres; or shares of the length, from the front; or shares of the height.
+/// Ranges that a car's dimensions are drawn from: in meters, as shares of the length from the front, or as shares of
+/// the height.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Style {
     pub(super) length: [f64; 2],
-    /// Without mirrors.
+    /// Width without mirrors.
     pub(super) width: [f64; 2],
     pub(super) height: [f64; 2],
-    /// Share of the length: end of the bonnet, start and end of the roof, end of what falls from there.
+    /// Shares of the length: end of the bonnet, start and end of the roof, end of the slope behind it.
     pub(super) cowl: [f64; 2],
     pub(super) roof_front: [f64; 2],
     pub(super) roof_rear: [f64; 2],
@@ -18,42 +19,42 @@ pub(super) struct Style {
     pub(super) heights: [[f64; 2]; 7],
     pub(super) front_axle: [f64; 2],
     pub(super) rear_axle: [f64; 2],
-    /// Radius, metres; and what the arch leaves around it.
+    /// Radius of the wheels, and gap to their arches, meters.
     pub(super) wheel: [f64; 2],
     pub(super) gap: f64,
     pub(super) under: [f64; 2],
     pub(super) tumble: f64,
     pub(super) flare: f64,
-    /// How far tail and nose stand out in the middle, and narrow.
+    /// Bulge in the middle and taper of tail and nose.
     pub(super) bow: [f64; 2],
     pub(super) taper: [[f64; 2]; 2],
-    /// How much of the bonnet's rise is in its front half.
+    /// Share of the bonnet's rise that is in its front half.
     pub(super) bonnet: f64,
     pub(super) rear_round: f64,
-    /// The part of the slope behind the roof that is glass, from its foot.
+    /// Glass part of the slope behind the roof, as shares from its lower end.
     pub(super) rear_glass: [f64; 2],
-    /// How far down that slope side windows reach.
+    /// Share of that slope beside which side windows extend.
     pub(super) rear_pane: f64,
-    /// Pillars and gaps of doors between the ends of the side windows.
+    /// Pillars and door gaps, as shares between the ends of the side windows.
     pub(super) pillars: &'static [f64],
     pub(super) door_lines: &'static [f64],
-    /// From this pane on there is sheet metal.
+    /// Index of the first pane that is replaced with sheet metal.
     pub(super) blind_from: Option<usize>,
     pub(super) bed: bool,
-    /// How many have such things.
+    /// Probabilities of cladding, roof rails and a dark roof.
     pub(super) clad: f64,
     pub(super) rails: f64,
     pub(super) dark_roof: f64,
-    /// Pillars between windows are painted.
+    /// Whether pillars between windows are painted.
     pub(super) body_pillars: bool,
     pub(super) upright_lamps: bool,
-    /// The lowest row of the grille; 9: there is none.
+    /// Lowest row of the grille; 9 for no grille.
     pub(super) grilles: [usize; 4],
-    /// Painted as companies do.
+    /// Whether it is painted in fleet colors.
     pub(super) fleet: bool,
 }
 
-/// The styles of a kind, the typical one first, each as often as it is listed.
+/// Returns the styles of a kind, the typical one first; frequent styles are repeated.
 pub(super) fn of_kind(kind: BodyKind) -> [&'static Style; 4] {
     match kind {
         BodyKind::Hatchback => [&HATCH, &HATCH, &HATCH, &ESTATE],
@@ -279,7 +280,7 @@ const SINGLE_CAB: Style = Style {
     ..DOUBLE_CAB
 };
 
-/// With a lid as high as the cab over its bed.
+/// Pickup with a lid over its bed as high as the cab.
 const HARD_TOP: Style = Style {
     roof_rear: [0.935, 0.95],
     deck: [0.968, 0.976],

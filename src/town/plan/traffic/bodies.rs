@@ -1,13 +1,13 @@
 use crate::town::model::{Body, BodyKind};
 use crate::town::plan::random::Random;
 
-/// Looks of each kind in a town.
+/// Number of variants of each kind in a town.
 const VARIANTS: usize = 5;
 
-/// What drives, walks and stands in a town: a few looks of each kind.
+/// Bodies that traffic in a town is drawn from: a few variants of each kind.
 pub(super) struct Bodies(Vec<Body>);
 
-/// What drives, with its share.
+/// Kinds of driving vehicles, with their shares.
 pub(super) const DRIVING: [(BodyKind, f64); 7] = [
     (BodyKind::Sedan, 0.30),
     (BodyKind::Hatchback, 0.22),
@@ -18,7 +18,7 @@ pub(super) const DRIVING: [(BodyKind, f64); 7] = [
     (BodyKind::Bus, 0.05),
 ];
 
-/// What parks.
+/// Kinds of parked vehicles, with their shares.
 pub(super) const PARKED: [(BodyKind, f64); 5] = [
     (BodyKind::Sedan, 0.32),
     (BodyKind::Hatchback, 0.28),
@@ -40,13 +40,13 @@ impl Bodies {
         Self(bodies)
     }
 
-    /// One of a kind.
+    /// Picks a body of a kind.
     pub(super) fn of(&self, kind: BodyKind, random: &mut Random) -> Body {
         let of_kind: Vec<Body> = self.0.iter().filter(|body| body.kind == kind).copied().collect();
         of_kind[random.index(of_kind.len())]
     }
 
-    /// One of several kinds, by their shares.
+    /// Picks a body of several kinds, weighted by their shares.
     pub(super) fn any(&self, kinds: &[(BodyKind, f64)], random: &mut Random) -> Body {
         let kind = random.weighted(kinds).unwrap_or(BodyKind::Sedan);
         self.of(kind, random)

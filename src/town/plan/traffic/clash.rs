@@ -1,4 +1,4 @@
-//! Which ways through a junction cross, and from where on one is past the other.
+//! Conflicts between paths through a junction: which paths cross, and from where on one has cleared the other.
 
 use glam::DVec2;
 use rustc_hash::FxHashMap;
@@ -7,15 +7,15 @@ use super::lanes::Way;
 use super::rect::Rect;
 use crate::town::plan::line::Path;
 
-/// What keeps room for every car, and for every truck and bus: length, width, and distance of the axles, metres.
+/// Envelope of every car, and of every truck and bus: length, width and wheelbase, meters.
 const CAR_M: [f64; 3] = [6.2, 2.7, 3.2];
 const LONG_M: [f64; 3] = [12.6, 3.1, 7.0];
-/// Metres between the places that are tried, and how far they go on beyond both ends of a way.
+/// Spacing of the sampled positions, and their range beyond both ends of a path, meters.
 const STEP_M: f64 = 0.8;
 const BEYOND_M: f64 = 8.0;
 
-/// For cars, and for pairs of which one is long: for ways `(a, b)` how far the middle of a vehicle must be along `a` so that nobody
-/// on `b` can touch it.
+/// Returns two tables, for pairs of cars and for pairs with a long vehicle. For paths `(a, b)` they have the distance
+/// along `a` that the middle of a vehicle must have reached so that no vehicle on `b` can touch it, meters.
 pub(super) fn tables(paths: &[Path], ways: &[Option<Way>]) -> [FxHashMap<(usize, usize), f64>; 2] {
     [CAR_M, LONG_M].map(|size| {
         let swept: Vec<Vec<Rect>> = (0..paths.len()).map(|i| swept(paths, ways, i, size)).collect();
@@ -25,7 +25,7 @@ pub(super) fn tables(paths: &[Path], ways: &[Option<Way>]) -> [FxHashMap<(usize,
             for b in (a + 1..paths.len()).filter(|b| junction(a).is_some() && junction(a) == junction(*b)) {
                 if let Some([last_a, last_b]) = last_touch(&swept[a], &swept[b]) {
                     for (pair, last) in [((a, b), last_a), ((b, a), last_b)] {
-                        // Where two ways become one, the one behind follows the one ahead.
+                        // Where two paths merge, car following replaces this table beyond the end.
                         let clear_m = (last as f64 + 1.0) * STEP_M - BEYOND_M;
                         table.insert(pair, clear_m.min(paths[pair.0].length_m()));
                     }
@@ -36,7 +36,7 @@ pub(super) fn tables(paths: &[Path], ways: &[Option<Way>]) -> [FxHashMap<(usize,
     })
 }
 
-/// The boxes of a vehicle every [`STEP_M`] on its way; none on lanes of roads.
+/// Returns the boxes of a vehicle every [`STEP_M`] along its path; empty for lanes of roads.
 fn swept(paths: &[Path], ways: &[Option<Way>], index: usize, [length, width, base]: [f64; 3]) -> Vec<Rect> {
     let Some(way) = ways[index] else { return Vec::new() };
     let (before, after) = (&paths[way.from], &paths[way.to]);
@@ -50,7 +50,7 @@ fn swept(paths: &[Path], ways: &[Option<Way>], index: usize, [length, width, bas
     (0..=steps).map(|i| Rect::on(&whole, place(i), base, DVec2::new(length, width))).collect()
 }
 
-/// The last of each that touches the other.
+/// Returns the last index of each that touches the other; `None` if they never touch.
 fn last_touch(a: &[Rect], b: &[Rect]) -> Option<[usize; 2]> {
     let touches = |one: &Rect, others: &[Rect]| others.iter().any(|other| one.overlaps(other));
     let last_a = a.iter().rposition(|one| touches(one, b))?;

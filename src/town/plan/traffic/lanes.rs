@@ -1,4 +1,4 @@
-//! Lanes as traffic sees them: how far along, who meets at their end, which ways cross.
+//! Lanes prepared for traffic: centerlines with lengths, paths through junctions, and their conflicts.
 
 use rustc_hash::FxHashMap;
 
@@ -6,39 +6,39 @@ use super::clash;
 use crate::town::plan::line::Path;
 use crate::town::plan::{JunctionKind, LaneKind, Network, Turn};
 
-/// Metres from the end of a road's lane back to where vehicles stop: before the crossing, or before a bend.
+/// Distance from the end of a road's lane back to the stop position, meters: before a crossing, and before a bend.
 pub(super) const STOP_M: f64 = 7.0;
 const STOP_FREE_M: f64 = 0.5;
-/// Metres from a junction to beyond the crossing on the road after it.
+/// Distance from a junction to beyond the crossing on the following road, meters.
 pub(super) const BEYOND_CROSSING_M: f64 = 6.0;
 
-/// The lanes of a network, measured.
+/// Lanes of a network with their lengths and conflicts.
 pub(super) struct Lanes<'a> {
     pub(super) network: &'a Network,
-    /// The centerline of each lane.
+    /// Centerline of each lane.
     pub(super) paths: Vec<Path>,
-    /// What each way through a junction is; `None` for lanes of roads.
+    /// Data of each path through a junction; `None` for lanes of roads.
     pub(super) ways: Vec<Option<Way>>,
     clear_m: [FxHashMap<(usize, usize), f64>; 2],
 }
 
-/// A way through a junction.
+/// Path through a junction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Way {
     pub(super) junction: usize,
     pub(super) kind: JunctionKind,
     pub(super) turn: Turn,
-    /// The lane before and the lane after.
+    /// Lanes before and after it.
     pub(super) from: usize,
     pub(super) to: usize,
-    /// The road that it comes from.
+    /// Road that it comes from.
     pub(super) road: usize,
     /// Indices of the crossings before and after it.
     pub(super) crossings: [Option<usize>; 2],
 }
 
 impl Way {
-    /// Metres from the end of the lane before it back to where vehicles wait.
+    /// Returns the distance from the end of the lane before it back to the stop position, meters.
     pub(super) fn stop_m(&self) -> f64 {
         if self.kind == JunctionKind::Free { STOP_FREE_M } else { STOP_M }
     }
@@ -72,8 +72,8 @@ impl<'a> Lanes<'a> {
         Some(Way { junction, kind, turn, from, to, road, crossings: [crossing(road), crossing(next)] })
     }
 
-    /// How far the middle of a vehicle on way `a` must be along it so that nobody on way `b` can touch it, metres. `None`: the
-    /// two do not come near each other.
+    /// Returns the distance along path `a` that the middle of a vehicle must have reached so that no vehicle on path
+    /// `b` can touch it, meters. `None` if the two do not come near each other.
     pub(super) fn clear_m(&self, a: usize, b: usize, long: bool) -> Option<f64> {
         self.clear_m[usize::from(long)].get(&(a, b)).copied()
     }
@@ -82,7 +82,7 @@ impl<'a> Lanes<'a> {
         self.paths[lane].length_m()
     }
 
-    /// Whether streets go on for some junctions beyond a lane.
+    /// Returns whether the route can continue for a number of junctions beyond a lane.
     pub(super) fn is_open(&self, lane: usize, junctions: usize) -> bool {
         let next = &self.network.lanes[lane].successors;
         match self.ways[lane] {

@@ -1,9 +1,10 @@
-//! Who moves and who stands on the streets.
+//! Traffic: motion of vehicles and pedestrians, and parked vehicles.
 //!
 //! # How it works
-//! The ego's start is chosen first ([`start`]). Vehicles on the streets around it and walkers are let go some seconds before time 0,
-//! so that queues are there when the recording begins ([`world`], [`walker`]); at time 0 the ego and some around it join. What
-//! moved is written down from then on. Parked vehicles stand in their strips ([`park`]).
+//! The ego's start is chosen first ([`start`]). Vehicles around it and walkers are simulated for some seconds before
+//! time 0, so that queues have formed when the recording begins ([`world`], [`walker`]). At time 0 the ego and some
+//! vehicles around it are added. From then on all motion is recorded. Parked vehicles are placed in the parking
+//! strips ([`park`]).
 
 mod bodies;
 mod clash;
@@ -36,47 +37,47 @@ use super::random::Random;
 use crate::geometry::Pose;
 use crate::town::model::Body;
 
-/// Traffic is let go so long before time 0, seconds.
+/// Simulated time before time 0, seconds.
 const SETTLES_S: f64 = 12.0;
 
-/// Who is on the streets.
+/// Motion of the ego and of all actors.
 #[derive(Clone, Debug)]
 pub struct Traffic {
-    /// The recording car: on the ground below the middle of its rear axle.
+    /// Motion of the recording car: pose on the ground below the middle of its rear axle.
     pub ego: Motion,
-    /// Everybody else, in the order of ids.
+    /// All other actors, sorted by id.
     pub actors: Vec<Actor>,
 }
 
-/// Somebody, or something with a box.
+/// Vehicle, pedestrian or object with a box.
 #[derive(Clone, Debug)]
 pub struct Actor {
     /// Track id, 32 hexadecimal digits.
     pub id: String,
-    /// What it looks like.
+    /// Body that it is rendered with.
     pub body: Body,
-    /// `town_from_actor`: on the ground below the middle of its box.
+    /// `town_from_actor`: pose on the ground below the middle of its box.
     pub motion: Motion,
 }
 
-/// Poses every 0.1 s from time 0 on; what stands still may have a single one.
+/// Poses every 0.1 s from time 0 on; a static actor may have a single one.
 #[derive(Clone, Debug, Default)]
 pub struct Motion {
-    /// One a step.
+    /// Pose at each step.
     pub poses: Vec<Pose>,
-    /// Metres from the start, one a step: where legs and wheels are.
+    /// Distance from the start at each step, meters; selects the pose of legs.
     pub travelled_m: Vec<f64>,
 }
 
 impl Motion {
-    /// At a time in seconds; beyond the ends it stands still.
+    /// Returns the interpolated pose at a time in seconds, clamped to the recorded range.
     pub fn pose(&self, t_s: f64) -> Pose {
         let (i, share) = self.place(t_s);
         let next = (i + 1).min(self.poses.len() - 1);
         self.poses[i].interpolate(&self.poses[next], share)
     }
 
-    /// Metres from the start at a time in seconds.
+    /// Returns the distance from the start at a time in seconds, meters.
     pub fn travelled_m(&self, t_s: f64) -> f64 {
         let (i, share) = self.place(t_s);
         let next = (i + 1).min(self.travelled_m.len() - 1);
@@ -96,12 +97,12 @@ impl Motion {
 }
 
 impl Traffic {
-    /// Who drives, walks and parks in a town for so many seconds.
+    /// Simulates the traffic of a town for a duration in seconds.
     pub fn new(network: &Network, seed: u64, duration_s: f64) -> Self {
         Self::draw(network, seed, duration_s).0
     }
 
-    /// The same, and how many were taken away because they would have met somebody.
+    /// Returns the traffic, and the number of actors removed because they would have overlapped another.
     fn draw(network: &Network, seed: u64, duration_s: f64) -> (Self, usize) {
         let lanes = Lanes::new(network);
         let bodies = Bodies::new(seed);
@@ -145,13 +146,13 @@ impl Traffic {
     }
 }
 
-/// Points every few metres where the ego will about be.
+/// Returns points every 15 m along the route that the ego is expected to drive.
 fn drive(ego: &Vehicle, duration_s: f64) -> Vec<DVec2> {
     let length_m = (ego.driver.free_mps * duration_s).min(ego.route.length_m() - ego.along_m).max(1.0);
     Path::new(&ego.route.path.part(ego.along_m, ego.along_m + length_m)).resampled(15.0)
 }
 
-/// Lets everybody go on for some seconds and writes down where they are: vehicles, then walkers.
+/// Simulates some seconds and records all motion: vehicles, then walkers.
 fn record(world: &mut World<'_>, walkers: &mut [Walker], duration_s: f64) -> Vec<Motion> {
     let steps = (duration_s.max(0.0) / STEP_S).ceil() as usize;
     let mut motions = vec![Motion::default(); world.vehicles.len() + walkers.len()];
@@ -179,7 +180,7 @@ fn record(world: &mut World<'_>, walkers: &mut [Walker], duration_s: f64) -> Vec
     motions
 }
 
-/// Takes away who would ever share a place with somebody before them, or with the ego: a last resort.
+/// Removes actors that ever overlap an earlier actor or the ego; a last resort.
 fn keep_apart(ego: &Motion, movers: &mut Vec<(Body, Motion)>) {
     let ego_at = |pose: &Pose| {
         let middle = pose.transform_point(DVec3::X * EGO_AHEAD_M);
@@ -197,7 +198,7 @@ fn keep_apart(ego: &Motion, movers: &mut Vec<(Body, Motion)>) {
     });
 }
 
-/// The places that a box takes over time; a single one of what stands.
+/// Boxes of an actor over time; a single one if it is static.
 struct Swept {
     rects: Vec<Rect>,
     min: DVec2,
@@ -221,7 +222,7 @@ impl Swept {
     }
 }
 
-/// A track id, always the same for a seed and a number.
+/// Returns a track id that depends only on the seed and a number.
 fn id(seed: u64, number: usize) -> String {
     let mut random = Random::new(seed, "track", number as u64);
     format!("{:016x}{:016x}", random.bits(), random.bits())

@@ -1,4 +1,4 @@
-//! Who parks beside the lanes.
+//! Parked vehicles beside the lanes.
 
 use glam::DVec2;
 
@@ -10,18 +10,18 @@ use crate::town::plan::random::Random;
 use crate::town::plan::streets::CROSSING_M;
 use crate::town::plan::{JunctionKind, Network, Side};
 
-/// Nobody parks nearer to a junction or a crossing, metres.
+/// Minimum distance of parked vehicles from a junction or a crossing, meters.
 const CLEAR_M: f64 = 8.5;
-/// From the kerb to a parked car, metres.
+/// Gap between the kerb and a parked car, meters.
 const KERB_GAP_M: f64 = 0.12;
-/// Share of the places that are taken.
+/// Share of the places that are occupied.
 const TAKEN: f64 = 0.72;
-/// One van in so many unloads behind cones.
+/// Share of parked vans that unload behind cones.
 const UNLOADING: f64 = 0.3;
-/// Streets so near to the ego's drive are parked on, metres.
+/// Distance from the ego's route within which vehicles are parked, meters.
 const NEAR_M: f64 = 150.0;
 
-/// Bodies that stand in parking strips near a drive, and where: on the ground below the middle of their boxes.
+/// Returns the bodies parked near a route and their poses, on the ground below the middle of their boxes.
 pub(super) fn parked(
     network: &Network,
     bodies: &Bodies,
@@ -37,7 +37,7 @@ pub(super) fn parked(
             }
             let mut kerb = road.kerb(side);
             let mut ends = road.junctions;
-            // In the direction of the traffic beside it, so the kerb is on the right.
+            // In the direction of the adjacent traffic, so the kerb is on the right.
             if side == Side::Left {
                 kerb.reverse();
                 ends.reverse();
@@ -88,11 +88,11 @@ fn fill(
     }
 }
 
-/// A pose to the left of a kerb, along it.
+/// Returns a pose to the left of a kerb and parallel to it.
 fn beside(kerb: &Path, along_m: f64, aside_m: f64, length_m: f64, yaw_rad: f64) -> Pose {
     let [rear, front] = [-0.4, 0.4].map(|share| kerb.point(along_m + share * length_m));
     let ahead = (front - rear).normalize_or(DVec2::X);
-    // Bulges of the kerb between its ends stay free.
+    // Leaves bulges of the kerb between its ends free.
     let inward = (kerb.point(along_m) - rear).dot(ahead.perp()).max(0.0);
     let centre = (rear + front) / 2.0 + ahead.perp() * (aside_m + inward);
     Pose::from_yaw(ahead.to_angle() + yaw_rad, centre.extend(0.0))

@@ -1,24 +1,25 @@
-//! Where people walk: around the blocks, on lines beside the kerb.
+//! Tracks of pedestrians: closed lines around the blocks, parallel to the kerb.
 
 use glam::DVec2;
 
 use crate::town::plan::line::{Path, offset_line};
 use crate::town::plan::{Network, Side};
 
-/// Nobody walks nearer to the kerb, where poles stand, and to the houses, metres; wide sidewalks have wider things on them.
+/// Minimum distance of walkers to the kerb, where poles are, on sidewalks up to and above `WIDE_M`, and to the
+/// houses, meters. Wide sidewalks have wider furniture.
 const POLES_M: f64 = 1.3;
 const POLES_WIDE_M: f64 = 1.62;
 const WIDE_M: f64 = 3.3;
 const HOUSES_M: f64 = 0.5;
-/// Metres between lines of walkers.
+/// Minimum distance between parallel tracks, meters.
 const TRACK_M: f64 = 0.85;
-/// Ends that are nearer than this are the same, metres.
+/// Ends nearer than this are identical, meters.
 const SAME_M: f64 = 0.05;
 
-/// The kerb around a block, closed, with the road on the left.
+/// Kerb around a block, closed, with the road on the left.
 pub(super) struct Kerb(Vec<DVec2>);
 
-/// A line to walk on, closed.
+/// Closed line to walk on.
 pub(super) struct Track {
     path: Path,
     /// Whether it is walked with the road on the left.
@@ -26,7 +27,7 @@ pub(super) struct Track {
 }
 
 impl Kerb {
-    /// All of a network.
+    /// Returns all kerbs of a network.
     pub(super) fn all(network: &Network) -> Vec<Self> {
         let mut seen = vec![[false; 2]; network.roads.len()];
         let mut kerbs = Vec::new();
@@ -40,7 +41,7 @@ impl Kerb {
         kerbs
     }
 
-    /// Follows a side of a road around its block.
+    /// Follows a side of a road around its block; `None` if it does not close.
     fn from(network: &Network, start: (usize, bool), seen: &mut [[bool; 2]]) -> Option<Self> {
         let (mut points, mut at) = (Vec::new(), start);
         loop {
@@ -58,7 +59,7 @@ impl Kerb {
             let sides = junction.roads().into_iter().flat_map(|road| [(road, true), (road, false)]);
             at = sides.into_iter().find(|s| side(network, *s).first().is_some_and(|p| same(p, &end)))?;
         }
-        // Two points in nearly the same place would have no direction.
+        // Two nearly identical points would have no direction.
         let first = points[0];
         while points.len() > 2 && points[points.len() - 1].distance(first) < SAME_M {
             points.pop();
@@ -67,7 +68,7 @@ impl Kerb {
         (at == start).then_some(Self(points))
     }
 
-    /// The lines to walk on along it, from the road outward.
+    /// Returns the tracks along it, from the road outward.
     pub(super) fn tracks(&self, sidewalk_m: f64, number: usize) -> Vec<Track> {
         let first_m = if sidewalk_m > WIDE_M { POLES_WIDE_M } else { POLES_M };
         let room_m = sidewalk_m - HOUSES_M - first_m;
@@ -81,7 +82,7 @@ impl Kerb {
     }
 }
 
-/// Goes on with those points that are not where it ends.
+/// Appends points, except those that coincide with the last one.
 fn add(points: &mut Vec<DVec2>, more: &[DVec2]) {
     for point in more {
         if points.last().is_none_or(|last| last.distance(*point) > SAME_M) {
@@ -90,7 +91,7 @@ fn add(points: &mut Vec<DVec2>, more: &[DVec2]) {
     }
 }
 
-/// The kerb of a side of a road in the direction in which the road is on the left.
+/// Returns the kerb on a side of a road, in the direction that has the road on the left.
 fn side(network: &Network, (road, forward): (usize, bool)) -> Vec<DVec2> {
     if forward {
         return network.roads[road].kerb(Side::Right);
@@ -105,13 +106,14 @@ impl Track {
         self.path.length_m()
     }
 
-    /// How far a point is from it, and the place along it that is nearest, metres.
+    /// Returns the distance of a point from the track, and the nearest position along it, meters.
     pub(super) fn foot(&self, point: DVec2) -> (f64, f64) {
         let foot = self.path.foot(point);
         (foot.distance_m, foot.along_m)
     }
 
-    /// Around a place, metres along it: from so far before to so far after, as it is walked.
+    /// Returns the part around a position along it, in walking direction, from `before_m` before to `after_m` after,
+    /// meters.
     pub(super) fn part(&self, along_m: f64, before_m: f64, after_m: f64) -> Vec<DVec2> {
         let sign = if self.forward { 1.0 } else { -1.0 };
         let steps = (before_m + after_m).ceil().max(1.0) as usize;

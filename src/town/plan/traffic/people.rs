@@ -1,4 +1,4 @@
-//! Who walks, and where.
+//! Placement of pedestrians and their paths.
 
 use glam::DVec2;
 
@@ -10,28 +10,29 @@ use crate::town::plan::Network;
 use crate::town::plan::line::Path;
 use crate::town::plan::random::Random;
 
-/// People walk and cross so near to the ego's drive, metres.
+/// Distances from the ego's route within which people walk and cross, meters.
 const NEAR_M: f64 = 75.0;
 const CROSS_NEAR_M: f64 = 130.0;
-/// A walker for so many metres of a line, and the most of them.
+/// Length of track per strolling walker, meters, and their maximum number.
 const SPACING_M: f64 = 46.0;
 const MOST: usize = 60;
-/// The most crossings that somebody crosses at.
+/// Maximum number of crossings with pedestrians.
 const CROSSED: usize = 8;
-/// Who comes from the other side passes so far to the right of the middle of a crossing, metres.
+/// Offset of crossing walkers to the right of a crossing's middle, so that opposite directions pass each other,
+/// meters.
 const PASS_M: f64 = 0.75;
 
-/// Draws people.
+/// Generator of pedestrians.
 pub(super) struct People<'a> {
     pub(super) network: &'a Network,
     pub(super) bodies: &'a Bodies,
     pub(super) random: Random,
-    /// They know where to go for so many seconds.
+    /// Duration that their paths last for, seconds.
     pub(super) duration_s: f64,
 }
 
 impl People<'_> {
-    /// People near a drive.
+    /// Returns the walkers near a route.
     pub(super) fn around(&mut self, drive: &[DVec2]) -> Vec<Walker> {
         let mut tracks = Vec::new();
         let sidewalk_m = self.network.roads.first().map_or(2.5, |road| road.sidewalk_m);
@@ -72,7 +73,7 @@ impl People<'_> {
         })
     }
 
-    /// One or two at each crossing.
+    /// Returns up to three walkers for each crossing.
     fn crossing(&mut self, tracks: &[Track], drive: &[DVec2]) -> Vec<Walker> {
         let near =
             |i: &usize| drive.iter().any(|p| p.distance(self.network.crossings[*i].path[0]) < CROSS_NEAR_M);
@@ -89,7 +90,7 @@ impl People<'_> {
         walkers
     }
 
-    /// From a sidewalk over a crossing and on.
+    /// Returns a walker from a sidewalk over a crossing and onward.
     fn crosser(&mut self, tracks: &[Track], crossing: usize) -> Option<Walker> {
         let mut path = self.network.crossings[crossing].path;
         if self.random.chance(0.5) {
@@ -115,7 +116,7 @@ impl People<'_> {
         let first_m = Path::new(&points).length_m();
         let start = points[points.len() - 1];
         let after = tracks[to].part(to_m, 0.0, 4.0 + pace_mps * self.duration_s);
-        // From the line of walkers to the kerb.
+        // Distance from the track to the kerb.
         let half_m = self.network.roads[self.network.crossings[crossing].road].half_width_m;
         let middle = (path[0] + path[1]) / 2.0;
         let off_m = first_m + (middle - start).dot(across) - half_m;
@@ -130,7 +131,7 @@ impl People<'_> {
     }
 }
 
-/// Those who do not begin on top of others.
+/// Drops walkers that start on top of earlier ones.
 fn apart(walkers: Vec<Walker>) -> Vec<Walker> {
     let mut kept: Vec<Walker> = Vec::new();
     for walker in walkers {

@@ -3,43 +3,43 @@ use crate::town::plan::Turn;
 use crate::town::plan::line::{Path, offset_line};
 use crate::town::plan::random::Random;
 
-/// Along curves vehicles slow down to this lateral acceleration, m/s².
+/// Lateral acceleration that limits the speed along curves, m/s².
 const LATERAL_MPS2: f64 = 1.9;
-/// They brake by this much ahead of a curve or a line, m/s².
+/// Deceleration ahead of a curve or a stop line, m/s².
 pub(super) const BRAKING_MPS2: f64 = 1.5;
-/// Metres between the places that a limit of speed is kept for.
+/// Spacing of the stored speed limits, meters.
 const CAP_STEP_M: f64 = 1.0;
-/// A curve is seen over so many metres.
+/// Window that curvature is measured over, meters.
 const CURVE_M: f64 = 3.0;
-/// Trucks and buses avoid curves that are narrower than this.
+/// Trucks and buses avoid curves with a smaller radius, meters.
 const LONG_RADIUS_M: f64 = 14.0;
 
-/// A way along lanes.
+/// Route along lanes.
 #[derive(Clone, Debug)]
 pub(super) struct Route {
-    /// Lanes in the order in which they are driven.
+    /// Lanes in driving order.
     pub(super) lanes: Vec<usize>,
-    /// Where each of them begins, metres along the path; one more for the end.
+    /// Start of each lane, meters along the path, then the end of the last.
     pub(super) starts_m: Vec<f64>,
-    /// Where it goes.
+    /// Driven line.
     pub(super) path: Path,
-    /// Highest speeds every metre.
+    /// Maximum speed every meter.
     caps_mps: Vec<f64>,
 }
 
-/// What a route has to be like.
+/// Requirements of a route.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Wish {
-    /// Metres to the right of the middle of lanes.
+    /// Offset to the right of the middle of lanes, meters.
     pub(super) right_m: f64,
-    /// It must not turn in sharp curves.
+    /// Whether it avoids sharp curves.
     pub(super) long: bool,
-    /// It turns off at the first junction, and again at every so-manieth.
+    /// If set, the route turns off at the first junction, then at every n-th.
     pub(super) turn_within: Option<usize>,
 }
 
 impl Route {
-    /// From a lane on for so many metres, at random.
+    /// Draws a random route from a lane on, at least `length_m` meters long if the streets continue.
     pub(super) fn draw(
         lanes: &Lanes<'_>,
         first: usize,
@@ -49,7 +49,7 @@ impl Route {
     ) -> Self {
         let mut taken = vec![first];
         let (mut left_m, mut last) = (length_m - lanes.length_m(first), first);
-        // Who turns off does so at the first junction.
+        // A route that turns off does so at the first junction.
         let mut straight = wish.turn_within.unwrap_or(0);
         while left_m > 0.0 {
             let ways = &lanes.network.lanes[last].successors;
@@ -61,14 +61,14 @@ impl Route {
                 }
             };
             prefer(&|i| lanes.is_open(i, 3));
-            // Where all ways are narrow, the one to the left is the widest.
+            // If all paths are narrow, those that do not turn right are the widest.
             prefer(&|i| !wish.long || turn_of(i) != Turn::Right);
             prefer(&|i| !wish.long || gentle(&lanes.paths[i]));
             if let Some(within) = wish.turn_within {
                 let turns = straight + 1 >= within;
                 prefer(&|i| (turn_of(i) != Turn::Straight) == turns);
             }
-            // Who turns left holds up others.
+            // Vehicles that turn left hold up others.
             let weight = |i: usize| match turn_of(i) {
                 Turn::Left => 1.0,
                 Turn::Straight => 8.0,
@@ -97,7 +97,7 @@ impl Route {
         Self { lanes: taken, starts_m, path, caps_mps }
     }
 
-    /// Whether a long vehicle fits for so many metres from a place on.
+    /// Returns whether a long vehicle fits for `length_m` meters from a position on.
     pub(super) fn is_wide(&self, from_m: f64, length_m: f64) -> bool {
         self.length_m() > from_m + length_m && gentle(&Path::new(&self.path.part(from_m, from_m + length_m)))
     }
@@ -106,13 +106,13 @@ impl Route {
         self.path.length_m()
     }
 
-    /// Index in `lanes` of where a place along it is, metres.
+    /// Returns the index in `lanes` of the lane at a position, meters.
     pub(super) fn lane_at(&self, along_m: f64) -> usize {
         let next = self.starts_m.partition_point(|s| *s <= along_m);
         next.clamp(1, self.lanes.len()) - 1
     }
 
-    /// Highest speed at a place, metres along it, that leaves room to slow down for what follows.
+    /// Returns the maximum speed at a position, meters, with room to brake for what follows.
     pub(super) fn cap_mps(&self, along_m: f64) -> f64 {
         let at = (along_m / CAP_STEP_M).clamp(0.0, (self.caps_mps.len() - 1) as f64);
         let [a, b] = [at.floor(), at.ceil()].map(|k| self.caps_mps[k as usize]);
@@ -120,7 +120,7 @@ impl Route {
     }
 }
 
-/// How much a path turns around a place, radians per metre.
+/// Returns the curvature of a path around a position, radians per meter.
 fn curvature(path: &Path, at_m: f64) -> f64 {
     let [a, b, c] = [-CURVE_M / 2.0, 0.0, CURVE_M / 2.0].map(|d| path.point(at_m + d));
     (b - a).angle_to(c - b).abs() / (CURVE_M / 2.0)

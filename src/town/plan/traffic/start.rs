@@ -1,4 +1,4 @@
-//! Where everybody on wheels begins.
+//! Initial placement of vehicles.
 
 use glam::DVec2;
 
@@ -11,36 +11,36 @@ use crate::town::model::{Body, BodyKind};
 use crate::town::plan::random::Random;
 use crate::town::plan::{LaneKind, Signal, Turn};
 
-/// The recording car: length and width, and how far the middle of its box is ahead of its rear axle, metres.
+/// Length and width of the recording car, and the distance of its box's middle ahead of its rear axle, meters.
 pub(super) const EGO_M: DVec2 = DVec2::new(5.176, 2.297);
 pub(super) const EGO_AHEAD_M: f64 = 1.461;
-/// The ego's speed at the start, m/s.
+/// Initial speed of the ego, m/s.
 const EGO_MPS: f64 = 8.0;
-/// The ego begins so far along its lane, metres.
+/// Initial position of the ego along its lane, meters.
 const EGO_ALONG_M: f64 = 7.0;
-/// With the time before the start: from here on the ego turns off, seconds.
+/// Duration, including the time before the start, above which the ego turns off, seconds.
 const LONG_DRIVE_S: f64 = 24.0;
-/// Streets so near to the ego's drive have traffic, metres.
+/// Distance from the ego's route within which streets have traffic, meters.
 const NEAR_M: f64 = 140.0;
-/// A vehicle for so many metres of lanes, and least and most of them.
+/// Length of lane per vehicle, meters, and min and max number of vehicles.
 const SPACING_M: f64 = 66.0;
 const COUNT: [usize; 2] = [26, 70];
-/// Trucks and buses drive along wide curves for so long, seconds; streets that go on for ever without others are rare.
+/// Time for which trucks and buses need gentle curves, seconds; routes without tight curves for longer are rare.
 const LONG_S: f64 = 22.0;
-/// A cyclist rides so far from the right edge of a lane, metres.
+/// Distance of cyclists from the right edge of a lane, meters.
 const EDGE_M: f64 = 0.65;
 
-/// Draws vehicles.
+/// Generator of vehicles.
 pub(super) struct Start<'a> {
     pub(super) lanes: &'a Lanes<'a>,
     pub(super) bodies: &'a Bodies,
     pub(super) random: Random,
-    /// Routes are long enough for so many seconds.
+    /// Duration that routes last for, seconds.
     pub(super) duration_s: f64,
 }
 
 impl Start<'_> {
-    /// The ego as it is at time 0: on the left lane of an avenue that has a long way to go.
+    /// Returns the ego at time 0: preferably on the left lane of an avenue, with a long distance ahead.
     pub(super) fn ego(&mut self) -> Vehicle {
         let mut best = (f64::NEG_INFINITY, 0);
         for lane in 0..self.lanes.paths.len() {
@@ -65,12 +65,12 @@ impl Start<'_> {
         }
     }
 
-    /// Whether the ego gets farther than a junction.
+    /// Returns whether the ego drives beyond one junction.
     fn is_long_drive(&self) -> bool {
         self.duration_s > LONG_DRIVE_S
     }
 
-    /// How good a lane is for the ego's start; `None` for ways through junctions.
+    /// Scores a lane for the ego's start; `None` for paths through junctions.
     fn score(&self, lane: usize) -> Option<f64> {
         let LaneKind::Road(road) = self.lanes.network.lanes[lane].kind else { return None };
         let [forward, back] = self.lanes.network.lanes_of(road);
@@ -93,7 +93,7 @@ impl Start<'_> {
         Some(score)
     }
 
-    /// A vehicle with a body on a lane.
+    /// Creates a vehicle with a body on a lane; `None` if it has no room to stop.
     fn vehicle(&mut self, body: Body, lane: usize, along_m: f64, speed_mps: f64) -> Option<Vehicle> {
         let size_m = body.size_m().truncate();
         let long = matches!(body.kind, BodyKind::Truck | BodyKind::Bus);
@@ -119,7 +119,7 @@ impl Start<'_> {
             let car = self.bodies.of(BodyKind::Sedan, &mut self.random);
             return self.vehicle(car, lane, along_m, speed_mps);
         }
-        // From here it can still stop at the end of its lane.
+        // Limits the speed so that it can still stop at the end of its lane.
         let stop_m = route.starts_m[1] - 8.0 - along_m - size_m.x / 2.0;
         let most_mps = (2.0 * BRAKING_MPS2 * (stop_m - 1.0)).max(0.0).sqrt();
         let speed_mps = speed_mps.min(driver.free_mps).min(route.cap_mps(along_m)).min(most_mps);
@@ -136,7 +136,7 @@ impl Start<'_> {
         })
     }
 
-    /// Vehicles on the streets around a drive.
+    /// Returns vehicles on the streets around a route.
     pub(super) fn around(&mut self, drive: &[DVec2]) -> Vec<Vehicle> {
         let (mut places, mut total_m) = (Vec::new(), 0.0);
         for lane in 0..self.lanes.paths.len() {
@@ -177,7 +177,7 @@ impl Start<'_> {
         self.lanes.network.lanes_of(road).iter().any(|side| side.last() == Some(&lane))
     }
 
-    /// Trucks and buses keep to avenues.
+    /// Picks a body for a lane; trucks and buses only on avenues.
     fn body_for(&mut self, lane: usize) -> Body {
         let body = self.bodies.any(&DRIVING, &mut self.random);
         let wide = match self.lanes.network.lanes[lane].kind {
@@ -190,8 +190,8 @@ impl Start<'_> {
         }
     }
 
-    /// Puts the ego on the road, and those around it who make a lane change worth a thought: one ahead, two on the lane beside it,
-    /// some who come towards it.
+    /// Adds the ego, and vehicles around it that make lane changes relevant: one ahead, two on the adjacent lane,
+    /// some oncoming. Vehicles in the ego's way are removed first.
     pub(super) fn join(&mut self, world: &mut World<'_>, ego: Vehicle) {
         let lane = ego.route.lanes[0];
         let LaneKind::Road(road) = self.lanes.network.lanes[lane].kind else {
@@ -207,7 +207,7 @@ impl Start<'_> {
             .filter(|(along_m, _)| *along_m < here_m + 62.0)
             .map(|(_, vehicle)| *vehicle)
             .collect();
-        // Nobody is still on the way into the ego's place.
+        // Also removes vehicles that are about to enter the ego's place.
         leaves.extend((0..world.vehicles.len()).filter(|i| {
             let near = world.vehicles[*i].rect().overlaps(&ego.rect().grown(12.0));
             let comes = world.vehicles[*i].route.lanes.iter().any(|l| sides[own].contains(l));
@@ -220,7 +220,7 @@ impl Start<'_> {
         }
         let mut places = vec![(lane, here_m + self.random.between(24.0, 34.0), 7.8)];
         if let Some(beside) = sides[own].get(1) {
-            // Room for who changes lanes and gets faster.
+            // Leaves room for a lane change with acceleration.
             places.push((*beside, here_m - self.random.between(15.0, 22.0), 7.6));
             places.push((*beside, here_m + self.random.between(38.0, 46.0), 8.0));
         }
@@ -233,7 +233,7 @@ impl Start<'_> {
         }
         world.vehicles.insert(0, ego);
         for (i, (lane, along_m, speed_mps)) in places.into_iter().enumerate() {
-            // A low one ahead: who drives behind a truck sees a truck.
+            // A low vehicle ahead, because a truck would block the view.
             let body = match i {
                 0 => self.bodies.of(BodyKind::Hatchback, &mut self.random),
                 _ => self.body_for(lane),

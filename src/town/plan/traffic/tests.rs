@@ -9,7 +9,7 @@ use crate::town::plan::line::contains;
 use crate::town::plan::{JunctionKind, KERB_M, LaneKind, Side, Signal};
 
 const SECONDS: f64 = 20.0;
-/// Length and width of the ego, and from its rear axle to its middle, metres.
+/// Length and width of the ego, and distance from its rear axle to its middle, meters.
 const EGO: [f64; 3] = [5.176, 2.297, 1.461];
 
 struct Case {
@@ -31,14 +31,14 @@ fn cases() -> &'static [Case] {
     &CASES
 }
 
-/// Corners of a box on the ground, counter-clockwise.
+/// Returns the corners of a box on the ground, counter-clockwise.
 fn corners(pose: &Pose, [length, width]: [f64; 2], ahead: f64) -> [DVec2; 4] {
     [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)].map(|(x, y)| {
         pose.transform_point(DVec3::new(ahead + x * length / 2.0, y * width / 2.0, 0.0)).truncate()
     })
 }
 
-/// Whether the outlines of two boxes cross, or one lies within the other.
+/// Returns whether the outlines of two boxes cross, or one is within the other.
 fn meet(a: &[DVec2; 4], b: &[DVec2; 4]) -> bool {
     let side = |p: DVec2, q: DVec2, r: DVec2| (q - p).perp_dot(r - p) > 0.0;
     let cross = (0..4).any(|i| {
@@ -142,7 +142,7 @@ fn the_ego_begins_on_the_left_lane_of_an_avenue_and_drives_on() {
         assert_eq!(network.roads[road].lanes_each_way, 2, "{seed}");
         let sides = network.lanes_of(road);
         assert!(sides.iter().any(|side| side[0] == lane), "{seed}: not the left lane");
-        // 3.5 m to the right is the other lane.
+        // The other lane is 3.5 m to the right.
         let right = ego.transform_point(DVec3::new(EGO[2], -3.5, 0.0)).truncate();
         let other = sides.iter().find(|side| side[0] == lane).map(|side| side[1]).unwrap();
         assert!(contains(&network.lanes[other].outline(), right), "{seed}");
@@ -158,7 +158,7 @@ fn the_ego_begins_on_the_left_lane_of_an_avenue_and_drives_on() {
     assert!(beside >= 8, "{beside}");
 }
 
-/// Speeds over windows of half a second, and how they change.
+/// Returns speeds over windows of half a second.
 fn speeds_mps(motion: &Motion, ahead: f64) -> Vec<f64> {
     let place = |pose: &Pose| pose.transform_point(DVec3::X * ahead).truncate();
     motion.poses.windows(6).map(|w| place(&w[0]).distance(place(&w[5])) / 0.5).collect()
@@ -210,12 +210,12 @@ fn everybody_keeps_to_lanes_and_sidewalks() {
                     let on_lane = lanes.iter().any(|lane| contains(lane, p));
                     assert_eq!(on_lane, moves(&actor), "{seed} {:?} {p}", actor.body);
                     if actor.body.kind != BodyKind::Bus && actor.body.kind != BodyKind::Truck {
-                        // Mirrors may hang over a kerb.
+                        // Mirrors may project over a kerb.
                         let wheels = corners(pose, [size.x, size.y - 0.2], 0.0);
                         assert!(wheels.into_iter().all(on_road), "{seed} {:?} {p}", actor.body);
                     }
                 } else if on_road(p) {
-                    // Shoulders of who meets others on a crossing may be outside, the middle is not.
+                    // The shoulders of walkers that pass each other may leave a crossing, their middles may not.
                     assert!(zebras.iter().any(|zebra| contains(*zebra, p)), "{seed} {} {p}", actor.id);
                     assert!(z < KERB_M, "{seed} {z}");
                 } else {
@@ -234,7 +234,7 @@ fn everybody_keeps_to_lanes_and_sidewalks() {
     }
 }
 
-/// From a point to the outline of an area.
+/// Returns the distance from a point to the outline of an area.
 fn distance_m(area: &[DVec2], p: DVec2) -> f64 {
     let edges = area.iter().zip(area.iter().cycle().skip(1));
     let distances = edges.map(|(a, b)| {
@@ -270,7 +270,7 @@ fn nobody_passes_a_red_light_or_a_stop_sign() {
                 let Some(step) = passes else { continue };
                 let t_s = step as f64 / 10.0;
                 if network.signal_at(junction, road, t_s).is_some() {
-                    // Who has just begun to move when it turns red is over the line at once.
+                    // A vehicle that starts just as the light turns red is over the line at once.
                     let red =
                         |before_s| network.signal_at(junction, road, t_s - before_s) == Some(Signal::Red);
                     assert!(!(red(0.0) && red(0.6)), "{seed} {:?} {t_s}", actor.body);
@@ -355,6 +355,6 @@ fn long_drives_turn_off() {
         turned += usize::from(most_rad > 1.0);
         assert!(traffic.ego.travelled_m(50.0) > 60.0, "{seed}");
     }
-    // Some stand in queues.
+    // Some wait in queues.
     assert!(turned >= 5, "{turned}");
 }

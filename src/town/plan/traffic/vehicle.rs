@@ -5,46 +5,46 @@ use super::route::{BRAKING_MPS2, Route};
 use crate::geometry::Pose;
 use crate::town::model::Body;
 
-/// Who follows a leader by the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000), m, s.
+/// Parameters of the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000), in meters and seconds.
 const HEADWAY_S: f64 = 1.2;
 const LEAST_GAP_M: f64 = 2.2;
 const EXPONENT: i32 = 4;
 
-/// How somebody drives.
+/// Driving style.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Driver {
     /// Speed on a free road, m/s.
     pub(super) free_mps: f64,
-    /// Largest acceleration, m/s².
+    /// Maximum acceleration, m/s².
     pub(super) rise_mps2: f64,
-    /// Strongest braking, m/s².
+    /// Maximum deceleration, m/s².
     pub(super) brake_mps2: f64,
 }
 
-/// The one in front.
+/// Vehicle in front.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Leader {
     pub(super) gap_m: f64,
     pub(super) speed_mps: f64,
 }
 
-/// Somebody on wheels.
+/// Simulated vehicle.
 #[derive(Clone, Debug)]
 pub(super) struct Vehicle {
-    /// `None`: the ego.
+    /// Its body; `None` for the ego.
     pub(super) body: Option<Body>,
-    /// Length, width.
+    /// Length and width, meters.
     pub(super) size_m: DVec2,
     pub(super) driver: Driver,
     pub(super) route: Route,
-    /// Of its middle along its route, metres.
+    /// Position of its middle along its route, meters.
     pub(super) along_m: f64,
     pub(super) speed_mps: f64,
-    /// Index in the route's lanes of the last way through a junction that it may take.
+    /// Index in the route's lanes of the last path through a junction that it may take.
     pub(super) granted: Option<usize>,
-    /// Since when it stands at a line, seconds.
+    /// Time since which it has waited at a stop line, seconds; `None` if it does not wait.
     pub(super) waits_since_s: Option<f64>,
-    /// Where it began, metres along its route.
+    /// Initial position along its route, meters.
     pub(super) began_m: f64,
 }
 
@@ -57,12 +57,12 @@ impl Vehicle {
         self.along_m - self.size_m.x / 2.0
     }
 
-    /// Trucks and buses sweep more than others.
+    /// Returns whether it is a truck or bus, which sweeps a larger area than other vehicles.
     pub(super) fn is_long(&self) -> bool {
         self.size_m.x > 6.2
     }
 
-    /// Metres between its axles.
+    /// Returns the wheelbase, meters.
     fn base_m(&self) -> f64 {
         0.6 * self.size_m.x
     }
@@ -71,19 +71,19 @@ impl Vehicle {
         Rect::on(&self.route.path, self.along_m, self.base_m(), self.size_m)
     }
 
-    /// On the ground below its middle.
+    /// Returns the pose on the ground below its middle.
     pub(super) fn pose(&self) -> Pose {
         let rect = self.rect();
         Pose::from_yaw(rect.ahead.to_angle(), rect.centre.extend(0.0))
     }
 
-    /// On the ground, so many metres behind the middle of its box.
+    /// Returns the pose on the ground `behind_m` meters behind the middle of its box.
     pub(super) fn pose_behind(&self, behind_m: f64) -> Pose {
         let pose = self.pose();
         Pose { translation: pose.transform_point(DVec3::X * -behind_m), ..pose }
     }
 
-    /// Moves on: `stop_m` is the place along its route that its front must not pass.
+    /// Advances by one step. `stop_m` is the position along its route that its front must not pass.
     pub(super) fn step(&mut self, leader: Option<Leader>, stop_m: f64, dt_s: f64) {
         let v = self.speed_mps;
         let rise = self.idm_mps2(leader);
@@ -95,7 +95,7 @@ impl Vehicle {
             next = next.min(halting_mps(room, brake, dt_s));
         }
         let least = (v - self.driver.brake_mps2 * dt_s).max(0.0);
-        // Nobody brakes harder than that, but for a line right ahead.
+        // Braking is limited to `brake_mps2`, even before a stop line.
         self.speed_mps = next.max(least).min(v + self.driver.rise_mps2 * dt_s);
         self.along_m += self.speed_mps * dt_s;
     }
@@ -112,7 +112,7 @@ impl Vehicle {
     }
 }
 
-/// The highest speed in the next step from which it can halt within a distance.
+/// Returns the maximum speed in the next step from which it can halt within a distance.
 fn halting_mps(room_m: f64, brake_mps2: f64, dt_s: f64) -> f64 {
     let step = brake_mps2 * dt_s;
     (step * step + 2.0 * brake_mps2 * room_m.max(0.0)).sqrt() - step

@@ -7,42 +7,42 @@ use crate::town::model::Body;
 use crate::town::plan::line::Path;
 use crate::town::plan::{JunctionKind, KERB_M, Network};
 
-/// How quickly people get going and stop, m/s².
+/// Acceleration and deceleration of walkers, m/s².
 const STEPPING_MPS2: f64 = 2.5;
-/// They look so far ahead, metres; those who go first less far.
+/// Look-ahead for walkers that have precedence (those earlier in the list), and for all walkers, meters.
 const SIGHT_M: f64 = 0.7;
 const SIGHT_FIRST_M: f64 = 0.25;
-/// Nobody comes nearer to others than this, metres.
+/// Minimum gap to other walkers, meters.
 const ROOM_M: f64 = 0.08;
-/// Around corners they turn over so many metres.
+/// Distance over which walkers turn around corners, meters.
 const TURN_M: f64 = 1.0;
-/// A kerb is stepped on over so many metres.
+/// Distance over which a kerb is stepped on, meters.
 const RAMP_M: f64 = 0.5;
-/// Waiting people stand so far from the kerb, metres.
+/// Distance of waiting walkers from the kerb, meters.
 const WAIT_M: f64 = 0.6;
 
-/// Somebody on foot.
+/// Simulated pedestrian.
 #[derive(Clone, Debug)]
 pub(super) struct Walker {
     pub(super) body: Body,
     pub(super) size_m: DVec2,
     pub(super) path: Path,
-    /// Metres along the path.
+    /// Position along the path, meters.
     pub(super) along_m: f64,
     pub(super) speed_mps: f64,
     pub(super) pace_mps: f64,
     pub(super) crossing: Option<Over>,
 }
 
-/// How a walker gets over a road.
+/// Crossing of a road by a walker.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Over {
-    /// Index of the crossing, and of the junction before which it is.
+    /// Indices of the crossing and of its junction.
     pub(super) crossing: usize,
     pub(super) junction: usize,
-    /// Where the walker steps off one kerb and on the other, metres along the path.
+    /// Positions where the walker steps off one kerb and onto the other, meters along the path.
     pub(super) kerbs_m: [f64; 2],
-    /// Whether the walker is on it.
+    /// Whether the walker is on the crossing.
     pub(super) walks: bool,
 }
 
@@ -51,7 +51,7 @@ impl Walker {
         Rect::on(&self.path, along_m, TURN_M, self.size_m)
     }
 
-    /// On the ground below the middle.
+    /// Returns the pose on the ground below the middle.
     pub(super) fn pose(&self) -> Pose {
         let rect = self.rect_at(self.along_m);
         let high = self.crossing.map_or(1.0, |over| {
@@ -62,7 +62,7 @@ impl Walker {
         Pose::from_yaw(rect.ahead.to_angle(), rect.centre.extend(0.0) + DVec3::Z * (KERB_M * high))
     }
 
-    /// How fast it may go on account of the road ahead, m/s: it waits at the kerb until the road is free.
+    /// Returns the speed limit from the road ahead, m/s: the walker waits at the kerb until the road is free.
     fn wait_mps(&mut self, world: &mut World<'_>) -> f64 {
         let Some(over) = &mut self.crossing else { return f64::INFINITY };
         let left_m = over.kerbs_m[0] - WAIT_M - self.along_m;
@@ -87,7 +87,7 @@ impl Walker {
     }
 }
 
-/// Moves all walkers by a step.
+/// Advances all walkers by a step.
 pub(super) fn step(walkers: &mut [Walker], world: &mut World<'_>) {
     let mut rects: Vec<Rect> = walkers.iter().map(|walker| walker.rect_at(walker.along_m)).collect();
     for (i, walker) in walkers.iter_mut().enumerate() {
@@ -96,7 +96,7 @@ pub(super) fn step(walkers: &mut [Walker], world: &mut World<'_>) {
             let rect = walker.rect_at(along_m).grown(ROOM_M);
             let others = rects.iter().enumerate().filter(|(k, _)| *k != i && (!first || *k < i));
             let met = others.filter(|(_, other)| rect.overlaps(other));
-            // Who is already too near may go away.
+            // A walker that is already too near may walk on.
             met.into_iter()
                 .any(|(k, _)| !rects[i].grown(ROOM_M).overlaps(&rects[k]) || along_m <= walker.along_m)
         };
@@ -112,7 +112,7 @@ pub(super) fn step(walkers: &mut [Walker], world: &mut World<'_>) {
     }
 }
 
-/// The junction before which a crossing is.
+/// Returns the junction that a crossing belongs to.
 pub(super) fn junction_of(network: &Network, crossing: usize) -> Option<usize> {
     let crossing = &network.crossings[crossing];
     let middle = (crossing.path[0] + crossing.path[1]) / 2.0;

@@ -1,35 +1,36 @@
-//! Who drives on the lanes, step by step.
+//! Step-by-step simulation of the vehicles.
 //!
 //! # How it works
-//! Everybody follows a route. Nobody enters a junction unasked: until a way through it is granted, its stop line is the end of the
-//! road. A way is granted if the light allows it, nobody is on a way that crosses it, nobody walks over its crossings, and there is
-//! room beyond. On lanes, and on ways that begin alike, everybody follows the one in front.
+//! Every vehicle follows a route and needs a grant to enter a junction: until a path through it is granted, the stop
+//! line ends its road. A path is granted if the light allows it, no vehicle is on a path that crosses it, no
+//! pedestrian is on its crossings, and there is room behind the junction. On lanes, and on paths with a common start,
+//! every vehicle follows the one in front.
 
 use super::lanes::{BEYOND_CROSSING_M, Lanes, STOP_M, Way};
 use super::route::BRAKING_MPS2;
 use super::vehicle::{Leader, Vehicle};
 use crate::town::plan::{JunctionKind, Signal, Turn};
 
-/// Seconds between steps.
+/// Duration of a step, seconds.
 pub(super) const STEP_S: f64 = 0.1;
-/// How far ahead a leader is looked for, metres.
+/// Maximum distance of a leader, meters.
 const SIGHT_M: f64 = 60.0;
-/// Who has waited for longer goes first, seconds.
+/// Waiting time after which a vehicle takes precedence, seconds.
 const PATIENCE_S: f64 = 3.0;
-/// How long a vehicle stands at a stop sign, seconds.
+/// Duration of the halt at a stop sign, seconds.
 const HALT_S: f64 = 0.7;
 
-/// Everybody on wheels, at a moment.
+/// State of all vehicles at one time.
 pub(super) struct World<'a> {
     pub(super) lanes: &'a Lanes<'a>,
     pub(super) vehicles: Vec<Vehicle>,
-    /// Of each crossing: how many walk on it.
+    /// Number of walkers on each crossing.
     pub(super) walkers_on: Vec<usize>,
     /// Time, seconds.
     pub(super) t_s: f64,
 }
 
-/// Who is on each lane: metres along it of the middle, and the index of the vehicle.
+/// Vehicles on each lane: position of the middle along it, meters, and index of the vehicle.
 type Occupants = Vec<Vec<(f64, usize)>>;
 
 impl<'a> World<'a> {
@@ -38,7 +39,7 @@ impl<'a> World<'a> {
         Self { lanes, vehicles: Vec::new(), walkers_on, t_s }
     }
 
-    /// Moves everybody on wheels by a step.
+    /// Advances all vehicles by a step.
     pub(super) fn step(&mut self) {
         let occupants = self.occupants();
         self.revoke();
@@ -63,27 +64,27 @@ impl<'a> World<'a> {
         on
     }
 
-    /// The lane on which its middle is, and how far along.
+    /// Returns the lane of its middle, and the position along it, meters.
     fn place(&self, vehicle: &Vehicle) -> (usize, f64) {
         let k = vehicle.route.lane_at(vehicle.along_m);
         let lane = vehicle.route.lanes[k];
         (lane, (vehicle.along_m - vehicle.route.starts_m[k]) * self.scale(vehicle, k))
     }
 
-    /// Metres of a lane for a metre of a route, which may be beside its middle.
+    /// Returns the ratio of a lane's length to the route's length on it; the route may run beside the lane's middle.
     fn scale(&self, vehicle: &Vehicle, k: usize) -> f64 {
         let own_m = vehicle.route.starts_m[k + 1] - vehicle.route.starts_m[k];
         self.lanes.length_m(vehicle.route.lanes[k]) / own_m.max(0.1)
     }
 
-    /// The next way through a junction that a vehicle has not been granted: its index in the route.
+    /// Returns the route index of the next path through a junction that the vehicle has not been granted.
     fn next_way(&self, vehicle: &Vehicle) -> Option<usize> {
         let at = vehicle.route.lane_at(vehicle.along_m);
         let from = vehicle.granted.map_or(at, |granted| at.max(granted + 1));
         (from..vehicle.route.lanes.len()).find(|k| self.lanes.ways[vehicle.route.lanes[*k]].is_some())
     }
 
-    /// Where its front has to stop, metres along its route.
+    /// Returns the position where its front has to stop, meters along its route.
     fn stop_m(&self, vehicle: &Vehicle) -> f64 {
         match self.next_way(vehicle).and_then(|k| Some((k, self.lanes.ways[vehicle.route.lanes[k]]?))) {
             Some((k, way)) => vehicle.route.starts_m[k] - way.stop_m(),
@@ -91,7 +92,7 @@ impl<'a> World<'a> {
         }
     }
 
-    /// The nearest in front, on its own lanes or still beside the beginning of its way.
+    /// Returns the nearest vehicle in front, on its own lanes or still beside the start of its path.
     fn leader(&self, index: usize, occupants: &Occupants) -> Option<Leader> {
         let me = &self.vehicles[index];
         let first = me.route.lane_at(me.along_m);
@@ -126,7 +127,7 @@ impl<'a> World<'a> {
         best
     }
 
-    /// Who can still stop before a light that is no longer green has to.
+    /// Revokes grants if the light is no longer green and the vehicle can still stop before it.
     fn revoke(&mut self) {
         for vehicle in &mut self.vehicles {
             let Some(k) = vehicle.granted else { continue };
@@ -140,7 +141,7 @@ impl<'a> World<'a> {
         }
     }
 
-    /// Grants ways to those who reach a junction: who waits longest goes first, who turns left goes last.
+    /// Grants paths to vehicles that reach a junction: longest wait first, left turns at traffic lights last.
     fn grant(&mut self, occupants: &Occupants) {
         let mut asking = Vec::new();
         for (i, vehicle) in self.vehicles.iter().enumerate() {
@@ -166,20 +167,20 @@ impl<'a> World<'a> {
             if !self.is_crossed(i, lane, way) {
                 self.vehicles[i].granted = Some(k);
             } else if waits_s > PATIENCE_S {
-                // Nobody else goes before who has waited for long.
+                // Keeps the junction free for a vehicle that has waited for long.
                 kept_free.push(lane);
             }
         }
     }
 
-    /// Whether a vehicle may enter a junction if nobody crosses its way there.
+    /// Returns whether a vehicle may enter a junction, apart from vehicles that cross its path there.
     fn could_enter(&self, index: usize, k: usize, way: Way, occupants: &Occupants) -> bool {
         let me = &self.vehicles[index];
         let allowed = match way.kind {
             JunctionKind::Free => true,
             JunctionKind::Stop => me.waits_since_s.is_some_and(|since| self.t_s - since > HALT_S),
             JunctionKind::Signals => {
-                // Who waits to turn left goes last, when those who come towards it have to stop.
+                // A vehicle that waits to turn left goes last, at yellow, when oncoming vehicles have to stop.
                 let last = way.turn == Turn::Left && me.waits_since_s.is_some();
                 match self.lanes.network.signal_at(way.junction, way.road, self.t_s) {
                     Some(Signal::Yellow) => last,
@@ -193,7 +194,7 @@ impl<'a> World<'a> {
             && self.has_room(index, way, occupants)
     }
 
-    /// Whether nobody ahead on its lane still waits.
+    /// Returns whether no vehicle ahead on its lane is still waiting.
     fn is_first(&self, index: usize, k: usize, lane: usize, occupants: &Occupants) -> bool {
         let me = &self.vehicles[index];
         let own_m = (me.along_m - me.route.starts_m[k - 1]) * self.scale(me, k - 1);
@@ -206,8 +207,8 @@ impl<'a> World<'a> {
             .all(|(along_m, other)| *other == index || *along_m <= own_m || !waits(&self.vehicles[*other]))
     }
 
-    /// Ways that a vehicle has been granted and has not left behind: how far its middle is along each, and how far its rear is beyond
-    /// its end, metres.
+    /// Returns the paths that a vehicle has been granted and not yet left: lane, path, position of its middle along
+    /// it, and distance of its rear beyond the end, meters.
     fn held<'v>(&self, vehicle: &'v Vehicle) -> impl Iterator<Item = (usize, Way, f64, f64)> + use<'v, '_> {
         let at = vehicle.route.lane_at(vehicle.along_m);
         let lanes = self.lanes;
@@ -221,7 +222,7 @@ impl<'a> World<'a> {
         })
     }
 
-    /// Whether somebody who has been granted a way may still touch who takes this one.
+    /// Returns whether a vehicle with a granted path may still touch one on this path.
     fn is_crossed(&self, index: usize, lane: usize, way: Way) -> bool {
         let me = &self.vehicles[index];
         let crosses = |other: &Vehicle| {
@@ -235,12 +236,12 @@ impl<'a> World<'a> {
         self.vehicles.iter().enumerate().any(|(i, other)| i != index && crosses(other))
     }
 
-    /// Whether it fits on the lane after the junction, with all who go there before it.
+    /// Returns whether it fits on the lane after the junction, together with all vehicles that get there before it.
     fn has_room(&self, index: usize, way: Way, occupants: &Occupants) -> bool {
         let mut room_m = self.lanes.length_m(way.to);
         for (along_m, other) in occupants[way.to].iter().filter(|o| o.1 != index) {
             let other = &self.vehicles[*other];
-            // Who drives makes room.
+            // Moving vehicles will make room.
             let leaves_m = other.speed_mps * 1.2;
             room_m = room_m.min(along_m - other.size_m.x / 2.0 + leaves_m);
         }
@@ -252,7 +253,7 @@ impl<'a> World<'a> {
         needed_m < room_m
     }
 
-    /// Whether nobody on wheels has been granted a way over a crossing.
+    /// Returns whether no vehicle has been granted a path over a crossing.
     pub(super) fn is_free(&self, crossing: usize) -> bool {
         let over = |held: &(usize, Way, f64, f64)| held.1.crossings.contains(&Some(crossing));
         self.vehicles.iter().all(|vehicle| !self.held(vehicle).any(|held| over(&held)))
