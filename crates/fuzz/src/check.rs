@@ -3,29 +3,23 @@
 use std::path::Path;
 
 use point_skeleton::dataset::{Area, Dataset, EgoTrack, Log, VectorMap};
+use point_skeleton::files::text::printable_path;
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz, state_at, state_of_frame};
 
-/// Asserts that an error ends with its file's name, and is not much longer than the input it may quote.
+/// Asserts that an error ends with its file's name, as messages escape it, and is not much longer than the input that
+/// it may quote.
 #[track_caller]
 pub(crate) fn told(error: impl std::fmt::Display, file: &Path, input: &[u8]) {
-    let message = error.to_string();
-    assert!(
-        message.ends_with(&file.display().to_string()),
-        "{message:?} does not end with {}",
-        file.display()
-    );
+    let (message, file) = (error.to_string(), printable_path(file));
+    assert!(message.ends_with(&file), "{message:?} does not end with {file}");
     short(&message, input);
 }
 
 /// Same as [`told`], for an error of one of several files in a folder.
 #[track_caller]
 pub(crate) fn told_within(error: impl std::fmt::Display, folder: &Path, input: &[u8]) {
-    let message = error.to_string();
-    assert!(
-        message.contains(&folder.display().to_string()),
-        "{message:?} names no file of {}",
-        folder.display()
-    );
+    let (message, folder) = (error.to_string(), printable_path(folder));
+    assert!(message.contains(&folder), "{message:?} names no file of {folder}");
     short(&message, input);
 }
 
