@@ -156,7 +156,7 @@ fn wrong_usage_exits_with_2_and_frames_out_of_the_log_with_1() {
     assert_failed(
         &log.run("build nuscenes:log --out log"),
         1,
-        &["expected only files that pskel wrote", "another folder: log/samples"],
+        &["expected only files that pskel wrote", "another file: log/samples"],
     );
 }
 
@@ -192,7 +192,7 @@ fn converted_points_come_back() {
     assert_failed(
         &log.run("convert out/sk --out log"),
         1,
-        &["expected only files that pskel wrote", "another folder: log/samples"],
+        &["expected only files that pskel wrote", "another file: log/samples"],
     );
 }
 

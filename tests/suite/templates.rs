@@ -144,7 +144,7 @@ fn what_is_wrong_with_templates_is_told_and_leaves_nothing() {
     log.fail(
         "templates sk1 --out log",
         1,
-        &["expected only files that pskel wrote", "another folder: log/samples"],
+        &["expected only files that pskel wrote", "another file: log/samples"],
     );
     std::fs::remove_file(log.path("sk1/actors.points")).unwrap();
     log.fail("templates sk1 --out out/t", 1, &["cannot read", "sk1/actors.points"]);
