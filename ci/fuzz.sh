@@ -45,7 +45,7 @@ done
 # Targets rewrite data sets in every run: use a memory file system if possible.
 memory=/dev/shm
 [ -w "$memory" ] || memory=${TMPDIR:-/tmp}
-scratch=$(mktemp -d "$memory/pskel-fuzz.XXXXXX")
+scratch=$(TMPDIR=$memory mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 mkdir -p "$findings" "$scratch/logs"
 
