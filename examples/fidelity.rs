@@ -13,7 +13,7 @@ use point_skeleton::files::FileName;
 use point_skeleton::logs;
 use point_skeleton::metrics::{FilledError, compare_filled};
 use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
-use point_skeleton::scene::{EgoOffset, SelectionOptions, Stage, state_of_frame};
+use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, state_of_frame};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Coloring, Skeleton, SplitOptions};
 
 /// Builds from every other frame, renders the frames in between, compares with the ground-truth images.
@@ -64,7 +64,7 @@ fn main() -> anyhow::Result<()> {
         kept.len(),
         skeleton.manifest.report
     );
-    let mut rasterizer = create(&args.rasterizer.into(), Stage::clouds(&skeleton)?)?;
+    let mut rasterizer = create(&args.rasterizer.into(), SceneClouds::clouds(&skeleton)?)?;
     let mut errors = Vec::new();
     for frame in (1..frames).step_by(2 * args.stride) {
         errors.extend(compare_frame(log, frame, &skeleton, rasterizer.as_mut(), args.out.as_deref())?);
@@ -97,7 +97,8 @@ fn compare_frame(
     let Some(state) = state_of_frame(log.log(), frame, EgoOffset::default()) else {
         anyhow::bail!("no frame {frame}")
     };
-    let instances = Stage::new(skeleton, &log.log().name)?.instances(&state, &SelectionOptions::default());
+    let instances =
+        SceneClouds::new(skeleton, &log.log().name)?.instances(&state, &SelectionOptions::default());
     let maps = MapSet::of(&[MapKind::Color]);
     let options = ConditionOptions { maps, size: Some(SIZE), ..ConditionOptions::default() };
     let set = conditions::render(rasterizer, &instances, &state, &options)?;

@@ -14,14 +14,14 @@ use crate::conditions::meta::PromptParts;
 use crate::dataset::Log;
 use crate::error::FileError;
 use crate::files::input::read_table;
-use crate::generate::network::{About, Network};
+use crate::generate::network::{Network, Provenance};
 use crate::generate::{
-    AnyDenoiser, Codec, Conditioner, Dropped, GenerateOptions, Guidance, Prediction, ProcessDenoiser, Recipe,
-    SamplerOptions, Session, SessionParts, Strategy, TrueImages,
+    AnyDenoiser, Codec, Conditioner, DroppedConditions, GenerateOptions, GroundTruthImages, Guidance,
+    Prediction, ProcessDenoiser, Recipe, SamplerOptions, Session, SessionParts, Strategy,
 };
 use crate::geometry::ImageSize;
 use crate::peer::{PeerAddress, PeerSpec};
-use crate::scene::{SceneMap, Stage};
+use crate::scene::{SceneClouds, SceneMap};
 
 /// Options for generating images from conditions.
 #[derive(Clone, Debug, Args)]
@@ -112,14 +112,14 @@ enum SamplerName {
 }
 
 /// Opened network with its options.
-pub(super) struct Opened {
+pub(super) struct OpenedNetwork {
     denoiser: AnyDenoiser,
     codec: Box<dyn Codec>,
     recipe: Recipe,
     size: ImageSize,
     options: GenerateOptions,
     seed: u64,
-    about: Option<About>,
+    about: Option<Provenance>,
     fingerprint: Option<String>,
     name: NetworkName,
 }
@@ -129,7 +129,7 @@ pub(super) struct Opened {
 pub(super) struct GeneratorReport {
     network: NetworkName,
     /// Provenance of the weights.
-    weights: Option<About>,
+    weights: Option<Provenance>,
     fingerprint: Option<String>,
     /// Size of the images.
     size: ImageSize,
@@ -140,12 +140,12 @@ pub(super) struct GeneratorReport {
 }
 
 /// Scene whose images are generated.
-pub(super) struct Subject<'a> {
+pub(super) struct GenerationScene<'a> {
     pub(super) log: &'a Log,
     pub(super) map: Option<Arc<SceneMap>>,
-    pub(super) stage: &'a Stage<'a>,
+    pub(super) stage: &'a SceneClouds<'a>,
     pub(super) prompt: &'a PromptParts,
-    pub(super) truth: TrueImages<'a>,
+    pub(super) truth: GroundTruthImages<'a>,
     pub(super) ego_follows_log: bool,
     pub(super) actors_follow_log: bool,
 }
@@ -194,14 +194,14 @@ impl GeneratorArgs {
     }
 
     /// Opens or starts the network; `cameras` is the number of cameras of the log.
-    pub(super) fn open(&self, name: &NetworkName, cameras: usize) -> anyhow::Result<Opened> {
+    pub(super) fn open(&self, name: &NetworkName, cameras: usize) -> anyhow::Result<OpenedNetwork> {
         match name {
             NetworkName::Network(path) => self.network(path.as_deref(), cameras),
             NetworkName::Process(address) => self.process(address, cameras),
         }
     }
 
-    fn network(&self, path: Option<&Path>, cameras: usize) -> anyhow::Result<Opened> {
+    fn network(&self, path: Option<&Path>, cameras: usize) -> anyhow::Result<OpenedNetwork> {
         let network = Network::open_or_shipped(path)?;
         let config = network.config();
         let (trained, recipe) = (config.frames, config.recipe.clone());
@@ -218,7 +218,7 @@ impl GeneratorArgs {
             let path = path.unwrap_or(Path::new("--generator network"));
             return Err(FileError::content(format!("weights for {cameras} cameras"), found, path).into());
         }
-        Ok(Opened {
+        Ok(OpenedNetwork {
             codec: Box::new(network.codec()?),
             size: recipe.size,
             about: Some(network.about().clone()),
@@ -231,14 +231,14 @@ impl GeneratorArgs {
         })
     }
 
-    fn process(&self, address: &PeerAddress, cameras: usize) -> anyhow::Result<Opened> {
+    fn process(&self, address: &PeerAddress, cameras: usize) -> anyhow::Result<OpenedNetwork> {
         let options = self.options(self.window.unwrap_or(WINDOW))?;
         let recipe = self.recipe.as_deref().map_or(Ok(Recipe::default()), read_recipe)?;
         let spec =
             PeerSpec { address: address.clone(), timeout_s: self.generator_timeout.unwrap_or(TIMEOUT_S) };
         let denoiser = ProcessDenoiser::start(&spec, &options, cameras, recipe.size)?;
         let (codec, size) = denoiser.codec()?;
-        Ok(Opened {
+        Ok(OpenedNetwork {
             codec,
             size,
             about: None,
@@ -253,8 +253,8 @@ impl GeneratorArgs {
 
     fn options(&self, window: usize) -> Result<GenerateOptions, WrongUsage> {
         let dropped = match self.guide {
-            None | Some(Guide::Layout) => Dropped::GUIDED,
-            Some(Guide::All) => Dropped::ALL,
+            None | Some(Guide::Layout) => DroppedConditions::GUIDED,
+            Some(Guide::All) => DroppedConditions::ALL,
         };
         let clean = self.clean.unwrap_or(0);
         let ddim = |prediction| SamplerOptions::Ddim { prediction };
@@ -289,7 +289,7 @@ impl GeneratorReport {
     }
 }
 
-impl Opened {
+impl OpenedNetwork {
     /// Returns the number of frames in the window.
     pub(super) fn window(&self) -> usize {
         self.options.window
@@ -308,8 +308,8 @@ impl Opened {
     }
 
     /// Creates the session of a simulation.
-    pub(super) fn session<'a>(self, subject: &Subject<'a>) -> anyhow::Result<Session<'a>> {
-        let Subject { log, map, stage, prompt, truth, ego_follows_log, actors_follow_log } = subject;
+    pub(super) fn session<'a>(self, subject: &GenerationScene<'a>) -> anyhow::Result<Session<'a>> {
+        let GenerationScene { log, map, stage, prompt, truth, ego_follows_log, actors_follow_log } = subject;
         let prompt = prompt.prompt().unwrap_or_default();
         let conditioner = Conditioner::new(log, map.clone(), stage, &self.recipe, &prompt);
         let parts = SessionParts {

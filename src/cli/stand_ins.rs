@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::numbers;
 use crate::error::FileError;
-use crate::scene::StandIns;
+use crate::scene::Substitutes;
 use crate::skeleton::{
     AugmentOptions, Augmentation, Skeleton, TemplateCloud, TemplateKind, TemplateLibrary, augment,
     default_templates,
@@ -15,7 +15,7 @@ use crate::skeleton::{
 
 /// Options of substitute clouds: templates and augmented assets.
 #[derive(Clone, Debug, Args)]
-pub(super) struct StandInArgs {
+pub(super) struct SubstituteArgs {
     /// Folder of `pskel templates`, used for kinds without a template in the skeleton
     #[arg(long, value_name = "DIR")]
     templates: Option<PathBuf>,
@@ -58,7 +58,7 @@ struct AugmentReport {
     assets: BTreeMap<String, Augmentation>,
 }
 
-impl StandInArgs {
+impl SubstituteArgs {
     /// Creates options with only the built-in templates, and with augmented assets if a seed is given.
     pub(super) fn augmented(seed: Option<u64>) -> Self {
         let augment_share = AugmentOptions::default().share;
@@ -70,11 +70,11 @@ impl StandInArgs {
         &self,
         skeleton: &Skeleton,
         log: &str,
-    ) -> Result<(StandIns, StandInReport), FileError> {
+    ) -> Result<(Substitutes, StandInReport), FileError> {
         let mut origins: BTreeMap<TemplateKind, Origin> =
             skeleton.manifest.templates.iter().map(|t| (t.kind, Origin::Skeleton)).collect();
         let library = self.templates.as_deref().map(TemplateLibrary::open).transpose()?;
-        let mut stand_ins = StandIns::default();
+        let mut stand_ins = Substitutes::default();
         let mut add = |origin: Origin, cloud: TemplateCloud| {
             origins.entry(cloud.0.kind).or_insert_with(|| {
                 stand_ins.templates.push(cloud);
@@ -96,7 +96,7 @@ impl StandInArgs {
         seed: u64,
         skeleton: &Skeleton,
         log: &str,
-        stand_ins: &mut StandIns,
+        stand_ins: &mut Substitutes,
     ) -> Result<AugmentReport, FileError> {
         let options = AugmentOptions { seed, share: self.augment_share, ..AugmentOptions::default() };
         let all = skeleton.manifest.actors.iter().zip(skeleton.actors()?);

@@ -14,7 +14,7 @@ use crate::dataset::{Dataset, Log};
 use crate::error::FileError;
 use crate::files::FileName;
 use crate::files::{WholeFolder, write_json};
-use crate::town::view::TrueView;
+use crate::town::view::GroundTruthView;
 use crate::town::{Daylight, Town, TownOptions};
 
 /// Write the synthetic town as a data set in nuScenes layout: images, LiDAR sweeps, boxes, and the HD map
@@ -138,7 +138,7 @@ fn write_truth(folder: &Path, town: &Town) -> anyhow::Result<()> {
 }
 
 /// Splits a view into depth, and class with instance, as the writers require.
-fn maps(name: FileName, view: TrueView) -> (CameraConditions, CameraConditions) {
+fn maps(name: FileName, view: GroundTruthView) -> (CameraConditions, CameraConditions) {
     let (width, height) = view.image.dimensions();
     let bare = CameraConditions { name, width, height, ..CameraConditions::default() };
     let depth = CameraConditions { depth_m: Some(view.depth_m), ..bare.clone() };

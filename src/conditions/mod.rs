@@ -34,7 +34,7 @@ mod test_set;
 pub use bins::{BinScale, DepthBins};
 pub use error::ConditionError;
 pub use options::{ColorFilter, ConditionOptions, MapKind, MapSet};
-pub use render::{Begun, CameraConditions, ConditionSet, render, render_views};
+pub use render::{CameraConditions, ConditionSet, StepInFlight, render, render_views};
 pub use tensor::{DepthEmbedding, ModelTensor, TensorEncoder};
 
 pub use crate::geometry::{ImageSize, ParseOptionError};

@@ -108,7 +108,7 @@ pub fn render(
     state: &SceneState,
     options: &ConditionOptions,
 ) -> Result<ConditionSet, ConditionError> {
-    Begun::new(rasterizer, clouds, state, options)?.finish(rasterizer)
+    StepInFlight::new(rasterizer, clouds, state, options)?.finish(rasterizer)
 }
 
 /// Renders the maps of some views that come from points: all except [`MapKind::Boxes`], [`MapKind::Map`] and
@@ -129,14 +129,14 @@ pub fn render_views(
 /// Step in flight on the rasterizer. Steps finish in the order in which they were started, with at most
 /// [`FRAMES_IN_FLIGHT`](crate::raster::FRAMES_IN_FLIGHT) at a time.
 #[derive(Debug)]
-pub struct Begun {
+pub struct StepInFlight {
     points: Points,
     layouts: Layouts,
     /// Options as requested; more maps are rendered for the model tensor.
     asked: ConditionOptions,
 }
 
-impl Begun {
+impl StepInFlight {
     /// Starts rendering the maps of a step, as [`render`] does.
     ///
     /// # Errors

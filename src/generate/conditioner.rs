@@ -5,21 +5,21 @@ use crate::conditions::{ConditionError, ConditionOptions, ConditionSet, MapKind,
 use crate::dataset::Log;
 use crate::geometry::Pose;
 use crate::raster::Rasterizer;
-use crate::scene::{SceneMap, SceneState, SelectionOptions, Stage};
+use crate::scene::{SceneClouds, SceneMap, SceneState, SelectionOptions};
 use crate::sim::{Committed, Forecast, Instant, Simulation, scene_state};
 
 /// Renders the network input of a simulation, from committed and forecast instants.
 pub struct Conditioner<'a> {
     log: &'a Log,
     map: Option<Arc<SceneMap>>,
-    stage: &'a Stage<'a>,
+    stage: &'a SceneClouds<'a>,
     options: ConditionOptions,
     prompt: String,
 }
 
 /// Rendered conditions of one instant.
 #[derive(Clone, Debug)]
-pub struct Drawn {
+pub struct RenderedConditions {
     /// Scene state: poses of the ego, the cameras and the actors.
     pub state: SceneState,
     /// Condition maps.
@@ -44,7 +44,7 @@ impl<'a> Conditioner<'a> {
     pub fn new(
         log: &'a Log,
         map: Option<Arc<SceneMap>>,
-        stage: &'a Stage<'a>,
+        stage: &'a SceneClouds<'a>,
         recipe: &Recipe,
         prompt: &str,
     ) -> Self {
@@ -73,7 +73,7 @@ impl<'a> Conditioner<'a> {
         instant: Committed<&Instant>,
         before: Option<Pose>,
         rasterizer: &mut dyn Rasterizer,
-    ) -> Result<Committed<Drawn>, ConditionerError> {
+    ) -> Result<Committed<RenderedConditions>, ConditionerError> {
         instant.try_map(|instant| self.draw(instant, before, rasterizer))
     }
 
@@ -104,11 +104,11 @@ impl<'a> Conditioner<'a> {
         instant: &Instant,
         before: Option<Pose>,
         rasterizer: &mut dyn Rasterizer,
-    ) -> Result<Drawn, ConditionerError> {
+    ) -> Result<RenderedConditions, ConditionerError> {
         let state = scene_state(self.log, instant, self.map.clone());
         let instances = self.stage.instances(&state, &SelectionOptions::default());
         let set = render(rasterizer, &instances, &state, &self.options)?;
         let conditions = FrameConditions::new(&set, &state, before, &self.prompt)?;
-        Ok(Drawn { state, set, conditions })
+        Ok(RenderedConditions { state, set, conditions })
     }
 }

@@ -1,6 +1,6 @@
 use image::RgbImage;
 
-use super::guidance::Dropped;
+use super::guidance::DroppedConditions;
 use super::{Latent, LatentShape, Level};
 use crate::peer::PeerError;
 
@@ -26,7 +26,7 @@ impl<C> Copy for Frame<'_, C> {}
 /// Condition of a frame, in the form that a network takes.
 pub trait Condition: Clone {
     /// Returns the condition with parts dropped, for training and guidance.
-    fn without(&self, dropped: Dropped) -> Self;
+    fn without(&self, dropped: DroppedConditions) -> Self;
 }
 
 /// A network that denoises frames.

@@ -10,7 +10,7 @@ use crate::scene::SceneState;
 
 /// A recording for training networks: conditions and images of each frame. Maps are stored as bytes and depth bins.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Drive {
+pub struct TrainingClip {
     /// Metadata of the recording.
     pub about: DriveInfo,
     /// Frames in order, evenly spaced in time.
@@ -104,8 +104,8 @@ impl DriveFrame {
     }
 }
 
-impl Drive {
-    /// Returns the encoder that [`Drive::conditions`] needs.
+impl TrainingClip {
+    /// Returns the encoder that [`TrainingClip::conditions`] needs.
     pub fn encoder(&self) -> TensorEncoder {
         TensorEncoder::new(self.about.recipe.bins, DepthEmbedding::Both)
     }
@@ -197,7 +197,7 @@ mod tests {
         let before = Pose::from_yaw(0.4, DVec3::new(-1.0, 0.0, 0.0));
         let frame = DriveFrame::new(&about(), &set, &state(1.0), Some(before), &images).unwrap();
         let first = DriveFrame::new(&about(), &set, &state(0.0), None, &images).unwrap();
-        let drive = Drive { about: about(), frames: vec![first, frame] };
+        let drive = TrainingClip { about: about(), frames: vec![first, frame] };
         let found = drive.images(1);
         assert!(found[0].dimensions() == (3, 2) && found[0].pixels().all(|p| p.0 == [5, 6, 7]));
         assert!(found[1].pixels().all(|p| p.0 == [8, 9, 10]));
@@ -223,14 +223,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("drive.safetensors");
         drive.save(&path).unwrap();
-        assert_eq!(Drive::open(&path).unwrap(), drive);
+        assert_eq!(TrainingClip::open(&path).unwrap(), drive);
         let mut beyond = drive.clone();
         beyond.frames[1].bins[0] = 257;
         beyond.save(&path).unwrap();
-        assert!(Drive::open(&path).unwrap_err().to_string().contains("bin 257 of 256"));
+        assert!(TrainingClip::open(&path).unwrap_err().to_string().contains("bin 257 of 256"));
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
-        let error = Drive::open(&path).unwrap_err().to_string();
+        let error = TrainingClip::open(&path).unwrap_err().to_string();
         assert!(
             error.contains("expected a drive to train on") && error.contains("drive.safetensors"),
             "{error}"

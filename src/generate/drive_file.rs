@@ -6,14 +6,14 @@ use std::path::Path;
 use bytemuck::{cast_slice, pod_collect_to_vec};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 
-use super::{Drive, DriveFrame, DriveInfo};
+use super::{DriveFrame, DriveInfo, TrainingClip};
 use crate::error::FileError;
 use crate::files::input::read_table;
 use crate::files::write_whole;
 
 const ABOUT: &str = "drive";
 
-impl Drive {
+impl TrainingClip {
     /// Writes the recording: `color`, `boxes`, `map`, `truth` (u8 `[F, V, H, W, 3]`), `bins` (u16 `[F, V, H, W]`),
     /// `action` (f32 `[F, 3]`) and `cameras` (f32 `[F, V, 16]`). The file metadata contain [`DriveInfo`] as JSON.
     ///
@@ -53,7 +53,7 @@ impl Drive {
         write_whole(path, |out| out.write_all(&bytes).map_err(FileError::io("write", path)))
     }
 
-    /// Reads a file written by [`Drive::save`].
+    /// Reads a file written by [`TrainingClip::save`].
     ///
     /// # Errors
     /// Fails if the file cannot be read, or if its content is not a valid recording.

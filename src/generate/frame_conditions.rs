@@ -1,4 +1,4 @@
-use super::guidance::Dropped;
+use super::guidance::DroppedConditions;
 use super::{Condition, DenoiserError};
 use crate::conditions::ConditionSet;
 use crate::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
@@ -93,7 +93,7 @@ pub(super) fn camera_numbers(camera: &crate::scene::SceneCamera) -> [f32; CAMERA
 }
 
 impl Condition for FrameConditions {
-    fn without(&self, dropped: Dropped) -> Self {
+    fn without(&self, dropped: DroppedConditions) -> Self {
         let mut left = self.clone();
         let pixels = self.size.pixels();
         for points in left.points.chunks_mut((POINT_CHANNELS * pixels).max(1)) {
@@ -134,8 +134,8 @@ mod tests {
             cameras: vec![[0.5; 16]; 2],
             prompt: "rain".to_owned(),
         };
-        assert_eq!(whole.without(Dropped::default()), whole);
-        let guided = whole.without(Dropped::GUIDED);
+        assert_eq!(whole.without(DroppedConditions::default()), whole);
+        let guided = whole.without(DroppedConditions::GUIDED);
         assert_eq!(guided.points, whole.points);
         assert!(guided.layout.iter().all(|v| *v == 0.1255) && guided.action == [-1000.0; 3]);
         assert!(guided.prompt.is_empty() && guided.cameras == whole.cameras);
@@ -144,8 +144,8 @@ mod tests {
             assert!(conditions.points[first..first + 6].iter().all(|v| *v == conditions.points[first]));
             conditions.points[first]
         };
-        let color = whole.without(Dropped { color: true, ..Dropped::default() });
-        let depth = whole.without(Dropped { depth: true, ..Dropped::default() });
+        let color = whole.without(DroppedConditions { color: true, ..DroppedConditions::default() });
+        let depth = whole.without(DroppedConditions { depth: true, ..DroppedConditions::default() });
         for view in 0..2 {
             assert_eq!([0, 2, 3, 19].map(|c| value(&color, view, c)), [0.1255, 0.1255, 0.5, 0.5]);
             assert_eq!([0, 2, 3, 4, 19].map(|c| value(&depth, view, c)), [0.5, 0.5, -1.0, 0.0, 0.0]);

@@ -2,7 +2,7 @@ use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
-use super::rolling::{self, Known};
+use super::rolling::{self, StepInputs};
 use super::window::Roll;
 use super::{Denoiser, DenoiserError, Guidance, Latent, NoiseSource, Sampler, SamplerOptions, Strategy};
 use crate::sim::{Committed, Forecast};
@@ -197,7 +197,7 @@ impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
         let mut cache = self.cache.clone();
         let finished = {
             let committed = self.shown.iter().chain([&now]).map(Committed::get);
-            let mut known = Known {
+            let mut known = StepInputs {
                 denoiser: &mut self.denoiser,
                 noise: &mut self.noise,
                 options: &self.options,

@@ -5,7 +5,7 @@ use super::{Condition, Denoiser, DenoiserError, Frame, Latent};
 
 /// Conditions that are dropped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct Dropped {
+pub struct DroppedConditions {
     /// Boxes and map.
     pub layout: bool,
     /// Ego motion and text prompt.
@@ -16,7 +16,7 @@ pub struct Dropped {
     pub depth: bool,
 }
 
-impl Dropped {
+impl DroppedConditions {
     /// Dropped in the unconditional prediction of guidance: layout and action, not color and depth.
     pub const GUIDED: Self = Self { layout: true, action: true, color: false, depth: false };
     /// All conditions.
@@ -39,12 +39,12 @@ pub struct Guidance {
     /// Scale of `v = v_without + scale (v_with - v_without)`; 1 needs a single network call.
     pub scale: f32,
     /// Conditions dropped in the unconditional prediction.
-    pub dropped: Dropped,
+    pub dropped: DroppedConditions,
 }
 
 impl Default for Guidance {
     fn default() -> Self {
-        Self { scale: 1.0, dropped: Dropped::GUIDED }
+        Self { scale: 1.0, dropped: DroppedConditions::GUIDED }
     }
 }
 

@@ -6,7 +6,7 @@
 //! latent of the step. A [`Codec`] decodes that latent into images. `schedule` and `sampler` define the noise
 //! levels and the denoising update. `window` computes the position of every frame of the window in its schedule,
 //! and `guidance` combines two predictions. Networks are exchangeable: [`network`] is a small transformer that
-//! [`train`] trains on recordings ([`Drive`]), [`toy`] is a linear network for tests, and `process` calls a network
+//! [`train`] trains on recordings ([`TrainingClip`]), [`toy`] is a linear network for tests, and `process` calls a network
 //! in another process.
 
 pub mod network;
@@ -34,12 +34,12 @@ mod strategy;
 mod true_images;
 mod window;
 
-pub use conditioner::{Conditioner, ConditionerError, Drawn};
+pub use conditioner::{Conditioner, ConditionerError, RenderedConditions};
 pub use denoiser::{Codec, Condition, Denoiser, DenoiserError, Frame};
-pub use drive::{Drive, DriveFrame, DriveInfo};
+pub use drive::{DriveFrame, DriveInfo, TrainingClip};
 pub use frame_conditions::{CAMERA_NUMBERS, FrameConditions};
 pub use generator::{Cache, GenerateError, GenerateOptions, Generator};
-pub use guidance::{Dropped, Guidance};
+pub use guidance::{DroppedConditions, Guidance};
 pub use latent::{Latent, LatentShape};
 pub use noise::{GaussianNoise, NoiseSource};
 pub use pixel_codec::PixelCodec;
@@ -48,7 +48,7 @@ pub use recipe::{Recipe, RecipeError};
 pub use sampler::{Level, Sampler, SamplerOptions};
 pub use saved::CacheError;
 pub use schedule::{Ddim, FlowMatch, Prediction};
-pub use session::{AnyDenoiser, Made, Session, SessionError, SessionParts, SessionTimes};
+pub use session::{AnyDenoiser, Session, SessionError, SessionFrame, SessionParts, SessionTimes};
 pub use strategy::Strategy;
-pub use true_images::{TrueImages, TrueImagesError};
+pub use true_images::{GroundTruthImages, TrueImagesError};
 pub use window::{Progress, Roll};

@@ -8,7 +8,7 @@ use super::{
 };
 
 /// Inputs of a generation step.
-pub(super) struct Known<'a, D: Denoiser, N> {
+pub(super) struct StepInputs<'a, D: Denoiser, N> {
     pub(super) denoiser: &'a mut D,
     pub(super) noise: &'a mut N,
     pub(super) options: &'a GenerateOptions,
@@ -41,7 +41,7 @@ pub(super) fn check(options: &GenerateOptions, cache: &Cache, forecasts: usize) 
 
 /// Generates frame `cache.next`, and updates the cache for the next step.
 pub(super) fn step<D: Denoiser, N: NoiseSource>(
-    known: &mut Known<'_, D, N>,
+    known: &mut StepInputs<'_, D, N>,
     cache: &mut Cache,
 ) -> Result<Latent, DenoiserError> {
     match known.options.strategy {
@@ -53,7 +53,7 @@ pub(super) fn step<D: Denoiser, N: NoiseSource>(
 }
 
 fn reset_and_roll<D: Denoiser, N: NoiseSource>(
-    known: &mut Known<'_, D, N>,
+    known: &mut StepInputs<'_, D, N>,
     cache: &mut Cache,
 ) -> Result<Latent, DenoiserError> {
     let GenerateOptions { window: size, clean, .. } = *known.options;
@@ -76,7 +76,7 @@ fn reset_and_roll<D: Denoiser, N: NoiseSource>(
 }
 
 fn rolling<D: Denoiser, N: NoiseSource>(
-    known: &mut Known<'_, D, N>,
+    known: &mut StepInputs<'_, D, N>,
     cache: &mut Cache,
 ) -> Result<Latent, DenoiserError> {
     let (size, frame) = (known.options.window, cache.next);
@@ -116,7 +116,7 @@ fn begin(cache: &mut Cache, size: usize) {
 
 /// Denoises the current frame and `forecasts` more frames together through all inference steps, after clean frames.
 fn at_once<D: Denoiser, N: NoiseSource>(
-    known: &mut Known<'_, D, N>,
+    known: &mut StepInputs<'_, D, N>,
     cache: &mut Cache,
     forecasts: usize,
     history_noise: usize,
@@ -150,7 +150,7 @@ fn at_once<D: Denoiser, N: NoiseSource>(
 
 /// Appends noise to the window; drops the first frame if the window is full.
 fn append<D: Denoiser, N: NoiseSource>(
-    known: &mut Known<'_, D, N>,
+    known: &mut StepInputs<'_, D, N>,
     cache: &mut Cache,
     frame: usize,
     draw: usize,
@@ -162,7 +162,7 @@ fn append<D: Denoiser, N: NoiseSource>(
     cache.frames.push(known.noise.noise(known.denoiser.shape(), frame, draw));
 }
 
-impl<D: Denoiser, N: NoiseSource> Known<'_, D, N> {
+impl<D: Denoiser, N: NoiseSource> StepInputs<'_, D, N> {
     /// Rolls a window that ends with frame `last` once.
     fn roll(&mut self, window: &mut Cache, last: usize) -> Result<(), DenoiserError> {
         let roll = self.options.roll();

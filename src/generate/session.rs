@@ -3,8 +3,9 @@ use std::time::Instant as Clock;
 use image::RgbImage;
 
 use super::{
-    Cache, Codec, Conditioner, ConditionerError, Denoiser, DenoiserError, Drawn, FrameConditions,
-    GaussianNoise, GenerateError, GenerateOptions, Generator, Latent, TrueImages, TrueImagesError,
+    Cache, Codec, Conditioner, ConditionerError, Denoiser, DenoiserError, FrameConditions, GaussianNoise,
+    GenerateError, GenerateOptions, Generator, GroundTruthImages, Latent, RenderedConditions,
+    TrueImagesError,
 };
 use crate::geometry::{ImageSize, Pose};
 use crate::raster::Rasterizer;
@@ -18,7 +19,7 @@ pub struct SessionParts<'a> {
     /// Renders the network input.
     pub conditioner: Conditioner<'a>,
     /// Source of the reference images and of the ground truth for comparison.
-    pub truth: TrueImages<'a>,
+    pub truth: GroundTruthImages<'a>,
     /// Whether the ego follows the log in the whole rollout.
     pub ego_follows_log: bool,
     /// Whether the actors follow the log in the whole rollout.
@@ -38,7 +39,7 @@ pub struct SessionParts<'a> {
 /// warm-up.
 pub struct Session<'a> {
     parts: SessionParts<'a>,
-    stage: Stage,
+    stage: SessionState,
     /// Ego pose at the previous planning step.
     before: Option<Pose>,
     times: SessionTimes,
@@ -59,7 +60,7 @@ pub struct SessionTimes {
     pub decode_s: f64,
 }
 
-enum Stage {
+enum SessionState {
     /// Collects references.
     Warm { denoiser: AnyDenoiser, kept: Vec<(Latent, Committed<FrameConditions>)> },
     /// Generates frames.
@@ -70,7 +71,7 @@ enum Stage {
 
 /// Images of a planning step, one per camera.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Made {
+pub struct SessionFrame {
     /// Whether the images are references, that is ground truth.
     pub is_reference: bool,
     /// Generated images, or the references.
@@ -126,7 +127,7 @@ impl<'a> Session<'a> {
             let expected = format!("a codec of latents of {takes}");
             return Err(DenoiserError::Input { expected, found: gives.to_string() }.into());
         }
-        let stage = Stage::Warm { denoiser, kept: Vec::new() };
+        let stage = SessionState::Warm { denoiser, kept: Vec::new() };
         Ok(Self { parts, stage, before: None, times: SessionTimes::default() })
     }
 
@@ -169,12 +170,13 @@ impl<'a> Session<'a> {
             let found = format!("one behind frame {}", cache.next);
             return Err(wrong(format!("a cache behind frame {frames}"), found));
         }
-        let Stage::Warm { denoiser, .. } = std::mem::replace(&mut self.stage, Stage::Failed) else {
+        let SessionState::Warm { denoiser, .. } = std::mem::replace(&mut self.stage, SessionState::Failed)
+        else {
             return Err(SessionError::Failed);
         };
         let noise = GaussianNoise { seed: self.parts.seed };
         let generator = Generator::resume(denoiser, noise, self.parts.options, cache, shown)?;
-        self.stage = Stage::Going(Box::new(generator));
+        self.stage = SessionState::Going(Box::new(generator));
         Ok(self)
     }
 
@@ -187,8 +189,8 @@ impl<'a> Session<'a> {
         &mut self,
         simulation: &Simulation<'_>,
         rasterizer: &mut dyn Rasterizer,
-    ) -> Result<Option<Made>, SessionError> {
-        if matches!(self.stage, Stage::Failed) {
+    ) -> Result<Option<SessionFrame>, SessionError> {
+        if matches!(self.stage, SessionState::Failed) {
             return Err(SessionError::Failed);
         }
         if !simulation.committed().get().step.is_multiple_of(simulation.steps_per_plan()) {
@@ -196,7 +198,7 @@ impl<'a> Session<'a> {
         }
         let made = self.make(simulation, rasterizer);
         if made.is_err() {
-            self.stage = Stage::Failed;
+            self.stage = SessionState::Failed;
         }
         made.map(Some)
     }
@@ -205,18 +207,18 @@ impl<'a> Session<'a> {
         &mut self,
         simulation: &Simulation<'_>,
         rasterizer: &mut dyn Rasterizer,
-    ) -> Result<Made, SessionError> {
+    ) -> Result<SessionFrame, SessionError> {
         let mut clock = Clock::now();
         let mut times = SessionTimes::default();
         let drawn = self.draw(simulation.committed(), rasterizer)?;
         times.conditions_s = lap(&mut clock);
         let references = self.parts.options.references();
-        if matches!(&self.stage, Stage::Warm { kept, .. } if kept.len() < references) {
+        if matches!(&self.stage, SessionState::Warm { kept, .. } if kept.len() < references) {
             let images = self.keep(&drawn)?;
             times.truth_s = lap(&mut clock);
             self.times = times;
             let truth = self.has_truth().then(|| images.clone());
-            return Ok(Made { is_reference: true, images, truth });
+            return Ok(SessionFrame { is_reference: true, images, truth });
         }
         let truth = self.has_truth().then(|| self.truth(drawn.get())).transpose()?;
         times.truth_s = lap(&mut clock);
@@ -228,7 +230,7 @@ impl<'a> Session<'a> {
         let images = self.parts.codec.decode(&latent)?;
         times.decode_s = lap(&mut clock);
         self.times = times;
-        Ok(Made { is_reference: false, images, truth })
+        Ok(SessionFrame { is_reference: false, images, truth })
     }
 
     /// Durations of the last frame.
@@ -239,8 +241,8 @@ impl<'a> Session<'a> {
     /// State for the next step, once frames are generated.
     pub fn cache(&self) -> Option<&Cache> {
         match &self.stage {
-            Stage::Going(generator) => Some(generator.cache()),
-            Stage::Warm { .. } | Stage::Failed => None,
+            SessionState::Going(generator) => Some(generator.cache()),
+            SessionState::Warm { .. } | SessionState::Failed => None,
         }
     }
 
@@ -254,7 +256,7 @@ impl<'a> Session<'a> {
         &mut self,
         instant: Committed<&Instant>,
         rasterizer: &mut dyn Rasterizer,
-    ) -> Result<Committed<Drawn>, SessionError> {
+    ) -> Result<Committed<RenderedConditions>, SessionError> {
         let pose = instant.get().ego.pose;
         let drawn = self.parts.conditioner.committed(instant, self.before, rasterizer)?;
         self.before = Some(pose);
@@ -262,16 +264,16 @@ impl<'a> Session<'a> {
     }
 
     /// Adds a step as a reference.
-    fn keep(&mut self, drawn: &Committed<Drawn>) -> Result<Vec<RgbImage>, SessionError> {
+    fn keep(&mut self, drawn: &Committed<RenderedConditions>) -> Result<Vec<RgbImage>, SessionError> {
         let images = self.truth(drawn.get())?;
         let latent = self.parts.codec.encode(&images)?;
-        if let Stage::Warm { kept, .. } = &mut self.stage {
+        if let SessionState::Warm { kept, .. } = &mut self.stage {
             kept.push((latent, drawn.clone().map(|drawn| drawn.conditions)));
         }
         Ok(images)
     }
 
-    fn truth(&self, drawn: &Drawn) -> Result<Vec<RgbImage>, SessionError> {
+    fn truth(&self, drawn: &RenderedConditions) -> Result<Vec<RgbImage>, SessionError> {
         let SessionParts { truth, conditioner, size, actors_follow_log, .. } = &self.parts;
         let view = |view: &crate::geometry::View| conditioner.options().drawn_view(view);
         Ok(truth.of(&drawn.state, view, *size, *actors_follow_log)?)
@@ -279,16 +281,17 @@ impl<'a> Session<'a> {
 
     /// Returns the generator; creates it when the references are complete.
     fn generator(&mut self) -> Result<&mut Generator<AnyDenoiser, GaussianNoise>, SessionError> {
-        if let Stage::Warm { .. } = self.stage
-            && let Stage::Warm { denoiser, kept } = std::mem::replace(&mut self.stage, Stage::Failed)
+        if let SessionState::Warm { .. } = self.stage
+            && let SessionState::Warm { denoiser, kept } =
+                std::mem::replace(&mut self.stage, SessionState::Failed)
         {
             let noise = GaussianNoise { seed: self.parts.seed };
             let generator = Generator::new(denoiser, noise, self.parts.options, kept)?;
-            self.stage = Stage::Going(Box::new(generator));
+            self.stage = SessionState::Going(Box::new(generator));
         }
         match &mut self.stage {
-            Stage::Going(generator) => Ok(generator),
-            Stage::Warm { .. } | Stage::Failed => Err(SessionError::Failed),
+            SessionState::Going(generator) => Ok(generator),
+            SessionState::Warm { .. } | SessionState::Failed => Err(SessionError::Failed),
         }
     }
 }
@@ -314,7 +317,7 @@ mod tests {
     use crate::generate::{Frame, Guidance, LatentShape, PixelCodec, Recipe, SamplerOptions, Strategy};
     use crate::geometry::Camera;
     use crate::raster::{self, RasterizerDesc, RasterizerKind};
-    use crate::scene::Stage as Clouds;
+    use crate::scene::SceneClouds as Clouds;
     use crate::sim::{Scenario, SimOptions};
     use crate::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
 
@@ -424,7 +427,7 @@ mod tests {
         let codec = PixelCodec::new(SHAPE).unwrap();
         SessionParts {
             conditioner: Conditioner::new(&drive.0, None, stage, &recipe, ""),
-            truth: TrueImages::Logged(drive),
+            truth: GroundTruthImages::Logged(drive),
             ego_follows_log: true,
             actors_follow_log: true,
             codec: Box::new(FailsOnce { codec, calls_before: Cell::new(calls_before) }),

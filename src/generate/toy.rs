@@ -1,24 +1,24 @@
 //! A linear network whose predictions can be computed by hand, for tests and for trying out the generator loop.
 
-use super::guidance::Dropped;
+use super::guidance::DroppedConditions;
 use super::{Condition, Denoiser, DenoiserError, Frame, Latent, LatentShape};
 
 /// Denoiser that predicts `v = 0.6 x - 0.25 x[next frame] + 0.1 x[frame before] + 0.5 condition + 0.05 sigma`. At
 /// the ends of the window, the frame itself replaces the missing neighbor.
 #[derive(Clone, Copy, Debug)]
-pub struct Toy {
+pub struct LinearDenoiser {
     /// Shape of its latents and of its conditions.
     pub shape: LatentShape,
 }
 
 /// Conditions of the toy are latents; dropping any part of one sets it to 0.
 impl Condition for Latent {
-    fn without(&self, dropped: Dropped) -> Self {
-        if dropped == Dropped::default() { self.clone() } else { Self::filled(self.shape(), 0.0) }
+    fn without(&self, dropped: DroppedConditions) -> Self {
+        if dropped == DroppedConditions::default() { self.clone() } else { Self::filled(self.shape(), 0.0) }
     }
 }
 
-impl Denoiser for Toy {
+impl Denoiser for LinearDenoiser {
     type Condition = Latent;
 
     fn shape(&self) -> LatentShape {

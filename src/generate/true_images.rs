@@ -7,11 +7,11 @@ use crate::dataset::{Dataset, DatasetError, ImageRecord};
 use crate::files::text::printable;
 use crate::geometry::{Camera, ImageSize, View};
 use crate::scene::{SceneCamera, SceneState};
-use crate::town::{Town, TownError, TrueActor};
+use crate::town::{PosedActor, Town, TownError};
 
 /// Source of ground-truth images.
 #[derive(Clone, Copy)]
-pub enum TrueImages<'a> {
+pub enum GroundTruthImages<'a> {
     /// Synthetic town, which renders ground truth from any pose.
     Town(&'a Town),
     /// Recorded log, which has only the images that its cameras recorded.
@@ -37,7 +37,7 @@ pub enum TrueImagesError {
     },
 }
 
-impl TrueImages<'_> {
+impl GroundTruthImages<'_> {
     /// Returns whether ground truth is available: always in the town, in a recorded log only if the ego and the
     /// actors follow the log.
     pub fn are_known(&self, ego_follows_log: bool, actors_follow_log: bool) -> bool {
@@ -65,8 +65,8 @@ impl TrueImages<'_> {
                 } else {
                     let actor = |actor: &crate::scene::ActorState| (actor.track.clone(), actor.cuboid);
                     let actors: Vec<_> = state.actors.iter().map(actor).collect();
-                    let actors: Vec<TrueActor<'_>> =
-                        actors.iter().map(|(track, cuboid)| TrueActor { track, cuboid: *cuboid }).collect();
+                    let actors: Vec<PosedActor<'_>> =
+                        actors.iter().map(|(track, cuboid)| PosedActor { track, cuboid: *cuboid }).collect();
                     town.truth_of(state.t_us, &actors, &views)?
                 };
                 seen.into_iter().map(|seen| seen.image).collect()

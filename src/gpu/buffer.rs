@@ -45,14 +45,14 @@ pub struct Buffer {
     /// Bit mask of the memory types that its memory may come from.
     memory_types: u32,
     allocation: Option<Allocation>,
-    users: Arc<Users>,
+    users: Arc<HostAccess>,
 }
 
-/// Host/device access state of a buffer's memory: [`Users::HOST`] while mapped, else the number of pending submits.
+/// Host/device access state of a buffer's memory: [`HostAccess::HOST`] while mapped, else the number of pending submits.
 #[derive(Debug, Default)]
-pub(super) struct Users(AtomicI32);
+pub(super) struct HostAccess(AtomicI32);
 
-impl Users {
+impl HostAccess {
     const HOST: i32 = -1;
 
     /// Registers one more pending submit; returns `false` if the host has the memory mapped.
@@ -146,7 +146,7 @@ impl Buffer {
         let allocation = self.allocation.as_ref().filter(|_| self.memory != Memory::Device);
         let pointer = allocation.and_then(Allocation::mapped_ptr);
         let Some(pointer) = pointer else { return Err(GpuError::Range { expected, found: 0, name }) };
-        let taken = self.users.0.compare_exchange(0, Users::HOST, Ordering::AcqRel, Ordering::Acquire);
+        let taken = self.users.0.compare_exchange(0, HostAccess::HOST, Ordering::AcqRel, Ordering::Acquire);
         taken.map_err(|_| GpuError::Busy { name })?;
         // SAFETY: the allocation is mapped as long as the buffer lives and has at least `size` bytes; no other
         // access exists, since `users` marks the host as the only user.
@@ -155,7 +155,7 @@ impl Buffer {
     }
 
     /// Returns the access state for submits that use the buffer; `None` if the memory is device-only.
-    pub(super) fn users(&self) -> Option<Arc<Users>> {
+    pub(super) fn users(&self) -> Option<Arc<HostAccess>> {
         (self.memory != Memory::Device).then(|| self.users.clone())
     }
 
@@ -176,7 +176,7 @@ impl Buffer {
 /// A buffer's bytes, mapped for exclusive access by the host.
 pub struct Mapped<'a> {
     bytes: &'a mut [u8],
-    users: &'a Users,
+    users: &'a HostAccess,
 }
 
 impl Deref for Mapped<'_> {

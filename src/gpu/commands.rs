@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use ash::vk;
 
-use super::buffer::Users;
+use super::buffer::HostAccess;
 use super::error::call;
 use super::gate::Calls;
 use super::image::aspect;
@@ -127,13 +127,13 @@ pub struct Recorder<'a> {
     commands: &'a mut Commands,
     stages: Vec<&'static str>,
     /// Access states of the host-visible buffers in use.
-    users: Vec<Arc<Users>>,
+    users: Vec<Arc<HostAccess>>,
 }
 
 /// A submit that has not been waited for.
 pub(super) struct Submitted {
     stages: Vec<&'static str>,
-    users: Vec<Arc<Users>>,
+    users: Vec<Arc<HostAccess>>,
     start: Instant,
 }
 

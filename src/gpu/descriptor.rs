@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use ash::vk;
 
-use super::buffer::Users;
+use super::buffer::HostAccess;
 use super::error::call;
 use super::{BindingKind, Buffer, Device, GpuError, Image, PipelineLayout};
 
@@ -61,7 +61,7 @@ impl DescriptorSet {
     }
 
     /// Returns the access states of its host-visible buffers.
-    pub(super) fn users(&self) -> impl Iterator<Item = Arc<Users>> {
+    pub(super) fn users(&self) -> impl Iterator<Item = Arc<HostAccess>> {
         self.binds.iter().filter_map(|bind| match bind {
             Bind::Buffer(buffer) => buffer.users(),
             Bind::Image(_) => None,

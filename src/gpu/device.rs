@@ -23,7 +23,7 @@ pub struct Device {
     raw: ash::Device,
     pub(super) queue_family: u32,
     queue: Mutex<vk::Queue>,
-    facts: Facts,
+    facts: DeviceProperties,
     /// Numbers of allocations, pipelines and descriptor sets created.
     made: [AtomicU64; 3],
     physical: vk::PhysicalDevice,
@@ -32,7 +32,7 @@ pub struct Device {
 
 /// Numbers of objects created on a device since it was opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-pub struct Made {
+pub struct ObjectCounts {
     /// Memory allocations.
     pub allocations: u64,
     /// Compute and graphics pipelines.
@@ -43,7 +43,7 @@ pub struct Made {
 
 /// Name, properties, limits and supported features of a physical device.
 #[derive(Clone, Debug)]
-pub(super) struct Facts {
+pub(super) struct DeviceProperties {
     pub(super) name: String,
     pub(super) kind: vk::PhysicalDeviceType,
     pub(super) driver: String,
@@ -201,10 +201,10 @@ impl Device {
 
     /// Returns the numbers of allocations, pipelines and descriptor sets created so far. They are constant after a
     /// program's warm-up.
-    pub fn made(&self) -> Made {
+    pub fn made(&self) -> ObjectCounts {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let [allocations, pipelines, descriptor_sets] = self.made.each_ref().map(count);
-        Made { allocations, pipelines, descriptor_sets }
+        ObjectCounts { allocations, pipelines, descriptor_sets }
     }
 
     pub(super) fn count_pipeline(&self) {
@@ -339,7 +339,11 @@ fn queue_family(instance: &Instance, physical: vk::PhysicalDevice) -> Option<(u3
     Some((index as u32, families[index].timestamp_valid_bits))
 }
 
-fn facts(instance: &Instance, physical: vk::PhysicalDevice, timestamp_bits: u32) -> Result<Facts, GpuError> {
+fn facts(
+    instance: &Instance,
+    physical: vk::PhysicalDevice,
+    timestamp_bits: u32,
+) -> Result<DeviceProperties, GpuError> {
     // SAFETY: the handle comes from this instance.
     let extensions = unsafe { instance.calls().enumerate_device_extension_properties(physical) };
     let extensions = extensions.map_err(call("vkEnumerateDeviceExtensionProperties"))?;
@@ -367,7 +371,7 @@ fn facts(instance: &Instance, physical: vk::PhysicalDevice, timestamp_bits: u32)
     let atomics_64 = features.shader_int64 == vk::TRUE && atomics.shader_buffer_int64_atomics == vk::TRUE;
     let (name, info) = (text(driver.driver_name_as_c_str()), text(driver.driver_info_as_c_str()));
     let version = properties.driver_version;
-    Ok(Facts {
+    Ok(DeviceProperties {
         name: text(properties.device_name_as_c_str()),
         kind: properties.device_type,
         driver: if has_driver { format!("{name} {info}") } else { format!("version {version:#x}") },
@@ -383,7 +387,7 @@ fn create(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
     queue_family: u32,
-    facts: &Facts,
+    facts: &DeviceProperties,
 ) -> Result<ash::Device, GpuError> {
     let queue =
         vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(&[1.0]);

@@ -11,13 +11,13 @@ use super::{Device, GpuError, Recorder};
 ///
 /// Recorded commands can only use these two. Neither is dropped or changed before the commands complete. Both own
 /// all of their resources (`'static`), so that a flight which is never dropped keeps them alive too.
-pub struct Flight<S: 'static, T: 'static> {
+pub struct PendingSubmit<S: 'static, T: 'static> {
     commands: Commands,
     own: T,
     running: Option<(Submitted, Arc<S>)>,
 }
 
-impl<S: 'static, T: 'static> Flight<S, T> {
+impl<S: 'static, T: 'static> PendingSubmit<S, T> {
     /// Creates a command buffer with resources of its own.
     ///
     /// # Errors
@@ -34,7 +34,7 @@ impl<S: 'static, T: 'static> Flight<S, T> {
     /// Waits, then returns its own resources for modification.
     ///
     /// # Errors
-    /// Returns any error of [`Flight::wait`].
+    /// Returns any error of [`PendingSubmit::wait`].
     pub fn own_mut(&mut self) -> Result<&mut T, GpuError> {
         self.wait()?;
         Ok(&mut self.own)
@@ -69,7 +69,7 @@ impl<S: 'static, T: 'static> Flight<S, T> {
     }
 }
 
-impl<S: 'static, T: 'static> Drop for Flight<S, T> {
+impl<S: 'static, T: 'static> Drop for PendingSubmit<S, T> {
     fn drop(&mut self) {
         // A lost device runs nothing, and a drop cannot return the error.
         let _ = self.wait();

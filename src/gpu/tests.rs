@@ -111,9 +111,9 @@ fn host_memory_in_use_cannot_be_mapped() {
     let device = device();
     let usage = Usage::TRANSFER_SRC | Usage::TRANSFER_DST;
     let back = Arc::new(buffer(&device, usage, Memory::Readback).unwrap());
-    let mut flight = Flight::new(&device, back.clone()).unwrap();
+    let mut flight = PendingSubmit::new(&device, back.clone()).unwrap();
     let shared = Arc::new(());
-    let fill = |flight: &mut Flight<(), Arc<Buffer>>, word| {
+    let fill = |flight: &mut PendingSubmit<(), Arc<Buffer>>, word| {
         flight.start(&shared, |recorder, _, back| {
             recorder.fill(back, 0, 64, word)?;
             recorder.barrier(Scope::CopyWrite, Scope::Host);

@@ -33,8 +33,8 @@ pub use motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};
 pub use patch_classifier::{PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer};
 pub use pseudo_label::{VEHICLE_CLASS, vehicle_mask};
 pub use scores::{
-    CollectedFeatures, Distance, Distances, RolloutScores, ScoreError, ScoredFrame, Scores, Segmented,
-    Series, VehicleIou,
+    CollectedFeatures, Distance, Distances, RolloutScores, ScoreError, ScoredFrame, Scores,
+    SegmentationMasks, Series, VehicleIou,
 };
 pub use sharpness::sharpness;
 pub use ssim::ssim;

@@ -13,13 +13,13 @@ const RETRY: Duration = Duration::from_millis(50);
 
 /// Reader and writer of a connection, and the resource that closes with it.
 pub(super) struct Connection {
-    pub(super) end: End,
+    pub(super) end: ConnectionHandle,
     pub(super) writer: Box<dyn Write + Send>,
     pub(super) reader: Box<dyn Read + Send>,
 }
 
 /// Resource that closes with a connection.
-pub(super) enum End {
+pub(super) enum ConnectionHandle {
     Group(Group),
     Unix(UnixStream),
     Tcp(TcpStream),
@@ -27,7 +27,7 @@ pub(super) enum End {
     Over,
 }
 
-impl End {
+impl ConnectionHandle {
     /// Ends the connection. Returns the exit status of a command that exited by itself.
     pub(super) fn end(&mut self) -> Option<ExitStatus> {
         match std::mem::replace(self, Self::Over) {
@@ -64,18 +64,18 @@ pub(super) fn open(
 
 fn start(command: &str) -> std::io::Result<Connection> {
     let (group, writer, reader) = Group::start(command)?;
-    Ok(Connection { end: End::Group(group), writer: Box::new(writer), reader: Box::new(reader) })
+    Ok(Connection { end: ConnectionHandle::Group(group), writer: Box::new(writer), reader: Box::new(reader) })
 }
 
 fn unix(stream: UnixStream) -> std::io::Result<Connection> {
     let (writer, reader) = (stream.try_clone()?, stream.try_clone()?);
-    Ok(Connection { end: End::Unix(stream), writer: Box::new(writer), reader: Box::new(reader) })
+    Ok(Connection { end: ConnectionHandle::Unix(stream), writer: Box::new(writer), reader: Box::new(reader) })
 }
 
 fn tcp(stream: TcpStream) -> std::io::Result<Connection> {
     stream.set_nodelay(true)?;
     let (writer, reader) = (stream.try_clone()?, stream.try_clone()?);
-    Ok(Connection { end: End::Tcp(stream), writer: Box::new(writer), reader: Box::new(reader) })
+    Ok(Connection { end: ConnectionHandle::Tcp(stream), writer: Box::new(writer), reader: Box::new(reader) })
 }
 
 fn connect(address: &str, timeout: Duration) -> std::io::Result<TcpStream> {

@@ -62,12 +62,12 @@ pub enum PeerError {
 
 /// An answer that violates the protocol.
 #[derive(Debug)]
-pub(crate) struct Wrong {
+pub(crate) struct ProtocolError {
     expected: String,
     found: String,
 }
 
-impl Wrong {
+impl ProtocolError {
     pub(crate) fn new(expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self { expected: expected.into(), found: found.into() }
     }

@@ -19,7 +19,7 @@ pub(crate) enum Framing {
 
 /// Result of reading one message.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum Heard {
+pub(super) enum ReadResult {
     /// A message without its delimiter.
     Message(Vec<u8>),
     /// A message over the length limit; describes the received bytes.
@@ -61,7 +61,7 @@ impl Framing {
     }
 
     /// Waits for a message; `None` at the end of the stream.
-    pub(super) fn read(self, reader: &mut impl BufRead) -> Result<Option<Heard>> {
+    pub(super) fn read(self, reader: &mut impl BufRead) -> Result<Option<ReadResult>> {
         match self {
             Self::Lines { max_bytes } => read_line(reader, max_bytes),
             Self::Lengths { max_bytes } => read_counted(reader, max_bytes),
@@ -69,7 +69,7 @@ impl Framing {
     }
 }
 
-fn read_line(reader: &mut impl BufRead, max_bytes: u64) -> Result<Option<Heard>> {
+fn read_line(reader: &mut impl BufRead, max_bytes: u64) -> Result<Option<ReadResult>> {
     let mut line = Vec::new();
     if reader.take(max_bytes + 1).read_until(b'\n', &mut line)? == 0 {
         return Ok(None);
@@ -78,29 +78,29 @@ fn read_line(reader: &mut impl BufRead, max_bytes: u64) -> Result<Option<Heard>>
         line.pop();
     }
     let is_long = line.len() as u64 > max_bytes;
-    Ok(Some(if is_long { Heard::TooLong("a longer one".to_owned()) } else { Heard::Message(line) }))
+    Ok(Some(if is_long { ReadResult::TooLong("a longer one".to_owned()) } else { ReadResult::Message(line) }))
 }
 
-fn read_counted(reader: &mut impl BufRead, max_bytes: u64) -> Result<Option<Heard>> {
+fn read_counted(reader: &mut impl BufRead, max_bytes: u64) -> Result<Option<ReadResult>> {
     let mut length = Vec::new();
     reader.by_ref().take(LENGTH_BYTES).read_to_end(&mut length)?;
     let Ok(counted) = <[u8; LENGTH_BYTES as usize]>::try_from(length.as_slice()) else {
         let bytes = length.len() as u64;
-        return Ok((bytes > 0).then_some(Heard::Cut { bytes, of: LENGTH_BYTES }));
+        return Ok((bytes > 0).then_some(ReadResult::Cut { bytes, of: LENGTH_BYTES }));
     };
     let of = u64::from_le_bytes(counted);
     if of > max_bytes {
         // Usually text was sent without the length field.
-        return Ok(Some(Heard::TooLong(format!("a length of {of}, bytes {}", begin_of(&length)))));
+        return Ok(Some(ReadResult::TooLong(format!("a length of {of}, bytes {}", begin_of(&length)))));
     }
     // Grows with the received bytes, so a wrong length does not allocate.
     let mut message = Vec::new();
     reader.take(of).read_to_end(&mut message)?;
     let bytes = message.len() as u64;
     Ok(Some(if bytes < of {
-        Heard::Cut { bytes: LENGTH_BYTES + bytes, of: LENGTH_BYTES + of }
+        ReadResult::Cut { bytes: LENGTH_BYTES + bytes, of: LENGTH_BYTES + of }
     } else {
-        Heard::Message(message)
+        ReadResult::Message(message)
     }))
 }
 
@@ -108,7 +108,7 @@ fn read_counted(reader: &mut impl BufRead, max_bytes: u64) -> Result<Option<Hear
 mod tests {
     use super::*;
 
-    fn all(framing: Framing, mut bytes: &[u8]) -> Vec<Heard> {
+    fn all(framing: Framing, mut bytes: &[u8]) -> Vec<ReadResult> {
         std::iter::from_fn(|| framing.read(&mut bytes).unwrap()).collect()
     }
 
@@ -119,21 +119,21 @@ mod tests {
             for message in ["", "abcd", "e"] {
                 framing.write(&mut bytes, message.into()).unwrap();
             }
-            let heard = ["", "abcd", "e"].map(|message| Heard::Message(message.into()));
+            let heard = ["", "abcd", "e"].map(|message| ReadResult::Message(message.into()));
             assert_eq!(all(framing, &bytes), heard);
             framing.write(&mut bytes, b"abcde".to_vec()).unwrap();
-            assert!(matches!(all(framing, &bytes)[3], Heard::TooLong(_)));
+            assert!(matches!(all(framing, &bytes)[3], ReadResult::TooLong(_)));
         }
     }
 
     #[test]
     fn ends_within_messages_are_told() {
         let counted = Framing::Lengths { max_bytes: 4 };
-        assert_eq!(all(counted, &[3, 0, 0]), [Heard::Cut { bytes: 3, of: 8 }]);
-        assert_eq!(all(counted, &[3, 0, 0, 0, 0, 0, 0, 0, 7]), [Heard::Cut { bytes: 9, of: 11 }]);
-        let Heard::TooLong(found) = &all(counted, b"loading the model")[0] else { panic!() };
+        assert_eq!(all(counted, &[3, 0, 0]), [ReadResult::Cut { bytes: 3, of: 8 }]);
+        assert_eq!(all(counted, &[3, 0, 0, 0, 0, 0, 0, 0, 7]), [ReadResult::Cut { bytes: 9, of: 11 }]);
+        let ReadResult::TooLong(found) = &all(counted, b"loading the model")[0] else { panic!() };
         assert_eq!(found, "a length of 2334956330749620076, bytes \"loading \"");
         // The last line may end without a newline.
-        assert_eq!(all(Framing::Lines { max_bytes: 4 }, b"ab"), [Heard::Message(b"ab".to_vec())]);
+        assert_eq!(all(Framing::Lines { max_bytes: 4 }, b"ab"), [ReadResult::Message(b"ab".to_vec())]);
     }
 }

@@ -2,9 +2,9 @@ use std::io::{BufReader, Read, Write};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 
-use super::connection::{self, Connection, End};
-use super::error::{Wrong, begin_of};
-use super::framing::{Framing, Heard};
+use super::connection::{self, Connection, ConnectionHandle};
+use super::error::{ProtocolError, begin_of};
+use super::framing::{Framing, ReadResult};
 use super::{MAX_TIMEOUT_S, PeerError, PeerName, PeerSpec};
 
 /// Connection to a peer process.
@@ -13,8 +13,8 @@ pub(crate) struct Link {
     timeout: Duration,
     framing: Framing,
     messages: Option<SyncSender<Vec<u8>>>,
-    answers: Receiver<std::io::Result<Heard>>,
-    end: End,
+    answers: Receiver<std::io::Result<ReadResult>>,
+    end: ConnectionHandle,
 }
 
 impl Link {
@@ -56,7 +56,7 @@ impl Link {
     }
 
     /// Converts an invalid answer into an error, and stops asking.
-    pub(crate) fn refuse(&mut self, wrong: Wrong) -> PeerError {
+    pub(crate) fn refuse(&mut self, wrong: ProtocolError) -> PeerError {
         self.messages = None;
         wrong.of(self.name.clone())
     }
@@ -94,20 +94,20 @@ impl Link {
     }
 
     /// Returns the message that was read, or an error.
-    fn message(&mut self, heard: std::io::Result<Heard>) -> Result<Vec<u8>, PeerError> {
+    fn message(&mut self, heard: std::io::Result<ReadResult>) -> Result<Vec<u8>, PeerError> {
         match heard {
-            Ok(Heard::Message(message)) => Ok(message),
-            Ok(Heard::TooLong(found)) => {
+            Ok(ReadResult::Message(message)) => Ok(message),
+            Ok(ReadResult::TooLong(found)) => {
                 let (unit, max_bytes) = (self.framing.unit(), self.framing.max_bytes());
                 Err(self.wrong(format!("a {unit} of at most {max_bytes} bytes"), found))
             }
-            Ok(Heard::Cut { bytes, of }) => Err(self.gone(format!(" after {bytes} of {of} bytes"))),
+            Ok(ReadResult::Cut { bytes, of }) => Err(self.gone(format!(" after {bytes} of {of} bytes"))),
             Err(source) => Err(PeerError::Io { verb: "read from", source, peer: self.name.clone() }),
         }
     }
 
     fn wrong(&self, expected: impl Into<String>, found: impl Into<String>) -> PeerError {
-        Wrong::new(expected, found).of(self.name.clone())
+        ProtocolError::new(expected, found).of(self.name.clone())
     }
 
     /// Ends the peer and returns the error. `part` is the received part of a message; it is empty or begins with a
@@ -137,12 +137,12 @@ fn write_messages(framing: Framing, mut writer: Box<dyn Write + Send>, messages:
 fn read_messages(
     framing: Framing,
     reader: Box<dyn Read + Send>,
-    answers: &SyncSender<std::io::Result<Heard>>,
+    answers: &SyncSender<std::io::Result<ReadResult>>,
 ) {
     let mut reader = BufReader::new(reader);
     while let Some(heard) = framing.read(&mut reader).transpose() {
         // The position of the next message is unknown.
-        let is_last = !matches!(heard, Ok(Heard::Message(_)));
+        let is_last = !matches!(heard, Ok(ReadResult::Message(_)));
         if answers.send(heard).is_err() || is_last {
             return;
         }

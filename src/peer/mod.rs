@@ -17,6 +17,6 @@ pub use address::{MAX_TIMEOUT_S, PeerAddress, PeerSpec};
 pub use error::{PeerError, PeerName};
 pub use group::end_all;
 
-pub(crate) use error::{Wrong, begin_of};
+pub(crate) use error::{ProtocolError, begin_of};
 pub(crate) use framing::Framing;
 pub(crate) use link::Link;

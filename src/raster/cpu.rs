@@ -6,7 +6,7 @@
 use std::time::Instant;
 
 use super::frame::frame_by_views;
-use super::frames::DoneFrames;
+use super::frames::CompletedFrames;
 use super::{
     CloudSet, Draw, FrameJob, FrameMaps, Planes, RasterError, Rasterizer, RasterizerInfo, SplatJob,
     SplatMaps, SplatSchedule, StageTimes, draws_from_job,
@@ -18,14 +18,14 @@ pub struct CpuRasterizer<'a> {
     clouds: CloudSet<'a>,
     extents: Vec<(usize, Option<Bounds>)>,
     stages: StageTimes,
-    done: DoneFrames,
+    done: CompletedFrames,
 }
 
 impl<'a> CpuRasterizer<'a> {
     /// Creates a rasterizer that borrows the clouds; nothing is copied.
     pub fn new(clouds: CloudSet<'a>) -> Self {
         let extents = clouds.iter().map(|c| (c.len(), Bounds::of(*c))).collect();
-        Self { clouds, extents, stages: StageTimes::default(), done: DoneFrames::default() }
+        Self { clouds, extents, stages: StageTimes::default(), done: CompletedFrames::default() }
     }
 }
 

@@ -4,9 +4,9 @@ use super::{FRAMES_IN_FLIGHT, FrameMaps, RasterError};
 
 /// Queue of completed frames, for rasterizers that render synchronously in `begin`.
 #[derive(Debug, Default)]
-pub(super) struct DoneFrames(VecDeque<FrameMaps<'static>>);
+pub(super) struct CompletedFrames(VecDeque<FrameMaps<'static>>);
 
-impl DoneFrames {
+impl CompletedFrames {
     /// Fails if no further frame may be begun.
     pub(super) fn check(&self) -> Result<(), RasterError> {
         if self.0.len() < FRAMES_IN_FLIGHT {

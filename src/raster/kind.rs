@@ -2,7 +2,9 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::cpu::CpuRasterizer;
-use super::{CloudSet, ComputeRasterizer, ComputeRasterizerDesc, RasterError, Rasterizer, VulkanRasterizer};
+use super::{
+    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, RasterError, Rasterizer,
+};
 use crate::gpu::{Device, DeviceDesc};
 
 /// Choice of rasterizer; all produce the same maps.
@@ -93,7 +95,7 @@ pub fn create<'a>(
         let found = if desc.kind == RasterizerKind::Raster { "--rasterizer raster" } else { "none" };
         return Err(device.unsupported(expected, found).into());
     }
-    Ok(Box::new(VulkanRasterizer::new(device, &clouds)?))
+    Ok(Box::new(GraphicsRasterizer::new(device, &clouds)?))
 }
 
 #[cfg(test)]

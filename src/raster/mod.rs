@@ -33,7 +33,7 @@ pub use lines::{LineRows, draw_lines};
 pub use maps::{Planes, Segment, SplatMaps, StageTimes};
 pub use plane::Plane;
 pub use schedule::{ScheduleError, SplatSchedule, SplatStep};
-pub use vulkan::{VulkanRasterizer, VulkanRasterizerDesc};
+pub use vulkan::{GraphicsRasterizer, VulkanRasterizerDesc};
 
 use crate::cloud::Point;
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::frame::frame_by_views;
-use super::frames::DoneFrames;
+use super::frames::CompletedFrames;
 use super::pages::{Pages, PieceDraw};
 use super::resolve::{MAX_PIXEL_BYTES, Piece, PlaneOffsets, ResolveStage, ResolveTarget};
 use super::splat::{SplatStage, SplatTarget, check_point_size};
@@ -16,7 +16,7 @@ use super::{
 use crate::cloud::Bounds;
 use crate::gpu::{Commands, Device, GpuError};
 
-/// Partitioning of a [`VulkanRasterizer`]'s work; the default uses the device's limits. Results never depend on it.
+/// Partitioning of a [`GraphicsRasterizer`]'s work; the default uses the device's limits. Results never depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct VulkanRasterizerDesc {
     /// Maximum number of points per buffer.
@@ -26,7 +26,7 @@ pub struct VulkanRasterizerDesc {
 }
 
 /// Rasterizer with clouds resident on a Vulkan device.
-pub struct VulkanRasterizer {
+pub struct GraphicsRasterizer {
     device: Arc<Device>,
     commands: Commands,
     splat: SplatStage,
@@ -36,7 +36,7 @@ pub struct VulkanRasterizer {
     limits: TileLimits,
     targets: Option<Targets>,
     stages: StageTimes,
-    done: DoneFrames,
+    done: CompletedFrames,
 }
 
 /// Resources that depend on the image size and the number of pieces.
@@ -50,7 +50,7 @@ const MIN_PIECES: u64 = 256;
 /// Maximum area of a tile, pixels: fits the smallest storage buffers among drivers.
 const MAX_TILE_AREA: u64 = 1 << 23;
 
-impl VulkanRasterizer {
+impl GraphicsRasterizer {
     /// Uploads all clouds; they may be dropped afterwards.
     ///
     /// # Errors
@@ -89,7 +89,7 @@ impl VulkanRasterizer {
             limits,
             targets: None,
             stages,
-            done: DoneFrames::default(),
+            done: CompletedFrames::default(),
         })
     }
 
@@ -144,7 +144,7 @@ struct Work<'a> {
     tile_size: [u32; 2],
 }
 
-impl Rasterizer for VulkanRasterizer {
+impl Rasterizer for GraphicsRasterizer {
     fn info(&self) -> RasterizerInfo {
         RasterizerInfo::on("raster", &self.device)
     }

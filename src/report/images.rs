@@ -11,7 +11,7 @@ use crate::error::FileError;
 use crate::files::FileName;
 use crate::files::input::{is_there, read_table};
 use crate::files::write_json;
-use crate::generate::Made;
+use crate::generate::SessionFrame;
 
 /// Folder of the generated images, and their name in the page.
 pub const GENERATED: &str = "generated";
@@ -38,7 +38,7 @@ enum Kind {
 ///
 /// # Errors
 /// Fails if a folder cannot be created, or if a file cannot be written.
-pub fn write(folder: &Path, cameras: &[FileName], made: &Made) -> Result<(), FileError> {
+pub fn write(folder: &Path, cameras: &[FileName], made: &SessionFrame) -> Result<(), FileError> {
     let kinds = [(GENERATED, Some(&made.images)), (TRUTH, made.truth.as_ref())];
     for (name, images) in kinds.into_iter().filter_map(|(name, images)| Some((name, images?))) {
         let folder = folder.join(name);
@@ -57,14 +57,14 @@ pub fn write(folder: &Path, cameras: &[FileName], made: &Made) -> Result<(), Fil
 ///
 /// # Errors
 /// Fails if a file is missing or damaged.
-pub fn read(folder: &Path, cameras: &[FileName]) -> Result<Option<Made>, FileError> {
+pub fn read(folder: &Path, cameras: &[FileName]) -> Result<Option<SessionFrame>, FileError> {
     let Some(is_reference) = is_reference(folder)? else { return Ok(None) };
     let read = |name: &str| {
         let image = |camera: &FileName| open(&folder.join(name).join(format!("{camera}.png")));
         cameras.iter().map(image).collect::<Result<Vec<_>, _>>()
     };
     let truth = folder.join(TRUTH).is_dir().then(|| read(TRUTH)).transpose()?;
-    Ok(Some(Made { is_reference, images: read(GENERATED)?, truth }))
+    Ok(Some(SessionFrame { is_reference, images: read(GENERATED)?, truth }))
 }
 
 /// Returns whether the images in the folder of a step are references; `None` if there are none.
@@ -99,7 +99,7 @@ mod tests {
         let cameras = ["a", "b"];
         let names = cameras.map(|name| name.parse().unwrap());
         let image = |level: u8| RgbImage::from_fn(3, 2, |x, y| Rgb([level, x as u8, y as u8]));
-        let made = Made {
+        let made = SessionFrame {
             is_reference: false,
             images: vec![image(1), image(2)],
             truth: Some(vec![image(3), image(4)]),
@@ -108,7 +108,7 @@ mod tests {
         write(folder.path(), &names, &made).unwrap();
         assert_eq!(read(folder.path(), &names).unwrap(), Some(made.clone()));
         let other = tempfile::tempdir().unwrap();
-        let reference = Made { is_reference: true, truth: None, ..made };
+        let reference = SessionFrame { is_reference: true, truth: None, ..made };
         write(other.path(), &names, &reference).unwrap();
         assert_eq!(read(other.path(), &names).unwrap(), Some(reference));
         std::fs::write(folder.path().join("truth/b.png"), "no").unwrap();

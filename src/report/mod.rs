@@ -18,5 +18,5 @@ pub mod view;
 /// File that marks a folder as a rollout, and records its source and options.
 pub const ROLLOUT: &str = "rollout.json";
 
-pub use row::{ActorRow, EgoRow, LightRow, Observed, Phase, StateFile, StepRow};
+pub use row::{ActorRow, EgoRow, LightRow, Phase, StateFile, StepObservations, StepRow};
 pub use video::{MAX_SIDE_PX, Video, VideoError};

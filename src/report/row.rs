@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
-use super::sight::{SEEN_PX, Seen, was_shown};
+use super::sight::{SEEN_PX, VisibleActor, was_shown};
 use crate::cloud::cameras::rows;
 use crate::conditions::meta::{IndexActor, IndexFrame, Matrix};
 use crate::dataset::Log;
@@ -84,7 +84,7 @@ pub struct ActorRow {
     /// Speed along the heading, meters per second.
     pub speed_mps: f64,
     /// Cameras whose maps show the actor; null without instance maps.
-    pub seen: Option<Vec<Seen>>,
+    pub seen: Option<Vec<VisibleActor>>,
     /// Cameras that show at least [`SEEN_PX`] pixels of the actor, and whose own logged images around that time did
     /// not show it; null without instance maps.
     pub new_in_view: Option<Vec<usize>>,
@@ -101,13 +101,13 @@ pub struct LightRow {
 
 /// Deviation of the ego from the recorded path, and visible actors.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Observed {
+pub struct StepObservations {
     /// Lateral deviation, to the left, meters.
     pub lateral: Deviation,
     /// Heading deviation, to the left, radians.
     pub heading: Deviation,
     /// Visible parts per actor; `None` without instance maps.
-    pub seen: Option<Vec<Vec<Seen>>>,
+    pub seen: Option<Vec<Vec<VisibleActor>>>,
 }
 
 impl StepRow {
@@ -116,7 +116,7 @@ impl StepRow {
         log: &Log,
         instant: &Instant,
         phase: Phase,
-        observed: &Observed,
+        observed: &StepObservations,
         plan: Option<Vec<Waypoint>>,
     ) -> Self {
         let actor = |(index, actor): (usize, &SimActor)| {
@@ -167,7 +167,7 @@ impl StepRow {
 }
 
 impl EgoRow {
-    fn new(ego: &EgoState, observed: &Observed) -> Self {
+    fn new(ego: &EgoState, observed: &StepObservations) -> Self {
         Self {
             global_from_ego: rows(&ego.pose.affine()),
             heading_rad: ego.heading_rad(),
@@ -182,11 +182,12 @@ impl EgoRow {
 }
 
 impl ActorRow {
-    fn new(log: &Log, t_us: i64, index: usize, actor: &SimActor, seen: Option<Vec<Seen>>) -> Self {
+    fn new(log: &Log, t_us: i64, index: usize, actor: &SimActor, seen: Option<Vec<VisibleActor>>) -> Self {
         let track = &log.tracks[actor.track];
         let channel = |camera: usize| log.rig.get(camera).map_or(camera, |rig| rig.channel);
-        let new =
-            |seen: &&Seen| seen.pixels >= SEEN_PX && !was_shown(log, actor.track, channel(seen.camera), t_us);
+        let new = |seen: &&VisibleActor| {
+            seen.pixels >= SEEN_PX && !was_shown(log, actor.track, channel(seen.camera), t_us)
+        };
         let new_in_view = seen.as_ref().map(|seen| seen.iter().filter(new).map(|seen| seen.camera).collect());
         Self {
             instance: index as u32 + 1,
@@ -293,8 +294,11 @@ mod tests {
         let actors = vec![SimActor { track: 0, cuboid, speed_mps: 2.0 }];
         let light = TrafficLight { frame: 0, lane_connector: "7".into(), color: "red".into() };
         let instant = Instant { step, t_us: 5, ego, actors, lights: vec![light] };
-        let seen = |pixels| Seen { camera: 1, pixels, bounds: [1, 2, 3, 4] };
-        let observed = Observed { seen: Some(vec![vec![seen(29 + step as u32)]]), ..Observed::default() };
+        let seen = |pixels| VisibleActor { camera: 1, pixels, bounds: [1, 2, 3, 4] };
+        let observed = StepObservations {
+            seen: Some(vec![vec![seen(29 + step as u32)]]),
+            ..StepObservations::default()
+        };
         StepRow::new(&log, &instant, Phase::WarmUp, &observed, None)
     }
 

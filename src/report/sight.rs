@@ -22,7 +22,7 @@ const NEAR_M: f64 = 0.1;
 
 /// Visible part of an actor in a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Seen {
+pub struct VisibleActor {
     /// Index of the camera.
     pub camera: usize,
     /// Number of visible pixels.
@@ -32,10 +32,10 @@ pub struct Seen {
 }
 
 /// Returns, per actor of a step, the cameras whose instance maps show it; `None` if a camera has no instance map.
-pub fn seen(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<Seen>>> {
+pub fn seen(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<VisibleActor>>> {
     let mut all = vec![Vec::new(); actors];
     for (camera, maps) in set.cameras.iter().enumerate() {
-        let none = Seen { camera, pixels: 0, bounds: [u32::MAX, u32::MAX, 0, 0] };
+        let none = VisibleActor { camera, pixels: 0, bounds: [u32::MAX, u32::MAX, 0, 0] };
         let mut found = vec![none; actors];
         for (row, numbers) in (0..).zip(maps.instance.as_ref()?.chunks(maps.width.max(1) as usize)) {
             for (column, number) in (0..).zip(numbers).filter(|(_, number)| **number > 0) {
@@ -124,7 +124,7 @@ mod tests {
             |instance| CameraConditions { width: 6, height: 4, instance, ..CameraConditions::default() };
         let mut set = ConditionSet { cameras: vec![maps(Some(vec![0; 24])), maps(Some(instance))] };
         let found = seen(&set, 2).unwrap();
-        assert_eq!(found, [vec![], vec![Seen { camera: 1, pixels: 3, bounds: [2, 1, 5, 3] }]]);
+        assert_eq!(found, [vec![], vec![VisibleActor { camera: 1, pixels: 3, bounds: [2, 1, 5, 3] }]]);
         set.cameras[0] = maps(None);
         assert_eq!(seen(&set, 2), None);
     }

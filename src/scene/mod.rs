@@ -10,5 +10,5 @@ pub use from_log::{
     EgoOffset, frame_rate_hz, name_of_frame, name_of_time, state_at, state_of, state_of_frame, with_cameras,
 };
 pub use map::{MapEdge, MapLayer, SceneMap};
-pub use selection::{SceneInstances, SelectionOptions, Stage, StandIns, TemplateFit};
+pub use selection::{SceneClouds, SceneInstances, SelectionOptions, Substitutes, TemplateFit};
 pub use state::{ActorState, SceneCamera, SceneState};

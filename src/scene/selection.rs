@@ -46,20 +46,20 @@ pub struct SceneInstances {
 
 /// Substitute clouds that supplement or replace a skeleton's own.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct StandIns {
+pub struct Substitutes {
     /// Templates of kinds that the skeleton lacks. If a kind occurs several times, the first is used.
     pub templates: Vec<TemplateCloud>,
     /// Points that replace those of an asset, by track.
     pub assets: BTreeMap<String, Vec<Point>>,
 }
 
-impl StandIns {
+impl Substitutes {
     /// No substitutes: only the skeleton's own clouds.
     pub const NONE: Self = Self { templates: Vec::new(), assets: BTreeMap::new() };
 }
 
 /// Scene clouds: a skeleton's clouds and their substitutes, with their ids in the rasterizer.
-pub struct Stage<'a> {
+pub struct SceneClouds<'a> {
     skeleton: &'a Skeleton,
     /// All clouds: background chunks, then assets, then templates.
     clouds: CloudSet<'a>,
@@ -69,13 +69,13 @@ pub struct Stage<'a> {
     templates: BTreeMap<TemplateKind, (usize, DVec3)>,
 }
 
-impl<'a> Stage<'a> {
+impl<'a> SceneClouds<'a> {
     /// Creates the scene clouds of a skeleton for one of its source logs, without substitutes.
     ///
     /// # Errors
     /// Fails if points of the skeleton do not match their checksum.
     pub fn new(skeleton: &'a Skeleton, log: &str) -> Result<Self, FileError> {
-        static NONE: StandIns = StandIns::NONE;
+        static NONE: Substitutes = Substitutes::NONE;
         Self::with(skeleton, log, &NONE)
     }
 
@@ -83,7 +83,7 @@ impl<'a> Stage<'a> {
     ///
     /// # Errors
     /// Fails if points of the skeleton do not match their checksum.
-    pub fn with(skeleton: &'a Skeleton, log: &str, stand_ins: &'a StandIns) -> Result<Self, FileError> {
+    pub fn with(skeleton: &'a Skeleton, log: &str, stand_ins: &'a Substitutes) -> Result<Self, FileError> {
         let manifest = &skeleton.manifest;
         let mut clouds = Self::clouds(skeleton)?;
         let first_asset = manifest.background.len();
@@ -232,7 +232,7 @@ mod tests {
     }
 
     /// Ids of the color and geometry clouds of one actor: 0 is background, 1 to 3 assets, 4 and 5 templates.
-    fn shown(stage: &Stage<'_>, actor: ActorState, options: &SelectionOptions) -> [Option<usize>; 2] {
+    fn shown(stage: &SceneClouds<'_>, actor: ActorState, options: &SelectionOptions) -> [Option<usize>; 2] {
         let (color, geometry) = stage.actor_instances(&actor, 1, options);
         [color, geometry].map(|instance| instance.map(|i| i.cloud))
     }
@@ -241,7 +241,7 @@ mod tests {
     fn the_table_of_two_clouds() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
-        let stage = Stage::new(&skeleton, "log").unwrap();
+        let stage = SceneClouds::new(&skeleton, "log").unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
         assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(1)]);
@@ -258,8 +258,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
         let templates = vec![template(TemplateKind::Truck, 7), template(TemplateKind::Bus, 7)];
-        let stand_ins = StandIns { templates, ..StandIns::NONE };
-        let stage = Stage::with(&skeleton, "log", &stand_ins).unwrap();
+        let stand_ins = Substitutes { templates, ..Substitutes::NONE };
+        let stage = SceneClouds::with(&skeleton, "log", &stand_ins).unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
         assert_eq!(shown("truck", "vehicle.truck"), [Some(3), Some(3)]);
@@ -276,8 +276,8 @@ mod tests {
         let templates = kinds.iter().zip(5..).map(|(kind, points)| template(*kind, points)).collect();
         // The big car loses points, the small one gains some.
         let assets = [("big".to_owned(), cube(12).0), ("small".to_owned(), cube(40).0)].into();
-        let stand_ins = StandIns { templates, assets };
-        let stage = Stage::with(&skeleton, "log", &stand_ins).unwrap();
+        let stand_ins = Substitutes { templates, assets };
+        let stage = SceneClouds::with(&skeleton, "log", &stand_ins).unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
         assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(4)]);
@@ -291,7 +291,7 @@ mod tests {
     fn a_template_fills_the_box() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
-        let stage = Stage::new(&skeleton, "log").unwrap();
+        let stage = SceneClouds::new(&skeleton, "log").unwrap();
         let corner = |template_fit| {
             let options = SelectionOptions { template_fit, ..SelectionOptions::default() };
             let (_, geometry) = stage.actor_instances(&actor("new", "vehicle.car"), 1, &options);
@@ -318,11 +318,11 @@ mod tests {
             map: None,
         };
         let options = SelectionOptions { min_actor_points: 20, ..SelectionOptions::default() };
-        let both = Stage::new(&skeleton, "log").unwrap().instances(&state, &options);
+        let both = SceneClouds::new(&skeleton, "log").unwrap().instances(&state, &options);
         let list = |instances: &[Instance]| instances.iter().map(|i| (i.cloud, i.number)).collect::<Vec<_>>();
         assert_eq!(list(&both.color), [(0, 0), (1, 1), (2, 3)]);
         assert_eq!(list(&both.geometry), [(0, 0), (1, 1), (4, 2), (4, 3)]);
         assert_eq!(both.color[0].world_from_local.translation, DVec3::new(100.0, 200.0, 0.0));
-        assert_eq!(Stage::clouds(&skeleton).unwrap().len(), 6);
+        assert_eq!(SceneClouds::clouds(&skeleton).unwrap().len(), 6);
     }
 }

@@ -23,7 +23,7 @@ pub(super) struct Route {
 /// Part of a route around the ego's last position. Projections are restricted to it: a route can cross itself or
 /// return beside itself, so the nearest point of the whole route may belong to a much later time.
 #[derive(Clone, Copy)]
-pub(super) struct Stretch<'a> {
+pub(super) struct RouteWindow<'a> {
     route: &'a Route,
     station_m: f64,
     place_m: DVec2,
@@ -68,8 +68,8 @@ impl Route {
     }
 
     /// Returns the part of the route around an ego position, given as station and global position, meters.
-    pub(super) fn around(&self, station_m: f64, place_m: DVec2) -> Stretch<'_> {
-        Stretch { route: self, station_m, place_m }
+    pub(super) fn around(&self, station_m: f64, place_m: DVec2) -> RouteWindow<'_> {
+        RouteWindow { route: self, station_m, place_m }
     }
 
     fn ground(&self, station_m: f64) -> Pose {
@@ -77,7 +77,7 @@ impl Route {
     }
 }
 
-impl Stretch<'_> {
+impl RouteWindow<'_> {
     /// Projects a position (global, meters) onto the route.
     pub(super) fn foot(&self, place: DVec2) -> Foot {
         if let Some(way) = &self.route.way {

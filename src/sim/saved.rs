@@ -4,9 +4,9 @@ use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::actors::{Driven, SavedMover};
+use super::actors::{ControlledActors, SavedMover};
 use super::clock::Clock;
-use super::metrics::Tally;
+use super::metrics::MetricsAccumulator;
 use super::recorded::Recorded;
 use super::simulation::World;
 use super::{Committed, EgoState, Forecast, Instant, Scenario, SimActor, SimError, SimOptions, Trajectory};
@@ -33,14 +33,14 @@ pub struct SavedState {
     movers: Vec<(usize, SavedMover)>,
     gone: BTreeSet<usize>,
     plan: Option<Trajectory>,
-    tally: Tally,
+    tally: MetricsAccumulator,
 }
 
 /// State of a simulation, apart from log and options.
 pub(super) struct Saved {
     pub(super) world: Committed<World>,
     pub(super) plan: Option<Forecast<Trajectory>>,
-    pub(super) tally: Tally,
+    pub(super) tally: MetricsAccumulator,
 }
 
 /// Rotation as x y z w, then translation in meters.
@@ -175,14 +175,14 @@ impl SavedState {
         is_sound.then_some(Instant { step: self.step, t_us, ego, actors, lights })
     }
 
-    fn driven(&self, recorded: &Recorded<'_>, instant: &Instant) -> Option<Driven> {
+    fn driven(&self, recorded: &Recorded<'_>, instant: &Instant) -> Option<ControlledActors> {
         let mover = |(track, saved): &(usize, SavedMover)| {
             instant.actors.iter().find(|actor| actor.track == *track)?;
             Some((*track, saved.open(recorded, *track)?))
         };
         let movers = self.movers.iter().map(mover).collect::<Option<_>>()?;
         let sorted = self.movers.windows(2).all(|w| w[0].0 < w[1].0);
-        sorted.then(|| Driven { movers, gone: self.gone.clone() })
+        sorted.then(|| ControlledActors { movers, gone: self.gone.clone() })
     }
 }
 

@@ -1,10 +1,10 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use super::actors::{self, Driven};
+use super::actors::{self, ControlledActors};
 use super::clock::Clock;
 use super::ego::Driver;
-use super::metrics::{Road, Tally};
+use super::metrics::{MetricsAccumulator, Road};
 use super::recorded::Recorded;
 use super::saved::{Saved, SavedState};
 use super::tracking::follow;
@@ -32,7 +32,7 @@ pub struct Simulation<'a> {
 #[derive(Clone, Debug)]
 pub(super) struct World {
     pub(super) instant: Instant,
-    pub(super) driven: Driven,
+    pub(super) driven: ControlledActors,
     /// Projection of the ego onto the recorded path.
     pub(super) foot: Foot,
 }
@@ -97,8 +97,8 @@ impl<'a> Simulation<'a> {
             Some(saved) => saved.open(&options, &clock, &recorded)?,
             None => {
                 let foot = logged_foot(&recorded, &first.ego, clock.start_us);
-                let world = World { instant: first, driven: Driven::default(), foot };
-                let mut tally = Tally::default();
+                let world = World { instant: first, driven: ControlledActors::default(), foot };
+                let mut tally = MetricsAccumulator::default();
                 if clock.takeover == 0 {
                     tally.add(&recorded, road.as_ref(), &world);
                 }

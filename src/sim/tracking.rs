@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::clock::seconds;
-use super::route::Stretch;
+use super::route::RouteWindow;
 use super::trajectory::{Trajectory, Waypoint};
 use super::{EgoState, Instant, Tracking, WHEELBASE_M};
 use crate::geometry::wrap_angle;
@@ -32,7 +32,7 @@ const CREEP_MPS: f64 = 0.1;
 /// Returns the ego at the next step, on the ground of the recorded path around its current position.
 pub(super) fn follow(
     how: Tracking,
-    stretch: Stretch<'_>,
+    stretch: RouteWindow<'_>,
     now: &Instant,
     plan: &Trajectory,
     t_us: i64,
@@ -52,7 +52,7 @@ pub(super) fn follow(
 }
 
 /// Places the ego at a waypoint; acceleration, yaw rate and steering follow from the difference to the previous step.
-fn perfect(stretch: Stretch<'_>, now: &Instant, to: &Waypoint) -> EgoState {
+fn perfect(stretch: RouteWindow<'_>, now: &Instant, to: &Waypoint) -> EgoState {
     let dt_s = seconds(now.t_us, to.t_us);
     let yaw_rate_radps = wrap_angle(to.heading_rad - now.ego.heading_rad()) / dt_s;
     let rolls = to.speed_mps.abs() > CREEP_MPS;
@@ -91,7 +91,7 @@ impl Bicycle {
         self.speed_mps * self.steering_rad.tan() / WHEELBASE_M
     }
 
-    fn state(&self, stretch: Stretch<'_>) -> EgoState {
+    fn state(&self, stretch: RouteWindow<'_>) -> EgoState {
         EgoState {
             pose: stretch.pose_at(self.place_m, self.heading_rad),
             speed_mps: self.speed_mps,

@@ -3,7 +3,7 @@
 //! # How it works
 //! Every image whose frame lies within a window around a point's own frame is a candidate. The point is projected
 //! into it at the image's own time (a point of an actor moves with its box) and tested against the image's
-//! [`OcclusionMap`]. Each view that passes yields a [`Look`]: the mean color over the pixels that the point covers
+//! [`OcclusionMap`]. Each view that passes yields a [`ColorSample`]: the mean color over the pixels that the point covers
 //! when splatted, and a weight that decreases with distance and time. The best view is the one that agrees most with
 //! the others (weighted medoid of the colors). The other views thus outvote an error in one image: a wrong occlusion,
 //! a passing car, or the sky behind a twig.
@@ -37,7 +37,7 @@ pub struct ColorView {
 
 /// Color of a point in one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
+pub struct ColorSample {
     /// Mean color.
     pub rgb: [u8; 3],
     /// Weight of the view: larger for views near in space and time.
@@ -53,13 +53,13 @@ const TIME_WEIGHT: f64 = 0.3;
 impl ColorView {
     /// Returns this view's color of a point at local meters; `None` outside the image and for an occluded point.
     /// `dt_s` is the time between the point's sweep and the image.
-    pub fn look(&self, project: &Projector, position: DVec3, dt_s: f64) -> Option<Look> {
+    pub fn look(&self, project: &Projector, position: DVec3, dt_s: f64) -> Option<ColorSample> {
         let (pixel, depth_m) = project.pixel(position)?;
         if self.occlusion.as_ref().is_some_and(|map| map.hides(pixel, depth_m)) {
             return None;
         }
         let weight = 1.0 / (depth_m * (1.0 + TIME_WEIGHT * dt_s.abs()));
-        Some(Look { rgb: self.mean_color(pixel, depth_m), weight: weight as f32 })
+        Some(ColorSample { rgb: self.mean_color(pixel, depth_m), weight: weight as f32 })
     }
 
     /// Returns the mean color over the pixels that a splat at this depth covers.
@@ -87,9 +87,9 @@ impl ColorView {
 
 /// Returns the color of the look that agrees most with the others: the minimum weighted distance to all of them. Of
 /// equal looks the one with the larger weight wins. `None` without looks.
-pub fn agreed_color(looks: &[Look]) -> Option<[u8; 3]> {
-    let disagreement = |a: &Look| -> f32 {
-        let distance = |b: &Look| (0..3).map(|c| f32::from(a.rgb[c].abs_diff(b.rgb[c]))).sum::<f32>();
+pub fn agreed_color(looks: &[ColorSample]) -> Option<[u8; 3]> {
+    let disagreement = |a: &ColorSample| -> f32 {
+        let distance = |b: &ColorSample| (0..3).map(|c| f32::from(a.rgb[c].abs_diff(b.rgb[c]))).sum::<f32>();
         looks.iter().map(|b| b.weight * distance(b)).sum()
     };
     let scored = looks.iter().map(|look| (disagreement(look), look));
@@ -141,7 +141,7 @@ mod tests {
 
     #[test]
     fn the_majority_outvotes_a_nearer_view() {
-        let look = |grey: u8, weight| Look { rgb: [grey; 3], weight };
+        let look = |grey: u8, weight| ColorSample { rgb: [grey; 3], weight };
         assert_eq!(agreed_color(&[]), None);
         assert_eq!(agreed_color(&[look(9, 0.1)]), Some([9; 3]));
         assert_eq!(agreed_color(&[look(9, 0.1), look(200, 0.2)]), Some([200; 3]));

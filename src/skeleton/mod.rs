@@ -20,9 +20,9 @@ mod templates;
 mod trajectory;
 
 pub use augment::{AugmentOptions, Augmentation, augment};
-pub use build::{BuildError, BuildInput, BuildRun, MakeTemplates, Progress, build, unfinished_frames};
+pub use build::{BuildError, BuildInput, BuildRun, GenerateTemplates, Progress, build, unfinished_frames};
 pub use checksum::Checksum;
-pub use colorize::{Candidate, ColorView, Look, Projector, agreed_color};
+pub use colorize::{Candidate, ColorSample, ColorView, Projector, agreed_color};
 pub use manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap};
 pub use options::{BuildOptions, Coloring};

@@ -8,7 +8,7 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
-use super::{BuildOptions, Checksum, MakeTemplates};
+use super::{BuildOptions, Checksum, GenerateTemplates};
 use crate::cloud::Point;
 use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
@@ -105,7 +105,7 @@ impl SkeletonWriter {
     ///
     /// # Errors
     /// Returns any error of `make`. Fails if a file cannot be read or written.
-    pub fn templates_from(&mut self, make: &MakeTemplates) -> Result<(), FileError> {
+    pub fn templates_from(&mut self, make: &GenerateTemplates) -> Result<(), FileError> {
         self.actors.flush()?;
         let file = MappedFile::open(&self.actors.path)?;
         let clouds = slices(&file, self.manifest.actors.iter().map(|a| a.points));

@@ -26,5 +26,5 @@ pub mod plan;
 pub mod view;
 
 pub use cloud::{street_cloud, street_views};
-pub use drive::{Town, TownError, TrueActor};
+pub use drive::{PosedActor, Town, TownError};
 pub use options::{Daylight, TownOptions, TownOptionsError};

@@ -5,7 +5,7 @@ mod process;
 
 use std::path::Path;
 
-use point_skeleton::generate::toy::Toy;
+use point_skeleton::generate::toy::LinearDenoiser;
 use point_skeleton::generate::{
     Cache, Condition, Ddim, Denoiser, DenoiserError, FlowMatch, Frame, GaussianNoise, GenerateOptions,
     Generator, Guidance, Latent, LatentShape, NoiseSource, Prediction, Roll, SamplerOptions, Strategy,
@@ -58,14 +58,14 @@ fn options(strategy: Strategy) -> GenerateOptions {
 }
 
 /// Inputs of a generator run.
-struct Drive<C = Latent> {
+struct TrainingClip<C = Latent> {
     references: Vec<Latent>,
     committed: Vec<Committed<C>>,
     /// Forecasts for each generated frame.
     forecasts: Vec<Vec<Forecast<C>>>,
 }
 
-impl Drive {
+impl TrainingClip {
     /// References and twelve frames; the last four have no forecasts.
     fn new(options: &GenerateOptions) -> Self {
         let count = options.references();
@@ -77,7 +77,7 @@ impl Drive {
     }
 }
 
-impl<C: Condition> Drive<C> {
+impl<C: Condition> TrainingClip<C> {
     /// Inputs whose forecasts equal the later conditions.
     fn of(options: &GenerateOptions, references: Vec<Latent>, conditions: &[C]) -> Self {
         let ahead = |frame: usize| {
@@ -207,13 +207,14 @@ fn rollouts_are_those_of_another_implementation() {
     for (ahead, frames, cache) in
         [("forecast_a", "frames_a", Some("cache_a")), ("forecast_b", "frames_b", None)]
     {
-        let drive = Drive {
+        let drive = TrainingClip {
             references: references.clone(),
             committed: committed(&conditions[..9]),
             forecasts: named(ahead).chunks(4).map(forecasts).collect(),
         };
         let noise = Listed { noise: &noise, per_step: 4 };
-        let mut generator = drive.generator(Toy { shape: SHAPE }, noise, options(Strategy::ResetAndRoll));
+        let mut generator =
+            drive.generator(LinearDenoiser { shape: SHAPE }, noise, options(Strategy::ResetAndRoll));
         let (ours, caches) = drive.run(&mut generator);
         assert_near(&ours, &named(frames), 1e-4);
         if let Some(cache) = cache {
@@ -221,10 +222,11 @@ fn rollouts_are_those_of_another_implementation() {
             assert_near(&ours, &named(cache), 1e-4);
         }
     }
-    let drive = Drive { references, committed: committed(&conditions[..9]), forecasts: vec![Vec::new(); 6] };
+    let drive =
+        TrainingClip { references, committed: committed(&conditions[..9]), forecasts: vec![Vec::new(); 6] };
     let noise = Listed { noise: &noise, per_step: 1 };
     let causal = Strategy::Causal { history_noise: 0 };
-    let (ours, _) = drive.run(&mut drive.generator(Toy { shape: SHAPE }, noise, options(causal)));
+    let (ours, _) = drive.run(&mut drive.generator(LinearDenoiser { shape: SHAPE }, noise, options(causal)));
     assert_near(&ours, &named("causal"), 1e-4);
 }
 
@@ -266,7 +268,7 @@ const STRATEGIES: [Strategy; 6] = [
 fn every_frame_is_finished_when_it_comes() {
     for strategy in STRATEGIES {
         let options = options(strategy);
-        let drive = Drive::new(&options);
+        let drive = TrainingClip::new(&options);
         let mut generator = drive.generator(Knowing::default(), GaussianNoise { seed: 1 }, options);
         let (frames, _) = drive.run(&mut generator);
         let expected: Vec<Latent> = drive.committed[3..].iter().map(|c| c.get().clone()).collect();
@@ -283,7 +285,7 @@ fn every_frame_is_finished_when_it_comes() {
     for (window, clean, steps) in [(4, 1, 9), (4, 2, 8), (4, 3, 8), (2, 1, 8), (2, 0, 8)] {
         for strategy in [Strategy::ResetAndRoll, causal, Strategy::NonCausal { forecasts: window - 1 }] {
             let options = GenerateOptions { window, clean, steps, ..options(strategy) };
-            let drive = Drive::new(&options);
+            let drive = TrainingClip::new(&options);
             let (noise, shown) = (GaussianNoise { seed: 1 }, &drive.committed[window - 1..]);
             let (frames, _) = drive.run(&mut drive.generator(Knowing::default(), noise, options));
             let expected: Vec<Latent> = shown.iter().map(|c| c.get().clone()).collect();
@@ -297,8 +299,8 @@ fn every_frame_is_finished_when_it_comes() {
 fn all_but_one_clean_is_causal() {
     let frames = |strategy: Strategy| {
         let options = GenerateOptions { clean: 3, ..options(strategy) };
-        let drive = Drive::new(&options);
-        drive.run(&mut drive.generator(Toy { shape: SHAPE }, GaussianNoise { seed: 2 }, options)).0
+        let drive = TrainingClip::new(&options);
+        drive.run(&mut drive.generator(LinearDenoiser { shape: SHAPE }, GaussianNoise { seed: 2 }, options)).0
     };
     assert!(frames(Strategy::ResetAndRoll) == frames(Strategy::Causal { history_noise: 0 }));
 }
@@ -306,8 +308,8 @@ fn all_but_one_clean_is_causal() {
 #[test]
 fn a_window_that_is_kept_needs_its_forecasts() {
     let options = options(Strategy::Rolling);
-    let drive = Drive::new(&options);
-    let mut generator = drive.generator(Toy { shape: SHAPE }, GaussianNoise { seed: 1 }, options);
+    let drive = TrainingClip::new(&options);
+    let mut generator = drive.generator(LinearDenoiser { shape: SHAPE }, GaussianNoise { seed: 1 }, options);
     generator.step(drive.committed[3].clone(), &drive.forecasts[0]).unwrap();
     let before = generator.cache().clone();
     let error = generator.step(drive.committed[4].clone(), &drive.forecasts[1][..1]).unwrap_err().to_string();
@@ -324,9 +326,9 @@ proptest! {
     fn the_cache_has_seen_no_forecast(seed in 0u64.., changed in 0usize..8) {
         for (strategy, forgets) in STRATEGIES.map(|strategy| (strategy, strategy == Strategy::ResetAndRoll)) {
             let options = options(strategy);
-            let mut drive = Drive::new(&options);
-            let run = |drive: &Drive| {
-                drive.run(&mut drive.generator(Toy { shape: SHAPE }, GaussianNoise { seed }, options))
+            let mut drive = TrainingClip::new(&options);
+            let run = |drive: &TrainingClip| {
+                drive.run(&mut drive.generator(LinearDenoiser { shape: SHAPE }, GaussianNoise { seed }, options))
             };
             let (frames, caches) = run(&drive);
             let had_forecasts = !drive.forecasts[changed].is_empty();
@@ -348,13 +350,14 @@ proptest! {
 fn a_generator_goes_on_from_its_cache() {
     for strategy in STRATEGIES {
         let options = options(strategy);
-        let drive = Drive::new(&options);
+        let drive = TrainingClip::new(&options);
         let noise = GaussianNoise { seed: 3 };
-        let (frames, caches) = drive.run(&mut drive.generator(Toy { shape: SHAPE }, noise, options));
+        let (frames, caches) =
+            drive.run(&mut drive.generator(LinearDenoiser { shape: SHAPE }, noise, options));
         for (done, cache) in caches.iter().enumerate() {
             let cache = Cache::from_bytes(&cache.to_bytes().unwrap()).unwrap();
             let shown = drive.committed[done + 1..done + 4].to_vec();
-            let resumed = Generator::resume(Toy { shape: SHAPE }, noise, options, cache, shown);
+            let resumed = Generator::resume(LinearDenoiser { shape: SHAPE }, noise, options, cache, shown);
             let (others, other_caches) = drive.run(&mut resumed.unwrap());
             assert!(
                 others == frames[done + 1..] && other_caches == caches[done + 1..],
@@ -382,12 +385,14 @@ fn damaged_caches_are_refused() {
     ];
     for (strategy, damage, said) in damages {
         let (options, noise) = (options(strategy), GaussianNoise { seed: 3 });
-        let drive = Drive::new(&options);
-        let mut cache = drive.run(&mut drive.generator(Toy { shape: SHAPE }, noise, options)).1[1].clone();
+        let drive = TrainingClip::new(&options);
+        let mut cache =
+            drive.run(&mut drive.generator(LinearDenoiser { shape: SHAPE }, noise, options)).1[1].clone();
         damage(&mut cache);
         let cache = Cache::from_bytes(&cache.to_bytes().unwrap()).unwrap();
         let shown = drive.committed[2..5].to_vec();
-        let error = Generator::resume(Toy { shape: SHAPE }, noise, options, cache, shown).err().unwrap();
+        let error =
+            Generator::resume(LinearDenoiser { shape: SHAPE }, noise, options, cache, shown).err().unwrap();
         assert!(error.to_string().contains(said), "{error}");
     }
 }
@@ -396,18 +401,21 @@ fn damaged_caches_are_refused() {
 #[test]
 fn guidance_weighs_two_predictions() {
     let plain = options(Strategy::Causal { history_noise: 0 });
-    let drive = Drive::new(&plain);
+    let drive = TrainingClip::new(&plain);
     let frame = |scale: f32| {
         let options = GenerateOptions { guidance: Guidance { scale, ..Guidance::default() }, ..plain };
-        drive.run(&mut drive.generator(Toy { shape: SHAPE }, GaussianNoise { seed: 4 }, options)).0[0].clone()
+        drive.run(&mut drive.generator(LinearDenoiser { shape: SHAPE }, GaussianNoise { seed: 4 }, options)).0
+            [0]
+        .clone()
     };
-    let grey = Drive {
+    let grey = TrainingClip {
         committed: committed(&vec![Latent::filled(SHAPE, 0.0); 11]),
         references: drive.references.clone(),
         forecasts: drive.forecasts.clone(),
     };
     let without =
-        grey.run(&mut grey.generator(Toy { shape: SHAPE }, GaussianNoise { seed: 4 }, plain)).0[0].clone();
+        grey.run(&mut grey.generator(LinearDenoiser { shape: SHAPE }, GaussianNoise { seed: 4 }, plain)).0[0]
+            .clone();
     assert_near(&[frame(0.0)], std::slice::from_ref(&without), 1e-6);
     // The toy denoiser is linear, so frames combine as velocities do.
     let twice: Vec<f32> =
@@ -441,7 +449,7 @@ impl Denoiser for Failing {
 #[test]
 fn what_a_network_does_wrong_is_told_and_changes_nothing() {
     let options = options(Strategy::ResetAndRoll);
-    let drive = Drive::new(&options);
+    let drive = TrainingClip::new(&options);
     let other = LatentShape { views: 1, ..SHAPE };
     let wrongs: [(Answer, &str); 3] = [
         (|x| vec![x.clone(); 3], "frame 4: expected 4 frames from the denoiser, found 3"),
@@ -468,7 +476,7 @@ fn what_a_network_does_wrong_is_told_and_changes_nothing() {
         [(2, SHAPE, "3 reference frames, found 2"), (3, other, "latents of 2x3x2x2, found 1x3x2x2")]
     {
         let made = Generator::new(
-            Toy { shape: SHAPE },
+            LinearDenoiser { shape: SHAPE },
             GaussianNoise { seed: 1 },
             options,
             references(count, shape),

@@ -7,7 +7,7 @@ use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
     Crop, FrameJob, FrameKinds, FrameMaps, Occlusion, Rasterizer, SplatSchedule, rgb_of,
 };
-use point_skeleton::scene::{EgoOffset, SelectionOptions, Stage, state_of_frame};
+use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, state_of_frame};
 use point_skeleton::skeleton::BuildOptions;
 
 use crate::common::{shared, skeleton_of};
@@ -38,9 +38,9 @@ fn all_rasterizers_draw_a_real_frame_alike() {
     let scratch = tempfile::tempdir().unwrap();
     let skeleton = skeleton_of(&scratch.path().join("s"), &drive, &[3, 4, 5], &BuildOptions::default());
     let state = state_of_frame(drive.log(), 4, EgoOffset::default()).unwrap();
-    let stage = Stage::new(&skeleton, &drive.log().name).unwrap();
+    let stage = SceneClouds::new(&skeleton, &drive.log().name).unwrap();
     let instances = stage.instances(&state, &SelectionOptions::default());
-    let clouds = Stage::clouds(&skeleton).unwrap();
+    let clouds = SceneClouds::clouds(&skeleton).unwrap();
     let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
     let schedule = SplatSchedule::default();
     let center = state.global_from_ego.translation.truncate();

@@ -8,7 +8,7 @@ use point_skeleton::dataset::{Dataset, EgoTrack, ImageRecord, Lane, RigCamera, T
 use point_skeleton::geometry::{Cuboid, Pose, View};
 use point_skeleton::scene::{EgoOffset, state_of_frame};
 use point_skeleton::skeleton::{BuildOptions, SplitOptions};
-use point_skeleton::town::{Daylight, Town, TownOptions, TrueActor};
+use point_skeleton::town::{Daylight, PosedActor, Town, TownOptions};
 
 use crate::common::{WithLog, skeleton_of};
 use crate::made_town::{self, FRAMES, OPTIONS, town};
@@ -242,10 +242,10 @@ fn the_truth_is_numbered_as_boxes_are() {
     }
     assert!(shown > 100, "{shown} pixels of actors");
     // The same state, passed actor by actor.
-    let actors: Vec<TrueActor<'_>> = frame
+    let actors: Vec<PosedActor<'_>> = frame
         .boxes
         .iter()
-        .map(|item| TrueActor { track: &town.log().tracks[item.track].id, cuboid: item.cuboid })
+        .map(|item| PosedActor { track: &town.log().tracks[item.track].id, cuboid: item.cuboid })
         .collect();
     let again = town.truth_of(frame.t_us, &actors, &views).unwrap();
     for (a, b) in seen.iter().zip(&again) {
@@ -254,7 +254,7 @@ fn the_truth_is_numbered_as_boxes_are() {
     }
     // Without actors, no pixel shows one.
     assert!(town.truth_of(frame.t_us, &[], &views).unwrap().iter().all(|v| v.class.iter().all(|c| *c == 0)));
-    let stranger = [TrueActor { track: "nobody", cuboid: frame.boxes[0].cuboid }];
+    let stranger = [PosedActor { track: "nobody", cuboid: frame.boxes[0].cuboid }];
     let error = town.truth_of(frame.t_us, &stranger, &views).unwrap_err().to_string();
     assert_eq!(error, "expected tracks of town town-3-6f-dusk, found nobody");
 }

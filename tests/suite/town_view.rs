@@ -7,7 +7,7 @@ use point_skeleton::geometry::{Camera, View};
 use point_skeleton::gpu::Device;
 use point_skeleton::town::Daylight;
 use point_skeleton::town::mesh::{Mesh, Skin, Surface};
-use point_skeleton::town::view::{FilmError, Filmer, Light, MeshDraw, TrueView};
+use point_skeleton::town::view::{GroundTruthView, Light, MeshDraw, MeshRenderError, MeshRenderer};
 
 use crate::raster::twins::with_device;
 
@@ -113,7 +113,7 @@ fn hair_px(device: &Device) -> f64 {
 }
 
 /// Compares every pixel farther than `hair_px` from an edge; returns the share of compared pixels.
-fn compare(shown: &TrueView, view: &View, (rays, draws): (&Rays, &[MeshDraw]), hair_px: f64) -> f64 {
+fn compare(shown: &GroundTruthView, view: &View, (rays, draws): (&Rays, &[MeshDraw]), hair_px: f64) -> f64 {
     let width = view.camera.width as usize;
     let mut compared = 0;
     for (i, depth_m) in shown.depth_m.iter().enumerate() {
@@ -149,7 +149,7 @@ fn maps_are_those_of_rays() {
     ];
     with_device(|device| {
         let refs: Vec<&Mesh> = meshes.iter().collect();
-        let mut filmer = Filmer::new(&device, &refs).unwrap();
+        let mut filmer = MeshRenderer::new(&device, &refs).unwrap();
         let light = Light::new(Daylight::Day, 1);
         let whole = filmer.film(&draws, &views, &light).unwrap();
         // In tiles: the same except for rounding.
@@ -178,7 +178,7 @@ fn maps_from_beside_are_told() {
     let from = |y: f64| view([45, 80], 60.0, DVec3::new(0.0, y, 1.4), [0.2, 0.05, 0.0]);
     let (shown, hair_px) = with_device(|device| {
         let refs: Vec<&Mesh> = meshes.iter().collect();
-        let mut filmer = Filmer::new(&device, &refs).unwrap();
+        let mut filmer = MeshRenderer::new(&device, &refs).unwrap();
         (filmer.film(&draws, &[from(0.0)], &Light::bare()).unwrap(), hair_px(&device))
     });
     compare(&shown[0], &from(0.01), (&rays, &draws), hair_px);
@@ -204,7 +204,11 @@ fn edges_are_blended_in_linear_light() {
     sheet.polygon(&corners, plain(255));
     let draws = [MeshDraw { mesh: 0, town_from_mesh: DAffine3::IDENTITY, class: 1, instance: 1 }];
     let shown = with_device(|device| {
-        Filmer::new(&device, &[&sheet]).unwrap().film(&draws, std::slice::from_ref(&view), &Light::bare())
+        MeshRenderer::new(&device, &[&sheet]).unwrap().film(
+            &draws,
+            std::slice::from_ref(&view),
+            &Light::bare(),
+        )
     });
     let image = &shown.unwrap()[0].image;
     let share = |i: u32, edge: u32, cut: f64| match i {
@@ -237,7 +241,7 @@ fn the_sun_throws_shadows_where_something_is_in_its_way() {
     let far = view([60, 90], 250.0, DVec3::new(30.0, 3.0, 40.0), [0.0, 0.59, 0.0]);
     with_device(|device| {
         let refs: Vec<&Mesh> = meshes.iter().collect();
-        let mut filmer = Filmer::new(&device, &refs).unwrap();
+        let mut filmer = MeshRenderer::new(&device, &refs).unwrap();
         for (daylight, seed) in [(Daylight::Day, 1), (Daylight::Day, 6), (Daylight::Dusk, 2)] {
             let light = Light::new(daylight, seed);
             for (view, blur_m) in [(&near, 0.2), (&far, 0.6)] {
@@ -282,7 +286,7 @@ fn digest() -> String {
     let views = [0.0, 1.2, 3.0].map(|yaw| view([45, 80], 60.0, DVec3::new(0.0, 0.4, 1.4), [yaw, 0.05, 0.0]));
     with_device(|device| {
         let refs: Vec<&Mesh> = meshes.iter().collect();
-        let mut filmer = Filmer::new(&device, &refs).unwrap();
+        let mut filmer = MeshRenderer::new(&device, &refs).unwrap();
         let mut bytes = Vec::new();
         for daylight in [Daylight::Day, Daylight::Dusk, Daylight::Overcast] {
             let light = Light::new(daylight, 4);
@@ -334,20 +338,20 @@ fn nothing_to_show_is_sky_and_wrong_draws_are_named() {
         let light = Light::new(Daylight::Day, 1);
         let draw = |mesh| MeshDraw { mesh, town_from_mesh: DAffine3::IDENTITY, class: 1, instance: 1 };
         let views = std::slice::from_ref(&view);
-        let is_sky = |shown: &TrueView| {
+        let is_sky = |shown: &GroundTruthView| {
             shown.depth_m.iter().all(|z| *z == f32::INFINITY)
                 && shown.class.iter().all(|c| *c == 0)
                 && shown.instance.iter().all(|i| *i == 0)
                 && shown.image.pixels().all(|p| p.0[2] > 60)
         };
-        let mut filmer = Filmer::new(&device, &[&block, &empty]).unwrap();
+        let mut filmer = MeshRenderer::new(&device, &[&block, &empty]).unwrap();
         assert!(is_sky(&filmer.film(&[], views, &light).unwrap()[0]));
         assert!(is_sky(&filmer.film(&[draw(1)], views, &light).unwrap()[0]));
         assert!(!is_sky(&filmer.film(&[draw(0)], views, &light).unwrap()[0]));
         assert!(filmer.film(&[draw(0)], &[], &light).unwrap().is_empty());
         let error = filmer.film(&[draw(0), draw(2)], views, &light).unwrap_err();
-        assert!(matches!(error, FilmError::UnknownMesh { draw: 1, mesh: 2, meshes: 2 }));
+        assert!(matches!(error, MeshRenderError::UnknownMesh { draw: 1, mesh: 2, meshes: 2 }));
         assert_eq!(error.to_string(), "expected meshes below 2, found 2 in draw 1");
-        assert!(is_sky(&Filmer::new(&device, &[]).unwrap().film(&[], views, &light).unwrap()[0]));
+        assert!(is_sky(&MeshRenderer::new(&device, &[]).unwrap().film(&[], views, &light).unwrap()[0]));
     });
 }

@@ -157,7 +157,7 @@ mod tests {
     use super::super::rows::Choice;
     use super::super::run::{Origin, Settings};
     use super::*;
-    use crate::generate::{Dropped, Strategy};
+    use crate::generate::{DroppedConditions, Strategy};
 
     fn row(name: &str) -> Row {
         Row {
@@ -165,7 +165,7 @@ mod tests {
             title: name.into(),
             tables: &[Table::Strategies],
             strategy: Strategy::ResetAndRoll,
-            dropped: Dropped::default(),
+            dropped: DroppedConditions::default(),
             network: Choice::Main,
             times_steps: 1,
             expects_standstill: false,

@@ -3,7 +3,7 @@ use clap::ValueEnum;
 use super::run::{Origin, Settings};
 use crate::cli::WrongUsage;
 use crate::generate::network::Network;
-use crate::generate::{Dropped, GenerateOptions, Guidance, SamplerOptions, Strategy};
+use crate::generate::{DroppedConditions, GenerateOptions, Guidance, SamplerOptions, Strategy};
 
 /// Variant of the generator.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,7 +16,7 @@ pub(super) struct Row {
     pub(super) tables: &'static [Table],
     pub(super) strategy: Strategy,
     /// Conditions that are dropped.
-    pub(super) dropped: Dropped,
+    pub(super) dropped: DroppedConditions,
     /// Network to use.
     pub(super) network: Choice,
     /// Inference steps, as a multiple of those of the other rows.
@@ -77,7 +77,8 @@ impl Table {
     }
 }
 
-const NONE: Dropped = Dropped { layout: false, action: false, color: false, depth: false };
+const NONE: DroppedConditions =
+    DroppedConditions { layout: false, action: false, color: false, depth: false };
 
 /// Compared networks.
 pub(super) struct Networks {
@@ -175,7 +176,7 @@ impl Networks {
             name: name.to_owned(),
             title: title.to_owned(),
             tables: &[Conditions],
-            dropped: Dropped { color, depth, ..NONE },
+            dropped: DroppedConditions { color, depth, ..NONE },
             ..main()
         };
         let mut rows = vec![

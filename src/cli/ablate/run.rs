@@ -12,7 +12,7 @@ use crate::error::FileError;
 use crate::files::input::read_table;
 use crate::files::write_whole;
 use crate::generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
-use crate::metrics::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, Segmented};
+use crate::metrics::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, SegmentationMasks};
 use crate::sim::{Committed, Forecast};
 
 /// Settings shared by all variants.
@@ -134,9 +134,9 @@ fn score(
         classifier.map(of).transpose()
     };
     let (generated, truth) = (segment(images)?, segment(&frame.truth)?);
-    let segmented: Vec<Segmented<'_>> = generated
+    let segmented: Vec<SegmentationMasks<'_>> = generated
         .iter()
-        .map(|generated| Segmented { name: SEGMENTOR, generated, truth: truth.as_deref() })
+        .map(|generated| SegmentationMasks { name: SEGMENTOR, generated, truth: truth.as_deref() })
         .collect();
     scores.push(&ScoredFrame {
         t_s: frame.t_s,

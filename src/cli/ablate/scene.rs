@@ -6,15 +6,15 @@ use image::RgbImage;
 use super::run::Settings;
 use crate::cli::build;
 use crate::cli::rasterizer::RasterizerArgs;
-use crate::cli::stand_ins::StandInArgs;
+use crate::cli::stand_ins::SubstituteArgs;
 use crate::conditions::{CameraConditions, ConditionSet, MapKind};
 use crate::dataset::{Dataset, Log, LogFormat};
-use crate::generate::{Conditioner, Drawn, FrameConditions, Recipe, TrueImages};
+use crate::generate::{Conditioner, RenderedConditions, FrameConditions, GroundTruthImages, Recipe};
 use crate::metrics::{
     MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
 };
 use crate::raster::Rasterizer;
-use crate::scene::{SceneMap, Stage};
+use crate::scene::{SceneClouds, SceneMap};
 use crate::sim::{
     ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
 };
@@ -60,8 +60,9 @@ impl Scene {
         check_length(town.log(), options.count())?;
         let skeleton = build::kept(town, options.skeleton)?;
         let log = town.log();
-        let (stand_ins, _) = StandInArgs::augmented(options.settings.augment).make(&skeleton, &log.name)?;
-        let stage = Stage::with(&skeleton, &log.name, &stand_ins)?;
+        let (stand_ins, _) =
+            SubstituteArgs::augmented(options.settings.augment).make(&skeleton, &log.name)?;
+        let stage = SceneClouds::with(&skeleton, &log.name, &stand_ins)?;
         let mut rasterizer = options.rasterizer.create(stage.cloud_set())?;
         let map = town.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
         let scenario = Scenario::new(log, map.clone(), LogFormat::Town);
@@ -132,14 +133,14 @@ impl Drive<'_> {
 
     fn frame(
         &self,
-        drawn: Committed<Drawn>,
+        drawn: Committed<RenderedConditions>,
         forecasts: Vec<Forecast<FrameConditions>>,
         instant: &Instant,
         t_s: f64,
     ) -> anyhow::Result<SceneFrame> {
         let view = |view: &crate::geometry::View| self.conditioner.options().drawn_view(view);
         let size = self.options.recipe.size;
-        let truth = TrueImages::Town(self.town).of(&drawn.get().state, view, size, true)?;
+        let truth = GroundTruthImages::Town(self.town).of(&drawn.get().state, view, size, true)?;
         let moves = instant.actors.iter().map(|actor| actor.speed_mps.abs() > MOVING_MPS);
         let moving: Vec<u32> =
             (1..).zip(moves).filter(|(_, moves)| *moves).map(|(number, _)| number).collect();

@@ -1,9 +1,9 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use crate::conditions::{Begun, ConditionOptions, ConditionSet, MapKind};
+use crate::conditions::{StepInFlight, ConditionOptions, ConditionSet, MapKind};
 use crate::raster::{FrameJob, FrameMaps, RasterError, Rasterizer};
-use crate::scene::{SceneState, SelectionOptions, Stage};
+use crate::scene::{SceneClouds, SceneState, SelectionOptions};
 
 /// Frames to render in turn.
 pub(super) trait Frames {
@@ -64,14 +64,18 @@ impl Frames for Jobs<'_> {
 
 /// Whole steps of a recording: instance selection, rendering, layouts, and the final maps.
 pub(super) struct Steps<'a> {
-    stage: Stage<'a>,
+    stage: SceneClouds<'a>,
     states: Vec<&'a SceneState>,
     options: ConditionOptions,
-    begun: VecDeque<Begun>,
+    begun: VecDeque<StepInFlight>,
 }
 
 impl<'a> Steps<'a> {
-    pub(super) fn new(stage: Stage<'a>, states: Vec<&'a SceneState>, options: ConditionOptions) -> Self {
+    pub(super) fn new(
+        stage: SceneClouds<'a>,
+        states: Vec<&'a SceneState>,
+        options: ConditionOptions,
+    ) -> Self {
         Self { stage, states, options, begun: VecDeque::new() }
     }
 }
@@ -89,7 +93,7 @@ impl Frames for Steps<'_> {
         let (state, start) = (self.states[frame], Instant::now());
         let clouds = self.stage.instances(state, &SelectionOptions::default());
         rasterizer.stages().add("instances", start.elapsed());
-        self.begun.push_back(Begun::new(rasterizer, &clouds, state, &self.options)?);
+        self.begun.push_back(StepInFlight::new(rasterizer, &clouds, state, &self.options)?);
         Ok(())
     }
 

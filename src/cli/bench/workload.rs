@@ -14,7 +14,7 @@ use crate::geometry::View;
 use crate::logs;
 use crate::raster::{CloudSet, Crop, FrameJob, Instance, Occlusion};
 use crate::scene::{
-    EgoOffset, SceneInstances, SceneMap, SceneState, SelectionOptions, Stage, state_of_frame,
+    EgoOffset, SceneClouds, SceneInstances, SceneMap, SceneState, SelectionOptions, state_of_frame,
 };
 use crate::skeleton::Skeleton;
 use crate::town;
@@ -114,7 +114,7 @@ impl Workload {
     pub(super) fn clouds(&self) -> Result<CloudSet<'_>, FileError> {
         match &self.clouds {
             Clouds::One(points) => Ok(vec![points]),
-            Clouds::Skeleton(skeleton, _) => Stage::clouds(skeleton),
+            Clouds::Skeleton(skeleton, _) => SceneClouds::clouds(skeleton),
         }
     }
 
@@ -148,7 +148,7 @@ impl Workload {
     pub(super) fn steps<'a>(&'a self, args: &BenchArgs) -> Result<Option<Steps<'a>>, FileError> {
         let Clouds::Skeleton(skeleton, log) = &self.clouds else { return Ok(None) };
         let states = self.frames.iter().filter_map(|frame| frame.state.as_ref()).collect();
-        let steps = || Ok(Steps::new(Stage::new(skeleton, log)?, states, args.conditions()));
+        let steps = || Ok(Steps::new(SceneClouds::new(skeleton, log)?, states, args.conditions()));
         args.whole_steps().then(steps).transpose()
     }
 
@@ -177,7 +177,7 @@ fn frames_of_drive(
     range: std::ops::Range<usize>,
     map: Option<&Arc<SceneMap>>,
 ) -> Result<Vec<WorkFrame>, FileError> {
-    let (stage, selection) = (Stage::new(skeleton, &log.name)?, SelectionOptions::default());
+    let (stage, selection) = (SceneClouds::new(skeleton, &log.name)?, SelectionOptions::default());
     let radius_m = ConditionOptions::default().radius_m;
     let frame = |index: usize| {
         let mut state = state_of_frame(log, index, EgoOffset::default())?;

@@ -12,7 +12,7 @@ use super::rollout::{Frame, GeneratedRollout, Step};
 use crate::conditions::reduce::nearest;
 use crate::error::FileError;
 use crate::files::FileName;
-use crate::metrics::{PatchClassifier, PatchOptions, PatchTrainer, Segmented, vehicle_mask};
+use crate::metrics::{PatchClassifier, PatchOptions, PatchTrainer, SegmentationMasks, vehicle_mask};
 
 /// Names of the segmentors in the result.
 pub(super) const GIVEN: &str = "masks";
@@ -58,8 +58,8 @@ pub(super) struct Masks {
 }
 
 impl Masks {
-    pub(super) fn borrowed(&self) -> Segmented<'_> {
-        Segmented { name: self.name, generated: &self.generated, truth: self.truth.as_deref() }
+    pub(super) fn borrowed(&self) -> SegmentationMasks<'_> {
+        SegmentationMasks { name: self.name, generated: &self.generated, truth: self.truth.as_deref() }
     }
 }
 

@@ -8,9 +8,9 @@ use crate::dataset::{Area, Class, Dataset, VectorMap};
 use crate::geometry::View;
 use crate::metrics::{DepthErrors, DepthSummary, FilledError, Overlap, compare_filled};
 use crate::raster::Rasterizer;
-use crate::scene::{EgoOffset, SceneState, SelectionOptions, Stage, state_of_frame};
+use crate::scene::{EgoOffset, SceneClouds, SceneState, SelectionOptions, state_of_frame};
 use crate::town::Town;
-use crate::town::view::TrueView;
+use crate::town::view::GroundTruthView;
 
 /// Maximum distance of near cars, meters from the ego to the center of the box.
 const NEAR_M: f64 = 40.0;
@@ -29,7 +29,7 @@ pub(super) enum Pose {
 /// Inputs for measuring a row of the table.
 pub(super) struct Measurement<'a> {
     pub(super) town: &'a Town,
-    pub(super) stage: &'a Stage<'a>,
+    pub(super) stage: &'a SceneClouds<'a>,
     pub(super) options: ConditionOptions,
     pub(super) map: Option<&'a VectorMap>,
 }
@@ -179,7 +179,7 @@ struct TrueMaps {
 
 impl TrueMaps {
     /// Reduces ground truth like the maps.
-    fn new(seen: &TrueView, to: ImageSize) -> Self {
+    fn new(seen: &GroundTruthView, to: ImageSize) -> Self {
         let from = ImageSize { height: seen.image.height(), width: seen.image.width() };
         let color: Vec<[u8; 3]> = seen.image.pixels().map(|p| p.0).collect();
         Self {
@@ -283,10 +283,10 @@ fn is_within(area: &Area, at: DVec2) -> bool {
 mod tests {
     use super::*;
 
-    fn truth() -> TrueView {
+    fn truth() -> GroundTruthView {
         let (class, instance) = (vec![0, 1, 1, 2, 0, 3, 4, 1], vec![0, 1, 2, 3, 0, 4, 5, 1]);
         let image = image::RgbImage::from_fn(4, 2, |x, y| image::Rgb([10 + x as u8, 20 + y as u8, 30]));
-        TrueView { image, depth_m: (1..9).map(|i| i as f32).collect(), class, instance }
+        GroundTruthView { image, depth_m: (1..9).map(|i| i as f32).collect(), class, instance }
     }
 
     /// Ground truth against itself: every IoU is 1, color and depth errors are 0.

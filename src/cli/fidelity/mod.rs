@@ -16,7 +16,7 @@ use super::numbers::FrameRange;
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::render::open_skeleton;
-use super::stand_ins::StandInArgs;
+use super::stand_ins::SubstituteArgs;
 use super::{WrongUsage, say};
 use crate::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use crate::dataset::{Dataset, LogFormat, LogLocator};
@@ -24,7 +24,7 @@ use crate::error::FileError;
 use crate::files::{check_output_file, write_json, write_whole};
 use crate::logs;
 use crate::raster::SplatSchedule;
-use crate::scene::Stage;
+use crate::scene::SceneClouds;
 
 /// Measure the fidelity of condition maps: those of the synthetic town against its ground truth
 ///
@@ -53,7 +53,7 @@ pub(super) struct FidelityArgs {
     #[arg(long, value_name = "Z:R,..", default_value_t)]
     splat: SplatSchedule,
     #[command(flatten)]
-    stand_ins: StandInArgs,
+    stand_ins: SubstituteArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
     /// Write all numbers as JSON
@@ -81,7 +81,7 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let skeleton = open_skeleton(&args.skeleton, &town)?;
     let frames = FrameRange::of(args.frames, town.log().frames.len())?;
     let (stand_ins, _) = args.stand_ins.make(&skeleton, &town.log().name)?;
-    let stage = Stage::with(&skeleton, &town.log().name, &stand_ins)?;
+    let stage = SceneClouds::with(&skeleton, &town.log().name, &stand_ins)?;
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
     let map = town.read_map()?.map(Arc::new);
     let measurement =

@@ -12,7 +12,7 @@ use super::log_args::{self, LogRoots};
 use super::map_args::MapArgs;
 use super::rasterizer::RasterizerArgs;
 use super::simulate::{self, OpenLoop, SimulateArgs};
-use super::stand_ins::StandInArgs;
+use super::stand_ins::SubstituteArgs;
 use super::{WrongUsage, say};
 use crate::dataset::{LogFormat, LogLocator};
 
@@ -68,7 +68,7 @@ pub(super) struct GenerateArgs {
     #[arg(long, value_name = "F.json")]
     annotations: Option<PathBuf>,
     #[command(flatten)]
-    stand_ins: StandInArgs,
+    stand_ins: SubstituteArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
     #[command(flatten, next_help_heading = "Options of the generator")]

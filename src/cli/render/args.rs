@@ -8,7 +8,7 @@ use crate::cli::log_args::{self, LogRoots};
 use crate::cli::map_args::{MapArgs, MapFormat};
 use crate::cli::numbers::{self, FrameRange};
 use crate::cli::rasterizer::RasterizerArgs;
-use crate::cli::stand_ins::{StandInArgs, StandInReport};
+use crate::cli::stand_ins::{StandInReport, SubstituteArgs};
 use crate::conditions::{ColorFilter, ConditionOptions, MapSet};
 use crate::dataset::LogLocator;
 use crate::scene::{EgoOffset, SelectionOptions};
@@ -66,7 +66,7 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "F.json")]
     pub(super) annotations: Option<PathBuf>,
     #[command(flatten)]
-    pub(super) stand_ins: StandInArgs,
+    pub(super) stand_ins: SubstituteArgs,
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
 }

@@ -21,13 +21,13 @@ use super::{say, warn};
 use crate::cloud;
 use crate::conditions::distort::Distorter;
 use crate::conditions::meta::{Index, IndexFrame, PromptParts};
-use crate::conditions::{Begun, ConditionOptions};
+use crate::conditions::{StepInFlight, ConditionOptions};
 use crate::dataset::Dataset;
 use crate::error::FileError;
 use crate::files::OutputFolder;
 use crate::files::input::read_table;
 use crate::raster::{FRAMES_IN_FLIGHT, Rasterizer};
-use crate::scene::{SceneMap, SelectionOptions, Stage, frame_rate_hz};
+use crate::scene::{SceneClouds, SceneMap, SelectionOptions, frame_rate_hz};
 use crate::skeleton::Skeleton;
 
 /// Runs the command: opens the inputs, renders and writes the maps.
@@ -49,7 +49,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     })?;
     let steps = Steps::new(log, &args, views, map)?;
     let (stand_ins, told) = args.stand_ins.make(&skeleton, &log.name)?;
-    let stage = Stage::with(&skeleton, &log.name, &stand_ins)?;
+    let stage = SceneClouds::with(&skeleton, &log.name, &stand_ins)?;
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
     let options = args.options(maps, told);
     let output = Output {
@@ -115,7 +115,7 @@ pub(super) fn read_prompt(path: &Path) -> Result<PromptParts, FileError> {
 
 /// State shared by all steps.
 struct Work<'a> {
-    stage: Stage<'a>,
+    stage: SceneClouds<'a>,
     steps: &'a Steps<'a>,
     output: &'a Output<'a>,
 }
@@ -147,7 +147,7 @@ impl Work<'_> {
                     let pinholes = distorter.as_mut().map(|d| d.pinholes(&state)).transpose()?;
                     let (drawn, options) =
                         pinholes.as_ref().map_or((&state, options), |p| (&p.state, &p.options));
-                    let begun = Begun::new(rasterizer, &instances, drawn, options);
+                    let begun = StepInFlight::new(rasterizer, &instances, drawn, options);
                     let begun = begun.with_context(|| format!("step {}", state.name))?;
                     in_flight.push_back((state, pinholes, begun));
                     if in_flight.len() < FRAMES_IN_FLIGHT {

@@ -9,7 +9,7 @@ use crate::cli::log_args::{self, LogRoots};
 use crate::cli::map_args::MapArgs;
 use crate::cli::numbers;
 use crate::cli::rasterizer::RasterizerArgs;
-use crate::cli::stand_ins::StandInArgs;
+use crate::cli::stand_ins::SubstituteArgs;
 use crate::dataset::LogLocator;
 use crate::scene::frame_rate_hz;
 use crate::sim::{
@@ -79,7 +79,7 @@ pub(in crate::cli) struct SimulateArgs {
     #[arg(long, value_name = "NETWORK")]
     pub(super) generator: Option<NetworkName>,
     #[command(flatten)]
-    pub(super) stand_ins: StandInArgs,
+    pub(super) stand_ins: SubstituteArgs,
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
     #[command(flatten, next_help_heading = "Options of --generator")]
@@ -109,7 +109,7 @@ pub(in crate::cli) struct OpenLoop {
     pub(in crate::cli) resume_from: Option<usize>,
     pub(in crate::cli) profile: Option<PathBuf>,
     pub(in crate::cli) annotations: Option<PathBuf>,
-    pub(in crate::cli) stand_ins: StandInArgs,
+    pub(in crate::cli) stand_ins: SubstituteArgs,
     pub(in crate::cli) rasterizer: RasterizerArgs,
 }
 

@@ -40,7 +40,7 @@ pub(super) struct Outcome {
 
 /// Content of `metrics.json`.
 #[derive(Serialize)]
-struct Told<'a> {
+struct MetricsFile<'a> {
     ended: Option<EndReason>,
     failure: Option<&'a str>,
     #[serde(flatten)]
@@ -58,7 +58,7 @@ pub(super) fn finish(
 ) -> anyhow::Result<()> {
     let Outcome { metrics, ended, notes, steps_beyond_log, .. } = outcome;
     let (failure, steps_beyond_log) = (outcome.failure.as_deref(), *steps_beyond_log);
-    let told = Told { ended: *ended, failure, metrics, steps_beyond_log, notes };
+    let told = MetricsFile { ended: *ended, failure, metrics, steps_beyond_log, notes };
     write_json(&files.claim(METRICS)?, &told)?;
     video(output, &files.claim(VIDEO)?, rows, outcome)?;
     page(output, rows, outcome).write(&files.claim(PAGE)?)?;
@@ -128,7 +128,7 @@ fn page(output: &Output<'_>, rows: &[StepRow], outcome: &Outcome) -> Page {
 
 /// Returns the actors that newly enter a camera's view, with their boxes in the page's image.
 fn fresh(row: &StepRow, outcome: &Outcome) -> Vec<PageActor> {
-    let place = |seen: &sight::Seen| {
+    let place = |seen: &sight::VisibleActor| {
         let place = outcome.layout.cameras.get(seen.camera)?;
         let (_, [width, height]) = outcome.cameras.get(seen.camera)?;
         let [x, y] =

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use anyhow::Context;
 
 use super::output::{STATE, step_folder};
-use crate::cli::generator::{Opened, Subject};
+use crate::cli::generator::{GenerationScene, OpenedNetwork};
 use crate::error::FileError;
 use crate::files::input::{is_there, read_table};
 use crate::files::write_whole;
-use crate::generate::{Cache, Made, Session, SessionTimes};
+use crate::generate::{Cache, Session, SessionFrame, SessionTimes};
 use crate::raster::Rasterizer;
 use crate::report::images::{self, GENERATED, TRUTH};
 use crate::report::{StepRow, view};
@@ -22,19 +22,19 @@ pub(super) const CACHE: &str = "generator.safetensors";
 /// The generator and its latest images.
 pub(super) struct Generation<'a> {
     session: Session<'a>,
-    shown: Option<Arc<Made>>,
+    shown: Option<Arc<SessionFrame>>,
 }
 
 /// Images of a step.
 pub(super) struct Images {
     /// Images of this planning step or of the previous one.
-    pub(super) shown: Arc<Made>,
+    pub(super) shown: Arc<SessionFrame>,
     /// `Some` if they were generated at this step.
-    pub(super) fresh: Option<Fresh>,
+    pub(super) fresh: Option<NewImages>,
 }
 
 /// New data of a planning step.
-pub(super) struct Fresh {
+pub(super) struct NewImages {
     /// Bytes of [`CACHE`], once frames are generated.
     pub(super) cache: Option<Vec<u8>>,
     pub(super) times: SessionTimes,
@@ -43,8 +43,8 @@ pub(super) struct Fresh {
 impl<'a> Generation<'a> {
     /// Creates the generator, or resumes it after the last step of an earlier run.
     pub(super) fn begin(
-        opened: Opened,
-        subject: &Subject<'a>,
+        opened: OpenedNetwork,
+        subject: &GenerationScene<'a>,
         rasterizer: &mut dyn Rasterizer,
         earlier: &EarlierSteps<'_>,
     ) -> anyhow::Result<Self> {
@@ -97,7 +97,7 @@ impl<'a> Generation<'a> {
         }
         let Some(shown) = self.shown.clone() else { return Ok(None) };
         let cache = if fresh { self.session.cache().map(Cache::to_bytes).transpose()? } else { None };
-        let fresh = fresh.then(|| Fresh { cache, times: self.session.times() });
+        let fresh = fresh.then(|| NewImages { cache, times: self.session.times() });
         Ok(Some(Images { shown, fresh }))
     }
 
@@ -119,13 +119,13 @@ pub(super) struct EarlierSteps<'a> {
 impl Images {
     /// Writes the images of the page into the folder of a step, and new images and state.
     pub(super) fn write(&self, folder: &Path, layout: &view::Layout) -> Result<(), FileError> {
-        let Made { images, truth, .. } = &*self.shown;
+        let SessionFrame { images, truth, .. } = &*self.shown;
         let view = folder.join(view::VIEW);
         view::write_images(&view, GENERATED, layout, images)?;
         if let Some(truth) = truth {
             view::write_images(&view, TRUTH, layout, truth)?;
         }
-        let Some(Fresh { cache, .. }) = &self.fresh else { return Ok(()) };
+        let Some(NewImages { cache, .. }) = &self.fresh else { return Ok(()) };
         if let Some(cache) = cache {
             let path = folder.join(CACHE);
             write_whole(&path, |out| {

@@ -24,7 +24,7 @@ use self::output::{Earlier, Output, Resumed, RolloutOptions};
 use self::rollout::{Rollout, Run};
 use self::sources::{Places, Sources};
 use self::summary::summary;
-use super::generator::{GeneratorReport, Opened, Subject};
+use super::generator::{GenerationScene, GeneratorReport, OpenedNetwork};
 use super::render::{open_skeleton, read_prompt};
 use super::stand_ins::StandInReport;
 use super::{WrongUsage, say, warn};
@@ -33,11 +33,11 @@ use crate::conditions::{ConditionOptions, ImageSize, MapSet};
 use crate::dataset::{Dataset, Log, LogFormat};
 use crate::error::FileError;
 use crate::files::{OutputFolder, check_output_file, check_outside};
-use crate::generate::TrueImages;
+use crate::generate::GroundTruthImages;
 use crate::logs;
 use crate::raster::{RasterizerInfo, StageTimes};
 use crate::report::StepRow;
-use crate::scene::{SceneMap, Stage};
+use crate::scene::{SceneClouds, SceneMap};
 use crate::sim::{EndReason, Scenario, SimError, Simulation};
 use crate::skeleton::Skeleton;
 
@@ -61,7 +61,7 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     let log = dataset.log();
     let opened = args.generator.as_ref().map(|name| args.generating.open(name, log.rig.len())).transpose()?;
     let scenario = Scenario::new(log, map.clone(), args.log.format);
-    let sim_options = args.sim_options(&scenario, opened.as_ref().map(Opened::window))?;
+    let sim_options = args.sim_options(&scenario, opened.as_ref().map(OpenedNetwork::window))?;
     args.steps = sim_options.steps;
     let sources = Sources::new(log, skeleton, prompt)?;
     let inputs_of_files = [args.skeleton.as_path(), args.log.path.as_path()];
@@ -75,21 +75,21 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
     };
     let simulation = simulation.map_err(usage)?;
     let (stand_ins, told) = args.stand_ins.make(skeleton, &log.name)?;
-    let stage = Stage::with(skeleton, &log.name, &stand_ins)?;
+    let stage = SceneClouds::with(skeleton, &log.name, &stand_ins)?;
     let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
-    let generator = opened.as_ref().map(Opened::report);
+    let generator = opened.as_ref().map(OpenedNetwork::report);
     let options = options(&args, log, (*maps, told, sources, generator), &simulation, sim_options.clone());
     let output = Output { folder: &args.out, options: &options, prompt };
     let states = files.as_ref().map(|files| output.begin(files, &rows)).transpose()?;
     let town = opened.as_ref().filter(|_| args.log.format == LogFormat::Town);
     let town = town.map(|_| logs::open_town(&args.log)).transpose()?;
     let [ego_follows_log, actors_follow_log] = args.follow_log();
-    let subject = Subject {
+    let subject = GenerationScene {
         log,
         map: map.clone(),
         stage: &stage,
         prompt,
-        truth: town.as_ref().map_or(TrueImages::Logged(dataset.as_ref()), TrueImages::Town),
+        truth: town.as_ref().map_or(GroundTruthImages::Logged(dataset.as_ref()), GroundTruthImages::Town),
         ego_follows_log,
         actors_follow_log,
     };
@@ -100,7 +100,7 @@ pub(super) fn run(mut args: SimulateArgs) -> anyhow::Result<()> {
         scenario: &scenario,
         options: &sim_options,
     };
-    let begin = |opened: Opened| Generation::begin(opened, &subject, rasterizer.as_mut(), &before);
+    let begin = |opened: OpenedNetwork| Generation::begin(opened, &subject, rasterizer.as_mut(), &before);
     let mut generation = opened.map(begin).transpose()?;
     let shown_to_planner = args.ego_name() == "external" && !args.dry;
     let rollout = Rollout {

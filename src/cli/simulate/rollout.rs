@@ -13,22 +13,22 @@ use super::output::{FORECAST, Job, Output, RolloutOptions, STATE, step_folder};
 use super::profile::{Profile, StepTimes, WriteTimes, lap};
 use crate::cli::progress::Progress;
 use crate::conditions::birdseye::Trace;
-use crate::conditions::{Begun, ConditionError, ConditionSet};
+use crate::conditions::{ConditionError, ConditionSet, StepInFlight};
 use crate::dataset::{EgoTrack, Log};
 use crate::error::FileError;
 use crate::files::FileName;
 use crate::files::OutputFolder;
 use crate::raster::Rasterizer;
 use crate::report::images::TRUTH;
-use crate::report::{Observed, Phase, StateFile, StepRow, sight, view};
-use crate::scene::{SceneMap, SceneState, Stage};
+use crate::report::{Phase, StateFile, StepObservations, StepRow, sight, view};
+use crate::scene::{SceneClouds, SceneMap, SceneState};
 use crate::sim::{EndReason, Metrics, Simulation, StepOutcome, Waypoint, scene_state};
 
 /// State shared by all steps.
 pub(super) struct Rollout<'a> {
     pub(super) log: &'a Log,
     pub(super) map: Option<Arc<SceneMap>>,
-    pub(super) stage: &'a Stage<'a>,
+    pub(super) stage: &'a SceneClouds<'a>,
     pub(super) options: &'a RolloutOptions,
     pub(super) output: &'a Output<'a>,
     /// Folder of the steps; `None` writes nothing.
@@ -222,7 +222,7 @@ impl Rollout<'_> {
         let plan = plan.map(|plan| plan.get().waypoints().to_vec());
         going.plan = plan.clone().unwrap_or(std::mem::take(&mut going.plan));
         let metrics = simulation.metrics();
-        let observed = Observed {
+        let observed = StepObservations {
             lateral: metrics.lateral_deviation_m,
             heading: metrics.heading_deviation_rad,
             seen: sight::seen(&set, instant.actors.len()),
@@ -271,7 +271,7 @@ impl Rollout<'_> {
         let mut clock = Clock::now();
         let instances = self.stage.instances(state, &self.options.selection);
         times.instances_s = lap(&mut clock);
-        let begun = Begun::new(rasterizer, &instances, state, &self.options.conditions);
+        let begun = StepInFlight::new(rasterizer, &instances, state, &self.options.conditions);
         let begun = begun.with_context(|| format!("step {}", state.name))?;
         times.begin_s = lap(&mut clock);
         let set = begun.finish(rasterizer).with_context(|| format!("step {}", state.name))?;
@@ -419,7 +419,7 @@ mod tests {
             generator: None,
         };
         let output = Output { folder: folder.path(), options: &options, prompt: &prompt };
-        let stage = Stage::new(&skeleton, &log.name).unwrap();
+        let stage = SceneClouds::new(&skeleton, &log.name).unwrap();
         let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
         let drawn = raster::create(&desc, stage.cloud_set()).unwrap();
         let rollout = Rollout {

@@ -14,7 +14,7 @@ use crate::cli::rasterizer::RasterizerArgs;
 use crate::dataset::{Dataset, LogLocator};
 use crate::error::FileError;
 use crate::files::OutputFolder;
-use crate::generate::{Drive, Recipe};
+use crate::generate::{Recipe, TrainingClip};
 use crate::logs;
 use crate::scene::EgoOffset;
 use crate::town::Town;
@@ -44,7 +44,7 @@ const TURNED_RAD: f64 = 0.1;
 
 impl Recording<'_> {
     /// Returns the clips of all logs, in order; missing ones are recorded.
-    pub(super) fn drives(&self, locators: &[LogLocator]) -> anyhow::Result<Vec<Drive>> {
+    pub(super) fn drives(&self, locators: &[LogLocator]) -> anyhow::Result<Vec<TrainingClip>> {
         let mut progress = Progress::new(locators.len());
         let mut drives = Vec::new();
         for locator in locators {
@@ -67,7 +67,7 @@ impl Recording<'_> {
         Ok(())
     }
 
-    fn of_town(&self, town: &Town) -> anyhow::Result<Vec<Drive>> {
+    fn of_town(&self, town: &Town) -> anyhow::Result<Vec<TrainingClip>> {
         let files: Vec<PathBuf> = (0..self.variants).map(|number| self.file(town, number)).collect();
         if files.iter().any(|file| !file.is_file()) {
             self.record(town, &files)?;
@@ -107,8 +107,8 @@ impl Recording<'_> {
     }
 
     /// Opens a clip, which must have the same log and recipe.
-    fn open(&self, town: &Town, file: &Path) -> Result<Drive, FileError> {
-        let drive = Drive::open(file)?;
+    fn open(&self, town: &Town, file: &Path) -> Result<TrainingClip, FileError> {
+        let drive = TrainingClip::open(file)?;
         let (log, recipe) = (&town.log().name, self.recipe);
         if (&drive.about.log, &drive.about.recipe) != (log, recipe) {
             let expected = format!("a drive of {log} recorded by {recipe:?}");

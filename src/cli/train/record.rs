@@ -3,12 +3,14 @@
 use std::sync::Arc;
 
 use crate::cli::rasterizer::RasterizerArgs;
-use crate::cli::stand_ins::StandInArgs;
+use crate::cli::stand_ins::SubstituteArgs;
 use crate::conditions;
 use crate::dataset::{Dataset, Log};
-use crate::generate::{Drive, DriveFrame, DriveInfo, Recipe, TrueImages};
+use crate::generate::{DriveFrame, DriveInfo, GroundTruthImages, Recipe, TrainingClip};
 use crate::geometry::View;
-use crate::scene::{EgoOffset, SceneMap, SceneState, SelectionOptions, Stage, frame_rate_hz, state_of_frame};
+use crate::scene::{
+    EgoOffset, SceneClouds, SceneMap, SceneState, SelectionOptions, frame_rate_hz, state_of_frame,
+};
 use crate::skeleton::Skeleton;
 use crate::town::Town;
 
@@ -32,10 +34,10 @@ pub(super) struct Variant {
 
 impl Source<'_> {
     /// Records all frames.
-    pub(super) fn record(&self, variant: Variant) -> anyhow::Result<Drive> {
+    pub(super) fn record(&self, variant: Variant) -> anyhow::Result<TrainingClip> {
         let log = self.town.log();
-        let (stand_ins, _) = StandInArgs::augmented(variant.augment).make(self.skeleton, &log.name)?;
-        let stage = Stage::with(self.skeleton, &log.name, &stand_ins)?;
+        let (stand_ins, _) = SubstituteArgs::augmented(variant.augment).make(self.skeleton, &log.name)?;
+        let stage = SceneClouds::with(self.skeleton, &log.name, &stand_ins)?;
         let mut rasterizer = self.rasterizer.create(stage.cloud_set())?;
         let map = self.town.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
         let options = self.recipe.options(map.is_some());
@@ -48,11 +50,11 @@ impl Source<'_> {
             let instances = stage.instances(&state, &SelectionOptions::default());
             let set = conditions::render(rasterizer.as_mut(), &instances, &state, &options)?;
             let drawn = |view: &View| options.drawn_view(view);
-            let images = TrueImages::Town(self.town).of(&state, drawn, self.recipe.size, true)?;
+            let images = GroundTruthImages::Town(self.town).of(&state, drawn, self.recipe.size, true)?;
             frames.push(DriveFrame::new(&about, &set, &state, before, &images)?);
             before = Some(state.global_from_ego);
         }
-        Ok(Drive { about, frames })
+        Ok(TrainingClip { about, frames })
     }
 
     fn about(&self, log: &Log) -> DriveInfo {

@@ -8,7 +8,7 @@ use crate::cli::progress::Progress;
 use crate::error::FileError;
 use crate::files::input::{is_there, read_text};
 use crate::files::{OutputFolder, write_whole};
-use crate::generate::Drive;
+use crate::generate::TrainingClip;
 use crate::generate::network::NetworkConfig;
 use crate::generate::train::{StepReport, TrainOptions, Trainer};
 use crate::report::plot::{Curve, Plot};
@@ -61,7 +61,7 @@ impl Training<'_> {
     pub(super) fn run(
         &self,
         files: OutputFolder,
-        drives: &[Drive],
+        drives: &[TrainingClip],
         resume: bool,
     ) -> anyhow::Result<Vec<Loss>> {
         let checkpoint = self.folder.join(CHECKPOINT);
@@ -95,7 +95,7 @@ impl Training<'_> {
 
     /// Resumes a training with the same options. These include the number of steps, on which the learning rate
     /// depends.
-    fn resumed<'d>(&self, checkpoint: &Path, drives: &'d [Drive]) -> anyhow::Result<Trainer<'d>> {
+    fn resumed<'d>(&self, checkpoint: &Path, drives: &'d [TrainingClip]) -> anyhow::Result<Trainer<'d>> {
         let trainer = Trainer::resume(checkpoint, drives)?;
         let text = |options: &TrainOptions, config: &NetworkConfig| format!("{options:?} of {config:?}");
         let (before, now) = (text(trainer.options(), trainer.config()), text(&self.options, &self.config));

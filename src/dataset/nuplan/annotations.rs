@@ -4,14 +4,14 @@ use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::database::{Database, Query, Row, hex};
-use super::frames::Shot;
+use super::frames::FrameRecord;
 use super::read::{Notes, note};
 use crate::dataset::{Class, DatasetError, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, Pose, PoseError};
 
 /// Tracks with a box in at least one frame, and the boxes of each frame.
-pub(super) struct Annotated {
+pub(super) struct Annotations {
     /// Sorted by id.
     pub(super) tracks: Vec<Track>,
     /// Boxes per frame, sorted by track.
@@ -21,9 +21,9 @@ pub(super) struct Annotated {
 /// Reads the boxes of the frames. Counts boxes without a size and boxes of frames that are missing from the log.
 pub(super) fn read(
     database: &Database,
-    shots: &[Shot],
+    shots: &[FrameRecord],
     notes: &mut Notes,
-) -> Result<Annotated, DatasetError> {
+) -> Result<Annotations, DatasetError> {
     let all = tracks(database)?;
     let by_token: FxHashMap<&[u8], usize> =
         all.iter().enumerate().map(|(i, (token, _))| (token.as_slice(), i)).collect();
@@ -108,7 +108,7 @@ fn cuboid(row: &Row<'_>, database: &Database) -> Result<Option<Cuboid>, DatasetE
 }
 
 /// Removes tracks without a box and renumbers the others in the same order.
-fn without_unseen(all: Vec<(Vec<u8>, Track)>, mut frames: Vec<Vec<TrackBox>>) -> Annotated {
+fn without_unseen(all: Vec<(Vec<u8>, Track)>, mut frames: Vec<Vec<TrackBox>>) -> Annotations {
     let seen: FxHashSet<usize> = frames.iter().flatten().map(|b| b.track).collect();
     let (mut tracks, mut places) = (Vec::new(), vec![0; all.len()]);
     for (i, (_, track)) in all.into_iter().enumerate() {
@@ -118,5 +118,5 @@ fn without_unseen(all: Vec<(Vec<u8>, Track)>, mut frames: Vec<Vec<TrackBox>>) ->
         }
     }
     frames.iter_mut().flatten().for_each(|b| b.track = places[b.track]);
-    Annotated { tracks, frames }
+    Annotations { tracks, frames }
 }

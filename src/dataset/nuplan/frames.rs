@@ -4,7 +4,7 @@ use rustc_hash::FxHashMap;
 
 use super::database::{Database, Query, Row, hex};
 use super::pickle;
-use super::place::Place;
+use super::place::LogPaths;
 use super::read::{Notes, note, pose};
 use crate::dataset::{DatasetError, SweepRecord};
 use crate::error::FileError;
@@ -12,7 +12,7 @@ use crate::files::input::is_there;
 use crate::geometry::Pose;
 
 /// Frame without images and boxes.
-pub(super) struct Shot {
+pub(super) struct FrameRecord {
     pub(super) token: Vec<u8>,
     pub(super) t_us: i64,
     pub(super) global_from_ego: Pose,
@@ -30,10 +30,10 @@ pub(super) const POSE_COLUMNS: [&str; 7] =
 /// Fails if times do not increase from frame to frame or along `next_token`, or if there is no frame.
 pub(super) fn read(
     database: &Database,
-    place: &Place,
+    place: &LogPaths,
     scene: Option<&[u8]>,
     notes: &mut Notes,
-) -> Result<Vec<Shot>, DatasetError> {
+) -> Result<Vec<FrameRecord>, DatasetError> {
     let lidars = lidars(database)?;
     let [x, y, z, qw, qx, qy, qz] = POSE_COLUMNS;
     let columns = &[
@@ -80,9 +80,9 @@ pub(super) fn read(
 fn shot(
     row: &Row<'_>,
     database: &Database,
-    place: &Place,
+    place: &LogPaths,
     lidars: &FxHashMap<Vec<u8>, Pose>,
-) -> Result<Shot, DatasetError> {
+) -> Result<FrameRecord, DatasetError> {
     let (token, t_us, lidar) = (row.blob(0)?.to_owned(), row.time_us(1)?, row.blob(4)?);
     let ego_from_lidar = *lidars.get(lidar).ok_or_else(|| row.dangling("lidar", lidar))?;
     let global_from_ego = ego_pose(row, 6, database)?;
@@ -90,7 +90,7 @@ fn shot(
     let path = place.sensors.resolve(name).map_err(|error| row.wrong(5, &error.expected, &error.found))?;
     let sweep =
         is_there(&path)?.then_some(SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key: true });
-    Ok(Shot { token, t_us, global_from_ego, sweep })
+    Ok(FrameRecord { token, t_us, global_from_ego, sweep })
 }
 
 /// Returns the pose of a joined row of `ego_pose`. Column `by` is the referencing token; `ego_pose.token` and
@@ -105,7 +105,7 @@ pub(super) fn ego_pose(row: &Row<'_>, by: usize, database: &Database) -> Result<
 
 /// Checks that times increase from frame to frame and along `next_token`.
 fn check_times(
-    shots: &[Shot],
+    shots: &[FrameRecord],
     nexts: &[(Vec<u8>, Vec<u8>, i64)],
     times: &FxHashMap<Vec<u8>, i64>,
     database: &Database,

@@ -7,7 +7,7 @@ use rustc_hash::FxHashMap;
 use super::database::{Database, Query, Row};
 use super::frames::{POSE_COLUMNS, ego_pose, extrinsics, unpickled};
 use super::pickle;
-use super::place::Place;
+use super::place::LogPaths;
 use super::read::{Notes, note};
 use crate::dataset::{DatasetError, ImageRecord, MAX_CAMERAS, RigCamera};
 use crate::error::FileError;
@@ -26,15 +26,15 @@ const RING: [&str; 8] = ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_
 const OUTSIDE: &str = "images outside of the frames' time";
 
 /// Cameras, and their images per frame.
-pub(super) struct Seen {
+pub(super) struct CameraImages {
     /// In ring order.
     pub(super) rig: Vec<RigCamera>,
-    pub(super) frames: Vec<Pictures>,
+    pub(super) frames: Vec<FrameImages>,
 }
 
 /// Images of a frame.
 #[derive(Clone, Default)]
-pub(super) struct Pictures {
+pub(super) struct FrameImages {
     pub(super) images: Vec<ImageRecord>,
     pub(super) between_images: Vec<ImageRecord>,
 }
@@ -57,13 +57,13 @@ struct RawImage {
 /// images outside their time range are counted.
 pub(super) fn read(
     database: &Database,
-    place: &Place,
+    place: &LogPaths,
     times_us: &[i64],
     is_whole: bool,
     notes: &mut Notes,
-) -> Result<Seen, DatasetError> {
+) -> Result<CameraImages, DatasetError> {
     let cameras = cameras(database)?;
-    let mut frames = vec![Pictures::default(); times_us.len()];
+    let mut frames = vec![FrameImages::default(); times_us.len()];
     let (mut images, outside) = images(database, place, &cameras, times_us)?;
     note(notes, OUTSIDE, if is_whole { outside } else { 0 });
     let missing = images.iter().flatten().filter(|image| image.record.is_none()).count();
@@ -88,7 +88,7 @@ pub(super) fn read(
     frames.iter_mut().for_each(|f| f.between_images.sort_by_key(|i| (i.t_us, i.channel)));
     let rig =
         |(channel, RawCamera { ego_from_camera, camera, .. })| RigCamera { channel, ego_from_camera, camera };
-    Ok(Seen { rig: cameras.into_iter().enumerate().map(rig).collect(), frames })
+    Ok(CameraImages { rig: cameras.into_iter().enumerate().map(rig).collect(), frames })
 }
 
 /// Returns the image nearest to a time, within the tolerance. Ties go to the earlier one.
@@ -145,7 +145,7 @@ fn camera(row: &Row<'_>, database: &Database) -> Result<Camera, DatasetError> {
 /// returns the number of other images.
 fn images(
     database: &Database,
-    place: &Place,
+    place: &LogPaths,
     cameras: &[RawCamera],
     times_us: &[i64],
 ) -> Result<(Vec<Vec<RawImage>>, usize), DatasetError> {
@@ -193,7 +193,7 @@ fn record(
     row: &Row<'_>,
     channel: usize,
     camera: &RawCamera,
-    place: &Place,
+    place: &LogPaths,
     database: &Database,
 ) -> Result<Option<ImageRecord>, DatasetError> {
     let global_from_ego = ego_pose(row, 4, database)?;

@@ -34,7 +34,7 @@ use super::{
 #[derive(Debug)]
 pub struct NuPlan {
     log: Log,
-    place: place::Place,
+    place: place::LogPaths,
     map_name: String,
 }
 
@@ -49,7 +49,7 @@ impl NuPlan {
     /// selected, or the scene is unknown.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         let locator = place::single(locator)?;
-        let place = place::Place::new(&locator)?;
+        let place = place::LogPaths::new(&locator)?;
         let (log, map_name) = read::read(&place, locator.scene.as_deref())?;
         Ok(Self { log, place, map_name })
     }

@@ -25,7 +25,7 @@ pub const SIMGEN: [&str; 10] = [
 
 /// File locations of a log.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Place {
+pub(super) struct LogPaths {
     /// Database of the log.
     pub(super) database: PathBuf,
     /// Folder that the paths of sweeps and images are relative to.
@@ -36,7 +36,7 @@ pub(super) struct Place {
     pub(super) needs_map: bool,
 }
 
-impl Place {
+impl LogPaths {
     /// Finds the folders of a log file.
     pub(super) fn new(locator: &LogLocator) -> Result<Self, DatasetError> {
         // A relative path may start below the folders searched for here.

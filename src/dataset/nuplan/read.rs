@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::database::{Database, Query, hex};
-use super::place::Place;
+use super::place::LogPaths;
 use super::{annotations, frames, images, situation};
 use crate::dataset::{DatasetError, Frame, Log};
 use crate::error::FileError;
@@ -20,9 +20,9 @@ pub(super) fn note(notes: &mut Notes, kind: &str, count: usize) {
 }
 
 /// Reads a log, or one scene of it. Also returns the name of its map.
-pub(super) fn read(place: &Place, scene: Option<&str>) -> Result<(Log, String), DatasetError> {
+pub(super) fn read(place: &LogPaths, scene: Option<&str>) -> Result<(Log, String), DatasetError> {
     let database = Database::open(&place.database)?;
-    let about = About::read(&database)?;
+    let about = LogInfo::read(&database)?;
     let scene = scene.map(|wanted| Scene::read(&database, wanted)).transpose()?;
     let mut notes = Notes::new();
     let shots = frames::read(&database, place, scene.as_ref().map(|s| s.token.as_slice()), &mut notes)?;
@@ -31,7 +31,7 @@ pub(super) fn read(place: &Place, scene: Option<&str>) -> Result<(Log, String), 
     let annotated = annotations::read(&database, &shots, &mut notes)?;
     let (scenarios, lights) = situation::read(&database, &shots, &mut notes)?;
     let seen = pictures.frames.into_iter().zip(annotated.frames);
-    let frame = |(shot, (pictures, boxes)): (frames::Shot, (images::Pictures, _))| Frame {
+    let frame = |(shot, (pictures, boxes)): (frames::FrameRecord, (images::FrameImages, _))| Frame {
         t_us: shot.t_us,
         global_from_ego: shot.global_from_ego,
         sweeps: shot.sweep.into_iter().collect(),
@@ -59,14 +59,14 @@ pub(super) fn read(place: &Place, scene: Option<&str>) -> Result<(Log, String), 
 }
 
 /// Row of the table `log`.
-struct About {
+struct LogInfo {
     name: String,
     location: String,
     description: String,
     map_name: String,
 }
 
-impl About {
+impl LogInfo {
     fn read(database: &Database) -> Result<Self, DatasetError> {
         let columns = &["token", "logfile", "location", "map_version", "vehicle_name", "date"];
         let mut rows = Vec::new();

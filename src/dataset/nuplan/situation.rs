@@ -6,7 +6,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::annotations::frame_tokens;
 use super::database::{Database, Query, Row};
-use super::frames::Shot;
+use super::frames::FrameRecord;
 use super::read::{Notes, note};
 use crate::dataset::{DatasetError, TrafficLight};
 
@@ -42,7 +42,7 @@ pub(super) type Situation = (BTreeMap<String, Vec<usize>>, Vec<TrafficLight>);
 /// Reads `scenario_tag` and `traffic_light_status`.
 pub(super) fn read(
     database: &Database,
-    shots: &[Shot],
+    shots: &[FrameRecord],
     notes: &mut Notes,
 ) -> Result<Situation, DatasetError> {
     let places = shots.iter().enumerate().map(|(i, shot)| (shot.token.as_slice(), i)).collect();

@@ -13,7 +13,7 @@ use crate::error::FileError;
 use crate::geometry::Cuboid;
 
 /// Tracks, and per frame the boxes with their stated number of LiDAR points.
-pub(super) struct Annotated {
+pub(super) struct Annotations {
     /// Sorted by id.
     pub(super) tracks: Vec<Track>,
     /// Boxes and point counts per frame, sorted by track; both lists have the same length.
@@ -21,7 +21,7 @@ pub(super) struct Annotated {
 }
 
 /// Reads the boxes of every sample of the chain.
-pub(super) fn read(tables: &Path, chain: &Chain) -> Result<Annotated, DatasetError> {
+pub(super) fn read(tables: &Path, chain: &Chain) -> Result<Annotations, DatasetError> {
     let annotations = Table::<Annotation>::load(tables, |a| chain.place.contains_key(&a.sample_token))?;
     let needed: FxHashSet<&str> = annotations.records.iter().map(|a| a.instance_token.as_str()).collect();
     let mut instances = Table::<Instance>::load(tables, |i| needed.contains(i.token.as_str()))?;
@@ -51,7 +51,7 @@ pub(super) fn read(tables: &Path, chain: &Chain) -> Result<Annotated, DatasetErr
             );
         }
     }
-    Ok(Annotated { tracks, frames: frames.into_iter().map(|f| f.into_iter().unzip()).collect() })
+    Ok(Annotations { tracks, frames: frames.into_iter().map(|f| f.into_iter().unzip()).collect() })
 }
 
 /// Converts an annotation; the tables store width, length, height.

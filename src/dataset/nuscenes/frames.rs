@@ -23,14 +23,14 @@ const RING: [&str; 6] =
 const MAIN_LIDAR: &str = "LIDAR_TOP";
 
 /// Cameras and frames of a scene.
-pub(super) struct Shots {
+pub(super) struct SceneFrames {
     pub(super) cameras: Vec<FileName>,
-    pub(super) frames: Vec<Shot>,
+    pub(super) frames: Vec<FrameRecord>,
 }
 
 /// Sensor data and ego pose of a frame.
 #[derive(Debug)]
-pub(super) struct Shot {
+pub(super) struct FrameRecord {
     pub(super) global_from_ego: Pose,
     pub(super) sweeps: Vec<SweepRecord>,
     pub(super) images: Vec<ImageRecord>,
@@ -46,7 +46,7 @@ struct RawSweep {
 
 /// Unsorted sweeps and images of one frame.
 #[derive(Default)]
-struct Pile {
+struct UnsortedFrame {
     sweeps: Vec<RawSweep>,
     images: Vec<ImageRecord>,
     between_images: Vec<ImageRecord>,
@@ -66,14 +66,14 @@ pub(super) fn read(
     tables: &Path,
     chain: &Chain,
     notes: &mut Notes,
-) -> Result<Shots, DatasetError> {
+) -> Result<SceneFrames, DatasetError> {
     let data = Table::<SampleData>::load(tables, |d| chain.place.contains_key(&d.sample_token))?;
     let needed: FxHashSet<&str> = data.records.iter().map(|d| d.ego_pose_token.as_str()).collect();
     let poses = Table::<EgoPose>::load(tables, |p| needed.contains(p.token.as_str()))?;
     let (calibrated, sensors) = (Table::load_all(tables)?, Table::load_all(tables)?);
     let sensors = Sensors { data, poses, calibrated, sensors };
     let cameras = sensors.cameras()?;
-    let mut piles: Vec<Pile> = chain.times_us.iter().map(|_| Pile::default()).collect();
+    let mut piles: Vec<UnsortedFrame> = chain.times_us.iter().map(|_| UnsortedFrame::default()).collect();
     for data in &sensors.data.records {
         let place = match chain.place.get(&data.sample_token) {
             Some(place) if data.is_key_frame => *place,
@@ -84,10 +84,10 @@ pub(super) fn read(
             None => note(notes, "sweeps and images after the last sample"),
         }
     }
-    let finish = |pile: Pile| pile.finish(cameras.len(), notes);
-    let frames: Option<Vec<Shot>> = piles.into_iter().map(finish).collect();
+    let finish = |pile: UnsortedFrame| pile.finish(cameras.len(), notes);
+    let frames: Option<Vec<FrameRecord>> = piles.into_iter().map(finish).collect();
     let no_data = || FileError::content("data for every sample", "a sample with none", &sensors.data.path);
-    Ok(Shots { frames: frames.ok_or_else(no_data)?, cameras })
+    Ok(SceneFrames { frames: frames.ok_or_else(no_data)?, cameras })
 }
 
 impl Sensors {
@@ -129,7 +129,7 @@ impl Sensors {
     /// Adds a sweep or image to a frame's data.
     fn add(
         &self,
-        pile: &mut Pile,
+        pile: &mut UnsortedFrame,
         data: &SampleData,
         root: &DataRoot,
         cameras: &[FileName],
@@ -207,9 +207,9 @@ impl Sensors {
     }
 }
 
-impl Pile {
+impl UnsortedFrame {
     /// Sorts a frame; `None` if it has neither a key sweep nor a key image to provide the ego pose.
-    fn finish(mut self, cameras: usize, notes: &mut Notes) -> Option<Shot> {
+    fn finish(mut self, cameras: usize, notes: &mut Notes) -> Option<FrameRecord> {
         for channel in 0..cameras {
             if !self.images.iter().any(|i| i.channel == channel) {
                 note(notes, "missing camera images");
@@ -231,7 +231,12 @@ impl Pile {
         let of_image = || self.images.iter().min_by_key(|i| i.t_us).map(|i| i.global_from_ego);
         let global_from_ego = of_sweep.or_else(of_image)?;
         let sweeps = self.sweeps.into_iter().map(|s| s.record).collect();
-        Some(Shot { global_from_ego, sweeps, images: self.images, between_images: self.between_images })
+        Some(FrameRecord {
+            global_from_ego,
+            sweeps,
+            images: self.images,
+            between_images: self.between_images,
+        })
     }
 }
 

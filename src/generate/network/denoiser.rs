@@ -3,7 +3,10 @@ use std::path::Path;
 use candle_core::{Device, Tensor};
 
 use super::codec::{latent_of_rows, rows_of_latent};
-use super::{About, Inputs, Model, NetworkConfig, NetworkError, PatchCodec, Statistics, Taken, Weights};
+use super::{
+    EmbeddedConditions, Inputs, Model, NetworkConfig, NetworkError, PatchCodec, Provenance, Statistics,
+    Weights,
+};
 use crate::generate::{Denoiser, DenoiserError, Frame, FrameConditions, Latent, LatentShape, Recipe};
 
 /// The network as a denoiser; it predicts the velocity of flow matching.
@@ -11,11 +14,11 @@ use crate::generate::{Denoiser, DenoiserError, Frame, FrameConditions, Latent, L
 pub struct Network {
     config: NetworkConfig,
     statistics: Statistics,
-    about: About,
+    about: Provenance,
     fingerprint: String,
     model: Model,
     /// Cache of the last windows' conditions, latest last, with their embeddings.
-    remembered: Vec<(Vec<FrameConditions>, Taken)>,
+    remembered: Vec<(Vec<FrameConditions>, EmbeddedConditions)>,
 }
 
 /// Number of cached windows: a roll calls the network several times for one window, with guidance for two.
@@ -69,7 +72,7 @@ impl Network {
     }
 
     /// Provenance of its weights.
-    pub fn about(&self) -> &About {
+    pub fn about(&self) -> &Provenance {
         &self.about
     }
 
@@ -87,7 +90,7 @@ impl Network {
     }
 
     /// Embeds the conditions of a window, or takes the embedding from the cache.
-    fn take(&mut self, window: &[Frame<'_, FrameConditions>]) -> Result<Taken, NetworkError> {
+    fn take(&mut self, window: &[Frame<'_, FrameConditions>]) -> Result<EmbeddedConditions, NetworkError> {
         let is_same = |known: &[FrameConditions]| {
             known.len() == window.len()
                 && known.iter().zip(window).all(|(known, frame)| known == frame.condition)

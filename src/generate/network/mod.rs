@@ -26,10 +26,10 @@ pub use denoiser::Network;
 pub use error::NetworkError;
 pub use kernels::Attend;
 pub use model::FirstGuess;
-pub use weights::{About, Weights};
+pub use weights::{Provenance, Weights};
 
 pub(super) use inputs::Inputs;
 pub(super) use levels::Levels;
-pub(super) use model::Taken;
+pub(super) use model::EmbeddedConditions;
 pub(super) use model::{Model, fresh, shapes};
 pub(super) use weights::{find, in_file, read, read_whole, serialized};

@@ -6,7 +6,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_seeder::Seeder;
 
 use super::inputs::{EGO, RAY};
-use super::kernels::{Grid, Mix};
+use super::kernels::{AttentionMlp, Grid};
 use super::{Inputs, Levels, NetworkConfig, NetworkError, Statistics, ops};
 
 /// Number of frequencies in the encoding of a noise level.
@@ -28,7 +28,7 @@ pub(in crate::generate) struct Model {
 
 /// Embedded conditions of windows; the same for all noise levels.
 #[derive(Clone, Debug)]
-pub(in crate::generate) struct Taken {
+pub(in crate::generate) struct EmbeddedConditions {
     grid: Grid,
     /// Tokens of the conditions, `[R, d]`.
     tokens: Tensor,
@@ -177,7 +177,12 @@ impl Model {
     }
 
     /// Embeds the conditions of windows of `frames` frames each.
-    pub(in crate::generate) fn take(&self, inputs: &Inputs, windows: usize, frames: usize) -> Result<Taken> {
+    pub(in crate::generate) fn take(
+        &self,
+        inputs: &Inputs,
+        windows: usize,
+        frames: usize,
+    ) -> Result<EmbeddedConditions> {
         let grid = self.config.grid(windows, frames);
         let (d, patches) = (self.config.width, grid.height * grid.width);
         let tokens = (self.linear(&inputs.maps, "maps.in")? + self.linear(&inputs.rays, "rays.in")?)?
@@ -188,7 +193,7 @@ impl Model {
             .reshape((grid.rows(), d))?;
         let guess = self.biased(&inputs.maps, "maps.guess")?;
         let ego = self.linear(&self.linear(&inputs.ego, "ego.a")?.silu()?, "ego.b")?;
-        Ok(Taken { grid, tokens, guess, ego })
+        Ok(EmbeddedConditions { grid, tokens, guess, ego })
     }
 
     /// Returns the network's output for noisy latents `[R, C]` with noise `sigmas [B L]`: the error of the linear
@@ -197,7 +202,7 @@ impl Model {
         &self,
         noisy: &Tensor,
         sigmas: &[f32],
-        taken: &Taken,
+        taken: &EmbeddedConditions,
     ) -> Result<Tensor> {
         let (d, blocks) = (self.config.width, self.config.blocks.len());
         let level = self.biased(&waves(sigmas)?, "level.a")?.silu()?;
@@ -210,7 +215,7 @@ impl Model {
         for (block, &attend) in self.config.blocks.iter().enumerate() {
             let normed = ops::norm_modulate(&x, &part(3 * block, 2)?)?;
             let wide = self.linear(&normed, &format!("block.{block:02}.in"))?;
-            let mix = Mix {
+            let mix = AttentionMlp {
                 grid: taken.grid,
                 attend,
                 width: d,
@@ -228,7 +233,7 @@ impl Model {
         &self,
         noisy: &Tensor,
         sigmas: &[f32],
-        taken: &Taken,
+        taken: &EmbeddedConditions,
     ) -> Result<Tensor> {
         let answer = self.answer(noisy, sigmas, taken)?;
         let levels = self.levels(sigmas);
@@ -236,7 +241,7 @@ impl Model {
     }
 }
 
-impl Taken {
+impl EmbeddedConditions {
     /// First guess of the latents, from the maps of each patch alone, `[R, C]`.
     pub(in crate::generate) fn guess(&self) -> &Tensor {
         &self.guess

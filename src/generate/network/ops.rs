@@ -4,7 +4,7 @@ use candle_core::{
     CpuStorage, CustomOp1, CustomOp2, CustomOp3, Device, Layout, Result, Shape, Storage, Tensor, bail,
 };
 
-use super::kernels::{self, Mix};
+use super::kernels::{self, AttentionMlp};
 
 /// Returns the values of a contiguous tensor.
 fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
@@ -29,7 +29,7 @@ fn like(tensor: &Tensor, values: Vec<f32>) -> Result<Tensor> {
 }
 
 /// Returns `[attention, gelu(hidden)] [R, d + m]` of rows `[q, k, v, hidden] [R, 3d + m]`.
-pub(super) fn mix(rows: &Tensor, shape: Mix) -> Result<Tensor> {
+pub(super) fn mix(rows: &Tensor, shape: AttentionMlp) -> Result<Tensor> {
     rows.apply_op1(MixOp(shape))
 }
 
@@ -44,7 +44,7 @@ pub(super) fn gated_add(x: &Tensor, y: &Tensor, gate: &Tensor) -> Result<Tensor>
     x.apply_op3(y, gate, GateOp)
 }
 
-struct MixOp(Mix);
+struct MixOp(AttentionMlp);
 
 impl CustomOp1 for MixOp {
     fn name(&self) -> &'static str {

@@ -17,7 +17,7 @@ use crate::files::write_whole;
 
 /// Provenance of weights.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct About {
+pub struct Provenance {
     /// Seed of the training.
     pub seed: u64,
     /// Number of training steps.
@@ -36,7 +36,7 @@ pub struct Weights {
     /// Statistics of the training data.
     pub statistics: Statistics,
     /// Provenance of the weights.
-    pub about: About,
+    pub about: Provenance,
     pub(in crate::generate) parameters: BTreeMap<String, Tensor>,
 }
 
@@ -45,7 +45,7 @@ pub struct Weights {
 struct Header {
     config: NetworkConfig,
     statistics: Statistics,
-    about: About,
+    about: Provenance,
 }
 
 const HEADER: &str = "network";
@@ -64,7 +64,7 @@ impl Weights {
         seed: u64,
     ) -> Result<Self, NetworkError> {
         config.check_with(statistics)?;
-        let about = About { seed, ..About::default() };
+        let about = Provenance { seed, ..Provenance::default() };
         let parameters = fresh(config, guess, seed)?;
         Ok(Self { config: config.clone(), statistics: statistics.clone(), about, parameters })
     }

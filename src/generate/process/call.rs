@@ -1,12 +1,12 @@
 use half::{bf16, f16};
 use safetensors::Dtype;
 
-use super::hello::{Given, Precision};
+use super::hello::{DenoiserOutputs, Precision};
 use super::message::{Answer, Values, message, shown};
 use crate::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use crate::generate::{CAMERA_NUMBERS, DenoiserError, Frame, FrameConditions, Latent, LatentShape};
 use crate::geometry::ImageSize;
-use crate::peer::Wrong;
+use crate::peer::ProtocolError;
 
 const CALL: &str = "call";
 const PREDICTION: &str = "prediction";
@@ -55,13 +55,13 @@ fn parts<'a>(
 /// Parses the predictions for a window of `frames` frames.
 pub(super) fn read_prediction(
     answer: &[u8],
-    given: Given,
+    given: DenoiserOutputs,
     frames: usize,
     call: u64,
-) -> Result<Vec<Latent>, Wrong> {
+) -> Result<Vec<Latent>, ProtocolError> {
     let answer = Answer::read(answer)?;
     if answer.texts.get(CALL).is_some_and(|answered| *answered != call.to_string()) {
-        return Err(Wrong::new(format!("an answer to `call` \"{call}\""), answer.quoted(CALL)));
+        return Err(ProtocolError::new(format!("an answer to `call` \"{call}\""), answer.quoted(CALL)));
     }
     let shape = given.shape;
     let [views, channels, height, width] = shape.to_array();
@@ -69,7 +69,7 @@ pub(super) fn read_prediction(
         read_values(&answer, PREDICTION, given.precision, &[frames, views, channels, height, width])?;
     if let Some((index, value)) = values.iter().enumerate().find(|(_, value)| !value.is_finite()) {
         let position = index / shape.len();
-        return Err(Wrong::new(
+        return Err(ProtocolError::new(
             format!("finite values for frame {position} of the window"),
             value.to_string(),
         ));
@@ -83,12 +83,12 @@ pub(super) fn read_values(
     name: &str,
     precision: Precision,
     sizes: &[usize],
-) -> Result<Vec<f32>, Wrong> {
+) -> Result<Vec<f32>, ProtocolError> {
     let tensor = answer.tensors.tensor(name).map_err(|_| {
         let mut names = answer.tensors.names();
         names.sort_unstable();
         let found = if names.is_empty() { "none".to_owned() } else { shown(&names.join(", ")) };
-        Wrong::new(format!("a tensor `{name}`"), found)
+        ProtocolError::new(format!("a tensor `{name}`"), found)
     })?;
     let dtype = match precision {
         Precision::F32 => Dtype::F32,
@@ -97,11 +97,11 @@ pub(super) fn read_values(
     };
     if tensor.dtype() != dtype {
         let expected = format!("`{name}` as {dtype}, which its hello says,");
-        return Err(Wrong::new(expected, tensor.dtype().to_string()));
+        return Err(ProtocolError::new(expected, tensor.dtype().to_string()));
     }
     if tensor.shape() != sizes {
         let found = shown(&format!("{:?}", tensor.shape()));
-        return Err(Wrong::new(format!("`{name}` of {sizes:?}"), found));
+        return Err(ProtocolError::new(format!("`{name}` of {sizes:?}"), found));
     }
     Ok(values(tensor.data(), precision))
 }

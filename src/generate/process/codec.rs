@@ -4,16 +4,16 @@ use image::{Rgb, RgbImage};
 
 use super::Shared;
 use super::call::read_values;
-use super::hello::Given;
+use super::hello::DenoiserOutputs;
 use super::message::{Answer, Values, message};
 use crate::generate::{Codec, DenoiserError, Latent, LatentShape};
 use crate::geometry::ImageSize;
-use crate::peer::Wrong;
+use crate::peer::ProtocolError;
 
 /// Codec of a network in another process, which encodes and decodes images on request.
 pub(super) struct ProcessCodec {
     pub(super) shared: Arc<Shared>,
-    pub(super) given: Given,
+    pub(super) given: DenoiserOutputs,
     /// Size of the images.
     pub(super) size: ImageSize,
 }
@@ -31,7 +31,7 @@ impl ProcessCodec {
         &self,
         what: &str,
         (name, shape, values): (&'static str, [usize; 4], &[f32]),
-        read: impl FnOnce(&Answer<'_>) -> Result<T, Wrong>,
+        read: impl FnOnce(&Answer<'_>) -> Result<T, ProtocolError>,
     ) -> Result<T, DenoiserError> {
         let tensor = (name, Values { shape: shape.to_vec(), parts: vec![values] });
         let request = message([("ask", what.to_owned())], [tensor])?;
@@ -67,7 +67,8 @@ impl Codec for ProcessCodec {
         self.ask("encode", (IMAGES, self.image_sizes(), &values), |answer| {
             let values = read_values(answer, LATENTS, self.given.precision, &shape.to_array())?;
             finite(&values, LATENTS)?;
-            Latent::new(shape, values).ok_or_else(|| Wrong::new(format!("latents of {shape}"), "others"))
+            Latent::new(shape, values)
+                .ok_or_else(|| ProtocolError::new(format!("latents of {shape}"), "others"))
         })
     }
 
@@ -94,9 +95,9 @@ impl Codec for ProcessCodec {
     }
 }
 
-fn finite(values: &[f32], name: &str) -> Result<(), Wrong> {
+fn finite(values: &[f32], name: &str) -> Result<(), ProtocolError> {
     match values.iter().find(|value| !value.is_finite()) {
-        Some(value) => Err(Wrong::new(format!("finite values in `{name}`"), value.to_string())),
+        Some(value) => Err(ProtocolError::new(format!("finite values in `{name}`"), value.to_string())),
         None => Ok(()),
     }
 }

@@ -2,14 +2,14 @@ use super::MAX_ANSWER_BYTES;
 use super::message::{Answer, message};
 use crate::generate::{DenoiserError, LatentShape, Prediction, SamplerOptions};
 use crate::geometry::ImageSize;
-use crate::peer::Wrong;
+use crate::peer::ProtocolError;
 
 const PROTOCOL: &str = "pskel-denoiser";
 const VERSION: &str = "1";
 
 /// Inputs of the denoiser, announced in the hello.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Taken {
+pub(super) struct DenoiserInputs {
     /// Number of frames in the window, L.
     pub(super) window: usize,
     /// Number of cameras, V.
@@ -22,7 +22,7 @@ pub(super) struct Taken {
 
 /// Outputs of the denoiser, announced in its answer to the hello.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Given {
+pub(super) struct DenoiserOutputs {
     /// Latent shape of a frame, `[V, C, h, w]`.
     pub(super) shape: LatentShape,
     pub(super) precision: Precision,
@@ -38,7 +38,7 @@ pub(super) enum Precision {
     Bf16,
 }
 
-pub(super) fn hello(taken: &Taken) -> Result<Vec<u8>, DenoiserError> {
+pub(super) fn hello(taken: &DenoiserInputs) -> Result<Vec<u8>, DenoiserError> {
     let (sampler, prediction) = match taken.sampler {
         SamplerOptions::FlowMatch { .. } => ("flow_match", "velocity"),
         SamplerOptions::Ddim { prediction: Prediction::Epsilon } => ("ddim", "epsilon"),
@@ -58,27 +58,27 @@ pub(super) fn hello(taken: &Taken) -> Result<Vec<u8>, DenoiserError> {
 }
 
 /// Parses and validates the answer to the hello.
-pub(super) fn read_hello(answer: &[u8], taken: &Taken) -> Result<Given, Wrong> {
+pub(super) fn read_hello(answer: &[u8], taken: &DenoiserInputs) -> Result<DenoiserOutputs, ProtocolError> {
     let answer = Answer::read(answer)?;
     let text = |name: &str| answer.texts.get(name).map_or("", String::as_str);
     if (text("protocol"), text("version")) != (PROTOCOL, VERSION) {
         let found =
             format!("`protocol` {} of `version` {}", answer.quoted("protocol"), answer.quoted("version"));
-        return Err(Wrong::new(format!("`protocol` {PROTOCOL:?} of `version` {VERSION:?}"), found));
+        return Err(ProtocolError::new(format!("`protocol` {PROTOCOL:?} of `version` {VERSION:?}"), found));
     }
     let shape = latent_shape(text("latent_shape")).filter(|shape| shape.views == taken.views);
     let shape = shape.ok_or_else(|| {
         let expected = format!("`latent_shape` \"V,C,h,w\" of positive numbers with V = {}", taken.views);
-        Wrong::new(expected, answer.quoted("latent_shape"))
+        ProtocolError::new(expected, answer.quoted("latent_shape"))
     })?;
     let precision = Precision::named(text("dtype"));
     let precision = precision
-        .ok_or_else(|| Wrong::new("`dtype` \"F32\", \"F16\" or \"BF16\"", answer.quoted("dtype")))?;
+        .ok_or_else(|| ProtocolError::new("`dtype` \"F32\", \"F16\" or \"BF16\"", answer.quoted("dtype")))?;
     // Half of the limit leaves room for the header.
     let most = (MAX_ANSWER_BYTES / 2) as usize / size_of::<f32>() / taken.window.max(1);
     if shape.len() > most {
         let expected = format!("`latent_shape` of at most {most} values in a window of {}", taken.window);
-        return Err(Wrong::new(expected, answer.quoted("latent_shape")));
+        return Err(ProtocolError::new(expected, answer.quoted("latent_shape")));
     }
     let images = answer.texts.get("image_size").map(|text| {
         let fits = |size: &ImageSize| 3 * taken.views * size.pixels() <= most;
@@ -87,10 +87,10 @@ pub(super) fn read_hello(answer: &[u8], taken: &Taken) -> Result<Given, Wrong> {
                 "`image_size` \"H,W\" of positive numbers, {} images of at most {most} values",
                 taken.views
             );
-            Wrong::new(expected, answer.quoted("image_size"))
+            ProtocolError::new(expected, answer.quoted("image_size"))
         })
     });
-    Ok(Given { shape, precision, images: images.transpose()? })
+    Ok(DenoiserOutputs { shape, precision, images: images.transpose()? })
 }
 
 /// Parses `H,W`, two positive numbers.

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, View, serialize};
 
 use crate::generate::DenoiserError;
-use crate::peer::Wrong;
+use crate::peer::ProtocolError;
 
 /// Maximum length of quoted texts of a denoiser, characters.
 const SHOWN: usize = 200;
@@ -53,9 +53,12 @@ pub(super) struct Answer<'a> {
 }
 
 impl<'a> Answer<'a> {
-    pub(super) fn read(bytes: &'a [u8]) -> Result<Self, Wrong> {
+    pub(super) fn read(bytes: &'a [u8]) -> Result<Self, ProtocolError> {
         let wrong = |error: SafeTensorError| {
-            Wrong::new("a safetensors file", format!("{} bytes: {}", bytes.len(), shown(&error.to_string())))
+            ProtocolError::new(
+                "a safetensors file",
+                format!("{} bytes: {}", bytes.len(), shown(&error.to_string())),
+            )
         };
         let (_, head) = SafeTensors::read_metadata(bytes).map_err(wrong)?;
         let texts = head.metadata().clone().unwrap_or_default();

@@ -9,13 +9,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use self::call::{read_prediction, request};
 use self::codec::ProcessCodec;
-use self::hello::{Given, Taken, hello, read_hello};
+use self::hello::{DenoiserInputs, DenoiserOutputs, hello, read_hello};
 use super::{
     Codec, Denoiser, DenoiserError, Frame, FrameConditions, GenerateOptions, Latent, LatentShape, PixelCodec,
 };
 use crate::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use crate::geometry::ImageSize;
-use crate::peer::{Framing, Link, PeerSpec, Wrong};
+use crate::peer::{Framing, Link, PeerSpec, ProtocolError};
 
 /// Maximum length of an answer, bytes.
 const MAX_ANSWER_BYTES: u64 = 1 << 30;
@@ -24,8 +24,8 @@ const MAX_ANSWER_BYTES: u64 = 1 << 30;
 /// [`Generator`](super::Generator) resumes from its cache with a new process.
 pub struct ProcessDenoiser {
     shared: Arc<Shared>,
-    taken: Taken,
-    given: Given,
+    taken: DenoiserInputs,
+    given: DenoiserOutputs,
     /// Number of calls so far.
     calls: u64,
 }
@@ -37,7 +37,7 @@ impl Shared {
     fn ask<T>(
         &self,
         message: Vec<u8>,
-        read: impl FnOnce(&[u8]) -> Result<T, Wrong>,
+        read: impl FnOnce(&[u8]) -> Result<T, ProtocolError>,
     ) -> Result<T, DenoiserError> {
         // The link stays valid if a thread panicked while holding the lock: it rejects calls after a failure
         // itself.
@@ -60,7 +60,7 @@ impl ProcessDenoiser {
         views: usize,
         size: ImageSize,
     ) -> Result<Self, DenoiserError> {
-        let taken = Taken { window: options.window, views, size, sampler: options.sampler };
+        let taken = DenoiserInputs { window: options.window, views, size, sampler: options.sampler };
         let link = Link::open("denoiser", spec, Framing::Lengths { max_bytes: MAX_ANSWER_BYTES })?;
         let shared = Arc::new(Shared(Mutex::new(link)));
         let given = shared.ask(hello(&taken)?, |answer| read_hello(answer, &taken))?;
@@ -84,7 +84,7 @@ impl ProcessDenoiser {
 
     /// Checks that a window matches the hello.
     fn check(&self, window: &[Frame<'_, FrameConditions>]) -> Result<(), DenoiserError> {
-        let Taken { window: frames, views, size, .. } = self.taken;
+        let DenoiserInputs { window: frames, views, size, .. } = self.taken;
         if window.len() != frames {
             return Err(DenoiserError::input(
                 format!("a window of {frames} frames"),

@@ -7,7 +7,7 @@ use rand_seeder::Seeder;
 use super::TrainOptions;
 use crate::conditions::TensorEncoder;
 use crate::generate::network::{Inputs, NetworkConfig, NetworkError, PatchCodec};
-use crate::generate::{Condition, Drive, Dropped, FlowMatch, FrameConditions, Roll};
+use crate::generate::{Condition, DroppedConditions, FlowMatch, FrameConditions, Roll, TrainingClip};
 
 /// Minimum noise level of a frame that is not finished.
 const SIGMA_MIN: f32 = 0.005;
@@ -35,7 +35,7 @@ struct Window {
     drive: usize,
     /// Index of its first frame.
     first: usize,
-    dropped: Dropped,
+    dropped: DroppedConditions,
     /// Number of leading frames that are finished.
     finished: usize,
     /// Noise level of each frame, as passed to the network.
@@ -46,7 +46,7 @@ struct Window {
 pub(super) struct Source<'a> {
     pub(super) options: &'a TrainOptions,
     pub(super) config: &'a NetworkConfig,
-    pub(super) drives: &'a [Drive],
+    pub(super) drives: &'a [TrainingClip],
     pub(super) codec: &'a PatchCodec,
     pub(super) encoder: &'a TensorEncoder,
 }
@@ -122,7 +122,7 @@ fn draw(options: &TrainOptions, frames: usize, lengths: &[usize], random: &mut C
     let chances = options.drop;
     let all = unit(random) < chances.all;
     let mut drops = |chance: f32| unit(random) < chance || all;
-    let dropped = Dropped {
+    let dropped = DroppedConditions {
         layout: drops(chances.layout),
         action: drops(chances.action),
         color: drops(chances.color),
@@ -204,7 +204,7 @@ mod tests {
             share(&|w| w.dropped.layout),
             share(&|w| w.dropped.action),
             share(&|w| w.dropped.color),
-            share(&|w| w.dropped == Dropped::ALL),
+            share(&|w| w.dropped == DroppedConditions::ALL),
             share(&|w| w.finished == 0),
             share(&|w| w.drive == 1),
             share(&|w| w.sigmas[3] < 0.75),

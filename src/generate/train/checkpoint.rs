@@ -5,10 +5,10 @@ use candle_core::{Device, Tensor, Var};
 use serde::{Deserialize, Serialize};
 
 use super::TrainOptions;
-use super::optimizer::{State, Trained};
+use super::optimizer::{State, TrainedParameter};
 use crate::error::FileError;
 use crate::files::write_whole;
-use crate::generate::Drive;
+use crate::generate::TrainingClip;
 use crate::generate::network::{
     NetworkConfig, NetworkError, Statistics, find, in_file, read, read_whole, serialized, shapes,
 };
@@ -34,7 +34,7 @@ pub(super) fn save(path: &Path, header: &Header, state: &State) -> Result<(), Ne
     use std::io::Write;
     let mut arrays = Vec::with_capacity(4 * state.parameters.len());
     for (name, trained) in &state.parameters {
-        let Trained { value, first, second, average } = trained;
+        let TrainedParameter { value, first, second, average } = trained;
         let values = value.flatten_all()?.to_vec1::<f32>()?;
         for (part, values) in [("value", &values), ("first", first), ("second", second), ("average", average)]
         {
@@ -56,15 +56,19 @@ pub(super) fn open(path: &Path) -> Result<(Header, State), NetworkError> {
     for (name, shape) in shapes(config) {
         let part = |part: &str| find(&tensors, &format!("{part}/{name}"), &shape, path);
         let value = Var::from_tensor(&Tensor::from_vec(part("value")?, &shape[..], &Device::Cpu)?)?;
-        let trained =
-            Trained { value, first: part("first")?, second: part("second")?, average: part("average")? };
+        let trained = TrainedParameter {
+            value,
+            first: part("first")?,
+            second: part("second")?,
+            average: part("average")?,
+        };
         state.parameters.insert(name, trained);
     }
     Ok((header, state))
 }
 
 /// Returns a hash of the recordings.
-pub(super) fn fingerprint(drives: &[Drive]) -> String {
+pub(super) fn fingerprint(drives: &[TrainingClip]) -> String {
     let mut hasher = rand_seeder::SipHasher::new();
     for drive in drives {
         let about = &drive.about;

@@ -1,4 +1,4 @@
-//! Training of the [`network`](super::network) on recordings ([`Drive`](super::Drive)).
+//! Training of the [`network`](super::network) on recordings ([`TrainingClip`](super::Drive)).
 //!
 //! # How it works
 //! A [`Trainer`] computes the statistics of the recordings (`statistics`) and fits the first guess to them

@@ -5,7 +5,7 @@ use crate::generate::network::Model;
 
 /// Weighting of errors in the loss.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Weighing<'a> {
+pub(super) struct LossWeights<'a> {
     /// Expected error of the network per channel, `[C]`; also the weight of the channel.
     pub(super) priors: &'a [f32],
     /// See [`TrainOptions::expected_error`](super::TrainOptions::expected_error).
@@ -18,7 +18,12 @@ pub(super) struct Weighing<'a> {
 ///
 /// # Errors
 /// Returns any error of the tensor library.
-pub(super) fn loss(model: &Model, batch: &Batch, windows: usize, weighing: Weighing<'_>) -> Result<Tensor> {
+pub(super) fn loss(
+    model: &Model,
+    batch: &Batch,
+    windows: usize,
+    weighing: LossWeights<'_>,
+) -> Result<Tensor> {
     let frames = batch.sigmas.len();
     let taken = model.take(&batch.inputs, windows, frames / windows)?;
     let answer = model.answer(&batch.noisy, &batch.sigmas, &taken)?;
@@ -32,7 +37,7 @@ pub(super) fn loss(model: &Model, batch: &Batch, windows: usize, weighing: Weigh
 }
 
 /// Returns the mean square error of the first guess per frame, relative to its average over the training data.
-fn guess_errors(left: &Tensor, frames: usize, weighing: Weighing<'_>) -> Result<Vec<f32>> {
+fn guess_errors(left: &Tensor, frames: usize, weighing: LossWeights<'_>) -> Result<Vec<f32>> {
     let scales: Vec<f32> = weighing.priors.iter().map(|prior| weighing.expected_error / prior).collect();
     let scales = Tensor::from_vec(scales, (1, weighing.priors.len()), &Device::Cpu)?;
     let squares = left.broadcast_mul(&scales)?.sqr()?;
@@ -69,7 +74,7 @@ mod tests {
     #[test]
     fn errors_of_guesses_are_in_units_of_the_usual_one() {
         // The usual errors are 0.5 and 2; half of each is expected to remain.
-        let weighing = Weighing { priors: &[0.25, 1.0], expected_error: 0.5 };
+        let weighing = LossWeights { priors: &[0.25, 1.0], expected_error: 0.5 };
         let left = Tensor::new(&[[0.5_f32, 2.0], [0.5, -2.0], [1.0, 4.0], [0.0, 0.0]], &Device::Cpu).unwrap();
         assert_eq!(guess_errors(&left, 2, weighing).unwrap(), [1.0, 2.0]);
     }

@@ -18,12 +18,12 @@ pub(super) struct State {
     /// Number of steps done.
     pub(super) step: u64,
     /// Parameters by name.
-    pub(super) parameters: BTreeMap<String, Trained>,
+    pub(super) parameters: BTreeMap<String, TrainedParameter>,
 }
 
 /// A parameter with its optimizer state.
 #[derive(Debug)]
-pub(super) struct Trained {
+pub(super) struct TrainedParameter {
     pub(super) value: Var,
     /// First and second moments of its gradient.
     pub(super) first: Vec<f32>,
@@ -44,7 +44,7 @@ struct Factors {
     average: f32,
 }
 
-impl Trained {
+impl TrainedParameter {
     /// Creates the state before the first step.
     pub(super) fn fresh(value: &Tensor) -> Result<Self> {
         let average = value.flatten_all()?.to_vec1::<f32>()?;
@@ -70,7 +70,8 @@ impl Trained {
 impl State {
     /// Creates the state before the first step.
     pub(super) fn fresh(parameters: BTreeMap<String, Tensor>) -> Result<Self> {
-        let trained = parameters.iter().map(|(name, value)| Ok((name.clone(), Trained::fresh(value)?)));
+        let trained =
+            parameters.iter().map(|(name, value)| Ok((name.clone(), TrainedParameter::fresh(value)?)));
         Ok(Self { step: 0, parameters: trained.collect::<Result<_>>()? })
     }
 
@@ -81,7 +82,7 @@ impl State {
 
     /// Returns the moving averages of the parameters.
     pub(super) fn averages(&self) -> Result<BTreeMap<String, Tensor>> {
-        let of = |(name, t): (&String, &Trained)| {
+        let of = |(name, t): (&String, &TrainedParameter)| {
             Ok((name.clone(), Tensor::from_slice(&t.average, t.value.shape(), &Device::Cpu)?))
         };
         self.parameters.iter().map(of).collect()
@@ -89,7 +90,7 @@ impl State {
 
     /// Returns the gradients of the parameters in the order of their names, and their joint norm.
     pub(super) fn gradients(&self, gradients: &GradStore) -> Result<(Vec<Vec<f32>>, f64)> {
-        let of = |trained: &Trained| match gradients.get(&trained.value) {
+        let of = |trained: &TrainedParameter| match gradients.get(&trained.value) {
             Some(gradient) => gradient.flatten_all()?.to_vec1::<f32>(),
             None => Ok(vec![0.0; trained.average.len()]),
         };

@@ -3,7 +3,7 @@ use rayon::prelude::*;
 use super::regression::Regression;
 use crate::conditions::{DepthEmbedding, TensorEncoder};
 use crate::generate::network::{FirstGuess, Inputs, NetworkConfig, NetworkError, PatchCodec, Statistics};
-use crate::generate::{Drive, DriveFrame};
+use crate::generate::{DriveFrame, TrainingClip};
 
 /// Minimum standard deviation of a coefficient, and of the error of the guess; prevents division by 0.
 const SCALE_MIN: f64 = 1e-3;
@@ -19,7 +19,10 @@ type Sums = Vec<[f64; 2]>;
 ///
 /// # Errors
 /// Returns an error if the configuration is inconsistent, or if the recordings have too few frames or other sizes.
-pub fn measure(config: &NetworkConfig, drives: &[Drive]) -> Result<(Statistics, FirstGuess), NetworkError> {
+pub fn measure(
+    config: &NetworkConfig,
+    drives: &[TrainingClip],
+) -> Result<(Statistics, FirstGuess), NetworkError> {
     config.check()?;
     check(config, drives)?;
     let ones = || vec![1.0; config.channels()];
@@ -27,7 +30,7 @@ pub fn measure(config: &NetworkConfig, drives: &[Drive]) -> Result<(Statistics, 
     let mut statistics = moments(config, drives, plain)?;
     let codec = PatchCodec::new(config, &statistics)?;
     let encoder = TensorEncoder::new(config.recipe.bins, DepthEmbedding::Both);
-    let all: Vec<(&Drive, usize)> =
+    let all: Vec<(&TrainingClip, usize)> =
         drives.iter().flat_map(|drive| (0..drive.frames.len()).map(move |frame| (drive, frame))).collect();
     let mut sums = Regression::new(config.maps_and_channels());
     for (drive, frame) in all.iter().step_by(all.len().div_ceil(FITTED)) {
@@ -41,7 +44,11 @@ pub fn measure(config: &NetworkConfig, drives: &[Drive]) -> Result<(Statistics, 
 }
 
 /// Computes means and scales.
-fn moments(config: &NetworkConfig, drives: &[Drive], plain: Statistics) -> Result<Statistics, NetworkError> {
+fn moments(
+    config: &NetworkConfig,
+    drives: &[TrainingClip],
+    plain: Statistics,
+) -> Result<Statistics, NetworkError> {
     let (codec, channels) = (PatchCodec::new(config, &plain)?, config.channels());
     let frames: Vec<&DriveFrame> = drives.iter().flat_map(|drive| &drive.frames).collect();
     let sums: Vec<Sums> = frames.par_iter().map(|frame| sums(&codec, frame, channels)).collect();
@@ -75,7 +82,7 @@ fn sums(codec: &PatchCodec, frame: &DriveFrame, channels: usize) -> Sums {
 ///
 /// # Errors
 /// Returns an error that names a recording that does not fit, or an error if there is no recording.
-pub(super) fn check(config: &NetworkConfig, drives: &[Drive]) -> Result<(), NetworkError> {
+pub(super) fn check(config: &NetworkConfig, drives: &[TrainingClip]) -> Result<(), NetworkError> {
     if drives.is_empty() {
         return Err(NetworkError::input("a drive to train on", "none"));
     }

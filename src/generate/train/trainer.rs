@@ -3,14 +3,14 @@ use std::path::Path;
 use super::TrainOptions;
 use super::batch::Source;
 use super::checkpoint::{self, Header, fingerprint};
-use super::objective::{Weighing, loss};
+use super::objective::{LossWeights, loss};
 use super::optimizer::State;
 use super::statistics::{check, measure};
 use crate::conditions::{DepthEmbedding, TensorEncoder};
 use crate::error::FileError;
-use crate::generate::Drive;
+use crate::generate::TrainingClip;
 use crate::generate::network::{
-    About, Model, NetworkConfig, NetworkError, PatchCodec, Statistics, Weights, fresh,
+    Model, NetworkConfig, NetworkError, PatchCodec, Provenance, Statistics, Weights, fresh,
 };
 
 /// Trains a network on recordings, step by step.
@@ -18,7 +18,7 @@ pub struct Trainer<'a> {
     options: TrainOptions,
     config: NetworkConfig,
     statistics: Statistics,
-    drives: &'a [Drive],
+    drives: &'a [TrainingClip],
     fingerprint: String,
     codec: PatchCodec,
     encoder: TensorEncoder,
@@ -46,7 +46,7 @@ impl<'a> Trainer<'a> {
     pub fn new(
         options: TrainOptions,
         config: NetworkConfig,
-        drives: &'a [Drive],
+        drives: &'a [TrainingClip],
     ) -> Result<Self, NetworkError> {
         config.check()?;
         options.check(&config)?;
@@ -61,7 +61,7 @@ impl<'a> Trainer<'a> {
     ///
     /// # Errors
     /// Fails if the file is not a readable checkpoint, or if the recordings differ.
-    pub fn resume(path: &Path, drives: &'a [Drive]) -> Result<Self, NetworkError> {
+    pub fn resume(path: &Path, drives: &'a [TrainingClip]) -> Result<Self, NetworkError> {
         let (header, state) = checkpoint::open(path)?;
         check(&header.config, drives)?;
         let found = fingerprint(drives);
@@ -72,7 +72,7 @@ impl<'a> Trainer<'a> {
         Self::of(header, drives, state)
     }
 
-    fn of(header: Header, drives: &'a [Drive], state: State) -> Result<Self, NetworkError> {
+    fn of(header: Header, drives: &'a [TrainingClip], state: State) -> Result<Self, NetworkError> {
         let Header { options, config, statistics, fingerprint, .. } = header;
         let codec = PatchCodec::new(&config, &statistics)?;
         let encoder = TensorEncoder::new(config.recipe.bins, DepthEmbedding::Both);
@@ -120,7 +120,7 @@ impl<'a> Trainer<'a> {
         let batch = source.batch(step)?;
         let model = Model::new(&self.config, &self.statistics, self.state.tensors())?;
         let expected_error = self.options.expected_error;
-        let weighing = Weighing { priors: &self.statistics.priors, expected_error };
+        let weighing = LossWeights { priors: &self.statistics.priors, expected_error };
         let loss = loss(&model, &batch, self.options.batch, weighing)?;
         let value = f64::from(loss.to_scalar::<f32>()?);
         finite("loss", step, value)?;
@@ -156,7 +156,7 @@ impl<'a> Trainer<'a> {
         Ok(Weights {
             config: self.config.clone(),
             statistics: self.statistics.clone(),
-            about: About {
+            about: Provenance {
                 seed: self.options.seed,
                 steps: self.state.step,
                 logs,

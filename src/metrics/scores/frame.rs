@@ -15,12 +15,12 @@ pub struct ScoredFrame<'a> {
     /// Masks of moving actors; see [`moving_mask`](crate::metrics::moving_mask).
     pub moving: Option<&'a [Vec<bool>]>,
     /// Vehicle masks of segmentation models, each compared with the class maps.
-    pub segmented: &'a [Segmented<'a>],
+    pub segmented: &'a [SegmentationMasks<'a>],
 }
 
 /// Masks of one segmentation model.
 #[derive(Clone, Copy, Debug)]
-pub struct Segmented<'a> {
+pub struct SegmentationMasks<'a> {
     /// Name in the result.
     pub name: &'a str,
     /// Masks of the generated images.

@@ -13,7 +13,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 
 pub use self::distances::{CollectedFeatures, Distance, Distances};
-pub use self::frame::{ScoreError, ScoredFrame, Segmented};
+pub use self::frame::{ScoreError, ScoredFrame, SegmentationMasks};
 pub use self::result::{Scores, Series, VehicleIou};
 use super::motion::{MotionSums, MovingFrame};
 use super::{Overlap, RandomConvNet, psnr_db, sharpness, ssim, vehicle_mask};
@@ -29,7 +29,7 @@ pub struct RolloutScores {
     steps_with_truth: usize,
     equal_images: usize,
     motion: MotionSums,
-    before: Option<Before>,
+    before: Option<PreviousStep>,
     segmented: BTreeMap<String, SegmentedSums>,
     /// Features per camera and step.
     generated: Vec<Vec<Option<Vec<f64>>>>,
@@ -48,7 +48,7 @@ enum Metric {
 
 /// The previous step, as needed for motion.
 #[derive(Clone, Debug)]
-struct Before {
+struct PreviousStep {
     generated: Vec<RgbImage>,
     truth: Vec<RgbImage>,
     moving: Vec<Vec<bool>>,
@@ -170,7 +170,7 @@ impl RolloutScores {
             let all: Vec<MotionSums> = (0..truth.len()).into_par_iter().map(of_camera).collect();
             all.iter().for_each(|sums| self.motion.join(sums));
         }
-        self.before = known.map(|(truth, moving)| Before {
+        self.before = known.map(|(truth, moving)| PreviousStep {
             generated: frame.generated.to_vec(),
             truth: truth.to_vec(),
             moving: moving.to_vec(),

@@ -37,8 +37,8 @@ fn score(steps: u32, generated: impl Fn(u32) -> Vec<RgbImage>) -> (Scores, Colle
             moving.iter().map(|mask| mask.iter().map(|m| u8::from(*m)).collect()).collect();
         let nothing = vec![vec![false; (WIDTH * HEIGHT) as usize]; CAMERAS as usize];
         let segmented = [
-            Segmented { name: "right", generated: &moving, truth: Some(&moving) },
-            Segmented { name: "blind", generated: &nothing, truth: None },
+            SegmentationMasks { name: "right", generated: &moving, truth: Some(&moving) },
+            SegmentationMasks { name: "blind", generated: &nothing, truth: None },
         ];
         let frame = ScoredFrame {
             t_s: f64::from(step) * 0.5,
@@ -152,7 +152,7 @@ fn other_sizes_are_refused() {
         message(ScoredFrame { class: Some(&class), ..frame }),
         "expected class maps of 448 pixels for camera 1, found 447"
     );
-    let segmented = [Segmented { name: "a", generated: &masks[..1], truth: None }];
+    let segmented = [SegmentationMasks { name: "a", generated: &masks[..1], truth: None }];
     assert_eq!(
         message(ScoredFrame { segmented: &segmented, ..frame }),
         "expected a segmentor's masks of 2 cameras, found 1"

@@ -73,7 +73,7 @@ impl Reduction {
 
 /// Row strip of a view, rendered in one batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Band {
+pub(super) struct RowStrip {
     pub(super) view: usize,
     /// Rows of the result: first and end.
     pub(super) rows: [u32; 2],
@@ -81,7 +81,7 @@ pub(super) struct Band {
     pub(super) source: [u32; 2],
 }
 
-impl Band {
+impl RowStrip {
     /// Returns the number of key rows, with padding and one more that is read with weight zero.
     pub(super) fn key_rows(&self, pad: u32) -> u32 {
         self.source[1] - self.source[0] + 2 * pad + 1
@@ -89,7 +89,7 @@ impl Band {
 }
 
 /// Partition of a frame's views.
-pub(super) struct Cut {
+pub(super) struct Partition {
     /// Columns of keys: whole tiles.
     columns: u32,
     /// Padding of keys around each strip, pixels: room for points outside whose squares reach in.
@@ -97,10 +97,10 @@ pub(super) struct Cut {
     /// One per view; `None` if no view is reduced.
     pub(super) reductions: Option<Vec<Reduction>>,
     /// Batches of strips.
-    pub(super) parts: Vec<Vec<Band>>,
+    pub(super) parts: Vec<Vec<RowStrip>>,
 }
 
-impl Cut {
+impl Partition {
     /// Partitions the views. Returns `None` if the shaders do not support a reduction.
     ///
     /// # Errors
@@ -162,7 +162,7 @@ impl Cut {
         (key_rows, pixels): (u32, u64),
         from: ImageSize,
         to: ImageSize,
-    ) -> Result<Band, RasterError> {
+    ) -> Result<RowStrip, RasterError> {
         let most = (pixels / row_pixels(to)).min(u64::from(end - first)) as u32;
         let mut count = most;
         loop {
@@ -177,12 +177,12 @@ impl Cut {
         }
     }
 
-    fn band_of(&self, view: usize, rows: [u32; 2], from: ImageSize) -> Band {
-        let Some(reductions) = &self.reductions else { return Band { view, rows, source: rows } };
+    fn band_of(&self, view: usize, rows: [u32; 2], from: ImageSize) -> RowStrip {
+        let Some(reductions) = &self.reductions else { return RowStrip { view, rows, source: rows } };
         let taps = &reductions[view].rows;
         let (top, bottom) = (taps[rows[0] as usize], taps[rows[1] as usize - 1]);
         let end = (bottom.nearest + 1).max(bottom.low + 2).min(from.height);
-        Band { view, rows, source: [top.nearest.min(top.low), end] }
+        RowStrip { view, rows, source: [top.nearest.min(top.low), end] }
     }
 }
 

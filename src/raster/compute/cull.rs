@@ -6,7 +6,7 @@ use crate::raster::schedule::Z_NEAR_M;
 
 /// Range of a chunk's points that may be visible.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Seen {
+pub(super) struct VisibleRange {
     /// Chunk index within the cloud.
     pub(super) chunk: u32,
     /// First and end point within the chunk.
@@ -94,9 +94,9 @@ pub(super) fn seen_points(
     (width, rows): (u32, Rows),
     pad: u32,
     z_far_m: f32,
-) -> Vec<Seen> {
+) -> Vec<VisibleRange> {
     let frustum = Frustum::new(draw, width, rows, f64::from(pad) + 2.0, z_far_m);
-    let mut seen: Vec<Seen> = Vec::new();
+    let mut seen: Vec<VisibleRange> = Vec::new();
     for (group, extent) in cloud.groups.iter().enumerate() {
         if !extent.as_ref().is_some_and(|e| frustum.touches(e)) {
             continue;
@@ -111,7 +111,7 @@ pub(super) fn seen_points(
                     last.points[1] = end;
                     last.nearest_m = last.nearest_m.min(nearest_m);
                 }
-                _ => seen.push(Seen { chunk, points: [first, end], nearest_m, crop }),
+                _ => seen.push(VisibleRange { chunk, points: [first, end], nearest_m, crop }),
             }
         }
     }

@@ -4,7 +4,7 @@ use crate::raster::{FrameJob, Instance, Occlusion};
 
 /// An instance of either cloud with its visibility buffers.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Layered {
+pub(super) struct LayerInstance {
     pub(super) instance: Instance,
     /// Bit mask of its layers.
     pub(super) layers: u32,
@@ -46,7 +46,7 @@ impl Layers {
     }
 
     /// Merges both clouds into one list that preserves both orders; shared instances occur once.
-    pub(super) fn merge(&self, job: &FrameJob<'_>) -> Vec<Layered> {
+    pub(super) fn merge(&self, job: &FrameJob<'_>) -> Vec<LayerInstance> {
         let (mut color, mut geometry) = (job.color, job.geometry);
         let mut merged = Vec::with_capacity(color.len().max(geometry.len()));
         loop {
@@ -59,7 +59,7 @@ impl Layers {
                 (_, Some(g)) => (g, false, true),
             };
             let layers = self.bits(in_color, in_geometry, instance.number > 0);
-            merged.push(Layered { instance: *instance, layers, numbered: in_geometry });
+            merged.push(LayerInstance { instance: *instance, layers, numbered: in_geometry });
             color = &color[usize::from(in_color)..];
             geometry = &geometry[usize::from(in_geometry)..];
         }

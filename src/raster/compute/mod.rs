@@ -32,18 +32,18 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::time::Instant;
 
-use self::bands::{Band, Cut, PartLimits};
+use self::bands::{PartLimits, Partition, RowStrip};
 use self::chunk::ChunkedCloud;
 use self::layers::Layers;
 use self::phases::{Phases, Work};
-use self::plan::{BandResult, Numbering, PartPlan, PlannedItem};
+use self::plan::{BandResult, BatchPlan, Numbering, PlannedItem};
 use self::project::{ProjectFrame, ProjectStage, items_of};
 use self::record::{PlacedItem, Resolve, runs_of};
 use self::resolve::ResolveStage;
 use self::results::{OwnedMaps, empty, read_maps, read_parts};
-use self::shared::{KEY_IMAGE_ROW_BYTES, KEY_STEP_BYTES, KeyRoom, Shared};
+use self::shared::{KEY_IMAGE_ROW_BYTES, KEY_STEP_BYTES, KeyCapacity, Shared};
 use self::slot::{Needs, Slot};
-use self::spread::{Covering, SpreadStage};
+use self::spread::{Coverage, SpreadStage};
 use self::store::{ROW_BYTES, Residency, STREAMED_ROWS, Store, StoreLimits};
 use super::frame::frame_by_views;
 use super::{
@@ -51,7 +51,7 @@ use super::{
     RasterizerInfo, SplatJob, SplatMaps, StageTimes,
 };
 use crate::geometry::ImageSize;
-use crate::gpu::{Commands, Device, Flight, GpuError};
+use crate::gpu::{Commands, Device, GpuError, PendingSubmit};
 
 /// Partitioning of a [`ComputeRasterizer`]'s work; the default uses the device's limits. Results never depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -76,9 +76,9 @@ pub struct ComputeRasterizer<'a> {
     residency: Residency,
     shared: Arc<Shared>,
     /// Frames in flight, used in rotation; the last slot is reserved for synchronous work.
-    slots: Vec<Flight<Shared, Slot>>,
+    slots: Vec<PendingSubmit<Shared, Slot>>,
     turn: usize,
-    begun: VecDeque<Begun>,
+    begun: VecDeque<FrameState>,
     limits: PartLimits,
     copies: bool,
     threads: usize,
@@ -86,9 +86,9 @@ pub struct ComputeRasterizer<'a> {
 }
 
 /// State of a begun frame.
-enum Begun {
+enum FrameState {
     /// In flight.
-    Flying { slot: usize, results: Vec<BandResult>, sizes: Vec<ImageSize>, kinds: FrameKinds },
+    InFlight { slot: usize, results: Vec<BandResult>, sizes: Vec<ImageSize>, kinds: FrameKinds },
     /// Rendered synchronously.
     Done(FrameMaps<'static>),
 }
@@ -146,14 +146,14 @@ impl<'a> ComputeRasterizer<'a> {
             store: Arc::new(store),
             layers: Vec::new(),
             windows: None,
-            room: KeyRoom::default(),
+            room: KeyCapacity::default(),
             generation: 0,
             streamed_rows,
         };
-        let room = KeyRoom { layers: 1, ..KeyRoom::default() };
+        let room = KeyCapacity { layers: 1, ..KeyCapacity::default() };
         let shared = Arc::new(bare.with_keys(&device, &mut commands, room, desc.copies)?);
         let slot = |commands: &mut Commands| -> Result<_, GpuError> {
-            Flight::new(&device, Slot::new(&device, commands, &shared, Needs::default(), copies)?)
+            PendingSubmit::new(&device, Slot::new(&device, commands, &shared, Needs::default(), copies)?)
         };
         let slots = (0..=AT_ONCE).map(|_| slot(&mut commands)).collect::<Result<Vec<_>, _>>()?;
         let limits = part_limits(&device, desc);
@@ -177,15 +177,15 @@ impl<'a> ComputeRasterizer<'a> {
     }
 
     /// Submits a job that fits into one batch, or renders any other job synchronously.
-    fn begin_job(&mut self, job: &FrameJob<'_>, slot: usize) -> Result<Begun, RasterError> {
+    fn begin_job(&mut self, job: &FrameJob<'_>, slot: usize) -> Result<FrameState, RasterError> {
         let sizes: Vec<ImageSize> = job.views.iter().map(|view| job.size_of(view)).collect();
         let layers = Layers::of(job);
         if layers.count == 0 || sizes.is_empty() {
-            return Ok(Begun::Done(sizes.iter().map(|size| empty(*size)).collect()));
+            return Ok(FrameState::Done(sizes.iter().map(|size| empty(*size)).collect()));
         }
-        let Some(cut) = Cut::new(job, self.limits)? else {
+        let Some(cut) = Partition::new(job, self.limits)? else {
             // The shaders cannot upscale: render at full size, then resample on the host.
-            return frame_by_views(job, &mut |job| self.splat(job)).map(Begun::Done);
+            return frame_by_views(job, &mut |job| self.splat(job)).map(FrameState::Done);
         };
         let start = Instant::now();
         let firsts = self.residency.color_firsts();
@@ -194,7 +194,7 @@ impl<'a> ComputeRasterizer<'a> {
         let work = Work { job, layers, cut: &cut, numbering: &numbering };
         if let [part] = cut.parts.as_slice() {
             let results = self.draw_part(&work, part, slot)?;
-            return Ok(Begun::Flying { slot, results, sizes, kinds: job.kinds });
+            return Ok(FrameState::InFlight { slot, results, sizes, kinds: job.kinds });
         }
         let mut maps: Vec<OwnedMaps> = sizes.iter().map(|size| OwnedMaps::new(*size, job.kinds)).collect();
         for part in &cut.parts {
@@ -202,22 +202,22 @@ impl<'a> ComputeRasterizer<'a> {
             self.wait(AT_ONCE)?;
             read_parts(self.slots[AT_ONCE].own(), &results, job.kinds, &mut maps)?;
         }
-        Ok(Begun::Done(maps.into_iter().map(OwnedMaps::done).collect()))
+        Ok(FrameState::Done(maps.into_iter().map(OwnedMaps::done).collect()))
     }
 
     /// Plans and submits a batch: first the resident chunks, then the streamed ones, then the resolve.
     fn draw_part(
         &mut self,
         work: &Work<'_>,
-        part: &[Band],
+        part: &[RowStrip],
         slot: usize,
     ) -> Result<Vec<BandResult>, RasterError> {
         // After an error the previous batch may still be in flight.
         self.wait(slot)?;
         let start = Instant::now();
-        let plan = PartPlan::new(work.job, work.cut, part, work.numbering, &self.clouds);
+        let plan = BatchPlan::new(work.job, work.cut, part, work.numbering, &self.clouds);
         self.residency.next_frame();
-        let covering = Covering::choose(work.job.schedule, &plan.items, work.cut.key_pixels(plan.key_rows));
+        let covering = Coverage::choose(work.job.schedule, &plan.items, work.cut.key_pixels(plan.key_rows));
         let (mut placed, mut missing) = (Vec::with_capacity(plan.items.len()), Vec::new());
         for item in &plan.items {
             match self.residency.row(item.cloud, item.chunk) {
@@ -292,7 +292,7 @@ impl<'a> ComputeRasterizer<'a> {
         &self,
         item: &PlannedItem,
         row: u32,
-        covering: Covering,
+        covering: Coverage,
     ) -> impl Iterator<Item = PlacedItem> + use<> {
         let (page, row) = self.shared.store.place(row);
         let crop = item.crop;
@@ -303,14 +303,14 @@ impl<'a> ComputeRasterizer<'a> {
     fn prepare(
         &mut self,
         work: &Work<'_>,
-        plan: &PartPlan,
+        plan: &BatchPlan,
         slot: usize,
-        (items, streams, covering): (usize, bool, Covering),
+        (items, streams, covering): (usize, bool, Coverage),
     ) -> Result<(), GpuError> {
-        let room = self.shared.room.grown(KeyRoom {
+        let room = self.shared.room.grown(KeyCapacity {
             layers: work.layers.count,
             bytes: work.cut.key_bytes(plan.key_rows),
-            windows: covering == Covering::Spread,
+            windows: covering == Coverage::Spread,
         });
         if room != self.shared.room {
             // Frames in flight own references to the old buffers.
@@ -345,10 +345,10 @@ impl<'a> ComputeRasterizer<'a> {
     }
 
     /// Waits for a begun frame and returns its maps.
-    fn maps_of(&mut self, begun: Begun) -> Result<FrameMaps<'_>, RasterError> {
+    fn maps_of(&mut self, begun: FrameState) -> Result<FrameMaps<'_>, RasterError> {
         match begun {
-            Begun::Done(maps) => Ok(maps),
-            Begun::Flying { slot, results, sizes, kinds } => {
+            FrameState::Done(maps) => Ok(maps),
+            FrameState::InFlight { slot, results, sizes, kinds } => {
                 self.wait(slot)?;
                 read_maps(self.slots[slot].own(), &results, &sizes, kinds)
             }

@@ -2,23 +2,23 @@
 
 use std::sync::Arc;
 
-use super::bands::Cut;
+use super::bands::Partition;
 use super::layers::Layers;
 use super::plan::Numbering;
 use super::project::ProjectBand;
 use super::record::{self, Resolve, Run};
 use super::shared::Shared;
 use super::slot::Slot;
-use super::spread::{Covering, Spread};
+use super::spread::{Coverage, Spread};
 use super::store::ROW_BYTES;
-use crate::gpu::{Device, Flight, GpuError, Scope};
+use crate::gpu::{Device, GpuError, PendingSubmit, Scope};
 use crate::raster::FrameJob;
 
 /// Inputs shared by all batches of a frame.
 pub(super) struct Work<'j> {
     pub(super) job: &'j FrameJob<'j>,
     pub(super) layers: Layers,
-    pub(super) cut: &'j Cut,
+    pub(super) cut: &'j Partition,
     pub(super) numbering: &'j Numbering,
 }
 
@@ -26,7 +26,7 @@ pub(super) struct Work<'j> {
 pub(super) struct Phases<'w> {
     pub(super) device: &'w Device,
     pub(super) resolve: Resolve<'w>,
-    pub(super) covering: Covering,
+    pub(super) covering: Coverage,
     pub(super) bands: &'w [ProjectBand],
 }
 
@@ -40,7 +40,7 @@ impl Phases<'_> {
     /// Projects resident chunks, with optional clear (`first`) and spread and resolve passes (`last`).
     pub(super) fn start(
         &self,
-        flight: &mut Flight<Shared, Slot>,
+        flight: &mut PendingSubmit<Shared, Slot>,
         shared: &Arc<Shared>,
         (first, last): (bool, bool),
         runs: &[Run],
@@ -54,7 +54,7 @@ impl Phases<'_> {
                 record::clear(recorder, shared, slot, sizes, layers)?;
             }
             record::project(recorder, shared, slot, runs, (self.covering, layers))?;
-            if last && self.covering == Covering::Spread {
+            if last && self.covering == Coverage::Spread {
                 shared.spread.record(recorder, self.device, slot, &self.spread())?;
             }
             if last {
@@ -67,7 +67,7 @@ impl Phases<'_> {
     /// Uploads the staged chunks into these rows and projects them.
     pub(super) fn stream(
         &self,
-        flight: &mut Flight<Shared, Slot>,
+        flight: &mut PendingSubmit<Shared, Slot>,
         shared: &Arc<Shared>,
         rows: &[u32],
         runs: &[Run],

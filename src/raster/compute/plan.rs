@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
-use super::bands::{Band, Cut, PAD, ResolveTap, row_pixels};
+use super::bands::{PAD, Partition, ResolveTap, RowStrip, row_pixels};
 use super::chunk::{CHUNK, ChunkedCloud};
 use super::cull::seen_points;
-use super::layers::Layered;
+use super::layers::LayerInstance;
 use super::project::{ProjectBand, ProjectDraw};
 use super::resolve::ResolveBand;
 use crate::raster::draw::draw_from_instance;
@@ -17,7 +17,7 @@ pub(super) type Block = [u32; 4];
 
 /// An instance whose points are numbered from `first` on.
 pub(super) struct Numbered {
-    layered: Layered,
+    layered: LayerInstance,
     first: u32,
 }
 
@@ -34,7 +34,7 @@ impl Numbering {
     /// # Errors
     /// Fails for an unknown cloud or for too many points.
     pub(super) fn new(
-        merged: Vec<Layered>,
+        merged: Vec<LayerInstance>,
         clouds: &[ChunkedCloud<'_>],
         color_firsts: &[u32],
     ) -> Result<Self, RasterError> {
@@ -83,7 +83,7 @@ pub(super) struct PlannedItem {
 /// Location of a row strip's result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct BandResult {
-    pub(super) band: Band,
+    pub(super) band: RowStrip,
     /// Offset in the results, pixels.
     pub(super) pixel: usize,
     /// Row stride, pixels.
@@ -92,7 +92,7 @@ pub(super) struct BandResult {
 
 /// Tables of a batch.
 #[derive(Default)]
-pub(super) struct PartPlan {
+pub(super) struct BatchPlan {
     pub(super) project_bands: Vec<ProjectBand>,
     pub(super) resolve_bands: Vec<ResolveBand>,
     pub(super) taps: Vec<ResolveTap>,
@@ -106,11 +106,11 @@ pub(super) struct PartPlan {
     pub(super) pixels: usize,
 }
 
-impl PartPlan {
+impl BatchPlan {
     pub(super) fn new(
         job: &FrameJob<'_>,
-        cut: &Cut,
-        part: &[Band],
+        cut: &Partition,
+        part: &[RowStrip],
         numbering: &Numbering,
         clouds: &[ChunkedCloud<'_>],
     ) -> Self {
@@ -148,7 +148,7 @@ impl PartPlan {
         plan
     }
 
-    fn push_band(&mut self, job: &FrameJob<'_>, cut: &Cut, band: &Band) {
+    fn push_band(&mut self, job: &FrameJob<'_>, cut: &Partition, band: &RowStrip) {
         let view = &job.views[band.view];
         let size = job.size_of(view);
         let [first, end] = band.source;

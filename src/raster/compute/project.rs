@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
 
-use super::spread::Covering;
+use super::spread::Coverage;
 use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, assert_layout, shaders};
 use crate::raster::steps::{Step, steps};
 use crate::raster::{Draw, SplatSchedule};
@@ -125,9 +125,9 @@ pub(super) fn items_of(
     draw: u32,
     row: u32,
     [first, end]: [u32; 2],
-    covering: Covering,
+    covering: Coverage,
 ) -> impl Iterator<Item = ProjectItem> {
-    let step = if covering == Covering::Drawn { SQUARES_AT_ONCE } else { (end - first).max(1) };
+    let step = if covering == Coverage::Drawn { SQUARES_AT_ONCE } else { (end - first).max(1) };
     let item = move |first| ProjectItem { draw, row, first, end: end.min(first + step) };
     (first..end).step_by(step as usize).map(item)
 }
@@ -174,8 +174,8 @@ impl ProjectStage {
     }
 
     /// Returns the pipeline for chunks with or without crop, in a frame with this number of layers.
-    pub(super) fn pipeline(&self, crop: bool, layers: usize, covering: Covering) -> &ComputePipeline {
-        match (covering == Covering::Drawn, layers > 1) {
+    pub(super) fn pipeline(&self, crop: bool, layers: usize, covering: Coverage) -> &ComputePipeline {
+        match (covering == Coverage::Drawn, layers > 1) {
             (true, _) => &self.square,
             (false, true) => &self.layered[usize::from(crop)],
             (false, false) => &self.pixel[usize::from(crop)],

@@ -6,7 +6,7 @@ use super::project::{ProjectItem, ProjectPush};
 use super::resolve::{Kind, ResolveBand, ResolvePush, ResolveStage, WANT_CLASS, WANT_COLOR, wants};
 use super::shared::{KEY_IMAGE_ROW_BYTES, Shared};
 use super::slot::{DEPTH, MapBuffer, Slot};
-use super::spread::Covering;
+use super::spread::Coverage;
 use crate::gpu::{DescriptorSet, Device, GpuError, Recorder, Scope};
 use crate::raster::FrameJob;
 
@@ -71,7 +71,7 @@ pub(super) fn project<'a>(
     shared: &'a Shared,
     slot: &'a Slot,
     runs: &[Run],
-    (covering, layers): (Covering, usize),
+    (covering, layers): (Coverage, usize),
 ) -> Result<(), GpuError> {
     for run in runs {
         let pipeline = shared.project.pipeline(run.crop, layers, covering);

@@ -29,7 +29,7 @@ pub(super) struct KeyLayer {
 
 /// Available or required capacity for keys.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct KeyRoom {
+pub(super) struct KeyCapacity {
     pub(super) layers: usize,
     /// Size of each layer, bytes.
     pub(super) bytes: u64,
@@ -37,7 +37,7 @@ pub(super) struct KeyRoom {
     pub(super) windows: bool,
 }
 
-impl KeyRoom {
+impl KeyCapacity {
     /// Returns a capacity that covers both.
     pub(super) fn grown(self, other: Self) -> Self {
         Self {
@@ -58,7 +58,7 @@ pub(super) struct Shared {
     pub(super) layers: Vec<KeyLayer>,
     /// Minimum keys of windows, ping-ponged between passes: each as large as a layer.
     pub(super) windows: Option<[Arc<Buffer>; 2]>,
-    pub(super) room: KeyRoom,
+    pub(super) room: KeyCapacity,
     /// Number of times the visibility buffers were recreated.
     pub(super) generation: u64,
     /// Number of chunks streamed at once.
@@ -71,7 +71,7 @@ impl Shared {
         &self,
         device: &Arc<Device>,
         commands: &mut Commands,
-        room: KeyRoom,
+        room: KeyCapacity,
         copied: bool,
     ) -> Result<Self, GpuError> {
         let rows = room.bytes.div_ceil(KEY_IMAGE_ROW_BYTES) as u32;
@@ -90,7 +90,7 @@ impl Shared {
             store: self.store.clone(),
             layers: (0..room.layers).map(layer).collect::<Result<_, _>>()?,
             windows: if room.windows { Some([windows()?, windows()?]) } else { None },
-            room: KeyRoom { bytes, ..room },
+            room: KeyCapacity { bytes, ..room },
             generation: self.generation + 1,
             streamed_rows: self.streamed_rows,
         })

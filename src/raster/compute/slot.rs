@@ -188,7 +188,7 @@ impl Slot {
     pub(super) fn write(
         &self,
         frame: &ProjectFrame,
-        plan: &super::plan::PartPlan,
+        plan: &super::plan::BatchPlan,
         blocks: &[Block],
     ) -> Result<(), GpuError> {
         write(&self.frame, std::slice::from_ref(frame))?;

@@ -29,7 +29,7 @@ assert_layout!(ProjectBand, shaders::spread_wgsl_fold::spread_band, [
 
 /// Method by which points cover more than their own pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Covering {
+pub(super) enum Coverage {
     /// Radii are small: the resolve shaders gather the neighborhood.
     LookedFor,
     /// Points are few: each draws its square.
@@ -41,7 +41,7 @@ pub(super) enum Covering {
 /// Cost of a pixel in a pass, relative to an atomic minimum.
 const PASS_COST: u64 = 2;
 
-impl Covering {
+impl Coverage {
     /// Returns the cheapest method for these points and this number of key pixels.
     pub(super) fn choose(schedule: &SplatSchedule, items: &[PlannedItem], key_pixels: u64) -> Self {
         if schedule.max_radius() <= MAX_LOOKED_FOR {
@@ -250,13 +250,13 @@ mod tests {
             nearest_m,
         };
         let choose = |schedule: &str, items: &[PlannedItem]| {
-            Covering::choose(&schedule.parse().unwrap(), items, 1_000_000)
+            Coverage::choose(&schedule.parse().unwrap(), items, 1_000_000)
         };
         let many = vec![item(4096, 1.0); 1000];
-        assert_eq!(choose("9:2", &many), Covering::LookedFor);
-        assert_eq!(choose("9:31", &many), Covering::Spread);
-        assert_eq!(choose("9:31", &[item(1000, 1.0)]), Covering::Drawn);
+        assert_eq!(choose("9:2", &many), Coverage::LookedFor);
+        assert_eq!(choose("9:31", &many), Coverage::Spread);
+        assert_eq!(choose("9:31", &[item(1000, 1.0)]), Coverage::Drawn);
         // Distant points have small squares.
-        assert_eq!(choose("0.5:31,9:0", &many), Covering::Drawn);
+        assert_eq!(choose("0.5:31,9:0", &many), Coverage::Drawn);
     }
 }

@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use self::idm::Follower;
 use self::leader::Others;
-use self::reactive::Cruiser;
+use self::reactive::ReactiveActor;
 use super::clock::seconds;
 use super::recorded::Recorded;
 use super::{ActorPolicy, EgoState, Instant, SimActor};
@@ -30,7 +30,7 @@ const REACH_M: f64 = 100.0;
 
 /// Actors taken over from the log, by track.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Driven {
+pub(super) struct ControlledActors {
     pub(super) movers: BTreeMap<usize, Mover>,
     /// Actors removed permanently.
     pub(super) gone: BTreeSet<usize>,
@@ -40,7 +40,7 @@ pub(super) struct Driven {
 #[derive(Clone, Debug)]
 pub(super) enum Mover {
     Idm(Follower),
-    Reactive(Cruiser),
+    Reactive(ReactiveActor),
 }
 
 impl Mover {
@@ -52,7 +52,7 @@ impl Mover {
                 Follower::join(recorded, actor, t_us).map(Self::Idm)
             }
             (ActorPolicy::Reactive, Class::MotorVehicle | Class::Cycle | Class::Pedestrian) => {
-                Some(Self::Reactive(Cruiser::join(recorded, actor, t_us)))
+                Some(Self::Reactive(ReactiveActor::join(recorded, actor, t_us)))
             }
             _ => None,
         }
@@ -83,7 +83,7 @@ impl Mover {
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum SavedMover {
     Idm { joined_us: i64, way_m: f64, speed_mps: f64 },
-    Reactive(Cruiser),
+    Reactive(ReactiveActor),
 }
 
 impl SavedMover {
@@ -105,7 +105,7 @@ impl SavedMover {
 pub(super) fn advance(
     policy: ActorPolicy,
     recorded: &Recorded<'_>,
-    driven: &mut Driven,
+    driven: &mut ControlledActors,
     now: &Instant,
     next: (i64, &EgoState),
 ) -> Vec<SimActor> {

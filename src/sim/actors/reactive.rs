@@ -29,14 +29,14 @@ const CURVED_M: f64 = 40.0;
 
 /// Actor that maintains its speed and curvature at the takeover.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub(in crate::sim) struct Cruiser {
+pub(in crate::sim) struct ReactiveActor {
     /// Speed along its heading at the takeover, meters per second.
     pub(in crate::sim) cruise_mps: f64,
     /// Curvature to the left, radians per meter along the heading.
     pub(in crate::sim) curvature: f64,
 }
 
-impl Cruiser {
+impl ReactiveActor {
     /// Uses the recorded speed and yaw rate at a time, microseconds.
     pub(super) fn join(recorded: &Recorded<'_>, actor: &SimActor, t_us: i64) -> Self {
         let (speed_mps, yaw_rate_radps) = recorded.actor_motion(actor.track, t_us);
@@ -111,7 +111,12 @@ mod tests {
     use crate::sim::metrics::collision::tests::{actor, instant};
 
     /// Simulates a cruising car among others for some seconds at 10 Hz, with the ego far away.
-    fn drive(mut cruiser: Cruiser, start: SimActor, others: &[SimActor], seconds: usize) -> Vec<SimActor> {
+    fn drive(
+        mut cruiser: ReactiveActor,
+        start: SimActor,
+        others: &[SimActor],
+        seconds: usize,
+    ) -> Vec<SimActor> {
         let mut now = instant(0.0, &[]);
         now.ego.pose.translation.y = 1e4;
         let mut driven = vec![start];
@@ -125,7 +130,7 @@ mod tests {
 
     #[test]
     fn curves_are_circles() {
-        let cruiser = Cruiser { cruise_mps: 5.0, curvature: 0.05 };
+        let cruiser = ReactiveActor { cruise_mps: 5.0, curvature: 0.05 };
         let driven = drive(cruiser, actor(0, 0.0, 0.0, 0.0, 5.0), &[], 30);
         for at in &driven {
             let place = at.cuboid.pose.translation.truncate();
@@ -139,7 +144,7 @@ mod tests {
     #[test]
     fn brakes_hold_two_metres() {
         for speed in [3.0, 8.0, 15.0] {
-            let cruiser = Cruiser { cruise_mps: speed, curvature: 0.0 };
+            let cruiser = ReactiveActor { cruise_mps: speed, curvature: 0.0 };
             let wall = actor(1, 80.0, 0.0, 0.0, 0.0);
             let driven = drive(cruiser, actor(0, 0.0, 0.0, 0.0, speed), &[wall], 40);
             for pair in driven.windows(2) {
@@ -155,11 +160,11 @@ mod tests {
 
     #[test]
     fn speed_is_taken_up_again() {
-        let cruiser = Cruiser { cruise_mps: 8.0, curvature: 0.0 };
+        let cruiser = ReactiveActor { cruise_mps: 8.0, curvature: 0.0 };
         let slowed = drive(cruiser, actor(0, 0.0, 0.0, 0.0, 2.0), &[], 10);
         assert!((slowed[30].speed_mps - 5.0).abs() < 1e-9 && slowed[100].speed_mps == 8.0);
         // Backward it brakes for obstacles behind.
-        let back = Cruiser { cruise_mps: -2.0, curvature: 0.0 };
+        let back = ReactiveActor { cruise_mps: -2.0, curvature: 0.0 };
         let driven = drive(back, actor(0, 0.0, 0.0, 0.0, -2.0), &[actor(1, -20.0, 0.0, 0.0, 0.0)], 20);
         let x = driven[200].cuboid.pose.translation.x;
         assert!(driven[200].speed_mps == 0.0 && (-14.01..-12.0).contains(&x), "{x}");
@@ -168,7 +173,7 @@ mod tests {
     #[test]
     fn who_stands_goes_on_standing() {
         let parked = actor(0, 3.0, 1.0, 0.4, 0.1);
-        let driven = drive(Cruiser { cruise_mps: 0.0, curvature: 0.0 }, parked, &[], 3);
+        let driven = drive(ReactiveActor { cruise_mps: 0.0, curvature: 0.0 }, parked, &[], 3);
         assert_eq!(driven[30].cuboid, parked.cuboid);
     }
 }

@@ -9,7 +9,7 @@ pub(super) struct Profile {
 
 /// State of a profile at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Drive {
+pub(super) struct ProfileState {
     /// Distance since the start, meters.
     pub(super) way_m: f64,
     pub(super) speed_mps: f64,
@@ -49,7 +49,7 @@ impl Profile {
     }
 
     /// Returns the state at a non-negative time since the start, seconds.
-    pub(super) fn at(&self, time_s: f64) -> Drive {
+    pub(super) fn at(&self, time_s: f64) -> ProfileState {
         let (mut way_m, mut v, mut a, mut left_s) = (0.0, self.start_mps, self.start_mps2, time_s);
         for &(length_s, jerk) in &self.pieces {
             let t = left_s.min(length_s);
@@ -58,10 +58,10 @@ impl Profile {
             a += t * jerk;
             left_s -= t;
             if left_s <= 0.0 {
-                return Drive { way_m, speed_mps: v, acceleration_mps2: a };
+                return ProfileState { way_m, speed_mps: v, acceleration_mps2: a };
             }
         }
-        Drive { way_m: way_m + left_s * v, speed_mps: v, acceleration_mps2: 0.0 }
+        ProfileState { way_m: way_m + left_s * v, speed_mps: v, acceleration_mps2: 0.0 }
     }
 }
 

@@ -11,7 +11,7 @@ use super::clock::Clock;
 use super::recorded::Recorded;
 use super::simulation::World;
 use super::{PlannerError, PlannerSpec, SimOptions, Trajectory};
-use crate::peer::{Framing, Link, Wrong};
+use crate::peer::{Framing, Link, ProtocolError};
 
 /// Replies longer than this are rejected.
 const LINES: Framing = Framing::Lines { max_bytes: 16 << 20 };
@@ -54,7 +54,7 @@ impl Planner {
     fn ask<T>(
         &mut self,
         message: &impl Serialize,
-        read: impl FnOnce(&[u8]) -> Result<T, Wrong>,
+        read: impl FnOnce(&[u8]) -> Result<T, ProtocolError>,
     ) -> Result<T, PlannerError> {
         let line = serde_json::to_vec(message).map_err(|error| self.link.cannot_write(error.into()))?;
         let answer = self.link.ask(line)?;

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Class, TrafficLight};
 use crate::geometry::{Foot, wrap_angle};
-use crate::peer::{Wrong, begin_of};
+use crate::peer::{ProtocolError, begin_of};
 use crate::sim::clock::{Clock, seconds};
 use crate::sim::ego::waypoint;
 use crate::sim::recorded::Recorded;
@@ -205,27 +205,30 @@ fn path_ahead(recorded: &Recorded<'_>, ego: Foot) -> Vec<[f64; 2]> {
 }
 
 /// Validates the reply to the hello message.
-pub(super) fn read_hello(answer: &[u8]) -> Result<(), Wrong> {
+pub(super) fn read_hello(answer: &[u8]) -> Result<(), ProtocolError> {
     let expected = format!("{{\"protocol\": \"{PROTOCOL}\", \"version\": {VERSION}}}");
-    let hello: HelloAnswer =
-        serde_json::from_slice(answer).map_err(|e| Wrong::new(expected.clone(), shown(answer, &e)))?;
+    let hello: HelloAnswer = serde_json::from_slice(answer)
+        .map_err(|e| ProtocolError::new(expected.clone(), shown(answer, &e)))?;
     if (hello.protocol.as_str(), hello.version) == (PROTOCOL, VERSION) {
         return Ok(());
     }
-    Err(Wrong::new(expected, format!("{:?} of version {}", hello.protocol, hello.version)))
+    Err(ProtocolError::new(expected, format!("{:?} of version {}", hello.protocol, hello.version)))
 }
 
 /// Validates the reply to an observation; the plan must extend to `due_us`, the time of the next one (microseconds).
-pub(super) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Trajectory, Wrong> {
+pub(super) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Trajectory, ProtocolError> {
     let expected = "{\"trajectory\": [{\"t\", \"x\", \"y\", \"heading\", \"v\"}, ..]}";
     let plan: PlanAnswer =
-        serde_json::from_slice(answer).map_err(|e| Wrong::new(expected, shown(answer, &e)))?;
+        serde_json::from_slice(answer).map_err(|e| ProtocolError::new(expected, shown(answer, &e)))?;
     if let Some(step) = plan.step.filter(|step| *step != now.step) {
-        return Err(Wrong::new(format!("an answer to step {}", now.step), format!("one to step {step}")));
+        return Err(ProtocolError::new(
+            format!("an answer to step {}", now.step),
+            format!("one to step {step}"),
+        ));
     }
     let points = plan.trajectory;
     if points.is_empty() || points.len() > MAX_WAYPOINTS {
-        return Err(Wrong::new(format!("1 to {MAX_WAYPOINTS} waypoints"), points.len().to_string()));
+        return Err(ProtocolError::new(format!("1 to {MAX_WAYPOINTS} waypoints"), points.len().to_string()));
     }
     let start = waypoint(&now.ego, now.t_us);
     let mut next: Vec<Waypoint> = Vec::with_capacity(points.len());
@@ -238,12 +241,12 @@ pub(super) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Tra
         }
         if to.t_us <= before.t_us {
             let found = format!("{} s at waypoint {i}", point.t);
-            return Err(Wrong::new("times that rise from over 0 s", found));
+            return Err(ProtocolError::new("times that rise from over 0 s", found));
         }
         let speed_mps = before.position_m().distance(to.position_m()) / seconds(before.t_us, to.t_us);
         if speed_mps > MAX_SPEED_MPS {
             let found = format!("a jump at {speed_mps:.0} m/s to waypoint {i}");
-            return Err(Wrong::new(format!("waypoints at most {MAX_SPEED_MPS} m/s apart"), found));
+            return Err(ProtocolError::new(format!("waypoints at most {MAX_SPEED_MPS} m/s apart"), found));
         }
         next.push(to);
     }
@@ -251,13 +254,18 @@ pub(super) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Tra
     if end_us < due_us {
         let found = format!("one of {} s", seconds(start.t_us, end_us));
         let expected = format!("a trajectory of at least {} s", seconds(start.t_us, due_us));
-        return Err(Wrong::new(expected, found));
+        return Err(ProtocolError::new(expected, found));
     }
     Ok(Trajectory::new(start, next))
 }
 
 /// Validates a planned point and converts it to the global frame.
-fn placed(point: &PlannedPoint, frame: Frame, start: &Waypoint, index: usize) -> Result<Waypoint, Wrong> {
+fn placed(
+    point: &PlannedPoint,
+    frame: Frame,
+    start: &Waypoint,
+    index: usize,
+) -> Result<Waypoint, ProtocolError> {
     let PlannedPoint { t, x, y, heading, v } = *point;
     let sound = (0.0..=MAX_TIME_S).contains(&t)
         && [x, y, heading].iter().all(|n| n.is_finite())
@@ -265,7 +273,7 @@ fn placed(point: &PlannedPoint, frame: Frame, start: &Waypoint, index: usize) ->
     if !sound {
         let expected = format!("finite numbers, t from 0 to {MAX_TIME_S} s, v up to {MAX_SPEED_MPS} m/s");
         let found = format!("t {t}, x {x}, y {y}, heading {heading}, v {v} at waypoint {index}");
-        return Err(Wrong::new(expected, found));
+        return Err(ProtocolError::new(expected, found));
     }
     let (place, heading_rad) = match frame {
         Frame::Global => (DVec2::new(x, y), heading),

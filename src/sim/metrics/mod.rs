@@ -90,7 +90,7 @@ impl Range {
 /// Accumulator of the metrics.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Tally {
+pub(super) struct MetricsAccumulator {
     /// Number of added instants; the first is the start of the first step.
     instants: usize,
     start_us: i64,
@@ -108,7 +108,7 @@ pub(super) struct Tally {
     min_ttc_s: Option<f64>,
 }
 
-impl Tally {
+impl MetricsAccumulator {
     /// Adds an instant.
     pub(super) fn add(&mut self, recorded: &Recorded<'_>, road: Option<&Road>, world: &World) {
         let now = &world.instant;

@@ -38,7 +38,7 @@ pub(super) struct PlannedLog {
 
 /// Progress of a build.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Done {
+pub(super) struct BuildState {
     /// Number of frames whose points are in the runs, over all logs.
     pub(super) frames: usize,
     /// Number of sweeps whose points are in the runs.
@@ -68,7 +68,7 @@ impl Unfinished {
     /// Returns the number of completed frames in an unfinished build of `out`; `None` without a checkpoint.
     pub(super) fn frames_done(out: &Path) -> Option<usize> {
         let text = read_table(&work_of_whole(out).join(FILE)).ok()?;
-        serde_json::from_slice::<Checkpoint<serde_json::Value, Done>>(&text).ok().map(|c| c.done.frames)
+        serde_json::from_slice::<Checkpoint<serde_json::Value, BuildState>>(&text).ok().map(|c| c.done.frames)
     }
 
     /// Opens the folder for `out`: with the state of its checkpoint if `resume` is set, otherwise emptied.
@@ -76,7 +76,7 @@ impl Unfinished {
     /// # Errors
     /// Fails if another process uses the folder, if `resume` finds a build with another plan, or if a file cannot be
     /// read or written.
-    pub(super) fn open(out: &Path, plan: Plan, resume: bool) -> Result<(Self, Done), FileError> {
+    pub(super) fn open(out: &Path, plan: Plan, resume: bool) -> Result<(Self, BuildState), FileError> {
         let mut work = WorkFolder::open(work_of_whole(out), out)?;
         let has_checkpoint = work.path().join(FILE).is_file();
         work.keep(has_checkpoint);
@@ -87,11 +87,11 @@ impl Unfinished {
         Ok((folder, done))
     }
 
-    fn read(&self) -> Result<Done, FileError> {
+    fn read(&self) -> Result<BuildState, FileError> {
         let path = self.path().join(FILE);
         let text = read_table(&path)?;
         let wrong = |e: serde_json::Error| FileError::content("a checkpoint", e.to_string(), &path);
-        let checkpoint: Checkpoint<Plan, Done> = serde_json::from_slice(&text).map_err(wrong)?;
+        let checkpoint: Checkpoint<Plan, BuildState> = serde_json::from_slice(&text).map_err(wrong)?;
         let frames: usize = self.plan.logs.iter().map(|log| log.t_us.len()).sum();
         if checkpoint.done.frames > frames && checkpoint.plan == self.plan {
             let found = format!("{} done", checkpoint.done.frames);
@@ -106,14 +106,14 @@ impl Unfinished {
     }
 
     /// Empties the folder. Deletes the checkpoint first, since it is invalid without its runs.
-    fn clear(&mut self) -> Result<Done, FileError> {
+    fn clear(&mut self) -> Result<BuildState, FileError> {
         let path = self.path().join(FILE);
         if path.exists() {
             std::fs::remove_file(&path).map_err(FileError::io("delete", &path))?;
         }
         self.work.keep(false);
         self.work.clear(|_| false)?;
-        Ok(Done::default())
+        Ok(BuildState::default())
     }
 
     /// Returns the folder of the runs.
@@ -134,7 +134,7 @@ impl Unfinished {
     /// Writes the points, then the checkpoint. A kill at any moment leaves either the new or the previous checkpoint.
     pub(super) fn save(
         &mut self,
-        done: &mut Done,
+        done: &mut BuildState,
         cells: Vec<(Cell, Vec<VoxelSum>)>,
     ) -> Result<(), FileError> {
         done.runs = runs::push(self.path(), std::mem::take(&mut done.runs), cells)?;

@@ -1,7 +1,7 @@
 use super::cells::Cell;
 use super::runs::Runs;
 use super::sums::VoxelSum;
-use super::{BuildError, Builder, MakeTemplates, source, with_notes};
+use super::{BuildError, Builder, GenerateTemplates, source, with_notes};
 use std::path::Path;
 
 use crate::cloud::{Bounds, Point};
@@ -11,7 +11,7 @@ use crate::skeleton::{Asset, CHUNK_M, Checksum, Chunk};
 
 impl Builder<'_> {
     /// Merges the cells of all runs and writes the skeleton.
-    pub(super) fn finish(&self, out: &Path, templates: &MakeTemplates) -> Result<(), BuildError> {
+    pub(super) fn finish(&self, out: &Path, templates: &GenerateTemplates) -> Result<(), BuildError> {
         let report = with_notes(self.done.report.clone(), &self.streams);
         if report.sweeps == 0 {
             let logs = self.streams.iter().map(|stream| stream.log.name.clone()).collect();

@@ -18,7 +18,7 @@ mod sums;
 use std::path::{Path, PathBuf};
 
 use self::cells::Cells;
-use self::checkpoint::{Done, Plan, PlannedLog, Unfinished};
+use self::checkpoint::{BuildState, Plan, PlannedLog, Unfinished};
 use self::stream::{FrameCloud, Stream};
 use self::sums::Voxels;
 use super::manifest::{BuildReport, Source};
@@ -112,7 +112,7 @@ impl<'a> BuildInput<'a> {
 }
 
 /// Function that generates templates from the assets of a skeleton: manifest entries with their points.
-pub type MakeTemplates<'a> =
+pub type GenerateTemplates<'a> =
     dyn Fn(&[(&super::Asset, &[Point])]) -> Result<Vec<(Template, Vec<Point>)>, FileError> + 'a;
 
 /// Execution options of a build; they do not affect the skeleton.
@@ -147,7 +147,7 @@ pub fn build(
     out: &Path,
     inputs: &[BuildInput],
     options: &BuildOptions,
-    templates: &MakeTemplates,
+    templates: &GenerateTemplates,
     run: &BuildRun,
 ) -> Result<Skeleton, BuildError> {
     let streams: Vec<Stream> =
@@ -213,7 +213,7 @@ struct Builder<'a> {
     run: &'a BuildRun<'a>,
     work: Unfinished,
     /// State of the last checkpoint; later frames are in `cells`.
-    done: Done,
+    done: BuildState,
     cells: Cells,
     /// Number of frames since the checkpoint.
     since: usize,
@@ -227,7 +227,7 @@ impl Builder<'_> {
         let streams = std::mem::take(&mut self.streams);
         let mut before = 0;
         let mut gathered = Ok(());
-        let mut now = Done { runs: Vec::new(), ..self.done.clone() };
+        let mut now = BuildState { runs: Vec::new(), ..self.done.clone() };
         for (number, stream) in streams.iter().enumerate() {
             let first = self.done.frames.max(before) - before;
             before += stream.frames.len();
@@ -245,7 +245,7 @@ impl Builder<'_> {
     }
 
     /// Adds a frame; updates the counts in `now`.
-    fn take_in(&mut self, log: usize, frame: &FrameCloud, now: &mut Done) -> Result<(), BuildError> {
+    fn take_in(&mut self, log: usize, frame: &FrameCloud, now: &mut BuildState) -> Result<(), BuildError> {
         now.frames += 1;
         now.report.images += frame.images;
         for sweep in &frame.sweeps {
@@ -267,7 +267,7 @@ impl Builder<'_> {
         Ok(())
     }
 
-    fn checkpoint(&mut self, now: &mut Done) -> Result<(), BuildError> {
+    fn checkpoint(&mut self, now: &mut BuildState) -> Result<(), BuildError> {
         now.runs.clone_from(&self.done.runs);
         let cells = self.cells.take();
         self.work.save(now, cells)?;

@@ -5,7 +5,7 @@ use super::draw::Draw;
 use super::furniture::{self, Sign};
 use super::lots::Frontage;
 use super::plants::{Crown, Species, tree};
-use super::style::{Quarter, Style};
+use super::style::{District, Style};
 use crate::town::mesh::{Mesh, Skin, Surface};
 use crate::town::plan::{JunctionKind, KERB_M, Network, Road};
 
@@ -57,7 +57,7 @@ struct Street<'a> {
     frontage: &'a Frontage,
     road: &'a Road,
     crossings: Vec<f64>,
-    quarter: Quarter,
+    quarter: District,
     style: &'a Style,
     /// Occupied places: position along the line, and half the width, meters.
     taken: Vec<[f64; 2]>,
@@ -114,7 +114,7 @@ impl Street<'_> {
             ]);
             self.stand(1.0, 0.3, POST_M, &furniture::sign(Sign::Names(rgb), metal));
             for s in [self.length() - 1.4, self.length() - 3.0, 2.6] {
-                if self.quarter == Quarter::Centre {
+                if self.quarter == District::Centre {
                     self.stand(s, 0.15, 0.35, &furniture::bollard(metal));
                 }
             }
@@ -162,9 +162,9 @@ impl Street<'_> {
 
     fn trees(&mut self) {
         let planted = self.shared.chance(match self.quarter {
-            Quarter::Centre => 0.55,
-            Quarter::Rows => 0.7,
-            Quarter::Gardens => 0.5,
+            District::Centre => 0.55,
+            District::Rows => 0.7,
+            District::Gardens => 0.5,
         });
         let (step, leaves) = (self.shared.between(8.0, 13.0), self.shared.pick(self.style.leaves));
         let species = if self.shared.chance(0.2) { Species::Slender } else { Species::Broad };
@@ -193,9 +193,9 @@ impl Street<'_> {
     fn small_things(&mut self) {
         let wide = self.frontage.sidewalk_m > 3.3;
         let busy = match self.quarter {
-            Quarter::Centre => 9.0,
-            Quarter::Rows => 16.0,
-            Quarter::Gardens => 30.0,
+            District::Centre => 9.0,
+            District::Rows => 16.0,
+            District::Gardens => 30.0,
         };
         let mut at = self.draw.between(4.0, 4.0 + busy);
         while at < self.length() - 3.0 {

@@ -6,7 +6,7 @@ use super::ground::GROUND_M;
 use super::line::Line;
 use super::room::{Room, Taken};
 use super::sketch::corners;
-use super::style::{Quarter, Style};
+use super::style::{District, Style};
 use super::ways::Ways;
 
 /// Kind of building on a lot.
@@ -37,7 +37,7 @@ pub(super) struct Lot {
     pub(super) size_m: DVec2,
     /// Distance from the sidewalk to the front, meters.
     pub(super) setback_m: f64,
-    pub(super) quarter: Quarter,
+    pub(super) quarter: District,
     pub(super) kind: Use,
     pub(super) seed: u64,
     /// Surroundings of front, right, back and left.
@@ -92,7 +92,8 @@ pub(super) fn lots(frontages: &[Frontage], middle: DVec2, style: &Style, room: &
         let mut in_row = 0;
         while at < frontage.line.length() + 16.0 {
             let quarter = style.quarter(frontage.line.point(at, frontage.kerb_m + 10.0), middle);
-            let wish = Wish::new(quarter, shared, churches > 0 && i > frontages.len() / 3, &mut draw);
+            let wish =
+                BuildingRequest::new(quarter, shared, churches > 0 && i > frontages.len() / 3, &mut draw);
             let Some(lot) = wish.fit(frontage, at, room) else {
                 at += 1.0;
                 continue;
@@ -118,24 +119,24 @@ pub(super) fn lots(frontages: &[Frontage], middle: DVec2, style: &Style, room: &
 
 /// Building to be placed, before its lot is known.
 #[derive(Clone, Copy, Debug)]
-struct Wish {
-    quarter: Quarter,
+struct BuildingRequest {
+    quarter: District,
     kind: Use,
     size_m: DVec2,
     setback_m: f64,
     seed: u64,
 }
 
-impl Wish {
-    fn new(quarter: Quarter, shared: f64, church: bool, draw: &mut Draw) -> Self {
-        let office = quarter == Quarter::Centre && draw.chance(0.05);
+impl BuildingRequest {
+    fn new(quarter: District, shared: f64, church: bool, draw: &mut Draw) -> Self {
+        let office = quarter == District::Centre && draw.chance(0.05);
         let (width, depth, setback_m) = match quarter {
-            Quarter::Centre if office => ([20.0, 27.0], [14.0, 17.0], 0.3),
-            Quarter::Centre => ([9.5, 16.0], [10.0, 13.0], 0.2),
-            Quarter::Rows => ([6.2, 9.0], [8.5, 10.5], 0.6 + 2.6 * shared),
-            Quarter::Gardens => ([9.0, 13.0], [8.0, 10.5], 4.0 + 2.5 * shared + draw.between(0.0, 0.8)),
+            District::Centre if office => ([20.0, 27.0], [14.0, 17.0], 0.3),
+            District::Centre => ([9.5, 16.0], [10.0, 13.0], 0.2),
+            District::Rows => ([6.2, 9.0], [8.5, 10.5], 0.6 + 2.6 * shared),
+            District::Gardens => ([9.0, 13.0], [8.0, 10.5], 4.0 + 2.5 * shared + draw.between(0.0, 0.8)),
         };
-        let church = church && quarter != Quarter::Gardens;
+        let church = church && quarter != District::Gardens;
         let (size_m, setback_m) = if church {
             (DVec2::new(14.0, 26.0), 3.0)
         } else {
@@ -193,16 +194,16 @@ impl Wish {
     fn gap_m(&self, in_row: &mut i32, draw: &mut Draw) -> f64 {
         let gap = match (self.quarter, self.kind) {
             (_, Use::Church) => 4.0,
-            (Quarter::Centre, _) => {
+            (District::Centre, _) => {
                 if draw.chance(0.1) {
                     draw.between(2.5, 5.0)
                 } else {
                     0.02
                 }
             }
-            (Quarter::Rows, _) if *in_row < 4 && !draw.chance(0.12) => 0.02,
-            (Quarter::Rows, _) => draw.between(2.5, 6.0),
-            (Quarter::Gardens, _) => draw.between(3.5, 9.0),
+            (District::Rows, _) if *in_row < 4 && !draw.chance(0.12) => 0.02,
+            (District::Rows, _) => draw.between(2.5, 6.0),
+            (District::Gardens, _) => draw.between(3.5, 9.0),
         };
         if gap > 1.0 {
             *in_row = 0;

@@ -6,7 +6,7 @@ use crate::town::mesh::Surface;
 
 /// Building type of a district.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Quarter {
+pub(super) enum District {
     /// Tenements wall to wall, shops, offices.
     Centre,
     /// Town houses in short rows.
@@ -201,14 +201,14 @@ impl Style {
     }
 
     /// Returns the type of quarter at a position.
-    pub(super) fn quarter(&self, place: DVec2, middle: DVec2) -> Quarter {
+    pub(super) fn quarter(&self, place: DVec2, middle: DVec2) -> District {
         let off = place.distance(middle) / 260.0;
         let at = place / 90.0;
         let density = 1.0 - off + 0.75 * (noise(self.seed ^ 0x71, at.x, at.y) - 0.5) + self.density;
         match density {
-            d if d > 0.58 => Quarter::Centre,
-            d if d > 0.3 => Quarter::Rows,
-            _ => Quarter::Gardens,
+            d if d > 0.58 => District::Centre,
+            d if d > 0.3 => District::Rows,
+            _ => District::Gardens,
         }
     }
 }

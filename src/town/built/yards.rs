@@ -5,7 +5,7 @@ use super::draw::Draw;
 use super::ground::GROUND_M;
 use super::plants::{Crown, Species, bush, tree};
 use super::room::{Room, Taken};
-use super::style::{Quarter, Style};
+use super::style::{District, Style};
 use super::ways::Ways;
 use crate::town::hash::noise;
 use crate::town::mesh::{Mesh, Skin, Surface};
@@ -37,9 +37,9 @@ pub(super) fn yards(ways: &Ways, middle: DVec2, style: &Style, room: &Room, cell
 /// Adds a tree or a bush at a position if it is free.
 fn plant(place: DVec2, middle: DVec2, style: &Style, room: &Room, cells: &mut Cells, draw: &mut Draw) {
     let share = match style.quarter(place, middle) {
-        Quarter::Centre => 0.4,
-        Quarter::Rows => 0.5,
-        Quarter::Gardens => 0.55,
+        District::Centre => 0.4,
+        District::Rows => 0.5,
+        District::Gardens => 0.55,
     };
     let groves = noise(style.seed ^ 0x99, place.x / 45.0, place.y / 45.0);
     let square = |half: f64| super::sketch::corners(place - half, place + half);

@@ -18,19 +18,19 @@ use glam::{DVec2, DVec3};
 use image::RgbImage;
 
 use self::record::{Recorded, Recorder, seconds};
-use self::truth::Film;
+use self::truth::TownRenderer;
 use super::lidar::{Lidar, Mover, Scanner, Turn};
 use super::mesh::Mesh;
 use super::model::Body;
 use super::plan::{Actor, Motion, Plan};
-use super::view::FilmError;
+use super::view::MeshRenderError;
 use super::{Daylight, TownOptions, TownOptionsError, built, hash};
 use crate::dataset::nuscenes::MapLayers;
 use crate::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord, VectorMap};
 use crate::geometry::{CameraError, Pose};
 use crate::gpu::GpuError;
 
-pub use truth::TrueActor;
+pub use truth::PosedActor;
 
 /// Recording of a drive through a town.
 pub struct Town {
@@ -42,7 +42,7 @@ pub struct Town {
     actors: Vec<usize>,
     meshes: OnceLock<Meshes>,
     scanner: OnceLock<Scanner>,
-    film: Mutex<Option<Film>>,
+    film: Mutex<Option<TownRenderer>>,
 }
 
 /// All meshes.
@@ -64,7 +64,7 @@ pub enum TownError {
     Camera(#[from] CameraError),
     /// Rendering failed.
     #[error(transparent)]
-    Film(#[from] FilmError),
+    TownRenderer(#[from] MeshRenderError),
     /// The device or driver failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),

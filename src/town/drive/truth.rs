@@ -11,11 +11,11 @@ use crate::geometry::{Cuboid, Pose, View};
 use crate::gpu::{Device, DeviceDesc};
 use crate::town::mesh::Mesh;
 use crate::town::model::Body;
-use crate::town::view::{Filmer, Light, MeshDraw, TrueView};
+use crate::town::view::{GroundTruthView, Light, MeshDraw, MeshRenderer};
 
 /// Actor at a pose that may differ from the log.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrueActor<'a> {
+pub struct PosedActor<'a> {
     /// Track id.
     pub track: &'a str,
     /// Box in the global frame.
@@ -23,8 +23,8 @@ pub struct TrueActor<'a> {
 }
 
 /// Renderer with all meshes on the device.
-pub(super) struct Film {
-    filmer: Filmer,
+pub(super) struct TownRenderer {
+    filmer: MeshRenderer,
     light: Light,
     /// Number of static meshes; they come first and are in the town's frame.
     standing: usize,
@@ -46,7 +46,7 @@ impl Town {
     ///
     /// # Errors
     /// Returns an error if the device fails.
-    pub fn truth(&self, t_us: i64, views: &[View]) -> Result<Vec<TrueView>, TownError> {
+    pub fn truth(&self, t_us: i64, views: &[View]) -> Result<Vec<GroundTruthView>, TownError> {
         let tracks: Vec<usize> = self.log.boxes_at(t_us).iter().map(|item| item.track).collect();
         self.film(t_us, &self.figures(t_us, &tracks), views)
     }
@@ -56,7 +56,7 @@ impl Town {
     ///
     /// # Errors
     /// Returns an error if the device fails.
-    pub fn truth_of_frame(&self, index: usize) -> Result<Vec<TrueView>, TownError> {
+    pub fn truth_of_frame(&self, index: usize) -> Result<Vec<GroundTruthView>, TownError> {
         let Some(frame) = self.log.frames.get(index) else { return Ok(Vec::new()) };
         let tracks: Vec<usize> = frame.boxes.iter().map(|item| item.track).collect();
         let mut seen = Vec::new();
@@ -74,11 +74,11 @@ impl Town {
     pub fn truth_of(
         &self,
         t_us: i64,
-        actors: &[TrueActor<'_>],
+        actors: &[PosedActor<'_>],
         views: &[View],
-    ) -> Result<Vec<TrueView>, TownError> {
+    ) -> Result<Vec<GroundTruthView>, TownError> {
         let town_from_global = self.global_from_town.inverse();
-        let figure = |(index, actor): (usize, &TrueActor<'_>)| {
+        let figure = |(index, actor): (usize, &PosedActor<'_>)| {
             let known = self.log.tracks.binary_search_by(|track| track.id.as_str().cmp(actor.track));
             let (town, track) = (self.log.name.clone(), actor.track.to_owned());
             let known = known.map_err(|_| TownError::Track { town, track })?;
@@ -109,7 +109,7 @@ impl Town {
         self.plan.traffic.actors.iter().enumerate().map(figure).collect()
     }
 
-    fn film(&self, t_us: i64, figures: &[Figure], views: &[View]) -> Result<Vec<TrueView>, TownError> {
+    fn film(&self, t_us: i64, figures: &[Figure], views: &[View]) -> Result<Vec<GroundTruthView>, TownError> {
         let mut film = self.film.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if film.is_none() {
             *film = Some(self.start_film()?);
@@ -140,14 +140,14 @@ impl Town {
         View { camera: view.camera.clone(), camera_from_world }
     }
 
-    fn start_film(&self) -> Result<Film, TownError> {
+    fn start_film(&self) -> Result<TownRenderer, TownError> {
         let meshes = self.meshes();
         let device = Device::new(&DeviceDesc::from_env())?;
         let all: Vec<&Mesh> = meshes.standing.iter().chain(meshes.bodies.values()).collect();
         let standing = meshes.standing.len();
         let bodies = meshes.bodies.keys().copied().zip(standing..).collect();
         let light = Light::new(self.options.light(), self.options.seed);
-        Ok(Film { filmer: Filmer::new(&device, &all)?, light, standing, bodies })
+        Ok(TownRenderer { filmer: MeshRenderer::new(&device, &all)?, light, standing, bodies })
     }
 }
 

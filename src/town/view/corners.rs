@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 
-use super::FilmError;
+use super::MeshRenderError;
 use crate::town::mesh::{Mesh, Vertex};
 
 /// All meshes in one vertex and one index list.
@@ -39,7 +39,7 @@ impl Corners {
     ///
     /// # Errors
     /// Returns an error if a triangle has a corner that its mesh does not have, or if there are too many corners.
-    pub(super) fn new(meshes: &[&Mesh]) -> Result<Self, FilmError> {
+    pub(super) fn new(meshes: &[&Mesh]) -> Result<Self, MeshRenderError> {
         let mut all = Self::default();
         for (number, mesh) in meshes.iter().enumerate() {
             all.add(number, mesh)?;
@@ -47,11 +47,11 @@ impl Corners {
         Ok(all)
     }
 
-    fn add(&mut self, number: usize, mesh: &Mesh) -> Result<(), FilmError> {
+    fn add(&mut self, number: usize, mesh: &Mesh) -> Result<(), MeshRenderError> {
         // Every triangle adds at most one vertex, and three indices.
         let most = self.vertices.len() + mesh.vertices.len() + mesh.triangles.len();
         let most = most.max(self.indices.len() + 3 * mesh.triangles.len());
-        u32::try_from(most).map_err(|_| FilmError::TooManyCorners)?;
+        u32::try_from(most).map_err(|_| MeshRenderError::TooManyCorners)?;
         let (base, start) = (self.vertices.len() as u32, self.indices.len() as u32);
         self.vertices.extend_from_slice(&mesh.vertices);
         self.begun.resize(self.vertices.len(), [0; 3]);
@@ -59,7 +59,7 @@ impl Corners {
         for triangle in &mesh.triangles {
             if let Some(&corner) = triangle.iter().find(|i| **i as usize >= mesh.vertices.len()) {
                 let corners = mesh.vertices.len();
-                return Err(FilmError::Corner { mesh: number, corners, corner });
+                return Err(MeshRenderError::Corner { mesh: number, corners, corner });
             }
             let free = (0..3).find(|i| !taken[triangle[*i] as usize]);
             let [mut a, b, c] = [0, 1, 2].map(|i| base + triangle[(free.unwrap_or(0) + i) % 3]);

@@ -2,7 +2,7 @@ use crate::gpu::GpuError;
 
 /// Error of rendering the town.
 #[derive(Debug, thiserror::Error)]
-pub enum FilmError {
+pub enum MeshRenderError {
     /// The device or driver failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),

@@ -20,7 +20,7 @@ mod shade;
 mod surfaces;
 mod truth;
 
-pub use error::FilmError;
+pub use error::MeshRenderError;
 pub use light::Light;
 
 use std::sync::Arc;
@@ -31,8 +31,8 @@ use image::RgbImage;
 use self::corners::Corners;
 use self::lens::Lens;
 use self::maps::{Frames, Maps, Triangles};
-use self::shade::{Samples, ShadeStage};
-use self::surfaces::SurfaceStage;
+use self::shade::{Samples, ShadePass};
+use self::surfaces::SurfacePass;
 use self::truth::{Read, Scene};
 use super::mesh::Mesh;
 use crate::geometry::View;
@@ -42,7 +42,7 @@ use crate::raster::tiles::{Tile, TileLimits, grown, tiles};
 
 /// Ground truth of a view, row-major `height * width`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct TrueView {
+pub struct GroundTruthView {
     /// sRGB image.
     pub image: RgbImage,
     /// Camera z at the pixel's centre, meters; `f32::INFINITY` for the sky.
@@ -67,30 +67,30 @@ pub struct MeshDraw {
 }
 
 /// Renderer of resident meshes.
-pub struct Filmer {
+pub struct MeshRenderer {
     device: Arc<Device>,
     commands: Commands,
     corners: Corners,
     triangles: Triangles,
     maps: Maps,
-    surfaces: SurfaceStage,
-    shade: ShadeStage,
+    surfaces: SurfacePass,
+    shade: ShadePass,
     samples: Option<Samples>,
     limits: TileLimits,
     stages: StageTimes,
 }
 
-impl Filmer {
+impl MeshRenderer {
     /// Uploads all meshes; they may be dropped afterwards.
     ///
     /// # Errors
     /// Returns an error if a triangle has a corner that its mesh does not have, if memory is insufficient, or if the
     /// device lacks a required feature.
-    pub fn new(device: &Arc<Device>, meshes: &[&Mesh]) -> Result<Self, FilmError> {
+    pub fn new(device: &Arc<Device>, meshes: &[&Mesh]) -> Result<Self, MeshRenderError> {
         let corners = Corners::new(meshes)?;
         let triangles = Triangles::new(device, &corners)?;
-        let (maps, surfaces) = (Maps::new(device)?, SurfaceStage::new(device)?);
-        let shade = ShadeStage::new(device)?;
+        let (maps, surfaces) = (Maps::new(device)?, SurfacePass::new(device)?);
+        let shade = ShadePass::new(device)?;
         let commands = Commands::new(device)?;
         device.check_validation()?;
         Ok(Self {
@@ -122,10 +122,10 @@ impl Filmer {
         draws: &[MeshDraw],
         views: &[View],
         light: &Light,
-    ) -> Result<Vec<TrueView>, FilmError> {
+    ) -> Result<Vec<GroundTruthView>, MeshRenderError> {
         let meshes = self.corners.parts.len();
         if let Some((draw, mesh)) = truth::unknown_mesh(draws, meshes) {
-            return Err(FilmError::UnknownMesh { draw, mesh, meshes });
+            return Err(MeshRenderError::UnknownMesh { draw, mesh, meshes });
         }
         let mut mapped: Option<Frames> = None;
         let mut film = |view: &View| {
@@ -144,7 +144,7 @@ impl Filmer {
         std::mem::take(&mut self.stages)
     }
 
-    fn map(&mut self, draws: &[MeshDraw], light: &Light, frames: &Frames) -> Result<(), FilmError> {
+    fn map(&mut self, draws: &[MeshDraw], light: &Light, frames: &Frames) -> Result<(), MeshRenderError> {
         let mut recorder = self.commands.begin()?;
         let scene = (&self.triangles, &self.corners.parts[..]);
         self.maps.record(&mut recorder, scene, draws, (light, frames))?;
@@ -158,8 +158,8 @@ impl Filmer {
         draws: &[MeshDraw],
         view: &View,
         lit: (&Light, &Frames),
-    ) -> Result<TrueView, FilmError> {
-        let mut shown = TrueView::empty(view);
+    ) -> Result<GroundTruthView, MeshRenderError> {
+        let mut shown = GroundTruthView::empty(view);
         let tiles = tiles(view.camera.width, view.camera.height, self.limits);
         let Some(largest) = tiles.first() else { return Ok(shown) };
         self.prepare(largest.size)?;
@@ -170,7 +170,7 @@ impl Filmer {
     }
 
     /// Allocates images and buffers if the current ones are too small.
-    fn prepare(&mut self, size: [u32; 2]) -> Result<(), FilmError> {
+    fn prepare(&mut self, size: [u32; 2]) -> Result<(), MeshRenderError> {
         let current = self.samples.as_ref().map_or([0; 2], |samples| samples.pixels);
         if size[0] > current[0] || size[1] > current[1] {
             self.samples = None; // free before allocating
@@ -187,8 +187,8 @@ impl Filmer {
         view: &View,
         tile: &Tile,
         lit: (&Light, &Frames),
-        shown: &mut TrueView,
-    ) -> Result<(), FilmError> {
+        shown: &mut GroundTruthView,
+    ) -> Result<(), MeshRenderError> {
         let Some(samples) = &mut self.samples else { return Ok(()) };
         let lens = Lens::new(view, tile);
         let mut recorder = self.commands.begin()?;
@@ -225,5 +225,5 @@ fn tile_limits(device: &Device, side: Option<u32>) -> TileLimits {
     ];
     let largest = largest.into_iter().min().map_or(1, |samples| (samples - 1) / 2);
     let side = largest.min(side.unwrap_or(largest)).max(1);
-    TileLimits { side, area: ShadeStage::max_area(device).max(1) }
+    TileLimits { side, area: ShadePass::max_area(device).max(1) }
 }

@@ -16,7 +16,7 @@ use glam::{DVec3, DVec4, Vec3};
 use super::Light;
 use super::lens::{Lens, NEAR_M};
 use super::maps::{Frames, Maps};
-use super::surfaces::{DEPTH, OWNER, SURFACE, SurfaceStage};
+use super::surfaces::{DEPTH, OWNER, SURFACE, SurfacePass};
 use crate::gpu::{
     Area, Bind, Buffer, BufferDesc, Depth, DepthTest, DescriptorSet, Device, GpuError, GraphicsPipeline,
     GraphicsPipelineDesc, Image, ImageDesc, Memory, PipelineLayout, Recorder, RenderPass, RenderPassDesc,
@@ -90,7 +90,7 @@ impl ViewBlock {
 }
 
 /// Pipelines and passes that do not depend on image sizes.
-pub(super) struct ShadeStage {
+pub(super) struct ShadePass {
     block: Arc<Buffer>,
     light: Screen,
     light_pass: Arc<RenderPass>,
@@ -136,7 +136,7 @@ impl Screen {
 pub(super) struct Samples {
     /// Maximum width and height of a tile, pixels.
     pub(super) pixels: [u32; 2],
-    /// Target of [`SurfaceStage`].
+    /// Target of [`SurfacePass`].
     pub(super) surfaces: Target,
     light: (Target, DescriptorSet),
     colors: (Target, Vec<DescriptorSet>),
@@ -149,7 +149,7 @@ pub(super) struct Samples {
     pub(super) pixel_back: Buffer,
 }
 
-impl ShadeStage {
+impl ShadePass {
     pub(super) fn new(device: &Arc<Device>) -> Result<Self, GpuError> {
         let (read, copied) =
             (vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL, vk::ImageLayout::TRANSFER_SRC_OPTIMAL);
@@ -181,7 +181,7 @@ impl ShadeStage {
     pub(super) fn samples(
         &self,
         device: &Arc<Device>,
-        (surface_stage, maps): (&SurfaceStage, &Maps),
+        (surface_stage, maps): (&SurfacePass, &Maps),
         pixels: [u32; 2],
     ) -> Result<Samples, GpuError> {
         let image = |name, [width, height]: [u32; 2], format, usage| {

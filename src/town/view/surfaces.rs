@@ -52,12 +52,12 @@ assert_layout!(SurfacePush, shaders::town_surface_vert::town_surface_draw, [
 ]);
 
 /// Pipeline and pass, which do not depend on image sizes.
-pub(super) struct SurfaceStage {
+pub(super) struct SurfacePass {
     pipeline: GraphicsPipeline,
     pub(super) pass: Arc<RenderPass>,
 }
 
-impl SurfaceStage {
+impl SurfacePass {
     pub(super) fn new(device: &Arc<Device>) -> Result<Self, GpuError> {
         let (vertex, fragment) = (&shaders::town_surface_vert::SHADER, &shaders::town_surface_frag::SHADER);
         let layout = Arc::new(PipelineLayout::new(device, &[vertex, fragment])?);

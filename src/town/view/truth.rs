@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::corners::Corners;
 use super::lens::NEAR_M;
-use super::{MeshDraw, TrueView};
+use super::{GroundTruthView, MeshDraw};
 use crate::geometry::View;
 use crate::raster::tiles::Tile;
 
@@ -18,7 +18,7 @@ pub(super) struct Read<'a> {
     pub(super) pixels: &'a [[u8; 4]],
 }
 
-impl TrueView {
+impl GroundTruthView {
     /// Creates a view that shows only sky.
     pub(super) fn empty(view: &View) -> Self {
         let pixels = view.camera.width as usize * view.camera.height as usize;

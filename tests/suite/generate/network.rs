@@ -9,13 +9,13 @@ use point_skeleton::generate::network::{
 };
 use point_skeleton::generate::train::{TrainOptions, Trainer, measure};
 use point_skeleton::generate::{
-    Codec, Condition, Denoiser, Drive, DriveFrame, DriveInfo, Dropped, Frame, FrameConditions, GaussianNoise,
-    GenerateOptions, Latent, Level, NoiseSource, Recipe, Strategy,
+    Codec, Condition, Denoiser, DriveFrame, DriveInfo, DroppedConditions, Frame, FrameConditions,
+    GaussianNoise, GenerateOptions, Latent, Level, NoiseSource, Recipe, Strategy, TrainingClip,
 };
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::sim::Forecast;
 
-use super::{Drive as Rollout, options as roll_options};
+use super::{TrainingClip as Rollout, options as roll_options};
 
 const SIZE: ImageSize = ImageSize { height: 16, width: 32 };
 const VIEWS: usize = 2;
@@ -53,12 +53,12 @@ fn shade(kind: usize, x: usize, y: usize, color: usize) -> u8 {
 }
 
 /// Returns a synthetic recording: two cameras pass textured patches; the color map has holes.
-pub(crate) fn made(number: usize, frames: usize) -> Drive {
+pub(crate) fn made(number: usize, frames: usize) -> TrainingClip {
     made_for(&config(), number, frames)
 }
 
 /// Returns a recording in the format of a network.
-fn made_for(config: &NetworkConfig, number: usize, frames: usize) -> Drive {
+fn made_for(config: &NetworkConfig, number: usize, frames: usize) -> TrainingClip {
     let views = config.cameras;
     let cameras = (0..views).map(|view| format!("camera {view}")).collect();
     let about = DriveInfo { log: format!("made {number}"), hz: 5.0, cameras, recipe: config.recipe.clone() };
@@ -86,7 +86,7 @@ fn made_for(config: &NetworkConfig, number: usize, frames: usize) -> Drive {
         made.cameras = (0..views).map(|view| camera(0.5 - view as f32)).collect();
         made
     };
-    Drive { about, frames: (0..frames).map(frame).collect() }
+    TrainingClip { about, frames: (0..frames).map(frame).collect() }
 }
 
 /// Iterates over pixels: view, row, column.
@@ -95,12 +95,12 @@ fn places(views: usize, size: ImageSize) -> impl Iterator<Item = (usize, usize, 
     (0..views * height * width).map(move |i| (i / width / height, i / width % height, i % width))
 }
 
-fn conditions(drive: &Drive) -> Vec<FrameConditions> {
+fn conditions(drive: &TrainingClip) -> Vec<FrameConditions> {
     let encoder = drive.encoder();
     (0..drive.frames.len()).map(|frame| drive.conditions(frame, &encoder)).collect()
 }
 
-pub(crate) fn weights(drives: &[Drive]) -> Weights {
+pub(crate) fn weights(drives: &[TrainingClip]) -> Weights {
     let (statistics, guess) = measure(&config(), drives).unwrap();
     Weights::fresh(&config(), &statistics, &guess, 5).unwrap()
 }
@@ -279,12 +279,12 @@ fn conditions_and_their_lack_change_what_is_predicted() {
     let conditions = conditions(&drives[0]);
     let latents = noises(&network, 1);
     let whole = predicted(&mut network, &latents, &conditions);
-    let none = Dropped::default();
+    let none = DroppedConditions::default();
     let all = [
-        Dropped { layout: true, ..none },
-        Dropped { action: true, ..none },
-        Dropped { color: true, ..none },
-        Dropped { depth: true, ..none },
+        DroppedConditions { layout: true, ..none },
+        DroppedConditions { action: true, ..none },
+        DroppedConditions { color: true, ..none },
+        DroppedConditions { depth: true, ..none },
     ];
     for dropped in all {
         let without: Vec<_> = conditions.iter().map(|c| c.without(dropped)).collect();

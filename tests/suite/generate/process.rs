@@ -12,7 +12,7 @@ use point_skeleton::geometry::ImageSize;
 use point_skeleton::peer::{PeerAddress, PeerError, PeerSpec};
 use safetensors::SafeTensors;
 
-use super::{Drive, assert_near, options as options_of};
+use super::{TrainingClip, assert_near, options as options_of};
 
 const VIEWS: usize = 2;
 const SIZE: ImageSize = ImageSize { height: 16, width: 24 };
@@ -100,9 +100,9 @@ fn colors(conditions: &FrameConditions) -> Latent {
     latent
 }
 
-fn drive(frames: usize) -> Drive<FrameConditions> {
+fn drive(frames: usize) -> TrainingClip<FrameConditions> {
     let conditions: Vec<FrameConditions> = (0..3 + frames).map(conditions).collect();
-    Drive::of(&options(), conditions[..3].iter().map(colors).collect(), &conditions)
+    TrainingClip::of(&options(), conditions[..3].iter().map(colors).collect(), &conditions)
 }
 
 const NOISE: GaussianNoise = GaussianNoise { seed: 5 };

@@ -8,8 +8,8 @@ use point_skeleton::geometry::{Camera, View};
 use point_skeleton::gpu::{Device, DeviceDesc};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
-    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, Instance, Planes, Rasterizer, SplatJob, SplatMaps,
-    SplatSchedule, VulkanRasterizer, VulkanRasterizerDesc,
+    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, Instance, Planes, Rasterizer,
+    SplatJob, SplatMaps, SplatSchedule, VulkanRasterizerDesc,
 };
 
 use crate::common::skip;
@@ -53,7 +53,7 @@ pub(crate) fn rasterizers<'a>(
     clouds: &CloudSet<'a>,
     division: Division,
 ) -> Vec<Box<dyn Rasterizer + 'a>> {
-    let raster = VulkanRasterizer::with_desc(device.clone(), clouds, division.raster);
+    let raster = GraphicsRasterizer::with_desc(device.clone(), clouds, division.raster);
     let mut all: Vec<Box<dyn Rasterizer + 'a>> = vec![Box::new(raster.unwrap_or_else(|e| panic!("{e}")))];
     if has_compute(device) {
         let copies = ComputeRasterizerDesc { copies: true, ..division.compute };

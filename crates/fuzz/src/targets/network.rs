@@ -4,7 +4,7 @@ use std::cell::RefCell;
 
 use point_skeleton::dataset::Dataset;
 use point_skeleton::generate::network::{Attend, Network, NetworkConfig, Weights};
-use point_skeleton::generate::toy::Toy;
+use point_skeleton::generate::toy::LinearDenoiser;
 use point_skeleton::generate::train::{TrainOptions, Trainer, measure};
 use point_skeleton::generate::{
     Cache, Denoiser, Drive, DriveFrame, DriveInfo, Frame, GaussianNoise, GenerateOptions, Generator,
@@ -226,7 +226,7 @@ fn options() -> GenerateOptions {
     }
 }
 
-type Toys = Generator<Toy, GaussianNoise>;
+type Toys = Generator<LinearDenoiser, GaussianNoise>;
 
 /// Returns a committed condition; only a rollout can commit one.
 fn committed() -> Committed<Latent> {
@@ -239,7 +239,7 @@ fn committed() -> Committed<Latent> {
 fn cache_file() -> Vec<u8> {
     let latent = || Latent::filled(SHAPE, 0.5);
     let references = (0..options().references()).map(|_| (latent(), committed())).collect();
-    let toy = Toy { shape: SHAPE };
+    let toy = LinearDenoiser { shape: SHAPE };
     let mut generator =
         Toys::new(toy, GaussianNoise { seed: 1 }, options(), references).expect("a generator");
     generator.step(committed(), &[]).expect("a frame");
@@ -256,7 +256,7 @@ fn cache(data: &[u8]) {
     let again = Cache::from_bytes(&written).expect("a cache that was written");
     assert_eq!(again.to_bytes().ok(), Some(written));
     let shown = (0..options().references()).map(|_| committed()).collect();
-    match Toys::resume(Toy { shape: SHAPE }, GaussianNoise { seed: 1 }, options(), cache, shown) {
+    match Toys::resume(LinearDenoiser { shape: SHAPE }, GaussianNoise { seed: 1 }, options(), cache, shown) {
         Err(error) => short(&error.to_string(), data),
         Ok(mut generator) => {
             let made = generator.step(committed(), &[]).expect("a frame");

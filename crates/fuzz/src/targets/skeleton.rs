@@ -8,7 +8,9 @@ use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{Crop, FrameJob, FrameKinds, Occlusion, Rasterizer, SplatSchedule};
-use point_skeleton::scene::{EgoOffset, SceneState, SelectionOptions, Stage, StandIns, state_of_frame};
+use point_skeleton::scene::{
+    EgoOffset, SceneClouds, SceneState, SelectionOptions, Substitutes, state_of_frame,
+};
 use point_skeleton::skeleton::{
     AugmentOptions, Checksum, Skeleton, Template, TemplateKind, TemplateLibrary, TemplateOptions,
     TemplateReport, augment,
@@ -84,7 +86,7 @@ fn draw_folder(stored: &Stored, data: &[u8]) {
     let opened = Skeleton::open(stored.folder.root());
     let checked = opened.and_then(|skeleton| {
         // Reading the clouds compares checksums.
-        let lengths = Stage::clouds(&skeleton)?.iter().map(|cloud| cloud.len()).collect::<Vec<usize>>();
+        let lengths = SceneClouds::clouds(&skeleton)?.iter().map(|cloud| cloud.len()).collect::<Vec<usize>>();
         Ok((skeleton, lengths))
     });
     match checked {
@@ -97,7 +99,7 @@ fn draw_folder(stored: &Stored, data: &[u8]) {
                 lengths,
                 counts.chain(manifest.templates.iter().map(|t| t.points)).collect::<Vec<_>>()
             );
-            draw(&skeleton, &StandIns::NONE, &stored.state);
+            draw(&skeleton, &Substitutes::NONE, &stored.state);
             let options = AugmentOptions { share: 1.0, min_points: 2, ..AugmentOptions::default() };
             for (asset, points) in manifest.actors.iter().zip(skeleton.actors().expect("checked points")) {
                 assert!(augment(points, &asset.track, &options).0.len() <= points.len());
@@ -106,8 +108,8 @@ fn draw_folder(stored: &Stored, data: &[u8]) {
     }
 }
 
-fn draw(skeleton: &Skeleton, stand_ins: &StandIns, state: &SceneState) {
-    let stage = Stage::with(skeleton, LOG, stand_ins).expect("checked points");
+fn draw(skeleton: &Skeleton, stand_ins: &Substitutes, state: &SceneState) {
+    let stage = SceneClouds::with(skeleton, LOG, stand_ins).expect("checked points");
     let options = SelectionOptions { min_actor_points: 5, ..SelectionOptions::default() };
     let instances = stage.instances(state, &options);
     let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
@@ -190,7 +192,7 @@ fn open_library(stored: &Stored, data: &[u8]) {
             assert!(library.clouds.iter().all(|(template, points)| template.points == points.len()));
             SKELETON.with_borrow(|skeleton| {
                 let opened = Skeleton::open(skeleton.folder.root()).expect("a skeleton of ours");
-                let stand_ins = StandIns { templates: library.clouds, ..StandIns::NONE };
+                let stand_ins = Substitutes { templates: library.clouds, ..Substitutes::NONE };
                 draw(&opened, &stand_ins, &skeleton.state);
             });
         }

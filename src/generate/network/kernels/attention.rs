@@ -8,7 +8,7 @@ use super::{Attend, EPSILON, Grid, LANES};
 /// per head, so softmax does not need the maximum of its inputs. Source: Dehghani et al., "Scaling Vision
 /// Transformers to 22 Billion Parameters", 2023 (normed queries and keys, parallel layers).
 #[derive(Clone, Copy, Debug)]
-pub(in super::super) struct Mix {
+pub(in super::super) struct AttentionMlp {
     /// Token grid.
     pub(in super::super) grid: Grid,
     /// Groups of tokens that attend to each other.
@@ -46,7 +46,7 @@ struct Scratch {
     out: Vec<f32>,
 }
 
-impl Mix {
+impl AttentionMlp {
     fn stride(&self) -> usize {
         3 * self.width + self.hidden
     }

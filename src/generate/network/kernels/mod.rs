@@ -15,7 +15,7 @@ mod grid;
 mod math;
 mod norm;
 
-pub(super) use attention::Mix;
+pub(super) use attention::AttentionMlp;
 pub(super) use gate::{gate_backward, gate_forward};
 pub use grid::Attend;
 pub(super) use grid::Grid;

@@ -29,7 +29,7 @@ fn assert_gradient(f: impl Fn(&[f32]) -> f64, x: &[f32], gradient: &[f32]) {
     }
 }
 
-const MIX: Mix = Mix {
+const MIX: AttentionMlp = AttentionMlp {
     grid: Grid { windows: 2, frames: 3, views: 2, height: 3, width: 2 },
     attend: Attend::Space,
     width: 32,
@@ -51,7 +51,7 @@ fn groups_cover_all_rows_once() {
 }
 
 /// Returns attention by its definition, in `f64`, for one row and channel.
-fn attended(mix: &Mix, u: &[f32], row: usize, channel: usize) -> f64 {
+fn attended(mix: &AttentionMlp, u: &[f32], row: usize, channel: usize) -> f64 {
     let (d, c) = (mix.width, mix.head);
     let head = channel / c;
     let unit = |row: usize, part: usize| -> Vec<f64> {
@@ -72,14 +72,14 @@ fn attended(mix: &Mix, u: &[f32], row: usize, channel: usize) -> f64 {
     above / below
 }
 
-fn mix_stride(mix: &Mix) -> usize {
+fn mix_stride(mix: &AttentionMlp) -> usize {
     3 * mix.width + mix.hidden
 }
 
 #[test]
 fn attention_is_what_its_definition_says() {
     for attend in [Attend::Space, Attend::Views, Attend::Time] {
-        let mix = Mix { attend, ..MIX };
+        let mix = AttentionMlp { attend, ..MIX };
         let (rows, out_stride) = (mix.grid.rows(), mix.width + mix.hidden);
         let u = normal(1, rows * mix_stride(&mix));
         let out = mix.forward(&u);

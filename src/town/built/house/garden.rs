@@ -5,7 +5,7 @@ use crate::town::built::ground::flat;
 use crate::town::built::lots::{Lot, Use};
 use crate::town::built::plants::{Crown, bush};
 use crate::town::built::sketch::{Wall, corners};
-use crate::town::built::style::{Quarter, Style};
+use crate::town::built::style::{District, Style};
 use crate::town::mesh::{Mesh, Skin, Surface};
 
 /// Height of paths and paving above the ground, meters: slightly below the sidewalk.
@@ -18,7 +18,7 @@ pub(super) fn front(mesh: &mut Mesh, lot: &Lot, style: &Style, house: &mut House
     let pave = |mesh: &mut Mesh, x: [f64; 2], y: [f64; 2]| {
         flat(mesh, &corners(DVec2::new(x[0], y[0]), DVec2::new(x[1], y[1])), PAVED_M, slabs);
     };
-    if out < 1.6 || lot.kind != Use::House || lot.quarter == Quarter::Centre {
+    if out < 1.6 || lot.kind != Use::House || lot.quarter == District::Centre {
         pave(mesh, [0.0, w], [-out - 0.15, 0.02]);
         return;
     }

@@ -14,7 +14,7 @@ use glam::DVec3;
 use super::draw::Draw;
 use super::lots::{Lot, Side, Use};
 use super::sketch::Wall;
-use super::style::{Quarter, Style};
+use super::style::{District, Style};
 use crate::town::mesh::{Mesh, Skin, Surface};
 
 /// Colors of flat roofs: gravel, felt, sheets.
@@ -64,7 +64,7 @@ impl House {
     fn new(lot: &Lot, style: &Style) -> Self {
         let mut draw = Draw::new(lot.seed, &[1]);
         let palette = style.palette;
-        let centre = lot.quarter == Quarter::Centre;
+        let centre = lot.quarter == District::Centre;
         let (rgb, surface) = draw.pick(palette.walls);
         let pattern = |draw: &mut Draw, rgb: [u8; 3], surface| Skin {
             rgb,
@@ -84,12 +84,12 @@ impl House {
             wall
         };
         let floors = match lot.quarter {
-            Quarter::Centre => 3 + draw.below(4),
-            Quarter::Rows => 2 + draw.below(2),
-            Quarter::Gardens => 1 + draw.below(2),
+            District::Centre => 3 + draw.below(4),
+            District::Rows => 2 + draw.below(2),
+            District::Gardens => 1 + draw.below(2),
         };
         let flat =
-            draw.chance(if lot.quarter == Quarter::Gardens { palette.flat / 2.0 } else { palette.flat });
+            draw.chance(if lot.quarter == District::Gardens { palette.flat / 2.0 } else { palette.flat });
         let modern = flat && palette.flat > 0.6;
         let window = if modern {
             [draw.between(1.4, 2.2), draw.between(1.3, 1.7)]

@@ -3,7 +3,7 @@
 use glam::DVec2;
 use rustc_hash::FxHashMap;
 
-use super::lanes::Way;
+use super::lanes::JunctionPath;
 use super::rect::Rect;
 use crate::town::plan::line::Path;
 
@@ -16,7 +16,7 @@ const BEYOND_M: f64 = 8.0;
 
 /// Returns two tables, for pairs of cars and for pairs with a long vehicle. For paths `(a, b)` they have the distance
 /// along `a` that the middle of a vehicle must have reached so that no vehicle on `b` can touch it, meters.
-pub(super) fn tables(paths: &[Path], ways: &[Option<Way>]) -> [FxHashMap<(usize, usize), f64>; 2] {
+pub(super) fn tables(paths: &[Path], ways: &[Option<JunctionPath>]) -> [FxHashMap<(usize, usize), f64>; 2] {
     [CAR_M, LONG_M].map(|size| {
         let swept: Vec<Vec<Rect>> = (0..paths.len()).map(|i| swept(paths, ways, i, size)).collect();
         let mut table = FxHashMap::default();
@@ -37,7 +37,12 @@ pub(super) fn tables(paths: &[Path], ways: &[Option<Way>]) -> [FxHashMap<(usize,
 }
 
 /// Returns the boxes of a vehicle every [`STEP_M`] along its path; empty for lanes of roads.
-fn swept(paths: &[Path], ways: &[Option<Way>], index: usize, [length, width, base]: [f64; 3]) -> Vec<Rect> {
+fn swept(
+    paths: &[Path],
+    ways: &[Option<JunctionPath>],
+    index: usize,
+    [length, width, base]: [f64; 3],
+) -> Vec<Rect> {
     let Some(way) = ways[index] else { return Vec::new() };
     let (before, after) = (&paths[way.from], &paths[way.to]);
     let lead_m = 2.0 * BEYOND_M;

@@ -18,13 +18,13 @@ pub(super) struct Lanes<'a> {
     /// Centerline of each lane.
     pub(super) paths: Vec<Path>,
     /// Data of each path through a junction; `None` for lanes of roads.
-    pub(super) ways: Vec<Option<Way>>,
+    pub(super) ways: Vec<Option<JunctionPath>>,
     clear_m: [FxHashMap<(usize, usize), f64>; 2],
 }
 
 /// Path through a junction.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Way {
+pub(super) struct JunctionPath {
     pub(super) junction: usize,
     pub(super) kind: JunctionKind,
     pub(super) turn: Turn,
@@ -37,7 +37,7 @@ pub(super) struct Way {
     pub(super) crossings: [Option<usize>; 2],
 }
 
-impl Way {
+impl JunctionPath {
     /// Returns the distance from the end of the lane before it back to the stop position, meters.
     pub(super) fn stop_m(&self) -> f64 {
         if self.kind == JunctionKind::Free { STOP_FREE_M } else { STOP_M }
@@ -58,7 +58,7 @@ impl<'a> Lanes<'a> {
         Self { network, paths, ways, clear_m }
     }
 
-    fn way(network: &Network, paths: &[Path], [from, way]: [usize; 2], road: usize) -> Option<Way> {
+    fn way(network: &Network, paths: &[Path], [from, way]: [usize; 2], road: usize) -> Option<JunctionPath> {
         let LaneKind::Junction(junction) = network.lanes[way].kind else { return None };
         let to = *network.lanes[way].successors.first()?;
         let LaneKind::Road(next) = network.lanes[to].kind else { return None };
@@ -69,7 +69,15 @@ impl<'a> Lanes<'a> {
             network.crossings.iter().position(|c| c.road == road && near(c.path))
         };
         let turn = Turn::of(paths[way].points());
-        Some(Way { junction, kind, turn, from, to, road, crossings: [crossing(road), crossing(next)] })
+        Some(JunctionPath {
+            junction,
+            kind,
+            turn,
+            from,
+            to,
+            road,
+            crossings: [crossing(road), crossing(next)],
+        })
     }
 
     /// Returns the distance along path `a` that the middle of a vehicle must have reached so that no vehicle on path

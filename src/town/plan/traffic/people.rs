@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::bodies::Bodies;
 use super::pavement::{Kerb, Track};
-use super::walker::{Over, Walker, junction_of};
+use super::walker::{CrossingState, Walker, junction_of};
 use crate::town::model::BodyKind;
 use crate::town::plan::Network;
 use crate::town::plan::line::Path;
@@ -59,7 +59,13 @@ impl People<'_> {
         apart(walkers)
     }
 
-    fn walker(&mut self, path: Path, along_m: f64, pace_mps: f64, crossing: Option<Over>) -> Option<Walker> {
+    fn walker(
+        &mut self,
+        path: Path,
+        along_m: f64,
+        pace_mps: f64,
+        crossing: Option<CrossingState>,
+    ) -> Option<Walker> {
         let body = self.bodies.of(BodyKind::Walker, &mut self.random);
         let size_m = body.size_m().truncate();
         (path.length_m() > along_m).then_some(Walker {
@@ -120,7 +126,7 @@ impl People<'_> {
         let half_m = self.network.roads[self.network.crossings[crossing].road].half_width_m;
         let middle = (path[0] + path[1]) / 2.0;
         let off_m = first_m + (middle - start).dot(across) - half_m;
-        let over = Over {
+        let over = CrossingState {
             crossing,
             junction: junction_of(self.network, crossing)?,
             kerbs_m: [off_m, off_m + 2.0 * half_m],

@@ -29,7 +29,7 @@ pub(super) struct Route {
 
 /// Requirements of a route.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Wish {
+pub(super) struct RouteConstraints {
     /// Offset to the right of the middle of lanes, meters.
     pub(super) right_m: f64,
     /// Whether it avoids sharp curves.
@@ -44,7 +44,7 @@ impl Route {
         lanes: &Lanes<'_>,
         first: usize,
         length_m: f64,
-        wish: Wish,
+        wish: RouteConstraints,
         random: &mut Random,
     ) -> Self {
         let mut taken = vec![first];

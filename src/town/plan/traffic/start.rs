@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::bodies::{Bodies, DRIVING};
 use super::lanes::Lanes;
-use super::route::{BRAKING_MPS2, Route, Wish};
+use super::route::{BRAKING_MPS2, Route, RouteConstraints};
 use super::vehicle::{Driver, Vehicle};
 use super::world::World;
 use crate::town::model::{Body, BodyKind};
@@ -49,7 +49,8 @@ impl Start<'_> {
                 best = if score > best.0 { (score, lane) } else { best };
             }
         }
-        let wish = Wish { right_m: 0.0, long: false, turn_within: self.is_long_drive().then_some(2) };
+        let wish =
+            RouteConstraints { right_m: 0.0, long: false, turn_within: self.is_long_drive().then_some(2) };
         let length_m = 60.0 + 10.0 * self.duration_s;
         let route = Route::draw(self.lanes, best.1, length_m, wish, &mut self.random);
         Vehicle {
@@ -112,7 +113,7 @@ impl Start<'_> {
             }
         };
         let length_m = 60.0 + driver.free_mps * self.duration_s;
-        let wish = Wish { right_m, long, turn_within: None };
+        let wish = RouteConstraints { right_m, long, turn_within: None };
         let route = Route::draw(self.lanes, lane, length_m, wish, &mut self.random);
         let wanted_m = driver.free_mps * self.duration_s.min(LONG_S);
         if long && !route.is_wide(along_m, wanted_m) {

@@ -31,12 +31,12 @@ pub(super) struct Walker {
     pub(super) along_m: f64,
     pub(super) speed_mps: f64,
     pub(super) pace_mps: f64,
-    pub(super) crossing: Option<Over>,
+    pub(super) crossing: Option<CrossingState>,
 }
 
 /// Crossing of a road by a walker.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Over {
+pub(super) struct CrossingState {
     /// Indices of the crossing and of its junction.
     pub(super) crossing: usize,
     pub(super) junction: usize,

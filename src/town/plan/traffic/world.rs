@@ -6,7 +6,7 @@
 //! pedestrian is on its crossings, and there is room behind the junction. On lanes, and on paths with a common start,
 //! every vehicle follows the one in front.
 
-use super::lanes::{BEYOND_CROSSING_M, Lanes, STOP_M, Way};
+use super::lanes::{BEYOND_CROSSING_M, JunctionPath, Lanes, STOP_M};
 use super::route::BRAKING_MPS2;
 use super::vehicle::{Leader, Vehicle};
 use crate::town::plan::{JunctionKind, Signal, Turn};
@@ -174,7 +174,7 @@ impl<'a> World<'a> {
     }
 
     /// Returns whether a vehicle may enter a junction, apart from vehicles that cross its path there.
-    fn could_enter(&self, index: usize, k: usize, way: Way, occupants: &Occupants) -> bool {
+    fn could_enter(&self, index: usize, k: usize, way: JunctionPath, occupants: &Occupants) -> bool {
         let me = &self.vehicles[index];
         let allowed = match way.kind {
             JunctionKind::Free => true,
@@ -209,7 +209,10 @@ impl<'a> World<'a> {
 
     /// Returns the paths that a vehicle has been granted and not yet left: lane, path, position of its middle along
     /// it, and distance of its rear beyond the end, meters.
-    fn held<'v>(&self, vehicle: &'v Vehicle) -> impl Iterator<Item = (usize, Way, f64, f64)> + use<'v, '_> {
+    fn held<'v>(
+        &self,
+        vehicle: &'v Vehicle,
+    ) -> impl Iterator<Item = (usize, JunctionPath, f64, f64)> + use<'v, '_> {
         let at = vehicle.route.lane_at(vehicle.along_m);
         let lanes = self.lanes;
         let last = vehicle.granted.unwrap_or(0);
@@ -223,7 +226,7 @@ impl<'a> World<'a> {
     }
 
     /// Returns whether a vehicle with a granted path may still touch one on this path.
-    fn is_crossed(&self, index: usize, lane: usize, way: Way) -> bool {
+    fn is_crossed(&self, index: usize, lane: usize, way: JunctionPath) -> bool {
         let me = &self.vehicles[index];
         let crosses = |other: &Vehicle| {
             let long = me.is_long() || other.is_long();
@@ -237,7 +240,7 @@ impl<'a> World<'a> {
     }
 
     /// Returns whether it fits on the lane after the junction, together with all vehicles that get there before it.
-    fn has_room(&self, index: usize, way: Way, occupants: &Occupants) -> bool {
+    fn has_room(&self, index: usize, way: JunctionPath, occupants: &Occupants) -> bool {
         let mut room_m = self.lanes.length_m(way.to);
         for (along_m, other) in occupants[way.to].iter().filter(|o| o.1 != index) {
             let other = &self.vehicles[*other];
@@ -255,7 +258,7 @@ impl<'a> World<'a> {
 
     /// Returns whether no vehicle has been granted a path over a crossing.
     pub(super) fn is_free(&self, crossing: usize) -> bool {
-        let over = |held: &(usize, Way, f64, f64)| held.1.crossings.contains(&Some(crossing));
+        let over = |held: &(usize, JunctionPath, f64, f64)| held.1.crossings.contains(&Some(crossing));
         self.vehicles.iter().all(|vehicle| !self.held(vehicle).any(|held| over(&held)))
     }
 }
