@@ -13,7 +13,7 @@ use point_skeleton::geometry::{ImageSize, View};
 use point_skeleton::raster::{
     FrameJob, FrameKinds, Instance, Occlusion, Rasterizer, RasterizerKind, SplatSchedule, create,
 };
-use point_skeleton::town::{street_cloud, street_views};
+use point_skeleton::cloud::street::{street_cloud, street_views};
 
 const POINTS: usize = 400_000;
 const KINDS: [RasterizerKind; 3] = [RasterizerKind::Compute, RasterizerKind::Raster, RasterizerKind::Cpu];

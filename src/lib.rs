@@ -8,26 +8,14 @@
 //! Data flows one way: [`dataset`] → [`skeleton`] → [`scene`] → [`raster`] → [`conditions`]. See
 //! `docs/ARCHITECTURE.md` for the module overview and `docs/CONDITIONS.md` for the map definitions.
 
-pub mod cli;
 pub mod cloud;
 pub mod conditions;
 pub mod dataset;
 pub mod error;
 pub mod files;
-pub mod generate;
 pub mod geometry;
 pub mod gpu;
-pub mod logs;
-pub mod metrics;
-pub mod peer;
+pub mod hash;
 pub mod raster;
-pub mod report;
 pub mod scene;
-pub mod sim;
 pub mod skeleton;
-pub mod town;
-
-/// Compiles the Rust blocks of `README.md`.
-#[doc = include_str!("../README.md")]
-#[cfg(doctest)]
-pub struct ReadmeDoctests;

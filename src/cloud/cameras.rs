@@ -106,7 +106,7 @@ pub fn write(path: &Path, views: &[View]) -> Result<(), FileError> {
 }
 
 /// Returns a transform as a row-major 4×4 matrix.
-pub(crate) fn rows(transform: &DAffine3) -> [[f64; 4]; 4] {
+pub fn rows(transform: &DAffine3) -> [[f64; 4]; 4] {
     DMat4::from(*transform).transpose().to_cols_array_2d()
 }
 

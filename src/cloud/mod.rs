@@ -11,6 +11,7 @@ pub mod npy;
 pub mod ply;
 mod point;
 mod rows;
+pub mod street;
 
 pub use morton::morton_order;
 pub use point::{Bounds, Point};

@@ -31,16 +31,48 @@ pub fn read(path: &Path) -> Result<PointFile, FileError> {
     decode(BufReader::with_capacity(1 << 20, file.take(file_bytes)), file_bytes, path)
 }
 
+/// Parses an array `[N, COLUMNS]` of `f16`, `f32` or `f64` in either order.
+///
+/// # Errors
+/// Fails if the bytes are no NPY file of such an array; `path` is the file in messages.
+pub fn rows<const COLUMNS: usize>(bytes: &[u8], path: &Path) -> Result<Vec<[f64; COLUMNS]>, FileError> {
+    let wrong =
+        |found: String| FileError::content(format!("an array of <f2, <f4 or <f8 [N, {COLUMNS}]"), found, path);
+    let mut data = bytes;
+    let header_bytes = read_header_bytes(&mut data, bytes.len() as u64, path)?;
+    let header = NpyHeader::from_reader(&header_bytes[..])
+        .map_err(|e| FileError::content("an NPY header", e.to_string(), path))?;
+    let (kind, shape) = (header.dtype().descr(), header.shape());
+    let (Some(scalar), &[count, columns]) = (Scalar::from_descr(&kind), shape) else {
+        return Err(wrong(format!("{kind} {shape:?}")));
+    };
+    if columns != COLUMNS as u64 {
+        return Err(wrong(format!("{kind} {shape:?}")));
+    }
+    let needed = count.saturating_mul((COLUMNS * scalar.bytes()) as u64);
+    if needed != data.len() as u64 {
+        return Err(FileError::content(format!("{needed} bytes of data"), data.len().to_string(), path));
+    }
+    let mut numbers = Vec::new();
+    scalar.widen(data, &mut numbers);
+    let count = numbers.len() / COLUMNS;
+    let number = |row: usize, column: usize| match header.order() {
+        Order::C => numbers[COLUMNS * row + column],
+        Order::Fortran => numbers[column * count + row],
+    };
+    Ok((0..count).map(|row| std::array::from_fn(|column| number(row, column))).collect())
+}
+
 /// Number type of the array.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Scalar {
+enum Scalar {
     F16,
     F32,
     F64,
 }
 
 impl Scalar {
-    pub(crate) fn from_descr(descr: &str) -> Option<Self> {
+    fn from_descr(descr: &str) -> Option<Self> {
         match descr {
             "'<f2'" => Some(Self::F16),
             "'<f4'" => Some(Self::F32),
@@ -49,7 +81,7 @@ impl Scalar {
         }
     }
 
-    pub(crate) fn bytes(self) -> usize {
+    fn bytes(self) -> usize {
         match self {
             Self::F16 => 2,
             Self::F32 => 4,
@@ -58,7 +90,7 @@ impl Scalar {
     }
 
     /// Converts all numbers of a block to `f64`.
-    pub(crate) fn widen(self, block: &[u8], into: &mut Vec<f64>) {
+    fn widen(self, block: &[u8], into: &mut Vec<f64>) {
         into.clear();
         match self {
             Self::F16 => into.extend(chunks(block).map(|b| half::f16::from_le_bytes(b).to_f64())),
@@ -104,7 +136,7 @@ fn decode(mut reader: impl Read, file_bytes: u64, path: &Path) -> Result<PointFi
 
 /// Reads the magic, version, length and text of the header. Rejects any text whose parsing could exhaust memory or
 /// the stack.
-pub(crate) fn read_header_bytes(
+fn read_header_bytes(
     reader: &mut impl Read,
     file_bytes: u64,
     path: &Path,

@@ -1,24 +1,28 @@
+//! Drawing of text and rectangles into RGB images.
+
 use font8x8::legacy::BASIC_LEGACY;
 
 use super::ImageSize;
 
 /// RGB image to draw into; clips drawing to its bounds.
-pub(crate) struct Canvas {
-    pub(crate) size: ImageSize,
-    pub(crate) pixels: Vec<[u8; 3]>,
+pub struct Canvas {
+    /// Size.
+    pub size: ImageSize,
+    /// Row-major RGB.
+    pub pixels: Vec<[u8; 3]>,
 }
 
 /// Side of a glyph at scale 1, pixels.
-pub(crate) const GLYPH: u32 = 8;
+pub const GLYPH: u32 = 8;
 
 impl Canvas {
     /// Creates a canvas filled with one color.
-    pub(crate) fn new(size: ImageSize, rgb: [u8; 3]) -> Self {
+    pub fn new(size: ImageSize, rgb: [u8; 3]) -> Self {
         Self { size, pixels: vec![rgb; size.pixels()] }
     }
 
     /// Applies a function to every pixel of a rectangle; the function also gets the position within the rectangle.
-    pub(crate) fn map(
+    pub fn map(
         &mut self,
         [left, top]: [u32; 2],
         size: ImageSize,
@@ -33,12 +37,12 @@ impl Canvas {
     }
 
     /// Copies an image to a position.
-    pub(crate) fn blit(&mut self, at: [u32; 2], size: ImageSize, pixels: &[[u8; 3]]) {
+    pub fn blit(&mut self, at: [u32; 2], size: ImageSize, pixels: &[[u8; 3]]) {
         self.map(at, size, |_, [x, y]| pixels[y as usize * size.width as usize + x as usize]);
     }
 
     /// Draws ASCII text with `at` as its upper left corner; other characters become `?`. Returns the width, pixels.
-    pub(crate) fn text(&mut self, [left, top]: [u32; 2], scale: u32, rgb: [u8; 3], text: &str) -> u32 {
+    pub fn text(&mut self, [left, top]: [u32; 2], scale: u32, rgb: [u8; 3], text: &str) -> u32 {
         let side = GLYPH * scale;
         let cell = ImageSize { height: side, width: side };
         for (place, character) in (0..).zip(text.chars()) {
@@ -53,7 +57,7 @@ impl Canvas {
 }
 
 /// Returns the width of a text, pixels.
-pub(crate) fn text_width(text: &str, scale: u32) -> u32 {
+pub fn text_width(text: &str, scale: u32) -> u32 {
     text.chars().count() as u32 * GLYPH * scale
 }
 

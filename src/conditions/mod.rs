@@ -13,7 +13,7 @@
 mod arrays;
 pub mod bins;
 pub mod birdseye;
-pub(crate) mod canvas;
+pub mod canvas;
 pub mod distort;
 mod error;
 pub mod exr;

@@ -24,7 +24,7 @@ use std::path::PathBuf;
 
 use crate::error::FileError;
 use crate::files::text::{printable, printable_path};
-use crate::geometry::{CameraError, CuboidError, PoseError};
+use crate::geometry::{CameraError, Cuboid, CuboidError, PoseError, View};
 
 /// Maximum distance of a time from 1970, microseconds: a thousand years. Later times are rejected as damaged, so
 /// differences of times cannot overflow.
@@ -85,6 +85,35 @@ pub trait Dataset: Sync {
     fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
         Ok(None)
     }
+
+    /// Returns the renderer of ground-truth images from any pose; `None` if the log is recorded.
+    fn view_renderer(&self) -> Option<&dyn ViewRenderer> {
+        None
+    }
+}
+
+/// Renders ground-truth images of a synthetic log from any pose.
+pub trait ViewRenderer {
+    /// Renders an image per view, in their order. The views' world is the global frame. The actors are those of the
+    /// log at that time unless given.
+    ///
+    /// # Errors
+    /// Fails if the log does not contain an actor or if rendering fails.
+    fn render_views(
+        &self,
+        t_us: i64,
+        actors: Option<&[PosedActor<'_>]>,
+        views: &[View],
+    ) -> Result<Vec<image::RgbImage>, DatasetError>;
+}
+
+/// Actor at a pose that may differ from the log.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PosedActor<'a> {
+    /// Track id.
+    pub track: &'a str,
+    /// Box in the global frame.
+    pub cuboid: Cuboid,
 }
 
 /// One LiDAR sweep.

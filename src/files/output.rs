@@ -218,7 +218,7 @@ pub(crate) fn work_of_whole(path: &Path) -> PathBuf {
 
 /// Removes `.` components from an output path, and resolves a link to a folder, so that the link itself is not
 /// replaced.
-pub(crate) fn resolved_output(path: PathBuf) -> PathBuf {
+pub fn resolved_output(path: PathBuf) -> PathBuf {
     let path: PathBuf = path.components().collect();
     if path.is_symlink() && path.is_dir() { path.canonicalize().unwrap_or(path) } else { path }
 }

@@ -58,4 +58,4 @@ pub use select::DeviceDesc;
 pub use shader::{Binding, BindingKind, Input, InputFormat, Shader, Stage, shaders};
 pub use validation::Messages;
 
-pub(crate) use shader::assert_layout;
+pub use shader::assert_layout;

@@ -95,6 +95,7 @@ pub mod shaders {
 
 /// Asserts at compile time that the members of a `#[repr(C)]` struct have the shader's offsets:
 /// `assert_layout!(Push, shaders::x_vert::push, [a: A, b: B])`.
+#[macro_export]
 macro_rules! assert_layout {
     ($rust:ty, $($module:ident)::+, [$($member:ident: $offset:ident),+ $(,)?]) => {
         const _: () = {
@@ -104,7 +105,7 @@ macro_rules! assert_layout {
         };
     };
 }
-pub(crate) use assert_layout;
+pub use assert_layout;
 
 impl Stage {
     pub(super) fn flag(self) -> vk::ShaderStageFlags {

@@ -22,7 +22,7 @@ mod resolve;
 mod schedule;
 mod splat;
 mod steps;
-pub(crate) mod tiles;
+pub mod tiles;
 mod vulkan;
 
 pub use compute::{ComputeRasterizer, ComputeRasterizerDesc};

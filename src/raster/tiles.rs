@@ -1,29 +1,31 @@
+//! Tiles: rectangular parts of an image that fit the device's limits.
+
 /// Rectangular part of an image, rendered in one pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Tile {
+pub struct Tile {
     /// Top left corner: x and y, pixels.
-    pub(crate) origin: [u32; 2],
+    pub origin: [u32; 2],
     /// Width and height, pixels.
-    pub(crate) size: [u32; 2],
+    pub size: [u32; 2],
 }
 
 /// Size limits of tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct TileLimits {
+pub struct TileLimits {
     /// Maximum side length, pixels.
-    pub(crate) side: u32,
+    pub side: u32,
     /// Maximum area, pixels.
-    pub(crate) area: u32,
+    pub area: u32,
 }
 
 impl Tile {
     /// Returns the number of pixels.
-    pub(crate) fn area(&self) -> usize {
+    pub fn area(&self) -> usize {
         self.size[0] as usize * self.size[1] as usize
     }
 
     /// Copies the tile's pixels (tightly packed rows) to their position in an image `width` pixels wide.
-    pub(crate) fn copy_into<T: Copy>(&self, pixels: &[T], image: &mut [T], width: u32) {
+    pub fn copy_into<T: Copy>(&self, pixels: &[T], image: &mut [T], width: u32) {
         let (from, to) = (self.size[0] as usize, width as usize);
         for (row, line) in pixels.chunks_exact(from).take(self.size[1] as usize).enumerate() {
             let start = (self.origin[1] as usize + row) * to + self.origin[0] as usize;
@@ -33,7 +35,7 @@ impl Tile {
 }
 
 /// Returns the tiles that cover a `width × height` image; the first is the largest.
-pub(crate) fn tiles(width: u32, height: u32, limits: TileLimits) -> Vec<Tile> {
+pub fn tiles(width: u32, height: u32, limits: TileLimits) -> Vec<Tile> {
     let columns = width.min(limits.side).min(limits.area).max(1);
     let rows = height.min(limits.side).min(limits.area / columns).max(1);
     let mut tiles = Vec::new();
@@ -47,7 +49,7 @@ pub(crate) fn tiles(width: u32, height: u32, limits: TileLimits) -> Vec<Tile> {
 
 /// Returns the size of images that replace images of size `current` and hold `needed` pixels per side. No side
 /// shrinks, so that views of different sizes share them, unless the area would exceed the limit.
-pub(crate) fn grown(current: [u32; 2], needed: [u32; 2], limits: TileLimits) -> [u32; 2] {
+pub fn grown(current: [u32; 2], needed: [u32; 2], limits: TileLimits) -> [u32; 2] {
     let both = [current[0].max(needed[0]), current[1].max(needed[1])];
     let fits = u64::from(both[0]) * u64::from(both[1]) <= u64::from(limits.area);
     if fits { both } else { needed }

@@ -30,7 +30,7 @@ pub use split::{Part, SplitOptions, Splitter};
 pub use store::{Skeleton, SkeletonWriter};
 pub use templates::{
     ClusterReport, Instances, LibraryManifest, LogSource, TemplateCloud, TemplateKind, TemplateLibrary,
-    TemplateOptions, TemplateReport, TemplateSummary, default_template, default_templates,
+    TemplateOptions, TemplateReport, TemplateSummary, default_templates, poisson_thin,
 };
 pub use trajectory::Trajectories;
 

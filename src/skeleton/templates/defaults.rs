@@ -1,72 +1,42 @@
-use glam::DVec3;
-use rayon::prelude::*;
+use super::{LibraryManifest, TemplateCloud};
+use crate::cloud::Point;
 
-use super::thin::poisson_thin;
-use super::{TemplateCloud, TemplateKind, TemplateOptions};
-use crate::cloud::{Bounds, Point};
-use crate::dataset::Class;
-use crate::skeleton::{Checksum, Template};
-use crate::town::model::{BodyKind, SurfacePoint, surface, typical};
+/// A [`TemplateLibrary`](super::TemplateLibrary), written by `cargo run -p pskel-town --example default_templates`.
+const MANIFEST: &str = include_str!("default/templates.json");
+const POINTS: &[u8] = include_bytes!("default/templates.points");
 
-/// Returns all templates of [`default_template`], in the order of kinds.
+/// Returns the built-in templates, in the order of kinds: sedan, SUV, pickup or van, pedestrian and bike. Other kinds
+/// vary too much.
+///
+/// # Panics
+/// Never, since a test reads the built-in files.
 pub fn default_templates() -> Vec<TemplateCloud> {
-    TemplateKind::NAMES.par_iter().filter_map(|(_, kind)| default_template(*kind)).collect()
-}
-
-/// Returns a template of sedan, SUV, pickup or van, pedestrian or bike: the evenly thinned surface of the median body
-/// in the built-in synthetic town. For pickups and vans this is a pickup with a lid, an outline between both. The
-/// points are always the same. `None` for trucks, buses and the like, which vary too much.
-pub fn default_template(kind: TemplateKind) -> Option<TemplateCloud> {
-    let mesh = typical(match kind {
-        TemplateKind::Sedan => BodyKind::Sedan,
-        TemplateKind::Suv => BodyKind::Suv,
-        TemplateKind::Pickup => BodyKind::Pickup,
-        TemplateKind::Pedestrian => BodyKind::Walker,
-        TemplateKind::Bike => BodyKind::Cyclist,
-        _ => return None,
-    });
-    let [low, high] = mesh.bounds()?;
-    let (center, size_m): (DVec3, DVec3) = ((low + high) / 2.0, high - low);
-    // People and riders fill only a small part of their boxes.
-    let denser = if kind.class() == Class::MotorVehicle { 1.0 } else { 0.85 };
-    let spacing_m = denser * TemplateOptions::default().spacing_m(size_m);
-    let surface = surface(&mesh, spacing_m);
-    let position = |p: &SurfacePoint| (p.position_m - center).as_vec3().to_array();
-    let kept = poisson_thin(surface.iter().map(position), spacing_m);
-    let class = kind.class();
-    let point = |i: usize| Point::new(position(&surface[i]), surface[i].rgb, class as u8);
-    let points: Vec<Point> = kept.into_iter().map(point).collect();
-    let bounds = Bounds::of(&points)?;
-    let (size, xxh3) = (size_m.to_array(), Checksum::of(&points));
-    Some((Template { kind, class, size, points: points.len(), bounds, xxh3 }, points))
+    let manifest: LibraryManifest = serde_json::from_str(MANIFEST).expect("the built-in templates are valid");
+    let mut rest: Vec<Point> = bytemuck::pod_collect_to_vec(POINTS);
+    let mut clouds = Vec::new();
+    for template in manifest.templates {
+        let tail = rest.split_off(template.points);
+        clouds.push((template, std::mem::replace(&mut rest, tail)));
+    }
+    clouds
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::skeleton::TemplateKind as Kind;
+    use crate::skeleton::store::Entry;
 
     #[test]
-    fn the_defaults_fill_boxes_of_their_kind() {
+    fn the_built_in_files_are_a_library_of_five_kinds() {
         let templates = default_templates();
-        let kinds: Vec<TemplateKind> = templates.iter().map(|(t, _)| t.kind).collect();
-        use TemplateKind as Kind;
+        let kinds: Vec<Kind> = templates.iter().map(|(t, _)| t.kind).collect();
         assert_eq!(kinds, [Kind::Sedan, Kind::Suv, Kind::Pickup, Kind::Pedestrian, Kind::Bike]);
-        for (template, points) in &templates {
-            let category = match template.kind {
-                Kind::Pedestrian => "pedestrian",
-                Kind::Bike => "bicycle",
-                _ => "vehicle.car",
-            };
-            assert_eq!(TemplateKind::of_actor(category, DVec3::from(template.size)), Some(template.kind));
-            assert!((5_000..=20_000).contains(&points.len()), "{:?} {}", template.kind, points.len());
+        for (index, (template, points)) in templates.iter().enumerate() {
             assert_eq!(template.points, points.len());
-            for axis in 0..3 {
-                let (half, near) = (template.size[axis] / 2.0, 0.05);
-                assert!((f64::from(template.bounds.max[axis]) - half).abs() < near, "{template:?}");
-                assert!((f64::from(template.bounds.min[axis]) + half).abs() < near, "{template:?}");
-            }
-            assert!(points.iter().all(|p| p.class() == template.class as u8));
+            template.check(index, points, "default/templates.points".as_ref()).unwrap();
         }
-        assert_eq!(templates, default_templates());
+        let total: usize = templates.iter().map(|(t, _)| t.points).sum();
+        assert_eq!(total * size_of::<Point>(), POINTS.len());
     }
 }

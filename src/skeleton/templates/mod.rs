@@ -4,7 +4,7 @@
 //! [`Instances`] collects the assets of any number of skeletons. `cluster` groups them by category and box size. Each
 //! cluster gets its kind by the rules that rendering uses ([`TemplateKind::of_actor`]). `aggregate` and `thin`
 //! superimpose the points of a kind in one box, mirror them, remove outliers and thin them. The result is written to
-//! a skeleton or to a [`TemplateLibrary`] on disk. [`default_templates`] are bodies of the built-in synthetic town.
+//! a skeleton or to a [`TemplateLibrary`] on disk. [`default_templates`] are built in.
 
 mod aggregate;
 mod cluster;
@@ -15,11 +15,12 @@ mod library;
 mod options;
 mod thin;
 
-pub use defaults::{default_template, default_templates};
+pub use defaults::default_templates;
 pub use instances::Instances;
 pub use kind::TemplateKind;
 pub use library::{LibraryManifest, LogSource, TemplateLibrary};
 pub use options::{ClusterReport, TemplateOptions, TemplateReport, TemplateSummary};
+pub use thin::poisson_thin;
 
 use super::Template;
 use crate::cloud::Point;

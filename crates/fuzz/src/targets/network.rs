@@ -3,15 +3,15 @@
 use std::cell::RefCell;
 
 use point_skeleton::dataset::Dataset;
-use point_skeleton::generate::network::{Attend, Network, NetworkConfig, Weights};
-use point_skeleton::generate::toy::LinearDenoiser;
-use point_skeleton::generate::train::{TrainOptions, Trainer, measure};
-use point_skeleton::generate::{
-    Cache, Denoiser, Drive, DriveFrame, DriveInfo, Frame, GaussianNoise, GenerateOptions, Generator,
+use pskel_network::{Attend, Network, NetworkConfig, Weights};
+use pskel_generate::toy::LinearDenoiser;
+use pskel_network::train::{TrainOptions, Trainer, measure};
+use pskel_generate::{
+    Cache, Denoiser, TrainingClip, DriveFrame, DriveInfo, Frame, GaussianNoise, GenerateOptions, Generator,
     Guidance, Latent, LatentShape, Level, Recipe, SamplerOptions, Strategy,
 };
 use point_skeleton::geometry::ImageSize;
-use point_skeleton::sim::{Committed, Rates, Scenario, SimOptions, Simulation};
+use pskel_sim::{Committed, Rates, Scenario, SimOptions, Simulation};
 use serde_json::{Value, json};
 
 use super::clouds::written;
@@ -30,7 +30,7 @@ pub(super) const TARGETS: [Target; 4] = [
 /// Valid files, and recordings that fit them.
 struct Stored {
     scratch: Scratch,
-    drives: Vec<Drive>,
+    drives: Vec<TrainingClip>,
     weights: Vec<u8>,
     checkpoint: Vec<u8>,
     drive: Vec<u8>,
@@ -48,7 +48,7 @@ fn config() -> NetworkConfig {
     NetworkConfig { recipe, cameras: 1, frames: 2, patch: 1, width: 16, head: 16, hidden: 16, blocks }
 }
 
-fn made_drive() -> Drive {
+fn made_drive() -> TrainingClip {
     let recipe = config().recipe;
     let pixels = recipe.size.pixels();
     let about = DriveInfo { log: "made".into(), hz: 2.0, cameras: vec!["front".into()], recipe };
@@ -64,7 +64,7 @@ fn made_drive() -> Drive {
             cameras: vec![[0.25; 16]],
         }
     };
-    Drive { about, frames: (0..4).map(frame).collect() }
+    TrainingClip { about, frames: (0..4).map(frame).collect() }
 }
 
 impl Stored {
@@ -150,7 +150,7 @@ fn weights(data: &[u8]) {
 }
 
 /// Runs a network once; the numbers may have any value.
-fn predict(weights: Weights, drive: &Drive) {
+fn predict(weights: Weights, drive: &TrainingClip) {
     let (shape, encoder) = (weights.config.shape(), drive.encoder());
     let Ok(mut network) = Network::new(weights) else { return };
     let latent = Latent::filled(shape, 0.5);
@@ -191,7 +191,7 @@ fn checkpoint_seeds() -> Vec<Seed> {
 fn drive(data: &[u8]) {
     STORED.with_borrow(|stored| {
         let path = stored.scratch.put("drive.safetensors", &file(data, &stored.drive, "drive"));
-        let drive = match Drive::open(&path) {
+        let drive = match TrainingClip::open(&path) {
             Err(error) => return told(error, &path, data),
             Ok(drive) => drive,
         };
@@ -199,12 +199,12 @@ fn drive(data: &[u8]) {
         if !drive.frames.is_empty() {
             assert_eq!(drive.conditions(0, &encoder).views(), drive.about.cameras.len());
         }
-        let saved = |drive: &Drive| {
+        let saved = |drive: &TrainingClip| {
             drive.save(&path).expect("a drive to write");
             std::fs::read(&path).expect("a drive that was written")
         };
         let first = saved(&drive);
-        assert_eq!(saved(&Drive::open(&path).expect("a drive that was written")), first);
+        assert_eq!(saved(&TrainingClip::open(&path).expect("a drive that was written")), first);
         let _ = Trainer::new(TrainOptions { infer_steps: 2, ..TrainOptions::default() }, config(), &[drive]);
     });
 }

@@ -8,13 +8,13 @@ use std::time::Duration;
 
 use image::RgbImage;
 use point_skeleton::dataset::Dataset;
-use point_skeleton::generate::{
+use pskel_generate::{
     Codec, Denoiser, Frame, FrameConditions, GenerateOptions, Guidance, Latent, Level, ProcessDenoiser,
     SamplerOptions, Strategy,
 };
 use point_skeleton::geometry::ImageSize;
-use point_skeleton::peer::{PeerAddress, PeerSpec};
-use point_skeleton::sim::{EgoPolicy, Rates, Scenario, SimOptions, Simulation};
+use pskel_sim::peer::{PeerAddress, PeerSpec};
+use pskel_sim::{EgoPolicy, Rates, Scenario, SimOptions, Simulation};
 use safetensors::tensor::{Dtype, TensorView, serialize};
 
 use super::{LARGE, Scratch, seed};
@@ -181,7 +181,7 @@ fn denoiser(data: &[u8]) {
 }
 
 /// Requests a prediction, then encodes and decodes an image.
-fn ask(spec: &PeerSpec) -> Result<(), point_skeleton::generate::DenoiserError> {
+fn ask(spec: &PeerSpec) -> Result<(), pskel_generate::DenoiserError> {
     let mut denoiser = ProcessDenoiser::start(spec, &options(), VIEWS, SIZE)?;
     let shape = denoiser.shape();
     assert_eq!(shape.views, VIEWS);

@@ -2,11 +2,11 @@
 
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::geometry::ImageSize;
-use point_skeleton::logs;
-use point_skeleton::peer::PeerAddress;
+use pskel::logs;
+use pskel_sim::peer::PeerAddress;
 use point_skeleton::raster::SplatSchedule;
-use point_skeleton::sim::LocalPath;
-use point_skeleton::town::TownOptions;
+use pskel_sim::LocalPath;
+use pskel_town::TownOptions;
 use std::cell::RefCell;
 use std::fmt::Display;
 use std::str::FromStr;

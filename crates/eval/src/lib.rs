@@ -1,0 +1,42 @@
+//! Metrics of an image, a set of images, or a rollout of generated images.
+//!
+//! # How it works
+//! Leaf functions compare two images ([`psnr_db`], [`ssim`], [`sharpness`]), two masks ([`Overlap`]) or two sets of
+//! features ([`frechet_distance`]). [`RolloutScores`] takes the steps of a rollout, in memory, and computes a
+//! series per metric with its [`Drift`], the [`Motion`] of actors, and the features of [`RandomConvNet`].
+//! [`CollectedFeatures`] computes distances between the features of many rollouts, and [`MeanInterval`] averages
+//! over rollouts. This module reads no files.
+
+mod conv_net;
+mod depth;
+mod drift;
+mod features;
+mod frechet;
+mod image_quality;
+mod masks;
+mod motion;
+mod patch_classifier;
+pub mod plot;
+mod pseudo_label;
+mod scores;
+mod sharpness;
+mod ssim;
+mod statistics;
+
+pub use conv_net::RandomConvNet;
+pub use depth::{DepthErrors, DepthSummary};
+pub use drift::Drift;
+pub use features::{FeatureSet, WINDOW_FRAMES, window_features};
+pub use frechet::{FrechetError, frechet_distance};
+pub use image_quality::{FilledError, compare_filled, psnr_db};
+pub use masks::Overlap;
+pub use motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};
+pub use patch_classifier::{PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer};
+pub use pseudo_label::{VEHICLE_CLASS, vehicle_mask};
+pub use scores::{
+    CollectedFeatures, Distance, Distances, RolloutScores, ScoreError, ScoredFrame, Scores,
+    SegmentationMasks, Series, VehicleIou,
+};
+pub use sharpness::sharpness;
+pub use ssim::ssim;
+pub use statistics::{MeanInterval, mean_interval, paired_difference};

@@ -1,0 +1,139 @@
+use image::RgbImage;
+
+use super::guidance::DroppedConditions;
+use super::{Latent, LatentShape, Level};
+use pskel_sim::peer::PeerError;
+
+/// A frame of the window, as input of a network.
+#[derive(Debug)]
+pub struct Frame<'a, C> {
+    /// Noisy latent, `[V, C, h, w]`.
+    pub latent: &'a Latent,
+    /// Noise level of the latent.
+    pub level: Level,
+    /// Condition of the frame.
+    pub condition: &'a C,
+}
+
+impl<C> Clone for Frame<'_, C> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<C> Copy for Frame<'_, C> {}
+
+/// Condition of a frame, in the form that a network takes.
+pub trait Condition: Clone {
+    /// Returns the condition with parts dropped, for training and guidance.
+    fn without(&self, dropped: DroppedConditions) -> Self;
+}
+
+/// A network that denoises frames.
+pub trait Denoiser {
+    /// Type of its conditions.
+    type Condition: Condition;
+
+    /// Shape of its latents.
+    fn shape(&self) -> LatentShape;
+
+    /// Predicts a velocity, the noise or the clean latent (as set in the sampler) for each frame of a window,
+    /// `[V, C, h, w]` each.
+    ///
+    /// # Errors
+    /// Returns an error if the network fails. The caller checks shapes and finiteness of the result.
+    fn predict(&mut self, window: &[Frame<'_, Self::Condition>]) -> Result<Vec<Latent>, DenoiserError>;
+}
+
+impl<D: Denoiser + ?Sized> Denoiser for Box<D> {
+    type Condition = D::Condition;
+
+    fn shape(&self) -> LatentShape {
+        (**self).shape()
+    }
+
+    fn predict(&mut self, window: &[Frame<'_, D::Condition>]) -> Result<Vec<Latent>, DenoiserError> {
+        (**self).predict(window)
+    }
+}
+
+/// Encodes images into latents and decodes latents into images.
+pub trait Codec {
+    /// Shape of the latents of a frame.
+    fn shape(&self) -> LatentShape;
+
+    /// Encodes the images of one frame, one per camera.
+    ///
+    /// # Errors
+    /// Returns an error if the number of images differs from the number of cameras, or if an image has another
+    /// size.
+    fn encode(&self, images: &[RgbImage]) -> Result<Latent, DenoiserError>;
+
+    /// Decodes the images of a frame, one per camera.
+    ///
+    /// # Errors
+    /// Returns an error if the latent has another shape.
+    fn decode(&self, latent: &Latent) -> Result<Vec<RgbImage>, DenoiserError>;
+}
+
+/// Error of a network or a codec.
+#[derive(Debug, thiserror::Error)]
+pub enum DenoiserError {
+    /// The network returned an invalid result.
+    #[error("expected {expected} from the denoiser, found {found}")]
+    Answer {
+        /// Valid result.
+        expected: String,
+        /// Returned result.
+        found: String,
+    },
+    /// The input does not fit the network.
+    #[error("expected {expected}, found {found}")]
+    Input {
+        /// Accepted input.
+        expected: String,
+        /// Given input.
+        found: String,
+    },
+    /// Error of a network in another process.
+    #[error(transparent)]
+    Process(#[from] PeerError),
+    /// Error inside the network.
+    #[error("the denoiser failed: {0}")]
+    Network(#[from] Box<dyn std::error::Error + Send + Sync>),
+}
+
+impl DenoiserError {
+    pub(super) fn answer(expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self::Answer { expected: expected.into(), found: found.into() }
+    }
+
+    /// Creates the error of an input other than expected.
+    pub fn input(expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self::Input { expected: expected.into(), found: found.into() }
+    }
+}
+
+/// Calls a network and validates its predictions: one per frame, of the frame's shape, finite.
+pub(super) fn predict<D: Denoiser + ?Sized>(
+    denoiser: &mut D,
+    window: &[Frame<'_, D::Condition>],
+) -> Result<Vec<Latent>, DenoiserError> {
+    let predictions = denoiser.predict(window)?;
+    if predictions.len() != window.len() {
+        let expected = format!("{} frames", window.len());
+        return Err(DenoiserError::answer(expected, predictions.len().to_string()));
+    }
+    for (position, (prediction, frame)) in predictions.iter().zip(window).enumerate() {
+        let shape = frame.latent.shape();
+        if prediction.shape() != shape {
+            let expected = format!("latents of {shape} for frame {position} of the window");
+            return Err(DenoiserError::answer(expected, prediction.shape().to_string()));
+        }
+        if let Some(value) = prediction.values().iter().find(|value| !value.is_finite()) {
+            let expected = format!("finite values for frame {position} of the window");
+            return Err(DenoiserError::answer(expected, value.to_string()));
+        }
+    }
+    Ok(predictions)
+}

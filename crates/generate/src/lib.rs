@@ -1,0 +1,52 @@
+//! The generator: a denoising loop that turns the conditions of a simulation into camera images, frame by frame.
+//!
+//! # How it works
+//! A [`Generator`] holds a window of latents. At each simulation step it takes the committed conditions of the step
+//! and forecasts of the next steps, calls its [`Denoiser`] according to its [`Strategy`], and returns the finished
+//! latent of the step. A [`Codec`] decodes that latent into images. `schedule` and `sampler` define the noise
+//! levels and the denoising update. `window` computes the position of every frame of the window in its schedule,
+//! and `guidance` combines two predictions. Networks are exchangeable: [`network`] is a small transformer that
+//! [`train`] trains on recordings ([`TrainingClip`]), [`toy`] is a linear network for tests, and `process` calls a network
+//! in another process.
+
+pub mod toy;
+
+mod conditioner;
+mod denoiser;
+mod drive;
+mod drive_file;
+mod frame_conditions;
+mod generator;
+mod guidance;
+mod latent;
+mod noise;
+mod pixel_codec;
+mod process;
+mod recipe;
+mod rolling;
+mod sampler;
+mod saved;
+mod schedule;
+mod session;
+mod strategy;
+mod true_images;
+mod window;
+
+pub use conditioner::{Conditioner, ConditionerError, RenderedConditions};
+pub use denoiser::{Codec, Condition, Denoiser, DenoiserError, Frame};
+pub use drive::{DriveFrame, DriveInfo, TrainingClip};
+pub use frame_conditions::{CAMERA_NUMBERS, FrameConditions, NO_ACTION};
+pub use generator::{Cache, GenerateError, GenerateOptions, Generator};
+pub use guidance::{DroppedConditions, Guidance};
+pub use latent::{Latent, LatentShape};
+pub use noise::{GaussianNoise, NoiseSource};
+pub use pixel_codec::PixelCodec;
+pub use process::ProcessDenoiser;
+pub use recipe::{Recipe, RecipeError};
+pub use sampler::{Level, Sampler, SamplerOptions};
+pub use saved::CacheError;
+pub use schedule::{Ddim, FlowMatch, Prediction};
+pub use session::{AnyDenoiser, Session, SessionError, SessionParts, SessionTimes};
+pub use strategy::Strategy;
+pub use true_images::{GroundTruthImages, TrueImagesError};
+pub use window::{Progress, Roll};

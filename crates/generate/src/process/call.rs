@@ -1,0 +1,118 @@
+use half::{bf16, f16};
+use safetensors::Dtype;
+
+use super::hello::{DenoiserOutputs, Precision};
+use super::message::{Answer, Values, message, shown};
+use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
+use crate::{CAMERA_NUMBERS, DenoiserError, Frame, FrameConditions, Latent, LatentShape};
+use point_skeleton::geometry::ImageSize;
+use pskel_sim::peer::ProtocolError;
+
+const CALL: &str = "call";
+const PREDICTION: &str = "prediction";
+
+/// Serializes a window as a `predict` request. All latents are of `shape`, all conditions of one size.
+pub(super) fn request(
+    window: &[Frame<'_, FrameConditions>],
+    shape: LatentShape,
+    call: u64,
+) -> Result<Vec<u8>, DenoiserError> {
+    let frames = window.len();
+    let [views, channels, height, width] = shape.to_array();
+    let size = window.first().map_or(ImageSize { height: 0, width: 0 }, |frame| frame.condition.size);
+    let maps = |channels: usize| vec![frames, views, channels, size.height as usize, size.width as usize];
+    let timesteps: Vec<f32> = window.iter().map(|frame| frame.level.timestep).collect();
+    let sigmas: Vec<f32> = window.iter().map(|frame| frame.level.sigma).collect();
+    let tensors = [
+        ("latents", vec![frames, views, channels, height, width], parts(window, |f| f.latent.values())),
+        ("timesteps", vec![frames], vec![timesteps.as_slice()]),
+        ("sigmas", vec![frames], vec![sigmas.as_slice()]),
+        ("points", maps(POINT_CHANNELS), parts(window, |f| &f.condition.points)),
+        ("layout", maps(LAYOUT_CHANNELS), parts(window, |f| &f.condition.layout)),
+        ("action", vec![frames, 3], parts(window, |f| &f.condition.action)),
+        (
+            "cameras",
+            vec![frames, views, CAMERA_NUMBERS],
+            parts(window, |f| f.condition.cameras.as_flattened()),
+        ),
+    ];
+    let prompts: Vec<&str> = window.iter().map(|frame| frame.condition.prompt.as_str()).collect();
+    let texts = [
+        ("ask", "predict".to_owned()),
+        (CALL, call.to_string()),
+        ("prompts", serde_json::json!(prompts).to_string()),
+    ];
+    message(texts, tensors.map(|(name, shape, parts)| (name, Values { shape, parts })))
+}
+
+fn parts<'a>(
+    window: &[Frame<'a, FrameConditions>],
+    of: impl Fn(Frame<'a, FrameConditions>) -> &'a [f32],
+) -> Vec<&'a [f32]> {
+    window.iter().map(|frame| of(*frame)).collect()
+}
+
+/// Parses the predictions for a window of `frames` frames.
+pub(super) fn read_prediction(
+    answer: &[u8],
+    given: DenoiserOutputs,
+    frames: usize,
+    call: u64,
+) -> Result<Vec<Latent>, ProtocolError> {
+    let answer = Answer::read(answer)?;
+    if answer.texts.get(CALL).is_some_and(|answered| *answered != call.to_string()) {
+        return Err(ProtocolError::new(format!("an answer to `call` \"{call}\""), answer.quoted(CALL)));
+    }
+    let shape = given.shape;
+    let [views, channels, height, width] = shape.to_array();
+    let values =
+        read_values(&answer, PREDICTION, given.precision, &[frames, views, channels, height, width])?;
+    if let Some((index, value)) = values.iter().enumerate().find(|(_, value)| !value.is_finite()) {
+        let position = index / shape.len();
+        return Err(ProtocolError::new(
+            format!("finite values for frame {position} of the window"),
+            value.to_string(),
+        ));
+    }
+    Ok(values.chunks(shape.len()).filter_map(|frame| Latent::new(shape, frame.to_vec())).collect())
+}
+
+/// Reads a tensor of the given name, sizes and precision, as `f32`.
+pub(super) fn read_values(
+    answer: &Answer<'_>,
+    name: &str,
+    precision: Precision,
+    sizes: &[usize],
+) -> Result<Vec<f32>, ProtocolError> {
+    let tensor = answer.tensors.tensor(name).map_err(|_| {
+        let mut names = answer.tensors.names();
+        names.sort_unstable();
+        let found = if names.is_empty() { "none".to_owned() } else { shown(&names.join(", ")) };
+        ProtocolError::new(format!("a tensor `{name}`"), found)
+    })?;
+    let dtype = match precision {
+        Precision::F32 => Dtype::F32,
+        Precision::F16 => Dtype::F16,
+        Precision::Bf16 => Dtype::BF16,
+    };
+    if tensor.dtype() != dtype {
+        let expected = format!("`{name}` as {dtype}, which its hello says,");
+        return Err(ProtocolError::new(expected, tensor.dtype().to_string()));
+    }
+    if tensor.shape() != sizes {
+        let found = shown(&format!("{:?}", tensor.shape()));
+        return Err(ProtocolError::new(format!("`{name}` of {sizes:?}"), found));
+    }
+    Ok(values(tensor.data(), precision))
+}
+
+fn values(bytes: &[u8], precision: Precision) -> Vec<f32> {
+    let halves = || bytes.chunks_exact(2).map(|b| [b[0], b[1]]);
+    match precision {
+        Precision::F32 => {
+            bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+        }
+        Precision::F16 => halves().map(|b| f16::from_le_bytes(b).to_f32()).collect(),
+        Precision::Bf16 => halves().map(|b| bf16::from_le_bytes(b).to_f32()).collect(),
+    }
+}

@@ -1,0 +1,130 @@
+//! A network in another process, which exchanges safetensors with this one: see `docs/DENOISER.md`.
+
+mod call;
+mod codec;
+mod hello;
+mod message;
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use self::call::{read_prediction, request};
+use self::codec::ProcessCodec;
+use self::hello::{DenoiserInputs, DenoiserOutputs, hello, read_hello};
+use super::{
+    Codec, Denoiser, DenoiserError, Frame, FrameConditions, GenerateOptions, Latent, LatentShape, PixelCodec,
+};
+use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
+use point_skeleton::geometry::ImageSize;
+use pskel_sim::peer::{Framing, Link, PeerSpec, ProtocolError};
+
+/// Maximum length of an answer, bytes.
+const MAX_ANSWER_BYTES: u64 = 1 << 30;
+
+/// A network in another process, after the exchange of hellos. After a failure, all further calls fail; a
+/// [`Generator`](super::Generator) resumes from its cache with a new process.
+pub struct ProcessDenoiser {
+    shared: Arc<Shared>,
+    taken: DenoiserInputs,
+    given: DenoiserOutputs,
+    /// Number of calls so far.
+    calls: u64,
+}
+
+/// Connection to the process, shared with the codec.
+struct Shared(Mutex<Link>);
+
+impl Shared {
+    fn ask<T>(
+        &self,
+        message: Vec<u8>,
+        read: impl FnOnce(&[u8]) -> Result<T, ProtocolError>,
+    ) -> Result<T, DenoiserError> {
+        // The link stays valid if a thread panicked while holding the lock: it rejects calls after a failure
+        // itself.
+        let mut link = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let answer = link.ask(message)?;
+        Ok(read(&answer).map_err(|wrong| link.refuse(wrong))?)
+    }
+}
+
+impl ProcessDenoiser {
+    /// Starts the process or connects to it, and exchanges hellos. It will receive `views` cameras with conditions
+    /// of `size`.
+    ///
+    /// # Errors
+    /// Returns an error if the process cannot be started or reached, does not answer in time, or violates the
+    /// protocol.
+    pub fn start(
+        spec: &PeerSpec,
+        options: &GenerateOptions,
+        views: usize,
+        size: ImageSize,
+    ) -> Result<Self, DenoiserError> {
+        let taken = DenoiserInputs { window: options.window, views, size, sampler: options.sampler };
+        let link = Link::open("denoiser", spec, Framing::Lengths { max_bytes: MAX_ANSWER_BYTES })?;
+        let shared = Arc::new(Shared(Mutex::new(link)));
+        let given = shared.ask(hello(&taken)?, |answer| read_hello(answer, &taken))?;
+        Ok(Self { shared, taken, given, calls: 0 })
+    }
+
+    /// Returns the codec of its latents and the image size: the process itself if it announced that, else a
+    /// [`PixelCodec`].
+    ///
+    /// # Errors
+    /// Returns an error if the process does not decode and its latents cannot be pixels.
+    pub fn codec(&self) -> Result<(Box<dyn Codec>, ImageSize), DenoiserError> {
+        let given = self.given;
+        if let Some(size) = given.images {
+            return Ok((Box::new(ProcessCodec { shared: self.shared.clone(), given, size }), size));
+        }
+        let codec = PixelCodec::new(given.shape)?;
+        let [height, width] = codec.size().map(|side| side as u32);
+        Ok((Box::new(codec), ImageSize { height, width }))
+    }
+
+    /// Checks that a window matches the hello.
+    fn check(&self, window: &[Frame<'_, FrameConditions>]) -> Result<(), DenoiserError> {
+        let DenoiserInputs { window: frames, views, size, .. } = self.taken;
+        if window.len() != frames {
+            return Err(DenoiserError::input(
+                format!("a window of {frames} frames"),
+                window.len().to_string(),
+            ));
+        }
+        for (position, Frame { latent, condition, .. }) in window.iter().enumerate() {
+            let shape = self.given.shape;
+            if latent.shape() != shape {
+                let expected = format!("latents of {shape} for frame {position} of the window");
+                return Err(DenoiserError::input(expected, latent.shape().to_string()));
+            }
+            let [points, layout] = [POINT_CHANNELS, LAYOUT_CHANNELS].map(|n| views * n * size.pixels());
+            let (found_points, found_layout) = (condition.points.len(), condition.layout.len());
+            let found = (condition.views(), condition.size, found_points, found_layout);
+            if found != (views, size, points, layout) {
+                let expected = format!(
+                    "conditions of {views} cameras of {size} ({points} and {layout} values) for frame {position} of the window"
+                );
+                let (views, size) = (condition.views(), condition.size);
+                let found = format!("{views} of {size} ({found_points} and {found_layout} values)");
+                return Err(DenoiserError::input(expected, found));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Denoiser for ProcessDenoiser {
+    type Condition = FrameConditions;
+
+    fn shape(&self) -> LatentShape {
+        self.given.shape
+    }
+
+    fn predict(&mut self, window: &[Frame<'_, FrameConditions>]) -> Result<Vec<Latent>, DenoiserError> {
+        self.check(window)?;
+        let (call, given) = (self.calls, self.given);
+        self.calls += 1;
+        let request = request(window, given.shape, call)?;
+        self.shared.ask(request, |answer| read_prediction(answer, given, window.len(), call))
+    }
+}

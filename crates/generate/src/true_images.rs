@@ -1,0 +1,137 @@
+use glam::{DVec2, DVec3};
+use image::imageops::{FilterType, interpolate_bilinear, resize};
+use image::{Rgb, RgbImage};
+use rayon::prelude::*;
+
+use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, PosedActor};
+use point_skeleton::files::text::printable;
+use point_skeleton::geometry::{Camera, ImageSize, View};
+use point_skeleton::scene::{ActorState, SceneCamera, SceneState};
+
+/// Ground-truth images of a log: recorded ones, or rendered from any pose if the log is synthetic.
+#[derive(Clone, Copy)]
+pub struct GroundTruthImages<'a> {
+    dataset: &'a dyn Dataset,
+}
+
+/// Error of looking up ground-truth images.
+#[derive(Debug, thiserror::Error)]
+pub enum TrueImagesError {
+    /// Error of the log.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The log has no image of a camera.
+    #[error("expected images of camera {camera} in log {}, found none", printable(log))]
+    NoImage {
+        /// Channel name.
+        camera: String,
+        /// Name of the log.
+        log: String,
+    },
+}
+
+impl<'a> GroundTruthImages<'a> {
+    /// Creates the source for a log.
+    pub fn new(dataset: &'a dyn Dataset) -> Self {
+        Self { dataset }
+    }
+
+    /// Returns whether ground truth is available: always in a synthetic log, in a recorded log only if the ego and the
+    /// actors follow the log.
+    pub fn are_known(&self, ego_follows_log: bool, actors_follow_log: bool) -> bool {
+        self.dataset.view_renderer().is_some() || ego_follows_log && actors_follow_log
+    }
+
+    /// Returns the ground-truth images of all cameras of a state, resized to `size`. In a synthetic log, the views
+    /// are mapped by `drawn` and rendered, with the actors of the state unless they follow the log. In a recorded log,
+    /// each camera gets its image that is nearest in time, with the lens distortion removed.
+    ///
+    /// # Errors
+    /// Returns an error if the views cannot be rendered, or if an image is missing or damaged.
+    pub fn of(
+        &self,
+        state: &SceneState,
+        drawn: impl Fn(&View) -> View,
+        size: ImageSize,
+        actors_follow_log: bool,
+    ) -> Result<Vec<RgbImage>, TrueImagesError> {
+        let images = if let Some(renderer) = self.dataset.view_renderer() {
+            let views: Vec<View> = state.cameras.iter().map(|camera| drawn(&camera.view)).collect();
+            let actors: Vec<PosedActor<'_>> = state.actors.iter().map(posed).collect();
+            renderer.render_views(state.t_us, (!actors_follow_log).then_some(&actors), &views)?
+        } else {
+            let image = |camera: &SceneCamera| logged(self.dataset, &camera.view.camera.name, state.t_us);
+            state.cameras.par_iter().map(image).collect::<Result<Vec<_>, _>>()?
+        };
+        Ok(images.iter().map(|image| resize(image, size.width, size.height, FilterType::Triangle)).collect())
+    }
+}
+
+fn posed(actor: &ActorState) -> PosedActor<'_> {
+    PosedActor { track: &actor.track, cuboid: actor.cuboid }
+}
+
+/// Reads the image of a camera that is nearest in time, and rectifies it.
+fn logged(dataset: &dyn Dataset, camera: &str, t_us: i64) -> Result<RgbImage, TrueImagesError> {
+    let log = dataset.log();
+    let of_camera =
+        |record: &&ImageRecord| log.cameras.get(record.channel).is_some_and(|name| name == camera);
+    let all = log.frames.iter().flat_map(|frame| frame.images.iter().chain(&frame.between_images));
+    let nearest = all.filter(of_camera).min_by_key(|record| (record.t_us.abs_diff(t_us), record.t_us));
+    let nearest = nearest
+        .ok_or_else(|| TrueImagesError::NoImage { camera: camera.to_owned(), log: log.name.clone() })?;
+    Ok(rectified(dataset.read_image(nearest)?, &nearest.camera))
+}
+
+/// Resamples an image to a pinhole camera of the same size and intrinsics, like the conditions. Interpolates
+/// bilinearly between pixel centers; pixels outside the recorded image are black.
+fn rectified(image: RgbImage, camera: &Camera) -> RgbImage {
+    let Some(distortion) = camera.distortion else { return image };
+    let (lens, image_from_camera) = (distortion.lens(), camera.intrinsics);
+    let camera_from_image = image_from_camera.inverse();
+    let ends = DVec2::new(f64::from(image.width()) - 1.0, f64::from(image.height()) - 1.0);
+    let pixel = |x: u32, y: u32| {
+        let ideal = camera_from_image * DVec3::new(f64::from(x) + 0.5, f64::from(y) + 0.5, 1.0);
+        let seen = image_from_camera * lens.distort(ideal.truncate())?.extend(1.0);
+        let seen = seen.truncate() - 0.5;
+        let shown = seen.cmpge(DVec2::splat(-0.5)).all() && seen.cmplt(ends + 0.5).all();
+        let seen = seen.clamp(DVec2::ZERO, ends);
+        interpolate_bilinear(&image, seen.x as f32, seen.y as f32).filter(|_| shown)
+    };
+    RgbImage::from_fn(image.width(), image.height(), |x, y| pixel(x, y).unwrap_or(Rgb([0; 3])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use point_skeleton::geometry::{Distortion, View};
+    use glam::DAffine3;
+
+    /// Pixel values encode pixel positions, so the rectified image shows where the lens put each point of the
+    /// pinhole.
+    #[test]
+    fn rectified_images_show_what_a_pinhole_sees() {
+        let (width, height) = (200, 120);
+        let rows = [[150.0, 0.0, 97.0], [0.0, 160.0, 63.0], [0.0, 0.0, 1.0]];
+        let pinhole = Camera::new("c", width, height, rows).unwrap();
+        let distortion = Distortion::from_opencv([-0.356, 0.17, 0.001, -0.002, -0.05]);
+        let camera = Camera { distortion, ..pinhole.clone() };
+        let recorded = RgbImage::from_fn(width, height, |x, y| Rgb([x as u8, 2 * y as u8, 9]));
+        assert_eq!(rectified(recorded.clone(), &pinhole), recorded);
+        let found = rectified(recorded, &camera);
+        let mut shown = 0;
+        for point in [[0.0, 0.0], [0.3, -0.2], [-0.5, 0.1], [0.55, 0.3], [-0.6, -0.35]] {
+            let world = DVec3::new(point[0], point[1], 1.0) * 7.0;
+            let view = View { camera: camera.clone(), camera_from_world: DAffine3::IDENTITY };
+            let at = view.project(world).unwrap().0.floor();
+            let center = (at + 0.5).extend(1.0);
+            let world = camera.intrinsics.inverse() * center;
+            let expected = view.project_recorded(world).unwrap().0 - 0.5;
+            let Rgb([x, y, blue]) = *found.get_pixel(at.x as u32, at.y as u32);
+            let off = (expected - DVec2::new(f64::from(x), f64::from(y) / 2.0)).abs();
+            assert!(off.x < 1.0 && off.y < 0.75 && blue == 9, "{expected} {x} {y}");
+            shown += usize::from((expected - at).abs().max_element() > 1.0);
+        }
+        assert!(shown > 2, "the lens moves most of them");
+    }
+}

@@ -1,0 +1,182 @@
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use image::RgbImage;
+use image::imageops::{self, FilterType};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::rows::{Networks, Row};
+use super::scene::{Scene, SceneFrame};
+use point_skeleton::error::FileError;
+use point_skeleton::files::input::read_table;
+use point_skeleton::files::write_whole;
+use pskel_generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
+use pskel_eval::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, SegmentationMasks};
+use pskel_sim::{Committed, Forecast};
+
+/// Settings shared by all variants.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Settings {
+    /// Number of generated frames.
+    pub(super) steps: usize,
+    pub(super) infer_steps: usize,
+    pub(super) seed: u64,
+    /// Seed of the asset augmentation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) augment: Option<u64>,
+}
+
+/// Provenance of a result. Results of one table must have the same.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Origin {
+    pub(super) settings: Settings,
+    /// Fingerprint of the network's weights.
+    pub(super) weights: String,
+}
+
+/// Result of a variant in a scene, `SCENE/ROW.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct RunResult {
+    pub(super) scene: String,
+    pub(super) row: String,
+    pub(super) origin: Origin,
+    /// By metric name; `None` if the metric is undefined in the scene.
+    pub(super) numbers: BTreeMap<String, Option<f64>>,
+    /// Time since the first reference, seconds.
+    pub(super) t_s: Vec<f64>,
+    /// By step.
+    pub(super) psnr_db: Vec<Option<f64>>,
+}
+
+/// Image strip of a variant, for visual inspection.
+pub(super) struct Strip(RgbImage);
+
+/// Name of the segmentor in the numbers.
+const SEGMENTOR: &str = "vehicles";
+/// Number of images in a strip, and their magnification.
+const SHOWN: usize = 8;
+const ENLARGED: u32 = 3;
+
+impl RunResult {
+    /// Reads the result of an earlier run, which must have the same network and settings.
+    pub(super) fn read(path: &Path, origin: &Origin) -> Result<Self, FileError> {
+        let damaged =
+            |error: serde_json::Error| FileError::content("scores of a scene", error.to_string(), path);
+        let text = read_table(path)?;
+        let result: Self = serde_json::from_slice(&text).map_err(damaged)?;
+        if result.origin == *origin {
+            return Ok(result);
+        }
+        let [now, before] = [origin, &result.origin].map(serde_json::to_string);
+        let expected = format!("scores of {}", now.map_err(damaged)?);
+        Err(FileError::content(expected, before.map_err(damaged)?, path))
+    }
+}
+
+/// Generates and scores all frames of a scene.
+pub(super) fn run(
+    scene: &Scene,
+    row: &Row,
+    networks: &Networks,
+    settings: &Settings,
+) -> anyhow::Result<(RunResult, Strip)> {
+    let network = networks.get(row.network);
+    let codec = network.codec()?;
+    let given = |conditions: &Committed<FrameConditions>| conditions.clone().map(|c| c.without(row.dropped));
+    let options = row.options(networks, settings);
+    let (before, frames) = scene.frames.split_at(options.references());
+    let reference = |frame: &SceneFrame| Ok((codec.encode(&frame.truth)?, given(&frame.conditions)));
+    let references = before.iter().map(reference).collect::<anyhow::Result<Vec<_>>>()?;
+    let noise = GaussianNoise { seed: settings.seed };
+    let mut generator = Generator::new(network.clone(), noise, options, references)?;
+    let mut scores = RolloutScores::new(RandomConvNet::new(settings.seed));
+    let mut strip = Strip::new(frames);
+    for (number, frame) in frames.iter().enumerate() {
+        let expected = |forecast: &Forecast<FrameConditions>| match row.expects_standstill {
+            true => frame.conditions.get().without(row.dropped),
+            false => forecast.get().without(row.dropped),
+        };
+        let forecasts: Vec<_> = frame.forecasts.iter().map(expected).map(Forecast::new).collect();
+        let latent = generator.step(given(&frame.conditions), &forecasts)?;
+        let images = codec.decode(&latent)?;
+        strip.add(number, frames.len(), &images, &frame.truth);
+        let half = usize::from(number >= frames.len() / 2);
+        let classifier = scene.classifiers.as_ref().map(|halves| &halves[half]);
+        score(&mut scores, frame, &images, classifier)?;
+    }
+    let (scores, features) = scores.finish();
+    let distances = features.distances()?;
+    let mut numbers = scores.numbers();
+    numbers.insert("frechet_images".to_owned(), distances.images.map(|d| d.distance));
+    numbers.insert("frechet_videos".to_owned(), distances.videos.map(|d| d.distance));
+    let result = RunResult {
+        scene: scene.name.clone(),
+        row: row.name.clone(),
+        origin: row.origin(networks, settings),
+        numbers,
+        t_s: scores.t_s,
+        psnr_db: scores.psnr_db.steps,
+    };
+    Ok((result, strip))
+}
+
+fn score(
+    scores: &mut RolloutScores,
+    frame: &SceneFrame,
+    images: &[RgbImage],
+    classifier: Option<&PatchClassifier>,
+) -> anyhow::Result<()> {
+    let segment = |images: &[RgbImage]| {
+        let of = |classifier: &PatchClassifier| {
+            images.par_iter().map(|image| classifier.segment(image)).collect::<Result<Vec<_>, _>>()
+        };
+        classifier.map(of).transpose()
+    };
+    let (generated, truth) = (segment(images)?, segment(&frame.truth)?);
+    let segmented: Vec<SegmentationMasks<'_>> = generated
+        .iter()
+        .map(|generated| SegmentationMasks { name: SEGMENTOR, generated, truth: truth.as_deref() })
+        .collect();
+    scores.push(&ScoredFrame {
+        t_s: frame.t_s,
+        generated: images,
+        truth: Some(&frame.truth),
+        class: Some(&frame.class),
+        moving: Some(&frame.moving),
+        segmented: &segmented,
+    })?;
+    Ok(())
+}
+
+impl Strip {
+    /// Creates a strip of two rows: generated images above, ground truth below.
+    fn new(frames: &[SceneFrame]) -> Self {
+        let (width, height) =
+            frames.first().and_then(|f| f.truth.first()).map_or((1, 1), RgbImage::dimensions);
+        Self(RgbImage::new(SHOWN as u32 * width * ENLARGED, 2 * height * ENLARGED))
+    }
+
+    /// Adds the first camera's images if the frame is one of those shown.
+    fn add(&mut self, number: usize, all: usize, images: &[RgbImage], truth: &[RgbImage]) {
+        let Some(place) = (0..SHOWN).find(|place| (place + 1) * all / SHOWN == number + 1) else { return };
+        for (row, image) in [images, truth].into_iter().enumerate() {
+            let Some(image) = image.first() else { continue };
+            let (width, height) = (image.width() * ENLARGED, image.height() * ENLARGED);
+            let large = imageops::resize(image, width, height, FilterType::Nearest);
+            imageops::replace(
+                &mut self.0,
+                &large,
+                i64::from(width) * place as i64,
+                i64::from(height) * row as i64,
+            );
+        }
+    }
+
+    pub(super) fn save(&self, path: &Path) -> Result<(), FileError> {
+        write_whole(path, |out| {
+            let written = self.0.write_with_encoder(image::codecs::png::PngEncoder::new(out));
+            written.map_err(|error| FileError::io("write", path)(std::io::Error::other(error)))
+        })
+    }
+}

@@ -1,0 +1,193 @@
+use std::path::Path;
+use std::sync::Arc;
+
+use image::RgbImage;
+
+use super::run::Settings;
+use crate::build;
+use crate::rasterizer::RasterizerArgs;
+use crate::stand_ins::SubstituteArgs;
+use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
+use point_skeleton::dataset::{Dataset, Log, LogFormat};
+use pskel_generate::{Conditioner, RenderedConditions, FrameConditions, GroundTruthImages, Recipe};
+use pskel_eval::{
+    MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
+};
+use point_skeleton::raster::Rasterizer;
+use point_skeleton::scene::{SceneClouds, SceneMap};
+use pskel_sim::{
+    ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
+};
+use pskel_town::Town;
+
+/// Inputs shared by all variants in a town where the ego changes lanes.
+pub(super) struct Scene {
+    /// Name of the log.
+    pub(super) name: String,
+    /// References, then the frames to generate.
+    pub(super) frames: Vec<SceneFrame>,
+    /// Classifiers for the first and the second half of the frames to generate; `None` without vehicles.
+    pub(super) classifiers: Option<[PatchClassifier; 2]>,
+}
+
+/// Inputs and ground truth of a planning step.
+pub(super) struct SceneFrame {
+    /// Time since the first frame, seconds.
+    pub(super) t_s: f64,
+    pub(super) conditions: Committed<FrameConditions>,
+    pub(super) forecasts: Vec<Forecast<FrameConditions>>,
+    pub(super) truth: Vec<RgbImage>,
+    /// Class map of each camera.
+    pub(super) class: Vec<Vec<u8>>,
+    /// Pixels of moving actors, by camera.
+    pub(super) moving: Vec<Vec<bool>>,
+}
+
+/// Options for rendering a scene.
+pub(super) struct SceneOptions<'a> {
+    pub(super) recipe: &'a Recipe,
+    /// Number of frames before the first generated one, and of forecasts.
+    pub(super) references: usize,
+    pub(super) settings: &'a Settings,
+    pub(super) rasterizer: &'a RasterizerArgs,
+    /// Path of the skeleton, which is built if it does not exist and retained for later runs.
+    pub(super) skeleton: &'a Path,
+}
+
+impl Scene {
+    /// Builds the skeleton if it does not exist, and simulates the ego's path through the town.
+    pub(super) fn draw(town: &Town, options: &SceneOptions<'_>) -> anyhow::Result<Self> {
+        check_length(town.log(), options.count())?;
+        let skeleton = build::kept(town, options.skeleton)?;
+        let log = town.log();
+        let (stand_ins, _) =
+            SubstituteArgs::augmented(options.settings.augment).make(&skeleton, &log.name)?;
+        let stage = SceneClouds::with(&skeleton, &log.name, &stand_ins)?;
+        let mut rasterizer = options.rasterizer.create(stage.cloud_set())?;
+        let map = town.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
+        let scenario = Scenario::new(log, map.clone(), LogFormat::Town);
+        let conditioner = Conditioner::new(log, map, &stage, options.recipe, "")
+            .with_maps(&[MapKind::Class, MapKind::Instance]);
+        let simulation = Simulation::new(&scenario, sim_options(options))?;
+        let drive = Drive { town, conditioner: &conditioner, options };
+        let frames = drive.frames(simulation, rasterizer.as_mut())?;
+        let classifiers = classifiers(&frames[options.references..], options.settings.seed)?;
+        Ok(Self { name: town.recording(), frames, classifiers })
+    }
+}
+
+impl SceneOptions<'_> {
+    /// Returns the number of references and generated frames.
+    fn count(&self) -> usize {
+        self.references + self.settings.steps
+    }
+}
+
+/// Rejects logs that are too short, because replayed actors are removed after the log ends.
+fn check_length(log: &Log, count: usize) -> anyhow::Result<()> {
+    let ends = log.frames.first().zip(log.frames.last());
+    let seconds = ends.map_or(0.0, |(first, last)| (last.t_us - first.t_us) as f64 / 1e6);
+    let found = 1 + (seconds * Rates::default().plan_hz + 1e-6) as usize;
+    anyhow::ensure!(found >= count, "expected a log of {count} plan steps, found {found}");
+    Ok(())
+}
+
+fn sim_options(options: &SceneOptions<'_>) -> SimOptions {
+    SimOptions {
+        steps: usize::MAX,
+        warmup_frames: options.references + 1,
+        ego: EgoPolicy::LaneChange,
+        actors: ActorPolicy::Replay,
+        ..SimOptions::default()
+    }
+}
+
+struct Drive<'a> {
+    town: &'a Town,
+    conditioner: &'a Conditioner<'a>,
+    options: &'a SceneOptions<'a>,
+}
+
+impl Drive<'_> {
+    fn frames(
+        &self,
+        mut simulation: Simulation<'_>,
+        rasterizer: &mut dyn Rasterizer,
+    ) -> anyhow::Result<Vec<SceneFrame>> {
+        let count = self.options.count();
+        let (mut frames, mut before, mut first_us) = (Vec::new(), None, None);
+        while frames.len() < count {
+            let instant = (*simulation.committed().get()).clone();
+            if instant.step.is_multiple_of(simulation.steps_per_plan()) {
+                let drawn = self.conditioner.committed(simulation.committed(), before, rasterizer)?;
+                let forecasts =
+                    self.conditioner.forecasts(&simulation, self.options.references, rasterizer)?;
+                let t_s = (instant.t_us - *first_us.get_or_insert(instant.t_us)) as f64 / 1e6;
+                frames.push(self.frame(drawn, forecasts, &instant, t_s)?);
+                before = Some(instant.ego.pose);
+            }
+            simulation.step()?;
+        }
+        Ok(frames)
+    }
+
+    fn frame(
+        &self,
+        drawn: Committed<RenderedConditions>,
+        forecasts: Vec<Forecast<FrameConditions>>,
+        instant: &Instant,
+        t_s: f64,
+    ) -> anyhow::Result<SceneFrame> {
+        let view = |view: &point_skeleton::geometry::View| self.conditioner.options().drawn_view(view);
+        let size = self.options.recipe.size;
+        let truth = GroundTruthImages::new(self.town).of(&drawn.get().state, view, size, true)?;
+        let moves = instant.actors.iter().map(|actor| actor.speed_mps.abs() > MOVING_MPS);
+        let moving: Vec<u32> =
+            (1..).zip(moves).filter(|(_, moves)| *moves).map(|(number, _)| number).collect();
+        let (class, instance) = masks(&drawn.get().set)?;
+        Ok(SceneFrame {
+            t_s,
+            conditions: drawn.map(|drawn| drawn.conditions),
+            forecasts,
+            truth,
+            class,
+            moving: instance.iter().map(|map| moving_mask(map, &moving)).collect(),
+        })
+    }
+}
+
+/// Trains classifiers for the first and the second half of the frames, each on the ground-truth images of the other
+/// half. `None` if a half shows no vehicles.
+fn classifiers(
+    frames: &[SceneFrame],
+    seed: u64,
+) -> Result<Option<[PatchClassifier; 2]>, PatchClassifierError> {
+    let (first, second) = frames.split_at(frames.len() / 2);
+    let train = |frames: &[SceneFrame]| {
+        let mut trainer = PatchTrainer::new(PatchOptions { seed, ..PatchOptions::default() });
+        for frame in frames {
+            for (image, class) in frame.truth.iter().zip(&frame.class) {
+                trainer.add(image, &vehicle_mask(class, image.width() as usize));
+            }
+        }
+        trainer.train()
+    };
+    match (train(second), train(first)) {
+        (Err(PatchClassifierError::Pixels { .. }), _) | (_, Err(PatchClassifierError::Pixels { .. })) => {
+            Ok(None)
+        }
+        (of_second, of_first) => Ok(Some([of_second?, of_first?])),
+    }
+}
+
+/// Class and instance maps of all cameras.
+type Masks = (Vec<Vec<u8>>, Vec<Vec<u32>>);
+
+fn masks(set: &ConditionSet) -> anyhow::Result<Masks> {
+    let of = |camera: &CameraConditions| Some((camera.class.clone()?, camera.instance.clone()?));
+    let all: Option<Vec<_>> = set.cameras.iter().map(of).collect();
+    Ok(all
+        .ok_or_else(|| anyhow::anyhow!("expected class and instance maps, found none"))?
+        .into_iter()
+        .unzip())
+}

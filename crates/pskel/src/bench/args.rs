@@ -1,0 +1,151 @@
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::WrongUsage;
+use crate::log_args;
+use crate::numbers::{self, FrameRange};
+use crate::rasterizer::RasterizerArgs;
+use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
+use point_skeleton::dataset::LogLocator;
+use point_skeleton::raster::{FRAMES_IN_FLIGHT, FrameKinds, SplatSchedule};
+
+/// Measure rendering speed: time per frame and per stage, points per second, peak memory
+///
+/// A frame is all cameras of one instant: from its poses to all maps in host memory, with the clouds already
+/// resident. The workload is a synthetic street, a file of points, or the frames of a recording with its skeleton.
+#[derive(Debug, Args)]
+pub(crate) struct BenchArgs {
+    /// Recording whose frames are rendered in turn: FORMAT:PATH[@VERSION][#SCENE], like
+    /// nuscenes:/data/nuscenes#scene-0061
+    #[arg(value_parser = log_args::log, requires = "skeleton", conflicts_with_all = ["synthetic", "seed", "points", "cameras"])]
+    pub(super) log: Option<LogLocator>,
+    /// Skeleton that was built from the recording
+    #[arg(long, value_name = "SKEL", requires = "log")]
+    pub(super) skeleton: Option<PathBuf>,
+    /// Range of frames of the recording, numbered from 0 in log order, B excluded [default: all]
+    #[arg(long, value_name = "A..B", requires = "log")]
+    pub(super) frames: Option<FrameRange>,
+    /// Number of points of a synthetic street with six cameras of 900x1600, like 4000000 or 4e6; the default workload
+    /// [default: 4e6]
+    #[arg(long, value_name = "N", value_parser = numbers::points, conflicts_with_all = ["points", "cameras"])]
+    #[arg(allow_negative_numbers = true)]
+    pub(super) synthetic: Option<usize>,
+    /// Seed of the synthetic street
+    #[arg(long, value_name = "S", default_value = "1", conflicts_with_all = ["points", "cameras"])]
+    #[arg(allow_negative_numbers = true)]
+    pub(super) seed: u64,
+    /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY
+    #[arg(long, value_name = "P.npy|P.ply", requires = "cameras")]
+    pub(super) points: Option<PathBuf>,
+    /// Cameras: {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
+    #[arg(long, value_name = "C.json", requires = "points")]
+    pub(super) cameras: Option<PathBuf>,
+    /// Render at this size; scales the intrinsics [default: the size of the cameras]
+    #[arg(long, value_name = "HxW")]
+    pub(super) size: Option<ImageSize>,
+    /// Reduce the maps to this size after rendering [default: no reduction]
+    #[arg(long, value_name = "HxW")]
+    pub(super) out_size: Option<ImageSize>,
+    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z are
+    /// culled
+    #[arg(long, value_name = "Z:R,..", default_value_t)]
+    pub(super) splat: SplatSchedule,
+    /// Maps to render: color, depth, class, instance, and point (point numbers); with boxes, map (the recording's HD
+    /// map) or tensor a frame is a whole step: instance selection, rendering, layouts, and network inputs
+    #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance")]
+    pub(super) maps: MapSet,
+    /// Number of timed frames [default: 20]; with a recording, passes over all its frames [default: 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(allow_negative_numbers = true)]
+    pub(super) repeat: Option<u32>,
+    /// Number of frames rendered before the timed ones
+    #[arg(long, value_name = "N", default_value = "3", allow_negative_numbers = true)]
+    pub(super) warm_up: u32,
+    /// Frames in flight. 1: a frame begins after the previous one is finished; its time is from begin to end. 2: a
+    /// frame begins before the previous one is finished; its time is from end to end
+    #[arg(long, value_name = "1|2", default_value = "1")]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=FRAMES_IN_FLIGHT as i64))]
+    pub(super) in_flight: u32,
+    #[command(flatten)]
+    pub(super) rasterizer: RasterizerArgs,
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    pub(super) json: bool,
+    /// Write a trace of all timed frames and their stages for chrome://tracing or ui.perfetto.dev
+    #[arg(long, value_name = "F.json")]
+    pub(super) trace: Option<PathBuf>,
+}
+
+impl BenchArgs {
+    /// Returns whether a frame is a whole step of a recording.
+    pub(super) fn whole_steps(&self) -> bool {
+        [MapKind::Boxes, MapKind::Map, MapKind::Tensor].into_iter().any(|kind| self.maps.contains(kind))
+    }
+
+    /// Rejects maps that are only available in whole steps if there is no recording.
+    pub(super) fn check(&self) -> Result<(), WrongUsage> {
+        if self.whole_steps() && self.log.is_none() {
+            let maps: Vec<&str> = self.maps.iter().map(MapKind::name).collect();
+            let expected = "expected a drive, or --maps out of color,depth,class,instance,point";
+            return Err(WrongUsage(format!("{expected}, found {}", maps.join(","))));
+        }
+        Ok(())
+    }
+
+    /// Returns the maps that the rasterizer outputs.
+    pub(super) fn frame_kinds(&self) -> FrameKinds {
+        FrameKinds {
+            color: self.maps.contains(MapKind::Color),
+            depth: self.maps.contains(MapKind::Depth),
+            class: self.maps.contains(MapKind::Class),
+            instance: self.maps.contains(MapKind::Instance),
+            point: self.maps.contains(MapKind::Point),
+        }
+    }
+
+    /// Returns the options of whole steps.
+    pub(super) fn conditions(&self) -> ConditionOptions {
+        ConditionOptions {
+            maps: self.maps,
+            splat: self.splat.clone(),
+            size: self.size,
+            out_size: self.out_size,
+            ..ConditionOptions::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Cli {
+        #[command(flatten)]
+        args: BenchArgs,
+    }
+
+    fn args(text: &str) -> BenchArgs {
+        Cli::try_parse_from(std::iter::once("bench").chain(text.split_whitespace())).unwrap().args
+    }
+
+    #[test]
+    fn maps_are_those_that_a_rasterizer_makes() {
+        assert_eq!(args("").frame_kinds(), FrameKinds { point: false, ..FrameKinds::ALL });
+        let kinds = args("--maps depth,point").frame_kinds();
+        assert_eq!(kinds, FrameKinds { depth: true, point: true, ..FrameKinds::default() });
+        assert_eq!(args("--maps point,instance,class,depth,color").frame_kinds(), FrameKinds::ALL);
+    }
+
+    #[test]
+    fn layouts_make_whole_steps_of_a_drive() {
+        for (maps, whole) in [("color,point", false), ("map", true), ("depth,boxes", true), ("tensor", true)]
+        {
+            let drive = args(&format!("nuscenes:log --skeleton sk --maps {maps}"));
+            assert_eq!((drive.whole_steps(), drive.check().is_ok()), (whole, true), "{maps}");
+            assert_eq!(args(&format!("--maps {maps}")).check().is_err(), whole, "{maps}");
+        }
+    }
+}

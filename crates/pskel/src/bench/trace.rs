@@ -1,0 +1,141 @@
+//! Traces in the Chrome trace event format: complete events (`ph: "X"`, times in microseconds), and names of tracks.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::measure::TimedFrame;
+use point_skeleton::error::FileError;
+use point_skeleton::files::{check_output_file, write_json};
+
+/// First track of stages; tracks of frames start at 1. Far more than frames in flight.
+const FIRST_STAGE_TRACK: usize = 101;
+
+#[derive(Debug, Serialize)]
+struct Trace {
+    #[serde(rename = "traceEvents")]
+    events: Vec<Value>,
+    #[serde(rename = "displayTimeUnit")]
+    unit: &'static str,
+}
+
+/// Writes frames, from begin to end, and their stages, placed one after the other from the frame's begin. Frames in
+/// flight together get separate tracks. `name_of` returns the name of a frame's content.
+pub(super) fn write(
+    path: &Path,
+    frames: &[TimedFrame],
+    in_flight: usize,
+    name_of: &dyn Fn(usize) -> String,
+) -> Result<(), FileError> {
+    write_json(path, &Trace { events: events(frames, in_flight, name_of), unit: "ms" })
+}
+
+/// Checks that the file can be written, before any work is done.
+pub(super) fn check<'a>(path: &Path, inputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), FileError> {
+    check_output_file(path, inputs.into_iter().map(PathBuf::as_path))?;
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    match std::fs::metadata(folder) {
+        Ok(found) if !found.is_dir() => Err(FileError::content("a folder to write to", "a file", folder)),
+        Ok(_) if path.is_dir() => Err(FileError::content("a file to write", "a folder", path)),
+        Ok(_) => Ok(()),
+        Err(error) => Err(FileError::io("create", path)(error)),
+    }
+}
+
+fn events(frames: &[TimedFrame], in_flight: usize, name_of: &dyn Fn(usize) -> String) -> Vec<Value> {
+    let mut events = vec![label("process_name", 0, "pskel bench")];
+    for slot in 0..in_flight {
+        events.push(label("thread_name", 1 + slot, &format!("frames {slot}")));
+        events.push(label("thread_name", FIRST_STAGE_TRACK + slot, &format!("stages {slot}")));
+    }
+    for (number, frame) in frames.iter().enumerate() {
+        let slot = number % in_flight;
+        let args = json!({"frame": number, "shows": name_of(number)});
+        let whole = (frame.begun, frame.finished.saturating_sub(frame.begun));
+        events.push(complete(("frame", &format!("frame {number}")), 1 + slot, whole, &args));
+        let mut start = frame.begun;
+        for (stage, time) in &frame.stages.0 {
+            events.push(complete(("stage", stage), FIRST_STAGE_TRACK + slot, (start, *time), &args));
+            start += *time;
+        }
+    }
+    events
+}
+
+/// Returns a complete event from category and name, start and duration.
+fn complete(
+    (category, name): (&str, &str),
+    track: usize,
+    (start, length): (Duration, Duration),
+    args: &Value,
+) -> Value {
+    let us = |time: Duration| time.as_nanos() as f64 / 1e3;
+    json!({
+        "name": name, "cat": category, "ph": "X", "ts": us(start), "dur": us(length), "pid": 1, "tid": track,
+        "args": args,
+    })
+}
+
+fn label(what: &str, track: usize, name: &str) -> Value {
+    json!({"name": what, "ph": "M", "pid": 1, "tid": track, "args": {"name": name}})
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use point_skeleton::raster::StageTimes;
+
+    fn frame(begun_us: u64, finished_us: u64) -> TimedFrame {
+        let [begun, finished] = [begun_us, finished_us].map(Duration::from_micros);
+        let mut stages = StageTimes::default();
+        stages.add("a", Duration::from_micros(10));
+        stages.add("b", Duration::from_nanos(20_500));
+        TimedFrame { begun, finished, took: finished - begun, stages }
+    }
+
+    /// Returns name, track, start and duration of the complete events.
+    fn bars(frames: &[TimedFrame], in_flight: usize) -> Vec<(String, u64, f64, f64)> {
+        let events = events(frames, in_flight, &|number| format!("{number:06}"));
+        let bars = events.iter().filter(|e| e["ph"] == "X").map(|e| {
+            assert_eq!(e["args"]["shows"], format!("{:06}", e["args"]["frame"].as_u64().unwrap()));
+            let number = |key: &str| e[key].as_f64().unwrap();
+            (e["name"].as_str().unwrap().to_owned(), e["tid"].as_u64().unwrap(), number("ts"), number("dur"))
+        });
+        bars.collect()
+    }
+
+    #[test]
+    fn stages_follow_each_other_from_the_begin_of_their_frame() {
+        let found = bars(&[frame(0, 50), frame(60, 100)], 1);
+        let bar = |name: &str, track, start, length| (name.to_owned(), track, start, length);
+        let expected = [
+            bar("frame 0", 1, 0.0, 50.0),
+            bar("a", 101, 0.0, 10.0),
+            bar("b", 101, 10.0, 20.5),
+            bar("frame 1", 1, 60.0, 40.0),
+            bar("a", 101, 60.0, 10.0),
+            bar("b", 101, 70.0, 20.5),
+        ];
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn frames_that_overlap_stand_on_two_tracks() {
+        let found = bars(&[frame(0, 50), frame(30, 80), frame(60, 110)], 2);
+        let tracks: Vec<u64> = found.iter().filter(|b| b.0.starts_with("frame")).map(|b| b.1).collect();
+        assert_eq!(tracks, [1, 2, 1]);
+    }
+
+    #[test]
+    fn bad_places_are_known_before_the_work() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| check(&folder.path().join(name), []);
+        std::fs::write(folder.path().join("file"), "").unwrap();
+        assert!(place("t.json").is_ok() && place("file").is_ok());
+        assert!(place("none/t.json").unwrap_err().to_string().ends_with("none/t.json"));
+        assert!(place("file/t.json").is_err());
+        assert!(check(folder.path(), []).unwrap_err().to_string().contains("expected a file to write"));
+    }
+}

@@ -1,0 +1,57 @@
+use std::io::Cursor;
+use std::path::Path;
+
+use image::{DynamicImage, ImageReader};
+
+use point_skeleton::error::FileError;
+use point_skeleton::files::input::{IMAGE_BYTES, read_file};
+use point_skeleton::geometry::ImageSize;
+
+/// Pixels in row-major order, and the image size.
+pub(super) type Read<T> = (Vec<T>, ImageSize);
+
+/// Reads and decodes an image file of any pixel format.
+fn read(path: &Path) -> Result<DynamicImage, FileError> {
+    let reader = ImageReader::new(Cursor::new(read_file(path, IMAGE_BYTES)?));
+    let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
+    reader.decode().map_err(|error| FileError::content("a PNG image", error.to_string(), path))
+}
+
+fn size(image: &DynamicImage) -> ImageSize {
+    ImageSize { height: image.height(), width: image.width() }
+}
+
+fn other(expected: &str, image: &DynamicImage, path: &Path) -> FileError {
+    FileError::content(expected, format!("{:?}", image.color()), path)
+}
+
+/// Reads a class map: 8-bit grey.
+pub(super) fn class(path: &Path) -> Result<Read<u8>, FileError> {
+    match read(path)? {
+        DynamicImage::ImageLuma8(image) => {
+            let size = ImageSize { height: image.height(), width: image.width() };
+            Ok((image.into_raw(), size))
+        }
+        image => Err(other("a class map of 8-bit grey", &image, path)),
+    }
+}
+
+/// Reads an instance map: 16-bit grey.
+pub(super) fn instance(path: &Path) -> Result<Read<u32>, FileError> {
+    match read(path)? {
+        DynamicImage::ImageLuma16(image) => {
+            let size = ImageSize { height: image.height(), width: image.width() };
+            Ok((image.into_raw().into_iter().map(u32::from).collect(), size))
+        }
+        image => Err(other("an instance map of 16-bit grey", &image, path)),
+    }
+}
+
+/// Reads a mask: `true` for pixels with a non-zero value in any channel except alpha.
+pub(super) fn mask(path: &Path) -> Result<Read<bool>, FileError> {
+    let image = read(path)?;
+    let size = size(&image);
+    // 16 bits: levels below 256 of 16-bit images must not become 0.
+    let mask = image.into_rgb16().as_raw().as_chunks::<3>().0.iter().map(|pixel| *pixel != [0; 3]).collect();
+    Ok((mask, size))
+}

@@ -1,0 +1,340 @@
+use std::collections::BTreeMap;
+
+use glam::{DVec2, DVec3};
+use serde::Serialize;
+
+use point_skeleton::conditions::{self, CameraConditions, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
+use point_skeleton::dataset::{Area, Class, Dataset, VectorMap};
+use point_skeleton::geometry::View;
+use pskel_eval::{DepthErrors, DepthSummary, FilledError, Overlap, compare_filled};
+use point_skeleton::raster::Rasterizer;
+use point_skeleton::scene::{EgoOffset, SceneClouds, SceneState, SelectionOptions, state_of_frame};
+use pskel_town::Town;
+use pskel_town::view::GroundTruthView;
+
+/// Maximum distance of near cars, meters from the ego to the center of the box.
+const NEAR_M: f64 = 40.0;
+
+/// Ego pose relative to the recorded one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Pose {
+    /// Recorded pose.
+    Logged,
+    /// Offset to the side, meters.
+    Beside(f64),
+    /// Rotated to the left, degrees.
+    Turned(f64),
+}
+
+/// Inputs for measuring a row of the table.
+pub(super) struct Measurement<'a> {
+    pub(super) town: &'a Town,
+    pub(super) stage: &'a SceneClouds<'a>,
+    pub(super) options: ConditionOptions,
+    pub(super) map: Option<&'a VectorMap>,
+}
+
+/// Accumulated results of a row.
+pub(super) struct Measured {
+    pub(super) name: String,
+    pose: Pose,
+    to_the_left: usize,
+    color: Vec<FilledError>,
+    depth: DepthErrors,
+    /// By selection of actor clouds, in the order of [`Masks::ALL`].
+    masks: [MaskSums; 3],
+}
+
+/// Selection of the actor clouds that produce the masks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Masks {
+    /// As in rendered maps: actors with many points by their own, others by templates.
+    Rendered,
+    /// Templates, if available.
+    Templates,
+    /// Actors' own points, if they have any.
+    Own,
+}
+
+#[derive(Clone, Copy, Default)]
+struct MaskSums {
+    /// By class, without class 0.
+    classes: [Overlap; 4],
+    near_cars: Overlap,
+}
+
+/// Row of the table.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Row {
+    pub(super) pose: String,
+    pub(super) images: usize,
+    /// Number of frames with the ego offset to the left.
+    pub(super) to_the_left: usize,
+    /// Means over images; the PSNR is over images with filled pixels.
+    pub(super) color: FilledError,
+    pub(super) depth: Option<DepthSummary>,
+    pub(super) rendered: MaskRow,
+    pub(super) templates: MaskRow,
+    pub(super) own_points: MaskRow,
+}
+
+/// IoU values; `None` if neither map nor ground truth shows the class.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct MaskRow {
+    pub(super) classes: BTreeMap<&'static str, Option<f64>>,
+    pub(super) near_cars: Option<f64>,
+}
+
+/// Names of the classes, starting with class 1.
+pub(super) const CLASS_NAMES: [&str; 4] = ["motor_vehicle", "pedestrian", "cycle", "object"];
+
+impl Pose {
+    /// Returns the poses of all rows.
+    pub(super) fn all() -> Vec<Self> {
+        let beside = [0.5, 1.0, 2.0, 3.5].map(Self::Beside);
+        let turned = [5.0, 10.0, 20.0].map(Self::Turned);
+        [Self::Logged].into_iter().chain(beside).chain(turned).collect()
+    }
+
+    fn name(self) -> String {
+        match self {
+            Self::Logged => "as driven".to_owned(),
+            Self::Beside(m) => format!("{m} m to the side"),
+            Self::Turned(deg) => format!("turned by {deg} deg"),
+        }
+    }
+}
+
+impl Masks {
+    const ALL: [Self; 3] = [Self::Rendered, Self::Templates, Self::Own];
+
+    fn selection(self) -> SelectionOptions {
+        let default = SelectionOptions::default();
+        match self {
+            Self::Rendered => default,
+            Self::Templates => SelectionOptions { min_actor_points: usize::MAX, ..default },
+            Self::Own => SelectionOptions { min_actor_points: 0, ..default },
+        }
+    }
+}
+
+impl Measured {
+    pub(super) fn new(pose: Pose) -> Self {
+        let (to_the_left, color, depth, masks) = Default::default();
+        Self { name: pose.name(), pose, to_the_left, color, depth, masks }
+    }
+
+    pub(super) fn summary(self) -> Row {
+        let [rendered, templates, own_points] = self.masks.map(|sums| sums.row());
+        Row {
+            pose: self.name,
+            images: self.color.len(),
+            to_the_left: self.to_the_left,
+            color: mean(&self.color),
+            depth: self.depth.summary(),
+            rendered,
+            templates,
+            own_points,
+        }
+    }
+}
+
+impl MaskSums {
+    /// Adds an image. `near` is indexed by instance number and marks nearby cars.
+    fn add(&mut self, map: &CameraConditions, truth: &TrueMaps, near: &[bool]) {
+        let (Some(class), Some(instance)) = (&map.class, &map.instance) else { return };
+        for (number, overlap) in (1..).zip(&mut self.classes) {
+            overlap.add_maps((class, |c| *c == number), (&truth.class, |c| *c == number));
+        }
+        let is_near = |instance: &u32| near.get(*instance as usize).copied().unwrap_or(false);
+        self.near_cars.add_maps((instance, is_near), (&truth.instance, is_near));
+    }
+
+    fn row(&self) -> MaskRow {
+        let classes = CLASS_NAMES.into_iter().zip(self.classes.map(|overlap| overlap.iou())).collect();
+        MaskRow { classes, near_cars: self.near_cars.iou() }
+    }
+}
+
+fn mean(errors: &[FilledError]) -> FilledError {
+    let mean = |of: fn(&FilledError) -> f64| {
+        let values: Vec<f64> = errors.iter().map(of).filter(|v| !v.is_nan()).collect();
+        values.iter().sum::<f64>() / values.len() as f64
+    };
+    FilledError {
+        psnr_db: mean(|e| e.psnr_db),
+        mean_abs: mean(|e| e.mean_abs),
+        median_abs: mean(|e| e.median_abs),
+        filled: mean(|e| e.filled),
+    }
+}
+
+/// Ground truth at the size of the maps.
+struct TrueMaps {
+    color: Vec<[u8; 3]>,
+    depth_m: Vec<f32>,
+    class: Vec<u8>,
+    instance: Vec<u32>,
+}
+
+impl TrueMaps {
+    /// Reduces ground truth like the maps.
+    fn new(seen: &GroundTruthView, to: ImageSize) -> Self {
+        let from = ImageSize { height: seen.image.height(), width: seen.image.width() };
+        let color: Vec<[u8; 3]> = seen.image.pixels().map(|p| p.0).collect();
+        Self {
+            color: reduce::bilinear(&color, from, to),
+            depth_m: reduce::nearest(&seen.depth_m, from, to),
+            class: reduce::nearest(&seen.class, from, to),
+            instance: reduce::nearest(&seen.instance, from, to),
+        }
+    }
+}
+
+impl Measurement<'_> {
+    /// Adds a frame's images to a row.
+    pub(super) fn add(
+        &self,
+        rasterizer: &mut dyn Rasterizer,
+        frame: usize,
+        row: &mut Measured,
+    ) -> anyhow::Result<()> {
+        let log = self.town.log();
+        let offset = self.offset(frame, row);
+        let state = state_of_frame(log, frame, offset).ok_or_else(|| {
+            anyhow::anyhow!("expected frame {frame} in log {}, found none", log.shown_name())
+        })?;
+        let views: Vec<View> = state.cameras.iter().map(|c| self.options.drawn_view(&c.view)).collect();
+        let truth: Vec<TrueMaps> = self
+            .town
+            .truth(state.t_us, &views)?
+            .iter()
+            .zip(&state.cameras)
+            .map(|(seen, camera)| TrueMaps::new(seen, self.options.written_size(&camera.view)))
+            .collect();
+        let near = near_cars(&state);
+        for (masks, sums) in Masks::ALL.into_iter().zip(&mut row.masks) {
+            let of_masks = MapSet::of(&[MapKind::Class, MapKind::Instance]);
+            let maps = if masks == Masks::Rendered { self.options.maps } else { of_masks };
+            let options = ConditionOptions { maps, ..self.options.clone() };
+            let instances = self.stage.instances(&state, &masks.selection());
+            let set = conditions::render(rasterizer, &instances, &state, &options)?;
+            for (map, truth) in set.cameras.iter().zip(&truth) {
+                sums.add(map, truth, &near);
+                if let Some(color) = &map.color {
+                    row.color.push(compare_filled(color, &truth.color));
+                }
+                if let Some(depth_m) = &map.depth_m {
+                    row.depth.add(depth_m, &truth.depth_m);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the ego offset: to the right, or to the left if only that is on a lane.
+    fn offset(&self, frame: usize, row: &mut Measured) -> EgoOffset {
+        match row.pose {
+            Pose::Logged => EgoOffset::default(),
+            Pose::Turned(deg) => EgoOffset { yaw_rad: deg.to_radians(), ..EgoOffset::default() },
+            Pose::Beside(m) => {
+                let (right, left) = (
+                    EgoOffset { y_m: -m, ..EgoOffset::default() },
+                    EgoOffset { y_m: m, ..EgoOffset::default() },
+                );
+                if !self.is_on_lane(frame, right) && self.is_on_lane(frame, left) {
+                    row.to_the_left += 1;
+                    return left;
+                }
+                right
+            }
+        }
+    }
+
+    fn is_on_lane(&self, frame: usize, offset: EgoOffset) -> bool {
+        let Some(frame) = self.town.log().frames.get(frame) else { return false };
+        let at = (frame.global_from_ego * offset.pose()).transform_point(DVec3::ZERO).truncate();
+        let lanes = self.map.into_iter().flat_map(|map| map.lanes.iter().chain(&map.lane_connectors));
+        lanes.map(|lane| &lane.outline).any(|area| is_within(area, at))
+    }
+}
+
+/// Returns whether each actor is a nearby car, indexed by instance number; number 0 is the background.
+fn near_cars(state: &SceneState) -> Vec<bool> {
+    let ego = state.global_from_ego.translation;
+    let near = state.actors.iter().map(|actor| {
+        let away_m = actor.cuboid.pose.translation.distance(ego);
+        actor.class == Class::MotorVehicle && actor.category == "vehicle.car" && away_m < NEAR_M
+    });
+    std::iter::once(false).chain(near).collect()
+}
+
+/// Returns whether a point lies inside an area's outline (even-odd rule).
+fn is_within(area: &Area, at: DVec2) -> bool {
+    let ring = &area.exterior;
+    let crosses = |i: usize| {
+        let (a, b) = (ring[i], ring[(i + 1) % ring.len()]);
+        (a.y > at.y) != (b.y > at.y) && at.x < a.x + (at.y - a.y) / (b.y - a.y) * (b.x - a.x)
+    };
+    (0..ring.len()).filter(|i| crosses(*i)).count() % 2 == 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn truth() -> GroundTruthView {
+        let (class, instance) = (vec![0, 1, 1, 2, 0, 3, 4, 1], vec![0, 1, 2, 3, 0, 4, 5, 1]);
+        let image = image::RgbImage::from_fn(4, 2, |x, y| image::Rgb([10 + x as u8, 20 + y as u8, 30]));
+        GroundTruthView { image, depth_m: (1..9).map(|i| i as f32).collect(), class, instance }
+    }
+
+    /// Ground truth against itself: every IoU is 1, color and depth errors are 0.
+    #[test]
+    fn truth_is_true() {
+        let seen = truth();
+        let maps = TrueMaps::new(&seen, ImageSize { height: 2, width: 4 });
+        let map = CameraConditions {
+            class: Some(seen.class.clone()),
+            instance: Some(seen.instance.clone()),
+            ..CameraConditions::default()
+        };
+        let mut sums = MaskSums::default();
+        sums.add(&map, &maps, &[false, true, true]);
+        let row = sums.row();
+        assert!(row.classes.values().all(|iou| *iou == Some(1.0)) && row.near_cars == Some(1.0));
+        let color: Vec<[u8; 3]> = seen.image.pixels().map(|p| p.0).collect();
+        let mut measured = Measured::new(Pose::Logged);
+        measured.color.push(compare_filled(&color, &maps.color));
+        measured.depth.add(&seen.depth_m, &maps.depth_m);
+        let summary = measured.summary();
+        assert_eq!((summary.color.psnr_db, summary.color.filled), (f64::INFINITY, 1.0));
+        assert_eq!(summary.depth.map(|d| (d.pixels, d.p95_m)), Some((8, 0.0)));
+    }
+
+    /// One pixel of the near car has the number of the far one, and one pedestrian is missing.
+    #[test]
+    fn masks_by_hand() {
+        let maps = TrueMaps::new(&truth(), ImageSize { height: 2, width: 4 });
+        let map = CameraConditions {
+            class: Some(vec![0, 1, 1, 0, 1, 3, 4, 1]),
+            instance: Some(vec![0, 2, 2, 0, 1, 4, 5, 1]),
+            ..CameraConditions::default()
+        };
+        let mut sums = MaskSums::default();
+        sums.add(&map, &maps, &[false, true]);
+        let row = sums.row();
+        let ious: Vec<Option<f64>> = CLASS_NAMES.iter().map(|name| row.classes[name]).collect();
+        assert_eq!(ious, [Some(0.75), Some(0.0), Some(1.0), Some(1.0)]);
+        assert_eq!(row.near_cars, Some(1.0 / 3.0));
+    }
+
+    #[test]
+    fn a_point_is_within_an_area_or_not() {
+        let corners = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [2.0, 1.0], [0.0, 4.0]];
+        let area = Area { exterior: corners.map(DVec2::from).to_vec(), holes: Vec::new() };
+        let within = |x, y| is_within(&area, DVec2::new(x, y));
+        assert!(within(1.0, 0.5) && within(0.5, 2.5) && within(3.5, 2.5));
+        assert!(!within(2.0, 2.5) && !within(-1.0, 1.0) && !within(5.0, 1.0) && !within(2.0, -0.1));
+    }
+}

@@ -1,0 +1,133 @@
+//! `pskel fidelity`: compares condition maps of the synthetic town with ground truth, at and beside the recorded
+//! poses. [`measure`] compares, [`table`] formats.
+
+mod measure;
+mod table;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use clap::Args;
+
+use self::measure::{Measured, Measurement, Pose};
+use super::log_args;
+use super::numbers::FrameRange;
+use super::progress::Progress;
+use super::rasterizer::RasterizerArgs;
+use super::render::open_skeleton;
+use super::stand_ins::SubstituteArgs;
+use super::{WrongUsage, say};
+use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
+use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
+use point_skeleton::error::FileError;
+use point_skeleton::files::{check_output_file, write_json, write_whole};
+use crate::logs;
+use point_skeleton::raster::SplatSchedule;
+use point_skeleton::scene::SceneClouds;
+
+/// Measure the fidelity of condition maps: those of the synthetic town against its ground truth
+///
+/// Every frame is rendered from the recorded pose, from 0.5, 1, 2 and 3.5 m beside it, and rotated by 5, 10 and 20
+/// degrees. Color is compared on filled pixels, depth where both have one, masks by class. Offsets are to the right,
+/// or to the left if only that is on a lane.
+#[derive(Debug, Args)]
+pub(super) struct FidelityArgs {
+    /// Synthetic town: town:seed=7,frames=40[,..]
+    #[arg(value_parser = log_args::log)]
+    log: LogLocator,
+    /// Skeleton that was built from the town
+    #[arg(long, value_name = "SKEL")]
+    skeleton: PathBuf,
+    /// Range of frames, numbered from 0 in log order, B excluded [default: all]
+    #[arg(long, value_name = "A..B")]
+    frames: Option<FrameRange>,
+    /// Render at this size; scales the intrinsics [default: the size of the cameras]
+    #[arg(long, value_name = "HxW")]
+    size: Option<ImageSize>,
+    /// Reduce maps and ground truth to this size after rendering [default: no reduction]
+    #[arg(long, value_name = "HxW")]
+    out_size: Option<ImageSize>,
+    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z are
+    /// culled
+    #[arg(long, value_name = "Z:R,..", default_value_t)]
+    splat: SplatSchedule,
+    #[command(flatten)]
+    stand_ins: SubstituteArgs,
+    #[command(flatten)]
+    rasterizer: RasterizerArgs,
+    /// Write all numbers as JSON
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Write the table as CSV
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Write the table as Markdown
+    #[arg(long, value_name = "FILE")]
+    markdown: Option<PathBuf>,
+}
+
+/// Runs the command: renders, compares, prints the table.
+pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    if args.log.format != LogFormat::Town {
+        let message = format!("expected a log town:.., of which the truth is known, found {}", args.log);
+        return Err(WrongUsage(message).into());
+    }
+    for out in [&args.json, &args.csv, &args.markdown].into_iter().flatten() {
+        check_output_file(out, [])?;
+    }
+    let town = logs::open_town(&args.log)?;
+    let skeleton = open_skeleton(&args.skeleton, &town)?;
+    let frames = FrameRange::of(args.frames, town.log().frames.len())?;
+    let (stand_ins, _) = args.stand_ins.make(&skeleton, &town.log().name)?;
+    let stage = SceneClouds::with(&skeleton, &town.log().name, &stand_ins)?;
+    let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
+    let map = town.read_map()?.map(Arc::new);
+    let measurement =
+        Measurement { town: &town, stage: &stage, options: args.options(), map: map.as_deref() };
+    let poses = Pose::all();
+    let mut progress = Progress::new(poses.len() * frames.len());
+    let mut rows = Vec::new();
+    for pose in poses {
+        let mut row = Measured::new(pose);
+        for frame in frames.clone() {
+            measurement.add(rasterizer.as_mut(), frame, &mut row)?;
+            progress.step(&format!("{}, frame {frame:06}", row.name));
+        }
+        rows.push(row.summary());
+    }
+    drop(progress);
+    let cells = table::cells(&rows);
+    if let Some(path) = &args.json {
+        write_json(path, &table::json(town.log(), &frames, &measurement.options, &rows))?;
+    }
+    write_text(args.csv.as_deref(), &table::csv(&cells))?;
+    write_text(args.markdown.as_deref(), &table::markdown(&cells))?;
+    say(table::aligned(&cells).trim_end());
+    let (count, seconds) = (rows.iter().map(|row| row.images).sum::<usize>(), start.elapsed().as_secs_f64());
+    say(&format!(
+        "compared {count} images of {} in {seconds:.2} s: {}",
+        town.log().name,
+        args.skeleton.display()
+    ));
+    Ok(())
+}
+
+fn write_text(path: Option<&std::path::Path>, text: &str) -> Result<(), FileError> {
+    use std::io::Write;
+    let Some(path) = path else { return Ok(()) };
+    write_whole(path, |out| out.write_all(text.as_bytes()).map_err(FileError::io("write", path)))
+}
+
+impl FidelityArgs {
+    fn options(&self) -> ConditionOptions {
+        ConditionOptions {
+            maps: MapSet::of(&[MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Instance]),
+            splat: self.splat.clone(),
+            size: self.size,
+            out_size: self.out_size,
+            ..ConditionOptions::default()
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! Text formats of the table.
+
+use std::ops::Range;
+
+use serde_json::{Value, json};
+
+use super::measure::{MaskRow, Row};
+use point_skeleton::conditions::ConditionOptions;
+use point_skeleton::dataset::Log;
+
+const HEADER: [&str; 14] = [
+    "pose",
+    "images",
+    "PSNR (dB)",
+    "filled (%)",
+    "depth median (m)",
+    "depth 95 % (m)",
+    "depth median (%)",
+    "depth 95 % (%)",
+    "IoU vehicles",
+    "IoU people",
+    "IoU cycles",
+    "IoU cars < 40 m",
+    "same, templates only",
+    "same, own points only",
+];
+
+/// Returns the cells of header and rows.
+pub(super) fn cells(rows: &[Row]) -> Vec<Vec<String>> {
+    let header = HEADER.map(str::to_owned).to_vec();
+    std::iter::once(header).chain(rows.iter().map(row)).collect()
+}
+
+fn row(row: &Row) -> Vec<String> {
+    let iou = |masks: &MaskRow, class: &str| number(masks.classes.get(class).copied().flatten(), 3);
+    let near = |masks: &MaskRow| number(masks.near_cars, 3);
+    let depth = |of: fn(&pskel_eval::DepthSummary) -> f32| row.depth.as_ref().map(|d| f64::from(of(d)));
+    vec![
+        row.pose.clone(),
+        row.images.to_string(),
+        number(Some(row.color.psnr_db).filter(|v| !v.is_nan()), 2),
+        number(Some(100.0 * row.color.filled).filter(|v| !v.is_nan()), 1),
+        number(depth(|d| d.median_m), 3),
+        number(depth(|d| d.p95_m), 2),
+        number(depth(|d| 100.0 * d.median_relative), 2),
+        number(depth(|d| 100.0 * d.p95_relative), 1),
+        iou(&row.rendered, "motor_vehicle"),
+        iou(&row.rendered, "pedestrian"),
+        iou(&row.rendered, "cycle"),
+        near(&row.rendered),
+        near(&row.templates),
+        near(&row.own_points),
+    ]
+}
+
+/// Formats a number, or a dash for `None`.
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
+}
+
+pub(super) fn csv(cells: &[Vec<String>]) -> String {
+    cells.iter().map(|row| row.join(",") + "\n").collect()
+}
+
+pub(super) fn markdown(cells: &[Vec<String>]) -> String {
+    let line = |row: &Vec<String>| format!("| {} |\n", row.join(" | "));
+    let Some((header, rows)) = cells.split_first() else { return String::new() };
+    let rule = format!("|{}\n", "---|".repeat(header.len()));
+    line(header) + &rule + &rows.iter().map(line).collect::<String>()
+}
+
+/// Aligns cells in columns for the terminal.
+pub(super) fn aligned(cells: &[Vec<String>]) -> String {
+    let columns = cells.first().map_or(0, Vec::len);
+    let width = |column: usize| cells.iter().map(|row| row[column].len()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..columns).map(width).collect();
+    let line = |row: &Vec<String>| {
+        let cell = |(text, width): (&String, &usize)| format!("{text:>width$}", width = *width);
+        row.iter().zip(&widths).map(cell).collect::<Vec<_>>().join("  ") + "\n"
+    };
+    cells.iter().map(line).collect()
+}
+
+/// Formats all numbers as JSON.
+pub(super) fn json(log: &Log, frames: &Range<usize>, options: &ConditionOptions, rows: &[Row]) -> Value {
+    json!({
+        "log": log.name,
+        "description": log.description,
+        "frames": [frames.start, frames.end],
+        "options": options,
+        "poses": rows,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tables_have_all_cells() {
+        let cells = vec![vec!["a".to_owned(), "bcd".to_owned()], vec!["ef".to_owned(), "1".to_owned()]];
+        assert_eq!(csv(&cells), "a,bcd\nef,1\n");
+        assert_eq!(markdown(&cells), "| a | bcd |\n|---|---|\n| ef | 1 |\n");
+        assert_eq!(aligned(&cells), " a  bcd\nef    1\n");
+        assert_eq!(
+            [number(Some(1.25), 1), number(None, 2), number(Some(f64::INFINITY), 2)],
+            ["1.2", "-", "inf"]
+        );
+    }
+}

@@ -1,0 +1,119 @@
+//! `pskel generate`: replays a log frame by frame and generates its images. It runs `pskel simulate` on the log's own
+//! frames; [`dataset`] writes the images back into a copy of the data set.
+
+mod dataset;
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::generator::{GeneratorArgs, NetworkName};
+use super::log_args::{self, LogRoots};
+use super::map_args::MapArgs;
+use super::rasterizer::RasterizerArgs;
+use super::simulate::{self, OpenLoop, SimulateArgs};
+use super::stand_ins::SubstituteArgs;
+use super::{WrongUsage, say};
+use point_skeleton::dataset::{LogFormat, LogLocator};
+
+/// Regenerate the images of a log from its conditions: ego and actors follow the log
+///
+/// Writes a rollout like that of `pskel simulate` with one step per frame: steps/STEP with the maps,
+/// generated/CAM.png and truth/CAM.png, index.html, a page that plays it, and rollout.mp4. The first frames are
+/// references, which are ground-truth images.
+#[derive(Debug, Args)]
+pub(super) struct GenerateArgs {
+    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    #[arg(value_parser = log_args::log)]
+    log: LogLocator,
+    #[command(flatten)]
+    roots: LogRoots,
+    /// Skeleton that was built from the recording
+    #[arg(long, value_name = "SKEL")]
+    skeleton: PathBuf,
+    /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
+    out: PathBuf,
+    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, or process:COMMAND,
+    /// process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md). Map options apply to the written maps; the
+    /// network's conditions are rendered as in its training
+    #[arg(long, value_name = "NETWORK", default_value = "network")]
+    generator: NetworkName,
+    /// Number of steps [default: to the end of the log]
+    #[arg(long, value_name = "N", default_value_t = usize::MAX, hide_default_value = true)]
+    steps: usize,
+    /// Generate every N-th frame [default: the N closest to 2 frames per second for nuScenes, 5 for other logs]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    every: Option<u16>,
+    /// Start at the first frame at or after this time, absolute microseconds [default: the log's first frame]
+    #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
+    start: Option<i64>,
+    /// Also write a copy of the data set (nuScenes) with the generated images, enlarged to the original size; all
+    /// other files are links to the original. A new or empty folder, or an earlier copy, which is replaced
+    #[arg(long, value_name = "DIR")]
+    dataset: Option<PathBuf>,
+    #[command(flatten)]
+    maps: MapArgs,
+    /// Continue the rollout in --out after its last step, with the same log, skeleton and options; --steps,
+    /// --generator-timeout, --profile and the rasterizer may change
+    #[arg(long)]
+    resume: bool,
+    /// Continue after this step; later ones are generated again
+    #[arg(long, value_name = "STEP")]
+    resume_from: Option<usize>,
+    /// Write the times of all steps and stages to this file
+    #[arg(long, value_name = "F.json")]
+    profile: Option<PathBuf>,
+    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
+    #[arg(long, value_name = "F.json")]
+    annotations: Option<PathBuf>,
+    #[command(flatten)]
+    stand_ins: SubstituteArgs,
+    #[command(flatten)]
+    rasterizer: RasterizerArgs,
+    #[command(flatten, next_help_heading = "Options of the generator")]
+    generating: GeneratorArgs,
+}
+
+/// Runs the command: generates the rollout, then writes the copy of the data set.
+pub(super) fn run(args: GenerateArgs) -> anyhow::Result<()> {
+    if args.dataset.is_some() && args.log.format != LogFormat::NuScenes {
+        let message = format!("expected a log nuscenes:.. with --dataset, found {}", args.log);
+        return Err(WrongUsage(message).into());
+    }
+    if let Some(folder) = &args.dataset {
+        dataset::check(folder)?;
+    }
+    let (log, roots, out, back) =
+        (args.log.clone(), args.roots.clone(), args.out.clone(), args.dataset.clone());
+    simulate::run(args.simulation())?;
+    if let Some(folder) = back {
+        let dataset = roots.open(&log)?;
+        let counts = dataset::write(&log.path, dataset.log(), &out, &folder)?;
+        say(&format!("{} images replaced, {} kept: {}", counts.replaced, counts.kept, folder.display()));
+    }
+    Ok(())
+}
+
+impl GenerateArgs {
+    fn simulation(self) -> SimulateArgs {
+        SimulateArgs::open_loop(OpenLoop {
+            log: self.log,
+            roots: self.roots,
+            skeleton: self.skeleton,
+            out: self.out,
+            generator: self.generator,
+            generating: self.generating,
+            steps: self.steps,
+            every: self.every.map(usize::from),
+            start: self.start,
+            maps: self.maps,
+            resume: self.resume,
+            resume_from: self.resume_from,
+            profile: self.profile,
+            annotations: self.annotations,
+            stand_ins: self.stand_ins,
+            rasterizer: self.rasterizer,
+        })
+    }
+}

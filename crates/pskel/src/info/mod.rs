@@ -1,0 +1,93 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use clap::Args;
+use serde_json::Value;
+
+use super::log_args::LogRoots;
+use super::{WrongUsage, say};
+use point_skeleton::files::input::is_taken;
+use crate::logs;
+use point_skeleton::skeleton::{Skeleton, TemplateLibrary};
+
+mod file;
+mod log;
+mod skeleton;
+mod templates;
+mod verify;
+
+pub(super) use skeleton::dropped;
+
+/// Describe a log, a skeleton or a file, and report missing or damaged parts
+///
+/// Of a log, the tables are read completely; of sweeps and images, only sizes and headers.
+#[derive(Debug, Args)]
+pub(super) struct InfoArgs {
+    /// FORMAT:PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather,
+    /// .npy, .ply, .json cameras, JPEG, PNG)
+    #[arg(value_name = "LOG|SKELETON|FILE")]
+    target: String,
+    #[command(flatten)]
+    roots: LogRoots,
+    /// Print one JSON object instead of text
+    #[arg(long)]
+    json: bool,
+    /// Read all points of a skeleton or of templates and compare them with their checksums; fails if any differ
+    #[arg(long)]
+    verify: bool,
+}
+
+/// Runs the command: describes the target. Damage is reported and is an error only with --verify.
+pub(super) fn run(args: InfoArgs) -> anyhow::Result<()> {
+    let verified = args.verify.then(|| verify::verify(&args.target)).transpose()?;
+    let (mut json, mut text) = describe(&args.target, &args.roots)?;
+    if let Some(verified) = &verified {
+        json["verified"] = verified.json();
+        text.push_str(&verified.text());
+    }
+    if args.json {
+        say(&serde_json::to_string_pretty(&json)?);
+    } else {
+        say(text.trim_end());
+    }
+    verified.map_or(Ok(()), |verified| verified.result(&args.target))
+}
+
+fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
+    let path = PathBuf::from(target);
+    if Skeleton::is_at(&path) {
+        let skeleton = Skeleton::open(&path)?;
+        return Ok((skeleton::describe(&skeleton), skeleton::text(&skeleton)));
+    }
+    if TemplateLibrary::is_at(&path) {
+        let library = TemplateLibrary::open(&path)?;
+        return Ok((templates::describe(&library, &path), templates::text(&library, &path)));
+    }
+    if is_taken(&path) && !path.is_dir() {
+        let json = file::describe(&path)?;
+        return Ok((json.clone(), as_lines(&json)));
+    }
+    if target.contains(':') && !path.exists() {
+        let locator = logs::locate(target).map_err(|error| WrongUsage(error.to_string()))?;
+        let log = roots.open(&locator)?;
+        let json = log::describe(log.as_ref());
+        return Ok((json.clone(), log::text(&json)));
+    }
+    let found = what_is_there(&path);
+    bail!(
+        "expected a log (FORMAT:PATH, like nuscenes:PATH or town:), a skeleton's folder or a file, found {found}: {target}"
+    )
+}
+
+fn what_is_there(path: &Path) -> &'static str {
+    if path.is_dir() { "another folder" } else { "nothing" }
+}
+
+/// Formats an object as aligned lines `key value`.
+fn as_lines(json: &Value) -> String {
+    let line = |(key, value): (&String, &Value)| match value {
+        Value::String(text) => format!("{key:<12} {text}\n"),
+        other => format!("{key:<12} {other}\n"),
+    };
+    json.as_object().map(|object| object.iter().map(line).collect()).unwrap_or_default()
+}

@@ -1,0 +1,162 @@
+//! The command line: one module per subcommand, and the only part that prints to the user.
+//!
+//! # How it works
+//! [`main`] parses the arguments, runs the subcommand and converts its result into an exit code: 0 success, 1
+//! failure, 2 wrong usage. Progress and errors go to stderr, the summary line to stdout.
+
+mod ablate;
+mod bench;
+mod build;
+mod convert;
+mod evaluate;
+mod fidelity;
+mod generate;
+mod generator;
+mod info;
+mod log_args;
+pub mod logs;
+mod map_args;
+mod numbers;
+mod progress;
+mod rasterizer;
+mod render;
+mod signals;
+mod simulate;
+mod splat;
+mod stand_ins;
+mod templates;
+mod terminal;
+mod threads;
+mod town;
+mod train;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::Context;
+use clap::{Parser, Subcommand};
+
+use self::terminal::{say, tell, warn};
+
+/// Converts driving recordings into camera conditions: color, metric depth, class, instance and layout maps.
+#[derive(Debug, Parser)]
+#[command(name = "pskel", version, max_term_width = 110)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Info(info::InfoArgs),
+    Build(build::BuildArgs),
+    Render(Box<render::RenderArgs>),
+    Simulate(Box<simulate::SimulateArgs>),
+    Splat(splat::SplatArgs),
+    Convert(convert::ConvertArgs),
+    Templates(templates::TemplatesArgs),
+    Bench(Box<bench::BenchArgs>),
+    Town(town::TownArgs),
+    Fidelity(Box<fidelity::FidelityArgs>),
+    Train(train::TrainArgs),
+    Generate(Box<generate::GenerateArgs>),
+    Evaluate(evaluate::EvaluateArgs),
+    Ablate(ablate::AblateArgs),
+}
+
+impl Command {
+    fn run(self) -> anyhow::Result<()> {
+        match self {
+            Self::Info(args) => info::run(args),
+            Self::Build(args) => build::run(args),
+            Self::Render(args) => render::run(*args),
+            Self::Simulate(args) => simulate::run(*args),
+            Self::Splat(args) => splat::run(args),
+            Self::Convert(args) => convert::run(args),
+            Self::Templates(args) => templates::run(&args),
+            Self::Bench(args) => bench::run(&args),
+            Self::Town(args) => town::run(&args),
+            Self::Fidelity(args) => fidelity::run(&args),
+            Self::Train(args) => train::run(&args),
+            Self::Generate(args) => generate::run(*args),
+            Self::Evaluate(args) => evaluate::run(&args),
+            Self::Ablate(args) => ablate::run(&args),
+        }
+    }
+}
+
+/// Runs the command line `args` (the program's name first).
+pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
+    let cli = match Cli::try_parse_from(args) {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help and version are also reported as errors, with exit code 0.
+            terminal::note(error.print());
+            return match terminal::check() {
+                Ok(()) => ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2)),
+                Err(_) => ExitCode::FAILURE,
+            };
+        }
+    };
+    let done = prepare().and_then(|()| cli.command.run()).and_then(|()| terminal::check());
+    signals::wait_if_stopping();
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            terminal::tell(&format!("error: {}", with_causes(&error)));
+            if error.is::<WrongUsage>() { ExitCode::from(2) } else { ExitCode::FAILURE }
+        }
+    }
+}
+
+/// Invalid combination of options that the parser cannot detect.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct WrongUsage(String);
+
+/// Sets up the process before any command.
+fn prepare() -> anyhow::Result<()> {
+    threads::check_environment()?;
+    survive_file_limits()?;
+    signals::install().context("cannot handle signals")
+}
+
+/// Makes a write beyond the file size limit return an error, which names the file and cleans up, instead of killing
+/// the process.
+fn survive_file_limits() -> anyhow::Result<()> {
+    let seen = Arc::new(AtomicBool::new(false));
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, seen).context("cannot handle SIGXFSZ")?;
+    Ok(())
+}
+
+/// Formats an error with its causes, except causes that are already part of the text.
+fn with_causes(error: &anyhow::Error) -> String {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !text.contains(&cause) {
+            text = format!("{text}\n  caused by: {cause}");
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory;
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn causes_are_told_once() {
+        let file =
+            point_skeleton::error::FileError::io("read", std::path::Path::new("a"))(std::io::Error::other("gone"));
+        let error = anyhow::Error::new(file).context("no points");
+        assert_eq!(with_causes(&error), "no points\n  caused by: cannot read: gone: a");
+    }
+}

@@ -1,0 +1,59 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
+
+use super::WrongUsage;
+use point_skeleton::dataset::{Dataset, DatasetError, LogFormat, LogLocator};
+use point_skeleton::files::resolved_output;
+use crate::logs;
+
+/// Locations of the parts of a data set.
+#[derive(Clone, Debug, Default, Args)]
+pub(super) struct LogRoots {
+    /// Folder of sweeps and images, if not in the data set's usual place
+    #[arg(long, value_name = "DIR")]
+    sensor_root: Option<PathBuf>,
+    /// Folder of maps, if not in the data set's usual place
+    #[arg(long, value_name = "DIR")]
+    map_root: Option<PathBuf>,
+    /// Also read files outside the data set's folder that it names by absolute paths or by paths with "..": only for
+    /// data sets from trusted sources
+    #[arg(long)]
+    allow_outside: bool,
+}
+
+/// Argument parser for the name of a log.
+pub(super) fn log(text: &str) -> Result<LogLocator, DatasetError> {
+    logs::locate(text)
+}
+
+/// Argument parser for an output folder.
+pub(super) fn output_folder() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().map(resolved_output)
+}
+
+/// Checks that all logs are distinct synthetic towns, for commands that need ground truth.
+pub(super) fn check_towns(logs: &[LogLocator]) -> Result<(), WrongUsage> {
+    if let Some(other) = logs.iter().find(|log| log.format != LogFormat::Town) {
+        let message = format!("expected logs town:.., of which the truth is known, found {other}");
+        return Err(WrongUsage(message));
+    }
+    match logs.iter().enumerate().find(|(place, log)| logs[..*place].contains(log)) {
+        None => Ok(()),
+        Some((_, log)) => Err(WrongUsage(format!("expected each log once, found {log} again"))),
+    }
+}
+
+impl LogRoots {
+    /// Adds these folders and the permission for outside files to the name of a log.
+    pub(super) fn locate(&self, log: &LogLocator) -> LogLocator {
+        let (sensor_root, map_root) = (self.sensor_root.clone(), self.map_root.clone());
+        LogLocator { sensor_root, map_root, allow_outside: self.allow_outside, ..log.clone() }
+    }
+
+    /// Opens a log.
+    pub(super) fn open(&self, log: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
+        logs::open(&self.locate(log))
+    }
+}

@@ -1,0 +1,80 @@
+//! Access to logs of all formats by locator: recorded logs and the built-in synthetic town.
+
+use point_skeleton::dataset::{Dataset, DatasetError, LogFormat, LogLocator, av2, nuplan, nuscenes};
+use point_skeleton::error::FileError;
+use pskel_town::{Town, TownOptions};
+
+/// Parses a log locator, `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. No file is opened.
+///
+/// # Errors
+/// Fails if the text has another form or the town does not support an option.
+pub fn locate(text: &str) -> Result<LogLocator, DatasetError> {
+    let locator: LogLocator = text.parse()?;
+    if locator.format == LogFormat::Town {
+        town_options(&locator)?;
+    }
+    Ok(locator)
+}
+
+/// Returns the logs that a locator refers to, in order: the locator itself unless it names a set of logs.
+///
+/// # Errors
+/// Fails if the set is empty or its index cannot be read.
+pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
+    match locator.format {
+        LogFormat::NuScenes => nuscenes::expand(locator),
+        LogFormat::Argoverse => av2::expand(locator),
+        LogFormat::NuPlan | LogFormat::NuPlanSimgen => nuplan::expand(locator),
+        LogFormat::Town => Ok(vec![locator.clone()]),
+    }
+}
+
+/// Opens the log that a locator names.
+///
+/// # Errors
+/// Fails if the locator is invalid. Returns any error of the format's reader.
+pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
+    match locator.format {
+        LogFormat::NuScenes => Ok(Box::new(nuscenes::NuScenes::open(locator)?)),
+        LogFormat::Argoverse => Ok(Box::new(av2::Argoverse::open(locator)?)),
+        LogFormat::NuPlan | LogFormat::NuPlanSimgen => Ok(Box::new(nuplan::NuPlan::open(locator)?)),
+        LogFormat::Town => Ok(Box::new(open_town(locator)?)),
+    }
+}
+
+/// Opens the built-in synthetic town, which provides ground truth in addition to a log.
+///
+/// # Errors
+/// Fails if the locator has another format, names a folder of sensors or maps, or has invalid options.
+pub fn open_town(locator: &LogLocator) -> Result<Town, DatasetError> {
+    Ok(Town::new(&town_options(locator)?)?)
+}
+
+fn town_options(locator: &LogLocator) -> Result<TownOptions, DatasetError> {
+    if locator.format != LogFormat::Town {
+        return Err(
+            FileError::content("the built-in town (town:OPTIONS)", "another log", &locator.path).into()
+        );
+    }
+    if let Some(root) = locator.sensor_root.as_deref().or(locator.map_root.as_deref()) {
+        let found = "a folder of sensors or maps";
+        return Err(FileError::content("no folders with the town, which has no files", found, root).into());
+    }
+    Ok(locator.path.to_string_lossy().parse::<TownOptions>()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_town_is_located_by_options_it_has() {
+        assert_eq!(locate("town:seed=3").unwrap().format, LogFormat::Town);
+        let message = locate("town:seed=3,color=red").unwrap_err().to_string();
+        assert!(message.contains("expected the options") && message.contains("color"), "{message}");
+        assert!(locate("nuscenes:a").is_ok() && locate("village:a").is_err());
+        assert!(open_town(&locate("nuscenes:a").unwrap()).is_err());
+        let rooted = LogLocator { map_root: Some("maps".into()), ..locate("town:").unwrap() };
+        assert!(open(&rooted).err().unwrap().to_string().ends_with(": maps"));
+    }
+}

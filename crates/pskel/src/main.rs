@@ -1,0 +1,12 @@
+//! Entry point of the command `pskel`.
+
+use std::process::ExitCode;
+
+use mimalloc::MiMalloc;
+
+#[global_allocator]
+static ALLOCATOR: MiMalloc = MiMalloc;
+
+fn main() -> ExitCode {
+    pskel::main(std::env::args_os())
+}

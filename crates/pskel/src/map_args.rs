@@ -1,0 +1,149 @@
+use std::path::Path;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::WrongUsage;
+use super::numbers;
+use point_skeleton::conditions::{
+    BinScale, ColorFilter, ConditionError, ConditionOptions, ConditionSet, DepthBins, DepthEmbedding,
+    ImageSize, MapKind, MapSet, Occlusion, exr, npz, png, safetensors,
+};
+use point_skeleton::raster::SplatSchedule;
+use point_skeleton::scene::{SelectionOptions, TemplateFit};
+
+/// Options of condition maps, shared by all commands that render a log.
+#[derive(Clone, Debug, Args)]
+pub(super) struct MapArgs {
+    /// Maps to render: color, depth, class, instance, boxes, map (the log's HD map), point (point numbers), and
+    /// tensor (network inputs; npz and safetensors only) [default: color,depth,class,instance,boxes, and map if the
+    /// log has one]
+    #[arg(long, value_name = "MAP,..")]
+    pub(super) maps: Option<MapSet>,
+    /// Files: png (depth as 16-bit bins); exr, npz or safetensors (depth in meters, -300 where empty)
+    #[arg(long, value_enum, default_value = "png")]
+    pub(super) format: MapFormat,
+    /// Render at this size; scales the intrinsics [default: the size of the cameras]
+    #[arg(long, value_name = "HxW")]
+    pub(super) size: Option<ImageSize>,
+    /// Reduce the maps to this size after rendering [default: no reduction]
+    #[arg(long, value_name = "HxW")]
+    pub(super) out_size: Option<ImageSize>,
+    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z are
+    /// culled
+    #[arg(long, value_name = "Z:R,..", default_value_t)]
+    pub(super) splat: SplatSchedule,
+    /// Use points up to this distance from the ego along x and y of the log's frame, meters
+    #[arg(long, value_name = "M", default_value = "100", value_parser = numbers::distance_m)]
+    #[arg(allow_negative_numbers = true)]
+    pub(super) radius: f64,
+    /// Scale of the depth bins in depth.png, the contact sheet and the tensor
+    #[arg(long, value_enum, default_value = "linear")]
+    pub(super) depth_bins: BinScale,
+    /// Depth in the tensor: metric values (continuous), their sines and cosines (discrete), or both
+    #[arg(long, value_enum, default_value = "continuous")]
+    pub(super) depth_embedding: DepthEmbedding,
+    /// End of the last depth bin, meters [default: --radius]
+    #[arg(long, value_name = "M", value_parser = numbers::distance_m, allow_negative_numbers = true)]
+    pub(super) far: Option<f64>,
+    /// Occluders of actors in class and instance maps: the whole scene, or only other actors
+    #[arg(long, value_enum, default_value = "scene")]
+    pub(super) occlusion: Occlusion,
+    /// Scale templates to the actor's box, or retain their size
+    #[arg(long, value_enum, default_value = "box")]
+    pub(super) template_fit: TemplateFit,
+    /// Filter for reducing color: OpenCV's INTER_LINEAR, or the mean of the pixels that are not empty
+    #[arg(long, value_enum, default_value = "bilinear")]
+    pub(super) color_filter: ColorFilter,
+    /// Actors with more points than this are rendered with their own points in depth, class and instance maps; others
+    /// with the template of their category, if available
+    #[arg(long, value_name = "N", default_value_t = SelectionOptions::default().min_actor_points)]
+    pub(super) min_actor_points: usize,
+}
+
+/// File format of the maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum MapFormat {
+    /// A PNG per map.
+    Png,
+    /// An OpenEXR file per map.
+    Exr,
+    /// One NumPy archive per frame.
+    Npz,
+    /// One safetensors file per frame.
+    Safetensors,
+}
+
+impl MapFormat {
+    /// Writes the maps of a step into its folder.
+    pub(super) fn write(
+        self,
+        folder: &Path,
+        set: &ConditionSet,
+        t_us: i64,
+        options: &ConditionOptions,
+    ) -> Result<(), ConditionError> {
+        match self {
+            Self::Png => png::write(folder, set, &options.depth_bins)?,
+            Self::Exr => exr::write(folder, set)?,
+            Self::Npz => npz::write(&folder.join("maps.npz"), set)?,
+            Self::Safetensors => {
+                safetensors::write(&folder.join("conditions.safetensors"), set, t_us, options)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl MapArgs {
+    /// Rejects tensors in image formats.
+    pub(super) fn check(&self) -> Result<(), WrongUsage> {
+        let images = matches!(self.format, MapFormat::Png | MapFormat::Exr);
+        if images && self.asks_for(MapKind::Tensor) {
+            let found = if self.format == MapFormat::Png { "png" } else { "exr" };
+            let message = format!("expected --format npz or safetensors with --maps tensor, found {found}");
+            return Err(WrongUsage(message));
+        }
+        Ok(())
+    }
+
+    fn asks_for(&self, kind: MapKind) -> bool {
+        self.maps.is_some_and(|maps| maps.contains(kind))
+    }
+
+    /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but missing.
+    pub(super) fn kinds(&self, has_map: bool) -> Option<MapSet> {
+        match self.maps {
+            None if has_map => Some(MapSet::default().with(MapKind::Map)),
+            None => Some(MapSet::default()),
+            Some(maps) => (has_map || !maps.contains(MapKind::Map)).then_some(maps),
+        }
+    }
+
+    /// Returns whether the maps use the log's HD map.
+    pub(super) fn wants_map(&self) -> bool {
+        self.maps.is_none() || self.asks_for(MapKind::Map) || self.asks_for(MapKind::Tensor)
+    }
+
+    /// Returns the options for rendering these maps.
+    pub(super) fn conditions(&self, maps: MapSet) -> ConditionOptions {
+        let far_m = self.far.unwrap_or(self.radius) as f32;
+        ConditionOptions {
+            maps,
+            splat: self.splat.clone(),
+            radius_m: self.radius,
+            size: self.size,
+            out_size: self.out_size,
+            color_filter: self.color_filter,
+            occlusion: self.occlusion,
+            depth_bins: DepthBins { scale: self.depth_bins, far_m, ..DepthBins::default() },
+            depth_embedding: self.depth_embedding,
+        }
+    }
+
+    /// Returns the options for selecting the clouds of actors.
+    pub(super) fn selection(&self) -> SelectionOptions {
+        SelectionOptions { min_actor_points: self.min_actor_points, template_fit: self.template_fit }
+    }
+}

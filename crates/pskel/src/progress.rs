@@ -1,0 +1,128 @@
+use std::io::IsTerminal;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
+
+use super::tell;
+use point_skeleton::skeleton;
+
+/// Maximum number of lines per stage without a terminal, so that logs of long runs stay readable.
+const LINES: u64 = 10;
+
+/// Progress of a stage on stderr: a bar on a terminal, lines otherwise.
+pub(super) struct Progress {
+    bar: Option<ProgressBar>,
+    done: u64,
+    total: u64,
+    start: Instant,
+}
+
+impl Progress {
+    /// Creates the progress of a stage with `total` steps.
+    pub(super) fn new(total: usize) -> Self {
+        let total = total as u64;
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let style = ProgressStyle::with_template("{bar:40} {pos}/{len} {elapsed}, {eta} left, {msg}");
+            ProgressBar::new(total).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+        });
+        Self { bar, done: 0, total, start: Instant::now() }
+    }
+
+    /// Counts a finished step.
+    pub(super) fn step(&mut self, name: &str) {
+        self.done += 1;
+        match &self.bar {
+            Some(bar) => {
+                bar.set_message(name.to_owned());
+                bar.inc(1);
+            }
+            None if self.is_worth_a_line() => {
+                tell(&format!("[{}/{}] {name}{}", self.done, self.total, time_left(self.left())));
+            }
+            None => {}
+        }
+    }
+
+    /// Estimates the remaining time from the average time per step.
+    fn left(&self) -> Duration {
+        let rest = (self.total - self.done.min(self.total)) as f64 / self.done.max(1) as f64;
+        self.start.elapsed().mul_f64(rest)
+    }
+
+    /// Returns whether to print a line: at every step of a short stage, at each tenth of a long one.
+    fn is_worth_a_line(&self) -> bool {
+        let part = |done: u64| done * LINES / self.total.max(LINES);
+        self.total <= LINES || part(self.done) > part(self.done - 1)
+    }
+}
+
+/// Formats the remaining time; empty if it is below 10 seconds.
+fn time_left(left: Duration) -> String {
+    match left.as_secs() {
+        0..10 => String::new(),
+        seconds => format!(", {} left", HumanDuration(Duration::from_secs(seconds))),
+    }
+}
+
+/// Removes the bar.
+impl Drop for Progress {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+/// Progress of work with several stages, updated from any thread.
+#[derive(Default)]
+pub(super) struct StageProgress(Mutex<Option<(String, Progress)>>);
+
+impl StageProgress {
+    fn change(&self, change: impl FnOnce(&mut Option<(String, Progress)>)) {
+        change(&mut self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+    }
+}
+
+impl skeleton::Progress for StageProgress {
+    fn start(&self, stage: &str, steps: usize) {
+        self.change(|current| *current = Some((stage.to_owned(), Progress::new(steps))));
+    }
+
+    fn step(&self) {
+        self.change(|current| {
+            if let Some((stage, progress)) = current {
+                progress.step(stage);
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_left_follows_from_what_is_done() {
+        let start = Instant::now() - Duration::from_secs(60);
+        let progress = |done| Progress { bar: None, done, total: 40, start };
+        let left = |done| progress(done).left().as_secs();
+        assert_eq!([left(10), left(30), left(40)], [180, 20, 0]);
+        assert_eq!(time_left(Duration::from_secs(9)), "");
+        assert_eq!(time_left(Duration::from_secs(180)), ", 3 minutes left");
+    }
+
+    #[test]
+    fn long_stages_get_few_lines_and_always_the_last() {
+        for total in [1, 7, 10, 11, 38, 1000] {
+            let mut progress = Progress { bar: None, done: 0, total, start: Instant::now() };
+            let mut lines = 0;
+            for _ in 0..total {
+                progress.done += 1;
+                lines += u64::from(progress.is_worth_a_line());
+            }
+            assert!(progress.is_worth_a_line(), "{total}");
+            assert_eq!(lines, total.min(LINES), "{total}");
+        }
+    }
+}

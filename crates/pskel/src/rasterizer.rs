@@ -1,0 +1,43 @@
+use clap::Args;
+
+use super::WrongUsage;
+use point_skeleton::raster::{self, CloudSet, Rasterizer, RasterizerDesc, RasterizerKind};
+
+/// Rasterizer options, shared by all commands that render.
+#[derive(Clone, Debug, Args)]
+pub(super) struct RasterizerArgs {
+    /// Rasterizer: auto, compute (Vulkan with 64-bit atomics), raster (Vulkan graphics pipeline) or cpu (plain Rust,
+    /// needs no driver); all output the same maps
+    #[arg(long, default_value_t, value_name = "KIND")]
+    pub(super) rasterizer: RasterizerKind,
+    /// Vulkan device by index or by part of its name [default: $PSKEL_DEVICE, else the fastest]
+    #[arg(long, value_name = "NAME|INDEX")]
+    pub(super) device: Option<String>,
+    /// Device memory for points, MiB, 20 bytes per point; with less, positions are streamed from the host (compute
+    /// only). At least 64 MiB and 4 bytes per point, or all points if they need less; keys and maps need additional
+    /// memory [default: as much as needed]
+    #[arg(long, value_name = "MIB")]
+    pub(super) gpu_memory: Option<u32>,
+}
+
+impl RasterizerArgs {
+    /// Creates the rasterizer and passes the clouds to it.
+    pub(super) fn create<'a>(&self, clouds: CloudSet<'a>) -> anyhow::Result<Box<dyn Rasterizer + 'a>> {
+        let kind = self.rasterizer;
+        let unfit = match (&self.device, self.gpu_memory) {
+            (Some(device), _) if kind == RasterizerKind::Cpu => {
+                Some(format!("--device with --rasterizer cpu, found {device:?}"))
+            }
+            (_, Some(mib)) if matches!(kind, RasterizerKind::Cpu | RasterizerKind::Raster) => {
+                Some(format!("--gpu-memory with --rasterizer {kind}, found {mib}"))
+            }
+            _ => None,
+        };
+        if let Some(unfit) = unfit {
+            return Err(WrongUsage(format!("expected no {unfit}")).into());
+        }
+        let memory_bytes = self.gpu_memory.map(|mib| u64::from(mib) << 20);
+        let desc = RasterizerDesc { kind: self.rasterizer, device: self.device.clone(), memory_bytes };
+        Ok(raster::create(&desc, clouds)?)
+    }
+}

@@ -1,0 +1,370 @@
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use crate::WrongUsage;
+use crate::generator::{GeneratorArgs, NetworkName};
+use crate::log_args::{self, LogRoots};
+use crate::map_args::MapArgs;
+use crate::numbers;
+use crate::rasterizer::RasterizerArgs;
+use crate::stand_ins::SubstituteArgs;
+use point_skeleton::dataset::LogLocator;
+use point_skeleton::scene::frame_rate_hz;
+use pskel_sim::{
+    ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
+};
+
+/// Number of frames that a generator sees besides the current one.
+const FORECAST_STEPS: usize = 9;
+
+/// Simulate a recording in a closed loop: ego and other actors move by policies, and every step is rendered
+///
+/// Writes steps/STEP with the maps (as render writes a frame), birdseye.png, view/MAP.jpg (images of the page) and
+/// state.json (for --resume); states.jsonl, one line per step; finally metrics.json, index.json, rollout.mp4 and
+/// index.html, a page that plays the rollout. If a planner fails, all of these are written for the steps before the
+/// failure.
+#[derive(Debug, Args)]
+pub(crate) struct SimulateArgs {
+    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    #[arg(value_parser = log_args::log)]
+    pub(super) log: LogLocator,
+    #[command(flatten)]
+    pub(super) roots: LogRoots,
+    /// Skeleton that was built from the recording
+    #[arg(long, value_name = "SKEL")]
+    pub(super) skeleton: PathBuf,
+    /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
+    pub(super) out: PathBuf,
+    /// Number of simulation steps; step 0 is the log's. A replayed ego stops when the log ends. With other policies
+    /// it drives on: only actors under a policy remain there, and the skeleton may have no points
+    #[arg(long, value_name = "N")]
+    pub(super) steps: usize,
+    #[command(flatten)]
+    policies: PolicyArgs,
+    #[command(flatten)]
+    pub(super) maps: MapArgs,
+    /// Also render the forecasts for the next planning steps at each planning step, as steps/STEP/forecast/STEP
+    #[arg(long)]
+    forecast_maps: bool,
+    /// With --forecast-maps: number of forecast planning steps, 1 to 100
+    #[arg(long, value_name = "K", default_value_t = FORECAST_STEPS, value_parser = numbers::forecast_steps)]
+    #[arg(requires = "forecast_maps", allow_negative_numbers = true)]
+    forecast: usize,
+    /// Also write steps/STEP/sheet.png, a contact sheet of all maps
+    #[arg(long)]
+    pub(super) sheets: bool,
+    /// Continue the rollout in --out after its last step, with the same log, skeleton and options; --steps,
+    /// --planner-timeout, --generator-timeout, --profile and the rasterizer may change
+    #[arg(long)]
+    pub(super) resume: bool,
+    /// Continue after this step; later ones are simulated again
+    #[arg(long, value_name = "STEP")]
+    pub(super) resume_from: Option<usize>,
+    /// Write nothing below --out and only print the times, to measure the loop without output
+    #[arg(long, conflicts_with_all = ["resume", "resume_from"])]
+    pub(super) dry: bool,
+    /// Write the times of all steps and stages to this file
+    #[arg(long, value_name = "F.json")]
+    pub(super) profile: Option<PathBuf>,
+    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
+    #[arg(long, value_name = "F.json")]
+    pub(super) annotations: Option<PathBuf>,
+    /// Also generate the cameras' images with a network: network (shipped with the program), network:FILE with
+    /// weights of `pskel train`, or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md).
+    /// Each planning step gets steps/STEP/generated, and truth if ground truth is known. Map options apply to the
+    /// written maps; the network's conditions are rendered as in its training
+    #[arg(long, value_name = "NETWORK")]
+    pub(super) generator: Option<NetworkName>,
+    #[command(flatten)]
+    pub(super) stand_ins: SubstituteArgs,
+    #[command(flatten)]
+    pub(super) rasterizer: RasterizerArgs,
+    #[command(flatten, next_help_heading = "Options of --generator")]
+    pub(super) generating: GeneratorArgs,
+    /// Set if steps are frames of the log, until its end at most; used by `pskel generate`.
+    #[arg(skip)]
+    frames: Option<EveryFrames>,
+}
+
+/// Stride of the log's frames that are steps; `None` selects the default.
+#[derive(Clone, Copy, Debug)]
+struct EveryFrames(Option<usize>);
+
+/// Options for replaying a log frame by frame.
+pub(crate) struct OpenLoop {
+    pub(crate) log: LogLocator,
+    pub(crate) roots: LogRoots,
+    pub(crate) skeleton: PathBuf,
+    pub(crate) out: PathBuf,
+    pub(crate) generator: NetworkName,
+    pub(crate) generating: GeneratorArgs,
+    pub(crate) steps: usize,
+    pub(crate) every: Option<usize>,
+    pub(crate) start: Option<i64>,
+    pub(crate) maps: MapArgs,
+    pub(crate) resume: bool,
+    pub(crate) resume_from: Option<usize>,
+    pub(crate) profile: Option<PathBuf>,
+    pub(crate) annotations: Option<PathBuf>,
+    pub(crate) stand_ins: SubstituteArgs,
+    pub(crate) rasterizer: RasterizerArgs,
+}
+
+/// Policies of ego and actors, and their rates.
+#[derive(Debug, Args)]
+struct PolicyArgs {
+    /// Policy of the ego after the warm-up
+    #[arg(long, value_enum, value_name = "POLICY", default_value = "replay")]
+    ego: EgoName,
+    /// With --ego file: the path in the ego's frame, meters forward and to the left; JSON, CSV, TXT or NPY
+    #[arg(long, value_name = "FILE", required_if_eq("ego", "file"))]
+    trajectory: Option<PathBuf>,
+    /// With --ego external: a command that communicates over its standard input and output, or the socket on which it
+    /// listens, unix:PATH or tcp:HOST:PORT
+    #[arg(long, value_name = "COMMAND|ADDRESS", required_if_eq("ego", "external"))]
+    planner: Option<PlannerAddress>,
+    /// Time-out for each answer of the planner, seconds
+    #[arg(long, value_name = "S", default_value_t = 10.0)]
+    planner_timeout: f64,
+    /// How the ego tracks the plan
+    #[arg(long, value_enum, default_value = "perfect")]
+    tracking: TrackingName,
+    /// Policy of the other actors after the warm-up
+    #[arg(long, value_enum, value_name = "POLICY", default_value = "replay")]
+    actors: ActorName,
+    /// Simulation steps per second [default: 12 for nuScenes, 10 for other logs]
+    #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
+    sim_hz: Option<f64>,
+    /// Planning steps per second, a divisor of the simulation rate [default: 2 for nuScenes, 5 for other logs]
+    #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
+    plan_hz: Option<f64>,
+    /// Warm-up in frames of a generator's window, one per planning step: the first (N - 1) * SIM_HZ / PLAN_HZ steps
+    /// follow the log [default: 1; with --generator its window]
+    #[arg(long, value_name = "N")]
+    warmup: Option<usize>,
+    /// Start at this time, absolute microseconds [default: the log's first frame]
+    #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
+    start: Option<i64>,
+    /// Seed that is passed to planners
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
+}
+
+/// Names of [`EgoPolicy`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
+#[value(rename_all = "snake_case")]
+#[serde(rename_all = "snake_case")]
+pub(super) enum EgoName {
+    /// Recorded path of the ego.
+    Replay,
+    /// Straight ahead.
+    Straight,
+    /// Increasingly to the right.
+    RightThenBack,
+    /// 1.5 m to the right along half a cosine wave.
+    Cosine,
+    /// One lane to the right of the recorded path, at 10 m/s.
+    LaneChange,
+    /// Along the points of --trajectory.
+    File,
+    /// Plans of --planner.
+    External,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum TrackingName {
+    /// The ego follows the plan exactly.
+    Perfect,
+    /// A kinematic bicycle model with limits tracks the plan.
+    Bicycle,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum ActorName {
+    /// As in the log.
+    Replay,
+    /// Vehicles and cycles near the ego follow their paths by the Intelligent Driver Model.
+    Idm,
+    /// Actors near the ego keep speed and curvature, and brake.
+    Reactive,
+}
+
+impl SimulateArgs {
+    /// Creates options for a replay: ego and actors follow the log, and its frames are the steps.
+    pub(crate) fn open_loop(open: OpenLoop) -> Self {
+        let policies = PolicyArgs {
+            ego: EgoName::Replay,
+            trajectory: None,
+            planner: None,
+            planner_timeout: 10.0,
+            tracking: TrackingName::Perfect,
+            actors: ActorName::Replay,
+            sim_hz: None,
+            plan_hz: None,
+            warmup: None,
+            start: open.start,
+            seed: 0,
+        };
+        Self {
+            log: open.log,
+            roots: open.roots,
+            skeleton: open.skeleton,
+            out: open.out,
+            steps: open.steps,
+            policies,
+            maps: open.maps,
+            forecast_maps: false,
+            forecast: FORECAST_STEPS,
+            sheets: false,
+            resume: open.resume,
+            resume_from: open.resume_from,
+            dry: false,
+            profile: open.profile,
+            annotations: open.annotations,
+            generator: Some(open.generator),
+            generating: open.generating,
+            stand_ins: open.stand_ins,
+            rasterizer: open.rasterizer,
+            frames: Some(EveryFrames(open.every)),
+        }
+    }
+
+    /// Checks options that the parser cannot check.
+    pub(super) fn check(&self) -> Result<(), WrongUsage> {
+        let PolicyArgs { ego, trajectory, planner, .. } = &self.policies;
+        let unused = [
+            ("--trajectory", trajectory.is_some() && *ego != EgoName::File, "file"),
+            ("--planner", planner.is_some() && *ego != EgoName::External, "external"),
+        ];
+        if let Some((option, _, name)) = unused.into_iter().find(|(_, unused, _)| *unused) {
+            return Err(WrongUsage(format!("expected --ego {name} with {option}, found {}", ego.name())));
+        }
+        self.generating.check(self.generator.as_ref())?;
+        self.maps.check()
+    }
+
+    /// Returns the files that are named individually and only read.
+    pub(super) fn input_files(&self) -> impl Iterator<Item = &Path> {
+        let weights = match &self.generator {
+            Some(NetworkName::Network(weights)) => weights.as_deref(),
+            _ => None,
+        };
+        [self.annotations.as_deref(), self.policies.trajectory.as_deref(), weights].into_iter().flatten()
+    }
+
+    /// Returns the number of planning steps to forecast and render at each planning step.
+    pub(super) fn forecast_steps(&self) -> usize {
+        if self.forecast_maps { self.forecast } else { 0 }
+    }
+
+    /// Returns the stride of the frames that are steps, `None` if steps are not frames, and the number of steps.
+    fn frames_of(&self, scenario: &Scenario<'_>) -> anyhow::Result<(Option<usize>, usize)> {
+        let Some(EveryFrames(every)) = self.frames else { return Ok((None, self.steps)) };
+        let frames = &scenario.log.frames;
+        let nearest = || {
+            let hz = frame_rate_hz(frames).unwrap_or(scenario.rates.plan_hz);
+            (hz / scenario.rates.plan_hz).round().max(1.0) as usize
+        };
+        let every = every.unwrap_or_else(nearest);
+        let start = self.policies.start.unwrap_or(i64::MIN);
+        let there = frames.iter().filter(|frame| frame.t_us >= start).count();
+        anyhow::ensure!(
+            there > every,
+            "expected more than {every} frames from --start on (--every {every}), found {there} in log {}",
+            scenario.log.shown_name()
+        );
+        Ok((Some(every), self.steps.min((there - 1) / every)))
+    }
+
+    /// Returns whether ego and other actors follow the log throughout.
+    pub(super) fn follow_log(&self) -> [bool; 2] {
+        [self.policies.ego == EgoName::Replay, matches!(self.policies.actors, ActorName::Replay)]
+    }
+
+    /// Returns whether steps are the log's own frames, as in `pskel generate`.
+    pub(super) fn is_open_loop(&self) -> bool {
+        self.frames.is_some()
+    }
+
+    /// Returns the name of the ego's policy.
+    pub(super) fn ego_name(&self) -> &'static str {
+        self.policies.ego.name()
+    }
+
+    /// Returns the name of the other actors' policy.
+    pub(super) fn actors_name(&self) -> &'static str {
+        match self.policies.actors {
+            ActorName::Replay => "replay",
+            ActorName::Idm => "idm",
+            ActorName::Reactive => "reactive",
+        }
+    }
+
+    /// Returns the simulation options; reads the trajectory. The warm-up has at least the `window` frames of a
+    /// generator.
+    pub(super) fn sim_options(
+        &self,
+        scenario: &Scenario<'_>,
+        window: Option<usize>,
+    ) -> anyhow::Result<SimOptions> {
+        let p = &self.policies;
+        let (every_frames, steps) = self.frames_of(scenario)?;
+        let least = window.unwrap_or(0);
+        if let Some(warmup) = p.warmup.filter(|warmup| *warmup < least) {
+            let message =
+                format!("expected --warmup of {least} or more, the generator's window, found {warmup}");
+            return Err(WrongUsage(message).into());
+        }
+        let ego = match (p.ego, &p.trajectory, &p.planner) {
+            (EgoName::Straight, ..) => EgoPolicy::Straight,
+            (EgoName::RightThenBack, ..) => EgoPolicy::RightThenBack,
+            (EgoName::Cosine, ..) => EgoPolicy::Cosine,
+            (EgoName::LaneChange, ..) => EgoPolicy::LaneChange,
+            (EgoName::File, Some(path), _) => EgoPolicy::File(LocalPath::read(path)?),
+            (EgoName::External, _, Some(address)) => {
+                EgoPolicy::External(PlannerSpec { address: address.clone(), timeout_s: p.planner_timeout })
+            }
+            // The parser requires the arguments of File and External.
+            (EgoName::Replay | EgoName::File | EgoName::External, ..) => EgoPolicy::Replay,
+        };
+        Ok(SimOptions {
+            seed: p.seed,
+            steps,
+            sim_hz: p.sim_hz,
+            plan_hz: p.plan_hz,
+            every_frames,
+            warmup_frames: p.warmup.or(window).unwrap_or(SimOptions::default().warmup_frames),
+            start_us: p.start,
+            ego,
+            tracking: match p.tracking {
+                TrackingName::Perfect => Tracking::Perfect,
+                TrackingName::Bicycle => Tracking::Bicycle,
+            },
+            actors: match p.actors {
+                ActorName::Replay => ActorPolicy::Replay,
+                ActorName::Idm => ActorPolicy::Idm,
+                ActorName::Reactive => ActorPolicy::Reactive,
+            },
+        })
+    }
+}
+
+impl EgoName {
+    /// Returns the name on the command line.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Replay => "replay",
+            Self::Straight => "straight",
+            Self::RightThenBack => "right_then_back",
+            Self::Cosine => "cosine",
+            Self::LaneChange => "lane_change",
+            Self::File => "file",
+            Self::External => "external",
+        }
+    }
+}

@@ -1,0 +1,163 @@
+use std::path::Path;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::output::{INDEX, METRICS, Output, PAGE, STATES, VIDEO, step_folder};
+use point_skeleton::conditions::meta::Index;
+use point_skeleton::files::FileName;
+use point_skeleton::files::{OutputFolder, write_json};
+use pskel_sim::report::page::{self, Page, PageActor, PageEvent, PageStep};
+use pskel_sim::report::{ActorRow, Phase, StepRow, Video, film, sight, view};
+use pskel_sim::{Collision, EndReason, Metrics};
+
+/// Number of video images in memory at the same time.
+const PICTURES: usize = 16;
+/// Names and colors of the lines in the bird's-eye view.
+pub(super) const TRACES: [(&str, [u8; 4]); 3] = [
+    ("recorded path", [150, 160, 182, 150]),
+    ("driven path", [64, 196, 255, 230]),
+    ("plan", [255, 201, 77, 255]),
+];
+
+/// Outcome of a rollout.
+pub(super) struct Outcome {
+    pub(super) metrics: Metrics,
+    /// `None` if it failed.
+    pub(super) ended: Option<EndReason>,
+    pub(super) failure: Option<String>,
+    /// Number of steps after the end of the log.
+    pub(super) steps_beyond_log: usize,
+    /// Notes on the log, with counts.
+    pub(super) notes: std::collections::BTreeMap<String, usize>,
+    /// Lines for the HTML page.
+    pub(super) facts: Vec<String>,
+    /// Placement of the cameras in the page's images.
+    pub(super) layout: view::Layout,
+    /// Cameras, in the order of the maps, with the size of the maps.
+    pub(super) cameras: Vec<(FileName, [u32; 2])>,
+}
+
+/// Content of `metrics.json`.
+#[derive(Serialize)]
+struct MetricsFile<'a> {
+    ended: Option<EndReason>,
+    failure: Option<&'a str>,
+    #[serde(flatten)]
+    metrics: &'a Metrics,
+    steps_beyond_log: usize,
+    notes: &'a std::collections::BTreeMap<String, usize>,
+}
+
+/// Writes the summary files of all steps: metrics, video, page, and the index last.
+pub(super) fn finish(
+    output: &Output<'_>,
+    files: &OutputFolder,
+    rows: &[StepRow],
+    outcome: &Outcome,
+) -> anyhow::Result<()> {
+    let Outcome { metrics, ended, notes, steps_beyond_log, .. } = outcome;
+    let (failure, steps_beyond_log) = (outcome.failure.as_deref(), *steps_beyond_log);
+    let told = MetricsFile { ended: *ended, failure, metrics, steps_beyond_log, notes };
+    write_json(&files.claim(METRICS)?, &told)?;
+    video(output, &files.claim(VIDEO)?, rows, outcome)?;
+    page(output, rows, outcome).write(&files.claim(PAGE)?)?;
+    let cameras: Vec<_> = outcome.cameras.iter().map(|(name, _)| name.clone()).collect();
+    let frames = rows.iter().map(|row| row.index_frame(&cameras)).collect();
+    Index { options: output.options, frames }.write(&files.claim(INDEX)?)?;
+    Ok(())
+}
+
+/// Encodes the video. Images are composed on all threads and encoded in order.
+fn video(output: &Output<'_>, path: &Path, rows: &[StepRow], outcome: &Outcome) -> anyhow::Result<()> {
+    let mut video = None;
+    for rows in rows.chunks(PICTURES) {
+        let picture = |row: &StepRow| {
+            let folder = step_folder(output.folder, &row.name());
+            film::picture(&folder, &outcome.layout.maps, &caption(output, row))
+        };
+        for picture in rows.par_iter().map(picture).collect::<Vec<_>>() {
+            let (size, pixels) = picture?;
+            let video = match &mut video {
+                Some(video) => video,
+                none => none.insert(Video::new(path, size, output.options.sim_hz)?),
+            };
+            video.push(size, &pixels)?;
+        }
+    }
+    video.map_or(Ok(()), |video| Ok(video.write()?))
+}
+
+fn caption(output: &Output<'_>, row: &StepRow) -> String {
+    let phase = if row.phase == Phase::WarmUp { "  warm-up" } else { "" };
+    let seconds = row.step as f64 / output.options.sim_hz;
+    format!("{}  {}  {seconds:.2} s  {:.1} m/s{phase}", output.options.log, row.name(), row.ego.speed_mps)
+}
+
+fn page(output: &Output<'_>, rows: &[StepRow], outcome: &Outcome) -> Page {
+    let first_us = rows.first().map_or(0, |row| row.t_us);
+    let step = |row: &StepRow| PageStep {
+        name: row.name(),
+        step: row.step,
+        t_s: (row.t_us - first_us) as f64 / 1e6,
+        warm_up: row.phase == Phase::WarmUp,
+        speed_mps: row.ego.speed_mps,
+        acceleration_mps2: row.ego.acceleration_mps2,
+        lateral_m: Some(row.ego.lateral_deviation_m),
+        heading_rad: Some(row.ego.heading_deviation_rad),
+        fresh: fresh(row, outcome),
+    };
+    let mut table = serde_json::to_value(&outcome.metrics).map(|v| page::table(&v)).unwrap_or_default();
+    let notes = outcome.notes.iter().map(|(note, count)| [format!("note: {note}"), count.to_string()]);
+    table.extend(notes);
+    let color = |[r, g, b, _]: [u8; 4]| format!("#{r:02x}{g:02x}{b:02x}");
+    Page {
+        log: output.options.log.clone(),
+        facts: outcome.facts.clone(),
+        failure: outcome.failure.clone(),
+        sim_hz: output.options.sim_hz,
+        maps: outcome.layout.maps.clone(),
+        sheet: outcome.layout.clone(),
+        traces: TRACES.iter().map(|(name, rgba)| [color(*rgba), (*name).to_owned()]).collect(),
+        steps: rows.iter().map(step).collect(),
+        events: outcome.metrics.collisions.iter().map(|c| event(c, rows)).collect(),
+        metrics: table,
+        files: [VIDEO, METRICS, STATES, INDEX].map(str::to_owned).to_vec(),
+    }
+}
+
+/// Returns the actors that newly enter a camera's view, with their boxes in the page's image.
+fn fresh(row: &StepRow, outcome: &Outcome) -> Vec<PageActor> {
+    let place = |seen: &sight::VisibleActor| {
+        let place = outcome.layout.cameras.get(seen.camera)?;
+        let (_, [width, height]) = outcome.cameras.get(seen.camera)?;
+        let [x, y] =
+            [f64::from(place.width) / f64::from(*width), f64::from(place.height) / f64::from(*height)];
+        let [left, top, right, bottom] = seen.bounds.map(f64::from);
+        let at = [f64::from(place.left) + left * x, f64::from(place.top) + top * y];
+        Some([at[0], at[1], (right - left) * x, (bottom - top) * y])
+    };
+    let actor = |actor: &ActorRow| {
+        let new = actor.new_in_view.as_ref().filter(|new| !new.is_empty())?;
+        let seen = actor.seen.iter().flatten().filter(|seen| new.contains(&seen.camera));
+        let (track, category) = (actor.track.clone(), actor.category.clone());
+        Some(PageActor { track, category, boxes: seen.filter_map(place).collect() })
+    };
+    row.actors.iter().filter_map(actor).collect()
+}
+
+fn event(collision: &Collision, rows: &[StepRow]) -> PageEvent {
+    let row = rows.iter().find(|row| row.step == collision.step);
+    let actor = row.and_then(|row| row.actors.iter().find(|actor| actor.track == collision.track));
+    let category = actor.map_or("somebody", |actor| actor.category.as_str());
+    let fault = match collision.at_fault {
+        Some(true) => ", the ego's fault",
+        Some(false) => ", not the ego's fault",
+        None => "",
+    };
+    // Avoids a minus before zero.
+    let speed = |speed_mps: f64| format!("{:.1} m/s", (speed_mps * 10.0).round() / 10.0 + 0.0);
+    let [ego, other] = [collision.ego_speed_mps, collision.actor_speed_mps].map(speed);
+    let text = format!("collision with {category} (ego {ego}, other {other}){fault}");
+    PageEvent { step: collision.step, text }
+}

@@ -1,0 +1,210 @@
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+use serde::Serialize;
+
+use point_skeleton::error::FileError;
+use point_skeleton::files::write_json;
+use pskel_generate::SessionTimes;
+use point_skeleton::raster::{RasterizerInfo, StageTimes};
+
+/// Times of a step, seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub(super) struct StepTimes {
+    /// Policies of ego and actors.
+    pub(super) policies_s: f64,
+    /// Instance selection.
+    pub(super) instances_s: f64,
+    /// Submitting points to the rasterizer and rendering layouts.
+    pub(super) begin_s: f64,
+    /// Waiting until all maps are in memory.
+    pub(super) finish_s: f64,
+    /// Forecasts with their maps.
+    pub(super) forecast_s: f64,
+    /// Visible actors, and other data of the step's line.
+    pub(super) observe_s: f64,
+    /// Generator times, at planning steps.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) generated: Option<SessionTimes>,
+    /// Waiting until the writer thread can take this step.
+    pub(super) wait_s: f64,
+}
+
+impl StepTimes {
+    /// Returns the time of policies and conditions, which every closed loop needs.
+    pub(super) fn loop_s(&self) -> f64 {
+        self.policies_s + self.conditions_s()
+    }
+
+    pub(super) fn conditions_s(&self) -> f64 {
+        self.instances_s + self.begin_s + self.finish_s
+    }
+}
+
+/// Times for writing a step, on a separate thread, seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub(super) struct WriteTimes {
+    /// Maps.
+    pub(super) maps_s: f64,
+    /// Images of the page.
+    pub(super) view_s: f64,
+    /// Bird's-eye view.
+    pub(super) birdseye_s: f64,
+    /// Contact sheet, metadata and states.
+    pub(super) rest_s: f64,
+}
+
+/// Times of a rollout.
+#[derive(Clone, Debug, Default, Serialize)]
+pub(super) struct Profile {
+    rasterizer: Option<RasterizerInfo>,
+    /// Whole loop from the first step to the last, seconds.
+    pub(super) loop_s: f64,
+    /// Metrics, index, video and page, seconds.
+    pub(super) report_s: f64,
+    pub(super) steps: Vec<StepTimes>,
+    pub(super) written: Vec<WriteTimes>,
+    /// The rasterizer's own stages over all steps, seconds.
+    stages_s: BTreeMap<&'static str, f64>,
+    /// Medians of all stages, and values derived from them.
+    medians: BTreeMap<&'static str, f64>,
+}
+
+impl Profile {
+    /// Adds the data that is known after the loop.
+    pub(super) fn close(&mut self, info: RasterizerInfo, stages: &StageTimes) {
+        self.rasterizer = Some(info);
+        self.stages_s = stages.0.iter().map(|(name, time)| (*name, time.as_secs_f64())).collect();
+        let of = |get: fn(&StepTimes) -> f64| median(self.steps.iter().map(get));
+        let written = |get: fn(&WriteTimes) -> f64| median(self.written.iter().map(get));
+        let made = |get: fn(&SessionTimes) -> f64| {
+            median(
+                self.steps
+                    .iter()
+                    .filter_map(|step| step.generated)
+                    .filter(|t| t.network_s > 0.0)
+                    .map(|t| get(&t)),
+            )
+        };
+        self.medians = [
+            ("generate_s", made(SessionTimes::total_s)),
+            ("generate_conditions_s", made(|t| t.conditions_s)),
+            ("generate_forecasts_s", made(|t| t.forecasts_s)),
+            ("generate_truth_s", made(|t| t.truth_s)),
+            ("generate_network_s", made(|t| t.network_s)),
+            ("generate_decode_s", made(|t| t.decode_s)),
+            ("step_s", of(StepTimes::loop_s)),
+            ("policies_s", of(|t| t.policies_s)),
+            ("conditions_s", of(StepTimes::conditions_s)),
+            ("instances_s", of(|t| t.instances_s)),
+            ("begin_s", of(|t| t.begin_s)),
+            ("finish_s", of(|t| t.finish_s)),
+            ("forecast_s", of(|t| t.forecast_s)),
+            ("observe_s", of(|t| t.observe_s)),
+            ("wait_s", of(|t| t.wait_s)),
+            ("write_maps_s", written(|t| t.maps_s)),
+            ("write_view_s", written(|t| t.view_s)),
+            ("write_birdseye_s", written(|t| t.birdseye_s)),
+            ("write_rest_s", written(|t| t.rest_s)),
+        ]
+        .into_iter()
+        .filter_map(|(name, value)| Some((name, value?)))
+        .collect();
+    }
+
+    /// Formats the summary: the median step, its parts, and the rate.
+    pub(super) fn summary(&self) -> String {
+        if self.steps.is_empty() {
+            return "no step was left to take".to_owned();
+        }
+        let ms = |name: &str| 1e3 * self.medians.get(name).copied().unwrap_or(0.0);
+        let names = ["write_maps_s", "write_view_s", "write_birdseye_s", "write_rest_s"];
+        let writing: f64 = names.iter().map(|name| ms(name)).sum();
+        let stages: Vec<String> =
+            self.stages_s.iter().map(|(name, time)| format!("{name} {time:.2}")).collect();
+        format!(
+            "{}a step takes {:.1} ms (median; policies {:.1}, instances {:.1}, drawing {:.1}), {:.1} steps a second; \
+             writing {writing:.1} ms beside it; drawing in seconds: {}; loop {:.2} s, report {:.2} s",
+            self.generating(),
+            ms("step_s"),
+            ms("policies_s"),
+            ms("instances_s"),
+            ms("begin_s") + ms("finish_s"),
+            1e3 / ms("step_s").max(1e-6),
+            stages.join(", "),
+            self.loop_s,
+            self.report_s,
+        )
+    }
+
+    /// Formats the generator times. Ground-truth images are only for comparison, so their time is separate.
+    fn generating(&self) -> String {
+        let all: Vec<&SessionTimes> = self.steps.iter().filter_map(|step| step.generated.as_ref()).collect();
+        let made = all.iter().filter(|times| times.network_s > 0.0).count();
+        if all.is_empty() {
+            return String::new();
+        }
+        if made == 0 {
+            return "no frame generated, all are references: expected more plan steps than those; "
+                .to_owned();
+        }
+        let ms = |name: &str| 1e3 * self.medians.get(name).copied().unwrap_or(0.0);
+        format!(
+            "{made} frames generated, median {:.0} ms ({:.2} a second): network {:.0}, conditions {:.0}, forecasts {:.0}, images \
+             {:.1}, and {:.0} for true images; ",
+            ms("generate_s"),
+            1e3 / ms("generate_s").max(1e-6),
+            ms("generate_network_s"),
+            ms("generate_conditions_s"),
+            ms("generate_forecasts_s"),
+            ms("generate_decode_s"),
+            ms("generate_truth_s"),
+        )
+    }
+
+    pub(super) fn write(&self, path: &Path) -> Result<(), FileError> {
+        write_json(path, self)
+    }
+}
+
+/// Returns the seconds since a moment, and sets the moment to now.
+pub(super) fn lap(since: &mut std::time::Instant) -> f64 {
+    let now = std::time::Instant::now();
+    let time: Duration = now - std::mem::replace(since, now);
+    time.as_secs_f64()
+}
+
+/// Returns the median; of two middle values the upper one.
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn medians_and_the_rate_follow_from_the_steps() {
+        let step = |ms: f64| StepTimes { policies_s: ms / 1e3, finish_s: 0.02, ..StepTimes::default() };
+        let mut profile = Profile { steps: [9.0, 5.0, 700.0].map(step).to_vec(), ..Profile::default() };
+        let info = RasterizerInfo { rasterizer: "cpu", device: "d".into(), driver: String::new() };
+        profile.close(info, &StageTimes::default());
+        let text = profile.summary();
+        assert!(
+            text.starts_with(
+                "a step takes 29.0 ms (median; policies 9.0, instances 0.0, drawing 20.0), 34.5 steps"
+            ),
+            "{text}"
+        );
+        assert_eq!(median(std::iter::empty()), None);
+        assert_eq!(Profile::default().summary(), "no step was left to take");
+        let json = serde_json::to_value(&profile).unwrap();
+        assert_eq!(
+            (&json["medians"]["policies_s"], json["steps"].as_array().unwrap().len()),
+            (&serde_json::json!(0.009), 3)
+        );
+    }
+}

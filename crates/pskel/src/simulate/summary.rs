@@ -1,0 +1,151 @@
+//! Last line of a rollout: its results, then its times.
+
+use super::SimulateArgs;
+use super::finish::Outcome;
+use super::profile::Profile;
+use point_skeleton::raster::RasterizerInfo;
+use pskel_sim::report::StepRow;
+use pskel_sim::{Comfort, EndReason, Metrics, Range};
+
+pub(super) fn summary(
+    args: &SimulateArgs,
+    outcome: &Outcome,
+    rows: &[StepRow],
+    profile: &Profile,
+    info: &RasterizerInfo,
+) -> String {
+    let steps = rows.len().saturating_sub(1);
+    let ended = match outcome.ended {
+        Some(EndReason::LogEnded) => format!(" of {} (the log ended)", args.steps),
+        _ => String::new(),
+    };
+    let notes = outcome.notes.iter().map(|(note, count)| format!("{count} x {note}"));
+    // The ego of a replayed log has no results.
+    let results = (!args.is_open_loop()).then(|| results(&outcome.metrics));
+    let told: Vec<String> = results
+        .into_iter()
+        .chain(beyond_log(outcome.steps_beyond_log))
+        .chain(notes)
+        .chain([profile.summary()])
+        .collect();
+    if args.is_open_loop() {
+        let (by, device) = (&info.rasterizer, &info.device);
+        return format!("replayed {} frames by {by} on {device}: {}", rows.len(), told.join("; "));
+    }
+    format!(
+        "simulated {steps} steps{ended}, ego {}, actors {}, by {} on {}: {}",
+        args.ego_name(),
+        args.actors_name(),
+        info.rasterizer,
+        info.device,
+        told.join("; "),
+    )
+}
+
+/// Returns a note on steps after the end of the log; `None` if there are none.
+pub(super) fn beyond_log(steps: usize) -> Option<String> {
+    let lie = match steps {
+        0 => return None,
+        1 => "1 step lies".to_owned(),
+        _ => format!("{steps} steps lie"),
+    };
+    Some(format!(
+        "{lie} beyond the end of the log: nobody is left there but actors that a policy has taken over"
+    ))
+}
+
+/// Formats collisions, comfort and deviation from the recorded path.
+fn results(metrics: &Metrics) -> String {
+    let collisions = match (metrics.collisions.len(), metrics.at_fault_collisions) {
+        (0, _) => "0 collisions".to_owned(),
+        (1, 0) => "1 collision".to_owned(),
+        (1, _) => "1 collision, the ego's fault".to_owned(),
+        (count, fault) => format!("{count} collisions, {fault} the ego's fault"),
+    };
+    format!(
+        "{collisions}; {}; at most {:.2} m and {:.1} degrees off the recorded path",
+        comfort(&metrics.comfort),
+        metrics.lateral_deviation_m.max,
+        metrics.heading_deviation_rad.max.to_degrees(),
+    )
+}
+
+fn comfort(comfort: &Comfort) -> String {
+    if comfort.comfortable {
+        return "comfortable".to_owned();
+    }
+    let range = |range: Option<Range>| range.map_or([0.0; 2], |range| [range.min, range.max]);
+    let most = |values: Option<Range>| range(values).into_iter().map(f64::abs).fold(0.0, f64::max);
+    let [brake, speed_up] = range(comfort.longitudinal_mps2);
+    format!(
+        "not comfortable ({brake:.1} to {speed_up:.1} m/s\u{b2} along, {:.1} m/s\u{b2} across, jerk {:.1} m/s\u{b3}, \
+         yaw rate {:.2} rad/s)",
+        most(comfort.lateral_mps2),
+        comfort.max_jerk_mps3,
+        most(comfort.yaw_rate_radps),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use point_skeleton::dataset::Class;
+    use pskel_sim::{Collision, CollisionKind, Deviation};
+
+    fn metrics(faults: &[bool]) -> Metrics {
+        let collision = |at_fault: &bool| Collision {
+            step: 1,
+            t_us: 0,
+            track: "t".into(),
+            class: Class::Object,
+            kind: CollisionKind::Front,
+            at_fault: Some(*at_fault),
+            ego_speed_mps: 1.0,
+            actor_speed_mps: 0.0,
+        };
+        Metrics {
+            steps: 2,
+            seconds: 0.2,
+            collisions: faults.iter().map(collision).collect(),
+            at_fault_collisions: faults.iter().filter(|fault| **fault).count(),
+            off_road: None,
+            progress_m: 1.0,
+            log_progress_m: 1.0,
+            lateral_deviation_m: Deviation { mean: 0.1, max: 0.456, end: 0.0 },
+            heading_deviation_rad: Deviation { mean: 0.0, max: 0.1, end: 0.0 },
+            comfort: Comfort { comfortable: true, ..Comfort::default() },
+            min_time_to_collision_s: None,
+        }
+    }
+
+    #[test]
+    fn results_are_told_in_short() {
+        let smooth = "; comfortable; at most 0.46 m and 5.7 degrees off the recorded path";
+        for (faults, begin) in [
+            (&[][..], "0 collisions"),
+            (&[false], "1 collision"),
+            (&[true], "1 collision, the ego's fault"),
+            (&[true, false, true], "3 collisions, 2 the ego's fault"),
+        ] {
+            assert_eq!(results(&metrics(faults)), format!("{begin}{smooth}"));
+        }
+        let rough = Comfort {
+            comfortable: false,
+            longitudinal_mps2: Some(Range { min: -5.06, max: 1.0 }),
+            lateral_mps2: Some(Range { min: -2.0, max: 0.5 }),
+            yaw_rate_radps: Some(Range { min: -0.25, max: 0.5 }),
+            max_jerk_mps3: 9.04,
+        };
+        assert_eq!(
+            comfort(&rough),
+            "not comfortable (-5.1 to 1.0 m/s\u{b2} along, 2.0 m/s\u{b2} across, jerk 9.0 m/s\u{b3}, yaw rate 0.50 rad/s)"
+        );
+    }
+
+    #[test]
+    fn steps_beyond_the_log_are_counted() {
+        assert_eq!(beyond_log(0), None);
+        assert!(beyond_log(1).unwrap().starts_with("1 step lies beyond the end of the log: "));
+        assert!(beyond_log(28).unwrap().starts_with("28 steps lie beyond the end of the log: "));
+    }
+}

@@ -1,0 +1,166 @@
+//! `pskel templates`: reads the actors of logs, creates templates, and renders a preview image of each (`picture`).
+
+mod picture;
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Instant;
+
+use anyhow::Context;
+use clap::Args;
+
+use self::picture::draw;
+use super::log_args::{self, LogRoots};
+use super::progress::{Progress, StageProgress};
+use super::say;
+use point_skeleton::cloud::Point;
+use point_skeleton::conditions::png;
+use point_skeleton::dataset::{self, Dataset, LogLocator};
+use point_skeleton::error::FileError;
+use crate::logs;
+use point_skeleton::skeleton::{
+    self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton, Source,
+    TemplateCloud, TemplateLibrary, TemplateOptions, TemplateReport,
+};
+
+/// Create category templates from the actors of logs: substitute clouds for actors with few points of their own
+///
+/// Actors are clustered by category and size; the points of a kind's actors are superimposed, for vehicles also
+/// mirrored, then outliers are removed and the points are thinned. Writes templates.json (templates and their
+/// sources), templates.points, and a preview image of each template. `build --templates-from` and `render
+/// --templates` use the folder.
+#[derive(Debug, Args)]
+pub(super) struct TemplatesArgs {
+    /// Recordings (FORMAT:PATH[@VERSION][#SCENE]) or folders of skeletons that were built from them, which is faster
+    #[arg(required = true, value_name = "LOG|SKELETON")]
+    targets: Vec<Target>,
+    #[command(flatten)]
+    roots: LogRoots,
+    /// Folder to write
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
+    out: PathBuf,
+    /// Approximate number of points of a template whose box is fully covered
+    #[arg(long, value_name = "N", default_value_t = TemplateOptions::default().target_points)]
+    target_points: usize,
+    /// Omit templates with fewer points
+    #[arg(long, value_name = "N", default_value_t = TemplateOptions::default().min_points)]
+    min_points: usize,
+}
+
+/// Source of actors.
+#[derive(Clone, Debug)]
+enum Target {
+    Skeleton(PathBuf),
+    Log(LogLocator),
+}
+
+impl FromStr for Target {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if Skeleton::is_at(Path::new(text)) {
+            return Ok(Self::Skeleton(text.into()));
+        }
+        let wrong = |e: dataset::DatasetError| format!("expected the folder of a skeleton, or else {e}");
+        logs::locate(text).map(Self::Log).map_err(wrong)
+    }
+}
+
+/// Runs the command: reads actors, creates templates, renders previews, writes the folder.
+pub(super) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    let skeletons = args.targets.iter().filter_map(|target| match target {
+        Target::Skeleton(path) => Some(path.as_path()),
+        Target::Log(_) => None,
+    });
+    let target = TemplateLibrary::target(&args.out, &skeletons.collect::<Vec<_>>())?;
+    let options = TemplateOptions {
+        target_points: args.target_points,
+        min_points: args.min_points,
+        ..TemplateOptions::default()
+    };
+    let mut instances = Instances::new(options);
+    let sources = read(args, &mut instances, target.scratch())?;
+    let made = instances.templates();
+    let found = told(&made.1);
+    anyhow::ensure!(!made.0.is_empty(), "expected actors with points enough for a template, found {found}");
+    let library = TemplateLibrary::new(sources, options, made);
+    library.write::<anyhow::Error>(target, |folder| draw_all(folder, &library.clouds))?;
+    let (count, logs) = (library.clouds.len(), library.manifest.sources.len());
+    let seconds = start.elapsed().as_secs_f64();
+    say(&format!(
+        "made {count} templates from {logs} logs: {found} in {seconds:.2} s: {}",
+        args.out.display()
+    ));
+    Ok(())
+}
+
+fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyhow::Result<Vec<LogSource>> {
+    let mut sources = Vec::new();
+    let mut progress = Progress::new(args.targets.len());
+    for target in &args.targets {
+        match target {
+            Target::Skeleton(path) => {
+                let skeleton = Skeleton::open(path)?;
+                sources.extend(take(instances, &skeleton)?);
+                progress.step(&path.display().to_string());
+            }
+            Target::Log(locator) => {
+                for log in logs::expand(&args.roots.locate(locator))? {
+                    let dataset = logs::open(&log)?;
+                    let name = dataset.log().shown_name();
+                    let built = build(&scratch.join("skeleton"), dataset.as_ref());
+                    sources.extend(take(instances, &built.with_context(|| format!("log {name}"))?)?);
+                    progress.step(&name);
+                }
+            }
+        }
+    }
+    Ok(sources)
+}
+
+/// Builds a skeleton of all frames of a log.
+fn build(out: &Path, dataset: &dyn Dataset) -> Result<Skeleton, BuildError> {
+    let progress = StageProgress::default();
+    let run = BuildRun { progress: &progress, ..BuildRun::default() };
+    let inputs = [BuildInput::all(dataset)];
+    let built = skeleton::build(out, &inputs, &BuildOptions::default(), &|_| Ok(Vec::new()), &run);
+    built.map_err(|error| match error {
+        // The partial build is temporary, so it cannot be resumed.
+        BuildError::Interrupted { source, .. } => *source,
+        error => error,
+    })
+}
+
+fn take(instances: &mut Instances, skeleton: &Skeleton) -> Result<Vec<LogSource>, FileError> {
+    let assets: Vec<_> = skeleton.manifest.actors.iter().zip(skeleton.actors()?).collect();
+    instances.add(&assets);
+    let count = |source: &Source| assets.iter().filter(|(asset, _)| asset.log == source.log).count();
+    let source = |source: &Source| LogSource { source: source.clone(), actors: count(source) };
+    Ok(skeleton.manifest.sources.iter().map(source).collect())
+}
+
+/// Creates templates of a skeleton's own actors, and a text for the summary.
+pub(super) fn of_assets(assets: &[(&Asset, &[Point])]) -> (Vec<TemplateCloud>, String) {
+    let mut instances = Instances::new(TemplateOptions::default());
+    instances.add(assets);
+    let (clouds, report) = instances.templates();
+    (clouds, format!("; templates of its actors: {}", told(&report)))
+}
+
+fn told(report: &TemplateReport) -> String {
+    let made = report.templates.iter().filter(|t| t.points > 0);
+    let made = made.map(|t| format!("{} ({} points of {} actors)", t.kind.name(), t.points, t.instances));
+    let left = report.notes.iter().map(|(reason, count)| format!("left out {count} {reason}"));
+    let all: Vec<String> = made.chain(left).collect();
+    if all.is_empty() { "no actors".to_owned() } else { all.join(", ") }
+}
+
+/// Writes `KIND.png` for each template.
+fn draw_all(folder: &Path, clouds: &[TemplateCloud]) -> anyhow::Result<()> {
+    for (template, points) in clouds {
+        let (pixels, size) = draw(points, &template.bounds)?;
+        png::write_rgb(&folder.join(format!("{}.png", template.kind.name())), &pixels, size)?;
+    }
+    Ok(())
+}

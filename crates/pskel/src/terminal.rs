@@ -1,0 +1,45 @@
+//! Lines for the user: results on stdout, progress and warnings on stderr.
+
+use std::io::{ErrorKind, Write};
+use std::sync::OnceLock;
+
+use point_skeleton::files::text::{escaped_lines, printable_lines};
+
+/// First error of writing the result.
+static FAILURE: OnceLock<std::io::Error> = OnceLock::new();
+
+/// Prints a line of the result. A closed pipe is not an error; other errors are reported by [`check`].
+pub(super) fn say(line: &str) {
+    let mut out = std::io::stdout().lock();
+    note(writeln!(out, "{}", escaped_lines(line)).and_then(|()| out.flush()));
+}
+
+/// Records the first error of writing to stdout.
+pub(super) fn note(written: std::io::Result<()>) {
+    if let Err(error) = written
+        && error.kind() != ErrorKind::BrokenPipe
+    {
+        let _ = FAILURE.set(error); // only the first one is recorded
+    }
+}
+
+/// Prints a line of progress. A closed or full stderr does not stop the work.
+pub(super) fn tell(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{}", printable_lines(line));
+}
+
+/// Prints a warning.
+pub(super) fn warn(text: &str) {
+    tell(&format!("warning: {text}"));
+}
+
+/// Checks that every line of the result was written.
+///
+/// # Errors
+/// Returns the first error of writing to stdout.
+pub(super) fn check() -> anyhow::Result<()> {
+    match FAILURE.get() {
+        None => Ok(()),
+        Some(error) => Err(anyhow::anyhow!("cannot write the result to stdout: {error}")),
+    }
+}

@@ -1,0 +1,146 @@
+//! `pskel town`: writes the synthetic town as a data set in nuScenes layout.
+
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::time::Instant;
+
+use clap::Args;
+
+use super::progress::Progress;
+use super::{WrongUsage, log_args, numbers, say};
+use point_skeleton::conditions::{CameraConditions, ConditionSet, DepthBins, ImageSize, exr, png};
+use point_skeleton::dataset::nuscenes::LogWriter;
+use point_skeleton::dataset::{Dataset, Log};
+use point_skeleton::error::FileError;
+use point_skeleton::files::FileName;
+use point_skeleton::files::{WholeFolder, write_json};
+use pskel_town::view::GroundTruthView;
+use pskel_town::{Daylight, Town, TownOptions};
+
+/// Write the synthetic town as a data set in nuScenes layout: images, LiDAR sweeps, boxes, and the HD map
+///
+/// Everything is determined by the seed. Writes tables to v1.0-town, images and sweeps to samples and sweeps, the map
+/// to maps/expansion/town.json and maps/town.png, and the options to town.json. The same recording without files is
+/// the log town:seed=S,frames=N.
+#[derive(Debug, Args)]
+pub(super) struct TownArgs {
+    /// Seed of the town and of the recorded drive
+    #[arg(long, default_value_t = TownOptions::default().seed)]
+    seed: u64,
+    /// Number of annotated frames
+    #[arg(long, value_name = "N", default_value_t = TownOptions::default().frames)]
+    frames: usize,
+    /// Folder to write; an older town in it is replaced once the new one is complete
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
+    out: PathBuf,
+    /// Annotated frames per second
+    #[arg(long, value_name = "F", default_value_t = TownOptions::default().hz, value_parser = numbers::rate_hz)]
+    hz: f64,
+    /// LiDAR beams: 32 or 64
+    #[arg(long, value_name = "N", default_value_t = TownOptions::default().beams)]
+    beams: u16,
+    /// LiDAR rotations per second: 10 or 20
+    #[arg(long, value_name = "F", default_value_t = TownOptions::default().lidar_hz, value_parser = numbers::rate_hz)]
+    lidar_hz: f64,
+    /// Size of the images
+    #[arg(long, value_name = "HxW", default_value_t = default_size())]
+    size: ImageSize,
+    /// Daylight: day, dusk or overcast [default: chosen by the seed]
+    #[arg(long, value_name = "LIGHT")]
+    light: Option<Daylight>,
+    /// Also write the ground truth of every image: truth/FRAME/CAM/depth.exr (meters), class.png and instance.png,
+    /// with the numbers of that frame's maps
+    #[arg(long)]
+    truth: bool,
+}
+
+/// Name of the folder of tables.
+const VERSION: &str = "v1.0-town";
+/// File of the options.
+const OPTIONS: &str = "town.json";
+const TRUTH: &str = "truth";
+
+fn default_size() -> ImageSize {
+    let [height, width] = TownOptions::default().size;
+    ImageSize { height, width }
+}
+
+/// Runs the command: generates and writes the town.
+pub(super) fn run(args: &TownArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    let options = args.options();
+    options.check().map_err(|error| WrongUsage(error.to_string()))?;
+    let out = WholeFolder::open(&args.out, "town", &[])?;
+    let town = Town::new(&options)?;
+    out.write::<anyhow::Error>(|folder| {
+        let progress = Mutex::new(Progress::new(town.log().frames.len()));
+        let frame_done = |index: usize| {
+            let mut progress = progress.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            progress.step(&format!("frame {index:06}"));
+        };
+        let layers = town.map_layers();
+        let writer = LogWriter { version: VERSION, map: Some(&layers), frame_done: &frame_done };
+        writer.write(folder, &town)?;
+        if args.truth {
+            write_truth(&folder.join(TRUTH), &town)?;
+        }
+        Ok(write_json(&folder.join(OPTIONS), &serde_json::json!({"town": options.to_string()}))?)
+    })?;
+    say(&format!(
+        "{} in {:.2} s: {}",
+        summary(town.log()),
+        start.elapsed().as_secs_f64(),
+        args.out.display()
+    ));
+    Ok(())
+}
+
+impl TownArgs {
+    fn options(&self) -> TownOptions {
+        TownOptions {
+            seed: self.seed,
+            frames: self.frames,
+            hz: self.hz,
+            lidar_hz: self.lidar_hz,
+            beams: self.beams,
+            size: [self.size.height, self.size.width],
+            daylight: self.light,
+        }
+    }
+}
+
+fn summary(log: &Log) -> String {
+    let (images, sweeps, boxes) = log.frames.iter().fold((0, 0, 0), |(images, sweeps, boxes), frame| {
+        (images + frame.images.len(), sweeps + frame.sweeps.len(), boxes + frame.boxes.len())
+    });
+    format!(
+        "wrote {}: {} frames, {images} images, {sweeps} sweeps, {boxes} boxes of {} tracks",
+        log.name,
+        log.frames.len(),
+        log.tracks.len()
+    )
+}
+
+fn write_truth(folder: &Path, town: &Town) -> anyhow::Result<()> {
+    let log = town.log();
+    let mut progress = Progress::new(log.frames.len());
+    for (index, frame) in log.frames.iter().enumerate() {
+        let cameras = frame.images.iter().map(|image| log.cameras[image.channel].clone());
+        let (depth, masks) =
+            cameras.zip(town.truth_of_frame(index)?).map(|(name, view)| maps(name, view)).unzip();
+        let folder = folder.join(format!("{index:06}"));
+        std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
+        exr::write(&folder, &ConditionSet { cameras: depth })?;
+        png::write(&folder, &ConditionSet { cameras: masks }, &DepthBins::default())?;
+        progress.step(&format!("truth {index:06}"));
+    }
+    Ok(())
+}
+
+/// Splits a view into depth, and class with instance, as the writers require.
+fn maps(name: FileName, view: GroundTruthView) -> (CameraConditions, CameraConditions) {
+    let (width, height) = view.image.dimensions();
+    let bare = CameraConditions { name, width, height, ..CameraConditions::default() };
+    let depth = CameraConditions { depth_m: Some(view.depth_m), ..bare.clone() };
+    (depth, CameraConditions { class: Some(view.class), instance: Some(view.instance), ..bare })
+}

@@ -1,0 +1,327 @@
+//! Interrupted and resumed builds, and builds from several logs.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use point_skeleton::cloud::Point;
+use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord};
+use point_skeleton::error::FileError;
+use point_skeleton::skeleton::{
+    self, Asset, BuildError, BuildInput, BuildOptions, BuildReport, BuildRun, Skeleton,
+};
+use serde_json::json;
+
+use crate::common::WithLog;
+use crate::made_town::{self, FRAMES};
+use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
+
+/// A log whose sweeps can be read only a limited number of times.
+struct Breaking<'a> {
+    drive: &'a dyn Dataset,
+    left: AtomicUsize,
+}
+
+impl Dataset for Breaking<'_> {
+    fn log(&self) -> &Log {
+        self.drive.log()
+    }
+
+    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
+        let take_one = |left: usize| left.checked_sub(1);
+        match self.left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take_one) {
+            Ok(_) => self.drive.read_sweep(record),
+            Err(_) => Err(FileError::content("a sweep", "a broken disk", &record.path).into()),
+        }
+    }
+
+    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
+        self.drive.read_image(record)
+    }
+}
+
+/// Small windows, so that a build advances along the log.
+fn options(voxel_m: f64) -> BuildOptions {
+    BuildOptions { voxel_m, color_window: 2, occlusion_window: 1, ..BuildOptions::default() }
+}
+
+fn build(
+    out: &Path,
+    log: &dyn Dataset,
+    options: &BuildOptions,
+    [checkpoint_frames, resume]: [usize; 2],
+) -> Result<Skeleton, BuildError> {
+    let run = BuildRun { checkpoint_frames, resume: resume == 1, ..BuildRun::default() };
+    skeleton::build(out, &[BuildInput::all(log)], options, &|_| Ok(Vec::new()), &run)
+}
+
+#[test]
+fn wherever_a_build_breaks_it_goes_on_to_the_same_bytes() {
+    let (_files, drive) = made_town::read();
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("sk");
+    for voxel_m in [0.0, 0.05] {
+        let options = options(voxel_m);
+        build(&out, &drive, &options, [100, 0]).unwrap();
+        let whole = tree(&out);
+        std::fs::remove_dir_all(&out).unwrap();
+        let mut kept = 0;
+        for reads in 0..FRAMES {
+            let breaking = Breaking { drive: &drive, left: AtomicUsize::new(reads) };
+            match build(&out, &breaking, &options, [1, 0]) {
+                Err(BuildError::Interrupted { frames, path, .. }) => {
+                    assert!(frames < FRAMES && path == folder.path().join("sk.partial"), "{frames}");
+                    kept = kept.max(frames);
+                    build(&out, &drive, &options, [2, 1]).unwrap();
+                    assert!(tree(&out) == whole, "voxel {voxel_m}, {reads} reads, {frames} frames");
+                    std::fs::remove_dir_all(&out).unwrap();
+                }
+                Err(BuildError::Dataset(_)) => {}
+                other => panic!("{other:?}"),
+            }
+            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left");
+        }
+        assert!(kept >= 2, "some builds break late: {kept}");
+    }
+}
+
+/// Spawns a build and kills it after some time; returns whether it was still running.
+fn killed_after(folder: &Path, args: &str, time: Duration) -> bool {
+    let mut command = Command::new(PSKEL);
+    command.current_dir(folder).args(args.split_whitespace()).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut child = command.spawn().unwrap();
+    std::thread::sleep(time);
+    let running = child.try_wait().unwrap().is_none();
+    child.kill().unwrap(); // SIGKILL
+    child.wait().unwrap();
+    running
+}
+
+#[test]
+fn a_killed_build_goes_on_to_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    made_town::copy_to(&folder.path().join("log"), |_| true);
+    let run = |args: &str| {
+        let mut command = Command::new(PSKEL);
+        let output = command.current_dir(folder.path()).args(args.split_whitespace()).output().unwrap();
+        assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
+    };
+    let start = std::time::Instant::now();
+    run("build nuscenes:log --out whole");
+    let mut whole_ms = start.elapsed().as_millis() as u64;
+    let checkpoint = folder.path().join("sk.partial/checkpoint.json");
+    let (mut kills, mut resumed) = (0, 0);
+    // Kill times spread over the whole build, in no order. Other load makes builds slower or faster, so the times are
+    // repeated.
+    for share in [61, 23, 97, 42, 78, 88, 55].into_iter().cycle().take(70) {
+        let resume = if checkpoint.is_file() { "--resume" } else { "" };
+        let args = format!("build nuscenes:log --out sk --checkpoint 1 {resume}");
+        let killed = killed_after(folder.path(), &args, Duration::from_millis(whole_ms * share / 100));
+        kills += usize::from(killed);
+        resumed += usize::from(killed && !resume.is_empty());
+        if folder.path().join("sk").exists() {
+            assert!(tree(&folder.path().join("sk")) == tree(&folder.path().join("whole")));
+            std::fs::remove_dir_all(folder.path().join("sk")).unwrap();
+        }
+        if kills >= 5 && resumed >= 2 {
+            break;
+        }
+        if !killed {
+            whole_ms = whole_ms * 3 / 4;
+        } else if !checkpoint.is_file() {
+            whole_ms = whole_ms * 5 / 4;
+        }
+    }
+    let resume = if checkpoint.is_file() { "--resume" } else { "" };
+    run(&format!("build nuscenes:log --out sk {resume}"));
+    assert!(tree(&folder.path().join("sk")) == tree(&folder.path().join("whole")));
+    assert!(kills >= 5 && resumed >= 2, "{kills} kills, {resumed} resumed");
+    assert!(!folder.path().join("sk.partial").exists());
+}
+
+#[test]
+fn what_cannot_be_gone_on_with_is_refused() {
+    let log = TinyLog::new();
+    log.succeed("build nuscenes:log --out out/whole");
+    let partial = partial_of_tiny(&log);
+    for (options, words) in [
+        ("--voxel 0.02", "one with other options"),
+        ("--frames 0..2", "one of other frames"),
+        ("--sweeps", "one with other options"),
+    ] {
+        let output = log.run(&format!("build nuscenes:log --out out/sk --resume {options}"));
+        assert_failed(&output, 1, &[words, "checkpoint.json"]);
+        assert!(partial.join("checkpoint.json").is_file());
+    }
+    let run = partial.join("run-000000.sums");
+    let bytes = std::fs::read(&run).unwrap();
+    std::fs::write(&run, &bytes[1..]).unwrap();
+    let output = log.run("build nuscenes:log --out out/sk --resume");
+    assert_failed(&output, 1, &["run-000000.sums", &format!("found {} bytes", bytes.len() - 1)]);
+    let mut changed = bytes.clone();
+    changed[bytes.len() / 2] ^= 1;
+    std::fs::write(&run, &changed).unwrap();
+    let output = log.run("build nuscenes:log --out out/sk --resume");
+    assert_failed(&output, 1, &["expected sums of ", "with checksum", "run-000000.sums"]);
+    assert!(!log.path("out/sk").exists());
+    std::fs::write(&run, &bytes).unwrap();
+    let lock = std::fs::File::open(partial.join("lock")).unwrap();
+    lock.lock().unwrap();
+    let output = log.run("build nuscenes:log --out out/sk --resume");
+    assert_failed(&output, 1, &["no other process at work on this output, found process", ": out/sk\n"]);
+    drop(lock);
+    log.succeed("build nuscenes:log --out out/sk --resume");
+    assert!(tree(&log.path("out/sk")) == tree(&log.path("out/whole")) && !partial.exists());
+    // Nothing to resume: the build was killed before its first checkpoint.
+    let output = log.run("build nuscenes:log --out out/sk --resume");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && said.contains("warning: no unfinished build was found"), "{said}");
+    assert!(tree(&log.path("out/sk")) == tree(&log.path("out/whole")));
+}
+
+#[test]
+fn a_folder_of_another_kind_is_not_taken_for_an_unfinished_build() {
+    let log = TinyLog::new();
+    std::fs::create_dir(log.path("out/sk.partial")).unwrap();
+    std::fs::write(log.path("out/sk.partial/thesis.tex"), "years of work").unwrap();
+    for resume in ["", "--resume"] {
+        let output = log.run(&format!("build nuscenes:log --out out/sk {resume}"));
+        assert_failed(
+            &output,
+            1,
+            &["a folder of an unfinished run, or none", "another folder", "sk.partial"],
+        );
+    }
+    assert!(log.path("out/sk.partial/thesis.tex").is_file());
+}
+
+#[test]
+fn a_build_that_starts_anew_says_what_it_discards() {
+    let log = TinyLog::new();
+    let partial = partial_of_tiny(&log);
+    let output = log.run("build nuscenes:log --out out/sk");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        output.status.success() && stderr.contains("an unfinished build with 3 frames done is discarded"),
+        "{stderr}"
+    );
+    assert!(!partial.exists());
+    // An older skeleton stays until the new one replaces it.
+    let older = tree(&log.path("out/sk"));
+    std::fs::write(log.path(&crate::tiny_log::sweep(2)), "cut").unwrap();
+    assert_failed(&log.run("build nuscenes:log --out out/sk --checkpoint 1"), 1, &["2.pcd.bin"]);
+    assert!(tree(&log.path("out/sk")) == older);
+}
+
+/// If cameras are slower than the LiDAR, one image serves two frames, as if the second frame had its own copy.
+#[test]
+fn an_image_of_two_frames_colors_both() {
+    let (_files, drive) = made_town::read();
+    let folder = tempfile::tempdir().unwrap();
+    let reports = |images: Vec<ImageRecord>| {
+        let mut log = drive.log().clone();
+        log.frames.truncate(2);
+        log.frames[1].images = images;
+        let shared = WithLog { drive: &drive, log };
+        [options(0.0), BuildOptions::every_camera()].map(|options| {
+            build(&folder.path().join("sk"), &shared, &options, [20, 0]).unwrap().manifest.report
+        })
+    };
+    let images = &drive.log().frames[0].images;
+    let copied = |(i, image): (usize, &ImageRecord)| {
+        let path = folder.path().join(format!("{i}.jpg"));
+        std::fs::copy(&image.path, &path).unwrap();
+        ImageRecord { path, ..image.clone() }
+    };
+    let [same, copies] = [images.clone(), images.iter().enumerate().map(copied).collect()].map(reports);
+    // With a color window the first frame's images are cached and not read twice; without a window they are.
+    let cameras = images.len();
+    assert_eq!(same.each_ref().map(|r| r.images), [cameras, 2 * cameras]);
+    assert_eq!(copies.each_ref().map(|r| r.images), [2 * cameras; 2]);
+    let uncolored = |reports: &[BuildReport; 2]| reports.each_ref().map(|r| r.dropped_uncolored);
+    assert_eq!(uncolored(&same), uncolored(&copies));
+    // Without images the second frame would lose all its points.
+    let [_, every] = reports(Vec::new());
+    assert!(every.dropped_uncolored > same[1].dropped_uncolored + same[1].points_read / 4);
+}
+
+/// Returns an unfinished build of the tiny log: templates fail after all frames are done.
+fn partial_of_tiny(log: &TinyLog) -> PathBuf {
+    let dataset =
+        pskel::logs::open(&format!("nuscenes:{}", log.path("log").display()).parse().unwrap());
+    let dataset = dataset.unwrap();
+    let fail = |_: &[(&Asset, &[Point])]| Err(FileError::content("templates", "none", Path::new("t")));
+    let inputs = [BuildInput::all(dataset.as_ref())];
+    let built = skeleton::build(
+        &log.path("out/sk"),
+        &inputs,
+        &BuildOptions::default(),
+        &fail,
+        &BuildRun { checkpoint_frames: 1, ..BuildRun::default() },
+    );
+    let error = built.unwrap_err();
+    let BuildError::Interrupted { frames, path, .. } = &error else { panic!("{error}") };
+    let text = error.to_string();
+    assert!(*frames == 3 && text.contains("3 frames are done and kept, --resume goes on"), "{text}");
+    path.clone()
+}
+
+#[test]
+fn logs_of_one_place_share_a_background() {
+    let (log, other) = (TinyLog::new(), TinyLog::new());
+    other.change("scene", "/0/name", json!("second"));
+    std::fs::rename(other.path("log"), log.path("log2")).unwrap();
+    log.succeed("build nuscenes:log --out out/one --voxel 0");
+    let summary = log.succeed("build nuscenes:log nuscenes:log2 --out out/both --voxel 0");
+    assert!(summary.starts_with("built tiny, second from 6 frames"), "{summary}");
+    let (one, both) =
+        (Skeleton::open(&log.path("out/one")).unwrap(), Skeleton::open(&log.path("out/both")).unwrap());
+    // The second log is a copy of the first: each chunk holds the points of the first, then the same points again.
+    for (one, both) in one.background().unwrap().iter().zip(both.background().unwrap()) {
+        assert!(both[..one.len()] == **one && both[one.len()..] == **one);
+    }
+    let names: Vec<_> = both.manifest.actors.iter().map(|a| [a.track.as_str(), a.log.as_str()]).collect();
+    assert_eq!(names, [["car", "tiny"], ["car", "second"], ["cone", "tiny"], ["cone", "second"]]);
+    assert_eq!(both.manifest.actors[0].points, one.manifest.actors[0].points);
+    // With voxels the copy adds nothing, because its points are the same.
+    log.succeed("build nuscenes:log --out out/one");
+    log.succeed("build nuscenes:log nuscenes:log2 --out out/both");
+    let points = |name: &str| std::fs::read(log.path(name).join("background.points")).unwrap();
+    assert!(points("out/one") == points("out/both"));
+    for name in ["nuscenes:log", "nuscenes:log2"] {
+        log.succeed(&format!("render {name} --skeleton out/both --out out/maps --frames 0..1 --maps depth"));
+    }
+    let output = log.run("build nuscenes:log nuscenes:log --out out/again");
+    assert_failed(&output, 1, &["logs of one place, each once", "tiny (nowhere), tiny (nowhere)"]);
+}
+
+#[test]
+fn what_somebody_put_into_a_skeleton_is_not_deleted() {
+    let log = TinyLog::new();
+    log.succeed("build nuscenes:log --out out/sk");
+    std::fs::create_dir(log.path("out/sk/mine")).unwrap();
+    let output = log.run("build nuscenes:log --out out/sk");
+    assert_failed(
+        &output,
+        1,
+        &["only files that pskel wrote where it is to write, found another folder: out/sk/mine"],
+    );
+    assert!(log.path("out/sk/mine").is_dir() && !log.path("out/sk.partial").exists());
+}
+
+#[test]
+fn frames_without_sweeps_are_told() {
+    let log = TinyLog::new();
+    log.change("sensor", "/0/modality", json!("radar"));
+    let lidar: serde_json::Value = log.json("log/v1.0-mini/sensor.json");
+    assert!(
+        lidar.as_array().unwrap().iter().any(|s| s["channel"] == "LIDAR_TOP" && s["modality"] == "radar")
+    );
+    assert_failed(
+        &log.run("build nuscenes:log --out out/sk"),
+        1,
+        &["frames with a LiDAR sweep, found none in 3 frames of tiny"],
+    );
+    assert!(!log.path("out/sk.partial").exists());
+}

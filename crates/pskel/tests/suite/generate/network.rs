@@ -1,0 +1,412 @@
+//! The small network: codec, training, weights, and the independence of its caches from forecasts.
+
+use std::path::Path;
+use std::process::Command;
+
+use image::RgbImage;
+use pskel_network::{
+    Attend, Network, NetworkConfig, NetworkError, PatchCodec, Statistics, Weights,
+};
+use pskel_network::train::{TrainOptions, Trainer, measure};
+use pskel_generate::{
+    Codec, Condition, Denoiser, DriveFrame, DriveInfo, DroppedConditions, Frame, FrameConditions,
+    GaussianNoise, GenerateOptions, Latent, Level, NoiseSource, Recipe, Strategy, TrainingClip,
+};
+use point_skeleton::geometry::ImageSize;
+use pskel_sim::Forecast;
+
+use super::{TrainingClip as Rollout, options as roll_options};
+
+const SIZE: ImageSize = ImageSize { height: 16, width: 32 };
+const VIEWS: usize = 2;
+
+fn config() -> NetworkConfig {
+    NetworkConfig {
+        recipe: recipe(),
+        cameras: VIEWS,
+        frames: 4,
+        patch: 4,
+        width: 32,
+        head: 16,
+        hidden: 48,
+        blocks: vec![Attend::Space, Attend::Views, Attend::Time],
+    }
+}
+
+fn train_options() -> TrainOptions {
+    TrainOptions { steps: 4, warmup: 2, batch: 2, learning_rate: 3e-3, ..TrainOptions::default() }
+}
+
+fn recipe() -> Recipe {
+    Recipe { size: SIZE, ..Recipe::default() }
+}
+
+/// Returns the texture of a patch, one of four; the map determines it.
+fn kind(number: usize, view: usize, frame: usize, x: usize, y: usize) -> usize {
+    (x / 4 + 3 * (y / 4) + 2 * view + frame + number) * 5 % 7 % 4
+}
+
+/// Returns a level of a texture.
+fn shade(kind: usize, x: usize, y: usize, color: usize) -> u8 {
+    let seed = (kind * 48 + (y % 4) * 12 + (x % 4) * 3 + color) as u32 + 1;
+    (seed.wrapping_mul(2_654_435_761) >> 24) as u8
+}
+
+/// Returns a synthetic recording: two cameras pass textured patches; the color map has holes.
+pub(crate) fn made(number: usize, frames: usize) -> TrainingClip {
+    made_for(&config(), number, frames)
+}
+
+/// Returns a recording in the format of a network.
+fn made_for(config: &NetworkConfig, number: usize, frames: usize) -> TrainingClip {
+    let views = config.cameras;
+    let cameras = (0..views).map(|view| format!("camera {view}")).collect();
+    let about = DriveInfo { log: format!("made {number}"), hz: 5.0, cameras, recipe: config.recipe.clone() };
+    let frame = |frame: usize| {
+        let mut made = DriveFrame { action: [1.0, 0.1 * frame as f32, 0.02], ..DriveFrame::default() };
+        for (view, y, x) in places(views, config.recipe.size) {
+            let kind = kind(number, view, frame, x, y);
+            let truth = [0, 1, 2].map(|color| shade(kind, x, y, color));
+            let is_hole = !(x * 7 + y * 3 + frame).is_multiple_of(5);
+            made.truth.push(truth);
+            made.color.push(if is_hole { [0; 3] } else { [truth[0] / 4; 3] });
+            made.bins.push(if is_hole { 0 } else { 1 + ((y * 8 + x) % 256) as u16 });
+            made.boxes.push(if x / 8 == frame % 4 { [255, 0, 0] } else { [0; 3] });
+            // The kind's low bit determines whether two colors differ, so no linear guess can predict it.
+            let [low, high, mask] = [kind & 1, kind >> 1, (x / 4 + y / 4) & 1];
+            made.map.push([high, mask, mask ^ low].map(|bit| 255 * bit as u8));
+        }
+        #[rustfmt::skip]
+        let camera = |yaw: f32| [
+            yaw.sin(), 0.0, yaw.cos(), 1.0,
+            -yaw.cos(), 0.0, yaw.sin(), 0.0,
+            0.0, -1.0, 0.0, 1.5,
+            0.8, 1.4, 0.5, 0.5,
+        ];
+        made.cameras = (0..views).map(|view| camera(0.5 - view as f32)).collect();
+        made
+    };
+    TrainingClip { about, frames: (0..frames).map(frame).collect() }
+}
+
+/// Iterates over pixels: view, row, column.
+fn places(views: usize, size: ImageSize) -> impl Iterator<Item = (usize, usize, usize)> {
+    let (height, width) = (size.height as usize, size.width as usize);
+    (0..views * height * width).map(move |i| (i / width / height, i / width % height, i % width))
+}
+
+fn conditions(drive: &TrainingClip) -> Vec<FrameConditions> {
+    let encoder = drive.encoder();
+    (0..drive.frames.len()).map(|frame| drive.conditions(frame, &encoder)).collect()
+}
+
+pub(crate) fn weights(drives: &[TrainingClip]) -> Weights {
+    let (statistics, guess) = measure(&config(), drives).unwrap();
+    Weights::fresh(&config(), &statistics, &guess, 5).unwrap()
+}
+
+fn same(channels: usize, mean: f32, scale: f32) -> Statistics {
+    Statistics { means: vec![mean; channels], scales: vec![scale; channels], priors: vec![1.0; channels] }
+}
+
+#[test]
+fn the_codec_is_orthonormal_and_goes_both_ways() {
+    let config = config();
+    let images = made(1, 1).images(0);
+    let plain = PatchCodec::new(&config, &same(48, 0.0, 1.0)).unwrap();
+    let latent = plain.encode(&images).unwrap();
+    assert_eq!(latent.shape(), config.shape());
+    assert_eq!(latent.shape().to_array(), [2, 48, 4, 8]);
+    // The codec preserves the norm of each patch.
+    let energy = |x: usize, y: usize| -> [f64; 2] {
+        let pixel = |i: usize| images[1].get_pixel((x * 4 + i % 4) as u32, (y * 4 + i / 4) as u32).0;
+        let level = |level: u8| (f64::from(level) / 255.0).powi(2);
+        let value = |channel: usize| f64::from(latent.values()[((48 + channel) * 4 + y) * 8 + x]).powi(2);
+        [(0..16).flat_map(pixel).map(level).sum(), (0..48).map(value).sum()]
+    };
+    for (x, y) in [(0, 0), (7, 0), (3, 2), (7, 3)] {
+        let [pixels, channels] = energy(x, y);
+        assert!((pixels - channels).abs() < 1e-5 * pixels, "{x} {y}: {pixels} {channels}");
+    }
+    // Channel 0 is the mean of all pixels and colors, times the square root of their number.
+    let gray = PatchCodec::new(&config, &same(48, 0.5, 2.0)).unwrap();
+    let latent = gray.encode(&vec![RgbImage::from_pixel(32, 16, image::Rgb([51; 3])); 2]).unwrap();
+    let first = (0.2 * 48.0_f32.sqrt() - 0.5) / 2.0;
+    assert!((latent.values()[0] - first).abs() < 1e-6 && (latent.values()[32] + 0.25).abs() < 1e-6);
+    for codec in [plain, gray] {
+        assert_eq!(codec.decode(&codec.encode(&images).unwrap()).unwrap(), images);
+        let error = codec.encode(&images[..1]).unwrap_err().to_string();
+        assert!(error.contains("expected 2 images, found 1"), "{error}");
+        let wide = vec![RgbImage::new(36, 16); 2];
+        let error = codec.encode(&wide).unwrap_err().to_string();
+        assert!(error.contains("images of 16x32, found 16x36"), "{error}");
+    }
+}
+
+#[test]
+fn latents_of_the_drives_have_unit_variance() {
+    let drives = [made(1, 5), made(2, 4)];
+    let (statistics, guess) = measure(&config(), &drives).unwrap();
+    let codec = PatchCodec::new(&config(), &statistics).unwrap();
+    let mut channels = vec![Vec::new(); 48];
+    for (drive, frame) in drives.iter().flat_map(|d| (0..d.frames.len()).map(move |f| (d, f))) {
+        let latent = codec.encode(&drive.images(frame)).unwrap();
+        for (i, value) in latent.values().iter().enumerate() {
+            channels[i / 32 % 48].push(f64::from(*value));
+        }
+    }
+    for (channel, values) in channels.iter().enumerate() {
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        let square = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64;
+        assert!(mean.abs() < 1e-3 && (square - 1.0).abs() < 2e-3, "{channel} {mean} {square}");
+    }
+    // The maps predict much of the image linearly; empty maps predict nothing.
+    let mean = |values: &[f32]| values.iter().sum::<f32>() / values.len() as f32;
+    assert_eq!((guess.matrix.len(), guess.bias.len()), (48 * 26 * 16, 48));
+    assert!(mean(&statistics.priors) < 0.8, "{:?}", statistics.priors);
+    let mut blind = drives.clone();
+    for frame in blind.iter_mut().flat_map(|drive| &mut drive.frames) {
+        frame.bins.fill(0);
+        for map in [&mut frame.color, &mut frame.boxes, &mut frame.map] {
+            map.fill([0; 3]);
+        }
+    }
+    let (blind, _) = measure(&config(), &blind).unwrap();
+    assert!(blind.priors.iter().all(|prior| (prior - 1.0).abs() < 2e-3), "{:?}", blind.priors);
+    let narrow = NetworkConfig { cameras: 3, ..config() };
+    let error = measure(&narrow, &drives).unwrap_err().to_string();
+    assert!(error.contains("3 cameras of 16x32, found 2 of 16x32 in made 1"), "{error}");
+    let error = measure(&config(), &[made(1, 3)]).unwrap_err().to_string();
+    assert!(error.contains("at least 4 frames, found 3 in made 1"), "{error}");
+}
+
+fn trained(trainer: &mut Trainer<'_>, steps: u64) {
+    for _ in 0..steps {
+        trainer.step().unwrap();
+    }
+}
+
+/// Name of the variable with the file that a child process of this test writes.
+const OUT: &str = "PSKEL_TEST_TRAINED";
+
+/// The tensor library reads its number of threads from the environment, so each run needs its own process.
+#[test]
+fn training_is_the_same_for_one_thread_and_two_and_when_resumed() {
+    let drives = [made(1, 5), made(2, 6)];
+    let begin = || Trainer::new(train_options(), config(), &drives).unwrap();
+    if let Some(out) = std::env::var_os(OUT) {
+        let mut trainer = begin();
+        trained(&mut trainer, 4);
+        return trainer.save(Path::new(&out)).unwrap();
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    for threads in ["1", "2"] {
+        let test = "generate::network::training_is_the_same_for_one_thread_and_two_and_when_resumed";
+        let mut command = Command::new(std::env::current_exe().unwrap());
+        command.args([test, "--exact"]).env("RAYON_NUM_THREADS", threads).env(OUT, path(threads));
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    }
+    let through = std::fs::read(path("1")).unwrap();
+    assert!(through == std::fs::read(path("2")).unwrap());
+    let mut trainer = begin();
+    trained(&mut trainer, 2);
+    trainer.save(&path("half")).unwrap();
+    let mut trainer = Trainer::resume(&path("half"), &drives).unwrap();
+    assert_eq!((trainer.done(), trainer.is_done()), (2, false));
+    assert_eq!(trainer.step().unwrap().step, 2);
+    trained(&mut trainer, 1);
+    trainer.save(&path("resumed")).unwrap();
+    assert!(trainer.is_done() && through == std::fs::read(path("resumed")).unwrap());
+    // Three steps give another result than four.
+    assert!(through != std::fs::read(path("half")).unwrap());
+
+    let other = [made(1, 5), made(3, 6)];
+    let error = Trainer::resume(&path("half"), &other).err().unwrap().to_string();
+    assert!(error.contains("the drives that it began with") && error.ends_with("half"), "{error}");
+    trainer.weights("test").unwrap().write(&path("weights")).unwrap();
+    let error = Trainer::resume(&path("weights"), &drives).err().unwrap().to_string();
+    assert!(error.contains("expected a saved training, found no training in the header"), "{error}");
+    let error = Weights::open(&path("half")).unwrap_err().to_string();
+    assert!(error.contains("expected weights, found no network in the header"), "{error}");
+}
+
+/// The network memorizes one window.
+#[test]
+fn a_small_network_overfits_a_drive() {
+    let drives = [made(1, 4)];
+    let options = TrainOptions { steps: 150, warmup: 10, learning_rate: 5e-3, ..train_options() };
+    let mut trainer = Trainer::new(options, config(), &drives).unwrap();
+    let losses: Vec<f64> = (0..150).map(|_| trainer.step().unwrap().loss).collect();
+    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
+    let (first, last) = (mean(&losses[..5]), mean(&losses[130..]));
+    // The loss is relative to the expected error, 0.4 of the first guess's, so it starts at most at 1 / 0.4².
+    assert!((0.5..1.0 / 0.4 / 0.4).contains(&first), "{first}");
+    assert!(last < first / 3.0, "{first} {last}");
+    let weights = trainer.weights("pskel train").unwrap();
+    assert_eq!((weights.about.steps, &weights.about.logs[..]), (150, &["made 1".to_owned()][..]));
+}
+
+#[test]
+fn a_training_that_leaves_the_numbers_is_stopped() {
+    let drives = [made(1, 4)];
+    let options = TrainOptions { learning_rate: 1e30, warmup: 0, ..train_options() };
+    let mut trainer = Trainer::new(options, config(), &drives).unwrap();
+    let error = (0..4).find_map(|_| trainer.step().err()).unwrap();
+    assert!(matches!(error, NetworkError::NotFinite { .. }), "{error}");
+    assert!(error.to_string().contains(&format!("step {} of training", trainer.done())), "{error}");
+}
+
+fn level(sigma: f32) -> Level {
+    Level { timestep: sigma * 1000.0, sigma }
+}
+
+fn predicted(network: &mut Network, latents: &[Latent], conditions: &[FrameConditions]) -> Vec<Latent> {
+    let frame = |(latent, condition)| Frame { latent, level: level(0.6), condition };
+    let window: Vec<_> = latents.iter().zip(conditions).map(frame).collect();
+    network.predict(&window).unwrap()
+}
+
+fn noises(network: &Network, seed: u64) -> Vec<Latent> {
+    (0..4).map(|frame| GaussianNoise { seed }.noise(network.shape(), frame, 0)).collect()
+}
+
+#[test]
+fn conditions_and_their_lack_change_what_is_predicted() {
+    let drives = [made(1, 5)];
+    let mut network = Network::new(weights(&drives)).unwrap();
+    let conditions = conditions(&drives[0]);
+    let latents = noises(&network, 1);
+    let whole = predicted(&mut network, &latents, &conditions);
+    let none = DroppedConditions::default();
+    let all = [
+        DroppedConditions { layout: true, ..none },
+        DroppedConditions { action: true, ..none },
+        DroppedConditions { color: true, ..none },
+        DroppedConditions { depth: true, ..none },
+    ];
+    for dropped in all {
+        let without: Vec<_> = conditions.iter().map(|c| c.without(dropped)).collect();
+        assert!(predicted(&mut network, &latents, &without) != whole, "{dropped:?}");
+    }
+    // Cached results are reused only for equal conditions.
+    assert!(predicted(&mut network, &latents, &conditions) == whole);
+    assert!(predicted(&mut network, &latents, &conditions) == whole);
+    assert!(predicted(&mut network, &latents, &conditions[1..]) != whole);
+    // Shorter windows are accepted; other sizes are rejected.
+    assert_eq!(predicted(&mut network, &latents[..2], &conditions).len(), 2);
+    let mut small = conditions[0].clone();
+    small.cameras.pop();
+    let frame = Frame { latent: &latents[0], level: level(0.6), condition: &small };
+    let error = network.predict(&[frame]).unwrap_err().to_string();
+    assert!(error.contains("conditions of 2 cameras of 16x32, found 1 of 16x32"), "{error}");
+    let frame = Frame { condition: &conditions[0], ..frame };
+    let error = network.predict(&[frame; 5]).unwrap_err().to_string();
+    assert!(error.contains("a window of 1 to 4 frames, found 5"), "{error}");
+    let error = network.predict(&[Frame { level: level(f32::NAN), ..frame }]).unwrap_err().to_string();
+    assert!(error.contains("found NaN"), "{error}");
+}
+
+#[test]
+fn weights_are_read_as_they_were_written_or_refused() {
+    let drives = [made(1, 5)];
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("weights.safetensors");
+    let written = weights(&drives);
+    written.write(&path).unwrap();
+    let read = Weights::open(&path).unwrap();
+    assert_eq!(
+        (&read.config, &read.statistics, &read.about),
+        (&written.config, &written.statistics, &written.about)
+    );
+    assert_eq!(read.count(), written.count());
+    let conditions = conditions(&drives[0]);
+    let mut networks = [Network::new(written).unwrap(), Network::open(&path).unwrap()];
+    let latents = noises(&networks[0], 2);
+    let [a, b] = networks.each_mut().map(|network| predicted(network, &latents, &conditions));
+    assert!(a == b);
+
+    let bytes = std::fs::read(&path).unwrap();
+    let refused = |bytes: &[u8]| {
+        std::fs::write(&path, bytes).unwrap();
+        let error = Weights::open(&path).unwrap_err().to_string();
+        assert!(error.ends_with("weights.safetensors"), "{error}");
+        error
+    };
+    // Replaces a text in the header by another of the same length.
+    let changed = |from: &str, to: &str| {
+        assert_eq!(from.len(), to.len());
+        let at = bytes.windows(from.len()).position(|part| part == from.as_bytes()).unwrap();
+        let mut bytes = bytes.clone();
+        bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
+        refused(&bytes)
+    };
+    let error = changed(r#"hidden\":48"#, r#"hidden\":32"#);
+    assert!(error.contains("block.00.in of f32 [128, 32], found F32 [144, 32]"), "{error}");
+    let error = changed(r#"\"s\",\"v\""#, r#"\"s\",\"x\""#);
+    assert!(error.contains("expected weights, found"), "{error}");
+    let error = changed(r#"head\":16"#, r#"head\":17"#);
+    assert!(error.contains("whole heads"), "{error}");
+    let error = changed(r#""ego.a""#, r#""ego.c""#);
+    assert!(error.contains("ego.a of f32 [32, 4], found no such array"), "{error}");
+    let error = refused(&bytes[..bytes.len() - 4]);
+    assert!(error.contains("expected weights, found"), "{error}");
+    // Replaces the last number of the last parameter.
+    for (number, name) in [(f32::NAN, "NaN"), (f32::INFINITY, "inf"), (f32::NEG_INFINITY, "-inf")] {
+        let mut bytes = bytes.clone();
+        bytes.splice(bytes.len() - 4.., number.to_le_bytes());
+        let error = refused(&bytes);
+        assert!(
+            error.contains("expected finite numbers in ") && error.contains(&format!("found {name} at ")),
+            "{error}"
+        );
+    }
+}
+
+/// The shipped weights state their origin, and the log of their training is stored beside them.
+#[test]
+fn shipped_weights_are_of_the_default_network_and_its_training() {
+    let weights = Weights::shipped().unwrap();
+    assert_eq!(weights.config, NetworkConfig::default());
+    let log = include_str!("../../../../network/shipped/loss.csv");
+    let options = TrainOptions::default();
+    assert_eq!((weights.about.seed, weights.about.steps), (options.seed, options.steps));
+    assert_eq!(log.lines().count() as u64, 1 + options.steps);
+    assert!(weights.about.command.starts_with("pskel train town:seed=201"), "{}", weights.about.command);
+    assert_eq!(weights.about.logs.len(), 11);
+}
+
+#[test]
+fn the_cache_of_the_network_has_seen_no_forecast() {
+    the_cache_has_seen_no_forecast(&weights(&[made(1, 8)]));
+}
+
+#[test]
+fn the_cache_of_the_shipped_network_has_seen_no_forecast() {
+    the_cache_has_seen_no_forecast(&Weights::shipped().unwrap());
+}
+
+/// Compares bit by bit, with the network itself and the same seed: other forecasts change neither caches nor later
+/// frames, unless frames roll on.
+fn the_cache_has_seen_no_forecast(weights: &Weights) {
+    let conditions = conditions(&made_for(&weights.config, 1, 8));
+    let elsewhere = self::conditions(&made_for(&weights.config, 2, 8));
+    let network = || Network::new(weights.clone()).unwrap();
+    for (strategy, forgets) in [(Strategy::ResetAndRoll, true), (Strategy::Rolling, false)] {
+        let options = GenerateOptions { steps: 4, ..roll_options(strategy) };
+        let references = noises(&network(), 3)[..3].to_vec();
+        let mut drive = Rollout::of(&options, references, &conditions);
+        let run = |drive: &Rollout<FrameConditions>| {
+            drive.run(&mut drive.generator(network(), GaussianNoise { seed: 4 }, options))
+        };
+        let (frames, caches) = run(&drive);
+        for (forecast, other) in drive.forecasts[1].iter_mut().zip(&elsewhere) {
+            *forecast = Forecast::new(other.clone());
+        }
+        let (others, other_caches) = run(&drive);
+        assert_eq!(caches == other_caches, forgets, "{strategy:?}");
+        assert!(frames[0] == others[0] && frames[1] != others[1]);
+        assert_eq!(frames[2..] == others[2..], forgets);
+    }
+}

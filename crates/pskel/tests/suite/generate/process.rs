@@ -1,0 +1,473 @@
+//! Denoisers in Python.
+
+use std::os::unix::net::UnixListener;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
+
+use pskel_generate::{
+    DenoiserError, Frame, FrameConditions, GaussianNoise, GenerateError, GenerateOptions, Generator, Latent,
+    LatentShape, Level, Prediction, ProcessDenoiser, SamplerOptions, Strategy,
+};
+use point_skeleton::geometry::ImageSize;
+use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
+use safetensors::SafeTensors;
+
+use super::{TrainingClip, assert_near, options as options_of};
+
+const VIEWS: usize = 2;
+const SIZE: ImageSize = ImageSize { height: 16, width: 24 };
+/// Latent shape of the example denoiser.
+const SHAPE: LatentShape = LatentShape { views: VIEWS, channels: 3, height: 2, width: 3 };
+/// Long enough for Python to start on a busy machine, seconds.
+const PATIENT_S: f64 = 60.0;
+/// For tests that wait for the timeout, seconds.
+const HASTY_S: f64 = 4.0;
+
+fn options() -> GenerateOptions {
+    options_of(Strategy::ResetAndRoll)
+}
+
+fn examples() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples")
+}
+
+fn command(text: String) -> PeerAddress {
+    PeerAddress::Command(text)
+}
+
+fn example() -> PeerAddress {
+    command(format!("exec python3 {}", examples().join("denoiser.py").display()))
+}
+
+fn start(address: PeerAddress, timeout_s: f64) -> Result<ProcessDenoiser, DenoiserError> {
+    ProcessDenoiser::start(&PeerSpec { address, timeout_s }, &options(), VIEWS, SIZE)
+}
+
+/// Returns the error of starting a denoiser.
+fn refused(address: PeerAddress, timeout_s: f64) -> PeerError {
+    match start(address, timeout_s) {
+        Err(DenoiserError::Process(error)) => error,
+        Err(error) => panic!("{error}"),
+        Ok(_) => panic!("no error"),
+    }
+}
+
+/// Denoiser that runs some lines of Python: `see()` returns the next message, `say(texts, name=(dtype, shape,
+/// bytes))` answers; the functions of the example are available.
+fn script(folder: &Path, lines: &str) -> PeerAddress {
+    let path = folder.join("fake.py");
+    let head = format!(
+        "import os, sys, time\nsys.dont_write_bytecode = True\nsys.path.insert(0, {:?})\nimport denoiser\n\
+         from denoiser import array, read, struct, write\nsource, out = sys.stdin.buffer, sys.stdout.buffer\n\
+         def see():\n    return read(source)\ndef say(texts={{}}, **tensors):\n    write(out, texts, tensors)\n\
+         SHAPE = [4, 2, 3, 2, 3]\nHELLO = {{'protocol': 'pskel-denoiser', 'version': '1', 'latent_shape': '2,3,2,3', \
+         'dtype': 'F32'}}\n",
+        examples().display().to_string()
+    );
+    std::fs::write(&path, format!("{head}{lines}\n")).unwrap();
+    command(format!("exec python3 {}", path.display()))
+}
+
+/// Returns conditions that differ from frame to frame.
+fn conditions(number: usize) -> FrameConditions {
+    let values = |count: usize, factor: usize| {
+        (0..count).map(|i| ((i * factor + number * 41) % 256) as f32 / 255.0).collect::<Vec<_>>()
+    };
+    let pixels = SIZE.pixels();
+    let cameras = values(VIEWS * 16, 3).chunks(16).map(|c| c.try_into().unwrap()).collect();
+    FrameConditions {
+        size: SIZE,
+        points: values(VIEWS * 20 * pixels, 7),
+        layout: values(VIEWS * 6 * pixels, 11),
+        action: [number as f32, 0.5, -0.25],
+        cameras,
+        prompt: format!("frame {number}, \"rain\""),
+    }
+}
+
+/// Returns the expected latent of the example.
+fn colors(conditions: &FrameConditions) -> Latent {
+    let (height, width) = (SIZE.height as usize, SIZE.width as usize);
+    let mut latent = Latent::filled(SHAPE, 0.0);
+    for (i, value) in latent.values_mut().iter_mut().enumerate() {
+        let (view, channel, row, column) = (i / 18, i / 6 % 3, i / 3 % 2, i % 3);
+        let pixel = |k: usize| {
+            let at = ((view * 20 + channel) * height + row * 8 + k / 8) * width + column * 8 + k % 8;
+            f64::from(conditions.points[at])
+        };
+        *value = ((0..64).map(pixel).sum::<f64>() / 32.0 - 1.0) as f32;
+    }
+    latent
+}
+
+fn drive(frames: usize) -> TrainingClip<FrameConditions> {
+    let conditions: Vec<FrameConditions> = (0..3 + frames).map(conditions).collect();
+    TrainingClip::of(&options(), conditions[..3].iter().map(colors).collect(), &conditions)
+}
+
+const NOISE: GaussianNoise = GaussianNoise { seed: 5 };
+
+fn assert_shows_colors(denoiser: ProcessDenoiser, frames: usize) -> Vec<Latent> {
+    let drive = drive(frames);
+    let (made, _) = drive.run(&mut drive.generator(denoiser, NOISE, options()));
+    let expected: Vec<Latent> = drive.committed[3..].iter().map(|c| colors(c.get())).collect();
+    assert_near(&made, &expected, 1e-4);
+    made
+}
+
+/// Calls the denoiser once with a window of four frames; the latents are noise.
+fn predict(denoiser: &mut ProcessDenoiser) -> Result<Vec<Latent>, DenoiserError> {
+    use pskel_generate::{Denoiser, NoiseSource};
+    let latents: Vec<Latent> = (0..4).map(|frame| NOISE.clone().noise(SHAPE, frame, 0)).collect();
+    let conditions: Vec<FrameConditions> = (0..4).map(conditions).collect();
+    let frame = |position: usize| Frame {
+        latent: &latents[position],
+        level: Level { timestep: 250.0 * position as f32, sigma: 0.25 * position as f32 },
+        condition: &conditions[position],
+    };
+    denoiser.predict(&(0..4).map(frame).collect::<Vec<_>>())
+}
+
+/// Returns the error of a call, and checks that later calls fail too.
+fn fails(address: PeerAddress, timeout_s: f64) -> PeerError {
+    let mut denoiser = start(address, timeout_s).unwrap();
+    let error = match predict(&mut denoiser) {
+        Err(DenoiserError::Process(error)) => error,
+        other => panic!("{other:?}"),
+    };
+    let after = predict(&mut denoiser).unwrap_err();
+    assert!(matches!(after, DenoiserError::Process(PeerError::Gone { .. })), "{after}");
+    error
+}
+
+#[test]
+fn the_example_shows_the_colors_over_pipes() {
+    let made = assert_shows_colors(start(example(), PATIENT_S).unwrap(), 3);
+    assert_eq!(made, assert_shows_colors(start(example(), PATIENT_S).unwrap(), 3), "it can be repeated");
+}
+
+struct Server(Child);
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn the_example_shows_the_colors_over_sockets() {
+    let folder = tempfile::tempdir().unwrap();
+    let socket = folder.path().join("denoiser");
+    // A stale socket of an earlier run is in the way; no process listens on it.
+    drop(UnixListener::bind(&socket).unwrap());
+    // A port that was free just before.
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    for argument in [format!("unix:{}", socket.display()), format!("tcp:127.0.0.1:{port}")] {
+        // The client waits until the server listens.
+        let server =
+            Command::new("python3").arg(examples().join("denoiser.py")).arg(&argument).spawn().unwrap();
+        let mut server = Server(server);
+        assert_shows_colors(start(argument.parse().unwrap(), PATIENT_S).unwrap(), 1);
+        assert!(server.0.wait().unwrap().success(), "it ends with the connection");
+    }
+}
+
+/// Returns shape and values of a message's tensor.
+fn tensor(message: &SafeTensors<'_>, name: &str) -> (Vec<usize>, Vec<f32>) {
+    let tensor = message.tensor(name).unwrap();
+    assert_eq!(tensor.dtype(), safetensors::Dtype::F32, "{name}");
+    let values = tensor.data().chunks(4).map(|b| f32::from_le_bytes(b.try_into().unwrap()));
+    (tensor.shape().to_vec(), values.collect())
+}
+
+#[test]
+fn denoisers_see_what_is_promised() {
+    let folder = tempfile::tempdir().unwrap();
+    let seen = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
+    let lines = format!(
+        "def keep(name):\n    message = source.read(*struct.unpack('<Q', source.read(8)))\n    \
+         with open({:?} + '/' + name, 'wb') as f:\n        f.write(message)\n\
+         keep('hello')\nsay(HELLO)\nfor call in '01':\n    keep(call)\n    \
+         say({{'call': call, 'more': 'x'}}, prediction=('F32', SHAPE, bytes(576)), other=('I64', [1], bytes(8)))",
+        folder.path().display().to_string()
+    );
+    let spec = PeerSpec { address: script(folder.path(), &lines), timeout_s: PATIENT_S };
+    let sampler = SamplerOptions::Ddim { prediction: Prediction::Epsilon };
+    let ddim = GenerateOptions { sampler, ..options() };
+    let mut denoiser = ProcessDenoiser::start(&spec, &ddim, VIEWS, SIZE).unwrap();
+    for _ in 0..2 {
+        assert_eq!(predict(&mut denoiser).unwrap(), vec![Latent::filled(SHAPE, 0.0); 4]);
+    }
+    let texts =
+        |bytes: &[u8]| SafeTensors::read_metadata(bytes).unwrap().1.metadata().clone().unwrap_or_default();
+    let hello = texts(&seen("hello"));
+    for (name, text) in [
+        ("protocol", "pskel-denoiser"),
+        ("version", "1"),
+        ("window", "4"),
+        ("views", "2"),
+        ("condition_size", "16,24"),
+        ("sampler", "ddim"),
+        ("prediction", "epsilon"),
+    ] {
+        assert_eq!(hello[name], text, "{name}");
+    }
+    assert_eq!(texts(&seen("0"))["call"], "0");
+    let bytes = seen("1");
+    let told = texts(&bytes);
+    let conditions: Vec<FrameConditions> = (0..4).map(conditions).collect();
+    let prompts: Vec<String> = serde_json::from_str(&told["prompts"]).unwrap();
+    assert_eq!(prompts, conditions.iter().map(|c| c.prompt.clone()).collect::<Vec<_>>());
+    assert_eq!(told["call"], "1");
+    let message = SafeTensors::deserialize(&bytes).unwrap();
+    assert_eq!(message.len(), 7);
+    let all = |of: fn(&FrameConditions) -> Vec<f32>| conditions.iter().flat_map(of).collect::<Vec<f32>>();
+    assert_eq!(tensor(&message, "timesteps"), (vec![4], vec![0.0, 250.0, 500.0, 750.0]));
+    assert_eq!(tensor(&message, "sigmas"), (vec![4], vec![0.0, 0.25, 0.5, 0.75]));
+    assert_eq!(tensor(&message, "points"), (vec![4, 2, 20, 16, 24], all(|c| c.points.clone())));
+    assert_eq!(tensor(&message, "layout"), (vec![4, 2, 6, 16, 24], all(|c| c.layout.clone())));
+    assert_eq!(tensor(&message, "action"), (vec![4, 3], all(|c| c.action.to_vec())));
+    assert_eq!(tensor(&message, "cameras"), (vec![4, 2, 16], all(|c| c.cameras.concat())));
+    let (shape, latents) = tensor(&message, "latents");
+    assert_eq!(shape, [4, 2, 3, 2, 3]);
+    use pskel_generate::NoiseSource;
+    let noise = (0..4).flat_map(|frame| NOISE.clone().noise(SHAPE, frame, 0).values().to_vec());
+    assert_eq!(latents, noise.collect::<Vec<f32>>());
+}
+
+/// Eighths up to 18 are exact in all of these types.
+#[test]
+fn halves_are_the_numbers_that_they_stand_for() {
+    let folder = tempfile::tempdir().unwrap();
+    for (dtype, pack) in [
+        ("F32", "struct.pack('<f', x)"),
+        ("F16", "struct.pack('<e', x)"),
+        ("BF16", "struct.pack('<f', x)[2:]"),
+    ] {
+        let lines = format!(
+            "see()\nsay(HELLO | {{'dtype': '{dtype}'}})\nsee()\n\
+             say(prediction=('{dtype}', SHAPE, b''.join({pack} for x in (i / 8 for i in range(144)))))\nsee()"
+        );
+        let predictions = predict(&mut start(script(folder.path(), &lines), PATIENT_S).unwrap()).unwrap();
+        let values: Vec<f32> = predictions.iter().flat_map(|latent| latent.values().to_vec()).collect();
+        assert_eq!(values, (0..144).map(|i| i as f32 / 8.0).collect::<Vec<_>>(), "{dtype}");
+    }
+}
+
+#[test]
+fn bad_answers_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = |tensor: &str| format!("say(prediction=({tensor}))");
+    let floats = |at: usize, value: &str| {
+        let values = format!("array.array('f', [float('{value}') if i == {at} else 0 for i in range(144)])");
+        said(&format!("'F32', SHAPE, {values}.tobytes()"))
+    };
+    let raw = |bytes: &str| format!("out.write({bytes})\nout.flush()");
+    let cases = [
+        (
+            said("'I64', SHAPE, bytes(8 * 144)"),
+            "`prediction` as F32, which its hello says, from the denoiser, found I64",
+        ),
+        (said("'F64', SHAPE, bytes(8 * 144)"), "found F64"),
+        (said("'F16', SHAPE, bytes(2 * 144)"), "found F16"),
+        (
+            said("'F32', [4, 2, 3, 3, 2], bytes(4 * 144)"),
+            "`prediction` of [4, 2, 3, 2, 3] from the denoiser, found [4, 2, 3, 3, 2]",
+        ),
+        (said("'F32', SHAPE[1:], bytes(4 * 36)"), "found [2, 3, 2, 3]"),
+        (said("'F32', [0], b''"), "found [0]"),
+        (said("'F32', SHAPE, bytes(4 * 143)"), "a safetensors file from the denoiser, found"),
+        (
+            "say(noise=('F32', SHAPE, bytes(4 * 144)))".to_owned(),
+            "a tensor `prediction` from the denoiser, found noise",
+        ),
+        ("say()".to_owned(), "a tensor `prediction` from the denoiser, found none"),
+        ("say({'call': '7'})".to_owned(), "an answer to `call` \"0\" from the denoiser, found \"7\""),
+        (floats(40, "nan"), "finite values for frame 1 of the window from the denoiser, found NaN"),
+        (floats(143, "-inf"), "finite values for frame 3 of the window from the denoiser, found -inf"),
+        (
+            raw("b'step 1 of 50\\n'"),
+            "a message of at most 1073741824 bytes from the denoiser, found a length of",
+        ),
+        (raw("b'step 1 of 50\\n'"), "bytes \"step 1 o\""),
+        (raw("struct.pack('<Q', 1 << 60)"), "found a length of 1152921504606846976"),
+        (raw("struct.pack('<Q', (1 << 30) + 1)"), "found a length of 1073741825"),
+        (raw("struct.pack('<Q', 0)"), "found 0 bytes: header too small"),
+        (raw("struct.pack('<QQ', 24, 16) + b'no header at all'"), "found 24 bytes: invalid JSON in header"),
+        (raw("struct.pack('<QQ', 24, 99) + b'x' * 16"), "invalid header length"),
+        (
+            raw("struct.pack('<QQ', 9000, 8992) + b'[\"' + b'x' * 8990"),
+            "a safetensors file from the denoiser",
+        ),
+    ];
+    for (answer, part) in cases {
+        let address = script(folder.path(), &format!("see()\nsay(HELLO)\nsee()\n{answer}\ntime.sleep(600)"));
+        let error = fails(address.clone(), PATIENT_S);
+        assert!(matches!(error, PeerError::Answer { .. }), "{error}");
+        let message = error.to_string();
+        assert!(
+            message.contains(part) && message.ends_with(&address.to_string()),
+            "{message}\nexpected {part}"
+        );
+        assert!(message.len() < 600, "{message}");
+    }
+}
+
+#[test]
+fn bad_hellos_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    for (answer, part) in [
+        (
+            "say(HELLO | {'version': '2'})",
+            "of `version` \"1\" from the denoiser, found `protocol` \"pskel-denoiser\" of `version` \"2\"",
+        ),
+        ("say(HELLO | {'protocol': 'pskel-planner'})", "found `protocol` \"pskel-planner\""),
+        ("say()", "found `protocol` none of `version` none"),
+        ("say(HELLO | {'latent_shape': '3,3,2,3'})", "with V = 2 from the denoiser, found \"3,3,2,3\""),
+        ("say(HELLO | {'latent_shape': '2,3,2'})", "found \"2,3,2\""),
+        ("say(HELLO | {'latent_shape': '2,3,65536,65536'})", "of at most 33554432 values in a window of 4"),
+        ("del HELLO['latent_shape']\nsay(HELLO)", "found none"),
+        (
+            "say(HELLO | {'dtype': 'I64'})",
+            "`dtype` \"F32\", \"F16\" or \"BF16\" from the denoiser, found \"I64\"",
+        ),
+        ("print('loading the model ...', flush=True)", "bytes \"loading \""),
+    ] {
+        let address = script(folder.path(), &format!("see()\n{answer}\ntime.sleep(600)"));
+        let error = refused(address.clone(), PATIENT_S);
+        let message = error.to_string();
+        assert!(matches!(error, PeerError::Answer { .. }) && message.contains(part), "{message}");
+        assert!(message.ends_with(&address.to_string()), "{message}");
+    }
+    for timeout_s in [0.0, f64::NAN] {
+        assert!(matches!(refused(example(), timeout_s), PeerError::Timeout { .. }));
+    }
+    let hangs = refused(command("exec sleep 600".into()), 0.5);
+    assert!(matches!(hangs, PeerError::Silent { .. }), "{hangs}");
+    for (lines, part) in [("exit 3", "found its end (exit status: 3)"), ("/nowhere/denoiser", "127")] {
+        let gone = refused(command(lines.into()), PATIENT_S).to_string();
+        assert!(gone.contains(part) && gone.ends_with(lines), "{gone}");
+    }
+    let sampler = SamplerOptions::Ddim { prediction: Prediction::Sample };
+    let spec = PeerSpec { address: example(), timeout_s: PATIENT_S };
+    let cannot = ProcessDenoiser::start(&spec, &GenerateOptions { sampler, ..options() }, VIEWS, SIZE);
+    let cannot = cannot.err().unwrap().to_string();
+    assert!(cannot.contains("found its end (exit status: 1)"), "{cannot}");
+    let nobody = PeerAddress::Unix(folder.path().join("nobody"));
+    assert!(matches!(refused(nobody, 0.2), PeerError::Io { verb: "reach", .. }));
+}
+
+#[test]
+fn denoisers_that_hang_or_die_are_noticed() {
+    let folder = tempfile::tempdir().unwrap();
+    let after_hello = |lines: &str| script(folder.path(), &format!("see()\nsay(HELLO)\n{lines}"));
+    // A call is longer than a pipe's buffer, so in the second case it cannot be sent.
+    for hangs in [
+        "see()\ntime.sleep(600)",
+        "time.sleep(600)",
+        "see()\nout.write(struct.pack('<Q', 1000) + bytes(100))\nout.flush()\ntime.sleep(600)",
+    ] {
+        let error = fails(after_hello(hangs), HASTY_S);
+        assert!(matches!(error, PeerError::Silent { .. }), "{error}");
+        assert!(
+            error.to_string().contains("of the denoiser within 4 s, found none: exec python3"),
+            "{error}"
+        );
+    }
+    for (dies, part) in [
+        ("see()\nos.kill(os.getpid(), 9)", "found its end (signal: 9 (SIGKILL))"),
+        ("sys.exit(5)", "found its end (exit status: 5)"),
+        ("see()\nos.close(1)\ntime.sleep(600)", "found its end: exec python3"),
+        (
+            "see()\nout.write(struct.pack('<Q', 1000) + bytes(100))\nout.flush()\nos._exit(6)",
+            "found its end after 108 of 1008 bytes (exit status: 6)",
+        ),
+        ("see()\nout.write(bytes(3))\nout.flush()\nos._exit(7)", "after 3 of 8 bytes (exit status: 7)"),
+    ] {
+        let address = after_hello(dies);
+        let error = fails(address.clone(), PATIENT_S);
+        assert!(matches!(error, PeerError::Gone { .. }), "{error}");
+        let message = error.to_string();
+        assert!(message.contains(part) && message.ends_with(&address.to_string()), "{message}");
+    }
+}
+
+/// A surplus answer is rejected on arrival, or as the answer to the next call, because its number does not match.
+#[test]
+fn answers_that_were_not_asked_for_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let answer = "say({'call': '0'}, prediction=('F32', SHAPE, bytes(576)))";
+    let lines = format!("see()\nsay(HELLO)\nsee()\n{answer}\n{answer}\ntime.sleep(600)");
+    let mut denoiser = start(script(folder.path(), &lines), PATIENT_S).unwrap();
+    predict(&mut denoiser).unwrap();
+    let message = predict(&mut denoiser).unwrap_err().to_string();
+    let unasked = message.contains("no message that was not asked for");
+    assert!(unasked || message.contains("an answer to `call` \"1\""), "{message}");
+}
+
+#[test]
+fn windows_other_than_told_are_not_sent() {
+    use pskel_generate::Denoiser;
+    let mut denoiser = start(example(), PATIENT_S).unwrap();
+    let good = (Latent::filled(SHAPE, 0.0), conditions(0));
+    let thin = Latent::filled(LatentShape { channels: 1, ..SHAPE }, 0.0);
+    let narrow = FrameConditions { size: ImageSize { width: 23, ..SIZE }, ..conditions(0) };
+    let blind = FrameConditions { cameras: Vec::new(), ..conditions(0) };
+    let short = FrameConditions { layout: Vec::new(), ..conditions(0) };
+    let last = |latent: &Latent, condition: &FrameConditions| (latent.clone(), condition.clone());
+    let mut error = |count: usize, (latent, condition): (Latent, FrameConditions)| {
+        let level = Level { timestep: 1.0, sigma: 0.1 };
+        let mut window = vec![Frame { latent: &good.0, level, condition: &good.1 }; count];
+        window.push(Frame { latent: &latent, level, condition: &condition });
+        denoiser.predict(&window).map_err(|error| error.to_string())
+    };
+    for (count, frame, said) in [
+        (2, good.clone(), "expected a window of 4 frames, found 3"),
+        (3, last(&thin, &good.1), "latents of 2x3x2x3 for frame 3 of the window, found 2x1x2x3"),
+        (3, last(&good.0, &narrow), "frame 3 of the window, found 2 of"),
+        (3, last(&good.0, &blind), "frame 3 of the window, found 0 of"),
+        (3, last(&good.0, &short), "(15360 and 0 values)"),
+    ] {
+        let message = error(count, frame).unwrap_err();
+        assert!(message.contains(said), "{message}");
+    }
+    // Nothing was sent: the process is still running.
+    assert_eq!(error(3, good.clone()).unwrap().len(), 4);
+}
+
+/// After any failure, a new process generates the same frames as without it.
+#[test]
+fn a_generator_goes_on_with_a_new_process() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = drive(3);
+    let (frames, caches) =
+        drive.run(&mut drive.generator(start(example(), PATIENT_S).unwrap(), NOISE, options()));
+    for (happens, timeout_s, part) in [
+        ("os.kill(os.getpid(), 9)", PATIENT_S, "SIGKILL"),
+        ("time.sleep(600)", HASTY_S, "within 4 s"),
+        ("return array.array('f', [float('nan')] * 144)", PATIENT_S, "finite values for frame 0"),
+        ("return array.array('d', [0.0] * 144)", PATIENT_S, "a safetensors file"),
+    ] {
+        // In the fourth of eight calls for the second frame.
+        let lines = format!(
+            "inner, calls = denoiser.predict, []\ndef predict(tensors):\n    calls.append(0)\n    \
+             if len(calls) == 12:\n        {happens}\n    return inner(tensors)\n\
+             denoiser.predict = predict\ndenoiser.serve(source, out)"
+        );
+        let fake = start(script(folder.path(), &lines), timeout_s).unwrap();
+        let mut generator = drive.generator(fake, NOISE, options());
+        let first = generator.step(drive.committed[3].clone(), &drive.forecasts[0]).unwrap();
+        assert_eq!((&first, generator.cache()), (&frames[0], &caches[0]));
+        for said in [part, "found its end"] {
+            let error = generator.step(drive.committed[4].clone(), &drive.forecasts[1]).unwrap_err();
+            assert!(matches!(error, GenerateError::Denoiser { frame: 4, .. }), "{error}");
+            assert!(error.to_string().contains(said), "{error}");
+            assert_eq!(generator.cache(), &caches[0]);
+        }
+        let fresh = start(example(), PATIENT_S).unwrap();
+        let shown = drive.committed[1..4].to_vec();
+        let resumed = Generator::resume(fresh, NOISE, options(), generator.cache().clone(), shown);
+        assert_eq!(drive.run(&mut resumed.unwrap()), (frames[1..].to_vec(), caches[1..].to_vec()));
+    }
+}

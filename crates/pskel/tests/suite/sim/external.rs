@@ -1,0 +1,396 @@
+//! Planners in Python.
+
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
+use std::time::Instant;
+
+use glam::DVec2;
+use point_skeleton::dataset::Log;
+use point_skeleton::geometry::{Polyline, Pose};
+use pskel_sim::{
+    EgoPolicy, EndReason, PlannerAddress, PlannerError, PlannerSpec, SavedState, SimError, SimOptions,
+    Simulation, Tracking,
+};
+
+use super::made;
+
+const HELLO: &str = r#"print('{"protocol": "pskel-planner", "version": 1}', flush=True)"#;
+
+fn example() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/planner.py")
+}
+
+fn options(address: PlannerAddress, timeout_s: f64) -> SimOptions {
+    let ego = EgoPolicy::External(PlannerSpec { address, timeout_s });
+    SimOptions { steps: 60, warmup_frames: 3, ego, ..SimOptions::default() }
+}
+
+fn command(text: String) -> PlannerAddress {
+    PlannerAddress::Command(text)
+}
+
+/// Planner that runs some lines of Python; `see()` returns the next message.
+fn script(folder: &Path, lines: &str) -> PlannerAddress {
+    let path = folder.join("planner.py");
+    let head = "import json, sys, time\ndef see():\n    return json.loads(sys.stdin.readline())\n";
+    std::fs::write(&path, format!("{head}{lines}\n")).unwrap();
+    command(format!("exec python3 {}", path.display()))
+}
+
+/// Planner that answers the hello and then always sends the same text.
+fn answers(folder: &Path, answer: &str) -> PlannerAddress {
+    let lines = format!("see()\n{HELLO}\nwhile True:\n    see()\n    print({answer}, flush=True)");
+    script(folder, &lines)
+}
+
+/// Returns the error of a rollout, and checks that the rollout keeps its earlier steps.
+fn fails(log: &Log, options: SimOptions) -> PlannerError {
+    let mut sim = match Simulation::new(&made::scenario(log), options) {
+        Err(SimError::Planner(error)) => return error,
+        Err(error) => panic!("{error}"),
+        Ok(sim) => sim,
+    };
+    let error = loop {
+        match sim.step() {
+            Ok(Some(_)) => {}
+            Ok(None) => panic!("no error"),
+            Err(SimError::Planner(error)) => break error,
+            Err(error) => panic!("{error}"),
+        }
+    };
+    // The warm-up remains, and the next attempt fails too.
+    assert_eq!(sim.committed().get().step, sim.takeover_step());
+    assert_eq!(sim.committed().get().ego.pose, log.frames[sim.takeover_step()].global_from_ego);
+    assert_eq!(sim.save().step(), sim.takeover_step());
+    assert!(matches!(sim.step(), Err(SimError::Planner(PlannerError::Gone { .. }))));
+    error
+}
+
+/// Drives with the example planner; returns a description of every step.
+fn assert_drives(log: &Log, options: SimOptions) -> Vec<String> {
+    let mut sim = Simulation::new(&made::scenario(log), options).unwrap();
+    let mut told = Vec::new();
+    while let Some(outcome) = sim.step().unwrap() {
+        told.push(format!("{:?} {outcome:?}", sim.committed()));
+    }
+    assert_eq!(sim.ended(), Some(EndReason::Steps));
+    let metrics = sim.metrics();
+    assert!(metrics.lateral_deviation_m.max < 0.5, "{metrics:?}");
+    assert!(metrics.progress_m > 25.0 && metrics.collisions.is_empty(), "{metrics:?}");
+    told
+}
+
+#[test]
+fn the_example_drives_over_pipes() {
+    let log = made::log(6);
+    let address = command(format!("exec python3 {}", example().display()));
+    let told = assert_drives(&log, options(address.clone(), 20.0));
+    // With a planner that depends only on its observations, rollouts can be repeated and resumed.
+    let mut sim = Simulation::new(&made::scenario(&log), options(address.clone(), 20.0)).unwrap();
+    for _ in 0..21 {
+        sim.step().unwrap();
+    }
+    let saved: SavedState = serde_json::from_value(serde_json::to_value(sim.save()).unwrap()).unwrap();
+    let mut resumed =
+        Simulation::resume(&made::scenario(&log), options(address.clone(), 20.0), &saved).unwrap();
+    for line in &told[21..] {
+        let outcome = resumed.step().unwrap().unwrap();
+        assert_eq!(&format!("{:?} {outcome:?}", resumed.committed()), line);
+    }
+    assert_drives(&log, SimOptions { tracking: Tracking::Bicycle, ..options(address, 20.0) });
+}
+
+struct Server(Child);
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn the_example_drives_over_sockets() {
+    let log = made::log(6);
+    let folder = tempfile::tempdir().unwrap();
+    let socket = folder.path().join("planner");
+    // A port that was free just before.
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let cases = [
+        (format!("unix:{}", socket.display()), PlannerAddress::Unix(socket.clone())),
+        (format!("tcp:127.0.0.1:{port}"), PlannerAddress::Tcp(format!("127.0.0.1:{port}"))),
+    ];
+    // A stale socket of an earlier run is in the way; no process listens on it.
+    drop(UnixListener::bind(&socket).unwrap());
+    for (argument, address) in cases {
+        assert_eq!(argument.parse::<PlannerAddress>().unwrap(), address, "the same name on both sides");
+        // The client waits until the server listens.
+        let mut server = Server(Command::new("python3").arg(example()).arg(argument).spawn().unwrap());
+        assert_drives(&log, options(address, 20.0));
+        assert!(server.0.wait().unwrap().success(), "it ends with the connection");
+    }
+}
+
+#[test]
+fn the_example_stops_at_the_end_of_the_path() {
+    let log = made::log(4);
+    let end = log.frames[40].global_from_ego;
+    let options =
+        SimOptions { steps: 140, ..options(command(format!("exec python3 {}", example().display())), 20.0) };
+    let mut sim = Simulation::new(&made::scenario(&log), options.clone()).unwrap();
+    while sim.step().unwrap().is_some() {}
+    let ego = sim.committed().get().ego;
+    let local = end.inverse().transform_point(ego.pose.translation);
+    assert!(ego.speed_mps < 0.01 && local.x.abs() < 2.0 && local.y.abs() < 0.5, "{local} {}", ego.speed_mps);
+    assert!(sim.metrics().lateral_deviation_m.max < 0.5, "{:?}", sim.metrics().lateral_deviation_m);
+    // Started at the end of the path at full speed, it brakes on a straight line.
+    let late = SimOptions { steps: 80, start_us: Some(made::FIRST_US + 3_600_000), ..options.clone() };
+    let mut sim = Simulation::new(&made::scenario(&log), late).unwrap();
+    while sim.step().unwrap().is_some() {}
+    let ego = sim.committed().get().ego;
+    let local = end.inverse().transform_point(ego.pose.translation);
+    assert!(ego.speed_mps < 0.01 && (5.0..20.0).contains(&local.x), "{local} {}", ego.speed_mps);
+    assert!(local.y.abs() < 0.5, "{local}");
+}
+
+#[test]
+fn planners_see_what_is_promised() {
+    let log = made::log(6);
+    let folder = tempfile::tempdir().unwrap();
+    let seen = folder.path().join("seen");
+    // Records its messages and drives straight on at 8 m/s, with trajectories in the ego frame.
+    let lines = format!(
+        "out = open({:?}, 'w')\nwhile True:\n    m = see()\n    print(json.dumps(m), file=out, flush=True)\n    \
+         print(json.dumps({{'frame': 'ego', 'trajectory': [{{'t': 0, 'x': 9, 'y': 9, 'heading': 9, 'v': 9}}, {{'t': 3, \
+         'x': 24, 'y': 0, 'heading': 0, 'v': 8}}]}}) if 'type' in m else '{{\"protocol\": \"pskel-planner\", \"version\": 1}}', flush=True)",
+        seen.display().to_string()
+    );
+    let options = SimOptions { steps: 8, seed: 77, ..options(script(folder.path(), &lines), 20.0) };
+    let mut sim = Simulation::new(&made::scenario(&log), options).unwrap();
+    sim.show(vec!["a.png".into()]);
+    while sim.step().unwrap().is_some() {}
+    let start = log.frames[4].global_from_ego;
+    let local = start.inverse().transform_point(sim.committed().get().ego.pose.translation);
+    assert!((local.x - 3.2).abs() < 0.01 && local.y.abs() < 0.01, "8 m/s along its own x: {local}");
+    let text = std::fs::read_to_string(&seen).unwrap();
+    let messages: Vec<serde_json::Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(messages.len(), 3);
+    assert_eq!(
+        (&messages[0]["seed"], &messages[0]["step"], &messages[0]["log"]),
+        (&77.into(), &0.into(), &"made".into())
+    );
+    assert_eq!((&messages[0]["plan_hz"], &messages[0]["ego"]["wheelbase"]), (&5.0.into(), &3.089.into()));
+    let see = &messages[1];
+    assert_eq!((&see["step"], &see["plan_dt"]), (&4.into(), &0.2.into()));
+    assert_eq!(see["t_us"], made::FIRST_US + 400_000);
+    assert_eq!((&see["files"][0], &messages[2]["files"]), (&"a.png".into(), &serde_json::json!([])));
+    assert_eq!(see["ego"]["x"], start.translation.x);
+    assert_eq!((&see["lights"][0]["color"], &see["actors"][1]["track"]), (&"red".into(), &"lead".into()));
+    assert_eq!(
+        (&see["actors"][1]["class"], &see["actors"][1]["length"]),
+        (&"motor_vehicle".into(), &4.4.into())
+    );
+    let path = see["path"].as_array().unwrap();
+    assert_eq!(path.len(), 46, "44.8 m are left of 48");
+    assert!((path[0][0].as_f64().unwrap() - start.translation.x).abs() < 1e-6);
+}
+
+/// The path that a planner sees continues in driving order, also where it crosses itself.
+#[test]
+fn paths_that_cross_themselves_are_told_in_their_order() {
+    // East, around to the left, and south, crossing its own path at 20 m.
+    let corners = [(0.0, 0.0), (40.0, 0.0), (40.0, 20.0), (20.0, 20.0), (20.0, -20.0)].map(DVec2::from);
+    let line = Polyline::new(corners).unwrap();
+    let mut log = made::log(15);
+    for (i, frame) in log.frames.iter_mut().enumerate() {
+        let (place, direction) = line.at(0.8 * i as f64);
+        frame.global_from_ego = Pose::from_yaw(direction.to_angle(), place.extend(0.0));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let seen = folder.path().join("seen");
+    // Drives to where the first part of the path is nearer than the last, and records the path it sees there.
+    let lines = format!(
+        "see()\n{HELLO}\nwhile True:\n    m = see()\n    open({:?}, 'w').write(json.dumps(m['path']))\n    \
+         print(json.dumps({{'trajectory': [{{'t': 0.2, 'x': 20.9, 'y': 0.1, 'heading': -1.57, 'v': 4}}]}}), flush=True)",
+        seen.display().to_string()
+    );
+    let takeover = 124; // 0.8 m before the crossing
+    let options = SimOptions {
+        steps: takeover + 3,
+        warmup_frames: takeover / 2 + 1,
+        ..options(script(folder.path(), &lines), 20.0)
+    };
+    let mut sim = Simulation::new(&made::scenario(&log), options).unwrap();
+    while sim.step().unwrap().is_some() {}
+    let path: Vec<[f64; 2]> = serde_json::from_slice(&std::fs::read(&seen).unwrap()).unwrap();
+    assert_eq!(path.len(), 22, "20.1 m are left: {path:?}");
+    let near = |[x, y]: [f64; 2], place: [f64; 2]| (x - place[0]).abs() < 1e-6 && (y - place[1]).abs() < 1e-6;
+    assert!(near(path[0], [20.0, 0.1]) && near(path[5], [20.0, -4.9]) && near(path[21], [20.0, -20.0]));
+}
+
+/// An unsolicited line of a planner is not taken as an answer to the next observation.
+#[test]
+fn lines_that_nobody_asked_for_are_told() {
+    let log = made::log(2);
+    let folder = tempfile::tempdir().unwrap();
+    let lines = format!("see()\n{HELLO}\nprint('model loaded', flush=True)\ntime.sleep(60)");
+    let address = script(folder.path(), &lines);
+    // The line may arrive only after the first observation was sent; then it is a bad answer.
+    let unasked = |_: i32| {
+        let mut sim = Simulation::new(&made::scenario(&log), options(address.clone(), 20.0)).unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(100));
+        let error = loop {
+            match sim.step() {
+                Ok(outcome) => assert!(outcome.is_some()),
+                Err(error) => break error.to_string(),
+            }
+        };
+        assert!(error.contains("found \"model loaded\""), "{error}");
+        error.contains("expected no line that was not asked for")
+    };
+    assert!((0..50).any(unasked));
+}
+
+/// A server with a full queue blocks a client until its timeout, not forever.
+#[test]
+fn planners_that_accept_nobody_are_given_up() {
+    let log = made::log(2);
+    let folder = tempfile::tempdir().unwrap();
+    let socket = folder.path().join("planner");
+    let listens = format!(
+        "import socket, time\ns = socket.socket(socket.AF_UNIX)\ns.bind({:?})\ns.listen(0)\ntime.sleep(600)",
+        socket.display().to_string()
+    );
+    let _server = Server(Command::new("python3").arg("-c").arg(listens).spawn().unwrap());
+    let first = loop {
+        match UnixStream::connect(&socket) {
+            Ok(stream) => break stream,
+            Err(_) => std::thread::sleep(std::time::Duration::from_millis(10)),
+        }
+    };
+    let error = fails(&log, options(PlannerAddress::Unix(socket), 0.5));
+    assert!(matches!(error, PlannerError::Io { verb: "reach", .. }), "{error}");
+    assert!(error.to_string().contains("no connection within 0.5 s"), "{error}");
+    drop(first);
+}
+
+#[test]
+fn bad_answers_end_the_rollout_with_what_was_wrong() {
+    let log = made::log(2);
+    let folder = tempfile::tempdir().unwrap();
+    let plan = |points: &str| format!("'{{\"trajectory\": [{points}]}}'");
+    let point = |t: &str, x: &str, v: &str| {
+        format!("{{\"t\": {t}, \"x\": {x}, \"y\": 3997001.5, \"heading\": 0.4, \"v\": {v}}}")
+    };
+    let good = |t: &str| point(t, "664004.0", "8");
+    let cases = [
+        ("'hello'".to_owned(), "hello"),
+        ("''".to_owned(), "trajectory"),
+        ("'{}'".to_owned(), "missing field `trajectory`"),
+        (plan(""), "found 0"),
+        (plan(&point("0.2", "NaN", "8")), "NaN"),
+        (plan(&point("0.2", "1e999", "8")), "out of range"),
+        (plan(&point("0.2", "null", "8")), "null"),
+        (plan(&point("0.2", "664004.0", "800")), "v 800"),
+        (plan(&point("0.2", "669004.0", "8")), "a jump at"),
+        (plan(&point("-1", "664004.0", "8")), "t -1"),
+        (plan(&point("200000", "664004.0", "8")), "t 200000"),
+        (plan(&format!("{}, {}", good("0.2"), good("0.2"))), "times that rise"),
+        (plan(&format!("{}, {}", good("0.2"), good("0.1"))), "times that rise"),
+        (plan(&good("0.1")), "at least 0.2 s from the planner, found one of 0.1 s"),
+        (plan(&good("0")), "at least 0.2 s from the planner, found one of 0 s"),
+        (format!("'{{\"step\": 9, \"trajectory\": [{}]}}'", good("1")), "step 9"),
+        (format!("'{{\"frame\": \"moon\", \"trajectory\": [{}]}}'", good("1")), "moon"),
+        (format!("'{{\"trajectory\": [' + ', '.join(['{}'] * 10001) + ']}}'", good("1")), "found 10001"),
+        (r#"'{"more": ' + '[' * 100000"#.to_owned(), "EOF while parsing a list"),
+        ("'x' * (17 << 20)".to_owned(), "a longer one"),
+    ];
+    for (answer, part) in cases {
+        let address = answers(folder.path(), &answer);
+        let error = fails(&log, options(address.clone(), 20.0));
+        assert!(matches!(error, PlannerError::Answer { .. }), "{error}");
+        let message = error.to_string();
+        assert!(
+            message.contains(part) && message.ends_with(&address.to_string()),
+            "{message}\nexpected {part}"
+        );
+        assert!(message.len() < 600, "{message}");
+    }
+}
+
+#[test]
+fn bad_hellos_are_told() {
+    let log = made::log(2);
+    let folder = tempfile::tempdir().unwrap();
+    for (answer, part) in [
+        (r#"{"protocol": "pskel-planner", "version": 2}"#, "version 2"),
+        (r#"{"protocol": "other", "version": 1}"#, "other"),
+        ("loading the model ...", "loading the model"),
+    ] {
+        let address = script(folder.path(), &format!("see()\nprint('{answer}', flush=True)\ntime.sleep(60)"));
+        let message = fails(&log, options(address, 20.0)).to_string();
+        assert!(message.contains(part), "{message}");
+    }
+    let address = || command("exec sleep 60".into());
+    for timeout_s in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        assert!(matches!(fails(&log, options(address(), timeout_s)), PlannerError::Timeout { .. }));
+    }
+    let gone = fails(&log, options(command("exit 3".into()), 20.0)).to_string();
+    assert!(gone.contains("exit status: 3"), "{gone}");
+    let missing = fails(&log, options(command("/nowhere/planner".into()), 20.0)).to_string();
+    assert!(missing.contains("127"), "{missing}");
+    let nobody = PlannerAddress::Unix(folder.path().join("nobody"));
+    assert!(matches!(fails(&log, options(nobody, 0.2)), PlannerError::Io { verb: "reach", .. }));
+}
+
+/// Returns whether a process exists and is not a zombie.
+fn lives(pid: &str) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    stat.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
+}
+
+#[test]
+fn planners_that_hang_or_die_are_noticed_and_ended() {
+    let log = made::log(2);
+    let folder = tempfile::tempdir().unwrap();
+    let pids = folder.path().join("pids");
+    // The planner has a child that holds its pipes, and ignores that its input is closed.
+    let child = format!(
+        "import os, subprocess\nchild = subprocess.Popen(['sleep', '600'])\nwith open({:?}, 'w') as f:\n    \
+         f.write(f'{{os.getpid()}} {{child.pid}}')\nsee()\n{HELLO}\nsee()\n",
+        pids.display().to_string()
+    );
+    let ended = || {
+        let pids = std::fs::read_to_string(&pids).unwrap();
+        assert_eq!(pids.split_whitespace().count(), 2);
+        for pid in pids.split_whitespace() {
+            // The kernel needs some time.
+            let start = Instant::now();
+            while lives(pid) && start.elapsed().as_secs() < 10 {
+                std::thread::sleep(std::time::Duration::from_millis(10));
+            }
+            assert!(!lives(pid), "process {pid} goes on");
+        }
+    };
+    let start = Instant::now();
+    let hangs = script(folder.path(), &format!("{child}time.sleep(600)"));
+    let error = fails(&log, options(hangs, 3.0));
+    assert!(
+        matches!(error, PlannerError::Silent { .. }) && error.to_string().contains("within 3 s"),
+        "{error}"
+    );
+    assert!(start.elapsed().as_secs() < 60);
+    ended();
+    // The child is killed first, since it would hold the pipe open.
+    let dies = script(folder.path(), &format!("{child}child.kill()\nchild.wait()\nsys.exit(5)"));
+    let error = fails(&log, options(dies, 20.0)).to_string();
+    assert!(error.contains("exit status: 5"), "{error}");
+    ended();
+    // Half a line without an end.
+    let half = script(
+        folder.path(),
+        &format!("see()\n{HELLO}\nsee()\nprint('{{\"traj', end='', flush=True)\ntime.sleep(600)"),
+    );
+    assert!(matches!(fails(&log, options(half, 1.5)), PlannerError::Silent { .. }));
+}

@@ -1,0 +1,304 @@
+//! Templates: `pskel templates`, `build --templates`, and rendering with templates and with degraded assets.
+
+use std::path::Path;
+
+use point_skeleton::cloud::{Bounds, Point};
+use point_skeleton::dataset::Class;
+use point_skeleton::error::FileError;
+use point_skeleton::skeleton::{
+    Asset, BuildOptions, BuildReport, Checksum, Chunk, Instances, Skeleton, SkeletonWriter, Source,
+    TemplateKind, TemplateLibrary, TemplateOptions, default_templates,
+};
+use serde_json::json;
+
+use crate::common::{shared, skeleton_of};
+use crate::tiny_log::{TinyLog, tree};
+
+/// Returns the sides and the top of a box, with a point every 5 cm.
+fn shell([length, width, height]: [f64; 3]) -> Vec<Point> {
+    let mut points = Vec::new();
+    let steps = |size: f64| (size / 0.05).round() as i32;
+    let at = |size: f64, i: i32| (size * (f64::from(i) / f64::from(steps(size)) - 0.5)) as f32;
+    for x in 0..=steps(length) {
+        for y in 0..=steps(width) {
+            for z in 0..=steps(height) {
+                let side = [(x, length), (y, width)].iter().any(|(i, s)| *i == 0 || *i == steps(*s));
+                if side || z == steps(height) {
+                    points.push(Point::new([at(length, x), at(width, y), at(height, z)], [90; 3], 1));
+                }
+            }
+        }
+    }
+    points
+}
+
+fn asset(track: &str, category: &str, size: [f64; 3], points: Vec<Point>) -> (Asset, Vec<Point>) {
+    let bounds = Bounds::of(&points).unwrap_or(Bounds { min: [0.0; 3], max: [0.0; 3] });
+    let (class, count) = (Class::from_category(category), points.len());
+    let (log, track, category) = (String::new(), track.to_owned(), category.to_owned());
+    let xxh3 = Checksum::of(&points);
+    (Asset { log, track, category, class, size, sweeps: 1, points: count, bounds, xxh3 }, points)
+}
+
+/// Writes a skeleton of a log of that name with some actors.
+fn write_skeleton(path: &Path, log: &str, actors: Vec<(Asset, Vec<Point>)>) {
+    let points = vec![Point::new([0.0; 3], [1; 3], 0)];
+    let (bounds, xxh3) = (Bounds::of(&points).unwrap(), Checksum::of(&points));
+    let chunk = Chunk { origin: [0.0; 3], points: 1, bounds, xxh3 };
+    let source = Source { log: log.into(), location: "nowhere".into(), frames: 1, t_us: [0, 1] };
+    SkeletonWriter::write::<FileError>(path, |writer| {
+        writer.chunk(chunk, &points)?;
+        for (asset, points) in actors {
+            writer.actor(Asset { log: log.into(), ..asset }, &points)?;
+        }
+        writer.finish(vec![source], BuildOptions::default(), BuildReport::default())
+    })
+    .unwrap();
+}
+
+const SEDAN: [f64; 3] = [4.6, 1.9, 1.5];
+const BUS: [f64; 3] = [12.0, 3.0, 3.3];
+
+/// Writes two skeletons. The first has a vehicle as long as a bus, a car and a cone; the second has a car without
+/// points, one without a size, and a truck with few points.
+fn two_skeletons(log: &TinyLog) {
+    let first = vec![
+        asset("bus", "vehicle", BUS, shell(BUS)),
+        asset("car", "vehicle.car", SEDAN, shell(SEDAN)),
+        asset("cone", "movable_object.trafficcone", [0.5; 3], shell([0.5; 3])),
+    ];
+    write_skeleton(&log.path("sk1"), "one", first);
+    let second = vec![
+        asset("empty", "vehicle.car", SEDAN, Vec::new()),
+        asset("flat", "vehicle.car", [4.0, 0.0, 1.0], shell(SEDAN)),
+        asset("truck", "vehicle.truck", [8.0, 2.5, 3.0], shell([0.5; 3])),
+    ];
+    write_skeleton(&log.path("sk2"), "two", second);
+}
+
+#[test]
+fn actors_of_several_skeletons_become_a_library() {
+    let log = TinyLog::new();
+    two_skeletons(&log);
+    let summary = log.succeed("templates sk1 sk2 --out out/t");
+    assert!(summary.starts_with("made 2 templates from 2 logs: sedan ("), "{summary}");
+    assert!(summary.contains("left out 1 actors without points"), "{summary}");
+    let mut files: Vec<String> = tree(&log.path("out/t")).into_keys().collect();
+    files.sort();
+    assert_eq!(files, ["bus.png", "sedan.png", "templates.json", "templates.points"]);
+    let library = TemplateLibrary::open(&log.path("out/t")).unwrap();
+    let kinds: Vec<TemplateKind> = library.clouds.iter().map(|(t, _)| t.kind).collect();
+    assert_eq!(kinds, [TemplateKind::Sedan, TemplateKind::Bus]);
+    assert_eq!(library.clouds[1].0.size, BUS);
+    let manifest = log.json("out/t/templates.json");
+    let notes = json!({
+        "actors of a category without templates": 1, "actors without a size": 1, "actors without points": 1,
+        "truck templates with too few points": 1,
+    });
+    assert_eq!(manifest["report"]["notes"], notes);
+    assert_eq!(
+        manifest["sources"][1],
+        json!({"log": "two", "location": "nowhere", "frames": 1, "t_us": [0, 1], "actors": 3})
+    );
+    assert_eq!(manifest["report"]["templates"][0]["clusters"][0]["members"], json!(["one/car"]));
+    let picture = image::open(log.path("out/t/bus.png")).unwrap().into_rgb8();
+    assert!(picture.pixels().filter(|p| p.0 != [0; 3]).count() > 50_000);
+    // The bytes do not depend on the number of threads; the older library is replaced.
+    let first = tree(&log.path("out/t"));
+    for threads in ["1", "2"] {
+        assert!(log.run_with("templates sk1 sk2 --out out/t", threads).status.success());
+        assert!(first == tree(&log.path("out/t")), "{threads} threads");
+    }
+    let told: serde_json::Value = {
+        let output = log.run("info --json out/t");
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    assert_eq!((&told["kind"], &told["report"]["notes"]), (&json!("templates"), &notes));
+    let text = String::from_utf8(log.run("info out/t").stdout).unwrap();
+    assert!(text.contains("bus: ") && text.contains("12.00 x 3.00 x 3.30 m"), "{text}");
+}
+
+#[test]
+fn a_log_gives_templates_as_its_skeleton_does() {
+    let log = TinyLog::new();
+    log.succeed("templates nuscenes:log --out out/t --min-points 10");
+    log.succeed("build nuscenes:log --out sk");
+    log.succeed("templates sk --out out/u --min-points 10");
+    assert!(tree(&log.path("out/t")) == tree(&log.path("out/u")));
+}
+
+#[test]
+fn what_is_wrong_with_templates_is_told_and_leaves_nothing() {
+    let log = TinyLog::new();
+    two_skeletons(&log);
+    write_skeleton(&log.path("none"), "none", Vec::new());
+    log.fail("templates none --out out/t", 1, &["actors with points enough for a template, found no actors"]);
+    log.fail(
+        "templates sk2 --out out/t",
+        1,
+        &["found left out 1 actors without a size", "1 truck templates"],
+    );
+    log.fail("templates --out out/t", 2, &["LOG|SKELETON"]);
+    log.fail("templates nowhere --out out/t", 2, &["the folder of a skeleton", "FORMAT:PATH", "nowhere"]);
+    log.fail("templates nuscenes:nowhere --out out/t", 1, &["nowhere"]);
+    log.fail(
+        "templates sk1 --out log",
+        1,
+        &["expected only files that pskel wrote", "another file: log/samples"],
+    );
+    std::fs::remove_file(log.path("sk1/actors.points")).unwrap();
+    log.fail("templates sk1 --out out/t", 1, &["cannot read", "sk1/actors.points"]);
+}
+
+#[test]
+fn damaged_libraries_are_errors_that_leave_nothing() {
+    let log = TinyLog::new();
+    two_skeletons(&log);
+    log.succeed("build nuscenes:log --out sk");
+    log.succeed("templates sk1 --out t");
+    const RENDER: &str = "render nuscenes:log --skeleton sk --out out --templates t";
+    let path = log.path("t/templates.json");
+    let good = std::fs::read_to_string(&path).unwrap();
+    let mut many: serde_json::Value = serde_json::from_str(&good).unwrap();
+    many["templates"][0]["points"] = json!(u64::MAX);
+    let with = |from: &str, to: &str| {
+        assert!(good.contains(from), "{from}");
+        good.replace(from, to)
+    };
+    for (text, parts) in [
+        (with("\"version\": 2", "\"version\": 9"), ["version 2, found format", "templates.json"]),
+        (with("point-skeleton-templates", "point-skeleton"), ["point-skeleton-templates", "templates.json"]),
+        (with("\"sources\"", "\"source\""), ["a list of templates, found missing field", "templates.json"]),
+        (with("\"bus\"", "\"sedan\""), ["one template a kind", "sedan twice"]),
+        (with("\"bus\"", "\"tank\""), ["unknown variant `tank`", "templates.json"]),
+        (good.replace("4.6", "-4.6"), ["a positive size", "sedan of size [-4.6"]),
+        (many.to_string(), ["bytes (18446744073709", "templates.points"]),
+        ("{".to_owned(), ["a list of templates", "templates.json"]),
+    ] {
+        std::fs::write(&path, text).unwrap();
+        log.fail(RENDER, 1, &parts);
+        log.fail("build nuscenes:log --out out/sk --templates-from t", 1, &parts);
+    }
+    std::fs::write(&path, &good).unwrap();
+    let points = log.path("t/templates.points");
+    let length = std::fs::metadata(&points).unwrap().len();
+    std::fs::OpenOptions::new().write(true).open(&points).unwrap().set_len(length - 16).unwrap();
+    log.fail(RENDER, 1, &[&format!("expected {length} bytes"), "templates.points"]);
+    std::fs::remove_file(points).unwrap();
+    log.fail(RENDER, 1, &["cannot read", "templates.points"]);
+    log.fail(&RENDER.replace("--templates t", "--templates nowhere"), 1, &["nowhere/templates.json"]);
+    for (extra, part) in [
+        ("--augment=x", "invalid digit"),
+        ("--augment-share 0.5", "--augment"),
+        ("--augment --augment-share 1.5", "a share from 0 to 1"),
+    ] {
+        log.fail(&format!("render nuscenes:log --skeleton sk --out out {extra}"), 2, &[part]);
+    }
+}
+
+#[test]
+fn a_skeleton_s_own_templates_go_first_then_the_library_s_then_the_built_in_ones() {
+    let log = TinyLog::new();
+    two_skeletons(&log);
+    log.succeed("templates sk1 --out t");
+    log.succeed("build nuscenes:log --out sk");
+    let render = |skeleton: &str, extra: &str| {
+        log.succeed(&format!("render nuscenes:log --skeleton {skeleton} --out out --frames 0..1 {extra}"));
+        log.json("out/index.json")["options"]["templates"].clone()
+    };
+    let defaults = json!({
+        "sedan": "default", "suv": "default", "pickup": "default", "pedestrian": "default", "bike": "default",
+    });
+    assert_eq!(render("sk", ""), defaults);
+    assert_eq!(render("sk", "--no-default-templates"), json!({}));
+    let mut both = defaults.clone();
+    both["sedan"] = json!("library");
+    both["bus"] = json!("library");
+    assert_eq!(render("sk", "--templates t"), both);
+    // Sources of a skeleton's templates by precedence: a file, its own actors, the library.
+    log.succeed("convert sk --out npy");
+    log.succeed("build nuscenes:log --out sk3 --templates-from t --template bus=npy/actors/car.npy");
+    let skeleton = Skeleton::open(&log.path("sk3")).unwrap();
+    let kinds: Vec<_> = skeleton.manifest.templates.iter().map(|t| t.kind).collect();
+    assert_eq!(kinds, [TemplateKind::Sedan, TemplateKind::Bus]);
+    let library = TemplateLibrary::open(&log.path("t")).unwrap();
+    assert_eq!(skeleton.templates().unwrap()[0], library.clouds[0].1);
+    assert_ne!(skeleton.templates().unwrap()[1], library.clouds[1].1);
+    assert_eq!(render("sk3", "--templates t")["sedan"], "skeleton");
+    let summary = log.succeed("build nuscenes:log --out sk4 --templates");
+    assert!(summary.contains("templates of its actors: "), "{summary}");
+}
+
+#[test]
+fn worse_assets_are_the_same_every_time_and_stand_in_the_index() {
+    let log = TinyLog::new();
+    log.succeed("build nuscenes:log --out sk --voxel 0");
+    let run = |args: &str, threads: &str| {
+        let all =
+            format!("render nuscenes:log --skeleton sk --out out --frames 0..2 --rasterizer cpu {args}");
+        let output = log.run_with(&all, threads);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        (tree(&log.path("out")), log.json("out/index.json")["options"]["augment"].clone())
+    };
+    let (clean, told) = run("", "2");
+    assert_eq!(told, json!(null));
+    let (worse, told) = run("--augment=3 --augment-share 1", "2");
+    assert_eq!((&told["seed"], &told["share"]), (&json!(3), &json!(1.0)));
+    let car = &told["assets"]["car"];
+    assert!(["thinned", "one_view"].contains(&car["kind"].as_str().unwrap()), "{car}");
+    let before = Skeleton::open(&log.path("sk")).unwrap().manifest.actors[0].points as u64;
+    let after = car["points"].as_u64().unwrap();
+    assert!((200..before).contains(&after), "{after} of {before}");
+    let color = "000000/CAM_FRONT/color.png";
+    assert!(worse[color] != clean[color]);
+    assert!(worse == run("--augment=3 --augment-share 1", "1").0);
+    let (none, told) = run("--augment --augment-share 0", "2");
+    assert_eq!((&told["seed"], &told["assets"]["car"]["kind"]), (&json!(0), &json!("none")));
+    assert!(none[color] == clean[color]);
+}
+
+/// Returns real-world extents of a kind: length, width, height, each min and max, meters.
+fn known(kind: TemplateKind) -> [[f64; 2]; 3] {
+    match kind {
+        TemplateKind::Sedan => [[3.2, 5.3], [1.5, 2.3], [1.1, 1.8]],
+        TemplateKind::Suv => [[4.0, 5.5], [1.6, 2.4], [1.5, 2.1]],
+        TemplateKind::Pickup => [[4.2, 6.9], [1.7, 2.6], [1.8, 3.0]],
+        TemplateKind::Pedestrian => [[0.3, 1.2], [0.3, 1.2], [1.2, 2.1]],
+        TemplateKind::Bike => [[1.4, 2.5], [0.4, 1.1], [0.9, 2.0]],
+        _ => [[2.0, 20.0], [1.4, 4.5], [1.4, 6.0]],
+    }
+}
+
+#[test]
+fn templates_of_a_real_drive_have_sizes_of_their_kind() {
+    let Some(folder) = shared("the PandaSet drive") else { return };
+    let folder = folder.join("data/pandaset-002/nuscenes");
+    let locator = format!("nuscenes:{}", folder.display()).parse().unwrap();
+    let dataset = pskel::logs::open(&locator).unwrap();
+    let frames: Vec<usize> = (0..dataset.log().frames.len()).step_by(4).collect();
+    let options = BuildOptions::default();
+    let scratch = tempfile::tempdir().unwrap();
+    let built = skeleton_of(&scratch.path().join("s"), dataset.as_ref(), &frames, &options);
+    let assets: Vec<(&Asset, &[Point])> = built.manifest.actors.iter().zip(built.actors().unwrap()).collect();
+    let mut instances = Instances::new(TemplateOptions::default());
+    instances.add(&assets);
+    let (templates, report) = instances.templates();
+    let kinds: Vec<TemplateKind> = templates.iter().map(|(t, _)| t.kind).collect();
+    for kind in [TemplateKind::Sedan, TemplateKind::Suv, TemplateKind::Truck] {
+        assert!(kinds.contains(&kind), "{kinds:?}");
+    }
+    for (template, points) in templates.iter().chain(&default_templates()) {
+        println!("{:?}: {} points, {:?}", template.kind, points.len(), template.bounds);
+        for (axis, [least, most]) in known(template.kind).into_iter().enumerate() {
+            let extent = f64::from(template.bounds.max[axis]) - f64::from(template.bounds.min[axis]);
+            assert!((least..=most).contains(&extent), "{:?}: {extent} m along axis {axis}", template.kind);
+        }
+    }
+    // Every actor is accounted for.
+    let used: usize = report.templates.iter().map(|t| t.instances).sum();
+    let not_used = report.templates.iter().flat_map(|t| &t.clusters).filter(|c| !c.used);
+    let of_another_size: usize = not_used.map(|c| c.members.len()).sum();
+    assert!(of_another_size < used);
+    let left: usize = report.notes.iter().filter(|(n, _)| n.starts_with("actors")).map(|(_, c)| c).sum();
+    assert_eq!(used + left, assets.len());
+}

@@ -1,0 +1,108 @@
+//! Intelligent Driver Model (Treiber, Hennecke and Helbing 2000) along recorded paths.
+
+use std::sync::Arc;
+
+use glam::DVec2;
+
+use super::leader::{Leader, Others};
+use point_skeleton::geometry::{Cuboid, Pose};
+use crate::SimActor;
+use crate::pose_path::PosePath;
+use crate::recorded::Recorded;
+
+/// Desired speed on a free road, meters per second.
+const TARGET_MPS: f64 = 10.0;
+/// Minimum gap to the leader, meters.
+const MIN_GAP_M: f64 = 1.0;
+const HEADWAY_S: f64 = 1.5;
+const ACCELERATION_MPS2: f64 = 1.0;
+const BRAKING_MPS2: f64 = 2.0;
+const EXPONENT: i32 = 4;
+/// Minimum distance between points of a path, meters: smaller motion is the noise of a standing actor's boxes.
+const KNOT_STEP_M: f64 = 0.5;
+/// An actor is parked if it later moves less than this in total and is slower than `PARKED_MPS` now.
+const PARKED_M: f64 = 1.0;
+const PARKED_MPS: f64 = 1.0;
+
+/// Actor that follows its recorded path.
+#[derive(Clone, Debug)]
+pub(crate) struct Follower {
+    /// Time of the takeover from the log, absolute microseconds; the path begins there.
+    pub(crate) joined_us: i64,
+    /// Position of the box's center along the path, meters.
+    pub(crate) way_m: f64,
+    /// Speed along the path, meters per second.
+    pub(crate) speed_mps: f64,
+    path: Arc<PosePath>,
+    /// 1, or -1 for an actor recorded as driving backward.
+    sign: f64,
+}
+
+impl Follower {
+    /// Creates a follower of an actor's recorded boxes from a time (microseconds) on; `None` for a parked actor,
+    /// which stays on the log.
+    pub(super) fn join(recorded: &Recorded<'_>, actor: &SimActor, t_us: i64) -> Option<Self> {
+        let boxes = recorded.boxes_of(actor.track);
+        let later = boxes.iter().filter(|(at, _)| *at > t_us).map(|(_, cuboid)| cuboid.pose);
+        let mut poses = vec![actor.cuboid.pose];
+        let place = |pose: &Pose| pose.translation.truncate();
+        for pose in later.filter(|pose| pose.translation.is_finite()) {
+            if poses.last().is_some_and(|last| place(last).distance(place(&pose)) >= KNOT_STEP_M) {
+                poses.push(pose);
+            }
+        }
+        let length_m: f64 = poses.windows(2).map(|w| place(&w[0]).distance(place(&w[1]))).sum();
+        if length_m < PARKED_M && actor.speed_mps.abs() < PARKED_MPS {
+            return None;
+        }
+        let heading = |pose: &Pose| DVec2::from_angle(pose.yaw_rad());
+        let sign = match &poses[..] {
+            [first, second, ..] if heading(first).dot(place(second) - place(first)) < 0.0 => -1.0,
+            [_] if actor.speed_mps < 0.0 => -1.0,
+            _ => 1.0,
+        };
+        // Beyond the last box the path follows that box's heading; the direction between the last two boxes is noisy.
+        let last = poses[poses.len() - 1];
+        poses.push(Pose { translation: last.translation + (heading(&last) * sign).extend(0.0), ..last });
+        let speed_mps = (sign * actor.speed_mps).max(0.0);
+        let path = Arc::new(PosePath::new(poses)?);
+        Some(Self { joined_us: t_us, way_m: 0.0, speed_mps, path, sign })
+    }
+
+    /// Moves the follower to a position (meters) on its path with a speed (meters per second); `None` if either is
+    /// negative.
+    pub(super) fn placed(self, way_m: f64, speed_mps: f64) -> Option<Self> {
+        let is_sound = way_m >= 0.0 && speed_mps >= 0.0;
+        is_sound.then_some(Self { way_m, speed_mps, ..self })
+    }
+
+    /// Advances the actor by one step.
+    pub(super) fn step(&mut self, actor: &SimActor, others: &Others, dt_s: f64) -> SimActor {
+        let size = actor.cuboid.size;
+        let leader = others.leader(actor.track, self.path.line(), self.way_m + size.x / 2.0, size.y);
+        let (way_m, speed_mps) = idm_step((self.way_m, self.speed_mps), leader, dt_s);
+        // The model itself would drive backward in front of an obstacle.
+        (self.way_m, self.speed_mps) = (way_m, speed_mps.max(0.0));
+        let cuboid = Cuboid { pose: self.path.at(self.way_m), size };
+        SimActor { track: actor.track, cuboid, speed_mps: self.sign * self.speed_mps }
+    }
+}
+
+/// Advances position (meters) and speed (meters per second) by one forward Euler step of the Intelligent Driver
+/// Model, as in nuPlan. The speed may become negative. The acceleration is limited to -2 to 1 m/s²; gaps below
+/// 1 m count as 1 m.
+pub fn idm_step((way_m, speed_mps): (f64, f64), leader: Option<Leader>, dt_s: f64) -> (f64, f64) {
+    let rise = acceleration_mps2(speed_mps, leader).clamp(-BRAKING_MPS2, ACCELERATION_MPS2);
+    (way_m + dt_s * speed_mps, speed_mps + dt_s * rise)
+}
+
+fn acceleration_mps2(speed_mps: f64, leader: Option<Leader>) -> f64 {
+    let free = 1.0 - (speed_mps / TARGET_MPS).powi(EXPONENT);
+    let held = leader.map_or(0.0, |leader| {
+        let closing_mps = speed_mps - leader.speed_mps;
+        let braking_m = speed_mps * closing_mps / (2.0 * (ACCELERATION_MPS2 * BRAKING_MPS2).sqrt());
+        let wanted_m = MIN_GAP_M + speed_mps * HEADWAY_S + braking_m;
+        (wanted_m / leader.gap_m.max(MIN_GAP_M)).powi(2)
+    });
+    ACCELERATION_MPS2 * (free - held)
+}

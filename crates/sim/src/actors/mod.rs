@@ -1,0 +1,143 @@
+//! Motion of all road users except the ego.
+//!
+//! # How it works
+//! After the warm-up, a policy takes over each actor that it supports as soon as the actor is near the ego. The other
+//! actors follow the log and are removed when their track ends. An actor under a policy continues beyond the end of
+//! its track. It is removed permanently once it is far from the ego, because it could only jump back to its logged
+//! position. All actors react to the same state, so the result does not depend on their order.
+
+mod idm;
+mod leader;
+mod reactive;
+
+pub use idm::idm_step;
+pub use leader::Leader;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::{Deserialize, Serialize};
+
+use self::idm::Follower;
+use self::leader::Others;
+use self::reactive::ReactiveActor;
+use super::clock::seconds;
+use super::recorded::Recorded;
+use super::{ActorPolicy, EgoState, Instant, SimActor};
+use point_skeleton::dataset::Class;
+
+/// Policies move only actors within this distance of the ego, meters.
+const REACH_M: f64 = 100.0;
+
+/// Actors taken over from the log, by track.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ControlledActors {
+    pub(super) movers: BTreeMap<usize, Mover>,
+    /// Actors removed permanently.
+    pub(super) gone: BTreeSet<usize>,
+}
+
+/// Motion model of an actor.
+#[derive(Clone, Debug)]
+pub(super) enum Mover {
+    Idm(Follower),
+    Reactive(ReactiveActor),
+}
+
+impl Mover {
+    /// Takes over an actor from the log at a time (microseconds), if the policy supports it.
+    fn join(policy: ActorPolicy, recorded: &Recorded<'_>, actor: &SimActor, t_us: i64) -> Option<Self> {
+        let class = recorded.log.tracks[actor.track].class;
+        match (policy, class) {
+            (ActorPolicy::Idm, Class::MotorVehicle | Class::Cycle) => {
+                Follower::join(recorded, actor, t_us).map(Self::Idm)
+            }
+            (ActorPolicy::Reactive, Class::MotorVehicle | Class::Cycle | Class::Pedestrian) => {
+                Some(Self::Reactive(ReactiveActor::join(recorded, actor, t_us)))
+            }
+            _ => None,
+        }
+    }
+
+    /// Returns the state required to restore the mover for the same log.
+    pub(super) fn save(&self) -> SavedMover {
+        match self {
+            Self::Idm(follower) => SavedMover::Idm {
+                joined_us: follower.joined_us,
+                way_m: follower.way_m,
+                speed_mps: follower.speed_mps,
+            },
+            Self::Reactive(cruiser) => SavedMover::Reactive(*cruiser),
+        }
+    }
+
+    fn step(&mut self, actor: &SimActor, others: &Others, dt_s: f64) -> SimActor {
+        match self {
+            Self::Idm(follower) => follower.step(actor, others, dt_s),
+            Self::Reactive(cruiser) => cruiser.step(actor, others, dt_s),
+        }
+    }
+}
+
+/// Serialized form of a [`Mover`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub(super) enum SavedMover {
+    Idm { joined_us: i64, way_m: f64, speed_mps: f64 },
+    Reactive(ReactiveActor),
+}
+
+impl SavedMover {
+    /// Restores the mover; `None` if the log has no such actor.
+    pub(super) fn open(&self, recorded: &Recorded<'_>, track: usize) -> Option<Mover> {
+        match *self {
+            Self::Idm { joined_us, way_m, speed_mps } => {
+                let there = recorded.actors_at(joined_us);
+                let actor = there.iter().find(|actor| actor.track == track)?;
+                let joined = Follower::join(recorded, actor, joined_us)?;
+                joined.placed(way_m, speed_mps).map(Mover::Idm)
+            }
+            Self::Reactive(cruiser) => Some(Mover::Reactive(cruiser)),
+        }
+    }
+}
+
+/// Returns all actors at the next step, sorted by track; `next` holds its time and the ego's state then.
+pub(super) fn advance(
+    policy: ActorPolicy,
+    recorded: &Recorded<'_>,
+    driven: &mut ControlledActors,
+    now: &Instant,
+    next: (i64, &EgoState),
+) -> Vec<SimActor> {
+    let (t_us, ego) = next;
+    let by_log = recorded.actors_at(t_us);
+    if policy == ActorPolicy::Replay {
+        return by_log;
+    }
+    let near = |ego: &EgoState, actor: &SimActor| {
+        ego.position_m().distance(actor.cuboid.pose.translation.truncate()) <= REACH_M
+    };
+    for actor in now.actors.iter().filter(|actor| near(&now.ego, actor)) {
+        if !driven.movers.contains_key(&actor.track) {
+            let mover = Mover::join(policy, recorded, actor, now.t_us);
+            driven.movers.extend(mover.map(|mover| (actor.track, mover)));
+        }
+    }
+    let others = Others::new(now);
+    let dt_s = seconds(now.t_us, t_us);
+    let mut actors = Vec::new();
+    for actor in &now.actors {
+        let Some(mover) = driven.movers.get_mut(&actor.track) else { continue };
+        let moved = mover.step(actor, &others, dt_s);
+        if near(ego, &moved) {
+            actors.push(moved);
+        } else {
+            driven.movers.remove(&actor.track);
+            driven.gone.insert(actor.track);
+        }
+    }
+    let follows = |a: &SimActor| !driven.movers.contains_key(&a.track) && !driven.gone.contains(&a.track);
+    actors.extend(by_log.into_iter().filter(follows));
+    actors.sort_by_key(|actor| actor.track);
+    actors
+}

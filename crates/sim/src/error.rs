@@ -1,0 +1,77 @@
+use super::PlannerError;
+use point_skeleton::files::text::printable;
+
+/// Errors of starting or continuing a rollout.
+#[derive(Debug, thiserror::Error)]
+pub enum SimError {
+    /// The number of steps is 0.
+    #[error("expected at least one step, found none")]
+    NoSteps,
+    /// A rate is out of range.
+    #[error("expected {what} to be from {min} to {max} Hz, found {found}")]
+    Rate {
+        /// Name of the rate.
+        what: &'static str,
+        /// Minimum, hertz.
+        min: f64,
+        /// Maximum, hertz.
+        max: f64,
+        /// Given value, hertz.
+        found: f64,
+    },
+    /// The simulation rate is not a multiple of the planning rate.
+    #[error(
+        "expected the steps a second to be a multiple of the plans a second, found {sim_hz} Hz and {plan_hz} Hz"
+    )]
+    Clock {
+        /// Simulation steps per second.
+        sim_hz: f64,
+        /// Plans per second.
+        plan_hz: f64,
+    },
+    /// `every_frames` is 0, given together with rates, or used with an ego or actors that do not follow the log.
+    #[error(
+        "expected every so many-th frame to be a step of an ego and actors that follow the log, without rates, found every {every}"
+    )]
+    Frames {
+        /// Given interval, frames.
+        every: usize,
+    },
+    /// The log has no frames.
+    #[error("expected a log with frames, found none: {}", printable(log))]
+    NoFrames {
+        /// Name of the log.
+        log: String,
+    },
+    /// The start lies outside the log.
+    #[error("expected a start from {first_us} to {last_us} us, found {found_us}: {}", printable(log))]
+    Start {
+        /// Time of the first frame, absolute microseconds.
+        first_us: i64,
+        /// Time of the last frame, absolute microseconds.
+        last_us: i64,
+        /// Given start, absolute microseconds.
+        found_us: i64,
+        /// Name of the log.
+        log: String,
+    },
+    /// The saved state belongs to another rollout, or is invalid.
+    #[error("expected a saved state with {expected}, found {found}")]
+    Saved {
+        /// Value required by this rollout.
+        expected: String,
+        /// Saved value.
+        found: String,
+    },
+    /// An external planner failed.
+    #[error(transparent)]
+    Planner(#[from] PlannerError),
+}
+
+impl SimError {
+    /// Returns whether the options are invalid, as opposed to a failure at run time.
+    pub fn is_usage(&self) -> bool {
+        use SimError::{Clock, Frames, NoSteps, Rate, Start};
+        matches!(self, NoSteps | Rate { .. } | Clock { .. } | Frames { .. } | Start { .. })
+    }
+}

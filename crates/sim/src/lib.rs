@@ -1,0 +1,49 @@
+//! Closed-loop simulation: ego and actors move step by step, and each step is a state from which conditions are
+//! rendered.
+//!
+//! # How it works
+//! Past states are [`Committed`], predicted ones are [`Forecast`]. They are different types, and no forecast can be
+//! converted to a committed state.
+//!
+//! A [`Simulation`] commits the first steps from the log (the warm-up). Then, at each planning step, the ego's policy
+//! computes a plan from the committed state. Until the next plan, the ego tracks it exactly or with a kinematic
+//! bicycle, and the actors move by their own policy. Forecasts apply the same rules to a copy that is then discarded.
+//!
+//! A step is a pure function: the same log, options and plans give the same bytes, and a rollout that was saved and
+//! resumed equals an uninterrupted one.
+
+pub mod peer;
+pub mod report;
+
+mod actors;
+mod clock;
+mod ego;
+mod error;
+mod external;
+mod fit;
+mod metrics;
+mod options;
+mod pose_path;
+mod recorded;
+mod route;
+mod saved;
+mod scenario;
+mod simulation;
+mod state;
+mod tracking;
+mod trajectory;
+
+pub use actors::{Leader, idm_step};
+pub use ego::{LocalPath, LocalPathError};
+pub use error::SimError;
+pub use metrics::{Collision, CollisionKind, Comfort, Deviation, Metrics, OffRoad, Range};
+pub use options::{ActorPolicy, EgoPolicy, Rates, SimOptions, Tracking};
+pub use saved::SavedState;
+pub use scenario::{Scenario, scene_state};
+pub use simulation::{EndReason, Simulation, StepOutcome};
+pub use state::{
+    Committed, EGO_SIZE_M, EgoState, Forecast, Instant, REAR_AXLE_TO_CENTER_M, SimActor, WHEELBASE_M,
+};
+pub use trajectory::{Trajectory, Waypoint};
+
+pub use crate::peer::{PeerAddress as PlannerAddress, PeerError as PlannerError, PeerSpec as PlannerSpec};

@@ -1,0 +1,147 @@
+use std::collections::BTreeMap;
+
+use glam::{DVec2, DVec3};
+
+use super::clock::seconds;
+use super::fit::motion;
+use super::route::Route;
+use super::{EgoState, Instant, Scenario, SimActor, SimError, WHEELBASE_M};
+use point_skeleton::dataset::{EgoTrack, Log, TrackBox, TrafficLight};
+use point_skeleton::geometry::{Cuboid, Pose, wrap_angle};
+
+/// Half width of the window of poses from which the ego's motion is estimated, seconds.
+const EGO_WINDOW_S: f64 = 0.5;
+/// Half width of the window of boxes from which an actor's motion is estimated, seconds. It holds at least two frames
+/// of a 2 Hz log.
+const ACTOR_WINDOW_S: f64 = 0.6;
+/// Minimum time between frames that counts as a gap, seconds.
+const GAP_S: f64 = 1.0;
+/// Minimum speed for steering angles from yaw rates, meters per second.
+const CREEP_MPS: f64 = 0.5;
+
+/// Recorded states of a log, interpolated at any time.
+pub(super) struct Recorded<'a> {
+    pub(super) log: &'a Log,
+    pub(super) route: Route,
+    ego: EgoTrack,
+    /// Boxes of each track, in time order with absolute microseconds.
+    tracks: Vec<Vec<(i64, Cuboid)>>,
+    /// Times of the first and last frame, absolute microseconds.
+    pub(super) first_us: i64,
+    pub(super) last_us: i64,
+}
+
+impl<'a> Recorded<'a> {
+    /// Indexes a scenario's log. Fails if the log has no frames.
+    pub(super) fn of(scenario: &Scenario<'a>) -> Result<Self, SimError> {
+        let log = scenario.log;
+        Self::new(log).ok_or_else(|| SimError::NoFrames { log: log.name.clone() })
+    }
+
+    /// Indexes a log; `None` if it has no frames.
+    pub(super) fn new(log: &'a Log) -> Option<Self> {
+        let (first_us, last_us) = (log.frames.first()?.t_us, log.frames.last()?.t_us);
+        let mut tracks = vec![Vec::new(); log.tracks.len()];
+        for frame in &log.frames {
+            for item in &frame.boxes {
+                if let Some(boxes) = tracks.get_mut(item.track) {
+                    boxes.push((frame.t_us, item.cuboid));
+                }
+            }
+        }
+        let ego = EgoTrack::new(log);
+        Some(Self { log, route: Route::new(&ego), ego, tracks, first_us, last_us })
+    }
+
+    /// Returns notes on the log for the user: kinds with their counts.
+    pub(super) fn notes(&self) -> BTreeMap<String, usize> {
+        let gaps = self.log.frames.windows(2).filter(|w| seconds(w[0].t_us, w[1].t_us) > GAP_S).count();
+        let boxless = usize::from(self.tracks.iter().all(Vec::is_empty));
+        let notes = [("gaps of more than 1 s between frames", gaps), ("logs without boxes", boxless)];
+        notes.into_iter().filter(|(_, n)| *n > 0).map(|(kind, n)| (kind.to_owned(), n)).collect()
+    }
+
+    /// Returns the recorded state at a time; `None` outside the log.
+    pub(super) fn instant(&self, step: usize, t_us: i64) -> Option<Instant> {
+        let ego = self.ego_at(t_us)?;
+        Some(Instant { step, t_us, ego, actors: self.actors_at(t_us), lights: self.lights_at(t_us) })
+    }
+
+    /// Returns the recorded ego state: the exact pose, and motion from a parabola fitted to the surrounding poses.
+    /// `None` outside the log.
+    pub(super) fn ego_at(&self, t_us: i64) -> Option<EgoState> {
+        let pose = self.ego.at(t_us).filter(|_| (self.first_us..=self.last_us).contains(&t_us))?;
+        let forward = pose.rotation * DVec3::X;
+        let moved = motion(&samples(window(self.ego.poses(), t_us, EGO_WINDOW_S, 3), t_us, &pose), false);
+        let velocity = moved.rate.truncate().extend(0.0);
+        let (speed_mps, yaw_rate_radps) = (velocity.dot(forward), moved.rate.z);
+        let steers = speed_mps.abs() > CREEP_MPS;
+        Some(EgoState {
+            pose,
+            speed_mps,
+            acceleration_mps2: moved.second.truncate().extend(0.0).dot(forward),
+            yaw_rate_radps,
+            steering_rad: if steers { (WHEELBASE_M * yaw_rate_radps / speed_mps).atan() } else { 0.0 },
+        })
+    }
+
+    /// Returns the recorded actors at a time, sorted by track.
+    pub(super) fn actors_at(&self, t_us: i64) -> Vec<SimActor> {
+        let actor = |item: TrackBox| SimActor {
+            track: item.track,
+            cuboid: item.cuboid,
+            speed_mps: self.actor_motion(item.track, t_us).0,
+        };
+        let boxes = self.log.boxes_at(t_us);
+        boxes.into_iter().filter(|b| b.track < self.tracks.len()).map(actor).collect()
+    }
+
+    /// Returns a track's speed along its heading (meters per second) and its yaw rate to the left (radians per
+    /// second) at a time. Both come from a line fitted to the surrounding boxes.
+    pub(super) fn actor_motion(&self, track: usize, t_us: i64) -> (f64, f64) {
+        let near = window(&self.tracks[track], t_us, ACTOR_WINDOW_S, 2);
+        let Some((_, base)) = near.iter().min_by_key(|(at, _)| at.abs_diff(t_us)) else { return (0.0, 0.0) };
+        let poses: Vec<(i64, Pose)> = near.iter().map(|(at, cuboid)| (*at, cuboid.pose)).collect();
+        let moved = motion(&samples(&poses, t_us, &base.pose), true);
+        let heading = DVec2::from_angle(base.pose.yaw_rad());
+        (moved.rate.truncate().dot(heading), moved.rate.z)
+    }
+
+    /// Returns a track's boxes in time order, with absolute microseconds.
+    pub(super) fn boxes_of(&self, track: usize) -> &[(i64, Cuboid)] {
+        &self.tracks[track]
+    }
+
+    /// Returns the traffic lights of the last frame up to a time; after the log they keep their last state.
+    pub(super) fn lights_at(&self, t_us: i64) -> Vec<TrafficLight> {
+        let Some(frame) = self.log.frames.partition_point(|f| f.t_us <= t_us).checked_sub(1) else {
+            return Vec::new();
+        };
+        let lights = &self.log.lights;
+        let first = lights.partition_point(|light| light.frame < frame);
+        let last = lights.partition_point(|light| light.frame <= frame);
+        lights[first..last].to_vec()
+    }
+}
+
+/// Returns the samples within `reach_s` of a time, extended on both sides to at least `enough` samples if available.
+fn window<T>(samples: &[(i64, T)], t_us: i64, reach_s: f64, enough: usize) -> &[(i64, T)] {
+    let reach_us = (reach_s * 1e6) as i64;
+    let mut first = samples.partition_point(|(at, _)| *at < t_us.saturating_sub(reach_us));
+    let mut last = samples.partition_point(|(at, _)| *at <= t_us.saturating_add(reach_us));
+    while last - first < enough.min(samples.len()) {
+        first = first.saturating_sub(1);
+        last = (last + 1).min(samples.len());
+    }
+    &samples[first..last]
+}
+
+/// Converts poses to seconds from a time, and x, y (meters) and yaw (radians) relative to a base pose.
+fn samples(poses: &[(i64, Pose)], t_us: i64, base: &Pose) -> Vec<(f64, DVec3)> {
+    let yaw = base.yaw_rad();
+    let sample = |(at, pose): &(i64, Pose)| {
+        let arm = pose.translation - base.translation;
+        (seconds(t_us, *at), DVec3::new(arm.x, arm.y, wrap_angle(pose.yaw_rad() - yaw)))
+    };
+    poses.iter().map(sample).collect()
+}

@@ -1,0 +1,37 @@
+use std::sync::Arc;
+
+use super::{Instant, Rates, SimActor};
+use point_skeleton::dataset::{Log, LogFormat};
+use point_skeleton::scene::{SceneMap, SceneState, state_of};
+
+/// Input of a rollout.
+#[derive(Clone, Debug)]
+pub struct Scenario<'a> {
+    /// Recorded or synthetic log.
+    pub log: &'a Log,
+    /// HD map of the log; off-road metrics require it.
+    pub map: Option<Arc<SceneMap>>,
+    /// Default rates of the log's format, which the options can override.
+    pub rates: Rates,
+}
+
+impl<'a> Scenario<'a> {
+    /// Creates a scenario with the default rates of the log's format.
+    pub fn new(log: &'a Log, map: Option<Arc<SceneMap>>, format: LogFormat) -> Self {
+        let rates = match format {
+            LogFormat::NuScenes => Rates::NUSCENES,
+            LogFormat::Argoverse | LogFormat::NuPlan | LogFormat::NuPlanSimgen | LogFormat::Town => {
+                Rates::default()
+            }
+        };
+        Self { log, map, rates }
+    }
+}
+
+/// Returns the scene state for an instant of a rollout, as the input of condition rendering. All cameras share its
+/// time and the ego's pose. The name is the step in six digits.
+pub fn scene_state(log: &Log, instant: &Instant, map: Option<Arc<SceneMap>>) -> SceneState {
+    let boxes: Vec<_> = instant.actors.iter().map(SimActor::track_box).collect();
+    let state = state_of(log, instant.t_us, instant.ego.pose, &boxes);
+    SceneState { name: format!("{:06}", instant.step), map, ..state }
+}

@@ -1,0 +1,251 @@
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use super::actors::{self, ControlledActors};
+use super::clock::Clock;
+use super::ego::Driver;
+use super::metrics::{MetricsAccumulator, Road};
+use super::recorded::Recorded;
+use super::saved::{Saved, SavedState};
+use super::tracking::follow;
+use super::{
+    ActorPolicy, Committed, EgoPolicy, EgoState, Forecast, Instant, Metrics, Rates, Scenario, SimError,
+    SimOptions, Trajectory,
+};
+use point_skeleton::geometry::Foot;
+
+/// Closed-loop rollout: moves a log's ego and actors by policies, step by step.
+///
+/// The transition between two steps is a pure function of the committed state and the plan.
+pub struct Simulation<'a> {
+    recorded: Recorded<'a>,
+    options: SimOptions,
+    clock: Clock,
+    driver: Driver,
+    road: Option<Road>,
+    /// Committed state, and the plan that the ego follows until the next one.
+    committed: Saved,
+    log_ended: bool,
+}
+
+/// Committed state that the next step depends on.
+#[derive(Clone, Debug)]
+pub(super) struct World {
+    pub(super) instant: Instant,
+    pub(super) driven: ControlledActors,
+    /// Projection of the ego onto the recorded path.
+    pub(super) foot: Foot,
+}
+
+/// Result of a step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepOutcome {
+    /// Plan computed at this step; `None` if the step has none.
+    pub plan: Option<Forecast<Trajectory>>,
+}
+
+/// Reason for the end of a rollout.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EndReason {
+    /// All steps were simulated.
+    Steps,
+    /// The ego follows the log, and the log has ended.
+    LogEnded,
+}
+
+impl<'a> Simulation<'a> {
+    /// Creates a rollout and commits step 0, which is taken from the log.
+    ///
+    /// # Errors
+    /// Fails if the options are inconsistent or do not fit the log, or if the planner does not answer.
+    pub fn new(scenario: &Scenario<'a>, options: SimOptions) -> Result<Self, SimError> {
+        Self::start(scenario, options, None)
+    }
+
+    /// Resumes a rollout of the same log and options; the number of steps may differ. An external planner is
+    /// restarted and receives the current step.
+    ///
+    /// # Errors
+    /// Returns any error of [`Simulation::new`]. Fails if the state was saved with other options or by another
+    /// version, or is damaged.
+    pub fn resume(
+        scenario: &Scenario<'a>,
+        options: SimOptions,
+        saved: &SavedState,
+    ) -> Result<Self, SimError> {
+        Self::start(scenario, options, Some(saved))
+    }
+
+    fn start(
+        scenario: &Scenario<'a>,
+        options: SimOptions,
+        saved: Option<&SavedState>,
+    ) -> Result<Self, SimError> {
+        if options.steps == 0 {
+            return Err(SimError::NoSteps);
+        }
+        let log = scenario.log;
+        let recorded = Recorded::of(scenario)?;
+        let (first_us, last_us) = (recorded.first_us, recorded.last_us);
+        let start_us = options.start_us.unwrap_or(first_us);
+        let clock = Clock::of(&options, scenario.rates, start_us, log)?;
+        let outside = || SimError::Start { first_us, last_us, found_us: start_us, log: log.name.clone() };
+        let first = recorded.instant(0, clock.start_us).ok_or_else(outside)?;
+        let road = scenario.map.as_ref().and_then(|map| Road::new(map.vector_map()));
+        let start = match saved {
+            Some(saved) => saved.open(&options, &clock, &recorded)?,
+            None => {
+                let foot = logged_foot(&recorded, &first.ego, clock.start_us);
+                let world = World { instant: first, driven: ControlledActors::default(), foot };
+                let mut tally = MetricsAccumulator::default();
+                if clock.takeover == 0 {
+                    tally.add(&recorded, road.as_ref(), &world);
+                }
+                Saved { world: Committed::new(world), plan: None, tally }
+            }
+        };
+        let driver = Driver::new(&options, &clock, &recorded, start.world.get().instant.step)?;
+        Ok(Self { recorded, options, clock, driver, road, committed: start, log_ended: false })
+    }
+
+    /// Returns the last committed instant.
+    pub fn committed(&self) -> Committed<&Instant> {
+        self.committed.world.as_ref().map(|world| &world.instant)
+    }
+
+    /// Computes and commits the next step. Returns `None` and changes nothing once the rollout is over;
+    /// [`Simulation::ended`] gives the reason.
+    ///
+    /// # Errors
+    /// Fails if an external planner fails; the committed state remains unchanged.
+    pub fn step(&mut self) -> Result<Option<StepOutcome>, SimError> {
+        if self.is_done() {
+            return Ok(None);
+        }
+        let now = self.committed.world.get();
+        let mut made = None;
+        if self.clock.plans_at(now.instant.step) {
+            made = self.driver.plan(&self.recorded, &self.clock, now)?.map(Forecast::new);
+        }
+        let plan = made.as_ref().or(self.committed.plan.as_ref()).map(Forecast::get);
+        let Some(next) = self.advance(now, plan) else {
+            self.log_ended = true;
+            return Ok(None);
+        };
+        if next.instant.step >= self.clock.takeover {
+            self.committed.tally.add(&self.recorded, self.road.as_ref(), &next);
+        }
+        self.committed.world = Committed::new(next);
+        if made.is_some() {
+            self.committed.plan.clone_from(&made);
+        }
+        Ok(Some(StepOutcome { plan: made }))
+    }
+
+    /// Predicts the next `plan_steps` planning steps after the committed one. The ego follows the rest of its plan
+    /// and the actors follow their policy; before the first plan the log is used. Returns fewer if the log ends.
+    pub fn forecast(&self, plan_steps: usize) -> Vec<Forecast<Instant>> {
+        let mut expected = self.committed.world.get().clone();
+        let mut forecast = Vec::new();
+        for _ in 0..plan_steps {
+            for _ in 0..self.clock.steps_per_plan {
+                let Some(next) = self.expect(&expected) else { return forecast };
+                expected = next;
+            }
+            forecast.push(Forecast::new(expected.instant.clone()));
+        }
+        forecast
+    }
+
+    /// Predicts the state after another; `None` if the log ends.
+    fn expect(&self, now: &World) -> Option<World> {
+        let plan = self.committed.plan.as_ref().map(Forecast::get);
+        // An ego that replays the log has no plans, but its actors still follow their policy.
+        if plan.is_some() || self.options.ego == EgoPolicy::Replay {
+            return self.advance(now, plan);
+        }
+        let step = now.instant.step + 1;
+        let instant = self.recorded.instant(step, self.clock.at(step))?;
+        Some(World { instant, driven: now.driven.clone(), foot: now.foot })
+    }
+
+    /// Computes the state after another; `None` if the ego follows the log and the log has ended.
+    fn advance(&self, now: &World, plan: Option<&Trajectory>) -> Option<World> {
+        let step = now.instant.step + 1;
+        let t_us = self.clock.at(step);
+        let by_log = step <= self.clock.takeover;
+        let (ego, foot) = match plan {
+            Some(plan) if !by_log => {
+                let place_m = now.instant.ego.position_m();
+                let stretch = self.recorded.route.around(now.foot.station_m, place_m);
+                let ego = follow(self.options.tracking, stretch, &now.instant, plan, t_us);
+                (ego, stretch.foot(ego.position_m()))
+            }
+            _ => {
+                let ego = self.recorded.ego_at(t_us)?;
+                (ego, logged_foot(&self.recorded, &ego, t_us))
+            }
+        };
+        let policy = if by_log { ActorPolicy::Replay } else { self.options.actors };
+        let mut driven = now.driven.clone();
+        let actors = actors::advance(policy, &self.recorded, &mut driven, &now.instant, (t_us, &ego));
+        let lights = self.recorded.lights_at(t_us);
+        Some(World { instant: Instant { step, t_us, ego, actors, lights }, driven, foot })
+    }
+
+    /// Returns whether the rollout is over.
+    pub fn is_done(&self) -> bool {
+        self.ended().is_some()
+    }
+
+    /// Returns the reason for the end of the rollout; `None` while it is running.
+    pub fn ended(&self) -> Option<EndReason> {
+        if self.committed.world.get().instant.step >= self.options.steps {
+            return Some(EndReason::Steps);
+        }
+        self.log_ended.then_some(EndReason::LogEnded)
+    }
+
+    /// Returns the metrics of the committed steps from the takeover on.
+    pub fn metrics(&self) -> Metrics {
+        self.committed.tally.metrics(self.road.is_some())
+    }
+
+    /// Returns notes on the log for the user: kinds with their counts.
+    pub fn notes(&self) -> BTreeMap<String, usize> {
+        self.recorded.notes()
+    }
+
+    /// Returns the state required by [`Simulation::resume`].
+    pub fn save(&self) -> SavedState {
+        SavedState::new(&self.options, &self.clock, self.recorded.log, &self.committed)
+    }
+
+    /// Returns the simulation and planning rates.
+    pub fn rates(&self) -> Rates {
+        self.clock.rates
+    }
+
+    /// Returns the number of steps per plan, at least 1.
+    pub fn steps_per_plan(&self) -> usize {
+        self.clock.steps_per_plan
+    }
+
+    /// Returns the last step whose ego and actors are taken from the log; the first plan is computed there.
+    pub fn takeover_step(&self) -> usize {
+        self.clock.takeover
+    }
+
+    /// Sets the files that show the last committed state; an external planner receives them with the next
+    /// observation.
+    pub fn show(&mut self, files: Vec<PathBuf>) {
+        self.driver.show(files);
+    }
+}
+
+/// Projects the log's ego onto its own path at a time, microseconds.
+fn logged_foot(recorded: &Recorded<'_>, ego: &EgoState, t_us: i64) -> Foot {
+    let (route, place_m) = (&recorded.route, ego.position_m());
+    route.around(route.station_at(t_us), place_m).foot(place_m)
+}

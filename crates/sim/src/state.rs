@@ -1,0 +1,156 @@
+use glam::{DVec2, DVec3};
+
+use point_skeleton::dataset::{TrackBox, TrafficLight};
+use point_skeleton::geometry::{Cuboid, Pose};
+
+/// Simulated past: a committed state, or a value derived from committed states.
+///
+/// A forecast cannot take its place:
+///
+/// ```compile_fail,E0308
+/// use point_skeleton::sim::{Committed, Forecast, Instant};
+/// fn happened(expected: Forecast<Instant>) -> Committed<Instant> {
+///     expected
+/// }
+/// ```
+///
+/// Nor can code outside the simulation create one:
+///
+/// ```compile_fail,E0624
+/// use point_skeleton::sim::{Committed, Forecast, Instant};
+/// fn happened(expected: Forecast<Instant>) -> Committed<Instant> {
+///     Committed::new(expected.get().clone())
+/// }
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct Committed<T>(T);
+
+/// Predicted value: computed anew at each step and never part of the state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Forecast<T>(T);
+
+/// State of ego and actors at one instant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Instant {
+    /// Number of simulation steps since the start.
+    pub step: usize,
+    /// Absolute time, microseconds.
+    pub t_us: i64,
+    /// State of the ego.
+    pub ego: EgoState,
+    /// Actors, sorted by track.
+    pub actors: Vec<SimActor>,
+    /// Traffic light states by lane connector, from the log's last frame up to this time.
+    pub lights: Vec<TrafficLight>,
+}
+
+/// Pose and motion of the ego.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EgoState {
+    /// `global_from_ego`; the origin is that of the log's ego frame, taken as the center of the rear axle.
+    pub pose: Pose,
+    /// Speed along the heading, meters per second.
+    pub speed_mps: f64,
+    /// Acceleration along the heading, meters per second squared.
+    pub acceleration_mps2: f64,
+    /// Yaw rate to the left, radians per second.
+    pub yaw_rate_radps: f64,
+    /// Steering angle of the front wheels to the left, radians.
+    pub steering_rad: f64,
+}
+
+/// Pose and speed of an actor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimActor {
+    /// Index in [`Log::tracks`](point_skeleton::dataset::Log::tracks).
+    pub track: usize,
+    /// Bounding box in the global frame.
+    pub cuboid: Cuboid,
+    /// Speed along the heading, meters per second.
+    pub speed_mps: f64,
+}
+
+/// Length, width and height of the ego, a Chrysler Pacifica, meters. Source: nuPlan's vehicle parameters.
+pub const EGO_SIZE_M: DVec3 = DVec3::new(5.176, 2.297, 1.777);
+/// Distance from the ego's rear axle forward to the center of its box, meters.
+pub const REAR_AXLE_TO_CENTER_M: f64 = 1.461;
+/// Distance from the ego's rear axle to its front axle, meters.
+pub const WHEELBASE_M: f64 = 3.089;
+
+impl EgoState {
+    /// Returns the global yaw, radians.
+    pub fn heading_rad(&self) -> f64 {
+        self.pose.yaw_rad()
+    }
+
+    /// Returns the center of the rear axle in x and y, global meters.
+    pub fn position_m(&self) -> DVec2 {
+        self.pose.translation.truncate()
+    }
+
+    /// Returns the vehicle's bounding box.
+    pub fn cuboid(&self) -> Cuboid {
+        let center = DVec3::new(REAR_AXLE_TO_CENTER_M, 0.0, EGO_SIZE_M.z / 2.0);
+        let pose = Pose { rotation: self.pose.rotation, translation: self.pose.transform_point(center) };
+        Cuboid { pose, size: EGO_SIZE_M }
+    }
+}
+
+impl SimActor {
+    /// Returns the bounding box in the log's format.
+    pub fn track_box(&self) -> TrackBox {
+        TrackBox { track: self.track, cuboid: self.cuboid }
+    }
+}
+
+impl<T> Committed<T> {
+    /// Marks a value as committed; only the simulation may do so.
+    pub(super) fn new(value: T) -> Self {
+        Self(value)
+    }
+
+    /// Returns the committed value.
+    pub fn get(&self) -> &T {
+        &self.0
+    }
+
+    /// Derives a committed value from this one.
+    pub fn map<U>(self, f: impl FnOnce(T) -> U) -> Committed<U> {
+        Committed(f(self.0))
+    }
+
+    /// Derives a committed value from this one by a fallible function.
+    ///
+    /// # Errors
+    /// Returns any error of `f`.
+    pub fn try_map<U, E>(self, f: impl FnOnce(T) -> Result<U, E>) -> Result<Committed<U>, E> {
+        f(self.0).map(Committed)
+    }
+
+    /// Returns a committed reference to the value.
+    pub fn as_ref(&self) -> Committed<&T> {
+        Committed(&self.0)
+    }
+}
+
+impl<T> Forecast<T> {
+    /// Marks a value as predicted.
+    pub fn new(value: T) -> Self {
+        Self(value)
+    }
+
+    /// Returns the predicted value.
+    pub fn get(&self) -> &T {
+        &self.0
+    }
+
+    /// Derives a predicted value from this one.
+    pub fn map<U>(self, f: impl FnOnce(T) -> U) -> Forecast<U> {
+        Forecast(f(self.0))
+    }
+
+    /// Returns a predicted reference to the value.
+    pub fn as_ref(&self) -> Forecast<&T> {
+        Forecast(&self.0)
+    }
+}

@@ -1,0 +1,147 @@
+//! Camera images and ground-truth maps.
+
+use std::collections::BTreeMap;
+
+use glam::{DAffine3, DVec3};
+use image::RgbImage;
+
+use super::{Town, TownError, limbs, seconds};
+use point_skeleton::dataset::{Class, ImageRecord, PosedActor};
+use point_skeleton::geometry::{Pose, View};
+use point_skeleton::gpu::{Device, DeviceDesc};
+use crate::mesh::Mesh;
+use crate::model::Body;
+use crate::view::{GroundTruthView, Light, MeshDraw, MeshRenderer};
+
+/// Renderer with all meshes on the device.
+pub(super) struct TownRenderer {
+    filmer: MeshRenderer,
+    light: Light,
+    /// Number of static meshes; they come first and are in the town's frame.
+    standing: usize,
+    bodies: BTreeMap<(Body, usize), usize>,
+}
+
+/// Actor in the town's frame.
+struct Figure {
+    actor: usize,
+    town_from_actor: Pose,
+    /// Number in the instance map; 0 for actors without a box.
+    number: u32,
+}
+
+impl Town {
+    /// Renders views at a time: images and ground-truth maps. The views' world is the global frame. Instance numbers
+    /// are index + 1 of the log's boxes at that time, as in [`Log::boxes_at`](point_skeleton::dataset::Log::boxes_at). Actors
+    /// without a box (beyond the LiDAR's range) are visible, with class and instance 0.
+    ///
+    /// # Errors
+    /// Returns an error if the device fails.
+    pub fn truth(&self, t_us: i64, views: &[View]) -> Result<Vec<GroundTruthView>, TownError> {
+        let tracks: Vec<usize> = self.log.boxes_at(t_us).iter().map(|item| item.track).collect();
+        self.film(t_us, &self.figures(t_us, &tracks), views)
+    }
+
+    /// Renders the cameras of a frame, each at its own time and pose, in their order. Instance numbers are those of
+    /// the frame's boxes. Empty if there is no such frame.
+    ///
+    /// # Errors
+    /// Returns an error if the device fails.
+    pub fn truth_of_frame(&self, index: usize) -> Result<Vec<GroundTruthView>, TownError> {
+        let Some(frame) = self.log.frames.get(index) else { return Ok(Vec::new()) };
+        let tracks: Vec<usize> = frame.boxes.iter().map(|item| item.track).collect();
+        let mut seen = Vec::new();
+        for record in &frame.images {
+            seen.extend(self.film(record.t_us, &self.figures(record.t_us, &tracks), &[view_of(record)])?);
+        }
+        Ok(seen)
+    }
+
+    /// Renders views of a state that differs from the log: only the given actors are visible. Their instance is their
+    /// index + 1. The time selects the pose of their limbs.
+    ///
+    /// # Errors
+    /// Returns an error if the town does not have a track or if the device fails.
+    pub fn truth_of(
+        &self,
+        t_us: i64,
+        actors: &[PosedActor<'_>],
+        views: &[View],
+    ) -> Result<Vec<GroundTruthView>, TownError> {
+        let town_from_global = self.global_from_town.inverse();
+        let figure = |(index, actor): (usize, &PosedActor<'_>)| {
+            let known = self.log.tracks.binary_search_by(|track| track.id.as_str().cmp(actor.track));
+            let (town, track) = (self.log.name.clone(), actor.track.to_owned());
+            let known = known.map_err(|_| TownError::Track { town, track })?;
+            let ground = Pose { translation: DVec3::NEG_Z * (actor.cuboid.size.z / 2.0), ..Pose::IDENTITY };
+            let town_from_actor = town_from_global * actor.cuboid.pose * ground;
+            Ok(Figure { actor: self.actors[known], town_from_actor, number: index as u32 + 1 })
+        };
+        let figures: Vec<Figure> = actors.iter().enumerate().map(figure).collect::<Result<_, TownError>>()?;
+        self.film(t_us, &figures, views)
+    }
+
+    /// Renders only the image of a record.
+    pub(super) fn image(&self, record: &ImageRecord) -> Result<RgbImage, TownError> {
+        let seen = self.film(record.t_us, &self.figures(record.t_us, &[]), &[view_of(record)])?;
+        let empty = || RgbImage::new(record.camera.width, record.camera.height);
+        Ok(seen.into_iter().next().map_or_else(empty, |seen| seen.image))
+    }
+
+    /// Returns all actors at a time, numbered in the order of `tracks`.
+    fn figures(&self, t_us: i64, tracks: &[usize]) -> Vec<Figure> {
+        let numbers: BTreeMap<usize, u32> =
+            (1..).zip(tracks).map(|(n, track)| (self.actors[*track], n)).collect();
+        let figure = |(index, actor): (usize, &super::Actor)| Figure {
+            actor: index,
+            town_from_actor: actor.motion.pose(seconds(t_us)),
+            number: numbers.get(&index).copied().unwrap_or(0),
+        };
+        self.plan.traffic.actors.iter().enumerate().map(figure).collect()
+    }
+
+    fn film(&self, t_us: i64, figures: &[Figure], views: &[View]) -> Result<Vec<GroundTruthView>, TownError> {
+        let mut film = self.film.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if film.is_none() {
+            *film = Some(self.start_film()?);
+        }
+        let Some(film) = film.as_mut() else { return Ok(Vec::new()) };
+        let still = |mesh| MeshDraw { mesh, town_from_mesh: DAffine3::IDENTITY, class: 0, instance: 0 };
+        let figure = |figure: &Figure| {
+            let actor = &self.plan.traffic.actors[figure.actor];
+            let limbs = limbs(actor.body, &actor.motion, seconds(t_us));
+            let class =
+                if figure.number > 0 { Class::from_category(actor.body.category()) } else { Class::None };
+            Some(MeshDraw {
+                mesh: *film.bodies.get(&(actor.body, limbs))?,
+                town_from_mesh: figure.town_from_actor.affine(),
+                class: class as u8,
+                instance: figure.number,
+            })
+        };
+        let draws: Vec<MeshDraw> =
+            (0..film.standing).map(still).chain(figures.iter().filter_map(figure)).collect();
+        let views: Vec<View> = views.iter().map(|view| self.in_town(view)).collect();
+        Ok(film.filmer.film(&draws, &views, &film.light)?)
+    }
+
+    /// Returns the view with the town's frame as its world.
+    fn in_town(&self, view: &View) -> View {
+        let camera_from_world = view.camera_from_world * self.global_from_town.affine();
+        View { camera: view.camera.clone(), camera_from_world }
+    }
+
+    fn start_film(&self) -> Result<TownRenderer, TownError> {
+        let meshes = self.meshes();
+        let device = Device::new(&DeviceDesc::from_env())?;
+        let all: Vec<&Mesh> = meshes.standing.iter().chain(meshes.bodies.values()).collect();
+        let standing = meshes.standing.len();
+        let bodies = meshes.bodies.keys().copied().zip(standing..).collect();
+        let light = Light::new(self.options.light(), self.options.seed);
+        Ok(TownRenderer { filmer: MeshRenderer::new(&device, &all)?, light, standing, bodies })
+    }
+}
+
+fn view_of(record: &ImageRecord) -> View {
+    View { camera: record.camera.clone(), camera_from_world: record.camera_from_global().affine() }
+}

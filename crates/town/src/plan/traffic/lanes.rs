@@ -1,0 +1,102 @@
+//! Lanes prepared for traffic: centerlines with lengths, paths through junctions, and their conflicts.
+
+use rustc_hash::FxHashMap;
+
+use super::clash;
+use crate::plan::line::Path;
+use crate::plan::{JunctionKind, LaneKind, Network, Turn};
+
+/// Distance from the end of a road's lane back to the stop position, meters: before a crossing, and before a bend.
+pub(super) const STOP_M: f64 = 7.0;
+const STOP_FREE_M: f64 = 0.5;
+/// Distance from a junction to beyond the crossing on the following road, meters.
+pub(super) const BEYOND_CROSSING_M: f64 = 6.0;
+
+/// Lanes of a network with their lengths and conflicts.
+pub(super) struct Lanes<'a> {
+    pub(super) network: &'a Network,
+    /// Centerline of each lane.
+    pub(super) paths: Vec<Path>,
+    /// Data of each path through a junction; `None` for lanes of roads.
+    pub(super) ways: Vec<Option<JunctionPath>>,
+    clear_m: [FxHashMap<(usize, usize), f64>; 2],
+}
+
+/// Path through a junction.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct JunctionPath {
+    pub(super) junction: usize,
+    pub(super) kind: JunctionKind,
+    pub(super) turn: Turn,
+    /// Lanes before and after it.
+    pub(super) from: usize,
+    pub(super) to: usize,
+    /// Road that it comes from.
+    pub(super) road: usize,
+    /// Indices of the crossings before and after it.
+    pub(super) crossings: [Option<usize>; 2],
+}
+
+impl JunctionPath {
+    /// Returns the distance from the end of the lane before it back to the stop position, meters.
+    pub(super) fn stop_m(&self) -> f64 {
+        if self.kind == JunctionKind::Free { STOP_FREE_M } else { STOP_M }
+    }
+}
+
+impl<'a> Lanes<'a> {
+    pub(super) fn new(network: &'a Network) -> Self {
+        let paths: Vec<Path> = network.lanes.iter().map(|lane| Path::new(&lane.centerline)).collect();
+        let mut ways = vec![None; paths.len()];
+        for (from, lane) in network.lanes.iter().enumerate() {
+            let LaneKind::Road(road) = lane.kind else { continue };
+            for way in &lane.successors {
+                ways[*way] = Self::way(network, &paths, [from, *way], road);
+            }
+        }
+        let clear_m = clash::tables(&paths, &ways);
+        Self { network, paths, ways, clear_m }
+    }
+
+    fn way(network: &Network, paths: &[Path], [from, way]: [usize; 2], road: usize) -> Option<JunctionPath> {
+        let LaneKind::Junction(junction) = network.lanes[way].kind else { return None };
+        let to = *network.lanes[way].successors.first()?;
+        let LaneKind::Road(next) = network.lanes[to].kind else { return None };
+        let kind = network.junctions[junction].kind;
+        let crossing = |road: usize| {
+            let [mouth, along] = network.roads[road].mouth(junction)?;
+            let near = |path: [glam::DVec2; 2]| ((path[0] + path[1]) / 2.0 - mouth).dot(along).abs() < 10.0;
+            network.crossings.iter().position(|c| c.road == road && near(c.path))
+        };
+        let turn = Turn::of(paths[way].points());
+        Some(JunctionPath {
+            junction,
+            kind,
+            turn,
+            from,
+            to,
+            road,
+            crossings: [crossing(road), crossing(next)],
+        })
+    }
+
+    /// Returns the distance along path `a` that the middle of a vehicle must have reached so that no vehicle on path
+    /// `b` can touch it, meters. `None` if the two do not come near each other.
+    pub(super) fn clear_m(&self, a: usize, b: usize, long: bool) -> Option<f64> {
+        self.clear_m[usize::from(long)].get(&(a, b)).copied()
+    }
+
+    pub(super) fn length_m(&self, lane: usize) -> f64 {
+        self.paths[lane].length_m()
+    }
+
+    /// Returns whether the route can continue for a number of junctions beyond a lane.
+    pub(super) fn is_open(&self, lane: usize, junctions: usize) -> bool {
+        let next = &self.network.lanes[lane].successors;
+        match self.ways[lane] {
+            Some(way) => self.is_open(way.to, junctions),
+            None if junctions == 0 => !next.is_empty(),
+            None => next.iter().any(|way| self.is_open(*way, junctions - 1)),
+        }
+    }
+}
