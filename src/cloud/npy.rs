@@ -36,8 +36,9 @@ pub fn read(path: &Path) -> Result<PointFile, FileError> {
 /// # Errors
 /// Fails if the bytes are no NPY file of such an array; `path` is the file in messages.
 pub fn rows<const COLUMNS: usize>(bytes: &[u8], path: &Path) -> Result<Vec<[f64; COLUMNS]>, FileError> {
-    let wrong =
-        |found: String| FileError::content(format!("an array of <f2, <f4 or <f8 [N, {COLUMNS}]"), found, path);
+    let wrong = |found: String| {
+        FileError::content(format!("an array of <f2, <f4 or <f8 [N, {COLUMNS}]"), found, path)
+    };
     let mut data = bytes;
     let header_bytes = read_header_bytes(&mut data, bytes.len() as u64, path)?;
     let header = NpyHeader::from_reader(&header_bytes[..])
@@ -136,11 +137,7 @@ fn decode(mut reader: impl Read, file_bytes: u64, path: &Path) -> Result<PointFi
 
 /// Reads the magic, version, length and text of the header. Rejects any text whose parsing could exhaust memory or
 /// the stack.
-fn read_header_bytes(
-    reader: &mut impl Read,
-    file_bytes: u64,
-    path: &Path,
-) -> Result<Vec<u8>, FileError> {
+fn read_header_bytes(reader: &mut impl Read, file_bytes: u64, path: &Path) -> Result<Vec<u8>, FileError> {
     let no_npy = |found: &str| FileError::content("an NPY file", found, path);
     let mut fixed = [0; 10];
     reader.read_exact(&mut fixed).map_err(|_| no_npy(&format!("{file_bytes} bytes")))?;

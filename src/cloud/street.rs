@@ -5,10 +5,10 @@ use std::f64::consts::PI;
 use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
 
-use crate::hash::{between, hash, unit};
 use crate::cloud::Point;
 use crate::files::FileName;
 use crate::geometry::{Camera, View};
+use crate::hash::{between, hash, unit};
 
 /// Half the length of the street, meters.
 const HALF_LENGTH_M: f64 = 100.0;

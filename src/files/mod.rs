@@ -12,8 +12,8 @@ mod whole;
 mod work;
 
 pub use name::{FileName, NameError, first_twice};
-pub use output::{OutputFolder, WholeFolder, check_whole};
 pub use output::resolved_output;
+pub use output::{OutputFolder, WholeFolder, check_whole};
 pub(crate) use output::{work_of_whole, write_whole_by};
 pub use pending::remove_pending;
 pub use whole::{check_output_file, check_outside, write_json, write_whole};

@@ -8,7 +8,6 @@ use plotters::prelude::{
     ChartBuilder, IntoDrawingArea, LineSeries, PathElement, RGBAColor, SVGBackend, SeriesLabelPosition, WHITE,
 };
 use plotters::style::{BLACK, Color};
-
 use point_skeleton::error::FileError;
 use point_skeleton::files::write_whole;
 

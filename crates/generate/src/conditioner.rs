@@ -1,12 +1,13 @@
 use std::sync::Arc;
 
-use super::{DenoiserError, FrameConditions, Recipe};
 use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, MapKind, render};
 use point_skeleton::dataset::Log;
 use point_skeleton::geometry::Pose;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{SceneClouds, SceneMap, SceneState, SelectionOptions};
 use pskel_sim::{Committed, Forecast, Instant, Simulation, scene_state};
+
+use super::{DenoiserError, FrameConditions, Recipe};
 
 /// Renders the network input of a simulation, from committed and forecast instants.
 pub struct Conditioner<'a> {

@@ -1,8 +1,8 @@
 use image::RgbImage;
+use pskel_sim::peer::PeerError;
 
 use super::guidance::DroppedConditions;
 use super::{Latent, LatentShape, Level};
-use pskel_sim::peer::PeerError;
 
 /// A frame of the window, as input of a network.
 #[derive(Debug)]

@@ -1,12 +1,12 @@
 use image::RgbImage;
-use serde::{Deserialize, Serialize};
-
-use super::frame_conditions::{CAMERA_NUMBERS, FrameConditions, action, camera_numbers};
-use super::{DenoiserError, Recipe};
 use point_skeleton::conditions::tensor::layout;
 use point_skeleton::conditions::{CameraConditions, ConditionSet, DepthEmbedding, TensorEncoder};
 use point_skeleton::geometry::{ImageSize, Pose};
 use point_skeleton::scene::SceneState;
+use serde::{Deserialize, Serialize};
+
+use super::frame_conditions::{CAMERA_NUMBERS, FrameConditions, action, camera_numbers};
+use super::{DenoiserError, Recipe};
 
 /// A recording for training networks: conditions and images of each frame. Maps are stored as bytes and depth bins.
 #[derive(Clone, Debug, PartialEq)]
@@ -143,9 +143,9 @@ fn wrong(expected: String, found: String) -> DenoiserError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::{DAffine3, DMat3, DVec3};
     use point_skeleton::geometry::{Camera, View};
     use point_skeleton::scene::SceneCamera;
-    use glam::{DAffine3, DMat3, DVec3};
 
     const SIZE: ImageSize = ImageSize { height: 2, width: 3 };
 

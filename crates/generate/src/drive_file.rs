@@ -4,12 +4,12 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use bytemuck::{cast_slice, pod_collect_to_vec};
-use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
-
-use super::{DriveFrame, DriveInfo, TrainingClip};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
 use point_skeleton::files::write_whole;
+use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
+
+use super::{DriveFrame, DriveInfo, TrainingClip};
 
 const ABOUT: &str = "drive";
 

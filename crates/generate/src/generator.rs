@@ -1,11 +1,11 @@
 use std::collections::VecDeque;
 
+use pskel_sim::{Committed, Forecast};
 use serde::{Deserialize, Serialize};
 
 use super::rolling::{self, StepInputs};
 use super::window::Roll;
 use super::{Denoiser, DenoiserError, Guidance, Latent, NoiseSource, Sampler, SamplerOptions, Strategy};
-use pskel_sim::{Committed, Forecast};
 
 /// Options of the generator.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

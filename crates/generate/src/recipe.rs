@@ -1,8 +1,7 @@
-use serde::{Deserialize, Serialize};
-
 use point_skeleton::conditions::{ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, MapKind, MapSet};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{SplatSchedule, SplatStep};
+use serde::{Deserialize, Serialize};
 
 /// How the conditions of a network are rendered. It belongs to the weights: a network only understands maps
 /// rendered in the way that it was trained on.

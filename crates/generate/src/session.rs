@@ -1,16 +1,16 @@
 use std::time::Instant as Clock;
 
 use image::RgbImage;
+use point_skeleton::geometry::{ImageSize, Pose};
+use point_skeleton::raster::Rasterizer;
 use pskel_sim::report::images::StepImages;
+use pskel_sim::{Committed, Instant, Simulation};
 
 use super::{
     Cache, Codec, Conditioner, ConditionerError, Denoiser, DenoiserError, FrameConditions, GaussianNoise,
     GenerateError, GenerateOptions, Generator, GroundTruthImages, Latent, RenderedConditions,
     TrueImagesError,
 };
-use point_skeleton::geometry::{ImageSize, Pose};
-use point_skeleton::raster::Rasterizer;
-use pskel_sim::{Committed, Instant, Simulation};
 
 /// A network whose type is chosen at run time.
 pub type AnyDenoiser = Box<dyn Denoiser<Condition = FrameConditions>>;
@@ -300,16 +300,16 @@ mod tests {
     use glam::{DMat3, DVec3};
 
     use super::*;
+    use crate::{Frame, Guidance, LatentShape, PixelCodec, Recipe, SamplerOptions, Strategy};
     use point_skeleton::dataset::{
         Dataset, DatasetError, Frame as LogFrame, ImageRecord, Log, LogFormat, RigCamera, Sweep, SweepRecord,
     };
     use point_skeleton::error::FileError;
-    use crate::{Frame, Guidance, LatentShape, PixelCodec, Recipe, SamplerOptions, Strategy};
     use point_skeleton::geometry::Camera;
     use point_skeleton::raster::{self, RasterizerDesc, RasterizerKind};
     use point_skeleton::scene::SceneClouds as Clouds;
-    use pskel_sim::{Scenario, SimOptions};
     use point_skeleton::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
+    use pskel_sim::{Scenario, SimOptions};
 
     const SIZE: ImageSize = ImageSize { height: 4, width: 8 };
     const SHAPE: LatentShape = LatentShape { views: 1, channels: 12, height: 2, width: 4 };

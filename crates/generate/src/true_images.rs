@@ -1,12 +1,11 @@
 use glam::{DVec2, DVec3};
 use image::imageops::{FilterType, interpolate_bilinear, resize};
 use image::{Rgb, RgbImage};
-use rayon::prelude::*;
-
 use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, PosedActor};
 use point_skeleton::files::text::printable;
 use point_skeleton::geometry::{Camera, ImageSize, View};
 use point_skeleton::scene::{ActorState, SceneCamera, SceneState};
+use rayon::prelude::*;
 
 /// Ground-truth images of a log: recorded ones, or rendered from any pose if the log is synthetic.
 #[derive(Clone, Copy)]
@@ -104,8 +103,8 @@ fn rectified(image: RgbImage, camera: &Camera) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use point_skeleton::geometry::{Distortion, View};
     use glam::DAffine3;
+    use point_skeleton::geometry::{Distortion, View};
 
     /// Pixel values encode pixel positions, so the rectified image shows where the lens put each point of the
     /// pinhole.

@@ -1,9 +1,9 @@
 use image::RgbImage;
+use pskel_generate::{Codec, DenoiserError, Latent, LatentShape};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{NetworkConfig, NetworkError};
-use pskel_generate::{Codec, DenoiserError, Latent, LatentShape};
 
 /// Statistics of the training data, with one value per latent channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,9 +1,9 @@
+use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
+use pskel_generate::{LatentShape, Recipe};
 use serde::{Deserialize, Serialize};
 
 use super::kernels::{Attend, Grid, LANES};
 use super::{NetworkError, Statistics};
-use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
-use pskel_generate::{LatentShape, Recipe};
 
 /// Dimensions of the network. Stored in the header of the weights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,13 +1,13 @@
 use std::path::Path;
 
 use candle_core::{Device, Tensor};
+use pskel_generate::{Denoiser, DenoiserError, Frame, FrameConditions, Latent, LatentShape, Recipe};
 
 use super::codec::{latent_of_rows, rows_of_latent};
 use super::{
     EmbeddedConditions, Inputs, Model, NetworkConfig, NetworkError, PatchCodec, Provenance, Statistics,
     Weights,
 };
-use pskel_generate::{Denoiser, DenoiserError, Frame, FrameConditions, Latent, LatentShape, Recipe};
 
 /// The network as a denoiser; it predicts the velocity of flow matching.
 #[derive(Clone)]

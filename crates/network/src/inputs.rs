@@ -1,10 +1,10 @@
 use candle_core::{Device, Result, Tensor};
-
-use super::config::MAPS;
-use super::{NetworkConfig, NetworkError};
 use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use pskel_generate::NO_ACTION;
 use pskel_generate::{CAMERA_NUMBERS, FrameConditions};
+
+use super::config::MAPS;
+use super::{NetworkConfig, NetworkError};
 
 /// Number of values of a patch's ray: its direction in the ego frame, and sines and cosines of 1, 2, 4 and 8 times
 /// it.

@@ -65,12 +65,7 @@ impl<'a> Levels<'a> {
     }
 
     /// Returns `mu + a y + c F`, the clean latent.
-    pub(crate) fn clean(
-        &self,
-        noisy: &Tensor,
-        guess: &Tensor,
-        answer: &Tensor,
-    ) -> Result<Tensor> {
+    pub(crate) fn clean(&self, noisy: &Tensor, guess: &Tensor, answer: &Tensor) -> Result<Tensor> {
         let known = self.times(&self.residual(noisy, guess)?, |s, p| (1.0 - s) * p * p / variance(s, p))?;
         let missing = self.times(answer, |s, p| s * p / variance(s, p).sqrt())?;
         (guess + known)? + missing
@@ -79,12 +74,7 @@ impl<'a> Levels<'a> {
     /// Returns the target `F`, for which [`Levels::clean`] is `x0` if `x = (1-s) x0 + s e`:
     /// `(s (x0 - mu) / p - (1-s) p e) / sqrt D`. This equals `(x0 - mu - a y) / c` without the cancellation of
     /// nearly equal terms.
-    pub(crate) fn answer(
-        &self,
-        clean: &Tensor,
-        guess: &Tensor,
-        noise: &Tensor,
-    ) -> Result<Tensor> {
+    pub(crate) fn answer(&self, clean: &Tensor, guess: &Tensor, noise: &Tensor) -> Result<Tensor> {
         let off = self.times(&(clean - guess)?, |s, p| s / (p * variance(s, p).sqrt()))?;
         let noise = self.times(noise, |s, p| (1.0 - s) * p / variance(s, p).sqrt())?;
         off - noise

@@ -177,12 +177,7 @@ impl Model {
     }
 
     /// Embeds the conditions of windows of `frames` frames each.
-    pub(crate) fn take(
-        &self,
-        inputs: &Inputs,
-        windows: usize,
-        frames: usize,
-    ) -> Result<EmbeddedConditions> {
+    pub(crate) fn take(&self, inputs: &Inputs, windows: usize, frames: usize) -> Result<EmbeddedConditions> {
         let grid = self.config.grid(windows, frames);
         let (d, patches) = (self.config.width, grid.height * grid.width);
         let tokens = (self.linear(&inputs.maps, "maps.in")? + self.linear(&inputs.rays, "rays.in")?)?

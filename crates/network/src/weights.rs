@@ -4,6 +4,9 @@ use std::path::Path;
 
 use bytemuck::{cast_slice, pod_collect_to_vec};
 use candle_core::{Device, Tensor};
+use point_skeleton::error::FileError;
+use point_skeleton::files::input::read_table;
+use point_skeleton::files::write_whole;
 use rand_seeder::SipHasher;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::de::DeserializeOwned;
@@ -11,9 +14,6 @@ use serde::{Deserialize, Serialize};
 
 use super::model::{FirstGuess, fresh, shapes};
 use super::{NetworkConfig, NetworkError, Statistics};
-use point_skeleton::error::FileError;
-use point_skeleton::files::input::read_table;
-use point_skeleton::files::write_whole;
 
 /// Provenance of weights.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

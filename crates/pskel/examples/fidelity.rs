@@ -10,11 +10,11 @@ use clap::Parser;
 use point_skeleton::conditions::{self, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
 use point_skeleton::dataset::{Dataset, ImageRecord};
 use point_skeleton::files::FileName;
-use pskel::logs;
-use pskel_eval::{FilledError, compare_filled};
 use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
 use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, state_of_frame};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Coloring, Skeleton, SplitOptions};
+use pskel::logs;
+use pskel_eval::{FilledError, compare_filled};
 
 /// Builds from every other frame, renders the frames in between, compares with the ground-truth images.
 #[derive(Parser)]

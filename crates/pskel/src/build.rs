@@ -5,20 +5,20 @@ use std::time::Instant;
 
 use clap::Args;
 use glam::Vec3;
+use point_skeleton::cloud::{self, Bounds, Point};
+use point_skeleton::dataset::{Dataset, LogLocator};
+use point_skeleton::error::FileError;
+use point_skeleton::files::text::printable;
+use point_skeleton::skeleton::{
+    self, Asset, BuildInput, BuildOptions, BuildRun, Checksum, Coloring, Manifest, Skeleton, SkeletonWriter,
+    Template, TemplateCloud, TemplateKind, TemplateLibrary,
+};
 
 use super::log_args::{self, LogRoots};
 use super::numbers::{self, FrameRange};
 use super::progress::StageProgress;
 use super::{WrongUsage, info, say, templates, warn};
-use point_skeleton::cloud::{self, Bounds, Point};
-use point_skeleton::dataset::{Dataset, LogLocator};
-use point_skeleton::error::FileError;
-use point_skeleton::files::text::printable;
 use crate::logs;
-use point_skeleton::skeleton::{
-    self, Asset, BuildInput, BuildOptions, BuildRun, Checksum, Coloring, Manifest, Skeleton, SkeletonWriter,
-    Template, TemplateCloud, TemplateKind, TemplateLibrary,
-};
 
 /// Build a point skeleton from recordings: colored background, and an asset per tracked actor
 ///

@@ -4,14 +4,14 @@ use std::time::Instant;
 
 use clap::Args;
 use glam::{DVec3, Vec3};
-use serde::Serialize;
-
-use super::{WrongUsage, log_args, say};
 use point_skeleton::cloud::{self, Point, npy, ply};
 use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
 use point_skeleton::files::{WholeFolder, check_output_file, write_json};
 use point_skeleton::skeleton::{Skeleton, TemplateKind};
+use serde::Serialize;
+
+use super::{WrongUsage, log_args, say};
 
 /// Convert points: a skeleton to NPY or PLY files, or one such file to the other format
 ///

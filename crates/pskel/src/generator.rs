@@ -6,22 +6,22 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
-use serde::Serialize;
-
-use super::WrongUsage;
-use super::numbers;
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::dataset::Log;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
-use pskel_network::{Network, Provenance};
+use point_skeleton::geometry::ImageSize;
+use point_skeleton::scene::{SceneClouds, SceneMap};
 use pskel_generate::{
     AnyDenoiser, Codec, Conditioner, DroppedConditions, GenerateOptions, GroundTruthImages, Guidance,
     Prediction, ProcessDenoiser, Recipe, SamplerOptions, Session, SessionParts, Strategy,
 };
-use point_skeleton::geometry::ImageSize;
+use pskel_network::{Network, Provenance};
 use pskel_sim::peer::{PeerAddress, PeerSpec};
-use point_skeleton::scene::{SceneClouds, SceneMap};
+use serde::Serialize;
+
+use super::WrongUsage;
+use super::numbers;
 
 /// Options for generating images from conditions.
 #[derive(Clone, Debug, Args)]
@@ -333,9 +333,10 @@ impl FromStr for NetworkName {
         match text.split_once(':') {
             None if text == "network" => Ok(Self::Network(None)),
             Some(("network", path)) if !path.is_empty() => Ok(Self::Network(Some(path.into()))),
-            Some(("process", address)) => {
-                address.parse().map(Self::Process).map_err(|error: pskel_sim::peer::PeerError| error.to_string())
-            }
+            Some(("process", address)) => address
+                .parse()
+                .map(Self::Process)
+                .map_err(|error: pskel_sim::peer::PeerError| error.to_string()),
             _ => Err("expected network, network:FILE, process:COMMAND, process:unix:PATH or \
                       process:tcp:HOST:PORT"
                 .to_owned()),

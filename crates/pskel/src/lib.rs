@@ -154,8 +154,9 @@ mod tests {
 
     #[test]
     fn causes_are_told_once() {
-        let file =
-            point_skeleton::error::FileError::io("read", std::path::Path::new("a"))(std::io::Error::other("gone"));
+        let file = point_skeleton::error::FileError::io("read", std::path::Path::new("a"))(
+            std::io::Error::other("gone"),
+        );
         let error = anyhow::Error::new(file).context("no points");
         assert_eq!(with_causes(&error), "no points\n  caused by: cannot read: gone: a");
     }

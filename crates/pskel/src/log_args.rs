@@ -2,10 +2,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-
-use super::WrongUsage;
 use point_skeleton::dataset::{Dataset, DatasetError, LogFormat, LogLocator};
 use point_skeleton::files::resolved_output;
+
+use super::WrongUsage;
 use crate::logs;
 
 /// Locations of the parts of a data set.

@@ -1,16 +1,16 @@
 use std::path::Path;
 
 use clap::Args;
-use serde::Serialize;
-
-use super::WrongUsage;
-use super::numbers;
 use point_skeleton::conditions::{
     BinScale, ColorFilter, ConditionError, ConditionOptions, ConditionSet, DepthBins, DepthEmbedding,
     ImageSize, MapKind, MapSet, Occlusion, exr, npz, png, safetensors,
 };
 use point_skeleton::raster::SplatSchedule;
 use point_skeleton::scene::{SelectionOptions, TemplateFit};
+use serde::Serialize;
+
+use super::WrongUsage;
+use super::numbers;
 
 /// Options of condition maps, shared by all commands that render a log.
 #[derive(Clone, Debug, Args)]

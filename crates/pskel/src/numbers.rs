@@ -3,9 +3,9 @@
 use std::fmt;
 use std::str::FromStr;
 
-use pskel_sim::peer::MAX_TIMEOUT_S;
 use point_skeleton::scene::EgoOffset;
 use point_skeleton::skeleton::CHUNK_M;
+use pskel_sim::peer::MAX_TIMEOUT_S;
 
 /// Half-open, non-empty range of frames `A..B`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,9 +3,9 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
+use point_skeleton::skeleton;
 
 use super::tell;
-use point_skeleton::skeleton;
 
 /// Maximum number of lines per stage without a terminal, so that logs of long runs stay readable.
 const LINES: u64 = 10;

@@ -1,7 +1,7 @@
 use clap::Args;
+use point_skeleton::raster::{self, CloudSet, Rasterizer, RasterizerDesc, RasterizerKind};
 
 use super::WrongUsage;
-use point_skeleton::raster::{self, CloudSet, Rasterizer, RasterizerDesc, RasterizerKind};
 
 /// Rasterizer options, shared by all commands that render.
 #[derive(Clone, Debug, Args)]

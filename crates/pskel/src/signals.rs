@@ -8,13 +8,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use point_skeleton::files;
+use pskel_sim::peer;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use signal_hook::{flag, low_level};
 
 use super::terminal::tell;
-use point_skeleton::files;
-use pskel_sim::peer;
 
 /// Interval within which signals count as one.
 const TOGETHER: Duration = Duration::from_millis(500);

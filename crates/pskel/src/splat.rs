@@ -2,15 +2,17 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
+use point_skeleton::cloud;
+use point_skeleton::conditions::{
+    ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, npz, render_views,
+};
+use point_skeleton::files::check_output_file;
+use point_skeleton::raster::{Instance, SplatSchedule};
+use point_skeleton::scene::SceneInstances;
 
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::say;
-use point_skeleton::cloud;
-use point_skeleton::conditions::{ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, npz, render_views};
-use point_skeleton::files::check_output_file;
-use point_skeleton::raster::{Instance, SplatSchedule};
-use point_skeleton::scene::SceneInstances;
 
 /// Splat any point cloud into any cameras: color, depth, class and point number per pixel
 ///

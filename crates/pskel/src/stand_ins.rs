@@ -2,16 +2,16 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
-use rayon::prelude::*;
-use serde::Serialize;
-
-use super::numbers;
 use point_skeleton::error::FileError;
 use point_skeleton::scene::Substitutes;
 use point_skeleton::skeleton::{
     AugmentOptions, Augmentation, Skeleton, TemplateCloud, TemplateKind, TemplateLibrary, augment,
     default_templates,
 };
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::numbers;
 
 /// Options of substitute clouds: templates and augmented assets.
 #[derive(Clone, Debug, Args)]

@@ -5,9 +5,6 @@ use std::sync::Mutex;
 use std::time::Instant;
 
 use clap::Args;
-
-use super::progress::Progress;
-use super::{WrongUsage, log_args, numbers, say};
 use point_skeleton::conditions::{CameraConditions, ConditionSet, DepthBins, ImageSize, exr, png};
 use point_skeleton::dataset::nuscenes::LogWriter;
 use point_skeleton::dataset::{Dataset, Log};
@@ -16,6 +13,9 @@ use point_skeleton::files::FileName;
 use point_skeleton::files::{WholeFolder, write_json};
 use pskel_town::view::GroundTruthView;
 use pskel_town::{Daylight, Town, TownOptions};
+
+use super::progress::Progress;
+use super::{WrongUsage, log_args, numbers, say};
 
 /// Write the synthetic town as a data set in nuScenes layout: images, LiDAR sweeps, boxes, and the HD map
 ///

@@ -1,6 +1,7 @@
-use super::{ActorPolicy, EgoPolicy, Rates, SimError, SimOptions};
 use point_skeleton::dataset::Log;
 use point_skeleton::scene::frame_rate_hz;
+
+use super::{ActorPolicy, EgoPolicy, Rates, SimError, SimOptions};
 
 /// Range of simulation rates, hertz: fewer steps per second do not move smoothly, more only cost time.
 const SIM_HZ: [f64; 2] = [1.0, 1000.0];

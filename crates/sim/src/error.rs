@@ -1,5 +1,6 @@
-use super::PlannerError;
 use point_skeleton::files::text::printable;
+
+use super::PlannerError;
 
 /// Errors of starting or continuing a rollout.
 #[derive(Debug, thiserror::Error)]

@@ -1,13 +1,13 @@
 use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
+use point_skeleton::dataset::{EgoTrack, Log, TrackBox, TrafficLight};
+use point_skeleton::geometry::{Cuboid, Pose, wrap_angle};
 
 use super::clock::seconds;
 use super::fit::motion;
 use super::route::Route;
 use super::{EgoState, Instant, Scenario, SimActor, SimError, WHEELBASE_M};
-use point_skeleton::dataset::{EgoTrack, Log, TrackBox, TrafficLight};
-use point_skeleton::geometry::{Cuboid, Pose, wrap_angle};
 
 /// Half width of the window of poses from which the ego's motion is estimated, seconds.
 const EGO_WINDOW_S: f64 = 0.5;

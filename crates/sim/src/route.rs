@@ -1,9 +1,9 @@
 use glam::DVec2;
+use point_skeleton::dataset::EgoTrack;
+use point_skeleton::geometry::{Foot, Polyline, Pose};
 
 use super::clock::seconds;
 use super::pose_path::PosePath;
-use point_skeleton::dataset::EgoTrack;
-use point_skeleton::geometry::{Foot, Polyline, Pose};
 
 /// Minimum distance between poses of a route, meters: smaller motion is the noise of a standing vehicle.
 const KNOT_STEP_M: f64 = 0.1;
@@ -102,8 +102,8 @@ impl RouteWindow<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use point_skeleton::dataset::{Frame, Log};
     use glam::{DQuat, DVec3};
+    use point_skeleton::dataset::{Frame, Log};
 
     fn route(poses: &[Pose]) -> Route {
         let frame = |(i, pose): (usize, &Pose)| Frame {

@@ -1,6 +1,8 @@
 use std::collections::BTreeSet;
 
 use glam::{DQuat, DVec3};
+use point_skeleton::dataset::Log;
+use point_skeleton::geometry::{Cuboid, Foot, Pose};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -10,8 +12,6 @@ use super::metrics::MetricsAccumulator;
 use super::recorded::Recorded;
 use super::simulation::World;
 use super::{Committed, EgoState, Forecast, Instant, Scenario, SimActor, SimError, SimOptions, Trajectory};
-use point_skeleton::dataset::Log;
-use point_skeleton::geometry::{Cuboid, Foot, Pose};
 
 const VERSION: u32 = 2;
 /// Maximum deviation of a rotation's length from 1.

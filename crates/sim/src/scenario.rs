@@ -1,8 +1,9 @@
 use std::sync::Arc;
 
-use super::{Instant, Rates, SimActor};
 use point_skeleton::dataset::{Log, LogFormat};
 use point_skeleton::scene::{SceneMap, SceneState, state_of};
+
+use super::{Instant, Rates, SimActor};
 
 /// Input of a rollout.
 #[derive(Clone, Debug)]

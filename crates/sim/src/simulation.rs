@@ -1,6 +1,8 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use point_skeleton::geometry::Foot;
+
 use super::actors::{self, ControlledActors};
 use super::clock::Clock;
 use super::ego::Driver;
@@ -12,7 +14,6 @@ use super::{
     ActorPolicy, Committed, EgoPolicy, EgoState, Forecast, Instant, Metrics, Rates, Scenario, SimError,
     SimOptions, Trajectory,
 };
-use point_skeleton::geometry::Foot;
 
 /// Closed-loop rollout: moves a log's ego and actors by policies, step by step.
 ///

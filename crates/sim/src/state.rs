@@ -1,5 +1,4 @@
 use glam::{DVec2, DVec3};
-
 use point_skeleton::dataset::{TrackBox, TrafficLight};
 use point_skeleton::geometry::{Cuboid, Pose};
 

@@ -1,12 +1,12 @@
 //! Tracking of a plan by the ego.
 
 use glam::DVec2;
+use point_skeleton::geometry::wrap_angle;
 
 use super::clock::seconds;
 use super::route::RouteWindow;
 use super::trajectory::{Trajectory, Waypoint};
 use super::{EgoState, Instant, Tracking, WHEELBASE_M};
-use point_skeleton::geometry::wrap_angle;
 
 /// Maximum steering angle of the front wheels to either side, radians.
 const MAX_STEERING_RAD: f64 = 0.6;
@@ -145,9 +145,9 @@ impl Bicycle {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::route::Route;
     use point_skeleton::dataset::{EgoTrack, Log};
     use point_skeleton::geometry::Pose;
-    use crate::route::Route;
 
     fn ego(place: DVec2, heading_rad: f64, speed_mps: f64) -> EgoState {
         let pose = Pose::from_yaw(heading_rad, place.extend(0.0));

@@ -1,8 +1,8 @@
 use glam::DVec2;
+use point_skeleton::geometry::wrap_angle;
 use serde::{Deserialize, Serialize};
 
 use super::clock::seconds;
-use point_skeleton::geometry::wrap_angle;
 
 /// Planned pose and speed of the ego at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

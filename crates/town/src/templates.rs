@@ -1,11 +1,12 @@
 //! Category templates from the surfaces of the town's bodies; the core ships a copy of them as its defaults.
 
 use glam::DVec3;
-use rayon::prelude::*;
-
 use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::dataset::Class;
-use point_skeleton::skeleton::{Checksum, Template, TemplateCloud, TemplateKind, TemplateOptions, poisson_thin};
+use point_skeleton::skeleton::{
+    Checksum, Template, TemplateCloud, TemplateKind, TemplateOptions, poisson_thin,
+};
+use rayon::prelude::*;
 
 use crate::model::{BodyKind, SurfacePoint, surface, typical};
 

@@ -24,11 +24,10 @@ pub use sweep::read_sweep_file;
 
 use std::path::PathBuf;
 
-use crate::error::FileError;
-
 use super::{
     Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
 };
+use crate::error::FileError;
 
 /// One Argoverse 2 log.
 #[derive(Debug)]

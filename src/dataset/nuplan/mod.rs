@@ -24,11 +24,10 @@ pub use place::SIMGEN;
 
 pub use place::expand;
 
-use crate::error::FileError;
-
 use super::{
     Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
 };
+use crate::error::FileError;
 
 /// One nuPlan log, or one scene of it.
 #[derive(Debug)]

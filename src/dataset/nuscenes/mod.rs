@@ -24,11 +24,10 @@ pub use write_map::{MapLayers, RoadSegment, write_map};
 
 use std::path::PathBuf;
 
-use crate::files::input::{DataRoot, open_regular};
-
 use super::{
     Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
 };
+use crate::files::input::{DataRoot, open_regular};
 
 /// One scene of a nuScenes dataset.
 #[derive(Debug)]

@@ -1,9 +1,9 @@
+use std::path::Path;
+
 use super::cells::Cell;
 use super::runs::Runs;
 use super::sums::VoxelSum;
 use super::{BuildError, Builder, GenerateTemplates, source, with_notes};
-use std::path::Path;
-
 use crate::cloud::{Bounds, Point};
 use crate::error::FileError;
 use crate::skeleton::store::SkeletonWriter;

@@ -3,14 +3,14 @@
 use std::cell::RefCell;
 
 use point_skeleton::dataset::Dataset;
-use pskel_network::{Attend, Network, NetworkConfig, Weights};
-use pskel_generate::toy::LinearDenoiser;
-use pskel_network::train::{TrainOptions, Trainer, measure};
-use pskel_generate::{
-    Cache, Denoiser, TrainingClip, DriveFrame, DriveInfo, Frame, GaussianNoise, GenerateOptions, Generator,
-    Guidance, Latent, LatentShape, Level, Recipe, SamplerOptions, Strategy,
-};
 use point_skeleton::geometry::ImageSize;
+use pskel_generate::toy::LinearDenoiser;
+use pskel_generate::{
+    Cache, Denoiser, DriveFrame, DriveInfo, Frame, GaussianNoise, GenerateOptions, Generator, Guidance,
+    Latent, LatentShape, Level, Recipe, SamplerOptions, Strategy, TrainingClip,
+};
+use pskel_network::train::{TrainOptions, Trainer, measure};
+use pskel_network::{Attend, Network, NetworkConfig, Weights};
 use pskel_sim::{Committed, Rates, Scenario, SimOptions, Simulation};
 use serde_json::{Value, json};
 

@@ -8,11 +8,11 @@ use std::time::Duration;
 
 use image::RgbImage;
 use point_skeleton::dataset::Dataset;
+use point_skeleton::geometry::ImageSize;
 use pskel_generate::{
     Codec, Denoiser, Frame, FrameConditions, GenerateOptions, Guidance, Latent, Level, ProcessDenoiser,
     SamplerOptions, Strategy,
 };
-use point_skeleton::geometry::ImageSize;
 use pskel_sim::peer::{PeerAddress, PeerSpec};
 use pskel_sim::{EgoPolicy, Rates, Scenario, SimOptions, Simulation};
 use safetensors::tensor::{Dtype, TensorView, serialize};

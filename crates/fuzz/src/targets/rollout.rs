@@ -3,10 +3,8 @@
 use std::cell::RefCell;
 
 use point_skeleton::dataset::Dataset;
-use pskel_sim::report::{StepObservations, Phase, StateFile, StepRow};
-use pskel_sim::{
-    ActorPolicy, EgoPolicy, Rates, SavedState, Scenario, SimOptions, Simulation, Tracking,
-};
+use pskel_sim::report::{Phase, StateFile, StepObservations, StepRow};
+use pskel_sim::{ActorPolicy, EgoPolicy, Rates, SavedState, Scenario, SimOptions, Simulation, Tracking};
 use serde_json::Value;
 
 use super::clouds::written;
@@ -95,7 +93,13 @@ fn rows(count: usize) -> Vec<StepRow> {
     let mut sim = Simulation::new(&scenario(&made), options()).expect("a rollout");
     let mut rows = Vec::new();
     for _ in 0..count {
-        rows.push(StepRow::new(made.log(), sim.committed().get(), Phase::Policy, &StepObservations::default(), None));
+        rows.push(StepRow::new(
+            made.log(),
+            sim.committed().get(),
+            Phase::Policy,
+            &StepObservations::default(),
+            None,
+        ));
         sim.step().expect("a step");
     }
     rows

@@ -1,15 +1,16 @@
 //! Log names and options in text form.
 
-use point_skeleton::dataset::LogLocator;
-use point_skeleton::geometry::ImageSize;
-use pskel::logs;
-use pskel_sim::peer::PeerAddress;
-use point_skeleton::raster::SplatSchedule;
-use pskel_sim::LocalPath;
-use pskel_town::TownOptions;
 use std::cell::RefCell;
 use std::fmt::Display;
 use std::str::FromStr;
+
+use point_skeleton::dataset::LogLocator;
+use point_skeleton::geometry::ImageSize;
+use point_skeleton::raster::SplatSchedule;
+use pskel::logs;
+use pskel_sim::LocalPath;
+use pskel_sim::peer::PeerAddress;
+use pskel_town::TownOptions;
 
 use super::{SMALL, Scratch, seed};
 use crate::check::{short, told};

@@ -1,12 +1,12 @@
 use half::{bf16, f16};
+use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
+use point_skeleton::geometry::ImageSize;
+use pskel_sim::peer::ProtocolError;
 use safetensors::Dtype;
 
 use super::hello::{DenoiserOutputs, Precision};
 use super::message::{Answer, Values, message, shown};
-use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use crate::{CAMERA_NUMBERS, DenoiserError, Frame, FrameConditions, Latent, LatentShape};
-use point_skeleton::geometry::ImageSize;
-use pskel_sim::peer::ProtocolError;
 
 const CALL: &str = "call";
 const PREDICTION: &str = "prediction";

@@ -1,14 +1,14 @@
 use std::sync::Arc;
 
 use image::{Rgb, RgbImage};
+use point_skeleton::geometry::ImageSize;
+use pskel_sim::peer::ProtocolError;
 
 use super::Shared;
 use super::call::read_values;
 use super::hello::DenoiserOutputs;
 use super::message::{Answer, Values, message};
 use crate::{Codec, DenoiserError, Latent, LatentShape};
-use point_skeleton::geometry::ImageSize;
-use pskel_sim::peer::ProtocolError;
 
 /// Codec of a network in another process, which encodes and decodes images on request.
 pub(super) struct ProcessCodec {

@@ -1,8 +1,9 @@
+use point_skeleton::geometry::ImageSize;
+use pskel_sim::peer::ProtocolError;
+
 use super::MAX_ANSWER_BYTES;
 use super::message::{Answer, message};
 use crate::{DenoiserError, LatentShape, Prediction, SamplerOptions};
-use point_skeleton::geometry::ImageSize;
-use pskel_sim::peer::ProtocolError;
 
 const PROTOCOL: &str = "pskel-denoiser";
 const VERSION: &str = "1";

@@ -1,10 +1,10 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
+use pskel_sim::peer::ProtocolError;
 use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, View, serialize};
 
 use crate::DenoiserError;
-use pskel_sim::peer::ProtocolError;
 
 /// Maximum length of quoted texts of a denoiser, characters.
 const SHOWN: usize = 200;

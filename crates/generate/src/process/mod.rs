@@ -7,15 +7,16 @@ mod message;
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
+use point_skeleton::geometry::ImageSize;
+use pskel_sim::peer::{Framing, Link, PeerSpec, ProtocolError};
+
 use self::call::{read_prediction, request};
 use self::codec::ProcessCodec;
 use self::hello::{DenoiserInputs, DenoiserOutputs, hello, read_hello};
 use super::{
     Codec, Denoiser, DenoiserError, Frame, FrameConditions, GenerateOptions, Latent, LatentShape, PixelCodec,
 };
-use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
-use point_skeleton::geometry::ImageSize;
-use pskel_sim::peer::{Framing, Link, PeerSpec, ProtocolError};
 
 /// Maximum length of an answer, bytes.
 const MAX_ANSWER_BYTES: u64 = 1 << 30;

@@ -1,8 +1,9 @@
 //! Compares kernels with plain loops, and gradients with finite differences.
 
+use pskel_generate::{GaussianNoise, LatentShape, NoiseSource};
+
 use super::math::{Product, exp};
 use super::*;
-use pskel_generate::{GaussianNoise, LatentShape, NoiseSource};
 
 fn normal(purpose: usize, count: usize) -> Vec<f32> {
     let shape = LatentShape { views: 1, channels: 1, height: 1, width: count };

@@ -1,13 +1,13 @@
 use candle_core::{Device, Tensor};
+use point_skeleton::conditions::TensorEncoder;
+use pskel_generate::{Condition, DroppedConditions, FlowMatch, FrameConditions, Roll, TrainingClip};
 use rand_chacha::ChaCha8Rng;
 use rand_core::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_seeder::Seeder;
 
 use super::TrainOptions;
-use point_skeleton::conditions::TensorEncoder;
 use crate::{Inputs, NetworkConfig, NetworkError, PatchCodec};
-use pskel_generate::{Condition, DroppedConditions, FlowMatch, FrameConditions, Roll, TrainingClip};
 
 /// Minimum noise level of a frame that is not finished.
 const SIGMA_MIN: f32 = 0.005;

@@ -2,16 +2,14 @@ use std::hash::Hasher;
 use std::path::Path;
 
 use candle_core::{Device, Tensor, Var};
+use point_skeleton::error::FileError;
+use point_skeleton::files::write_whole;
+use pskel_generate::TrainingClip;
 use serde::{Deserialize, Serialize};
 
 use super::TrainOptions;
 use super::optimizer::{State, TrainedParameter};
-use point_skeleton::error::FileError;
-use point_skeleton::files::write_whole;
-use pskel_generate::TrainingClip;
-use crate::{
-    NetworkConfig, NetworkError, Statistics, find, in_file, read, read_whole, serialized, shapes,
-};
+use crate::{NetworkConfig, NetworkError, Statistics, find, in_file, read, read_whole, serialized, shapes};
 
 /// Header of a checkpoint, as JSON in the metadata entry `training`.
 #[derive(Serialize, Deserialize)]

@@ -1,9 +1,9 @@
+use point_skeleton::conditions::{DepthEmbedding, TensorEncoder};
+use pskel_generate::{DriveFrame, TrainingClip};
 use rayon::prelude::*;
 
 use super::regression::Regression;
-use point_skeleton::conditions::{DepthEmbedding, TensorEncoder};
 use crate::{FirstGuess, Inputs, NetworkConfig, NetworkError, PatchCodec, Statistics};
-use pskel_generate::{DriveFrame, TrainingClip};
 
 /// Minimum standard deviation of a coefficient, and of the error of the guess; prevents division by 0.
 const SCALE_MIN: f64 = 1e-3;

@@ -1,17 +1,16 @@
 use std::path::Path;
 
+use point_skeleton::conditions::{DepthEmbedding, TensorEncoder};
+use point_skeleton::error::FileError;
+use pskel_generate::TrainingClip;
+
 use super::TrainOptions;
 use super::batch::Source;
 use super::checkpoint::{self, Header, fingerprint};
 use super::objective::{LossWeights, loss};
 use super::optimizer::State;
 use super::statistics::{check, measure};
-use point_skeleton::conditions::{DepthEmbedding, TensorEncoder};
-use point_skeleton::error::FileError;
-use pskel_generate::TrainingClip;
-use crate::{
-    Model, NetworkConfig, NetworkError, PatchCodec, Provenance, Statistics, Weights, fresh,
-};
+use crate::{Model, NetworkConfig, NetworkError, PatchCodec, Provenance, Statistics, Weights, fresh};
 
 /// Trains a network on recordings, step by step.
 pub struct Trainer<'a> {

@@ -11,6 +11,11 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
+use point_skeleton::dataset::LogLocator;
+use point_skeleton::error::FileError;
+use point_skeleton::files::input::is_there;
+use point_skeleton::files::{OutputFolder, write_json};
+use pskel_network::Network;
 
 use self::report::Report;
 use self::rows::{Networks, Row, Table};
@@ -20,11 +25,6 @@ use super::log_args;
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::{WrongUsage, say};
-use point_skeleton::dataset::LogLocator;
-use point_skeleton::error::FileError;
-use point_skeleton::files::input::is_there;
-use point_skeleton::files::{OutputFolder, write_json};
-use pskel_network::Network;
 use crate::logs;
 
 /// Compare strategies, conditions and trainings of the generator in synthetic towns, where ground truth is known

@@ -4,14 +4,14 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
+use point_skeleton::error::FileError;
+use point_skeleton::files::{OutputFolder, write_json, write_whole};
+use pskel_eval::plot::{Curve, Plot};
+use pskel_eval::{MeanInterval, mean_interval, paired_difference};
 use serde::Serialize;
 
 use super::rows::{Row, Table};
 use super::run::RunResult;
-use point_skeleton::error::FileError;
-use point_skeleton::files::{OutputFolder, write_json, write_whole};
-use pskel_eval::{MeanInterval, mean_interval, paired_difference};
-use pskel_eval::plot::{Curve, Plot};
 
 /// Reported metrics: name in the results, column, digits.
 const COLUMNS: [(&str, &str, usize); 10] = [

@@ -1,9 +1,9 @@
 use clap::ValueEnum;
+use pskel_generate::{DroppedConditions, GenerateOptions, Guidance, SamplerOptions, Strategy};
+use pskel_network::Network;
 
 use super::run::{Origin, Settings};
 use crate::WrongUsage;
-use pskel_network::Network;
-use pskel_generate::{DroppedConditions, GenerateOptions, Guidance, SamplerOptions, Strategy};
 
 /// Variant of the generator.
 #[derive(Clone, Debug, PartialEq)]

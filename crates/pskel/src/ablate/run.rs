@@ -3,17 +3,17 @@ use std::path::Path;
 
 use image::RgbImage;
 use image::imageops::{self, FilterType};
+use point_skeleton::error::FileError;
+use point_skeleton::files::input::read_table;
+use point_skeleton::files::write_whole;
+use pskel_eval::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, SegmentationMasks};
+use pskel_generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
+use pskel_sim::{Committed, Forecast};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::rows::{Networks, Row};
 use super::scene::{Scene, SceneFrame};
-use point_skeleton::error::FileError;
-use point_skeleton::files::input::read_table;
-use point_skeleton::files::write_whole;
-use pskel_generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
-use pskel_eval::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, SegmentationMasks};
-use pskel_sim::{Committed, Forecast};
 
 /// Settings shared by all variants.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

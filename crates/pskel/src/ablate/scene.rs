@@ -2,23 +2,23 @@ use std::path::Path;
 use std::sync::Arc;
 
 use image::RgbImage;
+use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
+use point_skeleton::dataset::{Dataset, Log, LogFormat};
+use point_skeleton::raster::Rasterizer;
+use point_skeleton::scene::{SceneClouds, SceneMap};
+use pskel_eval::{
+    MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
+};
+use pskel_generate::{Conditioner, FrameConditions, GroundTruthImages, Recipe, RenderedConditions};
+use pskel_sim::{
+    ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
+};
+use pskel_town::Town;
 
 use super::run::Settings;
 use crate::build;
 use crate::rasterizer::RasterizerArgs;
 use crate::stand_ins::SubstituteArgs;
-use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
-use point_skeleton::dataset::{Dataset, Log, LogFormat};
-use pskel_generate::{Conditioner, RenderedConditions, FrameConditions, GroundTruthImages, Recipe};
-use pskel_eval::{
-    MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
-};
-use point_skeleton::raster::Rasterizer;
-use point_skeleton::scene::{SceneClouds, SceneMap};
-use pskel_sim::{
-    ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
-};
-use pskel_town::Town;
 
 /// Inputs shared by all variants in a town where the ego changes lanes.
 pub(super) struct Scene {

@@ -1,14 +1,14 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
+use point_skeleton::dataset::LogLocator;
+use point_skeleton::raster::{FRAMES_IN_FLIGHT, FrameKinds, SplatSchedule};
 
 use crate::WrongUsage;
 use crate::log_args;
 use crate::numbers::{self, FrameRange};
 use crate::rasterizer::RasterizerArgs;
-use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
-use point_skeleton::dataset::LogLocator;
-use point_skeleton::raster::{FRAMES_IN_FLIGHT, FrameKinds, SplatSchedule};
 
 /// Measure rendering speed: time per frame and per stage, points per second, peak memory
 ///

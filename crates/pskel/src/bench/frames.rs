@@ -1,7 +1,7 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use point_skeleton::conditions::{StepInFlight, ConditionOptions, ConditionSet, MapKind};
+use point_skeleton::conditions::{ConditionOptions, ConditionSet, MapKind, StepInFlight};
 use point_skeleton::raster::{FrameJob, FrameMaps, RasterError, Rasterizer};
 use point_skeleton::scene::{SceneClouds, SceneState, SelectionOptions};
 

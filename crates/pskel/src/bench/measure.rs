@@ -1,8 +1,9 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use super::frames::Frames;
 use point_skeleton::raster::{Rasterizer, StageTimes};
+
+use super::frames::Frames;
 
 /// Number of frames to render, and of those in flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -14,6 +14,7 @@ pub(super) use args::BenchArgs;
 use std::collections::BTreeMap;
 
 use anyhow::Context;
+use point_skeleton::raster::RasterizerInfo;
 
 use self::frames::{Frames, Jobs};
 use self::measure::{Measured, Plan, measure};
@@ -21,7 +22,6 @@ use self::report::Report;
 use self::workload::Workload;
 use super::progress::Progress;
 use super::say;
-use point_skeleton::raster::RasterizerInfo;
 
 /// Default number of timed frames for workloads other than recordings.
 const DEFAULT_FRAMES: u32 = 20;

@@ -2,11 +2,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::time::Duration;
 
+use point_skeleton::conditions::ImageSize;
+use point_skeleton::raster::RasterizerInfo;
 use serde::Serialize;
 
 use super::measure::TimedFrame;
-use point_skeleton::conditions::ImageSize;
-use point_skeleton::raster::RasterizerInfo;
 
 /// Output of `--json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]

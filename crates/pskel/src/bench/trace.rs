@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use point_skeleton::error::FileError;
+use point_skeleton::files::{check_output_file, write_json};
 use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::measure::TimedFrame;
-use point_skeleton::error::FileError;
-use point_skeleton::files::{check_output_file, write_json};
 
 /// First track of stages; tracks of frames start at 1. Far more than frames in flight.
 const FIRST_STAGE_TRACK: usize = 101;

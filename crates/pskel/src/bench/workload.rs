@@ -1,23 +1,24 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::BenchArgs;
-use super::frames::Steps;
-use crate::numbers::FrameRange;
-use crate::render::open_skeleton;
-use crate::{tell, warn};
 use point_skeleton::cloud::street;
 use point_skeleton::cloud::{self, Point, PointFile};
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind};
 use point_skeleton::dataset::{Log, LogLocator};
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
-use crate::logs;
 use point_skeleton::raster::{CloudSet, Crop, FrameJob, Instance, Occlusion};
 use point_skeleton::scene::{
     EgoOffset, SceneClouds, SceneInstances, SceneMap, SceneState, SelectionOptions, state_of_frame,
 };
 use point_skeleton::skeleton::Skeleton;
+
+use super::BenchArgs;
+use super::frames::Steps;
+use crate::logs;
+use crate::numbers::FrameRange;
+use crate::render::open_skeleton;
+use crate::{tell, warn};
 
 /// Default number of points of the synthetic street.
 const DEFAULT_POINTS: usize = 4_000_000;

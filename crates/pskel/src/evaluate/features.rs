@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use anyhow::anyhow;
-
 use point_skeleton::cloud::npy::read_features;
 use point_skeleton::error::FileError;
 use pskel_eval::{Distance, FeatureSet, frechet_distance};

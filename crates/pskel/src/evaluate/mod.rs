@@ -12,15 +12,15 @@ use std::time::Instant;
 
 use anyhow::anyhow;
 use clap::Args;
+use point_skeleton::error::FileError;
+use point_skeleton::files::{check_output_file, write_json};
+use pskel_eval::{CollectedFeatures, RandomConvNet, RolloutScores, ScoredFrame, Scores};
 
 use self::report::{Report, ScoredRollout};
 use self::rollout::GeneratedRollout;
 use self::segmentor::Segmentors;
 use super::progress::Progress;
 use super::{WrongUsage, say, tell};
-use point_skeleton::error::FileError;
-use point_skeleton::files::{check_output_file, write_json};
-use pskel_eval::{CollectedFeatures, RandomConvNet, RolloutScores, ScoredFrame, Scores};
 
 /// Score the generated images of rollouts against ground truth
 ///

@@ -2,7 +2,6 @@ use std::io::Cursor;
 use std::path::Path;
 
 use image::{DynamicImage, ImageReader};
-
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{IMAGE_BYTES, read_file};
 use point_skeleton::geometry::ImageSize;

@@ -2,15 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
-
-use super::rollout::GeneratedRollout;
-use super::segmentor::{PATCHES, PatchesAbout, Segmentors};
 use point_skeleton::files::FileName;
 use pskel_eval::{
     CollectedFeatures, Distance, Distances, FrechetError, MeanInterval, Scores, mean_interval,
     paired_difference,
 };
+use serde::Serialize;
+
+use super::rollout::GeneratedRollout;
+use super::segmentor::{PATCHES, PatchesAbout, Segmentors};
 
 /// All results.
 #[derive(Debug, Serialize)]

@@ -4,9 +4,6 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use rayon::prelude::*;
-
-use super::picture::{self, Read};
 use point_skeleton::conditions::reduce::nearest;
 use point_skeleton::dataset::{picture_size, read_picture};
 use point_skeleton::error::FileError;
@@ -16,6 +13,9 @@ use point_skeleton::geometry::ImageSize;
 use pskel_eval::{MOVING_MPS, moving_mask};
 use pskel_sim::report::images::{self, GENERATED, TRUTH};
 use pskel_sim::report::{ROLLOUT, StateFile, StepRow};
+use rayon::prelude::*;
+
+use super::picture::{self, Read};
 
 const STATES: &str = "states.jsonl";
 const STEPS: &str = "steps";

@@ -4,15 +4,15 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use image::RgbImage;
+use point_skeleton::conditions::reduce::nearest;
+use point_skeleton::error::FileError;
+use point_skeleton::files::FileName;
+use pskel_eval::{PatchClassifier, PatchOptions, PatchTrainer, SegmentationMasks, vehicle_mask};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::picture;
 use super::rollout::{Frame, GeneratedRollout, Step};
-use point_skeleton::conditions::reduce::nearest;
-use point_skeleton::error::FileError;
-use point_skeleton::files::FileName;
-use pskel_eval::{PatchClassifier, PatchOptions, PatchTrainer, SegmentationMasks, vehicle_mask};
 
 /// Names of the segmentors in the result.
 pub(super) const GIVEN: &str = "masks";

@@ -1,16 +1,17 @@
 use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
-use serde::Serialize;
-
-use point_skeleton::conditions::{self, CameraConditions, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
+use point_skeleton::conditions::{
+    self, CameraConditions, ConditionOptions, ImageSize, MapKind, MapSet, reduce,
+};
 use point_skeleton::dataset::{Area, Class, Dataset, VectorMap};
 use point_skeleton::geometry::View;
-use pskel_eval::{DepthErrors, DepthSummary, FilledError, Overlap, compare_filled};
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{EgoOffset, SceneClouds, SceneState, SelectionOptions, state_of_frame};
+use pskel_eval::{DepthErrors, DepthSummary, FilledError, Overlap, compare_filled};
 use pskel_town::Town;
 use pskel_town::view::GroundTruthView;
+use serde::Serialize;
 
 /// Maximum distance of near cars, meters from the ego to the center of the box.
 const NEAR_M: f64 = 40.0;

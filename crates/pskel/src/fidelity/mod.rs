@@ -9,6 +9,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::Args;
+use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
+use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
+use point_skeleton::error::FileError;
+use point_skeleton::files::{check_output_file, write_json, write_whole};
+use point_skeleton::raster::SplatSchedule;
+use point_skeleton::scene::SceneClouds;
 
 use self::measure::{Measured, Measurement, Pose};
 use super::log_args;
@@ -18,13 +24,7 @@ use super::rasterizer::RasterizerArgs;
 use super::render::open_skeleton;
 use super::stand_ins::SubstituteArgs;
 use super::{WrongUsage, say};
-use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
-use point_skeleton::error::FileError;
-use point_skeleton::files::{check_output_file, write_json, write_whole};
 use crate::logs;
-use point_skeleton::raster::SplatSchedule;
-use point_skeleton::scene::SceneClouds;
 
 /// Measure the fidelity of condition maps: those of the synthetic town against its ground truth
 ///

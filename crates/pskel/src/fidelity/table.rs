@@ -2,11 +2,11 @@
 
 use std::ops::Range;
 
+use point_skeleton::conditions::ConditionOptions;
+use point_skeleton::dataset::Log;
 use serde_json::{Value, json};
 
 use super::measure::{MaskRow, Row};
-use point_skeleton::conditions::ConditionOptions;
-use point_skeleton::dataset::Log;
 
 const HEADER: [&str; 14] = [
     "pose",

@@ -8,7 +8,6 @@ use std::path::{Component, Path, PathBuf};
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
 use image::{ImageFormat, RgbImage};
-
 use point_skeleton::dataset::{ImageRecord, Log};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{WholeFolder, check_whole, write_whole};

@@ -6,6 +6,7 @@ mod dataset;
 use std::path::PathBuf;
 
 use clap::Args;
+use point_skeleton::dataset::{LogFormat, LogLocator};
 
 use super::generator::{GeneratorArgs, NetworkName};
 use super::log_args::{self, LogRoots};
@@ -14,7 +15,6 @@ use super::rasterizer::RasterizerArgs;
 use super::simulate::{self, OpenLoop, SimulateArgs};
 use super::stand_ins::SubstituteArgs;
 use super::{WrongUsage, say};
-use point_skeleton::dataset::{LogFormat, LogLocator};
 
 /// Regenerate the images of a log from its conditions: ego and actors follow the log
 ///

@@ -1,10 +1,9 @@
 use std::path::Path;
 
 use glam::Vec3;
-use serde_json::{Value, json};
-
 use point_skeleton::cloud::{self, Bounds, Point};
 use point_skeleton::dataset::{Sweep, av2, nuplan, nuscenes, picture_size};
+use serde_json::{Value, json};
 
 /// Describes a single file as JSON.
 pub(super) fn describe(path: &Path) -> anyhow::Result<Value> {

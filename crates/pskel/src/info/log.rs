@@ -4,13 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
 use glam::DVec3;
-use rayon::prelude::*;
-use serde_json::{Value, json};
-
 use point_skeleton::dataset::{Dataset, Frame, ImageRecord, Log};
 use point_skeleton::files::FileName;
 use point_skeleton::files::text::printable_line;
 use point_skeleton::scene::frame_rate_hz;
+use rayon::prelude::*;
+use serde_json::{Value, json};
 
 /// Describes a log as JSON.
 pub(super) fn describe(dataset: &dyn Dataset) -> Value {

@@ -2,13 +2,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use clap::Args;
+use point_skeleton::files::input::is_taken;
+use point_skeleton::skeleton::{Skeleton, TemplateLibrary};
 use serde_json::Value;
 
 use super::log_args::LogRoots;
 use super::{WrongUsage, say};
-use point_skeleton::files::input::is_taken;
 use crate::logs;
-use point_skeleton::skeleton::{Skeleton, TemplateLibrary};
 
 mod file;
 mod log;

@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use glam::{DVec3, Vec3};
-use serde_json::{Value, json};
-
 use point_skeleton::cloud::Bounds;
 use point_skeleton::files::text::printable_line;
 use point_skeleton::skeleton::{BuildReport, Manifest, Skeleton, TemplateKind};
+use serde_json::{Value, json};
 
 /// Assets of one category.
 #[derive(Default)]

@@ -3,10 +3,9 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use serde_json::{Value, json};
-
 use point_skeleton::files::text::printable_line;
 use point_skeleton::skeleton::{TemplateLibrary, TemplateSummary};
+use serde_json::{Value, json};
 
 /// Describes a library of templates as JSON.
 pub(super) fn describe(library: &TemplateLibrary, path: &Path) -> Value {

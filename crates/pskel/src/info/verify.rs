@@ -3,10 +3,10 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use point_skeleton::skeleton::{Skeleton, TemplateLibrary};
 use serde_json::{Value, json};
 
 use crate::WrongUsage;
-use point_skeleton::skeleton::{Skeleton, TemplateLibrary};
 
 /// Result of the verification.
 pub(super) struct Verified {

@@ -1,6 +1,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use point_skeleton::conditions::{ColorFilter, ConditionOptions, MapSet};
+use point_skeleton::dataset::LogLocator;
+use point_skeleton::scene::{EgoOffset, SelectionOptions};
 use serde::Serialize;
 
 use crate::WrongUsage;
@@ -9,9 +12,6 @@ use crate::map_args::{MapArgs, MapFormat};
 use crate::numbers::{self, FrameRange};
 use crate::rasterizer::RasterizerArgs;
 use crate::stand_ins::{StandInReport, SubstituteArgs};
-use point_skeleton::conditions::{ColorFilter, ConditionOptions, MapSet};
-use point_skeleton::dataset::LogLocator;
-use point_skeleton::scene::{EgoOffset, SelectionOptions};
 
 /// Render condition maps of a recording's frames from its skeleton: color, depth, class, instance, boxes, map
 ///

@@ -13,15 +13,10 @@ use std::sync::mpsc::sync_channel;
 use std::time::Instant;
 
 use anyhow::Context;
-
-use self::output::{Output, Rendered};
-use self::steps::Steps;
-use super::progress::Progress;
-use super::{say, warn};
 use point_skeleton::cloud;
 use point_skeleton::conditions::distort::Distorter;
 use point_skeleton::conditions::meta::{Index, IndexFrame, PromptParts};
-use point_skeleton::conditions::{StepInFlight, ConditionOptions};
+use point_skeleton::conditions::{ConditionOptions, StepInFlight};
 use point_skeleton::dataset::Dataset;
 use point_skeleton::error::FileError;
 use point_skeleton::files::OutputFolder;
@@ -29,6 +24,11 @@ use point_skeleton::files::input::read_table;
 use point_skeleton::raster::{FRAMES_IN_FLIGHT, Rasterizer};
 use point_skeleton::scene::{SceneClouds, SceneMap, SelectionOptions, frame_rate_hz};
 use point_skeleton::skeleton::Skeleton;
+
+use self::output::{Output, Rendered};
+use self::steps::Steps;
+use super::progress::Progress;
+use super::{say, warn};
 
 /// Runs the command: opens the inputs, renders and writes the maps.
 pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {

@@ -1,11 +1,12 @@
-use super::args::RenderOptions;
-use crate::map_args::MapFormat;
 use point_skeleton::conditions::birdseye::{self, BirdseyeOptions};
 use point_skeleton::conditions::meta::{FrameMeta, Index, PromptParts};
 use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
 use point_skeleton::error::FileError;
 use point_skeleton::files::OutputFolder;
 use point_skeleton::scene::SceneState;
+
+use super::args::RenderOptions;
+use crate::map_args::MapFormat;
 
 /// Rendered step with its maps.
 pub(super) struct Rendered {

@@ -1,14 +1,15 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::RenderArgs;
-use crate::WrongUsage;
-use crate::numbers::FrameRange;
 use point_skeleton::dataset::{EgoTrack, Frame, Log};
 use point_skeleton::geometry::View;
 use point_skeleton::scene::{
     EgoOffset, SceneMap, SceneState, name_of_frame, name_of_time, state_at, state_of_frame, with_cameras,
 };
+
+use super::RenderArgs;
+use crate::WrongUsage;
+use crate::numbers::FrameRange;
 
 /// Times to render; all of them are within the log.
 pub(super) struct Steps<'a> {

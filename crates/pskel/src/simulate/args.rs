@@ -1,6 +1,11 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use point_skeleton::dataset::LogLocator;
+use point_skeleton::scene::frame_rate_hz;
+use pskel_sim::{
+    ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
+};
 use serde::Serialize;
 
 use crate::WrongUsage;
@@ -10,11 +15,6 @@ use crate::map_args::MapArgs;
 use crate::numbers;
 use crate::rasterizer::RasterizerArgs;
 use crate::stand_ins::SubstituteArgs;
-use point_skeleton::dataset::LogLocator;
-use point_skeleton::scene::frame_rate_hz;
-use pskel_sim::{
-    ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
-};
 
 /// Number of frames that a generator sees besides the current one.
 const FORECAST_STEPS: usize = 9;

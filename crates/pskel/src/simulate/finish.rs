@@ -1,15 +1,15 @@
 use std::path::Path;
 
-use rayon::prelude::*;
-use serde::Serialize;
-
-use super::output::{INDEX, METRICS, Output, PAGE, STATES, VIDEO, step_folder};
 use point_skeleton::conditions::meta::Index;
 use point_skeleton::files::FileName;
 use point_skeleton::files::{OutputFolder, write_json};
 use pskel_sim::report::page::{self, Page, PageActor, PageEvent, PageStep};
 use pskel_sim::report::{ActorRow, Phase, StepRow, Video, film, sight, view};
 use pskel_sim::{Collision, EndReason, Metrics};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::output::{INDEX, METRICS, Output, PAGE, STATES, VIDEO, step_folder};
 
 /// Number of video images in memory at the same time.
 const PICTURES: usize = 16;

@@ -4,18 +4,18 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context;
-
-use super::output::{STATE, step_folder};
-use crate::generator::{GenerationScene, OpenedNetwork};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{is_there, read_table};
 use point_skeleton::files::write_whole;
-use pskel_sim::report::images::StepImages;
-use pskel_generate::{Cache, Session, SessionTimes};
 use point_skeleton::raster::Rasterizer;
+use pskel_generate::{Cache, Session, SessionTimes};
+use pskel_sim::report::images::StepImages;
 use pskel_sim::report::images::{self, GENERATED, TRUTH};
 use pskel_sim::report::{StepRow, view};
 use pskel_sim::{SavedState, Scenario, SimOptions, Simulation};
+
+use super::output::{STATE, step_folder};
+use crate::generator::{GenerationScene, OpenedNetwork};
 
 /// File of the generator state that is carried over to the next frame.
 pub(super) const CACHE: &str = "generator.safetensors";

@@ -17,6 +17,17 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context;
+use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::{ConditionOptions, ImageSize, MapSet};
+use point_skeleton::dataset::{Dataset, Log};
+use point_skeleton::error::FileError;
+use point_skeleton::files::{OutputFolder, check_output_file, check_outside};
+use point_skeleton::raster::{RasterizerInfo, StageTimes};
+use point_skeleton::scene::{SceneClouds, SceneMap};
+use point_skeleton::skeleton::Skeleton;
+use pskel_generate::GroundTruthImages;
+use pskel_sim::report::StepRow;
+use pskel_sim::{EndReason, Scenario, SimError, Simulation};
 
 use self::finish::{Outcome, finish};
 use self::generation::{EarlierSteps, Generation};
@@ -28,17 +39,6 @@ use super::generator::{GenerationScene, GeneratorReport, OpenedNetwork};
 use super::render::{open_skeleton, read_prompt};
 use super::stand_ins::StandInReport;
 use super::{WrongUsage, say, warn};
-use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::conditions::{ConditionOptions, ImageSize, MapSet};
-use point_skeleton::dataset::{Dataset, Log};
-use point_skeleton::error::FileError;
-use point_skeleton::files::{OutputFolder, check_output_file, check_outside};
-use pskel_generate::GroundTruthImages;
-use point_skeleton::raster::{RasterizerInfo, StageTimes};
-use pskel_sim::report::StepRow;
-use point_skeleton::scene::{SceneClouds, SceneMap};
-use pskel_sim::{EndReason, Scenario, SimError, Simulation};
-use point_skeleton::skeleton::Skeleton;
 
 /// Kind of the output folder.
 const KIND: &str = "rollout";
@@ -202,7 +202,8 @@ fn options(
     sim_options: pskel_sim::SimOptions,
 ) -> RolloutOptions {
     let conditions = args.maps.conditions(maps);
-    let large = |camera: &point_skeleton::geometry::Camera| camera.height > SIZE.height || camera.width > SIZE.width;
+    let large =
+        |camera: &point_skeleton::geometry::Camera| camera.height > SIZE.height || camera.width > SIZE.width;
     let reduced = conditions.size.is_none() && log.rig.iter().any(|rig| large(&rig.camera));
     let out_size = conditions.out_size.or(reduced.then_some(SIZE));
     let rates = simulation.rates();

@@ -2,6 +2,15 @@ use std::fs::create_dir_all;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use point_skeleton::conditions::birdseye::{self, BirdseyeOptions, Trace};
+use point_skeleton::conditions::meta::{FrameMeta, PromptParts};
+use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
+use point_skeleton::error::FileError;
+use point_skeleton::files::input::{is_there, read_table};
+use point_skeleton::files::{OutputFolder, write_json};
+use point_skeleton::scene::{SceneState, SelectionOptions};
+use pskel_sim::report::{ROLLOUT, StateFile, StepRow, film, view};
+use pskel_sim::{SavedState, SimOptions};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -11,15 +20,6 @@ use super::sources::{Places, Sources};
 use crate::generator::GeneratorReport;
 use crate::map_args::MapFormat;
 use crate::stand_ins::StandInReport;
-use point_skeleton::conditions::birdseye::{self, BirdseyeOptions, Trace};
-use point_skeleton::conditions::meta::{FrameMeta, PromptParts};
-use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
-use point_skeleton::error::FileError;
-use point_skeleton::files::input::{is_there, read_table};
-use point_skeleton::files::{OutputFolder, write_json};
-use pskel_sim::report::{ROLLOUT, StateFile, StepRow, film, view};
-use point_skeleton::scene::{SceneState, SelectionOptions};
-use pskel_sim::{SavedState, SimOptions};
 
 pub(super) const STATES: &str = "states.jsonl";
 pub(super) const STEPS: &str = "steps";

@@ -2,12 +2,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
-use serde::Serialize;
-
 use point_skeleton::error::FileError;
 use point_skeleton::files::write_json;
-use pskel_generate::SessionTimes;
 use point_skeleton::raster::{RasterizerInfo, StageTimes};
+use pskel_generate::SessionTimes;
+use serde::Serialize;
 
 /// Times of a step, seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]

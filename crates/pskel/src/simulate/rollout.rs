@@ -6,12 +6,6 @@ use std::time::Instant as Clock;
 
 use anyhow::Context;
 use glam::DVec2;
-
-use super::finish::TRACES;
-use super::generation::{CACHE, Generation};
-use super::output::{FORECAST, Job, Output, RolloutOptions, STATE, step_folder};
-use super::profile::{Profile, StepTimes, WriteTimes, lap};
-use crate::progress::Progress;
 use point_skeleton::conditions::birdseye::Trace;
 use point_skeleton::conditions::{ConditionError, ConditionSet, StepInFlight};
 use point_skeleton::dataset::{EgoTrack, Log};
@@ -19,10 +13,16 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
 use point_skeleton::files::OutputFolder;
 use point_skeleton::raster::Rasterizer;
+use point_skeleton::scene::{SceneClouds, SceneMap, SceneState};
 use pskel_sim::report::images::TRUTH;
 use pskel_sim::report::{Phase, StateFile, StepObservations, StepRow, sight, view};
-use point_skeleton::scene::{SceneClouds, SceneMap, SceneState};
 use pskel_sim::{EndReason, Metrics, Simulation, StepOutcome, Waypoint, scene_state};
+
+use super::finish::TRACES;
+use super::generation::{CACHE, Generation};
+use super::output::{FORECAST, Job, Output, RolloutOptions, STATE, step_folder};
+use super::profile::{Profile, StepTimes, WriteTimes, lap};
+use crate::progress::Progress;
 
 /// State shared by all steps.
 pub(super) struct Rollout<'a> {
@@ -212,7 +212,8 @@ impl Rollout<'_> {
                 let maps = &mut going.run.layout.maps;
                 maps.insert(place.min(maps.len()), name.to_owned());
             }
-            let camera = |c: &point_skeleton::conditions::CameraConditions| (c.name.clone(), [c.width, c.height]);
+            let camera =
+                |c: &point_skeleton::conditions::CameraConditions| (c.name.clone(), [c.width, c.height]);
             going.run.cameras = set.cameras.iter().map(camera).collect();
         }
         if !is_new {
@@ -338,8 +339,8 @@ mod tests {
         SplatMaps, StageTimes,
     };
     use point_skeleton::scene::SelectionOptions;
-    use pskel_sim::{Scenario, SimOptions};
     use point_skeleton::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
+    use pskel_sim::{Scenario, SimOptions};
 
     /// Renders some frames, then fails.
     struct Failing<'a> {

@@ -4,14 +4,13 @@ use std::fmt::Write;
 use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
-use serde_json::Value;
-
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::dataset::Log;
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::{Cuboid, Pose};
 use point_skeleton::skeleton::Skeleton;
+use serde::Serialize;
+use serde_json::Value;
 
 /// Inputs recorded in `rollout.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]

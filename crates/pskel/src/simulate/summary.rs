@@ -1,11 +1,12 @@
 //! Last line of a rollout: its results, then its times.
 
-use super::SimulateArgs;
-use super::finish::Outcome;
-use super::profile::Profile;
 use point_skeleton::raster::RasterizerInfo;
 use pskel_sim::report::StepRow;
 use pskel_sim::{Comfort, EndReason, Metrics, Range};
+
+use super::SimulateArgs;
+use super::finish::Outcome;
+use super::profile::Profile;
 
 pub(super) fn summary(
     args: &SimulateArgs,

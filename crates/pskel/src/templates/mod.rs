@@ -8,20 +8,20 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
+use point_skeleton::cloud::Point;
+use point_skeleton::conditions::png;
+use point_skeleton::dataset::{self, Dataset, LogLocator};
+use point_skeleton::error::FileError;
+use point_skeleton::skeleton::{
+    self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton, Source,
+    TemplateCloud, TemplateLibrary, TemplateOptions, TemplateReport,
+};
 
 use self::picture::draw;
 use super::log_args::{self, LogRoots};
 use super::progress::{Progress, StageProgress};
 use super::say;
-use point_skeleton::cloud::Point;
-use point_skeleton::conditions::png;
-use point_skeleton::dataset::{self, Dataset, LogLocator};
-use point_skeleton::error::FileError;
 use crate::logs;
-use point_skeleton::skeleton::{
-    self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton, Source,
-    TemplateCloud, TemplateLibrary, TemplateOptions, TemplateReport,
-};
 
 /// Create category templates from the actors of logs: substitute clouds for actors with few points of their own
 ///

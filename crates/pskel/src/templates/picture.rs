@@ -1,6 +1,5 @@
 use anyhow::Context;
 use glam::{DAffine3, DMat3, DVec3};
-
 use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::geometry::{Camera, ImageSize, View};
 use point_skeleton::raster::cpu::CpuRasterizer;

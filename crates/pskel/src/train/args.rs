@@ -1,11 +1,11 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use point_skeleton::dataset::LogLocator;
+use pskel_network::train::TrainOptions;
 
 use crate::log_args;
 use crate::rasterizer::RasterizerArgs;
-use point_skeleton::dataset::LogLocator;
-use pskel_network::train::TrainOptions;
 
 /// Train the small network of `pskel generate` on recordings of synthetic towns
 ///

@@ -3,21 +3,21 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use point_skeleton::dataset::{Dataset, LogLocator};
+use point_skeleton::error::FileError;
+use point_skeleton::files::OutputFolder;
+use point_skeleton::scene::EgoOffset;
+use pskel_generate::{Recipe, TrainingClip};
+use pskel_town::Town;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Uniform};
 use rand_seeder::Seeder;
 
 use super::record::{Source, Variant};
 use crate::build;
+use crate::logs;
 use crate::progress::Progress;
 use crate::rasterizer::RasterizerArgs;
-use point_skeleton::dataset::{Dataset, LogLocator};
-use point_skeleton::error::FileError;
-use point_skeleton::files::OutputFolder;
-use pskel_generate::{Recipe, TrainingClip};
-use crate::logs;
-use point_skeleton::scene::EgoOffset;
-use pskel_town::Town;
 
 /// Recording of training clips.
 pub(super) struct Recording<'a> {

@@ -11,13 +11,14 @@ pub(super) use args::TrainArgs;
 use std::path::Path;
 use std::time::Instant;
 
-use self::drives::Recording;
-use self::steps::{Training, recent};
-use super::{log_args, say};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
 use pskel_network::NetworkConfig;
 use pskel_network::train::TrainOptions;
+
+use self::drives::Recording;
+use self::steps::{Training, recent};
+use super::{log_args, say};
 
 /// Runs the command: records, trains, writes.
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {

@@ -2,17 +2,18 @@
 
 use std::sync::Arc;
 
-use crate::rasterizer::RasterizerArgs;
-use crate::stand_ins::SubstituteArgs;
 use point_skeleton::conditions;
 use point_skeleton::dataset::{Dataset, Log};
-use pskel_generate::{DriveFrame, DriveInfo, GroundTruthImages, Recipe, TrainingClip};
 use point_skeleton::geometry::View;
 use point_skeleton::scene::{
     EgoOffset, SceneClouds, SceneMap, SceneState, SelectionOptions, frame_rate_hz, state_of_frame,
 };
 use point_skeleton::skeleton::Skeleton;
+use pskel_generate::{DriveFrame, DriveInfo, GroundTruthImages, Recipe, TrainingClip};
 use pskel_town::Town;
+
+use crate::rasterizer::RasterizerArgs;
+use crate::stand_ins::SubstituteArgs;
 
 /// A town to record, and the skeleton that was built from it.
 pub(super) struct Source<'a> {

@@ -2,16 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
-
-use crate::progress::Progress;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{is_there, read_text};
 use point_skeleton::files::{OutputFolder, write_whole};
+use pskel_eval::plot::{Curve, Plot};
 use pskel_generate::TrainingClip;
 use pskel_network::NetworkConfig;
 use pskel_network::train::{StepReport, TrainOptions, Trainer};
-use pskel_eval::plot::{Curve, Plot};
+use serde::{Deserialize, Serialize};
+
+use crate::progress::Progress;
 
 /// Folder and settings of a training.
 pub(super) struct Training<'a> {

@@ -8,8 +8,8 @@ use glam::{DVec2, DVec3};
 use point_skeleton::dataset::av2::{Argoverse, read_map_file, read_sweep_file};
 use point_skeleton::dataset::{Class, Dataset, Log, LogFormat, LogLocator};
 use point_skeleton::geometry::{Cuboid, View};
-use pskel::logs;
 use point_skeleton::scene::{EgoOffset, state_of_frame};
+use pskel::logs;
 
 use crate::av2_log::{
     FRAMES, IMAGE_NS, LOG_ID, MAP, RING, SIZE, START, TinyAv2, frame_ns, picture, read, set, set_number,

@@ -248,8 +248,7 @@ fn an_image_of_two_frames_colors_both() {
 
 /// Returns an unfinished build of the tiny log: templates fail after all frames are done.
 fn partial_of_tiny(log: &TinyLog) -> PathBuf {
-    let dataset =
-        pskel::logs::open(&format!("nuscenes:{}", log.path("log").display()).parse().unwrap());
+    let dataset = pskel::logs::open(&format!("nuscenes:{}", log.path("log").display()).parse().unwrap());
     let dataset = dataset.unwrap();
     let fail = |_: &[(&Asset, &[Point])]| Err(FileError::content("templates", "none", Path::new("t")));
     let inputs = [BuildInput::all(dataset.as_ref())];

@@ -5,13 +5,13 @@ mod process;
 
 use std::path::Path;
 
+use proptest::prelude::*;
 use pskel_generate::toy::LinearDenoiser;
 use pskel_generate::{
     Cache, Condition, Ddim, Denoiser, DenoiserError, FlowMatch, Frame, GaussianNoise, GenerateOptions,
     Generator, Guidance, Latent, LatentShape, NoiseSource, Prediction, Roll, SamplerOptions, Strategy,
 };
 use pskel_sim::{Committed, EgoPolicy, Forecast, SimOptions};
-use proptest::prelude::*;
 use serde_json::Value;
 
 use crate::common::fixtures;

@@ -3,9 +3,7 @@
 use std::collections::BTreeMap;
 
 use image::RgbImage;
-use pskel_eval::{
-    FeatureSet, frechet_distance, mean_interval, psnr_db, sharpness, ssim, vehicle_mask,
-};
+use pskel_eval::{FeatureSet, frechet_distance, mean_interval, psnr_db, sharpness, ssim, vehicle_mask};
 use serde::Deserialize;
 
 #[derive(Deserialize)]

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use point_skeleton::dataset::nuscenes::NuScenes;
 use point_skeleton::dataset::{Dataset, DatasetError, LogLocator};
-use pskel::logs;
 use proptest::prelude::*;
+use pskel::logs;
 use serde_json::{Value, json};
 
 use crate::made_town::{FRAMES, VERSION, copy_to};

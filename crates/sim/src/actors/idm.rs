@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use glam::DVec2;
+use point_skeleton::geometry::{Cuboid, Pose};
 
 use super::leader::{Leader, Others};
-use point_skeleton::geometry::{Cuboid, Pose};
 use crate::SimActor;
 use crate::pose_path::PosePath;
 use crate::recorded::Recorded;

@@ -1,6 +1,6 @@
 use glam::DVec2;
-
 use point_skeleton::geometry::{Footprint, Polyline};
+
 use crate::{Instant, SimActor};
 
 /// Look-ahead distance of an actor along its path, meters.

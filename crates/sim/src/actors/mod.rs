@@ -15,6 +15,7 @@ pub use leader::Leader;
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use point_skeleton::dataset::Class;
 use serde::{Deserialize, Serialize};
 
 use self::idm::Follower;
@@ -23,7 +24,6 @@ use self::reactive::ReactiveActor;
 use super::clock::seconds;
 use super::recorded::Recorded;
 use super::{ActorPolicy, EgoState, Instant, SimActor};
-use point_skeleton::dataset::Class;
 
 /// Policies move only actors within this distance of the ego, meters.
 const REACH_M: f64 = 100.0;

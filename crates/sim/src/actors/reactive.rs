@@ -1,9 +1,9 @@
 //! Motion at constant speed and curvature with braking for obstacles ahead.
 
 use glam::DVec2;
+use point_skeleton::geometry::{Cuboid, Polyline};
 
 use super::leader::{Leader, Others};
-use point_skeleton::geometry::{Cuboid, Polyline};
 use crate::SimActor;
 use crate::recorded::Recorded;
 

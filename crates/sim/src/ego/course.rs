@@ -1,9 +1,8 @@
 use glam::DVec2;
-
 use point_skeleton::geometry::{Polyline, wrap_angle};
-use crate::Waypoint;
 
 use super::profile::Profile;
+use crate::Waypoint;
 use crate::clock::seconds;
 
 /// Time-parameterized path of the ego from the takeover on; it continues straight beyond its end.

@@ -8,11 +8,11 @@
 //! and jerk.
 
 use glam::DVec2;
+use point_skeleton::geometry::{Polyline, wrap_angle};
 
 use super::course::{Course, straight};
 use super::profile::Profile;
 use super::smooth::Smooth;
-use point_skeleton::geometry::{Polyline, wrap_angle};
 use crate::EgoState;
 use crate::recorded::Recorded;
 

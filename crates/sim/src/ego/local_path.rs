@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use glam::DVec2;
-use serde::Serialize;
-
-use super::course::Course;
-use super::preset;
 use point_skeleton::cloud::npy;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_file;
 use point_skeleton::geometry::Polyline;
+use serde::Serialize;
+
+use super::course::Course;
+use super::preset;
 use crate::EgoState;
 
 /// Path of points for the ego: meters in the ego frame at the takeover, x forward, y to the left.

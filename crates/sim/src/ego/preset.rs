@@ -1,8 +1,8 @@
 use glam::DVec2;
+use point_skeleton::geometry::wrap_angle;
 
 use super::profile::Profile;
 use super::waypoint;
-use point_skeleton::geometry::wrap_angle;
 use crate::{EgoState, Trajectory, Waypoint};
 
 /// Minimum speed of presets, meters per second.
@@ -74,8 +74,8 @@ impl Preset {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use point_skeleton::geometry::Pose;
     use glam::DVec3;
+    use point_skeleton::geometry::Pose;
 
     /// Returns the plan of an ego at (100, 50) heading north.
     fn plan(preset: Preset, speed_mps: f64, plans: usize) -> Vec<(f64, DVec2, f64, f64)> {

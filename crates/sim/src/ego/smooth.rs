@@ -1,5 +1,4 @@
 use glam::DVec2;
-
 use point_skeleton::geometry::Polyline;
 
 /// Spacing of control points, meters: recorded poses have errors of a centimeter, which hardly affect a curve at this

@@ -1,13 +1,13 @@
 use std::path::PathBuf;
 
 use glam::{DVec2, DVec3};
-use serde::{Deserialize, Serialize};
-
 use point_skeleton::dataset::{Class, TrafficLight};
 use point_skeleton::geometry::{Foot, wrap_angle};
-use crate::peer::{ProtocolError, begin_of};
+use serde::{Deserialize, Serialize};
+
 use crate::clock::{Clock, seconds};
 use crate::ego::waypoint;
+use crate::peer::{ProtocolError, begin_of};
 use crate::recorded::Recorded;
 use crate::simulation::World;
 use crate::{

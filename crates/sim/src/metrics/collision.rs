@@ -1,11 +1,11 @@
 use std::collections::BTreeSet;
 
 use glam::DVec2;
+use point_skeleton::dataset::{Class, Track};
+use point_skeleton::geometry::{Footprint, wrap_angle};
 use serde::{Deserialize, Serialize};
 
 use super::Road;
-use point_skeleton::dataset::{Class, Track};
-use point_skeleton::geometry::{Footprint, wrap_angle};
 use crate::{EgoState, Instant, SimActor};
 
 /// Maximum speed of a stopped road user, meters per second; nuPlan's threshold.
@@ -118,8 +118,8 @@ fn front_bumper(ego: &Footprint) -> Footprint {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use point_skeleton::geometry::{Cuboid, Pose};
     use glam::DVec3;
+    use point_skeleton::geometry::{Cuboid, Pose};
 
     /// Returns a car of 4 m by 2 m.
     pub(crate) fn actor(track: usize, x: f64, y: f64, yaw: f64, speed_mps: f64) -> SimActor {

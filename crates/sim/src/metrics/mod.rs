@@ -11,6 +11,7 @@ pub(super) use road::Road;
 
 use std::collections::BTreeSet;
 
+use point_skeleton::geometry::{Foot, wrap_angle};
 use serde::{Deserialize, Serialize};
 
 use self::comfort::ComfortTally;
@@ -19,7 +20,6 @@ use super::clock::seconds;
 use super::recorded::Recorded;
 use super::route::Route;
 use super::simulation::World;
-use point_skeleton::geometry::{Foot, wrap_angle};
 
 /// Metrics of a rollout, from the takeover (or the start) on.
 #[derive(Clone, Debug, PartialEq, Serialize)]

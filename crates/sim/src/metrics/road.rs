@@ -1,11 +1,10 @@
 use std::collections::BTreeMap;
 
 use glam::DVec2;
-use rstar::primitives::{GeomWithData, Rectangle};
-use rstar::{AABB, RTree};
-
 use point_skeleton::dataset::{Area, Lane, VectorMap};
 use point_skeleton::geometry::{Cuboid, Footprint};
+use rstar::primitives::{GeomWithData, Rectangle};
+use rstar::{AABB, RTree};
 
 /// Number of cells that sample the footprint, along and across.
 const CELLS: [usize; 2] = [10, 4];
@@ -115,8 +114,8 @@ fn in_ring(ring: &[DVec2], place: DVec2) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use point_skeleton::geometry::Pose;
     use glam::DVec3;
+    use point_skeleton::geometry::Pose;
 
     fn rectangle(x: [f64; 2], y: [f64; 2]) -> Area {
         let corner = |i: usize, j: usize| DVec2::new(x[i], y[j]);

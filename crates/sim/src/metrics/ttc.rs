@@ -1,7 +1,7 @@
 use glam::DVec2;
+use point_skeleton::geometry::Footprint;
 
 use super::collision::{STOPPED_MPS, is_behind};
-use point_skeleton::geometry::Footprint;
 use crate::{Instant, SimActor};
 
 /// Maximum time to contact; later contacts are ignored, as velocities do not stay constant that long. nuPlan's

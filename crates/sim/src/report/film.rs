@@ -6,13 +6,13 @@ use std::path::Path;
 
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
-
-use super::video::MAX_SIDE_PX;
-use super::view::VIEW;
 use point_skeleton::conditions::canvas::Canvas;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{IMAGE_BYTES, read_file};
 use point_skeleton::geometry::ImageSize;
+
+use super::video::MAX_SIDE_PX;
+use super::view::VIEW;
 
 /// File name of the bird's-eye view in the folder of a step.
 pub const BIRDSEYE: &str = "birdseye.png";

@@ -4,13 +4,12 @@
 use std::path::Path;
 
 use image::RgbImage;
-use serde::{Deserialize, Serialize};
-
 use point_skeleton::dataset::{picture_size, read_picture};
 use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
 use point_skeleton::files::input::{is_there, read_table};
 use point_skeleton::files::write_json;
+use serde::{Deserialize, Serialize};
 
 /// Folder of the generated images, and their name in the page.
 pub const GENERATED: &str = "generated";

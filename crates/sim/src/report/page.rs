@@ -6,12 +6,12 @@
 
 use std::path::Path;
 
+use point_skeleton::error::FileError;
+use point_skeleton::files::write_whole;
 use serde::Serialize;
 use serde_json::Value;
 
 use super::view::Layout;
-use point_skeleton::error::FileError;
-use point_skeleton::files::write_whole;
 
 const TEMPLATE: &str = include_str!("page.html");
 /// Placeholder of the data in the template.

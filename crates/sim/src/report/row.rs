@@ -2,9 +2,6 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
-use serde::{Deserialize, Serialize};
-
-use super::sight::{SEEN_PX, VisibleActor, was_shown};
 use point_skeleton::cloud::cameras::rows;
 use point_skeleton::conditions::meta::{IndexActor, IndexFrame, Matrix};
 use point_skeleton::dataset::Log;
@@ -12,6 +9,9 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
 use point_skeleton::files::input::read_text;
 use point_skeleton::files::write_whole;
+use serde::{Deserialize, Serialize};
+
+use super::sight::{SEEN_PX, VisibleActor, was_shown};
 use crate::{Deviation, EgoState, Instant, SimActor, Waypoint};
 
 /// A line of `states.jsonl`: a committed step.

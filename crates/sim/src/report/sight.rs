@@ -7,11 +7,10 @@
 //! in a partly unpacked log, the camera at the frame's ego pose replaces it.
 
 use glam::{DVec2, DVec3};
-use serde::{Deserialize, Serialize};
-
 use point_skeleton::conditions::ConditionSet;
 use point_skeleton::dataset::{Frame, Log, RigCamera};
 use point_skeleton::geometry::{Camera, Cuboid, Pose};
+use serde::{Deserialize, Serialize};
 
 /// Minimum number of pixels in one camera for an actor to count as visible.
 pub const SEEN_PX: u32 = 30;

@@ -12,7 +12,6 @@ use mp4::{AvcConfig, Bytes, MediaConfig, Mp4Config, Mp4Sample, Mp4Writer, TrackC
 use openh264::OpenH264API;
 use openh264::encoder::{Encoder, EncoderConfig, IntraFramePeriod, RateControlMode, VuiConfig};
 use openh264::formats::{RgbSliceU8, YUVBuffer};
-
 use point_skeleton::error::FileError;
 use point_skeleton::files::write_whole;
 use point_skeleton::geometry::ImageSize;

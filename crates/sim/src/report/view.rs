@@ -5,13 +5,12 @@ use std::path::Path;
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
 use image::{ExtendedColorType, ImageError, RgbImage};
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-
 use point_skeleton::conditions::{CameraConditions, ConditionSet, DepthBins, MapKind, sheet};
 use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
 use point_skeleton::files::write_whole;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Folder of the images in the folder of a step.
 pub const VIEW: &str = "view";

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
+use point_skeleton::hash::unit;
 
 use super::draw::Draw;
 use super::sketch::bar;
-use point_skeleton::hash::unit;
 use crate::mesh::{Mesh, Skin, Surface};
 
 /// Color and shape seed of a crown.

@@ -1,7 +1,7 @@
 use glam::DVec2;
+use point_skeleton::hash::noise;
 
 use super::draw::Draw;
-use point_skeleton::hash::noise;
 use crate::mesh::Surface;
 
 /// Building type of a district.

@@ -1,4 +1,5 @@
 use glam::{DVec2, DVec3};
+use point_skeleton::hash::noise;
 
 use super::cells::{Cells, Place};
 use super::draw::Draw;
@@ -7,7 +8,6 @@ use super::plants::{Crown, Species, bush, tree};
 use super::room::{Room, Taken};
 use super::style::{District, Style};
 use super::ways::Ways;
-use point_skeleton::hash::noise;
 use crate::mesh::{Mesh, Skin, Surface};
 
 /// Width of a square that may hold one tree, meters.

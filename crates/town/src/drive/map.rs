@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use glam::DVec2;
-
 use point_skeleton::dataset::nuscenes::{MapLayers, RoadSegment};
 use point_skeleton::dataset::{Area, Lane, VectorMap};
 use point_skeleton::geometry::Pose;
+
 use crate::plan::{LaneKind, Network, Road, TownLane};
 
 /// Depth of the area before a stop line, meters.

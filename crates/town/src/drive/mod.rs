@@ -16,6 +16,13 @@ use std::sync::{Mutex, OnceLock};
 
 use glam::{DVec2, DVec3};
 use image::RgbImage;
+use point_skeleton::dataset::nuscenes::MapLayers;
+use point_skeleton::dataset::{
+    Dataset, DatasetError, ImageRecord, Log, PosedActor, Sweep, SweepRecord, VectorMap, ViewRenderer,
+};
+use point_skeleton::geometry::{CameraError, Pose, View};
+use point_skeleton::gpu::GpuError;
+use point_skeleton::hash;
 
 use self::record::{Recorded, Recorder, seconds};
 use self::truth::TownRenderer;
@@ -25,12 +32,6 @@ use super::model::Body;
 use super::plan::{Actor, Motion, Plan};
 use super::view::MeshRenderError;
 use super::{Daylight, TownOptions, TownOptionsError, built};
-use point_skeleton::hash;
-use point_skeleton::dataset::nuscenes::MapLayers;
-use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord, VectorMap, PosedActor, ViewRenderer};
-use point_skeleton::geometry::{CameraError, Pose, View};
-use point_skeleton::gpu::GpuError;
-
 
 /// Recording of a drive through a town.
 pub struct Town {

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use glam::DVec3;
-
-use super::rig::{CAMERAS, ego_from_lidar};
 use point_skeleton::dataset::{Class, Frame, ImageRecord, RigCamera, SweepRecord, Track, TrackBox};
 use point_skeleton::geometry::{Cuboid, Pose};
+
+use super::rig::{CAMERAS, ego_from_lidar};
 use crate::TownOptions;
 use crate::lidar::RANGE_M;
 use crate::plan::{Actor, Traffic};

@@ -3,7 +3,6 @@
 use std::f64::consts::FRAC_PI_2;
 
 use glam::{DMat3, DQuat, DVec3};
-
 use point_skeleton::dataset::RigCamera;
 use point_skeleton::geometry::{Camera, CameraError, Pose};
 

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use glam::{DAffine3, DVec3};
 use image::RgbImage;
-
-use super::{Town, TownError, limbs, seconds};
 use point_skeleton::dataset::{Class, ImageRecord, PosedActor};
 use point_skeleton::geometry::{Pose, View};
 use point_skeleton::gpu::{Device, DeviceDesc};
+
+use super::{Town, TownError, limbs, seconds};
 use crate::mesh::Mesh;
 use crate::model::Body;
 use crate::view::{GroundTruthView, Light, MeshDraw, MeshRenderer};

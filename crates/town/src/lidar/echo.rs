@@ -2,8 +2,9 @@
 
 use std::f64::consts::TAU;
 
-use super::solid::Hit;
 use point_skeleton::hash::unit;
+
+use super::solid::Hit;
 use crate::mesh::Surface;
 
 /// Standard deviation of a range, meters.

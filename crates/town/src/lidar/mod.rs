@@ -14,6 +14,8 @@ use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
 use glam::{DVec2, DVec3};
+use point_skeleton::dataset::SweepPoint;
+use point_skeleton::geometry::Pose;
 use rayon::prelude::*;
 
 use self::echo::{Noise, echo};
@@ -21,8 +23,6 @@ use self::solid::{Hit, Solid};
 use super::mesh::Mesh;
 use super::model::Body;
 use super::plan::Motion;
-use point_skeleton::dataset::SweepPoint;
-use point_skeleton::geometry::Pose;
 
 /// Minimum and maximum range of a return, meters.
 pub(super) const RANGE_M: [f64; 2] = [0.9, 100.0];

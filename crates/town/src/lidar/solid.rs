@@ -94,8 +94,8 @@ fn ball(triangles: &[Triangle]) -> (DVec3, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use point_skeleton::hash::between;
     use crate::mesh::{Skin, Surface};
+    use point_skeleton::hash::between;
 
     fn blocks() -> Mesh {
         let mut mesh = Mesh::default();

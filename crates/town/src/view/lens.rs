@@ -5,7 +5,6 @@
 //! lies at the centre of pixel `(i, j)` and the others on the borders of pixels.
 
 use glam::{DAffine3, DMat3, DVec3, DVec4};
-
 use point_skeleton::geometry::View;
 use point_skeleton::raster::tiles::Tile;
 

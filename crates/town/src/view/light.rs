@@ -1,7 +1,7 @@
 use glam::{DVec3, Vec3};
+use point_skeleton::hash::between;
 
 use crate::Daylight;
-use point_skeleton::hash::between;
 
 /// Sun, sky and air of an image. Light is linear RGB; `exposure` scales it to the input of the tone curve.
 #[derive(Clone, Copy, Debug, PartialEq)]

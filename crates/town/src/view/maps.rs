@@ -10,14 +10,15 @@ use std::sync::Arc;
 use ash::vk::{self, BufferUsageFlags as Usage, ImageUsageFlags};
 use bytemuck::{Pod, Zeroable};
 use glam::{DAffine3, DMat3, DVec3, DVec4};
-
-use super::corners::{Corners, Part};
-use super::{Light, MeshDraw};
-use super::shaders;
 use point_skeleton::gpu::{
     Area, Buffer, Commands, Depth, DepthTest, Device, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
     Image, ImageDesc, Indices, PipelineLayout, Recorder, RenderPass, RenderPassDesc, Target, Topology,
-    VertexBuffer, assert_layout, };
+    VertexBuffer, assert_layout,
+};
+
+use super::corners::{Corners, Part};
+use super::shaders;
+use super::{Light, MeshDraw};
 use crate::mesh::Vertex;
 
 const FORMAT: vk::Format = vk::Format::D32_SFLOAT;

@@ -28,6 +28,10 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 use image::RgbImage;
+use point_skeleton::geometry::View;
+use point_skeleton::gpu::{Commands, Device};
+use point_skeleton::raster::StageTimes;
+use point_skeleton::raster::tiles::{Tile, TileLimits, grown, tiles};
 
 use self::corners::Corners;
 use self::lens::Lens;
@@ -36,10 +40,6 @@ use self::shade::{Samples, ShadePass};
 use self::surfaces::SurfacePass;
 use self::truth::{Read, Scene};
 use super::mesh::Mesh;
-use point_skeleton::geometry::View;
-use point_skeleton::gpu::{Commands, Device};
-use point_skeleton::raster::StageTimes;
-use point_skeleton::raster::tiles::{Tile, TileLimits, grown, tiles};
 
 /// Ground truth of a view, row-major `height * width`.
 #[derive(Clone, Debug, PartialEq)]

@@ -12,16 +12,17 @@ use std::sync::Arc;
 use ash::vk::{self, BufferUsageFlags as Usage, ImageUsageFlags};
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, DVec4, Vec3};
+use point_skeleton::gpu::{
+    Area, Bind, Buffer, BufferDesc, Depth, DepthTest, DescriptorSet, Device, GpuError, GraphicsPipeline,
+    GraphicsPipelineDesc, Image, ImageDesc, Memory, PipelineLayout, Recorder, RenderPass, RenderPassDesc,
+    Scope, Shader, Target, Topology, assert_layout,
+};
 
 use super::Light;
 use super::lens::{Lens, NEAR_M};
 use super::maps::{Frames, Maps};
-use super::surfaces::{DEPTH, OWNER, SURFACE, SurfacePass};
 use super::shaders;
-use point_skeleton::gpu::{
-    Area, Bind, Buffer, BufferDesc, Depth, DepthTest, DescriptorSet, Device, GpuError, GraphicsPipeline,
-    GraphicsPipelineDesc, Image, ImageDesc, Memory, PipelineLayout, Recorder, RenderPass, RenderPassDesc,
-    Scope, Shader, Target, Topology, assert_layout, };
+use super::surfaces::{DEPTH, OWNER, SURFACE, SurfacePass};
 
 /// Visible share of sun and sky of a sample.
 const LIGHT: vk::Format = vk::Format::R8G8_UNORM;

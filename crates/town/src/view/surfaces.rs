@@ -9,15 +9,16 @@ use std::sync::Arc;
 
 use ash::vk;
 use bytemuck::{Pod, Zeroable};
+use point_skeleton::gpu::{
+    Area, Depth, DepthTest, Device, GpuError, GraphicsPipeline, GraphicsPipelineDesc, PipelineLayout,
+    Recorder, RenderPass, RenderPassDesc, Target, Topology, VertexBuffer, assert_layout,
+};
 
 use super::MeshDraw;
 use super::corners::Part;
 use super::lens::{Lens, NEAR_M, nearest_m};
 use super::maps::Triangles;
 use super::shaders;
-use point_skeleton::gpu::{
-    Area, Depth, DepthTest, Device, GpuError, GraphicsPipeline, GraphicsPipelineDesc, PipelineLayout,
-    Recorder, RenderPass, RenderPassDesc, Target, Topology, VertexBuffer, assert_layout, };
 use crate::mesh::Vertex;
 
 /// Normal, color and surface, seed, uv.

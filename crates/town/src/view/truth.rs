@@ -2,13 +2,13 @@
 
 use glam::{DAffine3, DMat3, DVec3};
 use image::RgbImage;
+use point_skeleton::geometry::View;
+use point_skeleton::raster::tiles::Tile;
 use rayon::prelude::*;
 
 use super::corners::Corners;
 use super::lens::NEAR_M;
 use super::{GroundTruthView, MeshDraw};
-use point_skeleton::geometry::View;
-use point_skeleton::raster::tiles::Tile;
 
 /// Data read back for a tile, rows without padding.
 pub(super) struct Read<'a> {

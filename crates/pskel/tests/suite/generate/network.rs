@@ -4,15 +4,13 @@ use std::path::Path;
 use std::process::Command;
 
 use image::RgbImage;
-use pskel_network::{
-    Attend, Network, NetworkConfig, NetworkError, PatchCodec, Statistics, Weights,
-};
-use pskel_network::train::{TrainOptions, Trainer, measure};
+use point_skeleton::geometry::ImageSize;
 use pskel_generate::{
     Codec, Condition, Denoiser, DriveFrame, DriveInfo, DroppedConditions, Frame, FrameConditions,
     GaussianNoise, GenerateOptions, Latent, Level, NoiseSource, Recipe, Strategy, TrainingClip,
 };
-use point_skeleton::geometry::ImageSize;
+use pskel_network::train::{TrainOptions, Trainer, measure};
+use pskel_network::{Attend, Network, NetworkConfig, NetworkError, PatchCodec, Statistics, Weights};
 use pskel_sim::Forecast;
 
 use super::{TrainingClip as Rollout, options as roll_options};

@@ -4,11 +4,11 @@ use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
 
+use point_skeleton::geometry::ImageSize;
 use pskel_generate::{
     DenoiserError, Frame, FrameConditions, GaussianNoise, GenerateError, GenerateOptions, Generator, Latent,
     LatentShape, Level, Prediction, ProcessDenoiser, SamplerOptions, Strategy,
 };
-use point_skeleton::geometry::ImageSize;
 use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
 use safetensors::SafeTensors;
 

@@ -1,7 +1,7 @@
+use proptest::prelude::*;
 use pskel_sim::{
     ActorPolicy, EgoPolicy, Instant, LocalPath, SavedState, SimError, SimOptions, Simulation, Tracking,
 };
-use proptest::prelude::*;
 use serde_json::{Value, json};
 
 use super::made;

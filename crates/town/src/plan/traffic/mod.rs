@@ -22,6 +22,7 @@ mod walker;
 mod world;
 
 use glam::{DVec2, DVec3};
+use point_skeleton::geometry::Pose;
 
 use self::bodies::Bodies;
 use self::lanes::Lanes;
@@ -34,7 +35,6 @@ use self::world::{STEP_S, World};
 use super::Network;
 use super::line::Path;
 use super::random::Random;
-use point_skeleton::geometry::Pose;
 use crate::model::Body;
 
 /// Simulated time before time 0, seconds.

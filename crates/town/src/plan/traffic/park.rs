@@ -1,9 +1,9 @@
 //! Parked vehicles beside the lanes.
 
 use glam::DVec2;
+use point_skeleton::geometry::Pose;
 
 use super::bodies::{Bodies, PARKED};
-use point_skeleton::geometry::Pose;
 use crate::model::{Body, BodyKind};
 use crate::plan::line::Path;
 use crate::plan::random::Random;

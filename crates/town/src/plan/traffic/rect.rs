@@ -1,6 +1,6 @@
 use glam::DVec2;
-
 use point_skeleton::geometry::Pose;
+
 use crate::plan::line::Path;
 
 /// Oriented rectangle on the ground: an upright box seen from above.

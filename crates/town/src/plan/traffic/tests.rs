@@ -307,8 +307,7 @@ fn parked_vehicles_stand_in_strips_away_from_crossings() {
                 let in_strip = network.roads.iter().any(|road| {
                     Side::BOTH.iter().any(|side| {
                         let inner = side.sign() * (road.half_width_m - road.parking_m[*side as usize] - 0.15);
-                        let strip =
-                            crate::plan::line::area_between(&road.offset(inner), &road.kerb(*side));
+                        let strip = crate::plan::line::area_between(&road.offset(inner), &road.kerb(*side));
                         contains(&strip, corner)
                     })
                 });

@@ -1,8 +1,8 @@
 use glam::{DVec2, DVec3};
+use point_skeleton::geometry::Pose;
 
 use super::rect::Rect;
 use super::route::{BRAKING_MPS2, Route};
-use point_skeleton::geometry::Pose;
 use crate::model::Body;
 
 /// Parameters of the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000), in meters and seconds.

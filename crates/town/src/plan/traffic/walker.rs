@@ -1,8 +1,8 @@
 use glam::{DVec2, DVec3};
+use point_skeleton::geometry::Pose;
 
 use super::rect::Rect;
 use super::world::{STEP_S, World};
-use point_skeleton::geometry::Pose;
 use crate::model::Body;
 use crate::plan::line::Path;
 use crate::plan::{JunctionKind, KERB_M, Network};
