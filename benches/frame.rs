@@ -16,7 +16,7 @@ use point_skeleton::raster::{
 };
 
 const POINTS: usize = 400_000;
-const KINDS: [RasterizerKind; 3] = [RasterizerKind::Compute, RasterizerKind::Raster, RasterizerKind::Cpu];
+const KINDS: [RasterizerKind; 3] = [RasterizerKind::Compute, RasterizerKind::Graphics, RasterizerKind::Cpu];
 const SIZES: [(&str, Option<ImageSize>); 2] =
     [("full", None), ("reduced", Some(ImageSize { height: 256, width: 448 }))];
 

@@ -9,7 +9,7 @@ All programs run alternately in rounds, so that changes of the machine's speed a
 median; the Markdown tables on stdout contain medians over the rounds and ratios of those medians, with the minimum
 and maximum over the rounds. Fails if a program fails or fills different pixels.
 
-    ci/compare_peers.py --peers DIR --points 4e6 --rounds 5 --work DIR [--raster] [--numpy]
+    ci/compare_peers.py --peers DIR --points 4e6 --rounds 5 --work DIR [--graphics] [--numpy]
 """
 
 import argparse
@@ -153,8 +153,8 @@ class Bench:
         self.results.add("native", "reduced", peer["reduced_ms"], None)
         self.results.add("native", "full", peer["full_ms"], peer.get("filled"))
         self.pskel("pskel", self.args.rasterizer, repeat, WARM_UP)
-        if self.args.raster:
-            self.pskel("pskel raster", "raster", max(1, repeat // SLOW_PART), 1)
+        if self.args.graphics:
+            self.pskel("pskel graphics", "graphics", max(1, repeat // SLOW_PART), 1)
         if self.args.numpy:
             peer = run_json([sys.executable, self.args.peers / "numpy_splat.py", self.points, self.cameras])
             self.results.add("numpy", "full", 1e3 * peer["seconds"], peer.get("filled"))
@@ -253,7 +253,7 @@ def parse_args():
     parser.add_argument("--rasterizer", default="auto", help="what pskel draws by (default: auto)")
     maps = "color,depth,class,point"
     parser.add_argument("--maps", default=maps, help=f"of pskel (default: {maps}, those that native makes)")
-    parser.add_argument("--raster", action="store_true", help="also pskel by --rasterizer raster, on fewer frames")
+    parser.add_argument("--graphics", action="store_true", help="also pskel by --rasterizer graphics, on fewer frames")
     parser.add_argument("--numpy", action="store_true", help="also numpy_splat.py, one frame a round")
     parser.add_argument("--native-bin", type=file, help="binary of the native peer, instead of building it")
     args = parser.parse_args()

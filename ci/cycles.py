@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Lists import cycles between the source files of a crate: ci/cycles.py [SRC]..
+"""Lists import cycles between the source files of crates: ci/cycles.py [SRC].. (default: all crates)
 
 A file imports another one if a path in it (`crate::`, `super::`, `self::`, in `use` items or elsewhere) leads to an item
 of the other file. Re-exports are followed to the file that defines the item. `#[cfg(test)] mod tests` and files named
@@ -111,7 +111,8 @@ class Crate:
 
 def main():
     found = 0
-    for src in sys.argv[1:] or [str(Path(__file__).resolve().parent.parent / "src")]:
+    root = Path(__file__).resolve().parent.parent
+    for src in sys.argv[1:] or [root / "src", *sorted(root.glob("crates/*/src"))]:
         crate = Crate(Path(src))
         cycles = crate.cycles()
         for group in cycles:

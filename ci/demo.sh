@@ -71,7 +71,7 @@ check_out
 export LC_ALL=C # decimal points in durations
 pskel=${PSKEL:-}
 if [ -z "$pskel" ]; then
-    timed cargo build --manifest-path "$root/Cargo.toml" --locked --release --bin pskel
+    timed cargo build --manifest-path "$root/Cargo.toml" --locked --release -p pskel
     target=$(cargo metadata --manifest-path "$root/Cargo.toml" --locked --no-deps --format-version 1 | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p')
     pskel=$target/release/pskel
 fi

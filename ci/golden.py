@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 
 SKIPPED = {"rollout.json", "index.json", "index.html", "metrics.json", ".pskel-files", "rollout.mp4", "skeleton.json"}
-RASTERIZERS = ["compute", "raster", "cpu"]
+RASTERIZERS = ["compute", "graphics", "cpu"]
 
 
 def show(folder, what):

@@ -2,7 +2,7 @@
 # Runs the rendering tests on a second Vulkan driver: ci/swiftshader.sh [TESTS...]
 #
 # SwiftShader needs no GPU and is part of Chromium (Debian's package chromium-common, installed by ci/setup.sh if
-# available). It lacks 64-bit atomics and uses another code generator than Mesa: `raster` is compared with the CPU
+# available). It lacks 64-bit atomics and uses another code generator than Mesa: `graphics` is compared with the CPU
 # reference there, tests of `compute` are skipped and counted. TESTS are parts of test names that replace those below.
 # Exits with 77 if SwiftShader is not installed.
 set -euo pipefail
@@ -29,4 +29,4 @@ if [ $# -eq 0 ]; then
     set -- gpu:: raster:: town_view:: real_frames:: devices_
 fi
 say "$driver: $*"
-cargo test --locked --no-fail-fast --lib --test suite --test devices -- "$@"
+cargo test --locked --no-fail-fast --workspace --exclude point-skeleton-fuzz --lib --test suite --test devices --test examples -- "$@"

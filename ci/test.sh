@@ -71,7 +71,7 @@ run_page() {
 step ci/setup.sh
 step cargo fmt --all --check
 step cargo clippy --workspace --all-targets --locked -- -D warnings
-RUSTDOCFLAGS=-Dwarnings step cargo doc --no-deps --locked
+RUSTDOCFLAGS=-Dwarnings step cargo doc --workspace --no-deps --locked
 status=0
 undrawn=0
 : >"$scratch/skipped-swiftshader"

@@ -3,10 +3,30 @@
 //! A recording (LiDAR sweeps, camera images, calibration, ego poses, tracked boxes) is accumulated once into a point
 //! *skeleton*: the static background in the global frame and one point asset per tracked actor. For any frame or any
 //! other ego pose, the skeleton is splatted with depth tests into the cameras. Each camera yields a color map, a
-//! metric depth map, a class mask, an instance mask and a box layout.
+//! metric depth map, a class mask, an instance mask and layouts of boxes and HD map.
 //!
-//! Data flows one way: [`dataset`] → [`skeleton`] → [`scene`] → [`raster`] → [`conditions`]. See
-//! `docs/ARCHITECTURE.md` for the module overview and `docs/CONDITIONS.md` for the map definitions.
+//! ```no_run
+//! use point_skeleton::{EgoOffset, Log, RenderOptions, Renderer, Skeleton};
+//!
+//! # fn main() -> Result<(), point_skeleton::Error> {
+//! let log = Log::open("nuscenes:/data/nuscenes@v1.0-mini#scene-0061")?;
+//! let skeleton = Skeleton::build(&log, "out/skeleton", &Default::default())?;
+//! let mut renderer = Renderer::new(&skeleton, RenderOptions::default())?;
+//! for frame in log.frames() {
+//!     let one_lane_left = EgoOffset { y_m: 3.5, ..EgoOffset::default() };
+//!     let maps = renderer.render(&frame.moved(one_lane_left))?;
+//!     maps.write(format!("out/maps/{}", frame.name))?;
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Data flows one way: [`dataset`] → [`skeleton`] → [`scene`] → [`raster`] → [`conditions`]. To splat your own points,
+//! see [`raster`] and `examples/splat_cloud.rs`. `docs/ARCHITECTURE.md` has an overview of the modules,
+//! `docs/CONDITIONS.md` the map definitions.
+//!
+//! # Features
+//! `nuscenes`, `nuplan` and `av2` are readers of data sets; `exr` writes maps as OpenEXR files. All are on by default.
 
 pub mod cloud;
 pub mod conditions;
@@ -19,3 +39,40 @@ pub mod hash;
 pub mod raster;
 pub mod scene;
 pub mod skeleton;
+
+mod log;
+mod maps;
+mod renderer;
+
+pub use conditions::{CameraConditions, ConditionOptions, ImageSize, MapFormat, MapKind, MapSet};
+pub use log::Log;
+pub use maps::Maps;
+pub use raster::{RasterizerKind, SplatSchedule};
+pub use renderer::{RenderOptions, Renderer};
+pub use scene::{EgoOffset, SceneState};
+pub use skeleton::{BuildOptions, Skeleton};
+
+/// Error of opening a log, or of building or rendering a skeleton.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// Error of reading a log.
+    #[error(transparent)]
+    Log(#[from] dataset::DatasetError),
+    /// Error of building a skeleton.
+    #[error(transparent)]
+    Build(#[from] skeleton::BuildError),
+    /// Error of rendering or writing maps.
+    #[error(transparent)]
+    Render(#[from] conditions::ConditionError),
+    /// Error of the rasterizer.
+    #[error(transparent)]
+    Raster(#[from] raster::RasterError),
+    /// Error of a file.
+    #[error(transparent)]
+    File(#[from] error::FileError),
+}
+
+/// Compiles the Rust blocks of `README.md`.
+#[doc = include_str!("../README.md")]
+#[cfg(doctest)]
+pub struct ReadmeDoctests;

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Spacing of the depth bins.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BinScale {
     /// Bins of equal width.

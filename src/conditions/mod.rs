@@ -16,7 +16,9 @@ pub mod birdseye;
 pub mod canvas;
 pub mod distort;
 mod error;
+#[cfg(feature = "exr")]
 pub mod exr;
+mod format;
 pub mod layout;
 pub mod meta;
 pub mod npz;
@@ -26,6 +28,7 @@ pub mod png;
 pub mod reduce;
 mod render;
 pub mod safetensors;
+mod set;
 pub mod sheet;
 pub mod tensor;
 #[cfg(test)]
@@ -33,8 +36,10 @@ mod test_set;
 
 pub use bins::{BinScale, DepthBins};
 pub use error::ConditionError;
+pub use format::MapFormat;
 pub use options::{ColorFilter, ConditionOptions, MapKind, MapSet};
-pub use render::{CameraConditions, ConditionSet, StepInFlight, render, render_views};
+pub use render::{StepInFlight, render, render_views};
+pub use set::{CameraConditions, ConditionSet};
 pub use tensor::{DepthEmbedding, ModelTensor, TensorEncoder};
 
 pub use crate::geometry::{ImageSize, ParseOptionError};

@@ -3,7 +3,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::{DepthBins, DepthEmbedding};
-use crate::geometry::{ImageSize, ParseOptionError};
+use crate::geometry::{ImageSize, ParseOptionError, View};
 use crate::raster::{Occlusion, SplatSchedule};
 
 /// Kind of condition map.
@@ -131,7 +131,7 @@ impl Serialize for MapSet {
 }
 
 /// Reduction filter of color maps.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ColorFilter {
     /// OpenCV's INTER_LINEAR; empty pixels count as black.
@@ -162,6 +162,20 @@ pub struct ConditionOptions {
     pub depth_bins: DepthBins,
     /// Depth channels of the model tensor to fill.
     pub depth_embedding: DepthEmbedding,
+}
+
+impl ConditionOptions {
+    /// Returns the view at render size ([`ConditionOptions::size`]), with scaled intrinsics.
+    pub fn drawn_view(&self, view: &View) -> View {
+        let camera =
+            self.size.map_or_else(|| view.camera.clone(), |s| view.camera.resized(s.height, s.width));
+        View { camera, camera_from_world: view.camera_from_world }
+    }
+
+    /// Returns the size of a camera's maps as written.
+    pub fn written_size(&self, view: &View) -> ImageSize {
+        self.out_size.or(self.size).unwrap_or_else(|| ImageSize::of(&view.camera))
+    }
 }
 
 impl Default for ConditionOptions {

@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{CameraConditions, DepthBins};
+use super::DepthBins;
 
 /// Number of channels of the point conditions: color, depth, sines, cosines.
 pub const POINT_CHANNELS: usize = 3 + 1 + 2 * FREQUENCIES;
@@ -20,7 +20,7 @@ pub const FREQUENCIES: usize = 8;
 const NO_DEPTH: f32 = -1.0;
 
 /// Choice of depth channels to fill.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DepthEmbedding {
     /// Depth only; sines and cosines are 0.
@@ -98,12 +98,6 @@ impl TensorEncoder {
         by_bin.extend(frequencies.map(|frequency| wave(f64::sin, frequency)));
         by_bin.extend(frequencies.map(|frequency| wave(f64::cos, frequency)));
         Self { bins, by_bin }
-    }
-
-    /// Encodes one camera; `None` if it lacks color, depth or boxes.
-    pub fn encode(&self, camera: &CameraConditions) -> Option<ModelTensor> {
-        let points = self.points(camera.color.as_ref()?, camera.depth_m.as_ref()?);
-        Some(ModelTensor { points, layout: layout(camera.boxes.as_ref()?, camera.map.as_deref()) })
     }
 
     /// Encodes point conditions `[20, H, W]` from color and camera depth in meters (infinite where empty), both `[H,

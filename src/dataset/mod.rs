@@ -3,14 +3,20 @@
 //! A reader converts its raw tables to a lightweight [`Log`] (poses, calibration, boxes and file paths) and reads
 //! sweeps and images on demand. Nothing is dropped silently: a reader counts skipped items in [`Log::notes`].
 
+#[cfg(feature = "av2")]
 pub mod av2;
 mod category;
 mod ego_track;
 mod locator;
 mod log;
 mod map;
+#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
+mod notes;
+#[cfg(feature = "nuplan")]
 pub mod nuplan;
+#[cfg(feature = "nuscenes")]
 pub mod nuscenes;
+mod open;
 mod picture;
 
 pub use category::{Class, layout_rgb};
@@ -18,6 +24,7 @@ pub use ego_track::EgoTrack;
 pub use locator::{LogFormat, LogLocator};
 pub use log::{Frame, ImageRecord, Log, RigCamera, SweepRecord, Track, TrackBox, TrafficLight};
 pub use map::{Area, Lane, VectorMap};
+pub use open::{expand, open};
 pub use picture::{picture_size, read_picture};
 
 use std::path::PathBuf;
@@ -34,7 +41,7 @@ const MAX_TIME_US: i64 = 31_557_600_000_000_000;
 const MAX_CAMERAS: usize = 64;
 
 /// Source of one log: metadata, sweeps, images and map.
-pub trait Dataset: Sync {
+pub trait Dataset: Send + Sync {
     /// Returns poses, calibration, boxes and file paths.
     fn log(&self) -> &Log;
 
@@ -151,6 +158,12 @@ pub enum DatasetError {
         found: String,
         /// Supported formats.
         formats: &'static str,
+    },
+    /// The log is synthetic, or this build lacks the reader of its format.
+    #[error("expected a recorded log of a format that this build reads, found {found}")]
+    Unsupported {
+        /// Name of the format.
+        found: &'static str,
     },
     /// No scene selected among several, or an unknown one.
     #[error("expected #SCENE to name one of {}, found {}: {}", printable(&scenes.join(", ")), printable(found.as_deref().unwrap_or("none")), printable_path(path))]

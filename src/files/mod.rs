@@ -1,6 +1,7 @@
 //! File handling: checked file names, limited reads of regular files, atomic writes, output folders that replace only
 //! files of earlier runs, and escaping of text from data in messages.
 
+mod check;
 pub mod input;
 mod lock;
 mod manifest;
@@ -11,10 +12,11 @@ pub mod text;
 mod whole;
 mod work;
 
+pub use check::{check_output_file, check_outside};
 pub use name::{FileName, NameError, first_twice};
 pub use output::resolved_output;
 pub use output::{OutputFolder, WholeFolder, check_whole};
 pub(crate) use output::{work_of_whole, write_whole_by};
 pub use pending::remove_pending;
-pub use whole::{check_output_file, check_outside, write_json, write_whole};
+pub use whole::{write_json, write_whole};
 pub(crate) use work::WorkFolder;

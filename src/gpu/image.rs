@@ -62,7 +62,7 @@ impl Image {
     /// Fails if memory is exhausted or the device does not support the format, usage or size.
     pub fn new(device: &Arc<Device>, desc: &ImageDesc<'_>) -> Result<Self, GpuError> {
         device.check_image(desc)?;
-        let read_layout = super::pass::read_layout(desc.format);
+        let read_layout = read_layout(desc.format);
         let mut image = Self::without_memory(device, desc, vk::ImageTiling::OPTIMAL, read_layout)?;
         let raw = image.raw;
         // SAFETY: the image is alive.
@@ -176,8 +176,17 @@ impl Image {
 }
 
 /// Returns whether a format holds depth.
-pub(super) fn is_depth(format: vk::Format) -> bool {
+fn is_depth(format: vk::Format) -> bool {
     format == vk::Format::D32_SFLOAT
+}
+
+/// Returns the layout in which shaders read an image after a pass has drawn it.
+pub(super) fn read_layout(format: vk::Format) -> vk::ImageLayout {
+    if is_depth(format) {
+        vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL
+    } else {
+        vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL
+    }
 }
 
 /// Returns the aspect of a format: color or depth.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use ash::vk;
 
 use super::error::call;
-use super::image::is_depth;
+use super::image::read_layout;
 use super::{Device, GpuError, Image};
 
 /// Parameters of a render pass: its attachments are cleared at the start (except for [`DepthTest::Equal`]), stored at
@@ -48,15 +48,6 @@ pub struct RenderPass {
     pub(super) raw: vk::RenderPass,
     pub(super) colors: usize,
     pub(super) depth: Option<DepthTest>,
-}
-
-/// Returns the layout in which shaders read an image after a pass has drawn it.
-pub(super) fn read_layout(format: vk::Format) -> vk::ImageLayout {
-    if is_depth(format) {
-        vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL
-    } else {
-        vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL
-    }
 }
 
 impl RenderPass {

@@ -4,7 +4,7 @@ use super::{Crop, Instance, Plane, Planes, RasterError, SplatJob, SplatMaps, Spl
 use crate::geometry::{ImageSize, View};
 
 /// Which points occlude an actor in the class and instance maps.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Occlusion {
     /// All points in front of it.

@@ -16,21 +16,21 @@ pub enum RasterizerKind {
     /// Vulkan compute shaders; needs 64-bit atomics.
     Compute,
     /// Vulkan's graphics pipeline.
-    Raster,
+    Graphics,
     /// CPU reference in Rust; needs no driver.
     Cpu,
 }
 
 /// An unknown rasterizer name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("expected a rasterizer (auto, compute, raster or cpu), found {0:?}")]
+#[error("expected a rasterizer (auto, compute, graphics or cpu), found {0:?}")]
 pub struct UnknownRasterizer(pub String);
 
 impl FromStr for RasterizerKind {
     type Err = UnknownRasterizer;
 
     fn from_str(text: &str) -> Result<Self, UnknownRasterizer> {
-        let all = [Self::Auto, Self::Compute, Self::Raster, Self::Cpu];
+        let all = [Self::Auto, Self::Compute, Self::Graphics, Self::Cpu];
         all.into_iter().find(|k| k.to_string() == text).ok_or_else(|| UnknownRasterizer(text.to_owned()))
     }
 }
@@ -40,7 +40,7 @@ impl fmt::Display for RasterizerKind {
         f.write_str(match self {
             Self::Auto => "auto",
             Self::Compute => "compute",
-            Self::Raster => "raster",
+            Self::Graphics => "graphics",
             Self::Cpu => "cpu",
         })
     }
@@ -92,7 +92,7 @@ pub fn create<'a>(
     if desc.memory_bytes.is_some() {
         let expected =
             "64-bit atomics on buffers, since only the compute rasterizer streams points (--gpu-memory)";
-        let found = if desc.kind == RasterizerKind::Raster { "--rasterizer raster" } else { "none" };
+        let found = if desc.kind == RasterizerKind::Graphics { "--rasterizer graphics" } else { "none" };
         return Err(device.unsupported(expected, found).into());
     }
     Ok(Box::new(GraphicsRasterizer::new(device, &clouds)?))
@@ -105,10 +105,10 @@ mod tests {
     #[test]
     fn names_go_there_and_back() {
         use RasterizerKind as Kind;
-        for kind in [Kind::Auto, Kind::Compute, Kind::Raster, Kind::Cpu] {
+        for kind in [Kind::Auto, Kind::Compute, Kind::Graphics, Kind::Cpu] {
             assert_eq!(kind.to_string().parse(), Ok(kind));
         }
         let text = "opengl".parse::<RasterizerKind>().unwrap_err().to_string();
-        assert!(text.contains("auto, compute, raster or cpu") && text.contains("opengl"));
+        assert!(text.contains("auto, compute, graphics or cpu") && text.contains("opengl"));
     }
 }

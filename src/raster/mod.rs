@@ -11,29 +11,26 @@ pub mod cpu;
 mod draw;
 mod frame;
 mod frames;
+mod graphics;
 mod kind;
 mod line_test;
 mod lines;
 mod maps;
-mod pages;
 mod plane;
 pub mod reduce;
-mod resolve;
 mod schedule;
-mod splat;
 mod steps;
 pub mod tiles;
-mod vulkan;
 
 pub use compute::{ComputeRasterizer, ComputeRasterizerDesc};
 pub use draw::{Crop, Draw, Instance, SplatJob, draws_from_job};
 pub use frame::{FrameJob, FrameKinds, FrameMaps, Occlusion, ViewMaps, class_of, rgb_of};
+pub use graphics::{GraphicsRasterizer, GraphicsRasterizerDesc};
 pub use kind::{RasterizerDesc, RasterizerKind, UnknownRasterizer, create};
 pub use lines::{LineRows, draw_lines};
 pub use maps::{Planes, Segment, SplatMaps, StageTimes};
 pub use plane::Plane;
 pub use schedule::{ScheduleError, SplatSchedule, SplatStep};
-pub use vulkan::{GraphicsRasterizer, VulkanRasterizerDesc};
 
 use crate::cloud::Point;
 
@@ -82,7 +79,7 @@ pub enum RasterError {
 /// Rasterizer, device and driver, for reports.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct RasterizerInfo {
-    /// `compute`, `raster` or `cpu`.
+    /// `compute`, `graphics` or `cpu`.
     pub rasterizer: &'static str,
     /// Device name.
     pub device: String,

@@ -32,6 +32,27 @@ impl EgoOffset {
     }
 }
 
+impl SceneState {
+    /// Returns the state with the ego and its cameras displaced; cameras fixed in the global frame stay.
+    #[must_use]
+    pub fn moved(&self, offset: EgoOffset) -> Self {
+        let moved = |camera: &SceneCamera| match camera.ego_from_camera {
+            Some(ego_from_camera) => {
+                let global_from_ego = camera.global_from_ego * offset.pose();
+                let camera_from_world = (global_from_ego * ego_from_camera).inverse().affine();
+                let view = View { camera: camera.view.camera.clone(), camera_from_world };
+                SceneCamera { view, global_from_ego, ..*camera }
+            }
+            None => camera.clone(),
+        };
+        Self {
+            global_from_ego: self.global_from_ego * offset.pose(),
+            cameras: self.cameras.iter().map(moved).collect(),
+            ..self.clone()
+        }
+    }
+}
+
 /// Returns the state at a frame of a log; `None` if there is no such frame. Each camera uses the ego pose of its own
 /// image, or the frame's if it has no image. Actors use their boxes at the frame's time. The HD map is not set.
 pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<SceneState> {

@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::sync::LazyLock;
 
 use glam::{DAffine3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -7,10 +8,10 @@ use super::{ActorState, SceneState};
 use crate::cloud::Point;
 use crate::error::FileError;
 use crate::raster::{CloudSet, Instance};
-use crate::skeleton::{Skeleton, TemplateCloud, TemplateKind};
+use crate::skeleton::{Skeleton, TemplateCloud, TemplateKind, default_templates};
 
 /// How a template is fitted to an actor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TemplateFit {
     /// Scales the template along each axis to the actor's box.
@@ -56,6 +57,13 @@ pub struct Substitutes {
 impl Substitutes {
     /// No substitutes: only the skeleton's own clouds.
     pub const NONE: Self = Self { templates: Vec::new(), assets: BTreeMap::new() };
+
+    /// Returns the built-in templates, for kinds that the skeleton lacks.
+    pub fn built_in() -> &'static Self {
+        static BUILT_IN: LazyLock<Substitutes> =
+            LazyLock::new(|| Substitutes { templates: default_templates(), assets: BTreeMap::new() });
+        &BUILT_IN
+    }
 }
 
 /// Scene clouds: a skeleton's clouds and their substitutes, with their ids in the rasterizer.

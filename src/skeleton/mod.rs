@@ -7,9 +7,9 @@
 //! that global coordinates stay `f64` and points are `f32`. [`Skeleton`] is the result on disk, memory-mapped.
 
 mod augment;
-mod build;
 mod checksum;
 mod colorize;
+mod ingest;
 mod manifest;
 mod occlusion;
 mod options;
@@ -20,14 +20,14 @@ mod templates;
 mod trajectory;
 
 pub use augment::{AugmentOptions, Augmentation, augment};
-pub use build::{BuildError, BuildInput, BuildRun, GenerateTemplates, Progress, build, unfinished_frames};
 pub use checksum::Checksum;
 pub use colorize::{Candidate, ColorSample, ColorView, Projector, agreed_color};
+pub use ingest::{BuildError, BuildInput, BuildRun, Progress, build, unfinished_frames};
 pub use manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap};
 pub use options::{BuildOptions, Coloring};
 pub use split::{Part, SplitOptions, Splitter};
-pub use store::{Skeleton, SkeletonWriter};
+pub use store::{GenerateTemplates, Skeleton, SkeletonWriter};
 pub use templates::{
     ClusterReport, Instances, LibraryManifest, LogSource, TemplateCloud, TemplateKind, TemplateLibrary,
     TemplateOptions, TemplateReport, TemplateSummary, default_templates, poisson_thin,

@@ -22,7 +22,7 @@ pub struct BuildOptions {
 }
 
 /// Method of coloring points.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Coloring {
     /// One color, from the camera with the best view: of the views that pass an occlusion test, the one that agrees

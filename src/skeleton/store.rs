@@ -8,7 +8,7 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
-use super::{BuildOptions, Checksum, GenerateTemplates};
+use super::{BuildOptions, Checksum};
 use crate::cloud::Point;
 use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
@@ -21,6 +21,10 @@ const MANIFEST: &str = "skeleton.json";
 const BACKGROUND: &str = "background.points";
 const ACTORS: &str = "actors.points";
 const TEMPLATES: &str = "templates.points";
+
+/// Function that generates templates from the assets of a skeleton: manifest entries with their points.
+pub type GenerateTemplates<'a> =
+    dyn Fn(&[(&Asset, &[Point])]) -> Result<Vec<(Template, Vec<Point>)>, FileError> + 'a;
 
 /// Writer of a skeleton, cloud by cloud: chunks, then assets, then templates, each in their final order.
 pub struct SkeletonWriter {

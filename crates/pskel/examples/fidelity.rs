@@ -1,7 +1,7 @@
 //! Fidelity of the color map: builds a skeleton from every other frame of a log, renders the frames in between and
 //! compares them with their images.
 //!
-//! `cargo run --release --example fidelity -- nuscenes:DIR [--way every-camera]`
+//! `cargo run --release --example fidelity -- nuscenes:DIR [--every-camera]`
 #![allow(clippy::print_stdout)] // prints its results
 
 use std::path::PathBuf;
@@ -21,9 +21,9 @@ use pskel_eval::{FilledError, compare_filled};
 struct Args {
     /// The log, `FORMAT:PATH[@VERSION][#SCENE]`.
     log: String,
-    /// Coloring of points; every-camera is the baseline.
-    #[arg(long, value_enum, default_value = "best-view")]
-    way: Coloring,
+    /// Color points from every camera that sees them (baseline).
+    #[arg(long)]
+    every_camera: bool,
     /// Use only every n-th of the frames in between.
     #[arg(long, default_value_t = 1)]
     stride: usize,

@@ -17,7 +17,7 @@ use point_skeleton::skeleton::{
 use super::log_args::{self, LogRoots};
 use super::numbers::{self, FrameRange};
 use super::progress::StageProgress;
-use super::{WrongUsage, info, say, templates, warn};
+use super::{WrongUsage, choices, info, say, templates, warn};
 use crate::logs;
 
 /// Build a point skeleton from recordings: colored background, and an asset per tracked actor
@@ -60,7 +60,7 @@ pub(super) struct BuildArgs {
     #[arg(long, value_name = "M", value_parser = numbers::margin_m, allow_negative_numbers = true)]
     box_margin: Option<f64>,
     /// How points are colored; every-camera reproduces existing scripts, for comparison
-    #[arg(long, value_enum, default_value = "best-view")]
+    #[arg(long, value_parser = choices::COLORING, default_value = "best-view")]
     coloring: Coloring,
     /// Template for actors of a kind (sedan, suv, pickup, pedestrian, bike, truck, bus, trailer, construction):
     /// points with x forward and z up; at most once per kind

@@ -7,6 +7,7 @@
 mod ablate;
 mod bench;
 mod build;
+mod choices;
 mod convert;
 mod evaluate;
 mod fidelity;

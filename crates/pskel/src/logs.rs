@@ -1,6 +1,6 @@
 //! Access to logs of all formats by locator: recorded logs and the built-in synthetic town.
 
-use point_skeleton::dataset::{Dataset, DatasetError, LogFormat, LogLocator, av2, nuplan, nuscenes};
+use point_skeleton::dataset::{self, Dataset, DatasetError, LogFormat, LogLocator};
 use point_skeleton::error::FileError;
 use pskel_town::{Town, TownOptions};
 
@@ -22,10 +22,8 @@ pub fn locate(text: &str) -> Result<LogLocator, DatasetError> {
 /// Fails if the set is empty or its index cannot be read.
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     match locator.format {
-        LogFormat::NuScenes => nuscenes::expand(locator),
-        LogFormat::Argoverse => av2::expand(locator),
-        LogFormat::NuPlan | LogFormat::NuPlanSimgen => nuplan::expand(locator),
         LogFormat::Town => Ok(vec![locator.clone()]),
+        _ => dataset::expand(locator),
     }
 }
 
@@ -35,10 +33,8 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
 /// Fails if the locator is invalid. Returns any error of the format's reader.
 pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
     match locator.format {
-        LogFormat::NuScenes => Ok(Box::new(nuscenes::NuScenes::open(locator)?)),
-        LogFormat::Argoverse => Ok(Box::new(av2::Argoverse::open(locator)?)),
-        LogFormat::NuPlan | LogFormat::NuPlanSimgen => Ok(Box::new(nuplan::NuPlan::open(locator)?)),
         LogFormat::Town => Ok(Box::new(open_town(locator)?)),
+        _ => dataset::open(locator),
     }
 }
 

@@ -1,16 +1,13 @@
-use std::path::Path;
-
 use clap::Args;
 use point_skeleton::conditions::{
-    BinScale, ColorFilter, ConditionError, ConditionOptions, ConditionSet, DepthBins, DepthEmbedding,
-    ImageSize, MapKind, MapSet, Occlusion, exr, npz, png, safetensors,
+    BinScale, ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, ImageSize, MapFormat, MapKind, MapSet,
+    Occlusion,
 };
 use point_skeleton::raster::SplatSchedule;
 use point_skeleton::scene::{SelectionOptions, TemplateFit};
-use serde::Serialize;
 
 use super::WrongUsage;
-use super::numbers;
+use super::{choices, numbers};
 
 /// Options of condition maps, shared by all commands that render a log.
 #[derive(Clone, Debug, Args)]
@@ -21,7 +18,7 @@ pub(super) struct MapArgs {
     #[arg(long, value_name = "MAP,..")]
     pub(super) maps: Option<MapSet>,
     /// Files: png (depth as 16-bit bins); exr, npz or safetensors (depth in meters, -300 where empty)
-    #[arg(long, value_enum, default_value = "png")]
+    #[arg(long, value_parser = choices::MAP_FORMAT, default_value = "png")]
     pub(super) format: MapFormat,
     /// Render at this size; scales the intrinsics [default: the size of the cameras]
     #[arg(long, value_name = "HxW")]
@@ -38,62 +35,27 @@ pub(super) struct MapArgs {
     #[arg(allow_negative_numbers = true)]
     pub(super) radius: f64,
     /// Scale of the depth bins in depth.png, the contact sheet and the tensor
-    #[arg(long, value_enum, default_value = "linear")]
+    #[arg(long, value_parser = choices::BIN_SCALE, default_value = "linear")]
     pub(super) depth_bins: BinScale,
     /// Depth in the tensor: metric values (continuous), their sines and cosines (discrete), or both
-    #[arg(long, value_enum, default_value = "continuous")]
+    #[arg(long, value_parser = choices::DEPTH_EMBEDDING, default_value = "continuous")]
     pub(super) depth_embedding: DepthEmbedding,
     /// End of the last depth bin, meters [default: --radius]
     #[arg(long, value_name = "M", value_parser = numbers::distance_m, allow_negative_numbers = true)]
     pub(super) far: Option<f64>,
     /// Occluders of actors in class and instance maps: the whole scene, or only other actors
-    #[arg(long, value_enum, default_value = "scene")]
+    #[arg(long, value_parser = choices::OCCLUSION, default_value = "scene")]
     pub(super) occlusion: Occlusion,
     /// Scale templates to the actor's box, or retain their size
-    #[arg(long, value_enum, default_value = "box")]
+    #[arg(long, value_parser = choices::TEMPLATE_FIT, default_value = "box")]
     pub(super) template_fit: TemplateFit,
     /// Filter for reducing color: OpenCV's INTER_LINEAR, or the mean of the pixels that are not empty
-    #[arg(long, value_enum, default_value = "bilinear")]
+    #[arg(long, value_parser = choices::COLOR_FILTER, default_value = "bilinear")]
     pub(super) color_filter: ColorFilter,
     /// Actors with more points than this are rendered with their own points in depth, class and instance maps; others
     /// with the template of their category, if available
     #[arg(long, value_name = "N", default_value_t = SelectionOptions::default().min_actor_points)]
     pub(super) min_actor_points: usize,
-}
-
-/// File format of the maps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum MapFormat {
-    /// A PNG per map.
-    Png,
-    /// An OpenEXR file per map.
-    Exr,
-    /// One NumPy archive per frame.
-    Npz,
-    /// One safetensors file per frame.
-    Safetensors,
-}
-
-impl MapFormat {
-    /// Writes the maps of a step into its folder.
-    pub(super) fn write(
-        self,
-        folder: &Path,
-        set: &ConditionSet,
-        t_us: i64,
-        options: &ConditionOptions,
-    ) -> Result<(), ConditionError> {
-        match self {
-            Self::Png => png::write(folder, set, &options.depth_bins)?,
-            Self::Exr => exr::write(folder, set)?,
-            Self::Npz => npz::write(&folder.join("maps.npz"), set)?,
-            Self::Safetensors => {
-                safetensors::write(&folder.join("conditions.safetensors"), set, t_us, options)?;
-            }
-        }
-        Ok(())
-    }
 }
 
 impl MapArgs {

@@ -6,7 +6,7 @@ use super::WrongUsage;
 /// Rasterizer options, shared by all commands that render.
 #[derive(Clone, Debug, Args)]
 pub(super) struct RasterizerArgs {
-    /// Rasterizer: auto, compute (Vulkan with 64-bit atomics), raster (Vulkan graphics pipeline) or cpu (plain Rust,
+    /// Rasterizer: auto, compute (Vulkan with 64-bit atomics), graphics (Vulkan graphics pipeline) or cpu (plain Rust,
     /// needs no driver); all output the same maps
     #[arg(long, default_value_t, value_name = "KIND")]
     pub(super) rasterizer: RasterizerKind,
@@ -23,21 +23,25 @@ pub(super) struct RasterizerArgs {
 impl RasterizerArgs {
     /// Creates the rasterizer and passes the clouds to it.
     pub(super) fn create<'a>(&self, clouds: CloudSet<'a>) -> anyhow::Result<Box<dyn Rasterizer + 'a>> {
+        Ok(raster::create(&self.desc()?, clouds)?)
+    }
+
+    /// Returns the parameters of the rasterizer.
+    pub(super) fn desc(&self) -> Result<RasterizerDesc, WrongUsage> {
         let kind = self.rasterizer;
         let unfit = match (&self.device, self.gpu_memory) {
             (Some(device), _) if kind == RasterizerKind::Cpu => {
                 Some(format!("--device with --rasterizer cpu, found {device:?}"))
             }
-            (_, Some(mib)) if matches!(kind, RasterizerKind::Cpu | RasterizerKind::Raster) => {
+            (_, Some(mib)) if matches!(kind, RasterizerKind::Cpu | RasterizerKind::Graphics) => {
                 Some(format!("--gpu-memory with --rasterizer {kind}, found {mib}"))
             }
             _ => None,
         };
         if let Some(unfit) = unfit {
-            return Err(WrongUsage(format!("expected no {unfit}")).into());
+            return Err(WrongUsage(format!("expected no {unfit}")));
         }
         let memory_bytes = self.gpu_memory.map(|mib| u64::from(mib) << 20);
-        let desc = RasterizerDesc { kind: self.rasterizer, device: self.device.clone(), memory_bytes };
-        Ok(raster::create(&desc, clouds)?)
+        Ok(RasterizerDesc { kind: self.rasterizer, device: self.device.clone(), memory_bytes })
     }
 }

@@ -3,8 +3,8 @@
 //! # How it works
 //! naga parses GLSL (`x.vert`, `x.frag`, `x.comp`) or WGSL (`x.wgsl`), validates, and emits SPIR-V for Vulkan 1.1.
 //! `shaders.rs` in `OUT_DIR` then contains one module per shader: the words, descriptor bindings, vertex inputs,
-//! the push-constant size, and for each named struct its size and the offset of each member, which the Rust structs
-//! are asserted against. A shader error fails the build with file and line.
+//! the push-constant size, integer constants, and for each named struct its size and the offset of each member, which the
+//! Rust structs are asserted against. A shader error fails the build with file and line.
 #![allow(clippy::print_stdout, clippy::print_stderr)] // a build script's interface to cargo
 
 use std::fmt::Write as _;
@@ -14,7 +14,7 @@ use std::process::ExitCode;
 use naga::back::pipeline_constants::process_overrides;
 use naga::back::spv;
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
-use naga::{AddressSpace, Binding, Module, ScalarKind, ShaderStage, TypeInner};
+use naga::{AddressSpace, Binding, Expression, Literal, Module, ScalarKind, ShaderStage, TypeInner};
 
 /// Compiles all shaders in `glsl/` of the package whose build script calls it, into `OUT_DIR/shaders.rs`. The package
 /// includes that file below a module with `point_skeleton::gpu::shader::*` in scope. Prints an error and returns a
@@ -91,18 +91,18 @@ fn with_includes(path: &Path) -> Result<String, String> {
 fn compile(path: &Path, variant: &Variant) -> Result<String, String> {
     let file = path.display().to_string();
     let source = with_includes(path)?;
-    let module = parse(path, &file, &source)?;
+    let parsed = parse(path, &file, &source)?;
     // Capabilities of Vulkan 1.1 drivers with the features that the device enables; any other is an error.
     let allowed = Capabilities::IMMEDIATES
         | Capabilities::SHADER_INT64
         | Capabilities::SHADER_INT64_ATOMIC_MIN_MAX
         | Capabilities::EARLY_DEPTH_TEST;
-    let info = Validator::new(ValidationFlags::all(), allowed).validate(&module).map_err(|e| {
+    let info = Validator::new(ValidationFlags::all(), allowed).validate(&parsed).map_err(|e| {
         let line = e.location(&source).map_or(0, |l| l.line_number);
         format!("{file}:{line}: {}", e.emit_to_string_with_path(&source, &file))
     })?;
     let constants = variant.constants.iter().cloned().collect();
-    let (module, info) = process_overrides(&module, &info, None, &constants)
+    let (module, info) = process_overrides(&parsed, &info, None, &constants)
         .map_err(|e| format!("{file}:0: variant {}: {e}", variant.name))?;
     let entry = &module.entry_points[0];
     let options = spv::Options {
@@ -122,7 +122,7 @@ fn compile(path: &Path, variant: &Variant) -> Result<String, String> {
         "" => file.trim_start_matches("glsl/").to_owned(),
         variant => format!("{}.{variant}", file.trim_start_matches("glsl/")),
     };
-    describe(&name, &module, &info, &without_contraction(&words))
+    Ok(describe(&name, &module, &info, &without_contraction(&words))? + &constants_of(&parsed) + "}\n")
 }
 
 fn parse(path: &Path, file: &str, source: &str) -> Result<Module, String> {
@@ -171,7 +171,26 @@ fn without_contraction(words: &[u32]) -> Vec<u32> {
         .collect()
 }
 
-/// Returns the source of a compiled shader's Rust module.
+/// Returns the source of the shader's named integer constants, so that the host need not repeat them.
+fn constants_of(module: &Module) -> String {
+    let mut text = String::new();
+    for (_, constant) in module.constants.iter() {
+        let (Some(name), Expression::Literal(literal)) =
+            (&constant.name, &module.global_expressions[constant.init])
+        else {
+            continue;
+        };
+        let (kind, value) = match literal {
+            Literal::U32(value) => ("u32", value.to_string()),
+            Literal::I32(value) => ("i32", value.to_string()),
+            _ => continue,
+        };
+        text += &format!("    /// Constant of the shader.\n    pub const {name}: {kind} = {value};\n");
+    }
+    text
+}
+
+/// Returns the source of a compiled shader's Rust module, without its end.
 fn describe(name: &str, module: &Module, info: &ModuleInfo, words: &[u32]) -> Result<String, String> {
     let entry = &module.entry_points[0];
     let used = info.get_entry_point(0);
@@ -214,7 +233,7 @@ fn describe(name: &str, module: &Module, info: &ModuleInfo, words: &[u32]) -> Re
         }
         text += "    }\n";
     }
-    Ok(text + "}\n")
+    Ok(text)
 }
 
 fn binding_kind(module: &Module, handle: naga::Handle<naga::GlobalVariable>) -> Option<&'static str> {

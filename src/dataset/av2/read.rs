@@ -1,21 +1,13 @@
 //! Conversion of a log's files to a [`Log`].
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::annotations::{Annotation, Annotations};
 use super::poses::Trajectory;
 use super::{calibration, sensors};
+use crate::dataset::notes::{Notes, note};
 use crate::dataset::{DatasetError, Frame, Log, TrackBox};
 use crate::error::FileError;
-
-/// Number of skipped or missing items by kind.
-pub(super) type Notes = BTreeMap<String, usize>;
-
-/// Counts a skipped item.
-pub(super) fn note(notes: &mut Notes, kind: &str) {
-    *notes.entry(kind.to_owned()).or_default() += 1;
-}
 
 /// Reads a log with its sweeps and images in `sensors`. Also returns the stated number of LiDAR points per frame and
 /// box.
@@ -36,13 +28,12 @@ pub(super) fn read(
     if annotations.other_category > 0 {
         notes.insert("boxes of another category than their track".into(), annotations.other_category);
     }
-    for _ in rig.len()..calibration::RING.len() {
-        note(&mut notes, "ring cameras without calibration");
-    }
+    let uncalibrated = calibration::RING.len().saturating_sub(rig.len());
+    note(&mut notes, "ring cameras without calibration", uncalibrated);
     let (mut times_ns, mut frames, mut box_points) = (Vec::new(), Vec::new(), Vec::new());
     for (&t_ns, boxes) in &annotations.frames {
         let Some(global_from_ego) = ego.at(t_ns) else {
-            note(&mut notes, "annotated times without an ego pose");
+            note(&mut notes, "annotated times without an ego pose", 1);
             continue;
         };
         let t_us = sensors::micros(t_ns);
@@ -59,9 +50,7 @@ pub(super) fn read(
             Ok(TrackBox { track: item.track, cuboid })
         };
         let (boxes, flat): (Vec<&Annotation>, Vec<_>) = boxes.iter().partition(|b| b.has_size());
-        for _ in flat {
-            note(&mut notes, "boxes without a size");
-        }
+        note(&mut notes, "boxes without a size", flat.len());
         let boxes_here = boxes.iter().copied().map(track_box).collect::<Result<Vec<_>, DatasetError>>()?;
         let (sweeps, images, between_images) = Default::default();
         let boxes_at = Frame { t_us, global_from_ego, sweeps, images, between_images, boxes: boxes_here };

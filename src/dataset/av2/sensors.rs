@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::poses::Trajectory;
-use super::read::{Notes, note};
+use crate::dataset::notes::{Notes, note};
 use crate::dataset::{Frame, ImageRecord, RigCamera, SweepRecord};
 use crate::error::FileError;
 use crate::geometry::Pose;
@@ -29,7 +29,7 @@ fn list(folder: &Path, extensions: &[&str], notes: &mut Notes) -> Result<Vec<Tim
         let time = path.file_stem().and_then(|name| name.to_str()?.parse().ok());
         match time {
             Some(t_ns) if extensions.contains(&extension) => files.push(Timed { t_ns, path }),
-            _ => note(notes, "sensor files without a time for a name"),
+            _ => note(notes, "sensor files without a time for a name", 1),
         }
     }
     files.sort_by(|a, b| (a.t_ns, &a.path).cmp(&(b.t_ns, &b.path)));
@@ -50,7 +50,7 @@ pub(super) fn add_sweeps(
     for Timed { t_ns, path } in list(folder, &["feather"], notes)? {
         let place = times_ns.partition_point(|t| *t < t_ns);
         let (Some(frame), Some(global_from_ego)) = (frames.get_mut(place), ego.at(t_ns)) else {
-            note(notes, "sweeps after the last frame or without an ego pose");
+            note(notes, "sweeps after the last frame or without an ego pose", 1);
             continue;
         };
         let (t_us, is_key) = (micros(t_ns), times_ns[place] == t_ns);
@@ -60,9 +60,8 @@ pub(super) fn add_sweeps(
         let record = SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key };
         frame.sweeps.insert(0, record);
     }
-    for _ in frames.iter().filter(|f| !f.sweeps.first().is_some_and(|s| s.is_key)) {
-        note(notes, "frames without a LiDAR sweep of their own");
-    }
+    let without = frames.iter().filter(|f| !f.sweeps.first().is_some_and(|s| s.is_key)).count();
+    note(notes, "frames without a LiDAR sweep of their own", without);
     Ok(())
 }
 
@@ -81,7 +80,7 @@ pub(super) fn add_images(
     let mut records = Vec::new();
     for Timed { t_ns, path } in list(&folder.join(&rig.camera.name), &["jpg", "jpeg", "png"], notes)? {
         let Some(global_from_ego) = ego.at(t_ns) else {
-            note(notes, "images without an ego pose");
+            note(notes, "images without an ego pose", 1);
             continue;
         };
         let RigCamera { channel, ego_from_camera, camera } = rig.clone();
@@ -93,7 +92,7 @@ pub(super) fn add_images(
     for (place, t_ns) in times_ns.iter().enumerate() {
         match nearest(&image_times, *t_ns) {
             Some(image) if frame_of[image].is_none() => frame_of[image] = Some(place),
-            _ => note(notes, "missing camera images"),
+            _ => note(notes, "missing camera images", 1),
         }
     }
     for ((t_ns, record), own) in records.into_iter().zip(frame_of) {
@@ -101,7 +100,7 @@ pub(super) fn add_images(
         match (own, frames.get_mut(interval)) {
             (Some(place), _) => frames[place].images.push(record),
             (None, Some(frame)) => frame.between_images.push(record),
-            (None, None) => note(notes, "images after the last frame"),
+            (None, None) => note(notes, "images after the last frame", 1),
         }
     }
     Ok(())

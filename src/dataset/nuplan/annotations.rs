@@ -5,7 +5,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::database::{Database, Query, Row, hex};
 use super::frames::FrameRecord;
-use super::read::{Notes, note};
+use crate::dataset::notes::{Notes, note};
 use crate::dataset::{Class, DatasetError, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, Pose, PoseError};

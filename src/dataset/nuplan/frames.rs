@@ -5,7 +5,7 @@ use rustc_hash::FxHashMap;
 use super::database::{Database, Query, Row, hex};
 use super::pickle;
 use super::place::LogPaths;
-use super::read::{Notes, note, pose};
+use crate::dataset::notes::{Notes, note};
 use crate::dataset::{DatasetError, SweepRecord};
 use crate::error::FileError;
 use crate::files::input::is_there;
@@ -101,6 +101,16 @@ pub(super) fn ego_pose(row: &Row<'_>, by: usize, database: &Database) -> Result<
         return Err(row.dangling("ego_pose", token));
     }
     pose(row, by + 2, &format!("ego_pose {}", hex(token)), database)
+}
+
+/// Reads a pose from translation and quaternion columns; the quaternion `w x y z` comes last.
+fn pose(row: &Row<'_>, first: usize, record: &str, database: &Database) -> Result<Pose, DatasetError> {
+    let [x, y, z, qw, qx, qy, qz] = row.numbers(first)?;
+    Pose::from_wxyz([qw, qx, qy, qz], [x, y, z]).map_err(|source| DatasetError::Pose {
+        source,
+        record: record.to_owned(),
+        path: database.path().to_owned(),
+    })
 }
 
 /// Checks that times increase from frame to frame and along `next_token`.

@@ -8,7 +8,7 @@ use super::database::{Database, Query, Row};
 use super::frames::{POSE_COLUMNS, ego_pose, extrinsics, unpickled};
 use super::pickle;
 use super::place::LogPaths;
-use super::read::{Notes, note};
+use crate::dataset::notes::{Notes, note};
 use crate::dataset::{DatasetError, ImageRecord, MAX_CAMERAS, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use super::database::{Database, Query, Row};
 use super::geometry::{self, Shape};
 use super::projection::Utm;
-use super::read::{Notes, note};
+use crate::dataset::notes::{Notes, note};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
 use crate::files::FileName;

@@ -1,23 +1,11 @@
 //! Conversion of a log's tables to a [`Log`].
 
-use std::collections::BTreeMap;
-
 use super::database::{Database, Query, hex};
 use super::place::LogPaths;
 use super::{annotations, frames, images, situation};
+use crate::dataset::notes::Notes;
 use crate::dataset::{DatasetError, Frame, Log};
 use crate::error::FileError;
-use crate::geometry::Pose;
-
-/// Number of skipped or missing items by kind.
-pub(super) type Notes = BTreeMap<String, usize>;
-
-/// Counts skipped items.
-pub(super) fn note(notes: &mut Notes, kind: &str, count: usize) {
-    if count > 0 {
-        *notes.entry(kind.to_owned()).or_default() += count;
-    }
-}
 
 /// Reads a log, or one scene of it. Also returns the name of its map.
 pub(super) fn read(place: &LogPaths, scene: Option<&str>) -> Result<(Log, String), DatasetError> {
@@ -110,19 +98,4 @@ impl Scene {
         let path = database.path().to_owned();
         Err(DatasetError::Scene { found: Some(wanted.to_owned()), scenes: names, path })
     }
-}
-
-/// Reads a pose from translation and quaternion columns; the quaternion `w x y z` comes last.
-pub(super) fn pose(
-    row: &super::database::Row<'_>,
-    first: usize,
-    record: &str,
-    database: &Database,
-) -> Result<Pose, DatasetError> {
-    let [x, y, z, qw, qx, qy, qz] = row.numbers(first)?;
-    Pose::from_wxyz([qw, qx, qy, qz], [x, y, z]).map_err(|source| DatasetError::Pose {
-        source,
-        record: record.to_owned(),
-        path: database.path().to_owned(),
-    })
 }

@@ -5,8 +5,8 @@ use std::path::Path;
 use glam::DVec3;
 use rustc_hash::FxHashSet;
 
+use super::chain::Chain;
 use super::frames::pose;
-use super::read::Chain;
 use super::tables::{Annotation, Category, Instance, Table};
 use crate::dataset::{Class, DatasetError, Track, TrackBox};
 use crate::error::FileError;

@@ -7,8 +7,9 @@ use std::path::Path;
 
 use rustc_hash::FxHashSet;
 
-use super::read::{Chain, Notes, note};
+use super::chain::Chain;
 use super::tables::{CalibratedSensor, EgoPose, SampleData, Sensor, Table};
+use crate::dataset::notes::{Notes, note};
 use crate::dataset::{DatasetError, ImageRecord, MAX_CAMERAS, SweepRecord};
 use crate::error::FileError;
 use crate::files::input::DataRoot;
@@ -81,7 +82,7 @@ pub(super) fn read(
         };
         match piles.get_mut(place) {
             Some(pile) => sensors.add(pile, data, root, &cameras, notes)?,
-            None => note(notes, "sweeps and images after the last sample"),
+            None => note(notes, "sweeps and images after the last sample", 1),
         }
     }
     let finish = |pile: UnsortedFrame| pile.finish(cameras.len(), notes);
@@ -175,7 +176,7 @@ impl Sensors {
                     SweepRecord { path, t_us, global_from_ego, ego_from_lidar: ego_from_sensor, is_key };
                 pile.sweeps.push(RawSweep { channel, is_key, record });
             }
-            (modality, _) => note(notes, &format!("{modality} sweeps (not read)")),
+            (modality, _) => note(notes, &format!("{modality} sweeps (not read)"), 1),
         }
         Ok(())
     }
@@ -212,7 +213,7 @@ impl UnsortedFrame {
     fn finish(mut self, cameras: usize, notes: &mut Notes) -> Option<FrameRecord> {
         for channel in 0..cameras {
             if !self.images.iter().any(|i| i.channel == channel) {
-                note(notes, "missing camera images");
+                note(notes, "missing camera images", 1);
             }
         }
         self.images.sort_by_key(|i| i.channel);
@@ -225,7 +226,7 @@ impl UnsortedFrame {
             by_rank.then(by_time).then_with(|| a.channel.cmp(&b.channel))
         });
         if !self.sweeps.first().is_some_and(|s| s.is_key) {
-            note(notes, "frames without a LiDAR sweep of their own");
+            note(notes, "frames without a LiDAR sweep of their own", 1);
         }
         let of_sweep = self.sweeps.first().filter(|s| s.is_key).map(|s| s.record.global_from_ego);
         let of_image = || self.images.iter().min_by_key(|i| i.t_us).map(|i| i.global_from_ego);

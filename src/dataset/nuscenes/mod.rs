@@ -6,6 +6,7 @@
 
 mod annotations;
 mod arcline;
+mod chain;
 mod choose;
 mod frames;
 mod map;

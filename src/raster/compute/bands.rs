@@ -3,11 +3,12 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::geometry::ImageSize;
+use crate::gpu::shaders;
 use crate::raster::reduce::{nearest_indices, taps};
 use crate::raster::{FrameJob, RasterError};
 
 /// Minimum padding of keys around each strip, pixels: the radius that the resolve shaders gather.
-pub(super) const PAD: u32 = 2;
+pub(super) const PAD: u32 = shaders::resolve_full_wgsl_both::PAD;
 /// Extra columns of keys beyond the padding that a shader may read but not use.
 const SPARE: u32 = 8;
 /// Columns of a tile ("panel") of keys.

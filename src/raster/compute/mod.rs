@@ -15,8 +15,10 @@
 
 mod bands;
 mod chunk;
+mod coverage;
 mod cull;
 mod layers;
+mod passes;
 mod phases;
 mod plan;
 mod project;
@@ -27,6 +29,7 @@ mod shared;
 mod slot;
 mod spread;
 mod store;
+mod tables;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -34,16 +37,17 @@ use std::time::Instant;
 
 use self::bands::{PartLimits, Partition, RowStrip};
 use self::chunk::ChunkedCloud;
+use self::coverage::Coverage;
 use self::layers::Layers;
-use self::phases::{Phases, Work};
-use self::plan::{BandResult, BatchPlan, Numbering, PlannedItem};
+use self::phases::Phases;
+use self::plan::{BandResult, BatchPlan, Numbering, PlannedItem, Work};
 use self::project::{ProjectFrame, ProjectStage, items_of};
 use self::record::{PlacedItem, Resolve, runs_of};
 use self::resolve::ResolveStage;
 use self::results::{OwnedMaps, empty, read_maps, read_parts};
 use self::shared::{KEY_IMAGE_ROW_BYTES, KEY_STEP_BYTES, KeyCapacity, Shared};
 use self::slot::{Needs, Slot};
-use self::spread::{Coverage, SpreadStage};
+use self::spread::SpreadStage;
 use self::store::{ROW_BYTES, Residency, STREAMED_ROWS, Store, StoreLimits};
 use super::frame::frame_by_views;
 use super::{

@@ -2,25 +2,14 @@
 
 use std::sync::Arc;
 
-use super::bands::Partition;
-use super::layers::Layers;
-use super::plan::Numbering;
-use super::project::ProjectBand;
+use super::coverage::Coverage;
 use super::record::{self, Resolve, Run};
 use super::shared::Shared;
 use super::slot::Slot;
-use super::spread::{Coverage, Spread};
+use super::spread::Spread;
 use super::store::ROW_BYTES;
+use super::tables::ProjectBand;
 use crate::gpu::{Device, GpuError, PendingSubmit, Scope};
-use crate::raster::FrameJob;
-
-/// Inputs shared by all batches of a frame.
-pub(super) struct Work<'j> {
-    pub(super) job: &'j FrameJob<'j>,
-    pub(super) layers: Layers,
-    pub(super) cut: &'j Partition,
-    pub(super) numbering: &'j Numbering,
-}
 
 /// Inputs for recording a batch.
 pub(super) struct Phases<'w> {
@@ -33,8 +22,7 @@ pub(super) struct Phases<'w> {
 impl Phases<'_> {
     fn spread(&self) -> Spread<'_> {
         let Resolve { work, key_rows, .. } = self.resolve;
-        let (schedule, layers, pad) = (work.job.schedule, work.layers.count, work.cut.pad);
-        Spread { schedule, bands: self.bands, layers, pad, key_rows }
+        Spread { schedule: work.job.schedule, bands: self.bands, pad: work.cut.pad, key_rows }
     }
 
     /// Projects resident chunks, with optional clear (`first`) and spread and resolve passes (`last`).
@@ -55,7 +43,7 @@ impl Phases<'_> {
             }
             record::project(recorder, shared, slot, runs, (self.covering, layers))?;
             if last && self.covering == Coverage::Spread {
-                shared.spread.record(recorder, self.device, slot, &self.spread())?;
+                shared.spread.record(recorder, self.device, &slot.spread[..layers], &self.spread())?;
             }
             if last {
                 self.resolve.record(recorder, self.device, shared, slot)?;

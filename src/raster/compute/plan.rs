@@ -5,15 +5,10 @@ use rayon::prelude::*;
 use super::bands::{PAD, Partition, ResolveTap, RowStrip, row_pixels};
 use super::chunk::{CHUNK, ChunkedCloud};
 use super::cull::seen_points;
-use super::layers::LayerInstance;
-use super::project::{ProjectBand, ProjectDraw};
-use super::resolve::ResolveBand;
+use super::layers::{LayerInstance, Layers};
+use super::tables::{Block, ProjectBand, ProjectDraw, ResolveBand};
 use crate::raster::draw::draw_from_instance;
 use crate::raster::{FrameJob, Planes, RasterError, SplatJob};
-
-/// Entry for a block of [`CHUNK`] point numbers: the wrapping offsets from a number to its color index and to the
-/// point's number + 1, the instance number, and padding.
-pub(super) type Block = [u32; 4];
 
 /// An instance whose points are numbered from `first` on.
 pub(super) struct Numbered {
@@ -66,6 +61,14 @@ impl Numbering {
         }
         Ok(numbering)
     }
+}
+
+/// Inputs shared by all batches of a frame.
+pub(super) struct Work<'j> {
+    pub(super) job: &'j FrameJob<'j>,
+    pub(super) layers: Layers,
+    pub(super) cut: &'j Partition,
+    pub(super) numbering: &'j Numbering,
 }
 
 /// Range of a chunk's points to project, before its row is known.

@@ -4,20 +4,19 @@ use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
 
-use super::spread::Coverage;
+use super::coverage::Coverage;
+use super::tables::ProjectItem;
 use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, assert_layout, shaders};
+use crate::raster::SplatSchedule;
 use crate::raster::steps::{Step, steps};
-use crate::raster::{Draw, SplatSchedule};
 
 /// Descriptor set of a page of points.
 pub(super) const PAGE_SET: u32 = 1;
-/// Maximum radius that the resolve shaders gather.
-pub(super) const MAX_LOOKED_FOR: u32 = 2;
 /// Points per workgroup that draws squares: CPU drivers terminate invocations that loop more than 65 535 times, and
 /// each square may have up to 63 by 63 pixels.
 const SQUARES_AT_ONCE: u32 = 512;
 /// Workgroups in a row of a dispatch.
-const GROUPS_PER_ROW: u32 = 32_768;
+const GROUPS_PER_ROW: u32 = shaders::project_wgsl_pixel::GROUPS_PER_ROW;
 
 /// Uniforms shared by all draws.
 #[repr(C)]
@@ -44,81 +43,6 @@ impl ProjectFrame {
         Self { steps: steps(schedule), step_count, z_far_m: schedule.z_far_m(), key_rows, pad }
     }
 }
-
-/// An instance in a row strip.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub(super) struct ProjectDraw {
-    image_x: [f32; 4],
-    image_y: [f32; 4],
-    image_z: [f32; 4],
-    crop_x: [f32; 4],
-    crop_y: [f32; 4],
-    crop_radius_m: f32,
-    first_number: u32,
-    band: u32,
-    layers: u32,
-}
-assert_layout!(ProjectDraw, shaders::project_wgsl_pixel::project_draw, [
-    image_x: IMAGE_X,
-    image_y: IMAGE_Y,
-    image_z: IMAGE_Z,
-    crop_x: CROP_X,
-    crop_y: CROP_Y,
-    crop_radius_m: CROP_RADIUS_M,
-    first_number: FIRST_NUMBER,
-    band: BAND,
-    layers: LAYERS,
-]);
-
-impl ProjectDraw {
-    /// Creates the entry. `band`: index in the table of strips; `layers`: bit mask.
-    pub(super) fn new(draw: &Draw, band: u32, layers: u32) -> Self {
-        let [image_x, image_y, image_z] = draw.image_from_local;
-        let [crop_x, crop_y] = draw.crop_from_local;
-        let (crop_radius_m, first_number) = (draw.crop_radius_m, draw.first_number);
-        Self { image_x, image_y, image_z, crop_x, crop_y, crop_radius_m, first_number, band, layers }
-    }
-}
-
-/// Location of a strip's keys.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub(super) struct ProjectBand {
-    /// Width, pixels.
-    pub(super) columns: f32,
-    /// Height, pixels.
-    pub(super) rows: f32,
-    /// First row in the view.
-    pub(super) first_row: f32,
-    /// Key row where its padding begins.
-    pub(super) key_row: u32,
-}
-assert_layout!(ProjectBand, shaders::project_wgsl_pixel::project_band, [
-    columns: COLUMNS,
-    rows: ROWS,
-    first_row: FIRST_ROW,
-    key_row: KEY_ROW,
-]);
-
-/// Range of a chunk's points to draw.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
-pub(super) struct ProjectItem {
-    pub(super) draw: u32,
-    /// Row in the page.
-    pub(super) row: u32,
-    /// First column.
-    pub(super) first: u32,
-    /// End column.
-    pub(super) end: u32,
-}
-assert_layout!(ProjectItem, shaders::project_wgsl_pixel::project_item, [
-    draw: DRAW,
-    row: ROW,
-    first: FIRST,
-    end: END,
-]);
 
 /// Returns the items of a range (first and end) of points in a row.
 pub(super) fn items_of(

@@ -1,12 +1,13 @@
 //! Recording of a frame's commands.
 
+use super::coverage::Coverage;
 use super::layers::Layers;
-use super::phases::Work;
-use super::project::{ProjectItem, ProjectPush};
-use super::resolve::{Kind, ResolveBand, ResolvePush, ResolveStage, WANT_CLASS, WANT_COLOR, wants};
+use super::plan::Work;
+use super::project::ProjectPush;
+use super::resolve::{Kind, ResolvePush, ResolveStage, WANT_CLASS, WANT_COLOR, wants};
 use super::shared::{KEY_IMAGE_ROW_BYTES, Shared};
 use super::slot::{DEPTH, MapBuffer, Slot};
-use super::spread::Coverage;
+use super::tables::{ProjectItem, ResolveBand};
 use crate::gpu::{DescriptorSet, Device, GpuError, Recorder, Scope};
 use crate::raster::FrameJob;
 

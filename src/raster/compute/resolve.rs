@@ -4,57 +4,19 @@ use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
 
-use super::bands::ResolveTap;
-use super::project::MAX_LOOKED_FOR;
+use super::tables::ResolveBand;
 use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, Shader, assert_layout, shaders};
 use crate::raster::{FrameKinds, SplatSchedule, SplatStep};
 
+/// Maximum radius that the resolve shaders gather.
+pub(super) const MAX_LOOKED_FOR: u32 = 2;
 /// Bits of the maps that a dispatch writes.
-pub(super) const WANT_COLOR: u32 = 1;
-pub(super) const WANT_CLASS: u32 = 2;
-pub(super) const WANT_DEPTH: u32 = 4;
-pub(super) const WANT_INSTANCE: u32 = 8;
+pub(super) use crate::gpu::shaders::resolve_full_wgsl_both::{WANT_CLASS, WANT_COLOR, WANT_DEPTH, WANT_INSTANCE};
+/// Selects the shader variant that also writes point numbers.
 pub(super) const WANT_POINT: u32 = 16;
 /// Columns per invocation of the full-size shader.
 const COLUMNS_EACH: u32 = 4;
 const GROUP: u32 = 64;
-
-assert_layout!(ResolveTap, shaders::resolve_reduced_wgsl_both::resolve_tap, [
-    nearest: NEAREST,
-    low: LOW,
-    weights: WEIGHTS,
-]);
-
-/// Location of a strip's keys, taps and results.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
-pub(super) struct ResolveBand {
-    /// Width of the result, pixels.
-    pub(super) width: u32,
-    /// Rows of the result.
-    pub(super) height: u32,
-    /// Key row at which the gather for source row 0 begins (full size: for the strip's first row), wrapping.
-    pub(super) key_row: u32,
-    /// Offset of the strip in the results, pixels.
-    pub(super) pixel: u32,
-    /// Index of the tap of column 0.
-    pub(super) columns: u32,
-    /// Index of the tap of the strip's first row.
-    pub(super) rows: u32,
-    /// Number of pairs of key columns to the left of those that are read.
-    pub(super) pair: u32,
-    pub(super) pad_1: u32,
-}
-assert_layout!(ResolveBand, shaders::resolve_full_wgsl_both::resolve_band, [
-    width: WIDTH,
-    height: HEIGHT,
-    key_row: KEY_ROW,
-    pixel: PIXEL,
-    columns: COLUMNS,
-    rows: ROWS,
-    pair: PAIR,
-    pad_1: PAD_1,
-]);
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]

@@ -7,12 +7,12 @@ use bytemuck::Pod;
 
 use super::bands::ResolveTap;
 use super::chunk::CHUNK;
-use super::plan::Block;
-use super::project::{ProjectBand, ProjectDraw, ProjectFrame, ProjectItem};
-use super::resolve::ResolveBand;
+use super::plan::BatchPlan;
+use super::project::ProjectFrame;
 use super::shared::Shared;
 use super::spread;
 use super::store::ROW_BYTES;
+use super::tables::{Block, ProjectBand, ProjectDraw, ProjectItem, ResolveBand};
 use crate::gpu::{
     Bind, Buffer, BufferDesc, Commands, DescriptorSet, Device, GpuError, Image, ImageDesc, Memory,
 };
@@ -188,7 +188,7 @@ impl Slot {
     pub(super) fn write(
         &self,
         frame: &ProjectFrame,
-        plan: &super::plan::BatchPlan,
+        plan: &BatchPlan,
         blocks: &[Block],
     ) -> Result<(), GpuError> {
         write(&self.frame, std::slice::from_ref(frame))?;

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::cluster::Cluster;
-use super::instances::Instance;
+use super::instance::Instance;
 use super::thin::{neighbourhood, poisson_thin};
 use super::{ClusterReport, TemplateCloud, TemplateKind, TemplateOptions, TemplateSummary};
 use crate::cloud::{Bounds, Point};

@@ -5,26 +5,11 @@ use rayon::prelude::*;
 
 use super::aggregate::{aggregate, cluster_report};
 use super::cluster::{Cluster, clusters};
+use super::instance::Instance;
 use super::kind::Family;
-use super::thin::poisson_thin;
 use super::{TemplateCloud, TemplateKind, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
 use crate::skeleton::Asset;
-
-/// Points of an actor, prepared for aggregation.
-#[derive(Clone, Debug)]
-pub(super) struct Instance {
-    /// `LOG/TRACK`.
-    pub(super) name: String,
-    pub(super) family: Family,
-    /// Length, width, height, meters.
-    pub(super) size_m: DVec3,
-    /// Number of points before thinning.
-    pub(super) points_in: usize,
-    /// Points in box coordinates, at least a template's spacing apart, so that long observation gives an actor no
-    /// more weight.
-    pub(super) points: Vec<Point>,
-}
 
 /// Assets of any number of skeletons, from which templates are generated.
 #[derive(Clone, Debug, Default)]
@@ -43,7 +28,7 @@ impl Instances {
     /// Adds assets, each with its points in box coordinates (meters). Unusable assets are counted by reason.
     pub fn add(&mut self, assets: &[(&Asset, &[Point])]) {
         let taken: Vec<Result<Instance, &str>> =
-            assets.par_iter().map(|(asset, points)| instance(asset, points, &self.options)).collect();
+            assets.par_iter().map(|(asset, points)| Instance::new(asset, points, &self.options)).collect();
         for result in taken {
             match result {
                 Ok(instance) => self.instances.push(instance),
@@ -92,25 +77,4 @@ impl Instances {
         clusters.sort_by_key(|c| std::cmp::Reverse(rank(c)));
         clusters.split_off(clusters.len().min(1))
     }
-}
-
-fn instance(asset: &Asset, points: &[Point], options: &TemplateOptions) -> Result<Instance, &'static str> {
-    let family = Family::of(&asset.category).ok_or("actors of a category without templates")?;
-    let size_m = DVec3::from(asset.size);
-    if !(size_m.is_finite() && size_m.min_element() > 0.0) {
-        return Err("actors without a size");
-    }
-    let finite = || points.iter().filter(|p| p.position.iter().all(|v| v.is_finite()));
-    let finite: Vec<&Point> = finite().collect();
-    if finite.is_empty() {
-        return Err("actors without points");
-    }
-    let kept = poisson_thin(finite.iter().map(|p| p.position), options.spacing_m(size_m));
-    Ok(Instance {
-        name: format!("{}/{}", asset.log, asset.track),
-        family,
-        size_m,
-        points_in: points.len(),
-        points: kept.into_iter().map(|i| *finite[i]).collect(),
-    })
 }

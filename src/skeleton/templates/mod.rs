@@ -9,6 +9,7 @@
 mod aggregate;
 mod cluster;
 mod defaults;
+mod instance;
 mod instances;
 mod kind;
 mod library;

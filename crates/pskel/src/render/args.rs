@@ -1,14 +1,14 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use point_skeleton::conditions::{ColorFilter, ConditionOptions, MapSet};
+use point_skeleton::conditions::{ColorFilter, ConditionOptions, MapFormat, MapSet};
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::scene::{EgoOffset, SelectionOptions};
 use serde::Serialize;
 
 use crate::WrongUsage;
 use crate::log_args::{self, LogRoots};
-use crate::map_args::{MapArgs, MapFormat};
+use crate::map_args::MapArgs;
 use crate::numbers::{self, FrameRange};
 use crate::rasterizer::RasterizerArgs;
 use crate::stand_ins::{StandInReport, SubstituteArgs};

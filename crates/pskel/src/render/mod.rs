@@ -6,7 +6,7 @@ mod steps;
 
 pub(super) use args::RenderArgs;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
@@ -14,18 +14,17 @@ use std::time::Instant;
 
 use anyhow::Context;
 use point_skeleton::cloud;
-use point_skeleton::conditions::distort::Distorter;
 use point_skeleton::conditions::meta::{Index, IndexFrame, PromptParts};
-use point_skeleton::conditions::{ConditionOptions, StepInFlight};
 use point_skeleton::dataset::Dataset;
 use point_skeleton::error::FileError;
 use point_skeleton::files::OutputFolder;
 use point_skeleton::files::input::read_table;
 use point_skeleton::raster::{FRAMES_IN_FLIGHT, Rasterizer};
-use point_skeleton::scene::{SceneClouds, SceneMap, SelectionOptions, frame_rate_hz};
+use point_skeleton::scene::{SceneMap, frame_rate_hz};
 use point_skeleton::skeleton::Skeleton;
+use point_skeleton::{Maps, RenderOptions, Renderer};
 
-use self::output::{Output, Rendered};
+use self::output::Output;
 use self::steps::Steps;
 use super::progress::Progress;
 use super::{say, warn};
@@ -48,29 +47,31 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         )
     })?;
     let steps = Steps::new(log, &args, views, map)?;
-    let (stand_ins, told) = args.stand_ins.make(&skeleton, &log.name)?;
-    let stage = SceneClouds::with(&skeleton, &log.name, &stand_ins)?;
-    let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
-    let options = args.options(maps, told);
+    let (substitutes, substitute_report) = args.stand_ins.make(&skeleton, &log.name)?;
+    let options = args.options(maps, substitute_report);
+    let mut renderer = Renderer::new(
+        &skeleton,
+        RenderOptions {
+            conditions: options.conditions.clone(),
+            selection: options.selection,
+            rasterizer: args.rasterizer.desc()?,
+            substitutes: &substitutes,
+            log: Some(&log.name),
+            distort: args.distort,
+        },
+    )?;
     let output = Output {
         folder: OutputFolder::open(&args.out, "maps", &[&args.skeleton, &args.log.path])?,
         format: args.maps.format,
-        options: &options.conditions,
+        bins: &options.conditions.depth_bins,
         prompt: &prompt,
         fps: args.hz.or_else(|| frame_rate_hz(&log.frames).filter(|_| args.at.is_empty())),
-        distort: args.distort,
         birdseye: args.birdseye,
         log: &log.name,
     };
-    let distorter = args.distort.then(|| Distorter::new(&options.conditions)).transpose()?;
     output.begin(steps.names())?;
-    let frames = Work { stage, steps: &steps, output: &output }.run(
-        rasterizer.as_mut(),
-        &options.conditions,
-        &options.selection,
-        distorter,
-    )?;
-    let summary = summary(&frames, &steps.missing_images(), rasterizer.as_mut());
+    let frames = render(&mut renderer, &steps, &output)?;
+    let summary = summary(&frames, &steps.missing_images(), renderer.rasterizer());
     warn_of_times_outside(&frames, skeleton.manifest.times_us(&log.name));
     output.end(&Index { options: &options, frames })?;
     say(&format!("{summary} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
@@ -113,68 +114,49 @@ pub(super) fn read_prompt(path: &Path) -> Result<PromptParts, FileError> {
         .map_err(|e| FileError::content(r#"{"weather": text, "city": text}"#, e.to_string(), path))
 }
 
-/// State shared by all steps.
-struct Work<'a> {
-    stage: SceneClouds<'a>,
-    steps: &'a Steps<'a>,
-    output: &'a Output<'a>,
-}
-
-impl Work<'_> {
-    /// Renders step by step while another thread writes the previous step.
-    fn run(
-        &self,
-        rasterizer: &mut dyn Rasterizer,
-        options: &ConditionOptions,
-        selection: &SelectionOptions,
-        mut distorter: Option<Distorter>,
-    ) -> anyhow::Result<Vec<IndexFrame>> {
-        let mut frames = Vec::new();
-        let mut progress = Progress::new(self.steps.len());
-        std::thread::scope(|scope| {
-            let (sender, receiver) = sync_channel::<Rendered>(1);
-            let writer = scope.spawn(move || {
-                let mut rendered = receiver.into_iter();
-                rendered.try_for_each(|step| self.output.write(&step))
-            });
-            let mut in_flight = VecDeque::new();
-            let mut states = self.steps.states();
-            loop {
-                // The device renders one step while the host processes the previous one.
-                if let Some(state) = states.next() {
-                    let state = state?;
-                    let instances = self.stage.instances(&state, selection);
-                    let pinholes = distorter.as_mut().map(|d| d.pinholes(&state)).transpose()?;
-                    let (drawn, options) =
-                        pinholes.as_ref().map_or((&state, options), |p| (&p.state, &p.options));
-                    let begun = StepInFlight::new(rasterizer, &instances, drawn, options);
-                    let begun = begun.with_context(|| format!("step {}", state.name))?;
-                    in_flight.push_back((state, pinholes, begun));
-                    if in_flight.len() < FRAMES_IN_FLIGHT {
-                        continue;
-                    }
-                }
-                let Some((state, pinholes, begun)) = in_flight.pop_front() else { break };
-                let set = begun.finish(rasterizer).with_context(|| format!("step {}", state.name))?;
-                let set = match pinholes {
-                    Some(pinholes) => pinholes.distort(set),
-                    None => set,
-                };
-                frames.push(IndexFrame::new(&state));
-                progress.step(&state.name);
-                if sender.send(Rendered { state, set }).is_err() {
-                    // The writer thread has stopped; its result has the error.
-                    break;
+/// Renders step by step while another thread writes the previous step.
+fn render(
+    renderer: &mut Renderer<'_>,
+    steps: &Steps<'_>,
+    output: &Output<'_>,
+) -> anyhow::Result<Vec<IndexFrame>> {
+    let mut frames = Vec::new();
+    let mut progress = Progress::new(steps.len());
+    std::thread::scope(|scope| {
+        let (sender, receiver) = sync_channel::<Maps>(1);
+        let writer = scope.spawn(move || {
+            let mut rendered = receiver.into_iter();
+            rendered.try_for_each(|maps| output.write(&maps))
+        });
+        let (mut states, mut names) = (steps.states(), steps.names());
+        loop {
+            // The device renders one step while the host processes the previous one.
+            if let Some(state) = states.next() {
+                let state = state?;
+                renderer.begin(&state).with_context(|| format!("step {}", state.name))?;
+                if renderer.in_flight() < FRAMES_IN_FLIGHT {
+                    continue;
                 }
             }
-            drop(sender);
-            match writer.join() {
-                Ok(result) => Ok(result?),
-                Err(panic) => std::panic::resume_unwind(panic),
+            if renderer.in_flight() == 0 {
+                break;
             }
-        })
-        .map(|()| frames)
-    }
+            let name = names.next().unwrap_or_default();
+            let maps = renderer.finish().with_context(|| format!("step {name}"))?;
+            frames.push(IndexFrame::new(&maps.state));
+            progress.step(&maps.state.name);
+            if sender.send(maps).is_err() {
+                // The writer thread has stopped; its result has the error.
+                break;
+            }
+        }
+        drop(sender);
+        match writer.join() {
+            Ok(result) => Ok(result?),
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
+    })
+    .map(|()| frames)
 }
 
 fn summary(

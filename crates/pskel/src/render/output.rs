@@ -1,28 +1,19 @@
 use point_skeleton::conditions::birdseye::{self, BirdseyeOptions};
-use point_skeleton::conditions::meta::{FrameMeta, Index, PromptParts};
-use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
+use point_skeleton::conditions::meta::{Index, PromptParts};
+use point_skeleton::conditions::{DepthBins, MapFormat, sheet};
 use point_skeleton::error::FileError;
 use point_skeleton::files::OutputFolder;
-use point_skeleton::scene::SceneState;
+use point_skeleton::{Error, Maps};
 
 use super::args::RenderOptions;
-use crate::map_args::MapFormat;
-
-/// Rendered step with its maps.
-pub(super) struct Rendered {
-    pub(super) state: SceneState,
-    pub(super) set: ConditionSet,
-}
 
 /// Output folder of maps.
 pub(super) struct Output<'a> {
     pub(super) folder: OutputFolder,
     pub(super) format: MapFormat,
-    pub(super) options: &'a ConditionOptions,
+    pub(super) bins: &'a DepthBins,
     pub(super) prompt: &'a PromptParts,
     pub(super) fps: Option<f64>,
-    /// `true` if maps are distorted.
-    pub(super) distort: bool,
     /// `true` if a bird's-eye view is written.
     pub(super) birdseye: bool,
     /// Name of the log.
@@ -41,19 +32,16 @@ impl Output<'_> {
     }
 
     /// Writes the folder of a step.
-    pub(super) fn write(&self, step: &Rendered) -> Result<(), ConditionError> {
-        let (state, set) = (&step.state, &step.set);
-        let bins = &self.options.depth_bins;
+    pub(super) fn write(&self, maps: &Maps) -> Result<(), Error> {
+        let state = &maps.state;
         self.folder.write_folder(&state.name, |folder| {
-            self.format.write(folder, set, state.t_us, self.options)?;
+            maps.write_maps(folder, self.format)?;
             let caption = format!("{}  {}", self.log, state.name);
-            sheet::write(&folder.join("sheet.png"), set, bins, &caption)?;
+            sheet::write(&folder.join("sheet.png"), &maps.set, self.bins, &caption)?;
             if self.birdseye {
                 birdseye::write(&folder.join("birdseye.png"), state, &BirdseyeOptions::default())?;
             }
-            let meta = FrameMeta::new(state, self.options, self.prompt, self.fps);
-            let meta = if self.distort { meta.distorted(state) } else { meta };
-            Ok(meta.write(&folder.join(META))?)
+            Ok(maps.meta(self.prompt, self.fps).write(&folder.join(META))?)
         })
     }
 

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use point_skeleton::conditions::birdseye::{self, BirdseyeOptions, Trace};
 use point_skeleton::conditions::meta::{FrameMeta, PromptParts};
-use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, sheet};
+use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, MapFormat, sheet};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{is_there, read_table};
 use point_skeleton::files::{OutputFolder, write_json};
@@ -18,7 +18,6 @@ use super::generation::Images;
 use super::profile::{WriteTimes, lap};
 use super::sources::{Places, Sources};
 use crate::generator::GeneratorReport;
-use crate::map_args::MapFormat;
 use crate::stand_ins::StandInReport;
 
 pub(super) const STATES: &str = "states.jsonl";

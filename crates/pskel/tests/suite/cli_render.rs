@@ -107,7 +107,7 @@ fn all_rasterizers_and_threads_give_the_same_bytes() {
     let log = built();
     let mut all = Vec::new();
     for (rasterizer, threads) in
-        [("compute", "1"), ("compute", "2"), ("raster", "1"), ("raster", "2"), ("cpu", "1"), ("cpu", "2")]
+        [("compute", "1"), ("compute", "2"), ("graphics", "1"), ("graphics", "2"), ("cpu", "1"), ("cpu", "2")]
     {
         let args = format!("{RENDER}/{rasterizer}{threads} --rasterizer {rasterizer} --frames 0..2");
         let output = log.run_with(&args, threads);
@@ -207,7 +207,7 @@ fn the_map_is_drawn_where_the_log_has_one() {
     let [column, row] = left(12.0);
     assert_eq!(map.get_pixel(column, row), &image::Rgb([0, 0, 255]));
     // All rasterizers draw the same map.
-    for rasterizer in ["raster", "cpu"] {
+    for rasterizer in ["graphics", "cpu"] {
         log.succeed(&format!("{RENDER} {frame} --maps map --rasterizer {rasterizer}"));
         let other = image::open(log.path("out/000000/CAM_FRONT/map.png")).unwrap().to_rgb8();
         assert!(other == map, "{rasterizer}");

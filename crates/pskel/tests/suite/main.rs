@@ -15,6 +15,7 @@ mod distortion;
 mod evaluate;
 mod generate;
 mod generated;
+mod golden;
 mod guarded;
 mod info;
 mod made_town;

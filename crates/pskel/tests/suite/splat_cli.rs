@@ -213,7 +213,7 @@ fn fixture_reduced_maps_agree_with_the_reference() {
     let Some(fixtures) = common::fixtures("projection-pandaset") else { return };
     let fixture = fixtures.join("projection-pandaset");
     let [compute, raster, cpu] =
-        ["compute", "raster", "cpu"].map(|rasterizer| reduced_points(&fixture, rasterizer));
+        ["compute", "graphics", "cpu"].map(|rasterizer| reduced_points(&fixture, rasterizer));
     for found in [compute, raster] {
         let differ = found.iter().zip(&cpu).filter(|(a, b)| a != b).count();
         assert!(differ as f64 <= 1e-5 * cpu.len() as f64, "{differ} of {} pixels differ", cpu.len());

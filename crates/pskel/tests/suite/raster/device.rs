@@ -18,7 +18,7 @@ fn an_unknown_device_lists_those_there_are() {
         create(&RasterizerDesc { kind, device, memory_bytes: None }, vec![]).is_ok()
     };
     use RasterizerKind as Kind;
-    assert_eq!([Kind::Auto, Kind::Compute, Kind::Raster, Kind::Cpu].map(made), [false, false, false, true]);
+    assert_eq!([Kind::Auto, Kind::Compute, Kind::Graphics, Kind::Cpu].map(made), [false, false, false, true]);
 }
 
 #[test]
@@ -31,8 +31,8 @@ fn a_device_is_found_by_part_of_its_name() {
         assert!(info.device == name && !info.driver.is_empty(), "{info:?}");
         info.rasterizer
     };
-    let best = if with_device(|device| device.atomics_64()) { "compute" } else { "raster" };
-    assert_eq!((made(RasterizerKind::Auto), made(RasterizerKind::Raster)), (best, "raster"));
+    let best = if with_device(|device| device.atomics_64()) { "compute" } else { "graphics" };
+    assert_eq!((made(RasterizerKind::Auto), made(RasterizerKind::Graphics)), (best, "graphics"));
 }
 
 /// Runs a loader without drivers, in a child process because the environment belongs to the process.

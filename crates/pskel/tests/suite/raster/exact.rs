@@ -114,7 +114,7 @@ fn points_without_number_in_one_pixel_have_one_winner() {
         };
         let found: Vec<_> =
             rasterizers(&device, &clouds, Division::default()).into_iter().map(spread).collect();
-        assert_eq!(found, [("raster", false), ("compute", true), ("compute", true)]);
+        assert_eq!(found, [("graphics", false), ("compute", true), ("compute", true)]);
     });
 }
 

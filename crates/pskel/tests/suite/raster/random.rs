@@ -6,7 +6,7 @@ use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
     CloudSet, ComputeRasterizerDesc, Crop, Instance, Planes, Rasterizer, SplatJob, SplatSchedule, SplatStep,
-    VulkanRasterizerDesc,
+    GraphicsRasterizerDesc,
 };
 
 use super::twins::{Division, allowed_share, assert_same, rasterizers, with_device};
@@ -159,7 +159,7 @@ fn pages_and_tiles_change_nothing() {
     for seed in 100..106 {
         let page_points = Some([1000, 333, 17][seed as usize % 3]);
         let tile_side = Some([40, 7, 1000][seed as usize % 3]);
-        let raster = VulkanRasterizerDesc { page_points, tile_side };
+        let raster = GraphicsRasterizerDesc { page_points, tile_side };
         let compute = ComputeRasterizerDesc {
             page_rows: Some([1, 2, 3][seed as usize % 3]),
             // The largest radius requires 32 rows of padding on either side of a row strip.

@@ -9,7 +9,7 @@ use point_skeleton::gpu::{Device, DeviceDesc};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
     CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, Instance, Planes, Rasterizer,
-    SplatJob, SplatMaps, SplatSchedule, VulkanRasterizerDesc,
+    SplatJob, SplatMaps, SplatSchedule, GraphicsRasterizerDesc,
 };
 
 use crate::common::skip;
@@ -27,7 +27,7 @@ pub(crate) fn with_device<T>(test: impl FnOnce(Arc<Device>) -> T) -> T {
 /// Work division of all rasterizers of a device, for tests that change it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Division {
-    pub(crate) raster: VulkanRasterizerDesc,
+    pub(crate) raster: GraphicsRasterizerDesc,
     pub(crate) compute: ComputeRasterizerDesc,
 }
 

@@ -10,40 +10,19 @@ use std::sync::Arc;
 use ash::vk::BufferUsageFlags as Usage;
 use bytemuck::{Pod, Zeroable};
 
-use super::Planes;
-use super::pages::Pages;
+use super::pages::{Pages, Piece};
 use super::splat::SplatTarget;
-use super::tiles::Tile;
 use crate::gpu::{
     Bind, Buffer, BufferDesc, ComputePipeline, DescriptorSet, Device, GpuError, Memory, PipelineLayout,
     Recorder, Scope, assert_layout, shaders,
 };
+use crate::raster::Planes;
+use crate::raster::tiles::Tile;
 
-/// Descriptor set number of a page.
-pub(super) const PAGE_SET: u32 = 1;
 /// Offset of a plane that is not requested.
 const NOT_WANTED: u32 = u32::MAX;
 /// Bytes per pixel if all planes are requested.
 pub(super) const MAX_PIXEL_BYTES: u64 = 16;
-
-/// Entry of the piece table.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
-pub(super) struct Piece {
-    /// Added (wrapping) to the point within the page to get the point's number in the job.
-    pub(super) number_bias: u32,
-    /// Value in the instance map.
-    pub(super) instance: u32,
-    /// Page of its points.
-    pub(super) page: u32,
-    pub(super) pad: u32,
-}
-assert_layout!(Piece, shaders::resolve_comp::piece, [
-    number_bias: NUMBER_BIAS,
-    instance: INSTANCE,
-    page: PAGE,
-    pad: PAD,
-]);
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]

@@ -1,13 +1,19 @@
+//! The end of a build: merges the cells into the skeleton.
+
 use std::path::Path;
 
+use super::builder::Builder;
 use super::cells::Cell;
+use super::error::BuildError;
 use super::runs::Runs;
+use super::stream::Stream;
 use super::sums::VoxelSum;
-use super::{BuildError, Builder, GenerateTemplates, source, with_notes};
 use crate::cloud::{Bounds, Point};
+use crate::dataset::Frame;
 use crate::error::FileError;
-use crate::skeleton::store::SkeletonWriter;
-use crate::skeleton::{Asset, CHUNK_M, Checksum, Chunk};
+use crate::skeleton::{
+    Asset, BuildReport, CHUNK_M, Checksum, Chunk, GenerateTemplates, SkeletonWriter, Source,
+};
 
 impl Builder<'_> {
     /// Merges the cells of all runs and writes the skeleton.
@@ -91,4 +97,22 @@ impl Builder<'_> {
         }
         Ok(())
     }
+}
+
+fn source(stream: &Stream) -> Source {
+    let time = |frame: Option<&&Frame>| frame.map_or(0, |f| f.t_us);
+    Source {
+        log: stream.log.name.clone(),
+        location: stream.log.location.clone(),
+        frames: stream.frames.len(),
+        t_us: [time(stream.frames.first()), time(stream.frames.last())],
+    }
+}
+
+/// Adds the notes of logs to a report.
+fn with_notes(mut report: BuildReport, streams: &[Stream]) -> BuildReport {
+    for (kind, count) in streams.iter().flat_map(|stream| &stream.log.notes) {
+        *report.notes.entry(kind.clone()).or_default() += count;
+    }
+    report
 }

@@ -1,13 +1,17 @@
 //! The rasterizer on Vulkan's graphics pipeline: splat, resolve, read back.
 
+mod pages;
+mod resolve;
+mod splat;
+
 use std::sync::Arc;
 use std::time::Instant;
 
+use self::pages::{Pages, Piece, PieceDraw};
+use self::resolve::{MAX_PIXEL_BYTES, PlaneOffsets, ResolveStage, ResolveTarget};
+use self::splat::{SplatStage, SplatTarget, check_point_size};
 use super::frame::frame_by_views;
 use super::frames::CompletedFrames;
-use super::pages::{Pages, PieceDraw};
-use super::resolve::{MAX_PIXEL_BYTES, Piece, PlaneOffsets, ResolveStage, ResolveTarget};
-use super::splat::{SplatStage, SplatTarget, check_point_size};
 use super::tiles::{Tile, TileLimits, grown, tiles};
 use super::{
     CloudSet, Draw, FrameJob, FrameMaps, Planes, RasterError, Rasterizer, RasterizerInfo, SplatJob,
@@ -18,7 +22,7 @@ use crate::gpu::{Commands, Device, GpuError};
 
 /// Partitioning of a [`GraphicsRasterizer`]'s work; the default uses the device's limits. Results never depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct VulkanRasterizerDesc {
+pub struct GraphicsRasterizerDesc {
     /// Maximum number of points per buffer.
     pub page_points: Option<u32>,
     /// Maximum side length of a tile, pixels.
@@ -56,7 +60,7 @@ impl GraphicsRasterizer {
     /// # Errors
     /// Fails if memory is exhausted or the device lacks a required feature.
     pub fn new(device: Arc<Device>, clouds: &CloudSet<'_>) -> Result<Self, GpuError> {
-        Self::with_desc(device, clouds, VulkanRasterizerDesc::default())
+        Self::with_desc(device, clouds, GraphicsRasterizerDesc::default())
     }
 
     /// Uploads all clouds, with other sizes of pages and tiles.
@@ -66,7 +70,7 @@ impl GraphicsRasterizer {
     pub fn with_desc(
         device: Arc<Device>,
         clouds: &CloudSet<'_>,
-        desc: VulkanRasterizerDesc,
+        desc: GraphicsRasterizerDesc,
     ) -> Result<Self, GpuError> {
         let start = Instant::now();
         let (splat, resolve) = (SplatStage::new(&device)?, ResolveStage::new(&device)?);
@@ -146,7 +150,7 @@ struct Work<'a> {
 
 impl Rasterizer for GraphicsRasterizer {
     fn info(&self) -> RasterizerInfo {
-        RasterizerInfo::on("raster", &self.device)
+        RasterizerInfo::on("graphics", &self.device)
     }
 
     fn begin(&mut self, job: &FrameJob<'_>) -> Result<(), RasterError> {

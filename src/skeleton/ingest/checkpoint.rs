@@ -177,7 +177,7 @@ mod as_list {
 
     use serde::{Deserialize, Deserializer, Serializer};
 
-    use super::Cell;
+    use crate::skeleton::ingest::cells::Cell;
 
     pub(super) fn serialize<S: Serializer>(map: &BTreeMap<Cell, usize>, out: S) -> Result<S::Ok, S::Error> {
         out.collect_seq(map)

@@ -11,15 +11,15 @@ use ash::vk::{self, BufferUsageFlags as Usage, ImageUsageFlags};
 use bytemuck::{Pod, Zeroable};
 
 use super::pages::{Pages, PieceDraw};
-use super::steps::{Step, steps};
-use super::tiles::Tile;
-use super::{Draw, SplatSchedule};
 use crate::cloud::Point;
 use crate::gpu::{
     Area, Bind, Buffer, BufferDesc, Depth, DepthTest, DescriptorSet, Device, GpuError, GraphicsPipeline,
     GraphicsPipelineDesc, Image, ImageDesc, Memory, PipelineLayout, Recorder, RenderPass, RenderPassDesc,
     Scope, Target, Topology, VertexBuffer, assert_layout, shaders,
 };
+use crate::raster::steps::{Step, steps};
+use crate::raster::tiles::Tile;
+use crate::raster::{Draw, SplatSchedule};
 
 const VISIBILITY: vk::Format = vk::Format::R32G32_UINT;
 const DEPTH: vk::Format = vk::Format::D32_SFLOAT;

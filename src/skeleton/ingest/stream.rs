@@ -10,7 +10,9 @@ use std::collections::VecDeque;
 use glam::DAffine3;
 use rayon::prelude::*;
 
-use super::{BuildError, BuildInput, color};
+use super::color;
+use super::error::BuildError;
+use super::request::BuildInput;
 use crate::dataset::{Dataset, Frame, ImageRecord, Log, SweepRecord, TrackBox};
 use crate::geometry::View;
 use crate::skeleton::sweep::SweepCloud;

@@ -6,14 +6,17 @@
 use std::sync::Arc;
 
 use ash::vk::BufferUsageFlags as Usage;
+use bytemuck::{Pod, Zeroable};
 
-use super::resolve::Piece;
-use super::{Draw, Planes};
 use crate::cloud::Point;
 use crate::gpu::{
     Bind, Buffer, BufferDesc, Commands, DescriptorSet, Device, GpuError, Memory, PipelineLayout, Scope,
+    assert_layout, shaders,
 };
+use crate::raster::{Draw, Planes};
 
+/// Descriptor set number of a page.
+const PAGE_SET: u32 = 1;
 const POINT_BYTES: u64 = size_of::<Point>() as u64;
 /// Maximum size of the upload's staging buffer, bytes.
 const STAGING_BYTES: u64 = 16 << 20;
@@ -40,6 +43,25 @@ pub(super) struct PieceDraw {
     /// Points to draw.
     pub(super) slice: Slice,
 }
+
+/// Entry of the piece table.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub(super) struct Piece {
+    /// Added (wrapping) to the point within the page to get the point's number in the job.
+    pub(super) number_bias: u32,
+    /// Value in the instance map.
+    pub(super) instance: u32,
+    /// Page of its points.
+    pub(super) page: u32,
+    pub(super) pad: u32,
+}
+assert_layout!(Piece, shaders::resolve_comp::piece, [
+    number_bias: NUMBER_BIAS,
+    instance: INSTANCE,
+    page: PAGE,
+    pad: PAD,
+]);
 
 /// A buffer of points, and the descriptor set that binds it to the resolve shader.
 pub(super) struct Page {
@@ -83,8 +105,7 @@ impl Pages {
             let desc = BufferDesc { name: "page of points", size, usage, memory: Memory::Device };
             let buffer = Arc::new(Buffer::new(device, &desc)?);
             fill(&buffer, &mut source, staging, commands)?;
-            let set =
-                DescriptorSet::new(resolve, super::resolve::PAGE_SET, vec![Bind::Buffer(buffer.clone())])?;
+            let set = DescriptorSet::new(resolve, PAGE_SET, vec![Bind::Buffer(buffer.clone())])?;
             pages.push(Page { points: buffer, set });
         }
         Ok(Self { pages, slices })

@@ -1,0 +1,90 @@
+//! Values of options that name a variant of a library type.
+
+use std::ffi::OsStr;
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use point_skeleton::conditions::{BinScale, ColorFilter, DepthEmbedding, MapFormat};
+use point_skeleton::raster::Occlusion;
+use point_skeleton::scene::TemplateFit;
+use point_skeleton::skeleton::Coloring;
+
+/// Parser of an option: the name, value and help of each choice.
+#[derive(Clone, Copy)]
+pub(crate) struct Choices<T: 'static>(&'static [(&'static str, T, &'static str)]);
+
+pub(crate) const MAP_FORMAT: Choices<MapFormat> = Choices(&[
+    ("png", MapFormat::Png, "A PNG per map"),
+    ("exr", MapFormat::Exr, "An OpenEXR file per map"),
+    ("npz", MapFormat::Npz, "One NumPy archive per frame"),
+    ("safetensors", MapFormat::Safetensors, "One safetensors file per frame"),
+]);
+
+pub(crate) const BIN_SCALE: Choices<BinScale> = Choices(&[
+    ("linear", BinScale::Linear, "Bins of equal width"),
+    (
+        "log",
+        BinScale::Log,
+        "Finer near the camera: 85 % of the bins for the nearest 60 % of the range, logarithmic in both parts",
+    ),
+]);
+
+pub(crate) const DEPTH_EMBEDDING: Choices<DepthEmbedding> = Choices(&[
+    ("continuous", DepthEmbedding::Continuous, "Depth only; sines and cosines are 0"),
+    ("discrete", DepthEmbedding::Discrete, "Sines and cosines only; the depth is -1 everywhere"),
+    ("both", DepthEmbedding::Both, "Depth, sines and cosines"),
+]);
+
+pub(crate) const COLOR_FILTER: Choices<ColorFilter> = Choices(&[
+    ("bilinear", ColorFilter::Bilinear, "OpenCV's INTER_LINEAR; empty pixels count as black"),
+    ("valid-area", ColorFilter::ValidArea, "Area-weighted mean of the pixels that are not empty"),
+]);
+
+pub(crate) const COLORING: Choices<Coloring> = Choices(&[
+    (
+        "best-view",
+        Coloring::BestView,
+        "One color, from the camera with the best view: of the views that pass an occlusion test, the one that \
+         agrees most with the others",
+    ),
+    (
+        "every-camera",
+        Coloring::EveryCamera,
+        "One copy of the point for every camera of its frame that it projects into, occluded or not. For \
+         comparison: the behavior of existing scripts",
+    ),
+]);
+
+pub(crate) const TEMPLATE_FIT: Choices<TemplateFit> = Choices(&[
+    ("box", TemplateFit::Box, "Scales the template along each axis to the actor's box"),
+    ("none", TemplateFit::None, "Leaves the template at its own size"),
+]);
+
+pub(crate) const OCCLUSION: Choices<Occlusion> = Choices(&[
+    ("scene", Occlusion::Scene, "All points in front of it"),
+    ("actors", Occlusion::Actors, "Only points of other actors"),
+]);
+
+impl<T: Copy + Send + Sync> TypedValueParser for Choices<T> {
+    type Value = T;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        arg: Option<&clap::Arg>,
+        value: &OsStr,
+    ) -> Result<T, clap::Error> {
+        let name = PossibleValuesParser::new(self.values()).parse_ref(command, arg, value)?;
+        let found = self.0.iter().find(|choice| choice.0 == name);
+        Ok(found.ok_or_else(|| clap::Error::new(clap::error::ErrorKind::InvalidValue))?.1)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(self.values()))
+    }
+}
+
+impl<T> Choices<T> {
+    fn values(self) -> impl Iterator<Item = PossibleValue> {
+        self.0.iter().map(|(name, _, help)| PossibleValue::new(*name).help(*help))
+    }
+}

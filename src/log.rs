@@ -1,0 +1,76 @@
+use std::path::Path;
+use std::sync::Arc;
+
+use crate::Error;
+use crate::dataset::{self, Dataset, EgoTrack, LogLocator};
+use crate::scene::{EgoOffset, SceneMap, SceneState, state_at, state_of_frame};
+use crate::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
+
+/// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map.
+pub struct Log {
+    dataset: Box<dyn Dataset>,
+    ego: EgoTrack,
+    map: Option<Arc<SceneMap>>,
+}
+
+impl Log {
+    /// Opens a log by name: `FORMAT:PATH[@VERSION][#SCENE]`, such as `nuscenes:/data/nuscenes@v1.0-mini#scene-0061`.
+    /// Reads tables and the HD map, no sweeps and images.
+    ///
+    /// # Errors
+    /// Fails if the name is invalid or if a table is missing or damaged.
+    pub fn open(name: &str) -> Result<Self, Error> {
+        let locator: LogLocator = name.parse()?;
+        Self::new(dataset::open(&locator)?)
+    }
+
+    /// Creates a log from a reader of any format.
+    ///
+    /// # Errors
+    /// Fails if the HD map is damaged.
+    pub fn new(dataset: Box<dyn Dataset>) -> Result<Self, Error> {
+        let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, dataset.log())));
+        let ego = EgoTrack::new(dataset.log());
+        Ok(Self { dataset, ego, map })
+    }
+
+    /// Returns the name, which identifies the log in skeletons.
+    pub fn name(&self) -> &str {
+        &self.dataset.log().name
+    }
+
+    /// Returns the frames (the states at key frames), in time order.
+    pub fn frames(&self) -> impl Iterator<Item = SceneState> {
+        let log = self.dataset.log();
+        let states = (0..log.frames.len()).filter_map(|i| state_of_frame(log, i, EgoOffset::default()));
+        states.map(|state| self.with_map(state))
+    }
+
+    /// Returns the state at a time, with interpolated ego and actors; `None` outside the log. Microseconds.
+    pub fn state_at(&self, t_us: i64) -> Option<SceneState> {
+        let state = state_at(self.dataset.log(), &self.ego, t_us, EgoOffset::default());
+        state.map(|state| self.with_map(state))
+    }
+
+    /// Returns the reader, for sweeps and images.
+    pub fn dataset(&self) -> &dyn Dataset {
+        self.dataset.as_ref()
+    }
+
+    fn with_map(&self, state: SceneState) -> SceneState {
+        SceneState { map: self.map.clone(), ..state }
+    }
+}
+
+impl Skeleton {
+    /// Builds a skeleton from all frames of a log, and writes it to a folder. An existing skeleton is replaced. For
+    /// several logs, templates, progress and resumption see [`skeleton::build`](crate::skeleton::build).
+    ///
+    /// # Errors
+    /// Fails if a file of the log is missing or damaged, if no sweep has points, or if the folder cannot be written.
+    pub fn build(log: &Log, folder: impl AsRef<Path>, options: &BuildOptions) -> Result<Self, Error> {
+        let input = BuildInput::all(log.dataset());
+        let run = BuildRun::default();
+        Ok(skeleton::build(folder.as_ref(), &[input], options, &|_| Ok(Vec::new()), &run)?)
+    }
+}

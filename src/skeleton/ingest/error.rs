@@ -1,0 +1,60 @@
+//! Errors of building a skeleton.
+
+use std::path::PathBuf;
+
+use crate::dataset::DatasetError;
+use crate::error::FileError;
+use crate::files::text::printable;
+
+/// Errors of building a skeleton.
+#[derive(Debug, thiserror::Error)]
+pub enum BuildError {
+    /// The log cannot be read.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// A file of the skeleton or of the unfinished build cannot be read or written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The log has no such frame.
+    #[error("expected frames below {frames}, found {found}")]
+    Frame {
+        /// Number of frames in the log.
+        frames: usize,
+        /// Requested frame.
+        found: usize,
+    },
+    /// The frames have no sweep.
+    #[error("expected frames with a LiDAR sweep, found none in {frames} frames of {}", printable(&logs.join(", ")))]
+    NoSweeps {
+        /// Number of inspected frames.
+        frames: usize,
+        /// Names of their logs.
+        logs: Vec<String>,
+    },
+    /// No point has a color.
+    #[error(
+        "expected at least one point that an image colors, found none in {sweeps} sweeps ({points} points read)"
+    )]
+    Empty {
+        /// Number of sweeps read.
+        sweeps: usize,
+        /// Number of points read.
+        points: usize,
+    },
+    /// The logs do not share a location, or one occurs twice.
+    #[error("expected logs of one place, each once, found {}", printable(&found.join(", ")))]
+    Places {
+        /// Name and location of each log.
+        found: Vec<String>,
+    },
+    /// The build failed after its first checkpoint and can be resumed.
+    #[error("{source}; {frames} frames are done and kept, --resume goes on from there: {}", path.display())]
+    Interrupted {
+        /// Cause of the failure.
+        source: Box<BuildError>,
+        /// Number of completed frames.
+        frames: usize,
+        /// Folder of the unfinished build.
+        path: PathBuf,
+    },
+}

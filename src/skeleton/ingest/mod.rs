@@ -1,0 +1,99 @@
+//! Building of a skeleton from recorded logs.
+//!
+//! # How it works
+//! [`build()`] processes the frames of its logs in order. `stream` reads and colors them within a window that moves
+//! along a log. `cells` collects their points by background chunk and by track, and `sums` accumulates them per
+//! voxel. `runs` stores these sums on disk. A `checkpoint` every few frames records the progress. At the end, cells
+//! are merged one by one into the skeleton. Memory does not grow with the length of the logs (without voxels: except
+//! for a cell's points). An interrupted build resumes from its last checkpoint and gives the same bytes.
+
+mod builder;
+mod cells;
+mod checkpoint;
+mod color;
+mod error;
+mod finish;
+mod request;
+mod runs;
+mod stream;
+mod sums;
+
+pub use error::BuildError;
+pub use request::{BuildInput, BuildRun, Progress};
+
+use std::path::Path;
+
+use self::builder::Builder;
+use self::checkpoint::{Plan, PlannedLog, Unfinished};
+use self::stream::Stream;
+use super::{BuildOptions, GenerateTemplates, Skeleton, SkeletonWriter};
+
+/// Builds a skeleton from some frames of one or more logs of the same location. The result depends only on the input
+/// and the options, not on the number of threads or interruptions. During the build there is a folder named `out`
+/// with the suffix `.partial`.
+///
+/// # Errors
+/// Fails if a log or file cannot be read or written, if a frame does not exist, if the logs have different locations
+/// or one occurs twice, or if there is no sweep or no colored point. After the first checkpoint, completed frames are
+/// retained ([`BuildError::Interrupted`]).
+pub fn build(
+    out: &Path,
+    inputs: &[BuildInput],
+    options: &BuildOptions,
+    templates: &GenerateTemplates,
+    run: &BuildRun,
+) -> Result<Skeleton, BuildError> {
+    let streams: Vec<Stream> =
+        inputs.iter().map(|input| Stream::new(input, options)).collect::<Result<_, _>>()?;
+    check_places(&streams)?;
+    SkeletonWriter::check_target(out)?;
+    let work = Unfinished::open(out, plan(&streams, options), run.resume)?;
+    let mut builder = Builder::new(streams, options, run, work);
+    let built = builder.gather().and_then(|()| builder.finish(out, templates));
+    if let Err(source) = built {
+        if matches!(source, BuildError::Empty { .. } | BuildError::NoSweeps { .. }) {
+            builder.work.close()?;
+            return Err(source);
+        }
+        if !builder.work.is_kept() {
+            return Err(source);
+        }
+        let (frames, path) = (builder.done.frames, builder.work.path().to_owned());
+        return Err(BuildError::Interrupted { source: Box::new(source), frames, path });
+    }
+    builder.work.close()?;
+    Ok(Skeleton::open(out)?)
+}
+
+/// Returns the number of completed frames in an unfinished build of `out`; `None` if there is none to resume.
+pub fn unfinished_frames(out: &Path) -> Option<usize> {
+    Unfinished::frames_done(out)
+}
+
+/// Checks that all logs have one location, since they share a global frame, and that none occurs twice.
+fn check_places(streams: &[Stream]) -> Result<(), BuildError> {
+    let (first, mut names) = (streams.first().map(|s| &s.log.location), Vec::new());
+    for stream in streams {
+        if Some(&stream.log.location) != first || names.contains(&&stream.log.name) {
+            let place = |s: &Stream| format!("{} ({})", s.log.name, s.log.location);
+            return Err(BuildError::Places { found: streams.iter().map(place).collect() });
+        }
+        names.push(&stream.log.name);
+    }
+    Ok(())
+}
+
+fn plan(streams: &[Stream], options: &BuildOptions) -> Plan {
+    let log = |stream: &Stream| PlannedLog {
+        log: stream.log.name.clone(),
+        description: stream.log.description.clone(),
+        t_us: stream.frames.iter().map(|f| f.t_us).collect(),
+        held: stream.frames.iter().map(|f| [f.sweeps.len(), f.images.len(), f.boxes.len()]).collect(),
+        tracks: stream.log.tracks.len(),
+    };
+    Plan {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        options: options.clone(),
+        logs: streams.iter().map(log).collect(),
+    }
+}

@@ -1,0 +1,50 @@
+//! Request of a build: input frames, execution options.
+
+use crate::dataset::Dataset;
+
+/// Frames of a log used in a build.
+#[derive(Clone)]
+pub struct BuildInput<'a> {
+    /// Source log.
+    pub dataset: &'a dyn Dataset,
+    /// Indices of the frames, in time order. Sweeps, images and boxes of others are ignored.
+    pub frames: Vec<usize>,
+}
+
+impl<'a> BuildInput<'a> {
+    /// Selects all frames of a log.
+    pub fn all(dataset: &'a dyn Dataset) -> Self {
+        Self { dataset, frames: (0..dataset.log().frames.len()).collect() }
+    }
+}
+
+/// Execution options of a build; they do not affect the skeleton.
+#[derive(Clone, Copy)]
+pub struct BuildRun<'a> {
+    /// Resumes an unfinished build of the same logs, frames and options, if there is one.
+    pub resume: bool,
+    /// Number of frames between checkpoints.
+    pub checkpoint_frames: usize,
+    /// Progress callback.
+    pub progress: &'a dyn Progress,
+}
+
+impl Default for BuildRun<'_> {
+    fn default() -> Self {
+        Self { resume: false, checkpoint_frames: 20, progress: &() }
+    }
+}
+
+/// Progress callback of a long operation.
+pub trait Progress: Sync {
+    /// Starts a stage with a number of steps.
+    fn start(&self, stage: &str, steps: usize);
+    /// Completes a step of the stage.
+    fn step(&self);
+}
+
+/// Ignores progress.
+impl Progress for () {
+    fn start(&self, _: &str, _: usize) {}
+    fn step(&self) {}
+}
