@@ -64,7 +64,7 @@ impl Log {
 
 impl Skeleton {
     /// Builds a skeleton from all frames of a log, and writes it to a folder. An existing skeleton is replaced. For
-    /// several logs, templates, progress and resumption see [`skeleton::build`](crate::skeleton::build).
+    /// several logs, templates, progress and resumption see [`skeleton::build`].
     ///
     /// # Errors
     /// Fails if a file of the log is missing or damaged, if no sweep has points, or if the folder cannot be written.

@@ -1,8 +1,6 @@
-use std::num::NonZero;
-
 use glam::DVec3;
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
+use rstar::RTree;
 use rustc_hash::FxHashMap;
 
 use super::cluster::Cluster;
@@ -135,14 +133,11 @@ fn neighbour_distances_m(points: &[Point], mirror: bool, count: usize) -> Vec<f6
         let reflected: Vec<[f32; 3]> = rows.iter().map(|[x, y, z]| [*x, -y, *z]).collect();
         rows.extend(reflected);
     }
-    let Ok(tree): Result<ImmutableKdTree<f32, 3>, _> = ImmutableKdTree::new_from_slice(&rows) else {
-        return vec![f64::INFINITY; points.len()];
-    };
+    let tree = RTree::bulk_load(rows);
     // The nearest result is the point itself.
-    let wanted = NonZero::<usize>::MIN.saturating_add(count);
     let distance = |p: &Point| {
-        let near = tree.query(&p.position).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
-        near.get(count).map_or(f64::INFINITY, |last| f64::from(last.distance).sqrt())
+        let mut near = tree.nearest_neighbor_iter_with_distance_2(p.position);
+        near.nth(count).map_or(f64::INFINITY, |(_, squared_m)| f64::from(squared_m).sqrt())
     };
     points.par_iter().map(distance).collect()
 }
