@@ -52,6 +52,11 @@ impl Log {
         state.map(|state| self.with_map(state))
     }
 
+    /// Returns the HD map, if the log has one.
+    pub fn map(&self) -> Option<Arc<SceneMap>> {
+        self.map.clone()
+    }
+
     /// Returns the reader, for sweeps and images.
     pub fn dataset(&self) -> &dyn Dataset {
         self.dataset.as_ref()

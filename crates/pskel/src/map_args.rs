@@ -1,7 +1,7 @@
 use clap::Args;
 use point_skeleton::conditions::{
-    BinScale, ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, ImageSize, MapFormat, MapKind, MapSet,
-    Occlusion,
+    BinScale, ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, ImageSize, MapFormat, MapKind,
+    MapSet, Occlusion,
 };
 use point_skeleton::raster::SplatSchedule;
 use point_skeleton::scene::{SelectionOptions, TemplateFit};

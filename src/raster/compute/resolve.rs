@@ -11,7 +11,9 @@ use crate::raster::{FrameKinds, SplatSchedule, SplatStep};
 /// Maximum radius that the resolve shaders gather.
 pub(super) const MAX_LOOKED_FOR: u32 = 2;
 /// Bits of the maps that a dispatch writes.
-pub(super) use crate::gpu::shaders::resolve_full_wgsl_both::{WANT_CLASS, WANT_COLOR, WANT_DEPTH, WANT_INSTANCE};
+pub(super) use crate::gpu::shaders::resolve_full_wgsl_both::{
+    WANT_CLASS, WANT_COLOR, WANT_DEPTH, WANT_INSTANCE,
+};
 /// Selects the shader variant that also writes point numbers.
 pub(super) const WANT_POINT: u32 = 16;
 /// Columns per invocation of the full-size shader.

@@ -28,7 +28,9 @@ fn skeleton_maps_and_rollout_have_their_recorded_hashes() {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out sk");
     let mut found = vec![("skeleton".to_owned(), hash_of(&log, "sk"))];
-    for (format, size) in [("png", ""), ("png", " --out-size 16x24"), ("npz", ""), ("npz", " --out-size 16x24")] {
+    for (format, size) in
+        [("png", ""), ("png", " --out-size 16x24"), ("npz", ""), ("npz", " --out-size 16x24")]
+    {
         for rasterizer in ["compute", "graphics", "cpu"] {
             let options = format!("--out maps --format {format} --rasterizer {rasterizer}{size}");
             log.succeed(&format!("render nuscenes:log --skeleton sk {options}"));

@@ -13,6 +13,7 @@ mod common;
 mod conditions;
 mod distortion;
 mod evaluate;
+mod examples;
 mod generate;
 mod generated;
 mod golden;

@@ -5,8 +5,8 @@ use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
-    CloudSet, ComputeRasterizerDesc, Crop, Instance, Planes, Rasterizer, SplatJob, SplatSchedule, SplatStep,
-    GraphicsRasterizerDesc,
+    CloudSet, ComputeRasterizerDesc, Crop, GraphicsRasterizerDesc, Instance, Planes, Rasterizer, SplatJob,
+    SplatSchedule, SplatStep,
 };
 
 use super::twins::{Division, allowed_share, assert_same, rasterizers, with_device};

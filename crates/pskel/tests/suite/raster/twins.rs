@@ -8,8 +8,8 @@ use point_skeleton::geometry::{Camera, View};
 use point_skeleton::gpu::{Device, DeviceDesc};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
-    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, Instance, Planes, Rasterizer,
-    SplatJob, SplatMaps, SplatSchedule, GraphicsRasterizerDesc,
+    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, GraphicsRasterizerDesc, Instance,
+    Planes, Rasterizer, SplatJob, SplatMaps, SplatSchedule,
 };
 
 use crate::common::skip;
