@@ -1,6 +1,7 @@
 //! Runs the examples.
 #![allow(clippy::unwrap_used)] // helpers are outside `#[test]` functions
 
+#[allow(unreachable_pub)] // `run` is public in the example
 #[path = "../examples/splat_cloud.rs"]
 mod splat_cloud;
 

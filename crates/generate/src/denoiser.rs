@@ -1,8 +1,7 @@
 use image::RgbImage;
 use pskel_sim::peer::PeerError;
 
-use super::guidance::DroppedConditions;
-use super::{Latent, LatentShape, Level};
+use super::{Condition, Latent, LatentShape, Level};
 
 /// A frame of the window, as input of a network.
 #[derive(Debug)]
@@ -22,12 +21,6 @@ impl<C> Clone for Frame<'_, C> {
 }
 
 impl<C> Copy for Frame<'_, C> {}
-
-/// Condition of a frame, in the form that a network takes.
-pub trait Condition: Clone {
-    /// Returns the condition with parts dropped, for training and guidance.
-    fn without(&self, dropped: DroppedConditions) -> Self;
-}
 
 /// A network that denoises frames.
 pub trait Denoiser {

@@ -3,8 +3,7 @@ use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use point_skeleton::geometry::{ImageSize, Pose};
 use point_skeleton::scene::SceneState;
 
-use super::guidance::DroppedConditions;
-use super::{Condition, DenoiserError};
+use super::{Condition, DenoiserError, DroppedConditions};
 
 /// Conditions of one frame as network input: the model tensors of all cameras, and numbers.
 #[derive(Clone, Debug, PartialEq)]

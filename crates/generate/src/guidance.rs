@@ -1,37 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::denoiser::predict;
-use super::{Condition, Denoiser, DenoiserError, Frame, Latent};
-
-/// Conditions that are dropped.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct DroppedConditions {
-    /// Boxes and map.
-    pub layout: bool,
-    /// Ego motion and text prompt.
-    pub action: bool,
-    /// Color of the points.
-    pub color: bool,
-    /// Depth of the points.
-    pub depth: bool,
-}
-
-impl DroppedConditions {
-    /// Dropped in the unconditional prediction of guidance: layout and action, not color and depth.
-    pub const GUIDED: Self = Self { layout: true, action: true, color: false, depth: false };
-    /// All conditions.
-    pub const ALL: Self = Self { layout: true, action: true, color: true, depth: true };
-
-    /// Union of two sets.
-    pub fn or(self, other: Self) -> Self {
-        Self {
-            layout: self.layout || other.layout,
-            action: self.action || other.action,
-            color: self.color || other.color,
-            depth: self.depth || other.depth,
-        }
-    }
-}
+use super::{Condition, Denoiser, DenoiserError, DroppedConditions, Frame, Latent};
 
 /// Classifier-free guidance: extrapolates from the unconditional prediction through the conditional one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -18,15 +18,17 @@ mod kernels;
 mod levels;
 mod model;
 mod ops;
+mod statistics;
 pub mod train;
 mod weights;
 
-pub use codec::{PatchCodec, Statistics};
+pub use codec::PatchCodec;
 pub use config::NetworkConfig;
 pub use denoiser::Network;
 pub use error::NetworkError;
 pub use kernels::Attend;
 pub use model::FirstGuess;
+pub use statistics::Statistics;
 pub use weights::{Provenance, Weights};
 
 pub(crate) use inputs::Inputs;

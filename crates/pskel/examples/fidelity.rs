@@ -12,7 +12,7 @@ use point_skeleton::dataset::{Dataset, ImageRecord};
 use point_skeleton::files::FileName;
 use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
 use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, state_of_frame};
-use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Coloring, Skeleton, SplitOptions};
+use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton, SplitOptions};
 use pskel::logs;
 use pskel_eval::{FilledError, compare_filled};
 
@@ -74,10 +74,7 @@ fn main() -> anyhow::Result<()> {
 }
 
 fn build_options(args: &Args) -> BuildOptions {
-    let mut options = match args.way {
-        Coloring::BestView => BuildOptions::default(),
-        Coloring::EveryCamera => BuildOptions::every_camera(),
-    };
+    let mut options = if args.every_camera { BuildOptions::every_camera() } else { BuildOptions::default() };
     options.color_window = args.color_window.unwrap_or(options.color_window);
     options.occlusion_test &= !args.no_occlusion;
     if args.keep_ghosts {

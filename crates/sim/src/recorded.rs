@@ -4,9 +4,9 @@ use glam::{DVec2, DVec3};
 use point_skeleton::dataset::{EgoTrack, Log, TrackBox, TrafficLight};
 use point_skeleton::geometry::{Cuboid, Pose, wrap_angle};
 
-use super::clock::seconds;
 use super::fit::motion;
 use super::route::Route;
+use super::time::seconds;
 use super::{EgoState, Instant, Scenario, SimActor, SimError, WHEELBASE_M};
 
 /// Half width of the window of poses from which the ego's motion is estimated, seconds.

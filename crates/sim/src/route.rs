@@ -2,8 +2,8 @@ use glam::DVec2;
 use point_skeleton::dataset::EgoTrack;
 use point_skeleton::geometry::{Foot, Polyline, Pose};
 
-use super::clock::seconds;
 use super::pose_path::PosePath;
+use super::time::seconds;
 
 /// Minimum distance between poses of a route, meters: smaller motion is the noise of a standing vehicle.
 const KNOT_STEP_M: f64 = 0.1;

@@ -10,7 +10,7 @@ use super::actors::{ControlledActors, SavedMover};
 use super::clock::Clock;
 use super::metrics::MetricsAccumulator;
 use super::recorded::Recorded;
-use super::simulation::World;
+use super::world::World;
 use super::{Committed, EgoState, Forecast, Instant, Scenario, SimActor, SimError, SimOptions, Trajectory};
 
 const VERSION: u32 = 2;

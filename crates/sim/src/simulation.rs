@@ -10,6 +10,7 @@ use super::metrics::{MetricsAccumulator, Road};
 use super::recorded::Recorded;
 use super::saved::{Saved, SavedState};
 use super::tracking::follow;
+use super::world::World;
 use super::{
     ActorPolicy, Committed, EgoPolicy, EgoState, Forecast, Instant, Metrics, Rates, Scenario, SimError,
     SimOptions, Trajectory,
@@ -27,15 +28,6 @@ pub struct Simulation<'a> {
     /// Committed state, and the plan that the ego follows until the next one.
     committed: Saved,
     log_ended: bool,
-}
-
-/// Committed state that the next step depends on.
-#[derive(Clone, Debug)]
-pub(super) struct World {
-    pub(super) instant: Instant,
-    pub(super) driven: ControlledActors,
-    /// Projection of the ego onto the recorded path.
-    pub(super) foot: Foot,
 }
 
 /// Result of a step.

@@ -7,7 +7,7 @@ use point_skeleton::geometry::{Cuboid, Pose};
 /// A forecast cannot take its place:
 ///
 /// ```compile_fail,E0308
-/// use point_skeleton::sim::{Committed, Forecast, Instant};
+/// use pskel_sim::{Committed, Forecast, Instant};
 /// fn happened(expected: Forecast<Instant>) -> Committed<Instant> {
 ///     expected
 /// }
@@ -16,7 +16,7 @@ use point_skeleton::geometry::{Cuboid, Pose};
 /// Nor can code outside the simulation create one:
 ///
 /// ```compile_fail,E0624
-/// use point_skeleton::sim::{Committed, Forecast, Instant};
+/// use pskel_sim::{Committed, Forecast, Instant};
 /// fn happened(expected: Forecast<Instant>) -> Committed<Instant> {
 ///     Committed::new(expected.get().clone())
 /// }

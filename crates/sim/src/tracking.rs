@@ -3,8 +3,8 @@
 use glam::DVec2;
 use point_skeleton::geometry::wrap_angle;
 
-use super::clock::seconds;
 use super::route::RouteWindow;
+use super::time::seconds;
 use super::trajectory::{Trajectory, Waypoint};
 use super::{EgoState, Instant, Tracking, WHEELBASE_M};
 

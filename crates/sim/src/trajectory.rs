@@ -2,7 +2,8 @@ use glam::DVec2;
 use point_skeleton::geometry::wrap_angle;
 use serde::{Deserialize, Serialize};
 
-use super::clock::seconds;
+use super::state::EgoState;
+use super::time::seconds;
 
 /// Planned pose and speed of the ego at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -26,6 +27,13 @@ pub struct Trajectory {
 }
 
 impl Waypoint {
+    /// Returns the ego's state at a time (microseconds) as a waypoint.
+    pub(super) fn of(ego: &EgoState, t_us: i64) -> Self {
+        let place = ego.position_m();
+        let (heading_rad, speed_mps) = (ego.heading_rad(), ego.speed_mps);
+        Self { t_us, x_m: place.x, y_m: place.y, heading_rad, speed_mps }
+    }
+
     /// Returns global x and y, meters.
     pub fn position_m(&self) -> DVec2 {
         DVec2::new(self.x_m, self.y_m)

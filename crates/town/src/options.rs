@@ -2,6 +2,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use point_skeleton::geometry::ImageSize;
+use point_skeleton::hash;
 
 /// Options of a town and of its recording. Text form:
 /// `seed=7,frames=40[,hz=5,beams=32,lidar_hz=10,size=450x800,light=day]` in any order; omitted keys take their
@@ -64,6 +65,13 @@ impl TownOptions {
     /// Returns the time from the first frame to the last, seconds.
     pub fn duration_s(&self) -> f64 {
         self.frames.saturating_sub(1) as f64 / self.hz
+    }
+
+    /// Returns the requested daylight, or the one that the seed selects.
+    pub fn light(&self) -> Daylight {
+        let chosen =
+            || Daylight::ALL[(hash::hash(self.seed, &[0x6c69]) % Daylight::ALL.len() as u64) as usize];
+        self.daylight.unwrap_or_else(chosen)
     }
 
     /// Validates the ranges of all values.

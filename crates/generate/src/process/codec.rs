@@ -4,8 +4,8 @@ use image::{Rgb, RgbImage};
 use point_skeleton::geometry::ImageSize;
 use pskel_sim::peer::ProtocolError;
 
-use super::Shared;
 use super::call::read_values;
+use super::connection::Shared;
 use super::hello::DenoiserOutputs;
 use super::message::{Answer, Values, message};
 use crate::{Codec, DenoiserError, Latent, LatentShape};

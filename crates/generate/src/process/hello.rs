@@ -1,7 +1,7 @@
 use point_skeleton::geometry::ImageSize;
 use pskel_sim::peer::ProtocolError;
 
-use super::MAX_ANSWER_BYTES;
+use super::connection::MAX_ANSWER_BYTES;
 use super::message::{Answer, message};
 use crate::{DenoiserError, LatentShape, Prediction, SamplerOptions};
 

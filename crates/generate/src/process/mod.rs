@@ -2,24 +2,23 @@
 
 mod call;
 mod codec;
+mod connection;
 mod hello;
 mod message;
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use point_skeleton::geometry::ImageSize;
-use pskel_sim::peer::{Framing, Link, PeerSpec, ProtocolError};
+use pskel_sim::peer::PeerSpec;
 
 use self::call::{read_prediction, request};
 use self::codec::ProcessCodec;
+use self::connection::Shared;
 use self::hello::{DenoiserInputs, DenoiserOutputs, hello, read_hello};
 use super::{
     Codec, Denoiser, DenoiserError, Frame, FrameConditions, GenerateOptions, Latent, LatentShape, PixelCodec,
 };
-
-/// Maximum length of an answer, bytes.
-const MAX_ANSWER_BYTES: u64 = 1 << 30;
 
 /// A network in another process, after the exchange of hellos. After a failure, all further calls fail; a
 /// [`Generator`](super::Generator) resumes from its cache with a new process.
@@ -29,23 +28,6 @@ pub struct ProcessDenoiser {
     given: DenoiserOutputs,
     /// Number of calls so far.
     calls: u64,
-}
-
-/// Connection to the process, shared with the codec.
-struct Shared(Mutex<Link>);
-
-impl Shared {
-    fn ask<T>(
-        &self,
-        message: Vec<u8>,
-        read: impl FnOnce(&[u8]) -> Result<T, ProtocolError>,
-    ) -> Result<T, DenoiserError> {
-        // The link stays valid if a thread panicked while holding the lock: it rejects calls after a failure
-        // itself.
-        let mut link = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let answer = link.ask(message)?;
-        Ok(read(&answer).map_err(|wrong| link.refuse(wrong))?)
-    }
 }
 
 impl ProcessDenoiser {
@@ -62,8 +44,7 @@ impl ProcessDenoiser {
         size: ImageSize,
     ) -> Result<Self, DenoiserError> {
         let taken = DenoiserInputs { window: options.window, views, size, sampler: options.sampler };
-        let link = Link::open("denoiser", spec, Framing::Lengths { max_bytes: MAX_ANSWER_BYTES })?;
-        let shared = Arc::new(Shared(Mutex::new(link)));
+        let shared = Arc::new(Shared::open(spec)?);
         let given = shared.ask(hello(&taken)?, |answer| read_hello(answer, &taken))?;
         Ok(Self { shared, taken, given, calls: 0 })
     }

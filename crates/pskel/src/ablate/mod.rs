@@ -1,10 +1,11 @@
 //! `pskel ablate`: ablation study of the generator. [`rows`] defines the variants, [`scene`] renders their inputs,
-//! [`run`] generates and scores one variant in a scene, [`report`] writes the results.
+//! [`run`] generates and scores one variant in a scene with the shared [`settings`], [`report`] writes the results.
 
 mod report;
 mod rows;
 mod run;
 mod scene;
+mod settings;
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -19,8 +20,9 @@ use pskel_network::Network;
 
 use self::report::Report;
 use self::rows::{Networks, Row, Table};
-use self::run::{RunResult, Settings};
+use self::run::RunResult;
 use self::scene::{Scene, SceneOptions};
+use self::settings::Settings;
 use super::log_args;
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;

@@ -155,7 +155,7 @@ fn cells(numbers: &BTreeMap<String, Option<MeanInterval>>) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::super::rows::Choice;
-    use super::super::run::{Origin, Settings};
+    use super::super::settings::{Origin, Settings};
     use super::*;
     use pskel_generate::{DroppedConditions, Strategy};
 

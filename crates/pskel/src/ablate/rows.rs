@@ -2,7 +2,7 @@ use clap::ValueEnum;
 use pskel_generate::{DroppedConditions, GenerateOptions, Guidance, SamplerOptions, Strategy};
 use pskel_network::Network;
 
-use super::run::{Origin, Settings};
+use super::settings::{Origin, Settings};
 use crate::WrongUsage;
 
 /// Variant of the generator.

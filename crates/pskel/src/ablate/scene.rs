@@ -15,7 +15,7 @@ use pskel_sim::{
 };
 use pskel_town::Town;
 
-use super::run::Settings;
+use super::settings::Settings;
 use crate::build;
 use crate::rasterizer::RasterizerArgs;
 use crate::stand_ins::SubstituteArgs;

@@ -12,7 +12,6 @@ use std::time::Instant;
 
 use anyhow::anyhow;
 use clap::Args;
-use point_skeleton::error::FileError;
 use point_skeleton::files::{check_output_file, write_json};
 use pskel_eval::{CollectedFeatures, RandomConvNet, RolloutScores, ScoredFrame, Scores};
 
@@ -69,7 +68,7 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         [generated, truth] => Some(features::distance(generated, truth)?),
         _ => None,
     };
-    let rollouts = open(&args.rollouts)?;
+    let rollouts = GeneratedRollout::open_all(&args.rollouts)?;
     let segmentors = Segmentors::new(&rollouts, &args.masks, &args.classifier_from, args.seed)?;
     let net = RandomConvNet::new(args.seed);
     let steps = rollouts.iter().map(|rollout| rollout.steps.len()).sum();
@@ -92,10 +91,6 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     let out = args.out.as_ref().map_or(String::new(), |out| format!(": {}", out.display()));
     say(&format!("{} in {seconds:.2} s{out}", report.summary()));
     Ok(())
-}
-
-fn open(folders: &[PathBuf]) -> Result<Vec<GeneratedRollout>, FileError> {
-    folders.iter().map(|folder| GeneratedRollout::open(folder)).collect()
 }
 
 fn score(

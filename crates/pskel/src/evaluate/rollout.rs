@@ -88,6 +88,11 @@ impl GeneratedRollout {
         Ok(Self { folder: folder.to_owned(), cameras, sizes, steps, references })
     }
 
+    /// Opens rollouts, in the order of their folders.
+    pub(super) fn open_all(folders: &[PathBuf]) -> Result<Vec<Self>, FileError> {
+        folders.iter().map(|folder| Self::open(folder)).collect()
+    }
+
     /// Reads the images and maps of a step.
     pub(super) fn read(&self, step: &Step) -> Result<Frame, FileError> {
         let class = self.maps(step, "class", picture::class)?;

@@ -85,7 +85,7 @@ impl Segmentors {
             halves(rollouts, &mut about)?
         } else {
             let mut trainer = PatchTrainer::new(options);
-            for rollout in super::open(from)? {
+            for rollout in GeneratedRollout::open_all(from)? {
                 learn(&mut trainer, &rollout, &rollout.steps)?;
             }
             about.images = vec![trainer.images()];

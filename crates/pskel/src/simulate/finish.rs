@@ -9,7 +9,8 @@ use pskel_sim::{Collision, EndReason, Metrics};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::output::{INDEX, METRICS, Output, PAGE, STATES, VIDEO, step_folder};
+use super::files::{INDEX, METRICS, PAGE, STATES, VIDEO, step_folder};
+use super::output::Output;
 
 /// Number of video images in memory at the same time.
 const PICTURES: usize = 16;

@@ -14,11 +14,8 @@ use pskel_sim::report::images::{self, GENERATED, TRUTH};
 use pskel_sim::report::{StepRow, view};
 use pskel_sim::{SavedState, Scenario, SimOptions, Simulation};
 
-use super::output::{STATE, step_folder};
+use super::files::{CACHE, STATE, step_folder};
 use crate::generator::{GenerationScene, OpenedNetwork};
-
-/// File of the generator state that is carried over to the next frame.
-pub(super) const CACHE: &str = "generator.safetensors";
 
 /// The generator and its latest images.
 pub(super) struct Generation<'a> {

@@ -1,8 +1,9 @@
 //! `pskel simulate`: [`args`] defines the options, [`rollout`] is the loop, [`generation`] generates images in it,
 //! [`output`] writes its steps on a separate thread, [`finish`] writes the summary files, [`profile`] records times,
-//! [`sources`] identifies the inputs, [`summary`] formats the last line.
+//! [`sources`] identifies the inputs, [`summary`] formats the last line, [`files`] has the file names.
 
 mod args;
+mod files;
 mod finish;
 mod generation;
 mod output;

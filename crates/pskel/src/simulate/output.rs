@@ -1,5 +1,5 @@
 use std::fs::create_dir_all;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 use point_skeleton::conditions::birdseye::{self, BirdseyeOptions, Trace};
@@ -14,21 +14,12 @@ use pskel_sim::{SavedState, SimOptions};
 use serde::Serialize;
 use serde_json::Value;
 
+use super::files::{FORECAST, INDEX, META, METRICS, PAGE, STATE, STATES, STEPS, VIDEO, step_folder};
 use super::generation::Images;
 use super::profile::{WriteTimes, lap};
 use super::sources::{Places, Sources};
 use crate::generator::GeneratorReport;
 use crate::stand_ins::StandInReport;
-
-pub(super) const STATES: &str = "states.jsonl";
-pub(super) const STEPS: &str = "steps";
-pub(super) const INDEX: &str = "index.json";
-pub(super) const METRICS: &str = "metrics.json";
-pub(super) const VIDEO: &str = "rollout.mp4";
-pub(super) const PAGE: &str = "index.html";
-const META: &str = "meta.json";
-pub(super) const STATE: &str = "state.json";
-pub(super) const FORECAST: &str = "forecast";
 
 /// Options and inputs of a rollout in `rollout.json` and `index.json`.
 #[derive(Clone, Debug, Serialize)]
@@ -78,11 +69,6 @@ pub(super) struct Output<'a> {
 pub(super) struct Earlier {
     pub(super) rows: Vec<StepRow>,
     pub(super) saved: SavedState,
-}
-
-/// Returns the folder of a step.
-pub(super) fn step_folder(folder: &Path, name: &str) -> PathBuf {
-    folder.join(STEPS).join(name)
 }
 
 /// A rollout to resume.

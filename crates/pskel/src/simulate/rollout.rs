@@ -18,9 +18,10 @@ use pskel_sim::report::images::TRUTH;
 use pskel_sim::report::{Phase, StateFile, StepObservations, StepRow, sight, view};
 use pskel_sim::{EndReason, Metrics, Simulation, StepOutcome, Waypoint, scene_state};
 
+use super::files::{CACHE, FORECAST, STATE, step_folder};
 use super::finish::TRACES;
-use super::generation::{CACHE, Generation};
-use super::output::{FORECAST, Job, Output, RolloutOptions, STATE, step_folder};
+use super::generation::Generation;
+use super::output::{Job, Output, RolloutOptions};
 use super::profile::{Profile, StepTimes, WriteTimes, lap};
 use crate::progress::Progress;
 
@@ -327,11 +328,10 @@ mod tests {
     use glam::{DMat3, DVec3};
 
     use super::*;
-    use crate::map_args::MapFormat;
     use crate::simulate::sources::Sources;
     use crate::stand_ins::StandInReport;
-    use point_skeleton::conditions::ConditionOptions;
     use point_skeleton::conditions::meta::PromptParts;
+    use point_skeleton::conditions::{ConditionOptions, MapFormat};
     use point_skeleton::dataset::{Frame, LogFormat, RigCamera};
     use point_skeleton::geometry::{Camera, Pose};
     use point_skeleton::raster::{

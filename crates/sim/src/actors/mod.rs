@@ -21,8 +21,8 @@ use serde::{Deserialize, Serialize};
 use self::idm::Follower;
 use self::leader::Others;
 use self::reactive::ReactiveActor;
-use super::clock::seconds;
 use super::recorded::Recorded;
+use super::time::seconds;
 use super::{ActorPolicy, EgoState, Instant, SimActor};
 
 /// Policies move only actors within this distance of the ego, meters.

@@ -3,7 +3,7 @@ use point_skeleton::geometry::{Polyline, wrap_angle};
 
 use super::profile::Profile;
 use crate::Waypoint;
-use crate::clock::seconds;
+use crate::time::seconds;
 
 /// Time-parameterized path of the ego from the takeover on; it continues straight beyond its end.
 #[derive(Clone, Debug)]

@@ -1,13 +1,11 @@
 //! Policies of the ego after the warm-up: each computes a plan from the committed state.
 
 mod course;
+mod given_path;
 mod lane_change;
-mod local_path;
 mod preset;
 mod profile;
 mod smooth;
-
-pub use local_path::{LocalPath, LocalPathError};
 
 use std::path::PathBuf;
 
@@ -16,8 +14,8 @@ use self::preset::Preset;
 use super::clock::Clock;
 use super::external::Planner;
 use super::recorded::Recorded;
-use super::simulation::World;
-use super::{EgoPolicy, EgoState, SimError, SimOptions, Trajectory, Waypoint};
+use super::world::World;
+use super::{EgoPolicy, SimError, SimOptions, Trajectory, Waypoint};
 
 /// Horizon of built-in plans: 22 waypoints at 0.1 s.
 const HORIZON_US: i64 = 2_200_000;
@@ -50,7 +48,7 @@ impl Driver {
                 Self::Course(start().and_then(|ego| lane_change::course(recorded, takeover_us, &ego)))
             }
             EgoPolicy::File(path) => {
-                Self::Course(start().and_then(|ego| local_path::course(path, takeover_us, &ego)))
+                Self::Course(start().and_then(|ego| given_path::course(path, takeover_us, &ego)))
             }
             EgoPolicy::External(spec) => {
                 Self::External(Box::new(Planner::start(spec, options, clock, recorded, step)?))
@@ -83,7 +81,7 @@ impl Driver {
                         break;
                     }
                 }
-                Ok(Some(Trajectory::new(waypoint(&now.ego, now.t_us), next)))
+                Ok(Some(Trajectory::new(Waypoint::of(&now.ego, now.t_us), next)))
             }
             Self::External(planner) => Ok(Some(planner.plan(recorded, clock, world)?)),
         }
@@ -95,11 +93,4 @@ impl Driver {
             planner.show(files);
         }
     }
-}
-
-/// Returns the ego's current state as a waypoint.
-pub(super) fn waypoint(ego: &EgoState, t_us: i64) -> Waypoint {
-    let place = ego.position_m();
-    let (heading_rad, speed_mps) = (ego.heading_rad(), ego.speed_mps);
-    Waypoint { t_us, x_m: place.x, y_m: place.y, heading_rad, speed_mps }
 }

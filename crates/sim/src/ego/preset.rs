@@ -2,7 +2,6 @@ use glam::DVec2;
 use point_skeleton::geometry::wrap_angle;
 
 use super::profile::Profile;
-use super::waypoint;
 use crate::{EgoState, Trajectory, Waypoint};
 
 /// Minimum speed of presets, meters per second.
@@ -33,7 +32,7 @@ pub(super) fn profile(speed_mps: f64) -> Profile {
 impl Preset {
     /// Returns the plan with index `plans` since the takeover (0 for the first): 22 waypoints at 0.1 s.
     pub(super) fn plan(self, ego: &EgoState, t_us: i64, plans: usize) -> Trajectory {
-        let now = waypoint(ego, t_us);
+        let now = Waypoint::of(ego, t_us);
         let profile = profile(ego.speed_mps);
         let time_s = |i: usize| (i as i64 * STEP_US) as f64 / 1e6;
         let way_m = |i: usize| profile.at(time_s(i)).way_m;

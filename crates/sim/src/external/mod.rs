@@ -9,7 +9,7 @@ use serde::Serialize;
 use self::protocol::{Hello, Observation, read_hello, read_plan};
 use super::clock::Clock;
 use super::recorded::Recorded;
-use super::simulation::World;
+use super::world::World;
 use super::{PlannerError, PlannerSpec, SimOptions, Trajectory};
 use crate::peer::{Framing, Link, ProtocolError};
 

@@ -5,11 +5,11 @@ use point_skeleton::dataset::{Class, TrafficLight};
 use point_skeleton::geometry::{Foot, wrap_angle};
 use serde::{Deserialize, Serialize};
 
-use crate::clock::{Clock, seconds};
-use crate::ego::waypoint;
+use crate::clock::Clock;
 use crate::peer::{ProtocolError, begin_of};
 use crate::recorded::Recorded;
-use crate::simulation::World;
+use crate::time::seconds;
+use crate::world::World;
 use crate::{
     EGO_SIZE_M, Instant, REAR_AXLE_TO_CENTER_M, SimActor, SimOptions, Trajectory, WHEELBASE_M, Waypoint,
 };
@@ -230,7 +230,7 @@ pub(super) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Tra
     if points.is_empty() || points.len() > MAX_WAYPOINTS {
         return Err(ProtocolError::new(format!("1 to {MAX_WAYPOINTS} waypoints"), points.len().to_string()));
     }
-    let start = waypoint(&now.ego, now.t_us);
+    let start = Waypoint::of(&now.ego, now.t_us);
     let mut next: Vec<Waypoint> = Vec::with_capacity(points.len());
     for (i, point) in points.iter().enumerate() {
         let to = placed(point, plan.frame, &start, i)?;

@@ -3,7 +3,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Range;
 use crate::EgoState;
-use crate::clock::seconds;
+use crate::time::seconds;
 
 /// nuPlan's comfort bounds.
 const LONGITUDINAL_MPS2: Range = Range { min: -4.05, max: 2.40 };

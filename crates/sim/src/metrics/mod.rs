@@ -3,11 +3,13 @@
 pub(super) mod collision;
 mod comfort;
 mod road;
+mod statistics;
 mod ttc;
 
 pub use collision::{Collision, CollisionKind};
 pub use comfort::Comfort;
 pub(super) use road::Road;
+pub use statistics::{Deviation, Range};
 
 use std::collections::BTreeSet;
 
@@ -16,10 +18,10 @@ use serde::{Deserialize, Serialize};
 
 use self::comfort::ComfortTally;
 use super::Instant;
-use super::clock::seconds;
 use super::recorded::Recorded;
 use super::route::Route;
-use super::simulation::World;
+use super::time::seconds;
+use super::world::World;
 
 /// Metrics of a rollout, from the takeover (or the start) on.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -57,34 +59,6 @@ pub struct OffRoad {
     pub instants: usize,
     /// Share of the footprint that was outside, 0 to 1: mean over all instants.
     pub share: f64,
-}
-
-/// Statistics of an absolute error, with its final signed value.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Deviation {
-    /// Mean absolute value over all instants.
-    pub mean: f64,
-    /// Maximum absolute value over all instants.
-    pub max: f64,
-    /// Signed value at the last instant.
-    pub end: f64,
-}
-
-/// Range of observed values.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Range {
-    /// Minimum.
-    pub min: f64,
-    /// Maximum.
-    pub max: f64,
-}
-
-impl Range {
-    /// Extends a range to include a value.
-    fn with(range: Option<Self>, value: f64) -> Self {
-        let range = range.unwrap_or(Self { min: value, max: value });
-        Self { min: range.min.min(value), max: range.max.max(value) }
-    }
 }
 
 /// Accumulator of the metrics.
@@ -154,14 +128,5 @@ impl MetricsAccumulator {
             comfort: self.comfort.figures(),
             min_time_to_collision_s: self.min_ttc_s,
         }
-    }
-}
-
-impl Deviation {
-    /// Adds the `count`th value.
-    fn add(&mut self, value: f64, count: usize) {
-        self.mean += (value.abs() - self.mean) / count as f64;
-        self.max = self.max.max(value.abs());
-        self.end = value;
     }
 }

@@ -2,33 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use glam::{DAffine3, DVec3};
+use glam::DVec3;
 use image::RgbImage;
-use point_skeleton::dataset::{Class, ImageRecord, PosedActor};
+use point_skeleton::dataset::{ImageRecord, PosedActor};
 use point_skeleton::geometry::{Pose, View};
-use point_skeleton::gpu::{Device, DeviceDesc};
 
-use super::{Town, TownError, limbs, seconds};
-use crate::mesh::Mesh;
-use crate::model::Body;
-use crate::view::{GroundTruthView, Light, MeshDraw, MeshRenderer};
-
-/// Renderer with all meshes on the device.
-pub(super) struct TownRenderer {
-    filmer: MeshRenderer,
-    light: Light,
-    /// Number of static meshes; they come first and are in the town's frame.
-    standing: usize,
-    bodies: BTreeMap<(Body, usize), usize>,
-}
-
-/// Actor in the town's frame.
-struct Figure {
-    actor: usize,
-    town_from_actor: Pose,
-    /// Number in the instance map; 0 for actors without a box.
-    number: u32,
-}
+use super::error::TownError;
+use super::record::seconds;
+use super::renderer::{Figure, TownRenderer};
+use super::town::Town;
+use crate::plan::Actor;
+use crate::view::GroundTruthView;
 
 impl Town {
     /// Renders views at a time: images and ground-truth maps. The views' world is the global frame. Instance numbers
@@ -92,7 +76,7 @@ impl Town {
     fn figures(&self, t_us: i64, tracks: &[usize]) -> Vec<Figure> {
         let numbers: BTreeMap<usize, u32> =
             (1..).zip(tracks).map(|(n, track)| (self.actors[*track], n)).collect();
-        let figure = |(index, actor): (usize, &super::Actor)| Figure {
+        let figure = |(index, actor): (usize, &Actor)| Figure {
             actor: index,
             town_from_actor: actor.motion.pose(seconds(t_us)),
             number: numbers.get(&index).copied().unwrap_or(0),
@@ -103,42 +87,17 @@ impl Town {
     fn film(&self, t_us: i64, figures: &[Figure], views: &[View]) -> Result<Vec<GroundTruthView>, TownError> {
         let mut film = self.film.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if film.is_none() {
-            *film = Some(self.start_film()?);
+            *film = Some(TownRenderer::new(self.meshes(), &self.options)?);
         }
         let Some(film) = film.as_mut() else { return Ok(Vec::new()) };
-        let still = |mesh| MeshDraw { mesh, town_from_mesh: DAffine3::IDENTITY, class: 0, instance: 0 };
-        let figure = |figure: &Figure| {
-            let actor = &self.plan.traffic.actors[figure.actor];
-            let limbs = limbs(actor.body, &actor.motion, seconds(t_us));
-            let class =
-                if figure.number > 0 { Class::from_category(actor.body.category()) } else { Class::None };
-            Some(MeshDraw {
-                mesh: *film.bodies.get(&(actor.body, limbs))?,
-                town_from_mesh: figure.town_from_actor.affine(),
-                class: class as u8,
-                instance: figure.number,
-            })
-        };
-        let draws: Vec<MeshDraw> =
-            (0..film.standing).map(still).chain(figures.iter().filter_map(figure)).collect();
         let views: Vec<View> = views.iter().map(|view| self.in_town(view)).collect();
-        Ok(film.filmer.film(&draws, &views, &film.light)?)
+        Ok(film.film(seconds(t_us), &self.plan.traffic.actors, figures, &views)?)
     }
 
     /// Returns the view with the town's frame as its world.
     fn in_town(&self, view: &View) -> View {
         let camera_from_world = view.camera_from_world * self.global_from_town.affine();
         View { camera: view.camera.clone(), camera_from_world }
-    }
-
-    fn start_film(&self) -> Result<TownRenderer, TownError> {
-        let meshes = self.meshes();
-        let device = Device::new(&DeviceDesc::from_env())?;
-        let all: Vec<&Mesh> = meshes.standing.iter().chain(meshes.bodies.values()).collect();
-        let standing = meshes.standing.len();
-        let bodies = meshes.bodies.keys().copied().zip(standing..).collect();
-        let light = Light::new(self.options.light(), self.options.seed);
-        Ok(TownRenderer { filmer: MeshRenderer::new(&device, &all)?, light, standing, bodies })
     }
 }
 

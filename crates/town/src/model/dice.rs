@@ -2,6 +2,8 @@
 
 use point_skeleton::hash::{hash, unit};
 
+use super::kind::BodyKind;
+
 /// Random sequence of a seed, or the typical value of every draw.
 #[derive(Clone, Debug)]
 pub(super) enum Dice {
@@ -13,7 +15,7 @@ pub(super) enum Dice {
 
 impl Dice {
     /// Creates the sequence of a body.
-    pub(super) fn new(kind: super::BodyKind, seed: u64) -> Self {
+    pub(super) fn new(kind: BodyKind, seed: u64) -> Self {
         Self::Seed(hash(seed, &[0xb0d1e5, kind as i64]), 0)
     }
 

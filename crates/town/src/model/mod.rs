@@ -13,6 +13,7 @@ mod curve;
 mod cyclist;
 mod dice;
 mod figure;
+mod kind;
 mod shell;
 mod surface;
 mod truck;
@@ -27,23 +28,8 @@ use rustc_hash::FxHashMap;
 use super::mesh::Mesh;
 use dice::Dice;
 use figure::Figure;
+pub use kind::BodyKind;
 pub use surface::{SurfacePoint, surface};
-
-/// Kind of a body.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[allow(missing_docs)]
-pub enum BodyKind {
-    Sedan,
-    Hatchback,
-    Suv,
-    Pickup,
-    Van,
-    Truck,
-    Bus,
-    Walker,
-    Cyclist,
-    Cone,
-}
 
 /// Body: a kind, and a seed that determines its proportions, colors and clothes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

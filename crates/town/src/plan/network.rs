@@ -232,11 +232,6 @@ impl Junction {
 }
 
 impl Network {
-    /// Generates the street network of a seed.
-    pub fn new(seed: u64) -> Self {
-        super::streets::network(seed)
-    }
-
     /// Returns the indices of a road's lanes, in the direction of its centerline and against it, each from the middle
     /// outward.
     pub fn lanes_of(&self, road: usize) -> [Vec<usize>; 2] {

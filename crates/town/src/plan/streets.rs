@@ -19,16 +19,18 @@ const STOP_LINE_M: f64 = 6.7;
 /// Minimum gap between the sidewalks of roads that do not meet, meters.
 const ROOM_M: f64 = 8.0;
 
-/// Generates the street network of a seed.
-pub(super) fn network(seed: u64) -> Network {
-    for attempt in 0..TRIES {
-        let mut random = Random::new(seed, "streets", attempt);
-        let bend = 1.0 - (attempt / 4) as f64 / (TRIES / 4) as f64;
-        if let Some(network) = fitting(&mut random, bend) {
-            return network;
+impl Network {
+    /// Generates the street network of a seed.
+    pub fn new(seed: u64) -> Self {
+        for attempt in 0..TRIES {
+            let mut random = Random::new(seed, "streets", attempt);
+            let bend = 1.0 - (attempt / 4) as f64 / (TRIES / 4) as f64;
+            if let Some(network) = fitting(&mut random, bend) {
+                return network;
+            }
         }
+        build(&mut Random::new(seed, "streets", TRIES), 0.0)
     }
-    build(&mut Random::new(seed, "streets", TRIES), 0.0)
 }
 
 fn fitting(random: &mut Random, bend: f64) -> Option<Network> {

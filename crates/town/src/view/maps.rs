@@ -17,8 +17,9 @@ use point_skeleton::gpu::{
 };
 
 use super::corners::{Corners, Part};
+use super::light::Light;
+use super::mesh_draw::MeshDraw;
 use super::shaders;
-use super::{Light, MeshDraw};
 use crate::mesh::Vertex;
 
 const FORMAT: vk::Format = vk::Format::D32_SFLOAT;

@@ -16,6 +16,7 @@ mod error;
 mod lens;
 mod light;
 mod maps;
+mod mesh_draw;
 mod shade;
 pub mod shaders;
 mod surfaces;
@@ -23,11 +24,11 @@ mod truth;
 
 pub use error::MeshRenderError;
 pub use light::Light;
+pub use mesh_draw::MeshDraw;
+pub use truth::GroundTruthView;
 
 use std::sync::Arc;
 
-use glam::DAffine3;
-use image::RgbImage;
 use point_skeleton::geometry::View;
 use point_skeleton::gpu::{Commands, Device};
 use point_skeleton::raster::StageTimes;
@@ -40,32 +41,6 @@ use self::shade::{Samples, ShadePass};
 use self::surfaces::SurfacePass;
 use self::truth::{Read, Scene};
 use super::mesh::Mesh;
-
-/// Ground truth of a view, row-major `height * width`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GroundTruthView {
-    /// sRGB image.
-    pub image: RgbImage,
-    /// Camera z at the pixel's centre, meters; `f32::INFINITY` for the sky.
-    pub depth_m: Vec<f32>,
-    /// [`MeshDraw::class`] at the pixel's centre, 0 for the sky.
-    pub class: Vec<u8>,
-    /// [`MeshDraw::instance`] at the pixel's centre, 0 for the sky.
-    pub instance: Vec<u32>,
-}
-
-/// Draw of a mesh at a pose.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MeshDraw {
-    /// Index of the mesh.
-    pub mesh: usize,
-    /// Pose of the mesh: rotation and translation, meters.
-    pub town_from_mesh: DAffine3,
-    /// Value in the class map.
-    pub class: u8,
-    /// Value in the instance map; 0 if it is not an instance.
-    pub instance: u32,
-}
 
 /// Renderer of resident meshes.
 pub struct MeshRenderer {

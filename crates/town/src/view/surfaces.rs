@@ -14,10 +14,10 @@ use point_skeleton::gpu::{
     Recorder, RenderPass, RenderPassDesc, Target, Topology, VertexBuffer, assert_layout,
 };
 
-use super::MeshDraw;
 use super::corners::Part;
 use super::lens::{Lens, NEAR_M, nearest_m};
 use super::maps::Triangles;
+use super::mesh_draw::MeshDraw;
 use super::shaders;
 use crate::mesh::Vertex;
 

@@ -1,4 +1,4 @@
-//! Conversion of device results to ground-truth maps.
+//! Ground truth of a view, converted from device results.
 
 use glam::{DAffine3, DMat3, DVec3};
 use image::RgbImage;
@@ -8,7 +8,20 @@ use rayon::prelude::*;
 
 use super::corners::Corners;
 use super::lens::NEAR_M;
-use super::{GroundTruthView, MeshDraw};
+use super::mesh_draw::MeshDraw;
+
+/// Ground truth of a view, row-major `height * width`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GroundTruthView {
+    /// sRGB image.
+    pub image: RgbImage,
+    /// Camera z at the pixel's centre, meters; `f32::INFINITY` for the sky.
+    pub depth_m: Vec<f32>,
+    /// [`MeshDraw::class`] at the pixel's centre, 0 for the sky.
+    pub class: Vec<u8>,
+    /// [`MeshDraw::instance`] at the pixel's centre, 0 for the sky.
+    pub instance: Vec<u32>,
+}
 
 /// Data read back for a tile, rows without padding.
 pub(super) struct Read<'a> {

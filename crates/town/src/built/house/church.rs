@@ -1,7 +1,8 @@
 use glam::{DVec2, DVec3};
 
-use super::facade::{FOOT_M, Opening, OpeningKind, panes};
-use super::{House, walls};
+use super::facade::FOOT_M;
+use super::openings::{Opening, OpeningKind, panes};
+use super::properties::{House, walls};
 use crate::built::sketch::{Wall, column, corners};
 use crate::mesh::{Mesh, Skin, Surface};
 

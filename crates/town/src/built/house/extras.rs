@@ -1,7 +1,20 @@
-use super::House;
-use super::facade::{Opening, OpeningKind, SHOPS, panes};
+use super::openings::{Opening, OpeningKind, panes};
+use super::properties::House;
 use crate::built::sketch::Wall;
 use crate::mesh::{Mesh, Skin, Surface};
+
+/// sRGB colors of shop signs and awnings.
+pub(super) const SHOPS: [[u8; 3]; 9] = [
+    [164, 36, 40],
+    [24, 84, 62],
+    [28, 60, 112],
+    [214, 160, 40],
+    [38, 38, 40],
+    [228, 222, 208],
+    [112, 40, 84],
+    [30, 120, 130],
+    [206, 96, 40],
+];
 
 /// Adds a door with a window above, a step, and for some houses a canopy.
 pub(super) fn door(mesh: &mut Mesh, wall: &Wall, hole: &Opening, house: &mut House) {

@@ -1,35 +1,13 @@
-use super::House;
-use super::extras::{awning, balcony, door, shop_sign};
-use crate::built::draw::Draw;
+use super::extras::{SHOPS, awning, balcony, door, shop_sign};
+use super::openings::{Opening, OpeningKind, panes};
+use super::properties::House;
 use crate::built::sketch::Wall;
 use crate::mesh::{Mesh, Skin, Surface};
 
 /// Depth of panes in the wall, meters.
 const RECESS_M: f64 = 0.13;
-/// Width of window frames, meters.
-const FRAME_M: f64 = 0.06;
-/// Color of glass; the shader adds the reflected sky and the room.
-const GLASS: [u8; 3] = [70, 84, 96];
 /// Depth of walls below the ground, meters.
 pub(super) const FOOT_M: f64 = 0.1;
-
-/// Opening in a wall.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Opening {
-    /// Left and right edges, meters along the wall.
-    pub(super) u: [f64; 2],
-    /// Lower and upper edges, meters above the ground.
-    pub(super) v: [f64; 2],
-    pub(super) kind: OpeningKind,
-}
-
-/// Kind of an opening.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum OpeningKind {
-    Window,
-    Shop,
-    Door,
-}
 
 /// Adds a facade towards a street: recessed windows, ground floor, mouldings and balconies.
 pub(super) fn street(mesh: &mut Mesh, wall: &Wall, house: &mut House, front: bool) {
@@ -155,19 +133,6 @@ fn ground_floor(mesh: &mut Mesh, wall: &Wall, house: &mut House, bays: usize, fr
     }
 }
 
-/// sRGB colors of shop signs and awnings.
-pub(super) const SHOPS: [[u8; 3]; 9] = [
-    [164, 36, 40],
-    [24, 84, 62],
-    [28, 60, 112],
-    [214, 160, 40],
-    [38, 38, 40],
-    [228, 222, 208],
-    [112, 40, 84],
-    [30, 120, 130],
-    [206, 96, 40],
-];
-
 /// Adds a storey of a wall, with openings from left to right.
 pub(super) fn row(
     mesh: &mut Mesh,
@@ -220,22 +185,6 @@ fn window(mesh: &mut Mesh, wall: &Wall, hole: &Opening, house: &mut House) {
         for u in [[u[0] - width, u[0]], [u[1], u[1] + width]] {
             wall.quad(mesh, [u[0] + 0.02, u[1] - 0.02], v, 0.04, skin);
         }
-    }
-}
-
-/// Adds the glass of a window as adjacent leaves; its pattern starts at the opening's lower left corner.
-pub(super) fn panes(mesh: &mut Mesh, wall: &Wall, hole: &Opening, out: f64, leaves: usize, draw: &mut Draw) {
-    let glass = Skin { rgb: GLASS, surface: Surface::Window, seed: draw.seed() as u32 & 0xff_ffff };
-    let local = wall.moved(hole.u[0], hole.v[0], 0.0);
-    let (width, height) = (hole.u[1] - hole.u[0], hole.v[1] - hole.v[0]);
-    for leaf in 0..leaves {
-        let part = |k: usize| width * k as f64 / leaves as f64;
-        let frame = FRAME_M.min(0.2 * width);
-        let u = [
-            part(leaf) + frame * if leaf == 0 { 1.0 } else { 0.5 },
-            part(leaf + 1) - frame * if leaf + 1 == leaves { 1.0 } else { 0.5 },
-        ];
-        local.quad(mesh, u, [frame, height - frame], out, glass);
     }
 }
 

@@ -1,6 +1,6 @@
 use glam::{DVec2, DVec3};
 
-use super::House;
+use super::properties::House;
 use crate::built::ground::flat;
 use crate::built::lots::{Lot, Use};
 use crate::built::plants::{Crown, bush};

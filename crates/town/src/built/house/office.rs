@@ -1,5 +1,7 @@
-use super::House;
-use super::facade::{FOOT_M, Opening, OpeningKind, panes};
+use super::extras::SHOPS;
+use super::facade::{self, FOOT_M};
+use super::openings::{Opening, OpeningKind, panes};
+use super::properties::House;
 use super::roof;
 use crate::built::lots::Side;
 use crate::built::sketch::Wall;
@@ -21,7 +23,7 @@ pub(super) fn office(mesh: &mut Mesh, house: &mut House) {
     let glassy = house.draw.chance(0.4);
     for (i, wall) in house.walls().into_iter().enumerate() {
         if house.sides[i] == Side::Party {
-            super::facade::blank(mesh, &wall, house);
+            facade::blank(mesh, &wall, house);
             continue;
         }
         let bars = (wall.length / MULLION_M).floor().max(1.0) as usize;
@@ -70,7 +72,7 @@ fn lobby(mesh: &mut Mesh, wall: &Wall, house: &mut House, bars: usize, front: bo
         let middle = wall.length / 2.0;
         wall.slab(mesh, [middle - 3.0, middle + 3.0], [2.9, 3.1], [0.0, 1.4], house.frame);
         let sign = Skin {
-            rgb: house.draw.pick(&super::facade::SHOPS),
+            rgb: house.draw.pick(&SHOPS),
             surface: Surface::Sign,
             seed: house.draw.seed() as u32 & 0xff_ffff,
         };

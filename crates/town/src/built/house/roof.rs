@@ -1,8 +1,7 @@
 use glam::DVec3;
 
-use super::House;
-use super::facade::{Opening, OpeningKind, panes};
-use super::walls;
+use super::openings::{Opening, OpeningKind, panes};
+use super::properties::{House, walls};
 use crate::built::lots::Side;
 use crate::built::sketch::Wall;
 use crate::mesh::{Mesh, Skin, Surface};

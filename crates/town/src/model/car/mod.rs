@@ -12,8 +12,9 @@ use glam::DVec3;
 use super::colors::{self, DARK, TRIM};
 use super::curve::{Corner, Curve};
 use super::dice::Dice;
+use super::kind::BodyKind;
 use super::shell::{Arch, Bed, End, Shell};
-use crate::mesh::{Mesh, Skin};
+use crate::mesh::Skin;
 use style::Style;
 
 /// Car with all its dimensions: meters, x forward from the middle of its length.
@@ -49,7 +50,7 @@ pub(super) struct Car {
 
 impl Car {
     /// Draws a car of a kind; other kinds give a sedan.
-    pub(super) fn new(kind: super::BodyKind, dice: &mut Dice) -> Self {
+    pub(super) fn new(kind: BodyKind, dice: &mut Dice) -> Self {
         let style = dice.pick(&style::of_kind(kind));
         let [length, height] = [dice.between(style.length), dice.between(style.height)];
         let mirror = dice.between([0.075, 0.105]);
@@ -184,12 +185,5 @@ fn shell(
         flare: style.flare,
         arches: vec![arch(front_axle), arch(rear_axle)],
         bed,
-    }
-}
-
-impl Car {
-    /// Returns its triangles, approximately of its size.
-    pub(super) fn mesh(&self) -> Mesh {
-        parts::mesh(self)
     }
 }

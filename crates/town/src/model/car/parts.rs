@@ -8,25 +8,27 @@ use crate::model::colors::{BLINKER, DARK, GLASS, HEAD_LAMP, PLATE, TAIL_LAMP, TR
 use crate::model::shell::row;
 use crate::model::wheel;
 
-/// Returns all parts, with smooth normals.
-pub(super) fn mesh(car: &Car) -> Mesh {
-    let mut edges: Vec<f64> = car.panes.iter().flatten().copied().collect();
-    edges.extend(car.windscreen.iter().chain(&car.rear_screen));
-    edges.extend([car.shell.front.x - car.lamps[0], car.shell.rear.x + car.lamps[1]]);
-    let stations = car.shell.stations(&edges);
-    let mut mesh = car.shell.hull(&stations, |x, row| hull_skin(car, x, row));
-    mesh.append(&car.shell.cap(true, |row, c| nose_skin(car, row, c)));
-    mesh.append(&car.shell.cap(false, |row, c| tail_skin(car, row, c)));
-    lines(car, &mut mesh);
-    mirror(car, &mut mesh);
-    wheel::under(&car.shell, car.wheel, (car.rim, car.spokes), &mut mesh);
-    if car.rails {
-        rail(car, &mut mesh);
+impl Car {
+    /// Returns its triangles, approximately of its size, with smooth normals.
+    pub(in crate::model) fn mesh(&self) -> Mesh {
+        let mut edges: Vec<f64> = self.panes.iter().flatten().copied().collect();
+        edges.extend(self.windscreen.iter().chain(&self.rear_screen));
+        edges.extend([self.shell.front.x - self.lamps[0], self.shell.rear.x + self.lamps[1]]);
+        let stations = self.shell.stations(&edges);
+        let mut mesh = self.shell.hull(&stations, |x, row| hull_skin(self, x, row));
+        mesh.append(&self.shell.cap(true, |row, c| nose_skin(self, row, c)));
+        mesh.append(&self.shell.cap(false, |row, c| tail_skin(self, row, c)));
+        lines(self, &mut mesh);
+        mirror(self, &mut mesh);
+        wheel::under(&self.shell, self.wheel, (self.rim, self.spokes), &mut mesh);
+        if self.rails {
+            rail(self, &mut mesh);
+        }
+        mesh.mirror_y();
+        plates(self, &mut mesh);
+        mesh.smooth(0.7);
+        mesh
     }
-    mesh.mirror_y();
-    plates(car, &mut mesh);
-    mesh.smooth(0.7);
-    mesh
 }
 
 fn hull_skin(car: &Car, x: f64, row: usize) -> Skin {

@@ -1,6 +1,6 @@
 //! Ranges of proportions of each car shape.
 
-use crate::model::BodyKind;
+use crate::model::kind::BodyKind;
 
 /// Ranges that a car's dimensions are drawn from: in meters, as shares of the length from the front, or as shares of
 /// the height.

@@ -3,7 +3,7 @@
 use glam::DVec2;
 use rustc_hash::FxHashMap;
 
-use super::lanes::JunctionPath;
+use super::junction_path::JunctionPath;
 use super::rect::Rect;
 use crate::plan::line::Path;
 

@@ -3,12 +3,10 @@
 use rustc_hash::FxHashMap;
 
 use super::clash;
+use super::junction_path::JunctionPath;
 use crate::plan::line::Path;
-use crate::plan::{JunctionKind, LaneKind, Network, Turn};
+use crate::plan::{LaneKind, Network, Turn};
 
-/// Distance from the end of a road's lane back to the stop position, meters: before a crossing, and before a bend.
-pub(super) const STOP_M: f64 = 7.0;
-const STOP_FREE_M: f64 = 0.5;
 /// Distance from a junction to beyond the crossing on the following road, meters.
 pub(super) const BEYOND_CROSSING_M: f64 = 6.0;
 
@@ -20,28 +18,6 @@ pub(super) struct Lanes<'a> {
     /// Data of each path through a junction; `None` for lanes of roads.
     pub(super) ways: Vec<Option<JunctionPath>>,
     clear_m: [FxHashMap<(usize, usize), f64>; 2],
-}
-
-/// Path through a junction.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct JunctionPath {
-    pub(super) junction: usize,
-    pub(super) kind: JunctionKind,
-    pub(super) turn: Turn,
-    /// Lanes before and after it.
-    pub(super) from: usize,
-    pub(super) to: usize,
-    /// Road that it comes from.
-    pub(super) road: usize,
-    /// Indices of the crossings before and after it.
-    pub(super) crossings: [Option<usize>; 2],
-}
-
-impl JunctionPath {
-    /// Returns the distance from the end of the lane before it back to the stop position, meters.
-    pub(super) fn stop_m(&self) -> f64 {
-        if self.kind == JunctionKind::Free { STOP_FREE_M } else { STOP_M }
-    }
 }
 
 impl<'a> Lanes<'a> {

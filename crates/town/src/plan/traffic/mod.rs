@@ -8,6 +8,7 @@
 
 mod bodies;
 mod clash;
+mod junction_path;
 mod lanes;
 mod park;
 mod pavement;

@@ -9,10 +9,6 @@ use point_skeleton::files::input::read_file;
 use point_skeleton::geometry::Polyline;
 use serde::Serialize;
 
-use super::course::Course;
-use super::preset;
-use crate::EgoState;
-
 /// Path of points for the ego: meters in the ego frame at the takeover, x forward, y to the left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalPath {
@@ -149,15 +145,4 @@ fn from_text(bytes: &[u8], path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
         }
     }
     Ok(points)
-}
-
-/// Returns the course along a path for an ego at the takeover, with the speeds of presets; `None` if the ego's pose
-/// is not finite.
-pub(super) fn course(path: &LocalPath, start_us: i64, ego: &EgoState) -> Option<Course> {
-    let forward = DVec2::from_angle(ego.heading_rad());
-    let global = |[x, y]: [f64; 2]| ego.position_m() + forward * x + forward.perp() * y;
-    let begin = std::iter::once([0.0; 2]).chain(path.points.iter().copied());
-    let way = Polyline::new(begin.map(global))?;
-    let headings_rad = Course::headings_of(&way);
-    Some(Course { start_us, way, headings_rad, profile: preset::profile(ego.speed_mps) })
 }

@@ -1,10 +1,27 @@
+//! State of the generator between two frames, and its file format.
+
 use std::collections::HashMap;
 use std::ops::RangeInclusive;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
 
-use super::{Cache, GenerateError, GenerateOptions, Latent, LatentShape, Strategy};
+use super::{GenerateError, GenerateOptions, Latent, LatentShape, Strategy};
+
+/// State that is carried from step to step. It depends on no forecast, except with [`Strategy::Rolling`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cache {
+    /// Number of the next frame.
+    pub next: usize,
+    /// Latents of the window: L frames, or the last L-1 finished frames before the first step and with strategies
+    /// that do not roll.
+    pub frames: Vec<Latent>,
+    /// Number of leading frames of the window that are finished and no longer updated: references, or the frames
+    /// that a new window began with.
+    pub references: usize,
+    /// Number of rolls in place after the end of all conditions; only with [`Strategy::Rolling`].
+    pub in_place: usize,
+}
 
 /// Numbers saved beside the latents, in the file metadata.
 #[derive(Serialize, Deserialize)]

@@ -1,0 +1,20 @@
+//! Names of the files in a rollout's folder and in the folders of its steps.
+
+use std::path::{Path, PathBuf};
+
+pub(super) const STATES: &str = "states.jsonl";
+pub(super) const STEPS: &str = "steps";
+pub(super) const INDEX: &str = "index.json";
+pub(super) const METRICS: &str = "metrics.json";
+pub(super) const VIDEO: &str = "rollout.mp4";
+pub(super) const PAGE: &str = "index.html";
+pub(super) const META: &str = "meta.json";
+pub(super) const STATE: &str = "state.json";
+pub(super) const FORECAST: &str = "forecast";
+/// File of the generator state that is carried over to the next frame.
+pub(super) const CACHE: &str = "generator.safetensors";
+
+/// Returns the folder of a step.
+pub(super) fn step_folder(folder: &Path, name: &str) -> PathBuf {
+    folder.join(STEPS).join(name)
+}

@@ -1,0 +1,152 @@
+//! Recording of a town: its plan, its log, and meshes and sweeps that are generated when they are requested.
+
+use std::sync::{Mutex, OnceLock};
+
+use glam::{DVec2, DVec3};
+use point_skeleton::dataset::nuscenes::MapLayers;
+use point_skeleton::dataset::{Log, Sweep, SweepRecord};
+use point_skeleton::geometry::Pose;
+use point_skeleton::hash;
+
+use super::error::TownError;
+use super::meshes::{Meshes, limbs};
+use super::record::{self, Recorded, Recorder, seconds};
+use super::renderer::TownRenderer;
+use super::{map, rig};
+use crate::TownOptions;
+use crate::lidar::{Lidar, Mover, Scanner, Turn};
+use crate::plan::{Actor, Plan};
+
+/// Recording of a drive through a town.
+pub struct Town {
+    pub(super) log: Log,
+    pub(super) options: TownOptions,
+    pub(super) plan: Plan,
+    pub(super) global_from_town: Pose,
+    /// For each of the log's tracks, its index in the plan's actors.
+    pub(super) actors: Vec<usize>,
+    meshes: OnceLock<Meshes>,
+    scanner: OnceLock<Scanner>,
+    pub(super) film: Mutex<Option<TownRenderer>>,
+}
+
+/// Name of the location, for maps.
+pub(super) const LOCATION: &str = "town";
+/// Margin between the map and the edges of its canvas, meters.
+const EDGE_M: f64 = 40.0;
+
+impl Town {
+    /// Plans a town and its recording; meshes, sweeps and images are not generated yet.
+    ///
+    /// # Errors
+    /// Returns an error if the options are out of range.
+    pub fn new(options: &TownOptions) -> Result<Self, TownError> {
+        options.check()?;
+        // Adds frames for the time before the first one.
+        let lead = (record::LEAD_S * options.hz).ceil() as usize;
+        let plan = Plan::new(&TownOptions { frames: options.frames + lead, ..*options });
+        let rig = rig::cameras(options.size)?;
+        let global_from_town = place(&plan, options.seed);
+        let recorder = Recorder { options, traffic: &plan.traffic, global_from_town, rig: &rig };
+        let Recorded { frames, tracks, actors } = recorder.record();
+        let log = Log {
+            name: name(options),
+            location: LOCATION.into(),
+            description: describe(options),
+            cameras: rig.iter().map(|rig| rig.camera.name.clone()).collect(),
+            rig,
+            tracks,
+            frames,
+            ..Log::default()
+        };
+        let (meshes, scanner, film) = Default::default();
+        Ok(Self { log, options: *options, plan, global_from_town, actors, meshes, scanner, film })
+    }
+
+    /// Returns the streets and the motion of all actors, in the town's frame.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Returns the log's name and the recording options that differ from the defaults: skeletons of two recordings
+    /// differ.
+    pub fn recording(&self) -> String {
+        let TownOptions { lidar_hz, beams, size: [height, width], .. } = self.options;
+        let usual = TownOptions::default();
+        let mut name = self.log.name.clone();
+        if beams != usual.beams {
+            name += &format!("-{beams}beams");
+        }
+        if lidar_hz != usual.lidar_hz {
+            name += &format!("-{lidar_hz}turns");
+        }
+        if [height, width] != usual.size {
+            name += &format!("-{height}x{width}");
+        }
+        name
+    }
+
+    /// Returns the pose of the town in the global frame.
+    pub fn global_from_town(&self) -> Pose {
+        self.global_from_town
+    }
+
+    /// Returns sidewalks, car parks and the other layers of nuScenes' maps beyond the [`VectorMap`], in the global
+    /// frame.
+    pub fn map_layers(&self) -> MapLayers {
+        map::vector_map(&self.plan.network, LOCATION, &self.global_from_town).1
+    }
+
+    pub(super) fn meshes(&self) -> &Meshes {
+        self.meshes.get_or_init(|| Meshes::new(&self.plan, self.options.seed))
+    }
+
+    pub(super) fn sweep<'a>(&'a self, record: &SweepRecord) -> Sweep {
+        let scanner = self.scanner.get_or_init(|| {
+            let meshes = self.meshes();
+            Scanner::new(&meshes.standing, &meshes.bodies)
+        });
+        let end_s = seconds(record.t_us);
+        let mover = |actor: &'a Actor| {
+            let limbs = limbs(actor.body, &actor.motion, end_s);
+            Mover { body: actor.body, limbs, motion: &actor.motion }
+        };
+        let movers: Vec<Mover<'a>> = self.plan.traffic.actors.iter().map(mover).collect();
+        let town_from_lidar = |t_s: f64| self.plan.traffic.ego.pose(t_s) * record.ego_from_lidar;
+        let lidar = Lidar::new(self.options.beams, self.options.lidar_hz);
+        let seed = Some(hash::hash(self.options.seed, &[record.t_us]));
+        let points = scanner.sweep(&Turn { lidar, end_s, town_from_lidar, movers: &movers, seed });
+        Sweep { points, ..Sweep::default() }
+    }
+}
+
+/// Returns `global_from_town`: rotated by an angle of the seed, with all streets at positive coordinates away from
+/// the edges.
+fn place(plan: &Plan, seed: u64) -> Pose {
+    let yaw = hash::between(seed, &[0x706c], 0.0, std::f64::consts::TAU);
+    let turned = Pose::from_yaw(yaw, DVec3::ZERO);
+    let roads =
+        plan.network.roads.iter().flat_map(|road| road.centerline.iter().map(|p| (*p, road.half_width_m)));
+    let corners = plan.network.junctions.iter().flat_map(|junction| &junction.outline).map(|p| (*p, 0.0));
+    let low =
+        roads.chain(corners).map(|(p, half_m)| turned.transform_point(p.extend(0.0)).truncate() - half_m);
+    let min = low.reduce(DVec2::min).unwrap_or(DVec2::ZERO);
+    Pose { translation: (DVec2::splat(EDGE_M) - min).extend(0.0), ..turned }
+}
+
+/// Returns the log's name, which identifies the drive: skeletons of different drives differ even with the same seed.
+/// Recording options (images, LiDAR) do not change the drive.
+fn name(options: &TownOptions) -> String {
+    let TownOptions { seed, frames, hz, .. } = options;
+    let rate = if *hz == TownOptions::default().hz { String::new() } else { format!("-{hz}hz") };
+    format!("town-{seed}-{frames}f{rate}-{}", options.light())
+}
+
+fn describe(options: &TownOptions) -> String {
+    let TownOptions { seed, hz, lidar_hz, beams, size: [height, width], .. } = options;
+    let light = options.light();
+    format!(
+        "A drive in a made town of seed {seed}, {light}, {hz} frames a second of {height}x{width} pixels, LiDAR of {beams} \
+         beams at {lidar_hz} Hz"
+    )
+}
