@@ -49,10 +49,10 @@ fn skeleton_maps_and_rollout_have_their_recorded_hashes() {
 }
 
 const RECORDED: [(&str, u64); 6] = [
-    ("skeleton", 0),
-    ("png", 0),
-    ("png --out-size 16x24", 0),
-    ("npz", 0),
-    ("npz --out-size 16x24", 0),
-    ("rollout", 0),
+    ("skeleton", 0xa928_c53e_b39a_a94c),
+    ("png", 0xc806_05d8_b1d5_f1d9),
+    ("png --out-size 16x24", 0x5cc5_3c34_fde0_f50e),
+    ("npz", 0x9a74_db71_1fb4_49ac),
+    ("npz --out-size 16x24", 0xc175_c1be_c350_2264),
+    ("rollout", 0x517f_711c_a7dc_8317),
 ];
