@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn double_precision_keeps_millimetres_at_utm_coordinates() {
+    fn double_precision_keeps_millimeters_at_utm_coordinates() {
         let row = Row { position: [664_430.123, 3_997_650.456, 606.789], ..ROW };
         let cloud = collect(true, &[row, row]).unwrap();
         let world =

@@ -34,5 +34,5 @@ pub use templates::{
 };
 pub use trajectory::Trajectories;
 
-/// Side of a background chunk, meters: `f32` offsets within it are exact to a few micrometres.
+/// Side of a background chunk, meters: `f32` offsets within it are exact to a few micrometers.
 pub const CHUNK_M: f64 = 32.0;

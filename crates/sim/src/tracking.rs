@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn circles_are_kept_within_a_decimetre() {
+    fn circles_are_kept_within_a_decimeter() {
         for (radius_m, speed_mps) in [(8.0, 4.0), (15.0, 6.0), (40.0, 10.0)] {
             // The wheels already have the angle for the bend.
             let steering_rad = (WHEELBASE_M / radius_m).atan();

@@ -283,7 +283,7 @@ fn a_journal_beside_a_log_is_an_error() {
 }
 
 #[test]
-fn a_map_is_read_into_metres() {
+fn a_map_is_read_into_meters() {
     let made = Made::new();
     let map = made.open().unwrap().read_map().unwrap().unwrap();
     assert_eq!(map.location, MAP);

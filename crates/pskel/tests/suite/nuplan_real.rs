@@ -160,7 +160,7 @@ fn lonely(of: &[[f64; 3]], among: &[[f64; 3]]) -> Vec<DVec3> {
 }
 
 #[test]
-fn background_points_are_within_two_millimetres_of_the_other_layout() {
+fn background_points_are_within_two_millimeters_of_the_other_layout() {
     let Some(folder) = folder() else { return };
     let (nuplan, nuscenes) = (open_nuplan(&folder), open_nuscenes(&folder));
     let scratch = tempfile::tempdir().unwrap();

@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn brakes_hold_two_metres() {
+    fn brakes_hold_two_meters() {
         for speed in [3.0, 8.0, 15.0] {
             let cruiser = ReactiveActor { cruise_mps: speed, curvature: 0.0 };
             let wall = actor(1, 80.0, 0.0, 0.0, 0.0);
