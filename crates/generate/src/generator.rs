@@ -73,7 +73,7 @@ impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
     /// there: the window then stays in place.
     ///
     /// # Errors
-    /// Returns an error if the network fails, or, with [`Strategy::Rolling`], if the forecasts end before the last
+    /// Returns an error if the network fails, or, with [`Strategy::Rolling`](crate::Strategy::Rolling), if the forecasts end before the last
     /// frame of the window. The cache is then unchanged.
     pub fn step(
         &mut self,

@@ -5,9 +5,9 @@
 //! and forecasts of the next steps, calls its [`Denoiser`] according to its [`Strategy`], and returns the finished
 //! latent of the step. A [`Codec`] decodes that latent into images. `schedule` and `sampler` define the noise
 //! levels and the denoising update. `window` computes the position of every frame of the window in its schedule,
-//! and `guidance` combines two predictions. Networks are exchangeable: [`network`] is a small transformer that
-//! [`train`] trains on recordings ([`TrainingClip`]), [`toy`] is a linear network for tests, and `process` calls a network
-//! in another process.
+//! and `guidance` combines two predictions. Networks are exchangeable: the crate `pskel-network` has a small
+//! transformer, which is trained on [`TrainingClip`]s, [`toy`] is a linear network for tests, and [`ProcessDenoiser`]
+//! calls a network in another process.
 
 pub mod toy;
 

@@ -1,4 +1,4 @@
-//! Training of the [`network`](super::network) on recordings ([`TrainingClip`](super::Drive)).
+//! Training of the [`Network`](crate::Network) on recordings ([`TrainingClip`](pskel_generate::TrainingClip)).
 //!
 //! # How it works
 //! A [`Trainer`] computes the statistics of the recordings (`statistics`) and fits the first guess to them

@@ -91,8 +91,8 @@ impl Town {
         self.global_from_town
     }
 
-    /// Returns sidewalks, car parks and the other layers of nuScenes' maps beyond the [`VectorMap`], in the global
-    /// frame.
+    /// Returns sidewalks, car parks and the other layers of nuScenes' maps beyond the
+    /// [`VectorMap`](point_skeleton::dataset::VectorMap), in the global frame.
     pub fn map_layers(&self) -> MapLayers {
         map::vector_map(&self.plan.network, LOCATION, &self.global_from_town).1
     }
