@@ -41,3 +41,12 @@ impl FileError {
         Self::Content { expected: expected.into(), found: found.into(), path: path.to_owned() }
     }
 }
+
+/// Formats an error with its causes, one per line, except causes that are already part of the text.
+pub fn with_causes(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(error.source(), |cause| cause.source());
+    causes.map(ToString::to_string).fold(error.to_string(), |text, cause| match text.contains(&cause) {
+        true => text,
+        false => format!("{text}\n  caused by: {cause}"),
+    })
+}

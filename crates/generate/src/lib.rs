@@ -52,7 +52,7 @@ pub use process::ProcessDenoiser;
 pub use recipe::{Recipe, RecipeError};
 pub use sampler::{Level, Sampler, SamplerOptions};
 pub use schedule::{Ddim, FlowMatch, Prediction};
-pub use session::{AnyDenoiser, Session, SessionError, SessionParts, SessionTimes};
+pub use session::{AnyDenoiser, Session, SessionError, SessionParts};
 pub use strategy::Strategy;
 pub use true_images::{GroundTruthImages, TrueImagesError};
 pub use window::{Progress, Roll};

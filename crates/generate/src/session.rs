@@ -4,6 +4,7 @@ use image::RgbImage;
 use point_skeleton::geometry::{ImageSize, Pose};
 use point_skeleton::raster::Rasterizer;
 use pskel_sim::report::images::StepImages;
+use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator};
 use pskel_sim::{Committed, Instant, Simulation};
 
 use super::{
@@ -43,22 +44,7 @@ pub struct Session<'a> {
     stage: SessionState,
     /// Ego pose at the previous planning step.
     before: Option<Pose>,
-    times: SessionTimes,
-}
-
-/// Durations of the parts of the last frame, seconds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-pub struct SessionTimes {
-    /// Rendering the committed instant as network input.
-    pub conditions_s: f64,
-    /// Rendering the forecasts.
-    pub forecasts_s: f64,
-    /// Getting the ground-truth images.
-    pub truth_s: f64,
-    /// The generator step with all its network calls.
-    pub network_s: f64,
-    /// Decoding the latent into images.
-    pub decode_s: f64,
+    times: GenerationTimes,
 }
 
 enum SessionState {
@@ -98,13 +84,6 @@ pub enum SessionError {
     },
 }
 
-impl SessionTimes {
-    /// Cost of a frame: all parts except the ground-truth images, which only serve for comparison.
-    pub fn total_s(&self) -> f64 {
-        self.conditions_s + self.forecasts_s + self.network_s + self.decode_s
-    }
-}
-
 impl<'a> Session<'a> {
     /// Starts a rollout.
     ///
@@ -118,10 +97,10 @@ impl<'a> Session<'a> {
             return Err(DenoiserError::Input { expected, found: gives.to_string() }.into());
         }
         let stage = SessionState::Warm { denoiser, kept: Vec::new() };
-        Ok(Self { parts, stage, before: None, times: SessionTimes::default() })
+        Ok(Self { parts, stage, before: None, times: GenerationTimes::default() })
     }
 
-    /// Resumes a rollout after `frames` planning steps. `last` are the last of these steps, as many as the window
+    /// Resumes a rollout after `frames` planning steps, before the first call of [`Session::step`]. `last` are the last of these steps, as many as the window
     /// has frames or all if there are fewer. `cache` is the cache after the last step, if frames were generated
     /// already.
     ///
@@ -129,12 +108,12 @@ impl<'a> Session<'a> {
     /// Returns an error if the number of steps differs, or if the cache is missing or of another frame. Also
     /// returns the errors of [`Session::step`].
     pub fn resume(
-        mut self,
+        &mut self,
         frames: usize,
         last: &[Committed<Instant>],
         cache: Option<Cache>,
         rasterizer: &mut dyn Rasterizer,
-    ) -> Result<Self, SessionError> {
+    ) -> Result<(), SessionError> {
         let wrong = |expected: String, found: String| SessionError::Resume { expected, found };
         let (references, window) = (self.parts.options.references(), self.parts.options.window);
         let needed = frames.min(window);
@@ -153,7 +132,7 @@ impl<'a> Session<'a> {
             shown.push(drawn.map(|drawn| drawn.conditions));
         }
         if !begun {
-            return Ok(self);
+            return Ok(());
         }
         let cache = cache.ok_or_else(|| wrong("the cache of the generator".to_owned(), "none".to_owned()))?;
         if cache.next != frames {
@@ -167,7 +146,7 @@ impl<'a> Session<'a> {
         let noise = GaussianNoise { seed: self.parts.seed };
         let generator = Generator::resume(denoiser, noise, self.parts.options, cache, shown)?;
         self.stage = SessionState::Going(Box::new(generator));
-        Ok(self)
+        Ok(())
     }
 
     /// Generates the frame of the last committed instant; `None` between planning steps.
@@ -199,7 +178,7 @@ impl<'a> Session<'a> {
         rasterizer: &mut dyn Rasterizer,
     ) -> Result<StepImages, SessionError> {
         let mut clock = Clock::now();
-        let mut times = SessionTimes::default();
+        let mut times = GenerationTimes::default();
         let drawn = self.draw(simulation.committed(), rasterizer)?;
         times.conditions_s = lap(&mut clock);
         let references = self.parts.options.references();
@@ -221,11 +200,6 @@ impl<'a> Session<'a> {
         times.decode_s = lap(&mut clock);
         self.times = times;
         Ok(StepImages { is_reference: false, images, truth })
-    }
-
-    /// Durations of the last frame.
-    pub fn times(&self) -> SessionTimes {
-        self.times
     }
 
     /// State for the next step, once frames are generated.
@@ -286,6 +260,43 @@ impl<'a> Session<'a> {
     }
 }
 
+impl ImageGenerator for Session<'_> {
+    fn generate(
+        &mut self,
+        simulation: &Simulation<'_>,
+        rasterizer: &mut dyn Rasterizer,
+    ) -> Result<Option<StepImages>, AnyError> {
+        Ok(self.step(simulation, rasterizer)?)
+    }
+
+    fn times(&self) -> GenerationTimes {
+        self.times
+    }
+
+    fn save(&self) -> Result<Option<Vec<u8>>, AnyError> {
+        Ok(self.cache().map(Cache::to_bytes).transpose()?)
+    }
+
+    fn resume(
+        &mut self,
+        frames: usize,
+        last: &[Committed<Instant>],
+        saved: Option<&[u8]>,
+        rasterizer: &mut dyn Rasterizer,
+    ) -> Result<(), AnyError> {
+        let cache = saved.map(Cache::from_bytes).transpose()?;
+        Ok(self.resume(frames, last, cache, rasterizer)?)
+    }
+
+    fn window(&self) -> usize {
+        self.parts.options.window
+    }
+
+    fn has_truth(&self) -> bool {
+        self.has_truth()
+    }
+}
+
 /// Returns the seconds since `since`, and sets it to now.
 fn lap(since: &mut Clock) -> f64 {
     let now = Clock::now();
@@ -293,182 +304,4 @@ fn lap(since: &mut Clock) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::cell::Cell;
-    use std::path::{Path, PathBuf};
-
-    use glam::{DMat3, DVec3};
-
-    use super::*;
-    use crate::{Frame, Guidance, LatentShape, PixelCodec, Recipe, SamplerOptions, Strategy};
-    use point_skeleton::dataset::{
-        Dataset, DatasetError, Frame as LogFrame, ImageRecord, Log, LogFormat, RigCamera, Sweep, SweepRecord,
-    };
-    use point_skeleton::error::FileError;
-    use point_skeleton::geometry::Camera;
-    use point_skeleton::raster::{self, RasterizerDesc, RasterizerKind};
-    use point_skeleton::scene::SceneClouds as Clouds;
-    use point_skeleton::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
-    use pskel_sim::{Scenario, SimOptions};
-
-    const SIZE: ImageSize = ImageSize { height: 4, width: 8 };
-    const SHAPE: LatentShape = LatentShape { views: 1, channels: 12, height: 2, width: 4 };
-
-    /// Log of one second at 10 frames per second, with gray images.
-    struct Grey(Log);
-
-    impl Grey {
-        fn new() -> Self {
-            let intrinsics = DMat3::from_cols(DVec3::X * 8.0, DVec3::Y * 8.0, DVec3::new(8.0, 4.0, 1.0));
-            let camera =
-                Camera { name: "c".parse().unwrap(), width: 16, height: 8, intrinsics, distortion: None };
-            let frame = |i: i64| {
-                let (t_us, global_from_ego) = (i * 100_000, Pose::from_yaw(0.0, DVec3::X * i as f64));
-                let image = ImageRecord {
-                    channel: 0,
-                    path: PathBuf::new(),
-                    t_us,
-                    global_from_ego,
-                    ego_from_camera: Pose::IDENTITY,
-                    camera: camera.clone(),
-                };
-                let (sweeps, between_images, boxes) = Default::default();
-                LogFrame { t_us, global_from_ego, sweeps, images: vec![image], between_images, boxes }
-            };
-            let frames: Vec<LogFrame> = (0..=10).map(frame).collect();
-            let rig = RigCamera::first_used(&frames);
-            Self(Log {
-                name: "grey".into(),
-                cameras: vec!["c".parse().unwrap()],
-                rig,
-                frames,
-                ..Log::default()
-            })
-        }
-    }
-
-    impl Dataset for Grey {
-        fn log(&self) -> &Log {
-            &self.0
-        }
-
-        fn read_sweep(&self, _: &SweepRecord) -> Result<Sweep, DatasetError> {
-            Ok(Sweep::default())
-        }
-
-        fn read_image(&self, record: &ImageRecord) -> Result<RgbImage, DatasetError> {
-            Ok(RgbImage::from_pixel(record.camera.width, record.camera.height, image::Rgb([128; 3])))
-        }
-    }
-
-    /// Denoiser that leaves frames unchanged.
-    struct Still;
-
-    impl Denoiser for Still {
-        type Condition = FrameConditions;
-
-        fn shape(&self) -> LatentShape {
-            SHAPE
-        }
-
-        fn predict(&mut self, window: &[Frame<'_, FrameConditions>]) -> Result<Vec<Latent>, DenoiserError> {
-            Ok(vec![Latent::filled(SHAPE, 0.0); window.len()])
-        }
-    }
-
-    /// Codec that fails once, after `calls_before` calls.
-    struct FailsOnce {
-        codec: PixelCodec,
-        calls_before: Cell<Option<usize>>,
-    }
-
-    impl FailsOnce {
-        fn call(&self) -> Result<(), DenoiserError> {
-            let left = self.calls_before.get();
-            self.calls_before.set(left.and_then(|left| left.checked_sub(1)));
-            if left == Some(0) { Err(DenoiserError::answer("images", "none")) } else { Ok(()) }
-        }
-    }
-
-    impl Codec for FailsOnce {
-        fn shape(&self) -> LatentShape {
-            self.codec.shape()
-        }
-
-        fn encode(&self, images: &[RgbImage]) -> Result<Latent, DenoiserError> {
-            self.call().and_then(|()| self.codec.encode(images))
-        }
-
-        fn decode(&self, latent: &Latent) -> Result<Vec<RgbImage>, DenoiserError> {
-            self.call().and_then(|()| self.codec.decode(latent))
-        }
-    }
-
-    fn nothing(path: &Path) -> Skeleton {
-        let fill = |writer: &mut SkeletonWriter| {
-            writer.finish(Vec::new(), BuildOptions::default(), BuildReport::default())
-        };
-        SkeletonWriter::write::<FileError>(path, fill).unwrap();
-        Skeleton::open(path).unwrap()
-    }
-
-    fn parts<'a>(drive: &'a Grey, stage: &'a Clouds<'a>, calls_before: Option<usize>) -> SessionParts<'a> {
-        let recipe = Recipe { drawn: ImageSize { height: 8, width: 16 }, size: SIZE, ..Recipe::default() };
-        let codec = PixelCodec::new(SHAPE).unwrap();
-        SessionParts {
-            conditioner: Conditioner::new(&drive.0, None, stage, &recipe, ""),
-            truth: GroundTruthImages::new(drive),
-            ego_follows_log: true,
-            actors_follow_log: true,
-            codec: Box::new(FailsOnce { codec, calls_before: Cell::new(calls_before) }),
-            size: SIZE,
-            options: GenerateOptions {
-                window: 2,
-                steps: 2,
-                clean: 0,
-                strategy: Strategy::ResetAndRoll,
-                sampler: SamplerOptions::default(),
-                guidance: Guidance::default(),
-            },
-            seed: 0,
-        }
-    }
-
-    /// It stays failed even if a retry could succeed: the retry would be of another frame, or without ego motion.
-    #[test]
-    fn a_session_that_failed_makes_no_step() {
-        let (drive, folder) = (Grey::new(), tempfile::tempdir().unwrap());
-        let skeleton = nothing(&folder.path().join("sk"));
-        let stage = Clouds::new(&skeleton, "grey").unwrap();
-        let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
-        let mut rasterizer = raster::create(&desc, stage.cloud_set()).unwrap();
-        // The reference is encoded, all later frames are decoded.
-        for (calls_before, made_before) in [(None, 5), (Some(0), 0), (Some(1), 1), (Some(2), 2)] {
-            let scenario = Scenario::new(&drive.0, None, LogFormat::Town);
-            let options = SimOptions { steps: 9, ..SimOptions::default() };
-            let mut simulation = Simulation::new(&scenario, options).unwrap();
-            let mut session = Session::new(parts(&drive, &stage, calls_before), Box::new(Still)).unwrap();
-            let (mut made, mut errors) = (0, Vec::new());
-            loop {
-                for _attempt in 0..2 {
-                    match session.step(&simulation, rasterizer.as_mut()) {
-                        Ok(frame) => {
-                            made += usize::from(frame.is_some());
-                            break;
-                        }
-                        Err(error) => errors.push(error),
-                    }
-                }
-                if simulation.step().unwrap().is_none() {
-                    break;
-                }
-            }
-            assert_eq!((made, errors.is_empty()), (made_before, calls_before.is_none()));
-            if let Some((first, others)) = errors.split_first() {
-                assert!(matches!(first, SessionError::Codec(_)), "{first}");
-                assert!(others.iter().all(|error| matches!(error, SessionError::Failed)), "{others:?}");
-                assert!(others.len() > 2 && session.cache().is_none());
-            }
-        }
-    }
-}
+mod tests;

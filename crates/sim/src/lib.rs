@@ -14,6 +14,7 @@
 
 pub mod peer;
 pub mod report;
+pub mod rollout;
 
 mod actors;
 mod clock;

@@ -67,6 +67,21 @@ pub enum EgoPolicy {
     External(PlannerSpec),
 }
 
+impl EgoPolicy {
+    /// Returns the name of the policy in files, like `lane_change`.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Replay => "replay",
+            Self::Straight => "straight",
+            Self::RightThenBack => "right_then_back",
+            Self::Cosine => "cosine",
+            Self::LaneChange => "lane_change",
+            Self::File(_) => "file",
+            Self::External(_) => "external",
+        }
+    }
+}
+
 /// Tracking of a plan by the ego.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -90,6 +105,17 @@ pub enum ActorPolicy {
     Idm,
     /// Vehicles, cycles and pedestrians near the ego maintain speed and curvature and brake for obstacles ahead.
     Reactive,
+}
+
+impl ActorPolicy {
+    /// Returns the name of the policy in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Replay => "replay",
+            Self::Idm => "idm",
+            Self::Reactive => "reactive",
+        }
+    }
 }
 
 /// Simulation and planning rates.

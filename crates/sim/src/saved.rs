@@ -1,7 +1,10 @@
 use std::collections::BTreeSet;
+use std::path::Path;
 
 use glam::{DQuat, DVec3};
 use point_skeleton::dataset::Log;
+use point_skeleton::error::FileError;
+use point_skeleton::files::input::read_table;
 use point_skeleton::geometry::{Cuboid, Foot, Pose};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -94,6 +97,16 @@ impl SavedState {
             plan: saved.plan.as_ref().map(|plan| plan.get().clone()),
             tally: saved.tally.clone(),
         }
+    }
+
+    /// Reads the state of a step from `state.json`.
+    ///
+    /// # Errors
+    /// Fails if the file is missing or is not a saved state.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let text = read_table(path)?;
+        serde_json::from_slice(&text)
+            .map_err(|error| FileError::content("a saved state", error.to_string(), path))
     }
 
     /// Returns the number of steps from the start to the saved state.

@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::scene::frame_rate_hz;
+use pskel_sim::rollout::ResumeAfter;
 use pskel_sim::{
     ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
 };
@@ -257,6 +258,12 @@ impl SimulateArgs {
         [self.annotations.as_deref(), self.policies.trajectory.as_deref(), weights].into_iter().flatten()
     }
 
+    /// Returns the step after which to continue an earlier rollout.
+    pub(super) fn resume_after(&self) -> Option<ResumeAfter> {
+        let step = self.resume_from.map(ResumeAfter::Step);
+        step.or(self.resume.then_some(ResumeAfter::Last))
+    }
+
     /// Returns the number of planning steps to forecast and render at each planning step.
     pub(super) fn forecast_steps(&self) -> usize {
         if self.forecast_maps { self.forecast } else { 0 }
@@ -289,20 +296,6 @@ impl SimulateArgs {
     /// Returns whether steps are the log's own frames, as in `pskel generate`.
     pub(super) fn is_open_loop(&self) -> bool {
         self.frames.is_some()
-    }
-
-    /// Returns the name of the ego's policy.
-    pub(super) fn ego_name(&self) -> &'static str {
-        self.policies.ego.name()
-    }
-
-    /// Returns the name of the other actors' policy.
-    pub(super) fn actors_name(&self) -> &'static str {
-        match self.policies.actors {
-            ActorName::Replay => "replay",
-            ActorName::Idm => "idm",
-            ActorName::Reactive => "reactive",
-        }
     }
 
     /// Returns the simulation options; reads the trajectory. The warm-up has at least the `window` frames of a

@@ -1,58 +1,45 @@
 //! Last line of a rollout: its results, then its times.
 
 use point_skeleton::raster::RasterizerInfo;
-use pskel_sim::report::StepRow;
+use pskel_sim::rollout::RolloutReport;
 use pskel_sim::{Comfort, EndReason, Metrics, Range};
 
-use super::SimulateArgs;
-use super::finish::Outcome;
-use super::profile::Profile;
-
-pub(super) fn summary(
-    args: &SimulateArgs,
-    outcome: &Outcome,
-    rows: &[StepRow],
-    profile: &Profile,
-    info: &RasterizerInfo,
-) -> String {
-    let steps = rows.len().saturating_sub(1);
-    let ended = match outcome.ended {
-        Some(EndReason::LogEnded) => format!(" of {} (the log ended)", args.steps),
-        _ => String::new(),
-    };
-    let notes = outcome.notes.iter().map(|(note, count)| format!("{count} x {note}"));
-    // The ego of a replayed log has no results.
-    let results = (!args.is_open_loop()).then(|| results(&outcome.metrics));
-    let told: Vec<String> = results
-        .into_iter()
-        .chain(beyond_log(outcome.steps_beyond_log))
-        .chain(notes)
-        .chain([profile.summary()])
-        .collect();
-    if args.is_open_loop() {
-        let (by, device) = (&info.rasterizer, &info.device);
-        return format!("replayed {} frames by {by} on {device}: {}", rows.len(), told.join("; "));
-    }
-    format!(
-        "simulated {steps} steps{ended}, ego {}, actors {}, by {} on {}: {}",
-        args.ego_name(),
-        args.actors_name(),
-        info.rasterizer,
-        info.device,
-        told.join("; "),
-    )
+/// The rollout as it was planned.
+pub(super) struct Planned {
+    pub(super) steps: usize,
+    /// Policy of the ego.
+    pub(super) ego: &'static str,
+    /// Policy of the other actors.
+    pub(super) actors: &'static str,
+    /// Whether steps are the log's own frames.
+    pub(super) is_open_loop: bool,
 }
 
-/// Returns a note on steps after the end of the log; `None` if there are none.
-pub(super) fn beyond_log(steps: usize) -> Option<String> {
-    let lie = match steps {
-        0 => return None,
-        1 => "1 step lies".to_owned(),
-        _ => format!("{steps} steps lie"),
+/// Formats the line.
+pub(super) fn summary(planned: &Planned, report: &RolloutReport, info: &RasterizerInfo) -> String {
+    let RasterizerInfo { rasterizer, device, .. } = info;
+    let notes = report.notes.iter().map(|(note, count)| format!("{count} x {note}"));
+    let parts = report.note_beyond_log().into_iter().chain(notes).chain([report.profile.summary()]);
+    // The ego of a replayed log has no results.
+    if planned.is_open_loop {
+        let parts: Vec<String> = parts.collect();
+        return format!(
+            "replayed {} frames by {rasterizer} on {device}: {}",
+            report.rows.len(),
+            parts.join("; ")
+        );
+    }
+    let parts: Vec<String> = [results(&report.metrics)].into_iter().chain(parts).collect();
+    let steps = report.rows.len().saturating_sub(1);
+    let ended = match report.ended {
+        Some(EndReason::LogEnded) => format!(" of {} (the log ended)", planned.steps),
+        _ => String::new(),
     };
-    Some(format!(
-        "{lie} beyond the end of the log: nobody is left there but actors that a policy has taken over"
-    ))
+    let Planned { ego, actors, .. } = planned;
+    format!(
+        "simulated {steps} steps{ended}, ego {ego}, actors {actors}, by {rasterizer} on {device}: {}",
+        parts.join("; ")
+    )
 }
 
 /// Formats collisions, comfort and deviation from the recorded path.
@@ -120,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn results_are_told_in_short() {
+    fn results_are_short() {
         let smooth = "; comfortable; at most 0.46 m and 5.7 degrees off the recorded path";
         for (faults, begin) in [
             (&[][..], "0 collisions"),
@@ -141,12 +128,5 @@ mod tests {
             comfort(&rough),
             "not comfortable (-5.1 to 1.0 m/s\u{b2} along, 2.0 m/s\u{b2} across, jerk 9.0 m/s\u{b3}, yaw rate 0.50 rad/s)"
         );
-    }
-
-    #[test]
-    fn steps_beyond_the_log_are_counted() {
-        assert_eq!(beyond_log(0), None);
-        assert!(beyond_log(1).unwrap().starts_with("1 step lies beyond the end of the log: "));
-        assert!(beyond_log(28).unwrap().starts_with("28 steps lie beyond the end of the log: "));
     }
 }

@@ -24,17 +24,17 @@ fn a_rollout_goes_on_with_what_it_was_begun_with_only() {
     log.succeed(&args("--annotations sunny.json", "--steps 8"));
     let more = "--steps 9 --resume";
     // Another prompt, or none.
-    let expected = ["expected the prompt that out/rollout.json tells", "Sunny", "Rainy", ": rainy.json"];
+    let expected = ["expected the prompt of out/rollout.json", "Sunny", "Rainy", ": rainy.json"];
     refused(&log, &args("--annotations rainy.json", more), &expected);
     refused(&log, &args("", more), &["Sunny", "found {\"city\":null,\"weather\":null}"]);
     // Another skeleton of the same log.
     log.succeed("build nuscenes:log --out coarse --voxel 0.5");
     let coarse = args("--annotations sunny.json", more).replace("--skeleton sk", "--skeleton coarse");
-    refused(&log, &coarse, &["expected the skeleton that out/rollout.json tells", " points ", ": coarse\n"]);
+    refused(&log, &coarse, &["expected the skeleton of out/rollout.json", " points ", ": coarse\n"]);
     // Another log of the same name: one actor has another position.
     log.change("sample_annotation", "/1/translation/1", json!(3_997_005.0));
     let sunny = args("--annotations sunny.json", more);
-    refused(&log, &sunny, &["expected the frames that out/rollout.json tells", "3 frames from", ": log\n"]);
+    refused(&log, &sunny, &["expected the frames of out/rollout.json", "3 frames from", ": log\n"]);
     log.change("sample_annotation", "/1/translation/1", json!(3_997_004.0));
     // Identical inputs at other paths are accepted.
     std::fs::rename(log.path("sk"), log.path("moved")).unwrap();
@@ -48,7 +48,7 @@ fn fewer_steps_than_there_are_are_refused() {
     let log = built();
     let args = |rest: &str| format!("{SIMULATE} --maps depth --ego straight {rest}");
     log.succeed(&args("--steps 8"));
-    let parts = ["expected --steps of 8 or more to go on behind step 8, found 5", "states.jsonl"];
+    let parts = ["expected 8 steps or more to resume after step 8, found 5", "states.jsonl"];
     refused(&log, &args("--steps 5 --resume"), &parts);
     refused(&log, &args("--steps 5 --resume-from 6"), &["6 or more", "found 5"]);
     let summary = log.succeed(&args("--steps 8 --resume"));
@@ -90,7 +90,10 @@ fn what_a_rollout_came_to_is_told() {
     assert_eq!(log.json("out/metrics.json")["steps_beyond_log"], 0);
     // The log has 12 steps.
     let summary = log.succeed(&format!("{SIMULATE} --maps depth --steps 15 --ego straight"));
-    assert!(summary.contains("; 3 steps lie beyond the end of the log: nobody is left there"), "{summary}");
+    assert!(
+        summary.contains("; 3 steps lie beyond the end of the log: only actors under a policy"),
+        "{summary}"
+    );
     assert_eq!(log.json("out/metrics.json")["steps_beyond_log"], 3);
     let left: Vec<usize> =
         rows(&log, "out")[12..].iter().map(|row| row["actors"].as_array().unwrap().len()).collect();

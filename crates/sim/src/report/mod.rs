@@ -16,6 +16,10 @@ pub mod view;
 
 /// File that marks a folder as a rollout, and records its source and options.
 pub const ROLLOUT: &str = "rollout.json";
+/// File with a line per step in the folder of a rollout, see [`StateFile`].
+pub const STATES: &str = "states.jsonl";
+/// Folder of the steps in the folder of a rollout; each has a folder with its name, see [`StepRow::name`].
+pub const STEPS: &str = "steps";
 
 pub use row::{ActorRow, EgoRow, LightRow, Phase, StateFile, StepObservations, StepRow};
 pub use video::{MAX_SIDE_PX, Video, VideoError};

@@ -4,48 +4,19 @@ use std::time::Instant;
 
 use point_skeleton::conditions::birdseye::{self, BirdseyeOptions, Trace};
 use point_skeleton::conditions::meta::{FrameMeta, PromptParts};
-use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, MapFormat, sheet};
+use point_skeleton::conditions::{ConditionError, ConditionSet, sheet};
 use point_skeleton::error::FileError;
-use point_skeleton::files::input::{is_there, read_table};
 use point_skeleton::files::{OutputFolder, write_json};
-use point_skeleton::scene::{SceneState, SelectionOptions};
-use pskel_sim::report::{ROLLOUT, StateFile, StepRow, film, view};
-use pskel_sim::{SavedState, SimOptions};
-use serde::Serialize;
+use point_skeleton::scene::SceneState;
 use serde_json::Value;
 
-use super::files::{FORECAST, INDEX, META, METRICS, PAGE, STATE, STATES, STEPS, VIDEO, step_folder};
+use super::earlier::read_record;
+use super::files::{FORECAST, INDEX, META, METRICS, PAGE, ROLLOUT, SHEET, STATE, STATES, STEPS, VIDEO};
 use super::generation::Images;
+use super::options::RolloutRecord;
 use super::profile::{WriteTimes, lap};
-use super::sources::{Places, Sources};
-use crate::generator::GeneratorReport;
-use crate::stand_ins::StandInReport;
-
-/// Options and inputs of a rollout in `rollout.json` and `index.json`.
-#[derive(Clone, Debug, Serialize)]
-pub(super) struct RolloutOptions {
-    #[serde(flatten)]
-    pub(super) conditions: ConditionOptions,
-    #[serde(flatten)]
-    pub(super) selection: SelectionOptions,
-    #[serde(flatten)]
-    pub(super) stand_ins: StandInReport,
-    pub(super) format: MapFormat,
-    /// Number of planning steps to forecast and render at each planning step.
-    pub(super) forecast_steps: usize,
-    pub(super) sheets: bool,
-    pub(super) log: String,
-    pub(super) sources: Sources,
-    pub(super) simulation: SimOptions,
-    /// Simulation steps per second.
-    pub(super) sim_hz: f64,
-    /// Planning steps per second.
-    pub(super) plan_hz: f64,
-    /// Last step of the warm-up.
-    pub(super) takeover_step: usize,
-    /// Generator of images, if any.
-    pub(super) generator: Option<GeneratorReport>,
-}
+use crate::SavedState;
+use crate::report::{StateFile, StepRow, film, view};
 
 /// A step with all data to write.
 pub(super) struct Job {
@@ -61,64 +32,8 @@ pub(super) struct Job {
 /// Output folder of a rollout.
 pub(super) struct Output<'a> {
     pub(super) folder: &'a Path,
-    pub(super) options: &'a RolloutOptions,
+    pub(super) record: &'a RolloutRecord,
     pub(super) prompt: &'a PromptParts,
-}
-
-/// State of an earlier run.
-pub(super) struct Earlier {
-    pub(super) rows: Vec<StepRow>,
-    pub(super) saved: SavedState,
-}
-
-/// A rollout to resume.
-pub(super) struct Resumed<'a> {
-    pub(super) folder: &'a Path,
-    /// Step to resume after; `None` for the last one.
-    pub(super) until: Option<usize>,
-    /// Total number of steps.
-    pub(super) steps: usize,
-    pub(super) sources: &'a Sources,
-    pub(super) places: Places<'a>,
-}
-
-impl Resumed<'_> {
-    /// Reads its rows and its saved state; `None` if it has no step yet and `until` is not set.
-    pub(super) fn read(&self) -> Result<Option<Earlier>, FileError> {
-        let marker = self.folder.join(ROLLOUT);
-        let path = self.folder.join(STATES);
-        let mut rows = if is_there(&path)? { StateFile::read(&path)? } else { Vec::new() };
-        let Some(last) = rows.len().checked_sub(1) else {
-            return match self.until {
-                None => Ok(None),
-                Some(step) => {
-                    Err(FileError::content(format!("a rollout with step {step}"), "no step", self.folder))
-                }
-            };
-        };
-        let before = read_marker(&marker)?;
-        self.sources.check(&before["sources"], &marker, &self.places)?;
-        let step = self.until.unwrap_or(last);
-        if step > last {
-            let (expected, found) = (format!("a step from 0 to {last} to go on behind"), step.to_string());
-            return Err(FileError::content(expected, found, &path));
-        }
-        if step > self.steps {
-            let expected = format!("--steps of {step} or more to go on behind step {step}");
-            return Err(FileError::content(expected, self.steps.to_string(), &path));
-        }
-        rows.truncate(step + 1);
-        let path = step_folder(self.folder, &rows[step].name()).join(STATE);
-        let text = read_table(&path)?;
-        let saved = serde_json::from_slice(&text)
-            .map_err(|error| FileError::content("a saved state", error.to_string(), &path))?;
-        Ok(Some(Earlier { rows, saved }))
-    }
-}
-
-fn read_marker(marker: &Path) -> Result<Value, FileError> {
-    let text = read_table(marker)?;
-    serde_json::from_slice(&text).map_err(|error| FileError::content("a rollout", error.to_string(), marker))
 }
 
 impl Output<'_> {
@@ -134,7 +49,7 @@ impl Output<'_> {
         if kept.is_empty() {
             files.remove([STATES, STEPS])?;
         }
-        write_json(&files.claim(ROLLOUT)?, self.options)?;
+        write_json(&files.claim(ROLLOUT)?, self.record)?;
         let states = StateFile::create(&files.claim(STATES)?, kept)?;
         let steps = self.folder.join(STEPS);
         if !steps.is_dir() {
@@ -151,9 +66,9 @@ impl Output<'_> {
 
     /// Checks that a resumed rollout has the same options, except for the number of steps.
     fn check_same(&self, marker: &Path) -> Result<(), FileError> {
-        let before = read_marker(marker)?;
+        let before = read_record(marker)?;
         let parsed = |error: serde_json::Error| FileError::content("a rollout", error.to_string(), marker);
-        let text = serde_json::to_vec(self.options).map_err(parsed)?;
+        let text = serde_json::to_vec(self.record).map_err(parsed)?;
         let now: Value = serde_json::from_slice(&text).map_err(parsed)?;
         let same = |name: &str| match (before.get(name), now.get(name)) {
             (Some(a), Some(b)) if name == "simulation" => without_steps(a) == without_steps(b),
@@ -178,11 +93,11 @@ impl Output<'_> {
         files: &OutputFolder,
         states: &mut StateFile,
     ) -> Result<WriteTimes, ConditionError> {
-        let (state, set, options) = (&job.state, &job.set, &self.options.conditions);
+        let (state, set, options) = (&job.state, &job.set, &self.record.conditions);
         let bins = &options.depth_bins;
         let (mut times, mut clock) = (WriteTimes::default(), Instant::now());
         files.write_folder(Path::new(STEPS).join(&state.name), |folder| {
-            self.options.format.write(folder, set, state.t_us, options)?;
+            self.record.format.write(folder, set, state.t_us, options)?;
             for (state, set) in &job.forecast {
                 self.write_forecast(&folder.join(FORECAST).join(&state.name), state, set)?;
             }
@@ -195,9 +110,9 @@ impl Output<'_> {
             let above = folder.join(film::BIRDSEYE);
             birdseye::write_with(&above, state, &job.traces, &BirdseyeOptions::default())?;
             times.birdseye_s = lap(&mut clock);
-            if self.options.sheets {
-                let caption = format!("{}  {}", self.options.log, state.name);
-                sheet::write(&folder.join("sheet.png"), set, bins, &caption)?;
+            if self.record.sheets {
+                let caption = format!("{}  {}", self.record.log, state.name);
+                sheet::write(&folder.join(SHEET), set, bins, &caption)?;
             }
             write_json(&folder.join(STATE), &job.saved)?;
             self.write_meta(folder, state)
@@ -214,12 +129,12 @@ impl Output<'_> {
         set: &ConditionSet,
     ) -> Result<(), ConditionError> {
         create_dir_all(folder).map_err(FileError::io("create", folder))?;
-        self.options.format.write(folder, set, state.t_us, &self.options.conditions)?;
+        self.record.format.write(folder, set, state.t_us, &self.record.conditions)?;
         self.write_meta(folder, state)
     }
 
     fn write_meta(&self, folder: &Path, state: &SceneState) -> Result<(), ConditionError> {
-        let meta = FrameMeta::new(state, &self.options.conditions, self.prompt, Some(self.options.sim_hz));
+        let meta = FrameMeta::new(state, &self.record.conditions, self.prompt, Some(self.record.sim_hz));
         Ok(meta.write(&folder.join(META))?)
     }
 }

@@ -1,16 +1,18 @@
 use std::path::Path;
 
 use point_skeleton::conditions::meta::Index;
-use point_skeleton::files::FileName;
+use point_skeleton::error::with_causes;
 use point_skeleton::files::{OutputFolder, write_json};
-use pskel_sim::report::page::{self, Page, PageActor, PageEvent, PageStep};
-use pskel_sim::report::{ActorRow, Phase, StepRow, Video, film, sight, view};
-use pskel_sim::{Collision, EndReason, Metrics};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::error::RolloutError;
 use super::files::{INDEX, METRICS, PAGE, STATES, VIDEO, step_folder};
 use super::output::Output;
+use super::report::RolloutReport;
+use crate::report::page::{self, Page, PageActor, PageEvent, PageStep};
+use crate::report::{ActorRow, Phase, StepRow, Video, film, sight};
+use crate::{Collision, EndReason, Metrics};
 
 /// Number of video images in memory at the same time.
 const PICTURES: usize = 16;
@@ -20,24 +22,6 @@ pub(super) const TRACES: [(&str, [u8; 4]); 3] = [
     ("driven path", [64, 196, 255, 230]),
     ("plan", [255, 201, 77, 255]),
 ];
-
-/// Outcome of a rollout.
-pub(super) struct Outcome {
-    pub(super) metrics: Metrics,
-    /// `None` if it failed.
-    pub(super) ended: Option<EndReason>,
-    pub(super) failure: Option<String>,
-    /// Number of steps after the end of the log.
-    pub(super) steps_beyond_log: usize,
-    /// Notes on the log, with counts.
-    pub(super) notes: std::collections::BTreeMap<String, usize>,
-    /// Lines for the HTML page.
-    pub(super) facts: Vec<String>,
-    /// Placement of the cameras in the page's images.
-    pub(super) layout: view::Layout,
-    /// Cameras, in the order of the maps, with the size of the maps.
-    pub(super) cameras: Vec<(FileName, [u32; 2])>,
-}
 
 /// Content of `metrics.json`.
 #[derive(Serialize)]
@@ -54,34 +38,34 @@ struct MetricsFile<'a> {
 pub(super) fn finish(
     output: &Output<'_>,
     files: &OutputFolder,
-    rows: &[StepRow],
-    outcome: &Outcome,
-) -> anyhow::Result<()> {
-    let Outcome { metrics, ended, notes, steps_beyond_log, .. } = outcome;
-    let (failure, steps_beyond_log) = (outcome.failure.as_deref(), *steps_beyond_log);
-    let told = MetricsFile { ended: *ended, failure, metrics, steps_beyond_log, notes };
-    write_json(&files.claim(METRICS)?, &told)?;
-    video(output, &files.claim(VIDEO)?, rows, outcome)?;
-    page(output, rows, outcome).write(&files.claim(PAGE)?)?;
-    let cameras: Vec<_> = outcome.cameras.iter().map(|(name, _)| name.clone()).collect();
+    report: &RolloutReport,
+) -> Result<(), RolloutError> {
+    let RolloutReport { rows, metrics, ended, notes, steps_beyond_log, .. } = report;
+    let failure = report.failure.as_ref().map(|error| with_causes(error));
+    let (failure, steps_beyond_log) = (failure.as_deref(), *steps_beyond_log);
+    let content = MetricsFile { ended: *ended, failure, metrics, steps_beyond_log, notes };
+    write_json(&files.claim(METRICS)?, &content)?;
+    video(output, &files.claim(VIDEO)?, report)?;
+    page(output, report).write(&files.claim(PAGE)?)?;
+    let cameras: Vec<_> = report.cameras.iter().map(|(name, _)| name.clone()).collect();
     let frames = rows.iter().map(|row| row.index_frame(&cameras)).collect();
-    Index { options: output.options, frames }.write(&files.claim(INDEX)?)?;
+    Index { options: output.record, frames }.write(&files.claim(INDEX)?)?;
     Ok(())
 }
 
 /// Encodes the video. Images are composed on all threads and encoded in order.
-fn video(output: &Output<'_>, path: &Path, rows: &[StepRow], outcome: &Outcome) -> anyhow::Result<()> {
+fn video(output: &Output<'_>, path: &Path, report: &RolloutReport) -> Result<(), RolloutError> {
     let mut video = None;
-    for rows in rows.chunks(PICTURES) {
+    for rows in report.rows.chunks(PICTURES) {
         let picture = |row: &StepRow| {
             let folder = step_folder(output.folder, &row.name());
-            film::picture(&folder, &outcome.layout.maps, &caption(output, row))
+            film::picture(&folder, &report.layout.maps, &caption(output, row))
         };
         for picture in rows.par_iter().map(picture).collect::<Vec<_>>() {
             let (size, pixels) = picture?;
             let video = match &mut video {
                 Some(video) => video,
-                none => none.insert(Video::new(path, size, output.options.sim_hz)?),
+                none => none.insert(Video::new(path, size, output.record.sim_hz)?),
             };
             video.push(size, &pixels)?;
         }
@@ -91,11 +75,12 @@ fn video(output: &Output<'_>, path: &Path, rows: &[StepRow], outcome: &Outcome) 
 
 fn caption(output: &Output<'_>, row: &StepRow) -> String {
     let phase = if row.phase == Phase::WarmUp { "  warm-up" } else { "" };
-    let seconds = row.step as f64 / output.options.sim_hz;
-    format!("{}  {}  {seconds:.2} s  {:.1} m/s{phase}", output.options.log, row.name(), row.ego.speed_mps)
+    let seconds = row.step as f64 / output.record.sim_hz;
+    format!("{}  {}  {seconds:.2} s  {:.1} m/s{phase}", output.record.log, row.name(), row.ego.speed_mps)
 }
 
-fn page(output: &Output<'_>, rows: &[StepRow], outcome: &Outcome) -> Page {
+fn page(output: &Output<'_>, report: &RolloutReport) -> Page {
+    let rows = &report.rows;
     let first_us = rows.first().map_or(0, |row| row.t_us);
     let step = |row: &StepRow| PageStep {
         name: row.name(),
@@ -106,32 +91,32 @@ fn page(output: &Output<'_>, rows: &[StepRow], outcome: &Outcome) -> Page {
         acceleration_mps2: row.ego.acceleration_mps2,
         lateral_m: Some(row.ego.lateral_deviation_m),
         heading_rad: Some(row.ego.heading_deviation_rad),
-        fresh: fresh(row, outcome),
+        fresh: fresh(row, report),
     };
-    let mut table = serde_json::to_value(&outcome.metrics).map(|v| page::table(&v)).unwrap_or_default();
-    let notes = outcome.notes.iter().map(|(note, count)| [format!("note: {note}"), count.to_string()]);
+    let mut table = serde_json::to_value(&report.metrics).map(|v| page::table(&v)).unwrap_or_default();
+    let notes = report.notes.iter().map(|(note, count)| [format!("note: {note}"), count.to_string()]);
     table.extend(notes);
     let color = |[r, g, b, _]: [u8; 4]| format!("#{r:02x}{g:02x}{b:02x}");
     Page {
-        log: output.options.log.clone(),
-        facts: outcome.facts.clone(),
-        failure: outcome.failure.clone(),
-        sim_hz: output.options.sim_hz,
-        maps: outcome.layout.maps.clone(),
-        sheet: outcome.layout.clone(),
+        log: output.record.log.clone(),
+        facts: report.facts.clone(),
+        failure: report.failure.as_ref().map(|error| with_causes(error)),
+        sim_hz: output.record.sim_hz,
+        maps: report.layout.maps.clone(),
+        sheet: report.layout.clone(),
         traces: TRACES.iter().map(|(name, rgba)| [color(*rgba), (*name).to_owned()]).collect(),
         steps: rows.iter().map(step).collect(),
-        events: outcome.metrics.collisions.iter().map(|c| event(c, rows)).collect(),
+        events: report.metrics.collisions.iter().map(|c| event(c, rows)).collect(),
         metrics: table,
         files: [VIDEO, METRICS, STATES, INDEX].map(str::to_owned).to_vec(),
     }
 }
 
 /// Returns the actors that newly enter a camera's view, with their boxes in the page's image.
-fn fresh(row: &StepRow, outcome: &Outcome) -> Vec<PageActor> {
+fn fresh(row: &StepRow, report: &RolloutReport) -> Vec<PageActor> {
     let place = |seen: &sight::VisibleActor| {
-        let place = outcome.layout.cameras.get(seen.camera)?;
-        let (_, [width, height]) = outcome.cameras.get(seen.camera)?;
+        let place = report.layout.cameras.get(seen.camera)?;
+        let (_, [width, height]) = report.cameras.get(seen.camera)?;
         let [x, y] =
             [f64::from(place.width) / f64::from(*width), f64::from(place.height) / f64::from(*height)];
         let [left, top, right, bottom] = seen.bounds.map(f64::from);
@@ -150,7 +135,7 @@ fn fresh(row: &StepRow, outcome: &Outcome) -> Vec<PageActor> {
 fn event(collision: &Collision, rows: &[StepRow]) -> PageEvent {
     let row = rows.iter().find(|row| row.step == collision.step);
     let actor = row.and_then(|row| row.actors.iter().find(|actor| actor.track == collision.track));
-    let category = actor.map_or("somebody", |actor| actor.category.as_str());
+    let category = actor.map_or("an actor", |actor| actor.category.as_str());
     let fault = match collision.at_fault {
         Some(true) => ", the ego's fault",
         Some(false) => ", not the ego's fault",

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 use std::hash::{Hash, Hasher};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::dataset::Log;
@@ -12,6 +12,8 @@ use point_skeleton::skeleton::Skeleton;
 use serde::Serialize;
 use serde_json::Value;
 
+use super::InputPaths;
+
 /// Inputs recorded in `rollout.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Sources {
@@ -19,15 +21,8 @@ pub(super) struct Sources {
     frames: String,
     /// Number of points of the skeleton, and a hash of its manifest.
     skeleton: String,
-    /// Prompt parts from the annotations.
+    /// Prompt parts.
     prompt: PromptParts,
-}
-
-/// Paths of the inputs, for errors.
-pub(super) struct Places<'a> {
-    pub(super) log: &'a Path,
-    pub(super) skeleton: &'a Path,
-    pub(super) annotations: Option<&'a Path>,
 }
 
 impl Sources {
@@ -40,19 +35,21 @@ impl Sources {
     }
 
     /// Compares with the sources of a rollout in `rollout.json`.
-    pub(super) fn check(&self, before: &Value, rollout: &Path, places: &Places<'_>) -> Result<(), FileError> {
+    pub(super) fn check(
+        &self,
+        before: &Value,
+        rollout: &Path,
+        paths: &InputPaths<'_>,
+    ) -> Result<(), FileError> {
         let now = serde_json::to_value(self)
             .map_err(|error| FileError::content("sources", error.to_string(), rollout))?;
-        let none = PathBuf::from("no --annotations");
-        let parts = [
-            ("frames", places.log),
-            ("skeleton", places.skeleton),
-            ("prompt", places.annotations.unwrap_or(&none)),
-        ];
+        let none = Path::new("none");
+        let parts =
+            [("frames", paths.log), ("skeleton", paths.skeleton), ("prompt", paths.prompt.unwrap_or(none))];
         for (name, file) in parts {
             let [before, now] = [before, &now].map(|sources| sources.get(name).cloned().unwrap_or_default());
             if before != now {
-                let expected = format!("the {name} that {} tells, {before}", rollout.display());
+                let expected = format!("the {name} of {}, {before}", rollout.display());
                 return Err(FileError::content(expected, now.to_string(), file));
             }
         }

@@ -5,8 +5,9 @@ use std::time::Duration;
 use point_skeleton::error::FileError;
 use point_skeleton::files::write_json;
 use point_skeleton::raster::{RasterizerInfo, StageTimes};
-use pskel_generate::SessionTimes;
 use serde::Serialize;
+
+use super::generator::GenerationTimes;
 
 /// Times of a step, seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -25,7 +26,7 @@ pub(super) struct StepTimes {
     pub(super) observe_s: f64,
     /// Generator times, at planning steps.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) generated: Option<SessionTimes>,
+    pub(super) generated: Option<GenerationTimes>,
     /// Waiting until the writer thread can take this step.
     pub(super) wait_s: f64,
 }
@@ -54,9 +55,9 @@ pub(super) struct WriteTimes {
     pub(super) rest_s: f64,
 }
 
-/// Times of a rollout.
+/// Durations of a rollout.
 #[derive(Clone, Debug, Default, Serialize)]
-pub(super) struct Profile {
+pub struct Profile {
     rasterizer: Option<RasterizerInfo>,
     /// Whole loop from the first step to the last, seconds.
     pub(super) loop_s: f64,
@@ -72,12 +73,13 @@ pub(super) struct Profile {
 
 impl Profile {
     /// Adds the data that is known after the loop.
-    pub(super) fn close(&mut self, info: RasterizerInfo, stages: &StageTimes) {
+    pub(super) fn close(&mut self, report: Duration, info: RasterizerInfo, stages: &StageTimes) {
+        self.report_s = report.as_secs_f64();
         self.rasterizer = Some(info);
         self.stages_s = stages.0.iter().map(|(name, time)| (*name, time.as_secs_f64())).collect();
         let of = |get: fn(&StepTimes) -> f64| median(self.steps.iter().map(get));
         let written = |get: fn(&WriteTimes) -> f64| median(self.written.iter().map(get));
-        let made = |get: fn(&SessionTimes) -> f64| {
+        let made = |get: fn(&GenerationTimes) -> f64| {
             median(
                 self.steps
                     .iter()
@@ -87,7 +89,7 @@ impl Profile {
             )
         };
         self.medians = [
-            ("generate_s", made(SessionTimes::total_s)),
+            ("generate_s", made(GenerationTimes::total_s)),
             ("generate_conditions_s", made(|t| t.conditions_s)),
             ("generate_forecasts_s", made(|t| t.forecasts_s)),
             ("generate_truth_s", made(|t| t.truth_s)),
@@ -113,7 +115,7 @@ impl Profile {
     }
 
     /// Formats the summary: the median step, its parts, and the rate.
-    pub(super) fn summary(&self) -> String {
+    pub fn summary(&self) -> String {
         if self.steps.is_empty() {
             return "no step was left to take".to_owned();
         }
@@ -139,7 +141,8 @@ impl Profile {
 
     /// Formats the generator times. Ground-truth images are only for comparison, so their time is separate.
     fn generating(&self) -> String {
-        let all: Vec<&SessionTimes> = self.steps.iter().filter_map(|step| step.generated.as_ref()).collect();
+        let all: Vec<&GenerationTimes> =
+            self.steps.iter().filter_map(|step| step.generated.as_ref()).collect();
         let made = all.iter().filter(|times| times.network_s > 0.0).count();
         if all.is_empty() {
             return String::new();
@@ -162,7 +165,11 @@ impl Profile {
         )
     }
 
-    pub(super) fn write(&self, path: &Path) -> Result<(), FileError> {
+    /// Writes all durations as JSON.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
         write_json(path, self)
     }
 }
@@ -190,7 +197,7 @@ mod tests {
         let step = |ms: f64| StepTimes { policies_s: ms / 1e3, finish_s: 0.02, ..StepTimes::default() };
         let mut profile = Profile { steps: [9.0, 5.0, 700.0].map(step).to_vec(), ..Profile::default() };
         let info = RasterizerInfo { rasterizer: "cpu", device: "d".into(), driver: String::new() };
-        profile.close(info, &StageTimes::default());
+        profile.close(Duration::ZERO, info, &StageTimes::default());
         let text = profile.summary();
         assert!(
             text.starts_with(

@@ -1,0 +1,66 @@
+use std::path::Path;
+
+use point_skeleton::error::FileError;
+use point_skeleton::files::input::{is_there, read_table};
+use serde_json::Value;
+
+use super::files::{ROLLOUT, STATE, STATES, step_folder};
+use super::options::{InputPaths, ResumeAfter};
+use super::sources::Sources;
+use crate::SavedState;
+use crate::report::{StateFile, StepRow};
+
+/// State of an earlier run.
+pub(super) struct Earlier {
+    pub(super) rows: Vec<StepRow>,
+    pub(super) saved: SavedState,
+}
+
+/// A rollout to resume.
+pub(super) struct EarlierRollout<'a> {
+    pub(super) folder: &'a Path,
+    /// Total number of steps.
+    pub(super) steps: usize,
+    pub(super) sources: &'a Sources,
+    pub(super) paths: InputPaths<'a>,
+}
+
+impl EarlierRollout<'_> {
+    /// Reads its rows and its saved state; `None` if it has no step yet and none is required.
+    pub(super) fn read(&self, after: ResumeAfter) -> Result<Option<Earlier>, FileError> {
+        let path = self.folder.join(STATES);
+        let mut rows = if is_there(&path)? { StateFile::read(&path)? } else { Vec::new() };
+        let Some(last) = rows.len().checked_sub(1) else {
+            return match after {
+                ResumeAfter::Last => Ok(None),
+                ResumeAfter::Step(step) => {
+                    Err(FileError::content(format!("a rollout with step {step}"), "no step", self.folder))
+                }
+            };
+        };
+        let marker = self.folder.join(ROLLOUT);
+        let before = read_record(&marker)?;
+        self.sources.check(&before["sources"], &marker, &self.paths)?;
+        let step = match after {
+            ResumeAfter::Last => last,
+            ResumeAfter::Step(step) => step,
+        };
+        if step > last {
+            let expected = format!("a step from 0 to {last} to resume after");
+            return Err(FileError::content(expected, step.to_string(), &path));
+        }
+        if step > self.steps {
+            let expected = format!("{step} steps or more to resume after step {step}");
+            return Err(FileError::content(expected, self.steps.to_string(), &path));
+        }
+        rows.truncate(step + 1);
+        let saved = SavedState::read(&step_folder(self.folder, &rows[step].name()).join(STATE))?;
+        Ok(Some(Earlier { rows, saved }))
+    }
+}
+
+/// Reads `rollout.json`.
+pub(super) fn read_record(marker: &Path) -> Result<Value, FileError> {
+    let text = read_table(marker)?;
+    serde_json::from_slice(&text).map_err(|error| FileError::content("a rollout", error.to_string(), marker))
+}

@@ -1,0 +1,53 @@
+use std::error::Error;
+use std::path::Path;
+
+use point_skeleton::conditions::ConditionError;
+use point_skeleton::error::FileError;
+
+use crate::SimError;
+use crate::report::VideoError;
+
+/// Error of any type.
+pub type AnyError = Box<dyn Error + Send + Sync>;
+
+/// Error of a rollout.
+#[derive(Debug, thiserror::Error)]
+pub enum RolloutError {
+    /// The simulation cannot be started or continued.
+    #[error(transparent)]
+    Simulation(#[from] SimError),
+    /// A file of the rollout cannot be read or written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The maps of a step cannot be written.
+    #[error(transparent)]
+    Maps(#[from] ConditionError),
+    /// The video cannot be encoded.
+    #[error(transparent)]
+    Video(#[from] VideoError),
+    /// The inputs cannot be described in `rollout.json`.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    /// A step or a file of an earlier run failed.
+    #[error("{place}")]
+    At {
+        /// The step or the file.
+        place: String,
+        /// Cause.
+        source: AnyError,
+    },
+}
+
+impl RolloutError {
+    /// Returns a closure for `map_err` that adds the name of a step.
+    pub(super) fn step<E: Into<AnyError>>(name: &str) -> impl FnOnce(E) -> Self {
+        let place = format!("step {name}");
+        |source| Self::At { place, source: source.into() }
+    }
+
+    /// Returns a closure for `map_err` that adds a path.
+    pub(super) fn file<E: Into<AnyError>>(path: &Path) -> impl FnOnce(E) -> Self {
+        let place = path.display().to_string();
+        |source| Self::At { place, source: source.into() }
+    }
+}

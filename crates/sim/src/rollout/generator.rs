@@ -1,0 +1,71 @@
+use point_skeleton::raster::Rasterizer;
+use serde::Serialize;
+
+use super::error::AnyError;
+use crate::report::images::StepImages;
+use crate::{Committed, Instant, Simulation};
+
+/// Generates the camera images of a rollout, one set of images per planning step.
+pub trait ImageGenerator {
+    /// Generates the images of the last committed state; `None` between planning steps.
+    ///
+    /// # Errors
+    /// Returns the error of the network, the device or the files of the log.
+    fn generate(
+        &mut self,
+        simulation: &Simulation<'_>,
+        rasterizer: &mut dyn Rasterizer,
+    ) -> Result<Option<StepImages>, AnyError>;
+
+    /// Durations of the last generated images.
+    fn times(&self) -> GenerationTimes;
+
+    /// Returns the state to save with the step, for [`ImageGenerator::resume`]; `None` before the first generated
+    /// frame.
+    ///
+    /// # Errors
+    /// Returns an error if the state cannot be encoded.
+    fn save(&self) -> Result<Option<Vec<u8>>, AnyError>;
+
+    /// Continues after `frames` planning steps. `last` are the last of these steps: as many as the window has frames,
+    /// or all if there are fewer. `saved` is the state saved with the last step.
+    ///
+    /// # Errors
+    /// Returns an error if the saved state is missing, damaged or of another step, and those of
+    /// [`ImageGenerator::generate`].
+    fn resume(
+        &mut self,
+        frames: usize,
+        last: &[Committed<Instant>],
+        saved: Option<&[u8]>,
+        rasterizer: &mut dyn Rasterizer,
+    ) -> Result<(), AnyError>;
+
+    /// Number of frames in the window of the network.
+    fn window(&self) -> usize;
+
+    /// Returns whether every planning step has ground-truth images.
+    fn has_truth(&self) -> bool;
+}
+
+/// Durations of the parts of a generated frame, seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct GenerationTimes {
+    /// Rendering the committed state as network input.
+    pub conditions_s: f64,
+    /// Rendering the forecasts.
+    pub forecasts_s: f64,
+    /// Getting the ground-truth images.
+    pub truth_s: f64,
+    /// The generator step with all its network calls.
+    pub network_s: f64,
+    /// Decoding the latent into images.
+    pub decode_s: f64,
+}
+
+impl GenerationTimes {
+    /// Cost of a frame: all parts except the ground-truth images, which only serve for comparison.
+    pub fn total_s(&self) -> f64 {
+        self.conditions_s + self.forecasts_s + self.network_s + self.decode_s
+    }
+}

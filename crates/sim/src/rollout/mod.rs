@@ -1,0 +1,167 @@
+//! Rollouts: a closed-loop simulation whose steps are rendered and written to a folder.
+//!
+//! # How it works
+//! [`Rollout::open`] reads the steps of an earlier run, if the rollout is resumed, and starts the [`Simulation`].
+//! [`Rollout::run`] simulates and renders step by step (`steps`), calls an [`ImageGenerator`] at planning steps
+//! (`generation`), and writes each step on another thread (`output`). At the end it writes the summary files from the
+//! folders of all steps (`finish`), so that a resumed rollout gives the same bytes as an uninterrupted one. `sources`
+//! identifies the inputs and `profile` records durations.
+
+mod earlier;
+mod error;
+mod files;
+mod finish;
+mod generation;
+mod generator;
+mod options;
+mod output;
+mod profile;
+mod report;
+mod sources;
+mod steps;
+#[cfg(test)]
+mod tests;
+
+pub use error::{AnyError, RolloutError};
+pub use generator::{GenerationTimes, ImageGenerator};
+pub use options::{InputPaths, ResumeAfter, RolloutInputs, RolloutOptions};
+pub use profile::Profile;
+pub use report::RolloutReport;
+
+use std::path::Path;
+use std::time::Instant;
+
+use point_skeleton::files::OutputFolder;
+use point_skeleton::raster::Rasterizer;
+use point_skeleton::scene::SceneClouds;
+
+use self::earlier::{Earlier, EarlierRollout};
+use self::generation::{EarlierSteps, Generation};
+use self::options::RolloutRecord;
+use self::output::Output;
+use self::sources::Sources;
+use self::steps::Steps;
+use crate::report::StepRow;
+use crate::{EgoPolicy, Simulation};
+
+/// Kind of the output folder.
+const KIND: &str = "rollout";
+
+/// A rollout that is ready to run.
+pub struct Rollout<'a> {
+    inputs: RolloutInputs<'a>,
+    facts: Vec<String>,
+    record: RolloutRecord,
+    simulation: Simulation<'a>,
+    /// Steps of an earlier run.
+    rows: Vec<StepRow>,
+    /// Output folder and its lock; `None` writes nothing.
+    out: Option<(&'a Path, OutputFolder)>,
+}
+
+impl<'a> Rollout<'a> {
+    /// Starts the simulation, or resumes it from the steps of an earlier rollout in the folder `out`. Without a folder
+    /// nothing is written. Files of an earlier rollout are replaced by [`Rollout::run`], not before.
+    ///
+    /// # Errors
+    /// Fails if the options do not fit the log, if `out` is neither empty nor a rollout or lies within an input, if the
+    /// earlier rollout is damaged or of other inputs, or if a planner does not answer.
+    pub fn open(
+        inputs: RolloutInputs<'a>,
+        options: RolloutOptions,
+        out: Option<&'a Path>,
+        resume: Option<ResumeAfter>,
+    ) -> Result<Self, RolloutError> {
+        let RolloutInputs { scenario, skeleton, prompt, paths } = inputs;
+        let sources = Sources::new(scenario.log, skeleton, prompt)?;
+        let open = |folder: &'a Path| {
+            OutputFolder::open(folder, KIND, &[paths.skeleton, paths.log]).map(|files| (folder, files))
+        };
+        let out = out.map(open).transpose()?;
+        let steps = options.simulation.steps;
+        let read = |((folder, _), after): (&(&'a Path, OutputFolder), ResumeAfter)| {
+            EarlierRollout { folder, steps, sources: &sources, paths }.read(after)
+        };
+        let earlier = out.as_ref().zip(resume).map(read).transpose()?.flatten();
+        let simulation = match &earlier {
+            Some(Earlier { saved, .. }) => Simulation::resume(scenario, options.simulation.clone(), saved)?,
+            None => Simulation::new(scenario, options.simulation.clone())?,
+        };
+        let rates = simulation.rates();
+        let record = RolloutRecord {
+            conditions: options.conditions,
+            selection: options.selection,
+            format: options.format,
+            forecast_steps: options.forecast_steps,
+            sheets: options.sheets,
+            log: scenario.log.name.clone(),
+            sources,
+            simulation: options.simulation,
+            sim_hz: rates.sim_hz,
+            plan_hz: rates.plan_hz,
+            takeover_step: simulation.takeover_step(),
+            extra: options.extra,
+        };
+        let rows = earlier.map(|earlier| earlier.rows).unwrap_or_default();
+        Ok(Self { inputs, facts: options.facts, record, simulation, rows, out })
+    }
+
+    /// Returns the number of steps that an earlier run has written.
+    pub fn steps_done(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Returns the maximum number of steps to simulate and write, with step 0.
+    pub fn steps_left(&self) -> usize {
+        self.record.simulation.steps.saturating_add(1).saturating_sub(self.rows.len())
+    }
+
+    /// Simulates, renders and writes all steps, then the summary files. `on_step` is called with the name of each step
+    /// after it was rendered. `clouds` are of the rollout's skeleton, and `rasterizer` holds them.
+    ///
+    /// If a step fails, the summary files describe the steps before it, and [`RolloutReport::failure`] has its error.
+    ///
+    /// # Errors
+    /// Fails if the first step fails, if a step cannot be written, or if the generator cannot be resumed.
+    pub fn run(
+        self,
+        clouds: &SceneClouds<'_>,
+        rasterizer: &mut dyn Rasterizer,
+        generator: Option<&mut dyn ImageGenerator>,
+        on_step: &mut dyn FnMut(&str),
+    ) -> Result<RolloutReport, RolloutError> {
+        let Self { inputs, facts, record, simulation, rows, out } = self;
+        let folder = out.as_ref().map_or(Path::new(""), |(folder, _)| folder);
+        let output = Output { folder, record: &record, prompt: inputs.prompt };
+        let states = out.as_ref().map(|(_, files)| output.begin(files, &rows)).transpose()?;
+        let earlier = EarlierSteps {
+            folder,
+            rows: &rows,
+            steps_per_plan: simulation.steps_per_plan(),
+            scenario: inputs.scenario,
+            options: &record.simulation,
+        };
+        let begin = |generator| match rows.is_empty() {
+            true => Ok(Generation::new(generator)),
+            false => Generation::resume(generator, &earlier, rasterizer),
+        };
+        let mut generation = generator.map(begin).transpose()?;
+        let steps = Steps {
+            scenario: inputs.scenario,
+            clouds,
+            output: &output,
+            files: out.as_ref().map(|(_, files)| files),
+            shown_to_planner: matches!(record.simulation.ego, EgoPolicy::External(_)) && out.is_some(),
+        };
+        let mut report = steps.run(simulation, rasterizer, generation.as_mut(), rows, states, on_step)?;
+        report.close(facts, &record, inputs.scenario.log);
+        let clock = Instant::now();
+        let finished = out.map_or(Ok(()), |(_, files)| {
+            finish::finish(&output, &files, &report)?;
+            Ok(files.close()?)
+        });
+        report.summary_failure = finished.err();
+        report.profile.close(clock.elapsed(), rasterizer.info(), &rasterizer.take_stages());
+        Ok(report)
+    }
+}

@@ -1,0 +1,87 @@
+use std::path::Path;
+
+use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::{ConditionOptions, MapFormat};
+use point_skeleton::scene::SelectionOptions;
+use point_skeleton::skeleton::Skeleton;
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use crate::{Scenario, SimOptions};
+
+/// Options of a rollout: the simulation, and what is rendered and written at each step.
+#[derive(Clone, Debug, Default)]
+pub struct RolloutOptions {
+    /// Steps, rates and policies.
+    pub simulation: SimOptions,
+    /// Maps to render, and their sizes.
+    pub conditions: ConditionOptions,
+    /// Selection of actors and templates.
+    pub selection: SelectionOptions,
+    /// File format of the maps.
+    pub format: MapFormat,
+    /// Number of planning steps to forecast and render at each planning step.
+    pub forecast_steps: usize,
+    /// Also writes a contact sheet per step.
+    pub sheets: bool,
+    /// Further entries of `rollout.json`, which must be equal to resume, such as the options of the generator.
+    pub extra: Map<String, Value>,
+    /// Further lines for the web page.
+    pub facts: Vec<String>,
+}
+
+/// Inputs of a rollout.
+#[derive(Clone, Copy)]
+pub struct RolloutInputs<'a> {
+    /// Log, HD map and default rates.
+    pub scenario: &'a Scenario<'a>,
+    /// Skeleton that was built from the log.
+    pub skeleton: &'a Skeleton,
+    /// Parts of the prompt in `meta.json`.
+    pub prompt: &'a PromptParts,
+    /// Paths of the inputs.
+    pub paths: InputPaths<'a>,
+}
+
+/// Paths of the inputs, for errors. The output folder must lie outside of log and skeleton.
+#[derive(Clone, Copy)]
+pub struct InputPaths<'a> {
+    /// File or folder of the log.
+    pub log: &'a Path,
+    /// Folder of the skeleton.
+    pub skeleton: &'a Path,
+    /// File of the prompt.
+    pub prompt: Option<&'a Path>,
+}
+
+/// Step of an earlier rollout in the same folder after which to resume.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResumeAfter {
+    /// The last step; starts at step 0 if there is none.
+    Last,
+    /// This step; later ones are simulated again.
+    Step(usize),
+}
+
+/// Options and inputs of a rollout in `rollout.json` and `index.json`.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct RolloutRecord {
+    #[serde(flatten)]
+    pub(super) conditions: ConditionOptions,
+    #[serde(flatten)]
+    pub(super) selection: SelectionOptions,
+    pub(super) format: MapFormat,
+    pub(super) forecast_steps: usize,
+    pub(super) sheets: bool,
+    pub(super) log: String,
+    pub(super) sources: super::sources::Sources,
+    pub(super) simulation: SimOptions,
+    /// Simulation steps per second.
+    pub(super) sim_hz: f64,
+    /// Planning steps per second.
+    pub(super) plan_hz: f64,
+    /// Last step of the warm-up.
+    pub(super) takeover_step: usize,
+    #[serde(flatten)]
+    pub(super) extra: Map<String, Value>,
+}
