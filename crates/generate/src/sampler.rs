@@ -42,6 +42,7 @@ enum Kind {
 }
 
 impl Default for SamplerOptions {
+    /// Flow matching with the shift of Stable Diffusion 3.5's scheduler.
     fn default() -> Self {
         Self::FlowMatch { shift: 3.0 }
     }

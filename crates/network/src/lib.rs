@@ -7,12 +7,13 @@
 //! `kernels` and `ops` implement operations that the tensor library lacks or runs too slowly. `levels` defines the
 //! network's input and output at a noise level: the conditions alone give a first guess, and the transformer
 //! predicts the remainder. [`Weights`] holds all of it in one file, and [`Network`] is the
-//! [`Denoiser`](pskel_generate::Denoiser) that runs it.
+//! [`Denoiser`](pskel_generate::Denoiser) that runs it. [`GeneratorSettings`] open a network by its name.
 
 mod codec;
 mod config;
 mod denoiser;
 mod error;
+mod generator;
 mod inputs;
 mod kernels;
 mod levels;
@@ -26,6 +27,9 @@ pub use codec::PatchCodec;
 pub use config::NetworkConfig;
 pub use denoiser::Network;
 pub use error::NetworkError;
+pub use generator::{
+    GenerationScene, GeneratorReport, GeneratorSettings, NetworkName, OpenNetworkError, OpenedNetwork,
+};
 pub use kernels::Attend;
 pub use model::FirstGuess;
 pub use statistics::Statistics;

@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::scene::frame_rate_hz;
+use pskel_network::NetworkName;
 use pskel_sim::rollout::ResumeAfter;
 use pskel_sim::{
     ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
@@ -10,7 +11,7 @@ use pskel_sim::{
 use serde::Serialize;
 
 use crate::WrongUsage;
-use crate::generator::{GeneratorArgs, NetworkName};
+use crate::generator::GeneratorArgs;
 use crate::log_args::{self, LogRoots};
 use crate::map_args::MapArgs;
 use crate::numbers;

@@ -18,6 +18,7 @@ use point_skeleton::geometry::{Camera, ImageSize};
 use point_skeleton::scene::{SceneClouds, SceneMap};
 use point_skeleton::skeleton::Skeleton;
 use pskel_generate::GroundTruthImages;
+use pskel_network::{GenerationScene, GeneratorReport, OpenedNetwork};
 use pskel_sim::rollout::{
     ImageGenerator, InputPaths, Rollout, RolloutError, RolloutInputs, RolloutOptions, RolloutReport,
 };
@@ -25,7 +26,6 @@ use pskel_sim::{Scenario, SimOptions};
 use serde_json::{Map, Value};
 
 use self::summary::{Planned, summary};
-use super::generator::{GenerationScene, GeneratorReport, OpenedNetwork};
 use super::progress::Progress;
 use super::render::{open_skeleton, read_prompt};
 use super::stand_ins::StandInReport;
@@ -74,7 +74,7 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
     let scene = GenerationScene {
         log,
         map: map.clone(),
-        stage: &clouds,
+        clouds: &clouds,
         prompt,
         truth: GroundTruthImages::new(dataset.as_ref()),
         ego_follows_log,

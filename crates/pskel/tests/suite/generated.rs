@@ -292,7 +292,7 @@ fn wrong_generators_are_told_before_anything_is_written() {
         (format!("{GENERATE} --window 1"), 2, ["window", "found"]),
         (format!("{GENERATE} --window 3 --infer-steps 4"), 2, ["multiple of 3", "found 4"]),
         (format!("{GENERATE} --guidance=-1"), 2, ["--guidance", "factor"]),
-        (format!("{network} --window 5"), 2, ["--window of at most 4", "found 5"]),
+        (format!("{network} --window 5"), 2, ["expected a window of at most 4", "found 5"]),
         (format!("{network} --sampler ddim_sample"), 2, ["process:.. with --sampler", "found"]),
         (format!("{network} --generator-timeout 5"), 2, ["process:.. with --generator-timeout", "found"]),
         (format!("{network} --ahead 2"), 2, ["--strategy non_causal with --ahead", "found"]),

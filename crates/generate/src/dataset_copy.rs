@@ -11,17 +11,18 @@ use image::{ImageFormat, RgbImage};
 use point_skeleton::dataset::{ImageRecord, Log};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{WholeFolder, check_whole, write_whole};
-use pskel_sim::report::{self, ROLLOUT, StateFile};
+use pskel_sim::report::{self, ROLLOUT, STATES, STEPS, StateFile};
 
 /// JPEG quality: high, so that visible artifacts are the generator's.
 const QUALITY: u8 = 95;
 
 /// Counts of replaced and unchanged images of the log's frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Counts {
-    pub(super) replaced: usize,
-    /// Images of references, and of frames that were not generated.
-    pub(super) kept: usize,
+pub struct ImageCounts {
+    /// Number of replaced images.
+    pub replaced: usize,
+    /// Number of images of references, and of frames that were not generated.
+    pub kept: usize,
 }
 
 /// Image that replaces a file of the data set.
@@ -33,29 +34,35 @@ struct Replacement<'a> {
 /// Kind of the output folder.
 const KIND: &str = "dataset";
 
-/// Checks that the copy may be written, before anything is generated.
-pub(super) fn check(folder: &Path) -> Result<(), FileError> {
+/// Checks that a copy of a data set may be written to a folder, before anything is generated.
+///
+/// # Errors
+/// Fails if the folder has other files.
+pub fn check_dataset_copy(folder: &Path) -> Result<(), FileError> {
     check_whole(folder, KIND)
 }
 
-/// Writes the images of a rollout of the log into a copy of the data set at `root`.
-pub(super) fn write(root: &Path, log: &Log, rollout: &Path, folder: &Path) -> Result<Counts, FileError> {
+/// Writes the images of a rollout of the log into a copy of the data set at `root`, enlarged to the original size.
+///
+/// # Errors
+/// Fails if the rollout has no generated images at the log's frames, or if a file cannot be read or written.
+pub fn copy_dataset(root: &Path, log: &Log, rollout: &Path, folder: &Path) -> Result<ImageCounts, FileError> {
     let target = WholeFolder::open(folder, KIND, &[root, rollout])?;
     let replaced = replacements(log, rollout)?;
     let images = log.frames.iter().map(|frame| frame.images.len()).sum::<usize>();
     let by_path = replaced.into_iter().map(|new| Ok((relative(root, &new.record.path)?, new)));
     let by_path = by_path.collect::<Result<BTreeMap<PathBuf, Replacement<'_>>, FileError>>()?;
     target.write(|whole| mirror(root, whole, Path::new(""), &by_path))?;
-    Ok(Counts { replaced: by_path.len(), kept: images - by_path.len() })
+    Ok(ImageCounts { replaced: by_path.len(), kept: images - by_path.len() })
 }
 
 /// Returns the generated images at frames of the log.
 fn replacements<'a>(log: &'a Log, rollout: &Path) -> Result<Vec<Replacement<'a>>, FileError> {
     let cameras: Vec<_> = log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
     let mut replaced = Vec::new();
-    for row in StateFile::read(&rollout.join("states.jsonl"))? {
+    for row in StateFile::read(&rollout.join(STATES))? {
         let Some(frame) = log.frames.iter().find(|frame| frame.t_us == row.t_us) else { continue };
-        let step = rollout.join("steps").join(row.name());
+        let step = rollout.join(STEPS).join(row.name());
         let made = report::images::read(&step, &cameras)?.filter(|made| !made.is_reference);
         let Some(made) = made else { continue };
         for record in &frame.images {

@@ -1,14 +1,14 @@
 //! `pskel generate`: replays a log frame by frame and generates its images. It runs `pskel simulate` on the log's own
-//! frames; [`dataset`] writes the images back into a copy of the data set.
-
-mod dataset;
+//! frames; `copy_dataset` writes the images back into a copy of the data set.
 
 use std::path::PathBuf;
 
 use clap::Args;
 use point_skeleton::dataset::{LogFormat, LogLocator};
+use pskel_generate::{check_dataset_copy, copy_dataset};
+use pskel_network::NetworkName;
 
-use super::generator::{GeneratorArgs, NetworkName};
+use super::generator::GeneratorArgs;
 use super::log_args::{self, LogRoots};
 use super::map_args::MapArgs;
 use super::rasterizer::RasterizerArgs;
@@ -82,14 +82,14 @@ pub(super) fn run(args: GenerateArgs) -> anyhow::Result<()> {
         return Err(WrongUsage(message).into());
     }
     if let Some(folder) = &args.dataset {
-        dataset::check(folder)?;
+        check_dataset_copy(folder)?;
     }
     let (log, roots, out, back) =
         (args.log.clone(), args.roots.clone(), args.out.clone(), args.dataset.clone());
     simulate::run(args.simulation())?;
     if let Some(folder) = back {
         let dataset = roots.open(&log)?;
-        let counts = dataset::write(&log.path, dataset.log(), &out, &folder)?;
+        let counts = copy_dataset(&log.path, dataset.log(), &out, &folder)?;
         say(&format!("{} images replaced, {} kept: {}", counts.replaced, counts.kept, folder.display()));
     }
     Ok(())

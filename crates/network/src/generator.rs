@@ -1,0 +1,302 @@
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
+
+use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::dataset::Log;
+use point_skeleton::error::FileError;
+use point_skeleton::geometry::ImageSize;
+use point_skeleton::scene::{SceneClouds, SceneMap};
+use pskel_generate::{
+    AnyDenoiser, Codec, Conditioner, DenoiserError, GenerateError, GenerateOptions, GroundTruthImages,
+    Guidance, ProcessDenoiser, Recipe, SamplerOptions, Session, SessionError, SessionParts, Strategy,
+};
+use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
+use serde::Serialize;
+
+use super::{Network, NetworkError, Provenance};
+
+/// Default window of a network process, frames.
+const PROCESS_WINDOW: usize = 4;
+
+/// Name of a network: `network`, `network:FILE`, or `process:` with a command or an address.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(into = "String")]
+pub enum NetworkName {
+    /// Network of this crate, with the weights of a file or the shipped ones.
+    Network(Option<PathBuf>),
+    /// Network in another process.
+    Process(PeerAddress),
+}
+
+/// Options of a generator whose defaults depend on its network.
+#[derive(Clone, Debug)]
+pub struct GeneratorSettings {
+    /// Frames in the window, L; `None` for the window the network was trained with, or 4 for a process.
+    pub window: Option<usize>,
+    /// Inference steps, T; `None` for one per frame that is not clean.
+    pub steps: Option<usize>,
+    /// Leading frames of the window that are always clean, C.
+    pub clean: usize,
+    /// Strategy by which the window moves.
+    pub strategy: Strategy,
+    /// Noise schedule and denoising update.
+    pub sampler: SamplerOptions,
+    /// Classifier-free guidance.
+    pub guidance: Guidance,
+    /// Seed of the noise.
+    pub noise_seed: u64,
+    /// Conditions of a network process; other networks have their own.
+    pub recipe: Recipe,
+    /// Time-out for each answer of a network process, seconds.
+    pub timeout_s: f64,
+}
+
+impl Default for GeneratorSettings {
+    fn default() -> Self {
+        Self {
+            window: None,
+            steps: None,
+            clean: 0,
+            strategy: Strategy::ResetAndRoll,
+            sampler: SamplerOptions::default(),
+            guidance: Guidance::default(),
+            noise_seed: 0,
+            recipe: Recipe::default(),
+            timeout_s: 60.0,
+        }
+    }
+}
+
+/// A network that is ready to generate.
+pub struct OpenedNetwork {
+    denoiser: AnyDenoiser,
+    codec: Box<dyn Codec>,
+    recipe: Recipe,
+    size: ImageSize,
+    options: GenerateOptions,
+    seed: u64,
+    about: Option<Provenance>,
+    fingerprint: Option<String>,
+    name: NetworkName,
+}
+
+/// Network and options of a rollout's generator.
+#[derive(Clone, Debug, Serialize)]
+pub struct GeneratorReport {
+    network: NetworkName,
+    /// Provenance of the weights.
+    weights: Option<Provenance>,
+    fingerprint: Option<String>,
+    /// Size of the images.
+    size: ImageSize,
+    recipe: Recipe,
+    #[serde(flatten)]
+    options: GenerateOptions,
+    noise_seed: u64,
+}
+
+/// Scene whose images are generated.
+pub struct GenerationScene<'a> {
+    /// Recorded or synthetic log.
+    pub log: &'a Log,
+    /// HD map of the log.
+    pub map: Option<Arc<SceneMap>>,
+    /// Point clouds of the skeleton.
+    pub clouds: &'a SceneClouds<'a>,
+    /// Parts of the prompt.
+    pub prompt: &'a PromptParts,
+    /// Source of the reference images.
+    pub truth: GroundTruthImages<'a>,
+    /// Whether the ego follows the log in the whole rollout.
+    pub ego_follows_log: bool,
+    /// Whether the other actors follow the log in the whole rollout.
+    pub actors_follow_log: bool,
+}
+
+/// Error of opening a network.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenNetworkError {
+    /// The options are inconsistent.
+    #[error(transparent)]
+    Options(#[from] GenerateError),
+    /// The window is larger than the one the network was trained with.
+    #[error("expected a window of at most {trained} with these weights, found {found}")]
+    Window {
+        /// Window of the training, frames.
+        trained: usize,
+        /// Given window, frames.
+        found: usize,
+    },
+    /// The weights cannot be read.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
+    /// The weights are for another number of cameras.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The process does not answer, or its answer is invalid.
+    #[error(transparent)]
+    Process(#[from] DenoiserError),
+}
+
+impl OpenNetworkError {
+    /// Returns whether the options are invalid, as opposed to the weights or the process.
+    pub fn is_usage(&self) -> bool {
+        matches!(self, Self::Options(_) | Self::Window { .. })
+    }
+}
+
+impl GeneratorSettings {
+    /// Opens the weights or starts the process, for a log of `cameras` cameras.
+    ///
+    /// # Errors
+    /// Fails if the options are inconsistent, if the weights are damaged or for another number of cameras, or if the
+    /// process does not answer.
+    pub fn open(&self, name: &NetworkName, cameras: usize) -> Result<OpenedNetwork, OpenNetworkError> {
+        match name {
+            NetworkName::Network(path) => self.open_weights(path.as_deref(), cameras),
+            NetworkName::Process(address) => self.start(address, cameras),
+        }
+    }
+
+    fn open_weights(&self, path: Option<&Path>, cameras: usize) -> Result<OpenedNetwork, OpenNetworkError> {
+        let network = Network::open_or_shipped(path)?;
+        let config = network.config();
+        let (trained, recipe) = (config.frames, config.recipe.clone());
+        let options = self.options(trained)?;
+        if options.window > trained {
+            return Err(OpenNetworkError::Window { trained, found: options.window });
+        }
+        if config.cameras != cameras {
+            let found = format!("weights for {}", config.cameras);
+            let path = path.unwrap_or(Path::new("the shipped weights"));
+            return Err(FileError::content(format!("weights for {cameras} cameras"), found, path).into());
+        }
+        Ok(OpenedNetwork {
+            codec: Box::new(network.codec()?),
+            size: recipe.size,
+            about: Some(network.about().clone()),
+            fingerprint: Some(network.fingerprint().to_owned()),
+            denoiser: Box::new(network),
+            recipe,
+            options,
+            seed: self.noise_seed,
+            name: NetworkName::Network(path.map(Path::to_owned)),
+        })
+    }
+
+    fn start(&self, address: &PeerAddress, cameras: usize) -> Result<OpenedNetwork, OpenNetworkError> {
+        let (options, recipe) = (self.options(PROCESS_WINDOW)?, self.recipe.clone());
+        let spec = PeerSpec { address: address.clone(), timeout_s: self.timeout_s };
+        let denoiser = ProcessDenoiser::start(&spec, &options, cameras, recipe.size)?;
+        let (codec, size) = denoiser.codec()?;
+        Ok(OpenedNetwork {
+            codec,
+            size,
+            about: None,
+            fingerprint: None,
+            denoiser: Box::new(denoiser),
+            recipe,
+            options,
+            seed: self.noise_seed,
+            name: NetworkName::Process(address.clone()),
+        })
+    }
+
+    /// Returns the options for a network whose default window is `window`.
+    fn options(&self, window: usize) -> Result<GenerateOptions, GenerateError> {
+        let window = self.window.unwrap_or(window);
+        let options = GenerateOptions {
+            window,
+            steps: self.steps.unwrap_or(window.saturating_sub(self.clean)),
+            clean: self.clean,
+            strategy: self.strategy,
+            sampler: self.sampler,
+            guidance: self.guidance,
+        };
+        options.check()?;
+        Ok(options)
+    }
+}
+
+impl OpenedNetwork {
+    /// Returns the number of frames in the window.
+    pub fn window(&self) -> usize {
+        self.options.window
+    }
+
+    /// Returns network and options.
+    pub fn report(&self) -> GeneratorReport {
+        GeneratorReport {
+            network: self.name.clone(),
+            weights: self.about.clone(),
+            fingerprint: self.fingerprint.clone(),
+            size: self.size,
+            recipe: self.recipe.clone(),
+            options: self.options,
+            noise_seed: self.seed,
+        }
+    }
+
+    /// Creates the session of a rollout.
+    ///
+    /// # Errors
+    /// Fails if codec and network differ in latent shape.
+    pub fn session<'a>(self, scene: &GenerationScene<'a>) -> Result<Session<'a>, SessionError> {
+        let prompt = scene.prompt.prompt().unwrap_or_default();
+        let conditioner = Conditioner::new(scene.log, scene.map.clone(), scene.clouds, &self.recipe, &prompt);
+        let parts = SessionParts {
+            conditioner,
+            truth: scene.truth,
+            ego_follows_log: scene.ego_follows_log,
+            actors_follow_log: scene.actors_follow_log,
+            codec: self.codec,
+            size: self.size,
+            options: self.options,
+            seed: self.seed,
+        };
+        Session::new(parts, self.denoiser)
+    }
+}
+
+impl GeneratorReport {
+    /// Formats a summary for the HTML page.
+    pub fn fact(&self) -> String {
+        let GenerateOptions { window, steps, strategy, .. } = self.options;
+        format!("images of {} by {} ({}, L {window}, T {steps})", self.size, self.network, strategy.name())
+    }
+}
+
+impl FromStr for NetworkName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            None if text == "network" => Ok(Self::Network(None)),
+            Some(("network", path)) if !path.is_empty() => Ok(Self::Network(Some(path.into()))),
+            Some(("process", address)) => {
+                address.parse().map(Self::Process).map_err(|error: PeerError| error.to_string())
+            }
+            _ => Err("expected network, network:FILE, process:COMMAND, process:unix:PATH or \
+                      process:tcp:HOST:PORT"
+                .to_owned()),
+        }
+    }
+}
+
+impl From<NetworkName> for String {
+    fn from(name: NetworkName) -> Self {
+        name.to_string()
+    }
+}
+
+impl fmt::Display for NetworkName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Network(None) => f.write_str("network"),
+            Self::Network(Some(path)) => write!(f, "network:{}", path.display()),
+            Self::Process(address) => write!(f, "process:{address}"),
+        }
+    }
+}
