@@ -11,11 +11,9 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::input::{IMAGE_BYTES, read_file};
 use point_skeleton::geometry::ImageSize;
 
+use super::BIRDSEYE;
 use super::video::MAX_SIDE_PX;
 use super::view::VIEW;
-
-/// File name of the bird's-eye view in the folder of a step.
-pub const BIRDSEYE: &str = "birdseye.png";
 
 const BACKGROUND: [u8; 3] = [17, 19, 24];
 const TEXT: [u8; 3] = [232, 234, 237];

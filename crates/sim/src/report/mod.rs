@@ -3,14 +3,16 @@
 //! # How it works
 //! All reports are created from the files in the folders of the steps and from the lines of `states.jsonl`. A
 //! rollout that was interrupted and resumed therefore gives the same bytes as an uninterrupted one. [`sight`]
-//! determines which actors are visible, [`view`] writes the images of a step, [`film`] composes them into frames of
-//! the [`video`](Video), and [`page`] writes the HTML page.
+//! determines which actors are visible, [`view`] writes the images of a step, [`page`] writes the HTML page, and, with
+//! the feature `video`, `film` composes images into frames of the `video`.
 
+#[cfg(feature = "video")]
 pub mod film;
 pub mod images;
 pub mod page;
 mod row;
 pub mod sight;
+#[cfg(feature = "video")]
 mod video;
 pub mod view;
 
@@ -20,6 +22,9 @@ pub const ROLLOUT: &str = "rollout.json";
 pub const STATES: &str = "states.jsonl";
 /// Folder of the steps in the folder of a rollout; each has a folder with its name, see [`StepRow::name`].
 pub const STEPS: &str = "steps";
+/// File name of the bird's-eye view in the folder of a step.
+pub const BIRDSEYE: &str = "birdseye.png";
 
 pub use row::{ActorRow, EgoRow, LightRow, Phase, StateFile, StepObservations, StepRow};
+#[cfg(feature = "video")]
 pub use video::{MAX_SIDE_PX, Video, VideoError};

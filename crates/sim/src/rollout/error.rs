@@ -5,6 +5,7 @@ use point_skeleton::conditions::ConditionError;
 use point_skeleton::error::FileError;
 
 use crate::SimError;
+#[cfg(feature = "video")]
 use crate::report::VideoError;
 
 /// Error of any type.
@@ -23,6 +24,7 @@ pub enum RolloutError {
     #[error(transparent)]
     Maps(#[from] ConditionError),
     /// The video cannot be encoded.
+    #[cfg(feature = "video")]
     #[error(transparent)]
     Video(#[from] VideoError),
     /// The inputs cannot be described in `rollout.json`.

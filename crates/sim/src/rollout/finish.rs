@@ -1,21 +1,18 @@
-use std::path::Path;
-
 use point_skeleton::conditions::meta::Index;
 use point_skeleton::error::with_causes;
 use point_skeleton::files::{OutputFolder, write_json};
-use rayon::prelude::*;
 use serde::Serialize;
 
 use super::error::RolloutError;
-use super::files::{INDEX, METRICS, PAGE, STATES, VIDEO, step_folder};
+use super::files::{INDEX, METRICS, PAGE, STATES, VIDEO};
 use super::output::Output;
 use super::report::RolloutReport;
+#[cfg(feature = "video")]
+use super::video;
 use crate::report::page::{self, Page, PageActor, PageEvent, PageStep};
-use crate::report::{ActorRow, Phase, StepRow, Video, film, sight};
+use crate::report::{ActorRow, Phase, StepRow, sight};
 use crate::{Collision, EndReason, Metrics};
 
-/// Number of video images in memory at the same time.
-const PICTURES: usize = 16;
 /// Names and colors of the lines in the bird's-eye view.
 pub(super) const TRACES: [(&str, [u8; 4]); 3] = [
     ("recorded path", [150, 160, 182, 150]),
@@ -45,38 +42,13 @@ pub(super) fn finish(
     let (failure, steps_beyond_log) = (failure.as_deref(), *steps_beyond_log);
     let content = MetricsFile { ended: *ended, failure, metrics, steps_beyond_log, notes };
     write_json(&files.claim(METRICS)?, &content)?;
-    video(output, &files.claim(VIDEO)?, report)?;
+    #[cfg(feature = "video")]
+    video::write(output, &files.claim(VIDEO)?, report)?;
     page(output, report).write(&files.claim(PAGE)?)?;
     let cameras: Vec<_> = report.cameras.iter().map(|(name, _)| name.clone()).collect();
     let frames = rows.iter().map(|row| row.index_frame(&cameras)).collect();
     Index { options: output.record, frames }.write(&files.claim(INDEX)?)?;
     Ok(())
-}
-
-/// Encodes the video. Images are composed on all threads and encoded in order.
-fn video(output: &Output<'_>, path: &Path, report: &RolloutReport) -> Result<(), RolloutError> {
-    let mut video = None;
-    for rows in report.rows.chunks(PICTURES) {
-        let picture = |row: &StepRow| {
-            let folder = step_folder(output.folder, &row.name());
-            film::picture(&folder, &report.layout.maps, &caption(output, row))
-        };
-        for picture in rows.par_iter().map(picture).collect::<Vec<_>>() {
-            let (size, pixels) = picture?;
-            let video = match &mut video {
-                Some(video) => video,
-                none => none.insert(Video::new(path, size, output.record.sim_hz)?),
-            };
-            video.push(size, &pixels)?;
-        }
-    }
-    video.map_or(Ok(()), |video| Ok(video.write()?))
-}
-
-fn caption(output: &Output<'_>, row: &StepRow) -> String {
-    let phase = if row.phase == Phase::WarmUp { "  warm-up" } else { "" };
-    let seconds = row.step as f64 / output.record.sim_hz;
-    format!("{}  {}  {seconds:.2} s  {:.1} m/s{phase}", output.record.log, row.name(), row.ego.speed_mps)
 }
 
 fn page(output: &Output<'_>, report: &RolloutReport) -> Page {
@@ -108,7 +80,12 @@ fn page(output: &Output<'_>, report: &RolloutReport) -> Page {
         steps: rows.iter().map(step).collect(),
         events: report.metrics.collisions.iter().map(|c| event(c, rows)).collect(),
         metrics: table,
-        files: [VIDEO, METRICS, STATES, INDEX].map(str::to_owned).to_vec(),
+        files: cfg!(feature = "video")
+            .then_some(VIDEO)
+            .into_iter()
+            .chain([METRICS, STATES, INDEX])
+            .map(str::to_owned)
+            .collect(),
     }
 }
 

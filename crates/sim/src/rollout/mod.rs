@@ -21,6 +21,8 @@ mod sources;
 mod steps;
 #[cfg(test)]
 mod tests;
+#[cfg(feature = "video")]
+mod video;
 
 pub use error::{AnyError, RolloutError};
 pub use generator::{GenerationTimes, ImageGenerator};

@@ -16,7 +16,7 @@ use super::generation::Images;
 use super::options::RolloutRecord;
 use super::profile::{WriteTimes, lap};
 use crate::SavedState;
-use crate::report::{StateFile, StepRow, film, view};
+use crate::report::{BIRDSEYE, StateFile, StepRow, view};
 
 /// A step with all data to write.
 pub(super) struct Job {
@@ -107,7 +107,7 @@ impl Output<'_> {
                 images.write(folder, &view::Layout::of(set))?;
             }
             times.view_s = lap(&mut clock);
-            let above = folder.join(film::BIRDSEYE);
+            let above = folder.join(BIRDSEYE);
             birdseye::write_with(&above, state, &job.traces, &BirdseyeOptions::default())?;
             times.birdseye_s = lap(&mut clock);
             if self.record.sheets {
