@@ -295,8 +295,8 @@ fn damaged_rollouts_are_refused() {
     let rollouts = Rollouts::new();
     rollouts.add("a", 1);
     rollouts.fail("", 2, &["required arguments"]);
-    rollouts.fail("a --masks x --masks y", 2, &["expected --masks once for each of 1 rollouts, found 2"]);
-    rollouts.fail("a --masks x y", 2, &["expected --masks once for each of 2 rollouts, found 1"]);
+    rollouts.fail("a --masks x --masks y", 2, &["expected masks for each of 1 rollouts, found 2"]);
+    rollouts.fail("a --masks x y", 2, &["expected masks for each of 2 rollouts, found 1"]);
     rollouts.fail("none", 1, &["expected a rollout with generated images, found no rollout.json: none"]);
     let class = rollouts.step("a", 8).join("CAM_BACK/class.png");
     RgbImage::new(4, 4).save(&class).unwrap();
@@ -323,8 +323,7 @@ fn damaged_rollouts_are_refused() {
     for step in (0..STEPS).step_by(2) {
         std::fs::write(rollouts.step("a", step).join("generated.json"), r#"{"kind": "reference"}"#).unwrap();
     }
-    let expected =
-        "expected generated images of simulate --generator, found none in 36 steps (18 with references): a";
+    let expected = "expected generated images, found none in 36 steps (18 with references): a";
     rollouts.fail("a", 1, &[expected]);
     std::fs::write(rollouts.path("a/states.jsonl"), "{}\n").unwrap();
     rollouts.fail("a", 1, &["expected a state of step 0 in line 1", "states.jsonl"]);

@@ -10,15 +10,12 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
 use point_skeleton::files::input::is_there;
 use point_skeleton::geometry::ImageSize;
-use pskel_eval::{MOVING_MPS, moving_mask};
 use pskel_sim::report::images::{self, GENERATED, TRUTH};
-use pskel_sim::report::{ROLLOUT, StateFile, StepRow};
+use pskel_sim::report::{ROLLOUT, STATES, STEPS, StateFile, StepRow};
 use rayon::prelude::*;
 
 use super::picture::{self, Read};
-
-const STATES: &str = "states.jsonl";
-const STEPS: &str = "steps";
+use crate::{MOVING_MPS, moving_mask};
 
 /// Index of a rollout's files.
 pub(super) struct GeneratedRollout {
@@ -77,7 +74,7 @@ impl GeneratedRollout {
         }
         let Some(first) = steps.first() else {
             let found = format!("none in {} steps ({references} with references)", rows.len());
-            return Err(FileError::content("generated images of simulate --generator", found, folder));
+            return Err(FileError::content("generated images", found, folder));
         };
         let cameras = cameras(&first.folder.join(GENERATED))?;
         let size = |camera: &FileName| {

@@ -1,11 +1,6 @@
 //! Text formats of the table.
 
-use std::ops::Range;
-
-use point_skeleton::conditions::ConditionOptions;
-use point_skeleton::dataset::Log;
-use serde_json::{Value, json};
-
+use super::FidelityReport;
 use super::measure::{MaskRow, Row};
 
 const HEADER: [&str; 14] = [
@@ -25,8 +20,25 @@ const HEADER: [&str; 14] = [
     "same, own points only",
 ];
 
+impl FidelityReport {
+    /// Formats a row per pose, with aligned columns.
+    pub fn table(&self) -> String {
+        aligned(&cells(&self.poses))
+    }
+
+    /// Formats a row per pose as CSV.
+    pub fn csv(&self) -> String {
+        csv(&cells(&self.poses))
+    }
+
+    /// Formats a row per pose as Markdown.
+    pub fn markdown(&self) -> String {
+        markdown(&cells(&self.poses))
+    }
+}
+
 /// Returns the cells of header and rows.
-pub(super) fn cells(rows: &[Row]) -> Vec<Vec<String>> {
+fn cells(rows: &[Row]) -> Vec<Vec<String>> {
     let header = HEADER.map(str::to_owned).to_vec();
     std::iter::once(header).chain(rows.iter().map(row)).collect()
 }
@@ -34,7 +46,7 @@ pub(super) fn cells(rows: &[Row]) -> Vec<Vec<String>> {
 fn row(row: &Row) -> Vec<String> {
     let iou = |masks: &MaskRow, class: &str| number(masks.classes.get(class).copied().flatten(), 3);
     let near = |masks: &MaskRow| number(masks.near_cars, 3);
-    let depth = |of: fn(&pskel_eval::DepthSummary) -> f32| row.depth.as_ref().map(|d| f64::from(of(d)));
+    let depth = |of: fn(&crate::DepthSummary) -> f32| row.depth.as_ref().map(|d| f64::from(of(d)));
     vec![
         row.pose.clone(),
         row.images.to_string(),
@@ -58,11 +70,11 @@ fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
 }
 
-pub(super) fn csv(cells: &[Vec<String>]) -> String {
+fn csv(cells: &[Vec<String>]) -> String {
     cells.iter().map(|row| row.join(",") + "\n").collect()
 }
 
-pub(super) fn markdown(cells: &[Vec<String>]) -> String {
+fn markdown(cells: &[Vec<String>]) -> String {
     let line = |row: &Vec<String>| format!("| {} |\n", row.join(" | "));
     let Some((header, rows)) = cells.split_first() else { return String::new() };
     let rule = format!("|{}\n", "---|".repeat(header.len()));
@@ -70,7 +82,7 @@ pub(super) fn markdown(cells: &[Vec<String>]) -> String {
 }
 
 /// Aligns cells in columns for the terminal.
-pub(super) fn aligned(cells: &[Vec<String>]) -> String {
+fn aligned(cells: &[Vec<String>]) -> String {
     let columns = cells.first().map_or(0, Vec::len);
     let width = |column: usize| cells.iter().map(|row| row[column].len()).max().unwrap_or(0);
     let widths: Vec<usize> = (0..columns).map(width).collect();
@@ -79,17 +91,6 @@ pub(super) fn aligned(cells: &[Vec<String>]) -> String {
         row.iter().zip(&widths).map(cell).collect::<Vec<_>>().join("  ") + "\n"
     };
     cells.iter().map(line).collect()
-}
-
-/// Formats all numbers as JSON.
-pub(super) fn json(log: &Log, frames: &Range<usize>, options: &ConditionOptions, rows: &[Row]) -> Value {
-    json!({
-        "log": log.name,
-        "description": log.description,
-        "frames": [frames.start, frames.end],
-        "options": options,
-        "poses": rows,
-    })
 }
 
 #[cfg(test)]

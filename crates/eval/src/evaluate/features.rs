@@ -2,16 +2,20 @@
 
 use std::path::Path;
 
-use anyhow::anyhow;
 use point_skeleton::cloud::npy::read_features;
 use point_skeleton::error::FileError;
-use pskel_eval::{Distance, FeatureSet, frechet_distance};
+
+use super::error::EvaluateError;
+use crate::{Distance, FeatureSet, frechet_distance};
 
 /// Returns the Fréchet distance between features of generated and ground-truth images.
-pub(super) fn distance(generated: &Path, truth: &Path) -> anyhow::Result<Distance> {
+pub(super) fn distance(generated: &Path, truth: &Path) -> Result<Distance, EvaluateError> {
     let (a, b) = (read(generated)?, read(truth)?);
-    let distance = frechet_distance(&a, &b)
-        .map_err(|error| anyhow!("{error}: {} and {}", generated.display(), truth.display()))?;
+    let distance = frechet_distance(&a, &b).map_err(EvaluateError::in_files(format!(
+        "{} and {}",
+        generated.display(),
+        truth.display()
+    )))?;
     Ok(Distance { distance, generated: a.len(), truth: b.len(), features: a.columns() })
 }
 

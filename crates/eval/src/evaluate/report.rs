@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use point_skeleton::files::FileName;
-use pskel_eval::{
+use crate::{
     CollectedFeatures, Distance, Distances, FrechetError, MeanInterval, Scores, mean_interval,
     paired_difference,
 };
+use point_skeleton::files::FileName;
 use serde::Serialize;
 
 use super::rollout::GeneratedRollout;
@@ -14,13 +14,13 @@ use super::segmentor::{PATCHES, PatchesAbout, Segmentors};
 
 /// All results.
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub struct Report {
     seed: u64,
     /// Means over rollouts, by metric name; `null` if no rollout has the metric.
     mean: BTreeMap<String, Option<MeanInterval>>,
     /// Distances over the images and videos of all rollouts.
     distances: Distances,
-    /// Distance of the features given on the command line.
+    /// Distance of the features of another network.
     given_features: Option<Distance>,
     patch_classifier: PatchesAbout,
     notes: Vec<String>,
@@ -136,12 +136,13 @@ impl Report {
         })
     }
 
-    pub(super) fn notes(&self) -> &[String] {
+    /// Returns notes on missing metrics, with reasons.
+    pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
     /// Formats a row per rollout, and one with their means and intervals.
-    pub(super) fn table(&self) -> String {
+    pub fn table(&self) -> String {
         let mut cells = vec![HEADER.map(str::to_owned).to_vec()];
         cells.extend(self.rollouts.iter().map(ScoredRollout::row));
         if self.rollouts.len() > 1 {
@@ -166,7 +167,7 @@ impl Report {
     }
 
     /// Formats a one-line summary, without duration and path.
-    pub(super) fn summary(&self) -> String {
+    pub fn summary(&self) -> String {
         let images: usize = self.rollouts.iter().map(|r| r.scores.steps * r.scores.cameras).sum();
         let count = self.rollouts.len();
         let distance = |name: &str, distance: Option<Distance>| {

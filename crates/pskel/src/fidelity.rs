@@ -1,22 +1,18 @@
-//! `pskel fidelity`: compares condition maps of the synthetic town with ground truth, at and beside the recorded
-//! poses. [`measure`] compares, [`table`] formats.
+//! `pskel fidelity`: compares condition maps of the synthetic town with ground truth.
 
-mod measure;
-mod table;
-
-use std::path::PathBuf;
-use std::sync::Arc;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
-use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
+use point_skeleton::conditions::{ConditionOptions, ImageSize};
 use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{check_output_file, write_json, write_whole};
 use point_skeleton::raster::SplatSchedule;
 use point_skeleton::scene::SceneClouds;
+use pskel_eval::{POSES, fidelity};
 
-use self::measure::{Measured, Measurement, Pose};
 use super::log_args;
 use super::numbers::FrameRange;
 use super::progress::Progress;
@@ -78,56 +74,33 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
         check_output_file(out, [])?;
     }
     let town = logs::open_town(&args.log)?;
+    let log = town.log();
     let skeleton = open_skeleton(&args.skeleton, &town)?;
-    let frames = FrameRange::of(args.frames, town.log().frames.len())?;
-    let (stand_ins, _) = args.stand_ins.make(&skeleton, &town.log().name)?;
-    let stage = SceneClouds::with(&skeleton, &town.log().name, &stand_ins)?;
-    let mut rasterizer = args.rasterizer.create(stage.cloud_set())?;
-    let map = town.read_map()?.map(Arc::new);
-    let measurement =
-        Measurement { town: &town, stage: &stage, options: args.options(), map: map.as_deref() };
-    let poses = Pose::all();
-    let mut progress = Progress::new(poses.len() * frames.len());
-    let mut rows = Vec::new();
-    for pose in poses {
-        let mut row = Measured::new(pose);
-        for frame in frames.clone() {
-            measurement.add(rasterizer.as_mut(), frame, &mut row)?;
-            progress.step(&format!("{}, frame {frame:06}", row.name));
-        }
-        rows.push(row.summary());
-    }
+    let frames = FrameRange::of(args.frames, log.frames.len())?;
+    let (substitutes, _) = args.stand_ins.make(&skeleton, &log.name)?;
+    let clouds = SceneClouds::with(&skeleton, &log.name, &substitutes)?;
+    let mut rasterizer = args.rasterizer.create(clouds.cloud_set())?;
+    let options = ConditionOptions {
+        splat: args.splat.clone(),
+        size: args.size,
+        out_size: args.out_size,
+        ..ConditionOptions::default()
+    };
+    let mut progress = Progress::new(POSES * frames.len());
+    let mut on_step = |name: &str| progress.step(name);
+    let report = fidelity(&town, &clouds, rasterizer.as_mut(), frames, options, &mut on_step)?;
     drop(progress);
-    let cells = table::cells(&rows);
-    if let Some(path) = &args.json {
-        write_json(path, &table::json(town.log(), &frames, &measurement.options, &rows))?;
-    }
-    write_text(args.csv.as_deref(), &table::csv(&cells))?;
-    write_text(args.markdown.as_deref(), &table::markdown(&cells))?;
-    say(table::aligned(&cells).trim_end());
-    let (count, seconds) = (rows.iter().map(|row| row.images).sum::<usize>(), start.elapsed().as_secs_f64());
-    say(&format!(
-        "compared {count} images of {} in {seconds:.2} s: {}",
-        town.log().name,
-        args.skeleton.display()
-    ));
+    args.json.as_ref().map_or(Ok(()), |path| write_json(path, &report))?;
+    write_text(args.csv.as_deref(), &report.csv())?;
+    write_text(args.markdown.as_deref(), &report.markdown())?;
+    say(report.table().trim_end());
+    let images = report.poses.iter().map(|row| row.images).sum::<usize>();
+    let (seconds, skeleton) = (start.elapsed().as_secs_f64(), args.skeleton.display());
+    say(&format!("compared {images} images of {} in {seconds:.2} s: {skeleton}", log.name));
     Ok(())
 }
 
-fn write_text(path: Option<&std::path::Path>, text: &str) -> Result<(), FileError> {
-    use std::io::Write;
+fn write_text(path: Option<&Path>, text: &str) -> Result<(), FileError> {
     let Some(path) = path else { return Ok(()) };
     write_whole(path, |out| out.write_all(text.as_bytes()).map_err(FileError::io("write", path)))
-}
-
-impl FidelityArgs {
-    fn options(&self) -> ConditionOptions {
-        ConditionOptions {
-            maps: MapSet::of(&[MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Instance]),
-            splat: self.splat.clone(),
-            size: self.size,
-            out_size: self.out_size,
-            ..ConditionOptions::default()
-        }
-    }
 }

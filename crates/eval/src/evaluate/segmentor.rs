@@ -2,15 +2,15 @@
 
 use std::path::PathBuf;
 
-use anyhow::anyhow;
+use crate::{PatchClassifier, PatchOptions, PatchTrainer, SegmentationMasks, vehicle_mask};
 use image::RgbImage;
 use point_skeleton::conditions::reduce::nearest;
 use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
-use pskel_eval::{PatchClassifier, PatchOptions, PatchTrainer, SegmentationMasks, vehicle_mask};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::error::EvaluateError;
 use super::picture;
 use super::rollout::{Frame, GeneratedRollout, Step};
 
@@ -71,7 +71,7 @@ impl Segmentors {
         masks: &[PathBuf],
         from: &[PathBuf],
         seed: u64,
-    ) -> anyhow::Result<Self> {
+    ) -> Result<Self, EvaluateError> {
         let options = PatchOptions { seed, ..PatchOptions::default() };
         let mut about = PatchesAbout {
             what: "a random forest on patches of colors and their place, trained on true images; no segmentation network",
@@ -89,9 +89,7 @@ impl Segmentors {
                 learn(&mut trainer, &rollout, &rollout.steps)?;
             }
             about.images = vec![trainer.images()];
-            Patches::One(
-                trainer.train().map_err(|error| anyhow!("{error}: {}", about.trained_on.join(", ")))?,
-            )
+            Patches::One(trainer.train().map_err(EvaluateError::in_files(about.trained_on.join(", ")))?)
         };
         Ok(Self { folders: masks.to_vec(), patches, about })
     }
@@ -103,7 +101,7 @@ impl Segmentors {
         number: usize,
         index: usize,
         frame: &Frame,
-    ) -> anyhow::Result<Vec<Masks>> {
+    ) -> Result<Vec<Masks>, EvaluateError> {
         let mut all = Vec::new();
         if let Some(folder) = self.folders.get(number) {
             let folder = folder.join(&rollout.steps[index].name);

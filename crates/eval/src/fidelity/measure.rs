@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 
+use crate::{DepthErrors, DepthSummary, FilledError, Overlap, compare_filled};
 use glam::{DVec2, DVec3};
 use point_skeleton::conditions::{
     self, CameraConditions, ConditionOptions, ImageSize, MapKind, MapSet, reduce,
@@ -8,10 +9,11 @@ use point_skeleton::dataset::{Area, Class, Dataset, VectorMap};
 use point_skeleton::geometry::View;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{EgoOffset, SceneClouds, SceneState, SelectionOptions, state_of_frame};
-use pskel_eval::{DepthErrors, DepthSummary, FilledError, Overlap, compare_filled};
 use pskel_town::Town;
 use pskel_town::view::GroundTruthView;
 use serde::Serialize;
+
+use super::FidelityError;
 
 /// Maximum distance of near cars, meters from the ego to the center of the box.
 const NEAR_M: f64 = 40.0;
@@ -30,7 +32,7 @@ pub(super) enum Pose {
 /// Inputs for measuring a row of the table.
 pub(super) struct Measurement<'a> {
     pub(super) town: &'a Town,
-    pub(super) stage: &'a SceneClouds<'a>,
+    pub(super) clouds: &'a SceneClouds<'a>,
     pub(super) options: ConditionOptions,
     pub(super) map: Option<&'a VectorMap>,
 }
@@ -66,36 +68,49 @@ struct MaskSums {
 
 /// Row of the table.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Row {
-    pub(super) pose: String,
-    pub(super) images: usize,
+pub struct Row {
+    /// Ego pose relative to the recorded one.
+    pub pose: String,
+    /// Number of compared images.
+    pub images: usize,
     /// Number of frames with the ego offset to the left.
-    pub(super) to_the_left: usize,
+    pub to_the_left: usize,
     /// Means over images; the PSNR is over images with filled pixels.
-    pub(super) color: FilledError,
-    pub(super) depth: Option<DepthSummary>,
-    pub(super) rendered: MaskRow,
-    pub(super) templates: MaskRow,
-    pub(super) own_points: MaskRow,
+    pub color: FilledError,
+    /// Depth errors; `None` if no pixel has both depths.
+    pub depth: Option<DepthSummary>,
+    /// Masks of rendered maps: actors with many points by their own, others by templates.
+    pub rendered: MaskRow,
+    /// Masks of templates alone.
+    pub templates: MaskRow,
+    /// Masks of the actors' own points alone.
+    pub own_points: MaskRow,
 }
 
 /// IoU values; `None` if neither map nor ground truth shows the class.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct MaskRow {
-    pub(super) classes: BTreeMap<&'static str, Option<f64>>,
-    pub(super) near_cars: Option<f64>,
+pub struct MaskRow {
+    /// By class.
+    pub classes: BTreeMap<&'static str, Option<f64>>,
+    /// Cars within 40 m.
+    pub near_cars: Option<f64>,
 }
 
 /// Names of the classes, starting with class 1.
 pub(super) const CLASS_NAMES: [&str; 4] = ["motor_vehicle", "pedestrian", "cycle", "object"];
 
 impl Pose {
-    /// Returns the poses of all rows.
-    pub(super) fn all() -> Vec<Self> {
-        let beside = [0.5, 1.0, 2.0, 3.5].map(Self::Beside);
-        let turned = [5.0, 10.0, 20.0].map(Self::Turned);
-        [Self::Logged].into_iter().chain(beside).chain(turned).collect()
-    }
+    /// Poses of all rows.
+    pub(super) const ALL: [Self; 8] = [
+        Self::Logged,
+        Self::Beside(0.5),
+        Self::Beside(1.0),
+        Self::Beside(2.0),
+        Self::Beside(3.5),
+        Self::Turned(5.0),
+        Self::Turned(10.0),
+        Self::Turned(20.0),
+    ];
 
     fn name(self) -> String {
         match self {
@@ -199,12 +214,11 @@ impl Measurement<'_> {
         rasterizer: &mut dyn Rasterizer,
         frame: usize,
         row: &mut Measured,
-    ) -> anyhow::Result<()> {
+    ) -> Result<(), FidelityError> {
         let log = self.town.log();
         let offset = self.offset(frame, row);
-        let state = state_of_frame(log, frame, offset).ok_or_else(|| {
-            anyhow::anyhow!("expected frame {frame} in log {}, found none", log.shown_name())
-        })?;
+        let state = state_of_frame(log, frame, offset)
+            .ok_or_else(|| FidelityError::NoFrame { frame, log: log.shown_name().into_owned() })?;
         let views: Vec<View> = state.cameras.iter().map(|c| self.options.drawn_view(&c.view)).collect();
         let truth: Vec<TrueMaps> = self
             .town
@@ -218,7 +232,7 @@ impl Measurement<'_> {
             let of_masks = MapSet::of(&[MapKind::Class, MapKind::Instance]);
             let maps = if masks == Masks::Rendered { self.options.maps } else { of_masks };
             let options = ConditionOptions { maps, ..self.options.clone() };
-            let instances = self.stage.instances(&state, &masks.selection());
+            let instances = self.clouds.instances(&state, &masks.selection());
             let set = conditions::render(rasterizer, &instances, &state, &options)?;
             for (map, truth) in set.cameras.iter().zip(&truth) {
                 sums.add(map, truth, &near);

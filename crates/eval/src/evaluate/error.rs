@@ -1,0 +1,48 @@
+use std::error::Error;
+use std::path::Path;
+
+use point_skeleton::error::FileError;
+
+use crate::{FrechetError, PatchClassifierError};
+
+/// Error of scoring rollouts.
+#[derive(Debug, thiserror::Error)]
+pub enum EvaluateError {
+    /// The number of mask folders differs from the number of rollouts.
+    #[error("expected masks for each of {rollouts} rollouts, found {found}")]
+    Masks {
+        /// Number of rollouts.
+        rollouts: usize,
+        /// Number of mask folders.
+        found: usize,
+    },
+    /// A file is missing or damaged.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The distance between features cannot be computed.
+    #[error(transparent)]
+    Distance(#[from] FrechetError),
+    /// The patch classifier does not fit the images.
+    #[error(transparent)]
+    Classifier(#[from] PatchClassifierError),
+    /// Images, features or masks do not fit.
+    #[error("{source}: {place}")]
+    At {
+        /// Cause.
+        source: Box<dyn Error + Send + Sync>,
+        /// Files or folders.
+        place: String,
+    },
+}
+
+impl EvaluateError {
+    /// Returns a closure for `map_err` that adds a path.
+    pub(super) fn at<E: Error + Send + Sync + 'static>(path: &Path) -> impl FnOnce(E) -> Self {
+        Self::in_files(path.display().to_string())
+    }
+
+    /// Returns a closure for `map_err` that adds the names of files or folders.
+    pub(super) fn in_files<E: Error + Send + Sync + 'static>(place: String) -> impl FnOnce(E) -> Self {
+        |source| Self::At { source: Box::new(source), place }
+    }
+}

@@ -1,0 +1,92 @@
+//! Scores generated images of rollouts against ground truth. `rollout` reads a rollout, `segmentor` segments vehicles,
+//! `features` reads features of other networks, `report` has the results.
+
+mod error;
+mod features;
+mod picture;
+mod report;
+mod rollout;
+mod segmentor;
+
+pub use error::EvaluateError;
+pub use report::Report;
+
+use std::path::PathBuf;
+
+use self::report::ScoredRollout;
+use self::rollout::GeneratedRollout;
+use self::segmentor::{Masks, Segmentors};
+use crate::{CollectedFeatures, RandomConvNet, RolloutScores, ScoredFrame, Scores};
+
+/// Rollouts to score, and further inputs.
+#[derive(Clone, Debug, Default)]
+pub struct EvaluateOptions {
+    /// Folders of rollouts with generated images.
+    pub rollouts: Vec<PathBuf>,
+    /// Folders with vehicle masks of a segmentor, `NNNNNN/CAM.png`: one per rollout, or none.
+    pub masks: Vec<PathBuf>,
+    /// Rollouts whose ground-truth images and class maps train the patch classifier; the other half of the steps if
+    /// empty.
+    pub classifier_from: Vec<PathBuf>,
+    /// Features of another network for generated and for ground-truth images, NPY files `[N, D]`.
+    pub features: Option<[PathBuf; 2]>,
+    /// Seed of the random convolutions and of the patch classifier.
+    pub seed: u64,
+}
+
+/// Scores all steps of all rollouts. `on_start` is called with the number of steps, then `on_step` with a name after
+/// each one.
+///
+/// # Errors
+/// Fails if a folder is not a rollout with generated images, if an image is missing or damaged, if the number of
+/// mask folders differs from the number of rollouts, or if the patch classifier cannot be trained.
+pub fn evaluate(
+    options: &EvaluateOptions,
+    on_start: &mut dyn FnMut(usize),
+    on_step: &mut dyn FnMut(&str),
+) -> Result<Report, EvaluateError> {
+    let EvaluateOptions { rollouts, masks, classifier_from, features, seed } = options;
+    if !masks.is_empty() && masks.len() != rollouts.len() {
+        return Err(EvaluateError::Masks { rollouts: rollouts.len(), found: masks.len() });
+    }
+    let features = features.as_ref().map(|[generated, truth]| features::distance(generated, truth));
+    let features = features.transpose()?;
+    let rollouts = GeneratedRollout::open_all(rollouts)?;
+    let segmentors = Segmentors::new(&rollouts, masks, classifier_from, *seed)?;
+    let net = RandomConvNet::new(*seed);
+    on_start(rollouts.iter().map(|rollout| rollout.steps.len()).sum());
+    let mut collected = CollectedFeatures::default();
+    let mut scored = Vec::new();
+    for (number, rollout) in rollouts.iter().enumerate() {
+        let (scores, features) = score(rollout, number, &net, &segmentors, on_step)?;
+        collected.append(&features);
+        scored.push(ScoredRollout::new(rollout, scores));
+    }
+    Ok(Report::new(scored, &collected, &segmentors, features, *seed)?)
+}
+
+fn score(
+    rollout: &GeneratedRollout,
+    number: usize,
+    net: &RandomConvNet,
+    segmentors: &Segmentors,
+    on_step: &mut dyn FnMut(&str),
+) -> Result<(Scores, CollectedFeatures), EvaluateError> {
+    let mut scores = RolloutScores::new(net.clone());
+    for (index, step) in rollout.steps.iter().enumerate() {
+        let frame = rollout.read(step)?;
+        let masks = segmentors.masks(rollout, number, index, &frame)?;
+        let segmented: Vec<_> = masks.iter().map(Masks::borrowed).collect();
+        let scored = ScoredFrame {
+            t_s: step.t_s,
+            generated: &frame.generated,
+            truth: frame.truth.as_deref(),
+            class: frame.class.as_deref(),
+            moving: frame.moving.as_deref(),
+            segmented: &segmented,
+        };
+        scores.push(&scored).map_err(EvaluateError::at(&step.folder))?;
+        on_step(&format!("{}, step {}", rollout.folder.display(), step.name));
+    }
+    Ok(scores.finish())
+}
