@@ -36,6 +36,7 @@ pub mod files;
 pub mod geometry;
 pub mod gpu;
 pub mod hash;
+pub mod idm;
 pub mod raster;
 pub mod scene;
 pub mod skeleton;

@@ -37,7 +37,7 @@ mod tracking;
 mod trajectory;
 mod world;
 
-pub use actors::{Leader, idm_step};
+pub use actors::idm_step;
 pub use error::SimError;
 pub use local_path::{LocalPath, LocalPathError};
 pub use metrics::{Collision, CollisionKind, Comfort, Deviation, Metrics, OffRoad, Range};

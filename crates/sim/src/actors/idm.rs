@@ -1,23 +1,26 @@
-//! Intelligent Driver Model (Treiber, Hennecke and Helbing 2000) along recorded paths.
+//! Intelligent Driver Model along recorded paths.
 
 use std::sync::Arc;
 
 use glam::DVec2;
 use point_skeleton::geometry::{Cuboid, Pose};
+use point_skeleton::idm::{Idm, Leader};
 
-use super::leader::{Leader, Others};
+use super::leader::Others;
 use crate::SimActor;
 use crate::pose_path::PosePath;
 use crate::recorded::Recorded;
 
-/// Desired speed on a free road, meters per second.
-const TARGET_MPS: f64 = 10.0;
-/// Minimum gap to the leader, meters.
-const MIN_GAP_M: f64 = 1.0;
-const HEADWAY_S: f64 = 1.5;
-const ACCELERATION_MPS2: f64 = 1.0;
-const BRAKING_MPS2: f64 = 2.0;
-const EXPONENT: i32 = 4;
+/// Parameters as in nuPlan.
+const IDM: Idm = Idm {
+    desired_mps: 10.0,
+    acceleration_mps2: 1.0,
+    braking_mps2: 2.0,
+    headway_s: 1.5,
+    min_gap_m: 1.0,
+    gap_floor_m: 1.0,
+    keeps_min_gap: false,
+};
 /// Minimum distance between points of a path, meters: smaller motion is the noise of a standing actor's boxes.
 const KNOT_STEP_M: f64 = 0.5;
 /// An actor is parked if it later moves less than this in total and is slower than `PARKED_MPS` now.
@@ -92,17 +95,6 @@ impl Follower {
 /// Model, as in nuPlan. The speed may become negative. The acceleration is limited to -2 to 1 m/s²; gaps below
 /// 1 m count as 1 m.
 pub fn idm_step((way_m, speed_mps): (f64, f64), leader: Option<Leader>, dt_s: f64) -> (f64, f64) {
-    let rise = acceleration_mps2(speed_mps, leader).clamp(-BRAKING_MPS2, ACCELERATION_MPS2);
+    let rise = IDM.acceleration_mps2(speed_mps, leader).clamp(-IDM.braking_mps2, IDM.acceleration_mps2);
     (way_m + dt_s * speed_mps, speed_mps + dt_s * rise)
-}
-
-fn acceleration_mps2(speed_mps: f64, leader: Option<Leader>) -> f64 {
-    let free = 1.0 - (speed_mps / TARGET_MPS).powi(EXPONENT);
-    let held = leader.map_or(0.0, |leader| {
-        let closing_mps = speed_mps - leader.speed_mps;
-        let braking_m = speed_mps * closing_mps / (2.0 * (ACCELERATION_MPS2 * BRAKING_MPS2).sqrt());
-        let wanted_m = MIN_GAP_M + speed_mps * HEADWAY_S + braking_m;
-        (wanted_m / leader.gap_m.max(MIN_GAP_M)).powi(2)
-    });
-    ACCELERATION_MPS2 * (free - held)
 }

@@ -1,5 +1,6 @@
 use glam::DVec2;
 use point_skeleton::geometry::{Footprint, Polyline};
+use point_skeleton::idm::Leader;
 
 use crate::{Instant, SimActor};
 
@@ -19,15 +20,6 @@ struct Body {
     track: Option<usize>,
     footprint: Footprint,
     speed_mps: f64,
-}
-
-/// Nearest road user ahead on a path.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Leader {
-    /// Gap along the path from the follower's front to the leader's box, meters; 0 on contact.
-    pub gap_m: f64,
-    /// Speed along the path, meters per second; negative for oncoming traffic.
-    pub speed_mps: f64,
 }
 
 impl Others {

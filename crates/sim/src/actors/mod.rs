@@ -11,7 +11,6 @@ mod leader;
 mod reactive;
 
 pub use idm::idm_step;
-pub use leader::Leader;
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -2,8 +2,9 @@
 
 use glam::DVec2;
 use point_skeleton::geometry::{Cuboid, Polyline};
+use point_skeleton::idm::Leader;
 
-use super::leader::{Leader, Others};
+use super::leader::Others;
 use crate::SimActor;
 use crate::recorded::Recorded;
 

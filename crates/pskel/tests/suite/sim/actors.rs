@@ -2,9 +2,8 @@ use std::collections::BTreeMap;
 
 use glam::DVec2;
 use point_skeleton::dataset::{Frame, Log};
-use pskel_sim::{
-    ActorPolicy, EgoPolicy, Instant, Leader, LocalPath, SimActor, SimOptions, Simulation, idm_step,
-};
+use point_skeleton::idm::Leader;
+use pskel_sim::{ActorPolicy, EgoPolicy, Instant, LocalPath, SimActor, SimOptions, Simulation, idm_step};
 use serde_json::Value;
 
 use super::made;

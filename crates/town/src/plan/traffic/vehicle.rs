@@ -1,14 +1,10 @@
 use glam::{DVec2, DVec3};
 use point_skeleton::geometry::Pose;
+use point_skeleton::idm::{Idm, Leader};
 
 use super::rect::Rect;
 use super::route::{BRAKING_MPS2, Route};
 use crate::model::Body;
-
-/// Parameters of the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000), in meters and seconds.
-const HEADWAY_S: f64 = 1.2;
-const LEAST_GAP_M: f64 = 2.2;
-const EXPONENT: i32 = 4;
 
 /// Driving style.
 #[derive(Clone, Copy, Debug)]
@@ -21,11 +17,18 @@ pub(super) struct Driver {
     pub(super) brake_mps2: f64,
 }
 
-/// Vehicle in front.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Leader {
-    pub(super) gap_m: f64,
-    pub(super) speed_mps: f64,
+impl Driver {
+    fn idm(&self) -> Idm {
+        Idm {
+            desired_mps: self.free_mps,
+            acceleration_mps2: self.rise_mps2,
+            braking_mps2: BRAKING_MPS2,
+            headway_s: 1.2,
+            min_gap_m: 2.2,
+            gap_floor_m: 0.1,
+            keeps_min_gap: true,
+        }
+    }
 }
 
 /// Simulated vehicle.
@@ -86,7 +89,7 @@ impl Vehicle {
     /// Advances by one step. `stop_m` is the position along its route that its front must not pass.
     pub(super) fn step(&mut self, leader: Option<Leader>, stop_m: f64, dt_s: f64) {
         let v = self.speed_mps;
-        let rise = self.idm_mps2(leader);
+        let rise = self.driver.idm().acceleration_mps2(v, leader);
         let mut next = (v + rise * dt_s).min(self.route.cap_mps(self.along_m + v * dt_s));
         next = next.min(halting_mps(stop_m - self.front_m(), BRAKING_MPS2, dt_s));
         if let Some(leader) = leader {
@@ -98,17 +101,6 @@ impl Vehicle {
         // Braking is limited to `brake_mps2`, even before a stop line.
         self.speed_mps = next.max(least).min(v + self.driver.rise_mps2 * dt_s);
         self.along_m += self.speed_mps * dt_s;
-    }
-
-    fn idm_mps2(&self, leader: Option<Leader>) -> f64 {
-        let Driver { free_mps, rise_mps2, .. } = self.driver;
-        let v = self.speed_mps;
-        let free = 1.0 - (v / free_mps).powi(EXPONENT);
-        let held = leader.map_or(0.0, |leader| {
-            let closing = v * (v - leader.speed_mps) / (2.0 * (rise_mps2 * BRAKING_MPS2).sqrt());
-            ((LEAST_GAP_M + (v * HEADWAY_S + closing).max(0.0)) / leader.gap_m.max(0.1)).powi(2)
-        });
-        rise_mps2 * (free - held)
     }
 }
 

@@ -6,10 +6,12 @@
 //! pedestrian is on its crossings, and there is room behind the junction. On lanes, and on paths with a common start,
 //! every vehicle follows the one in front.
 
+use point_skeleton::idm::Leader;
+
 use super::junction_path::{JunctionPath, STOP_M};
 use super::lanes::{BEYOND_CROSSING_M, Lanes};
 use super::route::BRAKING_MPS2;
-use super::vehicle::{Leader, Vehicle};
+use super::vehicle::Vehicle;
 use crate::plan::{JunctionKind, Signal, Turn};
 
 /// Duration of a step, seconds.
