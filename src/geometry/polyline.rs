@@ -9,6 +9,8 @@ pub struct Polyline {
     points: Vec<DVec2>,
     /// Arc length of each point from the first one, meters.
     stations_m: Vec<f64>,
+    /// Unit direction of each piece.
+    directions: Vec<DVec2>,
 }
 
 /// Point of a path that is nearest to a given point (foot).
@@ -24,6 +26,15 @@ impl Polyline {
     /// Creates a path through points, meters, and skips repeated ones. Returns `None` if fewer than two remain or a
     /// point is not finite.
     pub fn new(points: impl IntoIterator<Item = DVec2>) -> Option<Self> {
+        Self::with_directions(points, |step| step / step.length())
+    }
+
+    /// As [`new`](Self::new), with a function that returns the unit direction of a piece from its vector. Division by
+    /// the length and multiplication by its reciprocal differ in the last bit, which traffic amplifies.
+    pub fn with_directions(
+        points: impl IntoIterator<Item = DVec2>,
+        direction: impl Fn(DVec2) -> DVec2,
+    ) -> Option<Self> {
         let (mut kept, mut stations_m): (Vec<DVec2>, Vec<f64>) = Default::default();
         for point in points {
             let step_m = kept.last().map_or(0.0, |last| last.distance(point));
@@ -37,7 +48,8 @@ impl Polyline {
                 stations_m.push(station_m);
             }
         }
-        (kept.len() >= 2).then_some(Self { points: kept, stations_m })
+        let directions = kept.windows(2).map(|ends| direction(ends[1] - ends[0])).collect();
+        (kept.len() >= 2).then_some(Self { points: kept, stations_m, directions })
     }
 
     /// Returns the points, meters.
@@ -64,9 +76,9 @@ impl Polyline {
 
     /// Returns the position and unit direction at a station (meters).
     pub fn at(&self, station_m: f64) -> (DVec2, DVec2) {
-        let (from, direction, _) = self.ray(self.piece(station_m));
-        let start_m = self.stations_m[self.piece(station_m)];
-        (from + direction * (station_m - start_m), direction)
+        let piece = self.piece(station_m);
+        let direction = self.directions[piece];
+        (self.points[piece] + direction * (station_m - self.stations_m[piece]), direction)
     }
 
     /// Returns the foot of a point (meters) on the pieces in a range of stations. Ties go to the first piece.
@@ -74,7 +86,8 @@ impl Polyline {
         let (first, last) = (self.piece(stations_m.start), self.piece(stations_m.end));
         let mut best = (f64::INFINITY, Foot { station_m: 0.0, offset_m: 0.0 });
         for piece in first..=last.max(first) {
-            let (from, direction, length_m) = self.ray(piece);
+            let (from, direction) = (self.points[piece], self.directions[piece]);
+            let length_m = from.distance(self.points[piece + 1]);
             let low_m = if piece == 0 { f64::NEG_INFINITY } else { 0.0 };
             let high_m = if piece + 2 == self.points.len() { f64::INFINITY } else { length_m };
             let along_m = direction.dot(point - from).clamp(low_m, high_m);
@@ -88,11 +101,43 @@ impl Polyline {
         best.1
     }
 
-    /// Start, unit direction and length of a piece.
-    fn ray(&self, piece: usize) -> (DVec2, DVec2, f64) {
-        let (from, to) = (self.points[piece], self.points[piece + 1]);
-        let length_m = from.distance(to);
-        (from, (to - from) / length_m, length_m)
+    /// Returns the station of a point's foot on the whole path, and the distance from the path itself, meters. Beyond
+    /// an end, the distance is that to the end, and the station that of the foot on the straight extension.
+    pub fn nearest(&self, point: DVec2) -> (f64, f64) {
+        let mut best = (0.0, f64::INFINITY);
+        let last = self.directions.len() - 1;
+        for (piece, direction) in self.directions.iter().enumerate() {
+            let (from, start_m) = (self.points[piece], self.stations_m[piece]);
+            let length_m = self.stations_m[piece + 1] - start_m;
+            let free_m = direction.dot(point - from);
+            let along_m = free_m.clamp(0.0, length_m);
+            let distance_m = point.distance(from + *direction * along_m);
+            if distance_m < best.1 {
+                let is_beyond = (piece == 0 && free_m < 0.0) || (piece == last && free_m > length_m);
+                best = (start_m + if is_beyond { free_m } else { along_m }, distance_m);
+            }
+        }
+        best
+    }
+
+    /// Returns points at even steps of at most `step_m` meters, both ends included.
+    pub fn resampled(&self, step_m: f64) -> Vec<DVec2> {
+        let steps = (self.length_m() / step_m).ceil().max(1.0) as usize;
+        let mut points: Vec<DVec2> =
+            (0..steps).map(|i| self.at(self.length_m() * i as f64 / steps as f64).0).collect();
+        points.extend(self.points.last());
+        points
+    }
+
+    /// Returns the part between two stations, meters.
+    pub fn part(&self, from_m: f64, to_m: f64) -> Vec<DVec2> {
+        let inner = from_m + 1e-6..to_m - 1e-6;
+        let inner =
+            self.points.iter().zip(&self.stations_m).filter(|(_, station_m)| inner.contains(station_m));
+        let mut points = vec![self.at(from_m).0];
+        points.extend(inner.map(|(point, _)| *point));
+        points.push(self.at(to_m).0);
+        points
     }
 }
 
@@ -135,6 +180,24 @@ mod tests {
         }
         // The range selects only the second piece.
         assert_eq!(way.foot(DVec2::new(1.0, 1.0), 3.5..6.0), Foot { station_m: 4.0, offset_m: 2.0 });
+    }
+
+    #[test]
+    fn the_nearest_point_is_on_the_path_itself() {
+        let way = corner();
+        assert_eq!(way.nearest(DVec2::new(1.0, 2.0)), (1.0, 2.0));
+        assert_eq!(way.nearest(DVec2::new(4.0, 2.0)), (5.0, 1.0));
+        assert_eq!(way.nearest(DVec2::new(-3.0, 4.0)), (-3.0, 5.0));
+        assert_eq!(way.nearest(DVec2::new(3.0, 6.0)), (9.0, 2.0));
+    }
+
+    #[test]
+    fn parts_keep_corners_and_samples_are_even() {
+        let way = corner();
+        let points = |points: &[(f64, f64)]| points.iter().copied().map(DVec2::from).collect::<Vec<_>>();
+        assert_eq!(way.part(1.0, 5.0), points(&[(1.0, 0.0), (3.0, 0.0), (3.0, 2.0)]));
+        assert_eq!(way.part(-1.0, 3.0), points(&[(-1.0, 0.0), (0.0, 0.0), (3.0, 0.0)]));
+        assert_eq!(way.resampled(4.0), points(&[(0.0, 0.0), (3.0, 0.5), (3.0, 4.0)]));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 use glam::DVec2;
 
 use super::JunctionEdge;
-use super::line::{Path, bezier};
+use super::line::{bezier, polyline};
 
 /// Gaps between roads wider than this have no corner to round; their kerb is one long curve.
 const WIDE_RAD: f64 = 2.6;
@@ -85,8 +85,8 @@ pub(super) fn middle_of_bend(outline: &[DVec2], edges: &[JunctionEdge]) -> DVec2
     let [a, b] = starts[..] else { return outline.iter().sum::<DVec2>() / outline.len().max(1) as f64 };
     let half_way = |from: usize, to: usize| {
         let kerb: Vec<DVec2> = (from..=to).map(|i| outline[i % outline.len()]).collect();
-        let path = Path::new(&kerb);
-        (path.point(path.length_m() / 2.0), path.length_m())
+        let path = polyline(&kerb);
+        (path.at(path.length_m() / 2.0).0, path.length_m())
     };
     let (one, other) = (half_way(a + 1, b), half_way(b + 1, a + outline.len()));
     let (inner, outer) = if one.1 < other.1 { (one.0, other.0) } else { (other.0, one.0) };

@@ -1,7 +1,10 @@
 use glam::DVec2;
 
-use super::line::{Path, contains, curvature};
+use super::line::{contains, curvature, polyline};
 use super::*;
+
+/// All stations of a path.
+const WHOLE: std::ops::Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
 
 fn networks() -> impl Iterator<Item = (u64, Network)> {
     (0..20).map(|seed| (seed, Network::new(seed)))
@@ -94,18 +97,18 @@ fn traffic_keeps_to_the_right() {
     for (_, network) in networks() {
         for index in 0..network.roads.len() {
             let road = &network.roads[index];
-            let middle = Path::new(&road.centerline);
+            let middle = polyline(&road.centerline);
             let [forward, back] = network.lanes_of(index);
             assert_eq!([forward.len(), back.len()], [road.lanes_each_way; 2]);
             for (lanes, along) in [(forward, 1.0), (back, -1.0)] {
                 for (k, lane) in lanes.iter().enumerate() {
                     let line = &network.lanes[*lane].centerline;
                     let p = line[line.len() / 2];
-                    let foot = middle.foot(p);
+                    let foot = middle.foot(p, WHOLE);
                     let wanted = -along * (k as f64 + 0.5) * road.lane_width_m;
-                    assert!((foot.left_m - wanted).abs() < 0.02, "{foot:?} {wanted}");
+                    assert!((foot.offset_m - wanted).abs() < 0.02, "{foot:?} {wanted}");
                     let ahead = line[line.len() / 2 + 1] - p;
-                    assert!(middle.direction(foot.along_m).dot(ahead) * along > 0.0);
+                    assert!(middle.at(foot.station_m).1.dot(ahead) * along > 0.0);
                 }
             }
         }
@@ -118,8 +121,8 @@ fn crossings_and_stop_lines_stand_before_junctions() {
         for crossing in &network.crossings {
             let road = &network.roads[crossing.road];
             for corner in crossing.outline {
-                let foot = Path::new(&road.centerline).foot(corner);
-                assert!((foot.left_m.abs() - road.half_width_m).abs() < 1e-6, "{seed} {foot:?}");
+                let foot = polyline(&road.centerline).foot(corner, WHOLE);
+                assert!((foot.offset_m.abs() - road.half_width_m).abs() < 1e-6, "{seed} {foot:?}");
             }
             let [a, b, c, _] = crossing.outline;
             assert!((b - a).perp_dot(c - b) > 0.0 && (a.distance(b) - 3.0).abs() < 1e-9);
@@ -127,11 +130,11 @@ fn crossings_and_stop_lines_stand_before_junctions() {
         assert!(network.stop_lines.len() >= network.crossings.len());
         for (ends, lane) in &network.stop_lines {
             let lane = &network.lanes[*lane];
-            let path = Path::new(&lane.centerline);
+            let path = polyline(&lane.centerline);
             for (end, side) in ends.iter().zip([1.0, -1.0]) {
-                let foot = path.foot(*end);
-                assert!((path.length_m() - foot.along_m - 6.7).abs() < 1e-6, "{seed} {foot:?}");
-                assert!((foot.left_m.abs() - lane.width_m / 2.0).abs() < 1e-6, "{seed} {foot:?} {side}");
+                let foot = path.foot(*end, WHOLE);
+                assert!((path.length_m() - foot.station_m - 6.7).abs() < 1e-6, "{seed} {foot:?}");
+                assert!((foot.offset_m.abs() - lane.width_m / 2.0).abs() < 1e-6, "{seed} {foot:?} {side}");
             }
         }
     }

@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::corner::{self, Mouth};
 use super::graph::{self, Graph, Link};
-use super::line::{Path, bezier, curvature};
+use super::line::{bezier, curvature, polyline};
 use super::random::Random;
 use super::{Crossing, Junction, JunctionEdge, JunctionKind, Network, Road, ways};
 
@@ -103,7 +103,7 @@ fn road(network: &Network, nodes: &[DVec2], link: &Link, distances_m: [f64; 2], 
     let (from, to) = (ends[0][ends[0].len() - 1], ends[1][ends[1].len() - 1]);
     let handle = from.distance(to) * 0.39;
     let curve = [from, from + link.directions[0] * handle, to + link.directions[1] * handle, to];
-    let middle = Path::new(&bezier(curve, 96)).resampled(1.0);
+    let middle = polyline(&bezier(curve, 96)).resampled(1.0);
     let mut centerline = ends[0].clone();
     centerline.extend(&middle[1..middle.len() - 1]);
     centerline.extend(ends[1].iter().rev());
@@ -153,7 +153,7 @@ fn fits(network: &Network) -> bool {
 
 fn road_fits(road: &Road) -> bool {
     let least_radius_m = road.half_width_m + road.sidewalk_m + 8.0;
-    Path::new(&road.centerline).length_m() > 40.0
+    polyline(&road.centerline).length_m() > 40.0
         && curvature(&road.centerline).iter().all(|k| k.abs() < 1.0 / least_radius_m)
 }
 
@@ -169,17 +169,17 @@ fn junction_fits(junction: &Junction) -> bool {
 /// Returns whether a road has enough clearance to later roads, and to junctions that it does not lead to.
 fn roads_keep_clear(network: &Network, index: usize) -> bool {
     let road = &network.roads[index];
-    let path = Path::new(&road.centerline);
+    let path = polyline(&road.centerline);
     let wide = |road: &Road| road.half_width_m + road.sidewalk_m;
     let roads = network.roads.iter().skip(index + 1).all(|other| {
         let meet = other.junctions.iter().any(|j| road.junctions.contains(j));
         let least =
             if meet { road.half_width_m + other.half_width_m } else { wide(road) + wide(other) + ROOM_M };
-        other.centerline.iter().step_by(2).all(|p| path.foot(*p).distance_m > least)
+        other.centerline.iter().step_by(2).all(|p| path.nearest(*p).1 > least)
     });
     let junctions = network.junctions.iter().enumerate().all(|(j, junction)| {
         let least = wide(road) + junction.sidewalk_m + ROOM_M;
-        road.junctions.contains(&j) || junction.outline.iter().all(|p| path.foot(*p).distance_m > least)
+        road.junctions.contains(&j) || junction.outline.iter().all(|p| path.nearest(*p).1 > least)
     });
     roads && junctions
 }

@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-use super::line::{Path, bezier, offset_line};
+use super::line::{bezier, offset_line, polyline};
 use super::{LaneKind, Network, TownLane};
 
 /// Paths that turn by less than this count as straight.
@@ -22,8 +22,8 @@ pub enum Turn {
 impl Turn {
     /// Returns the turn between the directions at the start and the end of a line.
     pub fn of(line: &[DVec2]) -> Self {
-        let path = Path::new(line);
-        Self::between(path.direction(0.0), path.direction(path.length_m()))
+        let path = polyline(line);
+        Self::between(path.at(0.0).1, path.at(path.length_m()).1)
     }
 
     fn between(from: DVec2, to: DVec2) -> Self {
@@ -119,11 +119,8 @@ fn add_ways(network: &mut Network, junction: usize, from: usize) {
 
 fn add_way(network: &mut Network, junction: usize, from: usize, to: usize) {
     let (a, b) = (&network.lanes[from], &network.lanes[to]);
-    let (before, after) = (Path::new(&a.centerline), Path::new(&b.centerline));
-    let centerline = way(
-        [before.point(before.length_m()), before.direction(before.length_m())],
-        [after.point(0.0), after.direction(0.0)],
-    );
+    let (before, after) = (polyline(&a.centerline), polyline(&b.centerline));
+    let centerline = way(before.at(before.length_m()).into(), after.at(0.0).into());
     let way = TownLane {
         id: format!("way-{junction:02}-{}-{}", &a.id["lane-".len()..], &b.id["lane-".len()..]),
         kind: LaneKind::Junction(junction),
@@ -144,7 +141,7 @@ fn way([from, ahead]: [DVec2; 2], [to, on]: [DVec2; 2]) -> Vec<DVec2> {
     if turn.abs() < 0.3 || a < 3.0 || b < 3.0 {
         let handle = from.distance(to) * 0.4;
         let curve = [from, from + ahead * handle, to - on * handle, to];
-        return Path::new(&bezier(curve, 64)).resampled(STEP_M);
+        return polyline(&bezier(curve, 64)).resampled(STEP_M);
     }
     let corner = from + ahead * a;
     let tangent = a.min(b) - 0.5;
@@ -153,5 +150,5 @@ fn way([from, ahead]: [DVec2; 2], [to, on]: [DVec2; 2]) -> Vec<DVec2> {
     let handle = tangent * 1.1 * 4.0 / 3.0 * (turn / 4.0).tan() / (turn / 2.0).tan();
     let curve = bezier([start, start + ahead * handle, end - on * handle, end], 64);
     let line: Vec<DVec2> = [from].into_iter().chain(curve).chain([to]).collect();
-    Path::new(&line).resampled(STEP_M)
+    polyline(&line).resampled(STEP_M)
 }

@@ -1,11 +1,12 @@
 //! Conflicts between paths through a junction: which paths cross, and from where on one has cleared the other.
 
 use glam::DVec2;
+use point_skeleton::geometry::Polyline;
 use rustc_hash::FxHashMap;
 
 use super::junction_path::JunctionPath;
 use super::rect::Rect;
-use crate::plan::line::Path;
+use crate::plan::line::polyline;
 
 /// Envelope of every car, and of every truck and bus: length, width and wheelbase, meters.
 const CAR_M: [f64; 3] = [6.2, 2.7, 3.2];
@@ -16,7 +17,10 @@ const BEYOND_M: f64 = 8.0;
 
 /// Returns two tables, for pairs of cars and for pairs with a long vehicle. For paths `(a, b)` they have the distance
 /// along `a` that the middle of a vehicle must have reached so that no vehicle on `b` can touch it, meters.
-pub(super) fn tables(paths: &[Path], ways: &[Option<JunctionPath>]) -> [FxHashMap<(usize, usize), f64>; 2] {
+pub(super) fn tables(
+    paths: &[Polyline],
+    ways: &[Option<JunctionPath>],
+) -> [FxHashMap<(usize, usize), f64>; 2] {
     [CAR_M, LONG_M].map(|size| {
         let swept: Vec<Vec<Rect>> = (0..paths.len()).map(|i| swept(paths, ways, i, size)).collect();
         let mut table = FxHashMap::default();
@@ -38,7 +42,7 @@ pub(super) fn tables(paths: &[Path], ways: &[Option<JunctionPath>]) -> [FxHashMa
 
 /// Returns the boxes of a vehicle every [`STEP_M`] along its path; empty for lanes of roads.
 fn swept(
-    paths: &[Path],
+    paths: &[Polyline],
     ways: &[Option<JunctionPath>],
     index: usize,
     [length, width, base]: [f64; 3],
@@ -49,7 +53,7 @@ fn swept(
     let mut points = before.part(before.length_m() - lead_m, before.length_m());
     points.extend(paths[index].points());
     points.extend(after.part(0.0, lead_m));
-    let whole = Path::new(&points);
+    let whole = polyline(&points);
     let steps = ((paths[index].length_m() + 2.0 * BEYOND_M) / STEP_M) as usize;
     let place = |i: usize| lead_m - BEYOND_M + i as f64 * STEP_M;
     (0..=steps).map(|i| Rect::on(&whole, place(i), base, DVec2::new(length, width))).collect()

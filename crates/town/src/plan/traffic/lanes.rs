@@ -1,10 +1,11 @@
 //! Lanes prepared for traffic: centerlines with lengths, paths through junctions, and their conflicts.
 
+use point_skeleton::geometry::Polyline;
 use rustc_hash::FxHashMap;
 
 use super::clash;
 use super::junction_path::JunctionPath;
-use crate::plan::line::Path;
+use crate::plan::line::polyline;
 use crate::plan::{LaneKind, Network, Turn};
 
 /// Distance from a junction to beyond the crossing on the following road, meters.
@@ -14,7 +15,7 @@ pub(super) const BEYOND_CROSSING_M: f64 = 6.0;
 pub(super) struct Lanes<'a> {
     pub(super) network: &'a Network,
     /// Centerline of each lane.
-    pub(super) paths: Vec<Path>,
+    pub(super) paths: Vec<Polyline>,
     /// Data of each path through a junction; `None` for lanes of roads.
     pub(super) ways: Vec<Option<JunctionPath>>,
     clear_m: [FxHashMap<(usize, usize), f64>; 2],
@@ -22,7 +23,7 @@ pub(super) struct Lanes<'a> {
 
 impl<'a> Lanes<'a> {
     pub(super) fn new(network: &'a Network) -> Self {
-        let paths: Vec<Path> = network.lanes.iter().map(|lane| Path::new(&lane.centerline)).collect();
+        let paths: Vec<Polyline> = network.lanes.iter().map(|lane| polyline(&lane.centerline)).collect();
         let mut ways = vec![None; paths.len()];
         for (from, lane) in network.lanes.iter().enumerate() {
             let LaneKind::Road(road) = lane.kind else { continue };
@@ -34,7 +35,12 @@ impl<'a> Lanes<'a> {
         Self { network, paths, ways, clear_m }
     }
 
-    fn way(network: &Network, paths: &[Path], [from, way]: [usize; 2], road: usize) -> Option<JunctionPath> {
+    fn way(
+        network: &Network,
+        paths: &[Polyline],
+        [from, way]: [usize; 2],
+        road: usize,
+    ) -> Option<JunctionPath> {
         let LaneKind::Junction(junction) = network.lanes[way].kind else { return None };
         let to = *network.lanes[way].successors.first()?;
         let LaneKind::Road(next) = network.lanes[to].kind else { return None };

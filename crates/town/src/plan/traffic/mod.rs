@@ -34,7 +34,7 @@ use self::vehicle::Vehicle;
 use self::walker::Walker;
 use self::world::{STEP_S, World};
 use super::Network;
-use super::line::Path;
+use super::line::polyline;
 use super::random::Random;
 use crate::model::Body;
 
@@ -150,7 +150,7 @@ impl Traffic {
 /// Returns points every 15 m along the route that the ego is expected to drive.
 fn drive(ego: &Vehicle, duration_s: f64) -> Vec<DVec2> {
     let length_m = (ego.driver.free_mps * duration_s).min(ego.route.length_m() - ego.along_m).max(1.0);
-    Path::new(&ego.route.path.part(ego.along_m, ego.along_m + length_m)).resampled(15.0)
+    polyline(&ego.route.path.part(ego.along_m, ego.along_m + length_m)).resampled(15.0)
 }
 
 /// Simulates some seconds and records all motion: vehicles, then walkers.

@@ -1,11 +1,11 @@
 //! Parked vehicles beside the lanes.
 
 use glam::DVec2;
-use point_skeleton::geometry::Pose;
+use point_skeleton::geometry::{Polyline, Pose};
 
 use super::bodies::{Bodies, PARKED};
 use crate::model::{Body, BodyKind};
-use crate::plan::line::Path;
+use crate::plan::line::polyline;
 use crate::plan::random::Random;
 use crate::plan::streets::CROSSING_M;
 use crate::plan::{JunctionKind, Network, Side};
@@ -43,7 +43,7 @@ pub(super) fn parked(
                 ends.reverse();
             }
             let kinds = ends.map(|junction| network.junctions[junction].kind);
-            fill(&Path::new(&kerb), strip_m, kinds, bodies, random, &mut parked);
+            fill(&polyline(&kerb), strip_m, kinds, bodies, random, &mut parked);
         }
     }
     parked.retain(|(_, pose): &(Body, Pose)| {
@@ -53,7 +53,7 @@ pub(super) fn parked(
 }
 
 fn fill(
-    kerb: &Path,
+    kerb: &Polyline,
     strip_m: f64,
     ends: [JunctionKind; 2],
     bodies: &Bodies,
@@ -89,11 +89,11 @@ fn fill(
 }
 
 /// Returns a pose to the left of a kerb and parallel to it.
-fn beside(kerb: &Path, along_m: f64, aside_m: f64, length_m: f64, yaw_rad: f64) -> Pose {
-    let [rear, front] = [-0.4, 0.4].map(|share| kerb.point(along_m + share * length_m));
+fn beside(kerb: &Polyline, along_m: f64, aside_m: f64, length_m: f64, yaw_rad: f64) -> Pose {
+    let [rear, front] = [-0.4, 0.4].map(|share| kerb.at(along_m + share * length_m).0);
     let ahead = (front - rear).normalize_or(DVec2::X);
     // Leaves bulges of the kerb between its ends free.
-    let inward = (kerb.point(along_m) - rear).dot(ahead.perp()).max(0.0);
+    let inward = (kerb.at(along_m).0 - rear).dot(ahead.perp()).max(0.0);
     let centre = (rear + front) / 2.0 + ahead.perp() * (aside_m + inward);
     Pose::from_yaw(ahead.to_angle() + yaw_rad, centre.extend(0.0))
 }

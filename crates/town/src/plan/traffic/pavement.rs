@@ -1,8 +1,9 @@
 //! Tracks of pedestrians: closed lines around the blocks, parallel to the kerb.
 
 use glam::DVec2;
+use point_skeleton::geometry::Polyline;
 
-use crate::plan::line::{Path, offset_line};
+use crate::plan::line::{offset_line, polyline};
 use crate::plan::{Network, Side};
 
 /// Minimum distance of walkers to the kerb, where poles are, on sidewalks up to and above `WIDE_M`, and to the
@@ -21,7 +22,7 @@ pub(super) struct Kerb(Vec<DVec2>);
 
 /// Closed line to walk on.
 pub(super) struct Track {
-    path: Path,
+    path: Polyline,
     /// Whether it is walked with the road on the left.
     pub(super) forward: bool,
 }
@@ -76,7 +77,7 @@ impl Kerb {
         let step_m = if count > 1 { room_m / (count - 1) as f64 } else { 0.0 };
         let track = |k: usize| {
             let line = offset_line(&self.0, -(first_m + step_m * k as f64));
-            Track { path: Path::new(&line), forward: (k + number).is_multiple_of(2) }
+            Track { path: polyline(&line), forward: (k + number).is_multiple_of(2) }
         };
         (0..count).map(track).collect()
     }
@@ -106,10 +107,9 @@ impl Track {
         self.path.length_m()
     }
 
-    /// Returns the distance of a point from the track, and the nearest position along it, meters.
-    pub(super) fn foot(&self, point: DVec2) -> (f64, f64) {
-        let foot = self.path.foot(point);
-        (foot.distance_m, foot.along_m)
+    /// Returns the nearest position along the track and the distance from it, meters.
+    pub(super) fn nearest(&self, point: DVec2) -> (f64, f64) {
+        self.path.nearest(point)
     }
 
     /// Returns the part around a position along it, in walking direction, from `before_m` before to `after_m` after,
@@ -119,7 +119,7 @@ impl Track {
         let steps = (before_m + after_m).ceil().max(1.0) as usize;
         let at = |i: usize| {
             let walked_m = (before_m + after_m) * i as f64 / steps as f64 - before_m;
-            self.path.point((along_m + sign * walked_m).rem_euclid(self.length_m()))
+            self.path.at((along_m + sign * walked_m).rem_euclid(self.length_m())).0
         };
         (0..=steps).map(at).collect()
     }

@@ -1,13 +1,14 @@
 //! Placement of pedestrians and their paths.
 
 use glam::DVec2;
+use point_skeleton::geometry::Polyline;
 
 use super::bodies::Bodies;
 use super::pavement::{Kerb, Track};
 use super::walker::{CrossingState, Walker, junction_of};
 use crate::model::BodyKind;
 use crate::plan::Network;
-use crate::plan::line::Path;
+use crate::plan::line::polyline;
 use crate::plan::random::Random;
 
 /// Distances from the ego's route within which people walk and cross, meters.
@@ -48,7 +49,7 @@ impl People<'_> {
                 if drive.iter().any(|p| p.distance(point) < NEAR_M) {
                     let pace_mps = self.random.between(1.0, 1.6);
                     let line = track.part(along_m, 1.0, 4.0 + pace_mps * self.duration_s);
-                    strolling.extend(self.walker(Path::new(&line), 1.0, pace_mps, None));
+                    strolling.extend(self.walker(polyline(&line), 1.0, pace_mps, None));
                 }
                 along_m += self.random.between(0.35, 1.65) * SPACING_M;
             }
@@ -61,7 +62,7 @@ impl People<'_> {
 
     fn walker(
         &mut self,
-        path: Path,
+        path: Polyline,
         along_m: f64,
         pace_mps: f64,
         crossing: Option<CrossingState>,
@@ -105,21 +106,20 @@ impl People<'_> {
         let across = (path[1] - path[0]).normalize_or(DVec2::X);
         let path = path.map(|p| p - across.perp() * (PASS_M + self.random.between(-0.1, 0.1)));
         let mut nearest = |point: DVec2| {
-            let feet: Vec<(f64, f64, usize)> = (0..tracks.len())
-                .map(|i| {
-                    let (distance_m, along_m) = tracks[i].foot(point);
-                    (distance_m, along_m, i)
+            let feet: Vec<(f64, usize)> = (0..tracks.len())
+                .filter_map(|i| {
+                    let (along_m, distance_m) = tracks[i].nearest(point);
+                    (distance_m < 2.0).then_some((along_m, i))
                 })
-                .filter(|foot| foot.0 < 2.0)
                 .collect();
             (!feet.is_empty()).then(|| feet[self.random.index(feet.len())])
         };
-        let (_, from_m, from) = nearest(path[0])?;
-        let (_, to_m, to) = nearest(path[1])?;
+        let (from_m, from) = nearest(path[0])?;
+        let (to_m, to) = nearest(path[1])?;
         let pace_mps = self.random.between(1.1, 1.6);
         let before_m = self.random.between(1.5, 26.0);
         let mut points = tracks[from].part(from_m, before_m, 0.0);
-        let first_m = Path::new(&points).length_m();
+        let first_m = polyline(&points).length_m();
         let start = points[points.len() - 1];
         let after = tracks[to].part(to_m, 0.0, 4.0 + pace_mps * self.duration_s);
         // Distance from the track to the kerb.
@@ -133,7 +133,7 @@ impl People<'_> {
             walks: false,
         };
         points.extend(after);
-        self.walker(Path::new(&points), 0.6, pace_mps, Some(over))
+        self.walker(polyline(&points), 0.6, pace_mps, Some(over))
     }
 }
 

@@ -1,7 +1,5 @@
 use glam::DVec2;
-use point_skeleton::geometry::Pose;
-
-use crate::plan::line::Path;
+use point_skeleton::geometry::{Polyline, Pose};
 
 /// Oriented rectangle on the ground: an upright box seen from above.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,10 +14,10 @@ pub(super) struct Rect {
 impl Rect {
     /// Rectangle with its middle on a path at `along_m` meters, oriented as if axles `base_m` apart were on the path,
     /// too.
-    pub(super) fn on(path: &Path, along_m: f64, base_m: f64, size_m: DVec2) -> Self {
-        let [rear, front] = [-0.5, 0.5].map(|share| path.point(along_m + share * base_m));
-        let ahead = (front - rear).normalize_or(path.direction(along_m));
-        Self { centre: path.point(along_m), ahead, half_m: size_m / 2.0 }
+    pub(super) fn on(path: &Polyline, along_m: f64, base_m: f64, size_m: DVec2) -> Self {
+        let [rear, front] = [-0.5, 0.5].map(|share| path.at(along_m + share * base_m).0);
+        let ahead = (front - rear).normalize_or(path.at(along_m).1);
+        Self { centre: path.at(along_m).0, ahead, half_m: size_m / 2.0 }
     }
 
     /// Rectangle of a pose on the ground below its middle.

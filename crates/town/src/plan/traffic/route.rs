@@ -1,6 +1,8 @@
+use point_skeleton::geometry::Polyline;
+
 use super::lanes::Lanes;
 use crate::plan::Turn;
-use crate::plan::line::{Path, offset_line};
+use crate::plan::line::{offset_line, polyline};
 use crate::plan::random::Random;
 
 /// Lateral acceleration that limits the speed along curves, m/s².
@@ -22,7 +24,7 @@ pub(super) struct Route {
     /// Start of each lane, meters along the path, then the end of the last.
     pub(super) starts_m: Vec<f64>,
     /// Driven line.
-    pub(super) path: Path,
+    pub(super) path: Polyline,
     /// Maximum speed every meter.
     caps_mps: Vec<f64>,
 }
@@ -90,16 +92,16 @@ impl Route {
         let mut starts_m = vec![0.0];
         for lane in &taken {
             points.extend(offset_line(&lanes.network.lanes[*lane].centerline, -right_m));
-            starts_m.push(Path::new(&points).length_m());
+            starts_m.push(polyline(&points).length_m());
         }
-        let path = Path::new(&points);
+        let path = polyline(&points);
         let caps_mps = caps_mps(&path);
         Self { lanes: taken, starts_m, path, caps_mps }
     }
 
     /// Returns whether a long vehicle fits for `length_m` meters from a position on.
     pub(super) fn is_wide(&self, from_m: f64, length_m: f64) -> bool {
-        self.length_m() > from_m + length_m && gentle(&Path::new(&self.path.part(from_m, from_m + length_m)))
+        self.length_m() > from_m + length_m && gentle(&polyline(&self.path.part(from_m, from_m + length_m)))
     }
 
     pub(super) fn length_m(&self) -> f64 {
@@ -121,16 +123,16 @@ impl Route {
 }
 
 /// Returns the curvature of a path around a position, radians per meter.
-fn curvature(path: &Path, at_m: f64) -> f64 {
-    let [a, b, c] = [-CURVE_M / 2.0, 0.0, CURVE_M / 2.0].map(|d| path.point(at_m + d));
+fn curvature(path: &Polyline, at_m: f64) -> f64 {
+    let [a, b, c] = [-CURVE_M / 2.0, 0.0, CURVE_M / 2.0].map(|d| path.at(at_m + d).0);
     (b - a).angle_to(c - b).abs() / (CURVE_M / 2.0)
 }
 
-fn gentle(path: &Path) -> bool {
+fn gentle(path: &Polyline) -> bool {
     (0..path.length_m() as usize).all(|s| curvature(path, s as f64) < 1.0 / LONG_RADIUS_M)
 }
 
-fn caps_mps(path: &Path) -> Vec<f64> {
+fn caps_mps(path: &Polyline) -> Vec<f64> {
     let steps = (path.length_m() / CAP_STEP_M).ceil() as usize;
     let mut caps: Vec<f64> = (0..=steps)
         .map(|i| (LATERAL_MPS2 / curvature(path, i as f64 * CAP_STEP_M).max(1e-3)).sqrt())

@@ -1,10 +1,9 @@
 use glam::{DVec2, DVec3};
-use point_skeleton::geometry::Pose;
+use point_skeleton::geometry::{Polyline, Pose};
 
 use super::rect::Rect;
 use super::world::{STEP_S, World};
 use crate::model::Body;
-use crate::plan::line::Path;
 use crate::plan::{JunctionKind, KERB_M, Network};
 
 /// Acceleration and deceleration of walkers, m/s².
@@ -26,7 +25,7 @@ const WAIT_M: f64 = 0.6;
 pub(super) struct Walker {
     pub(super) body: Body,
     pub(super) size_m: DVec2,
-    pub(super) path: Path,
+    pub(super) path: Polyline,
     /// Position along the path, meters.
     pub(super) along_m: f64,
     pub(super) speed_mps: f64,
