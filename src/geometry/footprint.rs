@@ -41,6 +41,11 @@ impl Footprint {
         self.half_m.length()
     }
 
+    /// Returns the rectangle enlarged by `by_m` meters on all sides.
+    pub fn grown(self, by_m: f64) -> Self {
+        Self { half_m: self.half_m + by_m, ..self }
+    }
+
     /// Returns whether two rectangles share more than an edge, by the separating axis theorem.
     pub fn overlaps(&self, other: &Self) -> bool {
         self.axes(other).into_iter().all(|axis| {

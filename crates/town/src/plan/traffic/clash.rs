@@ -1,11 +1,11 @@
 //! Conflicts between paths through a junction: which paths cross, and from where on one has cleared the other.
 
 use glam::DVec2;
-use point_skeleton::geometry::Polyline;
+use point_skeleton::geometry::{Footprint, Polyline};
 use rustc_hash::FxHashMap;
 
+use super::footprint::on_path;
 use super::junction_path::JunctionPath;
-use super::rect::Rect;
 use crate::plan::line::polyline;
 
 /// Envelope of every car, and of every truck and bus: length, width and wheelbase, meters.
@@ -22,7 +22,7 @@ pub(super) fn tables(
     ways: &[Option<JunctionPath>],
 ) -> [FxHashMap<(usize, usize), f64>; 2] {
     [CAR_M, LONG_M].map(|size| {
-        let swept: Vec<Vec<Rect>> = (0..paths.len()).map(|i| swept(paths, ways, i, size)).collect();
+        let swept: Vec<Vec<Footprint>> = (0..paths.len()).map(|i| swept(paths, ways, i, size)).collect();
         let mut table = FxHashMap::default();
         let junction = |i: usize| ways[i].map(|way| way.junction);
         for a in 0..paths.len() {
@@ -46,7 +46,7 @@ fn swept(
     ways: &[Option<JunctionPath>],
     index: usize,
     [length, width, base]: [f64; 3],
-) -> Vec<Rect> {
+) -> Vec<Footprint> {
     let Some(way) = ways[index] else { return Vec::new() };
     let (before, after) = (&paths[way.from], &paths[way.to]);
     let lead_m = 2.0 * BEYOND_M;
@@ -56,12 +56,12 @@ fn swept(
     let whole = polyline(&points);
     let steps = ((paths[index].length_m() + 2.0 * BEYOND_M) / STEP_M) as usize;
     let place = |i: usize| lead_m - BEYOND_M + i as f64 * STEP_M;
-    (0..=steps).map(|i| Rect::on(&whole, place(i), base, DVec2::new(length, width))).collect()
+    (0..=steps).map(|i| on_path(&whole, place(i), base, DVec2::new(length, width))).collect()
 }
 
 /// Returns the last index of each that touches the other; `None` if they never touch.
-fn last_touch(a: &[Rect], b: &[Rect]) -> Option<[usize; 2]> {
-    let touches = |one: &Rect, others: &[Rect]| others.iter().any(|other| one.overlaps(other));
+fn last_touch(a: &[Footprint], b: &[Footprint]) -> Option<[usize; 2]> {
+    let touches = |one: &Footprint, others: &[Footprint]| others.iter().any(|other| one.overlaps(other));
     let last_a = a.iter().rposition(|one| touches(one, b))?;
     let last_b = b.iter().rposition(|one| touches(one, a))?;
     Some([last_a, last_b])

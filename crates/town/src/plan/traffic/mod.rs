@@ -8,12 +8,12 @@
 
 mod bodies;
 mod clash;
+mod footprint;
 mod junction_path;
 mod lanes;
 mod park;
 mod pavement;
 mod people;
-mod rect;
 mod route;
 mod start;
 #[cfg(test)]
@@ -23,12 +23,12 @@ mod walker;
 mod world;
 
 use glam::{DVec2, DVec3};
-use point_skeleton::geometry::Pose;
+use point_skeleton::geometry::{Footprint, Pose};
 
 use self::bodies::Bodies;
+use self::footprint::of_pose;
 use self::lanes::Lanes;
 use self::people::People;
-use self::rect::Rect;
 use self::start::{EGO_AHEAD_M, EGO_M, Start};
 use self::vehicle::Vehicle;
 use self::walker::Walker;
@@ -185,12 +185,12 @@ fn record(world: &mut World<'_>, walkers: &mut [Walker], duration_s: f64) -> Vec
 fn keep_apart(ego: &Motion, movers: &mut Vec<(Body, Motion)>) {
     let ego_at = |pose: &Pose| {
         let middle = pose.transform_point(DVec3::X * EGO_AHEAD_M);
-        Rect::at(&Pose { translation: middle, ..*pose }, EGO_M)
+        of_pose(&Pose { translation: middle, ..*pose }, EGO_M)
     };
     let mut swept = vec![Swept::new(ego.poses.iter().map(ego_at).collect())];
     movers.retain(|(body, motion)| {
         let size_m = body.size_m().truncate();
-        let own = Swept::new(motion.poses.iter().map(|pose| Rect::at(pose, size_m)).collect());
+        let own = Swept::new(motion.poses.iter().map(|pose| of_pose(pose, size_m)).collect());
         let alone = !swept.iter().any(|other| own.meets(other));
         if alone {
             swept.push(own);
@@ -201,14 +201,14 @@ fn keep_apart(ego: &Motion, movers: &mut Vec<(Body, Motion)>) {
 
 /// Boxes of an actor over time; a single one if it is static.
 struct Swept {
-    rects: Vec<Rect>,
+    rects: Vec<Footprint>,
     min: DVec2,
     max: DVec2,
 }
 
 impl Swept {
-    fn new(rects: Vec<Rect>) -> Self {
-        let middles = || rects.iter().map(|rect| rect.centre);
+    fn new(rects: Vec<Footprint>) -> Self {
+        let middles = || rects.iter().map(|rect| rect.center);
         let reach = DVec2::splat(rects.first().map_or(0.0, |rect| rect.half_m.length()));
         let min = middles().fold(DVec2::INFINITY, DVec2::min) - reach;
         let max = middles().fold(DVec2::NEG_INFINITY, DVec2::max) + reach;
@@ -218,7 +218,7 @@ impl Swept {
     fn meets(&self, other: &Self) -> bool {
         let near = self.min.cmple(other.max).all() && other.min.cmple(self.max).all();
         let steps = self.rects.len().max(other.rects.len());
-        let at = |rects: &[Rect], step: usize| rects[step.min(rects.len() - 1)];
+        let at = |rects: &[Footprint], step: usize| rects[step.min(rects.len() - 1)];
         near && (0..steps).any(|step| at(&self.rects, step).overlaps(&at(&other.rects, step)))
     }
 }

@@ -1,8 +1,8 @@
 use glam::{DVec2, DVec3};
-use point_skeleton::geometry::Pose;
+use point_skeleton::geometry::{Footprint, Pose};
 use point_skeleton::idm::{Idm, Leader};
 
-use super::rect::Rect;
+use super::footprint::on_path;
 use super::route::{BRAKING_MPS2, Route};
 use crate::model::Body;
 
@@ -70,14 +70,14 @@ impl Vehicle {
         0.6 * self.size_m.x
     }
 
-    pub(super) fn rect(&self) -> Rect {
-        Rect::on(&self.route.path, self.along_m, self.base_m(), self.size_m)
+    pub(super) fn rect(&self) -> Footprint {
+        on_path(&self.route.path, self.along_m, self.base_m(), self.size_m)
     }
 
     /// Returns the pose on the ground below its middle.
     pub(super) fn pose(&self) -> Pose {
         let rect = self.rect();
-        Pose::from_yaw(rect.ahead.to_angle(), rect.centre.extend(0.0))
+        Pose::from_yaw(rect.forward.to_angle(), rect.center.extend(0.0))
     }
 
     /// Returns the pose on the ground `behind_m` meters behind the middle of its box.

@@ -1,7 +1,7 @@
 use glam::{DVec2, DVec3};
-use point_skeleton::geometry::{Polyline, Pose};
+use point_skeleton::geometry::{Footprint, Polyline, Pose};
 
-use super::rect::Rect;
+use super::footprint::on_path;
 use super::world::{STEP_S, World};
 use crate::model::Body;
 use crate::plan::{JunctionKind, KERB_M, Network};
@@ -46,8 +46,8 @@ pub(super) struct CrossingState {
 }
 
 impl Walker {
-    pub(super) fn rect_at(&self, along_m: f64) -> Rect {
-        Rect::on(&self.path, along_m, TURN_M, self.size_m)
+    pub(super) fn rect_at(&self, along_m: f64) -> Footprint {
+        on_path(&self.path, along_m, TURN_M, self.size_m)
     }
 
     /// Returns the pose on the ground below the middle.
@@ -58,7 +58,7 @@ impl Walker {
             let ramp = |m: f64| (m / RAMP_M + 0.5).clamp(0.0, 1.0);
             ramp(off_m - self.along_m).max(ramp(self.along_m - on_m))
         });
-        Pose::from_yaw(rect.ahead.to_angle(), rect.centre.extend(0.0) + DVec3::Z * (KERB_M * high))
+        Pose::from_yaw(rect.forward.to_angle(), rect.center.extend(0.0) + DVec3::Z * (KERB_M * high))
     }
 
     /// Returns the speed limit from the road ahead, m/s: the walker waits at the kerb until the road is free.
@@ -88,7 +88,7 @@ impl Walker {
 
 /// Advances all walkers by a step.
 pub(super) fn step(walkers: &mut [Walker], world: &mut World<'_>) {
-    let mut rects: Vec<Rect> = walkers.iter().map(|walker| walker.rect_at(walker.along_m)).collect();
+    let mut rects: Vec<Footprint> = walkers.iter().map(|walker| walker.rect_at(walker.along_m)).collect();
     for (i, walker) in walkers.iter_mut().enumerate() {
         let most_mps = walker.wait_mps(world).min(walker.pace_mps);
         let blocked = |along_m: f64, first: bool| {
