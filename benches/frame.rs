@@ -12,7 +12,7 @@ use criterion::{BenchmarkGroup, Criterion, SamplingMode, Throughput, criterion_g
 use point_skeleton::cloud::street::{street_cloud, street_views};
 use point_skeleton::geometry::{ImageSize, View};
 use point_skeleton::raster::{
-    FrameJob, FrameKinds, Instance, Occlusion, Rasterizer, RasterizerKind, SplatSchedule, create,
+    FrameJob, Instance, MapKind, MapSet, Occlusion, Rasterizer, RasterizerKind, SplatSchedule, create,
 };
 
 const POINTS: usize = 400_000;
@@ -39,7 +39,7 @@ fn sizes(group: &mut BenchmarkGroup<'_, WallTime>, rasterizer: &mut dyn Rasteriz
     let schedule = SplatSchedule::default();
     let instances = [Instance { cloud: 0, world_from_local: glam::DAffine3::IDENTITY, number: 0 }];
     for (name, out_size) in SIZES {
-        let kinds = FrameKinds { point: false, ..FrameKinds::ALL };
+        let maps = MapSet::SPLATTED.without(MapKind::Point);
         let job = FrameJob {
             views,
             schedule: &schedule,
@@ -47,7 +47,7 @@ fn sizes(group: &mut BenchmarkGroup<'_, WallTime>, rasterizer: &mut dyn Rasteriz
             geometry: &instances,
             occlusion: Occlusion::Scene,
             crop: None,
-            kinds,
+            maps,
             out_size,
         };
         group.bench_function(name, |bencher| {

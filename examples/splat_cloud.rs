@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3};
 use point_skeleton::RasterizerKind;
 use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{Camera, View};
-use point_skeleton::raster::{Instance, Planes, SplatJob, SplatSchedule, create, rgb_of};
+use point_skeleton::raster::{Instance, MapKind, MapSet, SplatJob, SplatSchedule, create, rgb_of};
 
 /// Writes an image of a sphere of radius 1 m, 5 m in front of a camera that looks along z.
 pub fn run(kind: RasterizerKind, out: &Path) -> Result<(), Box<dyn std::error::Error>> {
@@ -25,7 +25,7 @@ pub fn run(kind: RasterizerKind, out: &Path) -> Result<(), Box<dyn std::error::E
         schedule: &"10:2,50:1".parse::<SplatSchedule>()?, // radius in pixels by depth in meters
         instances: &[Instance { cloud: 0, world_from_local, number: 1 }],
         crop: None,
-        planes: Planes { rgb_class: true, depth: true, ..Planes::NONE },
+        maps: MapSet::of(&[MapKind::Color, MapKind::Depth]),
     })?;
     let pixels = maps.rgb_class.iter().flat_map(|pixel| rgb_of(*pixel)).collect();
     Ok(image::RgbImage::from_raw(400, 300, pixels).ok_or("expected 400 x 300 pixels")?.save(out)?)

@@ -31,6 +31,7 @@ const WANT_COLOR = 1u;
 const WANT_CLASS = 2u;
 const WANT_DEPTH = 4u;
 const WANT_INSTANCE = 8u;
+const WANT_POINT = 16u; // selects the variants with point numbers
 
 fn lower(a: i64, b: i64) -> i64 {
     return select(a, b, b < a);

@@ -37,13 +37,13 @@ mod test_set;
 pub use bins::{BinScale, DepthBins};
 pub use error::ConditionError;
 pub use format::MapFormat;
-pub use options::{ColorFilter, ConditionOptions, MapKind, MapSet};
+pub use options::{ColorFilter, ConditionOptions};
 pub use render::{StepInFlight, render, render_views};
 pub use set::{CameraConditions, ConditionSet};
 pub use tensor::{DepthEmbedding, ModelTensor, TensorEncoder};
 
 pub use crate::geometry::{ImageSize, ParseOptionError};
-pub use crate::raster::Occlusion;
+pub use crate::raster::{MapKind, MapSet, Occlusion};
 
 /// Value of an empty depth in files, meters.
 pub const EMPTY_DEPTH_M: f32 = -300.0;

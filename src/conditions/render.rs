@@ -4,11 +4,11 @@ use rayon::prelude::*;
 
 use super::layout::{self, Layouts};
 use super::{
-    CameraConditions, ColorFilter, ConditionError, ConditionOptions, ConditionSet, ImageSize, MapKind, reduce,
+    CameraConditions, ColorFilter, ConditionError, ConditionOptions, ConditionSet, ImageSize, reduce,
 };
 use crate::files::FileName;
 use crate::geometry::View;
-use crate::raster::{Crop, FrameJob, FrameKinds, Planes, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
+use crate::raster::{Crop, FrameJob, MapKind, MapSet, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
 use crate::scene::{SceneInstances, SceneState};
 
 /// Renders the maps of a step for all cameras, with clouds cropped to a square of `options.radius_m` around the ego.
@@ -120,16 +120,9 @@ impl Points {
     ) -> Result<Self, ConditionError> {
         let sizes: Vec<ImageSize> = views.iter().map(|view| options.written_size(view)).collect();
         let views: Vec<View> = views.iter().map(|view| options.drawn_view(view)).collect();
-        let wants = |kind| options.maps.contains(kind);
         let valid_area = options.color_filter == ColorFilter::ValidArea && options.out_size.is_some();
-        let valid_area = wants(MapKind::Color) && valid_area;
-        let kinds = FrameKinds {
-            color: wants(MapKind::Color) && !valid_area,
-            depth: wants(MapKind::Depth),
-            class: wants(MapKind::Class),
-            instance: wants(MapKind::Instance),
-            point: wants(MapKind::Point),
-        };
+        let valid_area = valid_area && options.maps.contains(MapKind::Color);
+        let maps = if valid_area { options.maps.without(MapKind::Color) } else { options.maps };
         let job = FrameJob {
             views: &views,
             schedule: &options.splat,
@@ -137,14 +130,14 @@ impl Points {
             geometry: &clouds.geometry,
             occlusion: options.occlusion,
             crop,
-            kinds,
+            maps,
             out_size: options.out_size,
         };
         let mut color = |(view, to): (&View, &ImageSize)| valid_area_color(rasterizer, &job, view, *to);
         let color = valid_area
             .then(|| views.iter().zip(&sizes).map(&mut color).collect::<Result<_, _>>())
             .transpose()?;
-        let in_flight = kinds != FrameKinds::default() && !views.is_empty();
+        let in_flight = maps.intersects(MapSet::SPLATTED) && !views.is_empty();
         if in_flight {
             rasterizer.begin(&job)?;
         }
@@ -191,9 +184,9 @@ fn valid_area_color(
     view: &View,
     to: ImageSize,
 ) -> Result<Vec<[u8; 3]>, ConditionError> {
-    let planes = Planes { rgb_class: true, depth: true, ..Planes::NONE };
+    let maps = MapSet::of(&[MapKind::Color, MapKind::Depth]);
     let (schedule, instances, crop) = (job.schedule, job.color, job.crop);
-    let maps = rasterizer.splat(&SplatJob { view, schedule, instances, crop, planes })?;
+    let maps = rasterizer.splat(&SplatJob { view, schedule, instances, crop, maps })?;
     let color: Vec<[u8; 3]> = maps.rgb_class.iter().map(|p| rgb_of(*p)).collect();
     Ok(reduce::valid_area(&color, &maps.depth_m, ImageSize::of(&view.camera), to))
 }

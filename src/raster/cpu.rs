@@ -8,7 +8,7 @@ use std::time::Instant;
 use super::frame::frame_by_views;
 use super::frames::CompletedFrames;
 use super::{
-    CloudSet, Draw, FrameJob, FrameMaps, Planes, RasterError, Rasterizer, RasterizerInfo, SplatJob,
+    CloudSet, Draw, FrameJob, FrameMaps, MapKind, MapSet, RasterError, Rasterizer, RasterizerInfo, SplatJob,
     SplatMaps, SplatSchedule, StageTimes, draws_from_job,
 };
 use crate::cloud::{Bounds, Point};
@@ -55,7 +55,7 @@ impl Rasterizer for CpuRasterizer<'_> {
         }
         self.stages.add("splat", start.elapsed());
         let start = Instant::now();
-        let maps = buffer.resolve(&self.clouds, &draws, job.planes);
+        let maps = buffer.resolve(&self.clouds, &draws, job.maps);
         self.stages.add("resolve", start.elapsed());
         Ok(maps)
     }
@@ -102,7 +102,7 @@ impl Visibility {
         }
     }
 
-    fn resolve(self, clouds: &[&[Point]], draws: &[Draw], planes: Planes) -> SplatMaps {
+    fn resolve(self, clouds: &[&[Point]], draws: &[Draw], maps: MapSet) -> SplatMaps {
         let (depths, winners) = (&self.depth_m, &self.winner);
         let plane = |wanted: bool, value: &dyn Fn(&Draw, u32) -> u32| -> Vec<u32> {
             if !wanted {
@@ -116,10 +116,12 @@ impl Visibility {
         SplatMaps {
             width: self.width,
             height: self.height,
-            point: plane(planes.point, &|draw, i| draw.first_number + i + 1),
-            rgb_class: plane(planes.rgb_class, &|draw, i| clouds[draw.cloud][i as usize].rgb_class),
-            instance: plane(planes.instance, &|draw, _| draw.instance),
-            depth_m: if planes.depth { self.depth_m } else { Vec::new() },
+            point: plane(maps.contains(MapKind::Point), &|draw, i| draw.first_number + i + 1),
+            rgb_class: plane(maps.intersects(MapSet::RGB_CLASS), &|draw, i| {
+                clouds[draw.cloud][i as usize].rgb_class
+            }),
+            instance: plane(maps.contains(MapKind::Instance), &|draw, _| draw.instance),
+            depth_m: if maps.contains(MapKind::Depth) { self.depth_m } else { Vec::new() },
         }
     }
 }

@@ -1,7 +1,7 @@
 use glam::{DAffine3, DVec2};
 
 use super::schedule::Z_NEAR_M;
-use super::{Planes, RasterError, SplatSchedule};
+use super::{MapSet, RasterError, SplatSchedule};
 use crate::cloud::Bounds;
 use crate::geometry::View;
 
@@ -36,8 +36,8 @@ pub struct SplatJob<'a> {
     pub instances: &'a [Instance],
     /// Crop of the points; `None` for all points.
     pub crop: Option<Crop>,
-    /// Maps to render.
-    pub planes: Planes,
+    /// Maps to render; color and class come together.
+    pub maps: MapSet,
 }
 
 /// An instance in the layout of the shaders: all `f32`, relative to the cloud's own origin.

@@ -1,6 +1,8 @@
 use serde::Serialize;
 
-use super::{Crop, Instance, Plane, Planes, RasterError, SplatJob, SplatMaps, SplatSchedule, reduce};
+use super::{
+    Crop, Instance, MapKind, MapSet, Plane, RasterError, SplatJob, SplatMaps, SplatSchedule, reduce,
+};
 use crate::geometry::{ImageSize, View};
 
 /// Which points occlude an actor in the class and instance maps.
@@ -12,27 +14,6 @@ pub enum Occlusion {
     Scene,
     /// Only points of other actors.
     Actors,
-}
-
-/// Maps of a frame to render.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[allow(clippy::struct_excessive_bools)]
-pub struct FrameKinds {
-    /// Color of the nearest point of the color cloud.
-    pub color: bool,
-    /// Camera depth of the nearest point of the geometry cloud.
-    pub depth: bool,
-    /// Class of that point (see [`Occlusion`]).
-    pub class: bool,
-    /// Instance number of that point (see [`Occlusion`]).
-    pub instance: bool,
-    /// Point number of that point.
-    pub point: bool,
-}
-
-impl FrameKinds {
-    /// All maps.
-    pub const ALL: Self = Self { color: true, depth: true, class: true, instance: true, point: true };
 }
 
 /// Input of a frame: two clouds in all cameras of one instant.
@@ -51,8 +32,8 @@ pub struct FrameJob<'a> {
     pub occlusion: Occlusion,
     /// Crop of the points; `None` for all points.
     pub crop: Option<Crop>,
-    /// Maps to render.
-    pub kinds: FrameKinds,
+    /// Maps to render; only those of [`MapSet::SPLATTED`] count.
+    pub maps: MapSet,
     /// Size that all maps are reduced to: color as OpenCV's INTER_LINEAR, all others as its INTER_NEAREST. `None`
     /// for the size of each view.
     pub out_size: Option<ImageSize>,
@@ -100,27 +81,27 @@ fn view_of_frame(
     splat: &mut dyn FnMut(&SplatJob<'_>) -> Result<SplatMaps, RasterError>,
 ) -> Result<ViewMaps<'static>, RasterError> {
     let (schedule, crop) = (job.schedule, job.crop);
-    let mut splat = |instances: &[Instance], planes: Planes| -> Result<SplatMaps, RasterError> {
-        if planes == Planes::NONE {
+    let mut splat = |instances: &[Instance], maps: MapSet| -> Result<SplatMaps, RasterError> {
+        if maps == MapSet::NONE {
             return Ok(SplatMaps::default());
         }
-        splat(&SplatJob { view, schedule, instances, crop, planes })
+        splat(&SplatJob { view, schedule, instances, crop, maps })
     };
-    let kinds = job.kinds;
-    let color_planes = Planes { rgb_class: kinds.color, ..Planes::NONE };
-    let actor_planes = Planes { rgb_class: kinds.class, instance: kinds.instance, ..Planes::NONE };
-    let mut geometry_planes = Planes { depth: kinds.depth, point: kinds.point, ..Planes::NONE };
-    if job.occlusion == Occlusion::Scene {
-        geometry_planes = geometry_planes.and(actor_planes);
-    }
     let one_pass = job.color == job.geometry;
-    let geometry =
-        splat(job.geometry, if one_pass { geometry_planes.and(color_planes) } else { geometry_planes })?;
+    let actor_maps = job.maps & MapSet::ACTORS;
+    let mut geometry_maps = job.maps & MapSet::GEOMETRY;
+    if job.occlusion == Occlusion::Scene {
+        geometry_maps = geometry_maps | actor_maps;
+    }
+    if one_pass {
+        geometry_maps = geometry_maps | job.maps & MapSet::COLOR;
+    }
+    let geometry = splat(job.geometry, geometry_maps)?;
     let color_pass;
     let color = if one_pass {
         &geometry
     } else {
-        color_pass = splat(job.color, color_planes)?;
+        color_pass = splat(job.color, job.maps & MapSet::COLOR)?;
         &color_pass
     };
     let actors_pass;
@@ -128,38 +109,39 @@ fn view_of_frame(
         &geometry
     } else {
         let actors: Vec<Instance> = job.geometry.iter().filter(|i| i.number > 0).copied().collect();
-        actors_pass = splat(&actors, actor_planes)?;
+        actors_pass = splat(&actors, actor_maps)?;
         &actors_pass
     };
     let (from, to) = (ImageSize::of(&view.camera), job.size_of(view));
-    let words = |wanted: bool, map: &[u32]| -> Plane<'static, u32> {
-        if wanted { reduce::nearest(map, from, to).into() } else { Vec::new().into() }
+    let words = |kind: MapKind, map: &[u32]| -> Plane<'static, u32> {
+        if job.maps.contains(kind) { reduce::nearest(map, from, to).into() } else { Vec::new().into() }
     };
-    let depth_m = if kinds.depth { reduce::nearest(&geometry.depth_m, from, to) } else { Vec::new() };
+    let wants_depth = job.maps.contains(MapKind::Depth);
+    let depth_m = if wants_depth { reduce::nearest(&geometry.depth_m, from, to) } else { Vec::new() };
     Ok(ViewMaps {
         size: to,
-        rgb_class: rgb_class(kinds, color, actors, from, to).into(),
+        rgb_class: rgb_class(job.maps, color, actors, from, to).into(),
         depth_m: depth_m.into(),
-        instance: words(kinds.instance, &actors.instance),
-        point: words(kinds.point, &geometry.point),
+        instance: words(MapKind::Instance, &actors.instance),
+        point: words(MapKind::Point, &geometry.point),
     })
 }
 
 /// Combines the color of one pass with the class of another, both reduced.
 fn rgb_class(
-    kinds: FrameKinds,
+    maps: MapSet,
     color: &SplatMaps,
     actors: &SplatMaps,
     from: ImageSize,
     to: ImageSize,
 ) -> Vec<u32> {
     let mut packed = Vec::new();
-    if kinds.color {
+    if maps.contains(MapKind::Color) {
         let rgb: Vec<[u8; 3]> = color.rgb_class.iter().map(|p| rgb_of(*p)).collect();
         let rgb = if from == to { rgb } else { reduce::bilinear(&rgb, from, to) };
         packed = rgb.into_iter().map(|[r, g, b]| u32::from_le_bytes([r, g, b, 0])).collect();
     }
-    if kinds.class {
+    if maps.contains(MapKind::Class) {
         let class = reduce::nearest(&actors.rgb_class, from, to);
         packed.resize(to.pixels(), 0);
         packed.iter_mut().zip(class).for_each(|(packed, class)| *packed |= class & 0xff00_0000);

@@ -1,38 +1,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// Requested maps of a job.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(clippy::struct_excessive_bools)]
-pub struct Planes {
-    /// Index of the winning point.
-    pub point: bool,
-    /// Camera depth.
-    pub depth: bool,
-    /// Color and class of the winning point.
-    pub rgb_class: bool,
-    /// Instance number of the winning point.
-    pub instance: bool,
-}
-
-impl Planes {
-    /// All maps.
-    pub const ALL: Self = Self { point: true, depth: true, rgb_class: true, instance: true };
-    /// No maps.
-    pub const NONE: Self = Self { point: false, depth: false, rgb_class: false, instance: false };
-
-    /// Returns the union of both.
-    pub(super) fn and(self, other: Self) -> Self {
-        Self {
-            point: self.point || other.point,
-            depth: self.depth || other.depth,
-            rgb_class: self.rgb_class || other.rgb_class,
-            instance: self.instance || other.instance,
-        }
-    }
-}
-
-/// Maps of one view, row-major `height * width`; a plane that was not requested has length 0.
+/// Maps of one view, row-major `height * width`; a map that was not requested has length 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplatMaps {
     /// Width, pixels.
@@ -43,7 +12,8 @@ pub struct SplatMaps {
     pub point: Vec<u32>,
     /// Camera depth in meters, `f32::INFINITY` where empty.
     pub depth_m: Vec<f32>,
-    /// `r | g << 8 | b << 16 | class << 24` of the winning point, 0 where empty.
+    /// `r | g << 8 | b << 16 | class << 24` of the winning point, 0 where empty. Length 0
+    /// if neither color nor class is requested.
     pub rgb_class: Vec<u32>,
     /// [`Instance::number`](super::Instance::number) of the winning point, 0 where empty.
     pub instance: Vec<u32>,

@@ -15,6 +15,7 @@ mod graphics;
 mod kind;
 mod line_test;
 mod lines;
+mod map_set;
 mod maps;
 mod plane;
 pub mod reduce;
@@ -24,11 +25,12 @@ pub mod tiles;
 
 pub use compute::{ComputeRasterizer, ComputeRasterizerDesc};
 pub use draw::{Crop, Draw, Instance, SplatJob, draws_from_job};
-pub use frame::{FrameJob, FrameKinds, FrameMaps, Occlusion, ViewMaps, class_of, rgb_of};
+pub use frame::{FrameJob, FrameMaps, Occlusion, ViewMaps, class_of, rgb_of};
 pub use graphics::{GraphicsRasterizer, GraphicsRasterizerDesc};
 pub use kind::{RasterizerDesc, RasterizerKind, UnknownRasterizer, create};
 pub use lines::{LineRows, draw_lines};
-pub use maps::{Planes, Segment, SplatMaps, StageTimes};
+pub use map_set::{MapKind, MapSet};
+pub use maps::{Segment, SplatMaps, StageTimes};
 pub use plane::Plane;
 pub use schedule::{ScheduleError, SplatSchedule, SplatStep};
 
@@ -114,7 +116,7 @@ pub trait Rasterizer {
     /// Fails on any device error, or if no frame is in flight.
     fn finish(&mut self) -> Result<FrameMaps<'_>, RasterError>;
 
-    /// Renders a view at its full size by the splat rule. Planes that were not requested are empty.
+    /// Renders a view at its full size by the splat rule. Maps that were not requested are empty.
     ///
     /// # Errors
     /// Fails on any device error, for an unknown cloud, and for more than 2³² − 2 points.

@@ -14,7 +14,9 @@ use serde::Serialize;
 use crate::cloud::{Bounds, Point};
 use crate::geometry::{Camera, View};
 use crate::raster::cpu::{CpuRasterizer, project};
-use crate::raster::{Instance, Planes, Rasterizer, SplatJob, SplatSchedule, SplatStep, draws_from_job};
+use crate::raster::{
+    Instance, MapKind, MapSet, Rasterizer, SplatJob, SplatSchedule, SplatStep, draws_from_job,
+};
 
 /// Options for the degradation of assets.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -174,8 +176,8 @@ fn seen(points: &[Point], view: &View, bounds: &Bounds, radius_m: f64) -> Option
     let z_max_m = ((RADII_AWAY + 1.0) * radius_m * 1.01) as f32;
     let schedule = SplatSchedule::new(vec![SplatStep { z_max_m, radius }]).ok()?;
     let instances = [Instance { cloud: 0, world_from_local: DAffine3::IDENTITY, number: 1 }];
-    let planes = Planes { depth: true, ..Planes::NONE };
-    let job = SplatJob { view, schedule: &schedule, instances: &instances, crop: None, planes };
+    let maps = MapSet::of(&[MapKind::Depth]);
+    let job = SplatJob { view, schedule: &schedule, instances: &instances, crop: None, maps };
     let maps = CpuRasterizer::new(vec![points]).splat(&job).ok()?;
     let draws = draws_from_job(&job, &[(points.len(), Some(*bounds))]).ok()?;
     let draw = draws.first()?;

@@ -1,6 +1,6 @@
 //! Assignment of a frame's instances to visibility buffers.
 
-use crate::raster::{FrameJob, Instance, Occlusion};
+use crate::raster::{FrameJob, Instance, MapKind, MapSet, Occlusion};
 
 /// An instance of either cloud with its visibility buffers.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,17 +25,16 @@ pub(super) struct Layers {
 
 impl Layers {
     pub(super) fn of(job: &FrameJob<'_>) -> Self {
-        let kinds = job.kinds;
-        let semantics = kinds.class || kinds.instance;
+        let semantics = job.maps.intersects(MapSet::ACTORS);
         let in_scene = semantics && job.occlusion == Occlusion::Scene;
         let mut layers = Self::default();
         let mut next = || {
             layers.count += 1;
             layers.count - 1
         };
-        let geometry = (kinds.depth || kinds.point || in_scene).then(&mut next);
+        let geometry = (job.maps.intersects(MapSet::GEOMETRY) || in_scene).then(&mut next);
         let shared = geometry.filter(|_| job.color == job.geometry);
-        let color = kinds.color.then(|| shared.unwrap_or_else(&mut next));
+        let color = job.maps.contains(MapKind::Color).then(|| shared.unwrap_or_else(&mut next));
         let actors = (semantics && !in_scene).then(&mut next);
         Self { color, geometry, actors, ..layers }
     }
@@ -69,7 +68,7 @@ impl Layers {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::raster::{FrameKinds, SplatSchedule};
+    use crate::raster::SplatSchedule;
     use glam::DAffine3;
 
     fn instance(cloud: usize, number: u32) -> Instance {
@@ -84,7 +83,7 @@ mod tests {
             geometry,
             occlusion: Occlusion::Scene,
             crop: None,
-            kinds: FrameKinds::ALL,
+            maps: MapSet::SPLATTED,
             out_size: None,
         }
     }
@@ -99,7 +98,7 @@ mod tests {
         let layers = Layers::of(&job);
         assert_eq!((layers.count, layers.actors), (2, Some(1)));
         assert_eq!(layers.merge(&job).iter().map(|l| l.layers).collect::<Vec<_>>(), [0b01, 0b11]);
-        job.kinds = FrameKinds { color: true, ..FrameKinds::default() };
+        job.maps = MapSet::COLOR;
         assert_eq!(Layers::of(&job).count, 1);
     }
 

@@ -51,7 +51,7 @@ use self::spread::SpreadStage;
 use self::store::{ROW_BYTES, Residency, STREAMED_ROWS, Store, StoreLimits};
 use super::frame::frame_by_views;
 use super::{
-    CloudSet, FRAMES_IN_FLIGHT, FrameJob, FrameKinds, FrameMaps, Occlusion, Planes, RasterError, Rasterizer,
+    CloudSet, FRAMES_IN_FLIGHT, FrameJob, FrameMaps, MapSet, Occlusion, RasterError, Rasterizer,
     RasterizerInfo, SplatJob, SplatMaps, StageTimes,
 };
 use crate::geometry::ImageSize;
@@ -92,7 +92,7 @@ pub struct ComputeRasterizer<'a> {
 /// State of a begun frame.
 enum FrameState {
     /// In flight.
-    InFlight { slot: usize, results: Vec<BandResult>, sizes: Vec<ImageSize>, kinds: FrameKinds },
+    InFlight { slot: usize, results: Vec<BandResult>, sizes: Vec<ImageSize>, wanted: MapSet },
     /// Rendered synchronously.
     Done(FrameMaps<'static>),
 }
@@ -198,13 +198,13 @@ impl<'a> ComputeRasterizer<'a> {
         let work = Work { job, layers, cut: &cut, numbering: &numbering };
         if let [part] = cut.parts.as_slice() {
             let results = self.draw_part(&work, part, slot)?;
-            return Ok(FrameState::InFlight { slot, results, sizes, kinds: job.kinds });
+            return Ok(FrameState::InFlight { slot, results, sizes, wanted: job.maps });
         }
-        let mut maps: Vec<OwnedMaps> = sizes.iter().map(|size| OwnedMaps::new(*size, job.kinds)).collect();
+        let mut maps: Vec<OwnedMaps> = sizes.iter().map(|size| OwnedMaps::new(*size, job.maps)).collect();
         for part in &cut.parts {
             let results = self.draw_part(&work, part, AT_ONCE)?;
             self.wait(AT_ONCE)?;
-            read_parts(self.slots[AT_ONCE].own(), &results, job.kinds, &mut maps)?;
+            read_parts(self.slots[AT_ONCE].own(), &results, job.maps, &mut maps)?;
         }
         Ok(FrameState::Done(maps.into_iter().map(OwnedMaps::done).collect()))
     }
@@ -322,7 +322,7 @@ impl<'a> ComputeRasterizer<'a> {
             let shared = self.shared.with_keys(&self.device, &mut self.commands, room, copied)?;
             self.shared = Arc::new(shared);
         }
-        let wanted = Slot::wanted(work.job.kinds);
+        let wanted = Slot::wanted(work.job.maps);
         let needs = Needs {
             draws: plan.draws.len(),
             bands: plan.project_bands.len(),
@@ -352,9 +352,9 @@ impl<'a> ComputeRasterizer<'a> {
     fn maps_of(&mut self, begun: FrameState) -> Result<FrameMaps<'_>, RasterError> {
         match begun {
             FrameState::Done(maps) => Ok(maps),
-            FrameState::InFlight { slot, results, sizes, kinds } => {
+            FrameState::InFlight { slot, results, sizes, wanted } => {
                 self.wait(slot)?;
-                read_maps(self.slots[slot].own(), &results, &sizes, kinds)
+                read_maps(self.slots[slot].own(), &results, &sizes, wanted)
             }
         }
     }
@@ -390,7 +390,7 @@ impl Rasterizer for ComputeRasterizer<'_> {
     }
 
     fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {
-        let Planes { point, depth, rgb_class, instance } = job.planes;
+        let packed = if job.maps.intersects(MapSet::RGB_CLASS) { MapSet::RGB_CLASS } else { MapSet::NONE };
         let frame = FrameJob {
             views: std::slice::from_ref(job.view),
             schedule: job.schedule,
@@ -398,7 +398,7 @@ impl Rasterizer for ComputeRasterizer<'_> {
             geometry: job.instances,
             occlusion: Occlusion::Scene,
             crop: job.crop,
-            kinds: FrameKinds { color: rgb_class, depth, class: rgb_class, instance, point },
+            maps: job.maps | packed,
             out_size: None,
         };
         let begun = self.begin_job(&frame, AT_ONCE)?;

@@ -8,7 +8,7 @@ use super::cull::seen_points;
 use super::layers::{LayerInstance, Layers};
 use super::tables::{Block, ProjectBand, ProjectDraw, ResolveBand};
 use crate::raster::draw::draw_from_instance;
-use crate::raster::{FrameJob, Planes, RasterError, SplatJob};
+use crate::raster::{FrameJob, MapSet, RasterError, SplatJob};
 
 /// An instance whose points are numbered from `first` on.
 pub(super) struct Numbered {
@@ -125,9 +125,9 @@ impl BatchPlan {
             (0..part.len()).flat_map(|band| numbering.instances.iter().map(move |n| (band, n))).collect();
         let seen = |&(band, numbered): &(usize, &Numbered)| {
             let view = &job.views[part[band].view];
-            let (schedule, crop, planes) = (job.schedule, job.crop, Planes::NONE);
+            let (schedule, crop, maps) = (job.schedule, job.crop, MapSet::NONE);
             let instance = &numbered.layered.instance;
-            let view_job = SplatJob { view, schedule, instances: &[], crop, planes };
+            let view_job = SplatJob { view, schedule, instances: &[], crop, maps };
             let draw = draw_from_instance(&view_job, instance, numbered.first);
             let shown = (view.camera.width, part[band].source);
             let (pad, z_far_m) = (cut.pad, schedule.z_far_m());

@@ -4,12 +4,12 @@ use super::coverage::Coverage;
 use super::layers::Layers;
 use super::plan::Work;
 use super::project::ProjectPush;
-use super::resolve::{Kind, ResolvePush, ResolveStage, WANT_CLASS, WANT_COLOR, wants};
+use super::resolve::{ResolvePush, ResolveStage};
 use super::shared::{KEY_IMAGE_ROW_BYTES, Shared};
 use super::slot::{DEPTH, MapBuffer, Slot};
 use super::tables::{ProjectItem, ResolveBand};
 use crate::gpu::{DescriptorSet, Device, GpuError, Recorder, Scope};
-use crate::raster::FrameJob;
+use crate::raster::{FrameJob, MapKind, MapSet};
 
 /// Both words of an empty key.
 const EMPTY_WORD: u32 = 0x7fff_ffff;
@@ -107,36 +107,28 @@ impl Resolve<'_> {
         let reduced = self.work.cut.reductions.is_some();
         let stage: &ResolveStage = if reduced { &shared.reduced } else { &shared.full };
         let sets = if reduced { &slot.reduced } else { &slot.full };
-        let wanted = wants(self.work.job.kinds);
-        let semantics = wanted & (WANT_CLASS | super::resolve::WANT_INSTANCE);
-        let geometry = wanted & !(WANT_COLOR | semantics);
+        let semantics = self.work.job.maps & MapSet::ACTORS;
+        let geometry = self.work.job.maps & MapSet::GEOMETRY;
         let joint = self.work.cut.reductions.iter().flatten().all(super::bands::Reduction::joint);
         let rows_each = stage.rows_each(device);
-        let push = |wants| ResolvePush::new(self.work.job.schedule, rows_each, wants, self.key_rows);
+        let push = |maps| ResolvePush::new(self.work.job.schedule, rows_each, maps, self.key_rows);
         let groups = stage.groups(self.bands, rows_each);
-        let mut dispatch = |kind: Kind, layer: Option<usize>, wants: u32| -> Result<(), GpuError> {
+        let mut dispatch = |layer: Option<usize>, maps: MapSet| -> Result<(), GpuError> {
             let Some(set) = layer.map(|layer| &sets[layer]) else { return Ok(()) };
             let sets: [&'a DescriptorSet; 1] = [set];
-            recorder.dispatch_groups(
-                stage.pipeline(kind, wants),
-                &sets,
-                bytemuck::bytes_of(&push(wants)),
-                groups,
-            )?;
+            recorder.dispatch_groups(stage.pipeline(maps), &sets, bytemuck::bytes_of(&push(maps)), groups)?;
             recorder.barrier(Scope::Compute, Scope::Compute);
             Ok(())
         };
         let Layers { color, geometry: scene, actors, .. } = self.work.layers;
-        let in_scene = if actors.is_none() { semantics } else { 0 };
-        let at_once = WANT_COLOR | WANT_CLASS;
-        if joint && color.is_some() && color == scene && (wanted & in_scene & at_once | WANT_COLOR) == at_once
-        {
-            dispatch(Kind::Both, color, wanted & (WANT_COLOR | geometry | in_scene))?;
+        let in_scene = if actors.is_none() { semantics } else { MapSet::NONE };
+        if joint && color.is_some() && color == scene && in_scene.contains(MapKind::Class) {
+            dispatch(color, MapSet::COLOR | geometry | in_scene)?;
         } else {
-            dispatch(Kind::Color, color, WANT_COLOR)?;
-            dispatch(Kind::Geometry, scene, geometry | in_scene)?;
+            dispatch(color, MapSet::COLOR)?;
+            dispatch(scene, geometry | in_scene)?;
         }
-        dispatch(Kind::Geometry, actors, semantics)?;
+        dispatch(actors, semantics)?;
         recorder.stamp("resolve");
         self.read_back(recorder, slot)
     }
@@ -153,7 +145,7 @@ impl Resolve<'_> {
 
     fn read_back<'a>(&self, recorder: &mut Recorder<'a>, slot: &'a Slot) -> Result<(), GpuError> {
         let bytes = 4 * self.pixels as u64;
-        let wanted = Slot::wanted(self.work.job.kinds);
+        let wanted = Slot::wanted(self.work.job.maps);
         let maps = || slot.maps.iter().zip(wanted).filter(|(_, wanted)| *wanted).map(|(map, _)| map);
         let copied = |map: &'a MapBuffer| map.host.as_ref().map(|host| (&map.device, host));
         if maps().any(|map| map.host.is_some()) {
@@ -177,7 +169,7 @@ pub(super) fn clear_maps<'a>(
     job: &FrameJob<'_>,
     pixels: usize,
 ) -> Result<(), GpuError> {
-    for (index, wanted) in Slot::wanted(job.kinds).into_iter().enumerate() {
+    for (index, wanted) in Slot::wanted(job.maps).into_iter().enumerate() {
         if wanted {
             let word = if index == DEPTH { f32::INFINITY.to_bits() } else { 0 };
             recorder.fill(&slot.maps[index].device, 0, 4 * pixels as u64, word)?;

@@ -6,16 +6,10 @@ use bytemuck::{Pod, Zeroable};
 
 use super::tables::ResolveBand;
 use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, Shader, assert_layout, shaders};
-use crate::raster::{FrameKinds, SplatSchedule, SplatStep};
+use crate::raster::{MapKind, MapSet, SplatSchedule, SplatStep};
 
 /// Maximum radius that the resolve shaders gather.
 pub(super) const MAX_LOOKED_FOR: u32 = 2;
-/// Bits of the maps that a dispatch writes.
-pub(super) use crate::gpu::shaders::resolve_full_wgsl_both::{
-    WANT_CLASS, WANT_COLOR, WANT_DEPTH, WANT_INSTANCE,
-};
-/// Selects the shader variant that also writes point numbers.
-pub(super) const WANT_POINT: u32 = 16;
 /// Columns per invocation of the full-size shader.
 const COLUMNS_EACH: u32 = 4;
 const GROUP: u32 = 64;
@@ -45,35 +39,17 @@ assert_layout!(ResolvePush, shaders::resolve_reduced_wgsl_both::resolve_push, [
 ]);
 
 impl ResolvePush {
-    /// Creates the constants. `rows`: result rows per invocation; `wants`: bits of maps; `key_rows`: rows of
+    /// Creates the constants. `rows`: result rows per invocation; `maps`: maps to write; `key_rows`: rows of
     /// a tile of keys.
-    pub(super) fn new(schedule: &SplatSchedule, rows: u32, wants: u32, key_rows: u32) -> Self {
+    pub(super) fn new(schedule: &SplatSchedule, rows: u32, maps: MapSet, key_rows: u32) -> Self {
         // Squares of larger radii are already drawn or spread: only the own pixel is read.
         let looked_for = schedule.max_radius() <= MAX_LOOKED_FOR;
         let reach = |radius: u32| {
             let covers = |step: &&SplatStep| looked_for && step.radius >= radius;
             schedule.steps().iter().rfind(covers).map_or(0, |step| step.z_max_m.to_bits())
         };
-        Self { reach_1: reach(1), reach_2: reach(2), rows, wants, key_rows }
+        Self { reach_1: reach(1), reach_2: reach(2), rows, wants: maps.bits(), key_rows }
     }
-}
-
-/// Returns the bits of all maps of these kinds.
-pub(super) fn wants(kinds: FrameKinds) -> u32 {
-    let bit = |wanted: bool, bit: u32| if wanted { bit } else { 0 };
-    bit(kinds.color, WANT_COLOR)
-        | bit(kinds.class, WANT_CLASS)
-        | bit(kinds.depth, WANT_DEPTH)
-        | bit(kinds.instance, WANT_INSTANCE)
-        | bit(kinds.point, WANT_POINT)
-}
-
-/// Kinds of maps that a pipeline resolves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
-    Both,
-    Color,
-    Geometry,
 }
 
 /// The pipelines of one of the two shaders; pairs are without and with points.
@@ -113,13 +89,15 @@ impl ResolveStage {
         Ok(Self { both: pair(both)?, color: pipeline(color)?, geometry: pair(geometry)?, reduced })
     }
 
-    /// Returns the pipeline of a kind; `wants`: bits of maps.
-    pub(super) fn pipeline(&self, kind: Kind, wants: u32) -> &ComputePipeline {
-        let point = usize::from(wants & WANT_POINT != 0);
-        match kind {
-            Kind::Both => &self.both[point],
-            Kind::Color => &self.color,
-            Kind::Geometry => &self.geometry[point],
+    /// Returns the pipeline that writes these maps.
+    pub(super) fn pipeline(&self, maps: MapSet) -> &ComputePipeline {
+        let point = usize::from(maps.contains(MapKind::Point));
+        if maps == MapSet::COLOR {
+            &self.color
+        } else if maps.contains(MapKind::Color) {
+            &self.both[point]
+        } else {
+            &self.geometry[point]
         }
     }
 

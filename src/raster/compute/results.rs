@@ -8,7 +8,7 @@ use super::plan::BandResult;
 use super::slot::{DEPTH, INSTANCE, MAPS, POINT, RGB_CLASS, Slot};
 use crate::geometry::ImageSize;
 use crate::gpu::{GpuError, Mapped};
-use crate::raster::{FrameKinds, FrameMaps, Plane, RasterError, ViewMaps};
+use crate::raster::{FrameMaps, MapSet, Plane, RasterError, ViewMaps};
 
 /// Returns a view without maps.
 pub(super) fn empty(size: ImageSize) -> ViewMaps<'static> {
@@ -23,9 +23,9 @@ pub(super) struct OwnedMaps {
 }
 
 impl OwnedMaps {
-    pub(super) fn new(size: ImageSize, kinds: FrameKinds) -> Self {
-        let map = |wanted: bool| vec![0; if wanted { size.pixels() } else { 0 }];
-        Self { size, maps: Slot::wanted(kinds).map(map) }
+    pub(super) fn new(size: ImageSize, wanted: MapSet) -> Self {
+        let map = |has: bool| vec![0; if has { size.pixels() } else { 0 }];
+        Self { size, maps: Slot::wanted(wanted).map(map) }
     }
 
     pub(super) fn done(self) -> ViewMaps<'static> {
@@ -44,10 +44,10 @@ impl OwnedMaps {
 pub(super) fn read_parts(
     slot: &Slot,
     results: &[BandResult],
-    kinds: FrameKinds,
+    wanted: MapSet,
     maps: &mut [OwnedMaps],
 ) -> Result<(), GpuError> {
-    for (index, _) in Slot::wanted(kinds).iter().enumerate().filter(|(_, wanted)| **wanted) {
+    for (index, _) in Slot::wanted(wanted).iter().enumerate().filter(|(_, has)| **has) {
         let memory = slot.maps[index].readable().map()?;
         let words: &[u32] = bytemuck::cast_slice(&memory);
         for result in results {
@@ -69,19 +69,19 @@ pub(super) fn read_maps<'s>(
     slot: &'s Slot,
     results: &[BandResult],
     sizes: &[ImageSize],
-    kinds: FrameKinds,
+    wanted: MapSet,
 ) -> Result<FrameMaps<'s>, RasterError> {
     let in_place = |r: &BandResult| {
         let size = sizes[r.band.view];
         r.row_pixels == size.width as usize && r.band.rows == [0, size.height]
     };
     if !results.iter().all(in_place) {
-        let mut maps: Vec<OwnedMaps> = sizes.iter().map(|size| OwnedMaps::new(*size, kinds)).collect();
-        read_parts(slot, results, kinds, &mut maps)?;
+        let mut maps: Vec<OwnedMaps> = sizes.iter().map(|size| OwnedMaps::new(*size, wanted)).collect();
+        read_parts(slot, results, wanted, &mut maps)?;
         return Ok(maps.into_iter().map(OwnedMaps::done).collect());
     }
     let mut memory: [Option<Arc<Mapped<'s>>>; MAPS] = [const { None }; MAPS];
-    for (index, _) in Slot::wanted(kinds).iter().enumerate().filter(|(_, wanted)| **wanted) {
+    for (index, _) in Slot::wanted(wanted).iter().enumerate().filter(|(_, has)| **has) {
         memory[index] = Some(Arc::new(slot.maps[index].readable().map()?));
     }
     let view = |result: &BandResult| ViewMaps {

@@ -16,7 +16,7 @@ use super::tables::{Block, ProjectBand, ProjectDraw, ProjectItem, ResolveBand};
 use crate::gpu::{
     Bind, Buffer, BufferDesc, Commands, DescriptorSet, Device, GpuError, Image, ImageDesc, Memory,
 };
-use crate::raster::FrameKinds;
+use crate::raster::{MapKind, MapSet};
 
 /// Number of maps that the shaders write.
 pub(super) const MAPS: usize = 4;
@@ -179,9 +179,11 @@ impl Slot {
         })
     }
 
-    /// Returns the maps that contain these kinds.
-    pub(super) fn wanted(kinds: FrameKinds) -> [bool; MAPS] {
-        [kinds.color || kinds.class, kinds.depth, kinds.instance, kinds.point]
+    /// Returns which of the slot's maps these maps are in.
+    pub(super) fn wanted(maps: MapSet) -> [bool; MAPS] {
+        let [depth, instance, point] =
+            [MapKind::Depth, MapKind::Instance, MapKind::Point].map(|kind| maps.contains(kind));
+        [maps.intersects(MapSet::RGB_CLASS), depth, instance, point]
     }
 
     /// Writes the tables that do not depend on the rows of chunks.

@@ -14,7 +14,7 @@ use super::frame::frame_by_views;
 use super::frames::CompletedFrames;
 use super::tiles::{Tile, TileLimits, grown, tiles};
 use super::{
-    CloudSet, Draw, FrameJob, FrameMaps, Planes, RasterError, Rasterizer, RasterizerInfo, SplatJob,
+    CloudSet, Draw, FrameJob, FrameMaps, MapKind, MapSet, RasterError, Rasterizer, RasterizerInfo, SplatJob,
     SplatMaps, SplatSchedule, StageTimes, draws_from_job,
 };
 use crate::cloud::Bounds;
@@ -125,13 +125,13 @@ impl GraphicsRasterizer {
         self.splat.record(&mut recorder, &targets.splat, tile, work.schedule, drawn)?;
         recorder.stamp("splat");
         let looked_up = (&self.pages, work.table);
-        self.resolve.record(&mut recorder, &targets.resolve, tile, looked_up, work.planes)?;
+        self.resolve.record(&mut recorder, &targets.resolve, tile, looked_up, work.maps)?;
         for (stage, time) in recorder.submit()? {
             self.stages.add(stage, time);
         }
         let start = Instant::now();
         let bytes = targets.resolve.readback.bytes_mut()?;
-        read_planes(bytes, tile, work.planes, maps);
+        read_planes(bytes, tile, work.maps, maps);
         self.stages.add("readback", start.elapsed());
         Ok(())
     }
@@ -143,7 +143,7 @@ struct Work<'a> {
     pieces: &'a [PieceDraw],
     table: &'a [Piece],
     schedule: &'a SplatSchedule,
-    planes: Planes,
+    maps: MapSet,
     /// Size of the largest tile.
     tile_size: [u32; 2],
 }
@@ -168,9 +168,9 @@ impl Rasterizer for GraphicsRasterizer {
         let draws = draws_from_job(job, &self.extents)?;
         check_point_size(&self.device, job.schedule)?;
         let (width, height) = (job.view.camera.width, job.view.camera.height);
-        let mut maps = empty_maps(width, height, job.planes);
+        let mut maps = empty_maps(width, height, job.maps);
         let (pieces, table) = self.pages.pieces(&draws);
-        if pieces.is_empty() || job.planes == Planes::NONE {
+        if pieces.is_empty() || !job.maps.intersects(MapSet::SPLATTED) {
             return Ok(maps);
         }
         let tiles = tiles(width, height, self.limits);
@@ -179,7 +179,7 @@ impl Rasterizer for GraphicsRasterizer {
             pieces: &pieces,
             table: &table,
             schedule: job.schedule,
-            planes: job.planes,
+            maps: job.maps,
             tile_size: tiles.first().map_or([0; 2], |tile| tile.size),
         };
         for tile in &tiles {
@@ -209,23 +209,23 @@ fn tile_limits(device: &Device, side: Option<u32>) -> TileLimits {
     TileLimits { side: largest, area }
 }
 
-fn empty_maps(width: u32, height: u32, planes: Planes) -> SplatMaps {
+fn empty_maps(width: u32, height: u32, wanted: MapSet) -> SplatMaps {
     let pixels = width as usize * height as usize;
-    let zeros = |wanted: bool| vec![0; if wanted { pixels } else { 0 }];
+    let zeros = |maps: MapSet| vec![0; if wanted.intersects(maps) { pixels } else { 0 }];
     SplatMaps {
         width,
         height,
-        point: zeros(planes.point),
-        depth_m: vec![f32::INFINITY; if planes.depth { pixels } else { 0 }],
-        rgb_class: zeros(planes.rgb_class),
-        instance: zeros(planes.instance),
+        point: zeros(MapSet::of(&[MapKind::Point])),
+        depth_m: vec![f32::INFINITY; if wanted.contains(MapKind::Depth) { pixels } else { 0 }],
+        rgb_class: zeros(MapSet::RGB_CLASS),
+        instance: zeros(MapSet::of(&[MapKind::Instance])),
     }
 }
 
 /// Copies the requested planes of a tile to their position in the maps.
-fn read_planes(bytes: &[u8], tile: &Tile, planes: Planes, maps: &mut SplatMaps) {
+fn read_planes(bytes: &[u8], tile: &Tile, wanted: MapSet, maps: &mut SplatMaps) {
     let (pixels, width) = (tile.area(), maps.width);
-    let offsets = PlaneOffsets::new(planes, pixels);
+    let offsets = PlaneOffsets::new(wanted, pixels);
     let read = |at: Option<usize>, map: &mut [u32]| {
         if let Some(at) = at {
             // Byte arrays have no alignment requirement.

@@ -13,7 +13,7 @@ use crate::gpu::{
     Bind, Buffer, BufferDesc, Commands, DescriptorSet, Device, GpuError, Memory, PipelineLayout, Scope,
     assert_layout, shaders,
 };
-use crate::raster::{Draw, Planes};
+use crate::raster::{Draw, MapSet};
 
 /// Descriptor set number of a page.
 const PAGE_SET: u32 = 1;
@@ -130,11 +130,11 @@ impl Pages {
     }
 
     /// Returns the pages that the resolve shader must bind: all drawn ones if colors are requested, else only one.
-    pub(super) fn used(table: &[Piece], planes: Planes) -> Vec<u32> {
+    pub(super) fn used(table: &[Piece], maps: MapSet) -> Vec<u32> {
         let mut used: Vec<u32> = table.iter().map(|piece| piece.page).collect();
         used.sort_unstable();
         used.dedup();
-        if !planes.rgb_class {
+        if !maps.intersects(MapSet::RGB_CLASS) {
             used.truncate(1);
         }
         used

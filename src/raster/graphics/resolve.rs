@@ -16,8 +16,8 @@ use crate::gpu::{
     Bind, Buffer, BufferDesc, ComputePipeline, DescriptorSet, Device, GpuError, Memory, PipelineLayout,
     Recorder, Scope, assert_layout, shaders,
 };
-use crate::raster::Planes;
 use crate::raster::tiles::Tile;
+use crate::raster::{MapKind, MapSet};
 
 /// Offset of a plane that is not requested.
 const NOT_WANTED: u32 = u32::MAX;
@@ -56,15 +56,16 @@ pub(super) struct PlaneOffsets {
 }
 
 impl PlaneOffsets {
-    pub(super) fn new(planes: Planes, pixels: usize) -> Self {
+    pub(super) fn new(maps: MapSet, pixels: usize) -> Self {
         let mut total = 0;
         let mut next = |wanted: bool| {
             let at = wanted.then_some(total);
             total += if wanted { pixels } else { 0 };
             at
         };
-        let (point, depth) = (next(planes.point), next(planes.depth));
-        let (rgb_class, instance) = (next(planes.rgb_class), next(planes.instance));
+        let (point, depth) = (next(maps.contains(MapKind::Point)), next(maps.contains(MapKind::Depth)));
+        let rgb_class = next(maps.intersects(MapSet::RGB_CLASS));
+        let instance = next(maps.contains(MapKind::Instance));
         Self { point, depth, rgb_class, instance, total }
     }
 }
@@ -133,13 +134,13 @@ impl ResolveStage {
         target: &'a ResolveTarget,
         tile: &Tile,
         (pages, table): (&'a Pages, &[Piece]),
-        planes: Planes,
+        maps: MapSet,
     ) -> Result<(), GpuError> {
-        let offsets = PlaneOffsets::new(planes, tile.area());
+        let offsets = PlaneOffsets::new(maps, tile.area());
         let at = |offset: Option<usize>| offset.map_or(NOT_WANTED, |o| o as u32);
         recorder.update(&target.pieces, 0, bytemuck::cast_slice(table))?;
         recorder.barrier(Scope::CopyWrite, Scope::ShaderRead);
-        for (i, page) in Pages::used(table, planes).into_iter().enumerate() {
+        for (i, page) in Pages::used(table, maps).into_iter().enumerate() {
             if i > 0 {
                 recorder.barrier(Scope::Compute, Scope::Compute);
             }

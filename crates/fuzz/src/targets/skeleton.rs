@@ -7,7 +7,7 @@ use point_skeleton::dataset::Dataset;
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::cpu::CpuRasterizer;
-use point_skeleton::raster::{Crop, FrameJob, FrameKinds, Occlusion, Rasterizer, SplatSchedule};
+use point_skeleton::raster::{Crop, FrameJob, MapSet, Occlusion, Rasterizer, SplatSchedule};
 use point_skeleton::scene::{
     EgoOffset, SceneClouds, SceneState, SelectionOptions, Substitutes, state_of_frame,
 };
@@ -120,7 +120,7 @@ fn draw(skeleton: &Skeleton, stand_ins: &Substitutes, state: &SceneState) {
         geometry: &instances.geometry,
         occlusion: Occlusion::Scene,
         crop: Some(Crop { center: state.global_from_ego.translation.truncate(), radius_m: 60.0 }),
-        kinds: FrameKinds::ALL,
+        maps: MapSet::SPLATTED,
         out_size: None,
     };
     let mut rasterizer = CpuRasterizer::new(stage.cloud_set());

@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use clap::Args;
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use point_skeleton::dataset::LogLocator;
-use point_skeleton::raster::{FRAMES_IN_FLIGHT, FrameKinds, SplatSchedule};
+use point_skeleton::raster::{FRAMES_IN_FLIGHT, SplatSchedule};
 
 use crate::WrongUsage;
 use crate::log_args;
@@ -93,17 +93,6 @@ impl BenchArgs {
         Ok(())
     }
 
-    /// Returns the maps that the rasterizer outputs.
-    pub(super) fn frame_kinds(&self) -> FrameKinds {
-        FrameKinds {
-            color: self.maps.contains(MapKind::Color),
-            depth: self.maps.contains(MapKind::Depth),
-            class: self.maps.contains(MapKind::Class),
-            instance: self.maps.contains(MapKind::Instance),
-            point: self.maps.contains(MapKind::Point),
-        }
-    }
-
     /// Returns the options of whole steps.
     pub(super) fn conditions(&self) -> ConditionOptions {
         ConditionOptions {
@@ -129,14 +118,6 @@ mod tests {
 
     fn args(text: &str) -> BenchArgs {
         Cli::try_parse_from(std::iter::once("bench").chain(text.split_whitespace())).unwrap().args
-    }
-
-    #[test]
-    fn maps_are_those_that_a_rasterizer_makes() {
-        assert_eq!(args("").frame_kinds(), FrameKinds { point: false, ..FrameKinds::ALL });
-        let kinds = args("--maps depth,point").frame_kinds();
-        assert_eq!(kinds, FrameKinds { depth: true, point: true, ..FrameKinds::default() });
-        assert_eq!(args("--maps point,instance,class,depth,color").frame_kinds(), FrameKinds::ALL);
     }
 
     #[test]

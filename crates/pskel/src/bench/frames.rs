@@ -50,7 +50,7 @@ impl Frames for Jobs<'_> {
     }
 
     fn have_depth(&self) -> bool {
-        self.0.iter().all(|job| job.kinds.depth)
+        self.0.iter().all(|job| job.maps.contains(MapKind::Depth))
     }
 
     fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> anyhow::Result<()> {

@@ -114,7 +114,7 @@ mod tests {
     use super::*;
     use point_skeleton::geometry::ImageSize;
     use point_skeleton::raster::{
-        FrameJob, FrameKinds, FrameMaps, Occlusion, RasterError, RasterizerInfo, SplatJob, SplatMaps,
+        FrameJob, FrameMaps, MapSet, Occlusion, RasterError, RasterizerInfo, SplatJob, SplatMaps,
         SplatSchedule, ViewMaps,
     };
 
@@ -172,7 +172,7 @@ mod tests {
     const HALF: Duration = Duration::from_micros(500);
 
     /// Renders two jobs that are identified by their heights of 1 and 2.
-    fn run(plan: Plan, kinds: FrameKinds) -> (Measured, String, usize) {
+    fn run(plan: Plan, maps: MapSet) -> (Measured, String, usize) {
         let schedule = SplatSchedule::default();
         let job = |height: u32| FrameJob {
             views: &[],
@@ -181,7 +181,7 @@ mod tests {
             geometry: &[],
             occlusion: Occlusion::Scene,
             crop: None,
-            kinds,
+            maps,
             out_size: Some(ImageSize { height, width: 1 }),
         };
         let mut fake = Fake::default();
@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     fn frames_one_after_the_other() {
-        let (measured, diary, left) = run(Plan { warm_up: 3, timed: 3, in_flight: 1 }, FrameKinds::ALL);
+        let (measured, diary, left) = run(Plan { warm_up: 3, timed: 3, in_flight: 1 }, MapSet::SPLATTED);
         // The timed frames start with the first job.
         assert_eq!((diary.as_str(), left), ("b1 f1 b2 f2 b1 f1 b1 f1 b2 f2 b1 f1", 0));
         assert_eq!((measured.frames.len(), measured.filled), (3, Some(2)));
@@ -211,7 +211,7 @@ mod tests {
 
     #[test]
     fn two_frames_overlap_and_every_time_has_one_begin_and_one_end() {
-        let (measured, diary, left) = run(Plan { warm_up: 1, timed: 2, in_flight: 2 }, FrameKinds::ALL);
+        let (measured, diary, left) = run(Plan { warm_up: 1, timed: 2, in_flight: 2 }, MapSet::SPLATTED);
         assert_eq!((diary.as_str(), left), ("b1 b1 f1 b2 f1 b1 f2 f1", 0));
         assert_eq!((measured.frames.len(), measured.filled), (2, Some(2)));
         assert!(measured.frames[1].begun < measured.frames[0].finished);
@@ -220,8 +220,8 @@ mod tests {
 
     #[test]
     fn without_depth_nothing_is_counted() {
-        let kinds = FrameKinds { color: true, ..FrameKinds::default() };
-        let (measured, diary, _) = run(Plan { warm_up: 0, timed: 1, in_flight: 1 }, kinds);
+        let color = "color".parse().unwrap();
+        let (measured, diary, _) = run(Plan { warm_up: 0, timed: 1, in_flight: 1 }, color);
         assert_eq!((diary.as_str(), measured.filled), ("b1 f1", None));
     }
 }

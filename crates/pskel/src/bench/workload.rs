@@ -136,7 +136,7 @@ impl Workload {
             geometry: &frame.clouds.geometry,
             occlusion: Occlusion::default(),
             crop: frame.crop,
-            kinds: args.frame_kinds(),
+            maps: args.maps,
             out_size: args.out_size,
         };
         self.frames.iter().map(job).collect()

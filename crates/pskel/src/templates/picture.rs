@@ -3,7 +3,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::geometry::{Camera, ImageSize, View};
 use point_skeleton::raster::cpu::CpuRasterizer;
-use point_skeleton::raster::{Instance, Planes, Rasterizer, SplatJob, SplatSchedule, SplatStep};
+use point_skeleton::raster::{Instance, MapKind, MapSet, Rasterizer, SplatJob, SplatSchedule, SplatStep};
 
 /// Size of a view in the image, pixels.
 const WIDTH: u32 = 480;
@@ -59,8 +59,8 @@ fn panel(points: &[Point], bounds: &Bounds, from: DVec3, up: DVec3) -> anyhow::R
     let z_max_m = ((RADII_AWAY + 2.0) * radius_m) as f32;
     let schedule = SplatSchedule::new(vec![SplatStep { z_max_m, radius }])?;
     let instances = [Instance { cloud: 0, world_from_local: DAffine3::IDENTITY, number: 1 }];
-    let planes = Planes { depth: true, ..Planes::NONE };
-    let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, planes };
+    let maps = MapSet::of(&[MapKind::Depth]);
+    let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, maps };
     let maps = CpuRasterizer::new(vec![points]).splat(&job).context("cannot draw a template")?;
     Ok(shaded(&maps.depth_m, 1.0 / pixels_per_m))
 }

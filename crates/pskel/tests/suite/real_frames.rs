@@ -5,7 +5,7 @@ use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
 use point_skeleton::geometry::{ImageSize, View};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
-    Crop, FrameJob, FrameKinds, FrameMaps, Occlusion, Rasterizer, SplatSchedule, rgb_of,
+    Crop, FrameJob, FrameMaps, MapSet, Occlusion, Rasterizer, SplatSchedule, rgb_of,
 };
 use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, state_of_frame};
 use point_skeleton::skeleton::BuildOptions;
@@ -51,7 +51,7 @@ fn all_rasterizers_draw_a_real_frame_alike() {
         geometry: &instances.geometry,
         occlusion: Occlusion::Scene,
         crop: Some(Crop { center, radius_m: 60.0 }),
-        kinds: FrameKinds::ALL,
+        maps: MapSet::SPLATTED,
         out_size: None,
     };
     let reduced = FrameJob {

@@ -4,7 +4,7 @@ use glam::{DAffine3, DVec2, DVec3};
 use point_skeleton::cloud::Point;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::cpu::CpuRasterizer;
-use point_skeleton::raster::{Crop, Planes, Rasterizer, Segment, SplatJob, SplatMaps, draw_lines};
+use point_skeleton::raster::{Crop, MapKind, MapSet, Rasterizer, Segment, SplatJob, SplatMaps, draw_lines};
 
 use super::twins::{Case, Division, rasterizers, with_compute_device, with_device};
 
@@ -21,7 +21,7 @@ fn covered(maps: &SplatMaps) -> Vec<(u32, u32)> {
 #[test]
 fn a_point_covers_exactly_its_square() {
     let case = Case::new(9, 7, "4:2,8:1,16:0", &[&[point([4.5 * 2.0, 3.0 * 2.0, 2.0])]]);
-    let maps = case.draw(Planes::ALL);
+    let maps = case.draw(MapSet::SPLATTED);
     let square: Vec<_> = (1..=5).flat_map(|y| (2..=6).map(move |x| (x, y))).collect();
     assert_eq!(covered(&maps), square);
     let inside = (3 * 9 + 4) as usize;
@@ -34,24 +34,24 @@ fn a_point_covers_exactly_its_square() {
 fn a_square_reaches_in_from_outside() {
     // Centers at (-2, 8) and (7, -1) around a 6x7 image, radius 2 and 1.
     let case = Case::new(6, 7, "2:2,4:1", &[&[point([-2.0, 8.0, 1.0]), point([6.5 * 4.0, -4.0, 4.0])]]);
-    assert_eq!(covered(&case.draw(Planes::ALL)), [(5, 0), (0, 6)]);
+    assert_eq!(covered(&case.draw(MapSet::SPLATTED)), [(5, 0), (0, 6)]);
     let out = Case::new(6, 7, "2:2", &[&[point([-3.0, 3.0, 1.0]), point([3.0, 9.0, 1.0])]]);
-    assert_eq!(covered(&out.draw(Planes::ALL)), []);
+    assert_eq!(covered(&out.draw(MapSet::SPLATTED)), []);
 }
 
 #[test]
 fn the_smallest_index_wins_ties_and_the_nearest_wins_otherwise() {
     let (near, far) = (point([2.0, 2.0, 2.0]), point([3.0, 3.0, 3.0]));
     let case = Case::new(3, 3, "9:1", &[&[far, near, near], &[near]]);
-    let maps = case.draw(Planes::ALL);
+    let maps = case.draw(MapSet::SPLATTED);
     assert!(maps.point.iter().all(|p| *p == 2) && maps.instance.iter().all(|i| *i == 10));
     // Point numbers are counted through all instances.
-    let maps = Case::new(3, 3, "9:1", &[&[far, far], &[far, near]]).draw(Planes::ALL);
+    let maps = Case::new(3, 3, "9:1", &[&[far, far], &[far, near]]).draw(MapSet::SPLATTED);
     assert!(maps.point.iter().all(|p| *p == 4) && maps.instance.iter().all(|i| *i == 11));
     // A point that is one `f32` step nearer wins.
     let z = 50.0_f32;
     let nearer = point([z, z, z.next_down()]);
-    let maps = Case::new(3, 3, "60:1", &[&[point([z, z, z]), nearer]]).draw(Planes::ALL);
+    let maps = Case::new(3, 3, "60:1", &[&[point([z, z, z]), nearer]]).draw(MapSet::SPLATTED);
     assert_eq!((maps.point[4], maps.depth_m[4]), (2, z.next_down()));
 }
 
@@ -60,10 +60,10 @@ fn depths_outside_of_the_schedule_are_dropped() {
     let at = |z: f32| point([z, z, z]);
     let dropped = [-1.0, 0.0, 1e-6, 1e-5, 100.001, 1e9, f32::NAN, f32::INFINITY];
     for z in dropped {
-        assert_eq!(covered(&Case::new(3, 3, "15:1,100:0", &[&[at(z)]]).draw(Planes::ALL)), [], "{z}");
+        assert_eq!(covered(&Case::new(3, 3, "15:1,100:0", &[&[at(z)]]).draw(MapSet::SPLATTED)), [], "{z}");
     }
     for (z, pixels) in [(1.1e-5, 9), (15.0, 9), (15.001, 1), (100.0, 1)] {
-        let maps = Case::new(3, 3, "15:1,100:0", &[&[at(z)]]).draw(Planes::ALL);
+        let maps = Case::new(3, 3, "15:1,100:0", &[&[at(z)]]).draw(MapSet::SPLATTED);
         assert_eq!((covered(&maps).len(), maps.depth_m[4]), (pixels, z));
     }
 }
@@ -77,8 +77,8 @@ fn the_crop_is_a_square_with_its_border() {
     instance.world_from_local = DAffine3::from_translation(DVec3::new(1000.0, 2000.0, 0.0));
     let mut view = case.view.clone();
     view.camera_from_world = instance.world_from_local.inverse();
-    let (schedule, instances, planes) = (&case.schedule, &[instance][..], Planes::ALL);
-    let job = SplatJob { view: &view, schedule, instances, crop, planes };
+    let (schedule, instances, maps) = (&case.schedule, &[instance][..], MapSet::SPLATTED);
+    let job = SplatJob { view: &view, schedule, instances, crop, maps };
     let expected = [(2, 0), (3, 0), (4, 0), (5, 0), (6, 0)];
     assert_eq!(covered(&CpuRasterizer::new(vec![&points]).splat(&job).unwrap()), expected);
     with_device(|device| {
@@ -97,7 +97,7 @@ fn points_without_number_in_one_pixel_have_one_winner() {
     points[0] = at(40.0, 35.0, 2.0_f32.next_up());
     points.push(at(70.0, 35.0, 2.0_f32.next_down()));
     let case = Case::new(100, 90, "9:31", &[&points]);
-    let maps = case.draw(Planes::ALL);
+    let maps = case.draw(MapSet::SPLATTED);
     let pixel = |x: usize, y: usize| maps.point[y * 100 + x];
     assert_eq!([pixel(9, 4), pixel(38, 66), pixel(9, 67), pixel(8, 4)], [2, 2, 0, 0]);
     assert_eq!([pixel(39, 35), pixel(70, 4), pixel(99, 66), pixel(99, 67)], [20_001, 20_001, 20_001, 0]);
@@ -107,7 +107,7 @@ fn points_without_number_in_one_pixel_have_one_winner() {
         let spread = |mut rasterizer: Box<dyn Rasterizer + '_>| {
             let (view, schedule, instances) = (&case.view, &case.schedule, case.instances.as_slice());
             rasterizer
-                .splat(&SplatJob { view, schedule, instances, crop: None, planes: Planes::ALL })
+                .splat(&SplatJob { view, schedule, instances, crop: None, maps: MapSet::SPLATTED })
                 .unwrap();
             let stages = rasterizer.take_stages().0;
             (rasterizer.info().rasterizer, stages.contains_key("spread"))
@@ -119,12 +119,13 @@ fn points_without_number_in_one_pixel_have_one_winner() {
 }
 
 #[test]
-fn unwanted_planes_are_empty() {
+fn unwanted_maps_are_empty() {
     let case = Case::new(4, 4, "9:1", &[&[point([1.0, 1.0, 1.0])]]);
     for bits in 0..16_u32 {
         let bit = |i: u32| bits >> i & 1 == 1;
-        let planes = Planes { point: bit(0), depth: bit(1), rgb_class: bit(2), instance: bit(3) };
-        let maps = case.draw(planes);
+        let kinds = [MapKind::Point, MapKind::Depth, MapKind::Color, MapKind::Instance];
+        let kinds = (0..).zip(kinds).filter(|(i, _)| bit(*i));
+        let maps = case.draw(kinds.fold(MapSet::NONE, |maps, (_, kind)| maps.with(kind)));
         let lengths = [maps.point.len(), maps.depth_m.len(), maps.rgb_class.len(), maps.instance.len()];
         assert_eq!(lengths, [0, 1, 2, 3].map(|i| if bit(i) { 16 } else { 0 }));
     }
@@ -132,8 +133,8 @@ fn unwanted_planes_are_empty() {
 
 #[test]
 fn nothing_gives_empty_maps() {
-    assert_eq!(covered(&Case::new(4, 4, "9:1", &[]).draw(Planes::ALL)), []);
-    assert_eq!(covered(&Case::new(4, 4, "9:1", &[&[]]).draw(Planes::ALL)), []);
+    assert_eq!(covered(&Case::new(4, 4, "9:1", &[]).draw(MapSet::SPLATTED)), []);
+    assert_eq!(covered(&Case::new(4, 4, "9:1", &[&[]]).draw(MapSet::SPLATTED)), []);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use glam::{DAffine3, DMat4};
 use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::cpu::CpuRasterizer;
-use point_skeleton::raster::{Instance, Planes, Rasterizer, SplatJob, SplatMaps, SplatSchedule};
+use point_skeleton::raster::{Instance, MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule};
 
 use super::twins::{Division, assert_same, rasterizers, with_device};
 use crate::common::fixtures;
@@ -114,8 +114,8 @@ fn draw(fixture: &Projection, rasterizer: &mut dyn Rasterizer) -> Vec<[SplatMaps
     let schedule = SplatSchedule::default();
     let mut draw = |view: &View, cloud: usize| {
         let instances = [Instance { cloud, world_from_local: DAffine3::IDENTITY, number: 0 }];
-        let planes = Planes::ALL;
-        let job = SplatJob { view, schedule: &schedule, instances: &instances, crop: None, planes };
+        let maps = MapSet::SPLATTED;
+        let job = SplatJob { view, schedule: &schedule, instances: &instances, crop: None, maps };
         rasterizer.splat(&job).unwrap()
     };
     fixture.views.iter().map(|view| [draw(view, 0), draw(view, 1)]).collect()
@@ -147,9 +147,9 @@ fn fixture_maps_are_the_references() {
 fn fixture_check_sees_a_wrong_radius() {
     let Some(fixture) = load() else { return };
     let view = &fixture.views[0];
-    let (schedule, planes): (SplatSchedule, _) = ("15:1,35:1,100:0".parse().unwrap(), Planes::ALL);
+    let (schedule, maps): (SplatSchedule, _) = ("15:1,35:1,100:0".parse().unwrap(), MapSet::SPLATTED);
     let instances = [Instance { cloud: 0, world_from_local: DAffine3::IDENTITY, number: 0 }];
-    let job = SplatJob { view, schedule: &schedule, instances: &instances, crop: None, planes };
+    let job = SplatJob { view, schedule: &schedule, instances: &instances, crop: None, maps };
     let maps = CpuRasterizer::new(vec![&fixture.points]).splat(&job).unwrap();
     assert!(std::panic::catch_unwind(|| check(&fixture, 0, &maps, &maps)).is_err());
 }

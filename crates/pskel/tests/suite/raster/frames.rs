@@ -9,8 +9,8 @@ use point_skeleton::geometry::{ImageSize, View};
 use point_skeleton::gpu::Device;
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
-    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, Crop, FRAMES_IN_FLIGHT, FrameJob, FrameKinds,
-    Instance, Occlusion, Planes, RasterError, Rasterizer, SplatJob, SplatSchedule, ViewMaps,
+    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, Crop, FRAMES_IN_FLIGHT, FrameJob, Instance, MapKind,
+    MapSet, Occlusion, RasterError, Rasterizer, SplatJob, SplatSchedule, ViewMaps,
 };
 use proptest::prelude::*;
 
@@ -64,9 +64,10 @@ impl Scene {
 
     fn job(&self, random: &mut Random) -> FrameJob<'_> {
         let bits = random.below(32);
-        let bit = |i: u32| bits >> i & 1 == 1;
-        let kinds =
-            FrameKinds { color: bit(0), depth: bit(1), class: bit(2), instance: bit(3), point: bit(4) };
+        let kinds = [MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Instance, MapKind::Point];
+        let kinds = kinds.into_iter().enumerate();
+        let maps = kinds
+            .fold(MapSet::NONE, |maps, (i, kind)| if bits >> i & 1 == 1 { maps.with(kind) } else { maps });
         let size = |random: &mut Random| ImageSize {
             height: 1 + random.below(70) as u32,
             width: 1 + random.below(100) as u32,
@@ -78,7 +79,7 @@ impl Scene {
             geometry: &self.geometry,
             occlusion: if random.below(2) == 0 { Occlusion::Scene } else { Occlusion::Actors },
             crop: self.crop,
-            kinds: if random.below(3) == 0 { FrameKinds::ALL } else { kinds },
+            maps: if random.below(3) == 0 { MapSet::SPLATTED } else { maps },
             out_size: (random.below(3) > 0).then(|| size(random)),
         }
     }
@@ -155,7 +156,7 @@ fn compare_scene(
                     "{} seed {seed} round {round} {} {:?} {:?} {:?} {compute:?}",
                     rasterizer.info().rasterizer,
                     job.schedule,
-                    job.kinds,
+                    job.maps,
                     job.occlusion,
                     job.out_size,
                 );
@@ -237,7 +238,7 @@ fn compute<'a>(device: &Arc<Device>, clouds: &CloudSet<'a>) -> ComputeRasterizer
 fn frames_in_flight_come_in_order() {
     let random = &mut Random(11);
     let scene = Scene::random(random, &[5000, 300]);
-    let full = FrameJob { kinds: FrameKinds::ALL, out_size: None, ..scene.job(random) };
+    let full = FrameJob { maps: MapSet::SPLATTED, out_size: None, ..scene.job(random) };
     let reduced = FrameJob { out_size: Some(ImageSize { height: 9, width: 13 }), ..full };
     with_compute_device(|device| {
         let mut cpu = CpuRasterizer::new(scene.clouds());
@@ -251,7 +252,8 @@ fn frames_in_flight_come_in_order() {
             assert!(matches!(error, RasterError::TooManyFrames { max: FRAMES_IN_FLIGHT }), "{error}");
             // A synchronous splat does not disturb the frames in flight.
             let FrameJob { schedule, geometry: instances, crop, .. } = reduced;
-            let alone = SplatJob { view: &reduced.views[0], schedule, instances, crop, planes: Planes::ALL };
+            let alone =
+                SplatJob { view: &reduced.views[0], schedule, instances, crop, maps: MapSet::SPLATTED };
             let (a, b) = (cpu.splat(&alone).unwrap(), rasterizer.splat(&alone).unwrap());
             twins::assert_same(&a, &b, allowed_share(&rasterizer, ON_BORDERS), "at once");
             for expected in &expected {
@@ -278,9 +280,9 @@ fn a_warm_rasterizer_makes_nothing_new() {
                     instance.world_from_local.translation.x += 0.01;
                 }
                 for out_size in [None, Some(ImageSize { height: 4, width: 5 })] {
-                    let kinds = FrameKinds::ALL;
+                    let maps = MapSet::SPLATTED;
                     let occlusion = Occlusion::Actors;
-                    let job = FrameJob { kinds, occlusion, out_size, ..scene.job(&mut Random(1)) };
+                    let job = FrameJob { maps, occlusion, out_size, ..scene.job(&mut Random(1)) };
                     rasterizer.begin(&job).unwrap();
                 }
                 rasterizer.finish().unwrap();
@@ -310,7 +312,7 @@ fn too_little_memory_is_said() {
 fn positions_beyond_the_allowed_memory_are_streamed() {
     let random = &mut Random(21);
     let scene = Scene::random(random, &[60_000]);
-    let job = FrameJob { kinds: FrameKinds::ALL, crop: None, ..scene.job(random) };
+    let job = FrameJob { maps: MapSet::SPLATTED, crop: None, ..scene.job(random) };
     with_compute_device(|device| {
         let streams = |memory_bytes| {
             let desc = ComputeRasterizerDesc { memory_bytes, streamed_rows: Some(2), ..Default::default() };

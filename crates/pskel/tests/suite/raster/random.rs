@@ -5,7 +5,7 @@ use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
-    CloudSet, ComputeRasterizerDesc, Crop, GraphicsRasterizerDesc, Instance, Planes, Rasterizer, SplatJob,
+    CloudSet, ComputeRasterizerDesc, Crop, GraphicsRasterizerDesc, Instance, MapSet, Rasterizer, SplatJob,
     SplatSchedule, SplatStep,
 };
 
@@ -134,7 +134,7 @@ fn compare_random_splats(seed: u64, sizes: &[u64], division: Division) {
                 schedule: &schedule,
                 instances: &instances,
                 crop,
-                planes: Planes::ALL,
+                maps: MapSet::SPLATTED,
             };
             let expected = cpu.splat(&job).unwrap();
             for rasterizer in &mut all {
@@ -177,8 +177,8 @@ fn two_rasterizers_and_two_runs_give_the_same_bytes() {
     let cloud = random_cloud(random, &schedule, 20_000);
     let view = random_view(random);
     let instances = random_instances(random, &view, 1);
-    let planes = Planes::ALL;
-    let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, planes };
+    let maps = MapSet::SPLATTED;
+    let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, maps };
     with_device(|device| {
         let mut maps = Vec::new();
         for _ in 0..2 {

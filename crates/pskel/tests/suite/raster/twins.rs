@@ -9,7 +9,7 @@ use point_skeleton::gpu::{Device, DeviceDesc};
 use point_skeleton::raster::cpu::CpuRasterizer;
 use point_skeleton::raster::{
     CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, GraphicsRasterizerDesc, Instance,
-    Planes, Rasterizer, SplatJob, SplatMaps, SplatSchedule,
+    MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule,
 };
 
 use crate::common::skip;
@@ -132,14 +132,14 @@ impl Case {
     }
 
     /// Renders maps with all rasterizers, which must agree.
-    pub(crate) fn draw(&self, planes: Planes) -> SplatMaps {
+    pub(crate) fn draw(&self, maps: MapSet) -> SplatMaps {
         let clouds: CloudSet<'_> = self.clouds.iter().map(Vec::as_slice).collect();
         let job = SplatJob {
             view: &self.view,
             schedule: &self.schedule,
             instances: &self.instances,
             crop: None,
-            planes,
+            maps,
         };
         let expected = CpuRasterizer::new(clouds.clone()).splat(&job).unwrap();
         with_device(|device| {
@@ -156,7 +156,7 @@ impl Case {
 #[test]
 fn the_comparator_sees_each_plane() {
     let point = Point::new([1.0, 1.0, 1.0], [1, 2, 3], 1);
-    let maps = Case::new(3, 3, "9:0", &[&[point]]).draw(Planes::ALL);
+    let maps = Case::new(3, 3, "9:0", &[&[point]]).draw(MapSet::SPLATTED);
     assert_eq!(differing(&maps, &maps), 0);
     let change = |edit: &dyn Fn(&mut SplatMaps)| {
         let mut other = maps.clone();
