@@ -20,10 +20,7 @@ pub enum ConditionError {
         step: String,
     },
     /// Cameras of one array differ in size.
-    #[error(
-        "expected cameras of one size in one array (--size or --out-size make it so), found {first} and {other}: {}",
-        path.display()
-    )]
+    #[error("expected a common image size of all cameras in one array, found {first} and {other}: {}", path.display())]
     Sizes {
         /// Name and size of the first camera.
         first: String,

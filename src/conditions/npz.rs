@@ -107,6 +107,6 @@ mod tests {
         let mut set = test_set();
         set.cameras[1].width = 3;
         let message = write(Path::new("maps.npz"), &set).unwrap_err().to_string();
-        assert!(message.contains("--out-size") && message.contains("right at 4x3"), "{message}");
+        assert!(message.contains("a common image size") && message.contains("right at 4x3"), "{message}");
     }
 }

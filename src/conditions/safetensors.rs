@@ -139,6 +139,6 @@ mod tests {
         set.cameras[1].width = 3;
         let path = Path::new("c.safetensors");
         let message = write(path, &set, 0, &options()).unwrap_err().to_string();
-        assert!(message.contains("--out-size") && message.ends_with("c.safetensors"), "{message}");
+        assert!(message.contains("a common image size") && message.ends_with("c.safetensors"), "{message}");
     }
 }

@@ -30,6 +30,9 @@ pub struct DataRoot {
 }
 
 impl DataRoot {
+    /// Expectation of the error of a path that leads out of the folder.
+    pub const BELOW: &str = "a path below the data set's folder";
+
     /// Resolves a name from the data to a path. Symbolic links may lead anywhere: they are trusted as much as the
     /// folder's owner.
     ///
@@ -45,7 +48,7 @@ impl DataRoot {
         }
         if !self.allow_outside && !parts.all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
         {
-            return wrong("a path below the data set's folder (--allow-outside takes others)");
+            return wrong(Self::BELOW);
         }
         Ok(self.path.join(name))
     }

@@ -90,9 +90,8 @@ pub fn create<'a>(
         return Ok(Box::new(ComputeRasterizer::with_desc(device, &clouds, desc)?));
     }
     if desc.memory_bytes.is_some() {
-        let expected =
-            "64-bit atomics on buffers, since only the compute rasterizer streams points (--gpu-memory)";
-        let found = if desc.kind == RasterizerKind::Graphics { "--rasterizer graphics" } else { "none" };
+        let expected = "64-bit atomics on buffers, since only the compute rasterizer has a GPU memory limit";
+        let found = if desc.kind == RasterizerKind::Graphics { "the graphics rasterizer" } else { "none" };
         return Err(device.unsupported(expected, found).into());
     }
     Ok(Box::new(GraphicsRasterizer::new(device, &clouds)?))

@@ -5,6 +5,7 @@
 //! failure, 2 wrong usage. Progress and errors go to stderr, the summary line to stdout.
 
 mod ablate;
+mod advice;
 mod bench;
 mod build;
 mod choices;
@@ -107,6 +108,9 @@ pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             terminal::tell(&format!("error: {}", with_causes(&error)));
+            if let Some(advice) = advice::advice(&error) {
+                terminal::tell(&format!("  hint: {advice}"));
+            }
             if error.is::<WrongUsage>() { ExitCode::from(2) } else { ExitCode::FAILURE }
         }
     }

@@ -124,7 +124,8 @@ impl<'a> ComputeRasterizer<'a> {
         desc: ComputeRasterizerDesc,
     ) -> Result<Self, GpuError> {
         if !Self::supported(&device) {
-            let expected = "64-bit atomics on buffers for --rasterizer compute (raster and cpu need none)";
+            let expected =
+                "64-bit atomics on buffers for the compute rasterizer (graphics and cpu need none)";
             return Err(device.unsupported(expected, "none (VK_KHR_shader_atomic_int64)"));
         }
         let mut stages = StageTimes::default();

@@ -48,7 +48,7 @@ pub enum BuildError {
         found: Vec<String>,
     },
     /// The build failed after its first checkpoint and can be resumed.
-    #[error("{source}; {frames} frames are done and kept, --resume goes on from there: {}", path.display())]
+    #[error("{source}; {frames} frames are done and retained: {}", path.display())]
     Interrupted {
         /// Cause of the failure.
         source: Box<BuildError>,

@@ -262,7 +262,7 @@ fn partial_of_tiny(log: &TinyLog) -> PathBuf {
     let error = built.unwrap_err();
     let BuildError::Interrupted { frames, path, .. } = &error else { panic!("{error}") };
     let text = error.to_string();
-    assert!(*frames == 3 && text.contains("3 frames are done and kept, --resume goes on"), "{text}");
+    assert!(*frames == 3 && text.contains("3 frames are done and retained"), "{text}");
     path.clone()
 }
 
