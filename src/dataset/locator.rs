@@ -3,14 +3,13 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use super::DatasetError;
-use crate::error::FileError;
 
-/// Log name on the command line: `FORMAT:PATH[@VERSION][#SCENE]`, or `town:OPTIONS` for the built-in synthetic town.
+/// Location of a log. Text form: `FORMAT:PATH[@VERSION][#SCENE]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogLocator {
     /// Format, which selects the reader.
     pub format: LogFormat,
-    /// Folder or file; for the town, its options.
+    /// Folder or file; with [`LogFormat::Other`], any text that its reader understands.
     pub path: PathBuf,
     /// Dataset version, for instance `v1.0-mini`.
     pub version: Option<String>,
@@ -31,23 +30,9 @@ impl LogLocator {
         let (version, scene, sensor_root, map_root) = Default::default();
         Self { format, path, version, scene, sensor_root, map_root, allow_outside: false }
     }
-
-    /// Validates the given folders of sensors and maps.
-    ///
-    /// # Errors
-    /// Fails if a folder does not exist or is a file.
-    pub(super) fn check_roots(&self) -> Result<(), FileError> {
-        for folder in self.sensor_root.iter().chain(&self.map_root) {
-            let found = std::fs::metadata(folder).map_err(FileError::io("read", folder))?;
-            if !found.is_dir() {
-                return Err(FileError::content("a folder", "a file", folder));
-            }
-        }
-        Ok(())
-    }
 }
 
-/// Formats as on the command line, without the separately given folders.
+/// Formats as parsed, without the separately given folders.
 impl fmt::Display for LogLocator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}:{}", self.format.name(), self.path.display())?;
@@ -56,7 +41,7 @@ impl fmt::Display for LogLocator {
     }
 }
 
-/// Supported log formats.
+/// Log formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogFormat {
     /// nuScenes: 13 JSON tables.
@@ -67,25 +52,22 @@ pub enum LogFormat {
     NuPlan,
     /// Folder of nuPlan logs, restricted to the ten evaluation logs of the paper.
     NuPlanSimgen,
-    /// Built-in synthetic town.
-    Town,
+    /// A format with this name, of a reader outside this crate.
+    Other(&'static str),
 }
 
 impl LogFormat {
-    /// All formats.
-    pub const ALL: [Self; 5] =
-        [Self::NuScenes, Self::NuPlan, Self::NuPlanSimgen, Self::Argoverse, Self::Town];
-    /// Names on the command line.
-    pub const NAMES: &'static str = "nuscenes, nuplan, nuplan-simgen, av2 or town";
+    /// The formats of this crate's readers.
+    pub const ALL: [Self; 4] = [Self::NuScenes, Self::NuPlan, Self::NuPlanSimgen, Self::Argoverse];
 
-    /// Name on the command line.
+    /// Name in the text form of a locator.
     pub fn name(self) -> &'static str {
         match self {
             Self::NuScenes => "nuscenes",
             Self::NuPlan => "nuplan",
             Self::NuPlanSimgen => "nuplan-simgen",
             Self::Argoverse => "av2",
-            Self::Town => "town",
+            Self::Other(name) => name,
         }
     }
 }
@@ -94,12 +76,12 @@ impl FromStr for LogLocator {
     type Err = DatasetError;
 
     fn from_str(text: &str) -> Result<Self, DatasetError> {
-        let wrong = || DatasetError::Locator { found: text.to_owned(), formats: LogFormat::NAMES };
+        let wrong = || DatasetError::Locator {
+            found: text.to_owned(),
+            formats: "nuscenes, nuplan, nuplan-simgen or av2",
+        };
         let (format, rest) = text.split_once(':').ok_or_else(wrong)?;
         let format = LogFormat::ALL.into_iter().find(|known| known.name() == format).ok_or_else(wrong)?;
-        if format == LogFormat::Town {
-            return Ok(Self::new(format, rest)); // options are not a path and are not split
-        }
         let (rest, scene) = split_tail(rest, '#');
         let (path, version) = split_tail(rest, '@');
         if path.is_empty() || version == Some("") || scene == Some("") {
@@ -131,19 +113,14 @@ mod tests {
         assert_eq!(locator.scene.as_deref(), Some("scene-0061"));
         let bare: LogLocator = "nuscenes:data".parse().unwrap();
         assert_eq!((bare.version, bare.scene), (None, None));
-        let town: LogLocator = "town:seed=7,frames=40".parse().unwrap();
-        assert_eq!(town, LogLocator::new(LogFormat::Town, "seed=7,frames=40"));
-        let names = LogFormat::ALL.map(LogFormat::name);
-        assert_eq!(
-            LogFormat::NAMES.split([',', ' ']).filter(|n| !["", "or"].contains(n)).collect::<Vec<_>>(),
-            names
-        );
+        assert_eq!(LogLocator::new(LogFormat::Other("made"), "seed=7").to_string(), "made:seed=7");
     }
 
     #[test]
     fn other_forms_are_refused() {
         for text in ["", "nuscenes", "nuscenes:", "kitti:/data", "nuscenes:/data@", "nuscenes:/data#"] {
-            assert!(text.parse::<LogLocator>().is_err(), "{text}");
+            let message = text.parse::<LogLocator>().unwrap_err().to_string();
+            assert!(LogFormat::ALL.iter().all(|format| message.contains(format.name())), "{message}");
         }
     }
 }

@@ -7,6 +7,8 @@
 pub mod av2;
 mod category;
 mod ego_track;
+#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
+mod limits;
 mod locator;
 mod log;
 mod map;
@@ -32,13 +34,6 @@ use std::path::PathBuf;
 use crate::error::FileError;
 use crate::files::text::{printable, printable_path};
 use crate::geometry::{CameraError, Cuboid, CuboidError, PoseError, View};
-
-/// Maximum distance of a time from 1970, microseconds: a thousand years. Later times are rejected as damaged, so
-/// differences of times cannot overflow.
-const MAX_TIME_US: i64 = 31_557_600_000_000_000;
-
-/// Maximum number of cameras. More are rejected as damaged, since each has an image in every frame.
-const MAX_CAMERAS: usize = 64;
 
 /// Source of one log: metadata, sweeps, images and map.
 pub trait Dataset: Send + Sync {
@@ -159,7 +154,7 @@ pub enum DatasetError {
         /// Supported formats.
         formats: &'static str,
     },
-    /// The log is synthetic, or this build lacks the reader of its format.
+    /// This build has no reader of the format.
     #[error("expected a recorded log of a format that this build reads, found {found}")]
     Unsupported {
         /// Name of the format.

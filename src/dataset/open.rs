@@ -3,7 +3,7 @@ use super::{Dataset, DatasetError, LogFormat, LogLocator};
 /// Opens the recorded log that a locator names.
 ///
 /// # Errors
-/// Fails if the log is synthetic or if this build lacks the reader of its format. Returns any error of the reader.
+/// Fails if this build has no reader of the format. Returns any error of the reader.
 pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
     match locator.format {
         #[cfg(feature = "nuscenes")]
@@ -12,8 +12,7 @@ pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
         LogFormat::Argoverse => Ok(Box::new(super::av2::Argoverse::open(locator)?)),
         #[cfg(feature = "nuplan")]
         LogFormat::NuPlan | LogFormat::NuPlanSimgen => Ok(Box::new(super::nuplan::NuPlan::open(locator)?)),
-        #[allow(unreachable_patterns)] // depends on the features
-        other => Err(DatasetError::Unsupported { found: other.name() }),
+        other => Err(unsupported(other)),
     }
 }
 
@@ -29,7 +28,10 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
         LogFormat::Argoverse => super::av2::expand(locator),
         #[cfg(feature = "nuplan")]
         LogFormat::NuPlan | LogFormat::NuPlanSimgen => super::nuplan::expand(locator),
-        #[allow(unreachable_patterns)] // depends on the features
-        other => Err(DatasetError::Unsupported { found: other.name() }),
+        other => Err(unsupported(other)),
     }
+}
+
+fn unsupported(format: LogFormat) -> DatasetError {
+    DatasetError::Unsupported { found: format.name() }
 }

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use clap::Args;
 use point_skeleton::conditions::{ConditionOptions, ImageSize};
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
+use point_skeleton::dataset::{Dataset, LogLocator};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{check_output_file, write_json, write_whole};
 use point_skeleton::raster::SplatSchedule;
@@ -66,7 +66,7 @@ pub(super) struct FidelityArgs {
 /// Runs the command: renders, compares, prints the table.
 pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    if args.log.format != LogFormat::Town {
+    if args.log.format != pskel_town::FORMAT {
         let message = format!("expected a log town:.., of which the truth is known, found {}", args.log);
         return Err(WrongUsage(message).into());
     }

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use point_skeleton::dataset::{Dataset, DatasetError, LogFormat, LogLocator};
+use point_skeleton::dataset::{Dataset, DatasetError, LogLocator};
 use point_skeleton::files::resolved_output;
 
 use super::WrongUsage;
@@ -35,7 +35,7 @@ pub(super) fn output_folder() -> impl TypedValueParser<Value = PathBuf> {
 
 /// Checks that all logs are distinct synthetic towns, for commands that need ground truth.
 pub(super) fn check_towns(logs: &[LogLocator]) -> Result<(), WrongUsage> {
-    if let Some(other) = logs.iter().find(|log| log.format != LogFormat::Town) {
+    if let Some(other) = logs.iter().find(|log| log.format != pskel_town::FORMAT) {
         let message = format!("expected logs town:.., of which the truth is known, found {other}");
         return Err(WrongUsage(message));
     }

@@ -1,19 +1,27 @@
 //! Access to logs of all formats by locator: recorded logs and the built-in synthetic town.
 
-use point_skeleton::dataset::{self, Dataset, DatasetError, LogFormat, LogLocator};
+use point_skeleton::dataset::{self, Dataset, DatasetError, LogLocator};
 use point_skeleton::error::FileError;
-use pskel_town::{Town, TownOptions};
+use pskel_town::{FORMAT, Town, TownOptions};
+
+/// Formats in error messages.
+const FORMATS: &str = "nuscenes, nuplan, nuplan-simgen, av2 or town";
 
 /// Parses a log locator, `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. No file is opened.
 ///
 /// # Errors
 /// Fails if the text has another form or the town does not support an option.
 pub fn locate(text: &str) -> Result<LogLocator, DatasetError> {
-    let locator: LogLocator = text.parse()?;
-    if locator.format == LogFormat::Town {
-        town_options(&locator)?;
+    match text.strip_prefix(FORMAT.name()).and_then(|rest| rest.strip_prefix(':')) {
+        Some(options) => {
+            let town = LogLocator::new(FORMAT, options);
+            town_options(&town).map(|_| town)
+        }
+        None => text.parse().map_err(|error| match error {
+            DatasetError::Locator { found, .. } => DatasetError::Locator { found, formats: FORMATS },
+            error => error,
+        }),
     }
-    Ok(locator)
 }
 
 /// Returns the logs that a locator refers to, in order: the locator itself unless it names a set of logs.
@@ -21,10 +29,7 @@ pub fn locate(text: &str) -> Result<LogLocator, DatasetError> {
 /// # Errors
 /// Fails if the set is empty or its index cannot be read.
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
-    match locator.format {
-        LogFormat::Town => Ok(vec![locator.clone()]),
-        _ => dataset::expand(locator),
-    }
+    if locator.format == FORMAT { Ok(vec![locator.clone()]) } else { dataset::expand(locator) }
 }
 
 /// Opens the log that a locator names.
@@ -32,10 +37,7 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
 /// # Errors
 /// Fails if the locator is invalid. Returns any error of the format's reader.
 pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
-    match locator.format {
-        LogFormat::Town => Ok(Box::new(open_town(locator)?)),
-        _ => dataset::open(locator),
-    }
+    if locator.format == FORMAT { Ok(Box::new(open_town(locator)?)) } else { dataset::open(locator) }
 }
 
 /// Opens the built-in synthetic town, which provides ground truth in addition to a log.
@@ -47,7 +49,7 @@ pub fn open_town(locator: &LogLocator) -> Result<Town, DatasetError> {
 }
 
 fn town_options(locator: &LogLocator) -> Result<TownOptions, DatasetError> {
-    if locator.format != LogFormat::Town {
+    if locator.format != FORMAT {
         return Err(
             FileError::content("the built-in town (town:OPTIONS)", "another log", &locator.path).into()
         );
@@ -65,7 +67,7 @@ mod tests {
 
     #[test]
     fn a_town_is_located_by_options_it_has() {
-        assert_eq!(locate("town:seed=3").unwrap().format, LogFormat::Town);
+        assert_eq!(locate("town:seed=3").unwrap().format, FORMAT);
         let message = locate("town:seed=3,color=red").unwrap_err().to_string();
         assert!(message.contains("expected the options") && message.contains("color"), "{message}");
         assert!(locate("nuscenes:a").is_ok() && locate("village:a").is_err());

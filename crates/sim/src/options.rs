@@ -1,3 +1,4 @@
+use point_skeleton::dataset::LogFormat;
 use serde::Serialize;
 
 use super::{LocalPath, PlannerSpec};
@@ -130,6 +131,16 @@ pub struct Rates {
 impl Rates {
     /// Rates for nuScenes.
     pub const NUSCENES: Self = Self { sim_hz: 12.0, plan_hz: 2.0 };
+
+    /// Returns the default rates of a log's format.
+    pub fn of(format: LogFormat) -> Self {
+        match format {
+            LogFormat::NuScenes => Self::NUSCENES,
+            LogFormat::Argoverse | LogFormat::NuPlan | LogFormat::NuPlanSimgen | LogFormat::Other(_) => {
+                Self::default()
+            }
+        }
+    }
 }
 
 impl Default for Rates {

@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use point_skeleton::dataset::{Log, LogFormat};
+use point_skeleton::dataset::Log;
 use point_skeleton::scene::{SceneMap, SceneState, state_of};
 
 use super::{Instant, Rates, SimActor};
@@ -12,21 +12,8 @@ pub struct Scenario<'a> {
     pub log: &'a Log,
     /// HD map of the log; off-road metrics require it.
     pub map: Option<Arc<SceneMap>>,
-    /// Default rates of the log's format, which the options can override.
+    /// Default rates ([`Rates::of`]), which the options can override.
     pub rates: Rates,
-}
-
-impl<'a> Scenario<'a> {
-    /// Creates a scenario with the default rates of the log's format.
-    pub fn new(log: &'a Log, map: Option<Arc<SceneMap>>, format: LogFormat) -> Self {
-        let rates = match format {
-            LogFormat::NuScenes => Rates::NUSCENES,
-            LogFormat::Argoverse | LogFormat::NuPlan | LogFormat::NuPlanSimgen | LogFormat::Town => {
-                Rates::default()
-            }
-        };
-        Self { log, map, rates }
-    }
 }
 
 /// Returns the scene state for an instant of a rollout, as the input of condition rendering. All cameras share its

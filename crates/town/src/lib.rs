@@ -23,6 +23,6 @@ pub mod plan;
 mod templates;
 pub mod view;
 
-pub use drive::{Town, TownError};
+pub use drive::{FORMAT, Town, TownError};
 pub use options::{Daylight, TownOptions, TownOptionsError};
 pub use templates::templates;

@@ -24,6 +24,7 @@ pub use sweep::read_sweep_file;
 
 use std::path::PathBuf;
 
+use super::limits::check_roots;
 use super::{
     Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
 };
@@ -47,7 +48,7 @@ impl Argoverse {
     /// Fails if the folder is not a log, or contains several and none is selected. Fails if tables are missing or
     /// damaged, poses, cameras or boxes are invalid, or times do not increase.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
-        locator.check_roots()?;
+        check_roots(locator)?;
         let chosen = choose::choose(locator)?;
         let folder = &chosen.path;
         let sensors = choose::part(folder, chosen.sensor_root.as_deref(), "sensors");

@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::dataset::limits::check_roots;
 use crate::dataset::{DatasetError, LogFormat, LogLocator};
 use crate::error::FileError;
 use crate::files::input::{DataRoot, is_taken};
@@ -42,7 +43,7 @@ impl LogPaths {
         // A relative path may start below the folders searched for here.
         let absolute = std::path::absolute(&locator.path).map_err(FileError::io("find", &locator.path))?;
         let root = absolute.ancestors().nth(3).unwrap_or(Path::new("/"));
-        locator.check_roots()?;
+        check_roots(locator)?;
         let sensors = locator.sensor_root.clone().unwrap_or_else(|| root.join("sensor_blobs"));
         let usual_maps = root.parent().unwrap_or(root).join("maps");
         Ok(Self {

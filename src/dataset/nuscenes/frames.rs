@@ -9,8 +9,9 @@ use rustc_hash::FxHashSet;
 
 use super::chain::Chain;
 use super::tables::{CalibratedSensor, EgoPose, SampleData, Sensor, Table};
+use crate::dataset::limits::MAX_CAMERAS;
 use crate::dataset::notes::{Notes, note};
-use crate::dataset::{DatasetError, ImageRecord, MAX_CAMERAS, SweepRecord};
+use crate::dataset::{DatasetError, ImageRecord, SweepRecord};
 use crate::error::FileError;
 use crate::files::input::DataRoot;
 use crate::files::{FileName, first_twice};

@@ -25,6 +25,7 @@ pub use write_map::{MapLayers, RoadSegment, write_map};
 
 use std::path::PathBuf;
 
+use super::limits::check_roots;
 use super::{
     Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
 };
@@ -50,7 +51,7 @@ impl NuScenes {
     /// a valid folder name. Fails if poses, cameras or boxes are invalid, or if several versions or scenes exist and
     /// none is selected.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
-        locator.check_roots()?;
+        check_roots(locator)?;
         let tables = choose::version_folder(&locator.path, locator.version.as_deref())?;
         let sensors = locator.sensor_root.as_ref().unwrap_or(&locator.path).clone();
         let sensors = DataRoot { path: sensors, allow_outside: locator.allow_outside };

@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 use rustc_hash::FxHashMap;
 use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error, SeqAccess, Visitor};
 
-use crate::dataset::{DatasetError, MAX_TIME_US};
+use crate::dataset::DatasetError;
+use crate::dataset::limits::MAX_TIME_US;
 use crate::error::FileError;
 use crate::files::input::read_table;
 

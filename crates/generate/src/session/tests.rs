@@ -6,14 +6,14 @@ use glam::{DMat3, DVec3};
 use super::*;
 use crate::{Frame, Guidance, LatentShape, PixelCodec, Recipe, SamplerOptions, Strategy};
 use point_skeleton::dataset::{
-    Dataset, DatasetError, Frame as LogFrame, ImageRecord, Log, LogFormat, RigCamera, Sweep, SweepRecord,
+    Dataset, DatasetError, Frame as LogFrame, ImageRecord, Log, RigCamera, Sweep, SweepRecord,
 };
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::Camera;
 use point_skeleton::raster::{self, RasterizerDesc, RasterizerKind};
 use point_skeleton::scene::SceneClouds as Clouds;
 use point_skeleton::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
-use pskel_sim::{Scenario, SimOptions};
+use pskel_sim::{Rates, Scenario, SimOptions};
 
 const SIZE: ImageSize = ImageSize { height: 4, width: 8 };
 const SHAPE: LatentShape = LatentShape { views: 1, channels: 12, height: 2, width: 4 };
@@ -142,7 +142,7 @@ fn a_session_that_failed_makes_no_step() {
     let mut rasterizer = raster::create(&desc, stage.cloud_set()).unwrap();
     // The reference is encoded, all later frames are decoded.
     for (calls_before, made_before) in [(None, 5), (Some(0), 0), (Some(1), 1), (Some(2), 2)] {
-        let scenario = Scenario::new(&drive.0, None, LogFormat::Town);
+        let scenario = Scenario { log: &drive.0, map: None, rates: Rates::default() };
         let options = SimOptions { steps: 9, ..SimOptions::default() };
         let mut simulation = Simulation::new(&scenario, options).unwrap();
         let mut session = Session::new(parts(&drive, &stage, calls_before), Box::new(Still)).unwrap();

@@ -3,7 +3,7 @@ use std::sync::Arc;
 
 use image::RgbImage;
 use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
-use point_skeleton::dataset::{Dataset, Log, LogFormat};
+use point_skeleton::dataset::{Dataset, Log};
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{SceneClouds, SceneMap};
 use pskel_eval::{
@@ -65,7 +65,7 @@ impl Scene {
         let stage = SceneClouds::with(&skeleton, &log.name, &stand_ins)?;
         let mut rasterizer = options.rasterizer.create(stage.cloud_set())?;
         let map = town.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
-        let scenario = Scenario::new(log, map.clone(), LogFormat::Town);
+        let scenario = Scenario { log, map: map.clone(), rates: Rates::default() };
         let conditioner = Conditioner::new(log, map, &stage, options.recipe, "")
             .with_maps(&[MapKind::Class, MapKind::Instance]);
         let simulation = Simulation::new(&scenario, sim_options(options))?;

@@ -22,7 +22,7 @@ use pskel_network::{GenerationScene, GeneratorReport, OpenedNetwork};
 use pskel_sim::rollout::{
     ImageGenerator, InputPaths, Rollout, RolloutError, RolloutInputs, RolloutOptions, RolloutReport,
 };
-use pskel_sim::{Scenario, SimOptions};
+use pskel_sim::{Rates, Scenario, SimOptions};
 use serde_json::{Map, Value};
 
 use self::summary::{Planned, summary};
@@ -48,7 +48,7 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
     let Inputs { dataset, skeleton, prompt, map, maps } = &inputs;
     let log = dataset.log();
     let opened = args.generator.as_ref().map(|name| args.generating.open(name, log.rig.len())).transpose()?;
-    let scenario = Scenario::new(log, map.clone(), args.log.format);
+    let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.log.format) };
     let simulation = args.sim_options(&scenario, opened.as_ref().map(OpenedNetwork::window))?;
     let planned = Planned {
         steps: simulation.steps,

@@ -3,7 +3,7 @@ use glam::{DMat3, DVec3};
 use std::path::Path;
 
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::dataset::{Frame, Log, LogFormat, RigCamera};
+use point_skeleton::dataset::{Frame, Log, RigCamera};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::geometry::{Camera, Pose};
 use point_skeleton::raster::{
@@ -13,7 +13,7 @@ use point_skeleton::raster::{
 use point_skeleton::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
 
 use super::*;
-use crate::{Scenario, SimOptions};
+use crate::{Rates, Scenario, SimOptions};
 
 /// Renders some frames, then fails.
 struct Failing<'a> {
@@ -78,7 +78,7 @@ fn metrics_are_of_the_steps_that_were_drawn() {
     let clouds = SceneClouds::new(&skeleton, &log.name).unwrap();
     let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
     let drawn = raster::create(&desc, clouds.cloud_set()).unwrap();
-    let scenario = Scenario::new(&log, None, LogFormat::Town);
+    let scenario = Scenario { log: &log, map: None, rates: Rates::default() };
     let paths = InputPaths { log: Path::new("log"), skeleton: &path, prompt: None };
     let inputs = RolloutInputs { scenario: &scenario, skeleton: &skeleton, prompt: &prompt, paths };
     let simulation = SimOptions { steps: 9, ..SimOptions::default() };

@@ -20,11 +20,15 @@ pub use town::Town;
 
 use image::RgbImage;
 use point_skeleton::dataset::{
-    Dataset, DatasetError, ImageRecord, Log, PosedActor, Sweep, SweepRecord, VectorMap, ViewRenderer,
+    Dataset, DatasetError, ImageRecord, Log, LogFormat, PosedActor, Sweep, SweepRecord, VectorMap,
+    ViewRenderer,
 };
 use point_skeleton::geometry::View;
 
 use self::town::LOCATION;
+
+/// Format of a locator whose path has the [`TownOptions`](crate::TownOptions).
+pub const FORMAT: LogFormat = LogFormat::Other("town");
 
 impl Dataset for Town {
     fn log(&self) -> &Log {

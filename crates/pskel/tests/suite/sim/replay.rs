@@ -197,7 +197,7 @@ fn a_real_drive_is_replayed_exactly() {
     let Some(shared) = shared("the PandaSet drive") else { return };
     let locator = LogLocator::new(LogFormat::NuScenes, shared.join("data/pandaset-002/nuscenes"));
     let drive = NuScenes::open(&locator).unwrap();
-    let scenario = Scenario::new(drive.log(), None, LogFormat::NuScenes);
+    let scenario = Scenario { log: drive.log(), map: None, rates: Rates::of(LogFormat::NuScenes) };
     assert_eq!(scenario.rates, Rates::NUSCENES);
     let mut sim = Simulation::new(&scenario, SimOptions { steps: 500, ..SimOptions::default() }).unwrap();
     let instants = all(&mut sim);

@@ -1,0 +1,27 @@
+//! Checks that the readers of data sets have in common.
+
+use super::LogLocator;
+use crate::error::FileError;
+
+/// Maximum distance of a time from 1970, microseconds: a thousand years. Later times are rejected as damaged, so
+/// differences of times cannot overflow.
+#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+pub(super) const MAX_TIME_US: i64 = 31_557_600_000_000_000;
+
+/// Maximum number of cameras. More are rejected as damaged, since each has an image in every frame.
+#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+pub(super) const MAX_CAMERAS: usize = 64;
+
+/// Validates the given folders of sensors and maps.
+///
+/// # Errors
+/// Fails if a folder does not exist or is a file.
+pub(super) fn check_roots(locator: &LogLocator) -> Result<(), FileError> {
+    for folder in locator.sensor_root.iter().chain(&locator.map_root) {
+        let found = std::fs::metadata(folder).map_err(FileError::io("read", folder))?;
+        if !found.is_dir() {
+            return Err(FileError::content("a folder", "a file", folder));
+        }
+    }
+    Ok(())
+}
