@@ -5,7 +5,7 @@
 //! features ([`frechet_distance`]). [`RolloutScores`] takes the steps of a rollout, in memory, and computes a
 //! series per metric with its [`Drift`], the [`Motion`] of actors, and the features of [`RandomConvNet`].
 //! [`CollectedFeatures`] computes distances between the features of many rollouts, and [`MeanInterval`] averages
-//! over rollouts. These read no files; [`evaluate`] scores the rollouts in folders, and [`fidelity`] compares the maps
+//! over rollouts. These read no files; [`evaluate`] scores the rollouts in folders, and `fidelity` (feature `town`) compares the maps
 //! of the synthetic town with its ground truth.
 
 mod conv_net;
@@ -13,6 +13,7 @@ mod depth;
 mod drift;
 mod evaluate;
 mod features;
+#[cfg(feature = "town")]
 mod fidelity;
 mod frechet;
 mod image_quality;
@@ -31,6 +32,7 @@ pub use depth::{DepthErrors, DepthSummary};
 pub use drift::Drift;
 pub use evaluate::{EvaluateError, EvaluateOptions, Report, evaluate};
 pub use features::{FeatureSet, WINDOW_FRAMES, window_features};
+#[cfg(feature = "town")]
 pub use fidelity::{FidelityError, FidelityReport, MaskRow, POSES, Row, fidelity};
 pub use frechet::{FrechetError, frechet_distance};
 pub use image_quality::{FilledError, compare_filled, psnr_db};

@@ -12,7 +12,7 @@ use super::generator::GeneratorArgs;
 use super::log_args::{self, LogRoots};
 use super::map_args::MapArgs;
 use super::rasterizer::RasterizerArgs;
-use super::simulate::{self, OpenLoop, SimulateArgs};
+use super::simulate::{self, GenerationArgs, OpenLoop, SimulateArgs};
 use super::stand_ins::SubstituteArgs;
 use super::{WrongUsage, say};
 
@@ -102,8 +102,7 @@ impl GenerateArgs {
             roots: self.roots,
             skeleton: self.skeleton,
             out: self.out,
-            generator: self.generator,
-            generating: self.generating,
+            generation: GenerationArgs { generator: Some(self.generator), options: self.generating },
             steps: self.steps,
             every: self.every.map(usize::from),
             start: self.start,

@@ -4,6 +4,7 @@
 //! [`main`] parses the arguments, runs the subcommand and converts its result into an exit code: 0 success, 1
 //! failure, 2 wrong usage. Progress and errors go to stderr, the summary line to stdout.
 
+#[cfg(all(feature = "network", feature = "town"))]
 mod ablate;
 mod advice;
 mod bench;
@@ -11,8 +12,11 @@ mod build;
 mod choices;
 mod convert;
 mod evaluate;
+#[cfg(feature = "town")]
 mod fidelity;
+#[cfg(feature = "network")]
 mod generate;
+#[cfg(feature = "network")]
 mod generator;
 mod info;
 mod log_args;
@@ -29,7 +33,9 @@ mod stand_ins;
 mod templates;
 mod terminal;
 mod threads;
+#[cfg(feature = "town")]
 mod town;
+#[cfg(all(feature = "network", feature = "town"))]
 mod train;
 
 use std::ffi::OsString;
@@ -60,11 +66,16 @@ enum Command {
     Convert(convert::ConvertArgs),
     Templates(templates::TemplatesArgs),
     Bench(Box<bench::BenchArgs>),
+    #[cfg(feature = "town")]
     Town(town::TownArgs),
+    #[cfg(feature = "town")]
     Fidelity(Box<fidelity::FidelityArgs>),
+    #[cfg(all(feature = "network", feature = "town"))]
     Train(train::TrainArgs),
+    #[cfg(feature = "network")]
     Generate(Box<generate::GenerateArgs>),
     Evaluate(evaluate::EvaluateArgs),
+    #[cfg(all(feature = "network", feature = "town"))]
     Ablate(ablate::AblateArgs),
 }
 
@@ -79,11 +90,16 @@ impl Command {
             Self::Convert(args) => convert::run(args),
             Self::Templates(args) => templates::run(&args),
             Self::Bench(args) => bench::run(&args),
+            #[cfg(feature = "town")]
             Self::Town(args) => town::run(&args),
+            #[cfg(feature = "town")]
             Self::Fidelity(args) => fidelity::run(&args),
+            #[cfg(all(feature = "network", feature = "town"))]
             Self::Train(args) => train::run(&args),
+            #[cfg(feature = "network")]
             Self::Generate(args) => generate::run(*args),
             Self::Evaluate(args) => evaluate::run(&args),
+            #[cfg(all(feature = "network", feature = "town"))]
             Self::Ablate(args) => ablate::run(&args),
         }
     }

@@ -5,7 +5,6 @@ use clap::builder::{PathBufValueParser, TypedValueParser};
 use point_skeleton::dataset::{Dataset, DatasetError, LogLocator};
 use point_skeleton::files::resolved_output;
 
-use super::WrongUsage;
 use crate::logs;
 
 /// Locations of the parts of a data set.
@@ -34,7 +33,9 @@ pub(super) fn output_folder() -> impl TypedValueParser<Value = PathBuf> {
 }
 
 /// Checks that all logs are distinct synthetic towns, for commands that need ground truth.
-pub(super) fn check_towns(logs: &[LogLocator]) -> Result<(), WrongUsage> {
+#[cfg(all(feature = "network", feature = "town"))]
+pub(super) fn check_towns(logs: &[LogLocator]) -> Result<(), super::WrongUsage> {
+    use super::WrongUsage;
     if let Some(other) = logs.iter().find(|log| log.format != pskel_town::FORMAT) {
         let message = format!("expected logs town:.., of which the truth is known, found {other}");
         return Err(WrongUsage(message));

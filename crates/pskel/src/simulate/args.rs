@@ -3,15 +3,14 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::scene::frame_rate_hz;
-use pskel_network::NetworkName;
 use pskel_sim::rollout::ResumeAfter;
 use pskel_sim::{
     ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
 };
 use serde::Serialize;
 
+use super::generation::GenerationArgs;
 use crate::WrongUsage;
-use crate::generator::GeneratorArgs;
 use crate::log_args::{self, LogRoots};
 use crate::map_args::MapArgs;
 use crate::numbers;
@@ -74,18 +73,12 @@ pub(crate) struct SimulateArgs {
     /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
     #[arg(long, value_name = "F.json")]
     pub(super) annotations: Option<PathBuf>,
-    /// Also generate the cameras' images with a network: network (shipped with the program), network:FILE with
-    /// weights of `pskel train`, or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md).
-    /// Each planning step gets steps/STEP/generated, and truth if ground truth is known. Map options apply to the
-    /// written maps; the network's conditions are rendered as in its training
-    #[arg(long, value_name = "NETWORK")]
-    pub(super) generator: Option<NetworkName>,
     #[command(flatten)]
     pub(super) stand_ins: SubstituteArgs,
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
-    #[command(flatten, next_help_heading = "Options of --generator")]
-    pub(super) generating: GeneratorArgs,
+    #[command(flatten)]
+    pub(super) generation: GenerationArgs,
     /// Set if steps are frames of the log, until its end at most; used by `pskel generate`.
     #[arg(skip)]
     frames: Option<EveryFrames>,
@@ -96,13 +89,13 @@ pub(crate) struct SimulateArgs {
 struct EveryFrames(Option<usize>);
 
 /// Options for replaying a log frame by frame.
+#[cfg(feature = "network")]
 pub(crate) struct OpenLoop {
     pub(crate) log: LogLocator,
     pub(crate) roots: LogRoots,
     pub(crate) skeleton: PathBuf,
     pub(crate) out: PathBuf,
-    pub(crate) generator: NetworkName,
-    pub(crate) generating: GeneratorArgs,
+    pub(crate) generation: GenerationArgs,
     pub(crate) steps: usize,
     pub(crate) every: Option<usize>,
     pub(crate) start: Option<i64>,
@@ -197,6 +190,7 @@ enum ActorName {
 }
 
 impl SimulateArgs {
+    #[cfg(feature = "network")]
     /// Creates options for a replay: ego and actors follow the log, and its frames are the steps.
     pub(crate) fn open_loop(open: OpenLoop) -> Self {
         let policies = PolicyArgs {
@@ -228,8 +222,7 @@ impl SimulateArgs {
             dry: false,
             profile: open.profile,
             annotations: open.annotations,
-            generator: Some(open.generator),
-            generating: open.generating,
+            generation: open.generation,
             stand_ins: open.stand_ins,
             rasterizer: open.rasterizer,
             frames: Some(EveryFrames(open.every)),
@@ -246,17 +239,15 @@ impl SimulateArgs {
         if let Some((option, _, name)) = unused.into_iter().find(|(_, unused, _)| *unused) {
             return Err(WrongUsage(format!("expected --ego {name} with {option}, found {}", ego.name())));
         }
-        self.generating.check(self.generator.as_ref())?;
+        self.generation.check()?;
         self.maps.check()
     }
 
     /// Returns the files that are named individually and only read.
     pub(super) fn input_files(&self) -> impl Iterator<Item = &Path> {
-        let weights = match &self.generator {
-            Some(NetworkName::Network(weights)) => weights.as_deref(),
-            _ => None,
-        };
-        [self.annotations.as_deref(), self.policies.trajectory.as_deref(), weights].into_iter().flatten()
+        [self.annotations.as_deref(), self.policies.trajectory.as_deref(), self.generation.weights()]
+            .into_iter()
+            .flatten()
     }
 
     /// Returns the step after which to continue an earlier rollout.

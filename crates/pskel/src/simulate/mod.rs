@@ -1,9 +1,14 @@
-//! `pskel simulate`: [`args`] defines the options, [`summary`] formats the last line.
+//! `pskel simulate`: [`args`] defines the options, [`generation`] opens the network, [`summary`] formats the last line.
 
 mod args;
+mod generation;
 mod summary;
 
-pub(super) use args::{OpenLoop, SimulateArgs};
+#[cfg(feature = "network")]
+pub(super) use args::OpenLoop;
+pub(super) use args::SimulateArgs;
+#[cfg(feature = "network")]
+pub(super) use generation::GenerationArgs;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -17,14 +22,13 @@ use point_skeleton::files::{check_output_file, check_outside};
 use point_skeleton::geometry::{Camera, ImageSize};
 use point_skeleton::scene::{SceneClouds, SceneMap};
 use point_skeleton::skeleton::Skeleton;
-use pskel_generate::GroundTruthImages;
-use pskel_network::{GenerationScene, GeneratorReport, OpenedNetwork};
 use pskel_sim::rollout::{
     ImageGenerator, InputPaths, Rollout, RolloutError, RolloutInputs, RolloutOptions, RolloutReport,
 };
 use pskel_sim::{Rates, Scenario, SimOptions};
 use serde_json::{Map, Value};
 
+use self::generation::Opened;
 use self::summary::{Planned, summary};
 use super::progress::Progress;
 use super::render::{open_skeleton, read_prompt};
@@ -47,9 +51,9 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
     let inputs = Inputs::open(&args)?;
     let Inputs { dataset, skeleton, prompt, map, maps } = &inputs;
     let log = dataset.log();
-    let opened = args.generator.as_ref().map(|name| args.generating.open(name, log.rig.len())).transpose()?;
+    let opened = args.generation.open(log.rig.len())?;
     let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.log.format) };
-    let simulation = args.sim_options(&scenario, opened.as_ref().map(OpenedNetwork::window))?;
+    let simulation = args.sim_options(&scenario, opened.as_ref().map(Opened::window))?;
     let planned = Planned {
         steps: simulation.steps,
         ego: simulation.ego.name(),
@@ -57,33 +61,24 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
         is_open_loop: args.is_open_loop(),
     };
     let (substitutes, substitute_report) = args.stand_ins.make(skeleton, &log.name)?;
-    let generator = opened.as_ref().map(OpenedNetwork::report);
-    let options =
-        options(&args, log, *maps, simulation, extra(&substitute_report, generator.as_ref())?, generator);
+    let extra = extra(&substitute_report, opened.as_ref())?;
+    let facts = opened.iter().map(Opened::fact).collect();
+    let options = options(&args, log, *maps, simulation, extra, facts);
     let paths =
         InputPaths { log: &args.log.path, skeleton: &args.skeleton, prompt: args.annotations.as_deref() };
-    let inputs = RolloutInputs { scenario: &scenario, skeleton, prompt, paths };
+    let rollout_inputs = RolloutInputs { scenario: &scenario, skeleton, prompt, paths };
     let out = (!args.dry).then_some(args.out.as_path());
-    let rollout = Rollout::open(inputs, options, out, args.resume_after()).map_err(usage)?;
+    let rollout = Rollout::open(rollout_inputs, options, out, args.resume_after()).map_err(usage)?;
     if args.resume_after().is_some() && rollout.steps_done() == 0 {
         warn("no rollout with a step was found to resume; this one starts at step 0");
     }
     let clouds = SceneClouds::with(skeleton, &log.name, &substitutes)?;
     let mut rasterizer = args.rasterizer.create(clouds.cloud_set())?;
-    let [ego_follows_log, actors_follow_log] = args.follow_log();
-    let scene = GenerationScene {
-        log,
-        map: map.clone(),
-        clouds: &clouds,
-        prompt,
-        truth: GroundTruthImages::new(dataset.as_ref()),
-        ego_follows_log,
-        actors_follow_log,
-    };
-    let mut session = opened.map(|opened| opened.session(&scene)).transpose()?;
-    let generator = session.as_mut().map(|session| session as &mut dyn ImageGenerator);
+    let generate = |opened: Opened| opened.session(&inputs, &clouds, args.follow_log());
+    let mut generator = opened.map(generate).transpose()?;
     let mut progress = Progress::new(rollout.steps_left());
     let mut on_step = |name: &str| progress.step(name);
+    let generator = generator.as_mut().map(|generator| generator.as_mut() as &mut dyn ImageGenerator);
     let report = rollout.run(&clouds, rasterizer.as_mut(), generator, &mut on_step)?;
     drop(progress);
     let report = checked(report, &args)?;
@@ -146,15 +141,13 @@ fn usage(error: RolloutError) -> anyhow::Error {
 }
 
 /// Returns the options of templates, assets and generator for `rollout.json`.
-fn extra(
-    substitutes: &StandInReport,
-    generator: Option<&GeneratorReport>,
-) -> serde_json::Result<Map<String, Value>> {
+fn extra(substitutes: &StandInReport, generator: Option<&Opened>) -> serde_json::Result<Map<String, Value>> {
     let mut extra = match serde_json::to_value(substitutes)? {
         Value::Object(fields) => fields,
         _ => Map::new(),
     };
-    extra.insert("generator".to_owned(), serde_json::to_value(generator)?);
+    let generator = generator.map(Opened::record).transpose()?;
+    extra.insert("generator".to_owned(), generator.unwrap_or(Value::Null));
     Ok(extra)
 }
 
@@ -164,7 +157,7 @@ fn options(
     maps: MapSet,
     simulation: SimOptions,
     extra: Map<String, Value>,
-    generator: Option<GeneratorReport>,
+    facts: Vec<String>,
 ) -> RolloutOptions {
     let conditions = args.maps.conditions(maps);
     let large = |camera: &Camera| camera.height > SIZE.height || camera.width > SIZE.width;
@@ -178,6 +171,6 @@ fn options(
         forecast_steps: args.forecast_steps(),
         sheets: args.sheets,
         extra,
-        facts: generator.iter().map(GeneratorReport::fact).collect(),
+        facts,
     }
 }

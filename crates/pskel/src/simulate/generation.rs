@@ -1,0 +1,13 @@
+//! The generator of `pskel simulate`. Without the feature `network` there is none.
+
+#[cfg(feature = "network")]
+mod with_network;
+#[cfg(not(feature = "network"))]
+mod without_network;
+
+#[cfg(feature = "network")]
+pub(crate) use with_network::GenerationArgs;
+#[cfg(feature = "network")]
+pub(super) use with_network::Opened;
+#[cfg(not(feature = "network"))]
+pub(super) use without_network::{GenerationArgs, Opened};

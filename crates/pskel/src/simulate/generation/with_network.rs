@@ -1,0 +1,85 @@
+use std::path::Path;
+
+use clap::Args;
+use point_skeleton::scene::SceneClouds;
+use pskel_generate::GroundTruthImages;
+use pskel_network::{GenerationScene, NetworkName, OpenedNetwork};
+use pskel_sim::rollout::ImageGenerator;
+use serde_json::Value;
+
+use crate::WrongUsage;
+use crate::generator::GeneratorArgs;
+use crate::simulate::Inputs;
+
+/// Network and options of the generator.
+#[derive(Debug, Args)]
+pub(crate) struct GenerationArgs {
+    /// Also generate the cameras' images with a network: network (shipped with the program), network:FILE with
+    /// weights of `pskel train`, or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md).
+    /// Each planning step gets steps/STEP/generated, and truth if ground truth is known. Map options apply to the
+    /// written maps; the network's conditions are rendered as in its training
+    #[arg(long, value_name = "NETWORK")]
+    pub(crate) generator: Option<NetworkName>,
+    #[command(flatten, next_help_heading = "Options of --generator")]
+    pub(crate) options: GeneratorArgs,
+}
+
+/// The opened network.
+pub(in crate::simulate) struct Opened(OpenedNetwork);
+
+impl GenerationArgs {
+    /// Rejects options that have no effect.
+    pub(in crate::simulate) fn check(&self) -> Result<(), WrongUsage> {
+        self.options.check(self.generator.as_ref())
+    }
+
+    /// Returns the file of the weights, if it is named.
+    pub(in crate::simulate) fn weights(&self) -> Option<&Path> {
+        match &self.generator {
+            Some(NetworkName::Network(weights)) => weights.as_deref(),
+            _ => None,
+        }
+    }
+
+    /// Opens the network for a log of `cameras` cameras.
+    pub(in crate::simulate) fn open(&self, cameras: usize) -> anyhow::Result<Option<Opened>> {
+        let open = |name| self.options.open(name, cameras).map(Opened);
+        self.generator.as_ref().map(open).transpose()
+    }
+}
+
+impl Opened {
+    /// Returns the number of frames in the window.
+    pub(in crate::simulate) fn window(&self) -> usize {
+        self.0.window()
+    }
+
+    /// Returns network and options for `rollout.json`.
+    pub(in crate::simulate) fn record(&self) -> serde_json::Result<Value> {
+        serde_json::to_value(self.0.report())
+    }
+
+    /// Returns a line for the web page.
+    pub(in crate::simulate) fn fact(&self) -> String {
+        self.0.report().fact()
+    }
+
+    /// Creates the generator. `follow_log`: whether ego and other actors follow the log in the whole rollout.
+    pub(in crate::simulate) fn session<'a>(
+        self,
+        inputs: &'a Inputs,
+        clouds: &'a SceneClouds<'a>,
+        [ego_follows_log, actors_follow_log]: [bool; 2],
+    ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
+        let scene = GenerationScene {
+            log: inputs.dataset.log(),
+            map: inputs.map.clone(),
+            clouds,
+            prompt: &inputs.prompt,
+            truth: GroundTruthImages::new(inputs.dataset.as_ref()),
+            ego_follows_log,
+            actors_follow_log,
+        };
+        Ok(Box::new(self.0.session(&scene)?))
+    }
+}
