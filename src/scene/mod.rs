@@ -5,10 +5,12 @@ mod from_log;
 mod map;
 mod selection;
 mod state;
+mod substitutes;
 
 pub use from_log::{
     EgoOffset, frame_rate_hz, name_of_frame, name_of_time, state_at, state_of, state_of_frame, with_cameras,
 };
 pub use map::{MapEdge, MapLayer, SceneMap};
-pub use selection::{SceneClouds, SceneInstances, SelectionOptions, Substitutes, TemplateFit};
+pub use selection::{SceneClouds, SceneInstances, SelectionOptions, TemplateFit};
 pub use state::{ActorState, SceneCamera, SceneState};
+pub use substitutes::{AugmentReport, SubstituteOptions, SubstituteReport, Substitutes, TemplateOrigin};

@@ -1,14 +1,13 @@
 use std::collections::BTreeMap;
-use std::sync::LazyLock;
 
 use glam::{DAffine3, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::{ActorState, SceneState};
+use super::{ActorState, SceneState, Substitutes};
 use crate::cloud::Point;
 use crate::error::FileError;
 use crate::raster::{CloudSet, Instance};
-use crate::skeleton::{Skeleton, TemplateCloud, TemplateKind, default_templates};
+use crate::skeleton::{Skeleton, TemplateKind};
 
 /// How a template is fitted to an actor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -45,27 +44,6 @@ pub struct SceneInstances {
     pub geometry: Vec<Instance>,
 }
 
-/// Substitute clouds that supplement or replace a skeleton's own.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Substitutes {
-    /// Templates of kinds that the skeleton lacks. If a kind occurs several times, the first is used.
-    pub templates: Vec<TemplateCloud>,
-    /// Points that replace those of an asset, by track.
-    pub assets: BTreeMap<String, Vec<Point>>,
-}
-
-impl Substitutes {
-    /// No substitutes: only the skeleton's own clouds.
-    pub const NONE: Self = Self { templates: Vec::new(), assets: BTreeMap::new() };
-
-    /// Returns the built-in templates, for kinds that the skeleton lacks.
-    pub fn built_in() -> &'static Self {
-        static BUILT_IN: LazyLock<Substitutes> =
-            LazyLock::new(|| Substitutes { templates: default_templates(), assets: BTreeMap::new() });
-        &BUILT_IN
-    }
-}
-
 /// Scene clouds: a skeleton's clouds and their substitutes, with their ids in the rasterizer.
 pub struct SceneClouds<'a> {
     skeleton: &'a Skeleton,
@@ -91,7 +69,7 @@ impl<'a> SceneClouds<'a> {
     ///
     /// # Errors
     /// Fails if points of the skeleton do not match their checksum.
-    pub fn with(skeleton: &'a Skeleton, log: &str, stand_ins: &'a Substitutes) -> Result<Self, FileError> {
+    pub fn with(skeleton: &'a Skeleton, log: &str, substitutes: &'a Substitutes) -> Result<Self, FileError> {
         let manifest = &skeleton.manifest;
         let mut clouds = Self::clouds(skeleton)?;
         let first_asset = manifest.background.len();
@@ -99,14 +77,14 @@ impl<'a> SceneClouds<'a> {
         let mut assets = BTreeMap::new();
         for (cloud, asset) in (first_asset..).zip(&manifest.actors).filter(|(_, asset)| asset.log == log) {
             assets.insert(asset.track.as_str(), cloud);
-            if let Some(points) = stand_ins.assets.get(&asset.track) {
+            if let Some(points) = substitutes.assets.get(&asset.track) {
                 clouds[cloud] = points;
             }
         }
         let own = (first_template..).zip(&manifest.templates);
         let mut templates: BTreeMap<TemplateKind, (usize, DVec3)> =
             own.map(|(cloud, t)| (t.kind, (cloud, DVec3::from(t.size)))).collect();
-        for (template, points) in &stand_ins.templates {
+        for (template, points) in &substitutes.templates {
             templates.entry(template.kind).or_insert_with(|| {
                 clouds.push(points);
                 (clouds.len() - 1, DVec3::from(template.size))
@@ -266,8 +244,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
         let templates = vec![template(TemplateKind::Truck, 7), template(TemplateKind::Bus, 7)];
-        let stand_ins = Substitutes { templates, ..Substitutes::NONE };
-        let stage = SceneClouds::with(&skeleton, "log", &stand_ins).unwrap();
+        let substitutes = Substitutes { templates, ..Substitutes::NONE };
+        let stage = SceneClouds::with(&skeleton, "log", &substitutes).unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
         assert_eq!(shown("truck", "vehicle.truck"), [Some(3), Some(3)]);
@@ -277,15 +255,15 @@ mod tests {
     }
 
     #[test]
-    fn stand_ins_fill_what_the_skeleton_lacks() {
+    fn substitutes_fill_what_the_skeleton_lacks() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
         let kinds = [TemplateKind::Sedan, TemplateKind::Bike, TemplateKind::Bike];
         let templates = kinds.iter().zip(5..).map(|(kind, points)| template(*kind, points)).collect();
         // The big car loses points, the small one gains some.
         let assets = [("big".to_owned(), cube(12).0), ("small".to_owned(), cube(40).0)].into();
-        let stand_ins = Substitutes { templates, assets };
-        let stage = SceneClouds::with(&skeleton, "log", &stand_ins).unwrap();
+        let substitutes = Substitutes { templates, assets };
+        let stage = SceneClouds::with(&skeleton, "log", &substitutes).unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
         assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(4)]);

@@ -22,7 +22,7 @@ mod trajectory;
 pub use augment::{AugmentOptions, Augmentation, augment};
 pub use checksum::Checksum;
 pub use colorize::{Candidate, ColorSample, ColorView, Projector, agreed_color};
-pub use ingest::{BuildError, BuildInput, BuildRun, Progress, build, unfinished_frames};
+pub use ingest::{BuildError, BuildInput, BuildRun, Progress, build, open_or_build, unfinished_frames};
 pub use manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap};
 pub use options::{BuildOptions, Coloring};

@@ -10,8 +10,8 @@ use point_skeleton::dataset::{Dataset, LogLocator};
 use point_skeleton::error::FileError;
 use point_skeleton::files::text::printable;
 use point_skeleton::skeleton::{
-    self, Asset, BuildInput, BuildOptions, BuildRun, Checksum, Coloring, Manifest, Skeleton, SkeletonWriter,
-    Template, TemplateCloud, TemplateKind, TemplateLibrary,
+    self, Asset, BuildInput, BuildOptions, BuildRun, Checksum, Coloring, Manifest, SkeletonWriter, Template,
+    TemplateCloud, TemplateKind, TemplateLibrary,
 };
 
 use super::log_args::{self, LogRoots};
@@ -154,16 +154,6 @@ impl BuildArgs {
         options.between_sweeps = self.sweeps;
         options
     }
-}
-
-/// Opens the skeleton of a whole log at a path. Builds it with default options if it does not exist, and retains it
-/// for later runs.
-pub(super) fn kept(dataset: &dyn Dataset, path: &Path) -> anyhow::Result<Skeleton> {
-    if !path.exists() {
-        let (input, how) = ([BuildInput::all(dataset)], BuildOptions::default());
-        skeleton::build(path, &input, &how, &|_| Ok(Vec::new()), &BuildRun::default())?;
-    }
-    Ok(Skeleton::open(path)?)
 }
 
 fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<(Template, Vec<Point>)>> {

@@ -18,7 +18,7 @@ use super::numbers::FrameRange;
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::render::open_skeleton;
-use super::stand_ins::SubstituteArgs;
+use super::substitutes::SubstituteArgs;
 use super::{WrongUsage, say};
 use crate::logs;
 
@@ -77,7 +77,7 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let log = town.log();
     let skeleton = open_skeleton(&args.skeleton, &town)?;
     let frames = FrameRange::of(args.frames, log.frames.len())?;
-    let (substitutes, _) = args.stand_ins.make(&skeleton, &log.name)?;
+    let (substitutes, _) = args.stand_ins.options().make(&skeleton, &log.name)?;
     let clouds = SceneClouds::with(&skeleton, &log.name, &substitutes)?;
     let mut rasterizer = args.rasterizer.create(clouds.cloud_set())?;
     let options = ConditionOptions {

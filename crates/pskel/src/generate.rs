@@ -13,7 +13,7 @@ use super::log_args::{self, LogRoots};
 use super::map_args::MapArgs;
 use super::rasterizer::RasterizerArgs;
 use super::simulate::{self, GenerationArgs, OpenLoop, SimulateArgs};
-use super::stand_ins::SubstituteArgs;
+use super::substitutes::SubstituteArgs;
 use super::{WrongUsage, say};
 
 /// Regenerate the images of a log from its conditions: ego and actors follow the log

@@ -29,7 +29,7 @@ mod render;
 mod signals;
 mod simulate;
 mod splat;
-mod stand_ins;
+mod substitutes;
 mod templates;
 mod terminal;
 mod threads;

@@ -27,6 +27,7 @@ use self::builder::Builder;
 use self::checkpoint::{Plan, PlannedLog, Unfinished};
 use self::stream::Stream;
 use super::{BuildOptions, GenerateTemplates, Skeleton, SkeletonWriter};
+use crate::dataset::Dataset;
 
 /// Builds a skeleton from some frames of one or more logs of the same location. The result depends only on the input
 /// and the options, not on the number of threads or interruptions. During the build there is a folder named `out`
@@ -63,6 +64,18 @@ pub fn build(
     }
     builder.work.close()?;
     Ok(Skeleton::open(out)?)
+}
+
+/// Opens the skeleton of a whole log. If there is no such folder, builds it first, with default options.
+///
+/// # Errors
+/// Fails if the skeleton is damaged. Returns any error of [`build()`].
+pub fn open_or_build(path: &Path, dataset: &dyn Dataset) -> Result<Skeleton, BuildError> {
+    if path.exists() {
+        return Ok(Skeleton::open(path)?);
+    }
+    let options = BuildOptions::default();
+    build(path, &[BuildInput::all(dataset)], &options, &|_| Ok(Vec::new()), &BuildRun::default())
 }
 
 /// Returns the number of completed frames in an unfinished build of `out`; `None` if there is none to resume.

@@ -5,7 +5,8 @@ use image::RgbImage;
 use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
 use point_skeleton::dataset::{Dataset, Log};
 use point_skeleton::raster::Rasterizer;
-use point_skeleton::scene::{SceneClouds, SceneMap};
+use point_skeleton::scene::{SceneClouds, SceneMap, SubstituteOptions};
+use point_skeleton::skeleton;
 use pskel_eval::{
     MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
 };
@@ -16,9 +17,7 @@ use pskel_sim::{
 use pskel_town::Town;
 
 use super::settings::Settings;
-use crate::build;
 use crate::rasterizer::RasterizerArgs;
-use crate::stand_ins::SubstituteArgs;
 
 /// Inputs shared by all variants in a town where the ego changes lanes.
 pub(super) struct Scene {
@@ -58,10 +57,10 @@ impl Scene {
     /// Builds the skeleton if it does not exist, and simulates the ego's path through the town.
     pub(super) fn draw(town: &Town, options: &SceneOptions<'_>) -> anyhow::Result<Self> {
         check_length(town.log(), options.count())?;
-        let skeleton = build::kept(town, options.skeleton)?;
+        let skeleton = skeleton::open_or_build(options.skeleton, town)?;
         let log = town.log();
         let (stand_ins, _) =
-            SubstituteArgs::augmented(options.settings.augment).make(&skeleton, &log.name)?;
+            SubstituteOptions::augmented(options.settings.augment).make(&skeleton, &log.name)?;
         let stage = SceneClouds::with(&skeleton, &log.name, &stand_ins)?;
         let mut rasterizer = options.rasterizer.create(stage.cloud_set())?;
         let map = town.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));

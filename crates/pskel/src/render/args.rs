@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use clap::Args;
 use point_skeleton::conditions::{ColorFilter, ConditionOptions, MapFormat, MapSet};
 use point_skeleton::dataset::LogLocator;
-use point_skeleton::scene::{EgoOffset, SelectionOptions};
+use point_skeleton::scene::{EgoOffset, SelectionOptions, SubstituteReport};
 use serde::Serialize;
 
 use crate::WrongUsage;
@@ -11,7 +11,7 @@ use crate::log_args::{self, LogRoots};
 use crate::map_args::MapArgs;
 use crate::numbers::{self, FrameRange};
 use crate::rasterizer::RasterizerArgs;
-use crate::stand_ins::{StandInReport, SubstituteArgs};
+use crate::substitutes::SubstituteArgs;
 
 /// Render condition maps of a recording's frames from its skeleton: color, depth, class, instance, boxes, map
 ///
@@ -81,7 +81,7 @@ pub(super) struct RenderOptions {
     /// Times per second, unless frames were rendered.
     hz: Option<f64>,
     #[serde(flatten)]
-    stand_ins: StandInReport,
+    stand_ins: SubstituteReport,
     ego_offset: EgoOffset,
     /// `true` if maps have lens distortion.
     distort: bool,
@@ -112,7 +112,7 @@ impl RenderArgs {
         self.birdseye || self.maps.wants_map()
     }
 
-    pub(super) fn options(&self, maps: MapSet, stand_ins: StandInReport) -> RenderOptions {
+    pub(super) fn options(&self, maps: MapSet, stand_ins: SubstituteReport) -> RenderOptions {
         RenderOptions {
             conditions: self.maps.conditions(maps),
             selection: self.maps.selection(),

@@ -47,7 +47,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         )
     })?;
     let steps = Steps::new(log, &args, views, map)?;
-    let (substitutes, substitute_report) = args.stand_ins.make(&skeleton, &log.name)?;
+    let (substitutes, substitute_report) = args.stand_ins.options().make(&skeleton, &log.name)?;
     let options = args.options(maps, substitute_report);
     let mut renderer = Renderer::new(
         &skeleton,

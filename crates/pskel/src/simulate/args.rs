@@ -15,7 +15,7 @@ use crate::log_args::{self, LogRoots};
 use crate::map_args::MapArgs;
 use crate::numbers;
 use crate::rasterizer::RasterizerArgs;
-use crate::stand_ins::SubstituteArgs;
+use crate::substitutes::SubstituteArgs;
 
 /// Number of frames that a generator sees besides the current one.
 const FORECAST_STEPS: usize = 9;

@@ -20,7 +20,7 @@ use point_skeleton::dataset::{Dataset, Log};
 use point_skeleton::error::with_causes;
 use point_skeleton::files::{check_output_file, check_outside};
 use point_skeleton::geometry::{Camera, ImageSize};
-use point_skeleton::scene::{SceneClouds, SceneMap};
+use point_skeleton::scene::{SceneClouds, SceneMap, SubstituteReport};
 use point_skeleton::skeleton::Skeleton;
 use pskel_sim::rollout::{
     ImageGenerator, InputPaths, Rollout, RolloutError, RolloutInputs, RolloutOptions, RolloutReport,
@@ -32,7 +32,6 @@ use self::generation::Opened;
 use self::summary::{Planned, summary};
 use super::progress::Progress;
 use super::render::{open_skeleton, read_prompt};
-use super::stand_ins::StandInReport;
 use super::{WrongUsage, say, warn};
 
 /// Default size of maps if cameras are larger.
@@ -60,7 +59,7 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
         actors: simulation.actors.name(),
         is_open_loop: args.is_open_loop(),
     };
-    let (substitutes, substitute_report) = args.stand_ins.make(skeleton, &log.name)?;
+    let (substitutes, substitute_report) = args.stand_ins.options().make(skeleton, &log.name)?;
     let extra = extra(&substitute_report, opened.as_ref())?;
     let facts = opened.iter().map(Opened::fact).collect();
     let options = options(&args, log, *maps, simulation, extra, facts);
@@ -141,7 +140,7 @@ fn usage(error: RolloutError) -> anyhow::Error {
 }
 
 /// Returns the options of templates, assets and generator for `rollout.json`.
-fn extra(substitutes: &StandInReport, generator: Option<&Opened>) -> serde_json::Result<Map<String, Value>> {
+fn extra(substitutes: &SubstituteReport, generator: Option<&Opened>) -> serde_json::Result<Map<String, Value>> {
     let mut extra = match serde_json::to_value(substitutes)? {
         Value::Object(fields) => fields,
         _ => Map::new(),

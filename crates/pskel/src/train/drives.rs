@@ -7,6 +7,7 @@ use point_skeleton::dataset::{Dataset, LogLocator};
 use point_skeleton::error::FileError;
 use point_skeleton::files::OutputFolder;
 use point_skeleton::scene::EgoOffset;
+use point_skeleton::skeleton;
 use pskel_generate::{Recipe, TrainingClip};
 use pskel_town::Town;
 use rand_chacha::ChaCha8Rng;
@@ -14,7 +15,6 @@ use rand_distr::{Distribution, Uniform};
 use rand_seeder::Seeder;
 
 use super::record::{Source, Variant};
-use crate::build;
 use crate::logs;
 use crate::progress::Progress;
 use crate::rasterizer::RasterizerArgs;
@@ -86,7 +86,7 @@ impl Recording<'_> {
     fn record(&self, town: &Town, files: &[PathBuf]) -> anyhow::Result<()> {
         let folder = OutputFolder::open(self.folder, KIND, &[])?;
         let path = self.folder.join(format!("{}.skeleton", town.recording()));
-        let skeleton = build::kept(town, &path)?;
+        let skeleton = skeleton::open_or_build(&path, town)?;
         let source = Source { town, skeleton: &skeleton, recipe: self.recipe, rasterizer: self.rasterizer };
         for (number, file) in files.iter().enumerate().filter(|(_, file)| !file.is_file()) {
             let name = file.file_name().unwrap_or_default();

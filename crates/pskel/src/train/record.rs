@@ -6,14 +6,14 @@ use point_skeleton::conditions;
 use point_skeleton::dataset::{Dataset, Log};
 use point_skeleton::geometry::View;
 use point_skeleton::scene::{
-    EgoOffset, SceneClouds, SceneMap, SceneState, SelectionOptions, frame_rate_hz, state_of_frame,
+    EgoOffset, SceneClouds, SceneMap, SceneState, SelectionOptions, SubstituteOptions, frame_rate_hz,
+    state_of_frame,
 };
 use point_skeleton::skeleton::Skeleton;
 use pskel_generate::{DriveFrame, DriveInfo, GroundTruthImages, Recipe, TrainingClip};
 use pskel_town::Town;
 
 use crate::rasterizer::RasterizerArgs;
-use crate::stand_ins::SubstituteArgs;
 
 /// A town to record, and the skeleton that was built from it.
 pub(super) struct Source<'a> {
@@ -37,7 +37,7 @@ impl Source<'_> {
     /// Records all frames.
     pub(super) fn record(&self, variant: Variant) -> anyhow::Result<TrainingClip> {
         let log = self.town.log();
-        let (stand_ins, _) = SubstituteArgs::augmented(variant.augment).make(self.skeleton, &log.name)?;
+        let (stand_ins, _) = SubstituteOptions::augmented(variant.augment).make(self.skeleton, &log.name)?;
         let stage = SceneClouds::with(self.skeleton, &log.name, &stand_ins)?;
         let mut rasterizer = self.rasterizer.create(stage.cloud_set())?;
         let map = self.town.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));

@@ -1,0 +1,134 @@
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::LazyLock;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::cloud::Point;
+use crate::error::FileError;
+use crate::skeleton::{
+    AugmentOptions, Augmentation, Skeleton, TemplateCloud, TemplateKind, TemplateLibrary, augment,
+    default_templates,
+};
+
+/// Substitute clouds that supplement or replace a skeleton's own.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Substitutes {
+    /// Templates of kinds that the skeleton lacks. If a kind occurs several times, the first is used.
+    pub templates: Vec<TemplateCloud>,
+    /// Points that replace those of an asset, by track.
+    pub assets: BTreeMap<String, Vec<Point>>,
+}
+
+/// Options of substitute clouds: templates and augmented assets.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SubstituteOptions {
+    /// Folder of a template library, used for kinds without a template in the skeleton.
+    pub library: Option<PathBuf>,
+    /// Whether the built-in templates are used for the kinds that then lack one.
+    pub use_default: bool,
+    /// Degradation of assets; `None` for unchanged assets.
+    pub augment: Option<AugmentOptions>,
+}
+
+/// Substitute clouds in use, for `index.json`.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct SubstituteReport {
+    /// Origin of each kind's template.
+    pub templates: BTreeMap<&'static str, TemplateOrigin>,
+    /// `None` for unchanged assets.
+    pub augment: Option<AugmentReport>,
+}
+
+/// Origin of a template.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TemplateOrigin {
+    /// The skeleton.
+    Skeleton,
+    /// The template library.
+    Library,
+    /// The built-in templates.
+    Default,
+}
+
+/// Degradation of the assets of a log.
+#[derive(Clone, Debug, Serialize)]
+pub struct AugmentReport {
+    /// Seed and ranges.
+    #[serde(flatten)]
+    pub options: AugmentOptions,
+    /// Augmentation by track.
+    pub assets: BTreeMap<String, Augmentation>,
+}
+
+impl Substitutes {
+    /// No substitutes: only the skeleton's own clouds.
+    pub const NONE: Self = Self { templates: Vec::new(), assets: BTreeMap::new() };
+
+    /// Returns the built-in templates, for kinds that the skeleton lacks.
+    pub fn built_in() -> &'static Self {
+        static BUILT_IN: LazyLock<Substitutes> =
+            LazyLock::new(|| Substitutes { templates: default_templates(), assets: BTreeMap::new() });
+        &BUILT_IN
+    }
+
+    /// Replaces the degraded assets of a log, and returns the degradation of all its assets.
+    fn augment(
+        &mut self,
+        skeleton: &Skeleton,
+        log: &str,
+        options: AugmentOptions,
+    ) -> Result<AugmentReport, FileError> {
+        let all = skeleton.manifest.actors.iter().zip(skeleton.actors()?);
+        let assets: Vec<_> = all.filter(|(asset, _)| asset.log == log).collect();
+        let augmented: Vec<_> =
+            assets.par_iter().map(|(asset, points)| augment(points, &asset.track, &options)).collect();
+        let mut report = AugmentReport { options, assets: BTreeMap::new() };
+        for ((asset, _), (points, augmentation)) in assets.iter().zip(augmented) {
+            report.assets.insert(asset.track.clone(), augmentation);
+            if augmentation != Augmentation::None {
+                self.assets.insert(asset.track.clone(), points);
+            }
+        }
+        Ok(report)
+    }
+}
+
+impl Default for SubstituteOptions {
+    /// Built-in templates and unchanged assets.
+    fn default() -> Self {
+        Self { library: None, use_default: true, augment: None }
+    }
+}
+
+impl SubstituteOptions {
+    /// Creates the options with built-in templates, and with assets degraded by a seed.
+    pub fn augmented(seed: Option<u64>) -> Self {
+        let augment = seed.map(|seed| AugmentOptions { seed, ..AugmentOptions::default() });
+        Self { augment, ..Self::default() }
+    }
+
+    /// Reads templates, degrades the assets of a log, and returns both with a report.
+    ///
+    /// # Errors
+    /// Fails if the template library cannot be read, or if points of the skeleton do not match their checksum.
+    pub fn make(&self, skeleton: &Skeleton, log: &str) -> Result<(Substitutes, SubstituteReport), FileError> {
+        let own = skeleton.manifest.templates.iter().map(|t| (t.kind, TemplateOrigin::Skeleton));
+        let mut origins: BTreeMap<TemplateKind, TemplateOrigin> = own.collect();
+        let library = self.library.as_deref().map(TemplateLibrary::open).transpose()?.unwrap_or_default();
+        let defaults = if self.use_default { default_templates() } else { Vec::new() };
+        let library = library.clouds.into_iter().map(|cloud| (TemplateOrigin::Library, cloud));
+        let mut substitutes = Substitutes::default();
+        for (origin, cloud) in library.chain(defaults.into_iter().map(|c| (TemplateOrigin::Default, c))) {
+            origins.entry(cloud.0.kind).or_insert_with(|| {
+                substitutes.templates.push(cloud);
+                origin
+            });
+        }
+        let templates = origins.iter().map(|(kind, origin)| (kind.name(), *origin)).collect();
+        let augment = self.augment.map(|options| substitutes.augment(skeleton, log, options)).transpose()?;
+        Ok((substitutes, SubstituteReport { templates, augment }))
+    }
+}
