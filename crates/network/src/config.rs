@@ -1,4 +1,8 @@
+use std::path::Path;
+
 use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
+use point_skeleton::error::FileError;
+use point_skeleton::files::input::read_table;
 use pskel_generate::{LatentShape, Recipe};
 use serde::{Deserialize, Serialize};
 
@@ -50,6 +54,16 @@ pub(super) const MAPS: usize = LAYOUT_CHANNELS + POINT_CHANNELS;
 const MOST: usize = 1 << 14;
 
 impl NetworkConfig {
+    /// Reads a configuration from a JSON file. Missing fields have their default.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be read, or if it has an unknown field or a wrong type.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let text = read_table(path)?;
+        serde_json::from_slice(&text)
+            .map_err(|error| FileError::content("a network's configuration", error.to_string(), path))
+    }
+
     /// Latent shape of a frame: `3 p^2` channels, one row and column per patch.
     pub fn shape(&self) -> LatentShape {
         let size = self.recipe.size;

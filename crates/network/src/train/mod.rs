@@ -1,6 +1,9 @@
 //! Training of the [`Network`](crate::Network) on recordings ([`TrainingClip`](pskel_generate::TrainingClip)).
 //!
 //! # How it works
+//! A [`ClipRecorder`] renders conditions and ground-truth images of a log (`record`) and stores them as clips. A
+//! [`Training`] takes the steps of a [`Trainer`] and writes losses, weights and checkpoints to a [`TrainingFolder`].
+//!
 //! A [`Trainer`] computes the statistics of the recordings (`statistics`) and fits the first guess to them
 //! (`regression`). Then it takes one step after the other: `batch` samples windows of frames, noise levels and
 //! dropped conditions; `objective` computes the loss; `optimizer` updates the parameters and their moving average.
@@ -10,13 +13,21 @@
 
 mod batch;
 mod checkpoint;
+mod clips;
+mod losses;
 mod objective;
 mod optimizer;
 mod options;
+mod record;
 mod regression;
+mod run;
 mod statistics;
 mod trainer;
 
+pub use clips::{ClipRecorder, RecordOptions};
+pub use losses::{RECENT_STEPS, recent_loss};
 pub use options::{DropChances, TrainOptions};
+pub use record::RecordError;
+pub use run::{PlotLosses, RunOptions, Training, TrainingFolder, TrainingReport};
 pub use statistics::measure;
 pub use trainer::{StepReport, Trainer};

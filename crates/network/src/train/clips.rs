@@ -1,0 +1,116 @@
+//! Training clips: recorded once, stored in a folder, reused later.
+
+use std::path::{Path, PathBuf};
+
+use point_skeleton::dataset::Dataset;
+use point_skeleton::error::FileError;
+use point_skeleton::files::OutputFolder;
+use point_skeleton::raster::RasterizerDesc;
+use point_skeleton::scene::EgoOffset;
+use point_skeleton::skeleton;
+use pskel_generate::TrainingClip;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Uniform};
+use rand_seeder::Seeder;
+
+use super::record::{RecordError, Source, Variant};
+use crate::NetworkConfig;
+
+/// Options for recording training clips.
+#[derive(Clone, Debug)]
+pub struct RecordOptions {
+    /// Clips per log: the first at the recorded poses, the others offset and rotated.
+    pub variants: usize,
+    /// Whether assets of the other clips are degraded.
+    pub augment: bool,
+    /// Rasterizer of the conditions.
+    pub rasterizer: RasterizerDesc,
+}
+
+impl Default for RecordOptions {
+    fn default() -> Self {
+        Self { variants: 3, augment: true, rasterizer: RasterizerDesc::default() }
+    }
+}
+
+/// Recorder of training clips for a network.
+#[derive(Clone, Copy)]
+pub struct ClipRecorder<'a> {
+    /// Folder of the clips.
+    pub folder: &'a Path,
+    /// Network, which determines the recipe of the conditions and the number of cameras.
+    pub config: &'a NetworkConfig,
+    /// Number and kind of the clips.
+    pub options: &'a RecordOptions,
+}
+
+/// Kind of the output folder.
+const KIND: &str = "recordings";
+/// Seed of poses and assets of variants. It is not the training's seed: trainings share clips.
+const SEED: u64 = 1;
+/// Maximum offset of a variant to either side, meters.
+const BESIDE_M: f64 = 3.5;
+/// Maximum rotation of a variant, radians.
+const TURNED_RAD: f64 = 0.1;
+
+impl ClipRecorder<'_> {
+    /// Returns the clips of a log, in order. Missing ones are recorded to files whose names begin with `name`.
+    ///
+    /// # Errors
+    /// Fails if network and log differ in their number of cameras, if an existing clip has another log or recipe, or
+    /// if a clip cannot be rendered or written.
+    pub fn clips(&self, name: &str, dataset: &dyn Dataset) -> Result<Vec<TrainingClip>, RecordError> {
+        let (expected, found) = (self.config.cameras, dataset.log().rig.len());
+        if found != expected {
+            return Err(RecordError::Cameras { expected, found });
+        }
+        let files: Vec<PathBuf> = (0..self.options.variants).map(|number| self.file(name, number)).collect();
+        if files.iter().any(|file| !file.is_file()) {
+            self.record(name, dataset, &files)?;
+        }
+        files.iter().map(|file| Ok(self.open(&dataset.log().name, file)?)).collect()
+    }
+
+    /// Returns the path of a clip, `NAME-VARIANT[a].safetensors`.
+    fn file(&self, name: &str, number: usize) -> PathBuf {
+        let suffix = if self.options.augment && number > 0 { "a" } else { "" };
+        self.folder.join(format!("{name}-{number}{suffix}.safetensors"))
+    }
+
+    /// Records missing clips. The skeleton is retained for later ones. Only recording locks the folder: trainings
+    /// share it.
+    fn record(&self, name: &str, dataset: &dyn Dataset, files: &[PathBuf]) -> Result<(), RecordError> {
+        let folder = OutputFolder::open(self.folder, KIND, &[])?;
+        let skeleton = skeleton::open_or_build(&self.folder.join(format!("{name}.skeleton")), dataset)?;
+        let (recipe, rasterizer) = (&self.config.recipe, &self.options.rasterizer);
+        let source = Source { dataset, skeleton: &skeleton, recipe, rasterizer };
+        for (number, file) in files.iter().enumerate().filter(|(_, file)| !file.is_file()) {
+            let file = file.file_name().unwrap_or_default();
+            source.record(self.variant(&dataset.log().name, number))?.save(&folder.claim(file)?)?;
+        }
+        Ok(folder.close()?)
+    }
+
+    fn variant(&self, log: &str, number: usize) -> Variant {
+        if number == 0 {
+            return Variant::default();
+        }
+        let mut random: ChaCha8Rng = Seeder::from((SEED, log, number as u64)).into_rng();
+        let mut within =
+            |most: f64| Uniform::new_inclusive(-most, most).map_or(0.0, |range| range.sample(&mut random));
+        let offset = EgoOffset { x_m: 0.0, y_m: within(BESIDE_M), yaw_rad: within(TURNED_RAD) };
+        Variant { offset, augment: self.options.augment.then_some(SEED ^ number as u64) }
+    }
+
+    /// Opens a clip, which must have the same log and recipe.
+    fn open(&self, log: &str, file: &Path) -> Result<TrainingClip, FileError> {
+        let clip = TrainingClip::open(file)?;
+        let recipe = &self.config.recipe;
+        if (clip.about.log.as_str(), &clip.about.recipe) != (log, recipe) {
+            let expected = format!("a drive of {log} recorded by {recipe:?}");
+            let found = format!("one of {} by {:?}", clip.about.log, clip.about.recipe);
+            return Err(FileError::content(expected, found, file));
+        }
+        Ok(clip)
+    }
+}

@@ -1,0 +1,112 @@
+//! Recording of a training clip: conditions as the network receives them, and ground-truth images.
+
+use std::sync::Arc;
+
+use point_skeleton::conditions::{self, ConditionError};
+use point_skeleton::dataset::{Dataset, DatasetError, Log};
+use point_skeleton::error::FileError;
+use point_skeleton::geometry::View;
+use point_skeleton::raster::{self, RasterError, RasterizerDesc};
+use point_skeleton::scene::{
+    EgoOffset, SceneClouds, SceneMap, SceneState, SelectionOptions, SubstituteOptions, frame_rate_hz,
+    state_of_frame,
+};
+use point_skeleton::skeleton::{BuildError, Skeleton};
+use pskel_generate::{
+    DenoiserError, DriveFrame, DriveInfo, GroundTruthImages, Recipe, TrainingClip, TrueImagesError,
+};
+
+/// A log to record, and the skeleton that was built from it.
+pub(super) struct Source<'a> {
+    pub(super) dataset: &'a dyn Dataset,
+    pub(super) skeleton: &'a Skeleton,
+    pub(super) recipe: &'a Recipe,
+    pub(super) rasterizer: &'a RasterizerDesc,
+}
+
+/// Difference between a clip and the recorded drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Variant {
+    /// Offset from the recorded ego pose.
+    pub(super) offset: EgoOffset,
+    /// Seed of the asset augmentation.
+    pub(super) augment: Option<u64>,
+}
+
+/// Error of recording or opening training clips.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// The network and the log differ in their number of cameras.
+    #[error("expected {expected} cameras, as the network has, found {found}")]
+    Cameras {
+        /// Number of cameras of the network.
+        expected: usize,
+        /// Number of cameras of the log.
+        found: usize,
+    },
+    /// The log has no state for a frame.
+    #[error("expected frame {frame} in log {log}")]
+    Frame {
+        /// Number of the frame.
+        frame: usize,
+        /// Name of the log.
+        log: String,
+    },
+    /// The log cannot be read.
+    #[error(transparent)]
+    Log(#[from] DatasetError),
+    /// The skeleton cannot be built.
+    #[error(transparent)]
+    Skeleton(#[from] BuildError),
+    /// The rasterizer cannot be created.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    /// The conditions cannot be rendered.
+    #[error(transparent)]
+    Render(#[from] ConditionError),
+    /// The ground-truth images cannot be rendered or read.
+    #[error(transparent)]
+    GroundTruth(#[from] TrueImagesError),
+    /// The conditions do not have the form that the recipe requires.
+    #[error(transparent)]
+    Conditions(#[from] DenoiserError),
+    /// A clip, the skeleton or a template cannot be read or written.
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+impl Source<'_> {
+    /// Records all frames.
+    pub(super) fn record(&self, variant: Variant) -> Result<TrainingClip, RecordError> {
+        let log = self.dataset.log();
+        let (substitutes, _) =
+            SubstituteOptions::augmented(variant.augment).make(self.skeleton, &log.name)?;
+        let clouds = SceneClouds::with(self.skeleton, &log.name, &substitutes)?;
+        let mut rasterizer = raster::create(self.rasterizer, clouds.cloud_set())?;
+        let map = self.dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
+        let options = self.recipe.options(map.is_some());
+        let about = self.about(log);
+        let (mut frames, mut before) = (Vec::new(), None);
+        for frame in 0..log.frames.len() {
+            let state = state_of_frame(log, frame, variant.offset);
+            let state = state.ok_or_else(|| RecordError::Frame { frame, log: log.name.clone() })?;
+            let state = SceneState { map: map.clone(), ..state };
+            let instances = clouds.instances(&state, &SelectionOptions::default());
+            let set = conditions::render(rasterizer.as_mut(), &instances, &state, &options)?;
+            let drawn = |view: &View| options.drawn_view(view);
+            let images = GroundTruthImages::new(self.dataset).of(&state, drawn, self.recipe.size, true)?;
+            frames.push(DriveFrame::new(&about, &set, &state, before, &images)?);
+            before = Some(state.global_from_ego);
+        }
+        Ok(TrainingClip { about, frames })
+    }
+
+    fn about(&self, log: &Log) -> DriveInfo {
+        DriveInfo {
+            log: log.name.clone(),
+            hz: frame_rate_hz(&log.frames).unwrap_or(0.0),
+            cameras: log.cameras.iter().map(ToString::to_string).collect(),
+            recipe: self.recipe.clone(),
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! `pskel train`.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::Context;
+use clap::Args;
+use point_skeleton::dataset::{Dataset, LogLocator};
+use pskel_eval::loss_plot;
+use pskel_generate::TrainingClip;
+use pskel_network::NetworkConfig;
+use pskel_network::train::{
+    ClipRecorder, RecordOptions, RunOptions, StepReport, TrainOptions, TrainingFolder, recent_loss,
+};
+
+use super::progress::Progress;
+use super::rasterizer::RasterizerArgs;
+use super::{log_args, logs, say};
+
+/// Train the small network of `pskel generate` on recordings of synthetic towns
+///
+/// Records training clips first, unless DIR/drives has them: a skeleton of each town, its condition maps,
+/// ground-truth images. Everything is determined by logs, options and seed; --resume continues to identical bytes.
+/// Writes weights.safetensors, loss.csv and loss.svg.
+#[derive(Debug, Args)]
+pub(super) struct TrainArgs {
+    /// Synthetic towns: town:seed=101,frames=40[,..]
+    #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
+    logs: Vec<LogLocator>,
+    /// Folder to write
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
+    out: PathBuf,
+    /// Folder of training clips; missing ones are recorded [default: DIR/drives]
+    #[arg(long, value_name = "DIR")]
+    drives: Option<PathBuf>,
+    /// Training clips per log: one at the recorded poses, the others offset by up to 3.5 m to the side and rotated by
+    /// up to 6 degrees
+    #[arg(long, value_name = "N", default_value_t = RecordOptions::default().variants as u16,
+          value_parser = clap::value_parser!(u16).range(1..=100))]
+    variants: u16,
+    /// Leave the assets of the other clips unchanged; otherwise a share of them is thinned or reduced to the points
+    /// seen by one camera
+    #[arg(long)]
+    no_augment: bool,
+    /// Seed of initial weights, sampling and noise; training clips are the same for all seeds
+    #[arg(long, value_name = "SEED", default_value_t = TrainOptions::default().seed)]
+    seed: u64,
+    /// Total number of steps; 0 only records the training clips
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().steps)]
+    steps: u64,
+    /// Windows per step
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().batch as u16,
+          value_parser = clap::value_parser!(u16).range(1..=1024))]
+    batch: u16,
+    /// Network configuration, as JSON; missing fields are as in the shipped network
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Continue from the last checkpoint, if there is one
+    #[arg(long)]
+    resume: bool,
+    /// Number of steps between checkpoints
+    #[arg(long, value_name = "N", default_value_t = RunOptions::default().checkpoint_steps,
+          value_parser = clap::value_parser!(u64).range(1..))]
+    checkpoint: u64,
+    #[command(flatten)]
+    rasterizer: RasterizerArgs,
+}
+
+/// Runs the command: records, trains, writes.
+pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    log_args::check_towns(&args.logs)?;
+    let config = args.config.as_deref().map_or_else(|| Ok(NetworkConfig::default()), NetworkConfig::read)?;
+    let options = TrainOptions {
+        seed: args.seed,
+        steps: args.steps,
+        batch: usize::from(args.batch),
+        infer_steps: 2 * config.frames,
+        ..TrainOptions::default()
+    };
+    config.check()?;
+    TrainOptions { steps: args.steps.max(1), ..options }.check(&config)?;
+    let drives = args.drives.clone().unwrap_or_else(|| args.out.join("drives"));
+    let record = RecordOptions {
+        variants: usize::from(args.variants),
+        augment: !args.no_augment,
+        rasterizer: args.rasterizer.desc()?,
+    };
+    let recorder = ClipRecorder { folder: &drives, config: &config, options: &record };
+    let folder = (args.steps > 0).then(|| TrainingFolder::open(&args.out)).transpose()?;
+    let clips = clips(&recorder, &args.logs)?;
+    let frames: usize = clips.iter().map(|clip| clip.frames.len()).sum();
+    let seconds = start.elapsed().as_secs_f64();
+    say(&format!("{} drives of {frames} frames in {seconds:.2} s: {}", clips.len(), drives.display()));
+    let Some(folder) = folder else { return Ok(()) };
+    let files =
+        RunOptions { checkpoint_steps: args.checkpoint, resume: args.resume, command: args.command() };
+    let training = folder.start(config, options, files, &clips)?;
+    let mut progress = Progress::new(usize::try_from(training.steps_left())?);
+    let mut on_step = |report: &StepReport, mean: f64| {
+        progress.step(&format!("step {}, loss {mean:.4}", report.step));
+    };
+    let report = training.run(&|losses, path| loss_plot(losses).write(path), &mut on_step)?;
+    drop(progress);
+    say(&format!(
+        "trained {} steps, loss {:.4}, in {:.2} s: {}",
+        report.losses.len(),
+        recent_loss(&report.losses),
+        start.elapsed().as_secs_f64(),
+        report.weights.display()
+    ));
+    Ok(())
+}
+
+/// Returns the clips of all logs, in order.
+fn clips(recorder: &ClipRecorder<'_>, locators: &[LogLocator]) -> anyhow::Result<Vec<TrainingClip>> {
+    let mut progress = Progress::new(locators.len());
+    let mut clips = Vec::new();
+    for locator in locators {
+        let town = logs::open_town(locator)?;
+        let of_town = recorder.clips(&town.recording(), &town);
+        clips.extend(of_town.with_context(|| format!("log {locator}"))?);
+        progress.step(&town.log().name);
+    }
+    Ok(clips)
+}
+
+impl TrainArgs {
+    /// Returns the command that determines the weights, without output paths and interruptions.
+    fn command(&self) -> String {
+        let Self { logs, config, variants, no_augment, seed, steps, batch, .. } = self;
+        let logs = logs.iter().map(LogLocator::to_string).collect::<Vec<_>>().join(" ");
+        let config = config.as_ref().map_or(String::new(), |path| format!(" --config {}", path.display()));
+        let plain = if *no_augment { " --no-augment" } else { "" };
+        format!(
+            "pskel train {logs}{config} --variants {variants}{plain} --seed {seed} --steps {steps} --batch {batch}"
+        )
+    }
+}
