@@ -5,9 +5,12 @@
 //! features ([`frechet_distance`]). [`RolloutScores`] takes the steps of a rollout, in memory, and computes a
 //! series per metric with its [`Drift`], the [`Motion`] of actors, and the features of [`RandomConvNet`].
 //! [`CollectedFeatures`] computes distances between the features of many rollouts, and [`MeanInterval`] averages
-//! over rollouts. These read no files; [`evaluate`] scores the rollouts in folders, and `fidelity` (feature `town`) compares the maps
-//! of the synthetic town with its ground truth.
+//! over rollouts. These read no files. [`evaluate`] scores the rollouts in folders, `fidelity` (feature `town`) compares
+//! the maps of the synthetic town with its ground truth, and `ablate` (feature `network`) generates images with variants
+//! of the generator and compares their scores.
 
+#[cfg(feature = "network")]
+pub mod ablate;
 mod conv_net;
 mod depth;
 mod drift;

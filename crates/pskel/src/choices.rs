@@ -7,6 +7,7 @@ use point_skeleton::conditions::{BinScale, ColorFilter, DepthEmbedding, MapForma
 use point_skeleton::raster::Occlusion;
 use point_skeleton::scene::TemplateFit;
 use point_skeleton::skeleton::Coloring;
+use pskel_eval::ablate::Table;
 
 /// Parser of an option: the name, value and help of each choice.
 #[derive(Clone, Copy)]
@@ -62,6 +63,15 @@ pub(crate) const TEMPLATE_FIT: Choices<TemplateFit> = Choices(&[
 pub(crate) const OCCLUSION: Choices<Occlusion> = Choices(&[
     ("scene", Occlusion::Scene, "All points in front of it"),
     ("actors", Occlusion::Actors, "Only points of other actors"),
+]);
+
+pub(crate) const TABLE: Choices<Table> = Choices(&[
+    ("strategies", Table::Strategies, "Generation strategies"),
+    ("forecasts", Table::Forecasts, "Forecasts that come true, against forecasts of a standstill"),
+    ("conditions", Table::Conditions, "Color and depth of the points as conditions"),
+    ("infer_steps", Table::InferSteps, "The same and twice the number of inference steps"),
+    ("augmentation", Table::Augmentation, "Asset augmentation in training; requires --plain-weights"),
+    ("seeds", Table::Seeds, "Training seeds; requires --other-seed"),
 ]);
 
 impl<T: Copy + Send + Sync> TypedValueParser for Choices<T> {

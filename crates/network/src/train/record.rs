@@ -53,25 +53,25 @@ pub enum RecordError {
         log: String,
     },
     /// The log cannot be read.
-    #[error(transparent)]
+    #[error("{0}")]
     Log(#[from] DatasetError),
     /// The skeleton cannot be built.
-    #[error(transparent)]
+    #[error("{0}")]
     Skeleton(#[from] BuildError),
     /// The rasterizer cannot be created.
-    #[error(transparent)]
+    #[error("{0}")]
     Raster(#[from] RasterError),
     /// The conditions cannot be rendered.
-    #[error(transparent)]
+    #[error("{0}")]
     Render(#[from] ConditionError),
     /// The ground-truth images cannot be rendered or read.
-    #[error(transparent)]
+    #[error("{0}")]
     GroundTruth(#[from] TrueImagesError),
     /// The conditions do not have the form that the recipe requires.
-    #[error(transparent)]
+    #[error("{0}")]
     Conditions(#[from] DenoiserError),
     /// A clip, the skeleton or a template cannot be read or written.
-    #[error(transparent)]
+    #[error("{0}")]
     File(#[from] FileError),
 }
 

@@ -1,3 +1,5 @@
+//! Generation and scoring of one variant in a scene.
+
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -6,28 +8,32 @@ use image::imageops::{self, FilterType};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
 use point_skeleton::files::write_whole;
-use pskel_eval::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, SegmentationMasks};
 use pskel_generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
 use pskel_sim::{Committed, Forecast};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::rows::{Networks, Row};
+use super::error::AblateError;
+use super::options::{AblateOptions, Networks, Origin};
+use super::rows::Row;
 use super::scene::{Scene, SceneFrame};
-use super::settings::{Origin, Settings};
+use crate::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, SegmentationMasks};
 
 /// Result of a variant in a scene, `SCENE/ROW.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct RunResult {
-    pub(super) scene: String,
-    pub(super) row: String,
-    pub(super) origin: Origin,
-    /// By metric name; `None` if the metric is undefined in the scene.
-    pub(super) numbers: BTreeMap<String, Option<f64>>,
+pub struct RunResult {
+    /// Name of the scene.
+    pub scene: String,
+    /// Stem of the variant's file names.
+    pub row: String,
+    /// Provenance.
+    pub origin: Origin,
+    /// Scores by metric name; `None` if the metric is undefined in the scene.
+    pub numbers: BTreeMap<String, Option<f64>>,
     /// Time since the first reference, seconds.
-    pub(super) t_s: Vec<f64>,
-    /// By step.
-    pub(super) psnr_db: Vec<Option<f64>>,
+    pub t_s: Vec<f64>,
+    /// PSNR by step, dB.
+    pub psnr_db: Vec<Option<f64>>,
 }
 
 /// Image strip of a variant, for visual inspection.
@@ -60,18 +66,18 @@ pub(super) fn run(
     scene: &Scene,
     row: &Row,
     networks: &Networks,
-    settings: &Settings,
-) -> anyhow::Result<(RunResult, Strip)> {
+    study: &AblateOptions,
+) -> Result<(RunResult, Strip), AblateError> {
     let network = networks.get(row.network);
     let codec = network.codec()?;
     let given = |conditions: &Committed<FrameConditions>| conditions.clone().map(|c| c.without(row.dropped));
-    let options = row.options(networks, settings);
+    let options = row.options(networks, study);
     let (before, frames) = scene.frames.split_at(options.references());
     let reference = |frame: &SceneFrame| Ok((codec.encode(&frame.truth)?, given(&frame.conditions)));
-    let references = before.iter().map(reference).collect::<anyhow::Result<Vec<_>>>()?;
-    let noise = GaussianNoise { seed: settings.seed };
+    let references = before.iter().map(reference).collect::<Result<Vec<_>, AblateError>>()?;
+    let noise = GaussianNoise { seed: study.seed };
     let mut generator = Generator::new(network.clone(), noise, options, references)?;
-    let mut scores = RolloutScores::new(RandomConvNet::new(settings.seed));
+    let mut scores = RolloutScores::new(RandomConvNet::new(study.seed));
     let mut strip = Strip::new(frames);
     for (number, frame) in frames.iter().enumerate() {
         let expected = |forecast: &Forecast<FrameConditions>| match row.expects_standstill {
@@ -94,7 +100,7 @@ pub(super) fn run(
     let result = RunResult {
         scene: scene.name.clone(),
         row: row.name.clone(),
-        origin: row.origin(networks, settings),
+        origin: row.origin(networks, study),
         numbers,
         t_s: scores.t_s,
         psnr_db: scores.psnr_db.steps,
@@ -107,7 +113,7 @@ fn score(
     frame: &SceneFrame,
     images: &[RgbImage],
     classifier: Option<&PatchClassifier>,
-) -> anyhow::Result<()> {
+) -> Result<(), AblateError> {
     let segment = |images: &[RgbImage]| {
         let of = |classifier: &PatchClassifier| {
             images.par_iter().map(|image| classifier.segment(image)).collect::<Result<Vec<_>, _>>()

@@ -6,12 +6,12 @@ use std::fmt::Write;
 
 use point_skeleton::error::FileError;
 use point_skeleton::files::{OutputFolder, write_json, write_whole};
-use pskel_eval::plot::{Curve, Plot};
-use pskel_eval::{MeanInterval, mean_interval, paired_difference};
 use serde::Serialize;
 
 use super::rows::{Row, Table};
 use super::run::RunResult;
+use crate::plot::{Curve, Plot};
+use crate::{MeanInterval, mean_interval, paired_difference};
 
 /// Reported metrics: name in the results, column, digits.
 const COLUMNS: [(&str, &str, usize); 10] = [
@@ -29,7 +29,7 @@ const COLUMNS: [(&str, &str, usize); 10] = [
 
 /// Results of all variants.
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub struct Report {
     #[serde(skip)]
     tables: Vec<Table>,
     scenes: Vec<String>,
@@ -91,7 +91,7 @@ impl Report {
     }
 
     /// Formats the tables as Markdown.
-    pub(super) fn table(&self) -> String {
+    pub fn table(&self) -> String {
         let mut text = String::new();
         for &table in self.tables.iter().filter(|table| self.of_table(**table).count() > 1) {
             let head: Vec<&str> = COLUMNS.iter().map(|(_, column, _)| *column).collect();
@@ -154,8 +154,7 @@ fn cells(numbers: &BTreeMap<String, Option<MeanInterval>>) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::rows::Choice;
-    use super::super::settings::{Origin, Settings};
+    use super::super::options::{AblateOptions, Choice, Origin};
     use super::*;
     use pskel_generate::{DroppedConditions, Strategy};
 
@@ -177,7 +176,7 @@ mod tests {
             scene: scene.into(),
             row: row.into(),
             origin: Origin {
-                settings: Settings { steps: 2, infer_steps: 4, seed: 0, augment: None },
+                settings: AblateOptions { steps: 2, ..AblateOptions::default() },
                 weights: String::new(),
             },
             numbers: [("psnr_db".to_owned(), Some(psnr_db)), ("ssim".to_owned(), None)].into(),

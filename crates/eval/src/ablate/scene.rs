@@ -1,27 +1,28 @@
+//! Rendering of a scene: conditions, forecasts and ground truth of each frame.
+
 use std::path::Path;
 use std::sync::Arc;
 
 use image::RgbImage;
 use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
 use point_skeleton::dataset::{Dataset, Log};
-use point_skeleton::raster::Rasterizer;
+use point_skeleton::raster::{self, Rasterizer, RasterizerDesc};
 use point_skeleton::scene::{SceneClouds, SceneMap, SubstituteOptions};
 use point_skeleton::skeleton;
-use pskel_eval::{
-    MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
-};
 use pskel_generate::{Conditioner, FrameConditions, GroundTruthImages, Recipe, RenderedConditions};
 use pskel_sim::{
     ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
 };
-use pskel_town::Town;
 
-use super::settings::Settings;
-use crate::rasterizer::RasterizerArgs;
+use super::error::AblateError;
+use super::options::AblateOptions;
+use crate::{
+    MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
+};
 
-/// Inputs shared by all variants in a town where the ego changes lanes.
+/// Inputs shared by all variants in a log where the ego changes lanes.
 pub(super) struct Scene {
-    /// Name of the log.
+    /// Name of the recording.
     pub(super) name: String,
     /// References, then the frames to generate.
     pub(super) frames: Vec<SceneFrame>,
@@ -47,47 +48,53 @@ pub(super) struct SceneOptions<'a> {
     pub(super) recipe: &'a Recipe,
     /// Number of frames before the first generated one, and of forecasts.
     pub(super) references: usize,
-    pub(super) settings: &'a Settings,
-    pub(super) rasterizer: &'a RasterizerArgs,
+    pub(super) study: &'a AblateOptions,
+    pub(super) rasterizer: &'a RasterizerDesc,
     /// Path of the skeleton, which is built if it does not exist and retained for later runs.
     pub(super) skeleton: &'a Path,
 }
 
 impl Scene {
-    /// Builds the skeleton if it does not exist, and simulates the ego's path through the town.
-    pub(super) fn draw(town: &Town, options: &SceneOptions<'_>) -> anyhow::Result<Self> {
-        check_length(town.log(), options.count())?;
-        let skeleton = skeleton::open_or_build(options.skeleton, town)?;
-        let log = town.log();
-        let (stand_ins, _) =
-            SubstituteOptions::augmented(options.settings.augment).make(&skeleton, &log.name)?;
-        let stage = SceneClouds::with(&skeleton, &log.name, &stand_ins)?;
-        let mut rasterizer = options.rasterizer.create(stage.cloud_set())?;
-        let map = town.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
+    /// Builds the skeleton if it does not exist, and simulates the ego's lane changes.
+    pub(super) fn render(
+        name: &str,
+        dataset: &dyn Dataset,
+        options: &SceneOptions<'_>,
+    ) -> Result<Self, AblateError> {
+        check_length(dataset.log(), options.count())?;
+        let skeleton = skeleton::open_or_build(options.skeleton, dataset)?;
+        let log = dataset.log();
+        let (substitutes, _) =
+            SubstituteOptions::augmented(options.study.augment).make(&skeleton, &log.name)?;
+        let clouds = SceneClouds::with(&skeleton, &log.name, &substitutes)?;
+        let mut rasterizer = raster::create(options.rasterizer, clouds.cloud_set())?;
+        let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
         let scenario = Scenario { log, map: map.clone(), rates: Rates::default() };
-        let conditioner = Conditioner::new(log, map, &stage, options.recipe, "")
+        let conditioner = Conditioner::new(log, map, &clouds, options.recipe, "")
             .with_maps(&[MapKind::Class, MapKind::Instance]);
         let simulation = Simulation::new(&scenario, sim_options(options))?;
-        let drive = Drive { town, conditioner: &conditioner, options };
+        let drive = Drive { dataset, conditioner: &conditioner, options };
         let frames = drive.frames(simulation, rasterizer.as_mut())?;
-        let classifiers = classifiers(&frames[options.references..], options.settings.seed)?;
-        Ok(Self { name: town.recording(), frames, classifiers })
+        let classifiers = classifiers(&frames[options.references..], options.study.seed)?;
+        Ok(Self { name: name.to_owned(), frames, classifiers })
     }
 }
 
 impl SceneOptions<'_> {
     /// Returns the number of references and generated frames.
     fn count(&self) -> usize {
-        self.references + self.settings.steps
+        self.references + self.study.steps
     }
 }
 
 /// Rejects logs that are too short, because replayed actors are removed after the log ends.
-fn check_length(log: &Log, count: usize) -> anyhow::Result<()> {
+fn check_length(log: &Log, count: usize) -> Result<(), AblateError> {
     let ends = log.frames.first().zip(log.frames.last());
     let seconds = ends.map_or(0.0, |(first, last)| (last.t_us - first.t_us) as f64 / 1e6);
     let found = 1 + (seconds * Rates::default().plan_hz + 1e-6) as usize;
-    anyhow::ensure!(found >= count, "expected a log of {count} plan steps, found {found}");
+    if found < count {
+        return Err(AblateError::Length { expected: count, found });
+    }
     Ok(())
 }
 
@@ -102,7 +109,7 @@ fn sim_options(options: &SceneOptions<'_>) -> SimOptions {
 }
 
 struct Drive<'a> {
-    town: &'a Town,
+    dataset: &'a dyn Dataset,
     conditioner: &'a Conditioner<'a>,
     options: &'a SceneOptions<'a>,
 }
@@ -112,7 +119,7 @@ impl Drive<'_> {
         &self,
         mut simulation: Simulation<'_>,
         rasterizer: &mut dyn Rasterizer,
-    ) -> anyhow::Result<Vec<SceneFrame>> {
+    ) -> Result<Vec<SceneFrame>, AblateError> {
         let count = self.options.count();
         let (mut frames, mut before, mut first_us) = (Vec::new(), None, None);
         while frames.len() < count {
@@ -136,10 +143,10 @@ impl Drive<'_> {
         forecasts: Vec<Forecast<FrameConditions>>,
         instant: &Instant,
         t_s: f64,
-    ) -> anyhow::Result<SceneFrame> {
+    ) -> Result<SceneFrame, AblateError> {
         let view = |view: &point_skeleton::geometry::View| self.conditioner.options().drawn_view(view);
         let size = self.options.recipe.size;
-        let truth = GroundTruthImages::new(self.town).of(&drawn.get().state, view, size, true)?;
+        let truth = GroundTruthImages::new(self.dataset).of(&drawn.get().state, view, size, true)?;
         let moves = instant.actors.iter().map(|actor| actor.speed_mps.abs() > MOVING_MPS);
         let moving: Vec<u32> =
             (1..).zip(moves).filter(|(_, moves)| *moves).map(|(number, _)| number).collect();
@@ -182,11 +189,8 @@ fn classifiers(
 /// Class and instance maps of all cameras.
 type Masks = (Vec<Vec<u8>>, Vec<Vec<u32>>);
 
-fn masks(set: &ConditionSet) -> anyhow::Result<Masks> {
+fn masks(set: &ConditionSet) -> Result<Masks, AblateError> {
     let of = |camera: &CameraConditions| Some((camera.class.clone()?, camera.instance.clone()?));
     let all: Option<Vec<_>> = set.cameras.iter().map(of).collect();
-    Ok(all
-        .ok_or_else(|| anyhow::anyhow!("expected class and instance maps, found none"))?
-        .into_iter()
-        .unzip())
+    Ok(all.ok_or(AblateError::NoMasks)?.into_iter().unzip())
 }

@@ -1,0 +1,112 @@
+use std::path::{Path, PathBuf};
+
+use point_skeleton::dataset::Dataset;
+use point_skeleton::error::FileError;
+use point_skeleton::files::input::is_there;
+use point_skeleton::files::{OutputFolder, write_json};
+use point_skeleton::raster::RasterizerDesc;
+
+use super::error::AblateError;
+use super::options::{AblateOptions, Networks};
+use super::report::Report;
+use super::rows::{Row, Table, rows};
+use super::run::{RunResult, run};
+use super::scene::{Scene, SceneOptions};
+
+/// An ablation study, whose output folder is locked.
+pub struct Ablation {
+    path: PathBuf,
+    files: OutputFolder,
+    networks: Networks,
+    options: AblateOptions,
+    tables: Vec<Table>,
+    rows: Vec<Row>,
+    results: Vec<RunResult>,
+}
+
+impl Ablation {
+    /// Opens the folder of a study of some tables, or of all tables if none are given. Results in it are reused.
+    ///
+    /// # Errors
+    /// Fails if the networks are not comparable, if the options are inconsistent, or if the folder is in use or has
+    /// other files.
+    pub fn open(
+        path: &Path,
+        networks: Networks,
+        tables: &[Table],
+        mut options: AblateOptions,
+    ) -> Result<Self, AblateError> {
+        networks.check()?;
+        options.infer_steps.get_or_insert(networks.main.config().frames);
+        let rows = rows(&networks, tables);
+        rows.iter().try_for_each(|row| row.options(&networks, &options).check())?;
+        let files = OutputFolder::open(path, "ablation", &[])?;
+        let (path, tables) = (path.to_owned(), tables.to_vec());
+        Ok(Self { path, files, networks, options, tables, rows, results: Vec::new() })
+    }
+
+    /// Returns the number of variants, which is the number of results of each scene.
+    pub fn variants(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Generates and scores all variants in a synthetic log. Writes `NAME/ROW.json` and `NAME/ROW.png` for each. The
+    /// scene is rendered only if a result is missing; its skeleton is retained. `progress` receives each result.
+    ///
+    /// # Errors
+    /// Fails if the log is too short, if a result in the folder has other options or weights, or if a variant cannot
+    /// be generated, scored or written.
+    pub fn add_scene(
+        &mut self,
+        name: &str,
+        dataset: &dyn Dataset,
+        rasterizer: &RasterizerDesc,
+        progress: &mut dyn FnMut(&RunResult),
+    ) -> Result<(), AblateError> {
+        let folder = self.path.join(name);
+        std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
+        let options = SceneOptions {
+            recipe: self.networks.main.recipe(),
+            references: self.networks.main.config().frames - 1,
+            study: &self.options,
+            rasterizer,
+            skeleton: &folder.join("skeleton"),
+        };
+        let mut scene = None;
+        for row in &self.rows {
+            let path = folder.join(format!("{}.json", row.name));
+            let result = if is_there(&path)? {
+                RunResult::read(&path, &row.origin(&self.networks, &self.options))?
+            } else {
+                let scene = match &mut scene {
+                    Some(scene) => scene,
+                    none => none.insert(Scene::render(name, dataset, &options)?),
+                };
+                self.run(scene, row)?
+            };
+            progress(&result);
+            self.results.push(result);
+        }
+        Ok(())
+    }
+
+    /// Generates, scores and writes a variant.
+    fn run(&self, scene: &Scene, row: &Row) -> Result<RunResult, AblateError> {
+        let (result, strip) = run(scene, row, &self.networks, &self.options)?;
+        let name = |ending: &str| format!("{}/{}.{ending}", scene.name, row.name);
+        strip.save(&self.files.claim(name("png"))?)?;
+        write_json(&self.files.claim(name("json"))?, &result)?;
+        Ok(result)
+    }
+
+    /// Writes results.json, table.md and the curves of all scenes.
+    ///
+    /// # Errors
+    /// Fails if a file cannot be written.
+    pub fn finish(self) -> Result<Report, AblateError> {
+        let report = Report::new(&self.tables, &self.rows, &self.results);
+        report.write(&self.files)?;
+        self.files.close()?;
+        Ok(report)
+    }
+}

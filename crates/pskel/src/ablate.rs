@@ -1,0 +1,112 @@
+//! `pskel ablate`.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::Context;
+use clap::Args;
+use point_skeleton::dataset::LogLocator;
+use pskel_eval::ablate::{AblateError, AblateOptions, Ablation, Networks, RunResult, Table};
+use pskel_network::Network;
+
+use super::progress::Progress;
+use super::rasterizer::RasterizerArgs;
+use super::{WrongUsage, choices, log_args, logs, say};
+
+/// Compare strategies, conditions and trainings of the generator in synthetic towns, where ground truth is known
+///
+/// In each town the ego changes lanes in a closed loop, and each variant generates the same steps. Writes
+/// SCENE/ROW.json and SCENE/ROW.png for each variant, then results.json, table.md and curves as SVG. Existing results
+/// are reused, so the command resumes after an interruption and accepts additional networks and towns.
+#[derive(Debug, Args)]
+pub(super) struct AblateArgs {
+    /// Towns that were not used to train the networks: town:seed=904,frames=80[,..]
+    #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
+    logs: Vec<LogLocator>,
+    /// Weights of `pskel train` [default: those shipped with the program]
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+    /// Weights of `pskel train --no-augment`, for the row that measures the effect of asset augmentation
+    #[arg(long, value_name = "FILE")]
+    plain_weights: Option<PathBuf>,
+    /// Weights of the same training with another seed, for a row that measures random variation; may be repeated
+    #[arg(long = "other-seed", value_name = "FILE")]
+    other_seeds: Vec<PathBuf>,
+    /// Tables to compute [default: all]
+    #[arg(long, value_name = "TABLE,..", value_delimiter = ',', value_parser = choices::TABLE)]
+    tables: Vec<Table>,
+    /// Folder to write
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
+    out: PathBuf,
+    /// Number of frames to generate in each scene, after the references
+    #[arg(long, value_name = "N", default_value_t = AblateOptions::default().steps as u16,
+          value_parser = clap::value_parser!(u16).range(2..))]
+    steps: u16,
+    /// Inference steps, T [default: frames of the window]
+    #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    infer_steps: Option<u16>,
+    /// Augment a share of the scenes' assets with this seed, as in training: thinned, or reduced to the points seen
+    /// by one camera
+    #[arg(long, value_name = "SEED", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
+    augment: Option<u64>,
+    /// Seed of noise, features and classifiers
+    #[arg(long, value_name = "SEED", default_value_t = AblateOptions::default().seed)]
+    seed: u64,
+    #[command(flatten)]
+    rasterizer: RasterizerArgs,
+}
+
+/// Runs the command: renders, generates, scores, writes the report.
+pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    log_args::check_towns(&args.logs)?;
+    args.check_tables()?;
+    let rasterizer = args.rasterizer.desc()?;
+    let networks = Networks {
+        main: Network::open_or_shipped(args.weights.as_deref())?,
+        plain: args.plain_weights.as_deref().map(Network::open).transpose()?,
+        others: args.other_seeds.iter().map(|path| Network::open(path)).collect::<Result<_, _>>()?,
+    };
+    let options = AblateOptions {
+        steps: usize::from(args.steps),
+        infer_steps: args.infer_steps.map(usize::from),
+        seed: args.seed,
+        augment: args.augment,
+    };
+    let mut study = Ablation::open(&args.out, networks, &args.tables, options).map_err(usage)?;
+    let variants = study.variants();
+    let mut progress = Progress::new(args.logs.len() * variants);
+    let mut on_result = |result: &RunResult| progress.step(&format!("{}, {}", result.scene, result.row));
+    for locator in &args.logs {
+        let context = || format!("log {locator}");
+        let town = logs::open_town(locator).with_context(context)?;
+        study.add_scene(&town.recording(), &town, &rasterizer, &mut on_result).with_context(context)?;
+    }
+    drop(progress);
+    say(study.finish()?.table().trim_end());
+    let (scenes, seconds) = (args.logs.len(), start.elapsed().as_secs_f64());
+    say(&format!("{variants} variants in {scenes} scenes in {seconds:.2} s: {}", args.out.display()));
+    Ok(())
+}
+
+impl AblateArgs {
+    /// Checks that tables which compare other weights are requested together with these weights.
+    fn check_tables(&self) -> Result<(), WrongUsage> {
+        let given = [
+            (Table::Augmentation, "--plain-weights", self.plain_weights.is_some()),
+            (Table::Seeds, "--other-seed", !self.other_seeds.is_empty()),
+        ];
+        let wrong = given.into_iter().find(|(table, _, given)| *given != self.tables.contains(table));
+        let Some((table, option, given)) = wrong.filter(|_| !self.tables.is_empty()) else { return Ok(()) };
+        let (table, found) = (table.name(), if given { "the weights alone" } else { "the table alone" });
+        Err(WrongUsage(format!("expected {option} and table {table} together, found {found}")))
+    }
+}
+
+/// Converts invalid options into [`WrongUsage`], which has its own exit code.
+fn usage(error: AblateError) -> anyhow::Error {
+    match error {
+        AblateError::Networks { .. } | AblateError::Generate(_) => WrongUsage(error.to_string()).into(),
+        _ => error.into(),
+    }
+}
