@@ -13,7 +13,7 @@ mod point;
 mod rows;
 pub mod street;
 
-pub use morton::morton_order;
+pub(crate) use morton::morton_order;
 pub use point::{Bounds, Point};
 pub use rows::PointFile;
 

@@ -70,7 +70,7 @@ impl DepthBins {
     }
 
     /// Returns the 16-bit PNG value of a bin; the bins are spread over the whole range.
-    pub fn png_value(&self, bin: u16) -> u16 {
+    pub(crate) fn png_value(&self, bin: u16) -> u16 {
         bin * (u16::MAX / self.count)
     }
 

@@ -13,7 +13,7 @@ pub struct Canvas {
 }
 
 /// Side of a glyph at scale 1, pixels.
-pub const GLYPH: u32 = 8;
+pub(crate) const GLYPH: u32 = 8;
 
 impl Canvas {
     /// Creates a canvas filled with one color.
@@ -37,7 +37,7 @@ impl Canvas {
     }
 
     /// Copies an image to a position.
-    pub fn blit(&mut self, at: [u32; 2], size: ImageSize, pixels: &[[u8; 3]]) {
+    pub(crate) fn blit(&mut self, at: [u32; 2], size: ImageSize, pixels: &[[u8; 3]]) {
         self.map(at, size, |_, [x, y]| pixels[y as usize * size.width as usize + x as usize]);
     }
 
@@ -57,7 +57,7 @@ impl Canvas {
 }
 
 /// Returns the width of a text, pixels.
-pub fn text_width(text: &str, scale: u32) -> u32 {
+pub(crate) fn text_width(text: &str, scale: u32) -> u32 {
     text.chars().count() as u32 * GLYPH * scale
 }
 

@@ -58,7 +58,7 @@ impl DataRoot {
 ///
 /// # Errors
 /// Fails if the file cannot be opened or is not a regular file.
-pub fn open_regular(path: &Path) -> Result<(File, u64), FileError> {
+pub(crate) fn open_regular(path: &Path) -> Result<(File, u64), FileError> {
     // Opening some devices has side effects.
     check_kind(&std::fs::metadata(path).map_err(FileError::io("read", path))?, path)?;
     let flags = OFlags::NONBLOCK | OFlags::NOCTTY;
@@ -73,7 +73,7 @@ pub fn open_regular(path: &Path) -> Result<(File, u64), FileError> {
 /// Reads a regular file of at most `limit` bytes. Bytes that are appended during the read are ignored.
 ///
 /// # Errors
-/// Returns any error of [`open_regular`]. Fails if the file is longer than `limit` or cannot be read.
+/// Fails if the file cannot be opened or is not a regular file, is longer than `limit` or cannot be read.
 pub fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
     let (file, length) = open_regular(path)?;
     if length > limit {

@@ -13,7 +13,8 @@ mod whole;
 mod work;
 
 pub use check::{check_output_file, check_outside};
-pub use name::{FileName, NameError, first_twice};
+pub(crate) use name::first_twice;
+pub use name::{FileName, NameError};
 pub use output::resolved_output;
 pub use output::{OutputFolder, WholeFolder, check_whole};
 pub(crate) use output::{work_of_whole, write_whole_by};

@@ -91,7 +91,7 @@ impl NameError {
 }
 
 /// Returns the first repeated name, ignoring case, because some file systems ignore it too.
-pub fn first_twice<'a>(names: impl IntoIterator<Item = &'a FileName>) -> Option<&'a FileName> {
+pub(crate) fn first_twice<'a>(names: impl IntoIterator<Item = &'a FileName>) -> Option<&'a FileName> {
     let mut seen = BTreeSet::new();
     names.into_iter().find(|name| !seen.insert(name.to_lowercase()))
 }

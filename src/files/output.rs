@@ -64,11 +64,6 @@ impl OutputFolder {
         &self.path
     }
 
-    /// Returns whether an earlier run has written into the folder.
-    pub fn has_files(&self) -> bool {
-        !self.manifest().is_empty()
-    }
-
     /// Checks that names of files and folders, relative to this folder, may be written; for use before any work is
     /// done.
     ///

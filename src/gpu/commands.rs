@@ -188,7 +188,7 @@ impl<'a> Recorder<'a> {
     }
 
     /// Prepares an image for [`Recorder::write_rows`] and discards its contents.
-    pub fn forget(&mut self, image: &'a Image) {
+    pub(crate) fn forget(&mut self, image: &'a Image) {
         self.transition(image, vk::ImageLayout::UNDEFINED, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL);
     }
 
@@ -197,7 +197,7 @@ impl<'a> Recorder<'a> {
     ///
     /// # Errors
     /// Fails if the image or the buffer is too small.
-    pub fn write_rows(
+    pub(crate) fn write_rows(
         &mut self,
         (from, offset): (&'a Buffer, u64),
         to: &'a Image,
@@ -230,7 +230,7 @@ impl<'a> Recorder<'a> {
     }
 
     /// Transitions an image over a buffer to its read layout; needed once, before the first write to the buffer.
-    pub fn adopt(&mut self, image: &'a Image) {
+    pub(crate) fn adopt(&mut self, image: &'a Image) {
         self.transition(image, vk::ImageLayout::UNDEFINED, image.read_layout);
     }
 
@@ -327,7 +327,7 @@ impl<'a> Recorder<'a> {
     ///
     /// # Errors
     /// Fails if the push constants do not have the shader's size.
-    pub fn dispatch_groups(
+    pub(crate) fn dispatch_groups(
         &mut self,
         pipeline: &'a ComputePipeline,
         sets: &[&'a DescriptorSet],

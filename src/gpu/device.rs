@@ -120,7 +120,7 @@ impl Device {
     }
 
     /// Returns the size of the largest buffer that a shader can bind as a whole, bytes.
-    pub fn max_storage_buffer(&self) -> u64 {
+    pub(crate) fn max_storage_buffer(&self) -> u64 {
         u64::from(self.facts.limits.max_storage_buffer_range).min(self.facts.max_allocation)
     }
 
@@ -130,12 +130,12 @@ impl Device {
     }
 
     /// Returns the maximum side length of an image, pixels.
-    pub fn max_image_side(&self) -> u32 {
+    pub(crate) fn max_image_side(&self) -> u32 {
         self.facts.limits.max_image_dimension2_d
     }
 
     /// Returns whether points may be larger than one pixel; see also the limit `point_size_range`.
-    pub fn large_points(&self) -> bool {
+    pub(crate) fn large_points(&self) -> bool {
         self.facts.large_points
     }
 
@@ -216,17 +216,17 @@ impl Device {
     }
 
     /// Returns whether host and device share memory, so that the device may write directly to host-visible memory.
-    pub fn shares_memory(&self) -> bool {
+    pub(crate) fn shares_memory(&self) -> bool {
         matches!(self.facts.kind, vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU)
     }
 
     /// Returns whether the device is the host's own processor.
-    pub fn is_cpu(&self) -> bool {
+    pub(crate) fn is_cpu(&self) -> bool {
         self.facts.kind == vk::PhysicalDeviceType::CPU
     }
 
     /// Returns a [`GpuError::Unsupported`] that names this device.
-    pub fn unsupported(&self, expected: impl Into<String>, found: impl Into<String>) -> GpuError {
+    pub(crate) fn unsupported(&self, expected: impl Into<String>, found: impl Into<String>) -> GpuError {
         GpuError::Unsupported {
             expected: expected.into(),
             found: found.into(),

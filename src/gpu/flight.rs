@@ -11,7 +11,7 @@ use super::{Device, GpuError, Recorder};
 ///
 /// Recorded commands can only use these two. Neither is dropped or changed before the commands complete. Both own
 /// all of their resources (`'static`), so that a flight which is never dropped keeps them alive too.
-pub struct PendingSubmit<S: 'static, T: 'static> {
+pub(crate) struct PendingSubmit<S: 'static, T: 'static> {
     commands: Commands,
     own: T,
     running: Option<(Submitted, Arc<S>)>,
@@ -22,12 +22,12 @@ impl<S: 'static, T: 'static> PendingSubmit<S, T> {
     ///
     /// # Errors
     /// Fails if memory is exhausted.
-    pub fn new(device: &Arc<Device>, own: T) -> Result<Self, GpuError> {
+    pub(crate) fn new(device: &Arc<Device>, own: T) -> Result<Self, GpuError> {
         Ok(Self { commands: Commands::new(device)?, own, running: None })
     }
 
     /// Returns its own resources. The host memory of their buffers cannot be mapped while it runs.
-    pub fn own(&self) -> &T {
+    pub(crate) fn own(&self) -> &T {
         &self.own
     }
 
@@ -35,7 +35,7 @@ impl<S: 'static, T: 'static> PendingSubmit<S, T> {
     ///
     /// # Errors
     /// Returns any error of [`PendingSubmit::wait`].
-    pub fn own_mut(&mut self) -> Result<&mut T, GpuError> {
+    pub(crate) fn own_mut(&mut self) -> Result<&mut T, GpuError> {
         self.wait()?;
         Ok(&mut self.own)
     }
@@ -44,7 +44,7 @@ impl<S: 'static, T: 'static> PendingSubmit<S, T> {
     ///
     /// # Errors
     /// Returns any error of `record` or of the device; no commands run then.
-    pub fn start<E: From<GpuError>>(
+    pub(crate) fn start<E: From<GpuError>>(
         &mut self,
         shared: &Arc<S>,
         record: impl for<'r> FnOnce(&mut Recorder<'r>, &'r S, &'r T) -> Result<(), E>,
@@ -61,7 +61,7 @@ impl<S: 'static, T: 'static> PendingSubmit<S, T> {
     ///
     /// # Errors
     /// Fails on any error of the device or message of the validation layer.
-    pub fn wait(&mut self) -> Result<Vec<(&'static str, Duration)>, GpuError> {
+    pub(crate) fn wait(&mut self) -> Result<Vec<(&'static str, Duration)>, GpuError> {
         match self.running.take() {
             Some((submitted, _shared)) => self.commands.wait(submitted),
             None => Ok(Vec::new()),

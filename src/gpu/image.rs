@@ -84,7 +84,7 @@ impl Image {
     ///
     /// # Errors
     /// Fails if memory is exhausted or the host can map the buffer.
-    pub fn over_buffer(buffer: &Arc<Buffer>, desc: &ImageDesc<'_>) -> Result<Option<Self>, GpuError> {
+    pub(crate) fn over_buffer(buffer: &Arc<Buffer>, desc: &ImageDesc<'_>) -> Result<Option<Self>, GpuError> {
         let (device, tiling) = (buffer.device(), vk::ImageTiling::LINEAR);
         if buffer.users().is_some() {
             return Err(device.unsupported("a buffer of the device alone under an image", desc.name));

@@ -5,7 +5,7 @@
 //! - Every object holds an `Arc` of its [`Device`] and destroys itself on `Drop`, also on error paths.
 //! - A [`Recorder`] borrows the resources that it records, [`DescriptorSet`]s own the resources that they bind, and
 //!   [`Recorder::submit`] waits for the device. No resource is freed or read while it is in use.
-//! - A [`PendingSubmit`] does not wait. It owns its resources until they are waited for, and host memory in use by a
+//! - A `PendingSubmit` does not wait. It owns its resources until they are waited for, and host memory in use by a
 //!   submit cannot be mapped ([`Buffer::map`]).
 //! - `build.rs` compiles the shaders. Layouts of descriptors, push constants and vertex inputs come from its
 //!   reflection of them ([`shaders`]).
@@ -46,7 +46,7 @@ pub use descriptor::{Bind, DescriptorSet};
 pub use device::{Device, ObjectCounts};
 pub use draw::Pass;
 pub use error::GpuError;
-pub use flight::PendingSubmit;
+pub(crate) use flight::PendingSubmit;
 pub use image::{Image, ImageDesc};
 pub use indices::Indices;
 pub use mapping::MappedFile;

@@ -12,7 +12,7 @@ use crate::geometry::ImageSize;
 
 /// Coverage of lines in an image, row by row.
 #[derive(Clone, Debug)]
-pub struct LineRows {
+pub(crate) struct LineRows {
     width: u32,
     /// In drawing order.
     lines: Vec<Line>,
@@ -33,7 +33,7 @@ impl LineRows {
     /// Prepares segments `width_px` wide with butt ends, later ones over earlier ones, in an image of this size. A
     /// pixel is covered if its center lies in the segment's rectangle. Segments of zero length, with non-finite
     /// coordinates, or outside the image cover nothing.
-    pub fn new(segments: &[Segment], size: ImageSize, width_px: f32) -> Self {
+    pub(crate) fn new(segments: &[Segment], size: ImageSize, width_px: f32) -> Self {
         let sides = [size.width, size.height];
         let line = |segment: &Segment| {
             let test = LineTest::new(segment, width_px / 2.0, sides)?;
@@ -47,7 +47,7 @@ impl LineRows {
 
     /// Calls `paint` with the columns and the color of each line in a row, in drawing order. Rows must be requested
     /// in ascending order.
-    pub fn row(&mut self, row: u32, mut paint: impl FnMut(Range<usize>, [u8; 3])) {
+    pub(crate) fn row(&mut self, row: u32, mut paint: impl FnMut(Range<usize>, [u8; 3])) {
         let lines = &self.lines;
         self.active.retain(|number| lines[*number as usize].rows.end > row);
         let met = self.active.len();
@@ -67,7 +67,8 @@ impl LineRows {
     }
 }
 
-/// Draws segments `width_px` wide as in [`LineRows::new`], on black. Returns `height * width` RGB pixels.
+/// Draws segments `width_px` wide with butt ends, later ones over earlier ones, on black. A pixel is covered if its
+/// center lies in the segment's rectangle. Returns `height * width` RGB pixels.
 pub fn draw_lines(segments: &[Segment], size: ImageSize, width_px: f32) -> Vec<[u8; 3]> {
     let mut image = vec![[0; 3]; size.pixels()];
     let mut rows = LineRows::new(segments, size, width_px);

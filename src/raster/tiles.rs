@@ -25,7 +25,7 @@ impl Tile {
     }
 
     /// Copies the tile's pixels (tightly packed rows) to their position in an image `width` pixels wide.
-    pub fn copy_into<T: Copy>(&self, pixels: &[T], image: &mut [T], width: u32) {
+    pub(crate) fn copy_into<T: Copy>(&self, pixels: &[T], image: &mut [T], width: u32) {
         let (from, to) = (self.size[0] as usize, width as usize);
         for (row, line) in pixels.chunks_exact(from).take(self.size[1] as usize).enumerate() {
             let start = (self.origin[1] as usize + row) * to + self.origin[0] as usize;

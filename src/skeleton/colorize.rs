@@ -16,7 +16,7 @@ use crate::geometry::{Lens, View};
 
 /// Point to be colored.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Candidate {
+pub(crate) struct Candidate {
     /// Position, meters: global for the background, box frame for actors.
     pub position: DVec3,
     /// Color, once assigned.
@@ -24,7 +24,7 @@ pub struct Candidate {
 }
 
 /// Image with the data required to color points from it.
-pub struct ColorView {
+pub(crate) struct ColorView {
     /// Image pixels.
     pub image: RgbImage,
     /// Camera and pose of the image.
@@ -37,7 +37,7 @@ pub struct ColorView {
 
 /// Color of a point in one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ColorSample {
+pub(crate) struct ColorSample {
     /// Mean color.
     pub rgb: [u8; 3],
     /// Weight of the view: larger for views near in space and time.
@@ -53,7 +53,7 @@ const TIME_WEIGHT: f64 = 0.3;
 impl ColorView {
     /// Returns this view's color of a point at local meters; `None` outside the image and for an occluded point.
     /// `dt_s` is the time between the point's sweep and the image.
-    pub fn look(&self, project: &Projector, position: DVec3, dt_s: f64) -> Option<ColorSample> {
+    pub(crate) fn look(&self, project: &Projector, position: DVec3, dt_s: f64) -> Option<ColorSample> {
         let (pixel, depth_m) = project.pixel(position)?;
         if self.occlusion.as_ref().is_some_and(|map| map.hides(pixel, depth_m)) {
             return None;
@@ -87,7 +87,7 @@ impl ColorView {
 
 /// Returns the color of the look that agrees most with the others: the minimum weighted distance to all of them. Of
 /// equal looks the one with the larger weight wins. `None` without looks.
-pub fn agreed_color(looks: &[ColorSample]) -> Option<[u8; 3]> {
+pub(crate) fn agreed_color(looks: &[ColorSample]) -> Option<[u8; 3]> {
     let disagreement = |a: &ColorSample| -> f32 {
         let distance = |b: &ColorSample| (0..3).map(|c| f32::from(a.rgb[c].abs_diff(b.rgb[c]))).sum::<f32>();
         looks.iter().map(|b| b.weight * distance(b)).sum()

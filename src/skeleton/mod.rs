@@ -2,8 +2,8 @@
 //!
 //! # How it works
 //! [`build()`] reads the sweeps and separates actors from background with the boxes ([`Splitter`]). It computes
-//! occlusion in every image ([`OcclusionGrid`]), assigns each point one color from the camera with the best view
-//! ([`ColorView`]) and merges the points of each voxel. The background is stored in chunks with an origin each, so
+//! occlusion in every image (`occlusion`), assigns each point one color from the camera with the best view
+//! (`colorize`) and merges the points of each voxel. The background is stored in chunks with an origin each, so
 //! that global coordinates stay `f64` and points are `f32`. [`Skeleton`] is the result on disk, memory-mapped.
 
 mod augment;
@@ -21,10 +21,11 @@ mod trajectory;
 
 pub use augment::{AugmentOptions, Augmentation, augment};
 pub use checksum::Checksum;
-pub use colorize::{Candidate, ColorSample, ColorView, Projector, agreed_color};
+pub use colorize::Projector;
+pub(crate) use colorize::{Candidate, ColorView};
 pub use ingest::{BuildError, BuildInput, BuildRun, Progress, build, open_or_build, unfinished_frames};
 pub use manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
-pub use occlusion::{CELL_PX, OcclusionGrid, OcclusionMap};
+pub(crate) use occlusion::{OcclusionGrid, OcclusionMap};
 pub use options::{BuildOptions, Coloring};
 pub use split::{Part, SplitOptions, Splitter};
 pub use store::{GenerateTemplates, Skeleton, SkeletonWriter};

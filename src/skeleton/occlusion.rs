@@ -11,7 +11,7 @@ use glam::DVec2;
 use crate::geometry::Camera;
 
 /// Side of a grid cell, image pixels.
-pub const CELL_PX: u32 = 4;
+pub(crate) const CELL_PX: u32 = 4;
 /// Radius of the closing, cells.
 const CLOSE_CELLS: usize = 2;
 /// Relative depth tolerance within which a point lies on the surface.
@@ -20,7 +20,7 @@ const RELATIVE_SLACK: f32 = 0.03;
 const EYE_HEIGHT_M: f64 = 1.5;
 
 /// Maximum inverse depth per cell, 0 in empty cells.
-pub struct OcclusionGrid {
+pub(crate) struct OcclusionGrid {
     columns: usize,
     rows: usize,
     inverse_depth: Vec<f32>,
@@ -30,7 +30,7 @@ pub struct OcclusionGrid {
 
 impl OcclusionGrid {
     /// Creates an empty grid for a camera's image.
-    pub fn new(camera: &Camera) -> Self {
+    pub(crate) fn new(camera: &Camera) -> Self {
         let (width, height, focal_px) = (camera.width, camera.height, camera.intrinsics.y_axis.y);
         let (columns, rows) = (width.div_ceil(CELL_PX) as usize, height.div_ceil(CELL_PX) as usize);
         let cell_slack = (f64::from(CELL_PX) / (focal_px * EYE_HEIGHT_M)) as f32;
@@ -38,7 +38,7 @@ impl OcclusionGrid {
     }
 
     /// Adds a point that projects to `pixel` at a camera depth in meters.
-    pub fn add(&mut self, pixel: DVec2, depth_m: f64) {
+    pub(crate) fn add(&mut self, pixel: DVec2, depth_m: f64) {
         if let Some(cell) = self.cell(pixel) {
             let inverse = (1.0 / depth_m) as f32;
             if inverse > self.inverse_depth[cell] {
@@ -54,7 +54,7 @@ impl OcclusionGrid {
     }
 
     /// Closes the gaps between points.
-    pub fn close(self) -> OcclusionMap {
+    pub(crate) fn close(self) -> OcclusionMap {
         let columns = self.columns;
         let widened = filter(&self.inverse_depth, columns, CLOSE_CELLS, f32::max);
         let surface = filter(&widened, columns, CLOSE_CELLS, f32::min);
@@ -63,12 +63,12 @@ impl OcclusionGrid {
 }
 
 /// Closed [`OcclusionGrid`].
-pub struct OcclusionMap(OcclusionGrid);
+pub(crate) struct OcclusionMap(OcclusionGrid);
 
 impl OcclusionMap {
     /// Returns whether a clearly nearer surface occludes a point at `pixel` and a camera depth in meters. Always
     /// `false` outside the image.
-    pub fn hides(&self, pixel: DVec2, depth_m: f64) -> bool {
+    pub(crate) fn hides(&self, pixel: DVec2, depth_m: f64) -> bool {
         let Some(cell) = self.0.cell(pixel) else { return false };
         let surface = self.0.inverse_depth[cell];
         ((1.0 / depth_m) as f32) < surface * (1.0 - RELATIVE_SLACK) - self.0.cell_slack

@@ -55,7 +55,7 @@ impl Trajectories {
     }
 
     /// Returns the median size of a track's boxes, meters; `None` without boxes.
-    pub fn median_size(&self, track: usize) -> Option<DVec3> {
+    pub(crate) fn median_size(&self, track: usize) -> Option<DVec3> {
         let mut sides: [Vec<f64>; 3] = Default::default();
         for (_, cuboid) in &self.0[track] {
             (0..3).for_each(|axis| sides[axis].push(cuboid.size[axis]));

@@ -5,7 +5,7 @@ use crate::raster::Segment;
 use crate::scene::ActorState;
 
 /// Maximum depth of box edges, meters.
-pub const BOXES_FAR_M: f64 = 512.0;
+pub(crate) const BOXES_FAR_M: f64 = 512.0;
 
 /// Pairs of indices into [`Cuboid::corners`]: 12 edges, then the diagonals of the front and the left face from the
 /// lower front-left corner. Bit 0 of an index is front, bit 1 left, bit 2 up.
@@ -27,7 +27,7 @@ const BOX_LINES: [[usize; 2]; 14] = [
 ];
 
 /// Returns the segments of all boxes in list order, colored by category; skips categories without a color.
-pub fn box_segments(actors: &[ActorState], view: &View) -> Vec<Segment> {
+pub(crate) fn box_segments(actors: &[ActorState], view: &View) -> Vec<Segment> {
     let drawn = actors.iter().filter_map(|actor| Some((&actor.cuboid, layout_rgb(&actor.category)?)));
     drawn.flat_map(|(cuboid, rgb)| cuboid_segments(cuboid, rgb, view)).collect()
 }

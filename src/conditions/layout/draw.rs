@@ -9,7 +9,7 @@ use crate::scene::{ActorState, SceneMap};
 
 /// Layouts of a step: one RGB image on black per view; `None` for a layout that was not requested.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Layouts {
+pub(crate) struct Layouts {
     /// Outlines of boxes.
     pub boxes: Option<Vec<Vec<[u8; 3]>>>,
     /// Outlines of the HD map.
@@ -25,7 +25,7 @@ enum Shown<'a> {
 
 /// Draws the layouts of actors and map at render size ([`ConditionOptions::drawn_view`]) and reduces them to the
 /// written size with Pillow's BILINEAR filter.
-pub fn draw(
+pub(crate) fn draw(
     actors: Option<&[ActorState]>,
     map: Option<&SceneMap>,
     views: &[View],

@@ -6,7 +6,7 @@ use crate::raster::Segment;
 use crate::scene::{MapEdge, MapLayer, SceneMap};
 
 /// Maximum depth of map edges, meters.
-pub const MAP_FAR_M: f64 = 65.0;
+pub(crate) const MAP_FAR_M: f64 = 65.0;
 
 /// Allowance for rounding when a view's window is cut out of a map, meters.
 const SLACK_M: f64 = 0.01;
@@ -21,7 +21,7 @@ pub fn map_rgb(layer: MapLayer) -> [u8; 3] {
 }
 
 /// Returns the segments of the map outlines in drawing order: lanes, drivable area, crossings.
-pub fn map_segments(map: &SceneMap, view: &View) -> Vec<Segment> {
+pub(crate) fn map_segments(map: &SceneMap, view: &View) -> Vec<Segment> {
     let [min, max] = window(view);
     let camera = |p: DVec3| view.camera_from_world.transform_point3(p);
     let line = |edge: MapEdge| {

@@ -1,18 +1,18 @@
-//! Layout images: outlines of the actors' boxes ([`box_segments`]) and of the HD map ([`map_segments`]).
+//! Layout images: outlines of the actors' boxes (`boxes`) and of the HD map (`map`).
 //!
 //! # How it works
 //! Edges are clipped in camera space in `f64`, projected, and clipped to a rectangle that exceeds the image by more
 //! than the line width, so that the butt ends of clipped lines lie outside it. The result fits `f32` without visible
-//! loss. It is drawn by [`LineRows`](crate::raster::LineRows) and reduced row by row, so no full-size image is
-//! allocated.
+//! loss. It is drawn by `raster::LineRows` and reduced row by row, so no full-size image is allocated.
 
 mod boxes;
 mod draw;
 mod map;
 
-pub use boxes::{BOXES_FAR_M, box_segments};
-pub use draw::{Layouts, draw};
-pub use map::{MAP_FAR_M, map_rgb, map_segments};
+pub(crate) use boxes::box_segments;
+pub(crate) use draw::{Layouts, draw};
+pub use map::map_rgb;
+pub(crate) use map::map_segments;
 
 use glam::{DVec2, DVec3};
 
@@ -20,7 +20,7 @@ use crate::geometry::View;
 use crate::raster::Segment;
 
 /// Line width, pixels at render size.
-pub const LINE_WIDTH_PX: f32 = 8.0;
+pub(crate) const LINE_WIDTH_PX: f32 = 8.0;
 /// Minimum depth of edges, meters.
 pub const NEAR_M: f64 = 0.05;
 
@@ -74,6 +74,7 @@ fn keep([start, end]: &mut [f64; 2], step: f64, room: f64) -> Option<()> {
 
 #[cfg(test)]
 mod tests {
+    use super::boxes::BOXES_FAR_M;
     use super::*;
     use crate::geometry::Camera;
     use glam::{DAffine3, DMat3, DQuat};

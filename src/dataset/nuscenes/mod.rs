@@ -18,7 +18,8 @@ mod write_map;
 
 pub use choose::expand;
 pub use map::read_map_file;
-pub use sweep::{POINT_BYTES, check_sweep_len, parse_sweep, read_sweep_file, write_sweep_file};
+pub(crate) use sweep::check_sweep_len;
+pub use sweep::{POINT_BYTES, parse_sweep, read_sweep_file, write_sweep_file};
 
 pub use write::{LogWriter, write_log};
 pub use write_map::{MapLayers, RoadSegment, write_map};

@@ -54,7 +54,7 @@ fn names_devices(points: &[SweepPoint]) -> bool {
 ///
 /// # Errors
 /// Fails if the length is zero or not a multiple of [`POINT_BYTES`].
-pub fn check_sweep_len(bytes: u64, path: &Path) -> Result<u64, FileError> {
+pub(crate) fn check_sweep_len(bytes: u64, path: &Path) -> Result<u64, FileError> {
     if bytes == 0 {
         return Err(FileError::content("at least one point of 20 bytes", "an empty file", path));
     }

@@ -2,8 +2,8 @@ use super::{LibraryManifest, TemplateCloud};
 use crate::cloud::Point;
 
 /// A [`TemplateLibrary`](super::TemplateLibrary), written by `cargo run -p pskel-town --example default_templates`.
-const MANIFEST: &str = include_str!("default/templates.json");
-const POINTS: &[u8] = include_bytes!("default/templates.points");
+const MANIFEST: &str = include_str!("../../../shipped/templates/templates.json");
+const POINTS: &[u8] = include_bytes!("../../../shipped/templates/templates.points");
 
 /// Returns the built-in templates, in the order of kinds: sedan, SUV, pickup or van, pedestrian and bike. Other kinds
 /// vary too much.
@@ -34,7 +34,7 @@ mod tests {
         assert_eq!(kinds, [Kind::Sedan, Kind::Suv, Kind::Pickup, Kind::Pedestrian, Kind::Bike]);
         for (index, (template, points)) in templates.iter().enumerate() {
             assert_eq!(template.points, points.len());
-            template.check(index, points, "default/templates.points".as_ref()).unwrap();
+            template.check(index, points, "templates.points".as_ref()).unwrap();
         }
         let total: usize = templates.iter().map(|(t, _)| t.points).sum();
         assert_eq!(total * size_of::<Point>(), POINTS.len());

@@ -48,7 +48,7 @@ impl TemplateKind {
 
     /// Returns whether the template replaces assets of this kind with few points. Other kinds (trucks, buses ..) vary
     /// so much that any asset is better than a template.
-    pub fn replaces_small_assets(self) -> bool {
+    pub(crate) fn replaces_small_assets(self) -> bool {
         matches!(self, Self::Sedan | Self::Suv | Self::Pickup | Self::Pedestrian | Self::Bike)
     }
 
