@@ -331,7 +331,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::dataset::{Class, Frame, Log};
+    use crate::dataset::{Class, Frame, Recording};
     use crate::geometry::{Cuboid, Pose};
     use crate::scene::SceneMap;
 
@@ -350,7 +350,7 @@ mod tests {
         let map = VectorMap { drivable_area: vec![area], ..VectorMap::default() };
         let (sweeps, images, between_images, boxes) = Default::default();
         let frame = Frame { t_us: 0, global_from_ego: ego, sweeps, images, between_images, boxes };
-        let map = SceneMap::new(map, &Log { frames: vec![frame], ..Log::default() });
+        let map = SceneMap::new(map, &Recording { frames: vec![frame], ..Recording::default() });
         let place = ego * Pose::from_yaw(0.0, DVec3::new(0.0, 20.0, 0.8));
         let actor = ActorState {
             track: "car".into(),

@@ -1,4 +1,4 @@
-use super::Log;
+use super::Recording;
 use crate::geometry::Pose;
 
 /// Ego poses over time: the recorded poses of frames and sweeps, in time order.
@@ -7,7 +7,7 @@ pub struct EgoTrack(Vec<(i64, Pose)>);
 
 impl EgoTrack {
     /// Collects the poses of a log.
-    pub fn new(log: &Log) -> Self {
+    pub fn new(log: &Recording) -> Self {
         let frames = log.frames.iter().map(|f| (f.t_us, f.global_from_ego));
         let sweeps = log.frames.iter().flat_map(|f| &f.sweeps).map(|s| (s.t_us, s.global_from_ego));
         let mut poses: Vec<(i64, Pose)> = frames.chain(sweeps).collect();
@@ -60,11 +60,11 @@ mod tests {
         };
         // The frame's own sweep comes first, then the earlier one.
         let later = frame(100, 10.0, vec![sweep(100, 10.0), sweep(60, 9.0)]);
-        let log = Log { frames: vec![frame(0, 0.0, Vec::new()), later], ..Log::default() };
+        let log = Recording { frames: vec![frame(0, 0.0, Vec::new()), later], ..Recording::default() };
         let ego = EgoTrack::new(&log);
         let x = |t_us: i64| ego.at(t_us).map(|pose| pose.translation.x);
         assert_eq!([0, 20, 60, 80, 100].map(x), [0.0, 3.0, 9.0, 9.5, 10.0].map(Some));
         assert_eq!([-1, 101].map(x), [None; 2]);
-        assert_eq!(EgoTrack::new(&Log::default()).at(0), None);
+        assert_eq!(EgoTrack::new(&Recording::default()).at(0), None);
     }
 }

@@ -5,7 +5,7 @@ use glam::DVec2;
 /// HD map of a location in 2D: global x and y, meters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VectorMap {
-    /// Map location, as in [`Log::location`](super::Log::location).
+    /// Map location, as in [`Recording::location`](super::Recording::location).
     pub location: String,
     /// Lanes outside of intersections, in file order.
     pub lanes: Vec<Lane>,

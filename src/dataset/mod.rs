@@ -1,7 +1,7 @@
 //! Driving logs, independent of their format.
 //!
-//! A reader converts its raw tables to a lightweight [`Log`] (poses, calibration, boxes and file paths) and reads
-//! sweeps and images on demand. Nothing is dropped silently: a reader counts skipped items in [`Log::notes`].
+//! A reader converts its raw tables to a lightweight [`Recording`] (poses, calibration, boxes and file paths) and reads
+//! sweeps and images on demand. Nothing is dropped silently: a reader counts skipped items in [`Recording::notes`].
 
 #[cfg(feature = "av2")]
 pub mod av2;
@@ -10,7 +10,6 @@ mod ego_track;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod limits;
 mod locator;
-mod log;
 mod map;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod notes;
@@ -20,14 +19,15 @@ pub mod nuplan;
 pub mod nuscenes;
 mod open;
 mod picture;
+mod recording;
 
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
 pub use locator::{LogFormat, LogLocator};
-pub use log::{Frame, ImageRecord, Log, RigCamera, SweepRecord, Track, TrackBox, TrafficLight};
 pub use map::{Area, Lane, VectorMap};
 pub use open::{expand, open};
 pub use picture::{picture_size, read_picture};
+pub use recording::{Frame, ImageRecord, Recording, RigCamera, SweepRecord, Track, TrackBox, TrafficLight};
 
 use std::path::PathBuf;
 
@@ -38,7 +38,7 @@ use crate::geometry::{CameraError, Cuboid, CuboidError, PoseError, View};
 /// Source of one log: metadata, sweeps, images and map.
 pub trait Dataset: Send + Sync {
     /// Returns poses, calibration, boxes and file paths.
-    fn log(&self) -> &Log;
+    fn log(&self) -> &Recording;
 
     /// Reads a sweep. Drops and counts points that are not finite.
     ///

@@ -1,7 +1,7 @@
 use glam::DVec3;
 
 use super::{ActorState, SceneCamera, SceneState};
-use crate::dataset::{EgoTrack, Frame, Log, RigCamera, TrackBox};
+use crate::dataset::{EgoTrack, Frame, Recording, RigCamera, TrackBox};
 use crate::geometry::{Pose, View};
 
 /// Returns the name of a frame's state.
@@ -55,7 +55,7 @@ impl SceneState {
 
 /// Returns the state at a frame of a log; `None` if there is no such frame. Each camera uses the ego pose of its own
 /// image, or the frame's if it has no image. Actors use their boxes at the frame's time. The HD map is not set.
-pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<SceneState> {
+pub fn state_of_frame(log: &Recording, index: usize, offset: EgoOffset) -> Option<SceneState> {
     let frame = log.frames.get(index)?;
     let own_pose =
         |channel: usize| frame.images.iter().find(|i| i.channel == channel).map(|i| i.global_from_ego);
@@ -75,13 +75,13 @@ pub fn state_of_frame(log: &Log, index: usize, offset: EgoOffset) -> Option<Scen
 
 /// Returns the state at any time within the log; `None` outside it. All cameras share the ego pose at that instant;
 /// ego and actors are interpolated. `ego` holds the log's ego poses. The HD map is not set.
-pub fn state_at(log: &Log, ego: &EgoTrack, t_us: i64, offset: EgoOffset) -> Option<SceneState> {
+pub fn state_at(log: &Recording, ego: &EgoTrack, t_us: i64, offset: EgoOffset) -> Option<SceneState> {
     Some(state_of(log, t_us, ego.at(t_us)? * offset.pose(), &log.boxes_at(t_us)))
 }
 
 /// Returns the state for any ego pose and boxes of a log's tracks at any time. All cameras share the ego pose and
 /// have the calibration of the nearest frame. The state is named after the time; the HD map is not set.
-pub fn state_of(log: &Log, t_us: i64, global_from_ego: Pose, boxes: &[TrackBox]) -> SceneState {
+pub fn state_of(log: &Recording, t_us: i64, global_from_ego: Pose, boxes: &[TrackBox]) -> SceneState {
     let nearest = log.frames.iter().min_by_key(|f| f.t_us.abs_diff(t_us));
     let rig = nearest.map_or_else(|| log.rig.clone(), |frame| rig_at(log, frame));
     SceneState {
@@ -106,7 +106,7 @@ pub fn with_cameras(mut state: SceneState, views: &[View]) -> SceneState {
 }
 
 /// Returns all cameras of a log with the calibration of a frame's images, or the rig's where a camera has no image.
-fn rig_at(log: &Log, frame: &Frame) -> Vec<RigCamera> {
+fn rig_at(log: &Recording, frame: &Frame) -> Vec<RigCamera> {
     let camera = |channel: usize| {
         let of_image = frame.images.iter().find(|i| i.channel == channel).map(RigCamera::from);
         of_image.or_else(|| log.rig.iter().find(|c| c.channel == channel).cloned())
@@ -123,7 +123,7 @@ fn scene_camera(rig: &RigCamera, global_from_ego: Pose) -> SceneCamera {
     }
 }
 
-fn actors(log: &Log, boxes: &[TrackBox]) -> Vec<ActorState> {
+fn actors(log: &Recording, boxes: &[TrackBox]) -> Vec<ActorState> {
     let actor = |item: &TrackBox| {
         let track = &log.tracks[item.track];
         ActorState {

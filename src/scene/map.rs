@@ -11,7 +11,7 @@ use glam::{DVec2, DVec3};
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
 
-use crate::dataset::{Area, Log, VectorMap};
+use crate::dataset::{Area, Recording, VectorMap};
 
 /// Kind of area that an edge bounds; layers are drawn in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -46,7 +46,7 @@ pub struct SceneMap {
 impl SceneMap {
     /// Assigns ground heights from a log to a map. Skips edges with coordinates that are not finite, and all edges if
     /// the log has no ego pose and thus no heights.
-    pub fn new(map: VectorMap, log: &Log) -> Self {
+    pub fn new(map: VectorMap, log: &Recording) -> Self {
         let ground = Ground::of(log);
         let lanes = map.lanes.iter().map(|lane| (MapLayer::Lane, &lane.outline));
         let drivable = map.drivable_area.iter().map(|area| (MapLayer::DrivableArea, area));
@@ -115,7 +115,7 @@ struct Ground {
 
 impl Ground {
     /// Collects the ego poses of all frames and their sweeps.
-    fn of(log: &Log) -> Self {
+    fn of(log: &Recording) -> Self {
         let poses = log.frames.iter().flat_map(|frame| {
             std::iter::once(frame.global_from_ego).chain(frame.sweeps.iter().map(|s| s.global_from_ego))
         });
@@ -144,13 +144,13 @@ mod tests {
     use crate::dataset::{Frame, Lane};
     use crate::geometry::Pose;
 
-    fn log(origins: &[DVec3]) -> Log {
+    fn log(origins: &[DVec3]) -> Recording {
         let frame = |(t_us, at): (i64, &DVec3)| {
             let (sweeps, images, between_images, boxes) = Default::default();
             let global_from_ego = Pose::from_yaw(0.0, *at);
             Frame { t_us, global_from_ego, sweeps, images, between_images, boxes }
         };
-        Log { frames: (0..).zip(origins).map(frame).collect(), ..Log::default() }
+        Recording { frames: (0..).zip(origins).map(frame).collect(), ..Recording::default() }
     }
 
     fn square(at: DVec2, side_m: f64) -> Vec<DVec2> {

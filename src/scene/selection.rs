@@ -166,7 +166,9 @@ mod tests {
     use crate::cloud::Bounds;
     use crate::dataset::Class;
     use crate::geometry::{Cuboid, Pose};
-    use crate::skeleton::{Asset, BuildOptions, BuildReport, Checksum, Chunk, SkeletonWriter, Template};
+    use crate::skeleton::{
+        Asset, BuildOptions, BuildReport, Checksum, Chunk, SkeletonWriter, Template, TemplateCloud,
+    };
 
     fn cube(count: usize) -> (Vec<Point>, Bounds) {
         let corner = |i: usize| [0.0, 1.0, 2.0].map(|_: f32| if i.is_multiple_of(2) { -1.0 } else { 1.0 });

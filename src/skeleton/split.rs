@@ -207,7 +207,7 @@ impl SplitBox {
 mod tests {
     use super::*;
     use crate::dataset::Class;
-    use crate::dataset::{Frame, Log, Track};
+    use crate::dataset::{Frame, Recording, Track};
     use crate::geometry::Cuboid;
     use proptest::prelude::*;
 
@@ -227,7 +227,7 @@ mod tests {
         };
         let frames = vec![frame(0), frame(1_000_000)];
         let tracks = (0..boxes.len()).map(track).collect();
-        let log = Log { tracks, frames: frames.clone(), ..Log::default() };
+        let log = Recording { tracks, frames: frames.clone(), ..Recording::default() };
         let trajectories = Trajectories::new(&log, &frames.iter().collect::<Vec<_>>());
         Splitter::new(&frames[0].boxes, &trajectories, 0, &SplitOptions::default())
     }
@@ -305,7 +305,7 @@ mod tests {
             Frame { t_us, global_from_ego: Pose::IDENTITY, sweeps, images, between_images, boxes }
         };
         let frames = vec![frame(0), frame(1_000_000)];
-        let log = Log { tracks: vec![track], frames: frames.clone(), ..Log::default() };
+        let log = Recording { tracks: vec![track], frames: frames.clone(), ..Recording::default() };
         let trajectories = Trajectories::new(&log, &frames.iter().collect::<Vec<_>>());
         Splitter::new(&frames[0].boxes, &trajectories, 0, &SplitOptions::default())
     }

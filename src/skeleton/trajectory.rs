@@ -1,6 +1,6 @@
 use glam::DVec3;
 
-use crate::dataset::{Frame, Log};
+use crate::dataset::{Frame, Recording};
 use crate::geometry::Cuboid;
 
 /// Boxes of every track over time.
@@ -12,7 +12,7 @@ const CARRY_ON_US: i64 = 150_000;
 
 impl Trajectories {
     /// Collects the tracks of a log from the boxes of some of its frames, in time order.
-    pub fn new(log: &Log, frames: &[&Frame]) -> Self {
+    pub fn new(log: &Recording, frames: &[&Frame]) -> Self {
         let mut tracks = vec![Vec::new(); log.tracks.len()];
         for frame in frames {
             for item in &frame.boxes {

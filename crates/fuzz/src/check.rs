@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use point_skeleton::dataset::{Area, Dataset, EgoTrack, Log, VectorMap};
+use point_skeleton::dataset::{Area, Dataset, EgoTrack, Recording, VectorMap};
 use point_skeleton::files::text::printable_path;
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz, state_at, state_of_frame};
 
@@ -59,7 +59,7 @@ pub(crate) fn dataset(dataset: &dyn Dataset, folder: &Path, input: &[u8]) {
     }
 }
 
-fn check_log(log: &Log) {
+fn check_log(log: &Recording) {
     assert!(!log.frames.is_empty());
     assert!(log.frames.windows(2).all(|w| w[0].t_us < w[1].t_us), "times that do not grow");
     assert!(log.tracks.windows(2).all(|w| w[0].id < w[1].id), "tracks that are not sorted");
@@ -89,7 +89,7 @@ fn check_log(log: &Log) {
 }
 
 /// Checks the guarantees of a map.
-pub(crate) fn check_map(map: &VectorMap, log: &Log) {
+pub(crate) fn check_map(map: &VectorMap, log: &Recording) {
     let whole = |area: &Area| {
         std::iter::once(&area.exterior)
             .chain(&area.holes)

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use image::{Rgb, RgbImage};
 use point_skeleton::dataset::{
-    Area, Class, Dataset, DatasetError, Frame, ImageRecord, Lane, Log, RigCamera, Sweep, SweepPoint,
+    Area, Class, Dataset, DatasetError, Frame, ImageRecord, Lane, Recording, RigCamera, Sweep, SweepPoint,
     SweepRecord, Track, TrackBox, VectorMap,
 };
 use point_skeleton::geometry::{Camera, Cuboid, Pose};
@@ -16,7 +16,7 @@ const STEP_US: i64 = 100_000;
 const START: DVec3 = DVec3::new(1000.0, 500.0, 2.0);
 
 /// A log in memory.
-pub(crate) struct Made(Log);
+pub(crate) struct Made(Recording);
 
 impl Made {
     pub(crate) fn new(frames: usize) -> Self {
@@ -26,7 +26,7 @@ impl Made {
             class: Class::from_category(category),
         };
         let rig = vec![rig()];
-        Self(Log {
+        Self(Recording {
             name: "made".into(),
             location: "nowhere".into(),
             description: "made up".into(),
@@ -34,7 +34,7 @@ impl Made {
             tracks: [("car", "vehicle.car"), ("cone", "movable_object.trafficcone")].map(track).into(),
             frames: (0..frames).map(frame).collect(),
             rig,
-            ..Log::default()
+            ..Recording::default()
         })
     }
 }
@@ -79,7 +79,7 @@ fn frame(index: usize) -> Frame {
 }
 
 impl Dataset for Made {
-    fn log(&self) -> &Log {
+    fn log(&self) -> &Recording {
         &self.0
     }
 

@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
 use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, MapKind, render};
-use point_skeleton::dataset::Log;
+use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::Pose;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{SceneClouds, SceneMap, SceneState, SelectionOptions};
@@ -11,7 +11,7 @@ use super::{DenoiserError, FrameConditions, Recipe};
 
 /// Renders the network input of a simulation, from committed and forecast instants.
 pub struct Conditioner<'a> {
-    log: &'a Log,
+    log: &'a Recording,
     map: Option<Arc<SceneMap>>,
     stage: &'a SceneClouds<'a>,
     options: ConditionOptions,
@@ -43,7 +43,7 @@ pub enum ConditionerError {
 impl<'a> Conditioner<'a> {
     /// Creates a conditioner for a log, its HD map and its scene clouds.
     pub fn new(
-        log: &'a Log,
+        log: &'a Recording,
         map: Option<Arc<SceneMap>>,
         stage: &'a SceneClouds<'a>,
         recipe: &Recipe,

@@ -8,7 +8,7 @@ use std::path::{Component, Path, PathBuf};
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
 use image::{ImageFormat, RgbImage};
-use point_skeleton::dataset::{ImageRecord, Log};
+use point_skeleton::dataset::{ImageRecord, Recording};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{WholeFolder, check_whole, write_whole};
 use pskel_sim::report::{self, ROLLOUT, STATES, STEPS, StateFile};
@@ -46,7 +46,12 @@ pub fn check_dataset_copy(folder: &Path) -> Result<(), FileError> {
 ///
 /// # Errors
 /// Fails if the rollout has no generated images at the log's frames, or if a file cannot be read or written.
-pub fn copy_dataset(root: &Path, log: &Log, rollout: &Path, folder: &Path) -> Result<ImageCounts, FileError> {
+pub fn copy_dataset(
+    root: &Path,
+    log: &Recording,
+    rollout: &Path,
+    folder: &Path,
+) -> Result<ImageCounts, FileError> {
     let target = WholeFolder::open(folder, KIND, &[root, rollout])?;
     let replaced = replacements(log, rollout)?;
     let images = log.frames.iter().map(|frame| frame.images.len()).sum::<usize>();
@@ -57,7 +62,7 @@ pub fn copy_dataset(root: &Path, log: &Log, rollout: &Path, folder: &Path) -> Re
 }
 
 /// Returns the generated images at frames of the log.
-fn replacements<'a>(log: &'a Log, rollout: &Path) -> Result<Vec<Replacement<'a>>, FileError> {
+fn replacements<'a>(log: &'a Recording, rollout: &Path) -> Result<Vec<Replacement<'a>>, FileError> {
     let cameras: Vec<_> = log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
     let mut replaced = Vec::new();
     for row in StateFile::read(&rollout.join(STATES))? {

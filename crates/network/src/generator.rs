@@ -4,7 +4,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::dataset::Log;
+use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::scene::{SceneClouds, SceneMap};
@@ -100,7 +100,7 @@ pub struct GeneratorReport {
 /// Scene whose images are generated.
 pub struct GenerationScene<'a> {
     /// Recorded or synthetic log.
-    pub log: &'a Log,
+    pub log: &'a Recording,
     /// HD map of the log.
     pub map: Option<Arc<SceneMap>>,
     /// Point clouds of the skeleton.

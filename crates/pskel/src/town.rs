@@ -7,7 +7,7 @@ use std::time::Instant;
 use clap::Args;
 use point_skeleton::conditions::{CameraConditions, ConditionSet, DepthBins, ImageSize, exr, png};
 use point_skeleton::dataset::nuscenes::LogWriter;
-use point_skeleton::dataset::{Dataset, Log};
+use point_skeleton::dataset::{Dataset, Recording};
 use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
 use point_skeleton::files::{WholeFolder, write_json};
@@ -109,7 +109,7 @@ impl TownArgs {
     }
 }
 
-fn summary(log: &Log) -> String {
+fn summary(log: &Recording) -> String {
     let (images, sweeps, boxes) = log.frames.iter().fold((0, 0, 0), |(images, sweeps, boxes), frame| {
         (images + frame.images.len(), sweeps + frame.sweeps.len(), boxes + frame.boxes.len())
     });

@@ -1,4 +1,4 @@
-use point_skeleton::dataset::Log;
+use point_skeleton::dataset::Recording;
 use point_skeleton::scene::frame_rate_hz;
 
 use super::{ActorPolicy, EgoPolicy, Rates, SimError, SimOptions};
@@ -22,7 +22,12 @@ pub(super) struct Clock {
 
 impl Clock {
     /// Validates the rates and creates the clock; steps at frames use the times of a log.
-    pub(super) fn of(options: &SimOptions, rates: Rates, start_us: i64, log: &Log) -> Result<Self, SimError> {
+    pub(super) fn of(
+        options: &SimOptions,
+        rates: Rates,
+        start_us: i64,
+        log: &Recording,
+    ) -> Result<Self, SimError> {
         let Some(every) = options.every_frames else { return Self::new(options, rates, start_us) };
         let follows_log = options.ego == EgoPolicy::Replay && options.actors == ActorPolicy::Replay;
         if every == 0 || !follows_log || options.sim_hz.or(options.plan_hz).is_some() {
@@ -110,7 +115,7 @@ mod tests {
         };
         // Uneven times, as of keyframes.
         let frames = [0, 99_000, 201_000, 300_000, 398_000, 502_000].map(frame).to_vec();
-        let log = Log { frames, ..Log::default() };
+        let log = Recording { frames, ..Recording::default() };
         let options = SimOptions { every_frames: Some(2), warmup_frames: 3, ..SimOptions::default() };
         let clock = Clock::of(&options, Rates::default(), 99_000, &log).unwrap();
         assert_eq!([0, 1, 2, 3].map(|step| clock.at(step)), [99_000, 300_000, 502_000, i64::MAX]);

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
-use point_skeleton::dataset::{EgoTrack, Log, TrackBox, TrafficLight};
+use point_skeleton::dataset::{EgoTrack, Recording, TrackBox, TrafficLight};
 use point_skeleton::geometry::{Cuboid, Pose, wrap_angle};
 
 use super::fit::motion;
@@ -21,7 +21,7 @@ const CREEP_MPS: f64 = 0.5;
 
 /// Recorded states of a log, interpolated at any time.
 pub(super) struct Recorded<'a> {
-    pub(super) log: &'a Log,
+    pub(super) log: &'a Recording,
     pub(super) route: Route,
     ego: EgoTrack,
     /// Boxes of each track, in time order with absolute microseconds.
@@ -39,7 +39,7 @@ impl<'a> Recorded<'a> {
     }
 
     /// Indexes a log; `None` if it has no frames.
-    pub(super) fn new(log: &'a Log) -> Option<Self> {
+    pub(super) fn new(log: &'a Recording) -> Option<Self> {
         let (first_us, last_us) = (log.frames.first()?.t_us, log.frames.last()?.t_us);
         let mut tracks = vec![Vec::new(); log.tracks.len()];
         for frame in &log.frames {

@@ -103,7 +103,7 @@ impl RouteWindow<'_> {
 mod tests {
     use super::*;
     use glam::{DQuat, DVec3};
-    use point_skeleton::dataset::{Frame, Log};
+    use point_skeleton::dataset::{Frame, Recording};
 
     fn route(poses: &[Pose]) -> Route {
         let frame = |(i, pose): (usize, &Pose)| Frame {
@@ -115,7 +115,7 @@ mod tests {
             boxes: Vec::new(),
         };
         let frames = poses.iter().enumerate().map(frame).collect();
-        Route::new(&EgoTrack::new(&Log { frames, ..Log::default() }))
+        Route::new(&EgoTrack::new(&Recording { frames, ..Recording::default() }))
     }
 
     #[test]

@@ -2,7 +2,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use glam::{DQuat, DVec3};
-use point_skeleton::dataset::Log;
+use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
 use point_skeleton::geometry::{Cuboid, Foot, Pose};
@@ -69,7 +69,7 @@ struct SavedActor {
 }
 
 impl SavedState {
-    pub(super) fn new(options: &SimOptions, clock: &Clock, log: &Log, saved: &Saved) -> Self {
+    pub(super) fn new(options: &SimOptions, clock: &Clock, log: &Recording, saved: &Saved) -> Self {
         let World { instant, driven, foot } = saved.world.get();
         let ego = &instant.ego;
         let actor = |a: &SimActor| SavedActor {

@@ -61,7 +61,7 @@ pub struct EgoState {
 /// Pose and speed of an actor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimActor {
-    /// Index in [`Log::tracks`](point_skeleton::dataset::Log::tracks).
+    /// Index in [`Recording::tracks`](point_skeleton::dataset::Recording::tracks).
     pub track: usize,
     /// Bounding box in the global frame.
     pub cuboid: Cuboid,

@@ -146,7 +146,7 @@ impl Bicycle {
 mod tests {
     use super::*;
     use crate::route::Route;
-    use point_skeleton::dataset::{EgoTrack, Log};
+    use point_skeleton::dataset::{EgoTrack, Recording};
     use point_skeleton::geometry::Pose;
 
     fn ego(place: DVec2, heading_rad: f64, speed_mps: f64) -> EgoState {
@@ -156,7 +156,7 @@ mod tests {
 
     /// Follows a plan for some seconds at 10 Hz.
     fn drive(how: Tracking, start: EgoState, plan: &Trajectory, seconds: usize) -> Vec<Instant> {
-        let route = Route::new(&EgoTrack::new(&Log::default()));
+        let route = Route::new(&EgoTrack::new(&Recording::default()));
         let instant = |step: usize, ego: EgoState| Instant {
             step,
             t_us: step as i64 * 100_000,

@@ -57,7 +57,7 @@ fn window(view: &View) -> [DVec2; 2] {
 mod tests {
     use super::super::tests::view;
     use super::*;
-    use crate::dataset::{Area, Frame, Log, VectorMap};
+    use crate::dataset::{Area, Frame, Recording, VectorMap};
     use crate::geometry::Pose;
     use glam::{DAffine3, DQuat};
 
@@ -66,7 +66,7 @@ mod tests {
         let (sweeps, images, between_images, boxes) = Default::default();
         let global_from_ego = Pose::from_yaw(0.0, origin + DVec3::new(0.0, 0.0, -2.0));
         let frame = Frame { t_us: 0, global_from_ego, sweeps, images, between_images, boxes };
-        SceneMap::new(map, &Log { frames: vec![frame], ..Log::default() })
+        SceneMap::new(map, &Recording { frames: vec![frame], ..Recording::default() })
     }
 
     fn crossing(corners: &[[f64; 2]], origin: DVec3) -> VectorMap {

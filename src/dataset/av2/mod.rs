@@ -4,7 +4,7 @@
 //! # How it works
 //! `feather` and `column` read tables, and `read` combines those of a log. `sweep` and `map` read their files on
 //! demand. A frame is an annotated time; its sweep is the file with the same time, its images are the nearest in
-//! time. Times are nanoseconds in files and whole microseconds in a [`Log`]. Format:
+//! time. Times are nanoseconds in files and whole microseconds in a [`Recording`]. Format:
 //! <https://argoverse.github.io/user-guide/datasets/sensor.html>.
 
 mod annotations;
@@ -26,14 +26,14 @@ use std::path::PathBuf;
 
 use super::limits::check_roots;
 use super::{
-    Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
+    Dataset, DatasetError, ImageRecord, LogLocator, Recording, Sweep, SweepRecord, VectorMap, read_picture,
 };
 use crate::error::FileError;
 
 /// One Argoverse 2 log.
 #[derive(Debug)]
 pub struct Argoverse {
-    log: Log,
+    log: Recording,
     box_points: Vec<Vec<u32>>,
     /// Map files; only the first is read.
     maps: Vec<PathBuf>,
@@ -70,7 +70,7 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
 }
 
 impl Dataset for Argoverse {
-    fn log(&self) -> &Log {
+    fn log(&self) -> &Recording {
         &self.log
     }
 

@@ -1,4 +1,4 @@
-//! Conversion of a log's files to a [`Log`].
+//! Conversion of a log's files to a [`Recording`].
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::annotations::{Annotation, Annotations};
 use super::poses::Trajectory;
 use super::{calibration, sensors};
 use crate::dataset::notes::{Notes, note};
-use crate::dataset::{DatasetError, Frame, Log, TrackBox};
+use crate::dataset::{DatasetError, Frame, Recording, TrackBox};
 use crate::error::FileError;
 
 /// Reads a log with its sweeps and images in `sensors`. Also returns the stated number of LiDAR points per frame and
@@ -16,7 +16,7 @@ pub(super) fn read(
     sensors: &Path,
     name: String,
     location: String,
-) -> Result<(Log, Vec<Vec<u32>>), DatasetError> {
+) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
     let path = folder.join("annotations.feather");
     let annotations = Annotations::read(&path)?;
     let ego = Trajectory::read(&folder.join("city_SE3_egovehicle.feather"))?;
@@ -71,6 +71,16 @@ pub(super) fn read(
     }
     let cameras = rig.iter().map(|c| c.camera.name.clone()).collect();
     let (tracks, description) = (annotations.tracks, String::new());
-    let log = Log { name, location, description, cameras, rig, tracks, frames, notes, ..Log::default() };
+    let log = Recording {
+        name,
+        location,
+        description,
+        cameras,
+        rig,
+        tracks,
+        frames,
+        notes,
+        ..Recording::default()
+    };
     Ok((log, box_points))
 }

@@ -3,7 +3,7 @@
 //!
 //! # How it works
 //! `place` finds the folders and `database` reads checked rows. `frames`, `images` and `annotations` convert them to
-//! a [`Log`], and `map` reads the HD map. Calibration columns are Python pickles; `pickle` decodes only lists of
+//! a [`Recording`], and `map` reads the HD map. Calibration columns are Python pickles; `pickle` decodes only lists of
 //! numbers. Format: <https://nuplan-devkit.readthedocs.io>.
 
 mod annotations;
@@ -25,14 +25,14 @@ pub use place::SIMGEN;
 pub use place::expand;
 
 use super::{
-    Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
+    Dataset, DatasetError, ImageRecord, LogLocator, Recording, Sweep, SweepRecord, VectorMap, read_picture,
 };
 use crate::error::FileError;
 
 /// One nuPlan log, or one scene of it.
 #[derive(Debug)]
 pub struct NuPlan {
-    log: Log,
+    log: Recording,
     place: place::LogPaths,
     map_name: String,
 }
@@ -55,7 +55,7 @@ impl NuPlan {
 }
 
 impl Dataset for NuPlan {
-    fn log(&self) -> &Log {
+    fn log(&self) -> &Recording {
         &self.log
     }
 

@@ -1,14 +1,14 @@
-//! Conversion of a log's tables to a [`Log`].
+//! Conversion of a log's tables to a [`Recording`].
 
 use super::database::{Database, Query, hex};
 use super::place::LogPaths;
 use super::{annotations, frames, images, situation};
 use crate::dataset::notes::Notes;
-use crate::dataset::{DatasetError, Frame, Log};
+use crate::dataset::{DatasetError, Frame, Recording};
 use crate::error::FileError;
 
 /// Reads a log, or one scene of it. Also returns the name of its map.
-pub(super) fn read(place: &LogPaths, scene: Option<&str>) -> Result<(Log, String), DatasetError> {
+pub(super) fn read(place: &LogPaths, scene: Option<&str>) -> Result<(Recording, String), DatasetError> {
     let database = Database::open(&place.database)?;
     let about = LogInfo::read(&database)?;
     let scene = scene.map(|wanted| Scene::read(&database, wanted)).transpose()?;
@@ -31,7 +31,7 @@ pub(super) fn read(place: &LogPaths, scene: Option<&str>) -> Result<(Log, String
         None => about.description,
         Some(scene) => format!("{}, {}", about.description, scene.name),
     };
-    let log = Log {
+    let log = Recording {
         name: about.name,
         location: about.location,
         description,

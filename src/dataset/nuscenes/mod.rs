@@ -1,7 +1,7 @@
 //! nuScenes: 13 JSON tables linked by tokens, with LiDAR sweeps and camera images beside them.
 //!
 //! # How it works
-//! `tables` defines the raw records, `read` converts those of one scene to a [`Log`], and `sweep` reads and writes
+//! `tables` defines the raw records, `read` converts those of one scene to a [`Recording`], and `sweep` reads and writes
 //! `.pcd.bin` files. Format: <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
@@ -28,14 +28,14 @@ use std::path::PathBuf;
 
 use super::limits::check_roots;
 use super::{
-    Dataset, DatasetError, ImageRecord, Log, LogLocator, Sweep, SweepRecord, VectorMap, read_picture,
+    Dataset, DatasetError, ImageRecord, LogLocator, Recording, Sweep, SweepRecord, VectorMap, read_picture,
 };
 use crate::files::input::{DataRoot, open_regular};
 
 /// One scene of a nuScenes dataset.
 #[derive(Debug)]
 pub struct NuScenes {
-    log: Log,
+    log: Recording,
     box_points: Vec<Vec<u32>>,
     root: PathBuf,
     /// Folder of maps, if not the default one.
@@ -62,7 +62,7 @@ impl NuScenes {
 }
 
 impl Dataset for NuScenes {
-    fn log(&self) -> &Log {
+    fn log(&self) -> &Recording {
         &self.log
     }
 

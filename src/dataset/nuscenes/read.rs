@@ -1,4 +1,4 @@
-//! Conversion of one scene's tables to a [`Log`].
+//! Conversion of one scene's tables to a [`Recording`].
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::chain::Chain;
 use super::tables::{Attribute, LogRecord, MapRecord, Scene, Table, Visibility};
 use super::{annotations, choose, frames};
 use crate::dataset::notes::Notes;
-use crate::dataset::{DatasetError, Frame, Log, RigCamera};
+use crate::dataset::{DatasetError, Frame, Recording, RigCamera};
 use crate::files::input::DataRoot;
 
 /// Reads the log of a scene. Also returns the stated number of LiDAR points per frame and box.
@@ -14,7 +14,7 @@ pub(super) fn read(
     root: &DataRoot,
     tables: &Path,
     wanted_scene: Option<&str>,
-) -> Result<(Log, Vec<Vec<u32>>), DatasetError> {
+) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
     let scenes = Table::<Scene>::load_all(tables)?;
     let scene = choose::choose_scene(&scenes, wanted_scene)?;
     let logs = Table::<LogRecord>::load_all(tables)?;
@@ -35,7 +35,7 @@ pub(super) fn read(
         log_frames.push(Frame { t_us: *t_us, global_from_ego, sweeps, images, between_images, boxes });
         box_points.push(points);
     }
-    let log = Log {
+    let log = Recording {
         name: scene.name.clone(),
         location: recorded.location.clone(),
         description: scene.description.clone(),
@@ -44,7 +44,7 @@ pub(super) fn read(
         tracks: annotated.tracks,
         frames: log_frames,
         notes,
-        ..Log::default()
+        ..Recording::default()
     };
     Ok((log, box_points))
 }

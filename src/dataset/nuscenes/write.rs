@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::write_map::{MapLayers, picture_name, write_map};
 use super::write_sweep_file;
-use crate::dataset::{Dataset, DatasetError, Frame, ImageRecord, Log, Sweep, SweepRecord};
+use crate::dataset::{Dataset, DatasetError, Frame, ImageRecord, Recording, Sweep, SweepRecord};
 use crate::error::FileError;
 use crate::files::{write_json, write_whole};
 use crate::geometry::Pose;
@@ -96,7 +96,7 @@ fn write_files(
     Ok(())
 }
 
-fn refuse_distortion(log: &Log, root: &Path) -> Result<(), FileError> {
+fn refuse_distortion(log: &Recording, root: &Path) -> Result<(), FileError> {
     let images = log.frames.iter().flat_map(|f| f.images.iter().chain(&f.between_images));
     let mut cameras = log.rig.iter().map(|c| &c.camera).chain(images.map(|image| &image.camera));
     match cameras.find(|camera| camera.distortion.is_some()) {
@@ -356,10 +356,10 @@ mod tests {
     use crate::geometry::{Camera, Distortion};
 
     /// A log with one camera and no frames.
-    struct Bare(Log);
+    struct Bare(Recording);
 
     impl Dataset for Bare {
-        fn log(&self) -> &Log {
+        fn log(&self) -> &Recording {
             &self.0
         }
 
@@ -381,7 +381,7 @@ mod tests {
             let distortion = Distortion::from_opencv([k1, 0.0, 0.0, 0.0, 0.0]);
             let camera = Camera { distortion, ..camera.clone() };
             let rig = vec![RigCamera { channel: 0, ego_from_camera: Pose::IDENTITY, camera }];
-            let log = Log { cameras: vec!["CAM_A".parse().unwrap()], rig, ..Log::default() };
+            let log = Recording { cameras: vec!["CAM_A".parse().unwrap()], rig, ..Recording::default() };
             write_log(folder.path(), "v1.0-mini", &Bare(log)).map_err(|e| e.to_string())
         };
         let message = write(-0.1).unwrap_err();

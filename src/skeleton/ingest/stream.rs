@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::color;
 use super::error::BuildError;
 use super::request::BuildInput;
-use crate::dataset::{Dataset, Frame, ImageRecord, Log, SweepRecord, TrackBox};
+use crate::dataset::{Dataset, Frame, ImageRecord, Recording, SweepRecord, TrackBox};
 use crate::geometry::View;
 use crate::skeleton::sweep::SweepCloud;
 use crate::skeleton::{BuildOptions, ColorView, OcclusionGrid, Projector, Splitter, Trajectories};
@@ -24,7 +24,7 @@ const READ_AHEAD: usize = 4;
 /// Reader of a log for a build.
 pub(super) struct Stream<'a> {
     dataset: &'a dyn Dataset,
-    pub(super) log: &'a Log,
+    pub(super) log: &'a Recording,
     pub(super) frames: Vec<&'a Frame>,
     pub(super) trajectories: Trajectories,
     options: &'a BuildOptions,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use image::RgbImage;
 use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
-use point_skeleton::dataset::{Dataset, Log};
+use point_skeleton::dataset::{Dataset, Recording};
 use point_skeleton::raster::{self, Rasterizer, RasterizerDesc};
 use point_skeleton::scene::{SceneClouds, SceneMap, SubstituteOptions};
 use point_skeleton::skeleton;
@@ -88,7 +88,7 @@ impl SceneOptions<'_> {
 }
 
 /// Rejects logs that are too short, because replayed actors are removed after the log ends.
-fn check_length(log: &Log, count: usize) -> Result<(), AblateError> {
+fn check_length(log: &Recording, count: usize) -> Result<(), AblateError> {
     let ends = log.frames.first().zip(log.frames.last());
     let seconds = ends.map_or(0.0, |(first, last)| (last.t_us - first.t_us) as f64 / 1e6);
     let found = 1 + (seconds * Rates::default().plan_hz + 1e-6) as usize;

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord};
+use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Recording, Sweep, SweepRecord};
 use point_skeleton::error::FileError;
 use point_skeleton::skeleton::{BuildError, BuildInput, BuildOptions, BuildRun, build};
 use serde_json::Value;
@@ -22,7 +22,7 @@ pub(super) const TARGETS: [Target; 1] =
 struct Broken(Made);
 
 impl Dataset for Broken {
-    fn log(&self) -> &Log {
+    fn log(&self) -> &Recording {
         self.0.log()
     }
 

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 
 use point_skeleton::dataset::nuscenes::{LogWriter, MapLayers, NuScenes, expand, read_map_file, write_log};
 use point_skeleton::dataset::{
-    Dataset, DatasetError, ImageRecord, Log, LogFormat, LogLocator, Sweep, SweepRecord, VectorMap,
+    Dataset, DatasetError, ImageRecord, LogFormat, LogLocator, Recording, Sweep, SweepRecord, VectorMap,
 };
 use serde_json::{Map, Value};
 
@@ -114,7 +114,7 @@ fn map(data: &[u8]) {
 struct Mapped(Made);
 
 impl Dataset for Mapped {
-    fn log(&self) -> &Log {
+    fn log(&self) -> &Recording {
         self.0.log()
     }
 

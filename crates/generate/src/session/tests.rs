@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use super::*;
 use crate::{Frame, Guidance, LatentShape, PixelCodec, Recipe, SamplerOptions, Strategy};
 use point_skeleton::dataset::{
-    Dataset, DatasetError, Frame as LogFrame, ImageRecord, Log, RigCamera, Sweep, SweepRecord,
+    Dataset, DatasetError, Frame as LogFrame, ImageRecord, Recording, RigCamera, Sweep, SweepRecord,
 };
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::Camera;
@@ -19,7 +19,7 @@ const SIZE: ImageSize = ImageSize { height: 4, width: 8 };
 const SHAPE: LatentShape = LatentShape { views: 1, channels: 12, height: 2, width: 4 };
 
 /// Log of one second at 10 frames per second, with gray images.
-struct Grey(Log);
+struct Grey(Recording);
 
 impl Grey {
     fn new() -> Self {
@@ -41,12 +41,18 @@ impl Grey {
         };
         let frames: Vec<LogFrame> = (0..=10).map(frame).collect();
         let rig = RigCamera::first_used(&frames);
-        Self(Log { name: "grey".into(), cameras: vec!["c".parse().unwrap()], rig, frames, ..Log::default() })
+        Self(Recording {
+            name: "grey".into(),
+            cameras: vec!["c".parse().unwrap()],
+            rig,
+            frames,
+            ..Recording::default()
+        })
     }
 }
 
 impl Dataset for Grey {
-    fn log(&self) -> &Log {
+    fn log(&self) -> &Recording {
         &self.0
     }
 

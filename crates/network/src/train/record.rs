@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use point_skeleton::conditions::{self, ConditionError};
-use point_skeleton::dataset::{Dataset, DatasetError, Log};
+use point_skeleton::dataset::{Dataset, DatasetError, Recording};
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::{self, RasterError, RasterizerDesc};
@@ -101,7 +101,7 @@ impl Source<'_> {
         Ok(TrainingClip { about, frames })
     }
 
-    fn about(&self, log: &Log) -> DriveInfo {
+    fn about(&self, log: &Recording) -> DriveInfo {
         DriveInfo {
             log: log.name.clone(),
             hz: frame_rate_hz(&log.frames).unwrap_or(0.0),

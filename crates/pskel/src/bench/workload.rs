@@ -4,7 +4,7 @@ use std::sync::Arc;
 use point_skeleton::cloud::street;
 use point_skeleton::cloud::{self, Point, PointFile};
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind};
-use point_skeleton::dataset::{Log, LogLocator};
+use point_skeleton::dataset::{LogLocator, Recording};
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::{CloudSet, Crop, FrameJob, Instance, Occlusion};
@@ -173,7 +173,7 @@ impl Workload {
 
 /// Returns the frames of a recording; frames without cameras are skipped.
 fn frames_of_drive(
-    log: &Log,
+    log: &Recording,
     skeleton: &Skeleton,
     range: std::ops::Range<usize>,
     map: Option<&Arc<SceneMap>>,

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
 use glam::DVec3;
-use point_skeleton::dataset::{Dataset, Frame, ImageRecord, Log};
+use point_skeleton::dataset::{Dataset, Frame, ImageRecord, Recording};
 use point_skeleton::files::FileName;
 use point_skeleton::files::text::printable_line;
 use point_skeleton::scene::frame_rate_hz;
@@ -89,7 +89,7 @@ fn images(dataset: &dyn Dataset) -> Vec<String> {
 }
 
 /// Describes each channel: image size, focal length, and number of images.
-fn cameras(log: &Log) -> Value {
+fn cameras(log: &Recording) -> Value {
     let channel = |(index, name): (usize, &FileName)| {
         let of = |frame: &Frame| frame.images.iter().filter(|i| i.channel == index).count();
         let camera = log.rig.iter().find(|c| c.channel == index).map(|c| &c.camera);
@@ -105,7 +105,7 @@ fn cameras(log: &Log) -> Value {
 }
 
 /// Counts tracks and boxes by category.
-fn categories(log: &Log) -> Value {
+fn categories(log: &Recording) -> Value {
     let mut tally: BTreeMap<&str, (BTreeSet<usize>, usize)> = BTreeMap::new();
     for item in log.frames.iter().flat_map(|f| &f.boxes) {
         let entry = tally.entry(&log.tracks[item.track].category).or_default();
@@ -119,14 +119,14 @@ fn categories(log: &Log) -> Value {
 }
 
 /// Counts the states of traffic lights by color.
-fn lights(log: &Log) -> BTreeMap<&str, usize> {
+fn lights(log: &Recording) -> BTreeMap<&str, usize> {
     let mut tally = BTreeMap::new();
     log.lights.iter().for_each(|light| *tally.entry(light.color.as_str()).or_default() += 1);
     tally
 }
 
 /// Returns bounds and length of the ego path, global meters.
-fn ego_path(log: &Log) -> Value {
+fn ego_path(log: &Recording) -> Value {
     let places: Vec<DVec3> = log.frames.iter().map(|f| f.global_from_ego.translation).collect();
     let (min, max) = (places.iter().copied().reduce(DVec3::min), places.iter().copied().reduce(DVec3::max));
     // An empty sum would be -0.

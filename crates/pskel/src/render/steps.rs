@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use point_skeleton::dataset::{EgoTrack, Frame, Log};
+use point_skeleton::dataset::{EgoTrack, Frame, Recording};
 use point_skeleton::geometry::View;
 use point_skeleton::scene::{
     EgoOffset, SceneMap, SceneState, name_of_frame, name_of_time, state_at, state_of_frame, with_cameras,
@@ -13,7 +13,7 @@ use crate::numbers::FrameRange;
 
 /// Times to render; all of them are within the log.
 pub(super) struct Steps<'a> {
-    log: &'a Log,
+    log: &'a Recording,
     ego: EgoTrack,
     offset: EgoOffset,
     /// Cameras that replace the log's.
@@ -31,7 +31,7 @@ enum When {
 
 impl<'a> Steps<'a> {
     pub(super) fn new(
-        log: &'a Log,
+        log: &'a Recording,
         args: &RenderArgs,
         views: Option<Vec<View>>,
         map: Option<Arc<SceneMap>>,
@@ -107,7 +107,7 @@ fn times_at_rate(frames: &[Frame], hz: f64) -> impl Iterator<Item = i64> {
 }
 
 /// Checks that times are distinct, since they become folder names, and that they are within the log.
-fn check_times(log: &Log, times: &[i64]) -> anyhow::Result<()> {
+fn check_times(log: &Recording, times: &[i64]) -> anyhow::Result<()> {
     for (i, t_us) in times.iter().enumerate() {
         if times[..i].contains(t_us) {
             return Err(WrongUsage(format!("expected times in --at that differ, found {t_us} twice")).into());

@@ -16,7 +16,7 @@ use std::time::Instant;
 use anyhow::Context;
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::conditions::{ConditionOptions, MapSet};
-use point_skeleton::dataset::{Dataset, Log};
+use point_skeleton::dataset::{Dataset, Recording};
 use point_skeleton::error::with_causes;
 use point_skeleton::files::{check_output_file, check_outside};
 use point_skeleton::geometry::{Camera, ImageSize};
@@ -140,7 +140,10 @@ fn usage(error: RolloutError) -> anyhow::Error {
 }
 
 /// Returns the options of templates, assets and generator for `rollout.json`.
-fn extra(substitutes: &SubstituteReport, generator: Option<&Opened>) -> serde_json::Result<Map<String, Value>> {
+fn extra(
+    substitutes: &SubstituteReport,
+    generator: Option<&Opened>,
+) -> serde_json::Result<Map<String, Value>> {
     let mut extra = match serde_json::to_value(substitutes)? {
         Value::Object(fields) => fields,
         _ => Map::new(),
@@ -152,7 +155,7 @@ fn extra(substitutes: &SubstituteReport, generator: Option<&Opened>) -> serde_js
 
 fn options(
     args: &SimulateArgs,
-    log: &Log,
+    log: &Recording,
     maps: MapSet,
     simulation: SimOptions,
     extra: Map<String, Value>,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use arrow_array::Int32Array;
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::av2::{Argoverse, read_map_file, read_sweep_file};
-use point_skeleton::dataset::{Class, Dataset, Log, LogFormat, LogLocator};
+use point_skeleton::dataset::{Class, Dataset, LogFormat, LogLocator, Recording};
 use point_skeleton::geometry::{Cuboid, View};
 use point_skeleton::scene::{EgoOffset, state_of_frame};
 use pskel::logs;
@@ -279,7 +279,7 @@ fn real() -> Option<Argoverse> {
 #[test]
 fn the_real_log_is_read_as_its_readme_says() {
     let Some(dataset) = real() else { return };
-    let log: &Log = dataset.log();
+    let log: &Recording = dataset.log();
     assert_eq!((log.name.split_once('-').unwrap().0, log.location.as_str()), ("7fab2350", "PIT"));
     assert_eq!((log.frames.len(), log.tracks.len()), (156, 114));
     assert_eq!(log.frames.iter().map(|f| f.boxes.len()).sum::<usize>(), 11_364);

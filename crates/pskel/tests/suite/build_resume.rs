@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use point_skeleton::cloud::Point;
-use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord};
+use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Recording, Sweep, SweepRecord};
 use point_skeleton::error::FileError;
 use point_skeleton::skeleton::{
     self, Asset, BuildError, BuildInput, BuildOptions, BuildReport, BuildRun, Skeleton,
@@ -24,7 +24,7 @@ struct Breaking<'a> {
 }
 
 impl Dataset for Breaking<'_> {
-    fn log(&self) -> &Log {
+    fn log(&self) -> &Recording {
         self.drive.log()
     }
 

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Log, Sweep, SweepRecord};
+use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Recording, Sweep, SweepRecord};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 
 /// Returns the folder of recordings and fixtures: `PSKEL_SHARED`, else `../shared` from the project's root. Returns
@@ -47,7 +47,7 @@ pub(crate) fn skeleton_of(
 /// Files of one dataset combined with another log.
 pub(crate) struct WithLog<'a> {
     pub(crate) drive: &'a dyn Dataset,
-    pub(crate) log: Log,
+    pub(crate) log: Recording,
 }
 
 impl<'a> WithLog<'a> {
@@ -66,7 +66,7 @@ impl<'a> WithLog<'a> {
 }
 
 impl Dataset for WithLog<'_> {
-    fn log(&self) -> &Log {
+    fn log(&self) -> &Recording {
         &self.log
     }
 

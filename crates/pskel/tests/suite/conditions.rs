@@ -8,7 +8,7 @@ use point_skeleton::conditions::{
     BinScale, CameraConditions, ConditionOptions, ConditionSet, DepthBins, ImageSize, MapKind, MapSet,
     Occlusion, reduce, render, render_views,
 };
-use point_skeleton::dataset::{Area, Class, Frame, Lane, Log, VectorMap};
+use point_skeleton::dataset::{Area, Class, Frame, Lane, Recording, VectorMap};
 use point_skeleton::geometry::{Camera, Cuboid, Pose, View};
 use point_skeleton::raster::Instance;
 use point_skeleton::raster::cpu::CpuRasterizer;
@@ -236,7 +236,7 @@ fn map_ahead(ego: Pose, [lane, drivable, hole, crossing]: [f64; 4]) -> SceneMap 
     };
     let (sweeps, images, between_images, boxes) = Default::default();
     let frame = Frame { t_us: 0, global_from_ego: ego, sweeps, images, between_images, boxes };
-    SceneMap::new(map, &Log { frames: vec![frame], ..Log::default() })
+    SceneMap::new(map, &Recording { frames: vec![frame], ..Recording::default() })
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::DVec3;
 use point_skeleton::dataset::nuscenes::{NuScenes, read_sweep_file};
-use point_skeleton::dataset::{Dataset, Log, LogFormat, LogLocator, Sweep};
+use point_skeleton::dataset::{Dataset, LogFormat, LogLocator, Recording, Sweep};
 use point_skeleton::geometry::{Cuboid, Pose};
 
 use crate::common::shared;
@@ -23,7 +23,7 @@ fn points_in(sweep: &Sweep, global_from_lidar: &Pose, cuboid: &Cuboid) -> u32 {
     sweep.points.iter().filter(|p| inside(&p.position)).count() as u32
 }
 
-fn file_points(log: &Log) -> u64 {
+fn file_points(log: &Recording) -> u64 {
     let sweeps = log.frames.iter().flat_map(|f| &f.sweeps);
     sweeps.map(|s| std::fs::metadata(&s.path).unwrap().len() / 20).sum()
 }

@@ -1,7 +1,7 @@
 //! Frames at other rates than the log's: interpolated poses and boxes, and `pskel render --hz`.
 
 use glam::{DQuat, DVec3};
-use point_skeleton::dataset::{Class, EgoTrack, Frame, Log, Track, TrackBox};
+use point_skeleton::dataset::{Class, EgoTrack, Frame, Recording, Track, TrackBox};
 use point_skeleton::geometry::{Cuboid, Pose};
 use point_skeleton::scene::{EgoOffset, state_at};
 use serde_json::json;
@@ -32,7 +32,7 @@ fn keyframe(index: usize) -> (i64, Pose, Cuboid) {
 }
 
 /// Returns a log of 2 Hz keyframes; a second track exists only in the first two.
-fn log() -> Log {
+fn log() -> Recording {
     let frame = |index: usize| {
         let (t_us, global_from_ego, cuboid) = keyframe(index);
         let boxes = if index < 2 { vec![0, 1] } else { vec![0] };
@@ -43,7 +43,7 @@ fn log() -> Log {
     let track =
         |id: &str| Track { id: id.into(), category: "vehicle.car".into(), class: Class::MotorVehicle };
     let tracks = vec![track("a"), track("b")];
-    Log { tracks, frames: (0..KEYFRAMES).map(frame).collect(), ..Log::default() }
+    Recording { tracks, frames: (0..KEYFRAMES).map(frame).collect(), ..Recording::default() }
 }
 
 /// Interpolates two poses independently: rotates by a fraction of the angle about the axis between them.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use point_skeleton::cloud::cameras::rows;
 use point_skeleton::conditions::meta::{IndexActor, IndexFrame, Matrix};
-use point_skeleton::dataset::Log;
+use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
 use point_skeleton::files::input::read_text;
@@ -113,7 +113,7 @@ pub struct StepObservations {
 impl StepRow {
     /// Creates the row of a step of a log's rollout.
     pub fn new(
-        log: &Log,
+        log: &Recording,
         instant: &Instant,
         phase: Phase,
         observed: &StepObservations,
@@ -182,7 +182,13 @@ impl EgoRow {
 }
 
 impl ActorRow {
-    fn new(log: &Log, t_us: i64, index: usize, actor: &SimActor, seen: Option<Vec<VisibleActor>>) -> Self {
+    fn new(
+        log: &Recording,
+        t_us: i64,
+        index: usize,
+        actor: &SimActor,
+        seen: Option<Vec<VisibleActor>>,
+    ) -> Self {
         let track = &log.tracks[actor.track];
         let channel = |camera: usize| log.rig.get(camera).map_or(camera, |rig| rig.channel);
         let new = |seen: &&VisibleActor| {
@@ -281,7 +287,7 @@ mod tests {
 
     fn row(step: usize) -> StepRow {
         let track = Track { id: "t".into(), category: "vehicle.car".into(), class: Class::MotorVehicle };
-        let log = Log { tracks: vec![track], ..Log::default() };
+        let log = Recording { tracks: vec![track], ..Recording::default() };
         let pose = Pose::from_yaw(0.1 + step as f64, DVec3::new(664_000.123_456_789, 4e6 / 3.0, 0.1));
         let ego = EgoState {
             pose,

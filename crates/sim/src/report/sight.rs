@@ -8,7 +8,7 @@
 
 use glam::{DVec2, DVec3};
 use point_skeleton::conditions::ConditionSet;
-use point_skeleton::dataset::{Frame, Log, RigCamera};
+use point_skeleton::dataset::{Frame, Recording, RigCamera};
 use point_skeleton::geometry::{Camera, Cuboid, Pose};
 use serde::{Deserialize, Serialize};
 
@@ -52,7 +52,7 @@ pub fn seen(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<VisibleActor>>>
 }
 
 /// Returns whether a camera of the log (a channel) showed a track in its images around a time (microseconds).
-pub fn was_shown(log: &Log, track: usize, channel: usize, t_us: i64) -> bool {
+pub fn was_shown(log: &Recording, track: usize, channel: usize, t_us: i64) -> bool {
     let near = |at_us: i64| at_us.abs_diff(t_us) <= AROUND_US as u64;
     // Images are up to a frame older than the frame that they belong to.
     let first = log.frames.partition_point(|f| f.t_us < t_us.saturating_sub(AROUND_US)).saturating_sub(1);
@@ -68,7 +68,7 @@ pub fn was_shown(log: &Log, track: usize, channel: usize, t_us: i64) -> bool {
 }
 
 /// Returns a camera whose image is missing in a frame, with its inverse pose at the frame's ego pose.
-fn missing<'a>(log: &'a Log, frame: &Frame, channel: usize) -> Option<(&'a Camera, Pose)> {
+fn missing<'a>(log: &'a Recording, frame: &Frame, channel: usize) -> Option<(&'a Camera, Pose)> {
     if frame.images.iter().any(|image| image.channel == channel) {
         return None;
     }
@@ -129,7 +129,7 @@ mod tests {
     }
 
     /// Log of a 90-degree camera at the origin that looks along x, at 0, 1 and 2 s; a 1 m box is at `at` per frame.
-    fn log(at: [DVec3; 3]) -> Log {
+    fn log(at: [DVec3; 3]) -> Recording {
         let axes = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
         let ego_from_camera = Pose { rotation: DQuat::from_mat3(&axes), translation: DVec3::ZERO };
         let camera =
@@ -157,7 +157,7 @@ mod tests {
             }
         };
         let track = Track { id: "a".into(), category: "vehicle.car".into(), class: Class::MotorVehicle };
-        Log { tracks: vec![track], frames: (0..).zip(at).map(frame).collect(), ..Log::default() }
+        Recording { tracks: vec![track], frames: (0..).zip(at).map(frame).collect(), ..Recording::default() }
     }
 
     #[test]
@@ -189,7 +189,7 @@ mod tests {
         ] {
             assert_eq!(was_shown(&log, 0, 0, t_us), expected, "{t_us}");
         }
-        assert!(!was_shown(&log, 1, 0, 1_000_000) && !was_shown(&Log::default(), 0, 0, 0));
+        assert!(!was_shown(&log, 1, 0, 1_000_000) && !was_shown(&Recording::default(), 0, 0, 0));
         // Another camera did not show it.
         assert!(!was_shown(&log, 0, 1, 1_000_000));
     }

@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use point_skeleton::dataset::Log;
+use point_skeleton::dataset::Recording;
 use point_skeleton::files::FileName;
 
 use super::error::RolloutError;
@@ -43,7 +43,7 @@ impl RolloutReport {
     }
 
     /// Adds the facts of the web page that are known after the last step.
-    pub(super) fn close(&mut self, facts: Vec<String>, record: &RolloutRecord, log: &Log) {
+    pub(super) fn close(&mut self, facts: Vec<String>, record: &RolloutRecord, log: &Recording) {
         let options = &record.simulation;
         self.ended = self.ended.filter(|_| self.failure.is_none());
         let ended = match (&self.failure, self.ended) {

@@ -5,7 +5,7 @@ use std::hash::{Hash, Hasher};
 use std::path::Path;
 
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::dataset::Log;
+use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::{Cuboid, Pose};
 use point_skeleton::skeleton::Skeleton;
@@ -26,7 +26,11 @@ pub(super) struct Sources {
 }
 
 impl Sources {
-    pub(super) fn new(log: &Log, skeleton: &Skeleton, prompt: &PromptParts) -> serde_json::Result<Self> {
+    pub(super) fn new(
+        log: &Recording,
+        skeleton: &Skeleton,
+        prompt: &PromptParts,
+    ) -> serde_json::Result<Self> {
         let manifest = &skeleton.manifest;
         let chunks = manifest.background.iter().map(|chunk| chunk.points);
         let points: usize = chunks.chain(manifest.actors.iter().map(|asset| asset.points)).sum();
@@ -57,7 +61,7 @@ impl Sources {
     }
 }
 
-fn frames(log: &Log) -> String {
+fn frames(log: &Recording) -> String {
     let mut text = format!("{} frames", log.frames.len());
     if let (Some(first), Some(last)) = (log.frames.first(), log.frames.last()) {
         let _ = write!(text, " from {} to {} us", first.t_us, last.t_us); // writing to a string cannot fail

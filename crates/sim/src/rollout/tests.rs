@@ -3,7 +3,7 @@ use glam::{DMat3, DVec3};
 use std::path::Path;
 
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::dataset::{Frame, Log, RigCamera};
+use point_skeleton::dataset::{Frame, Recording, RigCamera};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::geometry::{Camera, Pose};
 use point_skeleton::raster::{
@@ -45,7 +45,7 @@ impl Rasterizer for Failing<'_> {
 }
 
 /// Returns a log of one second at 10 frames per second with one camera.
-fn log() -> Log {
+fn log() -> Recording {
     let intrinsics = DMat3::from_cols(DVec3::X * 8.0, DVec3::Y * 8.0, DVec3::new(8.0, 4.0, 1.0));
     let camera = Camera { name: "c".parse().unwrap(), width: 16, height: 8, intrinsics, distortion: None };
     let frame = |i: i64| Frame {
@@ -56,12 +56,12 @@ fn log() -> Log {
         between_images: Vec::new(),
         boxes: Vec::new(),
     };
-    Log {
+    Recording {
         name: "made".into(),
         cameras: vec!["c".parse().unwrap()],
         rig: vec![RigCamera { channel: 0, ego_from_camera: Pose::IDENTITY, camera }],
         frames: (0..=10).map(frame).collect(),
-        ..Log::default()
+        ..Recording::default()
     }
 }
 

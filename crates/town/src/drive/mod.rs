@@ -20,7 +20,7 @@ pub use town::Town;
 
 use image::RgbImage;
 use point_skeleton::dataset::{
-    Dataset, DatasetError, ImageRecord, Log, LogFormat, PosedActor, Sweep, SweepRecord, VectorMap,
+    Dataset, DatasetError, ImageRecord, LogFormat, PosedActor, Recording, Sweep, SweepRecord, VectorMap,
     ViewRenderer,
 };
 use point_skeleton::geometry::View;
@@ -31,7 +31,7 @@ use self::town::LOCATION;
 pub const FORMAT: LogFormat = LogFormat::Other("town");
 
 impl Dataset for Town {
-    fn log(&self) -> &Log {
+    fn log(&self) -> &Recording {
         &self.log
     }
 

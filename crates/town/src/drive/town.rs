@@ -4,7 +4,7 @@ use std::sync::{Mutex, OnceLock};
 
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::nuscenes::MapLayers;
-use point_skeleton::dataset::{Log, Sweep, SweepRecord};
+use point_skeleton::dataset::{Recording, Sweep, SweepRecord};
 use point_skeleton::geometry::Pose;
 use point_skeleton::hash;
 
@@ -19,7 +19,7 @@ use crate::plan::{Actor, Plan};
 
 /// Recording of a drive through a town.
 pub struct Town {
-    pub(super) log: Log,
+    pub(super) log: Recording,
     pub(super) options: TownOptions,
     pub(super) plan: Plan,
     pub(super) global_from_town: Pose,
@@ -49,7 +49,7 @@ impl Town {
         let global_from_town = place(&plan, options.seed);
         let recorder = Recorder { options, traffic: &plan.traffic, global_from_town, rig: &rig };
         let Recorded { frames, tracks, actors } = recorder.record();
-        let log = Log {
+        let log = Recording {
             name: name(options),
             location: LOCATION.into(),
             description: describe(options),
@@ -57,7 +57,7 @@ impl Town {
             rig,
             tracks,
             frames,
-            ..Log::default()
+            ..Recording::default()
         };
         let (meshes, scanner, film) = Default::default();
         Ok(Self { log, options: *options, plan, global_from_town, actors, meshes, scanner, film })

@@ -16,7 +16,7 @@ use crate::view::GroundTruthView;
 
 impl Town {
     /// Renders views at a time: images and ground-truth maps. The views' world is the global frame. Instance numbers
-    /// are index + 1 of the log's boxes at that time, as in [`Log::boxes_at`](point_skeleton::dataset::Log::boxes_at). Actors
+    /// are index + 1 of the log's boxes at that time, as in [`Recording::boxes_at`](point_skeleton::dataset::Recording::boxes_at). Actors
     /// without a box (beyond the LiDAR's range) are visible, with class and instance 0.
     ///
     /// # Errors

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 use glam::DVec2;
-use point_skeleton::dataset::{Frame, Log};
+use point_skeleton::dataset::{Frame, Recording};
 use point_skeleton::idm::Leader;
 use pskel_sim::{ActorPolicy, EgoPolicy, Instant, LocalPath, SimActor, SimOptions, Simulation, idm_step};
 use serde_json::Value;
@@ -167,10 +167,10 @@ fn the_order_of_tracks_counts_for_nothing() {
         boxes.sort_by_key(|b| b.track);
         Frame { boxes, ..frame.clone() }
     });
-    let flipped = Log { tracks, frames: frames.collect(), ..log.clone() };
+    let flipped = Recording { tracks, frames: frames.collect(), ..log.clone() };
     for actors in [ActorPolicy::Idm, ActorPolicy::Reactive] {
         let options = SimOptions { steps: 60, ego: EgoPolicy::LaneChange, actors, ..SimOptions::default() };
-        let by_name = |log: &Log, of: &dyn Fn(usize) -> usize| -> Vec<BTreeMap<usize, SimActor>> {
+        let by_name = |log: &Recording, of: &dyn Fn(usize) -> usize| -> Vec<BTreeMap<usize, SimActor>> {
             let named = |a: &SimActor| (of(a.track), SimActor { track: of(a.track), ..*a });
             all(&mut made::start(log, &options))
                 .iter()

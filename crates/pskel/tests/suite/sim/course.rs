@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Dataset, EgoTrack, Log, LogFormat, LogLocator};
+use point_skeleton::dataset::{Dataset, EgoTrack, LogFormat, LogLocator, Recording};
 use point_skeleton::geometry::{Polyline, wrap_angle};
 use pskel_sim::{
     EgoPolicy, EndReason, Instant, LocalPath, Rates, Scenario, SimOptions, Simulation, Tracking,
@@ -21,14 +21,14 @@ fn all(sim: &mut Simulation<'_>) -> Vec<Instant> {
 }
 
 /// Returns the ego's offset to the left of the log's path, meters, from straight segments between all poses.
-fn offset_m(log: &Log, instant: &Instant) -> f64 {
+fn offset_m(log: &Recording, instant: &Instant) -> f64 {
     let track = EgoTrack::new(log);
     let way = Polyline::new(track.poses().iter().map(|(_, p)| p.translation.truncate())).unwrap();
     way.foot(instant.ego.position_m(), 0.0..way.length_m()).offset_m
 }
 
 /// Checks the properties of a lane change in a rollout of 8.2 s after a warm-up of five plans.
-fn assert_changes_lane(log: &Log, rates: Rates, tracking: Tracking) {
+fn assert_changes_lane(log: &Recording, rates: Rates, tracking: Tracking) {
     let steps = ((4.0 / rates.plan_hz + 8.2) * rates.sim_hz) as usize;
     let options =
         SimOptions { steps, warmup_frames: 5, ego: EgoPolicy::LaneChange, tracking, ..SimOptions::default() };

@@ -6,7 +6,7 @@ use std::process::{Child, Command};
 use std::time::Instant;
 
 use glam::DVec2;
-use point_skeleton::dataset::Log;
+use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::{Polyline, Pose};
 use pskel_sim::{
     EgoPolicy, EndReason, PlannerAddress, PlannerError, PlannerSpec, SavedState, SimError, SimOptions,
@@ -45,7 +45,7 @@ fn answers(folder: &Path, answer: &str) -> PlannerAddress {
 }
 
 /// Returns the error of a rollout, and checks that the rollout keeps its earlier steps.
-fn fails(log: &Log, options: SimOptions) -> PlannerError {
+fn fails(log: &Recording, options: SimOptions) -> PlannerError {
     let mut sim = match Simulation::new(&made::scenario(log), options) {
         Err(SimError::Planner(error)) => return error,
         Err(error) => panic!("{error}"),
@@ -68,7 +68,7 @@ fn fails(log: &Log, options: SimOptions) -> PlannerError {
 }
 
 /// Drives with the example planner; returns a description of every step.
-fn assert_drives(log: &Log, options: SimOptions) -> Vec<String> {
+fn assert_drives(log: &Recording, options: SimOptions) -> Vec<String> {
     let mut sim = Simulation::new(&made::scenario(log), options).unwrap();
     let mut told = Vec::new();
     while let Some(outcome) = sim.step().unwrap() {

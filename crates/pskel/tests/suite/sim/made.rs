@@ -1,7 +1,7 @@
 //! A synthetic log: an ego on a winding road uphill, with other actors around it.
 
 use glam::{DQuat, DVec2, DVec3};
-use point_skeleton::dataset::{Class, Frame, Log, Track, TrackBox, TrafficLight};
+use point_skeleton::dataset::{Class, Frame, Recording, Track, TrackBox, TrafficLight};
 use point_skeleton::geometry::{Cuboid, Pose};
 use pskel_sim::{Rates, Scenario, SimOptions, Simulation};
 
@@ -40,7 +40,7 @@ pub(crate) fn road(station_m: f64, left_m: f64) -> Pose {
 }
 
 /// Returns a log with frames at times in microseconds since the start.
-pub(crate) fn log_at(times_us: &[i64]) -> Log {
+pub(crate) fn log_at(times_us: &[i64]) -> Recording {
     let size = DVec3::new(4.4, 1.8, 1.5);
     let turned = DQuat::from_rotation_z(std::f64::consts::PI);
     let boxes = |t: f64| {
@@ -81,24 +81,24 @@ pub(crate) fn log_at(times_us: &[i64]) -> Log {
         let color = if frame < 50 { "red" } else { "green" };
         TrafficLight { frame, lane_connector: "7".into(), color: color.into() }
     };
-    Log {
+    Recording {
         name: "made".into(),
         tracks: TRACKS.iter().map(track).collect(),
         frames: times_us.iter().map(frame).collect(),
         lights: (0..times_us.len()).map(light).collect(),
-        ..Log::default()
+        ..Recording::default()
     }
 }
 
 /// Returns a log of ten frames per second.
-pub(crate) fn log(seconds: i64) -> Log {
+pub(crate) fn log(seconds: i64) -> Recording {
     log_at(&(0..=seconds * 10).map(|i| i * 100_000).collect::<Vec<_>>())
 }
 
-pub(crate) fn scenario(log: &Log) -> Scenario<'_> {
+pub(crate) fn scenario(log: &Recording) -> Scenario<'_> {
     Scenario { log, map: None, rates: Rates::default() }
 }
 
-pub(crate) fn start<'a>(log: &'a Log, options: &SimOptions) -> Simulation<'a> {
+pub(crate) fn start<'a>(log: &'a Recording, options: &SimOptions) -> Simulation<'a> {
     Simulation::new(&scenario(log), options.clone()).unwrap()
 }

@@ -1,6 +1,6 @@
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Dataset, EgoTrack, Log, LogFormat, LogLocator};
+use point_skeleton::dataset::{Dataset, EgoTrack, LogFormat, LogLocator, Recording};
 use pskel_sim::{
     ActorPolicy, Committed, EgoPolicy, EndReason, Instant, Rates, Scenario, SimError, SimOptions, Simulation,
     scene_state,
@@ -18,7 +18,7 @@ fn all(sim: &mut Simulation<'_>) -> Vec<Instant> {
     instants
 }
 
-fn assert_is_the_log(log: &Log, instants: &[Instant]) {
+fn assert_is_the_log(log: &Recording, instants: &[Instant]) {
     let ego = EgoTrack::new(log);
     for (step, instant) in instants.iter().enumerate() {
         assert_eq!(instant.step, step);
@@ -122,7 +122,7 @@ fn options_that_do_not_fit_are_usage_errors() {
     let before = SimOptions { start_us: Some(made::FIRST_US - 1), ..SimOptions::default() };
     assert!(fails(before).contains("made"));
     assert!(fails(SimOptions { start_us: Some(i64::MAX), ..SimOptions::default() }).contains("made"));
-    let nothing = Log::default();
+    let nothing = Recording::default();
     let error = Simulation::new(&made::scenario(&nothing), SimOptions::default()).err().unwrap();
     assert!(matches!(error, SimError::NoFrames { .. }));
 }

@@ -7,9 +7,9 @@ use crate::files::FileName;
 use crate::files::text::printable;
 use crate::geometry::{Camera, Cuboid, Pose};
 
-/// One log: frames with poses, sensor files and boxes, and the calibration.
+/// Content of one log: frames with poses, sensor files and boxes, and the calibration.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Log {
+pub struct Recording {
     /// Scene or log name.
     pub name: String,
     /// Map location, for instance `singapore-onenorth`.
@@ -35,7 +35,7 @@ pub struct Log {
 /// State of the traffic light of a lane connector at a frame.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TrafficLight {
-    /// Index in [`Log::frames`].
+    /// Index in [`Recording::frames`].
     pub frame: usize,
     /// Id of the connector, as in [`VectorMap::lane_connectors`](super::VectorMap::lane_connectors).
     pub lane_connector: String,
@@ -89,7 +89,7 @@ pub struct SweepRecord {
 /// File, time and camera of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageRecord {
-    /// Index in [`Log::cameras`].
+    /// Index in [`Recording::cameras`].
     pub channel: usize,
     /// File.
     pub path: PathBuf,
@@ -106,7 +106,7 @@ pub struct ImageRecord {
 /// Camera mounted on the ego, independent of its images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RigCamera {
-    /// Index in [`Log::cameras`].
+    /// Index in [`Recording::cameras`].
     pub channel: usize,
     /// Extrinsics.
     pub ego_from_camera: Pose,
@@ -117,13 +117,13 @@ pub struct RigCamera {
 /// Box of a track in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackBox {
-    /// Index in [`Log::tracks`].
+    /// Index in [`Recording::tracks`].
     pub track: usize,
     /// Box in the global frame.
     pub cuboid: Cuboid,
 }
 
-impl Log {
+impl Recording {
     /// Returns the name for messages: one line of bounded length.
     pub fn shown_name(&self) -> Cow<'_, str> {
         printable(&self.name)
@@ -211,7 +211,10 @@ mod tests {
 
     #[test]
     fn boxes_between_frames() {
-        let log = Log { frames: vec![frame(0, 0.0, &[0, 1]), frame(100, 10.0, &[1])], ..Log::default() };
+        let log = Recording {
+            frames: vec![frame(0, 0.0, &[0, 1]), frame(100, 10.0, &[1])],
+            ..Recording::default()
+        };
         let boxes = log.boxes_at(50);
         assert_eq!((boxes.len(), boxes[0].track, boxes[0].cuboid.pose.translation.x), (1, 1, 5.0));
         assert_eq!(log.boxes_at(0).len(), 2);
