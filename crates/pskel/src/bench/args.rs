@@ -1,14 +1,16 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use point_skeleton::cloud;
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::raster::{FRAMES_IN_FLIGHT, SplatSchedule};
+use pskel_eval::bench::{BenchOptions, Workload};
 
-use crate::WrongUsage;
-use crate::log_args;
 use crate::numbers::{self, FrameRange};
 use crate::rasterizer::RasterizerArgs;
+use crate::render::open_skeleton;
+use crate::{WrongUsage, log_args, logs, tell, warn};
 
 /// Measure rendering speed: time per frame and per stage, points per second, peak memory
 ///
@@ -19,22 +21,22 @@ pub(crate) struct BenchArgs {
     /// Recording whose frames are rendered in turn: FORMAT:PATH[@VERSION][#SCENE], like
     /// nuscenes:/data/nuscenes#scene-0061
     #[arg(value_parser = log_args::log, requires = "skeleton", conflicts_with_all = ["synthetic", "seed", "points", "cameras"])]
-    pub(super) log: Option<LogLocator>,
+    log: Option<LogLocator>,
     /// Skeleton that was built from the recording
     #[arg(long, value_name = "SKEL", requires = "log")]
-    pub(super) skeleton: Option<PathBuf>,
+    skeleton: Option<PathBuf>,
     /// Range of frames of the recording, numbered from 0 in log order, B excluded [default: all]
     #[arg(long, value_name = "A..B", requires = "log")]
-    pub(super) frames: Option<FrameRange>,
+    frames: Option<FrameRange>,
     /// Number of points of a synthetic street with six cameras of 900x1600, like 4000000 or 4e6; the default workload
     /// [default: 4e6]
     #[arg(long, value_name = "N", value_parser = numbers::points, conflicts_with_all = ["points", "cameras"])]
     #[arg(allow_negative_numbers = true)]
-    pub(super) synthetic: Option<usize>,
+    synthetic: Option<usize>,
     /// Seed of the synthetic street
     #[arg(long, value_name = "S", default_value = "1", conflicts_with_all = ["points", "cameras"])]
     #[arg(allow_negative_numbers = true)]
-    pub(super) seed: u64,
+    seed: u64,
     /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY
     #[arg(long, value_name = "P.npy|P.ply", requires = "cameras")]
     pub(super) points: Option<PathBuf>,
@@ -43,22 +45,22 @@ pub(crate) struct BenchArgs {
     pub(super) cameras: Option<PathBuf>,
     /// Render at this size; scales the intrinsics [default: the size of the cameras]
     #[arg(long, value_name = "HxW")]
-    pub(super) size: Option<ImageSize>,
+    size: Option<ImageSize>,
     /// Reduce the maps to this size after rendering [default: no reduction]
     #[arg(long, value_name = "HxW")]
-    pub(super) out_size: Option<ImageSize>,
+    out_size: Option<ImageSize>,
     /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z are
     /// culled
     #[arg(long, value_name = "Z:R,..", default_value_t)]
-    pub(super) splat: SplatSchedule,
+    splat: SplatSchedule,
     /// Maps to render: color, depth, class, instance, and point (point numbers); with boxes, map (the recording's HD
     /// map) or tensor a frame is a whole step: instance selection, rendering, layouts, and network inputs
     #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance")]
-    pub(super) maps: MapSet,
+    maps: MapSet,
     /// Number of timed frames [default: 20]; with a recording, passes over all its frames [default: 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     #[arg(allow_negative_numbers = true)]
-    pub(super) repeat: Option<u32>,
+    repeat: Option<u32>,
     /// Number of frames rendered before the timed ones
     #[arg(long, value_name = "N", default_value = "3", allow_negative_numbers = true)]
     pub(super) warm_up: u32,
@@ -68,7 +70,7 @@ pub(crate) struct BenchArgs {
     #[arg(value_parser = clap::value_parser!(u32).range(1..=FRAMES_IN_FLIGHT as i64))]
     pub(super) in_flight: u32,
     #[command(flatten)]
-    pub(super) rasterizer: RasterizerArgs,
+    rasterizer: RasterizerArgs,
     /// Print one JSON object instead of the table
     #[arg(long)]
     pub(super) json: bool,
@@ -77,15 +79,15 @@ pub(crate) struct BenchArgs {
     pub(super) trace: Option<PathBuf>,
 }
 
-impl BenchArgs {
-    /// Returns whether a frame is a whole step of a recording.
-    pub(super) fn whole_steps(&self) -> bool {
-        [MapKind::Boxes, MapKind::Map, MapKind::Tensor].into_iter().any(|kind| self.maps.contains(kind))
-    }
+/// Default number of points of the synthetic street.
+const DEFAULT_POINTS: usize = 4_000_000;
+/// Default number of timed frames for workloads other than recordings.
+const DEFAULT_FRAMES: u32 = 20;
 
+impl BenchArgs {
     /// Rejects maps that are only available in whole steps if there is no recording.
     pub(super) fn check(&self) -> Result<(), WrongUsage> {
-        if self.whole_steps() && self.log.is_none() {
+        if BenchOptions::has_whole_steps(self.maps) && self.log.is_none() {
             let maps: Vec<&str> = self.maps.iter().map(MapKind::name).collect();
             let expected = "expected a drive, or --maps out of color,depth,class,instance,point";
             return Err(WrongUsage(format!("{expected}, found {}", maps.join(","))));
@@ -93,15 +95,47 @@ impl BenchArgs {
         Ok(())
     }
 
-    /// Returns the options of whole steps.
-    pub(super) fn conditions(&self) -> ConditionOptions {
-        ConditionOptions {
-            maps: self.maps,
-            splat: self.splat.clone(),
-            size: self.size,
-            out_size: self.out_size,
-            ..ConditionOptions::default()
+    /// Generates or loads the workload that the options select.
+    pub(super) fn workload(&self) -> anyhow::Result<Workload> {
+        match (&self.log, &self.skeleton, &self.points, &self.cameras) {
+            (Some(log), Some(skeleton), ..) => {
+                let dataset = logs::open(log)?;
+                let skeleton = open_skeleton(skeleton, dataset.as_ref())?;
+                let range = FrameRange::of(self.frames, dataset.log().frames.len())?;
+                let workload = Workload::log(dataset.as_ref(), skeleton, range, self.maps)?;
+                if workload.skipped() > 0 {
+                    warn(&format!("{} frames have no cameras and are left out", workload.skipped()));
+                }
+                Ok(workload)
+            }
+            (.., Some(points), Some(cameras)) => {
+                let views = cloud::cameras::read(cameras)?;
+                Ok(Workload::cloud(cloud::read(points)?, views))
+            }
+            _ => {
+                let count = self.synthetic.unwrap_or(DEFAULT_POINTS);
+                tell(&format!("making a street of {count} points"));
+                Ok(Workload::street(count, self.seed))
+            }
         }
+    }
+
+    /// Returns the options of the measurement.
+    pub(super) fn options(&self) -> Result<BenchOptions, WrongUsage> {
+        let repeat = self.repeat.unwrap_or(if self.log.is_some() { 1 } else { DEFAULT_FRAMES });
+        Ok(BenchOptions {
+            rasterizer: self.rasterizer.desc()?,
+            conditions: ConditionOptions {
+                maps: self.maps,
+                splat: self.splat.clone(),
+                size: self.size,
+                out_size: self.out_size,
+                ..ConditionOptions::default()
+            },
+            warm_up: self.warm_up as usize,
+            repeat: repeat as usize,
+            in_flight: self.in_flight as usize,
+        })
     }
 }
 
@@ -121,11 +155,11 @@ mod tests {
     }
 
     #[test]
-    fn layouts_make_whole_steps_of_a_drive() {
+    fn layouts_need_a_recording() {
         for (maps, whole) in [("color,point", false), ("map", true), ("depth,boxes", true), ("tensor", true)]
         {
             let drive = args(&format!("nuscenes:log --skeleton sk --maps {maps}"));
-            assert_eq!((drive.whole_steps(), drive.check().is_ok()), (whole, true), "{maps}");
+            assert!(drive.check().is_ok(), "{maps}");
             assert_eq!(args(&format!("--maps {maps}")).check().is_err(), whole, "{maps}");
         }
     }

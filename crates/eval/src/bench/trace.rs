@@ -1,6 +1,6 @@
 //! Traces in the Chrome trace event format: complete events (`ph: "X"`, times in microseconds), and names of tracks.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use point_skeleton::error::FileError;
@@ -22,19 +22,25 @@ struct Trace {
 }
 
 /// Writes frames, from begin to end, and their stages, placed one after the other from the frame's begin. Frames in
-/// flight together get separate tracks. `name_of` returns the name of a frame's content.
+/// flight together get separate tracks. `names` are those of the workload's frames.
 pub(super) fn write(
     path: &Path,
     frames: &[TimedFrame],
     in_flight: usize,
-    name_of: &dyn Fn(usize) -> String,
+    names: &[String],
 ) -> Result<(), FileError> {
-    write_json(path, &Trace { events: events(frames, in_flight, name_of), unit: "ms" })
+    write_json(path, &Trace { events: events(frames, in_flight, names), unit: "ms" })
 }
 
-/// Checks that the file can be written, before any work is done.
-pub(super) fn check<'a>(path: &Path, inputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), FileError> {
-    check_output_file(path, inputs.into_iter().map(PathBuf::as_path))?;
+/// Checks that the file of a trace can be written, before any work is done.
+///
+/// # Errors
+/// Fails if the path is one of the inputs or a folder, or if its folder does not exist.
+pub fn check_trace_file<'a>(
+    path: &Path,
+    inputs: impl IntoIterator<Item = &'a Path>,
+) -> Result<(), FileError> {
+    check_output_file(path, inputs)?;
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     match std::fs::metadata(folder) {
         Ok(found) if !found.is_dir() => Err(FileError::content("a folder to write to", "a file", folder)),
@@ -44,7 +50,7 @@ pub(super) fn check<'a>(path: &Path, inputs: impl IntoIterator<Item = &'a PathBu
     }
 }
 
-fn events(frames: &[TimedFrame], in_flight: usize, name_of: &dyn Fn(usize) -> String) -> Vec<Value> {
+fn events(frames: &[TimedFrame], in_flight: usize, names: &[String]) -> Vec<Value> {
     let mut events = vec![label("process_name", 0, "pskel bench")];
     for slot in 0..in_flight {
         events.push(label("thread_name", 1 + slot, &format!("frames {slot}")));
@@ -52,7 +58,7 @@ fn events(frames: &[TimedFrame], in_flight: usize, name_of: &dyn Fn(usize) -> St
     }
     for (number, frame) in frames.iter().enumerate() {
         let slot = number % in_flight;
-        let args = json!({"frame": number, "shows": name_of(number)});
+        let args = json!({"frame": number, "shows": names[frame.index]});
         let whole = (frame.begun, frame.finished.saturating_sub(frame.begun));
         events.push(complete(("frame", &format!("frame {number}")), 1 + slot, whole, &args));
         let mut start = frame.begun;
@@ -92,14 +98,14 @@ mod tests {
         let mut stages = StageTimes::default();
         stages.add("a", Duration::from_micros(10));
         stages.add("b", Duration::from_nanos(20_500));
-        TimedFrame { begun, finished, took: finished - begun, stages }
+        TimedFrame { index: 1, begun, finished, took: finished - begun, stages }
     }
 
     /// Returns name, track, start and duration of the complete events.
     fn bars(frames: &[TimedFrame], in_flight: usize) -> Vec<(String, u64, f64, f64)> {
-        let events = events(frames, in_flight, &|number| format!("{number:06}"));
+        let events = events(frames, in_flight, &["a", "b"].map(String::from));
         let bars = events.iter().filter(|e| e["ph"] == "X").map(|e| {
-            assert_eq!(e["args"]["shows"], format!("{:06}", e["args"]["frame"].as_u64().unwrap()));
+            assert_eq!(e["args"]["shows"], "b");
             let number = |key: &str| e[key].as_f64().unwrap();
             (e["name"].as_str().unwrap().to_owned(), e["tid"].as_u64().unwrap(), number("ts"), number("dur"))
         });
@@ -131,11 +137,13 @@ mod tests {
     #[test]
     fn bad_places_are_known_before_the_work() {
         let folder = tempfile::tempdir().unwrap();
-        let place = |name: &str| check(&folder.path().join(name), []);
+        let place = |name: &str| check_trace_file(&folder.path().join(name), []);
         std::fs::write(folder.path().join("file"), "").unwrap();
         assert!(place("t.json").is_ok() && place("file").is_ok());
         assert!(place("none/t.json").unwrap_err().to_string().ends_with("none/t.json"));
         assert!(place("file/t.json").is_err());
-        assert!(check(folder.path(), []).unwrap_err().to_string().contains("expected a file to write"));
+        assert!(
+            check_trace_file(folder.path(), []).unwrap_err().to_string().contains("expected a file to write")
+        );
     }
 }

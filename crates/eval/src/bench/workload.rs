@@ -1,10 +1,10 @@
-use std::path::Path;
+use std::ops::Range;
 use std::sync::Arc;
 
 use point_skeleton::cloud::street;
-use point_skeleton::cloud::{self, Point, PointFile};
-use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind};
-use point_skeleton::dataset::{LogLocator, Recording};
+use point_skeleton::cloud::{Point, PointFile};
+use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
+use point_skeleton::dataset::{Dataset, Recording};
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::{CloudSet, Crop, FrameJob, Instance, Occlusion};
@@ -13,25 +13,17 @@ use point_skeleton::scene::{
 };
 use point_skeleton::skeleton::Skeleton;
 
-use super::BenchArgs;
 use super::frames::Steps;
-use crate::logs;
-use crate::numbers::FrameRange;
-use crate::render::open_skeleton;
-use crate::{tell, warn};
-
-/// Default number of points of the synthetic street.
-const DEFAULT_POINTS: usize = 4_000_000;
+use super::options::{BenchError, BenchOptions};
 
 /// Clouds and frames to render.
-pub(super) struct Workload {
+pub struct Workload {
     clouds: Clouds,
     /// At least one.
     pub(super) frames: Vec<WorkFrame>,
-    /// `true` if the frames come from a recording.
-    pub(super) is_drive: bool,
     /// Number of points that are never rendered because they are not finite.
     pub(super) non_finite: usize,
+    skipped: usize,
 }
 
 enum Clouds {
@@ -46,66 +38,69 @@ pub(super) struct WorkFrame {
     pub(super) views: Vec<View>,
     clouds: SceneInstances,
     crop: Option<Crop>,
-    /// State of a recording's frame.
+    /// State of a log's frame.
     state: Option<SceneState>,
 }
 
 impl Workload {
-    /// Generates or loads the workload that the options select.
-    pub(super) fn new(args: &BenchArgs) -> anyhow::Result<Self> {
-        let mut work = match (&args.log, &args.skeleton, &args.points, &args.cameras) {
-            (Some(log), Some(skeleton), ..) => Self::of_drive(args, log, skeleton)?,
-            (.., Some(points), Some(cameras)) => {
-                let views = cloud::cameras::read(cameras)?;
-                Self::of_cloud(cloud::read(points)?, views)
-            }
-            _ => {
-                let count = args.synthetic.unwrap_or(DEFAULT_POINTS);
-                tell(&format!("making a street of {count} points"));
-                let points = street::street_cloud(count, args.seed);
-                Self::of_cloud(PointFile { points, ..PointFile::default() }, street::street_views())
-            }
-        };
-        if let Some(size) = args.size {
-            for view in work.frames.iter_mut().flat_map(|frame| &mut frame.views) {
-                view.camera = view.camera.resized(size.height, size.width);
-            }
-        }
-        Ok(work)
+    /// Generates a synthetic street with six cameras of 900x1600.
+    pub fn street(points: usize, seed: u64) -> Self {
+        let points = street::street_cloud(points, seed);
+        Self::cloud(PointFile { points, ..PointFile::default() }, street::street_views())
     }
 
-    fn of_cloud(cloud: PointFile, views: Vec<View>) -> Self {
+    /// Creates a workload of one frame: a cloud and cameras.
+    pub fn cloud(cloud: PointFile, views: Vec<View>) -> Self {
         let instance = Instance { cloud: 0, world_from_local: cloud.world_from_local(), number: 0 };
         let clouds = SceneInstances { color: vec![instance], geometry: vec![instance] };
         let frame = WorkFrame { name: "frame".into(), views, clouds, crop: None, state: None };
-        Self {
-            clouds: Clouds::One(cloud.points),
-            frames: vec![frame],
-            is_drive: false,
-            non_finite: cloud.non_finite,
-        }
+        let non_finite = cloud.non_finite;
+        Self { clouds: Clouds::One(cloud.points), frames: vec![frame], non_finite, skipped: 0 }
     }
 
-    fn of_drive(args: &BenchArgs, log: &LogLocator, skeleton: &Path) -> anyhow::Result<Self> {
-        let dataset = logs::open(log)?;
-        let skeleton = open_skeleton(skeleton, dataset.as_ref())?;
-        let log = dataset.log();
-        let range = FrameRange::of(args.frames, log.frames.len())?;
-        let asked = range.len();
-        let with_map = args.maps.contains(MapKind::Map) || args.maps.contains(MapKind::Tensor);
+    /// Creates a workload of the frames of a log that have cameras. `skeleton` was built from the log. The HD map is
+    /// read if the maps need it.
+    ///
+    /// # Errors
+    /// Fails if no frame has cameras, if the HD map is damaged, or if points of the skeleton do not match their
+    /// checksum.
+    pub fn log(
+        dataset: &dyn Dataset,
+        skeleton: Skeleton,
+        range: Range<usize>,
+        maps: MapSet,
+    ) -> Result<Self, BenchError> {
+        let (log, count) = (dataset.log(), range.len());
+        let with_map = maps.contains(MapKind::Map) || maps.contains(MapKind::Tensor);
         let map = with_map.then(|| dataset.read_map()).transpose()?.flatten();
         let map = map.map(|map| Arc::new(SceneMap::new(map, log)));
-        let frames = frames_of_drive(log, &skeleton, range, map.as_ref())?;
-        anyhow::ensure!(
-            !frames.is_empty(),
-            "expected frames with cameras in log {}, found none among {asked} frames",
-            log.shown_name()
-        );
-        if frames.len() < asked {
-            warn(&format!("{} frames have no cameras and are left out", asked - frames.len()));
+        let frames = frames_of_log(log, &skeleton, range, map.as_ref())?;
+        if frames.is_empty() {
+            return Err(BenchError::NoCameras { log: log.shown_name().into_owned(), frames: count });
         }
+        let skipped = count - frames.len();
         let clouds = Clouds::Skeleton(Box::new(skeleton), log.name.clone());
-        Ok(Self { clouds, frames, is_drive: true, non_finite: 0 })
+        Ok(Self { clouds, frames, non_finite: 0, skipped })
+    }
+
+    /// Returns the number of frames; at least one.
+    pub fn frame_count(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// Returns the number of frames of the log that are omitted because they have no cameras.
+    pub fn skipped(&self) -> usize {
+        self.skipped
+    }
+
+    /// Returns the workload with cameras of another size; `None` keeps their size.
+    pub(super) fn resized(mut self, size: Option<ImageSize>) -> Self {
+        if let Some(size) = size {
+            for view in self.frames.iter_mut().flat_map(|frame| &mut frame.views) {
+                view.camera = view.camera.resized(size.height, size.width);
+            }
+        }
+        self
     }
 
     /// Returns all clouds for a rasterizer.
@@ -128,16 +123,16 @@ impl Workload {
     }
 
     /// Returns the frames as rasterizer jobs.
-    pub(super) fn jobs<'a>(&'a self, args: &'a BenchArgs) -> Vec<FrameJob<'a>> {
+    pub(super) fn jobs<'a>(&'a self, options: &'a ConditionOptions) -> Vec<FrameJob<'a>> {
         let job = |frame: &'a WorkFrame| FrameJob {
             views: &frame.views,
-            schedule: &args.splat,
+            schedule: &options.splat,
             color: &frame.clouds.color,
             geometry: &frame.clouds.geometry,
             occlusion: Occlusion::default(),
             crop: frame.crop,
-            maps: args.maps,
-            out_size: args.out_size,
+            maps: options.maps,
+            out_size: options.out_size,
         };
         self.frames.iter().map(job).collect()
     }
@@ -146,11 +141,11 @@ impl Workload {
     ///
     /// # Errors
     /// Fails if points of the skeleton do not match their checksum.
-    pub(super) fn steps<'a>(&'a self, args: &BenchArgs) -> Result<Option<Steps<'a>>, FileError> {
+    pub(super) fn steps<'a>(&'a self, options: &ConditionOptions) -> Result<Option<Steps<'a>>, FileError> {
         let Clouds::Skeleton(skeleton, log) = &self.clouds else { return Ok(None) };
         let states = self.frames.iter().filter_map(|frame| frame.state.as_ref()).collect();
-        let steps = || Ok(Steps::new(SceneClouds::new(skeleton, log)?, states, args.conditions()));
-        args.whole_steps().then(steps).transpose()
+        let steps = || Ok(Steps::new(SceneClouds::new(skeleton, log)?, states, options.clone()));
+        BenchOptions::has_whole_steps(options.maps).then(steps).transpose()
     }
 
     /// Returns the maximum number of cameras in a frame.
@@ -171,11 +166,11 @@ impl Workload {
     }
 }
 
-/// Returns the frames of a recording; frames without cameras are skipped.
-fn frames_of_drive(
+/// Returns the frames of a log; frames without cameras are skipped.
+fn frames_of_log(
     log: &Recording,
     skeleton: &Skeleton,
-    range: std::ops::Range<usize>,
+    range: Range<usize>,
     map: Option<&Arc<SceneMap>>,
 ) -> Result<Vec<WorkFrame>, FileError> {
     let (stage, selection) = (SceneClouds::new(skeleton, &log.name)?, SelectionOptions::default());

@@ -1,6 +1,7 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
+use point_skeleton::conditions::ConditionError;
 use point_skeleton::raster::{Rasterizer, StageTimes};
 
 use super::frames::Frames;
@@ -30,12 +31,17 @@ impl Plan {
 
 /// Timed frame. Times are relative to the begin of the first timed frame.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct TimedFrame {
-    pub(super) begun: Duration,
-    pub(super) finished: Duration,
+pub struct TimedFrame {
+    /// Index of the frame in the workload.
+    pub index: usize,
+    /// Time of its begin.
+    pub begun: Duration,
+    /// Time of its end.
+    pub finished: Duration,
     /// From begin to end; with several frames in flight, from the end of the previous frame to its own end.
-    pub(super) took: Duration,
-    pub(super) stages: StageTimes,
+    pub took: Duration,
+    /// Time of each stage.
+    pub stages: StageTimes,
 }
 
 /// Result of a measurement.
@@ -56,7 +62,7 @@ struct Pipe<'a> {
 }
 
 impl Pipe<'_> {
-    fn begin(&mut self, rasterizer: &mut dyn Rasterizer) -> anyhow::Result<()> {
+    fn begin(&mut self, rasterizer: &mut dyn Rasterizer) -> Result<(), ConditionError> {
         let frame = self.plan.job_of(self.next, self.frames.count());
         self.begun.push_back(self.clock.elapsed());
         self.next += 1;
@@ -72,7 +78,7 @@ pub(super) fn measure(
     frames: &mut dyn Frames,
     plan: &Plan,
     on_frame: &mut dyn FnMut(usize),
-) -> anyhow::Result<Measured> {
+) -> Result<Measured, ConditionError> {
     let mut pipe = Pipe { frames, plan, clock: Instant::now(), next: 0, begun: VecDeque::new() };
     let mut measured = Measured::default();
     rasterizer.take_stages(); // set-up and upload are not part of a frame
@@ -92,7 +98,8 @@ pub(super) fn measure(
         let stages = rasterizer.take_stages();
         let begun = pipe.begun.pop_front().unwrap_or(from);
         if frame >= plan.warm_up {
-            measured.frames.push(TimedFrame { begun, finished: ended, took: ended - from, stages });
+            let index = plan.job_of(frame, pipe.frames.count());
+            measured.frames.push(TimedFrame { index, begun, finished: ended, took: ended - from, stages });
         }
         on_frame(frame);
     }

@@ -1,7 +1,7 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use point_skeleton::conditions::{ConditionOptions, ConditionSet, MapKind, StepInFlight};
+use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, MapKind, StepInFlight};
 use point_skeleton::raster::{FrameJob, FrameMaps, RasterError, Rasterizer};
 use point_skeleton::scene::{SceneClouds, SceneState, SelectionOptions};
 
@@ -14,10 +14,10 @@ pub(super) trait Frames {
     fn have_depth(&self) -> bool;
 
     /// Begins a frame.
-    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> anyhow::Result<()>;
+    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> Result<(), ConditionError>;
 
     /// Finishes the oldest begun frame.
-    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> anyhow::Result<Drawn<'r>>;
+    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> Result<Drawn<'r>, ConditionError>;
 }
 
 /// Output of a finished frame.
@@ -53,11 +53,11 @@ impl Frames for Jobs<'_> {
         self.0.iter().all(|job| job.maps.contains(MapKind::Depth))
     }
 
-    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> anyhow::Result<()> {
+    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> Result<(), ConditionError> {
         Ok(rasterizer.begin(&self.0[frame])?)
     }
 
-    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> anyhow::Result<Drawn<'r>> {
+    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> Result<Drawn<'r>, ConditionError> {
         Ok(Drawn::Maps(rasterizer.finish()?))
     }
 }
@@ -89,7 +89,7 @@ impl Frames for Steps<'_> {
         self.options.maps.contains(MapKind::Depth)
     }
 
-    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> anyhow::Result<()> {
+    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> Result<(), ConditionError> {
         let (state, start) = (self.states[frame], Instant::now());
         let clouds = self.stage.instances(state, &SelectionOptions::default());
         rasterizer.stages().add("instances", start.elapsed());
@@ -97,7 +97,7 @@ impl Frames for Steps<'_> {
         Ok(())
     }
 
-    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> anyhow::Result<Drawn<'r>> {
+    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> Result<Drawn<'r>, ConditionError> {
         let begun = self.begun.pop_front().ok_or(RasterError::NoFrame)?;
         Ok(Drawn::Step(begun.finish(rasterizer)?))
     }
