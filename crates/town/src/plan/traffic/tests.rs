@@ -343,6 +343,25 @@ fn the_same_seed_has_the_same_traffic_and_others_have_other() {
     assert!(short.actors.iter().all(|a| a.motion.poses.len() == 1));
 }
 
+/// Hash of all lines and poses of a town, in millimeters: the last bits of sines differ between machines.
+fn hash_of(case: &Case) -> u64 {
+    let lanes = case.network.lanes.iter().map(|lane| &lane.centerline);
+    let outlines = case.network.junctions.iter().map(|junction| &junction.outline);
+    let points = lanes.chain(outlines).flatten().map(|p| p.extend(0.0));
+    let motions = std::iter::once(&case.traffic.ego).chain(case.traffic.actors.iter().map(|a| &a.motion));
+    let poses = motions.flat_map(|motion| &motion.poses);
+    let poses = poses.flat_map(|pose| [pose.translation, pose.rotation * DVec3::X]);
+    let numbers = points.chain(poses).flat_map(|v| v.to_array()).map(|m| (m * 1e3).round() as i64);
+    point_skeleton::hash::hash(case.seed, &numbers.collect::<Vec<i64>>())
+}
+
+/// Recorded once: a change of structure must not change them.
+#[test]
+fn towns_have_their_recorded_hashes() {
+    let found = [0, 1, 2].map(|seed| hash_of(&cases()[seed]));
+    assert_eq!(found, [0xdc1c_0f11_2baa_6ac1, 0x12cb_9ccb_7c1e_ff6f, 0xfdc0_fff9_893c_2d7c], "{found:#x?}");
+}
+
 #[test]
 fn long_drives_turn_off() {
     let mut turned = 0;
