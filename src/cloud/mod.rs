@@ -6,6 +6,7 @@
 //! become `f32`, and counts rows that cannot be rendered. [`cameras`] reads the views for rendering a bare cloud.
 
 pub mod cameras;
+mod format;
 mod morton;
 pub mod npy;
 pub mod ply;
@@ -13,6 +14,7 @@ mod point;
 mod rows;
 pub mod street;
 
+pub use format::PointFormat;
 pub(crate) use morton::morton_order;
 pub use point::{Bounds, Point};
 pub use rows::PointFile;

@@ -30,6 +30,7 @@ mod render;
 pub mod safetensors;
 mod set;
 pub mod sheet;
+pub mod template_preview;
 pub mod tensor;
 #[cfg(test)]
 mod test_set;

@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 
+use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 use super::{BuildOptions, Checksum};
@@ -31,11 +32,38 @@ pub struct Manifest {
 impl Manifest {
     /// Returns the number of points in all clouds.
     pub fn points(&self) -> usize {
-        let background = self.background.iter().map(|c| c.points);
-        background
-            .chain(self.actors.iter().map(|a| a.points))
-            .chain(self.templates.iter().map(|t| t.points))
-            .sum()
+        let templates: usize = self.templates.iter().map(|t| t.points).sum();
+        self.background_points() + self.actor_points() + templates
+    }
+
+    /// Returns the number of points of the background.
+    pub fn background_points(&self) -> usize {
+        self.background.iter().map(|c| c.points).sum()
+    }
+
+    /// Returns the number of points of all assets.
+    pub fn actor_points(&self) -> usize {
+        self.actors.iter().map(|a| a.points).sum()
+    }
+
+    /// Returns minimum and maximum of the background, global meters; `None` without points.
+    pub fn background_bounds(&self) -> Option<[DVec3; 2]> {
+        let global = |origin: [f64; 3], local: [f32; 3]| DVec3::from(origin) + Vec3::from(local).as_dvec3();
+        let all =
+            self.background.iter().map(|c| [c.bounds.min, c.bounds.max].map(|local| global(c.origin, local)));
+        all.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+    }
+
+    /// Counts assets and their points by category.
+    pub fn categories(&self) -> BTreeMap<&str, CategoryCounts> {
+        let mut categories: BTreeMap<&str, CategoryCounts> = BTreeMap::new();
+        for asset in &self.actors {
+            let counts = categories.entry(&asset.category).or_default();
+            counts.actors += 1;
+            counts.points += asset.points;
+            counts.sweeps += asset.sweeps;
+        }
+        categories
     }
 
     /// Format identifier in the manifest.
@@ -48,6 +76,17 @@ impl Manifest {
     pub fn times_us(&self, log: &str) -> Option<[i64; 2]> {
         self.sources.iter().find(|source| source.log == log).map(|source| source.t_us)
     }
+}
+
+/// Counts of the assets of a category.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct CategoryCounts {
+    /// Number of assets.
+    pub actors: usize,
+    /// Number of their points.
+    pub points: usize,
+    /// Number of sweeps that contributed points, summed over the assets.
+    pub sweeps: usize,
 }
 
 /// Returns a manifest without clouds.
@@ -157,4 +196,16 @@ pub struct BuildReport {
     pub images: usize,
     /// Items skipped by the log's reader: kinds with counts.
     pub notes: BTreeMap<String, usize>,
+}
+
+impl BuildReport {
+    /// Returns the numbers of dropped points, by reason.
+    pub fn dropped(&self) -> [(&'static str, usize); 4] {
+        [
+            ("ego", self.dropped_ego),
+            ("ghost", self.dropped_ghost),
+            ("not finite", self.dropped_not_finite),
+            ("uncolored", self.dropped_uncolored),
+        ]
+    }
 }

@@ -9,6 +9,7 @@
 mod augment;
 mod checksum;
 mod colorize;
+mod export;
 mod ingest;
 mod manifest;
 mod occlusion;
@@ -24,14 +25,14 @@ pub use checksum::Checksum;
 pub use colorize::Projector;
 pub(crate) use colorize::{Candidate, ColorView};
 pub use ingest::{BuildError, BuildInput, BuildRun, Progress, build, open_or_build, unfinished_frames};
-pub use manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
+pub use manifest::{Asset, BuildReport, CategoryCounts, Chunk, Manifest, Source, Template};
 pub(crate) use occlusion::{OcclusionGrid, OcclusionMap};
 pub use options::{BuildOptions, Coloring};
 pub use split::{Part, SplitOptions, Splitter};
 pub use store::{GenerateTemplates, Skeleton, SkeletonWriter};
 pub use templates::{
     ClusterReport, Instances, LibraryManifest, LogSource, TemplateCloud, TemplateKind, TemplateLibrary,
-    TemplateOptions, TemplateReport, TemplateSummary, default_templates, poisson_thin,
+    TemplateOptions, TemplateReport, TemplateSummary, default_templates, poisson_thin, read_template,
 };
 pub use trajectory::Trajectories;
 

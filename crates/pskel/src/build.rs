@@ -1,17 +1,15 @@
 use std::cell::RefCell;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Instant;
 
 use clap::Args;
-use glam::Vec3;
-use point_skeleton::cloud::{self, Bounds, Point};
+use point_skeleton::cloud::Point;
 use point_skeleton::dataset::{Dataset, LogLocator};
-use point_skeleton::error::FileError;
 use point_skeleton::files::text::printable;
 use point_skeleton::skeleton::{
-    self, Asset, BuildInput, BuildOptions, BuildRun, Checksum, Coloring, Manifest, SkeletonWriter, Template,
-    TemplateCloud, TemplateKind, TemplateLibrary,
+    self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, SkeletonWriter, TemplateCloud,
+    TemplateKind, TemplateLibrary,
 };
 
 use super::log_args::{self, LogRoots};
@@ -156,7 +154,7 @@ impl BuildArgs {
     }
 }
 
-fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<(Template, Vec<Point>)>> {
+fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<TemplateCloud>> {
     for (i, file) in files.iter().enumerate() {
         if files[..i].iter().any(|other| other.kind == file.kind) {
             return Err(
@@ -164,7 +162,7 @@ fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<(Template, Vec<P
             );
         }
     }
-    files.iter().map(|file| Ok(read_template(file.kind, &file.path)?)).collect()
+    files.iter().map(|file| Ok(skeleton::read_template(file.kind, &file.path)?)).collect()
 }
 
 /// Returns the first template of each kind, sorted by kind.
@@ -174,28 +172,9 @@ fn first_of_each_kind(mut templates: Vec<TemplateCloud>) -> Vec<TemplateCloud> {
     templates
 }
 
-/// Reads a template and centers its bounds on the origin, like those of a box.
-fn read_template(kind: TemplateKind, path: &Path) -> Result<(Template, Vec<Point>), FileError> {
-    let read = cloud::read(path)?.points;
-    let no_points = || FileError::content("points with finite coordinates", "none", path);
-    let bounds = Bounds::of(&read).ok_or_else(no_points)?;
-    let centre = (Vec3::from(bounds.min) + Vec3::from(bounds.max)) / 2.0;
-    let class = kind.class();
-    let centred = |p: &Point| {
-        let position = Vec3::from(p.position) - centre;
-        position.is_finite().then(|| Point::new(position.to_array(), p.rgb(), class as u8))
-    };
-    let points: Vec<Point> = read.iter().filter_map(centred).collect();
-    let bounds = Bounds::of(&points).ok_or_else(no_points)?;
-    let size = (Vec3::from(bounds.max) - Vec3::from(bounds.min)).as_dvec3().to_array();
-    let xxh3 = Checksum::of(&points);
-    Ok((Template { kind, class, size, points: points.len(), bounds, xxh3 }, points))
-}
-
 fn summary(built: &Manifest) -> String {
     let report = &built.report;
-    let background: usize = built.background.iter().map(|c| c.points).sum();
-    let actors: usize = built.actors.iter().map(|a| a.points).sum();
+    let (background, actors) = (built.background_points(), built.actor_points());
     let merged = report.background_points + report.actor_points - background - actors;
     let notes: Vec<String> = report.notes.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
     let notes = if notes.is_empty() { String::new() } else { format!("; the log has {}", notes.join(", ")) };

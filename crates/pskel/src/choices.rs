@@ -3,13 +3,14 @@
 use std::ffi::OsStr;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use point_skeleton::cloud::PointFormat;
 use point_skeleton::conditions::{BinScale, ColorFilter, DepthEmbedding, MapFormat};
 use point_skeleton::raster::Occlusion;
 use point_skeleton::scene::TemplateFit;
 use point_skeleton::skeleton::Coloring;
 use pskel_eval::ablate::Table;
 
-/// Parser of an option: the name, value and help of each choice.
+/// Parser of an option: the name, value and help (may be empty) of each choice.
 #[derive(Clone, Copy)]
 pub(crate) struct Choices<T: 'static>(&'static [(&'static str, T, &'static str)]);
 
@@ -19,6 +20,9 @@ pub(crate) const MAP_FORMAT: Choices<MapFormat> = Choices(&[
     ("npz", MapFormat::Npz, "One NumPy archive per frame"),
     ("safetensors", MapFormat::Safetensors, "One safetensors file per frame"),
 ]);
+
+pub(crate) const POINT_FORMAT: Choices<PointFormat> =
+    Choices(&[("npy", PointFormat::Npy, ""), ("ply", PointFormat::Ply, "")]);
 
 pub(crate) const BIN_SCALE: Choices<BinScale> = Choices(&[
     ("linear", BinScale::Linear, "Bins of equal width"),
@@ -95,6 +99,8 @@ impl<T: Copy + Send + Sync> TypedValueParser for Choices<T> {
 
 impl<T> Choices<T> {
     fn values(self) -> impl Iterator<Item = PossibleValue> {
-        self.0.iter().map(|(name, _, help)| PossibleValue::new(*name).help(*help))
+        self.0
+            .iter()
+            .map(|(name, _, help)| PossibleValue::new(*name).help((!help.is_empty()).then_some(*help)))
     }
 }

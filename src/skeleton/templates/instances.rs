@@ -7,9 +7,10 @@ use super::aggregate::{aggregate, cluster_report};
 use super::cluster::{Cluster, clusters};
 use super::instance::Instance;
 use super::kind::Family;
-use super::{TemplateCloud, TemplateKind, TemplateOptions, TemplateReport};
+use super::{LogSource, TemplateCloud, TemplateKind, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
-use crate::skeleton::Asset;
+use crate::error::FileError;
+use crate::skeleton::{Asset, Skeleton, Source};
 
 /// Assets of any number of skeletons, from which templates are generated.
 #[derive(Clone, Debug, Default)]
@@ -35,6 +36,19 @@ impl Instances {
                 Err(reason) => *self.notes.entry(reason.to_owned()).or_default() += 1,
             }
         }
+    }
+
+    /// Adds all assets of a skeleton, and returns its source logs.
+    ///
+    /// # Errors
+    /// Fails if points of the skeleton do not match their checksum.
+    pub fn add_skeleton(&mut self, skeleton: &Skeleton) -> Result<Vec<LogSource>, FileError> {
+        let manifest = &skeleton.manifest;
+        let assets: Vec<_> = manifest.actors.iter().zip(skeleton.actors()?).collect();
+        self.add(&assets);
+        let count = |source: &Source| assets.iter().filter(|(asset, _)| asset.log == source.log).count();
+        let source = |source: &Source| LogSource { source: source.clone(), actors: count(source) };
+        Ok(manifest.sources.iter().map(source).collect())
     }
 
     /// Generates a template of every kind with enough points, in the order of kinds. The result depends only on the

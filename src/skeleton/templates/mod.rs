@@ -9,6 +9,7 @@
 mod aggregate;
 mod cluster;
 mod defaults;
+mod file;
 mod instance;
 mod instances;
 mod kind;
@@ -17,6 +18,7 @@ mod options;
 mod thin;
 
 pub use defaults::default_templates;
+pub use file::read_template;
 pub use instances::Instances;
 pub use kind::TemplateKind;
 pub use library::{LibraryManifest, LogSource, TemplateLibrary};

@@ -3,42 +3,28 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use glam::{DVec3, Vec3};
-use point_skeleton::cloud::Bounds;
 use point_skeleton::files::text::printable_line;
-use point_skeleton::skeleton::{BuildReport, Manifest, Skeleton, TemplateKind};
+use point_skeleton::skeleton::{BuildReport, Skeleton, Template};
 use serde_json::{Value, json};
-
-/// Assets of one category.
-#[derive(Default)]
-struct Tally {
-    actors: usize,
-    points: usize,
-    sweeps: usize,
-}
 
 /// Describes a skeleton as JSON.
 pub(super) fn describe(skeleton: &Skeleton) -> Value {
     let manifest = &skeleton.manifest;
-    let categories: BTreeMap<&str, Value> = tallies(manifest)
-        .into_iter()
-        .map(|(name, t)| (name, json!({"actors": t.actors, "points": t.points, "sweeps": t.sweeps})))
-        .collect();
     let templates: BTreeMap<&str, Value> = manifest
         .templates
         .iter()
-        .map(|t| (kind_name(t.kind), json!({"points": t.points, "size": t.size})))
+        .map(|t| (t.kind.name(), json!({"points": t.points, "size": t.size})))
         .collect();
     json!({
         "kind": "skeleton",
         "path": skeleton.path(),
         "sources": manifest.sources,
         "background": {
-            "points": background_points(manifest),
+            "points": manifest.background_points(),
             "chunks": manifest.background.len(),
-            "bounds": bounds(manifest).map(|[min, max]| json!({"min": min.to_array(), "max": max.to_array()})),
+            "bounds": manifest.background_bounds().map(|[min, max]| json!({"min": min.to_array(), "max": max.to_array()})),
         },
-        "actors": {"count": manifest.actors.len(), "points": actor_points(manifest), "categories": categories},
+        "actors": {"count": manifest.actors.len(), "points": manifest.actor_points(), "categories": manifest.categories()},
         "templates": templates,
         "report": manifest.report,
         "options": manifest.options,
@@ -62,17 +48,17 @@ pub(super) fn text(skeleton: &Skeleton) -> String {
     }
     line(
         "background",
-        format!("{} points in {} chunks", background_points(manifest), manifest.background.len()),
+        format!("{} points in {} chunks", manifest.background_points(), manifest.background.len()),
     );
-    if let Some([min, max]) = bounds(manifest) {
+    if let Some([min, max]) = manifest.background_bounds() {
         let [x, y, z] = (max - min).to_array();
         line("bounds", format!("{x:.1} x {y:.1} x {z:.1} m, {min:.1} to {max:.1}"));
     }
-    line("actors", format!("{} with {} points", manifest.actors.len(), actor_points(manifest)));
-    for (category, t) in tallies(manifest) {
+    line("actors", format!("{} with {} points", manifest.actors.len(), manifest.actor_points()));
+    for (category, t) in manifest.categories() {
         line("", format!("{category}: {} with {} points from {} sweeps", t.actors, t.points, t.sweeps));
     }
-    let of = |t: &point_skeleton::skeleton::Template| format!("{} ({} points)", kind_name(t.kind), t.points);
+    let of = |t: &Template| format!("{} ({} points)", t.kind.name(), t.points);
     match manifest.templates.iter().map(of).collect::<Vec<_>>() {
         none if none.is_empty() => line("templates", "none".to_owned()),
         some => line("templates", some.join(", ")),
@@ -90,39 +76,5 @@ pub(super) fn text(skeleton: &Skeleton) -> String {
 
 /// Lists the numbers of dropped points, by reason.
 pub(crate) fn dropped(report: &BuildReport) -> String {
-    let Ok(Value::Object(report)) = serde_json::to_value(report) else { return String::new() };
-    let reasons = report.iter().filter_map(|(name, count)| Some((name.strip_prefix("dropped_")?, count)));
-    reasons.map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")
-}
-
-/// Counts assets by category.
-fn tallies(manifest: &Manifest) -> BTreeMap<&str, Tally> {
-    let mut tallies: BTreeMap<&str, Tally> = BTreeMap::new();
-    for asset in &manifest.actors {
-        let tally = tallies.entry(&asset.category).or_default();
-        tally.actors += 1;
-        tally.points += asset.points;
-        tally.sweeps += asset.sweeps;
-    }
-    tallies
-}
-
-fn background_points(manifest: &Manifest) -> usize {
-    manifest.background.iter().map(|c| c.points).sum()
-}
-
-fn actor_points(manifest: &Manifest) -> usize {
-    manifest.actors.iter().map(|a| a.points).sum()
-}
-
-fn kind_name(kind: TemplateKind) -> &'static str {
-    TemplateKind::NAMES.iter().find(|(_, k)| *k == kind).map_or("", |(name, _)| name)
-}
-
-/// Returns minimum and maximum global coordinates of the background.
-fn bounds(manifest: &Manifest) -> Option<[DVec3; 2]> {
-    let global = |origin: [f64; 3], local: [f32; 3]| DVec3::from(origin) + Vec3::from(local).as_dvec3();
-    let of = |origin: [f64; 3], b: &Bounds| [global(origin, b.min), global(origin, b.max)];
-    let all = manifest.background.iter().map(|c| of(c.origin, &c.bounds));
-    all.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+    report.dropped().map(|(reason, count)| format!("{count} {reason}")).join(", ")
 }

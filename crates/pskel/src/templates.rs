@@ -1,7 +1,3 @@
-//! `pskel templates`: reads the actors of logs, creates templates, and renders a preview image of each (`picture`).
-
-mod picture;
-
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Instant;
@@ -9,15 +5,13 @@ use std::time::Instant;
 use anyhow::Context;
 use clap::Args;
 use point_skeleton::cloud::Point;
-use point_skeleton::conditions::png;
+use point_skeleton::conditions::template_preview;
 use point_skeleton::dataset::{self, Dataset, LogLocator};
-use point_skeleton::error::FileError;
 use point_skeleton::skeleton::{
-    self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton, Source,
+    self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton,
     TemplateCloud, TemplateLibrary, TemplateOptions, TemplateReport,
 };
 
-use self::picture::draw;
 use super::log_args::{self, LogRoots};
 use super::progress::{Progress, StageProgress};
 use super::say;
@@ -85,7 +79,7 @@ pub(super) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
     let found = told(&made.1);
     anyhow::ensure!(!made.0.is_empty(), "expected actors with points enough for a template, found {found}");
     let library = TemplateLibrary::new(sources, options, made);
-    library.write::<anyhow::Error>(target, |folder| draw_all(folder, &library.clouds))?;
+    library.write(target, |folder| template_preview::write_all(folder, &library.clouds))?;
     let (count, logs) = (library.clouds.len(), library.manifest.sources.len());
     let seconds = start.elapsed().as_secs_f64();
     say(&format!(
@@ -102,7 +96,7 @@ fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyh
         match target {
             Target::Skeleton(path) => {
                 let skeleton = Skeleton::open(path)?;
-                sources.extend(take(instances, &skeleton)?);
+                sources.extend(instances.add_skeleton(&skeleton)?);
                 progress.step(&path.display().to_string());
             }
             Target::Log(locator) => {
@@ -110,7 +104,7 @@ fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyh
                     let dataset = logs::open(&log)?;
                     let name = dataset.log().shown_name();
                     let built = build(&scratch.join("skeleton"), dataset.as_ref());
-                    sources.extend(take(instances, &built.with_context(|| format!("log {name}"))?)?);
+                    sources.extend(instances.add_skeleton(&built.with_context(|| format!("log {name}"))?)?);
                     progress.step(&name);
                 }
             }
@@ -132,14 +126,6 @@ fn build(out: &Path, dataset: &dyn Dataset) -> Result<Skeleton, BuildError> {
     })
 }
 
-fn take(instances: &mut Instances, skeleton: &Skeleton) -> Result<Vec<LogSource>, FileError> {
-    let assets: Vec<_> = skeleton.manifest.actors.iter().zip(skeleton.actors()?).collect();
-    instances.add(&assets);
-    let count = |source: &Source| assets.iter().filter(|(asset, _)| asset.log == source.log).count();
-    let source = |source: &Source| LogSource { source: source.clone(), actors: count(source) };
-    Ok(skeleton.manifest.sources.iter().map(source).collect())
-}
-
 /// Creates templates of a skeleton's own actors, and a text for the summary.
 pub(super) fn of_assets(assets: &[(&Asset, &[Point])]) -> (Vec<TemplateCloud>, String) {
     let mut instances = Instances::new(TemplateOptions::default());
@@ -154,13 +140,4 @@ fn told(report: &TemplateReport) -> String {
     let left = report.notes.iter().map(|(reason, count)| format!("left out {count} {reason}"));
     let all: Vec<String> = made.chain(left).collect();
     if all.is_empty() { "no actors".to_owned() } else { all.join(", ") }
-}
-
-/// Writes `KIND.png` for each template.
-fn draw_all(folder: &Path, clouds: &[TemplateCloud]) -> anyhow::Result<()> {
-    for (template, points) in clouds {
-        let (pixels, size) = draw(points, &template.bounds)?;
-        png::write_rgb(&folder.join(format!("{}.png", template.kind.name())), &pixels, size)?;
-    }
-    Ok(())
 }

@@ -1,9 +1,47 @@
-use anyhow::Context;
+//! Preview images of category templates.
+
+use std::path::Path;
+
 use glam::{DAffine3, DMat3, DVec3};
-use point_skeleton::cloud::{Bounds, Point};
-use point_skeleton::geometry::{Camera, ImageSize, View};
-use point_skeleton::raster::cpu::CpuRasterizer;
-use point_skeleton::raster::{Instance, MapKind, MapSet, Rasterizer, SplatJob, SplatSchedule, SplatStep};
+
+use super::png;
+use crate::cloud::{Bounds, Point};
+use crate::error::FileError;
+use crate::geometry::{Camera, CameraError, ImageSize, View};
+use crate::raster::cpu::CpuRasterizer;
+use crate::raster::{
+    Instance, MapKind, MapSet, RasterError, Rasterizer, ScheduleError, SplatJob, SplatSchedule, SplatStep,
+};
+use crate::skeleton::TemplateCloud;
+
+/// Error of a preview image.
+#[derive(Debug, thiserror::Error)]
+pub enum PreviewError {
+    /// No camera can view the bounds.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// The bounds are too large for a splat schedule.
+    #[error(transparent)]
+    Schedule(#[from] ScheduleError),
+    /// The points cannot be rendered.
+    #[error("cannot draw a template")]
+    Raster(#[from] RasterError),
+    /// The image cannot be written.
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+/// Writes a preview image `KIND.png` of each template into a folder.
+///
+/// # Errors
+/// Fails if a template cannot be rendered or if an image cannot be written.
+pub fn write_all(folder: &Path, clouds: &[TemplateCloud]) -> Result<(), PreviewError> {
+    for (template, points) in clouds {
+        let (pixels, size) = draw(points, &template.bounds)?;
+        png::write_rgb(&folder.join(format!("{}.png", template.kind.name())), &pixels, size)?;
+    }
+    Ok(())
+}
 
 /// Size of a view in the image, pixels.
 const WIDTH: u32 = 480;
@@ -15,7 +53,7 @@ const FILLS: f64 = 0.85;
 
 /// Renders points from four sides, nearer points brighter: from the right, from above (front to the right), from the
 /// front right, and from behind left.
-pub(super) fn draw(points: &[Point], bounds: &Bounds) -> anyhow::Result<(Vec<[u8; 3]>, ImageSize)> {
+fn draw(points: &[Point], bounds: &Bounds) -> Result<(Vec<[u8; 3]>, ImageSize), PreviewError> {
     let size = ImageSize { height: 2 * HEIGHT, width: 2 * WIDTH };
     let mut pixels = vec![[0; 3]; size.pixels()];
     let views = [
@@ -35,7 +73,7 @@ pub(super) fn draw(points: &[Point], bounds: &Bounds) -> anyhow::Result<(Vec<[u8
     Ok((pixels, size))
 }
 
-fn panel(points: &[Point], bounds: &Bounds, from: DVec3, up: DVec3) -> anyhow::Result<Vec<[u8; 3]>> {
+fn panel(points: &[Point], bounds: &Bounds, from: DVec3, up: DVec3) -> Result<Vec<[u8; 3]>, PreviewError> {
     let [min, max] = [bounds.min, bounds.max].map(|v| DVec3::from(v.map(f64::from)));
     let radius_m = ((max - min).length() / 2.0).max(1e-3);
     let right = up.cross(from).normalize();
@@ -61,7 +99,7 @@ fn panel(points: &[Point], bounds: &Bounds, from: DVec3, up: DVec3) -> anyhow::R
     let instances = [Instance { cloud: 0, world_from_local: DAffine3::IDENTITY, number: 1 }];
     let maps = MapSet::of(&[MapKind::Depth]);
     let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, maps };
-    let maps = CpuRasterizer::new(vec![points]).splat(&job).context("cannot draw a template")?;
+    let maps = CpuRasterizer::new(vec![points]).splat(&job)?;
     Ok(shaded(&maps.depth_m, 1.0 / pixels_per_m))
 }
 

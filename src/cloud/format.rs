@@ -1,0 +1,66 @@
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use serde::Serialize;
+
+use super::{Point, PointFile, npy, ply};
+use crate::error::FileError;
+use crate::files::write_json;
+
+/// File format of points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PointFormat {
+    /// NumPy array of floats, Nx6 (x y z r g b) or Nx7 with the class last.
+    Npy,
+    /// PLY.
+    Ply,
+}
+
+impl PointFormat {
+    /// Returns the format of a file by its extension; `None` for other extensions.
+    pub fn of(path: &Path) -> Option<Self> {
+        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+        [Self::Npy, Self::Ply].into_iter().find(|format| format.extension() == extension)
+    }
+
+    /// Returns the file extension, without the dot.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Npy => "npy",
+            Self::Ply => "ply",
+        }
+    }
+
+    /// Writes points. NPY files have a column of classes only if `with_class`.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be written.
+    pub fn write(self, path: &Path, points: &[Point], with_class: bool) -> Result<(), FileError> {
+        match self {
+            Self::Npy => npy::write(path, points, with_class),
+            Self::Ply => ply::write(path, points),
+        }
+    }
+
+    /// Writes the points of a file. If they are relative to an origin, also writes it beside them: `NAME.origin.json`,
+    /// whose path is returned.
+    ///
+    /// # Errors
+    /// Fails if a file cannot be written.
+    pub fn write_file(self, path: &Path, file: &PointFile) -> Result<Option<PathBuf>, FileError> {
+        let with_class = file.points.iter().any(|p| p.class() != 0);
+        let origin = (file.origin != DVec3::ZERO).then(|| path.with_extension("origin.json"));
+        if let Some(path) = &origin {
+            // Written before the points, so that points never exist without their origin.
+            write_json(path, &FileOrigin { origin: file.origin.to_array() })?;
+        }
+        self.write(path, &file.points, with_class)?;
+        Ok(origin)
+    }
+}
+
+/// Origin file beside points whose coordinates are relative to an origin.
+#[derive(Serialize)]
+struct FileOrigin {
+    origin: [f64; 3],
+}
