@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Checks everything: format, lints, documentation, tests, rendering tests again on a second Vulkan driver
+# Checks everything: format, import cycles, lints, documentation, tests, rendering tests again on a second Vulkan driver
 # (ci/swiftshader.sh), the demo on a small town, and its web page in a browser. The last line is `N passed, N failed,
 # N skipped`. A test is skipped if its recordings or fixtures are missing (PSKEL_SHARED, PSKEL_FIXTURES) or if the second
 # driver lacks a feature; a second driver that is not installed counts as one skipped test. PSKEL_NO_BROWSER=1 skips the
@@ -72,6 +72,7 @@ run_page() {
 
 step ci/setup.sh
 step cargo fmt --all --check
+step python3 ci/cycles.py
 step cargo clippy "${packages[@]}" --all-targets --locked -- -D warnings
 RUSTDOCFLAGS=-Dwarnings step cargo doc "${packages[@]}" --no-deps --locked
 status=0

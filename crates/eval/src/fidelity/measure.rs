@@ -13,7 +13,7 @@ use pskel_town::Town;
 use pskel_town::view::GroundTruthView;
 use serde::Serialize;
 
-use super::FidelityError;
+use super::error::FidelityError;
 
 /// Maximum distance of near cars, meters from the ego to the center of the box.
 const NEAR_M: f64 = 40.0;

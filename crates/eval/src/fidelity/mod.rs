@@ -1,18 +1,20 @@
 //! Compares condition maps of the synthetic town with ground truth, at and beside the recorded poses. `measure`
 //! compares, `table` formats.
 
+mod error;
 mod measure;
 mod table;
 
+pub use error::FidelityError;
 pub use measure::{MaskRow, Row};
 
 use std::ops::Range;
 
-use point_skeleton::conditions::{ConditionError, ConditionOptions, MapKind, MapSet};
-use point_skeleton::dataset::{Dataset, DatasetError};
+use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet};
+use point_skeleton::dataset::Dataset;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::SceneClouds;
-use pskel_town::{Town, TownError};
+use pskel_town::Town;
 use serde::Serialize;
 
 use self::measure::{Measured, Measurement, Pose};
@@ -27,28 +29,6 @@ pub struct FidelityReport {
     options: ConditionOptions,
     /// A row per pose.
     pub poses: Vec<Row>,
-}
-
-/// Error of comparing maps with ground truth.
-#[derive(Debug, thiserror::Error)]
-pub enum FidelityError {
-    /// The log has no such frame.
-    #[error("expected frame {frame} in log {log}, found none")]
-    NoFrame {
-        /// Number of the frame.
-        frame: usize,
-        /// Name of the log.
-        log: String,
-    },
-    /// The HD map cannot be read.
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
-    /// The ground truth cannot be rendered.
-    #[error(transparent)]
-    Town(#[from] TownError),
-    /// The maps cannot be rendered.
-    #[error(transparent)]
-    Maps(#[from] ConditionError),
 }
 
 /// Number of poses at which every frame is compared.

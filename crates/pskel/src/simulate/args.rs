@@ -1,8 +1,11 @@
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use anyhow::Context;
 use clap::{Args, ValueEnum};
+use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::dataset::LogLocator;
-use point_skeleton::scene::frame_rate_hz;
+use point_skeleton::scene::{SceneMap, frame_rate_hz};
 use pskel_sim::rollout::ResumeAfter;
 use pskel_sim::{
     ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
@@ -10,11 +13,13 @@ use pskel_sim::{
 use serde::Serialize;
 
 use super::generation::GenerationArgs;
+use super::inputs::Inputs;
 use crate::WrongUsage;
 use crate::log_args::{self, LogRoots};
 use crate::map_args::MapArgs;
 use crate::numbers;
 use crate::rasterizer::RasterizerArgs;
+use crate::render::{open_skeleton, read_prompt};
 use crate::substitutes::SubstituteArgs;
 
 /// Number of frames that a generator sees besides the current one.
@@ -248,6 +253,23 @@ impl SimulateArgs {
         [self.annotations.as_deref(), self.policies.trajectory.as_deref(), self.generation.weights()]
             .into_iter()
             .flatten()
+    }
+
+    /// Reads the inputs.
+    pub(super) fn inputs(&self) -> anyhow::Result<Inputs> {
+        let dataset = self.roots.open(&self.log)?;
+        let log = dataset.log();
+        let skeleton = open_skeleton(&self.skeleton, dataset.as_ref())?;
+        let prompt = self.annotations.as_deref().map_or(Ok(PromptParts::default()), read_prompt)?;
+        let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
+        let maps = self.maps.kinds(map.is_some()).with_context(|| {
+            format!(
+                "expected an HD map of {:?} for --maps map, found none in log {}",
+                log.location,
+                log.shown_name()
+            )
+        })?;
+        Ok(Inputs { dataset, skeleton, prompt, map, maps })
     }
 
     /// Returns the step after which to continue an earlier rollout.

@@ -2,6 +2,7 @@
 
 mod args;
 mod generation;
+mod inputs;
 mod summary;
 
 #[cfg(feature = "network")]
@@ -10,18 +11,14 @@ pub(super) use args::SimulateArgs;
 #[cfg(feature = "network")]
 pub(super) use generation::GenerationArgs;
 
-use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::Context;
-use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::conditions::{ConditionOptions, MapSet};
-use point_skeleton::dataset::{Dataset, Recording};
+use point_skeleton::dataset::Recording;
 use point_skeleton::error::with_causes;
 use point_skeleton::files::{check_output_file, check_outside};
 use point_skeleton::geometry::{Camera, ImageSize};
-use point_skeleton::scene::{SceneClouds, SceneMap, SubstituteReport};
-use point_skeleton::skeleton::Skeleton;
+use point_skeleton::scene::{SceneClouds, SubstituteReport};
 use pskel_sim::rollout::{
     ImageGenerator, InputPaths, Rollout, RolloutError, RolloutInputs, RolloutOptions, RolloutReport,
 };
@@ -29,9 +26,9 @@ use pskel_sim::{Rates, Scenario, SimOptions};
 use serde_json::{Map, Value};
 
 use self::generation::Opened;
+use self::inputs::Inputs;
 use self::summary::{Planned, summary};
 use super::progress::Progress;
-use super::render::{open_skeleton, read_prompt};
 use super::{WrongUsage, say, warn};
 
 /// Default size of maps if cameras are larger.
@@ -47,7 +44,7 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
             check_outside(profile, &args.out)?;
         }
     }
-    let inputs = Inputs::open(&args)?;
+    let inputs = args.inputs()?;
     let Inputs { dataset, skeleton, prompt, map, maps } = &inputs;
     let log = dataset.log();
     let opened = args.generation.open(log.rig.len())?;
@@ -84,34 +81,6 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
     let text = summary(&planned, &report, &rasterizer.info());
     say(&format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
     Ok(())
-}
-
-/// Inputs that are read before the simulation starts.
-struct Inputs {
-    dataset: Box<dyn Dataset>,
-    skeleton: Skeleton,
-    prompt: PromptParts,
-    map: Option<Arc<SceneMap>>,
-    /// Kinds of maps to render.
-    maps: MapSet,
-}
-
-impl Inputs {
-    fn open(args: &SimulateArgs) -> anyhow::Result<Self> {
-        let dataset = args.roots.open(&args.log)?;
-        let log = dataset.log();
-        let skeleton = open_skeleton(&args.skeleton, dataset.as_ref())?;
-        let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), read_prompt)?;
-        let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
-        let maps = args.maps.kinds(map.is_some()).with_context(|| {
-            format!(
-                "expected an HD map of {:?} for --maps map, found none in log {}",
-                log.location,
-                log.shown_name()
-            )
-        })?;
-        Ok(Self { dataset, skeleton, prompt, map, maps })
-    }
 }
 
 /// Writes the profile, and returns the report of a rollout without failures.

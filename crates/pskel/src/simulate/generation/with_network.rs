@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::WrongUsage;
 use crate::generator::GeneratorArgs;
-use crate::simulate::Inputs;
+use crate::simulate::inputs::Inputs;
 
 /// Network and options of the generator.
 #[derive(Debug, Args)]
@@ -25,16 +25,16 @@ pub(crate) struct GenerationArgs {
 }
 
 /// The opened network.
-pub(in crate::simulate) struct Opened(OpenedNetwork);
+pub(crate) struct Opened(OpenedNetwork);
 
 impl GenerationArgs {
     /// Rejects options that have no effect.
-    pub(in crate::simulate) fn check(&self) -> Result<(), WrongUsage> {
+    pub(crate) fn check(&self) -> Result<(), WrongUsage> {
         self.options.check(self.generator.as_ref())
     }
 
     /// Returns the file of the weights, if it is named.
-    pub(in crate::simulate) fn weights(&self) -> Option<&Path> {
+    pub(crate) fn weights(&self) -> Option<&Path> {
         match &self.generator {
             Some(NetworkName::Network(weights)) => weights.as_deref(),
             _ => None,
@@ -42,7 +42,7 @@ impl GenerationArgs {
     }
 
     /// Opens the network for a log of `cameras` cameras.
-    pub(in crate::simulate) fn open(&self, cameras: usize) -> anyhow::Result<Option<Opened>> {
+    pub(crate) fn open(&self, cameras: usize) -> anyhow::Result<Option<Opened>> {
         let open = |name| self.options.open(name, cameras).map(Opened);
         self.generator.as_ref().map(open).transpose()
     }
@@ -50,22 +50,22 @@ impl GenerationArgs {
 
 impl Opened {
     /// Returns the number of frames in the window.
-    pub(in crate::simulate) fn window(&self) -> usize {
+    pub(crate) fn window(&self) -> usize {
         self.0.window()
     }
 
     /// Returns network and options for `rollout.json`.
-    pub(in crate::simulate) fn record(&self) -> serde_json::Result<Value> {
+    pub(crate) fn record(&self) -> serde_json::Result<Value> {
         serde_json::to_value(self.0.report())
     }
 
     /// Returns a line for the web page.
-    pub(in crate::simulate) fn fact(&self) -> String {
+    pub(crate) fn fact(&self) -> String {
         self.0.report().fact()
     }
 
     /// Creates the generator. `follow_log`: whether ego and other actors follow the log in the whole rollout.
-    pub(in crate::simulate) fn session<'a>(
+    pub(crate) fn session<'a>(
         self,
         inputs: &'a Inputs,
         clouds: &'a SceneClouds<'a>,

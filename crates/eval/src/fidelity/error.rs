@@ -1,0 +1,25 @@
+use point_skeleton::conditions::ConditionError;
+use point_skeleton::dataset::DatasetError;
+use pskel_town::TownError;
+
+/// Error of comparing maps with ground truth.
+#[derive(Debug, thiserror::Error)]
+pub enum FidelityError {
+    /// The log has no such frame.
+    #[error("expected frame {frame} in log {log}, found none")]
+    NoFrame {
+        /// Number of the frame.
+        frame: usize,
+        /// Name of the log.
+        log: String,
+    },
+    /// The HD map cannot be read.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The ground truth cannot be rendered.
+    #[error(transparent)]
+    Town(#[from] TownError),
+    /// The maps cannot be rendered.
+    #[error(transparent)]
+    Maps(#[from] ConditionError),
+}
