@@ -39,6 +39,7 @@ pub mod hash;
 pub mod idm;
 pub mod raster;
 pub mod scene;
+pub mod sequence;
 pub mod skeleton;
 
 mod log;
@@ -71,6 +72,24 @@ pub enum Error {
     /// Error of a file.
     #[error(transparent)]
     File(#[from] error::FileError),
+    /// Invalid times of a sequence.
+    #[error(transparent)]
+    Sequence(#[from] scene::SequenceError),
+    /// A step of a sequence failed.
+    #[error("step {name}")]
+    Step {
+        /// Name of the step.
+        name: String,
+        /// Cause.
+        source: Box<Error>,
+    },
+}
+
+impl Error {
+    /// Returns a closure for `map_err` that adds the name of a step.
+    fn step(name: &str) -> impl FnOnce(Self) -> Self {
+        |source| Self::Step { name: name.to_owned(), source: Box::new(source) }
+    }
 }
 
 /// Compiles the Rust blocks of `README.md`.

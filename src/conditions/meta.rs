@@ -12,6 +12,7 @@ use crate::cloud::cameras::rows;
 use crate::dataset::Class;
 use crate::error::FileError;
 use crate::files::FileName;
+use crate::files::input::read_table;
 use crate::files::write_json;
 use crate::scene::{SceneCamera, SceneState};
 
@@ -28,6 +29,15 @@ pub struct PromptParts {
 }
 
 impl PromptParts {
+    /// Reads `{"weather": text, "city": text}`, both optional.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be read or has other content.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        serde_json::from_slice(&read_table(path)?)
+            .map_err(|e| FileError::content(r#"{"weather": text, "city": text}"#, e.to_string(), path))
+    }
+
     /// Returns `"{weather}. A driving scene in {city}"` without unknown parts; `None` if both are unknown.
     pub fn prompt(&self) -> Option<String> {
         match (&self.weather, &self.city) {

@@ -4,6 +4,7 @@
 mod from_log;
 mod map;
 mod selection;
+mod sequence;
 mod state;
 mod substitutes;
 
@@ -12,5 +13,6 @@ pub use from_log::{
 };
 pub use map::{MapEdge, MapLayer, SceneMap};
 pub use selection::{SceneClouds, SceneInstances, SelectionOptions, TemplateFit};
+pub use sequence::{LogTimes, SceneSequence, SequenceError};
 pub use state::{ActorState, SceneCamera, SceneState};
 pub use substitutes::{AugmentReport, SubstituteOptions, SubstituteReport, Substitutes, TemplateOrigin};

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use super::{BuildOptions, Checksum};
 use crate::cloud::Point;
+use crate::dataset::Recording;
 use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
 use crate::files::{WholeFolder, WorkFolder, check_whole, write_json, write_whole_by};
@@ -201,6 +202,22 @@ impl Skeleton {
             path: path.to_owned(),
             manifest,
         })
+    }
+
+    /// Opens a skeleton that was built from a log: its coordinates are in the log's global frame.
+    ///
+    /// # Errors
+    /// Fails as [`Skeleton::open`], or if the skeleton was built from other logs.
+    pub fn open_for(path: &Path, log: &Recording) -> Result<Self, FileError> {
+        let skeleton = Self::open(path)?;
+        if skeleton.manifest.times_us(&log.name).is_none() {
+            let logs: Vec<&str> =
+                skeleton.manifest.sources.iter().map(|source| source.log.as_str()).collect();
+            let (expected, found) =
+                (format!("a skeleton of log {}", log.name), format!("one of log {}", logs.join(", ")));
+            return Err(FileError::content(expected, found, path));
+        }
+        Ok(skeleton)
     }
 
     /// Returns the folder.

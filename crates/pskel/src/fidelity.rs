@@ -11,13 +11,13 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::{check_output_file, write_json, write_whole};
 use point_skeleton::raster::SplatSchedule;
 use point_skeleton::scene::SceneClouds;
+use point_skeleton::skeleton::Skeleton;
 use pskel_eval::{POSES, fidelity};
 
 use super::log_args;
 use super::numbers::FrameRange;
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
-use super::render::open_skeleton;
 use super::substitutes::SubstituteArgs;
 use super::{WrongUsage, say};
 use crate::logs;
@@ -75,7 +75,7 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     }
     let town = logs::open_town(&args.log)?;
     let log = town.log();
-    let skeleton = open_skeleton(&args.skeleton, &town)?;
+    let skeleton = Skeleton::open_for(&args.skeleton, log)?;
     let frames = FrameRange::of(args.frames, log.frames.len())?;
     let (substitutes, _) = args.stand_ins.options().make(&skeleton, &log.name)?;
     let clouds = SceneClouds::with(&skeleton, &log.name, &substitutes)?;

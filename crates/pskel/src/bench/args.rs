@@ -5,11 +5,11 @@ use point_skeleton::cloud;
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::raster::{FRAMES_IN_FLIGHT, SplatSchedule};
+use point_skeleton::skeleton::Skeleton;
 use pskel_eval::bench::{BenchOptions, Workload};
 
 use crate::numbers::{self, FrameRange};
 use crate::rasterizer::RasterizerArgs;
-use crate::render::open_skeleton;
 use crate::{WrongUsage, log_args, logs, tell, warn};
 
 /// Measure rendering speed: time per frame and per stage, points per second, peak memory
@@ -100,7 +100,7 @@ impl BenchArgs {
         match (&self.log, &self.skeleton, &self.points, &self.cameras) {
             (Some(log), Some(skeleton), ..) => {
                 let dataset = logs::open(log)?;
-                let skeleton = open_skeleton(skeleton, dataset.as_ref())?;
+                let skeleton = Skeleton::open_for(skeleton, dataset.log())?;
                 let range = FrameRange::of(self.frames, dataset.log().frames.len())?;
                 let workload = Workload::log(dataset.as_ref(), skeleton, range, self.maps)?;
                 if workload.skipped() > 0 {

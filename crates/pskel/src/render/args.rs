@@ -2,8 +2,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use point_skeleton::conditions::{ColorFilter, ConditionOptions, MapFormat, MapSet};
-use point_skeleton::dataset::LogLocator;
-use point_skeleton::scene::{EgoOffset, SelectionOptions, SubstituteReport};
+use point_skeleton::dataset::{LogLocator, Recording};
+use point_skeleton::scene::{EgoOffset, LogTimes, SelectionOptions, SubstituteReport};
 use serde::Serialize;
 
 use crate::WrongUsage;
@@ -110,6 +110,15 @@ impl RenderArgs {
     /// Returns whether the output uses the log's HD map.
     pub(super) fn wants_map(&self) -> bool {
         self.birdseye || self.maps.wants_map()
+    }
+
+    /// Returns the times of the log to render.
+    pub(super) fn times(&self, log: &Recording) -> anyhow::Result<LogTimes> {
+        if !self.at.is_empty() {
+            return Ok(LogTimes::At(self.at.clone()));
+        }
+        let frames = FrameRange::of(self.frames, log.frames.len())?;
+        Ok(self.hz.map_or(LogTimes::Frames(frames.clone()), |hz| LogTimes::Rate(frames, hz)))
     }
 
     pub(super) fn options(&self, maps: MapSet, stand_ins: SubstituteReport) -> RenderOptions {

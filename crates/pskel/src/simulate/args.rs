@@ -6,6 +6,7 @@ use clap::{Args, ValueEnum};
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::scene::{SceneMap, frame_rate_hz};
+use point_skeleton::skeleton::Skeleton;
 use pskel_sim::rollout::ResumeAfter;
 use pskel_sim::{
     ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
@@ -19,7 +20,6 @@ use crate::log_args::{self, LogRoots};
 use crate::map_args::MapArgs;
 use crate::numbers;
 use crate::rasterizer::RasterizerArgs;
-use crate::render::{open_skeleton, read_prompt};
 use crate::substitutes::SubstituteArgs;
 
 /// Number of frames that a generator sees besides the current one.
@@ -259,8 +259,8 @@ impl SimulateArgs {
     pub(super) fn inputs(&self) -> anyhow::Result<Inputs> {
         let dataset = self.roots.open(&self.log)?;
         let log = dataset.log();
-        let skeleton = open_skeleton(&self.skeleton, dataset.as_ref())?;
-        let prompt = self.annotations.as_deref().map_or(Ok(PromptParts::default()), read_prompt)?;
+        let skeleton = Skeleton::open_for(&self.skeleton, log)?;
+        let prompt = self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
         let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
         let maps = self.maps.kinds(map.is_some()).with_context(|| {
             format!(

@@ -1,0 +1,172 @@
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::sync::Arc;
+
+use super::{
+    EgoOffset, SceneMap, SceneState, name_of_frame, name_of_time, state_at, state_of_frame, with_cameras,
+};
+use crate::dataset::{EgoTrack, Frame, Recording};
+use crate::geometry::View;
+
+/// Times of a log.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LogTimes {
+    /// Frames of the log.
+    Frames(Range<usize>),
+    /// Times at a rate (per second), from the first to the last of these frames.
+    Rate(Range<usize>, f64),
+    /// These times, absolute microseconds.
+    At(Vec<i64>),
+}
+
+/// States of a log at several times: ego and actors of the log, optionally with other cameras.
+#[derive(Clone, Debug)]
+pub struct SceneSequence<'a> {
+    log: &'a Recording,
+    ego: EgoTrack,
+    offset: EgoOffset,
+    views: Option<Vec<View>>,
+    map: Option<Arc<SceneMap>>,
+    steps: Vec<Step>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Step {
+    Frame(usize),
+    Time(i64),
+}
+
+impl<'a> SceneSequence<'a> {
+    /// Creates the sequence of a log at some times. `views` replace the cameras of the log and are fixed in the global
+    /// frame; `map` is the HD map of all states.
+    ///
+    /// # Errors
+    /// Fails if a time occurs twice or is outside the log, if there are no times, or if there are no cameras.
+    pub fn new(
+        log: &'a Recording,
+        times: LogTimes,
+        offset: EgoOffset,
+        views: Option<Vec<View>>,
+        map: Option<Arc<SceneMap>>,
+    ) -> Result<Self, SequenceError> {
+        let name = || log.shown_name().into_owned();
+        let steps: Vec<Step> = match times {
+            LogTimes::Frames(frames) => frames.map(Step::Frame).collect(),
+            LogTimes::Rate(frames, hz) => times_at_rate(&log.frames[frames], hz).map(Step::Time).collect(),
+            LogTimes::At(times) => {
+                check_times(log, &times)?;
+                times.into_iter().map(Step::Time).collect()
+            }
+        };
+        if steps.is_empty() {
+            return Err(SequenceError::NoFrames { log: name() });
+        }
+        if views.is_none() && log.cameras.is_empty() {
+            return Err(SequenceError::NoCameras { log: name() });
+        }
+        Ok(Self { log, ego: EgoTrack::new(log), offset, views, map, steps })
+    }
+
+    /// Returns the number of states; at least one.
+    #[allow(clippy::len_without_is_empty)] // never empty
+    pub fn len(&self) -> usize {
+        self.steps.len()
+    }
+
+    /// Returns the names of the states, in order.
+    pub fn names(&self) -> impl Iterator<Item = String> {
+        self.steps.iter().map(|step| match *step {
+            Step::Frame(index) => name_of_frame(index),
+            Step::Time(t_us) => name_of_time(t_us),
+        })
+    }
+
+    /// Returns the states, in order. An item is an error if the log has no ego pose at its time.
+    pub fn states(&self) -> impl Iterator<Item = Result<SceneState, SequenceError>> {
+        self.steps.iter().map(|step| {
+            let state = match *step {
+                Step::Frame(index) => state_of_frame(self.log, index, self.offset),
+                Step::Time(t_us) => state_at(self.log, &self.ego, t_us, self.offset),
+            };
+            let mut state = state.ok_or(SequenceError::NoPose)?;
+            state.map.clone_from(&self.map);
+            Ok(match &self.views {
+                Some(views) => with_cameras(state, views),
+                None => state,
+            })
+        })
+    }
+
+    /// Counts the frames without an image of a log's camera, by camera.
+    pub fn missing_images(&self) -> BTreeMap<&str, usize> {
+        let mut missing = BTreeMap::new();
+        for step in &self.steps {
+            let (Step::Frame(index), None) = (*step, &self.views) else { continue };
+            let has = |channel| self.log.frames[index].images.iter().any(|i| i.channel == channel);
+            for (_, camera) in self.log.cameras.iter().enumerate().filter(|(channel, _)| !has(*channel)) {
+                *missing.entry(camera.as_str()).or_default() += 1;
+            }
+        }
+        missing
+    }
+}
+
+/// Invalid times of a [`SceneSequence`].
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SequenceError {
+    /// A time occurs twice; times become folder names.
+    #[error("expected times in --at that differ, found {t_us} twice")]
+    Twice {
+        /// The time, absolute microseconds.
+        t_us: i64,
+    },
+    /// A time is outside the log.
+    #[error("expected times in --at within log {log} ({range} us), found {t_us}")]
+    Outside {
+        /// Name of the log.
+        log: String,
+        /// First and last time of the log.
+        range: String,
+        /// The time, absolute microseconds.
+        t_us: i64,
+    },
+    /// The log has no frames.
+    #[error("expected a log with frames, found none in {log}")]
+    NoFrames {
+        /// Name of the log.
+        log: String,
+    },
+    /// The log has no cameras, and no others are given.
+    #[error("expected cameras in log {log} or by --cameras, found none")]
+    NoCameras {
+        /// Name of the log.
+        log: String,
+    },
+    /// The log has no ego pose at a time.
+    #[error("expected a time within the log's ego poses")]
+    NoPose,
+}
+
+/// Returns the times from the first to the last frame at a rate: the first one and every `1 / hz` seconds, each
+/// rounded to microseconds separately, so that they do not drift.
+fn times_at_rate(frames: &[Frame], hz: f64) -> impl Iterator<Item = i64> {
+    let ends = frames.first().zip(frames.last()).map(|(first, last)| [first.t_us, last.t_us]);
+    ends.into_iter().flat_map(move |[first, last]| {
+        let times = (0_u64..).map(move |i| first + (i as f64 * 1e6 / hz).round() as i64);
+        times.take_while(move |t_us| *t_us <= last)
+    })
+}
+
+fn check_times(log: &Recording, times: &[i64]) -> Result<(), SequenceError> {
+    for (i, &t_us) in times.iter().enumerate() {
+        if times[..i].contains(&t_us) {
+            return Err(SequenceError::Twice { t_us });
+        }
+        if !log.covers(t_us) {
+            let ends = log.frames.first().zip(log.frames.last());
+            let range = ends.map_or("nothing".to_owned(), |(a, b)| format!("{} to {}", a.t_us, b.t_us));
+            return Err(SequenceError::Outside { log: log.shown_name().into_owned(), range, t_us });
+        }
+    }
+    Ok(())
+}

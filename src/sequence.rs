@@ -1,0 +1,115 @@
+//! Condition maps of a [`SceneSequence`] in an output folder.
+//!
+//! A step has a folder with maps, contact sheet, `meta.json` and optionally a bird's-eye view; `index.json` is written
+//! last. Another thread writes a step while the next ones are rendered.
+
+use std::sync::mpsc::sync_channel;
+
+use serde::Serialize;
+
+use crate::conditions::birdseye::{self, BirdseyeOptions};
+use crate::conditions::meta::{Index, IndexFrame, PromptParts};
+use crate::conditions::{DepthBins, MapFormat, sheet};
+use crate::files::OutputFolder;
+use crate::raster::FRAMES_IN_FLIGHT;
+use crate::scene::SceneSequence;
+use crate::{Error, Maps, Renderer};
+
+const INDEX: &str = "index.json";
+const META: &str = "meta.json";
+
+/// Output folder of a sequence of maps.
+pub struct SequenceWriter<'a> {
+    /// The folder.
+    pub folder: OutputFolder,
+    /// File format of the maps.
+    pub format: MapFormat,
+    /// Depth bins of the contact sheets.
+    pub bins: &'a DepthBins,
+    /// Parts of the prompt in `meta.json`.
+    pub prompt: &'a PromptParts,
+    /// Frame rate in `meta.json`, per second.
+    pub fps: Option<f64>,
+    /// `true` to write bird's-eye views.
+    pub birdseye: bool,
+    /// Name of the log, for captions.
+    pub log: &'a str,
+}
+
+impl SequenceWriter<'_> {
+    /// Renders all states and writes them and an index with `options`. Steps of an earlier run in the folder are
+    /// replaced one by one; its index is removed first, since a folder with an index is complete. Calls `on_step` with
+    /// the name of each rendered step. Returns the entries of the index.
+    ///
+    /// # Errors
+    /// Fails if a step cannot be rendered, or if a file cannot be written or is not of an earlier run.
+    pub fn write(
+        self,
+        renderer: &mut Renderer<'_>,
+        states: &SceneSequence<'_>,
+        options: &impl Serialize,
+        on_step: &mut dyn FnMut(&str),
+    ) -> Result<Vec<IndexFrame>, Error> {
+        self.folder.check(states.names())?;
+        self.folder.remove([INDEX])?;
+        let index = Index { options, frames: self.write_steps(renderer, states, on_step)? };
+        index.write(&self.folder.claim(INDEX)?)?;
+        self.folder.close()?;
+        Ok(index.frames)
+    }
+
+    fn write_steps(
+        &self,
+        renderer: &mut Renderer<'_>,
+        states: &SceneSequence<'_>,
+        on_step: &mut dyn FnMut(&str),
+    ) -> Result<Vec<IndexFrame>, Error> {
+        let mut frames = Vec::new();
+        std::thread::scope(|scope| {
+            let (sender, receiver) = sync_channel::<Maps>(1);
+            let writer =
+                scope.spawn(move || receiver.into_iter().try_for_each(|maps| self.write_step(&maps)));
+            let (mut states, mut names) = (states.states(), states.names());
+            loop {
+                // The device renders one step while the host processes the previous one.
+                if let Some(state) = states.next() {
+                    let state = state?;
+                    renderer.begin(&state).map_err(Error::step(&state.name))?;
+                    if renderer.in_flight() < FRAMES_IN_FLIGHT {
+                        continue;
+                    }
+                }
+                if renderer.in_flight() == 0 {
+                    break;
+                }
+                let name = names.next().unwrap_or_default();
+                let maps = renderer.finish().map_err(Error::step(&name))?;
+                frames.push(IndexFrame::new(&maps.state));
+                on_step(&maps.state.name);
+                if sender.send(maps).is_err() {
+                    // The writer thread has stopped; its result has the error.
+                    break;
+                }
+            }
+            drop(sender);
+            match writer.join() {
+                Ok(result) => result,
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        })
+        .map(|()| frames)
+    }
+
+    fn write_step(&self, maps: &Maps) -> Result<(), Error> {
+        let state = &maps.state;
+        self.folder.write_folder(&state.name, |folder| {
+            maps.write_maps(folder, self.format)?;
+            let caption = format!("{}  {}", self.log, state.name);
+            sheet::write(&folder.join("sheet.png"), &maps.set, self.bins, &caption)?;
+            if self.birdseye {
+                birdseye::write(&folder.join("birdseye.png"), state, &BirdseyeOptions::default())?;
+            }
+            Ok(maps.meta(self.prompt, self.fps).write(&folder.join(META))?)
+        })
+    }
+}
