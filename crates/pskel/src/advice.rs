@@ -9,6 +9,7 @@ use point_skeleton::files::input::DataRoot;
 use point_skeleton::gpu::GpuError;
 use point_skeleton::raster::RasterError;
 use point_skeleton::skeleton::BuildError;
+use pskel_sim::rollout::RolloutError;
 
 /// Returns the option that helps against an error or one of its causes; `None` if there is none.
 pub(super) fn advice(error: &anyhow::Error) -> Option<&'static str> {
@@ -16,13 +17,7 @@ pub(super) fn advice(error: &anyhow::Error) -> Option<&'static str> {
 }
 
 fn of_cause(cause: &(dyn Error + 'static)) -> Option<&'static str> {
-    let cause: &(dyn Error + 'static) = match cause.downcast_ref() {
-        Some(point_skeleton::Error::Log(error)) => error,
-        Some(point_skeleton::Error::Build(error)) => error,
-        Some(point_skeleton::Error::Render(error)) => error,
-        Some(point_skeleton::Error::Raster(error)) => error,
-        Some(point_skeleton::Error::File(_)) | None => cause,
-    };
+    let cause = inner(cause);
     if let Some(ConditionError::Sizes { .. }) = cause.downcast_ref() {
         return Some("--size or --out-size gives all cameras one size");
     }
@@ -42,6 +37,26 @@ fn of_cause(cause: &(dyn Error + 'static)) -> Option<&'static str> {
             Some("--rasterizer selects another rasterizer, --gpu-memory the memory for points")
         }
         _ => None,
+    }
+}
+
+/// Returns the error within a transparent one.
+fn inner<'a>(cause: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
+    if let Some(RolloutError::Maps(error)) = cause.downcast_ref() {
+        return error;
+    }
+    let boxed = cause.downcast_ref::<Box<point_skeleton::Error>>().map(AsRef::as_ref);
+    match boxed.or(cause.downcast_ref()) {
+        Some(point_skeleton::Error::Log(error)) => error,
+        Some(point_skeleton::Error::Build(error)) => error,
+        Some(point_skeleton::Error::Render(error)) => error,
+        Some(point_skeleton::Error::Raster(error)) => error,
+        Some(
+            point_skeleton::Error::File(_)
+            | point_skeleton::Error::Sequence(_)
+            | point_skeleton::Error::Step { .. },
+        )
+        | None => cause,
     }
 }
 

@@ -1,18 +1,14 @@
 //! `pskel town`: writes the synthetic town as a data set in nuScenes layout.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Mutex;
 use std::time::Instant;
 
 use clap::Args;
-use point_skeleton::conditions::{CameraConditions, ConditionSet, DepthBins, ImageSize, exr, png};
-use point_skeleton::dataset::nuscenes::LogWriter;
+use point_skeleton::conditions::ImageSize;
 use point_skeleton::dataset::{Dataset, Recording};
-use point_skeleton::error::FileError;
-use point_skeleton::files::FileName;
-use point_skeleton::files::{WholeFolder, write_json};
-use pskel_town::view::GroundTruthView;
-use pskel_town::{Daylight, Town, TownOptions};
+use point_skeleton::files::WholeFolder;
+use pskel_town::{Daylight, Town, TownOptions, WriteError};
 
 use super::progress::Progress;
 use super::{WrongUsage, log_args, numbers, say};
@@ -54,12 +50,6 @@ pub(super) struct TownArgs {
     truth: bool,
 }
 
-/// Name of the folder of tables.
-const VERSION: &str = "v1.0-town";
-/// File of the options.
-const OPTIONS: &str = "town.json";
-const TRUTH: &str = "truth";
-
 fn default_size() -> ImageSize {
     let [height, width] = TownOptions::default().size;
     ImageSize { height, width }
@@ -72,19 +62,18 @@ pub(super) fn run(args: &TownArgs) -> anyhow::Result<()> {
     options.check().map_err(|error| WrongUsage(error.to_string()))?;
     let out = WholeFolder::open(&args.out, "town", &[])?;
     let town = Town::new(&options)?;
-    out.write::<anyhow::Error>(|folder| {
+    out.write(|folder| {
         let progress = Mutex::new(Progress::new(town.log().frames.len()));
         let frame_done = |index: usize| {
             let mut progress = progress.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
             progress.step(&format!("frame {index:06}"));
         };
-        let layers = town.map_layers();
-        let writer = LogWriter { version: VERSION, map: Some(&layers), frame_done: &frame_done };
-        writer.write(folder, &town)?;
+        town.write(folder, &frame_done)?;
         if args.truth {
-            write_truth(&folder.join(TRUTH), &town)?;
+            let mut progress = Progress::new(town.log().frames.len());
+            town.write_truth(folder, &mut |index| progress.step(&format!("truth {index:06}")))?;
         }
-        Ok(write_json(&folder.join(OPTIONS), &serde_json::json!({"town": options.to_string()}))?)
+        Ok::<_, WriteError>(())
     })?;
     say(&format!(
         "{} in {:.2} s: {}",
@@ -119,28 +108,4 @@ fn summary(log: &Recording) -> String {
         log.frames.len(),
         log.tracks.len()
     )
-}
-
-fn write_truth(folder: &Path, town: &Town) -> anyhow::Result<()> {
-    let log = town.log();
-    let mut progress = Progress::new(log.frames.len());
-    for (index, frame) in log.frames.iter().enumerate() {
-        let cameras = frame.images.iter().map(|image| log.cameras[image.channel].clone());
-        let (depth, masks) =
-            cameras.zip(town.truth_of_frame(index)?).map(|(name, view)| maps(name, view)).unzip();
-        let folder = folder.join(format!("{index:06}"));
-        std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
-        exr::write(&folder, &ConditionSet { cameras: depth })?;
-        png::write(&folder, &ConditionSet { cameras: masks }, &DepthBins::default())?;
-        progress.step(&format!("truth {index:06}"));
-    }
-    Ok(())
-}
-
-/// Splits a view into depth, and class with instance, as the writers require.
-fn maps(name: FileName, view: GroundTruthView) -> (CameraConditions, CameraConditions) {
-    let (width, height) = view.image.dimensions();
-    let bare = CameraConditions { name, width, height, ..CameraConditions::default() };
-    let depth = CameraConditions { depth_m: Some(view.depth_m), ..bare.clone() };
-    (depth, CameraConditions { class: Some(view.class), instance: Some(view.instance), ..bare })
 }

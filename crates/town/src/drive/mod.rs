@@ -14,9 +14,11 @@ mod renderer;
 mod rig;
 mod town;
 mod truth;
+mod write;
 
 pub use error::TownError;
 pub use town::Town;
+pub use write::WriteError;
 
 use image::RgbImage;
 use point_skeleton::dataset::{
