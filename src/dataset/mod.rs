@@ -20,6 +20,7 @@ pub mod nuscenes;
 mod open;
 mod picture;
 mod recording;
+mod summary;
 
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
@@ -28,6 +29,7 @@ pub use map::{Area, Lane, VectorMap};
 pub use open::{expand, open};
 pub use picture::{picture_size, read_picture};
 pub use recording::{Frame, ImageRecord, Recording, RigCamera, SweepRecord, Track, TrackBox, TrafficLight};
+pub use summary::{BoxCounts, CameraSummary, EgoPath, LogSummary, MapCounts};
 
 use std::path::PathBuf;
 

@@ -70,7 +70,7 @@ fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
     if target.contains(':') && !path.exists() {
         let locator = logs::locate(target).map_err(|error| WrongUsage(error.to_string()))?;
         let log = roots.open(&locator)?;
-        let json = log::describe(log.as_ref());
+        let json = log::describe(log.as_ref())?;
         return Ok((json.clone(), log::text(&json)));
     }
     let found = what_is_there(&path);
