@@ -24,7 +24,7 @@ pub(super) struct GeneratorArgs {
     /// Inference steps, T; with rolling strategies a multiple of L - C [default: L - C]
     #[arg(long, value_name = "T")]
     infer_steps: Option<usize>,
-    /// With rolling strategies: leading frames of the window that are always clean [default: 0]
+    /// With reset_and_roll: leading frames of the window that are always clean [default: 0]
     #[arg(long, value_name = "C")]
     clean: Option<usize>,
     /// With --strategy non_causal: forecasts in the window [default: 1]
