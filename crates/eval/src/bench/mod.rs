@@ -2,8 +2,8 @@
 //!
 //! # How it works
 //! A [`Workload`] holds clouds and the frames to render: a synthetic street, a cloud with cameras, or frames of a log
-//! with its skeleton. [`bench`] renders them in turn, only with the rasterizer or as whole steps (`frames`), and times
-//! them (`measure`). [`BenchResult`] has the statistics and writes a trace of all frames (`trace`).
+//! with its skeleton. [`bench`](fn@bench) renders them in turn, only with the rasterizer or as whole steps (`frames`),
+//! and times them (`measure`). [`BenchResult`] has the statistics and writes a trace of all frames (`trace`).
 
 mod frames;
 mod measure;

@@ -50,7 +50,7 @@ fn fewer_steps_than_there_are_are_refused() {
     log.succeed(&args("--steps 8"));
     let parts = ["expected 8 steps or more to resume after step 8, found 5", "states.jsonl"];
     refused(&log, &args("--steps 5 --resume"), &parts);
-    refused(&log, &args("--steps 5 --resume-from 6"), &["6 or more", "found 5"]);
+    refused(&log, &args("--steps 5 --resume-from 6"), &["6 steps or more", "found 5"]);
     let summary = log.succeed(&args("--steps 8 --resume"));
     assert!(summary.contains("no step was left to take") && !summary.contains("steps a second"), "{summary}");
     assert!(summary.starts_with("simulated 8 steps, "), "{summary}");
