@@ -74,6 +74,9 @@ step ci/setup.sh
 step cargo fmt --all --check
 step python3 ci/cycles.py
 step cargo clippy "${packages[@]}" --all-targets --locked -- -D warnings
+# The smallest builds: the core without formats, and the command without town, network and video.
+step cargo clippy -p point-skeleton --no-default-features --locked -- -D warnings
+step cargo clippy -p pskel --no-default-features --locked -- -D warnings
 RUSTDOCFLAGS=-Dwarnings step cargo doc "${packages[@]}" --no-deps --locked
 status=0
 undrawn=0

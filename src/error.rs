@@ -50,3 +50,23 @@ pub fn with_causes(error: &dyn std::error::Error) -> String {
         false => format!("{text}\n  caused by: {cause}"),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("no points")]
+    struct Outer(#[from] Inner);
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("{0}")]
+    struct Inner(#[from] FileError);
+
+    #[test]
+    fn causes_appear_once() {
+        let file = FileError::io("read", Path::new("a"))(std::io::Error::other("gone"));
+        let error = Outer::from(Inner::from(file));
+        assert_eq!(with_causes(&error), "no points\n  caused by: cannot read: gone: a");
+    }
+}

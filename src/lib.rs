@@ -58,22 +58,22 @@ pub use skeleton::{BuildOptions, Skeleton};
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// Error of reading a log.
-    #[error(transparent)]
+    #[error("{0}")]
     Log(#[from] dataset::DatasetError),
     /// Error of building a skeleton.
-    #[error(transparent)]
+    #[error("{0}")]
     Build(#[from] skeleton::BuildError),
     /// Error of rendering or writing maps.
-    #[error(transparent)]
+    #[error("{0}")]
     Render(#[from] conditions::ConditionError),
     /// Error of the rasterizer.
-    #[error(transparent)]
+    #[error("{0}")]
     Raster(#[from] raster::RasterError),
     /// Error of a file.
-    #[error(transparent)]
+    #[error("{0}")]
     File(#[from] error::FileError),
     /// Invalid times of a sequence.
-    #[error(transparent)]
+    #[error("{0}")]
     Sequence(#[from] scene::SequenceError),
     /// A step of a sequence failed.
     #[error("step {name}")]

@@ -8,10 +8,10 @@ use crate::raster::RasterError;
 #[derive(Debug, thiserror::Error)]
 pub enum ConditionError {
     /// Error of the rasterizer.
-    #[error(transparent)]
+    #[error("{0}")]
     Raster(#[from] RasterError),
     /// Error of a file.
-    #[error(transparent)]
+    #[error("{0}")]
     File(#[from] FileError),
     /// A map layout was requested, but the step has no HD map.
     #[error("expected an HD map to draw map layouts from, found none in step {step}")]

@@ -115,13 +115,13 @@ impl<'a> SceneSequence<'a> {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SequenceError {
     /// A time occurs twice; times become folder names.
-    #[error("expected times in --at that differ, found {t_us} twice")]
+    #[error("expected times that differ, found {t_us} twice")]
     Twice {
         /// The time, absolute microseconds.
         t_us: i64,
     },
     /// A time is outside the log.
-    #[error("expected times in --at within log {log} ({range} us), found {t_us}")]
+    #[error("expected times within log {log} ({range} us), found {t_us}")]
     Outside {
         /// Name of the log.
         log: String,
@@ -137,7 +137,7 @@ pub enum SequenceError {
         log: String,
     },
     /// The log has no cameras, and no others are given.
-    #[error("expected cameras in log {log} or by --cameras, found none")]
+    #[error("expected cameras in log {log} or others in their place, found none")]
     NoCameras {
         /// Name of the log.
         log: String,

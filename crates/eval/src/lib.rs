@@ -21,6 +21,7 @@ mod features;
 mod fidelity;
 mod frechet;
 mod image_quality;
+#[cfg(feature = "network")]
 mod loss_plot;
 mod masks;
 mod motion;
@@ -31,6 +32,7 @@ mod scores;
 mod sharpness;
 mod ssim;
 mod statistics;
+mod table;
 
 pub use conv_net::RandomConvNet;
 pub use depth::{DepthErrors, DepthSummary};
@@ -41,6 +43,7 @@ pub use features::{FeatureSet, WINDOW_FRAMES, window_features};
 pub use fidelity::{FidelityError, FidelityReport, MaskRow, POSES, Row, fidelity};
 pub use frechet::{FrechetError, frechet_distance};
 pub use image_quality::{FilledError, compare_filled, psnr_db};
+#[cfg(feature = "network")]
 pub use loss_plot::loss_plot;
 pub use masks::Overlap;
 pub use motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};

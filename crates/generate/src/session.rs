@@ -4,7 +4,7 @@ use image::RgbImage;
 use point_skeleton::geometry::{ImageSize, Pose};
 use point_skeleton::raster::Rasterizer;
 use pskel_sim::report::images::StepImages;
-use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator};
+use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator, lap};
 use pskel_sim::{Committed, Instant, Simulation};
 
 use super::{
@@ -295,12 +295,6 @@ impl ImageGenerator for Session<'_> {
     fn has_truth(&self) -> bool {
         self.has_truth()
     }
-}
-
-/// Returns the seconds since `since`, and sets it to now.
-fn lap(since: &mut Clock) -> f64 {
-    let now = Clock::now();
-    (now - std::mem::replace(since, now)).as_secs_f64()
 }
 
 #[cfg(test)]

@@ -9,9 +9,19 @@ use point_skeleton::dataset::LogLocator;
 use pskel_eval::ablate::{AblateError, AblateOptions, Ablation, Networks, RunResult, Table};
 use pskel_network::Network;
 
+use super::choices::Choices;
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
-use super::{WrongUsage, choices, log_args, logs, say};
+use super::{WrongUsage, log_args, logs, say};
+
+const TABLE: Choices<Table> = Choices(&[
+    ("strategies", Table::Strategies, "Generation strategies"),
+    ("forecasts", Table::Forecasts, "Forecasts that come true, against forecasts of a standstill"),
+    ("conditions", Table::Conditions, "Color and depth of the points as conditions"),
+    ("infer_steps", Table::InferSteps, "The same and twice the number of inference steps"),
+    ("augmentation", Table::Augmentation, "Asset augmentation in training; requires --plain-weights"),
+    ("seeds", Table::Seeds, "Training seeds; requires --other-seed"),
+]);
 
 /// Compare strategies, conditions and trainings of the generator in synthetic towns, where ground truth is known
 ///
@@ -33,7 +43,7 @@ pub(super) struct AblateArgs {
     #[arg(long = "other-seed", value_name = "FILE")]
     other_seeds: Vec<PathBuf>,
     /// Tables to compute [default: all]
-    #[arg(long, value_name = "TABLE,..", value_delimiter = ',', value_parser = choices::TABLE)]
+    #[arg(long, value_name = "TABLE,..", value_delimiter = ',', value_parser = TABLE)]
     tables: Vec<Table>,
     /// Folder to write
     #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]

@@ -9,7 +9,6 @@ use point_skeleton::files::input::DataRoot;
 use point_skeleton::gpu::GpuError;
 use point_skeleton::raster::RasterError;
 use point_skeleton::skeleton::BuildError;
-use pskel_sim::rollout::RolloutError;
 
 /// Returns the option that helps against an error or one of its causes; `None` if there is none.
 pub(super) fn advice(error: &anyhow::Error) -> Option<&'static str> {
@@ -17,7 +16,6 @@ pub(super) fn advice(error: &anyhow::Error) -> Option<&'static str> {
 }
 
 fn of_cause(cause: &(dyn Error + 'static)) -> Option<&'static str> {
-    let cause = inner(cause);
     if let Some(ConditionError::Sizes { .. }) = cause.downcast_ref() {
         return Some("--size or --out-size gives all cameras one size");
     }
@@ -40,30 +38,12 @@ fn of_cause(cause: &(dyn Error + 'static)) -> Option<&'static str> {
     }
 }
 
-/// Returns the error within a transparent one.
-fn inner<'a>(cause: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
-    if let Some(RolloutError::Maps(error)) = cause.downcast_ref() {
-        return error;
-    }
-    let boxed = cause.downcast_ref::<Box<point_skeleton::Error>>().map(AsRef::as_ref);
-    match boxed.or(cause.downcast_ref()) {
-        Some(point_skeleton::Error::Log(error)) => error,
-        Some(point_skeleton::Error::Build(error)) => error,
-        Some(point_skeleton::Error::Render(error)) => error,
-        Some(point_skeleton::Error::Raster(error)) => error,
-        Some(
-            point_skeleton::Error::File(_)
-            | point_skeleton::Error::Sequence(_)
-            | point_skeleton::Error::Step { .. },
-        )
-        | None => cause,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use anyhow::Context;
+    use pskel_eval::bench::BenchError;
+    use pskel_sim::rollout::RolloutError;
     use std::path::Path;
 
     #[test]
@@ -79,5 +59,23 @@ mod tests {
         let stopped = BuildError::Interrupted { source, frames: 1, path: "sk.partial".into() };
         assert!(advice(&stopped.into()).unwrap().starts_with("--resume "));
         assert_eq!(advice(&anyhow::anyhow!("other")), None);
+    }
+
+    /// The errors of all libraries keep their causes in the chain.
+    #[test]
+    fn causes_are_found_below_the_errors_of_layers() {
+        let raster = || RasterError::from(GpuError::NoDevice { found: "none".into() });
+        let maps = || ConditionError::from(raster());
+        let step = point_skeleton::Error::Step { name: "0".into(), source: Box::new(maps().into()) };
+        let errors: [anyhow::Error; 5] = [
+            maps().into(),
+            step.into(),
+            BenchError::from(raster()).into(),
+            BenchError::Render(maps()).into(),
+            RolloutError::from(maps()).into(),
+        ];
+        for error in &errors {
+            assert!(advice(error).is_some_and(|hint| hint.starts_with("--rasterizer cpu ")), "{error:?}");
+        }
     }
 }

@@ -8,11 +8,10 @@ use point_skeleton::conditions::{BinScale, ColorFilter, DepthEmbedding, MapForma
 use point_skeleton::raster::Occlusion;
 use point_skeleton::scene::TemplateFit;
 use point_skeleton::skeleton::Coloring;
-use pskel_eval::ablate::Table;
 
 /// Parser of an option: the name, value and help (may be empty) of each choice.
 #[derive(Clone, Copy)]
-pub(crate) struct Choices<T: 'static>(&'static [(&'static str, T, &'static str)]);
+pub(crate) struct Choices<T: 'static>(pub(crate) &'static [(&'static str, T, &'static str)]);
 
 pub(crate) const MAP_FORMAT: Choices<MapFormat> = Choices(&[
     ("png", MapFormat::Png, "A PNG per map"),
@@ -67,15 +66,6 @@ pub(crate) const TEMPLATE_FIT: Choices<TemplateFit> = Choices(&[
 pub(crate) const OCCLUSION: Choices<Occlusion> = Choices(&[
     ("scene", Occlusion::Scene, "All points in front of it"),
     ("actors", Occlusion::Actors, "Only points of other actors"),
-]);
-
-pub(crate) const TABLE: Choices<Table> = Choices(&[
-    ("strategies", Table::Strategies, "Generation strategies"),
-    ("forecasts", Table::Forecasts, "Forecasts that come true, against forecasts of a standstill"),
-    ("conditions", Table::Conditions, "Color and depth of the points as conditions"),
-    ("infer_steps", Table::InferSteps, "The same and twice the number of inference steps"),
-    ("augmentation", Table::Augmentation, "Asset augmentation in training; requires --plain-weights"),
-    ("seeds", Table::Seeds, "Training seeds; requires --other-seed"),
 ]);
 
 impl<T: Copy + Send + Sync> TypedValueParser for Choices<T> {

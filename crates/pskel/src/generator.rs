@@ -7,9 +7,10 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
 use pskel_generate::{DroppedConditions, Guidance, Prediction, Recipe, SamplerOptions, Strategy};
 use pskel_network::{GeneratorSettings, NetworkName, OpenedNetwork};
+use pskel_sim::peer::MAX_TIMEOUT_S;
 
 use super::WrongUsage;
-use super::numbers;
+use super::numbers::finite;
 
 /// Options for generating images from conditions.
 #[derive(Clone, Debug, Args)]
@@ -34,7 +35,7 @@ pub(super) struct GeneratorArgs {
     #[arg(long, value_name = "N")]
     history_noise: Option<usize>,
     /// Scale of classifier-free guidance; 1 disables it, other values evaluate the network twice [default: 1]
-    #[arg(long, value_name = "S", value_parser = numbers::scale, allow_negative_numbers = true)]
+    #[arg(long, value_name = "S", value_parser = scale, allow_negative_numbers = true)]
     guidance: Option<f32>,
     /// Conditions dropped in the second evaluation of the guidance: layout, text and action, or also color and depth
     /// [default: layout]
@@ -50,7 +51,7 @@ pub(super) struct GeneratorArgs {
     #[arg(long, value_name = "F.json")]
     recipe: Option<PathBuf>,
     /// With process:.., time-out for each of its answers, seconds [default: 60]
-    #[arg(long, value_name = "S", value_parser = numbers::timeout_s)]
+    #[arg(long, value_name = "S", value_parser = timeout_s)]
     generator_timeout: Option<f64>,
 }
 
@@ -171,4 +172,29 @@ fn read_recipe(path: &Path) -> Result<Recipe, FileError> {
         .map_err(|error| FileError::content("a recipe of conditions", error.to_string(), path))?;
     recipe.check().map_err(|error| FileError::content(error.expected, error.found, path))?;
     Ok(recipe)
+}
+
+/// Parses a factor from 0 to 100.
+fn scale(text: &str) -> Result<f32, String> {
+    let scale = finite(text).filter(|v| (0.0..=100.0).contains(v)).map(|v| v as f32);
+    scale.ok_or_else(|| "expected a factor from 0 to 100".into())
+}
+
+/// Parses a time-out in seconds.
+fn timeout_s(text: &str) -> Result<f64, String> {
+    let seconds = finite(text).filter(|v| *v > 0.0 && *v <= MAX_TIMEOUT_S);
+    seconds.ok_or_else(|| format!("expected seconds, more than 0 and at most {MAX_TIMEOUT_S}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn factors_and_time_outs_have_ranges() {
+        assert_eq!((scale("1.5"), scale("0")), (Ok(1.5), Ok(0.0)));
+        assert!(scale("-1").is_err() && scale("nan").is_err() && scale("101").is_err());
+        assert_eq!(timeout_s("0.5"), Ok(0.5));
+        assert!(timeout_s("0").is_err() && timeout_s("inf").is_err());
+    }
 }

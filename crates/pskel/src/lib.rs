@@ -45,6 +45,7 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
+use point_skeleton::error::with_causes;
 
 use self::terminal::{say, tell, warn};
 
@@ -123,7 +124,7 @@ pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            terminal::tell(&format!("error: {}", with_causes(&error)));
+            terminal::tell(&format!("error: {}", with_causes(error.as_ref())));
             if let Some(advice) = advice::advice(&error) {
                 terminal::tell(&format!("  hint: {advice}"));
             }
@@ -152,17 +153,6 @@ fn survive_file_limits() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Formats an error with its causes, except causes that are already part of the text.
-fn with_causes(error: &anyhow::Error) -> String {
-    let mut text = error.to_string();
-    for cause in error.chain().skip(1).map(ToString::to_string) {
-        if !text.contains(&cause) {
-            text = format!("{text}\n  caused by: {cause}");
-        }
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -171,14 +161,5 @@ mod tests {
     fn the_command_line_is_consistent() {
         use clap::CommandFactory;
         Cli::command().debug_assert();
-    }
-
-    #[test]
-    fn causes_are_told_once() {
-        let file = point_skeleton::error::FileError::io("read", std::path::Path::new("a"))(
-            std::io::Error::other("gone"),
-        );
-        let error = anyhow::Error::new(file).context("no points");
-        assert_eq!(with_causes(&error), "no points\n  caused by: cannot read: gone: a");
     }
 }

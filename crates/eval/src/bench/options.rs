@@ -35,13 +35,13 @@ impl BenchOptions {
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
     /// The HD map cannot be read.
-    #[error(transparent)]
+    #[error("{0}")]
     Log(#[from] DatasetError),
     /// Points of a skeleton are damaged, or a trace cannot be written.
-    #[error(transparent)]
+    #[error("{0}")]
     File(#[from] FileError),
     /// The rasterizer cannot be created.
-    #[error(transparent)]
+    #[error("{0}")]
     Raster(#[from] RasterError),
     /// No frame has cameras.
     #[error("expected frames with cameras in log {log}, found none among {frames} frames")]

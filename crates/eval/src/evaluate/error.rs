@@ -17,13 +17,13 @@ pub enum EvaluateError {
         found: usize,
     },
     /// A file is missing or damaged.
-    #[error(transparent)]
+    #[error("{0}")]
     File(#[from] FileError),
     /// The distance between features cannot be computed.
-    #[error(transparent)]
+    #[error("{0}")]
     Distance(#[from] FrechetError),
     /// The patch classifier does not fit the images.
-    #[error(transparent)]
+    #[error("{0}")]
     Classifier(#[from] PatchClassifierError),
     /// Images, features or masks do not fit.
     #[error("{source}: {place}")]

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::table::{aligned, number};
 use crate::{
     CollectedFeatures, Distance, Distances, FrechetError, MeanInterval, Scores, mean_interval,
     paired_difference,
@@ -200,28 +201,10 @@ fn means(rollouts: &[ScoredRollout]) -> BTreeMap<String, Option<MeanInterval>> {
     means
 }
 
-/// Formats a number, or a dash for `None`.
-fn number(value: Option<f64>, digits: usize) -> String {
-    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
-}
-
 fn interval(value: Option<MeanInterval>, digits: usize) -> String {
     let Some(MeanInterval { mean, half_width, .. }) = value else { return "-".to_owned() };
     let off = half_width.map_or_else(String::new, |half| format!(" ± {half:.digits$}"));
     format!("{mean:.digits$}{off}")
-}
-
-/// Aligns cells in columns.
-fn aligned(cells: &[Vec<String>]) -> String {
-    let columns = cells.first().map_or(0, Vec::len);
-    let length = |text: &String| text.chars().count();
-    let width = |column: usize| cells.iter().map(|row| length(&row[column])).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..columns).map(width).collect();
-    let line = |row: &Vec<String>| {
-        let cell = |(text, width): (&String, &usize)| format!("{text:>width$}", width = *width);
-        row.iter().zip(&widths).map(cell).collect::<Vec<_>>().join("  ") + "\n"
-    };
-    cells.iter().map(line).collect()
 }
 
 #[cfg(test)]
@@ -229,14 +212,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cells_are_numbers_intervals_or_dashes() {
+    fn intervals_have_a_half_width_or_none() {
         let mean = |half_width| Some(MeanInterval { count: 2, mean: 1.25, half_width });
         assert_eq!(
             [interval(mean(Some(0.5)), 2), interval(mean(None), 1), interval(None, 2)],
             ["1.25 ± 0.50", "1.2", "-"]
         );
-        assert_eq!([number(Some(-0.5), 3), number(None, 3)], ["-0.500", "-"]);
-        let cells = vec![vec!["a".to_owned(), "1 ± 2".to_owned()], vec!["bc".to_owned(), "-".to_owned()]];
-        assert_eq!(aligned(&cells), " a  1 ± 2\nbc      -\n");
     }
 }

@@ -14,12 +14,12 @@ pub enum FidelityError {
         log: String,
     },
     /// The HD map cannot be read.
-    #[error(transparent)]
+    #[error("{0}")]
     Dataset(#[from] DatasetError),
     /// The ground truth cannot be rendered.
-    #[error(transparent)]
+    #[error("{0}")]
     Town(#[from] TownError),
     /// The maps cannot be rendered.
-    #[error(transparent)]
+    #[error("{0}")]
     Maps(#[from] ConditionError),
 }

@@ -2,6 +2,7 @@
 
 use super::FidelityReport;
 use super::measure::{MaskRow, Row};
+use crate::table::{aligned, number};
 
 const HEADER: [&str; 14] = [
     "pose",
@@ -65,11 +66,6 @@ fn row(row: &Row) -> Vec<String> {
     ]
 }
 
-/// Formats a number, or a dash for `None`.
-fn number(value: Option<f64>, digits: usize) -> String {
-    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
-}
-
 fn csv(cells: &[Vec<String>]) -> String {
     cells.iter().map(|row| row.join(",") + "\n").collect()
 }
@@ -81,18 +77,6 @@ fn markdown(cells: &[Vec<String>]) -> String {
     line(header) + &rule + &rows.iter().map(line).collect::<String>()
 }
 
-/// Aligns cells in columns for the terminal.
-fn aligned(cells: &[Vec<String>]) -> String {
-    let columns = cells.first().map_or(0, Vec::len);
-    let width = |column: usize| cells.iter().map(|row| row[column].len()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..columns).map(width).collect();
-    let line = |row: &Vec<String>| {
-        let cell = |(text, width): (&String, &usize)| format!("{text:>width$}", width = *width);
-        row.iter().zip(&widths).map(cell).collect::<Vec<_>>().join("  ") + "\n"
-    };
-    cells.iter().map(line).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -102,10 +86,5 @@ mod tests {
         let cells = vec![vec!["a".to_owned(), "bcd".to_owned()], vec!["ef".to_owned(), "1".to_owned()]];
         assert_eq!(csv(&cells), "a,bcd\nef,1\n");
         assert_eq!(markdown(&cells), "| a | bcd |\n|---|---|\n| ef | 1 |\n");
-        assert_eq!(aligned(&cells), " a  bcd\nef    1\n");
-        assert_eq!(
-            [number(Some(1.25), 1), number(None, 2), number(Some(f64::INFINITY), 2)],
-            ["1.2", "-", "inf"]
-        );
     }
 }

@@ -15,20 +15,20 @@ pub type AnyError = Box<dyn Error + Send + Sync>;
 #[derive(Debug, thiserror::Error)]
 pub enum RolloutError {
     /// The simulation cannot be started or continued.
-    #[error(transparent)]
+    #[error("{0}")]
     Simulation(#[from] SimError),
     /// A file of the rollout cannot be read or written.
-    #[error(transparent)]
+    #[error("{0}")]
     File(#[from] FileError),
     /// The maps of a step cannot be written.
-    #[error(transparent)]
+    #[error("{0}")]
     Maps(#[from] ConditionError),
     /// The video cannot be encoded.
     #[cfg(feature = "video")]
-    #[error(transparent)]
+    #[error("{0}")]
     Video(#[from] VideoError),
     /// The inputs cannot be described in `rollout.json`.
-    #[error(transparent)]
+    #[error("{0}")]
     Json(#[from] serde_json::Error),
     /// A step or a file of an earlier run failed.
     #[error("{place}")]

@@ -27,7 +27,7 @@ mod video;
 pub use error::{AnyError, RolloutError};
 pub use generator::{GenerationTimes, ImageGenerator};
 pub use options::{InputPaths, ResumeAfter, RolloutInputs, RolloutOptions};
-pub use profile::Profile;
+pub use profile::{Profile, lap};
 pub use report::RolloutReport;
 
 use std::path::Path;

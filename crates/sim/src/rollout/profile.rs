@@ -175,7 +175,7 @@ impl Profile {
 }
 
 /// Returns the seconds since a moment, and sets the moment to now.
-pub(super) fn lap(since: &mut std::time::Instant) -> f64 {
+pub fn lap(since: &mut std::time::Instant) -> f64 {
     let now = std::time::Instant::now();
     let time: Duration = now - std::mem::replace(since, now);
     time.as_secs_f64()

@@ -1,0 +1,33 @@
+//! Cells of tables as text.
+
+/// Formats a number, or a dash for `None`.
+pub(crate) fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
+}
+
+/// Aligns cells in columns. All rows have the same number of cells.
+pub(crate) fn aligned(cells: &[Vec<String>]) -> String {
+    let columns = cells.first().map_or(0, Vec::len);
+    let length = |text: &String| text.chars().count();
+    let width = |column: usize| cells.iter().map(|row| length(&row[column])).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..columns).map(width).collect();
+    let line = |row: &Vec<String>| {
+        let cell = |(text, width): (&String, &usize)| format!("{text:>width$}", width = *width);
+        row.iter().zip(&widths).map(cell).collect::<Vec<_>>().join("  ") + "\n"
+    };
+    cells.iter().map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_are_numbers_or_dashes_in_columns() {
+        assert_eq!([number(Some(-0.5), 3), number(None, 3)], ["-0.500", "-"]);
+        assert_eq!([number(Some(1.25), 1), number(Some(f64::INFINITY), 2)], ["1.2", "inf"]);
+        let cells = |rows: [[&str; 2]; 2]| rows.map(|row| row.map(str::to_owned).to_vec()).to_vec();
+        assert_eq!(aligned(&cells([["a", "bcd"], ["ef", "1"]])), " a  bcd\nef    1\n");
+        assert_eq!(aligned(&cells([["a", "1 ± 2"], ["bc", "-"]])), " a  1 ± 2\nbc      -\n");
+    }
+}
