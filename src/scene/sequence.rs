@@ -8,12 +8,15 @@ use super::{
 use crate::dataset::{EgoTrack, Frame, Recording};
 use crate::geometry::View;
 
+/// Maximum rate, per second: times are whole microseconds.
+const MAX_RATE_HZ: f64 = 1e6;
+
 /// Times of a log.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LogTimes {
     /// Frames of the log.
     Frames(Range<usize>),
-    /// Times at a rate (per second), from the first to the last of these frames.
+    /// Times at a rate (per second, more than 0, at most 10⁶), from the first to the last of these frames.
     Rate(Range<usize>, f64),
     /// These times, absolute microseconds.
     At(Vec<i64>),
@@ -41,7 +44,7 @@ impl<'a> SceneSequence<'a> {
     /// frame; `map` is the HD map of all states.
     ///
     /// # Errors
-    /// Fails if a time occurs twice or is outside the log, if there are no times, or if there are no cameras.
+    /// Fails if the rate is out of range, if a time occurs twice or is outside the log, if there are no times, or if there are no cameras.
     pub fn new(
         log: &'a Recording,
         times: LogTimes,
@@ -52,7 +55,13 @@ impl<'a> SceneSequence<'a> {
         let name = || log.shown_name().into_owned();
         let steps: Vec<Step> = match times {
             LogTimes::Frames(frames) => frames.map(Step::Frame).collect(),
-            LogTimes::Rate(frames, hz) => times_at_rate(&log.frames[frames], hz).map(Step::Time).collect(),
+            LogTimes::Rate(_, hz) if !(hz > 0.0 && hz <= MAX_RATE_HZ) => {
+                return Err(SequenceError::Rate { hz });
+            }
+            LogTimes::Rate(frames, hz) => {
+                let frames = log.frames.get(frames).unwrap_or_default();
+                times_at_rate(frames, hz).map(Step::Time).collect()
+            }
             LogTimes::At(times) => {
                 check_times(log, &times)?;
                 times.into_iter().map(Step::Time).collect()
@@ -112,8 +121,14 @@ impl<'a> SceneSequence<'a> {
 }
 
 /// Invalid times of a [`SceneSequence`].
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SequenceError {
+    /// The rate is out of range.
+    #[error("expected a rate of more than 0 and at most {MAX_RATE_HZ} Hz, found {hz}")]
+    Rate {
+        /// The rate, per second.
+        hz: f64,
+    },
     /// A time occurs twice; times become folder names.
     #[error("expected times that differ, found {t_us} twice")]
     Twice {
@@ -152,7 +167,7 @@ pub enum SequenceError {
 fn times_at_rate(frames: &[Frame], hz: f64) -> impl Iterator<Item = i64> {
     let ends = frames.first().zip(frames.last()).map(|(first, last)| [first.t_us, last.t_us]);
     ends.into_iter().flat_map(move |[first, last]| {
-        let times = (0_u64..).map(move |i| first + (i as f64 * 1e6 / hz).round() as i64);
+        let times = (0_u64..).map(move |i| first.saturating_add((i as f64 * 1e6 / hz).round() as i64));
         times.take_while(move |t_us| *t_us <= last)
     })
 }
@@ -169,4 +184,37 @@ fn check_times(log: &Recording, times: &[i64]) -> Result<(), SequenceError> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Pose;
+
+    /// Returns the number of states at a rate of a log of three frames in 0.2 s.
+    fn count(frames: Range<usize>, hz: f64) -> Result<usize, SequenceError> {
+        let frame = |i: i64| Frame {
+            t_us: i * 100_000,
+            global_from_ego: Pose::IDENTITY,
+            sweeps: Vec::new(),
+            images: Vec::new(),
+            between_images: Vec::new(),
+            boxes: Vec::new(),
+        };
+        let log = Recording { frames: (0..3).map(frame).collect(), ..Recording::default() };
+        let times = LogTimes::Rate(frames, hz);
+        SceneSequence::new(&log, times, EgoOffset::default(), Some(Vec::new()), None)
+            .map(|states| states.len())
+    }
+
+    #[test]
+    fn rates_are_positive_and_bounded() {
+        for (hz, states) in [(10.0, 3), (20.0, 5), (4.0, 1), (1e-300, 1), (MAX_RATE_HZ, 200_001)] {
+            assert_eq!(count(0..3, hz), Ok(states), "{hz}");
+        }
+        for hz in [0.0, -1.0, f64::INFINITY, f64::NAN, 2.0 * MAX_RATE_HZ] {
+            assert!(matches!(count(0..3, hz), Err(SequenceError::Rate { .. })), "{hz}");
+        }
+        assert!(matches!(count(1..4, 10.0), Err(SequenceError::NoFrames { .. })));
+    }
 }
