@@ -220,8 +220,12 @@ mod tests {
     }
 
     /// Ids of the color and geometry clouds of one actor: 0 is background, 1 to 3 assets, 4 and 5 templates.
-    fn shown(stage: &SceneClouds<'_>, actor: ActorState, options: &SelectionOptions) -> [Option<usize>; 2] {
-        let (color, geometry) = stage.actor_instances(&actor, 1, options);
+    fn shown(
+        scene_clouds: &SceneClouds<'_>,
+        actor: ActorState,
+        options: &SelectionOptions,
+    ) -> [Option<usize>; 2] {
+        let (color, geometry) = scene_clouds.actor_instances(&actor, 1, options);
         [color, geometry].map(|instance| instance.map(|i| i.cloud))
     }
 
@@ -229,9 +233,9 @@ mod tests {
     fn the_table_of_two_clouds() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
-        let stage = SceneClouds::new(&skeleton, "log").unwrap();
+        let scene_clouds = SceneClouds::new(&skeleton, "log").unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
-        let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
+        let shown = |track: &str, category: &str| shown(&scene_clouds, actor(track, category), &options);
         assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(1)]);
         assert_eq!(shown("small", "vehicle.car"), [Some(2), Some(4)]);
         assert_eq!(shown("new", "vehicle.car"), [None, Some(4)]);
@@ -247,9 +251,9 @@ mod tests {
         let skeleton = skeleton(&folder.path().join("s"));
         let templates = vec![template(TemplateKind::Truck, 7), template(TemplateKind::Bus, 7)];
         let substitutes = Substitutes { templates, ..Substitutes::NONE };
-        let stage = SceneClouds::with(&skeleton, "log", &substitutes).unwrap();
+        let scene_clouds = SceneClouds::with(&skeleton, "log", &substitutes).unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
-        let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
+        let shown = |track: &str, category: &str| shown(&scene_clouds, actor(track, category), &options);
         assert_eq!(shown("truck", "vehicle.truck"), [Some(3), Some(3)]);
         assert_eq!(shown("new", "vehicle.truck"), [None, Some(6)]);
         assert_eq!(shown("new", "vehicle.bus.bendy"), [None, Some(7)]);
@@ -265,13 +269,13 @@ mod tests {
         // The big car loses points, the small one gains some.
         let assets = [("big".to_owned(), cube(12).0), ("small".to_owned(), cube(40).0)].into();
         let substitutes = Substitutes { templates, assets };
-        let stage = SceneClouds::with(&skeleton, "log", &substitutes).unwrap();
+        let scene_clouds = SceneClouds::with(&skeleton, "log", &substitutes).unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
-        let shown = |track: &str, category: &str| shown(&stage, actor(track, category), &options);
+        let shown = |track: &str, category: &str| shown(&scene_clouds, actor(track, category), &options);
         assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(4)]);
         assert_eq!(shown("small", "vehicle.car"), [Some(2), Some(2)]);
         assert_eq!(shown("new", "vehicle.bicycle"), [None, Some(6)]);
-        let lengths: Vec<usize> = stage.cloud_set().iter().map(|c| c.len()).collect();
+        let lengths: Vec<usize> = scene_clouds.cloud_set().iter().map(|c| c.len()).collect();
         assert_eq!(lengths, [2, 12, 40, 10, 4, 4, 6]);
     }
 
@@ -279,10 +283,10 @@ mod tests {
     fn a_template_fills_the_box() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
-        let stage = SceneClouds::new(&skeleton, "log").unwrap();
+        let scene_clouds = SceneClouds::new(&skeleton, "log").unwrap();
         let corner = |template_fit| {
             let options = SelectionOptions { template_fit, ..SelectionOptions::default() };
-            let (_, geometry) = stage.actor_instances(&actor("new", "vehicle.car"), 1, &options);
+            let (_, geometry) = scene_clouds.actor_instances(&actor("new", "vehicle.car"), 1, &options);
             geometry.unwrap().world_from_local.transform_point3(DVec3::ONE)
         };
         assert!((corner(TemplateFit::Box) - DVec3::new(7.0, 1.0, 0.75)).length() < 1e-12);

@@ -13,7 +13,7 @@ use super::{DenoiserError, FrameConditions, Recipe};
 pub struct Conditioner<'a> {
     log: &'a Recording,
     map: Option<Arc<SceneMap>>,
-    stage: &'a SceneClouds<'a>,
+    scene_clouds: &'a SceneClouds<'a>,
     options: ConditionOptions,
     prompt: String,
 }
@@ -45,12 +45,12 @@ impl<'a> Conditioner<'a> {
     pub fn new(
         log: &'a Recording,
         map: Option<Arc<SceneMap>>,
-        stage: &'a SceneClouds<'a>,
+        scene_clouds: &'a SceneClouds<'a>,
         recipe: &Recipe,
         prompt: &str,
     ) -> Self {
         let options = recipe.options(map.is_some());
-        Self { log, map, stage, options, prompt: prompt.to_owned() }
+        Self { log, map, scene_clouds, options, prompt: prompt.to_owned() }
     }
 
     /// Adds map kinds to those that are rendered.
@@ -107,7 +107,7 @@ impl<'a> Conditioner<'a> {
         rasterizer: &mut dyn Rasterizer,
     ) -> Result<RenderedConditions, ConditionerError> {
         let state = scene_state(self.log, instant, self.map.clone());
-        let instances = self.stage.instances(&state, &SelectionOptions::default());
+        let instances = self.scene_clouds.instances(&state, &SelectionOptions::default());
         let set = render(rasterizer, &instances, &state, &self.options)?;
         let conditions = FrameConditions::new(&set, &state, before, &self.prompt)?;
         Ok(RenderedConditions { state, set, conditions })

@@ -41,7 +41,7 @@ pub struct SessionParts<'a> {
 /// warm-up.
 pub struct Session<'a> {
     parts: SessionParts<'a>,
-    stage: SessionState,
+    state: SessionState,
     /// Ego pose at the previous planning step.
     before: Option<Pose>,
     times: GenerationTimes,
@@ -96,8 +96,8 @@ impl<'a> Session<'a> {
             let expected = format!("a codec of latents of {takes}");
             return Err(DenoiserError::Input { expected, found: gives.to_string() }.into());
         }
-        let stage = SessionState::Warm { denoiser, kept: Vec::new() };
-        Ok(Self { parts, stage, before: None, times: GenerationTimes::default() })
+        let state = SessionState::Warm { denoiser, kept: Vec::new() };
+        Ok(Self { parts, state, before: None, times: GenerationTimes::default() })
     }
 
     /// Resumes a rollout after `frames` planning steps, before the first call of [`Session::step`]. `last` are the last of these steps, as many as the window
@@ -139,13 +139,13 @@ impl<'a> Session<'a> {
             let found = format!("one behind frame {}", cache.next);
             return Err(wrong(format!("a cache behind frame {frames}"), found));
         }
-        let SessionState::Warm { denoiser, .. } = std::mem::replace(&mut self.stage, SessionState::Failed)
+        let SessionState::Warm { denoiser, .. } = std::mem::replace(&mut self.state, SessionState::Failed)
         else {
             return Err(SessionError::Failed);
         };
         let noise = GaussianNoise { seed: self.parts.seed };
         let generator = Generator::resume(denoiser, noise, self.parts.options, cache, shown)?;
-        self.stage = SessionState::Going(Box::new(generator));
+        self.state = SessionState::Going(Box::new(generator));
         Ok(())
     }
 
@@ -159,7 +159,7 @@ impl<'a> Session<'a> {
         simulation: &Simulation<'_>,
         rasterizer: &mut dyn Rasterizer,
     ) -> Result<Option<StepImages>, SessionError> {
-        if matches!(self.stage, SessionState::Failed) {
+        if matches!(self.state, SessionState::Failed) {
             return Err(SessionError::Failed);
         }
         if !simulation.committed().get().step.is_multiple_of(simulation.steps_per_plan()) {
@@ -167,7 +167,7 @@ impl<'a> Session<'a> {
         }
         let made = self.make(simulation, rasterizer);
         if made.is_err() {
-            self.stage = SessionState::Failed;
+            self.state = SessionState::Failed;
         }
         made.map(Some)
     }
@@ -182,7 +182,7 @@ impl<'a> Session<'a> {
         let drawn = self.draw(simulation.committed(), rasterizer)?;
         times.conditions_s = lap(&mut clock);
         let references = self.parts.options.references();
-        if matches!(&self.stage, SessionState::Warm { kept, .. } if kept.len() < references) {
+        if matches!(&self.state, SessionState::Warm { kept, .. } if kept.len() < references) {
             let images = self.keep(&drawn)?;
             times.truth_s = lap(&mut clock);
             self.times = times;
@@ -204,7 +204,7 @@ impl<'a> Session<'a> {
 
     /// State for the next step, once frames are generated.
     pub fn cache(&self) -> Option<&Cache> {
-        match &self.stage {
+        match &self.state {
             SessionState::Going(generator) => Some(generator.cache()),
             SessionState::Warm { .. } | SessionState::Failed => None,
         }
@@ -231,7 +231,7 @@ impl<'a> Session<'a> {
     fn keep(&mut self, drawn: &Committed<RenderedConditions>) -> Result<Vec<RgbImage>, SessionError> {
         let images = self.truth(drawn.get())?;
         let latent = self.parts.codec.encode(&images)?;
-        if let SessionState::Warm { kept, .. } = &mut self.stage {
+        if let SessionState::Warm { kept, .. } = &mut self.state {
             kept.push((latent, drawn.clone().map(|drawn| drawn.conditions)));
         }
         Ok(images)
@@ -245,15 +245,15 @@ impl<'a> Session<'a> {
 
     /// Returns the generator; creates it when the references are complete.
     fn generator(&mut self) -> Result<&mut Generator<AnyDenoiser, GaussianNoise>, SessionError> {
-        if let SessionState::Warm { .. } = self.stage
+        if let SessionState::Warm { .. } = self.state
             && let SessionState::Warm { denoiser, kept } =
-                std::mem::replace(&mut self.stage, SessionState::Failed)
+                std::mem::replace(&mut self.state, SessionState::Failed)
         {
             let noise = GaussianNoise { seed: self.parts.seed };
             let generator = Generator::new(denoiser, noise, self.parts.options, kept)?;
-            self.stage = SessionState::Going(Box::new(generator));
+            self.state = SessionState::Going(Box::new(generator));
         }
-        match &mut self.stage {
+        match &mut self.state {
             SessionState::Going(generator) => Ok(generator),
             SessionState::Warm { .. } | SessionState::Failed => Err(SessionError::Failed),
         }

@@ -64,7 +64,7 @@ impl Frames for Jobs<'_> {
 
 /// Whole steps of a recording: instance selection, rendering, layouts, and the final maps.
 pub(super) struct Steps<'a> {
-    stage: SceneClouds<'a>,
+    scene_clouds: SceneClouds<'a>,
     states: Vec<&'a SceneState>,
     options: ConditionOptions,
     begun: VecDeque<StepInFlight>,
@@ -72,11 +72,11 @@ pub(super) struct Steps<'a> {
 
 impl<'a> Steps<'a> {
     pub(super) fn new(
-        stage: SceneClouds<'a>,
+        scene_clouds: SceneClouds<'a>,
         states: Vec<&'a SceneState>,
         options: ConditionOptions,
     ) -> Self {
-        Self { stage, states, options, begun: VecDeque::new() }
+        Self { scene_clouds, states, options, begun: VecDeque::new() }
     }
 }
 
@@ -91,7 +91,7 @@ impl Frames for Steps<'_> {
 
     fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> Result<(), ConditionError> {
         let (state, start) = (self.states[frame], Instant::now());
-        let clouds = self.stage.instances(state, &SelectionOptions::default());
+        let clouds = self.scene_clouds.instances(state, &SelectionOptions::default());
         rasterizer.stages().add("instances", start.elapsed());
         self.begun.push_back(StepInFlight::new(rasterizer, &clouds, state, &self.options)?);
         Ok(())

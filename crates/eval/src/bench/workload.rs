@@ -173,12 +173,12 @@ fn frames_of_log(
     range: Range<usize>,
     map: Option<&Arc<SceneMap>>,
 ) -> Result<Vec<WorkFrame>, FileError> {
-    let (stage, selection) = (SceneClouds::new(skeleton, &log.name)?, SelectionOptions::default());
+    let (scene_clouds, selection) = (SceneClouds::new(skeleton, &log.name)?, SelectionOptions::default());
     let radius_m = ConditionOptions::default().radius_m;
     let frame = |index: usize| {
         let mut state = state_of_frame(log, index, EgoOffset::default())?;
         state.map = map.cloned();
-        let clouds = stage.instances(&state, &selection);
+        let clouds = scene_clouds.instances(&state, &selection);
         let crop = Some(Crop { center: state.global_from_ego.translation.truncate(), radius_m });
         let views = state.cameras.iter().map(|camera| camera.view.clone()).collect();
         Some(WorkFrame { name: state.name.clone(), views, clouds, crop, state: Some(state) })

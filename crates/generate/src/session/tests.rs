@@ -116,11 +116,11 @@ fn nothing(path: &Path) -> Skeleton {
     Skeleton::open(path).unwrap()
 }
 
-fn parts<'a>(drive: &'a Grey, stage: &'a Clouds<'a>, calls_before: Option<usize>) -> SessionParts<'a> {
+fn parts<'a>(drive: &'a Grey, scene_clouds: &'a Clouds<'a>, calls_before: Option<usize>) -> SessionParts<'a> {
     let recipe = Recipe { drawn: ImageSize { height: 8, width: 16 }, size: SIZE, ..Recipe::default() };
     let codec = PixelCodec::new(SHAPE).unwrap();
     SessionParts {
-        conditioner: Conditioner::new(&drive.0, None, stage, &recipe, ""),
+        conditioner: Conditioner::new(&drive.0, None, scene_clouds, &recipe, ""),
         truth: GroundTruthImages::new(drive),
         ego_follows_log: true,
         actors_follow_log: true,
@@ -143,15 +143,15 @@ fn parts<'a>(drive: &'a Grey, stage: &'a Clouds<'a>, calls_before: Option<usize>
 fn a_session_that_failed_makes_no_step() {
     let (drive, folder) = (Grey::new(), tempfile::tempdir().unwrap());
     let skeleton = nothing(&folder.path().join("sk"));
-    let stage = Clouds::new(&skeleton, "grey").unwrap();
+    let scene_clouds = Clouds::new(&skeleton, "grey").unwrap();
     let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
-    let mut rasterizer = raster::create(&desc, stage.cloud_set()).unwrap();
+    let mut rasterizer = raster::create(&desc, scene_clouds.cloud_set()).unwrap();
     // The reference is encoded, all later frames are decoded.
     for (calls_before, made_before) in [(None, 5), (Some(0), 0), (Some(1), 1), (Some(2), 2)] {
         let scenario = Scenario { log: &drive.0, map: None, rates: Rates::default() };
         let options = SimOptions { steps: 9, ..SimOptions::default() };
         let mut simulation = Simulation::new(&scenario, options).unwrap();
-        let mut session = Session::new(parts(&drive, &stage, calls_before), Box::new(Still)).unwrap();
+        let mut session = Session::new(parts(&drive, &scene_clouds, calls_before), Box::new(Still)).unwrap();
         let (mut made, mut errors) = (0, Vec::new());
         loop {
             for _attempt in 0..2 {
