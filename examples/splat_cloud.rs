@@ -1,4 +1,6 @@
-//! Splats your own points into your own camera, without a log or a skeleton: `cargo run --example splat_cloud`.
+//! Splats your own points into your own camera, without a log or a skeleton, and writes `splat.png`:
+//! `cargo run --release --example splat_cloud`. Camera axes are x right, y down, z forward. Positions are `f32`: put a
+//! nearby origin into `world_from_local`. For several cameras or reduced sizes see `conditions::render_views`.
 
 use std::path::Path;
 

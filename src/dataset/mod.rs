@@ -37,7 +37,8 @@ use crate::error::FileError;
 use crate::files::text::{printable, printable_path};
 use crate::geometry::{CameraError, Cuboid, CuboidError, PoseError, View};
 
-/// Source of one log: metadata, sweeps, images and map.
+/// Reader of one log (not of a whole data set): metadata, sweeps, images and map. For a format outside this crate,
+/// implement it and pass it to [`Log::new`](crate::Log::new).
 pub trait Dataset: Send + Sync {
     /// Returns poses, calibration, boxes and file paths.
     fn log(&self) -> &Recording;

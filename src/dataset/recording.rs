@@ -48,7 +48,8 @@ pub struct TrafficLight {
 pub struct Track {
     /// Id in the dataset.
     pub id: String,
-    /// Category name in the dataset.
+    /// Dotted category as in nuScenes, like `vehicle.car`, to which the reader maps the names of the data set. It
+    /// determines class, color of the box, and template.
     pub category: String,
     /// Coarse class.
     pub class: Class,

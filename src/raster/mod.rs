@@ -2,9 +2,24 @@
 //!
 //! # How it works
 //! A rasterizer is created once from all clouds of a scene ([`CloudSet`]), which then stay resident. Per frame and
-//! view only the camera and the [`Instance`]s (posed clouds) change. [`draws_from_job`] converts them to [`Draw`]s:
-//! `f32` matrices multiplied out in `f64`, culled by bounds. Every rasterizer takes the same draws and does the
-//! same `f32` operations in the same order, so the maps agree to the pixel.
+//! view only the camera and the [`Instance`]s (posed clouds) change. [`Draw`]s contain their poses and projections as
+//! `f32` matrices multiplied out in `f64`. `cpu` and `graphics` cull whole instances by bounds ([`draws_from_job`]),
+//! `compute` culls parts of them. All do the same `f32` operations in the same order, so the maps agree to the pixel.
+//!
+//! ```
+//! use point_skeleton::raster::{Instance, MapSet, RasterizerKind, SplatJob, SplatSchedule, create};
+//! # use point_skeleton::{cloud::Point, geometry::{Camera, View}};
+//! # let camera = Camera::new("front", 8, 6, [[4.0, 0.0, 4.0], [0.0, 4.0, 3.0], [0.0, 0.0, 1.0]])?;
+//! # let (view, pose) = (View { camera, camera_from_world: Default::default() }, Default::default());
+//! let points = [Point::new([0.0, 0.0, 5.0], [255, 0, 0], 1)]; // meters, RGB, class
+//! let mut rasterizer = create(&RasterizerKind::Cpu.into(), vec![&points])?;
+//! let instances = [Instance { cloud: 0, world_from_local: pose, number: 0 }];
+//! let schedule = SplatSchedule::default();
+//! let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, maps: MapSet::SPLATTED };
+//! let maps = rasterizer.splat(&job)?;
+//! # assert_eq!(maps.depth.iter().filter(|z| **z == 5.0).count(), 25);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod compute;
 pub mod cpu;

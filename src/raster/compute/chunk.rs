@@ -7,9 +7,9 @@ use crate::cloud::{Bounds, Point, morton_order};
 /// Points per chunk; the last one of a cloud may have fewer. Also the width of the images of points, and the
 /// alignment of a draw's first number.
 pub(super) const CHUNK: usize = 4096;
-/// Points that are culled as one unit: a part of a chunk.
-pub(super) const PIECE: usize = 1024;
-/// Number of pieces in a group; a group is culled before its pieces.
+/// Points that are culled as one unit, a block: a quarter of a chunk.
+pub(super) const CULL_BLOCK: usize = 1024;
+/// Number of blocks in a group; a group is culled before its blocks.
 pub(super) const GROUP: usize = 64;
 
 /// An axis-aligned box, as center and half size, meters.
@@ -34,9 +34,9 @@ pub(super) struct ChunkedCloud<'a> {
     points: &'a [Point],
     /// Cloud index of each point in chunk order; `None` for the cloud's own order.
     order: Option<Vec<u32>>,
-    /// Bounds of each run of [`PIECE`] points; `None` if none of them is ever drawn.
-    pub(super) pieces: Vec<Option<Extent>>,
-    /// Bounds of each run of [`GROUP`] pieces.
+    /// Bounds of each run of [`CULL_BLOCK`] points; `None` if none of them is ever drawn.
+    pub(super) blocks: Vec<Option<Extent>>,
+    /// Bounds of each run of [`GROUP`] blocks.
     pub(super) groups: Vec<Option<Extent>>,
 }
 
@@ -45,15 +45,15 @@ impl<'a> ChunkedCloud<'a> {
         let parts: Vec<Option<Bounds>> =
             points.par_chunks(CHUNK).map(|part| finite_bounds(part.iter())).collect();
         let order = union(&parts).and_then(|bounds| morton_order(points, &bounds));
-        let mut cloud = Self { points, order, pieces: Vec::new(), groups: Vec::new() };
-        let pieces = points.len().div_ceil(PIECE);
-        let bounds = |piece: usize| {
-            let places = piece * PIECE..points.len().min((piece + 1) * PIECE);
+        let mut cloud = Self { points, order, blocks: Vec::new(), groups: Vec::new() };
+        let blocks = points.len().div_ceil(CULL_BLOCK);
+        let bounds = |block: usize| {
+            let places = block * CULL_BLOCK..points.len().min((block + 1) * CULL_BLOCK);
             finite_bounds(cloud.points_at(places).map(|(_, point)| point))
         };
-        let bounds: Vec<Option<Bounds>> = (0..pieces).into_par_iter().map(bounds).collect();
+        let bounds: Vec<Option<Bounds>> = (0..blocks).into_par_iter().map(bounds).collect();
         cloud.groups = bounds.chunks(GROUP).map(|part| union(part).map(|b| Extent::of(&b))).collect();
-        cloud.pieces = bounds.iter().map(|b| b.map(|b| Extent::of(&b))).collect();
+        cloud.blocks = bounds.iter().map(|b| b.map(|b| Extent::of(&b))).collect();
         cloud
     }
 
@@ -121,21 +121,21 @@ mod tests {
         let scattered = |i: u32| point((i.wrapping_mul(2_654_435_761) >> 16) as f32);
         let points: Vec<Point> = (0..10_000).map(scattered).collect();
         let cloud = ChunkedCloud::new(&points);
-        assert_eq!((cloud.chunks(), cloud.pieces.len(), cloud.groups.len()), (3, 10, 1));
+        assert_eq!((cloud.chunks(), cloud.blocks.len(), cloud.groups.len()), (3, 10, 1));
         assert_eq!(cloud.count(2), 10_000 - 2 * 4096);
         let mut seen = vec![0; points.len()];
         for chunk in 0..3 {
             let mut row = vec![[0; 4]; CHUNK];
             cloud.write_row(chunk, &mut row);
             for (i, [x, _, _, index]) in row[..cloud.count(chunk) as usize].iter().enumerate() {
-                let extent = cloud.pieces[(chunk * CHUNK + i) / PIECE].unwrap();
+                let extent = cloud.blocks[(chunk * CHUNK + i) / CULL_BLOCK].unwrap();
                 seen[*index as usize] += 1;
                 assert_eq!(f32::from_bits(*x), points[*index as usize].position[0]);
                 assert!((f64::from(f32::from_bits(*x)) - extent.center[0]).abs() <= extent.half[0]);
             }
         }
         assert!(seen.iter().all(|n| *n == 1));
-        let widths: f64 = cloud.pieces.iter().map(|e| 2.0 * e.unwrap().half[0]).sum();
+        let widths: f64 = cloud.blocks.iter().map(|e| 2.0 * e.unwrap().half[0]).sum();
         assert!(widths < 66_000.0, "{widths}: chunks of a line share a cell at most");
     }
 
@@ -143,10 +143,10 @@ mod tests {
     fn what_is_not_finite_widens_no_bounds() {
         let points = [point(1.0), point(f32::NAN), point(f32::INFINITY), point(3.0)];
         let cloud = ChunkedCloud::new(&points);
-        let extent = cloud.pieces[0].unwrap();
+        let extent = cloud.blocks[0].unwrap();
         assert_eq!((extent.center[0], extent.half[0]), (2.0, 1.0));
-        assert!(ChunkedCloud::new(&points[1..3]).pieces[0].is_none());
-        assert!(ChunkedCloud::new(&[]).pieces.is_empty());
+        assert!(ChunkedCloud::new(&points[1..3]).blocks[0].is_none());
+        assert!(ChunkedCloud::new(&[]).blocks.is_empty());
         assert_eq!(cloud.colors(2..100).count(), 2);
     }
 }

@@ -2,14 +2,14 @@
 
 use super::passes::passes;
 use super::plan::PlannedItem;
-use super::resolve::MAX_LOOKED_FOR;
+use super::resolve::MAX_GATHERED_RADIUS;
 use crate::raster::SplatSchedule;
 
 /// Method by which points cover more than their own pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Coverage {
     /// Radii are small: the resolve shaders gather the neighborhood.
-    LookedFor,
+    Gathered,
     /// Points are few: each draws its square.
     Drawn,
     /// Each point writes its own pixel, then keys are spread.
@@ -22,8 +22,8 @@ const PASS_COST: u64 = 2;
 impl Coverage {
     /// Returns the cheapest method for these points and this number of key pixels.
     pub(super) fn choose(schedule: &SplatSchedule, items: &[PlannedItem], key_pixels: u64) -> Self {
-        if schedule.max_radius() <= MAX_LOOKED_FOR {
-            return Self::LookedFor;
+        if schedule.max_radius() <= MAX_GATHERED_RADIUS {
+            return Self::Gathered;
         }
         let square = |item: &PlannedItem| {
             let [first, end] = item.points;
@@ -55,7 +55,7 @@ mod tests {
             Coverage::choose(&schedule.parse().unwrap(), items, 1_000_000)
         };
         let many = vec![item(4096, 1.0); 1000];
-        assert_eq!(choose("9:2", &many), Coverage::LookedFor);
+        assert_eq!(choose("9:2", &many), Coverage::Gathered);
         assert_eq!(choose("9:31", &many), Coverage::Spread);
         assert_eq!(choose("9:31", &[item(1000, 1.0)]), Coverage::Drawn);
         // Distant points have small squares.

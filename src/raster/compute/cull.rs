@@ -1,6 +1,6 @@
 //! Culling of chunk parts per row strip, and their minimum depths.
 
-use super::chunk::{CHUNK, ChunkedCloud, Extent, GROUP, PIECE};
+use super::chunk::{CHUNK, CULL_BLOCK, ChunkedCloud, Extent, GROUP};
 use crate::raster::Draw;
 use crate::raster::schedule::Z_NEAR_M;
 
@@ -101,11 +101,11 @@ pub(super) fn seen_points(
         if !extent.as_ref().is_some_and(|e| frustum.touches(e)) {
             continue;
         }
-        for (i, extent) in cloud.pieces.iter().enumerate().skip(group * GROUP).take(GROUP) {
+        for (i, extent) in cloud.blocks.iter().enumerate().skip(group * GROUP).take(GROUP) {
             let Some(extent) = extent.as_ref().filter(|e| frustum.touches(e)) else { continue };
             let (nearest_m, crop) = (frustum.nearest_m(extent), frustum.cuts(extent));
-            let (chunk, first) = ((i * PIECE / CHUNK) as u32, (i * PIECE % CHUNK) as u32);
-            let end = cloud.count(chunk as usize).min(first + PIECE as u32);
+            let (chunk, first) = ((i * CULL_BLOCK / CHUNK) as u32, (i * CULL_BLOCK % CHUNK) as u32);
+            let end = cloud.count(chunk as usize).min(first + CULL_BLOCK as u32);
             match seen.last_mut() {
                 Some(last) if (last.chunk, last.points[1], last.crop) == (chunk, first, crop) => {
                     last.points[1] = end;

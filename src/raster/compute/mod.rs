@@ -4,10 +4,11 @@
 //! Points are stored in images, one chunk of 4096 neighboring points per row (`chunk`, `store`). A frame is a list
 //! of instances in one numbering (`plan`). Its views are row strips ("bands") of one visibility buffer per cloud
 //! (`bands`, `layers`). Only chunks that may be visible in a view are drawn (`cull`), in one dispatch per page and
-//! kind for all views. Each point writes its pixel with an atomic minimum of `depth << 32 | number` (`project`). A
-//! nearer point in the same pixel covers everything that a farther one covers, so one key per pixel suffices: the
-//! resolve shaders gather the neighborhood of each pixel that the result reads, and write the maps (`resolve`). All
-//! passes are one submit (`record`) with buffers of its own (`slot`), so the next frame can be begun meanwhile.
+//! kind for all views. Each point writes its pixel with an atomic minimum of `depth << 32 | number` (`project`).
+//! Radii never increase with depth, so a nearer point in the same pixel covers everything that a farther one covers,
+//! and one key per pixel suffices. With radii of at most 2 the resolve shaders gather the neighborhood of each pixel
+//! that the result reads, and write the maps (`resolve`). With larger radii (`coverage`) either the points write all
+//! pixels of their squares, or several passes spread the keys (`passes`, `spread`). All passes of a frame are one submit (`record`) with buffers of its own (`slot`), so the next frame can be begun meanwhile.
 //! Only streaming, and views that do not fit into one batch ("part"), take several submits.
 //!
 //! If the positions of all points exceed the memory budget, rows of positions are streamed, and the least recently

@@ -79,14 +79,14 @@ impl Phases<'_> {
 
 /// Splits ascending rows into consecutive runs within one page; returns the first index and count of each run.
 fn neighbours(rows: &[u32], page_rows: u32) -> Vec<(usize, usize)> {
-    let mut pieces: Vec<(usize, usize)> = Vec::new();
+    let mut runs: Vec<(usize, usize)> = Vec::new();
     for (i, row) in rows.iter().enumerate() {
-        match pieces.last_mut() {
+        match runs.last_mut() {
             Some((_, count)) if rows[i - 1] + 1 == *row && row % page_rows != 0 => *count += 1,
-            _ => pieces.push((i, 1)),
+            _ => runs.push((i, 1)),
         }
     }
-    pieces
+    runs
 }
 
 #[cfg(test)]

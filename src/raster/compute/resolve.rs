@@ -9,7 +9,7 @@ use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, Shader, asse
 use crate::raster::{MapKind, MapSet, SplatSchedule, SplatStep};
 
 /// Maximum radius that the resolve shaders gather.
-pub(super) const MAX_LOOKED_FOR: u32 = 2;
+pub(super) const MAX_GATHERED_RADIUS: u32 = 2;
 /// Columns per invocation of the full-size shader.
 const COLUMNS_EACH: u32 = 4;
 const GROUP: u32 = 64;
@@ -43,9 +43,9 @@ impl ResolvePush {
     /// a tile of keys.
     pub(super) fn new(schedule: &SplatSchedule, rows: u32, maps: MapSet, key_rows: u32) -> Self {
         // Squares of larger radii are already drawn or spread: only the own pixel is read.
-        let looked_for = schedule.max_radius() <= MAX_LOOKED_FOR;
+        let gathered = schedule.max_radius() <= MAX_GATHERED_RADIUS;
         let reach = |radius: u32| {
-            let covers = |step: &&SplatStep| looked_for && step.radius >= radius;
+            let covers = |step: &&SplatStep| gathered && step.radius >= radius;
             schedule.steps().iter().rfind(covers).map_or(0, |step| step.z_max_m.to_bits())
         };
         Self { reach_1: reach(1), reach_2: reach(2), rows, wants: maps.bits(), key_rows }

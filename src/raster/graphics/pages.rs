@@ -1,7 +1,8 @@
 //! Resident clouds of the graphics-pipeline rasterizer: all points of a scene, concatenated in a few large buffers.
 //!
-//! A page is a chunk buffer as large as a shader can bind. A cloud that crosses a page boundary is drawn in several
-//! pieces, in the order of its points, so the smallest index still wins ties.
+//! A page is a buffer as large as a shader can bind. A cloud that crosses a page boundary has a slice in each page.
+//! A piece is a slice drawn with the pose of one instance. Pieces are drawn in the order of their points, so the
+//! smallest number still wins ties.
 
 use std::sync::Arc;
 
