@@ -41,9 +41,13 @@ impl Log {
 
     /// Returns the frames (the states at key frames), in time order.
     pub fn frames(&self) -> impl Iterator<Item = SceneState> {
-        let log = self.dataset.log();
-        let states = (0..log.frames.len()).filter_map(|i| state_of_frame(log, i, EgoOffset::default()));
-        states.map(|state| self.with_map(state))
+        (0..self.dataset.log().frames.len()).filter_map(|i| self.frame(i))
+    }
+
+    /// Returns the state at a key frame; `None` beyond the last.
+    pub fn frame(&self, index: usize) -> Option<SceneState> {
+        let state = state_of_frame(self.dataset.log(), index, EgoOffset::default());
+        state.map(|state| self.with_map(state))
     }
 
     /// Returns the state at a time, with interpolated ego and actors; `None` outside the log. Microseconds.

@@ -115,7 +115,7 @@ impl RasterizerInfo {
 pub const FRAMES_IN_FLIGHT: usize = 2;
 
 /// Renders resident clouds as splats.
-pub trait Rasterizer {
+pub trait Rasterizer: Send {
     /// Returns the rasterizer, device and driver.
     fn info(&self) -> RasterizerInfo;
 
