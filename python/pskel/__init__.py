@@ -1,5 +1,43 @@
 """Recorded drives to camera conditions: colored point skeletons splatted into six cameras by headless Vulkan."""
 
-from ._pskel import BuildError, Error, Log, LogError, Renderer, RenderError, Skeleton, State, build, splat
+from ._pskel import (
+    Actor,
+    BuildError,
+    Camera,
+    Committed,
+    Error,
+    Forecast,
+    Frames,
+    Log,
+    LogError,
+    Renderer,
+    RenderError,
+    ResetAndRoll,
+    Scene,
+    Simulation,
+    SimulationError,
+    Skeleton,
+    splat,
+)
+from ._build import build
 
-__all__ = ["BuildError", "Error", "Log", "LogError", "RenderError", "Renderer", "Skeleton", "State", "build", "splat"]
+__all__ = [
+    "Actor",
+    "BuildError",
+    "Camera",
+    "Committed",
+    "Error",
+    "Forecast",
+    "Frames",
+    "Log",
+    "LogError",
+    "RenderError",
+    "Renderer",
+    "ResetAndRoll",
+    "Scene",
+    "Simulation",
+    "SimulationError",
+    "Skeleton",
+    "build",
+    "splat",
+]

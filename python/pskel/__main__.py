@@ -7,8 +7,9 @@ from ._pskel import run_command
 
 
 def main() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command has its own handlers
-    run_command(["pskel", *sys.argv[1:]])
+    """Run the command with the arguments of this process, and exit with its code."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command installs its own handler
+    sys.exit(run_command(["pskel", *sys.argv[1:]]))
 
 
 if __name__ == "__main__":

@@ -1,68 +1,91 @@
-//! Condition maps as NumPy arrays over all cameras.
+//! Arguments that are arrays: anything that `numpy.asarray` converts to numbers, of any memory layout.
 
-use numpy::PyArrayMethods;
-use numpy::{Element, PyArray1};
-use point_skeleton::{CameraConditions, MapKind};
+use glam::{DAffine3, DMat3, DMat4, DQuat};
+use numpy::ndarray::{Array2, Array3, ArrayView1, ArrayViewD};
+use numpy::{AllowTypeChange, IntoPyArray, PyArray2, PyArray3, PyArrayLikeDyn};
+use point_skeleton::geometry::Pose;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
 
-/// Returns a dictionary of the rendered maps: color, boxes and map `[V, H, W, 3]` `uint8`; depth `[V, H, W]` `float32`,
-/// meters, `inf` where empty; class `uint8`, instance and point `uint32`; points and layout `float32` `[V, C, H, W]`.
-pub(crate) fn dictionary<'py>(py: Python<'py>, cameras: &[CameraConditions]) -> PyResult<Bound<'py, PyDict>> {
-    let dictionary = PyDict::new(py);
-    let Some(first) = cameras.first() else { return Ok(dictionary) };
-    if let Some(other) = cameras.iter().find(|camera| camera.size() != first.size()) {
-        return Err(PyValueError::new_err(format!(
-            "expected cameras of one size, found {} at {} and {} at {}: give out_size",
-            first.name,
-            first.size(),
-            other.name,
-            other.size()
-        )));
+/// An argument that converts to an array of `float64`.
+pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+
+/// Returns the array of an argument with a shape, in which 0 stands for any length.
+///
+/// # Errors
+/// Raises `ValueError` for another shape.
+pub(crate) fn shaped<'a>(name: &str, array: &'a Numbers<'_>, shape: &[usize]) -> PyResult<ArrayViewD<'a, f64>> {
+    let view = array.as_array();
+    let fits = |(found, expected): (&usize, &usize)| found == expected || *expected == 0;
+    if view.ndim() == shape.len() && view.shape().iter().zip(shape).all(fits) {
+        return Ok(view);
     }
-    let (height, width) = (first.height as usize, first.width as usize);
-    let gray = vec![cameras.len(), height, width];
-    let rgb = vec![cameras.len(), height, width, 3];
-    for kind in MapKind::ALL {
-        let array = match kind {
-            MapKind::Color | MapKind::Boxes | MapKind::Map => {
-                stacked(py, cameras, &rgb, |camera| camera.rgb(kind).map(<[[u8; 3]]>::as_flattened))?
-            }
-            MapKind::Depth => stacked(py, cameras, &gray, |camera| camera.depth_m.as_deref())?,
-            MapKind::Class => stacked(py, cameras, &gray, |camera| camera.class.as_deref())?,
-            MapKind::Instance => stacked(py, cameras, &gray, |camera| camera.instance.as_deref())?,
-            MapKind::Point => stacked(py, cameras, &gray, |camera| camera.point.as_deref())?,
-            MapKind::Tensor => {
-                let channels = |count: usize| vec![cameras.len(), count / (height * width).max(1), height, width];
-                if let Some(tensor) = &first.tensor {
-                    let points = channels(tensor.points.len());
-                    let points =
-                        stacked(py, cameras, &points, |camera| Some(camera.tensor.as_ref()?.points.as_slice()))?;
-                    let layout = channels(tensor.layout.len());
-                    let layout =
-                        stacked(py, cameras, &layout, |camera| Some(camera.tensor.as_ref()?.layout.as_slice()))?;
-                    dictionary.set_item("points", points)?;
-                    dictionary.set_item("layout", layout)?;
-                }
-                None
-            }
-        };
-        if let Some(array) = array {
-            dictionary.set_item(kind.name(), array)?;
-        }
-    }
-    Ok(dictionary)
+    let letters = ["N", "M"];
+    let text = |i: usize| if shape[i] == 0 { letters[i.min(1)].to_owned() } else { shape[i].to_string() };
+    let expected: Vec<String> = (0..shape.len()).map(text).collect();
+    Err(PyValueError::new_err(format!("expected {name} [{}], found {:?}", expected.join(", "), view.shape())))
 }
 
-/// Copies one map of all cameras into an array; `None` if it was not rendered.
-fn stacked<'py, T: Element + Copy + Default>(
-    py: Python<'py>,
-    cameras: &[CameraConditions],
-    shape: &[usize],
-    map: impl Fn(&CameraConditions) -> Option<&[T]>,
-) -> PyResult<Option<Bound<'py, PyAny>>> {
-    let Some(parts) = cameras.iter().map(map).collect::<Option<Vec<_>>>() else { return Ok(None) };
-    let array = PyArray1::from_vec(py, parts.concat());
-    Ok(Some(array.reshape(shape.to_vec())?.into_any()))
+/// Reads a rigid transform `[4, 4]`, meters.
+///
+/// # Errors
+/// Raises `ValueError` for another shape, values that are not finite, and matrices that scale, shear or mirror.
+pub(crate) fn pose(name: &str, array: &Numbers<'_>) -> PyResult<Pose> {
+    let view = shaped(name, array, &[4, 4])?;
+    let affine = affine(name, |row, column| view[[row, column]])?;
+    let (rotation, translation) = (affine.matrix3, affine.translation);
+    let rotation = DQuat::from_mat3(&DMat3::from_cols(rotation.x_axis, rotation.y_axis, rotation.z_axis));
+    Ok(Pose { rotation: rotation.normalize(), translation })
+}
+
+/// Reads a rigid transform from its elements by row and column.
+///
+/// # Errors
+/// Raises `ValueError` as [`pose`] does.
+pub(crate) fn affine(name: &str, element: impl Fn(usize, usize) -> f64) -> PyResult<DAffine3> {
+    let columns: [[f64; 4]; 4] = std::array::from_fn(|column| std::array::from_fn(|row| element(row, column)));
+    let matrix = DMat4::from_cols_array_2d(&columns);
+    let rotation = DMat3::from_mat4(matrix);
+    let off = (rotation.transpose() * rotation - DMat3::IDENTITY).to_cols_array();
+    let rigid = matrix.is_finite()
+        && matrix.row(3).to_array() == [0.0, 0.0, 0.0, 1.0]
+        && off.iter().all(|value| value.abs() < 1e-4)
+        && rotation.determinant() > 0.0;
+    if rigid {
+        return Ok(DAffine3::from_mat4(matrix));
+    }
+    let rows = matrix.transpose().to_cols_array_2d();
+    Err(PyValueError::new_err(format!("expected a finite rigid transform as {name}, found {rows:?}")))
+}
+
+/// Reads intrinsics from their elements by row and column.
+pub(crate) fn intrinsics(element: impl Fn(usize, usize) -> f64) -> [[f64; 3]; 3] {
+    std::array::from_fn(|row| std::array::from_fn(|column| element(row, column)))
+}
+
+/// Reads a color or class of 0 to 255.
+///
+/// # Errors
+/// Raises `ValueError` with the row of the point.
+pub(crate) fn byte(point: ArrayView1<'_, f64>, column: usize, row: usize) -> PyResult<u8> {
+    let value = point[column];
+    if (0.0..=255.0).contains(&value) {
+        return Ok(value.round() as u8);
+    }
+    Err(PyValueError::new_err(format!("expected 0 to 255 in column {column} of point {row}, found {value}")))
+}
+
+/// Returns the rows of a homogeneous transform.
+pub(crate) fn rows(affine: &DAffine3) -> [[f64; 4]; 4] {
+    DMat4::from(*affine).transpose().to_cols_array_2d()
+}
+
+/// Returns a homogeneous transform as an array.
+pub(crate) fn matrix<'py>(py: Python<'py>, affine: &DAffine3) -> Bound<'py, PyArray2<f64>> {
+    Array2::from(rows(affine).to_vec()).into_pyarray(py)
+}
+
+/// Returns matrices as an array.
+pub(crate) fn stack<const N: usize>(py: Python<'_>, all: Vec<[[f64; N]; N]>) -> Bound<'_, PyArray3<f64>> {
+    Array3::from(all).into_pyarray(py)
 }

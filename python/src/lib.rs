@@ -1,34 +1,56 @@
-//! The Python extension `pskel._pskel`: logs, skeletons and the renderer, with maps as NumPy arrays.
+//! The Python extension `pskel._pskel`: logs, skeletons, the renderer, simulations and the generator loop.
 //!
 //! # How it works
-//! Every class wraps one type of the library and adds no behavior of its own. Calls that read files or wait for the
-//! device release the interpreter lock. Errors of the library become subclasses of `pskel.Error` with the same text.
+//! Every class wraps one type of the library and adds no behavior of its own. Calls that read files, wait for the
+//! device or simulate release the interpreter lock (`pool`). Errors of the library become subclasses of `pskel.Error`
+//! with the same text; invalid arguments become `ValueError`. Maps are NumPy arrays over all cameras (`maps`).
 
 mod arrays;
+mod build;
 mod command;
 mod error;
 mod log;
+mod maps;
+mod pool;
 mod renderer;
+mod roll;
+mod scene;
+mod simulation;
 mod skeleton;
 mod splat;
-mod state;
+mod time;
 
 use pyo3::prelude::pymodule;
 
 #[pymodule]
 mod _pskel {
     #[pymodule_export]
+    use crate::build::build;
+    #[pymodule_export]
     use crate::command::run_command;
     #[pymodule_export]
-    use crate::error::{BuildError, Error, LogError, RenderError};
+    use crate::error::{BuildError, Error, LogError, RenderError, SimulationError};
     #[pymodule_export]
     use crate::log::Log;
     #[pymodule_export]
-    use crate::renderer::Renderer;
+    use crate::renderer::{Frames, Renderer};
     #[pymodule_export]
-    use crate::skeleton::{Skeleton, build};
+    use crate::roll::ResetAndRoll;
+    #[pymodule_export]
+    use crate::scene::{Actor, Camera, Scene};
+    #[pymodule_export]
+    use crate::simulation::Simulation;
+    #[pymodule_export]
+    use crate::skeleton::Skeleton;
     #[pymodule_export]
     use crate::splat::splat;
     #[pymodule_export]
-    use crate::state::State;
+    use crate::time::{Committed, Forecast};
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(_: &Bound<'_, PyModule>) -> PyResult<()> {
+        crate::pool::imported();
+        Ok(())
+    }
 }

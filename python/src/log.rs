@@ -1,31 +1,39 @@
 use std::sync::Arc;
 
+use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use point_skeleton::dataset::Dataset;
-use pyo3::exceptions::PyIndexError;
+use point_skeleton::error::with_causes;
+use point_skeleton::geometry::{ImageSize, View};
+use pskel_generate::GroundTruthImages;
+use pskel_sim::Rates;
+use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::error::raise;
-use crate::state::State;
+use crate::error::{LogError, raise};
+use crate::pool::detached;
+use crate::scene::Scene;
 
-/// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map. Its items are the states at key frames.
+/// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map. Its items are the scenes at key frames.
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Log {
     pub(crate) inner: Arc<point_skeleton::Log>,
+    text: String,
 }
 
 #[pymethods]
 impl Log {
-    /// Opens a log by name: `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`.
+    /// Opens a log by name: `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. Raises `LogError`.
     #[new]
     fn new(py: Python<'_>, name: &str) -> PyResult<Self> {
         let open = || {
-            let dataset: Box<dyn Dataset> = pskel::logs::open(&pskel::logs::locate(name)?)?;
-            point_skeleton::Log::new(dataset)
+            let locator = pskel::logs::locate(name).map_err(raise)?;
+            let dataset: Box<dyn Dataset> = pskel::logs::open(&locator).map_err(raise)?;
+            point_skeleton::Log::new(dataset).map_err(raise)
         };
-        Ok(Self { inner: Arc::new(py.detach(open).map_err(raise)?) })
+        Ok(Self { inner: Arc::new(detached(py, open)?), text: name.to_owned() })
     }
 
-    /// Name, which identifies the log in skeletons.
+    /// Name of the scene, which identifies the log in skeletons.
     #[getter]
     fn name(&self) -> &str {
         self.inner.name()
@@ -41,22 +49,61 @@ impl Log {
         self.inner.dataset().log().frames.len()
     }
 
-    /// Returns the state at a key frame; negative indices count from the end.
-    fn __getitem__(&self, index: isize) -> PyResult<State> {
+    /// Returns the scene at a key frame; negative indices count from the end.
+    fn __getitem__(&self, index: isize) -> PyResult<Scene> {
         let count = self.__len__();
         let at = if index < 0 { index.checked_add_unsigned(count) } else { Some(index) };
-        let state = at.and_then(|at| usize::try_from(at).ok()).and_then(|at| self.inner.frame(at));
-        state
-            .map(State::new)
+        let scene = at.and_then(|at| usize::try_from(at).ok()).and_then(|at| self.inner.frame(at));
+        scene
+            .map(Scene::new)
             .ok_or_else(|| PyIndexError::new_err(format!("expected a frame below {count}, found {index}")))
     }
 
-    /// Returns the state at a time (microseconds), with interpolated ego and actors; `None` outside the log.
-    fn at(&self, t_us: i64) -> Option<State> {
-        self.inner.state_at(t_us).map(State::new)
+    /// Returns the scene at a time (microseconds), with interpolated ego and actors. Raises `ValueError` outside the log.
+    fn at(&self, t_us: i64) -> PyResult<Scene> {
+        let scene = self.inner.state_at(t_us).map(Scene::new);
+        scene.ok_or_else(|| {
+            let times = self.times_us();
+            let (first, last) = (times.first(), times.last());
+            PyValueError::new_err(format!("expected a time of the log, {first:?} to {last:?} us, found {t_us}"))
+        })
+    }
+
+    /// Returns the camera images of a scene, `[V, H, W, 3]` `uint8`: recorded images nearest in time, without lens
+    /// distortion and resized to `size`, or images rendered at the scene's poses if the log is a town.
+    #[pyo3(signature = (scene, size))]
+    fn images<'py>(&self, py: Python<'py>, scene: &Scene, size: (u32, u32)) -> PyResult<Bound<'py, PyArray4<u8>>> {
+        let (log, scene) = (Arc::clone(&self.inner), Arc::clone(&scene.inner));
+        let size = ImageSize { height: size.0, width: size.1 };
+        if size.height == 0 || size.width == 0 {
+            return Err(PyValueError::new_err(format!("expected a size above 0, found {size}")));
+        }
+        let read = || {
+            let truth = GroundTruthImages::new(log.dataset());
+            let drawn = |view: &View| View { camera: view.camera.resized(size.height, size.width), ..view.clone() };
+            truth
+                .of(&scene, drawn, size, false)
+                .map_err(|error| LogError::new_err(with_causes(&error).to_string()))
+        };
+        let images = detached(py, read)?;
+        let shape = [images.len(), size.height as usize, size.width as usize, 3];
+        let bytes = images.into_iter().map(|image| image.into_raw()).collect::<Vec<_>>().concat();
+        PyArray1::from_vec(py, bytes).reshape(shape)
     }
 
     fn __repr__(&self) -> String {
-        format!("Log({:?}, {} frames)", self.name(), self.__len__())
+        format!("Log({:?}, {} frames)", self.text, self.__len__())
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (String,)) {
+        (slf.get_type().into_any(), (slf.get().text.clone(),))
+    }
+}
+
+
+impl Log {
+    /// Returns the default rates of the log's format.
+    pub(crate) fn rates(&self) -> Rates {
+        pskel::logs::locate(&self.text).map_or_else(|_| Rates::default(), |locator| Rates::of(locator.format))
     }
 }

@@ -2,40 +2,57 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use point_skeleton::raster::RasterizerDesc;
 use point_skeleton::scene::Substitutes;
-use point_skeleton::{ConditionOptions, ImageSize, MapSet, RenderOptions};
-use pyo3::exceptions::PyRuntimeError;
+use point_skeleton::{ConditionOptions, ImageSize, MapSet, Maps, RenderOptions};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyIterator};
 use self_cell::self_cell;
 
-use crate::arrays::dictionary;
-use crate::error::{invalid, raise};
+use crate::error::{RenderError, invalid, raise};
+use crate::maps::dictionary;
+use crate::pool::detached;
+use crate::scene::Scene;
 use crate::skeleton::Skeleton;
-use crate::state::State;
+
+/// Frames in flight: the device renders one while Python uses the maps of the previous one.
+const IN_FLIGHT: usize = 2;
+
+/// Values that a renderer borrows.
+struct Source {
+    skeleton: Arc<point_skeleton::Skeleton>,
+    log: Option<String>,
+}
 
 type Borrowing<'a> = point_skeleton::Renderer<'a>;
 
 self_cell!(
-    /// A renderer together with the skeleton it borrows.
+    /// A renderer together with the values it borrows.
     struct Owned {
-        owner: Arc<point_skeleton::Skeleton>,
+        owner: Source,
         #[not_covariant]
         dependent: Borrowing,
     }
 );
 
-/// Renders the condition maps of states from a skeleton. Owns the device and the points on it.
+struct Device {
+    /// `None` when closed.
+    owned: Option<Owned>,
+    /// Number of calls that began a series of frames; frames in flight belong to the last.
+    series: u64,
+}
+
+/// Renders the condition maps of scenes from a skeleton. Owns a device and the points on it.
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Renderer {
-    /// `None` when closed.
-    owned: Mutex<Option<Owned>>,
+    device: Mutex<Device>,
     /// Process that opened the device.
     process: u32,
 }
 
 #[pymethods]
 impl Renderer {
-    /// Opens a device and uploads the points of a skeleton.
+    /// Opens a device and uploads the points of a skeleton. `size` and `out_size` are (height, width) in pixels. Raises
+    /// `ValueError` for invalid options, `RenderError` without a suitable device.
     #[new]
     #[pyo3(signature = (skeleton, *, size=None, out_size=None, maps=None, splat=None, radius=100.0, rasterizer="auto", device=None, log=None))]
     #[allow(clippy::too_many_arguments)] // keyword arguments of Python
@@ -51,13 +68,15 @@ impl Renderer {
         device: Option<String>,
         log: Option<String>,
     ) -> PyResult<Self> {
-        let sized = |size: Option<(u32, u32)>| size.map(|(height, width)| ImageSize { height, width });
         let mut conditions = ConditionOptions {
             radius_m: radius,
-            size: sized(size),
-            out_size: sized(out_size),
+            size: sized("size", size)?,
+            out_size: sized("out_size", out_size)?,
             ..ConditionOptions::default()
         };
+        if !(radius > 0.0) {
+            return Err(PyValueError::new_err(format!("expected a radius above 0 m, found {radius}")));
+        }
         if let Some(maps) = maps {
             conditions.maps = maps.join(",").parse::<MapSet>().map_err(invalid)?;
         }
@@ -67,29 +86,62 @@ impl Renderer {
         let kind = rasterizer.parse().map_err(invalid)?;
         let rasterizer = RasterizerDesc { kind, device, ..RasterizerDesc::default() };
         let skeleton = Arc::clone(&skeleton.inner);
+        if let Some(log) = log.as_ref().filter(|log| skeleton.manifest.times_us(log).is_none()) {
+            let found: Vec<&str> = skeleton.manifest.sources.iter().map(|source| source.log.as_str()).collect();
+            let message = format!("expected a log of the skeleton ({}), found {log:?}", found.join(", "));
+            return Err(PyValueError::new_err(message));
+        }
         let open = || {
-            Owned::try_new(skeleton, |skeleton| {
-                let (substitutes, log) = (Substitutes::built_in(), log.as_deref());
-                let options = RenderOptions { conditions, rasterizer, substitutes, log, ..RenderOptions::default() };
-                point_skeleton::Renderer::new(skeleton, options)
+            Owned::try_new(Source { skeleton, log }, |source| {
+                let options = RenderOptions {
+                    conditions,
+                    rasterizer,
+                    substitutes: Substitutes::built_in(),
+                    log: source.log.as_deref(),
+                    ..RenderOptions::default()
+                };
+                point_skeleton::Renderer::new(&source.skeleton, options)
             })
+            .map_err(raise)
         };
-        let owned = py.detach(open).map_err(raise)?;
-        Ok(Self { owned: Mutex::new(Some(owned)), process: std::process::id() })
+        let owned = Some(detached(py, open)?);
+        Ok(Self { device: Mutex::new(Device { owned, series: 0 }), process: std::process::id() })
     }
 
-    /// Renders the maps of a state: a dictionary of arrays over all cameras.
-    fn render<'py>(&self, py: Python<'py>, state: &State) -> PyResult<Bound<'py, PyDict>> {
-        let state = Arc::clone(&state.inner);
-        let maps = py.detach(|| self.with(|renderer| renderer.render(&state).map_err(raise)))?;
-        dictionary(py, maps.cameras())
+    /// Renders the maps of a scene: a dictionary of arrays over all cameras. Raises `RenderError`.
+    fn render<'py>(&self, py: Python<'py>, scene: &Scene) -> PyResult<Bound<'py, PyDict>> {
+        let scene = Arc::clone(&scene.inner);
+        let call = || {
+            let render = |renderer: &mut Borrowing<'_>| renderer.render(&scene).map_err(raise);
+            self.with(None, render)
+        };
+        dictionary(py, detached(py, call)?.0.cameras())
     }
 
-    /// Releases the device. Further calls raise an error.
+    /// Renders the maps of scenes in order. The device renders a scene while Python uses the maps of the previous one.
+    fn render_all(slf: Bound<'_, Self>, scenes: &Bound<'_, PyAny>) -> PyResult<Frames> {
+        let scenes = scenes.try_iter()?.unbind();
+        let (py, renderer) = (slf.py(), slf.get());
+        let ((), series) = detached(py, || renderer.with(None, |renderer| discard(renderer)))?;
+        Ok(Frames { renderer: slf.unbind(), scenes, series })
+    }
+
+    /// Name of the device and its driver.
+    #[getter]
+    fn device(&self, py: Python<'_>) -> PyResult<String> {
+        let read = |renderer: &mut Borrowing<'_>| Ok(renderer.rasterizer().info());
+        let series = detached(py, || Ok(self.lock().series))?;
+        let info = detached(py, || self.with(Some(series), read))?.0;
+        Ok(format!("{}, {} ({})", info.rasterizer, info.device, info.driver))
+    }
+
+    /// Releases the device. Further calls raise `RuntimeError`.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
         self.check_process()?;
-        py.detach(|| self.owned.lock().unwrap_or_else(PoisonError::into_inner).take());
-        Ok(())
+        detached(py, || {
+            self.lock().owned.take();
+            Ok(())
+        })
     }
 
     fn __enter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
@@ -102,23 +154,102 @@ impl Renderer {
     }
 }
 
+/// A fork must not release the device of its parent.
+impl Drop for Renderer {
+    fn drop(&mut self) {
+        if std::process::id() != self.process {
+            let device = self.device.get_mut().unwrap_or_else(PoisonError::into_inner);
+            std::mem::forget(device.owned.take());
+        }
+    }
+}
+
 impl Renderer {
     fn check_process(&self) -> PyResult<()> {
         let here = std::process::id();
         if here == self.process {
             return Ok(());
         }
-        Err(PyRuntimeError::new_err(format!(
+        Err(RenderError::new_err(format!(
             "expected the process that opened the device ({}), found its fork {here}: open a Renderer in each process",
             self.process
         )))
     }
 
-    /// Calls a function with the renderer; waits while another thread renders.
-    fn with<T>(&self, call: impl FnOnce(&mut Borrowing<'_>) -> PyResult<T>) -> PyResult<T> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, Device> {
+        self.device.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Calls a function with the renderer, after calls of other threads, and returns the number of the series of frames.
+    /// `series`: the series it belongs to; `None` begins one.
+    fn with<T>(
+        &self,
+        series: Option<u64>,
+        call: impl FnOnce(&mut Borrowing<'_>) -> PyResult<T>,
+    ) -> PyResult<(T, u64)> {
         self.check_process()?;
-        let mut owned = self.owned.lock().unwrap_or_else(PoisonError::into_inner);
-        let owned = owned.as_mut().ok_or_else(|| PyRuntimeError::new_err("expected an open Renderer, found a closed one"))?;
-        owned.with_dependent_mut(|_, renderer| call(renderer))
+        let mut device = self.lock();
+        if series.is_some_and(|series| series != device.series) {
+            let message = "expected no other call of the Renderer while its frames are iterated, found one";
+            return Err(PyRuntimeError::new_err(message));
+        }
+        device.series += u64::from(series.is_none());
+        let series = device.series;
+        let owned = device.owned.as_mut();
+        let owned = owned.ok_or_else(|| PyRuntimeError::new_err("expected an open Renderer, found a closed one"))?;
+        owned.with_dependent_mut(|_, renderer| call(renderer)).map(|value| (value, series))
+    }
+}
+
+/// Iterator over the maps of scenes.
+#[pyclass(frozen, module = "pskel")]
+pub(crate) struct Frames {
+    renderer: Py<Renderer>,
+    scenes: Py<PyIterator>,
+    series: u64,
+}
+
+#[pymethods]
+impl Frames {
+    fn __iter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        slf
+    }
+
+    fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let renderer = self.renderer.get();
+        let count = |renderer: &mut Borrowing<'_>| Ok(renderer.in_flight());
+        let mut in_flight = detached(py, || renderer.with(Some(self.series), count))?.0;
+        while in_flight < IN_FLIGHT {
+            let Some(scene) = self.scenes.bind(py).clone().next() else { break };
+            let scene = scene?;
+            let scene = Arc::clone(&scene.cast::<Scene>()?.get().inner);
+            let begin = |renderer: &mut Borrowing<'_>| {
+                renderer.begin(&scene).map_err(raise)?;
+                Ok(renderer.in_flight())
+            };
+            in_flight = detached(py, || renderer.with(Some(self.series), begin))?.0;
+        }
+        if in_flight == 0 {
+            return Ok(None);
+        }
+        let finish = |renderer: &mut Borrowing<'_>| renderer.finish().map_err(raise);
+        let maps: Maps = detached(py, || renderer.with(Some(self.series), finish))?.0;
+        dictionary(py, maps.cameras()).map(Some)
+    }
+}
+
+/// Discards frames in flight.
+fn discard(renderer: &mut Borrowing<'_>) -> PyResult<()> {
+    while renderer.in_flight() > 0 {
+        renderer.finish().map_err(raise)?;
+    }
+    Ok(())
+}
+
+fn sized(name: &str, size: Option<(u32, u32)>) -> PyResult<Option<ImageSize>> {
+    let size = size.map(|(height, width)| ImageSize { height, width });
+    match size.filter(|size| size.height == 0 || size.width == 0) {
+        Some(size) => Err(PyValueError::new_err(format!("expected {name} above 0, found {size}"))),
+        None => Ok(size),
     }
 }

@@ -1,5 +1,4 @@
-use glam::{DAffine3, DMat4, DVec3};
-use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use glam::{DAffine3, DVec3};
 use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::{Instance, RasterizerDesc, SplatJob, class_of, create, rgb_of};
@@ -8,30 +7,39 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::dictionary;
+use crate::arrays::{Numbers, affine, intrinsics as matrix, shaped};
 use crate::error::{invalid, raise};
+use crate::maps::dictionary;
+use crate::pool::detached;
+use crate::skeleton::{rows, values};
 
-/// Splats points `[N, 6]` (x, y, z in meters, red, green, blue in 0..255) or `[N, 7]` (and class) into cameras:
-/// intrinsics `[V, 3, 3]` in pixels, `camera_from_world` `[V, 4, 4]` in meters, all of one size `(height, width)`.
+/// Splats points `[N, 6]` (x, y, z in meters; red, green, blue of 0 to 255) or `[N, 7]` (and class) into cameras:
+/// `intrinsics` `[V, 3, 3]` in pixels, `camera_from_world` `[V, 4, 4]` in meters, all of one `size` (height, width).
+/// Returns color, depth, class and point maps. Raises `ValueError` for invalid arrays, `RenderError` without a device.
 #[pyfunction]
 #[pyo3(signature = (points, intrinsics, camera_from_world, size, *, schedule="15:2,35:1,100:0", rasterizer="auto"))]
 pub(crate) fn splat<'py>(
     py: Python<'py>,
-    points: PyReadonlyArray2<'py, f64>,
-    intrinsics: PyReadonlyArray3<'py, f64>,
-    camera_from_world: PyReadonlyArray3<'py, f64>,
+    points: Numbers<'py>,
+    intrinsics: Numbers<'py>,
+    camera_from_world: Numbers<'py>,
     size: (u32, u32),
     schedule: &str,
     rasterizer: &str,
 ) -> PyResult<Bound<'py, PyDict>> {
     let schedule: SplatSchedule = schedule.parse().map_err(invalid)?;
     let kind: RasterizerKind = rasterizer.parse().map_err(invalid)?;
-    let (origin, points) = cloud(&points)?;
+    let points = rows("points", &points, values)?;
+    let origin = points.iter().map(|point| point.0).sum::<DVec3>() / points.len().max(1) as f64;
+    let local = |&(position, rgb, class): &(DVec3, _, _)| {
+        Point::new((position - origin).as_vec3().to_array(), rgb, class)
+    };
+    let points: Vec<Point> = points.iter().map(local).collect();
     let views = views(&intrinsics, &camera_from_world, size)?;
     let world_from_local = DAffine3::from_translation(origin);
-    let draw = || -> Result<Vec<CameraConditions>, point_skeleton::Error> {
-        let mut rasterizer = create(&RasterizerDesc::from(kind), vec![&points])?;
-        let of_view = |view: &View| {
+    let draw = || {
+        let mut rasterizer = create(&RasterizerDesc::from(kind), vec![&points]).map_err(raise)?;
+        let mut of_view = |view: &View| {
             let maps = rasterizer.splat(&SplatJob {
                 view,
                 schedule: &schedule,
@@ -49,64 +57,25 @@ pub(crate) fn splat<'py>(
                 ..CameraConditions::default()
             })
         };
-        views.iter().map(of_view).collect()
+        let cameras: Result<Vec<_>, point_skeleton::raster::RasterError> = views.iter().map(&mut of_view).collect();
+        cameras.map_err(raise)
     };
-    let cameras = py.detach(draw).map_err(raise)?;
-    dictionary(py, &cameras)
+    dictionary(py, &detached(py, draw)?)
 }
 
-/// Returns the mean of the points and the points relative to it, which keeps their precision far from the origin.
-fn cloud(points: &PyReadonlyArray2<'_, f64>) -> PyResult<(DVec3, Vec<Point>)> {
-    let columns = points.shape()[1];
-    if columns != 6 && columns != 7 {
-        return Err(PyValueError::new_err(format!("expected points [N, 6] or [N, 7], found {columns} columns")));
+fn views(intrinsics: &Numbers<'_>, poses: &Numbers<'_>, (height, width): (u32, u32)) -> PyResult<Vec<View>> {
+    let intrinsics = shaped("intrinsics", intrinsics, &[0, 3, 3])?;
+    let poses = shaped("camera_from_world", poses, &[0, 4, 4])?;
+    let (count, found) = (intrinsics.shape()[0], poses.shape()[0]);
+    if count != found {
+        let message = format!("expected a camera_from_world for each of {count} intrinsics, found {found}");
+        return Err(PyValueError::new_err(message));
     }
-    let rows = points.as_array();
-    let position = |row: usize| DVec3::new(rows[[row, 0]], rows[[row, 1]], rows[[row, 2]]);
-    let level = |row: usize, column: usize| -> PyResult<u8> {
-        let value = rows[[row, column]];
-        if (0.0..256.0).contains(&value) {
-            return Ok(value as u8);
-        }
-        Err(PyValueError::new_err(format!("expected 0..255 in column {column} of point {row}, found {value}")))
-    };
-    let count = rows.nrows();
-    let origin = (0..count).map(position).sum::<DVec3>() / count.max(1) as f64;
-    if !origin.is_finite() {
-        return Err(PyValueError::new_err("expected finite positions, found inf or nan"));
-    }
-    let point = |row: usize| {
-        let rgb = [level(row, 3)?, level(row, 4)?, level(row, 5)?];
-        let class = if columns == 7 { level(row, 6)? } else { 0 };
-        Ok(Point::new((position(row) - origin).as_vec3().to_array(), rgb, class))
-    };
-    Ok((origin, (0..count).map(point).collect::<PyResult<_>>()?))
-}
-
-fn views(
-    intrinsics: &PyReadonlyArray3<'_, f64>,
-    camera_from_world: &PyReadonlyArray3<'_, f64>,
-    (height, width): (u32, u32),
-) -> PyResult<Vec<View>> {
-    let (of_intrinsics, of_poses) = (intrinsics.shape(), camera_from_world.shape());
-    let count = of_intrinsics[0];
-    if of_intrinsics[1..] != [3, 3] || of_poses != [count, 4, 4] {
-        return Err(PyValueError::new_err(format!(
-            "expected intrinsics [V, 3, 3] and camera_from_world [V, 4, 4], found {of_intrinsics:?} and {of_poses:?}"
-        )));
-    }
-    let (intrinsics, poses) = (intrinsics.as_array(), camera_from_world.as_array());
-    let view = |camera: usize| {
-        let rows = std::array::from_fn(|row| std::array::from_fn(|column| intrinsics[[camera, row, column]]));
-        let pose: [[f64; 4]; 4] =
-            std::array::from_fn(|column| std::array::from_fn(|row| poses[[camera, row, column]]));
-        let pose = DMat4::from_cols_array_2d(&pose);
-        if !pose.is_finite() || pose.row(3).to_array() != [0.0, 0.0, 0.0, 1.0] {
-            return Err(PyValueError::new_err(format!("expected a finite rigid transform, found camera {camera}: {pose}")));
-        }
-        let name = format!("camera-{camera}");
-        let camera = Camera::new(&name, width, height, rows).map_err(invalid)?;
-        Ok(View { camera, camera_from_world: DAffine3::from_mat4(pose) })
+    let view = |i: usize| {
+        let rows = matrix(|row, column| intrinsics[[i, row, column]]);
+        let camera = Camera::new(format!("camera-{i}"), width, height, rows).map_err(invalid)?;
+        let camera_from_world = affine(&format!("camera_from_world[{i}]"), |row, column| poses[[i, row, column]])?;
+        Ok(View { camera, camera_from_world })
     };
     (0..count).map(view).collect()
 }

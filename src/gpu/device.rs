@@ -10,6 +10,7 @@ use gpu_allocator::vulkan::{
 use gpu_allocator::{AllocationSizes, MemoryLocation};
 
 use super::error::call;
+use super::fork::check_process;
 use super::gate::{self, Calls};
 use super::instance::Instance;
 use super::select::{Candidate, choose};
@@ -64,6 +65,7 @@ impl Device {
     /// Fails if there is no Vulkan loader, driver or suitable device, if no device has the requested name, if the
     /// validation layer is missing, or if that layer reports any message.
     pub fn new(desc: &DeviceDesc) -> Result<Arc<Self>, GpuError> {
+        check_process()?;
         let instance = Instance::new(desc.validation)?;
         let physical = instance.physical_devices()?;
         let candidates: Vec<Candidate> = physical.iter().map(|p| candidate(&instance, *p)).collect();

@@ -37,6 +37,17 @@ pub enum GpuError {
          `apt-get install vulkan-validationlayers`"
     )]
     NoValidationLayer,
+    /// The process was forked from one that had opened a device.
+    #[error(
+        "expected a process that opens its own devices, found {found}, a fork of {opened_by}, which had opened one; \
+         start processes by spawning instead of forking"
+    )]
+    Forked {
+        /// Process that opened the first device.
+        opened_by: u32,
+        /// This process.
+        found: u32,
+    },
     /// The device does not support a limit, format or feature.
     #[error("expected {expected}, found {found} on device {device}")]
     Unsupported {

@@ -26,6 +26,7 @@ mod device;
 mod draw;
 mod error;
 mod flight;
+mod fork;
 mod gate;
 mod image;
 mod indices;

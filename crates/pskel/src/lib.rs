@@ -1,7 +1,7 @@
 //! The command line: one module per subcommand, and the only part that prints to the user.
 //!
 //! # How it works
-//! [`main`] parses the arguments, runs the subcommand and converts its result into an exit code: 0 success, 1
+//! [`run`] parses the arguments, runs the subcommand and converts its result into an exit code: 0 success, 1
 //! failure, 2 wrong usage. Progress and errors go to stderr, the summary line to stdout.
 
 #[cfg(all(feature = "network", feature = "town"))]
@@ -39,7 +39,6 @@ mod town;
 mod train;
 
 use std::ffi::OsString;
-use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -106,32 +105,35 @@ impl Command {
     }
 }
 
-/// Runs the command line `args` (the program's name first).
-pub fn main(args: impl Iterator<Item = OsString>) -> ExitCode {
+/// Runs the command line `args` (the program's name first) and returns its exit code.
+pub fn run(args: impl Iterator<Item = OsString>) -> u8 {
     let cli = match Cli::try_parse_from(args) {
         Ok(cli) => cli,
         Err(error) => {
             // Help and version are also reported as errors, with exit code 0.
             terminal::note(error.print());
             return match terminal::check() {
-                Ok(()) => ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2)),
-                Err(_) => ExitCode::FAILURE,
+                Ok(()) => u8::try_from(error.exit_code()).unwrap_or(2),
+                Err(_) => FAILURE,
             };
         }
     };
     let done = prepare().and_then(|()| cli.command.run()).and_then(|()| terminal::check());
     signals::wait_if_stopping();
     match done {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => 0,
         Err(error) => {
             terminal::tell(&format!("error: {}", with_causes(error.as_ref())));
             if let Some(advice) = advice::advice(&error) {
                 terminal::tell(&format!("  hint: {advice}"));
             }
-            if error.is::<WrongUsage>() { ExitCode::from(2) } else { ExitCode::FAILURE }
+            if error.is::<WrongUsage>() { 2 } else { FAILURE }
         }
     }
 }
+
+/// Exit code after an error.
+const FAILURE: u8 = 1;
 
 /// Invalid combination of options that the parser cannot detect.
 #[derive(Debug, thiserror::Error)]

@@ -8,5 +8,5 @@ use mimalloc::MiMalloc;
 static ALLOCATOR: MiMalloc = MiMalloc;
 
 fn main() -> ExitCode {
-    pskel::main(std::env::args_os())
+    pskel::run(std::env::args_os()).into()
 }

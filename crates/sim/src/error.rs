@@ -56,6 +56,21 @@ pub enum SimError {
         /// Name of the log.
         log: String,
     },
+    /// The ego follows plans of the caller, who has given none for this step.
+    #[error("expected a plan for step {step}, found none")]
+    NoPlan {
+        /// Number of the planning step.
+        step: usize,
+    },
+    /// A plan of the caller is invalid.
+    #[error(transparent)]
+    Plan(#[from] super::peer::ProtocolError),
+    /// The caller gives a plan at a step that has none.
+    #[error("expected a plan at a planning step of an ego that follows the caller, found one at step {step}")]
+    NotPlanned {
+        /// Number of the step.
+        step: usize,
+    },
     /// The saved state belongs to another rollout, or is invalid.
     #[error("expected a saved state with {expected}, found {found}")]
     Saved {

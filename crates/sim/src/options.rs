@@ -66,6 +66,8 @@ pub enum EgoPolicy {
     File(LocalPath),
     /// Follows the plans of an external process.
     External(PlannerSpec),
+    /// Follows the plans given to [`Simulation::follow`](super::Simulation::follow).
+    Caller,
 }
 
 impl EgoPolicy {
@@ -79,6 +81,7 @@ impl EgoPolicy {
             Self::LaneChange => "lane_change",
             Self::File(_) => "file",
             Self::External(_) => "external",
+            Self::Caller => "caller",
         }
     }
 }

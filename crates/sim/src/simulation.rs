@@ -2,10 +2,12 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use point_skeleton::geometry::Foot;
+use serde::Serialize;
 
 use super::actors::{self, ControlledActors};
 use super::clock::Clock;
 use super::ego::Driver;
+use super::external::{Observation, read_plan};
 use super::metrics::{MetricsAccumulator, Road};
 use super::recorded::Recorded;
 use super::saved::{Saved, SavedState};
@@ -134,6 +136,32 @@ impl<'a> Simulation<'a> {
             self.committed.plan.clone_from(&made);
         }
         Ok(Some(StepOutcome { plan: made }))
+    }
+
+    /// Returns the observation of the committed state, as an external planner receives it (`docs/PLANNER.md`).
+    pub fn observation(&self) -> impl Serialize {
+        Observation::new(&self.recorded, &self.clock, self.committed.world.get(), Vec::new())
+    }
+
+    /// Returns whether the next step requires a plan of the caller ([`EgoPolicy::Caller`]).
+    pub fn needs_plan(&self) -> bool {
+        let step = self.committed.world.get().instant.step;
+        !self.is_done() && self.driver.needs_plan() && self.clock.plans_at(step)
+    }
+
+    /// Sets the plan for the next step of an ego that follows its caller ([`EgoPolicy::Caller`]): a JSON object, the
+    /// answer of an external planner (`docs/PLANNER.md`).
+    ///
+    /// # Errors
+    /// Fails if the next step requires no plan, or if the plan is invalid. The simulation remains unchanged.
+    pub fn follow(&mut self, answer: &[u8]) -> Result<(), SimError> {
+        let now = &self.committed.world.get().instant;
+        if !self.needs_plan() {
+            return Err(SimError::NotPlanned { step: now.step });
+        }
+        let due_us = self.clock.at(now.step + self.clock.steps_per_plan);
+        self.driver = Driver::Caller(Some(read_plan(answer, now, due_us)?));
+        Ok(())
     }
 
     /// Predicts the next `plan_steps` planning steps after the committed one. The ego follows the rest of its plan

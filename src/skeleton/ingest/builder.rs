@@ -77,6 +77,9 @@ impl<'a> Builder<'a> {
         }
         self.since += 1;
         self.run.progress.step();
+        if self.run.progress.is_stopped() {
+            return Err(BuildError::Stopped);
+        }
         if self.since >= self.run.checkpoint_frames || self.cells.points >= MOST_POINTS {
             return self.checkpoint(now);
         }

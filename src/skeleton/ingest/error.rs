@@ -47,6 +47,9 @@ pub enum BuildError {
         /// Name and location of each log.
         found: Vec<String>,
     },
+    /// The progress callback requested a stop.
+    #[error("expected to build to the end, found a request to stop")]
+    Stopped,
     /// The build failed after its first checkpoint and can be resumed.
     #[error("{source}; {frames} frames are done and retained: {}", path.display())]
     Interrupted {

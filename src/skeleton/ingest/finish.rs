@@ -32,6 +32,9 @@ impl Builder<'_> {
         SkeletonWriter::write_by(out, self.work.work(), |writer| {
             runs.merged(&cells, |cell, sums| {
                 self.run.progress.step();
+                if self.run.progress.is_stopped() {
+                    return Err(BuildError::Stopped);
+                }
                 self.write_cell(writer, cell, &sums)
             })?;
             writer.templates_from(templates)?;

@@ -41,6 +41,10 @@ pub trait Progress: Sync {
     fn start(&self, stage: &str, steps: usize);
     /// Completes a step of the stage.
     fn step(&self);
+    /// Returns whether to stop after the last completed step.
+    fn is_stopped(&self) -> bool {
+        false
+    }
 }
 
 /// Ignores progress.

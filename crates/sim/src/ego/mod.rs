@@ -27,6 +27,8 @@ pub(super) enum Driver {
     /// Course computed once at the takeover; `None` if the log ends before it or the ego's pose is not finite.
     Course(Option<Course>),
     External(Box<Planner>),
+    /// Plan of the caller for the current step.
+    Caller(Option<Trajectory>),
 }
 
 impl Driver {
@@ -53,6 +55,7 @@ impl Driver {
             EgoPolicy::External(spec) => {
                 Self::External(Box::new(Planner::start(spec, options, clock, recorded, step)?))
             }
+            EgoPolicy::Caller => Self::Caller(None),
         })
     }
 
@@ -84,7 +87,16 @@ impl Driver {
                 Ok(Some(Trajectory::new(Waypoint::of(&now.ego, now.t_us), next)))
             }
             Self::External(planner) => Ok(Some(planner.plan(recorded, clock, world)?)),
+            Self::Caller(plan) => match plan.take() {
+                Some(plan) => Ok(Some(plan)),
+                None => Err(SimError::NoPlan { step: now.step }),
+            },
         }
+    }
+
+    /// Returns whether a plan of the caller is missing.
+    pub(super) fn needs_plan(&self) -> bool {
+        matches!(self, Self::Caller(None))
     }
 
     /// Sets the files that show the last committed state.

@@ -6,7 +6,9 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use self::protocol::{Hello, Observation, read_hello, read_plan};
+pub(super) use self::protocol::{Observation, read_plan};
+
+use self::protocol::{Hello, read_hello};
 use super::clock::Clock;
 use super::recorded::Recorded;
 use super::world::World;

@@ -61,7 +61,8 @@ pub enum PeerError {
 }
 
 /// An answer that violates the protocol.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error("expected {expected}, found {found}")]
 pub struct ProtocolError {
     expected: String,
     found: String,

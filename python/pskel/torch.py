@@ -1,0 +1,177 @@
+"""Datasets for PyTorch: condition tensors, images and camera parameters of clips.
+
+Worker processes open their own logs and devices, so any start method works as long as the parent has not rendered
+before it forks; start workers with ``multiprocessing_context="forkserver"`` or ``"spawn"`` if it has.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+try:
+    import torch
+    from torch.utils.data import Dataset, IterableDataset, get_worker_info
+except ImportError as error:
+    raise ImportError("pskel.torch needs PyTorch: pip install 'pskel[torch]'") from error
+
+from . import Log, Renderer, Scene, Skeleton
+
+__all__ = ["Clip", "ClipSource", "ConditionDataset", "ConditionStream"]
+
+Augment = Callable[[Scene, np.random.Generator], Scene]
+
+
+class ClipSource(NamedTuple):
+    """A log by its name, and the folder of its skeleton."""
+
+    log: str
+    skeleton: str
+
+
+class Clip(NamedTuple):
+    """Frames of a clip: index of the source, first key frame."""
+
+    source: int
+    first: int
+
+
+class _Opened(NamedTuple):
+    log: Log
+    renderer: Renderer
+
+
+class _Clips:
+    """Clips of logs, with a renderer per log and process."""
+
+    def __init__(
+        self,
+        sources: Sequence[tuple[str, str]],
+        *,
+        out_size: tuple[int, int],
+        frames: int = 1,
+        stride: int = 1,
+        images: bool = True,
+        augment: Augment | None = None,
+        seed: int = 0,
+        open_logs: int = 2,
+        **renderer: Any,
+    ) -> None:
+        if frames < 1 or stride < 1 or open_logs < 1:
+            raise ValueError(f"expected frames, stride and open_logs of 1 or more, found {frames}, {stride}, {open_logs}")
+        self.sources = [ClipSource(log, os.fspath(skeleton)) for log, skeleton in sources]
+        self.out_size = out_size
+        self.frames = frames
+        self.stride = stride
+        self.images = images
+        self.augment = augment
+        self.seed = seed
+        self.epoch = 0
+        self._open_logs = open_logs
+        self._options = {"maps": ["tensor"], **renderer}
+        self._opened: OrderedDict[int, _Opened] = OrderedDict()
+        self._process = os.getpid()
+        counts = [len(Log(source.log)) for source in self.sources]
+        self.clips = [
+            Clip(source, first)
+            for source, count in enumerate(counts)
+            for first in range(0, count - frames + 1, stride)
+        ]
+
+    def set_epoch(self, epoch: int) -> None:
+        """Set the epoch, which changes the random numbers of ``augment``."""
+        self.epoch = epoch
+
+    def open(self, source: int) -> _Opened:
+        """Open a log and its renderer in this process; the least recently used ones are closed."""
+        if self._process != os.getpid():  # a fork must not use the devices of its parent
+            self._opened = OrderedDict()
+            self._process = os.getpid()
+        opened = self._opened.pop(source, None)
+        if opened is None:
+            while len(self._opened) >= self._open_logs:
+                self._opened.popitem(last=False)[1].renderer.close()
+            log, skeleton = self.sources[source]
+            renderer = Renderer(Skeleton(skeleton), out_size=self.out_size, **self._options)
+            opened = _Opened(Log(log), renderer)
+        self._opened[source] = opened
+        return opened
+
+    def item(self, index: int) -> dict[str, torch.Tensor]:
+        """Render the clip with an index."""
+        source, first = self.clips[index]
+        log, renderer = self.open(source)
+        scenes = [log[first + i] for i in range(self.frames)]
+        if self.augment is not None:
+            # The same random numbers for all frames, so that a clip moves as one.
+            scenes = [self.augment(scene, np.random.default_rng((self.seed, self.epoch, index))) for scene in scenes]
+        maps = list(renderer.render_all(scenes))
+        item = {
+            "points": np.stack([frame["points"] for frame in maps]),
+            "layout": np.stack([frame["layout"] for frame in maps]),
+            "intrinsics": np.stack([_scaled(scene, self.out_size) for scene in scenes]),
+            "camera_from_global": np.stack([scene.camera_from_global for scene in scenes]),
+            "global_from_ego": np.stack([scene.ego for scene in scenes]),
+            "t_us": np.array([scene.t_us for scene in scenes]),
+        }
+        if self.images:
+            images = np.stack([log.images(scene, self.out_size) for scene in scenes])
+            item["images"] = np.ascontiguousarray(images.transpose(0, 1, 4, 2, 3))
+        return {name: torch.from_numpy(array) for name, array in item.items()}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_opened": OrderedDict()}
+
+
+def _scaled(scene: Scene, size: tuple[int, int]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Intrinsics of the cameras at a size, ``[V, 3, 3]``."""
+    scaled = scene.intrinsics
+    for camera, (height, width) in enumerate(scene.sizes):
+        scaled[camera, 0] *= size[1] / width
+        scaled[camera, 1] *= size[0] / height
+    return scaled
+
+
+class ConditionDataset(_Clips, Dataset[dict[str, torch.Tensor]]):
+    """Clips of logs as a map-style dataset.
+
+    ``sources`` are pairs of a log's name and its skeleton's folder. An item has T = ``frames`` key frames, V cameras and
+    maps of ``out_size`` (height, width):
+
+    - ``points`` ``float32 [T, V, 20, H, W]`` and ``layout`` ``float32 [T, V, 6, H, W]``: the network input,
+    - ``images`` ``uint8 [T, V, 3, H, W]`` (unless ``images=False``): recorded images, or rendered ones of a town,
+    - ``intrinsics`` ``float64 [T, V, 3, 3]`` at ``out_size``, ``camera_from_global`` ``float64 [T, V, 4, 4]``,
+      ``global_from_ego`` ``float64 [T, 4, 4]``, ``t_us`` ``int64 [T]``.
+
+    Clips begin every ``stride`` frames. ``augment(scene, generator)`` changes a scene with random numbers that depend on
+    ``seed``, epoch (``set_epoch``) and index only; recorded images do not follow a moved ego. Other keyword arguments are
+    those of ``pskel.Renderer``.
+    """
+
+    def __len__(self) -> int:
+        return len(self.clips)
+
+    def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
+        if not 0 <= index < len(self.clips):
+            raise IndexError(f"expected a clip below {len(self.clips)}, found {index}")
+        return self.item(index)
+
+
+class ConditionStream(_Clips, IterableDataset[dict[str, torch.Tensor]]):
+    """Clips of logs in order, as an iterable dataset: the items of ``ConditionDataset``.
+
+    Workers, and the processes of ``torch.distributed``, share the clips in turn.
+    """
+
+    def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
+        worker = get_worker_info()
+        workers, number = (1, 0) if worker is None else (worker.num_workers, worker.id)
+        ranks, rank = 1, 0
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            ranks, rank = torch.distributed.get_world_size(), torch.distributed.get_rank()
+        for index in range(rank * workers + number, len(self.clips), ranks * workers):
+            yield self.item(index)

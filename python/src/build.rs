@@ -1,0 +1,73 @@
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use point_skeleton::BuildOptions;
+use point_skeleton::skeleton::{self, BuildInput, BuildRun, Progress};
+use pyo3::prelude::*;
+
+use crate::error::raise;
+use crate::log::Log;
+use crate::pool::detached;
+use crate::skeleton::Skeleton;
+
+/// Builds a skeleton from all frames of a log, and writes it to a folder; an existing skeleton is replaced. `progress`
+/// has the methods `start(stage, steps)` and `step()`. Raises `BuildError`. Ctrl-C stops the build; the next call with
+/// `resume=True` continues it.
+#[pyfunction]
+#[pyo3(signature = (log, out, *, resume=false, progress=None))]
+pub(crate) fn build(
+    py: Python<'_>,
+    log: &Log,
+    out: PathBuf,
+    resume: bool,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Skeleton> {
+    let log = Arc::clone(&log.inner);
+    let callback = Callback { object: progress, raised: Mutex::new(None) };
+    let build = || {
+        let run = BuildRun { resume, progress: &callback, ..BuildRun::default() };
+        let input = BuildInput::all(log.dataset());
+        let built = skeleton::build(&out, &[input], &BuildOptions::default(), &|_| Ok(Vec::new()), &run);
+        match callback.raised() {
+            Some(raised) => Err(raised),
+            None => built.map_err(raise),
+        }
+    };
+    Ok(Skeleton { inner: Arc::new(detached(py, build)?), path: out.clone() })
+}
+
+/// Progress object of Python. The build stops at its first exception, or at a signal (Ctrl-C).
+struct Callback {
+    object: Option<Py<PyAny>>,
+    raised: Mutex<Option<PyErr>>,
+}
+
+impl Callback {
+    fn call(&self, call: impl FnOnce(Python<'_>, &Py<PyAny>) -> PyResult<Py<PyAny>>) {
+        Python::attach(|py| {
+            let called = self.object.as_ref().map(|object| call(py, object));
+            let result = called.transpose().and_then(|_| py.check_signals());
+            if let Err(error) = result {
+                self.raised.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+            }
+        });
+    }
+
+    fn raised(&self) -> Option<PyErr> {
+        self.raised.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+impl Progress for Callback {
+    fn start(&self, stage: &str, steps: usize) {
+        self.call(|py, object| object.call_method1(py, "start", (stage, steps)));
+    }
+
+    fn step(&self) {
+        self.call(|py, object| object.call_method0(py, "step"));
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.raised.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+}

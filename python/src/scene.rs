@@ -1,0 +1,220 @@
+use std::sync::Arc;
+
+use glam::DVec3;
+use numpy::{PyArray2, PyArray3};
+use point_skeleton::dataset::Class;
+use point_skeleton::files::FileName;
+use point_skeleton::geometry::{Cuboid, Pose, View};
+use point_skeleton::scene::{ActorState, SceneCamera};
+use point_skeleton::{EgoOffset, SceneState, geometry};
+use pyo3::exceptions::{PyKeyError, PyValueError};
+use pyo3::prelude::*;
+
+use crate::arrays::{Numbers, intrinsics, matrix, pose, rows, shaped, stack};
+use crate::error::invalid;
+
+/// Camera of a scene, mounted on the ego: a pinhole.
+#[pyclass(frozen, module = "pskel", skip_from_py_object)]
+#[derive(Clone)]
+pub(crate) struct Camera {
+    camera: geometry::Camera,
+    ego_from_camera: Pose,
+}
+
+#[pymethods]
+impl Camera {
+    /// Creates a camera: `intrinsics` `[3, 3]` in pixels, `size` (height, width) in pixels, `ego_from_camera` `[4, 4]` in
+    /// meters (camera axes: x right, y down, z forward). Raises `ValueError` for singular intrinsics and transforms that
+    /// are not rigid.
+    #[new]
+    fn new(name: &str, intrinsics: Numbers<'_>, size: (u32, u32), ego_from_camera: Numbers<'_>) -> PyResult<Self> {
+        let k = shaped("intrinsics", &intrinsics, &[3, 3])?;
+        let name: FileName = name.parse().map_err(invalid)?;
+        let camera = geometry::Camera::new(name, size.1, size.0, self::intrinsics(|row, column| k[[row, column]]));
+        Ok(Self {
+            camera: camera.map_err(invalid)?,
+            ego_from_camera: pose("ego_from_camera", &ego_from_camera)?,
+        })
+    }
+
+    /// Name.
+    #[getter]
+    fn name(&self) -> String {
+        self.camera.name.to_string()
+    }
+}
+
+/// Actor of a scene: a box, with the points of its track in the skeleton or a template.
+#[pyclass(frozen, module = "pskel", skip_from_py_object)]
+#[derive(Clone)]
+pub(crate) struct Actor {
+    inner: ActorState,
+}
+
+#[pymethods]
+impl Actor {
+    /// Creates an actor: `category` as in nuScenes (`vehicle.car`, `human.pedestrian.adult` ..), `size` (length, width,
+    /// height) in meters, `global_from_box` `[4, 4]` in meters (x forward, y left, z up, origin at the center). Raises
+    /// `ValueError` for sizes that are not positive and transforms that are not rigid.
+    #[new]
+    fn new(track: String, category: String, size: [f64; 3], global_from_box: Numbers<'_>) -> PyResult<Self> {
+        let cuboid = Cuboid::new(pose("global_from_box", &global_from_box)?, DVec3::from(size)).map_err(invalid)?;
+        let class = Class::from_category(&category);
+        Ok(Self { inner: ActorState { track, category, class, cuboid } })
+    }
+
+    /// Track id.
+    #[getter]
+    fn track(&self) -> &str {
+        &self.inner.track
+    }
+
+    /// Category, as in nuScenes.
+    #[getter]
+    fn category(&self) -> &str {
+        &self.inner.category
+    }
+
+    /// Length, width and height, meters.
+    #[getter]
+    fn size(&self) -> [f64; 3] {
+        self.inner.cuboid.size.to_array()
+    }
+
+    /// Pose, `[4, 4]`, meters.
+    #[getter]
+    fn global_from_box<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        matrix(py, &self.inner.cuboid.pose.affine())
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Actor({:?}, {:?})", self.inner.track, self.inner.category)
+    }
+}
+
+/// State of a scene at one instant: ego pose, cameras and actors. Immutable; methods return changed copies.
+#[pyclass(frozen, module = "pskel")]
+pub(crate) struct Scene {
+    pub(crate) inner: Arc<SceneState>,
+}
+
+impl Scene {
+    pub(crate) fn new(state: SceneState) -> Self {
+        Self { inner: Arc::new(state) }
+    }
+}
+
+#[pymethods]
+impl Scene {
+    /// Creates a scene without an HD map: `ego` is `global_from_ego` `[4, 4]` in meters. Raises `ValueError` if a name or
+    /// track occurs twice.
+    #[new]
+    #[pyo3(signature = (ego, cameras, actors=Vec::new(), *, name="000000", t_us=0))]
+    fn from_parts(
+        ego: Numbers<'_>,
+        cameras: Vec<PyRef<'_, Camera>>,
+        actors: Vec<PyRef<'_, Actor>>,
+        name: &str,
+        t_us: i64,
+    ) -> PyResult<Self> {
+        let global_from_ego = pose("ego", &ego)?;
+        let mut actors: Vec<ActorState> = actors.iter().map(|actor| actor.inner.clone()).collect();
+        actors.sort_by(|a, b| a.track.cmp(&b.track));
+        if let Some(pair) = actors.windows(2).find(|pair| pair[0].track == pair[1].track) {
+            return Err(PyValueError::new_err(format!("expected tracks once each, found two {:?}", pair[0].track)));
+        }
+        for (i, camera) in cameras.iter().enumerate() {
+            if cameras[..i].iter().any(|other| other.camera.name == camera.camera.name) {
+                return Err(PyValueError::new_err(format!("expected cameras once each, found two {}", camera.name())));
+            }
+        }
+        let camera = |camera: &PyRef<'_, Camera>| {
+            let camera_from_world = (global_from_ego * camera.ego_from_camera).inverse().affine();
+            let view = View { camera: camera.camera.clone(), camera_from_world };
+            SceneCamera { view, ego_from_camera: Some(camera.ego_from_camera), global_from_ego }
+        };
+        let name: FileName = name.parse().map_err(invalid)?;
+        let cameras = cameras.iter().map(camera).collect();
+        Ok(Self::new(SceneState { name: name.to_string(), t_us, global_from_ego, cameras, actors, map: None }))
+    }
+
+    /// Name, the folder name of the maps.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.inner.name
+    }
+
+    /// Time, microseconds.
+    #[getter]
+    fn t_us(&self) -> i64 {
+        self.inner.t_us
+    }
+
+    /// Pose of the ego, `global_from_ego`, `[4, 4]`, meters.
+    #[getter]
+    fn ego<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        matrix(py, &self.inner.global_from_ego.affine())
+    }
+
+    /// Names of the cameras, the order of the first axis of all maps.
+    #[getter]
+    fn cameras(&self) -> Vec<String> {
+        self.inner.cameras.iter().map(|camera| camera.view.camera.name.to_string()).collect()
+    }
+
+    /// Image sizes of the cameras (height, width), pixels.
+    #[getter]
+    fn sizes(&self) -> Vec<(u32, u32)> {
+        self.inner.cameras.iter().map(|c| (c.view.camera.height, c.view.camera.width)).collect()
+    }
+
+    /// Intrinsics of the cameras at these sizes, `[V, 3, 3]`, pixels.
+    #[getter]
+    fn intrinsics<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f64>> {
+        stack(py, self.inner.cameras.iter().map(|camera| camera.view.camera.rows()).collect())
+    }
+
+    /// Transforms `camera_from_global`, `[V, 4, 4]`, meters.
+    #[getter]
+    fn camera_from_global<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f64>> {
+        stack(py, self.inner.cameras.iter().map(|camera| rows(&camera.view.camera_from_world)).collect())
+    }
+
+    /// Actors; actor `i` has number `i + 1` in the instance map.
+    #[getter]
+    fn actors(&self) -> Vec<Actor> {
+        self.inner.actors.iter().map(|actor| Actor { inner: actor.clone() }).collect()
+    }
+
+    /// Returns the scene with ego and cameras displaced in the ego frame: meters, degrees to the left. Raises
+    /// `ValueError` for numbers that are not finite.
+    #[pyo3(signature = (*, forward=0.0, left=0.0, yaw_deg=0.0))]
+    fn move_ego(&self, forward: f64, left: f64, yaw_deg: f64) -> PyResult<Self> {
+        for (name, value) in [("forward", forward), ("left", left), ("yaw_deg", yaw_deg)] {
+            if !value.is_finite() {
+                return Err(PyValueError::new_err(format!("expected a finite {name}, found {value}")));
+            }
+        }
+        let offset = EgoOffset { x_m: forward, y_m: left, yaw_rad: yaw_deg.to_radians() };
+        Ok(Self::new(self.inner.moved(offset)))
+    }
+
+    /// Returns the scene without one or more actors. Raises `KeyError` for a track that is not in it.
+    #[pyo3(signature = (*tracks))]
+    fn without(&self, tracks: Vec<String>) -> PyResult<Self> {
+        let mut state = (*self.inner).clone();
+        for track in tracks {
+            let count = state.actors.len();
+            state.actors.retain(|actor| actor.track != track);
+            if state.actors.len() == count {
+                return Err(PyKeyError::new_err(format!("expected the track of an actor, found {track:?}")));
+            }
+        }
+        Ok(Self::new(state))
+    }
+
+    fn __repr__(&self) -> String {
+        let (cameras, actors) = (self.inner.cameras.len(), self.inner.actors.len());
+        format!("Scene({:?}, {cameras} cameras, {actors} actors)", self.inner.name)
+    }
+}

@@ -1,0 +1,43 @@
+"""A small town and its skeleton, built once."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pskel
+import pytest
+
+TOWN = "town:seed=7,frames=4,size=113x200"
+
+
+@pytest.fixture(scope="session")
+def log() -> pskel.Log:
+    return pskel.Log(TOWN)
+
+
+@pytest.fixture(scope="session")
+def skeleton(log: pskel.Log, tmp_path_factory: pytest.TempPathFactory) -> pskel.Skeleton:
+    return pskel.build(log, tmp_path_factory.mktemp("town") / "skeleton")
+
+
+@pytest.fixture(scope="session")
+def renderer(skeleton: pskel.Skeleton) -> pskel.Renderer:
+    return pskel.Renderer(skeleton, out_size=(56, 100), maps=["color", "depth", "class", "instance", "boxes", "map"])
+
+
+Run = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    """Runs a program in its own process; a program that does not end in a minute fails."""
+
+    def run(*args: str, check: bool = True) -> "subprocess.CompletedProcess[str]":
+        done = subprocess.run(
+            [sys.executable, *args], capture_output=True, text=True, timeout=120, cwd=tmp_path, check=False
+        )
+        assert not check or done.returncode == 0, done.stderr
+        return done
+
+    return run

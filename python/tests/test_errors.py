@@ -1,0 +1,261 @@
+"""Bad input raises a clear exception: no crash, no hang."""
+
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pskel
+import pytest
+from conftest import TOWN, Run
+
+EYE = np.eye(4)
+K = [[100.0, 0.0, 50.0], [0.0, 100.0, 40.0], [0.0, 0.0, 1.0]]
+POINT = [[0.0, 0.0, 5.0, 1.0, 2.0, 3.0]]
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.zeros((3, 5)), r"expected points \[N, 6\] or \[N, 7\], found \[3, 5\]"),
+        (np.zeros(6), r"expected points \[N, M\], found \[6\]"),
+        ([[0, 0, np.nan, 0, 0, 0]], "expected finite positions"),
+        ([[0, 0, 1, 0, 300, 0]], "expected 0 to 255 in column 4 of point 0, found 300"),
+        ([[0, 0, 1, 0, 0, 0, -1]], "column 6 of point 0, found -1"),
+    ],
+)
+def test_points_are_checked(points: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        pskel.splat(points, [K], [EYE], (80, 100), rasterizer="cpu")  # type: ignore[arg-type]
+
+
+def test_other_types_are_rejected() -> None:
+    for points in ("points", [["a"] * 6], None, np.zeros((1, 6), complex), np.zeros((1, 6), object)):
+        with pytest.raises((TypeError, ValueError)):
+            pskel.splat(points, [K], [EYE], (80, 100), rasterizer="cpu")  # type: ignore[arg-type]
+
+
+def test_cameras_are_checked() -> None:
+    singular = [[0.0, 0.0, 50.0], [0.0, 100.0, 40.0], [0.0, 0.0, 1.0]]
+    scaled = EYE * [2, 2, 2, 1]
+    mirrored = EYE * [-1, 1, 1, 1]
+    cases = [
+        (([singular], [EYE], (80, 100)), "focal"),
+        (([K, K], [EYE], (80, 100)), "camera_from_world for each of 2 intrinsics, found 1"),
+        (([K], [EYE * np.nan], (80, 100)), r"rigid transform as camera_from_world\[0\]"),
+        (([K], [scaled], (80, 100)), "rigid transform"),
+        (([K], [mirrored], (80, 100)), "rigid transform"),
+        (([K], [EYE], (0, 100)), "100x0|0x100|0"),
+        ((K, [EYE], (80, 100)), r"expected intrinsics \[N, 3, 3\], found \[3, 3\]"),
+    ]
+    for arguments, message in cases:
+        with pytest.raises(ValueError, match=message):
+            pskel.splat(POINT, *arguments, rasterizer="cpu")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="rasterizer"):
+        pskel.splat(POINT, [K], [EYE], (80, 100), rasterizer="opengl")
+    with pytest.raises(ValueError, match="splat schedule"):
+        pskel.splat(POINT, [K], [EYE], (80, 100), schedule="5:1,4:2")
+
+
+def test_scenes_are_checked(log: pskel.Log) -> None:
+    camera = pskel.Camera("front", K, (80, 100), EYE)
+    actor = pskel.Actor("a", "vehicle.car", (4.0, 2.0, 1.5), EYE)
+    for call, message in [
+        (lambda: log[0].move_ego(left=float("nan")), "expected a finite left, found NaN"),
+        (lambda: pskel.Scene(EYE * np.nan, [camera]), "rigid transform as ego"),
+        (lambda: pskel.Scene(np.eye(3), [camera]), r"expected ego \[4, 4\], found \[3, 3\]"),
+        (lambda: pskel.Scene(EYE, [camera, camera]), "cameras once each"),
+        (lambda: pskel.Scene(EYE, [camera], [actor, actor]), "tracks once each"),
+        (lambda: pskel.Scene(EYE, [camera], name="../up"), "name"),
+        (lambda: pskel.Camera("a/b", K, (80, 100), EYE), "name"),
+        (lambda: pskel.Camera("front", np.zeros((3, 3)), (80, 100), EYE), "0 0 1|last row|focal"),
+        (lambda: pskel.Actor("a", "vehicle.car", (4.0, 0.0, 1.5), EYE), "size|box"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
+def test_options_of_the_renderer_are_checked(skeleton: pskel.Skeleton) -> None:
+    for options, message in [
+        ({"maps": ["colour"]}, "colour"),
+        ({"splat": "1"}, "splat schedule"),
+        ({"rasterizer": "opengl"}, "opengl"),
+        ({"radius": -1.0}, "radius above 0"),
+        ({"out_size": (0, 5)}, "expected out_size above 0"),
+        ({"log": "other"}, "expected a log of the skeleton"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            pskel.Renderer(skeleton, **options)  # type: ignore[arg-type]
+    with pytest.raises(pskel.RenderError, match="no such device"):
+        pskel.Renderer(skeleton, device="no such device")
+
+
+def test_missing_and_damaged_files_are_named(tmp_path: Path, log: pskel.Log) -> None:
+    with pytest.raises(pskel.LogError, match="expected"):
+        pskel.Log("village:1")
+    with pytest.raises(pskel.LogError, match=str(tmp_path)):
+        pskel.Log(f"nuscenes:{tmp_path}")
+    with pytest.raises(pskel.BuildError, match=str(tmp_path)):
+        pskel.Skeleton(tmp_path)
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(pskel.BuildError, match=str(tmp_path)):
+        pskel.build(log, tmp_path)
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+    assert issubclass(pskel.LogError, pskel.Error)
+
+
+def test_a_closed_renderer_says_so(log: pskel.Log, skeleton: pskel.Skeleton) -> None:
+    renderer = pskel.Renderer(skeleton, rasterizer="cpu", out_size=(28, 50))
+    renderer.close()
+    renderer.close()
+    for call in (lambda: renderer.render(log[0]), lambda: renderer.render_all([log[0]]), lambda: renderer.device):
+        with pytest.raises(RuntimeError, match="expected an open Renderer, found a closed one"):
+            call()
+
+
+def test_a_state_of_another_log_has_no_points_of_its_actors(skeleton: pskel.Skeleton) -> None:
+    """A skeleton places what it has: the scene of another log shows templates, and this skeleton's background."""
+    other = pskel.Log("town:seed=8,frames=2,size=113x200")
+    maps = pskel.Renderer(skeleton, out_size=(28, 50), maps=["depth"]).render(other[0])
+    assert maps["depth"].shape == (6, 28, 50)
+
+
+def test_two_threads_share_a_renderer(log: pskel.Log, renderer: pskel.Renderer) -> None:
+    expected = [renderer.render(log[i])["color"] for i in range(4)]
+    failed: list[int] = []
+
+    def draw(index: int) -> None:
+        for _ in range(20):
+            if (renderer.render(log[index])["color"] != expected[index]).any():
+                failed.append(index)
+
+    threads = [threading.Thread(target=draw, args=(i,)) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+        assert not thread.is_alive()
+    assert not failed
+
+
+def test_other_threads_run_during_a_call(log: pskel.Log, skeleton: pskel.Skeleton) -> None:
+    renderer = pskel.Renderer(skeleton, size=(900, 1600), maps=["color"])
+    count = 0
+    done = threading.Event()
+
+    def work() -> None:
+        nonlocal count
+        while not done.is_set():
+            count += 1
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    renderer.render(log[0])
+    before = count
+    for _ in range(5):
+        renderer.render(log[0])
+    during = count - before
+    done.set()
+    thread.join()
+    assert during > 10
+
+
+FORK = """
+import os, sys, time
+import pskel
+log = pskel.Log({town!r})
+skeleton = pskel.Skeleton({skeleton!r})
+{before}
+child = os.fork()
+if child == 0:
+    try:
+        {inside}
+        os._exit(7)
+    except pskel.RenderError as error:
+        print(error, flush=True)
+        os._exit(3)
+deadline = time.monotonic() + 60
+while time.monotonic() < deadline:
+    pid, status = os.waitpid(child, os.WNOHANG)
+    if pid:
+        print("exit", os.waitstatus_to_exitcode(status))
+        break
+    time.sleep(0.05)
+else:
+    os.kill(child, 9)
+    print("hangs")
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "inside", "expected"),
+    [
+        ("renderer = pskel.Renderer(skeleton)", "renderer.render(log[0])", "open a Renderer in each process"),
+        ("renderer = pskel.Renderer(skeleton)", "pskel.Renderer(skeleton)", "by spawning instead of forking"),
+        ("pskel.Renderer(skeleton, rasterizer='cpu').render(log[0])", "pskel.Renderer(skeleton).render(log[0])", "exit 7"),
+        ("", "pskel.Renderer(skeleton).render(log[0])", "exit 7"),
+    ],
+)
+def test_forks_do_not_hang(skeleton: pskel.Skeleton, run: Run, before: str, inside: str, expected: str) -> None:
+    done = run("-c", FORK.format(town=TOWN, skeleton=skeleton.path, before=before, inside=inside))
+    assert expected in done.stdout, done.stdout + done.stderr
+
+
+def test_logs_and_skeletons_pickle(log: pskel.Log, skeleton: pskel.Skeleton) -> None:
+    again = pickle.loads(pickle.dumps((log, skeleton)))
+    assert again[0].times_us == log.times_us and again[1].path == skeleton.path
+    with pytest.raises(TypeError, match="pickle"):
+        pickle.dumps(pskel.Renderer(skeleton, rasterizer="cpu"))
+
+
+def test_an_interrupt_stops_a_build_which_then_resumes(tmp_path: Path, log: pskel.Log, run: Run) -> None:
+    program = f"""
+import pskel, sys
+class Progress:
+    def start(self, stage, steps): print(stage, steps, flush=True)
+    def step(self): print("step", flush=True)
+try:
+    pskel._pskel.build(pskel.Log("{TOWN.replace("frames=4", "frames=60")}"), {str(tmp_path / "out")!r}, progress=Progress())
+except KeyboardInterrupt:
+    print("interrupted")
+    sys.exit(5)
+"""
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line == "step\n":
+            process.send_signal(signal.SIGINT)
+            break
+    rest = process.stdout.read()
+    assert process.wait(60) == 5 and rest.endswith("interrupted\n")
+    assert not (tmp_path / "out" / "skeleton.json").exists()
+
+
+def test_an_exception_of_the_progress_object_stops_the_build(tmp_path: Path, log: pskel.Log) -> None:
+    class Progress:
+        steps = 0
+
+        def start(self, stage: str, steps: int, /) -> None:
+            pass
+
+        def step(self) -> None:
+            self.steps += 1
+            raise KeyError("mine")
+
+    progress = Progress()
+    with pytest.raises(KeyError, match="mine"):
+        pskel._pskel.build(log, tmp_path / "out", progress=progress)
+    assert progress.steps == 1
+
+
+def test_the_command_exits_with_its_code(run: Run) -> None:
+    assert run("-m", "pskel", "--version").stdout.startswith("pskel ")
+    wrong = run("-m", "pskel", "rendr", check=False)
+    assert wrong.returncode == 2 and "rendr" in wrong.stderr
+    missing = run("-m", "pskel", "info", "nuscenes:/nowhere", check=False)
+    assert missing.returncode == 1 and "/nowhere" in missing.stderr

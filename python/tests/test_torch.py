@@ -1,0 +1,124 @@
+"""Datasets for PyTorch."""
+
+import os
+import signal
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pskel
+import pytest
+from conftest import TOWN
+
+torch = pytest.importorskip("torch")
+from pskel.torch import ConditionDataset, ConditionStream  # noqa: E402
+from torch.utils.data import DataLoader  # noqa: E402
+
+OUT = (28, 50)
+
+
+@pytest.fixture(scope="module")
+def sources(skeleton: pskel.Skeleton) -> list[tuple[str, str]]:
+    return [(TOWN, skeleton.path)]
+
+
+def moved(scene: pskel.Scene, rng: np.random.Generator) -> pskel.Scene:
+    return scene.move_ego(left=float(rng.uniform(-1, 1)))
+
+
+def batches(dataset: Any, workers: int, **options: Any) -> list[dict[str, Any]]:
+    loader: Any = DataLoader(dataset, batch_size=1, num_workers=workers, **options)
+    return [{name: value.clone() for name, value in batch.items()} for batch in loader]
+
+
+def test_items_have_the_documented_shapes(sources: list[tuple[str, str]], log: pskel.Log) -> None:
+    dataset = ConditionDataset(sources, out_size=OUT, frames=2)
+    assert len(dataset) == 3
+    item = dataset[1]
+    shapes = {name: (tuple(value.shape), value.dtype) for name, value in item.items()}
+    assert shapes == {
+        "points": ((2, 6, 20, *OUT), torch.float32),
+        "layout": ((2, 6, 6, *OUT), torch.float32),
+        "images": ((2, 6, 3, *OUT), torch.uint8),
+        "intrinsics": ((2, 6, 3, 3), torch.float64),
+        "camera_from_global": ((2, 6, 4, 4), torch.float64),
+        "global_from_ego": ((2, 4, 4), torch.float64),
+        "t_us": ((2,), torch.int64),
+    }
+    assert item["t_us"].tolist() == log.times_us[1:3]
+    assert item["intrinsics"][0, 0, 0, 2] == pytest.approx(log[1].intrinsics[0, 0, 2] / 4)
+    with pytest.raises(IndexError):
+        dataset[3]
+
+
+@pytest.mark.parametrize("start", ["fork", "forkserver", "spawn"])
+def test_workers_give_the_bytes_of_one(sources: list[tuple[str, str]], start: str) -> None:
+    program = f"""
+import torch
+from torch.utils.data import DataLoader
+from test_torch import OUT, batches, moved
+from pskel.torch import ConditionDataset
+if __name__ == "__main__":
+    dataset = ConditionDataset({sources!r}, out_size=OUT, augment=moved, seed=5)
+    two = batches(dataset, 2, multiprocessing_context={start!r})
+    one = batches(dataset, 0)
+    again = batches(dataset, 0)
+    assert len(one) == len(two) == 4
+    for first, second, third in zip(one, two, again):
+        for name in first:
+            assert torch.equal(first[name], second[name]), name
+            assert torch.equal(first[name], third[name]), name
+    dataset.set_epoch(1)
+    other = batches(dataset, 0)
+    assert not torch.equal(other[0]["points"], one[0]["points"])
+    print("equal")
+"""
+    import subprocess
+    import sys
+    from pathlib import Path
+
+    here = Path(__file__).parent
+    script = here / f".workers_{start}_{os.getpid()}.py"
+    script.write_text(program)
+    try:
+        done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=300, cwd=here)
+    finally:
+        script.unlink()
+    assert done.stdout == "equal\n", done.stdout + done.stderr
+
+
+def test_streams_share_the_clips_among_workers(sources: list[tuple[str, str]]) -> None:
+    stream = ConditionStream(sources, out_size=OUT, images=False)
+    whole = [batch["t_us"].item() for batch in batches(stream, 0)]
+    shared = [batch["t_us"].item() for batch in batches(stream, 2, multiprocessing_context="spawn")]
+    assert len(whole) == 4 and sorted(shared) == whole
+
+
+def test_a_killed_worker_leaves_no_process(sources: list[tuple[str, str]]) -> None:
+    dataset = ConditionDataset(sources, out_size=OUT)
+    loader: Any = DataLoader(dataset, batch_size=1, num_workers=1, multiprocessing_context="spawn", prefetch_factor=1)
+    batches = iter(loader)
+    next(batches)
+    worker = batches._workers[0]
+    os.kill(worker.pid, signal.SIGKILL)
+    with pytest.raises(RuntimeError, match="DataLoader worker"):
+        for _ in batches:
+            pass
+    worker.join(10)
+    assert worker.exitcode == -signal.SIGKILL
+    del batches
+
+
+def test_arrays_become_tensors_without_a_copy(log: pskel.Log, renderer: pskel.Renderer) -> None:
+    depth = renderer.render(log[0])["depth"]
+    tensor = torch.from_numpy(depth)
+    assert tensor.data_ptr() == depth.ctypes.data
+    assert torch.from_dlpack(depth).data_ptr() == depth.ctypes.data
+
+
+def test_bad_options_are_rejected(sources: list[tuple[str, str]]) -> None:
+    make: Callable[..., Any] = ConditionDataset
+    with pytest.raises(ValueError, match="frames, stride and open_logs of 1 or more"):
+        make(sources, out_size=OUT, frames=0)
+    with pytest.raises(ValueError, match="colour"):
+        make(sources, out_size=OUT, maps=["colour"])[0]
