@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Installs the build and test dependencies other than the Rust toolchain: C and C++ compilers (for SQLite and the video
-# encoder), a Vulkan loader, a CPU driver (Mesa's lavapipe), the validation layer, and Python (for planners in the tests).
+# encoder), a Vulkan loader, a CPU driver (Mesa's lavapipe), the validation layer, and Python (for planners in the tests, and
+# for the Python package).
 # Also installs a second driver, SwiftShader, if a package provides it; without it, tests on a second driver are skipped.
 # Prints nothing if everything is installed.
 set -euo pipefail
@@ -43,6 +44,7 @@ has_swiftshader() {
 missing() {
     has_compilers || echo g++
     command -v python3 >/dev/null || echo python3
+    python3 -c 'import ensurepip, venv' 2>/dev/null || echo python3-venv
     has_loader || echo libvulkan1
     has_driver || echo mesa-vulkan-drivers
     has_layer || echo vulkan-validationlayers

@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Checks everything: format, import cycles, lints, documentation, tests, rendering tests again on a second Vulkan driver
-# (ci/swiftshader.sh), the demo on a small town, and its web page in a browser. The last line is `N passed, N failed,
-# N skipped`. A test is skipped if its recordings or fixtures are missing (PSKEL_SHARED, PSKEL_FIXTURES) or if the second
-# driver lacks a feature; a second driver that is not installed counts as one skipped test. PSKEL_NO_BROWSER=1 skips the
+# (ci/swiftshader.sh), the Python package (ci/python.sh), the demo on a small town, and its web page in a browser. The
+# last line is `N passed, N failed, N skipped`. A test is skipped if its recordings or fixtures are missing (PSKEL_SHARED, PSKEL_FIXTURES) or if the second
+# driver lacks a feature; a second driver that is not installed, and a Python environment that cannot be downloaded,
+# count as one skipped test each. PSKEL_NO_BROWSER=1 skips the
 # browser. PSKEL_ARTIFACTS is a folder for the accuracy table of the demo and screenshots of its page. Exits with 1 on
 # any failure.
 set -euo pipefail
@@ -50,6 +51,23 @@ run_swiftshader() {
     return "$code"
 }
 
+# Builds the Python package and runs its tests.
+run_python() {
+    local code=0
+    ci/python.sh 2>&1 | tee "$scratch/python.txt" || code=$?
+    # The Python packages of the tests can be neither found nor downloaded.
+    if [ "$code" -eq 77 ]; then
+        unpythoned=1
+        code=0
+    fi
+    return "$code"
+}
+
+# Returns a number of the summary of the Python tests.
+python_count() {
+    sed -nE "s/^(.*[^0-9])?([0-9]+) $1.* in [0-9.]+s.*$/\\2/p" "$scratch/python.txt" | tail -n 1 | grep . || echo 0
+}
+
 run_demo() {
     # Use the program built by the tests instead of compiling again.
     local target
@@ -80,12 +98,15 @@ step cargo clippy -p pskel --no-default-features --locked -- -D warnings
 RUSTDOCFLAGS=-Dwarnings step cargo doc "${packages[@]}" --no-deps --locked
 status=0
 undrawn=0
+unpythoned=0
+: >"$scratch/python.txt"
 : >"$scratch/skipped-swiftshader"
 step run_tests || status=1
 step run_swiftshader || status=1
-passed=$(count passed)
-failed=$(count failed)
-ignored=$(count ignored)
+step run_python || status=1
+passed=$(($(count passed) + $(python_count passed)))
+failed=$(($(count failed) + $(python_count failed) + $(python_count error)))
+ignored=$(($(count ignored) + $(python_count skipped)))
 # A failed build or a test that kills its process prints no result line.
 if [ "$status" -ne 0 ] && [ "$failed" -eq 0 ]; then
     say "the tests did not run through: counted as one that failed"
@@ -103,10 +124,11 @@ if [ "$unshared" -gt 0 ]; then
     say "$unshared tests skipped for want of the shared data (set PSKEL_SHARED):"
     sort -u "$scratch/skipped" | sed 's/^/test:   /' >&2
 fi
+[ "$unpythoned" -eq 0 ] || say "no Python environment: the tests of the Python package count as one that is skipped"
 [ "$undrawn" -eq 0 ] || say "SwiftShader is not installed: its tests count as one that is skipped"
 [ "$lacking" -eq 0 ] || say "$lacking tests skipped on SwiftShader:" "$(sort -u "$scratch/skipped-swiftshader" | tr '\n' ' ')"
 say "$((passed + failed + ignored)) tests in $SECONDS s, $unshared of them skipped for want of the shared data"
 [ "$status" -eq 0 ] || say "FAILED" $(sed -nE 's/^test (.*) \.\.\. FAILED$/\1/p' "$scratch"/*.log)
 skipped=$((unshared + lacking))
-echo "$((passed - skipped)) passed, $failed failed, $((ignored + skipped + undrawn)) skipped"
+echo "$((passed - skipped)) passed, $failed failed, $((ignored + skipped + undrawn + unpythoned)) skipped"
 exit "$status"
