@@ -14,7 +14,11 @@ pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 ///
 /// # Errors
 /// Raises `ValueError` for another shape.
-pub(crate) fn shaped<'a>(name: &str, array: &'a Numbers<'_>, shape: &[usize]) -> PyResult<ArrayViewD<'a, f64>> {
+pub(crate) fn shaped<'a>(
+    name: &str,
+    array: &'a Numbers<'_>,
+    shape: &[usize],
+) -> PyResult<ArrayViewD<'a, f64>> {
     let view = array.as_array();
     let fits = |(found, expected): (&usize, &usize)| found == expected || *expected == 0;
     if view.ndim() == shape.len() && view.shape().iter().zip(shape).all(fits) {
@@ -43,7 +47,8 @@ pub(crate) fn pose(name: &str, array: &Numbers<'_>) -> PyResult<Pose> {
 /// # Errors
 /// Raises `ValueError` as [`pose`] does.
 pub(crate) fn affine(name: &str, element: impl Fn(usize, usize) -> f64) -> PyResult<DAffine3> {
-    let columns: [[f64; 4]; 4] = std::array::from_fn(|column| std::array::from_fn(|row| element(row, column)));
+    let columns: [[f64; 4]; 4] =
+        std::array::from_fn(|column| std::array::from_fn(|row| element(row, column)));
     let matrix = DMat4::from_cols_array_2d(&columns);
     let rotation = DMat3::from_mat4(matrix);
     let off = (rotation.transpose() * rotation - DMat3::IDENTITY).to_cols_array();

@@ -1,10 +1,10 @@
 //! Exceptions: `pskel.Error` and its subclasses.
 
 use point_skeleton::error::with_causes;
+use pskel_sim::SimError;
 use pyo3::create_exception;
 use pyo3::exceptions::{PyException, PyValueError};
 use pyo3::prelude::*;
-use pskel_sim::SimError;
 
 create_exception!(pskel, Error, PyException, "Base class of all errors of this package.");
 create_exception!(pskel, LogError, Error, "A log cannot be opened or read.");

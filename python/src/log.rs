@@ -65,14 +65,21 @@ impl Log {
         scene.ok_or_else(|| {
             let times = self.times_us();
             let (first, last) = (times.first(), times.last());
-            PyValueError::new_err(format!("expected a time of the log, {first:?} to {last:?} us, found {t_us}"))
+            PyValueError::new_err(format!(
+                "expected a time of the log, {first:?} to {last:?} us, found {t_us}"
+            ))
         })
     }
 
     /// Returns the camera images of a scene, `[V, H, W, 3]` `uint8`: recorded images nearest in time, without lens
     /// distortion and resized to `size`, or images rendered at the scene's poses if the log is a town.
     #[pyo3(signature = (scene, size))]
-    fn images<'py>(&self, py: Python<'py>, scene: &Scene, size: (u32, u32)) -> PyResult<Bound<'py, PyArray4<u8>>> {
+    fn images<'py>(
+        &self,
+        py: Python<'py>,
+        scene: &Scene,
+        size: (u32, u32),
+    ) -> PyResult<Bound<'py, PyArray4<u8>>> {
         let (log, scene) = (Arc::clone(&self.inner), Arc::clone(&scene.inner));
         let size = ImageSize { height: size.0, width: size.1 };
         if size.height == 0 || size.width == 0 {
@@ -80,7 +87,8 @@ impl Log {
         }
         let read = || {
             let truth = GroundTruthImages::new(log.dataset());
-            let drawn = |view: &View| View { camera: view.camera.resized(size.height, size.width), ..view.clone() };
+            let drawn =
+                |view: &View| View { camera: view.camera.resized(size.height, size.width), ..view.clone() };
             truth
                 .of(&scene, drawn, size, false)
                 .map_err(|error| LogError::new_err(with_causes(&error).to_string()))
@@ -99,7 +107,6 @@ impl Log {
         (slf.get_type().into_any(), (slf.get().text.clone(),))
     }
 }
-
 
 impl Log {
     /// Returns the default rates of the log's format.

@@ -33,14 +33,17 @@ pub(crate) fn dictionary<'py>(py: Python<'py>, cameras: &[CameraConditions]) -> 
             MapKind::Instance => stacked(py, cameras, &gray, |camera| camera.instance.as_deref())?,
             MapKind::Point => stacked(py, cameras, &gray, |camera| camera.point.as_deref())?,
             MapKind::Tensor => {
-                let channels = |count: usize| vec![cameras.len(), count / (height * width).max(1), height, width];
+                let channels =
+                    |count: usize| vec![cameras.len(), count / (height * width).max(1), height, width];
                 if let Some(tensor) = &first.tensor {
                     let points = channels(tensor.points.len());
-                    let points =
-                        stacked(py, cameras, &points, |camera| Some(camera.tensor.as_ref()?.points.as_slice()))?;
+                    let points = stacked(py, cameras, &points, |camera| {
+                        Some(camera.tensor.as_ref()?.points.as_slice())
+                    })?;
                     let layout = channels(tensor.layout.len());
-                    let layout =
-                        stacked(py, cameras, &layout, |camera| Some(camera.tensor.as_ref()?.layout.as_slice()))?;
+                    let layout = stacked(py, cameras, &layout, |camera| {
+                        Some(camera.tensor.as_ref()?.layout.as_slice())
+                    })?;
                     dictionary.set_item("points", points)?;
                     dictionary.set_item("layout", layout)?;
                 }

@@ -74,7 +74,7 @@ impl Renderer {
             out_size: sized("out_size", out_size)?,
             ..ConditionOptions::default()
         };
-        if !(radius > 0.0) {
+        if radius.is_nan() || radius <= 0.0 {
             return Err(PyValueError::new_err(format!("expected a radius above 0 m, found {radius}")));
         }
         if let Some(maps) = maps {
@@ -87,7 +87,8 @@ impl Renderer {
         let rasterizer = RasterizerDesc { kind, device, ..RasterizerDesc::default() };
         let skeleton = Arc::clone(&skeleton.inner);
         if let Some(log) = log.as_ref().filter(|log| skeleton.manifest.times_us(log).is_none()) {
-            let found: Vec<&str> = skeleton.manifest.sources.iter().map(|source| source.log.as_str()).collect();
+            let found: Vec<&str> =
+                skeleton.manifest.sources.iter().map(|source| source.log.as_str()).collect();
             let message = format!("expected a log of the skeleton ({}), found {log:?}", found.join(", "));
             return Err(PyValueError::new_err(message));
         }
@@ -122,7 +123,7 @@ impl Renderer {
     fn render_all(slf: Bound<'_, Self>, scenes: &Bound<'_, PyAny>) -> PyResult<Frames> {
         let scenes = scenes.try_iter()?.unbind();
         let (py, renderer) = (slf.py(), slf.get());
-        let ((), series) = detached(py, || renderer.with(None, |renderer| discard(renderer)))?;
+        let ((), series) = detached(py, || renderer.with(None, discard))?;
         Ok(Frames { renderer: slf.unbind(), scenes, series })
     }
 
@@ -196,7 +197,8 @@ impl Renderer {
         device.series += u64::from(series.is_none());
         let series = device.series;
         let owned = device.owned.as_mut();
-        let owned = owned.ok_or_else(|| PyRuntimeError::new_err("expected an open Renderer, found a closed one"))?;
+        let owned =
+            owned.ok_or_else(|| PyRuntimeError::new_err("expected an open Renderer, found a closed one"))?;
         owned.with_dependent_mut(|_, renderer| call(renderer)).map(|value| (value, series))
     }
 }

@@ -144,7 +144,8 @@ impl ResetAndRoll {
     /// Returns the state between two steps, for `load`. Raises `ValueError` before the first step.
     fn save<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let state = self.lock()?;
-        let generator = state.generator.as_ref().ok_or_else(|| wrong("a loop that has generated a frame", "none"))?;
+        let generator =
+            state.generator.as_ref().ok_or_else(|| wrong("a loop that has generated a frame", "none"))?;
         let bytes = generator.cache().to_bytes();
         Ok(PyBytes::new(py, &bytes.map_err(|error| Error::new_err(with_causes(&error).to_string()))?))
     }
@@ -153,7 +154,8 @@ impl ResetAndRoll {
     /// Raises `ValueError` for a damaged state or one of other options.
     fn load(&self, py: Python<'_>, saved: &[u8], conditions: Vec<PyRef<'_, Committed>>) -> PyResult<()> {
         let mut state = self.lock()?;
-        let cache = Cache::from_bytes(saved).map_err(|error| PyValueError::new_err(with_causes(&error).to_string()))?;
+        let cache = Cache::from_bytes(saved)
+            .map_err(|error| PyValueError::new_err(with_causes(&error).to_string()))?;
         let shown = conditions.iter().map(|condition| condition_of(py, condition)).collect();
         let noise = GaussianNoise { seed: state.seed };
         let network = state.network.copy(py);

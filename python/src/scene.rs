@@ -14,7 +14,7 @@ use crate::arrays::{Numbers, intrinsics, matrix, pose, rows, shaped, stack};
 use crate::error::invalid;
 
 /// Camera of a scene, mounted on the ego: a pinhole.
-#[pyclass(frozen, module = "pskel", skip_from_py_object)]
+#[pyclass(frozen, module = "pskel")]
 #[derive(Clone)]
 pub(crate) struct Camera {
     camera: geometry::Camera,
@@ -27,10 +27,16 @@ impl Camera {
     /// meters (camera axes: x right, y down, z forward). Raises `ValueError` for singular intrinsics and transforms that
     /// are not rigid.
     #[new]
-    fn new(name: &str, intrinsics: Numbers<'_>, size: (u32, u32), ego_from_camera: Numbers<'_>) -> PyResult<Self> {
+    fn new(
+        name: &str,
+        intrinsics: Numbers<'_>,
+        size: (u32, u32),
+        ego_from_camera: Numbers<'_>,
+    ) -> PyResult<Self> {
         let k = shaped("intrinsics", &intrinsics, &[3, 3])?;
         let name: FileName = name.parse().map_err(invalid)?;
-        let camera = geometry::Camera::new(name, size.1, size.0, self::intrinsics(|row, column| k[[row, column]]));
+        let camera =
+            geometry::Camera::new(name, size.1, size.0, self::intrinsics(|row, column| k[[row, column]]));
         Ok(Self {
             camera: camera.map_err(invalid)?,
             ego_from_camera: pose("ego_from_camera", &ego_from_camera)?,
@@ -45,7 +51,7 @@ impl Camera {
 }
 
 /// Actor of a scene: a box, with the points of its track in the skeleton or a template.
-#[pyclass(frozen, module = "pskel", skip_from_py_object)]
+#[pyclass(frozen, module = "pskel")]
 #[derive(Clone)]
 pub(crate) struct Actor {
     inner: ActorState,
@@ -58,7 +64,8 @@ impl Actor {
     /// `ValueError` for sizes that are not positive and transforms that are not rigid.
     #[new]
     fn new(track: String, category: String, size: [f64; 3], global_from_box: Numbers<'_>) -> PyResult<Self> {
-        let cuboid = Cuboid::new(pose("global_from_box", &global_from_box)?, DVec3::from(size)).map_err(invalid)?;
+        let cuboid =
+            Cuboid::new(pose("global_from_box", &global_from_box)?, DVec3::from(size)).map_err(invalid)?;
         let class = Class::from_category(&category);
         Ok(Self { inner: ActorState { track, category, class, cuboid } })
     }
@@ -121,11 +128,17 @@ impl Scene {
         let mut actors: Vec<ActorState> = actors.iter().map(|actor| actor.inner.clone()).collect();
         actors.sort_by(|a, b| a.track.cmp(&b.track));
         if let Some(pair) = actors.windows(2).find(|pair| pair[0].track == pair[1].track) {
-            return Err(PyValueError::new_err(format!("expected tracks once each, found two {:?}", pair[0].track)));
+            return Err(PyValueError::new_err(format!(
+                "expected tracks once each, found two {:?}",
+                pair[0].track
+            )));
         }
         for (i, camera) in cameras.iter().enumerate() {
             if cameras[..i].iter().any(|other| other.camera.name == camera.camera.name) {
-                return Err(PyValueError::new_err(format!("expected cameras once each, found two {}", camera.name())));
+                return Err(PyValueError::new_err(format!(
+                    "expected cameras once each, found two {}",
+                    camera.name()
+                )));
             }
         }
         let camera = |camera: &PyRef<'_, Camera>| {
@@ -135,7 +148,14 @@ impl Scene {
         };
         let name: FileName = name.parse().map_err(invalid)?;
         let cameras = cameras.iter().map(camera).collect();
-        Ok(Self::new(SceneState { name: name.to_string(), t_us, global_from_ego, cameras, actors, map: None }))
+        Ok(Self::new(SceneState {
+            name: name.to_string(),
+            t_us,
+            global_from_ego,
+            cameras,
+            actors,
+            map: None,
+        }))
     }
 
     /// Name, the folder name of the maps.

@@ -3,7 +3,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use numpy::ndarray::ArrayViewD;
 use point_skeleton::SceneState;
 use point_skeleton::scene::SceneMap;
-use pskel_sim::{ActorPolicy, EgoPolicy, Instant, Rates, SavedState, Scenario, SimOptions, Tracking, scene_state};
+use pskel_sim::{ActorPolicy, EgoPolicy, Instant, SavedState, Scenario, SimOptions, Tracking, scene_state};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use self_cell::self_cell;
@@ -125,7 +125,8 @@ impl Simulation {
             let of = |instant: &pskel_sim::Forecast<Instant>| Scene::new(state(log, instant.get()));
             Ok(simulation.forecast(count).iter().map(of).collect::<Vec<_>>())
         })?;
-        let predicted = |scene| Ok(Forecast { inner: pskel_sim::Forecast::new(Py::new(py, scene)?.into_any()) });
+        let predicted =
+            |scene| Ok(Forecast { inner: pskel_sim::Forecast::new(Py::new(py, scene)?.into_any()) });
         scenes.into_iter().map(predicted).collect()
     }
 
@@ -174,7 +175,10 @@ impl Simulation {
             return Err(PyValueError::new_err(format!("expected dt above 0 s, found {dt}")));
         }
         if view.ndim() != 2 || (view.shape()[1] != 3 && view.shape()[1] != 5) {
-            return Err(PyValueError::new_err(format!("expected waypoints [N, 3] or [N, 5], found {:?}", view.shape())));
+            return Err(PyValueError::new_err(format!(
+                "expected waypoints [N, 3] or [N, 5], found {:?}",
+                view.shape()
+            )));
         }
         if let Some(value) = view.iter().find(|value| !value.is_finite()) {
             return Err(PyValueError::new_err(format!("expected finite waypoints, found {value}")));

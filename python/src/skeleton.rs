@@ -49,7 +49,9 @@ impl Skeleton {
         })?;
         let asset = |(track, (category, size, points)): (String, (String, [f64; 3], Numbers<'_>))| {
             if !size.iter().all(|side| side.is_finite() && *side > 0.0) {
-                return Err(PyValueError::new_err(format!("expected a size above 0 of asset {track:?}, found {size:?}")));
+                return Err(PyValueError::new_err(format!(
+                    "expected a size above 0 of asset {track:?}, found {size:?}"
+                )));
             }
             let class = Class::from_category(&category);
             let points = rows(&format!("points of asset {track:?}"), &points, |row, point| {
@@ -107,17 +109,23 @@ pub(crate) fn rows<T>(
     let view = shaped(name, points, &[0, 0])?;
     let columns = view.shape()[1];
     if columns != 6 && columns != 7 {
-        return Err(PyValueError::new_err(format!("expected {name} [N, 6] or [N, 7], found {:?}", view.shape())));
+        return Err(PyValueError::new_err(format!(
+            "expected {name} [N, 6] or [N, 7], found {:?}",
+            view.shape()
+        )));
     }
     let each = view.outer_iter().enumerate();
-    each.map(|(row, point)| convert(row, point.into_dimensionality().map_err(crate::error::invalid)?)).collect()
+    each.map(|(row, point)| convert(row, point.into_dimensionality().map_err(crate::error::invalid)?))
+        .collect()
 }
 
 /// Reads position, color and class of a point.
 pub(crate) fn values(row: usize, point: ArrayView1<'_, f64>) -> PyResult<(DVec3, [u8; 3], u8)> {
     let position = DVec3::new(point[0], point[1], point[2]);
     if !position.is_finite() {
-        return Err(PyValueError::new_err(format!("expected finite positions, found {position} at point {row}")));
+        return Err(PyValueError::new_err(format!(
+            "expected finite positions, found {position} at point {row}"
+        )));
     }
     let rgb = [byte(point, 3, row)?, byte(point, 4, row)?, byte(point, 5, row)?];
     let class = if point.len() == 7 { byte(point, 6, row)? } else { 0 };

@@ -57,7 +57,8 @@ pub(crate) fn splat<'py>(
                 ..CameraConditions::default()
             })
         };
-        let cameras: Result<Vec<_>, point_skeleton::raster::RasterError> = views.iter().map(&mut of_view).collect();
+        let cameras: Result<Vec<_>, point_skeleton::raster::RasterError> =
+            views.iter().map(&mut of_view).collect();
         cameras.map_err(raise)
     };
     dictionary(py, &detached(py, draw)?)
@@ -74,7 +75,8 @@ fn views(intrinsics: &Numbers<'_>, poses: &Numbers<'_>, (height, width): (u32, u
     let view = |i: usize| {
         let rows = matrix(|row, column| intrinsics[[i, row, column]]);
         let camera = Camera::new(format!("camera-{i}"), width, height, rows).map_err(invalid)?;
-        let camera_from_world = affine(&format!("camera_from_world[{i}]"), |row, column| poses[[i, row, column]])?;
+        let camera_from_world =
+            affine(&format!("camera_from_world[{i}]"), |row, column| poses[[i, row, column]])?;
         Ok(View { camera, camera_from_world })
     };
     (0..count).map(view).collect()

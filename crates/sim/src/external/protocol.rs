@@ -49,7 +49,7 @@ struct EgoSize {
 
 /// Message sent at each planning step.
 #[derive(Serialize)]
-pub(super) struct Observation<'a> {
+pub(crate) struct Observation<'a> {
     r#type: &'static str,
     step: usize,
     t_us: i64,
@@ -142,7 +142,7 @@ impl<'a> Hello<'a> {
 }
 
 impl<'a> Observation<'a> {
-    pub(super) fn new(
+    pub(crate) fn new(
         recorded: &'a Recorded<'_>,
         clock: &Clock,
         world: &'a World,
@@ -216,7 +216,7 @@ pub(super) fn read_hello(answer: &[u8]) -> Result<(), ProtocolError> {
 }
 
 /// Validates the reply to an observation; the plan must extend to `due_us`, the time of the next one (microseconds).
-pub(super) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Trajectory, ProtocolError> {
+pub(crate) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Trajectory, ProtocolError> {
     let expected = "{\"trajectory\": [{\"t\", \"x\", \"y\", \"heading\", \"v\"}, ..]}";
     let plan: PlanAnswer =
         serde_json::from_slice(answer).map_err(|e| ProtocolError::new(expected, shown(answer, &e)))?;
