@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use point_skeleton::cloud::Point;
 use point_skeleton::dataset::nuplan::NuPlan;
 use point_skeleton::dataset::nuscenes::NuScenes;
 use point_skeleton::dataset::{Dataset, ImageRecord, LogFormat, LogLocator, VectorMap};
 use point_skeleton::geometry::View;
 use point_skeleton::skeleton::{BuildOptions, Chunk, Part, Skeleton, Splitter, Trajectories};
+use rstar::{PointDistance, RTree};
 use serde_json::Value;
 
 use crate::common::{WithLog, shared, skeleton_of};
@@ -154,8 +154,8 @@ const PRECISION_M: f64 = 2e-3;
 
 /// Returns the points of one cloud that have no point of the other within 2 mm.
 fn lonely(of: &[[f64; 3]], among: &[[f64; 3]]) -> Vec<DVec3> {
-    let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(among).unwrap();
-    let squared = |p: &[f64; 3]| tree.query(p).nearest_one::<SquaredEuclidean<f64>>().execute().distance;
+    let tree = RTree::bulk_load(among.to_vec());
+    let squared = |p: &[f64; 3]| tree.nearest_neighbor(p).unwrap().distance_2(p);
     of.iter().filter(|p| squared(p) > PRECISION_M * PRECISION_M).map(|p| DVec3::from(*p)).collect()
 }
 
@@ -234,11 +234,11 @@ fn the_map_is_that_of_the_other_layout() {
     let json: Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
     let node = |n: &Value| [n["x"].as_f64().unwrap(), n["y"].as_f64().unwrap()];
     let nodes: Vec<[f64; 2]> = json["node"].as_array().unwrap().iter().map(node).collect();
-    let tree: ImmutableKdTree<f64, 2> = ImmutableKdTree::new_from_slice(&nodes).unwrap();
+    let tree = RTree::bulk_load(nodes);
     for (kind, points) in corners(&map) {
         let off = |p: &DVec2| {
             let at = (*p - OFFSET.truncate()).to_array();
-            tree.query(&at).nearest_one::<SquaredEuclidean<f64>>().execute().distance.sqrt()
+            tree.nearest_neighbor(&at).unwrap().distance_2(&at).sqrt()
         };
         let worst = points.iter().map(off).fold(0.0, f64::max);
         println!("{kind}: {} corners, at most {worst:.2e} m off", points.len());

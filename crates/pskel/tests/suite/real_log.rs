@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 
 use glam::DVec3;
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use point_skeleton::cloud::Point;
 use point_skeleton::dataset::nuscenes::NuScenes;
 use point_skeleton::dataset::{Class, Dataset, Frame, LogFormat, LogLocator};
 use point_skeleton::skeleton::{BuildOptions, Skeleton};
+use rstar::{PointDistance, RTree};
 use tempfile::TempDir;
 
 use crate::common::{WithLog, shared, skeleton_of};
@@ -88,10 +88,8 @@ fn median_distance_m(views: &Views) -> f64 {
         let others = views.iter().enumerate().filter(|(i, _)| *i != one);
         let rows: Vec<[f32; 3]> =
             others.flat_map(|(_, (_, points))| points.iter().map(|p| p.position)).collect();
-        let tree: ImmutableKdTree<f32, 3> = ImmutableKdTree::new_from_slice(&rows).unwrap();
-        let squared = |p: &Point| -> f32 {
-            tree.query(&p.position).nearest_one::<SquaredEuclidean<f32>>().execute().distance
-        };
+        let tree = RTree::bulk_load(rows);
+        let squared = |p: &Point| tree.nearest_neighbor(&p.position).unwrap().distance_2(&p.position);
         distances.extend(points.iter().map(|p| squared(p).sqrt()));
     }
     distances.sort_by(f32::total_cmp);
