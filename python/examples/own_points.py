@@ -31,17 +31,19 @@ def car() -> npt.NDArray[np.float64]:
     return np.hstack([points * [2.2, 0.9, 0.8], np.tile([200, 40, 40], (20_000, 1))])
 
 
-def main(out: Path) -> pskel._types.Maps:
+def main(out: Path) -> pskel.Maps:
     size = (4.4, 1.8, 1.6)
     skeleton = pskel.Skeleton.from_points(out / "skeleton", background(), {"car-1": ("vehicle.car", size, car())})
     # From camera axes (x right, y down, z forward) to ego axes (x forward, y left, z up), 1.5 m above the ground.
-    ego_from_camera = [[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 1.5], [0, 0, 0, 1]]
+    ego_from_camera = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 1.5], [0, 0, 0, 1]])
     intrinsics = [[220, 0, 224], [0, 220, 128], [0, 0, 1]]
     camera = pskel.Camera("front", intrinsics, (256, 448), ego_from_camera)
     pose = np.eye(4)
     pose[:3, 3] = 12.0, 2.0, 0.8
     scene = pskel.Scene(np.eye(4), [camera], [pskel.Actor("car-1", "vehicle.car", size, pose)])
-    with pskel.Renderer(skeleton, maps=["color", "depth", "instance"]) as renderer:
+    # Assets of any size are shown in all maps; by default, small ones are replaced by templates in depth and masks.
+    maps = ["color", "depth", "instance"]
+    with pskel.Renderer(skeleton, maps=maps, min_actor_points=0) as renderer:
         return renderer.render(scene)
 
 

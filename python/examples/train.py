@@ -24,7 +24,8 @@ def main(name: str, out: Path, epochs: int = 2, workers: int = 1) -> list[float]
         pskel.build(pskel.Log(name), out / "skeleton")
     torch.manual_seed(0)
     dataset = ConditionDataset([(name, str(out / "skeleton"))], out_size=(56, 100), augment=moved)
-    loader = DataLoader(dataset, batch_size=2, shuffle=True, num_workers=workers, multiprocessing_context="spawn")
+    start = "spawn" if workers else None
+    loader = DataLoader(dataset, batch_size=2, shuffle=True, num_workers=workers, multiprocessing_context=start)
     network = nn.Sequential(nn.Conv2d(26, 32, 5, padding=2), nn.ReLU(), nn.Conv2d(32, 3, 5, padding=2))
     optimizer = torch.optim.AdamW(network.parameters(), lr=1e-3)
     losses = []
@@ -36,7 +37,7 @@ def main(name: str, out: Path, epochs: int = 2, workers: int = 1) -> list[float]
             images = batch["images"].flatten(0, 2).float() / 255.0
             loss = nn.functional.mse_loss(network(conditions), images)
             optimizer.zero_grad()
-            loss.backward()
+            torch.autograd.backward(loss)
             optimizer.step()
             total += float(loss)
         losses.append(total / len(loader))

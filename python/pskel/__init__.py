@@ -20,6 +20,7 @@ from ._pskel import (
     splat,
 )
 from ._build import build
+from ._types import Maps
 
 __all__ = [
     "Actor",
@@ -31,6 +32,7 @@ __all__ = [
     "Frames",
     "Log",
     "LogError",
+    "Maps",
     "RenderError",
     "Renderer",
     "ResetAndRoll",

@@ -1,5 +1,6 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
+from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar, final
 
 import numpy as np
@@ -7,7 +8,28 @@ import numpy.typing as npt
 
 from ._types import Maps
 
-_T = TypeVar("_T")
+__all__ = [
+    "Actor",
+    "BuildError",
+    "Camera",
+    "Committed",
+    "Error",
+    "Forecast",
+    "Frames",
+    "Log",
+    "LogError",
+    "RenderError",
+    "Renderer",
+    "ResetAndRoll",
+    "Scene",
+    "Simulation",
+    "SimulationError",
+    "Skeleton",
+    "build",
+    "run_command",
+    "splat",
+]
+
 _T_co = TypeVar("_T_co", covariant=True)
 _U = TypeVar("_U")
 
@@ -97,7 +119,7 @@ class Skeleton:
         log: str = "points",
     ) -> Skeleton: ...
     @property
-    def path(self) -> str: ...
+    def path(self) -> Path: ...
     @property
     def logs(self) -> list[str]: ...
     @property
@@ -121,6 +143,7 @@ class Renderer:
         maps: Sequence[str] | None = None,
         splat: str | None = None,
         radius: float = 100.0,
+        min_actor_points: int = 20000,
         rasterizer: str = "auto",
         device: str | None = None,
         log: str | None = None,
@@ -138,14 +161,14 @@ class Committed(Generic[_T_co]):
     @property
     def value(self) -> _T_co: ...
     def map(self, function: Callable[[_T_co], _U]) -> Committed[_U]: ...
-    def __class_getitem__(cls, key: Any, /) -> Any: ...
+    def __class_getitem__(cls, key: Any) -> Any: ...
 
 @final
 class Forecast(Generic[_T_co]):
     @property
     def value(self) -> _T_co: ...
     def map(self, function: Callable[[_T_co], _U]) -> Forecast[_U]: ...
-    def __class_getitem__(cls, key: Any, /) -> Any: ...
+    def __class_getitem__(cls, key: Any) -> Any: ...
 
 @final
 class Simulation:

@@ -80,7 +80,7 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
         self.render_mode = render_mode
         self._log = _log(log, os.getpid())
         self._renderer = _renderer(os.fspath(skeleton), tuple(size), rasterizer, os.getpid())
-        self._options = {
+        self._options: dict[str, Any] = {
             "steps": steps * round(_SIM_HZ / plan_hz),
             "sim_hz": _SIM_HZ,
             "plan_hz": plan_hz,
@@ -90,7 +90,7 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
         self._seen: dict[str, Any] = {}
         self._images: npt.NDArray[np.uint8] | None = None
         cameras, (height, width) = len(self._log[0].cameras), size
-        self.observation_space = spaces.Dict(
+        space: Any = spaces.Dict(
             {
                 "images": spaces.Box(0, 255, (cameras, height, width, 3), np.uint8),
                 "ego": spaces.Box(-np.inf, np.inf, (4,), np.float32),
@@ -98,6 +98,7 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
                 "actors": spaces.Box(-np.inf, np.inf, (ACTORS, 7), np.float32),
             }
         )
+        self.observation_space = space
         self._controls = action == "controls"
         if self._controls:
             low, high = np.array([-6.0, -0.6]), np.array([3.0, 0.6])
@@ -130,11 +131,11 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
         if simulation is None:
             raise RuntimeError("expected a reset before this step, found none")
         before = simulation.metrics["progress_m"]
-        action = np.asarray(action, np.float64)
+        chosen = np.asarray(action, np.float64)
         if self._controls:
-            simulation.act(_driven(action, self._seen["ego"]["v"], self._seen["plan_dt"]))
+            simulation.act(_driven(chosen, self._seen["ego"]["v"], self._seen["plan_dt"]))
         else:
-            simulation.act(_limited(action), dt=_WAYPOINT_DT)
+            simulation.act(_limited(chosen), dt=_WAYPOINT_DT)
         ended = next(simulation, None) is None
         self._seen = simulation.observation
         metrics = simulation.metrics
@@ -144,7 +145,7 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
             self._simulation = None
         return self._observe(simulation), reward, collided, ended and not collided, self._info(simulation)
 
-    def render(self) -> npt.NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> npt.NDArray[np.uint8] | None:
         """Return the images of all cameras side by side, ``[H, V * W, 3]``."""
         if self.render_mode is None or self._images is None:
             return None
@@ -183,7 +184,8 @@ def _local(points: npt.NDArray[np.float64], ego: dict[str, float]) -> npt.NDArra
     """Converts global x and y to the ego frame."""
     away = points - np.array([ego["x"], ego["y"]])
     cos, sin = np.cos(ego["heading"]), np.sin(ego["heading"])
-    return away @ np.array([[cos, -sin], [sin, cos]])
+    local: npt.NDArray[np.float64] = away @ np.array([[cos, -sin], [sin, cos]])
+    return local
 
 
 def _route(path: list[list[float]], ego: dict[str, float]) -> npt.NDArray[np.float32]:
@@ -234,4 +236,6 @@ def _driven(controls: npt.NDArray[np.float64], speed: float, plan_dt: float) -> 
     return np.array(rows)
 
 
-gymnasium.register("pskel/Drive-v0", entry_point=DriveEnv, vector_entry_point=make_vector)
+gymnasium.register(
+    "pskel/Drive-v0", entry_point="pskel.gym:DriveEnv", vector_entry_point="pskel.gym:make_vector"
+)

@@ -2,13 +2,36 @@
 
 use glam::{DAffine3, DMat3, DMat4, DQuat};
 use numpy::ndarray::{Array2, Array3, ArrayView1, ArrayViewD};
-use numpy::{AllowTypeChange, IntoPyArray, PyArray2, PyArray3, PyArrayLikeDyn};
+use numpy::{IntoPyArray, PyArray2, PyArray3, PyReadonlyArrayDyn};
 use point_skeleton::geometry::Pose;
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
-/// An argument that converts to an array of `float64`.
-pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+/// An argument that `numpy.asarray` converts to an array of real numbers, as `float64`.
+pub(crate) struct Numbers<'py>(PyReadonlyArrayDyn<'py, f64>);
+
+impl<'py> FromPyObject<'_, 'py> for Numbers<'py> {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        let array = object.py().import("numpy")?.call_method1("asarray", (object,))?;
+        let dtype = array.getattr("dtype")?;
+        let kind: String = dtype.getattr("kind")?.extract()?;
+        if !["b", "i", "u", "f"].contains(&kind.as_str()) {
+            return Err(PyTypeError::new_err(format!(
+                "expected an array of real numbers, found dtype {dtype}"
+            )));
+        }
+        let array = array.call_method1("astype", ("float64",))?;
+        Ok(Self(array.extract()?))
+    }
+}
+
+impl Numbers<'_> {
+    pub(crate) fn as_array(&self) -> ArrayViewD<'_, f64> {
+        self.0.as_array()
+    }
+}
 
 /// Returns the array of an argument with a shape, in which 0 stands for any length.
 ///

@@ -33,7 +33,7 @@ pub(crate) fn build(
             None => built.map_err(raise),
         }
     };
-    Ok(Skeleton { inner: Arc::new(detached(py, build)?), path: out.clone() })
+    Ok(Skeleton { inner: Arc::new(detached(py, build)?) })
 }
 
 /// Progress object of Python. The build stops at its first exception, or at a signal (Ctrl-C).

@@ -1,7 +1,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use point_skeleton::raster::RasterizerDesc;
-use point_skeleton::scene::Substitutes;
+use point_skeleton::scene::{SelectionOptions, Substitutes};
 use point_skeleton::{ConditionOptions, ImageSize, MapSet, Maps, RenderOptions};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -54,7 +54,7 @@ impl Renderer {
     /// Opens a device and uploads the points of a skeleton. `size` and `out_size` are (height, width) in pixels. Raises
     /// `ValueError` for invalid options, `RenderError` without a suitable device.
     #[new]
-    #[pyo3(signature = (skeleton, *, size=None, out_size=None, maps=None, splat=None, radius=100.0, rasterizer="auto", device=None, log=None))]
+    #[pyo3(signature = (skeleton, *, size=None, out_size=None, maps=None, splat=None, radius=100.0, min_actor_points=20_000, rasterizer="auto", device=None, log=None))]
     #[allow(clippy::too_many_arguments)] // keyword arguments of Python
     fn new(
         py: Python<'_>,
@@ -64,6 +64,7 @@ impl Renderer {
         maps: Option<Vec<String>>,
         splat: Option<&str>,
         radius: f64,
+        min_actor_points: usize,
         rasterizer: &str,
         device: Option<String>,
         log: Option<String>,
@@ -96,6 +97,7 @@ impl Renderer {
             Owned::try_new(Source { skeleton, log }, |source| {
                 let options = RenderOptions {
                     conditions,
+                    selection: SelectionOptions { min_actor_points, ..SelectionOptions::default() },
                     rasterizer,
                     substitutes: Substitutes::built_in(),
                     log: source.log.as_deref(),

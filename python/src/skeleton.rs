@@ -18,7 +18,6 @@ use crate::pool::detached;
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Skeleton {
     pub(crate) inner: Arc<point_skeleton::Skeleton>,
-    pub(crate) path: PathBuf,
 }
 
 #[pymethods]
@@ -27,7 +26,7 @@ impl Skeleton {
     #[new]
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let inner = Arc::new(detached(py, || point_skeleton::Skeleton::open(&path).map_err(raise))?);
-        Ok(Self { inner, path })
+        Ok(Self { inner })
     }
 
     /// Writes a skeleton of your own points: `background` `[N, 6]` (global x, y, z in meters; red, green, blue of 0 to 255)
@@ -64,13 +63,13 @@ impl Skeleton {
         let log = log.to_owned();
         let write = || point_skeleton::Skeleton::from_points(&path, &log, &background, assets).map_err(raise);
         let inner = Arc::new(detached(py, write)?);
-        Ok(Self { inner, path })
+        Ok(Self { inner })
     }
 
     /// Folder.
     #[getter]
     fn path(&self) -> PathBuf {
-        self.path.clone()
+        self.inner.path().to_owned()
     }
 
     /// Names of the logs it was built from.
@@ -92,11 +91,11 @@ impl Skeleton {
     }
 
     fn __repr__(&self) -> String {
-        format!("Skeleton({:?})", self.path)
+        format!("Skeleton({:?})", self.inner.path())
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (PathBuf,)) {
-        (slf.get_type().into_any(), (slf.get().path.clone(),))
+        (slf.get_type().into_any(), (slf.get().path(),))
     }
 }
 

@@ -34,8 +34,8 @@ def test_points_are_checked(points: object, message: str) -> None:
 
 
 def test_other_types_are_rejected() -> None:
-    for points in ("points", [["a"] * 6], None, np.zeros((1, 6), complex), np.zeros((1, 6), object)):
-        with pytest.raises((TypeError, ValueError)):
+    for points in ("points", [["a"] * 6], None, np.zeros((1, 6), complex), np.full((1, 6), None)):
+        with pytest.raises(TypeError, match="expected an array of real numbers"):
             pskel.splat(points, [K], [EYE], (80, 100), rasterizer="cpu")  # type: ignore[arg-type]
 
 
@@ -202,7 +202,7 @@ else:
     ],
 )
 def test_forks_do_not_hang(skeleton: pskel.Skeleton, run: Run, before: str, inside: str, expected: str) -> None:
-    done = run("-c", FORK.format(town=TOWN, skeleton=skeleton.path, before=before, inside=inside))
+    done = run("-c", FORK.format(town=TOWN, skeleton=str(skeleton.path), before=before, inside=inside))
     assert expected in done.stdout, done.stdout + done.stderr
 
 

@@ -34,7 +34,7 @@ def test_the_ego_follows_the_plans(drive: pskel.Log) -> None:
     speed = start.observation["ego"]["v"]
     np.testing.assert_allclose(way[:2], [2.0 * speed, 0.0], atol=1e-6)
     metrics = simulation.metrics
-    assert metrics["steps"] == 21 and metrics["collisions"] == []
+    assert metrics["steps"] == 20 and metrics["collisions"] == []
 
 
 def test_plans_in_the_global_frame_are_the_same(drive: pskel.Log) -> None:

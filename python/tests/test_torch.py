@@ -19,7 +19,7 @@ OUT = (28, 50)
 
 @pytest.fixture(scope="module")
 def sources(skeleton: pskel.Skeleton) -> list[tuple[str, str]]:
-    return [(TOWN, skeleton.path)]
+    return [(TOWN, str(skeleton.path))]
 
 
 def moved(scene: pskel.Scene, rng: np.random.Generator) -> pskel.Scene:

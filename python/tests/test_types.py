@@ -7,12 +7,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
+PLAIN = ["examples/own_points.py", "examples/render_frame.py", "examples/drive.py"]
+TORCH = ["examples/train.py", "examples/reset_and_roll.py"]
 
 
-def test_package_examples_and_tests_are_typed() -> None:
+@pytest.mark.parametrize(("extra", "examples"), [("gymnasium", PLAIN), ("torch", TORCH)])
+def test_package_and_examples_are_typed(extra: str, examples: list[str]) -> None:
     pytest.importorskip("mypy")
+    pytest.importorskip(extra)
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", "examples"],
+        [sys.executable, "-m", "mypy", "--strict", *examples],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout

@@ -92,3 +92,48 @@ impl Skeleton {
         Self::open(folder)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_return_at_their_positions() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("skeleton");
+        let far = DVec3::new(500_000.25, -4_000_000.5, 30.125);
+        let point = |i: u8| GlobalPoint {
+            position: far + DVec3::new(f64::from(i) * 7.5, 0.0, 0.0),
+            rgb: [i, 2, 3],
+            class: i % 5,
+        };
+        let background: Vec<GlobalPoint> = (0..20).map(point).collect();
+        let asset = |track: &str| AssetPoints {
+            track: track.to_owned(),
+            category: "vehicle.car".to_owned(),
+            class: Class::MotorVehicle,
+            size: [4.0, 2.0, 1.5],
+            points: vec![Point::new([0.5, 0.25, -0.125], [9, 8, 7], 1)],
+        };
+        let assets = vec![asset("b"), asset("a")];
+        let skeleton = Skeleton::from_points(&path, "mine", &background, assets).unwrap();
+        let mut found = Vec::new();
+        for (chunk, points) in skeleton.manifest.background.iter().zip(skeleton.background().unwrap()) {
+            for point in points {
+                let position = DVec3::from(chunk.origin) + glam::Vec3::from(point.position).as_dvec3();
+                found.push(GlobalPoint { position, rgb: point.rgb(), class: point.class() });
+            }
+        }
+        assert!(skeleton.manifest.background.len() > 3, "several chunks");
+        assert_eq!(found, background); // all positions are multiples of 1/8 m
+        let tracks: Vec<&str> = skeleton.manifest.actors.iter().map(|asset| asset.track.as_str()).collect();
+        assert_eq!((tracks, skeleton.manifest.times_us("mine")), (vec!["a", "b"], Some([0, 0])));
+
+        let message = |background: &[GlobalPoint], assets| {
+            Skeleton::from_points(&path, "mine", background, assets).unwrap_err().to_string()
+        };
+        assert!(message(&[], Vec::new()).contains("a point of the background, found none"));
+        assert!(message(&background, vec![asset("a"), asset("a")]).contains("two \"a\""));
+        assert!(Skeleton::open(&path).is_ok(), "a failure leaves the old one");
+    }
+}

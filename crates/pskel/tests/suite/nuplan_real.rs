@@ -155,7 +155,7 @@ const PRECISION_M: f64 = 2e-3;
 /// Returns the points of one cloud that have no point of the other within 2 mm.
 fn lonely(of: &[[f64; 3]], among: &[[f64; 3]]) -> Vec<DVec3> {
     let tree = RTree::bulk_load(among.to_vec());
-    let squared = |p: &[f64; 3]| tree.nearest_neighbor(p).unwrap().distance_2(p);
+    let squared = |p: &[f64; 3]| tree.nearest_neighbor(*p).unwrap().distance_2(p);
     of.iter().filter(|p| squared(p) > PRECISION_M * PRECISION_M).map(|p| DVec3::from(*p)).collect()
 }
 
@@ -238,7 +238,7 @@ fn the_map_is_that_of_the_other_layout() {
     for (kind, points) in corners(&map) {
         let off = |p: &DVec2| {
             let at = (*p - OFFSET.truncate()).to_array();
-            tree.nearest_neighbor(&at).unwrap().distance_2(&at).sqrt()
+            tree.nearest_neighbor(at).unwrap().distance_2(&at).sqrt()
         };
         let worst = points.iter().map(off).fold(0.0, f64::max);
         println!("{kind}: {} corners, at most {worst:.2e} m off", points.len());

@@ -89,7 +89,7 @@ fn median_distance_m(views: &Views) -> f64 {
         let rows: Vec<[f32; 3]> =
             others.flat_map(|(_, (_, points))| points.iter().map(|p| p.position)).collect();
         let tree = RTree::bulk_load(rows);
-        let squared = |p: &Point| tree.nearest_neighbor(&p.position).unwrap().distance_2(&p.position);
+        let squared = |p: &Point| tree.nearest_neighbor(p.position).unwrap().distance_2(&p.position);
         distances.extend(points.iter().map(|p| squared(p).sqrt()));
     }
     distances.sort_by(f32::total_cmp);
