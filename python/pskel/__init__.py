@@ -17,6 +17,7 @@ from ._pskel import (
     Simulation,
     SimulationError,
     Skeleton,
+    __version__,
     splat,
 )
 from ._build import build
@@ -40,6 +41,7 @@ __all__ = [
     "Simulation",
     "SimulationError",
     "Skeleton",
+    "__version__",
     "build",
     "splat",
 ]

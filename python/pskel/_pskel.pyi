@@ -8,6 +8,8 @@ import numpy.typing as npt
 
 from ._types import Maps
 
+__version__: str
+
 __all__ = [
     "Actor",
     "BuildError",
@@ -25,6 +27,7 @@ __all__ = [
     "Simulation",
     "SimulationError",
     "Skeleton",
+    "__version__",
     "build",
     "run_command",
     "splat",

@@ -55,13 +55,13 @@ impl Log {
         let at = if index < 0 { index.checked_add_unsigned(count) } else { Some(index) };
         let scene = at.and_then(|at| usize::try_from(at).ok()).and_then(|at| self.inner.frame(at));
         scene
-            .map(Scene::new)
+            .map(|state| Scene::of_log(state, &self.inner))
             .ok_or_else(|| PyIndexError::new_err(format!("expected a frame below {count}, found {index}")))
     }
 
     /// Returns the scene at a time (microseconds), with interpolated ego and actors. Raises `ValueError` outside the log.
     fn at(&self, t_us: i64) -> PyResult<Scene> {
-        let scene = self.inner.state_at(t_us).map(Scene::new);
+        let scene = self.inner.state_at(t_us).map(|state| Scene::of_log(state, &self.inner));
         scene.ok_or_else(|| {
             let times = self.times_us();
             let (first, last) = (times.first(), times.last());

@@ -2,7 +2,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use point_skeleton::raster::RasterizerDesc;
 use point_skeleton::scene::{SelectionOptions, Substitutes};
-use point_skeleton::{ConditionOptions, ImageSize, MapSet, Maps, RenderOptions};
+use point_skeleton::{ConditionOptions, ImageSize, MapSet, Maps, RenderOptions, SceneState};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyIterator};
@@ -45,6 +45,8 @@ struct Device {
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Renderer {
     device: Mutex<Device>,
+    /// Log whose actors are rendered.
+    log: String,
     /// Process that opened the device.
     process: u32,
 }
@@ -93,6 +95,8 @@ impl Renderer {
             let message = format!("expected a log of the skeleton ({}), found {log:?}", found.join(", "));
             return Err(PyValueError::new_err(message));
         }
+        let first = || skeleton.manifest.sources.first().map_or("", |source| source.log.as_str());
+        let name = log.as_deref().unwrap_or_else(first).to_owned();
         let open = || {
             Owned::try_new(Source { skeleton, log }, |source| {
                 let options = RenderOptions {
@@ -108,12 +112,14 @@ impl Renderer {
             .map_err(raise)
         };
         let owned = Some(detached(py, open)?);
-        Ok(Self { device: Mutex::new(Device { owned, series: 0 }), process: std::process::id() })
+        let device = Mutex::new(Device { owned, series: 0 });
+        Ok(Self { device, log: name, process: std::process::id() })
     }
 
-    /// Renders the maps of a scene: a dictionary of arrays over all cameras. Raises `RenderError`.
+    /// Renders the maps of a scene: a dictionary of arrays over all cameras. Raises `RenderError`, and `ValueError` for a
+    /// scene of another log.
     fn render<'py>(&self, py: Python<'py>, scene: &Scene) -> PyResult<Bound<'py, PyDict>> {
-        let scene = Arc::clone(&scene.inner);
+        let scene = self.checked(scene)?;
         let call = || {
             let render = |renderer: &mut Borrowing<'_>| renderer.render(&scene).map_err(raise);
             self.with(None, render)
@@ -179,6 +185,17 @@ impl Renderer {
         )))
     }
 
+    /// Checks that a scene is of the log of the skeleton, or of none: its coordinates and actors are those of its log.
+    fn checked(&self, scene: &Scene) -> PyResult<Arc<SceneState>> {
+        match scene.log.as_deref().filter(|log| *log != self.log) {
+            Some(log) => Err(PyValueError::new_err(format!(
+                "expected a scene of log {}, found one of {log}",
+                self.log
+            ))),
+            None => Ok(Arc::clone(&scene.inner)),
+        }
+    }
+
     fn lock(&self) -> std::sync::MutexGuard<'_, Device> {
         self.device.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -226,7 +243,7 @@ impl Frames {
         while in_flight < IN_FLIGHT {
             let Some(scene) = self.scenes.bind(py).clone().next() else { break };
             let scene = scene?;
-            let scene = Arc::clone(&scene.cast::<Scene>()?.get().inner);
+            let scene = renderer.checked(scene.cast::<Scene>()?.get())?;
             let begin = |renderer: &mut Borrowing<'_>| {
                 renderer.begin(&scene).map_err(raise)?;
                 Ok(renderer.in_flight())

@@ -103,11 +103,17 @@ impl Actor {
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Scene {
     pub(crate) inner: Arc<SceneState>,
+    /// Name of its log; `None` for a scene of your own.
+    pub(crate) log: Option<Arc<str>>,
 }
 
 impl Scene {
-    pub(crate) fn new(state: SceneState) -> Self {
-        Self { inner: Arc::new(state) }
+    pub(crate) fn of_log(state: SceneState, log: &point_skeleton::Log) -> Self {
+        Self { inner: Arc::new(state), log: Some(log.name().into()) }
+    }
+
+    fn with(&self, state: SceneState) -> Self {
+        Self { inner: Arc::new(state), log: self.log.clone() }
     }
 }
 
@@ -148,14 +154,9 @@ impl Scene {
         };
         let name: FileName = name.parse().map_err(invalid)?;
         let cameras = cameras.iter().map(camera).collect();
-        Ok(Self::new(SceneState {
-            name: name.to_string(),
-            t_us,
-            global_from_ego,
-            cameras,
-            actors,
-            map: None,
-        }))
+        let name = name.to_string();
+        let state = SceneState { name, t_us, global_from_ego, cameras, actors, map: None };
+        Ok(Self { inner: Arc::new(state), log: None })
     }
 
     /// Name, the folder name of the maps.
@@ -216,7 +217,7 @@ impl Scene {
             }
         }
         let offset = EgoOffset { x_m: forward, y_m: left, yaw_rad: yaw_deg.to_radians() };
-        Ok(Self::new(self.inner.moved(offset)))
+        Ok(self.with(self.inner.moved(offset)))
     }
 
     /// Returns the scene without one or more actors. Raises `KeyError` for a track that is not in it.
@@ -230,7 +231,7 @@ impl Scene {
                 return Err(PyKeyError::new_err(format!("expected the track of an actor, found {track:?}")));
             }
         }
-        Ok(Self::new(state))
+        Ok(self.with(state))
     }
 
     fn __repr__(&self) -> String {

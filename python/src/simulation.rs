@@ -1,8 +1,6 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use numpy::ndarray::ArrayViewD;
-use point_skeleton::SceneState;
-use point_skeleton::scene::SceneMap;
 use pskel_sim::{ActorPolicy, EgoPolicy, Instant, SavedState, Scenario, SimOptions, Tracking, scene_state};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -103,7 +101,7 @@ impl Simulation {
     /// The committed scene.
     #[getter]
     fn scene(&self, py: Python<'_>) -> PyResult<Scene> {
-        self.read(py, |simulation, log| Ok(Scene::new(state(log, simulation.committed().get()))))
+        self.read(py, |simulation, log| Ok(scene(log, simulation.committed().get())))
     }
 
     /// The committed scene, as a value of the past.
@@ -111,7 +109,7 @@ impl Simulation {
     fn committed(&self, py: Python<'_>) -> PyResult<Committed> {
         let (scene, step) = self.read(py, |simulation, log| {
             let committed = simulation.committed();
-            let scene = Scene::new(state(log, committed.get()));
+            let scene = scene(log, committed.get());
             Ok((scene, committed.map(|_| ())))
         })?;
         let scene = Py::new(py, scene)?.into_any();
@@ -122,7 +120,7 @@ impl Simulation {
     /// actors their policy.
     fn forecast(&self, py: Python<'_>, count: usize) -> PyResult<Vec<Forecast>> {
         let scenes = self.read(py, |simulation, log| {
-            let of = |instant: &pskel_sim::Forecast<Instant>| Scene::new(state(log, instant.get()));
+            let of = |instant: &pskel_sim::Forecast<Instant>| scene(log, instant.get());
             Ok(simulation.forecast(count).iter().map(of).collect::<Vec<_>>())
         })?;
         let predicted =
@@ -278,9 +276,8 @@ impl Simulation {
     }
 }
 
-fn state(log: &point_skeleton::Log, instant: &Instant) -> SceneState {
-    let map: Option<Arc<SceneMap>> = log.map();
-    scene_state(log.dataset().log(), instant, map)
+fn scene(log: &point_skeleton::Log, instant: &Instant) -> Scene {
+    Scene::of_log(scene_state(log.dataset().log(), instant, log.map()), log)
 }
 
 /// Converts waypoints; the speed of those without one is that from the waypoint before, along the heading.

@@ -117,11 +117,11 @@ def test_a_closed_renderer_says_so(log: pskel.Log, skeleton: pskel.Skeleton) -> 
             call()
 
 
-def test_a_state_of_another_log_has_no_points_of_its_actors(skeleton: pskel.Skeleton) -> None:
-    """A skeleton places what it has: the scene of another log shows templates, and this skeleton's background."""
+def test_scenes_of_another_log_are_rejected(renderer: pskel.Renderer) -> None:
     other = pskel.Log("town:seed=8,frames=2,size=113x200")
-    maps = pskel.Renderer(skeleton, out_size=(28, 50), maps=["depth"]).render(other[0])
-    assert maps["depth"].shape == (6, 28, 50)
+    for call in (lambda: renderer.render(other[0]), lambda: list(renderer.render_all([other[0].move_ego(left=1.0)]))):
+        with pytest.raises(ValueError, match="expected a scene of log town-7-4f-overcast, found one of town-8-2f"):
+            call()
 
 
 def test_two_threads_share_a_renderer(log: pskel.Log, renderer: pskel.Renderer) -> None:

@@ -9,13 +9,13 @@ import pytest
 gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-LOG = "town:seed=7,frames=20,size=113x200"
+LOG = "town:seed=7,frames=12,size=113x200"
 
 
 @pytest.fixture(scope="module")
 def options(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     skeleton = tmp_path_factory.mktemp("gym") / "skeleton"
-    pskel.build(pskel.Log("town:seed=7,frames=4,size=113x200"), skeleton)
+    pskel.build(pskel.Log(LOG), skeleton)
     return {"log": LOG, "skeleton": str(skeleton), "size": (28, 50), "steps": 6}
 
 

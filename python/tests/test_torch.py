@@ -2,7 +2,10 @@
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,7 +55,7 @@ def test_items_have_the_documented_shapes(sources: list[tuple[str, str]], log: p
 
 
 @pytest.mark.parametrize("start", ["fork", "forkserver", "spawn"])
-def test_workers_give_the_bytes_of_one(sources: list[tuple[str, str]], start: str) -> None:
+def test_workers_give_the_bytes_of_one(sources: list[tuple[str, str]], start: str, tmp_path: Path) -> None:
     program = f"""
 import torch
 from torch.utils.data import DataLoader
@@ -73,17 +76,11 @@ if __name__ == "__main__":
     assert not torch.equal(other[0]["points"], one[0]["points"])
     print("equal")
 """
-    import subprocess
-    import sys
-    from pathlib import Path
-
-    here = Path(__file__).parent
-    script = here / f".workers_{start}_{os.getpid()}.py"
+    script = tmp_path / "workers.py"
     script.write_text(program)
-    try:
-        done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=300, cwd=here)
-    finally:
-        script.unlink()
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    command = [sys.executable, str(script)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment, check=False)
     assert done.stdout == "equal\n", done.stdout + done.stderr
 
 

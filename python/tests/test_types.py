@@ -1,5 +1,6 @@
 """The types of the package: strict for its examples, and equal to what the extension has."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
+ENVIRONMENT = {**os.environ, "MYPY_CACHE_DIR": os.devnull}
 PLAIN = ["examples/own_points.py", "examples/render_frame.py", "examples/drive.py"]
 TORCH = ["examples/train.py", "examples/reset_and_roll.py"]
 
@@ -17,7 +19,7 @@ def test_package_and_examples_are_typed(extra: str, examples: list[str]) -> None
     pytest.importorskip(extra)
     done = subprocess.run(
         [sys.executable, "-m", "mypy", "--strict", *examples],
-        cwd=ROOT, capture_output=True, text=True, check=False,
+        cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
 
@@ -26,6 +28,6 @@ def test_stubs_describe_the_extension() -> None:
     pytest.importorskip("mypy")
     done = subprocess.run(
         [sys.executable, "-m", "mypy.stubtest", "pskel._pskel"],
-        cwd=ROOT / "tests", capture_output=True, text=True, check=False,
+        cwd=ROOT / "tests", env=ENVIRONMENT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
