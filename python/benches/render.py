@@ -1,8 +1,8 @@
-"""Frame times of `Renderer.render_all` in a Python loop beside those of `pskel bench`, in turn, and of data loaders.
+"""Frame times of `Renderer.render` and `render_all` in Python beside those of `pskel bench`, in turn, and of data loaders.
 
 python render.py LOG SKELETON [--out-size 256x448] [--maps color,depth,class,instance,boxes,map] [--rounds 5] [--loader]
 
-Prints Markdown. Frames of the command include no output; those of Python are dictionaries of arrays.
+Prints Markdown: medians over the rounds of the median frame. `render` has one frame in flight, `render_all` two.
 """
 
 import argparse
@@ -15,28 +15,25 @@ import time
 import pskel
 
 
-def of_command(args: argparse.Namespace) -> float:
-    """Returns the mean time of a frame in `pskel bench`, milliseconds."""
+def of_command(args: argparse.Namespace, in_flight: int) -> float:
+    """Returns the median time of a frame in `pskel bench`, milliseconds."""
     command = ["-m", "pskel", "bench", args.log, "--skeleton", args.skeleton, "--maps", args.maps]
-    done = subprocess.run(
-        [sys.executable, *command, "--out-size", args.out_size, "--json"], capture_output=True, text=True, check=True
-    )
-    report = json.loads(done.stdout)
-    return float(report["frame_ms"]["mean"])
+    options = ["--out-size", args.out_size, "--in-flight", str(in_flight), "--json"]
+    done = subprocess.run([sys.executable, *command, *options], stdout=subprocess.PIPE, text=True, check=True)
+    return float(json.loads(done.stdout)["frame_ms"]["median"])
 
 
-def of_python(renderer: pskel.Renderer, scenes: list[pskel.Scene], series: bool) -> float:
-    """Returns the mean time of a frame in Python, milliseconds."""
-    for _ in renderer.render_all(scenes[:3]):
-        pass
-    start = time.perf_counter()
-    if series:
-        for maps in renderer.render_all(scenes):
-            assert maps
-    else:
-        for scene in scenes:
-            assert renderer.render(scene)
-    return 1e3 * (time.perf_counter() - start) / len(scenes)
+def of_python(renderer: pskel.Renderer, scenes: list[pskel.Scene], in_flight: int) -> float:
+    """Returns the median time of a frame in Python, milliseconds."""
+    frames = iter(renderer.render_all(scenes[:3] + scenes) if in_flight == 2 else map(renderer.render, scenes[:3] + scenes))
+    for _ in range(3):
+        next(frames)
+    times, start = [], time.perf_counter()
+    for _ in frames:
+        now = time.perf_counter()
+        times.append(1e3 * (now - start))
+        start = now
+    return statistics.median(times)
 
 
 def loaders(args: argparse.Namespace, size: tuple[int, int]) -> None:
@@ -70,18 +67,14 @@ def main() -> None:
     height, width = (int(side) for side in args.out_size.split("x"))
     log = pskel.Log(args.log)
     scenes = [log[i] for i in range(len(log))]
-    times: dict[str, list[float]] = {"`pskel bench`": [], "`render_all`": [], "`render`": []}
     renderer = pskel.Renderer(pskel.Skeleton(args.skeleton), out_size=(height, width), maps=args.maps.split(","))
-    for _ in range(args.rounds):
-        times["`pskel bench`"].append(of_command(args))
-        times["`render_all`"].append(of_python(renderer, scenes, series=True))
-        times["`render`"].append(of_python(renderer, scenes, series=False))
+    print("| frames in flight | `pskel bench` (ms) | Python (ms) | ratio, of each round |\n|---|---|---|---|")
+    for in_flight in (1, 2):
+        rounds = [(of_command(args, in_flight), of_python(renderer, scenes, in_flight)) for _ in range(args.rounds)]
+        command, python = (statistics.median(times) for times in zip(*rounds, strict=True))
+        ratios = ", ".join(f"{python / command:.3f}" for command, python in sorted(rounds, key=lambda r: r[1] / r[0]))
+        print(f"| {in_flight} | {command:.1f} | {python:.1f} | {python / command:.3f} ({ratios}) |")
     renderer.close()
-    base = statistics.median(times["`pskel bench`"])
-    print("| frame of all cameras | median ms | smallest | largest | ratio |\n|---|---|---|---|---|")
-    for name, values in times.items():
-        median = statistics.median(values)
-        print(f"| {name} | {median:.1f} | {min(values):.1f} | {max(values):.1f} | {median / base:.3f} |")
     if args.loader:
         loaders(args, (height, width))
 
