@@ -17,7 +17,7 @@
 //! let schedule = SplatSchedule::default();
 //! let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, maps: MapSet::SPLATTED };
 //! let maps = rasterizer.splat(&job)?;
-//! # assert_eq!(maps.depth.iter().filter(|z| **z == 5.0).count(), 25);
+//! # assert_eq!(maps.depth_m.iter().filter(|z| **z == 5.0).count(), 25);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
