@@ -67,7 +67,9 @@ def main() -> None:
     height, width = (int(side) for side in args.out_size.split("x"))
     log = pskel.Log(args.log)
     scenes = [log[i] for i in range(len(log))]
-    renderer = pskel.Renderer(pskel.Skeleton(args.skeleton), out_size=(height, width), maps=args.maps.split(","))
+    # As `pskel bench`, without the built-in templates.
+    options = {"out_size": (height, width), "maps": args.maps.split(","), "default_templates": False}
+    renderer = pskel.Renderer(pskel.Skeleton(args.skeleton), **options)  # type: ignore[arg-type]
     print("| frames in flight | `pskel bench` (ms) | Python (ms) | ratio, of each round |\n|---|---|---|---|")
     for in_flight in (1, 2):
         rounds = [(of_command(args, in_flight), of_python(renderer, scenes, in_flight)) for _ in range(args.rounds)]

@@ -147,6 +147,7 @@ class Renderer:
         splat: str | None = None,
         radius: float = 100.0,
         min_actor_points: int = 20000,
+        default_templates: bool = True,
         rasterizer: str = "auto",
         device: str | None = None,
         log: str | None = None,

@@ -17,6 +17,8 @@ use crate::skeleton::Skeleton;
 /// Frames in flight: the device renders one while Python uses the maps of the previous one.
 const IN_FLIGHT: usize = 2;
 
+static NO_TEMPLATES: Substitutes = Substitutes::NONE;
+
 /// Values that a renderer borrows.
 struct Source {
     skeleton: Arc<point_skeleton::Skeleton>,
@@ -53,10 +55,12 @@ pub(crate) struct Renderer {
 
 #[pymethods]
 impl Renderer {
-    /// Opens a device and uploads the points of a skeleton. `size` and `out_size` are (height, width) in pixels. Raises
+    /// Opens a device and uploads the points of a skeleton. `size` and `out_size` are (height, width) in pixels. Assets of at
+    /// most `min_actor_points` points are replaced by templates in all maps but color; without `default_templates` only
+    /// by those of the skeleton. Raises
     /// `ValueError` for invalid options, `RenderError` without a suitable device.
     #[new]
-    #[pyo3(signature = (skeleton, *, size=None, out_size=None, maps=None, splat=None, radius=100.0, min_actor_points=20_000, rasterizer="auto", device=None, log=None))]
+    #[pyo3(signature = (skeleton, *, size=None, out_size=None, maps=None, splat=None, radius=100.0, min_actor_points=20_000, default_templates=true, rasterizer="auto", device=None, log=None))]
     #[allow(clippy::too_many_arguments)] // keyword arguments of Python
     fn new(
         py: Python<'_>,
@@ -67,6 +71,7 @@ impl Renderer {
         splat: Option<&str>,
         radius: f64,
         min_actor_points: usize,
+        default_templates: bool,
         rasterizer: &str,
         device: Option<String>,
         log: Option<String>,
@@ -103,7 +108,7 @@ impl Renderer {
                     conditions,
                     selection: SelectionOptions { min_actor_points, ..SelectionOptions::default() },
                     rasterizer,
-                    substitutes: Substitutes::built_in(),
+                    substitutes: if default_templates { Substitutes::built_in() } else { &NO_TEMPLATES },
                     log: source.log.as_deref(),
                     ..RenderOptions::default()
                 };
