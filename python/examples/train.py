@@ -39,7 +39,7 @@ def main(name: str, out: Path, epochs: int = 2, workers: int = 1) -> list[float]
             optimizer.zero_grad()
             torch.autograd.backward(loss)
             optimizer.step()
-            total += float(loss)
+            total += loss.item()
         losses.append(total / len(loader))
         print(f"epoch {epoch}: mean squared error {losses[-1]:.4f}")
     return losses

@@ -9,6 +9,7 @@ import pskel
 import pytest
 
 TOWN = "town:seed=7,frames=4,size=113x200"
+DRIVE = "town:seed=7,frames=12,size=113x200"
 
 
 @pytest.fixture(scope="session")
@@ -24,6 +25,14 @@ def skeleton(log: pskel.Log, tmp_path_factory: pytest.TempPathFactory) -> pskel.
 @pytest.fixture(scope="session")
 def renderer(skeleton: pskel.Skeleton) -> pskel.Renderer:
     return pskel.Renderer(skeleton, out_size=(56, 100), maps=["color", "depth", "class", "instance", "boxes", "map"])
+
+
+@pytest.fixture(scope="session")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the skeleton of DRIVE."""
+    folder = tmp_path_factory.mktemp("drive")
+    pskel.build(pskel.Log(DRIVE), folder / "skeleton")
+    return folder
 
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]

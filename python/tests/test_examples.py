@@ -4,9 +4,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pskel
 import pytest
-from conftest import Run
+from conftest import DRIVE, TOWN, Run
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
 
@@ -33,21 +32,20 @@ def test_a_network_learns(tmp_path: Path) -> None:
     pytest.importorskip("torch")
     import train
 
-    losses = train.main("town:seed=7,frames=4,size=113x200", tmp_path, epochs=3, workers=0)
+    losses = train.main(TOWN, tmp_path, epochs=3, workers=0)
     assert losses[-1] < 0.7 * losses[0]
 
 
-def test_a_policy_drives(tmp_path: Path) -> None:
+def test_a_policy_drives(drive: Path) -> None:
     pytest.importorskip("gymnasium")
-    import drive
+    import drive as example
 
-    assert drive.main("town:seed=7,frames=20,size=113x200", tmp_path, steps=10) > 0.5
+    assert example.main(DRIVE, drive, steps=10) > 0.5
 
 
-def test_frames_are_generated(tmp_path: Path) -> None:
+def test_frames_are_generated(drive: Path) -> None:
     pytest.importorskip("torch")
     import reset_and_roll
 
-    made = reset_and_roll.main("town:seed=7,frames=20,size=113x200", tmp_path)
+    made = reset_and_roll.main(DRIVE, drive)
     assert len(made) == 3 and all(np.isfinite(frame).all() for frame in made)
-    assert pskel.Skeleton(tmp_path / "skeleton").logs

@@ -1,22 +1,20 @@
 """Environments for Gymnasium."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pskel
 import pytest
+from conftest import DRIVE
 
 gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-LOG = "town:seed=7,frames=12,size=113x200"
 
 
 @pytest.fixture(scope="module")
-def options(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    skeleton = tmp_path_factory.mktemp("gym") / "skeleton"
-    pskel.build(pskel.Log(LOG), skeleton)
-    return {"log": LOG, "skeleton": str(skeleton), "size": (28, 50), "steps": 6}
+def options(drive: Path) -> dict[str, Any]:
+    return {"log": DRIVE, "skeleton": str(drive / "skeleton"), "size": (28, 50), "steps": 6}
 
 
 @pytest.mark.parametrize("action", ["waypoints", "controls"])

@@ -1,5 +1,6 @@
 """Maps in Python are those of the command."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -154,15 +155,15 @@ def test_splat_projects_points_exactly() -> None:
     np.testing.assert_array_equal(again["point"], maps["point"])
 
 
-def test_memory_stays_flat(log: pskel.Log, renderer: pskel.Renderer) -> None:
-    scene = log[0]
+def test_memory_stays_flat(log: pskel.Log, skeleton: pskel.Skeleton) -> None:
+    scene, renderer = log[0], pskel.Renderer(skeleton, size=(56, 100), maps=[*MAPS, "tensor"])
 
     def resident() -> int:
         return int(Path("/proc/self/statm").read_text().split()[1])
 
-    for _ in range(200):
+    for _ in range(100):
         renderer.render(scene)
     before = resident()
-    for _ in range(2000):
+    for _ in range(int(os.environ.get("PSKEL_MEMORY_FRAMES", "400"))):
         renderer.render(scene)
     assert resident() < 1.05 * before
