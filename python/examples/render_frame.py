@@ -17,7 +17,7 @@ def main(name: str, out: Path) -> None:
     with pskel.Renderer(skeleton, out_size=(256, 448), maps=["color", "depth"]) as renderer:
         scene = log[0].move_ego(left=2.0)
         maps = renderer.render(scene)
-    figure = Figure(figsize=(16, 5), layout="constrained")
+    figure = Figure(figsize=(16, 3.6), layout="constrained")
     axes = figure.subplots(2, len(scene.cameras), squeeze=False)
     for column, camera in enumerate(scene.cameras):
         axes[0, column].imshow(maps["color"][column])

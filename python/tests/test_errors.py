@@ -215,7 +215,8 @@ def test_logs_and_skeletons_pickle(log: pskel.Log, skeleton: pskel.Skeleton) -> 
 
 def test_an_interrupt_stops_a_build_which_then_resumes(tmp_path: Path, log: pskel.Log, run: Run) -> None:
     program = f"""
-import pskel, sys
+import pskel, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in background jobs
 class Progress:
     def start(self, stage, steps): print(stage, steps, flush=True)
     def step(self): print("step", flush=True)
