@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Builds the Python package with the dev profile, installs it into a new virtual environment, and runs its tests.
+# Builds the Python package with the dev profile, installs it into a new virtual environment, and runs its tests
+# under Vulkan's validation layer.
 # PSKEL_PYTHON_EXTRAS=torch also installs PyTorch (several GB); without it, the tests that need it are skipped.
 # Exits with 77 if the Python packages of the tests cannot be downloaded.
 set -euo pipefail
@@ -13,6 +14,7 @@ pip=("$scratch/env/bin/pip" install --quiet --disable-pip-version-check)
 TOOLS="$scratch/env" PROFILE=dev ci/wheel.sh "$scratch/wheel"
 "${pip[@]}" --no-index "$scratch"/wheel/pskel-*.whl
 [ -z "${PSKEL_PYTHON_EXTRAS:-}" ] || "${pip[@]}" "$PSKEL_PYTHON_EXTRAS"
+export PSKEL_VALIDATION=1
 # Not in the folder of the sources, which would hide the installed package.
 cd "$scratch"
 "$scratch/env/bin/python" -m pytest -p no:cacheprovider -q -rs "$OLDPWD/python/tests" "$@"
