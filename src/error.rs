@@ -17,6 +17,14 @@ pub enum FileError {
         /// The file.
         path: PathBuf,
     },
+    /// Another process writes the same output.
+    #[error("expected no other process at work on this output, found {found}: {}", printable_path(path))]
+    Busy {
+        /// Description of the process.
+        found: String,
+        /// The output.
+        path: PathBuf,
+    },
     /// The content violates the format.
     #[error("expected {}, found {}: {}", printable(expected), printable(found), printable_path(path))]
     Content {

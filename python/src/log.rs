@@ -4,7 +4,7 @@ use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use point_skeleton::dataset::Dataset;
 use point_skeleton::error::with_causes;
 use point_skeleton::geometry::{ImageSize, View};
-use pskel_generate::GroundTruthImages;
+use point_skeleton::scene::GroundTruthImages;
 use pskel_sim::Rates;
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;

@@ -39,7 +39,7 @@ pub use bins::{BinScale, DepthBins};
 pub use error::ConditionError;
 pub use format::MapFormat;
 pub use options::{ColorFilter, ConditionOptions};
-pub use render::{StepInFlight, render, render_views};
+pub use render::{StepInFlight, draw_layouts, render, render_views};
 pub use set::{CameraConditions, ConditionSet};
 pub use tensor::{DepthEmbedding, ModelTensor, TensorEncoder};
 

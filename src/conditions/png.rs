@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::Path;
 
 use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder, ImageError};
+use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 
 use super::{CameraConditions, ConditionError, ConditionSet, DepthBins, ImageSize, MapKind};
@@ -32,31 +32,42 @@ fn write_map(
     kind: MapKind,
     bins: &DepthBins,
 ) -> Result<(), ConditionError> {
-    let size = camera.size();
-    match kind {
+    let Some(bytes) = encode_map(path, camera, kind, bins)? else { return Ok(()) };
+    Ok(write_whole(path, |out| out.write_all(&bytes).map_err(FileError::io("write", path)))?)
+}
+
+/// Encodes one map; `None` if the camera has no such map, or if it is the model tensor, which is not an image. `path` is the
+/// file that errors name.
+///
+/// # Errors
+/// Returns an error if an instance or point number exceeds 65535.
+pub fn encode_map(
+    path: &Path,
+    camera: &CameraConditions,
+    kind: MapKind,
+    bins: &DepthBins,
+) -> Result<Option<Vec<u8>>, ConditionError> {
+    let gray =
+        |values: &[u16]| encode(path, bytemuck::cast_slice(values), camera.size(), ExtendedColorType::L16);
+    let encoded = match kind {
         MapKind::Color | MapKind::Boxes | MapKind::Map => {
-            let Some(rgb) = camera.rgb(kind) else { return Ok(()) };
-            write_rgb(path, rgb, size)?;
+            camera.rgb(kind).map(|rgb| encode_rgb(path, rgb, camera.size()))
         }
         MapKind::Depth => {
-            let Some(depth_m) = &camera.depth_m else { return Ok(()) };
-            let values: Vec<u16> = depth_m.iter().map(|d| bins.png_value(bins.bin(*d))).collect();
-            encode(path, bytemuck::cast_slice(&values), size, ExtendedColorType::L16)?;
+            let value = |depth_m: &f32| bins.png_value(bins.bin(*depth_m));
+            camera.depth_m.as_ref().map(|map| gray(&map.iter().map(value).collect::<Vec<u16>>()))
         }
         MapKind::Class => {
-            let Some(class) = &camera.class else { return Ok(()) };
-            encode(path, class, size, ExtendedColorType::L8)?;
+            camera.class.as_ref().map(|class| encode(path, class, camera.size(), ExtendedColorType::L8))
         }
         MapKind::Instance | MapKind::Point => {
             let map = if kind == MapKind::Instance { &camera.instance } else { &camera.point };
-            let Some(numbers) = map else { return Ok(()) };
-            let values = to_u16(numbers, kind, path)?;
-            encode(path, bytemuck::cast_slice(&values), size, ExtendedColorType::L16)?;
+            let values = map.as_ref().map(|numbers| to_u16(numbers, kind, path)).transpose()?;
+            values.map(|values| gray(&values))
         }
-        // The model tensor is not an image.
-        MapKind::Tensor => {}
-    }
-    Ok(())
+        MapKind::Tensor => None,
+    };
+    Ok(encoded.transpose()?)
 }
 
 fn to_u16(numbers: &[u32], kind: MapKind, path: &Path) -> Result<Vec<u16>, ConditionError> {
@@ -73,18 +84,30 @@ fn to_u16(numbers: &[u32], kind: MapKind, path: &Path) -> Result<Vec<u16>, Condi
 /// # Errors
 /// Fails if the file cannot be written.
 pub fn write_rgb(path: &Path, rgb: &[[u8; 3]], size: ImageSize) -> Result<(), FileError> {
+    let bytes = encode_rgb(path, rgb, size)?;
+    write_whole(path, |out| out.write_all(&bytes).map_err(FileError::io("write", path)))
+}
+
+/// Encodes one RGB image. `path` is the file that errors name.
+///
+/// # Errors
+/// Fails if `rgb` has another size.
+pub fn encode_rgb(path: &Path, rgb: &[[u8; 3]], size: ImageSize) -> Result<Vec<u8>, FileError> {
     encode(path, rgb.as_flattened(), size, ExtendedColorType::Rgb8)
 }
 
-/// Encodes `bytes` as PNG; 16-bit samples are in native byte order, as the encoder expects.
-fn encode(path: &Path, bytes: &[u8], size: ImageSize, color: ExtendedColorType) -> Result<(), FileError> {
-    write_whole(path, |out| {
-        let encoder = PngEncoder::new(out.by_ref());
-        encoder.write_image(bytes, size.width, size.height, color).map_err(|error| match error {
-            ImageError::IoError(source) => FileError::io("write", path)(source),
-            other => FileError::io("write", path)(std::io::Error::other(other)),
-        })
-    })
+/// Encodes samples as PNG; those of 16 bits are in native byte order, as the encoder expects.
+fn encode(
+    path: &Path,
+    samples: &[u8],
+    size: ImageSize,
+    color: ExtendedColorType,
+) -> Result<Vec<u8>, FileError> {
+    let mut bytes = Vec::new();
+    let encoder = PngEncoder::new(&mut bytes);
+    let encoded = encoder.write_image(samples, size.width, size.height, color);
+    encoded.map_err(|error| FileError::io("write", path)(std::io::Error::other(error)))?;
+    Ok(bytes)
 }
 
 #[cfg(test)]

@@ -6,10 +6,9 @@ use super::layout::{self, Layouts};
 use super::{
     CameraConditions, ColorFilter, ConditionError, ConditionOptions, ConditionSet, ImageSize, reduce,
 };
-use crate::files::FileName;
 use crate::geometry::View;
 use crate::raster::{Crop, FrameJob, MapKind, MapSet, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
-use crate::scene::{SceneInstances, SceneState};
+use crate::scene::{ActorState, SceneInstances, SceneMap, SceneState};
 
 /// Renders the maps of a step for all cameras, with clouds cropped to a square of `options.radius_m` around the ego.
 ///
@@ -39,6 +38,49 @@ pub fn render_views(
     Points::begin(rasterizer, clouds, views, crop, options)?.finish(rasterizer)
 }
 
+/// Draws the layouts of a step ([`MapKind::Boxes`] and [`MapKind::Map`], as far as `options` requests them), without a
+/// rasterizer. Other maps are `None`.
+///
+/// # Errors
+/// Returns an error if [`MapKind::Map`] is requested and the state has no HD map.
+pub fn draw_layouts(state: &SceneState, options: &ConditionOptions) -> Result<ConditionSet, ConditionError> {
+    let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
+    let mut cameras: Vec<CameraConditions> = views.iter().map(|view| blank(view, options)).collect();
+    let Shown { boxes, map } = Shown::of(state, options.maps)?;
+    add_layouts(&mut cameras, layout::draw(boxes, map, &views, options));
+    Ok(ConditionSet { cameras })
+}
+
+/// Content of the requested layouts.
+struct Shown<'a> {
+    boxes: Option<&'a [ActorState]>,
+    map: Option<&'a SceneMap>,
+}
+
+impl<'a> Shown<'a> {
+    fn of(state: &'a SceneState, maps: MapSet) -> Result<Self, ConditionError> {
+        let no_map = || ConditionError::NoMap { step: state.name.clone() };
+        let map = maps.contains(MapKind::Map).then(|| state.map.as_deref().ok_or_else(no_map));
+        let boxes = maps.contains(MapKind::Boxes).then_some(state.actors.as_slice());
+        Ok(Self { boxes, map: map.transpose()? })
+    }
+}
+
+/// Returns a camera of the written size without maps.
+fn blank(view: &View, options: &ConditionOptions) -> CameraConditions {
+    let ImageSize { height, width } = options.written_size(view);
+    CameraConditions { name: view.camera.name.clone(), width, height, ..CameraConditions::default() }
+}
+
+fn add_layouts(cameras: &mut [CameraConditions], layouts: Layouts) {
+    for (camera, layout) in cameras.iter_mut().zip(layouts.boxes.into_iter().flatten()) {
+        camera.boxes = Some(layout);
+    }
+    for (camera, layout) in cameras.iter_mut().zip(layouts.map.into_iter().flatten()) {
+        camera.map = Some(layout);
+    }
+}
+
 /// Step in flight on the rasterizer. Steps finish in the order in which they were started, with at most
 /// [`FRAMES_IN_FLIGHT`](crate::raster::FRAMES_IN_FLIGHT) at a time.
 #[derive(Debug)]
@@ -63,16 +105,13 @@ impl StepInFlight {
         let asked = options.clone();
         let maps = asked.maps.with_parts(state.map.is_some());
         let options = &ConditionOptions { maps, ..options.clone() };
-        let no_map = || ConditionError::NoMap { step: state.name.clone() };
-        let map = options.maps.contains(MapKind::Map).then(|| state.map.as_deref().ok_or_else(no_map));
-        let map = map.transpose()?;
+        let Shown { boxes, map } = Shown::of(state, options.maps)?;
         let center = state.global_from_ego.translation.truncate();
         let crop = Crop { center, radius_m: options.radius_m };
         let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
         let points = Points::begin(rasterizer, clouds, &views, Some(crop), options)?;
         // The device processes the points meanwhile.
         let start = Instant::now();
-        let boxes = options.maps.contains(MapKind::Boxes).then_some(state.actors.as_slice());
         let layouts = layout::draw(boxes, map, &views, options);
         if boxes.is_some() || map.is_some() {
             rasterizer.stages().add("layouts", start.elapsed());
@@ -86,12 +125,7 @@ impl StepInFlight {
     /// Returns an error if the rasterizer fails.
     pub fn finish(self, rasterizer: &mut dyn Rasterizer) -> Result<ConditionSet, ConditionError> {
         let mut cameras = self.points.finish(rasterizer)?;
-        for (camera, layout) in cameras.iter_mut().zip(self.layouts.boxes.into_iter().flatten()) {
-            camera.boxes = Some(layout);
-        }
-        for (camera, layout) in cameras.iter_mut().zip(self.layouts.map.into_iter().flatten()) {
-            camera.map = Some(layout);
-        }
+        add_layouts(&mut cameras, self.layouts);
         let mut set = ConditionSet { cameras };
         set.make_tensors(&self.asked);
         Ok(set)
@@ -101,13 +135,12 @@ impl StepInFlight {
 /// Point-based maps of a step, in flight.
 #[derive(Debug)]
 struct Points {
-    names: Vec<FileName>,
+    blank: Vec<CameraConditions>,
     options: ConditionOptions,
     /// Color of each view, if the rasterizer cannot reduce it.
     color: Option<Vec<Vec<[u8; 3]>>>,
     /// Whether a frame was submitted to the rasterizer.
     in_flight: bool,
-    sizes: Vec<ImageSize>,
 }
 
 impl Points {
@@ -118,7 +151,7 @@ impl Points {
         crop: Option<Crop>,
         options: &ConditionOptions,
     ) -> Result<Self, ConditionError> {
-        let sizes: Vec<ImageSize> = views.iter().map(|view| options.written_size(view)).collect();
+        let blank: Vec<CameraConditions> = views.iter().map(|view| blank(view, options)).collect();
         let views: Vec<View> = views.iter().map(|view| options.drawn_view(view)).collect();
         let valid_area = options.color_filter == ColorFilter::ValidArea && options.out_size.is_some();
         let valid_area = valid_area && options.maps.contains(MapKind::Color);
@@ -133,26 +166,20 @@ impl Points {
             maps,
             out_size: options.out_size,
         };
-        let mut color = |(view, to): (&View, &ImageSize)| valid_area_color(rasterizer, &job, view, *to);
+        let mut color =
+            |(view, to): (&View, &CameraConditions)| valid_area_color(rasterizer, &job, view, to.size());
         let color = valid_area
-            .then(|| views.iter().zip(&sizes).map(&mut color).collect::<Result<_, _>>())
+            .then(|| views.iter().zip(&blank).map(&mut color).collect::<Result<_, _>>())
             .transpose()?;
         let in_flight = maps.intersects(MapSet::SPLATTED) && !views.is_empty();
         if in_flight {
             rasterizer.begin(&job)?;
         }
-        let names = views.iter().map(|view| view.camera.name.clone()).collect();
-        Ok(Self { names, options: options.clone(), color, in_flight, sizes })
+        Ok(Self { blank, options: options.clone(), color, in_flight })
     }
 
     fn finish(self, rasterizer: &mut dyn Rasterizer) -> Result<Vec<CameraConditions>, ConditionError> {
-        let camera = |(name, size): (FileName, ImageSize)| CameraConditions {
-            name,
-            width: size.width,
-            height: size.height,
-            ..CameraConditions::default()
-        };
-        let mut cameras: Vec<CameraConditions> = self.names.into_iter().zip(self.sizes).map(camera).collect();
+        let mut cameras = self.blank;
         if self.in_flight {
             let maps = rasterizer.finish()?;
             let start = Instant::now();

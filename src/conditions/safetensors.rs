@@ -6,6 +6,7 @@
 //! `safetensors` builds and checks the header; tensors are written as they are in memory. Keys are sorted, so equal
 //! maps give equal bytes. Tensors of 4-byte numbers come first, which aligns all of them.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::io::Write;
 use std::path::Path;
@@ -32,6 +33,23 @@ pub fn write(
     t_us: i64,
     options: &ConditionOptions,
 ) -> Result<(), ConditionError> {
+    let parts = encode(path, set, t_us, options)?;
+    write_whole(path, |out| {
+        parts.iter().try_for_each(|part| out.write_all(part).map_err(FileError::io("write", path)))
+    })?;
+    Ok(())
+}
+
+/// Returns the content of the file, in parts. `path` is the file that errors name.
+///
+/// # Errors
+/// Returns an error if the cameras differ in size.
+pub fn encode<'a>(
+    path: &Path,
+    set: &'a ConditionSet,
+    t_us: i64,
+    options: &ConditionOptions,
+) -> Result<Vec<Cow<'a, [u8]>>, ConditionError> {
     let mut arrays = arrays(set, path)?;
     arrays.sort_by_key(|array| array.scalar == Scalar::U8);
     let failed = |error: &dyn std::fmt::Display| {
@@ -41,13 +59,9 @@ pub fn write(
     // Converted through a JSON value, whose keys are sorted; the metadata map has no defined order.
     let mut header = serde_json::to_value(&header).map_err(|e| failed(&e))?.to_string().into_bytes();
     header.resize(header.len().next_multiple_of(ALIGNMENT), b' ');
-    write_whole(path, |out| {
-        let mut write = |bytes: &[u8]| out.write_all(bytes).map_err(FileError::io("write", path));
-        write(&(header.len() as u64).to_le_bytes())?;
-        write(&header)?;
-        arrays.iter().flat_map(|array| &array.parts).try_for_each(|part| write(part))
-    })?;
-    Ok(())
+    let length = (header.len() as u64).to_le_bytes().to_vec();
+    let head = [length, header].map(Cow::Owned);
+    Ok(head.into_iter().chain(arrays.into_iter().flat_map(|array| array.parts)).collect())
 }
 
 fn texts(set: &ConditionSet, t_us: i64, options: &ConditionOptions) -> HashMap<String, String> {

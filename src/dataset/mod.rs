@@ -26,7 +26,7 @@ pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
 pub use locator::{LogFormat, LogLocator};
 pub use map::{Area, Lane, VectorMap};
-pub use open::{expand, open};
+pub use open::{LogOutline, expand, open, outlines};
 pub use picture::{picture_size, read_picture};
 pub use recording::{Frame, ImageRecord, Recording, RigCamera, SweepRecord, Track, TrackBox, TrafficLight};
 pub use summary::{BoxCounts, CameraSummary, EgoPath, LogSummary, MapCounts};

@@ -1,4 +1,4 @@
-use super::{Dataset, DatasetError, LogFormat, LogLocator};
+use super::{Dataset, DatasetError, LogFormat, LogLocator, Recording};
 
 /// Opens the recorded log that a locator names.
 ///
@@ -29,6 +29,41 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
         #[cfg(feature = "nuplan")]
         LogFormat::NuPlan | LogFormat::NuPlanSimgen => super::nuplan::expand(locator),
         other => Err(unsupported(other)),
+    }
+}
+
+/// Name and length of a log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LogOutline {
+    /// Name, as in [`Recording`](super::Recording).
+    pub name: String,
+    /// Number of frames.
+    pub frames: usize,
+}
+
+/// Returns the outlines of recorded logs, in order. Scenes of nuScenes are read from two tables; logs of other formats are
+/// opened.
+pub fn outlines(locators: &[LogLocator]) -> Vec<Result<LogOutline, DatasetError>> {
+    #[cfg(feature = "nuscenes")]
+    let mut index: Option<super::nuscenes::SceneIndex> = None;
+    let outline = |locator: &LogLocator| {
+        #[cfg(feature = "nuscenes")]
+        if locator.format == LogFormat::NuScenes {
+            let index = match index.take().filter(|index| index.is_of(locator)) {
+                Some(known) => index.insert(known),
+                None => index.insert(super::nuscenes::SceneIndex::open(locator)?),
+            };
+            return index.outline(locator);
+        }
+        Ok(LogOutline::of(open(locator)?.log()))
+    };
+    locators.iter().map(outline).collect()
+}
+
+impl LogOutline {
+    /// Returns the outline of an open log.
+    pub fn of(log: &Recording) -> Self {
+        Self { name: log.name.clone(), frames: log.frames.len() }
     }
 }
 

@@ -90,6 +90,8 @@ pub struct SweepRecord {
 /// File, time and camera of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageRecord {
+    /// Identifier within the data set: the token in nuScenes and nuPlan, `LOG_CAMERA_NANOSECONDS` in Argoverse 2.
+    pub token: String,
     /// Index in [`Recording::cameras`].
     pub channel: usize,
     /// File.

@@ -82,7 +82,7 @@ fn attempt(path: &Path, owner: &Path) -> Result<Option<LockedFile>, FileError> {
 }
 
 fn busy(owner: &Path, found: &str) -> FileError {
-    FileError::content("no other process at work on this output", found, owner)
+    FileError::Busy { found: found.to_owned(), path: owner.to_owned() }
 }
 
 /// Describes the process that holds a lock, with its id if the lock file has one.

@@ -20,4 +20,4 @@ pub use output::{OutputFolder, WholeFolder, check_whole};
 pub(crate) use output::{work_of_whole, write_whole_by};
 pub use pending::remove_pending;
 pub use whole::{write_json, write_whole};
-pub(crate) use work::WorkFolder;
+pub use work::WorkFolder;

@@ -12,7 +12,7 @@ const TRIES: usize = 100;
 
 /// Locked folder. Unless it is retained, it is removed with its content on drop or by a signal.
 #[derive(Debug)]
-pub(crate) struct WorkFolder {
+pub struct WorkFolder {
     path: PathBuf,
     lock: Option<LockedFile>,
     /// `None` for a retained folder.
@@ -25,7 +25,7 @@ impl WorkFolder {
     ///
     /// # Errors
     /// Fails if another process uses it, if the folder is not a work folder, or on an I/O error.
-    pub(crate) fn open(path: PathBuf, owner: &Path) -> Result<Self, FileError> {
+    pub fn open(path: PathBuf, owner: &Path) -> Result<Self, FileError> {
         let lock_path = path.join(LOCK);
         for _ in 0..TRIES {
             std::fs::create_dir_all(&path).map_err(FileError::io("create", &path))?;
@@ -50,7 +50,7 @@ impl WorkFolder {
     }
 
     /// Returns the path of the folder.
-    pub(crate) fn path(&self) -> &Path {
+    pub fn path(&self) -> &Path {
         &self.path
     }
 
@@ -70,7 +70,7 @@ impl WorkFolder {
     ///
     /// # Errors
     /// Fails if the folder cannot be read or an entry cannot be deleted.
-    pub(crate) fn clear(&self, keeps: impl Fn(&str) -> bool) -> Result<(), FileError> {
+    pub fn clear(&self, keeps: impl Fn(&str) -> bool) -> Result<(), FileError> {
         for entry in std::fs::read_dir(&self.path).map_err(FileError::io("read", &self.path))? {
             let entry = entry.map_err(FileError::io("read", &self.path))?;
             let name = entry.file_name();

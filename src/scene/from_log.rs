@@ -1,7 +1,7 @@
 use glam::DVec3;
 
 use super::{ActorState, SceneCamera, SceneState};
-use crate::dataset::{EgoTrack, Frame, Recording, RigCamera, TrackBox};
+use crate::dataset::{EgoTrack, Frame, ImageRecord, Recording, RigCamera, TrackBox};
 use crate::geometry::{Pose, View};
 
 /// Returns the name of a frame's state.
@@ -71,6 +71,20 @@ pub fn state_of_frame(log: &Recording, index: usize, offset: EgoOffset) -> Optio
         actors: actors(log, &frame.boxes),
         map: None,
     })
+}
+
+/// Returns the state of some images of a log, at most one per camera: each camera uses the ego pose of its image, and there
+/// are no other cameras. Ego and actors are interpolated to `t_us`, microseconds. `None` outside the log. `ego` holds the
+/// log's ego poses. The HD map is not set.
+pub fn state_of_images(
+    log: &Recording,
+    ego: &EgoTrack,
+    t_us: i64,
+    images: &[&ImageRecord],
+) -> Option<SceneState> {
+    let cameras = images.iter().map(|image| scene_camera(&RigCamera::from(*image), image.global_from_ego));
+    let cameras = cameras.collect();
+    Some(SceneState { cameras, ..state_of(log, t_us, ego.at(t_us)?, &log.boxes_at(t_us)) })
 }
 
 /// Returns the state at any time within the log; `None` outside it. All cameras share the ego pose at that instant;

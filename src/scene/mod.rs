@@ -2,6 +2,7 @@
 //! the layout.
 
 mod from_log;
+mod ground_truth;
 mod map;
 mod selection;
 mod sequence;
@@ -9,8 +10,10 @@ mod state;
 mod substitutes;
 
 pub use from_log::{
-    EgoOffset, frame_rate_hz, name_of_frame, name_of_time, state_at, state_of, state_of_frame, with_cameras,
+    EgoOffset, frame_rate_hz, name_of_frame, name_of_time, state_at, state_of, state_of_frame,
+    state_of_images, with_cameras,
 };
+pub use ground_truth::{GroundTruthError, GroundTruthImages};
 pub use map::{MapEdge, MapLayer, SceneMap};
 pub use selection::{SceneClouds, SceneInstances, SelectionOptions, TemplateFit};
 pub use sequence::{LogTimes, SceneSequence, SequenceError};

@@ -22,7 +22,7 @@ pub struct Substitutes {
 }
 
 /// Options of substitute clouds: templates and augmented assets.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SubstituteOptions {
     /// Folder of a template library, used for kinds without a template in the skeleton.
     pub library: Option<PathBuf>,

@@ -66,6 +66,7 @@ fn frame(index: usize) -> Frame {
         global_from_ego,
         sweeps: vec![SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key }],
         images: vec![ImageRecord {
+            token: "i".into(),
             channel,
             path: "made".into(),
             t_us,

@@ -33,7 +33,6 @@ mod sampler;
 mod schedule;
 mod session;
 mod strategy;
-mod true_images;
 mod window;
 
 pub use cache::{Cache, CacheError};
@@ -56,5 +55,4 @@ pub use sampler::{Level, Sampler, SamplerOptions};
 pub use schedule::{Ddim, FlowMatch, Prediction};
 pub use session::{AnyDenoiser, Session, SessionError, SessionParts};
 pub use strategy::Strategy;
-pub use true_images::{GroundTruthImages, TrueImagesError};
 pub use window::{Progress, Roll};

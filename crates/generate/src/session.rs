@@ -3,14 +3,14 @@ use std::time::Instant as Clock;
 use image::RgbImage;
 use point_skeleton::geometry::{ImageSize, Pose};
 use point_skeleton::raster::Rasterizer;
+use point_skeleton::scene::{GroundTruthError, GroundTruthImages};
 use pskel_sim::report::images::StepImages;
 use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator, lap};
 use pskel_sim::{Committed, Instant, Simulation};
 
 use super::{
     Cache, Codec, Conditioner, ConditionerError, Denoiser, DenoiserError, FrameConditions, GaussianNoise,
-    GenerateError, GenerateOptions, Generator, GroundTruthImages, Latent, RenderedConditions,
-    TrueImagesError,
+    GenerateError, GenerateOptions, Generator, Latent, RenderedConditions,
 };
 
 /// A network whose type is chosen at run time.
@@ -64,7 +64,7 @@ pub enum SessionError {
     Conditions(#[from] ConditionerError),
     /// Error of getting ground-truth images.
     #[error(transparent)]
-    Truth(#[from] TrueImagesError),
+    Truth(#[from] GroundTruthError),
     /// Error of the codec.
     #[error(transparent)]
     Codec(#[from] DenoiserError),

@@ -7,10 +7,10 @@ use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::ImageSize;
-use point_skeleton::scene::{SceneClouds, SceneMap};
+use point_skeleton::scene::{GroundTruthImages, SceneClouds, SceneMap};
 use pskel_generate::{
-    AnyDenoiser, Codec, Conditioner, DenoiserError, GenerateError, GenerateOptions, GroundTruthImages,
-    Guidance, ProcessDenoiser, Recipe, SamplerOptions, Session, SessionError, SessionParts, Strategy,
+    AnyDenoiser, Codec, Conditioner, DenoiserError, GenerateError, GenerateOptions, Guidance,
+    ProcessDenoiser, Recipe, SamplerOptions, Session, SessionError, SessionParts, Strategy,
 };
 use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
 use serde::Serialize;

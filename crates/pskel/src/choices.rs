@@ -8,6 +8,7 @@ use point_skeleton::conditions::{BinScale, ColorFilter, DepthEmbedding, MapForma
 use point_skeleton::raster::Occlusion;
 use point_skeleton::scene::TemplateFit;
 use point_skeleton::skeleton::Coloring;
+use pskel_export::Layout;
 
 /// Parser of an option: the name, value and help (may be empty) of each choice.
 #[derive(Clone, Copy)]
@@ -18,6 +19,17 @@ pub(crate) const MAP_FORMAT: Choices<MapFormat> = Choices(&[
     ("exr", MapFormat::Exr, "An OpenEXR file per map"),
     ("npz", MapFormat::Npz, "One NumPy archive per frame"),
     ("safetensors", MapFormat::Safetensors, "One safetensors file per frame"),
+]);
+
+pub(crate) const LAYOUT: Choices<Layout> = Choices(&[
+    ("frames", Layout::Frames, "A folder per frame, with a PNG per map"),
+    (
+        "pas-cache",
+        Layout::PasCache,
+        "Cache of the training code of Point as Skeleton: files by token of the image",
+    ),
+    ("opendwm-preview", Layout::OpendwmPreview, "Packages of OpenDWM's PreviewDataset"),
+    ("webdataset", Layout::Webdataset, "Tar shards of WebDataset"),
 ]);
 
 pub(crate) const POINT_FORMAT: Choices<PointFormat> =

@@ -12,6 +12,7 @@ mod build;
 mod choices;
 mod convert;
 mod evaluate;
+mod export;
 #[cfg(feature = "town")]
 mod fidelity;
 #[cfg(feature = "network")]
@@ -61,6 +62,7 @@ enum Command {
     Info(info::InfoArgs),
     Build(build::BuildArgs),
     Render(Box<render::RenderArgs>),
+    Export(Box<export::ExportArgs>),
     Simulate(Box<simulate::SimulateArgs>),
     Splat(splat::SplatArgs),
     Convert(convert::ConvertArgs),
@@ -85,6 +87,7 @@ impl Command {
             Self::Info(args) => info::run(args),
             Self::Build(args) => build::run(args),
             Self::Render(args) => render::run(*args),
+            Self::Export(args) => export::run(&args),
             Self::Simulate(args) => simulate::run(*args),
             Self::Splat(args) => splat::run(args),
             Self::Convert(args) => convert::run(args),

@@ -6,7 +6,7 @@ mod town;
 #[cfg(feature = "town")]
 pub use town::open_town;
 
-use point_skeleton::dataset::{self, Dataset, DatasetError, LogLocator};
+use point_skeleton::dataset::{self, Dataset, DatasetError, LogLocator, LogOutline};
 
 /// Formats in error messages.
 const FORMATS: &str = if cfg!(feature = "town") {
@@ -40,6 +40,19 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
         return Ok(vec![locator.clone()]);
     }
     dataset::expand(locator)
+}
+
+/// Returns names and lengths of logs, in order.
+pub fn outlines(locators: &[LogLocator]) -> Vec<Result<LogOutline, DatasetError>> {
+    #[cfg(feature = "town")]
+    if locators.iter().any(town::is_town) {
+        let of_town = |locator: &LogLocator| open(locator).map(|town| LogOutline::of(town.log()));
+        let recorded: Vec<LogLocator> = locators.iter().filter(|log| !town::is_town(log)).cloned().collect();
+        let mut recorded = dataset::outlines(&recorded).into_iter();
+        let outline = |log| if town::is_town(log) { Some(of_town(log)) } else { recorded.next() };
+        return locators.iter().filter_map(outline).collect();
+    }
+    dataset::outlines(locators)
 }
 
 /// Opens the log that a locator names.

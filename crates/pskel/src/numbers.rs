@@ -20,6 +20,11 @@ impl FrameRange {
         anyhow::ensure!(range.end <= frames, "expected --frames within 0..{frames}, found {range}");
         Ok(range.first..range.end)
     }
+
+    /// Returns the range, for logs of any length.
+    pub(super) fn of_any(self) -> std::ops::Range<usize> {
+        self.first..self.end
+    }
 }
 
 impl fmt::Display for FrameRange {

@@ -44,6 +44,14 @@ impl Progress {
         }
     }
 
+    /// Removes steps that need no work from the total.
+    pub(super) fn skip(&mut self, steps: usize) {
+        self.total = self.total.saturating_sub(steps as u64);
+        if let Some(bar) = &self.bar {
+            bar.set_length(self.total);
+        }
+    }
+
     /// Estimates the remaining time from the average time per step.
     fn left(&self) -> Duration {
         let rest = (self.total - self.done.min(self.total)) as f64 / self.done.max(1) as f64;

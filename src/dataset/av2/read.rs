@@ -64,7 +64,8 @@ pub(super) fn read(
     }
     sensors::add_sweeps(&sensors.join("lidar"), &times_ns, &ego, &mut frames, &mut notes)?;
     for camera in &rig {
-        sensors::add_images(&sensors.join("cameras"), &times_ns, &ego, camera, &mut frames, &mut notes)?;
+        let folder = sensors.join("cameras");
+        sensors::add_images(&folder, &name, &times_ns, &ego, camera, &mut frames, &mut notes)?;
     }
     for frame in &mut frames {
         frame.between_images.sort_by_key(|i| (i.t_us, i.channel));

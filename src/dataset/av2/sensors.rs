@@ -71,6 +71,7 @@ pub(super) fn add_sweeps(
 /// Fails if the folder cannot be read.
 pub(super) fn add_images(
     folder: &Path,
+    log: &str,
     times_ns: &[i64],
     ego: &Trajectory,
     rig: &RigCamera,
@@ -85,7 +86,9 @@ pub(super) fn add_images(
         };
         let RigCamera { channel, ego_from_camera, camera } = rig.clone();
         let t_us = micros(t_ns);
-        records.push((t_ns, ImageRecord { channel, path, t_us, global_from_ego, ego_from_camera, camera }));
+        let token = format!("{log}_{}_{t_ns}", camera.name);
+        let record = ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera };
+        records.push((t_ns, record));
     }
     let image_times: Vec<i64> = records.iter().map(|(t_ns, _)| *t_ns).collect();
     let mut frame_of = vec![None; records.len()];

@@ -4,7 +4,7 @@
 
 use rustc_hash::FxHashMap;
 
-use super::database::{Database, Query, Row};
+use super::database::{Database, Query, Row, hex};
 use super::frames::{POSE_COLUMNS, ego_pose, extrinsics, unpickled};
 use super::pickle;
 use super::place::LogPaths;
@@ -201,7 +201,8 @@ fn record(
     let (t_us, name) = (row.time_us(1)?, row.text(3)?);
     let path = place.sensors.resolve(name).map_err(|error| row.wrong(3, &error.expected, &error.found))?;
     let (ego_from_camera, camera) = (camera.ego_from_camera, camera.camera.clone());
-    let record = ImageRecord { channel, path, t_us, global_from_ego, ego_from_camera, camera };
+    let token = hex(row.blob(0)?);
+    let record = ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera };
     Ok(is_there(&record.path)?.then_some(record))
 }
 

@@ -20,12 +20,25 @@ pub(super) struct Chain {
 impl Chain {
     /// Follows the chain of a scene's samples from the first one.
     pub(super) fn read(tables: &Path, scene: &Scene, notes: &mut Notes) -> Result<Self, DatasetError> {
-        let samples = Table::<Sample>::load_all(tables)?;
+        Self::of(&Table::load_all(tables)?, scene, notes)
+    }
+
+    /// Follows the chain in a table of samples.
+    pub(super) fn of(
+        samples: &Table<Sample>,
+        scene: &Scene,
+        notes: &mut Notes,
+    ) -> Result<Self, DatasetError> {
         let mut chain = Self { times_us: Vec::new(), place: FxHashMap::default() };
         let mut seen = FxHashSet::default();
         if scene.first_sample_token.is_empty() {
             let found = format!("none in scene {}", scene.token);
-            return Err(FileError::content("a first sample", found, &tables.join("scene.json")).into());
+            return Err(FileError::content(
+                "a first sample",
+                found,
+                &samples.path.with_file_name("scene.json"),
+            )
+            .into());
         }
         let (mut token, mut by) = (&scene.first_sample_token, format!("scene {}", scene.token));
         while !token.is_empty() {

@@ -159,7 +159,9 @@ impl Sensors {
             ("camera", Some(channel)) => {
                 let camera = self.camera(data, sensor, calibrated)?;
                 let ego_from_camera = ego_from_sensor;
-                let record = ImageRecord { channel, path, t_us, global_from_ego, ego_from_camera, camera };
+                let token = data.token.clone();
+                let record =
+                    ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera };
                 if !data.is_key_frame {
                     pile.between_images.push(record);
                 } else if pile.images.iter().any(|i| i.channel == channel) {

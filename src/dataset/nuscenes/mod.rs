@@ -10,6 +10,7 @@ mod chain;
 mod choose;
 mod frames;
 mod map;
+mod outline;
 mod read;
 mod sweep;
 mod tables;
@@ -18,6 +19,7 @@ mod write_map;
 
 pub use choose::expand;
 pub use map::read_map_file;
+pub(super) use outline::SceneIndex;
 pub(crate) use sweep::check_sweep_len;
 pub use sweep::{POINT_BYTES, parse_sweep, read_sweep_file, write_sweep_file};
 

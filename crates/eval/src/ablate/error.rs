@@ -1,8 +1,9 @@
 use point_skeleton::dataset::DatasetError;
 use point_skeleton::error::FileError;
 use point_skeleton::raster::RasterError;
+use point_skeleton::scene::GroundTruthError;
 use point_skeleton::skeleton::BuildError;
-use pskel_generate::{ConditionerError, DenoiserError, GenerateError, TrueImagesError};
+use pskel_generate::{ConditionerError, DenoiserError, GenerateError};
 use pskel_network::NetworkError;
 use pskel_sim::SimError;
 
@@ -45,7 +46,7 @@ pub enum AblateError {
     Conditions(#[from] ConditionerError),
     /// The ground-truth images cannot be rendered or read.
     #[error("{0}")]
-    GroundTruth(#[from] TrueImagesError),
+    GroundTruth(#[from] GroundTruthError),
     /// The network has no codec.
     #[error("{0}")]
     Network(#[from] NetworkError),

@@ -7,9 +7,9 @@ use image::RgbImage;
 use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
 use point_skeleton::dataset::{Dataset, Recording};
 use point_skeleton::raster::{self, Rasterizer, RasterizerDesc};
-use point_skeleton::scene::{SceneClouds, SceneMap, SubstituteOptions};
+use point_skeleton::scene::{GroundTruthImages, SceneClouds, SceneMap, SubstituteOptions};
 use point_skeleton::skeleton;
-use pskel_generate::{Conditioner, FrameConditions, GroundTruthImages, Recipe, RenderedConditions};
+use pskel_generate::{Conditioner, FrameConditions, Recipe, RenderedConditions};
 use pskel_sim::{
     ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
 };

@@ -29,6 +29,7 @@ impl Grey {
         let frame = |i: i64| {
             let (t_us, global_from_ego) = (i * 100_000, Pose::from_yaw(0.0, DVec3::X * i as f64));
             let image = ImageRecord {
+                token: "i".into(),
                 channel: 0,
                 path: PathBuf::new(),
                 t_us,

@@ -8,13 +8,11 @@ use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::{self, RasterError, RasterizerDesc};
 use point_skeleton::scene::{
-    EgoOffset, SceneClouds, SceneMap, SceneState, SelectionOptions, SubstituteOptions, frame_rate_hz,
-    state_of_frame,
+    EgoOffset, GroundTruthError, GroundTruthImages, SceneClouds, SceneMap, SceneState, SelectionOptions,
+    SubstituteOptions, frame_rate_hz, state_of_frame,
 };
 use point_skeleton::skeleton::{BuildError, Skeleton};
-use pskel_generate::{
-    DenoiserError, DriveFrame, DriveInfo, GroundTruthImages, Recipe, TrainingClip, TrueImagesError,
-};
+use pskel_generate::{DenoiserError, DriveFrame, DriveInfo, Recipe, TrainingClip};
 
 /// A log to record, and the skeleton that was built from it.
 pub(super) struct Source<'a> {
@@ -66,7 +64,7 @@ pub enum RecordError {
     Render(#[from] ConditionError),
     /// The ground-truth images cannot be rendered or read.
     #[error("{0}")]
-    GroundTruth(#[from] TrueImagesError),
+    GroundTruth(#[from] GroundTruthError),
     /// The conditions do not have the form that the recipe requires.
     #[error("{0}")]
     Conditions(#[from] DenoiserError),

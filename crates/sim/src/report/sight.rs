@@ -138,6 +138,7 @@ mod tests {
             let t_us = i * 1_000_000;
             let pose = Pose { rotation: DQuat::IDENTITY, translation: at };
             let image = ImageRecord {
+                token: "i".into(),
                 channel: 0,
                 path: "i".into(),
                 t_us: t_us - 20_000,

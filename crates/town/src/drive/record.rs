@@ -77,6 +77,7 @@ impl Recorder<'_> {
         let image = |rig: &RigCamera| {
             let t_us = t_us - CAMERAS[rig.channel].before_us;
             ImageRecord {
+                token: format!("{index:06}_{}", CAMERAS[rig.channel].channel),
                 channel: rig.channel,
                 path: file(CAMERAS[rig.channel].channel, t_us, "jpg"),
                 t_us,

@@ -1,8 +1,8 @@
 use std::path::Path;
 
 use clap::Args;
+use point_skeleton::scene::GroundTruthImages;
 use point_skeleton::scene::SceneClouds;
-use pskel_generate::GroundTruthImages;
 use pskel_network::{GenerationScene, NetworkName, OpenedNetwork};
 use pskel_sim::rollout::ImageGenerator;
 use serde_json::Value;

@@ -1,11 +1,12 @@
 use glam::{DVec2, DVec3};
 use image::imageops::{FilterType, interpolate_bilinear, resize};
 use image::{Rgb, RgbImage};
-use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, PosedActor};
-use point_skeleton::files::text::printable;
-use point_skeleton::geometry::{Camera, ImageSize, View};
-use point_skeleton::scene::{ActorState, SceneCamera, SceneState};
 use rayon::prelude::*;
+
+use super::{ActorState, SceneCamera, SceneState};
+use crate::dataset::{Dataset, DatasetError, ImageRecord, PosedActor};
+use crate::files::text::printable;
+use crate::geometry::{Camera, ImageSize, View};
 
 /// Ground-truth images of a log: recorded ones, or rendered from any pose if the log is synthetic.
 #[derive(Clone, Copy)]
@@ -15,7 +16,7 @@ pub struct GroundTruthImages<'a> {
 
 /// Error of looking up ground-truth images.
 #[derive(Debug, thiserror::Error)]
-pub enum TrueImagesError {
+pub enum GroundTruthError {
     /// Error of the log.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
@@ -33,6 +34,14 @@ impl<'a> GroundTruthImages<'a> {
     /// Creates the source for a log.
     pub fn new(dataset: &'a dyn Dataset) -> Self {
         Self { dataset }
+    }
+
+    /// Reads a recorded image and removes its lens distortion.
+    ///
+    /// # Errors
+    /// Fails if the file is missing or damaged.
+    pub fn of_record(&self, record: &ImageRecord) -> Result<RgbImage, DatasetError> {
+        Ok(rectified(self.dataset.read_image(record)?, &record.camera))
     }
 
     /// Returns whether ground truth is available: always in a synthetic log, in a recorded log only if the ego and the
@@ -53,7 +62,7 @@ impl<'a> GroundTruthImages<'a> {
         drawn: impl Fn(&View) -> View,
         size: ImageSize,
         actors_follow_log: bool,
-    ) -> Result<Vec<RgbImage>, TrueImagesError> {
+    ) -> Result<Vec<RgbImage>, GroundTruthError> {
         let images = if let Some(renderer) = self.dataset.view_renderer() {
             let views: Vec<View> = state.cameras.iter().map(|camera| drawn(&camera.view)).collect();
             let actors: Vec<PosedActor<'_>> = state.actors.iter().map(posed).collect();
@@ -71,15 +80,15 @@ fn posed(actor: &ActorState) -> PosedActor<'_> {
 }
 
 /// Reads the image of a camera that is nearest in time, and rectifies it.
-fn logged(dataset: &dyn Dataset, camera: &str, t_us: i64) -> Result<RgbImage, TrueImagesError> {
+fn logged(dataset: &dyn Dataset, camera: &str, t_us: i64) -> Result<RgbImage, GroundTruthError> {
     let log = dataset.log();
     let of_camera =
         |record: &&ImageRecord| log.cameras.get(record.channel).is_some_and(|name| name == camera);
     let all = log.frames.iter().flat_map(|frame| frame.images.iter().chain(&frame.between_images));
     let nearest = all.filter(of_camera).min_by_key(|record| (record.t_us.abs_diff(t_us), record.t_us));
     let nearest = nearest
-        .ok_or_else(|| TrueImagesError::NoImage { camera: camera.to_owned(), log: log.name.clone() })?;
-    Ok(rectified(dataset.read_image(nearest)?, &nearest.camera))
+        .ok_or_else(|| GroundTruthError::NoImage { camera: camera.to_owned(), log: log.name.clone() })?;
+    Ok(GroundTruthImages::new(dataset).of_record(nearest)?)
 }
 
 /// Resamples an image to a pinhole camera of the same size and intrinsics, like the conditions. Interpolates
@@ -103,8 +112,8 @@ fn rectified(image: RgbImage, camera: &Camera) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::{Distortion, View};
     use glam::DAffine3;
-    use point_skeleton::geometry::{Distortion, View};
 
     /// Pixel values encode pixel positions, so the rectified image shows where the lens put each point of the
     /// pinhole.

@@ -1,0 +1,41 @@
+use point_skeleton::conditions::ConditionError;
+use point_skeleton::dataset::DatasetError;
+use point_skeleton::error::FileError;
+use point_skeleton::files::text::printable;
+use point_skeleton::skeleton::BuildError;
+
+/// Error of an export.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// Error of a file.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// Error of a log.
+    #[error(transparent)]
+    Log(#[from] DatasetError),
+    /// Error of building a skeleton.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// Error of rendering.
+    #[error(transparent)]
+    Render(#[from] point_skeleton::Error),
+    /// Error of encoding maps.
+    #[error(transparent)]
+    Conditions(#[from] ConditionError),
+    /// Two logs have one name; shards are named after logs.
+    #[error("expected logs whose names differ as file names, found {name} twice")]
+    SameName {
+        /// The name.
+        name: String,
+    },
+    /// The log lacks something that the layout needs.
+    #[error("expected {expected} in log {}, found {found}", printable(log))]
+    Lacks {
+        /// What the layout needs.
+        expected: &'static str,
+        /// What the log has.
+        found: String,
+        /// Name of the log.
+        log: String,
+    },
+}

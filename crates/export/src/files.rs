@@ -1,0 +1,71 @@
+//! Encoded files of a sample.
+
+use std::path::Path;
+
+use image::codecs::jpeg::JpegEncoder;
+use image::imageops::{FilterType, resize};
+use point_skeleton::conditions::{CameraConditions, DepthBins, MapKind, png};
+use point_skeleton::dataset::{Dataset, ImageRecord};
+use point_skeleton::error::FileError;
+use point_skeleton::geometry::ImageSize;
+use point_skeleton::scene::GroundTruthImages;
+use rayon::prelude::*;
+
+use crate::ExportError;
+use crate::samples::Sample;
+
+/// JPEG quality of recorded images, so high that artifacts are those of the recording.
+const QUALITY: u8 = 95;
+
+/// A file in memory.
+pub(crate) struct Encoded {
+    pub(crate) name: String,
+    pub(crate) bytes: Vec<u8>,
+}
+
+/// Encodes the maps of all cameras as PNG. `name` returns the name of a file by camera and map; `None` for maps that are not
+/// wanted.
+///
+/// # Errors
+/// Fails if a number does not fit into a PNG.
+pub(crate) fn maps_as_png(
+    cameras: &[CameraConditions],
+    bins: &DepthBins,
+    name: impl Fn(usize, MapKind) -> Option<String> + Sync,
+) -> Result<Vec<Encoded>, ExportError> {
+    let all: Vec<(usize, MapKind)> =
+        (0..cameras.len()).flat_map(|camera| MapKind::ALL.map(|kind| (camera, kind))).collect();
+    let encode = |&(camera, kind): &(usize, MapKind)| {
+        let Some(name) = name(camera, kind) else { return Ok(None) };
+        let bytes = png::encode_map(Path::new(&name), &cameras[camera], kind, bins)?;
+        Ok(bytes.map(|bytes| Encoded { name, bytes }))
+    };
+    let files: Vec<Option<Encoded>> = all.par_iter().map(encode).collect::<Result<_, ExportError>>()?;
+    Ok(files.into_iter().flatten().collect())
+}
+
+/// Reads the recorded images of a sample, removes their lens distortion, resizes them to the size of each camera's maps, and
+/// encodes them as JPEG. `name` returns the name of a file by camera.
+///
+/// # Errors
+/// Fails if an image is missing or damaged.
+pub(crate) fn images_as_jpeg(
+    dataset: &dyn Dataset,
+    sample: &Sample<'_>,
+    sizes: &[ImageSize],
+    name: impl Fn(usize) -> String + Sync,
+) -> Result<Vec<Encoded>, ExportError> {
+    let truth = GroundTruthImages::new(dataset);
+    let encode = |(camera, (image, size)): (usize, (&Option<&ImageRecord>, &ImageSize))| {
+        let Some(record) = image else { return Ok(None) };
+        let name = name(camera);
+        let image = resize(&truth.of_record(record)?, size.width, size.height, FilterType::Triangle);
+        let mut bytes = Vec::new();
+        let encoded = JpegEncoder::new_with_quality(&mut bytes, QUALITY).encode_image(&image);
+        encoded.map_err(|error| FileError::io("write", Path::new(&name))(std::io::Error::other(error)))?;
+        Ok(Some(Encoded { name, bytes }))
+    };
+    let all = sample.images.par_iter().zip(sizes).enumerate();
+    let files: Vec<Option<Encoded>> = all.map(encode).collect::<Result<_, ExportError>>()?;
+    Ok(files.into_iter().flatten().collect())
+}

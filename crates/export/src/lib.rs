@@ -1,0 +1,27 @@
+//! Export of the condition maps of whole data sets, in the layouts that trainers read.
+//!
+//! # How it works
+//! A [`WorkList`] divides logs into units: some frames of a log, which become one shard of the export. [`export`] opens each
+//! log, builds its skeleton if it does not exist, renders the samples of its units (`samples`), and passes them to the writer of
+//! the layout (`layout`), which encodes while the next sample is rendered. A shard is written in a work folder and appears with
+//! its record once it is complete (`shard`). Its bytes depend on input and options alone, so shards that exist are skipped,
+//! and any number of processes may share a work list without communication.
+
+mod captions;
+mod error;
+mod files;
+mod layout;
+mod options;
+mod report;
+mod run;
+mod samples;
+mod shard;
+mod work;
+
+pub use captions::Captions;
+pub use error::ExportError;
+pub use layout::Layout;
+pub use options::{ExportOptions, SampleFormat};
+pub use report::{ExportReport, Failure};
+pub use run::{Export, ExportProgress, OpenLog, export};
+pub use work::{ListedLog, Part, WorkList, WorkUnit};

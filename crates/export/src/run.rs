@@ -1,0 +1,310 @@
+use std::collections::{BTreeMap, VecDeque};
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::sync_channel;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use point_skeleton::conditions::ConditionOptions;
+use point_skeleton::dataset::{Dataset, DatasetError, LogLocator};
+use point_skeleton::error::{FileError, with_causes};
+use point_skeleton::files::write_json;
+use point_skeleton::raster::{FRAMES_IN_FLIGHT, RasterizerDesc};
+use point_skeleton::scene::SceneMap;
+use point_skeleton::skeleton::{self, BuildError, Skeleton};
+use point_skeleton::{Maps, RenderOptions, Renderer};
+use serde_json::json;
+
+use crate::layout::Source;
+use crate::report::{ExportReport, Failure};
+use crate::samples::{Sample, Sampler};
+use crate::shard::{Shard, ShardRecord, remove_work};
+use crate::{ExportError, ExportOptions, ListedLog, WorkList, WorkUnit};
+
+/// File with the options of an export, in its folder.
+const OPTIONS: &str = "export.json";
+/// Index of a complete export.
+const INDEX: &str = "index.json";
+/// Pause between attempts to open a skeleton that another process builds.
+const PAUSE: Duration = Duration::from_millis(200);
+
+/// Opens a log.
+pub type OpenLog<'a> = &'a (dyn Fn(&LogLocator) -> Result<Box<dyn Dataset>, DatasetError> + Sync);
+
+/// Progress callback of an export, called from several threads.
+pub trait ExportProgress: Sync {
+    /// A key frame was written.
+    fn frame(&self, shard: &str);
+    /// A shard exists; its key frames need no work.
+    fn skip(&self, frames: usize);
+}
+
+/// Ignores progress.
+impl ExportProgress for () {
+    fn frame(&self, _: &str) {}
+    fn skip(&self, _: usize) {}
+}
+
+/// An export to be run.
+#[derive(Clone, Copy)]
+pub struct Export<'a> {
+    /// All units of the export, for its index.
+    pub list: &'a WorkList,
+    /// Units to write.
+    pub part: &'a WorkList,
+    /// Folder to write.
+    pub out: &'a Path,
+    /// Folder of skeletons, one per log and named after it. Those that do not exist are built.
+    pub skeletons: &'a Path,
+    /// Options, which determine the bytes.
+    pub options: &'a ExportOptions,
+    /// Opens a log.
+    pub open: OpenLog<'a>,
+    /// Rasterizer and device.
+    pub rasterizer: &'a RasterizerDesc,
+    /// Number of logs that are exported at a time.
+    pub jobs: usize,
+    /// Whether checksums of existing shards are compared.
+    pub verify: bool,
+    /// Progress callback.
+    pub progress: &'a dyn ExportProgress,
+}
+
+/// Writes the shards of a part of a work list. Shards that exist are skipped. Logs and shards that fail are reported, and the
+/// others are written all the same. If all shards of the list exist then, writes `index.json`.
+///
+/// # Errors
+/// Fails if the folder cannot be written, or if it has an export with other options or foreign files.
+pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
+    claim(run.out, run.options)?;
+    std::fs::create_dir_all(run.skeletons).map_err(FileError::io("create", run.skeletons))?;
+    let next = AtomicUsize::new(0);
+    let reports = Mutex::new(BTreeMap::new());
+    let work = || {
+        loop {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            let Some(log) = run.part.logs.get(number) else { break };
+            let report = export_log(&run, log);
+            reports.lock().unwrap_or_else(PoisonError::into_inner).insert(number, report);
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 1..run.jobs.min(run.part.logs.len()) {
+            scope.spawn(work);
+        }
+        work();
+    });
+    remove_work(run.out);
+    let mut total = ExportReport::default();
+    let reports = reports.into_inner().unwrap_or_else(PoisonError::into_inner);
+    reports.into_values().for_each(|report| total.add(report));
+    total.complete = write_index(&run)?;
+    Ok(total)
+}
+
+/// Writes the options into the folder, or compares them with those there.
+fn claim(out: &Path, options: &ExportOptions) -> Result<(), FileError> {
+    let path = out.join(OPTIONS);
+    let content = json!({ "version": env!("CARGO_PKG_VERSION"), "options": options });
+    match std::fs::read(&path) {
+        Ok(found) => match serde_json::from_slice::<serde_json::Value>(&found) {
+            Ok(found) if found == content => Ok(()),
+            Ok(found) => {
+                let expected = format!("an export with the same options, {content}");
+                Err(FileError::content(expected, found.to_string(), &path))
+            }
+            Err(error) => Err(FileError::content("the options of an export", error.to_string(), &path)),
+        },
+        Err(_) => {
+            std::fs::create_dir_all(out).map_err(FileError::io("create", out))?;
+            let mut entries = std::fs::read_dir(out).map_err(FileError::io("read", out))?;
+            // Another process may have begun.
+            if let Some(Ok(entry)) = entries.next().filter(|_| !path.exists()) {
+                let found = entry.file_name().to_string_lossy().into_owned();
+                return Err(FileError::content("an export or an empty folder", found, out));
+            }
+            write_json(&path, &content)
+        }
+    }
+}
+
+/// Writes the index if all shards of the list exist, and returns whether they do.
+fn write_index(run: &Export<'_>) -> Result<bool, FileError> {
+    let mut entries = Vec::new();
+    let mut samples = 0;
+    for unit in run.list.logs.iter().flat_map(|log| &log.units) {
+        let Some(record) = ShardRecord::read(run.out, unit, false)? else { return Ok(false) };
+        samples += record.samples;
+        entries.push(run.options.layout.index_entry(&record));
+    }
+    let index = json!({
+        "__kind__": "wids-shard-index-v1", "wids_version": 1, "layout": run.options.layout,
+        "nsamples": samples, "shardlist": entries,
+    });
+    write_json(&run.out.join(INDEX), &index)?;
+    Ok(true)
+}
+
+/// Exports the units of a log.
+fn export_log(run: &Export<'_>, log: &ListedLog) -> ExportReport {
+    let mut report = ExportReport::default();
+    let fail = |name: &str, error: &ExportError| Failure { name: name.to_owned(), error: with_causes(error) };
+    let mut todo = Vec::new();
+    for unit in &log.units {
+        match ShardRecord::read(run.out, unit, run.verify) {
+            Ok(Some(_)) => {
+                report.present += 1;
+                run.progress.skip(unit.frames.len());
+            }
+            Ok(None) => todo.push(unit),
+            Err(error) => report.failures.push(fail(&unit.name, &error.into())),
+        }
+    }
+    if todo.is_empty() {
+        return report;
+    }
+    if let Err(error) = export_units(run, log, &todo, &mut report) {
+        report.failures.push(fail(&log.locator.to_string(), &error));
+    }
+    report
+}
+
+fn export_units(
+    run: &Export<'_>,
+    log: &ListedLog,
+    units: &[&WorkUnit],
+    report: &mut ExportReport,
+) -> Result<(), ExportError> {
+    let dataset = (run.open)(&log.locator)?;
+    let skeleton = open_or_build(&run.skeletons.join(&log.name), dataset.as_ref(), report)?;
+    let recording = dataset.log();
+    let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, recording)));
+    let options = run.options;
+    let (substitutes, _) = options.substitutes.make(&skeleton, &recording.name)?;
+    let maps = options.rendered(map.is_some());
+    let mut renderer = Renderer::new(
+        &skeleton,
+        RenderOptions {
+            conditions: ConditionOptions { maps, ..options.conditions.clone() },
+            selection: options.selection,
+            rasterizer: run.rasterizer.clone(),
+            substitutes: &substitutes,
+            log: Some(&recording.name),
+            distort: false,
+        },
+    )?;
+    report.note(&recording.notes);
+    let sampler = Sampler::new(recording, map, options.between_images);
+    let source = Source { listed: log, dataset: dataset.as_ref(), options };
+    for unit in units {
+        match export_unit(run, &source, &sampler, &mut renderer, unit) {
+            Ok(record) => {
+                report.written += 1;
+                report.samples += record.samples;
+                report.note(&record.notes);
+            }
+            Err(ExportError::File(FileError::Busy { .. })) => report.busy += 1,
+            Err(error) => {
+                report.failures.push(Failure { name: unit.name.clone(), error: with_causes(&error) });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Opens the skeleton of a log, or builds it; waits for another process that builds it.
+fn open_or_build(
+    path: &Path,
+    dataset: &dyn Dataset,
+    report: &mut ExportReport,
+) -> Result<Skeleton, ExportError> {
+    let exists = path.exists();
+    loop {
+        match skeleton::open_or_build(path, dataset) {
+            Err(BuildError::File(FileError::Busy { .. })) => std::thread::sleep(PAUSE),
+            Err(error) => return Err(error.into()),
+            Ok(_) => {
+                report.built += usize::from(!exists);
+                return Ok(Skeleton::open_for(path, dataset.log())?);
+            }
+        }
+    }
+}
+
+/// Renders and writes one shard. Another thread encodes and writes a sample while the next ones are rendered.
+fn export_unit(
+    run: &Export<'_>,
+    source: &Source<'_>,
+    sampler: &Sampler<'_>,
+    renderer: &mut Renderer<'_>,
+    unit: &WorkUnit,
+) -> Result<ShardRecord, ExportError> {
+    let mut shard = Shard::begin(run.out, &unit.name)?;
+    // Another process may have written the shard meanwhile.
+    if let Some(record) = ShardRecord::read(run.out, unit, run.verify)? {
+        return Ok(record);
+    }
+    let mut notes = BTreeMap::new();
+    let written = std::thread::scope(|scope| {
+        let (sender, receiver) = sync_channel::<(Sample<'_>, Maps)>(1);
+        let write = move || -> Result<(Shard, usize), ExportError> {
+            let mut writer = run.options.layout.writer(&shard, source)?;
+            let mut samples = 0;
+            for (sample, maps) in receiver {
+                writer.add(&mut shard, &sample, &maps)?;
+                samples += 1;
+                if sample.is_key {
+                    run.progress.frame(shard.name());
+                }
+            }
+            writer.finish(&mut shard)?;
+            Ok((shard, samples))
+        };
+        let writer = scope.spawn(write);
+        let rendered =
+            render(sampler, renderer, unit, &mut notes, |sample, maps| sender.send((sample, maps)).is_ok());
+        drop(sender);
+        let written = writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        rendered.and(written)
+    });
+    let (shard, samples) = written?;
+    Ok(shard.publish(ShardRecord {
+        name: unit.name.clone(),
+        log: source.log().name.clone(),
+        frames: [unit.frames.start, unit.frames.end],
+        samples,
+        notes,
+        files: Vec::new(),
+    })?)
+}
+
+/// Renders the samples of a unit, and passes them on until `take` returns `false`.
+fn render<'a>(
+    sampler: &Sampler<'a>,
+    renderer: &mut Renderer<'_>,
+    unit: &WorkUnit,
+    notes: &mut BTreeMap<String, usize>,
+    mut take: impl FnMut(Sample<'a>, Maps) -> bool,
+) -> Result<(), ExportError> {
+    // Left by a shard that could not be written.
+    while renderer.in_flight() > 0 {
+        renderer.finish()?;
+    }
+    let mut begun = VecDeque::new();
+    let mut samples = unit.frames.clone().flat_map(|index| sampler.of_frame(index, notes));
+    loop {
+        if let Some(sample) = samples.next() {
+            renderer.begin(&sample.state)?;
+            begun.push_back(sample);
+            if renderer.in_flight() < FRAMES_IN_FLIGHT {
+                continue;
+            }
+        }
+        let Some(sample) = begun.pop_front() else { break };
+        let maps = renderer.finish()?;
+        if !take(sample, maps) {
+            break;
+        }
+    }
+    Ok(())
+}
