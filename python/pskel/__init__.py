@@ -21,6 +21,7 @@ from ._pskel import (
     splat,
 )
 from ._build import build
+from ._export import ExportReport, export
 from ._types import Maps
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "Camera",
     "Committed",
     "Error",
+    "ExportReport",
     "Forecast",
     "Frames",
     "Log",
@@ -43,5 +45,6 @@ __all__ = [
     "Skeleton",
     "__version__",
     "build",
+    "export",
     "splat",
 ]

@@ -1,10 +1,11 @@
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use point_skeleton::BuildOptions;
 use point_skeleton::skeleton::{self, BuildInput, BuildRun, Progress};
 use pyo3::prelude::*;
 
+use crate::callback::Callback;
 use crate::error::raise;
 use crate::log::Log;
 use crate::pool::detached;
@@ -23,7 +24,7 @@ pub(crate) fn build(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Skeleton> {
     let log = Arc::clone(&log.inner);
-    let callback = Callback { object: progress, raised: Mutex::new(None) };
+    let callback = Callback::new(progress);
     let build = || {
         let run = BuildRun { resume, progress: &callback, ..BuildRun::default() };
         let input = BuildInput::all(log.dataset());
@@ -36,28 +37,6 @@ pub(crate) fn build(
     Ok(Skeleton { inner: Arc::new(detached(py, build)?) })
 }
 
-/// Progress object of Python. The build stops at its first exception, or at a signal (Ctrl-C).
-struct Callback {
-    object: Option<Py<PyAny>>,
-    raised: Mutex<Option<PyErr>>,
-}
-
-impl Callback {
-    fn call(&self, call: impl FnOnce(Python<'_>, &Py<PyAny>) -> PyResult<Py<PyAny>>) {
-        Python::attach(|py| {
-            let called = self.object.as_ref().map(|object| call(py, object));
-            let result = called.transpose().and_then(|_| py.check_signals());
-            if let Err(error) = result {
-                self.raised.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
-            }
-        });
-    }
-
-    fn raised(&self) -> Option<PyErr> {
-        self.raised.lock().unwrap_or_else(PoisonError::into_inner).take()
-    }
-}
-
 impl Progress for Callback {
     fn start(&self, stage: &str, steps: usize) {
         self.call(|py, object| object.call_method1(py, "start", (stage, steps)));
@@ -68,6 +47,6 @@ impl Progress for Callback {
     }
 
     fn is_stopped(&self) -> bool {
-        self.raised.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+        Self::is_stopped(self)
     }
 }

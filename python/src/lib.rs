@@ -7,8 +7,10 @@
 
 mod arrays;
 mod build;
+mod callback;
 mod command;
 mod error;
+mod export;
 mod log;
 mod maps;
 mod pool;
@@ -30,6 +32,8 @@ mod _pskel {
     use crate::command::run_command;
     #[pymodule_export]
     use crate::error::{BuildError, Error, LogError, RenderError, SimulationError};
+    #[pymodule_export]
+    use crate::export::Export;
     #[pymodule_export]
     use crate::log::Log;
     #[pymodule_export]

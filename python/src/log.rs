@@ -1,3 +1,5 @@
+use std::collections::BTreeSet;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
@@ -43,6 +45,17 @@ impl Log {
     #[getter]
     fn times_us(&self) -> Vec<i64> {
         self.inner.dataset().log().frames.iter().map(|frame| frame.t_us).collect()
+    }
+
+    /// Files of sweeps and images, each once.
+    #[getter]
+    fn files(&self) -> BTreeSet<PathBuf> {
+        let frames = self.inner.dataset().log().frames.iter();
+        let files = frames.flat_map(|frame| {
+            let images = frame.images.iter().chain(&frame.between_images).map(|image| &image.path);
+            images.chain(frame.sweeps.iter().map(|sweep| &sweep.path))
+        });
+        files.cloned().collect()
     }
 
     fn __len__(&self) -> usize {

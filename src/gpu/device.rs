@@ -12,6 +12,7 @@ use gpu_allocator::{AllocationSizes, MemoryLocation};
 use super::error::call;
 use super::fork::check_process;
 use super::gate::{self, Calls};
+use super::identity::DeviceIdentity;
 use super::instance::Instance;
 use super::select::{Candidate, choose};
 use super::{DeviceDesc, GpuError, ImageDesc, Messages};
@@ -326,10 +327,12 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 fn candidate(instance: &Instance, physical: vk::PhysicalDevice) -> Candidate {
     // SAFETY: the handle comes from this instance.
     let properties = unsafe { instance.calls().get_physical_device_properties(physical) };
+    let is_new = properties.api_version >= vk::API_VERSION_1_1;
     Candidate {
         name: text(properties.device_name_as_c_str()),
         kind: properties.device_type,
-        usable: properties.api_version >= vk::API_VERSION_1_1 && queue_family(instance, physical).is_some(),
+        identity: DeviceIdentity::read(instance, physical, is_new),
+        usable: is_new && queue_family(instance, physical).is_some(),
     }
 }
 

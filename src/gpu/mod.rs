@@ -28,6 +28,7 @@ mod error;
 mod flight;
 mod fork;
 mod gate;
+mod identity;
 mod image;
 mod indices;
 mod instance;

@@ -3,11 +3,13 @@
 use ash::vk;
 
 use super::GpuError;
+use super::identity::DeviceIdentity;
 
 /// Which device to open, and how.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct DeviceDesc {
-    /// Part of the device's name (case-insensitive), or its index. `None` selects the best: discrete before
+    /// Index, UUID (`GPU-..` or hexadecimal digits), PCI address (`0000:65:00.0`), or a part of the name
+    /// (case-insensitive). `None` selects the best: discrete before
     /// integrated before virtual before CPU, the first among equals.
     pub device: Option<String>,
     /// Run under the validation layer with synchronization validation; any message is then an error.
@@ -27,6 +29,7 @@ impl DeviceDesc {
 pub(super) struct Candidate {
     pub(super) name: String,
     pub(super) kind: vk::PhysicalDeviceType,
+    pub(super) identity: DeviceIdentity,
     /// Whether the device has the required version and queue.
     pub(super) usable: bool,
 }
@@ -40,6 +43,7 @@ pub(super) fn choose(candidates: &[Candidate], wanted: Option<&str>) -> Result<u
     let index = wanted.and_then(|w| w.trim().parse::<usize>().ok()).filter(|i| *i < candidates.len());
     let fits = |i: usize, candidate: &Candidate| match (index, wanted) {
         (Some(index), _) => i == index,
+        (None, Some(id)) if candidates.iter().any(|c| c.identity.is(id)) => candidate.identity.is(id),
         (None, Some(part)) => candidate.name.to_lowercase().contains(&part.trim().to_lowercase()),
         (None, None) => true,
     };
@@ -73,7 +77,10 @@ mod tests {
     use super::*;
 
     fn candidates() -> Vec<Candidate> {
-        let candidate = |name: &str, kind| Candidate { name: name.into(), kind, usable: true };
+        let candidate = |name: &str, kind| {
+            let identity = DeviceIdentity::default();
+            Candidate { name: name.into(), kind, identity, usable: true }
+        };
         vec![
             candidate("llvmpipe (LLVM 15)", vk::PhysicalDeviceType::CPU),
             candidate("Graphics 770", vk::PhysicalDeviceType::INTEGRATED_GPU),

@@ -28,6 +28,9 @@ pub enum ExportError {
         /// The name.
         name: String,
     },
+    /// The progress callback requested a stop.
+    #[error("expected to export to the end, found a request to stop")]
+    Stopped,
     /// The log lacks something that the layout needs.
     #[error("expected {expected} in log {}, found {found}", printable(log))]
     Lacks {

@@ -23,5 +23,5 @@ pub use error::ExportError;
 pub use layout::Layout;
 pub use options::{ExportOptions, SampleFormat};
 pub use report::{ExportReport, Failure};
-pub use run::{Export, ExportProgress, OpenLog, export};
+pub use run::{Completeness, Export, ExportProgress, OpenLog, export, write_index};
 pub use work::{ListedLog, Part, WorkList, WorkUnit};

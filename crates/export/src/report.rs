@@ -1,7 +1,9 @@
 use std::collections::BTreeMap;
 
+use serde::Serialize;
+
 /// Work that failed.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Failure {
     /// Name of the log or of the shard.
     pub name: String,
@@ -10,7 +12,7 @@ pub struct Failure {
 }
 
 /// Result of an export: what was written, and everything that was not.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ExportReport {
     /// Shards written by this run.
     pub written: usize,

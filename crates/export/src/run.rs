@@ -19,7 +19,7 @@ use crate::layout::Source;
 use crate::report::{ExportReport, Failure};
 use crate::samples::{Sample, Sampler};
 use crate::shard::{Shard, ShardRecord, remove_work};
-use crate::{ExportError, ExportOptions, ListedLog, WorkList, WorkUnit};
+use crate::{ExportError, ExportOptions, Layout, ListedLog, WorkList, WorkUnit};
 
 /// File with the options of an export, in its folder.
 const OPTIONS: &str = "export.json";
@@ -37,6 +37,10 @@ pub trait ExportProgress: Sync {
     fn frame(&self, shard: &str);
     /// A shard exists; its key frames need no work.
     fn skip(&self, frames: usize);
+    /// Returns whether to stop; unfinished shards are removed.
+    fn is_stopped(&self) -> bool {
+        false
+    }
 }
 
 /// Ignores progress.
@@ -83,7 +87,8 @@ pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
     let work = || {
         loop {
             let number = next.fetch_add(1, Ordering::Relaxed);
-            let Some(log) = run.part.logs.get(number) else { break };
+            let log = run.part.logs.get(number).filter(|_| !run.progress.is_stopped());
+            let Some(log) = log else { break };
             let report = export_log(&run, log);
             reports.lock().unwrap_or_else(PoisonError::into_inner).insert(number, report);
         }
@@ -95,10 +100,13 @@ pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
         work();
     });
     remove_work(run.out);
+    if run.progress.is_stopped() {
+        return Err(ExportError::Stopped);
+    }
     let mut total = ExportReport::default();
     let reports = reports.into_inner().unwrap_or_else(PoisonError::into_inner);
     reports.into_values().for_each(|report| total.add(report));
-    total.complete = write_index(&run)?;
+    total.complete = write_index(run.list, run.out, run.options.layout, Completeness::Files)?;
     Ok(total)
 }
 
@@ -128,20 +136,41 @@ fn claim(out: &Path, options: &ExportOptions) -> Result<(), FileError> {
     }
 }
 
-/// Writes the index if all shards of the list exist, and returns whether they do.
-fn write_index(run: &Export<'_>) -> Result<bool, FileError> {
+/// What makes a shard exist.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Completeness {
+    /// Its record, and its files with their lengths.
+    Files,
+    /// Its record, where the files are somewhere else.
+    Record,
+}
+
+/// Writes `index.json` if all shards of a list exist, and returns whether they do.
+///
+/// # Errors
+/// Fails if the file cannot be written.
+pub fn write_index(
+    list: &WorkList,
+    out: &Path,
+    layout: Layout,
+    completeness: Completeness,
+) -> Result<bool, FileError> {
     let mut entries = Vec::new();
     let mut samples = 0;
-    for unit in run.list.logs.iter().flat_map(|log| &log.units) {
-        let Some(record) = ShardRecord::read(run.out, unit, false)? else { return Ok(false) };
+    for unit in list.logs.iter().flat_map(|log| &log.units) {
+        let record = match completeness {
+            Completeness::Files => ShardRecord::read(out, unit, false)?,
+            Completeness::Record => ShardRecord::parse(out, unit),
+        };
+        let Some(record) = record else { return Ok(false) };
         samples += record.samples;
-        entries.push(run.options.layout.index_entry(&record));
+        entries.push(layout.index_entry(&record));
     }
     let index = json!({
-        "__kind__": "wids-shard-index-v1", "wids_version": 1, "layout": run.options.layout,
+        "__kind__": "wids-shard-index-v1", "wids_version": 1, "layout": layout,
         "nsamples": samples, "shardlist": entries,
     });
-    write_json(&run.out.join(INDEX), &index)?;
+    write_json(&out.join(INDEX), &index)?;
     Ok(true)
 }
 
@@ -261,10 +290,14 @@ fn export_unit(
             Ok((shard, samples))
         };
         let writer = scope.spawn(write);
-        let rendered =
-            render(sampler, renderer, unit, &mut notes, |sample, maps| sender.send((sample, maps)).is_ok());
+        let rendered = render(sampler, renderer, unit, &mut notes, |sample, maps| {
+            sender.send((sample, maps)).is_ok() && !run.progress.is_stopped()
+        });
         drop(sender);
         let written = writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        if run.progress.is_stopped() {
+            return Err(ExportError::Stopped);
+        }
         rendered.and(written)
     });
     let (shard, samples) = written?;

@@ -53,12 +53,7 @@ impl ShardRecord {
     /// # Errors
     /// Fails if a file cannot be read.
     pub(crate) fn read(out: &Path, unit: &WorkUnit, verify: bool) -> Result<Option<Self>, FileError> {
-        let path = record_path(out, &unit.name);
-        let Ok(bytes) = std::fs::read(&path) else { return Ok(None) };
-        let Ok(record) = serde_json::from_slice::<Self>(&bytes) else { return Ok(None) };
-        if record.frames != [unit.frames.start, unit.frames.end] {
-            return Ok(None);
-        }
+        let Some(record) = Self::parse(out, unit) else { return Ok(None) };
         for file in &record.files {
             let path = out.join(&file.path);
             let is_whole = path.metadata().is_ok_and(|data| data.is_file() && data.len() == file.bytes);
@@ -67,6 +62,13 @@ impl ShardRecord {
             }
         }
         Ok(Some(record))
+    }
+
+    /// Returns the record of a shard; `None` if there is none of its frames.
+    pub(crate) fn parse(out: &Path, unit: &WorkUnit) -> Option<Self> {
+        let bytes = std::fs::read(record_path(out, &unit.name)).ok()?;
+        let record: Self = serde_json::from_slice(&bytes).ok()?;
+        (record.frames == [unit.frames.start, unit.frames.end]).then_some(record)
     }
 }
 

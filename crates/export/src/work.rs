@@ -86,10 +86,15 @@ impl WorkList {
     pub fn part(&self, part: Part) -> Self {
         let total = self.len();
         let mut number = 0;
-        let mut is_in = |_: &WorkUnit| {
+        self.only(|_| {
             number += 1;
             (number - 1) * part.count / total == part.index
-        };
+        })
+    }
+
+    /// Returns the units that `is_in` accepts.
+    #[must_use]
+    pub fn only(&self, mut is_in: impl FnMut(&WorkUnit) -> bool) -> Self {
         let piece = |log: &ListedLog| {
             let units: Vec<WorkUnit> = log.units.iter().filter(|unit| is_in(unit)).cloned().collect();
             (!units.is_empty()).then(|| ListedLog { units, ..log.clone() })

@@ -1,16 +1,17 @@
-use std::path::PathBuf;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-use clap::Args;
+use clap::{Args, Parser};
 use point_skeleton::conditions::MapFormat;
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::dataset::{DatasetError, LogLocator};
+use point_skeleton::dataset::LogLocator;
 use point_skeleton::error::with_causes;
 use point_skeleton::files::FileName;
 use pskel_export::{
-    Captions, Export, ExportOptions, ExportProgress, ExportReport, Layout, Part, SampleFormat, WorkList,
-    export,
+    Captions, Completeness, Export, ExportOptions, ExportProgress, ExportReport, Failure, Layout, Part,
+    SampleFormat, WorkList, export, write_index,
 };
 
 use super::log_args::{self, LogRoots};
@@ -86,40 +87,110 @@ pub(super) struct ExportArgs {
     rasterizer: RasterizerArgs,
 }
 
-/// Runs the command: lists the units, and exports those of this process.
-pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
+/// Runs the command: lists the shards, and exports those of this process.
+pub(super) fn run(args: ExportArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    let options = args.options()?;
-    let Listed { list, damaged } = args.listed()?;
-    let part = args.only.map_or_else(|| list.clone(), |part| list.part(part));
-    if args.list {
-        print(&part);
-        return finish(&damaged, &ExportReport::default());
+    let out = args.out.clone();
+    let export = ExportCommand(args);
+    let listed = export.list()?;
+    if export.0.list {
+        print(&listed.part);
+        return finish(&listed.failures);
     }
-    let frames = part.logs.iter().flat_map(|log| &log.units).map(|unit| unit.frames.len()).sum();
-    let progress = ShardProgress(Mutex::new(Progress::new(frames)));
-    let report = export(Export {
-        list: &list,
-        part: &part,
-        out: &args.out,
-        skeletons: &args.skeletons,
-        options: &options,
-        open: &logs::open,
-        rasterizer: &args.rasterizer.desc()?,
-        jobs: args.jobs as usize,
-        verify: args.verify,
-        progress: &progress,
-    })?;
+    let frames = listed.part.logs.iter().flat_map(|log| &log.units).map(|unit| unit.frames.len()).sum();
+    let progress = FrameProgress(Mutex::new(Progress::new(frames)));
+    let report = export.run(&listed, &progress)?;
     drop(progress);
-    let seconds = start.elapsed().as_secs_f64();
-    say(&format!("{} in {seconds:.1} s: {}", summary(&report, damaged.is_empty()), args.out.display()));
-    finish(&damaged, &report)
+    say(&format!("{} in {:.1} s: {}", summary(&report), start.elapsed().as_secs_f64(), out.display()));
+    finish(&report.failures)
 }
 
-/// Units of all logs that can be opened, and the errors of the others.
-struct Listed {
-    list: WorkList,
-    damaged: Vec<(LogLocator, DatasetError)>,
+/// An export by the arguments of `pskel export`.
+pub struct ExportCommand(ExportArgs);
+
+/// Parser of the arguments alone.
+#[derive(Debug, Parser)]
+#[command(name = "export", no_binary_name = true)]
+struct Standalone {
+    #[command(flatten)]
+    args: ExportArgs,
+}
+
+/// Shards of an export.
+#[derive(Clone, Debug)]
+pub struct ListedExport {
+    /// All shards.
+    pub list: WorkList,
+    /// Shards to write: those of `--only`.
+    pub part: WorkList,
+    /// Logs that cannot be opened.
+    pub failures: Vec<Failure>,
+}
+
+impl ExportCommand {
+    /// Parses the arguments of `pskel export`, without the names of program and command.
+    ///
+    /// # Errors
+    /// Fails if an argument is invalid.
+    pub fn parse(args: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
+        Ok(Self(Standalone::try_parse_from(args)?.args))
+    }
+
+    /// Lists the shards.
+    ///
+    /// # Errors
+    /// Fails if a set of logs cannot be read, or if two logs have one name.
+    pub fn list(&self) -> anyhow::Result<ListedExport> {
+        let args = &self.0;
+        let mut locators = Vec::new();
+        for log in &args.logs {
+            locators.extend(logs::expand(&args.roots.locate(log))?);
+        }
+        let (mut known, mut failures) = (Vec::new(), Vec::new());
+        for (locator, outline) in locators.iter().zip(logs::outlines(&locators)) {
+            match outline {
+                Ok(outline) => known.push((locator.clone(), outline)),
+                Err(error) => {
+                    failures.push(Failure { name: locator.to_string(), error: with_causes(&error) });
+                }
+            }
+        }
+        let frames = args.frames.map(FrameRange::of_any);
+        let list = WorkList::new(known, args.shard_frames as usize, frames)?;
+        let part = args.only.map_or_else(|| list.clone(), |part| list.part(part));
+        Ok(ListedExport { list, part, failures })
+    }
+
+    /// Exports the shards of a part. The report includes the logs that could not be listed.
+    ///
+    /// # Errors
+    /// Fails if options contradict each other, if the folder cannot be written, or if `progress` requests a stop.
+    pub fn run(&self, listed: &ListedExport, progress: &dyn ExportProgress) -> anyhow::Result<ExportReport> {
+        let args = &self.0;
+        let mut report = export(Export {
+            list: &listed.list,
+            part: &listed.part,
+            out: &args.out,
+            skeletons: &args.skeletons,
+            options: &args.options()?,
+            open: &logs::open,
+            rasterizer: &args.rasterizer.desc()?,
+            jobs: args.jobs as usize,
+            verify: args.verify,
+            progress,
+        })?;
+        report.complete &= listed.failures.is_empty();
+        report.failures.splice(0..0, listed.failures.iter().cloned());
+        Ok(report)
+    }
+
+    /// Writes the index of an export whose records are in a folder, if all of them are. Returns whether they are.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be written.
+    pub fn write_index(&self, listed: &ListedExport, folder: &Path) -> anyhow::Result<bool> {
+        Ok(write_index(&listed.list, folder, self.0.layout, Completeness::Record)?)
+    }
 }
 
 impl ExportArgs {
@@ -135,7 +206,6 @@ impl ExportArgs {
         };
         self.maps.check()?;
         let maps = self.maps.kinds(true).unwrap_or_default();
-        let read = |path: &PathBuf| PromptParts::read(path);
         Ok(ExportOptions {
             layout: self.layout,
             conditions: self.maps.conditions(maps),
@@ -145,25 +215,9 @@ impl ExportArgs {
             images: self.images,
             between_images: self.between_images,
             color_folder: self.color_folder.to_string(),
-            prompt: self.annotations.as_ref().map(read).transpose()?.unwrap_or_default(),
+            prompt: self.annotations.as_deref().map(PromptParts::read).transpose()?.unwrap_or_default(),
             captions: self.captions.as_deref().map(Captions::read).transpose()?.unwrap_or_default(),
         })
-    }
-
-    fn listed(&self) -> anyhow::Result<Listed> {
-        let mut locators = Vec::new();
-        for log in &self.logs {
-            locators.extend(logs::expand(&self.roots.locate(log))?);
-        }
-        let (mut known, mut damaged) = (Vec::new(), Vec::new());
-        for (locator, outline) in locators.iter().zip(logs::outlines(&locators)) {
-            match outline {
-                Ok(outline) => known.push((locator.clone(), outline)),
-                Err(error) => damaged.push((locator.clone(), error)),
-            }
-        }
-        let frames = self.frames.map(|range| range.of_any());
-        Ok(Listed { list: WorkList::new(known, self.shard_frames as usize, frames)?, damaged })
     }
 }
 
@@ -178,15 +232,12 @@ fn print(list: &WorkList) {
     }
 }
 
-/// Reports damaged logs and failed shards; any of them is a failure of the command.
-fn finish(damaged: &[(LogLocator, DatasetError)], report: &ExportReport) -> anyhow::Result<()> {
-    for (log, error) in damaged {
-        tell(&format!("failed: {log}: {}", with_causes(error)));
-    }
-    for failure in &report.failures {
+/// Reports failed logs and shards; any of them is a failure of the command.
+fn finish(failures: &[Failure]) -> anyhow::Result<()> {
+    for failure in failures {
         tell(&format!("failed: {}: {}", failure.name, failure.error));
     }
-    let count = damaged.len() + report.failures.len();
+    let count = failures.len();
     anyhow::ensure!(
         count == 0,
         "expected every recording and shard to be exported, found {count} that failed"
@@ -194,7 +245,7 @@ fn finish(damaged: &[(LogLocator, DatasetError)], report: &ExportReport) -> anyh
     Ok(())
 }
 
-fn summary(report: &ExportReport, is_whole: bool) -> String {
+fn summary(report: &ExportReport) -> String {
     let ExportReport { written, present, busy, samples, built, notes, failures, complete } = report;
     let mut parts = vec![format!("wrote {written} shards with {samples} samples")];
     let mut add = |count: usize, text: &str| {
@@ -207,9 +258,7 @@ fn summary(report: &ExportReport, is_whole: bool) -> String {
     add(*built, "skeletons built");
     add(failures.len(), "failures");
     if !complete {
-        parts.push("no index yet, since shards are missing".to_owned());
-    } else if !is_whole {
-        parts.push("the index lacks recordings that cannot be opened".to_owned());
+        parts.push("not complete".to_owned());
     }
     let notes: Vec<String> = notes.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
     let notes =
@@ -218,9 +267,9 @@ fn summary(report: &ExportReport, is_whole: bool) -> String {
 }
 
 /// Progress by samples; the time left follows from their rate.
-struct ShardProgress(Mutex<Progress>);
+struct FrameProgress(Mutex<Progress>);
 
-impl ExportProgress for ShardProgress {
+impl ExportProgress for FrameProgress {
     fn frame(&self, shard: &str) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).step(shard);
     }

@@ -47,6 +47,7 @@ use anyhow::Context;
 use clap::{Parser, Subcommand};
 use point_skeleton::error::with_causes;
 
+pub use self::export::{ExportCommand, ListedExport};
 use self::terminal::{say, tell, warn};
 
 /// Converts driving recordings into camera conditions: color, metric depth, class, instance and layout maps.
@@ -87,7 +88,7 @@ impl Command {
             Self::Info(args) => info::run(args),
             Self::Build(args) => build::run(args),
             Self::Render(args) => render::run(*args),
-            Self::Export(args) => export::run(&args),
+            Self::Export(args) => export::run(*args),
             Self::Simulate(args) => simulate::run(*args),
             Self::Splat(args) => splat::run(args),
             Self::Convert(args) => convert::run(args),

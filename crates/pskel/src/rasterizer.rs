@@ -10,8 +10,9 @@ pub(super) struct RasterizerArgs {
     /// needs no driver); all output the same maps
     #[arg(long, default_value_t, value_name = "KIND")]
     pub(super) rasterizer: RasterizerKind,
-    /// Vulkan device by index or by part of its name [default: $PSKEL_DEVICE, else the fastest]
-    #[arg(long, value_name = "NAME|INDEX")]
+    /// Vulkan device: index, UUID (GPU-..), PCI address (0000:65:00.0) or part of the name [default: $PSKEL_DEVICE,
+    /// else the fastest]
+    #[arg(long, value_name = "DEVICE")]
     pub(super) device: Option<String>,
     /// Device memory for points, MiB, 20 bytes per point; with less, positions are streamed from the host (compute
     /// only). At least 64 MiB and 4 bytes per point, or all points if they need less; keys and maps need additional

@@ -14,6 +14,7 @@ mod conditions;
 mod distortion;
 mod evaluate;
 mod examples;
+mod export;
 mod generate;
 mod generated;
 mod golden;
