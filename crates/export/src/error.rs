@@ -3,6 +3,8 @@ use point_skeleton::dataset::DatasetError;
 use point_skeleton::error::FileError;
 use point_skeleton::files::text::printable;
 use point_skeleton::skeleton::BuildError;
+#[cfg(feature = "video")]
+use pskel_sim::report::VideoError;
 
 /// Error of an export.
 #[derive(Debug, thiserror::Error)]
@@ -22,6 +24,10 @@ pub enum ExportError {
     /// Error of encoding maps.
     #[error(transparent)]
     Conditions(#[from] ConditionError),
+    /// Error of encoding a video.
+    #[cfg(feature = "video")]
+    #[error(transparent)]
+    Video(#[from] VideoError),
     /// Two logs have one name; shards are named after logs.
     #[error("expected logs whose names differ as file names, found {name} twice")]
     SameName {

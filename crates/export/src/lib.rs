@@ -21,7 +21,7 @@ mod work;
 pub use captions::Captions;
 pub use error::ExportError;
 pub use layout::Layout;
-pub use options::{ExportOptions, SampleFormat};
+pub use options::{ExportOptions, SampleFormat, SampleTimes};
 pub use report::{ExportReport, Failure};
 pub use run::{Completeness, Export, ExportProgress, OpenLog, export, write_index};
 pub use work::{ListedLog, Part, WorkList, WorkUnit};

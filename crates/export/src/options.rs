@@ -16,6 +16,22 @@ pub enum SampleFormat {
     Safetensors,
 }
 
+/// Times of the samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SampleTimes {
+    /// The key frames.
+    #[default]
+    KeyFrames,
+    /// The key frames, and the images between them at their own times.
+    Images,
+    /// A rate from the first key frame of the log on; ego and actors are interpolated.
+    Rate {
+        /// Samples per second.
+        hz: f64,
+    },
+}
+
 /// Options of an export. Together with the logs they determine its bytes.
 #[derive(Clone, Debug, Serialize)]
 pub struct ExportOptions {
@@ -34,8 +50,8 @@ pub struct ExportOptions {
     pub format: SampleFormat,
     /// Whether recorded images, without lens distortion and at the size of the maps, are exported too.
     pub images: bool,
-    /// Whether the images between key frames are samples too.
-    pub between_images: bool,
+    /// Times of the samples.
+    pub times: SampleTimes,
     /// Folder of the color maps in the layout [`Layout::PasCache`].
     pub color_folder: String,
     /// Parts of the prompt of all logs.

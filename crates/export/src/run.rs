@@ -205,12 +205,23 @@ fn export_units(
     report: &mut ExportReport,
 ) -> Result<(), ExportError> {
     let dataset = (run.open)(&log.locator)?;
-    let skeleton = open_or_build(&run.skeletons.join(&log.name), dataset.as_ref(), report)?;
     let recording = dataset.log();
     let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, recording)));
     let options = run.options;
-    let (substitutes, _) = options.substitutes.make(&skeleton, &recording.name)?;
+    report.note(&recording.notes);
     let maps = options.rendered(map.is_some());
+    let sampler = Sampler::new(recording, map, options.times);
+    let source = Source { listed: log, dataset: dataset.as_ref(), options };
+    if !options.layout.has_maps() {
+        for unit in units {
+            let written = Shard::begin(run.out, &unit.name).map_err(ExportError::from);
+            let written = written.and_then(|shard| annotate(run, &source, shard, unit));
+            record(run, report, unit, written)?;
+        }
+        return Ok(());
+    }
+    let skeleton = open_or_build(&run.skeletons.join(&log.name), dataset.as_ref(), report)?;
+    let (substitutes, _) = options.substitutes.make(&skeleton, &recording.name)?;
     let mut renderer = Renderer::new(
         &skeleton,
         RenderOptions {
@@ -222,23 +233,63 @@ fn export_units(
             distort: false,
         },
     )?;
-    report.note(&recording.notes);
-    let sampler = Sampler::new(recording, map, options.between_images);
-    let source = Source { listed: log, dataset: dataset.as_ref(), options };
     for unit in units {
-        match export_unit(run, &source, &sampler, &mut renderer, unit) {
-            Ok(record) => {
-                report.written += 1;
-                report.samples += record.samples;
-                report.note(&record.notes);
-            }
-            Err(ExportError::File(FileError::Busy { .. })) => report.busy += 1,
-            Err(error) => {
-                report.failures.push(Failure { name: unit.name.clone(), error: with_causes(&error) });
-            }
+        record(run, report, unit, export_unit(run, &source, &sampler, &mut renderer, unit))?;
+    }
+    Ok(())
+}
+
+/// Adds the result of a shard to the report.
+///
+/// # Errors
+/// Fails if the export is to stop.
+fn record(
+    run: &Export<'_>,
+    report: &mut ExportReport,
+    unit: &WorkUnit,
+    written: Result<ShardRecord, ExportError>,
+) -> Result<(), ExportError> {
+    match written {
+        Ok(record) => {
+            report.written += 1;
+            report.samples += record.samples;
+            report.note(&record.notes);
+        }
+        Err(ExportError::File(FileError::Busy { .. })) => report.busy += 1,
+        Err(_) if run.progress.is_stopped() => return Err(ExportError::Stopped),
+        Err(error) => {
+            report.failures.push(Failure { name: unit.name.clone(), error: with_causes(&error) });
         }
     }
     Ok(())
+}
+
+/// Writes a shard without maps.
+fn annotate(
+    run: &Export<'_>,
+    source: &Source<'_>,
+    mut shard: Shard,
+    unit: &WorkUnit,
+) -> Result<ShardRecord, ExportError> {
+    run.options.layout.writer(&shard, source, unit)?.finish(&mut shard)?;
+    run.progress.skip(unit.frames.len());
+    Ok(shard.publish(new_record(source, unit, unit.frames.len(), BTreeMap::new()))?)
+}
+
+fn new_record(
+    source: &Source<'_>,
+    unit: &WorkUnit,
+    samples: usize,
+    notes: BTreeMap<String, usize>,
+) -> ShardRecord {
+    ShardRecord {
+        name: unit.name.clone(),
+        log: source.log().name.clone(),
+        frames: [unit.frames.start, unit.frames.end],
+        samples,
+        notes,
+        files: Vec::new(),
+    }
 }
 
 /// Opens the skeleton of a log, or builds it; waits for another process that builds it.
@@ -277,7 +328,7 @@ fn export_unit(
     let written = std::thread::scope(|scope| {
         let (sender, receiver) = sync_channel::<(Sample<'_>, Maps)>(1);
         let write = move || -> Result<(Shard, usize), ExportError> {
-            let mut writer = run.options.layout.writer(&shard, source)?;
+            let mut writer = run.options.layout.writer(&shard, source, unit)?;
             let mut samples = 0;
             for (sample, maps) in receiver {
                 writer.add(&mut shard, &sample, &maps)?;
@@ -301,14 +352,7 @@ fn export_unit(
         rendered.and(written)
     });
     let (shard, samples) = written?;
-    Ok(shard.publish(ShardRecord {
-        name: unit.name.clone(),
-        log: source.log().name.clone(),
-        frames: [unit.frames.start, unit.frames.end],
-        samples,
-        notes,
-        files: Vec::new(),
-    })?)
+    Ok(shard.publish(new_record(source, unit, samples, notes))?)
 }
 
 /// Renders the samples of a unit, and passes them on until `take` returns `false`.

@@ -5,8 +5,10 @@ use std::sync::Arc;
 
 use point_skeleton::dataset::{EgoTrack, Frame, ImageRecord, Recording};
 use point_skeleton::scene::{
-    EgoOffset, SceneMap, SceneState, name_of_frame, state_of_frame, state_of_images,
+    EgoOffset, SceneCamera, SceneMap, SceneState, name_of_frame, state_at, state_of_frame, state_of_images,
 };
+
+use crate::SampleTimes;
 
 /// An instant of a log to be rendered.
 #[derive(Clone, Debug)]
@@ -26,16 +28,16 @@ pub(crate) struct Sampler<'a> {
     pub(crate) log: &'a Recording,
     ego: EgoTrack,
     map: Option<Arc<SceneMap>>,
-    between: bool,
+    times: SampleTimes,
 }
 
 impl<'a> Sampler<'a> {
-    /// Creates the sampler of a log. `between`: whether images between key frames are samples.
-    pub(crate) fn new(log: &'a Recording, map: Option<Arc<SceneMap>>, between: bool) -> Self {
-        Self { log, ego: EgoTrack::new(log), map, between }
+    /// Creates the sampler of a log.
+    pub(crate) fn new(log: &'a Recording, map: Option<Arc<SceneMap>>, times: SampleTimes) -> Self {
+        Self { log, ego: EgoTrack::new(log), map, times }
     }
 
-    /// Returns the samples of a frame in order of time: groups of images before it, then the frame itself. Counts cameras without
+    /// Returns the samples after the previous frame, up to and including a frame, in order of time. Counts cameras without
     /// an image and groups without an ego pose.
     pub(crate) fn of_frame(&self, index: usize, notes: &mut BTreeMap<String, usize>) -> Vec<Sample<'a>> {
         let Some(frame) = self.log.frames.get(index) else { return Vec::new() };
@@ -45,7 +47,10 @@ impl<'a> Sampler<'a> {
                 *notes.entry(kind.to_owned()).or_default() += count;
             }
         };
-        if self.between {
+        if let SampleTimes::Rate { hz } = self.times {
+            return self.at_rate(index, hz).collect();
+        }
+        if self.times == SampleTimes::Images {
             for (place, group) in (1..).zip(groups(&frame.between_images)) {
                 match self.between(index, place, &group) {
                     Some(sample) => samples.push(sample),
@@ -62,7 +67,7 @@ impl<'a> Sampler<'a> {
 
     fn key(&self, index: usize, frame: &'a Frame) -> Option<Sample<'a>> {
         let state = state_of_frame(self.log, index, EgoOffset::default())?;
-        let image = |camera: &point_skeleton::scene::SceneCamera| {
+        let image = |camera: &SceneCamera| {
             let name = &camera.view.camera.name;
             frame.images.iter().find(|image| self.log.cameras.get(image.channel) == Some(name))
         };
@@ -72,6 +77,36 @@ impl<'a> Sampler<'a> {
             images,
             frame: index,
             is_key: true,
+        })
+    }
+
+    /// Returns the samples at a rate; the last one counts as the frame.
+    fn at_rate(&self, index: usize, hz: f64) -> impl Iterator<Item = Sample<'a>> {
+        let first = self.log.frames.first().map_or(0, |frame| frame.t_us);
+        let end = self.log.frames[index].t_us;
+        let time = move |number: u64| first + (number as f64 * 1e6 / hz).round() as i64;
+        // Times after the previous frame; the estimate is corrected for rounding.
+        let before = index.checked_sub(1).map_or(first - 1, |previous| self.log.frames[previous].t_us);
+        let from = (((before - first).max(0)) as f64 * hz * 1e-6) as u64;
+        let numbers = (from.saturating_sub(1)..).skip_while(move |n| time(*n) <= before);
+        let numbers = numbers.take_while(move |n| time(*n) <= end);
+        numbers.filter_map(move |number| {
+            let state = state_at(self.log, &self.ego, time(number), EgoOffset::default())?;
+            let nearest = |camera: &SceneCamera| {
+                let images = self.log.frames[index.saturating_sub(1)..=index].iter();
+                let images = images.flat_map(|frame| frame.between_images.iter().chain(&frame.images));
+                let name = &camera.view.camera.name;
+                let own = images.filter(|image| self.log.cameras.get(image.channel) == Some(name));
+                own.min_by_key(|image| (image.t_us.abs_diff(state.t_us), image.t_us))
+            };
+            let images = state.cameras.iter().map(nearest).collect();
+            let is_key = time(number + 1) > end;
+            Some(Sample {
+                state: SceneState { map: self.map.clone(), ..state },
+                images,
+                frame: index,
+                is_key,
+            })
         })
     }
 

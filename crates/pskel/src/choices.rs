@@ -30,6 +30,10 @@ pub(crate) const LAYOUT: Choices<Layout> = Choices(&[
     ),
     ("opendwm-preview", Layout::OpendwmPreview, "Packages of OpenDWM's PreviewDataset"),
     ("webdataset", Layout::Webdataset, "Tar shards of WebDataset"),
+    #[cfg(feature = "parquet")]
+    ("world-scenario", Layout::WorldScenario, "Annotations for Cosmos-Transfer2.5 as Parquet files; no maps"),
+    #[cfg(feature = "video")]
+    ("cosmos-video", Layout::CosmosVideo, "Videos for post-training Cosmos-Transfer2.5"),
 ]);
 
 pub(crate) const POINT_FORMAT: Choices<PointFormat> =

@@ -11,12 +11,12 @@ use point_skeleton::error::with_causes;
 use point_skeleton::files::FileName;
 use pskel_export::{
     Captions, Completeness, Export, ExportOptions, ExportProgress, ExportReport, Failure, Layout, Part,
-    SampleFormat, WorkList, export, write_index,
+    SampleFormat, SampleTimes, WorkList, export, write_index,
 };
 
 use super::log_args::{self, LogRoots};
 use super::map_args::MapArgs;
-use super::numbers::FrameRange;
+use super::numbers::{self, FrameRange};
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::substitutes::SubstituteArgs;
@@ -62,8 +62,11 @@ pub(super) struct ExportArgs {
     #[arg(long, value_name = "A..B")]
     frames: Option<FrameRange>,
     /// Also export the images between key frames (nuScenes: 12 Hz)
-    #[arg(long)]
+    #[arg(long, conflicts_with = "hz")]
     between_images: bool,
+    /// Export samples at this rate (0.1 to 100 per second) instead of key frames; ego and actors are interpolated
+    #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
+    hz: Option<f64>,
     /// Also export the recorded images, without lens distortion and at the size of the maps
     #[arg(long)]
     images: bool,
@@ -213,7 +216,11 @@ impl ExportArgs {
             substitutes: self.stand_ins.options(),
             format,
             images: self.images,
-            between_images: self.between_images,
+            times: match self.hz {
+                Some(hz) => SampleTimes::Rate { hz },
+                None if self.between_images => SampleTimes::Images,
+                None => SampleTimes::KeyFrames,
+            },
             color_folder: self.color_folder.to_string(),
             prompt: self.annotations.as_deref().map(PromptParts::read).transpose()?.unwrap_or_default(),
             captions: self.captions.as_deref().map(Captions::read).transpose()?.unwrap_or_default(),

@@ -1,9 +1,15 @@
 //! Layouts: the files that each kind of reader expects. One module each.
 
+#[cfg(feature = "video")]
+mod cosmos_video;
 mod frames;
 mod opendwm_preview;
 mod pas_cache;
+#[cfg(any(feature = "video", feature = "parquet"))]
+mod slots;
 mod webdataset;
+#[cfg(feature = "parquet")]
+mod world_scenario;
 
 use point_skeleton::Maps;
 use point_skeleton::conditions::meta::FrameMeta;
@@ -15,7 +21,7 @@ use serde_json::Value;
 
 use crate::samples::Sample;
 use crate::shard::{Shard, ShardRecord};
-use crate::{ExportError, ExportOptions, ListedLog};
+use crate::{ExportError, ExportOptions, ListedLog, SampleTimes, WorkUnit};
 
 /// Layout of the files of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -29,6 +35,12 @@ pub enum Layout {
     OpendwmPreview,
     /// Tar shards of WebDataset.
     Webdataset,
+    /// Annotations for the world scenario renderer of Cosmos-Transfer2.5, as Parquet files; no maps.
+    #[cfg(feature = "parquet")]
+    WorldScenario,
+    /// Videos for post-training Cosmos-Transfer2.5.
+    #[cfg(feature = "video")]
+    CosmosVideo,
 }
 
 impl Layout {
@@ -39,7 +51,19 @@ impl Layout {
             // Layouts have another size than the rest, and are drawn by the writer.
             Self::PasCache => MapSet::of(&[MapKind::Color, MapKind::Depth]),
             Self::OpendwmPreview => asked.without(MapKind::Tensor),
+            #[cfg(feature = "parquet")]
+            Self::WorldScenario => MapSet::NONE,
+            #[cfg(feature = "video")]
+            Self::CosmosVideo => {
+                let shown = [MapKind::Color, MapKind::Boxes, MapKind::Map];
+                MapSet::of(&shown.into_iter().filter(|kind| asked.contains(*kind)).collect::<Vec<_>>())
+            }
         }
+    }
+
+    /// Returns whether the layout has maps, so that a skeleton is needed.
+    pub(crate) fn has_maps(self) -> bool {
+        self.rendered(MapSet::of(&MapKind::ALL)) != MapSet::NONE
     }
 
     /// Returns a writer of a shard.
@@ -47,12 +71,17 @@ impl Layout {
         self,
         shard: &Shard,
         source: &'a Source<'a>,
+        unit: &'a WorkUnit,
     ) -> Result<Box<dyn LayoutWriter + 'a>, ExportError> {
         Ok(match self {
             Self::Frames => Box::new(frames::Frames::new(source)),
             Self::PasCache => Box::new(pas_cache::PasCache::new(source)),
             Self::OpendwmPreview => Box::new(opendwm_preview::Package::new(source, shard.name())),
             Self::Webdataset => Box::new(webdataset::Tar::begin(shard, source)?),
+            #[cfg(feature = "parquet")]
+            Self::WorldScenario => Box::new(world_scenario::WorldScenario::new(source, unit)),
+            #[cfg(feature = "video")]
+            Self::CosmosVideo => Box::new(cosmos_video::Videos::new(source, shard.name())),
         })
     }
 
@@ -82,9 +111,13 @@ impl Source<'_> {
         self.dataset.log()
     }
 
-    /// Returns the frame rate of the samples, per second: that of the key frames, unless there are others between them.
+    /// Returns the frame rate of the samples, per second; `None` if their times are uneven.
     pub(crate) fn fps(&self) -> Option<f64> {
-        frame_rate_hz(&self.log().frames).filter(|_| !self.options.between_images)
+        match self.options.times {
+            SampleTimes::KeyFrames => frame_rate_hz(&self.log().frames),
+            SampleTimes::Images => None,
+            SampleTimes::Rate { hz } => Some(hz),
+        }
     }
 
     pub(crate) fn meta(&self, maps: &Maps) -> FrameMeta {

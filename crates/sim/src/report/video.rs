@@ -136,17 +136,25 @@ impl Video {
     /// # Errors
     /// Fails if the MP4 data cannot be assembled, or if the file cannot be written.
     pub fn write(self) -> Result<(), VideoError> {
-        // A parameter set begins with a header, and three bytes of profile and level.
-        if self.samples.is_empty() || self.sps.len() < 4 || self.pps.is_empty() {
-            return Ok(());
-        }
         let path = self.path.clone();
-        let bytes =
-            self.container().map_err(|source| VideoError::Container { source, path: path.clone() })?;
+        let Some(bytes) = self.into_bytes()? else { return Ok(()) };
         write_whole(&path, |out| {
             std::io::Write::write_all(out, &bytes).map_err(FileError::io("write", &path))
         })
         .map_err(|error: FileError| error.into())
+    }
+
+    /// Returns the bytes of the file; `None` if there are no frames.
+    ///
+    /// # Errors
+    /// Fails if the MP4 data cannot be assembled.
+    pub fn into_bytes(self) -> Result<Option<Vec<u8>>, VideoError> {
+        // A parameter set begins with a header, and three bytes of profile and level.
+        if self.samples.is_empty() || self.sps.len() < 4 || self.pps.is_empty() {
+            return Ok(None);
+        }
+        let path = self.path.clone();
+        self.container().map(Some).map_err(|source| VideoError::Container { source, path })
     }
 
     /// Returns the bytes of the file, assembled in memory because sizes are known last.

@@ -1,0 +1,52 @@
+//! `world-scenario`: annotations of a clip for the world scenario renderer of Cosmos-Transfer2.5, and for `clipgt/` of AlpaSim: a
+//! folder per shard with `CLIP.KIND.parquet` for obstacle, calibration_estimate, egomotion_estimate, and, with an HD map, lane_line,
+//! road_boundary, crosswalk and wait_line.
+//!
+//! The origin of coordinates is the ego's pose at the first frame of the clip. Schemas are those of NVIDIA's page *World Scenario
+//! Parquet File Structure*.
+
+mod parquet;
+mod rig;
+mod tables;
+
+use std::path::Path;
+
+use point_skeleton::Maps;
+use point_skeleton::error::FileError;
+
+use self::parquet::encode;
+use self::tables::{Clip, Table};
+use super::{LayoutWriter, Source};
+use crate::samples::Sample;
+use crate::shard::Shard;
+use crate::{ExportError, WorkUnit};
+
+pub(super) struct WorldScenario<'a> {
+    source: &'a Source<'a>,
+    unit: &'a WorkUnit,
+}
+
+impl<'a> WorldScenario<'a> {
+    pub(super) fn new(source: &'a Source<'a>, unit: &'a WorkUnit) -> Self {
+        Self { source, unit }
+    }
+}
+
+impl LayoutWriter for WorldScenario<'_> {
+    fn add(&mut self, _: &mut Shard, _: &Sample<'_>, _: &Maps) -> Result<(), ExportError> {
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>, shard: &mut Shard) -> Result<(), ExportError> {
+        let name = shard.name().to_owned();
+        let map = self.source.dataset.read_map()?;
+        let clip = Clip::new(self.source.log(), self.unit.frames.clone(), &name);
+        for Table { kind, schema, columns } in clip.tables(map.as_ref()) {
+            let path = format!("{name}/{name}.{kind}.parquet");
+            let bytes = encode(&schema, &columns)
+                .map_err(|error| FileError::io("write", Path::new(&path))(std::io::Error::other(error)))?;
+            shard.put(path, &bytes)?;
+        }
+        Ok(())
+    }
+}
