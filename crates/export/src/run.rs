@@ -214,7 +214,7 @@ fn export_units(
     let source = Source { listed: log, dataset: dataset.as_ref(), options };
     if !options.layout.has_maps() {
         for unit in units {
-            let written = Shard::begin(run.out, &unit.name).map_err(ExportError::from);
+            let written = Shard::begin(run.out, unit).map_err(ExportError::from);
             let written = written.and_then(|shard| annotate(run, &source, shard, unit));
             record(run, report, unit, written)?;
         }
@@ -271,7 +271,7 @@ fn annotate(
     mut shard: Shard,
     unit: &WorkUnit,
 ) -> Result<ShardRecord, ExportError> {
-    run.options.layout.writer(&shard, source, unit)?.finish(&mut shard)?;
+    run.options.layout.writer(&shard, source)?.finish(&mut shard)?;
     run.progress.skip(unit.frames.len());
     Ok(shard.publish(new_record(source, unit, unit.frames.len(), BTreeMap::new()))?)
 }
@@ -319,7 +319,7 @@ fn export_unit(
     renderer: &mut Renderer<'_>,
     unit: &WorkUnit,
 ) -> Result<ShardRecord, ExportError> {
-    let mut shard = Shard::begin(run.out, &unit.name)?;
+    let mut shard = Shard::begin(run.out, unit)?;
     // Another process may have written the shard meanwhile.
     if let Some(record) = ShardRecord::read(run.out, unit, run.verify)? {
         return Ok(record);
@@ -328,7 +328,7 @@ fn export_unit(
     let written = std::thread::scope(|scope| {
         let (sender, receiver) = sync_channel::<(Sample<'_>, Maps)>(1);
         let write = move || -> Result<(Shard, usize), ExportError> {
-            let mut writer = run.options.layout.writer(&shard, source, unit)?;
+            let mut writer = run.options.layout.writer(&shard, source)?;
             let mut samples = 0;
             for (sample, maps) in receiver {
                 writer.add(&mut shard, &sample, &maps)?;

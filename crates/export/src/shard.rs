@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Read, Write};
+#[cfg(feature = "parquet")]
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use point_skeleton::error::FileError;
@@ -80,7 +82,7 @@ fn record_path(out: &Path, name: &str) -> PathBuf {
 pub(crate) struct Shard {
     work: WorkFolder,
     out: PathBuf,
-    name: String,
+    unit: WorkUnit,
     files: Vec<ShardFile>,
 }
 
@@ -89,15 +91,21 @@ impl Shard {
     ///
     /// # Errors
     /// Fails with [`FileError::Busy`] if another process writes it, or on an I/O error.
-    pub(crate) fn begin(out: &Path, name: &str) -> Result<Self, FileError> {
-        let work = WorkFolder::open(out.join(WORK).join(name), &record_path(out, name))?;
+    pub(crate) fn begin(out: &Path, unit: &WorkUnit) -> Result<Self, FileError> {
+        let work = WorkFolder::open(out.join(WORK).join(&unit.name), &record_path(out, &unit.name))?;
         work.clear(|_| false)?;
-        Ok(Self { work, out: out.to_owned(), name: name.to_owned(), files: Vec::new() })
+        Ok(Self { work, out: out.to_owned(), unit: unit.clone(), files: Vec::new() })
     }
 
     /// Returns the name of the shard.
     pub(crate) fn name(&self) -> &str {
-        &self.name
+        &self.unit.name
+    }
+
+    /// Returns the key frames of the shard.
+    #[cfg(feature = "parquet")]
+    pub(crate) fn frames(&self) -> Range<usize> {
+        self.unit.frames.clone()
     }
 
     /// Begins a file at a path in the export.
@@ -152,7 +160,7 @@ impl Shard {
                 .map_err(FileError::io("rename to", &path))?;
         }
         let record = ShardRecord { files: std::mem::take(&mut self.files), ..record };
-        let path = record_path(&self.out, &self.name);
+        let path = record_path(&self.out, &self.unit.name);
         let folder = self.out.join(RECORDS);
         std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
         write_json(&path, &record)?;
@@ -222,9 +230,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path();
         let find = |verify| ShardRecord::read(out, &unit(), verify).unwrap();
-        let mut shard = Shard::begin(out, "a-000000").unwrap();
+        let mut shard = Shard::begin(out, &unit()).unwrap();
         shard.put("images/1.png", b"abc").unwrap();
-        assert!(matches!(Shard::begin(out, "a-000000"), Err(FileError::Busy { .. })));
+        assert!(matches!(Shard::begin(out, &unit()), Err(FileError::Busy { .. })));
         assert!(!out.join("images").exists() && find(false).is_none());
         let written = shard.publish(record()).unwrap();
         // SHA-256 of "abc", from FIPS 180-2.
@@ -249,7 +257,7 @@ mod tests {
     #[test]
     fn an_unfinished_shard_leaves_nothing() {
         let folder = tempfile::tempdir().unwrap();
-        let mut shard = Shard::begin(folder.path(), "a-000000").unwrap();
+        let mut shard = Shard::begin(folder.path(), &unit()).unwrap();
         shard.put("a/b.json", b"{}").unwrap();
         drop(shard);
         remove_work(folder.path());

@@ -21,7 +21,7 @@ use serde_json::Value;
 
 use crate::samples::Sample;
 use crate::shard::{Shard, ShardRecord};
-use crate::{ExportError, ExportOptions, ListedLog, SampleTimes, WorkUnit};
+use crate::{ExportError, ExportOptions, ListedLog, SampleTimes};
 
 /// Layout of the files of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -71,7 +71,6 @@ impl Layout {
         self,
         shard: &Shard,
         source: &'a Source<'a>,
-        unit: &'a WorkUnit,
     ) -> Result<Box<dyn LayoutWriter + 'a>, ExportError> {
         Ok(match self {
             Self::Frames => Box::new(frames::Frames::new(source)),
@@ -79,7 +78,7 @@ impl Layout {
             Self::OpendwmPreview => Box::new(opendwm_preview::Package::new(source, shard.name())),
             Self::Webdataset => Box::new(webdataset::Tar::begin(shard, source)?),
             #[cfg(feature = "parquet")]
-            Self::WorldScenario => Box::new(world_scenario::WorldScenario::new(source, unit)),
+            Self::WorldScenario => Box::new(world_scenario::WorldScenario::new(source)),
             #[cfg(feature = "video")]
             Self::CosmosVideo => Box::new(cosmos_video::Videos::new(source, shard.name())),
         })

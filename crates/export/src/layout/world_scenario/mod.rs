@@ -17,18 +17,17 @@ use point_skeleton::error::FileError;
 use self::parquet::encode;
 use self::tables::{Clip, Table};
 use super::{LayoutWriter, Source};
+use crate::ExportError;
 use crate::samples::Sample;
 use crate::shard::Shard;
-use crate::{ExportError, WorkUnit};
 
 pub(super) struct WorldScenario<'a> {
     source: &'a Source<'a>,
-    unit: &'a WorkUnit,
 }
 
 impl<'a> WorldScenario<'a> {
-    pub(super) fn new(source: &'a Source<'a>, unit: &'a WorkUnit) -> Self {
-        Self { source, unit }
+    pub(super) fn new(source: &'a Source<'a>) -> Self {
+        Self { source }
     }
 }
 
@@ -40,7 +39,7 @@ impl LayoutWriter for WorldScenario<'_> {
     fn finish(self: Box<Self>, shard: &mut Shard) -> Result<(), ExportError> {
         let name = shard.name().to_owned();
         let map = self.source.dataset.read_map()?;
-        let clip = Clip::new(self.source.log(), self.unit.frames.clone(), &name);
+        let clip = Clip::new(self.source.log(), shard.frames(), &name);
         for Table { kind, schema, columns } in clip.tables(map.as_ref()) {
             let path = format!("{name}/{name}.{kind}.parquet");
             let bytes = encode(&schema, &columns)
