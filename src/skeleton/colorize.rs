@@ -44,6 +44,25 @@ pub(crate) struct ColorSample {
     pub weight: f32,
 }
 
+impl ColorSample {
+    /// Value of unused samples.
+    pub(crate) const NONE: Self = Self { rgb: [0; 3], weight: 0.0 };
+}
+
+/// Corners of the axis-aligned box around points, meters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Corners([DVec3; 8]);
+
+impl Corners {
+    /// Returns the corners for some points.
+    pub(crate) fn of(points: impl Iterator<Item = DVec3> + Clone) -> Self {
+        let min = points.clone().fold(DVec3::INFINITY, DVec3::min);
+        let max = points.fold(DVec3::NEG_INFINITY, DVec3::max);
+        let side = |corner: usize, axis: usize| if corner >> axis & 1 == 0 { min[axis] } else { max[axis] };
+        Self(std::array::from_fn(|corner| DVec3::new(side(corner, 0), side(corner, 1), side(corner, 2))))
+    }
+}
+
 /// Depths (meters) and radii of the splats in the default schedule, for an image of [`SPLAT_WIDTH`] pixels.
 const SPLATS: [(f64, f64); 2] = [(15.0, 2.0), (35.0, 1.0)];
 const SPLAT_WIDTH: f64 = 1600.0;
@@ -119,6 +138,25 @@ impl Projector {
         Self { from_local: camera * view.camera_from_world * *global_from_local, lens, size }
     }
 
+    /// Returns whether [`Projector::pixel`] is `None` for all points within bounds; `false` if that is not certain.
+    pub(crate) fn misses(&self, bounds: &Corners) -> bool {
+        // Above rounding errors: 1e-5 at coordinates of 1e7 m and focal lengths of 1e4 pixels.
+        const MARGIN: f64 = 1e-3;
+        let corners = bounds.0.map(|corner| self.from_local.transform_point3(corner));
+        // Each distance is linear in the point, so it is negative within the bounds if it is so at all corners.
+        let beyond = |distance: &dyn Fn(DVec3) -> f64| corners.iter().all(|q| distance(*q) < -MARGIN);
+        if beyond(&|q| q.z - NEAREST_M) {
+            return true;
+        }
+        // With a lens, these are not pixels. Of points in front of the camera, a distance has the sign of the pixel's.
+        let DVec2 { x: width, y: height } = self.size;
+        self.lens.is_none()
+            && (beyond(&|q| q.x)
+                || beyond(&|q| q.y)
+                || beyond(&|q| width * q.z - q.x)
+                || beyond(&|q| height * q.z - q.y))
+    }
+
     /// Returns pixel coordinates and camera depth in meters; `None` behind the camera and outside the image. Lens
     /// distortion is applied, so the pixel is that of the recorded image.
     pub fn pixel(&self, local: DVec3) -> Option<(DVec2, f64)> {
@@ -172,6 +210,29 @@ mod tests {
         assert!((f64::from(look.rgb[0]) - seen.x / 10.0).abs() < 1.0, "{look:?} {seen}");
         // Beyond the range where its distortion is monotonic, the lens yields no pixel, thus no ghost image.
         assert_eq!(project[0].pixel(DVec3::new(40.0, 0.0, 5.0)), None);
+    }
+
+    /// Boxes that are missed have no point with a pixel; most boxes without such points are missed.
+    #[test]
+    fn missed_bounds_have_no_pixels() {
+        let rows = [[700.0, 0.0, 800.0], [0.0, 705.0, 450.0], [0.0, 0.0, 1.0]];
+        let camera = Camera::new("c", 1600, 900, rows).unwrap();
+        let view = View { camera, camera_from_world: DAffine3::from_rotation_y(0.3) };
+        let project = Projector::new(&view, &DAffine3::IDENTITY);
+        let at = |i: i64, axis: i64| crate::hash::between(7, &[i, axis], -20.0, 20.0);
+        let (mut missed, mut empty) = (0, 0);
+        for i in 0..4000_i64 {
+            let low = DVec3::new(at(i, 0), at(i, 1), at(i, 2));
+            let size = DVec3::splat(0.2 + (i % 9) as f64);
+            let point = |n: i64| low + size * DVec3::new(at(n, 3), at(n, 4), at(n, 5)).abs() / 20.0;
+            let points: Vec<DVec3> = (0..50).map(|n| point(n * 4000 + i)).chain([low, low + size]).collect();
+            let misses = project.misses(&Corners::of(points.iter().copied()));
+            let is_empty = points.iter().all(|p| project.pixel(*p).is_none());
+            assert!(is_empty || !misses);
+            missed += usize::from(misses);
+            empty += usize::from(is_empty);
+        }
+        assert!(missed * 10 > empty * 9 && empty > 1000, "{missed} of {empty}");
     }
 
     #[test]

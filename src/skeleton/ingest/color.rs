@@ -1,12 +1,13 @@
 use glam::DAffine3;
 use rayon::prelude::*;
 
-use crate::skeleton::colorize::agreed_color;
+use crate::cloud::{Bounds, Point, morton_order};
+use crate::skeleton::colorize::{ColorSample, Corners, agreed_color};
 use crate::skeleton::sweep::SweepCloud;
 use crate::skeleton::{Candidate, ColorView, Coloring, Projector};
 
 /// Number of points per job.
-const JOB: usize = 16_384;
+const JOB: usize = 1024;
 
 /// Colors the points of a sweep taken at `t_us`. `place` returns the pose of a part of it at a time.
 pub(super) fn sweep(
@@ -29,19 +30,45 @@ pub(super) fn sweep(
                 Some((*view, project, (view.t_us - t_us) as f64 * 1e-6))
             })
             .collect();
-        points.par_chunks_mut(JOB).for_each(|job| color(job, &placed));
+        color_part(points, &placed);
     }
 }
 
-/// Colors points from views, each with its projection and its time relative to the points' sweep, seconds.
+/// Colors the points of a part in an order in which neighbors are close in space, and thus in every image.
+fn color_part(points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) {
+    let Some(first) = points.first().map(|point| point.position) else { return };
+    let local = |point: &Candidate| Point::new((point.position - first).as_vec3().to_array(), [0; 3], 0);
+    let locals: Vec<Point> = points.iter().map(local).collect();
+    let order = Bounds::of(&locals).and_then(|bounds| morton_order(&locals, &bounds));
+    let Some(order) = order else {
+        points.par_chunks_mut(JOB).for_each(|job| color(job, views));
+        return;
+    };
+    let mut sorted: Vec<Candidate> = order.iter().map(|i| points[*i as usize]).collect();
+    sorted.par_chunks_mut(JOB).for_each(|job| color(job, views));
+    for (i, point) in order.iter().zip(sorted) {
+        points[*i as usize].rgb = point.rgb;
+    }
+}
+
+/// Colors points from views, each with its projection and its time relative to the points' sweep, seconds. All points are
+/// looked at in one image before the next, of which they need a small piece.
 fn color(points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) {
-    let mut looks = Vec::with_capacity(views.len());
-    for point in points {
-        looks.clear();
-        looks.extend(
-            views.iter().filter_map(|(view, project, dt_s)| view.look(project, point.position, *dt_s)),
-        );
-        point.rgb = agreed_color(&looks);
+    let bounds = Corners::of(points.iter().map(|point| point.position));
+    let near: Vec<_> = views.iter().filter(|(_, project, _)| !project.misses(&bounds)).collect();
+    let mut looks = vec![ColorSample::NONE; points.len() * near.len()];
+    let mut counts = vec![0_usize; points.len()];
+    for (view, project, dt_s) in &near {
+        let rows = looks.chunks_exact_mut(near.len().max(1)).zip(&mut counts);
+        for (point, (row, count)) in points.iter().zip(rows) {
+            if let Some(look) = view.look(project, point.position, *dt_s) {
+                row[*count] = look;
+                *count += 1;
+            }
+        }
+    }
+    for (i, (point, count)) in points.iter_mut().zip(&counts).enumerate() {
+        point.rgb = agreed_color(&looks[i * near.len()..][..*count]);
     }
 }
 
