@@ -58,22 +58,22 @@ def matrix(rotation: Any, translation: Any) -> npt.NDArray[np.float64]:
 def test_mcap_opens_in_the_reader(tmp_path: Path, renderer: pskel.Renderer, log: pskel.Log) -> None:
     pytest.importorskip("mcap")
     image: Any = pytest.importorskip("PIL.Image")
-    report = pskel.export(
-        TOWN, tmp_path / "out", layout="mcap", skeletons=tmp_path / "skeletons", images=True, maps=MAPS, out_size=(56, 100)
-    )
-    assert report["failures"] == [] and (report["written"], report["samples"]) == (1, len(log))
+    scenes = [log[index] for index in range(len(log))]
+    options: dict[str, Any] = {"images": True, "maps": MAPS, "out_size": (56, 100)}
+    report = pskel.export(TOWN, tmp_path / "out", layout="mcap", skeletons=tmp_path / "skeletons", **options)
+    assert report["failures"] == [] and (report["written"], report["samples"]) == (1, len(scenes))
     topics, metadata = read(next((tmp_path / "out").glob("*.mcap")))
-    cameras = log[0].cameras
+    cameras = scenes[0].cameras
     kinds = [*MAPS, "image", "calibration"]
     of_cameras = {f"/camera/{camera}/{kind}" for camera in cameras for kind in kinds}
     assert set(topics) == of_cameras | {"/tf", "/actors", "/log"}
-    times = [1000 * scene.t_us for scene in log]
+    times = [1000 * scene.t_us for scene in scenes]
     for topic, messages in topics.items():
         assert [time for time, _ in messages] == (times[:1] if topic == "/log" else times), topic
     global_from_map = np.eye(4)
     global_from_map[:3, 3] = json.loads(metadata["map_origin"])
-    np.testing.assert_allclose(global_from_map[:3, 3], log[0].ego[:3, 3])
-    for index, scene in enumerate(log):
+    np.testing.assert_allclose(global_from_map[:3, 3], scenes[0].ego[:3, 3])
+    for index, scene in enumerate(scenes):
         maps = renderer.render(scene)
         transforms = topics["/tf"][index][1].transforms
         poses = {t.child_frame_id: (t.parent_frame_id, matrix(t.rotation, t.translation)) for t in transforms}

@@ -1,4 +1,5 @@
 //! The layout `mcap`, read back with the crate's reader and compared with the layout `frames`.
+#![allow(clippy::unwrap_used)] // helpers outside `#[test]`
 
 use std::collections::BTreeMap;
 use std::path::Path;
