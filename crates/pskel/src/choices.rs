@@ -30,6 +30,8 @@ pub(crate) const LAYOUT: Choices<Layout> = Choices(&[
     ),
     ("opendwm-preview", Layout::OpendwmPreview, "Packages of OpenDWM's PreviewDataset"),
     ("webdataset", Layout::Webdataset, "Tar shards of WebDataset"),
+    #[cfg(feature = "mcap")]
+    ("mcap", Layout::Mcap, "An MCAP log with Foxglove schemas per shard"),
     #[cfg(feature = "parquet")]
     ("world-scenario", Layout::WorldScenario, "Annotations for Cosmos-Transfer2.5 as Parquet files; no maps"),
     #[cfg(feature = "video")]

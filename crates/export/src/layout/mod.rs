@@ -3,6 +3,8 @@
 #[cfg(feature = "video")]
 mod cosmos_video;
 mod frames;
+#[cfg(feature = "mcap")]
+mod mcap;
 mod opendwm_preview;
 mod pas_cache;
 #[cfg(any(feature = "video", feature = "parquet"))]
@@ -35,6 +37,9 @@ pub enum Layout {
     OpendwmPreview,
     /// Tar shards of WebDataset.
     Webdataset,
+    /// MCAP files with the schemas of Foxglove.
+    #[cfg(feature = "mcap")]
+    Mcap,
     /// Annotations for the world scenario renderer of Cosmos-Transfer2.5, as Parquet files; no maps.
     #[cfg(feature = "parquet")]
     WorldScenario,
@@ -51,6 +56,8 @@ impl Layout {
             // Layouts have another size than the rest, and are drawn by the writer.
             Self::PasCache => MapSet::of(&[MapKind::Color, MapKind::Depth]),
             Self::OpendwmPreview => asked.without(MapKind::Tensor),
+            #[cfg(feature = "mcap")]
+            Self::Mcap => asked.without(MapKind::Tensor),
             #[cfg(feature = "parquet")]
             Self::WorldScenario => MapSet::NONE,
             #[cfg(feature = "video")]
@@ -77,6 +84,8 @@ impl Layout {
             Self::PasCache => Box::new(pas_cache::PasCache::new(source)),
             Self::OpendwmPreview => Box::new(opendwm_preview::Package::new(source, shard.name())),
             Self::Webdataset => Box::new(webdataset::Tar::begin(shard, source)?),
+            #[cfg(feature = "mcap")]
+            Self::Mcap => Box::new(mcap::Mcap::begin(shard, source)?),
             #[cfg(feature = "parquet")]
             Self::WorldScenario => Box::new(world_scenario::WorldScenario::new(source)),
             #[cfg(feature = "video")]
