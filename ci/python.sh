@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds the Python package with the dev profile, installs it into a new virtual environment, and runs its tests
 # under Vulkan's validation layer.
-# PSKEL_PYTHON_EXTRAS=torch also installs PyTorch (several GB); without it, the tests that need it are skipped.
+# PSKEL_PYTHON_EXTRAS="torch ray" also installs PyTorch (several GB) and Ray; the tests that need them are skipped without.
 # Exits with 77 if the Python packages of the tests cannot be downloaded.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -10,10 +10,11 @@ scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 python3 -m venv "$scratch/env"
 pip=("$scratch/env/bin/pip" install --quiet --disable-pip-version-check)
-"${pip[@]}" 'maturin>=1.16,<2' numpy pytest mypy 'gymnasium>=1.4' matplotlib tqdm || exit 77
+"${pip[@]}" 'maturin>=1.16,<2' numpy pytest mypy 'gymnasium>=1.4' matplotlib tqdm \
+    webdataset pyarrow safetensors mcap mcap-protobuf-support || exit 77
 TOOLS="$scratch/env" PROFILE=dev ci/wheel.sh "$scratch/wheel"
 "${pip[@]}" --no-index "$scratch"/wheel/pskel-*.whl
-[ -z "${PSKEL_PYTHON_EXTRAS:-}" ] || "${pip[@]}" "$PSKEL_PYTHON_EXTRAS"
+[ -z "${PSKEL_PYTHON_EXTRAS:-}" ] || "${pip[@]}" $PSKEL_PYTHON_EXTRAS
 export PSKEL_VALIDATION=1
 # Not in the folder of the sources, which would hide the installed package.
 cd "$scratch"

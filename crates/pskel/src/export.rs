@@ -207,6 +207,10 @@ impl ExportArgs {
                 return Err(WrongUsage(expected.to_owned()).into());
             }
         };
+        if self.layout == Layout::PasCache && self.hz.is_some() {
+            let expected = "expected no --hz with --layout pas-cache, whose files are named after images";
+            return Err(WrongUsage(format!("{expected}, found one")).into());
+        }
         self.maps.check()?;
         let maps = self.maps.kinds(true).unwrap_or_default();
         Ok(ExportOptions {
