@@ -8,6 +8,7 @@ system that fsspec opens.
 from __future__ import annotations
 
 import json
+import logging
 import re
 import subprocess
 import sys
@@ -87,7 +88,7 @@ def export(
     """
     logs = [logs] if isinstance(logs, str) else list(logs)
     given = arguments({"layout": layout, **options})
-    return _export(logs, given, fspath(out), skeletons and fspath(skeletons), workers, num_cpus, num_gpus, retries, progress)
+    return _export(logs, given, fspath(out), None if skeletons is None else fspath(skeletons), workers, num_cpus, num_gpus, retries, progress)
 
 
 def _export(
@@ -102,7 +103,7 @@ def _export(
     progress: bool,
 ) -> ExportReport:
     if not ray.is_initialized():
-        ray.init(logging_level="warning")
+        ray.init(logging_level=logging.WARNING)
     total: ExportReport = {
         "written": 0, "present": 0, "busy": 0, "samples": 0, "built": 0, "notes": {}, "failures": [], "complete": False,
     }  # fmt: skip
@@ -122,7 +123,8 @@ def _export(
             else:
                 work.setdefault(_original(log, copies), []).append(shard)
         task = ray.remote(_export_log).options(max_retries=retries, num_cpus=num_cpus, num_gpus=num_gpus)
-        limit = workers or max(1, int(ray.cluster_resources().get("CPU", 1) / max(num_cpus, 1e-3)))
+        cpus: float = ray.cluster_resources().get("CPU", 1)  # type: ignore[no-untyped-call]
+        limit = workers or max(1, int(cpus / max(num_cpus, 1e-3)))
         _run(task, work, limit, progress, lambda log, shards: (given, log, shards, out, skeletons), total)
         if _remote.is_remote(out):
             _records(out, folder)
@@ -201,7 +203,9 @@ def main(argv: list[str]) -> int:
     if not argv or argv[0] != "export":
         print(usage, file=sys.stderr)
         return 2
-    logs, given, own = [], [], {"out": "", "skeletons": "", "workers": "", "num-cpus": "1", "num-gpus": "0", "retries": "5"}
+    logs: list[str] = []
+    given: list[str] = []
+    own = {"out": "", "skeletons": "", "workers": "", "num-cpus": "1", "num-gpus": "0", "retries": "5"}
     rest = iter(argv[1:])
     for arg in rest:
         name, equals, value = arg.removeprefix("--").partition("=")

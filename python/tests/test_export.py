@@ -47,7 +47,7 @@ def test_shards_are_what_webdataset_reads(tmp_path: Path, skeletons: Path, rende
     dataset = webdataset.WebDataset([str(tmp_path / url) for url in urls], shardshuffle=False).decode("rgb8")
     samples = list(dataset)
     assert len(samples) == len(log)
-    for sample, scene in zip(samples, log, strict=True):
+    for sample, scene in zip(samples, (log[i] for i in range(len(log))), strict=True):
         maps = renderer.render(scene)
         for camera, info in enumerate(sample["json"]["cameras"]):
             color = sample[f"color.{info['name'].lower()}.png"]
@@ -67,7 +67,7 @@ def test_safetensors_in_shards_equal_rendered_maps(
         files = [tar.extractfile(name) for name in names]
         arrays = [safetensors.load(file.read()) for file in files if file is not None]
     assert len(arrays) == len(log)
-    for found, scene in zip(arrays, log, strict=True):
+    for found, scene in zip(arrays, (log[i] for i in range(len(log))), strict=True):
         maps: dict[str, Any] = dict(renderer.render(scene))
         maps["depth"] = np.where(np.isinf(maps["depth"]), -300, maps["depth"])
         for name in ["color", "depth", "class", "instance", "boxes", "map"]:
@@ -91,7 +91,7 @@ def test_packages_load_in_opendwm(tmp_path: Path, skeletons: Path, log: pskel.Lo
     preview = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(preview)
     scene = log[1]
-    channels = [camera.name for camera in scene.cameras]
+    channels = list(scene.cameras)
     package = next(tmp_path.glob("*/data.json"))
     dataset = preview.PreviewDataset(str(package), 2, [(0, 1)], channels, enable_camera_transforms=True)
     assert len(dataset) == 3
@@ -143,7 +143,7 @@ def test_parquet_files_have_the_documented_schema(tmp_path: Path, skeletons: Pat
                 assert _plain(pa, inner.field(index).type) == _plain(pa, wanted), f"{kind}.{part}.{name}"
     assert set(expected) >= set(tables) >= {"obstacle", "calibration_estimate", "egomotion_estimate", "road_boundary"}
     boxes = tables["obstacle"].to_pylist()
-    assert len(boxes) == sum(len(scene.actors) for scene in log)
+    assert len(boxes) == sum(len(log[i].actors) for i in range(len(log)))
     first = log[0]
     actor = first.actors[0]
     center = np.linalg.inv(first.ego) @ actor.global_from_box[:, 3]

@@ -1,6 +1,7 @@
 """Exports on a Ray cluster of one machine."""
 
 import json
+import logging
 import os
 import random
 import signal
@@ -24,7 +25,7 @@ OPTIONS: dict[str, Any] = {"layout": "webdataset", "shard_frames": 1, "rasterize
 
 @pytest.fixture(scope="module", autouse=True)
 def cluster() -> Iterator[None]:
-    ray.init(num_cpus=2, include_dashboard=False, logging_level="error", log_to_driver=False)
+    ray.init(num_cpus=2, include_dashboard=False, logging_level=logging.ERROR, log_to_driver=False)
     yield
     ray.shutdown()
 
@@ -50,7 +51,7 @@ def worker_pids() -> list[int]:
 
 
 def test_killed_workers_cost_nothing(tmp_path: Path, whole: Path) -> None:
-    kills = []
+    kills: list[list[int]] = []
     done = threading.Event()
 
     def kill() -> None:
