@@ -26,9 +26,11 @@ pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
 pub use locator::{LogFormat, LogLocator};
 pub use map::{Area, Lane, VectorMap};
-pub use open::{LogOutline, expand, open, outlines};
+pub use open::{expand, open, outlines};
 pub use picture::{picture_size, read_picture};
-pub use recording::{Frame, ImageRecord, Recording, RigCamera, SweepRecord, Track, TrackBox, TrafficLight};
+pub use recording::{
+    Frame, ImageRecord, LogOutline, Recording, RigCamera, SweepRecord, Track, TrackBox, TrafficLight,
+};
 pub use summary::{BoxCounts, CameraSummary, EgoPath, LogSummary, MapCounts};
 
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-use super::{Dataset, DatasetError, LogFormat, LogLocator, Recording};
+use super::{Dataset, DatasetError, LogFormat, LogLocator, LogOutline};
 
 /// Opens the recorded log that a locator names.
 ///
@@ -32,15 +32,6 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     }
 }
 
-/// Name and length of a log.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LogOutline {
-    /// Name, as in [`Recording`](super::Recording).
-    pub name: String,
-    /// Number of frames.
-    pub frames: usize,
-}
-
 /// Returns the outlines of recorded logs, in order. Scenes of nuScenes are read from two tables; logs of other formats are
 /// opened.
 pub fn outlines(locators: &[LogLocator]) -> Vec<Result<LogOutline, DatasetError>> {
@@ -58,13 +49,6 @@ pub fn outlines(locators: &[LogLocator]) -> Vec<Result<LogOutline, DatasetError>
         Ok(LogOutline::of(open(locator)?.log()))
     };
     locators.iter().map(outline).collect()
-}
-
-impl LogOutline {
-    /// Returns the outline of an open log.
-    pub fn of(log: &Recording) -> Self {
-        Self { name: log.name.clone(), frames: log.frames.len() }
-    }
 }
 
 fn unsupported(format: LogFormat) -> DatasetError {

@@ -32,6 +32,22 @@ pub struct Recording {
     pub notes: BTreeMap<String, usize>,
 }
 
+/// Name and length of a log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LogOutline {
+    /// Name, as in [`Recording`](super::Recording).
+    pub name: String,
+    /// Number of frames.
+    pub frames: usize,
+}
+
+impl LogOutline {
+    /// Returns the outline of an open log.
+    pub fn of(log: &Recording) -> Self {
+        Self { name: log.name.clone(), frames: log.frames.len() }
+    }
+}
+
 /// State of the traffic light of a lane connector at a frame.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TrafficLight {

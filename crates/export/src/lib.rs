@@ -20,8 +20,7 @@ mod work;
 
 pub use captions::Captions;
 pub use error::ExportError;
-pub use layout::Layout;
-pub use options::{ExportOptions, SampleFormat, SampleTimes};
+pub use options::{ExportOptions, Layout, SampleFormat, SampleTimes};
 pub use report::{ExportReport, Failure};
 pub use run::{Completeness, Export, ExportProgress, OpenLog, export, write_index};
 pub use work::{ListedLog, Part, WorkList, WorkUnit};

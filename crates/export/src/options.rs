@@ -3,7 +3,56 @@ use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use serde::Serialize;
 
-use crate::{Captions, Layout};
+use crate::Captions;
+
+/// Layout of the files of an export.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Layout {
+    /// A folder per frame, as written by the command `render`.
+    Frames,
+    /// Cache of the training code of the paper: files by token of the image.
+    PasCache,
+    /// Package of OpenDWM's `PreviewDataset`.
+    OpendwmPreview,
+    /// Tar shards of WebDataset.
+    Webdataset,
+    /// MCAP files with the schemas of Foxglove.
+    #[cfg(feature = "mcap")]
+    Mcap,
+    /// Annotations for the world scenario renderer of Cosmos-Transfer2.5, as Parquet files; no maps.
+    #[cfg(feature = "parquet")]
+    WorldScenario,
+    /// Videos for post-training Cosmos-Transfer2.5.
+    #[cfg(feature = "video")]
+    CosmosVideo,
+}
+
+impl Layout {
+    /// Returns the maps to render for the requested ones.
+    pub(crate) fn rendered(self, asked: MapSet) -> MapSet {
+        match self {
+            Self::Frames | Self::Webdataset => asked,
+            // Layouts have another size than the rest, and are drawn by the writer.
+            Self::PasCache => MapSet::of(&[MapKind::Color, MapKind::Depth]),
+            Self::OpendwmPreview => asked.without(MapKind::Tensor),
+            #[cfg(feature = "mcap")]
+            Self::Mcap => asked.without(MapKind::Tensor),
+            #[cfg(feature = "parquet")]
+            Self::WorldScenario => MapSet::NONE,
+            #[cfg(feature = "video")]
+            Self::CosmosVideo => {
+                let shown = [MapKind::Color, MapKind::Boxes, MapKind::Map];
+                MapSet::of(&shown.into_iter().filter(|kind| asked.contains(*kind)).collect::<Vec<_>>())
+            }
+        }
+    }
+
+    /// Returns whether the layout has maps, so that a skeleton is needed.
+    pub(crate) fn has_maps(self) -> bool {
+        self.rendered(MapSet::of(&MapKind::ALL)) != MapSet::NONE
+    }
+}
 
 /// Form of the maps in tar shards.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

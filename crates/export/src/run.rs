@@ -15,7 +15,7 @@ use point_skeleton::skeleton::{self, BuildError, Skeleton};
 use point_skeleton::{Maps, RenderOptions, Renderer};
 use serde_json::json;
 
-use crate::layout::Source;
+use crate::layout::{self, Source};
 use crate::report::{ExportReport, Failure};
 use crate::samples::{Sample, Sampler};
 use crate::shard::{Shard, ShardRecord, remove_work};
@@ -164,7 +164,7 @@ pub fn write_index(
         };
         let Some(record) = record else { return Ok(false) };
         samples += record.samples;
-        entries.push(layout.index_entry(&record));
+        entries.push(layout::index_entry(layout, &record));
     }
     let index = json!({
         "__kind__": "wids-shard-index-v1", "wids_version": 1, "layout": layout,
@@ -271,7 +271,7 @@ fn annotate(
     mut shard: Shard,
     unit: &WorkUnit,
 ) -> Result<ShardRecord, ExportError> {
-    run.options.layout.writer(&shard, source)?.finish(&mut shard)?;
+    layout::writer(run.options.layout, &shard, source)?.finish(&mut shard)?;
     run.progress.skip(unit.frames.len());
     Ok(shard.publish(new_record(source, unit, unit.frames.len(), BTreeMap::new()))?)
 }
@@ -328,7 +328,7 @@ fn export_unit(
     let written = std::thread::scope(|scope| {
         let (sender, receiver) = sync_channel::<(Sample<'_>, Maps)>(1);
         let write = move || -> Result<(Shard, usize), ExportError> {
-            let mut writer = run.options.layout.writer(&shard, source)?;
+            let mut writer = layout::writer(run.options.layout, &shard, source)?;
             let mut samples = 0;
             for (sample, maps) in receiver {
                 writer.add(&mut shard, &sample, &maps)?;

@@ -14,95 +14,45 @@ mod webdataset;
 mod world_scenario;
 
 use point_skeleton::Maps;
+use point_skeleton::conditions::ImageSize;
 use point_skeleton::conditions::meta::FrameMeta;
-use point_skeleton::conditions::{ImageSize, MapKind, MapSet};
 use point_skeleton::dataset::{Dataset, Recording};
 use point_skeleton::scene::frame_rate_hz;
-use serde::Serialize;
 use serde_json::Value;
 
 use crate::samples::Sample;
 use crate::shard::{Shard, ShardRecord};
-use crate::{ExportError, ExportOptions, ListedLog, SampleTimes};
+use crate::{ExportError, ExportOptions, Layout, ListedLog, SampleTimes};
 
-/// Layout of the files of an export.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Layout {
-    /// A folder per frame, as written by the command `render`.
-    Frames,
-    /// Cache of the training code of the paper: files by token of the image.
-    PasCache,
-    /// Package of OpenDWM's `PreviewDataset`.
-    OpendwmPreview,
-    /// Tar shards of WebDataset.
-    Webdataset,
-    /// MCAP files with the schemas of Foxglove.
-    #[cfg(feature = "mcap")]
-    Mcap,
-    /// Annotations for the world scenario renderer of Cosmos-Transfer2.5, as Parquet files; no maps.
-    #[cfg(feature = "parquet")]
-    WorldScenario,
-    /// Videos for post-training Cosmos-Transfer2.5.
-    #[cfg(feature = "video")]
-    CosmosVideo,
+/// Returns a writer of a shard.
+pub(crate) fn writer<'a>(
+    layout: Layout,
+    shard: &Shard,
+    source: &'a Source<'a>,
+) -> Result<Box<dyn LayoutWriter + 'a>, ExportError> {
+    Ok(match layout {
+        Layout::Frames => Box::new(frames::Frames::new(source)),
+        Layout::PasCache => Box::new(pas_cache::PasCache::new(source)),
+        Layout::OpendwmPreview => Box::new(opendwm_preview::Package::new(source, shard.name())),
+        Layout::Webdataset => Box::new(webdataset::Tar::begin(shard, source)?),
+        #[cfg(feature = "mcap")]
+        Layout::Mcap => Box::new(mcap::Mcap::begin(shard, source)?),
+        #[cfg(feature = "parquet")]
+        Layout::WorldScenario => Box::new(world_scenario::WorldScenario::new(source)),
+        #[cfg(feature = "video")]
+        Layout::CosmosVideo => Box::new(cosmos_video::Videos::new(source, shard.name())),
+    })
 }
 
-impl Layout {
-    /// Returns the maps to render for the requested ones.
-    pub(crate) fn rendered(self, asked: MapSet) -> MapSet {
-        match self {
-            Self::Frames | Self::Webdataset => asked,
-            // Layouts have another size than the rest, and are drawn by the writer.
-            Self::PasCache => MapSet::of(&[MapKind::Color, MapKind::Depth]),
-            Self::OpendwmPreview => asked.without(MapKind::Tensor),
-            #[cfg(feature = "mcap")]
-            Self::Mcap => asked.without(MapKind::Tensor),
-            #[cfg(feature = "parquet")]
-            Self::WorldScenario => MapSet::NONE,
-            #[cfg(feature = "video")]
-            Self::CosmosVideo => {
-                let shown = [MapKind::Color, MapKind::Boxes, MapKind::Map];
-                MapSet::of(&shown.into_iter().filter(|kind| asked.contains(*kind)).collect::<Vec<_>>())
-            }
-        }
-    }
-
-    /// Returns whether the layout has maps, so that a skeleton is needed.
-    pub(crate) fn has_maps(self) -> bool {
-        self.rendered(MapSet::of(&MapKind::ALL)) != MapSet::NONE
-    }
-
-    /// Returns a writer of a shard.
-    pub(crate) fn writer<'a>(
-        self,
-        shard: &Shard,
-        source: &'a Source<'a>,
-    ) -> Result<Box<dyn LayoutWriter + 'a>, ExportError> {
-        Ok(match self {
-            Self::Frames => Box::new(frames::Frames::new(source)),
-            Self::PasCache => Box::new(pas_cache::PasCache::new(source)),
-            Self::OpendwmPreview => Box::new(opendwm_preview::Package::new(source, shard.name())),
-            Self::Webdataset => Box::new(webdataset::Tar::begin(shard, source)?),
-            #[cfg(feature = "mcap")]
-            Self::Mcap => Box::new(mcap::Mcap::begin(shard, source)?),
-            #[cfg(feature = "parquet")]
-            Self::WorldScenario => Box::new(world_scenario::WorldScenario::new(source)),
-            #[cfg(feature = "video")]
-            Self::CosmosVideo => Box::new(cosmos_video::Videos::new(source, shard.name())),
-        })
-    }
-
-    /// Returns the entry of a shard in `index.json`.
-    pub(crate) fn index_entry(self, record: &ShardRecord) -> Value {
-        match (self, record.files.first()) {
-            // The keys of wids, the index format of the package webdataset.
-            (Self::Webdataset, Some(file)) => serde_json::json!({
-                "url": file.path, "nsamples": record.samples, "filesize": file.bytes, "sha256": file.sha256,
-            }),
-            _ => {
-                serde_json::json!({ "name": record.name, "nsamples": record.samples, "files": record.files.len() })
-            }
+/// Returns the entry of a shard in `index.json`.
+pub(crate) fn index_entry(layout: Layout, record: &ShardRecord) -> Value {
+    match (layout, record.files.first()) {
+        // The keys of wids, the index format of the package webdataset.
+        (Layout::Webdataset, Some(file)) => serde_json::json!({
+            "url": file.path, "nsamples": record.samples, "filesize": file.bytes, "sha256": file.sha256,
+        }),
+        _ => {
+            serde_json::json!({ "name": record.name, "nsamples": record.samples, "files": record.files.len() })
         }
     }
 }
