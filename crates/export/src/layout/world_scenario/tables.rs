@@ -120,7 +120,7 @@ impl<'a> Clip<'a> {
             areas
                 .iter()
                 .flat_map(|area| std::iter::once(&area.exterior).chain(&area.holes))
-                .map(closed)
+                .map(|ring| closed(ring))
                 .collect()
         };
         let exteriors = |areas: &[point_skeleton::dataset::Area]| -> Vec<Vec<DVec2>> {
@@ -146,7 +146,7 @@ impl<'a> Clip<'a> {
         }
         let boundaries = self.near(rings(&map.drivable_area));
         let crossings = self.near(exteriors(&map.crossings));
-        let stops = self.near(exteriors(&map.stop_lines).iter().map(closed).collect());
+        let stops = self.near(exteriors(&map.stop_lines).iter().map(|ring| closed(ring)).collect());
         let implicit = (flag("is_implicit"), Column::Bool(vec![false; stops.len()]));
         let subtype = (text("intersection_subtype"), Column::Text(vec!["UNKNOWN".to_owned(); stops.len()]));
         for (kind, category, lines, more) in [
@@ -220,7 +220,7 @@ fn category(category: &str) -> &'static str {
     }
 }
 
-fn closed(ring: &Vec<DVec2>) -> Vec<DVec2> {
+fn closed(ring: &[DVec2]) -> Vec<DVec2> {
     ring.iter().chain(ring.first()).copied().collect()
 }
 
