@@ -99,7 +99,6 @@ pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
         }
         work();
     });
-    remove_work(run.out);
     if run.progress.is_stopped() {
         return Err(ExportError::Stopped);
     }
@@ -107,33 +106,49 @@ pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
     let reports = reports.into_inner().unwrap_or_else(PoisonError::into_inner);
     reports.into_values().for_each(|report| total.add(report));
     total.complete = write_index(run.list, run.out, run.options.layout, Completeness::Files)?;
+    if total.complete {
+        remove_work(run.out); // otherwise other processes may still begin shards
+    }
     Ok(total)
 }
 
-/// Writes the options into the folder, or compares them with those there.
+/// Writes the options into the folder, or compares them with those there. Waits for another process that does so.
 fn claim(out: &Path, options: &ExportOptions) -> Result<(), FileError> {
     let path = out.join(OPTIONS);
     let content = json!({ "version": env!("CARGO_PKG_VERSION"), "options": options });
-    match std::fs::read(&path) {
-        Ok(found) => match serde_json::from_slice::<serde_json::Value>(&found) {
-            Ok(found) if found == content => Ok(()),
-            Ok(found) => {
-                let expected = format!("an export with the same options, {content}");
-                Err(FileError::content(expected, found.to_string(), &path))
-            }
-            Err(error) => Err(FileError::content("the options of an export", error.to_string(), &path)),
-        },
-        Err(_) => {
-            std::fs::create_dir_all(out).map_err(FileError::io("create", out))?;
-            let mut entries = std::fs::read_dir(out).map_err(FileError::io("read", out))?;
-            // Another process may have begun.
-            if let Some(Ok(entry)) = entries.next().filter(|_| !path.exists()) {
-                let found = entry.file_name().to_string_lossy().into_owned();
-                return Err(FileError::content("an export or an empty folder", found, out));
-            }
-            write_json(&path, &content)
+    std::fs::create_dir_all(out).map_err(FileError::io("create", out))?;
+    loop {
+        if let Ok(found) = std::fs::read(&path) {
+            return match serde_json::from_slice::<serde_json::Value>(&found) {
+                Ok(found) if found == content => Ok(()),
+                Ok(found) => {
+                    let expected = format!("an export with the same options, {content}");
+                    Err(FileError::content(expected, found.to_string(), &path))
+                }
+                Err(error) => Err(FileError::content("the options of an export", error.to_string(), &path)),
+            };
+        }
+        let foreign = foreign_file(out)?;
+        // Another process may have begun an export since.
+        if let Some(found) = foreign.filter(|_| !path.exists()) {
+            return Err(FileError::content("an export or an empty folder", found, out));
+        }
+        match write_json(&path, &content) {
+            Err(FileError::Busy { .. }) => std::thread::sleep(PAUSE),
+            written => return written,
         }
     }
+}
+
+/// Returns the name of a file in a folder, other than that of the options under their temporary name.
+fn foreign_file(folder: &Path) -> Result<Option<String>, FileError> {
+    for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
+        let name = entry.map_err(FileError::io("read", folder))?.file_name().to_string_lossy().into_owned();
+        if !name.starts_with(&format!(".{OPTIONS}")) {
+            return Ok(Some(name));
+        }
+    }
+    Ok(None)
 }
 
 /// What makes a shard exist.
@@ -170,8 +185,11 @@ pub fn write_index(
         "__kind__": "wids-shard-index-v1", "wids_version": 1, "layout": layout,
         "nsamples": samples, "shardlist": entries,
     });
-    write_json(&out.join(INDEX), &index)?;
-    Ok(true)
+    match write_json(&out.join(INDEX), &index) {
+        // Another process writes the same bytes.
+        Ok(()) | Err(FileError::Busy { .. }) => Ok(true),
+        Err(error) => Err(error),
+    }
 }
 
 /// Exports the units of a log.
