@@ -232,4 +232,6 @@ def main(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    from pskel.ray import main as imported  # workers find the functions of a module, and not those of __main__
+
+    sys.exit(imported(sys.argv[1:]))
