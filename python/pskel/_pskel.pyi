@@ -16,6 +16,7 @@ __all__ = [
     "Camera",
     "Committed",
     "Error",
+    "Export",
     "Forecast",
     "Frames",
     "Log",
