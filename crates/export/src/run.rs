@@ -228,8 +228,14 @@ fn export_units(
     let options = run.options;
     report.note(&recording.notes);
     let maps = options.rendered(map.is_some());
+    let source = Source {
+        listed: log,
+        dataset: dataset.as_ref(),
+        options,
+        #[cfg(feature = "parquet")]
+        map: map.clone(),
+    };
     let sampler = Sampler::new(recording, map, options.times);
-    let source = Source { listed: log, dataset: dataset.as_ref(), options };
     if !options.layout.has_maps() {
         for unit in units {
             let written = Shard::begin(run.out, unit).map_err(ExportError::from);

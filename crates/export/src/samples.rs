@@ -117,7 +117,7 @@ impl<'a> Sampler<'a> {
         let mut images = group.to_vec();
         images.sort_by_key(|image| image.channel);
         let state = state_of_images(self.log, &self.ego, t_us, &images)?;
-        // Before the frame in alphabetical order: 000012, 000012_01 .. follow 000011.
+        // In alphabetical order: 000011_01, 000011_02 .. are between 000011 and 000012.
         let before = index.checked_sub(1).map_or_else(|| "before".to_owned(), name_of_frame);
         let name = format!("{before}_{place:02}");
         let state = SceneState { name, map: self.map.clone(), ..state };

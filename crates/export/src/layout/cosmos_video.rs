@@ -106,7 +106,7 @@ impl LayoutWriter for Videos<'_> {
     }
 
     fn finish(self: Box<Self>, shard: &mut Shard) -> Result<(), ExportError> {
-        let caption = self.source.options.captions.of(None, self.source.log(), &self.source.options.prompt);
+        let caption = self.source.log_caption();
         for (path, video) in self.videos {
             if let Some(bytes) = video.into_bytes()? {
                 shard.put(path, &bytes)?;

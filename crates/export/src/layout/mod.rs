@@ -13,10 +13,15 @@ mod webdataset;
 #[cfg(feature = "parquet")]
 mod world_scenario;
 
+#[cfg(feature = "parquet")]
+use std::sync::Arc;
+
 use point_skeleton::Maps;
 use point_skeleton::conditions::ImageSize;
 use point_skeleton::conditions::meta::FrameMeta;
 use point_skeleton::dataset::{Dataset, Recording};
+#[cfg(feature = "parquet")]
+use point_skeleton::scene::SceneMap;
 use point_skeleton::scene::frame_rate_hz;
 use serde_json::Value;
 
@@ -62,6 +67,8 @@ pub(crate) struct Source<'a> {
     pub(crate) listed: &'a ListedLog,
     pub(crate) dataset: &'a dyn Dataset,
     pub(crate) options: &'a ExportOptions,
+    #[cfg(feature = "parquet")]
+    pub(crate) map: Option<Arc<SceneMap>>,
 }
 
 impl Source<'_> {
@@ -80,6 +87,11 @@ impl Source<'_> {
 
     pub(crate) fn meta(&self, maps: &Maps) -> FrameMeta {
         maps.meta(&self.options.prompt, self.fps())
+    }
+
+    /// Returns the caption of the log.
+    pub(crate) fn log_caption(&self) -> String {
+        self.options.captions.of(None, self.log(), &self.options.prompt)
     }
 
     /// Returns the caption of a camera's image.

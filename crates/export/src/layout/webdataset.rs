@@ -49,7 +49,7 @@ impl LayoutWriter for Tar<'_> {
         let mut meta = serde_json::json!(source.meta(maps));
         meta["log"] = serde_json::json!(source.log().name);
         meta["frame"] = serde_json::json!(sample.frame);
-        meta["caption"] = serde_json::json!(source.caption(sample, usize::MAX));
+        meta["caption"] = serde_json::json!(source.log_caption());
         for (index, image) in sample.images.iter().enumerate() {
             meta["cameras"][index]["token"] = serde_json::json!(image.map(|image| &image.token));
             meta["cameras"][index]["t_us"] = serde_json::json!(image.map(|image| image.t_us));

@@ -55,7 +55,7 @@ impl<'a> Mcap<'a> {
     fn describe(&mut self, time: Timestamp) -> Result<(), ExportError> {
         if !std::mem::replace(&mut self.is_described, true) {
             let log = self.source.log();
-            let caption = self.source.options.captions.of(None, log, &self.source.options.prompt);
+            let caption = self.source.log_caption();
             self.file.write("/log", time, &messages::text(&log.name, caption, time))?;
         }
         Ok(())

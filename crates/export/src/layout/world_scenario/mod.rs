@@ -13,6 +13,7 @@ use std::path::Path;
 
 use point_skeleton::Maps;
 use point_skeleton::error::FileError;
+use point_skeleton::scene::SceneMap;
 
 use self::parquet::encode;
 use self::tables::{Clip, Table};
@@ -38,9 +39,10 @@ impl LayoutWriter for WorldScenario<'_> {
 
     fn finish(self: Box<Self>, shard: &mut Shard) -> Result<(), ExportError> {
         let name = shard.name().to_owned();
-        let map = self.source.dataset.read_map()?;
         let clip = Clip::new(self.source.log(), shard.frames(), &name);
-        for Table { kind, schema, columns } in clip.tables(map.as_ref()) {
+        for Table { kind, schema, columns } in
+            clip.tables(self.source.map.as_deref().map(SceneMap::vector_map))
+        {
             let path = format!("{name}/{name}.{kind}.parquet");
             let bytes = encode(&schema, &columns)
                 .map_err(|error| FileError::io("write", Path::new(&path))(std::io::Error::other(error)))?;
