@@ -26,7 +26,7 @@ pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
 pub use locator::{LogFormat, LogLocator};
 pub use map::{Area, Lane, VectorMap};
-pub use open::{expand, open, outlines};
+pub use open::{LogOpener, expand, open};
 pub use picture::{picture_size, read_picture};
 pub use recording::{
     Frame, ImageRecord, LogOutline, Recording, RigCamera, SweepRecord, Track, TrackBox, TrafficLight,

@@ -6,7 +6,7 @@ use std::time::Instant;
 use clap::{Args, Parser};
 use point_skeleton::conditions::MapFormat;
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::dataset::LogLocator;
+use point_skeleton::dataset::{LogLocator, LogOpener};
 use point_skeleton::error::with_causes;
 use point_skeleton::files::FileName;
 use pskel_export::{
@@ -94,9 +94,9 @@ pub(super) struct ExportArgs {
 pub(super) fn run(args: ExportArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let out = args.out.clone();
-    let export = ExportCommand(args);
+    let export = ExportCommand { args, opener: LogOpener::new() };
     let listed = export.list()?;
-    if export.0.list {
+    if export.args.list {
         print(&listed.part);
         return finish(&listed.failures);
     }
@@ -109,7 +109,11 @@ pub(super) fn run(args: ExportArgs) -> anyhow::Result<()> {
 }
 
 /// An export by the arguments of `pskel export`.
-pub struct ExportCommand(ExportArgs);
+pub struct ExportCommand {
+    args: ExportArgs,
+    /// Keeps the tables of a data set between its logs.
+    opener: LogOpener,
+}
 
 /// Parser of the arguments alone.
 #[derive(Debug, Parser)]
@@ -136,7 +140,7 @@ impl ExportCommand {
     /// # Errors
     /// Fails if an argument is invalid.
     pub fn parse(args: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
-        Ok(Self(Standalone::try_parse_from(args)?.args))
+        Ok(Self { args: Standalone::try_parse_from(args)?.args, opener: LogOpener::new() })
     }
 
     /// Lists the shards.
@@ -144,15 +148,15 @@ impl ExportCommand {
     /// # Errors
     /// Fails if a set of logs cannot be read, or if two logs have one name.
     pub fn list(&self) -> anyhow::Result<ListedExport> {
-        let args = &self.0;
+        let args = &self.args;
         let mut locators = Vec::new();
         for log in &args.logs {
             locators.extend(logs::expand(&args.roots.locate(log))?);
         }
         let (mut known, mut failures) = (Vec::new(), Vec::new());
-        for (locator, outline) in locators.iter().zip(logs::outlines(&locators)) {
-            match outline {
-                Ok(outline) => known.push((locator.clone(), outline)),
+        for locator in locators {
+            match logs::outline(&locator, &self.opener) {
+                Ok(outline) => known.push((locator, outline)),
                 Err(error) => {
                     failures.push(Failure { name: locator.to_string(), error: with_causes(&error) });
                 }
@@ -169,14 +173,14 @@ impl ExportCommand {
     /// # Errors
     /// Fails if options contradict each other, if the folder cannot be written, or if `progress` requests a stop.
     pub fn run(&self, listed: &ListedExport, progress: &dyn ExportProgress) -> anyhow::Result<ExportReport> {
-        let args = &self.0;
+        let args = &self.args;
         let mut report = export(Export {
             list: &listed.list,
             part: &listed.part,
             out: &args.out,
             skeletons: &args.skeletons,
             options: &args.options()?,
-            open: &logs::open,
+            open: &|locator: &LogLocator| logs::open_by(locator, &self.opener),
             rasterizer: &args.rasterizer.desc()?,
             jobs: args.jobs as usize,
             verify: args.verify,
@@ -192,7 +196,7 @@ impl ExportCommand {
     /// # Errors
     /// Fails if the file cannot be written.
     pub fn write_index(&self, listed: &ListedExport, folder: &Path) -> anyhow::Result<bool> {
-        Ok(write_index(&listed.list, folder, self.0.layout, Completeness::Record)?)
+        Ok(write_index(&listed.list, folder, self.args.layout, Completeness::Record)?)
     }
 }
 

@@ -6,7 +6,7 @@ mod town;
 #[cfg(feature = "town")]
 pub use town::open_town;
 
-use point_skeleton::dataset::{self, Dataset, DatasetError, LogLocator, LogOutline};
+use point_skeleton::dataset::{self, Dataset, DatasetError, LogLocator, LogOpener, LogOutline};
 
 /// Formats in error messages.
 const FORMATS: &str = if cfg!(feature = "town") {
@@ -42,17 +42,16 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     dataset::expand(locator)
 }
 
-/// Returns names and lengths of logs, in order.
-pub fn outlines(locators: &[LogLocator]) -> Vec<Result<LogOutline, DatasetError>> {
+/// Returns name and length of a log.
+///
+/// # Errors
+/// Fails as [`open`].
+pub fn outline(locator: &LogLocator, opener: &LogOpener) -> Result<LogOutline, DatasetError> {
     #[cfg(feature = "town")]
-    if locators.iter().any(town::is_town) {
-        let of_town = |locator: &LogLocator| open(locator).map(|town| LogOutline::of(town.log()));
-        let recorded: Vec<LogLocator> = locators.iter().filter(|log| !town::is_town(log)).cloned().collect();
-        let mut recorded = dataset::outlines(&recorded).into_iter();
-        let outline = |log| if town::is_town(log) { Some(of_town(log)) } else { recorded.next() };
-        return locators.iter().filter_map(outline).collect();
+    if town::is_town(locator) {
+        return open(locator).map(|town| LogOutline::of(town.log()));
     }
-    dataset::outlines(locators)
+    opener.outline(locator)
 }
 
 /// Opens the log that a locator names.
@@ -60,11 +59,19 @@ pub fn outlines(locators: &[LogLocator]) -> Vec<Result<LogOutline, DatasetError>
 /// # Errors
 /// Fails if the locator is invalid. Returns any error of the format's reader.
 pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
+    open_by(locator, &LogOpener::new())
+}
+
+/// Opens the log that a locator names, by an opener that may have read tables of it.
+///
+/// # Errors
+/// Fails as [`open`].
+pub fn open_by(locator: &LogLocator, opener: &LogOpener) -> Result<Box<dyn Dataset>, DatasetError> {
     #[cfg(feature = "town")]
     if town::is_town(locator) {
         return Ok(Box::new(open_town(locator)?));
     }
-    dataset::open(locator)
+    opener.open(locator)
 }
 
 #[cfg(all(test, feature = "town"))]

@@ -1,13 +1,12 @@
 //! Tracks and boxes of a scene.
 
-use std::path::Path;
-
 use glam::DVec3;
 use rustc_hash::FxHashSet;
 
 use super::chain::Chain;
 use super::frames::pose;
-use super::tables::{Annotation, Category, Instance, Table};
+use super::tables::{Annotation, Category, Instance, Scene, Table};
+use super::version::Version;
 use crate::dataset::{Class, DatasetError, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::Cuboid;
@@ -21,12 +20,14 @@ pub(super) struct Annotations {
 }
 
 /// Reads the boxes of every sample of the chain.
-pub(super) fn read(tables: &Path, chain: &Chain) -> Result<Annotations, DatasetError> {
-    let annotations = Table::<Annotation>::load(tables, |a| chain.place.contains_key(&a.sample_token))?;
+pub(super) fn read(version: &Version, scene: &Scene, chain: &Chain) -> Result<Annotations, DatasetError> {
+    let mut annotations = version.rows()?.annotations(scene)?;
+    annotations.retain(|a| chain.place.contains_key(&a.sample_token));
     let needed: FxHashSet<&str> = annotations.records.iter().map(|a| a.instance_token.as_str()).collect();
-    let mut instances = Table::<Instance>::load(tables, |i| needed.contains(i.token.as_str()))?;
+    let mut instances = Table::<Instance>::load(&version.folder)?;
+    instances.retain(|i| needed.contains(i.token.as_str()));
     instances.sort_by_token();
-    let categories = Table::<Category>::load_all(tables)?;
+    let categories = Table::<Category>::load(&version.folder)?;
     let mut tracks = Vec::new();
     for instance in &instances.records {
         let by = || format!("instance {}", instance.token);

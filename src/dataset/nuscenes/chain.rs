@@ -1,7 +1,5 @@
 //! The chain of a scene's samples.
 
-use std::path::Path;
-
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::tables::{Sample, Scene, Table};
@@ -19,11 +17,6 @@ pub(super) struct Chain {
 
 impl Chain {
     /// Follows the chain of a scene's samples from the first one.
-    pub(super) fn read(tables: &Path, scene: &Scene, notes: &mut Notes) -> Result<Self, DatasetError> {
-        Self::of(&Table::load_all(tables)?, scene, notes)
-    }
-
-    /// Follows the chain in a table of samples.
     pub(super) fn of(
         samples: &Table<Sample>,
         scene: &Scene,

@@ -53,11 +53,11 @@ pub(super) fn choose_scene<'a>(
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     let Some(wanted) = locator.scene.as_deref() else { return Ok(vec![locator.clone()]) };
     let tables = version_folder(&locator.path, locator.version.as_deref())?;
-    let scenes = Table::<Scene>::load_all(&tables)?;
+    let scenes = Table::<Scene>::load(&tables)?;
     if scenes.records.iter().any(|scene| scene.name == wanted || scene.token == wanted) {
         return Ok(vec![locator.clone()]);
     }
-    let logs = Table::<LogRecord>::load_all(&tables)?;
+    let logs = Table::<LogRecord>::load(&tables)?;
     let mut names = Vec::new();
     for scene in &scenes.records {
         let log = logs.get(&scene.log_token, || format!("scene {}", scene.token))?;

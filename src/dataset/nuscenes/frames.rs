@@ -3,12 +3,11 @@
 //! Key frames belong to the sample they reference. Other data belongs to the first frame at or after its timestamp.
 //! Data after the last frame has no later boxes, so it is skipped and counted.
 
-use std::path::Path;
-
 use rustc_hash::FxHashSet;
 
 use super::chain::Chain;
-use super::tables::{CalibratedSensor, EgoPose, SampleData, Sensor, Table};
+use super::tables::{CalibratedSensor, EgoPose, SampleData, Scene, Sensor, Table};
+use super::version::Version;
 use crate::dataset::limits::MAX_CAMERAS;
 use crate::dataset::notes::{Notes, note};
 use crate::dataset::{DatasetError, ImageRecord, SweepRecord};
@@ -65,14 +64,17 @@ struct Sensors {
 /// Reads the sensor data of every sample of the chain.
 pub(super) fn read(
     root: &DataRoot,
-    tables: &Path,
+    version: &Version,
+    scene: &Scene,
     chain: &Chain,
     notes: &mut Notes,
 ) -> Result<SceneFrames, DatasetError> {
-    let data = Table::<SampleData>::load(tables, |d| chain.place.contains_key(&d.sample_token))?;
+    let rows = version.rows()?;
+    let mut data = rows.data(scene)?;
+    data.retain(|d| chain.place.contains_key(&d.sample_token));
     let needed: FxHashSet<&str> = data.records.iter().map(|d| d.ego_pose_token.as_str()).collect();
-    let poses = Table::<EgoPose>::load(tables, |p| needed.contains(p.token.as_str()))?;
-    let (calibrated, sensors) = (Table::load_all(tables)?, Table::load_all(tables)?);
+    let poses = rows.poses(needed.into_iter())?;
+    let (calibrated, sensors) = (Table::load(&version.folder)?, Table::load(&version.folder)?);
     let sensors = Sensors { data, poses, calibrated, sensors };
     let cameras = sensors.cameras()?;
     let mut piles: Vec<UnsortedFrame> = chain.times_us.iter().map(|_| UnsortedFrame::default()).collect();

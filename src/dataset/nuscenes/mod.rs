@@ -1,8 +1,8 @@
 //! nuScenes: 13 JSON tables linked by tokens, with LiDAR sweeps and camera images beside them.
 //!
 //! # How it works
-//! `tables` defines the raw records, `read` converts those of one scene to a [`Recording`], and `sweep` reads and writes
-//! `.pcd.bin` files. Format: <https://www.nuscenes.org/nuscenes#data-format>.
+//! `tables` defines the raw records, `version` finds those of one scene, `read` converts them to a [`Recording`], and
+//! `sweep` reads and writes `.pcd.bin` files. Format: <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
 mod arcline;
@@ -10,18 +10,19 @@ mod chain;
 mod choose;
 mod frames;
 mod map;
-mod outline;
 mod read;
+mod rows;
 mod sweep;
 mod tables;
+mod version;
 mod write;
 mod write_map;
 
 pub use choose::expand;
 pub use map::read_map_file;
-pub(super) use outline::SceneIndex;
 pub(crate) use sweep::check_sweep_len;
 pub use sweep::{POINT_BYTES, parse_sweep, read_sweep_file, write_sweep_file};
+pub(super) use version::Version;
 
 pub use write::{LogWriter, write_log};
 pub use write_map::{MapLayers, RoadSegment, write_map};
@@ -54,11 +55,18 @@ impl NuScenes {
     /// a valid folder name. Fails if poses, cameras or boxes are invalid, or if several versions or scenes exist and
     /// none is selected.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
+        Self::of(&Version::open(locator)?, locator)
+    }
+
+    /// Reads a scene of a version.
+    ///
+    /// # Errors
+    /// Fails as [`NuScenes::open`].
+    pub(super) fn of(version: &Version, locator: &LogLocator) -> Result<Self, DatasetError> {
         check_roots(locator)?;
-        let tables = choose::version_folder(&locator.path, locator.version.as_deref())?;
         let sensors = locator.sensor_root.as_ref().unwrap_or(&locator.path).clone();
         let sensors = DataRoot { path: sensors, allow_outside: locator.allow_outside };
-        let (log, box_points) = read::read(&sensors, &tables, locator.scene.as_deref())?;
+        let (log, box_points) = read::read(&sensors, version, locator.scene.as_deref())?;
         Ok(Self { log, box_points, root: locator.path.clone(), map_root: locator.map_root.clone() })
     }
 }

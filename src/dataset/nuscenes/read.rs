@@ -1,9 +1,8 @@
 //! Conversion of one scene's tables to a [`Recording`].
 
-use std::path::Path;
-
 use super::chain::Chain;
-use super::tables::{Attribute, LogRecord, MapRecord, Scene, Table, Visibility};
+use super::tables::{Attribute, LogRecord, MapRecord, Table, Visibility};
+use super::version::Version;
 use super::{annotations, choose, frames};
 use crate::dataset::notes::Notes;
 use crate::dataset::{DatasetError, Frame, Recording, RigCamera};
@@ -12,22 +11,22 @@ use crate::files::input::DataRoot;
 /// Reads the log of a scene. Also returns the stated number of LiDAR points per frame and box.
 pub(super) fn read(
     root: &DataRoot,
-    tables: &Path,
+    version: &Version,
     wanted_scene: Option<&str>,
 ) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
-    let scenes = Table::<Scene>::load_all(tables)?;
-    let scene = choose::choose_scene(&scenes, wanted_scene)?;
-    let logs = Table::<LogRecord>::load_all(tables)?;
+    let tables = &version.folder;
+    let scene = choose::choose_scene(&version.scenes, wanted_scene)?;
+    let logs = Table::<LogRecord>::load(tables)?;
     let recorded = logs.get(&scene.log_token, || format!("scene {}", scene.token))?;
     // These three tables are unused, but a dataset without them is damaged.
-    Table::<Attribute>::load_all(tables)?;
-    Table::<Visibility>::load_all(tables)?;
-    Table::<MapRecord>::load_all(tables)?;
+    Table::<Attribute>::load(tables)?;
+    Table::<Visibility>::load(tables)?;
+    Table::<MapRecord>::load(tables)?;
 
     let mut notes = Notes::new();
-    let chain = Chain::read(tables, scene, &mut notes)?;
-    let shots = frames::read(root, tables, &chain, &mut notes)?;
-    let annotated = annotations::read(tables, &chain)?;
+    let chain = Chain::of(&version.samples, scene, &mut notes)?;
+    let shots = frames::read(root, version, scene, &chain, &mut notes)?;
+    let annotated = annotations::read(version, scene, &chain)?;
     let (mut log_frames, mut box_points) = (Vec::new(), Vec::new());
     for ((t_us, shot), (boxes, points)) in chain.times_us.iter().zip(shots.frames).zip(annotated.frames) {
         let (sweeps, images, between_images) = (shot.sweeps, shot.images, shot.between_images);

@@ -1,14 +1,13 @@
 //! Raw records of the JSON tables.
 //!
 //! # How it works
-//! A table is one JSON array of records. The trainval set has tables of a gigabyte, so records are filtered during
-//! parsing and only those of the scene are retained. The parser skips unused fields.
+//! A table is one JSON array of records. The parser skips unused fields. The trainval set has tables of more than a
+//! gigabyte; of these, `version` reads the records of one scene.
 
-use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use rustc_hash::FxHashMap;
-use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error, SeqAccess, Visitor};
+use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error};
 
 use crate::dataset::DatasetError;
 use crate::dataset::limits::MAX_TIME_US;
@@ -103,46 +102,36 @@ pub(super) struct Table<R> {
 }
 
 impl<R: Record> Table<R> {
-    /// Reads the records accepted by `keep`.
+    /// Reads a table.
     ///
     /// # Errors
-    /// Fails if the file is missing, is not a JSON array of such records, or has duplicate tokens among the retained
-    /// records.
-    pub(super) fn load(folder: &Path, keep: impl FnMut(&R) -> bool) -> Result<Self, FileError> {
+    /// Fails if the file is missing, is not a JSON array of such records, or has a token twice.
+    pub(super) fn load(folder: &Path) -> Result<Self, FileError> {
         let path = folder.join(format!("{}.json", R::TABLE));
-        let bytes = read_table(&path)?;
-        Self::parse(&bytes, path, keep)
+        let records = serde_json::from_slice(&read_table(&path)?).map_err(|error| {
+            FileError::content(format!("a JSON array of {} records", R::TABLE), error.to_string(), &path)
+        })?;
+        Self::new(path, records)
     }
 
-    /// Reads all records of the table.
+    /// Creates a table of records; `path` is for messages.
     ///
     /// # Errors
-    /// Fails as [`Table::load`].
-    pub(super) fn load_all(folder: &Path) -> Result<Self, FileError> {
-        Self::load(folder, |_| true)
-    }
-
-    /// Parses the bytes of a table; `path` is for messages.
-    pub(super) fn parse(
-        bytes: &[u8],
-        path: PathBuf,
-        keep: impl FnMut(&R) -> bool,
-    ) -> Result<Self, FileError> {
-        let mut json = serde_json::Deserializer::from_slice(bytes);
-        let parsed = json
-            .deserialize_seq(Kept { keep, record: PhantomData })
-            .and_then(|records| json.end().map(|()| records));
-        let records = parsed.map_err(|e| {
-            FileError::content(format!("a JSON array of {} records", R::TABLE), e.to_string(), &path)
-        })?;
-        let mut by_token = FxHashMap::default();
-        for (i, record) in records.iter().enumerate() {
-            if by_token.insert(record.token().to_owned(), i).is_some() {
-                let found = format!("{} twice", record.token());
-                return Err(FileError::content("every token once", found, &path));
-            }
+    /// Fails if a token occurs twice.
+    pub(super) fn new(path: PathBuf, records: Vec<R>) -> Result<Self, FileError> {
+        let by_token = positions(&records);
+        if let Some((_, twice)) =
+            records.iter().enumerate().find(|(i, record)| by_token[record.token()] != *i)
+        {
+            let found = format!("{} twice", twice.token());
+            return Err(FileError::content("every token once", found, &path));
         }
         Ok(Self { path, records, by_token })
+    }
+
+    /// Returns the record of a token, if there is one.
+    pub(super) fn find(&self, token: &str) -> Option<&R> {
+        self.by_token.get(token).map(|i| &self.records[*i])
     }
 
     /// Returns the record of a token; `by` names the referring record.
@@ -166,35 +155,20 @@ impl<R: Record> Table<R> {
         })
     }
 
+    /// Drops the records that are not accepted by `keep`.
+    pub(super) fn retain(&mut self, keep: impl FnMut(&R) -> bool) {
+        self.records.retain(keep);
+        self.by_token = positions(&self.records);
+    }
+
     /// Sorts the records by token.
     pub(super) fn sort_by_token(&mut self) {
         self.records.sort_by(|a, b| a.token().cmp(b.token()));
-        for (i, record) in self.records.iter().enumerate() {
-            self.by_token.insert(record.token().to_owned(), i);
-        }
+        self.by_token = positions(&self.records);
     }
 }
 
-/// Visitor that filters the records of a JSON array.
-struct Kept<R, F> {
-    keep: F,
-    record: PhantomData<R>,
-}
-
-impl<'de, R: Deserialize<'de>, F: FnMut(&R) -> bool> Visitor<'de> for Kept<R, F> {
-    type Value = Vec<R>;
-
-    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("an array of records")
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(mut self, mut array: A) -> Result<Vec<R>, A::Error> {
-        let mut kept = Vec::new();
-        while let Some(record) = array.next_element()? {
-            if (self.keep)(&record) {
-                kept.push(record);
-            }
-        }
-        Ok(kept)
-    }
+/// Returns the index of each record by its token, the last one of equal tokens.
+fn positions<R: Record>(records: &[R]) -> FxHashMap<String, usize> {
+    records.iter().enumerate().map(|(i, record)| (record.token().to_owned(), i)).collect()
 }

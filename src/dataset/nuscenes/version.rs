@@ -1,0 +1,192 @@
+//! Tables of a version, which hold all of its scenes.
+
+use std::borrow::Cow;
+use std::hash::BuildHasher;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rustc_hash::{FxBuildHasher, FxHashMap};
+use serde::Deserialize;
+
+use super::chain::Chain;
+use super::choose::{choose_scene, version_folder};
+use super::rows::{RowFile, RowPlace, for_each_row};
+use super::tables::{Annotation, EgoPose, Record, Sample, SampleData, Scene, Table};
+use crate::dataset::notes::Notes;
+use crate::dataset::{DatasetError, LogLocator, LogOutline};
+use crate::error::FileError;
+
+/// Scenes and samples of a version, and where the rows of each scene are in the large tables.
+#[derive(Debug)]
+pub(in crate::dataset) struct Version {
+    /// Folder of the tables.
+    pub(super) folder: PathBuf,
+    pub(super) scenes: Table<Scene>,
+    pub(super) samples: Table<Sample>,
+    /// Built when the first scene is opened.
+    rows: Mutex<Option<Arc<SceneRows>>>,
+}
+
+/// Rows of the large tables.
+#[derive(Debug)]
+pub(super) struct SceneRows {
+    data: RowsByScene,
+    annotations: RowsByScene,
+    poses: RowsByToken,
+}
+
+/// Rows of a table that refer to samples, by scene.
+#[derive(Debug)]
+struct RowsByScene {
+    file: RowFile,
+    /// Token of the scene, and its rows in file order.
+    rows: FxHashMap<String, Vec<RowPlace>>,
+}
+
+/// Rows of a table by the hash of their token.
+#[derive(Debug)]
+struct RowsByToken {
+    file: RowFile,
+    /// Sorted by hash.
+    rows: Vec<(u64, RowPlace)>,
+}
+
+/// The field by which rows are assigned to scenes.
+#[derive(Deserialize)]
+struct SampleOf<'a> {
+    #[serde(borrow)]
+    sample_token: Cow<'a, str>,
+}
+
+/// The primary key.
+#[derive(Deserialize)]
+struct TokenOf<'a> {
+    #[serde(borrow)]
+    token: Cow<'a, str>,
+}
+
+impl Version {
+    /// Reads scenes and samples of a locator's version.
+    ///
+    /// # Errors
+    /// Fails if the tables are missing or damaged.
+    pub(in crate::dataset) fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
+        let folder = version_folder(&locator.path, locator.version.as_deref())?;
+        let (scenes, samples) = (Table::load(&folder)?, Table::load(&folder)?);
+        Ok(Self { folder, scenes, samples, rows: Mutex::new(None) })
+    }
+
+    /// Returns whether the tables are those of a locator.
+    pub(in crate::dataset) fn is_of(&self, locator: &LogLocator) -> bool {
+        let folder = version_folder(&locator.path, locator.version.as_deref());
+        folder.is_ok_and(|folder| folder == self.folder)
+    }
+
+    /// Returns the outline of a scene.
+    ///
+    /// # Errors
+    /// Fails if the scene is unknown or its chain of samples is damaged.
+    pub(in crate::dataset) fn outline(&self, locator: &LogLocator) -> Result<LogOutline, DatasetError> {
+        let scene = choose_scene(&self.scenes, locator.scene.as_deref())?;
+        let chain = Chain::of(&self.samples, scene, &mut Notes::new())?;
+        Ok(LogOutline { name: scene.name.clone(), frames: chain.times_us.len() })
+    }
+
+    /// Returns the rows of all scenes. The first call reads the large tables once.
+    ///
+    /// # Errors
+    /// Fails if one is missing or damaged.
+    pub(super) fn rows(&self) -> Result<Arc<SceneRows>, FileError> {
+        let mut rows = self.rows.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(rows) = rows.as_ref() {
+            return Ok(rows.clone());
+        }
+        let (data, (annotations, poses)) = rayon::join(
+            || self.rows_by_scene::<SampleData>(),
+            || rayon::join(|| self.rows_by_scene::<Annotation>(), || rows_by_token::<EgoPose>(&self.folder)),
+        );
+        let read = Arc::new(SceneRows { data: data?, annotations: annotations?, poses: poses? });
+        Ok(rows.insert(read).clone())
+    }
+
+    fn rows_by_scene<R: Record>(&self) -> Result<RowsByScene, FileError> {
+        let path = table_path::<R>(&self.folder);
+        let mut rows: FxHashMap<String, Vec<RowPlace>> = FxHashMap::default();
+        for_each_row(&path, R::TABLE, |place, row| {
+            let of: SampleOf<'_> = serde_json::from_slice(row)?;
+            if let Some(sample) = self.samples.find(&of.sample_token) {
+                match rows.get_mut(&sample.scene_token) {
+                    Some(rows) => rows.push(place),
+                    None => _ = rows.insert(sample.scene_token.clone(), vec![place]),
+                }
+            }
+            Ok::<(), serde_json::Error>(())
+        })?;
+        Ok(RowsByScene { file: RowFile::open(path)?, rows })
+    }
+}
+
+impl SceneRows {
+    /// Reads sweeps and images of a scene.
+    pub(super) fn data(&self, scene: &Scene) -> Result<Table<SampleData>, FileError> {
+        self.data.read(scene)
+    }
+
+    /// Reads the boxes of a scene.
+    pub(super) fn annotations(&self, scene: &Scene) -> Result<Table<Annotation>, FileError> {
+        self.annotations.read(scene)
+    }
+
+    /// Reads the ego poses of tokens; those that do not exist are left out.
+    pub(super) fn poses<'a>(
+        &self,
+        tokens: impl Iterator<Item = &'a str>,
+    ) -> Result<Table<EgoPose>, FileError> {
+        self.poses.read(tokens)
+    }
+}
+
+impl RowsByScene {
+    fn read<R: Record>(&self, scene: &Scene) -> Result<Table<R>, FileError> {
+        let places = self.rows.get(&scene.token).into_iter().flatten();
+        let records = places.map(|place| self.file.read(*place, R::TABLE)).collect::<Result<_, _>>()?;
+        Table::new(self.file.path().to_owned(), records)
+    }
+}
+
+impl RowsByToken {
+    fn read<'a, R: Record>(&self, tokens: impl Iterator<Item = &'a str>) -> Result<Table<R>, FileError> {
+        let mut records = Vec::new();
+        for token in tokens {
+            let hash = hash_of(token);
+            let first = self.rows.partition_point(|(other, _)| *other < hash);
+            for (_, place) in self.rows[first..].iter().take_while(|(other, _)| *other == hash) {
+                let record: R = self.file.read(*place, R::TABLE)?;
+                if record.token() == token {
+                    records.push(record);
+                }
+            }
+        }
+        Table::new(self.file.path().to_owned(), records)
+    }
+}
+
+fn rows_by_token<R: Record>(folder: &Path) -> Result<RowsByToken, FileError> {
+    let path = table_path::<R>(folder);
+    let mut rows = Vec::new();
+    for_each_row(&path, R::TABLE, |place, row| {
+        let of: TokenOf<'_> = serde_json::from_slice(row)?;
+        rows.push((hash_of(&of.token), place));
+        Ok::<(), serde_json::Error>(())
+    })?;
+    rows.sort_unstable_by_key(|(hash, place)| (*hash, place.offset));
+    Ok(RowsByToken { file: RowFile::open(path)?, rows })
+}
+
+fn hash_of(token: &str) -> u64 {
+    FxBuildHasher.hash_one(token)
+}
+
+fn table_path<R: Record>(folder: &Path) -> PathBuf {
+    folder.join(format!("{}.json", R::TABLE))
+}
