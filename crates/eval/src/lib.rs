@@ -29,6 +29,7 @@ mod patch_classifier;
 pub mod plot;
 mod pseudo_label;
 mod scores;
+mod seams;
 mod sharpness;
 mod ssim;
 mod statistics;
@@ -53,6 +54,7 @@ pub use scores::{
     CollectedFeatures, Distance, Distances, RolloutScores, ScoreError, ScoredFrame, Scores,
     SegmentationMasks, Series, VehicleIou,
 };
+pub use seams::SeamSums;
 pub use sharpness::sharpness;
 pub use ssim::ssim;
 pub use statistics::{MeanInterval, mean_interval, paired_difference};

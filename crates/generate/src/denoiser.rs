@@ -1,7 +1,7 @@
 use image::RgbImage;
 use pskel_sim::peer::PeerError;
 
-use super::{Condition, Latent, LatentShape, Level};
+use super::{Condition, FrameConditions, Latent, LatentShape, Level};
 
 /// A frame of the window, as input of a network.
 #[derive(Debug)]
@@ -62,11 +62,11 @@ pub trait Codec {
     /// size.
     fn encode(&self, images: &[RgbImage]) -> Result<Latent, DenoiserError>;
 
-    /// Decodes the images of a frame, one per camera.
+    /// Decodes the images of a frame, one per camera, from its latent and its conditions.
     ///
     /// # Errors
-    /// Returns an error if the latent has another shape.
-    fn decode(&self, latent: &Latent) -> Result<Vec<RgbImage>, DenoiserError>;
+    /// Returns an error if the latent has another shape, or if the conditions do not fit.
+    fn decode(&self, latent: &Latent, conditions: &FrameConditions) -> Result<Vec<RgbImage>, DenoiserError>;
 }
 
 /// Error of a network or a codec.

@@ -77,6 +77,21 @@ impl DriveFrame {
         Ok(frame)
     }
 
+    /// Returns the conditions of the frame, of maps of a size.
+    pub fn conditions(&self, size: ImageSize, encoder: &TensorEncoder) -> FrameConditions {
+        let pixels = size.pixels();
+        let views = self.color.chunks(pixels).zip(self.bins.chunks(pixels));
+        let layouts = self.boxes.chunks(pixels).zip(self.map.chunks(pixels));
+        FrameConditions {
+            size,
+            points: views.flat_map(|(color, bins)| encoder.points_of_bins(color, bins)).collect(),
+            layout: layouts.flat_map(|(boxes, map)| layout(boxes, Some(map))).collect(),
+            action: self.action,
+            cameras: self.cameras.clone(),
+            prompt: String::new(),
+        }
+    }
+
     fn add(
         &mut self,
         about: &DriveInfo,
@@ -112,17 +127,25 @@ impl TrainingClip {
 
     /// Returns the conditions of a frame.
     pub fn conditions(&self, frame: usize, encoder: &TensorEncoder) -> FrameConditions {
-        let (pixels, frame) = (self.about.recipe.size.pixels(), &self.frames[frame]);
-        let views = frame.color.chunks(pixels).zip(frame.bins.chunks(pixels));
-        let layouts = frame.boxes.chunks(pixels).zip(frame.map.chunks(pixels));
-        FrameConditions {
-            size: self.about.recipe.size,
-            points: views.flat_map(|(color, bins)| encoder.points_of_bins(color, bins)).collect(),
-            layout: layouts.flat_map(|(boxes, map)| layout(boxes, Some(map))).collect(),
-            action: frame.action,
-            cameras: frame.cameras.clone(),
-            prompt: String::new(),
+        self.frames[frame].conditions(self.about.recipe.size, encoder)
+    }
+
+    /// Removes every N-th frame, N at least 2: frames N - 1, 2 N - 1 and so on. The ego motion of the frames behind them
+    /// then includes theirs.
+    #[must_use]
+    pub fn without_every(mut self, n: usize) -> Self {
+        let mut skipped = [0.0_f32; 3];
+        let mut kept = Vec::with_capacity(self.frames.len());
+        for (number, mut frame) in std::mem::take(&mut self.frames).into_iter().enumerate() {
+            frame.action = joined(skipped, frame.action);
+            if (number + 1).is_multiple_of(n) {
+                skipped = frame.action;
+            } else {
+                skipped = [0.0; 3];
+                kept.push(frame);
+            }
         }
+        Self { frames: kept, ..self }
     }
 
     /// Returns the images of a frame.
@@ -134,6 +157,13 @@ impl TrainingClip {
         };
         self.frames[frame].truth.chunks(self.about.recipe.size.pixels()).map(image).collect()
     }
+}
+
+/// Returns the motion of two motions in a row: forward, left, yaw.
+fn joined(first: [f32; 3], second: [f32; 3]) -> [f32; 3] {
+    let (sin, cos) = first[2].sin_cos();
+    let [forward, left, yaw] = second;
+    [first[0] + cos * forward - sin * left, first[1] + sin * forward + cos * left, first[2] + yaw]
 }
 
 fn wrong(expected: String, found: String) -> DenoiserError {
@@ -234,6 +264,26 @@ mod tests {
         assert!(
             error.contains("expected a drive to train on") && error.contains("drive.safetensors"),
             "{error}"
+        );
+    }
+
+    #[test]
+    fn motion_of_removed_frames_is_kept() {
+        let frame = |action| DriveFrame { action, ..DriveFrame::default() };
+        // A quarter turn to the left in every frame: forward, then left, then backward.
+        let turn = std::f32::consts::FRAC_PI_2;
+        let drive = TrainingClip { about: about(), frames: vec![frame([1.0, 0.0, turn]); 5] };
+        let kept = drive.clone().without_every(2);
+        let near = |found: [f32; 3], expected: [f32; 3]| {
+            found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6)
+        };
+        assert!(kept.frames.len() == 3 && kept.frames[0] == drive.frames[0]);
+        assert!(near(kept.frames[2].action, [1.0, 1.0, 2.0 * turn]), "{:?}", kept.frames[2].action);
+        let kept = drive.without_every(3);
+        assert_eq!(kept.frames.len(), 4);
+        assert!(
+            near(kept.frames[2].action, [1.0, 1.0, 2.0 * turn])
+                && near(kept.frames[3].action, [1.0, 0.0, turn])
         );
     }
 

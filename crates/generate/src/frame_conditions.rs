@@ -27,7 +27,7 @@ pub struct FrameConditions {
 /// Number of parameters per camera in [`FrameConditions::cameras`].
 pub const CAMERA_NUMBERS: usize = 16;
 /// Value of dropped color and layout. Source: the condition contract.
-const NO_COLOR: f32 = 0.1255;
+pub const NO_COLOR: f32 = 0.1255;
 /// Value of dropped depth.
 const NO_DEPTH: f32 = -1.0;
 /// Value of a dropped action.

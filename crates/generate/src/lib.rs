@@ -42,7 +42,7 @@ pub use dataset_copy::{ImageCounts, check_dataset_copy, copy_dataset};
 pub use denoiser::{Codec, Denoiser, DenoiserError, Frame};
 pub use drive::{DriveFrame, DriveInfo, TrainingClip};
 pub use error::GenerateError;
-pub use frame_conditions::{CAMERA_NUMBERS, FrameConditions, NO_ACTION};
+pub use frame_conditions::{CAMERA_NUMBERS, FrameConditions, NO_ACTION, NO_COLOR};
 pub use generator::Generator;
 pub use guidance::Guidance;
 pub use latent::{Latent, LatentShape};

@@ -1,6 +1,6 @@
 use image::{Rgb, RgbImage};
 
-use super::{Codec, DenoiserError, Latent, LatentShape};
+use super::{Codec, DenoiserError, FrameConditions, Latent, LatentShape};
 
 /// Codec whose latents are the pixels themselves, in patches. Channel `(color * p + row) * p + column` of a
 /// location is one pixel of its `p x p` patch, from -1 to 1. The order is that of PyTorch's `pixel_unshuffle`.
@@ -64,7 +64,7 @@ impl Codec for PixelCodec {
         Ok(latent)
     }
 
-    fn decode(&self, latent: &Latent) -> Result<Vec<RgbImage>, DenoiserError> {
+    fn decode(&self, latent: &Latent, _: &FrameConditions) -> Result<Vec<RgbImage>, DenoiserError> {
         if latent.shape() != self.shape {
             return Err(DenoiserError::input(
                 format!("latents of {}", self.shape),
@@ -89,6 +89,13 @@ impl Codec for PixelCodec {
 mod tests {
     use super::*;
 
+    /// Conditions, which this codec does not need.
+    fn none() -> FrameConditions {
+        let size = point_skeleton::geometry::ImageSize { height: 0, width: 0 };
+        let (points, layout, cameras) = Default::default();
+        FrameConditions { size, points, layout, action: [0.0; 3], cameras, prompt: String::new() }
+    }
+
     #[test]
     fn pixels_come_back_and_stand_as_pytorch_unshuffles_them() {
         let shape = LatentShape { views: 2, channels: 12, height: 3, width: 4 };
@@ -99,7 +106,7 @@ mod tests {
         };
         let images = [image(0), image(1)];
         let latent = codec.encode(&images).unwrap();
-        assert_eq!(codec.decode(&latent).unwrap(), images);
+        assert_eq!(codec.decode(&latent, &none()).unwrap(), images);
         // Green (1) of row 3, column 5 of camera 1: patch row 1, column 2, inside it row 1, column 1.
         let channel = (2 + 1) * 2 + 1;
         let at = ((12 + channel) * 3 + 1) * 4 + 2;
@@ -115,6 +122,6 @@ mod tests {
         assert!(codec.encode(&[]).unwrap_err().to_string().contains("1 cameras"));
         let message = codec.encode(&[RgbImage::new(3, 2)]).unwrap_err().to_string();
         assert!(message.contains("2x2") && message.contains("2x3"), "{message}");
-        assert!(codec.decode(&Latent::filled(shape(12), 0.0)).is_err());
+        assert!(codec.decode(&Latent::filled(shape(12), 0.0), &none()).is_err());
     }
 }

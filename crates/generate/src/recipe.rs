@@ -36,7 +36,7 @@ impl Default for Recipe {
     fn default() -> Self {
         Self {
             drawn: ImageSize { height: 128, width: 224 },
-            size: ImageSize { height: 32, width: 56 },
+            size: ImageSize { height: 64, width: 112 },
             // Pixels are large: splats only need to close the gaps between LiDAR scan lines.
             splat: SplatSchedule::new(vec![
                 SplatStep { z_max_m: 15.0, radius: 1 },

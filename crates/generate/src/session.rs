@@ -194,9 +194,10 @@ impl<'a> Session<'a> {
         let count = self.parts.options.forecasts();
         let forecasts = self.parts.conditioner.forecasts(simulation, count, rasterizer)?;
         times.forecasts_s = lap(&mut clock);
-        let latent = self.generator()?.step(drawn.map(|drawn| drawn.conditions), &forecasts)?;
+        let conditions = drawn.map(|drawn| drawn.conditions);
+        let latent = self.generator()?.step(conditions.clone(), &forecasts)?;
         times.network_s = lap(&mut clock);
-        let images = self.parts.codec.decode(&latent)?;
+        let images = self.parts.codec.decode(&latent, conditions.get())?;
         times.decode_s = lap(&mut clock);
         self.times = times;
         Ok(StepImages { is_reference: false, images, truth })

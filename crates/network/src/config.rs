@@ -1,8 +1,8 @@
 use std::path::Path;
 
-use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
+use point_skeleton::geometry::ImageSize;
 use pskel_generate::{LatentShape, Recipe};
 use serde::{Deserialize, Serialize};
 
@@ -15,12 +15,10 @@ use super::{NetworkError, Statistics};
 pub struct NetworkConfig {
     /// How its conditions are rendered; images are of `recipe.size`.
     pub recipe: Recipe,
-    /// Number of cameras, V.
-    pub cameras: usize,
     /// Number of frames in the training windows, L; the network also accepts fewer.
     pub frames: usize,
-    /// Side of a patch, pixels, p.
-    pub patch: usize,
+    /// Channels of the convolutions at the full size, and at a half, a quarter and an eighth of it.
+    pub channels: [usize; 4],
     /// Width of the tokens, d.
     pub width: usize,
     /// Width of a head, c.
@@ -32,24 +30,29 @@ pub struct NetworkConfig {
 }
 
 impl Default for NetworkConfig {
-    /// Configuration with 2.1 million parameters, for six cameras of 32x56 pixels.
+    /// Configuration with 1.3 million parameters, for images of 64x112 pixels.
     fn default() -> Self {
         use Attend::{Space, Time, Views};
         Self {
             recipe: Recipe::default(),
-            cameras: 6,
             frames: 4,
-            patch: 4,
+            channels: [16, 32, 64, 96],
             width: 128,
             head: 32,
-            hidden: 512,
-            blocks: vec![Space, Views, Time, Space, Views, Time, Space, Space],
+            hidden: 256,
+            blocks: vec![Space, Views, Time, Space, Views, Time],
         }
     }
 }
 
-/// Channels of the maps of a camera: layout (6), color (3), depth (1 + 8 + 8).
-pub(super) const MAPS: usize = LAYOUT_CHANNELS + POINT_CHANNELS;
+/// Maximum number of cameras.
+pub(crate) const MAX_CAMERAS: usize = 8;
+/// Side of the pixels that share a place of the latents.
+pub(super) const CELL: usize = 4;
+/// Channels of the latents.
+pub(super) const LATENT_CHANNELS: usize = 3;
+/// Side of the pixels that share a token.
+pub(super) const TOKEN: usize = 8;
 /// Maximum of each dimension; rejects mistyped configurations.
 const MOST: usize = 1 << 14;
 
@@ -64,47 +67,47 @@ impl NetworkConfig {
             .map_err(|error| FileError::content("a network's configuration", error.to_string(), path))
     }
 
-    /// Latent shape of a frame: `3 p^2` channels, one row and column per patch.
-    pub fn shape(&self) -> LatentShape {
-        let size = self.recipe.size;
-        let patches = |side: u32| side as usize / self.patch.max(1);
-        LatentShape {
-            views: self.cameras,
-            channels: self.channels(),
-            height: patches(size.height),
-            width: patches(size.width),
-        }
+    /// Latent shape of a frame of some cameras: the mean colors of 4x4 pixels.
+    pub fn shape(&self, cameras: usize) -> LatentShape {
+        let [height, width] = self.divided(CELL);
+        LatentShape { views: cameras, channels: LATENT_CHANNELS, height, width }
     }
 
-    /// Number of channels of a latent, C.
-    pub fn channels(&self) -> usize {
-        3 * self.patch * self.patch
+    /// Checks a number of cameras.
+    ///
+    /// # Errors
+    /// Returns an error if it is not 1 to 8.
+    pub fn check_cameras(cameras: usize) -> Result<(), NetworkError> {
+        match cameras {
+            1..=MAX_CAMERAS => Ok(()),
+            other => Err(NetworkError::input(format!("1 to {MAX_CAMERAS} cameras"), other.to_string())),
+        }
     }
 
     /// Validates the configuration.
     ///
     /// # Errors
-    /// Returns an error if a dimension is out of range, if images cannot be divided into whole patches, or if the
-    /// width is not a multiple of the head width.
+    /// Returns an error if a dimension is out of range, if the sides of images are not multiples of 8, or if the width is not a
+    /// multiple of the head width.
     pub fn check(&self) -> Result<(), NetworkError> {
-        let Self { cameras, frames, patch, width, head, hidden, .. } = *self;
-        let numbers = [cameras, frames, patch, width, head, hidden, self.blocks.len()];
+        let Self { frames, channels, width, head, hidden, .. } = *self;
+        let numbers = [&[frames, width, head, hidden, self.blocks.len()][..], &channels].concat();
         if numbers.iter().any(|number| !(1..=MOST).contains(number)) {
-            let expected = format!("cameras, frames, patch, width, head, hidden and blocks of 1 to {MOST}");
+            let expected = format!("frames, channels, width, head, hidden and blocks of 1 to {MOST}");
             return Err(NetworkError::input(expected, format!("{numbers:?}")));
         }
         if frames < 2 {
             return Err(NetworkError::input("a window of 2 frames or more", frames.to_string()));
         }
         self.recipe.check().map_err(|error| NetworkError::input(error.expected, error.found))?;
-        let size = self.recipe.size;
-        let sides = [size.height, size.width].map(|side| side as usize);
-        if sides.iter().any(|side| *side == 0 || side % patch != 0) {
-            return Err(NetworkError::input(format!("images in whole patches of {patch}"), size.to_string()));
+        let ImageSize { height, width: across } = self.recipe.size;
+        if [height, across].iter().any(|side| *side == 0 || !(*side as usize).is_multiple_of(TOKEN)) {
+            let expected = format!("images with sides that are multiples of {TOKEN}");
+            return Err(NetworkError::input(expected, self.recipe.size.to_string()));
         }
-        if width % head != 0 || head % LANES != 0 || hidden % LANES != 0 {
-            let expected = format!("a width of whole heads, head and hidden multiples of {LANES}");
-            return Err(NetworkError::input(expected, format!("{width}, {head} and {hidden}")));
+        if width % head != 0 || [head, hidden].iter().chain(&channels).any(|n| n % LANES != 0) {
+            let expected = format!("a width of whole heads; head, hidden and channels multiples of {LANES}");
+            return Err(NetworkError::input(expected, format!("{width}, {head}, {hidden} and {channels:?}")));
         }
         Ok(())
     }
@@ -112,22 +115,18 @@ impl NetworkConfig {
     /// Validates the configuration and its statistics; see [`NetworkConfig::check`].
     pub(crate) fn check_with(&self, statistics: &Statistics) -> Result<(), NetworkError> {
         self.check()?;
-        statistics.check(self.channels())
+        statistics.check(LATENT_CHANNELS)
     }
 
-    /// Returns the token grid of a number of windows and frames.
-    pub(super) fn grid(&self, windows: usize, frames: usize) -> Grid {
-        let LatentShape { views, height, width, .. } = self.shape();
+    /// Height and width of images, divided by a number of pixels.
+    pub(super) fn divided(&self, by: usize) -> [usize; 2] {
+        let ImageSize { height, width } = self.recipe.size;
+        [height as usize / by.max(1), width as usize / by.max(1)]
+    }
+
+    /// Returns the token grid of a number of windows, frames and cameras.
+    pub(super) fn grid(&self, windows: usize, frames: usize, views: usize) -> Grid {
+        let [height, width] = self.divided(TOKEN);
         Grid { windows, frames, views, height, width }
-    }
-
-    /// Number of values in a patch's maps, and in its latent.
-    pub(crate) fn maps_and_channels(&self) -> [usize; 2] {
-        [self.map_numbers(), self.channels()]
-    }
-
-    /// Number of values in a patch's maps.
-    pub(super) fn map_numbers(&self) -> usize {
-        MAPS * self.patch * self.patch
     }
 }

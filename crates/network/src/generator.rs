@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::dataset::Recording;
-use point_skeleton::error::FileError;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::scene::{GroundTruthImages, SceneClouds, SceneMap};
 use pskel_generate::{
@@ -15,17 +14,19 @@ use pskel_generate::{
 use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
 use serde::Serialize;
 
-use super::{Network, NetworkError, Provenance};
+use super::{FilledColor, Network, NetworkError, Provenance};
 
 /// Default window of a network process, frames.
 const PROCESS_WINDOW: usize = 4;
 
-/// Name of a network: `network`, `network:FILE`, or `process:` with a command or an address.
+/// Name of a network: `network`, `network:FILE`, `fill`, or `process:` with a command or an address.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "String")]
 pub enum NetworkName {
     /// Network of this crate, with the weights of a file or the shipped ones.
     Network(Option<PathBuf>),
+    /// No network: color maps with their holes filled.
+    Fill,
     /// Network in another process.
     Process(PeerAddress),
 }
@@ -47,7 +48,7 @@ pub struct GeneratorSettings {
     pub guidance: Guidance,
     /// Seed of the noise.
     pub noise_seed: u64,
-    /// Conditions of a network process; other networks have their own.
+    /// Conditions of a network process and of `fill`; other networks have their own.
     pub recipe: Recipe,
     /// Time-out for each answer of a network process, seconds.
     pub timeout_s: f64,
@@ -132,9 +133,6 @@ pub enum OpenNetworkError {
     /// The weights cannot be read.
     #[error(transparent)]
     Network(#[from] NetworkError),
-    /// The weights are for another number of cameras.
-    #[error(transparent)]
-    File(#[from] FileError),
     /// The process does not answer, or its answer is invalid.
     #[error(transparent)]
     Process(#[from] DenoiserError),
@@ -151,30 +149,26 @@ impl GeneratorSettings {
     /// Opens the weights or starts the process, for a log of `cameras` cameras.
     ///
     /// # Errors
-    /// Fails if the options are inconsistent, if the weights are damaged or for another number of cameras, or if the
+    /// Fails if the options are inconsistent, if the weights are damaged, if there are more than 8 cameras, or if the
     /// process does not answer.
     pub fn open(&self, name: &NetworkName, cameras: usize) -> Result<OpenedNetwork, OpenNetworkError> {
         match name {
             NetworkName::Network(path) => self.open_weights(path.as_deref(), cameras),
+            NetworkName::Fill => self.fill(cameras),
             NetworkName::Process(address) => self.start(address, cameras),
         }
     }
 
     fn open_weights(&self, path: Option<&Path>, cameras: usize) -> Result<OpenedNetwork, OpenNetworkError> {
-        let network = Network::open_or_shipped(path)?;
+        let network = Network::open_or_shipped(path, cameras)?;
         let config = network.config();
         let (trained, recipe) = (config.frames, config.recipe.clone());
         let options = self.options(trained)?;
         if options.window > trained {
             return Err(OpenNetworkError::Window { trained, found: options.window });
         }
-        if config.cameras != cameras {
-            let found = format!("weights for {}", config.cameras);
-            let path = path.unwrap_or(Path::new("the shipped weights"));
-            return Err(FileError::content(format!("weights for {cameras} cameras"), found, path).into());
-        }
         Ok(OpenedNetwork {
-            codec: Box::new(network.codec()?),
+            codec: Box::new(network.clone()),
             size: recipe.size,
             about: Some(network.about().clone()),
             fingerprint: Some(network.fingerprint().to_owned()),
@@ -183,6 +177,22 @@ impl GeneratorSettings {
             options,
             seed: self.noise_seed,
             name: NetworkName::Network(path.map(Path::to_owned)),
+        })
+    }
+
+    fn fill(&self, cameras: usize) -> Result<OpenedNetwork, OpenNetworkError> {
+        let (options, recipe) = (self.options(PROCESS_WINDOW)?, self.recipe.clone());
+        let filled = FilledColor::new(&recipe, cameras);
+        Ok(OpenedNetwork {
+            codec: Box::new(filled.clone()),
+            size: recipe.size,
+            about: None,
+            fingerprint: None,
+            denoiser: Box::new(filled),
+            recipe,
+            options,
+            seed: self.noise_seed,
+            name: NetworkName::Fill,
         })
     }
 
@@ -274,11 +284,12 @@ impl FromStr for NetworkName {
     fn from_str(text: &str) -> Result<Self, String> {
         match text.split_once(':') {
             None if text == "network" => Ok(Self::Network(None)),
+            None if text == "fill" => Ok(Self::Fill),
             Some(("network", path)) if !path.is_empty() => Ok(Self::Network(Some(path.into()))),
             Some(("process", address)) => {
                 address.parse().map(Self::Process).map_err(|error: PeerError| error.to_string())
             }
-            _ => Err("expected network, network:FILE, process:COMMAND, process:unix:PATH or \
+            _ => Err("expected network, network:FILE, fill, process:COMMAND, process:unix:PATH or \
                       process:tcp:HOST:PORT"
                 .to_owned()),
         }
@@ -295,6 +306,7 @@ impl fmt::Display for NetworkName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Network(None) => f.write_str("network"),
+            Self::Fill => f.write_str("fill"),
             Self::Network(Some(path)) => write!(f, "network:{}", path.display()),
             Self::Process(address) => write!(f, "process:{address}"),
         }

@@ -1,12 +1,17 @@
 use candle_core::{Device, Result, Tensor};
 use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
-use pskel_generate::NO_ACTION;
-use pskel_generate::{CAMERA_NUMBERS, FrameConditions};
+use point_skeleton::geometry::ImageSize;
+use pskel_generate::{CAMERA_NUMBERS, FrameConditions, NO_ACTION, NO_COLOR};
+use rayon::prelude::*;
 
-use super::config::MAPS;
+use super::config::{CELL, LATENT_CHANNELS, TOKEN};
+use super::fill::fill;
 use super::{NetworkConfig, NetworkError};
 
-/// Number of values of a patch's ray: its direction in the ego frame, and sines and cosines of 1, 2, 4 and 8 times
+/// Numbers of a pixel: filled color (3), filled depth, whether color and depth are known (2), layout (6), direction of
+/// the ray in the ego frame (3), and a zero.
+pub(super) const PLANES: usize = 16;
+/// Number of values of a token's ray: its direction in the ego frame, and sines and cosines of 1, 2, 4 and 8 times
 /// it.
 pub(super) const RAY: usize = 3 + 2 * 3 * OCTAVES;
 const OCTAVES: usize = 4;
@@ -14,102 +19,136 @@ const OCTAVES: usize = 4;
 pub(super) const EGO: usize = 4;
 /// Typical ego motion per frame, by which it is divided: meters forward, meters to the left, radians.
 const EGO_SCALES: [f32; 3] = [2.0, 0.5, 0.1];
+/// Center of colors and depths.
+const CENTER: f32 = 0.5;
 
-/// Conditions of windows as R rows, for all patches of all cameras, frames and windows.
+/// Conditions of frames; images are those of all cameras of all frames.
 #[derive(Clone, Debug)]
 pub(crate) struct Inputs {
-    /// Maps of patches, `[R, 26 p^2]`.
-    pub(super) maps: Tensor,
-    /// Rays of patches, `[R, 27]`.
+    /// Number of cameras, V.
+    pub(super) views: usize,
+    /// Numbers of the pixels, `[F V H W, 16]`.
+    pub(super) pixels: Tensor,
+    /// Means of the filled color over 4x4 pixels, 0 to 1, `[F V h w, 3]`.
+    pub(super) colors: Tensor,
+    /// Rays of tokens, `[F V h/2 w/2, 27]`.
     pub(super) rays: Tensor,
-    /// Ego motion of frames, `[B L, 4]`.
+    /// Ego motion of frames, `[F, 4]`.
     pub(super) ego: Tensor,
 }
 
+/// Numbers of the image of a camera.
+struct CameraInputs {
+    pixels: Vec<f32>,
+    colors: Vec<f32>,
+    rays: Vec<f32>,
+}
+
 impl Inputs {
-    /// Maps of patches, `[R, 26 p^2]`.
-    pub(crate) fn maps(&self) -> &Tensor {
-        &self.maps
+    /// Returns the means of the filled color over 4x4 pixels, 0 to 1, `[F V h w, 3]`.
+    pub(crate) fn colors(&self) -> Result<Vec<f32>> {
+        self.colors.flatten_all()?.to_vec1()
     }
 
     /// Converts the conditions of frames, in order.
     ///
     /// # Errors
-    /// Returns an error if a frame differs from the configuration in size or number of cameras.
+    /// Returns an error if frames differ in their number of cameras, or from the configuration in size.
     pub(crate) fn new<'a>(
         config: &NetworkConfig,
         frames: impl Iterator<Item = &'a FrameConditions>,
     ) -> std::result::Result<Self, NetworkError> {
-        let (mut maps, mut rays, mut ego) = (Vec::new(), Vec::new(), Vec::new());
-        for frame in frames {
-            maps.extend(frame_maps(config, frame)?);
-            rays.extend(frame.cameras.iter().flat_map(|camera| camera_rays(config, camera)));
-            ego.extend(ego_numbers(frame.action));
+        let frames: Vec<&FrameConditions> = frames.collect();
+        let views = frames.first().map_or(0, |frame| frame.views());
+        NetworkConfig::check_cameras(views)?;
+        let size = config.recipe.size;
+        for frame in &frames {
+            let fits = frame.points.len() == views * POINT_CHANNELS * size.pixels()
+                && frame.layout.len() == views * LAYOUT_CHANNELS * size.pixels();
+            if frame.size != size || frame.views() != views || !fits {
+                let found = format!("{} of {}", frame.views(), frame.size);
+                return Err(NetworkError::input(format!("conditions of {views} cameras of {size}"), found));
+            }
         }
-        let rows = |values: Vec<f32>, width: usize| -> Result<Tensor> {
+        let images: Vec<(&FrameConditions, usize)> =
+            frames.iter().flat_map(|frame| (0..views).map(move |view| (*frame, view))).collect();
+        let images: Vec<CameraInputs> =
+            images.par_iter().map(|(frame, view)| camera_inputs(config, frame, *view)).collect();
+        let rows = |of: fn(&CameraInputs) -> &Vec<f32>, width: usize| -> Result<Tensor> {
+            let values: Vec<f32> = images.iter().flat_map(of).copied().collect();
             let count = values.len() / width;
             Tensor::from_vec(values, (count, width), &Device::Cpu)
         };
-        Ok(Self { maps: rows(maps, config.map_numbers())?, rays: rows(rays, RAY)?, ego: rows(ego, EGO)? })
+        let ego: Vec<f32> = frames.iter().flat_map(|frame| ego_numbers(frame.action)).collect();
+        Ok(Self {
+            views,
+            pixels: rows(|image| &image.pixels, PLANES)?,
+            colors: rows(|image| &image.colors, LATENT_CHANNELS)?,
+            rays: rows(|image| &image.rays, RAY)?,
+            ego: Tensor::from_vec(ego, (frames.len(), EGO), &Device::Cpu)?,
+        })
     }
 }
 
-/// Returns the maps of a frame's patches, `[V h w, 26 p^2]`: layout, color, depth.
-///
-/// # Errors
-/// Returns an error if the maps differ from the configuration in size or number of cameras.
-fn frame_maps(
-    config: &NetworkConfig,
-    frame: &FrameConditions,
-) -> std::result::Result<Vec<f32>, NetworkError> {
-    let (size, views) = (config.recipe.size, config.cameras);
+fn camera_inputs(config: &NetworkConfig, frame: &FrameConditions, view: usize) -> CameraInputs {
+    let [height, width] = config.divided(1);
+    let pixels = height * width;
+    let points = &frame.points[view * POINT_CHANNELS * pixels..][..4 * pixels];
+    let layout = &frame.layout[view * LAYOUT_CHANNELS * pixels..][..LAYOUT_CHANNELS * pixels];
+    let (color, has_color) = filled_color(points, config.recipe.size);
+    let depth: Vec<[f32; 1]> = points[3 * pixels..].iter().map(|depth| [*depth]).collect();
+    let has_depth: Vec<bool> = depth.iter().map(|[depth]| *depth >= 0.0).collect();
+    let depth = fill(depth, &has_depth, width);
+    let mut numbers = Vec::with_capacity(pixels * PLANES);
+    let camera = &frame.cameras[view];
+    for i in 0..pixels {
+        let at = [i / width, i % width].map(|place| place as f64 + 0.5);
+        numbers.extend(color[i].map(|c| c - CENTER));
+        numbers.push(depth[i][0] - CENTER);
+        numbers.extend([has_color[i], has_depth[i]].map(|known| if known { 1.0 } else { 0.0 }));
+        numbers.extend((0..LAYOUT_CHANNELS).map(|c| layout[c * pixels + i]));
+        numbers.extend(direction(camera, [at[0] / height as f64, at[1] / width as f64]).map(|d| d as f32));
+        numbers.push(0.0);
+    }
+    CameraInputs { pixels: numbers, colors: means(&color, width), rays: camera_rays(config, camera) }
+}
+
+/// Returns the color of a camera's points `[20, H, W]` with its holes filled, and where it is known.
+pub(super) fn filled_color(points: &[f32], size: ImageSize) -> (Vec<[f32; 3]>, Vec<bool>) {
     let pixels = size.pixels();
-    let fits = frame.points.len() == views * POINT_CHANNELS * pixels
-        && frame.layout.len() == views * LAYOUT_CHANNELS * pixels;
-    if frame.size != size || frame.views() != views || !fits {
-        let found = format!("{} of {}", frame.views(), frame.size);
-        return Err(NetworkError::input(format!("conditions of {views} cameras of {size}"), found));
-    }
-    let width = size.width as usize;
-    let mut maps = Vec::with_capacity(views * MAPS * pixels);
-    let cameras =
-        frame.layout.chunks(LAYOUT_CHANNELS * pixels).zip(frame.points.chunks(POINT_CHANNELS * pixels));
-    for (layout, points) in cameras {
-        maps.extend(patches(&[layout, points], width, pixels, config.patch));
-    }
-    Ok(maps)
+    let color: Vec<[f32; 3]> = (0..pixels).map(|i| [0, 1, 2].map(|c| points[c * pixels + i])).collect();
+    let known: Vec<bool> = color.iter().map(|c| *c != [0.0; 3] && *c != [NO_COLOR; 3]).collect();
+    (fill(color, &known, size.width as usize), known)
 }
 
-/// Cuts the planes of arrays `[channels, H, W]` into patches: rows `[h w, channels p^2]`, each in the order
-/// (channel, y, x).
-fn patches(arrays: &[&[f32]], width: usize, pixels: usize, patch: usize) -> Vec<f32> {
-    let (down, across) = (pixels / width / patch, width / patch);
-    let channels: usize = arrays.iter().map(|array| array.len() / pixels).sum();
-    let mut rows = Vec::with_capacity(channels * pixels);
-    for (y, x) in (0..down).flat_map(|y| (0..across).map(move |x| (y * patch, x * patch))) {
-        for plane in arrays.iter().flat_map(|array| array.chunks(pixels)) {
-            for line in y..y + patch {
-                rows.extend_from_slice(&plane[line * width + x..][..patch]);
-            }
-        }
+/// Returns the mean colors of 4x4 pixels, `[h w, 3]`.
+pub(super) fn means(pixels: &[[f32; 3]], width: usize) -> Vec<f32> {
+    let (down, across) = (pixels.len() / width / CELL, width / CELL);
+    let mut means = vec![0.0; down * across * 3];
+    for (i, pixel) in pixels.iter().enumerate() {
+        let (y, x) = (i / width / CELL, i % width / CELL);
+        let mean = &mut means[(y * across + x) * 3..][..3];
+        mean.iter_mut().zip(pixel).for_each(|(mean, color)| *mean += color);
     }
-    rows
+    means.iter_mut().for_each(|mean| *mean /= (CELL * CELL) as f32);
+    means
 }
 
-/// Returns the rays through the centers of a camera's patches, `[h w, 27]`.
-fn camera_rays(config: &NetworkConfig, camera: &[f32; CAMERA_NUMBERS]) -> Vec<f32> {
+/// Returns the direction in the ego frame of the ray through a place (y, x), in fractions of the image.
+fn direction(camera: &[f32; CAMERA_NUMBERS], [y, x]: [f64; 2]) -> [f64; 3] {
     let numbers = camera.map(f64::from);
     let [fx, fy, cx, cy] = [12, 13, 14, 15].map(|i| numbers[i]);
-    let (down, across) = (config.shape().height, config.shape().width);
+    let (right, low) = ((x - cx) / fx, (y - cy) / fy);
+    let length = (right * right + low * low + 1.0).sqrt();
+    std::array::from_fn(|i| (numbers[4 * i] * right + numbers[4 * i + 1] * low + numbers[4 * i + 2]) / length)
+}
+
+/// Returns the rays through the centers of a camera's tokens, `[R, 27]`.
+fn camera_rays(config: &NetworkConfig, camera: &[f32; CAMERA_NUMBERS]) -> Vec<f32> {
+    let [down, across] = config.divided(TOKEN);
     let mut rays = Vec::with_capacity(down * across * RAY);
     for (y, x) in (0..down).flat_map(|y| (0..across).map(move |x| (y, x))) {
-        // In fractions of the image's width and height, like the camera parameters.
-        let right = ((x as f64 + 0.5) / across as f64 - cx) / fx;
-        let low = ((y as f64 + 0.5) / down as f64 - cy) / fy;
-        let length = (right * right + low * low + 1.0).sqrt();
-        let direction: [f64; 3] = std::array::from_fn(|i| {
-            (numbers[4 * i] * right + numbers[4 * i + 1] * low + numbers[4 * i + 2]) / length
-        });
+        let direction = direction(camera, [(y as f64 + 0.5) / down as f64, (x as f64 + 0.5) / across as f64]);
         rays.extend(direction.map(|d| d as f32));
         for octave in 0..OCTAVES {
             let factor = f64::from(1_u32 << octave);
@@ -132,14 +171,21 @@ fn ego_numbers(action: [f32; 3]) -> [f32; EGO] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use point_skeleton::geometry::ImageSize;
+    use pskel_generate::{Condition, DroppedConditions};
 
-    #[test]
-    fn patches_are_rows() {
-        let planes: Vec<f32> = (0..2 * 2 * 4).map(|i| i as f32).collect();
-        let rows = patches(&[&planes[..8], &planes[8..]], 4, 8, 2);
-        assert_eq!(rows[..8], [0.0, 1.0, 4.0, 5.0, 8.0, 9.0, 12.0, 13.0]);
-        assert_eq!(rows[8..], [2.0, 3.0, 6.0, 7.0, 10.0, 11.0, 14.0, 15.0]);
+    /// The camera looks along the ego's x axis: right is -y, down is -z.
+    #[rustfmt::skip]
+    const CAMERA: [f32; 16] = [
+        0.0, 0.0, 1.0, 1.5,
+        -1.0, 0.0, 0.0, 0.0,
+        0.0, -1.0, 0.0, 1.6,
+        1.0, 0.5, 0.5, 0.5,
+    ];
+
+    fn config(height: u32, width: u32) -> NetworkConfig {
+        let mut config = NetworkConfig::default();
+        config.recipe.size = ImageSize { height, width };
+        config
     }
 
     #[test]
@@ -149,21 +195,12 @@ mod tests {
         assert_eq!(ego_numbers([-1000.0; 3]), [0.0; 4]);
     }
 
-    /// The camera looks along the ego's x axis: right is -y, down is -z.
     #[test]
     fn rays_look_where_the_camera_looks() {
-        let mut config = NetworkConfig { patch: 4, ..NetworkConfig::default() };
-        config.recipe.size = ImageSize { height: 12, width: 12 };
-        #[rustfmt::skip]
-        let camera = [
-            0.0, 0.0, 1.0, 1.5,
-            -1.0, 0.0, 0.0, 0.0,
-            0.0, -1.0, 0.0, 1.6,
-            1.0, 0.5, 0.5, 0.5,
-        ];
-        let rays = camera_rays(&config, &camera);
+        let config = config(24, 24);
+        let rays = camera_rays(&config, &CAMERA);
         assert_eq!(rays.len(), 9 * RAY);
-        let ray = |patch: usize| &rays[patch * RAY..][..RAY];
+        let ray = |token: usize| &rays[token * RAY..][..RAY];
         assert_eq!(ray(4)[..9], [1.0, 0.0, 0.0, 1.0_f32.sin(), 0.0, 0.0, 1.0_f32.cos(), 1.0, 1.0]);
         // Right by a third of the width, with a focal length of the width; up by a third of the height, with half
         // of it.
@@ -171,6 +208,42 @@ mod tests {
         let length = (1.0_f32 + right * right + up * up).sqrt();
         let expected = [1.0, -right, up].map(|d| d / length);
         assert!(ray(2).iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{:?}", &ray(2)[..3]);
-        assert!((ray(2)[RAY - 1] - (8.0 * expected[2]).cos()).abs() < 1e-5);
+    }
+
+    /// A point in one pixel: its color fills the image, and the masks show where it is.
+    #[test]
+    fn pixels_have_filled_colors_and_masks() {
+        let config = config(8, 16);
+        let pixels = 128;
+        let mut points = vec![0.0; POINT_CHANNELS * pixels];
+        points[3 * pixels..4 * pixels].fill(-1.0);
+        for (channel, value) in [0.25, 0.5, 0.75, 0.125].into_iter().enumerate() {
+            points[channel * pixels + 37] = value;
+        }
+        let layout = (0..LAYOUT_CHANNELS).flat_map(|c| vec![c as f32; pixels]).collect();
+        let size = config.recipe.size;
+        let frame = FrameConditions {
+            size,
+            points,
+            layout,
+            action: [0.0; 3],
+            cameras: vec![CAMERA],
+            prompt: String::new(),
+        };
+        let numbers = |frame: &FrameConditions| {
+            let inputs = Inputs::new(&config, std::iter::once(frame)).unwrap();
+            (inputs.pixels.to_vec2::<f32>().unwrap(), inputs.colors.to_vec2::<f32>().unwrap())
+        };
+        let (found, colors) = numbers(&frame);
+        for (i, row) in found.iter().enumerate() {
+            let known = if i == 37 { 1.0 } else { 0.0 };
+            assert_eq!(row[..12], [-0.25, 0.0, 0.25, -0.375, known, known, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+            assert!((row[12..15].iter().map(|d| d * d).sum::<f32>() - 1.0).abs() < 1e-5 && row[15] == 0.0);
+        }
+        assert_eq!(colors, vec![vec![0.25, 0.5, 0.75]; 8]);
+        let (found, colors) = numbers(&frame.without(DroppedConditions::ALL));
+        assert!(found.iter().all(|row| row[..6] == [0.0; 6]) && colors == vec![vec![0.5; 3]; 8]);
+        let other = FrameConditions { size: ImageSize { height: 8, width: 8 }, ..frame };
+        assert!(Inputs::new(&config, std::iter::once(&other)).is_err());
     }
 }

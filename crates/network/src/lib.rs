@@ -1,42 +1,46 @@
-//! A small diffusion transformer on the CPU, and the linear codec of its latents.
+//! A small diffusion network on the CPU, and its training.
 //!
 //! # How it works
-//! [`PatchCodec`] encodes every patch of an image into a latent, whose channels have mean 0 and variance 1 over the
-//! training images ([`Statistics`]). `inputs` turns [`FrameConditions`](pskel_generate::FrameConditions) into rows of
-//! numbers, one per patch. `model` is the transformer over all patches of all cameras and frames of a window.
-//! `kernels` and `ops` implement operations that the tensor library lacks or runs too slowly. `levels` defines the
-//! network's input and output at a noise level: the conditions alone give a first guess, and the transformer
+//! `inputs` turns [`FrameConditions`](pskel_generate::FrameConditions) into images of numbers, with the holes of color and depth
+//! filled (`fill`). `model` encodes them once per frame, denoises the latents of a window of frames, and decodes a finished
+//! latent into images, seeing the conditions again. Latents are mean colors of 4x4 pixels (`latents`), with mean 0 and variance 1
+//! over the training images ([`Statistics`]). `kernels` and `ops` implement operations that the tensor library lacks or runs too
+//! slowly. `levels` defines the denoiser's input and output at a noise level: the filled color is a first guess, and the denoiser
 //! predicts the remainder. [`Weights`] holds all of it in one file, and [`Network`] is the
-//! [`Denoiser`](pskel_generate::Denoiser) that runs it. [`GeneratorSettings`] open a network by its name.
+//! [`Denoiser`](pskel_generate::Denoiser) and the [`Codec`](pskel_generate::Codec) that run it. [`GeneratorSettings`] open a
+//! network by its name.
 
-mod codec;
 mod config;
 mod denoiser;
 mod error;
+mod fill;
+mod filled;
 mod generator;
 mod inputs;
 mod kernels;
+mod latents;
 mod levels;
 mod model;
 mod ops;
+mod parameters;
 mod statistics;
 pub mod train;
 mod weights;
 
-pub use codec::PatchCodec;
 pub use config::NetworkConfig;
 pub use denoiser::Network;
 pub use error::NetworkError;
+pub use filled::FilledColor;
 pub use generator::{
     GenerationScene, GeneratorReport, GeneratorSettings, NetworkName, OpenNetworkError, OpenedNetwork,
 };
 pub use kernels::Attend;
-pub use model::FirstGuess;
 pub use statistics::Statistics;
 pub use weights::{Provenance, Weights};
 
 pub(crate) use inputs::Inputs;
+pub(crate) use latents::latent_rows;
 pub(crate) use levels::Levels;
-pub(crate) use model::EmbeddedConditions;
-pub(crate) use model::{Model, fresh, shapes};
+pub(crate) use model::{EncodedConditions, Model, WindowConditions};
+pub(crate) use parameters::{fresh, shapes};
 pub(crate) use weights::{find, in_file, read, read_whole, serialized};

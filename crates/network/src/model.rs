@@ -1,132 +1,49 @@
 use std::collections::BTreeMap;
 
 use candle_core::{Device, Result, Tensor};
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
-use rand_seeder::Seeder;
 
-use super::inputs::{EGO, RAY};
-use super::kernels::{AttentionMlp, Grid};
+use super::config::LATENT_CHANNELS;
+use super::kernels::{AttentionMlp, Convolution, Grid, LANES, Resize};
+use super::parameters::{Modulations, WAVES, shapes};
 use super::{Inputs, Levels, NetworkConfig, NetworkError, Statistics, ops};
 
-/// Number of frequencies in the encoding of a noise level.
-const WAVES: usize = 32;
-/// Initial value of the blocks' gates.
-const FIRST_GATE: f32 = 0.1;
-
-/// The transformer; a token is a patch of a camera of a frame. A block computes one attention and one hidden layer
-/// in parallel after a shared norm: `x + gate W_out [attention(q, k, v), gelu(hidden)]` with
-/// `[q, k, v, hidden] = W_in norm(x)`. Gate and norm are modulated per frame by the noise level and the ego motion.
-/// Sources: Peebles and Xie, "Scalable Diffusion Models with Transformers", 2023; Chen et al., "Diffusion Forcing",
-/// 2024 (a level per frame).
+/// The network. A convolutional encoder turns the conditions of a frame into features at four sizes, once per frame. The
+/// denoiser works on latents at a quarter of the size, with attention within images, across cameras and over time at an eighth.
+/// The decoder turns a finished latent and the features of its frame into images. Rows of tensors are pixels: `[N H W, C]`.
+/// Sources: Ronneberger et al., "U-Net", 2015; Peebles and Xie, "Scalable Diffusion Models with Transformers", 2023; Chen et
+/// al., "Diffusion Forcing", 2024 (a noise level per frame).
 #[derive(Clone, Debug)]
 pub(crate) struct Model {
     config: NetworkConfig,
-    priors: Vec<f32>,
+    statistics: Statistics,
     parameters: BTreeMap<String, Tensor>,
 }
 
-/// Embedded conditions of windows; the same for all noise levels.
+/// Encoded conditions of frames.
 #[derive(Clone, Debug)]
-pub(crate) struct EmbeddedConditions {
-    grid: Grid,
-    /// Tokens of the conditions, `[R, d]`.
-    tokens: Tensor,
-    /// First guess of the latents, from the maps of each patch alone, `[R, C]`.
+pub(crate) struct EncodedConditions {
+    /// What the denoiser takes.
+    pub(crate) window: WindowConditions,
+    /// Filled color, -0.5 to 0.5, `[F V H W, 3]`.
+    color: Tensor,
+    /// Features at the full size and at a half of it, for the decoder.
+    full: Tensor,
+    half: Tensor,
+}
+
+/// Encoded conditions of frames without those that only the decoder takes.
+#[derive(Clone, Debug)]
+pub(crate) struct WindowConditions {
+    /// Number of cameras, V.
+    views: usize,
+    /// Features at a quarter of the size, `[F V h w, C]`.
+    features: Tensor,
+    /// First guess of the latents: the filled color, `[F V h w, 3]`.
     guess: Tensor,
-    /// Embedded ego motion, `[B L, d]`.
+    /// Embedded rays of tokens, `[F V R, d]`.
+    rays: Tensor,
+    /// Embedded ego motion, `[F, d]`.
     ego: Tensor,
-}
-
-/// A parameter: a matrix `[out, in]` or a vector, with the standard deviation of its initial values.
-struct Parameter {
-    name: String,
-    shape: Vec<usize>,
-    spread: f64,
-}
-
-fn parameters(config: &NetworkConfig) -> Vec<Parameter> {
-    let (d, channels, maps) = (config.width, config.channels(), config.map_numbers());
-    let (patches, blocks) = (config.shape().height * config.shape().width, config.blocks.len());
-    let modulations = (3 * blocks + 2) * d;
-    let of = |n: usize| 1.0 / (n as f64).sqrt();
-    let parameter = |name: &str, shape: &[usize], spread: f64| Parameter {
-        name: name.to_owned(),
-        shape: shape.to_vec(),
-        spread,
-    };
-    let mut all = vec![
-        parameter("latent.in", &[d, channels], of(channels)),
-        // Neighboring pixels of a map are strongly correlated.
-        parameter("maps.in", &[d, maps], 2.0 * of(maps)),
-        parameter("maps.guess", &[channels, maps], 0.0),
-        parameter("maps.guess_bias", &[channels], 0.0),
-        parameter("rays.in", &[d, RAY], of(RAY)),
-        parameter("place", &[patches, d], 0.02),
-        parameter("frame", &[config.frames, d], 0.02),
-        parameter("level.a", &[d, 2 * WAVES], of(2 * WAVES)),
-        parameter("level.a_bias", &[d], 0.0),
-        parameter("level.b", &[d, d], of(d)),
-        parameter("ego.a", &[d, EGO], of(EGO)),
-        parameter("ego.b", &[d, d], of(d)),
-        parameter("modulation", &[modulations, d], 0.02 * of(d)),
-        parameter("modulation_bias", &[modulations], 0.0),
-        parameter("out", &[channels, d], 0.1 * of(d)),
-    ];
-    for block in 0..blocks {
-        let (wide, mixed) = (3 * d + config.hidden, d + config.hidden);
-        all.push(parameter(&format!("block.{block:02}.in"), &[wide, d], of(d)));
-        all.push(parameter(&format!("block.{block:02}.out"), &[d, mixed], of(mixed)));
-    }
-    all
-}
-
-/// Returns names and shapes of the parameters.
-pub(crate) fn shapes(config: &NetworkConfig) -> Vec<(String, Vec<usize>)> {
-    parameters(config).into_iter().map(|parameter| (parameter.name, parameter.shape)).collect()
-}
-
-/// A linear guess of latents from the maps of their patches; the starting point of training.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FirstGuess {
-    /// Matrix `[C, 26 p^2]`, with a column per layout, color or depth channel and pixel of a patch.
-    pub matrix: Vec<f32>,
-    /// Bias `[C]`.
-    pub bias: Vec<f32>,
-}
-
-/// Creates the initial parameters.
-///
-/// # Errors
-/// Returns an error if the guess does not fit the configuration, or any error of the tensor library.
-pub(crate) fn fresh(
-    config: &NetworkConfig,
-    guess: &FirstGuess,
-    seed: u64,
-) -> std::result::Result<BTreeMap<String, Tensor>, NetworkError> {
-    let expected = [config.channels() * config.map_numbers(), config.channels()];
-    let found = [guess.matrix.len(), guess.bias.len()];
-    if found != expected {
-        return Err(NetworkError::input(format!("a guess of {expected:?} numbers"), format!("{found:?}")));
-    }
-    let make = |Parameter { name, shape, spread }| {
-        let mut random: ChaCha8Rng = Seeder::from((seed, &name)).into_rng();
-        let normal =
-            || spread as f32 * <StandardNormal as Distribution<f32>>::sample(&StandardNormal, &mut random);
-        let mut values = vec![0.0_f32; shape.iter().product()];
-        match name.as_str() {
-            "maps.guess" => values.copy_from_slice(&guess.matrix),
-            "maps.guess_bias" => values.copy_from_slice(&guess.bias),
-            "modulation_bias" => {
-                let gates = values.chunks_mut(config.width).skip(2).step_by(3).take(config.blocks.len());
-                gates.for_each(|gate| gate.fill(FIRST_GATE));
-            }
-            _ if spread > 0.0 => values.fill_with(normal),
-            _ => {}
-        }
-        Ok((name, Tensor::from_vec(values, shape, &Device::Cpu)?))
-    };
-    parameters(config).into_iter().map(make).collect()
 }
 
 /// Returns the sinusoidal encoding of noise levels, `[F, 64]`.
@@ -156,12 +73,12 @@ impl Model {
                 return Err(NetworkError::input(format!("{name} of {shape:?}"), format!("{found:?}")));
             }
         }
-        Ok(Self { config: config.clone(), priors: statistics.priors.clone(), parameters })
+        Ok(Self { config: config.clone(), statistics: statistics.clone(), parameters })
     }
 
     /// Returns the preconditioning factors for the noise levels of frames.
     pub(crate) fn levels<'a>(&'a self, sigmas: &'a [f32]) -> Levels<'a> {
-        Levels::new(sigmas, &self.priors)
+        Levels::new(sigmas, &self.statistics.priors)
     }
 
     fn parameter(&self, name: &str) -> Result<&Tensor> {
@@ -176,69 +93,165 @@ impl Model {
         self.linear(x, name)?.broadcast_add(self.parameter(&format!("{name}_bias"))?)
     }
 
-    /// Embeds the conditions of windows of `frames` frames each.
-    pub(crate) fn take(&self, inputs: &Inputs, windows: usize, frames: usize) -> Result<EmbeddedConditions> {
-        let grid = self.config.grid(windows, frames);
-        let (d, patches) = (self.config.width, grid.height * grid.width);
-        let tokens = (self.linear(&inputs.maps, "maps.in")? + self.linear(&inputs.rays, "rays.in")?)?
-            .reshape((windows * frames * grid.views, patches, d))?
-            .broadcast_add(self.parameter("place")?)?
-            .reshape((windows, frames, grid.image_rows(), d))?
-            .broadcast_add(&self.parameter("frame")?.narrow(0, 0, frames)?.reshape((1, frames, 1, d))?)?
-            .reshape((grid.rows(), d))?;
-        let guess = self.biased(&inputs.maps, "maps.guess")?;
-        let ego = self.linear(&self.linear(&inputs.ego, "ego.a")?.silu()?, "ego.b")?;
-        Ok(EmbeddedConditions { grid, tokens, guess, ego })
+    /// Convolution of images whose sides are divided by a number.
+    fn convolve(&self, x: &Tensor, name: &str, by: usize, rectified: bool) -> Result<Tensor> {
+        let ([height, width], weights) = (self.config.divided(by), self.parameter(name)?);
+        let (channels, outputs) = (x.dims2()?.1, weights.dims2()?.1);
+        let shape = Convolution { height, width, channels, outputs, rectified };
+        ops::convolve(x, weights, self.parameter(&format!("{name}_bias"))?, shape)
     }
 
-    /// Returns the network's output for noisy latents `[R, C]` with noise `sigmas [B L]`: the error of the linear
-    /// estimate, `[R, C]`, in the units of [`Levels`].
+    /// Two rectified convolutions.
+    fn stage(&self, x: &Tensor, name: &str, by: usize) -> Result<Tensor> {
+        self.convolve(&self.convolve(x, &format!("{name}.a"), by, true)?, &format!("{name}.b"), by, true)
+    }
+
+    /// Halves images whose sides are divided by a number.
+    fn halve(&self, x: &Tensor, by: usize) -> Result<Tensor> {
+        let [height, width] = self.config.divided(by);
+        ops::halve(x, Resize { height, width, channels: x.dims2()?.1 })
+    }
+
+    /// Doubles images to sides that are divided by a number.
+    fn double(&self, x: &Tensor, by: usize) -> Result<Tensor> {
+        let [height, width] = self.config.divided(by);
+        ops::double(x, Resize { height, width, channels: x.dims2()?.1 })
+    }
+
+    /// Encodes the conditions of frames.
+    pub(crate) fn encode(&self, inputs: &Inputs) -> Result<EncodedConditions> {
+        let full = self.stage(&inputs.pixels, "encode.full", 1)?;
+        let half = self.stage(&self.halve(&full, 1)?, "encode.half", 2)?;
+        let quarter = self.stage(&self.halve(&half, 2)?, "encode.quarter", 4)?;
+        let eighth = self.stage(&self.halve(&quarter, 4)?, "encode.eighth", 8)?;
+        let quarter = self.stage(&Tensor::cat(&[&self.double(&eighth, 4)?, &quarter], 1)?, "encode.up", 4)?;
+        let of = |values: &[f32]| Tensor::from_slice(values, (1, LATENT_CHANNELS), &Device::Cpu);
+        let centered = inputs.colors.broadcast_sub(&of(&self.statistics.means)?)?;
+        let window = WindowConditions {
+            views: inputs.views,
+            features: quarter,
+            guess: centered.broadcast_div(&of(&self.statistics.scales)?)?,
+            rays: self.linear(&inputs.rays, "rays.in")?,
+            ego: self.linear(&self.linear(&inputs.ego, "ego.a")?.silu()?, "ego.b")?,
+        };
+        Ok(EncodedConditions { window, color: inputs.pixels.narrow(1, 0, 3)?.contiguous()?, full, half })
+    }
+
+    /// Returns the images of finished latents `[F V h w, 3]`: colors from 0 to 1, slightly beyond at times,
+    /// `[F V H W, 3]`.
+    pub(crate) fn decode(&self, latents: &Tensor, encoded: &EncodedConditions) -> Result<Tensor> {
+        let EncodedConditions { window, color, full, half } = encoded;
+        let none =
+            Tensor::zeros((latents.dims2()?.0, LANES - LATENT_CHANNELS), latents.dtype(), &Device::Cpu)?;
+        let x = self.stage(&Tensor::cat(&[&window.features, latents, &none], 1)?, "decode.quarter", 4)?;
+        let x = self.stage(&Tensor::cat(&[&self.double(&x, 2)?, half], 1)?, "decode.half", 2)?;
+        let x = self.stage(&Tensor::cat(&[&self.double(&x, 1)?, full], 1)?, "decode.full", 1)?;
+        (self.biased(&x, "decode.out")? + color)? + 0.5
+    }
+
+    /// Returns the network's output for noisy latents `[B L V h w, 3]` with noise `sigmas [B L]`: the error of the linear
+    /// estimate, in the units of [`Levels`]. `encoded` has the conditions of the frames of `windows` windows.
     pub(crate) fn answer(
         &self,
         noisy: &Tensor,
         sigmas: &[f32],
-        taken: &EmbeddedConditions,
+        encoded: &WindowConditions,
+        windows: usize,
     ) -> Result<Tensor> {
-        let (d, blocks) = (self.config.width, self.config.blocks.len());
+        let (frames, columns) = (sigmas.len() / windows, Modulations::new(&self.config));
         let level = self.biased(&waves(sigmas)?, "level.a")?.silu()?;
-        let frame = (self.linear(&level, "level.b")? + &taken.ego)?.silu()?;
-        let modulation = self.biased(&frame, "modulation")?;
-        let part = |first: usize, count: usize| modulation.narrow(1, first * d, count * d)?.contiguous();
-        // No gradient through the input: the guess is trained through the target output only.
-        let shown = self.levels(sigmas).shown(noisy, &taken.guess.detach())?;
-        let mut x = (self.linear(&shown, "latent.in")? + &taken.tokens)?;
-        for (block, &attend) in self.config.blocks.iter().enumerate() {
-            let normed = ops::norm_modulate(&x, &part(3 * block, 2)?)?;
-            let wide = self.linear(&normed, &format!("block.{block:02}.in"))?;
-            let mix = AttentionMlp {
-                grid: taken.grid,
-                attend,
-                width: d,
-                head: self.config.head,
-                hidden: self.config.hidden,
-            };
-            let mixed = self.linear(&ops::mix(&wide, mix)?, &format!("block.{block:02}.out"))?;
-            x = ops::gated_add(&x, &mixed, &part(3 * block + 2, 1)?)?;
-        }
-        self.linear(&ops::norm_modulate(&x, &part(3 * blocks, 2)?)?, "out")
+        let modulation = (self.linear(&level, "level.b")? + &encoded.ego)?.silu()?;
+        let modulation = self.biased(&modulation, "modulation")?;
+        let part = |first: usize, count: usize| modulation.narrow(1, first, count)?.contiguous();
+        let quarter = self.config.channels[2];
+        let residual = |x: &Tensor, name: &str, which: usize| {
+            let first = columns.residual(which);
+            let normed = ops::norm_modulate(x, &part(first, 2 * quarter)?)?;
+            let hidden = self.convolve(&normed, &format!("{name}.a"), 4, true)?;
+            let added = self.convolve(&hidden, &format!("{name}.b"), 4, false)?;
+            ops::gated_add(x, &added, &part(first + 2 * quarter, quarter)?)
+        };
+        let shown = self.levels(sigmas).shown(noisy, &encoded.guess)?;
+        let x = (self.linear(&shown, "latent.in")? + self.linear(&encoded.features, "conditions.in")?)?;
+        let x = residual(&x, "denoise.first", 0)?;
+        let grid = self.config.grid(windows, frames, encoded.views);
+        let tokens = self.tokens(&self.halve(&x, 4)?, encoded, grid, &part)?;
+        let x = (&x + self.double(&self.linear(&tokens, "tokens.out")?, 4)?)?;
+        let x = residual(&x, "denoise.last", 1)?;
+        self.linear(&ops::norm_modulate(&x, &part(columns.output(), 2 * quarter)?)?, "out")
     }
 
-    /// Returns the velocity, `[R, C]`, of noisy latents `[R, C]` with noise `sigmas [B L]`.
+    /// Returns tokens `[R, d]` after all blocks. A block computes one attention and one hidden layer in parallel after a
+    /// shared norm: `x + gate W_out [attention(q, k, v), gelu(hidden)]` with `[q, k, v, hidden] = W_in norm(x)`.
+    fn tokens(
+        &self,
+        x: &Tensor,
+        encoded: &WindowConditions,
+        grid: Grid,
+        part: &impl Fn(usize, usize) -> Result<Tensor>,
+    ) -> Result<Tensor> {
+        let (d, columns) = (self.config.width, Modulations::new(&self.config));
+        let frame = self.parameter("frame")?.narrow(0, 0, grid.frames)?.reshape((1, grid.frames, 1, d))?;
+        let mut x = (self.linear(x, "tokens.in")? + &encoded.rays)?
+            .reshape((grid.windows, grid.frames, grid.image_rows(), d))?
+            .broadcast_add(&frame)?
+            .reshape((grid.rows(), d))?;
+        for (block, &attend) in self.config.blocks.iter().enumerate() {
+            let first = columns.block(block);
+            let normed = ops::norm_modulate(&x, &part(first, 2 * d)?)?;
+            let wide = self.linear(&normed, &format!("block.{block:02}.in"))?;
+            let (head, hidden) = (self.config.head, self.config.hidden);
+            let mixed = ops::mix(&wide, AttentionMlp { grid, attend, width: d, head, hidden })?;
+            let mixed = self.linear(&mixed, &format!("block.{block:02}.out"))?;
+            x = ops::gated_add(&x, &mixed, &part(first + 2 * d, d)?)?;
+        }
+        Ok(x)
+    }
+
+    /// Returns the velocity of noisy latents of a window, `[L V h w, 3]`, with noise `sigmas [L]`.
     pub(crate) fn velocity(
         &self,
         noisy: &Tensor,
         sigmas: &[f32],
-        taken: &EmbeddedConditions,
+        encoded: &WindowConditions,
     ) -> Result<Tensor> {
-        let answer = self.answer(noisy, sigmas, taken)?;
+        let answer = self.answer(noisy, sigmas, encoded, 1)?;
         let levels = self.levels(sigmas);
-        levels.velocity(noisy, &levels.clean(noisy, &taken.guess, &answer)?)
+        levels.velocity(noisy, &levels.clean(noisy, &encoded.guess, &answer)?)
     }
 }
 
-impl EmbeddedConditions {
-    /// First guess of the latents, from the maps of each patch alone, `[R, C]`.
+impl WindowConditions {
+    /// First guess of the latents, `[F V h w, 3]`.
     pub(crate) fn guess(&self) -> &Tensor {
         &self.guess
+    }
+
+    /// Joins the conditions of frames of the same number of cameras.
+    pub(crate) fn joined(frames: &[&Self]) -> Result<Self> {
+        let join = |of: fn(&Self) -> &Tensor| {
+            Tensor::cat(&frames.iter().map(|frame| of(frame)).collect::<Vec<_>>(), 0)
+        };
+        Ok(Self {
+            views: frames.first().map_or(0, |frame| frame.views),
+            features: join(|frame| &frame.features)?,
+            guess: join(|frame| &frame.guess)?,
+            rays: join(|frame| &frame.rays)?,
+            ego: join(|frame| &frame.ego)?,
+        })
+    }
+}
+
+impl EncodedConditions {
+    /// Returns the conditions of one frame of `frames`.
+    pub(crate) fn frame(&self, frame: usize, frames: usize) -> Result<Self> {
+        let part = |all: &Tensor| {
+            let rows = all.dims2()?.0 / frames;
+            all.narrow(0, frame * rows, rows)
+        };
+        let WindowConditions { views, features, guess, rays, ego } = &self.window;
+        let (features, guess) = (part(features)?, part(guess)?);
+        let window = WindowConditions { views: *views, features, guess, rays: part(rays)?, ego: part(ego)? };
+        Ok(Self { window, color: part(&self.color)?, full: part(&self.full)?, half: part(&self.half)? })
     }
 }

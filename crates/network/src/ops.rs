@@ -4,7 +4,7 @@ use candle_core::{
     CpuStorage, CustomOp1, CustomOp2, CustomOp3, Device, Layout, Result, Shape, Storage, Tensor, bail,
 };
 
-use super::kernels::{self, AttentionMlp};
+use super::kernels::{self, AttentionMlp, Convolution, Resize};
 
 /// Returns the values of a contiguous tensor.
 fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
@@ -42,6 +42,91 @@ pub(super) fn norm_modulate(x: &Tensor, modulation: &Tensor) -> Result<Tensor> {
 /// Returns `x + gate y`; `x, y [R, d]`, `gate [G, d]`.
 pub(super) fn gated_add(x: &Tensor, y: &Tensor, gate: &Tensor) -> Result<Tensor> {
     x.apply_op3(y, gate, GateOp)
+}
+
+/// Returns the convolution of images; `x [N H W, C]`, `weights [9 C, D]`, `bias [D]`.
+pub(super) fn convolve(x: &Tensor, weights: &Tensor, bias: &Tensor, shape: Convolution) -> Result<Tensor> {
+    x.apply_op3(weights, bias, ConvolutionOp(shape))
+}
+
+/// Returns the means of 2x2 pixels of images; `x [N H W, C]`.
+pub(super) fn halve(x: &Tensor, shape: Resize) -> Result<Tensor> {
+    x.apply_op1(HalveOp(shape))
+}
+
+/// Returns images at twice the size, H x W, by bilinear interpolation.
+pub(super) fn double(x: &Tensor, shape: Resize) -> Result<Tensor> {
+    x.apply_op1(DoubleOp(shape))
+}
+
+struct ConvolutionOp(Convolution);
+
+impl CustomOp3 for ConvolutionOp {
+    fn name(&self) -> &'static str {
+        "convolution"
+    }
+
+    fn cpu_fwd(
+        &self,
+        x: &CpuStorage,
+        x_layout: &Layout,
+        weights: &CpuStorage,
+        weights_layout: &Layout,
+        bias: &CpuStorage,
+        bias_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let rows = x_layout.shape().dims2()?.0;
+        let (x, weights, bias) =
+            (slice(x, x_layout)?, slice(weights, weights_layout)?, slice(bias, bias_layout)?);
+        Ok((CpuStorage::F32(self.0.forward(x, weights, bias)), Shape::from((rows, self.0.outputs))))
+    }
+
+    fn bwd(
+        &self,
+        x: &Tensor,
+        weights: &Tensor,
+        bias: &Tensor,
+        out: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let (x_grad, weights_grad, bias_grad) =
+            lend(&[x, weights, out, grad], |t| self.0.backward(t[0], t[1], t[2], t[3]))?;
+        Ok((Some(like(x, x_grad)?), Some(like(weights, weights_grad)?), Some(like(bias, bias_grad)?)))
+    }
+}
+
+struct HalveOp(Resize);
+
+impl CustomOp1 for HalveOp {
+    fn name(&self) -> &'static str {
+        "halve"
+    }
+
+    fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let rows = layout.shape().dims2()?.0;
+        Ok((CpuStorage::F32(self.0.halve(slice(x, layout)?)), Shape::from((rows / 4, self.0.channels))))
+    }
+
+    fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        like(x, lend(&[grad], |t| self.0.halve_backward(t[0]))?).map(Some)
+    }
+}
+
+struct DoubleOp(Resize);
+
+impl CustomOp1 for DoubleOp {
+    fn name(&self) -> &'static str {
+        "double"
+    }
+
+    fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let rows = layout.shape().dims2()?.0;
+        Ok((CpuStorage::F32(self.0.double(slice(x, layout)?)), Shape::from((rows * 4, self.0.channels))))
+    }
+
+    fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        like(x, lend(&[grad], |t| self.0.double_backward(t[0]))?).map(Some)
+    }
 }
 
 struct MixOp(AttentionMlp);

@@ -8,12 +8,12 @@ use super::NetworkError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Statistics {
-    /// Means of the images' coefficients.
+    /// Means of the images' colors, 0 to 1.
     pub means: Vec<f32>,
-    /// Standard deviations of the coefficients, by which latents are divided.
+    /// Standard deviations of the mean colors of 4x4 pixels, by which latents are divided.
     pub scales: Vec<f32>,
     /// Standard deviations of the error that the network is expected to leave. As measured, they are those of the
-    /// best linear guess from conditions, at most 1. In weights they are multiplied by
+    /// filled color. In weights they are multiplied by
     /// [`TrainOptions::expected_error`](crate::train::TrainOptions::expected_error).
     pub priors: Vec<f32>,
 }

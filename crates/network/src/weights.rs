@@ -12,7 +12,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::model::{FirstGuess, fresh, shapes};
+use super::parameters::{fresh, shapes};
 use super::{NetworkConfig, NetworkError, Statistics};
 
 /// Provenance of weights.
@@ -53,19 +53,14 @@ const HEADER: &str = "network";
 const SHIPPED: &[u8] = include_bytes!("../shipped/weights.safetensors");
 
 impl Weights {
-    /// Creates the weights of an untrained network: its images are the first guess from the conditions, plus noise.
+    /// Creates the weights of an untrained network: its images are about the filled color.
     ///
     /// # Errors
-    /// Returns an error if the configuration is inconsistent, or if the statistics or the guess do not fit it.
-    pub fn fresh(
-        config: &NetworkConfig,
-        statistics: &Statistics,
-        guess: &FirstGuess,
-        seed: u64,
-    ) -> Result<Self, NetworkError> {
+    /// Returns an error if the configuration is inconsistent, or if the statistics do not fit it.
+    pub fn fresh(config: &NetworkConfig, statistics: &Statistics, seed: u64) -> Result<Self, NetworkError> {
         config.check_with(statistics)?;
         let about = Provenance { seed, ..Provenance::default() };
-        let parameters = fresh(config, guess, seed)?;
+        let parameters = fresh(config, seed)?;
         Ok(Self { config: config.clone(), statistics: statistics.clone(), about, parameters })
     }
 

@@ -14,6 +14,9 @@ use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::{WrongUsage, log_args, logs, say};
 
+/// Cameras of synthetic towns.
+const TOWN_CAMERAS: usize = 6;
+
 const TABLE: Choices<Table> = Choices(&[
     ("strategies", Table::Strategies, "Generation strategies"),
     ("forecasts", Table::Forecasts, "Forecasts that come true, against forecasts of a standstill"),
@@ -72,10 +75,11 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
     log_args::check_towns(&args.logs)?;
     args.check_tables()?;
     let rasterizer = args.rasterizer.desc()?;
+    let open = |path: &PathBuf| Network::open(path, TOWN_CAMERAS);
     let networks = Networks {
-        main: Network::open_or_shipped(args.weights.as_deref())?,
-        plain: args.plain_weights.as_deref().map(Network::open).transpose()?,
-        others: args.other_seeds.iter().map(|path| Network::open(path)).collect::<Result<_, _>>()?,
+        main: Network::open_or_shipped(args.weights.as_deref(), TOWN_CAMERAS)?,
+        plain: args.plain_weights.as_ref().map(open).transpose()?,
+        others: args.other_seeds.iter().map(open).collect::<Result<_, _>>()?,
     };
     let options = AblateOptions {
         steps: usize::from(args.steps),

@@ -38,6 +38,9 @@ pub(super) struct EvaluateArgs {
     /// and for ground-truth images
     #[arg(long, value_names = ["GEN.npy", "TRUE.npy"], num_args = 2)]
     features: Vec<PathBuf>,
+    /// Score only every N-th frame: N - 1, 2 N - 1, .., those that `train --hold-out N` leaves out
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..))]
+    hold_out: Option<u16>,
     /// Seed of the random convolutions and of the patch classifier
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -54,6 +57,7 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         masks: args.masks.clone(),
         classifier_from: args.classifier_from.clone(),
         features: args.features.clone().try_into().ok(),
+        hold_out: args.hold_out.map_or(0, usize::from),
         seed: args.seed,
     };
     let progress = RefCell::new(None);

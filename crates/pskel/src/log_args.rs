@@ -40,6 +40,13 @@ pub(super) fn check_towns(logs: &[LogLocator]) -> Result<(), super::WrongUsage> 
         let message = format!("expected logs town:.., of which the truth is known, found {other}");
         return Err(WrongUsage(message));
     }
+    check_once(logs)
+}
+
+/// Checks that no log is given twice.
+#[cfg(feature = "network")]
+pub(super) fn check_once(logs: &[LogLocator]) -> Result<(), super::WrongUsage> {
+    use super::WrongUsage;
     match logs.iter().enumerate().find(|(place, log)| logs[..*place].contains(log)) {
         None => Ok(()),
         Some((_, log)) => Err(WrongUsage(format!("expected each log once, found {log} again"))),

@@ -74,6 +74,22 @@ pub fn open_by(locator: &LogLocator, opener: &LogOpener) -> Result<Box<dyn Datas
     opener.open(locator)
 }
 
+/// Opens a log and returns it with the name of its recording: that of the log, for towns with their options, since skeletons of
+/// two recordings of a town differ.
+///
+/// # Errors
+/// Fails as [`open`].
+#[cfg(feature = "network")]
+pub fn open_recording(locator: &LogLocator) -> Result<(String, Box<dyn Dataset>), DatasetError> {
+    #[cfg(feature = "town")]
+    if town::is_town(locator) {
+        let town = open_town(locator)?;
+        return Ok((town.recording(), Box::new(town)));
+    }
+    let dataset = open(locator)?;
+    Ok((dataset.log().name.clone(), dataset))
+}
+
 #[cfg(all(test, feature = "town"))]
 mod tests {
     use super::*;

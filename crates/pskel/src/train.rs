@@ -5,7 +5,8 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
-use point_skeleton::dataset::{Dataset, LogLocator};
+use point_skeleton::dataset::LogLocator;
+use point_skeleton::files::FileName;
 use pskel_eval::loss_plot;
 use pskel_generate::TrainingClip;
 use pskel_network::NetworkConfig;
@@ -13,27 +14,36 @@ use pskel_network::train::{
     ClipRecorder, RecordOptions, RunOptions, StepReport, TrainOptions, TrainingFolder, recent_loss,
 };
 
+use super::log_args::{self, LogRoots};
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
-use super::{log_args, logs, say};
+use super::{WrongUsage, logs, numbers, say};
 
-/// Train the small network of `pskel generate` on recordings of synthetic towns
+/// Train the small network of `pskel generate` on recorded logs and synthetic towns
 ///
-/// Records training clips first, unless DIR/drives has them: a skeleton of each town, its condition maps,
+/// Records training clips first, unless DIR/drives has them: a skeleton of each log, its condition maps,
 /// ground-truth images. Everything is determined by logs, options and seed; --resume continues to identical bytes.
 /// Writes weights.safetensors, loss.csv and loss.svg.
 #[derive(Debug, Args)]
 pub(super) struct TrainArgs {
-    /// Synthetic towns: town:seed=101,frames=40[,..]
+    /// Logs with images: town:seed=101,frames=40[,..], nuscenes:.., nuplan:.. or av2:..
     #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
     logs: Vec<LogLocator>,
+    #[command(flatten)]
+    roots: LogRoots,
+    /// How often each log is drawn from, relative to the others: as many numbers as logs [default: by their frames]
+    #[arg(long, value_name = "W,..", value_delimiter = ',', value_parser = numbers::non_negative)]
+    weights: Option<Vec<f64>>,
+    /// Train without every N-th frame, for a comparison with these: frames N - 1, 2 N - 1, ..
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..))]
+    hold_out: Option<u16>,
     /// Folder to write
     #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     out: PathBuf,
     /// Folder of training clips; missing ones are recorded [default: DIR/drives]
     #[arg(long, value_name = "DIR")]
     drives: Option<PathBuf>,
-    /// Training clips per log: one at the recorded poses, the others offset by up to 3.5 m to the side and rotated by
+    /// Training clips per log: one at the recorded poses, the others of synthetic logs offset by up to 3.5 m to the side and rotated by
     /// up to 6 degrees
     #[arg(long, value_name = "N", default_value_t = RecordOptions::default().variants as u16,
           value_parser = clap::value_parser!(u16).range(1..=100))]
@@ -69,7 +79,8 @@ pub(super) struct TrainArgs {
 /// Runs the command: records, trains, writes.
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    log_args::check_towns(&args.logs)?;
+    log_args::check_once(&args.logs)?;
+    args.check_weights()?;
     let config = args.config.as_deref().map_or_else(|| Ok(NetworkConfig::default()), NetworkConfig::read)?;
     let options = TrainOptions {
         seed: args.seed,
@@ -88,14 +99,14 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     };
     let recorder = ClipRecorder { folder: &drives, config: &config, options: &record };
     let folder = (args.steps > 0).then(|| TrainingFolder::open(&args.out)).transpose()?;
-    let clips = clips(&recorder, &args.logs)?;
+    let (clips, shares) = args.clips(&recorder)?;
     let frames: usize = clips.iter().map(|clip| clip.frames.len()).sum();
     let seconds = start.elapsed().as_secs_f64();
     say(&format!("{} drives of {frames} frames in {seconds:.2} s: {}", clips.len(), drives.display()));
     let Some(folder) = folder else { return Ok(()) };
     let files =
         RunOptions { checkpoint_steps: args.checkpoint, resume: args.resume, command: args.command() };
-    let training = folder.start(config, options, files, &clips)?;
+    let training = folder.start(config, options, files, &clips, shares)?;
     let mut progress = Progress::new(usize::try_from(training.steps_left())?);
     let mut on_step = |report: &StepReport, mean: f64| {
         progress.step(&format!("step {}, loss {mean:.4}", report.step));
@@ -112,28 +123,53 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Returns the clips of all logs, in order.
-fn clips(recorder: &ClipRecorder<'_>, locators: &[LogLocator]) -> anyhow::Result<Vec<TrainingClip>> {
-    let mut progress = Progress::new(locators.len());
-    let mut clips = Vec::new();
-    for locator in locators {
-        let town = logs::open_town(locator)?;
-        let of_town = recorder.clips(&town.recording(), &town);
-        clips.extend(of_town.with_context(|| format!("log {locator}"))?);
-        progress.step(&town.log().name);
-    }
-    Ok(clips)
-}
-
 impl TrainArgs {
+    fn check_weights(&self) -> Result<(), WrongUsage> {
+        let (Some(weights), logs) = (&self.weights, self.logs.len()) else { return Ok(()) };
+        if weights.len() == logs && weights.iter().any(|weight| *weight > 0.0) {
+            return Ok(());
+        }
+        Err(WrongUsage(format!("expected {logs} --weights, not all of them 0, found {weights:?}")))
+    }
+
+    /// Returns the clips of all logs, in order, and how often each is drawn from.
+    fn clips(&self, recorder: &ClipRecorder<'_>) -> anyhow::Result<(Vec<TrainingClip>, Vec<f64>)> {
+        let mut progress = Progress::new(self.logs.len());
+        let (mut clips, mut shares, mut names) = (Vec::new(), Vec::new(), Vec::new());
+        for (place, locator) in self.logs.iter().enumerate() {
+            let (name, dataset) = logs::open_recording(&self.roots.locate(locator))?;
+            let file = FileName::new(&name).with_context(|| format!("log {locator}"))?;
+            anyhow::ensure!(
+                !names.contains(&file),
+                "expected logs of different names, found {file} again: {locator}"
+            );
+            names.push(file);
+            let recorded =
+                recorder.clips(&name, dataset.as_ref()).with_context(|| format!("log {locator}"))?;
+            let frames: usize = recorded.iter().map(|clip| clip.frames.len()).sum();
+            let weight = self.weights.as_ref().map_or(frames as f64, |weights| weights[place]);
+            shares.extend(recorded.iter().map(|clip| weight * clip.frames.len() as f64 / frames as f64));
+            clips.extend(recorded.into_iter().map(|clip| match self.hold_out {
+                Some(every) => clip.without_every(usize::from(every)),
+                None => clip,
+            }));
+            progress.step(&name);
+        }
+        Ok((clips, shares))
+    }
+
     /// Returns the command that determines the weights, without output paths and interruptions.
     fn command(&self) -> String {
-        let Self { logs, config, variants, no_augment, seed, steps, batch, .. } = self;
+        let Self { logs, config, variants, no_augment, seed, steps, batch, weights, hold_out, .. } = self;
         let logs = logs.iter().map(LogLocator::to_string).collect::<Vec<_>>().join(" ");
         let config = config.as_ref().map_or(String::new(), |path| format!(" --config {}", path.display()));
+        let weights = weights.as_ref().map_or(String::new(), |weights| {
+            format!(" --weights {}", weights.iter().map(f64::to_string).collect::<Vec<_>>().join(","))
+        });
+        let held = hold_out.map_or(String::new(), |every| format!(" --hold-out {every}"));
         let plain = if *no_augment { " --no-augment" } else { "" };
         format!(
-            "pskel train {logs}{config} --variants {variants}{plain} --seed {seed} --steps {steps} --batch {batch}"
+            "pskel train {logs}{weights}{held}{config} --variants {variants}{plain} --seed {seed} --steps {steps} --batch {batch}"
         )
     }
 }

@@ -57,7 +57,7 @@ impl Networks {
     pub(super) fn check(&self) -> Result<(), AblateError> {
         let shape = |network: &Network| {
             let config = network.config();
-            (config.recipe.clone(), config.frames, config.cameras)
+            (config.recipe.clone(), config.frames, network.cameras())
         };
         let main = shape(&self.main);
         match self.plain.iter().chain(&self.others).map(shape).find(|other| *other != main) {

@@ -69,11 +69,10 @@ pub(super) fn run(
     study: &AblateOptions,
 ) -> Result<(RunResult, Strip), AblateError> {
     let network = networks.get(row.network);
-    let codec = network.codec()?;
     let given = |conditions: &Committed<FrameConditions>| conditions.clone().map(|c| c.without(row.dropped));
     let options = row.options(networks, study);
     let (before, frames) = scene.frames.split_at(options.references());
-    let reference = |frame: &SceneFrame| Ok((codec.encode(&frame.truth)?, given(&frame.conditions)));
+    let reference = |frame: &SceneFrame| Ok((network.encode(&frame.truth)?, given(&frame.conditions)));
     let references = before.iter().map(reference).collect::<Result<Vec<_>, AblateError>>()?;
     let noise = GaussianNoise { seed: study.seed };
     let mut generator = Generator::new(network.clone(), noise, options, references)?;
@@ -85,8 +84,9 @@ pub(super) fn run(
             false => forecast.get().without(row.dropped),
         };
         let forecasts: Vec<_> = frame.forecasts.iter().map(expected).map(Forecast::new).collect();
-        let latent = generator.step(given(&frame.conditions), &forecasts)?;
-        let images = codec.decode(&latent)?;
+        let conditions = given(&frame.conditions);
+        let latent = generator.step(conditions.clone(), &forecasts)?;
+        let images = network.decode(&latent, conditions.get())?;
         strip.add(number, frames.len(), &images, &frame.truth);
         let half = usize::from(number >= frames.len() / 2);
         let classifier = scene.classifiers.as_ref().map(|halves| &halves[half]);

@@ -30,6 +30,8 @@ pub struct EvaluateOptions {
     pub classifier_from: Vec<PathBuf>,
     /// Features of another network for generated and for ground-truth images, NPY files `[N, D]`.
     pub features: Option<[PathBuf; 2]>,
+    /// Scores only every N-th step, N - 1, 2 N - 1, ..: those that a training with the same number left out. 0 or 1: all.
+    pub hold_out: usize,
     /// Seed of the random convolutions and of the patch classifier.
     pub seed: u64,
 }
@@ -45,13 +47,18 @@ pub fn evaluate(
     on_start: &mut dyn FnMut(usize),
     on_step: &mut dyn FnMut(&str),
 ) -> Result<Report, EvaluateError> {
-    let EvaluateOptions { rollouts, masks, classifier_from, features, seed } = options;
+    let EvaluateOptions { rollouts, masks, classifier_from, features, hold_out, seed } = options;
     if !masks.is_empty() && masks.len() != rollouts.len() {
         return Err(EvaluateError::Masks { rollouts: rollouts.len(), found: masks.len() });
     }
     let features = features.as_ref().map(|[generated, truth]| features::distance(generated, truth));
     let features = features.transpose()?;
-    let rollouts = GeneratedRollout::open_all(rollouts)?;
+    let mut rollouts = GeneratedRollout::open_all(rollouts)?;
+    if *hold_out > 1 {
+        rollouts
+            .iter_mut()
+            .for_each(|rollout| rollout.steps.retain(|step| (step.frame + 1).is_multiple_of(*hold_out)));
+    }
     let segmentors = Segmentors::new(&rollouts, masks, classifier_from, *seed)?;
     let net = RandomConvNet::new(*seed);
     on_start(rollouts.iter().map(|rollout| rollout.steps.len()).sum());

@@ -40,7 +40,7 @@ pub(super) struct ScoredRollout {
     scores: Scores,
 }
 
-const HEADER: [&str; 11] = [
+const HEADER: [&str; 12] = [
     "rollout",
     "steps",
     "PSNR (dB)",
@@ -48,6 +48,7 @@ const HEADER: [&str; 11] = [
     "SSIM",
     "slope (1/s)",
     "sharpness ratio",
+    "seams",
     "motion",
     "flicker",
     "IoU patches",
@@ -86,7 +87,7 @@ impl ScoredRollout {
     }
 
     fn row(&self) -> Vec<String> {
-        let Scores { psnr_db, ssim, sharpness_ratio, motion, iou, steps, .. } = &self.scores;
+        let Scores { psnr_db, ssim, sharpness_ratio, seams, motion, iou, steps, .. } = &self.scores;
         let patches = iou.get(PATCHES);
         let values = [
             (psnr_db.mean, 2),
@@ -94,6 +95,7 @@ impl ScoredRollout {
             (ssim.mean, 3),
             (ssim.drift.map(|d| d.slope_per_s), 4),
             (sharpness_ratio.mean, 3),
+            (seams.get(&4).copied().flatten(), 3),
             (motion.and_then(|m| m.slope), 3),
             (motion.and_then(|m| m.flicker), 3),
             (patches.and_then(|iou| iou.generated), 3),
@@ -154,6 +156,7 @@ impl Report {
                 ("ssim", 3),
                 ("ssim_slope_per_s", 4),
                 ("sharpness_ratio", 3),
+                ("seam_ratio_4", 3),
                 ("motion_slope", 3),
                 ("flicker", 3),
                 ("iou_patch_classifier", 3),

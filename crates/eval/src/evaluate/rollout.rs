@@ -33,6 +33,8 @@ pub(super) struct GeneratedRollout {
 /// Step with generated images.
 pub(super) struct Step {
     pub(super) name: String,
+    /// Number of the planning step, from 0.
+    pub(super) frame: usize,
     /// Time since the first step of the rollout, seconds.
     pub(super) t_s: f64,
     pub(super) folder: PathBuf,
@@ -65,7 +67,7 @@ impl GeneratedRollout {
         let first_us = rows.first().map_or(0, |row| row.t_us);
         let (mut steps, mut references) = (Vec::new(), 0);
         for row in &rows {
-            let step = Step::new(folder, row, first_us);
+            let step = Step::new(folder, row, references + steps.len(), first_us);
             match images::is_reference(&step.folder)? {
                 None => {}
                 Some(true) => references += 1,
@@ -139,10 +141,11 @@ impl GeneratedRollout {
 }
 
 impl Step {
-    fn new(folder: &Path, row: &StepRow, first_us: i64) -> Self {
+    fn new(folder: &Path, row: &StepRow, frame: usize, first_us: i64) -> Self {
         let moving = row.actors.iter().filter(|actor| actor.speed_mps.abs() > MOVING_MPS);
         Self {
             name: row.name(),
+            frame,
             t_s: (row.t_us - first_us) as f64 / 1e6,
             folder: folder.join(STEPS).join(row.name()),
             moving: moving.map(|actor| actor.instance).collect(),

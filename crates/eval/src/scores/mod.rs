@@ -16,7 +16,10 @@ pub use self::distances::{CollectedFeatures, Distance, Distances};
 pub use self::frame::{ScoreError, ScoredFrame, SegmentationMasks};
 pub use self::result::{Scores, Series, VehicleIou};
 use super::motion::{MotionSums, MovingFrame};
-use super::{Overlap, RandomConvNet, psnr_db, sharpness, ssim, vehicle_mask};
+use super::{Overlap, RandomConvNet, SeamSums, psnr_db, sharpness, ssim, vehicle_mask};
+
+/// Sides of the blocks whose seams are measured, pixels: those of latents and tokens of the included network.
+const SEAM_SIDES: [u32; 2] = [4, 8];
 
 /// Scores a rollout of generated images step by step, in memory.
 #[derive(Clone, Debug)]
@@ -28,6 +31,8 @@ pub struct RolloutScores {
     series: BTreeMap<Metric, Vec<Option<f64>>>,
     steps_with_truth: usize,
     equal_images: usize,
+    /// Of generated images, by the side of the blocks.
+    seams: [SeamSums; SEAM_SIDES.len()],
     motion: MotionSums,
     before: Option<PreviousStep>,
     segmented: BTreeMap<String, SegmentedSums>,
@@ -68,6 +73,7 @@ struct CameraScores {
     ssim: Option<f64>,
     sharpness: Option<f64>,
     sharpness_truth: Option<f64>,
+    seams: [SeamSums; SEAM_SIDES.len()],
     features: Option<Vec<f64>>,
     truth_features: Option<Vec<f64>>,
 }
@@ -82,6 +88,7 @@ impl RolloutScores {
             series: BTreeMap::new(),
             steps_with_truth: 0,
             equal_images: 0,
+            seams: Default::default(),
             motion: MotionSums::default(),
             before: None,
             segmented: BTreeMap::new(),
@@ -123,6 +130,7 @@ impl RolloutScores {
             ssim: truth.and_then(|truth| ssim(image, truth)),
             sharpness: sharpness(image),
             sharpness_truth: truth.and_then(sharpness),
+            seams: SEAM_SIDES.map(|side| SeamSums::of(image, side)),
             features: self.net.features(image),
             truth_features: truth.and_then(|truth| self.net.features(truth)),
         }
@@ -134,6 +142,9 @@ impl RolloutScores {
         };
         let equal = |scores: &&CameraScores| scores.psnr_db == Some(f64::INFINITY);
         self.equal_images += cameras.iter().filter(equal).count();
+        for scores in cameras {
+            self.seams.iter_mut().zip(&scores.seams).for_each(|(all, seams)| all.join(seams));
+        }
         let (here, truth) = (mean(|c| c.sharpness), mean(|c| c.sharpness_truth));
         let ratio = here.zip(truth).filter(|(_, truth)| *truth > 0.0).map(|(here, truth)| here / truth);
         let numbers = [
@@ -224,6 +235,7 @@ impl RolloutScores {
             sharpness: series(Metric::Sharpness),
             sharpness_truth: series(Metric::SharpnessTruth),
             sharpness_ratio: series(Metric::SharpnessRatio),
+            seams: SEAM_SIDES.into_iter().zip(self.seams.map(|seams| seams.ratio())).collect(),
             motion: self.motion.finish(),
             iou: self.segmented.into_iter().map(|(name, sums)| (name, iou(sums))).collect(),
             t_s: t_s.clone(),

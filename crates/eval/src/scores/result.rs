@@ -57,6 +57,9 @@ pub struct Scores {
     pub sharpness_truth: Series,
     /// Sharpness of generated images divided by that of ground-truth images, per step.
     pub sharpness_ratio: Series,
+    /// Differences between pixels across the borders of blocks, relative to those elsewhere, by the side of the blocks; see
+    /// [`SeamSums::ratio`](crate::SeamSums::ratio).
+    pub seams: BTreeMap<u32, Option<f64>>,
     /// Motion of actors; `None` without two consecutive steps with ground truth and moving pixels.
     pub motion: Option<Motion>,
     /// Vehicle IoU, by name of the segmentation model.
@@ -69,7 +72,7 @@ pub struct Scores {
 type Number = fn(&Scores) -> Option<f64>;
 
 /// Names and functions of [`Scores::numbers`], without segmentation models.
-const NUMBERS: [(&str, Number); 14] = [
+const NUMBERS: [(&str, Number); 16] = [
     ("psnr_db", |s| s.psnr_db.mean),
     ("psnr_db_slope_per_s", |s| s.psnr_db.drift.map(|d| d.slope_per_s)),
     ("psnr_db_last_minus_first_third", |s| s.psnr_db.drift.map(|d| d.last_minus_first_third)),
@@ -81,6 +84,8 @@ const NUMBERS: [(&str, Number); 14] = [
     ("sharpness_ratio", |s| s.sharpness_ratio.mean),
     ("sharpness_ratio_slope_per_s", |s| s.sharpness_ratio.drift.map(|d| d.slope_per_s)),
     ("sharpness_ratio_last_minus_first_third", |s| s.sharpness_ratio.drift.map(|d| d.last_minus_first_third)),
+    ("seam_ratio_4", |s| s.seams.get(&4).copied().flatten()),
+    ("seam_ratio_8", |s| s.seams.get(&8).copied().flatten()),
     ("motion_slope", |s| s.motion.and_then(|m| m.slope)),
     ("flicker", |s| s.motion.and_then(|m| m.flicker)),
     ("static_generated_rms", |s| s.motion.and_then(|m| m.static_generated_rms)),

@@ -43,9 +43,9 @@ thread_local! {
 
 fn config() -> NetworkConfig {
     let sides = |side: u32| ImageSize { height: side, width: side };
-    let recipe = Recipe { drawn: sides(4), size: sides(2), ..Recipe::default() };
+    let recipe = Recipe { drawn: sides(8), size: sides(8), ..Recipe::default() };
     let blocks = vec![Attend::Space, Attend::Time];
-    NetworkConfig { recipe, cameras: 1, frames: 2, patch: 1, width: 16, head: 16, hidden: 16, blocks }
+    NetworkConfig { recipe, frames: 2, channels: [16; 4], width: 16, head: 16, hidden: 16, blocks }
 }
 
 fn made_drive() -> TrainingClip {
@@ -53,7 +53,7 @@ fn made_drive() -> TrainingClip {
     let pixels = recipe.size.pixels();
     let about = DriveInfo { log: "made".into(), hz: 2.0, cameras: vec!["front".into()], recipe };
     let frame = |i: u8| {
-        let image = |factor: u8| (0..pixels).map(|p| [i * factor, p as u8 * 40, 9]).collect::<Vec<_>>();
+        let image = |factor: u8| (0..pixels).map(|p| [i * factor, (p % 6) as u8 * 40, 9]).collect::<Vec<_>>();
         DriveFrame {
             color: image(3),
             bins: (0..pixels).map(|p| p as u16 * 9).collect(),
@@ -70,10 +70,10 @@ fn made_drive() -> TrainingClip {
 impl Stored {
     fn new() -> Self {
         let drives = vec![made_drive()];
-        let (statistics, guess) = measure(&config(), &drives).expect("statistics");
-        let fresh = Weights::fresh(&config(), &statistics, &guess, 1).expect("weights");
+        let statistics = measure(&config(), &drives).expect("statistics");
+        let fresh = Weights::fresh(&config(), &statistics, 1).expect("weights");
         let options = TrainOptions { infer_steps: 2, ..TrainOptions::default() };
-        let trainer = Trainer::new(options, config(), &drives).expect("a trainer");
+        let trainer = Trainer::new(options, config(), &drives, vec![1.0]).expect("a trainer");
         Self {
             weights: written("w", |path| fresh.write(path)),
             checkpoint: written("c", |path| trainer.save(path)),
@@ -143,7 +143,7 @@ fn weights(data: &[u8]) {
         weights.write(&path).expect("weights to write");
         let again = Weights::open(&path).expect("weights that were written");
         assert_eq!(again.fingerprint().ok(), weights.fingerprint().ok());
-        if weights.config.shape() == config().shape() && weights.config.recipe == config().recipe {
+        if weights.config.shape(1) == config().shape(1) && weights.config.recipe == config().recipe {
             predict(weights, &stored.drives[0]);
         }
     });
@@ -151,8 +151,8 @@ fn weights(data: &[u8]) {
 
 /// Runs a network once; the numbers may have any value.
 fn predict(weights: Weights, drive: &TrainingClip) {
-    let (shape, encoder) = (weights.config.shape(), drive.encoder());
-    let Ok(mut network) = Network::new(weights) else { return };
+    let (shape, encoder) = (weights.config.shape(1), drive.encoder());
+    let Ok(mut network) = Network::new(weights, 1) else { return };
     let latent = Latent::filled(shape, 0.5);
     let condition = drive.conditions(0, &encoder);
     let frame =
@@ -205,7 +205,12 @@ fn drive(data: &[u8]) {
         };
         let first = saved(&drive);
         assert_eq!(saved(&TrainingClip::open(&path).expect("a drive that was written")), first);
-        let _ = Trainer::new(TrainOptions { infer_steps: 2, ..TrainOptions::default() }, config(), &[drive]);
+        let _ = Trainer::new(
+            TrainOptions { infer_steps: 2, ..TrainOptions::default() },
+            config(),
+            &[drive],
+            vec![1.0],
+        );
     });
 }
 

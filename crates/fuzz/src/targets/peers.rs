@@ -206,7 +206,7 @@ fn ask(spec: &PeerSpec) -> Result<(), pskel_generate::DenoiserError> {
     if size.pixels() <= 1 << 16 {
         let latent = codec.encode(&[RgbImage::new(size.width, size.height)])?;
         assert_eq!(latent.shape(), shape);
-        assert_eq!(codec.decode(&latent)?.len(), VIEWS);
+        assert_eq!(codec.decode(&latent, &condition)?.len(), VIEWS);
     }
     Ok(())
 }

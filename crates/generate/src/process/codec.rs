@@ -8,7 +8,7 @@ use super::call::read_values;
 use super::connection::Shared;
 use super::hello::DenoiserOutputs;
 use super::message::{Answer, Values, message};
-use crate::{Codec, DenoiserError, Latent, LatentShape};
+use crate::{Codec, DenoiserError, FrameConditions, Latent, LatentShape};
 
 /// Codec of a network in another process, which encodes and decodes images on request.
 pub(super) struct ProcessCodec {
@@ -72,7 +72,7 @@ impl Codec for ProcessCodec {
         })
     }
 
-    fn decode(&self, latent: &Latent) -> Result<Vec<RgbImage>, DenoiserError> {
+    fn decode(&self, latent: &Latent, _: &FrameConditions) -> Result<Vec<RgbImage>, DenoiserError> {
         if latent.shape() != self.given.shape {
             let expected = format!("latents of {}", self.given.shape);
             return Err(DenoiserError::input(expected, latent.shape().to_string()));

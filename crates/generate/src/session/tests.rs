@@ -104,8 +104,8 @@ impl Codec for FailsOnce {
         self.call().and_then(|()| self.codec.encode(images))
     }
 
-    fn decode(&self, latent: &Latent) -> Result<Vec<RgbImage>, DenoiserError> {
-        self.call().and_then(|()| self.codec.decode(latent))
+    fn decode(&self, latent: &Latent, conditions: &FrameConditions) -> Result<Vec<RgbImage>, DenoiserError> {
+        self.call().and_then(|()| self.codec.decode(latent, conditions))
     }
 }
 

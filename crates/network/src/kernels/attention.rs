@@ -93,7 +93,7 @@ impl AttentionMlp {
         self.gather(u, group, head, s);
         let ((n, padded), c) = (self.lengths(), self.head);
         let (a, b, out) = (&s.q, &s.k_across, &mut s.weights);
-        Product { rows: n, inner: c, columns: padded, a, strides: [c, 1], b, out }.run();
+        Product { rows: n, inner: c, columns: padded, a, strides: [c, 1], b, out, accumulate: false }.run();
         // |q k| <= c, so the argument of `exp` is never above 0.
         let (scale, most) = (1.0 / (c as f32).sqrt(), (c as f32).sqrt());
         for i in 0..n {
@@ -117,7 +117,17 @@ impl AttentionMlp {
                     for head in 0..d / c {
                         self.weigh(u, group, head, s);
                         let (a, b, out) = (&s.weights, &s.v, &mut s.out);
-                        Product { rows: n, inner: n, columns: c, a, strides: [padded, 1], b, out }.run();
+                        Product {
+                            rows: n,
+                            inner: n,
+                            columns: c,
+                            a,
+                            strides: [padded, 1],
+                            b,
+                            out,
+                            accumulate: false,
+                        }
+                        .run();
                         for (i, row) in s.out.chunks(c).enumerate() {
                             seen[i * d + head * c..][..c].copy_from_slice(row);
                         }
@@ -193,9 +203,9 @@ impl AttentionMlp {
             }
         }
         let (a, b, out) = (&s.grad, &s.v_across, &mut s.slopes);
-        Product { rows: n, inner: c, columns: padded, a, strides: [c, 1], b, out }.run();
+        Product { rows: n, inner: c, columns: padded, a, strides: [c, 1], b, out, accumulate: false }.run();
         let (a, b, out) = (&s.weights, &s.grad, &mut s.out);
-        Product { rows: n, inner: n, columns: c, a, strides: [1, padded], b, out }.run();
+        Product { rows: n, inner: n, columns: c, a, strides: [1, padded], b, out, accumulate: false }.run();
         for (i, row) in s.out.chunks(c).enumerate() {
             slopes[i * 3 * d + 2 * d + head * c..][..c].copy_from_slice(row);
         }
@@ -209,7 +219,17 @@ impl AttentionMlp {
         for (part, unit, factors, other, strides) in
             [(0, &s.q, &s.q_factors, &s.k, [padded, 1]), (1, &s.k, &s.k_factors, &s.q, [1, padded])]
         {
-            Product { rows: n, inner: n, columns: c, a: &s.slopes, strides, b: other, out: &mut s.out }.run();
+            Product {
+                rows: n,
+                inner: n,
+                columns: c,
+                a: &s.slopes,
+                strides,
+                b: other,
+                out: &mut s.out,
+                accumulate: false,
+            }
+            .run();
             for (i, (unit, slope)) in unit.chunks(c).zip(s.out.chunks(c)).enumerate() {
                 let mean = dot(unit, slope) / c as f32;
                 let out = &mut slopes[i * 3 * d + part * d + head * c..][..c];

@@ -57,6 +57,8 @@ pub(super) struct Product<'a> {
     pub(super) strides: [usize; 2],
     pub(super) b: &'a [f32],
     pub(super) out: &'a mut [f32],
+    /// Whether the product is added to `out`.
+    pub(super) accumulate: bool,
 }
 
 impl Product<'_> {
@@ -75,6 +77,12 @@ impl Product<'_> {
         let vectors = self.columns / S::F32_LANES;
         let a = &self.a[first * down..];
         let mut sums = [[simd.splat_f32s(0.0); W]; R];
+        if self.accumulate {
+            for r in 0..R {
+                let at = (first + r) * vectors + begin;
+                sums[r].copy_from_slice(&out[at..at + W]);
+            }
+        }
         for k in 0..self.inner {
             let at = k * vectors + begin;
             let row: &[S::f32s] = &b[at..at + W];
@@ -109,11 +117,17 @@ impl WithSimd for Product<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        let whole = self.rows / 4 * 4;
-        for first in (0..whole).step_by(4) {
-            self.band::<S, 4>(simd, first);
+        // Six rows of two vectors fill 12 of the 16 registers of AVX2.
+        let mut first = 0;
+        while first + 6 <= self.rows {
+            self.band::<S, 6>(simd, first);
+            first += 6;
         }
-        for first in whole..self.rows {
+        while first + 2 <= self.rows {
+            self.band::<S, 2>(simd, first);
+            first += 2;
+        }
+        if first < self.rows {
             self.band::<S, 1>(simd, first);
         }
     }

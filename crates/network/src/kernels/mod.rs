@@ -1,5 +1,5 @@
-//! Operations that the tensor library lacks or runs far more slowly: attention along three axes, GELU, and a norm
-//! and a residual that are modulated per frame.
+//! Operations that the tensor library lacks or runs far more slowly: convolutions of 3x3 pixels, halving and doubling,
+//! attention along three axes, GELU, and a norm and a residual that are modulated per frame.
 //!
 //! # How it works
 //! Plain loops over slices, written so that the compiler vectorizes them under `pulp`'s dispatch. Measured on two
@@ -10,16 +10,20 @@
 #![allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
 
 mod attention;
+mod convolution;
 mod gate;
 mod grid;
 mod math;
 mod norm;
+mod resize;
 
 pub(super) use attention::AttentionMlp;
+pub(super) use convolution::Convolution;
 pub(super) use gate::{gate_backward, gate_forward};
 pub use grid::Attend;
 pub(super) use grid::Grid;
 pub(super) use norm::{norm_backward, norm_forward};
+pub(super) use resize::Resize;
 
 /// Divisor of all widths.
 pub(super) const LANES: usize = 16;

@@ -134,7 +134,7 @@ fn products_of_odd_sizes_are_right() {
         let (a, b) = (normal(8, rows * inner), normal(9, inner * columns));
         for strides in [[inner, 1], [1, rows]] {
             let mut out = vec![f32::NAN; rows * columns];
-            Product { rows, inner, columns, a: &a, strides, b: &b, out: &mut out }.run();
+            Product { rows, inner, columns, a: &a, strides, b: &b, out: &mut out, accumulate: false }.run();
             for (i, value) in out.iter().enumerate() {
                 let (row, column) = (i / columns, i % columns);
                 let of = |k: usize| a[row * strides[0] + k * strides[1]] * b[k * columns + column];
@@ -151,4 +151,72 @@ fn exponentials_are_true_to_their_last_places() {
         assert!((ratio - 1.0).abs() < 4e-7, "{x} {ratio}");
     }
     assert!(exp(-1e9) < 1.1e-37);
+}
+
+/// Returns a convolution by its definition at one place, in `f64`.
+fn convolved(shape: &Convolution, x: &[f32], weights: &[f32], bias: &[f32], at: usize) -> f64 {
+    let Convolution { height, width, channels, outputs, rectified } = *shape;
+    let (pixel, output) = (at / outputs, at % outputs);
+    let (image, y, x_at) = (pixel / (height * width), pixel / width % height, pixel % width);
+    let mut sum = f64::from(bias[output]);
+    for (tap, from) in (0..9).flat_map(|tap| (0..channels).map(move |from| (tap, from))) {
+        let (row, column) = (y + tap / 3, x_at + tap % 3);
+        if (1..=height).contains(&row) && (1..=width).contains(&column) {
+            let place = (image * height + row - 1) * width + column - 1;
+            let weight = weights[(tap * channels + from) * outputs + output];
+            sum += f64::from(x[place * channels + from]) * f64::from(weight);
+        }
+    }
+    if rectified { sum.max(0.0) } else { sum }
+}
+
+#[test]
+fn convolutions_are_what_their_definition_says() {
+    for (height, width, channels, outputs, rectified) in [(20, 5, 16, 32, true), (3, 14, 32, 16, false)] {
+        let shape = Convolution { height, width, channels, outputs, rectified };
+        let (pixels, taps) = (3 * height * width, 9 * channels);
+        let x = normal(20, pixels * channels);
+        let weights: Vec<f32> = normal(21, taps * outputs).iter().map(|w| 0.1 * w).collect();
+        let bias = normal(22, outputs);
+        let out = shape.forward(&x, &weights, &bias);
+        for (at, value) in out.iter().enumerate().step_by(7) {
+            let expected = convolved(&shape, &x, &weights, &bias, at);
+            assert!((f64::from(*value) - expected).abs() < 1e-4, "{at}: {value} {expected}");
+        }
+        // The output is linear in each of the three where it is above 0; the check skips what is rectified.
+        let linear = Convolution { rectified: false, ..shape };
+        let grad: Vec<f32> = normal(23, out.len());
+        let gradients = linear.backward(&x, &weights, &out, &grad);
+        assert_gradient(|x| sum(&linear.forward(x, &weights, &bias), &grad), &x, &gradients.0);
+        assert_gradient(|w| sum(&linear.forward(&x, w, &bias), &grad), &weights, &gradients.1);
+        assert_gradient(|b| sum(&linear.forward(&x, &weights, b), &grad), &bias, &gradients.2);
+        let masked: Vec<f32> = grad.iter().zip(&out).map(|(g, o)| if *o > 0.0 { *g } else { 0.0 }).collect();
+        let rectified = Convolution { rectified: true, ..shape }.backward(&x, &weights, &out, &grad);
+        assert_eq!(rectified, linear.backward(&x, &weights, &out, &masked));
+    }
+}
+
+/// A gradient is the adjoint: `<f(x), g> = <x, f'(g)>` for linear `f`.
+#[test]
+fn resizing_keeps_constants_and_has_its_gradient() {
+    let shape = Resize { height: 6, width: 10, channels: 16 };
+    let (large, small) = (2 * 6 * 10 * 16, 2 * 3 * 5 * 16);
+    assert!(
+        shape
+            .halve(&vec![0.7; large])
+            .iter()
+            .chain(&shape.double(&vec![0.7; small]))
+            .all(|v| (v - 0.7).abs() < 1e-6)
+    );
+    let (x, g) = (normal(24, large), normal(25, small));
+    let near = |a: f64, b: f64| (a - b).abs() < 1e-3;
+    assert!(near(sum(&shape.halve(&x), &g), sum(&x, &shape.halve_backward(&g))));
+    assert!(near(sum(&shape.double(&g), &x), sum(&g, &shape.double_backward(&x))));
+    // A ramp stays a ramp, except at the borders.
+    let ramp: Vec<f32> = (0..small).map(|i| (i / 16 % 5) as f32).collect();
+    let doubled = shape.double(&ramp);
+    let row: Vec<f32> = (0..10).map(|x| doubled[(2 * 10 + x) * 16]).collect();
+    assert_eq!(row, [0.0, 0.25, 0.75, 1.25, 1.75, 2.25, 2.75, 3.25, 3.75, 4.0]);
+    let halved = shape.halve(&doubled);
+    assert_eq!(halved[16], (0.75 + 1.25) / 2.0);
 }

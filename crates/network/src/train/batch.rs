@@ -1,13 +1,16 @@
 use candle_core::{Device, Tensor};
 use point_skeleton::conditions::TensorEncoder;
-use pskel_generate::{Condition, DroppedConditions, FlowMatch, FrameConditions, Roll, TrainingClip};
+use pskel_generate::{
+    CAMERA_NUMBERS, Condition, DriveFrame, DroppedConditions, FlowMatch, Roll, TrainingClip,
+};
 use rand_chacha::ChaCha8Rng;
 use rand_core::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_seeder::Seeder;
 
 use super::TrainOptions;
-use crate::{Inputs, NetworkConfig, NetworkError, PatchCodec};
+use super::augment::Augmentation;
+use crate::{Inputs, NetworkConfig, NetworkError, Statistics, latent_rows};
 
 /// Minimum noise level of a frame that is not finished.
 const SIGMA_MIN: f32 = 0.005;
@@ -27,6 +30,10 @@ pub(super) struct Batch {
     pub(super) counts: Vec<bool>,
     /// Conditions of the frames.
     pub(super) inputs: Inputs,
+    /// Images of the frames, 0 to 1, `[F V H W, 3]`.
+    pub(super) images: Tensor,
+    /// Frame whose decoded images count in the loss: the noisiest one of each window.
+    pub(super) decoded: Vec<usize>,
 }
 
 /// Random choices for a window.
@@ -35,6 +42,8 @@ struct Window {
     drive: usize,
     /// Index of its first frame.
     first: usize,
+    /// First camera; others follow around the ego.
+    camera: usize,
     dropped: DroppedConditions,
     /// Number of leading frames that are finished.
     finished: usize,
@@ -47,12 +56,14 @@ pub(super) struct Source<'a> {
     pub(super) options: &'a TrainOptions,
     pub(super) config: &'a NetworkConfig,
     pub(super) drives: &'a [TrainingClip],
-    pub(super) codec: &'a PatchCodec,
+    /// Probability of each drive, relative to the others.
+    pub(super) shares: &'a [f64],
+    pub(super) statistics: &'a Statistics,
     pub(super) encoder: &'a TensorEncoder,
 }
 
 /// Samples a uniform number in [0, 1), of 24 bits.
-fn unit(random: &mut ChaCha8Rng) -> f32 {
+pub(super) fn unit(random: &mut ChaCha8Rng) -> f32 {
     (random.next_u32() >> 8) as f32 / (1_u32 << 24) as f32
 }
 
@@ -64,16 +75,19 @@ impl Source<'_> {
     /// Returns the batch of a step, determined by the options' seed and the step number.
     pub(super) fn batch(&self, step: u64) -> Result<Batch, NetworkError> {
         let mut random: ChaCha8Rng = Seeder::from((self.options.seed, "batch", step)).into_rng();
-        let lengths: Vec<usize> = self.drives.iter().map(|drive| drive.frames.len()).collect();
-        let windows: Vec<Window> = (0..self.options.batch)
-            .map(|_| draw(self.options, self.config.frames, &lengths, &mut random))
-            .collect();
-        let (mut clean, mut conditions) = (Vec::new(), Vec::new());
+        let (views, windows) = self.windows(&mut random);
+        let (mut clean, mut conditions, mut images) = (Vec::new(), Vec::new(), Vec::new());
         for window in &windows {
             let drive = &self.drives[window.drive];
+            let augmentation = Augmentation::draw(self.options.augment, views, &mut random);
             for frame in window.first..window.first + self.config.frames {
-                clean.extend(self.codec.encode_rows(&drive.frames[frame].truth));
-                conditions.push(drive.conditions(frame, self.encoder).without(window.dropped));
+                let size = drive.about.recipe.size;
+                let mut frame = cameras_of(&drive.frames[frame], window.camera, views, size.pixels());
+                augmentation.apply(&mut frame, size, &mut random);
+                clean.extend(latent_rows(self.config, self.statistics, &frame.truth));
+                images.extend(frame.truth.as_flattened().iter().map(|level| f32::from(*level) / 255.0));
+                let shown = frame.conditions(drive.about.recipe.size, self.encoder);
+                conditions.push(shown.without(window.dropped));
             }
         }
         let noise: Vec<f32> = clean.iter().map(|_| StandardNormal.sample(&mut random)).collect();
@@ -83,24 +97,77 @@ impl Source<'_> {
         };
         let counts: Vec<bool> = windows.iter().flat_map(of).collect();
         let noisy = noisy(&clean, &noise, &sigmas, &counts);
-        self.tensors([clean, noise, noisy], sigmas, counts, &conditions)
+        let rows = |values: Vec<f32>| Tensor::from_vec(values.clone(), (values.len() / 3, 3), &Device::Cpu);
+        let inputs = Inputs::new(self.config, conditions.iter())?;
+        let decoded =
+            windows.iter().enumerate().map(|(place, window)| place * self.config.frames + window.noisiest());
+        Ok(Batch {
+            clean: rows(clean)?,
+            noise: rows(noise)?,
+            noisy: rows(noisy)?,
+            images: rows(images)?,
+            decoded: decoded.collect(),
+            sigmas,
+            counts,
+            inputs,
+        })
     }
 
-    fn tensors(
-        &self,
-        latents: [Vec<f32>; 3],
-        sigmas: Vec<f32>,
-        counts: Vec<bool>,
-        conditions: &[FrameConditions],
-    ) -> Result<Batch, NetworkError> {
-        let channels = self.config.channels();
-        let rows = |values: Vec<f32>| {
-            let count = values.len() / channels;
-            Tensor::from_vec(values, (count, channels), &Device::Cpu)
+    /// Draws the number of cameras and the windows of a batch.
+    fn windows(&self, random: &mut ChaCha8Rng) -> (usize, Vec<Window>) {
+        let cameras: Vec<usize> = self.drives.iter().map(|drive| drive.about.cameras.len()).collect();
+        let lengths: Vec<usize> = self.drives.iter().map(|drive| drive.frames.len()).collect();
+        let first = pick(self.shares, random);
+        let all = unit(random) < self.options.all_cameras;
+        let views = if all { cameras[first] } else { 1 + below(random, cameras[first]) };
+        let fitting = self.shares.iter().zip(&cameras);
+        let shares: Vec<f64> =
+            fitting.map(|(share, count)| if *count >= views { *share } else { 0.0 }).collect();
+        let window = |place: usize| {
+            let drive = if place == 0 { first } else { pick(&shares, random) };
+            let camera = below(random, cameras[drive]);
+            Window { camera, ..draw(self.options, self.config.frames, drive, lengths[drive], random) }
         };
-        let [clean, noise, noisy] = latents;
-        let inputs = Inputs::new(self.config, conditions.iter())?;
-        Ok(Batch { clean: rows(clean)?, noise: rows(noise)?, noisy: rows(noisy)?, sigmas, counts, inputs })
+        (views, (0..self.options.batch).map(window).collect())
+    }
+}
+
+/// Returns a number with a probability of its share.
+fn pick(shares: &[f64], random: &mut ChaCha8Rng) -> usize {
+    let mut left = f64::from(unit(random)) * shares.iter().sum::<f64>();
+    for (place, share) in shares.iter().enumerate() {
+        left -= share;
+        if left < 0.0 {
+            return place;
+        }
+    }
+    shares.iter().rposition(|share| *share > 0.0).unwrap_or(0)
+}
+
+/// Returns a frame with `count` of its cameras from camera `first` on, around the ego.
+fn cameras_of(frame: &DriveFrame, first: usize, count: usize, pixels: usize) -> DriveFrame {
+    fn part<T: Copy>(values: &[T], chosen: &[usize], pixels: usize) -> Vec<T> {
+        chosen.iter().flat_map(|view| &values[view * pixels..][..pixels]).copied().collect()
+    }
+    let chosen: Vec<usize> = (first..first + count).map(|view| view % frame.cameras.len()).collect();
+    let lenses: Vec<[f32; CAMERA_NUMBERS]> = chosen.iter().map(|view| frame.cameras[*view]).collect();
+    DriveFrame {
+        color: part(&frame.color, &chosen, pixels),
+        bins: part(&frame.bins, &chosen, pixels),
+        boxes: part(&frame.boxes, &chosen, pixels),
+        map: part(&frame.map, &chosen, pixels),
+        truth: part(&frame.truth, &chosen, pixels),
+        action: frame.action,
+        cameras: lenses,
+    }
+}
+
+impl Window {
+    /// Returns the frame with the most noise, the last of equal ones.
+    fn noisiest(&self) -> usize {
+        let frames =
+            (self.finished..self.sigmas.len()).max_by(|a, b| self.sigmas[*a].total_cmp(&self.sigmas[*b]));
+        frames.unwrap_or(0)
     }
 }
 
@@ -115,10 +182,15 @@ fn noisy(clean: &[f32], noise: &[f32], sigmas: &[f32], counts: &[bool]) -> Vec<f
     frames.collect()
 }
 
-/// Samples a window of `frames` frames from recordings of the given lengths.
-fn draw(options: &TrainOptions, frames: usize, lengths: &[usize], random: &mut ChaCha8Rng) -> Window {
-    let drive = below(random, lengths.len());
-    let first = below(random, lengths[drive] + 1 - frames);
+/// Samples a window of `frames` frames from a recording of some length.
+fn draw(
+    options: &TrainOptions,
+    frames: usize,
+    drive: usize,
+    length: usize,
+    random: &mut ChaCha8Rng,
+) -> Window {
+    let first = below(random, length + 1 - frames);
     let chances = options.drop;
     let all = unit(random) < chances.all;
     let mut drops = |chance: f32| unit(random) < chance || all;
@@ -134,7 +206,7 @@ fn draw(options: &TrainOptions, frames: usize, lengths: &[usize], random: &mut C
     } else {
         independent(options, &table, frames, random)
     };
-    Window { drive, first, dropped, finished, sigmas }
+    Window { drive, first, camera: 0, dropped, finished, sigmas }
 }
 
 /// Samples noise levels as in a random network call of a roll, after a random number of finished frames.
@@ -173,7 +245,12 @@ mod tests {
 
     fn windows(options: &TrainOptions) -> Vec<Window> {
         let mut random: ChaCha8Rng = Seeder::from(7_u64).into_rng();
-        (0..2000).map(|_| draw(options, 4, &[4, 9], &mut random)).collect()
+        (0..2000)
+            .map(|_| {
+                let drive = pick(&[1.0, 3.0], &mut random);
+                draw(options, 4, drive, [4, 9][drive], &mut random)
+            })
+            .collect()
     }
 
     #[test]
@@ -209,7 +286,7 @@ mod tests {
             share(&|w| w.drive == 1),
             share(&|w| w.sigmas[3] < 0.75),
         ];
-        let expected = [0.28, 0.1, 0.55, 0.1, 0.625, 0.5, 0.5];
+        let expected = [0.28, 0.1, 0.55, 0.1, 0.625, 0.75, 0.5];
         assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 0.04), "{found:?}");
         assert!(all.iter().all(|w| w.first + 4 <= [4, 9][w.drive]));
         assert!(all.iter().any(|w| w.drive == 1 && w.first == 5));

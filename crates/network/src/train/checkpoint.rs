@@ -22,6 +22,8 @@ pub(super) struct Header {
     pub(super) step: u64,
     /// Fingerprint of the recordings.
     pub(super) fingerprint: String,
+    /// Probability of each recording, relative to the others.
+    pub(super) shares: Vec<f64>,
 }
 
 const HEADER: &str = "training";

@@ -19,7 +19,7 @@ use crate::NetworkConfig;
 /// Options for recording training clips.
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
-    /// Clips per log: the first at the recorded poses, the others offset and rotated.
+    /// Clips per log: the first at the recorded poses, the others of synthetic logs offset and rotated.
     pub variants: usize,
     /// Whether assets of the other clips are degraded.
     pub augment: bool,
@@ -38,7 +38,7 @@ impl Default for RecordOptions {
 pub struct ClipRecorder<'a> {
     /// Folder of the clips.
     pub folder: &'a Path,
-    /// Network, which determines the recipe of the conditions and the number of cameras.
+    /// Network, which determines the recipe of the conditions.
     pub config: &'a NetworkConfig,
     /// Number and kind of the clips.
     pub options: &'a RecordOptions,
@@ -57,12 +57,12 @@ impl ClipRecorder<'_> {
     /// Returns the clips of a log, in order. Missing ones are recorded to files whose names begin with `name`.
     ///
     /// # Errors
-    /// Fails if network and log differ in their number of cameras, if an existing clip has another log or recipe, or
+    /// Fails if the log does not have 1 to 8 cameras, if an existing clip has another log or recipe, or
     /// if a clip cannot be rendered or written.
     pub fn clips(&self, name: &str, dataset: &dyn Dataset) -> Result<Vec<TrainingClip>, RecordError> {
-        let (expected, found) = (self.config.cameras, dataset.log().rig.len());
-        if found != expected {
-            return Err(RecordError::Cameras { expected, found });
+        let found = dataset.log().rig.len();
+        if NetworkConfig::check_cameras(found).is_err() {
+            return Err(RecordError::Cameras { found, log: dataset.log().name.clone() });
         }
         let files: Vec<PathBuf> = (0..self.options.variants).map(|number| self.file(name, number)).collect();
         if files.iter().any(|file| !file.is_file()) {
@@ -86,19 +86,24 @@ impl ClipRecorder<'_> {
         let source = Source { dataset, skeleton: &skeleton, recipe, rasterizer };
         for (number, file) in files.iter().enumerate().filter(|(_, file)| !file.is_file()) {
             let file = file.file_name().unwrap_or_default();
-            source.record(self.variant(&dataset.log().name, number))?.save(&folder.claim(file)?)?;
+            source.record(self.variant(dataset, number))?.save(&folder.claim(file)?)?;
         }
         Ok(folder.close()?)
     }
 
-    fn variant(&self, log: &str, number: usize) -> Variant {
+    fn variant(&self, dataset: &dyn Dataset, number: usize) -> Variant {
+        let log = dataset.log().name.as_str();
         if number == 0 {
             return Variant::default();
         }
         let mut random: ChaCha8Rng = Seeder::from((SEED, log, number as u64)).into_rng();
         let mut within =
             |most: f64| Uniform::new_inclusive(-most, most).map_or(0.0, |range| range.sample(&mut random));
-        let offset = EgoOffset { x_m: 0.0, y_m: within(BESIDE_M), yaw_rad: within(TURNED_RAD) };
+        // Recorded images exist at the recorded poses alone.
+        let offset = match dataset.view_renderer() {
+            Some(_) => EgoOffset { x_m: 0.0, y_m: within(BESIDE_M), yaw_rad: within(TURNED_RAD) },
+            None => EgoOffset::default(),
+        };
         Variant { offset, augment: self.options.augment.then_some(SEED ^ number as u64) }
     }
 

@@ -1,7 +1,7 @@
 use candle_core::{Device, Result, Tensor};
 
 use super::batch::Batch;
-use crate::Model;
+use crate::{Model, NetworkConfig};
 
 /// Weighting of errors in the loss.
 #[derive(Clone, Copy, Debug)]
@@ -12,28 +12,58 @@ pub(super) struct LossWeights<'a> {
     pub(super) expected_error: f32,
 }
 
-/// Returns the loss: the weighted mean square error of the network's answers over patches, channels and counted
-/// frames. All noise levels weigh the same. A frame whose first guess is worse than usual, since conditions were
-/// dropped, gets a smaller weight: otherwise these few frames would dominate training.
+/// Weight of the decoded images beside the answers: an error of 0.1 counts as much as the expected one of an answer.
+const IMAGE_WEIGHT: f64 = 100.0;
+/// Weight of the differences between neighboring pixels beside the pixels themselves.
+const GRADIENT_WEIGHT: f64 = 0.5;
+
+/// Returns the loss: that of the answers, and that of the images which are decoded from them.
 ///
 /// # Errors
 /// Returns any error of the tensor library.
 pub(super) fn loss(
     model: &Model,
+    config: &NetworkConfig,
     batch: &Batch,
     windows: usize,
     weighing: LossWeights<'_>,
 ) -> Result<Tensor> {
     let frames = batch.sigmas.len();
-    let taken = model.take(&batch.inputs, windows, frames / windows)?;
-    let answer = model.answer(&batch.noisy, &batch.sigmas, &taken)?;
-    let right = model.levels(&batch.sigmas).answer(&batch.clean, taken.guess(), &batch.noise)?;
+    let encoded = model.encode(&batch.inputs)?;
+    let answer = model.answer(&batch.noisy, &batch.sigmas, &encoded.window, windows)?;
+    let levels = model.levels(&batch.sigmas);
+    let right = levels.answer(&batch.clean, encoded.window.guess(), &batch.noise)?;
     let (rows, channels) = answer.dims2()?;
-    let off = guess_errors(&(&batch.clean - taken.guess())?.detach(), frames, weighing)?;
+    let off = guess_errors(&(&batch.clean - encoded.window.guess())?, frames, weighing)?;
     let weights = weights(&batch.counts, weighing.priors, &off, rows);
     let weights = Tensor::from_vec(weights, (frames, 1, channels), &Device::Cpu)?;
-    let squares = (answer - right)?.sqr()?.reshape((frames, rows / frames, channels))?;
-    squares.broadcast_mul(&weights)?.sum_all()
+    let squares = (&answer - right)?.sqr()?.reshape((frames, rows / frames, channels))?;
+    let mut loss = squares.broadcast_mul(&weights)?.sum_all()?;
+    let latents = levels.clean(&batch.noisy, encoded.window.guess(), &answer)?;
+    let part = |all: &Tensor, frame: usize| {
+        let rows = all.dims2()?.0 / frames;
+        all.narrow(0, frame * rows, rows)?.contiguous()
+    };
+    for frame in &batch.decoded {
+        let images = model.decode(&part(&latents, *frame)?, &encoded.frame(*frame, frames)?)?;
+        let errors = (images - part(&batch.images, *frame)?)?;
+        let weight = IMAGE_WEIGHT / (windows as f64 * f64::from(off[*frame]).max(1.0));
+        loss = (loss + (image_loss(&errors, config)? * weight)?)?;
+    }
+    Ok(loss)
+}
+
+/// Returns the mean square error of images `[N H W, 3]` and of the differences between neighboring pixels.
+fn image_loss(errors: &Tensor, config: &NetworkConfig) -> Result<Tensor> {
+    let size = config.recipe.size;
+    let (height, width) = (size.height as usize, size.width as usize);
+    let (rows, channels) = errors.dims2()?;
+    let images = errors.reshape((rows / (height * width), height, width, channels))?;
+    let differences = |axis: usize, length: usize| -> Result<Tensor> {
+        (images.narrow(axis, 1, length - 1)? - images.narrow(axis, 0, length - 1)?)?.sqr()?.mean_all()
+    };
+    let gradients = (differences(1, height)? + differences(2, width)?)?;
+    images.sqr()?.mean_all()? + (gradients * GRADIENT_WEIGHT)?
 }
 
 /// Returns the mean square error of the first guess per frame, relative to its average over the training data.
@@ -44,7 +74,8 @@ fn guess_errors(left: &Tensor, frames: usize, weighing: LossWeights<'_>) -> Resu
     squares.reshape((frames, squares.elem_count() / frames))?.mean(1)?.to_vec1()
 }
 
-/// Returns weights of frames and channels, `[F, C]`. Summed over all rows, they are 1 if no guess is worse than
+/// Returns weights of frames and channels, `[F, C]`: all noise levels weigh the same, and a frame whose first guess is
+/// worse than usual, since conditions were dropped, gets a smaller weight, or these few frames would dominate training. Summed over all rows, they are 1 if no guess is worse than
 /// usual.
 fn weights(counts: &[bool], priors: &[f32], guess_errors: &[f32], rows: usize) -> Vec<f32> {
     let mean = priors.iter().sum::<f32>() / priors.len() as f32;

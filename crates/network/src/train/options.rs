@@ -37,6 +37,10 @@ pub struct TrainOptions {
     pub staircase: f32,
     /// Share of the other windows that begin with some finished frames, as with strategies that do not roll.
     pub history: f32,
+    /// Share of windows that are changed at random: colors, exposures, missing points, reflection.
+    pub augment: f32,
+    /// Share of windows with all cameras; the others have a random number of neighboring ones.
+    pub all_cameras: f32,
 }
 
 /// Probabilities of dropping conditions, per window and independent of each other.
@@ -77,7 +81,9 @@ impl Default for TrainOptions {
             infer_steps: 8,
             shift: 3.0,
             staircase: 0.5,
-            history: 0.0,
+            history: 0.5,
+            augment: 0.9,
+            all_cameras: 0.4,
         }
     }
 }
@@ -98,8 +104,17 @@ impl TrainOptions {
             let expected = format!("up to 1000 inference steps, a multiple of {}", config.frames);
             return wrong(expected, infer_steps.to_string());
         }
-        let shares =
-            [drop.layout, drop.action, drop.color, drop.depth, drop.all, self.staircase, self.history];
+        let shares = [
+            drop.layout,
+            drop.action,
+            drop.color,
+            drop.depth,
+            drop.all,
+            self.staircase,
+            self.history,
+            self.augment,
+            self.all_cameras,
+        ];
         if let Some(other) = shares.iter().find(|share| !(0.0..=1.0).contains(*share)) {
             return wrong("shares of 0 to 1".to_owned(), other.to_string());
         }

@@ -34,13 +34,13 @@ pub(super) struct Variant {
 /// Error of recording or opening training clips.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    /// The network and the log differ in their number of cameras.
-    #[error("expected {expected} cameras, as the network has, found {found}")]
+    /// The network does not take the number of cameras of the log.
+    #[error("expected 1 to 8 cameras, found {found} in log {log}")]
     Cameras {
-        /// Number of cameras of the network.
-        expected: usize,
         /// Number of cameras of the log.
         found: usize,
+        /// Name of the log.
+        log: String,
     },
     /// The log has no state for a frame.
     #[error("expected frame {frame} in log {log}")]

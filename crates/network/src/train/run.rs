@@ -72,7 +72,7 @@ impl TrainingFolder {
         Ok(Self { path: path.to_owned(), files })
     }
 
-    /// Starts or resumes a training on clips.
+    /// Starts or resumes a training on clips, whose windows are drawn with probabilities in the ratio of `shares`.
     ///
     /// # Errors
     /// Fails if the options or the configuration are inconsistent, if the clips do not fit them, or if the checkpoint
@@ -83,11 +83,12 @@ impl TrainingFolder {
         train: TrainOptions,
         options: RunOptions,
         clips: &'c [TrainingClip],
+        shares: Vec<f64>,
     ) -> Result<Training<'c>, NetworkError> {
         let checkpoint = self.path.join(CHECKPOINT);
         let trainer = match options.resume && is_there(&checkpoint)? {
-            true => resume(&checkpoint, &config, &train, clips)?,
-            false => Trainer::new(train, config, clips)?,
+            true => resume(&checkpoint, (&config, &train, &shares), clips)?,
+            false => Trainer::new(train, config, clips, shares)?,
         };
         let losses = losses::read(&self.path.join(LOSS), trainer.done())?;
         Ok(Training { folder: self, trainer, options, losses })
@@ -97,13 +98,15 @@ impl TrainingFolder {
 /// Resumes a training with the same options. These include the number of steps, on which the learning rate depends.
 fn resume<'c>(
     checkpoint: &Path,
-    config: &NetworkConfig,
-    train: &TrainOptions,
+    (config, train, shares): (&NetworkConfig, &TrainOptions, &[f64]),
     clips: &'c [TrainingClip],
 ) -> Result<Trainer<'c>, NetworkError> {
     let trainer = Trainer::resume(checkpoint, clips)?;
-    let text = |options: &TrainOptions, config: &NetworkConfig| format!("{options:?} of {config:?}");
-    let (before, now) = (text(trainer.options(), trainer.config()), text(train, config));
+    let text = |options: &TrainOptions, config: &NetworkConfig, shares: &[f64]| {
+        format!("{options:?} of {config:?} with shares {shares:?}")
+    };
+    let before = text(trainer.options(), trainer.config(), trainer.shares());
+    let now = text(train, config, shares);
     if before != now {
         return Err(FileError::content(before, now, checkpoint).into());
     }

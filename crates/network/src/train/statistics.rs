@@ -2,80 +2,76 @@ use point_skeleton::conditions::{DepthEmbedding, TensorEncoder};
 use pskel_generate::{DriveFrame, TrainingClip};
 use rayon::prelude::*;
 
-use super::regression::Regression;
-use crate::{FirstGuess, Inputs, NetworkConfig, NetworkError, PatchCodec, Statistics};
+use crate::{Inputs, NetworkConfig, NetworkError, Statistics, latent_rows};
 
-/// Minimum standard deviation of a coefficient, and of the error of the guess; prevents division by 0.
+/// Number of channels of the latents.
+const CHANNELS: usize = 3;
+/// Minimum standard deviation of a channel, and of the error of the guess; prevents division by 0.
 const SCALE_MIN: f64 = 1e-3;
 const PRIOR_MIN: f64 = 1e-2;
-/// Maximum number of frames that the guess is fitted to, spread evenly over all recordings.
-const FITTED: usize = 400;
+/// Maximum number of frames whose guess is compared, spread evenly over all recordings.
+const COMPARED: usize = 400;
 
-/// Sums over patches, per channel: coefficients and their squares.
-type Sums = Vec<[f64; 2]>;
+/// Sums over places: values and their squares of each channel.
+type Sums = [[f64; 2]; CHANNELS];
 
-/// Computes mean and standard deviation of the images' coefficients. Also fits the best linear guess of latents
-/// from the maps of their patches, and computes its remaining error.
+/// Computes mean and standard deviation of the latents, and the error of the filled color as a guess of them.
 ///
 /// # Errors
 /// Returns an error if the configuration is inconsistent, or if the recordings have too few frames or other sizes.
-pub fn measure(
-    config: &NetworkConfig,
-    drives: &[TrainingClip],
-) -> Result<(Statistics, FirstGuess), NetworkError> {
+pub fn measure(config: &NetworkConfig, drives: &[TrainingClip]) -> Result<Statistics, NetworkError> {
     config.check()?;
     check(config, drives)?;
-    let ones = || vec![1.0; config.channels()];
-    let plain = Statistics { means: vec![0.0; config.channels()], scales: ones(), priors: ones() };
-    let mut statistics = moments(config, drives, plain)?;
-    let codec = PatchCodec::new(config, &statistics)?;
-    let encoder = TensorEncoder::new(config.recipe.bins, DepthEmbedding::Both);
     let all: Vec<(&TrainingClip, usize)> =
         drives.iter().flat_map(|drive| (0..drive.frames.len()).map(move |frame| (drive, frame))).collect();
-    let mut sums = Regression::new(config.maps_and_channels());
-    for (drive, frame) in all.iter().step_by(all.len().div_ceil(FITTED)) {
+    let unit =
+        Statistics { means: vec![0.0; CHANNELS], scales: vec![1.0; CHANNELS], priors: vec![1.0; CHANNELS] };
+    let latents = |(drive, frame): &(&TrainingClip, usize)| {
+        sums(latent_rows(config, &unit, &drive.frames[*frame].truth).into_iter())
+    };
+    let [means, scales] = moments(all.par_iter().map(latents).collect());
+    let encoder = TensorEncoder::new(config.recipe.bins, DepthEmbedding::Both);
+    let compared: Vec<&(&TrainingClip, usize)> = all.iter().step_by(all.len().div_ceil(COMPARED)).collect();
+    let errors = |(drive, frame): &&(&TrainingClip, usize)| -> Result<(Sums, usize), NetworkError> {
         let conditions = drive.conditions(*frame, &encoder);
-        let inputs = Inputs::new(config, std::iter::once(&conditions))?;
-        sums.add(inputs.maps(), &codec.encode_rows(&drive.frames[*frame].truth))?;
-    }
-    let (guess, left) = sums.solve();
-    statistics.priors = left.iter().map(|left| left.max(PRIOR_MIN) as f32).collect();
-    Ok((statistics, guess))
+        let guess = Inputs::new(config, std::iter::once(&conditions))?.colors()?;
+        let latents = latent_rows(config, &unit, &drive.frames[*frame].truth);
+        Ok(sums(latents.into_iter().zip(guess).map(|(latent, guess)| latent - guess)))
+    };
+    let errors = compared.par_iter().map(errors).collect::<Result<Vec<_>, _>>()?;
+    let [bias, spread] = moments(errors);
+    let prior =
+        |c: usize| ((bias[c] * bias[c] + spread[c] * spread[c]).sqrt() / scales[c]).max(PRIOR_MIN) as f32;
+    Ok(Statistics {
+        means: means.map(|mean| mean as f32).to_vec(),
+        scales: scales.map(|scale| scale as f32).to_vec(),
+        priors: (0..CHANNELS).map(prior).collect(),
+    })
 }
 
-/// Computes means and scales.
-fn moments(
-    config: &NetworkConfig,
-    drives: &[TrainingClip],
-    plain: Statistics,
-) -> Result<Statistics, NetworkError> {
-    let (codec, channels) = (PatchCodec::new(config, &plain)?, config.channels());
-    let frames: Vec<&DriveFrame> = drives.iter().flat_map(|drive| &drive.frames).collect();
-    let sums: Vec<Sums> = frames.par_iter().map(|frame| sums(&codec, frame, channels)).collect();
-    // A sequential sum gives the same bytes for any number of threads.
-    let all = sums.iter().fold(vec![[0.0; 2]; channels], |mut all: Sums, sums| {
+/// Returns the sums of rows `[n, 3]`, and n.
+fn sums(values: impl Iterator<Item = f32>) -> (Sums, usize) {
+    let (mut sums, mut count) = (Sums::default(), 0);
+    for (i, value) in values.enumerate() {
+        let (value, sums) = (f64::from(value), &mut sums[i % CHANNELS]);
+        *sums = [sums[0] + value, sums[1] + value * value];
+        count = i / CHANNELS + 1;
+    }
+    (sums, count)
+}
+
+/// Returns mean and standard deviation of each channel. The parts are added in their order, for the same bytes with any
+/// number of threads.
+fn moments(parts: Vec<(Sums, usize)>) -> [[f64; CHANNELS]; 2] {
+    let (mut all, mut count) = (Sums::default(), 0);
+    for (sums, places) in parts {
         all.iter_mut().zip(sums).for_each(|(all, sums)| *all = [all[0] + sums[0], all[1] + sums[1]]);
-        all
-    });
-    let count = (frames.len() * config.shape().len() / channels) as f64;
-    let mut measured = plain;
-    for (channel, [sum, squares]) in all.into_iter().enumerate() {
-        let mean = sum / count;
-        measured.means[channel] = mean as f32;
-        measured.scales[channel] = (squares / count - mean * mean).max(0.0).sqrt().max(SCALE_MIN) as f32;
+        count += places;
     }
-    Ok(measured)
-}
-
-fn sums(codec: &PatchCodec, frame: &DriveFrame, channels: usize) -> Sums {
-    let mut sums = vec![[0.0; 2]; channels];
-    for row in codec.encode_rows(&frame.truth).chunks(channels) {
-        for (sums, value) in sums.iter_mut().zip(row) {
-            let value = f64::from(*value);
-            *sums = [sums[0] + value, sums[1] + value * value];
-        }
-    }
-    sums
+    let count = count.max(1) as f64;
+    let mean = |c: usize| all[c][0] / count;
+    let spread = |c: usize| (all[c][1] / count - mean(c) * mean(c)).max(0.0).sqrt().max(SCALE_MIN);
+    [std::array::from_fn(mean), std::array::from_fn(spread)]
 }
 
 /// Checks that recordings fit a network: sizes, cameras and bins, and enough frames for a window.
@@ -91,16 +87,13 @@ pub(super) fn check(config: &NetworkConfig, drives: &[TrainingClip]) -> Result<(
         let wrong = |expected: String, found: String| {
             Err(NetworkError::input(expected, format!("{found} in {}", about.log)))
         };
-        let (size, cameras, bins) = (config.recipe.size, config.cameras, config.recipe.bins);
-        if (about.recipe.size, about.cameras.len()) != (size, cameras) {
-            let found = format!("{} of {}", about.cameras.len(), about.recipe.size);
-            return wrong(format!("{cameras} cameras of {size}"), found);
+        let (size, cameras, bins) = (config.recipe.size, about.cameras.len(), config.recipe.bins);
+        NetworkConfig::check_cameras(cameras)?;
+        if about.recipe.size != size {
+            return wrong(format!("images of {size}"), about.recipe.size.to_string());
         }
         if about.recipe != config.recipe {
             return wrong(format!("maps made as {:?}", config.recipe), format!("{:?}", about.recipe));
-        }
-        if about.hz != drives[0].about.hz {
-            return wrong(format!("{} frames a second", drives[0].about.hz), about.hz.to_string());
         }
         if drive.frames.len() < config.frames {
             return wrong(format!("at least {} frames", config.frames), drive.frames.len().to_string());

@@ -10,7 +10,7 @@ use super::checkpoint::{self, Header, fingerprint};
 use super::objective::{LossWeights, loss};
 use super::optimizer::State;
 use super::statistics::{check, measure};
-use crate::{Model, NetworkConfig, NetworkError, PatchCodec, Provenance, Statistics, Weights, fresh};
+use crate::{Model, NetworkConfig, NetworkError, Provenance, Statistics, Weights, fresh};
 
 /// Trains a network on recordings, step by step.
 pub struct Trainer<'a> {
@@ -19,7 +19,7 @@ pub struct Trainer<'a> {
     statistics: Statistics,
     drives: &'a [TrainingClip],
     fingerprint: String,
-    codec: PatchCodec,
+    shares: Vec<f64>,
     encoder: TensorEncoder,
     state: State,
 }
@@ -38,7 +38,8 @@ pub struct StepReport {
 }
 
 impl<'a> Trainer<'a> {
-    /// Computes the statistics of the recordings and creates the initial parameters.
+    /// Computes the statistics of the recordings and creates the initial parameters. Windows are drawn from the recordings
+    /// with probabilities in the ratio of `shares`.
     ///
     /// # Errors
     /// Returns an error if the options or the configuration are inconsistent, or if the recordings do not fit them.
@@ -46,14 +47,16 @@ impl<'a> Trainer<'a> {
         options: TrainOptions,
         config: NetworkConfig,
         drives: &'a [TrainingClip],
+        shares: Vec<f64>,
     ) -> Result<Self, NetworkError> {
         config.check()?;
         options.check(&config)?;
-        let (mut statistics, guess) = measure(&config, drives)?;
+        check_shares(&shares, drives.len())?;
+        let mut statistics = measure(&config, drives)?;
         statistics.priors.iter_mut().for_each(|prior| *prior *= options.expected_error);
-        let state = State::fresh(fresh(&config, &guess, options.seed)?)?;
+        let state = State::fresh(fresh(&config, options.seed)?)?;
         let fingerprint = fingerprint(drives);
-        Self::of(Header { options, config, statistics, step: 0, fingerprint }, drives, state)
+        Self::of(Header { options, config, statistics, step: 0, fingerprint, shares }, drives, state)
     }
 
     /// Resumes from a file written by [`Trainer::save`], with the same recordings.
@@ -72,10 +75,10 @@ impl<'a> Trainer<'a> {
     }
 
     fn of(header: Header, drives: &'a [TrainingClip], state: State) -> Result<Self, NetworkError> {
-        let Header { options, config, statistics, fingerprint, .. } = header;
-        let codec = PatchCodec::new(&config, &statistics)?;
+        let Header { options, config, statistics, fingerprint, shares, .. } = header;
+        check_shares(&shares, drives.len())?;
         let encoder = TensorEncoder::new(config.recipe.bins, DepthEmbedding::Both);
-        Ok(Self { options, config, statistics, drives, fingerprint, codec, encoder, state })
+        Ok(Self { options, config, statistics, drives, fingerprint, shares, encoder, state })
     }
 
     /// Options that training was started with.
@@ -91,6 +94,11 @@ impl<'a> Trainer<'a> {
     /// Statistics of the recordings, with priors scaled by the expected error of the trained network.
     pub fn statistics(&self) -> &Statistics {
         &self.statistics
+    }
+
+    /// Probability of each recording, relative to the others.
+    pub fn shares(&self) -> &[f64] {
+        &self.shares
     }
 
     /// Number of steps done.
@@ -113,14 +121,15 @@ impl<'a> Trainer<'a> {
             options: &self.options,
             config: &self.config,
             drives: self.drives,
-            codec: &self.codec,
+            shares: &self.shares,
+            statistics: &self.statistics,
             encoder: &self.encoder,
         };
         let batch = source.batch(step)?;
         let model = Model::new(&self.config, &self.statistics, self.state.tensors())?;
         let expected_error = self.options.expected_error;
         let weighing = LossWeights { priors: &self.statistics.priors, expected_error };
-        let loss = loss(&model, &batch, self.options.batch, weighing)?;
+        let loss = loss(&model, &self.config, &batch, self.options.batch, weighing)?;
         let value = f64::from(loss.to_scalar::<f32>()?);
         finite("loss", step, value)?;
         let (gradients, gradient_norm) = self.state.gradients(&loss.backward()?)?;
@@ -141,6 +150,7 @@ impl<'a> Trainer<'a> {
             statistics: self.statistics.clone(),
             step: self.state.step,
             fingerprint: self.fingerprint.clone(),
+            shares: self.shares.clone(),
         };
         checkpoint::save(path, &header, &self.state)
     }
@@ -164,6 +174,15 @@ impl<'a> Trainer<'a> {
             parameters: self.state.averages()?,
         })
     }
+}
+
+fn check_shares(shares: &[f64], drives: usize) -> Result<(), NetworkError> {
+    let is_share = |share: &f64| share.is_finite() && *share >= 0.0;
+    if shares.len() == drives && shares.iter().all(is_share) && shares.iter().any(|share| *share > 0.0) {
+        return Ok(());
+    }
+    let expected = format!("{drives} shares of recordings from 0, not all of them 0");
+    Err(NetworkError::input(expected, format!("{shares:?}")))
 }
 
 fn finite(what: &'static str, step: u64, value: f64) -> Result<(), NetworkError> {

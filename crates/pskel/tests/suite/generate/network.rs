@@ -10,7 +10,7 @@ use pskel_generate::{
     GaussianNoise, GenerateOptions, Latent, Level, NoiseSource, Recipe, Strategy, TrainingClip,
 };
 use pskel_network::train::{TrainOptions, Trainer, measure};
-use pskel_network::{Attend, Network, NetworkConfig, NetworkError, PatchCodec, Statistics, Weights};
+use pskel_network::{Attend, Network, NetworkConfig, NetworkError, Weights};
 use pskel_sim::Forecast;
 
 use super::{TrainingClip as Rollout, options as roll_options};
@@ -21,9 +21,8 @@ const VIEWS: usize = 2;
 fn config() -> NetworkConfig {
     NetworkConfig {
         recipe: recipe(),
-        cameras: VIEWS,
         frames: 4,
-        patch: 4,
+        channels: [16; 4],
         width: 32,
         head: 16,
         hidden: 48,
@@ -52,12 +51,11 @@ fn shade(kind: usize, x: usize, y: usize, color: usize) -> u8 {
 
 /// Returns a synthetic recording: two cameras pass textured patches; the color map has holes.
 pub(crate) fn made(number: usize, frames: usize) -> TrainingClip {
-    made_for(&config(), number, frames)
+    made_for(&config(), VIEWS, number, frames)
 }
 
-/// Returns a recording in the format of a network.
-fn made_for(config: &NetworkConfig, number: usize, frames: usize) -> TrainingClip {
-    let views = config.cameras;
+/// Returns a recording of some cameras in the format of a network.
+fn made_for(config: &NetworkConfig, views: usize, number: usize, frames: usize) -> TrainingClip {
     let cameras = (0..views).map(|view| format!("camera {view}")).collect();
     let about = DriveInfo { log: format!("made {number}"), hz: 5.0, cameras, recipe: config.recipe.clone() };
     let frame = |frame: usize| {
@@ -99,58 +97,25 @@ fn conditions(drive: &TrainingClip) -> Vec<FrameConditions> {
 }
 
 pub(crate) fn weights(drives: &[TrainingClip]) -> Weights {
-    let (statistics, guess) = measure(&config(), drives).unwrap();
-    Weights::fresh(&config(), &statistics, &guess, 5).unwrap()
+    let statistics = measure(&config(), drives).unwrap();
+    Weights::fresh(&config(), &statistics, 5).unwrap()
 }
 
-fn same(channels: usize, mean: f32, scale: f32) -> Statistics {
-    Statistics { means: vec![mean; channels], scales: vec![scale; channels], priors: vec![1.0; channels] }
+fn network(drives: &[TrainingClip]) -> Network {
+    Network::new(weights(drives), VIEWS).unwrap()
 }
 
-#[test]
-fn the_codec_is_orthonormal_and_goes_both_ways() {
-    let config = config();
-    let images = made(1, 1).images(0);
-    let plain = PatchCodec::new(&config, &same(48, 0.0, 1.0)).unwrap();
-    let latent = plain.encode(&images).unwrap();
-    assert_eq!(latent.shape(), config.shape());
-    assert_eq!(latent.shape().to_array(), [2, 48, 4, 8]);
-    // The codec preserves the norm of each patch.
-    let energy = |x: usize, y: usize| -> [f64; 2] {
-        let pixel = |i: usize| images[1].get_pixel((x * 4 + i % 4) as u32, (y * 4 + i / 4) as u32).0;
-        let level = |level: u8| (f64::from(level) / 255.0).powi(2);
-        let value = |channel: usize| f64::from(latent.values()[((48 + channel) * 4 + y) * 8 + x]).powi(2);
-        [(0..16).flat_map(pixel).map(level).sum(), (0..48).map(value).sum()]
-    };
-    for (x, y) in [(0, 0), (7, 0), (3, 2), (7, 3)] {
-        let [pixels, channels] = energy(x, y);
-        assert!((pixels - channels).abs() < 1e-5 * pixels, "{x} {y}: {pixels} {channels}");
-    }
-    // Channel 0 is the mean of all pixels and colors, times the square root of their number.
-    let gray = PatchCodec::new(&config, &same(48, 0.5, 2.0)).unwrap();
-    let latent = gray.encode(&vec![RgbImage::from_pixel(32, 16, image::Rgb([51; 3])); 2]).unwrap();
-    let first = (0.2 * 48.0_f32.sqrt() - 0.5) / 2.0;
-    assert!((latent.values()[0] - first).abs() < 1e-6 && (latent.values()[32] + 0.25).abs() < 1e-6);
-    for codec in [plain, gray] {
-        assert_eq!(codec.decode(&codec.encode(&images).unwrap()).unwrap(), images);
-        let error = codec.encode(&images[..1]).unwrap_err().to_string();
-        assert!(error.contains("expected 2 images, found 1"), "{error}");
-        let wide = vec![RgbImage::new(36, 16); 2];
-        let error = codec.encode(&wide).unwrap_err().to_string();
-        assert!(error.contains("images of 16x32, found 16x36"), "{error}");
-    }
-}
-
+/// Latents are the mean colors of 4x4 pixels, normalized.
 #[test]
 fn latents_of_the_drives_have_unit_variance() {
     let drives = [made(1, 5), made(2, 4)];
-    let (statistics, guess) = measure(&config(), &drives).unwrap();
-    let codec = PatchCodec::new(&config(), &statistics).unwrap();
-    let mut channels = vec![Vec::new(); 48];
+    let statistics = measure(&config(), &drives).unwrap();
+    let codec = network(&drives);
+    let mut channels = vec![Vec::new(); 3];
     for (drive, frame) in drives.iter().flat_map(|d| (0..d.frames.len()).map(move |f| (d, f))) {
         let latent = codec.encode(&drive.images(frame)).unwrap();
         for (i, value) in latent.values().iter().enumerate() {
-            channels[i / 32 % 48].push(f64::from(*value));
+            channels[i / 32 % 3].push(f64::from(*value));
         }
     }
     for (channel, values) in channels.iter().enumerate() {
@@ -158,24 +123,48 @@ fn latents_of_the_drives_have_unit_variance() {
         let square = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64;
         assert!(mean.abs() < 1e-3 && (square - 1.0).abs() < 2e-3, "{channel} {mean} {square}");
     }
-    // The maps predict much of the image linearly; empty maps predict nothing.
-    let mean = |values: &[f32]| values.iter().sum::<f32>() / values.len() as f32;
-    assert_eq!((guess.matrix.len(), guess.bias.len()), (48 * 26 * 16, 48));
-    assert!(mean(&statistics.priors) < 0.8, "{:?}", statistics.priors);
-    let mut blind = drives.clone();
-    for frame in blind.iter_mut().flat_map(|drive| &mut drive.frames) {
-        frame.bins.fill(0);
-        for map in [&mut frame.color, &mut frame.boxes, &mut frame.map] {
-            map.fill([0; 3]);
+    let images = drives[0].images(3);
+    let latent = codec.encode(&images).unwrap();
+    assert_eq!((latent.shape(), latent.shape().to_array()), (config().shape(VIEWS), [2, 3, 4, 8]));
+    // Green (1) of camera 1, row 2, column 5.
+    let pixels = (0..16).map(|i| images[1].get_pixel(5 * 4 + i % 4, 2 * 4 + i / 4).0[1]);
+    let mean = pixels.map(f32::from).sum::<f32>() / 16.0 / 255.0;
+    let found = latent.values()[((3 + 1) * 4 + 2) * 8 + 5];
+    assert!((found - (mean - statistics.means[1]) / statistics.scales[1]).abs() < 1e-5);
+    let error = codec.encode(&images[..1]).unwrap_err().to_string();
+    assert!(error.contains("expected 2 images, found 1"), "{error}");
+    let error = codec.encode(&vec![RgbImage::new(36, 16); 2]).unwrap_err().to_string();
+    assert!(error.contains("images of 16x32, found 16x36"), "{error}");
+    let error = codec.decode(&latent, &conditions(&made_for(&config(), 3, 1, 1))[0]).unwrap_err().to_string();
+    assert!(error.contains("conditions of 2 cameras, found 3"), "{error}");
+}
+
+/// The prior is the error of the filled color: nothing if points show the whole image, that of gray if there are none.
+#[test]
+fn priors_are_the_error_of_the_filled_color() {
+    let full = |mut drive: TrainingClip| {
+        for frame in &mut drive.frames {
+            frame.color.clone_from(&frame.truth);
+            frame.bins.fill(1);
         }
+        drive
+    };
+    let seen = measure(&config(), &[full(made(1, 5))]).unwrap();
+    assert_eq!(seen.priors, [0.01; 3]);
+    let mut blind = made(1, 5);
+    for frame in &mut blind.frames {
+        frame.color.fill([0; 3]);
+        frame.bins.fill(0);
     }
-    let (blind, _) = measure(&config(), &blind).unwrap();
-    assert!(blind.priors.iter().all(|prior| (prior - 1.0).abs() < 2e-3), "{:?}", blind.priors);
-    let narrow = NetworkConfig { cameras: 3, ..config() };
-    let error = measure(&narrow, &drives).unwrap_err().to_string();
-    assert!(error.contains("3 cameras of 16x32, found 2 of 16x32 in made 1"), "{error}");
+    let blind = measure(&config(), &[blind]).unwrap();
+    for c in 0..3 {
+        let expected = (1.0 + ((blind.means[c] - 0.5) / blind.scales[c]).powi(2)).sqrt();
+        assert!((blind.priors[c] - expected).abs() < 1e-3, "{blind:?}");
+    }
     let error = measure(&config(), &[made(1, 3)]).unwrap_err().to_string();
     assert!(error.contains("at least 4 frames, found 3 in made 1"), "{error}");
+    let error = measure(&config(), &[made_for(&config(), 9, 1, 4)]).unwrap_err().to_string();
+    assert!(error.contains("1 to 8 cameras, found 9"), "{error}");
 }
 
 fn trained(trainer: &mut Trainer<'_>, steps: u64) {
@@ -190,8 +179,9 @@ const OUT: &str = "PSKEL_TEST_TRAINED";
 /// The tensor library reads its number of threads from the environment, so each run needs its own process.
 #[test]
 fn training_is_the_same_for_one_thread_and_two_and_when_resumed() {
-    let drives = [made(1, 5), made(2, 6)];
-    let begin = || Trainer::new(train_options(), config(), &drives).unwrap();
+    // A rig of another number of cameras is drawn as often.
+    let drives = [made(1, 5), made_for(&config(), 3, 2, 6)];
+    let begin = || Trainer::new(train_options(), config(), &drives, vec![1.0, 1.0]).unwrap();
     if let Some(out) = std::env::var_os(OUT) {
         let mut trainer = begin();
         trained(&mut trainer, 4);
@@ -234,13 +224,18 @@ fn training_is_the_same_for_one_thread_and_two_and_when_resumed() {
 #[test]
 fn a_small_network_overfits_a_drive() {
     let drives = [made(1, 4)];
-    let options = TrainOptions { steps: 150, warmup: 10, learning_rate: 5e-3, ..train_options() };
-    let mut trainer = Trainer::new(options, config(), &drives).unwrap();
+    let options = TrainOptions {
+        steps: 150,
+        warmup: 10,
+        learning_rate: 5e-3,
+        augment: 0.0,
+        all_cameras: 1.0,
+        ..train_options()
+    };
+    let mut trainer = Trainer::new(options, config(), &drives, vec![1.0]).unwrap();
     let losses: Vec<f64> = (0..150).map(|_| trainer.step().unwrap().loss).collect();
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
     let (first, last) = (mean(&losses[..5]), mean(&losses[130..]));
-    // The loss is relative to the expected error, 0.4 of the first guess's, so it starts at most at 1 / 0.4².
-    assert!((0.5..1.0 / 0.4 / 0.4).contains(&first), "{first}");
     assert!(last < first / 3.0, "{first} {last}");
     let weights = trainer.weights("pskel train").unwrap();
     assert_eq!((weights.about.steps, &weights.about.logs[..]), (150, &["made 1".to_owned()][..]));
@@ -250,7 +245,7 @@ fn a_small_network_overfits_a_drive() {
 fn a_training_that_leaves_the_numbers_is_stopped() {
     let drives = [made(1, 4)];
     let options = TrainOptions { learning_rate: 1e30, warmup: 0, ..train_options() };
-    let mut trainer = Trainer::new(options, config(), &drives).unwrap();
+    let mut trainer = Trainer::new(options, config(), &drives, vec![1.0]).unwrap();
     let error = (0..4).find_map(|_| trainer.step().err()).unwrap();
     assert!(matches!(error, NetworkError::NotFinite { .. }), "{error}");
     assert!(error.to_string().contains(&format!("step {} of training", trainer.done())), "{error}");
@@ -266,6 +261,46 @@ fn predicted(network: &mut Network, latents: &[Latent], conditions: &[FrameCondi
     network.predict(&window).unwrap()
 }
 
+/// Returns the conditions of the first camera.
+fn conditions_of_one(conditions: &FrameConditions) -> FrameConditions {
+    let FrameConditions { points, layout, cameras, .. } = conditions;
+    FrameConditions {
+        points: points[..points.len() / VIEWS].to_vec(),
+        layout: layout[..layout.len() / VIEWS].to_vec(),
+        cameras: cameras[..1].to_vec(),
+        ..conditions.clone()
+    }
+}
+
+/// One camera or eight, with the same weights; more are refused.
+#[test]
+fn a_network_takes_any_rig_of_one_to_eight_cameras() {
+    let weights = weights(&[made(1, 5)]);
+    for cameras in [1, 3, 8] {
+        let drive = made_for(&config(), cameras, 1, 4);
+        let mut network = Network::new(weights.clone(), cameras).unwrap();
+        let noise = noises(&network, 1);
+        let latents = predicted(&mut network, &noise, &conditions(&drive));
+        assert!(latents.iter().all(|latent| latent.shape().views == cameras));
+        let images = network.decode(&latents[3], &conditions(&drive)[3]).unwrap();
+        assert!(images.len() == cameras && images.iter().all(|image| image.dimensions() == (32, 16)));
+    }
+    for cameras in [0, 9] {
+        let error = Network::new(weights.clone(), cameras).err().unwrap().to_string();
+        assert!(error.contains(&format!("expected 1 to 8 cameras, found {cameras}")), "{error}");
+    }
+}
+
+/// The images of a frame depend on its own conditions alone.
+#[test]
+fn frames_are_decoded_with_their_conditions() {
+    let drive = made(1, 5);
+    let (network, conditions) = (network(std::slice::from_ref(&drive)), conditions(&drive));
+    let latent = network.encode(&drive.images(0)).unwrap();
+    let decoded = |frame: usize| network.decode(&latent, &conditions[frame]).unwrap();
+    assert!(decoded(0) == decoded(0) && decoded(0) != decoded(1));
+}
+
 fn noises(network: &Network, seed: u64) -> Vec<Latent> {
     (0..4).map(|frame| GaussianNoise { seed }.noise(network.shape(), frame, 0)).collect()
 }
@@ -273,7 +308,7 @@ fn noises(network: &Network, seed: u64) -> Vec<Latent> {
 #[test]
 fn conditions_and_their_lack_change_what_is_predicted() {
     let drives = [made(1, 5)];
-    let mut network = Network::new(weights(&drives)).unwrap();
+    let mut network = network(&drives);
     let conditions = conditions(&drives[0]);
     let latents = noises(&network, 1);
     let whole = predicted(&mut network, &latents, &conditions);
@@ -294,11 +329,10 @@ fn conditions_and_their_lack_change_what_is_predicted() {
     assert!(predicted(&mut network, &latents, &conditions[1..]) != whole);
     // Shorter windows are accepted; other sizes are rejected.
     assert_eq!(predicted(&mut network, &latents[..2], &conditions).len(), 2);
-    let mut small = conditions[0].clone();
-    small.cameras.pop();
+    let small = conditions_of_one(&conditions[0]);
     let frame = Frame { latent: &latents[0], level: level(0.6), condition: &small };
     let error = network.predict(&[frame]).unwrap_err().to_string();
-    assert!(error.contains("conditions of 2 cameras of 16x32, found 1 of 16x32"), "{error}");
+    assert!(error.contains("conditions of 2 cameras, found 1"), "{error}");
     let frame = Frame { condition: &conditions[0], ..frame };
     let error = network.predict(&[frame; 5]).unwrap_err().to_string();
     assert!(error.contains("a window of 1 to 4 frames, found 5"), "{error}");
@@ -320,7 +354,7 @@ fn weights_are_read_as_they_were_written_or_refused() {
     );
     assert_eq!(read.count(), written.count());
     let conditions = conditions(&drives[0]);
-    let mut networks = [Network::new(written).unwrap(), Network::open(&path).unwrap()];
+    let mut networks = [Network::new(written, VIEWS).unwrap(), Network::open(&path, VIEWS).unwrap()];
     let latents = noises(&networks[0], 2);
     let [a, b] = networks.each_mut().map(|network| predicted(network, &latents, &conditions));
     assert!(a == b);
@@ -371,8 +405,8 @@ fn shipped_weights_are_of_the_default_network_and_its_training() {
     let options = TrainOptions::default();
     assert_eq!((weights.about.seed, weights.about.steps), (options.seed, options.steps));
     assert_eq!(log.lines().count() as u64, 1 + options.steps);
-    assert!(weights.about.command.starts_with("pskel train town:seed=201"), "{}", weights.about.command);
-    assert_eq!(weights.about.logs.len(), 11);
+    assert!(weights.about.command.starts_with("pskel train"), "{}", weights.about.command);
+    assert!(!weights.about.logs.is_empty());
 }
 
 #[test]
@@ -388,9 +422,9 @@ fn the_cache_of_the_shipped_network_has_seen_no_forecast() {
 /// Compares bit by bit, with the network itself and the same seed: other forecasts change neither caches nor later
 /// frames, unless frames roll on.
 fn the_cache_has_seen_no_forecast(weights: &Weights) {
-    let conditions = conditions(&made_for(&weights.config, 1, 8));
-    let elsewhere = self::conditions(&made_for(&weights.config, 2, 8));
-    let network = || Network::new(weights.clone()).unwrap();
+    let conditions = conditions(&made_for(&weights.config, VIEWS, 1, 8));
+    let elsewhere = self::conditions(&made_for(&weights.config, VIEWS, 2, 8));
+    let network = || Network::new(weights.clone(), VIEWS).unwrap();
     for (strategy, forgets) in [(Strategy::ResetAndRoll, true), (Strategy::Rolling, false)] {
         let options = GenerateOptions { steps: 4, ..roll_options(strategy) };
         let references = noises(&network(), 3)[..3].to_vec();
