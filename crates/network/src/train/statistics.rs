@@ -30,6 +30,7 @@ pub fn measure(config: &NetworkConfig, drives: &[TrainingClip]) -> Result<Statis
         sums(latent_rows(config, &unit, &drive.frames[*frame].truth).into_iter())
     };
     let [means, scales] = moments(all.par_iter().map(latents).collect());
+    let scales = scales.map(|scale| scale.max(SCALE_MIN));
     let encoder = TensorEncoder::new(config.recipe.bins, DepthEmbedding::Both);
     let compared: Vec<&(&TrainingClip, usize)> = all.iter().step_by(all.len().div_ceil(COMPARED)).collect();
     let errors = |(drive, frame): &&(&TrainingClip, usize)| -> Result<(Sums, usize), NetworkError> {
@@ -70,7 +71,7 @@ fn moments(parts: Vec<(Sums, usize)>) -> [[f64; CHANNELS]; 2] {
     }
     let count = count.max(1) as f64;
     let mean = |c: usize| all[c][0] / count;
-    let spread = |c: usize| (all[c][1] / count - mean(c) * mean(c)).max(0.0).sqrt().max(SCALE_MIN);
+    let spread = |c: usize| (all[c][1] / count - mean(c) * mean(c)).max(0.0).sqrt();
     [std::array::from_fn(mean), std::array::from_fn(spread)]
 }
 

@@ -63,13 +63,13 @@ fn a_log_s_images_are_made_of_its_conditions() {
     assert_page_is_whole(&log, "out", 3);
     // The color maps of the same frames, rendered by another command.
     log.succeed(
-        "render nuscenes:log --skeleton sk --out maps --maps color --size 128x224 --out-size 32x56 \
+        "render nuscenes:log --skeleton sk --out maps --maps color --size 128x224 --out-size 64x112 \
          --splat 15:1,100:0 --color-filter valid-area --at 1000000000,1000500000,1001000000 --rasterizer cpu",
     );
     for step in 1..3 {
         for camera in CAMERAS {
             let made = image(&log.path(&format!("out/steps/{step:06}/generated/{camera}.png")));
-            assert_eq!((made.width(), made.height()), (7, 4));
+            assert_eq!((made.width(), made.height()), (14, 8));
             let t_us = 1_000_000_000 + 500_000 * step;
             let expected = block_means(&image(&log.path(&format!("maps/{t_us}/{camera}/color.png"))));
             let off = made.iter().zip(expected.iter()).map(|(a, b)| a.abs_diff(*b)).max();
@@ -79,7 +79,7 @@ fn a_log_s_images_are_made_of_its_conditions() {
     }
     // References and ground truth are the log's images, reduced.
     let own = image(&log.path(&picture(0, CAMERAS[0])));
-    let reduced = image::imageops::resize(&own, 7, 4, image::imageops::FilterType::Triangle);
+    let reduced = image::imageops::resize(&own, 14, 8, image::imageops::FilterType::Triangle);
     for name in ["generated", "truth"] {
         assert_eq!(image(&log.path(&format!("out/steps/000000/{name}/CAM_FRONT.png"))), reduced);
     }
@@ -183,7 +183,7 @@ fn a_denoiser_that_fails_leaves_a_rollout_that_can_go_on() {
     for (happens, parts) in [
         ("os.kill(os.getpid(), 9)", ["found its end", "stopped after 2 steps"]),
         ("time.sleep(600)", ["within 4 s", "stopped after 2 steps"]),
-        ("return array.array('f', [float('nan')] * 336)", ["finite values", "stopped after 2 steps"]),
+        ("return array.array('f', [float('nan')] * 1344)", ["finite values", "stopped after 2 steps"]),
         ("return array.array('f', [0.0] * 5)", ["safetensors", "stopped after 2 steps"]),
     ] {
         // Each frame takes two calls.

@@ -12,7 +12,7 @@ use crate::tiny_log::{PSKEL, assert_failed, tree};
 /// A small town that is quick to generate.
 const TOWN: &str = "town:seed=5,frames=5,size=57x100";
 const CONFIG: &str = r#"{
-    "recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "width": 32, "head": 16, "hidden": 32, "blocks": ["s", "t"]
+    "recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "channels": [16, 16, 16, 16], "width": 32, "head": 16, "hidden": 32, "blocks": ["s", "t"]
 }"#;
 
 fn command(folder: &Path, args: &str) -> Command {
@@ -60,6 +60,7 @@ fn towns_become_weights_images_scores_and_tables() {
     assert_eq!((&scores["steps"], &scores["steps_with_truth"]), (&Value::from(4), &Value::from(4)));
     assert!(scores["psnr_db"]["mean"].as_f64() > Some(8.0), "{}", scores["psnr_db"]["mean"]);
     shipped(folder);
+    recorded(folder);
     compared(folder);
 }
 
@@ -80,18 +81,29 @@ fn goes_on(folder: &Path, whole: &BTreeMap<String, Vec<u8>>) {
     let output = command(folder, &other).output().unwrap();
     assert_failed(&output, 1, &["expected", "killed/checkpoint.safetensors"]);
     let output = command(folder, &train("new").replace(TOWN, "nuscenes:log")).output().unwrap();
-    assert_failed(&output, 2, &["town:", "nuscenes:log"]);
+    assert_failed(&output, 1, &["cannot read", "log"]);
     let output = command(folder, &train("new").replace(TOWN, &format!("{TOWN} {TOWN}"))).output().unwrap();
     assert_failed(&output, 2, &["each log once", TOWN]);
     let single = CONFIG.replace("\"frames\": 2", "\"frames\": 1");
     std::fs::write(folder.join("single.json"), single).unwrap();
     let output = command(folder, &train("new").replace("net.json", "single.json")).output().unwrap();
     assert_failed(&output, 1, &["2 frames or more", "found 1"]);
-    // Refused before anything is recorded.
-    let odd = CONFIG.replace("\"frames\": 2", "\"frames\": 2, \"cameras\": 5");
-    std::fs::write(folder.join("odd.json"), odd).unwrap();
-    let args = train("new").replace("net.json", "odd.json").replace("--drives drives", "--drives none");
-    assert_failed(&command(folder, &args).output().unwrap(), 1, &["expected 5 cameras", "found 6"]);
+}
+
+/// A recorded log, of which every second frame is held out, and a town are drawn from with weights.
+fn recorded(folder: &Path) {
+    succeed(folder, "town --seed 6 --frames 6 --size 57x100 --out log");
+    let mixed = train("mixed").replace(TOWN, &format!("nuscenes:log {TOWN} --weights 3,1 --hold-out 2"));
+    let told = succeed(folder, &mixed);
+    // Two clips of three frames of each.
+    assert!(told.contains("4 drives of 12 frames") && told.contains("trained 6 steps"), "{told}");
+    let bytes = std::fs::read(folder.join("mixed/weights.safetensors")).unwrap();
+    let header = String::from_utf8_lossy(&bytes[8..1 << 12]);
+    assert!(header.contains("--weights 3,1 --hold-out 2"), "{header}");
+    let output = command(folder, &mixed.replace("3,1", "3")).output().unwrap();
+    assert_failed(&output, 2, &["expected 2 --weights", "[3.0]"]);
+    let output = command(folder, &format!("{} --resume", mixed.replace("3,1", "1,3"))).output().unwrap();
+    assert_failed(&output, 1, &["with shares", "mixed/checkpoint.safetensors"]);
 }
 
 /// Evaluates the shipped network in a town that it was not trained on. It reaches 21.3 dB.
