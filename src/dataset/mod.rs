@@ -11,6 +11,7 @@ mod ego_track;
 mod limits;
 mod locator;
 mod map;
+mod moved_ego;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod notes;
 #[cfg(feature = "nuplan")]
@@ -26,6 +27,7 @@ pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
 pub use locator::{LogFormat, LogLocator};
 pub use map::{Area, Lane, VectorMap};
+pub use moved_ego::MovedEgo;
 pub use open::{LogOpener, expand, open};
 pub use picture::{picture_size, read_picture};
 pub use recording::{

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use point_skeleton::dataset::{LogFormat, LogLocator};
+use point_skeleton::scene::EgoOffset;
 use pskel_generate::{check_dataset_copy, copy_dataset};
 use pskel_network::NetworkName;
 
@@ -14,7 +15,7 @@ use super::map_args::MapArgs;
 use super::rasterizer::RasterizerArgs;
 use super::simulate::{self, GenerationArgs, OpenLoop, SimulateArgs};
 use super::substitutes::SubstituteArgs;
-use super::{WrongUsage, say};
+use super::{WrongUsage, numbers, say};
 
 /// Regenerate the images of a log from its conditions: ego and actors follow the log
 ///
@@ -48,6 +49,9 @@ pub(super) struct GenerateArgs {
     /// Start at the first frame at or after this time, absolute microseconds [default: the log's first frame]
     #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
     start: Option<i64>,
+    /// Move the ego of a synthetic log at all frames: forward, left (meters), turn to the left (degrees)
+    #[arg(long, value_name = "X,Y,YAW_DEG", value_parser = numbers::ego_offset, allow_hyphen_values = true)]
+    ego_offset: Option<EgoOffset>,
     /// Also write a copy of the data set (nuScenes) with the generated images, enlarged to the original size; all
     /// other files are links to the original. A new or empty folder, or an earlier copy, which is replaced
     #[arg(long, value_name = "DIR")]
@@ -106,6 +110,7 @@ impl GenerateArgs {
             steps: self.steps,
             every: self.every.map(usize::from),
             start: self.start,
+            ego_offset: self.ego_offset,
             maps: self.maps,
             resume: self.resume,
             resume_from: self.resume_from,

@@ -54,7 +54,7 @@ impl Augmentation {
             offset: between(random, -0.08, 0.08),
             saturation: between(random, 0.4, 1.5),
         };
-        let exposures = (0..views).map(|_| between(random, -0.15, 0.15).exp());
+        let exposures = (0..views).map(|_| between(random, -0.05, 0.05).exp());
         let exposures = if exposed { exposures.collect() } else { vec![1.0; views] };
         let mut part = |is: bool, most: f32| if is { between(random, 0.0, most) } else { 0.0 };
         let thinning =

@@ -14,6 +14,13 @@ use crate::{Inputs, NetworkConfig, NetworkError, Statistics, latent_rows};
 
 /// Minimum noise level of a frame that is not finished.
 const SIGMA_MIN: f32 = 0.005;
+/// Maxima of the errors of frames, in units of latents: logarithm of the gain, shift of all channels and of each, and noise.
+const MOST_GAIN: f32 = 0.2;
+const MOST_SHIFT: f32 = 0.3;
+const MOST_TINT: f32 = 0.1;
+const MOST_NOISE: f32 = 0.3;
+/// Noise level from which on noisy frames have errors to their full extent.
+const FULL_ERRORS: f32 = 0.3;
 
 /// Training batch of a step: windows of frames. Latents are rows `[R, C]`.
 #[derive(Debug)]
@@ -32,7 +39,7 @@ pub(super) struct Batch {
     pub(super) inputs: Inputs,
     /// Images of the frames, 0 to 1, `[F V H W, 3]`.
     pub(super) images: Tensor,
-    /// Frame whose decoded images count in the loss: the noisiest one of each window.
+    /// Frames whose decoded images count in the loss.
     pub(super) decoded: Vec<usize>,
 }
 
@@ -90,17 +97,23 @@ impl Source<'_> {
                 conditions.push(shown.without(window.dropped));
             }
         }
-        let noise: Vec<f32> = clean.iter().map(|_| StandardNormal.sample(&mut random)).collect();
+        let shown = windows.len() * self.config.frames * views;
+        let erring = match unit(&mut random) < self.options.errors {
+            true => errors(&clean, shown, &mut random),
+            false => clean.clone(),
+        };
+        let mut noise: Vec<f32> = clean.iter().map(|_| StandardNormal.sample(&mut random)).collect();
         let sigmas: Vec<f32> = windows.iter().flat_map(|window| window.sigmas.clone()).collect();
         let of = |window: &Window| {
             (0..self.config.frames).map(|frame| frame >= window.finished).collect::<Vec<_>>()
         };
         let counts: Vec<bool> = windows.iter().flat_map(of).collect();
-        let noisy = noisy(&clean, &noise, &sigmas, &counts);
+        let noisy = noisy(&clean, &erring, &mut noise, &sigmas, &counts);
         let rows = |values: Vec<f32>| Tensor::from_vec(values.clone(), (values.len() / 3, 3), &Device::Cpu);
         let inputs = Inputs::new(self.config, conditions.iter())?;
-        let decoded =
-            windows.iter().enumerate().map(|(place, window)| place * self.config.frames + window.noisiest());
+        let decoded = windows.iter().enumerate().flat_map(|(place, window)| {
+            window.decoded().into_iter().map(move |frame| place * self.config.frames + frame)
+        });
         Ok(Batch {
             clean: rows(clean)?,
             noise: rows(noise)?,
@@ -163,23 +176,52 @@ fn cameras_of(frame: &DriveFrame, first: usize, count: usize, pixels: usize) -> 
 }
 
 impl Window {
-    /// Returns the frame with the most noise, the last of equal ones.
-    fn noisiest(&self) -> usize {
-        let frames =
-            (self.finished..self.sigmas.len()).max_by(|a, b| self.sigmas[*a].total_cmp(&self.sigmas[*b]));
-        frames.unwrap_or(0)
+    /// Returns the frames to decode: those with the most noise and with the least, of those that are not finished.
+    fn decoded(&self) -> Vec<usize> {
+        let by_noise = |a: &usize, b: &usize| self.sigmas[*a].total_cmp(&self.sigmas[*b]);
+        let frames = self.finished..self.sigmas.len();
+        let mut chosen: Vec<usize> =
+            [frames.clone().max_by(by_noise), frames.min_by(by_noise)].into_iter().flatten().collect();
+        chosen.dedup();
+        chosen
     }
 }
 
-/// Adds noise to latents at the levels of their frames; frames that do not count stay clean.
-fn noisy(clean: &[f32], noise: &[f32], sigmas: &[f32], counts: &[bool]) -> Vec<f32> {
+/// Returns latents `[F V h w, 3]` with errors like those that generated frames have: another brightness of each image, and noise.
+fn errors(clean: &[f32], images: usize, random: &mut ChaCha8Rng) -> Vec<f32> {
+    let mut between = |most: f32| (2.0 * unit(random) - 1.0) * most;
+    let spread = between(MOST_NOISE).abs();
+    let shifts: Vec<[f32; 4]> = (0..images)
+        .map(|_| {
+            let (gain, shift) = (between(MOST_GAIN).exp(), between(MOST_SHIFT));
+            let [a, b, c] = [0; 3].map(|_| shift + between(MOST_TINT));
+            [gain, a, b, c]
+        })
+        .collect();
+    let per_image = clean.len() / images;
+    let mut err = |(i, value): (usize, &f32)| {
+        let shifts = shifts[i / per_image];
+        let noise: f32 = StandardNormal.sample(random);
+        value * shifts[0] + shifts[1 + i % 3] + spread * noise
+    };
+    clean.iter().enumerate().map(|place| err(place)).collect()
+}
+
+/// Adds noise to latents at the levels of their frames, and returns them. Finished frames have errors and no noise. The others have
+/// errors too, less so at low levels; the noise is changed to what leads from the noisy latents to the clean ones.
+fn noisy(clean: &[f32], erring: &[f32], noise: &mut [f32], sigmas: &[f32], counts: &[bool]) -> Vec<f32> {
     let per_frame = clean.len() / sigmas.len();
-    let frames = clean.chunks(per_frame).zip(noise.chunks(per_frame)).zip(sigmas.iter().zip(counts));
-    let frames = frames.flat_map(|((clean, noise), (&sigma, &counts))| {
-        let sigma = if counts { sigma } else { 0.0 };
-        clean.iter().zip(noise).map(move |(clean, noise)| (1.0 - sigma) * clean + sigma * noise)
-    });
-    frames.collect()
+    let mut noisy = Vec::with_capacity(clean.len());
+    for (i, (clean, noise)) in clean.iter().zip(noise).enumerate() {
+        let (sigma, error) = (sigmas[i / per_frame], erring[i] - clean);
+        if counts[i / per_frame] {
+            *noise += error * (sigma / FULL_ERRORS).min(1.0) * (1.0 - sigma) / sigma;
+            noisy.push((1.0 - sigma) * clean + sigma * *noise);
+        } else {
+            noisy.push(erring[i]);
+        }
+    }
+    noisy
 }
 
 /// Samples a window of `frames` frames from a recording of some length.
@@ -294,8 +336,42 @@ mod tests {
     }
 
     #[test]
-    fn finished_frames_stay_clean() {
-        let found = noisy(&[1.0, 2.0, 3.0, 4.0], &[0.0, 8.0, 1.0, 0.0], &[0.5, 0.25], &[false, true]);
-        assert_eq!(found, [1.0, 2.0, 2.5, 3.0]);
+    fn noise_leads_to_the_clean_latents() {
+        let clean = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+        let erring = [1.5, 2.0, 3.0, 3.0, 7.0, 6.0];
+        let mut noise = [0.0, 8.0, 1.0, 0.0, 0.5, 1.0];
+        let found = noisy(&clean, &erring, &mut noise, &[0.5, 0.25, 0.03], &[false, true, true]);
+        // A finished frame has its errors.
+        assert_eq!(found[..2], [1.5, 2.0]);
+        let near = |a: f32, b: f32| (a - b).abs() < 1e-5;
+        for (i, sigma) in [(2, 0.25), (3, 0.25), (4, 0.03), (5, 0.03)] {
+            assert!(near(found[i], (1.0 - sigma) * clean[i] + sigma * noise[i]), "{i}");
+        }
+        // An error of -1 at a level of 0.25: three quarters of 0.25 / 0.3 of it are seen.
+        assert!(near(found[3], 0.75 * (4.0 - 0.25 / 0.3)) && near(found[2], 0.75 * 3.0 + 0.25));
+        assert!(near(found[4], 0.97 * (5.0 + 0.2) + 0.015), "{}", found[4]);
+        let mut same = noise;
+        noisy(&clean, &clean, &mut same, &[0.5, 0.25, 0.03], &[false, true, true]);
+        assert_eq!(same, noise);
+    }
+
+    /// Two images of two hundred places: each has a brightness of its own.
+    #[test]
+    fn errors_are_those_of_whole_images() {
+        let mut random: ChaCha8Rng = Seeder::from(5_u64).into_rng();
+        let clean = vec![0.0_f32; 2 * 200 * 3];
+        let mut shifts = Vec::new();
+        for _ in 0..100 {
+            let found = errors(&clean, 2, &mut random);
+            for image in found.chunks(600) {
+                let mean = image.iter().sum::<f32>() / 600.0;
+                assert!(mean.abs() < MOST_SHIFT + MOST_TINT + 0.1, "{mean}");
+                shifts.push(mean);
+            }
+        }
+        let spread = (shifts.iter().map(|s| s * s).sum::<f32>() / 200.0).sqrt();
+        // Uniform within 0.3, and a third of three within 0.1.
+        assert!((spread - 0.3 / 3.0_f32.sqrt()).abs() < 0.03, "{spread}");
+        assert!(shifts.chunks(2).filter(|pair| (pair[0] - pair[1]).abs() > 0.05).count() > 60);
     }
 }

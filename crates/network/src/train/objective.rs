@@ -47,7 +47,7 @@ pub(super) fn loss(
     for frame in &batch.decoded {
         let images = model.decode(&part(&latents, *frame)?, &encoded.frame(*frame, frames)?)?;
         let errors = (images - part(&batch.images, *frame)?)?;
-        let weight = IMAGE_WEIGHT / (windows as f64 * f64::from(off[*frame]).max(1.0));
+        let weight = IMAGE_WEIGHT / (batch.decoded.len() as f64 * f64::from(off[*frame]).max(1.0));
         loss = (loss + (image_loss(&errors, config)? * weight)?)?;
     }
     Ok(loss)

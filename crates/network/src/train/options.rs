@@ -39,6 +39,9 @@ pub struct TrainOptions {
     pub history: f32,
     /// Share of windows that are changed at random: colors, exposures, missing points, reflection.
     pub augment: f32,
+    /// Share of windows whose frames have errors like generated ones, so that the network does not trust earlier frames more than
+    /// conditions.
+    pub errors: f32,
     /// Share of windows with all cameras; the others have a random number of neighboring ones.
     pub all_cameras: f32,
 }
@@ -83,6 +86,7 @@ impl Default for TrainOptions {
             staircase: 0.5,
             history: 0.5,
             augment: 0.9,
+            errors: 0.8,
             all_cameras: 0.4,
         }
     }
@@ -113,6 +117,7 @@ impl TrainOptions {
             self.staircase,
             self.history,
             self.augment,
+            self.errors,
             self.all_cameras,
         ];
         if let Some(other) = shares.iter().find(|share| !(0.0..=1.0).contains(*share)) {

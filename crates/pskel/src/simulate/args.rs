@@ -4,8 +4,8 @@ use std::sync::Arc;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::dataset::LogLocator;
-use point_skeleton::scene::{SceneMap, frame_rate_hz};
+use point_skeleton::dataset::{LogLocator, MovedEgo};
+use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
 use point_skeleton::skeleton::Skeleton;
 use pskel_sim::rollout::ResumeAfter;
 use pskel_sim::{
@@ -87,6 +87,9 @@ pub(crate) struct SimulateArgs {
     /// Set if steps are frames of the log, until its end at most; used by `pskel generate`.
     #[arg(skip)]
     frames: Option<EveryFrames>,
+    /// Displacement of the ego at all frames; used by `pskel generate`.
+    #[arg(skip)]
+    ego_offset: Option<EgoOffset>,
 }
 
 /// Stride of the log's frames that are steps; `None` selects the default.
@@ -104,6 +107,7 @@ pub(crate) struct OpenLoop {
     pub(crate) steps: usize,
     pub(crate) every: Option<usize>,
     pub(crate) start: Option<i64>,
+    pub(crate) ego_offset: Option<EgoOffset>,
     pub(crate) maps: MapArgs,
     pub(crate) resume: bool,
     pub(crate) resume_from: Option<usize>,
@@ -231,6 +235,7 @@ impl SimulateArgs {
             stand_ins: open.stand_ins,
             rasterizer: open.rasterizer,
             frames: Some(EveryFrames(open.every)),
+            ego_offset: open.ego_offset,
         }
     }
 
@@ -257,7 +262,16 @@ impl SimulateArgs {
 
     /// Reads the inputs.
     pub(super) fn inputs(&self) -> anyhow::Result<Inputs> {
-        let dataset = self.roots.open(&self.log)?;
+        let mut dataset = self.roots.open(&self.log)?;
+        if let Some(offset) = self.ego_offset {
+            let moved = MovedEgo::new(dataset, offset).with_context(|| {
+                format!(
+                    "expected a log town:.. with --ego-offset, whose images can be rendered there, found {}",
+                    self.log
+                )
+            })?;
+            dataset = Box::new(moved);
+        }
         let log = dataset.log();
         let skeleton = Skeleton::open_for(&self.skeleton, log)?;
         let prompt = self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;

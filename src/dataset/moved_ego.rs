@@ -1,0 +1,58 @@
+use super::{Dataset, DatasetError, ImageRecord, Recording, Sweep, SweepRecord, VectorMap, ViewRenderer};
+use crate::scene::EgoOffset;
+
+/// A synthetic log with the ego displaced at all frames; everything else is unchanged, and images are rendered where its cameras are
+/// then.
+pub struct MovedEgo {
+    log: Recording,
+    dataset: Box<dyn Dataset>,
+}
+
+impl MovedEgo {
+    /// Displaces the ego of a log; `None` if the log is recorded, since its images exist at the recorded poses alone.
+    pub fn new(dataset: Box<dyn Dataset>, offset: EgoOffset) -> Option<Self> {
+        dataset.view_renderer()?;
+        let mut log = dataset.log().clone();
+        for frame in &mut log.frames {
+            frame.global_from_ego = frame.global_from_ego * offset.pose();
+            for image in frame.images.iter_mut().chain(&mut frame.between_images) {
+                image.global_from_ego = image.global_from_ego * offset.pose();
+            }
+        }
+        Some(Self { log, dataset })
+    }
+}
+
+impl Dataset for MovedEgo {
+    fn log(&self) -> &Recording {
+        &self.log
+    }
+
+    fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
+        self.dataset.read_sweep(record)
+    }
+
+    fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
+        self.dataset.check_sweep(record)
+    }
+
+    fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
+        self.dataset.read_image(record)
+    }
+
+    fn check_image(&self, record: &ImageRecord) -> Result<(), DatasetError> {
+        self.dataset.check_image(record)
+    }
+
+    fn box_points(&self) -> Option<&[Vec<u32>]> {
+        self.dataset.box_points()
+    }
+
+    fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
+        self.dataset.read_map()
+    }
+
+    fn view_renderer(&self) -> Option<&dyn ViewRenderer> {
+        self.dataset.view_renderer()
+    }
+}
