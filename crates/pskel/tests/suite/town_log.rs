@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::nuscenes::write_log;
-use point_skeleton::dataset::{Dataset, EgoTrack, ImageRecord, Lane, PosedActor, RigCamera, TrackBox};
+use point_skeleton::dataset::{
+    Dataset, EgoTrack, ImageRecord, Lane, MovedEgo, PosedActor, RigCamera, TrackBox,
+};
 use point_skeleton::geometry::{Cuboid, Pose, View};
 use point_skeleton::scene::{EgoOffset, state_of_frame};
 use point_skeleton::skeleton::{BuildOptions, SplitOptions};
@@ -21,6 +23,28 @@ fn views(town: &Town, frame: usize) -> Vec<View> {
 
 fn close(a: &Pose, b: &Pose) -> bool {
     a.rotation.angle_between(b.rotation) < 1e-7 && (a.translation - b.translation).length() < 1e-9
+}
+
+/// A log with a moved ego has the states of the log seen from the moved ego; a recorded log has no images there.
+#[test]
+fn a_moved_ego_takes_its_cameras_along() {
+    let offset = EgoOffset { x_m: 0.5, y_m: 2.0, yaw_rad: 0.1 };
+    let moved = MovedEgo::new(Box::new(Town::new(&OPTIONS).unwrap()), offset).unwrap();
+    let log = town().log();
+    for frame in 0..FRAMES {
+        let found = state_of_frame(moved.log(), frame, EgoOffset::default()).unwrap();
+        let expected = state_of_frame(log, frame, offset).unwrap();
+        assert!(close(&found.global_from_ego, &expected.global_from_ego));
+        assert_eq!((&found.actors, found.cameras.len()), (&expected.actors, 6));
+        for (found, expected) in found.cameras.iter().zip(&expected.cameras) {
+            assert!(close(&found.global_from_ego, &expected.global_from_ego));
+            let off = found.view.camera_from_world.inverse() * expected.view.camera_from_world;
+            assert!(off.abs_diff_eq(glam::DAffine3::IDENTITY, 1e-9), "{off:?}");
+        }
+    }
+    assert!(moved.view_renderer().is_some());
+    let recorded = WithLog { drive: town(), log: log.clone() };
+    assert!(MovedEgo::new(Box::new(recorded), offset).is_none());
 }
 
 /// Returns the distance from a point to a polyline.

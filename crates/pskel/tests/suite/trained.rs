@@ -60,6 +60,7 @@ fn towns_become_weights_images_scores_and_tables() {
     assert_eq!((&scores["steps"], &scores["steps_with_truth"]), (&Value::from(4), &Value::from(4)));
     assert!(scores["psnr_db"]["mean"].as_f64() > Some(8.0), "{}", scores["psnr_db"]["mean"]);
     shipped(folder);
+    filled(folder);
     recorded(folder);
     compared(folder);
 }
@@ -100,6 +101,12 @@ fn recorded(folder: &Path) {
     let bytes = std::fs::read(folder.join("mixed/weights.safetensors")).unwrap();
     let header = String::from_utf8_lossy(&bytes[8..1 << 12]);
     assert!(header.contains("--weights 3,1 --hold-out 2"), "{header}");
+    let moved = "generate nuscenes:log --skeleton none --out moved --ego-offset 0,2,5";
+    assert_failed(
+        &command(folder, moved).output().unwrap(),
+        1,
+        &["expected a log town:.. with --ego-offset", "nuscenes:log"],
+    );
     let output = command(folder, &mixed.replace("3,1", "3")).output().unwrap();
     assert_failed(&output, 2, &["expected 2 --weights", "[3.0]"]);
     let output = command(folder, &format!("{} --resume", mixed.replace("3,1", "1,3"))).output().unwrap();
@@ -113,6 +120,20 @@ fn shipped(folder: &Path) {
     succeed(folder, "evaluate shipped --out shipped.json");
     let scores = &json(&folder.join("shipped.json"))["rollouts"][0]["scores"];
     assert!(scores["psnr_db"]["mean"].as_f64() > Some(20.0), "{}", scores["psnr_db"]["mean"]);
+}
+
+/// Holes of color maps are filled from an ego that is moved; the town has the truth there.
+fn filled(folder: &Path) {
+    let fill = format!(
+        "generate {TOWN} --skeleton sk --generator fill --maps color --ego-offset 0,2,5 --out filled"
+    );
+    assert!(succeed(folder, &fill).contains("2 frames generated"));
+    succeed(folder, "evaluate filled --out filled.json");
+    let report = &json(&folder.join("filled.json"))["rollouts"][0]["scores"];
+    let (psnr, seams) = (&report["psnr_db"]["mean"], &report["seams"]["4"]);
+    assert!(psnr.as_f64() > Some(12.0) && seams.as_f64() > Some(0.8), "{psnr} {seams}");
+    let truth = |out: &str| std::fs::read(folder.join(out).join("steps/000003/truth/CAM_FRONT.png")).unwrap();
+    assert!(truth("filled") != truth("shipped"));
 }
 
 /// Existing results are not computed again, and lost ones are restored.
