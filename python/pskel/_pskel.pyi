@@ -50,7 +50,7 @@ class SimulationError(Error): ...
 @final
 class Camera:
     def __new__(
-        cls, name: str, intrinsics: npt.ArrayLike, size: tuple[int, int], ego_from_camera: npt.ArrayLike
+        cls, name: str, intrinsics: npt.ArrayLike, size: Sequence[int], ego_from_camera: npt.ArrayLike
     ) -> Self: ...
     @property
     def name(self) -> str: ...
@@ -121,7 +121,7 @@ class Log:
     def __len__(self) -> int: ...
     def __getitem__(self, index: int, /) -> Scene: ...
     def at(self, t_us: int) -> Scene: ...
-    def images(self, scene: Scene, size: tuple[int, int]) -> npt.NDArray[np.uint8]: ...
+    def images(self, scene: Scene, size: Sequence[int]) -> npt.NDArray[np.uint8]: ...
 
 @final
 class Skeleton:
@@ -154,8 +154,8 @@ class Renderer:
         cls,
         skeleton: Skeleton,
         *,
-        size: tuple[int, int] | None = None,
-        out_size: tuple[int, int] | None = None,
+        size: Sequence[int] | None = None,
+        out_size: Sequence[int] | None = None,
         maps: Sequence[str] | None = None,
         splat: str | None = None,
         radius: float = 100.0,
@@ -264,7 +264,7 @@ def splat(
     points: npt.ArrayLike,
     intrinsics: npt.ArrayLike,
     camera_from_world: npt.ArrayLike,
-    size: tuple[int, int],
+    size: Sequence[int],
     *,
     schedule: str = "15:2,35:1,100:0",
     rasterizer: str = "auto",

@@ -6,6 +6,7 @@ before it forks; start workers with ``multiprocessing_context="forkserver"`` or 
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
@@ -27,7 +28,7 @@ Augment = Callable[[Scene, np.random.Generator], Scene]
 
 
 class ClipSource(NamedTuple):
-    """A log by its name, and the folder of its skeleton."""
+    """A log, as in ``Log(..)``, and the folder of its skeleton."""
 
     log: str
     skeleton: str
@@ -52,7 +53,7 @@ class _Clips:
         self,
         sources: Sequence[tuple[str, str]],
         *,
-        out_size: tuple[int, int],
+        out_size: Sequence[int],
         frames: int = 1,
         stride: int = 1,
         images: bool = True,
@@ -63,6 +64,9 @@ class _Clips:
     ) -> None:
         if frames < 1 or stride < 1 or open_logs < 1:
             raise ValueError(f"expected frames, stride and open_logs of 1 or more, found {frames}, {stride}, {open_logs}")
+        known = set(inspect.signature(Renderer).parameters) - {"skeleton", "maps", "out_size"}
+        if unknown := sorted(set(renderer) - known):
+            raise TypeError(f"expected the options {', '.join(sorted(known))}, found {', '.join(unknown)}")
         self.sources = [ClipSource(log, os.fspath(skeleton)) for log, skeleton in sources]
         self.out_size = out_size
         self.frames = frames
@@ -75,12 +79,14 @@ class _Clips:
         self._options = {"maps": ["tensor"], **renderer}
         self._opened: OrderedDict[int, _Opened] = OrderedDict()
         self._process = os.getpid()
-        counts = [len(Log(source.log)) for source in self.sources]
+        counts = [_frames(source) for source in self.sources]
         self.clips = [
             Clip(source, first)
             for source, count in enumerate(counts)
             for first in range(0, count - frames + 1, stride)
         ]
+        if not self.clips:
+            raise ValueError(f"expected a log of at least {frames} key frames, found logs of {counts}")
 
     def set_epoch(self, epoch: int) -> None:
         """Set the epoch, which changes the random numbers of ``augment``."""
@@ -127,7 +133,15 @@ class _Clips:
         return {**self.__dict__, "_opened": OrderedDict()}
 
 
-def _scaled(scene: Scene, size: tuple[int, int]) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _frames(source: ClipSource) -> int:
+    """Number of key frames of a log, which must be one of its skeleton."""
+    log, skeleton = Log(source.log), Skeleton(source.skeleton)
+    if log.name not in skeleton.logs:
+        raise ValueError(f"expected a skeleton of log {log.name}, found one of {', '.join(skeleton.logs)}: {source.skeleton}")
+    return len(log)
+
+
+def _scaled(scene: Scene, size: Sequence[int]) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Intrinsics of the cameras at a size, ``[V, 3, 3]``."""
     scaled = scene.intrinsics
     for camera, (height, width) in enumerate(scene.sizes):
@@ -139,7 +153,7 @@ def _scaled(scene: Scene, size: tuple[int, int]) -> np.ndarray[Any, np.dtype[np.
 class ConditionDataset(_Clips, Dataset[dict[str, torch.Tensor]]):
     """Clips of logs as a map-style dataset.
 
-    ``sources`` are pairs of a log's name and its skeleton's folder. An item has T = ``frames`` key frames, V cameras and
+    ``sources`` are pairs of a log, as in ``Log(..)``, and its skeleton's folder. An item has T = ``frames`` key frames, V cameras and
     maps of ``out_size`` (height, width):
 
     - ``points`` ``float32 [T, V, 20, H, W]`` and ``layout`` ``float32 [T, V, 6, H, W]``: the network input,
@@ -149,16 +163,16 @@ class ConditionDataset(_Clips, Dataset[dict[str, torch.Tensor]]):
 
     Clips begin every ``stride`` frames. ``augment(scene, generator)`` changes a scene with random numbers that depend on
     ``seed``, epoch (``set_epoch``) and index only; recorded images do not follow a moved ego. Other keyword arguments are
-    those of ``pskel.Renderer``.
+    those of ``pskel.Renderer``, except ``maps``.
     """
 
     def __len__(self) -> int:
         return len(self.clips)
 
     def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
-        if not 0 <= index < len(self.clips):
+        if not -len(self.clips) <= index < len(self.clips):
             raise IndexError(f"expected a clip below {len(self.clips)}, found {index}")
-        return self.item(index)
+        return self.item(index % len(self.clips))
 
 
 class ConditionStream(_Clips, IterableDataset[dict[str, torch.Tensor]]):

@@ -3,7 +3,7 @@
 use glam::{DAffine3, DMat3, DMat4, DQuat};
 use numpy::ndarray::{Array2, Array3, ArrayView1, ArrayViewD};
 use numpy::{IntoPyArray, PyArray2, PyArray3, PyReadonlyArrayDyn};
-use point_skeleton::geometry::Pose;
+use point_skeleton::geometry::{ImageSize, Pose};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
@@ -30,6 +30,30 @@ impl<'py> FromPyObject<'_, 'py> for Numbers<'py> {
 impl Numbers<'_> {
     pub(crate) fn as_array(&self) -> ArrayViewD<'_, f64> {
         self.0.as_array()
+    }
+}
+
+/// Height and width of images: a sequence of two integers above 0.
+#[derive(Clone, Copy)]
+pub(crate) struct Size(pub(crate) ImageSize);
+
+impl<'py> FromPyObject<'_, 'py> for Size {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        let wrong = || {
+            let found = object.repr().map_or_else(|_| "another value".to_owned(), |text| text.to_string());
+            PyValueError::new_err(format!("expected a height and a width above 0, found {found}"))
+        };
+        let sides: Vec<i64> = object.extract().map_err(|_| wrong())?;
+        let side = |side: i64| u32::try_from(side).ok().filter(|side| *side > 0);
+        match sides.as_slice() {
+            &[height, width] => {
+                let (height, width) = side(height).zip(side(width)).ok_or_else(wrong)?;
+                Ok(Self(ImageSize { height, width }))
+            }
+            _ => Err(wrong()),
+        }
     }
 }
 

@@ -2,12 +2,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use point_skeleton::raster::RasterizerDesc;
 use point_skeleton::scene::{SelectionOptions, Substitutes};
-use point_skeleton::{ConditionOptions, ImageSize, MapSet, Maps, RenderOptions, SceneState};
+use point_skeleton::{ConditionOptions, MapSet, Maps, RenderOptions, SceneState};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyIterator};
+use pyo3::types::{PyDict, PyIterator, PyString};
 use self_cell::self_cell;
 
+use crate::arrays::Size;
 use crate::error::{RenderError, invalid, raise};
 use crate::maps::dictionary;
 use crate::pool::detached;
@@ -16,6 +17,8 @@ use crate::skeleton::Skeleton;
 
 /// Frames in flight: the device renders one while Python uses the maps of the previous one.
 const IN_FLIGHT: usize = 2;
+
+const CLOSED: &str = "expected an open Renderer, found a closed one";
 
 static NO_TEMPLATES: Substitutes = Substitutes::NONE;
 
@@ -65,9 +68,9 @@ impl Renderer {
     fn new(
         py: Python<'_>,
         skeleton: &Skeleton,
-        size: Option<(u32, u32)>,
-        out_size: Option<(u32, u32)>,
-        maps: Option<Vec<String>>,
+        size: Option<Size>,
+        out_size: Option<Size>,
+        maps: Option<Bound<'_, PyAny>>,
         splat: Option<&str>,
         radius: f64,
         min_actor_points: usize,
@@ -78,15 +81,15 @@ impl Renderer {
     ) -> PyResult<Self> {
         let mut conditions = ConditionOptions {
             radius_m: radius,
-            size: sized("size", size)?,
-            out_size: sized("out_size", out_size)?,
+            size: size.map(|Size(size)| size),
+            out_size: out_size.map(|Size(size)| size),
             ..ConditionOptions::default()
         };
         if radius.is_nan() || radius <= 0.0 {
             return Err(PyValueError::new_err(format!("expected a radius above 0 m, found {radius}")));
         }
         if let Some(maps) = maps {
-            conditions.maps = maps.join(",").parse::<MapSet>().map_err(invalid)?;
+            conditions.maps = map_set(&maps)?;
         }
         if let Some(splat) = splat {
             conditions.splat = splat.parse().map_err(invalid)?;
@@ -158,8 +161,10 @@ impl Renderer {
         })
     }
 
-    fn __enter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
-        slf
+    fn __enter__(slf: PyRef<'_, Self>) -> PyResult<PyRef<'_, Self>> {
+        slf.check_process()?;
+        let is_closed = slf.lock().owned.is_none();
+        if is_closed { Err(PyRuntimeError::new_err(CLOSED)) } else { Ok(slf) }
     }
 
     #[pyo3(signature = (*_exception))]
@@ -214,6 +219,9 @@ impl Renderer {
     ) -> PyResult<(T, u64)> {
         self.check_process()?;
         let mut device = self.lock();
+        if device.owned.is_none() {
+            return Err(PyRuntimeError::new_err(CLOSED));
+        }
         if series.is_some_and(|series| series != device.series) {
             let message = "expected no other call of the Renderer while its frames are iterated, found one";
             return Err(PyRuntimeError::new_err(message));
@@ -221,8 +229,7 @@ impl Renderer {
         device.series += u64::from(series.is_none());
         let series = device.series;
         let owned = device.owned.as_mut();
-        let owned =
-            owned.ok_or_else(|| PyRuntimeError::new_err("expected an open Renderer, found a closed one"))?;
+        let owned = owned.ok_or_else(|| PyRuntimeError::new_err(CLOSED))?;
         owned.with_dependent_mut(|_, renderer| call(renderer)).map(|value| (value, series))
     }
 }
@@ -272,10 +279,15 @@ fn discard(renderer: &mut Borrowing<'_>) -> PyResult<()> {
     Ok(())
 }
 
-fn sized(name: &str, size: Option<(u32, u32)>) -> PyResult<Option<ImageSize>> {
-    let size = size.map(|(height, width)| ImageSize { height, width });
-    match size.filter(|size| size.height == 0 || size.width == 0) {
-        Some(size) => Err(PyValueError::new_err(format!("expected {name} above 0, found {size}"))),
-        None => Ok(size),
+/// Reads map names.
+fn map_set(maps: &Bound<'_, PyAny>) -> PyResult<MapSet> {
+    let names: Vec<String> = match maps.is_instance_of::<PyString>() {
+        true => Vec::new(),
+        false => maps.extract()?,
+    };
+    if names.is_empty() {
+        let found = maps.repr()?;
+        return Err(PyValueError::new_err(format!("expected a sequence of map names, found {found}")));
     }
+    names.join(",").parse().map_err(invalid)
 }

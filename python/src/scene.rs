@@ -10,7 +10,7 @@ use point_skeleton::{EgoOffset, SceneState, geometry};
 use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::arrays::{Numbers, intrinsics, matrix, pose, rows, shaped, stack};
+use crate::arrays::{Numbers, Size, intrinsics, matrix, pose, rows, shaped, stack};
 use crate::error::invalid;
 
 /// Camera of a scene, mounted on the ego: a pinhole.
@@ -27,16 +27,15 @@ impl Camera {
     /// meters (camera axes: x right, y down, z forward). Raises `ValueError` for singular intrinsics and transforms that
     /// are not rigid.
     #[new]
-    fn new(
-        name: &str,
-        intrinsics: Numbers<'_>,
-        size: (u32, u32),
-        ego_from_camera: Numbers<'_>,
-    ) -> PyResult<Self> {
+    fn new(name: &str, intrinsics: Numbers<'_>, size: Size, ego_from_camera: Numbers<'_>) -> PyResult<Self> {
         let k = shaped("intrinsics", &intrinsics, &[3, 3])?;
         let name: FileName = name.parse().map_err(invalid)?;
-        let camera =
-            geometry::Camera::new(name, size.1, size.0, self::intrinsics(|row, column| k[[row, column]]));
+        let camera = geometry::Camera::new(
+            name,
+            size.0.width,
+            size.0.height,
+            self::intrinsics(|row, column| k[[row, column]]),
+        );
         Ok(Self {
             camera: camera.map_err(invalid)?,
             ego_from_camera: pose("ego_from_camera", &ego_from_camera)?,

@@ -8,8 +8,8 @@ use self_cell::self_cell;
 use serde::Serialize;
 
 use crate::arrays::Numbers;
-use crate::error::{SimulationError, invalid, raise_sim};
-use crate::log::Log;
+use crate::error::{SimulationError, raise_sim};
+use crate::log::{Log, OwnedLog};
 use crate::pool::detached;
 use crate::scene::Scene;
 use crate::time::{Committed, Forecast};
@@ -19,7 +19,7 @@ type Borrowing<'a> = pskel_sim::Simulation<'a>;
 self_cell!(
     /// A simulation together with the log it borrows.
     struct Owned {
-        owner: Arc<point_skeleton::Log>,
+        owner: Arc<OwnedLog>,
         #[not_covariant]
         dependent: Borrowing,
     }
@@ -76,7 +76,9 @@ impl Simulation {
             })?,
             ..SimOptions::default()
         };
-        let saved: Option<SavedState> = saved.map(serde_json::from_str).transpose().map_err(invalid)?;
+        let saved: Option<SavedState> = saved.map(serde_json::from_str).transpose().map_err(|error| {
+            PyValueError::new_err(format!("expected a state that Simulation.save returned, found {error}"))
+        })?;
         let (rates, log) = (log.rates(), Arc::clone(&log.inner));
         let start = || {
             Owned::try_new(log, |log| {

@@ -7,7 +7,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{Numbers, affine, intrinsics as matrix, shaped};
+use crate::arrays::{Numbers, Size, affine, intrinsics as matrix, shaped};
 use crate::error::{invalid, raise};
 use crate::maps::dictionary;
 use crate::pool::detached;
@@ -23,7 +23,7 @@ pub(crate) fn splat<'py>(
     points: Numbers<'py>,
     intrinsics: Numbers<'py>,
     camera_from_world: Numbers<'py>,
-    size: (u32, u32),
+    size: Size,
     schedule: &str,
     rasterizer: &str,
 ) -> PyResult<Bound<'py, PyDict>> {
@@ -64,7 +64,7 @@ pub(crate) fn splat<'py>(
     dictionary(py, &detached(py, draw)?)
 }
 
-fn views(intrinsics: &Numbers<'_>, poses: &Numbers<'_>, (height, width): (u32, u32)) -> PyResult<Vec<View>> {
+fn views(intrinsics: &Numbers<'_>, poses: &Numbers<'_>, Size(size): Size) -> PyResult<Vec<View>> {
     let intrinsics = shaped("intrinsics", intrinsics, &[0, 3, 3])?;
     let poses = shaped("camera_from_world", poses, &[0, 4, 4])?;
     let (count, found) = (intrinsics.shape()[0], poses.shape()[0]);
@@ -74,7 +74,7 @@ fn views(intrinsics: &Numbers<'_>, poses: &Numbers<'_>, (height, width): (u32, u
     }
     let view = |i: usize| {
         let rows = matrix(|row, column| intrinsics[[i, row, column]]);
-        let camera = Camera::new(format!("camera-{i}"), width, height, rows).map_err(invalid)?;
+        let camera = Camera::new(format!("camera-{i}"), size.width, size.height, rows).map_err(invalid)?;
         let camera_from_world =
             affine(&format!("camera_from_world[{i}]"), |row, column| poses[[i, row, column]])?;
         Ok(View { camera, camera_from_world })

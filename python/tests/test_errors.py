@@ -85,7 +85,11 @@ def test_options_of_the_renderer_are_checked(skeleton: pskel.Skeleton) -> None:
         ({"splat": "1"}, "splat schedule"),
         ({"rasterizer": "opengl"}, "opengl"),
         ({"radius": -1.0}, "radius above 0"),
-        ({"out_size": (0, 5)}, "expected out_size above 0"),
+        ({"out_size": (0, 5)}, r"height and a width above 0, found \(0, 5\)"),
+        ({"size": [-3, 5]}, r"height and a width above 0, found \[-3, 5\]"),
+        ({"size": 5}, "height and a width above 0, found 5"),
+        ({"maps": "color"}, "sequence of map names, found 'color'"),
+        ({"maps": []}, r"sequence of map names, found \[\]"),
         ({"log": "other"}, "expected a log of the skeleton"),
     ]:
         with pytest.raises(ValueError, match=message):
@@ -115,6 +119,14 @@ def test_a_closed_renderer_says_so(log: pskel.Log, skeleton: pskel.Skeleton) -> 
     for call in (lambda: renderer.render(log[0]), lambda: renderer.render_all([log[0]]), lambda: renderer.device):
         with pytest.raises(RuntimeError, match="expected an open Renderer, found a closed one"):
             call()
+    with pytest.raises(RuntimeError, match="found a closed one"), renderer:
+        pass
+    renderer = pskel.Renderer(skeleton, rasterizer="cpu", out_size=[28, 50])
+    frames = renderer.render_all([log[0], log[1]])
+    next(frames)
+    renderer.close()
+    with pytest.raises(RuntimeError, match="found a closed one"):
+        next(frames)
 
 
 def test_scenes_of_another_log_are_rejected(renderer: pskel.Renderer) -> None:
@@ -122,6 +134,13 @@ def test_scenes_of_another_log_are_rejected(renderer: pskel.Renderer) -> None:
     for call in (lambda: renderer.render(other[0]), lambda: list(renderer.render_all([other[0].move_ego(left=1.0)]))):
         with pytest.raises(ValueError, match="expected a scene of log town-7-4f-overcast, found one of town-8-2f"):
             call()
+    log = pskel.Log(TOWN)
+    with pytest.raises(ValueError, match="expected a scene of log town-7-4f-overcast, found one of town-8-2f"):
+        log.images(other[0], (28, 50))
+    with pytest.raises(ValueError, match=r"expected a time of the log, \d+ to \d+ us, found 5"):
+        log.at(5)
+    with pytest.raises(ValueError, match="expected a state that Simulation.save returned"):
+        pskel.Simulation(log, saved="{}")
 
 
 def test_two_threads_share_a_renderer(log: pskel.Log, renderer: pskel.Renderer) -> None:
@@ -199,10 +218,15 @@ else:
         ("renderer = pskel.Renderer(skeleton)", "pskel.Renderer(skeleton)", "by spawning instead of forking"),
         ("pskel.Renderer(skeleton, rasterizer='cpu').render(log[0])", "pskel.Renderer(skeleton).render(log[0])", "exit 7"),
         ("", "pskel.Renderer(skeleton).render(log[0])", "exit 7"),
+        ("log.images(log[0], (28, 50))", "log.images(log[0], (28, 50))", "open the Log in each process"),
+        ("log.images(log[0], (28, 50))", "del log", "exit 7"),
+        ("s = pskel.Simulation(log); log.images(log[0], (28, 50)); del log", "del s", "exit 7"),
+        ("log.images(log[0], (28, 50))", "pskel.Log({town!r}).images(log[0], (28, 50))", "by spawning instead of forking"),
+        ("", "log.images(log[0], (28, 50))", "exit 7"),
     ],
 )
 def test_forks_do_not_hang(skeleton: pskel.Skeleton, run: Run, before: str, inside: str, expected: str) -> None:
-    done = run("-c", FORK.format(town=TOWN, skeleton=str(skeleton.path), before=before, inside=inside))
+    done = run("-c", FORK.format(town=TOWN, skeleton=str(skeleton.path), before=before, inside=inside.format(town=TOWN)))
     assert expected in done.stdout, done.stdout + done.stderr
 
 

@@ -50,8 +50,10 @@ def test_items_have_the_documented_shapes(sources: list[tuple[str, str]], log: p
     }
     assert item["t_us"].tolist() == log.times_us[1:3]
     assert item["intrinsics"][0, 0, 0, 2] == pytest.approx(log[1].intrinsics[0, 0, 2] / 4)
-    with pytest.raises(IndexError):
-        dataset[3]
+    assert all(torch.equal(dataset[-2][name], value) for name, value in item.items())
+    for index in (3, -4):
+        with pytest.raises(IndexError):
+            dataset[index]
 
 
 @pytest.mark.parametrize("start", ["fork", "forkserver", "spawn"])
@@ -117,5 +119,22 @@ def test_bad_options_are_rejected(sources: list[tuple[str, str]]) -> None:
     make: Callable[..., Any] = ConditionDataset
     with pytest.raises(ValueError, match="frames, stride and open_logs of 1 or more"):
         make(sources, out_size=OUT, frames=0)
-    with pytest.raises(ValueError, match="colour"):
-        make(sources, out_size=OUT, maps=["colour"])[0]
+    for option in ("maps", "colour"):
+        with pytest.raises(TypeError, match=f"expected the options .*splat.*, found {option}"):
+            make(sources, out_size=OUT, **{option: ["color"]})
+    with pytest.raises(ValueError, match=r"at least 9 key frames, found logs of \[4\]"):
+        make(sources, out_size=OUT, frames=9)
+    with pytest.raises(ValueError, match="expected a skeleton of log town-8-2f.*, found one of town-7-4f"):
+        make([("town:seed=8,frames=2,size=113x200", sources[0][1])], out_size=OUT)
+
+
+def test_a_worker_forked_after_rendering_says_so(sources: list[tuple[str, str]], run: Any) -> None:
+    program = f"""
+from pskel.torch import ConditionDataset
+from torch.utils.data import DataLoader
+dataset = ConditionDataset({sources!r}, out_size={OUT})
+dataset[0]
+list(DataLoader(dataset, num_workers=1, multiprocessing_context="fork"))
+"""
+    done = run("-c", program, check=False)
+    assert done.returncode == 1 and "RenderError" in done.stderr and "spawning" in done.stderr, done.stderr

@@ -199,12 +199,12 @@ fn errors(clean: &[f32], images: usize, random: &mut ChaCha8Rng) -> Vec<f32> {
         })
         .collect();
     let per_image = clean.len() / images;
-    let mut err = |(i, value): (usize, &f32)| {
+    let err = |(i, value): (usize, &f32)| {
         let shifts = shifts[i / per_image];
         let noise: f32 = StandardNormal.sample(random);
         value * shifts[0] + shifts[1 + i % 3] + spread * noise
     };
-    clean.iter().enumerate().map(|place| err(place)).collect()
+    clean.iter().enumerate().map(err).collect()
 }
 
 /// Adds noise to latents at the levels of their frames, and returns them. Finished frames have errors and no noise. The others have
