@@ -72,7 +72,7 @@ impl Default for TrainOptions {
     fn default() -> Self {
         Self {
             seed: 1,
-            steps: 6000,
+            steps: 3000,
             batch: 1,
             learning_rate: 1e-3,
             warmup: 100,
@@ -166,7 +166,7 @@ mod tests {
         good.check(&config).unwrap();
         let refused: [(TrainOptions, &str); 5] = [
             (TrainOptions { infer_steps: 6, ..good }, "multiple of 4, found 6"),
-            (TrainOptions { batch: 0, ..good }, "found 6000 and 0"),
+            (TrainOptions { batch: 0, ..good }, "found 3000 and 0"),
             (TrainOptions { staircase: 1.5, ..good }, "0 to 1, found 1.5"),
             (TrainOptions { learning_rate: f64::NAN, ..good }, "above 0, found NaN"),
             (TrainOptions { average: 1.0, ..good }, "found 1 and"),

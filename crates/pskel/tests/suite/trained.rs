@@ -113,7 +113,7 @@ fn recorded(folder: &Path) {
     assert_failed(&output, 1, &["with shares", "mixed/checkpoint.safetensors"]);
 }
 
-/// Evaluates the shipped network in a town that it was not trained on. It reaches 21.3 dB.
+/// Evaluates the shipped network in a town that it was not trained on.
 fn shipped(folder: &Path) {
     let told = succeed(folder, &format!("generate {TOWN} --skeleton sk --maps color --out shipped"));
     assert!(told.contains("2 frames generated"), "{told}");
