@@ -22,7 +22,8 @@ impl Export {
     /// Parses the arguments of `pskel export` and lists the shards. Raises `ValueError` for invalid arguments.
     #[new]
     fn new(py: Python<'_>, args: Vec<OsString>) -> PyResult<Self> {
-        let command = ExportCommand::parse(args).map_err(|error| invalid(without_usage(&error.to_string())))?;
+        let command =
+            ExportCommand::parse(args).map_err(|error| invalid(without_usage(&error.to_string())))?;
         let listed = detached(py, || command.list().map_err(failed))?;
         Ok(Self { command, listed })
     }
@@ -96,8 +97,8 @@ impl ExportProgress for Callback {
     }
 }
 
-/// Returns the message of a wrong argument without the usage of the command.
+/// Returns the first paragraph of the message of a wrong argument, without the usage of the command.
 fn without_usage(message: &str) -> &str {
     let message = message.strip_prefix("error: ").unwrap_or(message);
-    message.split("\n\nUsage:").next().and_then(|first| first.split("\n\nFor more").next()).unwrap_or(message).trim_end()
+    message.split("\n\n").next().unwrap_or(message)
 }
