@@ -56,7 +56,7 @@ fn made_drive() -> TrainingClip {
         let image = |factor: u8| (0..pixels).map(|p| [i * factor, (p % 6) as u8 * 40, 9]).collect::<Vec<_>>();
         DriveFrame {
             color: image(3),
-            bins: (0..pixels).map(|p| p as u16 * 9).collect(),
+            bins: (0..pixels).map(|p| p as u16 * 4).collect(),
             boxes: image(5),
             map: image(7),
             truth: image(11),
