@@ -5,13 +5,11 @@ import re
 import textwrap
 from pathlib import Path
 
-import pytest
 from conftest import Run
 
 PAGE = Path(__file__).parents[2] / "docs" / "PYTHON.md"
 
 
-@pytest.mark.skipif(not PAGE.exists(), reason="the page is not installed")
 def test_the_examples_run_in_order(tmp_path: Path, run: Run) -> None:
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
     if importlib.util.find_spec("torch") is None:

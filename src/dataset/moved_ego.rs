@@ -1,8 +1,8 @@
 use super::{Dataset, DatasetError, ImageRecord, Recording, Sweep, SweepRecord, VectorMap, ViewRenderer};
 use crate::scene::EgoOffset;
 
-/// A synthetic log with the ego displaced at all frames; everything else is unchanged, and images are rendered where its cameras are
-/// then.
+/// A synthetic log with the ego and its cameras displaced at all times. Actors and LiDAR sweeps stay where they are, and images are
+/// rendered where the cameras are then.
 pub struct MovedEgo {
     log: Recording,
     dataset: Box<dyn Dataset>,
@@ -13,10 +13,15 @@ impl MovedEgo {
     pub fn new(dataset: Box<dyn Dataset>, offset: EgoOffset) -> Option<Self> {
         dataset.view_renderer()?;
         let mut log = dataset.log().clone();
+        let (ego_from_moved, moved_from_ego) = (offset.pose(), offset.pose().inverse());
         for frame in &mut log.frames {
-            frame.global_from_ego = frame.global_from_ego * offset.pose();
+            frame.global_from_ego = frame.global_from_ego * ego_from_moved;
             for image in frame.images.iter_mut().chain(&mut frame.between_images) {
-                image.global_from_ego = image.global_from_ego * offset.pose();
+                image.global_from_ego = image.global_from_ego * ego_from_moved;
+            }
+            for sweep in &mut frame.sweeps {
+                sweep.global_from_ego = sweep.global_from_ego * ego_from_moved;
+                sweep.ego_from_lidar = moved_from_ego * sweep.ego_from_lidar;
             }
         }
         Some(Self { log, dataset })

@@ -70,16 +70,25 @@ pub(crate) fn open_regular(path: &Path) -> Result<(File, u64), FileError> {
     Ok((file, about.len()))
 }
 
-/// Reads a regular file of at most `limit` bytes. Bytes that are appended during the read are ignored.
+/// Opens a regular file of at most `limit` bytes, and returns its length too.
 ///
 /// # Errors
-/// Fails if the file cannot be opened or is not a regular file, is longer than `limit` or cannot be read.
-pub fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
+/// Fails as [`open_regular`], and if the file is longer than `limit`.
+pub(crate) fn open_up_to(path: &Path, limit: u64) -> Result<(File, u64), FileError> {
     let (file, length) = open_regular(path)?;
     if length > limit {
         let expected = format!("a file of at most {limit} bytes");
         return Err(FileError::content(expected, format!("{length} bytes"), path));
     }
+    Ok((file, length))
+}
+
+/// Reads a regular file of at most `limit` bytes. Bytes that are appended during the read are ignored.
+///
+/// # Errors
+/// Fails if the file cannot be opened or is not a regular file, is longer than `limit` or cannot be read.
+pub fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, FileError> {
+    let (file, length) = open_up_to(path, limit)?;
     let mut bytes = Vec::new();
     let room = usize::try_from(length).is_ok_and(|length| bytes.try_reserve_exact(length).is_ok());
     if !room {

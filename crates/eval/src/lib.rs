@@ -23,6 +23,7 @@ mod frechet;
 mod image_quality;
 #[cfg(feature = "network")]
 mod loss_plot;
+mod luma;
 mod masks;
 mod motion;
 mod patch_classifier;
@@ -46,6 +47,7 @@ pub use frechet::{FrechetError, frechet_distance};
 pub use image_quality::{FilledError, compare_filled, psnr_db};
 #[cfg(feature = "network")]
 pub use loss_plot::loss_plot;
+pub(crate) use luma::luma;
 pub use masks::Overlap;
 pub use motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};
 pub use patch_classifier::{PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer};

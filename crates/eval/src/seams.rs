@@ -1,5 +1,7 @@
 use image::RgbImage;
 
+use super::luma;
+
 /// Sums of differences between neighboring pixels, across the borders of blocks and elsewhere.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SeamSums {
@@ -17,20 +19,16 @@ struct AxisSums {
 
 impl SeamSums {
     /// Computes the sums of an image for square blocks of `side` pixels: absolute differences of luma.
-    pub fn of(image: &RgbImage, side: u32) -> Self {
-        let luma = |x: u32, y: u32| {
-            let [r, g, b] = image.get_pixel(x, y).0.map(f64::from);
-            0.299 * r + 0.587 * g + 0.114 * b
-        };
-        let (width, height) = image.dimensions();
+    pub fn of(image: &RgbImage, side: usize) -> Self {
+        let (luma, width) = (luma(image), image.width() as usize);
         let mut sums = Self::default();
-        for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
-            let here = luma(x, y);
-            if x + 1 < width {
-                sums.axes[0].add((luma(x + 1, y) - here).abs(), (x + 1).is_multiple_of(side));
+        for (i, here) in luma.iter().enumerate() {
+            let (right, below) = (i % width + 1, i / width + 1);
+            if right < width {
+                sums.axes[0].add((luma[i + 1] - here).abs(), right.is_multiple_of(side));
             }
-            if y + 1 < height {
-                sums.axes[1].add((luma(x, y + 1) - here).abs(), (y + 1).is_multiple_of(side));
+            if let Some(lower) = luma.get(i + width) {
+                sums.axes[1].add((lower - here).abs(), below.is_multiple_of(side));
             }
         }
         sums

@@ -1,18 +1,15 @@
 use image::RgbImage;
 
+use super::luma;
+
 /// Computes the mean gradient magnitude of luma, levels per pixel: `sqrt(dx² + dy²)` of the differences to the next
-/// column and the next row, over all pixels that have both. Luma is that of ITU-R BT.601: 0.299 R + 0.587 G + 0.114
-/// B. `None` for images of a single row or column.
+/// column and the next row, over all pixels that have both. `None` for images of a single row or column.
 pub fn sharpness(image: &RgbImage) -> Option<f64> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     if width < 2 || height < 2 {
         return None;
     }
-    let luma = |p: &image::Rgb<u8>| {
-        let [r, g, b] = p.0.map(f64::from);
-        0.299 * r + 0.587 * g + 0.114 * b
-    };
-    let luma: Vec<f64> = image.pixels().map(luma).collect();
+    let luma = luma(image);
     let row = |y: usize| -> f64 {
         let (here, below) = (&luma[y * width..][..width], &luma[(y + 1) * width..][..width]);
         (0..width - 1).map(|x| (here[x + 1] - here[x]).hypot(below[x] - here[x])).sum()

@@ -1,7 +1,6 @@
 use image::RgbImage;
-use pskel_sim::peer::PeerError;
 
-use super::{Condition, FrameConditions, Latent, LatentShape, Level};
+use super::{Condition, DenoiserError, FrameConditions, Latent, LatentShape, Level};
 
 /// A frame of the window, as input of a network.
 #[derive(Debug)]
@@ -67,44 +66,6 @@ pub trait Codec {
     /// # Errors
     /// Returns an error if the latent has another shape, or if the conditions do not fit.
     fn decode(&self, latent: &Latent, conditions: &FrameConditions) -> Result<Vec<RgbImage>, DenoiserError>;
-}
-
-/// Error of a network or a codec.
-#[derive(Debug, thiserror::Error)]
-pub enum DenoiserError {
-    /// The network returned an invalid result.
-    #[error("expected {expected} from the denoiser, found {found}")]
-    Answer {
-        /// Valid result.
-        expected: String,
-        /// Returned result.
-        found: String,
-    },
-    /// The input does not fit the network.
-    #[error("expected {expected}, found {found}")]
-    Input {
-        /// Accepted input.
-        expected: String,
-        /// Given input.
-        found: String,
-    },
-    /// Error of a network in another process.
-    #[error(transparent)]
-    Process(#[from] PeerError),
-    /// Error inside the network.
-    #[error("the denoiser failed: {0}")]
-    Network(#[from] Box<dyn std::error::Error + Send + Sync>),
-}
-
-impl DenoiserError {
-    pub(super) fn answer(expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Answer { expected: expected.into(), found: found.into() }
-    }
-
-    /// Creates the error of an input other than expected.
-    pub fn input(expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Input { expected: expected.into(), found: found.into() }
-    }
 }
 
 /// Calls a network and validates its predictions: one per frame, of the frame's shape, finite.

@@ -30,7 +30,7 @@ pub struct NetworkConfig {
 }
 
 impl Default for NetworkConfig {
-    /// Configuration with 1.3 million parameters, for images of 64x112 pixels.
+    /// Configuration with 1.8 million parameters, for images of 64x112 pixels.
     fn default() -> Self {
         use Attend::{Space, Time, Views};
         Self {

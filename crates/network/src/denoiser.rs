@@ -101,12 +101,15 @@ impl Network {
             return Err(NetworkError::input(expected, other.views().to_string()));
         }
         let mut remembered = self.remembered.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut missing: Vec<&FrameConditions> = Vec::new();
+        let (mut missing, mut places) = (Vec::<&FrameConditions>::new(), Vec::new());
         for frame in frames {
-            let is_known = remembered.iter().any(|(known, _)| known == *frame);
-            if !is_known && !missing.contains(frame) {
+            let known = remembered.iter().rposition(|(known, _)| known == *frame);
+            let place =
+                known.or_else(|| Some(remembered.len() + missing.iter().position(|other| other == frame)?));
+            places.push(place.unwrap_or_else(|| {
                 missing.push(frame);
-            }
+                remembered.len() + missing.len() - 1
+            }));
         }
         if !missing.is_empty() {
             let encoded = self.model.encode(&Inputs::new(&self.config, missing.iter().copied())?)?;
@@ -114,11 +117,7 @@ impl Network {
                 remembered.push(((*frame).clone(), encoded.frame(place, missing.len())?));
             }
         }
-        let known = |frame: &&FrameConditions| {
-            let place = remembered.iter().rposition(|(known, _)| known == *frame);
-            place.map(|place| remembered[place].1.clone())
-        };
-        let found: Vec<EncodedConditions> = frames.iter().filter_map(known).collect();
+        let found = places.into_iter().map(|place| remembered[place].1.clone()).collect();
         // A step sees the frames of its window and as many forecasts, with guidance each of them twice.
         let most = 4 * self.config.frames;
         let surplus = remembered.len().saturating_sub(most);

@@ -1,5 +1,7 @@
 //! Filling of holes by pull–push: pyramids of weighted means. Source: Gortler et al., "The Lumigraph", 1996.
 
+use super::kernels::neighbors;
+
 /// Value of images without any known pixel.
 const UNKNOWN: f32 = 0.5;
 
@@ -60,14 +62,6 @@ impl<const C: usize> Level<C> {
 /// Returns the bilinear value of a pixel of the image at twice the size.
 fn between<const C: usize>(values: &[[f32; C]], width: usize, [y, x]: [usize; 2]) -> [f32; C] {
     let height = values.len() / width;
-    let neighbors = |place: usize, count: usize| {
-        let other = if place.is_multiple_of(2) {
-            (place / 2).saturating_sub(1)
-        } else {
-            (place / 2 + 1).min(count - 1)
-        };
-        [(place / 2, 0.75), (other, 0.25)]
-    };
     let mut sums = [0.0; C];
     for (y, down) in neighbors(y, height) {
         for (x, across) in neighbors(x, width) {

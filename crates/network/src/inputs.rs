@@ -75,7 +75,7 @@ impl Inputs {
         let images: Vec<CameraInputs> =
             images.par_iter().map(|(frame, view)| camera_inputs(config, frame, *view)).collect();
         let rows = |of: fn(&CameraInputs) -> &Vec<f32>, width: usize| -> Result<Tensor> {
-            let values: Vec<f32> = images.iter().flat_map(of).copied().collect();
+            let values = images.iter().map(|image| of(image).as_slice()).collect::<Vec<_>>().concat();
             let count = values.len() / width;
             Tensor::from_vec(values, (count, width), &Device::Cpu)
         };

@@ -51,12 +51,12 @@ pub(super) fn convolve(x: &Tensor, weights: &Tensor, bias: &Tensor, shape: Convo
 
 /// Returns the means of 2x2 pixels of images; `x [N H W, C]`.
 pub(super) fn halve(x: &Tensor, shape: Resize) -> Result<Tensor> {
-    x.apply_op1(HalveOp(shape))
+    x.apply_op1(ResizeOp { shape, doubles: false })
 }
 
 /// Returns images at twice the size, H x W, by bilinear interpolation.
 pub(super) fn double(x: &Tensor, shape: Resize) -> Result<Tensor> {
-    x.apply_op1(DoubleOp(shape))
+    x.apply_op1(ResizeOp { shape, doubles: true })
 }
 
 struct ConvolutionOp(Convolution);
@@ -89,43 +89,39 @@ impl CustomOp3 for ConvolutionOp {
         out: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let (x_grad, weights_grad, bias_grad) =
-            lend(&[x, weights, out, grad], |t| self.0.backward(t[0], t[1], t[2], t[3]))?;
-        Ok((Some(like(x, x_grad)?), Some(like(weights, weights_grad)?), Some(like(bias, bias_grad)?)))
+        // The first convolution has inputs that are not trained.
+        let x_grad = match x.track_op() {
+            true => Some(like(x, lend(&[weights, out, grad], |t| self.0.input_grad(t[0], t[1], t[2]))?)?),
+            false => None,
+        };
+        let (weights_grad, bias_grad) = lend(&[x, out, grad], |t| self.0.weights_grad(t[0], t[1], t[2]))?;
+        Ok((x_grad, Some(like(weights, weights_grad)?), Some(like(bias, bias_grad)?)))
     }
 }
 
-struct HalveOp(Resize);
-
-impl CustomOp1 for HalveOp {
-    fn name(&self) -> &'static str {
-        "halve"
-    }
-
-    fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let rows = layout.shape().dims2()?.0;
-        Ok((CpuStorage::F32(self.0.halve(slice(x, layout)?)), Shape::from((rows / 4, self.0.channels))))
-    }
-
-    fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        like(x, lend(&[grad], |t| self.0.halve_backward(t[0]))?).map(Some)
-    }
+/// Halves images, or doubles them.
+struct ResizeOp {
+    shape: Resize,
+    doubles: bool,
 }
 
-struct DoubleOp(Resize);
-
-impl CustomOp1 for DoubleOp {
+impl CustomOp1 for ResizeOp {
     fn name(&self) -> &'static str {
-        "double"
+        "resize"
     }
 
     fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let rows = layout.shape().dims2()?.0;
-        Ok((CpuStorage::F32(self.0.double(slice(x, layout)?)), Shape::from((rows * 4, self.0.channels))))
+        let (Self { shape, doubles }, x) = (self, slice(x, layout)?);
+        let out = if *doubles { shape.double(x) } else { shape.halve(x) };
+        let rows = out.len() / shape.channels;
+        Ok((CpuStorage::F32(out), Shape::from((rows, shape.channels))))
     }
 
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        like(x, lend(&[grad], |t| self.0.double_backward(t[0]))?).map(Some)
+        let Self { shape, doubles } = self;
+        let of =
+            |grad: &[f32]| if *doubles { shape.double_backward(grad) } else { shape.halve_backward(grad) };
+        like(x, lend(&[grad], |t| of(t[0]))?).map(Some)
     }
 }
 

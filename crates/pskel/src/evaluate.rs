@@ -57,7 +57,7 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         masks: args.masks.clone(),
         classifier_from: args.classifier_from.clone(),
         features: args.features.clone().try_into().ok(),
-        hold_out: args.hold_out.map_or(0, usize::from),
+        hold_out: args.hold_out.map(usize::from),
         seed: args.seed,
     };
     let progress = RefCell::new(None);

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 
 use crate::error::FileError;
-use crate::files::input::{TABLE_BYTES, open_regular};
+use crate::files::input::{TABLE_BYTES, open_regular, open_up_to};
 
 /// Bytes to read at a time.
 const CHUNK_BYTES: usize = 1 << 20;
@@ -49,12 +49,8 @@ pub(super) fn for_each_row<E: std::fmt::Display>(
     of: &str,
     mut visit: impl FnMut(RowPlace, &[u8]) -> Result<(), E>,
 ) -> Result<(), FileError> {
-    let wrong = |found: String| FileError::content(format!("a JSON array of {of} records"), found, path);
-    let (file, length) = open_regular(path)?;
-    if length > TABLE_BYTES {
-        let expected = format!("a file of at most {TABLE_BYTES} bytes");
-        return Err(FileError::content(expected, format!("{length} bytes"), path));
-    }
+    let wrong = |found: String| no_table(of, found, path);
+    let (file, length) = open_up_to(path, TABLE_BYTES)?;
     let mut file = file.take(length);
     let mut buffer = Vec::with_capacity(2 * CHUNK_BYTES);
     // Position in the file of the buffer, place in it of the next byte and of the current row.
@@ -66,7 +62,7 @@ pub(super) fn for_each_row<E: std::fmt::Display>(
         buffer.drain(..kept);
         (base, next, row) = (base + kept as u64, next - kept, 0);
         if buffer.len() > ROW_BYTES {
-            return Err(wrong(format!("one of more than {ROW_BYTES} bytes at byte {base}")));
+            return Err(wrong(format!("a record of more than {ROW_BYTES} bytes at byte {base}")));
         }
         let read = file.by_ref().take(CHUNK_BYTES as u64).read_to_end(&mut buffer);
         if read.map_err(FileError::io("read", path))? == 0 {
@@ -94,7 +90,8 @@ pub(super) fn for_each_row<E: std::fmt::Display>(
                         let offset = base + row as u64;
                         let bytes = &buffer[row..=next];
                         let place = RowPlace { offset, len: bytes.len() as u32 };
-                        visit(place, bytes).map_err(|e| wrong(format!("{e} in the one at byte {offset}")))?;
+                        visit(place, bytes)
+                            .map_err(|e| wrong(format!("{e} of the record at byte {offset}")))?;
                         State::After
                     } else {
                         state
@@ -119,6 +116,11 @@ pub(super) fn for_each_row<E: std::fmt::Display>(
     }
 }
 
+/// Creates the error of a table that is no array of records.
+pub(super) fn no_table(of: &str, found: String, path: &Path) -> FileError {
+    FileError::content(format!("a JSON array of {of} records"), found, path)
+}
+
 /// Open table of which single rows are read.
 #[derive(Debug)]
 pub(super) struct RowFile {
@@ -141,8 +143,7 @@ impl RowFile {
     /// Fails if the bytes cannot be read or are not such a record, as they may be after the file was changed.
     pub(super) fn read<R: DeserializeOwned>(&self, place: RowPlace, of: &str) -> Result<R, FileError> {
         let wrong = |found: String| {
-            let found = format!("{found} in the one at byte {}", place.offset);
-            FileError::content(format!("a JSON array of {of} records"), found, &self.path)
+            no_table(of, format!("{found} of the record at byte {}", place.offset), &self.path)
         };
         let mut bytes = vec![0; place.len as usize];
         self.file.read_exact_at(&mut bytes, place.offset).map_err(|error| match error.kind() {

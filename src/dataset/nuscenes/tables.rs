@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use rustc_hash::FxHashMap;
 use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error};
 
+use super::rows::no_table;
 use crate::dataset::DatasetError;
 use crate::dataset::limits::MAX_TIME_US;
 use crate::error::FileError;
@@ -21,6 +22,11 @@ pub(super) trait Record: DeserializeOwned {
 
     /// Returns the primary key.
     fn token(&self) -> &str;
+
+    /// Returns the path of the table.
+    fn path(folder: &Path) -> PathBuf {
+        folder.join(format!("{}.json", Self::TABLE))
+    }
 }
 
 /// Absolute microseconds, at most [`MAX_TIME_US`] from 1970.
@@ -107,10 +113,9 @@ impl<R: Record> Table<R> {
     /// # Errors
     /// Fails if the file is missing, is not a JSON array of such records, or has a token twice.
     pub(super) fn load(folder: &Path) -> Result<Self, FileError> {
-        let path = folder.join(format!("{}.json", R::TABLE));
-        let records = serde_json::from_slice(&read_table(&path)?).map_err(|error| {
-            FileError::content(format!("a JSON array of {} records", R::TABLE), error.to_string(), &path)
-        })?;
+        let path = R::path(folder);
+        let records = serde_json::from_slice(&read_table(&path)?);
+        let records = records.map_err(|error| no_table(R::TABLE, error.to_string(), &path))?;
         Self::new(path, records)
     }
 

@@ -110,7 +110,7 @@ impl Version {
     }
 
     fn rows_by_scene<R: Record>(&self) -> Result<RowsByScene, FileError> {
-        let path = table_path::<R>(&self.folder);
+        let path = R::path(&self.folder);
         let mut rows: FxHashMap<String, Vec<RowPlace>> = FxHashMap::default();
         for_each_row(&path, R::TABLE, |place, row| {
             let of: SampleOf<'_> = serde_json::from_slice(row)?;
@@ -172,7 +172,7 @@ impl RowsByToken {
 }
 
 fn rows_by_token<R: Record>(folder: &Path) -> Result<RowsByToken, FileError> {
-    let path = table_path::<R>(folder);
+    let path = R::path(folder);
     let mut rows = Vec::new();
     for_each_row(&path, R::TABLE, |place, row| {
         let of: TokenOf<'_> = serde_json::from_slice(row)?;
@@ -185,8 +185,4 @@ fn rows_by_token<R: Record>(folder: &Path) -> Result<RowsByToken, FileError> {
 
 fn hash_of(token: &str) -> u64 {
     FxBuildHasher.hash_one(token)
-}
-
-fn table_path<R: Record>(folder: &Path) -> PathBuf {
-    folder.join(format!("{}.json", R::TABLE))
 }

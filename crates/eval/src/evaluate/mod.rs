@@ -30,8 +30,8 @@ pub struct EvaluateOptions {
     pub classifier_from: Vec<PathBuf>,
     /// Features of another network for generated and for ground-truth images, NPY files `[N, D]`.
     pub features: Option<[PathBuf; 2]>,
-    /// Scores only every N-th step, N - 1, 2 N - 1, ..: those that a training with the same number left out. 0 or 1: all.
-    pub hold_out: usize,
+    /// Scores only every N-th frame, N - 1, 2 N - 1, ..: those that a training with the same number left out.
+    pub hold_out: Option<usize>,
     /// Seed of the random convolutions and of the patch classifier.
     pub seed: u64,
 }
@@ -54,10 +54,8 @@ pub fn evaluate(
     let features = features.as_ref().map(|[generated, truth]| features::distance(generated, truth));
     let features = features.transpose()?;
     let mut rollouts = GeneratedRollout::open_all(rollouts)?;
-    if *hold_out > 1 {
-        rollouts
-            .iter_mut()
-            .for_each(|rollout| rollout.steps.retain(|step| (step.frame + 1).is_multiple_of(*hold_out)));
+    if let Some(every) = *hold_out {
+        rollouts.iter_mut().try_for_each(|rollout| rollout.hold_out(every))?;
     }
     let segmentors = Segmentors::new(&rollouts, masks, classifier_from, *seed)?;
     let net = RandomConvNet::new(*seed);

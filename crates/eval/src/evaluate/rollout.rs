@@ -92,6 +92,20 @@ impl GeneratedRollout {
         folders.iter().map(|folder| Self::open(folder)).collect()
     }
 
+    /// Drops all steps but every N-th frame, N - 1, 2 N - 1, ..
+    ///
+    /// # Errors
+    /// Fails if none is left.
+    pub(super) fn hold_out(&mut self, every: usize) -> Result<(), FileError> {
+        let found = self.steps.len();
+        self.steps.retain(|step| (step.frame + 1).is_multiple_of(every));
+        if self.steps.is_empty() {
+            let expected = format!("a generated image of every frame {every} N - 1");
+            return Err(FileError::content(expected, format!("none in {found} steps"), &self.folder));
+        }
+        Ok(())
+    }
+
     /// Reads the images and maps of a step.
     pub(super) fn read(&self, step: &Step) -> Result<Frame, FileError> {
         let class = self.maps(step, "class", picture::class)?;

@@ -19,7 +19,7 @@ use super::motion::{MotionSums, MovingFrame};
 use super::{Overlap, RandomConvNet, SeamSums, psnr_db, sharpness, ssim, vehicle_mask};
 
 /// Sides of the blocks whose seams are measured, pixels: those of latents and tokens of the included network.
-const SEAM_SIDES: [u32; 2] = [4, 8];
+const SEAM_SIDES: [usize; 2] = [4, 8];
 
 /// Scores a rollout of generated images step by step, in memory.
 #[derive(Clone, Debug)]

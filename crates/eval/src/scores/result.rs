@@ -59,7 +59,7 @@ pub struct Scores {
     pub sharpness_ratio: Series,
     /// Differences between pixels across the borders of blocks, relative to those elsewhere, by the side of the blocks; see
     /// [`SeamSums::ratio`](crate::SeamSums::ratio).
-    pub seams: BTreeMap<u32, Option<f64>>,
+    pub seams: BTreeMap<usize, Option<f64>>,
     /// Motion of actors; `None` without two consecutive steps with ground truth and moving pixels.
     pub motion: Option<Motion>,
     /// Vehicle IoU, by name of the segmentation model.

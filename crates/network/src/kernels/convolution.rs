@@ -1,3 +1,5 @@
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
 use super::LANES;
@@ -67,26 +69,15 @@ impl Convolution {
         }
     }
 
-    /// Returns the gradients of input, weights and bias from the output and its gradient. That of the input is empty
-    /// unless it is needed.
-    pub(in super::super) fn backward(
-        &self,
-        x: &[f32],
-        weights: &[f32],
-        out: &[f32],
-        grad: &[f32],
-    ) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
-        let masked;
-        let grad = if self.rectified {
-            masked = mask(out, grad);
-            &masked[..]
-        } else {
-            grad
-        };
+    /// Returns the gradient of the input from the output and its gradient.
+    pub(in super::super) fn input_grad(&self, weights: &[f32], out: &[f32], grad: &[f32]) -> Vec<f32> {
         let back = Self { channels: self.outputs, outputs: self.channels, rectified: false, ..*self };
-        let x_grad = back.forward(grad, &self.flipped(weights), &vec![0.0; self.channels]);
-        let (weights_grad, bias_grad) = self.weights_grad(x, grad);
-        (x_grad, weights_grad, bias_grad)
+        back.forward(&self.passed(out, grad), &self.flipped(weights), &vec![0.0; self.channels])
+    }
+
+    /// Returns the part of a gradient that passes the rectification: that where the output is above 0.
+    fn passed<'a>(&self, out: &[f32], grad: &'a [f32]) -> Cow<'a, [f32]> {
+        if self.rectified { mask(out, grad).into() } else { grad.into() }
     }
 
     /// Returns the weights of the transposed convolution, `[9 D, C]`.
@@ -102,9 +93,14 @@ impl Convolution {
         flipped
     }
 
-    /// Returns the gradients of weights and bias.
-    fn weights_grad(&self, x: &[f32], grad: &[f32]) -> (Vec<f32>, Vec<f32>) {
-        let Self { height, width, channels, outputs, .. } = *self;
+    /// Returns the gradients of weights and bias from the output and its gradient.
+    pub(in super::super) fn weights_grad(
+        &self,
+        x: &[f32],
+        out: &[f32],
+        grad: &[f32],
+    ) -> (Vec<f32>, Vec<f32>) {
+        let (Self { height, width, channels, outputs, .. }, grad) = (*self, self.passed(out, grad));
         let (pixels, len) = (height * width, 9 * channels * outputs);
         let groups = x
             .par_chunks(IMAGES_PER_SUM * pixels * channels)

@@ -23,7 +23,7 @@ pub(super) use gate::{gate_backward, gate_forward};
 pub use grid::Attend;
 pub(super) use grid::Grid;
 pub(super) use norm::{norm_backward, norm_forward};
-pub(super) use resize::Resize;
+pub(super) use resize::{Resize, neighbors};
 
 /// Divisor of all widths.
 pub(super) const LANES: usize = 16;

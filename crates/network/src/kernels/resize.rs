@@ -11,7 +11,22 @@ pub(in super::super) struct Resize {
 impl Resize {
     /// Returns the means of 2x2 pixels, `[N, H / 2, W / 2, C]`.
     pub(in super::super) fn halve(&self, x: &[f32]) -> Vec<f32> {
-        self.gather(x, 0.25)
+        let Self { height, width, channels: c } = *self;
+        let mut out = vec![0.0_f32; x.len() / 4];
+        let images = out.par_chunks_mut(height * width / 4 * c).zip(x.par_chunks(height * width * c));
+        images.for_each(|(out, image)| {
+            for (y, out) in out.chunks_mut(width / 2 * c).enumerate() {
+                let rows = &image[2 * y * width * c..][..2 * width * c];
+                let (upper, lower) = rows.split_at(width * c);
+                for (x, out) in out.chunks_mut(c).enumerate() {
+                    let (a, b) = (&upper[2 * x * c..][..2 * c], &lower[2 * x * c..][..2 * c]);
+                    for j in 0..c {
+                        out[j] = 0.25 * ((a[j] + a[c + j]) + (b[j] + b[c + j]));
+                    }
+                }
+            }
+        });
+        out
     }
 
     /// Returns the gradient of the input of [`Resize::halve`].
@@ -30,26 +45,6 @@ impl Resize {
         out
     }
 
-    /// Returns sums of 2x2 pixels times a factor.
-    fn gather(&self, x: &[f32], factor: f32) -> Vec<f32> {
-        let Self { height, width, channels: c } = *self;
-        let mut out = vec![0.0_f32; x.len() / 4];
-        let images = out.par_chunks_mut(height * width / 4 * c).zip(x.par_chunks(height * width * c));
-        images.for_each(|(out, image)| {
-            for (y, out) in out.chunks_mut(width / 2 * c).enumerate() {
-                let rows = &image[2 * y * width * c..][..2 * width * c];
-                let (upper, lower) = rows.split_at(width * c);
-                for (x, out) in out.chunks_mut(c).enumerate() {
-                    let (a, b) = (&upper[2 * x * c..][..2 * c], &lower[2 * x * c..][..2 * c]);
-                    for j in 0..c {
-                        out[j] = factor * ((a[j] + a[c + j]) + (b[j] + b[c + j]));
-                    }
-                }
-            }
-        });
-        out
-    }
-
     /// Returns the image at twice the size, `[N, H, W, C]` of `[N, H / 2, W / 2, C]`: bilinear, with repeated borders.
     pub(in super::super) fn double(&self, x: &[f32]) -> Vec<f32> {
         let Self { height, width, channels: c } = *self;
@@ -58,12 +53,14 @@ impl Resize {
         let images = out.par_chunks_mut(height * width * c).zip(x.par_chunks(low * across * c));
         images.for_each(|(out, image)| {
             for (y, out) in out.chunks_mut(width * c).enumerate() {
-                let [near, far] = neighbors(y, low).map(|y| &image[y * across * c..][..across * c]);
+                let [(near, near_share), (far, far_share)] = neighbors(y, low);
+                let [near, far] = [near, far].map(|y| &image[y * across * c..][..across * c]);
                 for (x, out) in out.chunks_mut(c).enumerate() {
-                    let [left, right] = neighbors(x, across).map(|x| x * c);
+                    let [(left, left_share), (right, right_share)] = neighbors(x, across);
                     for j in 0..c {
-                        let mixed = |row: &[f32]| 0.75 * row[left + j] + 0.25 * row[right + j];
-                        out[j] = 0.75 * mixed(near) + 0.25 * mixed(far);
+                        let mixed =
+                            |row: &[f32]| left_share * row[left * c + j] + right_share * row[right * c + j];
+                        out[j] = near_share * mixed(near) + far_share * mixed(far);
                     }
                 }
             }
@@ -79,9 +76,9 @@ impl Resize {
         let images = out.par_chunks_mut(low * across * c).zip(grad.par_chunks(height * width * c));
         images.for_each(|(out, grad)| {
             for (y, grad) in grad.chunks(width * c).enumerate() {
-                for (from_y, y_share) in neighbors(y, low).into_iter().zip([0.75, 0.25]) {
+                for (from_y, y_share) in neighbors(y, low) {
                     for (x, grad) in grad.chunks(c).enumerate() {
-                        for (from_x, x_share) in neighbors(x, across).into_iter().zip([0.75, 0.25]) {
+                        for (from_x, x_share) in neighbors(x, across) {
                             let out = &mut out[(from_y * across + from_x) * c..][..c];
                             out.iter_mut().zip(grad).for_each(|(out, grad)| *out += y_share * x_share * grad);
                         }
@@ -93,9 +90,10 @@ impl Resize {
     }
 }
 
-/// Returns the pixels of a line of `count` that a pixel of the doubled line lies between: the nearer and the other one.
-fn neighbors(place: usize, count: usize) -> [usize; 2] {
+/// Returns the two pixels of a line of `count` that a pixel of the doubled line lies between, and their shares: the nearer
+/// and the other one.
+pub(in super::super) fn neighbors(place: usize, count: usize) -> [(usize, f32); 2] {
     let nearer = place / 2;
     let other = if place.is_multiple_of(2) { nearer.saturating_sub(1) } else { (nearer + 1).min(count - 1) };
-    [nearer, other]
+    [(nearer, 0.75), (other, 0.25)]
 }

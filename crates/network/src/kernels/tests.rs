@@ -186,13 +186,17 @@ fn convolutions_are_what_their_definition_says() {
         // The output is linear in each of the three where it is above 0; the check skips what is rectified.
         let linear = Convolution { rectified: false, ..shape };
         let grad: Vec<f32> = normal(23, out.len());
-        let gradients = linear.backward(&x, &weights, &out, &grad);
-        assert_gradient(|x| sum(&linear.forward(x, &weights, &bias), &grad), &x, &gradients.0);
-        assert_gradient(|w| sum(&linear.forward(&x, w, &bias), &grad), &weights, &gradients.1);
-        assert_gradient(|b| sum(&linear.forward(&x, &weights, b), &grad), &bias, &gradients.2);
+        let gradients = |shape: &Convolution, grad: &[f32]| {
+            let (weights_grad, bias_grad) = shape.weights_grad(&x, &out, grad);
+            [shape.input_grad(&weights, &out, grad), weights_grad, bias_grad]
+        };
+        let [x_grad, weights_grad, bias_grad] = gradients(&linear, &grad);
+        assert_gradient(|x| sum(&linear.forward(x, &weights, &bias), &grad), &x, &x_grad);
+        assert_gradient(|w| sum(&linear.forward(&x, w, &bias), &grad), &weights, &weights_grad);
+        assert_gradient(|b| sum(&linear.forward(&x, &weights, b), &grad), &bias, &bias_grad);
         let masked: Vec<f32> = grad.iter().zip(&out).map(|(g, o)| if *o > 0.0 { *g } else { 0.0 }).collect();
-        let rectified = Convolution { rectified: true, ..shape }.backward(&x, &weights, &out, &grad);
-        assert_eq!(rectified, linear.backward(&x, &weights, &out, &masked));
+        let rectified = Convolution { rectified: true, ..shape };
+        assert_eq!(gradients(&rectified, &grad), gradients(&linear, &masked));
     }
 }
 

@@ -3,8 +3,7 @@
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::DriveFrame;
 use rand_chacha::ChaCha8Rng;
-
-use super::batch::unit;
+use rand_core::Rng;
 
 /// Changes of a window.
 pub(super) struct Augmentation {
@@ -36,6 +35,11 @@ struct Thinning {
 
 /// Side of the blocks of [`Thinning`].
 const BLOCK: usize = 8;
+
+/// Samples a uniform number in [0, 1), of 24 bits.
+pub(super) fn unit(random: &mut ChaCha8Rng) -> f32 {
+    (random.next_u32() >> 8) as f32 / (1_u32 << 24) as f32
+}
 
 fn between(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
     low + (high - low) * unit(random)

@@ -9,7 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_seeder::Seeder;
 
 use super::TrainOptions;
-use super::augment::Augmentation;
+use super::augment::{Augmentation, unit};
 use crate::{Inputs, NetworkConfig, NetworkError, Statistics, latent_rows};
 
 /// Minimum noise level of a frame that is not finished.
@@ -69,11 +69,6 @@ pub(super) struct Source<'a> {
     pub(super) encoder: &'a TensorEncoder,
 }
 
-/// Samples a uniform number in [0, 1), of 24 bits.
-pub(super) fn unit(random: &mut ChaCha8Rng) -> f32 {
-    (random.next_u32() >> 8) as f32 / (1_u32 << 24) as f32
-}
-
 fn below(random: &mut ChaCha8Rng, count: usize) -> usize {
     ((u64::from(random.next_u32()) * count as u64) >> 32) as usize
 }
@@ -109,7 +104,10 @@ impl Source<'_> {
         };
         let counts: Vec<bool> = windows.iter().flat_map(of).collect();
         let noisy = noisy(&clean, &erring, &mut noise, &sigmas, &counts);
-        let rows = |values: Vec<f32>| Tensor::from_vec(values.clone(), (values.len() / 3, 3), &Device::Cpu);
+        let rows = |values: Vec<f32>| {
+            let count = values.len() / 3;
+            Tensor::from_vec(values, (count, 3), &Device::Cpu)
+        };
         let inputs = Inputs::new(self.config, conditions.iter())?;
         let decoded = windows.iter().enumerate().flat_map(|(place, window)| {
             window.decoded().into_iter().map(move |frame| place * self.config.frames + frame)

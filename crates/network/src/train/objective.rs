@@ -75,8 +75,8 @@ fn guess_errors(left: &Tensor, frames: usize, weighing: LossWeights<'_>) -> Resu
 }
 
 /// Returns weights of frames and channels, `[F, C]`: all noise levels weigh the same, and a frame whose first guess is
-/// worse than usual, since conditions were dropped, gets a smaller weight, or these few frames would dominate training. Summed over all rows, they are 1 if no guess is worse than
-/// usual.
+/// worse than usual, since conditions were dropped, gets a smaller weight, or these few frames would dominate training. Summed over all
+/// rows, they are 1 if no guess is worse than usual.
 fn weights(counts: &[bool], priors: &[f32], guess_errors: &[f32], rows: usize) -> Vec<f32> {
     let mean = priors.iter().sum::<f32>() / priors.len() as f32;
     let counted = counts.iter().filter(|counts| **counts).count().max(1);
@@ -89,6 +89,22 @@ fn weights(counts: &[bool], priors: &[f32], guess_errors: &[f32], rows: usize) -
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// One image of 8x8 pixels by hand: an offset of 0.5 has no gradient; a step of 1 between two columns has one in 8 of
+    /// 56 places.
+    #[test]
+    fn errors_of_images_and_of_their_gradients_count() {
+        let mut config = NetworkConfig::default();
+        config.recipe.size = point_skeleton::geometry::ImageSize { height: 8, width: 8 };
+        let loss = |of: fn(usize) -> f32| {
+            let errors: Vec<f32> = (0..64 * 3).map(|i| of(i / 3)).collect();
+            let errors = Tensor::from_vec(errors, (64, 3), &Device::Cpu).unwrap();
+            image_loss(&errors, &config).unwrap().to_scalar::<f32>().unwrap()
+        };
+        assert!((loss(|_| 0.5) - 0.25).abs() < 1e-6);
+        let step = loss(|pixel| if pixel % 8 < 4 { 0.0 } else { 1.0 });
+        assert!((step - (0.5 + 0.5 * 8.0 / 56.0)).abs() < 1e-6, "{step}");
+    }
 
     #[test]
     fn weights_are_shares_of_what_counts() {

@@ -8,7 +8,7 @@ use point_skeleton::dataset::{
     Dataset, EgoTrack, ImageRecord, Lane, MovedEgo, PosedActor, RigCamera, TrackBox,
 };
 use point_skeleton::geometry::{Cuboid, Pose, View};
-use point_skeleton::scene::{EgoOffset, state_of_frame};
+use point_skeleton::scene::{EgoOffset, state_at, state_of_frame};
 use point_skeleton::skeleton::{BuildOptions, SplitOptions};
 use pskel_town::{Daylight, Town, TownOptions};
 
@@ -41,6 +41,26 @@ fn a_moved_ego_takes_its_cameras_along() {
             let off = found.view.camera_from_world.inverse() * expected.view.camera_from_world;
             assert!(off.abs_diff_eq(glam::DAffine3::IDENTITY, 1e-9), "{off:?}");
         }
+    }
+    // Between frames too, and without moving the LiDAR.
+    let (track, moved_track) = (EgoTrack::new(log), EgoTrack::new(moved.log()));
+    let (first, last) = (log.frames[0].t_us, log.frames[FRAMES - 1].t_us);
+    for t_us in (first..=last).step_by(30_000) {
+        let found = state_at(moved.log(), &moved_track, t_us, EgoOffset::default()).unwrap();
+        let expected = state_at(log, &track, t_us, offset).unwrap();
+        let off = found.global_from_ego.inverse() * expected.global_from_ego;
+        assert!(
+            off.translation.length() < 0.01 && off.rotation.angle_between(Pose::IDENTITY.rotation) < 1e-3,
+            "{off:?}"
+        );
+    }
+    for (sweep, before) in
+        moved.log().frames.iter().zip(&log.frames).flat_map(|(a, b)| a.sweeps.iter().zip(&b.sweeps))
+    {
+        assert!(close(
+            &(sweep.global_from_ego * sweep.ego_from_lidar),
+            &(before.global_from_ego * before.ego_from_lidar)
+        ));
     }
     assert!(moved.view_renderer().is_some());
     let recorded = WithLog { drive: town(), log: log.clone() };

@@ -132,6 +132,8 @@ fn filled(folder: &Path) {
     let report = &json(&folder.join("filled.json"))["rollouts"][0]["scores"];
     let (psnr, seams) = (&report["psnr_db"]["mean"], &report["seams"]["4"]);
     assert!(psnr.as_f64() > Some(12.0) && seams.as_f64() > Some(0.8), "{psnr} {seams}");
+    let output = command(folder, "evaluate filled --hold-out 9").output().unwrap();
+    assert_failed(&output, 1, &["every frame 9 N - 1", "none in 2 steps", "filled"]);
     let truth = |out: &str| std::fs::read(folder.join(out).join("steps/000003/truth/CAM_FRONT.png")).unwrap();
     assert!(truth("filled") != truth("shipped"));
 }

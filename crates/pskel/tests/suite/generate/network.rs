@@ -236,7 +236,9 @@ fn a_small_network_overfits_a_drive() {
     let losses: Vec<f64> = (0..150).map(|_| trainer.step().unwrap().loss).collect();
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
     let (first, last) = (mean(&losses[..5]), mean(&losses[130..]));
-    assert!(last < first / 3.0, "{first} {last}");
+    // A fresh network answers about 0: the first guess's error is 1 / 0.4², and its images are off by 0.3 to 0.8.
+    assert!((10.0..90.0).contains(&first), "{first}");
+    assert!(last < first / 3.0 && last < 15.0, "{first} {last}");
     let weights = trainer.weights("pskel train").unwrap();
     assert_eq!((weights.about.steps, &weights.about.logs[..]), (150, &["made 1".to_owned()][..]));
 }
@@ -405,8 +407,9 @@ fn shipped_weights_are_of_the_default_network_and_its_training() {
     let options = TrainOptions::default();
     assert_eq!((weights.about.seed, weights.about.steps), (options.seed, options.steps));
     assert_eq!(log.lines().count() as u64, 1 + options.steps);
-    assert!(weights.about.command.starts_with("pskel train"), "{}", weights.about.command);
-    assert!(!weights.about.logs.is_empty());
+    let command = &weights.about.command;
+    assert!(command.starts_with("pskel train nuscenes:pandaset-002 town:seed=201,"), "{command}");
+    assert_eq!((weights.about.logs.len(), weights.count() / 100_000), (6, 18));
 }
 
 #[test]
