@@ -51,13 +51,15 @@ pub enum CameraError {
     LastRow([f64; 3]),
     /// The determinant is zero, or a focal length is not positive.
     #[error(
-        "expected invertible intrinsics with positive focal lengths, found a singular matrix (fx {fx}, fy {fy})"
+        "expected invertible intrinsics with focal lengths above 0, found fx {fx}, fy {fy}, determinant {determinant}"
     )]
     Singular {
         /// Pixels.
         fx: f64,
         /// Pixels.
         fy: f64,
+        /// Square pixels.
+        determinant: f64,
     },
 }
 
@@ -87,8 +89,9 @@ impl Camera {
         }
         let (fx, fy) = (rows[0][0], rows[1][1]);
         let intrinsics = DMat3::from_cols_array_2d(&rows).transpose();
-        if !(fx > 0.0 && fy > 0.0 && intrinsics.determinant().abs() > 1e-9) {
-            return Err(CameraError::Singular { fx, fy });
+        let determinant = intrinsics.determinant();
+        if !(fx > 0.0 && fy > 0.0 && determinant.abs() > 1e-9) {
+            return Err(CameraError::Singular { fx, fy, determinant });
         }
         Ok(Self { name, width, height, intrinsics, distortion: None })
     }
