@@ -3,8 +3,8 @@
 use glam::{DAffine3, DMat3, DMat4, DQuat};
 use numpy::ndarray::{Array2, Array3, ArrayView1, ArrayViewD};
 use numpy::{IntoPyArray, PyArray2, PyArray3, PyReadonlyArrayDyn};
-use point_skeleton::geometry::{ImageSize, Pose};
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use point_skeleton::geometry::{Camera, ImageSize, Pose};
+use pyo3::exceptions::{PyOverflowError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
 /// An argument that `numpy.asarray` converts to an array of real numbers, as `float64`.
@@ -33,27 +33,34 @@ impl Numbers<'_> {
     }
 }
 
-/// Height and width of images: a sequence of two integers above 0.
-#[derive(Clone, Copy)]
+/// An argument that is a sequence of two integers: height and width, pixels.
 pub(crate) struct Size(pub(crate) ImageSize);
 
 impl<'py> FromPyObject<'_, 'py> for Size {
     type Error = PyErr;
 
     fn extract(object: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
-        let wrong = || {
-            let found = object.repr().map_or_else(|_| "another value".to_owned(), |text| text.to_string());
-            PyValueError::new_err(format!("expected a height and a width above 0, found {found}"))
+        let sides = object.len().and_then(|count| {
+            (0..count.min(3)).map(|i| object.get_item(i)?.extract()).collect::<PyResult<Vec<i64>>>()
+        });
+        let max = Camera::MAX_SIDE;
+        let wrong = || -> PyResult<String> {
+            Ok(format!("expected a height and a width of 1 to {max} pixels, found {}", object.repr()?))
         };
-        let sides: Vec<i64> = object.extract().map_err(|_| wrong())?;
-        let side = |side: i64| u32::try_from(side).ok().filter(|side| *side > 0);
-        match sides.as_slice() {
-            &[height, width] => {
-                let (height, width) = side(height).zip(side(width)).ok_or_else(wrong)?;
-                Ok(Self(ImageSize { height, width }))
+        let side = |value: i64| u32::try_from(value).ok().filter(|side| (1..=max).contains(side));
+        let size = match sides {
+            Ok(sides) => match sides[..] {
+                [height, width] => side(height).zip(side(width)),
+                _ => None,
+            },
+            Err(error) if error.is_instance_of::<PyOverflowError>(object.py()) => None,
+            Err(error) if error.is_instance_of::<PyTypeError>(object.py()) => {
+                return Err(PyTypeError::new_err(wrong()?));
             }
-            _ => Err(wrong()),
-        }
+            Err(error) => return Err(error),
+        };
+        let Some((height, width)) = size else { return Err(PyValueError::new_err(wrong()?)) };
+        Ok(Self(ImageSize { height, width }))
     }
 }
 

@@ -13,6 +13,7 @@ mod error;
 mod export;
 mod log;
 mod maps;
+mod owned_log;
 mod pool;
 mod renderer;
 mod roll;

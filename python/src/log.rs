@@ -1,8 +1,6 @@
 use std::collections::BTreeSet;
-use std::ops::Deref;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use point_skeleton::dataset::Dataset;
@@ -15,70 +13,29 @@ use pyo3::prelude::*;
 
 use crate::arrays::Size;
 use crate::error::{LogError, RenderError, raise};
+use crate::owned_log::OwnedLog;
 use crate::pool::detached;
 use crate::scene::Scene;
 
 /// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map. Its items are the scenes at key frames.
+///
+/// `name` is `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. Raises `LogError`.
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Log {
     pub(crate) inner: Arc<OwnedLog>,
     text: String,
 }
 
-/// A log, and the process that rendered its images, if it is synthetic: the device of that process belongs to it.
-pub(crate) struct OwnedLog {
-    log: Arc<point_skeleton::Log>,
-    /// 0 if no image was rendered.
-    rendered_by: AtomicU32,
-}
-
-impl OwnedLog {
-    /// Notes that this process renders images of the log.
-    ///
-    /// # Errors
-    /// Raises `RenderError` in a fork of the process that did.
-    fn render(&self) -> PyResult<()> {
-        let here = std::process::id();
-        match self.rendered_by.compare_exchange(0, here, Ordering::Relaxed, Ordering::Relaxed) {
-            Ok(_) => Ok(()),
-            Err(owner) if owner == here => Ok(()),
-            Err(owner) => Err(RenderError::new_err(format!(
-                "expected the process that rendered images of the log ({owner}), found its fork {here}: open the Log in each process"
-            ))),
-        }
-    }
-}
-
-impl Deref for OwnedLog {
-    type Target = point_skeleton::Log;
-
-    fn deref(&self) -> &Self::Target {
-        &self.log
-    }
-}
-
-/// A fork must not release the device of its parent.
-impl Drop for OwnedLog {
-    fn drop(&mut self) {
-        let owner = *self.rendered_by.get_mut();
-        if owner != 0 && owner != std::process::id() {
-            std::mem::forget(Arc::clone(&self.log));
-        }
-    }
-}
-
 #[pymethods]
 impl Log {
-    /// Opens a log by name: `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. Raises `LogError`.
     #[new]
     fn new(py: Python<'_>, name: &str) -> PyResult<Self> {
         let open = || {
             let locator = pskel::logs::locate(name).map_err(raise)?;
             let dataset: Box<dyn Dataset> = pskel::logs::open(&locator).map_err(raise)?;
-            point_skeleton::Log::new(dataset).map_err(raise)
+            point_skeleton::Log::new(dataset).map(OwnedLog::new).map_err(raise)
         };
-        let log = Arc::new(detached(py, open)?);
-        Ok(Self { inner: Arc::new(OwnedLog { log, rendered_by: AtomicU32::new(0) }), text: name.to_owned() })
+        Ok(Self { inner: Arc::new(detached(py, open)?), text: name.to_owned() })
     }
 
     /// Name of the scene, which identifies the log in skeletons.
@@ -129,26 +86,18 @@ impl Log {
     }
 
     /// Returns the camera images of a scene, `[V, H, W, 3]` `uint8`: recorded images nearest in time, without lens
-    /// distortion and resized to `size`, or images rendered at the scene's poses if the log is a town. Raises `ValueError` for a
-    /// scene of another log, `LogError` if an image cannot be read, `RenderError` if it cannot be rendered.
+    /// distortion and resized to `size` (height, width), or images rendered at the scene's poses if the log is a town.
+    /// Raises `ValueError` for a scene of another log, `LogError` if an image cannot be read, and `RenderError` if it cannot
+    /// be rendered, as in the fork of a process that has rendered images of the log.
     #[pyo3(signature = (scene, size))]
     fn images<'py>(&self, py: Python<'py>, scene: &Scene, size: Size) -> PyResult<Bound<'py, PyArray4<u8>>> {
-        let (own, Size(size)) = (self.inner.name(), size);
-        if let Some(other) = scene.log.as_deref().filter(|log| *log != own) {
-            return Err(PyValueError::new_err(format!(
-                "expected a scene of log {own}, found one of {other}"
-            )));
-        }
-        let is_rendered = self.inner.dataset().view_renderer().is_some();
-        if is_rendered {
-            self.inner.render()?;
-        }
-        let (log, scene) = (Arc::clone(&self.inner), Arc::clone(&scene.inner));
+        let (log, scene, Size(size)) = (Arc::clone(&self.inner), scene.checked(self.name())?, size);
+        log.claim_images()?;
         let read = || {
             let truth = GroundTruthImages::new(log.dataset());
             let drawn =
                 |view: &View| View { camera: view.camera.resized(size.height, size.width), ..view.clone() };
-            truth.of(&scene, drawn, size, false).map_err(|error| match is_rendered {
+            truth.of(&scene, drawn, size, false).map_err(|error| match log.is_rendered() {
                 true => RenderError::new_err(with_causes(&error).to_string()),
                 false => LogError::new_err(with_causes(&error).to_string()),
             })

@@ -2,7 +2,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use point_skeleton::raster::RasterizerDesc;
 use point_skeleton::scene::{SelectionOptions, Substitutes};
-use point_skeleton::{ConditionOptions, MapSet, Maps, RenderOptions, SceneState};
+use point_skeleton::{ConditionOptions, MapSet, Maps, RenderOptions};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyIterator, PyString};
@@ -17,8 +17,6 @@ use crate::skeleton::Skeleton;
 
 /// Frames in flight: the device renders one while Python uses the maps of the previous one.
 const IN_FLIGHT: usize = 2;
-
-const CLOSED: &str = "expected an open Renderer, found a closed one";
 
 static NO_TEMPLATES: Substitutes = Substitutes::NONE;
 
@@ -47,6 +45,22 @@ struct Device {
 }
 
 /// Renders the condition maps of scenes from a skeleton. Owns a device and the points on it.
+///
+/// - `size`: (height, width) to render at, pixels; by default that of the cameras.
+/// - `out_size`: (height, width) of the maps, to which they are reduced after rendering; by default `size`.
+/// - `maps`: names of maps, by default color, depth, class, instance and boxes; also map (needs an HD map), point and
+///   tensor.
+/// - `splat`: radius by depth `Z:R,..`, by default `15:2,35:1,100:0`. Up to Z meters a point covers (2R+1) x (2R+1) pixels
+///   of `size`; points beyond the last Z are not drawn.
+/// - `radius`: distance from the ego along the global x and y axes up to which points are drawn, meters.
+/// - `min_actor_points`: actors with at most so many points get the shape of the template of their kind, if there is one, in
+///   all maps but color; trucks, buses, trailers and construction vehicles keep theirs.
+/// - `default_templates`: whether the built-in templates are used, besides those of the skeleton.
+/// - `rasterizer`: auto, compute, graphics or cpu (needs no driver); all give the same maps.
+/// - `device`: index, UUID, PCI address or part of the name; by default `PSKEL_DEVICE`, else the fastest.
+/// - `log`: name of the log whose actors are rendered, by default the first one of the skeleton.
+///
+/// Raises `ValueError` for invalid options, `RenderError` without a suitable device.
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Renderer {
     device: Mutex<Device>,
@@ -58,10 +72,6 @@ pub(crate) struct Renderer {
 
 #[pymethods]
 impl Renderer {
-    /// Opens a device and uploads the points of a skeleton. `size` and `out_size` are (height, width) in pixels. Assets of at
-    /// most `min_actor_points` points are replaced by templates in all maps but color; without `default_templates` only
-    /// by those of the skeleton. Raises
-    /// `ValueError` for invalid options, `RenderError` without a suitable device.
     #[new]
     #[pyo3(signature = (skeleton, *, size=None, out_size=None, maps=None, splat=None, radius=100.0, min_actor_points=20_000, default_templates=true, rasterizer="auto", device=None, log=None))]
     #[allow(clippy::too_many_arguments)] // keyword arguments of Python
@@ -127,7 +137,7 @@ impl Renderer {
     /// Renders the maps of a scene: a dictionary of arrays over all cameras. Raises `RenderError`, and `ValueError` for a
     /// scene of another log.
     fn render<'py>(&self, py: Python<'py>, scene: &Scene) -> PyResult<Bound<'py, PyDict>> {
-        let scene = self.checked(scene)?;
+        let scene = scene.checked(&self.log)?;
         let call = || {
             let render = |renderer: &mut Borrowing<'_>| renderer.render(&scene).map_err(raise);
             self.with(None, render)
@@ -136,6 +146,7 @@ impl Renderer {
     }
 
     /// Renders the maps of scenes in order. The device renders a scene while Python uses the maps of the previous one.
+    /// After another call of this renderer, the iterator raises `RuntimeError`.
     fn render_all(slf: Bound<'_, Self>, scenes: &Bound<'_, PyAny>) -> PyResult<Frames> {
         let scenes = scenes.try_iter()?.unbind();
         let (py, renderer) = (slf.py(), slf.get());
@@ -161,10 +172,10 @@ impl Renderer {
         })
     }
 
-    fn __enter__(slf: PyRef<'_, Self>) -> PyResult<PyRef<'_, Self>> {
-        slf.check_process()?;
-        let is_closed = slf.lock().owned.is_none();
-        if is_closed { Err(PyRuntimeError::new_err(CLOSED)) } else { Ok(slf) }
+    fn __enter__(slf: Bound<'_, Self>) -> PyResult<Bound<'_, Self>> {
+        let renderer = slf.get();
+        detached(slf.py(), || renderer.check_open())?;
+        Ok(slf)
     }
 
     #[pyo3(signature = (*_exception))]
@@ -195,15 +206,9 @@ impl Renderer {
         )))
     }
 
-    /// Checks that a scene is of the log of the skeleton, or of none: its coordinates and actors are those of its log.
-    fn checked(&self, scene: &Scene) -> PyResult<Arc<SceneState>> {
-        match scene.log.as_deref().filter(|log| *log != self.log) {
-            Some(log) => Err(PyValueError::new_err(format!(
-                "expected a scene of log {}, found one of {log}",
-                self.log
-            ))),
-            None => Ok(Arc::clone(&scene.inner)),
-        }
+    fn check_open(&self) -> PyResult<()> {
+        self.check_process()?;
+        if self.lock().owned.is_some() { Ok(()) } else { Err(closed()) }
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, Device> {
@@ -218,18 +223,14 @@ impl Renderer {
         call: impl FnOnce(&mut Borrowing<'_>) -> PyResult<T>,
     ) -> PyResult<(T, u64)> {
         self.check_process()?;
-        let mut device = self.lock();
-        if device.owned.is_none() {
-            return Err(PyRuntimeError::new_err(CLOSED));
-        }
-        if series.is_some_and(|series| series != device.series) {
+        let Device { owned, series: current } = &mut *self.lock();
+        let owned = owned.as_mut().ok_or_else(closed)?;
+        if series.is_some_and(|series| series != *current) {
             let message = "expected no other call of the Renderer while its frames are iterated, found one";
             return Err(PyRuntimeError::new_err(message));
         }
-        device.series += u64::from(series.is_none());
-        let series = device.series;
-        let owned = device.owned.as_mut();
-        let owned = owned.ok_or_else(|| PyRuntimeError::new_err(CLOSED))?;
+        *current += u64::from(series.is_none());
+        let series = *current;
         owned.with_dependent_mut(|_, renderer| call(renderer)).map(|value| (value, series))
     }
 }
@@ -255,7 +256,7 @@ impl Frames {
         while in_flight < IN_FLIGHT {
             let Some(scene) = self.scenes.bind(py).clone().next() else { break };
             let scene = scene?;
-            let scene = renderer.checked(scene.cast::<Scene>()?.get())?;
+            let scene = scene.cast::<Scene>()?.get().checked(&renderer.log)?;
             let begin = |renderer: &mut Borrowing<'_>| {
                 renderer.begin(&scene).map_err(raise)?;
                 Ok(renderer.in_flight())
@@ -277,6 +278,10 @@ fn discard(renderer: &mut Borrowing<'_>) -> PyResult<()> {
         renderer.finish().map_err(raise)?;
     }
     Ok(())
+}
+
+fn closed() -> PyErr {
+    PyRuntimeError::new_err("expected an open Renderer, found a closed one")
 }
 
 /// Reads map names.

@@ -14,6 +14,10 @@ use crate::arrays::{Numbers, Size, intrinsics, matrix, pose, rows, shaped, stack
 use crate::error::invalid;
 
 /// Camera of a scene, mounted on the ego: a pinhole.
+///
+/// `intrinsics` `[3, 3]` in pixels, `size` (height, width) in pixels, `ego_from_camera` `[4, 4]` in meters (camera axes: x
+/// right, y down, z forward). Raises `ValueError` for singular intrinsics, focal lengths that are not positive, and
+/// transforms that are not rigid.
 #[pyclass(frozen, module = "pskel")]
 #[derive(Clone)]
 pub(crate) struct Camera {
@@ -23,23 +27,14 @@ pub(crate) struct Camera {
 
 #[pymethods]
 impl Camera {
-    /// Creates a camera: `intrinsics` `[3, 3]` in pixels, `size` (height, width) in pixels, `ego_from_camera` `[4, 4]` in
-    /// meters (camera axes: x right, y down, z forward). Raises `ValueError` for singular intrinsics and transforms that
-    /// are not rigid.
     #[new]
     fn new(name: &str, intrinsics: Numbers<'_>, size: Size, ego_from_camera: Numbers<'_>) -> PyResult<Self> {
+        let Size(size) = size;
         let k = shaped("intrinsics", &intrinsics, &[3, 3])?;
         let name: FileName = name.parse().map_err(invalid)?;
-        let camera = geometry::Camera::new(
-            name,
-            size.0.width,
-            size.0.height,
-            self::intrinsics(|row, column| k[[row, column]]),
-        );
-        Ok(Self {
-            camera: camera.map_err(invalid)?,
-            ego_from_camera: pose("ego_from_camera", &ego_from_camera)?,
-        })
+        let k = self::intrinsics(|row, column| k[[row, column]]);
+        let camera = geometry::Camera::new(name, size.width, size.height, k).map_err(invalid)?;
+        Ok(Self { camera, ego_from_camera: pose("ego_from_camera", &ego_from_camera)? })
     }
 
     /// Name.
@@ -50,6 +45,10 @@ impl Camera {
 }
 
 /// Actor of a scene: a box, with the points of its track in the skeleton or a template.
+///
+/// `category` as in nuScenes (`vehicle.car`, `human.pedestrian.adult` ..; any other is of class 4, without a template and a
+/// drawn box), `size` (length, width, height) in meters, `global_from_box` `[4, 4]` in meters (x forward, y left, z up,
+/// origin at the center). Raises `ValueError` for sizes that are not positive and transforms that are not rigid.
 #[pyclass(frozen, module = "pskel")]
 #[derive(Clone)]
 pub(crate) struct Actor {
@@ -58,9 +57,6 @@ pub(crate) struct Actor {
 
 #[pymethods]
 impl Actor {
-    /// Creates an actor: `category` as in nuScenes (`vehicle.car`, `human.pedestrian.adult` ..), `size` (length, width,
-    /// height) in meters, `global_from_box` `[4, 4]` in meters (x forward, y left, z up, origin at the center). Raises
-    /// `ValueError` for sizes that are not positive and transforms that are not rigid.
     #[new]
     fn new(track: String, category: String, size: [f64; 3], global_from_box: Numbers<'_>) -> PyResult<Self> {
         let cuboid =
@@ -99,6 +95,9 @@ impl Actor {
 }
 
 /// State of a scene at one instant: ego pose, cameras and actors. Immutable; methods return changed copies.
+///
+/// A new scene has no HD map. `ego` is `global_from_ego` `[4, 4]` in meters, `name` the folder name of its maps, `t_us` its
+/// time in microseconds. Raises `ValueError` if the name of a camera or a track occurs twice.
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Scene {
     pub(crate) inner: Arc<SceneState>,
@@ -111,6 +110,19 @@ impl Scene {
         Self { inner: Arc::new(state), log: Some(log.name().into()) }
     }
 
+    /// Checks that the scene is of a log, or of none: its coordinates and actors are those of its log.
+    ///
+    /// # Errors
+    /// Raises `ValueError` for a scene of another log.
+    pub(crate) fn checked(&self, log: &str) -> PyResult<Arc<SceneState>> {
+        match self.log.as_deref().filter(|name| *name != log) {
+            Some(name) => {
+                Err(PyValueError::new_err(format!("expected a scene of log {log}, found one of {name}")))
+            }
+            None => Ok(Arc::clone(&self.inner)),
+        }
+    }
+
     fn with(&self, state: SceneState) -> Self {
         Self { inner: Arc::new(state), log: self.log.clone() }
     }
@@ -118,8 +130,6 @@ impl Scene {
 
 #[pymethods]
 impl Scene {
-    /// Creates a scene without an HD map: `ego` is `global_from_ego` `[4, 4]` in meters. Raises `ValueError` if a name or
-    /// track occurs twice.
     #[new]
     #[pyo3(signature = (ego, cameras, actors=Vec::new(), *, name="000000", t_us=0))]
     fn from_parts(
@@ -200,7 +210,7 @@ impl Scene {
         stack(py, self.inner.cameras.iter().map(|camera| rows(&camera.view.camera_from_world)).collect())
     }
 
-    /// Actors; actor `i` has number `i + 1` in the instance map.
+    /// Actors, sorted by track; actor `i` has number `i + 1` in the instance map.
     #[getter]
     fn actors(&self) -> Vec<Actor> {
         self.inner.actors.iter().map(|actor| Actor { inner: actor.clone() }).collect()

@@ -9,7 +9,8 @@ use serde::Serialize;
 
 use crate::arrays::Numbers;
 use crate::error::{SimulationError, raise_sim};
-use crate::log::{Log, OwnedLog};
+use crate::log::Log;
+use crate::owned_log::OwnedLog;
 use crate::pool::detached;
 use crate::scene::Scene;
 use crate::time::{Committed, Forecast};
@@ -27,6 +28,19 @@ self_cell!(
 
 /// Closed-loop simulation: ego and actors move step by step. As an iterator it yields the observation of each planning
 /// step; with `ego="caller"`, call `act` before the next one.
+///
+/// - `ego`: caller, replay, straight, cosine, right_then_back or lane_change.
+/// - `actors`: replay, idm or reactive.
+/// - `steps`: number of simulation steps, at least 1.
+/// - `tracking` of plans by the ego: perfect or bicycle.
+/// - `sim_hz`, `plan_hz`: simulation and planning steps per second, the first a multiple of the second; by default 12 and 2
+///   for nuScenes, 10 and 5 for other logs.
+/// - `warmup_frames`: the first (N - 1) `sim_hz` / `plan_hz` steps follow the log.
+/// - `start_us`: start time, microseconds; by default that of the first frame.
+/// - `seed`: part of the saved state; these policies use no random numbers.
+/// - `saved`: result of `save` of a simulation with the same options, to resume it.
+///
+/// Raises `ValueError` for invalid options, `SimulationError` for a state of another simulation.
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Simulation {
     state: Mutex<State>,
@@ -40,10 +54,6 @@ struct State {
 
 #[pymethods]
 impl Simulation {
-    /// Creates a simulation at the first frame of the log, or at `start_us`. `ego`: `caller`, `replay`, `straight`,
-    /// `cosine`, `right_then_back` or `lane_change`; `actors`: `replay`, `idm` or `reactive`; `tracking` of plans:
-    /// `perfect` or `bicycle`; rates in hertz, by default those of the log's format; `saved`: result of `save`, to resume.
-    /// Raises `ValueError` for invalid options, `SimulationError` for a state of another simulation.
     #[new]
     #[pyo3(signature = (log, *, ego="caller", actors="replay", steps=100, tracking="perfect", sim_hz=None, plan_hz=None, warmup_frames=1, start_us=None, seed=0, saved=None))]
     #[allow(clippy::too_many_arguments)] // keyword arguments of Python
@@ -77,7 +87,8 @@ impl Simulation {
             ..SimOptions::default()
         };
         let saved: Option<SavedState> = saved.map(serde_json::from_str).transpose().map_err(|error| {
-            PyValueError::new_err(format!("expected a state that Simulation.save returned, found {error}"))
+            let message = "expected a state that Simulation.save returned, found another text";
+            PyValueError::new_err(format!("{message}: {error}"))
         })?;
         let (rates, log) = (log.rates(), Arc::clone(&log.inner));
         let start = || {

@@ -1,12 +1,15 @@
 """Bad input raises a clear exception: no crash, no hang."""
 
 import pickle
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pskel
@@ -41,15 +44,17 @@ def test_other_types_are_rejected() -> None:
 
 def test_cameras_are_checked() -> None:
     singular = [[0.0, 0.0, 50.0], [0.0, 100.0, 40.0], [0.0, 0.0, 1.0]]
+    turned = [[-100.0, 0.0, 50.0], [0.0, 100.0, 40.0], [0.0, 0.0, 1.0]]
     scaled = EYE * [2, 2, 2, 1]
     mirrored = EYE * [-1, 1, 1, 1]
     cases = [
-        (([singular], [EYE], (80, 100)), "focal"),
+        (([singular], [EYE], (80, 100)), "invertible intrinsics with focal lengths above 0, found fx 0, .*determinant"),
+        (([turned], [EYE], (80, 100)), "found fx -100, fy 100, determinant -10000"),
         (([K, K], [EYE], (80, 100)), "camera_from_world for each of 2 intrinsics, found 1"),
         (([K], [EYE * np.nan], (80, 100)), r"rigid transform as camera_from_world\[0\]"),
         (([K], [scaled], (80, 100)), "rigid transform"),
         (([K], [mirrored], (80, 100)), "rigid transform"),
-        (([K], [EYE], (0, 100)), "100x0|0x100|0"),
+        (([K], [EYE], (0, 100)), r"expected a height and a width of 1 to 16384 pixels, found \(0, 100\)"),
         ((K, [EYE], (80, 100)), r"expected intrinsics \[N, 3, 3\], found \[3, 3\]"),
     ]
     for arguments, message in cases:
@@ -85,9 +90,6 @@ def test_options_of_the_renderer_are_checked(skeleton: pskel.Skeleton) -> None:
         ({"splat": "1"}, "splat schedule"),
         ({"rasterizer": "opengl"}, "opengl"),
         ({"radius": -1.0}, "radius above 0"),
-        ({"out_size": (0, 5)}, r"height and a width above 0, found \(0, 5\)"),
-        ({"size": [-3, 5]}, r"height and a width above 0, found \[-3, 5\]"),
-        ({"size": 5}, "height and a width above 0, found 5"),
         ({"maps": "color"}, "sequence of map names, found 'color'"),
         ({"maps": []}, r"sequence of map names, found \[\]"),
         ({"log": "other"}, "expected a log of the skeleton"),
@@ -96,6 +98,37 @@ def test_options_of_the_renderer_are_checked(skeleton: pskel.Skeleton) -> None:
             pskel.Renderer(skeleton, **options)  # type: ignore[arg-type]
     with pytest.raises(pskel.RenderError, match="no such device"):
         pskel.Renderer(skeleton, device="no such device")
+
+
+def uses_of_a_size(log: pskel.Log, skeleton: pskel.Skeleton, size: Any) -> list[Callable[[], Any]]:
+    return [
+        lambda: log.images(log[0], size)[..., 0].shape,
+        lambda: pskel.splat(POINT, [K], [EYE], size, rasterizer="cpu")["depth"].shape,
+        lambda: pskel.Renderer(skeleton, size=size, maps=["depth"], rasterizer="cpu").render(log[0])["depth"].shape,
+        lambda: pskel.Renderer(skeleton, out_size=size, maps=["depth"], rasterizer="cpu").render(log[0])["depth"].shape,
+        lambda: pskel.Scene(EYE, [pskel.Camera("front", K, size, EYE)]).sizes,
+    ]
+
+
+@pytest.mark.parametrize("size", [(7, 12), [7, 12], np.array([7, 12]), (np.int64(7), np.uint8(12))])
+def test_any_two_integers_are_a_size(log: pskel.Log, skeleton: pskel.Skeleton, size: object) -> None:
+    found = [call() for call in uses_of_a_size(log, skeleton, size)]
+    assert found == [(6, 7, 12), (1, 7, 12), (6, 7, 12), (6, 7, 12), [(7, 12)]]
+
+
+@pytest.mark.parametrize(
+    ("size", "exception"),
+    [
+        *[(size, ValueError) for size in [(0, 12), (7, -1), (7, 16385), (7, 2**70), (7,), (7, 12, 3)]],
+        *[(size, TypeError) for size in [(7.0, 12.0), "7x12", 7, {7, 12}]],
+    ],
+)
+def test_other_sizes_are_rejected(
+    log: pskel.Log, skeleton: pskel.Skeleton, size: object, exception: type[Exception]
+) -> None:
+    for call in uses_of_a_size(log, skeleton, size):
+        with pytest.raises(exception, match="expected a height and a width of 1 to 16384 pixels, found"):
+            call()
 
 
 def test_missing_and_damaged_files_are_named(tmp_path: Path, log: pskel.Log) -> None:
@@ -139,7 +172,7 @@ def test_scenes_of_another_log_are_rejected(renderer: pskel.Renderer) -> None:
         log.images(other[0], (28, 50))
     with pytest.raises(ValueError, match=r"expected a time of the log, \d+ to \d+ us, found 5"):
         log.at(5)
-    with pytest.raises(ValueError, match="expected a state that Simulation.save returned"):
+    with pytest.raises(ValueError, match="expected a state that Simulation.save returned, found another text: missing field"):
         pskel.Simulation(log, saved="{}")
 
 
@@ -195,8 +228,8 @@ if child == 0:
     try:
         {inside}
         os._exit(7)
-    except pskel.RenderError as error:
-        print(error, flush=True)
+    except pskel.Error as error:
+        print(type(error).__name__, error, flush=True)
         os._exit(3)
 deadline = time.monotonic() + 60
 while time.monotonic() < deadline:
@@ -211,23 +244,46 @@ else:
 """
 
 
+IMAGES = "log.images(log[0], (28, 50))"
+BUILD = "pskel.build(log, 'built')"
+
+
 @pytest.mark.parametrize(
     ("before", "inside", "expected"),
     [
-        ("renderer = pskel.Renderer(skeleton)", "renderer.render(log[0])", "open a Renderer in each process"),
-        ("renderer = pskel.Renderer(skeleton)", "pskel.Renderer(skeleton)", "by spawning instead of forking"),
+        ("renderer = pskel.Renderer(skeleton)", "renderer.render(log[0])", "RenderError .* open a Renderer in each process"),
+        ("renderer = pskel.Renderer(skeleton)", "pskel.Renderer(skeleton)", "RenderError .* by spawning instead of forking"),
         ("pskel.Renderer(skeleton, rasterizer='cpu').render(log[0])", "pskel.Renderer(skeleton).render(log[0])", "exit 7"),
         ("", "pskel.Renderer(skeleton).render(log[0])", "exit 7"),
-        ("log.images(log[0], (28, 50))", "log.images(log[0], (28, 50))", "open the Log in each process"),
-        ("log.images(log[0], (28, 50))", "del log", "exit 7"),
-        ("s = pskel.Simulation(log); log.images(log[0], (28, 50)); del log", "del s", "exit 7"),
-        ("log.images(log[0], (28, 50))", "pskel.Log({town!r}).images(log[0], (28, 50))", "by spawning instead of forking"),
-        ("", "log.images(log[0], (28, 50))", "exit 7"),
+        (IMAGES, IMAGES, "RenderError .* open the Log in each process"),
+        (IMAGES, "del log", "exit 7"),
+        (f"s = pskel.Simulation(log, ego='replay'); {IMAGES}; del log", "s.step(); del s", "exit 7"),
+        (IMAGES, f"log = pskel.Log({TOWN!r}); {IMAGES}", "RenderError .* by spawning instead of forking"),
+        (IMAGES, BUILD, "RenderError .* open the Log in each process"),
+        (BUILD, BUILD, "RenderError .* open the Log in each process"),
+        (BUILD, "del log", "exit 7"),
+        ("renderer = pskel.Renderer(skeleton)", BUILD, "BuildError .* by spawning instead of forking"),
+        ("", IMAGES, "exit 7"),
     ],
 )
 def test_forks_do_not_hang(skeleton: pskel.Skeleton, run: Run, before: str, inside: str, expected: str) -> None:
-    done = run("-c", FORK.format(town=TOWN, skeleton=str(skeleton.path), before=before, inside=inside.format(town=TOWN)))
-    assert expected in done.stdout, done.stdout + done.stderr
+    done = run("-c", FORK.format(town=TOWN, skeleton=str(skeleton.path), before=before, inside=inside))
+    assert re.search(expected, done.stdout, re.DOTALL), done.stdout + done.stderr
+
+
+def test_forks_read_recorded_images(tmp_path: Path, run: Run, skeleton: pskel.Skeleton) -> None:
+    folder = str(tmp_path / "town")
+    run("-m", "pskel", "town", "--seed", "7", "--frames", "2", "--size", "113x200", "--out", folder)
+    before = f"{IMAGES}; renderer = pskel.Renderer(skeleton)"
+    log = f"nuscenes:{folder}"
+    done = run("-c", FORK.format(town=log, skeleton=str(skeleton.path), before=before, inside=f"{IMAGES}; del log"))
+    assert "exit 7" in done.stdout, done.stdout + done.stderr
+    (image, *_) = [path for path in pskel.Log(log).files if path.suffix == ".jpg"]
+    image.write_bytes(b"damaged")
+    recorded = pskel.Log(log)
+    with pytest.raises(pskel.LogError, match=image.name):
+        for scene in (recorded[0], recorded[1]):
+            recorded.images(scene, (28, 50))
 
 
 def test_logs_and_skeletons_pickle(log: pskel.Log, skeleton: pskel.Skeleton) -> None:
