@@ -244,7 +244,7 @@ class ResetAndRoll:
         forecasts: int = 1,
         sampler: str = "flow_match",
         shift: float = 3.0,
-        prediction: str = "v_prediction",
+        prediction: str | None = None,
         guidance: float = 1.0,
         seed: int = 0,
     ) -> Self: ...

@@ -17,6 +17,21 @@ use crate::time::{Committed, Forecast};
 /// The denoising loop of the generator with a function as the network: `denoise(latents, timesteps, sigmas, conditions)`
 /// receives a window of noisy latents `[F, V, C, h, w]`, their noise levels `[F]` and the conditions of the frames, and
 /// returns its prediction `[F, V, C, h, w]`.
+///
+/// - `shape`: (V, C, h, w) of the latents.
+/// - `window`: frames per call of the network, 2 to 64.
+/// - `steps`: inference steps; a multiple of `window - clean` for the strategies that roll.
+/// - `clean`: frames at the start of the window that are always clean.
+/// - `strategy`: reset_and_roll, rolling, causal or non_causal.
+/// - `history_noise`: timestep, of 1000, of the noise added to previous frames (strategy causal).
+/// - `forecasts`: number of forecasts in the window (strategy non_causal).
+/// - `sampler`: flow_match or ddim.
+/// - `shift`: shift of the noise levels towards the noise (sampler flow_match).
+/// - `prediction`: epsilon, v_prediction (default) or sample (sampler ddim).
+/// - `guidance`: scale; other than 1, the network is also called with `condition.without("layout", "action")`.
+/// - `seed`: seed of the noise.
+///
+/// Raises `ValueError` for options that do not fit.
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct ResetAndRoll {
     options: GenerateOptions,
@@ -33,12 +48,8 @@ struct State {
 
 #[pymethods]
 impl ResetAndRoll {
-    /// Creates a loop for latents of a `shape` (V, C, h, w). `strategy`: `reset_and_roll`, `rolling`, `causal` (with
-    /// `history_noise`, a timestep of 1000) or `non_causal` (with a number of `forecasts`). `sampler`: `flow_match` (with
-    /// `shift`) or `ddim` (with `prediction`: `epsilon`, `v_prediction` or `sample`). `guidance` above 1 calls the network
-    /// again with `condition.without("layout", "action")`. Raises `ValueError` for options that do not fit.
     #[new]
-    #[pyo3(signature = (denoise, shape, *, window=12, steps=36, clean=0, strategy="reset_and_roll", history_noise=0, forecasts=1, sampler="flow_match", shift=3.0, prediction="v_prediction", guidance=1.0, seed=0))]
+    #[pyo3(signature = (denoise, shape, *, window=12, steps=36, clean=0, strategy="reset_and_roll", history_noise=0, forecasts=1, sampler="flow_match", shift=3.0, prediction=None, guidance=1.0, seed=0))]
     #[allow(clippy::too_many_arguments)] // keyword arguments of Python
     fn new(
         denoise: Py<PyAny>,
@@ -51,7 +62,7 @@ impl ResetAndRoll {
         forecasts: usize,
         sampler: &str,
         shift: f64,
-        prediction: &str,
+        prediction: Option<&str>,
         guidance: f32,
         seed: u64,
     ) -> PyResult<Self> {
@@ -62,10 +73,13 @@ impl ResetAndRoll {
             "non_causal" => Strategy::NonCausal { forecasts },
             other => return Err(wrong("the strategy reset_and_roll, rolling, causal or non_causal", other)),
         };
+        if let ("flow_match", Some(found)) = (sampler, prediction) {
+            return Err(wrong("no prediction with the sampler flow_match", found));
+        }
         let sampler = match sampler {
             "flow_match" if shift.is_finite() && shift > 0.0 => SamplerOptions::FlowMatch { shift },
             "flow_match" => return Err(wrong("a shift above 0", &shift.to_string())),
-            "ddim" => SamplerOptions::Ddim { prediction: predicted(prediction)? },
+            "ddim" => SamplerOptions::Ddim { prediction: predicted(prediction.unwrap_or("v_prediction"))? },
             other => return Err(wrong("the sampler flow_match or ddim", other)),
         };
         if !guidance.is_finite() {

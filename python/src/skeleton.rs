@@ -15,6 +15,8 @@ use crate::error::raise;
 use crate::pool::detached;
 
 /// Points of a log: the static background, one asset per tracked actor, and category templates.
+///
+/// Opens the skeleton in a folder. Raises `BuildError`.
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Skeleton {
     pub(crate) inner: Arc<point_skeleton::Skeleton>,
@@ -22,7 +24,6 @@ pub(crate) struct Skeleton {
 
 #[pymethods]
 impl Skeleton {
-    /// Opens the skeleton in a folder. Raises `BuildError`.
     #[new]
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let inner = Arc::new(detached(py, || point_skeleton::Skeleton::open(&path).map_err(raise))?);
@@ -31,8 +32,9 @@ impl Skeleton {
 
     /// Writes a skeleton of your own points: `background` `[N, 6]` (global x, y, z in meters; red, green, blue of 0 to 255)
     /// or `[N, 7]` (and class); `assets` by track: category, box size (length, width, height in meters), and points in the
-    /// frame of the box. An existing skeleton is replaced. Raises `ValueError` for invalid points, `BuildError` if the
-    /// folder cannot be written.
+    /// frame of the box. `log` is its name in `logs`. The points of the background are stored in cubes, in another order;
+    /// those of an asset keep theirs. An existing skeleton is replaced. Raises `ValueError` for invalid points,
+    /// `BuildError` if the folder cannot be written.
     #[staticmethod]
     #[pyo3(signature = (path, background, assets=BTreeMap::new(), *, log="points"))]
     fn from_points(

@@ -109,6 +109,7 @@ def test_types_and_shapes_are_checked(drive: pskel.Log) -> None:
         ({"sampler": "euler"}, "expected the sampler"),
         ({"sampler": "ddim", "prediction": "x"}, "expected the prediction"),
         ({"shift": 0.0}, "a shift above 0"),
+        ({"prediction": "sample"}, "expected no prediction with the sampler flow_match, found sample"),
     ]:
         with pytest.raises(ValueError, match=message):
             pskel.ResetAndRoll(network, SHAPE, **options)  # type: ignore[arg-type]
