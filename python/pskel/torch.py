@@ -1,7 +1,8 @@
 """Datasets for PyTorch: condition tensors, images and camera parameters of clips.
 
-Worker processes open their own logs and devices, so any start method works as long as the parent has not rendered
-before it forks; start workers with ``multiprocessing_context="forkserver"`` or ``"spawn"`` if it has.
+Worker processes open their own logs and devices, so any start method works as long as the parent has opened no device
+before it forks. If it has, workers raise ``RenderError``; start them with ``multiprocessing_context="forkserver"`` or
+``"spawn"``.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ Augment = Callable[[Scene, np.random.Generator], Scene]
 
 
 class ClipSource(NamedTuple):
-    """A log, as in ``Log(..)``, and the folder of its skeleton."""
+    """A log, as the text that ``Log`` opens (not its ``Log.name``), and the folder of its skeleton."""
 
     log: str
     skeleton: str
@@ -64,7 +65,7 @@ class _Clips:
     ) -> None:
         if frames < 1 or stride < 1 or open_logs < 1:
             raise ValueError(f"expected frames, stride and open_logs of 1 or more, found {frames}, {stride}, {open_logs}")
-        known = set(inspect.signature(Renderer).parameters) - {"skeleton", "maps", "out_size"}
+        known = set(inspect.signature(Renderer).parameters) - {"skeleton", "maps", "out_size", "log"}
         if unknown := sorted(set(renderer) - known):
             raise TypeError(f"expected the options {', '.join(sorted(known))}, found {', '.join(unknown)}")
         self.sources = [ClipSource(log, os.fspath(skeleton)) for log, skeleton in sources]
@@ -76,7 +77,7 @@ class _Clips:
         self.seed = seed
         self.epoch = 0
         self._open_logs = open_logs
-        self._options = {"maps": ["tensor"], **renderer}
+        self._options = renderer
         self._opened: OrderedDict[int, _Opened] = OrderedDict()
         self._process = os.getpid()
         counts = [_frames(source) for source in self.sources]
@@ -101,9 +102,12 @@ class _Clips:
         if opened is None:
             while len(self._opened) >= self._open_logs:
                 self._opened.popitem(last=False)[1].renderer.close()
-            log, skeleton = self.sources[source]
-            renderer = Renderer(Skeleton(skeleton), out_size=self.out_size, **self._options)
-            opened = _Opened(Log(log), renderer)
+            text, skeleton = self.sources[source]
+            log = Log(text)
+            renderer = Renderer(
+                Skeleton(skeleton), out_size=self.out_size, maps=["tensor"], log=log.name, **self._options
+            )
+            opened = _Opened(log, renderer)
         self._opened[source] = opened
         return opened
 
@@ -134,10 +138,11 @@ class _Clips:
 
 
 def _frames(source: ClipSource) -> int:
-    """Number of key frames of a log, which must be one of its skeleton."""
+    """Number of key frames of a log, which must be one of those of its skeleton."""
     log, skeleton = Log(source.log), Skeleton(source.skeleton)
     if log.name not in skeleton.logs:
-        raise ValueError(f"expected a skeleton of log {log.name}, found one of {', '.join(skeleton.logs)}: {source.skeleton}")
+        found = ", ".join(skeleton.logs)
+        raise ValueError(f"expected a skeleton of log {log.name}, found one of {found}: {source.skeleton}")
     return len(log)
 
 
@@ -153,8 +158,8 @@ def _scaled(scene: Scene, size: Sequence[int]) -> np.ndarray[Any, np.dtype[np.fl
 class ConditionDataset(_Clips, Dataset[dict[str, torch.Tensor]]):
     """Clips of logs as a map-style dataset.
 
-    ``sources`` are pairs of a log, as in ``Log(..)``, and its skeleton's folder. An item has T = ``frames`` key frames, V cameras and
-    maps of ``out_size`` (height, width):
+    ``sources`` are pairs of a log, as the text that ``Log`` opens, and the folder of a skeleton of this log, and of others
+    too. An item has T = ``frames`` key frames, V cameras and maps of ``out_size`` (height, width):
 
     - ``points`` ``float32 [T, V, 20, H, W]`` and ``layout`` ``float32 [T, V, 6, H, W]``: the network input,
     - ``images`` ``uint8 [T, V, 3, H, W]`` (unless ``images=False``): recorded images, or rendered ones of a town,
@@ -163,7 +168,8 @@ class ConditionDataset(_Clips, Dataset[dict[str, torch.Tensor]]):
 
     Clips begin every ``stride`` frames. ``augment(scene, generator)`` changes a scene with random numbers that depend on
     ``seed``, epoch (``set_epoch``) and index only; recorded images do not follow a moved ego. Other keyword arguments are
-    those of ``pskel.Renderer``, except ``maps``.
+    those of ``pskel.Renderer``, except ``maps`` and ``log``. Raises ``ValueError`` for a skeleton of other logs, and if no log
+    is as long as a clip.
     """
 
     def __len__(self) -> int:

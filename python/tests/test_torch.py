@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pskel
 import pytest
-from conftest import TOWN
+from conftest import TOWN, Run
 
 torch = pytest.importorskip("torch")
 from pskel.torch import ConditionDataset, ConditionStream  # noqa: E402
@@ -119,7 +119,7 @@ def test_bad_options_are_rejected(sources: list[tuple[str, str]]) -> None:
     make: Callable[..., Any] = ConditionDataset
     with pytest.raises(ValueError, match="frames, stride and open_logs of 1 or more"):
         make(sources, out_size=OUT, frames=0)
-    for option in ("maps", "colour"):
+    for option in ("maps", "log", "colour"):
         with pytest.raises(TypeError, match=f"expected the options .*splat.*, found {option}"):
             make(sources, out_size=OUT, **{option: ["color"]})
     with pytest.raises(ValueError, match=r"at least 9 key frames, found logs of \[4\]"):
@@ -128,7 +128,19 @@ def test_bad_options_are_rejected(sources: list[tuple[str, str]]) -> None:
         make([("town:seed=8,frames=2,size=113x200", sources[0][1])], out_size=OUT)
 
 
-def test_a_worker_forked_after_rendering_says_so(sources: list[tuple[str, str]], run: Any) -> None:
+def test_a_skeleton_of_several_logs_is_of_each_source(tmp_path: Path, run: Run) -> None:
+    texts = ["town:seed=8,frames=2,size=113x200", "town:seed=7,frames=2,size=113x200"]
+    both = str(tmp_path / "both")
+    run("-m", "pskel", "build", texts[1], texts[0], "--out", both)
+    dataset = ConditionDataset([(text, both) for text in texts], out_size=OUT, frames=2, images=False)
+    for text, item in zip(texts, dataset, strict=True):
+        log = pskel.Log(text)
+        renderer = pskel.Renderer(pskel.Skeleton(both), out_size=OUT, maps=["tensor"], log=log.name)
+        assert item["t_us"].tolist() == log.times_us
+        np.testing.assert_array_equal(item["points"][1], renderer.render(log[1])["points"])
+
+
+def test_a_worker_forked_after_rendering_says_so(sources: list[tuple[str, str]], run: Run) -> None:
     program = f"""
 from pskel.torch import ConditionDataset
 from torch.utils.data import DataLoader
