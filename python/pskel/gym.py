@@ -42,7 +42,7 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
     """Drives the ego of a log; other road users follow the log or react.
 
     An episode starts at a random key frame of the first half of the log and has ``steps`` planning steps, ``plan_hz`` per
-    second (1, 2, 5 or 10).
+    second (1, 2, 5 or 10). A simulation step (``index`` in ``info``) is 0.1 s.
 
     Observation (ego frame: x forward, y left; meters, radians, seconds):
 
@@ -130,8 +130,10 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
         simulation = self._simulation
         if simulation is None:
             raise RuntimeError("expected a reset before this step, found none")
-        before = simulation.metrics["progress_m"]
         chosen = np.asarray(action, np.float64)
+        if chosen.shape != self.action_space.shape:
+            raise ValueError(f"expected an action {list(self.action_space.shape or ())}, found {list(chosen.shape)}")
+        before = simulation.metrics["progress_m"]
         if self._controls:
             simulation.act(_driven(chosen, self._seen["ego"]["v"], self._seen["plan_dt"]))
         else:

@@ -68,6 +68,9 @@ def test_driving_along_the_route_is_rewarded(options: dict[str, Any], action: st
     assert info["metrics"]["collisions"] == []
     with pytest.raises(RuntimeError, match="expected a reset"):
         env.unwrapped.step(chosen)
+    env.reset()
+    with pytest.raises(ValueError, match=rf"expected an action \[{', '.join(map(str, chosen.shape))}\], found \[5\]"):
+        env.unwrapped.step(np.zeros(5, np.float32))
 
 
 def test_bad_options_are_rejected(options: dict[str, Any]) -> None:
