@@ -22,8 +22,7 @@ impl Export {
     /// Parses the arguments of `pskel export` and lists the shards. Raises `ValueError` for invalid arguments.
     #[new]
     fn new(py: Python<'_>, args: Vec<OsString>) -> PyResult<Self> {
-        let command =
-            ExportCommand::parse(args).map_err(|error| invalid(without_usage(&error.to_string())))?;
+        let command = ExportCommand::parse(args).map_err(|error| invalid(reason(&error.to_string())))?;
         let listed = detached(py, || command.list().map_err(failed))?;
         Ok(Self { command, listed })
     }
@@ -97,8 +96,8 @@ impl ExportProgress for Callback {
     }
 }
 
-/// Returns the first paragraph of the message of a wrong argument, without the usage of the command.
-fn without_usage(message: &str) -> &str {
+/// Returns the first paragraph of the message of a wrong argument, without the usage of the command, in one line.
+fn reason(message: &str) -> String {
     let message = message.strip_prefix("error: ").unwrap_or(message);
-    message.split("\n\n").next().unwrap_or(message)
+    message.lines().map(str::trim).take_while(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
 }
