@@ -29,8 +29,9 @@ class _Bars:
 def build(log: Log, out: str | PathLike[str], *, resume: bool = False, progress: bool = False) -> Skeleton:
     """Build a skeleton from all frames of a log and write it to a folder; an existing skeleton is replaced.
 
-    ``progress=True`` shows progress bars if tqdm is installed. Ctrl-C stops the build; ``resume=True`` continues an
-    unfinished build of the same log. Raises ``BuildError``.
+    ``progress=True`` shows progress bars if tqdm is installed. Ctrl-C stops the build. ``resume=True`` continues an
+    unfinished build of the same log from its last checkpoint, which is written every 20 frames; without one, it begins
+    again. Raises ``BuildError``, and ``RenderError`` in the fork of a process that has rendered images of the log.
     """
     bars = None
     if progress:

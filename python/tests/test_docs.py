@@ -1,10 +1,13 @@
-"""The examples of docs/PYTHON.md are one program that runs."""
+"""The examples of docs/PYTHON.md are one program that runs; classes document their parameters."""
 
 import importlib.util
+import inspect
 import re
 import textwrap
 from pathlib import Path
 
+import pskel
+import pytest
 from conftest import Run
 
 PAGE = Path(__file__).parents[2] / "docs" / "PYTHON.md"
@@ -12,12 +15,20 @@ PAGE = Path(__file__).parents[2] / "docs" / "PYTHON.md"
 
 def test_the_examples_run_in_order(tmp_path: Path, run: Run) -> None:
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    if importlib.util.find_spec("torch") is None:
-        blocks = [block for block in blocks if "torch" not in block]
-    assert len(blocks) >= 6
+    assert len(blocks) == 6
+    missing = [package for package in ("torch", "gymnasium") if importlib.util.find_spec(package) is None]
+    blocks = [block for block in blocks if not any(re.search(rf"(import|from) {package}", block) for package in missing)]
     program = tmp_path / "page.py"
     body = textwrap.indent("\n".join(blocks), "    ")
     program.write_text(f'import os\n\nif __name__ == "__main__":\n    os.chdir({str(tmp_path)!r})\n{body}')
     done = run(str(program), check=False)
     assert done.returncode == 0, done.stderr
     assert "(6, 56, 100, 3) float32" in done.stdout and "10.0\n" in done.stdout, done.stdout
+
+
+@pytest.mark.parametrize("kind", [pskel.Renderer, pskel.ResetAndRoll, pskel.Simulation, pskel.Scene])
+def test_classes_document_their_options(kind: type) -> None:
+    parameters = inspect.signature(kind).parameters.values()
+    names = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+    missing = [name for name in names if f"`{name}`" not in (kind.__doc__ or "")]
+    assert names and not missing
