@@ -52,7 +52,7 @@ impl Export {
         detached(py, || self.command.write_index(&self.listed, &folder).map_err(failed))
     }
 
-    /// Writes the shards with these names, by default all, and returns a report as JSON. `progress` has the methods
+    /// Writes the shards with these names, by default all and their index, and returns a report as JSON. `progress` has the methods
     /// `frame(shard)` and `skip(frames)`. Raises `Error` if the folder cannot be written. Ctrl-C stops the export.
     #[pyo3(signature = (shards=None, *, progress=None))]
     fn run(
@@ -67,6 +67,7 @@ impl Export {
             if let Some(shards) = &shards {
                 listed.part = listed.part.only(|unit| shards.contains(&unit.name));
                 listed.failures.clear();
+                listed.list = None;
             }
             let report = self.command.run(&listed, &callback);
             match callback.raised() {

@@ -16,7 +16,6 @@ import pytest
 from conftest import TOWN
 
 
-
 @pytest.fixture(scope="module")
 def skeletons(skeleton: pskel.Skeleton, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the skeleton of the town under its name in exports."""
@@ -55,6 +54,23 @@ def test_shards_are_what_webdataset_reads(tmp_path: Path, skeletons: Path, rende
             assert sample[f"image.{info['name'].lower()}.jpg"].shape == (56, 100, 3)
         cameras = sample["json"]["cameras"]
         np.testing.assert_allclose([c["camera_from_global"] for c in cameras], scene.camera_from_global, rtol=1e-12)
+
+
+def test_given_shards_have_no_index_of_their_own(tmp_path: Path, skeletons: Path) -> None:
+    """A task that writes the shards of one log does not know those of the others."""
+    from pskel._pskel import Export
+
+    options = ["--layout=webdataset", "--shard-frames=2", "--out-size=56x100", f"--skeletons={skeletons}"]
+    job = Export([TOWN, *options, f"--out={tmp_path}"])
+    names = [name for name, _, _, _ in job.shards]
+    job.run(names)
+    assert not (tmp_path / "index.json").exists()
+    assert job.write_index(tmp_path)
+    index = json.loads((tmp_path / "index.json").read_text())
+    assert [entry["url"] for entry in index["shardlist"]] == [f"{name}.tar" for name in names]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        ["export.json", "index.json", "shards", *(f"{name}.tar" for name in names)]
+    )
 
 
 def test_safetensors_in_shards_equal_rendered_maps(

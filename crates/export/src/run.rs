@@ -52,8 +52,8 @@ impl ExportProgress for () {
 /// An export to be run.
 #[derive(Clone, Copy)]
 pub struct Export<'a> {
-    /// All units of the export, for its index.
-    pub list: &'a WorkList,
+    /// All units of the export, for its index. Without them no index is written.
+    pub list: Option<&'a WorkList>,
     /// Units to write.
     pub part: &'a WorkList,
     /// Folder to write.
@@ -105,9 +105,8 @@ pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
     let mut total = ExportReport::default();
     let reports = reports.into_inner().unwrap_or_else(PoisonError::into_inner);
     reports.into_values().for_each(|report| total.add(report));
-    total.complete = write_index(run.list, run.out, run.options.layout, Completeness::Files)?;
-    if total.complete {
-        remove_work(run.out); // otherwise other processes may still begin shards
+    if let Some(list) = run.list {
+        total.complete = write_index(list, run.out, run.options.layout, Completeness::Files)?;
     }
     Ok(total)
 }
@@ -187,7 +186,10 @@ pub fn write_index(
     });
     match write_json(&out.join(INDEX), &index) {
         // Another process writes the same bytes.
-        Ok(()) | Err(FileError::Busy { .. }) => Ok(true),
+        Ok(()) | Err(FileError::Busy { .. }) => {
+            remove_work(out); // before, other processes may still begin shards
+            Ok(true)
+        }
         Err(error) => Err(error),
     }
 }

@@ -135,7 +135,7 @@ fn run(folder: &Path, name: &str, layout: Layout, maps: MapSet) {
         captions: Default::default(),
     };
     let report = export(Export {
-        list: &list,
+        list: Some(&list),
         part: &list,
         out: &folder.join(name),
         skeletons: &folder.join("skeletons"),

@@ -126,8 +126,8 @@ struct Standalone {
 /// Shards of an export.
 #[derive(Clone, Debug)]
 pub struct ListedExport {
-    /// All shards.
-    pub list: WorkList,
+    /// All shards, for the index. Without them no index is written.
+    pub list: Option<WorkList>,
     /// Shards to write: those of `--only`.
     pub part: WorkList,
     /// Logs that cannot be opened.
@@ -165,7 +165,7 @@ impl ExportCommand {
         let frames = args.frames.map(FrameRange::of_any);
         let list = WorkList::new(known, args.shard_frames as usize, frames)?;
         let part = args.only.map_or_else(|| list.clone(), |part| list.part(part));
-        Ok(ListedExport { list, part, failures })
+        Ok(ListedExport { list: Some(list), part, failures })
     }
 
     /// Exports the shards of a part. The report includes the logs that could not be listed.
@@ -175,7 +175,7 @@ impl ExportCommand {
     pub fn run(&self, listed: &ListedExport, progress: &dyn ExportProgress) -> anyhow::Result<ExportReport> {
         let args = &self.args;
         let mut report = export(Export {
-            list: &listed.list,
+            list: listed.list.as_ref(),
             part: &listed.part,
             out: &args.out,
             skeletons: &args.skeletons,
@@ -196,7 +196,8 @@ impl ExportCommand {
     /// # Errors
     /// Fails if the file cannot be written.
     pub fn write_index(&self, listed: &ListedExport, folder: &Path) -> anyhow::Result<bool> {
-        Ok(write_index(&listed.list, folder, self.args.layout, Completeness::Record)?)
+        let Some(list) = &listed.list else { return Ok(false) };
+        Ok(write_index(list, folder, self.args.layout, Completeness::Record)?)
     }
 }
 
