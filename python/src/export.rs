@@ -52,8 +52,8 @@ impl Export {
         detached(py, || self.command.write_index(&self.listed, &folder).map_err(failed))
     }
 
-    /// Writes the shards with these names, by default all and their index, and returns a report as JSON. `progress` has the methods
-    /// `frame(shard)` and `skip(frames)`. Raises `Error` if the folder cannot be written. Ctrl-C stops the export.
+    /// Writes the shards with these names, by default all and their index, and returns a report as JSON. `progress` has the
+    /// methods `frame(shard)` and `skip(frames)`. Raises `Error` if the folder cannot be written. Ctrl-C stops the export.
     #[pyo3(signature = (shards=None, *, progress=None))]
     fn run(
         &self,

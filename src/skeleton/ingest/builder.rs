@@ -50,7 +50,7 @@ impl<'a> Builder<'a> {
             if first >= stream.frames.len() {
                 continue;
             }
-            gathered = stream.run(first, |cloud| self.take_in(number, &cloud, &mut now));
+            gathered = stream.run(first, self.run.progress, |cloud| self.take_in(number, &cloud, &mut now));
             if gathered.is_err() {
                 break;
             }
@@ -77,9 +77,6 @@ impl<'a> Builder<'a> {
         }
         self.since += 1;
         self.run.progress.step();
-        if self.run.progress.is_stopped() {
-            return Err(BuildError::Stopped);
-        }
         if self.since >= self.run.checkpoint_frames || self.cells.points >= MOST_POINTS {
             return self.checkpoint(now);
         }

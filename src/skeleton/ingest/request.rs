@@ -41,7 +41,7 @@ pub trait Progress: Sync {
     fn start(&self, stage: &str, steps: usize);
     /// Completes a step of the stage.
     fn step(&self);
-    /// Returns whether to stop after the last completed step.
+    /// Returns whether to stop before the next step.
     fn is_stopped(&self) -> bool {
         false
     }

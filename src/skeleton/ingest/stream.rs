@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::color;
 use super::error::BuildError;
-use super::request::BuildInput;
+use super::request::{BuildInput, Progress};
 use crate::dataset::{Dataset, Frame, ImageRecord, Recording, SweepRecord, TrackBox};
 use crate::geometry::View;
 use crate::skeleton::sweep::SweepCloud;
@@ -64,10 +64,12 @@ impl<'a> Stream<'a> {
     /// Emits the frames from index `first` on, in order. The emitted frames do not depend on `first`.
     ///
     /// # Errors
-    /// Fails if sweeps or images cannot be read. Returns any error of `emit`.
+    /// Fails if sweeps or images cannot be read, or if `progress` requests a stop, before each frame that is read. Returns any
+    /// error of `emit`.
     pub(super) fn run(
         &self,
         first: usize,
+        progress: &dyn Progress,
         mut emit: impl FnMut(FrameCloud) -> Result<(), BuildError>,
     ) -> Result<(), BuildError> {
         let [color, hide] = self.windows();
@@ -76,6 +78,9 @@ impl<'a> Stream<'a> {
         let mut window = Window { start: first_view.saturating_sub(hide), clouds: VecDeque::new() };
         let mut views: VecDeque<(usize, Vec<ColorView>)> = VecDeque::new();
         for step in first_view..self.frames.len() + keep {
+            if progress.is_stopped() {
+                return Err(BuildError::Stopped);
+            }
             if step < self.frames.len() {
                 self.read_ahead(&mut window, step + hide)?;
                 let loaded = self.load_views(step, &window)?;

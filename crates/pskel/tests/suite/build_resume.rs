@@ -9,7 +9,7 @@ use point_skeleton::cloud::Point;
 use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Recording, Sweep, SweepRecord};
 use point_skeleton::error::FileError;
 use point_skeleton::skeleton::{
-    self, Asset, BuildError, BuildInput, BuildOptions, BuildReport, BuildRun, Skeleton,
+    self, Asset, BuildError, BuildInput, BuildOptions, BuildReport, BuildRun, Progress, Skeleton,
 };
 use serde_json::json;
 
@@ -84,6 +84,43 @@ fn wherever_a_build_breaks_it_goes_on_to_the_same_bytes() {
         }
         assert!(kept >= 2, "some builds break late: {kept}");
     }
+}
+
+/// Requests a stop after some inquiries.
+struct Stopping(AtomicUsize);
+
+impl Progress for Stopping {
+    fn start(&self, _: &str, _: usize) {}
+
+    fn step(&self) {}
+
+    fn is_stopped(&self) -> bool {
+        self.0.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| left.checked_sub(1)).is_err()
+    }
+}
+
+#[test]
+fn a_build_stops_before_the_next_frame_is_read() {
+    let (_files, drive) = made_town::read();
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("sk");
+    let options = options(0.0);
+    build(&out, &drive, &options, [100, 0]).unwrap();
+    let whole = tree(&out);
+    std::fs::remove_dir_all(&out).unwrap();
+    let stopped = |inquiries: usize, log: &dyn Dataset| {
+        let progress = Stopping(AtomicUsize::new(inquiries));
+        let run = BuildRun { checkpoint_frames: 1, progress: &progress, ..BuildRun::default() };
+        skeleton::build(&out, &[BuildInput::all(log)], &options, &|_| Ok(Vec::new()), &run)
+    };
+    let unreadable = Breaking { drive: &drive, left: AtomicUsize::new(0) };
+    assert!(matches!(stopped(0, &unreadable), Err(BuildError::Stopped)));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left");
+    // The first frame is complete after the two that follow it, which color it too.
+    let first = stopped(FRAMES.min(4), &drive).unwrap_err();
+    assert!(matches!(first, BuildError::Interrupted { frames, .. } if frames > 0), "{first:?}");
+    build(&out, &drive, &options, [2, 1]).unwrap();
+    assert!(tree(&out) == whole);
 }
 
 /// Spawns a build and kills it after some time; returns whether it was still running.

@@ -236,8 +236,8 @@ fn a_small_network_overfits_a_drive() {
     let losses: Vec<f64> = (0..150).map(|_| trainer.step().unwrap().loss).collect();
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
     let (first, last) = (mean(&losses[..5]), mean(&losses[130..]));
-    // A fresh network answers about 0: the first guess's error is 1 / 0.4², and its images are off by 0.3 to 0.8.
-    assert!((10.0..90.0).contains(&first), "{first}");
+    // Found: 40.9 and 10.4.
+    assert!((25.0..60.0).contains(&first), "{first}");
     assert!(last < first / 3.0 && last < 15.0, "{first} {last}");
     let weights = trainer.weights("pskel train").unwrap();
     assert_eq!((weights.about.steps, &weights.about.logs[..]), (150, &["made 1".to_owned()][..]));
