@@ -23,7 +23,13 @@ mod skeleton;
 mod splat;
 mod time;
 
+use mimalloc::MiMalloc;
 use pyo3::prelude::pymodule;
+
+/// As in the command: the default allocator returns the memory of every frame's maps to the system, and page faults cost more
+/// than the copy.
+#[global_allocator]
+static ALLOCATOR: MiMalloc = MiMalloc;
 
 #[pymodule]
 mod _pskel {

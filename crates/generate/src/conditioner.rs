@@ -15,6 +15,7 @@ pub struct Conditioner<'a> {
     map: Option<Arc<SceneMap>>,
     scene_clouds: &'a SceneClouds<'a>,
     options: ConditionOptions,
+    selection: SelectionOptions,
     prompt: String,
 }
 
@@ -50,7 +51,7 @@ impl<'a> Conditioner<'a> {
         prompt: &str,
     ) -> Self {
         let options = recipe.options(map.is_some());
-        Self { log, map, scene_clouds, options, prompt: prompt.to_owned() }
+        Self { log, map, scene_clouds, options, selection: recipe.selection(), prompt: prompt.to_owned() }
     }
 
     /// Adds map kinds to those that are rendered.
@@ -107,7 +108,7 @@ impl<'a> Conditioner<'a> {
         rasterizer: &mut dyn Rasterizer,
     ) -> Result<RenderedConditions, ConditionerError> {
         let state = scene_state(self.log, instant, self.map.clone());
-        let instances = self.scene_clouds.instances(&state, &SelectionOptions::default());
+        let instances = self.scene_clouds.instances(&state, &self.selection);
         let set = render(rasterizer, &instances, &state, &self.options)?;
         let conditions = FrameConditions::new(&set, &state, before, &self.prompt)?;
         Ok(RenderedConditions { state, set, conditions })

@@ -1,6 +1,7 @@
 use point_skeleton::conditions::{ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, MapKind, MapSet};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{SplatSchedule, SplatStep};
+use point_skeleton::scene::{SelectionOptions, TemplateFit};
 use serde::{Deserialize, Serialize};
 
 /// How the conditions of a network are rendered. It belongs to the weights: a network only understands maps
@@ -20,6 +21,10 @@ pub struct Recipe {
     pub color_filter: ColorFilter,
     /// Quantization of depth.
     pub bins: DepthBins,
+    /// See [`SelectionOptions::min_actor_points`].
+    pub min_actor_points: usize,
+    /// See [`SelectionOptions::template_fit`].
+    pub template_fit: TemplateFit,
 }
 
 /// Invalid recipe.
@@ -34,6 +39,7 @@ pub struct RecipeError {
 
 impl Default for Recipe {
     fn default() -> Self {
+        let SelectionOptions { min_actor_points, template_fit } = SelectionOptions::default();
         Self {
             drawn: ImageSize { height: 128, width: 224 },
             size: ImageSize { height: 64, width: 112 },
@@ -46,6 +52,8 @@ impl Default for Recipe {
             radius_m: 100.0,
             color_filter: ColorFilter::ValidArea,
             bins: DepthBins::default(),
+            min_actor_points,
+            template_fit,
         }
     }
 }
@@ -70,6 +78,11 @@ impl Recipe {
             return wrong(&format!("maps drawn at {size} or larger"), drawn.to_string());
         }
         Ok(())
+    }
+
+    /// Returns how the clouds of actors are chosen.
+    pub fn selection(&self) -> SelectionOptions {
+        SelectionOptions { min_actor_points: self.min_actor_points, template_fit: self.template_fit }
     }
 
     /// Returns the rendering options, with all maps that [`FrameConditions`](super::FrameConditions) and

@@ -97,6 +97,7 @@ impl GeneratorArgs {
         let strategy = strategy.unwrap_or(StrategyName::ResetAndRoll);
         let rolls = matches!(strategy, StrategyName::ResetAndRoll | StrategyName::Rolling);
         let is_process = matches!(name, Some(NetworkName::Process(_)));
+        let takes_recipe = is_process || matches!(name, Some(NetworkName::Fill));
         let guided = guidance.is_some_and(|scale| scale != 1.0);
         let network = "--generator";
         let process = "--generator process:..";
@@ -116,7 +117,7 @@ impl GeneratorArgs {
             ),
             ("--guide", self.guide.is_some(), guided, "--guidance other than 1"),
             ("--sampler", self.sampler.is_some(), is_process, process),
-            ("--recipe", self.recipe.is_some(), is_process, process),
+            ("--recipe", self.recipe.is_some(), takes_recipe, "--generator process:.. or fill"),
             ("--generator-timeout", self.generator_timeout.is_some(), is_process, process),
         ];
         let given = options.into_iter().filter(|(_, is_given, ..)| *is_given);

@@ -8,7 +8,7 @@ use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::{self, RasterError, RasterizerDesc};
 use point_skeleton::scene::{
-    EgoOffset, GroundTruthError, GroundTruthImages, SceneClouds, SceneMap, SceneState, SelectionOptions,
+    EgoOffset, GroundTruthError, GroundTruthImages, SceneClouds, SceneMap, SceneState,
     SubstituteOptions, frame_rate_hz, state_of_frame,
 };
 use point_skeleton::skeleton::{BuildError, Skeleton};
@@ -89,7 +89,7 @@ impl Source<'_> {
             let state = state_of_frame(log, frame, variant.offset);
             let state = state.ok_or_else(|| RecordError::Frame { frame, log: log.name.clone() })?;
             let state = SceneState { map: map.clone(), ..state };
-            let instances = clouds.instances(&state, &SelectionOptions::default());
+            let instances = clouds.instances(&state, &self.recipe.selection());
             let set = conditions::render(rasterizer.as_mut(), &instances, &state, &options)?;
             let drawn = |view: &View| options.drawn_view(view);
             let images = GroundTruthImages::new(self.dataset).of(&state, drawn, self.recipe.size, true)?;
