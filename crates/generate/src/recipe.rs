@@ -123,9 +123,14 @@ mod tests {
             let error = recipe.check().unwrap_err().to_string();
             assert!(error.contains(said), "{error}");
         }
-        let text = r#"{"bins": {"count": 64}}"#;
+        let text = r#"{"bins": {"count": 64}, "min_actor_points": 0, "template_fit": "none"}"#;
         let read: Recipe = serde_json::from_str(text).unwrap();
         assert_eq!((read.bins.count, read.bins.far_m), (64, 100.0));
+        assert_eq!(
+            read.selection(),
+            SelectionOptions { min_actor_points: 0, template_fit: TemplateFit::None }
+        );
+        assert_eq!(good.selection(), SelectionOptions::default());
         assert!(serde_json::from_str::<Recipe>(&text.replace("count", "counts")).is_err());
     }
 }

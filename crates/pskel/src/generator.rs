@@ -47,7 +47,7 @@ pub(super) struct GeneratorArgs {
     /// With process:.., the kind of its predictions [default: flow_match]
     #[arg(long, value_enum)]
     sampler: Option<SamplerName>,
-    /// With process:.., the recipe of its conditions, as JSON; missing fields are as in the built-in network
+    /// With process:.. and fill, the recipe of the conditions, as JSON; missing fields have their defaults
     #[arg(long, value_name = "F.json")]
     recipe: Option<PathBuf>,
     /// With process:.., time-out for each of its answers, seconds [default: 60]

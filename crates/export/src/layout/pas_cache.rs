@@ -36,11 +36,16 @@ impl<'a> PasCache<'a> {
     /// Returns whether another frame is nearer to an image: in nuPlan, images of 10 Hz belong to two frames of 20 Hz.
     fn is_of_other_frame(&self, image: &ImageRecord, frame: usize) -> bool {
         let frames = &self.source.log().frames;
-        let distance = |index: usize| (frames[index].t_us.abs_diff(image.t_us), index);
         let neighbors = frame.saturating_sub(1)..frames.len().min(frame + 2);
-        let has = |index: usize| frames[index].images.iter().any(|other| other.token == image.token);
-        neighbors.filter(|index| has(*index)).any(|index| distance(index) < distance(frame))
+        let has = |index: &usize| frames[*index].images.iter().any(|other| other.token == image.token);
+        let times = neighbors.filter(has).map(|index| (index, frames[index].t_us));
+        nearest(image.t_us, times).is_some_and(|nearest| nearest != frame)
     }
+}
+
+/// Returns the frame whose time is nearest, of two such frames the earlier one; times are those of frames by index.
+fn nearest(t_us: i64, times: impl Iterator<Item = (usize, i64)>) -> Option<usize> {
+    times.min_by_key(|(index, time_us)| (time_us.abs_diff(t_us), *index)).map(|(index, _)| index)
 }
 
 impl LayoutWriter for PasCache<'_> {
@@ -73,5 +78,22 @@ impl LayoutWriter for PasCache<'_> {
 
     fn finish(self: Box<Self>, _: &mut Shard) -> Result<(), ExportError> {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Each image is in the cache once, with the maps of the nearest frame.
+    #[test]
+    fn images_of_two_frames_belong_to_the_nearer_one() {
+        let of = |t_us| nearest(t_us, [(4, 1_000_000), (5, 1_050_000), (6, 1_100_000)].into_iter());
+        assert_eq!(
+            [of(999_000), of(1_024_999), of(1_025_001), of(1_090_000)].map(Option::unwrap),
+            [4, 4, 5, 6]
+        );
+        assert_eq!(of(1_075_000), Some(5), "of two equally near frames the earlier one");
+        assert_eq!(nearest(0, std::iter::empty()), None);
     }
 }

@@ -8,8 +8,8 @@ use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::{self, RasterError, RasterizerDesc};
 use point_skeleton::scene::{
-    EgoOffset, GroundTruthError, GroundTruthImages, SceneClouds, SceneMap, SceneState,
-    SubstituteOptions, frame_rate_hz, state_of_frame,
+    EgoOffset, GroundTruthError, GroundTruthImages, SceneClouds, SceneMap, SceneState, SubstituteOptions,
+    frame_rate_hz, state_of_frame,
 };
 use point_skeleton::skeleton::{BuildError, Skeleton};
 use pskel_generate::{DenoiserError, DriveFrame, DriveInfo, Recipe, TrainingClip};
