@@ -8,11 +8,11 @@
 //! the others (weighted medoid of the colors). The other views thus outvote an error in one image: a wrong occlusion,
 //! a passing car, or the sky behind a twig.
 
-use glam::{DAffine3, DMat3, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 use image::RgbImage;
 
 use super::OcclusionMap;
-use crate::geometry::{Lens, View};
+use crate::geometry::View;
 
 /// Point to be colored.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,133 +49,135 @@ impl ColorSample {
     pub(crate) const NONE: Self = Self { rgb: [0; 3], weight: 0.0 };
 }
 
-/// Corners of the axis-aligned box around points, meters.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Corners([DVec3; 8]);
-
-impl Corners {
-    /// Returns the corners for some points.
-    pub(crate) fn of(points: impl Iterator<Item = DVec3> + Clone) -> Self {
-        let min = points.clone().fold(DVec3::INFINITY, DVec3::min);
-        let max = points.fold(DVec3::NEG_INFINITY, DVec3::max);
-        let side = |corner: usize, axis: usize| if corner >> axis & 1 == 0 { min[axis] } else { max[axis] };
-        Self(std::array::from_fn(|corner| DVec3::new(side(corner, 0), side(corner, 1), side(corner, 2))))
-    }
-}
-
 /// Depths (meters) and radii of the splats in the default schedule, for an image of [`SPLAT_WIDTH`] pixels.
 const SPLATS: [(f64, f64); 2] = [(15.0, 2.0), (35.0, 1.0)];
 const SPLAT_WIDTH: f64 = 1600.0;
 /// Relative increase in distance that is equivalent to a second between sweep and image.
 const TIME_WEIGHT: f64 = 0.3;
 
+/// Number of looks that are compared with another one at a time.
+const LANES: usize = 16;
+
 impl ColorView {
-    /// Returns this view's color of a point at local meters; `None` outside the image and for an occluded point.
-    /// `dt_s` is the time between the point's sweep and the image.
-    pub(crate) fn look(&self, project: &Projector, position: DVec3, dt_s: f64) -> Option<ColorSample> {
-        let (pixel, depth_m) = project.pixel(position)?;
+    /// Returns the radii, in pixels of the image, of points in the depth ranges of [`SPLATS`] and beyond them.
+    pub(crate) fn radii(&self) -> [usize; 3] {
+        let scale = f64::from(self.image.width()) / SPLAT_WIDTH;
+        [SPLATS[0].1, SPLATS[1].1, 0.0].map(|radius| ((radius + 0.5) * scale).round() as usize)
+    }
+
+    /// Returns this view's color of a point at a pixel and a camera depth in meters; `None` if the point is occluded. `dt_s` is
+    /// the time between the point's sweep and the image.
+    #[inline(always)] // into loops that are compiled for wide vectors
+    pub(crate) fn look(
+        &self,
+        radii: [usize; 3],
+        pixel: DVec2,
+        depth_m: f64,
+        dt_s: f64,
+    ) -> Option<ColorSample> {
         if self.occlusion.as_ref().is_some_and(|map| map.hides(pixel, depth_m)) {
             return None;
         }
         let weight = 1.0 / (depth_m * (1.0 + TIME_WEIGHT * dt_s.abs()));
-        Some(ColorSample { rgb: self.mean_color(pixel, depth_m), weight: weight as f32 })
+        let range = SPLATS.iter().position(|(z, _)| depth_m <= *z).unwrap_or(SPLATS.len());
+        Some(ColorSample { rgb: self.mean_color(pixel, radii[range]), weight: weight as f32 })
     }
 
-    /// Returns the mean color over the pixels that a splat at this depth covers.
-    fn mean_color(&self, pixel: DVec2, depth_m: f64) -> [u8; 3] {
-        let splat = SPLATS.iter().find(|(z, _)| depth_m <= *z).map_or(0.0, |(_, radius)| *radius);
-        let r = ((splat + 0.5) * f64::from(self.image.width()) / SPLAT_WIDTH).round() as i64;
-        let range = |c: f64, side: u32| {
-            let c = c as i64;
-            (c - r).max(0) as usize..(c + r + 1).min(i64::from(side)) as usize
+    /// Returns the mean color over the pixels up to a radius around a pixel.
+    #[inline(always)]
+    fn mean_color(&self, pixel: DVec2, radius: usize) -> [u8; 3] {
+        let [width, height] = [self.image.width(), self.image.height()].map(|side| side as usize);
+        let (x, y) = (pixel.x as usize, pixel.y as usize);
+        let is_inside = x >= radius && y >= radius && x + radius < width && y + radius < height;
+        let levels = self.image.as_raw();
+        let first = || ((y - radius) * width + x - radius) * 3;
+        let whole = match radius {
+            1 if is_inside => square_mean::<3, 16>(levels, first(), width * 3),
+            2 if is_inside => square_mean::<5, 16>(levels, first(), width * 3),
+            3 if is_inside => square_mean::<7, 32>(levels, first(), width * 3),
+            _ => None,
         };
-        let columns = range(pixel.x, self.image.width());
-        let width = self.image.width() as usize;
-        let (mut sum, mut count) = ([0_u32; 3], 0);
-        for row in range(pixel.y, self.image.height()) {
-            let line =
-                &self.image.as_raw()[(row * width + columns.start) * 3..(row * width + columns.end) * 3];
-            for rgb in line.chunks_exact(3) {
-                (0..3).for_each(|c| sum[c] += u32::from(rgb[c]));
-            }
-            count += columns.len() as u32;
-        }
-        sum.map(|s| ((s + count / 2) / count.max(1)) as u8)
+        whole.unwrap_or_else(|| clipped_mean(levels, [width, height], [x, y], radius))
     }
+}
+
+/// Returns the mean color over a square of `SIDE` pixels, from the index of its first level and the number of levels per row.
+/// Reads `LANES` levels of each row, of which it uses the first `3 SIDE`; `None` where there are fewer.
+#[inline(always)]
+fn square_mean<const SIDE: usize, const LANES: usize>(
+    levels: &[u8],
+    first: usize,
+    row: usize,
+) -> Option<[u8; 3]> {
+    let mut sums = [0_u16; LANES];
+    for line in 0..SIDE {
+        let line: &[u8; LANES] = levels.get(first + line * row..)?.first_chunk()?;
+        sums.iter_mut().zip(line).for_each(|(sum, level)| *sum += u16::from(*level));
+    }
+    let mut sum = [0_u32; 3];
+    sums.iter().take(3 * SIDE).enumerate().for_each(|(i, level)| sum[i % 3] += u32::from(*level));
+    let count = (SIDE * SIDE) as u32;
+    Some(sum.map(|sum| ((sum + count / 2) / count) as u8))
+}
+
+/// Returns the mean color over the pixels up to a radius around a pixel, within the image.
+fn clipped_mean(levels: &[u8], [width, height]: [usize; 2], [x, y]: [usize; 2], radius: usize) -> [u8; 3] {
+    let range = |center: usize, side: usize| center.saturating_sub(radius)..(center + radius + 1).min(side);
+    let columns = range(x, width);
+    let (mut sum, mut count) = ([0_u32; 3], 0);
+    for row in range(y, height) {
+        let line = &levels[(row * width + columns.start) * 3..(row * width + columns.end) * 3];
+        for rgb in line.chunks_exact(3) {
+            (0..3).for_each(|c| sum[c] += u32::from(rgb[c]));
+        }
+        count += columns.len() as u32;
+    }
+    sum.map(|sum| ((sum + count / 2) / count.max(1)) as u8)
 }
 
 /// Returns the color of the look that agrees most with the others: the minimum weighted distance to all of them. Of
 /// equal looks the one with the larger weight wins. `None` without looks.
+#[inline(always)] // into loops that are compiled for wide vectors
 pub(crate) fn agreed_color(looks: &[ColorSample]) -> Option<[u8; 3]> {
-    let disagreement = |a: &ColorSample| -> f32 {
-        let distance = |b: &ColorSample| (0..3).map(|c| f32::from(a.rgb[c].abs_diff(b.rgb[c]))).sum::<f32>();
-        looks.iter().map(|b| b.weight * distance(b)).sum()
-    };
-    let scored = looks.iter().map(|look| (disagreement(look), look));
-    let best = scored.min_by(|(a, x), (b, y)| a.total_cmp(b).then(y.weight.total_cmp(&x.weight)));
+    let mut best: Option<(f32, &ColorSample)> = None;
+    for some in looks.chunks(LANES) {
+        let mut levels = [[0.0_f32; LANES]; 3];
+        for (lane, look) in some.iter().enumerate() {
+            (0..3).for_each(|c| levels[c][lane] = f32::from(look.rgb[c]));
+        }
+        // Each lane sums up the distances of one look in the order of all looks.
+        let mut sums = [0.0_f32; LANES];
+        for other in looks {
+            let [r, g, b] = other.rgb.map(f32::from);
+            for lane in 0..LANES {
+                let distance =
+                    (levels[0][lane] - r).abs() + (levels[1][lane] - g).abs() + (levels[2][lane] - b).abs();
+                sums[lane] += other.weight * distance;
+            }
+        }
+        for (look, sum) in some.iter().zip(sums) {
+            let is_better = best.is_none_or(|(least, best)| {
+                sum.total_cmp(&least).then(best.weight.total_cmp(&look.weight)).is_lt()
+            });
+            if is_better {
+                best = Some((sum, look));
+            }
+        }
+    }
     best.map(|(_, look)| look.rgb)
-}
-
-/// Projection of local points into a recorded image.
-pub struct Projector {
-    /// Maps to pixels times depth; with a lens, to the camera frame.
-    from_local: DAffine3,
-    /// Lens distortion and intrinsics of the image.
-    lens: Option<(Lens, DMat3)>,
-    size: DVec2,
-}
-
-/// Minimum depth of colored points, meters.
-const NEAREST_M: f64 = 0.1;
-
-impl Projector {
-    /// Creates a projector for points placed by `global_from_local`.
-    pub fn new(view: &View, global_from_local: &DAffine3) -> Self {
-        let intrinsics = view.camera.intrinsics;
-        let lens = view.camera.distortion.map(|distortion| (distortion.lens(), intrinsics));
-        let camera = if lens.is_some() { DAffine3::IDENTITY } else { DAffine3::from_mat3(intrinsics) };
-        let size = DVec2::new(f64::from(view.camera.width), f64::from(view.camera.height));
-        Self { from_local: camera * view.camera_from_world * *global_from_local, lens, size }
-    }
-
-    /// Returns whether [`Projector::pixel`] is `None` for all points within bounds; `false` if that is not certain.
-    pub(crate) fn misses(&self, bounds: &Corners) -> bool {
-        // Above rounding errors: 1e-5 at coordinates of 1e7 m and focal lengths of 1e4 pixels.
-        const MARGIN: f64 = 1e-3;
-        let corners = bounds.0.map(|corner| self.from_local.transform_point3(corner));
-        // Each distance is linear in the point, so it is negative within the bounds if it is so at all corners.
-        let beyond = |distance: &dyn Fn(DVec3) -> f64| corners.iter().all(|q| distance(*q) < -MARGIN);
-        if beyond(&|q| q.z - NEAREST_M) {
-            return true;
-        }
-        // With a lens, these are not pixels. Of points in front of the camera, a distance has the sign of the pixel's.
-        let DVec2 { x: width, y: height } = self.size;
-        self.lens.is_none()
-            && (beyond(&|q| q.x)
-                || beyond(&|q| q.y)
-                || beyond(&|q| width * q.z - q.x)
-                || beyond(&|q| height * q.z - q.y))
-    }
-
-    /// Returns pixel coordinates and camera depth in meters; `None` behind the camera and outside the image. Lens
-    /// distortion is applied, so the pixel is that of the recorded image.
-    pub fn pixel(&self, local: DVec3) -> Option<(DVec2, f64)> {
-        let q = self.from_local.transform_point3(local);
-        if q.z < NEAREST_M {
-            return None;
-        }
-        let mut pixel = DVec2::new(q.x, q.y) / q.z;
-        if let Some((lens, intrinsics)) = &self.lens {
-            pixel = (*intrinsics * lens.distort(pixel)?.extend(1.0)).truncate();
-        }
-        (pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(self.size).all()).then_some((pixel, q.z))
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::geometry::{Camera, Distortion};
+    use crate::skeleton::Projector;
+    use glam::DAffine3;
+
+    fn look_at(view: &ColorView, project: &Projector, point: DVec3) -> Option<ColorSample> {
+        let (pixel, depth_m) = project.pixel(point)?;
+        view.look(view.radii(), pixel, depth_m, 0.0)
+    }
 
     #[test]
     fn the_majority_outvotes_a_nearer_view() {
@@ -206,33 +208,10 @@ mod tests {
         // The image is colored by columns, so the color identifies the sampled column.
         let image = RgbImage::from_fn(1600, 900, |x, _| image::Rgb([(x / 10) as u8, 0, 0]));
         let view = ColorView { image, view: bent, t_us: 0, occlusion: None };
-        let look = view.look(&project[0], point, 0.0).unwrap();
+        let look = look_at(&view, &project[0], point).unwrap();
         assert!((f64::from(look.rgb[0]) - seen.x / 10.0).abs() < 1.0, "{look:?} {seen}");
         // Beyond the range where its distortion is monotonic, the lens yields no pixel, thus no ghost image.
         assert_eq!(project[0].pixel(DVec3::new(40.0, 0.0, 5.0)), None);
-    }
-
-    /// Boxes that are missed have no point with a pixel; most boxes without such points are missed.
-    #[test]
-    fn missed_bounds_have_no_pixels() {
-        let rows = [[700.0, 0.0, 800.0], [0.0, 705.0, 450.0], [0.0, 0.0, 1.0]];
-        let camera = Camera::new("c", 1600, 900, rows).unwrap();
-        let view = View { camera, camera_from_world: DAffine3::from_rotation_y(0.3) };
-        let project = Projector::new(&view, &DAffine3::IDENTITY);
-        let at = |i: i64, axis: i64| crate::hash::between(7, &[i, axis], -20.0, 20.0);
-        let (mut missed, mut empty) = (0, 0);
-        for i in 0..4000_i64 {
-            let low = DVec3::new(at(i, 0), at(i, 1), at(i, 2));
-            let size = DVec3::splat(0.2 + (i % 9) as f64);
-            let point = |n: i64| low + size * DVec3::new(at(n, 3), at(n, 4), at(n, 5)).abs() / 20.0;
-            let points: Vec<DVec3> = (0..50).map(|n| point(n * 4000 + i)).chain([low, low + size]).collect();
-            let misses = project.misses(&Corners::of(points.iter().copied()));
-            let is_empty = points.iter().all(|p| project.pixel(*p).is_none());
-            assert!(is_empty || !misses);
-            missed += usize::from(misses);
-            empty += usize::from(is_empty);
-        }
-        assert!(missed * 10 > empty * 9 && empty > 1000, "{missed} of {empty}");
     }
 
     #[test]
@@ -243,7 +222,7 @@ mod tests {
         let image = RgbImage::from_fn(1600, 40, |x, _| image::Rgb([if x < 20 { 0 } else { 70 }, 8, 9]));
         let color_view = ColorView { image, view, t_us: 0, occlusion: None };
         let project = Projector::new(&color_view.view, &DAffine3::IDENTITY);
-        let at = |x: f64, z: f64| color_view.look(&project, DVec3::new(x, 0.0, z), 0.0).map(|l| l.rgb);
+        let at = |x: f64, z: f64| look_at(&color_view, &project, DVec3::new(x, 0.0, z)).map(|l| l.rgb);
         // Pixel column 20: of 7 columns 17..=23 four are bright; far away, of 3 columns two.
         assert_eq!(at(0.0, 10.0), Some([40, 8, 9]));
         assert_eq!(at(0.0, 50.0), Some([47, 8, 9]));

@@ -15,6 +15,7 @@ mod ingest;
 mod manifest;
 mod occlusion;
 mod options;
+mod projector;
 mod split;
 mod store;
 mod sweep;
@@ -23,13 +24,14 @@ mod trajectory;
 
 pub use augment::{AugmentOptions, Augmentation, augment};
 pub use checksum::Checksum;
-pub use colorize::Projector;
 pub(crate) use colorize::{Candidate, ColorView};
 pub use from_points::{AssetPoints, GlobalPoint};
 pub use ingest::{BuildError, BuildInput, BuildRun, Progress, build, open_or_build, unfinished_frames};
 pub use manifest::{Asset, BuildReport, CategoryCounts, Chunk, Manifest, Source, Template};
 pub(crate) use occlusion::{OcclusionGrid, OcclusionMap};
 pub use options::{BuildOptions, Coloring};
+pub use projector::Projector;
+pub(crate) use projector::{Corners, Pixels, PointColumns};
 pub use split::{Part, SplitOptions, Splitter};
 pub use store::{GenerateTemplates, Skeleton, SkeletonWriter};
 pub use templates::{

@@ -47,6 +47,7 @@ impl OcclusionGrid {
         }
     }
 
+    #[inline(always)]
     fn cell(&self, pixel: DVec2) -> Option<usize> {
         let (x, y) = (pixel.x / f64::from(CELL_PX), pixel.y / f64::from(CELL_PX));
         let inside = x >= 0.0 && y >= 0.0 && x < self.columns as f64 && y < self.rows as f64;
@@ -68,6 +69,7 @@ pub(crate) struct OcclusionMap(OcclusionGrid);
 impl OcclusionMap {
     /// Returns whether a clearly nearer surface occludes a point at `pixel` and a camera depth in meters. Always
     /// `false` outside the image.
+    #[inline(always)] // into loops that are compiled for wide vectors
     pub(crate) fn hides(&self, pixel: DVec2, depth_m: f64) -> bool {
         let Some(cell) = self.0.cell(pixel) else { return false };
         let surface = self.0.inverse_depth[cell];

@@ -10,12 +10,10 @@ use pskel_eval::ablate::{AblateError, AblateOptions, Ablation, Networks, RunResu
 use pskel_network::Network;
 
 use super::choices::Choices;
+use super::log_args::{self, LogRoots};
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
-use super::{WrongUsage, log_args, logs, say};
-
-/// Cameras of synthetic towns.
-const TOWN_CAMERAS: usize = 6;
+use super::{WrongUsage, logs, say};
 
 const TABLE: Choices<Table> = Choices(&[
     ("strategies", Table::Strategies, "Generation strategies"),
@@ -26,16 +24,19 @@ const TABLE: Choices<Table> = Choices(&[
     ("seeds", Table::Seeds, "Training seeds; requires --other-seed"),
 ]);
 
-/// Compare strategies, conditions and trainings of the generator in synthetic towns, where ground truth is known
+/// Compare strategies, conditions and trainings of the generator in synthetic towns and recorded logs
 ///
-/// In each town the ego changes lanes in a closed loop, and each variant generates the same steps. Writes
+/// In each town the ego changes lanes in a closed loop; in a recorded log it follows the log, since the ground truth is known only
+/// there. Each variant generates the same steps. Writes
 /// SCENE/ROW.json and SCENE/ROW.png for each variant, then results.json, table.md and curves as SVG. Existing results
-/// are reused, so the command resumes after an interruption and accepts additional networks and towns.
+/// are reused, so the command resumes after an interruption and accepts additional networks and logs.
 #[derive(Debug, Args)]
 pub(super) struct AblateArgs {
-    /// Towns that were not used to train the networks: town:seed=904,frames=80[,..]
+    /// Logs that were not used to train the networks: town:seed=904,frames=80[,..], nuscenes:.., nuplan:.. or av2:..
     #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
     logs: Vec<LogLocator>,
+    #[command(flatten)]
+    roots: LogRoots,
     /// Weights of `pskel train` [default: those shipped with the program]
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
@@ -72,12 +73,13 @@ pub(super) struct AblateArgs {
 /// Runs the command: renders, generates, scores, writes the report.
 pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    log_args::check_towns(&args.logs)?;
+    log_args::check_once(&args.logs)?;
     args.check_tables()?;
     let rasterizer = args.rasterizer.desc()?;
-    let open = |path: &PathBuf| Network::open(path, TOWN_CAMERAS);
+    let cameras = args.cameras()?;
+    let open = |path: &PathBuf| Network::open(path, cameras);
     let networks = Networks {
-        main: Network::open_or_shipped(args.weights.as_deref(), TOWN_CAMERAS)?,
+        main: Network::open_or_shipped(args.weights.as_deref(), cameras)?,
         plain: args.plain_weights.as_ref().map(open).transpose()?,
         others: args.other_seeds.iter().map(open).collect::<Result<_, _>>()?,
     };
@@ -93,8 +95,9 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
     let mut on_result = |result: &RunResult| progress.step(&format!("{}, {}", result.scene, result.row));
     for locator in &args.logs {
         let context = || format!("log {locator}");
-        let town = logs::open_town(locator).with_context(context)?;
-        study.add_scene(&town.recording(), &town, &rasterizer, &mut on_result).with_context(context)?;
+        let opened = logs::open_recording(&args.roots.locate(locator));
+        let (name, dataset) = opened.with_context(context)?;
+        study.add_scene(&name, dataset.as_ref(), &rasterizer, &mut on_result).with_context(context)?;
     }
     drop(progress);
     say(study.finish()?.table().trim_end());
@@ -104,6 +107,14 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
 }
 
 impl AblateArgs {
+    /// Returns the number of cameras of the first log, which all logs must have.
+    fn cameras(&self) -> anyhow::Result<usize> {
+        let Some(first) = self.logs.first() else { return Ok(0) };
+        let opened = logs::open(&self.roots.locate(first));
+        let dataset = opened.with_context(|| format!("log {first}"))?;
+        Ok(dataset.log().cameras.len())
+    }
+
     /// Checks that tables which compare other weights are requested together with these weights.
     fn check_tables(&self) -> Result<(), WrongUsage> {
         let given = [

@@ -4,7 +4,7 @@
 //! [`run`] parses the arguments, runs the subcommand and converts its result into an exit code: 0 success, 1
 //! failure, 2 wrong usage. Progress and errors go to stderr, the summary line to stdout.
 
-#[cfg(all(feature = "network", feature = "town"))]
+#[cfg(feature = "network")]
 mod ablate;
 mod advice;
 mod bench;
@@ -36,7 +36,7 @@ mod terminal;
 mod threads;
 #[cfg(feature = "town")]
 mod town;
-#[cfg(all(feature = "network", feature = "town"))]
+#[cfg(feature = "network")]
 mod train;
 
 use std::ffi::OsString;
@@ -73,12 +73,12 @@ enum Command {
     Town(town::TownArgs),
     #[cfg(feature = "town")]
     Fidelity(Box<fidelity::FidelityArgs>),
-    #[cfg(all(feature = "network", feature = "town"))]
+    #[cfg(feature = "network")]
     Train(train::TrainArgs),
     #[cfg(feature = "network")]
     Generate(Box<generate::GenerateArgs>),
     Evaluate(evaluate::EvaluateArgs),
-    #[cfg(all(feature = "network", feature = "town"))]
+    #[cfg(feature = "network")]
     Ablate(ablate::AblateArgs),
 }
 
@@ -98,12 +98,12 @@ impl Command {
             Self::Town(args) => town::run(&args),
             #[cfg(feature = "town")]
             Self::Fidelity(args) => fidelity::run(&args),
-            #[cfg(all(feature = "network", feature = "town"))]
+            #[cfg(feature = "network")]
             Self::Train(args) => train::run(&args),
             #[cfg(feature = "network")]
             Self::Generate(args) => generate::run(*args),
             Self::Evaluate(args) => evaluate::run(&args),
-            #[cfg(all(feature = "network", feature = "town"))]
+            #[cfg(feature = "network")]
             Self::Ablate(args) => ablate::run(&args),
         }
     }

@@ -32,17 +32,6 @@ pub(super) fn output_folder() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().map(resolved_output)
 }
 
-/// Checks that all logs are distinct synthetic towns, for commands that need ground truth.
-#[cfg(all(feature = "network", feature = "town"))]
-pub(super) fn check_towns(logs: &[LogLocator]) -> Result<(), super::WrongUsage> {
-    use super::WrongUsage;
-    if let Some(other) = logs.iter().find(|log| log.format != pskel_town::FORMAT) {
-        let message = format!("expected logs town:.., of which the truth is known, found {other}");
-        return Err(WrongUsage(message));
-    }
-    check_once(logs)
-}
-
 /// Checks that no log is given twice.
 #[cfg(feature = "network")]
 pub(super) fn check_once(logs: &[LogLocator]) -> Result<(), super::WrongUsage> {

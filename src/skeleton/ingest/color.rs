@@ -2,9 +2,9 @@ use glam::DAffine3;
 use rayon::prelude::*;
 
 use crate::cloud::{Bounds, Point, morton_order};
-use crate::skeleton::colorize::{ColorSample, Corners, agreed_color};
+use crate::skeleton::colorize::{ColorSample, agreed_color};
 use crate::skeleton::sweep::SweepCloud;
-use crate::skeleton::{Candidate, ColorView, Coloring, Projector};
+use crate::skeleton::{Candidate, ColorView, Coloring, Corners, Pixels, PointColumns, Projector};
 
 /// Number of points per job.
 const JOB: usize = 1024;
@@ -41,34 +41,63 @@ fn color_part(points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) 
     let locals: Vec<Point> = points.iter().map(local).collect();
     let order = Bounds::of(&locals).and_then(|bounds| morton_order(&locals, &bounds));
     let Some(order) = order else {
-        points.par_chunks_mut(JOB).for_each(|job| color(job, views));
+        color_jobs(points, views);
         return;
     };
     let mut sorted: Vec<Candidate> = order.iter().map(|i| points[*i as usize]).collect();
-    sorted.par_chunks_mut(JOB).for_each(|job| color(job, views));
+    color_jobs(&mut sorted, views);
     for (i, point) in order.iter().zip(sorted) {
         points[*i as usize].rgb = point.rgb;
     }
 }
 
-/// Colors points from views, each with its projection and its time relative to the points' sweep, seconds. All points are
-/// looked at in one image before the next, of which they need a small piece.
-fn color(points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) {
-    let bounds = Corners::of(points.iter().map(|point| point.position));
-    let near: Vec<_> = views.iter().filter(|(_, project, _)| !project.misses(&bounds)).collect();
-    let mut looks = vec![ColorSample::NONE; points.len() * near.len()];
-    let mut counts = vec![0_usize; points.len()];
-    for (view, project, dt_s) in &near {
-        let rows = looks.chunks_exact_mut(near.len().max(1)).zip(&mut counts);
-        for (point, (row, count)) in points.iter().zip(rows) {
-            if let Some(look) = view.look(project, point.position, *dt_s) {
-                row[*count] = look;
-                *count += 1;
-            }
+fn color_jobs(points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) {
+    points.par_chunks_mut(JOB).for_each_init(Workspace::default, |space, job| space.color(job, views));
+}
+
+/// Buffers of a job.
+#[derive(Default)]
+struct Workspace {
+    columns: PointColumns,
+    pixels: Pixels,
+    /// Looks at each point, as many places as views.
+    looks: Vec<ColorSample>,
+    /// Number of looks at each point.
+    counts: Vec<usize>,
+}
+
+impl Workspace {
+    /// Colors points from views, each with its projection and its time relative to the points' sweep, seconds. All points are
+    /// looked at in one image before the next, of which they need a small piece.
+    fn color(&mut self, points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) {
+        let Self { columns, pixels, looks, counts } = self;
+        let positions = points.iter().map(|point| point.position);
+        let bounds = Corners::of(positions.clone());
+        columns.set(positions);
+        let near: Vec<_> = views.iter().filter(|(_, project, _)| !project.misses(&bounds)).collect();
+        let places = near.len();
+        if looks.len() < points.len() * places {
+            looks.resize(points.len() * places, ColorSample::NONE);
         }
-    }
-    for (i, (point, count)) in points.iter_mut().zip(&counts).enumerate() {
-        point.rgb = agreed_color(&looks[i * near.len()..][..*count]);
+        counts.clear();
+        counts.resize(points.len(), 0);
+        for (view, project, dt_s) in &near {
+            project.pixels(columns, pixels);
+            let radii = view.radii();
+            pulp::Arch::new().dispatch(|| {
+                for (i, pixel, depth_m) in pixels.iter() {
+                    if let Some(look) = view.look(radii, pixel, depth_m, *dt_s) {
+                        looks[i * places + counts[i]] = look;
+                        counts[i] += 1;
+                    }
+                }
+            });
+        }
+        pulp::Arch::new().dispatch(|| {
+            for (i, (point, count)) in points.iter_mut().zip(&*counts).enumerate() {
+                point.rgb = agreed_color(&looks[i * places..][..*count]);
+            }
+        });
     }
 }
 

@@ -16,10 +16,14 @@ use super::request::{BuildInput, Progress};
 use crate::dataset::{Dataset, Frame, ImageRecord, Recording, SweepRecord, TrackBox};
 use crate::geometry::View;
 use crate::skeleton::sweep::SweepCloud;
-use crate::skeleton::{BuildOptions, ColorView, OcclusionGrid, Projector, Splitter, Trajectories};
+use crate::skeleton::{
+    BuildOptions, ColorView, OcclusionGrid, Pixels, PointColumns, Projector, Splitter, Trajectories,
+};
 
 /// Number of frames whose sweeps are read at once.
 const READ_AHEAD: usize = 4;
+/// Number of points that are projected at a time.
+const BLOCK: usize = 1024;
 
 /// Reader of a log for a build.
 pub(super) struct Stream<'a> {
@@ -178,11 +182,14 @@ impl<'a> Stream<'a> {
     }
 
     fn occlude(&self, grid: &mut OcclusionGrid, view: &View, t_us: i64, cloud: &SweepCloud) {
+        let (mut columns, mut pixels) = (PointColumns::default(), Pixels::default());
         for (track, points) in cloud.parts() {
             let Some(place) = self.place(track, t_us) else { continue };
             let project = Projector::new(view, &place);
-            for (pixel, depth_m) in points.iter().filter_map(|p| project.pixel(p.position)) {
-                grid.add(pixel, depth_m);
+            for block in points.chunks(BLOCK) {
+                columns.set(block.iter().map(|point| point.position));
+                project.pixels(&columns, &mut pixels);
+                pixels.iter().for_each(|(_, pixel, depth_m)| grid.add(pixel, depth_m));
             }
         }
     }

@@ -20,7 +20,8 @@ use crate::{
     MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
 };
 
-/// Inputs shared by all variants in a log where the ego changes lanes.
+/// Inputs shared by all variants in a log. In a synthetic log, the ego changes lanes; in a recorded one, of which images exist only
+/// where cameras have been, it follows the log.
 pub(super) struct Scene {
     /// Name of the recording.
     pub(super) name: String,
@@ -55,7 +56,7 @@ pub(super) struct SceneOptions<'a> {
 }
 
 impl Scene {
-    /// Builds the skeleton if it does not exist, and simulates the ego's lane changes.
+    /// Builds the skeleton if it does not exist, and simulates the ego.
     pub(super) fn render(
         name: &str,
         dataset: &dyn Dataset,
@@ -72,7 +73,7 @@ impl Scene {
         let scenario = Scenario { log, map: map.clone(), rates: Rates::default() };
         let conditioner = Conditioner::new(log, map, &clouds, options.recipe, "")
             .with_maps(&[MapKind::Class, MapKind::Instance]);
-        let simulation = Simulation::new(&scenario, sim_options(options))?;
+        let simulation = Simulation::new(&scenario, sim_options(options, ego_of(dataset)))?;
         let drive = Drive { dataset, conditioner: &conditioner, options };
         let frames = drive.frames(simulation, rasterizer.as_mut())?;
         let classifiers = classifiers(&frames[options.references..], options.study.seed)?;
@@ -98,11 +99,19 @@ fn check_length(log: &Recording, count: usize) -> Result<(), AblateError> {
     Ok(())
 }
 
-fn sim_options(options: &SceneOptions<'_>) -> SimOptions {
+/// Returns the policy of an ego whose ground-truth images are known.
+fn ego_of(dataset: &dyn Dataset) -> EgoPolicy {
+    match GroundTruthImages::new(dataset).are_known(false, true) {
+        true => EgoPolicy::LaneChange,
+        false => EgoPolicy::Replay,
+    }
+}
+
+fn sim_options(options: &SceneOptions<'_>, ego: EgoPolicy) -> SimOptions {
     SimOptions {
         steps: usize::MAX,
         warmup_frames: options.references + 1,
-        ego: EgoPolicy::LaneChange,
+        ego,
         actors: ActorPolicy::Replay,
         ..SimOptions::default()
     }

@@ -50,7 +50,7 @@ impl Ablation {
         self.rows.len()
     }
 
-    /// Generates and scores all variants in a synthetic log. Writes `NAME/ROW.json` and `NAME/ROW.png` for each. The
+    /// Generates and scores all variants in a log. Writes `NAME/ROW.json` and `NAME/ROW.png` for each. The
     /// scene is rendered only if a result is missing; its skeleton is retained. `progress` receives each result.
     ///
     /// # Errors
