@@ -1,10 +1,21 @@
 """Building with a progress bar."""
 
+import warnings
 from os import PathLike
 from typing import Any
 
 from . import _pskel
 from ._pskel import Log, Skeleton
+
+
+def progress_bar() -> Any:
+    """Return the bar of tqdm, or warn that it is missing and return ``None``."""
+    try:
+        from tqdm.auto import tqdm
+    except ImportError:
+        warnings.warn("progress=True needs tqdm: pip install tqdm", stacklevel=3)
+        return None
+    return tqdm
 
 
 class _Bars:
@@ -29,18 +40,13 @@ class _Bars:
 def build(log: Log, out: str | PathLike[str], *, resume: bool = False, progress: bool = False) -> Skeleton:
     """Build a skeleton from all frames of a log and write it to a folder; an existing skeleton is replaced.
 
-    ``progress=True`` shows progress bars if tqdm is installed. Ctrl-C stops the build. ``resume=True`` continues an
+    ``progress=True`` shows progress bars; it needs tqdm. Ctrl-C stops the build. ``resume=True`` continues an
     unfinished build of the same log from its last checkpoint, which is written every 20 frames; without one, it begins
     again. Raises ``BuildError``, and ``RenderError`` in the fork of a process that has rendered images of the log.
     """
     bars = None
-    if progress:
-        try:
-            from tqdm.auto import tqdm
-        except ImportError:
-            pass
-        else:
-            bars = _Bars(tqdm)
+    if progress and (tqdm := progress_bar()):
+        bars = _Bars(tqdm)
     try:
         return _pskel.build(log, out, resume=resume, progress=bars)
     finally:

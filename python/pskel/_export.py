@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from os import PathLike, fspath
 from typing import Any, TypedDict
 
+from ._build import progress_bar
 from ._pskel import Export
 
 
@@ -80,20 +81,15 @@ def export(
 
     Options are those of ``pskel export``: ``out_size=(256, 448)``, ``maps=["color", "depth"]``, ``images=True``,
     ``shard_frames=64``, ``only="0/4"`` and so on. Logs and shards that fail are in the report. ``progress=True`` shows a
-    bar if tqdm is installed. Ctrl-C stops; the same call continues. Raises ``ValueError`` for invalid options, and
+    bar; it needs tqdm. Ctrl-C stops; the same call continues. Raises ``ValueError`` for invalid options, and
     ``Error`` if the folder cannot be written or holds an export with other options.
     """
     logs = [logs] if isinstance(logs, str) else list(logs)
     given = arguments({"out": out, "layout": layout, "skeletons": skeletons, **options})
     job = Export([*logs, *given])
     bar = None
-    if progress:
-        try:
-            from tqdm.auto import tqdm
-        except ImportError:
-            pass
-        else:
-            bar = _Bar(tqdm, sum(end - first for _, _, first, end in job.shards))
+    if progress and (tqdm := progress_bar()):
+        bar = _Bar(tqdm, sum(end - first for _, _, first, end in job.shards))
     try:
         report: ExportReport = json.loads(job.run(progress=bar))
         return report

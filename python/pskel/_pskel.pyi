@@ -1,7 +1,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, Generic, Protocol, Self, TypeVar, final
+from typing import Any, Generic, Protocol, Self, TypeVar, final, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ __all__ = [
     "Renderer",
     "ResetAndRoll",
     "Scene",
+    "Scenes",
     "Simulation",
     "SimulationError",
     "Skeleton",
@@ -75,7 +76,7 @@ class Scene:
         cls,
         ego: npt.ArrayLike,
         cameras: Sequence[Camera],
-        actors: Sequence[Actor] = ...,
+        actors: Sequence[Actor] | None = None,
         *,
         name: str = "000000",
         t_us: int = 0,
@@ -110,6 +111,11 @@ class Export:
     def run(self, shards: Sequence[str] | None = None, *, progress: Any | None = None) -> str: ...
 
 @final
+class Scenes:
+    def __iter__(self) -> Self: ...
+    def __next__(self) -> Scene: ...
+
+@final
 class Log:
     def __new__(cls, name: str) -> Self: ...
     @property
@@ -117,9 +123,13 @@ class Log:
     @property
     def times_us(self) -> list[int]: ...
     @property
-    def files(self) -> set[Path]: ...
+    def files(self) -> list[Path]: ...
     def __len__(self) -> int: ...
+    @overload
     def __getitem__(self, index: int, /) -> Scene: ...
+    @overload
+    def __getitem__(self, index: slice, /) -> list[Scene]: ...
+    def __iter__(self) -> Scenes: ...
     def at(self, t_us: int) -> Scene: ...
     def images(self, scene: Scene, size: Sequence[int]) -> npt.NDArray[np.uint8]: ...
 
@@ -130,7 +140,7 @@ class Skeleton:
     def from_points(
         path: str | PathLike[str],
         background: npt.ArrayLike,
-        assets: Mapping[str, tuple[str, Sequence[float], npt.ArrayLike]] = ...,
+        assets: Mapping[str, tuple[str, Sequence[float], npt.ArrayLike]] | None = None,
         *,
         log: str = "points",
     ) -> Skeleton: ...
@@ -162,7 +172,7 @@ class Renderer:
         min_actor_points: int = 20000,
         default_templates: bool = True,
         rasterizer: str = "auto",
-        device: str | None = None,
+        device: str | int | None = None,
         log: str | None = None,
     ) -> Self: ...
     def render(self, scene: Scene) -> Maps: ...
@@ -217,6 +227,8 @@ class Simulation:
     def needs_plan(self) -> bool: ...
     @property
     def done(self) -> bool: ...
+    @property
+    def is_beyond_log(self) -> bool: ...
     @property
     def metrics(self) -> dict[str, Any]: ...
     @property

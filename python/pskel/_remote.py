@@ -71,7 +71,7 @@ def _fetch_nuscenes(system: Any, root: str, rest: str, folder: Path, sensors: bo
     if sensors:
         local = folder / posixpath.basename(root)
         opened = Log(f"nuscenes:{local}{rest}")
-        below = [f"{root}/{Path(path).relative_to(local).as_posix()}" for path in sorted(opened.files)]
+        below = [f"{root}/{Path(path).relative_to(local).as_posix()}" for path in opened.files]
         _copy(system, below, base, folder)
 
 

@@ -24,6 +24,7 @@ except ImportError as error:
     raise ImportError("pskel.ray needs Ray: pip install 'pskel[ray]'") from error
 
 from . import _remote
+from ._build import progress_bar
 from ._export import ExportReport, arguments
 from ._pskel import Export
 
@@ -141,9 +142,7 @@ def _run(task: Any, work: dict[str, list[str]], limit: int, progress: bool, args
     waiting = list(work.items())[::-1]
     running: dict[Any, str] = {}
     bar = None
-    if progress:
-        from tqdm.auto import tqdm
-
+    if progress and (tqdm := progress_bar()):
         bar = tqdm(total=len(work), unit="log")
     while waiting or running:
         while waiting and len(running) < limit:

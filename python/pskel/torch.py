@@ -68,7 +68,10 @@ class _Clips:
         known = set(inspect.signature(Renderer).parameters) - {"skeleton", "maps", "out_size", "log"}
         if unknown := sorted(set(renderer) - known):
             raise TypeError(f"expected the options {', '.join(sorted(known))}, found {', '.join(unknown)}")
-        self.sources = [ClipSource(log, os.fspath(skeleton)) for log, skeleton in sources]
+        pairs = [tuple(source) if not isinstance(source, str) else (source,) for source in sources]
+        if wrong := [pair for pair in pairs if len(pair) != 2]:
+            raise TypeError(f"expected pairs of a log and the folder of its skeleton, found {wrong[0]}")
+        self.sources = [ClipSource(log, os.fspath(skeleton)) for log, skeleton in pairs]
         self.out_size = out_size
         self.frames = frames
         self.stride = stride

@@ -1,6 +1,9 @@
 //! Exceptions: `pskel.Error` and its subclasses.
 
+use point_skeleton::conditions::ConditionError;
 use point_skeleton::error::with_causes;
+use point_skeleton::gpu::GpuError;
+use point_skeleton::raster::RasterError;
 use pskel_sim::SimError;
 use pyo3::create_exception;
 use pyo3::exceptions::{PyException, PyValueError};
@@ -12,12 +15,20 @@ create_exception!(pskel, BuildError, Error, "A skeleton cannot be built or read.
 create_exception!(pskel, RenderError, Error, "Maps cannot be rendered.");
 create_exception!(pskel, SimulationError, Error, "A simulation cannot be started or continued.");
 
+/// How to avoid errors in forks.
+pub(crate) const FORKS: &str =
+    "a DataLoader takes multiprocessing_context=\"forkserver\", an AsyncVectorEnv context=\"forkserver\"";
+
 /// Converts an error of the library to the exception of its kind, with all causes in the text.
 pub(crate) fn raise(error: impl Into<point_skeleton::Error>) -> PyErr {
     use point_skeleton::Error as Core;
     let error = error.into();
-    let text = with_causes(&error).to_string();
+    let mut text = with_causes(&error).to_string();
+    if is_forked(&error) {
+        text = format!("{text}; {FORKS}");
+    }
     match error {
+        Core::Render(ConditionError::NoMap { .. }) => PyValueError::new_err(text),
         Core::Log(_) => LogError::new_err(text),
         Core::Build(_) | Core::File(_) => BuildError::new_err(text),
         Core::Render(_) | Core::Raster(_) => RenderError::new_err(text),
@@ -25,10 +36,18 @@ pub(crate) fn raise(error: impl Into<point_skeleton::Error>) -> PyErr {
     }
 }
 
+/// Returns whether an error is that of a device in a forked process.
+fn is_forked(error: &point_skeleton::Error) -> bool {
+    use point_skeleton::Error as Core;
+    let (Core::Raster(error) | Core::Render(ConditionError::Raster(error))) = error else { return false };
+    matches!(error, RasterError::Gpu(GpuError::Forked { .. }))
+}
+
 /// Converts an error of a simulation: invalid options to `ValueError`, failures to `SimulationError`.
 pub(crate) fn raise_sim(error: SimError) -> PyErr {
     let text = with_causes(&error).to_string();
     match error {
+        SimError::NoPlan { .. } => SimulationError::new_err(format!("{text}: call act before the next step")),
         SimError::Plan(_) | SimError::NotPlanned { .. } => PyValueError::new_err(text),
         error if error.is_usage() => PyValueError::new_err(text),
         _ => SimulationError::new_err(text),

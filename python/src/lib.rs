@@ -42,7 +42,7 @@ mod _pskel {
     #[pymodule_export]
     use crate::export::Export;
     #[pymodule_export]
-    use crate::log::Log;
+    use crate::log::{Log, Scenes};
     #[pymodule_export]
     use crate::renderer::{Frames, Renderer};
     #[pymodule_export]

@@ -8,8 +8,9 @@ use point_skeleton::error::with_causes;
 use point_skeleton::geometry::View;
 use point_skeleton::scene::GroundTruthImages;
 use pskel_sim::Rates;
-use pyo3::exceptions::{PyIndexError, PyValueError};
+use pyo3::exceptions::{PyIndexError, PyOverflowError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::{PyList, PySlice};
 
 use crate::arrays::Size;
 use crate::error::{LogError, RenderError, raise};
@@ -17,10 +18,11 @@ use crate::owned_log::OwnedLog;
 use crate::pool::detached;
 use crate::scene::Scene;
 
-/// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map. Its items are the scenes at key frames.
+/// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map. Its items are the scenes at key frames, by
+/// index or slice.
 ///
 /// `name` is `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. Raises `LogError`.
-#[pyclass(frozen, module = "pskel")]
+#[pyclass(frozen, sequence, module = "pskel")]
 pub(crate) struct Log {
     pub(crate) inner: Arc<OwnedLog>,
     text: String,
@@ -50,29 +52,43 @@ impl Log {
         self.inner.dataset().log().frames.iter().map(|frame| frame.t_us).collect()
     }
 
-    /// Files of sweeps and images, each once.
+    /// Files of sweeps and images, each once, sorted.
     #[getter]
-    fn files(&self) -> BTreeSet<PathBuf> {
+    fn files(&self) -> Vec<PathBuf> {
         let frames = self.inner.dataset().log().frames.iter();
         let files = frames.flat_map(|frame| {
             let images = frame.images.iter().chain(&frame.between_images).map(|image| &image.path);
             images.chain(frame.sweeps.iter().map(|sweep| &sweep.path))
         });
-        files.cloned().collect()
+        files.collect::<BTreeSet<_>>().into_iter().cloned().collect()
     }
 
     fn __len__(&self) -> usize {
         self.inner.dataset().log().frames.len()
     }
 
-    /// Returns the scene at a key frame; negative indices count from the end.
-    fn __getitem__(&self, index: isize) -> PyResult<Scene> {
+    /// Returns the scene at a key frame, or a list of those of a slice; negative indices count from the end.
+    fn __getitem__<'py>(&self, py: Python<'py>, index: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let count = self.__len__();
-        let at = if index < 0 { index.checked_add_unsigned(count) } else { Some(index) };
-        let scene = at.and_then(|at| usize::try_from(at).ok()).and_then(|at| self.inner.frame(at));
-        scene
-            .map(|state| Scene::of_log(state, &self.inner))
-            .ok_or_else(|| PyIndexError::new_err(format!("expected a frame below {count}, found {index}")))
+        if let Ok(slice) = index.cast::<PySlice>() {
+            let range = slice.indices(count as isize)?;
+            let scenes = (0..range.slicelength).map(|i| self.scene(range.start + i as isize * range.step));
+            return Ok(PyList::new(py, scenes.collect::<PyResult<Vec<_>>>()?)?.into_any());
+        }
+        let index = match index.extract::<isize>() {
+            Err(error) if error.is_instance_of::<PyOverflowError>(py) => {
+                return Err(PyIndexError::new_err(format!("expected a frame below {count}, found {index}")));
+            }
+            other => other?,
+        };
+        let at = if index < 0 { index.saturating_add_unsigned(count) } else { index };
+        let scene =
+            if at < 0 { Err(self.beyond(index)) } else { self.scene(at).map_err(|_| self.beyond(index)) };
+        Ok(Bound::new(py, scene?)?.into_any())
+    }
+
+    fn __iter__(slf: Bound<'_, Self>) -> Scenes {
+        Scenes { log: slf.unbind(), next: 0 }
     }
 
     /// Returns the scene at a time (microseconds), with interpolated ego and actors. Raises `ValueError` outside the log.
@@ -117,7 +133,37 @@ impl Log {
     }
 }
 
+/// Iterator over the scenes at key frames.
+#[pyclass(module = "pskel")]
+pub(crate) struct Scenes {
+    log: Py<Log>,
+    next: usize,
+}
+
+#[pymethods]
+impl Scenes {
+    fn __iter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        slf
+    }
+
+    fn __next__(&mut self) -> Option<Scene> {
+        let log = &self.log.get().inner;
+        let scene = log.frame(self.next).map(|state| Scene::of_log(state, log));
+        self.next += 1;
+        scene
+    }
+}
+
 impl Log {
+    fn scene(&self, index: isize) -> PyResult<Scene> {
+        let state = usize::try_from(index).ok().and_then(|index| self.inner.frame(index));
+        state.map(|state| Scene::of_log(state, &self.inner)).ok_or_else(|| self.beyond(index))
+    }
+
+    fn beyond(&self, index: isize) -> PyErr {
+        PyIndexError::new_err(format!("expected a frame below {}, found {index}", self.__len__()))
+    }
+
     /// Returns the default rates of the log's format.
     pub(crate) fn rates(&self) -> Rates {
         pskel::logs::locate(&self.text).map_or_else(|_| Rates::default(), |locator| Rates::of(locator.format))

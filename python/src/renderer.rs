@@ -9,7 +9,7 @@ use pyo3::types::{PyDict, PyIterator, PyString};
 use self_cell::self_cell;
 
 use crate::arrays::Size;
-use crate::error::{RenderError, invalid, raise};
+use crate::error::{FORKS, RenderError, invalid, raise};
 use crate::maps::dictionary;
 use crate::pool::detached;
 use crate::scene::Scene;
@@ -36,6 +36,13 @@ self_cell!(
         dependent: Borrowing,
     }
 );
+
+/// Argument that names a device.
+#[derive(FromPyObject)]
+enum DeviceName {
+    Index(u32),
+    Text(String),
+}
 
 struct Device {
     /// `None` when closed.
@@ -86,7 +93,7 @@ impl Renderer {
         min_actor_points: usize,
         default_templates: bool,
         rasterizer: &str,
-        device: Option<String>,
+        device: Option<DeviceName>,
         log: Option<String>,
     ) -> PyResult<Self> {
         let mut conditions = ConditionOptions {
@@ -105,6 +112,10 @@ impl Renderer {
             conditions.splat = splat.parse().map_err(invalid)?;
         }
         let kind = rasterizer.parse().map_err(invalid)?;
+        let device = device.map(|device| match device {
+            DeviceName::Index(index) => index.to_string(),
+            DeviceName::Text(text) => text,
+        });
         let rasterizer = RasterizerDesc { kind, device, ..RasterizerDesc::default() };
         let skeleton = Arc::clone(&skeleton.inner);
         if let Some(log) = log.as_ref().filter(|log| skeleton.manifest.times_us(log).is_none()) {
@@ -172,6 +183,10 @@ impl Renderer {
         })
     }
 
+    fn __repr__(&self) -> String {
+        format!("Renderer({:?})", self.log)
+    }
+
     fn __enter__(slf: Bound<'_, Self>) -> PyResult<Bound<'_, Self>> {
         let renderer = slf.get();
         detached(slf.py(), || renderer.check_open())?;
@@ -201,7 +216,7 @@ impl Renderer {
             return Ok(());
         }
         Err(RenderError::new_err(format!(
-            "expected the process that opened the device ({}), found its fork {here}: open a Renderer in each process",
+            "expected the process that opened the device ({}), found its fork {here}: open a Renderer in each process; {FORKS}",
             self.process
         )))
     }
@@ -290,7 +305,12 @@ fn map_set(maps: &Bound<'_, PyAny>) -> PyResult<MapSet> {
         true => Vec::new(),
         false => maps.extract()?,
     };
-    if names.is_empty() {
+    if let Some(part) = names.iter().find(|name| ["points", "layout"].contains(&name.as_str())) {
+        return Err(PyValueError::new_err(format!(
+            "expected the map tensor, of which {part} is a part, found {part}"
+        )));
+    }
+    if names.is_empty() || names.iter().any(|name| name.contains(',')) {
         let found = maps.repr()?;
         return Err(PyValueError::new_err(format!("expected a sequence of map names, found {found}")));
     }

@@ -42,6 +42,10 @@ impl Camera {
     fn name(&self) -> String {
         self.camera.name.to_string()
     }
+
+    fn __repr__(&self) -> String {
+        format!("Camera({:?}, {}x{})", self.name(), self.camera.height, self.camera.width)
+    }
 }
 
 /// Actor of a scene: a box, with the points of its track in the skeleton or a template.
@@ -94,7 +98,8 @@ impl Actor {
     }
 }
 
-/// State of a scene at one instant: ego pose, cameras and actors. Immutable; methods return changed copies.
+/// State of a scene at one instant: ego pose, cameras and actors. Immutable: methods return changed copies, and arrays are
+/// copies.
 ///
 /// A new scene has no HD map. `ego` is `global_from_ego` `[4, 4]` in meters, `name` the folder name of its maps, `t_us` its
 /// time in microseconds. Raises `ValueError` if the name of a camera or a track occurs twice.
@@ -131,15 +136,16 @@ impl Scene {
 #[pymethods]
 impl Scene {
     #[new]
-    #[pyo3(signature = (ego, cameras, actors=Vec::new(), *, name="000000", t_us=0))]
+    #[pyo3(signature = (ego, cameras, actors=None, *, name="000000", t_us=0))]
     fn from_parts(
         ego: Numbers<'_>,
         cameras: Vec<PyRef<'_, Camera>>,
-        actors: Vec<PyRef<'_, Actor>>,
+        actors: Option<Vec<PyRef<'_, Actor>>>,
         name: &str,
         t_us: i64,
     ) -> PyResult<Self> {
         let global_from_ego = pose("ego", &ego)?;
+        let actors = actors.unwrap_or_default();
         let mut actors: Vec<ActorState> = actors.iter().map(|actor| actor.inner.clone()).collect();
         actors.sort_by(|a, b| a.track.cmp(&b.track));
         if let Some(pair) = actors.windows(2).find(|pair| pair[0].track == pair[1].track) {

@@ -27,7 +27,8 @@ self_cell!(
 );
 
 /// Closed-loop simulation: ego and actors move step by step. As an iterator it yields the observation of each planning
-/// step; with `ego="caller"`, call `act` before the next one.
+/// step; with `ego="caller"`, call `act` before the next one. An ego that does not follow the log drives on after its end
+/// (`is_beyond_log`).
 ///
 /// - `ego`: caller, replay, straight, cosine, right_then_back or lane_change.
 /// - `actors`: replay, idm or reactive.
@@ -129,8 +130,8 @@ impl Simulation {
         Ok(Committed { inner: step.map(|()| scene) })
     }
 
-    /// Predicts the scenes of the next planning steps, fewer if the log ends: the ego follows the rest of its plan, the
-    /// actors their policy.
+    /// Predicts the scenes of the next planning steps: the ego follows the rest of its plan, the actors their policy. Fewer if
+    /// the log ends and the ego follows it.
     fn forecast(&self, py: Python<'_>, count: usize) -> PyResult<Vec<Forecast>> {
         let scenes = self.read(py, |simulation, log| {
             let of = |instant: &pskel_sim::Forecast<Instant>| scene(log, instant.get());
@@ -154,10 +155,19 @@ impl Simulation {
         self.read(py, |simulation, _| Ok(simulation.needs_plan()))
     }
 
-    /// Whether the simulation is over: all steps are simulated, or the log has ended.
+    /// Whether the simulation is over: all steps are simulated, or the log has ended and the ego follows it.
     #[getter]
     fn done(&self, py: Python<'_>) -> PyResult<bool> {
         self.read(py, |simulation, _| Ok(simulation.is_done()))
+    }
+
+    /// Whether the committed step is after the end of the log, where no recorded road users are left.
+    #[getter]
+    fn is_beyond_log(&self, py: Python<'_>) -> PyResult<bool> {
+        self.read(py, |simulation, log| {
+            let end_us = log.dataset().log().frames.last().map(|frame| frame.t_us);
+            Ok(end_us.is_some_and(|end_us| simulation.committed().get().t_us > end_us))
+        })
     }
 
     /// Metrics of the committed steps: collisions, distances, comfort, off-road time.
@@ -206,6 +216,12 @@ impl Simulation {
     /// is missing.
     fn step(&self, py: Python<'_>) -> PyResult<bool> {
         self.change(py, |simulation, _, _| Ok(simulation.step().map_err(raise_sim)?.is_some()))
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        self.read(py, |simulation, log| {
+            Ok(format!("Simulation({:?}, step {})", log.name(), simulation.committed().get().step))
+        })
     }
 
     /// Returns the state as text, for `Simulation(log, saved=..)` with the same options.

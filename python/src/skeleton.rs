@@ -36,12 +36,12 @@ impl Skeleton {
     /// those of an asset keep theirs. An existing skeleton is replaced. Raises `ValueError` for invalid points,
     /// `BuildError` if the folder cannot be written.
     #[staticmethod]
-    #[pyo3(signature = (path, background, assets=BTreeMap::new(), *, log="points"))]
+    #[pyo3(signature = (path, background, assets=None, *, log="points"))]
     fn from_points(
         py: Python<'_>,
         path: PathBuf,
         background: Numbers<'_>,
-        assets: BTreeMap<String, (String, [f64; 3], Numbers<'_>)>,
+        assets: Option<BTreeMap<String, (String, [f64; 3], Numbers<'_>)>>,
         log: &str,
     ) -> PyResult<Self> {
         let background = rows("background", &background, |row, point| {
@@ -61,7 +61,8 @@ impl Skeleton {
             })?;
             Ok(AssetPoints { track, category, class, size, points })
         };
-        let assets: Vec<AssetPoints> = assets.into_iter().map(asset).collect::<PyResult<_>>()?;
+        let assets: Vec<AssetPoints> =
+            assets.unwrap_or_default().into_iter().map(asset).collect::<PyResult<_>>()?;
         let log = log.to_owned();
         let write = || point_skeleton::Skeleton::from_points(&path, &log, &background, assets).map_err(raise);
         let inner = Arc::new(detached(py, write)?);

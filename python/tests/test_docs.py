@@ -2,6 +2,7 @@
 
 import importlib.util
 import inspect
+import os
 import re
 import textwrap
 from pathlib import Path
@@ -13,9 +14,23 @@ from conftest import Run
 PAGE = Path(__file__).parents[2] / "docs" / "PYTHON.md"
 
 
-def test_the_examples_run_in_order(tmp_path: Path, run: Run) -> None:
+def page() -> list[str]:
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
     assert len(blocks) == 6
+    return blocks
+
+
+def test_the_examples_are_typed(tmp_path: Path, run: Run) -> None:
+    for package in ("mypy", "torch", "gymnasium"):
+        pytest.importorskip(package)
+    program = tmp_path / "page.py"
+    program.write_text("\n".join(page()))
+    done = run("-m", "mypy", "--cache-dir", os.devnull, str(program), check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_examples_run_in_order(tmp_path: Path, run: Run) -> None:
+    blocks = page()
     missing = [package for package in ("torch", "gymnasium") if importlib.util.find_spec(package) is None]
     blocks = [block for block in blocks if not any(re.search(rf"(import|from) {package}", block) for package in missing)]
     program = tmp_path / "page.py"

@@ -92,6 +92,8 @@ def test_options_of_the_renderer_are_checked(skeleton: pskel.Skeleton) -> None:
         ({"radius": -1.0}, "radius above 0"),
         ({"maps": "color"}, "sequence of map names, found 'color'"),
         ({"maps": []}, r"sequence of map names, found \[\]"),
+        ({"maps": ["color,depth"]}, r"sequence of map names, found \['color,depth'\]"),
+        ({"maps": ["points"]}, "expected the map tensor, of which points is a part"),
         ({"log": "other"}, "expected a log of the skeleton"),
     ]:
         with pytest.raises(ValueError, match=message):

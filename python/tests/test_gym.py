@@ -35,6 +35,19 @@ def test_vector_environments_step_together(options: dict[str, Any]) -> None:
     envs.close()
 
 
+def test_environments_step_in_processes_of_their_own(options: dict[str, Any]) -> None:
+    envs = gymnasium.make_vec(
+        "pskel.gym:pskel/Drive-v0",
+        num_envs=2,
+        vectorization_mode="async",
+        vector_kwargs={"context": "forkserver"},
+        **options,
+    )
+    seen, _ = envs.reset(seed=3)
+    assert seen["images"].shape == (2, 6, 28, 50, 3)
+    envs.close()
+
+
 def test_a_seed_reproduces_an_episode(options: dict[str, Any]) -> None:
     def episode() -> list[Any]:
         env = gymnasium.make("pskel.gym:pskel/Drive-v0", **options)

@@ -167,3 +167,29 @@ def test_memory_stays_flat(log: pskel.Log, skeleton: pskel.Skeleton) -> None:
     for _ in range(int(os.environ.get("PSKEL_MEMORY_FRAMES", "400"))):
         renderer.render(scene)
     assert resident() < 1.05 * before
+
+
+def test_logs_have_scenes_by_index_slice_and_iteration(log: pskel.Log) -> None:
+    names = [scene.name for scene in log]
+    assert names == [log[i].name for i in range(len(log))] and len(set(names)) == 4
+    assert [scene.name for scene in log[1:3]] == names[1:3] and [scene.name for scene in log[::-2]] == names[::-2]
+    assert log[9:] == [] and [scene.name for scene in reversed(log)] == names[::-1]
+    for index in (4, -5, 2**70):
+        with pytest.raises(IndexError):
+            log[index]
+    assert repr(log[0]).startswith("Scene(")
+
+
+def test_a_device_is_named_by_index_too(skeleton: pskel.Skeleton) -> None:
+    with pskel.Renderer(skeleton, maps=["depth"], device=0) as renderer:
+        assert renderer.device and repr(renderer).startswith("Renderer(")
+    with pytest.raises(pskel.RenderError, match="99"):
+        pskel.Renderer(skeleton, maps=["depth"], device=99)
+
+
+def test_a_scene_without_an_hd_map_has_no_map(skeleton: pskel.Skeleton) -> None:
+    eye = np.eye(4)
+    scene = pskel.Scene(eye, [pskel.Camera("front", [[100, 0, 50], [0, 100, 40], [0, 0, 1]], (80, 100), eye)])
+    with pskel.Renderer(skeleton, maps=["map"], rasterizer="cpu") as renderer:
+        with pytest.raises(ValueError, match="expected an HD map"):
+            renderer.render(scene)

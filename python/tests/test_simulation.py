@@ -95,11 +95,11 @@ def test_bad_plans_are_rejected_and_change_nothing(drive: pskel.Log) -> None:
     ]:
         with pytest.raises(ValueError, match=message):
             simulation.act(plan, **options)  # type: ignore[arg-type]
-    with pytest.raises(pskel.SimulationError, match="expected a plan for step 0, found none"):
+    with pytest.raises(pskel.SimulationError, match="expected a plan for step 0, found none: call act"):
         simulation.step()
     assert simulation.save() == before
     simulation.act(good)
-    with pytest.raises(ValueError, match="expected a plan at a planning step"):
+    with pytest.raises(ValueError, match="expected no plan for step 0, which has one"):
         simulation.act(good)
     assert simulation.step() and simulation.index == 1
 
@@ -119,3 +119,17 @@ def test_bad_options_are_rejected(drive: pskel.Log) -> None:
     saved = pskel.Simulation(drive, ego="straight", steps=5).save()
     with pytest.raises(pskel.SimulationError, match="saved state"):
         pskel.Simulation(drive, ego="cosine", steps=5, saved=saved)
+
+
+def test_an_ego_drives_on_after_the_log(drive: pskel.Log) -> None:
+    steps = 10 + (drive.times_us[-1] - drive.times_us[0]) // 100_000
+    simulation = pskel.Simulation(drive, ego="lane_change", steps=steps)
+    beyond = []
+    while simulation.step():
+        beyond.append(simulation.is_beyond_log)
+    times = [simulation.scene.t_us > drive.times_us[-1]]
+    assert beyond == sorted(beyond) and len(beyond) == steps and beyond[-1] and not beyond[0] and all(times)
+    replayed = pskel.Simulation(drive, ego="replay", steps=300)
+    while replayed.step():
+        assert not replayed.is_beyond_log
+    assert replayed.done and replayed.index < steps

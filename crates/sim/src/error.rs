@@ -66,7 +66,9 @@ pub enum SimError {
     #[error(transparent)]
     Plan(#[from] super::peer::ProtocolError),
     /// The caller gives a plan at a step that has none.
-    #[error("expected a plan at a planning step of an ego that follows the caller, found one at step {step}")]
+    #[error(
+        "expected no plan for step {step}, which has one, is no planning step, or has an ego that does not follow the caller; found one"
+    )]
     NotPlanned {
         /// Number of the step.
         step: usize,

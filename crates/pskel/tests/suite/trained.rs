@@ -128,6 +128,12 @@ fn filled(folder: &Path) {
         "generate {TOWN} --skeleton sk --generator fill --maps color --ego-offset 0,2,5 --out filled"
     );
     assert!(succeed(folder, &fill).contains("2 frames generated"));
+    std::fs::write(folder.join("coarse.json"), r#"{"splat": "100:3"}"#).unwrap();
+    let coarse = fill.replace("--out filled", "--recipe coarse.json --out coarse");
+    assert!(succeed(folder, &coarse).contains("2 frames generated"));
+    let filled =
+        |out: &str| std::fs::read(folder.join(out).join("steps/000003/generated/CAM_FRONT.png")).unwrap();
+    assert!(filled("coarse") != filled("filled"));
     succeed(folder, "evaluate filled --out filled.json");
     let report = &json(&folder.join("filled.json"))["rollouts"][0]["scores"];
     let (psnr, seams) = (&report["psnr_db"]["mean"], &report["seams"]["4"]);
@@ -167,6 +173,19 @@ fn compared(folder: &Path) {
     succeed(folder, &ablate);
     assert_eq!(written(), before, "what is there is not made again");
     assert!(tree(&folder.join("table")) == all);
+    // In a recorded log the ego follows the log, where images of it are known.
+    let told = succeed(
+        folder,
+        &format!("ablate nuscenes:log --weights {weights} --tables forecasts --steps 2 --out recorded"),
+    );
+    assert!(
+        told.contains("4 variants in 1 scenes") && told.contains("| rolling, static forecasts |"),
+        "{told}"
+    );
+    let result =
+        tree(&folder.join("recorded")).into_keys().find(|name| name.ends_with("/rolling.json")).unwrap();
+    let result = json(&folder.join("recorded").join(result));
+    assert!(result["numbers"]["psnr_db"].as_f64() > Some(5.0), "{result}");
     let seeds = ablate.replace("--plain-weights trained/weights.safetensors", "--tables seeds");
     let told = succeed(folder, &seeds);
     assert!(
