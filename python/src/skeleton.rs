@@ -14,6 +14,9 @@ use crate::arrays::{Numbers, byte, shaped};
 use crate::error::raise;
 use crate::pool::detached;
 
+/// Category, box size (length, width, height in meters) and points of an asset.
+type AssetArrays<'py> = (String, [f64; 3], Numbers<'py>);
+
 /// Points of a log: the static background, one asset per tracked actor, and category templates.
 ///
 /// Opens the skeleton in a folder. Raises `BuildError`.
@@ -41,14 +44,14 @@ impl Skeleton {
         py: Python<'_>,
         path: PathBuf,
         background: Numbers<'_>,
-        assets: Option<BTreeMap<String, (String, [f64; 3], Numbers<'_>)>>,
+        assets: Option<BTreeMap<String, AssetArrays<'_>>>,
         log: &str,
     ) -> PyResult<Self> {
         let background = rows("background", &background, |row, point| {
             let (position, rgb, class) = values(row, point)?;
             Ok(GlobalPoint { position, rgb, class })
         })?;
-        let asset = |(track, (category, size, points)): (String, (String, [f64; 3], Numbers<'_>))| {
+        let asset = |(track, (category, size, points)): (String, AssetArrays<'_>)| {
             if !size.iter().all(|side| side.is_finite() && *side > 0.0) {
                 return Err(PyValueError::new_err(format!(
                     "expected a size above 0 of asset {track:?}, found {size:?}"
