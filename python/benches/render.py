@@ -95,6 +95,8 @@ def main() -> None:
     args = parser.parse_args()
     if (args.points and args.cameras) is None and args.skeleton is None:
         parser.error("expected LOG and SKELETON, or --points and --cameras")
+    if args.loader and args.skeleton is None:
+        parser.error("expected LOG and SKELETON with --loader")
     height, width = (int(side) for side in args.out_size.split("x"))
     maps = args.maps.split(",")
     with tempfile.TemporaryDirectory() as folder:

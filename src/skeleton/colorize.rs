@@ -188,6 +188,52 @@ mod tests {
         assert_eq!(agreed_color(&[look(200, 0.3), look(10, 0.2), look(12, 0.2)]), Some([12; 3]));
     }
 
+    /// Sums over lanes choose as sums over all other looks one by one, also of many looks and of equal ones.
+    #[test]
+    fn lanes_agree_as_single_looks_do() {
+        let naive = |looks: &[ColorSample]| {
+            let distance = |a: &ColorSample, b: &ColorSample| -> f32 {
+                (0..3).map(|c| f32::from(a.rgb[c].abs_diff(b.rgb[c]))).sum()
+            };
+            let score = |a: &ColorSample| looks.iter().map(|b| b.weight * distance(a, b)).sum::<f32>();
+            let best = |(a, x): &(f32, &ColorSample), (b, y): &(f32, &ColorSample)| {
+                a.total_cmp(b).then(y.weight.total_cmp(&x.weight))
+            };
+            looks.iter().map(|look| (score(look), look)).min_by(best).map(|(_, look)| look.rgb)
+        };
+        let number = |i: i64, axis: i64| crate::hash::between(11, &[i, axis], 0.0, 1.0);
+        for count in (0..70).chain([200]) {
+            for levels in [4.0, 256.0] {
+                let look = |i: i64| ColorSample {
+                    rgb: [0, 1, 2].map(|c| (number(count * 1000 + i, c) * levels) as u8),
+                    weight: (number(count * 1000 + i, 3) * levels).ceil() as f32 / 256.0,
+                };
+                let looks: Vec<ColorSample> = (0..count).map(look).collect();
+                assert_eq!(agreed_color(&looks), naive(&looks), "{count} looks of {levels} levels");
+            }
+        }
+    }
+
+    /// Means over whole squares are those of clipped ones, in every pixel of an image up to its last byte.
+    #[test]
+    fn means_of_squares_are_those_of_clipped_squares() {
+        let rows = [[100.0, 0.0, 20.0], [0.0, 100.0, 20.0], [0.0, 0.0, 1.0]];
+        let camera = Camera::new("c", 23, 17, rows).unwrap();
+        let level = |x: u32, y: u32, c: i64| {
+            crate::hash::between(3, &[i64::from(x), i64::from(y), c], 0.0, 256.0) as u8
+        };
+        let image = RgbImage::from_fn(23, 17, |x, y| image::Rgb([0, 1, 2].map(|c| level(x, y, c))));
+        let view = View { camera, camera_from_world: DAffine3::IDENTITY };
+        let view = ColorView { image, view, t_us: 0, occlusion: None };
+        for (x, y) in (0..17).flat_map(|y| (0..23).map(move |x| (x, y))) {
+            for radius in 0..5 {
+                let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                let clipped = clipped_mean(view.image.as_raw(), [23, 17], [x, y], radius);
+                assert_eq!(view.mean_color(pixel, radius), clipped, "radius {radius} at {x}, {y}");
+            }
+        }
+    }
+
     #[test]
     fn recorded_images_are_looked_at_through_their_lens() {
         let rows = [[700.0, 0.0, 800.0], [0.0, 705.0, 450.0], [0.0, 0.0, 1.0]];
