@@ -11,9 +11,7 @@ use std::sync::Arc;
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::{
-    CameraConditions, ColorFilter, ConditionError, ConditionOptions, ConditionSet, ImageSize, MapKind, reduce,
-};
+use super::{CameraConditions, ConditionError, ConditionOptions, ConditionSet, ImageSize, MapKind, reduce};
 use crate::geometry::{Camera, Lens, View};
 use crate::scene::SceneState;
 
@@ -44,9 +42,9 @@ impl Distorter {
     /// Creates a distorter for maps rendered with these options.
     ///
     /// # Errors
-    /// Returns an error for [`ColorFilter::ValidArea`], which needs to know which pixels are empty.
+    /// Returns an error for a color filter that needs to know which pixels are empty.
     pub fn new(options: &ConditionOptions) -> Result<Self, ConditionError> {
-        if options.color_filter == ColorFilter::ValidArea {
+        if options.color_filter.needs_depth() {
             return Err(ConditionError::DistortedArea);
         }
         Ok(Self { options: options.clone(), known: Vec::new() })

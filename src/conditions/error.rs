@@ -46,8 +46,8 @@ pub enum ConditionError {
         /// Maximum enlargement of a side.
         growth: u32,
     },
-    /// The valid-area color filter was requested for distorted maps, which do not record which pixels are empty.
-    #[error("expected bilinear color for distorted maps, found valid-area")]
+    /// A color filter that leaves empty pixels out was requested for distorted maps, which do not record which pixels are empty.
+    #[error("expected bilinear color for distorted maps, found a filter that leaves empty pixels out")]
     DistortedArea,
     /// A number exceeds the range of the file's pixels.
     #[error("expected {map} numbers of at most {max} in a PNG (EXR and NPZ hold more), found {found}: {}", path.display())]

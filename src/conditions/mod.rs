@@ -19,6 +19,7 @@ mod error;
 #[cfg(feature = "exr")]
 pub mod exr;
 mod format;
+mod hidden;
 pub mod layout;
 pub mod meta;
 pub mod npz;

@@ -27,6 +27,15 @@ pub enum ColorFilter {
     Bilinear,
     /// Area-weighted mean of the pixels that are not empty.
     ValidArea,
+    /// The same without pixels that show a surface through the gaps between the points of a nearer one.
+    VisibleArea,
+}
+
+impl ColorFilter {
+    /// Returns whether the filter needs to know which pixels are empty.
+    pub fn needs_depth(self) -> bool {
+        self != Self::Bilinear
+    }
 }
 
 /// Options for rendering condition maps.

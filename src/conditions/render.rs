@@ -2,6 +2,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
+use super::hidden::without_hidden;
 use super::layout::{self, Layouts};
 use super::{
     CameraConditions, ColorFilter, ConditionError, ConditionOptions, ConditionSet, ImageSize, reduce,
@@ -153,9 +154,9 @@ impl Points {
     ) -> Result<Self, ConditionError> {
         let blank: Vec<CameraConditions> = views.iter().map(|view| blank(view, options)).collect();
         let views: Vec<View> = views.iter().map(|view| options.drawn_view(view)).collect();
-        let valid_area = options.color_filter == ColorFilter::ValidArea && options.out_size.is_some();
-        let valid_area = valid_area && options.maps.contains(MapKind::Color);
-        let maps = if valid_area { options.maps.without(MapKind::Color) } else { options.maps };
+        let by_area = options.color_filter.needs_depth() && options.out_size.is_some();
+        let by_area = by_area && options.maps.contains(MapKind::Color);
+        let maps = if by_area { options.maps.without(MapKind::Color) } else { options.maps };
         let job = FrameJob {
             views: &views,
             schedule: &options.splat,
@@ -166,9 +167,10 @@ impl Points {
             maps,
             out_size: options.out_size,
         };
-        let mut color =
-            |(view, to): (&View, &CameraConditions)| valid_area_color(rasterizer, &job, view, to.size());
-        let color = valid_area
+        let mut color = |(view, to): (&View, &CameraConditions)| {
+            mean_color(rasterizer, &job, view, to.size(), options.color_filter)
+        };
+        let color = by_area
             .then(|| views.iter().zip(&blank).map(&mut color).collect::<Result<_, _>>())
             .transpose()?;
         let in_flight = maps.intersects(MapSet::SPLATTED) && !views.is_empty();
@@ -203,17 +205,24 @@ fn fill(camera: &mut CameraConditions, maps: ViewMaps<'_>, options: &ConditionOp
     camera.point = wants(MapKind::Point).then(|| maps.point.into_owned());
 }
 
-/// Renders color reduced to the mean of the pixels that are not empty. The filter needs all pixels, so the map is
+/// Renders color reduced to the mean of the pixels that are not empty, or of those that are visible. The filter needs all pixels, so the map is
 /// rendered at full size and reduced here. Depth identifies empty pixels, since a point can be black.
-fn valid_area_color(
+fn mean_color(
     rasterizer: &mut dyn Rasterizer,
     job: &FrameJob<'_>,
     view: &View,
     to: ImageSize,
+    filter: ColorFilter,
 ) -> Result<Vec<[u8; 3]>, ConditionError> {
     let maps = MapSet::of(&[MapKind::Color, MapKind::Depth]);
     let (schedule, instances, crop) = (job.schedule, job.color, job.crop);
     let maps = rasterizer.splat(&SplatJob { view, schedule, instances, crop, maps })?;
     let color: Vec<[u8; 3]> = maps.rgb_class.iter().map(|p| rgb_of(*p)).collect();
-    Ok(reduce::valid_area(&color, &maps.depth_m, ImageSize::of(&view.camera), to))
+    let from = ImageSize::of(&view.camera);
+    if filter == ColorFilter::ValidArea {
+        return Ok(reduce::valid_area(&color, &maps.depth_m, from, to));
+    }
+    // The square reaches one pixel of the result to each side.
+    let radius = from.height.div_ceil(to.height).max(from.width.div_ceil(to.width));
+    Ok(reduce::valid_area(&color, &without_hidden(&maps.depth_m, from, radius as usize), from, to))
 }

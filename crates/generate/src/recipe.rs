@@ -41,7 +41,8 @@ impl Default for Recipe {
     fn default() -> Self {
         let SelectionOptions { min_actor_points, template_fit } = SelectionOptions::default();
         Self {
-            drawn: ImageSize { height: 128, width: 224 },
+            // Four times the size of the images: surfaces behind each other share fewer pixels than at twice the size.
+            drawn: ImageSize { height: 256, width: 448 },
             size: ImageSize { height: 64, width: 112 },
             // Pixels are large: splats only need to close the gaps between LiDAR scan lines.
             splat: SplatSchedule::new(vec![
@@ -50,7 +51,7 @@ impl Default for Recipe {
             ])
             .unwrap_or_default(),
             radius_m: 100.0,
-            color_filter: ColorFilter::ValidArea,
+            color_filter: ColorFilter::VisibleArea,
             bins: DepthBins::default(),
             min_actor_points,
             template_fit,

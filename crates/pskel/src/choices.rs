@@ -59,6 +59,11 @@ pub(crate) const DEPTH_EMBEDDING: Choices<DepthEmbedding> = Choices(&[
 pub(crate) const COLOR_FILTER: Choices<ColorFilter> = Choices(&[
     ("bilinear", ColorFilter::Bilinear, "OpenCV's INTER_LINEAR; empty pixels count as black"),
     ("valid-area", ColorFilter::ValidArea, "Area-weighted mean of the pixels that are not empty"),
+    (
+        "visible-area",
+        ColorFilter::VisibleArea,
+        "The same without pixels that show a surface through the gaps between the points of a nearer one",
+    ),
 ]);
 
 pub(crate) const COLORING: Choices<Coloring> = Choices(&[

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use point_skeleton::conditions::{ColorFilter, ConditionOptions, MapFormat, MapSet};
+use point_skeleton::conditions::{ConditionOptions, MapFormat, MapSet};
 use point_skeleton::dataset::{LogLocator, Recording};
 use point_skeleton::scene::{EgoOffset, LogTimes, SelectionOptions, SubstituteReport};
 use serde::Serialize;
@@ -92,11 +92,11 @@ pub(super) struct RenderOptions {
 }
 
 impl RenderArgs {
-    /// Rejects tensors in image formats, and the valid-area filter with distortion, since distorted maps do not
+    /// Rejects tensors in image formats, and filters by area with distortion, since distorted maps do not
     /// record which pixels were empty.
     pub(super) fn check(&self) -> Result<(), WrongUsage> {
-        if self.distort && self.maps.color_filter == ColorFilter::ValidArea {
-            let message = "expected --color-filter bilinear with --distort, found valid-area";
+        if self.distort && self.maps.color_filter.needs_depth() {
+            let message = "expected --color-filter bilinear with --distort, found a filter by area";
             return Err(WrongUsage(message.to_owned()));
         }
         self.maps.check()

@@ -282,6 +282,7 @@ fn wrong_usage_exits_with_2_and_times_out_of_the_log_with_1() {
         ("--hz 6 --at 5", "cannot be used with"),
         ("--hz 0", "0.1 to 100"),
         ("--distort --color-filter valid-area", "bilinear with --distort"),
+        ("--distort --color-filter visible-area", "bilinear with --distort"),
         ("--frames 3..1", "A..B with A < B"),
         ("--maps color,lanes", "color,depth,class"),
         ("--format gif", "png, exr, npz"),

@@ -228,8 +228,10 @@ fn distorted_sizes_follow_the_options() {
 
 #[test]
 fn what_cannot_be_distorted_is_an_error() {
-    let area = ConditionOptions { color_filter: ColorFilter::ValidArea, ..ConditionOptions::default() };
-    assert!(matches!(Distorter::new(&area), Err(ConditionError::DistortedArea)));
+    for color_filter in [ColorFilter::ValidArea, ColorFilter::VisibleArea] {
+        let area = ConditionOptions { color_filter, ..ConditionOptions::default() };
+        assert!(matches!(Distorter::new(&area), Err(ConditionError::DistortedArea)));
+    }
     // A crop of the corner of a wide image: there the lens shows points that a pinhole sees far outside the image.
     let mut view = view("corner", BARREL);
     view.camera.intrinsics.z_axis = DVec3::new(-80.0, -44.0, 1.0);

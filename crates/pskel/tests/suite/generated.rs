@@ -63,8 +63,8 @@ fn a_log_s_images_are_made_of_its_conditions() {
     assert_page_is_whole(&log, "out", 3);
     // The color maps of the same frames, rendered by another command.
     log.succeed(
-        "render nuscenes:log --skeleton sk --out maps --maps color --size 128x224 --out-size 64x112 \
-         --splat 15:1,100:0 --color-filter valid-area --at 1000000000,1000500000,1001000000 --rasterizer cpu",
+        "render nuscenes:log --skeleton sk --out maps --maps color --size 256x448 --out-size 64x112 \
+         --splat 15:1,100:0 --color-filter visible-area --at 1000000000,1000500000,1001000000 --rasterizer cpu",
     );
     for step in 1..3 {
         for camera in CAMERAS {
