@@ -117,8 +117,8 @@ mod tests {
             (Recipe { bins: bins(256, 0.0), ..good.clone() }, "above 0, found 0"),
             (Recipe { radius_m: f64::NAN, ..good.clone() }, "above 0, found NaN"),
             (
-                Recipe { size: ImageSize { height: 256, width: 56 }, ..good.clone() },
-                "drawn at 256x56 or larger",
+                Recipe { size: ImageSize { height: 512, width: 56 }, ..good.clone() },
+                "drawn at 512x56 or larger",
             ),
         ] {
             let error = recipe.check().unwrap_err().to_string();
