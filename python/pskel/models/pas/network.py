@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from .blocks import AlphaBlender, ImageAdapter, SelfAttentionBlock
 from .config import ID_CHANNELS, Config
 
-__all__ = ["Conditions", "Network"]
+__all__ = ["Conditions", "Network", "add_residuals"]
 
 _COLOR_CHANNELS = 3
 _DEPTH_SCALE = 0.5
@@ -136,6 +136,27 @@ class Network(nn.Module):
         ]
         return Conditions.concatenate(clips, dim=0)
 
+    def encode_layout(self, layout: Tensor) -> tuple[Tensor, ...]:
+        """Encode ``layout`` ``[B, T, V, 6, H, W]``; returns residuals ``[B, T, V, tokens, D]`` of the first blocks."""
+        return self._residuals(self.condition_image_adapter, self._converted(layout))
+
+    def encode_points(self, points: Tensor) -> tuple[Tensor, ...]:
+        """Encode ``points`` ``[B, T, V, 20, H, W]``; returns residuals ``[B, T, V, tokens, D]`` of the first blocks."""
+        maps = self._converted(points)
+        maps = torch.cat([maps[:, :, :, :_COLOR_CHANNELS], _DEPTH_SCALE * maps[:, :, :, _COLOR_CHANNELS:]], dim=3)
+        return self._residuals(self.condition_pc_adapter, maps)
+
+    def encode_text(self, encoder_hidden_states: Tensor, pooled_projections: Tensor) -> tuple[Tensor, Tensor]:
+        """Encode ``text`` and ``pooled`` of ``Conditions``."""
+        text: Tensor = self.context_embedder(self._converted(encoder_hidden_states))
+        pooled: Tensor = self.time_text_embed.text_embedder(self._converted(pooled_projections))
+        return text, pooled
+
+    def encode_view(self, added_time_ids: Tensor) -> Tensor:
+        """Encode ``view`` of ``Conditions``."""
+        view: Tensor = self.view_embedding(self._sinusoids(added_time_ids, ID_CHANNELS).flatten(-2))
+        return view
+
     def _encode_frame(
         self,
         encoder_hidden_states: Tensor,
@@ -144,19 +165,13 @@ class Network(nn.Module):
         points: Tensor,
         added_time_ids: Tensor,
     ) -> Conditions:
-        leading = layout.shape[:3]
-        maps = self._converted(points).flatten(0, 2)
-        maps = torch.cat([maps[:, :_COLOR_CHANNELS], _DEPTH_SCALE * maps[:, _COLOR_CHANNELS:]], dim=1)
-        pairs = zip(
-            self.condition_image_adapter(self._converted(layout).flatten(0, 2)),
-            self.condition_pc_adapter(maps),
-        )
-        return Conditions(
-            residuals=tuple((image + point).view(*leading, *image.shape[1:]) for image, point in pairs),
-            text=self.context_embedder(self._converted(encoder_hidden_states)),
-            pooled=self.time_text_embed.text_embedder(self._converted(pooled_projections)),
-            view=self.view_embedding(self._sinusoids(added_time_ids, ID_CHANNELS).flatten(-2)),
-        )
+        text, pooled = self.encode_text(encoder_hidden_states, pooled_projections)
+        residuals = add_residuals(self.encode_layout(layout), self.encode_points(points))
+        return Conditions(residuals, text, pooled, self.encode_view(added_time_ids))
+
+    @staticmethod
+    def _residuals(adapter: nn.Module, maps: Tensor) -> tuple[Tensor, ...]:
+        return tuple(x.view(*maps.shape[:3], *x.shape[1:]) for x in adapter(maps.flatten(0, 2)))
 
     def forward(
         self,
@@ -222,6 +237,11 @@ class Network(nn.Module):
         indices = torch.arange(count, device=self.proj_out.weight.device)
         embedded: Tensor = embed(self._sinusoids(indices, self.config.inner_dim))
         return embedded
+
+
+def add_residuals(layout: Sequence[Tensor], points: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """Add the residuals of both adapters, block by block."""
+    return tuple(image + point for image, point in zip(layout, points))
 
 
 def _expect_leading(leading: torch.Size, **tensors: Tensor) -> None:
