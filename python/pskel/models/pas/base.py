@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-__all__ = ["expect_base"]
+__all__ = ["expect_base", "first_line"]
 
 _WEIGHTS = ("*.safetensors", "*.bin")
 _FILES: tuple[tuple[str, tuple[str, ...]], ...] = (

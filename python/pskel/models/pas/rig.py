@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-__all__ = ["PUBLISHED", "Published", "Rig"]
+__all__ = ["PUBLISHED", "Published", "Rig", "inverse", "ring_mask"]
 
 
 class Published(NamedTuple):

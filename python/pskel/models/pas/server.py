@@ -16,7 +16,7 @@ from .denoiser import Denoiser, Models
 from .messages import Message
 from .rig import Rig
 
-__all__ = ["Hello", "serve"]
+__all__ = ["Hello", "notices", "serve"]
 
 _PROTOCOL = {"protocol": "pskel-denoiser", "version": "1"}
 _TENSORS = ("latents", "timesteps", "sigmas", "points", "layout", "action", "cameras")
