@@ -140,8 +140,7 @@ def request(
 ) -> tuple[dict[str, str], dict[str, Array]]:
     """The message of a call."""
     names = ("points", "layout", "action", "cameras")
-    prompts, references = [frame["prompt"] for frame in frames], [True, False, False]
-    texts = {"ask": "predict", "call": str(call), "prompts": json.dumps(prompts), "references": json.dumps(references)}
+    texts = {"ask": "predict", "call": str(call), "prompts": json.dumps([frame["prompt"] for frame in frames])}
     maps = {name: np.stack([frame[name] for frame in frames]) for name in names}
     return texts, {"latents": latents, "timesteps": timesteps, "sigmas": sigmas, **maps}
 
