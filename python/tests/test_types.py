@@ -11,9 +11,10 @@ ROOT = Path(__file__).parent.parent
 ENVIRONMENT = {**os.environ, "MYPY_CACHE_DIR": os.devnull}
 PLAIN = ["examples/own_points.py", "examples/render_frame.py", "examples/drive.py"]
 TORCH = ["examples/train.py", "examples/reset_and_roll.py"]
+MODELS = ["pskel/models"]
 
 
-@pytest.mark.parametrize(("extra", "examples"), [("gymnasium", PLAIN), ("torch", TORCH)])
+@pytest.mark.parametrize(("extra", "examples"), [("gymnasium", PLAIN), ("torch", TORCH), ("diffusers", MODELS)])
 def test_package_and_examples_are_typed(extra: str, examples: list[str]) -> None:
     pytest.importorskip("mypy")
     pytest.importorskip(extra)

@@ -51,7 +51,7 @@ pub use latent::{Latent, LatentShape};
 pub use noise::{GaussianNoise, NoiseSource};
 pub use options::GenerateOptions;
 pub use pixel_codec::PixelCodec;
-pub use process::ProcessDenoiser;
+pub use process::{DenoiserRig, ProcessDenoiser};
 pub use recipe::{Recipe, RecipeError};
 pub use sampler::{Level, Sampler, SamplerOptions};
 pub use schedule::{Ddim, FlowMatch, Prediction};

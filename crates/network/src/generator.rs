@@ -8,7 +8,7 @@ use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::scene::{GroundTruthImages, SceneClouds, SceneMap};
 use pskel_generate::{
-    AnyDenoiser, Codec, Conditioner, DenoiserError, GenerateError, GenerateOptions, Guidance,
+    AnyDenoiser, Codec, Conditioner, DenoiserError, DenoiserRig, GenerateError, GenerateOptions, Guidance,
     ProcessDenoiser, Recipe, SamplerOptions, Session, SessionError, SessionParts, Strategy,
 };
 use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
@@ -146,16 +146,17 @@ impl OpenNetworkError {
 }
 
 impl GeneratorSettings {
-    /// Opens the weights or starts the process, for a log of `cameras` cameras.
+    /// Opens the weights or starts the process, for the cameras of a log.
     ///
     /// # Errors
     /// Fails if the options are inconsistent, if the weights are damaged, if there are more than 8 cameras, or if the
     /// process does not answer.
-    pub fn open(&self, name: &NetworkName, cameras: usize) -> Result<OpenedNetwork, OpenNetworkError> {
+    pub fn open(&self, name: &NetworkName, rig: &DenoiserRig) -> Result<OpenedNetwork, OpenNetworkError> {
+        let cameras = rig.cameras.len();
         match name {
             NetworkName::Network(path) => self.open_weights(path.as_deref(), cameras),
             NetworkName::Fill => self.fill(cameras),
-            NetworkName::Process(address) => self.start(address, cameras),
+            NetworkName::Process(address) => self.start(address, rig),
         }
     }
 
@@ -196,10 +197,10 @@ impl GeneratorSettings {
         })
     }
 
-    fn start(&self, address: &PeerAddress, cameras: usize) -> Result<OpenedNetwork, OpenNetworkError> {
+    fn start(&self, address: &PeerAddress, rig: &DenoiserRig) -> Result<OpenedNetwork, OpenNetworkError> {
         let (options, recipe) = (self.options(PROCESS_WINDOW)?, self.recipe.clone());
         let spec = PeerSpec { address: address.clone(), timeout_s: self.timeout_s };
-        let denoiser = ProcessDenoiser::start(&spec, &options, cameras, recipe.size)?;
+        let denoiser = ProcessDenoiser::start(&spec, &options, rig, recipe.size)?;
         let (codec, size) = denoiser.codec()?;
         Ok(OpenedNetwork {
             codec,

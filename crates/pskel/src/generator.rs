@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
-use pskel_generate::{DroppedConditions, Guidance, Prediction, Recipe, SamplerOptions, Strategy};
+use pskel_generate::{
+    DenoiserRig, DroppedConditions, Guidance, Prediction, Recipe, SamplerOptions, Strategy,
+};
 use pskel_network::{GeneratorSettings, NetworkName, OpenedNetwork};
 use pskel_sim::peer::MAX_TIMEOUT_S;
 
@@ -127,9 +129,9 @@ impl GeneratorArgs {
         Err(WrongUsage(format!("expected {needs} with {option}, found none")))
     }
 
-    /// Opens or starts the network; `cameras` is the number of cameras of the log.
-    pub(super) fn open(&self, name: &NetworkName, cameras: usize) -> anyhow::Result<OpenedNetwork> {
-        let opened = self.settings()?.open(name, cameras);
+    /// Opens or starts the network for the cameras of a log.
+    pub(super) fn open(&self, name: &NetworkName, rig: &DenoiserRig) -> anyhow::Result<OpenedNetwork> {
+        let opened = self.settings()?.open(name, rig);
         opened.map_err(|error| match error.is_usage() {
             true => WrongUsage(error.to_string()).into(),
             false => error.into(),

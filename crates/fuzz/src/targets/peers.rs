@@ -10,8 +10,8 @@ use image::RgbImage;
 use point_skeleton::dataset::Dataset;
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::{
-    Codec, Denoiser, Frame, FrameConditions, GenerateOptions, Guidance, Latent, Level, ProcessDenoiser,
-    SamplerOptions, Strategy,
+    Codec, Denoiser, DenoiserRig, Frame, FrameConditions, GenerateOptions, Guidance, Latent, Level,
+    ProcessDenoiser, SamplerOptions, Strategy,
 };
 use pskel_sim::peer::{PeerAddress, PeerSpec};
 use pskel_sim::{EgoPolicy, Rates, Scenario, SimOptions, Simulation};
@@ -182,7 +182,9 @@ fn denoiser(data: &[u8]) {
 
 /// Requests a prediction, then encodes and decodes an image.
 fn ask(spec: &PeerSpec) -> Result<(), pskel_generate::DenoiserError> {
-    let mut denoiser = ProcessDenoiser::start(spec, &options(), VIEWS, SIZE)?;
+    let rig =
+        DenoiserRig { cameras: vec!["camera".to_owned(); VIEWS], image_sizes: vec![SIZE; VIEWS], fps: 5.0 };
+    let mut denoiser = ProcessDenoiser::start(spec, &options(), &rig, SIZE)?;
     let shape = denoiser.shape();
     assert_eq!(shape.views, VIEWS);
     if shape.len() > 1 << 16 {

@@ -3,6 +3,7 @@ use pskel_sim::peer::ProtocolError;
 
 use super::connection::MAX_ANSWER_BYTES;
 use super::message::{Answer, message};
+use super::rig::DenoiserRig;
 use crate::{DenoiserError, LatentShape, Prediction, SamplerOptions};
 
 const PROTOCOL: &str = "pskel-denoiser";
@@ -39,7 +40,8 @@ pub(super) enum Precision {
     Bf16,
 }
 
-pub(super) fn hello(taken: &DenoiserInputs) -> Result<Vec<u8>, DenoiserError> {
+pub(super) fn hello(taken: &DenoiserInputs, rig: &DenoiserRig) -> Result<Vec<u8>, DenoiserError> {
+    let sizes: Vec<[u32; 2]> = rig.image_sizes.iter().map(|size| [size.width, size.height]).collect();
     let (sampler, prediction) = match taken.sampler {
         SamplerOptions::FlowMatch { .. } => ("flow_match", "velocity"),
         SamplerOptions::Ddim { prediction: Prediction::Epsilon } => ("ddim", "epsilon"),
@@ -54,6 +56,9 @@ pub(super) fn hello(taken: &DenoiserInputs) -> Result<Vec<u8>, DenoiserError> {
         ("condition_size", format!("{},{}", taken.size.height, taken.size.width)),
         ("sampler", sampler.to_owned()),
         ("prediction", prediction.to_owned()),
+        ("fps", rig.fps.to_string()),
+        ("cameras", serde_json::json!(rig.cameras).to_string()),
+        ("image_sizes", serde_json::json!(sizes).to_string()),
     ];
     message(texts, [])
 }

@@ -5,6 +5,7 @@ mod codec;
 mod connection;
 mod hello;
 mod message;
+mod rig;
 
 use std::sync::Arc;
 
@@ -16,6 +17,7 @@ use self::call::{read_prediction, request};
 use self::codec::ProcessCodec;
 use self::connection::Shared;
 use self::hello::{DenoiserInputs, DenoiserOutputs, hello, read_hello};
+pub use self::rig::DenoiserRig;
 use super::{
     Codec, Denoiser, DenoiserError, Frame, FrameConditions, GenerateOptions, Latent, LatentShape, PixelCodec,
 };
@@ -31,7 +33,7 @@ pub struct ProcessDenoiser {
 }
 
 impl ProcessDenoiser {
-    /// Starts the process or connects to it, and exchanges hellos. It will receive `views` cameras with conditions
+    /// Starts the process or connects to it, and exchanges hellos. It will receive the cameras of `rig` with conditions
     /// of `size`.
     ///
     /// # Errors
@@ -40,12 +42,13 @@ impl ProcessDenoiser {
     pub fn start(
         spec: &PeerSpec,
         options: &GenerateOptions,
-        views: usize,
+        rig: &DenoiserRig,
         size: ImageSize,
     ) -> Result<Self, DenoiserError> {
+        let views = rig.cameras.len();
         let taken = DenoiserInputs { window: options.window, views, size, sampler: options.sampler };
         let shared = Arc::new(Shared::open(spec)?);
-        let given = shared.ask(hello(&taken)?, |answer| read_hello(answer, &taken))?;
+        let given = shared.ask(hello(&taken, rig)?, |answer| read_hello(answer, &taken))?;
         Ok(Self { shared, taken, given, calls: 0 })
     }
 

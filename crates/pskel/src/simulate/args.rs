@@ -321,6 +321,13 @@ impl SimulateArgs {
         [self.policies.ego == EgoName::Replay, matches!(self.policies.actors, ActorName::Replay)]
     }
 
+    /// Returns the number of planning steps per second.
+    pub(super) fn plan_hz(&self, scenario: &Scenario<'_>) -> anyhow::Result<f64> {
+        let (every, _) = self.frames_of(scenario)?;
+        let of_frames = every.and_then(|every| Some(frame_rate_hz(&scenario.log.frames)? / every as f64));
+        Ok(of_frames.or(self.policies.plan_hz).unwrap_or(scenario.rates.plan_hz))
+    }
+
     /// Returns whether steps are the log's own frames, as in `pskel generate`.
     pub(super) fn is_open_loop(&self) -> bool {
         self.frames.is_some()

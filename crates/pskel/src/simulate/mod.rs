@@ -47,8 +47,8 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
     let inputs = args.inputs()?;
     let Inputs { dataset, skeleton, prompt, map, maps } = &inputs;
     let log = dataset.log();
-    let opened = args.generation.open(log.rig.len())?;
     let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.log.format) };
+    let opened = args.generation.open(log, args.plan_hz(&scenario)?)?;
     let simulation = args.sim_options(&scenario, opened.as_ref().map(Opened::window))?;
     let planned = Planned {
         steps: simulation.steps,

@@ -1,8 +1,10 @@
 use std::path::Path;
 
 use clap::Args;
+use point_skeleton::dataset::Recording;
 use point_skeleton::scene::GroundTruthImages;
 use point_skeleton::scene::SceneClouds;
+use pskel_generate::DenoiserRig;
 use pskel_network::{GenerationScene, NetworkName, OpenedNetwork};
 use pskel_sim::rollout::ImageGenerator;
 use serde_json::Value;
@@ -41,9 +43,9 @@ impl GenerationArgs {
         }
     }
 
-    /// Opens the network for a log of `cameras` cameras.
-    pub(crate) fn open(&self, cameras: usize) -> anyhow::Result<Option<Opened>> {
-        let open = |name| self.options.open(name, cameras).map(Opened);
+    /// Opens the network for a log that is generated at `fps` frames per second.
+    pub(crate) fn open(&self, log: &Recording, fps: f64) -> anyhow::Result<Option<Opened>> {
+        let open = |name| self.options.open(name, &DenoiserRig::of(log, fps)).map(Opened);
         self.generator.as_ref().map(open).transpose()
     }
 }

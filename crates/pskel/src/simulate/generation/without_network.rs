@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use clap::Args;
+use point_skeleton::dataset::Recording;
 use point_skeleton::scene::SceneClouds;
 use pskel_sim::rollout::ImageGenerator;
 use serde_json::Value;
@@ -24,7 +25,7 @@ impl GenerationArgs {
         None
     }
 
-    pub(crate) fn open(&self, _cameras: usize) -> anyhow::Result<Option<Opened>> {
+    pub(crate) fn open(&self, _log: &Recording, _fps: f64) -> anyhow::Result<Option<Opened>> {
         Ok(None)
     }
 }

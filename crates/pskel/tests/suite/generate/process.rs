@@ -6,8 +6,8 @@ use std::process::{Child, Command};
 
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::{
-    DenoiserError, Frame, FrameConditions, GaussianNoise, GenerateError, GenerateOptions, Generator, Latent,
-    LatentShape, Level, Prediction, ProcessDenoiser, SamplerOptions, Strategy,
+    DenoiserError, DenoiserRig, Frame, FrameConditions, GaussianNoise, GenerateError, GenerateOptions,
+    Generator, Latent, LatentShape, Level, Prediction, ProcessDenoiser, SamplerOptions, Strategy,
 };
 use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
 use safetensors::SafeTensors;
@@ -39,8 +39,14 @@ fn example() -> PeerAddress {
     command(format!("exec python3 {}", examples().join("denoiser.py").display()))
 }
 
+fn rig() -> DenoiserRig {
+    let sizes = [(900, 1600), (450, 800)].map(|(height, width)| ImageSize { height, width });
+    let cameras = ["left", "right"].map(str::to_owned);
+    DenoiserRig { cameras: cameras.to_vec(), image_sizes: sizes.to_vec(), fps: 12.5 }
+}
+
 fn start(address: PeerAddress, timeout_s: f64) -> Result<ProcessDenoiser, DenoiserError> {
-    ProcessDenoiser::start(&PeerSpec { address, timeout_s }, &options(), VIEWS, SIZE)
+    ProcessDenoiser::start(&PeerSpec { address, timeout_s }, &options(), &rig(), SIZE)
 }
 
 /// Returns the error of starting a denoiser.
@@ -195,7 +201,7 @@ fn denoisers_see_what_is_promised() {
     let spec = PeerSpec { address: script(folder.path(), &lines), timeout_s: PATIENT_S };
     let sampler = SamplerOptions::Ddim { prediction: Prediction::Epsilon };
     let ddim = GenerateOptions { sampler, ..options() };
-    let mut denoiser = ProcessDenoiser::start(&spec, &ddim, VIEWS, SIZE).unwrap();
+    let mut denoiser = ProcessDenoiser::start(&spec, &ddim, &rig(), SIZE).unwrap();
     for _ in 0..2 {
         assert_eq!(predict(&mut denoiser).unwrap(), vec![Latent::filled(SHAPE, 0.0); 4]);
     }
@@ -210,6 +216,9 @@ fn denoisers_see_what_is_promised() {
         ("condition_size", "16,24"),
         ("sampler", "ddim"),
         ("prediction", "epsilon"),
+        ("fps", "12.5"),
+        ("cameras", r#"["left","right"]"#),
+        ("image_sizes", "[[1600,900],[800,450]]"),
     ] {
         assert_eq!(hello[name], text, "{name}");
     }
@@ -351,7 +360,7 @@ fn bad_hellos_are_told() {
     }
     let sampler = SamplerOptions::Ddim { prediction: Prediction::Sample };
     let spec = PeerSpec { address: example(), timeout_s: PATIENT_S };
-    let cannot = ProcessDenoiser::start(&spec, &GenerateOptions { sampler, ..options() }, VIEWS, SIZE);
+    let cannot = ProcessDenoiser::start(&spec, &GenerateOptions { sampler, ..options() }, &rig(), SIZE);
     let cannot = cannot.err().unwrap().to_string();
     assert!(cannot.contains("found its end (exit status: 1)"), "{cannot}");
     let nobody = PeerAddress::Unix(folder.path().join("nobody"));

@@ -1,0 +1,1 @@
+"""Networks for the denoising loop; each is a subpackage with requirements of its own."""

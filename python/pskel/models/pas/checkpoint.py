@@ -1,0 +1,98 @@
+"""Reader of checkpoints."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor
+
+from .config import Config
+from .network import Network
+
+__all__ = ["load"]
+
+_NAMED = 3
+_ZIP = b"PK\x03\x04"
+
+
+def load(
+    path: str | os.PathLike[str],
+    config: Config = Config(),
+    *,
+    dtype: torch.dtype = torch.float32,
+    device: str | torch.device = "cpu",
+) -> Network:
+    """Read the weights of a network from a file; returns it in evaluation mode.
+
+    The file is in the format of safetensors if its name ends so, else of ``torch.save(state_dict)``; no code in it is run.
+    Weights are converted to ``dtype`` one by one. ``config`` is that of the training; the default is that of the published
+    checkpoints.
+
+    Raises ``ValueError``, which names the file, if it is no checkpoint, or if tensors are missing, additional or of another
+    shape; ``OSError`` if it cannot be read.
+    """
+    with torch.device("meta"):
+        network = Network(config)
+    tensors = _read(Path(path))
+    _expect_same(network.state_dict(), tensors, path)
+    weights = {name: tensor.to(device, dtype) for name, tensor in tensors.items()}
+    network.load_state_dict(weights, assign=True)
+    return network.eval()
+
+
+def _read(path: Path) -> dict[str, Tensor]:
+    with path.open("rb") as file:
+        beginning = file.read(16)
+    if path.suffix == ".safetensors":
+        try:
+            return load_file(path)
+        except SafetensorError as error:
+            raise ValueError(f"expected a file of safetensors, found {error}: {path}") from error
+    is_archive = beginning.startswith(_ZIP)  # since PyTorch 1.6
+    try:
+        values = torch.load(path, map_location="cpu", weights_only=True, mmap=is_archive)
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:  # of many kinds, by what the file is
+        if not is_archive:
+            found = f"a file that begins with {beginning!r}"
+        elif isinstance(error, pickle.UnpicklingError):
+            found = "objects of other types"
+        else:
+            found = "a damaged archive"
+        raise ValueError(f"expected a checkpoint of tensors, found {found}: {path}") from error
+    return _flat(values, path)
+
+
+def _flat(values: Any, path: Path) -> dict[str, Tensor]:
+    if not isinstance(values, dict):
+        raise ValueError(f"expected a dictionary of tensors, found {type(values).__name__}: {path}")
+    for name, value in values.items():
+        if not isinstance(value, Tensor):
+            raise ValueError(f"expected a dictionary of tensors, found {name!r} of {type(value).__name__}: {path}")
+    return values
+
+
+def _expect_same(expected: Mapping[str, Tensor], found: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
+    missing = [name for name in expected if name not in found]
+    additional = [name for name in found if name not in expected]
+    shapes = [
+        f"{name}: expected {list(expected[name].shape)}, found {list(found[name].shape)}"
+        for name in expected
+        if name in found and expected[name].shape != found[name].shape
+    ]
+    problems = [("missing", missing), ("additional", additional), ("of another shape", shapes)]
+    texts = [f"{len(names)} {kind} ({_listed(names)})" for kind, names in problems if names]
+    if texts:
+        raise ValueError(f"expected the {len(expected)} tensors of the network, found {', '.join(texts)}: {os.fspath(path)}")
+
+
+def _listed(names: list[str]) -> str:
+    return "; ".join([*names[:_NAMED], *([".."] if len(names) > _NAMED else [])])

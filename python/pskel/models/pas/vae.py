@@ -1,0 +1,58 @@
+"""Images and latents: the variational autoencoder of Stable Diffusion 3."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from diffusers import AutoencoderKL
+from torch import Tensor
+
+from .base import first_line
+
+__all__ = ["LATENT_SCALE", "ImageCodec"]
+
+LATENT_SCALE = 8
+"""Pixels per latent, in height and width."""
+
+
+class ImageCodec:
+    """Encodes images as latents ``(z - shift) * scale`` and decodes them, in single precision."""
+
+    def __init__(self, vae: Any, device: str | torch.device = "cpu") -> None:
+        self.vae = vae.to(device, torch.float32).eval()
+        self.device = torch.device(device)
+        self.shift: float = vae.config.shift_factor or 0.0
+        self.scale: float = vae.config.scaling_factor
+
+    @classmethod
+    def load(cls, folder: Path, channels: int, device: str | torch.device = "cpu") -> ImageCodec:
+        """Read a folder of ``AutoencoderKL``.
+
+        Raises ``ValueError``, which names the folder, if it cannot be read, or if its latents have other than ``channels``
+        channels or another than an eighth of the size of images.
+        """
+        try:
+            vae = AutoencoderKL.from_pretrained(folder, torch_dtype=torch.float32, local_files_only=True)
+        except Exception as error:  # of many kinds, by what the files are
+            raise ValueError(f"expected a variational autoencoder, found {first_line(error)}: {folder}") from error
+        found = vae.config.latent_channels, 2 ** (len(vae.config.block_out_channels) - 1)
+        if found != (channels, LATENT_SCALE):
+            raise ValueError(
+                f"expected latents of {channels} channels at 1/{LATENT_SCALE} of the size of images, "
+                f"found {found[0]} at 1/{found[1]}: {folder}"
+            )
+        return cls(vae, device)
+
+    def encode(self, images: Tensor) -> Tensor:
+        """Encode RGB images ``[N, 3, H, W]`` of 0 to 1 as the mode of the posterior, ``float32 [N, C, H/8, W/8]``."""
+        with torch.inference_mode():
+            latents: Tensor = self.vae.encode(images.to(self.device, torch.float32) * 2.0 - 1.0).latent_dist.mode()
+            return (latents - self.shift) * self.scale
+
+    def decode(self, latents: Tensor) -> Tensor:
+        """Decode latents ``[N, C, h, w]`` to RGB images ``float32 [N, 3, 8 h, 8 w]`` of 0 to 1."""
+        with torch.inference_mode():
+            images: Tensor = self.vae.decode(latents.to(self.device, torch.float32) / self.scale + self.shift).sample
+            return (images / 2.0 + 0.5).clamp(0.0, 1.0)
