@@ -1,148 +1,42 @@
-"""The video network of *Point as Skeleton* as a denoiser and codec of the loop, in another process and in this one."""
+"""The video network of *Point as Skeleton* as a denoiser and codec, in another process and in this one."""
 
-import argparse
-import io as streams
-import json
-import os
 import re
-import shutil
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pskel
 import pytest
-from pas_base import Array, Peer, pack, unpack, write_base
+from pas_base import Array, Peer, unpack
 
 torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 transformers = pytest.importorskip("transformers")
+from pas_frames import (  # noqa: E402
+    CAMERAS,
+    FIXTURE,
+    FPS,
+    IMAGE_SIZES,
+    SHAPE,
+    TRAINED,
+    H,
+    L,
+    V,
+    W,
+    condition,
+    condition_arrays,
+    dropped,
+    needs_fixture,
+    request,
+    window,
+)
 from pskel.models.pas import Config, Denoiser, FrameCondition, Models, Rig, added_time_ids  # noqa: E402
-from pskel.models.pas import __main__ as command  # noqa: E402
-from pskel.models.pas import messages  # noqa: E402
 from pskel.models.pas.cache import Cache  # noqa: E402
 from pskel.models.pas.ids import ids_from_motion  # noqa: E402
 from pskel.models.pas.rig import PUBLISHED, inverse, ring_mask  # noqa: E402
 
-SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[3] / "shared"))
-FIXTURE = Path(os.environ.get("PSKEL_FIXTURES", SHARED / "fixtures")) / "pas-network"
-pytestmark = pytest.mark.skipif(not FIXTURE.exists(), reason="pas-network is not there (set PSKEL_SHARED)")
-
-CAMERAS = ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_FRONT_LEFT"]
-TRAINED = [5, 0, 1, 2, 3, 4]  # FL F FR BR B BL
-IMAGE_SIZES = [[1600, 900]] * 5 + [[800, 600]]
-L, V, H, W = 3, 6, 32, 64
-SHAPE = (V, 16, H // 8, W // 8)
-STEPS = 3
-FPS = 6.0
-Network = Callable[[Array, Array, Array, list[FrameCondition]], Array]
-
-HELLO = {
-    "protocol": "pskel-denoiser",
-    "version": "1",
-    "window": str(L),
-    "views": str(V),
-    "condition_size": f"{H},{W}",
-    "sampler": "flow_match",
-    "prediction": "velocity",
-    "fps": "6.0",
-    "cameras": json.dumps(CAMERAS),
-    "image_sizes": json.dumps(IMAGE_SIZES),
-}
-
-
-@pytest.fixture(scope="module")
-def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_base(tmp_path_factory.mktemp("base"))
-
-
-@pytest.fixture(scope="module")
-def models(base: Path) -> Models:
-    config = Config.read(FIXTURE / "config.json")
-    return Models.load(FIXTURE / "weights.safetensors", base, config, dtype=torch.float32, device="cpu")
-
-
-@pytest.fixture(scope="module")
-def rig() -> Rig:
-    return Rig(tuple(CAMERAS), tuple((width, height) for width, height in IMAGE_SIZES), FPS)
-
-
-@pytest.fixture
-def denoiser(models: Models, rig: Rig) -> Denoiser:
-    return Denoiser(models, rig)
-
-
-def arguments(base: Path, **changed: str) -> list[str]:
-    weights, config = str(FIXTURE / "weights.safetensors"), str(FIXTURE / "config.json")
-    options = {"weights": weights, "base": str(base), "config": config, "device": "cpu", "dtype": "f32", **changed}
-    return [text for name, value in options.items() for text in (f"--{name}", value)]
-
-
-@pytest.fixture(scope="module")
-def peer(base: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Peer]:
-    peer = Peer(arguments(base), tmp_path_factory.mktemp("peer") / "errors.txt")
-    texts, tensors = unpack(peer.ask(HELLO, {}))
-    assert texts == {
-        "protocol": "pskel-denoiser",
-        "version": "1",
-        "latent_shape": "6,16,4,8",
-        "dtype": "F32",
-        "image_size": "32,64",
-    }
-    assert not tensors
-    yield peer
-    assert peer.close() == 0
-    # Nothing but the notice about inputs that differ from those of the training.
-    assert peer.errors.read_text() == (
-        "pskel.models.pas: the published nuScenes checkpoint was trained with 12 frames of 256x448 at 6 per second, "
-        "found 3 frames of 32x64 at 6 per second\n"
-    )
-
-
-def condition_arrays(index: int) -> dict[str, Any]:
-    """Arrays of frame ``index`` as in the protocol, in the order of CAMERAS."""
-    random = np.random.default_rng(index)
-    points = random.random((V, 20, H, W), np.float32)
-    points[:, 3][random.random((V, H, W)) < 0.5] = -1.0
-    pose = np.eye(4)[None, :3].repeat(V, 0) + random.normal(0.0, 0.3, (V, 3, 4))
-    fractions = random.uniform(0.4, 0.8, (V, 4))
-    return {
-        "points": points,
-        "layout": random.random((V, 6, H, W), np.float32),
-        "action": np.array([0.8 + 0.1 * index, 0.02, 0.01 * index], np.float32),
-        "cameras": np.concatenate([pose.reshape(V, 12), fractions], axis=1).astype(np.float32),
-        "prompt": "Sunny. A driving scene in Boston" if index % 2 else "Rain",
-    }
-
-
-def condition(index: int) -> FrameCondition:
-    return FrameCondition.create(**condition_arrays(index))
-
-
-def window(first: int = 0) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
-    """Latents, timesteps, sigmas and conditions of a window."""
-    sigmas = np.array([0.1, 0.5, 0.9], np.float32)
-    latents = np.random.default_rng(100 + first).normal(size=(L, *SHAPE)).astype(np.float32)
-    return latents, sigmas * 1000, sigmas, [condition_arrays(first + i) for i in range(L)]
-
-
-def dropped(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Values of docs/DENOISER.md for the unconditional half."""
-    layout, action = np.full_like(arrays["layout"], 0.1255), np.full_like(arrays["action"], -1000.0)
-    return {**arrays, "layout": layout, "action": action, "prompt": ""}
-
-
-def request(
-    latents: Array, timesteps: Array, sigmas: Array, frames: list[dict[str, Any]], call: int = 0
-) -> tuple[dict[str, str], dict[str, Array]]:
-    """The message of a call."""
-    names = ("points", "layout", "action", "cameras")
-    texts = {"ask": "predict", "call": str(call), "prompts": json.dumps([frame["prompt"] for frame in frames])}
-    maps = {name: np.stack([frame[name] for frame in frames]) for name in names}
-    return texts, {"latents": latents, "timesteps": timesteps, "sigmas": sigmas, **maps}
+pytest_plugins = ["pas_frames"]
+pytestmark = needs_fixture
 
 
 def hand_built_ids(frames: list[dict[str, Any]]) -> Any:
@@ -395,113 +289,6 @@ def test_dropped_parts_have_the_values_of_the_protocol() -> None:
     assert whole.points.key == condition(0).points.key
 
 
-def table() -> tuple[Array, Array]:
-    """Sigmas and timesteps of the scheduler of Stable Diffusion 3.5."""
-    scheduler = diffusers.FlowMatchEulerDiscreteScheduler(shift=3.0)
-    scheduler.set_timesteps(STEPS)
-    return scheduler.sigmas.numpy(), scheduler.timesteps.numpy()
-
-
-def roll_out(
-    network: Network, references: list[Array], conditions: list[FrameCondition], noise: list[list[Array]], guidance: float
-) -> list[Array]:
-    """Reset-and-Roll, step by step: L - 1 references, then a frame per list of noise (one for each roll)."""
-    sigmas, timesteps = table()
-    per_roll = STEPS // L
-    cache, finished_references = list(references), L - 1
-    frames = []
-    for step, draws in enumerate(noise):
-        current = L - 1 + step
-        latents, known, is_full = cache, finished_references, len(cache) == L
-        for roll, fresh in enumerate(draws):
-            if is_full or roll:
-                latents, known = latents[1:], max(known - 1, 0)
-            latents = [*latents, fresh]
-            shown = conditions[current + roll - L + 1 : current + roll + 1]
-            for call in range(STEPS - per_roll, STEPS):
-                own = [call - j * per_roll for j in range(L)]
-                index = [STEPS - 1 if j < known else min(max(own[j], 0), STEPS - 1) for j in range(L)]
-                arguments = np.stack(latents), timesteps[index], sigmas[index]
-                velocity = network(*arguments, shown)
-                if guidance != 1.0:
-                    without = network(*arguments, [frame.without("layout", "action") for frame in shown])
-                    velocity = without + np.float32(guidance) * (velocity - without)
-                latents = [
-                    x + (sigmas[i + 1] - sigmas[i]) * v if j >= known and own[j] >= 0 else x
-                    for j, (x, i, v) in enumerate(zip(latents, index, velocity))
-                ]
-            if roll == 0:  # it has seen no forecast
-                cache, finished_references = latents, known
-        frames.append(latents[0])
-    return frames
-
-
-def run_loop(network: Network, references: list[Array], count: int, guidance: float) -> list[Array]:
-    """The same by ``pskel.ResetAndRoll``, along a log whose states carry the number of their frame."""
-    simulation = pskel.Simulation(pskel.Log("town:seed=7,frames=20,size=113x200"), ego="replay", steps=36)
-    loop = pskel.ResetAndRoll(network, SHAPE, window=L, steps=STEPS, guidance=guidance, seed=3)
-    frames: list[Array] = []
-    for number, _ in enumerate(simulation):
-        now = simulation.committed.map(lambda _: condition(number))
-        if number < loop.references:
-            loop.add_reference(references[number], now)
-            continue
-        forecasts = simulation.forecast(loop.forecasts)
-        ahead = [forecast.map(lambda _: condition(number + 1 + i)) for i, forecast in enumerate(forecasts)]
-        frames.append(loop.step(now, ahead))
-        if len(frames) == count:
-            break
-    return frames
-
-
-def through(peer: Peer) -> Network:
-    """The denoiser process as a function."""
-
-    def network(latents: Array, timesteps: Array, sigmas: Array, conditions: list[FrameCondition]) -> Array:
-        waves = np.full((V, 16, H, W), 0.5, np.float32)  # the network does not use them
-        frames = [
-            {
-                "points": np.concatenate([frame.points.array, waves], axis=1),
-                "layout": frame.layout.array,
-                "action": frame.action,
-                "cameras": frame.cameras,
-                "prompt": frame.prompt,
-            }
-            for frame in conditions
-        ]
-        return unpack(peer.ask(*request(latents, timesteps, sigmas, frames)))[1]["prediction"]
-
-    return network
-
-
-@pytest.mark.parametrize("guidance", [1.0, 2.0])
-def test_rollouts_are_the_same(peer: Peer, denoiser: Denoiser, guidance: float) -> None:
-    """By the rules of the loop in this file, through the process and in this one, and by the loop of the package."""
-    count = 3
-    images = np.random.default_rng(9).random((L - 1, V, 3, H, W), np.float32)
-    references = [denoiser.encode(image) for image in images]
-    # A network without velocity shows the noise of the loop: one call per roll, the new frame last.
-    seen: list[tuple[Array, Array, Array]] = []
-
-    def still(latents: Array, timesteps: Array, sigmas: Array, _: list[FrameCondition]) -> Array:
-        seen.append((latents[-1].copy(), timesteps, sigmas))
-        return np.zeros_like(latents)
-
-    run_loop(still, references, count, 1.0)
-    assert len(seen) == count * L
-    noise = [[draw for draw, _, _ in seen[step * L : (step + 1) * L]] for step in range(count)]
-
-    rolled = roll_out(denoiser, references, [condition(i) for i in range(count + 2 * L)], noise, guidance)
-    other = roll_out(through(peer), references, [condition(i) for i in range(count + 2 * L)], noise, guidance)
-    looped = run_loop(denoiser, references, count, guidance)
-    assert len(rolled) == len(other) == len(looped) == count
-    for ours, theirs, packaged in zip(rolled, other, looped):
-        assert np.isfinite(ours).all()
-        np.testing.assert_array_equal(ours, theirs)
-        np.testing.assert_array_equal(ours, packaged)
-    assert (rolled[0] != rolled[1]).any()
-
-
 def test_conditions_of_scenes() -> None:
     simulation = pskel.Simulation(pskel.Log("town:seed=7,frames=6,size=113x200"), ego="replay", steps=8)
     before, now = [simulation.scene for _ in simulation][:2]
@@ -518,205 +305,6 @@ def test_conditions_of_scenes() -> None:
     np.testing.assert_allclose(front[:, 2], [1.0, 0.0, 0.0], atol=1e-6)  # looks forward
     np.testing.assert_allclose(front[:, 3], [1.70, 0.0, 1.51], atol=1e-6)
     np.testing.assert_array_equal(FrameCondition.from_scene(now, maps).action, np.zeros(3))
-
-
-def failure(capsys: pytest.CaptureFixture[str], arguments: list[str], *sent: bytes) -> str:
-    """Error of the command, which fails after the messages ``sent``."""
-    capsys.readouterr()
-    options: argparse.Namespace = command.parser().parse_args(arguments)
-    assert command.run(options, streams.BytesIO(b"".join(sent)), streams.BytesIO()) == 1
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    lines = [line for line in printed.err.splitlines() if "was trained with" not in line]
-    assert len(lines) == 1, printed.err
-    assert lines[0].startswith("pskel.models.pas: ")
-    return lines[0].removeprefix("pskel.models.pas: ")
-
-
-NO_TEXT = "found none (is pskel older than this package?)"
-
-
-@pytest.mark.parametrize(
-    ("changed", "expected"),
-    [
-        ({"protocol": "pskel-planner"}, "expected protocol pskel-denoiser of version 1, found pskel-planner of version 1"),
-        ({"version": "2"}, "expected protocol pskel-denoiser of version 1, found pskel-denoiser of version 2"),
-        (
-            {"sampler": "ddim", "prediction": "epsilon"},
-            "expected --sampler flow_match, found ddim with prediction epsilon",
-        ),
-        ({"window": "1"}, "expected a window of at least 2 frames, found 1"),
-        ({"window": "few"}, "expected window as a whole number in the hello, found 'few'"),
-        ({"views": "5"}, f"expected cameras as a list of 5 names in the hello, found {json.dumps(CAMERAS)}"),
-        ({"cameras": "CAM_FRONT"}, "expected cameras as a list in the hello, found CAM_FRONT"),
-        (
-            {"cameras": json.dumps(["A"] * 6)},
-            "expected cameras with different names, found A, A, A, A, A, A",
-        ),
-        (
-            {"image_sizes": "[[64, 32]]"},
-            "expected image_sizes as a list of 6 [width, height] in the hello, found [[64, 32]]",
-        ),
-        ({"fps": "fast"}, "expected fps as a number in the hello, found 'fast'"),
-        ({"fps": "0"}, "expected a positive number of frames per second, found 0.0"),
-        ({"fps": None}, f"expected the text fps in the hello, {NO_TEXT}"),
-        ({"cameras": None}, f"expected the text cameras in the hello, {NO_TEXT}"),
-        ({"image_sizes": None}, f"expected the text image_sizes in the hello, {NO_TEXT}"),
-        ({"condition_size": "32"}, "expected condition_size H,W in the hello, found '32'"),
-        ({"condition_size": "32,72"}, "expected height and width in multiples of 16 up to 384, found 32x72"),
-        ({"condition_size": "32,400"}, "expected height and width in multiples of 16 up to 384, found 32x400"),
-    ],
-)
-def test_other_hellos_are_refused(
-    capsys: pytest.CaptureFixture[str], base: Path, changed: dict[str, str | None], expected: str
-) -> None:
-    texts = {name: text for name, text in {**HELLO, **changed}.items() if text is not None}
-    assert failure(capsys, arguments(base), pack(texts, {})) == expected
-
-
-def test_other_requests_are_refused(capsys: pytest.CaptureFixture[str], base: Path) -> None:
-    hello = pack(HELLO, {})
-    texts, tensors = request(*window())
-
-    def refused(texts: dict[str, str], tensors: dict[str, Array]) -> str:
-        return failure(capsys, arguments(base), hello, pack(texts, tensors))
-
-    short = {name: tensor[:2] for name, tensor in tensors.items()}
-    assert refused(texts, short) == "expected the tensor latents of [3, 6, 16, 4, 8], found [2, 6, 16, 4, 8]"
-    without = {name: tensor for name, tensor in tensors.items() if name != "action"}
-    assert refused(texts, without) == "expected the tensor action of [3, 3], found none"
-    prompts = {**texts, "prompts": '["", ""]'}
-    assert refused(prompts, tensors) == 'expected prompts as a list of 3 texts in the call, found ["", ""]'
-    assert refused({"ask": "train"}, {}) == "expected ask of predict, encode or decode, found train"
-    image = {"images": np.zeros((V, 3, H, H), np.float32)}
-    assert refused({"ask": "encode"}, image) == "expected the tensor images of [6, 3, 32, 64], found [6, 3, 32, 32]"
-    latents = {"latents": np.full_like(tensors["latents"], np.inf)}
-    found = refused(texts, {**tensors, **latents})
-    assert found == "expected a finite prediction, found infinite or undefined values (is bf16 used?)"
-
-
-def test_other_streams_are_refused(capsys: pytest.CaptureFixture[str], base: Path) -> None:
-    message = pack(HELLO, {})
-    found = failure(capsys, arguments(base), message[:100])
-    assert found == f"expected a message of {len(message) - 8} bytes, found the end after 92"
-    found = failure(capsys, arguments(base), b"GET / HTTP/1.1\r\n")
-    assert re.fullmatch(r"expected a message of at most 34359738368 bytes, found \d+", found)
-    damaged = b"\x10" + bytes(7) + b"\x08" + bytes(7) + b"not JSON"
-    found = failure(capsys, arguments(base), damaged)
-    assert found.startswith("expected a message of safetensors with tensors of F32, found 16 bytes: ")
-    options = command.parser().parse_args(arguments(base))
-    assert command.run(options, streams.BytesIO(), streams.BytesIO()) == 0
-
-
-def test_messages_are_safetensors() -> None:
-    tensors = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "b": np.zeros((0, 2), np.float32)}
-    stream = streams.BytesIO()
-    messages.write(stream, {"x": "é"}, tensors)
-    texts, found = unpack(stream.getvalue()[8:])
-    assert texts == {"x": "é"} and found.keys() == tensors.keys()
-    stream.seek(0)
-    again = messages.read(stream)
-    assert again is not None and again.texts == texts
-    for name, tensor in tensors.items():
-        np.testing.assert_array_equal(found[name], tensor)
-        np.testing.assert_array_equal(again.tensors[name], tensor)
-    assert messages.read(stream) is None
-
-
-@pytest.mark.parametrize(
-    ("missing", "text"),
-    [
-        ("vae", "vae"),
-        ("vae/config.json", "vae/config.json"),
-        ("text_encoder_3/model.safetensors", "text_encoder_3/*.safetensors or text_encoder_3/*.bin"),
-        ("tokenizer_2", "tokenizer_2"),
-        ("tokenizer_3/tokenizer.json", "tokenizer_3/tokenizer.json or tokenizer_3/spiece.model"),
-    ],
-)
-def test_missing_parts_are_named(
-    capsys: pytest.CaptureFixture[str], base: Path, tmp_path: Path, missing: str, text: str
-) -> None:
-    copy = tmp_path / "base"
-    shutil.copytree(base, copy)
-    path = copy / missing
-    shutil.rmtree(path) if path.is_dir() else path.unlink()
-    found = failure(capsys, arguments(copy))
-    assert found == f"expected a folder of Stable Diffusion 3.5 with {text}, found none: {copy}"
-
-
-def test_other_files_are_refused(capsys: pytest.CaptureFixture[str], base: Path, tmp_path: Path) -> None:
-    nothing = tmp_path / "nothing"
-    assert failure(capsys, arguments(nothing)) == f"expected a folder of Stable Diffusion 3.5, found none: {nothing}"
-    copy = tmp_path / "base"
-    shutil.copytree(base, copy)
-    (copy / "vae" / "config.json").write_text("{")
-    found = failure(capsys, arguments(copy))
-    assert found.startswith("expected a variational autoencoder, found ") and found.endswith(f": {copy / 'vae'}")
-    diffusers.AutoencoderKL(block_out_channels=(32,), latent_channels=4).save_pretrained(copy / "vae")
-    found = failure(capsys, arguments(copy))
-    expected = "expected latents of 16 channels at 1/8 of the size of images, found 4 at 1/1"
-    assert found == f"{expected}: {copy / 'vae'}"
-    shutil.rmtree(copy / "vae")
-    shutil.copytree(base / "vae", copy / "vae")
-    (copy / "text_encoder_2" / "model.safetensors").write_bytes(b"damaged")
-    found = failure(capsys, arguments(copy))
-    assert found.startswith("expected a CLIPTextModelWithProjection, found ")
-    assert found.endswith(f": {copy / 'text_encoder_2'}")
-    shutil.rmtree(copy / "text_encoder_2")
-    shutil.copytree(base / "text_encoder", copy / "text_encoder_2")
-    assert failure(capsys, arguments(copy)) == f"expected text encoders of 24 pooled channels, found 8 + 8: {copy}"
-    config = tmp_path / "config.json"
-    config.write_text('{"colour": 1}')
-    found = failure(capsys, arguments(base, config=str(config)))
-    assert found == f"expected keys of the network, found colour: {config}"
-    weights = tmp_path / "w.pth"
-    weights.write_bytes(b"hello, world")
-    found = failure(capsys, arguments(base, weights=str(weights)))
-    assert found == f"expected a checkpoint of tensors, found a file that begins with b'hello, world': {weights}"
-    found = failure(capsys, arguments(base, weights=str(tmp_path / "none.pth")))
-    assert found == f"[Errno 2] No such file or directory: '{tmp_path / 'none.pth'}'"
-
-
-def test_devices_and_memory(capsys: pytest.CaptureFixture[str], base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = failure(capsys, arguments(base, device="tpu"))
-    assert found == "expected --device cuda, cuda:N or cpu, found tpu"
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    found = failure(capsys, arguments(base, device="cuda"))
-    assert found == "expected a GPU for --device cuda, found 0 that PyTorch can use (--device cpu is slow)"
-
-    def fails(*_: Any) -> None:
-        raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.\nMore.")
-
-    monkeypatch.setattr(Denoiser, "__call__", fails)
-    found = failure(capsys, arguments(base), pack(HELLO, {}), pack(*request(*window())))
-    assert found == (
-        "out of memory on cpu with --dtype f32: use bf16, a smaller size in the recipe, a smaller --window or "
-        "--cached-frames (CUDA out of memory. Tried to allocate 2.00 GiB.)"
-    )
-
-
-def run_process(arguments: list[str], sent: bytes = b"", **environment: str) -> "subprocess.CompletedProcess[bytes]":
-    command = [sys.executable, "-m", "pskel.models.pas", *arguments]
-    return subprocess.run(command, env={**os.environ, **environment}, input=sent, capture_output=True, check=False)
-
-
-@pytest.mark.parametrize(
-    ("package", "expected"),
-    [
-        ("torch", "pskel.models.pas needs PyTorch, diffusers and safetensors: pip install 'pskel[pas]'"),
-        ("transformers", "the denoiser of pskel.models.pas needs transformers: pip install 'pskel[pas]'"),
-    ],
-)
-def test_a_missing_package_is_one_line(base: Path, tmp_path: Path, package: str, expected: str) -> None:
-    (tmp_path / f"{package}.py").write_text(f"raise ImportError('no {package}')")
-    done = run_process(arguments(base), PYTHONPATH=str(tmp_path))
-    assert (done.returncode, done.stdout, done.stderr.decode()) == (1, b"", f"pskel.models.pas: {expected}\n")
-
-
-def test_an_error_of_the_process_is_one_line(base: Path) -> None:
-    done = run_process(arguments(base), pack({**HELLO, "sampler": "ddim", "prediction": "sample"}, {}))
-    expected = "pskel.models.pas: expected --sampler flow_match, found ddim with prediction sample\n"
-    assert (done.returncode, done.stdout, done.stderr.decode()) == (1, b"", expected)
 
 
 def test_invalid_conditions_are_refused(denoiser: Denoiser) -> None:

@@ -9,13 +9,14 @@ from io import BufferedIOBase
 from typing import Any, NamedTuple
 
 import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
 
 __all__ = ["Message", "read", "write"]
 
 _Array = np.ndarray[Any, np.dtype[np.float32]]
 _LENGTH = struct.Struct("<Q")
 _MAX_BYTES = 1 << 35
-_TEXTS = "__metadata__"
 
 
 class Message(NamedTuple):
@@ -33,6 +34,8 @@ def read(stream: BufferedIOBase) -> Message | None:
     prefix = _exactly(stream, _LENGTH.size)
     if not prefix:
         return None
+    if len(prefix) < _LENGTH.size:
+        raise ValueError(f"expected the length of a message in {_LENGTH.size} bytes, found the end after {len(prefix)}")
     (length,) = _LENGTH.unpack(prefix)
     if length > _MAX_BYTES:
         raise ValueError(f"expected a message of at most {_MAX_BYTES} bytes, found {length}")
@@ -40,48 +43,28 @@ def read(stream: BufferedIOBase) -> Message | None:
     if len(content) < length:
         raise ValueError(f"expected a message of {length} bytes, found the end after {len(content)}")
     try:
-        return _parsed(content)
-    except (AttributeError, KeyError, TypeError, ValueError, struct.error) as error:
+        tensors = load(content)
+    except (SafetensorError, KeyError) as error:
         raise ValueError(f"expected a message of safetensors with tensors of F32, found {length} bytes: {error}") from error
+    for name, tensor in tensors.items():
+        if tensor.dtype != np.float32:
+            raise ValueError(f"expected a message of safetensors with tensors of F32, found {name} of {tensor.dtype}")
+    header = json.loads(content[_LENGTH.size : _LENGTH.size + _LENGTH.unpack_from(content)[0]])
+    return Message(header.get("__metadata__", {}), tensors)
 
 
 def write(stream: BufferedIOBase, texts: Mapping[str, str], tensors: Mapping[str, _Array]) -> None:
     """Write a message, and flush the stream."""
-    header: dict[str, Any] = {_TEXTS: dict(texts)}
-    begin = 0
-    for name, tensor in tensors.items():
-        header[name] = {"dtype": "F32", "shape": tensor.shape, "data_offsets": [begin, begin + tensor.nbytes]}
-        begin += tensor.nbytes
-    encoded = json.dumps(header).encode()
-    encoded += b" " * (-len(encoded) % _LENGTH.size)
-    stream.write(_LENGTH.pack(_LENGTH.size + len(encoded) + begin) + _LENGTH.pack(len(encoded)) + encoded)
-    for tensor in tensors.values():
-        stream.write(np.ascontiguousarray(tensor, "<f4").tobytes())
+    content = save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, dict(texts))
+    stream.write(_LENGTH.pack(len(content)))
+    stream.write(content)
     stream.flush()
 
 
-def _exactly(stream: BufferedIOBase, length: int) -> bytearray:
+def _exactly(stream: BufferedIOBase, length: int) -> bytes:
     """Read ``length`` bytes, or less at the end of the stream."""
-    content, filled = bytearray(length), 0
-    with memoryview(content) as view:
-        while filled < length and (count := stream.readinto(view[filled:])):
-            filled += count
-    del content[filled:]
-    return content
-
-
-def _parsed(content: bytearray) -> Message:
-    begin = _LENGTH.size + _LENGTH.unpack_from(content)[0]
-    header = json.loads(content[_LENGTH.size : begin])
-    texts = header.pop(_TEXTS, {})
-    return Message({name: str(text) for name, text in texts.items()}, {n: _array(t, content, begin) for n, t in header.items()})
-
-
-def _array(described: Mapping[str, Any], content: bytearray, begin: int) -> _Array:
-    if described["dtype"] != "F32":
-        raise ValueError(f"a tensor of {described['dtype']}")
-    first, last = described["data_offsets"]
-    if not 0 <= first <= last <= len(content) - begin:
-        raise ValueError(f"a tensor at {first} to {last}")
-    values = np.frombuffer(content, "<f4", (last - first) // 4, begin + first)
-    return np.require(values, np.float32, "A").reshape(described["shape"])
+    parts = []
+    while length > 0 and (part := stream.read(length)):
+        parts.append(part)
+        length -= len(part)
+    return b"".join(parts)

@@ -116,25 +116,24 @@ class Network(nn.Module):
         Frames are encoded one by one, so that the result does not depend on their grouping. Raises
         ``ValueError`` if B, T and V differ.
         """
-        inputs = {
-            "encoder_hidden_states": encoder_hidden_states,
-            "pooled_projections": pooled_projections,
-            "layout": layout,
-            "points": points,
-            "added_time_ids": added_time_ids,
-        }
-        _expect_leading(layout.shape[:3], **inputs)
-        clips = [
-            Conditions.concatenate(
-                [
-                    self._encode_frame(**{name: x[clip : clip + 1, frame : frame + 1] for name, x in inputs.items()})
-                    for frame in range(layout.shape[1])
-                ],
-                dim=1,
-            )
-            for clip in range(layout.shape[0])
-        ]
-        return Conditions.concatenate(clips, dim=0)
+        leading = layout.shape[:3]
+        _expect_leading(
+            leading,
+            encoder_hidden_states=encoder_hidden_states,
+            pooled_projections=pooled_projections,
+            points=points,
+            added_time_ids=added_time_ids,
+        )
+
+        def encode(clip: int, frame: int) -> Conditions:
+            at = slice(clip, clip + 1), slice(frame, frame + 1)
+            text, pooled = self.encode_text(encoder_hidden_states[at], pooled_projections[at])
+            residuals = add_residuals(self.encode_layout(layout[at]), self.encode_points(points[at]))
+            return Conditions(residuals, text, pooled, self.encode_view(added_time_ids[at]))
+
+        clips, frames = range(leading[0]), range(leading[1])
+        parts = [Conditions.concatenate([encode(clip, frame) for frame in frames], dim=1) for clip in clips]
+        return Conditions.concatenate(parts, dim=0)
 
     def encode_layout(self, layout: Tensor) -> tuple[Tensor, ...]:
         """Encode ``layout`` ``[B, T, V, 6, H, W]``; returns residuals ``[B, T, V, tokens, D]`` of the first blocks."""
@@ -156,18 +155,6 @@ class Network(nn.Module):
         """Encode ``view`` of ``Conditions``."""
         view: Tensor = self.view_embedding(self._sinusoids(added_time_ids, ID_CHANNELS).flatten(-2))
         return view
-
-    def _encode_frame(
-        self,
-        encoder_hidden_states: Tensor,
-        pooled_projections: Tensor,
-        layout: Tensor,
-        points: Tensor,
-        added_time_ids: Tensor,
-    ) -> Conditions:
-        text, pooled = self.encode_text(encoder_hidden_states, pooled_projections)
-        residuals = add_residuals(self.encode_layout(layout), self.encode_points(points))
-        return Conditions(residuals, text, pooled, self.encode_view(added_time_ids))
 
     @staticmethod
     def _residuals(adapter: nn.Module, maps: Tensor) -> tuple[Tensor, ...]:

@@ -1,0 +1,127 @@
+"""Rollouts with the video network: by the rules of the loop, through its process, and by the loop of the package."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pskel
+import pytest
+from pas_base import Array, Peer, unpack
+
+pytest.importorskip("torch")
+diffusers = pytest.importorskip("diffusers")
+pytest.importorskip("transformers")
+from pas_frames import SHAPE, H, L, V, W, condition, needs_fixture, request  # noqa: E402
+from pskel.models.pas import Denoiser, FrameCondition  # noqa: E402
+
+pytest_plugins = ["pas_frames"]
+pytestmark = needs_fixture
+
+STEPS = 3
+Network = Callable[[Array, Array, Array, list[FrameCondition]], Array]
+
+
+def table() -> tuple[Array, Array]:
+    """Sigmas and timesteps of the scheduler of Stable Diffusion 3.5."""
+    scheduler = diffusers.FlowMatchEulerDiscreteScheduler(shift=3.0)
+    scheduler.set_timesteps(STEPS)
+    return scheduler.sigmas.numpy(), scheduler.timesteps.numpy()
+
+
+def roll_out(
+    network: Network, references: list[Array], conditions: list[FrameCondition], noise: list[list[Array]], guidance: float
+) -> list[Array]:
+    """Reset-and-Roll, step by step: L - 1 references, then a frame per list of noise (one for each roll)."""
+    sigmas, timesteps = table()
+    per_roll = STEPS // L
+    cache, finished_references = list(references), L - 1
+    frames = []
+    for step, draws in enumerate(noise):
+        current = L - 1 + step
+        latents, known, is_full = cache, finished_references, len(cache) == L
+        for roll, fresh in enumerate(draws):
+            if is_full or roll:
+                latents, known = latents[1:], max(known - 1, 0)
+            latents = [*latents, fresh]
+            shown = conditions[current + roll - L + 1 : current + roll + 1]
+            for call in range(STEPS - per_roll, STEPS):
+                own = [call - j * per_roll for j in range(L)]
+                index = [STEPS - 1 if j < known else min(max(own[j], 0), STEPS - 1) for j in range(L)]
+                arguments = np.stack(latents), timesteps[index], sigmas[index]
+                velocity = network(*arguments, shown)
+                if guidance != 1.0:
+                    without = network(*arguments, [frame.without("layout", "action") for frame in shown])
+                    velocity = without + np.float32(guidance) * (velocity - without)
+                latents = [
+                    x + (sigmas[i + 1] - sigmas[i]) * v if j >= known and own[j] >= 0 else x
+                    for j, (x, i, v) in enumerate(zip(latents, index, velocity))
+                ]
+            if roll == 0:  # it has seen no forecast
+                cache, finished_references = latents, known
+        frames.append(latents[0])
+    return frames
+
+
+def run_loop(network: Network, references: list[Array], count: int, guidance: float) -> list[Array]:
+    """The same by ``pskel.ResetAndRoll``, along a log whose states carry the number of their frame."""
+    simulation = pskel.Simulation(pskel.Log("town:seed=7,frames=20,size=113x200"), ego="replay", steps=36)
+    loop = pskel.ResetAndRoll(network, SHAPE, window=L, steps=STEPS, guidance=guidance, seed=3)
+    frames: list[Array] = []
+    for number, _ in enumerate(simulation):
+        now = simulation.committed.map(lambda _: condition(number))
+        if number < loop.references:
+            loop.add_reference(references[number], now)
+            continue
+        forecasts = simulation.forecast(loop.forecasts)
+        ahead = [forecast.map(lambda _: condition(number + 1 + i)) for i, forecast in enumerate(forecasts)]
+        frames.append(loop.step(now, ahead))
+        if len(frames) == count:
+            break
+    return frames
+
+
+def through(peer: Peer) -> Network:
+    """The denoiser process as a function."""
+
+    def network(latents: Array, timesteps: Array, sigmas: Array, conditions: list[FrameCondition]) -> Array:
+        waves = np.full((V, 16, H, W), 0.5, np.float32)  # the network does not use them
+        frames = [
+            {
+                "points": np.concatenate([frame.points.array, waves], axis=1),
+                "layout": frame.layout.array,
+                "action": frame.action,
+                "cameras": frame.cameras,
+                "prompt": frame.prompt,
+            }
+            for frame in conditions
+        ]
+        return unpack(peer.ask(*request(latents, timesteps, sigmas, frames)))[1]["prediction"]
+
+    return network
+
+
+@pytest.mark.parametrize("guidance", [1.0, 2.0])
+def test_rollouts_are_the_same(peer: Peer, denoiser: Denoiser, guidance: float) -> None:
+    """By the rules of the loop in this file, through the process and in this one, and by the loop of the package."""
+    count = 3
+    images = np.random.default_rng(9).random((L - 1, V, 3, H, W), np.float32)
+    references = [denoiser.encode(image) for image in images]
+    # A network without velocity shows the noise of the loop: one call per roll, the new frame last.
+    seen: list[tuple[Array, Array, Array]] = []
+
+    def still(latents: Array, timesteps: Array, sigmas: Array, _: list[FrameCondition]) -> Array:
+        seen.append((latents[-1].copy(), timesteps, sigmas))
+        return np.zeros_like(latents)
+
+    run_loop(still, references, count, 1.0)
+    assert len(seen) == count * L
+    noise = [[draw for draw, _, _ in seen[step * L : (step + 1) * L]] for step in range(count)]
+
+    rolled = roll_out(denoiser, references, [condition(i) for i in range(count + 2 * L)], noise, guidance)
+    other = roll_out(through(peer), references, [condition(i) for i in range(count + 2 * L)], noise, guidance)
+    looped = run_loop(denoiser, references, count, guidance)
+    assert len(rolled) == len(other) == len(looped) == count
+    for ours, theirs, packaged in zip(rolled, other, looped):
+        assert np.isfinite(ours).all()
+        np.testing.assert_array_equal(ours, theirs)
+        np.testing.assert_array_equal(ours, packaged)
+    assert (rolled[0] != rolled[1]).any()
