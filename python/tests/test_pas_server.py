@@ -105,6 +105,12 @@ def test_other_streams_are_refused(capsys: pytest.CaptureFixture[str], base: Pat
     message = pack(HELLO, {})
     found = failure(capsys, arguments(base), message[:100])
     assert found == f"expected a message of {len(message) - 8} bytes, found the end after 92"
+    found = failure(capsys, arguments(base), message[:3])
+    assert found == "expected the length of a message in 8 bytes, found the end after 3"
+    other = bytearray(pack({}, {"a": np.zeros(1, np.float32)}))
+    other[other.index(b"F32") : other.index(b"F32") + 3] = b"I32"
+    found = failure(capsys, arguments(base), bytes(other))
+    assert found == "expected a message of safetensors with tensors of F32, found a of int32"
     found = failure(capsys, arguments(base), b"GET / HTTP/1.1\r\n")
     assert re.fullmatch(r"expected a message of at most 34359738368 bytes, found \d+", found)
     damaged = b"\x10" + bytes(7) + b"\x08" + bytes(7) + b"not JSON"

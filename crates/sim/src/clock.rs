@@ -20,47 +20,59 @@ pub(super) struct Clock {
     frames_us: Option<Vec<i64>>,
 }
 
+impl SimOptions {
+    /// Returns the rates of a simulation of a log whose format has the given default rates.
+    ///
+    /// # Errors
+    /// Returns an error if a rate is out of range, if the planning rate does not divide the simulation rate, or if steps
+    /// are frames of the log and the other options contradict that.
+    pub fn rates(&self, defaults: Rates, log: &Recording) -> Result<Rates, SimError> {
+        let Some(every) = self.every_frames else {
+            let sim_hz = self.sim_hz.unwrap_or(defaults.sim_hz);
+            return checked(Rates { sim_hz, plan_hz: self.plan_hz.unwrap_or(defaults.plan_hz) });
+        };
+        let follows_log = self.ego == EgoPolicy::Replay && self.actors == ActorPolicy::Replay;
+        if every == 0 || !follows_log || self.sim_hz.or(self.plan_hz).is_some() {
+            return Err(SimError::Frames { every });
+        }
+        let hz = frame_rate_hz(&log.frames).map_or(defaults.plan_hz, |hz| hz / every as f64);
+        checked(Rates { sim_hz: hz, plan_hz: hz })
+    }
+}
+
+fn checked(rates: Rates) -> Result<Rates, SimError> {
+    let Rates { sim_hz, plan_hz } = rates;
+    let checks = [("steps a second", sim_hz, SIM_HZ), ("plans a second", plan_hz, [MIN_PLAN_HZ, SIM_HZ[1]])];
+    for (what, found, [min, max]) in checks {
+        if !(min..=max).contains(&found) {
+            return Err(SimError::Rate { what, min, max, found });
+        }
+    }
+    let ratio = sim_hz / plan_hz;
+    // Quotients of rates like 10 and 10/3 Hz have rounding errors.
+    if ratio.round() < 1.0 || (ratio - ratio.round()).abs() > 1e-9 * ratio {
+        return Err(SimError::Clock { sim_hz, plan_hz });
+    }
+    Ok(rates)
+}
+
 impl Clock {
     /// Validates the rates and creates the clock; steps at frames use the times of a log.
     pub(super) fn of(
         options: &SimOptions,
-        rates: Rates,
+        defaults: Rates,
         start_us: i64,
         log: &Recording,
     ) -> Result<Self, SimError> {
-        let Some(every) = options.every_frames else { return Self::new(options, rates, start_us) };
-        let follows_log = options.ego == EgoPolicy::Replay && options.actors == ActorPolicy::Replay;
-        if every == 0 || !follows_log || options.sim_hz.or(options.plan_hz).is_some() {
-            return Err(SimError::Frames { every });
-        }
-        let times = log.frames.iter().map(|frame| frame.t_us).filter(|t_us| *t_us >= start_us);
-        let times: Vec<i64> = times.step_by(every).collect();
-        let hz = frame_rate_hz(&log.frames).map_or(rates.plan_hz, |hz| hz / every as f64);
-        let even = SimOptions { sim_hz: Some(hz), plan_hz: Some(hz), ..options.clone() };
-        let start_us = times.first().copied().unwrap_or(start_us);
-        Ok(Self { frames_us: Some(times), ..Self::new(&even, rates, start_us)? })
-    }
-
-    /// Validates the rates and creates a clock with even steps.
-    pub(super) fn new(options: &SimOptions, rates: Rates, start_us: i64) -> Result<Self, SimError> {
-        let sim_hz = options.sim_hz.unwrap_or(rates.sim_hz);
-        let plan_hz = options.plan_hz.unwrap_or(rates.plan_hz);
-        let checks =
-            [("steps a second", sim_hz, SIM_HZ), ("plans a second", plan_hz, [MIN_PLAN_HZ, SIM_HZ[1]])];
-        for (what, found, [min, max]) in checks {
-            if !(min..=max).contains(&found) {
-                return Err(SimError::Rate { what, min, max, found });
-            }
-        }
-        let ratio = sim_hz / plan_hz;
-        // Quotients of rates like 10 and 10/3 Hz have rounding errors.
-        if ratio.round() < 1.0 || (ratio - ratio.round()).abs() > 1e-9 * ratio {
-            return Err(SimError::Clock { sim_hz, plan_hz });
-        }
-        let steps_per_plan = ratio.round() as usize;
+        let rates = options.rates(defaults, log)?;
+        let frames_us = options.every_frames.map(|every| {
+            let times = log.frames.iter().map(|frame| frame.t_us).filter(|t_us| *t_us >= start_us);
+            times.step_by(every).collect::<Vec<i64>>()
+        });
+        let start_us = frames_us.iter().flatten().next().copied().unwrap_or(start_us);
+        let steps_per_plan = (rates.sim_hz / rates.plan_hz).round() as usize;
         let takeover = options.warmup_frames.saturating_sub(1).saturating_mul(steps_per_plan);
-        let rates = Rates { sim_hz, plan_hz };
-        Ok(Self { start_us, rates, steps_per_plan, takeover, frames_us: None })
+        Ok(Self { start_us, rates, steps_per_plan, takeover, frames_us })
     }
 
     /// Returns the time of a step, absolute microseconds; `i64::MAX` beyond a log's frames.
@@ -88,7 +100,7 @@ mod tests {
             warmup_frames: 4,
             ..SimOptions::default()
         };
-        Clock::new(&options, Rates::default(), 1000)
+        Clock::of(&options, Rates::default(), 1000, &Recording::default())
     }
 
     #[test]

@@ -321,33 +321,26 @@ impl SimulateArgs {
         [self.policies.ego == EgoName::Replay, matches!(self.policies.actors, ActorName::Replay)]
     }
 
-    /// Returns the number of planning steps per second.
-    pub(super) fn plan_hz(&self, scenario: &Scenario<'_>) -> anyhow::Result<f64> {
-        let (every, _) = self.frames_of(scenario)?;
-        let of_frames = every.and_then(|every| Some(frame_rate_hz(&scenario.log.frames)? / every as f64));
-        Ok(of_frames.or(self.policies.plan_hz).unwrap_or(scenario.rates.plan_hz))
-    }
-
     /// Returns whether steps are the log's own frames, as in `pskel generate`.
     pub(super) fn is_open_loop(&self) -> bool {
         self.frames.is_some()
     }
 
-    /// Returns the simulation options; reads the trajectory. The warm-up has at least the `window` frames of a
-    /// generator.
-    pub(super) fn sim_options(
-        &self,
-        scenario: &Scenario<'_>,
-        window: Option<usize>,
-    ) -> anyhow::Result<SimOptions> {
-        let p = &self.policies;
-        let (every_frames, steps) = self.frames_of(scenario)?;
-        let least = window.unwrap_or(0);
-        if let Some(warmup) = p.warmup.filter(|warmup| *warmup < least) {
+    /// Returns the number of frames of the warm-up: at least the `window` of a generator.
+    pub(super) fn warmup_frames(&self, window: Option<usize>) -> Result<usize, WrongUsage> {
+        let (given, least) = (self.policies.warmup, window.unwrap_or(0));
+        if let Some(warmup) = given.filter(|warmup| *warmup < least) {
             let message =
                 format!("expected --warmup of {least} or more, the generator's window, found {warmup}");
-            return Err(WrongUsage(message).into());
+            return Err(WrongUsage(message));
         }
+        Ok(given.or(window).unwrap_or(SimOptions::default().warmup_frames))
+    }
+
+    /// Returns the simulation options except for the warm-up; reads the trajectory.
+    pub(super) fn sim_options(&self, scenario: &Scenario<'_>) -> anyhow::Result<SimOptions> {
+        let p = &self.policies;
+        let (every_frames, steps) = self.frames_of(scenario)?;
         let ego = match (p.ego, &p.trajectory, &p.planner) {
             (EgoName::Straight, ..) => EgoPolicy::Straight,
             (EgoName::RightThenBack, ..) => EgoPolicy::RightThenBack,
@@ -366,7 +359,6 @@ impl SimulateArgs {
             sim_hz: p.sim_hz,
             plan_hz: p.plan_hz,
             every_frames,
-            warmup_frames: p.warmup.or(window).unwrap_or(SimOptions::default().warmup_frames),
             start_us: p.start,
             ego,
             tracking: match p.tracking {
@@ -378,6 +370,7 @@ impl SimulateArgs {
                 ActorName::Idm => ActorPolicy::Idm,
                 ActorName::Reactive => ActorPolicy::Reactive,
             },
+            ..SimOptions::default()
         })
     }
 }

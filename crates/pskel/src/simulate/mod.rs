@@ -48,8 +48,10 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
     let Inputs { dataset, skeleton, prompt, map, maps } = &inputs;
     let log = dataset.log();
     let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.log.format) };
-    let opened = args.generation.open(log, args.plan_hz(&scenario)?)?;
-    let simulation = args.sim_options(&scenario, opened.as_ref().map(Opened::window))?;
+    let mut simulation = args.sim_options(&scenario)?;
+    let rates = simulation.rates(scenario.rates, log).map_err(|error| usage(error.into()))?;
+    let opened = args.generation.open(log, rates.plan_hz)?;
+    simulation.warmup_frames = args.warmup_frames(opened.as_ref().map(Opened::window))?;
     let planned = Planned {
         steps: simulation.steps,
         ego: simulation.ego.name(),
