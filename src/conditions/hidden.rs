@@ -4,30 +4,34 @@
 use crate::geometry::ImageSize;
 
 /// Share of its depth by which a pixel may lie behind the surface in front of it.
-const TOLERANCE: f32 = 0.3;
+const TOLERANCE: f32 = 0.1;
 /// Distance by which it may lie behind it in addition, meters.
-const TOLERANCE_M: f32 = 0.1;
+const TOLERANCE_M: f32 = 0.3;
+/// Vertical radius of the opening relative to the horizontal one: scan lines are farther apart than the columns of a sweep.
+const HEIGHT: usize = 2;
 
 /// Returns the depths `[H, W]` (`f32::INFINITY` where empty) without those of hidden pixels, which become empty. The
-/// surface in front of a pixel is the morphological opening of depth by a square of `2 radius + 1` pixels: the farthest
-/// of the nearest depths of all squares, around pixels of the image, that contain the pixel. A pixel is thus hidden only
-/// if every such square contains something nearer.
+/// surface in front of a pixel is the morphological opening of depth by a rectangle of `2 radius + 1` columns and
+/// `4 radius + 1` rows: the farthest of the nearest depths of all rectangles, around pixels of the image, that contain the
+/// pixel. A pixel is thus hidden only if every such rectangle contains something nearer.
 pub(super) fn without_hidden(depth_m: &[f32], size: ImageSize, radius: usize) -> Vec<f32> {
     let width = size.width as usize;
-    let nearest = extrema(depth_m, width, radius, f32::min);
-    let front = extrema(&nearest, width, radius, f32::max);
+    let radii = [radius, HEIGHT * radius];
+    let nearest = extrema(depth_m, width, radii, f32::min);
+    let front = extrema(&nearest, width, radii, f32::max);
     let shown = |(depth, front): (&f32, f32)| {
         if *depth <= front * (1.0 + TOLERANCE) + TOLERANCE_M { *depth } else { f32::INFINITY }
     };
     depth_m.iter().zip(front).map(shown).collect()
 }
 
-/// Returns the least or greatest value of the square around each pixel, as far as it lies inside the image.
-fn extrema(values: &[f32], width: usize, radius: usize, of: fn(f32, f32) -> f32) -> Vec<f32> {
+/// Returns the least or greatest value of the rectangle around each pixel, with its radii along rows and columns, as far as
+/// it lies inside the image.
+fn extrema(values: &[f32], width: usize, radii: [usize; 2], of: fn(f32, f32) -> f32) -> Vec<f32> {
     let rows = |values: &[f32]| -> Vec<f32> {
-        values.chunks(width).flat_map(|row| along(row, 1, radius, of)).collect()
+        values.chunks(width).flat_map(|row| along(row, 1, radii[0], of)).collect()
     };
-    along(&rows(values), width, radius, of)
+    along(&rows(values), width, radii[1], of)
 }
 
 /// Returns the least or greatest of the values at up to `radius` multiples of `stride` before and behind each place.
@@ -59,31 +63,39 @@ mod tests {
         let seen = [true, true, true, true, false, true, false, false, true, true, true, true, true];
         assert_eq!(shown(&row, 1, 1), seen);
         assert_eq!(shown(&row, 1, 2), seen);
-        // The same across rows.
-        assert_eq!(shown(&row, 13, 2), seen);
-        // A square of 3 pixels fits into a gap of 3, one of 5 does not.
+        // Across rows with half the radius.
+        assert_eq!(shown(&row, 13, 1), seen);
+        // A rectangle of 3 columns fits into a gap of 3, one of 5 columns or rows does not.
         let wide = [5.0, 20.0, 20.0, 20.0, 5.0];
         assert_eq!(shown(&wide, 1, 1), [true; 5]);
         assert_eq!(shown(&wide, 1, 2), [true, false, false, false, true]);
+        assert_eq!(shown(&wide, 5, 1), [true, false, false, false, true]);
     }
 
-    /// By the definition, pixel by pixel: the farthest of the nearest depths of all squares that contain the pixel.
+    /// A relief of up to 10 % and 0.3 m is visible through gaps, a second wall behind it is not.
+    #[test]
+    fn a_wall_close_behind_is_hidden() {
+        assert_eq!(shown(&[6.0, 6.9, 6.8, 7.5, 6.0], 1, 2), [true, true, true, false, true]);
+    }
+
+    /// By the definition, pixel by pixel: the farthest of the nearest depths of all rectangles that contain the pixel.
     #[test]
     fn the_surface_in_front_is_the_opening() {
-        let (height, width, radius) = (9_usize, 13_usize, 2_usize);
+        let (height, width, radius) = (13_usize, 13_usize, 2_usize);
         let depth = |i: usize| if i % 7 == 3 { EMPTY } else { ((i * 7919) % 97) as f32 + 1.0 };
         let depths: Vec<f32> = (0..height * width).map(depth).collect();
         let around = |i: usize| {
             let span = |at: usize, side: usize| at.saturating_sub(radius)..(at + radius + 1).min(side);
             let columns = span(i % width, width);
-            span(i / width, height).flat_map(move |y| columns.clone().map(move |x| y * width + x))
+            let rows = |at: usize| at.saturating_sub(2 * radius)..(at + 2 * radius + 1).min(height);
+            rows(i / width).flat_map(move |y| columns.clone().map(move |x| y * width + x))
         };
         let nearest = |i: usize| around(i).map(|j| depths[j]).fold(EMPTY, f32::min);
         let front = |i: usize| around(i).map(nearest).fold(0.0, f32::max);
         let size = ImageSize { height: height as u32, width: width as u32 };
         let found = without_hidden(&depths, size, radius);
         let expected =
-            (0..depths.len()).map(|i| if depths[i] <= front(i) * 1.3 + 0.1 { depths[i] } else { EMPTY });
+            (0..depths.len()).map(|i| if depths[i] <= front(i) * 1.1 + 0.3 { depths[i] } else { EMPTY });
         assert_eq!(found, expected.collect::<Vec<f32>>());
         let hidden = found.iter().zip(&depths).filter(|(found, depth)| found != depth).count();
         assert!((10..100).contains(&hidden), "{hidden}");

@@ -222,7 +222,7 @@ fn mean_color(
     if filter == ColorFilter::ValidArea {
         return Ok(reduce::valid_area(&color, &maps.depth_m, from, to));
     }
-    // The square reaches one pixel of the result to each side.
+    // Surfaces reach over gaps of one pixel of the result to each side, and of two up and down.
     let radius = from.height.div_ceil(to.height).max(from.width.div_ceil(to.width));
     Ok(reduce::valid_area(&color, &without_hidden(&maps.depth_m, from, radius as usize), from, to))
 }
