@@ -12,9 +12,10 @@ ENVIRONMENT = {**os.environ, "MYPY_CACHE_DIR": os.devnull}
 PLAIN = ["examples/own_points.py", "examples/render_frame.py", "examples/drive.py"]
 TORCH = ["examples/train.py", "examples/reset_and_roll.py"]
 MODELS = ["pskel/models"]
+METRICS = ["pskel/metrics"]
 
 
-@pytest.mark.parametrize(("extra", "examples"), [("gymnasium", PLAIN), ("torch", TORCH), ("diffusers", MODELS)])
+@pytest.mark.parametrize(("extra", "examples"), [("gymnasium", PLAIN), ("torch", TORCH), ("diffusers", MODELS), ("torchmetrics", METRICS)])
 def test_package_and_examples_are_typed(extra: str, examples: list[str]) -> None:
     pytest.importorskip("mypy")
     pytest.importorskip(extra)

@@ -1,0 +1,16 @@
+"""Features of Inception and I3D, for the FID and FVD of generated rollouts (docs/PYTHON.md)."""
+
+from .frechet import frechet_distance
+from .i3d import I3D, video_features
+from .inception import image_features, load_inception
+from .rollout import GeneratedVideo, read_rollout
+
+__all__ = [
+    "I3D",
+    "GeneratedVideo",
+    "frechet_distance",
+    "image_features",
+    "load_inception",
+    "read_rollout",
+    "video_features",
+]

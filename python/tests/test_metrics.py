@@ -1,0 +1,194 @@
+"""FID and FVD features: torchmetrics, and the sums of an independent computation, on random weights."""
+
+import csv
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+pytest.importorskip("torchmetrics", reason="torchmetrics is not installed")
+pytest.importorskip("torch_fidelity", reason="torch-fidelity is not installed")
+Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
+
+from torch.nn import functional
+
+from pskel.metrics import I3D, frechet_distance, image_features, load_inception, read_rollout, video_features
+
+
+def initialized(network, seed):
+    """Weights of a scale at which features depend on the input."""
+    generator = torch.Generator().manual_seed(seed)
+    for name, tensor in network.state_dict().items():
+        if tensor.ndim > 1:
+            tensor.normal_(0, (2 / tensor[0].numel()) ** 0.5, generator=generator)
+        elif "running_var" in name or name.endswith("bn.weight"):
+            tensor.uniform_(0.5, 1.5, generator=generator)
+        elif tensor.is_floating_point():
+            tensor.normal_(0, 0.1, generator=generator)
+    return network
+
+
+@pytest.fixture(scope="session")
+def i3d_weights(tmp_path_factory):
+    path = tmp_path_factory.mktemp("i3d") / "i3d.pt"
+    torch.save(initialized(I3D(), 1).state_dict(), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def inception_weights(tmp_path_factory):
+    """Random weights of torch-fidelity's network, which only loads files."""
+    from torch_fidelity.feature_extractor_inceptionv3 import FeatureExtractorInceptionV3
+
+    path = tmp_path_factory.mktemp("inception") / "inception.pth"
+    torch.save({}, path)
+    loads, FeatureExtractorInceptionV3.load_state_dict = FeatureExtractorInceptionV3.load_state_dict, lambda *_, **__: None
+    try:
+        network = FeatureExtractorInceptionV3("inception-v3-compat", ["2048"], str(path))
+    finally:
+        FeatureExtractorInceptionV3.load_state_dict = loads
+    torch.save(initialized(network, 2).state_dict(), path)
+    return path
+
+
+def images(seed, *shape):
+    return np.random.default_rng(seed).integers(0, 256, (*shape, 3), np.uint8)
+
+
+def test_image_features_are_those_of_torchmetrics(inception_weights):
+    from torchmetrics.image.fid import FrechetInceptionDistance
+
+    metric = FrechetInceptionDistance(feature=2048, feature_extractor_weights_path=str(inception_weights))
+    levels = images(3, 6, 64, 112)
+    own = image_features(load_inception(inception_weights), levels, batch=4)
+    expected = metric.inception(torch.from_numpy(levels).permute(0, 3, 1, 2))
+    np.testing.assert_allclose(own, expected, rtol=1e-4, atol=1e-4)
+    assert own.shape == (6, 2048) and own.std(0).max() > 1e-3
+
+
+def test_distance_is_that_of_torchmetrics():
+    from torchmetrics.image.fid import _compute_fid
+
+    rng = np.random.default_rng(5)
+    # Correlated columns of different variance, and more rows than columns.
+    mix = rng.normal(size=(24, 24)) * np.linspace(0.1, 3, 24)
+    a, b = rng.normal(size=(200, 24)) @ mix, 0.3 + rng.normal(size=(150, 24)) @ mix.T
+    tensors = [torch.from_numpy(x) for x in (a, b)]
+    expected = _compute_fid(tensors[0].mean(0), tensors[0].T.cov(), tensors[1].mean(0), tensors[1].T.cov())
+    assert frechet_distance(a, b) == pytest.approx(float(expected), rel=1e-6)
+    assert frechet_distance(a, a) == pytest.approx(0, abs=1e-6 * np.trace(np.cov(a.T)))
+    with pytest.raises(ValueError, match="expected features"):
+        frechet_distance(a, b[:, :3])
+
+
+def test_convolutions_are_padded_as_in_tensorflow(i3d_weights):
+    """The stem of I3D computed step by step: 7x7x7 kernels at a stride of 2, two zeros before and three behind."""
+    network = I3D.load(i3d_weights)
+    clip = torch.from_numpy(np.random.default_rng(6).normal(size=(1, 3, 16, 32, 48))).float()
+    unit = network.Conv3d_1a_7x7
+    raw = functional.conv3d(functional.pad(clip, [2, 3] * 3), unit.conv3d.weight, stride=2)
+    scale = unit.bn.weight / (unit.bn.running_var + 0.001).sqrt()
+    shape = (1, -1, 1, 1, 1)
+    expected = torch.relu((raw - unit.bn.running_mean.view(shape)) * scale.view(shape) + unit.bn.bias.view(shape))
+    assert raw.shape == (1, 64, 8, 16, 24)
+    torch.testing.assert_close(unit(clip), expected, rtol=1e-4, atol=1e-4)
+
+
+def test_i3d_has_the_published_names():
+    names = I3D().state_dict()
+    # 57 units of a convolution and a norm with 5 tensors each, and the logits.
+    assert len(names) == 57 * 6 + 2
+    assert names["Mixed_4e.b1b.conv3d.weight"].shape == (288, 144, 3, 3, 3)
+    assert names["logits.conv3d.weight"].shape == (400, 1024, 1, 1, 1)
+    assert names["Conv3d_1a_7x7.bn.num_batches_tracked"].shape == ()
+
+
+def test_video_features_do_not_depend_on_batches(i3d_weights):
+    network = I3D.load(i3d_weights)
+    clips = images(7, 3, 10, 32, 56)
+    whole = video_features(network, clips, batch=3)
+    assert whole.shape == (3, 400) and whole.dtype == np.float32
+    np.testing.assert_allclose(video_features(network, list(clips), batch=1), whole, rtol=1e-3, atol=1e-4)
+    assert np.abs(whole[0] - whole[1]).max() > 1e-3
+
+
+def write_rollout(folder, frames, references=2):
+    for step in range(frames + references):
+        at = folder / "steps" / f"{2 * step:06}"
+        is_reference = step < references
+        for kind, seed in (("generated", 10), ("truth", 20)):
+            (at / kind).mkdir(parents=True)
+            for camera in ("CAM_BACK", "CAM_FRONT"):
+                Image.fromarray(images([seed, step, len(camera)], 32, 56)).save(at / kind / f"{camera}.png")
+        (at / "generated.json").write_text(json.dumps({"kind": "reference" if is_reference else "generated"}))
+    # A step between plans has no images.
+    (folder / "steps" / "000001").mkdir()
+    return folder
+
+
+def run(*arguments):
+    command = [sys.executable, "-m", "pskel.metrics", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_command_writes_features_and_curve(tmp_path, inception_weights, i3d_weights):
+    rollout = write_rollout(tmp_path / "rollout", 12)
+    assert [video.camera for video in read_rollout(rollout)] == ["CAM_BACK", "CAM_FRONT"]
+    assert read_rollout(rollout)[0].steps == list(range(4, 28, 2))
+    done = run(rollout, "--inception", inception_weights, "--i3d", i3d_weights, "--frames", 10, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "24 samples of 2048 features" in done.stdout and "6 samples of 400 features" in done.stdout
+    features = {path.stem: np.load(path) for path in (tmp_path / "out").glob("*.npy")}
+    assert {name: each.shape for name, each in features.items()} == {
+        "inception-generated": (24, 2048),
+        "inception-truth": (24, 2048),
+        "i3d-generated": (6, 400),
+        "i3d-truth": (6, 400),
+    }
+    printed = [float(line.split()[1].rstrip(",")) for line in done.stdout.splitlines()]
+    for name, value in zip(("inception", "i3d"), printed, strict=True):
+        assert frechet_distance(features[f"{name}-generated"], features[f"{name}-truth"]) == pytest.approx(value, abs=1e-3)
+    with (tmp_path / "out/curve.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["first_frame"] for row in rows] == ["0", "1", "2"]
+    parts = {kind: [features[f"inception-{kind}"][at : at + 10] for at in (1, 13)] for kind in ("generated", "truth")}
+    window = {kind: np.concatenate(both) for kind, both in parts.items()}
+    assert float(rows[1]["fid"]) == pytest.approx(frechet_distance(window["generated"], window["truth"]), rel=1e-9)
+    clips = {kind: features[f"i3d-{kind}"][[2, 5]] for kind in ("generated", "truth")}
+    assert float(rows[2]["fvd"]) == pytest.approx(frechet_distance(clips["generated"], clips["truth"]), rel=1e-9)
+
+
+def test_wrong_input_is_said(tmp_path, i3d_weights):
+    rollout = write_rollout(tmp_path / "rollout", 3)
+    weights = torch.load(i3d_weights, weights_only=True)
+    name = "Mixed_4e.b1b.conv3d.weight"
+    for change, said in (
+        ({name: None}, f"1 missing tensors: {name}"),
+        ({"more": torch.zeros(1)}, "1 additional tensors: more"),
+        ({name: torch.zeros(2, 3)}, f"1 misshapen tensors: {name} of [2, 3] instead of [288, 144, 3, 3, 3]"),
+    ):
+        bad = tmp_path / "bad.pt"
+        torch.save({key: tensor for key, tensor in (weights | change).items() if tensor is not None}, bad)
+        with pytest.raises(ValueError) as error:
+            I3D.load(bad)
+        assert str(bad) in str(error.value) and said in str(error.value)
+    (tmp_path / "text.pt").write_text("no weights")
+    (tmp_path / "empty").mkdir()
+    out = ["--out", tmp_path / "out"]
+    for arguments, status, said in (
+        ([rollout, *out], 2, "expected --inception or --i3d"),
+        ([rollout, "--i3d", i3d_weights, "--frames", 4, *out], 2, "expected --frames of 10 or more, found 4"),
+        ([rollout, "--i3d", i3d_weights, *out], 1, "expected a rollout of 16 generated frames or more, found at most 3"),
+        ([tmp_path / "empty", "--i3d", i3d_weights, *out], 1, "expected a rollout with generated images, found none"),
+        ([rollout, "--i3d", tmp_path / "text.pt", "--frames", 10, *out], 1, "found at most 3"),
+        ([rollout, "--inception", tmp_path / "text.pt", *out], 1, "expected weights of Inception"),
+        ([rollout, "--inception", tmp_path / "none.pth", *out], 1, "none.pth: no such file"),
+    ):
+        done = run(*arguments)
+        assert done.returncode == status and said in done.stderr, (arguments, done.stderr)
+    (rollout / "steps/000006/truth/CAM_FRONT.png").unlink()
+    done = run(rollout, "--inception", tmp_path / "none.pth", *out)
+    assert done.returncode == 1 and "expected a truth image, found none" in done.stderr
