@@ -11,7 +11,7 @@ use point_skeleton::files::FileName;
 use serde::Serialize;
 
 use super::rollout::GeneratedRollout;
-use super::segmentor::{PATCHES, PatchesAbout, Segmentors};
+use super::segmentor::{GIVEN, PATCHES, PatchesAbout, Segmentors};
 
 /// All results.
 #[derive(Debug, Serialize)]
@@ -40,7 +40,7 @@ pub(super) struct ScoredRollout {
     scores: Scores,
 }
 
-const HEADER: [&str; 12] = [
+const HEADER: [&str; 13] = [
     "rollout",
     "steps",
     "PSNR (dB)",
@@ -53,6 +53,7 @@ const HEADER: [&str; 12] = [
     "flicker",
     "IoU patches",
     "IoU ratio",
+    "IoU masks",
 ];
 
 impl ScoredRollout {
@@ -100,6 +101,7 @@ impl ScoredRollout {
             (motion.and_then(|m| m.flicker), 3),
             (patches.and_then(|iou| iou.generated), 3),
             (patches.and_then(|iou| iou.ratio), 3),
+            (iou.get(GIVEN).and_then(|iou| iou.generated), 3),
         ];
         let cells = values.into_iter().map(|(value, digits)| number(value, digits));
         [self.folder.clone(), steps.to_string()].into_iter().chain(cells).collect()
@@ -161,6 +163,7 @@ impl Report {
                 ("flicker", 3),
                 ("iou_patch_classifier", 3),
                 ("iou_patch_classifier_ratio", 3),
+                ("iou_masks", 3),
             ];
             let cell =
                 |(name, digits): (&str, usize)| interval(self.mean.get(name).copied().flatten(), digits);

@@ -79,11 +79,9 @@ for n, m, d in [(40, 30, 6), (100, 90, 16), (10, 12, 16), (5, 40, 8)]:
     sets.append({"rows": [n, m], "columns": d, "distance": frechet(features(n, d, 0), features(m, d, 50_000))})
 masks = []
 for h, w in [(12, 20), (5, 7), (1, 6)]:
-    smooth = cv2.blur(levels(h * w, 4).astype(np.float32).reshape(h, w), (3, 3))
-    mask = (smooth > 128).astype(np.uint8)
-    kernel = cv2.getGaussianKernel(3, 0)
-    soft = cv2.sepFilter2D(mask.astype(np.float32), -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101)
-    masks.append({"size": [h, w], "class": mask.ravel().tolist(), "mask": (soft > 0.5).astype(int).ravel().tolist()})
+    mask = (levels(h * w, 4) > 190).astype(np.uint8).reshape(h, w)
+    closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    masks.append({"size": [h, w], "class": mask.ravel().tolist(), "mask": closed.ravel().tolist()})
 t = {str(n): float(student_t.ppf(0.975, n)) for n in [1, 2, 7, 30, 31, 45, 300]}
 out = {"images": images, "sets": sets, "masks": masks, "student_t": t}
 path = pathlib.Path(__file__).with_name("quality.json")

@@ -225,8 +225,7 @@ fn masks_classifiers_and_features_of_others_are_used() {
     for step in (4..STEPS).step_by(2) {
         let folder = rollouts.path(&format!("masks/{step:06}"));
         std::fs::create_dir_all(&folder).unwrap();
-        // Masks may have another size and any nonzero level; the corners that the blur leaves are those of the class
-        // map.
+        // Masks may have another size and any nonzero level.
         let mask =
             GrayImage::from_fn(2 * WIDTH, 2 * HEIGHT, |x, y| Luma([3 * actor(step, x / 2, y / 2) as u8]));
         CAMERAS.iter().for_each(|camera| mask.save(folder.join(format!("{camera}.png"))).unwrap());
@@ -240,6 +239,11 @@ fn masks_classifiers_and_features_of_others_are_used() {
     assert!((number(&given["distance"]) - 16.0).abs() < 1e-9 && given["features"] == json!(2), "{given}");
     let iou = &json["rollouts"][0]["scores"]["iou"];
     assert!(number(&iou["masks"]["generated"]) > 0.9, "{}", iou["masks"]);
+    let mut lines = stdout.lines();
+    let (header, row) = (lines.next().unwrap(), lines.next().unwrap());
+    let printed: f64 = row.split_whitespace().last().unwrap().parse().unwrap();
+    assert!(header.ends_with("IoU masks"), "{header}");
+    assert!((printed - number(&iou["masks"]["generated"])).abs() < 1e-3, "{row}");
     assert_eq!(iou["masks"]["truth"], Value::Null);
     assert!(number(&iou["patch_classifier"]["truth"]) > 0.8);
     let about = &json["patch_classifier"];

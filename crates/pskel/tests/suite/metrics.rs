@@ -3,8 +3,15 @@
 use std::collections::BTreeMap;
 
 use image::RgbImage;
-use pskel_eval::{FeatureSet, frechet_distance, mean_interval, psnr_db, sharpness, ssim, vehicle_mask};
+use point_skeleton::dataset::Dataset;
+use point_skeleton::geometry::View;
+use pskel_eval::{
+    FeatureSet, Overlap, VEHICLE_CLASS, frechet_distance, mean_interval, psnr_db, sharpness, ssim,
+    vehicle_mask,
+};
 use serde::Deserialize;
+
+use crate::made_town::town;
 
 #[derive(Deserialize)]
 struct Peers {
@@ -99,6 +106,31 @@ fn vehicle_masks_are_those_of_opencv() {
         let mask: Vec<u8> = vehicle_mask(&case.class, case.size[1]).into_iter().map(u8::from).collect();
         assert_eq!(mask, case.mask, "{:?}", case.size);
     }
+}
+
+/// Vehicles of a town: the projection hardly changes their dense masks, and restores most of masks of sparse points.
+#[test]
+fn vehicle_masks_are_those_of_the_town() {
+    let [mut dense, mut sparse, mut points] = [Overlap::default(); 3];
+    for frame in &town().log().frames {
+        let view = |image: &point_skeleton::dataset::ImageRecord| View {
+            camera: image.camera.resized(64, 112),
+            camera_from_world: image.camera_from_global().affine(),
+        };
+        let views: Vec<View> = frame.images.iter().map(view).collect();
+        for seen in town().truth(frame.t_us, &views).unwrap() {
+            let truth: Vec<bool> = seen.class.iter().map(|class| *class == VEHICLE_CLASS).collect();
+            let is_kept = |i: usize| point_skeleton::hash::unit(1, &[i as i64]) < 0.4;
+            let kept = |(i, class): (usize, &u8)| if is_kept(i) { *class } else { 0 };
+            let few: Vec<u8> = seen.class.iter().enumerate().map(kept).collect();
+            dense.add_masks(&vehicle_mask(&seen.class, 112), &truth);
+            sparse.add_masks(&vehicle_mask(&few, 112), &truth);
+            points.add_maps((&few, |class| *class == VEHICLE_CLASS), (&truth, |is| *is));
+        }
+    }
+    let [dense, sparse, points] = [dense, sparse, points].map(|overlap| overlap.iou().unwrap());
+    assert!(dense >= 0.9, "{dense}");
+    assert!(sparse > 0.7 && points < 0.45, "{sparse} {points}");
 }
 
 #[test]
