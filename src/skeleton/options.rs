@@ -7,6 +7,9 @@ use super::SplitOptions;
 pub struct BuildOptions {
     /// Side of the voxels in which points are merged, meters; 0 retains all points.
     pub voxel_m: f64,
+    /// The same for the points of actors; `None` for that of the background.
+    #[serde(default)]
+    pub actor_voxel_m: Option<f64>,
     /// Options for separating background and actors.
     pub split: SplitOptions,
     /// Method of coloring points.
@@ -37,6 +40,7 @@ impl Default for BuildOptions {
     fn default() -> Self {
         Self {
             voxel_m: 0.01,
+            actor_voxel_m: None,
             split: SplitOptions::default(),
             coloring: Coloring::BestView,
             color_window: 8,

@@ -38,6 +38,9 @@ pub(super) struct BuildArgs {
     /// every-camera]
     #[arg(long, value_name = "M", value_parser = numbers::voxel_m, allow_negative_numbers = true)]
     voxel: Option<f64>,
+    /// Side of the voxels of actors' points, meters; 0 retains all points, as in the paper [default: --voxel]
+    #[arg(long, value_name = "M", value_parser = numbers::voxel_m, allow_negative_numbers = true)]
+    actor_voxel: Option<f64>,
     /// Continue an interrupted build of the same logs, frames and options, if there is one
     #[arg(long)]
     resume: bool,
@@ -148,6 +151,7 @@ impl BuildArgs {
             Coloring::EveryCamera => BuildOptions::every_camera(),
         };
         options.voxel_m = self.voxel.unwrap_or(options.voxel_m);
+        options.actor_voxel_m = self.actor_voxel;
         options.split.margin_m = self.box_margin.unwrap_or(options.split.margin_m);
         options.between_sweeps = self.sweeps;
         options

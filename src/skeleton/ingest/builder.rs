@@ -5,7 +5,6 @@ use super::checkpoint::{BuildState, Unfinished};
 use super::error::BuildError;
 use super::request::BuildRun;
 use super::stream::{FrameCloud, Stream};
-use super::sums::Voxels;
 use crate::skeleton::BuildOptions;
 
 /// Number of points in memory that triggers a checkpoint before its regular frame.
@@ -32,7 +31,7 @@ impl<'a> Builder<'a> {
         run: &'a BuildRun<'a>,
         (work, done): (Unfinished, BuildState),
     ) -> Self {
-        let cells = Cells::new(Voxels { side_m: options.voxel_m });
+        let cells = Cells::new(options);
         Self { streams, options, run, work, done, cells, since: 0 }
     }
 

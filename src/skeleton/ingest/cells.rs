@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::sums::{VoxelSum, Voxels, merge};
 use crate::skeleton::sweep::SweepCloud;
-use crate::skeleton::{BuildReport, CHUNK_M, Candidate};
+use crate::skeleton::{BuildOptions, BuildReport, CHUNK_M, Candidate};
 
 /// Unit in which points are collected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -24,7 +24,8 @@ pub(super) enum Cell {
 
 /// Points in memory, not yet written to a run.
 pub(super) struct Cells {
-    pub(super) voxels: Voxels,
+    background: Voxels,
+    actors: Voxels,
     cells: Vec<(Cell, Vec<VoxelSum>)>,
     /// Position of each cell in the list.
     index: FxHashMap<Cell, usize>,
@@ -35,8 +36,18 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    pub(super) fn new(voxels: Voxels) -> Self {
-        Self { voxels, cells: Vec::new(), index: FxHashMap::default(), last: 0, points: 0 }
+    pub(super) fn new(options: &BuildOptions) -> Self {
+        let background = Voxels { side_m: options.voxel_m };
+        let actors = Voxels { side_m: options.actor_voxel_m.unwrap_or(options.voxel_m) };
+        Self { background, actors, cells: Vec::new(), index: FxHashMap::default(), last: 0, points: 0 }
+    }
+
+    /// Returns the voxels in which the points of a cell are merged.
+    pub(super) fn voxels(&self, cell: Cell) -> Voxels {
+        match cell {
+            Cell::Chunk(_) => self.background,
+            Cell::Track { .. } => self.actors,
+        }
     }
 
     /// Adds the colored points of a sweep with global index `sweep`. Counts them, and those without a color. Returns
@@ -72,7 +83,7 @@ impl Cells {
     /// Adds a point if it has a color; returns the number of added points.
     fn add_point(&mut self, cell: Cell, point: &Candidate, origin: DVec3, place: &mut u64) -> usize {
         let Some(rgb) = point.rgb else { return 0 };
-        let sum = self.voxels.sum(point.position - origin, rgb, *place);
+        let sum = self.voxels(cell).sum(point.position - origin, rgb, *place);
         self.sums(cell).push(sum);
         *place += 1;
         self.points += 1;

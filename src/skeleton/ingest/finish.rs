@@ -71,7 +71,8 @@ impl Builder<'_> {
             Cell::Chunk(_) => 0,
             Cell::Track { log, track } => self.streams[log].log.tracks[track].class as u8,
         };
-        let points: Vec<Point> = sums.iter().map(|sum| self.cells.voxels.mean(sum, class)).collect();
+        let voxels = self.cells.voxels(cell);
+        let points: Vec<Point> = sums.iter().map(|sum| voxels.mean(sum, class)).collect();
         let Some(bounds) = Bounds::of(&points) else { return Ok(()) };
         let xxh3 = Checksum::of(&points);
         match cell {

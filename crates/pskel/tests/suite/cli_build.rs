@@ -33,6 +33,14 @@ fn a_log_becomes_a_skeleton_and_every_point_is_accounted_for() {
     let one = log.json("out/sk/skeleton.json");
     assert_eq!((&one["sources"][0]["frames"], &one["options"]["voxel_m"]), (&json!(1), &json!(0.0)));
     assert_eq!(one["options"]["split"]["margin_m"], 0.2);
+    // The points of actors are retained, those of the background merged.
+    log.succeed("build nuscenes:log --out out/sk --voxel 0.5 --actor-voxel 0");
+    let mixed = log.json("out/sk/skeleton.json");
+    let points = |of: &str| {
+        mixed[of].as_array().unwrap().iter().map(|part| part["points"].as_u64().unwrap()).sum::<u64>()
+    };
+    assert_eq!(points("actors"), mixed["report"]["actor_points"].as_u64().unwrap());
+    assert!(points("background") < mixed["report"]["background_points"].as_u64().unwrap());
     log.succeed("build nuscenes:log --out out/sk --every 2 --coloring every-camera --sweeps");
     assert_eq!(log.json("out/sk/skeleton.json")["sources"][0]["frames"], 2);
     assert_eq!(std::fs::read_dir(log.path("out")).unwrap().count(), 1);
