@@ -326,12 +326,13 @@ impl SimulateArgs {
         self.frames.is_some()
     }
 
-    /// Returns the number of frames of the warm-up: at least the `window` of a generator.
+    /// Returns the number of frames of the warm-up: at least as many as a generator with this `window` has references.
     pub(super) fn warmup_frames(&self, window: Option<usize>) -> Result<usize, WrongUsage> {
-        let (given, least) = (self.policies.warmup, window.unwrap_or(0));
+        let (given, least) = (self.policies.warmup, window.map_or(0, |window| window - 1));
         if let Some(warmup) = given.filter(|warmup| *warmup < least) {
-            let message =
-                format!("expected --warmup of {least} or more, the generator's window, found {warmup}");
+            let message = format!(
+                "expected --warmup of {least} or more, the references of the generator, found {warmup}"
+            );
             return Err(WrongUsage(message));
         }
         Ok(given.or(window).unwrap_or(SimOptions::default().warmup_frames))
