@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
 use pskel_generate::{
-    DenoiserRig, DroppedConditions, Guidance, Prediction, Recipe, SamplerOptions, Strategy,
+    DenoiserRig, DroppedConditions, Guidance, Prediction, Preset, Recipe, SamplerOptions, Strategy,
 };
 use pskel_network::{GeneratorSettings, NetworkName, OpenedNetwork};
 use pskel_sim::peer::MAX_TIMEOUT_S;
@@ -49,8 +49,9 @@ pub(super) struct GeneratorArgs {
     /// With process:.., the kind of its predictions [default: flow_match]
     #[arg(long, value_enum)]
     sampler: Option<SamplerName>,
-    /// With process:.. and fill, the recipe of the conditions, as JSON; missing fields have their defaults
-    #[arg(long, value_name = "F.json")]
+    /// With process:.. and fill, the recipe of the conditions as JSON, in which missing fields have their defaults;
+    /// or pas-nuscenes or pas-nuplan, that of a network of the paper with the defaults of its window, steps and guidance
+    #[arg(long, value_name = "RECIPE")]
     recipe: Option<PathBuf>,
     /// With process:.., time-out for each of its answers, seconds [default: 60]
     #[arg(long, value_name = "S", value_parser = timeout_s)]
@@ -100,7 +101,8 @@ impl GeneratorArgs {
         let rolls = matches!(strategy, StrategyName::ResetAndRoll | StrategyName::Rolling);
         let is_process = matches!(name, Some(NetworkName::Process(_)));
         let takes_recipe = is_process || matches!(name, Some(NetworkName::Fill));
-        let guided = guidance.is_some_and(|scale| scale != 1.0);
+        let preset = self.preset().map(|preset| preset.guidance);
+        let guided = guidance.or(preset).is_some_and(|scale| scale != 1.0);
         let network = "--generator";
         let process = "--generator process:..";
         let options = [
@@ -138,16 +140,27 @@ impl GeneratorArgs {
         })
     }
 
+    fn preset(&self) -> Option<Preset> {
+        self.recipe.as_deref().and_then(Path::to_str).and_then(Preset::named)
+    }
+
     fn settings(&self) -> Result<GeneratorSettings, FileError> {
         let defaults = GeneratorSettings::default();
+        let preset = self.preset();
+        let default_guidance = preset.as_ref().map_or(1.0, |preset| preset.guidance);
+        let recipe = match (&preset, &self.recipe) {
+            (Some(preset), _) => preset.recipe.clone(),
+            (None, Some(path)) => read_recipe(path)?,
+            (None, None) => defaults.recipe,
+        };
         let dropped = match self.guide {
             None | Some(Guide::Layout) => DroppedConditions::GUIDED,
             Some(Guide::All) => DroppedConditions::ALL,
         };
         let ddim = |prediction| SamplerOptions::Ddim { prediction };
         Ok(GeneratorSettings {
-            window: self.window,
-            steps: self.infer_steps,
+            window: self.window.or(preset.as_ref().map(|preset| preset.window)),
+            steps: self.infer_steps.or(preset.as_ref().map(|preset| preset.steps)),
             clean: self.clean.unwrap_or(defaults.clean),
             strategy: match self.strategy.unwrap_or(StrategyName::ResetAndRoll) {
                 StrategyName::ResetAndRoll => Strategy::ResetAndRoll,
@@ -161,9 +174,9 @@ impl GeneratorArgs {
                 SamplerName::DdimSample => ddim(Prediction::Sample),
                 SamplerName::DdimVelocity => ddim(Prediction::Velocity),
             },
-            guidance: Guidance { scale: self.guidance.unwrap_or(1.0), dropped },
+            guidance: Guidance { scale: self.guidance.unwrap_or(default_guidance), dropped },
             noise_seed: self.noise_seed.unwrap_or(defaults.noise_seed),
-            recipe: self.recipe.as_deref().map_or(Ok(defaults.recipe), read_recipe)?,
+            recipe,
             timeout_s: self.generator_timeout.unwrap_or(defaults.timeout_s),
         })
     }

@@ -93,6 +93,25 @@ fn a_log_s_images_are_made_of_its_conditions() {
 }
 
 #[test]
+fn presets_set_recipe_window_steps_and_guidance() {
+    let log = built();
+    denoiser(&log, "");
+    for (options, window, steps, scale) in
+        [("", 10, 30, 2.0), ("--window 5 --infer-steps 5 --guidance 1.5 --guide all", 5, 5, 1.5)]
+    {
+        let summary = log.succeed(&format!("{GENERATE} --recipe pas-nuplan {options}"));
+        assert!(summary.contains("no frame generated, all are references"), "{summary}");
+        let generator = &log.json("out/rollout.json")["generator"];
+        assert_eq!((&generator["window"], &generator["steps"]), (&json!(window), &json!(steps)));
+        assert_eq!(generator["guidance"]["scale"], json!(scale));
+        let recipe = &generator["recipe"];
+        assert_eq!((&recipe["drawn"], &recipe["splat"]), (&json!("1080x1920"), &json!("25:1,50:0")));
+        std::fs::remove_dir_all(log.path("out")).unwrap();
+    }
+    log.fail(&format!("{GENERATE} --recipe pas-other"), 1, &["cannot read", "pas-other"]);
+}
+
+#[test]
 fn generated_images_are_written_back_into_the_data_set() {
     let log = built();
     denoiser(&log, "");
@@ -268,16 +287,24 @@ fn planners_see_what_was_generated_and_not_what_is_true() {
     planner(&log, "while read -r observation; do echo \"$observation\" >> seen.txt; answer; done");
     let town = "town:seed=5,frames=5,size=57x100";
     log.succeed(&format!("build {town} --out town"));
-    log.succeed(&format!(
-        "simulate {town} --skeleton town --out out --maps color --size 57x100 --sim-hz 10 --plan-hz 5 --steps 8 \
-         --ego external --planner ./planner.sh --generator process:./denoiser.sh --window 2"
-    ));
+    let simulate = format!(
+        "simulate {town} --skeleton town --maps color --size 57x100 --sim-hz 10 --plan-hz 5 --steps 8 --ego external \
+         --planner ./planner.sh --generator process:./denoiser.sh --window 2"
+    );
+    log.succeed(&format!("{simulate} --out out"));
     assert!(log.path("out/steps/000004/truth/CAM_FRONT.png").is_file());
     let seen = std::fs::read_to_string(log.path("seen.txt")).unwrap();
     assert!(seen.lines().count() > 2);
     for line in seen.lines() {
         assert!(line.contains("generated/CAM_FRONT.png") && line.contains("CAM_BACK/color.png"), "{line}");
         assert!(!line.contains("truth") && !line.contains("generator.safetensors"), "{line}");
+    }
+    // With a warm-up of L - 1 frames, the planner takes over at the last reference, one plan earlier.
+    log.succeed(&format!("{simulate} --out early --warmup 1"));
+    let all = std::fs::read_to_string(log.path("seen.txt")).unwrap();
+    assert_eq!(all.lines().count(), 2 * seen.lines().count() + 1);
+    for (step, kind) in [("000000", "reference"), ("000002", "generated")] {
+        assert_eq!(log.json(&format!("early/steps/{step}/generated.json"))["kind"], kind);
     }
 }
 
@@ -313,7 +340,7 @@ fn wrong_generators_are_told_before_anything_is_written() {
         2,
         &["expected --generator with --noise-seed", "found none"],
     );
-    let few = format!("{simulate} --generator network:w.safetensors --window 3");
+    let few = format!("{simulate} --generator network:w.safetensors --window 4");
     log.fail(&few, 2, &["--warmup of 3 or more", "found 2"]);
     std::fs::write(log.path("w.safetensors"), "no weights").unwrap();
     log.fail(&network, 1, &["weights", "w.safetensors"]);
