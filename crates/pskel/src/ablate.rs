@@ -59,6 +59,12 @@ pub(super) struct AblateArgs {
     /// Inference steps, T [default: frames of the window]
     #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1000))]
     infer_steps: Option<u16>,
+    /// With causal, noise on the previous frames, in steps of 1000
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    history_noise: usize,
+    /// With non_causal, forecasts in the window
+    #[arg(long, value_name = "K", default_value_t = AblateOptions::default().ahead)]
+    ahead: usize,
     /// Augment a share of the scenes' assets with this seed, as in training: thinned, or reduced to the points seen
     /// by one camera
     #[arg(long, value_name = "SEED", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
@@ -88,6 +94,8 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
         infer_steps: args.infer_steps.map(usize::from),
         seed: args.seed,
         augment: args.augment,
+        history_noise: args.history_noise,
+        ahead: args.ahead,
     };
     let mut study = Ablation::open(&args.out, networks, &args.tables, options).map_err(usage)?;
     let variants = study.variants();

@@ -17,11 +17,21 @@ pub struct AblateOptions {
     /// Seed of the asset augmentation; `None` for unchanged assets.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub augment: Option<u64>,
+    /// Noise on the previous frames of `causal`, in steps of 1000.
+    #[serde(default)]
+    pub history_noise: usize,
+    /// Forecasts in the window of `non_causal`.
+    #[serde(default = "one")]
+    pub ahead: usize,
+}
+
+fn one() -> usize {
+    1
 }
 
 impl Default for AblateOptions {
     fn default() -> Self {
-        Self { steps: 60, infer_steps: None, seed: 0, augment: None }
+        Self { steps: 60, infer_steps: None, seed: 0, augment: None, history_noise: 0, ahead: one() }
     }
 }
 

@@ -82,13 +82,13 @@ const NONE: DroppedConditions =
 
 /// Returns the variants of some tables, or of all tables if none are given. The first row is the full generator, the
 /// baseline of the others.
-pub(super) fn rows(networks: &Networks, tables: &[Table]) -> Vec<Row> {
-    let mut rows = all_rows(networks);
+pub(super) fn rows(networks: &Networks, tables: &[Table], options: &AblateOptions) -> Vec<Row> {
+    let mut rows = all_rows(networks, options);
     rows.retain(|row| tables.is_empty() || row.tables.iter().any(|table| tables.contains(table)));
     rows
 }
 
-fn all_rows(networks: &Networks) -> Vec<Row> {
+fn all_rows(networks: &Networks, options: &AblateOptions) -> Vec<Row> {
     use Table::{Augmentation, Conditions, Forecasts, InferSteps, Seeds, Strategies};
     let main = || Row {
         name: "reset_and_roll".to_owned(),
@@ -125,8 +125,8 @@ fn all_rows(networks: &Networks) -> Vec<Row> {
     let mut rows = vec![
         main(),
         Row { tables: &[Strategies, Forecasts], ..strategy(Strategy::Rolling) },
-        strategy(Strategy::Causal { history_noise: 0 }),
-        strategy(Strategy::NonCausal { forecasts: 1 }),
+        strategy(Strategy::Causal { history_noise: options.history_noise }),
+        strategy(Strategy::NonCausal { forecasts: options.ahead }),
         standstill(Strategy::ResetAndRoll),
         standstill(Strategy::Rolling),
         without("layout", "layout alone", true, true),

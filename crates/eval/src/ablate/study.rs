@@ -38,7 +38,7 @@ impl Ablation {
     ) -> Result<Self, AblateError> {
         networks.check()?;
         options.infer_steps.get_or_insert(networks.main.config().frames);
-        let rows = rows(&networks, tables);
+        let rows = rows(&networks, tables, &options);
         rows.iter().try_for_each(|row| row.options(&networks, &options).check())?;
         let files = OutputFolder::open(path, "ablation", &[])?;
         let (path, tables) = (path.to_owned(), tables.to_vec());

@@ -186,6 +186,23 @@ fn compared(folder: &Path) {
         tree(&folder.join("recorded")).into_keys().find(|name| name.ends_with("/rolling.json")).unwrap();
     let result = json(&folder.join("recorded").join(result));
     assert!(result["numbers"]["psnr_db"].as_f64() > Some(5.0), "{result}");
+    // Noise on the history changes causal alone.
+    let noisy = format!(
+        "ablate nuscenes:log --weights {weights} --tables strategies --steps 2 --history-noise 900 --ahead 1 --out noisy"
+    );
+    succeed(folder, &noisy);
+    let psnr = |out: &str, row: &str| {
+        let files = tree(&folder.join(out));
+        let name = files.keys().find(|name| name.ends_with(&format!("/{row}.json"))).unwrap();
+        serde_json::from_slice::<Value>(&files[name]).unwrap()["numbers"]["psnr_db"].clone()
+    };
+    let clean =
+        noisy.replace("--history-noise 900", "--history-noise 0").replace("--out noisy", "--out clean");
+    succeed(folder, &clean);
+    assert_eq!(psnr("clean", "non_causal"), psnr("noisy", "non_causal"));
+    assert_ne!(psnr("clean", "causal"), psnr("noisy", "causal"));
+    let output = command(folder, &clean.replace("--ahead 1", "--ahead 9")).output().unwrap();
+    assert_failed(&output, 2, &["forecasts in the window, found 9"]);
     let seeds = ablate.replace("--plain-weights trained/weights.safetensors", "--tables seeds");
     let told = succeed(folder, &seeds);
     assert!(
