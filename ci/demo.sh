@@ -9,10 +9,11 @@
 # lines list the output files.
 #
 # Environment: OUT (output folder, default out/demo), TOWN (options of the town, default seed=7,frames=40), FRAMES (of the
-# maps, default 0..3), STEPS (of the simulation, default 78), SIZE (of all maps, default 256x448), SPLAT (radius by
-# depth, default 5:4,15:2,35:1,100:0, which closes holes at short range), LOG_ROOTS (options for the locations of parts
-# of LOG, such as --map-root DIR), SIMULATE (further options of pskel simulate, default --generator network in the town),
-# PSKEL (path of the program; by default it is compiled in release mode).
+# maps, default 0..3), STEPS (of the simulation, default 60; later the ego, which is faster than the recorded one, is
+# beyond what the LiDAR saw from nearby), SIZE (of all maps, default 256x448), SPLAT (radius by depth, default
+# 5:4,15:2,35:1,100:0, which closes holes at short range), LOG_ROOTS (options for the locations of parts of LOG, such as
+# --map-root DIR), SIMULATE (further options of pskel simulate, default --generator network in the town), PSKEL (path of
+# the program; by default it is compiled in release mode).
 set -euo pipefail
 root=$(cd "$(dirname "$0")/.." && pwd)
 
@@ -25,7 +26,7 @@ fi
 out=${OUT:-$root/out/demo}
 log=${1:-town:${TOWN:-seed=7,frames=40}}
 frames=${FRAMES:-0..3}
-steps=${STEPS:-78}
+steps=${STEPS:-60}
 size=${SIZE:-256x448}
 splat=${SPLAT:-5:4,15:2,35:1,100:0}
 read -ra roots <<<"${LOG_ROOTS:-}"
