@@ -108,7 +108,8 @@ fn presets_set_recipe_window_steps_and_guidance() {
         assert_eq!((&recipe["drawn"], &recipe["splat"]), (&json!("1080x1920"), &json!("25:1,50:0")));
         std::fs::remove_dir_all(log.path("out")).unwrap();
     }
-    log.fail(&format!("{GENERATE} --recipe pas-other"), 1, &["cannot read", "pas-other"]);
+    let output = log.run(&format!("{GENERATE} --recipe pas-other"));
+    assert_failed(&output, 1, &["cannot read", "pas-other"]);
 }
 
 #[test]
