@@ -35,7 +35,7 @@ pub(super) struct GenerateArgs {
     /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
     #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     out: PathBuf,
-    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, or process:COMMAND,
+    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, fill (no network: holes filled), or process:COMMAND,
     /// process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md). Map options apply to the written maps; the
     /// network's conditions are rendered as in its training
     #[arg(long, value_name = "NETWORK", default_value = "network")]
