@@ -98,13 +98,15 @@ mod tests {
             (0..depths.len()).map(|i| if depths[i] <= front(i) * 1.1 + 0.3 { depths[i] } else { EMPTY });
         assert_eq!(found, expected.collect::<Vec<f32>>());
         let hidden = found.iter().zip(&depths).filter(|(found, depth)| found != depth).count();
-        assert!((10..150).contains(&hidden), "{hidden}");
+        assert_eq!(hidden, 128);
     }
 
     #[test]
     fn slanted_surfaces_and_lone_points_are_visible() {
-        let ground: Vec<f32> = (0..40).map(|i| 40.0 / (1.0 + i as f32 * 0.02)).collect();
-        assert!(shown(&ground, 40, 2).iter().all(|shown| *shown));
+        let ground: Vec<f32> = (0..40).map(|i| 40.0 / (1.0 + i as f32 * 0.05)).collect();
+        // At the border all rectangles reach 4 rows inward, where this slope is nearer by more than the tolerance.
+        let visible: Vec<bool> = (0..40).map(|row| row > 1).collect();
+        assert_eq!(shown(&ground, 40, 2), visible);
         let lone = [EMPTY, EMPTY, 50.0, EMPTY, EMPTY, 3.0, EMPTY];
         assert_eq!(shown(&lone, 1, 2), [false, false, true, false, false, true, false]);
     }
