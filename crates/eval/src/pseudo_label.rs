@@ -2,23 +2,28 @@
 pub const VEHICLE_CLASS: u8 = 1;
 
 /// Returns the mask of motor vehicles that segmentation is compared with (pseudo label): `class == 1` after a
-/// morphological closing by 3x3 pixels, as in OpenCV. Class maps are sparse where points are: the closing fills gaps of
-/// one or two pixels and retains every pixel of the class. `class` is row by row, with `width` pixels per row; the mask
-/// has the same size.
+/// morphological closing by 3x3 pixels, with no vehicle beyond the image. Class maps are sparse where points are: the
+/// closing fills gaps of one or two pixels, retains every pixel of the class and moves no edge. `class` is row by row,
+/// with `width` pixels per row; the mask has the same size.
 pub fn vehicle_mask(class: &[u8], width: usize) -> Vec<bool> {
-    let mask: Vec<bool> = class.iter().map(|class| *class == VEHICLE_CLASS).collect();
-    let wider = has_near(&mask, width, true);
-    has_near(&wider, width, false).into_iter().map(|has_gap| !has_gap).collect()
+    let height = class.len().checked_div(width).unwrap_or(0);
+    let is_vehicle = |y: usize, x: usize| y < height && x < width && class[y * width + x] == VEHICLE_CLASS;
+    // Pixels with a vehicle among the 3x3 around them, in an image with one more pixel at each side.
+    let wider_width = width + 2;
+    let wider: Vec<bool> = (0..(height + 2) * wider_width)
+        .map(|i| {
+            around(i / wider_width, i % wider_width)
+                .any(|(y, x)| is_vehicle(y.wrapping_sub(2), x.wrapping_sub(2)))
+        })
+        .collect();
+    (0..height * width)
+        .map(|i| around(i / width, i % width).all(|(y, x)| wider[y * wider_width + x]))
+        .collect()
 }
 
-/// Returns whether a value is among the up to 3x3 pixels of the image around each pixel.
-fn has_near(mask: &[bool], width: usize, value: bool) -> Vec<bool> {
-    let height = mask.len().checked_div(width).unwrap_or(0);
-    let near = |at: usize, length: usize| at.saturating_sub(1)..(at + 2).min(length);
-    let pixel = |i: usize| {
-        near(i / width, height).any(|y| near(i % width, width).any(|x| mask[y * width + x] == value))
-    };
-    (0..height * width).map(pixel).collect()
+/// Returns the 3x3 pixels of which row `y` and column `x` are the first.
+fn around(y: usize, x: usize) -> impl Iterator<Item = (usize, usize)> {
+    (y..y + 3).flat_map(move |y| (x..x + 3).map(move |x| (y, x)))
 }
 
 #[cfg(test)]

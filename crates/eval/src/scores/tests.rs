@@ -63,7 +63,7 @@ fn copies_of_the_truth_are_perfect() {
     assert_eq!(scores.sharpness_ratio.drift.unwrap().slope_per_s, 0.0);
     let motion = scores.motion.unwrap();
     assert_eq!((motion.slope, motion.flicker), (Some(1.0), Some(1.0)));
-    // The blur leaves the whole rectangle above 0.5: even its corners are 9/16.
+    // A closing leaves rectangles as they are.
     let right = &scores.iou["right"];
     assert_eq!((right.generated, right.truth, right.ratio), (Some(1.0), Some(1.0), Some(1.0)));
     assert_eq!(scores.iou["blind"].steps.steps, [Some(0.0); 17]);
