@@ -1,8 +1,17 @@
 //! Cells of tables as text.
 
+use crate::MeanInterval;
+
 /// Formats a number, or a dash for `None`.
 pub(crate) fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
+}
+
+/// Formats a mean with its interval, if it has one, or a dash for `None`.
+pub(crate) fn interval(value: Option<MeanInterval>, digits: usize) -> String {
+    let Some(MeanInterval { mean, half_width, .. }) = value else { return "-".to_owned() };
+    let off = half_width.map_or_else(String::new, |half| format!(" ± {half:.digits$}"));
+    format!("{mean:.digits$}{off}")
 }
 
 /// Aligns cells in columns. All rows have the same number of cells.
@@ -29,5 +38,14 @@ mod tests {
         let cells = |rows: [[&str; 2]; 2]| rows.map(|row| row.map(str::to_owned).to_vec()).to_vec();
         assert_eq!(aligned(&cells([["a", "bcd"], ["ef", "1"]])), " a  bcd\nef    1\n");
         assert_eq!(aligned(&cells([["a", "1 ± 2"], ["bc", "-"]])), " a  1 ± 2\nbc      -\n");
+    }
+
+    #[test]
+    fn intervals_have_a_half_width_or_none() {
+        let mean = |half_width| Some(MeanInterval { count: 2, mean: 1.25, half_width });
+        assert_eq!(
+            [interval(mean(Some(0.5)), 2), interval(mean(None), 1), interval(None, 2)],
+            ["1.25 ± 0.50", "1.2", "-"]
+        );
     }
 }

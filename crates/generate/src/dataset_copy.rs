@@ -5,12 +5,12 @@ use std::io::{Cursor, Write};
 use std::os::unix::fs::symlink;
 use std::path::{Component, Path, PathBuf};
 
+use image::ImageFormat;
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
-use image::{ImageFormat, RgbImage};
 use point_skeleton::dataset::{ImageRecord, Recording};
 use point_skeleton::error::FileError;
-use point_skeleton::files::{WholeFolder, check_whole, write_whole};
+use point_skeleton::files::{FileName, WholeFolder, check_whole, write_whole};
 use pskel_sim::report::{self, ROLLOUT, STATES, STEPS, StateFile};
 
 /// JPEG quality: high, so that visible artifacts are the generator's.
@@ -25,9 +25,20 @@ pub struct ImageCounts {
     pub kept: usize,
 }
 
-/// Image that replaces a file of the data set.
+/// A log of the data set, and the folder of the rollout with its generated images.
+#[derive(Clone, Copy, Debug)]
+pub struct CopiedLog<'a> {
+    /// The log.
+    pub log: &'a Recording,
+    /// Folder of the rollout.
+    pub rollout: &'a Path,
+}
+
+/// Generated image that replaces a file of the data set.
 struct Replacement<'a> {
-    image: RgbImage,
+    /// Folder of the step.
+    step: PathBuf,
+    camera: &'a FileName,
     record: &'a ImageRecord,
 }
 
@@ -42,52 +53,54 @@ pub fn check_dataset_copy(folder: &Path) -> Result<(), FileError> {
     check_whole(folder, KIND)
 }
 
-/// Writes the images of a rollout of the log into a copy of the data set at `root`, enlarged to the original size.
+/// Writes the images of rollouts of some logs into one copy of the data set at `root`, enlarged to the original size.
 ///
 /// # Errors
-/// Fails if the rollout has no generated images at the log's frames, or if a file cannot be read or written.
-pub fn copy_dataset(
-    root: &Path,
-    log: &Recording,
-    rollout: &Path,
-    folder: &Path,
-) -> Result<ImageCounts, FileError> {
-    let target = WholeFolder::open(folder, KIND, &[root, rollout])?;
-    let replaced = replacements(log, rollout)?;
-    let images = log.frames.iter().map(|frame| frame.images.len()).sum::<usize>();
-    let by_path = replaced.into_iter().map(|new| Ok((relative(root, &new.record.path)?, new)));
-    let by_path = by_path.collect::<Result<BTreeMap<PathBuf, Replacement<'_>>, FileError>>()?;
+/// Fails if a rollout has no generated images at its log's frames, or if a file cannot be read or written.
+pub fn copy_dataset(root: &Path, logs: &[CopiedLog<'_>], folder: &Path) -> Result<ImageCounts, FileError> {
+    let inputs: Vec<&Path> = [root].into_iter().chain(logs.iter().map(|copied| copied.rollout)).collect();
+    let target = WholeFolder::open(folder, KIND, &inputs)?;
+    let mut by_path = BTreeMap::new();
+    for copied in logs {
+        for new in copied.replacements()? {
+            by_path.insert(relative(root, &new.record.path)?, new);
+        }
+    }
+    let frames = logs.iter().flat_map(|copied| &copied.log.frames);
+    let images = frames.map(|frame| frame.images.len()).sum::<usize>();
     target.write(|whole| mirror(root, whole, Path::new(""), &by_path))?;
     Ok(ImageCounts { replaced: by_path.len(), kept: images - by_path.len() })
 }
 
-/// Returns the generated images at frames of the log.
-fn replacements<'a>(log: &'a Recording, rollout: &Path) -> Result<Vec<Replacement<'a>>, FileError> {
-    let cameras: Vec<_> = log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
-    let mut replaced = Vec::new();
-    for row in StateFile::read(&rollout.join(STATES))? {
-        let Some(frame) = log.frames.iter().find(|frame| frame.t_us == row.t_us) else { continue };
-        let step = rollout.join(STEPS).join(row.name());
-        let made = report::images::read(&step, &cameras)?.filter(|made| !made.is_reference);
-        let Some(made) = made else { continue };
-        for record in &frame.images {
-            let place = log.rig.iter().position(|rig| rig.channel == record.channel);
-            let image = place.and_then(|place| made.images.get(place)).cloned();
-            let image = image.ok_or_else(|| {
-                let camera = log.cameras.get(record.channel).map_or("a camera", |name| name.as_str());
-                FileError::content(format!("an image of {camera}"), "none", &step)
-            })?;
-            replaced.push(Replacement { image, record });
+impl<'a> CopiedLog<'a> {
+    /// Returns the generated images at frames of the log.
+    fn replacements(&self) -> Result<Vec<Replacement<'a>>, FileError> {
+        let Self { log, rollout } = *self;
+        let mut replaced = Vec::new();
+        for row in StateFile::read(&rollout.join(STATES))? {
+            let Some(frame) = log.frames.iter().find(|frame| frame.t_us == row.t_us) else { continue };
+            let step = rollout.join(STEPS).join(row.name());
+            if report::images::is_reference(&step)? != Some(false) {
+                continue;
+            }
+            for record in &frame.images {
+                let camera = log.rig.iter().find(|rig| rig.channel == record.channel);
+                let camera = camera.map(|rig| &rig.camera.name).ok_or_else(|| {
+                    let camera = log.cameras.get(record.channel).map_or("a camera", |name| name.as_str());
+                    FileError::content(format!("an image of {camera}"), "none", &step)
+                })?;
+                replaced.push(Replacement { step: step.clone(), camera, record });
+            }
         }
+        if replaced.is_empty() {
+            return Err(FileError::content(
+                "generated images at the log's frames",
+                "none",
+                &rollout.join(ROLLOUT),
+            ));
+        }
+        Ok(replaced)
     }
-    if replaced.is_empty() {
-        return Err(FileError::content(
-            "generated images at the log's frames",
-            "none",
-            &rollout.join(ROLLOUT),
-        ));
-    }
-    Ok(replaced)
 }
 
 fn relative(root: &Path, path: &Path) -> Result<PathBuf, FileError> {
@@ -125,7 +138,8 @@ fn mirror(
 impl Replacement<'_> {
     fn write(&self, path: &Path) -> Result<(), FileError> {
         let camera = &self.record.camera;
-        let image = imageops::resize(&self.image, camera.width, camera.height, FilterType::CatmullRom);
+        let generated = report::images::read_generated(&self.step, self.camera)?;
+        let image = imageops::resize(&generated, camera.width, camera.height, FilterType::CatmullRom);
         let format = ImageFormat::from_path(path).unwrap_or(ImageFormat::Jpeg);
         write_whole(path, |out| {
             let written = match format {

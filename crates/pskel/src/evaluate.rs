@@ -34,6 +34,10 @@ pub(super) struct EvaluateArgs {
     /// the other half of the steps]
     #[arg(long, value_name = "DIR")]
     classifier_from: Vec<PathBuf>,
+    /// Compare with the ground-truth images of this rollout in the Fréchet distances, may be repeated [default: those
+    /// of the scored rollouts]
+    #[arg(long, value_name = "DIR")]
+    reference: Vec<PathBuf>,
     /// Also compute a Fréchet distance of features of another network: NPY files of f32 or f64 [N, D], for generated
     /// and for ground-truth images
     #[arg(long, value_names = ["GEN.npy", "TRUE.npy"], num_args = 2)]
@@ -56,6 +60,7 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         rollouts: args.rollouts.clone(),
         masks: args.masks.clone(),
         classifier_from: args.classifier_from.clone(),
+        references: args.reference.clone(),
         features: args.features.clone().try_into().ok(),
         hold_out: args.hold_out.map(usize::from),
         seed: args.seed,

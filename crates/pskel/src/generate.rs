@@ -2,18 +2,19 @@
 //! frames; `copy_dataset` writes the images back into a copy of the data set.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use clap::Args;
 use point_skeleton::dataset::{LogFormat, LogLocator};
 use point_skeleton::scene::EgoOffset;
-use pskel_generate::{check_dataset_copy, copy_dataset};
+use pskel_generate::{CopiedLog, check_dataset_copy, copy_dataset};
 use pskel_network::NetworkName;
 
 use super::generator::GeneratorArgs;
 use super::log_args::{self, LogRoots};
 use super::map_args::MapArgs;
 use super::rasterizer::RasterizerArgs;
-use super::simulate::{self, GenerationArgs, OpenLoop, SimulateArgs};
+use super::simulate::{self, ClipArgs, EgoName, GenerationArgs, SimulateArgs, StepClock};
 use super::substitutes::SubstituteArgs;
 use super::{WrongUsage, numbers, say};
 
@@ -93,7 +94,7 @@ pub(super) fn run(args: GenerateArgs) -> anyhow::Result<()> {
     simulate::run(args.simulation())?;
     if let Some(folder) = back {
         let dataset = roots.open(&log)?;
-        let counts = copy_dataset(&log.path, dataset.log(), &out, &folder)?;
+        let counts = copy_dataset(&log.path, &[CopiedLog { log: dataset.log(), rollout: &out }], &folder)?;
         say(&format!("{} images replaced, {} kept: {}", counts.replaced, counts.kept, folder.display()));
     }
     Ok(())
@@ -101,14 +102,16 @@ pub(super) fn run(args: GenerateArgs) -> anyhow::Result<()> {
 
 impl GenerateArgs {
     fn simulation(self) -> SimulateArgs {
-        SimulateArgs::open_loop(OpenLoop {
+        SimulateArgs::of_clip(ClipArgs {
             log: self.log,
             roots: self.roots,
             skeleton: self.skeleton,
             out: self.out,
             generation: GenerationArgs { generator: Some(self.generator), options: self.generating },
             steps: self.steps,
-            every: self.every.map(usize::from),
+            clock: StepClock::Frames(self.every.map(usize::from)),
+            ego: EgoName::Replay,
+            least_warmup: false,
             start: self.start,
             ego_offset: self.ego_offset,
             maps: self.maps,
@@ -118,6 +121,7 @@ impl GenerateArgs {
             annotations: self.annotations,
             stand_ins: self.stand_ins,
             rasterizer: self.rasterizer,
+            opener: Arc::default(),
         })
     }
 }

@@ -25,6 +25,8 @@ pub mod logs;
 mod map_args;
 mod numbers;
 mod progress;
+#[cfg(feature = "network")]
+mod protocol;
 mod rasterizer;
 mod render;
 mod signals;
@@ -80,6 +82,8 @@ enum Command {
     Evaluate(evaluate::EvaluateArgs),
     #[cfg(feature = "network")]
     Ablate(ablate::AblateArgs),
+    #[cfg(feature = "network")]
+    Protocol(Box<protocol::ProtocolArgs>),
 }
 
 impl Command {
@@ -105,6 +109,8 @@ impl Command {
             Self::Evaluate(args) => evaluate::run(&args),
             #[cfg(feature = "network")]
             Self::Ablate(args) => ablate::run(&args),
+            #[cfg(feature = "network")]
+            Self::Protocol(args) => protocol::run(&args),
         }
     }
 }

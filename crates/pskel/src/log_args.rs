@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use point_skeleton::dataset::{Dataset, DatasetError, LogLocator};
+use point_skeleton::dataset::{Dataset, DatasetError, LogLocator, LogOpener};
 use point_skeleton::files::resolved_output;
 
 use crate::logs;
@@ -52,5 +52,14 @@ impl LogRoots {
     /// Opens a log.
     pub(super) fn open(&self, log: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
         logs::open(&self.locate(log))
+    }
+
+    /// Opens a log by an opener that may have read tables of it.
+    pub(super) fn open_by(
+        &self,
+        log: &LogLocator,
+        opener: &LogOpener,
+    ) -> Result<Box<dyn Dataset>, DatasetError> {
+        logs::open_by(&self.locate(log), opener)
     }
 }

@@ -14,7 +14,7 @@ pub use report::Report;
 use std::path::PathBuf;
 
 use self::report::ScoredRollout;
-use self::rollout::GeneratedRollout;
+use self::rollout::{Frame, GeneratedRollout};
 use self::segmentor::{Masks, Segmentors};
 use crate::{CollectedFeatures, RandomConvNet, RolloutScores, ScoredFrame, Scores};
 
@@ -28,6 +28,8 @@ pub struct EvaluateOptions {
     /// Rollouts whose ground-truth images and class maps train the patch classifier; the other half of the steps if
     /// empty.
     pub classifier_from: Vec<PathBuf>,
+    /// Rollouts whose ground-truth images are the reference set of the Fréchet distances; those of `rollouts` if empty.
+    pub references: Vec<PathBuf>,
     /// Features of another network for generated and for ground-truth images, NPY files `[N, D]`.
     pub features: Option<[PathBuf; 2]>,
     /// Scores only every N-th frame, N - 1, 2 N - 1, ..: those that a training with the same number left out.
@@ -47,7 +49,7 @@ pub fn evaluate(
     on_start: &mut dyn FnMut(usize),
     on_step: &mut dyn FnMut(&str),
 ) -> Result<Report, EvaluateError> {
-    let EvaluateOptions { rollouts, masks, classifier_from, features, hold_out, seed } = options;
+    let EvaluateOptions { rollouts, masks, classifier_from, references, features, hold_out, seed } = options;
     if !masks.is_empty() && masks.len() != rollouts.len() {
         return Err(EvaluateError::Masks { rollouts: rollouts.len(), found: masks.len() });
     }
@@ -57,30 +59,42 @@ pub fn evaluate(
     if let Some(every) = *hold_out {
         rollouts.iter_mut().try_for_each(|rollout| rollout.hold_out(every))?;
     }
+    let references = GeneratedRollout::open_all(references)?;
     let segmentors = Segmentors::new(&rollouts, masks, classifier_from, *seed)?;
     let net = RandomConvNet::new(*seed);
-    on_start(rollouts.iter().map(|rollout| rollout.steps.len()).sum());
+    on_start(rollouts.iter().chain(&references).map(|rollout| rollout.steps.len()).sum());
     let mut collected = CollectedFeatures::default();
     let mut scored = Vec::new();
     for (number, rollout) in rollouts.iter().enumerate() {
-        let (scores, features) = score(rollout, number, &net, &segmentors, on_step)?;
+        let masks = |index: usize, frame: &Frame| segmentors.masks(rollout, number, index, frame);
+        let (scores, features) = score(rollout, &net, &masks, on_step)?;
         collected.append(&features);
         scored.push(ScoredRollout::new(rollout, scores));
+    }
+    if !references.is_empty() {
+        let mut reference = CollectedFeatures::default();
+        for rollout in &references {
+            reference.append(&score(rollout, &net, &|_, _| Ok(Vec::new()), on_step)?.1);
+        }
+        collected = collected.with_truth_of(&reference);
     }
     Ok(Report::new(scored, &collected, &segmentors, features, *seed)?)
 }
 
+/// Masks of a step, by its index and images.
+type StepMasks<'a> = &'a dyn Fn(usize, &Frame) -> Result<Vec<Masks>, EvaluateError>;
+
+/// Scores all steps of a rollout.
 fn score(
     rollout: &GeneratedRollout,
-    number: usize,
     net: &RandomConvNet,
-    segmentors: &Segmentors,
+    masks: StepMasks<'_>,
     on_step: &mut dyn FnMut(&str),
 ) -> Result<(Scores, CollectedFeatures), EvaluateError> {
     let mut scores = RolloutScores::new(net.clone());
     for (index, step) in rollout.steps.iter().enumerate() {
         let frame = rollout.read(step)?;
-        let masks = segmentors.masks(rollout, number, index, &frame)?;
+        let masks = masks(index, &frame)?;
         let segmented: Vec<_> = masks.iter().map(Masks::borrowed).collect();
         let scored = ScoredFrame {
             t_s: step.t_s,

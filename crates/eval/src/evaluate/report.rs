@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::table::{aligned, number};
+use crate::table::{aligned, interval, number};
 use crate::{
     CollectedFeatures, Distance, Distances, FrechetError, MeanInterval, Scores, mean_interval,
     paired_difference,
@@ -146,12 +146,26 @@ impl Report {
         &self.notes
     }
 
+    /// Returns the mean of a metric over rollouts; `None` if no rollout has it.
+    pub fn mean(&self, metric: &str) -> Option<MeanInterval> {
+        self.mean.get(metric).copied().flatten()
+    }
+
+    /// Returns the Fréchet distances over all rollouts.
+    pub fn distances(&self) -> &Distances {
+        &self.distances
+    }
+
+    /// Returns the number of scored steps of all rollouts.
+    pub fn steps(&self) -> usize {
+        self.rollouts.iter().map(|rollout| rollout.scores.steps).sum()
+    }
+
     /// Formats a row per rollout, and one with their means and intervals.
     pub fn table(&self) -> String {
         let mut cells = vec![HEADER.map(str::to_owned).to_vec()];
         cells.extend(self.rollouts.iter().map(ScoredRollout::row));
         if self.rollouts.len() > 1 {
-            let steps: usize = self.rollouts.iter().map(|rollout| rollout.scores.steps).sum();
             let names = [
                 ("psnr_db", 2),
                 ("psnr_db_slope_per_s", 3),
@@ -165,9 +179,8 @@ impl Report {
                 ("iou_patch_classifier_ratio", 3),
                 ("iou_masks", 3),
             ];
-            let cell =
-                |(name, digits): (&str, usize)| interval(self.mean.get(name).copied().flatten(), digits);
-            let first = ["mean, 95 %".to_owned(), steps.to_string()];
+            let cell = |(name, digits): (&str, usize)| interval(self.mean(name), digits);
+            let first = ["mean, 95 %".to_owned(), self.steps().to_string()];
             cells.push(first.into_iter().chain(names.map(cell)).collect());
         }
         aligned(&cells)
@@ -180,11 +193,10 @@ impl Report {
         let distance = |name: &str, distance: Option<Distance>| {
             distance.map_or_else(String::new, |d| format!(", {name} {:.3}", d.distance))
         };
-        let psnr = self.mean.get("psnr_db").copied().flatten();
         format!(
             "scored {images} images of {count} rollout{}: PSNR {} dB{}{}{}",
             if count == 1 { "" } else { "s" },
-            interval(psnr, 2),
+            interval(self.mean("psnr_db"), 2),
             distance("Fréchet distance of images", self.distances.images),
             distance("of videos", self.distances.videos),
             distance("of given features", self.given_features),
@@ -205,24 +217,4 @@ fn means(rollouts: &[ScoredRollout]) -> BTreeMap<String, Option<MeanInterval>> {
         means.insert(format!("iou_{name}_minus_truth"), difference);
     }
     means
-}
-
-fn interval(value: Option<MeanInterval>, digits: usize) -> String {
-    let Some(MeanInterval { mean, half_width, .. }) = value else { return "-".to_owned() };
-    let off = half_width.map_or_else(String::new, |half| format!(" ± {half:.digits$}"));
-    format!("{mean:.digits$}{off}")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn intervals_have_a_half_width_or_none() {
-        let mean = |half_width| Some(MeanInterval { count: 2, mean: 1.25, half_width });
-        assert_eq!(
-            [interval(mean(Some(0.5)), 2), interval(mean(None), 1), interval(None, 2)],
-            ["1.25 ± 0.50", "1.2", "-"]
-        );
-    }
 }

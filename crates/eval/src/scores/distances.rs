@@ -88,6 +88,13 @@ impl CollectedFeatures {
         fits
     }
 
+    /// Replaces the features of ground-truth images by those of other rollouts.
+    #[must_use]
+    pub fn with_truth_of(self, reference: &Self) -> Self {
+        let Self { truth, truth_windows, .. } = reference.clone();
+        Self { truth, truth_windows, ..self }
+    }
+
     /// Computes the distances over all rollouts so far.
     ///
     /// # Errors

@@ -4,9 +4,11 @@ use std::sync::Arc;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::dataset::{LogLocator, MovedEgo};
+use point_skeleton::dataset::{LogLocator, LogOpener, MovedEgo};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
 use point_skeleton::skeleton::Skeleton;
+#[cfg(feature = "network")]
+use pskel_sim::Rates;
 use pskel_sim::rollout::ResumeAfter;
 use pskel_sim::{
     ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
@@ -90,22 +92,30 @@ pub(crate) struct SimulateArgs {
     /// Displacement of the ego at all frames; used by `pskel generate`.
     #[arg(skip)]
     ego_offset: Option<EgoOffset>,
+    /// Whether the policies take over with the first generated frame, as in the paper; used by `pskel protocol`.
+    #[arg(skip)]
+    least_warmup: bool,
+    /// Keeps the tables of a data set between its logs; used by `pskel protocol`.
+    #[arg(skip)]
+    opener: Arc<LogOpener>,
 }
 
 /// Stride of the log's frames that are steps; `None` selects the default.
 #[derive(Clone, Copy, Debug)]
 struct EveryFrames(Option<usize>);
 
-/// Options for replaying a log frame by frame.
+/// Options for generating a clip of a log.
 #[cfg(feature = "network")]
-pub(crate) struct OpenLoop {
+pub(crate) struct ClipArgs {
     pub(crate) log: LogLocator,
     pub(crate) roots: LogRoots,
     pub(crate) skeleton: PathBuf,
     pub(crate) out: PathBuf,
     pub(crate) generation: GenerationArgs,
     pub(crate) steps: usize,
-    pub(crate) every: Option<usize>,
+    pub(crate) clock: StepClock,
+    pub(crate) ego: EgoName,
+    pub(crate) least_warmup: bool,
     pub(crate) start: Option<i64>,
     pub(crate) ego_offset: Option<EgoOffset>,
     pub(crate) maps: MapArgs,
@@ -115,6 +125,17 @@ pub(crate) struct OpenLoop {
     pub(crate) annotations: Option<PathBuf>,
     pub(crate) stand_ins: SubstituteArgs,
     pub(crate) rasterizer: RasterizerArgs,
+    pub(crate) opener: Arc<LogOpener>,
+}
+
+/// Steps of a clip.
+#[cfg(feature = "network")]
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum StepClock {
+    /// Every N-th frame of the log, or the default.
+    Frames(Option<usize>),
+    /// Fixed rates.
+    Rates(Rates),
 }
 
 /// Policies of ego and actors, and their rates.
@@ -161,7 +182,7 @@ struct PolicyArgs {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
 #[value(rename_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
-pub(super) enum EgoName {
+pub(crate) enum EgoName {
     /// Recorded path of the ego.
     Replay,
     /// Straight ahead.
@@ -200,42 +221,48 @@ enum ActorName {
 
 impl SimulateArgs {
     #[cfg(feature = "network")]
-    /// Creates options for a replay: ego and actors follow the log, and its frames are the steps.
-    pub(crate) fn open_loop(open: OpenLoop) -> Self {
+    /// Creates options for generating a clip of a log, whose other actors follow the log.
+    pub(crate) fn of_clip(clip: ClipArgs) -> Self {
+        let (frames, rates) = match clip.clock {
+            StepClock::Frames(every) => (Some(EveryFrames(every)), None),
+            StepClock::Rates(rates) => (None, Some(rates)),
+        };
         let policies = PolicyArgs {
-            ego: EgoName::Replay,
+            ego: clip.ego,
             trajectory: None,
             planner: None,
             planner_timeout: 10.0,
             tracking: TrackingName::Perfect,
             actors: ActorName::Replay,
-            sim_hz: None,
-            plan_hz: None,
+            sim_hz: rates.map(|rates| rates.sim_hz),
+            plan_hz: rates.map(|rates| rates.plan_hz),
             warmup: None,
-            start: open.start,
+            start: clip.start,
             seed: 0,
         };
         Self {
-            log: open.log,
-            roots: open.roots,
-            skeleton: open.skeleton,
-            out: open.out,
-            steps: open.steps,
+            log: clip.log,
+            roots: clip.roots,
+            skeleton: clip.skeleton,
+            out: clip.out,
+            steps: clip.steps,
             policies,
-            maps: open.maps,
+            maps: clip.maps,
             forecast_maps: false,
             forecast: FORECAST_STEPS,
             sheets: false,
-            resume: open.resume,
-            resume_from: open.resume_from,
+            resume: clip.resume,
+            resume_from: clip.resume_from,
             dry: false,
-            profile: open.profile,
-            annotations: open.annotations,
-            generation: open.generation,
-            stand_ins: open.stand_ins,
-            rasterizer: open.rasterizer,
-            frames: Some(EveryFrames(open.every)),
-            ego_offset: open.ego_offset,
+            profile: clip.profile,
+            annotations: clip.annotations,
+            generation: clip.generation,
+            stand_ins: clip.stand_ins,
+            rasterizer: clip.rasterizer,
+            frames,
+            ego_offset: clip.ego_offset,
+            least_warmup: clip.least_warmup,
+            opener: clip.opener,
         }
     }
 
@@ -262,7 +289,7 @@ impl SimulateArgs {
 
     /// Reads the inputs.
     pub(super) fn inputs(&self) -> anyhow::Result<Inputs> {
-        let mut dataset = self.roots.open(&self.log)?;
+        let mut dataset = self.roots.open_by(&self.log, &self.opener)?;
         if let Some(offset) = self.ego_offset {
             let moved = MovedEgo::new(dataset, offset).with_context(|| {
                 format!(
@@ -335,7 +362,8 @@ impl SimulateArgs {
             );
             return Err(WrongUsage(message));
         }
-        Ok(given.or(window).unwrap_or(SimOptions::default().warmup_frames))
+        let default = if self.least_warmup { window.map(|window| window - 1) } else { window };
+        Ok(given.or(default).unwrap_or(SimOptions::default().warmup_frames))
     }
 
     /// Returns the simulation options except for the warm-up; reads the trajectory.

@@ -5,9 +5,9 @@ mod generation;
 mod inputs;
 mod summary;
 
-#[cfg(feature = "network")]
-pub(super) use args::OpenLoop;
 pub(super) use args::SimulateArgs;
+#[cfg(feature = "network")]
+pub(super) use args::{ClipArgs, EgoName, StepClock};
 #[cfg(feature = "network")]
 pub(super) use generation::GenerationArgs;
 
@@ -34,8 +34,14 @@ use super::{WrongUsage, say, warn};
 /// Default size of maps if cameras are larger.
 const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
 
-/// Runs the command: simulates, renders, writes.
+/// Runs the command: simulates, renders, writes, and prints the summary.
 pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
+    say(&rollout(args)?);
+    Ok(())
+}
+
+/// Simulates, renders and writes a rollout. Returns its summary.
+pub(super) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let start = Instant::now();
     args.check()?;
     if let Some(profile) = &args.profile {
@@ -81,8 +87,7 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
     drop(progress);
     let report = checked(report, &args)?;
     let text = summary(&planned, &report, &rasterizer.info());
-    say(&format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
-    Ok(())
+    Ok(format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()))
 }
 
 /// Writes the profile, and returns the report of a rollout without failures.

@@ -13,7 +13,7 @@ use crate::tiny_log::{CAMERAS, HEIGHT, TinyLog, WIDTH, assert_failed, picture, t
 const GENERATE: &str = "generate nuscenes:log --skeleton sk --out out --rasterizer cpu --maps color --generator process:./denoiser.sh";
 
 /// Writes the example denoiser as a command without spaces, modified by some lines.
-fn denoiser(log: &TinyLog, lines: &str) {
+pub(crate) fn denoiser(log: &TinyLog, lines: &str) {
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples");
     let script = format!(
         "#!/usr/bin/env python3\nimport array, os, sys, time\nsys.path.insert(0, {examples:?})\n\
@@ -26,7 +26,7 @@ fn denoiser(log: &TinyLog, lines: &str) {
 }
 
 /// Returns lines that run a statement in the n-th call.
-fn at_call(number: usize, happens: &str) -> String {
+pub(crate) fn at_call(number: usize, happens: &str) -> String {
     format!(
         "inner, calls = denoiser.predict, []\ndef predict(tensors):\n    calls.append(0)\n    \
          if len(calls) == {number}:\n        {happens}\n    return inner(tensors)\ndenoiser.predict = predict"

@@ -35,6 +35,7 @@ mod oversized;
 mod parity;
 mod peer_ends;
 mod peer_lines;
+mod protocol;
 mod raster;
 mod rates;
 mod real_frames;

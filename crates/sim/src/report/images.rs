@@ -76,6 +76,14 @@ pub fn read(folder: &Path, cameras: &[FileName]) -> Result<Option<StepImages>, F
     Ok(Some(StepImages { is_reference, images: read(GENERATED)?, truth }))
 }
 
+/// Reads the generated image of a camera from the folder of a step.
+///
+/// # Errors
+/// Fails if the file is missing or damaged.
+pub fn read_generated(folder: &Path, camera: &FileName) -> Result<RgbImage, FileError> {
+    open(&folder.join(GENERATED).join(format!("{camera}.png")))
+}
+
 /// Returns whether the images in the folder of a step are references; `None` if there are none.
 ///
 /// # Errors
@@ -120,6 +128,7 @@ mod tests {
         let reference = StepImages { is_reference: true, truth: None, ..step };
         write(other.path(), &names, &reference).unwrap();
         assert_eq!(read(other.path(), &names).unwrap(), Some(reference));
+        assert_eq!(read_generated(folder.path(), &names[1]).unwrap(), image(2));
         std::fs::write(folder.path().join("truth/b.png"), "no").unwrap();
         let message = read(folder.path(), &names).unwrap_err().to_string();
         assert!(message.contains("JPEG or PNG") && message.ends_with("b.png"), "{message}");

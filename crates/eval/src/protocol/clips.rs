@@ -1,0 +1,151 @@
+use point_skeleton::dataset::Recording;
+use point_skeleton::scene::frame_rate_hz;
+use pskel_sim::Rates;
+
+use super::definition::{Length, Part, PartRates};
+
+/// Clip of a log to generate.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Clip {
+    /// Name, also of the rollout's folder: that of the log, with the second of its start if a log has several.
+    pub name: String,
+    /// Time of the first frame, absolute microseconds.
+    pub start_us: i64,
+    /// Rates of its steps.
+    pub clock: ClipClock,
+    /// Number of frames, with the references.
+    pub frames: usize,
+}
+
+/// Rates of the steps of a clip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ClipClock {
+    /// Every N-th frame of the log is a step and generated.
+    Frames(usize),
+    /// Steps at fixed rates, generated at the planning rate.
+    Rates(Rates),
+}
+
+/// Error of a log with too few frames to generate one after the references.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("expected a log of more than {references} frames at {hz:.1} Hz, found {found}")]
+pub struct ShortLog {
+    references: usize,
+    hz: f64,
+    found: usize,
+}
+
+impl Clip {
+    /// Returns the number of simulation steps after the first one.
+    pub fn steps(&self) -> usize {
+        let per_frame = match self.clock {
+            ClipClock::Frames(_) => 1,
+            ClipClock::Rates(rates) => (rates.sim_hz / rates.plan_hz).round() as usize,
+        };
+        (self.frames - 1) * per_frame
+    }
+}
+
+impl Part {
+    /// Returns its clips of a log with `rates` by default, for a generator with this number of reference frames. All lie
+    /// within the log, except the first one if the log is shorter.
+    ///
+    /// # Errors
+    /// Fails if the log ends with the references.
+    pub fn clips(&self, log: &Recording, rates: Rates, references: usize) -> Result<Vec<Clip>, ShortLog> {
+        let (clock, hz) = match self.rates {
+            PartRates::Frames(hz) => {
+                let log_hz = frame_rate_hz(&log.frames).unwrap_or(hz);
+                let every = (log_hz / hz).round().max(1.0);
+                (ClipClock::Frames(every as usize), log_hz / every)
+            }
+            PartRates::Fixed(rates) => (ClipClock::Rates(rates), rates.plan_hz),
+            PartRates::OfLog => (ClipClock::Rates(rates), rates.plan_hz),
+        };
+        let times = log.frames.first().map(|frame| frame.t_us).zip(log.frames.last().map(|frame| frame.t_us));
+        let (first_us, last_us) = times.unwrap_or_default();
+        let found = times.map_or(0, |_| ((last_us - first_us) as f64 / 1e6 * hz + 1e-6) as usize + 1);
+        if found <= references {
+            return Err(ShortLog { references, hz, found });
+        }
+        let frames = match self.length {
+            Length::Frames(frames) => frames.max(references + 1),
+            Length::Generated(frames) => references + frames,
+            Length::GeneratedS(seconds) => references + (seconds * hz).round() as usize,
+        };
+        let duration_us = ((frames - 1) as f64 / hz * 1e6).round() as i64;
+        let clip = |number: usize| {
+            let start_s = self.every_s.map(|every_s| number as f64 * every_s);
+            let name =
+                start_s.map_or_else(|| log.name.clone(), |start_s| format!("{}-{start_s:03.0}s", log.name));
+            let start_us = first_us + start_s.map_or(0, |start_s| (start_s * 1e6).round() as i64);
+            Clip { name, start_us, clock, frames }
+        };
+        let count = if self.every_s.is_some() { usize::MAX } else { 1 };
+        let fits = |clip: &Clip| clip.start_us == first_us || clip.start_us + duration_us <= last_us;
+        Ok((0..count).map(clip).take_while(fits).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::protocol::Protocol;
+    use point_skeleton::dataset::Frame;
+
+    /// A log of this many frames at this rate, from 1 s on.
+    fn log(frames: i64, hz: i64) -> Recording {
+        let frame = |i: i64| Frame { t_us: 1_000_000 + i * 1_000_000 / hz, ..Frame::default() };
+        Recording { name: "log".to_owned(), frames: (0..frames).map(frame).collect(), ..Recording::default() }
+    }
+
+    fn clips(protocol: Protocol, part: usize, log: &Recording) -> Vec<Clip> {
+        protocol.parts()[part].clips(log, Rates::NUSCENES, 3).unwrap()
+    }
+
+    #[test]
+    fn clips_of_a_nuplan_log_start_every_ten_seconds() {
+        // 20 frames at 5 Hz take 3.8 s: the third clip ends at 23.8 s.
+        for (frames, starts) in [(239, vec![0, 10, 20]), (238, vec![0, 10]), (20, vec![0])] {
+            let found = clips(Protocol::NuplanSimgen, 0, &log(frames, 10));
+            let expected = |start: &i64| Clip {
+                name: format!("log-{start:03}s"),
+                start_us: (1 + start) * 1_000_000,
+                clock: ClipClock::Rates(Rates { sim_hz: 10.0, plan_hz: 5.0 }),
+                frames: 20,
+            };
+            assert_eq!(found, starts.iter().map(expected).collect::<Vec<_>>());
+            assert_eq!(found[0].steps(), 38);
+        }
+        let off_log = clips(Protocol::NuplanSimgen, 2, &log(600, 10));
+        assert_eq!((off_log.len(), off_log[0].steps(), off_log[0].name.as_str()), (1, 60, "log"));
+    }
+
+    #[test]
+    fn logs_that_end_with_the_references_are_refused() {
+        // Three frames at 6 Hz take 0.33 s.
+        let six = &Protocol::NuscenesVal.parts()[0];
+        assert_eq!(
+            six.clips(&log(5, 12), Rates::NUSCENES, 3),
+            Err(ShortLog { references: 3, hz: 6.0, found: 3 })
+        );
+        assert!(six.clips(&log(7, 12), Rates::NUSCENES, 3).is_ok());
+        let message = six.clips(&Recording::default(), Rates::NUSCENES, 3).unwrap_err().to_string();
+        assert_eq!(message, "expected a log of more than 3 frames at 6.0 Hz, found 0");
+    }
+
+    #[test]
+    fn scenes_of_nuscenes_have_one_clip_a_part() {
+        // Annotations at 2 Hz, and those at 12 Hz of the same scene.
+        for (frames, hz, every) in [(40, 2, 1), (240, 12, 6)] {
+            let log = log(frames, hz);
+            let [six, two, long] = [0, 1, 2].map(|part| clips(Protocol::NuscenesVal, part, &log).remove(0));
+            assert_eq!((six.frames, six.steps()), (27, 52));
+            assert_eq!((two.frames, two.steps(), two.clock), (19, 18, ClipClock::Frames(every)));
+            assert_eq!((long.frames, long.steps(), long.start_us), (100, 198, 1_000_000));
+        }
+        // 10 s at the planning rate of the log, 2 Hz.
+        let change = clips(Protocol::LaneChange, 1, &log(40, 2)).remove(0);
+        assert_eq!((change.frames, change.steps()), (23, 132));
+    }
+}

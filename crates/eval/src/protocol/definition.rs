@@ -1,0 +1,162 @@
+use point_skeleton::dataset::nuplan::SIMGEN;
+use pskel_sim::{EgoPolicy, Rates};
+
+use super::nuscenes_val::SCENES;
+
+/// An evaluation protocol of the paper *Point as Skeleton*. Source: the configurations of its reference implementation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Protocol {
+    /// Ten nuPlan logs, replayed in clips and driven off the log.
+    NuplanSimgen,
+    /// The 150 validation scenes of nuScenes, replayed.
+    NuscenesVal,
+    /// Lane changes in any logs.
+    LaneChange,
+}
+
+/// Part of a protocol: clips with the same policy, rates and length.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// Name, also of its folder.
+    pub name: &'static str,
+    /// Policy of the ego after the references.
+    pub ego: EgoPolicy,
+    /// Rates of simulation and generation.
+    pub rates: PartRates,
+    /// Length of a clip.
+    pub length: Length,
+    /// Seconds from the start of a clip to that of the next one; `None` for one clip at the start of each log.
+    pub every_s: Option<f64>,
+    /// Part whose ground-truth images are the reference set of the Fréchet distances; `None` for its own.
+    pub reference: Option<&'static str>,
+    /// Whether the images are also written into a copy of the data set, for perception models.
+    pub copies_dataset: bool,
+}
+
+/// Rates of a part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PartRates {
+    /// The log's own frames, as close as possible to this rate in hertz.
+    Frames(f64),
+    /// Fixed rates.
+    Fixed(Rates),
+    /// The default rates of the log's format.
+    OfLog,
+}
+
+/// Length of a clip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Length {
+    /// Number of frames, with the references.
+    Frames(usize),
+    /// Number of generated frames, after the references.
+    Generated(usize),
+    /// Duration of the generated frames, seconds.
+    GeneratedS(f64),
+}
+
+/// Rates of nuPlan.
+const FIVE_HZ: PartRates = PartRates::Fixed(Rates { sim_hz: 10.0, plan_hz: 5.0 });
+/// Rates of nuScenes with annotations at 12 Hz.
+const SIX_HZ: PartRates = PartRates::Fixed(Rates { sim_hz: 12.0, plan_hz: 6.0 });
+/// Name of the part that follows the log.
+const REPLAY: &str = "replay";
+
+impl Protocol {
+    /// All protocols.
+    pub const ALL: [Self; 3] = [Self::NuplanSimgen, Self::NuscenesVal, Self::LaneChange];
+
+    /// Returns the name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NuplanSimgen => "nuplan-simgen",
+            Self::NuscenesVal => "nuscenes-val",
+            Self::LaneChange => "lane-change",
+        }
+    }
+
+    /// Returns the names of its logs; none if it is defined for any logs.
+    pub fn logs(self) -> Vec<String> {
+        match self {
+            Self::NuplanSimgen => SIMGEN.map(str::to_owned).to_vec(),
+            Self::NuscenesVal => SCENES.iter().map(|number| format!("scene-{number:04}")).collect(),
+            Self::LaneChange => Vec::new(),
+        }
+    }
+
+    /// Returns its parts, in order.
+    pub fn parts(self) -> Vec<Part> {
+        match self {
+            Self::NuplanSimgen => {
+                let clips = Part { every_s: Some(10.0), ..replay(REPLAY, FIVE_HZ, Length::Frames(20)) };
+                let off_log = [EgoPolicy::Straight, EgoPolicy::RightThenBack, EgoPolicy::Cosine];
+                // 60 steps at 10 Hz.
+                let off_log = off_log.map(|ego| off_log_part(ego, FIVE_HZ, Length::Frames(31)));
+                [clips].into_iter().chain(off_log).collect()
+            }
+            Self::NuscenesVal => vec![
+                replay("6hz", SIX_HZ, Length::Generated(24)),
+                Part { copies_dataset: true, ..replay("2hz", PartRates::Frames(2.0), Length::Generated(16)) },
+                replay("long", SIX_HZ, Length::Frames(100)),
+            ],
+            Self::LaneChange => vec![
+                replay(REPLAY, PartRates::OfLog, Length::GeneratedS(10.0)),
+                off_log_part(EgoPolicy::LaneChange, PartRates::OfLog, Length::GeneratedS(10.0)),
+            ],
+        }
+    }
+}
+
+/// Returns a part that follows the log, with one clip per log.
+fn replay(name: &'static str, rates: PartRates, length: Length) -> Part {
+    Part {
+        name,
+        ego: EgoPolicy::Replay,
+        rates,
+        length,
+        every_s: None,
+        reference: None,
+        copies_dataset: false,
+    }
+}
+
+/// Returns a part that leaves the log, with one clip per log. It is compared with the images of the log.
+fn off_log_part(ego: EgoPolicy, rates: PartRates, length: Length) -> Part {
+    let name = ego.name();
+    Part { ego, reference: Some(REPLAY), ..replay(name, rates, length) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn protocols_have_their_logs_and_parts() {
+        let names = |protocol: Protocol| protocol.parts().iter().map(|part| part.name).collect::<Vec<_>>();
+        assert_eq!(names(Protocol::NuplanSimgen), ["replay", "straight", "right_then_back", "cosine"]);
+        assert_eq!(names(Protocol::NuscenesVal), ["6hz", "2hz", "long"]);
+        assert_eq!(names(Protocol::LaneChange), ["replay", "lane_change"]);
+        let logs = Protocol::NuscenesVal.logs();
+        assert_eq!(logs.len(), 150);
+        assert_eq!((logs[0].as_str(), logs[149].as_str()), ("scene-0003", "scene-1073"));
+        assert!(logs.is_sorted() && logs.windows(2).all(|pair| pair[0] != pair[1]));
+        assert_eq!(Protocol::NuplanSimgen.logs().len(), 10);
+        assert!(Protocol::LaneChange.logs().is_empty());
+    }
+
+    /// A part is compared with a part that is before it, follows the log and has its rates.
+    #[test]
+    fn references_are_parts_that_follow_the_log() {
+        for protocol in Protocol::ALL {
+            let parts = protocol.parts();
+            for (place, part) in parts.iter().enumerate() {
+                let reference =
+                    part.reference.map(|name| parts[..place].iter().find(|p| p.name == name).unwrap());
+                assert_eq!(reference.is_none(), part.ego == EgoPolicy::Replay, "{}", part.name);
+                assert!(
+                    reference.is_none_or(|other| other.ego == EgoPolicy::Replay && other.rates == part.rates)
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,369 @@
+//! `pskel protocol`: generates the clips of an evaluation protocol and scores them. Each clip is a rollout of
+//! `pskel simulate` in its own folder.
+
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::{ConditionOptions, MapFormat};
+use point_skeleton::dataset::{Dataset, LogFormat, LogLocator, LogOpener};
+use point_skeleton::error::{FileError, with_causes};
+use point_skeleton::files::input::{is_there, read_table};
+use point_skeleton::files::{OutputFolder, write_json, write_whole};
+use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
+use point_skeleton::skeleton;
+use pskel_eval::protocol::{Clip, ClipClock, Part, PartRollouts, Protocol, ProtocolReport};
+use pskel_generate::{CopiedLog, DenoiserRig, check_dataset_copy, copy_dataset};
+use pskel_network::NetworkName;
+use pskel_sim::Rates;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::choices::Choices;
+use super::generator::GeneratorArgs;
+use super::log_args::{self, LogRoots};
+use super::map_args::MapArgs;
+use super::progress::Progress;
+use super::rasterizer::RasterizerArgs;
+use super::simulate::{self, ClipArgs, EgoName, GenerationArgs, SimulateArgs, StepClock};
+use super::substitutes::SubstituteArgs;
+use super::{WrongUsage, logs, say, tell};
+
+const PROTOCOL: Choices<Protocol> = Choices(&[
+    (
+        "nuplan-simgen",
+        Protocol::NuplanSimgen,
+        "Ten nuPlan logs: clips of 20 frames at 5 Hz, and three policies that leave the log",
+    ),
+    (
+        "nuscenes-val",
+        Protocol::NuscenesVal,
+        "150 scenes of nuScenes: 24 frames at 6 Hz, 16 at 2 Hz with a copy of the data set, 100 at 6 Hz",
+    ),
+    ("lane-change", Protocol::LaneChange, "Any logs: 10 s that follow the log, and with a lane change"),
+]);
+
+/// Run an evaluation protocol: generate its clips and score them
+///
+/// Writes a rollout per clip, PART/CLIP, then table.md and results.json, and for parts with a copy of the data set
+/// (nuScenes) dataset, in which the generated images of all scenes replace the recorded ones. Finished rollouts are
+/// retained and others resumed, so the same command continues an interrupted run. Logs that fail are reported at the end.
+#[derive(Debug, Args)]
+pub(super) struct ProtocolArgs {
+    /// Protocol
+    #[arg(value_parser = PROTOCOL)]
+    protocol: Protocol,
+    /// Recordings: FORMAT:PATH[@VERSION][#SCENE]; of sets, like nuscenes:ROOT@v1.0-trainval#* or
+    /// nuplan-simgen:FOLDER, those of the protocol
+    #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
+    logs: Vec<LogLocator>,
+    #[command(flatten)]
+    roots: LogRoots,
+    /// Folder of skeletons, one per recording and named after it; those that do not exist are built
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
+    skeletons: PathBuf,
+    /// Folder to write
+    #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
+    out: PathBuf,
+    /// Parts of the protocol [default: all]
+    #[arg(long, value_name = "PART,..", value_delimiter = ',')]
+    parts: Vec<String>,
+    /// Accept any logs instead of all those of the protocol; the table says so
+    #[arg(long)]
+    other_logs: bool,
+    /// At most this number of clips per recording and part [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    clips: Option<u16>,
+    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, fill (no network: holes
+    /// filled), or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md)
+    #[arg(long, value_name = "NETWORK", default_value = "network")]
+    generator: NetworkName,
+    #[command(flatten)]
+    maps: MapArgs,
+    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
+    #[arg(long, value_name = "F.json")]
+    annotations: Option<PathBuf>,
+    #[command(flatten)]
+    stand_ins: SubstituteArgs,
+    #[command(flatten)]
+    rasterizer: RasterizerArgs,
+    #[command(flatten, next_help_heading = "Options of the generator")]
+    generating: GeneratorArgs,
+}
+
+/// Content of `protocol.json`: options that all rollouts of the folder share.
+#[derive(Serialize)]
+struct Settings<'a> {
+    protocol: &'a str,
+    generator: Value,
+    maps: ConditionOptions,
+    selection: SelectionOptions,
+    format: MapFormat,
+    substitutes: SubstituteOptions,
+    prompt: PromptParts,
+}
+
+/// A run of the command.
+struct Run<'a> {
+    args: &'a ProtocolArgs,
+    /// Keeps the tables of a data set between its logs.
+    opener: Arc<LogOpener>,
+    /// Number of reference frames of the generator.
+    references: usize,
+    /// Parts and their rollouts so far.
+    parts: Vec<PartRollouts>,
+    /// Logs whose images are copied into a data set, with their rollouts.
+    copied: Vec<(Box<dyn Dataset>, PathBuf)>,
+    /// Names of the logs with rollouts.
+    logs: Vec<String>,
+}
+
+/// Runs the command: generates and scores the clips, writes the table.
+pub(super) fn run(args: &ProtocolArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    args.generating.check(Some(&args.generator))?;
+    args.maps.check()?;
+    let parts = args.parts()?;
+    let opener = Arc::default();
+    let logs = args.logs(&opener)?;
+    let dataset = args.out.join("dataset");
+    if let Some(part) = parts.iter().find(|part| part.copies_dataset) {
+        check_one_dataset(part, &logs)?;
+        check_dataset_copy(&dataset)?;
+    }
+    let files = OutputFolder::open(&args.out, "protocol", &[])?;
+    let references = args.settle(&logs, &opener, &files)?;
+    let parts = parts.into_iter().map(|part| PartRollouts { part, folders: Vec::new(), frames: 0 }).collect();
+    let mut run = Run { args, opener, references, parts, copied: Vec::new(), logs: Vec::new() };
+    let mut failures = 0_usize;
+    for locator in &logs {
+        if let Err(error) = run.generate(locator) {
+            tell(&format!("failed: {locator}: {}", with_causes(error.as_ref())));
+            failures += 1;
+        }
+    }
+    anyhow::ensure!(
+        failures < logs.len(),
+        "expected rollouts, found that each of {failures} recordings failed"
+    );
+    run.finish(&files, &dataset)?;
+    files.close()?;
+    let (count, seconds) = (logs.len(), start.elapsed().as_secs_f64());
+    let plural = if count == 1 { "" } else { "s" };
+    say(&format!("{count} recording{plural} in {seconds:.2} s: {}", args.out.display()));
+    anyhow::ensure!(failures == 0, "expected rollouts of every recording, found {failures} that failed");
+    Ok(())
+}
+
+impl ProtocolArgs {
+    /// Returns the selected parts, in order.
+    fn parts(&self) -> Result<Vec<Part>, WrongUsage> {
+        let mut parts = self.protocol.parts();
+        let names: Vec<&str> = parts.iter().map(|part| part.name).collect();
+        if let Some(other) = self.parts.iter().find(|part| !names.contains(&part.as_str())) {
+            return Err(WrongUsage(format!("expected --parts of {}, found {other}", names.join(", "))));
+        }
+        let is_selected = |name: &str| self.parts.is_empty() || self.parts.iter().any(|part| part == name);
+        parts.retain(|part| is_selected(part.name));
+        let without = parts.iter().find(|part| part.reference.is_some_and(|name| !is_selected(name)));
+        if let Some((part, reference)) = without.and_then(|part| Some((part, part.reference?))) {
+            let message =
+                format!("expected --parts with {reference}, the reference of {}, found none", part.name);
+            return Err(WrongUsage(message));
+        }
+        Ok(parts)
+    }
+
+    /// Returns the logs to generate: those of the protocol, each once, or any with `--other-logs`.
+    fn logs(&self, opener: &LogOpener) -> anyhow::Result<Vec<LogLocator>> {
+        let mut found = Vec::new();
+        for log in &self.logs {
+            found.extend(logs::expand(&self.roots.locate(log))?);
+        }
+        log_args::check_once(&found)?;
+        let mut missing = self.protocol.logs();
+        if self.other_logs || missing.is_empty() {
+            return Ok(found);
+        }
+        let mut ours = Vec::new();
+        for locator in found {
+            let name = logs::outline(&locator, opener)?.name;
+            if let Some(place) = missing.iter().position(|other| *other == name) {
+                missing.remove(place);
+                ours.push(locator);
+            }
+        }
+        let (count, name) = (missing.len(), self.protocol.name());
+        let Some(first) = missing.first() else { return Ok(ours) };
+        let message = format!(
+            "expected all recordings of {name}, or --other-logs, found that {count} are missing, the first is {first}"
+        );
+        Err(WrongUsage(message).into())
+    }
+
+    /// Writes the settings, or compares them with those of an earlier run. Returns the number of the generator's reference
+    /// frames.
+    fn settle(&self, logs: &[LogLocator], opener: &LogOpener, files: &OutputFolder) -> anyhow::Result<usize> {
+        let first = logs.first().context("expected a recording, found none")?;
+        let dataset = logs::open_by(first, opener)?;
+        let rates = Rates::of(first.format);
+        let opened = self.generating.open(&self.generator, &DenoiserRig::of(dataset.log(), rates.plan_hz))?;
+        let settings = serde_json::to_value(Settings {
+            protocol: self.protocol.name(),
+            generator: serde_json::to_value(opened.report())?,
+            maps: self.maps.conditions(self.maps.maps.unwrap_or_default()),
+            selection: self.maps.selection(),
+            format: self.maps.format,
+            substitutes: self.stand_ins.options(),
+            prompt: self.annotations.as_deref().map(PromptParts::read).transpose()?.unwrap_or_default(),
+        })?;
+        let path = files.claim("protocol.json")?;
+        if is_there(&path)? {
+            let earlier: Value = serde_json::from_slice(&read_table(&path)?)
+                .map_err(|error| FileError::content("options of a protocol", error.to_string(), &path))?;
+            let differs = |key: &&String| earlier.get(*key) != settings.get(*key);
+            if let Some(key) = settings.as_object().and_then(|fields| fields.keys().find(differs)) {
+                let expected = format!("the {key} of this command");
+                return Err(FileError::content(expected, "another", &path).into());
+            }
+        }
+        write_json(&path, &settings)?;
+        Ok(opened.window() - 1)
+    }
+}
+
+impl Run<'_> {
+    /// Generates the clips of a log in all parts, after building its skeleton if it does not exist.
+    fn generate(&mut self, locator: &LogLocator) -> anyhow::Result<()> {
+        let dataset = logs::open_by(locator, &self.opener)?;
+        let log = dataset.log();
+        anyhow::ensure!(!self.logs.contains(&log.name), "expected each name once, found {} again", log.name);
+        let skeleton = self.args.skeletons.join(&log.name);
+        if !skeleton.exists() {
+            tell(&format!("building {}", skeleton.display()));
+        }
+        skeleton::open_or_build(&skeleton, dataset.as_ref())?;
+        let limit = self.args.clips.map_or(usize::MAX, usize::from);
+        let rates = Rates::of(locator.format);
+        let mut done = Vec::new();
+        for (place, PartRollouts { part, .. }) in self.parts.iter().enumerate() {
+            let clips = part.clips(log, rates, self.references);
+            let clips = clips.with_context(|| format!("part {}", part.name))?;
+            for clip in clips.into_iter().take(limit) {
+                let out = self.args.out.join(part.name).join(&clip.name);
+                self.generate_clip(locator, &skeleton, part, &clip, &out)
+                    .with_context(|| format!("part {}, clip {}", part.name, clip.name))?;
+                done.push((place, clip, out));
+            }
+        }
+        // A log counts only as a whole.
+        self.logs.push(log.name.clone());
+        for (place, clip, out) in done {
+            let part = &mut self.parts[place];
+            if part.part.copies_dataset {
+                self.copied.push((logs::open_by(locator, &self.opener)?, out.clone()));
+            }
+            part.frames += clip.frames - self.references;
+            part.folders.push(out);
+        }
+        Ok(())
+    }
+
+    /// Generates a clip, unless its rollout is finished.
+    fn generate_clip(
+        &self,
+        locator: &LogLocator,
+        skeleton: &Path,
+        part: &Part,
+        clip: &Clip,
+        out: &Path,
+    ) -> anyhow::Result<()> {
+        if is_finished(out)? {
+            return Ok(());
+        }
+        let args = self.args;
+        let generation =
+            GenerationArgs { generator: Some(args.generator.clone()), options: args.generating.clone() };
+        let ego = EgoName::from_str(part.ego.name(), false).map_err(anyhow::Error::msg)?;
+        let summary = simulate::rollout(SimulateArgs::of_clip(ClipArgs {
+            log: locator.clone(),
+            roots: args.roots.clone(),
+            skeleton: skeleton.to_owned(),
+            out: out.to_owned(),
+            generation,
+            steps: clip.steps(),
+            clock: match clip.clock {
+                ClipClock::Frames(every) => StepClock::Frames(Some(every)),
+                ClipClock::Rates(rates) => StepClock::Rates(rates),
+            },
+            ego,
+            least_warmup: true,
+            start: Some(clip.start_us),
+            ego_offset: None,
+            maps: args.maps.clone(),
+            resume: is_there(&out.join("rollout.json"))?,
+            resume_from: None,
+            profile: None,
+            annotations: args.annotations.clone(),
+            stand_ins: args.stand_ins.clone(),
+            rasterizer: args.rasterizer.clone(),
+            opener: Arc::clone(&self.opener),
+        }))?;
+        tell(&summary);
+        Ok(())
+    }
+
+    /// Scores all rollouts, writes and prints the table, and writes the copy of the data set.
+    fn finish(&self, files: &OutputFolder, dataset: &Path) -> anyhow::Result<()> {
+        let progress = RefCell::new(None);
+        let mut on_start = |steps| *progress.borrow_mut() = Some(Progress::new(steps));
+        let mut on_step =
+            |name: &str| progress.borrow_mut().iter_mut().for_each(|progress| progress.step(name));
+        let (protocol, parts) = (self.args.protocol, &self.parts);
+        let report = ProtocolReport::score(protocol, &self.logs, parts, &mut on_start, &mut on_step)?;
+        drop(progress);
+        write_json(&files.claim("results.json")?, &report)?;
+        let (path, table) = (files.claim("table.md")?, report.table());
+        write_whole(&path, |out| {
+            std::io::Write::write_all(out, table.as_bytes()).map_err(FileError::io("write", &path))
+        })?;
+        let logs: Vec<CopiedLog<'_>> = (self.copied.iter())
+            .map(|(dataset, rollout)| CopiedLog { log: dataset.log(), rollout })
+            .collect();
+        if !logs.is_empty() {
+            let counts = copy_dataset(&self.args.logs[0].path, &logs, dataset)?;
+            let place = dataset.display();
+            tell(&format!("{} images replaced, {} kept: {place}", counts.replaced, counts.kept));
+        }
+        say(table.trim_end());
+        Ok(())
+    }
+}
+
+/// Checks that all logs are of one nuScenes data set, which a part copies.
+fn check_one_dataset(part: &Part, logs: &[LogLocator]) -> Result<(), WrongUsage> {
+    let first = logs.first().map(|log| &log.path);
+    let other = logs.iter().find(|log| log.format != LogFormat::NuScenes || Some(&log.path) != first);
+    other.map_or(Ok(()), |other| {
+        let (name, other) = (part.name, other.to_string());
+        Err(WrongUsage(format!(
+            "expected recordings nuscenes:.. of one folder for part {name}, found {other}"
+        )))
+    })
+}
+
+/// Returns whether a folder has a rollout that has ended without failure.
+fn is_finished(rollout: &Path) -> Result<bool, FileError> {
+    let path = rollout.join("metrics.json");
+    // The index is written last.
+    if !is_there(&path)? || !is_there(&rollout.join("index.json"))? {
+        return Ok(false);
+    }
+    let metrics: Value = serde_json::from_slice(&read_table(&path)?)
+        .map_err(|error| FileError::content("metrics of a rollout", error.to_string(), &path))?;
+    Ok(metrics.get("failure").is_some_and(Value::is_null))
+}

@@ -1,0 +1,161 @@
+//! `pskel protocol` through the command line.
+
+use serde_json::{Value, json};
+
+use crate::generated::{at_call, denoiser};
+use crate::simulate::built;
+use crate::tiny_log::{CAMERAS, FRAMES, TinyLog, assert_failed, picture, tree};
+
+const VAL: &str = "protocol nuscenes-val nuscenes:log#* --other-logs --parts 2hz --skeletons sk --out out \
+                   --rasterizer cpu --maps color --window 2 --generator process:./denoiser.sh";
+
+/// Adds a second scene with the same content and images of its own to the tables.
+fn add_scene(log: &TinyLog) {
+    for table in ["scene", "sample", "sample_data", "ego_pose", "instance", "sample_annotation"] {
+        let path = format!("log/v1.0-mini/{table}.json");
+        let Value::Array(mut records) = log.json(&path) else { panic!("{table}") };
+        for mut record in records.clone() {
+            for (key, value) in record.as_object_mut().unwrap() {
+                let shared =
+                    ["calibrated_sensor_token", "category_token", "log_token"].contains(&key.as_str());
+                let is_token = key.ends_with("token") || key == "next";
+                match value.as_str() {
+                    Some(token) if is_token && !shared && !token.is_empty() => {
+                        *value = json!(format!("b{token}"))
+                    }
+                    Some(name) if key == "name" => *value = json!(format!("{name}-b")),
+                    Some(file) if key == "filename" => {
+                        let new = file.replace("samples/", "samples/b");
+                        std::fs::copy(log.path(&format!("log/{file}")), log.path(&format!("log/{new}")))
+                            .unwrap();
+                        *value = json!(new);
+                    }
+                    _ => {}
+                }
+            }
+            records.push(record);
+        }
+        std::fs::write(log.path(&path), Value::Array(records).to_string()).unwrap();
+    }
+}
+
+/// Returns a log with two scenes, a denoiser with additional lines, and no output folder.
+fn two_scenes(lines: &str) -> TinyLog {
+    let log = TinyLog::new();
+    std::fs::remove_dir(log.path("out")).unwrap();
+    add_scene(&log);
+    denoiser(&log, lines);
+    log
+}
+
+fn table(log: &TinyLog) -> String {
+    std::fs::read_to_string(log.path("out/table.md")).unwrap()
+}
+
+#[test]
+fn scenes_are_generated_scored_and_copied_into_one_data_set() {
+    let log = two_scenes("");
+    let output = log.run(VAL);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = table(&log);
+    assert!(String::from_utf8(output.stdout).unwrap().starts_with(&text));
+    // Of 16 frames after one reference, a scene of three frames has two.
+    assert!(text.lines().nth(2).unwrap().starts_with("| 2hz | 2 | 4 of 32 | "), "{text}");
+    assert!(text.ends_with("\nNot the protocol: 0 of its 150 logs, 2 others.\n"), "{text}");
+    let results = log.json("out/results.json");
+    assert_eq!(results["logs"], json!({"defined": 150, "present": 0, "other": 2}));
+    // The table's means are those of `evaluate`.
+    assert!(log.run("evaluate out/2hz/tiny out/2hz/tiny-b --out scores.json").status.success());
+    assert_eq!(results["parts"][0]["images"]["mean"], log.json("scores.json")["mean"]);
+    // One copy has the images of both scenes.
+    let (before, after) = (tree(&log.path("log")), tree(&log.path("out/dataset")));
+    assert_eq!(before.keys().collect::<Vec<_>>(), after.keys().collect::<Vec<_>>());
+    let mut replaced: Vec<&String> = before.keys().filter(|name| before[*name] != after[*name]).collect();
+    replaced.sort();
+    let mut expected = Vec::new();
+    for (frame, camera) in (1..FRAMES).flat_map(|frame| CAMERAS.map(|camera| (frame, camera))) {
+        let own = picture(frame, camera).trim_start_matches("log/").to_owned();
+        expected.extend([own.replace("samples/", "samples/b"), own]);
+    }
+    expected.sort();
+    assert_eq!(replaced, expected.iter().collect::<Vec<_>>());
+    for scene in ["tiny", "tiny-b"] {
+        assert!(log.run(&format!("info nuscenes:out/dataset#{scene}")).status.success());
+    }
+}
+
+#[test]
+fn an_interrupted_protocol_ends_with_the_same_bytes() {
+    let log = two_scenes("");
+    assert!(log.run(VAL).status.success());
+    // Each scene has two generated frames, of two calls each but for the first ones of a window; the last fails.
+    let calls = std::fs::read_dir(log.path("out/2hz")).unwrap().count() * 2;
+    let broken = two_scenes(&at_call(calls, "raise SystemExit(3)"));
+    let output = broken.run(VAL);
+    assert_failed(&output, 1, &["failed: nuscenes:log", "part 2hz, clip tiny"]);
+    assert!(!broken.path("out/table.md").exists() || table(&broken) != table(&log));
+    denoiser(&broken, "");
+    let output = broken.run(VAL);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    // The page and the video name no time of day: all files are the same.
+    let (whole, resumed) = (tree(&log.path("out")), tree(&broken.path("out")));
+    assert_eq!(whole.keys().collect::<Vec<_>>(), resumed.keys().collect::<Vec<_>>());
+    for (name, bytes) in &whole {
+        assert!(resumed[name] == *bytes, "{name}");
+    }
+    // Finished rollouts are retained: a denoiser that cannot start is only asked for its window.
+    let before = std::fs::metadata(log.path("out/2hz/tiny/index.json")).unwrap().modified().unwrap();
+    assert!(log.run(VAL).status.success());
+    let after = std::fs::metadata(log.path("out/2hz/tiny/index.json")).unwrap().modified().unwrap();
+    assert_eq!(before, after);
+}
+
+#[test]
+fn lane_changes_are_compared_with_the_images_of_the_log() {
+    let log = built();
+    let command = "protocol lane-change nuscenes:log --skeletons sks --out p --rasterizer cpu --maps color \
+                   --window 2 --generator fill";
+    let output = log.run(command);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let results = log.json("p/results.json");
+    let parts = results["parts"].as_array().unwrap();
+    // The log has two frames after the reference; the ego drives on for 10 s at 2 Hz.
+    assert_eq!((&parts[0]["name"], &parts[1]["name"]), (&json!("replay"), &json!("lane_change")));
+    let images = |part: usize| &parts[part]["images"]["distances"]["images"];
+    assert_eq!((&images(0)["generated"], &images(0)["truth"]), (&json!(4), &json!(4)));
+    assert_eq!((&images(1)["generated"], &images(1)["truth"]), (&json!(40), &json!(4)));
+    // Without ground truth off the log there is no PSNR.
+    assert!(parts[0]["images"]["mean"]["psnr_db"].is_object());
+    assert!(parts[1]["images"]["mean"]["psnr_db"].is_null());
+    // The ego leaves the log with the first generated frame.
+    assert_eq!(log.json("p/lane_change/tiny/rollout.json")["takeover_step"], json!(0));
+}
+
+#[test]
+fn wrong_protocols_are_told_before_anything_is_written() {
+    let log = built();
+    let run = |args: &str| log.run(&format!("protocol {args} --skeletons sks --out p --rasterizer cpu"));
+    let val = "nuscenes-val nuscenes:log";
+    assert_failed(
+        &run(val),
+        2,
+        &["expected all recordings of nuscenes-val", "150 are missing", "scene-0003"],
+    );
+    assert_failed(
+        &run(&format!("{val} --other-logs --parts 3hz")),
+        2,
+        &["expected --parts of 6hz, 2hz, long"],
+    );
+    let lane = "lane-change nuscenes:log --parts lane_change";
+    assert_failed(&run(lane), 2, &["expected --parts with replay, the reference of lane_change"]);
+    let town = "nuscenes-val nuscenes:log town:seed=1,frames=2 --other-logs";
+    assert_failed(&run(town), 2, &["of one folder for part 2hz", "town:seed=1,frames=2"]);
+    assert_failed(&run("nuscenes-val nuscenes:log nuscenes:log --other-logs"), 2, &["each log once"]);
+    assert!(!log.path("p").exists());
+    let short = format!("{val} --other-logs --parts 2hz --generator fill --window 4");
+    let parts = ["part 2hz", "expected a log of more than 3 frames at 2.0 Hz, found 3", "each of 1"];
+    assert_failed(&run(&short), 1, &parts);
+    // Other options need another folder.
+    let other = format!("{val} --other-logs --parts 2hz --generator fill --window 2 --radius 50");
+    assert_failed(&run(&other), 1, &["expected the", "of this command, found another", "protocol.json"]);
+}
