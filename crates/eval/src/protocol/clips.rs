@@ -1,6 +1,6 @@
 use point_skeleton::dataset::Recording;
 use point_skeleton::scene::frame_rate_hz;
-use pskel_sim::Rates;
+use pskel_sim::{EgoPolicy, Rates};
 
 use super::definition::{Length, Part, PartRates};
 
@@ -25,6 +25,9 @@ pub enum ClipClock {
     /// Steps at fixed rates, generated at the planning rate.
     Rates(Rates),
 }
+
+/// Largest relative difference between a rate and that of frames which have it.
+const RATE_TOLERANCE: f64 = 0.05;
 
 /// Error of a log with too few frames to generate one after the references.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -53,18 +56,14 @@ impl Part {
     /// # Errors
     /// Fails if the log ends with the references.
     pub fn clips(&self, log: &Recording, rates: Rates, references: usize) -> Result<Vec<Clip>, ShortLog> {
-        let (clock, hz) = match self.rates {
-            PartRates::Frames(hz) => {
-                let log_hz = frame_rate_hz(&log.frames).unwrap_or(hz);
-                let every = (log_hz / hz).round().max(1.0);
-                (ClipClock::Frames(every as usize), log_hz / every)
-            }
-            PartRates::Fixed(rates) => (ClipClock::Rates(rates), rates.plan_hz),
-            PartRates::OfLog => (ClipClock::Rates(rates), rates.plan_hz),
-        };
+        let (clock, hz) = self.clock(log, rates);
         let times = log.frames.first().map(|frame| frame.t_us).zip(log.frames.last().map(|frame| frame.t_us));
         let (first_us, last_us) = times.unwrap_or_default();
-        let found = times.map_or(0, |_| ((last_us - first_us) as f64 / 1e6 * hz + 1e-6) as usize + 1);
+        let found = match (clock, times) {
+            (ClipClock::Frames(every), _) => log.frames.len().div_ceil(every),
+            (ClipClock::Rates(_), None) => 0,
+            (ClipClock::Rates(_), Some(_)) => ((last_us - first_us) as f64 / 1e6 * hz + 1e-6) as usize + 1,
+        };
         if found <= references {
             return Err(ShortLog { references, hz, found });
         }
@@ -85,6 +84,25 @@ impl Part {
         let fits = |clip: &Clip| clip.start_us == first_us || clip.start_us + duration_us <= last_us;
         Ok((0..count).map(clip).take_while(fits).collect())
     }
+
+    /// Returns the clock of its clips of a log, and the rate of their frames in hertz. Parts that follow the log step from
+    /// frame to frame if its frames have their rate, since ground-truth images are those of frames.
+    fn clock(&self, log: &Recording, rates: Rates) -> (ClipClock, f64) {
+        let (rates, any) = match self.rates {
+            PartRates::Frames(hz) => (Rates { sim_hz: hz, plan_hz: hz }, true),
+            PartRates::Fixed(rates) => (rates, false),
+            PartRates::OfLog => (rates, false),
+        };
+        let log_hz = frame_rate_hz(&log.frames).unwrap_or(rates.plan_hz);
+        let every = (log_hz / rates.plan_hz).round().max(1.0);
+        let hz = log_hz / every;
+        let fits = self.ego == EgoPolicy::Replay && (hz / rates.plan_hz - 1.0).abs() < RATE_TOLERANCE;
+        if any || fits {
+            (ClipClock::Frames(every as usize), hz)
+        } else {
+            (ClipClock::Rates(rates), rates.plan_hz)
+        }
+    }
 }
 
 #[cfg(test)]
@@ -92,10 +110,18 @@ mod tests {
     use super::*;
     use crate::protocol::Protocol;
     use point_skeleton::dataset::Frame;
+    use point_skeleton::geometry::Pose;
 
     /// A log of this many frames at this rate, from 1 s on.
     fn log(frames: i64, hz: i64) -> Recording {
-        let frame = |i: i64| Frame { t_us: 1_000_000 + i * 1_000_000 / hz, ..Frame::default() };
+        let frame = |i: i64| Frame {
+            t_us: 1_000_000 + i * 1_000_000 / hz,
+            global_from_ego: Pose::IDENTITY,
+            sweeps: Vec::new(),
+            images: Vec::new(),
+            between_images: Vec::new(),
+            boxes: Vec::new(),
+        };
         Recording { name: "log".to_owned(), frames: (0..frames).map(frame).collect(), ..Recording::default() }
     }
 
@@ -111,38 +137,41 @@ mod tests {
             let expected = |start: &i64| Clip {
                 name: format!("log-{start:03}s"),
                 start_us: (1 + start) * 1_000_000,
-                clock: ClipClock::Rates(Rates { sim_hz: 10.0, plan_hz: 5.0 }),
+                clock: ClipClock::Frames(2),
                 frames: 20,
             };
             assert_eq!(found, starts.iter().map(expected).collect::<Vec<_>>());
-            assert_eq!(found[0].steps(), 38);
+            assert_eq!(found[0].steps(), 19);
         }
         let off_log = clips(Protocol::NuplanSimgen, 2, &log(600, 10));
         assert_eq!((off_log.len(), off_log[0].steps(), off_log[0].name.as_str()), (1, 60, "log"));
+        // Frames at 12 Hz do not have a rate of 5 Hz.
+        let clock = clips(Protocol::NuplanSimgen, 0, &log(600, 12)).remove(0).clock;
+        assert_eq!(clock, ClipClock::Rates(Rates { sim_hz: 10.0, plan_hz: 5.0 }));
     }
 
     #[test]
     fn logs_that_end_with_the_references_are_refused() {
         // Three frames at 6 Hz take 0.33 s.
         let six = &Protocol::NuscenesVal.parts()[0];
-        assert_eq!(
-            six.clips(&log(5, 12), Rates::NUSCENES, 3),
-            Err(ShortLog { references: 3, hz: 6.0, found: 3 })
-        );
+        let short = |log: &Recording| six.clips(log, Rates::NUSCENES, 3).unwrap_err().to_string();
+        assert_eq!(short(&log(5, 12)), "expected a log of more than 3 frames at 6.0 Hz, found 3");
+        // At 10 Hz, which is no multiple: 0.4 s.
+        assert_eq!(short(&log(5, 10)), "expected a log of more than 3 frames at 6.0 Hz, found 3");
         assert!(six.clips(&log(7, 12), Rates::NUSCENES, 3).is_ok());
-        let message = six.clips(&Recording::default(), Rates::NUSCENES, 3).unwrap_err().to_string();
-        assert_eq!(message, "expected a log of more than 3 frames at 6.0 Hz, found 0");
+        assert_eq!(short(&Recording::default()), "expected a log of more than 3 frames at 6.0 Hz, found 0");
     }
 
     #[test]
     fn scenes_of_nuscenes_have_one_clip_a_part() {
         // Annotations at 2 Hz, and those at 12 Hz of the same scene.
-        for (frames, hz, every) in [(40, 2, 1), (240, 12, 6)] {
+        for (frames, hz, every, steps) in [(40, 2, 1, 52), (240, 12, 6, 26)] {
             let log = log(frames, hz);
             let [six, two, long] = [0, 1, 2].map(|part| clips(Protocol::NuscenesVal, part, &log).remove(0));
-            assert_eq!((six.frames, six.steps()), (27, 52));
+            assert_eq!((six.frames, six.steps()), (27, steps));
             assert_eq!((two.frames, two.steps(), two.clock), (19, 18, ClipClock::Frames(every)));
-            assert_eq!((long.frames, long.steps(), long.start_us), (100, 198, 1_000_000));
+            let per_frame = steps / 26;
+            assert_eq!((long.frames, long.steps(), long.start_us), (100, 99 * per_frame, 1_000_000));
         }
         // 10 s at the planning rate of the log, 2 Hz.
         let change = clips(Protocol::LaneChange, 1, &log(40, 2)).remove(0);

@@ -60,7 +60,8 @@ def check_scene(nusc, scene, counts):
         first = samples[0]["data"][channel]
         while nusc.get("sample_data", first)["prev"]:
             first = nusc.get("sample_data", first)["prev"]
-        all_data = [d for d in nusc.sample_data if d["channel"] == channel]
+        of_scene = {sample["token"] for sample in samples}
+        all_data = [d for d in nusc.sample_data if d["channel"] == channel and d["sample_token"] in of_scene]
         times = [d["timestamp"] for d in walk(nusc, "sample_data", first, len(all_data))]
         assert times == sorted(times), channel
 
