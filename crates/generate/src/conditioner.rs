@@ -79,8 +79,7 @@ impl<'a> Conditioner<'a> {
         instant.try_map(|instant| self.draw(instant, before, rasterizer))
     }
 
-    /// Renders the forecasts of at most `count` planning steps. Stops at the end of the log, since replayed actors
-    /// are removed after it.
+    /// Renders the forecasts of at most `count` planning steps. They end with the log if the ego replays it.
     ///
     /// # Errors
     /// Returns the errors of [`Conditioner::committed`].
@@ -90,11 +89,10 @@ impl<'a> Conditioner<'a> {
         count: usize,
         rasterizer: &mut dyn Rasterizer,
     ) -> Result<Vec<Forecast<FrameConditions>>, ConditionerError> {
-        let end_us = self.log.frames.last().map_or(i64::MIN, |frame| frame.t_us);
         let expected = simulation.forecast(count);
         let mut before = simulation.committed().get().ego.pose;
         let mut drawn = Vec::new();
-        for instant in expected.iter().map(Forecast::get).take_while(|instant| instant.t_us <= end_us) {
+        for instant in expected.iter().map(Forecast::get) {
             drawn.push(Forecast::new(self.draw(instant, Some(before), rasterizer)?.conditions));
             before = instant.ego.pose;
         }

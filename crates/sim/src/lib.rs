@@ -41,7 +41,7 @@ pub use actors::idm_step;
 pub use error::SimError;
 pub use local_path::{LocalPath, LocalPathError};
 pub use metrics::{Collision, CollisionKind, Comfort, Deviation, Metrics, OffRoad, Range};
-pub use options::{ActorPolicy, EgoPolicy, Rates, SimOptions, Tracking};
+pub use options::{ActorPolicy, EgoPolicy, PathAnchor, Rates, SimOptions, Tracking};
 pub use saved::SavedState;
 pub use scenario::{Scenario, scene_state};
 pub use simulation::{EndReason, Simulation, StepOutcome};

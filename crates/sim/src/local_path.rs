@@ -9,7 +9,7 @@ use point_skeleton::files::input::read_file;
 use point_skeleton::geometry::Polyline;
 use serde::Serialize;
 
-/// Path of points for the ego: meters in the ego frame at the takeover, x forward, y to the left.
+/// Path of points for the ego: meters in the ego frame at its [anchor](super::PathAnchor), x forward, y to the left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalPath {
     points: Vec<[f64; 2]>,
@@ -39,7 +39,7 @@ const MAX_BYTES: u64 = 64 * MAX_POINTS as u64;
 const MAX_COORDINATE_M: f64 = 1e7;
 
 impl LocalPath {
-    /// Creates a path from points in meters, x forward and y to the left of the ego at the takeover. The path starts
+    /// Creates a path from points in meters, x forward and y to the left of the ego at the anchor. The path starts
     /// at the ego, even if the points do not.
     ///
     /// # Errors
@@ -85,7 +85,7 @@ impl LocalPath {
         })
     }
 
-    /// Returns the points, meters in the ego frame at the takeover.
+    /// Returns the points, meters in the ego frame at the anchor.
     pub fn points(&self) -> &[[f64; 2]] {
         &self.points
     }

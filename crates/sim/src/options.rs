@@ -63,7 +63,7 @@ pub enum EgoPolicy {
     /// Changes to one lane right of the recorded path, at 10 m/s.
     LaneChange,
     /// Follows a path read from a file.
-    File(LocalPath),
+    File(LocalPath, PathAnchor),
     /// Follows the plans of an external process.
     External(PlannerSpec),
     /// Follows the plans given to [`Simulation::follow`](super::Simulation::follow).
@@ -79,11 +79,22 @@ impl EgoPolicy {
             Self::RightThenBack => "right_then_back",
             Self::Cosine => "cosine",
             Self::LaneChange => "lane_change",
-            Self::File(_) => "file",
+            Self::File(..) => "file",
             Self::External(_) => "external",
             Self::Caller => "caller",
         }
     }
+}
+
+/// Ego pose at which a path from a file begins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PathAnchor {
+    /// At the takeover: the ego drives along the path once.
+    #[default]
+    Takeover,
+    /// At each plan: each plan is the path from the current pose on, as in the reference implementation of the paper.
+    EachPlan,
 }
 
 /// Tracking of a plan by the ego.

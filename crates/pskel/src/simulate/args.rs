@@ -11,7 +11,8 @@ use point_skeleton::skeleton::Skeleton;
 use pskel_sim::Rates;
 use pskel_sim::rollout::ResumeAfter;
 use pskel_sim::{
-    ActorPolicy, EgoPolicy, LocalPath, PlannerAddress, PlannerSpec, Scenario, SimOptions, Tracking,
+    ActorPolicy, EgoPolicy, LocalPath, PathAnchor, PlannerAddress, PlannerSpec, Scenario, SimOptions,
+    Tracking,
 };
 use serde::Serialize;
 
@@ -147,6 +148,9 @@ struct PolicyArgs {
     /// With --ego file: the path in the ego's frame, meters forward and to the left; JSON, CSV, TXT or NPY
     #[arg(long, value_name = "FILE", required_if_eq("ego", "file"))]
     trajectory: Option<PathBuf>,
+    /// With --ego file: place the path at the ego anew at each plan, instead of once at the takeover
+    #[arg(long)]
+    reanchor: bool,
     /// With --ego external: a command that communicates over its standard input and output, or the socket on which it
     /// listens, unix:PATH or tcp:HOST:PORT
     #[arg(long, value_name = "COMMAND|ADDRESS", required_if_eq("ego", "external"))]
@@ -230,6 +234,7 @@ impl SimulateArgs {
         let policies = PolicyArgs {
             ego: clip.ego,
             trajectory: None,
+            reanchor: false,
             planner: None,
             planner_timeout: 10.0,
             tracking: TrackingName::Perfect,
@@ -268,9 +273,10 @@ impl SimulateArgs {
 
     /// Checks options that the parser cannot check.
     pub(super) fn check(&self) -> Result<(), WrongUsage> {
-        let PolicyArgs { ego, trajectory, planner, .. } = &self.policies;
+        let PolicyArgs { ego, trajectory, reanchor, planner, .. } = &self.policies;
         let unused = [
             ("--trajectory", trajectory.is_some() && *ego != EgoName::File, "file"),
+            ("--reanchor", *reanchor && *ego != EgoName::File, "file"),
             ("--planner", planner.is_some() && *ego != EgoName::External, "external"),
         ];
         if let Some((option, _, name)) = unused.into_iter().find(|(_, unused, _)| *unused) {
@@ -375,7 +381,10 @@ impl SimulateArgs {
             (EgoName::RightThenBack, ..) => EgoPolicy::RightThenBack,
             (EgoName::Cosine, ..) => EgoPolicy::Cosine,
             (EgoName::LaneChange, ..) => EgoPolicy::LaneChange,
-            (EgoName::File, Some(path), _) => EgoPolicy::File(LocalPath::read(path)?),
+            (EgoName::File, Some(path), _) => {
+                let anchor = if p.reanchor { PathAnchor::EachPlan } else { PathAnchor::Takeover };
+                EgoPolicy::File(LocalPath::read(path)?, anchor)
+            }
             (EgoName::External, _, Some(address)) => {
                 EgoPolicy::External(PlannerSpec { address: address.clone(), timeout_s: p.planner_timeout })
             }

@@ -1,5 +1,6 @@
 //! Windows, schedules and strategies of the generator.
 
+mod beyond_log;
 pub(crate) mod network;
 mod process;
 

@@ -15,7 +15,7 @@ use super::clock::Clock;
 use super::external::Planner;
 use super::recorded::Recorded;
 use super::world::World;
-use super::{EgoPolicy, SimError, SimOptions, Trajectory, Waypoint};
+use super::{EgoPolicy, Instant, LocalPath, PathAnchor, SimError, SimOptions, Trajectory, Waypoint};
 
 /// Horizon of built-in plans: 22 waypoints at 0.1 s.
 const HORIZON_US: i64 = 2_200_000;
@@ -26,6 +26,8 @@ pub(super) enum Driver {
     Preset(Preset),
     /// Course computed once at the takeover; `None` if the log ends before it or the ego's pose is not finite.
     Course(Option<Course>),
+    /// Path from a file, placed anew at each plan.
+    Path(LocalPath),
     External(Box<Planner>),
     /// Plan of the caller for the current step.
     Caller(Option<Trajectory>),
@@ -49,7 +51,8 @@ impl Driver {
             EgoPolicy::LaneChange => {
                 Self::Course(start().and_then(|ego| lane_change::course(recorded, takeover_us, &ego)))
             }
-            EgoPolicy::File(path) => {
+            EgoPolicy::File(path, PathAnchor::EachPlan) => Self::Path(path.clone()),
+            EgoPolicy::File(path, PathAnchor::Takeover) => {
                 Self::Course(start().and_then(|ego| given_path::course(path, takeover_us, &ego)))
             }
             EgoPolicy::External(spec) => {
@@ -73,18 +76,10 @@ impl Driver {
                 let plans = (now.step - clock.takeover) / clock.steps_per_plan;
                 Ok(Some(preset.plan(&now.ego, now.t_us, plans)))
             }
-            Self::Course(Some(course)) => {
-                let times = (now.step + 1..).map(|step| clock.at(step));
-                // The last waypoint lies at or beyond the horizon, for any simulation and planning rates.
-                let end_us = now.t_us + HORIZON_US.max(clock.at(clock.steps_per_plan) - clock.start_us);
-                let mut next: Vec<Waypoint> = Vec::new();
-                for t_us in times {
-                    next.push(course.at(t_us));
-                    if t_us >= end_us {
-                        break;
-                    }
-                }
-                Ok(Some(Trajectory::new(Waypoint::of(&now.ego, now.t_us), next)))
+            Self::Course(Some(course)) => Ok(Some(along(course, clock, now))),
+            Self::Path(path) => {
+                let course = given_path::course(path, now.t_us, &now.ego);
+                Ok(course.map(|course| along(&course, clock, now)))
             }
             Self::External(planner) => Ok(Some(planner.plan(recorded, clock, world)?)),
             Self::Caller(plan) => match plan.take() {
@@ -105,4 +100,18 @@ impl Driver {
             planner.show(files);
         }
     }
+}
+
+/// Returns the plan along a course, with waypoints at the simulation steps.
+fn along(course: &Course, clock: &Clock, now: &Instant) -> Trajectory {
+    // The last waypoint lies at or beyond the horizon, for any simulation and planning rates.
+    let end_us = now.t_us + HORIZON_US.max(clock.at(clock.steps_per_plan) - clock.start_us);
+    let mut next: Vec<Waypoint> = Vec::new();
+    for t_us in (now.step + 1..).map(|step| clock.at(step)) {
+        next.push(course.at(t_us));
+        if t_us >= end_us {
+            break;
+        }
+    }
+    Trajectory::new(Waypoint::of(&now.ego, now.t_us), next)
 }

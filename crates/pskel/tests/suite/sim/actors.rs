@@ -3,7 +3,9 @@ use std::collections::BTreeMap;
 use glam::DVec2;
 use point_skeleton::dataset::{Frame, Recording};
 use point_skeleton::idm::Leader;
-use pskel_sim::{ActorPolicy, EgoPolicy, Instant, LocalPath, SimActor, SimOptions, Simulation, idm_step};
+use pskel_sim::{
+    ActorPolicy, EgoPolicy, Instant, LocalPath, PathAnchor, SimActor, SimOptions, Simulation, idm_step,
+};
 use serde_json::Value;
 
 use super::made;
@@ -135,8 +137,12 @@ fn who_is_far_follows_the_log_or_is_gone() {
     // The ego turns away and leaves the vicinity of the lead car.
     let away = LocalPath::new(vec![[0.0, 0.0], [0.0, 900.0]]).unwrap();
     for actors in [ActorPolicy::Idm, ActorPolicy::Reactive] {
-        let options =
-            SimOptions { steps: 190, ego: EgoPolicy::File(away.clone()), actors, ..SimOptions::default() };
+        let options = SimOptions {
+            steps: 190,
+            ego: EgoPolicy::File(away.clone(), PathAnchor::Takeover),
+            actors,
+            ..SimOptions::default()
+        };
         let instants = all(&mut made::start(&log, &options));
         let mut near_before = true;
         for instant in &instants[1..] {

@@ -5,7 +5,7 @@ use point_skeleton::dataset::nuscenes::NuScenes;
 use point_skeleton::dataset::{Dataset, EgoTrack, LogFormat, LogLocator, Recording};
 use point_skeleton::geometry::{Polyline, wrap_angle};
 use pskel_sim::{
-    EgoPolicy, EndReason, Instant, LocalPath, Rates, Scenario, SimOptions, Simulation, Tracking,
+    EgoPolicy, EndReason, Instant, LocalPath, PathAnchor, Rates, Scenario, SimOptions, Simulation, Tracking,
 };
 use pskel_town::{Town, TownOptions};
 
@@ -178,13 +178,34 @@ fn straight_on_is_straight_on() {
 }
 
 #[test]
+fn a_path_that_is_placed_at_each_plan_goes_on() {
+    let log = made::log(2);
+    // A quarter circle, from each pose on: the ego turns on a whole circle.
+    let points = (0..=900)
+        .map(|i| (f64::from(i) / 10.0).to_radians())
+        .map(|a| [20.0 * a.sin(), 20.0 * (1.0 - a.cos())]);
+    let ego = EgoPolicy::File(LocalPath::new(points.collect()).unwrap(), PathAnchor::EachPlan);
+    let instants = all(&mut made::start(&log, &SimOptions { steps: 200, ego, ..SimOptions::default() }));
+    let start = instants[0].ego.pose;
+    let center = DVec2::from_angle(start.yaw_rad()).perp() * 20.0 + start.translation.truncate();
+    let way_m = instants[0].ego.speed_mps * 20.0;
+    assert!(way_m > 20.0 * std::f64::consts::TAU, "more than once around");
+    for instant in &instants {
+        let off = instant.ego.position_m().distance(center) - 20.0;
+        assert!(off.abs() < 0.05, "{off} at step {}", instant.step);
+    }
+    let turned = wrap_angle(instants[200].ego.heading_rad() - start.yaw_rad() - way_m / 20.0);
+    assert!(turned.abs() < 0.01, "{turned}");
+}
+
+#[test]
 fn points_of_a_file_are_driven_along() {
     let log = made::log(2);
     // A quarter circle to the left with a radius of 20 m; then the ego drives on.
     let points =
         (0..=90).map(|i| f64::from(i).to_radians()).map(|a| [20.0 * a.sin(), 20.0 * (1.0 - a.cos())]);
     let path = LocalPath::new(points.collect()).unwrap();
-    let ego = EgoPolicy::File(path);
+    let ego = EgoPolicy::File(path, PathAnchor::Takeover);
     for (tracking, limit_m) in [(Tracking::Perfect, 0.01), (Tracking::Bicycle, 0.25)] {
         let options = SimOptions { steps: 60, ego: ego.clone(), tracking, ..SimOptions::default() };
         let instants = all(&mut made::start(&log, &options));

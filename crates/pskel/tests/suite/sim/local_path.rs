@@ -2,7 +2,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use npyz::WriterBuilder;
-use pskel_sim::{EgoPolicy, LocalPath, LocalPathError, SimOptions};
+use pskel_sim::{EgoPolicy, LocalPath, LocalPathError, PathAnchor, SimOptions};
 
 use super::made;
 
@@ -95,7 +95,8 @@ fn a_million_points_are_driven_in_no_time() {
     let start = Instant::now();
     let path = read(folder.path(), "long.csv", text.as_bytes()).unwrap();
     let log = made::log(1);
-    let options = SimOptions { steps: 100, ego: EgoPolicy::File(path), ..SimOptions::default() };
+    let options =
+        SimOptions { steps: 100, ego: EgoPolicy::File(path, PathAnchor::Takeover), ..SimOptions::default() };
     let mut sim = made::start(&log, &options);
     while sim.step().unwrap().is_some() {}
     assert_eq!(sim.committed().get().step, 100);

@@ -1,6 +1,7 @@
 use proptest::prelude::*;
 use pskel_sim::{
-    ActorPolicy, EgoPolicy, Instant, LocalPath, SavedState, SimError, SimOptions, Simulation, Tracking,
+    ActorPolicy, EgoPolicy, Instant, LocalPath, PathAnchor, SavedState, SimError, SimOptions, Simulation,
+    Tracking,
 };
 use serde_json::{Value, json};
 
@@ -9,7 +10,9 @@ use super::made;
 fn policies() -> Vec<EgoPolicy> {
     let path = LocalPath::new(vec![[3.0, 0.1], [20.0, 1.0], [60.0, -4.0]]).unwrap();
     use EgoPolicy::{Cosine, File, LaneChange, Replay, RightThenBack, Straight};
-    vec![Replay, Straight, RightThenBack, Cosine, LaneChange, File(path)]
+    let anchors = [PathAnchor::Takeover, PathAnchor::EachPlan];
+    let files = anchors.map(|anchor| File(path.clone(), anchor));
+    [Replay, Straight, RightThenBack, Cosine, LaneChange].into_iter().chain(files).collect()
 }
 
 /// Returns everything that a rollout reports from its current step on, as text.
