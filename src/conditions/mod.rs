@@ -39,6 +39,7 @@ mod test_set;
 pub use bins::{BinScale, DepthBins};
 pub use error::ConditionError;
 pub use format::MapFormat;
+pub use layout::{LayoutLayers, LayoutStyle, LineWidth};
 pub use options::{ColorFilter, ConditionOptions};
 pub use render::{StepInFlight, draw_layouts, render, render_views};
 pub use set::{CameraConditions, ConditionSet};

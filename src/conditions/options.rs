@@ -1,5 +1,6 @@
 use serde::{Deserialize, Serialize};
 
+use super::layout::LayoutStyle;
 use super::{DepthBins, DepthEmbedding};
 use crate::geometry::{ImageSize, View};
 use crate::raster::{MapKind, MapSet, Occlusion, SplatSchedule};
@@ -59,6 +60,8 @@ pub struct ConditionOptions {
     pub depth_bins: DepthBins,
     /// Depth channels of the model tensor to fill.
     pub depth_embedding: DepthEmbedding,
+    /// How layouts are drawn.
+    pub layout: LayoutStyle,
 }
 
 impl ConditionOptions {
@@ -87,6 +90,7 @@ impl Default for ConditionOptions {
             occlusion: Occlusion::default(),
             depth_bins: DepthBins::default(),
             depth_embedding: DepthEmbedding::default(),
+            layout: LayoutStyle::default(),
         }
     }
 }

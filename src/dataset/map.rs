@@ -17,6 +17,8 @@ pub struct VectorMap {
     pub crossings: Vec<Area>,
     /// Stop areas of vehicles: a thin area before each stop line.
     pub stop_lines: Vec<Area>,
+    /// Walkways; empty if the reader does not know them.
+    pub walkways: Vec<Area>,
     /// Dividers: painted or built lines between lanes and roads.
     pub dividers: Vec<Vec<DVec2>>,
     /// Number of items that the reader skipped or missed, by kind.

@@ -34,12 +34,17 @@ impl LineRows {
     /// pixel is covered if its center lies in the segment's rectangle. Segments of zero length, with non-finite
     /// coordinates, or outside the image cover nothing.
     pub(crate) fn new(segments: &[Segment], size: ImageSize, width_px: f32) -> Self {
+        Self::of_widths(segments.iter().map(|segment| (segment, width_px)), size)
+    }
+
+    /// As [`LineRows::new`], for segments of different widths in pixels.
+    pub(crate) fn of_widths<'a>(segments: impl Iterator<Item = (&'a Segment, f32)>, size: ImageSize) -> Self {
         let sides = [size.width, size.height];
-        let line = |segment: &Segment| {
+        let line = |(segment, width_px): (&Segment, f32)| {
             let test = LineTest::new(segment, width_px / 2.0, sides)?;
             Some(Line { test, rgb: segment.rgb, rows: test.rows(size.height) })
         };
-        let lines: Vec<Line> = segments.iter().filter_map(line).collect();
+        let lines: Vec<Line> = segments.filter_map(line).collect();
         let mut waiting: Vec<u32> = (0..lines.len() as u32).collect();
         waiting.sort_by_key(|number| std::cmp::Reverse(lines[*number as usize].rows.start));
         Self { width: size.width, lines, waiting, active: Vec::new() }
@@ -65,17 +70,21 @@ impl LineRows {
             }
         }
     }
+
+    /// Draws all rows of an image of this size on black.
+    pub(crate) fn image(mut self, size: ImageSize) -> Vec<[u8; 3]> {
+        let mut image = vec![[0; 3]; size.pixels()];
+        for (row, pixels) in (0..size.height).zip(image.chunks_exact_mut(size.width.max(1) as usize)) {
+            self.row(row, |columns, rgb| pixels[columns].fill(rgb));
+        }
+        image
+    }
 }
 
 /// Draws segments `width_px` wide with butt ends, later ones over earlier ones, on black. A pixel is covered if its
 /// center lies in the segment's rectangle. Returns `height * width` RGB pixels.
 pub fn draw_lines(segments: &[Segment], size: ImageSize, width_px: f32) -> Vec<[u8; 3]> {
-    let mut image = vec![[0; 3]; size.pixels()];
-    let mut rows = LineRows::new(segments, size, width_px);
-    for (row, pixels) in (0..size.height).zip(image.chunks_exact_mut(size.width.max(1) as usize)) {
-        rows.row(row, |columns, rgb| pixels[columns].fill(rgb));
-    }
-    image
+    LineRows::new(segments, size, width_px).image(size)
 }
 
 #[cfg(test)]

@@ -13,21 +13,25 @@ use rstar::{AABB, RTree};
 
 use crate::dataset::{Area, Recording, VectorMap};
 
-/// Kind of area that an edge bounds; layers are drawn in this order.
+/// Kind of area that an edge bounds, or of line; layers are drawn in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MapLayer {
     /// A lane outside of intersections.
     Lane,
     /// Area where vehicles may drive.
     DrivableArea,
+    /// Area for pedestrians.
+    Walkway,
+    /// Line between lanes or at the edge of a road.
+    Divider,
     /// Pedestrian crossing.
     Crossing,
 }
 
-/// Straight segment of an outline.
+/// Straight segment of an outline or line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapEdge {
-    /// Kind of the bounded area.
+    /// Kind of the bounded area or line.
     pub layer: MapLayer,
     /// Start, global frame, meters.
     pub from: DVec3,
@@ -50,9 +54,12 @@ impl SceneMap {
         let ground = Ground::of(log);
         let lanes = map.lanes.iter().map(|lane| (MapLayer::Lane, &lane.outline));
         let drivable = map.drivable_area.iter().map(|area| (MapLayer::DrivableArea, area));
+        let walkways = map.walkways.iter().map(|area| (MapLayer::Walkway, area));
+        let dividers = map.dividers.iter().flat_map(|line| edges_along(MapLayer::Divider, line, &ground));
         let crossings = map.crossings.iter().map(|area| (MapLayer::Crossing, area));
-        let areas = lanes.chain(drivable).chain(crossings);
-        let edges: Vec<MapEdge> = areas.flat_map(|(layer, area)| edges_of(layer, area, &ground)).collect();
+        let outline = |(layer, area)| edges_of(layer, area, &ground);
+        let areas = lanes.chain(drivable).chain(walkways).flat_map(outline);
+        let edges: Vec<MapEdge> = areas.chain(dividers).chain(crossings.flat_map(outline)).collect();
         let place = |(number, edge): (usize, &MapEdge)| {
             let corners = [edge.from, edge.to].map(|p| p.truncate().to_array());
             GeomWithData::new(Rectangle::from_corners(corners[0], corners[1]), number)
@@ -104,6 +111,12 @@ fn edges_of(layer: MapLayer, area: &Area, ground: &Ground) -> Vec<MapEdge> {
         })
     });
     edges.collect()
+}
+
+fn edges_along(layer: MapLayer, line: &[DVec2], ground: &Ground) -> Vec<MapEdge> {
+    let corners: Vec<Option<DVec3>> = line.iter().map(|corner| ground.under(*corner)).collect();
+    let edge = |pair: &[Option<DVec3>]| Some(MapEdge { layer, from: pair[0]?, to: pair[1]? });
+    corners.windows(2).filter_map(edge).collect()
 }
 
 /// Ground heights along the ego's trajectory.
@@ -208,11 +221,17 @@ mod tests {
             drivable_area: vec![with_hole],
             crossings: vec![area(DVec2::ONE, 5.0)],
             stop_lines: vec![area(DVec2::ONE, 6.0)],
+            walkways: vec![area(DVec2::ONE, 7.0)],
             ..VectorMap::default()
         };
         let map = SceneMap::new(map, &log(&[DVec3::Z]));
         let layers: Vec<MapLayer> = map.edges().iter().map(|e| e.layer).collect();
-        let expected = [(MapLayer::Lane, 4), (MapLayer::DrivableArea, 8), (MapLayer::Crossing, 4)];
+        let expected = [
+            (MapLayer::Lane, 4),
+            (MapLayer::DrivableArea, 8),
+            (MapLayer::Walkway, 4),
+            (MapLayer::Crossing, 4),
+        ];
         let expected: Vec<MapLayer> =
             expected.into_iter().flat_map(|(layer, count)| vec![layer; count]).collect();
         assert_eq!(layers, expected);
@@ -220,8 +239,27 @@ mod tests {
             assert!((0..4).all(|i| ring[i].to == ring[(i + 1) % 4].from && ring[i].from.z == 1.0));
         }
         let lengths: Vec<f64> = map.edges().iter().map(|e| (e.to - e.from).length()).collect();
-        let expected = [3.0, 9.0, 2.0, 5.0].map(|side| [side; 4]);
+        let expected = [3.0, 9.0, 2.0, 7.0, 5.0].map(|side| [side; 4]);
         assert_eq!(lengths, expected.as_flattened());
+    }
+
+    /// A line is open: a divider of three corners has two edges.
+    #[test]
+    fn dividers_are_lines() {
+        let divider = [[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]].map(DVec2::from).to_vec();
+        let map = VectorMap {
+            dividers: vec![divider],
+            crossings: vec![area(DVec2::ONE, 5.0)],
+            ..VectorMap::default()
+        };
+        let map = SceneMap::new(map, &log(&[DVec3::Z]));
+        let edge = |from: [f64; 2], to: [f64; 2]| MapEdge {
+            layer: MapLayer::Divider,
+            from: DVec2::from(from).extend(1.0),
+            to: DVec2::from(to).extend(1.0),
+        };
+        assert_eq!(map.edges()[..2], [edge([0.0, 0.0], [3.0, 0.0]), edge([3.0, 0.0], [3.0, 4.0])]);
+        assert!(map.edges()[2..].iter().all(|edge| edge.layer == MapLayer::Crossing));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-use point_skeleton::conditions::{ColorFilter, DepthBins};
+use point_skeleton::conditions::{ColorFilter, DepthBins, LayoutLayers, LineWidth};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{SplatSchedule, SplatStep};
 use point_skeleton::scene::TemplateFit;
@@ -34,7 +34,10 @@ impl Preset {
                 guidance: 2.0,
             }),
             name if name == nuplan => Some(Self {
-                recipe: recipe([1080, 1920], [224, 448], &[(25.0, 1), (50.0, 0)], [150.0, 150.0]),
+                recipe: Recipe {
+                    map_layers: LayoutLayers::Dividers,
+                    ..recipe([1080, 1920], [224, 448], &[(25.0, 1), (50.0, 0)], [150.0, 150.0])
+                },
                 window: 10,
                 steps: 30,
                 guidance: 2.0,
@@ -56,6 +59,7 @@ fn recipe(drawn: [u32; 2], size: [u32; 2], splat: &[(f32, u32)], [radius_m, far_
         color_filter: ColorFilter::Bilinear,
         bins: DepthBins { far_m: far_m as f32, ..DepthBins::default() },
         template_fit: TemplateFit::None,
+        line_width: LineWidth::Scaled,
         ..Recipe::default()
     }
 }
@@ -69,9 +73,11 @@ mod tests {
     fn presets_are_those_of_the_published_networks() {
         let texts = [
             r#"{"drawn": "900x1600", "size": "256x448", "splat": "15:2,35:1,100:0", "radius_m": 100.0,
-                "color_filter": "bilinear", "bins": {"count": 256, "far_m": 50.0}, "template_fit": "none"}"#,
+                "color_filter": "bilinear", "bins": {"count": 256, "far_m": 50.0}, "template_fit": "none",
+                "line_width": "scaled", "map_layers": "lanes"}"#,
             r#"{"drawn": "1080x1920", "size": "224x448", "splat": "25:1,50:0", "radius_m": 150.0,
-                "color_filter": "bilinear", "bins": {"count": 256, "far_m": 150.0}, "template_fit": "none"}"#,
+                "color_filter": "bilinear", "bins": {"count": 256, "far_m": 150.0}, "template_fit": "none",
+                "line_width": "scaled", "map_layers": "dividers"}"#,
         ];
         for ((name, text), loops) in Preset::NAMES.iter().zip(texts).zip([[12, 36], [10, 30]]) {
             let preset = Preset::named(name).unwrap();

@@ -1,4 +1,7 @@
-use point_skeleton::conditions::{ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, MapKind, MapSet};
+use point_skeleton::conditions::{
+    ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, LayoutLayers, LayoutStyle, LineWidth, MapKind,
+    MapSet,
+};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{SplatSchedule, SplatStep};
 use point_skeleton::scene::{SelectionOptions, TemplateFit};
@@ -25,6 +28,10 @@ pub struct Recipe {
     pub min_actor_points: usize,
     /// See [`SelectionOptions::template_fit`].
     pub template_fit: TemplateFit,
+    /// Width of the lines of layouts.
+    pub line_width: LineWidth,
+    /// Outlines of the HD map in its layout.
+    pub map_layers: LayoutLayers,
 }
 
 /// Invalid recipe.
@@ -55,6 +62,9 @@ impl Default for Recipe {
             bins: DepthBins::default(),
             min_actor_points,
             template_fit,
+            // As in the training of the included weights.
+            line_width: LineWidth::Fixed,
+            map_layers: LayoutLayers::Lanes,
         }
     }
 }
@@ -98,6 +108,7 @@ impl Recipe {
             color_filter: self.color_filter,
             depth_bins: self.bins,
             depth_embedding: DepthEmbedding::Both,
+            layout: LayoutStyle { line_width: self.line_width, map_layers: self.map_layers },
             ..ConditionOptions::default()
         }
     }

@@ -4,7 +4,7 @@ use std::ffi::OsStr;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use point_skeleton::cloud::PointFormat;
-use point_skeleton::conditions::{BinScale, ColorFilter, DepthEmbedding, MapFormat};
+use point_skeleton::conditions::{BinScale, ColorFilter, DepthEmbedding, LayoutLayers, LineWidth, MapFormat};
 use point_skeleton::raster::Occlusion;
 use point_skeleton::scene::TemplateFit;
 use point_skeleton::skeleton::Coloring;
@@ -84,6 +84,20 @@ pub(crate) const COLORING: Choices<Coloring> = Choices(&[
 pub(crate) const TEMPLATE_FIT: Choices<TemplateFit> = Choices(&[
     ("box", TemplateFit::Box, "Scales the template along each axis to the actor's box"),
     ("none", TemplateFit::None, "Leaves the template at its own size"),
+]);
+
+pub(crate) const LINE_WIDTH: Choices<LineWidth> = Choices(&[
+    ("scaled", LineWidth::Scaled, "8 pixels at the camera's own size, scaled with --size"),
+    ("fixed", LineWidth::Fixed, "8 pixels at --size"),
+]);
+
+pub(crate) const MAP_LAYERS: Choices<LayoutLayers> = Choices(&[
+    ("lanes", LayoutLayers::Lanes, "Lanes, drivable area, crossings"),
+    (
+        "dividers",
+        LayoutLayers::Dividers,
+        "Drivable area and walkways (nuPlan), dividers at half the width, crossings",
+    ),
 ]);
 
 pub(crate) const OCCLUSION: Choices<Occlusion> = Choices(&[

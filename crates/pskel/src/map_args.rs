@@ -1,7 +1,7 @@
 use clap::Args;
 use point_skeleton::conditions::{
-    BinScale, ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, ImageSize, MapFormat, MapKind,
-    MapSet, Occlusion,
+    BinScale, ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, ImageSize, LayoutLayers, LayoutStyle,
+    LineWidth, MapFormat, MapKind, MapSet, Occlusion,
 };
 use point_skeleton::raster::SplatSchedule;
 use point_skeleton::scene::{SelectionOptions, TemplateFit};
@@ -52,6 +52,12 @@ pub(super) struct MapArgs {
     /// Filter for reducing color: OpenCV's INTER_LINEAR, or the mean of the pixels that are not empty
     #[arg(long, value_parser = choices::COLOR_FILTER, default_value = "bilinear")]
     pub(super) color_filter: ColorFilter,
+    /// Width of the lines in boxes and map
+    #[arg(long, value_parser = choices::LINE_WIDTH, default_value = "scaled")]
+    pub(super) line_width: LineWidth,
+    /// Outlines in map
+    #[arg(long, value_parser = choices::MAP_LAYERS, default_value = "lanes")]
+    pub(super) map_layers: LayoutLayers,
     /// Actors with more points than this are rendered with their own points in depth, class and instance maps; others
     /// with the template of their category, if available
     #[arg(long, value_name = "N", default_value_t = SelectionOptions::default().min_actor_points)]
@@ -101,6 +107,7 @@ impl MapArgs {
             occlusion: self.occlusion,
             depth_bins: DepthBins { scale: self.depth_bins, far_m, ..DepthBins::default() },
             depth_embedding: self.depth_embedding,
+            layout: LayoutStyle { line_width: self.line_width, map_layers: self.map_layers },
         }
     }
 

@@ -2,9 +2,9 @@ use rayon::prelude::*;
 
 use super::super::ConditionOptions;
 use super::super::pil::PilBilinear;
-use super::{LINE_WIDTH_PX, box_segments, map_segments};
+use super::{box_segments, map_segments};
 use crate::geometry::{ImageSize, View};
-use crate::raster::{LineRows, Segment, draw_lines};
+use crate::raster::LineRows;
 use crate::scene::{ActorState, SceneMap};
 
 /// Layouts of a step: one RGB image on black per view; `None` for a layout that was not requested.
@@ -37,11 +37,16 @@ pub(crate) fn draw(
         shown.iter().flatten().flat_map(|shown| views.iter().map(|view| (*shown, view))).collect();
     let layout = |(shown, view): &(Shown<'_>, &View)| {
         let (drawn, to) = (options.drawn_view(view), options.written_size(view));
+        let size = ImageSize::of(&drawn.camera);
+        let width_px = options.layout.width_px(ImageSize::of(&view.camera), size);
         let segments = match shown {
-            Shown::Boxes(actors) => box_segments(actors, &drawn),
-            Shown::Map(map) => map_segments(map, &drawn),
+            Shown::Boxes(actors) => {
+                box_segments(actors, &drawn).into_iter().map(|segment| (segment, 1.0)).collect()
+            }
+            Shown::Map(map) => map_segments(map, options.layout.map_layers, &drawn),
         };
-        image(&segments, [ImageSize::of(&drawn.camera), to], &filters)
+        let widths = segments.iter().map(|(segment, relative)| (segment, relative * width_px));
+        image(LineRows::of_widths(widths, size), [size, to], &filters)
     };
     let mut images = tasks.par_iter().map(layout).collect::<Vec<_>>().into_iter();
     let mut of = |shown: bool| shown.then(|| images.by_ref().take(views.len()).collect());
@@ -60,10 +65,9 @@ fn filters(views: &[View], options: &ConditionOptions) -> Vec<PilBilinear> {
     filters
 }
 
-fn image(segments: &[Segment], sizes: [ImageSize; 2], filters: &[PilBilinear]) -> Vec<[u8; 3]> {
+fn image(mut rows: LineRows, sizes: [ImageSize; 2], filters: &[PilBilinear]) -> Vec<[u8; 3]> {
     let Some(filter) = filters.iter().find(|filter| filter.sizes() == sizes) else {
-        return draw_lines(segments, sizes[0], LINE_WIDTH_PX);
+        return rows.image(sizes[0]);
     };
-    let mut rows = LineRows::new(segments, sizes[0], LINE_WIDTH_PX);
     filter.filter(|row, painted| rows.row(row, |columns, rgb| painted.fill(columns, rgb)))
 }

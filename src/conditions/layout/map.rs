@@ -1,6 +1,6 @@
 use glam::{DVec2, DVec3};
 
-use super::{MARGIN_PX, NEAR_M, segment};
+use super::{LayoutLayers, MARGIN_PX, NEAR_M, segment};
 use crate::geometry::View;
 use crate::raster::Segment;
 use crate::scene::{MapEdge, MapLayer, SceneMap};
@@ -14,19 +14,20 @@ const SLACK_M: f64 = 0.01;
 /// Returns the color of a layer. Source: the condition contract, `docs/CONDITIONS.md`.
 pub fn map_rgb(layer: MapLayer) -> [u8; 3] {
     match layer {
-        MapLayer::Lane => [0, 255, 0],
-        MapLayer::DrivableArea => [0, 0, 255],
+        MapLayer::Lane | MapLayer::Divider => [0, 255, 0],
+        MapLayer::DrivableArea | MapLayer::Walkway => [0, 0, 255],
         MapLayer::Crossing => [255, 0, 0],
     }
 }
 
-/// Returns the segments of the map outlines in drawing order: lanes, drivable area, crossings.
-pub(crate) fn map_segments(map: &SceneMap, view: &View) -> Vec<Segment> {
+/// Returns the segments of the map's outlines in drawing order, with their widths relative to that of wide lines.
+pub(crate) fn map_segments(map: &SceneMap, layers: LayoutLayers, view: &View) -> Vec<(Segment, f32)> {
     let [min, max] = window(view);
     let camera = |p: DVec3| view.camera_from_world.transform_point3(p);
     let line = |edge: MapEdge| {
+        let width = layers.relative_width(edge.layer)?;
         let rgb = map_rgb(edge.layer);
-        segment(camera(edge.from), camera(edge.to), [NEAR_M, MAP_FAR_M], rgb, view)
+        Some((segment(camera(edge.from), camera(edge.to), [NEAR_M, MAP_FAR_M], rgb, view)?, width))
     };
     map.edges_within(min, max).into_iter().filter_map(line).collect()
 }
@@ -57,7 +58,7 @@ fn window(view: &View) -> [DVec2; 2] {
 mod tests {
     use super::super::tests::view;
     use super::*;
-    use crate::dataset::{Area, Frame, Recording, VectorMap};
+    use crate::dataset::{Area, Frame, Lane, Recording, VectorMap};
     use crate::geometry::Pose;
     use glam::{DAffine3, DQuat};
 
@@ -67,6 +68,12 @@ mod tests {
         let global_from_ego = Pose::from_yaw(0.0, origin + DVec3::new(0.0, 0.0, -2.0));
         let frame = Frame { t_us: 0, global_from_ego, sweeps, images, between_images, boxes };
         SceneMap::new(map, &Recording { frames: vec![frame], ..Recording::default() })
+    }
+
+    /// Returns the segments of lanes, drivable area and crossings, all wide.
+    fn wide(map: &SceneMap, view: &View) -> Vec<Segment> {
+        let segments = map_segments(map, LayoutLayers::Lanes, view).into_iter();
+        segments.inspect(|(_, width)| assert_eq!(*width, 1.0)).map(|(segment, _)| segment).collect()
     }
 
     fn crossing(corners: &[[f64; 2]], origin: DVec3) -> VectorMap {
@@ -79,7 +86,7 @@ mod tests {
     fn outlines_end_at_both_clip_depths() {
         // One edge straight ahead, 1 m to the left, from behind the camera to beyond 65 m; the others are behind it.
         let map = crossing(&[[-50.0, 1.0], [200.0, 1.0], [-50.0, 1.0]], DVec3::ZERO);
-        let segments = map_segments(&scene_map(map, DVec3::ZERO), &view());
+        let segments = wide(&scene_map(map, DVec3::ZERO), &view());
         // The edge is drawn in both directions; the edge from a point to itself is not drawn.
         assert_eq!(segments.len(), 2);
         let far = [400.0 - 500.0 / 65.0, 225.0 + 1000.0 / 65.0].map(|v: f64| v as f32);
@@ -92,7 +99,7 @@ mod tests {
             assert_eq!(segment.rgb, [255, 0, 0]);
         }
         let beyond = crossing(&[[65.1, 1.0], [80.0, 1.0], [80.0, -1.0]], DVec3::ZERO);
-        assert!(map_segments(&scene_map(beyond, DVec3::ZERO), &view()).is_empty());
+        assert!(wide(&scene_map(beyond, DVec3::ZERO), &view()).is_empty());
     }
 
     #[test]
@@ -127,7 +134,7 @@ mod tests {
                 segment(camera(e.from), camera(e.to), [NEAR_M, MAP_FAR_M], map_rgb(e.layer), &view)
             };
             let all: Vec<Segment> = map.edges().iter().filter_map(line).collect();
-            assert_eq!(map_segments(&map, &view), all);
+            assert_eq!(wide(&map, &view), all);
             let [min, max] = window(&view);
             let within = map.edges_within(min, max).len();
             assert!(within < map.edges().len() && within >= all.len());
@@ -136,11 +143,37 @@ mod tests {
         assert!(found > 500, "{found}");
     }
 
+    /// A walkway, a divider and a crossing ahead, each with one edge that is seen.
+    #[test]
+    fn layers_have_their_colors_and_widths() {
+        let at = |x: f64| Area {
+            exterior: [[x, -2.0], [x, 2.0], [-9.0, 0.0]].map(DVec2::from).to_vec(),
+            holes: Vec::new(),
+        };
+        let (centerline, successors) = Default::default();
+        let map = VectorMap {
+            lanes: vec![Lane { id: "l".into(), outline: at(12.0), centerline, successors }],
+            walkways: vec![at(14.0)],
+            dividers: vec![[[10.0, 1.0], [20.0, 1.0], [30.0, 1.0]].map(DVec2::from).to_vec()],
+            crossings: vec![at(16.0)],
+            ..VectorMap::default()
+        };
+        let map = scene_map(map, DVec3::ZERO);
+        let drawn = |layers| -> Vec<([u8; 3], f32)> {
+            map_segments(&map, layers, &view()).iter().map(|(segment, width)| (segment.rgb, *width)).collect()
+        };
+        let of = |rgb, width, count| vec![(rgb, width); count];
+        let (red, green, blue) = ([255, 0, 0], [0, 255, 0], [0, 0, 255]);
+        assert_eq!(drawn(LayoutLayers::Lanes), [of(green, 1.0, 3), of(red, 1.0, 3)].concat());
+        let expected = [of(blue, 1.0, 3), of(green, 0.5, 2), of(red, 1.0, 3)].concat();
+        assert_eq!(drawn(LayoutLayers::Dividers), expected);
+    }
+
     #[test]
     fn a_view_without_a_frustum_sees_the_whole_map() {
         let flat = View { camera_from_world: DAffine3::from_scale(DVec3::new(1.0, 1.0, 0.0)), ..view() };
         assert_eq!(window(&flat), [DVec2::NEG_INFINITY, DVec2::INFINITY]);
         let map = scene_map(crossing(&[[1.0, 0.0], [9.0, 0.0], [9.0, 4.0]], DVec3::ZERO), DVec3::ZERO);
-        assert!(map_segments(&map, &flat).is_empty());
+        assert!(wide(&map, &flat).is_empty());
     }
 }

@@ -8,18 +8,20 @@
 mod boxes;
 mod draw;
 mod map;
+mod style;
 
 pub(crate) use boxes::box_segments;
 pub(crate) use draw::{Layouts, draw};
 pub use map::map_rgb;
 pub(crate) use map::map_segments;
+pub use style::{LayoutLayers, LayoutStyle, LineWidth};
 
 use glam::{DVec2, DVec3};
 
 use crate::geometry::View;
 use crate::raster::Segment;
 
-/// Line width, pixels at render size.
+/// Width of the lines, pixels: at render size, or at the camera's own size if it is scaled.
 pub(crate) const LINE_WIDTH_PX: f32 = 8.0;
 /// Minimum depth of edges, meters.
 pub const NEAR_M: f64 = 0.05;

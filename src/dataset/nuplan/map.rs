@@ -47,6 +47,7 @@ pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<V
         drivable_area: layers.drivable_area(&mut notes)?,
         crossings: layers.areas("crosswalks", &mut notes)?,
         stop_lines: layers.areas("stop_polygons", &mut notes)?,
+        walkways: layers.areas_if_any("walkways", &mut notes)?,
         dividers: layers.lines("boundaries", &mut notes)?,
         notes,
     }))
@@ -127,6 +128,15 @@ impl Layers {
             Ok(())
         })?;
         Ok(all)
+    }
+
+    /// Reads the areas of a layer that a map may lack.
+    fn areas_if_any(&self, layer: &str, notes: &mut Notes) -> Result<Vec<Area>, DatasetError> {
+        if !self.columns.contains_key(layer) {
+            note(notes, &format!("maps without {layer}"), 1);
+            return Ok(Vec::new());
+        }
+        self.areas(layer, notes)
     }
 
     /// Reads roads, intersections, generic drivable areas and car parks. The layer `generic_drivable_areas` alone

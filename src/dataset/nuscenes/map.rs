@@ -196,6 +196,7 @@ impl<'a> Resolver<'a> {
             }
         }
         Ok(VectorMap {
+            walkways: Vec::new(),
             location: location.to_owned(),
             lanes: lanes(&raw.lane)?,
             lane_connectors: lanes(&raw.lane_connector)?,

@@ -38,6 +38,7 @@ pub(super) fn vector_map(
             .iter()
             .map(|(ends, lane)| stop_area(*ends, network.lanes.get(*lane)))
             .collect(),
+        walkways: Vec::new(),
         dividers: middles().chain(roads().flat_map(lane_lines)).collect(),
         notes: BTreeMap::new(),
     };

@@ -1,0 +1,83 @@
+use serde::{Deserialize, Serialize};
+
+use super::LINE_WIDTH_PX;
+use crate::geometry::ImageSize;
+use crate::scene::MapLayer;
+
+/// How layouts are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LayoutStyle {
+    /// Width of the lines.
+    pub line_width: LineWidth,
+    /// Outlines of the HD map.
+    pub map_layers: LayoutLayers,
+}
+
+/// Width of the lines of layouts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LineWidth {
+    /// 8 pixels at the camera's own size, scaled with the width at which the layout is drawn; from 1 to 16 pixels.
+    Scaled,
+    /// 8 pixels at the size at which the layout is drawn.
+    Fixed,
+}
+
+/// Outlines of the HD map in a layout, in drawing order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LayoutLayers {
+    /// Lanes, drivable area, crossings.
+    Lanes,
+    /// Drivable area and walkways, dividers at half the width, crossings.
+    Dividers,
+}
+
+impl Default for LayoutStyle {
+    fn default() -> Self {
+        Self { line_width: LineWidth::Scaled, map_layers: LayoutLayers::Lanes }
+    }
+}
+
+impl LayoutStyle {
+    /// Returns the width of wide lines in a layout of a camera of size `own` that is drawn at size `drawn`, pixels.
+    pub(super) fn width_px(self, own: ImageSize, drawn: ImageSize) -> f32 {
+        match self.line_width {
+            LineWidth::Fixed => LINE_WIDTH_PX,
+            LineWidth::Scaled => {
+                (LINE_WIDTH_PX * drawn.width as f32 / own.width as f32).clamp(1.0, 2.0 * LINE_WIDTH_PX)
+            }
+        }
+    }
+}
+
+impl LayoutLayers {
+    /// Returns the width of the lines of a layer, relative to that of wide lines; `None` if it is not drawn.
+    pub(super) fn relative_width(self, layer: MapLayer) -> Option<f32> {
+        match (self, layer) {
+            (Self::Lanes, MapLayer::Lane | MapLayer::DrivableArea | MapLayer::Crossing)
+            | (Self::Dividers, MapLayer::DrivableArea | MapLayer::Walkway | MapLayer::Crossing) => Some(1.0),
+            (Self::Dividers, MapLayer::Divider) => Some(0.5),
+            (Self::Lanes, MapLayer::Walkway | MapLayer::Divider) | (Self::Dividers, MapLayer::Lane) => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn widths_follow_the_drawn_size() {
+        let size = |height, width| ImageSize { height, width };
+        let scaled = LayoutStyle::default();
+        let fixed = LayoutStyle { line_width: LineWidth::Fixed, ..scaled };
+        for (drawn, width_px) in
+            [(size(900, 1600), 8.0), (size(450, 800), 4.0), (size(64, 112), 1.0), (size(4000, 6400), 16.0)]
+        {
+            assert_eq!(scaled.width_px(size(900, 1600), drawn), width_px);
+            assert_eq!(fixed.width_px(size(900, 1600), drawn), 8.0);
+        }
+    }
+}
