@@ -294,7 +294,8 @@ fn a_map_is_read_into_meters() {
         }
     };
     // The drivable area combines two layers.
-    for (areas, count) in [(&map.drivable_area, 2), (&map.crossings, 1), (&map.stop_lines, 1)] {
+    let layers = [(&map.drivable_area, 2), (&map.crossings, 1), (&map.stop_lines, 1), (&map.walkways, 1)];
+    for (areas, count) in layers {
         assert_eq!((areas.len(), areas[0].holes.len()), (count, 0));
         areas.iter().for_each(|area| assert_near(&area.exterior, &CORNERS));
     }

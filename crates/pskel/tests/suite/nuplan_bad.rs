@@ -373,6 +373,10 @@ fn what_a_map_leaves_out_is_counted() {
     assert_eq!(told, lost);
     assert!(map.lane_connectors.is_empty() && map.lanes[0].successors.is_empty());
 
+    // Maps may lack a layer for people.
+    let (map, told) = notes("DELETE FROM gpkg_geometry_columns WHERE table_name = 'walkways';");
+    assert_eq!((told, map.walkways.len()), (one("maps without walkways", 1), 0));
+
     // Polygons, lines and their multi-part types, all without parts.
     for kind in [2, 3, 5, 6] {
         let empty = format!("x'47500011e610000001{kind:02x}00000000000000'");

@@ -324,7 +324,8 @@ fn map_tables() -> String {
          INSERT INTO gpkg_geometry_columns VALUES ('lanes_polygons', 'geom'), ('lane_connectors', 'geom'),
              ('gen_lane_connectors_scaled_width_polygons', 'geom'), ('baseline_paths', 'geom'), ('boundaries', 'geom'),
              ('crosswalks', 'geom'), ('stop_polygons', 'geom'), ('generic_drivable_areas', 'geom'),
-             ('lane_groups_polygons', 'geom'), ('intersections', 'geom'), ('carpark_areas', 'geom');
+             ('lane_groups_polygons', 'geom'), ('intersections', 'geom'), ('carpark_areas', 'geom'),
+             ('walkways', 'geom');
          CREATE TABLE lanes_polygons (fid INTEGER PRIMARY KEY, geom BLOB, lane_fid INTEGER);
          INSERT INTO lanes_polygons VALUES (11, {area}, 11), (12, {area}, 12);
          CREATE TABLE lane_connectors (fid INTEGER PRIMARY KEY, geom BLOB, exit_lane_fid, entry_lane_fid);
@@ -344,6 +345,8 @@ fn map_tables() -> String {
          CREATE TABLE lane_groups_polygons (fid INTEGER PRIMARY KEY, geom BLOB);
          INSERT INTO lane_groups_polygons VALUES (91, {area});
          CREATE TABLE intersections (fid INTEGER PRIMARY KEY, geom BLOB);
-         CREATE TABLE carpark_areas (fid INTEGER PRIMARY KEY, geom BLOB);"
+         CREATE TABLE carpark_areas (fid INTEGER PRIMARY KEY, geom BLOB);
+         CREATE TABLE walkways (fid INTEGER PRIMARY KEY, geom BLOB);
+         INSERT INTO walkways VALUES (101, {area});"
     )
 }

@@ -228,6 +228,7 @@ fn the_map_is_that_of_the_other_layout() {
     let map = open_nuplan(&folder).read_map().unwrap().unwrap();
     assert_eq!((map.lanes.len(), map.lane_connectors.len()), (8, 4));
     assert_eq!((map.crossings.len(), map.stop_lines.len(), map.dividers.len()), (2, 1, 22));
+    assert_eq!(map.walkways.len(), 8);
     assert!(map.lanes.iter().chain(&map.lane_connectors).all(|lane| lane.centerline.len() > 1));
     // Lanes, stop lines and crossings consist of the nodes of the other map.
     let file = folder.join("nuscenes/maps/expansion/pandaset-002.json");
