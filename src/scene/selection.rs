@@ -47,10 +47,12 @@ pub struct SceneInstances {
 /// Scene clouds: a skeleton's clouds and their substitutes, with their ids in the rasterizer.
 pub struct SceneClouds<'a> {
     skeleton: &'a Skeleton,
-    /// All clouds: background chunks, then assets, then templates.
+    /// All clouds: background chunks, assets, templates, then substitutes.
     clouds: CloudSet<'a>,
     /// Cloud id of each asset, by track id.
     assets: BTreeMap<&'a str, usize>,
+    /// Cloud id of each asset that color maps have instead, by track id.
+    color_assets: BTreeMap<&'a str, usize>,
     /// Cloud id and box size (meters), by kind.
     templates: BTreeMap<TemplateKind, (usize, DVec3)>,
 }
@@ -90,7 +92,14 @@ impl<'a> SceneClouds<'a> {
                 (clouds.len() - 1, DVec3::from(template.size))
             });
         }
-        Ok(Self { skeleton, clouds, assets, templates })
+        let mut color_assets = BTreeMap::new();
+        for track in assets.keys() {
+            if let Some(points) = substitutes.color_assets.get(*track) {
+                color_assets.insert(*track, clouds.len());
+                clouds.push(points);
+            }
+        }
+        Ok(Self { skeleton, clouds, assets, color_assets, templates })
     }
 
     /// Returns all clouds of a skeleton for a rasterizer: background chunks, then assets, then templates.
@@ -148,7 +157,9 @@ impl<'a> SceneClouds<'a> {
         let few = asset.is_none_or(|cloud| self.clouds[*cloud].len() <= options.min_actor_points);
         let gives_way = few && kind.is_some_and(TemplateKind::replaces_small_assets);
         let geometry = if gives_way { of_template.or(of_asset) } else { of_asset.or(of_template) };
-        (of_asset, geometry)
+        let color = self.color_assets.get(actor.track.as_str());
+        let color = color.map(|cloud| Instance { cloud: *cloud, world_from_local: pose, number });
+        (color.or(of_asset), geometry)
     }
 }
 
@@ -268,7 +279,7 @@ mod tests {
         let templates = kinds.iter().zip(5..).map(|(kind, points)| template(*kind, points)).collect();
         // The big car loses points, the small one gains some.
         let assets = [("big".to_owned(), cube(12).0), ("small".to_owned(), cube(40).0)].into();
-        let substitutes = Substitutes { templates, assets };
+        let substitutes = Substitutes { templates, assets, ..Substitutes::NONE };
         let scene_clouds = SceneClouds::with(&skeleton, "log", &substitutes).unwrap();
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&scene_clouds, actor(track, category), &options);
@@ -316,5 +327,22 @@ mod tests {
         assert_eq!(list(&both.geometry), [(0, 0), (1, 1), (4, 2), (4, 3)]);
         assert_eq!(both.color[0].world_from_local.translation, DVec3::new(100.0, 200.0, 0.0));
         assert_eq!(SceneClouds::clouds(&skeleton).unwrap().len(), 6);
+    }
+
+    /// A degraded asset of color maps leaves the geometry, and the count of points that decides on it, as they are.
+    #[test]
+    fn color_maps_may_have_other_assets() {
+        let folder = tempfile::tempdir().unwrap();
+        let skeleton = skeleton(&folder.path().join("s"));
+        let degraded = |track: &str| (track.to_owned(), cube(3).0);
+        let color_assets = ["big", "small", "unknown"].map(degraded).into_iter().collect();
+        let substitutes = Substitutes { color_assets, ..Substitutes::NONE };
+        let scene_clouds = SceneClouds::with(&skeleton, "log", &substitutes).unwrap();
+        let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
+        let shown = |track: &str, category: &str| shown(&scene_clouds, actor(track, category), &options);
+        assert_eq!(shown("big", "vehicle.car"), [Some(6), Some(1)]);
+        assert_eq!(shown("small", "vehicle.car"), [Some(7), Some(4)]);
+        assert_eq!(shown("truck", "vehicle.truck"), [Some(3), Some(3)]);
+        assert_eq!(scene_clouds.cloud_set().iter().map(|cloud| cloud.len()).collect::<Vec<_>>()[6..], [3, 3]);
     }
 }

@@ -19,6 +19,8 @@ pub struct Substitutes {
     pub templates: Vec<TemplateCloud>,
     /// Points that replace those of an asset, by track.
     pub assets: BTreeMap<String, Vec<Point>>,
+    /// Points that replace those of an asset in color maps alone, by track.
+    pub color_assets: BTreeMap<String, Vec<Point>>,
 }
 
 /// Options of substitute clouds: templates and augmented assets.
@@ -65,12 +67,13 @@ pub struct AugmentReport {
 
 impl Substitutes {
     /// No substitutes: only the skeleton's own clouds.
-    pub const NONE: Self = Self { templates: Vec::new(), assets: BTreeMap::new() };
+    pub const NONE: Self =
+        Self { templates: Vec::new(), assets: BTreeMap::new(), color_assets: BTreeMap::new() };
 
     /// Returns the built-in templates, for kinds that the skeleton lacks.
     pub fn built_in() -> &'static Self {
         static BUILT_IN: LazyLock<Substitutes> =
-            LazyLock::new(|| Substitutes { templates: default_templates(), assets: BTreeMap::new() });
+            LazyLock::new(|| Substitutes { templates: default_templates(), ..Substitutes::NONE });
         &BUILT_IN
     }
 
@@ -89,7 +92,8 @@ impl Substitutes {
         for ((asset, _), (points, augmentation)) in assets.iter().zip(augmented) {
             report.assets.insert(asset.track.clone(), augmentation);
             if augmentation != Augmentation::None {
-                self.assets.insert(asset.track.clone(), points);
+                let replaced = if options.color_only { &mut self.color_assets } else { &mut self.assets };
+                replaced.insert(asset.track.clone(), points);
             }
         }
         Ok(report)

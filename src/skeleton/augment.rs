@@ -29,11 +29,14 @@ pub struct AugmentOptions {
     pub ratio: [f64; 2],
     /// Minimum number of points of a degraded asset; an asset with no more points is unchanged.
     pub min_points: usize,
+    /// Whether only color maps have the degraded assets, and all other maps the unchanged ones.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub color_only: bool,
 }
 
 impl Default for AugmentOptions {
     fn default() -> Self {
-        Self { seed: 0, share: 0.8, ratio: [0.05, 0.8], min_points: 200 }
+        Self { seed: 0, share: 0.8, ratio: [0.05, 0.8], min_points: 200, color_only: false }
     }
 }
 

@@ -24,12 +24,20 @@ pub(super) struct SubstituteArgs {
     #[arg(long, value_name = "SHARE", value_parser = numbers::share, requires = "augment")]
     #[arg(allow_negative_numbers = true, default_value_t = AugmentOptions::default().share)]
     augment_share: f64,
+    /// With --augment, leave all maps but color unchanged
+    #[arg(long, requires = "augment")]
+    augment_color_only: bool,
 }
 
 impl SubstituteArgs {
     /// Returns the options of the library.
     pub(super) fn options(&self) -> SubstituteOptions {
-        let augment = |seed| AugmentOptions { seed, share: self.augment_share, ..AugmentOptions::default() };
+        let augment = |seed| AugmentOptions {
+            seed,
+            share: self.augment_share,
+            color_only: self.augment_color_only,
+            ..AugmentOptions::default()
+        };
         SubstituteOptions {
             library: self.templates.clone(),
             use_default: !self.no_default_templates,

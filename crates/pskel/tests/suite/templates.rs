@@ -255,6 +255,18 @@ fn worse_assets_are_the_same_every_time_and_stand_in_the_index() {
     let (none, told) = run("--augment --augment-share 0", "2");
     assert_eq!((&told["seed"], &told["assets"]["car"]["kind"]), (&json!(0), &json!("none")));
     assert!(none[color] == clean[color]);
+    // With its own points in depth, class and instance maps, too, or in color alone.
+    let own = "--min-actor-points 0 --splat 100:0";
+    let clean = run(own, "2").0;
+    let worse = run(&format!("{own} --augment=3 --augment-share 1"), "2").0;
+    let (only, told) = run(&format!("{own} --augment=3 --augment-share 1 --augment-color-only"), "2");
+    assert_eq!(told["color_only"], json!(true));
+    let depth = "000000/CAM_FRONT/depth.png";
+    assert!(worse[color] != clean[color] && worse[depth] != clean[depth]);
+    for (name, bytes) in only.iter().filter(|(name, _)| name.contains("/CAM_") && name.ends_with(".png")) {
+        let expected = if name.ends_with("color.png") { &worse } else { &clean };
+        assert!(expected[name] == *bytes, "{name}");
+    }
 }
 
 /// Returns real-world extents of a kind: length, width, height, each min and max, meters.
