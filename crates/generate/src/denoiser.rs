@@ -9,6 +9,8 @@ pub struct Frame<'a, C> {
     pub latent: &'a Latent,
     /// Noise level of the latent.
     pub level: Level,
+    /// Whether the frame is finished, a reference for the others, and its prediction is not used.
+    pub is_reference: bool,
     /// Condition of the frame.
     pub condition: &'a C,
 }

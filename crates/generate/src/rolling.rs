@@ -191,9 +191,14 @@ impl<D: Denoiser, N: NoiseSource> StepInputs<'_, D, N> {
             Some(level) if !progress.is_updated => level,
             _ => self.sampler.level(progress.index),
         };
-        let sees = frames.iter().zip(progress.iter().map(level)).zip(conditions);
-        let window: Vec<_> =
-            sees.map(|((latent, level), &condition)| Frame { latent, level, condition }).collect();
+        let sees = frames.iter().zip(progress).zip(conditions);
+        let window = sees.map(|((latent, progress), &condition)| Frame {
+            latent,
+            level: level(progress),
+            is_reference: !progress.is_updated,
+            condition,
+        });
+        let window: Vec<_> = window.collect();
         let predictions = self.options.guidance.predict(self.denoiser, &window)?;
         for ((frame, progress), prediction) in frames.iter_mut().zip(progress).zip(&predictions) {
             if progress.is_updated {

@@ -155,8 +155,12 @@ fn predict(weights: Weights, drive: &TrainingClip) {
     let Ok(mut network) = Network::new(weights, 1) else { return };
     let latent = Latent::filled(shape, 0.5);
     let condition = drive.conditions(0, &encoder);
-    let frame =
-        Frame { latent: &latent, level: Level { timestep: 500.0, sigma: 0.5 }, condition: &condition };
+    let frame = Frame {
+        latent: &latent,
+        level: Level { timestep: 500.0, sigma: 0.5 },
+        is_reference: false,
+        condition: &condition,
+    };
     if let Ok(predicted) = network.predict(&[frame, frame]) {
         assert!(predicted.len() == 2 && predicted.iter().all(|latent| latent.shape() == shape));
     }

@@ -200,8 +200,12 @@ fn ask(spec: &PeerSpec) -> Result<(), pskel_generate::DenoiserError> {
         prompt: String::new(),
     };
     let latent = Latent::filled(shape, 0.5);
-    let frame =
-        Frame { latent: &latent, level: Level { timestep: 500.0, sigma: 0.5 }, condition: &condition };
+    let frame = Frame {
+        latent: &latent,
+        level: Level { timestep: 500.0, sigma: 0.5 },
+        is_reference: false,
+        condition: &condition,
+    };
     let predicted = denoiser.predict(&[frame, frame])?;
     assert!(predicted.iter().all(|p| p.shape() == shape && p.values().iter().all(|v| v.is_finite())));
     let (codec, size): (Box<dyn Codec>, ImageSize) = denoiser.codec()?;

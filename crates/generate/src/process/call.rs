@@ -37,9 +37,11 @@ pub(super) fn request(
         ),
     ];
     let prompts: Vec<&str> = window.iter().map(|frame| frame.condition.prompt.as_str()).collect();
+    let references: Vec<bool> = window.iter().map(|frame| frame.is_reference).collect();
     let texts = [
         ("ask", "predict".to_owned()),
         (CALL, call.to_string()),
+        ("references", serde_json::json!(references).to_string()),
         ("prompts", serde_json::json!(prompts).to_string()),
     ];
     message(texts, tensors.map(|(name, shape, parts)| (name, Values { shape, parts })))

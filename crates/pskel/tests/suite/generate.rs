@@ -3,6 +3,7 @@
 mod beyond_log;
 pub(crate) mod network;
 mod process;
+mod references;
 
 use std::path::Path;
 

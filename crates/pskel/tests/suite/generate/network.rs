@@ -258,7 +258,7 @@ fn level(sigma: f32) -> Level {
 }
 
 fn predicted(network: &mut Network, latents: &[Latent], conditions: &[FrameConditions]) -> Vec<Latent> {
-    let frame = |(latent, condition)| Frame { latent, level: level(0.6), condition };
+    let frame = |(latent, condition)| Frame { latent, level: level(0.6), is_reference: false, condition };
     let window: Vec<_> = latents.iter().zip(conditions).map(frame).collect();
     network.predict(&window).unwrap()
 }
@@ -332,7 +332,7 @@ fn conditions_and_their_lack_change_what_is_predicted() {
     // Shorter windows are accepted; other sizes are rejected.
     assert_eq!(predicted(&mut network, &latents[..2], &conditions).len(), 2);
     let small = conditions_of_one(&conditions[0]);
-    let frame = Frame { latent: &latents[0], level: level(0.6), condition: &small };
+    let frame = Frame { latent: &latents[0], level: level(0.6), is_reference: false, condition: &small };
     let error = network.predict(&[frame]).unwrap_err().to_string();
     assert!(error.contains("conditions of 2 cameras, found 1"), "{error}");
     let frame = Frame { condition: &conditions[0], ..frame };

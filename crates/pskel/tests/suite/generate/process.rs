@@ -129,6 +129,7 @@ fn predict(denoiser: &mut ProcessDenoiser) -> Result<Vec<Latent>, DenoiserError>
     let frame = |position: usize| Frame {
         latent: &latents[position],
         level: Level { timestep: 250.0 * position as f32, sigma: 0.25 * position as f32 },
+        is_reference: position == 0,
         condition: &conditions[position],
     };
     denoiser.predict(&(0..4).map(frame).collect::<Vec<_>>())
@@ -229,6 +230,7 @@ fn denoisers_see_what_is_promised() {
     let prompts: Vec<String> = serde_json::from_str(&told["prompts"]).unwrap();
     assert_eq!(prompts, conditions.iter().map(|c| c.prompt.clone()).collect::<Vec<_>>());
     assert_eq!(told["call"], "1");
+    assert_eq!(told["references"], "[true,false,false,false]");
     let message = SafeTensors::deserialize(&bytes).unwrap();
     assert_eq!(message.len(), 7);
     let all = |of: fn(&FrameConditions) -> Vec<f32>| conditions.iter().flat_map(of).collect::<Vec<f32>>();
@@ -427,8 +429,9 @@ fn windows_other_than_told_are_not_sent() {
     let last = |latent: &Latent, condition: &FrameConditions| (latent.clone(), condition.clone());
     let mut error = |count: usize, (latent, condition): (Latent, FrameConditions)| {
         let level = Level { timestep: 1.0, sigma: 0.1 };
-        let mut window = vec![Frame { latent: &good.0, level, condition: &good.1 }; count];
-        window.push(Frame { latent: &latent, level, condition: &condition });
+        let mut window =
+            vec![Frame { latent: &good.0, level, is_reference: false, condition: &good.1 }; count];
+        window.push(Frame { latent: &latent, level, is_reference: false, condition: &condition });
         denoiser.predict(&window).map_err(|error| error.to_string())
     };
     for (count, frame, said) in [
