@@ -14,6 +14,7 @@ mod arrays;
 pub mod bins;
 pub mod birdseye;
 pub mod canvas;
+mod captions;
 pub mod distort;
 mod error;
 #[cfg(feature = "exr")]
@@ -37,6 +38,7 @@ pub mod tensor;
 mod test_set;
 
 pub use bins::{BinScale, DepthBins};
+pub use captions::{Captions, FrameCaptions};
 pub use error::ConditionError;
 pub use format::MapFormat;
 pub use layout::{LayoutLayers, LayoutStyle, LineWidth};

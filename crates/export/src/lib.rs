@@ -7,7 +7,6 @@
 //! its record once it is complete (`shard`). Its bytes depend on input and options alone, so shards that exist are skipped,
 //! and any number of processes may share a work list without communication.
 
-mod captions;
 mod error;
 mod files;
 mod layout;
@@ -18,7 +17,6 @@ mod samples;
 mod shard;
 mod work;
 
-pub use captions::Captions;
 pub use error::ExportError;
 pub use options::{ExportOptions, Layout, SampleFormat, SampleTimes};
 pub use report::{ExportReport, Failure};

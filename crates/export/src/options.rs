@@ -3,7 +3,7 @@ use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use serde::Serialize;
 
-use crate::Captions;
+use point_skeleton::conditions::Captions;
 
 /// Layout of the files of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

@@ -1,6 +1,8 @@
 use std::sync::Arc;
 
-use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, MapKind, render};
+use point_skeleton::conditions::{
+    ConditionError, ConditionOptions, ConditionSet, FrameCaptions, MapKind, render,
+};
 use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::Pose;
 use point_skeleton::raster::Rasterizer;
@@ -17,6 +19,8 @@ pub struct Conditioner<'a> {
     options: ConditionOptions,
     selection: SelectionOptions,
     prompt: String,
+    /// Captions by time, in place of the prompt.
+    captions: Option<FrameCaptions>,
 }
 
 /// Rendered conditions of one instant.
@@ -51,7 +55,15 @@ impl<'a> Conditioner<'a> {
         prompt: &str,
     ) -> Self {
         let options = recipe.options(map.is_some());
-        Self { log, map, scene_clouds, options, selection: recipe.selection(), prompt: prompt.to_owned() }
+        let (selection, prompt) = (recipe.selection(), prompt.to_owned());
+        Self { log, map, scene_clouds, options, selection, prompt, captions: None }
+    }
+
+    /// Sets captions by time, in place of the prompt.
+    #[must_use]
+    pub fn with_captions(mut self, captions: Option<FrameCaptions>) -> Self {
+        self.captions = captions;
+        self
     }
 
     /// Adds map kinds to those that are rendered.
@@ -108,7 +120,9 @@ impl<'a> Conditioner<'a> {
         let state = scene_state(self.log, instant, self.map.clone());
         let instances = self.scene_clouds.instances(&state, &self.selection);
         let set = render(rasterizer, &instances, &state, &self.options)?;
-        let conditions = FrameConditions::new(&set, &state, before, &self.prompt)?;
+        let prompt =
+            self.captions.as_ref().map_or(self.prompt.as_str(), |captions| captions.at(instant.t_us));
+        let conditions = FrameConditions::new(&set, &state, before, prompt)?;
         Ok(RenderedConditions { state, set, conditions })
     }
 }

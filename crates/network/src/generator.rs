@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
 
+use point_skeleton::conditions::FrameCaptions;
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::ImageSize;
@@ -108,6 +109,8 @@ pub struct GenerationScene<'a> {
     pub clouds: &'a SceneClouds<'a>,
     /// Parts of the prompt.
     pub prompt: &'a PromptParts,
+    /// Captions by time, in place of the prompt.
+    pub captions: Option<FrameCaptions>,
     /// Source of the reference images.
     pub truth: GroundTruthImages<'a>,
     /// Whether the ego follows the log in the whole rollout.
@@ -256,7 +259,8 @@ impl OpenedNetwork {
     /// Fails if codec and network differ in latent shape.
     pub fn session<'a>(self, scene: &GenerationScene<'a>) -> Result<Session<'a>, SessionError> {
         let prompt = scene.prompt.prompt().unwrap_or_default();
-        let conditioner = Conditioner::new(scene.log, scene.map.clone(), scene.clouds, &self.recipe, &prompt);
+        let conditioner = Conditioner::new(scene.log, scene.map.clone(), scene.clouds, &self.recipe, &prompt)
+            .with_captions(scene.captions.clone());
         let parts = SessionParts {
             conditioner,
             truth: scene.truth,

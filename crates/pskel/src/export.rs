@@ -4,14 +4,14 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use clap::{Args, Parser};
-use point_skeleton::conditions::MapFormat;
 use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::{Captions, MapFormat};
 use point_skeleton::dataset::{LogLocator, LogOpener};
 use point_skeleton::error::with_causes;
 use point_skeleton::files::FileName;
 use pskel_export::{
-    Captions, Completeness, Export, ExportOptions, ExportProgress, ExportReport, Failure, Layout, Part,
-    SampleFormat, SampleTimes, WorkList, export, write_index,
+    Completeness, Export, ExportOptions, ExportProgress, ExportReport, Failure, Layout, Part, SampleFormat,
+    SampleTimes, WorkList, export, write_index,
 };
 
 use super::log_args::{self, LogRoots};

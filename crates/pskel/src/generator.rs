@@ -3,8 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use point_skeleton::conditions::{Captions, FrameCaptions};
+use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
+use point_skeleton::files::text::printable;
 use pskel_generate::{
     DenoiserRig, DroppedConditions, Guidance, Prediction, Preset, Recipe, SamplerOptions, Strategy,
 };
@@ -53,6 +56,10 @@ pub(super) struct GeneratorArgs {
     /// or pas-nuscenes or pas-nuplan, that of a network of the paper with the defaults of its window, steps and guidance
     #[arg(long, value_name = "RECIPE")]
     recipe: Option<PathBuf>,
+    /// Captions, in place of the prompt of --annotations, by name of a recording or token of an image:
+    /// {"scene-0061": "Parked truck, turn left"}. A frame without one has that of the frame before
+    #[arg(long, value_name = "F.json")]
+    captions: Option<PathBuf>,
     /// With process:.., time-out for each of its answers, seconds [default: 60]
     #[arg(long, value_name = "S", value_parser = timeout_s)]
     generator_timeout: Option<f64>,
@@ -111,6 +118,7 @@ impl GeneratorArgs {
             ("--infer-steps", self.infer_steps.is_some(), true, network),
             ("--guidance", guidance.is_some(), true, network),
             ("--noise-seed", self.noise_seed.is_some(), true, network),
+            ("--captions", self.captions.is_some(), true, network),
             ("--clean", clean.is_some(), rolls, "--strategy reset_and_roll or rolling"),
             ("--ahead", self.ahead.is_some(), strategy == StrategyName::NonCausal, "--strategy non_causal"),
             (
@@ -138,6 +146,21 @@ impl GeneratorArgs {
             true => WrongUsage(error.to_string()).into(),
             false => error.into(),
         })
+    }
+
+    /// Reads the captions of a log.
+    pub(super) fn captions(&self, log: &Recording) -> Result<Option<FrameCaptions>, FileError> {
+        let Some(path) = &self.captions else { return Ok(None) };
+        let captions = Captions::read(path)?.of_frames(log);
+        captions.map(Some).ok_or_else(|| {
+            let expected = format!("captions of log {} or of its images", printable(&log.name));
+            FileError::content(expected, "captions of others", path)
+        })
+    }
+
+    /// Returns the file of the captions.
+    pub(super) fn captions_file(&self) -> Option<&Path> {
+        self.captions.as_deref()
     }
 
     fn preset(&self) -> Option<Preset> {

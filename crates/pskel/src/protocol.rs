@@ -105,6 +105,7 @@ struct Settings<'a> {
     format: MapFormat,
     substitutes: SubstituteOptions,
     prompt: PromptParts,
+    captions: Option<&'a Path>,
 }
 
 /// A run of the command.
@@ -220,6 +221,7 @@ impl ProtocolArgs {
             format: self.maps.format,
             substitutes: self.stand_ins.options(),
             prompt: self.annotations.as_deref().map(PromptParts::read).transpose()?.unwrap_or_default(),
+            captions: self.generating.captions_file(),
         })?;
         let path = files.claim("protocol.json")?;
         if is_there(&path)? {

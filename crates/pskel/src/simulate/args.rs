@@ -288,7 +288,8 @@ impl SimulateArgs {
 
     /// Returns the files that are named individually and only read.
     pub(super) fn input_files(&self) -> impl Iterator<Item = &Path> {
-        [self.annotations.as_deref(), self.policies.trajectory.as_deref(), self.generation.weights()]
+        let (weights, captions) = (self.generation.weights(), self.generation.captions_file());
+        [self.annotations.as_deref(), self.policies.trajectory.as_deref(), weights, captions]
             .into_iter()
             .flatten()
     }

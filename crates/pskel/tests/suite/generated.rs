@@ -346,3 +346,32 @@ fn wrong_generators_are_told_before_anything_is_written() {
     std::fs::write(log.path("w.safetensors"), "no weights").unwrap();
     log.fail(&network, 1, &["weights", "w.safetensors"]);
 }
+
+#[test]
+fn frames_have_their_captions() {
+    let log = built();
+    // The prompts of each call as a line.
+    let keeps = "import json\nread = denoiser.predict\ndef predict(tensors):\n    return read(tensors)\n\
+                 texts = json.loads\ndef loads(text, *more, **options):\n    value = texts(text, *more, **options)\n    \
+                 if isinstance(value, dict) and 'prompts' in value.get('__metadata__', {}):\n        \
+                 open('prompts.txt', 'a').write(value['__metadata__']['prompts'] + '\\n')\n    return value\n\
+                 json.loads = loads";
+    denoiser(&log, keeps);
+    // The images of the second frame have a caption, and the log has one.
+    let token = "d1CAM_BACK";
+    let captions = json!({token: "rain", "tiny": "sun", "other": "fog"}).to_string();
+    std::fs::write(log.path("c.json"), captions).unwrap();
+    log.succeed(&format!("{GENERATE} --window 2 --captions c.json"));
+    let text = std::fs::read_to_string(log.path("prompts.txt")).unwrap();
+    let mut prompts: Vec<&str> = text.lines().collect();
+    prompts.dedup();
+    // Windows of the second and of the third frame; the first roll ahead shows the forecast.
+    assert_eq!(prompts, [r#"["sun","rain"]"#, r#"["rain","sun"]"#]);
+    let record = log.json("out/rollout.json")["generator"]["captions"].to_string();
+    assert!(record.contains("sun") && record.contains("rain") && !record.contains("fog"), "{record}");
+    std::fs::write(log.path("c.json"), json!({"other": "fog"}).to_string()).unwrap();
+    let output = log.run(&format!("{GENERATE} --window 2 --captions c.json"));
+    assert_failed(&output, 1, &["expected captions of log tiny or of its images", "c.json"]);
+    let output = log.run("simulate nuscenes:log --skeleton sk --out s --steps 1 --captions c.json");
+    assert_failed(&output, 2, &["expected --generator with --captions"]);
+}

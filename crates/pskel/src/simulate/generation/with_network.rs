@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use clap::Args;
+use point_skeleton::conditions::FrameCaptions;
 use point_skeleton::dataset::Recording;
 use point_skeleton::scene::GroundTruthImages;
 use point_skeleton::scene::SceneClouds;
@@ -26,8 +27,11 @@ pub(crate) struct GenerationArgs {
     pub(crate) options: GeneratorArgs,
 }
 
-/// The opened network.
-pub(crate) struct Opened(OpenedNetwork);
+/// The opened network, and the captions of the log.
+pub(crate) struct Opened {
+    network: OpenedNetwork,
+    captions: Option<FrameCaptions>,
+}
 
 impl GenerationArgs {
     /// Rejects options that have no effect.
@@ -43,27 +47,38 @@ impl GenerationArgs {
         }
     }
 
+    /// Returns the file of the captions, if there is one.
+    pub(crate) fn captions_file(&self) -> Option<&Path> {
+        self.options.captions_file()
+    }
+
     /// Opens the network for a log that is generated at `fps` frames per second.
     pub(crate) fn open(&self, log: &Recording, fps: f64) -> anyhow::Result<Option<Opened>> {
-        let open = |name| self.options.open(name, &DenoiserRig::of(log, fps)).map(Opened);
-        self.generator.as_ref().map(open).transpose()
+        let Some(name) = &self.generator else { return Ok(None) };
+        let captions = self.options.captions(log)?;
+        let network = self.options.open(name, &DenoiserRig::of(log, fps))?;
+        Ok(Some(Opened { network, captions }))
     }
 }
 
 impl Opened {
     /// Returns the number of frames in the window.
     pub(crate) fn window(&self) -> usize {
-        self.0.window()
+        self.network.window()
     }
 
     /// Returns network and options for `rollout.json`.
     pub(crate) fn record(&self) -> serde_json::Result<Value> {
-        serde_json::to_value(self.0.report())
+        let mut record = serde_json::to_value(self.network.report())?;
+        if let (Some(fields), Some(captions)) = (record.as_object_mut(), &self.captions) {
+            fields.insert("captions".to_owned(), serde_json::to_value(captions)?);
+        }
+        Ok(record)
     }
 
     /// Returns a line for the web page.
     pub(crate) fn fact(&self) -> String {
-        self.0.report().fact()
+        self.network.report().fact()
     }
 
     /// Creates the generator. `follow_log`: whether ego and other actors follow the log in the whole rollout.
@@ -78,10 +93,11 @@ impl Opened {
             map: inputs.map.clone(),
             clouds,
             prompt: &inputs.prompt,
+            captions: self.captions,
             truth: GroundTruthImages::new(inputs.dataset.as_ref()),
             ego_follows_log,
             actors_follow_log,
         };
-        Ok(Box::new(self.0.session(&scene)?))
+        Ok(Box::new(self.network.session(&scene)?))
     }
 }

@@ -25,6 +25,10 @@ impl GenerationArgs {
         None
     }
 
+    pub(crate) fn captions_file(&self) -> Option<&Path> {
+        None
+    }
+
     pub(crate) fn open(&self, _log: &Recording, _fps: f64) -> anyhow::Result<Option<Opened>> {
         Ok(None)
     }
