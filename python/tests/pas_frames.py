@@ -74,6 +74,7 @@ def peer(base: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Peer]
         "latent_shape": "6,16,4,8",
         "dtype": "F32",
         "image_size": "32,64",
+        "guidance": "true",
     }
     assert not tensors
     yield peer

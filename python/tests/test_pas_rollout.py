@@ -1,5 +1,6 @@
 """Rollouts with the video network: by the rules of the loop, through its process, and by the loop of the package."""
 
+import json
 from collections.abc import Callable
 
 import numpy as np
@@ -10,7 +11,7 @@ from pas_base import Array, Peer, unpack
 pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 pytest.importorskip("transformers")
-from pas_frames import SHAPE, H, L, V, W, condition, needs_fixture, request  # noqa: E402
+from pas_frames import SHAPE, H, L, V, W, condition, needs_fixture, request, window  # noqa: E402
 from pskel.models.pas import Denoiser, FrameCondition  # noqa: E402
 
 pytest_plugins = ["pas_frames"]
@@ -97,6 +98,22 @@ def through(peer: Peer) -> Network:
         return unpack(peer.ask(*request(latents, timesteps, sigmas, frames)))[1]["prediction"]
 
     return network
+
+
+def test_one_call_gives_both_halves_of_guidance(peer: Peer, denoiser: Denoiser) -> None:
+    """The answer to a call with dropped parts is that to two calls."""
+    latents, timesteps, sigmas, frames = window()
+    conditions = [FrameCondition.create(**frame) for frame in frames]
+    for names in (["layout", "action"], ["layout", "action", "color", "depth"]):
+        texts, tensors = request(latents, timesteps, sigmas, frames)
+        both = unpack(peer.ask({**texts, "dropped": json.dumps(names)}, tensors))[1]
+        assert sorted(both) == ["prediction", "unconditional"]
+        bare = [condition.without(*names) for condition in conditions]
+        np.testing.assert_array_equal(both["prediction"], denoiser(latents, timesteps, sigmas, conditions))
+        np.testing.assert_array_equal(both["unconditional"], denoiser(latents, timesteps, sigmas, bare))
+        assert (both["prediction"] != both["unconditional"]).any()
+    with pytest.raises(ValueError, match="expected parts of layout, action, color, depth, found text"):
+        denoiser.predict_guided(latents, timesteps, conditions, ["text"])
 
 
 @pytest.mark.parametrize("guidance", [1.0, 2.0])

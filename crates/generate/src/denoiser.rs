@@ -1,6 +1,6 @@
 use image::RgbImage;
 
-use super::{Condition, DenoiserError, FrameConditions, Latent, LatentShape, Level};
+use super::{Condition, DenoiserError, DroppedConditions, FrameConditions, Latent, LatentShape, Level};
 
 /// A frame of the window, as input of a network.
 #[derive(Debug)]
@@ -37,6 +37,40 @@ pub trait Denoiser {
     /// # Errors
     /// Returns an error if the network fails. The caller checks shapes and finiteness of the result.
     fn predict(&mut self, window: &[Frame<'_, Self::Condition>]) -> Result<Vec<Latent>, DenoiserError>;
+
+    /// Predicts a window for guidance: with its conditions, and without some of them. By default two calls.
+    ///
+    /// # Errors
+    /// Fails as [`Denoiser::predict`].
+    fn predict_guided(
+        &mut self,
+        window: &[Frame<'_, Self::Condition>],
+        dropped: DroppedConditions,
+    ) -> Result<GuidedPrediction, DenoiserError> {
+        predict_twice(self, window, dropped)
+    }
+}
+
+/// Predicts a window for guidance by two calls.
+pub(super) fn predict_twice<D: Denoiser + ?Sized>(
+    denoiser: &mut D,
+    window: &[Frame<'_, D::Condition>],
+    dropped: DroppedConditions,
+) -> Result<GuidedPrediction, DenoiserError> {
+    let conditional = denoiser.predict(window)?;
+    let conditions: Vec<_> = window.iter().map(|frame| frame.condition.without(dropped)).collect();
+    let bare = window.iter().zip(&conditions);
+    let bare: Vec<_> = bare.map(|(frame, condition)| Frame { condition, ..*frame }).collect();
+    Ok(GuidedPrediction { conditional, unconditional: denoiser.predict(&bare)? })
+}
+
+/// Predictions of a window for guidance, one per frame each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GuidedPrediction {
+    /// With all conditions.
+    pub conditional: Vec<Latent>,
+    /// Without the dropped conditions.
+    pub unconditional: Vec<Latent>,
 }
 
 impl<D: Denoiser + ?Sized> Denoiser for Box<D> {
@@ -48,6 +82,14 @@ impl<D: Denoiser + ?Sized> Denoiser for Box<D> {
 
     fn predict(&mut self, window: &[Frame<'_, D::Condition>]) -> Result<Vec<Latent>, DenoiserError> {
         (**self).predict(window)
+    }
+
+    fn predict_guided(
+        &mut self,
+        window: &[Frame<'_, D::Condition>],
+        dropped: DroppedConditions,
+    ) -> Result<GuidedPrediction, DenoiserError> {
+        (**self).predict_guided(window, dropped)
     }
 }
 
@@ -70,12 +112,11 @@ pub trait Codec {
     fn decode(&self, latent: &Latent, conditions: &FrameConditions) -> Result<Vec<RgbImage>, DenoiserError>;
 }
 
-/// Calls a network and validates its predictions: one per frame, of the frame's shape, finite.
-pub(super) fn predict<D: Denoiser + ?Sized>(
-    denoiser: &mut D,
-    window: &[Frame<'_, D::Condition>],
+/// Validates the predictions of a network: one per frame, of the frame's shape, finite.
+pub(super) fn checked<C>(
+    predictions: Vec<Latent>,
+    window: &[Frame<'_, C>],
 ) -> Result<Vec<Latent>, DenoiserError> {
-    let predictions = denoiser.predict(window)?;
     if predictions.len() != window.len() {
         let expected = format!("{} frames", window.len());
         return Err(DenoiserError::answer(expected, predictions.len().to_string()));

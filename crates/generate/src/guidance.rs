@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
-use super::denoiser::predict;
-use super::{Condition, Denoiser, DenoiserError, DroppedConditions, Frame, Latent};
+use super::denoiser::checked;
+use super::{Denoiser, DenoiserError, DroppedConditions, Frame, GuidedPrediction, Latent};
 
 /// Classifier-free guidance: extrapolates from the unconditional prediction through the conditional one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,14 +25,12 @@ impl Guidance {
         denoiser: &mut D,
         window: &[Frame<'_, D::Condition>],
     ) -> Result<Vec<Latent>, DenoiserError> {
-        let with = predict(denoiser, window)?;
         if self.scale == 1.0 {
-            return Ok(with);
+            return checked(denoiser.predict(window)?, window);
         }
-        let conditions: Vec<_> = window.iter().map(|frame| frame.condition.without(self.dropped)).collect();
-        let bare = window.iter().zip(&conditions);
-        let bare: Vec<_> = bare.map(|(frame, condition)| Frame { condition, ..*frame }).collect();
-        let without = predict(denoiser, &bare)?;
+        let GuidedPrediction { conditional, unconditional } =
+            denoiser.predict_guided(window, self.dropped)?;
+        let (with, without) = (checked(conditional, window)?, checked(unconditional, window)?);
         let guided = |(with, without): (&Latent, &Latent)| {
             without.zip(with, |without, with| without + self.scale * (with - without))
         };

@@ -41,7 +41,7 @@ pub use cache::{Cache, CacheError};
 pub use condition::{Condition, DroppedConditions};
 pub use conditioner::{Conditioner, ConditionerError, RenderedConditions};
 pub use dataset_copy::{CopiedLog, ImageCounts, check_dataset_copy, copy_dataset};
-pub use denoiser::{Codec, Denoiser, Frame};
+pub use denoiser::{Codec, Denoiser, Frame, GuidedPrediction};
 pub use denoiser_error::DenoiserError;
 pub use drive::{DriveFrame, DriveInfo, TrainingClip};
 pub use error::GenerateError;

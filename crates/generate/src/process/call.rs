@@ -6,16 +6,22 @@ use safetensors::Dtype;
 
 use super::hello::{DenoiserOutputs, Precision};
 use super::message::{Answer, Values, message, shown};
-use crate::{CAMERA_NUMBERS, DenoiserError, Frame, FrameConditions, Latent, LatentShape};
+use crate::{
+    CAMERA_NUMBERS, DenoiserError, DroppedConditions, Frame, FrameConditions, GuidedPrediction, Latent,
+    LatentShape,
+};
 
 const CALL: &str = "call";
 const PREDICTION: &str = "prediction";
+const UNCONDITIONAL: &str = "unconditional";
 
-/// Serializes a window as a `predict` request. All latents are of `shape`, all conditions of one size.
+/// Serializes a window as a `predict` request. All latents are of `shape`, all conditions of one size. With `dropped`
+/// conditions it asks for both halves of guidance.
 pub(super) fn request(
     window: &[Frame<'_, FrameConditions>],
     shape: LatentShape,
     call: u64,
+    dropped: Option<DroppedConditions>,
 ) -> Result<Vec<u8>, DenoiserError> {
     let frames = window.len();
     let [views, channels, height, width] = shape.to_array();
@@ -44,7 +50,18 @@ pub(super) fn request(
         ("references", serde_json::json!(references).to_string()),
         ("prompts", serde_json::json!(prompts).to_string()),
     ];
-    message(texts, tensors.map(|(name, shape, parts)| (name, Values { shape, parts })))
+    let dropped = dropped.map(|dropped| ("dropped", serde_json::json!(names(dropped)).to_string()));
+    message(
+        texts.into_iter().chain(dropped),
+        tensors.map(|(name, shape, parts)| (name, Values { shape, parts })),
+    )
+}
+
+/// Returns the names of dropped conditions.
+fn names(dropped: DroppedConditions) -> Vec<&'static str> {
+    let DroppedConditions { layout, action, color, depth } = dropped;
+    let all = [("layout", layout), ("action", action), ("color", color), ("depth", depth)];
+    all.into_iter().filter(|(_, is_dropped)| *is_dropped).map(|(name, _)| name).collect()
 }
 
 fn parts<'a>(
@@ -61,14 +78,42 @@ pub(super) fn read_prediction(
     frames: usize,
     call: u64,
 ) -> Result<Vec<Latent>, ProtocolError> {
+    latents(&numbered(answer, call)?, PREDICTION, given, frames)
+}
+
+/// Parses both predictions for a window of `frames` frames.
+pub(super) fn read_guided(
+    answer: &[u8],
+    given: DenoiserOutputs,
+    frames: usize,
+    call: u64,
+) -> Result<GuidedPrediction, ProtocolError> {
+    let answer = numbered(answer, call)?;
+    Ok(GuidedPrediction {
+        conditional: latents(&answer, PREDICTION, given, frames)?,
+        unconditional: latents(&answer, UNCONDITIONAL, given, frames)?,
+    })
+}
+
+/// Reads an answer and checks its number.
+fn numbered(answer: &[u8], call: u64) -> Result<Answer<'_>, ProtocolError> {
     let answer = Answer::read(answer)?;
     if answer.texts.get(CALL).is_some_and(|answered| *answered != call.to_string()) {
         return Err(ProtocolError::new(format!("an answer to `call` \"{call}\""), answer.quoted(CALL)));
     }
+    Ok(answer)
+}
+
+/// Reads the latents of `frames` frames.
+fn latents(
+    answer: &Answer<'_>,
+    name: &str,
+    given: DenoiserOutputs,
+    frames: usize,
+) -> Result<Vec<Latent>, ProtocolError> {
     let shape = given.shape;
     let [views, channels, height, width] = shape.to_array();
-    let values =
-        read_values(&answer, PREDICTION, given.precision, &[frames, views, channels, height, width])?;
+    let values = read_values(answer, name, given.precision, &[frames, views, channels, height, width])?;
     if let Some((index, value)) = values.iter().enumerate().find(|(_, value)| !value.is_finite()) {
         let position = index / shape.len();
         return Err(ProtocolError::new(

@@ -30,6 +30,8 @@ pub(super) struct DenoiserOutputs {
     pub(super) precision: Precision,
     /// Size of the images that the process encodes and decodes itself; `None` if its latents are pixels.
     pub(super) images: Option<ImageSize>,
+    /// Whether it predicts both halves of guidance in one call.
+    pub(super) is_guided: bool,
 }
 
 /// Number format of predictions.
@@ -80,8 +82,17 @@ pub(super) fn read_hello(answer: &[u8], taken: &DenoiserInputs) -> Result<Denois
     let precision = Precision::named(text("dtype"));
     let precision = precision
         .ok_or_else(|| ProtocolError::new("`dtype` \"F32\", \"F16\" or \"BF16\"", answer.quoted("dtype")))?;
-    // Half of the limit leaves room for the header.
-    let most = (MAX_ANSWER_BYTES / 2) as usize / size_of::<f32>() / taken.window.max(1);
+    let is_guided = match answer.texts.get("guidance").map(String::as_str) {
+        None | Some("false") => false,
+        Some("true") => true,
+        Some(_) => {
+            let expected = "`guidance` \"true\" or \"false\"";
+            return Err(ProtocolError::new(expected, answer.quoted("guidance")));
+        }
+    };
+    // Half of the limit leaves room for the header. With guidance there are two predictions.
+    let share = if is_guided { 4 } else { 2 };
+    let most = (MAX_ANSWER_BYTES / share) as usize / size_of::<f32>() / taken.window.max(1);
     if shape.len() > most {
         let expected = format!("`latent_shape` of at most {most} values in a window of {}", taken.window);
         return Err(ProtocolError::new(expected, answer.quoted("latent_shape")));
@@ -96,7 +107,7 @@ pub(super) fn read_hello(answer: &[u8], taken: &DenoiserInputs) -> Result<Denois
             ProtocolError::new(expected, answer.quoted("image_size"))
         })
     });
-    Ok(DenoiserOutputs { shape, precision, images: images.transpose()? })
+    Ok(DenoiserOutputs { shape, precision, images: images.transpose()?, is_guided })
 }
 
 /// Parses `H,W`, two positive numbers.

@@ -13,13 +13,15 @@ use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use point_skeleton::geometry::ImageSize;
 use pskel_sim::peer::PeerSpec;
 
-use self::call::{read_prediction, request};
+use self::call::{read_guided, read_prediction, request};
 use self::codec::ProcessCodec;
 use self::connection::Shared;
 use self::hello::{DenoiserInputs, DenoiserOutputs, hello, read_hello};
 pub use self::rig::DenoiserRig;
+use super::denoiser::predict_twice;
 use super::{
-    Codec, Denoiser, DenoiserError, Frame, FrameConditions, GenerateOptions, Latent, LatentShape, PixelCodec,
+    Codec, Denoiser, DenoiserError, DroppedConditions, Frame, FrameConditions, GenerateOptions,
+    GuidedPrediction, Latent, LatentShape, PixelCodec,
 };
 
 /// A network in another process, after the exchange of hellos. After a failure, all further calls fail; a
@@ -109,7 +111,22 @@ impl Denoiser for ProcessDenoiser {
         self.check(window)?;
         let (call, given) = (self.calls, self.given);
         self.calls += 1;
-        let request = request(window, given.shape, call)?;
+        let request = request(window, given.shape, call, None)?;
         self.shared.ask(request, |answer| read_prediction(answer, given, window.len(), call))
+    }
+
+    fn predict_guided(
+        &mut self,
+        window: &[Frame<'_, FrameConditions>],
+        dropped: DroppedConditions,
+    ) -> Result<GuidedPrediction, DenoiserError> {
+        if !self.given.is_guided {
+            return predict_twice(self, window, dropped);
+        }
+        self.check(window)?;
+        let (call, given) = (self.calls, self.given);
+        self.calls += 1;
+        let request = request(window, given.shape, call, Some(dropped))?;
+        self.shared.ask(request, |answer| read_guided(answer, given, window.len(), call))
     }
 }

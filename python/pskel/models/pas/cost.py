@@ -31,13 +31,13 @@ class Cost:
 
     parameters: int
     call_operations: int
-    """Of one call with a window whose conditions are encoded."""
+    """Of one evaluation of a window whose conditions are encoded."""
     frame_operations: int
     """Of the adapters and projections, for one new frame."""
     frame_bytes: int
     """Encoded layout, or points, of a frame in bf16."""
     calls: int
-    """Per planning step, with guidance."""
+    """Evaluations per planning step, with guidance."""
     message_bytes: int
     """Maps of a window in one call of the denoiser protocol."""
 
@@ -118,9 +118,9 @@ def _rows(costs: Sequence[Cost]) -> list[tuple[str, list[str]]]:
                 for count, cost in zip(frames, costs)
             ],
         ),
-        ("operations of a call of the network", [f"{cost.call_operations / 1e12:.0f} T" for cost in costs]),
+        ("operations of an evaluation of the network", [f"{cost.call_operations / 1e12:.0f} T" for cost in costs]),
         ("operations of the adapters and projections per new frame", [f"{cost.frame_operations / 1e12:.1f} T" for cost in costs]),
-        ("calls per planning step with guidance 2", [str(cost.calls) for cost in costs]),
+        ("evaluations per planning step with guidance 2", [str(cost.calls) for cost in costs]),
         ("operations per planning step", [f"{cost.step_operations / 1e15:.1f} P" for cost in costs]),
         ("maps in a call of the protocol", [f"{cost.message_bytes / 1e9:.1f} GB" for cost in costs]),
     ]

@@ -104,13 +104,38 @@ class Denoiser:
         ``timesteps`` ``[L]`` are 1000 times the ``sigmas`` of flow matching, which are not used themselves. Raises
         ``ValueError`` for arrays of other shapes, a window of less than 2 frames, and a prediction that is not finite.
         """
+        velocity: _Array = self._predict(latents, timesteps, [conditions])[0]
+        return velocity
+
+    def predict_guided(
+        self,
+        latents: npt.ArrayLike,
+        timesteps: npt.ArrayLike,
+        conditions: Sequence[FrameCondition],
+        dropped: Sequence[str],
+    ) -> tuple[_Array, _Array]:
+        """Predict both halves of guidance, with all conditions and without the ``dropped`` parts, as two clips of one call.
+
+        Arguments, results and errors are those of a call, and of ``FrameCondition.without``.
+        """
+        bare = [condition.without(*dropped) for condition in conditions]
+        conditional, unconditional = self._predict(latents, timesteps, [conditions, bare])
+        return conditional, unconditional
+
+    def _predict(
+        self, latents: npt.ArrayLike, timesteps: npt.ArrayLike, clips: Sequence[Sequence[FrameCondition]]
+    ) -> _Array:
+        """Predict the velocities ``[B, L, V, C, h, w]`` of one window with the conditions of each of B ``clips``."""
         sample, levels = _tensor(latents), _tensor(timesteps)
-        self._expect_window(sample, levels, conditions)
+        for conditions in clips:
+            self._expect_window(sample, levels, conditions)
+        count = len(clips)
         with torch.inference_mode():
-            timestep = levels[None, :, None].expand(1, *sample.shape[:2])
-            encoded = self._encoded(conditions)
-            output = self.models.network(sample[None, :, self._order], timestep, encoded, self._mask)
-            velocity: _Array = output[0, :, self._inverse].float().cpu().numpy()
+            encoded = Conditions.concatenate([self._encoded(conditions) for conditions in clips], dim=0)
+            samples = sample[:, self._order].expand(count, *sample.shape)
+            timestep = levels[None, :, None].expand(count, *sample.shape[:2])
+            output = self.models.network(samples, timestep, encoded, self._mask.expand(count, -1, -1))
+            velocity: _Array = output[:, :, self._inverse].float().cpu().numpy()
         if not np.isfinite(velocity).all():
             raise ValueError("expected a finite prediction, found infinite or undefined values (is bf16 used?)")
         return velocity

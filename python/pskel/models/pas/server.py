@@ -80,7 +80,7 @@ def serve(
     shape = denoiser.latent_shape(hello.size)
     for notice in notices(hello):
         print(f"pskel.models.pas: {notice}", file=sys.stderr if log is None else log)
-    answer = {"latent_shape": _joined(shape), "dtype": "F32", "image_size": _joined(hello.size)}
+    answer = {"latent_shape": _joined(shape), "dtype": "F32", "image_size": _joined(hello.size), "guidance": "true"}
     messages.write(out, {**_PROTOCOL, **answer}, {})
     while (message := messages.read(source)) is not None:
         messages.write(out, *_answered(denoiser, hello, message))
@@ -106,8 +106,12 @@ def _answered(denoiser: Denoiser, hello: Hello, message: Message) -> tuple[dict[
     ask = texts.get("ask")
     if ask == "predict":
         conditions = _conditions(hello, shape, message)
-        prediction = denoiser(tensors["latents"], tensors["timesteps"], tensors["sigmas"], conditions)
-        return {name: texts[name] for name in ("call",) if name in texts}, {"prediction": prediction}
+        call = {name: texts[name] for name in ("call",) if name in texts}
+        if "dropped" in texts:
+            dropped = _list(texts, "dropped", "the call")
+            both = denoiser.predict_guided(tensors["latents"], tensors["timesteps"], conditions, dropped)
+            return call, dict(zip(("prediction", "unconditional"), both))
+        return call, {"prediction": denoiser(tensors["latents"], tensors["timesteps"], tensors["sigmas"], conditions)}
     if ask == "encode":
         _expect_shape(tensors, "images", (shape[0], 3, *hello.size))
         return {}, {"latents": denoiser.encode(tensors["images"])}

@@ -6,8 +6,9 @@ use std::process::{Child, Command};
 
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::{
-    DenoiserError, DenoiserRig, Frame, FrameConditions, GaussianNoise, GenerateError, GenerateOptions,
-    Generator, Latent, LatentShape, Level, Prediction, ProcessDenoiser, SamplerOptions, Strategy,
+    DenoiserError, DenoiserRig, DroppedConditions, Frame, FrameConditions, GaussianNoise, GenerateError,
+    GenerateOptions, Generator, GuidedPrediction, Latent, LatentShape, Level, Prediction, ProcessDenoiser,
+    SamplerOptions, Strategy,
 };
 use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
 use safetensors::SafeTensors;
@@ -123,7 +124,18 @@ fn assert_shows_colors(denoiser: ProcessDenoiser, frames: usize) -> Vec<Latent> 
 
 /// Calls the denoiser once with a window of four frames; the latents are noise.
 fn predict(denoiser: &mut ProcessDenoiser) -> Result<Vec<Latent>, DenoiserError> {
-    use pskel_generate::{Denoiser, NoiseSource};
+    use pskel_generate::Denoiser;
+    on_window(|window| denoiser.predict(window))
+}
+
+/// Calls the denoiser for guidance, with the same window.
+fn guided(denoiser: &mut ProcessDenoiser) -> Result<GuidedPrediction, DenoiserError> {
+    use pskel_generate::Denoiser;
+    on_window(|window| denoiser.predict_guided(window, DroppedConditions::GUIDED))
+}
+
+fn on_window<T>(call: impl FnOnce(&[Frame<'_, FrameConditions>]) -> T) -> T {
+    use pskel_generate::NoiseSource;
     let latents: Vec<Latent> = (0..4).map(|frame| NOISE.clone().noise(SHAPE, frame, 0)).collect();
     let conditions: Vec<FrameConditions> = (0..4).map(conditions).collect();
     let frame = |position: usize| Frame {
@@ -132,7 +144,7 @@ fn predict(denoiser: &mut ProcessDenoiser) -> Result<Vec<Latent>, DenoiserError>
         is_reference: position == 0,
         condition: &conditions[position],
     };
-    denoiser.predict(&(0..4).map(frame).collect::<Vec<_>>())
+    call(&(0..4).map(frame).collect::<Vec<_>>())
 }
 
 /// Returns the error of a call, and checks that later calls fail too.
@@ -245,6 +257,45 @@ fn denoisers_see_what_is_promised() {
     use pskel_generate::NoiseSource;
     let noise = (0..4).flat_map(|frame| NOISE.clone().noise(SHAPE, frame, 0).values().to_vec());
     assert_eq!(latents, noise.collect::<Vec<f32>>());
+}
+
+/// A process that says so gets one call for both halves, another one two.
+#[test]
+fn guidance_takes_one_call_of_a_process_that_predicts_both_halves() {
+    let folder = tempfile::tempdir().unwrap();
+    let filled = |value: &str| format!("('F32', SHAPE, array.array('f', [{value}] * 144).tobytes())");
+    let both = format!(
+        "see()\nsay(HELLO | {{'guidance': 'true'}})\nfor call in '01':\n    texts, _ = see()\n    \
+         assert texts['dropped'] == '[\"layout\",\"action\"]', texts\n    \
+         say({{'call': call}}, prediction={}, unconditional={})",
+        filled("3.0"),
+        filled("1.0")
+    );
+    let twice = format!(
+        "see()\nsay(HELLO)\nfor call in range(4):\n    texts, _ = see()\n    assert 'dropped' not in texts\n    \
+         assert (texts['prompts'] == '[\"\", \"\", \"\", \"\"]'.replace(' ', '')) == (call % 2 == 1), texts\n    \
+         say({{'call': str(call)}}, prediction={} if call % 2 == 0 else {})",
+        filled("3.0"),
+        filled("1.0")
+    );
+    for lines in [both, twice] {
+        let mut denoiser = start(script(folder.path(), &lines), PATIENT_S).unwrap();
+        for _ in 0..2 {
+            let GuidedPrediction { conditional, unconditional } = guided(&mut denoiser).unwrap();
+            assert_eq!(conditional, vec![Latent::filled(SHAPE, 3.0); 4]);
+            assert_eq!(unconditional, vec![Latent::filled(SHAPE, 1.0); 4]);
+        }
+    }
+    let one = format!("see()\nsay(HELLO | {{'guidance': 'true'}})\nsee()\nsay(prediction={})", filled("3.0"));
+    let message =
+        guided(&mut start(script(folder.path(), &one), PATIENT_S).unwrap()).unwrap_err().to_string();
+    assert!(message.contains("a tensor `unconditional` from the denoiser, found prediction"), "{message}");
+    let wrong = script(folder.path(), "see()\nsay(HELLO | {'guidance': 'yes'})\nsee()");
+    let message = refused(wrong, PATIENT_S).to_string();
+    assert!(
+        message.contains("`guidance` \"true\" or \"false\" from the denoiser, found \"yes\""),
+        "{message}"
+    );
 }
 
 /// Eighths up to 18 are exact in all of these types.
