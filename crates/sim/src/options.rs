@@ -93,7 +93,8 @@ pub enum PathAnchor {
     /// At the takeover: the ego drives along the path once.
     #[default]
     Takeover,
-    /// At each plan: each plan is the path from the current pose on, as in the reference implementation of the paper.
+    /// At each plan: each plan is the path from the current pose on. The reference implementation of the paper does so, but
+    /// covers the whole path in 2.2 s.
     EachPlan,
 }
 
