@@ -57,6 +57,8 @@ impl Distorter {
     pub fn pinholes(&mut self, state: &SceneState) -> Result<PinholeStep, ConditionError> {
         let mut state = state.clone();
         let mut warps = Vec::with_capacity(state.cameras.len());
+        // Pinhole images are drawn at the scale of the recorded ones, and are larger where the lens shows more.
+        let line_scales = state.cameras.iter().map(|camera| self.options.line_scale(&camera.view)).collect();
         for camera in &mut state.cameras {
             let drawn = self.options.drawn_view(&camera.view).camera;
             let warp = self.warp(&drawn)?;
@@ -68,7 +70,8 @@ impl Distorter {
         let asked = self.options.clone();
         // Model tensors are encoded from the distorted maps.
         let maps = asked.maps.with_parts(state.map.is_some()).without(MapKind::Tensor);
-        let options = ConditionOptions { maps, size: None, out_size: None, ..asked.clone() };
+        let line_scales = Some(line_scales);
+        let options = ConditionOptions { maps, size: None, out_size: None, line_scales, ..asked.clone() };
         Ok(PinholeStep { state, options, asked, warps })
     }
 

@@ -62,6 +62,9 @@ pub struct ConditionOptions {
     pub depth_embedding: DepthEmbedding,
     /// How layouts are drawn.
     pub layout: LayoutStyle,
+    /// Scales of line widths by view, for views that are not those of the recorded images (see [`Self::line_scale`]).
+    #[serde(skip)]
+    pub line_scales: Option<Vec<f32>>,
 }
 
 impl ConditionOptions {
@@ -70,6 +73,12 @@ impl ConditionOptions {
         let camera =
             self.size.map_or_else(|| view.camera.clone(), |s| view.camera.resized(s.height, s.width));
         View { camera, camera_from_world: view.camera_from_world }
+    }
+
+    /// Returns the width at which a view is drawn relative to that of its camera's own image, which scales the lines of
+    /// layouts.
+    pub fn line_scale(&self, view: &View) -> f32 {
+        self.drawn_view(view).camera.width as f32 / view.camera.width as f32
     }
 
     /// Returns the size of a camera's maps as written.
@@ -91,6 +100,7 @@ impl Default for ConditionOptions {
             depth_bins: DepthBins::default(),
             depth_embedding: DepthEmbedding::default(),
             layout: LayoutStyle::default(),
+            line_scales: None,
         }
     }
 }

@@ -108,6 +108,7 @@ impl MapArgs {
             depth_bins: DepthBins { scale: self.depth_bins, far_m, ..DepthBins::default() },
             depth_embedding: self.depth_embedding,
             layout: LayoutStyle { line_width: self.line_width, map_layers: self.map_layers },
+            line_scales: None,
         }
     }
 

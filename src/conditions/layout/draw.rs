@@ -33,12 +33,18 @@ pub(crate) fn draw(
 ) -> Layouts {
     let filters = filters(views, options);
     let shown = [actors.map(Shown::Boxes), map.map(Shown::Map)];
-    let tasks: Vec<(Shown<'_>, &View)> =
-        shown.iter().flatten().flat_map(|shown| views.iter().map(|view| (*shown, view))).collect();
-    let layout = |(shown, view): &(Shown<'_>, &View)| {
+    let scale = |(place, view): (usize, &View)| {
+        let given = options.line_scales.as_ref().and_then(|scales| scales.get(place).copied());
+        given.unwrap_or_else(|| options.line_scale(view))
+    };
+    let scales: Vec<f32> = views.iter().enumerate().map(scale).collect();
+    let tasks: Vec<(Shown<'_>, &View, f32)> = (shown.iter().flatten())
+        .flat_map(|shown| views.iter().zip(&scales).map(|(view, scale)| (*shown, view, *scale)))
+        .collect();
+    let layout = |(shown, view, scale): &(Shown<'_>, &View, f32)| {
         let (drawn, to) = (options.drawn_view(view), options.written_size(view));
         let size = ImageSize::of(&drawn.camera);
-        let width_px = options.layout.width_px(ImageSize::of(&view.camera), size);
+        let width_px = options.layout.width_px(*scale);
         let segments = match shown {
             Shown::Boxes(actors) => {
                 box_segments(actors, &drawn).into_iter().map(|segment| (segment, 1.0)).collect()

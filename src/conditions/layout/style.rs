@@ -1,7 +1,6 @@
 use serde::{Deserialize, Serialize};
 
 use super::LINE_WIDTH_PX;
-use crate::geometry::ImageSize;
 use crate::scene::MapLayer;
 
 /// How layouts are drawn.
@@ -41,13 +40,11 @@ impl Default for LayoutStyle {
 }
 
 impl LayoutStyle {
-    /// Returns the width of wide lines in a layout of a camera of size `own` that is drawn at size `drawn`, pixels.
-    pub(super) fn width_px(self, own: ImageSize, drawn: ImageSize) -> f32 {
+    /// Returns the width of wide lines, pixels, in a layout that is drawn at this scale of the camera's own size.
+    pub(super) fn width_px(self, scale: f32) -> f32 {
         match self.line_width {
             LineWidth::Fixed => LINE_WIDTH_PX,
-            LineWidth::Scaled => {
-                (LINE_WIDTH_PX * drawn.width as f32 / own.width as f32).clamp(1.0, 2.0 * LINE_WIDTH_PX)
-            }
+            LineWidth::Scaled => (LINE_WIDTH_PX * scale).clamp(1.0, 2.0 * LINE_WIDTH_PX),
         }
     }
 }
@@ -70,14 +67,11 @@ mod tests {
 
     #[test]
     fn widths_follow_the_drawn_size() {
-        let size = |height, width| ImageSize { height, width };
         let scaled = LayoutStyle::default();
         let fixed = LayoutStyle { line_width: LineWidth::Fixed, ..scaled };
-        for (drawn, width_px) in
-            [(size(900, 1600), 8.0), (size(450, 800), 4.0), (size(64, 112), 1.0), (size(4000, 6400), 16.0)]
-        {
-            assert_eq!(scaled.width_px(size(900, 1600), drawn), width_px);
-            assert_eq!(fixed.width_px(size(900, 1600), drawn), 8.0);
+        for (scale, width_px) in [(1.0, 8.0), (0.5, 4.0), (0.07, 1.0), (4.0, 16.0)] {
+            assert_eq!(scaled.width_px(scale), width_px);
+            assert_eq!(fixed.width_px(scale), 8.0);
         }
     }
 }
