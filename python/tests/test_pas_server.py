@@ -93,6 +93,10 @@ def test_other_requests_are_refused(capsys: pytest.CaptureFixture[str], base: Pa
     assert refused(texts, without) == "expected the tensor action of [3, 3], found none"
     prompts = {**texts, "prompts": '["", ""]'}
     assert refused(prompts, tensors) == 'expected prompts as a list of 3 texts in the call, found ["", ""]'
+    dropped = {**texts, "dropped": '["layout", ["color"]]'}
+    assert refused(dropped, tensors) == 'expected dropped as a list of texts in the call, found ["layout", ["color"]]'
+    unknown = {**texts, "dropped": '["text"]'}
+    assert refused(unknown, tensors) == "expected parts of layout, action, color, depth, found text"
     assert refused({"ask": "train"}, {}) == "expected ask of predict, encode or decode, found train"
     image = {"images": np.zeros((V, 3, H, H), np.float32)}
     assert refused({"ask": "encode"}, image) == "expected the tensor images of [6, 3, 32, 64], found [6, 3, 32, 32]"

@@ -39,8 +39,9 @@ impl Captions {
         let mut captions: Vec<(i64, String)> = Vec::new();
         for frame in &log.frames {
             let caption = frame.images.iter().find_map(|image| self.0.get(&image.token)).or(of_log);
-            if let Some(caption) =
-                caption.filter(|caption| captions.last().is_none_or(|last| last.1 != **caption))
+            let last = captions.last().map(|(_, caption)| caption);
+            if let Some(caption) = caption
+                && last != Some(caption)
             {
                 captions.push((frame.t_us, caption.clone()));
             }

@@ -7,7 +7,8 @@
 //! [`CollectedFeatures`] computes distances between the features of many rollouts, and [`MeanInterval`] averages
 //! over rollouts. These read no files. [`evaluate`] scores the rollouts in folders, `fidelity` (feature `town`) compares
 //! the maps of the synthetic town with its ground truth, and `ablate` (feature `network`) generates images with variants
-//! of the generator and compares their scores. [`protocol`] defines evaluation protocols. [`bench`](mod@bench) measures the speed of rendering.
+//! of the generator and compares their scores. [`protocol`] defines evaluation protocols, and [`bench`](mod@bench) measures
+//! the speed of rendering.
 
 #[cfg(feature = "network")]
 pub mod ablate;

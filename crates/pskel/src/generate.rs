@@ -7,6 +7,7 @@ use std::sync::Arc;
 use clap::Args;
 use point_skeleton::dataset::{LogFormat, LogLocator};
 use point_skeleton::scene::EgoOffset;
+use pskel_eval::protocol::ClipClock;
 use pskel_generate::{CopiedLog, check_dataset_copy, copy_dataset};
 use pskel_network::NetworkName;
 
@@ -14,7 +15,7 @@ use super::generator::GeneratorArgs;
 use super::log_args::{self, LogRoots};
 use super::map_args::MapArgs;
 use super::rasterizer::RasterizerArgs;
-use super::simulate::{self, ClipArgs, EgoName, GenerationArgs, SimulateArgs, StepClock};
+use super::simulate::{self, ClipArgs, EgoName, GenerationArgs, SimulateArgs};
 use super::substitutes::SubstituteArgs;
 use super::{WrongUsage, numbers, say};
 
@@ -109,7 +110,7 @@ impl GenerateArgs {
             out: self.out,
             generation: GenerationArgs { generator: Some(self.generator), options: self.generating },
             steps: self.steps,
-            clock: StepClock::Frames(self.every.map(usize::from)),
+            clock: self.every.map(|every| ClipClock::Frames(usize::from(every))),
             ego: EgoName::Replay,
             least_warmup: false,
             start: self.start,

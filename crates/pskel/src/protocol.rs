@@ -3,6 +3,7 @@
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -16,10 +17,11 @@ use point_skeleton::files::input::{is_there, read_table};
 use point_skeleton::files::{OutputFolder, write_json, write_whole};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use point_skeleton::skeleton;
-use pskel_eval::protocol::{Clip, ClipClock, Part, PartRollouts, Protocol, ProtocolReport};
+use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport};
 use pskel_generate::{CopiedLog, DenoiserRig, check_dataset_copy, copy_dataset};
 use pskel_network::NetworkName;
-use pskel_sim::Rates;
+use pskel_sim::report::ROLLOUT;
+use pskel_sim::{Rates, rollout};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -29,7 +31,7 @@ use super::log_args::{self, LogRoots};
 use super::map_args::MapArgs;
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
-use super::simulate::{self, ClipArgs, EgoName, GenerationArgs, SimulateArgs, StepClock};
+use super::simulate::{self, ClipArgs, EgoName, GenerationArgs, SimulateArgs};
 use super::substitutes::SubstituteArgs;
 use super::{WrongUsage, logs, say, tell};
 
@@ -118,7 +120,7 @@ struct Run<'a> {
     /// Parts and their rollouts so far.
     parts: Vec<PartRollouts>,
     /// Logs whose images are copied into a data set, with their rollouts.
-    copied: Vec<(Box<dyn Dataset>, PathBuf)>,
+    copied: Vec<(Rc<dyn Dataset>, PathBuf)>,
     /// Names of the logs with rollouts.
     logs: Vec<String>,
 }
@@ -241,7 +243,7 @@ impl ProtocolArgs {
 impl Run<'_> {
     /// Generates the clips of a log in all parts, after building its skeleton if it does not exist.
     fn generate(&mut self, locator: &LogLocator) -> anyhow::Result<()> {
-        let dataset = logs::open_by(locator, &self.opener)?;
+        let dataset: Rc<dyn Dataset> = logs::open_by(locator, &self.opener)?.into();
         let log = dataset.log();
         anyhow::ensure!(!self.logs.contains(&log.name), "expected each name once, found {} again", log.name);
         let skeleton = self.args.skeletons.join(&log.name);
@@ -267,7 +269,7 @@ impl Run<'_> {
         for (place, clip, out) in done {
             let part = &mut self.parts[place];
             if part.part.copies_dataset {
-                self.copied.push((logs::open_by(locator, &self.opener)?, out.clone()));
+                self.copied.push((Rc::clone(&dataset), out.clone()));
             }
             part.frames += clip.frames - self.references;
             part.folders.push(out);
@@ -284,7 +286,7 @@ impl Run<'_> {
         clip: &Clip,
         out: &Path,
     ) -> anyhow::Result<()> {
-        if is_finished(out)? {
+        if rollout::is_finished(out)? {
             return Ok(());
         }
         let args = self.args;
@@ -298,16 +300,13 @@ impl Run<'_> {
             out: out.to_owned(),
             generation,
             steps: clip.steps(),
-            clock: match clip.clock {
-                ClipClock::Frames(every) => StepClock::Frames(Some(every)),
-                ClipClock::Rates(rates) => StepClock::Rates(rates),
-            },
+            clock: Some(clip.clock),
             ego,
             least_warmup: true,
             start: Some(clip.start_us),
             ego_offset: None,
             maps: args.maps.clone(),
-            resume: is_there(&out.join("rollout.json"))?,
+            resume: is_there(&out.join(ROLLOUT))?,
             resume_from: None,
             profile: None,
             annotations: args.annotations.clone(),
@@ -356,16 +355,4 @@ fn check_one_dataset(part: &Part, logs: &[LogLocator]) -> Result<(), WrongUsage>
             "expected recordings nuscenes:.. of one folder for part {name}, found {other}"
         )))
     })
-}
-
-/// Returns whether a folder has a rollout that has ended without failure.
-fn is_finished(rollout: &Path) -> Result<bool, FileError> {
-    let path = rollout.join("metrics.json");
-    // The index is written last.
-    if !is_there(&path)? || !is_there(&rollout.join("index.json"))? {
-        return Ok(false);
-    }
-    let metrics: Value = serde_json::from_slice(&read_table(&path)?)
-        .map_err(|error| FileError::content("metrics of a rollout", error.to_string(), &path))?;
-    Ok(metrics.get("failure").is_some_and(Value::is_null))
 }

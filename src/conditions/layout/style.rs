@@ -4,8 +4,7 @@ use super::LINE_WIDTH_PX;
 use crate::scene::MapLayer;
 
 /// How layouts are drawn.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct LayoutStyle {
     /// Width of the lines.
     pub line_width: LineWidth,

@@ -13,8 +13,10 @@ pub use report::Report;
 
 use std::path::PathBuf;
 
+use rayon::prelude::*;
+
 use self::report::ScoredRollout;
-use self::rollout::{Frame, GeneratedRollout};
+use self::rollout::GeneratedRollout;
 use self::segmentor::{Masks, Segmentors};
 use crate::{CollectedFeatures, RandomConvNet, RolloutScores, ScoredFrame, Scores};
 
@@ -66,35 +68,49 @@ pub fn evaluate(
     let mut collected = CollectedFeatures::default();
     let mut scored = Vec::new();
     for (number, rollout) in rollouts.iter().enumerate() {
-        let masks = |index: usize, frame: &Frame| segmentors.masks(rollout, number, index, frame);
-        let (scores, features) = score(rollout, &net, &masks, on_step)?;
+        let (scores, features) = score(rollout, number, &net, &segmentors, on_step)?;
         collected.append(&features);
         scored.push(ScoredRollout::new(rollout, scores));
     }
     if !references.is_empty() {
         let mut reference = CollectedFeatures::default();
         for rollout in &references {
-            reference.append(&score(rollout, &net, &|_, _| Ok(Vec::new()), on_step)?.1);
+            reference.append(&truth_features(rollout, &net, on_step)?);
         }
         collected = collected.with_truth_of(&reference);
     }
     Ok(Report::new(scored, &collected, &segmentors, features, *seed)?)
 }
 
-/// Masks of a step, by its index and images.
-type StepMasks<'a> = &'a dyn Fn(usize, &Frame) -> Result<Vec<Masks>, EvaluateError>;
+/// Returns the features of the ground-truth images of a rollout.
+fn truth_features(
+    rollout: &GeneratedRollout,
+    net: &RandomConvNet,
+    on_step: &mut dyn FnMut(&str),
+) -> Result<CollectedFeatures, EvaluateError> {
+    let mut features = vec![Vec::new(); rollout.cameras.len()];
+    for step in &rollout.steps {
+        let truth = rollout.truth(step)?;
+        let of_camera = |camera: usize| truth.as_ref().and_then(|images| net.features(&images[camera]));
+        let of_step: Vec<_> = (0..features.len()).into_par_iter().map(of_camera).collect();
+        features.iter_mut().zip(of_step).for_each(|(all, features)| all.push(features));
+        on_step(&rollout.name_of(step));
+    }
+    Ok(CollectedFeatures::of(net, &[], &features))
+}
 
 /// Scores all steps of a rollout.
 fn score(
     rollout: &GeneratedRollout,
+    number: usize,
     net: &RandomConvNet,
-    masks: StepMasks<'_>,
+    segmentors: &Segmentors,
     on_step: &mut dyn FnMut(&str),
 ) -> Result<(Scores, CollectedFeatures), EvaluateError> {
     let mut scores = RolloutScores::new(net.clone());
     for (index, step) in rollout.steps.iter().enumerate() {
         let frame = rollout.read(step)?;
-        let masks = masks(index, &frame)?;
+        let masks = segmentors.masks(rollout, number, index, &frame)?;
         let segmented: Vec<_> = masks.iter().map(Masks::borrowed).collect();
         let scored = ScoredFrame {
             t_s: step.t_s,
@@ -105,7 +121,7 @@ fn score(
             segmented: &segmented,
         };
         scores.push(&scored).map_err(EvaluateError::at(&step.folder))?;
-        on_step(&format!("{}, step {}", rollout.folder.display(), step.name));
+        on_step(&rollout.name_of(step));
     }
     Ok(scores.finish())
 }

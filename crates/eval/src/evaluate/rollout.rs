@@ -121,7 +121,13 @@ impl GeneratedRollout {
         Ok(self.maps(step, "class", picture::class)?.map(|class| (truth, class)))
     }
 
-    fn truth(&self, step: &Step) -> Result<Option<Vec<RgbImage>>, FileError> {
+    /// Returns the name of a step in messages.
+    pub(super) fn name_of(&self, step: &Step) -> String {
+        format!("{}, step {}", self.folder.display(), step.name)
+    }
+
+    /// Reads the ground-truth images of a step; `None` if there are none.
+    pub(super) fn truth(&self, step: &Step) -> Result<Option<Vec<RgbImage>>, FileError> {
         step.folder.join(TRUTH).is_dir().then(|| self.images(step, TRUTH)).transpose()
     }
 

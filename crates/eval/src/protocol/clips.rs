@@ -88,20 +88,23 @@ impl Part {
     /// Returns the clock of its clips of a log, and the rate of their frames in hertz. Parts that follow the log step from
     /// frame to frame if its frames have their rate, since ground-truth images are those of frames.
     fn clock(&self, log: &Recording, rates: Rates) -> (ClipClock, f64) {
-        let (rates, any) = match self.rates {
-            PartRates::Frames(hz) => (Rates { sim_hz: hz, plan_hz: hz }, true),
-            PartRates::Fixed(rates) => (rates, false),
-            PartRates::OfLog => (rates, false),
+        // The stride of frames that is closest to a rate, and the rate of these frames.
+        let by_frames = |hz: f64| {
+            let log_hz = frame_rate_hz(&log.frames).unwrap_or(hz);
+            let every = (log_hz / hz).round().max(1.0);
+            (ClipClock::Frames(every as usize), log_hz / every)
         };
-        let log_hz = frame_rate_hz(&log.frames).unwrap_or(rates.plan_hz);
-        let every = (log_hz / rates.plan_hz).round().max(1.0);
-        let hz = log_hz / every;
-        let fits = self.ego == EgoPolicy::Replay && (hz / rates.plan_hz - 1.0).abs() < RATE_TOLERANCE;
-        if any || fits {
-            (ClipClock::Frames(every as usize), hz)
-        } else {
-            (ClipClock::Rates(rates), rates.plan_hz)
+        let rates = match self.rates {
+            PartRates::Frames(hz) => return by_frames(hz),
+            PartRates::Fixed(rates) => rates,
+            PartRates::OfLog => rates,
+        };
+        let (frames, hz) = by_frames(rates.plan_hz);
+        let fits = (hz / rates.plan_hz - 1.0).abs() < RATE_TOLERANCE;
+        if fits && self.ego == EgoPolicy::Replay {
+            return (frames, hz);
         }
+        (ClipClock::Rates(rates), rates.plan_hz)
     }
 }
 

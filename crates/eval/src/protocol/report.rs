@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
+use pskel_sim::rollout::METRICS;
 use serde::{Deserialize, Serialize};
 
 use super::definition::{Part, Protocol};
@@ -161,7 +162,7 @@ impl Logs {
 
 impl Driving {
     fn read(rollouts: &[PathBuf]) -> Result<Self, FileError> {
-        let read = |folder: &PathBuf| Metrics::read(&folder.join("metrics.json"));
+        let read = |folder: &PathBuf| Metrics::read(&folder.join(METRICS));
         let metrics = rollouts.iter().map(read).collect::<Result<Vec<_>, _>>()?;
         let shares: Vec<f64> = metrics
             .iter()

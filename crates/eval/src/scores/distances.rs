@@ -46,7 +46,7 @@ pub struct Distances {
 impl CollectedFeatures {
     /// Collects the features of a rollout, by camera and step. The sets are compared as a whole, so generated
     /// images without ground truth count, too.
-    pub(super) fn of(
+    pub(crate) fn of(
         net: &RandomConvNet,
         generated: &[Vec<Option<Vec<f64>>>],
         truth: &[Vec<Option<Vec<f64>>>],

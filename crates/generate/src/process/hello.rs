@@ -90,11 +90,12 @@ pub(super) fn read_hello(answer: &[u8], taken: &DenoiserInputs) -> Result<Denois
             return Err(ProtocolError::new(expected, answer.quoted("guidance")));
         }
     };
-    // Half of the limit leaves room for the header. With guidance there are two predictions.
-    let share = if is_guided { 4 } else { 2 };
-    let most = (MAX_ANSWER_BYTES / share) as usize / size_of::<f32>() / taken.window.max(1);
-    if shape.len() > most {
-        let expected = format!("`latent_shape` of at most {most} values in a window of {}", taken.window);
+    // Half of the limit leaves room for the header.
+    let most = (MAX_ANSWER_BYTES / 2) as usize / size_of::<f32>() / taken.window.max(1);
+    let most_latents = if is_guided { most / 2 } else { most };
+    if shape.len() > most_latents {
+        let expected =
+            format!("`latent_shape` of at most {most_latents} values in a window of {}", taken.window);
         return Err(ProtocolError::new(expected, answer.quoted("latent_shape")));
     }
     let images = answer.texts.get("image_size").map(|text| {

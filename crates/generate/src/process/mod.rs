@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use point_skeleton::geometry::ImageSize;
-use pskel_sim::peer::PeerSpec;
+use pskel_sim::peer::{PeerSpec, ProtocolError};
 
 use self::call::{read_guided, read_prediction, request};
 use self::codec::ProcessCodec;
@@ -69,6 +69,20 @@ impl ProcessDenoiser {
         Ok((Box::new(codec), ImageSize { height, width }))
     }
 
+    /// Sends a window and reads the answer.
+    fn ask<T>(
+        &mut self,
+        window: &[Frame<'_, FrameConditions>],
+        dropped: Option<DroppedConditions>,
+        read: fn(&[u8], DenoiserOutputs, usize, u64) -> Result<T, ProtocolError>,
+    ) -> Result<T, DenoiserError> {
+        self.check(window)?;
+        let (call, given) = (self.calls, self.given);
+        self.calls += 1;
+        let request = request(window, given.shape, call, dropped)?;
+        self.shared.ask(request, |answer| read(answer, given, window.len(), call))
+    }
+
     /// Checks that a window matches the hello.
     fn check(&self, window: &[Frame<'_, FrameConditions>]) -> Result<(), DenoiserError> {
         let DenoiserInputs { window: frames, views, size, .. } = self.taken;
@@ -108,11 +122,7 @@ impl Denoiser for ProcessDenoiser {
     }
 
     fn predict(&mut self, window: &[Frame<'_, FrameConditions>]) -> Result<Vec<Latent>, DenoiserError> {
-        self.check(window)?;
-        let (call, given) = (self.calls, self.given);
-        self.calls += 1;
-        let request = request(window, given.shape, call, None)?;
-        self.shared.ask(request, |answer| read_prediction(answer, given, window.len(), call))
+        self.ask(window, None, read_prediction)
     }
 
     fn predict_guided(
@@ -123,10 +133,6 @@ impl Denoiser for ProcessDenoiser {
         if !self.given.is_guided {
             return predict_twice(self, window, dropped);
         }
-        self.check(window)?;
-        let (call, given) = (self.calls, self.given);
-        self.calls += 1;
-        let request = request(window, given.shape, call, Some(dropped))?;
-        self.shared.ask(request, |answer| read_guided(answer, given, window.len(), call))
+        self.ask(window, Some(dropped), read_guided)
     }
 }

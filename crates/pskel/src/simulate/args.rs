@@ -8,7 +8,7 @@ use point_skeleton::dataset::{LogLocator, LogOpener, MovedEgo};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
 use point_skeleton::skeleton::Skeleton;
 #[cfg(feature = "network")]
-use pskel_sim::Rates;
+use pskel_eval::protocol::ClipClock;
 use pskel_sim::rollout::ResumeAfter;
 use pskel_sim::{
     ActorPolicy, EgoPolicy, LocalPath, PathAnchor, PlannerAddress, PlannerSpec, Scenario, SimOptions,
@@ -114,7 +114,8 @@ pub(crate) struct ClipArgs {
     pub(crate) out: PathBuf,
     pub(crate) generation: GenerationArgs,
     pub(crate) steps: usize,
-    pub(crate) clock: StepClock,
+    /// `None` for the frames of the log, at the default stride.
+    pub(crate) clock: Option<ClipClock>,
     pub(crate) ego: EgoName,
     pub(crate) least_warmup: bool,
     pub(crate) start: Option<i64>,
@@ -127,16 +128,6 @@ pub(crate) struct ClipArgs {
     pub(crate) stand_ins: SubstituteArgs,
     pub(crate) rasterizer: RasterizerArgs,
     pub(crate) opener: Arc<LogOpener>,
-}
-
-/// Steps of a clip.
-#[cfg(feature = "network")]
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum StepClock {
-    /// Every N-th frame of the log, or the default.
-    Frames(Option<usize>),
-    /// Fixed rates.
-    Rates(Rates),
 }
 
 /// Policies of ego and actors, and their rates.
@@ -228,8 +219,9 @@ impl SimulateArgs {
     /// Creates options for generating a clip of a log, whose other actors follow the log.
     pub(crate) fn of_clip(clip: ClipArgs) -> Self {
         let (frames, rates) = match clip.clock {
-            StepClock::Frames(every) => (Some(EveryFrames(every)), None),
-            StepClock::Rates(rates) => (None, Some(rates)),
+            None => (Some(EveryFrames(None)), None),
+            Some(ClipClock::Frames(every)) => (Some(EveryFrames(Some(every))), None),
+            Some(ClipClock::Rates(rates)) => (None, Some(rates)),
         };
         let policies = PolicyArgs {
             ego: clip.ego,

@@ -7,7 +7,7 @@ mod summary;
 
 pub(super) use args::SimulateArgs;
 #[cfg(feature = "network")]
-pub(super) use args::{ClipArgs, EgoName, StepClock};
+pub(super) use args::{ClipArgs, EgoName};
 #[cfg(feature = "network")]
 pub(super) use generation::GenerationArgs;
 

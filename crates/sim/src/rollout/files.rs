@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 pub(super) use crate::report::{ROLLOUT, STATES, STEPS};
 
 pub(super) const INDEX: &str = "index.json";
-pub(super) const METRICS: &str = "metrics.json";
+/// Metrics of the driving, and the reason for the end.
+pub const METRICS: &str = "metrics.json";
 pub(super) const VIDEO: &str = "rollout.mp4";
 pub(super) const PAGE: &str = "index.html";
 pub(super) const META: &str = "meta.json";

@@ -1,7 +1,10 @@
+use std::path::Path;
+
 use point_skeleton::conditions::meta::Index;
-use point_skeleton::error::with_causes;
+use point_skeleton::error::{FileError, with_causes};
+use point_skeleton::files::input::{is_there, read_table};
 use point_skeleton::files::{OutputFolder, write_json};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::error::RolloutError;
 use super::files::{INDEX, METRICS, PAGE, STATES, VIDEO};
@@ -19,6 +22,27 @@ pub(super) const TRACES: [(&str, [u8; 4]); 3] = [
     ("driven path", [64, 196, 255, 230]),
     ("plan", [255, 201, 77, 255]),
 ];
+
+/// Part of `metrics.json` that says whether a step failed.
+#[derive(Deserialize)]
+struct Ending {
+    failure: Option<String>,
+}
+
+/// Returns whether a folder has a rollout that ended without a failure, and all of its files.
+///
+/// # Errors
+/// Fails if its metrics cannot be read.
+pub fn is_finished(folder: &Path) -> Result<bool, FileError> {
+    let path = folder.join(METRICS);
+    // The index is written last.
+    if !is_there(&path)? || !is_there(&folder.join(INDEX))? {
+        return Ok(false);
+    }
+    let ending: Ending = serde_json::from_slice(&read_table(&path)?)
+        .map_err(|error| FileError::content("metrics of a rollout", error.to_string(), &path))?;
+    Ok(ending.failure.is_none())
+}
 
 /// Content of `metrics.json`.
 #[derive(Serialize)]

@@ -25,6 +25,8 @@ mod tests;
 mod video;
 
 pub use error::{AnyError, RolloutError};
+pub use files::METRICS;
+pub use finish::is_finished;
 pub use generator::{GenerationTimes, ImageGenerator};
 pub use options::{InputPaths, ResumeAfter, RolloutInputs, RolloutOptions};
 pub use profile::{Profile, lap};

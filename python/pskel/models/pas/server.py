@@ -109,6 +109,8 @@ def _answered(denoiser: Denoiser, hello: Hello, message: Message) -> tuple[dict[
         call = {name: texts[name] for name in ("call",) if name in texts}
         if "dropped" in texts:
             dropped = _list(texts, "dropped", "the call")
+            if not all(isinstance(part, str) for part in dropped):
+                raise ValueError(f"expected dropped as a list of texts in the call, found {texts['dropped'][:200]}")
             both = denoiser.predict_guided(tensors["latents"], tensors["timesteps"], conditions, dropped)
             return call, dict(zip(("prediction", "unconditional"), both))
         return call, {"prediction": denoiser(tensors["latents"], tensors["timesteps"], tensors["sigmas"], conditions)}
