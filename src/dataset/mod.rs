@@ -31,7 +31,8 @@ pub use moved_ego::MovedEgo;
 pub use open::{LogOpener, expand, open};
 pub use picture::{picture_size, read_picture};
 pub use recording::{
-    Frame, ImageRecord, LogOutline, Recording, RigCamera, SweepRecord, Track, TrackBox, TrafficLight,
+    Frame, ImageRecord, LogOutline, MapFiles, NavigationRoute, Recording, RigCamera, SweepRecord, Track,
+    TrackBox, TrafficLight,
 };
 pub use summary::{BoxCounts, CameraSummary, EgoPath, LogSummary, MapCounts};
 

@@ -28,6 +28,10 @@ pub struct Recording {
     pub scenarios: BTreeMap<String, Vec<usize>>,
     /// Traffic light states, sorted by frame, then by lane connector.
     pub lights: Vec<TrafficLight>,
+    /// Routes to the destination, sorted by first frame; empty if the dataset has none.
+    pub routes: Vec<NavigationRoute>,
+    /// Files of the HD map, for programs that read them on their own; `None` if there are none.
+    pub map_files: Option<MapFiles>,
     /// Number of items that the reader skipped or missed, by kind.
     pub notes: BTreeMap<String, usize>,
 }
@@ -57,6 +61,26 @@ pub struct TrafficLight {
     pub lane_connector: String,
     /// Color as named by the dataset: `green`, `yellow`, `red` or `unknown`.
     pub color: String,
+}
+
+/// Route of the ego to its destination, from a frame on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NavigationRoute {
+    /// Index in [`Recording::frames`] of the first frame.
+    pub frame: usize,
+    /// Ids of the roadblocks and roadblock connectors of the map, in driving order.
+    pub roadblocks: Vec<String>,
+    /// Destination, a global pose of the ego; `None` if unknown.
+    pub goal: Option<Pose>,
+}
+
+/// Location of an HD map's files.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MapFiles {
+    /// Name of the map.
+    pub name: String,
+    /// Absolute folder of all maps.
+    pub root: PathBuf,
 }
 
 /// Tracked object.
@@ -172,6 +196,12 @@ impl Recording {
         }
     }
 
+    /// Returns the route at a time: that of the last frame up to it, or of the first frame.
+    pub fn route_at(&self, t_us: i64) -> Option<&NavigationRoute> {
+        let frame = self.frames.partition_point(|f| f.t_us <= t_us).saturating_sub(1);
+        self.routes.iter().rev().find(|route| route.frame <= frame)
+    }
+
     /// Returns whether a time lies within the log.
     pub fn covers(&self, t_us: i64) -> bool {
         let ends = self.frames.first().zip(self.frames.last());
@@ -239,5 +269,15 @@ mod tests {
         assert_eq!(log.boxes_at(0).len(), 2);
         assert!(log.boxes_at(200).is_empty() && log.covers(100) && !log.covers(200));
         assert_eq!(log.track_boxes(1).len(), 2);
+    }
+
+    #[test]
+    fn routes_hold_until_the_next() {
+        let route = |frame: usize| NavigationRoute { frame, roadblocks: vec![frame.to_string()], goal: None };
+        let frames = [0, 100, 200].map(|t_us| frame(t_us, 0.0, &[])).to_vec();
+        let log = Recording { frames, routes: vec![route(0), route(2)], ..Recording::default() };
+        let at = |t_us: i64| log.route_at(t_us).map(|route| route.frame);
+        assert_eq!([-5, 0, 199, 200, 900].map(at), [Some(0), Some(0), Some(0), Some(2), Some(2)]);
+        assert_eq!(Recording::default().route_at(0), None);
     }
 }

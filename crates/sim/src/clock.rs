@@ -83,6 +83,11 @@ impl Clock {
         self.start_us.saturating_add((step as f64 * 1e6 / self.rates.sim_hz).round() as i64)
     }
 
+    /// Returns the time of a number of steps before the start, absolute microseconds.
+    pub(super) fn before_start(&self, steps: i64) -> i64 {
+        self.start_us.saturating_sub((steps as f64 * 1e6 / self.rates.sim_hz).round() as i64)
+    }
+
     /// Returns whether a plan is due at a step.
     pub(super) fn plans_at(&self, step: usize) -> bool {
         step >= self.takeover && step.is_multiple_of(self.steps_per_plan)
@@ -110,6 +115,7 @@ mod tests {
             [0, 1, 2, 3, 12, 1_200_000].map(|i| clock.at(i) - 1000),
             [0, 83_333, 166_667, 250_000, 1_000_000, 100_000_000_000]
         );
+        assert_eq!([1, 2, 12].map(|i| clock.before_start(i) - 1000), [-83_333, -166_667, -1_000_000]);
         assert_eq!((clock.steps_per_plan, clock.takeover), (6, 18));
         assert!(!clock.plans_at(12) && clock.plans_at(18) && !clock.plans_at(19) && clock.plans_at(24));
     }

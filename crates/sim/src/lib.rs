@@ -22,6 +22,7 @@ mod ego;
 mod error;
 mod external;
 mod fit;
+mod history;
 mod local_path;
 mod metrics;
 mod options;

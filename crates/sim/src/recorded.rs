@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::{EgoTrack, Recording, TrackBox, TrafficLight};
-use point_skeleton::geometry::{Cuboid, Pose, wrap_angle};
+use point_skeleton::geometry::{Cuboid, Foot, Pose, wrap_angle};
 
 use super::fit::motion;
 use super::route::Route;
@@ -18,6 +18,15 @@ const ACTOR_WINDOW_S: f64 = 0.6;
 const GAP_S: f64 = 1.0;
 /// Minimum speed for steering angles from yaw rates, meters per second.
 const CREEP_MPS: f64 = 0.5;
+
+/// Motion of a track: speeds along and across its heading, the latter to the left, meters per second, and yaw rate to
+/// the left, radians per second.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ActorMotion {
+    pub(super) speed_mps: f64,
+    pub(super) lateral_mps: f64,
+    pub(super) yaw_rate_radps: f64,
+}
 
 /// Recorded states of a log, interpolated at any time.
 pub(super) struct Recorded<'a> {
@@ -87,24 +96,40 @@ impl<'a> Recorded<'a> {
 
     /// Returns the recorded actors at a time, sorted by track.
     pub(super) fn actors_at(&self, t_us: i64) -> Vec<SimActor> {
-        let actor = |item: TrackBox| SimActor {
-            track: item.track,
-            cuboid: item.cuboid,
-            speed_mps: self.actor_motion(item.track, t_us).0,
+        let actor = |item: TrackBox| {
+            let moved = self.actor_motion(item.track, t_us);
+            SimActor {
+                track: item.track,
+                cuboid: item.cuboid,
+                speed_mps: moved.speed_mps,
+                lateral_mps: moved.lateral_mps,
+                yaw_rate_radps: moved.yaw_rate_radps,
+            }
         };
         let boxes = self.log.boxes_at(t_us);
         boxes.into_iter().filter(|b| b.track < self.tracks.len()).map(actor).collect()
     }
 
-    /// Returns a track's speed along its heading (meters per second) and its yaw rate to the left (radians per
-    /// second) at a time. Both come from a line fitted to the surrounding boxes.
-    pub(super) fn actor_motion(&self, track: usize, t_us: i64) -> (f64, f64) {
+    /// Returns a track's motion at a time, from a line fitted to the surrounding boxes.
+    pub(super) fn actor_motion(&self, track: usize, t_us: i64) -> ActorMotion {
         let near = window(&self.tracks[track], t_us, ACTOR_WINDOW_S, 2);
-        let Some((_, base)) = near.iter().min_by_key(|(at, _)| at.abs_diff(t_us)) else { return (0.0, 0.0) };
+        let Some((_, base)) = near.iter().min_by_key(|(at, _)| at.abs_diff(t_us)) else {
+            return ActorMotion::default();
+        };
         let poses: Vec<(i64, Pose)> = near.iter().map(|(at, cuboid)| (*at, cuboid.pose)).collect();
         let moved = motion(&samples(&poses, t_us, &base.pose), true);
-        let heading = DVec2::from_angle(base.pose.yaw_rad());
-        (moved.rate.truncate().dot(heading), moved.rate.z)
+        let (velocity, heading) = (moved.rate.truncate(), DVec2::from_angle(base.pose.yaw_rad()));
+        ActorMotion {
+            speed_mps: velocity.dot(heading),
+            lateral_mps: heading.perp_dot(velocity),
+            yaw_rate_radps: moved.rate.z,
+        }
+    }
+
+    /// Projects the log's ego at a time (microseconds) onto its own path.
+    pub(super) fn logged_foot(&self, ego: &EgoState, t_us: i64) -> Foot {
+        let place_m = ego.position_m();
+        self.route.around(self.route.station_at(t_us), place_m).foot(place_m)
     }
 
     /// Returns a track's boxes in time order, with absolute microseconds.

@@ -10,6 +10,9 @@ const KNOT_STEP_M: f64 = 0.1;
 /// Search window along the route before and after the ego's last station, meters. The distance driven since is added
 /// to it.
 const WINDOW_M: f64 = 25.0;
+/// Distance ahead and offset of turns in driving commands, meters. Source: OpenScene.
+const COMMAND_AHEAD_M: f64 = 20.0;
+const COMMAND_BESIDE_M: f64 = 2.0;
 
 /// Recorded route of the ego in a log, with ground poses.
 pub(super) struct Route {
@@ -67,6 +70,20 @@ impl Route {
         self.ground(station_m).yaw_rad()
     }
 
+    /// Returns the driving command at a projection of the ego: `left` or `right` if the route, 20 m ahead or at its end,
+    /// is at least 2 m beside its direction here, else `straight`; `unknown` past its end. Source: OpenScene, which does
+    /// so with the center line of the map's route.
+    pub(super) fn command(&self, ego: Foot) -> &'static str {
+        let Some(line) = self.line().filter(|line| ego.station_m < line.length_m()) else { return "unknown" };
+        let from_m = ego.station_m.max(0.0);
+        let arm = line.at((from_m + COMMAND_AHEAD_M).min(line.length_m())).0 - line.at(from_m).0;
+        match DVec2::from_angle(self.yaw_at(from_m)).perp_dot(arm) {
+            left_m if left_m >= COMMAND_BESIDE_M => "left",
+            left_m if left_m <= -COMMAND_BESIDE_M => "right",
+            _ => "straight",
+        }
+    }
+
     /// Returns the part of the route around an ego position, given as station and global position, meters.
     pub(super) fn around(&self, station_m: f64, place_m: DVec2) -> RouteWindow<'_> {
         RouteWindow { route: self, station_m, place_m }
@@ -116,6 +133,30 @@ mod tests {
         };
         let frames = poses.iter().enumerate().map(frame).collect();
         Route::new(&EgoTrack::new(&Recording { frames, ..Recording::default() }))
+    }
+
+    #[test]
+    fn commands_are_turns_within_20_m() {
+        let straight = route(&[0.0, 10.0, 20.0, 30.0].map(|x| Pose::from_yaw(0.0, DVec3::X * x)));
+        let command = |route: &Route, station_m: f64| route.command(Foot { station_m, offset_m: 1.0 });
+        assert_eq!(
+            [-5.0, 0.0, 29.0, 30.0].map(|s| command(&straight, s)),
+            ["straight", "straight", "straight", "unknown"]
+        );
+        // On a circle of radius r, the point after an arc s is r (1 - cos(s / r)) beside the tangent.
+        for (radius, expected) in [(90.0, ["left", "right"]), (110.0, ["straight", "straight"])] {
+            for (sign, expected) in [1.0, -1.0].into_iter().zip(expected) {
+                let at = |i: i32| {
+                    let angle = f64::from(i) * 0.5 / radius;
+                    let (sin, cos) = angle.sin_cos();
+                    Pose::from_yaw(sign * angle, DVec3::new(radius * sin, sign * radius * (1.0 - cos), 0.0))
+                };
+                let route = route(&(0..100).map(at).collect::<Vec<_>>());
+                assert_eq!(command(&route, 0.0), expected, "{radius} {sign}");
+                assert_eq!(command(&route, 7.3), expected, "{radius} {sign}");
+            }
+        }
+        assert_eq!(command(&route(&[]), 0.0), "unknown");
     }
 
     #[test]

@@ -16,7 +16,7 @@ use super::recorded::Recorded;
 use super::world::World;
 use super::{Committed, EgoState, Forecast, Instant, Scenario, SimActor, SimError, SimOptions, Trajectory};
 
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// Maximum deviation of a rotation's length from 1.
 const UNIT_TOLERANCE: f64 = 1e-6;
 
@@ -66,6 +66,8 @@ struct SavedActor {
     pose: SavedPose,
     size_m: [f64; 3],
     speed_mps: f64,
+    lateral_mps: f64,
+    yaw_rate_radps: f64,
 }
 
 impl SavedState {
@@ -77,6 +79,8 @@ impl SavedState {
             pose: write_pose(&a.cuboid.pose),
             size_m: a.cuboid.size.to_array(),
             speed_mps: a.speed_mps,
+            lateral_mps: a.lateral_mps,
+            yaw_rate_radps: a.yaw_rate_radps,
         };
         Self {
             version: VERSION,
@@ -177,8 +181,10 @@ impl SavedState {
         };
         let actor = |a: &SavedActor| {
             let cuboid = Cuboid::new(read_pose(&a.pose)?, DVec3::from(a.size_m)).ok()?;
-            let is_sound = a.track < recorded.log.tracks.len() && a.speed_mps.is_finite();
-            is_sound.then_some(SimActor { track: a.track, cuboid, speed_mps: a.speed_mps })
+            let motion = [a.speed_mps, a.lateral_mps, a.yaw_rate_radps];
+            let is_sound = a.track < recorded.log.tracks.len() && motion.iter().all(|n| n.is_finite());
+            let [speed_mps, lateral_mps, yaw_rate_radps] = motion;
+            is_sound.then_some(SimActor { track: a.track, cuboid, speed_mps, lateral_mps, yaw_rate_radps })
         };
         let actors = self.actors.iter().map(actor).collect::<Option<Vec<_>>>()?;
         let sorted = actors.windows(2).all(|w| w[0].track < w[1].track);

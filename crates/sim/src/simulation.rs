@@ -1,21 +1,22 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use point_skeleton::geometry::Foot;
+use point_skeleton::dataset::NavigationRoute;
 use serde::Serialize;
 
 use super::actors::{self, ControlledActors};
 use super::clock::Clock;
 use super::ego::Driver;
 use super::external::{Observation, read_plan};
+use super::history::History;
 use super::metrics::{MetricsAccumulator, Road};
 use super::recorded::Recorded;
 use super::saved::{Saved, SavedState};
 use super::tracking::follow;
 use super::world::World;
 use super::{
-    ActorPolicy, Committed, EgoPolicy, EgoState, Forecast, Instant, Metrics, Rates, Scenario, SimError,
-    SimOptions, Trajectory,
+    ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Metrics, Rates, Scenario, SimError, SimOptions,
+    Trajectory,
 };
 
 /// Closed-loop rollout: moves a log's ego and actors by policies, step by step.
@@ -29,6 +30,9 @@ pub struct Simulation<'a> {
     road: Option<Road>,
     /// Committed state, and the plan that the ego follows until the next one.
     committed: Saved,
+    /// Files that show the committed state.
+    files: Vec<PathBuf>,
+    history: History,
     log_ended: bool,
 }
 
@@ -91,7 +95,7 @@ impl<'a> Simulation<'a> {
         let start = match saved {
             Some(saved) => saved.open(&options, &clock, &recorded)?,
             None => {
-                let foot = logged_foot(&recorded, &first.ego, clock.start_us);
+                let foot = recorded.logged_foot(&first.ego, clock.start_us);
                 let world = World { instant: first, driven: ControlledActors::default(), foot };
                 let mut tally = MetricsAccumulator::default();
                 if clock.takeover == 0 {
@@ -100,8 +104,23 @@ impl<'a> Simulation<'a> {
                 Saved { world: Committed::new(world), plan: None, tally }
             }
         };
+        let history = match saved {
+            Some(_) => History::default(),
+            None => History::before_start(&recorded, &clock, clock.start_us),
+        };
         let driver = Driver::new(&options, &clock, &recorded, start.world.get().instant.step)?;
-        Ok(Self { recorded, options, clock, driver, road, committed: start, log_ended: false })
+        let files = Vec::new();
+        Ok(Self {
+            recorded,
+            options,
+            clock,
+            driver,
+            road,
+            committed: start,
+            files,
+            history,
+            log_ended: false,
+        })
     }
 
     /// Returns the last committed instant.
@@ -121,7 +140,8 @@ impl<'a> Simulation<'a> {
         let now = self.committed.world.get();
         let mut made = None;
         if self.clock.plans_at(now.instant.step) {
-            made = self.driver.plan(&self.recorded, &self.clock, now)?.map(Forecast::new);
+            let (recorded, clock, files) = (&self.recorded, &self.clock, &self.files);
+            made = self.driver.plan(recorded, clock, now, files, &self.history)?.map(Forecast::new);
         }
         let plan = made.as_ref().or(self.committed.plan.as_ref()).map(Forecast::get);
         let Some(next) = self.advance(now, plan) else {
@@ -131,7 +151,14 @@ impl<'a> Simulation<'a> {
         if next.instant.step >= self.clock.takeover {
             self.committed.tally.add(&self.recorded, self.road.as_ref(), &next);
         }
-        self.committed.world = Committed::new(next);
+        let next_us = next.instant.t_us;
+        let before = std::mem::replace(&mut self.committed.world, Committed::new(next));
+        let files = std::mem::take(&mut self.files);
+        if made.is_some() {
+            self.history = History::default(); // observed, as the state before
+        } else {
+            self.history.push(before.into_inner(), files, next_us);
+        }
         if made.is_some() {
             self.committed.plan.clone_from(&made);
         }
@@ -140,7 +167,18 @@ impl<'a> Simulation<'a> {
 
     /// Returns the observation of the committed state, as an external planner receives it (`docs/PLANNER.md`).
     pub fn observation(&self) -> impl Serialize {
-        Observation::new(&self.recorded, &self.clock, self.committed.world.get(), Vec::new())
+        Observation::new(&self.recorded, &self.clock, self.committed.world.get(), &self.files, &self.history)
+    }
+
+    /// Returns the log's route to the destination at the first plan; `None` if it has none.
+    pub fn route(&self) -> Option<&NavigationRoute> {
+        self.recorded.log.route_at(self.clock.at(self.clock.takeover))
+    }
+
+    /// Returns the direction of the recorded path within 20 m ahead of the ego (`docs/PLANNER.md`): `left`, `straight`,
+    /// `right`, or `unknown` past its end.
+    pub fn driving_command(&self) -> &'static str {
+        self.recorded.route.command(self.committed.world.get().foot)
     }
 
     /// Returns whether the next step requires a plan of the caller ([`EgoPolicy::Caller`]).
@@ -205,7 +243,7 @@ impl<'a> Simulation<'a> {
             }
             _ => {
                 let ego = self.recorded.ego_at(t_us)?;
-                (ego, logged_foot(&self.recorded, &ego, t_us))
+                (ego, self.recorded.logged_foot(&ego, t_us))
             }
         };
         let policy = if by_log { ActorPolicy::Replay } else { self.options.actors };
@@ -261,12 +299,22 @@ impl<'a> Simulation<'a> {
     /// Sets the files that show the last committed state; an external planner receives them with the next
     /// observation.
     pub fn show(&mut self, files: Vec<PathBuf>) {
-        self.driver.show(files);
+        self.files = files;
     }
-}
 
-/// Projects the log's ego onto its own path at a time, microseconds.
-fn logged_foot(recorded: &Recorded<'_>, ego: &EgoState, t_us: i64) -> Foot {
-    let (route, place_m) = (&recorded.route, ego.position_m());
-    route.around(route.station_at(t_us), place_m).foot(place_m)
+    /// Adds states before a resumed one, oldest first, each with the files that show it, to the history of the next
+    /// observation. Those older than 2 s are left out, and the log's states before step 0 are added as far as needed.
+    ///
+    /// # Errors
+    /// Returns any error of [`Simulation::resume`] about a state.
+    pub fn recall(&mut self, earlier: Vec<(SavedState, Vec<PathBuf>)>) -> Result<(), SimError> {
+        let now_us = self.committed.world.get().instant.t_us;
+        let mut history = History::before_start(&self.recorded, &self.clock, now_us);
+        for (saved, files) in earlier {
+            let saved = saved.open(&self.options, &self.clock, &self.recorded)?;
+            history.push(saved.world.into_inner(), files, now_us);
+        }
+        self.history = history;
+        Ok(())
+    }
 }

@@ -58,7 +58,7 @@ pub struct EgoState {
     pub steering_rad: f64,
 }
 
-/// Pose and speed of an actor.
+/// Pose and motion of an actor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimActor {
     /// Index in [`Recording::tracks`](point_skeleton::dataset::Recording::tracks).
@@ -67,6 +67,10 @@ pub struct SimActor {
     pub cuboid: Cuboid,
     /// Speed along the heading, meters per second.
     pub speed_mps: f64,
+    /// Speed across the heading, to the left, meters per second.
+    pub lateral_mps: f64,
+    /// Yaw rate to the left, radians per second.
+    pub yaw_rate_radps: f64,
 }
 
 /// Length, width and height of the ego, a Chrysler Pacifica, meters. Source: nuPlan's vehicle parameters.
@@ -96,6 +100,11 @@ impl EgoState {
 }
 
 impl SimActor {
+    /// Returns the velocity in global x and y, meters per second.
+    pub fn velocity_mps(&self) -> DVec2 {
+        DVec2::from_angle(self.cuboid.pose.yaw_rad()).rotate(DVec2::new(self.speed_mps, self.lateral_mps))
+    }
+
     /// Returns the bounding box in the log's format.
     pub fn track_box(&self) -> TrackBox {
         TrackBox { track: self.track, cuboid: self.cuboid }
@@ -111,6 +120,11 @@ impl<T> Committed<T> {
     /// Returns the committed value.
     pub fn get(&self) -> &T {
         &self.0
+    }
+
+    /// Returns the value, which no longer counts as committed.
+    pub(super) fn into_inner(self) -> T {
+        self.0
     }
 
     /// Derives a committed value from this one.

@@ -14,6 +14,8 @@ use crate::geometry::Pose;
 /// Frame without images and boxes.
 pub(super) struct FrameRecord {
     pub(super) token: Vec<u8>,
+    /// Token of its scene, if any.
+    pub(super) scene: Option<Vec<u8>>,
     pub(super) t_us: i64,
     pub(super) global_from_ego: Pose,
     /// `None` if its file does not exist.
@@ -90,7 +92,8 @@ fn shot(
     let path = place.sensors.resolve(name).map_err(|error| row.wrong(5, &error.expected, &error.found))?;
     let sweep =
         is_there(&path)?.then_some(SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key: true });
-    Ok(FrameRecord { token, t_us, global_from_ego, sweep })
+    let scene = if row.is_null(3) { None } else { Some(row.blob(3)?.to_owned()) };
+    Ok(FrameRecord { token, scene, t_us, global_from_ego, sweep })
 }
 
 /// Returns the pose of a joined row of `ego_pose`. Column `by` is the referencing token; `ego_pose.token` and

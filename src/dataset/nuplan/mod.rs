@@ -17,6 +17,7 @@ mod pickle;
 mod place;
 mod projection;
 mod read;
+mod routes;
 mod situation;
 
 pub use pcd::{check_pcd_file, parse_pcd, read_pcd_file};

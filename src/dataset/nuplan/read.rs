@@ -2,9 +2,9 @@
 
 use super::database::{Database, Query, hex};
 use super::place::LogPaths;
-use super::{annotations, frames, images, situation};
+use super::{annotations, frames, images, routes, situation};
 use crate::dataset::notes::Notes;
-use crate::dataset::{DatasetError, Frame, Recording};
+use crate::dataset::{DatasetError, Frame, MapFiles, Recording};
 use crate::error::FileError;
 
 /// Reads a log, or one scene of it. Also returns the name of its map.
@@ -18,6 +18,9 @@ pub(super) fn read(place: &LogPaths, scene: Option<&str>) -> Result<(Recording, 
     let pictures = images::read(&database, place, &times_us, scene.is_none(), &mut notes)?;
     let annotated = annotations::read(&database, &shots, &mut notes)?;
     let (scenarios, lights) = situation::read(&database, &shots, &mut notes)?;
+    let routes = routes::read(&database, &shots, &mut notes)?;
+    let absolute = |root| std::path::absolute(root).map_err(FileError::io("find", root));
+    let root = place.maps.as_deref().map(absolute).transpose()?;
     let seen = pictures.frames.into_iter().zip(annotated.frames);
     let frame = |(shot, (pictures, boxes)): (frames::FrameRecord, (images::FrameImages, _))| Frame {
         t_us: shot.t_us,
@@ -41,6 +44,8 @@ pub(super) fn read(place: &LogPaths, scene: Option<&str>) -> Result<(Recording, 
         frames: shots.into_iter().zip(seen).map(frame).collect(),
         scenarios,
         lights,
+        routes,
+        map_files: root.map(|root| MapFiles { name: about.map_name.clone(), root }),
         notes,
     };
     Ok((log, about.map_name))

@@ -53,7 +53,7 @@ fn state(step: u32) -> Value {
         json!({
             "instance": instance, "track": format!("t{instance}"), "category": "vehicle.car", "class": 1,
             "center_m": [0.0, 0.0, 0.0], "heading_rad": 0.0, "size_m": [4.0, 2.0, 1.5], "speed_mps": speed_mps,
-            "seen": null, "new_in_view": null,
+            "velocity_mps": [speed_mps, 0.0], "yaw_rate_radps": 0.0, "seen": null, "new_in_view": null,
         })
     };
     let pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
@@ -63,7 +63,8 @@ fn state(step: u32) -> Value {
             "global_from_ego": pose, "heading_rad": 0.0, "speed_mps": 0.0, "acceleration_mps2": 0.0,
             "yaw_rate_radps": 0.0, "steering_rad": 0.0, "lateral_deviation_m": 0.0, "heading_deviation_rad": 0.0,
         },
-        "actors": [actor(1, -3.0), actor(2, 0.4)], "lights": [], "plan": null,
+        "actors": [actor(1, -3.0), actor(2, 0.4)], "lights": [], "driving_command": "straight",
+        "plan": null,
     })
 }
 

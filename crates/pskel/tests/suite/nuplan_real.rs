@@ -60,6 +60,16 @@ fn the_drive_is_read_as_its_readme_says() {
     assert_eq!((scenarios, log.scenarios["near_multiple_vehicles"].len(), log.lights.len()), (105, 38, 152));
     let red = log.lights.iter().filter(|light| light.color == "red").count();
     assert_eq!((red, log.lights[0].frame, log.lights[0].lane_connector.as_str()), (38, 0, "68001"));
+    // Six scenes; the last one has no goal.
+    assert_eq!(log.routes.len(), 6);
+    assert!(log.routes.iter().all(|route| route.roadblocks == ["66001", "69001", "66004"]));
+    assert!(log.routes.windows(2).all(|pair| pair[0].frame < pair[1].frame) && log.routes[0].frame == 0);
+    let goal = log.routes[0].goal.unwrap().translation;
+    assert!(goal.distance(log.frames[37].global_from_ego.translation) < 0.1, "{goal}");
+    assert_eq!(log.routes.iter().filter(|route| route.goal.is_none()).count(), 1);
+    let maps = log.map_files.as_ref().unwrap();
+    assert_eq!(maps.name, "us-ca-pandaset-002");
+    assert!(maps.root.is_absolute() && maps.root.join(&maps.name).is_dir());
     let notes: Vec<_> = log.notes.iter().map(|(kind, n)| (kind.as_str(), *n)).collect();
     assert_eq!(notes, [("missing image files", 192), ("missing sweep files", 32)]);
     let with = |has: fn(&point_skeleton::dataset::Frame) -> bool| -> Vec<usize> {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use glam::DVec2;
-use point_skeleton::geometry::{Cuboid, Pose};
+use point_skeleton::geometry::{Cuboid, Pose, wrap_angle};
 use point_skeleton::idm::{Idm, Leader};
 
 use super::leader::Others;
@@ -87,7 +87,14 @@ impl Follower {
         // The model itself would drive backward in front of an obstacle.
         (self.way_m, self.speed_mps) = (way_m, speed_mps.max(0.0));
         let cuboid = Cuboid { pose: self.path.at(self.way_m), size };
-        SimActor { track: actor.track, cuboid, speed_mps: self.sign * self.speed_mps }
+        let turn_rad = wrap_angle(cuboid.pose.yaw_rad() - actor.cuboid.pose.yaw_rad());
+        SimActor {
+            track: actor.track,
+            cuboid,
+            speed_mps: self.sign * self.speed_mps,
+            lateral_mps: 0.0,
+            yaw_rate_radps: turn_rad / dt_s,
+        }
     }
 }
 

@@ -6,7 +6,7 @@ use point_skeleton::idm::Leader;
 
 use super::leader::Others;
 use crate::SimActor;
-use crate::recorded::Recorded;
+use crate::recorded::{ActorMotion, Recorded};
 
 /// Minimum gap to a leader, meters.
 const SAFE_GAP_M: f64 = 2.0;
@@ -40,7 +40,7 @@ pub(crate) struct ReactiveActor {
 impl ReactiveActor {
     /// Uses the recorded speed and yaw rate at a time, microseconds.
     pub(super) fn join(recorded: &Recorded<'_>, actor: &SimActor, t_us: i64) -> Self {
-        let (speed_mps, yaw_rate_radps) = recorded.actor_motion(actor.track, t_us);
+        let ActorMotion { speed_mps, yaw_rate_radps, .. } = recorded.actor_motion(actor.track, t_us);
         if speed_mps.abs() < STANDING_MPS {
             return Self { cruise_mps: 0.0, curvature: 0.0 };
         }
@@ -51,7 +51,7 @@ impl ReactiveActor {
     /// Advances the actor by one step.
     pub(super) fn step(&mut self, actor: &SimActor, others: &Others, dt_s: f64) -> SimActor {
         if self.cruise_mps == 0.0 {
-            return SimActor { speed_mps: 0.0, ..*actor };
+            return SimActor { speed_mps: 0.0, lateral_mps: 0.0, yaw_rate_radps: 0.0, ..*actor };
         }
         let (pose, size) = (actor.cuboid.pose, actor.cuboid.size);
         let sign = self.cruise_mps.signum();
@@ -69,7 +69,8 @@ impl ReactiveActor {
         let mut moved = pose.with_yaw(pose.yaw_rad() + turn_rad);
         moved.translation += (DVec2::from_angle(yaw_rad) * chord_m).extend(0.0);
         let cuboid = Cuboid { pose: moved, size };
-        SimActor { track: actor.track, cuboid, speed_mps: sign * next_mps }
+        let yaw_rate_radps = turn_rad / dt_s;
+        SimActor { track: actor.track, cuboid, speed_mps: sign * next_mps, lateral_mps: 0.0, yaw_rate_radps }
     }
 
     /// Returns the path ahead from the current position.

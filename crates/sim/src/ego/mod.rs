@@ -12,7 +12,8 @@ use std::path::PathBuf;
 use self::course::Course;
 use self::preset::Preset;
 use super::clock::Clock;
-use super::external::Planner;
+use super::external::{Observation, Planner};
+use super::history::History;
 use super::recorded::Recorded;
 use super::world::World;
 use super::{EgoPolicy, Instant, LocalPath, PathAnchor, SimError, SimOptions, Trajectory, Waypoint};
@@ -62,12 +63,14 @@ impl Driver {
         })
     }
 
-    /// Returns the plan at a state; `None` if the ego follows the log.
+    /// Returns the plan at a state, with its files and the states before it; `None` if the ego follows the log.
     pub(super) fn plan(
         &mut self,
         recorded: &Recorded<'_>,
         clock: &Clock,
         world: &World,
+        files: &[PathBuf],
+        history: &History,
     ) -> Result<Option<Trajectory>, SimError> {
         let now = &world.instant;
         match self {
@@ -81,7 +84,10 @@ impl Driver {
                 let course = given_path::course(path, now.t_us, &now.ego);
                 Ok(course.map(|course| along(&course, clock, now)))
             }
-            Self::External(planner) => Ok(Some(planner.plan(recorded, clock, world)?)),
+            Self::External(planner) => {
+                let observation = Observation::new(recorded, clock, world, files, history);
+                Ok(Some(planner.plan(&observation, now, clock.at(now.step + clock.steps_per_plan))?))
+            }
             Self::Caller(plan) => match plan.take() {
                 Some(plan) => Ok(Some(plan)),
                 None => Err(SimError::NoPlan { step: now.step }),
@@ -92,13 +98,6 @@ impl Driver {
     /// Returns whether a plan of the caller is missing.
     pub(super) fn needs_plan(&self) -> bool {
         matches!(self, Self::Caller(None))
-    }
-
-    /// Sets the files that show the last committed state.
-    pub(super) fn show(&mut self, files: Vec<PathBuf>) {
-        if let Self::External(planner) = self {
-            planner.show(files);
-        }
     }
 }
 

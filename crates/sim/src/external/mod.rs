@@ -1,19 +1,20 @@
 //! External planner process with a protocol of JSON lines, see `docs/PLANNER.md`.
 
-mod protocol;
+mod hello;
+mod observation;
+mod plan;
 
-use std::path::PathBuf;
+use point_skeleton::files::text::printable;
+use serde::{Deserialize, Serialize};
 
-use serde::Serialize;
+pub(super) use self::observation::Observation;
+pub(super) use self::plan::read_plan;
 
-pub(super) use self::protocol::{Observation, read_plan};
-
-use self::protocol::{Hello, read_hello};
+use self::hello::{Hello, read_hello};
 use super::clock::Clock;
 use super::recorded::Recorded;
-use super::world::World;
-use super::{PlannerError, PlannerSpec, SimOptions, Trajectory};
-use crate::peer::{Framing, Link, ProtocolError};
+use super::{Instant, PlannerError, PlannerSpec, SimOptions, Trajectory};
+use crate::peer::{Framing, Link, ProtocolError, begin_of};
 
 /// Replies longer than this are rejected.
 const LINES: Framing = Framing::Lines { max_bytes: 16 << 20 };
@@ -21,7 +22,6 @@ const LINES: Framing = Framing::Lines { max_bytes: 16 << 20 };
 /// Planner after a successful hello exchange.
 pub(super) struct Planner {
     link: Link,
-    shown: Vec<PathBuf>,
 }
 
 impl Planner {
@@ -34,23 +34,20 @@ impl Planner {
         step: usize,
     ) -> Result<Self, PlannerError> {
         let link = Link::open("planner", spec, LINES)?;
-        let mut planner = Self { link, shown: Vec::new() };
-        let hello = Hello::new(options, clock, &recorded.log.name, step);
+        let mut planner = Self { link };
+        let hello = Hello::new(options, clock, recorded, step);
         planner.ask(&hello, read_hello)?;
         Ok(planner)
     }
 
-    /// Requests a plan for a state.
+    /// Requests a plan that extends to `due_us`, the time of the next one (microseconds).
     pub(super) fn plan(
         &mut self,
-        recorded: &Recorded<'_>,
-        clock: &Clock,
-        world: &World,
+        observation: &Observation<'_>,
+        now: &Instant,
+        due_us: i64,
     ) -> Result<Trajectory, PlannerError> {
-        let now = &world.instant;
-        let observation = Observation::new(recorded, clock, world, std::mem::take(&mut self.shown));
-        let due_us = clock.at(now.step + clock.steps_per_plan);
-        self.ask(&observation, |answer| read_plan(answer, now, due_us))
+        self.ask(observation, |answer| read_plan(answer, now, due_us))
     }
 
     fn ask<T>(
@@ -60,11 +57,21 @@ impl Planner {
     ) -> Result<T, PlannerError> {
         let line = serde_json::to_vec(message).map_err(|error| self.link.cannot_write(error.into()))?;
         let answer = self.link.ask(line)?;
+        if let Ok(Failure { error }) = serde_json::from_slice(&answer) {
+            let wrong = ProtocolError::new("an answer", format!("the error {:?}", printable(&error)));
+            return Err(self.link.refuse(wrong));
+        }
         read(&answer).map_err(|wrong| self.link.refuse(wrong))
     }
+}
 
-    /// Sets the files sent with the next observation.
-    pub(super) fn show(&mut self, files: Vec<PathBuf>) {
-        self.shown = files;
-    }
+/// Answer of a planner that cannot go on.
+#[derive(Deserialize)]
+struct Failure {
+    error: String,
+}
+
+/// Formats a parse error with the beginning of the reply.
+fn shown(answer: &[u8], error: &serde_json::Error) -> String {
+    format!("{} ({error})", begin_of(answer))
 }

@@ -124,7 +124,8 @@ pub(crate) mod tests {
     /// Returns a car of 4 m by 2 m.
     pub(crate) fn actor(track: usize, x: f64, y: f64, yaw: f64, speed_mps: f64) -> SimActor {
         let pose = Pose::from_yaw(yaw, DVec3::new(x, y, 0.8));
-        SimActor { track, cuboid: Cuboid { pose, size: DVec3::new(4.0, 2.0, 1.6) }, speed_mps }
+        let cuboid = Cuboid { pose, size: DVec3::new(4.0, 2.0, 1.6) };
+        SimActor { track, cuboid, speed_mps, lateral_mps: 0.0, yaw_rate_radps: 0.0 }
     }
 
     /// Returns an instant with the ego's rear axle at the origin, heading along x.

@@ -29,6 +29,8 @@ pub struct StepRow {
     pub actors: Vec<ActorRow>,
     /// States of traffic lights.
     pub lights: Vec<LightRow>,
+    /// Direction of the recorded path within 20 m: `left`, `straight`, `right` or `unknown`.
+    pub driving_command: String,
     /// Plan computed for this step, if any; its first waypoint is the ego state from which it was planned.
     pub plan: Option<Vec<Waypoint>>,
 }
@@ -83,6 +85,10 @@ pub struct ActorRow {
     pub size_m: [f64; 3],
     /// Speed along the heading, meters per second.
     pub speed_mps: f64,
+    /// Velocity in global x and y, meters per second.
+    pub velocity_mps: [f64; 2],
+    /// Yaw rate, to the left, radians per second.
+    pub yaw_rate_radps: f64,
     /// Cameras whose maps show the actor; null without instance maps.
     pub seen: Option<Vec<VisibleActor>>,
     /// Cameras that show at least [`SEEN_PX`] pixels of the actor, and whose own logged images around that time did
@@ -106,6 +112,8 @@ pub struct StepObservations {
     pub lateral: Deviation,
     /// Heading deviation, to the left, radians.
     pub heading: Deviation,
+    /// Direction of the recorded path, as in [`StepRow::driving_command`].
+    pub driving_command: &'static str,
     /// Visible parts per actor; `None` without instance maps.
     pub seen: Option<Vec<Vec<VisibleActor>>>,
 }
@@ -134,6 +142,7 @@ impl StepRow {
             ego: EgoRow::new(&instant.ego, observed),
             actors: instant.actors.iter().enumerate().map(actor).collect(),
             lights: instant.lights.iter().map(light).collect(),
+            driving_command: observed.driving_command.to_owned(),
             plan,
         }
     }
@@ -204,6 +213,8 @@ impl ActorRow {
             heading_rad: actor.cuboid.pose.yaw_rad(),
             size_m: actor.cuboid.size.to_array(),
             speed_mps: actor.speed_mps,
+            velocity_mps: actor.velocity_mps().to_array(),
+            yaw_rate_radps: actor.yaw_rate_radps,
             seen,
             new_in_view,
         }
@@ -297,7 +308,8 @@ mod tests {
             steering_rad: 0.3,
         };
         let cuboid = Cuboid::new(pose, DVec3::new(4.0, 2.0, 1.5)).unwrap();
-        let actors = vec![SimActor { track: 0, cuboid, speed_mps: 2.0 }];
+        let actors =
+            vec![SimActor { track: 0, cuboid, speed_mps: 2.0, lateral_mps: 0.5, yaw_rate_radps: 0.1 }];
         let light = TrafficLight { frame: 0, lane_connector: "7".into(), color: "red".into() };
         let instant = Instant { step, t_us: 5, ego, actors, lights: vec![light] };
         let seen = |pixels| VisibleActor { camera: 1, pixels, bounds: [1, 2, 3, 4] };

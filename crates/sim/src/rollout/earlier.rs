@@ -1,13 +1,14 @@
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{is_there, read_table};
 use serde_json::Value;
 
-use super::files::{ROLLOUT, STATE, STATES, step_folder};
+use super::files::{ROLLOUT, STATE, STATES, shown_files, step_folder};
 use super::options::{InputPaths, ResumeAfter};
 use super::sources::Sources;
 use crate::SavedState;
+use crate::history::HISTORY_US;
 use crate::report::{StateFile, StepRow};
 
 /// State of an earlier run.
@@ -23,6 +24,19 @@ pub(super) struct EarlierRollout<'a> {
     pub(super) steps: usize,
     pub(super) sources: &'a Sources,
     pub(super) paths: InputPaths<'a>,
+}
+
+impl Earlier {
+    /// Reads the states before the last one that are history for a planner, oldest first, with their files.
+    pub(super) fn history(&self, folder: &Path) -> Result<Vec<(SavedState, Vec<PathBuf>)>, FileError> {
+        let Some((last, before)) = self.rows.split_last() else { return Ok(Vec::new()) };
+        let is_recent = |row: &&StepRow| last.t_us - row.t_us <= HISTORY_US;
+        let read = |row: &StepRow| {
+            let step = step_folder(folder, &row.name());
+            Ok((SavedState::read(&step.join(STATE))?, shown_files(&step)?))
+        };
+        before.iter().filter(is_recent).map(read).collect()
+    }
 }
 
 impl EarlierRollout<'_> {

@@ -2,6 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
+use point_skeleton::error::FileError;
+
+use crate::report::images::TRUTH;
+use crate::report::view;
+
 pub(super) use crate::report::{ROLLOUT, STATES, STEPS};
 
 pub(super) const INDEX: &str = "index.json";
@@ -19,4 +24,25 @@ pub(super) const GENERATOR_STATE: &str = "generator.safetensors";
 /// Returns the folder of a step.
 pub(super) fn step_folder(folder: &Path, name: &str) -> PathBuf {
     folder.join(STEPS).join(name)
+}
+
+/// Returns the files of a step that a planner may read, sorted: its maps and metadata.
+pub(super) fn shown_files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
+    let folder = std::path::absolute(folder).map_err(FileError::io("read", folder))?;
+    let entries = |folder: &Path| -> std::io::Result<Vec<PathBuf>> {
+        std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect()
+    };
+    let mut files = Vec::new();
+    for path in entries(&folder).map_err(FileError::io("read", &folder))? {
+        // Planners must not see ground truth.
+        if [view::VIEW, FORECAST, STATE, TRUTH, GENERATOR_STATE].iter().any(|name| path.ends_with(name)) {
+            continue;
+        }
+        match path.is_dir() {
+            true => files.extend(entries(&path).map_err(FileError::io("read", &path))?),
+            false => files.push(path),
+        }
+    }
+    files.sort();
+    Ok(files)
 }

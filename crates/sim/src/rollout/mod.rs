@@ -87,10 +87,14 @@ impl<'a> Rollout<'a> {
             EarlierRollout { folder, steps, sources: &sources, paths }.read(after)
         };
         let earlier = out.as_ref().zip(resume).map(read).transpose()?.flatten();
-        let simulation = match &earlier {
+        let has_planner = matches!(options.simulation.ego, EgoPolicy::External(_));
+        let mut simulation = match &earlier {
             Some(Earlier { saved, .. }) => Simulation::resume(scenario, options.simulation.clone(), saved)?,
             None => Simulation::new(scenario, options.simulation.clone())?,
         };
+        if let (Some(earlier), Some((folder, _)), true) = (&earlier, &out, has_planner) {
+            simulation.recall(earlier.history(folder)?)?;
+        }
         let rates = simulation.rates();
         let record = RolloutRecord {
             conditions: options.conditions,
@@ -104,6 +108,8 @@ impl<'a> Rollout<'a> {
             sim_hz: rates.sim_hz,
             plan_hz: rates.plan_hz,
             takeover_step: simulation.takeover_step(),
+            map_name: scenario.log.map_files.as_ref().map(|files| files.name.clone()),
+            roadblocks: simulation.route().map(|route| route.roadblocks.clone()).unwrap_or_default(),
             extra: options.extra,
         };
         let rows = earlier.map(|earlier| earlier.rows).unwrap_or_default();

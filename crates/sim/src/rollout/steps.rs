@@ -1,7 +1,6 @@
 //! The loop: simulates and renders step by step, while another thread writes.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::time::Instant as Clock;
 
@@ -9,19 +8,17 @@ use glam::DVec2;
 use point_skeleton::conditions::birdseye::Trace;
 use point_skeleton::conditions::{CameraConditions, ConditionError, ConditionSet, StepInFlight};
 use point_skeleton::dataset::EgoTrack;
-use point_skeleton::error::FileError;
 use point_skeleton::files::OutputFolder;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{SceneClouds, SceneState};
 
 use super::error::RolloutError;
-use super::files::{FORECAST, GENERATOR_STATE, STATE, step_folder};
+use super::files::{shown_files, step_folder};
 use super::finish::TRACES;
 use super::generation::Generation;
 use super::output::{Job, Output};
 use super::profile::{Profile, StepTimes, WriteTimes, lap};
 use super::report::RolloutReport;
-use crate::report::images::TRUTH;
 use crate::report::{Phase, StateFile, StepObservations, StepRow, sight, view};
 use crate::{Instant, Scenario, Simulation, StepOutcome, Waypoint, scene_state};
 
@@ -127,7 +124,7 @@ impl Steps<'_> {
             }
             if self.shown_to_planner {
                 let name = format!("{:06}", simulation.committed().get().step);
-                match files(&step_folder(self.output.folder, &name)) {
+                match shown_files(&step_folder(self.output.folder, &name)) {
                     Ok(files) => simulation.show(files),
                     Err(error) => {
                         going.run.failure = Some(error.into());
@@ -212,6 +209,7 @@ impl Steps<'_> {
         let observed = StepObservations {
             lateral: metrics.lateral_deviation_m,
             heading: metrics.heading_deviation_rad,
+            driving_command: simulation.driving_command(),
             seen: sight::seen(&set, instant.actors.len()),
         };
         let by_log = instant.step <= self.output.record.takeover_step;
@@ -276,27 +274,6 @@ fn hand_over(writer: Option<&Writer>, job: Job, going: &mut Loop, wait: bool) ->
     let is_up = writer.sender.send(job).is_ok() && (!wait || writer.written.recv().is_ok());
     going.times.wait_s = lap(&mut clock);
     is_up
-}
-
-/// Returns the files of a step that a planner may read, sorted: its maps and metadata.
-fn files(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
-    let folder = std::path::absolute(folder).map_err(FileError::io("read", folder))?;
-    let entries = |folder: &Path| -> std::io::Result<Vec<PathBuf>> {
-        std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect()
-    };
-    let mut files = Vec::new();
-    for path in entries(&folder).map_err(FileError::io("read", &folder))? {
-        // Planners must not see ground truth.
-        if [view::VIEW, FORECAST, STATE, TRUTH, GENERATOR_STATE].iter().any(|name| path.ends_with(name)) {
-            continue;
-        }
-        match path.is_dir() {
-            true => files.extend(entries(&path).map_err(FileError::io("read", &path))?),
-            false => files.push(path),
-        }
-    }
-    files.sort();
-    Ok(files)
 }
 
 /// Returns the lines of the bird's-eye view, in the order of [`TRACES`].

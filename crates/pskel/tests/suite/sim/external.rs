@@ -6,7 +6,7 @@ use std::process::{Child, Command};
 use std::time::Instant;
 
 use glam::DVec2;
-use point_skeleton::dataset::Recording;
+use point_skeleton::dataset::{MapFiles, NavigationRoute, Recording};
 use point_skeleton::geometry::{Polyline, Pose};
 use pskel_sim::{
     EgoPolicy, EndReason, PlannerAddress, PlannerError, PlannerSpec, SavedState, SimError, SimOptions,
@@ -154,27 +154,36 @@ fn the_example_stops_at_the_end_of_the_path() {
     assert!(local.y.abs() < 0.5, "{local}");
 }
 
+/// Planner that appends its messages to the file `seen` of a folder, and drives straight on at 8 m/s with trajectories
+/// in the ego frame.
+fn recorder(folder: &Path) -> PlannerAddress {
+    let lines = format!(
+        "out = open({:?}, 'a')\nwhile True:\n    m = see()\n    print(json.dumps(m), file=out, flush=True)\n    \
+         print(json.dumps({{'frame': 'ego', 'trajectory': [{{'t': 0, 'x': 9, 'y': 9, 'heading': 9, 'v': 9}}, {{'t': 3, \
+         'x': 24, 'y': 0, 'heading': 0, 'v': 8}}]}}) if 'type' in m else '{{\"protocol\": \"pskel-planner\", \"version\": 1}}', flush=True)",
+        folder.join("seen").display().to_string()
+    );
+    script(folder, &lines)
+}
+
+/// Returns the messages that [`recorder`] received.
+fn seen(folder: &Path) -> Vec<serde_json::Value> {
+    let text = std::fs::read_to_string(folder.join("seen")).unwrap();
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
 #[test]
 fn planners_see_what_is_promised() {
     let log = made::log(6);
     let folder = tempfile::tempdir().unwrap();
-    let seen = folder.path().join("seen");
-    // Records its messages and drives straight on at 8 m/s, with trajectories in the ego frame.
-    let lines = format!(
-        "out = open({:?}, 'w')\nwhile True:\n    m = see()\n    print(json.dumps(m), file=out, flush=True)\n    \
-         print(json.dumps({{'frame': 'ego', 'trajectory': [{{'t': 0, 'x': 9, 'y': 9, 'heading': 9, 'v': 9}}, {{'t': 3, \
-         'x': 24, 'y': 0, 'heading': 0, 'v': 8}}]}}) if 'type' in m else '{{\"protocol\": \"pskel-planner\", \"version\": 1}}', flush=True)",
-        seen.display().to_string()
-    );
-    let options = SimOptions { steps: 8, seed: 77, ..options(script(folder.path(), &lines), 20.0) };
+    let options = SimOptions { steps: 8, seed: 77, ..options(recorder(folder.path()), 20.0) };
     let mut sim = Simulation::new(&made::scenario(&log), options).unwrap();
     sim.show(vec!["a.png".into()]);
     while sim.step().unwrap().is_some() {}
     let start = log.frames[4].global_from_ego;
     let local = start.inverse().transform_point(sim.committed().get().ego.pose.translation);
     assert!((local.x - 3.2).abs() < 0.01 && local.y.abs() < 0.01, "8 m/s along its own x: {local}");
-    let text = std::fs::read_to_string(&seen).unwrap();
-    let messages: Vec<serde_json::Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    let messages = seen(folder.path());
     assert_eq!(messages.len(), 3);
     assert_eq!(
         (&messages[0]["seed"], &messages[0]["step"], &messages[0]["log"]),
@@ -184,7 +193,7 @@ fn planners_see_what_is_promised() {
     let see = &messages[1];
     assert_eq!((&see["step"], &see["plan_dt"]), (&4.into(), &0.2.into()));
     assert_eq!(see["t_us"], made::FIRST_US + 400_000);
-    assert_eq!((&see["files"][0], &messages[2]["files"]), (&"a.png".into(), &serde_json::json!([])));
+    assert_eq!((&see["history"][0]["files"][0], &see["files"]), (&"a.png".into(), &serde_json::json!([])));
     assert_eq!(see["ego"]["x"], start.translation.x);
     assert_eq!((&see["lights"][0]["color"], &see["actors"][1]["track"]), (&"red".into(), &"lead".into()));
     assert_eq!(
@@ -194,6 +203,120 @@ fn planners_see_what_is_promised() {
     let path = see["path"].as_array().unwrap();
     assert_eq!(path.len(), 46, "44.8 m are left of 48");
     assert!((path[0][0].as_f64().unwrap() - start.translation.x).abs() < 1e-6);
+}
+
+/// States of the last 2 s come with the first observation, of the log before the start; then those since the last one.
+#[test]
+fn planners_see_the_past_once() {
+    let log = made::log(6);
+    let folder = tempfile::tempdir().unwrap();
+    let start_us = made::FIRST_US + 1_800_000;
+    let options = SimOptions { steps: 9, start_us: Some(start_us), ..options(recorder(folder.path()), 20.0) };
+    let scenario = made::scenario(&log);
+    let mut sim = Simulation::new(&scenario, options.clone()).unwrap();
+    let (mut states, mut saved) = (Vec::new(), Vec::new());
+    loop {
+        let step = sim.committed().get().step;
+        states.push(Clone::clone(*sim.committed().get()));
+        saved.push((sim.save(), vec![PathBuf::from(format!("{step}.png"))]));
+        sim.show(saved[step].1.clone());
+        if step == 7 || sim.step().unwrap().is_none() {
+            break;
+        }
+    }
+    let steps = |see: &serde_json::Value| -> Vec<i64> {
+        see["history"].as_array().unwrap().iter().map(|past| past["step"].as_i64().unwrap()).collect()
+    };
+    let messages = seen(folder.path());
+    assert_eq!(messages.len(), 3);
+    assert_eq!(steps(&messages[1]), (-16..4).collect::<Vec<_>>(), "2 s before step 4");
+    assert_eq!((steps(&messages[2]), &messages[2]["step"]), (vec![5], &6.into()));
+    for past in
+        messages[1]["history"].as_array().unwrap().iter().chain(messages[2]["history"].as_array().unwrap())
+    {
+        let step = past["step"].as_i64().unwrap();
+        let t_us = start_us + step * 100_000;
+        assert_eq!(past["t_us"], t_us);
+        // The made log has a frame at each step.
+        let frame = log.frames.iter().find(|frame| frame.t_us == t_us).unwrap();
+        let pose = if step == 5 { states[5].ego.pose } else { frame.global_from_ego };
+        assert_eq!(
+            (&past["ego"]["x"], &past["ego"]["y"]),
+            (&pose.translation.x.into(), &pose.translation.y.into())
+        );
+        let centers: Vec<serde_json::Value> =
+            frame.boxes.iter().map(|b| b.cuboid.pose.translation.x.into()).collect();
+        let told: Vec<_> =
+            past["actors"].as_array().unwrap().iter().map(|actor| actor["x"].clone()).collect();
+        assert_eq!(told, centers);
+        let files = if step < 0 { serde_json::json!([]) } else { serde_json::json!([format!("{step}.png")]) };
+        assert_eq!(past["files"], files);
+    }
+    // A resumed rollout has a new planner, which sees the past again.
+    let last = saved.pop().unwrap();
+    let mut resumed = Simulation::resume(&scenario, options, &last.0).unwrap();
+    resumed.recall(saved).unwrap();
+    while resumed.step().unwrap().is_some() {}
+    let again = &seen(folder.path())[4];
+    assert_eq!((steps(again), &again["step"]), ((-12..8).collect(), &8.into()));
+    assert_eq!(again["history"].as_array().unwrap()[..16], messages[1]["history"].as_array().unwrap()[4..]);
+    assert_eq!(again["history"][17], messages[2]["history"][0]);
+}
+
+/// Velocities are those of the made actors, also of one that comes towards the ego on a curve.
+#[test]
+fn planners_see_velocities() {
+    let log = made::log(6);
+    let folder = tempfile::tempdir().unwrap();
+    // At 1.4 s the log surrounds the window of 0.6 s in which lines are fitted.
+    let start_us = Some(made::FIRST_US + 1_000_000);
+    let options = SimOptions { start_us, ..options(recorder(folder.path()), 20.0) };
+    let mut sim = Simulation::new(&made::scenario(&log), options).unwrap();
+    for _ in 0..5 {
+        sim.step().unwrap();
+    }
+    let see = &seen(folder.path())[1];
+    assert_eq!(see["step"], 4);
+    for (track, actor) in (1..).zip(see["actors"].as_array().unwrap()) {
+        let number = |key: &str| actor[key].as_f64().unwrap();
+        let velocity = DVec2::new(number("vx"), number("vy"));
+        // A central difference of the boxes of the frames before and after.
+        let [before, after] = [13, 15].map(|frame: usize| log.frames[frame].cuboid_of(track).unwrap().pose);
+        let moved = (after.translation - before.translation).truncate() / 0.2;
+        assert!((velocity - moved).length() < 0.02, "{actor}: {velocity}, expected {moved}");
+        assert!((velocity.dot(DVec2::from_angle(number("heading"))) - number("v")).abs() < 1e-9);
+        let turned = point_skeleton::geometry::wrap_angle(after.yaw_rad() - before.yaw_rad()) / 0.2;
+        assert!((number("yaw_rate") - turned).abs() < 0.01, "{actor}: expected {turned}");
+    }
+}
+
+/// The route of the first plan comes with the hello; other logs have none.
+#[test]
+fn planners_see_route_and_map() {
+    let plain = made::log(2);
+    let goal = Pose::from_yaw(0.5, glam::DVec3::new(1.0, 2.0, 3.0));
+    let route = |frame: usize, id: &str, goal| NavigationRoute { frame, roadblocks: vec![id.into()], goal };
+    let routed = Recording {
+        routes: vec![route(0, "1", None), route(3, "2", Some(goal)), route(8, "3", None)],
+        map_files: Some(MapFiles { name: "town".into(), root: "/maps".into() }),
+        ..plain.clone()
+    };
+    let hello = |log: &Recording| {
+        let folder = tempfile::tempdir().unwrap();
+        drop(Simulation::new(&made::scenario(log), options(recorder(folder.path()), 20.0)).unwrap());
+        seen(folder.path()).swap_remove(0)
+    };
+    let told = |log: &Recording| {
+        let hello = hello(log);
+        ["route", "goal", "map"].map(|key| hello[key].clone())
+    };
+    let json = |value| -> serde_json::Value { value };
+    assert_eq!(told(&plain), [json(serde_json::json!([])), json(().into()), json(().into())]);
+    let [route, goal, map] = told(&routed);
+    assert_eq!(route, serde_json::json!(["2"]), "the route at step 4");
+    assert_eq!((&goal["x"], &goal["y"]), (&1.0.into(), &2.0.into()));
+    assert!((goal["heading"].as_f64().unwrap() - 0.5).abs() < 1e-12);
+    assert_eq!(map, serde_json::json!({"name": "town", "root": "/maps"}));
 }
 
 /// The path that a planner sees continues in driving order, also where it crosses itself.
@@ -288,6 +411,7 @@ fn bad_answers_end_the_rollout_with_what_was_wrong() {
         ("'hello'".to_owned(), "hello"),
         ("''".to_owned(), "trajectory"),
         ("'{}'".to_owned(), "missing field `trajectory`"),
+        (r#"'{"error": "no checkpoint"}'"#.to_owned(), "found the error \"no checkpoint\""),
         (plan(""), "found 0"),
         (plan(&point("0.2", "NaN", "8")), "NaN"),
         (plan(&point("0.2", "1e999", "8")), "out of range"),
@@ -327,6 +451,7 @@ fn bad_hellos_are_told() {
         (r#"{"protocol": "pskel-planner", "version": 2}"#, "version 2"),
         (r#"{"protocol": "other", "version": 1}"#, "other"),
         ("loading the model ...", "loading the model"),
+        (r#"{"error": "no GPU"}"#, "no GPU"),
     ] {
         let address = script(folder.path(), &format!("see()\nprint('{answer}', flush=True)\ntime.sleep(60)"));
         let message = fails(&log, options(address, 20.0)).to_string();
