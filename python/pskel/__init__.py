@@ -1,28 +1,40 @@
 """Recorded drives to camera conditions: colored point skeletons splatted into six cameras by headless Vulkan."""
 
-from ._pskel import (
-    Actor,
-    BuildError,
-    Camera,
-    Committed,
-    Error,
-    Forecast,
-    Frames,
-    Log,
-    LogError,
-    Renderer,
-    RenderError,
-    ResetAndRoll,
-    Scene,
-    Simulation,
-    SimulationError,
-    Skeleton,
-    __version__,
-    splat,
-)
-from ._build import build
-from ._export import ExportReport, export
-from ._types import Maps
+from typing import TYPE_CHECKING, Any
+
+try:
+    from ._pskel import (
+        Actor,
+        BuildError,
+        Camera,
+        Committed,
+        Error,
+        Forecast,
+        Frames,
+        Log,
+        LogError,
+        Renderer,
+        RenderError,
+        ResetAndRoll,
+        Scene,
+        Simulation,
+        SimulationError,
+        Skeleton,
+        __version__,
+        splat,
+    )
+    from ._build import build
+    from ._export import ExportReport, export
+    from ._types import Maps
+except ModuleNotFoundError as error:
+    if error.name != "pskel._pskel":
+        raise
+
+    if not TYPE_CHECKING:
+        # A source tree: planners of other programs run without the compiled part, in environments of their own.
+        def __getattr__(name: str) -> Any:
+            raise AttributeError(f"expected the compiled part of pskel for pskel.{name}, found none; ci/wheel.sh builds a wheel")
+
 
 __all__ = [
     "Actor",
