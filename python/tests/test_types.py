@@ -13,9 +13,10 @@ PLAIN = ["examples/own_points.py", "examples/render_frame.py", "examples/drive.p
 TORCH = ["examples/train.py", "examples/reset_and_roll.py"]
 MODELS = ["pskel/models"]
 METRICS = ["pskel/metrics"]
+ALPASIM = ["pskel/alpasim"]
 
 
-@pytest.mark.parametrize(("extra", "examples"), [("gymnasium", PLAIN), ("torch", TORCH), ("diffusers", MODELS), ("torchmetrics", METRICS)])
+@pytest.mark.parametrize(("extra", "examples"), [("gymnasium", PLAIN), ("torch", TORCH), ("diffusers", MODELS), ("torchmetrics", METRICS), ("grpc", ALPASIM)])
 def test_package_and_examples_are_typed(extra: str, examples: list[str]) -> None:
     pytest.importorskip("mypy")
     pytest.importorskip(extra)

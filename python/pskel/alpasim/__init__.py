@@ -1,0 +1,20 @@
+"""Messages and services of AlpaSim (alpasim_grpc 0.54.0): ``common_pb2``, ``sensorsim_pb2``, ``egodriver_pb2`` and their ``_grpc``.
+
+The modules are generated from the ``.proto`` files of this folder by ``ci/protos.py``. Their wire format and service names are those
+of AlpaSim (https://github.com/NVlabs/alpasim, Apache-2.0). They need the extra ``alpasim`` (grpcio and protobuf).
+"""
+
+from __future__ import annotations
+
+import importlib
+
+try:
+    for _name in ("google.protobuf", "grpc"):
+        importlib.import_module(_name)
+except ImportError as error:
+    raise ImportError("pskel.alpasim needs grpcio and protobuf: pip install 'pskel[alpasim]'") from error
+
+__all__ = ["API_VERSION"]
+
+#: The version of AlpaSim's schemas, as major, minor and patch.
+API_VERSION = (0, 54, 0)
