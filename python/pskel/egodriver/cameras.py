@@ -1,0 +1,151 @@
+"""Cameras and images of a rollout for a driver."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pskel.alpasim import sensorsim_pb2
+
+from . import frames
+from .driver import DriverError, one_line
+
+#: Nearest cameras of AlpaSim's vehicles to those of nuScenes and the town, nuPlan, and Argoverse 2.
+ALPASIM_NAMES = {
+    "camera_front_wide_120fov": ("CAM_FRONT", "CAM_F0", "ring_front_center"),
+    "camera_cross_left_120fov": ("CAM_FRONT_LEFT", "CAM_L0", "ring_front_left"),
+    "camera_cross_right_120fov": ("CAM_FRONT_RIGHT", "CAM_R0", "ring_front_right"),
+    "camera_rear_left_70fov": ("CAM_BACK_LEFT", "CAM_L2", "ring_rear_left"),
+    "camera_rear_right_70fov": ("CAM_BACK_RIGHT", "CAM_R2", "ring_rear_right"),
+    "camera_rear_tele_30fov": ("CAM_BACK", "CAM_B0"),
+}
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def logical_ids(choice: str, names: list[str]) -> dict[str, str]:
+    """Return the driver's name of each camera that it receives, by the name in the rollout.
+
+    ``choice`` is ``all`` (own names), ``alpasim`` (the nearest cameras of AlpaSim's vehicles), or a list ``CAM=ID,..`` or ``CAM,..``.
+    Raises ``DriverError`` for cameras that ``names``, those of the rollout, lacks, and for an ID of two cameras.
+    """
+    if choice == "all":
+        return {name: name for name in names}
+    if choice == "alpasim":
+        known = {name: logical for logical, others in ALPASIM_NAMES.items() for name in others}
+        ids = {name: known[name] for name in names if name in known}
+    else:
+        pairs = [part.partition("=") for part in choice.split(",")]
+        ids = {name: logical or name for name, _, logical in pairs}
+        if len(ids) < len(pairs):
+            raise DriverError(f"expected each camera once, found {choice!r}")
+    unknown = [name for name in ids if name not in names]
+    if not ids or unknown or len(set(ids.values())) < len(ids):
+        raise DriverError(f"expected cameras among {', '.join(names)} with different IDs, found {choice!r}")
+    return ids
+
+
+class Images:
+    """Images of a rollout's steps.
+
+    ``kind`` is a map (``color``, ``class``, ..), ``generated`` or ``truth``; ``auto`` is ``generated`` if the first step has generated
+    images, else ``color``. ``encoding`` is ``png`` (the files as they are) or ``jpeg`` (quality 95; needs Pillow).
+    """
+
+    def __init__(self, kind: str, encoding: str) -> None:
+        self._kind = kind
+        self._encoding = encoding
+
+    def read(self, step: Path, camera: str) -> bytes:
+        """Return the encoded image of a camera in the folder of a step. Raises ``DriverError`` if there is none."""
+        data = self.png(step, camera)
+        return data if self._encoding == "png" else _jpeg(data)
+
+    def png(self, step: Path, camera: str) -> bytes:
+        """Return the file of the image, a PNG."""
+        if self._kind == "auto":
+            self._kind = "generated" if (step / "generated").is_dir() else "color"
+        path = step / self._kind / f"{camera}.png" if self._kind in _REASONS else step / camera / f"{self._kind}.png"
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            reason = _REASONS.get(self._kind, "maps are images with --format png, and those of --maps")
+            raise DriverError(f"expected {path}, found {error.strerror} ({reason})") from None
+        if not data.startswith(_PNG) or len(data) < 24:
+            raise DriverError(f"expected a PNG image, found {data[:8]!r} in {path}")
+        return data
+
+
+_REASONS = {
+    "generated": "generated images need --generator",
+    "truth": "ground truth needs --generator; a recorded log has it while ego and actors follow the log",
+}
+
+
+def size(image: bytes) -> tuple[int, int]:
+    """Return width and height of a PNG image, pixels."""
+    width, height = struct.unpack(">II", image[16:24])
+    return width, height
+
+
+def _jpeg(png: bytes) -> bytes:
+    try:
+        from PIL import Image
+    except ImportError:
+        raise DriverError("expected Pillow for JPEG images, found none: pip install 'pskel[alpasim]'") from None
+    out = io.BytesIO()
+    with Image.open(io.BytesIO(png)) as image:
+        image.convert("RGB").save(out, format="JPEG", quality=95)
+    return out.getvalue()
+
+
+def rig(step: Path) -> list[Any]:
+    """Return the cameras in the ``meta.json`` of a step. Raises ``DriverError`` if there are none."""
+    path = step / "meta.json"
+    try:
+        cameras = json.loads(path.read_bytes())["cameras"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DriverError(f"expected cameras in {path}, found {one_line(str(error))}") from None
+    if not isinstance(cameras, list) or not cameras:
+        raise DriverError(f"expected cameras in {path}, found none")
+    return cameras
+
+
+def available(step: Path, ids: dict[str, str], images: Images) -> list[sensorsim_pb2.AvailableCamerasReturn.AvailableCamera]:
+    """Return the cameras of ``ids`` as a driver knows them, with the size of their images in the folder of a step.
+
+    They are pinhole cameras without distortion. ``rig_to_camera`` is the pose of the optical frame in the rig.
+    """
+    cameras = []
+    for camera in rig(step):
+        if camera["name"] not in ids:
+            continue
+        logical = ids[camera["name"]]
+        width, height = size(images.png(step, camera["name"]))
+        (fx, _, cx), (_, fy, cy), _ = camera["intrinsics"]
+        along, down = width / camera["width"], height / camera["height"]
+        pinhole = sensorsim_pb2.OpenCVPinholeCameraParam(
+            principal_point_x=cx * along,
+            principal_point_y=cy * down,
+            focal_length_x=fx * along,
+            focal_length_y=fy * down,
+            radial_coeffs=[0.0] * 6,
+            tangential_coeffs=[0.0] * 2,
+            thin_prism_coeffs=[0.0] * 4,
+        )
+        spec = sensorsim_pb2.CameraSpec(
+            opencv_pinhole_param=pinhole,
+            logical_id=logical,
+            resolution_h=height,
+            resolution_w=width,
+            shutter_type=sensorsim_pb2.GLOBAL,
+        )
+        mount = frames.pose(np.array(camera["ego_from_camera"], dtype=np.float64).reshape(4, 4))
+        cameras.append(
+            sensorsim_pb2.AvailableCamerasReturn.AvailableCamera(intrinsics=spec, rig_to_camera=mount, logical_id=logical)
+        )
+    return cameras
