@@ -72,7 +72,10 @@ def _stubs(file: descriptor_pb2.FileDescriptorProto) -> str:
         lines += ["", f"class {service.name}Servicer:"]
         for method, request, response in methods:
             lines += [f"    def {method}(self, request: {request}, context: Any) -> {response}: ..."]
-        lines += ["", f"def add_{service.name}Servicer_to_server(servicer: {service.name}Servicer, server: grpc.Server) -> None: ..."]
+        lines += [
+            "",
+            f"def add_{service.name}Servicer_to_server(servicer: {service.name}Servicer, server: grpc.Server) -> None: ...",
+        ]
     return "\n".join(lines) + "\n"
 
 

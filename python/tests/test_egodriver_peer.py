@@ -69,7 +69,10 @@ def test_route_follower_drives_the_town_alone_and_in_four_sessions(server: tuple
         finish(rollout, out)
         assert (out / "states.jsonl").read_bytes() == (alone / "states.jsonl").read_bytes()
     lines = log.read_text().splitlines()
-    sessions = {name: {line.split("uuid=")[1].split()[0] for line in lines if f" {name} " in line} for name in ("start_session", "close_session")}
+    sessions = {
+        name: {line.split("uuid=")[1].split()[0] for line in lines if f" {name} " in line}
+        for name in ("start_session", "close_session")
+    }
     assert len(sessions["start_session"]) == 5 and sessions["start_session"] == sessions["close_session"]
     assert not [line for line in lines if "WARNING" in line or "ERROR" in line]
 

@@ -13,7 +13,7 @@ PLAIN = ["examples/own_points.py", "examples/render_frame.py", "examples/drive.p
 TORCH = ["examples/train.py", "examples/reset_and_roll.py"]
 MODELS = ["pskel/models"]
 METRICS = ["pskel/metrics"]
-ALPASIM = ["pskel/alpasim"]
+ALPASIM = ["pskel/alpasim", "pskel/egodriver"]
 
 
 @pytest.mark.parametrize(("extra", "examples"), [("gymnasium", PLAIN), ("torch", TORCH), ("diffusers", MODELS), ("torchmetrics", METRICS), ("grpc", ALPASIM)])

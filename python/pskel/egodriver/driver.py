@@ -84,17 +84,18 @@ class Driver:
         request = egodriver_pb2.DriveRequest(session_uuid=self.session, time_now_us=now_us, time_query_us=query_us)
         return self._call("drive", self._stub.drive, request)
 
-    def close(self, timeout_s: float) -> None:
-        """Close the session, if one was started, and the connection. A driver that is gone is no error."""
+    def close(self, timeout_s: float) -> bool:
+        """Close the session, if one was started, and the connection. Returns ``False`` if the driver did not answer."""
+        session, self.session = self.session, ""
         try:
-            if self.session:
-                request = egodriver_pb2.DriveSessionCloseRequest(session_uuid=self.session)
+            if session:
+                request = egodriver_pb2.DriveSessionCloseRequest(session_uuid=session)
                 self._stub.close_session(request, timeout=timeout_s)
         except grpc.RpcError:
-            pass
+            return False
         finally:
-            self.session = ""
             self._channel.close()
+        return True
 
     def _call(self, name: str, method: Callable[..., Answer], request: object, **options: Any) -> Answer:
         left_s = max(self._deadline - time.monotonic(), 1e-3)

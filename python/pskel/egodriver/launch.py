@@ -54,7 +54,10 @@ def run(options: Options, simulate: Sequence[str]) -> int:
 
 
 def _wait(command: Sequence[str], environment: dict[str, str]) -> int:
-    """Run a command in a session of its own, with the signals of this process; returns its exit code as a shell does."""
+    """Run a command; returns its exit code as a shell does. Signals of this process are passed on.
+
+    A terminal signals both processes; ``pskel simulate`` ignores a second signal that follows at once.
+    """
     child: subprocess.Popen[bytes] | None = None
     pending: list[int] = []
 
@@ -67,7 +70,7 @@ def _wait(command: Sequence[str], environment: dict[str, str]) -> int:
     numbers = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, forward) for number in numbers}
     try:
-        child = subprocess.Popen(command, env=environment, start_new_session=True)
+        child = subprocess.Popen(command, env=environment)
         for number in pending:
             child.send_signal(number)
         code = child.wait()

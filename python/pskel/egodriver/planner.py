@@ -20,7 +20,7 @@ from .states import State, States
 HISTORY_S = 4.0
 #: Time to close a session after the rollout; ``pskel simulate`` waits half a second for the end of a planner.
 CLOSE_S = 0.4
-#: Environment variable with the folder of a launcher: file ``session`` exists while a session is open.
+#: Environment variable with the folder of a launcher: its file ``session`` names the open session, if any.
 STATE = "PSKEL_DRIVER_STATE"
 
 
@@ -49,8 +49,8 @@ def run(options: Options, lines: Iterable[str], out: TextIO) -> int:
         code, close_s = 1, 2.0
     except BrokenPipeError:
         code = 1  # the rollout has ended
-    driver.close(close_s)
-    _remember("")
+    if driver.close(close_s):
+        _remember("")
     return code
 
 
