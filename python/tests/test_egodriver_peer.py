@@ -44,7 +44,7 @@ def start(log: str, skeleton: Path, out: Path, address: str, *options: str) -> "
 
 
 def finish(rollout: "subprocess.Popen[str]", out: Path) -> Any:
-    """Metrics of a rollout that ends well."""
+    """Metrics of a successful rollout."""
     _, errors = rollout.communicate(timeout=300)
     assert rollout.returncode == 0, errors
     return json.loads((out / "metrics.json").read_text())

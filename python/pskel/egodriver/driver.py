@@ -17,7 +17,7 @@ Answer = TypeVar("Answer")
 
 #: Largest message in each direction, bytes; that of AlpaSim's runtime.
 MAX_MESSAGE = 64 << 20
-#: Tells servers of carla-driver-interface that cameras have their optical frame, also in its mode ``carla``.
+#: Declares optical camera frames to carla-driver-interface, which needs this in its mode ``carla``.
 CONTRACT = (("carla-driver-interface-contract", "2"),)
 
 

@@ -114,7 +114,7 @@ class Planner:
         self._driver.start(session, int(self._hello["seed"]), str(self._hello["log"]), available)
 
     def _observe(self, step: Path, states: list[State], path: list[list[float]]) -> None:
-        """Send all that was committed since the last plan; with the first plan, what was committed before."""
+        """Send all steps committed since the last plan; with the first plan, all earlier ones."""
         assert self._states is not None
         now = states[-1]
         stride = round(self._hello["sim_hz"] / self._hello["plan_hz"])
