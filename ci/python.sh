@@ -16,6 +16,13 @@ pip=("$scratch/env/bin/pip" install --quiet --disable-pip-version-check)
 "${pip[@]}" grpcio-tools 'carla-driver-interface==2.3.1' || true
 TOOLS="$scratch/env" PROFILE=dev ci/wheel.sh "$scratch/wheel"
 "${pip[@]}" --no-index "$scratch"/wheel/pskel-*.whl
+# Planners of nuPlan run in an environment of their own; their tests are skipped without.
+devkit=$(realpath -m "${PSKEL_SHARED:-../shared}/interop/nuplan-devkit")
+if [ -d "$devkit" ] && python3 -m venv "$scratch/devkit" && "$scratch/devkit/bin/pip" install --quiet --disable-pip-version-check \
+    'numpy<2' shapely geopandas 'SQLAlchemy==1.4.27' pyquaternion scipy opencv-python-headless tqdm retry psutil pytest joblib \
+    pillow matplotlib rasterio aioboto3 requests; then
+    export PSKEL_DEVKIT_PYTHON="$scratch/devkit/bin/python"
+fi
 [ -z "${PSKEL_PYTHON_EXTRAS:-}" ] || "${pip[@]}" $PSKEL_PYTHON_EXTRAS
 export PSKEL_VALIDATION=1
 # Not in the folder of the sources, which would hide the installed package.

@@ -11,71 +11,16 @@ import importlib
 import math
 import sys
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from pskel import _planner
+from pskel import _navsim_types, _planner
 from pskel._navsim import CAMERAS, FRAME_S, FRAMES, IMAGES_HELP, camera, driving_command, ego_status, relative
 from pskel._planner import Message, PlannerError
 
 #: Horizon and interval of a trajectory that has no ``trajectory_sampling``, seconds.
 INTERVAL_S = 0.5
-
-
-@dataclass
-class Camera:
-    """Image ``uint8 [H, W, 3]``, pose in the ego frame (``[3, 3]``, ``[3]``, meters), intrinsics ``[3, 3]``, distortion ``[5]``."""
-
-    image: Any = None
-    sensor2lidar_rotation: Any = None
-    sensor2lidar_translation: Any = None
-    intrinsics: Any = None
-    distortion: Any = None
-    camera_path: Any = None
-
-
-@dataclass
-class Cameras:
-    """Cameras of a frame; those that were not asked for are empty."""
-
-    cam_f0: Camera
-    cam_l0: Camera
-    cam_l1: Camera
-    cam_l2: Camera
-    cam_r0: Camera
-    cam_r1: Camera
-    cam_r2: Camera
-    cam_b0: Camera
-
-
-@dataclass
-class Lidar:
-    """Always empty."""
-
-    lidar_pc: Any = None
-    lidar_path: Any = None
-
-
-@dataclass
-class EgoStatus:
-    """Pose in the ego frame of the last frame (x, y, heading), velocity and acceleration in its own ego frame, command."""
-
-    ego_pose: Any
-    ego_velocity: Any
-    ego_acceleration: Any
-    driving_command: Any
-    in_global_frame: bool = False
-
-
-@dataclass
-class AgentInput:
-    """Four frames, the last of which is now."""
-
-    ego_statuses: list[EgoStatus]
-    cameras: list[Cameras]
-    lidars: list[Lidar]
 
 
 class Bridge:
@@ -87,9 +32,9 @@ class Bridge:
         self._states: deque[Message] = deque()
         self._tolerance_us = 0.5e6 / hello["sim_hz"]
         try:
-            self._types = importlib.import_module("navsim.common.dataclasses")
+            self._types: Any = importlib.import_module("navsim.common.dataclasses")
         except ImportError:
-            self._types = sys.modules[__name__]
+            self._types = _navsim_types
         if hasattr(agent, "initialize"):
             agent.initialize()
         self._sensors = agent.get_sensor_config() if hasattr(agent, "get_sensor_config") else None

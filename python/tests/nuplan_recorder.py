@@ -22,12 +22,13 @@ KINDS = {
 
 
 class Recorder(AbstractPlanner):
-    """Plans with the planner of the devkit named by ``kind``, writes what it sees to the file ``seen``, and fails as ``fails`` says."""
+    """Plans with the planner of the devkit named by ``kind``, writes what it sees to the file ``seen``, and fails as the
+    environment variable FAILS says."""
 
-    def __init__(self, kind: str, seen: str, fails: str = "") -> None:
+    def __init__(self, kind: str, seen: str) -> None:
         self._planner = KINDS[kind]()
         self._seen = Path(seen)
-        self._fails = fails
+        self._fails = os.environ.get("FAILS", "")
 
     def name(self) -> str:
         return "recorder"
@@ -49,7 +50,7 @@ class Recorder(AbstractPlanner):
         print("planners may print")
         history = current_input.history
         states = [
-            {**_ego(ego), "tracks": [_track(track) for track in tracks.tracked_objects]}
+            {**_ego(ego), "tracks": sorted((_track(track) for track in tracks.tracked_objects), key=lambda track: track["track"])}
             for ego, tracks in zip(history.ego_states, history.observations)
         ]
         lights = [[light.lane_connector_id, light.status.name, light.timestamp] for light in current_input.traffic_light_data]
@@ -70,7 +71,7 @@ class Recorder(AbstractPlanner):
         states = [ego]
         for i in range(1, 9):
             state = list(states[-1])
-            state[0] += 100_000
+            state[0] += 50_000 if self._fails == "short" else 100_000
             state[1] = math.nan if self._fails == "not finite" else state[1]
             states.append(EgoState.deserialize(state, ego.car_footprint.vehicle_parameters))
         return InterpolatedTrajectory(states if self._fails == "not finite" else states[:2])

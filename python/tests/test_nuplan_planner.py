@@ -37,19 +37,19 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def planner(kind: str, seen: Path, fails: str = "") -> str:
+def planner(kind: str, seen: Path) -> str:
     """The command of the recorder. It runs from the source tree, since the devkit's environment has no wheel."""
     path = os.pathsep.join(str(folder) for folder in (TESTS.parent, TESTS, DEVKIT))
-    arguments = json.dumps({"kind": kind, "seen": str(seen), "fails": fails})
+    arguments = json.dumps({"kind": kind, "seen": str(seen)})
     return f"PYTHONPATH={path} {PYTHON} -m pskel.nuplan_planner nuplan_recorder:Recorder --args {shlex.quote(arguments)}"
 
 
-def simulate(log: Path, out: Path, planner: str, *options: str, steps: int = 40, code: int = 0) -> str:
+def simulate(log: Path, out: Path, planner: str, *options: str, steps: int = 40, code: int = 0, fails: str = "", timeout_s: int = 60) -> str:
     """A rollout at 10 Hz with a plan at each step; returns its errors."""
     command = [sys.executable, "-m", "pskel", "simulate", f"nuplan:{log / DATABASE}", f"--skeleton={log / 'skeleton'}"]
     command += [f"--out={out}", f"--steps={steps}", f"--start={START_US}", "--sim-hz=10", "--plan-hz=10", "--size=45x80"]
-    command += ["--maps=class", "--ego=external", f"--planner={planner}", "--planner-timeout=60", *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    command += ["--maps=class", "--ego=external", f"--planner={planner}", f"--planner-timeout={timeout_s}", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, env={**os.environ, "FAILS": fails})
     assert done.returncode == code, done.stderr
     return done.stderr
 
@@ -82,12 +82,12 @@ def test_planners_of_the_devkit_drive(log: Path, tmp_path: Path, kind: str) -> N
             same(state, row)
         assert see["lights"] == [[int(l["lane_connector"]), l["color"].upper(), see["t_us"]] for l in rows[step]["lights"]]
         assert len(see["lights"]) == 4
-    # The ego follows the plans: SimplePlanner goes straight, IDMPlanner along its lane.
-    close(rows[-1]["ego"]["speed_mps"], rows[-1]["ego"]["speed_mps"])
-    deviation = metrics["lateral_deviation_m"]["max"]
-    print(kind, metrics["progress_m"], deviation, metrics["collisions"])
+    # SimplePlanner speeds up by 1 m/s^2 and goes straight, IDMPlanner drives along its lane.
+    assert metrics["progress_m"] > 5.0 and metrics["collisions"] == []
+    assert metrics["lateral_deviation_m"]["max"] < 0.5
     if kind == "simple":
-        assert max(abs(row["ego"]["yaw_rate_radps"]) for row in rows[2:]) < 1e-3
+        assert max(abs(row["ego"]["yaw_rate_radps"]) for row in rows) < 1e-2
+        assert rows[-1]["ego"]["speed_mps"] == pytest.approx(4.0, abs=0.3)
     # Plans of the same waypoints from another planner give the same rollout, byte for byte.
     replay = tmp_path / "replay.py"
     replay.write_text(REPLAY)
@@ -129,18 +129,17 @@ def same(state: Any, row: Any) -> None:
     [
         ("raises", 'found the error "RuntimeError: no checkpoint line 2"'),
         ("not finite", 'found the error "ValueError: '),
-        ("short", "expected a trajectory of at least 0.5 s"),
+        ("short", "expected a trajectory of at least 0.1 s from the planner, found one of 0.05 s"),
         ("dies", "planner"),
         ("hangs", "planner"),
     ],
 )
 def test_failures_keep_what_was_committed(log: Path, tmp_path: Path, fails: str, expected: str) -> None:
     seen, out = tmp_path / "seen", tmp_path / "out"
-    slow = ("--plan-hz=2", "--planner-timeout=8") if fails in ("short", "hangs") else ()
-    errors = simulate(log, out, planner("simple", seen, fails), *slow, steps=8, code=1)
+    errors = simulate(log, out, planner("simple", seen), steps=8, code=1, fails=fails, timeout_s=20)
     assert expected in errors and "error: stopped after" in errors, errors
     before = lines(out / "states.jsonl")
-    simulate(log, out, planner("simple", seen), *slow, "--resume", steps=8)
+    simulate(log, out, planner("simple", seen), "--resume", steps=8, timeout_s=20)
     after = lines(out / "states.jsonl")
     assert 0 < len(before) < len(after) == 9 and after[: len(before)] == before
 

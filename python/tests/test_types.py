@@ -14,9 +14,10 @@ TORCH = ["examples/train.py", "examples/reset_and_roll.py"]
 MODELS = ["pskel/models"]
 METRICS = ["pskel/metrics"]
 ALPASIM = ["pskel/alpasim", "pskel/egodriver"]
+PLANNERS = ["pskel/nuplan_planner.py", "pskel/navsim_agent.py", "pskel/navsim_scenes.py"]
 
 
-@pytest.mark.parametrize(("extra", "examples"), [("gymnasium", PLAIN), ("torch", TORCH), ("diffusers", MODELS), ("torchmetrics", METRICS), ("grpc", ALPASIM)])
+@pytest.mark.parametrize(("extra", "examples"), [("gymnasium", PLAIN), ("torch", TORCH), ("diffusers", MODELS), ("torchmetrics", METRICS), ("grpc", ALPASIM), ("numpy", PLANNERS)])
 def test_package_and_examples_are_typed(extra: str, examples: list[str]) -> None:
     pytest.importorskip("mypy")
     pytest.importorskip(extra)
