@@ -21,6 +21,7 @@ try:
         SimulationError,
         Skeleton,
         __version__,
+        fill_holes,
         splat,
     )
     from ._build import build
@@ -58,5 +59,6 @@ __all__ = [
     "__version__",
     "build",
     "export",
+    "fill_holes",
     "splat",
 ]

@@ -31,6 +31,7 @@ __all__ = [
     "Skeleton",
     "__version__",
     "build",
+    "fill_holes",
     "run_command",
     "splat",
 ]
@@ -272,6 +273,7 @@ class ResetAndRoll:
 def build(
     log: Log, out: str | PathLike[str], *, resume: bool = False, progress: _Progress | None = None
 ) -> Skeleton: ...
+def fill_holes(color: npt.NDArray[np.uint8], depth: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]: ...
 def splat(
     points: npt.ArrayLike,
     intrinsics: npt.ArrayLike,

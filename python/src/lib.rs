@@ -11,6 +11,7 @@ mod callback;
 mod command;
 mod error;
 mod export;
+mod fill;
 mod log;
 mod maps;
 mod owned_log;
@@ -41,6 +42,8 @@ mod _pskel {
     use crate::error::{BuildError, Error, LogError, RenderError, SimulationError};
     #[pymodule_export]
     use crate::export::Export;
+    #[pymodule_export]
+    use crate::fill::fill_holes;
     #[pymodule_export]
     use crate::log::{Log, Scenes};
     #[pymodule_export]

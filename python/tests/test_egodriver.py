@@ -23,7 +23,7 @@ from conftest import DRIVE
 
 pytest.importorskip("grpc")
 from egodriver_fakes import CHANGES, FakeDriver, served  # noqa: E402
-from pskel.alpasim import common_pb2  # noqa: E402
+from pskel.alpasim import common_pb2, poses  # noqa: E402
 from pskel.egodriver import DriverError, cameras, frames, launch, planner  # noqa: E402
 from pskel.egodriver.__main__ import parser  # noqa: E402
 
@@ -44,7 +44,7 @@ for see in map(json.loads, sys.stdin):
         for i in range(1, 9):
             (t0, xa, _), (t1, xb, _) = known[i - 1], known[min(i + 1, 8)]
             answer["trajectory"].append(
-                {"t": known[i][0] / 1e6, "x": known[i][1], "y": y0, "heading": 0.0, "v": (xb - xa) / (t1 - t0) * 1e6})
+                {"t": known[i][0] / 1e6, "x": known[i][1], "y": y0, "heading": 0.0, "v": (xb - xa) / (t1 / 1e6 - t0 / 1e6)})
     print(json.dumps(answer), flush=True)
 """
 
@@ -155,7 +155,7 @@ def test_quaternions_of_all_rotations() -> None:
     for q in random.normal(size=(200, 4)):
         turns.append(rotation(common_pb2.Quat(**dict(zip("wxyz", (q / np.linalg.norm(q)).tolist(), strict=True)))))
     for turn in turns:
-        w, x, y, z = frames.quaternion(turn)
+        w, x, y, z = poses.quaternion(turn)
         assert w >= 0.0 and math.hypot(w, x, y, z) == pytest.approx(1.0)
         np.testing.assert_allclose(rotation(common_pb2.Quat(w=w, x=x, y=y, z=z)), turn, atol=1e-6)
 

@@ -5,6 +5,15 @@ use super::kernels::neighbors;
 /// Value of images without any known pixel.
 const UNKNOWN: f32 = 0.5;
 
+/// Returns the pixels of a color image, of which those that are not known are filled from known ones; both have one entry
+/// per pixel, row by row. Without any known pixel the result is gray.
+pub fn fill_holes(color: &[[u8; 3]], known: &[bool], width: usize) -> Vec<[u8; 3]> {
+    let values =
+        color.iter().map(|pixel| pixel.map(f32::from)).map(|pixel| pixel.map(|c| c / 255.0)).collect();
+    let byte = |level: f32| (level * 255.0).round() as u8; // saturates
+    fill(values, known, width).into_iter().map(|pixel| pixel.map(byte)).collect()
+}
+
 /// One level of the pyramid.
 struct Level<const C: usize> {
     width: usize,
@@ -75,6 +84,23 @@ fn between<const C: usize>(values: &[[f32; C]], width: usize, [y, x]: [usize; 2]
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn bytes_are_filled_as_levels() {
+        let color: Vec<[u8; 3]> = (0..35).map(|i| [i * 7, 255 - i, 3]).collect();
+        let all = vec![true; 35];
+        assert_eq!(fill_holes(&color, &all, 7), color, "known pixels stay");
+        let known: Vec<bool> = (0..35).map(|i| i % 5 == 0).collect();
+        let levels = color.iter().map(|pixel| pixel.map(|c| f32::from(c) / 255.0)).collect();
+        let expected = fill(levels, &known, 7);
+        for ((filled, level), (pixel, known)) in
+            fill_holes(&color, &known, 7).into_iter().zip(expected).zip(color.iter().zip(&known))
+        {
+            assert_eq!(filled, level.map(|c| (c * 255.0).round() as u8));
+            assert!(!known || filled == *pixel);
+        }
+        assert_eq!(fill_holes(&color, &[false; 35], 7), vec![[128; 3]; 35]);
+    }
 
     #[test]
     fn known_pixels_stay_and_constants_are_continued() {

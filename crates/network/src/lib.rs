@@ -30,6 +30,7 @@ mod weights;
 pub use config::NetworkConfig;
 pub use denoiser::Network;
 pub use error::NetworkError;
+pub use fill::fill_holes;
 pub use filled::FilledColor;
 pub use generator::{
     GenerationScene, GeneratorReport, GeneratorSettings, NetworkName, OpenNetworkError, OpenedNetwork,

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from pskel.alpasim import sensorsim_pb2
+from pskel.alpasim import poses, sensorsim_pb2
 
-from . import frames
 from .driver import DriverError, one_line
 
 #: Nearest cameras of AlpaSim's vehicles to those of nuScenes and the town, nuPlan, and Argoverse 2.
@@ -144,7 +143,7 @@ def available(step: Path, ids: dict[str, str], images: Images) -> list[sensorsim
             resolution_w=width,
             shutter_type=sensorsim_pb2.GLOBAL,
         )
-        mount = frames.pose(np.array(camera["ego_from_camera"], dtype=np.float64).reshape(4, 4))
+        mount = poses.pose(np.array(camera["ego_from_camera"], dtype=np.float64).reshape(4, 4))
         cameras.append(
             sensorsim_pb2.AvailableCamerasReturn.AvailableCamera(intrinsics=spec, rig_to_camera=mount, logical_id=logical)
         )

@@ -3,53 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import TypedDict
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pskel import _planner
 from pskel.alpasim import common_pb2
+from pskel.alpasim.poses import Matrix
 
 from .driver import DriverError
 
-Matrix = NDArray[np.float64]
-
 #: Largest number of poses of a plan.
 MAX_POSES = 10_000
-
-
-class Waypoint(TypedDict):
-    """Waypoint of a plan (docs/PLANNER.md): seconds after the observation, global meters, radians, m/s."""
-
-    t: float
-    x: float
-    y: float
-    heading: float
-    v: float
-
-
-def pose(matrix: Matrix, origin: Matrix | None = None) -> common_pb2.Pose:
-    """Return the pose of a rigid matrix ``[4, 4]``, with ``origin`` (``[3]``, meters) subtracted from its translation."""
-    x, y, z = matrix[:3, 3] if origin is None else matrix[:3, 3] - origin
-    qw, qx, qy, qz = quaternion(matrix[:3, :3])
-    return common_pb2.Pose(vec=common_pb2.Vec3(x=x, y=y, z=z), quat=common_pb2.Quat(w=qw, x=qx, y=qy, z=qz))
-
-
-def quaternion(rotation: Matrix) -> tuple[float, float, float, float]:
-    """Return the unit quaternion w, x, y, z (w at least 0) of a rotation ``[3, 3]``."""
-    # K's eigenvector of the largest eigenvalue is the quaternion, for all angles (Bar-Itzhack, 2000).
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
-    k = np.array(
-        [
-            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
-            [zy - yz, xx - yy - zz, xy + yx, xz + zx],
-            [xz - zx, xy + yx, yy - xx - zz, yz + zy],
-            [yx - xy, xz + zx, yz + zy, zz - xx - yy],
-        ]
-    )
-    _, vectors = np.linalg.eigh(k)
-    w, x, y, z = (vectors[:, -1] * (-1.0 if vectors[0, -1] < 0.0 else 1.0)).tolist()
-    return w, x, y, z
 
 
 def route(path: list[list[float]], global_from_rig: Matrix) -> list[common_pb2.Vec3]:
@@ -66,12 +31,11 @@ def route(path: list[list[float]], global_from_rig: Matrix) -> list[common_pb2.V
 
 def plan(
     trajectory: common_pb2.Trajectory, start: tuple[float, float], origin: Matrix, now_us: int, query_us: int
-) -> list[Waypoint]:
+) -> list[dict[str, Any]]:
     """Return the waypoints after ``now_us`` of a trajectory of poses local->rig.
 
-    ``start`` is the ego at ``now_us`` (global meters), ``origin`` the origin of the local frame (``[3]``, global meters). A message
-    has no speeds: that of a waypoint is the mean between its neighbors, along its heading, that of the last one since the waypoint
-    before. Raises ``DriverError`` for a trajectory that is empty, too short, too long, not finite or out of order.
+    ``start`` is the ego at ``now_us`` (global meters), ``origin`` the origin of the local frame (``[3]``, global meters). Raises
+    ``DriverError`` for a trajectory that is empty, too short, too long, not finite or out of order.
     """
     count = len(trajectory.poses)
     if count > MAX_POSES:
@@ -89,13 +53,7 @@ def plan(
     if last_us < query_us:
         found = "none" if count == 0 else f"one of {(last_us - now_us) / 1e6:g} s"
         raise DriverError(f"expected a trajectory of at least {(query_us - now_us) / 1e6:g} s, found {found}")
-    waypoints: list[Waypoint] = []
-    known = [(now_us, *start), *((t_us, x, y) for t_us, x, y, _ in points)]
-    for index, (t_us, x, y, heading) in enumerate(points):
-        (t0, x0, y0), (t1, x1, y1) = known[index], known[min(index + 2, len(points))]
-        along = (x1 - x0) * math.cos(heading) + (y1 - y0) * math.sin(heading)
-        waypoints.append({"t": (t_us - now_us) / 1e6, "x": x, "y": y, "heading": heading, "v": along / (t1 - t0) * 1e6})
-    return waypoints
+    return _planner.waypoints(start, [((t_us - now_us) / 1e6, x, y, heading) for t_us, x, y, heading in points])
 
 
 def _placed(pose: common_pb2.Pose, origin: Matrix, index: int) -> tuple[float, float, float]:

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pskel.alpasim import common_pb2
+from pskel.alpasim import common_pb2, poses
+from pskel.alpasim.poses import Matrix
 
-from . import frames
 from .driver import DriverError
-from .frames import Matrix
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,7 @@ class State:
 
     def pose(self, origin: Matrix) -> common_pb2.PoseAtTime:
         """Return the pose local->rig, for a local frame with its origin at ``origin`` (``[3]``)."""
-        return common_pb2.PoseAtTime(pose=frames.pose(self.global_from_ego, origin), timestamp_us=self.t_us)
+        return common_pb2.PoseAtTime(pose=poses.pose(self.global_from_ego, origin), timestamp_us=self.t_us)
 
     def derivatives(self) -> common_pb2.DynamicState:
         """Return the derivatives in the rig frame; the rear axle does not slip, so its velocity is along x."""
@@ -69,7 +68,7 @@ class States:
             found = f"step {states[-1].step}" if states else "its end"
             raise DriverError(f"expected the state of step {step} in {self._file}, found {found}")
         if self._origin is None:
-            self._origin = np.floor(states[0].global_from_ego[:3, 3])
+            self._origin = poses.local_origin(states[0].global_from_ego[:3, 3])
         return states
 
 

@@ -1,0 +1,276 @@
+"""The service ``nre.grpc.protos.sensorsim.SensorsimService``: requests to answers and statuses."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import grpc
+import numpy as np
+
+import pskel
+from pskel.alpasim import API_VERSION, common_pb2, poses, sensorsim_pb2, sensorsim_pb2_grpc
+from pskel.alpasim.poses import Matrix
+
+from . import cameras, images
+from .cameras import MAX_PIXELS, Projection
+from .errors import RequestError, invalid, unknown
+from .scenes import RigCamera, Scene, Scenes
+
+Request = sensorsim_pb2.RGBRenderRequest
+Answer = TypeVar("Answer")
+
+#: Largest message in each direction, bytes; that of AlpaSim's runtime.
+MAX_MESSAGE = 64 << 20
+#: Largest number of images in a request.
+MAX_IMAGES = 256
+#: Time for the calls in progress when the server stops, seconds.
+GRACE_S = 5.0
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A checked request: the scene with its ego and actors, and the camera with its pose ``global_from_camera``."""
+
+    scene: Scene
+    ego: Matrix
+    actors: tuple[pskel.Actor, ...]
+    #: Requests with the same key show the same instant with images of one size, and are rendered together.
+    key: tuple[Any, ...]
+    projection: Projection
+    pose: Matrix
+    image_format: int
+    quality: float
+
+
+class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
+    """Answers requests about scenes; ``fill`` fills the holes of images."""
+
+    def __init__(self, scenes: Scenes, fill: bool) -> None:
+        self._scenes = scenes
+        self._fill = fill
+
+    def get_version(self, request: common_pb2.Empty, context: Any) -> common_pb2.VersionId:
+        major, minor, patch = API_VERSION
+        version = common_pb2.VersionId.APIVersion(major=major, minor=minor, patch=patch)
+        return common_pb2.VersionId(version_id=f"pskel {pskel.__version__}", git_hash="", grpc_api_version=version)
+
+    def get_available_scenes(self, request: common_pb2.Empty, context: Any) -> common_pb2.AvailableScenesReturn:
+        return common_pb2.AvailableScenesReturn(scene_ids=self._scenes.names)
+
+    def get_loaded_scenes(self, request: common_pb2.Empty, context: Any) -> sensorsim_pb2.LoadedScenesReturn:
+        loaded = [
+            sensorsim_pb2.LoadedSceneEntry(scene_id=name, loaded_instance_count=1, reusable_instance_count=1)
+            for name in self._scenes.loaded
+        ]
+        return sensorsim_pb2.LoadedScenesReturn(scenes=loaded, loaded_instance_capacity=self._scenes.capacity)
+
+    def get_available_cameras(
+        self, request: sensorsim_pb2.AvailableCamerasRequest, context: Any
+    ) -> sensorsim_pb2.AvailableCamerasReturn:
+        def answer() -> sensorsim_pb2.AvailableCamerasReturn:
+            scene = self._scenes.get(request.scene_id)
+            made = [_available(name, camera) for name, camera in scene.cameras.items()]
+            return sensorsim_pb2.AvailableCamerasReturn(available_cameras=made)
+
+        return _answered(context, answer)
+
+    def get_available_trajectories(
+        self, request: sensorsim_pb2.AvailableTrajectoriesRequest, context: Any
+    ) -> sensorsim_pb2.AvailableTrajectoriesReturn:
+        def answer() -> sensorsim_pb2.AvailableTrajectoriesReturn:
+            scene = self._scenes.get(request.scene_id)
+            at = [
+                common_pb2.PoseAtTime(pose=poses.pose(ego, scene.origin), timestamp_us=t_us) for t_us, ego in scene.trajectory
+            ]
+            kind = sensorsim_pb2.AvailableTrajectoriesReturn.AvailableTrajectory
+            return sensorsim_pb2.AvailableTrajectoriesReturn(
+                available_trajectories=[kind(trajectory=common_pb2.Trajectory(poses=at))]
+            )
+
+        return _answered(context, answer)
+
+    def get_available_ego_masks(self, request: common_pb2.Empty, context: Any) -> sensorsim_pb2.AvailableEgoMasksReturn:
+        return sensorsim_pb2.AvailableEgoMasksReturn()
+
+    def render_rgb(self, request: Request, context: Any) -> sensorsim_pb2.RGBRenderReturn:
+        return _answered(context, lambda: self._all([request], context)[0])
+
+    def render_aggregated(
+        self, request: sensorsim_pb2.AggregatedRenderRequest, context: Any
+    ) -> sensorsim_pb2.AggregatedRenderReturn:
+        def answer() -> sensorsim_pb2.AggregatedRenderReturn:
+            if request.lidar_requests:
+                raise RequestError(grpc.StatusCode.UNIMPLEMENTED, "expected no lidar_requests, found some")
+            made = self._all(request.rgb_requests, context)
+            return _sized(sensorsim_pb2.AggregatedRenderReturn(rgb_returns=made))
+
+        return _answered(context, answer)
+
+    def batch_render_rgb(
+        self, request: sensorsim_pb2.BatchRGBRenderRequest, context: Any
+    ) -> sensorsim_pb2.BatchRGBRenderReturn:
+        """Answers each item; one that cannot be rendered has an error message and does not prevent the others."""
+
+        def answer() -> sensorsim_pb2.BatchRGBRenderReturn:
+            names = [item.camera_name for item in request.items]
+            if len(set(names)) < len(names):
+                raise invalid("items with different camera_name", names)
+            shots: dict[str, Shot] = {}
+            errors: dict[str, str] = {}
+            for item in request.items:
+                try:
+                    shots[item.camera_name] = self._shot(item.request)
+                except RequestError as error:
+                    errors[item.camera_name] = f"{error.code.name}: {error}"
+            made = dict(zip(shots, self._rendered(list(shots.values()), context), strict=True))
+            kind = sensorsim_pb2.BatchRGBRenderReturnItem
+            items = [
+                kind(camera_name=name, result=made[name], success=True)
+                if name in made
+                else kind(camera_name=name, success=False, error_message=errors[name])
+                for name in names
+            ]
+            return _sized(sensorsim_pb2.BatchRGBRenderReturn(items=items))
+
+        return _answered(context, answer)
+
+    def _all(self, requests: Sequence[Request], context: Any) -> list[sensorsim_pb2.RGBRenderReturn]:
+        return self._rendered([self._shot(request) for request in requests], context)
+
+    def _shot(self, request: Request) -> Shot:
+        """Check a request. Raises ``RequestError``."""
+        scene = self._scenes.get(request.scene_id)
+        images.check(request.image_format, request.image_quality)
+        if request.insert_ego_mask:
+            raise unknown("no ego mask, since there are none", repr(request.ego_mask_id.camera_logical_id))
+        spec, rig = _spec(scene, request)
+        size = (request.resolution_h or spec.resolution_h, request.resolution_w or spec.resolution_w)
+        pose = _pose("sensor_pose", request.sensor_pose, scene.origin)
+        if request.HasField("ego_pose"):
+            ego = _pose("ego_pose", request.ego_pose, scene.origin)
+        else:
+            ego = pose if rig is None else pose @ np.linalg.inv(rig.ego_from_camera)
+        t_us = (request.frame_start_us + request.frame_end_us) // 2
+        boxes = {}
+        for item in request.dynamic_objects:
+            if item.track_id in boxes:
+                raise invalid("each track once", f"two of {item.track_id!r}")
+            box = _pose(f"pose_pair of track {item.track_id!r}", item.pose_pair, scene.origin)
+            boxes[item.track_id] = scene.actor(item.track_id, t_us, box)
+        projection = cameras.projection(spec, size)
+        tracks = tuple(item.SerializeToString(deterministic=True) for item in request.dynamic_objects)
+        # Cameras of one instant are rendered together only if their ego is known to be the same.
+        key = (request.scene_id, ego.tobytes(), t_us, tracks, projection.size)
+        return Shot(
+            scene, ego, tuple(boxes.values()), key, projection, pose, request.image_format, request.image_quality
+        )
+
+    def _rendered(self, shots: Sequence[Shot], context: Any) -> list[sensorsim_pb2.RGBRenderReturn]:
+        """Render in the order of the shots, those of one instant together."""
+        pixels = sum(shot.projection.size[0] * shot.projection.size[1] for shot in shots)
+        if len(shots) > MAX_IMAGES or pixels > MAX_PIXELS:
+            text = f"expected at most {MAX_IMAGES} images and {MAX_PIXELS} pixels in a request, found {len(shots)} and {pixels}"
+            raise RequestError(grpc.StatusCode.RESOURCE_EXHAUSTED, text)
+        groups: dict[tuple[Any, ...], list[int]] = {}
+        for index, shot in enumerate(shots):
+            groups.setdefault(shot.key, []).append(index)
+        made: dict[int, sensorsim_pb2.RGBRenderReturn] = {}
+        for group in groups.values():
+            if not context.is_active():
+                raise RequestError(grpc.StatusCode.CANCELLED, "expected a caller that waits, found none")
+            first = shots[group[0]]
+            views = [(shots[index].projection, shots[index].pose) for index in group]
+            maps = first.scene.render(first.ego, views, first.actors)
+            color = pskel.fill_holes(maps["color"], maps["depth"]) if self._fill else maps["color"]
+            for index, image in zip(group, color, strict=True):
+                shot = shots[index]
+                data = images.encoded(shot.projection.image(image), shot.image_format, shot.quality)
+                made[index] = sensorsim_pb2.RGBRenderReturn(image_bytes=data)
+        return [made[index] for index in range(len(shots))]
+
+
+def _spec(scene: Scene, request: Request) -> tuple[sensorsim_pb2.CameraSpec, RigCamera | None]:
+    """Return the camera of a request, and that of the log with its ID. One without parameters is that of the log."""
+    given = request.camera_intrinsics
+    rig = scene.cameras.get(given.logical_id)
+    if given.WhichOneof("camera_param"):
+        return given, rig
+    if rig is None:
+        raise unknown(f"the parameters of a camera, or one of {', '.join(scene.cameras)}", repr(given.logical_id))
+    return _available(given.logical_id, rig).intrinsics, rig
+
+
+def _pose(name: str, pair: sensorsim_pb2.PosePair, origin: Matrix) -> Matrix:
+    """Return the mean of the poses at start and end, global. Raises ``RequestError``."""
+    try:
+        start = poses.matrix(pair.start_pose, origin)
+        end = poses.matrix(pair.end_pose, origin) if pair.HasField("end_pose") else start
+    except ValueError as error:
+        raise RequestError(grpc.StatusCode.INVALID_ARGUMENT, f"{name}: {error}") from None
+    return poses.mean(start, end)
+
+
+def _available(name: str, camera: RigCamera) -> sensorsim_pb2.AvailableCamerasReturn.AvailableCamera:
+    (fx, _, cx), (_, fy, cy), _ = camera.intrinsics.tolist()
+    height, width = camera.size
+    pinhole = sensorsim_pb2.OpenCVPinholeCameraParam(
+        principal_point_x=cx,
+        principal_point_y=cy,
+        focal_length_x=fx,
+        focal_length_y=fy,
+        radial_coeffs=[0.0] * 6,
+        tangential_coeffs=[0.0] * 2,
+        thin_prism_coeffs=[0.0] * 4,
+    )
+    spec = sensorsim_pb2.CameraSpec(
+        opencv_pinhole_param=pinhole,
+        logical_id=name,
+        resolution_h=height,
+        resolution_w=width,
+        shutter_type=sensorsim_pb2.GLOBAL,
+    )
+    mount = poses.pose(camera.ego_from_camera)
+    return sensorsim_pb2.AvailableCamerasReturn.AvailableCamera(intrinsics=spec, rig_to_camera=mount, logical_id=name)
+
+
+def _sized(answer: Any) -> Any:
+    """Return an answer after checking that its receiver takes it."""
+    if answer.ByteSize() > MAX_MESSAGE:
+        text = f"expected an answer of at most {MAX_MESSAGE} bytes, found {answer.ByteSize()}: ask for fewer images, or for JPEG"
+        raise RequestError(grpc.StatusCode.RESOURCE_EXHAUSTED, text)
+    return answer
+
+
+def _answered(context: Any, answer: Callable[[], Answer]) -> Answer:
+    """Return an answer, or end the call with the status of its error."""
+    try:
+        return answer()
+    except RequestError as error:
+        code, text = error.code, str(error)
+    except Exception as error:  # a call must not end the server
+        if not isinstance(error, pskel.Error):
+            traceback.print_exc()
+        code, text = grpc.StatusCode.INTERNAL, f"{type(error).__name__}: {error}"
+    print(f"pskel.serve: {code.name}: {text}", file=sys.stderr, flush=True)
+    context.abort(code, " ".join(text.split())[:1000])
+    raise AssertionError  # abort raises
+
+
+def serve(service: Service, address: str, threads: int) -> tuple[grpc.Server, int]:
+    """Start a server; returns it and its port. Raises ``OSError`` if the address cannot be used."""
+    limits = [("grpc.max_send_message_length", MAX_MESSAGE), ("grpc.max_receive_message_length", MAX_MESSAGE)]
+    server = grpc.server(ThreadPoolExecutor(threads), options=[*limits, ("grpc.so_reuseport", 0)])
+    sensorsim_pb2_grpc.add_SensorsimServiceServicer_to_server(service, server)
+    try:
+        port = server.add_insecure_port(address)
+    except RuntimeError:
+        port = 0
+    if port == 0:
+        raise OSError(f"expected an address to listen on, found {address}, which is in use or not of this machine")
+    server.start()
+    return server, port
