@@ -4,6 +4,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 use super::manifest::Manifest;
+use super::whole::target;
 use crate::error::FileError;
 
 /// Checks that an output file is none of the inputs and is not listed in a run's output folder.
@@ -33,14 +34,31 @@ pub fn check_output_file<'a>(
     Ok(())
 }
 
+/// Checks early that a file can be written at the end of a run: that its folder exists, and that its path is a regular file or
+/// none.
+///
+/// # Errors
+/// Fails if that is not the case.
+pub fn check_destination(path: &Path) -> Result<(), FileError> {
+    let folder = parent(path);
+    match folder.metadata() {
+        Ok(data) if data.is_dir() => target(path).map(|_| ()),
+        Ok(_) => Err(FileError::content("a file in a folder", "another file in its place", folder)),
+        Err(error) => Err(FileError::io("read", folder)(error)),
+    }
+}
+
+fn parent(path: &Path) -> &Path {
+    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
 /// Checks that an output file is outside a folder written by the same run, whose files could replace it.
 ///
 /// # Errors
 /// Fails if the file is in the folder.
 pub fn check_outside(path: &Path, folder: &Path) -> Result<(), FileError> {
     let resolved = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    match (resolved(parent), resolved(folder)) {
+    match (resolved(parent(path)), resolved(folder)) {
         (Ok(parent), Ok(folder)) if parent.starts_with(&folder) => {
             let expected = format!("a file outside of the output {}", folder.display());
             Err(FileError::content(expected, "one in it", path))

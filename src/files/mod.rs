@@ -12,7 +12,7 @@ pub mod text;
 mod whole;
 mod work;
 
-pub use check::{check_output_file, check_outside};
+pub use check::{check_destination, check_output_file, check_outside};
 pub(crate) use name::first_twice;
 pub use name::{FileName, NameError};
 pub use output::resolved_output;

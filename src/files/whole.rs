@@ -78,8 +78,8 @@ impl Drop for PartialFile {
     }
 }
 
-/// Resolves `path` if it is a link to a file.
-fn target(path: &Path) -> Result<PathBuf, FileError> {
+/// Resolves `path` if it is a link to a file. Fails if it is a folder, device or pipe.
+pub(super) fn target(path: &Path) -> Result<PathBuf, FileError> {
     match path.metadata() {
         Ok(data) if !data.is_file() => {
             let found = if data.is_dir() { "a folder" } else { "a device or pipe" };

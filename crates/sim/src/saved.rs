@@ -118,6 +118,12 @@ impl SavedState {
         self.step
     }
 
+    /// Returns the number of evaluated instants so far with a part of the ego off the road.
+    #[cfg(feature = "mcap")]
+    pub(super) fn off_road_instants(&self) -> usize {
+        self.tally.off_road_instants()
+    }
+
     /// Returns the committed instant of the saved state.
     ///
     /// # Errors

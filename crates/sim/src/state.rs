@@ -80,6 +80,13 @@ pub const REAR_AXLE_TO_CENTER_M: f64 = 1.461;
 /// Distance from the ego's rear axle to its front axle, meters.
 pub const WHEELBASE_M: f64 = 3.089;
 
+/// Returns the bounding box of the ego at a pose.
+pub(super) fn ego_cuboid(pose: &Pose) -> Cuboid {
+    let center = DVec3::new(REAR_AXLE_TO_CENTER_M, 0.0, EGO_SIZE_M.z / 2.0);
+    let pose = Pose { rotation: pose.rotation, translation: pose.transform_point(center) };
+    Cuboid { pose, size: EGO_SIZE_M }
+}
+
 impl EgoState {
     /// Returns the global yaw, radians.
     pub fn heading_rad(&self) -> f64 {
@@ -93,9 +100,7 @@ impl EgoState {
 
     /// Returns the vehicle's bounding box.
     pub fn cuboid(&self) -> Cuboid {
-        let center = DVec3::new(REAR_AXLE_TO_CENTER_M, 0.0, EGO_SIZE_M.z / 2.0);
-        let pose = Pose { rotation: self.pose.rotation, translation: self.pose.transform_point(center) };
-        Cuboid { pose, size: EGO_SIZE_M }
+        ego_cuboid(&self.pose)
     }
 }
 

@@ -3,6 +3,8 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
+#[cfg(feature = "mcap")]
+use point_skeleton::conditions::MapFormat;
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::dataset::{LogLocator, LogOpener, MovedEgo};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
@@ -66,7 +68,7 @@ pub(crate) struct SimulateArgs {
     #[arg(long)]
     pub(super) sheets: bool,
     /// Continue the rollout in --out after its last step, with the same log, skeleton and options; --steps,
-    /// --planner-timeout, --generator-timeout, --profile and the rasterizer may change
+    /// --planner-timeout, --generator-timeout, --mcap, --profile and the rasterizer may change
     #[arg(long)]
     pub(super) resume: bool,
     /// Continue after this step; later ones are simulated again
@@ -75,6 +77,11 @@ pub(crate) struct SimulateArgs {
     /// Write nothing below --out and only print the times, to measure the loop without output
     #[arg(long, conflicts_with_all = ["resume", "resume_from"])]
     pub(super) dry: bool,
+    /// Also write the rollout to an MCAP file for Foxglove, Lichtblick and Rerun, after its last step: images, poses, boxes,
+    /// plans, events and metrics. Maps need --format png; with --dry there are no images
+    #[cfg(feature = "mcap")]
+    #[arg(long, value_name = "F.mcap")]
+    pub(super) mcap: Option<PathBuf>,
     /// Write the times of all steps and stages to this file
     #[arg(long, value_name = "F.json")]
     pub(super) profile: Option<PathBuf>,
@@ -251,6 +258,8 @@ impl SimulateArgs {
             resume: clip.resume,
             resume_from: clip.resume_from,
             dry: false,
+            #[cfg(feature = "mcap")]
+            mcap: None,
             profile: clip.profile,
             annotations: clip.annotations,
             generation: clip.generation,
@@ -274,8 +283,26 @@ impl SimulateArgs {
         if let Some((option, _, name)) = unused.into_iter().find(|(_, unused, _)| *unused) {
             return Err(WrongUsage(format!("expected --ego {name} with {option}, found {}", ego.name())));
         }
+        let mut outputs = self.output_files();
+        if let (Some(a), Some(b)) = (outputs.next(), outputs.next())
+            && a == b
+        {
+            return Err(WrongUsage(format!(
+                "expected two files for --profile and --mcap, found {}",
+                a.display()
+            )));
+        }
         self.generation.check()?;
         self.maps.check()
+    }
+
+    /// Returns a note if the MCAP file has no maps although they are written.
+    pub(super) fn note_on_maps(&self) -> Option<&'static str> {
+        #[cfg(feature = "mcap")]
+        if self.mcap.is_some() && !self.dry && self.maps.format != MapFormat::Png {
+            return Some("the file of --mcap has no maps, which are only copied with --format png");
+        }
+        None
     }
 
     /// Returns the files that are named individually and only read.
@@ -284,6 +311,15 @@ impl SimulateArgs {
         [self.annotations.as_deref(), self.policies.trajectory.as_deref(), weights, captions]
             .into_iter()
             .flatten()
+    }
+
+    /// Returns the files besides the output folder that the command writes.
+    pub(super) fn output_files(&self) -> impl Iterator<Item = &Path> {
+        #[cfg(feature = "mcap")]
+        let mcap = self.mcap.as_deref();
+        #[cfg(not(feature = "mcap"))]
+        let mcap = None;
+        [self.profile.as_deref(), mcap].into_iter().flatten()
     }
 
     /// Reads the inputs.

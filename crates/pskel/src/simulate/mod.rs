@@ -16,7 +16,7 @@ use std::time::Instant;
 use point_skeleton::conditions::{ConditionOptions, MapSet};
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::with_causes;
-use point_skeleton::files::{check_output_file, check_outside};
+use point_skeleton::files::{check_destination, check_output_file, check_outside};
 use point_skeleton::geometry::{Camera, ImageSize};
 use point_skeleton::scene::{SceneClouds, SubstituteReport};
 use pskel_sim::rollout::{
@@ -44,11 +44,15 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
 pub(super) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let start = Instant::now();
     args.check()?;
-    if let Some(profile) = &args.profile {
-        check_output_file(profile, args.input_files())?;
+    for file in args.output_files() {
+        check_output_file(file, args.input_files())?;
         if !args.dry {
-            check_outside(profile, &args.out)?;
+            check_outside(file, &args.out)?;
         }
+        check_destination(file)?;
+    }
+    if let Some(note) = args.note_on_maps() {
+        warn(note);
     }
     let inputs = args.inputs()?;
     let Inputs { dataset, skeleton, prompt, map, maps } = &inputs;
@@ -150,5 +154,7 @@ fn options(
         sheets: args.sheets,
         extra,
         facts,
+        #[cfg(feature = "mcap")]
+        mcap: args.mcap.clone(),
     }
 }

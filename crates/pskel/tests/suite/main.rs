@@ -44,6 +44,7 @@ mod sheet;
 mod sim;
 mod simulate;
 mod simulate_folder;
+mod simulate_mcap;
 mod skeleton_store;
 mod splat_cli;
 mod templates;

@@ -113,6 +113,12 @@ impl MetricsAccumulator {
         self.heading.add(wrap_angle(now.ego.heading_rad() - route.yaw_at(foot.station_m)), self.instants);
     }
 
+    /// Returns the number of instants with a part of the ego off the road; 0 without a map.
+    #[cfg(feature = "mcap")]
+    pub(super) fn off_road_instants(&self) -> usize {
+        self.off_road.instants
+    }
+
     /// Returns the metrics; `has_road` is `true` if a map was available.
     pub(super) fn metrics(&self, has_road: bool) -> Metrics {
         Metrics {

@@ -46,13 +46,21 @@ pub fn is_finished(folder: &Path) -> Result<bool, FileError> {
 
 /// Content of `metrics.json`.
 #[derive(Serialize)]
-struct MetricsFile<'a> {
+pub(super) struct MetricsFile<'a> {
     ended: Option<EndReason>,
-    failure: Option<&'a str>,
+    failure: Option<String>,
     #[serde(flatten)]
     metrics: &'a Metrics,
     steps_beyond_log: usize,
     notes: &'a std::collections::BTreeMap<String, usize>,
+}
+
+impl<'a> MetricsFile<'a> {
+    pub(super) fn new(report: &'a RolloutReport) -> Self {
+        let RolloutReport { metrics, ended, notes, steps_beyond_log, .. } = report;
+        let failure = report.failure.as_ref().map(|error| with_causes(error));
+        Self { ended: *ended, failure, metrics, steps_beyond_log: *steps_beyond_log, notes }
+    }
 }
 
 /// Writes the summary files of all steps: metrics, video, page, and the index last.
@@ -61,16 +69,12 @@ pub(super) fn finish(
     files: &OutputFolder,
     report: &RolloutReport,
 ) -> Result<(), RolloutError> {
-    let RolloutReport { rows, metrics, ended, notes, steps_beyond_log, .. } = report;
-    let failure = report.failure.as_ref().map(|error| with_causes(error));
-    let (failure, steps_beyond_log) = (failure.as_deref(), *steps_beyond_log);
-    let content = MetricsFile { ended: *ended, failure, metrics, steps_beyond_log, notes };
-    write_json(&files.claim(METRICS)?, &content)?;
+    write_json(&files.claim(METRICS)?, &MetricsFile::new(report))?;
     #[cfg(feature = "video")]
     video::write(output, &files.claim(VIDEO)?, report)?;
     page(output, report).write(&files.claim(PAGE)?)?;
     let cameras: Vec<_> = report.cameras.iter().map(|(name, _)| name.clone()).collect();
-    let frames = rows.iter().map(|row| row.index_frame(&cameras)).collect();
+    let frames = report.rows.iter().map(|row| row.index_frame(&cameras)).collect();
     Index { options: output.record, frames }.write(&files.claim(INDEX)?)?;
     Ok(())
 }
@@ -102,7 +106,7 @@ fn page(output: &Output<'_>, report: &RolloutReport) -> Page {
         sheet: report.layout.clone(),
         traces: TRACES.iter().map(|(name, rgba)| [color(*rgba), (*name).to_owned()]).collect(),
         steps: rows.iter().map(step).collect(),
-        events: report.metrics.collisions.iter().map(|c| event(c, rows)).collect(),
+        events: report.metrics.collisions.iter().map(|c| event(c, rows.get(c.step))).collect(),
         metrics: table,
         files: cfg!(feature = "video")
             .then_some(VIDEO)
@@ -133,8 +137,8 @@ fn fresh(row: &StepRow, report: &RolloutReport) -> Vec<PageActor> {
     row.actors.iter().filter_map(actor).collect()
 }
 
-fn event(collision: &Collision, rows: &[StepRow]) -> PageEvent {
-    let row = rows.iter().find(|row| row.step == collision.step);
+/// Describes a collision; `row` is its step.
+pub(super) fn event(collision: &Collision, row: Option<&StepRow>) -> PageEvent {
     let actor = row.and_then(|row| row.actors.iter().find(|actor| actor.track == collision.track));
     let category = actor.map_or("an actor", |actor| actor.category.as_str());
     let fault = match collision.at_fault {

@@ -4,15 +4,19 @@
 //! [`Rollout::open`] reads the steps of an earlier run, if the rollout is resumed, and starts the [`Simulation`].
 //! [`Rollout::run`] simulates and renders step by step (`steps`), calls an [`ImageGenerator`] at planning steps
 //! (`generation`), and writes each step on another thread (`output`). At the end it writes the summary files from the
-//! folders of all steps (`finish`), so that a resumed rollout gives the same bytes as an uninterrupted one. `sources`
+//! folders of all steps (`finish`, `mcap`), so that a resumed rollout gives the same bytes as an uninterrupted one. `sources`
 //! identifies the inputs and `profile` records durations.
 
 mod earlier;
 mod error;
+#[cfg(feature = "mcap")]
+mod events;
 mod files;
 mod finish;
 mod generation;
 mod generator;
+#[cfg(feature = "mcap")]
+mod mcap;
 mod options;
 mod output;
 mod profile;
@@ -33,6 +37,8 @@ pub use profile::{Profile, lap};
 pub use report::RolloutReport;
 
 use std::path::Path;
+#[cfg(feature = "mcap")]
+use std::path::PathBuf;
 use std::time::Instant;
 
 use point_skeleton::files::OutputFolder;
@@ -61,6 +67,9 @@ pub struct Rollout<'a> {
     rows: Vec<StepRow>,
     /// Output folder and its lock; `None` writes nothing.
     out: Option<(&'a Path, OutputFolder)>,
+    /// MCAP file to write.
+    #[cfg(feature = "mcap")]
+    mcap: Option<PathBuf>,
 }
 
 impl<'a> Rollout<'a> {
@@ -113,7 +122,16 @@ impl<'a> Rollout<'a> {
             extra: options.extra,
         };
         let rows = earlier.map(|earlier| earlier.rows).unwrap_or_default();
-        Ok(Self { inputs, facts: options.facts, record, simulation, rows, out })
+        Ok(Self {
+            inputs,
+            facts: options.facts,
+            record,
+            simulation,
+            rows,
+            out,
+            #[cfg(feature = "mcap")]
+            mcap: options.mcap,
+        })
     }
 
     /// Returns the number of steps that an earlier run has written.
@@ -140,7 +158,9 @@ impl<'a> Rollout<'a> {
         generator: Option<&mut dyn ImageGenerator>,
         on_step: &mut dyn FnMut(&str),
     ) -> Result<RolloutReport, RolloutError> {
-        let Self { inputs, facts, record, simulation, rows, out } = self;
+        #[cfg(feature = "mcap")]
+        let mcap = self.mcap;
+        let Self { inputs, facts, record, simulation, rows, out, .. } = self;
         let folder = out.as_ref().map_or(Path::new(""), |(folder, _)| folder);
         let output = Output { folder, record: &record, prompt: inputs.prompt };
         let states = out.as_ref().map(|(_, files)| output.begin(files, &rows)).transpose()?;
@@ -166,10 +186,20 @@ impl<'a> Rollout<'a> {
         let mut report = steps.run(simulation, rasterizer, generation.as_mut(), rows, states, on_step)?;
         report.close(facts, &record, inputs.scenario.log);
         let clock = Instant::now();
-        let finished = out.map_or(Ok(()), |(_, files)| {
-            finish::finish(&output, &files, &report)?;
-            Ok(files.close()?)
-        });
+        let finish = || -> Result<(), RolloutError> {
+            if let Some((_, files)) = &out {
+                finish::finish(&output, files, &report)?;
+            }
+            #[cfg(feature = "mcap")]
+            if let Some(path) = &mcap {
+                let folder = out.as_ref().map(|(folder, _)| *folder);
+                let input =
+                    mcap::Input { scenario: inputs.scenario, record: &record, report: &report, folder };
+                input.write(path)?;
+            }
+            Ok(())
+        };
+        let finished = finish().and_then(|()| out.map_or(Ok(()), |(_, files)| Ok(files.close()?)));
         report.summary_failure = finished.err();
         report.profile.close(clock.elapsed(), rasterizer.info(), &rasterizer.take_stages());
         Ok(report)

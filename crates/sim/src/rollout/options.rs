@@ -1,4 +1,6 @@
 use std::path::Path;
+#[cfg(feature = "mcap")]
+use std::path::PathBuf;
 
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::conditions::{ConditionOptions, MapFormat};
@@ -28,6 +30,9 @@ pub struct RolloutOptions {
     pub extra: Map<String, Value>,
     /// Further lines for the web page.
     pub facts: Vec<String>,
+    /// MCAP file to write at the end, outside of the output folder; without an output folder it has no images.
+    #[cfg(feature = "mcap")]
+    pub mcap: Option<PathBuf>,
 }
 
 /// Inputs of a rollout.

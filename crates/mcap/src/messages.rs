@@ -1,14 +1,15 @@
-//! Messages of a sample.
+//! Messages of an instant.
 
+use foxglove::messages::log::Level;
 use foxglove::messages::{
     CameraCalibration, Color, CompressedImage, CubePrimitive, Duration, FrameTransform, FrameTransforms,
-    KeyValuePair, Log, Pose, Quaternion, SceneEntity, SceneEntityDeletion, SceneUpdate, Timestamp, Vector3,
-    log, scene_entity_deletion,
+    KeyValuePair, LinePrimitive, Log, Point3, Pose, Quaternion, SceneEntity, SceneEntityDeletion,
+    SceneUpdate, Timestamp, Vector3, line_primitive, scene_entity_deletion,
 };
 use glam::{DQuat, DVec3};
 use point_skeleton::conditions::ImageSize;
 use point_skeleton::dataset::layout_rgb;
-use point_skeleton::geometry::Camera;
+use point_skeleton::geometry::{Camera, Cuboid};
 use point_skeleton::scene::{ActorState, SceneState};
 
 const MAP: &str = "map";
@@ -16,7 +17,9 @@ const EGO: &str = "ego";
 /// Color of boxes that layout images do not have.
 const OTHER_RGB: [u8; 3] = [160, 160, 160];
 /// Opacity of boxes.
-const ALPHA: f64 = 0.5;
+const BOX_ALPHA: f64 = 0.5;
+/// Thickness of lines, meters.
+const LINE_M: f64 = 0.2;
 
 /// Returns an absolute time; `None` if it is outside of the range of messages.
 pub(super) fn timestamp(t_us: i64) -> Option<Timestamp> {
@@ -49,10 +52,10 @@ pub(super) fn calibration(camera: &Camera, size: ImageSize, time: Timestamp) -> 
 
 /// Returns the message of an encoded image for a topic of a camera.
 pub(super) fn image(topic: &str, format: &str, bytes: Vec<u8>, time: Timestamp) -> CompressedImage {
-    let frame = topic.rsplit_once('/').map_or(topic, |(frame, _)| frame);
+    let frame: Vec<&str> = topic.split('/').skip(1).take(2).collect();
     CompressedImage {
         timestamp: Some(time),
-        frame_id: frame.trim_start_matches('/').to_owned(),
+        frame_id: frame.join("/"),
         data: bytes.into(),
         format: format.to_owned(),
     }
@@ -79,39 +82,83 @@ pub(super) fn transforms(state: &SceneState, origin: DVec3, time: Timestamp) -> 
     FrameTransforms { transforms: std::iter::once(ego).chain(cameras).collect() }
 }
 
-/// Returns the boxes of actors, which replace those of the previous sample.
+/// Returns the boxes of actors, which replace those of the previous instant. So an update says all about its instant, also to a
+/// viewer that begins there.
 pub(super) fn actors(actors: &[ActorState], origin: DVec3, time: Timestamp) -> SceneUpdate {
     let all = scene_entity_deletion::Type::All;
     let deletion = SceneEntityDeletion { timestamp: Some(time), r#type: all.into(), ..Default::default() };
     let entity = |actor: &ActorState| SceneEntity {
-        timestamp: Some(time),
-        frame_id: MAP.to_owned(),
-        id: actor.track.clone(),
-        lifetime: Some(Duration::new(0, 0)), // until the next sample
         metadata: vec![KeyValuePair { key: "category".to_owned(), value: actor.category.clone() }],
-        cubes: vec![cube(actor, origin)],
-        ..Default::default()
+        cubes: vec![cube(&actor.cuboid, origin, layout_rgb(&actor.category).unwrap_or(OTHER_RGB))],
+        ..entity(MAP, &actor.track, time)
     };
     SceneUpdate { deletions: vec![deletion], entities: actors.iter().map(entity).collect() }
 }
 
-fn cube(actor: &ActorState, origin: DVec3) -> CubePrimitive {
-    let pose = actor.cuboid.pose;
-    let [r, g, b] = layout_rgb(&actor.category).unwrap_or(OTHER_RGB).map(|part| f64::from(part) / 255.0);
+/// Returns the box of the ego, in its frame.
+pub(super) fn ego(cuboid: &Cuboid, rgb: [u8; 3], time: Timestamp) -> SceneUpdate {
+    let cubes = vec![cube(cuboid, DVec3::ZERO, rgb)];
+    let entity = SceneEntity { frame_locked: true, cubes, ..entity(EGO, EGO, time) };
+    SceneUpdate { deletions: Vec::new(), entities: vec![entity] }
+}
+
+/// Returns a line through global points, which replaces an earlier one of the same name.
+pub(super) fn line(
+    name: &str,
+    points: &[DVec3],
+    origin: DVec3,
+    rgb: [u8; 3],
+    time: Timestamp,
+) -> SceneUpdate {
+    let point = |point: &DVec3| {
+        let DVec3 { x, y, z } = *point - origin;
+        Point3 { x, y, z }
+    };
+    let line = LinePrimitive {
+        r#type: line_primitive::Type::LineStrip.into(),
+        pose: Some(Pose {
+            position: Some(vector(DVec3::ZERO)),
+            orientation: Some(quaternion(DQuat::IDENTITY)),
+        }),
+        thickness: LINE_M,
+        points: points.iter().map(point).collect(),
+        color: Some(color(rgb, 1.0)),
+        ..Default::default()
+    };
+    let entity = SceneEntity { lines: vec![line], ..entity(MAP, name, time) };
+    SceneUpdate { deletions: Vec::new(), entities: vec![entity] }
+}
+
+/// Returns an entity without content. It lasts until it is replaced or deleted.
+fn entity(frame: &str, id: &str, time: Timestamp) -> SceneEntity {
+    SceneEntity {
+        timestamp: Some(time),
+        frame_id: frame.to_owned(),
+        id: id.to_owned(),
+        lifetime: Some(Duration::new(0, 0)),
+        ..Default::default()
+    }
+}
+
+fn cube(Cuboid { pose, size }: &Cuboid, origin: DVec3, rgb: [u8; 3]) -> CubePrimitive {
     CubePrimitive {
         pose: Some(Pose {
             position: Some(vector(pose.translation - origin)),
             orientation: Some(quaternion(pose.rotation)),
         }),
-        size: Some(vector(actor.cuboid.size)),
-        color: Some(Color { r, g, b, a: ALPHA }),
+        size: Some(vector(*size)),
+        color: Some(color(rgb, BOX_ALPHA)),
     }
 }
 
+fn color(rgb: [u8; 3], a: f64) -> Color {
+    let [r, g, b] = rgb.map(|part| f64::from(part) / 255.0);
+    Color { r, g, b, a }
+}
+
 /// Returns the message of `/log`.
-pub(super) fn text(name: &str, message: String, time: Timestamp) -> Log {
-    let level = log::Level::Info.into();
-    Log { timestamp: Some(time), level, message, name: name.to_owned(), ..Default::default() }
+pub(super) fn text(level: Level, name: &str, message: String, time: Timestamp) -> Log {
+    Log { timestamp: Some(time), level: level.into(), message, name: name.to_owned(), ..Default::default() }
 }
 
 fn vector(DVec3 { x, y, z }: DVec3) -> Vector3 {
@@ -145,6 +192,8 @@ mod tests {
         assert_eq!(found.k, [80.0, 0.0, 40.0, 0.0, 180.0, 45.0, 0.0, 0.0, 1.0]);
         assert_eq!(found.p, [80.0, 0.0, 40.0, 0.0, 0.0, 180.0, 45.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
         assert_eq!((found.width, found.height, found.frame_id.as_str()), (80, 90, "camera/c"));
-        assert_eq!(image("/camera/c/color", "png", Vec::new(), time).frame_id, found.frame_id);
+        for topic in ["/camera/c/color", "/camera/c/generated/image"] {
+            assert_eq!(image(topic, "png", Vec::new(), time).frame_id, found.frame_id);
+        }
     }
 }

@@ -1,23 +1,22 @@
 //! An MCAP file that is written in one pass. Chunks are not compressed, since nearly all bytes are of PNG and JPEG.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 
-use ::mcap::records::{MessageHeader, Metadata};
-use ::mcap::write::NoSeek;
-use ::mcap::{McapError, WriteOptions, Writer};
 use foxglove::Encode;
 use foxglove::messages::Timestamp;
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{McapError, WriteOptions, Writer};
 use point_skeleton::error::FileError;
 
-use crate::shard::HashedFile;
-
 /// Library in the header of the file.
-const LIBRARY: &str = concat!("pskel-export ", env!("CARGO_PKG_VERSION"));
+const LIBRARY: &str = concat!("pskel ", env!("CARGO_PKG_VERSION"));
 
 /// File of messages.
-pub(super) struct LogFile {
-    writer: Writer<NoSeek<HashedFile>>,
+pub(super) struct LogFile<W: Write> {
+    writer: Writer<NoSeek<W>>,
     /// By topic.
     channels: BTreeMap<String, Channel>,
     /// Message, encoded.
@@ -34,12 +33,16 @@ struct Channel {
     messages: u32,
 }
 
-impl LogFile {
-    pub(super) fn begin(file: HashedFile) -> Result<Self, FileError> {
-        let shown = file.shown.clone();
+impl<W: Write> LogFile<W> {
+    /// Begins a file; `shown` is its path for messages.
+    pub(super) fn begin(file: W, shown: &Path) -> Result<Self, FileError> {
         let options = WriteOptions::new().compression(None).library(LIBRARY).disable_seeking(true);
-        let writer = options.create(NoSeek::new(file)).map_err(|error| failed(&shown, error))?;
-        Ok(Self { writer, channels: BTreeMap::new(), buffer: Vec::new(), shown })
+        let writer = options.create(NoSeek::new(file)).map_err(|error| failed(shown, error))?;
+        Ok(Self { writer, channels: BTreeMap::new(), buffer: Vec::new(), shown: shown.to_owned() })
+    }
+
+    pub(super) fn shown(&self) -> &Path {
+        &self.shown
     }
 
     /// Writes a metadata record.
@@ -84,13 +87,13 @@ impl LogFile {
     }
 
     /// Writes the index and returns the file.
-    pub(super) fn finish(mut self) -> Result<HashedFile, FileError> {
+    pub(super) fn finish(mut self) -> Result<W, FileError> {
         self.writer.finish().map_err(|error| failed(&self.shown, error))?;
         Ok(self.writer.into_inner().into_inner())
     }
 }
 
-fn failed(shown: &std::path::Path, error: McapError) -> FileError {
+fn failed(shown: &Path, error: McapError) -> FileError {
     FileError::io("write", shown)(match error {
         McapError::Io(error) => error,
         other => std::io::Error::other(other),
