@@ -13,11 +13,21 @@ PLAIN = ["examples/own_points.py", "examples/render_frame.py", "examples/drive.p
 TORCH = ["examples/train.py", "examples/reset_and_roll.py"]
 MODELS = ["pskel/models"]
 METRICS = ["pskel/metrics"]
-ALPASIM = ["pskel/alpasim", "pskel/egodriver"]
+ALPASIM = ["pskel/alpasim", "pskel/egodriver", "pskel/serve"]
 PLANNERS = ["pskel/nuplan_planner.py", "pskel/navsim_agent.py", "pskel/navsim_scenes.py"]
+RERUN = ["pskel/rerun.py"]
+PARTS = [
+    ("gymnasium", PLAIN),
+    ("torch", TORCH),
+    ("diffusers", MODELS),
+    ("torchmetrics", METRICS),
+    ("grpc", ALPASIM),
+    ("numpy", PLANNERS),
+    ("rerun", RERUN),
+]
 
 
-@pytest.mark.parametrize(("extra", "examples"), [("gymnasium", PLAIN), ("torch", TORCH), ("diffusers", MODELS), ("torchmetrics", METRICS), ("grpc", ALPASIM), ("numpy", PLANNERS)])
+@pytest.mark.parametrize(("extra", "examples"), PARTS)
 def test_package_and_examples_are_typed(extra: str, examples: list[str]) -> None:
     pytest.importorskip("mypy")
     pytest.importorskip(extra)

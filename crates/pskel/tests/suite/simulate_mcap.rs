@@ -312,7 +312,7 @@ fn paths_are_checked_before_the_rollout() {
         ("--mcap a.json/a.mcap", 1, ["expected a file in a folder", ": a.json\n"]),
         ("--mcap folder", 1, ["expected a regular file or none, found a folder", ": folder\n"]),
         (&format!("--mcap {folder}"), 1, ["found a folder", &folder]),
-        ("--mcap out/a.mcap", 1, ["expected a file outside of the output out", "found one in it"]),
+        ("--mcap out/a.mcap", 1, ["expected a file outside of the output", "found one in it: out"]),
         ("--mcap a.json --annotations a.json", 1, ["apart from the input a.json", "found the same"]),
         ("--mcap sk/skeleton.json", 1, ["no part of another output", "skeleton"]),
         ("--mcap a.mcap --profile a.mcap", 2, ["two files for --profile and --mcap", "found a.mcap"]),
