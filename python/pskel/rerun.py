@@ -63,8 +63,8 @@ class _Writer:
         self.pinholes: dict[str, rr.Pinhole] = {}  # latest, by the topic of their calibration
 
     def read(self, file: Any, source: Path) -> Counter[str]:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
         try:
+            reader = make_reader(file, decoder_factories=[DecoderFactory()])
             for schema, channel, message, decoded in reader.iter_decoded_messages():
                 write = getattr(self, "write_" + schema.name.rsplit(".")[-1], None) if schema else None
                 if write is None:

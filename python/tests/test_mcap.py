@@ -11,7 +11,7 @@ import pytest
 from conftest import DRIVE, Run
 from mcap_files import matrix, read, vector
 
-STEPS = 6
+STEPS = 8
 MAPS = ["color", "depth", "boxes"]
 CAMERAS = ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_FRONT_LEFT"]
 
@@ -69,7 +69,7 @@ def test_the_file_equals_the_folder(rollout: Path) -> None:
             np.testing.assert_allclose([vector(point)[:2] + origin[:2] for point in points], expected, atol=1e-9)
             found["/plan"] += 1
     images = {topic: len(messages) for topic, messages in topics.items() if topic.endswith(("image", *MAPS)) or topic == "/plan"}
-    assert images == found and found["/camera/CAM_BACK/generated/image"] > 1
+    assert images == found and found["/camera/CAM_BACK/generated/image"] == 5 and found["/plan"] == 1
     metrics = {name: json.loads(text) for name, text in metadata["metrics"].items()}
     assert metrics == json.loads((rollout / "metrics.json").read_text())
     assert topics["/log"][-1][1].message == "all steps are simulated"
@@ -94,7 +94,7 @@ def test_rerun_reads_the_recording(rollout: Path, run: Run) -> None:
         if "time" not in batch.schema.names:
             continue
         times = batch.column("time").cast("int64").to_pylist()
-        for name in batch.schema.names:
+        for name in (name for name in batch.schema.names if ":" in name):  # components
             values = dict(zip(times, batch.column(name).to_pylist(), strict=True))
             found.setdefault((item.entity_path, name), {}).update({time: value for time, value in values.items() if value is not None})
     for row, files, count in zip(rows, pictures, boxes, strict=True):

@@ -1,15 +1,18 @@
-//! `pskel simulate`: [`args`] defines the options, [`generation`] opens the network, [`summary`] formats the last line.
+//! `pskel simulate`: [`args`] and [`policies`] define the options, [`generation`] opens the network, [`summary`] formats the last line.
 
 mod args;
 mod generation;
 mod inputs;
+mod policies;
 mod summary;
 
+#[cfg(feature = "network")]
+pub(super) use args::ClipArgs;
 pub(super) use args::SimulateArgs;
 #[cfg(feature = "network")]
-pub(super) use args::{ClipArgs, EgoName};
-#[cfg(feature = "network")]
 pub(super) use generation::GenerationArgs;
+#[cfg(feature = "network")]
+pub(super) use policies::EgoName;
 
 use std::time::Instant;
 

@@ -21,6 +21,7 @@ mod golden;
 mod guarded;
 mod info;
 mod made_town;
+mod mcap_file;
 mod metrics;
 mod npz;
 mod nuplan;

@@ -6,66 +6,14 @@ use std::path::Path;
 use foxglove::Decode;
 use foxglove::messages::log::Level;
 use foxglove::messages::{
-    CameraCalibration, CompressedImage, FrameTransform, FrameTransforms, Log, Quaternion, SceneUpdate,
-    Vector3,
+    CameraCalibration, CompressedImage, FrameTransform, FrameTransforms, Quaternion, SceneUpdate, Vector3,
 };
 use glam::{DAffine3, DMat4, DQuat, DVec3};
-use mcap::records::Metadata;
-use mcap::{MessageStream, Summary};
 use serde_json::{Value, json};
 
+use crate::mcap_file::McapFile;
 use crate::simulate::{SIMULATE, built, planner, rows};
 use crate::tiny_log::{CAMERAS, START, TinyLog, assert_failed, tree};
-
-/// Content of a file: encoded messages with their times by topic, and metadata records by name.
-#[derive(PartialEq)]
-struct Read {
-    topics: BTreeMap<String, Vec<(u64, Vec<u8>)>>,
-    metadata: BTreeMap<String, BTreeMap<String, String>>,
-}
-
-impl Read {
-    fn of(log: &TinyLog, name: &str) -> Self {
-        let bytes = std::fs::read(log.path(name)).unwrap();
-        let mut topics: BTreeMap<String, Vec<(u64, Vec<u8>)>> = BTreeMap::new();
-        let mut last = 0;
-        for message in MessageStream::new(&bytes).unwrap().map(Result::unwrap) {
-            let schema = message.channel.schema.as_ref().unwrap();
-            assert!(schema.name.starts_with("foxglove.") && schema.encoding == "protobuf", "{}", schema.name);
-            assert!(message.log_time >= last && message.log_time == message.publish_time);
-            last = message.log_time;
-            let of_topic = topics.entry(message.channel.topic.clone()).or_default();
-            of_topic.push((message.log_time, message.data.into_owned()));
-        }
-        let summary = Summary::read(&bytes).unwrap().unwrap();
-        let count: usize = topics.values().map(Vec::len).sum();
-        assert_eq!(summary.stats.unwrap().message_count, count as u64);
-        let record = |index| mcap::read::metadata(&bytes, index).unwrap();
-        let named = |Metadata { name, metadata }| (name, metadata);
-        Self { topics, metadata: summary.metadata_indexes.iter().map(record).map(named).collect() }
-    }
-
-    fn decoded<M: Decode>(&self, topic: &str) -> Vec<(u64, M)> {
-        let messages = self.topics.get(topic).into_iter().flatten();
-        messages.map(|(time, bytes)| (*time, M::decode(bytes.as_slice()).ok().unwrap())).collect()
-    }
-
-    /// Returns the messages of `/log`: time, level, source, text.
-    fn events(&self) -> Vec<(u64, Level, String, String)> {
-        let messages = self.decoded::<Log>("/log").into_iter();
-        messages.map(|(time, log)| (time, log.level.try_into().unwrap(), log.name, log.message)).collect()
-    }
-
-    /// Returns the fields of a metadata record.
-    fn json(&self, record: &str) -> Value {
-        let fields = self.metadata[record].iter();
-        fields.map(|(name, text)| (name.clone(), serde_json::from_str::<Value>(text).unwrap())).collect()
-    }
-
-    fn count(&self, topic: &str) -> usize {
-        self.topics.get(topic).map_or(0, Vec::len)
-    }
-}
 
 fn vector(of: Option<Vector3>) -> DVec3 {
     let Vector3 { x, y, z } = of.unwrap();
@@ -88,8 +36,8 @@ fn global(of: Option<Vector3>) -> DVec3 {
 }
 
 /// Compares the file of a rollout of the tiny log with the rollout's folder; returns the file. `maps` are PNG maps.
-fn check(log: &TinyLog, name: &str, folder: &str, maps: &[&str]) -> Read {
-    let (read, rows) = (Read::of(log, name), rows(log, folder));
+fn check(log: &TinyLog, name: &str, folder: &str, maps: &[&str]) -> McapFile {
+    let (read, rows) = (McapFile::of(log, name), rows(log, folder));
     let steps = rows.len();
     let plans = rows.iter().filter(|row| row["plan"].is_array()).count();
     let mut counts: BTreeMap<String, usize> =
@@ -218,7 +166,7 @@ fn the_file_has_all_of_the_rollout() {
     assert!(events.iter().all(|event| event.1 == Level::Info));
     // Without a folder there are the same poses and boxes, and no images.
     log.succeed(&format!("{simulate} --dry --mcap dry.mcap"));
-    let dry = Read::of(&log, "dry.mcap");
+    let dry = McapFile::of(&log, "dry.mcap");
     let kept: BTreeMap<_, _> = read
         .topics
         .iter()
@@ -332,7 +280,7 @@ fn generated_images_and_departures_from_the_road_are_in_the_file() {
     std::fs::write(log.path("left.json"), "[[0, 0], [3, 3], [6, 9], [6, 60]]").unwrap();
     let ego = "--ego file --trajectory left.json --maps color --generator fill";
     log.succeed(&format!("simulate {town} --skeleton sk --out out --steps 30 {ego} --mcap a.mcap"));
-    let (read, rows) = (Read::of(&log, "a.mcap"), rows(&log, "out"));
+    let (read, rows) = (McapFile::of(&log, "a.mcap"), rows(&log, "out"));
     let times: Vec<u64> = rows.iter().map(|row| 1000 * row["t_us"].as_u64().unwrap()).collect();
     // Off the road: what the states of the steps count.
     let off = |step: usize| {
