@@ -66,9 +66,9 @@ impl<'a> Events<'a> {
             }
             self.is_reference = is_reference;
         }
-        for collision in self.report.metrics.collisions.iter().filter(|collision| collision.step == row.step)
-        {
-            let level = if collision.at_fault == Some(false) { Level::Warning } else { Level::Error };
+        let collisions = &self.report.metrics.collisions;
+        for collision in collisions.iter().filter(|collision| collision.step == row.step) {
+            let level = if collision.at_fault == Some(true) { Level::Error } else { Level::Warning };
             add(level, "collision", event(collision, Some(row)).text);
         }
         if self.report.rows.last().is_some_and(|last| last.step == row.step) {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DMat4, DQuat, DVec3};
 use point_skeleton::conditions::{ImageSize, MapFormat};
@@ -78,13 +78,9 @@ impl Input<'_> {
         let folder = step_folder(folder, &row.name());
         for (camera, _) in &self.report.cameras {
             for kind in self.maps() {
-                let map = folder.join(camera).join(format!("{}.png", kind.name()));
-                file.write_image(
-                    &camera_topic(camera, kind.name()),
-                    "png",
-                    read_file(&map, IMAGE_BYTES)?,
-                    time,
-                )?;
+                let path = folder.join(camera).join(format!("{}.png", kind.name()));
+                let png = read_file(&path, IMAGE_BYTES)?;
+                file.write_image(&camera_topic(camera, kind.name()), "png", png, time)?;
             }
         }
         self.write_generated(file, &folder, &state, time)
@@ -102,7 +98,7 @@ impl Input<'_> {
             return Ok(());
         }
         for name in [GENERATED, TRUTH] {
-            let folder: PathBuf = folder.join(name);
+            let folder = folder.join(name);
             if name == TRUTH && !folder.is_dir() {
                 continue;
             }
