@@ -82,8 +82,8 @@ pub(super) fn transforms(state: &SceneState, origin: DVec3, time: Timestamp) -> 
     FrameTransforms { transforms: std::iter::once(ego).chain(cameras).collect() }
 }
 
-/// Returns the boxes of actors, which replace those of the previous instant. So an update says all about its instant, also to a
-/// viewer that begins there.
+/// Returns the boxes of actors, which replace those of the previous instant. Each update is complete, so viewers may start at
+/// any instant.
 pub(super) fn actors(actors: &[ActorState], origin: DVec3, time: Timestamp) -> SceneUpdate {
     let all = scene_entity_deletion::Type::All;
     let deletion = SceneEntityDeletion { timestamp: Some(time), r#type: all.into(), ..Default::default() };
