@@ -39,6 +39,9 @@ class Rollout:
             self.states = [_state(json.loads(line)) for line in path.read_text().splitlines()]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise PlannerError(f"expected the states of a rollout in {path}, found {type(error).__name__}: {error}") from None
+        log = self.record.get("log")
+        if not isinstance(log, str) or Path(log).name != log or log in ("", ".."):  # it becomes the name of a folder
+            raise PlannerError(f"expected the name of a log in {folder / 'rollout.json'}, found {log!r}")
         if not self.states:
             raise PlannerError(f"expected the states of a rollout in {path}, found none")
 

@@ -186,3 +186,11 @@ def test_mistakes_of_scenes(driven: tuple[Path, Path], tmp_path: Path) -> None:
         assert expected in scenes(out, tmp_path / "x", *options, code=1)
     assert not (tmp_path / "x").exists()
     assert "expected a rollout, found " in scenes(tmp_path, tmp_path / "x", code=1)
+    bad = tmp_path / "bad"
+    bad.mkdir()
+    (bad / "states.jsonl").write_text((out / "states.jsonl").read_text())
+    for name in ("../up", "/up", "..", "a/b"):
+        (bad / "rollout.json").write_text(json.dumps({**json.loads((out / "rollout.json").read_text()), "log": name}))
+        assert f"expected the name of a log in {bad / 'rollout.json'}, found '{name}'" in scenes(bad, tmp_path / "x", "--map=a", code=1)
+    (bad / "states.jsonl").write_text("{}\n")
+    assert f"expected the states of a rollout in {bad / 'states.jsonl'}, found KeyError" in scenes(bad, tmp_path / "x", code=1)

@@ -181,16 +181,22 @@ def _inverse(powers: Array, max_angle: float) -> _Angles:
         raise invalid("finite coefficients of a lens", powers.tolist())
     end = max_angle if 0.0 < max_angle < MAX_ANGLE else MAX_ANGLE
     angle = np.linspace(0.0, end, 20_001)
-    return _Angles(*_rising(np.polynomial.polynomial.polyval(angle, powers), angle))
+    return _Angles(*_rising(_valued(angle, powers), angle))
 
 
 def _polynomial(powers: Array, max_angle: float) -> _Angles:
     """Return a polynomial from distances to angles, up to where it stops to rise."""
     end = max_angle if 0.0 < max_angle < MAX_ANGLE else MAX_ANGLE
     radius = np.linspace(0.0, 2.0 * MAX_SIDE, 200_001)
-    angle, radius = _rising(np.polynomial.polynomial.polyval(radius, powers), radius)
+    angle, radius = _rising(_valued(radius, powers), radius)
     count = int(np.searchsorted(angle, end))
     return _Angles(radius[:count], angle[:count])
+
+
+def _valued(positions: Array, powers: Array) -> Array:
+    """Return the values of a polynomial with rising powers."""
+    values: Array = np.polynomial.polynomial.polyval(positions, powers)  # type: ignore[assignment]
+    return values
 
 
 def _rising(values: Array, positions: Array) -> tuple[Array, Array]:

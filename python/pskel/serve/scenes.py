@@ -8,10 +8,7 @@ from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 import pskel
 from pskel.alpasim import poses
@@ -59,7 +56,7 @@ class Scene:
 
     def render(
         self, ego: Matrix, views: Sequence[tuple[Projection, Matrix]], actors: Sequence[pskel.Actor]
-    ) -> Mapping[str, NDArray[Any]]:
+    ) -> pskel.Maps:
         """Return the maps color and depth ``[V, H, W, ..]`` of projections of one size with their poses ``global_from_camera``."""
         cameras = [
             pskel.Camera(f"camera{number}", projection.intrinsics, projection.size, np.linalg.inv(ego) @ pose)

@@ -23,6 +23,7 @@ from .scenes import RigCamera, Scene, Scenes
 
 Request = sensorsim_pb2.RGBRenderRequest
 Answer = TypeVar("Answer")
+Message = TypeVar("Message", sensorsim_pb2.AggregatedRenderReturn, sensorsim_pb2.BatchRGBRenderReturn)
 
 #: Largest message in each direction, bytes; that of AlpaSim's runtime.
 MAX_MESSAGE = 64 << 20
@@ -238,7 +239,7 @@ def _available(name: str, camera: RigCamera) -> sensorsim_pb2.AvailableCamerasRe
     return sensorsim_pb2.AvailableCamerasReturn.AvailableCamera(intrinsics=spec, rig_to_camera=mount, logical_id=name)
 
 
-def _sized(answer: Any) -> Any:
+def _sized(answer: Message) -> Message:
     """Return an answer after checking that its receiver takes it."""
     if answer.ByteSize() > MAX_MESSAGE:
         text = f"expected an answer of at most {MAX_MESSAGE} bytes, found {answer.ByteSize()}: ask for fewer images, or for JPEG"
