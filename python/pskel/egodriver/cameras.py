@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from pskel.alpasim import poses, sensorsim_pb2
+from pskel.alpasim import sensorsim_pb2
+from pskel.alpasim.pinhole import pinhole
 
 from .driver import DriverError, one_line
 
@@ -117,34 +118,15 @@ def rig(step: Path) -> list[Any]:
 def available(step: Path, ids: dict[str, str], images: Images) -> list[sensorsim_pb2.AvailableCamerasReturn.AvailableCamera]:
     """Return the cameras of ``ids`` as a driver knows them, with the size of their images in the folder of a step.
 
-    They are pinhole cameras without distortion. ``rig_to_camera`` is the pose of the optical frame in the rig.
+    They are pinhole cameras without distortion.
     """
     cameras = []
     for camera in rig(step):
         if camera["name"] not in ids:
             continue
-        logical = ids[camera["name"]]
         width, height = size(images.png(step, camera["name"]))
-        (fx, _, cx), (_, fy, cy), _ = camera["intrinsics"]
-        along, down = width / camera["width"], height / camera["height"]
-        pinhole = sensorsim_pb2.OpenCVPinholeCameraParam(
-            principal_point_x=cx * along,
-            principal_point_y=cy * down,
-            focal_length_x=fx * along,
-            focal_length_y=fy * down,
-            radial_coeffs=[0.0] * 6,
-            tangential_coeffs=[0.0] * 2,
-            thin_prism_coeffs=[0.0] * 4,
-        )
-        spec = sensorsim_pb2.CameraSpec(
-            opencv_pinhole_param=pinhole,
-            logical_id=logical,
-            resolution_h=height,
-            resolution_w=width,
-            shutter_type=sensorsim_pb2.GLOBAL,
-        )
-        mount = poses.pose(np.array(camera["ego_from_camera"], dtype=np.float64).reshape(4, 4))
-        cameras.append(
-            sensorsim_pb2.AvailableCamerasReturn.AvailableCamera(intrinsics=spec, rig_to_camera=mount, logical_id=logical)
-        )
+        scale = np.array([[width / camera["width"]], [height / camera["height"]], [1.0]])
+        intrinsics = np.array(camera["intrinsics"], dtype=np.float64) * scale
+        mount = np.array(camera["ego_from_camera"], dtype=np.float64).reshape(4, 4)
+        cameras.append(pinhole(ids[camera["name"]], intrinsics, (height, width), mount))
     return cameras

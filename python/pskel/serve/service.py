@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -11,9 +12,11 @@ from typing import Any, TypeVar
 
 import grpc
 import numpy as np
+from numpy.typing import NDArray
 
 import pskel
 from pskel.alpasim import API_VERSION, common_pb2, poses, sensorsim_pb2, sensorsim_pb2_grpc
+from pskel.alpasim.pinhole import pinhole
 from pskel.alpasim.poses import Matrix
 
 from . import cameras, images
@@ -48,12 +51,17 @@ class Shot:
     quality: float
 
 
+#: Actors of the requests of a call, by scene, time and messages of their tracks.
+Known = dict[tuple[str, int, tuple[bytes, ...]], tuple[pskel.Actor, ...]]
+
+
 class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
     """Answers requests about scenes; ``fill`` fills the holes of images."""
 
     def __init__(self, scenes: Scenes, fill: bool) -> None:
         self._scenes = scenes
         self._fill = fill
+        self._pool = ThreadPoolExecutor(os.cpu_count())  # encodes images
 
     def get_version(self, request: common_pb2.Empty, context: Any) -> common_pb2.VersionId:
         major, minor, patch = API_VERSION
@@ -75,7 +83,7 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
     ) -> sensorsim_pb2.AvailableCamerasReturn:
         def answer() -> sensorsim_pb2.AvailableCamerasReturn:
             scene = self._scenes.get(request.scene_id)
-            made = [_available(name, camera) for name, camera in scene.cameras.items()]
+            made = [_described(name, camera) for name, camera in scene.cameras.items()]
             return sensorsim_pb2.AvailableCamerasReturn(available_cameras=made)
 
         return _answered(context, answer)
@@ -123,9 +131,10 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
                 raise invalid("items with different camera_name", names)
             shots: dict[str, Shot] = {}
             errors: dict[str, str] = {}
+            known: Known = {}
             for item in request.items:
                 try:
-                    shots[item.camera_name] = self._shot(item.request)
+                    shots[item.camera_name] = self._shot(item.request, known)
                 except RequestError as error:
                     errors[item.camera_name] = f"{error.code.name}: {error}"
             made = dict(zip(shots, self._rendered(list(shots.values()), context), strict=True))
@@ -141,10 +150,11 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
         return _answered(context, answer)
 
     def _all(self, requests: Sequence[Request], context: Any) -> list[sensorsim_pb2.RGBRenderReturn]:
-        return self._rendered([self._shot(request) for request in requests], context)
+        known: Known = {}
+        return self._rendered([self._shot(request, known) for request in requests], context)
 
-    def _shot(self, request: Request) -> Shot:
-        """Check a request. Raises ``RequestError``."""
+    def _shot(self, request: Request, known: Known) -> Shot:
+        """Check a request; ``known`` has the actors of the requests before. Raises ``RequestError``."""
         scene = self._scenes.get(request.scene_id)
         images.check(request.image_format, request.image_quality)
         if request.insert_ego_mask:
@@ -157,19 +167,14 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
         else:
             ego = pose if rig is None else pose @ np.linalg.inv(rig.ego_from_camera)
         t_us = (request.frame_start_us + request.frame_end_us) // 2
-        boxes = {}
-        for item in request.dynamic_objects:
-            if item.track_id in boxes:
-                raise invalid("each track once", f"two of {item.track_id!r}")
-            box = _pose(f"pose_pair of track {item.track_id!r}", item.pose_pair, scene.origin)
-            boxes[item.track_id] = scene.actor(item.track_id, t_us, box)
-        projection = cameras.projection(spec, size)
         tracks = tuple(item.SerializeToString(deterministic=True) for item in request.dynamic_objects)
+        instant = (request.scene_id, t_us, tracks)
+        if instant not in known:
+            known[instant] = _actors(scene, request, t_us)
+        projection = cameras.projection(spec, size)
         # Cameras of one instant are rendered together only if their ego is known to be the same.
-        key = (request.scene_id, ego.tobytes(), t_us, tracks, projection.size)
-        return Shot(
-            scene, ego, tuple(boxes.values()), key, projection, pose, request.image_format, request.image_quality
-        )
+        key = (instant, ego.tobytes(), projection.size)
+        return Shot(scene, ego, known[instant], key, projection, pose, request.image_format, request.image_quality)
 
     def _rendered(self, shots: Sequence[Shot], context: Any) -> list[sensorsim_pb2.RGBRenderReturn]:
         """Render in the order of the shots, those of one instant together."""
@@ -188,11 +193,24 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
             views = [(shots[index].projection, shots[index].pose) for index in group]
             maps = first.scene.render(first.ego, views, first.actors)
             color = pskel.fill_holes(maps["color"], maps["depth"]) if self._fill else maps["color"]
-            for index, image in zip(group, color, strict=True):
-                shot = shots[index]
-                data = images.encoded(shot.projection.image(image), shot.image_format, shot.quality)
+            for index, data in zip(group, self._pool.map(_encoded, [shots[index] for index in group], color), strict=True):
                 made[index] = sensorsim_pb2.RGBRenderReturn(image_bytes=data)
         return [made[index] for index in range(len(shots))]
+
+
+def _encoded(shot: Shot, image: NDArray[np.uint8]) -> bytes:
+    return images.encoded(shot.projection.image(image), shot.image_format, shot.quality)
+
+
+def _actors(scene: Scene, request: Request, t_us: int) -> tuple[pskel.Actor, ...]:
+    """Return the tracks of a request at their poses. Raises ``RequestError``."""
+    boxes: dict[str, pskel.Actor] = {}
+    for item in request.dynamic_objects:
+        if item.track_id in boxes:
+            raise invalid("each track once", f"two of {item.track_id!r}")
+        box = _pose(f"pose_pair of track {item.track_id!r}", item.pose_pair, scene.origin)
+        boxes[item.track_id] = scene.actor(item.track_id, t_us, box)
+    return tuple(boxes.values())
 
 
 def _spec(scene: Scene, request: Request) -> tuple[sensorsim_pb2.CameraSpec, RigCamera | None]:
@@ -203,7 +221,7 @@ def _spec(scene: Scene, request: Request) -> tuple[sensorsim_pb2.CameraSpec, Rig
         return given, rig
     if rig is None:
         raise unknown(f"the parameters of a camera, or one of {', '.join(scene.cameras)}", repr(given.logical_id))
-    return _available(given.logical_id, rig).intrinsics, rig
+    return _described(given.logical_id, rig).intrinsics, rig
 
 
 def _pose(name: str, pair: sensorsim_pb2.PosePair, origin: Matrix) -> Matrix:
@@ -216,27 +234,8 @@ def _pose(name: str, pair: sensorsim_pb2.PosePair, origin: Matrix) -> Matrix:
     return poses.mean(start, end)
 
 
-def _available(name: str, camera: RigCamera) -> sensorsim_pb2.AvailableCamerasReturn.AvailableCamera:
-    (fx, _, cx), (_, fy, cy), _ = camera.intrinsics.tolist()
-    height, width = camera.size
-    pinhole = sensorsim_pb2.OpenCVPinholeCameraParam(
-        principal_point_x=cx,
-        principal_point_y=cy,
-        focal_length_x=fx,
-        focal_length_y=fy,
-        radial_coeffs=[0.0] * 6,
-        tangential_coeffs=[0.0] * 2,
-        thin_prism_coeffs=[0.0] * 4,
-    )
-    spec = sensorsim_pb2.CameraSpec(
-        opencv_pinhole_param=pinhole,
-        logical_id=name,
-        resolution_h=height,
-        resolution_w=width,
-        shutter_type=sensorsim_pb2.GLOBAL,
-    )
-    mount = poses.pose(camera.ego_from_camera)
-    return sensorsim_pb2.AvailableCamerasReturn.AvailableCamera(intrinsics=spec, rig_to_camera=mount, logical_id=name)
+def _described(name: str, camera: RigCamera) -> sensorsim_pb2.AvailableCamerasReturn.AvailableCamera:
+    return pinhole(name, camera.intrinsics, camera.size, camera.ego_from_camera)
 
 
 def _sized(answer: Message) -> Message:

@@ -32,20 +32,8 @@ pub(super) fn read(
 }
 
 fn scenes(database: &Database, notes: &mut Notes) -> Result<FxHashMap<Vec<u8>, SceneRoute>, DatasetError> {
-    let [x, y, z, qw, qx, qy, qz] = POSE_COLUMNS;
-    let columns = &[
-        "scene.token",
-        "scene.roadblock_ids",
-        "scene.goal_ego_pose_token",
-        "ego_pose.token",
-        x,
-        y,
-        z,
-        qw,
-        qx,
-        qy,
-        qz,
-    ];
+    let own = ["scene.token", "scene.roadblock_ids", "scene.goal_ego_pose_token", "ego_pose.token"];
+    let columns = &[&own[..], &POSE_COLUMNS].concat();
     let from = "FROM scene LEFT JOIN ego_pose ON ego_pose.token = scene.goal_ego_pose_token";
     let mut scenes = FxHashMap::default();
     database.rows(&Query { table: "scene", columns, from }, |row| {

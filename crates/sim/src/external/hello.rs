@@ -5,7 +5,7 @@ use std::path::Path;
 use point_skeleton::dataset::{MapFiles, NavigationRoute};
 use serde::{Deserialize, Serialize};
 
-use super::shown;
+use super::unreadable::unreadable;
 use crate::clock::Clock;
 use crate::peer::ProtocolError;
 use crate::recorded::Recorded;
@@ -96,7 +96,7 @@ impl Goal {
 pub(super) fn read_hello(answer: &[u8]) -> Result<(), ProtocolError> {
     let expected = format!("{{\"protocol\": \"{PROTOCOL}\", \"version\": {VERSION}}}");
     let hello: Answer = serde_json::from_slice(answer)
-        .map_err(|e| ProtocolError::new(expected.clone(), shown(answer, &e)))?;
+        .map_err(|e| ProtocolError::new(expected.clone(), unreadable(answer, &e)))?;
     if (hello.protocol.as_str(), hello.version) == (PROTOCOL, VERSION) {
         return Ok(());
     }

@@ -3,6 +3,7 @@
 mod hello;
 mod observation;
 mod plan;
+mod unreadable;
 
 use point_skeleton::files::text::printable;
 use serde::{Deserialize, Serialize};
@@ -14,7 +15,7 @@ use self::hello::{Hello, read_hello};
 use super::clock::Clock;
 use super::recorded::Recorded;
 use super::{Instant, PlannerError, PlannerSpec, SimOptions, Trajectory};
-use crate::peer::{Framing, Link, ProtocolError, begin_of};
+use crate::peer::{Framing, Link, ProtocolError};
 
 /// Replies longer than this are rejected.
 const LINES: Framing = Framing::Lines { max_bytes: 16 << 20 };
@@ -69,9 +70,4 @@ impl Planner {
 #[derive(Deserialize)]
 struct Failure {
     error: String,
-}
-
-/// Formats a parse error with the beginning of the reply.
-fn shown(answer: &[u8], error: &serde_json::Error) -> String {
-    format!("{} ({error})", begin_of(answer))
 }

@@ -4,7 +4,7 @@ use glam::DVec2;
 use point_skeleton::geometry::wrap_angle;
 use serde::Deserialize;
 
-use super::shown;
+use super::unreadable::unreadable;
 use crate::peer::ProtocolError;
 use crate::time::seconds;
 use crate::{Instant, Trajectory, Waypoint};
@@ -44,7 +44,7 @@ struct PlannedPoint {
 pub(crate) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Trajectory, ProtocolError> {
     let expected = "{\"trajectory\": [{\"t\", \"x\", \"y\", \"heading\", \"v\"}, ..]}";
     let plan: PlanAnswer =
-        serde_json::from_slice(answer).map_err(|e| ProtocolError::new(expected, shown(answer, &e)))?;
+        serde_json::from_slice(answer).map_err(|e| ProtocolError::new(expected, unreadable(answer, &e)))?;
     if let Some(step) = plan.step.filter(|step| *step != now.step) {
         return Err(ProtocolError::new(
             format!("an answer to step {}", now.step),
