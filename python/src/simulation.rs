@@ -143,6 +143,7 @@ impl Simulation {
     }
 
     /// The observation of the committed step, as planners in other processes receive it (docs/PLANNER.md).
+    /// After resuming from `saved`, its `history` begins with the saved step.
     #[getter]
     fn observation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let text = self.read(py, |simulation, _| json(&simulation.observation()))?;
