@@ -54,5 +54,5 @@ const RECORDED: [(&str, u64); 6] = [
     ("png --out-size 16x24", 0x5cc5_3c34_fde0_f50e),
     ("npz", 0x9a74_db71_1fb4_49ac),
     ("npz --out-size 16x24", 0xc175_c1be_c350_2264),
-    ("rollout", 0x517f_711c_a7dc_8317),
+    ("rollout", 0x118e_a695_3c3e_d541),
 ];
