@@ -8,7 +8,7 @@ use super::png;
 use crate::cloud::{Bounds, Point};
 use crate::error::FileError;
 use crate::geometry::{Camera, CameraError, ImageSize, View};
-use crate::raster::cpu::CpuRasterizer;
+use crate::raster::reference::ReferenceRasterizer;
 use crate::raster::{
     Instance, MapKind, MapSet, RasterError, Rasterizer, ScheduleError, SplatJob, SplatSchedule, SplatStep,
 };
@@ -99,7 +99,7 @@ fn panel(points: &[Point], bounds: &Bounds, from: DVec3, up: DVec3) -> Result<Ve
     let instances = [Instance { cloud: 0, world_from_local: DAffine3::IDENTITY, number: 1 }];
     let maps = MapSet::of(&[MapKind::Depth]);
     let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, maps };
-    let maps = CpuRasterizer::new(vec![points]).splat(&job)?;
+    let maps = ReferenceRasterizer::new(vec![points]).splat(&job)?;
     Ok(shaded(&maps.depth_m, 1.0 / pixels_per_m))
 }
 

@@ -1,23 +1,24 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::cpu::CpuRasterizer;
+use super::cpu::{CpuRasterizer, CpuRasterizerDesc};
 use super::{
     CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, RasterError, Rasterizer,
 };
-use crate::gpu::{Device, DeviceDesc};
+use crate::gpu::{Device, DeviceDesc, GpuError};
 
 /// Choice of rasterizer; all produce the same maps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RasterizerKind {
-    /// The fastest one that the device supports.
+    /// The fastest one: `compute` or else `graphics` on a GPU, `cpu` without one. `cpu` is not chosen if a device is
+    /// named, its memory is limited or validation is on.
     #[default]
     Auto,
     /// Vulkan compute shaders; needs 64-bit atomics.
     Compute,
     /// Vulkan's graphics pipeline.
     Graphics,
-    /// CPU reference in Rust; needs no driver.
+    /// Vector code and threads of the processor; needs no driver.
     Cpu,
 }
 
@@ -47,7 +48,7 @@ impl fmt::Display for RasterizerKind {
 }
 
 /// Parameters of a rasterizer to create.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RasterizerDesc {
     /// Rasterizer to use.
     pub kind: RasterizerKind,
@@ -55,8 +56,16 @@ pub struct RasterizerDesc {
     /// the best device.
     pub device: Option<String>,
     /// Memory budget for points on the device, bytes (20 per point). Beyond it positions are streamed, which only
-    /// the compute rasterizer supports. `None` for no limit. The CPU reference ignores it.
+    /// the compute rasterizer supports. `None` for no limit. The `cpu` rasterizer ignores it.
     pub memory_bytes: Option<u64>,
+    /// Whether the `cpu` rasterizer skips points that nearer ones hide. The maps do not depend on it.
+    pub occlusion_culling: bool,
+}
+
+impl Default for RasterizerDesc {
+    fn default() -> Self {
+        Self { kind: RasterizerKind::Auto, device: None, memory_bytes: None, occlusion_culling: true }
+    }
 }
 
 impl From<RasterizerKind> for RasterizerDesc {
@@ -68,18 +77,29 @@ impl From<RasterizerKind> for RasterizerDesc {
 /// Creates a rasterizer with these resident clouds. `PSKEL_VALIDATION=1` turns on validation.
 ///
 /// # Errors
-/// Fails if there is no device (never for [`RasterizerKind::Cpu`]), if the named device is unknown or lacks a
-/// required feature, or if memory is exhausted.
+/// Fails if there is no device (never for [`RasterizerKind::Cpu`], and not for [`RasterizerKind::Auto`] if nothing
+/// asks for a device), if the named device is unknown or lacks a required feature, or if memory is exhausted.
 pub fn create<'a>(
     desc: &RasterizerDesc,
     clouds: CloudSet<'a>,
 ) -> Result<Box<dyn Rasterizer + 'a>, RasterError> {
-    if desc.kind == RasterizerKind::Cpu {
-        return Ok(Box::new(CpuRasterizer::new(clouds)));
-    }
     let mut of_device = DeviceDesc::from_env();
     of_device.device = desc.device.clone().or(of_device.device);
-    let device = Device::new(&of_device)?;
+    let asked = of_device.device.is_some() || of_device.validation || desc.memory_bytes.is_some();
+    let device = match desc.kind {
+        RasterizerKind::Cpu => None,
+        // A driver that runs on the processor is slower than the processor.
+        RasterizerKind::Auto if !asked => match Device::new(&of_device) {
+            Ok(device) => Some(device).filter(|device| !device.is_cpu()),
+            Err(GpuError::NoLoader { .. } | GpuError::NoDevice { .. }) => None,
+            Err(error) => return Err(error.into()),
+        },
+        _ => Some(Device::new(&of_device)?),
+    };
+    let Some(device) = device else {
+        let options = CpuRasterizerDesc { occlusion_culling: desc.occlusion_culling };
+        return Ok(Box::new(CpuRasterizer::with_desc(clouds, options)));
+    };
     let compute = match desc.kind {
         RasterizerKind::Auto => ComputeRasterizer::supported(&device),
         other => other == RasterizerKind::Compute,

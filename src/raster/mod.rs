@@ -21,24 +21,29 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod chunk;
 mod compute;
-pub mod cpu;
+mod cpu;
+mod cull;
 mod draw;
 mod frame;
 mod frames;
 mod graphics;
 mod kind;
+mod layers;
 mod line_test;
 mod lines;
 mod map_set;
 mod maps;
 mod plane;
 pub mod reduce;
+pub mod reference;
 mod schedule;
 mod steps;
 pub mod tiles;
 
 pub use compute::{ComputeRasterizer, ComputeRasterizerDesc};
+pub use cpu::{CpuRasterizer, CpuRasterizerDesc};
 pub use draw::{Crop, Draw, Instance, SplatJob, draws_from_job};
 pub use frame::{FrameJob, FrameMaps, Occlusion, ViewMaps, class_of, rgb_of};
 pub use graphics::{GraphicsRasterizer, GraphicsRasterizerDesc};

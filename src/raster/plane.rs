@@ -5,14 +5,15 @@ use bytemuck::Pod;
 
 use crate::gpu::Mapped;
 
-/// Values of one map: owned, or in the memory that the device wrote. The device reuses that memory only after all
-/// planes of a frame are dropped.
+/// Values of one map: owned, or in the memory that the rasterizer wrote. It reuses that memory only after all planes
+/// of a frame are dropped.
 #[derive(Clone)]
 pub struct Plane<'a, T>(Place<'a, T>);
 
 #[derive(Clone)]
 enum Place<'a, T> {
     Owned(Vec<T>),
+    Borrowed(&'a [T]),
     Mapped { memory: Arc<Mapped<'a>>, bytes: Range<usize> },
 }
 
@@ -22,11 +23,16 @@ impl<'a, T: Pod> Plane<'a, T> {
         Self(Place::Mapped { memory, bytes })
     }
 
-    /// Returns the values; copies them from mapped memory.
+    /// Returns a plane over the memory of a rasterizer.
+    pub(super) fn borrowed(values: &'a [T]) -> Self {
+        Self(Place::Borrowed(values))
+    }
+
+    /// Returns the values; copies them from the memory of a rasterizer.
     pub fn into_owned(self) -> Vec<T> {
         match self.0 {
             Place::Owned(values) => values,
-            Place::Mapped { .. } => self.to_vec(),
+            Place::Borrowed(_) | Place::Mapped { .. } => self.to_vec(),
         }
     }
 }
@@ -43,6 +49,7 @@ impl<T: Pod> Deref for Plane<'_, T> {
     fn deref(&self) -> &[T] {
         match &self.0 {
             Place::Owned(values) => values,
+            Place::Borrowed(values) => values,
             Place::Mapped { memory, bytes } => bytemuck::cast_slice(&memory[bytes.clone()]),
         }
     }

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use crate::cloud::{Bounds, Point};
 use crate::geometry::{Camera, View};
-use crate::raster::cpu::{CpuRasterizer, project};
+use crate::raster::reference::{ReferenceRasterizer, project};
 use crate::raster::{
     Instance, MapKind, MapSet, Rasterizer, SplatJob, SplatSchedule, SplatStep, draws_from_job,
 };
@@ -181,7 +181,7 @@ fn seen(points: &[Point], view: &View, bounds: &Bounds, radius_m: f64) -> Option
     let instances = [Instance { cloud: 0, world_from_local: DAffine3::IDENTITY, number: 1 }];
     let maps = MapSet::of(&[MapKind::Depth]);
     let job = SplatJob { view, schedule: &schedule, instances: &instances, crop: None, maps };
-    let maps = CpuRasterizer::new(vec![points]).splat(&job).ok()?;
+    let maps = ReferenceRasterizer::new(vec![points]).splat(&job).ok()?;
     let draws = draws_from_job(&job, &[(points.len(), Some(*bounds))]).ok()?;
     let draw = draws.first()?;
     let surface_m = (SURFACE_RADII * radius_m + SURFACE_APART * apart_m) as f32;

@@ -6,8 +6,8 @@ use super::WrongUsage;
 /// Rasterizer options, shared by all commands that render.
 #[derive(Clone, Debug, Args)]
 pub(super) struct RasterizerArgs {
-    /// Rasterizer: auto, compute (Vulkan with 64-bit atomics), graphics (Vulkan graphics pipeline) or cpu (plain Rust,
-    /// needs no driver); all output the same maps
+    /// Rasterizer: compute (Vulkan with 64-bit atomics), graphics (Vulkan graphics pipeline), cpu (threads and vectors
+    /// of the processor, needs no driver) or auto (cpu unless there is a GPU); all output the same maps
     #[arg(long, default_value_t, value_name = "KIND")]
     pub(super) rasterizer: RasterizerKind,
     /// Vulkan device: index, UUID (GPU-..), PCI address (0000:65:00.0) or part of the name [default: $PSKEL_DEVICE,
@@ -19,6 +19,9 @@ pub(super) struct RasterizerArgs {
     /// memory [default: as much as needed]
     #[arg(long, value_name = "MIB")]
     pub(super) gpu_memory: Option<u32>,
+    /// Draw points that nearer ones hide too, to measure what skipping them is worth (cpu only)
+    #[arg(long)]
+    pub(super) no_occlusion_culling: bool,
 }
 
 impl RasterizerArgs {
@@ -37,12 +40,16 @@ impl RasterizerArgs {
             (_, Some(mib)) if matches!(kind, RasterizerKind::Cpu | RasterizerKind::Graphics) => {
                 Some(format!("--gpu-memory with --rasterizer {kind}, found {mib}"))
             }
+            _ if self.no_occlusion_culling && !matches!(kind, RasterizerKind::Cpu | RasterizerKind::Auto) => {
+                Some(format!("--no-occlusion-culling with --rasterizer {kind}"))
+            }
             _ => None,
         };
         if let Some(unfit) = unfit {
             return Err(WrongUsage(format!("expected no {unfit}")));
         }
         let memory_bytes = self.gpu_memory.map(|mib| u64::from(mib) << 20);
-        Ok(RasterizerDesc { kind: self.rasterizer, device: self.device.clone(), memory_bytes })
+        let (device, occlusion_culling) = (self.device.clone(), !self.no_occlusion_culling);
+        Ok(RasterizerDesc { kind, device, memory_bytes, occlusion_culling })
     }
 }

@@ -15,10 +15,7 @@
 //! drawn rows are evicted (`Residency`).
 
 mod bands;
-mod chunk;
 mod coverage;
-mod cull;
-mod layers;
 mod passes;
 mod phases;
 mod plan;
@@ -37,9 +34,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use self::bands::{PartLimits, Partition, RowStrip};
-use self::chunk::ChunkedCloud;
 use self::coverage::Coverage;
-use self::layers::Layers;
 use self::phases::Phases;
 use self::plan::{BandResult, BatchPlan, Numbering, PlannedItem, Work};
 use self::project::{ProjectFrame, ProjectStage, items_of};
@@ -50,7 +45,9 @@ use self::shared::{KEY_IMAGE_ROW_BYTES, KEY_STEP_BYTES, KeyCapacity, Shared};
 use self::slot::{Needs, Slot};
 use self::spread::SpreadStage;
 use self::store::{ROW_BYTES, Residency, STREAMED_ROWS, Store, StoreLimits};
+use super::chunk::ChunkedCloud;
 use super::frame::frame_by_views;
+use super::layers::Layers;
 use super::{
     CloudSet, FRAMES_IN_FLIGHT, FrameJob, FrameMaps, MapSet, Occlusion, RasterError, Rasterizer,
     RasterizerInfo, SplatJob, SplatMaps, StageTimes,

@@ -3,11 +3,11 @@
 use rayon::prelude::*;
 
 use super::bands::{PAD, Partition, ResolveTap, RowStrip, row_pixels};
-use super::chunk::{CHUNK, ChunkedCloud};
-use super::cull::seen_points;
-use super::layers::{LayerInstance, Layers};
 use super::tables::{Block, ProjectBand, ProjectDraw, ResolveBand};
+use crate::raster::chunk::{CHUNK, ChunkedCloud};
+use crate::raster::cull::{joined, seen_blocks};
 use crate::raster::draw::draw_from_instance;
+use crate::raster::layers::{LayerInstance, Layers};
 use crate::raster::{FrameJob, MapSet, RasterError, SplatJob};
 
 /// An instance whose points are numbered from `first` on.
@@ -131,7 +131,7 @@ impl BatchPlan {
             let draw = draw_from_instance(&view_job, instance, numbered.first);
             let shown = (view.camera.width, part[band].source);
             let (pad, z_far_m) = (cut.pad, schedule.z_far_m());
-            let chunks = seen_points(&clouds[instance.cloud], &draw, shown, pad, z_far_m);
+            let chunks = joined(&seen_blocks(&clouds[instance.cloud], &draw, shown, pad, z_far_m));
             (ProjectDraw::new(&draw, band as u32, numbered.layered.layers), instance.cloud as u32, chunks)
         };
         let seen: Vec<_> = pairs.par_iter().with_min_len(16).map(seen).collect();

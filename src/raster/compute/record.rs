@@ -1,7 +1,6 @@
 //! Recording of a frame's commands.
 
 use super::coverage::Coverage;
-use super::layers::Layers;
 use super::plan::Work;
 use super::project::ProjectPush;
 use super::resolve::{ResolvePush, ResolveStage};
@@ -9,6 +8,7 @@ use super::shared::{KEY_IMAGE_ROW_BYTES, Shared};
 use super::slot::{DEPTH, MapBuffer, Slot};
 use super::tables::{ProjectItem, ResolveBand};
 use crate::gpu::{DescriptorSet, Device, GpuError, Recorder, Scope};
+use crate::raster::layers::Layers;
 use crate::raster::{FrameJob, MapKind, MapSet};
 
 /// Both words of an empty key.
@@ -56,7 +56,7 @@ pub(super) fn clear<'a>(
 ) -> Result<(), GpuError> {
     // The previous frame may still be reading them.
     recorder.barrier(Scope::Compute, Scope::CopyWrite);
-    let rows = (blocks.div_ceil(super::chunk::CHUNK)).max(1) as u32;
+    let rows = (blocks.div_ceil(crate::raster::chunk::CHUNK)).max(1) as u32;
     recorder.write_rows((&slot.block_rows, 0), &slot.blocks, 0, 0..rows)?;
     for layer in &shared.layers[..layers] {
         recorder.fill(&layer.buffer, 0, key_bytes, EMPTY_WORD)?;

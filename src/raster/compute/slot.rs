@@ -6,7 +6,6 @@ use ash::vk::{self, BufferUsageFlags as Usage, ImageUsageFlags};
 use bytemuck::Pod;
 
 use super::bands::ResolveTap;
-use super::chunk::CHUNK;
 use super::plan::BatchPlan;
 use super::project::ProjectFrame;
 use super::shared::Shared;
@@ -16,6 +15,7 @@ use super::tables::{Block, ProjectBand, ProjectDraw, ProjectItem, ResolveBand};
 use crate::gpu::{
     Bind, Buffer, BufferDesc, Commands, DescriptorSet, Device, GpuError, Image, ImageDesc, Memory,
 };
+use crate::raster::chunk::CHUNK;
 use crate::raster::{MapKind, MapSet};
 
 /// Number of maps that the shaders write.

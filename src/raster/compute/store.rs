@@ -5,12 +5,12 @@ use std::sync::Arc;
 use ash::vk::{self, BufferUsageFlags as Usage, ImageUsageFlags};
 use rayon::prelude::*;
 
-use super::chunk::{CHUNK, ChunkedCloud};
 use super::project::PAGE_SET;
 use crate::gpu::{
     Bind, Buffer, BufferDesc, Commands, DescriptorSet, Device, GpuError, Image, ImageDesc, Memory,
     PipelineLayout,
 };
+use crate::raster::chunk::{CHUNK, ChunkedCloud};
 
 /// Size of a chunk's positions, bytes: a row of 16-byte texels.
 pub(super) const ROW_BYTES: u64 = CHUNK as u64 * 16;

@@ -6,7 +6,7 @@ use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::dataset::Dataset;
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
-use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{Crop, FrameJob, MapSet, Occlusion, Rasterizer, SplatSchedule};
 use point_skeleton::scene::{
     EgoOffset, SceneClouds, SceneState, SelectionOptions, Substitutes, state_of_frame,
@@ -123,7 +123,7 @@ fn draw(skeleton: &Skeleton, stand_ins: &Substitutes, state: &SceneState) {
         maps: MapSet::SPLATTED,
         out_size: None,
     };
-    let mut rasterizer = CpuRasterizer::new(stage.cloud_set());
+    let mut rasterizer = ReferenceRasterizer::new(stage.cloud_set());
     if rasterizer.begin(&job).is_ok() {
         let maps = rasterizer.finish().expect("maps of a frame that was begun");
         for maps in &maps {

@@ -145,7 +145,7 @@ fn a_session_that_failed_makes_no_step() {
     let (drive, folder) = (Grey::new(), tempfile::tempdir().unwrap());
     let skeleton = nothing(&folder.path().join("sk"));
     let scene_clouds = Clouds::new(&skeleton, "grey").unwrap();
-    let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
+    let desc = RasterizerDesc::from(RasterizerKind::Cpu);
     let mut rasterizer = raster::create(&desc, scene_clouds.cloud_set()).unwrap();
     // The reference is encoded, all later frames are decoded.
     for (calls_before, made_before) in [(None, 5), (Some(0), 0), (Some(1), 1), (Some(2), 2)] {

@@ -70,7 +70,7 @@ fn the_table_ends_with_a_summary() {
         "rasterizer   cpu\n",
         "points       3000\n",
         "size         90x160\n",
-        "  splat",
+        "  project",
         "%\n",
         " MB at most\n",
     ] {
@@ -138,11 +138,14 @@ fn whole_steps_of_a_drive_have_layouts_and_fill_the_same_pixels() {
     let stages =
         |found: &Value| -> Vec<String> { found["stages_ms"].as_object().unwrap().keys().cloned().collect() };
     let bare = json(&log, bench);
-    assert_eq!(stages(&bare), ["resolve", "splat"]);
+    assert_eq!(stages(&bare), ["clear", "plan", "project", "resolve"]);
     for in_flight in ["1", "2"] {
         let whole = format!("{bench} --maps depth,instance,boxes,tensor --in-flight {in_flight}");
         let found = json(&log, &whole);
-        assert_eq!(stages(&found), ["convert", "instances", "layouts", "resolve", "splat"]);
+        assert_eq!(
+            stages(&found),
+            ["clear", "convert", "instances", "layouts", "plan", "project", "resolve"]
+        );
         for key in ["filled", "frames", "points", "size", "out_size"] {
             assert_eq!(found[key], bare[key], "{key}");
         }

@@ -11,7 +11,7 @@ use point_skeleton::conditions::{
 use point_skeleton::dataset::{Area, Class, Frame, Lane, Recording, VectorMap};
 use point_skeleton::geometry::{Camera, Cuboid, Pose, View};
 use point_skeleton::raster::Instance;
-use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneMap, SceneState};
 
 use crate::parity::{Layout, assert_parity, differing};
@@ -132,7 +132,7 @@ fn street() -> Street {
 
 impl Street {
     fn render(&self, options: &ConditionOptions) -> ConditionSet {
-        let mut rasterizer = CpuRasterizer::new(self.clouds.iter().map(Vec::as_slice).collect());
+        let mut rasterizer = ReferenceRasterizer::new(self.clouds.iter().map(Vec::as_slice).collect());
         render(&mut rasterizer, &self.instances, &self.state, options).unwrap()
     }
 }
@@ -187,7 +187,7 @@ fn sizes_radius_and_selection_are_followed() {
 fn what_is_asked_for_changes_nothing_else() {
     let street = street();
     let maps = |instances: &SceneInstances, maps: &str| {
-        let mut cpu = CpuRasterizer::new(street.clouds.iter().map(Vec::as_slice).collect());
+        let mut cpu = ReferenceRasterizer::new(street.clouds.iter().map(Vec::as_slice).collect());
         let options = ConditionOptions { maps: maps.parse().unwrap(), ..ConditionOptions::default() };
         render(&mut cpu, instances, &street.state, &options).unwrap().cameras.remove(0)
     };
@@ -267,7 +267,7 @@ fn map_layouts_have_the_colors_of_the_contract_row_by_row() {
     let (from, to) = (ImageSize { height: 36, width: 64 }, ImageSize { height: 9, width: 16 });
     assert_eq!(reduced.cameras[0].map, Some(reduce::pil_bilinear(&expected, from, to)));
     street.state.map = None;
-    let mut rasterizer = CpuRasterizer::new(street.clouds.iter().map(Vec::as_slice).collect());
+    let mut rasterizer = ReferenceRasterizer::new(street.clouds.iter().map(Vec::as_slice).collect());
     let error = render(&mut rasterizer, &street.instances, &street.state, &options).unwrap_err().to_string();
     assert!(error.contains("expected an HD map") && error.contains("step 000000"), "{error}");
 }
@@ -282,7 +282,7 @@ fn fixture_full_size_maps_agree_with_the_reference() {
     let instance = |cloud, number| Instance { cloud, number, world_from_local: DAffine3::IDENTITY };
     let both = vec![instance(0, 0), instance(1, 1)];
     let clouds = SceneInstances { color: both.clone(), geometry: both };
-    let mut rasterizer = CpuRasterizer::new(vec![&background, &actors]);
+    let mut rasterizer = ReferenceRasterizer::new(vec![&background, &actors]);
     let mut maps = |occlusion| -> Vec<CameraConditions> {
         let options = ConditionOptions { occlusion, ..ConditionOptions::default() };
         let views = [1, 4].map(|view: usize| views[view].clone());

@@ -9,7 +9,7 @@ use point_skeleton::conditions::{
 use point_skeleton::dataset::Class;
 use point_skeleton::geometry::{Camera, Cuboid, Distortion, Pose, View};
 use point_skeleton::raster::Instance;
-use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneState};
 use point_skeleton::skeleton::Projector;
 
@@ -112,7 +112,7 @@ fn options(maps: &[MapKind]) -> ConditionOptions {
 
 impl Wall {
     fn render(&self, state: &SceneState, options: &ConditionOptions) -> ConditionSet {
-        let mut rasterizer = CpuRasterizer::new(vec![&self.points]);
+        let mut rasterizer = ReferenceRasterizer::new(vec![&self.points]);
         let all = vec![Instance { cloud: 0, number: 1, world_from_local: DAffine3::IDENTITY }];
         let clouds = SceneInstances { color: all.clone(), geometry: all };
         render(&mut rasterizer, &clouds, state, options).unwrap()

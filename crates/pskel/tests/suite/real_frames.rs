@@ -3,7 +3,7 @@
 use point_skeleton::dataset::nuscenes::NuScenes;
 use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
 use point_skeleton::geometry::{ImageSize, View};
-use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{
     Crop, FrameJob, FrameMaps, MapSet, Occlusion, Rasterizer, SplatSchedule, rgb_of,
 };
@@ -59,7 +59,7 @@ fn all_rasterizers_draw_a_real_frame_alike() {
         out_size: Some(ImageSize { height: 256, width: 448 }),
         ..full
     };
-    let mut cpu = CpuRasterizer::new(clouds.clone());
+    let mut cpu = ReferenceRasterizer::new(clouds.clone());
     with_device(|device| {
         let mut all = rasterizers(&device, &clouds, Division::default());
         for job in [full, reduced] {

@@ -6,7 +6,7 @@ use point_skeleton::conditions::{BinScale, ConditionOptions, ConditionSet, Depth
 use point_skeleton::dataset::Class;
 use point_skeleton::geometry::{Camera, Cuboid, Pose, View};
 use point_skeleton::raster::Instance;
-use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneState};
 
 /// Adds points of a parallelogram, slightly shaded by a fixed pattern.
@@ -101,7 +101,7 @@ fn street() -> ConditionSet {
     let (name, map) = ("000000".into(), None);
     let state = SceneState { name, t_us: 0, global_from_ego: ego, cameras, actors, map };
     let scene = SceneInstances { color: instances.clone(), geometry: instances };
-    let mut rasterizer = CpuRasterizer::new(clouds.iter().map(Vec::as_slice).collect());
+    let mut rasterizer = ReferenceRasterizer::new(clouds.iter().map(Vec::as_slice).collect());
     render(&mut rasterizer, &scene, &state, &ConditionOptions::default()).unwrap()
 }
 

@@ -76,7 +76,7 @@ fn metrics_are_of_the_steps_that_were_drawn() {
     let skeleton = Skeleton::open(&path).unwrap();
     let prompt = PromptParts::default();
     let clouds = SceneClouds::new(&skeleton, &log.name).unwrap();
-    let desc = RasterizerDesc { kind: RasterizerKind::Cpu, device: None, memory_bytes: None };
+    let desc = RasterizerDesc::from(RasterizerKind::Cpu);
     let drawn = raster::create(&desc, clouds.cloud_set()).unwrap();
     let scenario = Scenario { log: &log, map: None, rates: Rates::default() };
     let paths = InputPaths { log: Path::new("log"), skeleton: &path, prompt: None };

@@ -15,7 +15,7 @@ fn an_unknown_device_lists_those_there_are() {
     assert!(text.contains("no such device") && text.contains(&name), "{text}");
     let made = |kind| {
         let device = Some("no such device".into());
-        create(&RasterizerDesc { kind, device, memory_bytes: None }, vec![]).is_ok()
+        create(&RasterizerDesc { kind, device, ..RasterizerDesc::default() }, vec![]).is_ok()
     };
     use RasterizerKind as Kind;
     assert_eq!([Kind::Auto, Kind::Compute, Kind::Graphics, Kind::Cpu].map(made), [false, false, false, true]);
@@ -26,7 +26,7 @@ fn a_device_is_found_by_part_of_its_name() {
     let name = with_device(|device| device.name().to_owned());
     let part = name.split_whitespace().next().unwrap().to_uppercase();
     let made = |kind| {
-        let desc = RasterizerDesc { kind, device: Some(part.clone()), memory_bytes: None };
+        let desc = RasterizerDesc { kind, device: Some(part.clone()), ..RasterizerDesc::default() };
         let info = create(&desc, vec![]).unwrap().info();
         assert!(info.device == name && !info.driver.is_empty(), "{info:?}");
         info.rasterizer

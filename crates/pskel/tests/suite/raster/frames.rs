@@ -7,7 +7,7 @@ use glam::DVec2;
 use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{ImageSize, View};
 use point_skeleton::gpu::Device;
-use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{
     CloudSet, ComputeRasterizer, ComputeRasterizerDesc, Crop, FRAMES_IN_FLIGHT, FrameJob, Instance, MapKind,
     MapSet, Occlusion, RasterError, Rasterizer, SplatJob, SplatSchedule, ViewMaps,
@@ -147,7 +147,7 @@ fn compare_scene(
         let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
         let division = Division { compute, ..Division::default() };
         let mut all = rasterizers(&device, &set, division);
-        let mut cpu = CpuRasterizer::new(set.clone());
+        let mut cpu = ReferenceRasterizer::new(set.clone());
         for round in 0..rounds {
             let job = scene.job(random);
             let expected = frame(&mut cpu, &job);
@@ -241,7 +241,7 @@ fn frames_in_flight_come_in_order() {
     let full = FrameJob { maps: MapSet::SPLATTED, out_size: None, ..scene.job(random) };
     let reduced = FrameJob { out_size: Some(ImageSize { height: 9, width: 13 }), ..full };
     with_compute_device(|device| {
-        let mut cpu = CpuRasterizer::new(scene.clouds());
+        let mut cpu = ReferenceRasterizer::new(scene.clouds());
         let mut rasterizer = compute(&device, &scene.clouds());
         assert!(matches!(rasterizer.finish(), Err(RasterError::NoFrame)));
         let expected = [frame(&mut cpu, &full), frame(&mut cpu, &reduced)];

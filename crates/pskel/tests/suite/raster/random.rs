@@ -3,7 +3,7 @@
 use glam::{DAffine3, DQuat, DVec2, DVec3};
 use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{Camera, View};
-use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{
     CloudSet, ComputeRasterizerDesc, Crop, GraphicsRasterizerDesc, Instance, MapSet, Rasterizer, SplatJob,
     SplatSchedule, SplatStep,
@@ -30,7 +30,7 @@ impl Random {
         self.next() % end
     }
 
-    fn between(&mut self, low: f64, high: f64) -> f64 {
+    pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.next() >> 11) as f64 / (1_u64 << 53) as f64
     }
 }
@@ -120,7 +120,7 @@ fn compare_random_splats(seed: u64, sizes: &[u64], division: Division) {
     let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
     with_device(|device| {
         let mut all = rasterizers(&device, &set, division);
-        let mut cpu = CpuRasterizer::new(set.clone());
+        let mut cpu = ReferenceRasterizer::new(set.clone());
         for round in 0..6 {
             let view = random_view(random);
             let instances = random_instances(random, &view, clouds.len());

@@ -6,10 +6,10 @@ use glam::{DAffine3, DVec3};
 use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::gpu::{Device, DeviceDesc};
-use point_skeleton::raster::cpu::CpuRasterizer;
+use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{
-    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, GraphicsRasterizerDesc, Instance,
-    MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule,
+    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, CpuRasterizer, CpuRasterizerDesc, GraphicsRasterizer,
+    GraphicsRasterizerDesc, Instance, MapSet, Rasterizer, RasterizerInfo, SplatJob, SplatMaps, SplatSchedule,
 };
 
 use crate::common::skip;
@@ -47,7 +47,7 @@ fn has_compute(device: &Device) -> bool {
     device.atomics_64()
 }
 
-/// Creates all rasterizers that a device supports.
+/// Creates all rasterizers that a device supports, and those of the processor.
 pub(crate) fn rasterizers<'a>(
     device: &Arc<Device>,
     clouds: &CloudSet<'a>,
@@ -55,6 +55,10 @@ pub(crate) fn rasterizers<'a>(
 ) -> Vec<Box<dyn Rasterizer + 'a>> {
     let raster = GraphicsRasterizer::with_desc(device.clone(), clouds, division.raster);
     let mut all: Vec<Box<dyn Rasterizer + 'a>> = vec![Box::new(raster.unwrap_or_else(|e| panic!("{e}")))];
+    for occlusion_culling in [true, false] {
+        let desc = CpuRasterizerDesc { occlusion_culling };
+        all.push(Box::new(CpuRasterizer::with_desc(clouds.clone(), desc)));
+    }
     if has_compute(device) {
         let copies = ComputeRasterizerDesc { copies: true, ..division.compute };
         for desc in [division.compute, copies] {
@@ -68,8 +72,12 @@ pub(crate) fn rasterizers<'a>(
 /// Returns the share of pixels that may differ: none on drivers that round as the CPU does, `elsewhere` on others,
 /// since Vulkan allows a division error of 2.5 units in the last place.
 pub(crate) fn allowed_share(rasterizer: &dyn Rasterizer, elsewhere: f64) -> f64 {
-    let device = rasterizer.info().device;
-    if [LAVAPIPE, SWIFTSHADER].iter().any(|name| device.contains(name)) { 0.0 } else { elsewhere }
+    let RasterizerInfo { rasterizer, device, .. } = rasterizer.info();
+    if rasterizer == "cpu" || [LAVAPIPE, SWIFTSHADER].iter().any(|name| device.contains(name)) {
+        0.0
+    } else {
+        elsewhere
+    }
 }
 
 /// Returns how many pixels differ in any plane. Maps of different sizes or planes differ everywhere.
@@ -141,7 +149,7 @@ impl Case {
             crop: None,
             maps,
         };
-        let expected = CpuRasterizer::new(clouds.clone()).splat(&job).unwrap();
+        let expected = ReferenceRasterizer::new(clouds.clone()).splat(&job).unwrap();
         with_device(|device| {
             for mut rasterizer in rasterizers(&device, &clouds, Division::default()) {
                 let found = rasterizer.splat(&job).unwrap();

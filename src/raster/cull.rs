@@ -86,9 +86,9 @@ impl Frustum {
     }
 }
 
-/// Returns the parts of a cloud's chunks that may be visible in some rows of a view `width` pixels wide, in point
-/// order. The view is padded by `pad` pixels for the squares of points.
-pub(super) fn seen_points(
+/// Returns the blocks of a cloud that may be visible in some rows of a view `width` pixels wide, in point order. The
+/// view is padded by `pad` pixels for the squares of points.
+pub(super) fn seen_blocks(
     cloud: &ChunkedCloud<'_>,
     draw: &Draw,
     (width, rows): (u32, Rows),
@@ -96,7 +96,7 @@ pub(super) fn seen_points(
     z_far_m: f32,
 ) -> Vec<VisibleRange> {
     let frustum = Frustum::new(draw, width, rows, f64::from(pad) + 2.0, z_far_m);
-    let mut seen: Vec<VisibleRange> = Vec::new();
+    let mut seen = Vec::new();
     for (group, extent) in cloud.groups.iter().enumerate() {
         if !extent.as_ref().is_some_and(|e| frustum.touches(e)) {
             continue;
@@ -106,16 +106,27 @@ pub(super) fn seen_points(
             let (nearest_m, crop) = (frustum.nearest_m(extent), frustum.cuts(extent));
             let (chunk, first) = ((i * CULL_BLOCK / CHUNK) as u32, (i * CULL_BLOCK % CHUNK) as u32);
             let end = cloud.count(chunk as usize).min(first + CULL_BLOCK as u32);
-            match seen.last_mut() {
-                Some(last) if (last.chunk, last.points[1], last.crop) == (chunk, first, crop) => {
-                    last.points[1] = end;
-                    last.nearest_m = last.nearest_m.min(nearest_m);
-                }
-                _ => seen.push(VisibleRange { chunk, points: [first, end], nearest_m, crop }),
-            }
+            seen.push(VisibleRange { chunk, points: [first, end], nearest_m, crop });
         }
     }
     seen
+}
+
+/// Joins neighboring blocks of a chunk.
+pub(super) fn joined(blocks: &[VisibleRange]) -> Vec<VisibleRange> {
+    let mut ranges: Vec<VisibleRange> = Vec::with_capacity(blocks.len());
+    for block in blocks {
+        match ranges.last_mut() {
+            Some(last)
+                if (last.chunk, last.points[1], last.crop) == (block.chunk, block.points[0], block.crop) =>
+            {
+                last.points[1] = block.points[1];
+                last.nearest_m = last.nearest_m.min(block.nearest_m);
+            }
+            _ => ranges.push(*block),
+        }
+    }
+    ranges
 }
 
 #[cfg(test)]

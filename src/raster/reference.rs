@@ -14,14 +14,14 @@ use super::{
 use crate::cloud::{Bounds, Point};
 
 /// The CPU reference as a [`Rasterizer`].
-pub struct CpuRasterizer<'a> {
+pub struct ReferenceRasterizer<'a> {
     clouds: CloudSet<'a>,
     extents: Vec<(usize, Option<Bounds>)>,
     stages: StageTimes,
     done: CompletedFrames,
 }
 
-impl<'a> CpuRasterizer<'a> {
+impl<'a> ReferenceRasterizer<'a> {
     /// Creates a rasterizer that borrows the clouds; nothing is copied.
     pub fn new(clouds: CloudSet<'a>) -> Self {
         let extents = clouds.iter().map(|c| (c.len(), Bounds::of(*c))).collect();
@@ -29,7 +29,7 @@ impl<'a> CpuRasterizer<'a> {
     }
 }
 
-impl Rasterizer for CpuRasterizer<'_> {
+impl Rasterizer for ReferenceRasterizer<'_> {
     fn info(&self) -> RasterizerInfo {
         RasterizerInfo { rasterizer: "cpu", device: "host".into(), driver: "plain Rust".into() }
     }

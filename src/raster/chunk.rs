@@ -72,8 +72,13 @@ impl<'a> ChunkedCloud<'a> {
         (self.points.len() - chunk * CHUNK).min(CHUNK) as u32
     }
 
+    /// Returns whether the order differs from the cloud's own.
+    pub(super) fn is_reordered(&self) -> bool {
+        self.order.is_some()
+    }
+
     /// Returns a range of points in chunk order, with their cloud indices.
-    fn points_at(&self, places: std::ops::Range<usize>) -> impl Iterator<Item = (u32, &'a Point)> {
+    pub(super) fn points_at(&self, places: std::ops::Range<usize>) -> impl Iterator<Item = (u32, &'a Point)> {
         places.map(|place| {
             let index = self.order.as_ref().map_or(place as u32, |order| order[place]);
             (index, &self.points[index as usize])

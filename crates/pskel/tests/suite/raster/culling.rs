@@ -1,0 +1,82 @@
+//! Skipping hidden points changes no map.
+
+use point_skeleton::cloud::Point;
+use point_skeleton::geometry::{Camera, View};
+use point_skeleton::raster::reference::ReferenceRasterizer;
+use point_skeleton::raster::{
+    CpuRasterizer, CpuRasterizerDesc, Instance, MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule,
+};
+
+use super::random::Random;
+use super::twins::assert_same;
+
+/// A camera at the origin that looks along z, turned by an angle in degrees.
+fn view(turn_deg: f64) -> View {
+    let rows = [[60.0, 0.0, 40.3], [0.0, 60.0, 24.7], [0.0, 0.0, 1.0]];
+    let camera = Camera::new("c", 80, 50, rows).unwrap();
+    View { camera, camera_from_world: glam::DAffine3::from_rotation_y(turn_deg.to_radians()) }
+}
+
+/// Walls of many points at some depths, each with a hole of one pixel, and a slope of points behind each other.
+fn walls(random: &mut Random, depths_m: &[f64]) -> Vec<Point> {
+    let mut points = Vec::new();
+    let color = |random: &mut Random| [random.below(256) as u8, random.below(256) as u8, 7];
+    for (wall, depth_m) in depths_m.iter().enumerate() {
+        for _ in 0..60_000 {
+            let at = [random.between(0.0, 80.0), random.between(0.0, 50.0)];
+            let hole = [20 + 7 * wall, 11 + 5 * wall];
+            if at.map(|v| v as usize) == hole {
+                continue;
+            }
+            // A third of the points of a wall have exactly its depth.
+            let z = if random.below(3) == 0 { *depth_m } else { depth_m + random.between(0.0, 0.3) };
+            let position = [(at[0] - 40.3) / 60.0 * z, (at[1] - 24.7) / 60.0 * z, z];
+            points.push(Point::new(position.map(|v| v as f32), color(random), 3));
+        }
+    }
+    for _ in 0..40_000 {
+        let (x, z) = (random.between(-6.0, 6.0), random.between(2.0, 90.0));
+        points.push(Point::new([x as f32, 1.5, z as f32], color(random), 2));
+    }
+    points
+}
+
+fn splat(
+    rasterizer: &mut dyn Rasterizer,
+    schedule: &SplatSchedule,
+    view: &View,
+    instances: &[Instance],
+) -> SplatMaps {
+    rasterizer.splat(&SplatJob { view, schedule, instances, crop: None, maps: MapSet::SPLATTED }).unwrap()
+}
+
+#[test]
+fn skipping_hidden_points_changes_nothing() {
+    let random = &mut Random(5);
+    let near = walls(random, &[6.0, 14.99, 15.0]);
+    let far = walls(random, &[9.0, 34.9, 35.1, 60.0]);
+    let clouds = vec![near.as_slice(), &far];
+    let mut reference = ReferenceRasterizer::new(clouds.clone());
+    // The camera jumps, and so does the second cloud.
+    let places = [(0.0, 0.0), (3.0, -4.0), (-40.0, 8.0), (180.0, 0.0), (0.0, 0.0)];
+    for text in ["15:2,35:1,100:0", "100:0", "5:9,35:3,100:1"] {
+        let schedule: SplatSchedule = text.parse().unwrap();
+        let mut all = [true, false].map(|occlusion_culling| {
+            CpuRasterizer::with_desc(clouds.clone(), CpuRasterizerDesc { occlusion_culling })
+        });
+        for (turn_deg, shift_m) in places {
+            let view = view(turn_deg);
+            let instance = |cloud: usize, z: f64| Instance {
+                cloud,
+                world_from_local: glam::DAffine3::from_translation(glam::DVec3::new(0.0, 0.0, z)),
+                number: cloud as u32,
+            };
+            let instances = [instance(0, 0.0), instance(1, shift_m)];
+            let expected = splat(&mut reference, &schedule, &view, &instances);
+            for rasterizer in &mut all {
+                let found = splat(rasterizer, &schedule, &view, &instances);
+                assert_same(&expected, &found, 0.0, &format!("{text} {turn_deg} {shift_m}"));
+            }
+        }
+    }
+}

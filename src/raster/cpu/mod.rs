@@ -1,0 +1,217 @@
+//! The rasterizer for processors: vector code and threads, without a driver.
+//!
+//! # How it works
+//! Points are stored in chunks, coordinate by coordinate (`packed`). A frame is cut into row strips (`strips`), which
+//! are rendered independently of each other (`task`): a thread culls the chunks of a strip, projects their points
+//! nearest first into visibility buffers (`project`, `window`), skips groups of points that are hidden by what is
+//! already drawn (`hidden`), finds the visible point of each pixel (`dilate`) and writes the maps (`resolve`).
+//! Each point draws only its own pixel, as in the compute rasterizer, and depths are compared before numbers of
+//! points, so all loops work on 32-bit values.
+
+mod dilate;
+mod hidden;
+mod numbering;
+mod packed;
+mod project;
+mod resolve;
+mod strips;
+mod task;
+mod window;
+
+use std::collections::VecDeque;
+use std::sync::Mutex;
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use self::numbering::Numbering;
+use self::packed::PackedCloud;
+use self::resolve::MapRows;
+use self::strips::{Sampling, strips};
+use self::task::{Scratch, Task};
+use super::layers::Layers;
+use super::{
+    CloudSet, FRAMES_IN_FLIGHT, FrameJob, FrameMaps, MapKind, MapSet, Occlusion, Plane, RasterError,
+    Rasterizer, RasterizerInfo, SplatJob, SplatMaps, StageTimes, ViewMaps,
+};
+use crate::geometry::ImageSize;
+
+/// Options of a [`CpuRasterizer`]. Results never depend on them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CpuRasterizerDesc {
+    /// Whether groups of points are skipped that what is already drawn hides.
+    pub occlusion_culling: bool,
+}
+
+impl Default for CpuRasterizerDesc {
+    fn default() -> Self {
+        Self { occlusion_culling: true }
+    }
+}
+
+/// Maps of a frame: those of its views one after the other. A map that is not wanted has length 0.
+#[derive(Default)]
+struct Maps {
+    sizes: Vec<ImageSize>,
+    rgb_class: Vec<u32>,
+    depth_m: Vec<f32>,
+    instance: Vec<u32>,
+    point: Vec<u32>,
+}
+
+/// Rasterizer on the processor's threads.
+pub struct CpuRasterizer<'a> {
+    clouds: Vec<PackedCloud<'a>>,
+    /// Colors and classes of all clouds, in their own order.
+    colors: Vec<u32>,
+    desc: CpuRasterizerDesc,
+    /// Memory of strips, reused from frame to frame.
+    scratch: Mutex<Vec<Scratch>>,
+    done: VecDeque<Maps>,
+    /// Memory of maps, reused from frame to frame; the last frame may still be read.
+    unused: Vec<Maps>,
+    shown: Maps,
+    stages: StageTimes,
+}
+
+impl<'a> CpuRasterizer<'a> {
+    /// Packs the clouds.
+    pub fn new(clouds: CloudSet<'a>) -> Self {
+        Self::with_desc(clouds, CpuRasterizerDesc::default())
+    }
+
+    /// Packs the clouds, with other options.
+    pub fn with_desc(clouds: CloudSet<'a>, desc: CpuRasterizerDesc) -> Self {
+        let mut stages = StageTimes::default();
+        let start = Instant::now();
+        let mut colors = Vec::with_capacity(clouds.iter().map(|cloud| cloud.len()).sum());
+        let mut packed = Vec::with_capacity(clouds.len());
+        for cloud in clouds {
+            packed.push(PackedCloud::new(cloud, colors.len()));
+            colors.extend(cloud.iter().map(|point| point.rgb_class));
+        }
+        stages.add("sort", start.elapsed());
+        let (scratch, done, unused, shown) = Default::default();
+        Self { clouds: packed, colors, desc, scratch, done, unused, shown, stages }
+    }
+
+    fn render(&mut self, job: &FrameJob<'_>) -> Result<Maps, RasterError> {
+        let samplings: Vec<Sampling> = job
+            .views
+            .iter()
+            .map(|view| Sampling::new(ImageSize::of(&view.camera), job.size_of(view)))
+            .collect();
+        let layers = Layers::of(job);
+        let mut maps = self.unused.pop().unwrap_or_default();
+        maps.start(&samplings, if layers.count == 0 { MapSet::NONE } else { job.maps });
+        if layers.count == 0 {
+            return Ok(maps);
+        }
+        let numbering = Numbering::new(&layers.merge(job), &self.clouds, &self.colors)?;
+        let threads = rayon::current_num_threads();
+        let strips = strips(job, &samplings, threads)?;
+        let mut rest = maps.rows();
+        let mut tasks = Vec::with_capacity(strips.len());
+        for strip in &strips {
+            let sampling = &samplings[strip.view];
+            let pixels = (strip.rows[1] - strip.rows[0]) as usize * sampling.to.width as usize;
+            tasks.push((strip, sampling, rest.take_first(pixels)));
+        }
+        let (scratch, desc) = (&self.scratch, self.desc);
+        let times = tasks.into_par_iter().with_max_len(1).map(|(strip, sampling, mut maps)| {
+            let unused = scratch.lock().ok().and_then(|mut all| all.pop());
+            let mut own = unused.unwrap_or_default();
+            let task = Task { job, layers: &layers, strip, sampling, numbering: &numbering, desc };
+            let times = task.render(&mut own, &mut maps);
+            if let Ok(mut all) = scratch.lock() {
+                all.push(own);
+            }
+            times
+        });
+        let times: Vec<StageTimes> = times.collect();
+        // Threads work at the same time: their mean is the share of the frame's time.
+        for (stage, time) in times.iter().flat_map(|times| &times.0) {
+            self.stages.add(stage, *time / threads as u32);
+        }
+        Ok(maps)
+    }
+}
+
+impl Maps {
+    fn start(&mut self, samplings: &[Sampling], wanted: MapSet) {
+        self.sizes = samplings.iter().map(|sampling| sampling.to).collect();
+        let pixels: usize = self.sizes.iter().map(|size| size.pixels()).sum();
+        let of = |wanted: bool| if wanted { pixels } else { 0 };
+        self.rgb_class.resize(of(wanted.intersects(MapSet::RGB_CLASS)), 0);
+        self.depth_m.resize(of(wanted.contains(MapKind::Depth)), 0.0);
+        self.instance.resize(of(wanted.contains(MapKind::Instance)), 0);
+        self.point.resize(of(wanted.contains(MapKind::Point)), 0);
+    }
+
+    fn rows(&mut self) -> MapRows<'_> {
+        MapRows {
+            rgb_class: &mut self.rgb_class,
+            depth_m: &mut self.depth_m,
+            instance: &mut self.instance,
+            point: &mut self.point,
+        }
+    }
+
+    fn views(&self) -> FrameMaps<'_> {
+        let mut first = 0;
+        let mut view = |size: &ImageSize| {
+            let pixels = first..first + size.pixels();
+            first = pixels.end;
+            ViewMaps {
+                size: *size,
+                rgb_class: Plane::borrowed(self.rgb_class.get(pixels.clone()).unwrap_or_default()),
+                depth_m: Plane::borrowed(self.depth_m.get(pixels.clone()).unwrap_or_default()),
+                instance: Plane::borrowed(self.instance.get(pixels.clone()).unwrap_or_default()),
+                point: Plane::borrowed(self.point.get(pixels).unwrap_or_default()),
+            }
+        };
+        self.sizes.iter().map(&mut view).collect()
+    }
+}
+
+impl Rasterizer for CpuRasterizer<'_> {
+    fn info(&self) -> RasterizerInfo {
+        RasterizerInfo { rasterizer: "cpu", device: "host".into(), driver: "none".into() }
+    }
+
+    fn begin(&mut self, job: &FrameJob<'_>) -> Result<(), RasterError> {
+        if self.done.len() == FRAMES_IN_FLIGHT {
+            return Err(RasterError::TooManyFrames { max: FRAMES_IN_FLIGHT });
+        }
+        let maps = self.render(job)?;
+        self.done.push_back(maps);
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<FrameMaps<'_>, RasterError> {
+        let maps = self.done.pop_front().ok_or(RasterError::NoFrame)?;
+        self.unused.push(std::mem::replace(&mut self.shown, maps));
+        Ok(self.shown.views())
+    }
+
+    fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {
+        let packed = if job.maps.intersects(MapSet::RGB_CLASS) { MapSet::RGB_CLASS } else { MapSet::NONE };
+        let frame = FrameJob {
+            views: std::slice::from_ref(job.view),
+            schedule: job.schedule,
+            color: job.instances,
+            geometry: job.instances,
+            occlusion: Occlusion::Scene,
+            crop: job.crop,
+            maps: job.maps | packed,
+            out_size: None,
+        };
+        let Maps { rgb_class, depth_m, instance, point, .. } = self.render(&frame)?;
+        let (width, height) = (job.view.camera.width, job.view.camera.height);
+        Ok(SplatMaps { width, height, point, depth_m, rgb_class, instance })
+    }
+
+    fn stages(&mut self) -> &mut StageTimes {
+        &mut self.stages
+    }
+}
