@@ -117,11 +117,11 @@ impl<'a> CpuRasterizer<'a> {
             let pixels = (strip.rows[1] - strip.rows[0]) as usize * sampling.to.width as usize;
             tasks.push((strip, sampling, rest.take_first(pixels)));
         }
-        let (scratch, desc) = (&self.scratch, self.desc);
+        let (scratch, culls) = (&self.scratch, self.desc.occlusion_culling);
         let times = tasks.into_par_iter().with_max_len(1).map(|(strip, sampling, mut maps)| {
             let unused = scratch.lock().ok().and_then(|mut all| all.pop());
             let mut own = unused.unwrap_or_default();
-            let task = Task { job, layers: &layers, strip, sampling, numbering: &numbering, desc };
+            let task = Task { job, layers: &layers, strip, sampling, numbering: &numbering, culls };
             let times = task.render(&mut own, &mut maps);
             if let Ok(mut all) = scratch.lock() {
                 all.push(own);

@@ -4,7 +4,6 @@ use std::time::Instant;
 
 use pulp::{Simd, WithSimd};
 
-use super::CpuRasterizerDesc;
 use super::dilate::Dilation;
 use super::hidden::{Covered, Footprint, Footprints, GroupFootprints};
 use super::numbering::{Numbered, Numbering};
@@ -37,7 +36,8 @@ pub(super) struct Task<'t> {
     pub(super) strip: &'t Strip,
     pub(super) sampling: &'t Sampling,
     pub(super) numbering: &'t Numbering<'t>,
-    pub(super) desc: CpuRasterizerDesc,
+    /// Whether groups of points are skipped that what is already drawn hides.
+    pub(super) culls: bool,
 }
 
 /// Points of an instance that may be visible.
@@ -100,7 +100,7 @@ impl Task<'_> {
             let (draw, range) = (&draws[item.draw], &item.range);
             drawn += pulp::Arch::new().dispatch(Project { task: self, draw, range, layers, covered });
             // Worth it if as many points follow.
-            if drawn >= enough && (items.len() - at) * CULL_BLOCK >= enough && self.desc.occlusion_culling {
+            if drawn >= enough && (items.len() - at) * CULL_BLOCK >= enough && self.culls {
                 for ((layer, covered), dilation) in
                     layers.iter().zip(covered.iter_mut()).zip(dilations.iter_mut())
                 {
@@ -157,7 +157,7 @@ impl Task<'_> {
         let (mut cells, mut groups) = (Cells::default(), GroupFootprints::default());
         draw.footprints.of_block(chunk, block / GROUP, &mut groups);
         let hidden = |footprint: &Footprint, layers: &[Layer]| {
-            self.desc.occlusion_culling
+            self.culls
                 && (0..layers.len()).filter(|layer| mask >> layer & 1 == 1).all(|layer| {
                     footprint.is_hidden(&layers[layer], window)
                         || footprint.is_covered(&covered[layer], window, self.job.schedule)
