@@ -1,11 +1,11 @@
-//! Coloring: one color per point, from the camera with the best view.
+//! Coloring: one color per point, on which the images that see it agree.
 //!
 //! # How it works
 //! Every image whose frame lies within a window around a point's own frame is a candidate. The point is projected
 //! into it at the image's own time (a point of an actor moves with its box) and tested against the image's
 //! [`OcclusionMap`]. Each view that passes yields a [`ColorSample`]: the mean color over the pixels that the point covers
-//! when splatted, and a weight that decreases with distance and time. The best view is the one that agrees most with
-//! the others (weighted medoid of the colors). The other views thus outvote an error in one image: a wrong occlusion,
+//! when splatted, and a weight that decreases with distance. The color is a robust mean: a mean in which views count
+//! the less, the more they differ from it. The other views thus outvote an error in one image: a wrong occlusion,
 //! a passing car, or the sky behind a twig.
 
 use glam::{DVec2, DVec3};
@@ -40,7 +40,7 @@ pub(crate) struct ColorView {
 pub(crate) struct ColorSample {
     /// Mean color.
     pub rgb: [u8; 3],
-    /// Weight of the view: larger for views near in space and time.
+    /// Weight of the view: larger for nearer views.
     pub weight: f32,
 }
 
@@ -52,11 +52,11 @@ impl ColorSample {
 /// Depths (meters) and radii of the splats in the default schedule, for an image of [`SPLAT_WIDTH`] pixels.
 const SPLATS: [(f64, f64); 2] = [(15.0, 2.0), (35.0, 1.0)];
 const SPLAT_WIDTH: f64 = 1600.0;
-/// Relative increase in distance that is equivalent to a second between sweep and image.
-const TIME_WEIGHT: f64 = 0.3;
 
-/// Number of looks that are compared with another one at a time.
-const LANES: usize = 16;
+/// Difference from the mean color, summed over channels, at which a look counts half.
+const TOLERANCE: f32 = 100.0;
+/// Number of times that looks are weighted anew.
+const ROUNDS: usize = 6;
 
 impl ColorView {
     /// Returns the radii, in pixels of the image, of points in the depth ranges of [`SPLATS`] and beyond them.
@@ -65,22 +65,14 @@ impl ColorView {
         [SPLATS[0].1, SPLATS[1].1, 0.0].map(|radius| ((radius + 0.5) * scale).round() as usize)
     }
 
-    /// Returns this view's color of a point at a pixel and a camera depth in meters; `None` if the point is occluded. `dt_s` is
-    /// the time between the point's sweep and the image.
+    /// Returns this view's color of a point at a pixel and a camera depth in meters; `None` if the point is occluded.
     #[inline(always)] // into loops that are compiled for wide vectors
-    pub(crate) fn look(
-        &self,
-        radii: [usize; 3],
-        pixel: DVec2,
-        depth_m: f64,
-        dt_s: f64,
-    ) -> Option<ColorSample> {
+    pub(crate) fn look(&self, radii: [usize; 3], pixel: DVec2, depth_m: f64) -> Option<ColorSample> {
         if self.occlusion.as_ref().is_some_and(|map| map.hides(pixel, depth_m)) {
             return None;
         }
-        let weight = 1.0 / (depth_m * (1.0 + TIME_WEIGHT * dt_s.abs()));
         let range = SPLATS.iter().position(|(z, _)| depth_m <= *z).unwrap_or(SPLATS.len());
-        Some(ColorSample { rgb: self.mean_color(pixel, radii[range]), weight: weight as f32 })
+        Some(ColorSample { rgb: self.mean_color(pixel, radii[range]), weight: (1.0 / depth_m) as f32 })
     }
 
     /// Returns the mean color over the pixels up to a radius around a pixel.
@@ -135,36 +127,34 @@ fn clipped_mean(levels: &[u8], [width, height]: [usize; 2], [x, y]: [usize; 2], 
     sum.map(|sum| ((sum + count / 2) / count.max(1)) as u8)
 }
 
-/// Returns the color of the look that agrees most with the others: the minimum weighted distance to all of them. Of
-/// equal looks the one with the larger weight wins. `None` without looks.
+/// Returns the color that the looks agree on: their mean, weighted by `1 / (1 + (d / TOLERANCE)²)`, where `d` is the
+/// difference of a look from the mean. `None` without looks.
 #[inline(always)] // into loops that are compiled for wide vectors
 pub(crate) fn agreed_color(looks: &[ColorSample]) -> Option<[u8; 3]> {
-    let mut best: Option<(f32, &ColorSample)> = None;
-    for some in looks.chunks(LANES) {
-        let mut levels = [[0.0_f32; LANES]; 3];
-        for (lane, look) in some.iter().enumerate() {
-            (0..3).for_each(|c| levels[c][lane] = f32::from(look.rgb[c]));
-        }
-        // Each lane sums up the distances of one look in the order of all looks.
-        let mut sums = [0.0_f32; LANES];
-        for other in looks {
-            let [r, g, b] = other.rgb.map(f32::from);
-            for lane in 0..LANES {
-                let distance =
-                    (levels[0][lane] - r).abs() + (levels[1][lane] - g).abs() + (levels[2][lane] - b).abs();
-                sums[lane] += other.weight * distance;
-            }
-        }
-        for (look, sum) in some.iter().zip(sums) {
-            let is_better = best.is_none_or(|(least, best)| {
-                sum.total_cmp(&least).then(best.weight.total_cmp(&look.weight)).is_lt()
-            });
-            if is_better {
-                best = Some((sum, look));
-            }
-        }
+    if looks.is_empty() {
+        return None;
     }
-    best.map(|(_, look)| look.rgb)
+    let mut color = mean_look(looks, |_| 1.0);
+    for _ in 0..ROUNDS {
+        color = mean_look(looks, |rgb| {
+            let differs = (0..3).map(|c| (rgb[c] - color[c]).abs()).sum::<f32>() / TOLERANCE;
+            1.0 / (1.0 + differs * differs)
+        });
+    }
+    Some(color.map(|level| (level + 0.5) as u8))
+}
+
+/// Returns the mean color of looks; `trust` is a factor of the weight of a look, given its color.
+#[inline(always)]
+fn mean_look(looks: &[ColorSample], trust: impl Fn([f32; 3]) -> f32) -> [f32; 3] {
+    let (mut sum, mut total) = ([0.0_f32; 3], 0.0_f32);
+    for look in looks {
+        let rgb = look.rgb.map(f32::from);
+        let weight = look.weight * trust(rgb);
+        (0..3).for_each(|c| sum[c] += weight * rgb[c]);
+        total += weight;
+    }
+    sum.map(|level| level / total)
 }
 
 #[cfg(test)]
@@ -176,41 +166,34 @@ mod tests {
 
     fn look_at(view: &ColorView, project: &Projector, point: DVec3) -> Option<ColorSample> {
         let (pixel, depth_m) = project.pixel(point)?;
-        view.look(view.radii(), pixel, depth_m, 0.0)
+        view.look(view.radii(), pixel, depth_m)
+    }
+
+    fn look(grey: u8, weight: f32) -> ColorSample {
+        ColorSample { rgb: [grey; 3], weight }
     }
 
     #[test]
     fn the_majority_outvotes_a_nearer_view() {
-        let look = |grey: u8, weight| ColorSample { rgb: [grey; 3], weight };
         assert_eq!(agreed_color(&[]), None);
         assert_eq!(agreed_color(&[look(9, 0.1)]), Some([9; 3]));
-        assert_eq!(agreed_color(&[look(9, 0.1), look(200, 0.2)]), Some([200; 3]));
-        assert_eq!(agreed_color(&[look(200, 0.3), look(10, 0.2), look(12, 0.2)]), Some([12; 3]));
+        let agreed = |looks: &[ColorSample]| agreed_color(looks).unwrap()[0];
+        // The plain mean is 92.
+        assert!((10..20).contains(&agreed(&[look(200, 0.3), look(10, 0.2), look(12, 0.2)])));
+        assert_eq!(agreed(&[look(0, 0.1), look(255, 0.1), look(255, 0.1), look(255, 0.1)]), 253);
     }
 
-    /// Sums over lanes choose as sums over all other looks one by one, also of many looks and of equal ones.
+    /// Without outliers, it is the weighted mean; its order and scale do not matter.
     #[test]
-    fn lanes_agree_as_single_looks_do() {
-        let naive = |looks: &[ColorSample]| {
-            let distance = |a: &ColorSample, b: &ColorSample| -> f32 {
-                (0..3).map(|c| f32::from(a.rgb[c].abs_diff(b.rgb[c]))).sum()
-            };
-            let score = |a: &ColorSample| looks.iter().map(|b| b.weight * distance(a, b)).sum::<f32>();
-            let best = |(a, x): &(f32, &ColorSample), (b, y): &(f32, &ColorSample)| {
-                a.total_cmp(b).then(y.weight.total_cmp(&x.weight))
-            };
-            looks.iter().map(|look| (score(look), look)).min_by(best).map(|(_, look)| look.rgb)
-        };
-        let number = |i: i64, axis: i64| crate::hash::between(11, &[i, axis], 0.0, 1.0);
-        for count in (0..70).chain([200]) {
-            for levels in [4.0, 256.0] {
-                let look = |i: i64| ColorSample {
-                    rgb: [0, 1, 2].map(|c| (number(count * 1000 + i, c) * levels) as u8),
-                    weight: (number(count * 1000 + i, 3) * levels).ceil() as f32 / 256.0,
-                };
-                let looks: Vec<ColorSample> = (0..count).map(look).collect();
-                assert_eq!(agreed_color(&looks), naive(&looks), "{count} looks of {levels} levels");
-            }
+    fn similar_looks_are_averaged() {
+        let looks = [look(100, 0.1), look(104, 0.3), look(103, 0.1)];
+        assert_eq!(agreed_color(&looks), Some([103; 3]));
+        let other = [looks[2], looks[0], looks[1]].map(|l| ColorSample { weight: l.weight * 50.0, ..l });
+        assert_eq!(agreed_color(&other), Some([103; 3]));
+        let every = |rgb| ColorSample { rgb, weight: 0.01 };
+        for level in 0..=255 {
+            let rgb = [level, 255 - level, 7];
+            assert_eq!(agreed_color(&[every(rgb); 5]), Some(rgb));
         }
     }
 

@@ -2,7 +2,7 @@
 //!
 //! # How it works
 //! [`build()`] reads the sweeps and separates actors from background with the boxes ([`Splitter`]). It computes
-//! occlusion in every image (`occlusion`), assigns each point one color from the camera with the best view
+//! occlusion in every image (`occlusion`), assigns each point one color on which the images agree
 //! (`colorize`) and merges the points of each voxel. The background is stored in chunks with an origin each, so
 //! that global coordinates stay `f64` and points are `f32`. [`Skeleton`] is the result on disk, memory-mapped.
 

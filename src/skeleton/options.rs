@@ -28,9 +28,9 @@ pub struct BuildOptions {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Coloring {
-    /// One color, from the camera with the best view: of the views that pass an occlusion test, the one that agrees
-    /// most with the others.
-    BestView,
+    /// One color, on which the views that pass an occlusion test agree: their robust mean.
+    #[serde(alias = "best-view")]
+    Agreed,
     /// One copy of the point for every camera of its frame that it projects into, occluded or not. For comparison:
     /// the behavior of existing scripts.
     EveryCamera,
@@ -42,8 +42,8 @@ impl Default for BuildOptions {
             voxel_m: 0.01,
             actor_voxel_m: None,
             split: SplitOptions::default(),
-            coloring: Coloring::BestView,
-            color_window: 8,
+            coloring: Coloring::Agreed,
+            color_window: 16,
             occlusion_test: true,
             occlusion_window: 4,
             between_sweeps: false,

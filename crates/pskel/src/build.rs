@@ -61,7 +61,7 @@ pub(super) struct BuildArgs {
     #[arg(long, value_name = "M", value_parser = numbers::margin_m, allow_negative_numbers = true)]
     box_margin: Option<f64>,
     /// How points are colored; every-camera reproduces existing scripts, for comparison
-    #[arg(long, value_parser = choices::COLORING, default_value = "best-view")]
+    #[arg(long, value_parser = choices::COLORING, default_value = "agreed")]
     coloring: Coloring,
     /// Template for actors of a kind (sedan, suv, pickup, pedestrian, bike, truck, bus, trailer, construction):
     /// points with x forward and z up; at most once per kind
@@ -147,7 +147,7 @@ impl BuildArgs {
 
     fn options(&self) -> BuildOptions {
         let mut options = match self.coloring {
-            Coloring::BestView => BuildOptions::default(),
+            Coloring::Agreed => BuildOptions::default(),
             Coloring::EveryCamera => BuildOptions::every_camera(),
         };
         options.voxel_m = self.voxel.unwrap_or(options.voxel_m);

@@ -68,10 +68,10 @@ pub(crate) const COLOR_FILTER: Choices<ColorFilter> = Choices(&[
 
 pub(crate) const COLORING: Choices<Coloring> = Choices(&[
     (
-        "best-view",
-        Coloring::BestView,
-        "One color, from the camera with the best view: of the views that pass an occlusion test, the one that \
-         agrees most with the others",
+        "agreed",
+        Coloring::Agreed,
+        "One color, on which the images that see the point agree: the robust mean of the views that pass an \
+         occlusion test",
     ),
     (
         "every-camera",

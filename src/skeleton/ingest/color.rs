@@ -24,18 +24,15 @@ pub(super) fn sweep(
             }
             continue;
         }
-        let placed: Vec<(&ColorView, Projector, f64)> = (views.iter())
-            .filter_map(|view| {
-                let project = Projector::new(&view.view, &place(track, view.t_us)?);
-                Some((*view, project, (view.t_us - t_us) as f64 * 1e-6))
-            })
+        let placed: Vec<(&ColorView, Projector)> = (views.iter())
+            .filter_map(|view| Some((*view, Projector::new(&view.view, &place(track, view.t_us)?))))
             .collect();
         color_part(points, &placed);
     }
 }
 
 /// Colors the points of a part in an order in which neighbors are close in space, and thus in every image.
-fn color_part(points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) {
+fn color_part(points: &mut [Candidate], views: &[(&ColorView, Projector)]) {
     let Some(first) = points.first().map(|point| point.position) else { return };
     let local = |point: &Candidate| Point::new((point.position - first).as_vec3().to_array(), [0; 3], 0);
     let locals: Vec<Point> = points.iter().map(local).collect();
@@ -51,7 +48,7 @@ fn color_part(points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) 
     }
 }
 
-fn color_jobs(points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) {
+fn color_jobs(points: &mut [Candidate], views: &[(&ColorView, Projector)]) {
     points.par_chunks_mut(JOB).for_each_init(Workspace::default, |space, job| space.color(job, views));
 }
 
@@ -67,26 +64,26 @@ struct Workspace {
 }
 
 impl Workspace {
-    /// Colors points from views, each with its projection and its time relative to the points' sweep, seconds. All points are
-    /// looked at in one image before the next, of which they need a small piece.
-    fn color(&mut self, points: &mut [Candidate], views: &[(&ColorView, Projector, f64)]) {
+    /// Colors points from views, each with its projection. All points are looked at in one image before the next, of
+    /// which they need a small piece.
+    fn color(&mut self, points: &mut [Candidate], views: &[(&ColorView, Projector)]) {
         let Self { columns, pixels, looks, counts } = self;
         let positions = points.iter().map(|point| point.position);
         let bounds = Corners::of(positions.clone());
         columns.set(positions);
-        let near: Vec<_> = views.iter().filter(|(_, project, _)| !project.misses(&bounds)).collect();
+        let near: Vec<_> = views.iter().filter(|(_, project)| !project.misses(&bounds)).collect();
         let places = near.len();
         if looks.len() < points.len() * places {
             looks.resize(points.len() * places, ColorSample::NONE);
         }
         counts.clear();
         counts.resize(points.len(), 0);
-        for (view, project, dt_s) in &near {
+        for (view, project) in &near {
             project.pixels(columns, pixels);
             let radii = view.radii();
             pulp::Arch::new().dispatch(|| {
                 for (i, pixel, depth_m) in pixels.iter() {
-                    if let Some(look) = view.look(radii, pixel, depth_m, *dt_s) {
+                    if let Some(look) = view.look(radii, pixel, depth_m) {
                         looks[i * places + counts[i]] = look;
                         counts[i] += 1;
                     }
