@@ -65,14 +65,17 @@ impl ColorView {
         [SPLATS[0].1, SPLATS[1].1, 0.0].map(|radius| ((radius + 0.5) * scale).round() as usize)
     }
 
-    /// Returns this view's color of a point at a pixel and a camera depth in meters; `None` if the point is occluded.
+    /// Returns whether a point at a pixel and a camera depth in meters is occluded.
     #[inline(always)] // into loops that are compiled for wide vectors
-    pub(crate) fn look(&self, radii: [usize; 3], pixel: DVec2, depth_m: f64) -> Option<ColorSample> {
-        if self.occlusion.as_ref().is_some_and(|map| map.hides(pixel, depth_m)) {
-            return None;
-        }
+    pub(crate) fn hides(&self, pixel: DVec2, depth_m: f64) -> bool {
+        self.occlusion.as_ref().is_some_and(|map| map.hides(pixel, depth_m))
+    }
+
+    /// Returns this view's color of a point at a pixel and a camera depth in meters.
+    #[inline(always)]
+    pub(crate) fn look(&self, radii: [usize; 3], pixel: DVec2, depth_m: f64) -> ColorSample {
         let range = SPLATS.iter().position(|(z, _)| depth_m <= *z).unwrap_or(SPLATS.len());
-        Some(ColorSample { rgb: self.mean_color(pixel, radii[range]), weight: (1.0 / depth_m) as f32 })
+        ColorSample { rgb: self.mean_color(pixel, radii[range]), weight: (1.0 / depth_m) as f32 }
     }
 
     /// Returns the mean color over the pixels up to a radius around a pixel.
@@ -166,7 +169,7 @@ mod tests {
 
     fn look_at(view: &ColorView, project: &Projector, point: DVec3) -> Option<ColorSample> {
         let (pixel, depth_m) = project.pixel(point)?;
-        view.look(view.radii(), pixel, depth_m)
+        (!view.hides(pixel, depth_m)).then(|| view.look(view.radii(), pixel, depth_m))
     }
 
     fn look(grey: u8, weight: f32) -> ColorSample {

@@ -59,7 +59,6 @@ impl BuildOptions {
             margin_m: 0.5,
             ghost_window_s: [0.0; 2],
             ego_clearance_m: 0.0,
-            every_lidar: true,
             ..SplitOptions::default()
         };
         Self {

@@ -32,11 +32,9 @@ pub struct SplitOptions {
     pub ground_m: f64,
     /// Minimum speed of a moving actor, m/s.
     pub moving_m_s: f64,
-    /// LiDAR whose timing the boxes of moving actors match, if several LiDARs are merged into one sweep. Points of
-    /// the others on a moving actor are dropped, since they measured it elsewhere.
-    pub primary_lidar: u16,
-    /// Retains the points of all merged LiDARs on moving actors.
-    pub every_lidar: bool,
+    /// LiDAR that alone contributes points of moving actors, if several LiDARs are merged into one sweep: the others may
+    /// have measured them at another time. `None`: all of them contribute.
+    pub primary_lidar: Option<u16>,
     /// Maximum distance from the LiDAR along its x and its y of returns from the ego vehicle itself, meters.
     pub ego_clearance_m: f64,
     /// Time before and after that of the boxes within which LiDARs may have measured a moving actor, seconds.
@@ -49,8 +47,7 @@ impl Default for SplitOptions {
             margin_m: 0.1,
             ground_m: 0.2,
             moving_m_s: 0.5,
-            primary_lidar: 0,
-            every_lidar: false,
+            primary_lidar: None,
             ego_clearance_m: 1.8,
             ghost_window_s: [0.2, 0.15],
         }

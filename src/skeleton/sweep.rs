@@ -37,10 +37,11 @@ impl SweepCloud {
             not_finite: sweep.dropped_non_finite,
             ..Self::default()
         };
+        let primary = options.primary_lidar.filter(|_| sweep.devices);
         for point in &sweep.points {
             let position = DVec3::from(point.position.map(f64::from));
             let global = global_from_lidar.transform_point(position);
-            let timely = options.every_lidar || !sweep.devices || point.ring == options.primary_lidar;
+            let timely = primary.is_none_or(|lidar| point.ring == lidar);
             let is_ego = position.truncate().abs().max_element() < options.ego_clearance_m;
             match splitter.part(global, timely) {
                 Part::Actor { track, local } => cloud.actors.entry(track).or_default().push(candidate(local)),

@@ -8,10 +8,10 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use point_skeleton::conditions::{self, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
-use point_skeleton::dataset::{Dataset, ImageRecord};
+use point_skeleton::dataset::{Dataset, EgoTrack, ImageRecord};
 use point_skeleton::files::FileName;
 use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
-use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, state_of_frame};
+use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, state_of_frame, state_of_images};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton, SplitOptions};
 use pskel::logs;
 use pskel_eval::{FilledError, compare_filled};
@@ -39,9 +39,18 @@ struct Args {
     /// Skip the occlusion test when coloring points.
     #[arg(long)]
     no_occlusion: bool,
-    /// Keep the ghosts of moving actors, the ego's own returns, and the returns of all LiDARs on moving actors.
+    /// Compare with actors at the time of the frame instead of that of each image.
+    #[arg(long)]
+    frame_time: bool,
+    /// Keep the ghosts of moving actors and the ego's own returns.
     #[arg(long)]
     keep_ghosts: bool,
+    /// On moving actors, keep only the returns of the LiDAR with number 0.
+    #[arg(long)]
+    one_lidar: bool,
+    /// Side of the voxels in which points are merged, meters.
+    #[arg(long)]
+    voxel: Option<f64>,
 }
 
 const SIZE: ImageSize = ImageSize { height: 900, width: 1600 };
@@ -65,9 +74,10 @@ fn main() -> anyhow::Result<()> {
         skeleton.manifest.report
     );
     let mut rasterizer = create(&args.rasterizer.into(), SceneClouds::clouds(&skeleton)?)?;
+    let ego = EgoTrack::new(log.log());
     let mut errors = Vec::new();
     for frame in (1..frames).step_by(2 * args.stride) {
-        errors.extend(compare_frame(log, frame, &skeleton, rasterizer.as_mut(), args.out.as_deref())?);
+        errors.extend(compare_frame((log, &ego), frame, &skeleton, rasterizer.as_mut(), &args)?);
     }
     report(&log.log().cameras, &errors);
     Ok(())
@@ -77,6 +87,8 @@ fn build_options(args: &Args) -> BuildOptions {
     let mut options = if args.every_camera { BuildOptions::every_camera() } else { BuildOptions::default() };
     options.color_window = args.color_window.unwrap_or(options.color_window);
     options.occlusion_test &= !args.no_occlusion;
+    options.voxel_m = args.voxel.unwrap_or(options.voxel_m);
+    options.split.primary_lidar = args.one_lidar.then_some(0);
     if args.keep_ghosts {
         let theirs = BuildOptions::every_camera().split;
         options.split = SplitOptions { margin_m: options.split.margin_m, ..theirs };
@@ -84,32 +96,39 @@ fn build_options(args: &Args) -> BuildOptions {
     options
 }
 
+/// Compares the images of a frame with the maps of the skeleton at each image's own time: actors move between the images
+/// of a frame.
 fn compare_frame(
-    log: &dyn Dataset,
+    (dataset, ego): (&dyn Dataset, &EgoTrack),
     frame: usize,
     skeleton: &Skeleton,
     rasterizer: &mut dyn Rasterizer,
-    out: Option<&std::path::Path>,
+    args: &Args,
 ) -> anyhow::Result<Vec<(usize, FilledError)>> {
-    let Some(state) = state_of_frame(log.log(), frame, EgoOffset::default()) else {
-        anyhow::bail!("no frame {frame}")
-    };
-    let instances =
-        SceneClouds::new(skeleton, &log.log().name)?.instances(&state, &SelectionOptions::default());
+    let log = dataset.log();
+    let clouds = SceneClouds::new(skeleton, &log.name)?;
     let maps = MapSet::of(&[MapKind::Color]);
     let options = ConditionOptions { maps, size: Some(SIZE), ..ConditionOptions::default() };
-    let set = conditions::render(rasterizer, &instances, &state, &options)?;
     let mut errors = Vec::new();
-    for record in &log.log().frames[frame].images {
-        let name = &log.log().cameras[record.channel];
-        let maps = set.cameras.iter().find(|maps| maps.name == *name);
-        let Some(map) = maps.and_then(|maps| maps.color.as_ref()) else { continue };
-        let truth = truth(log, record)?;
-        if let Some(out) = out {
+    for record in &log.frames[frame].images {
+        let state = if args.frame_time {
+            state_of_frame(log, frame, EgoOffset::default())
+        } else {
+            state_of_images(log, ego, record.t_us, &[record])
+        };
+        let Some(mut state) = state else { anyhow::bail!("no pose at {} us, frame {frame}", record.t_us) };
+        let name = &log.cameras[record.channel];
+        state.cameras.retain(|camera| camera.view.camera.name == *name);
+        let instances = clouds.instances(&state, &SelectionOptions::default());
+        let set = conditions::render(rasterizer, &instances, &state, &options)?;
+        let Some(map) = set.cameras.first().and_then(|maps| maps.color.as_ref()) else {
+            anyhow::bail!("no map of {name}, frame {frame}")
+        };
+        let truth = truth(dataset, record)?;
+        if let Some(out) = &args.out {
             std::fs::create_dir_all(out)?;
-            let name = format!("{frame:06}-{}", log.log().cameras[record.channel]);
-            save(&out.join(format!("{name}-map.png")), map)?;
-            save(&out.join(format!("{name}-true.png")), &truth)?;
+            save(&out.join(format!("{frame:06}-{name}-map.png")), map)?;
+            save(&out.join(format!("{frame:06}-{name}-true.png")), &truth)?;
         }
         errors.push((record.channel, compare_filled(map, &truth)));
     }

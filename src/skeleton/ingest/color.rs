@@ -37,19 +37,31 @@ fn color_part(points: &mut [Candidate], views: &[(&ColorView, Projector)]) {
     let local = |point: &Candidate| Point::new((point.position - first).as_vec3().to_array(), [0; 3], 0);
     let locals: Vec<Point> = points.iter().map(local).collect();
     let order = Bounds::of(&locals).and_then(|bounds| morton_order(&locals, &bounds));
-    let Some(order) = order else {
-        color_jobs(points, views);
-        return;
-    };
+    let order = order.unwrap_or_else(|| (0..points.len() as u32).collect());
     let mut sorted: Vec<Candidate> = order.iter().map(|i| points[*i as usize]).collect();
-    color_jobs(&mut sorted, views);
+    color_jobs(&mut sorted, views, Hidden::Refused);
+    // A point that every image hides is still part of the geometry, and the test is not perfect.
+    let hidden: Vec<usize> = (0..sorted.len()).filter(|i| sorted[*i].rgb.is_none()).collect();
+    let mut rest: Vec<Candidate> = hidden.iter().map(|i| sorted[*i]).collect();
+    color_jobs(&mut rest, views, Hidden::Accepted);
+    for (i, point) in hidden.iter().zip(rest) {
+        sorted[*i].rgb = point.rgb;
+    }
     for (i, point) in order.iter().zip(sorted) {
         points[*i as usize].rgb = point.rgb;
     }
 }
 
-fn color_jobs(points: &mut [Candidate], views: &[(&ColorView, Projector)]) {
-    points.par_chunks_mut(JOB).for_each_init(Workspace::default, |space, job| space.color(job, views));
+/// Whether views in which a point is occluded count.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Hidden {
+    Refused,
+    Accepted,
+}
+
+fn color_jobs(points: &mut [Candidate], views: &[(&ColorView, Projector)], hidden: Hidden) {
+    let jobs = points.par_chunks_mut(JOB);
+    jobs.for_each_init(Workspace::default, |space, job| space.color(job, views, hidden));
 }
 
 /// Buffers of a job.
@@ -66,7 +78,7 @@ struct Workspace {
 impl Workspace {
     /// Colors points from views, each with its projection. All points are looked at in one image before the next, of
     /// which they need a small piece.
-    fn color(&mut self, points: &mut [Candidate], views: &[(&ColorView, Projector)]) {
+    fn color(&mut self, points: &mut [Candidate], views: &[(&ColorView, Projector)], hidden: Hidden) {
         let Self { columns, pixels, looks, counts } = self;
         let positions = points.iter().map(|point| point.position);
         let bounds = Corners::of(positions.clone());
@@ -83,8 +95,8 @@ impl Workspace {
             let radii = view.radii();
             pulp::Arch::new().dispatch(|| {
                 for (i, pixel, depth_m) in pixels.iter() {
-                    if let Some(look) = view.look(radii, pixel, depth_m) {
-                        looks[i * places + counts[i]] = look;
+                    if hidden == Hidden::Accepted || !view.hides(pixel, depth_m) {
+                        looks[i * places + counts[i]] = view.look(radii, pixel, depth_m);
                         counts[i] += 1;
                     }
                 }
