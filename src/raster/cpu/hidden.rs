@@ -5,7 +5,7 @@
 //! points would be drawn. Bounds are widened by more than the rounding errors of the projection.
 
 use super::dilate::Dilation;
-use super::packed::{GROUP, GROUPS, PackedChunk};
+use super::packed::{BlockBounds, GROUP, GROUPS};
 use super::window::{Layer, Window};
 use crate::raster::schedule::Z_NEAR_M;
 use crate::raster::{Draw, SplatSchedule};
@@ -58,11 +58,11 @@ impl Footprints {
         Self { image: draw.image_from_local, z_far_m, error }
     }
 
-    /// Computes the footprints of the groups from group `first` on.
+    /// Computes the footprints of the groups of a block.
     #[inline(always)]
     #[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
-    pub(super) fn of_block(&self, chunk: &PackedChunk, first: usize, groups: &mut GroupFootprints) {
-        let [x0, y0, z0, x1, y1, z1] = chunk.bounds.each_ref().map(|side| &side[first..first + GROUPS]);
+    pub(super) fn of_block(&self, bounds: &BlockBounds, groups: &mut GroupFootprints) {
+        let [x0, y0, z0, x1, y1, z1] = &bounds.0;
         let [u, v, w] = self.image;
         for i in 0..GROUPS {
             let center = [(x0[i] + x1[i]) * 0.5, (y0[i] + y1[i]) * 0.5, (z0[i] + z1[i]) * 0.5];

@@ -10,6 +10,7 @@
 
 mod dilate;
 mod hidden;
+mod memory;
 mod numbering;
 mod packed;
 mod project;
@@ -24,6 +25,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
+use self::memory::HugeSlice;
 use self::numbering::Numbering;
 use self::packed::PackedCloud;
 use self::resolve::MapRows;
@@ -63,7 +65,7 @@ struct Maps {
 pub struct CpuRasterizer<'a> {
     clouds: Vec<PackedCloud<'a>>,
     /// Colors and classes of all clouds, in their own order.
-    colors: Vec<u32>,
+    colors: HugeSlice<u32>,
     desc: CpuRasterizerDesc,
     /// Memory of strips, reused from frame to frame.
     scratch: Mutex<Vec<Scratch>>,
@@ -84,11 +86,14 @@ impl<'a> CpuRasterizer<'a> {
     pub fn with_desc(clouds: CloudSet<'a>, desc: CpuRasterizerDesc) -> Self {
         let mut stages = StageTimes::default();
         let start = Instant::now();
-        let mut colors = Vec::with_capacity(clouds.iter().map(|cloud| cloud.len()).sum());
+        let mut colors: HugeSlice<u32> = HugeSlice::zeroed(clouds.iter().map(|cloud| cloud.len()).sum());
+        let mut first_color = 0;
         let mut packed = Vec::with_capacity(clouds.len());
         for cloud in clouds {
-            packed.push(PackedCloud::new(cloud, colors.len()));
-            colors.extend(cloud.iter().map(|point| point.rgb_class));
+            packed.push(PackedCloud::new(cloud, first_color));
+            let own = &mut colors[first_color..first_color + cloud.len()];
+            own.par_iter_mut().zip(cloud).for_each(|(color, point)| *color = point.rgb_class);
+            first_color += cloud.len();
         }
         stages.add("sort", start.elapsed());
         let (scratch, done, unused, shown) = Default::default();

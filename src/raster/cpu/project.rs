@@ -3,7 +3,7 @@
 //! Operations and their order are those of `project` in `reference.rs`, many points at a time: plain loops over
 //! arrays, which the compiler vectorizes under `pulp`'s dispatch.
 
-use super::packed::{GROUP, PackedChunk};
+use super::packed::GROUP;
 use super::window::{Layer, Window};
 use crate::raster::Draw;
 use crate::raster::schedule::Z_NEAR_M;
@@ -57,8 +57,7 @@ impl Projection {
     /// Projects the points of a group; `crops`: whether the crop may exclude some of them.
     #[inline(always)]
     #[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
-    pub(super) fn cells(&self, chunk: &PackedChunk, first: usize, crops: bool, cells: &mut Cells) {
-        let [xs, ys, zs] = chunk.position.each_ref().map(|axis| &axis[first..first + GROUP]);
+    pub(super) fn cells(&self, [xs, ys, zs]: &[[f32; GROUP]; 3], crops: bool, cells: &mut Cells) {
         let [left, right] = self.columns;
         let [top, bottom] = self.rows;
         for i in 0..GROUP {

@@ -26,7 +26,7 @@ pub(super) struct Strip {
 /// Least number of rows in a strip, unless memory demands fewer: padding costs little then.
 const MIN_ROWS: u32 = 16;
 /// Strips per thread, so that threads finish together.
-const STRIPS_PER_THREAD: usize = 4;
+const STRIPS_PER_THREAD: usize = 12;
 
 impl Sampling {
     pub(super) fn new(from: ImageSize, to: ImageSize) -> Self {

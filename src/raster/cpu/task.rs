@@ -152,10 +152,10 @@ impl Task<'_> {
     ) -> usize {
         let Numbered { cloud, layers: mask, first: first_number, .. } = *draw.numbered;
         let window = &self.strip.window;
-        let chunk = &cloud.chunks[range.chunk as usize];
-        let block = range.points[0] as usize;
+        let first_place = range.chunk as usize * CHUNK + range.points[0] as usize;
+        let block = first_place / CULL_BLOCK;
         let (mut cells, mut groups) = (Cells::default(), GroupFootprints::default());
-        draw.footprints.of_block(chunk, block / GROUP, &mut groups);
+        draw.footprints.of_block(&cloud.bounds[block], &mut groups);
         let hidden = |footprint: &Footprint, layers: &[Layer]| {
             self.culls
                 && (0..layers.len()).filter(|layer| mask >> layer & 1 == 1).all(|layer| {
@@ -167,18 +167,19 @@ impl Task<'_> {
         if whole.misses(window) || hidden(&whole, layers) {
             return 0;
         }
+        let (positions, index) = (&cloud.positions[block].0, &cloud.index[..]);
         let mut drawn = 0;
         for group in 0..GROUPS {
             let footprint = groups.group(group);
             if footprint.misses(window) || hidden(&footprint, layers) {
                 continue;
             }
-            let first = block + group * GROUP;
-            draw.projection.cells(chunk, first, range.crop, &mut cells);
+            draw.projection.cells(&positions[group], range.crop, &mut cells);
             drawn += GROUP;
-            let own = first_number + (range.chunk as usize * CHUNK + first) as u32;
+            let place = first_place + group * GROUP;
+            let own = first_number + place as u32;
             for (_, layer) in layers.iter_mut().enumerate().filter(|(i, _)| mask >> i & 1 == 1) {
-                match chunk.index.get(first..first + GROUP) {
+                match index.get(place..place + GROUP) {
                     Some(index) => cells.put(layer, |i| first_number + index[i]),
                     None => cells.put(layer, |i| own + i as u32),
                 }
