@@ -59,6 +59,7 @@ impl BuildOptions {
             margin_m: 0.5,
             ghost_window_s: [0.0; 2],
             ego_clearance_m: 0.0,
+            primary_lidar: None,
             ..SplitOptions::default()
         };
         Self {

@@ -32,8 +32,8 @@ pub struct SplitOptions {
     pub ground_m: f64,
     /// Minimum speed of a moving actor, m/s.
     pub moving_m_s: f64,
-    /// LiDAR that alone contributes points of moving actors, if several LiDARs are merged into one sweep: the others may
-    /// have measured them at another time. `None`: all of them contribute.
+    /// LiDAR whose timing the boxes of moving actors match, if several LiDARs are merged into one sweep. Points of the
+    /// others on a moving actor are dropped, since they measured it elsewhere. `None` retains them.
     pub primary_lidar: Option<u16>,
     /// Maximum distance from the LiDAR along its x and its y of returns from the ego vehicle itself, meters.
     pub ego_clearance_m: f64,
@@ -47,7 +47,7 @@ impl Default for SplitOptions {
             margin_m: 0.1,
             ground_m: 0.2,
             moving_m_s: 0.5,
-            primary_lidar: None,
+            primary_lidar: Some(0),
             ego_clearance_m: 1.8,
             ghost_window_s: [0.2, 0.15],
         }

@@ -45,9 +45,9 @@ struct Args {
     /// Keep the ghosts of moving actors and the ego's own returns.
     #[arg(long)]
     keep_ghosts: bool,
-    /// On moving actors, keep only the returns of the LiDAR with number 0.
+    /// Keep the returns of all LiDARs on moving actors.
     #[arg(long)]
-    one_lidar: bool,
+    every_lidar: bool,
     /// Side of the voxels in which points are merged, meters.
     #[arg(long)]
     voxel: Option<f64>,
@@ -88,10 +88,13 @@ fn build_options(args: &Args) -> BuildOptions {
     options.color_window = args.color_window.unwrap_or(options.color_window);
     options.occlusion_test &= !args.no_occlusion;
     options.voxel_m = args.voxel.unwrap_or(options.voxel_m);
-    options.split.primary_lidar = args.one_lidar.then_some(0);
+    if args.every_lidar {
+        options.split.primary_lidar = None;
+    }
     if args.keep_ghosts {
         let theirs = BuildOptions::every_camera().split;
-        options.split = SplitOptions { margin_m: options.split.margin_m, ..theirs };
+        let SplitOptions { margin_m, primary_lidar, .. } = options.split;
+        options.split = SplitOptions { margin_m, primary_lidar, ..theirs };
     }
     options
 }

@@ -156,22 +156,15 @@ impl Task<'_> {
         let block = first_place / CULL_BLOCK;
         let (mut cells, mut groups) = (Cells::default(), GroupFootprints::default());
         draw.footprints.of_block(&cloud.bounds[block], &mut groups);
-        let hidden = |footprint: &Footprint, layers: &[Layer]| {
-            self.culls
-                && (0..layers.len()).filter(|layer| mask >> layer & 1 == 1).all(|layer| {
-                    footprint.is_hidden(&layers[layer], window)
-                        || footprint.is_covered(&covered[layer], window, self.job.schedule)
-                })
-        };
         let whole = groups.block();
-        if whole.misses(window) || hidden(&whole, layers) {
+        if whole.misses(window) || self.hides(&whole, (mask, layers, covered)) {
             return 0;
         }
         let (positions, index) = (&cloud.positions[block].0, &cloud.index[..]);
         let mut drawn = 0;
         for group in 0..GROUPS {
             let footprint = groups.group(group);
-            if footprint.misses(window) || hidden(&footprint, layers) {
+            if footprint.misses(window) || self.hides(&footprint, (mask, layers, covered)) {
                 continue;
             }
             draw.projection.cells(&positions[group], range.crop, &mut cells);
@@ -186,5 +179,16 @@ impl Task<'_> {
             }
         }
         drawn
+    }
+
+    /// Returns whether what is drawn hides a footprint in all layers of a bit mask.
+    #[inline(always)]
+    fn hides(&self, footprint: &Footprint, (mask, layers, covered): (u32, &[Layer], &[Covered])) -> bool {
+        let window = &self.strip.window;
+        self.culls
+            && (0..layers.len()).filter(|layer| mask >> layer & 1 == 1).all(|layer| {
+                footprint.is_hidden(&layers[layer], window)
+                    || footprint.is_covered(&covered[layer], window, self.job.schedule)
+            })
     }
 }
