@@ -3,7 +3,7 @@
 
 use std::ops::{Deref, DerefMut};
 
-use bytemuck::{NoUninit, Pod};
+use bytemuck::Pod;
 use memmap2::MmapMut;
 
 /// A slice in memory of its own.
@@ -41,7 +41,7 @@ impl<T: Pod> Deref for HugeSlice<T> {
     }
 }
 
-impl<T: Pod + NoUninit> DerefMut for HugeSlice<T> {
+impl<T: Pod> DerefMut for HugeSlice<T> {
     fn deref_mut(&mut self) -> &mut [T] {
         match self {
             Self::Mapped(memory, _) => bytemuck::cast_slice_mut(memory),

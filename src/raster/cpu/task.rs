@@ -7,7 +7,7 @@ use pulp::{Simd, WithSimd};
 use super::dilate::Dilation;
 use super::hidden::{Covered, Footprint, Footprints, GroupFootprints};
 use super::numbering::{Numbered, Numbering};
-use super::packed::{GROUP, GROUPS};
+use super::packed::GROUP;
 use super::project::{Cells, Projection};
 use super::resolve::{MapRows, Resolve};
 use super::strips::{Sampling, Strip};
@@ -160,14 +160,14 @@ impl Task<'_> {
         if whole.misses(window) || self.hides(&whole, (mask, layers, covered)) {
             return 0;
         }
-        let (positions, index) = (&cloud.positions[block].0, &cloud.index[..]);
+        let index = &cloud.index[..];
         let mut drawn = 0;
-        for group in 0..GROUPS {
+        for (group, positions) in cloud.positions[block].0.iter().enumerate() {
             let footprint = groups.group(group);
             if footprint.misses(window) || self.hides(&footprint, (mask, layers, covered)) {
                 continue;
             }
-            draw.projection.cells(&positions[group], range.crop, &mut cells);
+            draw.projection.cells(positions, range.crop, &mut cells);
             drawn += GROUP;
             let place = first_place + group * GROUP;
             let own = first_number + place as u32;
