@@ -1,12 +1,12 @@
 //! The rasterizer for processors: vector code and threads, without a driver.
 //!
 //! # How it works
-//! Points are stored in chunks, coordinate by coordinate (`packed`). A frame is cut into row strips (`strips`), which
-//! are rendered independently of each other (`task`): a thread culls the chunks of a strip, projects their points
-//! nearest first into visibility buffers (`project`, `window`), skips groups of points that are hidden by what is
-//! already drawn (`hidden`), finds the visible point of each pixel (`dilate`) and writes the maps (`resolve`).
-//! Each point draws only its own pixel, as in the compute rasterizer, and depths are compared before numbers of
-//! points, so all loops work on 32-bit values.
+//! Points are stored in blocks, coordinate by coordinate (`packed`), in huge pages (`memory`). A frame is cut into row
+//! strips (`strips`), which are rendered independently of each other (`task`): a thread culls the blocks of a strip,
+//! projects their points nearest first into visibility buffers (`project`, `window`), skips groups of points that are
+//! hidden by what is already drawn (`hidden`), finds the visible point of each pixel (`dilate`) and writes the maps
+//! (`resolve`). Each point draws only its own pixel, as in the compute rasterizer, and depths are compared before
+//! numbers of points, so all loops work on 32-bit values.
 
 mod dilate;
 mod hidden;
