@@ -201,6 +201,42 @@ mod tests {
         }
     }
 
+    /// Sums in double precision, with the weights of the definition, differ by rounding alone, whatever the order of looks.
+    #[test]
+    fn agreed_colors_are_those_of_the_definition() {
+        let number = |i: i64, axis: i64| crate::hash::between(11, &[i, axis], 0.0, 1.0);
+        let naive = |looks: &[ColorSample]| {
+            let mut color = [f64::NAN; 3];
+            for round in 0..=ROUNDS {
+                let weight = |look: &ColorSample| {
+                    let d: f64 = (0..3).map(|c| (f64::from(look.rgb[c]) - color[c]).abs()).sum();
+                    let trust =
+                        if round == 0 { 1.0 } else { 1.0 / (1.0 + (d / f64::from(TOLERANCE)).powi(2)) };
+                    f64::from(look.weight) * trust
+                };
+                let total: f64 = looks.iter().map(weight).sum();
+                let mean =
+                    |c: usize| looks.iter().map(|l| weight(l) * f64::from(l.rgb[c])).sum::<f64>() / total;
+                color = [0, 1, 2].map(mean);
+            }
+            color
+        };
+        for count in (1..70).chain([200]) {
+            let look = |i: i64| ColorSample {
+                rgb: [0, 1, 2].map(|c| (number(count * 1000 + i, c) * 256.0) as u8),
+                weight: number(count * 1000 + i, 3) as f32 + 0.01,
+            };
+            let mut looks: Vec<ColorSample> = (0..count).map(look).collect();
+            let expected = naive(&looks);
+            for _ in 0..2 {
+                let found = agreed_color(&looks).unwrap();
+                let off = |c: usize| (f64::from(found[c]) - expected[c]).abs();
+                assert!((0..3).all(|c| off(c) < 0.501), "{found:?} {expected:?}");
+                looks.reverse();
+            }
+        }
+    }
+
     /// Means over whole squares are those of clipped ones, in every pixel of an image up to its last byte.
     #[test]
     fn means_of_squares_are_those_of_clipped_squares() {

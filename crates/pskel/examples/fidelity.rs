@@ -12,7 +12,7 @@ use point_skeleton::dataset::{Dataset, EgoTrack, ImageRecord};
 use point_skeleton::files::FileName;
 use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
 use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, state_of_frame, state_of_images};
-use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton, SplitOptions};
+use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, SplitOptions};
 use pskel::logs;
 use pskel_eval::{FilledError, compare_filled};
 
@@ -74,10 +74,11 @@ fn main() -> anyhow::Result<()> {
         skeleton.manifest.report
     );
     let mut rasterizer = create(&args.rasterizer.into(), SceneClouds::clouds(&skeleton)?)?;
+    let clouds = SceneClouds::new(&skeleton, &log.log().name)?;
     let ego = EgoTrack::new(log.log());
     let mut errors = Vec::new();
     for frame in (1..frames).step_by(2 * args.stride) {
-        errors.extend(compare_frame((log, &ego), frame, &skeleton, rasterizer.as_mut(), &args)?);
+        errors.extend(compare_frame((log, &ego), frame, &clouds, rasterizer.as_mut(), &args)?);
     }
     report(&log.log().cameras, &errors);
     Ok(())
@@ -104,12 +105,11 @@ fn build_options(args: &Args) -> BuildOptions {
 fn compare_frame(
     (dataset, ego): (&dyn Dataset, &EgoTrack),
     frame: usize,
-    skeleton: &Skeleton,
+    clouds: &SceneClouds<'_>,
     rasterizer: &mut dyn Rasterizer,
     args: &Args,
 ) -> anyhow::Result<Vec<(usize, FilledError)>> {
     let log = dataset.log();
-    let clouds = SceneClouds::new(skeleton, &log.name)?;
     let maps = MapSet::of(&[MapKind::Color]);
     let options = ConditionOptions { maps, size: Some(SIZE), ..ConditionOptions::default() };
     let mut errors = Vec::new();

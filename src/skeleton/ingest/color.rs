@@ -127,3 +127,46 @@ fn copy_for_every_view(views: &[&ColorView], place: &DAffine3, points: &mut Vec<
     }
     *points = copies;
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use image::{Rgb, RgbImage};
+
+    use super::*;
+    use crate::geometry::{Camera, View};
+    use crate::skeleton::OcclusionGrid;
+
+    /// A camera at the origin that looks along z and sees one color; `wall_m`: depth of a wall that fills its image.
+    fn view(grey: u8, wall_m: Option<f64>) -> ColorView {
+        let camera =
+            Camera::new("c", 160, 90, [[100.0, 0.0, 80.0], [0.0, 100.0, 45.0], [0.0, 0.0, 1.0]]).unwrap();
+        let mut grid = OcclusionGrid::new(&camera);
+        for (x, y) in (0..90).flat_map(|y| (0..160).map(move |x| (x, y))) {
+            if let Some(wall_m) = wall_m {
+                grid.add(glam::DVec2::new(f64::from(x), f64::from(y)), wall_m);
+            }
+        }
+        let image = RgbImage::from_pixel(160, 90, Rgb([grey; 3]));
+        let view = View { camera, camera_from_world: DAffine3::IDENTITY };
+        ColorView { image, view, t_us: 0, occlusion: Some(grid.close()) }
+    }
+
+    #[test]
+    fn hidden_views_count_only_if_there_are_no_others() {
+        let views = [view(10, Some(5.0)), view(200, None)];
+        let color_of = |views: &[ColorView], z: f64| {
+            let position = DVec3::new(0.0, 0.0, z);
+            let background = vec![Candidate { position, rgb: None }];
+            let mut cloud = SweepCloud { background, ..SweepCloud::default() };
+            let views: Vec<&ColorView> = views.iter().collect();
+            sweep(&mut cloud, 0, &views, Coloring::Agreed, |_, _| Some(DAffine3::IDENTITY));
+            cloud.background[0].rgb
+        };
+        // Before the wall both count, behind it the other view alone.
+        assert_eq!(color_of(&views, 4.0), Some([105; 3]));
+        assert_eq!(color_of(&views, 20.0), Some([200; 3]));
+        assert_eq!(color_of(&views[..1], 20.0), Some([10; 3]));
+        assert_eq!(color_of(&views, -1.0), None);
+    }
+}
