@@ -29,15 +29,66 @@ impl Extent {
     }
 }
 
+/// Bounds of the blocks of a group, coordinate by coordinate.
+pub(super) struct GroupExtents {
+    /// Bounds of all of them; `None` if none of their points is ever drawn.
+    pub(super) all: Option<Extent>,
+    center: [[f64; GROUP]; 3],
+    half: [[f64; GROUP]; 3],
+    /// Bit mask of the blocks that have points that may be drawn.
+    drawn: u64,
+}
+
+impl GroupExtents {
+    fn of(blocks: &[Option<Bounds>]) -> Self {
+        let all = union(blocks).map(|bounds| Extent::of(&bounds));
+        let mut group = Self { all, center: [[0.0; GROUP]; 3], half: [[0.0; GROUP]; 3], drawn: 0 };
+        for (block, bounds) in blocks.iter().enumerate() {
+            let Some(extent) = bounds.as_ref().map(Extent::of) else { continue };
+            group.drawn |= 1 << block;
+            for axis in 0..3 {
+                group.center[axis][block] = extent.center[axis];
+                group.half[axis][block] = extent.half[axis];
+            }
+        }
+        group
+    }
+
+    /// Returns the bounds of a block; `None` if none of its points is ever drawn.
+    pub(super) fn block(&self, block: usize) -> Option<Extent> {
+        let at = |sides: &[[f64; GROUP]; 3]| [0, 1, 2].map(|axis| sides[axis][block]);
+        (self.drawn >> block & 1 == 1).then(|| Extent { center: at(&self.center), half: at(&self.half) })
+    }
+
+    /// Returns the blocks with points that a half-space `normal · p + offset >= 0` of each of the planes may contain,
+    /// given the relative rounding error of `f32`: a bit mask.
+    #[inline(always)]
+    #[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
+    pub(super) fn touching(&self, planes: &[[f64; 4]], rounding: f64) -> u64 {
+        let ([x, y, z], [dx, dy, dz]) = (&self.center, &self.half);
+        // The minimum of a number and NaN is the number: what is not a number touches.
+        let mut least = [0.0_f64; GROUP];
+        for [a, b, c, offset] in planes {
+            let [aa, bb, cc] = [a.abs(), b.abs(), c.abs()];
+            for i in 0..GROUP {
+                let middle = offset + a * x[i] + b * y[i] + c * z[i];
+                let reach = aa * dx[i] + bb * dy[i] + cc * dz[i];
+                let size = offset.abs() + aa * x[i].abs() + bb * y[i].abs() + cc * z[i].abs();
+                let most = middle + (reach + rounding * (size + reach));
+                least[i] = if most < least[i] { most } else { least[i] };
+            }
+        }
+        (0..GROUP).fold(self.drawn, |touching, i| touching & !(u64::from(least[i] < 0.0) << i))
+    }
+}
+
 /// A cloud in the order of its chunks. Bounds exclude points with non-finite positions, which are never drawn.
 pub(super) struct ChunkedCloud<'a> {
     points: &'a [Point],
     /// Cloud index of each point in chunk order; `None` for the cloud's own order.
     order: Option<Vec<u32>>,
-    /// Bounds of each run of [`CULL_BLOCK`] points; `None` if none of them is ever drawn.
-    pub(super) blocks: Vec<Option<Extent>>,
-    /// Bounds of each run of [`GROUP`] blocks.
-    pub(super) groups: Vec<Option<Extent>>,
+    /// Bounds of each run of [`CULL_BLOCK`] points, in runs of [`GROUP`] of them.
+    pub(super) groups: Vec<GroupExtents>,
 }
 
 impl<'a> ChunkedCloud<'a> {
@@ -45,15 +96,14 @@ impl<'a> ChunkedCloud<'a> {
         let parts: Vec<Option<Bounds>> =
             points.par_chunks(CHUNK).map(|part| finite_bounds(part.iter())).collect();
         let order = union(&parts).and_then(|bounds| morton_order(points, &bounds));
-        let mut cloud = Self { points, order, blocks: Vec::new(), groups: Vec::new() };
+        let mut cloud = Self { points, order, groups: Vec::new() };
         let blocks = points.len().div_ceil(CULL_BLOCK);
         let bounds = |block: usize| {
             let places = block * CULL_BLOCK..points.len().min((block + 1) * CULL_BLOCK);
             finite_bounds(cloud.points_at(places).map(|(_, point)| point))
         };
         let bounds: Vec<Option<Bounds>> = (0..blocks).into_par_iter().map(bounds).collect();
-        cloud.groups = bounds.chunks(GROUP).map(|part| union(part).map(|b| Extent::of(&b))).collect();
-        cloud.blocks = bounds.iter().map(|b| b.map(|b| Extent::of(&b))).collect();
+        cloud.groups = bounds.chunks(GROUP).map(GroupExtents::of).collect();
         cloud
     }
 
@@ -126,21 +176,21 @@ mod tests {
         let scattered = |i: u32| point((i.wrapping_mul(2_654_435_761) >> 16) as f32);
         let points: Vec<Point> = (0..10_000).map(scattered).collect();
         let cloud = ChunkedCloud::new(&points);
-        assert_eq!((cloud.chunks(), cloud.blocks.len(), cloud.groups.len()), (3, 10, 1));
+        assert_eq!((cloud.chunks(), cloud.groups.len(), cloud.groups[0].drawn), (3, 1, 0x3ff));
         assert_eq!(cloud.count(2), 10_000 - 2 * 4096);
         let mut seen = vec![0; points.len()];
         for chunk in 0..3 {
             let mut row = vec![[0; 4]; CHUNK];
             cloud.write_row(chunk, &mut row);
             for (i, [x, _, _, index]) in row[..cloud.count(chunk) as usize].iter().enumerate() {
-                let extent = cloud.blocks[(chunk * CHUNK + i) / CULL_BLOCK].unwrap();
+                let extent = cloud.groups[0].block((chunk * CHUNK + i) / CULL_BLOCK).unwrap();
                 seen[*index as usize] += 1;
                 assert_eq!(f32::from_bits(*x), points[*index as usize].position[0]);
                 assert!((f64::from(f32::from_bits(*x)) - extent.center[0]).abs() <= extent.half[0]);
             }
         }
         assert!(seen.iter().all(|n| *n == 1));
-        let widths: f64 = cloud.blocks.iter().map(|e| 2.0 * e.unwrap().half[0]).sum();
+        let widths: f64 = (0..10).map(|block| 2.0 * cloud.groups[0].block(block).unwrap().half[0]).sum();
         assert!(widths < 66_000.0, "{widths}: chunks of a line share a cell at most");
     }
 
@@ -148,10 +198,10 @@ mod tests {
     fn what_is_not_finite_widens_no_bounds() {
         let points = [point(1.0), point(f32::NAN), point(f32::INFINITY), point(3.0)];
         let cloud = ChunkedCloud::new(&points);
-        let extent = cloud.blocks[0].unwrap();
+        let extent = cloud.groups[0].block(0).unwrap();
         assert_eq!((extent.center[0], extent.half[0]), (2.0, 1.0));
-        assert!(ChunkedCloud::new(&points[1..3]).blocks[0].is_none());
-        assert!(ChunkedCloud::new(&[]).blocks.is_empty());
+        assert!(ChunkedCloud::new(&points[1..3]).groups[0].block(0).is_none());
+        assert!(ChunkedCloud::new(&[]).groups.is_empty());
         assert_eq!(cloud.colors(2..100).count(), 2);
     }
 }

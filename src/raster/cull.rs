@@ -1,6 +1,8 @@
 //! Culling of chunk parts per row strip, and their minimum depths.
 
-use super::chunk::{CHUNK, CULL_BLOCK, ChunkedCloud, Extent, GROUP};
+use pulp::{Simd, WithSimd};
+
+use super::chunk::{CHUNK, CULL_BLOCK, ChunkedCloud, Extent, GROUP, GroupExtents};
 use crate::raster::Draw;
 use crate::raster::schedule::Z_NEAR_M;
 
@@ -31,6 +33,23 @@ struct Frustum {
 /// Slack in meters, and in pixel · meters: far above the rounding of `f32`.
 const SLACK: f64 = 1e-3;
 const IMAGE_SLACK: f64 = 1.0;
+/// Relative rounding error of `f32`, with a margin.
+const ROUNDING: f64 = 1e-6;
+
+/// [`GroupExtents::touching`] in the widest vectors of the processor.
+struct Touching<'t> {
+    group: &'t GroupExtents,
+    frustum: &'t Frustum,
+}
+
+impl WithSimd for Touching<'_> {
+    type Output = u64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> u64 {
+        self.group.touching(&self.frustum.planes, ROUNDING)
+    }
+}
 
 impl Frustum {
     fn new(draw: &Draw, width: u32, rows: Rows, pad: f64, z_far_m: f32) -> Self {
@@ -66,7 +85,7 @@ impl Frustum {
             reach += normal.abs() * half;
             size += normal.abs() * center.abs();
         }
-        reach += 1e-6 * (size + reach);
+        reach += ROUNDING * (size + reach);
         [middle - reach, middle + reach]
     }
 
@@ -97,13 +116,17 @@ pub(super) fn seen_blocks(
 ) -> Vec<VisibleRange> {
     let frustum = Frustum::new(draw, width, rows, f64::from(pad) + 2.0, z_far_m);
     let mut seen = Vec::new();
-    for (group, extent) in cloud.groups.iter().enumerate() {
-        if !extent.as_ref().is_some_and(|e| frustum.touches(e)) {
+    for (number, group) in cloud.groups.iter().enumerate() {
+        if !group.all.as_ref().is_some_and(|e| frustum.touches(e)) {
             continue;
         }
-        for (i, extent) in cloud.blocks.iter().enumerate().skip(group * GROUP).take(GROUP) {
-            let Some(extent) = extent.as_ref().filter(|e| frustum.touches(e)) else { continue };
-            let (nearest_m, crop) = (frustum.nearest_m(extent), frustum.cuts(extent));
+        let mut touching = pulp::Arch::new().dispatch(Touching { group, frustum: &frustum });
+        while touching != 0 {
+            let block = touching.trailing_zeros() as usize;
+            touching &= touching - 1;
+            let Some(extent) = group.block(block) else { continue };
+            let i = number * GROUP + block;
+            let (nearest_m, crop) = (frustum.nearest_m(&extent), frustum.cuts(&extent));
             let (chunk, first) = ((i * CULL_BLOCK / CHUNK) as u32, (i * CULL_BLOCK % CHUNK) as u32);
             let end = cloud.count(chunk as usize).min(first + CULL_BLOCK as u32);
             seen.push(VisibleRange { chunk, points: [first, end], nearest_m, crop });

@@ -8,14 +8,14 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::window::{Layer, Window};
+use super::window::{Layer, Window, depth_m};
 use crate::raster::SplatSchedule;
 
 /// Depths (infinite where empty) and numbers of the nearest points of a row.
 #[derive(Clone, Default)]
-pub(super) struct Row {
-    pub(super) depth_m: Vec<f32>,
-    pub(super) number: Vec<u32>,
+struct Row {
+    depth_m: Vec<f32>,
+    number: Vec<u32>,
 }
 
 /// Points of at least a radius.
@@ -36,6 +36,16 @@ struct Fold {
     is_empty: bool,
 }
 
+/// The visible points of a row.
+#[derive(Default)]
+pub(super) struct VisibleRow {
+    /// Infinite where no point is visible.
+    nearest: Row,
+    /// All bits are set where a point is visible. In memory, so that lookups need no branch: whether a pixel is empty is
+    /// hard to predict.
+    mask: Vec<u32>,
+}
+
 /// Walks down a visibility buffer.
 #[derive(Default)]
 pub(super) struct Dilation {
@@ -44,7 +54,7 @@ pub(super) struct Dilation {
     /// The last folded rows, by row modulo their number.
     folds: Vec<Fold>,
     /// The last results, by row modulo their number, and their rows.
-    results: [(Option<usize>, Row); RESULTS],
+    results: [(Option<usize>, VisibleRow); RESULTS],
     scratch: [Row; 2],
 }
 
@@ -87,7 +97,7 @@ impl Dilation {
 
     /// Returns the visible points of the window's row `row`, without padding. Rows are computed
     /// once if they are asked for in increasing order, up to three back.
-    pub(super) fn row(&mut self, layer: &Layer, window: &Window, row: usize) -> &Row {
+    pub(super) fn row(&mut self, layer: &Layer, window: &Window, row: usize) -> &VisibleRow {
         let place = row % RESULTS;
         if self.results[place].0 != Some(row) {
             pulp::Arch::new().dispatch(Compute { dilation: self, layer, window, row });
@@ -102,8 +112,8 @@ impl Dilation {
         let center = row + pad;
         let radius = self.reaches[0].radius;
         let width = window.width as usize;
-        let result = &mut self.results[row % RESULTS].1;
-        result.clear(width);
+        let VisibleRow { nearest, mask } = &mut self.results[row % RESULTS].1;
+        nearest.clear(width);
         for source in center - radius..=center + radius {
             let at = source % self.folds.len();
             let fold = &mut self.folds[at];
@@ -117,30 +127,32 @@ impl Dilation {
             let distance = source.abs_diff(center);
             let level = self.reaches.iter().rposition(|reach| reach.radius >= distance);
             if let Some(level) = level {
-                lower(result, &fold.rows[level], 0, f32::INFINITY);
+                lower(nearest, &fold.rows[level], 0, f32::INFINITY);
             }
         }
+        mask.clear();
+        mask.extend(nearest.depth_m.iter().map(|depth| if *depth < f32::INFINITY { u32::MAX } else { 0 }));
+        nearest.number.iter_mut().zip(mask).for_each(|(number, mask)| *number &= *mask);
     }
 }
 
 impl Fold {
     /// Computes the windows along a row of cells with `pad` cells of padding on both sides.
     #[inline(always)]
-    fn fold(&mut self, cells: (&[f32], &[u32]), pad: usize, reaches: &[Reach], scratch: &mut [Row; 2]) {
-        let (depths, numbers) = cells;
-        self.is_empty = !depths.iter().fold(false, |any, depth| any | (*depth < f32::INFINITY));
-        self.rows.resize(reaches.len(), Row::default());
-        if self.is_empty {
-            return;
-        }
-        let width = depths.len() - 2 * pad;
+    fn fold(&mut self, keys: &[u64], pad: usize, reaches: &[Reach], scratch: &mut [Row; 2]) {
         // The window of radius 0 is the row; larger ones grow from smaller ones. Place `i` of a window row of radius
         // `r` is the cell `i + r`.
         let [window, wider] = scratch;
         window.depth_m.clear();
-        window.depth_m.extend_from_slice(depths);
+        window.depth_m.extend(keys.iter().map(|key| depth_m(*key)));
+        self.is_empty = !window.depth_m.iter().fold(false, |any, depth| any | (*depth < f32::INFINITY));
+        self.rows.resize(reaches.len(), Row::default());
+        if self.is_empty {
+            return;
+        }
         window.number.clear();
-        window.number.extend_from_slice(numbers);
+        window.number.extend(keys.iter().map(|key| *key as u32));
+        let width = keys.len() - 2 * pad;
         let mut radius = 0;
         for (reach, row) in reaches.iter().zip(&mut self.rows).rev() {
             while radius < reach.radius {
@@ -156,6 +168,19 @@ impl Fold {
             let (larger, smaller) = self.rows.split_at_mut(level);
             lower(&mut smaller[0], &larger[level - 1], 0, f32::INFINITY);
         }
+    }
+}
+
+impl VisibleRow {
+    /// Depths, meters; infinite where no point is visible.
+    pub(super) fn depth_m(&self) -> &[f32] {
+        &self.nearest.depth_m
+    }
+
+    /// Returns the number of the point in a column, 0 if there is none, and whether there is one: all bits or none.
+    #[inline(always)]
+    pub(super) fn number(&self, column: usize) -> (u32, u32) {
+        (self.nearest.number[column], self.mask[column])
     }
 }
 

@@ -4,11 +4,10 @@
 //! window, and is not nearer. It is hidden if every cell of the rectangle already has a nearer point: then none of its
 //! points would be drawn. Bounds are widened by more than the rounding errors of the projection.
 
-use super::dilate::Dilation;
 use super::packed::{BlockBounds, GROUP, GROUPS};
-use super::window::{Layer, Window};
+use super::window::{Layer, Window, depth_m};
+use crate::raster::Draw;
 use crate::raster::schedule::Z_NEAR_M;
-use crate::raster::{Draw, SplatSchedule};
 
 /// Relative rounding error of a projected coordinate, with a margin: four products, three sums, 2⁻²⁴ each.
 const ROUNDING: f32 = 2e-6;
@@ -96,29 +95,6 @@ impl Footprints {
     }
 }
 
-/// Depth of the nearest point that covers each pixel of a window, without padding, at some time.
-#[derive(Default)]
-pub(super) struct Covered {
-    depth_m: Vec<f32>,
-    is_known: bool,
-}
-
-impl Covered {
-    /// Forgets all depths.
-    pub(super) fn clear(&mut self) {
-        self.is_known = false;
-    }
-
-    /// Computes the depths from what is drawn so far.
-    pub(super) fn update(&mut self, layer: &Layer, window: &Window, dilation: &mut Dilation) {
-        self.depth_m.clear();
-        for row in 0..(window.rows[1] - window.rows[0]) as usize {
-            self.depth_m.extend_from_slice(&dilation.row(layer, window, row).depth_m);
-        }
-        self.is_known = true;
-    }
-}
-
 impl GroupFootprints {
     /// Returns the footprint of a group.
     #[inline(always)]
@@ -162,67 +138,29 @@ impl Footprint {
 
     /// Returns whether every cell that a point may fall into already has a nearer point. The footprint must not miss
     /// the window.
+    // Loops instead of closures, which would not be compiled for the vectors of the caller.
     #[inline(always)]
     pub(super) fn is_hidden(&self, layer: &Layer, window: &Window) -> bool {
         let [left, top] = window.origin();
-        let columns = self.columns.map(|column| column - left);
-        let rows = self.rows.map(|row| row - top);
-        Rect::new(columns, rows, [window.stride(), window.height()]).all(self.points, |row, columns| {
-            let first = window.cell(columns.start, row);
-            all_nearer(&layer.depth_m[first..first + columns.len()], self.nearest_m)
-        })
-    }
-
-    /// Returns whether every pixel that a square may cover is covered by a nearer point. `schedule`: radii of points.
-    #[inline(always)]
-    pub(super) fn is_covered(&self, covered: &Covered, window: &Window, schedule: &SplatSchedule) -> bool {
-        let Some(radius) = schedule.radius_at(self.nearest_m).filter(|_| covered.is_known) else {
-            return false;
-        };
-        let radius = radius as f32;
-        let columns = [self.columns[0] - radius, self.columns[1] + radius];
-        let first_row = window.rows[0] as f32;
-        let rows = [self.rows[0] - radius - first_row, self.rows[1] + radius - first_row];
-        let size = [window.width as usize, (window.rows[1] - window.rows[0]) as usize];
-        Rect::new(columns, rows, size).all(self.points, |row, columns| {
-            let first = row * window.width as usize;
-            all_nearer(&covered.depth_m[first + columns.start..first + columns.end], self.nearest_m)
-        })
-    }
-}
-
-/// Columns and rows of a grid: first and last.
-struct Rect {
-    columns: [usize; 2],
-    rows: [usize; 2],
-}
-
-impl Rect {
-    /// Returns the part of a rectangle that lies in a grid of `size` columns and rows; the nearest border if none does.
-    #[inline(always)]
-    fn new(columns: [f32; 2], rows: [f32; 2], size: [usize; 2]) -> Self {
-        let clamp = |at: f32, count: usize| at.clamp(0.0, (count - 1) as f32) as u32 as usize;
-        Self { columns: columns.map(|at| clamp(at, size[0])), rows: rows.map(|at| clamp(at, size[1])) }
-    }
-
-    /// Returns whether a condition holds for the columns of every row; `false` if there are too many cells for `points`.
-    #[inline(always)]
-    fn all(&self, points: usize, condition: impl Fn(usize, std::ops::Range<usize>) -> bool) -> bool {
-        let ([left, right], [top, bottom]) = (self.columns, self.rows);
-        if (right - left + 1) * (bottom - top + 1) > CELLS_PER_POINT * points {
+        // Saturates at the borders of the window.
+        let columns = [self.columns[0] - left, self.columns[1] - left].map(|column| column as u32 as usize);
+        let rows = [self.rows[0] - top, self.rows[1] - top].map(|row| row as u32 as usize);
+        let (last_column, last_row) = (columns[1].min(window.stride() - 1), rows[1].min(window.height() - 1));
+        let width = last_column - columns[0] + 1;
+        if width * (last_row - rows[0] + 1) > CELLS_PER_POINT * self.points {
             return false;
         }
-        for row in top..=bottom {
-            if !condition(row, left..right + 1) {
+        for row in rows[0]..=last_row {
+            let first = window.cell(columns[0], row);
+            // Without branches, so that it compiles to vector comparisons.
+            let mut nearer = true;
+            for key in &layer.keys[first..first + width] {
+                nearer &= depth_m(*key) < self.nearest_m;
+            }
+            if !nearer {
                 return false;
             }
         }
         true
     }
-}
-
-/// Returns whether all depths are less than another; without branches, so that it compiles to vector comparisons.
-#[inline(always)]
-fn all_nearer(depths_m: &[f32], depth_m: f32) -> bool {
-    depths_m.iter().fold(true, |nearer, other| nearer & (*other < depth_m))
 }

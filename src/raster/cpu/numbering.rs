@@ -1,5 +1,6 @@
 //! Joint numbering of the points of a frame's instances.
 
+use super::memory::prefetch;
 use super::packed::PackedCloud;
 use crate::raster::layers::LayerInstance;
 use crate::raster::{Instance, RasterError};
@@ -85,6 +86,12 @@ impl<'c> Numbering<'c> {
     #[inline(always)]
     pub(super) fn rgb_class(&self, number: u32) -> u32 {
         self.colors[self.block(number).color.wrapping_add(number as usize)]
+    }
+
+    /// Loads color and class of a point into the cache.
+    #[inline(always)]
+    pub(super) fn prefetch_rgb_class(&self, number: u32) {
+        prefetch(&self.colors[self.block(number).color.wrapping_add(number as usize)]);
     }
 
     /// Returns the instance of a point.

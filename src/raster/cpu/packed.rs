@@ -20,16 +20,17 @@ pub(super) struct Positions(pub(super) [[[f32; GROUP]; 3]; GROUPS]);
 
 /// Bounds of the finite positions of each group of a block, meters: minimum x, y, z, maximum x, y, z. NaN if there are
 /// none.
-#[derive(Clone, Copy)]
+#[repr(transparent)]
+#[derive(Clone, Copy, Pod, Zeroable)]
 pub(super) struct BlockBounds(pub(super) [[f32; GROUPS]; 6]);
 
 /// A cloud's points and the bounds of their groups, by block.
 pub(super) struct PackedCloud<'a> {
     pub(super) chunked: ChunkedCloud<'a>,
     pub(super) positions: HugeSlice<Positions>,
-    pub(super) bounds: Vec<BlockBounds>,
-    /// Index of each point in the cloud; empty if the order is the cloud's own.
-    pub(super) index: HugeSlice<u32>,
+    pub(super) bounds: HugeSlice<BlockBounds>,
+    /// Index of each point in the cloud, group by group; empty if the order is the cloud's own.
+    pub(super) index: HugeSlice<[u32; GROUP]>,
     /// Index of its first color among those of all clouds.
     pub(super) first_color: usize,
     /// Maximum absolute coordinates of the finite positions, meters.
@@ -41,16 +42,18 @@ impl<'a> PackedCloud<'a> {
         let chunked = ChunkedCloud::new(points);
         let blocks = points.len().div_ceil(CULL_BLOCK);
         let mut positions: HugeSlice<Positions> = HugeSlice::zeroed(blocks);
-        let indices = if chunked.is_reordered() { blocks * CULL_BLOCK } else { 0 };
-        let mut index: HugeSlice<u32> = HugeSlice::zeroed(indices);
-        let fill = |(block, positions): (usize, &mut Positions)| {
-            *positions = Positions::of(&chunked, block);
-            positions.bounds()
-        };
-        let bounds: Vec<BlockBounds> = positions.par_iter_mut().enumerate().map(fill).collect();
-        index.par_chunks_mut(CULL_BLOCK).enumerate().for_each(|(block, index)| {
+        let indexed = if chunked.is_reordered() { blocks * GROUPS } else { 0 };
+        let mut index: HugeSlice<[u32; GROUP]> = HugeSlice::zeroed(indexed);
+        let mut bounds: HugeSlice<BlockBounds> = HugeSlice::zeroed(blocks);
+        positions.par_iter_mut().zip(bounds.par_iter_mut()).enumerate().for_each(
+            |(block, (positions, bounds))| {
+                *positions = Positions::of(&chunked, block);
+                *bounds = positions.bounds();
+            },
+        );
+        index.par_chunks_mut(GROUPS).enumerate().for_each(|(block, index)| {
             let places = chunked.points_at(places(&chunked, block));
-            index.iter_mut().zip(places).for_each(|(to, (from, _))| *to = from);
+            index.as_flattened_mut().iter_mut().zip(places).for_each(|(to, (from, _))| *to = from);
         });
         let largest = |axis: usize| {
             let sides = bounds.iter().flat_map(|b| b.0[axis].iter().chain(&b.0[axis + 3]));
@@ -105,7 +108,7 @@ mod tests {
         let mut seen = vec![0; points.len()];
         for place in 0..points.len() {
             let (block, group) = (place / CULL_BLOCK, place % CULL_BLOCK / GROUP);
-            let index = cloud.index.get(place).map_or(place, |i| *i as usize);
+            let index = cloud.index.as_flattened().get(place).map_or(place, |i| *i as usize);
             let x = cloud.positions[block].0[group][0][place % GROUP];
             seen[index] += 1;
             assert_eq!(x.to_bits(), points[index].position[0].to_bits());

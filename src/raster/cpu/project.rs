@@ -4,7 +4,7 @@
 //! arrays, which the compiler vectorizes under `pulp`'s dispatch.
 
 use super::packed::GROUP;
-use super::window::{Layer, Window};
+use super::window::{Layer, Window, key};
 use crate::raster::Draw;
 use crate::raster::schedule::Z_NEAR_M;
 
@@ -22,10 +22,11 @@ pub(super) struct Projection {
     first_cell: f32,
 }
 
-/// Cells and depths of the points of a group; cell 0 for points that are not drawn.
+/// Cells, depths and keys of the points of a group; cell 0 for points that are not drawn.
 pub(super) struct Cells {
     cell: [u32; GROUP],
     depth_m: [f32; GROUP],
+    key: [u64; GROUP],
 }
 
 /// 2²³: the bits of its sum with a smaller integer contain that integer.
@@ -88,28 +89,30 @@ impl Projection {
 
 impl Default for Cells {
     fn default() -> Self {
-        Self { cell: [0; GROUP], depth_m: [0.0; GROUP] }
+        Self { cell: [0; GROUP], depth_m: [0.0; GROUP], key: [0; GROUP] }
     }
 }
 
 impl Cells {
-    /// Draws the points; the lower number wins equal depths. `number` returns that of the point at a place of the group.
+    /// Numbers the points: `first` plus the index of each in the cloud, which is its place if there is no `index`.
+    /// `group`: number of the group in the cloud.
     #[inline(always)]
-    pub(super) fn put(&self, layer: &mut Layer, number: impl Fn(usize) -> u32) {
-        let cells = layer.depth_m.len();
-        let (depths, numbers) = (&mut layer.depth_m[..], &mut layer.number[..cells]);
-        // First those that may win, without branches: whether a point wins is hard to predict.
-        let (mut winners, mut count) = ([0_u8; GROUP], 0);
+    #[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
+    pub(super) fn number(&mut self, first: u32, group: usize, index: Option<&[u32; GROUP]>) {
+        let own = first + (group * GROUP) as u32;
         for i in 0..GROUP {
-            winners[count % GROUP] = i as u8;
-            count += usize::from(self.depth_m[i] <= depths[self.cell[i] as usize]);
+            let number = index.map_or(own + i as u32, |index| first + index[i]);
+            self.key[i] = key(self.depth_m[i], number);
         }
-        for i in winners[..count].iter().map(|i| usize::from(*i)) {
-            let (cell, depth_m, number) = (self.cell[i] as usize, self.depth_m[i], number(i));
-            if depth_m < depths[cell] || (depth_m == depths[cell] && number < numbers[cell]) {
-                depths[cell] = depth_m;
-                numbers[cell] = number;
-            }
+    }
+
+    /// Draws the points: the least key of each cell remains. Without branches: whether a point wins is hard to predict.
+    #[inline(always)]
+    pub(super) fn put(&self, layer: &mut Layer) {
+        let keys = &mut layer.keys[..];
+        for (cell, key) in self.cell.iter().zip(&self.key) {
+            let at = &mut keys[*cell as usize];
+            *at = (*at).min(*key);
         }
     }
 }

@@ -1,12 +1,15 @@
 //! Visible points to maps: lookups, and the reduction to the size of the maps.
 
-use super::dilate::{Dilation, Row};
+use super::dilate::{Dilation, VisibleRow};
 use super::numbering::Numbering;
 use super::strips::{Sampling, Strip};
 use super::window::Layer;
 use crate::raster::layers::Layers;
 use crate::raster::reduce::Tap;
 use crate::raster::{FrameJob, MapKind, MapSet, rgb_of};
+
+/// Pixels of a row whose colors are loaded before they are used.
+const COLORS_AHEAD: usize = 16;
 
 /// Rows of a view's maps; a map that is not wanted has length 0.
 pub(super) struct MapRows<'m> {
@@ -120,23 +123,23 @@ impl Resolve<'_> {
     }
 
     /// Fills rows of maps with one point per pixel.
-    fn look_up(&self, visible: &Row, wanted: MapSet, maps: &mut MapRows<'_>) {
+    fn look_up(&self, visible: &VisibleRow, wanted: MapSet, maps: &mut MapRows<'_>) {
         let bits = |kind, bits: u32| if wanted.contains(kind) { bits } else { 0 };
         let rgb_class = bits(MapKind::Color, 0x00ff_ffff) | bits(MapKind::Class, 0xff00_0000);
         let columns = &self.sampling.nearest[1];
-        // Empty pixels look up point 0 and mask it: whether a pixel is empty is hard to predict.
-        let at = |column: u32| {
-            let (depth_m, number) = (visible.depth_m[column as usize], visible.number[column as usize]);
-            let mask = if depth_m < f32::INFINITY { u32::MAX } else { 0 };
-            (number & mask, mask)
-        };
+        // Empty pixels look up point 0 and mask it.
+        let at = |column: u32| visible.number(column as usize);
         if rgb_class != 0 {
-            for (packed, (number, mask)) in maps.rgb_class.iter_mut().zip(columns.iter().map(|c| at(*c))) {
+            for (i, (packed, column)) in maps.rgb_class.iter_mut().zip(columns).enumerate() {
+                if let Some(later) = columns.get(i + COLORS_AHEAD) {
+                    self.prefetch(visible, *later as usize);
+                }
+                let (number, mask) = at(*column);
                 *packed |= self.numbering.rgb_class(number) & mask & rgb_class;
             }
         }
         if wanted.contains(MapKind::Depth) {
-            let depths = columns.iter().map(|column| visible.depth_m[*column as usize]);
+            let depths = columns.iter().map(|column| visible.depth_m()[*column as usize]);
             maps.depth_m.iter_mut().zip(depths).for_each(|(to, depth_m)| *to = depth_m);
         }
         if wanted.contains(MapKind::Instance) {
@@ -151,13 +154,22 @@ impl Resolve<'_> {
         }
     }
 
+    /// Loads the color of a pixel into the cache.
+    #[inline(always)]
+    fn prefetch(&self, visible: &VisibleRow, column: usize) {
+        self.numbering.prefetch_rgb_class(visible.number(column).0);
+    }
+
     /// Interpolates the colors of a row between columns, as the first pass of OpenCV's fixed-point arithmetic.
-    fn across(&self, visible: &Row, columns: &[Tap], colors: &mut [[i32; 3]]) {
+    fn across(&self, visible: &VisibleRow, columns: &[Tap], colors: &mut [[i32; 3]]) {
         let rgb = |column: usize| {
-            let mask = if visible.depth_m[column] < f32::INFINITY { u32::MAX } else { 0 };
-            rgb_of(self.numbering.rgb_class(visible.number[column] & mask) & mask).map(i32::from)
+            let (number, mask) = visible.number(column);
+            rgb_of(self.numbering.rgb_class(number) & mask).map(i32::from)
         };
-        for (color, tap) in colors.iter_mut().zip(columns) {
+        for (i, (color, tap)) in colors.iter_mut().zip(columns).enumerate() {
+            if let Some(later) = columns.get(i + COLORS_AHEAD) {
+                later.at.iter().for_each(|column| self.prefetch(visible, *column));
+            }
             let [left, right] = tap.at.map(rgb);
             *color = [0, 1, 2].map(|i| (left[i] * tap.weight[0] + right[i] * tap.weight[1]) >> 4);
         }

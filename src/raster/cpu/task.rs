@@ -2,18 +2,16 @@
 
 use std::time::Instant;
 
-use pulp::{Simd, WithSimd};
-
+use super::blocks::{Block, StripDraw};
 use super::dilate::Dilation;
-use super::hidden::{Covered, Footprint, Footprints, GroupFootprints};
-use super::numbering::{Numbered, Numbering};
-use super::packed::GROUP;
-use super::project::{Cells, Projection};
+use super::hidden::Footprints;
+use super::numbering::Numbering;
+use super::project::Projection;
 use super::resolve::{MapRows, Resolve};
 use super::strips::{Sampling, Strip};
 use super::window::Layer;
 use crate::raster::chunk::{CHUNK, CULL_BLOCK};
-use crate::raster::cull::{VisibleRange, seen_blocks};
+use crate::raster::cull::seen_blocks;
 use crate::raster::draw::draw_from_instance;
 use crate::raster::layers::Layers;
 use crate::raster::{FrameJob, MapSet, SplatJob, StageTimes};
@@ -23,11 +21,10 @@ use crate::raster::{FrameJob, MapSet, SplatJob, StageTimes};
 pub(super) struct Scratch {
     layers: Vec<Layer>,
     dilations: Vec<Dilation>,
-    covered: Vec<Covered>,
 }
 
-/// Points drawn per cell of a window until it is computed anew which cells they cover.
-const POINTS_PER_UPDATE: usize = 2;
+/// Blocks whose bounds are loaded before they are tested.
+const BLOCKS_AHEAD: usize = 4;
 
 /// A strip of a frame.
 pub(super) struct Task<'t> {
@@ -40,36 +37,16 @@ pub(super) struct Task<'t> {
     pub(super) culls: bool,
 }
 
-/// Points of an instance that may be visible.
+/// A block that may be visible.
 struct Item {
+    /// Lower bound of the depth of its points, meters.
+    nearest_m: f32,
     /// Index into the draws.
-    draw: usize,
-    range: VisibleRange,
-}
-
-/// An instance as the strip sees it.
-struct StripDraw<'t> {
-    numbered: &'t Numbered<'t>,
-    projection: Projection,
-    footprints: Footprints,
-}
-
-/// [`Task::project`] in the widest vectors of the processor.
-struct Project<'p> {
-    task: &'p Task<'p>,
-    draw: &'p StripDraw<'p>,
-    range: &'p VisibleRange,
-    layers: &'p mut [Layer],
-    covered: &'p [Covered],
-}
-
-impl WithSimd for Project<'_> {
-    type Output = usize;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> usize {
-        self.task.project(self.draw, self.range, self.layers, self.covered)
-    }
+    draw: u32,
+    /// Number of the block in its cloud.
+    block: u32,
+    /// Whether the crop may exclude some of its points.
+    crops: bool,
 }
 
 impl Task<'_> {
@@ -86,39 +63,20 @@ impl Task<'_> {
         if scratch.layers.len() < self.layers.count {
             scratch.layers.resize_with(self.layers.count, Layer::default);
             scratch.dilations.resize_with(self.layers.count, Dilation::default);
-            scratch.covered.resize_with(self.layers.count, Covered::default);
         }
         let layers = &mut scratch.layers[..self.layers.count];
         layers.iter_mut().for_each(|layer| layer.clear(&self.strip.window));
         stamp("clear");
-        let dilations = &mut scratch.dilations[..self.layers.count];
-        let covered = &mut scratch.covered[..self.layers.count];
-        covered.iter_mut().for_each(Covered::clear);
-        let enough = POINTS_PER_UPDATE * self.strip.window.stride() * self.strip.window.height();
-        let mut drawn = 0;
-        for (at, item) in items.iter().enumerate() {
-            let (draw, range) = (&draws[item.draw], &item.range);
-            drawn += pulp::Arch::new().dispatch(Project { task: self, draw, range, layers, covered });
-            // Worth it if as many points follow.
-            if drawn >= enough && (items.len() - at) * CULL_BLOCK >= enough && self.culls {
-                for ((layer, covered), dilation) in
-                    layers.iter().zip(covered.iter_mut()).zip(dilations.iter_mut())
-                {
-                    dilation.start(self.job.schedule);
-                    covered.update(layer, &self.strip.window, dilation);
-                }
-                drawn = 0;
-            }
-        }
+        self.project(&draws, &items, layers);
         stamp("project");
         let Self { job, layers: purposes, strip, sampling, numbering, .. } = *self;
         let resolve = Resolve { job, layers: purposes, strip, sampling, numbering };
-        resolve.fill(layers, dilations, maps);
+        resolve.fill(layers, &mut scratch.dilations[..self.layers.count], maps);
         stamp("resolve");
         times
     }
 
-    /// Returns the draws of the strip, and their parts that may be visible, nearest first.
+    /// Returns the draws of the strip, and their blocks that may be visible, nearest first.
     fn plan(&self) -> (Vec<StripDraw<'_>>, Vec<Item>) {
         let window = &self.strip.window;
         let view = &self.job.views[self.strip.view];
@@ -132,63 +90,41 @@ impl Task<'_> {
             if seen.is_empty() {
                 continue;
             }
-            items.extend(seen.into_iter().map(|range| Item { draw: draws.len(), range }));
+            items.extend(seen.into_iter().map(|range| Item {
+                nearest_m: range.nearest_m,
+                draw: draws.len() as u32,
+                block: ((range.chunk as usize * CHUNK + range.points[0] as usize) / CULL_BLOCK) as u32,
+                crops: range.crop,
+            }));
             let projection = Projection::new(&draw, window, z_far_m);
             let footprints = Footprints::new(&draw, numbered.cloud.reach_m, z_far_m);
             draws.push(StripDraw { numbered, projection, footprints });
         }
-        items.sort_by(|a, b| a.range.nearest_m.total_cmp(&b.range.nearest_m));
+        items.sort_unstable_by(|a, b| a.nearest_m.total_cmp(&b.nearest_m));
         (draws, items)
     }
 
-    /// Draws the points of a block; returns how many were not skipped.
-    #[inline(always)]
-    fn project(
-        &self,
-        draw: &StripDraw<'_>,
-        range: &VisibleRange,
-        layers: &mut [Layer],
-        covered: &[Covered],
-    ) -> usize {
-        let Numbered { cloud, layers: mask, first: first_number, .. } = *draw.numbered;
-        let window = &self.strip.window;
-        let first_place = range.chunk as usize * CHUNK + range.points[0] as usize;
-        let block = first_place / CULL_BLOCK;
-        let (mut cells, mut groups) = (Cells::default(), GroupFootprints::default());
-        draw.footprints.of_block(&cloud.bounds[block], &mut groups);
-        let whole = groups.block();
-        if whole.misses(window) || self.hides(&whole, (mask, layers, covered)) {
-            return 0;
-        }
-        let index = &cloud.index[..];
-        let mut drawn = 0;
-        for (group, positions) in cloud.positions[block].0.iter().enumerate() {
-            let footprint = groups.group(group);
-            if footprint.misses(window) || self.hides(&footprint, (mask, layers, covered)) {
-                continue;
+    /// Draws blocks in order. A block is drawn after the next one is tested, while its points are loaded.
+    fn project(&self, draws: &[StripDraw<'_>], items: &[Item], layers: &mut [Layer]) {
+        let block = |item: &Item| Block {
+            draw: &draws[item.draw as usize],
+            block: item.block as usize,
+            crops: item.crops,
+        };
+        let mut ahead = items.iter().map(block);
+        ahead.by_ref().take(BLOCKS_AHEAD).for_each(Block::prefetch);
+        let mut tested = None;
+        for item in items.iter().map(Some).chain([None]) {
+            if let Some(later) = ahead.next() {
+                later.prefetch();
             }
-            draw.projection.cells(positions, range.crop, &mut cells);
-            drawn += GROUP;
-            let place = first_place + group * GROUP;
-            let own = first_number + place as u32;
-            for (_, layer) in layers.iter_mut().enumerate().filter(|(i, _)| mask >> i & 1 == 1) {
-                match index.get(place..place + GROUP) {
-                    Some(index) => cells.put(layer, |i| first_number + index[i]),
-                    None => cells.put(layer, |i| own + i as u32),
-                }
+            let next = item.map(|item| {
+                let block = block(item);
+                (block, block.visible(&self.strip.window, layers, self.culls))
+            });
+            if let Some((block, groups)) = std::mem::replace(&mut tested, next) {
+                block.draw(groups, layers);
             }
         }
-        drawn
-    }
-
-    /// Returns whether what is drawn hides a footprint in all layers of a bit mask.
-    #[inline(always)]
-    fn hides(&self, footprint: &Footprint, (mask, layers, covered): (u32, &[Layer], &[Covered])) -> bool {
-        let window = &self.strip.window;
-        self.culls
-            && (0..layers.len()).filter(|layer| mask >> layer & 1 == 1).all(|layer| {
-                footprint.is_hidden(&layers[layer], window)
-                    || footprint.is_covered(&covered[layer], window, self.job.schedule)
-            })
     }
 }

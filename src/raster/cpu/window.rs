@@ -11,7 +11,7 @@ pub(super) struct Window {
     pub(super) pad: u32,
 }
 
-/// Cells before the first row. Cell 0 belongs to no pixel: its depth is below all others, so that points outside the
+/// Cells before the first row. Cell 0 belongs to no pixel: its key is below all others, so that points outside the
 /// window can be drawn there without effect.
 const LEAD: usize = 16;
 
@@ -37,31 +37,40 @@ impl Window {
     }
 }
 
-/// A visibility buffer: the depth and number of the nearest point per cell of a window.
+/// A visibility buffer: the key of the nearest point per cell of a window.
 #[derive(Default)]
 pub(super) struct Layer {
-    /// Meters; infinite where empty.
-    pub(super) depth_m: Vec<f32>,
-    /// Undefined where empty.
-    pub(super) number: Vec<u32>,
+    pub(super) keys: Vec<u64>,
+}
+
+/// Key of an empty cell: infinitely far.
+const EMPTY: u64 = key(f32::INFINITY, u32::MAX);
+
+/// Returns the key of a point: the least one is that of the nearest point, of several the one with the least number.
+/// The depth must be positive: then its bits are ordered like its values.
+#[inline(always)]
+pub(super) const fn key(depth_m: f32, number: u32) -> u64 {
+    (depth_m.to_bits() as u64) << 32 | number as u64
+}
+
+/// Returns the depth of a key, meters; infinite where empty.
+#[inline(always)]
+pub(super) const fn depth_m(key: u64) -> f32 {
+    f32::from_bits((key >> 32) as u32)
 }
 
 impl Layer {
     /// Empties the layer for a window.
     pub(super) fn clear(&mut self, window: &Window) {
         let cells = LEAD + window.stride() * window.height();
-        self.depth_m.clear();
-        self.depth_m.resize(cells, f32::INFINITY);
-        self.depth_m[0] = f32::NEG_INFINITY;
-        if self.number.len() < cells {
-            self.number.resize(cells, 0);
-        }
+        self.keys.clear();
+        self.keys.resize(cells, EMPTY);
+        self.keys[0] = 0;
     }
 
-    /// Returns depths and numbers of a row, padding included.
-    pub(super) fn row(&self, window: &Window, row: usize) -> (&[f32], &[u32]) {
+    /// Returns the keys of a row, padding included.
+    pub(super) fn row(&self, window: &Window, row: usize) -> &[u64] {
         let first = window.cell(0, row);
-        let cells = first..first + window.stride();
-        (&self.depth_m[cells.clone()], &self.number[cells])
+        &self.keys[first..first + window.stride()]
     }
 }
