@@ -1,28 +1,29 @@
 // Points to keys: each point writes its pixel of a visibility buffer with an atomic minimum of `depth << 32 | number`.
 // One workgroup draws an item into one band (row strip) of a view: up to 4096 points of a chunk. The operations and
-// their order are those of `project` in src/raster/cpu.rs.
+// their order are those of `project` in src/raster/reference.rs.
 //
 // With SQUARE a point writes all pixels that it covers. Without, it writes only its center, and later shaders
 // gather the neighborhood (resolve_full.wgsl, resolve_reduced.wgsl) or spread the keys (spread.wgsl). CROP tests
 // the square crop, which chunks well inside do not need. LAYERED writes up to three buffers.
 //
 // LANES points are drawn in parallel: the vector width of a CPU, so that it reads memory in order, or enough
-// to occupy a GPU.
+// to occupy a GPU. DEVICE_ROUNDS: the device rounds divisions correctly, as CPUs do.
 //
-// variant pixel: SQUARE=0 CROP=0 LAYERED=0 LANES=64
-// variant pixel_crop: SQUARE=0 CROP=1 LAYERED=0 LANES=64
-// variant layered: SQUARE=0 CROP=0 LAYERED=1 LANES=64
-// variant layered_crop: SQUARE=0 CROP=1 LAYERED=1 LANES=64
-// variant square: SQUARE=1 CROP=1 LAYERED=1 LANES=64
-// variant pixel_narrow: SQUARE=0 CROP=0 LAYERED=0 LANES=8
-// variant pixel_crop_narrow: SQUARE=0 CROP=1 LAYERED=0 LANES=8
-// variant layered_narrow: SQUARE=0 CROP=0 LAYERED=1 LANES=8
-// variant layered_crop_narrow: SQUARE=0 CROP=1 LAYERED=1 LANES=8
+// variant pixel: SQUARE=0 CROP=0 LAYERED=0 LANES=64 DEVICE_ROUNDS=0
+// variant pixel_crop: SQUARE=0 CROP=1 LAYERED=0 LANES=64 DEVICE_ROUNDS=0
+// variant layered: SQUARE=0 CROP=0 LAYERED=1 LANES=64 DEVICE_ROUNDS=0
+// variant layered_crop: SQUARE=0 CROP=1 LAYERED=1 LANES=64 DEVICE_ROUNDS=0
+// variant square: SQUARE=1 CROP=1 LAYERED=1 LANES=64 DEVICE_ROUNDS=0
+// variant pixel_narrow: SQUARE=0 CROP=0 LAYERED=0 LANES=8 DEVICE_ROUNDS=1
+// variant pixel_crop_narrow: SQUARE=0 CROP=1 LAYERED=0 LANES=8 DEVICE_ROUNDS=1
+// variant layered_narrow: SQUARE=0 CROP=0 LAYERED=1 LANES=8 DEVICE_ROUNDS=1
+// variant layered_crop_narrow: SQUARE=0 CROP=1 LAYERED=1 LANES=8 DEVICE_ROUNDS=1
 
 override SQUARE: bool;
 override CROP: bool;
 override LAYERED: bool;
 override LANES: u32;
+override DEVICE_ROUNDS: bool;
 
 const Z_NEAR_M = 1e-5;
 const GROUPS_PER_ROW = 32768u;
@@ -89,6 +90,15 @@ fn dot_row(row: vec4<f32>, p: vec3<f32>) -> f32 {
     return row.x * p.x + row.y * p.y + row.z * p.z + row.w;
 }
 
+// include common/quotient.wgsl
+
+fn pixel(a: f32, b: f32) -> f32 {
+    if DEVICE_ROUNDS {
+        return floor(a / b);
+    }
+    return floor_quotient(a, b);
+}
+
 fn put(layers: u32, at: u32, key: u64) {
     if LAYERED {
         if (layers & 1u) != 0u {
@@ -141,8 +151,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
             let crop_y = dot_row(draw.crop_y, p);
             drawn = drawn && abs(crop_x) <= draw.crop_radius_m && abs(crop_y) <= draw.crop_radius_m;
         }
-        let x = floor(dot_row(draw.image_x, p) / z);
-        let y = floor(dot_row(draw.image_y, p) / z) - band.first_row;
+        let x = pixel(dot_row(draw.image_x, p), z);
+        let y = pixel(dot_row(draw.image_y, p), z) - band.first_row;
         var radius = i32(frame.pad);
         if SQUARE {
             radius = radius_at(z);

@@ -1,5 +1,5 @@
 #version 450
-// Projects one point to a square of pixels, with the operations of `project` in src/raster/cpu.rs in the same order.
+// Projects one point to a square of pixels, with the operations of `project` in src/raster/reference.rs in the same order.
 
 const float Z_NEAR_M = 1e-5;
 const float DEPTH_FROM_M = 1.0 / 1073741824.0; // 2^-30, exact
@@ -36,6 +36,25 @@ float dot_row(vec4 row, vec3 p) {
     return row.x * p.x + row.y * p.y + row.z * p.z + row.w;
 }
 
+// As in common/quotient.wgsl.
+float floor_quotient(float a, float b) {
+    float quotient = a / b;
+    float whole = roundEven(quotient);
+    if (whole == 0.0 || abs(quotient - whole) > 1e-6 * abs(quotient)) {
+        return floor(quotient);
+    }
+    float whole_high = uintBitsToFloat(floatBitsToUint(whole) & 0xfffff000u);
+    float whole_low = whole - whole_high;
+    float b_high = uintBitsToFloat(floatBitsToUint(b) & 0xfffff000u);
+    float b_low = b - b_high;
+    float product = whole * b;
+    float lost = ((whole_high * b_high - product) + whole_low * b_high + whole_high * b_low) + whole_low * b_low;
+    float residual = (a - product) - lost;
+    uint toward_zero = whole > 0.0 ? 0xffffffffu : 1u;
+    float below = uintBitsToFloat(floatBitsToUint(whole) + toward_zero);
+    return residual > -0.5 * (whole - below) * b ? whole : whole - 1.0;
+}
+
 void main() {
     // Discarded points are placed outside the clip volume.
     gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
@@ -55,7 +74,7 @@ void main() {
     float crop_y = dot_row(push.crop_y, position);
     bool in_crop = abs(crop_x) <= push.crop_radius_m && abs(crop_y) <= push.crop_radius_m;
 
-    vec2 center = vec2(floor(dot_row(push.image_x, position) / z), floor(dot_row(push.image_y, position) / z));
+    vec2 center = vec2(floor_quotient(dot_row(push.image_x, position), z), floor_quotient(dot_row(push.image_y, position), z));
     vec2 at = center - frame.tile_origin;
     float reach = float(radius);
     bool reaches = at.x >= -reach && at.x < frame.tile_size.x + reach && at.y >= -reach && at.y < frame.tile_size.y + reach;

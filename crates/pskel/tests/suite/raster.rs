@@ -8,5 +8,6 @@ mod device;
 mod exact;
 mod fixture;
 mod frames;
+mod quotient;
 mod random;
 pub(crate) mod twins;

@@ -11,7 +11,7 @@ use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, state_of_f
 use point_skeleton::skeleton::BuildOptions;
 
 use crate::common::{shared, skeleton_of};
-use crate::raster::twins::{Division, allowed_share, rasterizers, with_device};
+use crate::raster::twins::{Division, rasterizers, with_device};
 
 /// Compares every pixel of every map of two frames.
 fn differing(a: &FrameMaps<'_>, b: &FrameMaps<'_>) -> [usize; 2] {
@@ -72,8 +72,7 @@ fn all_rasterizers_draw_a_real_frame_alike() {
                 rasterizer.begin(&job).unwrap();
                 let [count, pixels] = differing(&expected, &rasterizer.finish().unwrap());
                 let name = rasterizer.info().rasterizer;
-                let share = allowed_share(rasterizer.as_ref(), 1e-5);
-                assert!(count as f64 <= share * pixels as f64, "{name}: {count} of {pixels} differ");
+                assert_eq!(count, 0, "{name}: {count} of {pixels} differ");
             }
         }
     });

@@ -75,7 +75,7 @@ fn skipping_hidden_points_changes_nothing() {
             let expected = splat(&mut reference, &schedule, &view, &instances);
             for rasterizer in &mut all {
                 let found = splat(rasterizer, &schedule, &view, &instances);
-                assert_same(&expected, &found, 0.0, &format!("{text} {turn_deg} {shift_m}"));
+                assert_same(&expected, &found, &format!("{text} {turn_deg} {shift_m}"));
             }
         }
     }

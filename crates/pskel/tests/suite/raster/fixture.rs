@@ -131,9 +131,8 @@ fn fixture_maps_are_the_references() {
         for mut rasterizer in rasterizers(&device, &clouds, Division::default()) {
             let maps = draw(&fixture, rasterizer.as_mut());
             println!("{} {:?}", rasterizer.info().rasterizer, rasterizer.take_stages().0);
-            let share = super::twins::allowed_share(rasterizer.as_ref(), 1e-5);
             for (a, b) in cpu.iter().flatten().zip(maps.iter().flatten()) {
-                assert_same(a, b, share, rasterizer.info().rasterizer);
+                assert_same(a, b, rasterizer.info().rasterizer);
             }
         }
     });

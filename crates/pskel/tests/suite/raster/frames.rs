@@ -14,8 +14,8 @@ use point_skeleton::raster::{
 };
 use proptest::prelude::*;
 
-use super::random::{ON_BORDERS, Random, random_cloud, random_instances, random_schedule, random_view};
-use super::twins::{self, Division, allowed_share, rasterizers, with_compute_device, with_device};
+use super::random::{Random, random_cloud, random_instances, random_schedule, random_view};
+use super::twins::{self, Division, rasterizers, with_compute_device, with_device};
 
 /// Content of a random frame.
 struct Scene {
@@ -118,11 +118,11 @@ fn differing(a: &ViewMaps<'_>, b: &ViewMaps<'_>) -> usize {
         .max(count(&a.point, &b.point))
 }
 
-fn assert_same(expected: &[ViewMaps<'_>], found: &[ViewMaps<'_>], share: f64, what: &str) {
+fn assert_same(expected: &[ViewMaps<'_>], found: &[ViewMaps<'_>], what: &str) {
     assert_eq!(expected.len(), found.len(), "{what}");
     for (view, (a, b)) in expected.iter().zip(found).enumerate() {
         let (count, pixels) = (differing(a, b), a.size.pixels());
-        assert!(count as f64 <= share * pixels as f64, "{what}: {count} of {pixels} differ in view {view}");
+        assert_eq!(count, 0, "{what}: {count} of {pixels} differ in view {view}");
     }
 }
 
@@ -160,8 +160,7 @@ fn compare_scene(
                     job.occlusion,
                     job.out_size,
                 );
-                let share = allowed_share(rasterizer.as_ref(), ON_BORDERS);
-                assert_same(&expected, &frame(rasterizer.as_mut(), &job), share, &what);
+                assert_same(&expected, &frame(rasterizer.as_mut(), &job), &what);
                 spread += usize::from(rasterizer.take_stages().0.contains_key("spread"));
             }
             scene.change(random);
@@ -255,10 +254,10 @@ fn frames_in_flight_come_in_order() {
             let alone =
                 SplatJob { view: &reduced.views[0], schedule, instances, crop, maps: MapSet::SPLATTED };
             let (a, b) = (cpu.splat(&alone).unwrap(), rasterizer.splat(&alone).unwrap());
-            twins::assert_same(&a, &b, allowed_share(&rasterizer, ON_BORDERS), "at once");
+            twins::assert_same(&a, &b, "at once");
             for expected in &expected {
                 let found: Vec<_> = rasterizer.finish().unwrap().into_iter().map(owned).collect();
-                assert_same(expected, &found, allowed_share(&rasterizer, ON_BORDERS), "in flight");
+                assert_same(expected, &found, "in flight");
             }
         }
     });
@@ -325,6 +324,6 @@ fn positions_beyond_the_allowed_memory_are_streamed() {
         let (streamed, found) = streams(Some(chunks * 4096 * 4 + 5 * 4096 * 16));
         assert_eq!((resident, streamed), (false, true));
         assert!(expected.iter().any(|view| view.point.iter().any(|p| *p > 0)));
-        assert_same(&expected, &found, 0.0, "streamed");
+        assert_same(&expected, &found, "streamed");
     });
 }

@@ -9,11 +9,7 @@ use point_skeleton::raster::{
     SplatSchedule, SplatStep,
 };
 
-use super::twins::{Division, allowed_share, assert_same, rasterizers, with_device};
-
-/// Allowed share of differing pixels. Many of these points are on pixel borders, where another rounding of a division
-/// selects another pixel.
-pub(crate) const ON_BORDERS: f64 = 2e-2;
+use super::twins::{Division, assert_same, rasterizers, with_device};
 
 /// SplitMix64 (Steele, Lea, Flood 2014): the same numbers for the same seed on every platform.
 pub(crate) struct Random(pub(crate) u64);
@@ -141,7 +137,7 @@ fn compare_random_splats(seed: u64, sizes: &[u64], division: Division) {
                 let found = rasterizer.splat(&job).unwrap();
                 let name = rasterizer.info().rasterizer;
                 let what = format!("{name} seed {seed} round {round} {schedule} {division:?}");
-                assert_same(&expected, &found, allowed_share(rasterizer.as_ref(), ON_BORDERS), &what);
+                assert_same(&expected, &found, &what);
             }
         }
     });

@@ -9,7 +9,7 @@ use point_skeleton::gpu::{Device, DeviceDesc};
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{
     CloudSet, ComputeRasterizer, ComputeRasterizerDesc, CpuRasterizer, CpuRasterizerDesc, GraphicsRasterizer,
-    GraphicsRasterizerDesc, Instance, MapSet, Rasterizer, RasterizerInfo, SplatJob, SplatMaps, SplatSchedule,
+    GraphicsRasterizerDesc, Instance, MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule,
 };
 
 use crate::common::skip;
@@ -31,11 +31,8 @@ pub(crate) struct Division {
     pub(crate) compute: ComputeRasterizerDesc,
 }
 
-/// Name of Mesa's lavapipe, which supports all rasterizers and rounds as the CPU does.
+/// Name of Mesa's lavapipe, which supports all rasterizers.
 const LAVAPIPE: &str = "llvmpipe";
-
-/// Name of the driver that comes with Chromium, which rounds as the CPU does.
-const SWIFTSHADER: &str = "SwiftShader";
 
 /// Runs a test with a device that supports `compute`; skips it on other devices.
 pub(crate) fn with_compute_device(test: impl FnOnce(Arc<Device>)) {
@@ -69,17 +66,6 @@ pub(crate) fn rasterizers<'a>(
     all
 }
 
-/// Returns the share of pixels that may differ: none on drivers that round as the CPU does, `elsewhere` on others,
-/// since Vulkan allows a division error of 2.5 units in the last place.
-pub(crate) fn allowed_share(rasterizer: &dyn Rasterizer, elsewhere: f64) -> f64 {
-    let RasterizerInfo { rasterizer, device, .. } = rasterizer.info();
-    if rasterizer == "cpu" || [LAVAPIPE, SWIFTSHADER].iter().any(|name| device.contains(name)) {
-        0.0
-    } else {
-        elsewhere
-    }
-}
-
 /// Returns how many pixels differ in any plane. Maps of different sizes or planes differ everywhere.
 pub(crate) fn differing(a: &SplatMaps, b: &SplatMaps) -> usize {
     let lengths = |m: &SplatMaps| {
@@ -106,10 +92,10 @@ pub(crate) fn differing(a: &SplatMaps, b: &SplatMaps) -> usize {
     (0..pixels).filter(differs).count()
 }
 
-/// Fails if two rasterizers differ on more than a share of the pixels.
-pub(crate) fn assert_same(a: &SplatMaps, b: &SplatMaps, share: f64, what: &str) {
-    let (pixels, count) = (f64::from(a.width) * f64::from(a.height), differing(a, b));
-    assert!(count as f64 <= share * pixels, "{what}: {count} of {pixels} pixels differ");
+/// Fails if two rasterizers differ on any pixel.
+pub(crate) fn assert_same(a: &SplatMaps, b: &SplatMaps, what: &str) {
+    let count = differing(a, b);
+    assert_eq!(count, 0, "{what}: {count} of {}x{} pixels differ", a.width, a.height);
 }
 
 /// Input of a hand-computed case: one cloud per entry, all at the origin, and a camera at the origin.
@@ -153,7 +139,7 @@ impl Case {
         with_device(|device| {
             for mut rasterizer in rasterizers(&device, &clouds, Division::default()) {
                 let found = rasterizer.splat(&job).unwrap();
-                assert_same(&expected, &found, 0.0, rasterizer.info().rasterizer);
+                assert_same(&expected, &found, rasterizer.info().rasterizer);
             }
         });
         expected
@@ -179,7 +165,7 @@ fn the_comparator_sees_each_plane() {
     let failed = std::panic::catch_unwind(|| {
         let mut other = maps.clone();
         other.point[0] = 7;
-        assert_same(&maps, &other, 1e-5, "one pixel");
+        assert_same(&maps, &other, "one pixel");
     });
     assert!(failed.is_err());
 }
