@@ -109,6 +109,9 @@ pub(super) struct BatchPlan {
     pub(super) pixels: usize,
 }
 
+/// Jobs per thread for the tests of bounds.
+const JOBS_PER_THREAD: usize = 4;
+
 impl BatchPlan {
     pub(super) fn new(
         job: &FrameJob<'_>,
@@ -134,7 +137,9 @@ impl BatchPlan {
             let chunks = joined(&seen_blocks(&clouds[instance.cloud], &draw, shown, pad, z_far_m));
             (ProjectDraw::new(&draw, band as u32, numbered.layered.layers), instance.cloud as u32, chunks)
         };
-        let seen: Vec<_> = pairs.par_iter().with_min_len(16).map(seen).collect();
+        // Clouds differ in size: several jobs per thread, but not one for each of hundreds of small actors.
+        let each = pairs.len().div_ceil(JOBS_PER_THREAD * rayon::current_num_threads());
+        let seen: Vec<_> = pairs.par_iter().with_min_len(each).map(seen).collect();
         for (draw, cloud, chunks) in seen.into_iter().filter(|(_, _, chunks)| !chunks.is_empty()) {
             let index = plan.draws.len() as u32;
             plan.draws.push(draw);
