@@ -64,6 +64,8 @@ impl<T: Pod> DerefMut for HugeSlice<T> {
 /// Lets the processor load a value into its cache while it works on something else.
 #[inline(always)]
 pub(super) fn prefetch<T>(value: &T) {
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = value;
     #[cfg(target_arch = "x86_64")]
     if let Some(sse) = pulp::core_arch::x86::Sse::try_new() {
         for offset in (0..size_of::<T>()).step_by(64) {
