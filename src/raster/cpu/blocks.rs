@@ -12,7 +12,7 @@ use super::project::{Cells, Projection};
 use super::window::{Layer, Window};
 
 /// Groups that are loaded before they are drawn.
-const GROUPS_AHEAD: usize = 3;
+const GROUPS_AHEAD: usize = 2;
 
 /// Bit mask of the groups of a block.
 pub(super) type GroupMask = u16;

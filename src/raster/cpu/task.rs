@@ -100,7 +100,8 @@ impl Task<'_> {
             let footprints = Footprints::new(&draw, numbered.cloud.reach_m, z_far_m);
             draws.push(StripDraw { numbered, projection, footprints });
         }
-        items.sort_unstable_by(|a, b| a.nearest_m.total_cmp(&b.nearest_m));
+        // The bits of depths that are not negative are ordered like their values.
+        items.sort_unstable_by_key(|item| item.nearest_m.to_bits());
         (draws, items)
     }
 
