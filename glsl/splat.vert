@@ -50,8 +50,8 @@ float floor_quotient(float a, float b) {
     float product = whole * b;
     float lost = ((whole_high * b_high - product) + whole_low * b_high + whole_high * b_low) + whole_low * b_low;
     float residual = (a - product) - lost;
-    uint toward_zero = whole > 0.0 ? 0xffffffffu : 1u;
-    float below = uintBitsToFloat(floatBitsToUint(whole) + toward_zero);
+    uint downward = whole > 0.0 ? 0xffffffffu : 1u;
+    float below = uintBitsToFloat(floatBitsToUint(whole) + downward);
     return residual > -0.5 * (whole - below) * b ? whole : whole - 1.0;
 }
 

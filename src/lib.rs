@@ -42,6 +42,7 @@ pub mod scene;
 pub mod sequence;
 pub mod skeleton;
 
+mod bits;
 mod log;
 mod maps;
 mod renderer;

@@ -18,7 +18,7 @@ fn floor_quotient(a: f32, b: f32) -> f32 {
     let residual = (a - product) - lost;
     // The quotient rounds to the whole number from half of the distance to the float below it. No quotient of floats
     // lies exactly halfway.
-    let toward_zero = select(1u, 0xffffffffu, whole > 0.0);
-    let below = bitcast<f32>(bitcast<u32>(whole) + toward_zero);
+    let downward = select(1u, 0xffffffffu, whole > 0.0);
+    let below = bitcast<f32>(bitcast<u32>(whole) + downward);
     return select(whole - 1.0, whole, residual > -0.5 * (whole - below) * b);
 }

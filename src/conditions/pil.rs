@@ -9,6 +9,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::bits::Ones;
 use crate::geometry::ImageSize;
 
 /// Fraction bits of Pillow's weights.
@@ -112,11 +113,7 @@ impl Columns {
     /// Visits all columns in ascending order.
     fn each(&self, mut each: impl FnMut(usize)) {
         for (index, word) in self.0.iter().enumerate() {
-            let mut word = *word;
-            while word != 0 {
-                each(index * u64::BITS as usize + word.trailing_zeros() as usize);
-                word &= word - 1;
-            }
+            Ones(*word).for_each(|bit| each(index * u64::BITS as usize + bit));
         }
     }
 }

@@ -36,7 +36,7 @@ pub(super) struct GroupExtents {
     center: [[f64; GROUP]; 3],
     half: [[f64; GROUP]; 3],
     /// Bit mask of the blocks that have points that may be drawn.
-    drawn: u64,
+    pub(super) drawn: u64,
 }
 
 impl GroupExtents {
@@ -54,31 +54,11 @@ impl GroupExtents {
         group
     }
 
-    /// Returns the bounds of a block; `None` if none of its points is ever drawn.
-    pub(super) fn block(&self, block: usize) -> Option<Extent> {
-        let at = |sides: &[[f64; GROUP]; 3]| [0, 1, 2].map(|axis| sides[axis][block]);
-        (self.drawn >> block & 1 == 1).then(|| Extent { center: at(&self.center), half: at(&self.half) })
-    }
-
-    /// Returns the blocks with points that a half-space `normal · p + offset >= 0` of each of the planes may contain,
-    /// given the relative rounding error of `f32`: a bit mask.
+    /// Returns the bounds of a block; of no use if none of its points is ever drawn.
     #[inline(always)]
-    #[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
-    pub(super) fn touching(&self, planes: &[[f64; 4]], rounding: f64) -> u64 {
-        let ([x, y, z], [dx, dy, dz]) = (&self.center, &self.half);
-        // The minimum of a number and NaN is the number: what is not a number touches.
-        let mut least = [0.0_f64; GROUP];
-        for [a, b, c, offset] in planes {
-            let [aa, bb, cc] = [a.abs(), b.abs(), c.abs()];
-            for i in 0..GROUP {
-                let middle = offset + a * x[i] + b * y[i] + c * z[i];
-                let reach = aa * dx[i] + bb * dy[i] + cc * dz[i];
-                let size = offset.abs() + aa * x[i].abs() + bb * y[i].abs() + cc * z[i].abs();
-                let most = middle + (reach + rounding * (size + reach));
-                least[i] = if most < least[i] { most } else { least[i] };
-            }
-        }
-        (0..GROUP).fold(self.drawn, |touching, i| touching & !(u64::from(least[i] < 0.0) << i))
+    pub(super) fn block(&self, block: usize) -> Extent {
+        let at = |sides: &[[f64; GROUP]; 3]| [sides[0][block], sides[1][block], sides[2][block]];
+        Extent { center: at(&self.center), half: at(&self.half) }
     }
 }
 
@@ -183,14 +163,14 @@ mod tests {
             let mut row = vec![[0; 4]; CHUNK];
             cloud.write_row(chunk, &mut row);
             for (i, [x, _, _, index]) in row[..cloud.count(chunk) as usize].iter().enumerate() {
-                let extent = cloud.groups[0].block((chunk * CHUNK + i) / CULL_BLOCK).unwrap();
+                let extent = cloud.groups[0].block((chunk * CHUNK + i) / CULL_BLOCK);
                 seen[*index as usize] += 1;
                 assert_eq!(f32::from_bits(*x), points[*index as usize].position[0]);
                 assert!((f64::from(f32::from_bits(*x)) - extent.center[0]).abs() <= extent.half[0]);
             }
         }
         assert!(seen.iter().all(|n| *n == 1));
-        let widths: f64 = (0..10).map(|block| 2.0 * cloud.groups[0].block(block).unwrap().half[0]).sum();
+        let widths: f64 = (0..10).map(|block| 2.0 * cloud.groups[0].block(block).half[0]).sum();
         assert!(widths < 66_000.0, "{widths}: chunks of a line share a cell at most");
     }
 
@@ -198,9 +178,9 @@ mod tests {
     fn what_is_not_finite_widens_no_bounds() {
         let points = [point(1.0), point(f32::NAN), point(f32::INFINITY), point(3.0)];
         let cloud = ChunkedCloud::new(&points);
-        let extent = cloud.groups[0].block(0).unwrap();
+        let extent = cloud.groups[0].block(0);
         assert_eq!((extent.center[0], extent.half[0]), (2.0, 1.0));
-        assert!(ChunkedCloud::new(&points[1..3]).groups[0].block(0).is_none());
+        assert!(ChunkedCloud::new(&points[1..3]).groups[0].drawn == 0);
         assert!(ChunkedCloud::new(&[]).groups.is_empty());
         assert_eq!(cloud.colors(2..100).count(), 2);
     }

@@ -3,6 +3,7 @@
 use pulp::{Simd, WithSimd};
 
 use super::chunk::{CHUNK, CULL_BLOCK, ChunkedCloud, Extent, GROUP, GroupExtents};
+use crate::bits::Ones;
 use crate::raster::Draw;
 use crate::raster::schedule::Z_NEAR_M;
 
@@ -36,7 +37,7 @@ const IMAGE_SLACK: f64 = 1.0;
 /// Relative rounding error of `f32`, with a margin.
 const ROUNDING: f64 = 1e-6;
 
-/// [`GroupExtents::touching`] in the widest vectors of the processor.
+/// [`Frustum::touching`] in the widest vectors of the processor.
 struct Touching<'t> {
     group: &'t GroupExtents,
     frustum: &'t Frustum,
@@ -47,7 +48,7 @@ impl WithSimd for Touching<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> u64 {
-        self.group.touching(&self.frustum.planes, ROUNDING)
+        self.frustum.touching(self.group)
     }
 }
 
@@ -77,12 +78,29 @@ impl Frustum {
         Self { planes, crop, depth: z }
     }
 
+    /// Returns the blocks of a group that touch: a bit mask.
+    #[inline(always)]
+    fn touching(&self, group: &GroupExtents) -> u64 {
+        let mut least = [0.0_f64; GROUP];
+        for plane in &self.planes {
+            for (i, least) in least.iter_mut().enumerate() {
+                let most = Self::range(plane, &group.block(i))[1];
+                *least = if most < *least { most } else { *least };
+            }
+        }
+        let outside = |i: usize| u64::from(least[i] < 0.0) << i;
+        (0..GROUP).fold(group.drawn, |touching, i| touching & !outside(i))
+    }
+
     /// Returns the minimum and maximum of `normal · p + offset` over a box, widened by the rounding of `f32`.
+    #[inline(always)]
+    #[allow(clippy::needless_range_loop)] // vectorizes over the boxes of a loop
     fn range(plane: &[f64; 4], extent: &Extent) -> [f64; 2] {
         let (mut middle, mut reach, mut size) = (plane[3], 0.0, plane[3].abs());
-        for ((normal, center), half) in plane.iter().zip(extent.center).zip(extent.half) {
+        for axis in 0..3 {
+            let (normal, center) = (plane[axis], extent.center[axis]);
             middle += normal * center;
-            reach += normal.abs() * half;
+            reach += normal.abs() * extent.half[axis];
             size += normal.abs() * center.abs();
         }
         reach += ROUNDING * (size + reach);
@@ -120,11 +138,8 @@ pub(super) fn seen_blocks(
         if !group.all.as_ref().is_some_and(|e| frustum.touches(e)) {
             continue;
         }
-        let mut touching = pulp::Arch::new().dispatch(Touching { group, frustum: &frustum });
-        while touching != 0 {
-            let block = touching.trailing_zeros() as usize;
-            touching &= touching - 1;
-            let Some(extent) = group.block(block) else { continue };
+        for block in Ones(pulp::Arch::new().dispatch(Touching { group, frustum: &frustum })) {
+            let extent = group.block(block);
             let i = number * GROUP + block;
             let (nearest_m, crop) = (frustum.nearest_m(&extent), frustum.cuts(&extent));
             let (chunk, first) = ((i * CULL_BLOCK / CHUNK) as u32, (i * CULL_BLOCK % CHUNK) as u32);
@@ -183,5 +198,31 @@ mod tests {
             !frustum.cuts(&extent([0.0, 0.0, 10.0], 5.0)) && frustum.cuts(&extent([0.0, 0.0, 29.0], 2.0))
         );
         assert_eq!(frustum.nearest_m(&extent([0.0, 0.0, 0.5], 1.0)), 0.0);
+    }
+
+    /// All blocks of a group at once as one by one; a block without finite points never touches.
+    #[test]
+    fn groups_touch_as_their_blocks_do() {
+        let frustum = frustum();
+        let between =
+            |i: usize, axis: i64| crate::hash::between(5, &[i as i64 / 1024, axis], -40.0, 40.0) as f32;
+        let at = |i: usize| [0, 1, 2].map(|axis| between(i, axis) + (i % 1024) as f32 * 1e-3);
+        let point = |i: usize| {
+            let position = if i / 1024 == 7 { [f32::NAN; 3] } else { at(i) };
+            crate::cloud::Point::new(position, [0; 3], 0)
+        };
+        let points: Vec<crate::cloud::Point> = (0..64 * 1024).map(point).collect();
+        let cloud = ChunkedCloud::new(&points);
+        let mut counts = [0; 2];
+        for group in &cloud.groups {
+            let found = pulp::Arch::new().dispatch(Touching { group, frustum: &frustum });
+            for block in 0..GROUP {
+                let drawn = group.drawn >> block & 1 == 1;
+                let expected = drawn && frustum.touches(&group.block(block));
+                assert_eq!(found >> block & 1 == 1, expected, "{block}");
+                counts[usize::from(expected)] += 1;
+            }
+        }
+        assert!(counts.iter().all(|count| *count > 3), "{counts:?}");
     }
 }

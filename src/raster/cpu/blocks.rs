@@ -10,12 +10,13 @@ use super::numbering::Numbered;
 use super::packed::GROUPS;
 use super::project::{Cells, Projection};
 use super::window::{Layer, Window};
+use crate::bits::Ones;
 
 /// Groups that are loaded before they are drawn.
 const GROUPS_AHEAD: usize = 2;
 
 /// Bit mask of the groups of a block.
-pub(super) type GroupMask = u16;
+pub(super) type GroupMask = u64;
 const _: () = assert!(GROUPS <= GroupMask::BITS as usize);
 
 /// An instance as a strip sees it.
@@ -130,9 +131,9 @@ impl Block<'_> {
             if let Some(later) = ahead.next() {
                 self.prefetch_group(later);
             }
-            let place = self.block * GROUPS + group;
+            let number = self.block * GROUPS + group;
             self.draw.projection.cells(&cloud.positions[self.block].0[group], self.crops, &mut cells);
-            cells.number(first_number, place, cloud.index.get(place));
+            cells.number(first_number, number, cloud.index.get(number));
             for (_, layer) in layers.iter_mut().enumerate().filter(|(i, _)| mask >> i & 1 == 1) {
                 cells.put(layer);
             }
@@ -146,32 +147,5 @@ impl Block<'_> {
         if let Some(index) = cloud.index.get(self.block * GROUPS + group) {
             prefetch(index);
         }
-    }
-}
-
-/// Iterator over the bits that are set, lowest first.
-struct Ones(GroupMask);
-
-impl Iterator for Ones {
-    type Item = usize;
-
-    #[inline(always)]
-    fn next(&mut self) -> Option<usize> {
-        let bit = self.0.trailing_zeros() as usize;
-        (self.0 != 0).then(|| {
-            self.0 &= self.0 - 1;
-            bit
-        })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ones_are_the_bits_that_are_set() {
-        assert_eq!(Ones(0b1000_0000_0010_0001).collect::<Vec<_>>(), [0, 5, 15]);
-        assert_eq!(Ones(0).count(), 0);
     }
 }

@@ -1,41 +1,30 @@
-//! Large arrays in huge pages, where the system has them: random access in pages of 4 KiB waits for the translation of
-//! addresses.
+//! Large arrays in huge pages, where the system has them: random access to gigabytes in pages of 4 KiB waits for the
+//! translation of addresses.
 
-use std::ops::{Deref, DerefMut, Range};
+use std::ops::{Deref, DerefMut};
 
 use bytemuck::Pod;
 use memmap2::MmapMut;
 
 /// A slice in memory of its own.
 pub(super) enum HugeSlice<T> {
-    /// The bytes of the slice in a mapping.
-    Mapped(MmapMut, Range<usize>, std::marker::PhantomData<T>),
-    /// Small slices, and where memory cannot be mapped.
+    Mapped(MmapMut, std::marker::PhantomData<T>),
+    /// Where memory cannot be mapped, and for empty slices.
     Vec(Vec<T>),
 }
-
-/// Size and alignment of a huge page, bytes.
-const HUGE_PAGE: usize = 1 << 21;
-/// Size from which slices get huge pages of their own, bytes.
-const LARGE: usize = HUGE_PAGE / 4;
 
 impl<T: Pod> HugeSlice<T> {
     pub(super) fn zeroed(count: usize) -> Self {
         let bytes = count * size_of::<T>();
-        if bytes < LARGE {
-            return Self::Vec(vec![T::zeroed(); count]);
-        }
-        // Only whole and aligned huge pages are used. Memory is not occupied before it is written.
-        let pages = bytes.next_multiple_of(HUGE_PAGE);
-        match MmapMut::map_anon(pages + HUGE_PAGE) {
-            Ok(memory) => {
-                let first = memory.as_ptr().align_offset(HUGE_PAGE).min(HUGE_PAGE);
+        let mapped = if bytes == 0 { None } else { MmapMut::map_anon(bytes).ok() };
+        match mapped {
+            Some(memory) => {
                 // Systems without huge pages refuse; the memory is as usable then.
                 #[cfg(target_os = "linux")]
-                let _ = memory.advise_range(memmap2::Advice::HugePage, first, pages);
-                Self::Mapped(memory, first..first + bytes, std::marker::PhantomData)
+                let _ = memory.advise(memmap2::Advice::HugePage);
+                Self::Mapped(memory, std::marker::PhantomData)
             }
-            Err(_) => Self::Vec(vec![T::zeroed(); count]),
+            None => Self::Vec(vec![T::zeroed(); count]),
         }
     }
 }
@@ -46,7 +35,7 @@ impl<T: Pod> Deref for HugeSlice<T> {
     #[inline(always)]
     fn deref(&self) -> &[T] {
         match self {
-            Self::Mapped(memory, bytes, _) => bytemuck::cast_slice(&memory[bytes.clone()]),
+            Self::Mapped(memory, _) => bytemuck::cast_slice(memory),
             Self::Vec(values) => values,
         }
     }
@@ -55,7 +44,7 @@ impl<T: Pod> Deref for HugeSlice<T> {
 impl<T: Pod> DerefMut for HugeSlice<T> {
     fn deref_mut(&mut self) -> &mut [T] {
         match self {
-            Self::Mapped(memory, bytes, _) => bytemuck::cast_slice_mut(&mut memory[bytes.clone()]),
+            Self::Mapped(memory, _) => bytemuck::cast_slice_mut(memory),
             Self::Vec(values) => values,
         }
     }
@@ -81,12 +70,10 @@ mod tests {
 
     #[test]
     fn slices_are_zero_and_keep_what_is_written() {
-        for count in [1, 1000, LARGE / 4, 3_000_001] {
-            let mut slice: HugeSlice<u32> = HugeSlice::zeroed(count);
-            assert!(slice.len() == count && slice.iter().all(|value| *value == 0));
-            slice[count - 1] = 7;
-            assert_eq!(slice.iter().sum::<u32>(), 7);
-        }
+        let mut slice: HugeSlice<u32> = HugeSlice::zeroed(3_000_001);
+        assert!(slice.len() == 3_000_001 && slice.iter().all(|value| *value == 0));
+        slice[3_000_000] = 7;
+        assert_eq!(slice.iter().sum::<u32>(), 7);
         assert!(HugeSlice::<[u64; 3]>::zeroed(0).is_empty());
     }
 }

@@ -85,13 +85,18 @@ impl<'c> Numbering<'c> {
     /// Returns color and class of a point.
     #[inline(always)]
     pub(super) fn rgb_class(&self, number: u32) -> u32 {
-        self.colors[self.block(number).color.wrapping_add(number as usize)]
+        *self.color(number)
     }
 
     /// Loads color and class of a point into the cache.
     #[inline(always)]
     pub(super) fn prefetch_rgb_class(&self, number: u32) {
-        prefetch(&self.colors[self.block(number).color.wrapping_add(number as usize)]);
+        prefetch(self.color(number));
+    }
+
+    #[inline(always)]
+    fn color(&self, number: u32) -> &u32 {
+        &self.colors[self.block(number).color.wrapping_add(number as usize)]
     }
 
     /// Returns the instance of a point.

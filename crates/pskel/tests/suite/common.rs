@@ -78,3 +78,10 @@ impl Dataset for WithLog<'_> {
         self.drive.read_image(record)
     }
 }
+
+/// Fails unless the message of a peer's error is short, contains `part` and ends with the peer's address.
+pub(crate) fn assert_tells(error: &impl std::fmt::Display, part: &str, address: &impl std::fmt::Display) {
+    let message = error.to_string();
+    assert!(message.contains(part) && message.ends_with(&address.to_string()), "{message}\nexpected {part}");
+    assert!(message.len() < 600, "{message}");
+}

@@ -15,8 +15,8 @@ fn floor_quotient(a: f32, b: f32, quotient: f32) -> f32 {
     let lost =
         ((whole_high * b_high - product) + whole_low * b_high + whole_high * b_low) + whole_low * b_low;
     let residual = (a - product) - lost;
-    let toward_zero = if whole > 0.0 { u32::MAX } else { 1 };
-    let below = f32::from_bits(whole.to_bits().wrapping_add(toward_zero));
+    let downward = if whole > 0.0 { u32::MAX } else { 1 };
+    let below = f32::from_bits(whole.to_bits().wrapping_add(downward));
     if residual > -0.5 * (whole - below) * b { whole } else { whole - 1.0 }
 }
 
