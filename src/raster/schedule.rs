@@ -80,6 +80,11 @@ impl SplatSchedule {
         self.0.last().map_or(0.0, |s| s.z_max_m)
     }
 
+    /// Returns the depth up to which points have at least some radius, meters; 0 if none has.
+    pub(super) fn reach_m(&self, radius: u32) -> f32 {
+        self.0.iter().rev().find(|step| step.radius >= radius).map_or(0.0, |step| step.z_max_m)
+    }
+
     /// Returns the radius at camera depth `z` in meters; `None` if the point is not drawn (also for NaN).
     pub fn radius_at(&self, z: f32) -> Option<u32> {
         if z > Z_NEAR_M { self.0.iter().find(|s| z <= s.z_max_m).map(|s| s.radius) } else { None }

@@ -4,16 +4,19 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::hidden::{Footprint, Footprints, GroupFootprints};
+use super::footprint::{Footprint, FootprintLanes, Footprints};
 use super::memory::prefetch;
 use super::numbering::Numbered;
-use super::packed::GROUPS;
+use super::packed::{BoundsLanes, GROUP, GROUPS};
 use super::project::{Cells, Projection};
 use super::window::{Layer, Window};
 use crate::bits::Ones;
 
 /// Groups that are loaded before they are drawn.
 const GROUPS_AHEAD: usize = 2;
+
+/// Footprints of more cells per point are not tested cell by cell: that costs more than drawing their points.
+const CELLS_PER_POINT: usize = 2;
 
 /// Bit mask of the groups of a block.
 pub(super) type GroupMask = u64;
@@ -36,6 +39,21 @@ pub(super) struct Block<'b> {
     pub(super) crops: bool,
 }
 
+/// [`Footprints::of`] in the widest vectors of the processor.
+struct Project<'p> {
+    footprints: &'p Footprints,
+    bounds: &'p BoundsLanes,
+}
+
+/// [`Block::is_hidden`] in the widest vectors of the processor.
+struct IsHidden<'h> {
+    block: Block<'h>,
+    footprint: &'h Footprint,
+    radius: u32,
+    window: &'h Window,
+    layers: &'h mut [Layer],
+}
+
 /// [`Block::visible`] in the widest vectors of the processor.
 struct Visible<'v> {
     block: Block<'v>,
@@ -49,6 +67,24 @@ struct DrawGroups<'d> {
     block: Block<'d>,
     groups: GroupMask,
     layers: &'d mut [Layer],
+}
+
+impl WithSimd for Project<'_> {
+    type Output = FootprintLanes;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> FootprintLanes {
+        self.footprints.of(self.bounds)
+    }
+}
+
+impl WithSimd for IsHidden<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> bool {
+        self.block.hidden(self.footprint, self.radius, self.window, self.layers)
+    }
 }
 
 impl WithSimd for Visible<'_> {
@@ -69,7 +105,26 @@ impl WithSimd for DrawGroups<'_> {
     }
 }
 
+impl StripDraw<'_> {
+    /// Returns the footprints of blocks of the draw's cloud, [`LANES`](super::packed::LANES) at a time.
+    pub(super) fn footprints(&self, lanes: usize) -> FootprintLanes {
+        let bounds = &self.numbered.cloud.blocks[lanes];
+        pulp::Arch::new().dispatch(Project { footprints: &self.footprints, bounds })
+    }
+}
+
 impl Block<'_> {
+    /// Returns whether what is drawn hides all points. `radius`: of the nearest.
+    pub(super) fn is_hidden(
+        self,
+        footprint: &Footprint,
+        radius: u32,
+        window: &Window,
+        layers: &mut [Layer],
+    ) -> bool {
+        pulp::Arch::new().dispatch(IsHidden { block: self, footprint, radius, window, layers })
+    }
+
     /// Loads what [`Self::visible`] reads into the cache.
     pub(super) fn prefetch(self) {
         prefetch(&self.draw.numbered.cloud.bounds[self.block]);
@@ -85,40 +140,37 @@ impl Block<'_> {
         pulp::Arch::new().dispatch(DrawGroups { block: self, groups, layers });
     }
 
-    #[inline(always)]
-    fn visible_groups(self, window: &Window, layers: &[Layer], culls: bool) -> GroupMask {
-        let mut footprints = GroupFootprints::default();
-        self.draw.footprints.of_block(&self.draw.numbered.cloud.bounds[self.block], &mut footprints);
-        let mut groups: GroupMask = 0;
-        if self.is_hidden(&footprints.block(), window, layers, culls) {
-            return groups;
-        }
-        for group in 0..GROUPS {
-            if self.is_hidden(&footprints.group(group), window, layers, culls) {
-                continue;
-            }
-            if groups.count_ones() < GROUPS_AHEAD as u32 {
-                self.prefetch_group(group);
-            }
-            groups |= 1 << group;
-        }
-        groups
-    }
-
-    /// Returns whether a footprint misses the window or, if it `culls`, is hidden in all layers of the draw.
     // Loops instead of closures, which would not be compiled for the vectors of the caller.
     #[inline(always)]
-    fn is_hidden(self, footprint: &Footprint, window: &Window, layers: &[Layer], culls: bool) -> bool {
-        if footprint.misses(window) {
-            return true;
-        }
-        for (i, layer) in layers.iter().enumerate() {
+    fn hidden(self, footprint: &Footprint, radius: u32, window: &Window, layers: &mut [Layer]) -> bool {
+        let small = footprint.cells() <= CELLS_PER_POINT * GROUP * GROUPS;
+        for (i, layer) in layers.iter_mut().enumerate() {
             let own = self.draw.numbered.layers >> i & 1 == 1;
-            if own && !(culls && footprint.is_hidden(layer, window)) {
+            if own && !layer.covers(footprint, radius, window) && !(small && layer.hides(footprint, window)) {
                 return false;
             }
         }
         true
+    }
+
+    #[inline(always)]
+    fn visible_groups(self, window: &Window, layers: &[Layer], culls: bool) -> GroupMask {
+        let lanes = self.draw.footprints.of(&self.draw.numbered.cloud.bounds[self.block]);
+        let mut groups = lanes.drawn();
+        let tested = if culls { groups & lanes.within(CELLS_PER_POINT * GROUP) } else { 0 };
+        for group in Ones(tested) {
+            let footprint = lanes.lane(group);
+            let mut hidden = true;
+            for (i, layer) in layers.iter().enumerate() {
+                let own = self.draw.numbered.layers >> i & 1 == 1;
+                hidden = hidden && (!own || layer.hides(&footprint, window));
+            }
+            groups &= !(GroupMask::from(hidden) << group);
+        }
+        for group in Ones(groups).take(GROUPS_AHEAD) {
+            self.prefetch_group(group);
+        }
+        groups
     }
 
     #[inline(always)]

@@ -1,166 +1,140 @@
-//! Footprints of groups of points, and which of them are hidden.
+//! What is already drawn hides points: exact occlusion culling.
 //!
-//! A footprint is a rectangle of cells and a depth: every point of the group falls into the rectangle, or outside the
-//! window, and is not nearer. It is hidden if every cell of the rectangle already has a nearer point: then none of its
-//! points would be drawn. Bounds are widened by more than the rounding errors of the projection.
+//! Points are hidden if something nearer than all of them was drawn wherever they may be seen. There are two tests: whether
+//! each cell of their footprint has a nearer point, whose square covers theirs; and whether each pixel that their squares
+//! may reach is covered by the square of some nearer point, tile by tile.
 
-use super::packed::{BlockBounds, GROUP, GROUPS};
-use super::window::{Layer, Window, depth_m};
-use crate::raster::Draw;
-use crate::raster::schedule::Z_NEAR_M;
+use super::footprint::Footprint;
+use super::window::{Layer, TILE, Window, depth_m};
 
-/// Relative rounding error of a projected coordinate, with a margin: four products, three sums, 2⁻²⁴ each.
-const ROUNDING: f32 = 2e-6;
-/// Absolute margin of pixel coordinates.
-const PIXEL_MARGIN: f32 = 2e-3;
-/// Depth below which a footprint is not computed, meters.
-const MIN_DEPTH_M: f32 = 0.05;
-/// Rectangles of more cells per point are never hidden: testing them costs more than drawing their points.
-const CELLS_PER_POINT: usize = 2;
-
-/// Footprints of the groups of a draw.
-pub(super) struct Footprints {
-    image: [[f32; 4]; 3],
-    z_far_m: f32,
-    /// Rounding errors of the three rows of the projection.
-    error: [f32; 3],
-}
-
-/// Footprints of the groups of a block.
-#[derive(Default)]
-pub(super) struct GroupFootprints {
-    /// Lower bound of depths, meters; NaN if there are no points.
-    nearest_m: [f32; GROUPS],
-    /// First and last column and row: floored pixel coordinates.
-    left: [f32; GROUPS],
-    right: [f32; GROUPS],
-    top: [f32; GROUPS],
-    bottom: [f32; GROUPS],
-}
-
-/// A rectangle of floored pixel coordinates, and a depth: of the points of a group or a block.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Footprint {
-    pub(super) nearest_m: f32,
-    /// First and last column.
-    columns: [f32; 2],
-    /// First and last row.
-    rows: [f32; 2],
-    points: usize,
-}
-
-impl Footprints {
-    /// `reach_m`: maximum absolute coordinates of the draw's points.
-    pub(super) fn new(draw: &Draw, reach_m: [f32; 3], z_far_m: f32) -> Self {
-        let size = |row: &[f32; 4]| (0..3).map(|i| row[i].abs() * reach_m[i]).sum::<f32>() + row[3].abs();
-        let error = draw.image_from_local.each_ref().map(|row| ROUNDING * size(row));
-        Self { image: draw.image_from_local, z_far_m, error }
-    }
-
-    /// Computes the footprints of the groups of a block.
-    #[inline(always)]
-    #[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
-    pub(super) fn of_block(&self, bounds: &BlockBounds, groups: &mut GroupFootprints) {
-        let [x0, y0, z0, x1, y1, z1] = &bounds.0;
-        let [u, v, w] = self.image;
-        for i in 0..GROUPS {
-            let center = [(x0[i] + x1[i]) * 0.5, (y0[i] + y1[i]) * 0.5, (z0[i] + z1[i]) * 0.5];
-            let half = [(x1[i] - x0[i]) * 0.5, (y1[i] - y0[i]) * 0.5, (z1[i] - z0[i]) * 0.5];
-            let at = |row: &[f32; 4]| row[0] * center[0] + row[1] * center[1] + row[2] * center[2] + row[3];
-            let spread = |a: f32, b: f32, c: f32| a.abs() * half[0] + b.abs() * half[1] + c.abs() * half[2];
-            let depth_m = at(&w);
-            let nearest_m = depth_m - spread(w[0], w[1], w[2]) - self.error[2];
-            let farthest_m = depth_m + spread(w[0], w[1], w[2]) + self.error[2];
-            // A pixel coordinate minus that of the center is linear in the point, divided by its depth.
-            let across = at(&u) / depth_m;
-            let reach = spread(u[0] - across * w[0], u[1] - across * w[1], u[2] - across * w[2]);
-            let reach =
-                (reach + 2.0 * (self.error[0] + across.abs() * self.error[2])) / nearest_m + PIXEL_MARGIN;
-            let (left, right) = ((across - reach).floor(), (across + reach).floor());
-            let down = at(&v) / depth_m;
-            let reach = spread(v[0] - down * w[0], v[1] - down * w[1], v[2] - down * w[2]);
-            let reach =
-                (reach + 2.0 * (self.error[1] + down.abs() * self.error[2])) / nearest_m + PIXEL_MARGIN;
-            let (top, bottom) = ((down - reach).floor(), (down + reach).floor());
-            // Written so that a group without points, whose bounds are NaN, is not near.
-            let near = nearest_m < MIN_DEPTH_M;
-            let outside = (farthest_m < Z_NEAR_M) | (nearest_m > self.z_far_m);
-            let everywhere = if near { f32::INFINITY } else { 0.0 };
-            groups.nearest_m[i] = if outside { f32::NAN } else { nearest_m };
-            groups.left[i] = if near { -everywhere } else { left };
-            groups.right[i] = if near { everywhere } else { right };
-            groups.top[i] = if near { -everywhere } else { top };
-            groups.bottom[i] = if near { everywhere } else { bottom };
-        }
-    }
-}
-
-impl GroupFootprints {
-    /// Returns the footprint of a group.
-    #[inline(always)]
-    pub(super) fn group(&self, group: usize) -> Footprint {
-        Footprint {
-            nearest_m: self.nearest_m[group],
-            columns: [self.left[group], self.right[group]],
-            rows: [self.top[group], self.bottom[group]],
-            points: GROUP,
-        }
-    }
-
-    /// Returns the footprint of all groups.
-    #[inline(always)]
-    pub(super) fn block(&self) -> Footprint {
-        // The lower or higher of a number and NaN is the number.
-        let lowest = |of: &[f32; GROUPS]| of.iter().copied().fold(f32::NAN, f32::min);
-        let highest = |of: &[f32; GROUPS]| of.iter().copied().fold(f32::NAN, f32::max);
-        Footprint {
-            nearest_m: lowest(&self.nearest_m),
-            columns: [lowest(&self.left), highest(&self.right)],
-            rows: [lowest(&self.top), highest(&self.bottom)],
-            points: GROUPS * GROUP,
-        }
-    }
-}
-
-impl Footprint {
-    /// Returns whether no point falls into the window.
-    #[inline(always)]
-    pub(super) fn misses(&self, window: &Window) -> bool {
-        let ([left, top], [width, height]) =
-            (window.origin(), [window.stride() as f32, window.height() as f32]);
-        let inside = self.columns[1] >= left
-            && self.columns[0] < left + width
-            && self.rows[1] >= top
-            && self.rows[0] < top + height
-            && !self.nearest_m.is_nan();
-        !inside
-    }
-
-    /// Returns whether every cell that a point may fall into already has a nearer point. The footprint must not miss
-    /// the window.
+impl Layer {
+    /// Returns whether every cell of a footprint has a nearer point.
     // Loops instead of closures, which would not be compiled for the vectors of the caller.
     #[inline(always)]
-    pub(super) fn is_hidden(&self, layer: &Layer, window: &Window) -> bool {
-        let [left, top] = window.origin();
-        // Saturates at the borders of the window.
-        let columns = [self.columns[0] - left, self.columns[1] - left].map(|column| column as u32 as usize);
-        let rows = [self.rows[0] - top, self.rows[1] - top].map(|row| row as u32 as usize);
-        let (last_column, last_row) = (columns[1].min(window.stride() - 1), rows[1].min(window.height() - 1));
-        let width = last_column - columns[0] + 1;
-        if width * (last_row - rows[0] + 1) > CELLS_PER_POINT * self.points {
-            return false;
-        }
-        for row in rows[0]..=last_row {
-            let first = window.cell(columns[0], row);
+    pub(super) fn hides(&self, footprint: &Footprint, window: &Window) -> bool {
+        let ([left, top], [right, bottom]) = (footprint.first, footprint.last);
+        for row in top..=bottom {
+            let first = window.cell(left as usize, row as usize);
             // Without branches, so that it compiles to vector comparisons.
             let mut nearer = true;
-            for key in &layer.keys[first..first + width] {
-                nearer &= depth_m(*key) < self.nearest_m;
+            for key in &self.keys[first..=first + (right - left) as usize] {
+                nearer &= depth_m(*key) < footprint.nearest_m;
             }
             if !nearer {
                 return false;
             }
         }
         true
+    }
+
+    /// Returns whether every pixel that squares of `radius` around the cells of a footprint reach is covered by a
+    /// nearer square.
+    #[inline(always)]
+    pub(super) fn covers(&mut self, footprint: &Footprint, radius: u32, window: &Window) -> bool {
+        let size = [window.stride() as u32, window.height() as u32];
+        // Cells of the padding are no pixels. A square beyond the border is tested at the border.
+        let pixel = |at: u32, axis: usize| at.clamp(window.pad, size[axis] - window.pad - 1) as usize / TILE;
+        let first = [0, 1].map(|axis| pixel(footprint.first[axis].saturating_sub(radius), axis));
+        let last = [0, 1].map(|axis| pixel(footprint.last[axis] + radius, axis));
+        for row in first[1]..=last[1] {
+            for column in first[0]..=last[0] {
+                let tile = row * self.tiles.stride + column;
+                if self.tiles.depth_m[tile] < footprint.nearest_m {
+                    continue;
+                }
+                let depth_m = covered_m(&self.keys, window, [column * TILE, row * TILE]);
+                if depth_m > self.tiles.reach_m || depth_m >= footprint.nearest_m {
+                    return false;
+                }
+                self.tiles.depth_m[tile] = depth_m;
+            }
+        }
+        true
+    }
+}
+
+/// Returns an upper bound of the depth of all pixels of the tile that begins with a cell, meters, if points have a radius
+/// of at least 1: the nearest point of 2x2 cells covers all four. Infinite for a tile across the window's border.
+#[inline(always)]
+fn covered_m(keys: &[u64], window: &Window, [column, row]: [usize; 2]) -> f32 {
+    if column + TILE > window.stride() || row + TILE > window.height() {
+        return f32::INFINITY;
+    }
+    let mut farthest_m = 0.0;
+    for above in (row..row + TILE).step_by(2) {
+        let [upper, lower] = [above, above + 1].map(|row| &keys[window.cell(column, row)..][..TILE]);
+        let mut nearest_m = [0.0; TILE];
+        for i in 0..TILE {
+            let (a, b) = (depth_m(upper[i]), depth_m(lower[i]));
+            nearest_m[i] = if a < b { a } else { b };
+        }
+        for i in (0..TILE).step_by(2) {
+            let (a, b) = (nearest_m[i], nearest_m[i + 1]);
+            let nearest_m = if a < b { a } else { b };
+            farthest_m = if nearest_m > farthest_m { nearest_m } else { farthest_m };
+        }
+    }
+    farthest_m
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::window::key;
+    use super::*;
+    use crate::hash::hash;
+
+    const REACH_M: f32 = 30.0;
+
+    /// Returns a layer in which some share of the cells have a point of about `depth_m`.
+    fn layer(window: &Window, seed: u64, share: f64, depth_m: f32) -> Layer {
+        let mut layer = Layer::default();
+        layer.clear(window, REACH_M);
+        for cell in window.cell(0, 0)..layer.keys.len() {
+            let random = |what: i64| (hash(seed, &[cell as i64, what]) >> 40) as f64 / (1 << 24) as f64;
+            if random(0) < share {
+                layer.keys[cell] = key(depth_m + random(1) as f32, cell as u32);
+            }
+        }
+        layer
+    }
+
+    /// Returns the cells at most `grow` cells from a rectangle and at least `border` cells within the window.
+    fn cells(window: &Window, first: [u32; 2], last: [u32; 2], grow: u32, border: u32) -> Vec<[u32; 2]> {
+        let size = [window.stride() as u32, window.height() as u32];
+        let low = [0, 1].map(|axis| first[axis].saturating_sub(grow).max(border));
+        let high = [0, 1].map(|axis| (last[axis] + grow + 1).min(size[axis] - border));
+        (low[1]..high[1]).flat_map(|y| (low[0]..high[0]).map(move |x| [x, y])).collect()
+    }
+
+    /// What is said to be hidden is, pixel by pixel, and dense surfaces do hide.
+    #[test]
+    fn no_pixel_shows_what_is_hidden() {
+        let window = Window { width: 60, rows: [10, 51], pad: 3 };
+        let size = [window.stride() as u32, window.height() as u32];
+        let mut counts = [[0; 2]; 2];
+        for case in 0..4000_usize {
+            let random = |what: i64, below: u32| hash(7, &[case as i64, what]) as u32 % below;
+            let (share, depth_m) = ([0.3, 0.7, 0.95, 1.0][case % 4], [5.0, 29.5][case / 4 % 2]);
+            let mut layer = layer(&window, case as u64, share, depth_m);
+            let first = [random(0, size[0]), random(1, size[1])];
+            let last = [0, 1].map(|axis| (first[axis] + random(2 + axis as i64, 12)).min(size[axis] - 1));
+            let nearest_m = depth_m + [0.5, 1.0, 1.5][random(4, 3) as usize];
+            let (footprint, radius) = (Footprint { nearest_m, first, last }, random(5, 4));
+            let drawn_m = |[x, y]: [u32; 2]| super::depth_m(layer.keys[window.cell(x as usize, y as usize)]);
+            let nearer = cells(&window, first, last, 0, 0).into_iter().all(|cell| drawn_m(cell) < nearest_m);
+            assert_eq!(layer.hides(&footprint, &window), nearer, "case {case}");
+            let covered = cells(&window, first, last, radius, window.pad).into_iter().all(|pixel| {
+                let around = cells(&window, pixel, pixel, 1, 0).into_iter();
+                let depth_m = around.map(drawn_m).fold(f32::INFINITY, f32::min);
+                depth_m < nearest_m && depth_m <= REACH_M
+            });
+            // Asked twice: the second answer comes from what the first one left.
+            for _ in 0..2 {
+                let covers = layer.covers(&footprint, radius, &window);
+                assert!(covered || !covers, "case {case}");
+                counts[usize::from(depth_m > 20.0)][usize::from(covers)] += 1;
+            }
+        }
+        assert!(counts.iter().flatten().all(|count| *count > 50), "{counts:?}");
     }
 }

@@ -11,6 +11,8 @@ use crate::raster::chunk::{CULL_BLOCK, ChunkedCloud};
 pub(super) const GROUP: usize = 64;
 /// Groups in a block of points that are culled together.
 pub(super) const GROUPS: usize = CULL_BLOCK / GROUP;
+/// Bounds that are projected in one loop: of the groups of a block, or of as many blocks.
+pub(super) const LANES: usize = GROUPS;
 
 /// Positions of the points of a block, group by group and coordinate by coordinate, in the order of [`ChunkedCloud`].
 /// Meters; padded with NaN, which is never drawn.
@@ -18,17 +20,19 @@ pub(super) const GROUPS: usize = CULL_BLOCK / GROUP;
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(super) struct Positions(pub(super) [[[f32; GROUP]; 3]; GROUPS]);
 
-/// Bounds of the finite positions of each group of a block, meters: minimum x, y, z, maximum x, y, z. NaN if there are
-/// none.
+/// Bounds of the finite positions of sets of points, meters: minimum x, y, z, maximum x, y, z. NaN if there are none.
 #[repr(transparent)]
 #[derive(Clone, Copy, Pod, Zeroable)]
-pub(super) struct BlockBounds(pub(super) [[f32; GROUPS]; 6]);
+pub(super) struct BoundsLanes(pub(super) [[f32; LANES]; 6]);
 
 /// A cloud's points and the bounds of their groups, by block.
 pub(super) struct PackedCloud<'a> {
     pub(super) chunked: ChunkedCloud<'a>,
     pub(super) positions: HugeSlice<Positions>,
-    pub(super) bounds: HugeSlice<BlockBounds>,
+    /// Of the groups of each block.
+    pub(super) bounds: HugeSlice<BoundsLanes>,
+    /// Of the blocks, [`LANES`] at a time.
+    pub(super) blocks: Vec<BoundsLanes>,
     /// Index of each point in the cloud, group by group; empty if the order is the cloud's own.
     pub(super) index: HugeSlice<[u32; GROUP]>,
     /// Index of its first color among those of all clouds.
@@ -44,7 +48,7 @@ impl<'a> PackedCloud<'a> {
         let mut positions: HugeSlice<Positions> = HugeSlice::zeroed(blocks);
         let indexed = if chunked.is_reordered() { blocks * GROUPS } else { 0 };
         let mut index: HugeSlice<[u32; GROUP]> = HugeSlice::zeroed(indexed);
-        let mut bounds: HugeSlice<BlockBounds> = HugeSlice::zeroed(blocks);
+        let mut bounds: HugeSlice<BoundsLanes> = HugeSlice::zeroed(blocks);
         positions.par_iter_mut().zip(bounds.par_iter_mut()).enumerate().for_each(
             |(block, (positions, bounds))| {
                 *positions = Positions::of(&chunked, block);
@@ -55,12 +59,13 @@ impl<'a> PackedCloud<'a> {
             let places = chunked.points_at(places(&chunked, block));
             index.as_flattened_mut().iter_mut().zip(places).for_each(|(to, (from, _))| *to = from);
         });
+        let blocks: Vec<BoundsLanes> = bounds.par_chunks(LANES).map(BoundsLanes::of).collect();
         let largest = |axis: usize| {
-            let sides = bounds.iter().flat_map(|b| b.0[axis].iter().chain(&b.0[axis + 3]));
+            let sides = blocks.iter().flat_map(|b| b.0[axis].iter().chain(&b.0[axis + 3]));
             sides.fold(0.0_f32, |most, side| most.max(side.abs()))
         };
         let reach_m = [0, 1, 2].map(largest);
-        Self { chunked, positions, bounds, index, first_color, reach_m }
+        Self { chunked, positions, bounds, blocks, index, first_color, reach_m }
     }
 }
 
@@ -78,20 +83,41 @@ impl Positions {
         Self(groups)
     }
 
-    fn bounds(&self) -> BlockBounds {
-        let mut bounds = [[f32::NAN; GROUPS]; 6];
+    fn bounds(&self) -> BoundsLanes {
+        let mut bounds = BoundsLanes::NONE;
         for (group, [xs, ys, zs]) in self.0.iter().enumerate() {
             for ((x, y), z) in xs.iter().zip(ys).zip(zs) {
-                if x.is_finite() && y.is_finite() && z.is_finite() {
-                    for (axis, value) in [*x, *y, *z].into_iter().enumerate() {
-                        // The minimum of a number and NaN is the number.
-                        bounds[axis][group] = bounds[axis][group].min(value);
-                        bounds[axis + 3][group] = bounds[axis + 3][group].max(value);
-                    }
+                let position = [*x, *y, *z];
+                if position.iter().all(|value| value.is_finite()) {
+                    bounds.include(group, position, position);
                 }
             }
         }
-        BlockBounds(bounds)
+        bounds
+    }
+}
+
+impl BoundsLanes {
+    const NONE: Self = Self([[f32::NAN; LANES]; 6]);
+
+    /// Returns the bounds of blocks; `blocks`: those of their groups.
+    fn of(blocks: &[Self]) -> Self {
+        let mut bounds = Self::NONE;
+        for (block, groups) in blocks.iter().enumerate() {
+            for group in 0..GROUPS {
+                let [low, high] = [0, 3].map(|side| [0, 1, 2].map(|axis| groups.0[side + axis][group]));
+                bounds.include(block, low, high);
+            }
+        }
+        bounds
+    }
+
+    /// Extends the bounds of a lane. The lower or higher of a number and NaN is the number.
+    fn include(&mut self, lane: usize, low: [f32; 3], high: [f32; 3]) {
+        for axis in 0..3 {
+            self.0[axis][lane] = self.0[axis][lane].min(low[axis]);
+            self.0[axis + 3][lane] = self.0[axis + 3][lane].max(high[axis]);
+        }
     }
 }
 
@@ -104,7 +130,7 @@ mod tests {
         let at = |i: usize| if i % 7 == 3 { f32::NAN } else { (i * 37 % 1000) as f32 };
         let points: Vec<Point> = (0..5000).map(|i| Point::new([at(i), -1.0, 2.0], [0; 3], 0)).collect();
         let cloud = PackedCloud::new(&points, 0);
-        assert_eq!((cloud.positions.len(), cloud.bounds.len()), (5, 5));
+        assert_eq!((cloud.positions.len(), cloud.bounds.len(), cloud.blocks.len()), (5, 5, 1));
         let mut seen = vec![0; points.len()];
         for place in 0..points.len() {
             let (block, group) = (place / CULL_BLOCK, place % CULL_BLOCK / GROUP);
@@ -113,7 +139,8 @@ mod tests {
             seen[index] += 1;
             assert_eq!(x.to_bits(), points[index].position[0].to_bits());
             let [low, high] = [0, 3].map(|side| cloud.bounds[block].0[side][group]);
-            assert!(x.is_nan() || (low <= x && x <= high));
+            let [least, most] = [0, 3].map(|side| cloud.blocks[0].0[side][block]);
+            assert!(x.is_nan() || (least <= low && low <= x && x <= high && high <= most));
         }
         assert!(seen.iter().all(|n| *n == 1));
         assert_eq!(cloud.reach_m, [999.0, 1.0, 2.0]);

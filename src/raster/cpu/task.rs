@@ -1,11 +1,13 @@
 //! Rendering of one row strip.
 
+use std::collections::VecDeque;
 use std::time::Instant;
 
 use super::blocks::{Block, StripDraw};
 use super::dilate::Dilation;
-use super::hidden::Footprints;
+use super::footprint::{Footprint, Footprints};
 use super::numbering::Numbering;
+use super::packed::LANES;
 use super::project::Projection;
 use super::resolve::{MapRows, Resolve};
 use super::strips::{Sampling, Strip};
@@ -39,8 +41,8 @@ pub(super) struct Task<'t> {
 
 /// A block that may be visible.
 struct Item {
-    /// Lower bound of the depth of its points, meters.
-    nearest_m: f32,
+    /// Of its points.
+    footprint: Footprint,
     /// Index into the draws.
     draw: u32,
     /// Number of the block in its cloud.
@@ -65,7 +67,8 @@ impl Task<'_> {
             scratch.dilations.resize_with(self.layers.count, Dilation::default);
         }
         let layers = &mut scratch.layers[..self.layers.count];
-        layers.iter_mut().for_each(|layer| layer.clear(&self.strip.window));
+        let reach_m = self.job.schedule.reach_m(1);
+        layers.iter_mut().for_each(|layer| layer.clear(&self.strip.window, reach_m));
         stamp("clear");
         self.project(&draws, &items, layers);
         stamp("project");
@@ -90,41 +93,54 @@ impl Task<'_> {
             if seen.is_empty() {
                 continue;
             }
-            items.extend(seen.into_iter().map(|range| Item {
-                nearest_m: range.nearest_m,
-                draw: draws.len() as u32,
-                block: ((range.chunk as usize * CHUNK + range.points[0] as usize) / CULL_BLOCK) as u32,
-                crops: range.crop,
-            }));
             let projection = Projection::new(&draw, window, z_far_m);
-            let footprints = Footprints::new(&draw, numbered.cloud.reach_m, z_far_m);
-            draws.push(StripDraw { numbered, projection, footprints });
+            let footprints = Footprints::new(&draw, window, numbered.cloud.reach_m, z_far_m);
+            let strip_draw = StripDraw { numbered, projection, footprints };
+            let mut projected = None;
+            for range in seen {
+                let block = (range.chunk as usize * CHUNK + range.points[0] as usize) / CULL_BLOCK;
+                if projected.as_ref().is_none_or(|(lanes, _)| *lanes != block / LANES) {
+                    projected = Some((block / LANES, strip_draw.footprints(block / LANES)));
+                }
+                let Some((_, lanes)) = &projected else { continue };
+                if lanes.drawn() >> (block % LANES) & 1 == 1 {
+                    let (draw, footprint) = (draws.len() as u32, lanes.lane(block % LANES));
+                    items.push(Item { footprint, draw, block: block as u32, crops: range.crop });
+                }
+            }
+            draws.push(strip_draw);
         }
         // The bits of depths that are not negative are ordered like their values.
-        items.sort_unstable_by_key(|item| item.nearest_m.to_bits());
+        items.sort_unstable_by_key(|item| item.footprint.nearest_m.max(0.0).to_bits());
         (draws, items)
     }
 
-    /// Draws blocks in order. A block is drawn after the next one is tested, while its points are loaded.
+    /// Draws blocks in order. Each is tested as a whole, then group by group once their bounds are in the cache, and drawn
+    /// after the next one was tested, while its points are loaded.
     fn project(&self, draws: &[StripDraw<'_>], items: &[Item], layers: &mut [Layer]) {
-        let block = |item: &Item| Block {
-            draw: &draws[item.draw as usize],
-            block: item.block as usize,
-            crops: item.crops,
-        };
-        let mut ahead = items.iter().map(block);
-        ahead.by_ref().take(BLOCKS_AHEAD).for_each(Block::prefetch);
+        let window = &self.strip.window;
+        let mut items = items.iter();
+        let mut waiting = VecDeque::with_capacity(BLOCKS_AHEAD);
         let mut tested = None;
-        for item in items.iter().map(Some).chain([None]) {
-            if let Some(later) = ahead.next() {
-                later.prefetch();
+        loop {
+            while waiting.len() < BLOCKS_AHEAD {
+                let Some(item) = items.next() else { break };
+                let Item { footprint, draw, block, crops } = item;
+                let block = Block { draw: &draws[*draw as usize], block: *block as usize, crops: *crops };
+                let radius = self.job.schedule.radius_at(footprint.nearest_m).unwrap_or(window.pad);
+                if self.culls && block.is_hidden(footprint, radius, window, layers) {
+                    continue;
+                }
+                block.prefetch();
+                waiting.push_back(block);
             }
-            let next = item.map(|item| {
-                let block = block(item);
-                (block, block.visible(&self.strip.window, layers, self.culls))
-            });
+            let next = waiting.pop_front().map(|block| (block, block.visible(window, layers, self.culls)));
+            let is_last = next.is_none();
             if let Some((block, groups)) = std::mem::replace(&mut tested, next) {
                 block.draw(groups, layers);
+            }
+            if is_last {
+                return;
             }
         }
     }

@@ -37,10 +37,26 @@ impl Window {
     }
 }
 
+/// Side of a tile, cells.
+pub(super) const TILE: usize = 8;
+
+/// How far each tile of a window is covered.
+#[derive(Default)]
+pub(super) struct Tiles {
+    /// Depth of the farthest square seen in a tile, meters; infinite if a pixel may show something farther. What is drawn
+    /// later may be nearer.
+    pub(super) depth_m: Vec<f32>,
+    /// Number of tiles in a row.
+    pub(super) stride: usize,
+    /// Depth up to which points have a radius of at least 1, meters.
+    pub(super) reach_m: f32,
+}
+
 /// A visibility buffer: the key of the nearest point per cell of a window.
 #[derive(Default)]
 pub(super) struct Layer {
     pub(super) keys: Vec<u64>,
+    pub(super) tiles: Tiles,
 }
 
 /// Key of an empty cell: infinitely far.
@@ -59,9 +75,21 @@ pub(super) const fn depth_m(key: u64) -> f32 {
     f32::from_bits((key >> 32) as u32)
 }
 
+impl Tiles {
+    /// Forgets what covers the tiles of a window; points up to `reach_m` have a radius of at least 1.
+    fn clear(&mut self, window: &Window, reach_m: f32) {
+        let count = |cells: usize| cells.div_ceil(TILE);
+        self.stride = count(window.stride());
+        self.depth_m.clear();
+        self.depth_m.resize(self.stride * count(window.height()), f32::INFINITY);
+        self.reach_m = reach_m;
+    }
+}
+
 impl Layer {
-    /// Empties the layer for a window.
-    pub(super) fn clear(&mut self, window: &Window) {
+    /// Empties the layer for a window; points up to `reach_m` have a radius of at least 1.
+    pub(super) fn clear(&mut self, window: &Window, reach_m: f32) {
+        self.tiles.clear(window, reach_m);
         let cells = LEAD + window.stride() * window.height();
         self.keys.clear();
         self.keys.resize(cells, EMPTY);

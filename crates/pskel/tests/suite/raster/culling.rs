@@ -17,12 +17,12 @@ fn view(turn_deg: f64) -> View {
     View { camera, camera_from_world: glam::DAffine3::from_rotation_y(turn_deg.to_radians()) }
 }
 
-/// Walls of many points at some depths, each with a hole of one pixel, and a slope of points behind each other.
-fn walls(random: &mut Random, depths_m: &[f64]) -> Vec<Point> {
+/// Walls of so many points at some depths, each with a hole of one pixel, and a slope of points behind each other.
+fn walls(random: &mut Random, count: usize, depths_m: &[f64]) -> Vec<Point> {
     let mut points = Vec::new();
     let color = |random: &mut Random| [random.below(256) as u8, random.below(256) as u8, 7];
     for (wall, depth_m) in depths_m.iter().enumerate() {
-        for _ in 0..60_000 {
+        for _ in 0..count {
             let at = [random.between(0.0, 80.0), random.between(0.0, 50.0)];
             let hole = [20 + 7 * wall, 11 + 5 * wall];
             if at.map(|v| v as usize) == hole {
@@ -53,9 +53,11 @@ fn splat(
 #[test]
 fn skipping_hidden_points_changes_nothing() {
     let random = &mut Random(5);
-    let near = walls(random, &[6.0, 14.99, 15.0]);
-    let far = walls(random, &[9.0, 34.9, 35.1, 60.0]);
-    let clouds = vec![near.as_slice(), &far];
+    let near = walls(random, 60_000, &[6.0, 14.99, 15.0]);
+    let far = walls(random, 60_000, &[9.0, 34.9, 35.1, 60.0]);
+    // One to three points per pixel: their squares have gaps.
+    let sparse = walls(random, 4_000, &[7.0, 7.5, 8.0, 8.5, 9.5, 14.5, 15.5, 33.0, 34.0, 36.0, 50.0]);
+    let clouds = vec![near.as_slice(), &far, &sparse];
     let mut reference = ReferenceRasterizer::new(clouds.clone());
     // The camera jumps, and so does the second cloud.
     let places = [(0.0, 0.0), (3.0, -4.0), (-40.0, 8.0), (180.0, 0.0), (0.0, 0.0)];
@@ -71,11 +73,14 @@ fn skipping_hidden_points_changes_nothing() {
                 world_from_local: glam::DAffine3::from_translation(glam::DVec3::new(0.0, 0.0, z)),
                 number: cloud as u32,
             };
-            let instances = [instance(0, 0.0), instance(1, shift_m)];
-            let expected = splat(&mut reference, &schedule, &view, &instances);
-            for rasterizer in &mut all {
-                let found = splat(rasterizer, &schedule, &view, &instances);
-                assert_same(&expected, &found, &format!("{text} {turn_deg} {shift_m}"));
+            let dense = [instance(0, 0.0), instance(1, shift_m), instance(2, 1.0)];
+            let sparse = [instance(2, 0.0), instance(2, shift_m), instance(1, 30.0)];
+            for instances in [dense, sparse] {
+                let expected = splat(&mut reference, &schedule, &view, &instances);
+                for rasterizer in &mut all {
+                    let found = splat(rasterizer, &schedule, &view, &instances);
+                    assert_same(&expected, &found, &format!("{text} {turn_deg} {shift_m}"));
+                }
             }
         }
     }
