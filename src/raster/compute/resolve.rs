@@ -6,7 +6,7 @@ use bytemuck::{Pod, Zeroable};
 
 use super::tables::ResolveBand;
 use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, Shader, assert_layout, shaders};
-use crate::raster::{MapKind, MapSet, SplatSchedule, SplatStep};
+use crate::raster::{MapKind, MapSet, SplatSchedule};
 
 /// Maximum radius that the resolve shaders gather.
 pub(super) const MAX_GATHERED_RADIUS: u32 = 2;
@@ -44,10 +44,7 @@ impl ResolvePush {
     pub(super) fn new(schedule: &SplatSchedule, rows: u32, maps: MapSet, key_rows: u32) -> Self {
         // Squares of larger radii are already drawn or spread: only the own pixel is read.
         let gathered = schedule.max_radius() <= MAX_GATHERED_RADIUS;
-        let reach = |radius: u32| {
-            let covers = |step: &&SplatStep| gathered && step.radius >= radius;
-            schedule.steps().iter().rfind(covers).map_or(0, |step| step.z_max_m.to_bits())
-        };
+        let reach = |radius: u32| if gathered { schedule.reach_m(radius).to_bits() } else { 0 };
         Self { reach_1: reach(1), reach_2: reach(2), rows, wants: maps.bits(), key_rows }
     }
 }

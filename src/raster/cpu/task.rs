@@ -13,7 +13,7 @@ use super::resolve::{MapRows, Resolve};
 use super::strips::{Sampling, Strip};
 use super::window::Layer;
 use crate::raster::chunk::{CHUNK, CULL_BLOCK};
-use crate::raster::cull::seen_blocks;
+use crate::raster::cull::{VisibleRange, seen_blocks};
 use crate::raster::draw::draw_from_instance;
 use crate::raster::layers::Layers;
 use crate::raster::{FrameJob, MapSet, SplatJob, StageTimes};
@@ -96,16 +96,17 @@ impl Task<'_> {
             let projection = Projection::new(&draw, window, z_far_m);
             let footprints = Footprints::new(&draw, window, numbered.cloud.reach_m, z_far_m);
             let strip_draw = StripDraw { numbered, projection, footprints };
-            let mut projected = None;
-            for range in seen {
-                let block = (range.chunk as usize * CHUNK + range.points[0] as usize) / CULL_BLOCK;
-                if projected.as_ref().is_none_or(|(lanes, _)| *lanes != block / LANES) {
-                    projected = Some((block / LANES, strip_draw.footprints(block / LANES)));
-                }
-                let Some((_, lanes)) = &projected else { continue };
-                if lanes.drawn() >> (block % LANES) & 1 == 1 {
-                    let (draw, footprint) = (draws.len() as u32, lanes.lane(block % LANES));
-                    items.push(Item { footprint, draw, block: block as u32, crops: range.crop });
+            let block =
+                |range: &VisibleRange| (range.chunk as usize * CHUNK + range.points[0] as usize) / CULL_BLOCK;
+            for near in seen.chunk_by(|a, b| block(a) / LANES == block(b) / LANES) {
+                let lanes = strip_draw.footprints(block(&near[0]) / LANES);
+                let drawn = lanes.drawn();
+                for range in near {
+                    let (block, lane) = (block(range), block(range) % LANES);
+                    if drawn >> lane & 1 == 1 {
+                        let (draw, footprint) = (draws.len() as u32, lanes.lane(lane));
+                        items.push(Item { footprint, draw, block: block as u32, crops: range.crop });
+                    }
                 }
             }
             draws.push(strip_draw);

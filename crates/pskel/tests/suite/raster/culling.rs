@@ -55,7 +55,7 @@ fn skipping_hidden_points_changes_nothing() {
     let random = &mut Random(5);
     let near = walls(random, 60_000, &[6.0, 14.99, 15.0]);
     let far = walls(random, 60_000, &[9.0, 34.9, 35.1, 60.0]);
-    // One to three points per pixel: their squares have gaps.
+    // About one point per pixel and wall: their squares have gaps.
     let sparse = walls(random, 4_000, &[7.0, 7.5, 8.0, 8.5, 9.5, 14.5, 15.5, 33.0, 34.0, 36.0, 50.0]);
     let clouds = vec![near.as_slice(), &far, &sparse];
     let mut reference = ReferenceRasterizer::new(clouds.clone());
