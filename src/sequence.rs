@@ -103,9 +103,12 @@ impl SequenceWriter<'_> {
     fn write_step(&self, maps: &Maps) -> Result<(), Error> {
         let state = &maps.state;
         self.folder.write_folder(&state.name, |folder| {
-            maps.write_maps(folder, self.format)?;
             let caption = format!("{}  {}", self.log, state.name);
-            sheet::write(&folder.join("sheet.png"), &maps.set, self.bins, &caption)?;
+            let (written, sheet) = rayon::join(
+                || maps.write_maps(folder, self.format),
+                || sheet::write(&folder.join("sheet.png"), &maps.set, self.bins, &caption),
+            );
+            written.and(sheet.map_err(Error::from))?;
             if self.birdseye {
                 birdseye::write(&folder.join("birdseye.png"), state, &BirdseyeOptions::default())?;
             }

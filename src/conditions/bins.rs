@@ -40,6 +40,7 @@ const EPSILON: f32 = 1e-6;
 impl DepthBins {
     /// Returns the bin of a camera depth in meters: 1 to `count`, or 0 for an empty pixel (infinite, NaN, or not
     /// positive, as the −300 in files).
+    #[inline]
     pub fn bin(&self, depth_m: f32) -> u16 {
         if !(depth_m.is_finite() && depth_m > 0.0) {
             return 0;
@@ -48,7 +49,7 @@ impl DepthBins {
         match self.scale {
             BinScale::Linear => {
                 let steps = f32::from(self.count) - 1.0;
-                (depth_m / (self.far_m + EPSILON) * steps).trunc() as u16 + 1
+                (depth_m / (self.far_m + EPSILON) * steps) as u16 + 1
             }
             BinScale::Log => self.log_bin(depth_m),
         }
@@ -63,10 +64,10 @@ impl DepthBins {
         if depth_m <= near_m {
             let part = ln_1p(depth_m) / (ln_1p(near_m) + EPSILON);
             let part = if self.gamma == 1.0 { part } else { part.powf(self.gamma) };
-            return (part * (f32::from(near_bins) - 1.0)).trunc() as u16 + 1;
+            return (part * (f32::from(near_bins) - 1.0)) as u16 + 1;
         }
         let part = ln_1p(depth_m - near_m) / (ln_1p(self.far_m - near_m) + EPSILON);
-        (part * (f32::from(far_bins) - 1.0)).trunc() as u16 + 1 + near_bins
+        (part * (f32::from(far_bins) - 1.0)) as u16 + 1 + near_bins
     }
 
     /// Returns the 16-bit PNG value of a bin; the bins are spread over the whole range.

@@ -28,17 +28,25 @@ impl Canvas {
         size: ImageSize,
         mut change: impl FnMut([u8; 3], [u32; 2]) -> [u8; 3],
     ) {
-        for y in 0..size.height.min(self.size.height.saturating_sub(top)) {
-            for x in 0..size.width.min(self.size.width.saturating_sub(left)) {
-                let at = (top + y) as usize * self.size.width as usize + (left + x) as usize;
-                self.pixels[at] = change(self.pixels[at], [x, y]);
+        for (y, row) in (0..).zip(self.rows([left, top], size)) {
+            for (x, pixel) in (0..).zip(row) {
+                *pixel = change(*pixel, [x, y]);
             }
         }
     }
 
     /// Copies an image to a position.
     pub(crate) fn blit(&mut self, at: [u32; 2], size: ImageSize, pixels: &[[u8; 3]]) {
-        self.map(at, size, |_, [x, y]| pixels[y as usize * size.width as usize + x as usize]);
+        let source = pixels.chunks_exact(size.width.max(1) as usize);
+        self.rows(at, size).zip(source).for_each(|(row, from)| row.copy_from_slice(&from[..row.len()]));
+    }
+
+    /// Returns the rows of a rectangle.
+    fn rows(&mut self, [left, top]: [u32; 2], size: ImageSize) -> impl Iterator<Item = &mut [[u8; 3]]> {
+        let width = self.size.width as usize;
+        let columns = (left as usize).min(width)..(left as usize + size.width as usize).min(width);
+        let rows = self.pixels.chunks_exact_mut(width.max(1));
+        rows.skip(top as usize).take(size.height as usize).map(move |row| &mut row[columns.clone()])
     }
 
     /// Draws ASCII text with `at` as its upper left corner; other characters become `?`. Returns the width, pixels.

@@ -232,6 +232,9 @@ const ROWS_AT_ONCE: usize = 32;
 
 /// Filters a whole image of `from.pixels()` pixels.
 pub fn pil_bilinear(map: &[[u8; 3]], from: ImageSize, to: ImageSize) -> Vec<[u8; 3]> {
+    if from == to {
+        return map.to_vec();
+    }
     let (filter, width, height) = (PilBilinear::new(from, to), from.width as usize, to.height as usize);
     let part = |part: usize| {
         let outputs = part * ROWS_AT_ONCE..height.min((part + 1) * ROWS_AT_ONCE);

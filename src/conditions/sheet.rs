@@ -226,34 +226,52 @@ fn tile_colors(
     bins: &DepthBins,
 ) -> Option<Vec<[u8; 3]>> {
     let from = camera.size();
-    let depth_bins = || {
+    let by_bin = |colors: &[[u8; 3]]| {
         let depth_m = reduce::nearest(camera.depth_m.as_ref()?, from, to);
-        Some(depth_m.into_iter().map(|d| bins.bin(d)).collect::<Vec<u16>>())
+        let bins: Vec<u16> = depth_m.into_iter().map(|depth_m| bins.bin(depth_m)).collect();
+        Some(bins.into_iter().map(|bin| colors[usize::from(bin)]).collect::<Vec<_>>())
     };
     if kind == MapKind::Depth {
-        let colors = bins.colors();
-        return Some(depth_bins()?.into_iter().map(|bin| colors[usize::from(bin)]).collect());
+        return by_bin(&bins.colors());
     }
-    let grey = |bin: u16| {
-        let near = 1.0 - f32::from(bin) / f32::from(bins.count);
-        if bin == 0 { EMPTY } else { [26.0, 28.0, 33.0].map(|base: f32| (base + 52.0 * near * near) as u8) }
-    };
-    let mut picture: Vec<[u8; 3]> =
-        depth_bins().map_or_else(|| vec![EMPTY; to.pixels()], |bins| bins.into_iter().map(grey).collect());
-    let numbers: Vec<u32> = match kind {
-        MapKind::Class => camera.class.as_ref()?.iter().map(|c| u32::from(*c)).collect(),
-        _ => camera.instance.clone()?,
-    };
-    let color = |number: u32| match CLASSES.get(number as usize - 1) {
-        Some((rgb, _)) if kind == MapKind::Class => *rgb,
-        _ => number_color(number),
-    };
-    for (pixel, number) in picture.iter_mut().zip(reduce::nearest(&numbers, from, to)) {
-        if number > 0 {
-            *pixel = color(number);
-        }
+    let mut picture = by_bin(&grays(bins)).unwrap_or_else(|| vec![EMPTY; to.pixels()]);
+    if kind == MapKind::Class {
+        let classes = reduce::nearest(camera.class.as_ref()?, from, to);
+        let color = |class: u8| {
+            let known = CLASSES.get(usize::from(class) - 1);
+            known.map_or_else(|| number_color(class.into()), |(rgb, _)| *rgb)
+        };
+        paint(&mut picture, &classes, color);
+    } else {
+        paint(&mut picture, &reduce::nearest(camera.instance.as_ref()?, from, to), number_color);
     }
     Some(picture)
+}
+
+/// Returns the dark gray of every depth bin, lighter where it is nearer.
+fn grays(bins: &DepthBins) -> Vec<[u8; 3]> {
+    let gray = |bin: u16| {
+        let near = 1.0 - f32::from(bin) / f32::from(bins.count);
+        [26.0, 28.0, 33.0].map(|base: f32| (base + 52.0 * near * near) as u8)
+    };
+    std::iter::once(EMPTY).chain((1..=bins.count).map(gray)).collect()
+}
+
+/// Colors the pixels whose number is not 0.
+fn paint<N: Copy + Default + PartialEq>(
+    picture: &mut [[u8; 3]],
+    numbers: &[N],
+    color: impl Fn(N) -> [u8; 3],
+) {
+    let (mut last, mut rgb) = (N::default(), EMPTY);
+    for (pixel, &number) in picture.iter_mut().zip(numbers) {
+        if number != N::default() {
+            if number != last {
+                (last, rgb) = (number, color(number));
+            }
+            *pixel = rgb;
+        }
+    }
 }
 
 /// Returns a bright color for a number. Hues are a golden angle apart, so consecutive numbers differ clearly.

@@ -14,6 +14,9 @@ pub fn nearest_indices(from: u32, to: u32) -> Vec<u32> {
 
 /// Samples one source pixel per output pixel. `map` has `from.pixels()` values, row by row.
 pub fn nearest<T: Copy + Send + Sync>(map: &[T], from: ImageSize, to: ImageSize) -> Vec<T> {
+    if from == to {
+        return map.to_vec();
+    }
     let columns = nearest_indices(from.width, to.width);
     let rows = nearest_indices(from.height, to.height);
     let pixel = |row: u32, column: u32| map[row as usize * from.width as usize + column as usize];
