@@ -39,6 +39,22 @@ impl Layers {
         Self { color, geometry, actors, ..layers }
     }
 
+    /// Returns the layers where both clouds have the same instances: color is read from the layer of the geometry.
+    pub(super) fn shared(self) -> Self {
+        Self { color: self.color.map(|color| self.geometry.unwrap_or(color)), ..self }
+    }
+
+    /// Returns the bit mask of the layers that serve a purpose.
+    pub(super) fn used(&self) -> u32 {
+        self.bits(true, true, true)
+    }
+
+    /// Returns whether an instance with these layers is in all those that show the whole scene.
+    pub(super) fn is_in_both(&self, layers: u32) -> bool {
+        let both = self.bits(true, true, false);
+        layers & both == both
+    }
+
     fn bits(&self, in_color: bool, in_geometry: bool, actor: bool) -> u32 {
         let bit = |layer: Option<usize>, wanted: bool| layer.filter(|_| wanted).map_or(0, |l| 1 << l);
         bit(self.color, in_color) | bit(self.geometry, in_geometry) | bit(self.actors, in_geometry && actor)
@@ -100,6 +116,24 @@ mod tests {
         assert_eq!(layers.merge(&job).iter().map(|l| l.layers).collect::<Vec<_>>(), [0b01, 0b11]);
         job.maps = MapSet::COLOR;
         assert_eq!(Layers::of(&job).count, 1);
+    }
+
+    #[test]
+    fn layers_of_equal_clouds_are_shared() {
+        let schedule = SplatSchedule::default();
+        let (one, other) = ([instance(0, 1)], [instance(1, 1)]);
+        let mut job = job(&one, &other, &schedule);
+        for (occlusion, used, shared) in [(Occlusion::Scene, 0b11, 0b01), (Occlusion::Actors, 0b111, 0b101)] {
+            job.occlusion = occlusion;
+            let layers = Layers::of(&job);
+            assert_eq!((layers.used(), layers.shared().used()), (used, shared));
+            assert_eq!(layers.shared().shared(), layers.shared());
+            assert!(layers.is_in_both(0b11) && !layers.is_in_both(0b101) && !layers.is_in_both(0b10));
+        }
+        job.maps = MapSet::COLOR;
+        let color = Layers::of(&job);
+        assert_eq!((color.shared(), color.used()), (color, 1));
+        assert!(color.is_in_both(1) && !color.is_in_both(0));
     }
 
     #[test]

@@ -35,6 +35,8 @@ pub(super) struct Block<'b> {
     pub(super) draw: &'b StripDraw<'b>,
     /// Number of the block in its cloud.
     pub(super) block: usize,
+    /// Bit mask of the layers that its points are drawn into.
+    pub(super) layers: u32,
     /// Whether the crop may exclude some of its points.
     pub(super) crops: bool,
 }
@@ -145,7 +147,7 @@ impl Block<'_> {
     fn hidden(self, footprint: &Footprint, radius: u32, window: &Window, layers: &mut [Layer]) -> bool {
         let small = footprint.cells() <= CELLS_PER_POINT * GROUP * GROUPS;
         for (i, layer) in layers.iter_mut().enumerate() {
-            let own = self.draw.numbered.layers >> i & 1 == 1;
+            let own = self.layers >> i & 1 == 1;
             if own && !layer.covers(footprint, radius, window) && !(small && layer.hides(footprint, window)) {
                 return false;
             }
@@ -162,7 +164,7 @@ impl Block<'_> {
             let footprint = lanes.lane(group);
             let mut hidden = true;
             for (i, layer) in layers.iter().enumerate() {
-                let own = self.draw.numbered.layers >> i & 1 == 1;
+                let own = self.layers >> i & 1 == 1;
                 hidden = hidden && (!own || layer.hides(&footprint, window));
             }
             groups &= !(GroupMask::from(hidden) << group);
@@ -175,7 +177,7 @@ impl Block<'_> {
 
     #[inline(always)]
     fn draw_groups(self, groups: GroupMask, layers: &mut [Layer]) {
-        let Numbered { cloud, layers: mask, first: first_number, .. } = *self.draw.numbered;
+        let Numbered { cloud, first: first_number, .. } = *self.draw.numbered;
         let mut cells = Cells::default();
         let mut ahead = Ones(groups);
         ahead.by_ref().take(GROUPS_AHEAD).for_each(drop);
@@ -186,7 +188,7 @@ impl Block<'_> {
             let number = self.block * GROUPS + group;
             self.draw.projection.cells(&cloud.positions[self.block].0[group], self.crops, &mut cells);
             cells.number(first_number, number, cloud.index.get(number));
-            for (_, layer) in layers.iter_mut().enumerate().filter(|(i, _)| mask >> i & 1 == 1) {
+            for (_, layer) in layers.iter_mut().enumerate().filter(|(i, _)| self.layers >> i & 1 == 1) {
                 cells.put(layer);
             }
         }

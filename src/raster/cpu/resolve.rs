@@ -1,9 +1,11 @@
 //! Visible points to maps: lookups, and the reduction to the size of the maps.
 
+use std::ops::Range;
+
 use super::dilate::{Dilation, VisibleRow};
 use super::numbering::Numbering;
 use super::strips::{Sampling, Strip};
-use super::window::Layer;
+use super::window::{Layer, Window};
 use crate::raster::layers::Layers;
 use crate::raster::reduce::Tap;
 use crate::raster::{FrameJob, MapKind, MapSet, rgb_of};
@@ -61,6 +63,8 @@ fn maps_of(job: &FrameJob<'_>, layers: &Layers, layer: usize) -> MapSet {
 pub(super) struct Resolve<'r> {
     pub(super) job: &'r FrameJob<'r>,
     pub(super) layers: &'r Layers,
+    /// Rows of the window, padding included, in which the layers of color and geometry may differ.
+    pub(super) forked: Range<u32>,
     pub(super) strip: &'r Strip,
     pub(super) sampling: &'r Sampling,
     pub(super) numbering: &'r Numbering<'r>,
@@ -82,11 +86,22 @@ impl Resolve<'_> {
         for (at, row) in (self.strip.rows[0] as usize..self.strip.rows[1] as usize).enumerate() {
             let mut maps = maps.row(at, width);
             maps.rgb_class.fill(0);
-            for layer in 0..self.layers.count {
-                let wanted = maps_of(self.job, self.layers, layer);
+            let layers = if self.is_forked(row) { *self.layers } else { self.layers.shared() };
+            for layer in 0..layers.count {
+                let wanted = maps_of(self.job, &layers, layer);
                 self.fill_row(&buffers[layer], &mut dilations[layer], (row, wanted), &mut maps, &mut across);
             }
         }
+    }
+
+    /// Returns whether the color of a row of the maps may differ between the layers of color and geometry.
+    fn is_forked(&self, row: usize) -> bool {
+        let nearest = self.sampling.nearest[0][row] as usize;
+        let [first, last] = self.sampling.taps.as_ref().map_or([nearest; 2], |[rows, _]| rows[row].at);
+        let Window { rows: [top, _], pad, .. } = self.strip.window;
+        // Rows of cells whose squares may reach the pixels; they are counted from `pad` rows above the window.
+        let (first, end) = (first as u32 - top, last as u32 - top + 2 * pad + 1);
+        first < self.forked.end && end > self.forked.start
     }
 
     fn fill_row(

@@ -1,6 +1,7 @@
 //! Rendering of one row strip.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 use std::time::Instant;
 
 use super::blocks::{Block, StripDraw};
@@ -12,6 +13,7 @@ use super::project::Projection;
 use super::resolve::{MapRows, Resolve};
 use super::strips::{Sampling, Strip};
 use super::window::Layer;
+use crate::bits::Ones;
 use crate::raster::chunk::{CHUNK, CULL_BLOCK};
 use crate::raster::cull::{VisibleRange, seen_blocks};
 use crate::raster::draw::draw_from_instance;
@@ -47,6 +49,8 @@ struct Item {
     draw: u32,
     /// Number of the block in its cloud.
     block: u32,
+    /// Bit mask of the layers that its points are drawn into.
+    layers: u32,
     /// Whether the crop may exclude some of its points.
     crops: bool,
 }
@@ -60,7 +64,8 @@ impl Task<'_> {
             let now = Instant::now();
             times.add(stage, now - std::mem::replace(&mut start, now));
         };
-        let (draws, items) = self.plan();
+        let (draws, mut items) = self.plan();
+        let forked = self.fork(&mut items);
         stamp("plan");
         if scratch.layers.len() < self.layers.count {
             scratch.layers.resize_with(self.layers.count, Layer::default);
@@ -68,12 +73,13 @@ impl Task<'_> {
         }
         let layers = &mut scratch.layers[..self.layers.count];
         let reach_m = self.job.schedule.reach_m(1);
-        layers.iter_mut().for_each(|layer| layer.clear(&self.strip.window, reach_m));
+        let used = if forked.is_empty() { self.layers.shared().used() } else { self.layers.used() };
+        Ones(used.into()).for_each(|layer| layers[layer].clear(&self.strip.window, reach_m));
         stamp("clear");
         self.project(&draws, &items, layers);
         stamp("project");
         let Self { job, layers: purposes, strip, sampling, numbering, .. } = *self;
-        let resolve = Resolve { job, layers: purposes, strip, sampling, numbering };
+        let resolve = Resolve { job, layers: purposes, forked, strip, sampling, numbering };
         resolve.fill(layers, &mut scratch.dilations[..self.layers.count], maps);
         stamp("resolve");
         times
@@ -104,8 +110,9 @@ impl Task<'_> {
                 for range in near {
                     let (block, lane) = (block(range), block(range) % LANES);
                     if drawn >> lane & 1 == 1 {
-                        let (draw, footprint) = (draws.len() as u32, lanes.lane(lane));
-                        items.push(Item { footprint, draw, block: block as u32, crops: range.crop });
+                        let (draw, footprint, layers) =
+                            (draws.len() as u32, lanes.lane(lane), numbered.layers);
+                        items.push(Item { footprint, draw, block: block as u32, layers, crops: range.crop });
                     }
                 }
             }
@@ -114,6 +121,20 @@ impl Task<'_> {
         // The bits of depths that are not negative are ordered like their values.
         items.sort_unstable_by_key(|item| item.footprint.nearest_m.max(0.0).to_bits());
         (draws, items)
+    }
+
+    /// Returns the rows of the window, padding included, in which the layers of color and geometry may differ. Blocks outside
+    /// are not drawn into the layer of color, which is not read there.
+    fn fork(&self, items: &mut [Item]) -> Range<u32> {
+        let mut rows = u32::MAX..0;
+        for Item { footprint, .. } in items.iter().filter(|item| !self.layers.is_in_both(item.layers)) {
+            rows = rows.start.min(footprint.first[1])..rows.end.max(footprint.last[1] + 1);
+        }
+        let shared = self.layers.shared().used();
+        let is_outside =
+            |footprint: &Footprint| footprint.last[1] < rows.start || footprint.first[1] >= rows.end;
+        items.iter_mut().filter(|item| is_outside(&item.footprint)).for_each(|item| item.layers &= shared);
+        rows
     }
 
     /// Draws blocks in order. Each is tested as a whole, then group by group once their bounds are in the cache, and drawn
@@ -126,8 +147,9 @@ impl Task<'_> {
         loop {
             while waiting.len() < BLOCKS_AHEAD {
                 let Some(item) = items.next() else { break };
-                let Item { footprint, draw, block, crops } = item;
-                let block = Block { draw: &draws[*draw as usize], block: *block as usize, crops: *crops };
+                let Item { footprint, draw, block, layers: mask, crops } = item;
+                let (draw, block) = (&draws[*draw as usize], *block as usize);
+                let block = Block { draw, block, layers: *mask, crops: *crops };
                 let radius = self.job.schedule.radius_at(footprint.nearest_m).unwrap_or(window.pad);
                 if self.culls && block.is_hidden(footprint, radius, window, layers) {
                     continue;

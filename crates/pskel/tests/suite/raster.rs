@@ -7,6 +7,7 @@ mod culling;
 mod device;
 mod exact;
 mod fixture;
+mod forked;
 mod frames;
 mod quotient;
 mod random;

@@ -85,7 +85,7 @@ impl Scene {
     }
 }
 
-fn frame(rasterizer: &mut dyn Rasterizer, job: &FrameJob<'_>) -> Vec<ViewMaps<'static>> {
+pub(super) fn frame(rasterizer: &mut dyn Rasterizer, job: &FrameJob<'_>) -> Vec<ViewMaps<'static>> {
     rasterizer.begin(job).unwrap();
     rasterizer.finish().unwrap().into_iter().map(owned).collect()
 }
@@ -118,7 +118,7 @@ fn differing(a: &ViewMaps<'_>, b: &ViewMaps<'_>) -> usize {
         .max(count(&a.point, &b.point))
 }
 
-fn assert_same(expected: &[ViewMaps<'_>], found: &[ViewMaps<'_>], what: &str) {
+pub(super) fn assert_same(expected: &[ViewMaps<'_>], found: &[ViewMaps<'_>], what: &str) {
     assert_eq!(expected.len(), found.len(), "{what}");
     for (view, (a, b)) in expected.iter().zip(found).enumerate() {
         let (count, pixels) = (differing(a, b), a.size.pixels());
