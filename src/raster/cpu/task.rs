@@ -65,18 +65,24 @@ impl Task<'_> {
             times.add(stage, now - std::mem::replace(&mut start, now));
         };
         let (draws, mut items) = self.plan();
-        let forked = self.fork(&mut items);
+        let (forked, common) = self.fork(&mut items);
         stamp("plan");
         if scratch.layers.len() < self.layers.count {
             scratch.layers.resize_with(self.layers.count, Layer::default);
             scratch.dilations.resize_with(self.layers.count, Dilation::default);
         }
         let layers = &mut scratch.layers[..self.layers.count];
-        let reach_m = self.job.schedule.reach_m(1);
-        let used = if forked.is_empty() { self.layers.shared().used() } else { self.layers.used() };
-        Ones(used.into()).for_each(|layer| layers[layer].clear(&self.strip.window, reach_m));
+        let (window, reach_m) = (&self.strip.window, self.job.schedule.reach_m(1));
+        Ones(self.layers.shared().used().into()).for_each(|layer| layers[layer].clear(window, reach_m));
         stamp("clear");
-        self.project(&draws, &items, layers);
+        self.project(&draws, &items[..common], layers);
+        if let (Some(geometry), Some(color)) = (self.layers.geometry, self.layers.color)
+            && let Ok([from, to]) = layers.get_disjoint_mut([geometry, color])
+            && !forked.is_empty()
+        {
+            to.copy_rows(from, window, &forked);
+        }
+        self.project(&draws, &items[common..], layers);
         stamp("project");
         let Self { job, layers: purposes, strip, sampling, numbering, .. } = *self;
         let resolve = Resolve { job, layers: purposes, forked, strip, sampling, numbering };
@@ -123,18 +129,22 @@ impl Task<'_> {
         (draws, items)
     }
 
-    /// Returns the rows of the window, padding included, in which the layers of color and geometry may differ. Blocks outside
-    /// are not drawn into the layer of color, which is not read there.
-    fn fork(&self, items: &mut [Item]) -> Range<u32> {
-        let mut rows = u32::MAX..0;
-        for Item { footprint, .. } in items.iter().filter(|item| !self.layers.is_in_both(item.layers)) {
-            rows = rows.start.min(footprint.first[1])..rows.end.max(footprint.last[1] + 1);
+    /// Divides blocks into those that color and geometry share, which are only to be drawn into the layer of the geometry,
+    /// and the others, in the same order. Returns the rows of the window, padding included, in which the layers may then
+    /// differ, and the number of shared blocks.
+    fn fork(&self, items: &mut [Item]) -> (Range<u32>, usize) {
+        let shared = self.layers.shared();
+        if shared == *self.layers {
+            return (0..0, items.len());
         }
-        let shared = self.layers.shared().used();
-        let is_outside =
-            |footprint: &Footprint| footprint.last[1] < rows.start || footprint.first[1] >= rows.end;
-        items.iter_mut().filter(|item| is_outside(&item.footprint)).for_each(|item| item.layers &= shared);
-        rows
+        // A stable sort.
+        items.sort_by_key(|item| !self.layers.is_in_both(item.layers));
+        let common = items.partition_point(|item| self.layers.is_in_both(item.layers));
+        items[..common].iter_mut().for_each(|item| item.layers &= shared.used());
+        let [first, end] = items[common..].iter().fold([u32::MAX, 0], |[first, end], item| {
+            [first.min(item.footprint.first[1]), end.max(item.footprint.last[1] + 1)]
+        });
+        (first..end, common)
     }
 
     /// Draws blocks in order. Each is tested as a whole, then group by group once their bounds are in the cache, and drawn

@@ -1,5 +1,7 @@
 //! The part of a view that one task renders, and its visibility buffers.
 
+use std::ops::Range;
+
 /// Rows of a view with padding on all sides, in which the squares of points outside reach in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Window {
@@ -41,7 +43,7 @@ impl Window {
 pub(super) const TILE: usize = 8;
 
 /// How far each tile of a window is covered.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct Tiles {
     /// Depth of the farthest square seen in a tile, meters; infinite if a pixel may show something farther. What is drawn
     /// later may be nearer.
@@ -94,6 +96,20 @@ impl Layer {
         self.keys.clear();
         self.keys.resize(cells, EMPTY);
         self.keys[0] = 0;
+    }
+
+    /// Copies what another layer has in some rows of a window, and in those around them from which squares reach the same
+    /// pixels, or the pixels next to them, which color is interpolated with. Elsewhere, the layer is undefined.
+    pub(super) fn copy_rows(&mut self, from: &Self, window: &Window, rows: &Range<u32>) {
+        self.keys.resize(from.keys.len(), EMPTY);
+        self.keys[0] = 0;
+        let around = 2 * window.pad as usize + 1;
+        // Whole tiles: their cover is computed from all their keys.
+        let first = (rows.start as usize).saturating_sub(around) / TILE * TILE;
+        let end = (rows.end as usize + around).next_multiple_of(TILE).min(window.height());
+        let cells = window.cell(0, first)..window.cell(0, end);
+        self.keys[cells.clone()].copy_from_slice(&from.keys[cells]);
+        self.tiles.clone_from(&from.tiles);
     }
 
     /// Returns the keys of a row, padding included.

@@ -35,7 +35,9 @@ pub fn bench(
     on_frame: &mut dyn FnMut(&str),
 ) -> Result<BenchResult, BenchError> {
     let workload = workload.resized(options.conditions.size);
-    let mut rasterizer = raster::create(&options.rasterizer, workload.clouds()?)?;
+    let clouds = workload.clouds()?;
+    let points: usize = clouds.iter().map(|cloud| cloud.len()).sum();
+    let mut rasterizer = raster::create(&options.rasterizer, clouds)?;
     let count = workload.frames.len();
     let BenchOptions { warm_up, repeat, in_flight, .. } = *options;
     let plan = Plan { warm_up, timed: repeat * count, in_flight };
@@ -49,5 +51,5 @@ pub fn bench(
     };
     let measured =
         measure(rasterizer.as_mut(), frames.as_mut(), &plan, &mut on_frame).map_err(BenchError::Render)?;
-    Ok(BenchResult::new(&workload, options, rasterizer.info(), measured))
+    Ok(BenchResult::new(&workload, points, options, rasterizer.info(), measured))
 }

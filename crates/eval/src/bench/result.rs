@@ -55,11 +55,12 @@ pub struct BenchResult {
 impl BenchResult {
     pub(super) fn new(
         workload: &Workload,
+        points: usize,
         options: &BenchOptions,
         info: RasterizerInfo,
         measured: Measured,
     ) -> Self {
-        let (frames, points) = (&measured.frames, workload.points() as u64);
+        let (frames, points) = (&measured.frames, points as u64);
         Self {
             info,
             points,

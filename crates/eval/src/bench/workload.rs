@@ -9,7 +9,8 @@ use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::{CloudSet, Crop, FrameJob, Instance, Occlusion};
 use point_skeleton::scene::{
-    EgoOffset, SceneClouds, SceneInstances, SceneMap, SceneState, SelectionOptions, state_of_frame,
+    EgoOffset, SceneClouds, SceneInstances, SceneMap, SceneState, SelectionOptions, Substitutes,
+    state_of_frame,
 };
 use point_skeleton::skeleton::Skeleton;
 
@@ -28,8 +29,8 @@ pub struct Workload {
 
 enum Clouds {
     One(Vec<Point>),
-    /// Skeleton and name of the log.
-    Skeleton(Box<Skeleton>, String),
+    /// Skeleton, its substitutes, and name of the log.
+    Skeleton(Box<(Skeleton, Substitutes)>, String),
 }
 
 /// One frame: placed clouds and rendered cameras.
@@ -58,8 +59,8 @@ impl Workload {
         Self { clouds: Clouds::One(cloud.points), frames: vec![frame], non_finite, skipped: 0 }
     }
 
-    /// Creates a workload of the frames of a log that have cameras. `skeleton` was built from the log. The HD map is
-    /// read if the maps need it.
+    /// Creates a workload of the frames of a log that have cameras. `skeleton` was built from the log, `substitutes`
+    /// supplement its clouds. The HD map is read if the maps need it.
     ///
     /// # Errors
     /// Fails if no frame has cameras, if the HD map is damaged, or if points of the skeleton do not match their
@@ -67,6 +68,7 @@ impl Workload {
     pub fn log(
         dataset: &dyn Dataset,
         skeleton: Skeleton,
+        substitutes: Substitutes,
         range: Range<usize>,
         maps: MapSet,
     ) -> Result<Self, BenchError> {
@@ -74,12 +76,13 @@ impl Workload {
         let with_map = maps.contains(MapKind::Map) || maps.contains(MapKind::Tensor);
         let map = with_map.then(|| dataset.read_map()).transpose()?.flatten();
         let map = map.map(|map| Arc::new(SceneMap::new(map, log)));
-        let frames = frames_of_log(log, &skeleton, range, map.as_ref())?;
+        let scene_clouds = SceneClouds::with(&skeleton, &log.name, &substitutes)?;
+        let frames = frames_of_log(log, &scene_clouds, range, map.as_ref());
         if frames.is_empty() {
             return Err(BenchError::NoCameras { log: log.shown_name().into_owned(), frames: count });
         }
         let skipped = count - frames.len();
-        let clouds = Clouds::Skeleton(Box::new(skeleton), log.name.clone());
+        let clouds = Clouds::Skeleton(Box::new((skeleton, substitutes)), log.name.clone());
         Ok(Self { clouds, frames, non_finite: 0, skipped })
     }
 
@@ -110,15 +113,7 @@ impl Workload {
     pub(super) fn clouds(&self) -> Result<CloudSet<'_>, FileError> {
         match &self.clouds {
             Clouds::One(points) => Ok(vec![points]),
-            Clouds::Skeleton(skeleton, _) => SceneClouds::clouds(skeleton),
-        }
-    }
-
-    /// Returns the number of points of all clouds.
-    pub(super) fn points(&self) -> usize {
-        match &self.clouds {
-            Clouds::One(points) => points.len(),
-            Clouds::Skeleton(skeleton, _) => skeleton.manifest.points(),
+            Clouds::Skeleton(skeleton, log) => Ok(scene_clouds(skeleton, log)?.cloud_set()),
         }
     }
 
@@ -144,7 +139,7 @@ impl Workload {
     pub(super) fn steps<'a>(&'a self, options: &ConditionOptions) -> Result<Option<Steps<'a>>, FileError> {
         let Clouds::Skeleton(skeleton, log) = &self.clouds else { return Ok(None) };
         let states = self.frames.iter().filter_map(|frame| frame.state.as_ref()).collect();
-        let steps = || Ok(Steps::new(SceneClouds::new(skeleton, log)?, states, options.clone()));
+        let steps = || Ok(Steps::new(scene_clouds(skeleton, log)?, states, options.clone()));
         BenchOptions::has_whole_steps(options.maps).then(steps).transpose()
     }
 
@@ -166,14 +161,21 @@ impl Workload {
     }
 }
 
+fn scene_clouds<'a>(
+    (skeleton, substitutes): &'a (Skeleton, Substitutes),
+    log: &str,
+) -> Result<SceneClouds<'a>, FileError> {
+    SceneClouds::with(skeleton, log, substitutes)
+}
+
 /// Returns the frames of a log; frames without cameras are skipped.
 fn frames_of_log(
     log: &Recording,
-    skeleton: &Skeleton,
+    scene_clouds: &SceneClouds<'_>,
     range: Range<usize>,
     map: Option<&Arc<SceneMap>>,
-) -> Result<Vec<WorkFrame>, FileError> {
-    let (scene_clouds, selection) = (SceneClouds::new(skeleton, &log.name)?, SelectionOptions::default());
+) -> Vec<WorkFrame> {
+    let selection = SelectionOptions::default();
     let radius_m = ConditionOptions::default().radius_m;
     let frame = |index: usize| {
         let mut state = state_of_frame(log, index, EgoOffset::default())?;
@@ -183,5 +185,5 @@ fn frames_of_log(
         let views = state.cameras.iter().map(|camera| camera.view.clone()).collect();
         Some(WorkFrame { name: state.name.clone(), views, clouds, crop, state: Some(state) })
     };
-    Ok(range.filter_map(frame).filter(|frame: &WorkFrame| !frame.views.is_empty()).collect())
+    range.filter_map(frame).filter(|frame: &WorkFrame| !frame.views.is_empty()).collect()
 }

@@ -5,11 +5,13 @@ use point_skeleton::cloud;
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::raster::{FRAMES_IN_FLIGHT, SplatSchedule};
+use point_skeleton::scene::SubstituteOptions;
 use point_skeleton::skeleton::Skeleton;
 use pskel_eval::bench::{BenchOptions, Workload};
 
 use crate::numbers::{self, FrameRange};
 use crate::rasterizer::RasterizerArgs;
+use crate::substitutes::SubstituteArgs;
 use crate::{WrongUsage, log_args, logs, tell, warn};
 
 /// Measure rendering speed: time per frame and per stage, points per second, peak memory
@@ -28,6 +30,8 @@ pub(crate) struct BenchArgs {
     /// Range of frames of the recording, numbered from 0 in log order, B excluded [default: all]
     #[arg(long, value_name = "A..B", requires = "log")]
     frames: Option<FrameRange>,
+    #[command(flatten)]
+    stand_ins: SubstituteArgs,
     /// Number of points of a synthetic street with six cameras of 900x1600, like 4000000 or 4e6; the default workload
     /// [default: 4e6]
     #[arg(long, value_name = "N", value_parser = numbers::points, conflicts_with_all = ["points", "cameras"])]
@@ -92,6 +96,10 @@ impl BenchArgs {
             let expected = "expected a drive, or --maps out of color,depth,class,instance,point";
             return Err(WrongUsage(format!("{expected}, found {}", maps.join(","))));
         }
+        if self.stand_ins.options() != SubstituteOptions::default() && self.log.is_none() {
+            let expected = "expected a drive with --templates, --no-default-templates or --augment";
+            return Err(WrongUsage(format!("{expected}, found none")));
+        }
         Ok(())
     }
 
@@ -102,7 +110,8 @@ impl BenchArgs {
                 let dataset = logs::open(log)?;
                 let skeleton = Skeleton::open_for(skeleton, dataset.log())?;
                 let range = FrameRange::of(self.frames, dataset.log().frames.len())?;
-                let workload = Workload::log(dataset.as_ref(), skeleton, range, self.maps)?;
+                let (substitutes, _) = self.stand_ins.options().make(&skeleton, &dataset.log().name)?;
+                let workload = Workload::log(dataset.as_ref(), skeleton, substitutes, range, self.maps)?;
                 if workload.skipped() > 0 {
                     warn(&format!("{} frames have no cameras and are left out", workload.skipped()));
                 }

@@ -25,11 +25,11 @@ fn view() -> View {
     View { camera: Camera::new("c", 80, 90, rows).unwrap(), camera_from_world: DAffine3::IDENTITY }
 }
 
-/// About one point per pixel, some of them behind and some before the actors.
+/// Two walls, behind some actors and before others, with so many points that a block of them covers few rows.
 fn background(random: &mut Random) -> Vec<Point> {
     let mut points = Vec::new();
-    for _ in 0..9000 {
-        let z = random.between(3.0, 60.0);
+    for _ in 0..60_000 {
+        let z = [12.0, 25.0][random.below(2) as usize] + random.between(0.0, 0.5);
         let [x, y] = [random.between(-0.8, 0.8) * z, random.between(-0.9, 0.9) * z];
         points.push(point(random, [x, y, z]));
     }
