@@ -11,7 +11,7 @@ use crate::raster::reduce::Tap;
 use crate::raster::{FrameJob, MapKind, MapSet, rgb_of};
 
 /// Pixels of a row whose colors are loaded before they are used.
-const COLORS_AHEAD: usize = 16;
+const COLORS_AHEAD: usize = 32;
 
 /// Rows of a view's maps; a map that is not wanted has length 0.
 pub(super) struct MapRows<'m> {
