@@ -7,7 +7,7 @@ use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{
     Crop, FrameJob, FrameMaps, MapSet, Occlusion, Rasterizer, SplatSchedule, rgb_of,
 };
-use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, state_of_frame};
+use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, Substitutes, state_of_frame};
 use point_skeleton::skeleton::BuildOptions;
 
 use crate::common::{shared, skeleton_of};
@@ -38,9 +38,10 @@ fn all_rasterizers_draw_a_real_frame_alike() {
     let scratch = tempfile::tempdir().unwrap();
     let skeleton = skeleton_of(&scratch.path().join("s"), &drive, &[3, 4, 5], &BuildOptions::default());
     let state = state_of_frame(drive.log(), 4, EgoOffset::default()).unwrap();
-    let stage = SceneClouds::new(&skeleton, &drive.log().name).unwrap();
+    let stage = SceneClouds::with(&skeleton, &drive.log().name, Substitutes::built_in()).unwrap();
     let instances = stage.instances(&state, &SelectionOptions::default());
-    let clouds = SceneClouds::clouds(&skeleton).unwrap();
+    assert_ne!(instances.color, instances.geometry, "templates replace some actors");
+    let clouds = stage.cloud_set();
     let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
     let schedule = SplatSchedule::default();
     let center = state.global_from_ego.translation.truncate();
