@@ -70,6 +70,7 @@ mod tests {
     fn same_size_changes_nothing() {
         let map: Vec<[u8; 3]> = (0..35).map(|i: u8| [i, 7 * i, 255 - i]).collect();
         let s = size(5, 7);
+        assert!((1..2000).all(|side| nearest_indices(side, side).into_iter().eq(0..side)));
         assert_eq!(nearest(&map, s, s), map);
         assert_eq!(bilinear(&map, s, s), map);
         assert_eq!(valid_area(&map, &[1.0; 35], s, s), map);

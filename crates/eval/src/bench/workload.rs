@@ -76,13 +76,13 @@ impl Workload {
         let with_map = maps.contains(MapKind::Map) || maps.contains(MapKind::Tensor);
         let map = with_map.then(|| dataset.read_map()).transpose()?.flatten();
         let map = map.map(|map| Arc::new(SceneMap::new(map, log)));
-        let scene_clouds = SceneClouds::with(&skeleton, &log.name, &substitutes)?;
-        let frames = frames_of_log(log, &scene_clouds, range, map.as_ref());
+        let content = Box::new((skeleton, substitutes));
+        let frames = frames_of_log(log, &scene_clouds(&content, &log.name)?, range, map.as_ref());
         if frames.is_empty() {
             return Err(BenchError::NoCameras { log: log.shown_name().into_owned(), frames: count });
         }
         let skipped = count - frames.len();
-        let clouds = Clouds::Skeleton(Box::new((skeleton, substitutes)), log.name.clone());
+        let clouds = Clouds::Skeleton(content, log.name.clone());
         Ok(Self { clouds, frames, non_finite: 0, skipped })
     }
 

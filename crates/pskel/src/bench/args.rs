@@ -97,7 +97,7 @@ impl BenchArgs {
             return Err(WrongUsage(format!("{expected}, found {}", maps.join(","))));
         }
         if self.stand_ins.options() != SubstituteOptions::default() && self.log.is_none() {
-            let expected = "expected a drive with --templates, --no-default-templates or --augment";
+            let expected = "expected a recording with --templates, --no-default-templates or --augment";
             return Err(WrongUsage(format!("{expected}, found none")));
         }
         Ok(())

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use point_skeleton::cloud::street::{street_cloud, street_views};
 use point_skeleton::cloud::{cameras, npy};
 use point_skeleton::geometry::View;
+use point_skeleton::scene::Substitutes;
 use serde_json::Value;
 
 use crate::npz;
@@ -122,6 +123,10 @@ fn a_drive_is_drawn_frame_by_frame() {
     assert_eq!(number(&found, "/frames"), FRAMES as f64);
     assert_eq!((&found["cameras"], &found["size"]), (&2.into(), &format!("{HEIGHT}x{WIDTH}").into()));
     assert!(number(&found, "/filled") > 0.0 && number(&found, "/points") > 1000.0);
+    // The skeleton has no templates of its own.
+    let without = json(&log, &format!("{bench} --no-default-templates"));
+    let templates: usize = Substitutes::built_in().templates.iter().map(|(_, points)| points.len()).sum();
+    assert_eq!(number(&found, "/points") - number(&without, "/points"), templates as f64);
     let found = json(&log, &format!("{bench} --frames 0..2 --repeat 2 --size 32x48"));
     assert_eq!((&found["frames"], &found["size"]), (&4.into(), &"32x48".into()));
     log.fail(&format!("{bench} --frames 2..9"), 1, &["expected --frames within 0..3, found 2..9"]);
@@ -200,6 +205,7 @@ fn wrong_usage_exits_with_2() {
             "expected a drive, or --maps out of color,depth,class,instance,point, found boxes",
         ),
         ("bench --points p.npy --cameras c.json --maps color,map", "found color,map"),
+        ("bench --no-default-templates", "expected a recording with --templates"),
         ("bench --repeat 0", "0 is not in 1.."),
         ("bench --warm-up -1", "--warm-up"),
         ("bench --in-flight 3", "3 is not in 1..=2"),
