@@ -6,6 +6,7 @@ mod av2_bad;
 mod av2_log;
 mod bench_cli;
 mod build_resume;
+mod cases;
 mod checksums;
 mod cli_build;
 mod cli_render;

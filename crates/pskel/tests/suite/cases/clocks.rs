@@ -1,0 +1,1 @@
+//! Clocks and calibration that contradict the rest of a log.

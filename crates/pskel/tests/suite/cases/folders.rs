@@ -1,0 +1,1 @@
+//! Output folders that cannot be renamed or locked.

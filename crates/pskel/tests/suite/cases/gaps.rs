@@ -1,0 +1,1 @@
+//! Missing and damaged parts of a log: one policy for all readers.

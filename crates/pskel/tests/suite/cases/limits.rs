@@ -1,0 +1,1 @@
+//! Resources that run out: memory, threads, drivers.

@@ -1,0 +1,1 @@
+//! Messages name file, record and field, what was found, and what to do.

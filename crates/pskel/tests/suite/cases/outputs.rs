@@ -1,0 +1,1 @@
+//! Outputs never replace inputs or files that no run wrote.

@@ -1,0 +1,1 @@
+//! Point clouds of strangers: origins, colors, masks, values that are not finite.

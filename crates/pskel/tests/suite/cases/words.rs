@@ -1,0 +1,1 @@
+//! Names and numbers of other data sets in the nuScenes layout.
