@@ -2,7 +2,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::Error;
-use crate::dataset::{self, Dataset, EgoTrack, LogLocator};
+use crate::dataset::{self, Dataset, DatasetError, EgoTrack, LogLocator, MissingData};
 use crate::scene::{EgoOffset, SceneMap, SceneState, state_at, state_of_frame};
 use crate::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 
@@ -11,6 +11,7 @@ pub struct Log {
     dataset: Box<dyn Dataset>,
     ego: EgoTrack,
     map: Option<Arc<SceneMap>>,
+    map_error: Option<DatasetError>,
 }
 
 impl Log {
@@ -24,14 +25,19 @@ impl Log {
         Self::new(dataset::open(&locator)?)
     }
 
-    /// Creates a log from a reader of any format.
+    /// Creates a log from a reader of any format. With [`MissingData::Skip`], a log with a damaged HD map has none, and
+    /// [`Log::map_error`] says why.
     ///
     /// # Errors
-    /// Fails if the HD map is damaged.
+    /// Fails with [`MissingData::Error`] if the HD map is damaged.
     pub fn new(dataset: Box<dyn Dataset>) -> Result<Self, Error> {
-        let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, dataset.log())));
+        let (map, map_error) = match SceneMap::read(dataset.as_ref()) {
+            Ok(map) => (map, None),
+            Err(error) if dataset.log().missing_data == MissingData::Skip => (None, Some(error)),
+            Err(error) => return Err(error.into()),
+        };
         let ego = EgoTrack::new(dataset.log());
-        Ok(Self { dataset, ego, map })
+        Ok(Self { dataset, ego, map, map_error })
     }
 
     /// Returns the name, which identifies the log in skeletons.
@@ -61,6 +67,11 @@ impl Log {
         self.map.clone()
     }
 
+    /// Returns why the HD map cannot be read; `None` if it can, or if the log has none.
+    pub fn map_error(&self) -> Option<&DatasetError> {
+        self.map_error.as_ref()
+    }
+
     /// Returns the reader, for sweeps and images.
     pub fn dataset(&self) -> &dyn Dataset {
         self.dataset.as_ref()
@@ -76,7 +87,7 @@ impl Skeleton {
     /// several logs, templates, progress and resumption see [`skeleton::build`].
     ///
     /// # Errors
-    /// Fails if a file of the log is missing or damaged, if no sweep has points, or if the folder cannot be written.
+    /// Fails if a file of the log is damaged and the log was opened with [`MissingData::Error`], if no sweep has points, or if the folder cannot be written.
     pub fn build(log: &Log, folder: impl AsRef<Path>, options: &BuildOptions) -> Result<Self, Error> {
         let input = BuildInput::all(log.dataset());
         let run = BuildRun::default();

@@ -1,7 +1,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, Generic, Protocol, Self, TypeVar, final, overload
+from typing import Any, Generic, Literal, Protocol, Self, TypeVar, final, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -118,9 +118,13 @@ class Scenes:
 
 @final
 class Log:
-    def __new__(cls, name: str) -> Self: ...
+    def __new__(cls, name: str, missing: Literal["skip", "error"] = "skip") -> Self: ...
     @property
     def name(self) -> str: ...
+    @property
+    def notes(self) -> dict[str, int]: ...
+    @property
+    def gaps(self) -> list[str]: ...
     @property
     def times_us(self) -> list[int]: ...
     @property

@@ -1,14 +1,15 @@
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::CString;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
-use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::{Dataset, LogLocator, MissingData};
 use point_skeleton::error::with_causes;
 use point_skeleton::geometry::View;
 use point_skeleton::scene::GroundTruthImages;
 use pskel_sim::Rates;
-use pyo3::exceptions::{PyIndexError, PyOverflowError, PyValueError};
+use pyo3::exceptions::{PyIndexError, PyOverflowError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PySlice};
 
@@ -21,23 +22,56 @@ use crate::scene::Scene;
 /// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map. Its items are the scenes at key frames, by
 /// index or slice.
 ///
-/// `name` is `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. Raises `LogError`.
+/// `name` is `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. `missing` is the policy for missing and damaged parts: `"skip"`
+/// counts them in `notes` and names missing ones in `gaps`, `"error"` raises with the first. Raises `LogError`; warns
+/// (`UserWarning`) of an incomplete log and of an HD map that cannot be read.
 #[pyclass(frozen, sequence, module = "pskel")]
 pub(crate) struct Log {
     pub(crate) inner: Arc<OwnedLog>,
     text: String,
+    missing: String,
 }
 
 #[pymethods]
 impl Log {
     #[new]
-    fn new(py: Python<'_>, name: &str) -> PyResult<Self> {
+    #[pyo3(signature = (name, missing = "skip"))]
+    fn new(py: Python<'_>, name: &str, missing: &str) -> PyResult<Self> {
+        let policy = match missing {
+            "skip" => MissingData::Skip,
+            "error" => MissingData::Error,
+            other => {
+                return Err(PyValueError::new_err(format!(
+                    "missing is \"skip\" or \"error\", not {other:?}"
+                )));
+            }
+        };
         let open = || {
-            let locator = pskel::logs::locate(name).map_err(raise)?;
+            let locator = LogLocator { missing: policy, ..pskel::logs::locate(name).map_err(raise)? };
             let dataset: Box<dyn Dataset> = pskel::logs::open(&locator).map_err(raise)?;
             point_skeleton::Log::new(dataset).map(OwnedLog::new).map_err(raise)
         };
-        Ok(Self { inner: Arc::new(detached(py, open)?), text: name.to_owned() })
+        let log: OwnedLog = detached(py, open)?;
+        let gaps = &log.dataset().log().gaps;
+        let first = gaps.first().map(|gap| format!("{name} has {} gaps, the first: {gap}", gaps.len()));
+        let map = log.map_error().map(|error| format!("{name} has an HD map that cannot be read: {error}"));
+        for text in first.into_iter().chain(map) {
+            let text = CString::new(text.replace('\0', " ")).unwrap_or_default();
+            PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)?;
+        }
+        Ok(Self { inner: Arc::new(log), text: name.to_owned(), missing: missing.to_owned() })
+    }
+
+    /// Number of skipped and missing items, by kind.
+    #[getter]
+    fn notes(&self) -> BTreeMap<String, usize> {
+        self.inner.dataset().log().notes.clone()
+    }
+
+    /// Missing parts: files, records, boxes without a size.
+    #[getter]
+    fn gaps(&self) -> Vec<String> {
+        self.inner.dataset().log().gaps.iter().map(ToString::to_string).collect()
     }
 
     /// Name of the scene, which identifies the log in skeletons.
@@ -128,8 +162,8 @@ impl Log {
         format!("Log({:?}, {} frames)", self.text, self.__len__())
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (String,)) {
-        (slf.get_type().into_any(), (slf.get().text.clone(),))
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (String, String)) {
+        (slf.get_type().into_any(), (slf.get().text.clone(), slf.get().missing.clone()))
     }
 }
 

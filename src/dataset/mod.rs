@@ -7,6 +7,7 @@
 pub mod av2;
 mod category;
 mod ego_track;
+mod gaps;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod limits;
 mod locator;
@@ -25,6 +26,7 @@ mod summary;
 
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
+pub use gaps::{Gap, GapPlace, MissingData};
 pub use locator::{LogFormat, LogLocator};
 pub use map::{Area, Lane, VectorMap};
 pub use moved_ego::MovedEgo;
@@ -36,6 +38,7 @@ pub use recording::{
 };
 pub use summary::{BoxCounts, CameraSummary, EgoPath, LogSummary, MapCounts};
 
+use std::io::ErrorKind;
 use std::path::PathBuf;
 
 use crate::error::FileError;
@@ -225,7 +228,32 @@ pub enum DatasetError {
         /// The file.
         path: PathBuf,
     },
+    /// Missing part of a log that was opened with [`MissingData::Error`].
+    #[error("expected a log without gaps, found {first} and {further} further missing parts")]
+    Missing {
+        /// First missing part.
+        first: Gap,
+        /// Number of further missing parts.
+        further: usize,
+    },
     /// Error while generating a synthetic log.
     #[error(transparent)]
     Made(Box<dyn std::error::Error + Send + Sync>),
+}
+
+impl DatasetError {
+    /// Returns whether the data is missing or damaged, as opposed to an error of the operating system (permissions, a network
+    /// that is down), after which the data may be there again.
+    pub fn is_damage(&self) -> bool {
+        match self {
+            Self::File(FileError::Io { source, .. }) => {
+                matches!(
+                    source.kind(),
+                    ErrorKind::NotFound | ErrorKind::NotADirectory | ErrorKind::UnexpectedEof
+                )
+            }
+            Self::File(FileError::Content { .. }) => true,
+            _ => false,
+        }
+    }
 }

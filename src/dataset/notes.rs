@@ -1,13 +1,94 @@
-//! Counts of the items that a reader skips or misses.
+//! Items that a reader skips or misses, and the policy for missing parts (`gaps`).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 
-/// Number of skipped or missing items by kind.
-pub(super) type Notes = BTreeMap<String, usize>;
+use rayon::prelude::*;
+
+use super::{DatasetError, Gap, GapPlace, MissingData, Recording};
+use crate::error::FileError;
+use crate::files::input::is_there;
+
+/// Kind of a gap: a camera without an image for a frame.
+pub(super) const NO_IMAGE: &str = "missing camera images";
+/// Kind of a gap: a box with a side that is zero or negative.
+pub(super) const FLAT_BOX: &str = "boxes without a size";
+/// Kind of a gap: a frame to which no sweep belongs.
+pub(super) const NO_SWEEP: &str = "frames without a LiDAR sweep of their own";
+const NO_SWEEP_FILE: &str = "missing sweep files";
+const NO_IMAGE_FILE: &str = "missing image files";
+
+/// Items that a reader skips or misses.
+#[derive(Debug, Default)]
+pub(super) struct Notes {
+    /// Number of items by kind.
+    pub(super) counts: BTreeMap<String, usize>,
+    /// Missing parts, which are also counted.
+    pub(super) gaps: Vec<Gap>,
+}
+
+impl Notes {
+    pub(super) fn new() -> Self {
+        Self::default()
+    }
+
+    /// Counts a missing part of the log.
+    pub(super) fn gap(&mut self, gap: Gap) {
+        note(self, gap.kind, 1);
+        self.gaps.push(gap);
+    }
+}
+
+/// Moves the notes of a reader to its log, removes sweeps and images whose files do not exist, and applies the policy.
+///
+/// # Errors
+/// Fails with [`MissingData::Error`] if anything is missing. Fails if a file cannot be looked up, or with that policy if it is
+/// not a regular file.
+pub(super) fn settle(log: &mut Recording, notes: Notes, policy: MissingData) -> Result<(), DatasetError> {
+    (log.notes, log.gaps, log.missing_data) = (notes.counts, notes.gaps, policy);
+    let gaps = missing_files(log)?;
+    let missing: BTreeSet<&Path> = gaps.iter().filter_map(Gap::file).collect();
+    for frame in log.frames.iter_mut().filter(|_| !missing.is_empty()) {
+        frame.sweeps.retain(|sweep| !missing.contains(sweep.path.as_path()));
+        frame.images.retain(|image| !missing.contains(image.path.as_path()));
+        frame.between_images.retain(|image| !missing.contains(image.path.as_path()));
+    }
+    for gap in &gaps {
+        *log.notes.entry(gap.kind.to_owned()).or_default() += 1;
+    }
+    log.gaps.extend(gaps);
+    match log.gaps.first() {
+        Some(first) if policy == MissingData::Error => {
+            Err(DatasetError::Missing { first: first.clone(), further: log.gaps.len() - 1 })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Returns the files of a log that do not exist, each once. Other things than regular files are damaged, and left for their
+/// readers.
+fn missing_files(log: &Recording) -> Result<Vec<Gap>, DatasetError> {
+    let files = log.frames.iter().flat_map(|frame| {
+        let sweeps = frame.sweeps.iter().map(|sweep| (&sweep.path, NO_SWEEP_FILE));
+        let images = frame.images.iter().chain(&frame.between_images);
+        sweeps.chain(images.map(|image| (&image.path, NO_IMAGE_FILE)))
+    });
+    // Several frames may share an image.
+    let mut seen = BTreeSet::new();
+    let files: Vec<(&PathBuf, &'static str)> = files.filter(|(path, _)| seen.insert(*path)).collect();
+    let found: Vec<Result<bool, FileError>> = files.par_iter().map(|(path, _)| is_there(path)).collect();
+    let mut gaps = Vec::new();
+    for ((path, kind), found) in files.into_iter().zip(found) {
+        if log.unless_damaged(found.map_err(Into::into))? == Some(false) {
+            gaps.push(Gap { kind, place: GapPlace::File(path.clone()) });
+        }
+    }
+    Ok(gaps)
+}
 
 /// Counts skipped items.
 pub(super) fn note(notes: &mut Notes, kind: &str, count: usize) {
     if count > 0 {
-        *notes.entry(kind.to_owned()).or_default() += count;
+        *notes.counts.entry(kind.to_owned()).or_default() += count;
     }
 }

@@ -2,7 +2,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use super::Class;
+use super::{Class, Gap, MissingData};
 use crate::files::FileName;
 use crate::files::text::printable;
 use crate::geometry::{Camera, Cuboid, Pose};
@@ -34,6 +34,10 @@ pub struct Recording {
     pub map_files: Option<MapFiles>,
     /// Number of items that the reader skipped or missed, by kind.
     pub notes: BTreeMap<String, usize>,
+    /// Missing parts, which are also counted in the notes.
+    pub gaps: Vec<Gap>,
+    /// What to do about damaged files, as about the missing parts.
+    pub missing_data: MissingData,
 }
 
 /// Name and length of a log.

@@ -48,7 +48,9 @@ pub struct LogSummary {
     pub map: Option<MapCounts>,
     /// Skipped items, by kind.
     pub left_out: BTreeMap<String, usize>,
-    /// Errors of missing or damaged files.
+    /// Records that are missing or skipped; they are also counted in `left_out`.
+    pub gaps: Vec<String>,
+    /// Missing files, and errors of damaged files.
     pub damaged: Vec<String>,
 }
 
@@ -104,7 +106,10 @@ impl LogSummary {
     /// Summarizes a log. Checks the header and size of every sweep and image file, and reads the HD map.
     pub fn new(dataset: &dyn Dataset) -> Self {
         let log = dataset.log();
-        let (points, mut damaged) = sweeps(dataset);
+        let mut damaged: Vec<String> =
+            log.gaps.iter().filter(|gap| gap.file().is_some()).map(ToString::to_string).collect();
+        let (points, errors) = sweeps(dataset);
+        damaged.extend(errors);
         damaged.extend(images(dataset));
         let mut left_out = log.notes.clone();
         let map = map(dataset, &mut left_out, &mut damaged);
@@ -129,6 +134,7 @@ impl LogSummary {
             ego: ego_path(log),
             map,
             left_out,
+            gaps: log.gaps.iter().filter(|gap| gap.file().is_none()).map(ToString::to_string).collect(),
             damaged,
         }
     }

@@ -31,6 +31,15 @@ impl Cuboid {
         Err(CuboidError::Size(size.x, size.y, size.z))
     }
 
+    /// Creates a box, or `None` if a side is zero or negative: data sets have such boxes of objects without a size.
+    ///
+    /// # Errors
+    /// Fails if a side is not finite.
+    pub fn unless_flat(pose: Pose, size: DVec3) -> Result<Option<Self>, CuboidError> {
+        let is_flat = size.is_finite() && size.min_element() <= 0.0;
+        if is_flat { Ok(None) } else { Self::new(pose, size).map(Some) }
+    }
+
     /// Returns the eight corners in the global frame, meters. Bit 0 of the index is front, bit 1 left, bit 2 up.
     pub fn corners(&self) -> [DVec3; 8] {
         std::array::from_fn(|i| {

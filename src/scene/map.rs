@@ -6,12 +6,13 @@
 //! size of the map.
 
 use std::fmt;
+use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
 
-use crate::dataset::{Area, Recording, VectorMap};
+use crate::dataset::{Area, Dataset, DatasetError, Recording, VectorMap};
 
 /// Kind of area that an edge bounds, or of line; layers are drawn in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -48,6 +49,14 @@ pub struct SceneMap {
 }
 
 impl SceneMap {
+    /// Reads the HD map of a log; `None` if it has none.
+    ///
+    /// # Errors
+    /// Fails if the map is damaged.
+    pub fn read(dataset: &dyn Dataset) -> Result<Option<Arc<Self>>, DatasetError> {
+        Ok(dataset.read_map()?.map(|map| Arc::new(Self::new(map, dataset.log()))))
+    }
+
     /// Assigns ground heights from a log to a map. Skips edges with coordinates that are not finite, and all edges if
     /// the log has no ego pose and thus no heights.
     pub fn new(map: VectorMap, log: &Recording) -> Self {

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 
 use crate::ExportError;
 use crate::samples::Sample;
+use crate::shard::Shard;
 
 /// JPEG quality of recorded images, so high that artifacts are those of the recording.
 const QUALITY: u8 = 95;
@@ -45,11 +46,14 @@ pub(crate) fn maps_as_png(
 }
 
 /// Reads the recorded images of a sample, removes their lens distortion, resizes them to the size of each camera's maps, and
-/// encodes them as JPEG. `name` returns the name of a file by camera.
+/// encodes them as JPEG. `name` returns the name of a file by camera. Damaged images are skipped and counted in the shard's
+/// notes.
 ///
 /// # Errors
-/// Fails if an image is missing or damaged.
+/// Fails if an image cannot be read, or if it is damaged and the log was opened with
+/// [`MissingData::Error`](point_skeleton::dataset::MissingData::Error).
 pub(crate) fn images_as_jpeg(
+    shard: &mut Shard,
     dataset: &dyn Dataset,
     sample: &Sample<'_>,
     sizes: &[ImageSize],
@@ -59,7 +63,8 @@ pub(crate) fn images_as_jpeg(
     let encode = |(camera, (image, size)): (usize, (&Option<&ImageRecord>, &ImageSize))| {
         let Some(record) = image else { return Ok(None) };
         let name = name(camera);
-        let image = resize(&truth.of_record(record)?, size.width, size.height, FilterType::Triangle);
+        let Some(image) = dataset.log().unless_damaged(truth.of_record(record))? else { return Ok(None) };
+        let image = resize(&image, size.width, size.height, FilterType::Triangle);
         let mut bytes = Vec::new();
         let encoded = JpegEncoder::new_with_quality(&mut bytes, QUALITY).encode_image(&image);
         encoded.map_err(|error| FileError::io("write", Path::new(&name))(std::io::Error::other(error)))?;
@@ -67,5 +72,7 @@ pub(crate) fn images_as_jpeg(
     };
     let all = sample.images.par_iter().zip(sizes).enumerate();
     let files: Vec<Option<Encoded>> = all.map(encode).collect::<Result<_, ExportError>>()?;
-    Ok(files.into_iter().flatten().collect())
+    let files: Vec<Encoded> = files.into_iter().flatten().collect();
+    shard.note("damaged image files", sample.images.iter().flatten().count() - files.len());
+    Ok(files)
 }

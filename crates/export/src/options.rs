@@ -110,6 +110,16 @@ pub struct ExportOptions {
 }
 
 impl ExportOptions {
+    /// Returns whether the HD map is drawn or written.
+    pub(crate) fn uses_map(&self) -> bool {
+        #[cfg(feature = "parquet")]
+        if self.layout == Layout::WorldScenario {
+            return true;
+        }
+        let maps = self.conditions.maps;
+        maps.contains(MapKind::Map) || maps.contains(MapKind::Tensor)
+    }
+
     /// Returns the maps to render of a log with or without an HD map.
     pub(crate) fn rendered(&self, has_map: bool) -> MapSet {
         let asked = if has_map { self.conditions.maps } else { self.conditions.maps.without(MapKind::Map) };

@@ -2,7 +2,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use point_skeleton::conditions::ConditionOptions;
@@ -226,8 +226,8 @@ fn export_units(
 ) -> Result<(), ExportError> {
     let dataset = (run.open)(&log.locator)?;
     let recording = dataset.log();
-    let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, recording)));
     let options = run.options;
+    let map = if options.uses_map() { SceneMap::read(dataset.as_ref())? } else { None };
     report.note(&recording.notes);
     let maps = options.rendered(map.is_some());
     let source = Source {

@@ -84,6 +84,7 @@ pub(crate) struct Shard {
     out: PathBuf,
     unit: WorkUnit,
     files: Vec<ShardFile>,
+    notes: BTreeMap<String, usize>,
 }
 
 impl Shard {
@@ -94,7 +95,7 @@ impl Shard {
     pub(crate) fn begin(out: &Path, unit: &WorkUnit) -> Result<Self, FileError> {
         let work = WorkFolder::open(out.join(WORK).join(&unit.name), &record_path(out, &unit.name))?;
         work.clear(|_| false)?;
-        Ok(Self { work, out: out.to_owned(), unit: unit.clone(), files: Vec::new() })
+        Ok(Self { work, out: out.to_owned(), unit: unit.clone(), files: Vec::new(), notes: BTreeMap::new() })
     }
 
     /// Returns the name of the shard.
@@ -106,6 +107,13 @@ impl Shard {
     #[cfg(feature = "parquet")]
     pub(crate) fn frames(&self) -> Range<usize> {
         self.unit.frames.clone()
+    }
+
+    /// Counts skipped items.
+    pub(crate) fn note(&mut self, kind: &str, count: usize) {
+        if count > 0 {
+            *self.notes.entry(kind.to_owned()).or_default() += count;
+        }
     }
 
     /// Begins a file at a path in the export.
@@ -149,7 +157,8 @@ impl Shard {
     ///
     /// # Errors
     /// Fails if a file cannot be moved or written.
-    pub(crate) fn publish(mut self, record: ShardRecord) -> Result<ShardRecord, FileError> {
+    pub(crate) fn publish(mut self, mut record: ShardRecord) -> Result<ShardRecord, FileError> {
+        record.notes.append(&mut self.notes);
         self.files.sort_by(|a, b| a.path.cmp(&b.path));
         for file in &self.files {
             let path = self.out.join(&file.path);

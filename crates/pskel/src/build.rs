@@ -134,7 +134,9 @@ impl BuildArgs {
         let mut opened = Vec::new();
         for log in &self.logs {
             for log in logs::expand(&self.roots.locate(log))? {
-                opened.push(logs::open(&log)?);
+                let dataset = logs::open(&log)?;
+                log_args::warn_of_gaps(dataset.log());
+                opened.push(dataset);
             }
         }
         Ok(opened)

@@ -5,6 +5,7 @@ use std::ffi::OsStr;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use point_skeleton::cloud::PointFormat;
 use point_skeleton::conditions::{BinScale, ColorFilter, DepthEmbedding, LayoutLayers, LineWidth, MapFormat};
+use point_skeleton::dataset::MissingData;
 use point_skeleton::raster::Occlusion;
 use point_skeleton::scene::TemplateFit;
 use point_skeleton::skeleton::Coloring;
@@ -19,6 +20,11 @@ pub(crate) const MAP_FORMAT: Choices<MapFormat> = Choices(&[
     ("exr", MapFormat::Exr, "An OpenEXR file per map"),
     ("npz", MapFormat::Npz, "One NumPy archive per frame"),
     ("safetensors", MapFormat::Safetensors, "One safetensors file per frame"),
+]);
+
+pub(crate) const MISSING_DATA: Choices<MissingData> = Choices(&[
+    ("skip", MissingData::Skip, "Skip and count them"),
+    ("error", MissingData::Error, "Fail with the first"),
 ]);
 
 pub(crate) const LAYOUT: Choices<Layout> = Choices(&[

@@ -2,9 +2,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use point_skeleton::dataset::{Dataset, DatasetError, LogLocator, LogOpener};
+use point_skeleton::dataset::{Dataset, DatasetError, LogLocator, LogOpener, MissingData, Recording};
 use point_skeleton::files::resolved_output;
 
+use super::{choices, warn};
 use crate::logs;
 
 /// Locations of the parts of a data set.
@@ -20,6 +21,10 @@ pub(super) struct LogRoots {
     /// data sets from trusted sources
     #[arg(long)]
     allow_outside: bool,
+    /// Missing and damaged parts of the log (files, records, boxes without a size): skip and count them, or fail with the
+    /// first
+    #[arg(long, value_parser = choices::MISSING_DATA, default_value = "skip")]
+    missing: MissingData,
 }
 
 /// Argument parser for the name of a log.
@@ -43,23 +48,37 @@ pub(super) fn check_once(logs: &[LogLocator]) -> Result<(), super::WrongUsage> {
 }
 
 impl LogRoots {
-    /// Adds these folders and the permission for outside files to the name of a log.
+    /// Adds these folders, the permission for outside files and the policy for gaps to the name of a log.
     pub(super) fn locate(&self, log: &LogLocator) -> LogLocator {
         let (sensor_root, map_root) = (self.sensor_root.clone(), self.map_root.clone());
-        LogLocator { sensor_root, map_root, allow_outside: self.allow_outside, ..log.clone() }
+        let (allow_outside, missing) = (self.allow_outside, self.missing);
+        LogLocator { sensor_root, map_root, allow_outside, missing, ..log.clone() }
     }
 
-    /// Opens a log.
+    /// Opens a log, and warns if parts of it are missing.
     pub(super) fn open(&self, log: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
-        logs::open(&self.locate(log))
+        self.open_by(log, &LogOpener::new())
     }
 
-    /// Opens a log by an opener that may have read tables of it.
+    /// Opens a log by an opener that may have read tables of it, and warns if parts of it are missing.
     pub(super) fn open_by(
         &self,
         log: &LogLocator,
         opener: &LogOpener,
     ) -> Result<Box<dyn Dataset>, DatasetError> {
-        logs::open_by(&self.locate(log), opener)
+        let dataset = logs::open_by(&self.locate(log), opener)?;
+        warn_of_gaps(dataset.log());
+        Ok(dataset)
+    }
+}
+
+/// Warns if parts of a log are missing.
+pub(super) fn warn_of_gaps(log: &Recording) {
+    if let Some(first) = log.gaps.first() {
+        let more = match log.gaps.len() - 1 {
+            0 => String::new(),
+            further => format!("; {further} further gaps (`pskel info` names them)"),
+        };
+        warn(&format!("log {} is incomplete: {first}{more}", log.shown_name()));
     }
 }

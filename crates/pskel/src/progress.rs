@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 use point_skeleton::skeleton;
 
-use super::tell;
+use super::{tell, warn};
 
 /// Maximum number of lines per stage without a terminal, so that logs of long runs stay readable.
 const LINES: u64 = 10;
@@ -84,23 +84,45 @@ impl Drop for Progress {
 
 /// Progress of work with several stages, updated from any thread.
 #[derive(Default)]
-pub(super) struct StageProgress(Mutex<Option<(String, Progress)>>);
+pub(super) struct StageProgress(Mutex<StageState>);
+
+#[derive(Default)]
+struct StageState {
+    stage: Option<(String, Progress)>,
+    /// Number of skipped files.
+    skipped: u64,
+}
 
 impl StageProgress {
-    fn change(&self, change: impl FnOnce(&mut Option<(String, Progress)>)) {
+    fn change(&self, change: impl FnOnce(&mut StageState)) {
         change(&mut self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
     }
 }
 
 impl skeleton::Progress for StageProgress {
     fn start(&self, stage: &str, steps: usize) {
-        self.change(|current| *current = Some((stage.to_owned(), Progress::new(steps))));
+        self.change(|state| state.stage = Some((stage.to_owned(), Progress::new(steps))));
     }
 
     fn step(&self) {
-        self.change(|current| {
-            if let Some((stage, progress)) = current {
+        self.change(|state| {
+            if let Some((stage, progress)) = &mut state.stage {
                 progress.step(stage);
+            }
+        });
+    }
+
+    fn skipped(&self, message: &str) {
+        self.change(|state| {
+            state.skipped += 1;
+            let text = match state.skipped {
+                ..=LINES => format!("skipped a damaged file: {message}"),
+                count if count == LINES + 1 => "skipped more damaged files, which are counted".to_owned(),
+                _ => return,
+            };
+            match state.stage.as_ref().and_then(|(_, progress)| progress.bar.as_ref()) {
+                Some(bar) => bar.suspend(|| warn(&text)),
+                None => warn(&text),
             }
         });
     }

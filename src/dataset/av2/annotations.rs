@@ -40,6 +40,12 @@ pub(super) struct Annotations {
 }
 
 impl Annotations {
+    /// Creates the frames of a log without annotations, at the times of its sweeps (nanoseconds).
+    pub(super) fn none(times_ns: Vec<i64>) -> Self {
+        let frames = times_ns.into_iter().map(|t_ns| (t_ns, Vec::new())).collect();
+        Self { tracks: Vec::new(), frames, unknown_categories: BTreeMap::new(), other_category: 0 }
+    }
+
     /// Reads and validates the file.
     ///
     /// # Errors
@@ -78,17 +84,12 @@ impl Annotations {
 }
 
 impl Annotation {
-    /// Returns `false` if a side is zero or negative. Non-finite sides are left for [`Annotation::cuboid`] to reject.
-    pub(super) fn has_size(&self) -> bool {
-        !self.size.is_finite() || self.size.min_element() > 0.0
-    }
-
-    /// Returns the box in the city frame.
+    /// Returns the box in the city frame; `None` if a side is zero or negative.
     ///
     /// # Errors
-    /// Fails if a side is not positive and finite.
-    pub(super) fn cuboid(&self, city_from_ego: &Pose) -> Result<Cuboid, CuboidError> {
-        Cuboid::new(*city_from_ego * self.ego_from_box, self.size)
+    /// Fails if a side is not finite.
+    pub(super) fn cuboid(&self, city_from_ego: &Pose) -> Result<Option<Cuboid>, CuboidError> {
+        Cuboid::unless_flat(*city_from_ego * self.ego_from_box, self.size)
     }
 }
 

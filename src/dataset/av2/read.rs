@@ -2,32 +2,41 @@
 
 use std::path::Path;
 
-use super::annotations::{Annotation, Annotations};
+use super::annotations::Annotations;
 use super::poses::Trajectory;
 use super::{calibration, sensors};
-use crate::dataset::notes::{Notes, note};
-use crate::dataset::{DatasetError, Frame, Recording, TrackBox};
+use crate::dataset::notes::{FLAT_BOX, Notes, note, settle};
+use crate::dataset::{DatasetError, Frame, Gap, MissingData, Recording, TrackBox};
 use crate::error::FileError;
+use crate::files::input::is_there;
 
-/// Reads a log with its sweeps and images in `sensors`. Also returns the stated number of LiDAR points per frame and
+/// Kind of a gap: a log of the test split, or of the lidar or map-change sets.
+const NO_ANNOTATIONS: &str = "logs without annotations";
+
+/// Reads a log with its sweeps and images in `sensors`; `missing` is the policy for its gaps. Also returns the stated number of LiDAR points per frame and
 /// box.
 pub(super) fn read(
     folder: &Path,
     sensors: &Path,
     name: String,
     location: String,
+    missing: MissingData,
 ) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
     let path = folder.join("annotations.feather");
-    let annotations = Annotations::read(&path)?;
+    let lidar = sensors.join("lidar");
+    let is_annotated = is_there(&path)?;
+    let annotations =
+        if is_annotated { Annotations::read(&path)? } else { Annotations::none(sensors::times_ns(&lidar)?) };
     let ego = Trajectory::read(&folder.join("city_SE3_egovehicle.feather"))?;
     let rig = calibration::read(&folder.join("calibration"))?;
     let mut notes = Notes::new();
+    if !is_annotated {
+        notes.gap(Gap::record(NO_ANNOTATIONS, "frames are at the times of sweeps, without actors", &path));
+    }
     for (category, boxes) in &annotations.unknown_categories {
-        notes.insert(format!("boxes of the unknown category {category} (read as objects)"), *boxes);
+        note(&mut notes, &format!("boxes of the unknown category {category} (read as objects)"), *boxes);
     }
-    if annotations.other_category > 0 {
-        notes.insert("boxes of another category than their track".into(), annotations.other_category);
-    }
+    note(&mut notes, "boxes of another category than their track", annotations.other_category);
     let uncalibrated = calibration::RING.len().saturating_sub(rig.len());
     note(&mut notes, "ring cameras without calibration", uncalibrated);
     let (mut times_ns, mut frames, mut box_points) = (Vec::new(), Vec::new(), Vec::new());
@@ -41,28 +50,36 @@ pub(super) fn read(
             let found = format!("{t_ns} in the microsecond of the one before");
             return Err(FileError::content("annotated times a microsecond apart", found, &path).into());
         }
-        let track_box = |item: &Annotation| {
+        let (mut boxes_here, mut points) = (Vec::new(), Vec::new());
+        for item in boxes {
+            let record = || format!("row {}", item.row);
             let cuboid = item.cuboid(&global_from_ego).map_err(|source| DatasetError::Cuboid {
                 source,
-                record: format!("row {}", item.row),
+                record: record(),
                 path: path.clone(),
             })?;
-            Ok(TrackBox { track: item.track, cuboid })
-        };
-        let (boxes, flat): (Vec<&Annotation>, Vec<_>) = boxes.iter().partition(|b| b.has_size());
-        note(&mut notes, "boxes without a size", flat.len());
-        let boxes_here = boxes.iter().copied().map(track_box).collect::<Result<Vec<_>, DatasetError>>()?;
+            let Some(cuboid) = cuboid else {
+                notes.gap(Gap::record(FLAT_BOX, record(), &path));
+                continue;
+            };
+            boxes_here.push(TrackBox { track: item.track, cuboid });
+            points.push(item.points);
+        }
         let (sweeps, images, between_images) = Default::default();
         let boxes_at = Frame { t_us, global_from_ego, sweeps, images, between_images, boxes: boxes_here };
         frames.push(boxes_at);
-        box_points.push(boxes.iter().map(|b| b.points).collect());
+        box_points.push(points);
         times_ns.push(t_ns);
+    }
+    if frames.is_empty() && !is_annotated {
+        let expected = "annotations.feather, or sweeps at times with an ego pose in sensors/lidar";
+        return Err(FileError::content(expected, "neither", folder).into());
     }
     if frames.is_empty() {
         let found = format!("none in {} rows", annotations.frames.values().map(Vec::len).sum::<usize>());
         return Err(FileError::content("boxes at a time with an ego pose", found, &path).into());
     }
-    sensors::add_sweeps(&sensors.join("lidar"), &times_ns, &ego, &mut frames, &mut notes)?;
+    sensors::add_sweeps(&lidar, &times_ns, &ego, &mut frames, &mut notes)?;
     for camera in &rig {
         let folder = sensors.join("cameras");
         sensors::add_images(&folder, &name, &times_ns, &ego, camera, &mut frames, &mut notes)?;
@@ -72,16 +89,8 @@ pub(super) fn read(
     }
     let cameras = rig.iter().map(|c| c.camera.name.clone()).collect();
     let (tracks, description) = (annotations.tracks, String::new());
-    let log = Recording {
-        name,
-        location,
-        description,
-        cameras,
-        rig,
-        tracks,
-        frames,
-        notes,
-        ..Recording::default()
-    };
+    let mut log =
+        Recording { name, location, description, cameras, rig, tracks, frames, ..Recording::default() };
+    settle(&mut log, notes, missing)?;
     Ok((log, box_points))
 }

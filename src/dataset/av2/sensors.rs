@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::poses::Trajectory;
-use crate::dataset::notes::{Notes, note};
-use crate::dataset::{Frame, ImageRecord, RigCamera, SweepRecord};
+use crate::dataset::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
+use crate::dataset::{Frame, Gap, ImageRecord, RigCamera, SweepRecord};
 use crate::error::FileError;
 use crate::geometry::Pose;
 
@@ -36,6 +36,14 @@ fn list(folder: &Path, extensions: &[&str], notes: &mut Notes) -> Result<Vec<Tim
     Ok(files)
 }
 
+/// Returns the times of the sweeps in a folder, nanoseconds.
+///
+/// # Errors
+/// Fails if the folder cannot be read.
+pub(super) fn times_ns(folder: &Path) -> Result<Vec<i64>, FileError> {
+    Ok(list(folder, &["feather"], &mut Notes::new())?.iter().map(|file| file.t_ns).collect())
+}
+
 /// Assigns sweeps to frames: each belongs to the first frame at or after its time.
 ///
 /// # Errors
@@ -60,8 +68,9 @@ pub(super) fn add_sweeps(
         let record = SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key };
         frame.sweeps.insert(0, record);
     }
-    let without = frames.iter().filter(|f| !f.sweeps.first().is_some_and(|s| s.is_key)).count();
-    note(notes, "frames without a LiDAR sweep of their own", without);
+    for frame in frames.iter().filter(|frame| !frame.sweeps.first().is_some_and(|sweep| sweep.is_key)) {
+        notes.gap(Gap::record(NO_SWEEP, format!("frame at {}", frame.t_us), folder));
+    }
     Ok(())
 }
 
@@ -78,8 +87,8 @@ pub(super) fn add_images(
     frames: &mut [Frame],
     notes: &mut Notes,
 ) -> Result<(), FileError> {
-    let mut records = Vec::new();
-    for Timed { t_ns, path } in list(&folder.join(&rig.camera.name), &["jpg", "jpeg", "png"], notes)? {
+    let (mut records, folder) = (Vec::new(), folder.join(&rig.camera.name));
+    for Timed { t_ns, path } in list(&folder, &["jpg", "jpeg", "png"], notes)? {
         let Some(global_from_ego) = ego.at(t_ns) else {
             note(notes, "images without an ego pose", 1);
             continue;
@@ -95,7 +104,7 @@ pub(super) fn add_images(
     for (place, t_ns) in times_ns.iter().enumerate() {
         match nearest(&image_times, *t_ns) {
             Some(image) if frame_of[image].is_none() => frame_of[image] = Some(place),
-            _ => note(notes, "missing camera images", 1),
+            _ => notes.gap(Gap::record(NO_IMAGE, format!("frame at {}", frames[place].t_us), &folder)),
         }
     }
     for ((t_ns, record), own) in records.into_iter().zip(frame_of) {

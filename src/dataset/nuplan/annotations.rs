@@ -5,8 +5,8 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::database::{Database, Query, Row, hex};
 use super::frames::FrameRecord;
-use crate::dataset::notes::{Notes, note};
-use crate::dataset::{Class, DatasetError, Track, TrackBox};
+use crate::dataset::notes::{FLAT_BOX, Notes, note};
+use crate::dataset::{Class, DatasetError, Gap, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, Pose, PoseError};
 
@@ -47,7 +47,7 @@ pub(super) fn read(
         let track = *by_token.get(track).ok_or_else(|| row.dangling("track", track))?;
         match cuboid(row, database)? {
             Some(cuboid) => frames[*place].push(TrackBox { track, cuboid }),
-            None => note(notes, "boxes without a size", 1),
+            None => notes.gap(Gap::record(FLAT_BOX, row.name(), database.path())),
         }
         Ok(())
     })?;
@@ -98,13 +98,9 @@ fn cuboid(row: &Row<'_>, database: &Database) -> Result<Option<Cuboid>, DatasetE
     if let Some(value) = [x, y, z, yaw_rad].into_iter().find(|v| !v.is_finite()) {
         return Err(DatasetError::Pose { source: PoseError::NotFinite { value }, record, path });
     }
-    let size = DVec3::new(length, width, height);
-    if size.is_finite() && size.min_element() <= 0.0 {
-        return Ok(None);
-    }
     let pose = Pose::from_yaw(yaw_rad, DVec3::new(x, y, z));
-    let cuboid = Cuboid::new(pose, size);
-    cuboid.map(Some).map_err(|source| DatasetError::Cuboid { source, record, path })
+    let cuboid = Cuboid::unless_flat(pose, DVec3::new(length, width, height));
+    cuboid.map_err(|source| DatasetError::Cuboid { source, record, path })
 }
 
 /// Removes tracks without a box and renumbers the others in the same order.

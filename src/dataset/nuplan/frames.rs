@@ -5,10 +5,8 @@ use rustc_hash::FxHashMap;
 use super::database::{Database, Query, Row, hex};
 use super::pickle;
 use super::place::LogPaths;
-use crate::dataset::notes::{Notes, note};
 use crate::dataset::{DatasetError, SweepRecord};
 use crate::error::FileError;
-use crate::files::input::is_there;
 use crate::geometry::Pose;
 
 /// Frame without images and boxes.
@@ -18,8 +16,7 @@ pub(super) struct FrameRecord {
     pub(super) scene: Option<Vec<u8>>,
     pub(super) t_us: i64,
     pub(super) global_from_ego: Pose,
-    /// `None` if its file does not exist.
-    pub(super) sweep: Option<SweepRecord>,
+    pub(super) sweep: SweepRecord,
 }
 
 /// Pose columns of `ego_pose`. They follow the referencing token and the own token in a query.
@@ -34,7 +31,6 @@ pub(super) fn read(
     database: &Database,
     place: &LogPaths,
     scene: Option<&[u8]>,
-    notes: &mut Notes,
 ) -> Result<Vec<FrameRecord>, DatasetError> {
     let lidars = lidars(database)?;
     let [x, y, z, qw, qx, qy, qz] = POSE_COLUMNS;
@@ -58,7 +54,7 @@ pub(super) fn read(
     let from = "FROM lidar_pc LEFT JOIN ego_pose ON ego_pose.token = lidar_pc.ego_pose_token \
         ORDER BY lidar_pc.timestamp, lidar_pc.token";
     let query = Query { table: "lidar_pc", columns, from };
-    let (mut shots, mut missing) = (Vec::new(), 0);
+    let mut shots = Vec::new();
     // Time by token, and for each `next_token` the token and time of the referencing row.
     let (mut times, mut nexts) = (FxHashMap::default(), Vec::new());
     database.rows(&query, |row| {
@@ -68,13 +64,10 @@ pub(super) fn read(
             nexts.push((row.blob(2)?.to_owned(), token.to_owned(), t_us));
         }
         if scene.is_none_or(|wanted| !row.is_null(3) && row.blob(3).is_ok_and(|token| token == wanted)) {
-            let shot = shot(row, database, place, &lidars)?;
-            missing += usize::from(shot.sweep.is_none());
-            shots.push(shot);
+            shots.push(shot(row, database, place, &lidars)?);
         }
         Ok(())
     })?;
-    note(notes, "missing sweep files", missing);
     check_times(&shots, &nexts, &times, database)?;
     Ok(shots)
 }
@@ -90,8 +83,7 @@ fn shot(
     let global_from_ego = ego_pose(row, 6, database)?;
     let name = row.text(5)?;
     let path = place.sensors.resolve(name).map_err(|error| row.wrong(5, &error.expected, &error.found))?;
-    let sweep =
-        is_there(&path)?.then_some(SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key: true });
+    let sweep = SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key: true };
     let scene = if row.is_null(3) { None } else { Some(row.blob(3)?.to_owned()) };
     Ok(FrameRecord { token, scene, t_us, global_from_ego, sweep })
 }

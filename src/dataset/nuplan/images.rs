@@ -9,11 +9,10 @@ use super::frames::{POSE_COLUMNS, ego_pose, extrinsics, unpickled};
 use super::pickle;
 use super::place::LogPaths;
 use crate::dataset::limits::MAX_CAMERAS;
-use crate::dataset::notes::{Notes, note};
-use crate::dataset::{DatasetError, ImageRecord, RigCamera};
+use crate::dataset::notes::{NO_IMAGE, Notes, note};
+use crate::dataset::{DatasetError, Gap, ImageRecord, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;
-use crate::files::input::is_there;
 use crate::geometry::{Camera, Distortion, Pose};
 
 /// Maximum time difference between a frame and its image, microseconds: half the image interval, plus half of that
@@ -47,10 +46,9 @@ struct RawCamera {
     camera: Camera,
 }
 
-/// Row of `image`; the record is `None` if the file does not exist.
+/// Row of `image`.
 struct RawImage {
-    t_us: i64,
-    record: Option<ImageRecord>,
+    record: ImageRecord,
     is_used: bool,
 }
 
@@ -67,22 +65,23 @@ pub(super) fn read(
     let mut frames = vec![FrameImages::default(); times_us.len()];
     let (mut images, outside) = images(database, place, &cameras, times_us)?;
     note(notes, OUTSIDE, if is_whole { outside } else { 0 });
-    let missing = images.iter().flatten().filter(|image| image.record.is_none()).count();
-    note(notes, "missing image files", missing);
-    for channel in &mut images {
+    for (channel, camera) in images.iter_mut().zip(&cameras) {
         for (frame, t_us) in frames.iter_mut().zip(times_us) {
             match nearest(channel, *t_us) {
-                None => note(notes, "missing camera images", 1),
+                None => {
+                    let record = format!("{} of the frame at {t_us}", camera.camera.name);
+                    notes.gap(Gap::record(NO_IMAGE, record, database.path()));
+                }
                 Some(image) => {
                     image.is_used = true;
-                    frame.images.extend(image.record.clone());
+                    frame.images.push(image.record.clone());
                 }
             }
         }
     }
     for image in images.into_iter().flatten().filter(|image| !image.is_used) {
-        match frames.get_mut(times_us.partition_point(|t| *t < image.t_us)) {
-            Some(frame) => frame.between_images.extend(image.record),
+        match frames.get_mut(times_us.partition_point(|t| *t < image.record.t_us)) {
+            Some(frame) => frame.between_images.push(image.record),
             None => note(notes, OUTSIDE, usize::from(is_whole)),
         }
     }
@@ -94,10 +93,15 @@ pub(super) fn read(
 
 /// Returns the image nearest to a time, within the tolerance. Ties go to the earlier one.
 fn nearest(images: &mut [RawImage], t_us: i64) -> Option<&mut RawImage> {
-    let next = images.partition_point(|image| image.t_us < t_us);
-    let near = [next.checked_sub(1), Some(next)].into_iter().flatten().filter(|i| *i < images.len());
-    let best = near.min_by_key(|i| images[*i].t_us.abs_diff(t_us))?;
-    Some(&mut images[best]).filter(|image| image.t_us.abs_diff(t_us) <= TOLERANCE_US)
+    let place = nearest_time(images, t_us, |image| image.record.t_us)?;
+    images.get_mut(place)
+}
+
+fn nearest_time<T>(sorted: &[T], t_us: i64, time: impl Fn(&T) -> i64) -> Option<usize> {
+    let next = sorted.partition_point(|item| time(item) < t_us);
+    let near = [next.checked_sub(1), Some(next)].into_iter().flatten().filter(|i| *i < sorted.len());
+    let best = near.min_by_key(|i| time(&sorted[*i]).abs_diff(t_us))?;
+    (time(&sorted[best]).abs_diff(t_us) <= TOLERANCE_US).then_some(best)
 }
 
 /// Reads the cameras in ring order; others follow by name.
@@ -174,13 +178,13 @@ fn images(
     database.rows(&Query { table: "image", columns: &columns, from }, |row| {
         let (t_us, token) = (row.time_us(1)?, row.blob(2)?);
         let channel = *channels.get(token).ok_or_else(|| row.dangling("camera", token))?;
-        if images[channel].last().is_some_and(|last| last.t_us == t_us) {
+        if images[channel].last().is_some_and(|last| last.record.t_us == t_us) {
             let found = format!("{t_us} twice, {}", cameras[channel].camera.name);
             return Err(row.wrong(1, "timestamps that grow from image to image", &found));
         }
         if near(t_us) {
             let record = record(row, channel, &cameras[channel], place, database)?;
-            images[channel].push(RawImage { t_us, record, is_used: false });
+            images[channel].push(RawImage { record, is_used: false });
         } else {
             outside += 1;
         }
@@ -189,49 +193,49 @@ fn images(
     Ok((images, outside))
 }
 
-/// Returns the record of a row's image; `None` if the file does not exist.
+/// Returns the record of a row's image.
 fn record(
     row: &Row<'_>,
     channel: usize,
     camera: &RawCamera,
     place: &LogPaths,
     database: &Database,
-) -> Result<Option<ImageRecord>, DatasetError> {
+) -> Result<ImageRecord, DatasetError> {
     let global_from_ego = ego_pose(row, 4, database)?;
     let (t_us, name) = (row.time_us(1)?, row.text(3)?);
     let path = place.sensors.resolve(name).map_err(|error| row.wrong(3, &error.expected, &error.found))?;
     let (ego_from_camera, camera) = (camera.ego_from_camera, camera.camera.clone());
     let token = hex(row.blob(0)?);
-    let record = ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera };
-    Ok(is_there(&record.path)?.then_some(record))
+    Ok(ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// Returns the time of the image that is taken at each of some times.
+    fn taken<const N: usize>(images: &[i64], times: [i64; N]) -> [Option<i64>; N] {
+        times.map(|t_us| nearest_time(images, t_us, |t| *t).map(|place| images[place]))
+    }
+
     #[test]
     fn the_nearest_image_within_the_tolerance_is_taken() {
-        let mut images: Vec<RawImage> =
-            [0, 100_000, 200_000].map(|t_us| RawImage { t_us, record: None, is_used: false }).into();
-        let mut at = |t_us: i64| nearest(&mut images, t_us).map(|image| image.t_us);
-        assert_eq!([at(-75_000), at(-75_001), at(0), at(49_999)], [Some(0), None, Some(0), Some(0)]);
-        assert_eq!([at(50_000), at(50_001), at(150_000)], [Some(0), Some(100_000), Some(100_000)]);
-        assert_eq!([at(275_000), at(275_001)], [Some(200_000), None]);
-        assert!(nearest(&mut [], 0).is_none());
+        let images = [0, 100_000, 200_000];
+        assert_eq!(taken(&images, [-75_000, -75_001, 0, 49_999]), [Some(0), None, Some(0), Some(0)]);
+        assert_eq!(taken(&images, [50_000, 50_001, 150_000]), [Some(0), Some(100_000), Some(100_000)]);
+        assert_eq!(taken(&images, [275_000, 275_001]), [Some(200_000), None]);
+        assert_eq!(taken(&[], [0]), [None]);
     }
 
     /// Cameras at about 10 Hz and a LiDAR at 20 Hz, with any offset between their clocks.
     #[test]
     fn every_frame_has_an_image_though_the_clocks_are_uneven() {
-        let mut images: Vec<RawImage> =
-            [0, 101_000, 199_000].map(|t_us| RawImage { t_us, record: None, is_used: false }).into();
-        let mut at = |t_us: i64| nearest(&mut images, t_us).map(|image| image.t_us);
-        let frames = |first_us: i64| (0..5).map(move |i| first_us + i * 50_000);
+        let images = [0, 101_000, 199_000];
+        let frames = |first_us: i64| std::array::from_fn::<i64, 5, _>(|i| first_us + i as i64 * 50_000);
         let even = [0, 0, 101_000, 101_000, 199_000].map(Some);
-        assert_eq!(frames(0).map(&mut at).collect::<Vec<_>>(), even);
+        assert_eq!(taken(&images, frames(0)), even);
         // With an offset of 0.4 ms, the second frame is 50.4 ms from the image before and 50.6 ms from the next.
         let late = [0, 0, 101_000, 199_000, 199_000].map(Some);
-        assert_eq!(frames(400).map(&mut at).collect::<Vec<_>>(), late);
+        assert_eq!(taken(&images, frames(400)), late);
     }
 }

@@ -21,6 +21,9 @@ use crate::files::input::read_table;
 /// Index file of a folder of maps.
 const INDEX: &str = "nuplan-maps-v1.0.json";
 
+/// Layer that every map has.
+const LANES: &str = "lanes_polygons";
+
 /// Entry of the index.
 #[derive(Deserialize)]
 struct IndexEntry {
@@ -38,6 +41,14 @@ pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<V
         |part: &str| FileName::new(part).map_err(|error| error.of("name or version of a map").in_file(&path));
     let database = Database::open(&folder.join(part(name)?).join(part(version)?).join("map.gpkg"))?;
     let layers = Layers { utm: utm(&database)?, columns: geometry_columns(&database)?, database };
+    if !layers.columns.contains_key(LANES) {
+        return Err(FileError::content(
+            format!("layer {LANES}"),
+            "none of that name",
+            layers.database.path(),
+        )
+        .into());
+    }
     let mut notes = Notes::new();
     let (lanes, lane_connectors) = layers.lanes(&mut notes)?;
     Ok(Some(VectorMap {
@@ -47,9 +58,9 @@ pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<V
         drivable_area: layers.drivable_area(&mut notes)?,
         crossings: layers.areas("crosswalks", &mut notes)?,
         stop_lines: layers.areas("stop_polygons", &mut notes)?,
-        walkways: layers.areas_if_any("walkways", &mut notes)?,
+        walkways: layers.areas("walkways", &mut notes)?,
         dividers: layers.lines("boundaries", &mut notes)?,
-        notes,
+        notes: notes.counts,
     }))
 }
 
@@ -92,7 +103,7 @@ struct Layers {
 
 impl Layers {
     /// Passes every feature of a layer to `each`, in order of ids: the id, the geometry, and further columns as
-    /// identifiers. Counts features with an empty geometry instead.
+    /// identifiers. Counts features with an empty geometry instead. Maps of some versions lack layers, which are counted.
     fn features<const N: usize>(
         &self,
         layer: &str,
@@ -100,9 +111,10 @@ impl Layers {
         notes: &mut Notes,
         mut each: impl FnMut(&mut Notes, &Row<'_>, Shape, [Option<i64>; N]) -> Result<(), DatasetError>,
     ) -> Result<(), DatasetError> {
-        let geometry = self.columns.get(layer).ok_or_else(|| {
-            FileError::content(format!("layer {layer}"), "none of that name", self.database.path())
-        })?;
+        let Some(geometry) = self.columns.get(layer) else {
+            note(notes, &format!("maps without {layer}"), 1);
+            return Ok(());
+        };
         // The rowid is the feature id, whatever its column name.
         let columns: Vec<&str> = ["rowid", geometry].into_iter().chain(further).collect();
         let from = format!("FROM {layer} ORDER BY rowid");
@@ -130,15 +142,6 @@ impl Layers {
         Ok(all)
     }
 
-    /// Reads the areas of a layer that a map may lack.
-    fn areas_if_any(&self, layer: &str, notes: &mut Notes) -> Result<Vec<Area>, DatasetError> {
-        if !self.columns.contains_key(layer) {
-            note(notes, &format!("maps without {layer}"), 1);
-            return Ok(Vec::new());
-        }
-        self.areas(layer, notes)
-    }
-
     /// Reads roads, intersections, generic drivable areas and car parks. The layer `generic_drivable_areas` alone
     /// lacks roads and intersections.
     fn drivable_area(&self, notes: &mut Notes) -> Result<Vec<Area>, DatasetError> {
@@ -161,7 +164,7 @@ impl Layers {
     /// Reads lanes and lane connectors, each in order of ids.
     fn lanes(&self, notes: &mut Notes) -> Result<(Vec<Lane>, Vec<Lane>), DatasetError> {
         let (mut lanes, mut connectors) = (BTreeMap::new(), BTreeMap::new());
-        self.features("lanes_polygons", [], notes, |notes, row, shape, []| {
+        self.features(LANES, [], notes, |notes, row, shape, []| {
             add_lane(&mut lanes, row.integer(0)?, row, shape, notes)
         })?;
         let further = ["lane_connector_fid"];

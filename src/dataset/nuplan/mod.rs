@@ -41,7 +41,7 @@ pub struct NuPlan {
 impl NuPlan {
     /// Reads the tables of a log. The path is a `.db` file, and the optional scene is a name or token of its table
     /// `scene`. Or the path is a folder, and the scene names one of its logs; it is optional if there is only one.
-    /// Opens no sweeps or images; missing files are omitted from their frames and counted.
+    /// Opens no sweeps or images.
     ///
     /// # Errors
     /// Fails if the file is not a log, tables, columns or tokens are missing, or values have a wrong type. Fails if
@@ -50,7 +50,7 @@ impl NuPlan {
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         let locator = place::single(locator)?;
         let place = place::LogPaths::new(&locator)?;
-        let (log, map_name) = read::read(&place, locator.scene.as_deref())?;
+        let (log, map_name) = read::read(&place, locator.scene.as_deref(), locator.missing)?;
         Ok(Self { log, place, map_name })
     }
 }

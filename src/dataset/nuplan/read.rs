@@ -3,17 +3,21 @@
 use super::database::{Database, Query, hex};
 use super::place::LogPaths;
 use super::{annotations, frames, images, routes, situation};
-use crate::dataset::notes::Notes;
-use crate::dataset::{DatasetError, Frame, MapFiles, Recording};
+use crate::dataset::notes::{Notes, settle};
+use crate::dataset::{DatasetError, Frame, MapFiles, MissingData, Recording};
 use crate::error::FileError;
 
-/// Reads a log, or one scene of it. Also returns the name of its map.
-pub(super) fn read(place: &LogPaths, scene: Option<&str>) -> Result<(Recording, String), DatasetError> {
+/// Reads a log, or one scene of it; `missing` is the policy for its gaps. Also returns the name of its map.
+pub(super) fn read(
+    place: &LogPaths,
+    scene: Option<&str>,
+    missing: MissingData,
+) -> Result<(Recording, String), DatasetError> {
     let database = Database::open(&place.database)?;
     let about = LogInfo::read(&database)?;
     let scene = scene.map(|wanted| Scene::read(&database, wanted)).transpose()?;
     let mut notes = Notes::new();
-    let shots = frames::read(&database, place, scene.as_ref().map(|s| s.token.as_slice()), &mut notes)?;
+    let shots = frames::read(&database, place, scene.as_ref().map(|s| s.token.as_slice()))?;
     let times_us: Vec<i64> = shots.iter().map(|shot| shot.t_us).collect();
     let pictures = images::read(&database, place, &times_us, scene.is_none(), &mut notes)?;
     let annotated = annotations::read(&database, &shots, &mut notes)?;
@@ -25,7 +29,7 @@ pub(super) fn read(place: &LogPaths, scene: Option<&str>) -> Result<(Recording, 
     let frame = |(shot, (pictures, boxes)): (frames::FrameRecord, (images::FrameImages, _))| Frame {
         t_us: shot.t_us,
         global_from_ego: shot.global_from_ego,
-        sweeps: shot.sweep.into_iter().collect(),
+        sweeps: vec![shot.sweep],
         images: pictures.images,
         between_images: pictures.between_images,
         boxes,
@@ -34,7 +38,7 @@ pub(super) fn read(place: &LogPaths, scene: Option<&str>) -> Result<(Recording, 
         None => about.description,
         Some(scene) => format!("{}, {}", about.description, scene.name),
     };
-    let log = Recording {
+    let mut log = Recording {
         name: about.name,
         location: about.location,
         description,
@@ -46,8 +50,9 @@ pub(super) fn read(place: &LogPaths, scene: Option<&str>) -> Result<(Recording, 
         lights,
         routes,
         map_files: root.map(|root| MapFiles { name: about.map_name.clone(), root }),
-        notes,
+        ..Recording::default()
     };
+    settle(&mut log, notes, missing)?;
     Ok((log, about.map_name))
 }
 

@@ -7,7 +7,8 @@ use super::chain::Chain;
 use super::frames::pose;
 use super::tables::{Annotation, Category, Instance, Scene, Table};
 use super::version::Version;
-use crate::dataset::{Class, DatasetError, Track, TrackBox};
+use crate::dataset::notes::{FLAT_BOX, Notes};
+use crate::dataset::{Class, DatasetError, Gap, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::Cuboid;
 
@@ -20,7 +21,12 @@ pub(super) struct Annotations {
 }
 
 /// Reads the boxes of every sample of the chain.
-pub(super) fn read(version: &Version, scene: &Scene, chain: &Chain) -> Result<Annotations, DatasetError> {
+pub(super) fn read(
+    version: &Version,
+    scene: &Scene,
+    chain: &Chain,
+    notes: &mut Notes,
+) -> Result<Annotations, DatasetError> {
     let mut annotations = version.rows()?.annotations(scene)?;
     annotations.retain(|a| chain.place.contains_key(&a.sample_token));
     let needed: FxHashSet<&str> = annotations.records.iter().map(|a| a.instance_token.as_str()).collect();
@@ -39,7 +45,10 @@ pub(super) fn read(version: &Version, scene: &Scene, chain: &Chain) -> Result<An
     for annotation in &annotations.records {
         let by = || format!("sample_annotation {}", annotation.token);
         let track = instances.position(&annotation.instance_token, by)?;
-        let cuboid = cuboid(&annotations, annotation)?;
+        let Some(cuboid) = cuboid(&annotations, annotation)? else {
+            notes.gap(Gap::record(FLAT_BOX, by(), &annotations.path));
+            continue;
+        };
         let points = annotation.num_lidar_pts.unwrap_or(0);
         frames[chain.place[&annotation.sample_token]].push((TrackBox { track, cuboid }, points));
     }
@@ -55,11 +64,11 @@ pub(super) fn read(version: &Version, scene: &Scene, chain: &Chain) -> Result<An
     Ok(Annotations { tracks, frames: frames.into_iter().map(|f| f.into_iter().unzip()).collect() })
 }
 
-/// Converts an annotation; the tables store width, length, height.
-fn cuboid(table: &Table<Annotation>, annotation: &Annotation) -> Result<Cuboid, DatasetError> {
+/// Converts an annotation; the tables store width, length, height. `None` if a side is zero or negative.
+fn cuboid(table: &Table<Annotation>, annotation: &Annotation) -> Result<Option<Cuboid>, DatasetError> {
     let pose = pose(table, annotation, annotation.rotation, annotation.translation)?;
     let [width, length, height] = annotation.size;
-    Cuboid::new(pose, DVec3::new(length, width, height)).map_err(|source| DatasetError::Cuboid {
+    Cuboid::unless_flat(pose, DVec3::new(length, width, height)).map_err(|source| DatasetError::Cuboid {
         source,
         record: format!("sample_annotation {}", annotation.token),
         path: table.path.clone(),

@@ -3,14 +3,16 @@
 //! Key frames belong to the sample they reference. Other data belongs to the first frame at or after its timestamp.
 //! Data after the last frame has no later boxes, so it is skipped and counted.
 
+use std::path::Path;
+
 use rustc_hash::FxHashSet;
 
 use super::chain::Chain;
 use super::tables::{CalibratedSensor, EgoPose, SampleData, Scene, Sensor, Table};
 use super::version::Version;
 use crate::dataset::limits::MAX_CAMERAS;
-use crate::dataset::notes::{Notes, note};
-use crate::dataset::{DatasetError, ImageRecord, SweepRecord};
+use crate::dataset::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
+use crate::dataset::{DatasetError, Gap, ImageRecord, SweepRecord};
 use crate::error::FileError;
 use crate::files::input::DataRoot;
 use crate::files::{FileName, first_twice};
@@ -23,10 +25,14 @@ const RING: [&str; 6] =
 /// LiDAR that defines the ego pose of a frame.
 const MAIN_LIDAR: &str = "LIDAR_TOP";
 
+/// Kind of a gap: a sample that neither a sweep nor an image gives an ego pose.
+const NO_DATA: &str = "samples without data";
+
 /// Cameras and frames of a scene.
 pub(super) struct SceneFrames {
     pub(super) cameras: Vec<FileName>,
-    pub(super) frames: Vec<FrameRecord>,
+    /// In the order of the chain; `None` for samples without data.
+    pub(super) frames: Vec<Option<FrameRecord>>,
 }
 
 /// Sensor data and ego pose of a frame.
@@ -88,10 +94,13 @@ pub(super) fn read(
             None => note(notes, "sweeps and images after the last sample", 1),
         }
     }
-    let finish = |pile: UnsortedFrame| pile.finish(cameras.len(), notes);
-    let frames: Option<Vec<FrameRecord>> = piles.into_iter().map(finish).collect();
-    let no_data = || FileError::content("data for every sample", "a sample with none", &sensors.data.path);
-    Ok(SceneFrames { frames: frames.ok_or_else(no_data)?, cameras })
+    let path = &sensors.data.path;
+    let finish = |(pile, t_us): (UnsortedFrame, &i64)| pile.finish(&cameras, *t_us, path, notes);
+    let frames: Vec<Option<FrameRecord>> = piles.into_iter().zip(&chain.times_us).map(finish).collect();
+    if frames.iter().all(Option::is_none) {
+        return Err(FileError::content("key frames of the scene's samples", "none", path).into());
+    }
+    Ok(SceneFrames { frames, cameras })
 }
 
 impl Sensors {
@@ -215,10 +224,16 @@ impl Sensors {
 
 impl UnsortedFrame {
     /// Sorts a frame; `None` if it has neither a key sweep nor a key image to provide the ego pose.
-    fn finish(mut self, cameras: usize, notes: &mut Notes) -> Option<FrameRecord> {
-        for channel in 0..cameras {
+    fn finish(
+        mut self,
+        cameras: &[FileName],
+        t_us: i64,
+        path: &Path,
+        notes: &mut Notes,
+    ) -> Option<FrameRecord> {
+        for (channel, name) in cameras.iter().enumerate() {
             if !self.images.iter().any(|i| i.channel == channel) {
-                note(notes, "missing camera images", 1);
+                notes.gap(Gap::record(NO_IMAGE, format!("{name} of the sample at {t_us}"), path));
             }
         }
         self.images.sort_by_key(|i| i.channel);
@@ -231,11 +246,14 @@ impl UnsortedFrame {
             by_rank.then(by_time).then_with(|| a.channel.cmp(&b.channel))
         });
         if !self.sweeps.first().is_some_and(|s| s.is_key) {
-            note(notes, "frames without a LiDAR sweep of their own", 1);
+            notes.gap(Gap::record(NO_SWEEP, format!("sample at {t_us}"), path));
         }
         let of_sweep = self.sweeps.first().filter(|s| s.is_key).map(|s| s.record.global_from_ego);
         let of_image = || self.images.iter().min_by_key(|i| i.t_us).map(|i| i.global_from_ego);
-        let global_from_ego = of_sweep.or_else(of_image)?;
+        let Some(global_from_ego) = of_sweep.or_else(of_image) else {
+            notes.gap(Gap::record(NO_DATA, format!("sample at {t_us}"), path));
+            return None;
+        };
         let sweeps = self.sweeps.into_iter().map(|s| s.record).collect();
         Some(FrameRecord {
             global_from_ego,

@@ -66,7 +66,7 @@ impl NuScenes {
         check_roots(locator)?;
         let sensors = locator.sensor_root.as_ref().unwrap_or(&locator.path).clone();
         let sensors = DataRoot { path: sensors, allow_outside: locator.allow_outside };
-        let (log, box_points) = read::read(&sensors, version, locator.scene.as_deref())?;
+        let (log, box_points) = read::read(&sensors, version, locator.scene.as_deref(), locator.missing)?;
         Ok(Self { log, box_points, root: locator.path.clone(), map_root: locator.map_root.clone() })
     }
 }

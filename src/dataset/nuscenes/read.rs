@@ -4,15 +4,16 @@ use super::chain::Chain;
 use super::tables::{Attribute, LogRecord, MapRecord, Table, Visibility};
 use super::version::Version;
 use super::{annotations, choose, frames};
-use crate::dataset::notes::Notes;
-use crate::dataset::{DatasetError, Frame, Recording, RigCamera};
+use crate::dataset::notes::{Notes, settle};
+use crate::dataset::{DatasetError, Frame, MissingData, Recording, RigCamera};
 use crate::files::input::DataRoot;
 
-/// Reads the log of a scene. Also returns the stated number of LiDAR points per frame and box.
+/// Reads the log of a scene; `missing` is the policy for its gaps. Also returns the stated number of LiDAR points per frame and box.
 pub(super) fn read(
     root: &DataRoot,
     version: &Version,
     wanted_scene: Option<&str>,
+    missing: MissingData,
 ) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
     let tables = &version.folder;
     let scene = choose::choose_scene(&version.scenes, wanted_scene)?;
@@ -26,15 +27,16 @@ pub(super) fn read(
     let mut notes = Notes::new();
     let chain = Chain::of(&version.samples, scene, &mut notes)?;
     let shots = frames::read(root, version, scene, &chain, &mut notes)?;
-    let annotated = annotations::read(version, scene, &chain)?;
+    let annotated = annotations::read(version, scene, &chain, &mut notes)?;
     let (mut log_frames, mut box_points) = (Vec::new(), Vec::new());
     for ((t_us, shot), (boxes, points)) in chain.times_us.iter().zip(shots.frames).zip(annotated.frames) {
+        let Some(shot) = shot else { continue };
         let (sweeps, images, between_images) = (shot.sweeps, shot.images, shot.between_images);
         let global_from_ego = shot.global_from_ego;
         log_frames.push(Frame { t_us: *t_us, global_from_ego, sweeps, images, between_images, boxes });
         box_points.push(points);
     }
-    let log = Recording {
+    let mut log = Recording {
         name: scene.name.clone(),
         location: recorded.location.clone(),
         description: scene.description.clone(),
@@ -42,8 +44,8 @@ pub(super) fn read(
         rig: RigCamera::first_used(&log_frames),
         tracks: annotated.tracks,
         frames: log_frames,
-        notes,
         ..Recording::default()
     };
+    settle(&mut log, notes, missing)?;
     Ok((log, box_points))
 }

@@ -63,6 +63,11 @@ impl<'a> Builder<'a> {
     fn take_in(&mut self, log: usize, frame: &FrameCloud, now: &mut BuildState) -> Result<(), BuildError> {
         now.frames += 1;
         now.report.images += frame.images;
+        for (kind, count) in ["damaged sweep files", "damaged image files"].into_iter().zip(frame.damaged) {
+            if count > 0 {
+                *now.report.notes.entry(kind.to_owned()).or_default() += count;
+            }
+        }
         for sweep in &frame.sweeps {
             now.report.sweeps += 1;
             now.report.points_read += sweep.read;

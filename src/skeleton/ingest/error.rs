@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::dataset::DatasetError;
+use crate::dataset::{DatasetError, Gap};
 use crate::error::FileError;
 use crate::files::text::printable;
 
@@ -24,12 +24,14 @@ pub enum BuildError {
         found: usize,
     },
     /// The frames have no sweep.
-    #[error("expected frames with a LiDAR sweep, found none in {frames} frames of {}", printable(&logs.join(", ")))]
+    #[error("expected frames with a LiDAR sweep, found none in {frames} frames of {}{}", printable(&logs.join(", ")), first(gap.as_ref()))]
     NoSweeps {
         /// Number of inspected frames.
         frames: usize,
         /// Names of their logs.
         logs: Vec<String>,
+        /// First missing part of the logs.
+        gap: Option<Gap>,
     },
     /// No point has a color.
     #[error(
@@ -60,4 +62,8 @@ pub enum BuildError {
         /// Folder of the unfinished build.
         path: PathBuf,
     },
+}
+
+fn first(gap: Option<&Gap>) -> String {
+    gap.map_or(String::new(), |gap| format!(" ({gap})"))
 }

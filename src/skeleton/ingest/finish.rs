@@ -21,7 +21,8 @@ impl Builder<'_> {
         let report = with_notes(self.done.report.clone(), &self.streams);
         if report.sweeps == 0 {
             let logs = self.streams.iter().map(|stream| stream.log.name.clone()).collect();
-            return Err(BuildError::NoSweeps { frames: self.done.frames, logs });
+            let gap = self.streams.iter().find_map(|stream| stream.log.gaps.first());
+            return Err(BuildError::NoSweeps { frames: self.done.frames, logs, gap: gap.cloned() });
         }
         if report.background_points == 0 && report.actor_points == 0 {
             return Err(BuildError::Empty { sweeps: report.sweeps, points: report.points_read });

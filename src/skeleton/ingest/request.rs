@@ -41,6 +41,8 @@ pub trait Progress: Sync {
     fn start(&self, stage: &str, steps: usize);
     /// Completes a step of the stage.
     fn step(&self);
+    /// A damaged file was skipped; the message names it. A resumed build may report files again.
+    fn skipped(&self, _message: &str) {}
     /// Returns whether to stop before the next step.
     fn is_stopped(&self) -> bool {
         false

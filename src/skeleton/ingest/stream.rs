@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::color;
 use super::error::BuildError;
 use super::request::{BuildInput, Progress};
-use crate::dataset::{Dataset, Frame, ImageRecord, Recording, SweepRecord, TrackBox};
+use crate::dataset::{Dataset, DatasetError, Frame, ImageRecord, Recording, SweepRecord, TrackBox};
 use crate::geometry::View;
 use crate::skeleton::sweep::SweepCloud;
 use crate::skeleton::{
@@ -42,6 +42,8 @@ pub(super) struct FrameCloud {
     pub(super) sweeps: Vec<SweepCloud>,
     /// Number of images of the frame.
     pub(super) images: usize,
+    /// Number of sweeps and images that were skipped because their files are damaged.
+    pub(super) damaged: [usize; 2],
 }
 
 impl<'a> Stream<'a> {
@@ -86,9 +88,12 @@ impl<'a> Stream<'a> {
                 return Err(BuildError::Stopped);
             }
             if step < self.frames.len() {
-                self.read_ahead(&mut window, step + hide)?;
-                let loaded = self.load_views(step, &window)?;
-                window.clouds[step - window.start].images = loaded.len();
+                self.read_ahead(&mut window, step + hide, progress)?;
+                let records = self.new_records(step);
+                let loaded = self.load_views(step, &records, &window, progress)?;
+                let cloud = &mut window.clouds[step - window.start];
+                cloud.images = loaded.len();
+                cloud.damaged[1] = records.len() - loaded.len();
                 views.push_back((step, loaded));
             }
             if let Some(frame) = step.checked_sub(color).filter(|f| (first..self.frames.len()).contains(f)) {
@@ -109,7 +114,12 @@ impl<'a> Stream<'a> {
     }
 
     /// Reads the sweeps of frames up to index `last`, and of a few further frames.
-    fn read_ahead(&self, window: &mut Window, last: usize) -> Result<(), BuildError> {
+    fn read_ahead(
+        &self,
+        window: &mut Window,
+        last: usize,
+        progress: &dyn Progress,
+    ) -> Result<(), BuildError> {
         let next = window.start + window.clouds.len();
         if next > last.min(self.frames.len() - 1) {
             return Ok(());
@@ -120,16 +130,32 @@ impl<'a> Stream<'a> {
             .clone()
             .flat_map(|i| self.frames[i].sweeps.iter().filter(wanted).map(move |sweep| (i, sweep)))
             .collect();
-        let read = records.par_iter().map(|(i, record)| Ok((*i, self.read_sweep(self.frames[*i], record)?)));
-        let read: Vec<(usize, SweepCloud)> = read.collect::<Result<_, BuildError>>()?;
+        let read: Vec<_> =
+            records.par_iter().map(|(i, record)| (*i, self.read_sweep(self.frames[*i], record))).collect();
         window.clouds.extend(frames.map(|_| FrameCloud::default()));
-        for (i, cloud) in read {
-            window.clouds[i - window.start].sweeps.push(cloud);
+        for (i, read) in read {
+            let cloud = &mut window.clouds[i - window.start];
+            match self.unless_damaged(read, progress)? {
+                Some(sweep) => cloud.sweeps.push(sweep),
+                None => cloud.damaged[0] += 1,
+            }
         }
         Ok(())
     }
 
-    fn read_sweep(&self, frame: &Frame, record: &SweepRecord) -> Result<SweepCloud, BuildError> {
+    /// Returns the content of a file; `None` if it is damaged, which is reported, and the log's policy is to skip it.
+    fn unless_damaged<T>(
+        &self,
+        read: Result<T, DatasetError>,
+        progress: &dyn Progress,
+    ) -> Result<Option<T>, BuildError> {
+        let message = read.as_ref().err().map(ToString::to_string);
+        let content = self.log.unless_damaged(read)?;
+        message.iter().for_each(|message| progress.skipped(message));
+        Ok(content)
+    }
+
+    fn read_sweep(&self, frame: &Frame, record: &SweepRecord) -> Result<SweepCloud, DatasetError> {
         let sweep = self.dataset.read_sweep(record)?;
         let boxes = self.boxes_at(frame, record.t_us);
         let splitter = Splitter::new(&boxes, &self.trajectories, record.t_us, &self.options.split);
@@ -151,13 +177,23 @@ impl<'a> Stream<'a> {
             .collect()
     }
 
-    /// Reads the images of a frame and computes their occlusion maps. Skips images that the previous frame also has
-    /// (images rarer than sweeps) if its views also color this frame.
-    fn load_views(&self, frame: usize, window: &Window) -> Result<Vec<ColorView>, BuildError> {
+    /// Returns the images of a frame, except those that the previous frame also has (images rarer than sweeps) if its views
+    /// also color this frame.
+    fn new_records(&self, frame: usize) -> Vec<&'a ImageRecord> {
         let before = frame.checked_sub(1).filter(|_| self.options.color_window > 0);
         let before = before.map_or_else(Vec::new, |before| self.records(before));
         let is_new = |record: &&ImageRecord| !before.iter().any(|other| other.path == record.path);
-        let records: Vec<&ImageRecord> = self.records(frame).into_iter().filter(is_new).collect();
+        self.records(frame).into_iter().filter(is_new).collect()
+    }
+
+    /// Reads images of a frame and computes their occlusion maps. Skips damaged files.
+    fn load_views(
+        &self,
+        frame: usize,
+        records: &[&ImageRecord],
+        window: &Window,
+        progress: &dyn Progress,
+    ) -> Result<Vec<ColorView>, BuildError> {
         let view = |record: &&ImageRecord| {
             let image = self.dataset.read_image(record)?;
             let view = View {
@@ -172,7 +208,12 @@ impl<'a> Stream<'a> {
             });
             Ok(ColorView { image, view, t_us: record.t_us, occlusion })
         };
-        records.par_iter().map(view).collect()
+        let read: Vec<Result<ColorView, DatasetError>> = records.par_iter().map(view).collect();
+        let mut views = Vec::with_capacity(read.len());
+        for view in read {
+            views.extend(self.unless_damaged(view, progress)?);
+        }
+        Ok(views)
     }
 
     fn records(&self, frame: usize) -> Vec<&'a ImageRecord> {

@@ -1,7 +1,6 @@
 //! Rendering of a scene: conditions, forecasts and ground truth of each frame.
 
 use std::path::Path;
-use std::sync::Arc;
 
 use image::RgbImage;
 use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
@@ -69,7 +68,7 @@ impl Scene {
             SubstituteOptions::augmented(options.study.augment).make(&skeleton, &log.name)?;
         let clouds = SceneClouds::with(&skeleton, &log.name, &substitutes)?;
         let mut rasterizer = raster::create(options.rasterizer, clouds.cloud_set())?;
-        let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
+        let map = SceneMap::read(dataset)?;
         let scenario = Scenario { log, map: map.clone(), rates: Rates::default() };
         let conditioner = Conditioner::new(log, map, &clouds, options.recipe, "")
             .with_maps(&[MapKind::Class, MapKind::Instance]);

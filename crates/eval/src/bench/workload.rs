@@ -74,8 +74,7 @@ impl Workload {
     ) -> Result<Self, BenchError> {
         let (log, count) = (dataset.log(), range.len());
         let with_map = maps.contains(MapKind::Map) || maps.contains(MapKind::Tensor);
-        let map = with_map.then(|| dataset.read_map()).transpose()?.flatten();
-        let map = map.map(|map| Arc::new(SceneMap::new(map, log)));
+        let map = if with_map { SceneMap::read(dataset)? } else { None };
         let content = Box::new((skeleton, substitutes));
         let frames = frames_of_log(log, &scene_clouds(&content, &log.name)?, range, map.as_ref());
         if frames.is_empty() {

@@ -32,7 +32,13 @@ impl<'a> Mcap<'a> {
         Ok(())
     }
 
-    fn write_images(&mut self, sample: &Sample<'_>, maps: &Maps, time: Timestamp) -> Result<(), ExportError> {
+    fn write_images(
+        &mut self,
+        shard: &mut Shard,
+        sample: &Sample<'_>,
+        maps: &Maps,
+        time: Timestamp,
+    ) -> Result<(), ExportError> {
         let options = self.source.options;
         let topic = |index: usize, kind: &str| camera_topic(&maps.cameras()[index].name, kind);
         let pngs = maps_as_png(maps.cameras(), &options.conditions.depth_bins, |index, kind| {
@@ -40,7 +46,9 @@ impl<'a> Mcap<'a> {
         })?;
         let mut jpegs = Vec::new();
         if options.images {
-            jpegs = images_as_jpeg(self.source.dataset, sample, &sizes(maps), |index| topic(index, "image"))?;
+            jpegs = images_as_jpeg(shard, self.source.dataset, sample, &sizes(maps), |index| {
+                topic(index, "image")
+            })?;
         }
         for (format, files) in [("png", pngs), ("jpeg", jpegs)] {
             for Encoded { name, bytes } in files {
@@ -52,11 +60,11 @@ impl<'a> Mcap<'a> {
 }
 
 impl LayoutWriter for Mcap<'_> {
-    fn add(&mut self, _: &mut Shard, sample: &Sample<'_>, maps: &Maps) -> Result<(), ExportError> {
+    fn add(&mut self, shard: &mut Shard, sample: &Sample<'_>, maps: &Maps) -> Result<(), ExportError> {
         let time = self.file.time(sample.state.t_us)?;
         self.describe(time)?;
         self.file.write_state(&sample.state, &sizes(maps), time)?;
-        self.write_images(sample, maps, time)
+        self.write_images(shard, sample, maps, time)
     }
 
     fn finish(self: Box<Self>, shard: &mut Shard) -> Result<(), ExportError> {

@@ -42,7 +42,7 @@ impl<'a> Tar<'a> {
 }
 
 impl LayoutWriter for Tar<'_> {
-    fn add(&mut self, _: &mut Shard, sample: &Sample<'_>, maps: &Maps) -> Result<(), ExportError> {
+    fn add(&mut self, shard: &mut Shard, sample: &Sample<'_>, maps: &Maps) -> Result<(), ExportError> {
         let source = self.source;
         let key = format!("{}-{}", source.listed.name, sample.state.name);
         let camera = |index: usize| maps.cameras()[index].name.to_lowercase();
@@ -76,7 +76,7 @@ impl LayoutWriter for Tar<'_> {
         }
         if source.options.images {
             let name = |index| format!("{key}.image.{}.jpg", camera(index));
-            files.extend(images_as_jpeg(source.dataset, sample, &sizes(maps), name)?);
+            files.extend(images_as_jpeg(shard, source.dataset, sample, &sizes(maps), name)?);
         }
         files.iter().try_for_each(|file| self.append(&file.name, &[Cow::Borrowed(&file.bytes)]))?;
         Ok(())

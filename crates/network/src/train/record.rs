@@ -1,7 +1,5 @@
 //! Recording of a training clip: conditions as the network receives them, and ground-truth images.
 
-use std::sync::Arc;
-
 use point_skeleton::conditions::{self, ConditionError};
 use point_skeleton::dataset::{Dataset, DatasetError, Recording};
 use point_skeleton::error::FileError;
@@ -81,7 +79,7 @@ impl Source<'_> {
             SubstituteOptions::augmented(variant.augment).make(self.skeleton, &log.name)?;
         let clouds = SceneClouds::with(self.skeleton, &log.name, &substitutes)?;
         let mut rasterizer = raster::create(self.rasterizer, clouds.cloud_set())?;
-        let map = self.dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
+        let map = SceneMap::read(self.dataset)?;
         let options = self.recipe.options(map.is_some());
         let about = self.about(log);
         let (mut frames, mut before) = (Vec::new(), None);

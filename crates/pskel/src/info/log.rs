@@ -7,6 +7,9 @@ use point_skeleton::files::text::printable_line;
 use point_skeleton::scene::frame_rate_hz;
 use serde_json::{Value, json};
 
+/// Maximum number of items of a list in the text.
+const SHOWN: usize = 20;
+
 /// Describes a log as JSON.
 pub(super) fn describe(dataset: &dyn Dataset) -> serde_json::Result<Value> {
     let mut json = serde_json::to_value(LogSummary::new(dataset))?;
@@ -59,12 +62,30 @@ pub(super) fn text(json: &Value) -> String {
     for (what, count) in json["left_out"].as_object().into_iter().flatten() {
         line("left out", format!("{what}: {count}"));
     }
-    let damaged = json["damaged"].as_array().map_or(0, Vec::len);
+    for gap in first(&json["gaps"]) {
+        line("", gap);
+    }
+    let damaged = damaged(json);
     line("damaged", if damaged == 0 { "nothing".to_owned() } else { format!("{damaged} files") });
-    for problem in json["damaged"].as_array().into_iter().flatten() {
-        line("", problem.as_str().unwrap_or_default().to_owned());
+    for problem in first(&json["damaged"]) {
+        line("", problem);
     }
     lines
+}
+
+/// Returns the number of missing and damaged files.
+pub(super) fn damaged(json: &Value) -> usize {
+    json["damaged"].as_array().map_or(0, Vec::len)
+}
+
+/// Returns the first texts of a list, and the number of the others.
+fn first(list: &Value) -> Vec<String> {
+    let all: Vec<&str> = list.as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+    let mut shown: Vec<String> = all.iter().take(SHOWN).map(|text| (*text).to_owned()).collect();
+    if all.len() > SHOWN {
+        shown.push(format!("and {} more (--json lists all)", all.len() - SHOWN));
+    }
+    shown
 }
 
 fn map_line(map: &Value) -> String {

@@ -20,7 +20,8 @@ pub(super) use skeleton::dropped;
 
 /// Describe a log, a skeleton or a file, and report missing or damaged parts
 ///
-/// Of a log, the tables are read completely; of sweeps and images, only sizes and headers.
+/// Of a log, the tables are read completely; of sweeps and images, only sizes and headers. Missing and damaged files are
+/// named, and the exit code is then 1.
 #[derive(Debug, Args)]
 pub(super) struct InfoArgs {
     /// FORMAT:PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather,
@@ -37,7 +38,8 @@ pub(super) struct InfoArgs {
     verify: bool,
 }
 
-/// Runs the command: describes the target. Damage is reported and is an error only with --verify.
+/// Runs the command: describes the target. Missing and damaged files of a log are an error after the description, as are
+/// wrong checksums with --verify.
 pub(super) fn run(args: InfoArgs) -> anyhow::Result<()> {
     let verified = args.verify.then(|| verify::verify(&args.target)).transpose()?;
     let (mut json, mut text) = describe(&args.target, &args.roots)?;
@@ -50,6 +52,12 @@ pub(super) fn run(args: InfoArgs) -> anyhow::Result<()> {
     } else {
         say(text.trim_end());
     }
+    let damaged = log::damaged(&json);
+    anyhow::ensure!(
+        damaged == 0,
+        "expected every file of the log to exist and to be whole, found {damaged} that are not: {}",
+        args.target
+    );
     verified.map_or(Ok(()), |verified| verified.result(&args.target))
 }
 
@@ -69,7 +77,7 @@ fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
     }
     if target.contains(':') && !path.exists() {
         let locator = logs::locate(target).map_err(|error| WrongUsage(error.to_string()))?;
-        let log = roots.open(&locator)?;
+        let log = logs::open(&roots.locate(&locator))?;
         let json = log::describe(log.as_ref())?;
         return Ok((json.clone(), log::text(&json)));
     }

@@ -5,13 +5,11 @@ mod args;
 pub(super) use args::RenderArgs;
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context;
 use point_skeleton::cloud;
 use point_skeleton::conditions::meta::{IndexFrame, PromptParts};
-use point_skeleton::dataset::Dataset;
 use point_skeleton::files::OutputFolder;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{SceneMap, SceneSequence, SequenceError, frame_rate_hz};
@@ -31,7 +29,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let skeleton = Skeleton::open_for(&args.skeleton, log)?;
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
     let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
-    let map = read_map(&args, dataset.as_ref())?;
+    let map = if args.wants_map() { SceneMap::read(dataset.as_ref())? } else { None };
     let maps = args.maps(map.is_some()).with_context(|| {
         format!(
             "expected an HD map of {:?} for --maps map, found none in log {}",
@@ -78,12 +76,6 @@ fn usage(error: SequenceError) -> anyhow::Error {
         SequenceError::Twice { .. } => WrongUsage(error.to_string()).into(),
         _ => error.into(),
     }
-}
-
-/// Reads the log's HD map if it exists and is used.
-fn read_map(args: &RenderArgs, dataset: &dyn Dataset) -> anyhow::Result<Option<Arc<SceneMap>>> {
-    let map = args.wants_map().then(|| dataset.read_map()).transpose()?.flatten();
-    Ok(map.map(|map| Arc::new(SceneMap::new(map, dataset.log()))))
 }
 
 /// Warns of times outside those that the skeleton was built from, where it may have few points.

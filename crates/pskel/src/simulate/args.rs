@@ -6,7 +6,7 @@ use clap::Args;
 #[cfg(feature = "mcap")]
 use point_skeleton::conditions::MapFormat;
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::dataset::{LogLocator, LogOpener, MovedEgo};
+use point_skeleton::dataset::{Dataset, LogLocator, LogOpener, MissingData, MovedEgo};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
 use point_skeleton::skeleton::Skeleton;
 #[cfg(feature = "network")]
@@ -17,12 +17,12 @@ use pskel_sim::{ActorPolicy, EgoPolicy, LocalPath, PathAnchor, PlannerSpec, Scen
 use super::generation::GenerationArgs;
 use super::inputs::Inputs;
 use super::policies::{ActorName, EgoName, PolicyArgs, TrackingName};
-use crate::WrongUsage;
 use crate::log_args::{self, LogRoots};
 use crate::map_args::MapArgs;
 use crate::numbers;
 use crate::rasterizer::RasterizerArgs;
 use crate::substitutes::SubstituteArgs;
+use crate::{WrongUsage, warn};
 
 /// Number of frames that a generator sees besides the current one.
 const FORECAST_STEPS: usize = 9;
@@ -250,7 +250,7 @@ impl SimulateArgs {
         let log = dataset.log();
         let skeleton = Skeleton::open_for(&self.skeleton, log)?;
         let prompt = self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
-        let map = dataset.read_map()?.map(|map| Arc::new(SceneMap::new(map, log)));
+        let map = self.read_map(dataset.as_ref())?;
         let maps = self.maps.kinds(map.is_some()).with_context(|| {
             format!(
                 "expected an HD map of {:?} for --maps map, found none in log {}",
@@ -259,6 +259,18 @@ impl SimulateArgs {
             )
         })?;
         Ok(Inputs { dataset, skeleton, prompt, map, maps })
+    }
+
+    /// Reads the HD map. A damaged one that is not drawn is an error only with `--missing error`.
+    fn read_map(&self, dataset: &dyn Dataset) -> anyhow::Result<Option<Arc<SceneMap>>> {
+        let is_drawn = self.generation.generator.is_some() || !self.dry && self.maps.wants_map();
+        match SceneMap::read(dataset) {
+            Err(error) if !is_drawn && dataset.log().missing_data == MissingData::Skip => {
+                warn(&format!("the HD map cannot be read, so metrics of the road are missing: {error}"));
+                Ok(None)
+            }
+            map => Ok(map?),
+        }
     }
 
     /// Returns the step after which to continue an earlier rollout.

@@ -1,1 +1,254 @@
 //! Missing and damaged parts of a log: one policy for all readers.
+
+use std::os::unix::fs::symlink;
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::Case;
+use crate::av2_log::TinyAv2;
+use crate::common::shared;
+use crate::guarded;
+use crate::nuplan_made::{Made, RING, image_file};
+use crate::tiny_log::{CAMERAS, TinyLog, picture, sweep};
+
+const DB: &str = "nuplan-v1.1/splits/mini/2020.01.01.00.00.00_veh-02_00000_00079.db";
+
+/// Runs `pskel` in a folder with arguments separated by spaces.
+fn pskel(folder: &Path, args: &str) -> guarded::Ended {
+    guarded::run(folder, &args.split(' ').collect::<Vec<_>>())
+}
+
+#[track_caller]
+fn succeed(folder: &Path, args: &str) -> String {
+    let ended = pskel(folder, args);
+    assert_eq!(ended.code, Some(0), "{args}: {}", ended.stderr);
+    ended.stdout + &ended.stderr
+}
+
+/// Returns the description of a log and the exit code.
+#[track_caller]
+fn info(folder: &Path, log: &str) -> (Value, Option<i32>) {
+    let ended = pskel(folder, &format!("info --json {log}"));
+    (serde_json::from_str(&ended.stdout).unwrap_or_else(|_| panic!("{}", ended.stderr)), ended.code)
+}
+
+/// Asserts the one policy: `build` skips and counts, `info` names the part and fails if a file is missing or damaged, and with
+/// `--missing error` every command refuses the log with the name of the part.
+#[track_caller]
+fn assert_policy(folder: &Path, log: &str, note: &str, named: &str, info_code: i32) {
+    let text = succeed(folder, &format!("build {log} --out policy"));
+    assert!(text.contains(note), "{text}\nexpected {note}");
+    let (json, code) = info(folder, log);
+    assert_eq!(code, Some(info_code), "{json:#}");
+    let lists = format!("{} {}", json["damaged"], json["gaps"]);
+    assert!(lists.contains(named), "{lists}\nexpected {named}");
+    for command in [
+        format!("build {log} --out strict --missing error"),
+        format!(
+            "render {log} --skeleton policy --out strict --missing error --frames 0..1 --maps depth --size 8x12"
+        ),
+    ] {
+        let ended = pskel(folder, &command);
+        // A damaged file is not noticed by a command that does not read it.
+        if command.starts_with("render") && ended.code == Some(0) {
+            assert!(note.starts_with("1 damaged"), "{command}");
+            continue;
+        }
+        ended.refused(&command, &[named]);
+    }
+}
+
+#[test]
+fn missing_files_are_skipped_and_counted_in_nuscenes() {
+    for (file, note) in
+        [(picture(1, CAMERAS[1]), "1 missing image files"), (sweep(1), "1 missing sweep files")]
+    {
+        let log = TinyLog::new();
+        std::fs::remove_file(log.path(&file)).unwrap();
+        let name = Path::new(&file).file_name().unwrap().to_str().unwrap();
+        assert_policy(&log.path(""), "nuscenes:log", note, name, 1);
+    }
+}
+
+/// A download without the blobs of sweeps between key frames, or of all cameras.
+#[test]
+fn parts_of_a_download_can_be_missing() {
+    let Some(shared) = shared("the recording") else { return };
+    let source = shared.join("data/pandaset-002/nuscenes");
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log");
+    std::fs::create_dir_all(log.join("samples")).unwrap();
+    symlink(source.join("v1.0-mini"), log.join("v1.0-mini")).unwrap();
+    symlink(source.join("samples/LIDAR_TOP"), log.join("samples/LIDAR_TOP")).unwrap();
+    let (json, code) = info(folder.path(), "nuscenes:log");
+    let (images, frames) =
+        (json["left_out"]["missing image files"].as_u64().unwrap(), json["frames"].as_u64().unwrap());
+    assert_eq!((images, code), (6 * frames, Some(1)));
+    assert_eq!(json["damaged"].as_array().unwrap().len() as u64, images);
+    assert_eq!((&json["sweeps"], json["cameras"].as_array().unwrap().len()), (&json["frames"], 6));
+    let text = succeed(folder.path(), "build nuscenes:log --out sk --frames 0..1");
+    assert!(text.contains(&format!("{images} missing image files")) && text.contains("0 images"), "{text}");
+    std::fs::remove_file(log.join("samples/LIDAR_TOP")).unwrap();
+    pskel(folder.path(), "build nuscenes:log --out none")
+        .refused("no sweeps", &["LiDAR sweep", "missing sweep files"]);
+}
+
+/// A file that cannot be read for want of permission is not skipped: it may be there at the next run.
+#[test]
+fn errors_of_the_operating_system_are_not_skipped() {
+    let log = TinyLog::new();
+    let file = log.path(&picture(1, CAMERAS[1]));
+    std::fs::remove_file(&file).unwrap();
+    symlink(&file, &file).unwrap();
+    pskel(&log.path(""), "build nuscenes:log --out sk").refused("a loop of links", &["1-CAM_BACK.png"]);
+}
+
+#[test]
+fn damaged_files_are_skipped_and_counted_in_nuscenes() {
+    for (file, note) in
+        [(picture(1, CAMERAS[1]), "1 damaged image files"), (sweep(1), "1 damaged sweep files")]
+    {
+        let log = TinyLog::new();
+        std::fs::write(log.path(&file), b"this is neither").unwrap();
+        let name = Path::new(&file).file_name().unwrap().to_str().unwrap();
+        assert_policy(&log.path(""), "nuscenes:log", note, name, 1);
+    }
+}
+
+#[test]
+fn missing_files_are_skipped_and_counted_in_nuplan() {
+    let made = Made::new();
+    std::fs::remove_file(made.blob(&image_file(RING[0], 0))).unwrap();
+    let log = format!("nuplan:{}", made.database().display());
+    assert_policy(&made.path(""), &log, "1 missing image files", &image_file(RING[0], 0), 1);
+}
+
+#[test]
+fn missing_files_are_skipped_and_counted_in_argoverse() {
+    let log = TinyAv2::new();
+    let folder = log.path("sensors/cameras/ring_front_center");
+    let first = std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()).min().unwrap();
+    std::fs::remove_file(first).unwrap();
+    let root = log.path("");
+    assert_policy(&root, &format!("av2:{}", root.display()), "missing camera images", "ring_front_center", 0);
+}
+
+#[test]
+fn flat_boxes_are_skipped_and_counted_in_nuscenes() {
+    for size in ["[1.9, 4.5, 0.0]", "[-1.9, 4.5, 1.6]", "[0, 0, 0]"] {
+        let log = TinyLog::new();
+        let annotations = log.path("log/v1.0-mini/sample_annotation.json");
+        let mut rows: Value = serde_json::from_slice(&std::fs::read(&annotations).unwrap()).unwrap();
+        let token = rows[0]["token"].as_str().unwrap().to_owned();
+        let count = rows.as_array().unwrap().len();
+        rows[0]["size"] = serde_json::from_str(size).unwrap();
+        std::fs::write(&annotations, rows.to_string()).unwrap();
+        let root = log.path("");
+        assert_policy(&root, "nuscenes:log", "1 boxes without a size", &token, 0);
+        assert_eq!(info(&root, "nuscenes:log").0["boxes"], count - 1);
+    }
+}
+
+/// A log of the test split has no annotations.
+#[test]
+fn argoverse_without_annotations_has_frames_without_actors() {
+    let log = TinyAv2::new();
+    std::fs::remove_file(log.path("annotations.feather")).unwrap();
+    let root = log.path("");
+    let name = format!("av2:{}", root.display());
+    assert_policy(&root, &name, "1 logs without annotations", "annotations.feather", 0);
+    let (json, _) = info(&root, &name);
+    assert_eq!((&json["frames"], &json["boxes"], &json["sweeps"]), (&3.into(), &0.into(), &3.into()));
+    std::fs::remove_dir_all(log.path("sensors/lidar")).unwrap();
+    pskel(&root, &format!("info {name}"))
+        .refused("neither", &["annotations.feather, or sweeps", "found neither"]);
+}
+
+/// Neither a broken map nor a map that was not downloaded concerns a command that does not draw it.
+#[test]
+fn maps_that_are_not_drawn_are_not_read() {
+    let made = Made::new();
+    let (root, log) = (made.path(""), format!("nuplan:{}", made.database().display()));
+    succeed(&root, &format!("build {log} --out sk"));
+    std::fs::remove_file(made.map()).unwrap();
+    let some = "--maps color,depth --size 16x24";
+    succeed(&root, &format!("render {log} --skeleton sk --out maps --frames 0..1 {some}"));
+    succeed(
+        &root,
+        &format!("export {log} --layout webdataset --skeletons sks --out shards --frames 0..1 {some}"),
+    );
+    let text = succeed(&root, &format!("simulate {log} --skeleton sk --out rollout --steps 1 {some}"));
+    assert!(text.contains("metrics of the road are missing") && text.contains("map.gpkg"), "{text}");
+    for command in ["render --skeleton sk --out other", "simulate --steps 1 --skeleton sk --out other"] {
+        pskel(&root, &format!("{command} {log}")).refused(command, &["map.gpkg"]);
+    }
+    let strict = format!("simulate {log} --skeleton sk --out other --steps 1 {some} --missing error");
+    pskel(&root, &strict).refused(&strict, &["map.gpkg"]);
+}
+
+#[test]
+fn layers_that_a_map_lacks_are_counted() {
+    let made = Made::new();
+    made.map_sql(
+        "DROP TABLE carpark_areas; DELETE FROM gpkg_geometry_columns WHERE table_name = 'carpark_areas';",
+    );
+    let (json, code) = info(&made.path(""), &format!("nuplan:{}", made.database().display()));
+    assert_eq!(
+        (&json["left_out"]["map: maps without carpark_areas"], code),
+        (&1.into(), Some(0)),
+        "{json:#}"
+    );
+}
+
+#[test]
+fn case_one_file_missing() {
+    let Some(case) = Case::new("data/10-one-file-missing") else { return };
+    for (variant, note) in [
+        ("image", "1 missing image files"),
+        ("sweep", "1 missing sweep files"),
+        ("row", "1 missing camera images"),
+    ] {
+        let (text, _) = case.succeed(&format!("build nuscenes:in/{variant} --out out/{variant}"));
+        assert!(text.contains(note), "{text}");
+        case.run(&format!("build nuscenes:in/{variant} --out out/x --missing error"))
+            .refused(variant, &["missing"]);
+    }
+    let images =
+        |variant: &str| case.json(&format!("out/{variant}/skeleton.json"))["report"]["images"].clone();
+    assert_eq!((images("image"), images("row"), images("sweep")), (23.into(), 23.into(), 24.into()));
+}
+
+#[test]
+fn case_flat_box() {
+    let Some(case) = Case::new("data/11-flat-box") else { return };
+    for variant in ["zero", "negative"] {
+        let (text, _) = case.succeed(&format!("info --json nuscenes:in/{variant}"));
+        let json: Value = serde_json::from_str(&text).unwrap();
+        assert_eq!((&json["boxes"], &json["left_out"]["boxes without a size"]), (&369.into(), &1.into()));
+    }
+}
+
+#[test]
+fn case_argoverse_without_annotations() {
+    let Some(case) = Case::new("data/12-av2-without-annotations") else { return };
+    let (text, _) = case.succeed("info --json av2:in");
+    let json: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!((&json["boxes"], &json["left_out"]["logs without annotations"]), (&0.into(), &1.into()));
+    assert_eq!(json["frames"], json["sweeps"]);
+}
+
+#[test]
+fn case_map_not_asked_for() {
+    let Some(case) = Case::new("data/09-map-not-asked-for") else { return };
+    let few = "--maps color,depth --frames 0..1 --out-size 56x100";
+    for variant in ["layer-missing", "not-downloaded", "cut-off"] {
+        let log = format!("nuplan:in/{variant}/{DB}");
+        case.succeed(&format!(
+            "export {log} --layout webdataset --skeletons out/sk --out out/{variant} {few}"
+        ));
+    }
+    let log = format!("nuplan:in/cut-off/{DB}");
+    case.run(&format!("export {log} --layout webdataset --skeletons out/sk --out out/all --frames 0..1"))
+        .refused("all maps", &["map.gpkg"]);
+}

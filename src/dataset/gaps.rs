@@ -1,0 +1,92 @@
+//! Missing and damaged parts of logs: one policy for all readers.
+//!
+//! # How it works
+//! A reader records the parts that it misses ([`Gap`]), and lists its files without looking at them. `notes::settle` finds
+//! the files that do not exist, and then either leaves out all missing parts or ends with an error. Damaged files are found when
+//! they are read: [`Recording::unless_damaged`].
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::{DatasetError, Recording};
+use crate::files::text::{printable, printable_path};
+
+/// What to do about missing and damaged parts of a log.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MissingData {
+    /// Skip and count them.
+    #[default]
+    Skip,
+    /// Fail with the first one.
+    Error,
+}
+
+/// Missing part of a log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Gap {
+    /// Kind, as in [`Recording::notes`].
+    pub kind: &'static str,
+    /// The part.
+    pub place: GapPlace,
+}
+
+/// Location of a gap.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum GapPlace {
+    /// File that the log names and that does not exist.
+    File(PathBuf),
+    /// Record of a table that is missing or has to be skipped.
+    Record {
+        /// The record.
+        record: String,
+        /// The file of the table, or the folder of the log.
+        path: PathBuf,
+    },
+}
+
+impl Gap {
+    /// Creates a gap in a table.
+    #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
+    pub(super) fn record(kind: &'static str, record: impl Into<String>, path: &Path) -> Self {
+        Self { kind, place: GapPlace::Record { record: record.into(), path: path.to_owned() } }
+    }
+
+    /// Returns the missing file; `None` for other gaps.
+    pub fn file(&self) -> Option<&Path> {
+        match &self.place {
+            GapPlace::File(path) => Some(path),
+            GapPlace::Record { .. } => None,
+        }
+    }
+}
+
+/// Formats as `kind: record: file`.
+impl fmt::Display for Gap {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.place {
+            GapPlace::File(path) => write!(f, "{}: {}", self.kind, printable_path(path)),
+            GapPlace::Record { record, path } => {
+                write!(f, "{}: {}: {}", self.kind, printable(record), printable_path(path))
+            }
+        }
+    }
+}
+
+impl Recording {
+    /// Returns the content of a file of this log; `None` if it is damaged and [`Recording::missing_data`] is
+    /// [`MissingData::Skip`]. The caller counts it.
+    ///
+    /// # Errors
+    /// Returns the error of a damaged file otherwise, and all errors of the operating system except that the file does not
+    /// exist.
+    pub fn unless_damaged<T>(&self, read: Result<T, DatasetError>) -> Result<Option<T>, DatasetError> {
+        match read {
+            Ok(content) => Ok(Some(content)),
+            Err(error) if self.missing_data == MissingData::Skip && error.is_damage() => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+}
