@@ -2,7 +2,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use super::Class;
+use super::{Class, ReadOptions};
 use crate::files::FileName;
 use crate::files::text::printable;
 use crate::geometry::{Camera, Cuboid, Pose};
@@ -34,6 +34,8 @@ pub struct Recording {
     pub map_files: Option<MapFiles>,
     /// Number of items that the reader skipped or missed, by kind.
     pub notes: BTreeMap<String, usize>,
+    /// Options with which the log was read.
+    pub reading: ReadOptions,
 }
 
 /// Name and length of a log.

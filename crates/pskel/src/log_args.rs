@@ -2,10 +2,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use point_skeleton::dataset::{Dataset, DatasetError, LogLocator, LogOpener};
+use point_skeleton::dataset::{
+    Dataset, DatasetError, ImageDistortion, LogLocator, LogOpener, ReadOptions, RingMeaning,
+};
 use point_skeleton::files::resolved_output;
 
-use crate::logs;
+use crate::{choices, logs};
 
 /// Locations of the parts of a data set.
 #[derive(Clone, Debug, Default, Args)]
@@ -20,6 +22,12 @@ pub(super) struct LogRoots {
     /// data sets from trusted sources
     #[arg(long)]
     allow_outside: bool,
+    /// What the ring numbers of sweeps are. Points of other LiDARs than number 0 on moving actors are dropped
+    #[arg(long, value_name = "MEANING", value_parser = choices::RING_MEANING, default_value = "auto")]
+    ring_is: RingMeaning,
+    /// Whether recorded images have the lens distortion that the calibration states
+    #[arg(long, value_name = "HOW", value_parser = choices::IMAGE_DISTORTION, default_value = "usual")]
+    image_distortion: ImageDistortion,
 }
 
 /// Argument parser for the name of a log.
@@ -46,7 +54,8 @@ impl LogRoots {
     /// Adds these folders and the permission for outside files to the name of a log.
     pub(super) fn locate(&self, log: &LogLocator) -> LogLocator {
         let (sensor_root, map_root) = (self.sensor_root.clone(), self.map_root.clone());
-        LogLocator { sensor_root, map_root, allow_outside: self.allow_outside, ..log.clone() }
+        let reading = ReadOptions { rings: self.ring_is, distortion: self.image_distortion };
+        LogLocator { sensor_root, map_root, allow_outside: self.allow_outside, reading, ..log.clone() }
     }
 
     /// Opens a log.

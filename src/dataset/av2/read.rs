@@ -5,8 +5,9 @@ use std::path::Path;
 use super::annotations::{Annotation, Annotations};
 use super::poses::Trajectory;
 use super::{calibration, sensors};
+use crate::dataset::clock::{Offset, note_interval};
 use crate::dataset::notes::{Notes, note};
-use crate::dataset::{DatasetError, Frame, Recording, TrackBox};
+use crate::dataset::{DatasetError, Frame, ReadOptions, Recording, TrackBox};
 use crate::error::FileError;
 
 /// Reads a log with its sweeps and images in `sensors`. Also returns the stated number of LiDAR points per frame and
@@ -16,11 +17,12 @@ pub(super) fn read(
     sensors: &Path,
     name: String,
     location: String,
+    reading: &ReadOptions,
 ) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
     let path = folder.join("annotations.feather");
     let annotations = Annotations::read(&path)?;
     let ego = Trajectory::read(&folder.join("city_SE3_egovehicle.feather"))?;
-    let rig = calibration::read(&folder.join("calibration"))?;
+    let rig = calibration::read(&folder.join("calibration"), reading.distortion)?;
     let mut notes = Notes::new();
     for (category, boxes) in &annotations.unknown_categories {
         notes.insert(format!("boxes of the unknown category {category} (read as objects)"), *boxes);
@@ -59,9 +61,13 @@ pub(super) fn read(
         times_ns.push(t_ns);
     }
     if frames.is_empty() {
-        let found = format!("none in {} rows", annotations.frames.values().map(Vec::len).sum::<usize>());
+        let rows = annotations.frames.values().map(Vec::len).sum::<usize>();
+        let times = annotations.frames.keys().map(|t_ns| sensors::micros(*t_ns));
+        let offset = Offset::of_all(times, ego.span_us()).map(|(_, offset)| format!(", the nearest {offset}"));
+        let found = format!("none in {rows} rows{}", offset.unwrap_or_default());
         return Err(FileError::content("boxes at a time with an ego pose", found, &path).into());
     }
+    note_interval(&frames.iter().map(|frame: &Frame| frame.t_us).collect::<Vec<_>>(), &mut notes);
     sensors::add_sweeps(&sensors.join("lidar"), &times_ns, &ego, &mut frames, &mut notes)?;
     for camera in &rig {
         let folder = sensors.join("cameras");
@@ -81,6 +87,7 @@ pub(super) fn read(
         tracks,
         frames,
         notes,
+        reading: *reading,
         ..Recording::default()
     };
     Ok((log, box_points))

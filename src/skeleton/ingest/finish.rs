@@ -23,6 +23,9 @@ impl Builder<'_> {
             let logs = self.streams.iter().map(|stream| stream.log.name.clone()).collect();
             return Err(BuildError::NoSweeps { frames: self.done.frames, logs });
         }
+        if report.points_read > 0 && report.dropped_not_finite == report.points_read {
+            return Err(BuildError::NotFinite { sweeps: report.sweeps, points: report.points_read });
+        }
         if report.background_points == 0 && report.actor_points == 0 {
             return Err(BuildError::Empty { sweeps: report.sweeps, points: report.points_read });
         }

@@ -20,7 +20,8 @@ pub(super) use skeleton::dropped;
 
 /// Describe a log, a skeleton or a file, and report missing or damaged parts
 ///
-/// Of a log, the tables are read completely; of sweeps and images, only sizes and headers.
+/// Of a log, the tables are read completely; of sweeps and images, only sizes and headers,
+/// and the points of a few sweeps.
 #[derive(Debug, Args)]
 pub(super) struct InfoArgs {
     /// FORMAT:PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather,
