@@ -98,7 +98,8 @@ impl PoseTimes {
     /// Adds a note with the first of them.
     pub(super) fn note(self, notes: &mut Notes) {
         if let Some((token, offset)) = self.first {
-            let text = format!("ego poses of another time than their data (used; ego_pose {token} is {offset})");
+            let text =
+                format!("ego poses of another time than their data (used; ego_pose {token} is {offset})");
             note(notes, &text, self.count);
         }
     }
@@ -168,7 +169,10 @@ mod tests {
             notes
         };
         assert!(count(50_000).is_empty() && count(500_000).is_empty());
-        assert_eq!(count(500).into_iter().collect::<Vec<_>>(), [("frames 0.0005 s apart (are their times microseconds?)".to_owned(), 5)]);
+        assert_eq!(
+            count(500).into_iter().collect::<Vec<_>>(),
+            [("frames 0.0005 s apart (are their times microseconds?)".to_owned(), 5)]
+        );
         assert_eq!(count(500_000_000).len(), 1);
         note_interval(&[7], &mut Notes::new());
     }

@@ -4,8 +4,8 @@ use std::ffi::OsStr;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use point_skeleton::cloud::PointFormat;
-use point_skeleton::dataset::{ImageDistortion, RingMeaning};
 use point_skeleton::conditions::{BinScale, ColorFilter, DepthEmbedding, LayoutLayers, LineWidth, MapFormat};
+use point_skeleton::dataset::{ImageDistortion, RingMeaning};
 use point_skeleton::raster::Occlusion;
 use point_skeleton::scene::TemplateFit;
 use point_skeleton::skeleton::Coloring;

@@ -57,7 +57,8 @@ impl Argoverse {
         let map_folder = choose::part(folder, chosen.map_root.as_deref(), "map");
         let maps = map::find(&map_folder)?;
         let city = map::city(maps.first().map(PathBuf::as_path));
-        let (log, box_points) = read::read(folder, &sensors, choose::log_name(folder), city, &chosen.reading)?;
+        let (log, box_points) =
+            read::read(folder, &sensors, choose::log_name(folder), city, &chosen.reading)?;
         let needs_map = chosen.map_root.as_ref().map(|_| map_folder);
         Ok(Self { log, box_points, maps, needs_map, rings: chosen.reading.rings })
     }

@@ -63,7 +63,8 @@ pub(super) fn read(
     if frames.is_empty() {
         let rows = annotations.frames.values().map(Vec::len).sum::<usize>();
         let times = annotations.frames.keys().map(|t_ns| sensors::micros(*t_ns));
-        let offset = Offset::of_all(times, ego.span_us()).map(|(_, offset)| format!(", the nearest {offset}"));
+        let offset =
+            Offset::of_all(times, ego.span_us()).map(|(_, offset)| format!(", the nearest {offset}"));
         let found = format!("none in {rows} rows{}", offset.unwrap_or_default());
         return Err(FileError::content("boxes at a time with an ego pose", found, &path).into());
     }

@@ -14,8 +14,7 @@ use crate::dataset::clock::{Offset, PoseTimes, TOLERANCE_US};
 use crate::error::FileError;
 
 /// Note for cameras whose coefficients are not used.
-pub(super) const IGNORED_LENSES: &str =
-    "cameras with camera_distortion, whose images are read as rectified (--image-distortion apply if they are not)";
+pub(super) const IGNORED_LENSES: &str = "cameras with camera_distortion, whose images are read as rectified (--image-distortion apply if they are not)";
 
 impl SampleData {
     /// Returns whether the data set marks the data as unusable.
@@ -40,7 +39,8 @@ impl Sensors {
         let sample_us = chain.times_us[*place];
         let Some(offset) = Offset::of(data.timestamp.0, sample_us) else { return Ok(()) };
         let channel = &self.sensor_of(data)?.0.channel;
-        let expected = format!("key frames within a second of their sample ({} at {sample_us})", data.sample_token);
+        let expected =
+            format!("key frames within a second of their sample ({} at {sample_us})", data.sample_token);
         let found = format!("sample_data {} of {channel} at {}, {offset}", data.token, data.timestamp.0);
         Err(FileError::content(expected, found, &self.data.path).into())
     }
@@ -69,7 +69,8 @@ pub(super) fn check_growth(frames: &[UnsortedFrame], path: &Path) -> Result<(), 
     for frame in frames {
         let sweeps = frame.sweeps.iter().filter(|sweep| sweep.is_key);
         let sweeps = sweeps.map(|s| (s.channel.clone(), &s.token, s.record.t_us, s.record.path.as_path()));
-        let images = frame.images.iter().map(|i| (i.camera.name.to_string(), &i.token, i.t_us, i.path.as_path()));
+        let images =
+            frame.images.iter().map(|i| (i.camera.name.to_string(), &i.token, i.t_us, i.path.as_path()));
         for (channel, token, t_us, file) in sweeps.chain(images) {
             let before = last.insert(channel.clone(), (t_us, file));
             if let Some((before_us, _)) = before.filter(|(t, known)| *t >= t_us && *known != file) {

@@ -80,7 +80,11 @@ pub(super) fn read(
     data.retain(|d| chain.place.contains_key(&d.sample_token));
     let all = data.records.len();
     data.retain(|d| !d.is_marked_invalid());
-    note(notes, "sweeps and images that are marked as invalid (is_valid; not used)", all - data.records.len());
+    note(
+        notes,
+        "sweeps and images that are marked as invalid (is_valid; not used)",
+        all - data.records.len(),
+    );
     let needed: FxHashSet<&str> = data.records.iter().map(|d| d.ego_pose_token.as_str()).collect();
     let poses = rows.poses(needed.into_iter())?;
     let (calibrated, sensors) = (Table::load(&version.folder)?, Table::load(&version.folder)?);

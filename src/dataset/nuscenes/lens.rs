@@ -98,7 +98,13 @@ mod tests {
 
     #[test]
     fn zeros_and_nothing_are_no_lens() {
-        for value in [json!([]), json!(null), json!([0, 0, 0, 0, 0]), json!([0.0, -0.0]), json!([0, 0, 0, 0, 0, 0, 0, 0])] {
+        for value in [
+            json!([]),
+            json!(null),
+            json!([0, 0, 0, 0, 0]),
+            json!([0.0, -0.0]),
+            json!([0, 0, 0, 0, 0, 0, 0, 0]),
+        ] {
             for option in [ImageDistortion::Usual, ImageDistortion::Apply, ImageDistortion::Ignore] {
                 assert_eq!(read(value.clone(), Value::Null, option), Ok(Lens::default()), "{value}");
             }

@@ -1,7 +1,7 @@
 //! File formats recognized by their first bytes.
 
 /// Formats by their first bytes. None of these is a plausible coordinate as a little-endian float.
-const MAGIC: [(&[u8], &str); 20] = [
+const MAGIC: [(&[u8], &str); 19] = [
     (b"ply\n", "a PLY file"),
     (b"ply\r", "a PLY file"),
     (b"\x93NUMPY", "a NumPy array (NPY)"),
@@ -11,7 +11,6 @@ const MAGIC: [(&[u8], &str); 20] = [
     (b"PAR1", "a Parquet file"),
     (b"\x89HDF\r\n", "an HDF5 file"),
     (b"LASF", "a LAS file"),
-    (b"DRACO", "a Draco file"),
     (b"\x1f\x8b\x08", "a gzip file"),
     (b"\x28\xb5\x2f\xfd", "a Zstandard file"),
     (b"\xfd7zXZ\0", "an xz file"),
@@ -87,7 +86,13 @@ mod tests {
     #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
     fn pcd_headers_are_recognized_with_any_comments() {
         let long = format!("# {}\nVERSION 0.7\n", "x".repeat(3000));
-        for text in ["# .PCD v0.7\nVERSION", "# .pcd v.7 - made\r\n", "VERSION .7\nFIELDS x", "\nFIELDS x y z\n", &long] {
+        for text in [
+            "# .PCD v0.7\nVERSION",
+            "# .pcd v.7 - made\r\n",
+            "VERSION .7\nFIELDS x",
+            "\nFIELDS x y z\n",
+            &long,
+        ] {
             assert!(is_pcd(text.as_bytes()), "{text}");
         }
         for text in ["", "#", "# other\n1 2 3", "VERSIONS 1", "ply\nVERSION"] {

@@ -28,6 +28,8 @@ const SAME_SHARE: f64 = 0.8;
 
 /// Sizes of numbers that a LiDAR measures, apart from zero: meters, intensities, times.
 const PLAUSIBLE: std::ops::Range<f64> = 1e-10..1e5;
+/// Sizes of integers, like millimeters.
+const PLAUSIBLE_INTEGERS: std::ops::Range<f64> = 1.0..1e8;
 /// Share of plausible numbers above which floats are certain, another type is certain, and floats are possible.
 const FLOATS: f64 = 0.95;
 const OTHER_TYPE: f64 = 0.99;
@@ -110,7 +112,7 @@ fn explained(values: &[f32], columns: usize) -> f64 {
 
 /// Returns the type of the numbers if it is certainly not little-endian `f32`.
 fn other_type(head: &[u8], values: &[f32]) -> Option<String> {
-    let floats = plausible(values.iter().map(|v| f64::from(*v)));
+    let floats = plausible(values.iter().map(|v| f64::from(*v)), PLAUSIBLE);
     if floats >= FLOATS {
         return None;
     }
@@ -118,25 +120,26 @@ fn other_type(head: &[u8], values: &[f32]) -> Option<String> {
     let doubles = head.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes));
     let big = words().map(|bytes| f64::from(f32::from_be_bytes(*bytes)));
     let integers = words().map(|bytes| f64::from(i32::from_le_bytes(*bytes)));
-    if plausible(doubles) >= OTHER_TYPE {
+    if plausible(doubles, PLAUSIBLE) >= OTHER_TYPE {
         return Some("floats of 8 bytes".to_owned());
     }
-    if plausible(big) >= OTHER_TYPE {
+    if plausible(big, PLAUSIBLE) >= OTHER_TYPE {
         return Some("big-endian floats".to_owned());
     }
-    if plausible(integers) >= OTHER_TYPE {
+    if plausible(integers, PLAUSIBLE_INTEGERS) >= OTHER_TYPE {
         return Some("integers of 4 bytes".to_owned());
     }
     let percent = 100.0 * (1.0 - floats);
-    (floats < POSSIBLE).then(|| format!("values that no LiDAR measures ({percent:.0} % of all), of another type?"))
+    (floats < POSSIBLE)
+        .then(|| format!("values that no LiDAR measures ({percent:.0} % of all), of another type?"))
 }
 
 /// Returns the share of numbers of a plausible size. Zeros and values that are not finite say nothing.
-fn plausible(values: impl Iterator<Item = f64>) -> f64 {
+fn plausible(values: impl Iterator<Item = f64>, sizes: std::ops::Range<f64>) -> f64 {
     let (mut yes, mut all) = (0, 0);
     for value in values.filter(|v| v.is_finite() && *v != 0.0) {
         all += 1;
-        yes += usize::from(PLAUSIBLE.contains(&value.abs()));
+        yes += usize::from(sizes.contains(&value.abs()));
     }
     if all == 0 { 1.0 } else { yes as f64 / all as f64 }
 }
@@ -147,7 +150,8 @@ mod tests {
 
     /// Returns rows of points around a LiDAR: x y z intensity ring time, and further columns of whole numbers.
     fn rows(count: i64, columns: usize) -> Vec<f32> {
-        let number = |i: i64, axis: i64, low: f64, high: f64| crate::hash::between(3, &[i, axis], low, high) as f32;
+        let number =
+            |i: i64, axis: i64, low: f64, high: f64| crate::hash::between(3, &[i, axis], low, high) as f32;
         let row = |i: i64| {
             let (x, y, z) = (number(i, 0, -60.0, 60.0), number(i, 1, -60.0, 60.0), number(i, 2, -2.0, 8.0));
             let whole = |axis: i64, most: f64| number(i, axis, 0.0, most).floor();

@@ -162,7 +162,8 @@ impl Header {
             let line = str::from_utf8(lines.next().unwrap_or_default()).unwrap_or_default();
             let before = numbers.len();
             numbers.extend(line.split_ascii_whitespace().map_while(|word| word.parse::<f64>().ok()));
-            if numbers.len() != before + self.numbers || line.split_ascii_whitespace().count() != self.numbers {
+            if numbers.len() != before + self.numbers || line.split_ascii_whitespace().count() != self.numbers
+            {
                 let expected = format!("{} numbers as point {row}", self.numbers);
                 let shown: String = line.chars().take(60).collect();
                 return Err(FileError::content(expected, format!("{shown:?}"), path));
@@ -289,7 +290,8 @@ mod tests {
         let file = file();
         let rows: Vec<&[u8]> = file[HEADER.len()..].chunks_exact(15).collect();
         let fields = [(0, 4), (4, 4), (8, 4), (12, 1), (13, 1), (14, 1)];
-        let columns = fields.iter().flat_map(|(at, size)| rows.iter().flat_map(move |row| &row[*at..at + size]));
+        let columns =
+            fields.iter().flat_map(|(at, size)| rows.iter().flat_map(move |row| &row[*at..at + size]));
         let mut packed = vec![29];
         packed.extend(columns);
         let lengths = [packed.len() as u32, 30].map(u32::to_le_bytes);

@@ -247,4 +247,3 @@ fn found_instead(head: &[u8], at: usize) -> String {
         Some(rest) => format!("{:?} at byte {at}", String::from_utf8_lossy(&rest[..rest.len().min(40)])),
     }
 }
-

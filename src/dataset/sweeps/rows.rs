@@ -7,7 +7,8 @@ use crate::dataset::{RingMeaning, Sweep, SweepPoint};
 /// Note for values of a column that is only informative.
 const INTENSITIES: &str = "points whose intensity is not finite (read as 0)";
 const RINGS: &str = "points whose ring is not a whole number from 0 on (read as 0)";
-const FEW_RINGS: &str = "sweeps with few ring numbers, read as beams (--ring-is device if they number merged LiDARs)";
+const FEW_RINGS: &str =
+    "sweeps with few ring numbers, read as beams (--ring-is device if they number merged LiDARs)";
 const BEAMS: &str = "sweeps whose lidar_info numbers beams instead of LiDARs";
 
 /// Ring numbers below this may be LiDARs.

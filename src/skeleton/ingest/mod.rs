@@ -52,7 +52,10 @@ pub fn build(
     let mut builder = Builder::new(streams, options, run, work);
     let built = builder.gather().and_then(|()| builder.finish(out, templates));
     if let Err(source) = built {
-        if matches!(source, BuildError::Empty { .. } | BuildError::NoSweeps { .. } | BuildError::NotFinite { .. }) {
+        if matches!(
+            source,
+            BuildError::Empty { .. } | BuildError::NoSweeps { .. } | BuildError::NotFinite { .. }
+        ) {
             builder.work.close()?;
             return Err(source);
         }
