@@ -175,7 +175,7 @@ fn distortion_of_rectified_looking_images_is_said_or_applied() {
     assert!(stdout.contains(note), "{stdout}");
     let (stdout, _) = case.succeed("info nuscenes:in");
     assert!(stdout.contains("--image-distortion apply if they are not): 6"), "{stdout}");
-    let render = "render usual nuscenes:in --out maps --frames 0..1 --size 54x96 --rasterizer cpu";
+    let render = "render nuscenes:in --skeleton usual --out maps --frames 0..1 --size 54x96 --rasterizer cpu";
     let (_, stderr) = case.succeed(render);
     assert!(stderr.contains(note), "{stderr}");
     let (ignored, _) = case.succeed("build nuscenes:in --out ignored --image-distortion ignore");
