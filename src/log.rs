@@ -33,7 +33,7 @@ impl Log {
     pub fn new(dataset: Box<dyn Dataset>) -> Result<Self, Error> {
         let (map, map_error) = match SceneMap::read(dataset.as_ref()) {
             Ok(map) => (map, None),
-            Err(error) if dataset.log().missing_data == MissingData::Skip => (None, Some(error)),
+            Err(error) if dataset.log().reading.missing == MissingData::Skip => (None, Some(error)),
             Err(error) => return Err(error.into()),
         };
         let ego = EgoTrack::new(dataset.log());

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
-use point_skeleton::dataset::{Dataset, LogLocator, MissingData};
+use point_skeleton::dataset::{Dataset, MissingData};
 use point_skeleton::error::with_causes;
 use point_skeleton::geometry::View;
 use point_skeleton::scene::GroundTruthImages;
@@ -47,7 +47,8 @@ impl Log {
             }
         };
         let open = || {
-            let locator = LogLocator { missing: policy, ..pskel::logs::locate(name).map_err(raise)? };
+            let mut locator = pskel::logs::locate(name).map_err(raise)?;
+            locator.reading.missing = policy;
             let dataset: Box<dyn Dataset> = pskel::logs::open(&locator).map_err(raise)?;
             point_skeleton::Log::new(dataset).map(OwnedLog::new).map_err(raise)
         };

@@ -76,7 +76,7 @@ impl fmt::Display for Gap {
 }
 
 impl Recording {
-    /// Returns the content of a file of this log; `None` if it is damaged and [`Recording::missing_data`] is
+    /// Returns the content of a file of this log; `None` if it is damaged and [`ReadOptions::missing`](super::ReadOptions::missing) is
     /// [`MissingData::Skip`]. The caller counts it.
     ///
     /// # Errors
@@ -85,7 +85,7 @@ impl Recording {
     pub fn unless_damaged<T>(&self, read: Result<T, DatasetError>) -> Result<Option<T>, DatasetError> {
         match read {
             Ok(content) => Ok(Some(content)),
-            Err(error) if self.missing_data == MissingData::Skip && error.is_damage() => Ok(None),
+            Err(error) if self.reading.missing == MissingData::Skip && error.is_damage() => Ok(None),
             Err(error) => Err(error),
         }
     }

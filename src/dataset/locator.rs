@@ -2,7 +2,7 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use super::{DatasetError, MissingData};
+use super::{DatasetError, ReadOptions};
 
 /// Location of a log. Text form: `FORMAT:PATH[@VERSION][#SCENE]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -21,17 +21,16 @@ pub struct LogLocator {
     pub map_root: Option<PathBuf>,
     /// Whether file names in the dataset may point outside the folder of sweeps and images.
     pub allow_outside: bool,
-    /// What to do about missing and damaged parts.
-    pub missing: MissingData,
+    /// Options for ambiguous data.
+    pub reading: ReadOptions,
 }
 
 impl LogLocator {
     /// Creates a locator for the only scene of a path, with default folders.
     pub fn new(format: LogFormat, path: impl Into<PathBuf>) -> Self {
         let path = path.into();
-        let (version, scene, sensor_root, map_root) = Default::default();
-        let missing = MissingData::default();
-        Self { format, path, version, scene, sensor_root, map_root, allow_outside: false, missing }
+        let (version, scene, sensor_root, map_root, reading) = Default::default();
+        Self { format, path, version, scene, sensor_root, map_root, allow_outside: false, reading }
     }
 }
 

@@ -6,6 +6,8 @@
 #[cfg(feature = "av2")]
 pub mod av2;
 mod category;
+#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
+mod clock;
 mod ego_track;
 mod gaps;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
@@ -21,8 +23,11 @@ pub mod nuplan;
 pub mod nuscenes;
 mod open;
 mod picture;
+mod reading;
 mod recording;
 mod summary;
+#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
+mod sweeps;
 
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
@@ -32,12 +37,14 @@ pub use map::{Area, Lane, VectorMap};
 pub use moved_ego::MovedEgo;
 pub use open::{LogOpener, expand, open};
 pub use picture::{picture_size, read_picture};
+pub use reading::{ImageDistortion, ReadOptions, RingMeaning};
 pub use recording::{
     Frame, ImageRecord, LogOutline, MapFiles, NavigationRoute, Recording, RigCamera, SweepRecord, Track,
     TrackBox, TrafficLight,
 };
 pub use summary::{BoxCounts, CameraSummary, EgoPath, LogSummary, MapCounts};
 
+use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
@@ -134,10 +141,12 @@ pub struct PosedActor<'a> {
 pub struct Sweep {
     /// Points in the LiDAR frame.
     pub points: Vec<SweepPoint>,
-    /// Number of points dropped because a value was NaN or infinite.
+    /// Number of points dropped because a coordinate was NaN or infinite.
     pub dropped_non_finite: usize,
     /// Whether [`SweepPoint::ring`] identifies the devices of a merged sweep instead of beams.
     pub devices: bool,
+    /// Number of unusual values and of decisions about them, by kind.
+    pub notes: BTreeMap<String, usize>,
 }
 
 /// One LiDAR return.

@@ -44,8 +44,8 @@ impl Notes {
 /// # Errors
 /// Fails with [`MissingData::Error`] if anything is missing. Fails if a file cannot be looked up, or with that policy if it is
 /// not a regular file.
-pub(super) fn settle(log: &mut Recording, notes: Notes, policy: MissingData) -> Result<(), DatasetError> {
-    (log.notes, log.gaps, log.missing_data) = (notes.counts, notes.gaps, policy);
+pub(super) fn settle(log: &mut Recording, notes: Notes) -> Result<(), DatasetError> {
+    (log.notes, log.gaps) = (notes.counts, notes.gaps);
     let gaps = missing_files(log)?;
     let missing: BTreeSet<&Path> = gaps.iter().filter_map(Gap::file).collect();
     for frame in log.frames.iter_mut().filter(|_| !missing.is_empty()) {
@@ -53,12 +53,10 @@ pub(super) fn settle(log: &mut Recording, notes: Notes, policy: MissingData) -> 
         frame.images.retain(|image| !missing.contains(image.path.as_path()));
         frame.between_images.retain(|image| !missing.contains(image.path.as_path()));
     }
-    for gap in &gaps {
-        *log.notes.entry(gap.kind.to_owned()).or_default() += 1;
-    }
+    gaps.iter().for_each(|gap| add(&mut log.notes, gap.kind, 1));
     log.gaps.extend(gaps);
     match log.gaps.first() {
-        Some(first) if policy == MissingData::Error => {
+        Some(first) if log.reading.missing == MissingData::Error => {
             Err(DatasetError::Missing { first: first.clone(), further: log.gaps.len() - 1 })
         }
         _ => Ok(()),
@@ -88,7 +86,12 @@ fn missing_files(log: &Recording) -> Result<Vec<Gap>, DatasetError> {
 
 /// Counts skipped items.
 pub(super) fn note(notes: &mut Notes, kind: &str, count: usize) {
+    add(&mut notes.counts, kind, count);
+}
+
+/// Adds to the count of a kind.
+pub(super) fn add(counts: &mut BTreeMap<String, usize>, kind: &str, count: usize) {
     if count > 0 {
-        *notes.counts.entry(kind.to_owned()).or_default() += count;
+        *counts.entry(kind.to_owned()).or_default() += count;
     }
 }

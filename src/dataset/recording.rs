@@ -2,7 +2,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use super::{Class, Gap, MissingData};
+use super::{Class, Gap, ReadOptions};
 use crate::files::FileName;
 use crate::files::text::printable;
 use crate::geometry::{Camera, Cuboid, Pose};
@@ -36,8 +36,8 @@ pub struct Recording {
     pub notes: BTreeMap<String, usize>,
     /// Missing parts, which are also counted in the notes.
     pub gaps: Vec<Gap>,
-    /// What to do about damaged files, as about the missing parts.
-    pub missing_data: MissingData,
+    /// Options with which the log was read.
+    pub reading: ReadOptions,
 }
 
 /// Name and length of a log.

@@ -1,4 +1,4 @@
-//! Summary of a log, and its missing or damaged files: only sizes and headers are read, no pixels or points.
+//! Summary of a log, and its missing or damaged files: only sizes and headers are read, and the points of a few sweeps.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -103,7 +103,8 @@ pub struct MapCounts {
 }
 
 impl LogSummary {
-    /// Summarizes a log. Checks the header and size of every sweep and image file, and reads the HD map.
+    /// Summarizes a log. Checks the header and size of every sweep and image file, and reads the HD map and the points
+    /// of a few sweeps.
     pub fn new(dataset: &dyn Dataset) -> Self {
         let log = dataset.log();
         let mut damaged: Vec<String> =
@@ -112,6 +113,8 @@ impl LogSummary {
         damaged.extend(errors);
         damaged.extend(images(dataset));
         let mut left_out = log.notes.clone();
+        contents(dataset, points, &mut left_out, &mut damaged);
+        damaged.extend(images(dataset));
         let map = map(dataset, &mut left_out, &mut damaged);
         let t_us = log.frames.first().zip(log.frames.last()).map(|(a, b)| [a.t_us, b.t_us]);
         let empty = |counts: &[Vec<u32>]| counts.iter().flatten().filter(|n| **n == 0).count();
@@ -148,6 +151,45 @@ fn sweeps(dataset: &dyn Dataset) -> (Option<u64>, Vec<String>) {
     let points =
         results.iter().flatten().try_fold(0, |sum: u64, points| Some(sum.saturating_add((*points)?)));
     (points, results.into_iter().filter_map(Result::err).map(|e| e.to_string()).collect())
+}
+
+/// Number of sweeps whose points are read, evenly spaced over the log.
+const SWEEPS_READ: usize = 8;
+
+/// Reads the points of a few sweeps, and adds what is unusual about their values. Sweeps that are generated on reading
+/// are not read.
+fn contents(
+    dataset: &dyn Dataset,
+    points: Option<u64>,
+    left_out: &mut BTreeMap<String, usize>,
+    damaged: &mut Vec<String>,
+) {
+    let records: Vec<_> = dataset.log().frames.iter().flat_map(|f| &f.sweeps).collect();
+    if points.is_none() && damaged.is_empty() {
+        return;
+    }
+    let read = records.len().min(SWEEPS_READ);
+    let chosen: Vec<_> = (0..read).map(|i| records[i * records.len() / read]).collect();
+    let results: Vec<_> = chosen.par_iter().map(|record| dataset.read_sweep(record)).collect();
+    let mut notes = BTreeMap::<String, usize>::new();
+    for result in results {
+        match result.map_err(|error| error.to_string()) {
+            Ok(sweep) => {
+                for (kind, count) in sweep.notes {
+                    *notes.entry(kind).or_default() += count;
+                }
+                let merged = usize::from(sweep.devices);
+                *notes.entry("sweeps of merged LiDARs (--ring-is beam if not)".to_owned()).or_default() +=
+                    merged;
+                *notes.entry("points with coordinates that are not finite".to_owned()).or_default() +=
+                    sweep.dropped_non_finite;
+            }
+            Err(error) if damaged.contains(&error) => {}
+            Err(error) => damaged.push(error),
+        }
+    }
+    let noted = notes.into_iter().filter(|(_, count)| *count > 0);
+    left_out.extend(noted.map(|(kind, count)| (format!("{kind}, in {read} sweeps read"), count)));
 }
 
 /// Counts the elements of the HD map. Adds the notes of the map's reader to `left_out`.

@@ -8,6 +8,9 @@ use crate::dataset::{Sweep, SweepRecord};
 /// Color of the points of a log without images.
 const GREY: [u8; 3] = [128; 3];
 
+/// Note for merged sweeps whose LiDARs are all others.
+const NO_PRIMARY: &str = "sweeps of merged LiDARs without LiDAR 0 (points on moving actors retained)";
+
 /// Points of a sweep, separated into background and actors.
 #[derive(Default)]
 pub(super) struct SweepCloud {
@@ -20,6 +23,8 @@ pub(super) struct SweepCloud {
     pub(super) not_finite: usize,
     pub(super) ghosts: usize,
     pub(super) ego: usize,
+    /// Notes of the sweep, and of its separation.
+    pub(super) notes: BTreeMap<String, usize>,
 }
 
 impl SweepCloud {
@@ -35,9 +40,19 @@ impl SweepCloud {
             t_us: record.t_us,
             read: sweep.points.len() + sweep.dropped_non_finite,
             not_finite: sweep.dropped_non_finite,
+            notes: sweep.notes.clone(),
             ..Self::default()
         };
         let primary = options.primary_lidar.filter(|_| sweep.devices);
+        // Without points of that LiDAR, nothing says which one matches the boxes.
+        let has_points = |lidar: &u16| sweep.points.iter().any(|point| point.ring == *lidar);
+        let primary = match primary {
+            Some(lidar) if !has_points(&lidar) && !sweep.points.is_empty() => {
+                cloud.notes.insert(NO_PRIMARY.to_owned(), 1);
+                None
+            }
+            primary => primary,
+        };
         for point in &sweep.points {
             let position = DVec3::from(point.position.map(f64::from));
             let global = global_from_lidar.transform_point(position);

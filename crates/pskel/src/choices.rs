@@ -5,7 +5,7 @@ use std::ffi::OsStr;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use point_skeleton::cloud::PointFormat;
 use point_skeleton::conditions::{BinScale, ColorFilter, DepthEmbedding, LayoutLayers, LineWidth, MapFormat};
-use point_skeleton::dataset::MissingData;
+use point_skeleton::dataset::{ImageDistortion, MissingData, RingMeaning};
 use point_skeleton::raster::Occlusion;
 use point_skeleton::scene::TemplateFit;
 use point_skeleton::skeleton::Coloring;
@@ -42,6 +42,18 @@ pub(crate) const LAYOUT: Choices<Layout> = Choices(&[
     ("world-scenario", Layout::WorldScenario, "Annotations for Cosmos-Transfer2.5 as Parquet files; no maps"),
     #[cfg(feature = "video")]
     ("cosmos-video", Layout::CosmosVideo, "Videos for post-training Cosmos-Transfer2.5"),
+]);
+
+pub(crate) const RING_MEANING: Choices<RingMeaning> = Choices(&[
+    ("auto", RingMeaning::Auto, "Merged LiDARs if the directions of their points prove it, otherwise beams"),
+    ("device", RingMeaning::Device, "A LiDAR of a merged sweep; LiDAR 0 matches the boxes of moving actors"),
+    ("beam", RingMeaning::Beam, "A beam of one LiDAR"),
+]);
+
+pub(crate) const IMAGE_DISTORTION: Choices<ImageDistortion> = Choices(&[
+    ("usual", ImageDistortion::Usual, "Applied in nuPlan, ignored in other layouts"),
+    ("apply", ImageDistortion::Apply, "Images are as the lens recorded them"),
+    ("ignore", ImageDistortion::Ignore, "Images are rectified, although coefficients are given"),
 ]);
 
 pub(crate) const POINT_FORMAT: Choices<PointFormat> =

@@ -2,11 +2,13 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use point_skeleton::dataset::{Dataset, DatasetError, LogLocator, LogOpener, MissingData, Recording};
+use point_skeleton::dataset::{
+    Dataset, DatasetError, ImageDistortion, LogLocator, LogOpener, MissingData, ReadOptions, Recording,
+    RingMeaning,
+};
 use point_skeleton::files::resolved_output;
 
-use super::{choices, warn};
-use crate::logs;
+use crate::{choices, logs, warn};
 
 /// Locations of the parts of a data set.
 #[derive(Clone, Debug, Default, Args)]
@@ -25,6 +27,12 @@ pub(super) struct LogRoots {
     /// first
     #[arg(long, value_parser = choices::MISSING_DATA, default_value = "skip")]
     missing: MissingData,
+    /// What the ring numbers of sweeps are. Points of other LiDARs than number 0 on moving actors are dropped
+    #[arg(long, value_name = "MEANING", value_parser = choices::RING_MEANING, default_value = "auto")]
+    ring_is: RingMeaning,
+    /// Whether recorded images have the lens distortion that the calibration states
+    #[arg(long, value_name = "HOW", value_parser = choices::IMAGE_DISTORTION, default_value = "usual")]
+    image_distortion: ImageDistortion,
 }
 
 /// Argument parser for the name of a log.
@@ -51,8 +59,9 @@ impl LogRoots {
     /// Adds these folders, the permission for outside files and the policy for gaps to the name of a log.
     pub(super) fn locate(&self, log: &LogLocator) -> LogLocator {
         let (sensor_root, map_root) = (self.sensor_root.clone(), self.map_root.clone());
-        let (allow_outside, missing) = (self.allow_outside, self.missing);
-        LogLocator { sensor_root, map_root, allow_outside, missing, ..log.clone() }
+        let reading =
+            ReadOptions { rings: self.ring_is, distortion: self.image_distortion, missing: self.missing };
+        LogLocator { sensor_root, map_root, allow_outside: self.allow_outside, reading, ..log.clone() }
     }
 
     /// Opens a log, and warns if parts of it are missing.

@@ -1,7 +1,7 @@
 //! `calibration/`: intrinsics and extrinsics of the ring cameras.
 //!
 //! The published images are undistorted: `k1 k2 k3` in the file describe the original lenses. The dataset's own API
-//! projects with focal lengths and principal point only, so cameras are pinholes here. Source:
+//! projects with focal lengths and principal point only, so cameras are pinholes here unless asked otherwise. Source:
 //! <https://argoverse.github.io/user-guide/datasets/sensor.html> ("Sensor suite") and issues 219 and 226 of
 //! <https://github.com/argoverse/av2-api>.
 
@@ -9,10 +9,10 @@ use std::path::Path;
 
 use super::feather::Table;
 use super::poses::{POSE, poses};
-use crate::dataset::{DatasetError, RigCamera};
+use crate::dataset::{DatasetError, ImageDistortion, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;
-use crate::geometry::Camera;
+use crate::geometry::{Camera, Distortion};
 
 /// The seven ring cameras in ring order, each next to its neighbors. The front stereo pair is excluded.
 pub(super) const RING: [&str; 7] = [
@@ -29,12 +29,12 @@ pub(super) const RING: [&str; 7] = [
 ///
 /// # Errors
 /// Fails if a file is damaged, or a camera is invalid, occurs twice or has no extrinsics.
-pub(super) fn read(folder: &Path) -> Result<Vec<RigCamera>, DatasetError> {
+pub(super) fn read(folder: &Path, distortion: ImageDistortion) -> Result<Vec<RigCamera>, DatasetError> {
     let path = folder.join("egovehicle_SE3_sensor.feather");
     let extrinsics = Table::read(&path, &[&["sensor_name"], &POSE[..]].concat())?;
     let sensors = extrinsics.column("sensor_name")?.texts()?;
     let ego_from_sensor = poses(&extrinsics, |row| format!("sensor {}", sensors[row]))?;
-    let cameras = intrinsics(&folder.join("intrinsics.feather"))?;
+    let cameras = intrinsics(&folder.join("intrinsics.feather"), distortion)?;
     let mut rig = Vec::new();
     for name in RING {
         let Some(camera) = cameras.iter().find(|c| c.name == name) else { continue };
@@ -52,20 +52,30 @@ pub(super) fn read(folder: &Path) -> Result<Vec<RigCamera>, DatasetError> {
 }
 
 /// Reads the sizes and intrinsics of all cameras.
-fn intrinsics(path: &Path) -> Result<Vec<Camera>, DatasetError> {
+fn intrinsics(path: &Path, distortion: ImageDistortion) -> Result<Vec<Camera>, DatasetError> {
     const NUMBERS: [&str; 4] = ["fx_px", "fy_px", "cx_px", "cy_px"];
-    let table = Table::read(path, &[&["sensor_name", "width_px", "height_px"], &NUMBERS[..]].concat())?;
+    const LENS: [&str; 3] = ["k1", "k2", "k3"];
+    let lens = if distortion == ImageDistortion::Apply { &LENS[..] } else { &[] };
+    let table = Table::read(path, &[&["sensor_name", "width_px", "height_px"], &NUMBERS[..], lens].concat())?;
     let names = table.column("sensor_name")?.texts()?;
     let (widths, heights) = (table.column("width_px")?.counts()?, table.column("height_px")?.counts()?);
     let numbers = |name: &str| table.column(name)?.numbers();
     let [fx, fy, cx, cy] = [numbers("fx_px")?, numbers("fy_px")?, numbers("cx_px")?, numbers("cy_px")?];
+    let lens: Vec<Vec<f64>> = lens.iter().map(|name| numbers(name)).collect::<Result<_, _>>()?;
     let camera = |row: usize| {
         let rows = [[fx[row], 0.0, cx[row]], [0.0, fy[row], cy[row]], [0.0, 0.0, 1.0]];
-        Camera::new(names[row], widths[row], heights[row], rows).map_err(|source| DatasetError::Camera {
+        let camera = Camera::new(names[row], widths[row], heights[row], rows);
+        let camera = camera.map_err(|source| DatasetError::Camera {
             source,
             record: format!("sensor {}", names[row]),
             path: path.to_owned(),
-        })
+        })?;
+        let [k1, k2, k3] = [0, 1, 2].map(|i| lens.get(i).map_or(0.0, |column| column[row]));
+        if ![k1, k2, k3].iter().all(|v| v.is_finite()) {
+            let found = format!("{k1} {k2} {k3} of sensor {}", names[row]);
+            return Err(FileError::content("finite k1 k2 k3", found, path).into());
+        }
+        Ok(Camera { distortion: Distortion::from_opencv([k1, k2, 0.0, 0.0, k3]), ..camera })
     };
     let cameras: Vec<Camera> = (0..table.rows()).map(camera).collect::<Result<_, DatasetError>>()?;
     match first_twice(cameras.iter().map(|camera| &camera.name)) {

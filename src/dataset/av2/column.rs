@@ -29,8 +29,18 @@ impl<'a> Column<'a> {
     /// # Errors
     /// Fails if values have another type or are null.
     pub(super) fn numbers(&self) -> Result<Vec<f64>, FileError> {
+        self.parts()?;
+        self.numbers_or_nan()
+    }
+
+    /// Returns numbers as [`Column::numbers`]; null is NaN.
+    ///
+    /// # Errors
+    /// Fails if values have another type.
+    pub(super) fn numbers_or_nan(&self) -> Result<Vec<f64>, FileError> {
         let mut values = Vec::new();
-        for part in self.parts()? {
+        for part in &self.parts {
+            let before = values.len();
             match part.data_type() {
                 DataType::Float16 => extend::<Float16Type, _>(&mut values, part, f64::from),
                 DataType::Float32 => extend::<Float32Type, _>(&mut values, part, f64::from),
@@ -39,6 +49,10 @@ impl<'a> Column<'a> {
                     return Err(self.wrong_type("numbers", other));
                 }
                 _ => {}
+            }
+            if part.null_count() > 0 {
+                let read = values[before..].iter_mut().enumerate();
+                read.filter(|(row, _)| part.is_null(*row)).for_each(|(_, value)| *value = f64::NAN);
             }
         }
         Ok(values)

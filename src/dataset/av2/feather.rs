@@ -17,6 +17,7 @@ use arrow_ipc::{Block, root_as_footer, root_as_message};
 use arrow_schema::{DataType, Schema, SchemaRef};
 
 use super::column::Column;
+use crate::dataset::sweeps::named_format;
 use crate::error::FileError;
 use crate::files::input::{SWEEP_BYTES, read_file};
 
@@ -116,6 +117,9 @@ impl Layout {
     /// Returns a description of the invalid content.
     fn of(bytes: &[u8]) -> Result<Self, String> {
         let cut = || format!("{} bytes (cut off, or another format)", bytes.len());
+        if let Some(name) = named_format(bytes).filter(|_| !bytes.starts_with(MAGIC)) {
+            return Err(name.to_owned());
+        }
         let (body, tail) = bytes.split_last_chunk::<TAIL_BYTES>().ok_or_else(cut)?;
         if !bytes.starts_with(MAGIC) || !tail.ends_with(MAGIC) {
             return Err(cut());

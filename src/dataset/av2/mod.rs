@@ -26,7 +26,8 @@ use std::path::PathBuf;
 
 use super::limits::check_roots;
 use super::{
-    Dataset, DatasetError, ImageRecord, LogLocator, Recording, Sweep, SweepRecord, VectorMap, read_picture,
+    Dataset, DatasetError, ImageRecord, LogLocator, Recording, RingMeaning, Sweep, SweepRecord, VectorMap,
+    read_picture,
 };
 use crate::error::FileError;
 
@@ -39,6 +40,7 @@ pub struct Argoverse {
     maps: Vec<PathBuf>,
     /// Folder that must contain a map, because it was given explicitly.
     needs_map: Option<PathBuf>,
+    rings: RingMeaning,
 }
 
 impl Argoverse {
@@ -55,9 +57,10 @@ impl Argoverse {
         let map_folder = choose::part(folder, chosen.map_root.as_deref(), "map");
         let maps = map::find(&map_folder)?;
         let city = map::city(maps.first().map(PathBuf::as_path));
-        let (log, box_points) = read::read(folder, &sensors, choose::log_name(folder), city, chosen.missing)?;
+        let (log, box_points) =
+            read::read(folder, &sensors, choose::log_name(folder), city, &chosen.reading)?;
         let needs_map = chosen.map_root.as_ref().map(|_| map_folder);
-        Ok(Self { log, box_points, maps, needs_map })
+        Ok(Self { log, box_points, maps, needs_map, rings: chosen.reading.rings })
     }
 }
 
@@ -75,7 +78,7 @@ impl Dataset for Argoverse {
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        Ok(read_sweep_file(&record.path)?)
+        Ok(sweep::read_as(&record.path, self.rings)?)
     }
 
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {

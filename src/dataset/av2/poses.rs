@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::feather::Table;
+use super::sensors::micros;
 use crate::dataset::DatasetError;
 use crate::error::FileError;
 use crate::geometry::Pose;
@@ -34,6 +35,12 @@ impl Trajectory {
         }
         let poses = poses(&table, |row| format!("row {row}"))?;
         Ok(Self { times_ns, poses })
+    }
+
+    /// Returns the first and last time, microseconds.
+    pub(super) fn span_us(&self) -> [i64; 2] {
+        let ends = self.times_ns.first().zip(self.times_ns.last());
+        ends.map_or([0; 2], |(first, last)| [micros(*first), micros(*last)])
     }
 
     /// Returns the pose at a time, interpolated between rows if necessary. `None` outside the recorded times.

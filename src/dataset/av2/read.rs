@@ -5,22 +5,23 @@ use std::path::Path;
 use super::annotations::Annotations;
 use super::poses::Trajectory;
 use super::{calibration, sensors};
+use crate::dataset::clock::{Offset, note_interval};
 use crate::dataset::notes::{FLAT_BOX, Notes, note, settle};
-use crate::dataset::{DatasetError, Frame, Gap, MissingData, Recording, TrackBox};
+use crate::dataset::{DatasetError, Frame, Gap, ReadOptions, Recording, TrackBox};
 use crate::error::FileError;
 use crate::files::input::is_there;
 
 /// Kind of a gap: a log of the test split, or of the lidar or map-change sets.
 const NO_ANNOTATIONS: &str = "logs without annotations";
 
-/// Reads a log with its sweeps and images in `sensors`; `missing` is the policy for its gaps. Also returns the stated number of LiDAR points per frame and
+/// Reads a log with its sweeps and images in `sensors`. Also returns the stated number of LiDAR points per frame and
 /// box.
 pub(super) fn read(
     folder: &Path,
     sensors: &Path,
     name: String,
     location: String,
-    missing: MissingData,
+    reading: &ReadOptions,
 ) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
     let path = folder.join("annotations.feather");
     let lidar = sensors.join("lidar");
@@ -28,7 +29,7 @@ pub(super) fn read(
     let annotations =
         if is_annotated { Annotations::read(&path)? } else { Annotations::none(sensors::times_ns(&lidar)?) };
     let ego = Trajectory::read(&folder.join("city_SE3_egovehicle.feather"))?;
-    let rig = calibration::read(&folder.join("calibration"))?;
+    let rig = calibration::read(&folder.join("calibration"), reading.distortion)?;
     let mut notes = Notes::new();
     if !is_annotated {
         notes.gap(Gap::record(NO_ANNOTATIONS, "frames are at the times of sweeps, without actors", &path));
@@ -76,9 +77,14 @@ pub(super) fn read(
         return Err(FileError::content(expected, "neither", folder).into());
     }
     if frames.is_empty() {
-        let found = format!("none in {} rows", annotations.frames.values().map(Vec::len).sum::<usize>());
+        let rows = annotations.frames.values().map(Vec::len).sum::<usize>();
+        let times = annotations.frames.keys().map(|t_ns| sensors::micros(*t_ns));
+        let offset =
+            Offset::of_all(times, ego.span_us()).map(|(_, offset)| format!(", the nearest {offset}"));
+        let found = format!("none in {rows} rows{}", offset.unwrap_or_default());
         return Err(FileError::content("boxes at a time with an ego pose", found, &path).into());
     }
+    note_interval(&frames.iter().map(|frame: &Frame| frame.t_us).collect::<Vec<_>>(), &mut notes);
     sensors::add_sweeps(&lidar, &times_ns, &ego, &mut frames, &mut notes)?;
     for camera in &rig {
         let folder = sensors.join("cameras");
@@ -89,8 +95,17 @@ pub(super) fn read(
     }
     let cameras = rig.iter().map(|c| c.camera.name.clone()).collect();
     let (tracks, description) = (annotations.tracks, String::new());
-    let mut log =
-        Recording { name, location, description, cameras, rig, tracks, frames, ..Recording::default() };
-    settle(&mut log, notes, missing)?;
+    let mut log = Recording {
+        name,
+        location,
+        description,
+        cameras,
+        rig,
+        tracks,
+        frames,
+        reading: *reading,
+        ..Recording::default()
+    };
+    settle(&mut log, notes)?;
     Ok((log, box_points))
 }

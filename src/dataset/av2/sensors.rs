@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::poses::Trajectory;
+use crate::dataset::clock::Offset;
 use crate::dataset::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
 use crate::dataset::{Frame, Gap, ImageRecord, RigCamera, SweepRecord};
 use crate::error::FileError;
@@ -55,7 +56,9 @@ pub(super) fn add_sweeps(
     frames: &mut [Frame],
     notes: &mut Notes,
 ) -> Result<(), FileError> {
-    for Timed { t_ns, path } in list(folder, &["feather"], notes)? {
+    let files = list(folder, &["feather"], notes)?;
+    check_clock(&files, "sweeps", times_ns)?;
+    for Timed { t_ns, path } in files {
         let place = times_ns.partition_point(|t| *t < t_ns);
         let (Some(frame), Some(global_from_ego)) = (frames.get_mut(place), ego.at(t_ns)) else {
             note(notes, "sweeps after the last frame or without an ego pose", 1);
@@ -88,7 +91,9 @@ pub(super) fn add_images(
     notes: &mut Notes,
 ) -> Result<(), FileError> {
     let (mut records, folder) = (Vec::new(), folder.join(&rig.camera.name));
-    for Timed { t_ns, path } in list(&folder, &["jpg", "jpeg", "png"], notes)? {
+    let files = list(&folder, &["jpg", "jpeg", "png"], notes)?;
+    check_clock(&files, "images", times_ns)?;
+    for Timed { t_ns, path } in files {
         let Some(global_from_ego) = ego.at(t_ns) else {
             note(notes, "images without an ego pose", 1);
             continue;
@@ -116,6 +121,15 @@ pub(super) fn add_images(
         }
     }
     Ok(())
+}
+
+/// Fails if the files of a sensor are from another time than the annotations.
+fn check_clock(files: &[Timed], kind: &str, times_ns: &[i64]) -> Result<(), FileError> {
+    let Some((first, last)) = times_ns.first().zip(times_ns.last()) else { return Ok(()) };
+    let times = files.iter().map(|file| micros(file.t_ns));
+    let Some((i, offset)) = Offset::of_all(times, [micros(*first), micros(*last)]) else { return Ok(()) };
+    let expected = format!("{kind} within a second of the annotated times");
+    Err(FileError::content(expected, format!("the nearest one {offset}"), &files[i].path))
 }
 
 /// Returns the index of the nearest of ascending times within [`IMAGE_TOLERANCE_NS`]. Ties go to the earlier one.

@@ -119,6 +119,17 @@ impl Database {
 }
 
 impl Database {
+    /// Returns whether a table has a column that not all versions of the layout have.
+    ///
+    /// # Errors
+    /// Fails if the schema cannot be read.
+    pub(super) fn has_column(&self, table: &str, column: &str) -> Result<bool, DatasetError> {
+        let query = "SELECT count(*) FROM pragma_table_info(?1) WHERE name = ?2";
+        let wrong = |e: rusqlite::Error| FileError::content("a SQLite database", e.to_string(), &self.path);
+        let count = self.connection.query_row(query, [table, column], |row| row.get::<_, i64>(0));
+        Ok(count.map_err(wrong)? > 0)
+    }
+
     /// Subtracts a row's size from the budget: one byte, plus the lengths of texts and blobs. Numbers count as 0, the
     /// minimum that SQLite needs for them.
     fn count_bytes(&self, row: &rusqlite::Row<'_>, query: &Query<'_>) -> Result<(), FileError> {

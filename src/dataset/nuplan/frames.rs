@@ -5,6 +5,8 @@ use rustc_hash::FxHashMap;
 use super::database::{Database, Query, Row, hex};
 use super::pickle;
 use super::place::LogPaths;
+use crate::dataset::clock::PoseTimes;
+use crate::dataset::notes::Notes;
 use crate::dataset::{DatasetError, SweepRecord};
 use crate::error::FileError;
 use crate::geometry::Pose;
@@ -23,7 +25,7 @@ pub(super) struct FrameRecord {
 pub(super) const POSE_COLUMNS: [&str; 7] =
     ["ego_pose.x", "ego_pose.y", "ego_pose.z", "ego_pose.qw", "ego_pose.qx", "ego_pose.qy", "ego_pose.qz"];
 
-/// Reads all frames of the log or of a scene, in time order.
+/// Reads all frames of the log or of a scene, in time order. Also returns the first and last time of the whole log.
 ///
 /// # Errors
 /// Fails if times do not increase from frame to frame or along `next_token`, or if there is no frame.
@@ -31,7 +33,8 @@ pub(super) fn read(
     database: &Database,
     place: &LogPaths,
     scene: Option<&[u8]>,
-) -> Result<Vec<FrameRecord>, DatasetError> {
+    notes: &mut Notes,
+) -> Result<(Vec<FrameRecord>, [i64; 2]), DatasetError> {
     let lidars = lidars(database)?;
     let [x, y, z, qw, qx, qy, qz] = POSE_COLUMNS;
     let columns = &[
@@ -69,7 +72,9 @@ pub(super) fn read(
         Ok(())
     })?;
     check_times(&shots, &nexts, &times, database)?;
-    Ok(shots)
+    note_pose_times(database, notes)?;
+    let ends = times.values().min().zip(times.values().max());
+    Ok((shots, ends.map_or([0; 2], |(first, last)| [*first, *last])))
 }
 
 fn shot(
@@ -86,6 +91,25 @@ fn shot(
     let sweep = SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key: true };
     let scene = if row.is_null(3) { None } else { Some(row.blob(3)?.to_owned()) };
     Ok(FrameRecord { token, scene, t_us, global_from_ego, sweep })
+}
+
+/// Counts the poses that are not from the time of their sweep. The tables link them, so they are used nevertheless.
+fn note_pose_times(database: &Database, notes: &mut Notes) -> Result<(), DatasetError> {
+    if !database.has_column("ego_pose", "timestamp")? {
+        return Ok(());
+    }
+    let columns = &["lidar_pc.token", "lidar_pc.timestamp", "ego_pose.timestamp", "ego_pose.token"];
+    let from = "FROM lidar_pc JOIN ego_pose ON ego_pose.token = lidar_pc.ego_pose_token \
+        ORDER BY lidar_pc.timestamp, lidar_pc.token";
+    let mut others = PoseTimes::default();
+    database.rows(&Query { table: "lidar_pc", columns, from }, |row| {
+        if let (Ok(sweep_us), Ok(pose_us)) = (row.time_us(1), row.integer(2)) {
+            others.compare(pose_us, sweep_us, || row.blob(3).map(hex).unwrap_or_default());
+        }
+        Ok(())
+    })?;
+    others.note(notes);
+    Ok(())
 }
 
 /// Returns the pose of a joined row of `ego_pose`. Column `by` is the referencing token; `ego_pose.token` and

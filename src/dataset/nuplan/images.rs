@@ -8,9 +8,10 @@ use super::database::{Database, Query, Row, hex};
 use super::frames::{POSE_COLUMNS, ego_pose, extrinsics, unpickled};
 use super::pickle;
 use super::place::LogPaths;
+use crate::dataset::clock::Offset;
 use crate::dataset::limits::MAX_CAMERAS;
 use crate::dataset::notes::{NO_IMAGE, Notes, note};
-use crate::dataset::{DatasetError, Gap, ImageRecord, RigCamera};
+use crate::dataset::{DatasetError, Gap, ImageDistortion, ImageRecord, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;
 use crate::geometry::{Camera, Distortion, Pose};
@@ -52,18 +53,31 @@ struct RawImage {
     is_used: bool,
 }
 
-/// Reads the cameras and the images of frames at ascending times. With `is_whole`, the frames are the entire log and
-/// images outside their time range are counted.
+/// Times of the frames to which images belong.
+pub(super) struct Within<'a> {
+    /// Ascending.
+    pub(super) times_us: &'a [i64],
+    /// First and last time of the whole log.
+    pub(super) span_us: [i64; 2],
+    /// Whether the frames are the whole log, so that images outside of their time are counted.
+    pub(super) is_whole: bool,
+}
+
+/// Reads the cameras and the images of frames.
 pub(super) fn read(
     database: &Database,
     place: &LogPaths,
-    times_us: &[i64],
-    is_whole: bool,
+    within: &Within<'_>,
+    distortion: ImageDistortion,
     notes: &mut Notes,
 ) -> Result<CameraImages, DatasetError> {
-    let cameras = cameras(database)?;
+    let Within { times_us, is_whole, .. } = *within;
+    let mut cameras = cameras(database)?;
+    if distortion == ImageDistortion::Ignore {
+        cameras.iter_mut().for_each(|camera| camera.camera.distortion = None);
+    }
     let mut frames = vec![FrameImages::default(); times_us.len()];
-    let (mut images, outside) = images(database, place, &cameras, times_us)?;
+    let (mut images, outside) = images(database, place, &cameras, within)?;
     note(notes, OUTSIDE, if is_whole { outside } else { 0 });
     for (channel, camera) in images.iter_mut().zip(&cameras) {
         for (frame, t_us) in frames.iter_mut().zip(times_us) {
@@ -152,8 +166,9 @@ fn images(
     database: &Database,
     place: &LogPaths,
     cameras: &[RawCamera],
-    times_us: &[i64],
+    within: &Within<'_>,
 ) -> Result<(Vec<Vec<RawImage>>, usize), DatasetError> {
+    let times_us = within.times_us;
     let channels: FxHashMap<&[u8], usize> =
         cameras.iter().enumerate().map(|(i, camera)| (camera.token.as_slice(), i)).collect();
     let ends = times_us.first().zip(times_us.last());
@@ -175,6 +190,7 @@ fn images(
         ORDER BY image.timestamp, image.token";
     let mut images: Vec<Vec<RawImage>> = cameras.iter().map(|_| Vec::new()).collect();
     let mut outside = 0;
+    let mut clocks: Vec<ImageClock> = cameras.iter().map(|_| ImageClock::default()).collect();
     database.rows(&Query { table: "image", columns: &columns, from }, |row| {
         let (t_us, token) = (row.time_us(1)?, row.blob(2)?);
         let channel = *channels.get(token).ok_or_else(|| row.dangling("camera", token))?;
@@ -182,6 +198,7 @@ fn images(
             let found = format!("{t_us} twice, {}", cameras[channel].camera.name);
             return Err(row.wrong(1, "timestamps that grow from image to image", &found));
         }
+        clocks[channel].add(t_us, row.blob(0)?);
         if near(t_us) {
             let record = record(row, channel, &cameras[channel], place, database)?;
             images[channel].push(RawImage { record, is_used: false });
@@ -190,7 +207,41 @@ fn images(
         }
         Ok(())
     })?;
+    for (camera, clock) in cameras.iter().zip(clocks) {
+        clock.check(&camera.camera.name, within.span_us, database)?;
+    }
     Ok((images, outside))
+}
+
+/// First and last image of a camera.
+#[derive(Default)]
+struct ImageClock {
+    ends: Option<[(i64, Vec<u8>); 2]>,
+}
+
+impl ImageClock {
+    /// Adds an image; images arrive in time order.
+    fn add(&mut self, t_us: i64, token: &[u8]) {
+        let image = (t_us, token.to_owned());
+        match &mut self.ends {
+            None => self.ends = Some([image.clone(), image]),
+            Some([_, last]) => *last = image,
+        }
+    }
+
+    /// Fails if the images are from another time than the sweeps of the log.
+    fn check(&self, name: &str, span_us: [i64; 2], database: &Database) -> Result<(), DatasetError> {
+        let Some([first, last]) = &self.ends else { return Ok(()) };
+        let times = [first.0, last.0];
+        // Images around the whole log are near it too.
+        if times[0] <= span_us[1] && times[1] >= span_us[0] {
+            return Ok(());
+        }
+        let Some((i, offset)) = Offset::of_all(times.into_iter(), span_us) else { return Ok(()) };
+        let token = hex(&[first, last][i].1);
+        let expected = format!("images of {name} within a second of the log's lidar_pc");
+        Err(FileError::content(expected, format!("image {token} {offset}"), database.path()).into())
+    }
 }
 
 /// Returns the record of a row's image.

@@ -12,7 +12,6 @@ mod frames;
 mod geometry;
 mod images;
 mod map;
-mod pcd;
 mod pickle;
 mod place;
 mod projection;
@@ -20,15 +19,18 @@ mod read;
 mod routes;
 mod situation;
 
-pub use pcd::{check_pcd_file, parse_pcd, read_pcd_file};
+pub use super::sweeps::pcd::{check_pcd_file, parse_pcd, read_pcd_file};
 pub use place::SIMGEN;
 
 pub use place::expand;
 
 use super::{
-    Dataset, DatasetError, ImageRecord, LogLocator, Recording, Sweep, SweepRecord, VectorMap, read_picture,
+    Dataset, DatasetError, ImageRecord, LogLocator, Recording, RingMeaning, Sweep, SweepRecord, VectorMap,
+    read_picture,
 };
+use crate::dataset::sweeps::pcd::parse_pcd_as;
 use crate::error::FileError;
+use crate::files::input::{SWEEP_BYTES, read_file};
 
 /// One nuPlan log, or one scene of it.
 #[derive(Debug)]
@@ -36,6 +38,7 @@ pub struct NuPlan {
     log: Recording,
     place: place::LogPaths,
     map_name: String,
+    rings: RingMeaning,
 }
 
 impl NuPlan {
@@ -50,8 +53,8 @@ impl NuPlan {
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         let locator = place::single(locator)?;
         let place = place::LogPaths::new(&locator)?;
-        let (log, map_name) = read::read(&place, locator.scene.as_deref(), locator.missing)?;
-        Ok(Self { log, place, map_name })
+        let (log, map_name) = read::read(&place, locator.scene.as_deref(), &locator.reading)?;
+        Ok(Self { log, place, map_name, rings: locator.reading.rings })
     }
 }
 
@@ -61,7 +64,8 @@ impl Dataset for NuPlan {
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        Ok(read_pcd_file(&record.path)?)
+        let bytes = read_file(&record.path, SWEEP_BYTES)?;
+        Ok(parse_pcd_as(&bytes, self.rings, &record.path)?)
     }
 
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {

@@ -3,23 +3,27 @@
 use super::database::{Database, Query, hex};
 use super::place::LogPaths;
 use super::{annotations, frames, images, routes, situation};
+use crate::dataset::clock::note_interval;
 use crate::dataset::notes::{Notes, settle};
-use crate::dataset::{DatasetError, Frame, MapFiles, MissingData, Recording};
+use crate::dataset::{DatasetError, Frame, MapFiles, ReadOptions, Recording};
 use crate::error::FileError;
 
-/// Reads a log, or one scene of it; `missing` is the policy for its gaps. Also returns the name of its map.
+/// Reads a log, or one scene of it. Also returns the name of its map.
 pub(super) fn read(
     place: &LogPaths,
     scene: Option<&str>,
-    missing: MissingData,
+    reading: &ReadOptions,
 ) -> Result<(Recording, String), DatasetError> {
     let database = Database::open(&place.database)?;
     let about = LogInfo::read(&database)?;
     let scene = scene.map(|wanted| Scene::read(&database, wanted)).transpose()?;
     let mut notes = Notes::new();
-    let shots = frames::read(&database, place, scene.as_ref().map(|s| s.token.as_slice()))?;
+    let wanted = scene.as_ref().map(|s| s.token.as_slice());
+    let (shots, span_us) = frames::read(&database, place, wanted, &mut notes)?;
     let times_us: Vec<i64> = shots.iter().map(|shot| shot.t_us).collect();
-    let pictures = images::read(&database, place, &times_us, scene.is_none(), &mut notes)?;
+    note_interval(&times_us, &mut notes);
+    let within = images::Within { times_us: &times_us, span_us, is_whole: scene.is_none() };
+    let pictures = images::read(&database, place, &within, reading.distortion, &mut notes)?;
     let annotated = annotations::read(&database, &shots, &mut notes)?;
     let (scenarios, lights) = situation::read(&database, &shots, &mut notes)?;
     let routes = routes::read(&database, &shots, &mut notes)?;
@@ -50,9 +54,10 @@ pub(super) fn read(
         lights,
         routes,
         map_files: root.map(|root| MapFiles { name: about.map_name.clone(), root }),
+        reading: *reading,
         ..Recording::default()
     };
-    settle(&mut log, notes, missing)?;
+    settle(&mut log, notes)?;
     Ok((log, about.map_name))
 }
 

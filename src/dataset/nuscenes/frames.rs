@@ -8,11 +8,14 @@ use std::path::Path;
 use rustc_hash::FxHashSet;
 
 use super::chain::Chain;
+use super::checks::{IGNORED_LENSES, check_growth};
+use super::lens::lens;
 use super::tables::{CalibratedSensor, EgoPose, SampleData, Scene, Sensor, Table};
 use super::version::Version;
+use crate::dataset::clock::PoseTimes;
 use crate::dataset::limits::MAX_CAMERAS;
 use crate::dataset::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
-use crate::dataset::{DatasetError, Gap, ImageRecord, SweepRecord};
+use crate::dataset::{DatasetError, Gap, ImageDistortion, ImageRecord, SweepRecord};
 use crate::error::FileError;
 use crate::files::input::DataRoot;
 use crate::files::{FileName, first_twice};
@@ -45,26 +48,28 @@ pub(super) struct FrameRecord {
 }
 
 /// Sweep before sorting into a frame.
-struct RawSweep {
-    channel: String,
-    is_key: bool,
-    record: SweepRecord,
+pub(super) struct RawSweep {
+    pub(super) channel: String,
+    pub(super) is_key: bool,
+    pub(super) token: String,
+    pub(super) record: SweepRecord,
 }
 
 /// Unsorted sweeps and images of one frame.
 #[derive(Default)]
-struct UnsortedFrame {
-    sweeps: Vec<RawSweep>,
-    images: Vec<ImageRecord>,
+pub(super) struct UnsortedFrame {
+    pub(super) sweeps: Vec<RawSweep>,
+    pub(super) images: Vec<ImageRecord>,
     between_images: Vec<ImageRecord>,
 }
 
 /// Tables for resolving sensor data.
-struct Sensors {
-    data: Table<SampleData>,
-    poses: Table<EgoPose>,
-    calibrated: Table<CalibratedSensor>,
+pub(super) struct Sensors {
+    pub(super) data: Table<SampleData>,
+    pub(super) poses: Table<EgoPose>,
+    pub(super) calibrated: Table<CalibratedSensor>,
     sensors: Table<Sensor>,
+    pub(super) distortion: ImageDistortion,
 }
 
 /// Reads the sensor data of every sample of the chain.
@@ -73,18 +78,36 @@ pub(super) fn read(
     version: &Version,
     scene: &Scene,
     chain: &Chain,
+    distortion: ImageDistortion,
     notes: &mut Notes,
 ) -> Result<SceneFrames, DatasetError> {
     let rows = version.rows()?;
     let mut data = rows.data(scene)?;
     data.retain(|d| chain.place.contains_key(&d.sample_token));
+    let all = data.records.len();
+    data.retain(|d| !d.is_marked_invalid());
+    note(
+        notes,
+        "sweeps and images that are marked as invalid (is_valid; not used)",
+        all - data.records.len(),
+    );
     let needed: FxHashSet<&str> = data.records.iter().map(|d| d.ego_pose_token.as_str()).collect();
     let poses = rows.poses(needed.into_iter())?;
     let (calibrated, sensors) = (Table::load(&version.folder)?, Table::load(&version.folder)?);
-    let sensors = Sensors { data, poses, calibrated, sensors };
+    let sensors = Sensors { data, poses, calibrated, sensors, distortion };
     let cameras = sensors.cameras()?;
     let mut piles: Vec<UnsortedFrame> = chain.times_us.iter().map(|_| UnsortedFrame::default()).collect();
+    let (mut pose_times, mut ignored_lenses) = (PoseTimes::default(), FxHashSet::default());
     for data in &sensors.data.records {
+        sensors.check_clock(data, chain)?;
+        sensors.compare_pose(data, &mut pose_times);
+        if sensors.ignores_lens(data)? {
+            ignored_lenses.insert(data.calibrated_sensor_token.as_str());
+        }
+        if !data.is_key_frame && chain.is_long_before(data.timestamp.0) {
+            note(notes, "sweeps and images long before the first sample (not used)", 1);
+            continue;
+        }
         let place = match chain.place.get(&data.sample_token) {
             Some(place) if data.is_key_frame => *place,
             _ => chain.times_us.partition_point(|t| *t < data.timestamp.0),
@@ -94,18 +117,21 @@ pub(super) fn read(
             None => note(notes, "sweeps and images after the last sample", 1),
         }
     }
+    pose_times.note(notes);
+    note(notes, IGNORED_LENSES, ignored_lenses.len());
     let path = &sensors.data.path;
+    check_growth(&piles, path)?;
     let finish = |(pile, t_us): (UnsortedFrame, &i64)| pile.finish(&cameras, *t_us, path, notes);
     let frames: Vec<Option<FrameRecord>> = piles.into_iter().zip(&chain.times_us).map(finish).collect();
     if frames.iter().all(Option::is_none) {
-        return Err(FileError::content("key frames of the scene's samples", "none", path).into());
+        return Err(FileError::content("key frames of the samples of the scene", "none", path).into());
     }
     Ok(SceneFrames { frames, cameras })
 }
 
 impl Sensors {
     /// Returns the sensor and the calibration of a data record.
-    fn sensor_of(&self, data: &SampleData) -> Result<(&Sensor, &CalibratedSensor), DatasetError> {
+    pub(super) fn sensor_of(&self, data: &SampleData) -> Result<(&Sensor, &CalibratedSensor), DatasetError> {
         let calibrated =
             self.calibrated.get(&data.calibrated_sensor_token, || format!("sample_data {}", data.token))?;
         let by = || format!("calibrated_sensor {}", calibrated.token);
@@ -188,7 +214,8 @@ impl Sensors {
                 }
                 let record =
                     SweepRecord { path, t_us, global_from_ego, ego_from_lidar: ego_from_sensor, is_key };
-                pile.sweeps.push(RawSweep { channel, is_key, record });
+                let token = data.token.clone();
+                pile.sweeps.push(RawSweep { channel, is_key, token, record });
             }
             (modality, _) => note(notes, &format!("{modality} sweeps (not read)"), 1),
         }
@@ -214,11 +241,10 @@ impl Sensors {
             let found = format!("none in sample_data {}", data.token);
             return Err(FileError::content("width and height of an image", found, &self.data.path).into());
         };
-        Camera::new(&sensor.channel, width, height, rows).map_err(|source| DatasetError::Camera {
-            source,
-            record,
-            path,
-        })
+        let lens = lens(calibrated, self.distortion, &record, &path)?;
+        let camera = Camera::new(&sensor.channel, width, height, rows);
+        let camera = camera.map_err(|source| DatasetError::Camera { source, record, path })?;
+        Ok(Camera { distortion: lens.distortion, ..camera })
     }
 }
 

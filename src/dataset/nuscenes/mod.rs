@@ -2,13 +2,15 @@
 //!
 //! # How it works
 //! `tables` defines the raw records, `version` finds those of one scene, `read` converts them to a [`Recording`], and
-//! `sweep` reads and writes `.pcd.bin` files. Format: <https://www.nuscenes.org/nuscenes#data-format>.
+//! `sweep` reads and writes sweep files. Format: <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
 mod arcline;
 mod chain;
+mod checks;
 mod choose;
 mod frames;
+mod lens;
 mod map;
 mod read;
 mod rows;
@@ -20,7 +22,6 @@ mod write_map;
 
 pub use choose::expand;
 pub use map::read_map_file;
-pub(crate) use sweep::check_sweep_len;
 pub use sweep::{POINT_BYTES, parse_sweep, read_sweep_file, write_sweep_file};
 pub(super) use version::Version;
 
@@ -31,9 +32,10 @@ use std::path::PathBuf;
 
 use super::limits::check_roots;
 use super::{
-    Dataset, DatasetError, ImageRecord, LogLocator, Recording, Sweep, SweepRecord, VectorMap, read_picture,
+    Dataset, DatasetError, ImageRecord, LogLocator, Recording, RingMeaning, Sweep, SweepRecord, VectorMap,
+    read_picture,
 };
-use crate::files::input::{DataRoot, open_regular};
+use crate::files::input::DataRoot;
 
 /// One scene of a nuScenes dataset.
 #[derive(Debug)]
@@ -43,6 +45,7 @@ pub struct NuScenes {
     root: PathBuf,
     /// Folder of maps, if not the default one.
     map_root: Option<PathBuf>,
+    rings: RingMeaning,
 }
 
 impl NuScenes {
@@ -66,8 +69,9 @@ impl NuScenes {
         check_roots(locator)?;
         let sensors = locator.sensor_root.as_ref().unwrap_or(&locator.path).clone();
         let sensors = DataRoot { path: sensors, allow_outside: locator.allow_outside };
-        let (log, box_points) = read::read(&sensors, version, locator.scene.as_deref(), locator.missing)?;
-        Ok(Self { log, box_points, root: locator.path.clone(), map_root: locator.map_root.clone() })
+        let (log, box_points) = read::read(&sensors, version, locator.scene.as_deref(), &locator.reading)?;
+        let (root, map_root) = (locator.path.clone(), locator.map_root.clone());
+        Ok(Self { log, box_points, root, map_root, rings: locator.reading.rings })
     }
 }
 
@@ -77,13 +81,11 @@ impl Dataset for NuScenes {
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        Ok(read_sweep_file(&record.path)?)
+        Ok(sweep::read_as(&record.path, self.rings)?)
     }
 
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
-        let path = &record.path;
-        let (_, bytes) = open_regular(path)?;
-        Ok(Some(check_sweep_len(bytes, path)?))
+        Ok(Some(sweep::check(&record.path)?))
     }
 
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {

@@ -4,16 +4,17 @@ use super::chain::Chain;
 use super::tables::{Attribute, LogRecord, MapRecord, Table, Visibility};
 use super::version::Version;
 use super::{annotations, choose, frames};
+use crate::dataset::clock::note_interval;
 use crate::dataset::notes::{Notes, settle};
-use crate::dataset::{DatasetError, Frame, MissingData, Recording, RigCamera};
+use crate::dataset::{DatasetError, Frame, ReadOptions, Recording, RigCamera};
 use crate::files::input::DataRoot;
 
-/// Reads the log of a scene; `missing` is the policy for its gaps. Also returns the stated number of LiDAR points per frame and box.
+/// Reads the log of a scene. Also returns the stated number of LiDAR points per frame and box.
 pub(super) fn read(
     root: &DataRoot,
     version: &Version,
     wanted_scene: Option<&str>,
-    missing: MissingData,
+    reading: &ReadOptions,
 ) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
     let tables = &version.folder;
     let scene = choose::choose_scene(&version.scenes, wanted_scene)?;
@@ -26,7 +27,8 @@ pub(super) fn read(
 
     let mut notes = Notes::new();
     let chain = Chain::of(&version.samples, scene, &mut notes)?;
-    let shots = frames::read(root, version, scene, &chain, &mut notes)?;
+    let shots = frames::read(root, version, scene, &chain, reading.distortion, &mut notes)?;
+    note_interval(&chain.times_us, &mut notes);
     let annotated = annotations::read(version, scene, &chain, &mut notes)?;
     let (mut log_frames, mut box_points) = (Vec::new(), Vec::new());
     for ((t_us, shot), (boxes, points)) in chain.times_us.iter().zip(shots.frames).zip(annotated.frames) {
@@ -44,8 +46,9 @@ pub(super) fn read(
         rig: RigCamera::first_used(&log_frames),
         tracks: annotated.tracks,
         frames: log_frames,
+        reading: *reading,
         ..Recording::default()
     };
-    settle(&mut log, notes, missing)?;
+    settle(&mut log, notes)?;
     Ok((log, box_points))
 }

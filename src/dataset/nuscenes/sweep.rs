@@ -1,68 +1,90 @@
-//! `.pcd.bin`: sweeps as rows of five little-endian `f32`: x, y, z (meters, LiDAR frame), intensity, ring.
+//! Sweep files: `.pcd.bin` files are rows of five little-endian `f32` without a header: x, y, z (meters, LiDAR frame),
+//! intensity, ring. Other data sets in this layout have PCD files, or no rings.
 
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::Path;
 
-use crate::dataset::{Sweep, SweepPoint};
+use crate::dataset::sweeps::pcd::{check_pcd, parse_pcd_as};
+use crate::dataset::sweeps::{HEAD_BYTES, SweepRow, SweepRows, columns, is_pcd, named_format};
+use crate::dataset::{RingMeaning, Sweep, SweepPoint};
 use crate::error::FileError;
-use crate::files::input::{SWEEP_BYTES, read_file};
+use crate::files::input::{SWEEP_BYTES, open_regular, read_file};
 use crate::files::write_whole;
 
 /// Bytes per point in a `.pcd.bin` file.
 pub const POINT_BYTES: usize = 20;
 
-/// Reads a `.pcd.bin` file.
+/// Note for sweeps of four columns.
+const NO_RING: &str = "sweeps of four columns (x y z intensity), without rings";
+
+/// Reads a sweep file: rows without a header, of five columns or of four (without rings), or a PCD file, whatever its
+/// name.
 ///
 /// # Errors
-/// Fails if the file is missing or empty, or its length is not a multiple of [`POINT_BYTES`].
+/// Fails if the file is missing or empty, or has another format or layout.
 pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
-    let bytes = read_file(path, SWEEP_BYTES)?;
-    parse_sweep(&bytes, path)
+    read_as(path, RingMeaning::Auto)
 }
 
-/// Parses the bytes of a `.pcd.bin` file; `path` is for messages. Drops and counts points with a NaN or infinite
-/// number, and clamps rings to `u16`.
+/// Reads a sweep file with a meaning of its rings.
 ///
 /// # Errors
-/// Fails if the input is empty or its length is not a multiple of [`POINT_BYTES`].
+/// Fails as [`read_sweep_file`].
+pub(super) fn read_as(path: &Path, meaning: RingMeaning) -> Result<Sweep, FileError> {
+    parse_as(&read_file(path, SWEEP_BYTES)?, meaning, path)
+}
+
+/// Parses the bytes of a sweep file; `path` is for messages. Drops and counts points with a NaN or infinite
+/// coordinate.
+///
+/// # Errors
+/// Fails as [`read_sweep_file`].
 pub fn parse_sweep(bytes: &[u8], path: &Path) -> Result<Sweep, FileError> {
-    check_sweep_len(bytes.len() as u64, path)?;
-    let mut sweep = Sweep { points: Vec::with_capacity(bytes.len() / POINT_BYTES), ..Sweep::default() };
-    let (rows, _) = bytes.as_chunks::<POINT_BYTES>();
-    for row in rows {
-        let (numbers, _) = row.as_chunks::<4>();
-        let value = |i: usize| f32::from_le_bytes(numbers[i]);
-        if (0..5).all(|i| value(i).is_finite()) {
-            let position = [value(0), value(1), value(2)];
-            sweep.points.push(SweepPoint { position, intensity: value(3), ring: value(4) as u16 });
-        } else {
-            sweep.dropped_non_finite += 1;
-        }
+    parse_as(bytes, RingMeaning::Auto, path)
+}
+
+fn parse_as(bytes: &[u8], meaning: RingMeaning, path: &Path) -> Result<Sweep, FileError> {
+    if is_pcd(bytes) {
+        return parse_pcd_as(bytes, meaning, path);
     }
-    sweep.devices = names_devices(&sweep.points);
+    let columns = rows(bytes, bytes.len() as u64, path)?;
+    let mut sweep = SweepRows::with_capacity(bytes.len() / (4 * columns));
+    for row in bytes.chunks_exact(4 * columns) {
+        let (numbers, _) = row.as_chunks::<4>();
+        let value = |i: usize| numbers.get(i).map_or(0.0, |bytes| f32::from_le_bytes(*bytes));
+        let (position, intensity, ring) = ([value(0), value(1), value(2)], value(3), f64::from(value(4)));
+        sweep.push(SweepRow { position, intensity, ring, device: None });
+    }
+    let mut sweep = sweep.finish(meaning);
+    if 4 * columns != POINT_BYTES {
+        sweep.notes.insert(NO_RING.to_owned(), 1);
+    }
     Ok(sweep)
 }
 
-/// Returns whether the ring column identifies merged LiDARs instead of beams: a spinning LiDAR has at least four
-/// beams.
-fn names_devices(points: &[SweepPoint]) -> bool {
-    let last = points.iter().map(|p| p.ring).max();
-    last.is_some_and(|last| (1..4).contains(&last))
+/// Returns the number of columns of rows without a header, from the start of a file of `length` bytes.
+fn rows(head: &[u8], length: u64, path: &Path) -> Result<usize, FileError> {
+    if let Some(found) = named_format(head) {
+        let expected = "rows of floats (x y z intensity ring) or a PCD file";
+        return Err(FileError::content(expected, found, path));
+    }
+    columns(head, length, path)
 }
 
-/// Returns the number of points in a file of this many bytes.
+/// Returns the number of points in a file from its size and its start.
 ///
 /// # Errors
-/// Fails if the length is zero or not a multiple of [`POINT_BYTES`].
-pub(crate) fn check_sweep_len(bytes: u64, path: &Path) -> Result<u64, FileError> {
-    if bytes == 0 {
-        return Err(FileError::content("at least one point of 20 bytes", "an empty file", path));
+/// Fails as [`read_sweep_file`], except for errors in the points themselves.
+pub(super) fn check(path: &Path) -> Result<u64, FileError> {
+    let (file, length) = open_regular(path)?;
+    let mut head = Vec::new();
+    // The lengths of compressed points follow the longest header.
+    let limit = HEAD_BYTES as u64 + 8;
+    file.take(limit).read_to_end(&mut head).map_err(FileError::io("read", path))?;
+    if is_pcd(&head) {
+        return check_pcd(&head, length, path);
     }
-    if !bytes.is_multiple_of(POINT_BYTES as u64) {
-        let expected = "a multiple of 20 bytes (x y z intensity ring as f32)";
-        return Err(FileError::content(expected, format!("{bytes} bytes"), path));
-    }
-    Ok(bytes / POINT_BYTES as u64)
+    Ok(length / (4 * rows(&head, length, path)? as u64))
 }
 
 /// Writes a `.pcd.bin` file.
@@ -94,29 +116,77 @@ mod tests {
         assert_eq!(read_sweep_file(&path).unwrap().points, [point, point]);
     }
 
-    #[test]
-    fn few_ring_numbers_are_devices() {
-        let rings = |rings: &[u16]| {
-            let point = |&ring: &u16| [0.0, 0.0, 0.0, 0.0, f32::from(ring)].map(f32::to_le_bytes);
-            let bytes: Vec<u8> = rings.iter().flat_map(point).flatten().collect();
-            parse_sweep(&bytes, Path::new("a.pcd.bin")).unwrap().devices
+    /// Returns rows around a LiDAR: x y z intensity ring.
+    fn rows(count: i64) -> Vec<[f32; 5]> {
+        let number = |i: i64, axis: i64, most: f64| crate::hash::between(3, &[i, axis], -most, most) as f32;
+        let row = |i: i64| {
+            let (intensity, ring) = (number(i, 3, 99.0).abs().floor(), (i % 32) as f32);
+            [number(i, 0, 60.0), number(i, 1, 60.0), number(i, 2, 3.0), intensity, ring]
         };
-        assert!(rings(&[0, 1, 1]));
-        assert!(!rings(&[0, 0]) && !rings(&[0, 1, 31]));
+        (0..count).map(row).collect()
+    }
+
+    fn bytes<const N: usize>(rows: &[[f32; N]]) -> Vec<u8> {
+        rows.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect()
+    }
+
+    fn parse(bytes: &[u8]) -> Result<Sweep, FileError> {
+        parse_sweep(bytes, Path::new("a.pcd.bin"))
     }
 
     #[test]
-    fn not_finite_is_dropped_and_counted() {
+    fn rows_without_rings_hold_the_same_points() {
+        for count in [500, 503] {
+            let rows = rows(count);
+            let four: Vec<[f32; 4]> = rows.iter().map(|row| [row[0], row[1], row[2], row[3]]).collect();
+            let (five, four) = (parse(&bytes(&rows)).unwrap(), parse(&bytes(&four)).unwrap());
+            let without = |p: &SweepPoint| SweepPoint { ring: 0, ..*p };
+            assert_eq!(four.points, five.points.iter().map(without).collect::<Vec<_>>());
+            assert_eq!((four.notes[NO_RING], five.notes.len()), (1, 0));
+        }
+    }
+
+    #[test]
+    fn pcd_headers_are_recognized_at_any_length() {
+        let rows = rows(7);
+        let expected = parse(&bytes(&rows)).unwrap();
+        for padding in 0..20 {
+            let header = format!(
+                "# .PCD v0.7{}\nVERSION 0.7\nFIELDS x y z intensity ring\nSIZE 4 4 4 4 4\nTYPE F F F F F\n\
+                 COUNT 1 1 1 1 1\nWIDTH 7\nHEIGHT 1\nPOINTS 7\nDATA binary\n",
+                ".".repeat(padding)
+            );
+            let file = [header.as_bytes(), &bytes(&rows)].concat();
+            assert_eq!(parse(&file).unwrap(), expected, "{padding}");
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("a.pcd.bin");
+            std::fs::write(&path, &file).unwrap();
+            assert_eq!(check(&path).unwrap(), 7);
+        }
+    }
+
+    #[test]
+    fn rejects_other_formats_by_name() {
+        for (start, name) in
+            [(&b"\x93NUMPY\x01\0"[..], "a NumPy array (NPY)"), (b"ply\nformat ascii", "a PLY file")]
+        {
+            let file = [start, &[0; 2000][..2000 - start.len()]].concat();
+            let message = parse(&file).unwrap_err().to_string();
+            assert!(message.contains(&format!("or a PCD file, found {name}: ")), "{message}");
+        }
+    }
+
+    #[test]
+    fn only_coordinates_must_be_finite() {
         let rows: [[f32; 5]; 4] = [
             [1.0, 2.0, 3.0, 4.0, 5.0],
             [f32::NAN, 0.0, 0.0, 0.0, 0.0],
             [0.0, 0.0, f32::INFINITY, 0.0, 0.0],
             [0.0, 0.0, 0.0, 0.0, f32::NAN],
         ];
-        let bytes: Vec<u8> = rows.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
-        let sweep = parse_sweep(&bytes, Path::new("a.pcd.bin")).unwrap();
-        assert_eq!((sweep.points.len(), sweep.dropped_non_finite), (1, 3));
-        assert_eq!(sweep.points[0].ring, 5);
+        let sweep = parse(&bytes(&rows)).unwrap();
+        assert_eq!((sweep.points.len(), sweep.dropped_non_finite), (2, 2));
+        assert_eq!((sweep.points[0].ring, sweep.points[1].ring), (5, 0));
     }
 
     proptest! {

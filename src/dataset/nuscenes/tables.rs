@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use rustc_hash::FxHashMap;
 use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error};
+use serde_json::Value;
 
 use super::rows::no_table;
 use crate::dataset::DatasetError;
@@ -69,16 +70,19 @@ records! {
         calibrated_sensor_token: String,
         timestamp: TimeUs,
         is_key_frame: bool,
+        is_valid: Option<Value>,
         height: Option<u32>,
         width: Option<u32>,
         filename: String,
     }
-    EgoPose in "ego_pose" { rotation: [f64; 4], translation: [f64; 3] }
+    EgoPose in "ego_pose" { rotation: [f64; 4], translation: [f64; 3], timestamp: Option<Value> }
     CalibratedSensor in "calibrated_sensor" {
         sensor_token: String,
         translation: [f64; 3],
         rotation: [f64; 4],
         camera_intrinsic: Vec<Vec<f64>>,
+        camera_distortion: Option<Value>,
+        camera_distortion_model: Option<Value>,
     }
     Sensor in "sensor" { channel: String, modality: String }
     Instance in "instance" { category_token: String }

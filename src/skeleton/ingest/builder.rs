@@ -74,6 +74,9 @@ impl<'a> Builder<'a> {
             now.report.dropped_not_finite += sweep.not_finite;
             now.report.dropped_ghost += sweep.ghosts;
             now.report.dropped_ego += sweep.ego;
+            for (kind, count) in &sweep.notes {
+                *now.report.notes.entry(kind.clone()).or_default() += count;
+            }
             for track in self.cells.add(log, now.sweeps, sweep, &mut now.report) {
                 *now.track_sweeps.entry(track).or_default() += 1;
             }

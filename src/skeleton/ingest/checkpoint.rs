@@ -34,6 +34,9 @@ pub(super) struct PlannedLog {
     pub(super) held: Vec<[usize; 3]>,
     /// Number of tracks in the log.
     pub(super) tracks: usize,
+    /// Options of reading other than the default.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) reading: Vec<String>,
 }
 
 /// Progress of a build.

@@ -43,6 +43,14 @@ pub enum BuildError {
         /// Number of points read.
         points: usize,
     },
+    /// No point has finite coordinates.
+    #[error("expected points with finite coordinates, found none in {sweeps} sweeps ({points} points read)")]
+    NotFinite {
+        /// Number of sweeps read.
+        sweeps: usize,
+        /// Number of points read.
+        points: usize,
+    },
     /// The logs do not share a location, or one occurs twice.
     #[error("expected logs of one place, each once, found {}", printable(&found.join(", ")))]
     Places {

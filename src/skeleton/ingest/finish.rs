@@ -24,6 +24,9 @@ impl Builder<'_> {
             let gap = self.streams.iter().find_map(|stream| stream.log.gaps.first());
             return Err(BuildError::NoSweeps { frames: self.done.frames, logs, gap: gap.cloned() });
         }
+        if report.points_read > 0 && report.dropped_not_finite == report.points_read {
+            return Err(BuildError::NotFinite { sweeps: report.sweeps, points: report.points_read });
+        }
         if report.background_points == 0 && report.actor_points == 0 {
             return Err(BuildError::Empty { sweeps: report.sweeps, points: report.points_read });
         }

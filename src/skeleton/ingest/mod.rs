@@ -52,7 +52,10 @@ pub fn build(
     let mut builder = Builder::new(streams, options, run, work);
     let built = builder.gather().and_then(|()| builder.finish(out, templates));
     if let Err(source) = built {
-        if matches!(source, BuildError::Empty { .. } | BuildError::NoSweeps { .. }) {
+        if matches!(
+            source,
+            BuildError::Empty { .. } | BuildError::NoSweeps { .. } | BuildError::NotFinite { .. }
+        ) {
             builder.work.close()?;
             return Err(source);
         }
@@ -103,6 +106,7 @@ fn plan(streams: &[Stream], options: &BuildOptions) -> Plan {
         t_us: stream.frames.iter().map(|f| f.t_us).collect(),
         held: stream.frames.iter().map(|f| [f.sweeps.len(), f.images.len(), f.boxes.len()]).collect(),
         tracks: stream.log.tracks.len(),
+        reading: stream.log.reading.names().into_iter().map(str::to_owned).collect(),
     };
     Plan {
         version: env!("CARGO_PKG_VERSION").to_owned(),

@@ -59,6 +59,8 @@ fn sweep(sweep: &Sweep) -> Value {
         "rings": rings,
         "min": bounds.map(|b| b.min),
         "max": bounds.map(|b| b.max),
+        "merged_lidars": sweep.devices,
+        "notes": sweep.notes,
     })
 }
 

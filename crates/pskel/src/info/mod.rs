@@ -20,8 +20,8 @@ pub(super) use skeleton::dropped;
 
 /// Describe a log, a skeleton or a file, and report missing or damaged parts
 ///
-/// Of a log, the tables are read completely; of sweeps and images, only sizes and headers. Missing and damaged files are
-/// named, and the exit code is then 1.
+/// Of a log, the tables are read completely; of sweeps and images, only sizes and headers, and the points of a few sweeps.
+/// Missing and damaged files are named, and the exit code is then 1.
 #[derive(Debug, Args)]
 pub(super) struct InfoArgs {
     /// FORMAT:PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather,

@@ -26,6 +26,9 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     args.check()?;
     let dataset = args.roots.open(&args.log)?;
     let log = dataset.log();
+    for (note, count) in log.notes.iter().filter(|(note, _)| note.contains("camera_distortion")) {
+        warn(&format!("{count} {note}"));
+    }
     let skeleton = Skeleton::open_for(&args.skeleton, log)?;
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
     let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;

@@ -26,7 +26,8 @@ const TABLES: [&str; 4] = [
 
 #[test]
 fn a_missing_table_is_named() {
-    for table in TABLES {
+    // Logs of the test split have no annotations.
+    for table in TABLES.into_iter().filter(|table| *table != "annotations.feather") {
         let log = TinyAv2::new();
         std::fs::remove_file(log.path(table)).unwrap();
         log.refuses(&["cannot read"], table);

@@ -32,7 +32,7 @@ impl Dataset for Breaking<'_> {
         let take_one = |left: usize| left.checked_sub(1);
         match self.left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take_one) {
             Ok(_) => self.drive.read_sweep(record),
-            Err(_) => Err(FileError::content("a sweep", "a broken disk", &record.path).into()),
+            Err(_) => Err(FileError::io("read", &record.path)(std::io::Error::other("a broken disk")).into()),
         }
     }
 
@@ -247,7 +247,11 @@ fn a_build_that_starts_anew_says_what_it_discards() {
     // An older skeleton stays until the new one replaces it.
     let older = tree(&log.path("out/sk"));
     std::fs::write(log.path(&crate::tiny_log::sweep(2)), "cut").unwrap();
-    assert_failed(&log.run("build nuscenes:log --out out/sk --checkpoint 1"), 1, &["2.pcd.bin"]);
+    assert_failed(
+        &log.run("build nuscenes:log --out out/sk --checkpoint 1 --missing error"),
+        1,
+        &["2.pcd.bin"],
+    );
     assert!(tree(&log.path("out/sk")) == older);
 }
 

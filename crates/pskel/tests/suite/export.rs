@@ -226,14 +226,14 @@ fn failures_cost_their_own_shards_alone() {
     let log = TinyLog::new();
     copy(&log, "bad", "bad");
     copy(&log, "unlisted", "unlisted");
-    std::fs::remove_file(log.path("bad/samples/1.pcd.bin")).unwrap();
+    std::fs::remove_file(log.path("bad/v1.0-mini/ego_pose.json")).unwrap();
     std::fs::write(log.path("unlisted/v1.0-mini/sample.json"), "[{").unwrap();
     let args = "export nuscenes:bad nuscenes:unlisted nuscenes:log --skeletons sks --out out --out-size 32x48 \
         --rasterizer cpu --layout webdataset";
     let output = log.run(args);
     let parts = [
         "failed: nuscenes:bad: ",
-        "1.pcd.bin",
+        "ego_pose.json",
         "failed: nuscenes:unlisted: ",
         "sample.json",
         "found 2 that failed",

@@ -31,11 +31,19 @@ const TABLES: [&str; 13] = [
 struct Broken(tempfile::TempDir);
 
 impl Broken {
-    /// Copies only the tables.
+    /// Copies only the tables; sweeps and images are empty files.
     fn new() -> Self {
         let copy = tempfile::tempdir().unwrap();
         copy_to(copy.path(), |name| name.starts_with(VERSION));
-        Self(copy)
+        let broken = Self(copy);
+        broken.edit("sample_data", |records| {
+            for record in records {
+                let path = broken.0.path().join(record["filename"].as_str().unwrap());
+                std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                std::fs::write(path, "").unwrap();
+            }
+        });
+        broken
     }
 
     /// Also copies sweeps and images of the first frame.
@@ -126,9 +134,7 @@ fn tokens_that_lead_nowhere_are_named() {
 #[test]
 fn bad_numbers_are_named_with_their_record() {
     type Edit = fn(&mut Value);
-    let cases: [(&str, Edit, &[&str]); 9] = [
-        ("sample_annotation", |r| r["size"][0] = json!(0.0), &["positive length", "x 0 x"]),
-        ("sample_annotation", |r| r["size"][1] = json!(-4.5), &["positive length", "-4.5 x"]),
+    let cases: [(&str, Edit, &[&str]); 7] = [
         ("sample_annotation", |r| r["rotation"] = json!([1, 1, 0, 0]), &["unit quaternion", "1.41"]),
         ("ego_pose", |r| r["rotation"] = json!([0.5, 0, 0, 0]), &["unit quaternion", "length 0.5"]),
         ("calibrated_sensor", |r| r["rotation"] = json!([0, 0, 0, 0]), &["unit quaternion", "length 0"]),

@@ -64,15 +64,15 @@ fn refuse_kinds(kinds: &[(&str, &str)], folder: &Path, file: &Path, commands: &[
     std::fs::write(file, whole).unwrap();
 }
 
-/// Runs `info`, which counts damaged sensor files and does not fail.
+/// Runs `info`, which names damaged sensor files and then fails.
 #[track_caller]
 fn damaged(folder: &Path, log: &str) -> String {
     let Ended { code, stdout, stderr } = run(folder, &["info", log]);
-    assert_eq!(code, Some(0), "{stderr}");
+    assert_eq!(code, Some(1), "{stderr}");
     stdout
 }
 
-const BUILD: &str = "build nuscenes:log --out new";
+const BUILD: &str = "build nuscenes:log --out new --missing error";
 
 /// JSON pointers of the first sweep's and the first image's file name.
 const FIRST: [&str; 2] = ["/0/filename", "/1/filename"];
@@ -117,7 +117,8 @@ fn names_of_files_stay_below_the_data_set() {
         }
         for (outside, kind) in [("/dev/zero".to_owned(), "a device"), (absolute("fifo"), "a FIFO")] {
             log.change("sample_data", pointer, json!(outside));
-            let ended = run(&folder, &["build", "nuscenes:log", "--out", "new", "--allow-outside"]);
+            let args = [&BUILD.split(' ').collect::<Vec<_>>()[..], &["--allow-outside"]].concat();
+            let ended = run(&folder, &args);
             ended.refused(&outside, &["expected a regular file", kind, &outside]);
             let _ = std::fs::remove_dir_all(log.path("new.partial"));
         }
@@ -149,8 +150,7 @@ fn sensor_files_of_nuscenes_are_regular() {
     for file in ["log/samples/0.pcd.bin", "log/samples/0-CAM_FRONT.png"] {
         let whole = std::fs::read(log.path(file)).unwrap();
         std::fs::File::create(log.path(file)).unwrap().set_len(4 << 40).unwrap();
-        run(&log.path(""), &["build", "nuscenes:log", "--out", "new"])
-            .refused(file, &["a file of at most", file]);
+        run(&log.path(""), &BUILD.split(' ').collect::<Vec<_>>()).refused(file, &["a file of at most", file]);
         std::fs::write(log.path(file), whole).unwrap();
     }
 }
@@ -168,10 +168,10 @@ fn tables_of_nuscenes_are_regular() {
 fn files_of_nuplan_are_regular() {
     let made = Made::new();
     let (folder, log) = (made.path(""), format!("nuplan:nuplan-v1.1/splits/mini/{LOG}.db"));
-    let commands = [format!("info {log}"), format!("build {log} --out new")];
+    let commands = [format!("info {log}"), format!("build {log} --out new --missing error")];
     let commands = commands.each_ref().map(String::as_str);
     for file in [made.blob(&sweep_file(0)), made.blob(&image_file(RING[0], 0))] {
-        refuse_all_kinds(&folder, &file, &commands);
+        refuse_all_kinds(&folder, &file, &commands[1..]);
     }
     // A folder in its place is read as a folder of logs.
     let kinds = KINDS.into_iter().filter(|(kind, _)| *kind != "folder").collect::<Vec<_>>();
@@ -192,7 +192,7 @@ fn files_of_nuplan_are_regular() {
 #[test]
 fn files_of_argoverse_are_regular() {
     let log = TinyAv2::new();
-    let commands = [format!("info av2:{LOG_ID}"), format!("build av2:{LOG_ID} --out new")];
+    let commands = [format!("info av2:{LOG_ID}"), format!("build av2:{LOG_ID} --out new --missing error")];
     let commands = commands.each_ref().map(String::as_str);
     for file in [
         "annotations.feather",

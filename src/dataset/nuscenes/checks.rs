@@ -1,0 +1,84 @@
+//! Checks of sensor data against the samples that they belong to.
+
+use std::path::Path;
+
+use rustc_hash::FxHashMap;
+use serde_json::Value;
+
+use super::chain::Chain;
+use super::frames::{Sensors, UnsortedFrame};
+use super::lens::lens;
+use super::tables::SampleData;
+use crate::dataset::DatasetError;
+use crate::dataset::clock::{Offset, PoseTimes, TOLERANCE_US};
+use crate::error::FileError;
+
+/// Note for cameras whose coefficients are not used.
+pub(super) const IGNORED_LENSES: &str = "cameras with camera_distortion, whose images are read as rectified (--image-distortion apply if they are not)";
+
+impl SampleData {
+    /// Returns whether the data set marks the data as unusable.
+    pub(super) fn is_marked_invalid(&self) -> bool {
+        matches!(&self.is_valid, Some(value) if *value == Value::Bool(false) || value.as_f64() == Some(0.0))
+    }
+}
+
+impl Chain {
+    /// Returns whether a time is before the first sample by more than the tolerance of clocks.
+    pub(super) fn is_long_before(&self, t_us: i64) -> bool {
+        self.times_us.first().is_some_and(|first| t_us < *first && t_us.abs_diff(*first) > TOLERANCE_US)
+    }
+}
+
+impl Sensors {
+    /// Checks that the time of a key frame is near the time of its sample: boxes exist at that time only.
+    pub(super) fn check_clock(&self, data: &SampleData, chain: &Chain) -> Result<(), DatasetError> {
+        let Some(place) = chain.place.get(&data.sample_token).filter(|_| data.is_key_frame) else {
+            return Ok(());
+        };
+        let sample_us = chain.times_us[*place];
+        let Some(offset) = Offset::of(data.timestamp.0, sample_us) else { return Ok(()) };
+        let channel = &self.sensor_of(data)?.0.channel;
+        let expected =
+            format!("key frames within a second of their sample ({} at {sample_us})", data.sample_token);
+        let found = format!("sample_data {} of {channel} at {}, {offset}", data.token, data.timestamp.0);
+        Err(FileError::content(expected, found, &self.data.path).into())
+    }
+
+    /// Compares the time of the ego pose of sensor data, if it has one.
+    pub(super) fn compare_pose(&self, data: &SampleData, times: &mut PoseTimes) {
+        let pose = self.poses.find(&data.ego_pose_token);
+        let t_us = pose.and_then(|pose| pose.timestamp.as_ref()?.as_f64());
+        if let Some(t_us) = t_us.filter(|t_us| t_us.is_finite()) {
+            times.compare(t_us as i64, data.timestamp.0, || data.ego_pose_token.clone());
+        }
+    }
+
+    /// Returns whether an image has distortion coefficients that are not used.
+    pub(super) fn ignores_lens(&self, data: &SampleData) -> Result<bool, DatasetError> {
+        let (sensor, calibrated) = self.sensor_of(data)?;
+        // Coefficients that cannot be used are reported with their camera.
+        let lens = lens(calibrated, self.distortion, "", &self.calibrated.path);
+        Ok(sensor.modality == "camera" && lens.is_ok_and(|lens| lens.is_ignored))
+    }
+}
+
+/// Checks that the times of a sensor's key frames grow from frame to frame. An image may be repeated.
+pub(super) fn check_growth(frames: &[UnsortedFrame], path: &Path) -> Result<(), FileError> {
+    let mut last: FxHashMap<String, (i64, &Path)> = FxHashMap::default();
+    for frame in frames {
+        let sweeps = frame.sweeps.iter().filter(|sweep| sweep.is_key);
+        let sweeps = sweeps.map(|s| (s.channel.clone(), &s.token, s.record.t_us, s.record.path.as_path()));
+        let images =
+            frame.images.iter().map(|i| (i.camera.name.to_string(), &i.token, i.t_us, i.path.as_path()));
+        for (channel, token, t_us, file) in sweeps.chain(images) {
+            let before = last.insert(channel.clone(), (t_us, file));
+            if let Some((before_us, _)) = before.filter(|(t, known)| *t >= t_us && *known != file) {
+                let expected = "times of key frames that grow from sample to sample";
+                let found = format!("{t_us} in sample_data {token} of {channel} after {before_us}");
+                return Err(FileError::content(expected, found, path));
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,25 @@
+//! Sweep files: what the readers of all layouts have in common.
+//!
+//! # How it works
+//! `format` recognizes files by their header, and `layout` the layout of rows without a header by their values. `pcd`
+//! reads files with a header. `rows` collects the points and decides what a value that is not a number means.
+//! `devices` decides whether the numbers of a column are beams or merged LiDARs.
+
+mod devices;
+mod format;
+#[cfg(feature = "nuscenes")]
+mod layout;
+#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+mod lzf;
+#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+pub(super) mod pcd;
+#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+mod pcd_header;
+mod rows;
+
+#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+pub(super) use format::is_pcd;
+pub(super) use format::named_format;
+#[cfg(feature = "nuscenes")]
+pub(super) use layout::{HEAD_BYTES, columns};
+pub(super) use rows::{SweepRow, SweepRows};

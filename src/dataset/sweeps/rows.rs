@@ -1,0 +1,160 @@
+//! Points of a sweep, row by row.
+
+use super::devices::{Evidence, evidence};
+use crate::dataset::notes::add;
+use crate::dataset::{RingMeaning, Sweep, SweepPoint};
+
+/// Note for values of a column that is only informative.
+const INTENSITIES: &str = "points whose intensity is not finite (read as 0)";
+const RINGS: &str = "points whose ring is not a whole number from 0 on (read as 0)";
+const FEW_RINGS: &str =
+    "sweeps with few ring numbers, read as beams (--ring-is device if they number merged LiDARs)";
+const BEAMS: &str = "sweeps whose lidar_info numbers beams instead of LiDARs";
+
+/// Ring numbers below this may be LiDARs.
+const MOST_DEVICES: u16 = 4;
+
+/// Values of a point as stored. `device` is the LiDAR of a merged sweep, if the file has a column that says so.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::dataset) struct SweepRow {
+    pub(in crate::dataset) position: [f32; 3],
+    pub(in crate::dataset) intensity: f32,
+    pub(in crate::dataset) ring: f64,
+    pub(in crate::dataset) device: Option<f64>,
+}
+
+/// Sweep being read. A point whose coordinates are finite is retained, whatever its other values are.
+#[derive(Debug, Default)]
+pub(in crate::dataset) struct SweepRows {
+    sweep: Sweep,
+    /// Device of each point, if the file has such a column.
+    devices: Vec<u16>,
+    intensities: usize,
+    rings: usize,
+}
+
+impl SweepRows {
+    /// Creates a sweep with room for a number of points.
+    pub(in crate::dataset) fn with_capacity(points: usize) -> Self {
+        let sweep = Sweep { points: Vec::with_capacity(points), ..Sweep::default() };
+        Self { sweep, ..Self::default() }
+    }
+
+    /// Adds a row.
+    pub(in crate::dataset) fn push(&mut self, row: SweepRow) {
+        let SweepRow { position, intensity, ring, device } = row;
+        if !position.iter().all(|v| v.is_finite()) {
+            self.sweep.dropped_non_finite += 1;
+            return;
+        }
+        self.intensities += usize::from(!intensity.is_finite());
+        let intensity = if intensity.is_finite() { intensity } else { 0.0 };
+        let number = whole(ring);
+        self.rings += usize::from(number.is_none());
+        self.sweep.points.push(SweepPoint { position, intensity, ring: number.unwrap_or(0) });
+        self.devices.extend(device.map(|device| whole(device).unwrap_or(0)));
+    }
+
+    /// Returns the sweep with the meaning of its ring column.
+    pub(in crate::dataset) fn finish(self, meaning: RingMeaning) -> Sweep {
+        let Self { mut sweep, devices, intensities, rings } = self;
+        add(&mut sweep.notes, INTENSITIES, intensities);
+        add(&mut sweep.notes, RINGS, rings);
+        if devices.windows(2).any(|pair| pair[0] != pair[1]) {
+            // The name of the column says that it numbers LiDARs, unless its values contradict.
+            let found = || evidence(&sweep.points, |i| devices[i]);
+            let contradicted = meaning == RingMeaning::Auto && found() == Evidence::Beams;
+            add(&mut sweep.notes, BEAMS, usize::from(contradicted));
+            if meaning != RingMeaning::Beam && !contradicted {
+                sweep.points.iter_mut().zip(&devices).for_each(|(point, device)| point.ring = *device);
+                sweep.devices = true;
+            }
+            return sweep;
+        }
+        sweep.devices = match meaning {
+            RingMeaning::Device => true,
+            RingMeaning::Beam => false,
+            RingMeaning::Auto if may_be_devices(&sweep.points) => {
+                let certain = evidence(&sweep.points, |i| sweep.points[i].ring) == Evidence::Devices;
+                add(&mut sweep.notes, FEW_RINGS, usize::from(!certain));
+                certain
+            }
+            RingMeaning::Auto => false,
+        };
+        sweep
+    }
+}
+
+/// Returns a number of a beam or a LiDAR; `None` for other values. Clamped to `u16`.
+fn whole(value: f64) -> Option<u16> {
+    (value >= 0.0 && value.is_finite() && value.fract() == 0.0).then_some(value as u16)
+}
+
+/// Returns whether there are several ring numbers, all small.
+fn may_be_devices(points: &[SweepPoint]) -> bool {
+    let Some(first) = points.first().map(|point| point.ring) else { return false };
+    points.iter().all(|point| point.ring < MOST_DEVICES) && points.iter().any(|point| point.ring != first)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sweep(rows: &[([f32; 3], f32, f64, Option<f64>)]) -> Sweep {
+        let mut sweep = SweepRows::with_capacity(rows.len());
+        for &(position, intensity, ring, device) in rows {
+            sweep.push(SweepRow { position, intensity, ring, device });
+        }
+        sweep.finish(RingMeaning::Auto)
+    }
+
+    #[test]
+    fn points_with_finite_coordinates_are_retained() {
+        let at = [1.0, 2.0, 3.0];
+        let (nan, inf) = (f64::NAN, f64::INFINITY);
+        let sweep = sweep(&[
+            (at, 4.0, 5.0, None),
+            (at, f32::NAN, 5.0, None),
+            (at, f32::NEG_INFINITY, 5.0, None),
+            (at, 4.0, nan, None),
+            (at, 4.0, inf, None),
+            (at, 4.0, -1.0, None),
+            (at, 4.0, 2.5, None),
+            (at, 4.0, 1e9, None),
+            ([1.0, f32::NAN, 3.0], 4.0, 5.0, None),
+            ([f32::INFINITY, 2.0, 3.0], 4.0, 5.0, None),
+        ]);
+        let values: Vec<_> = sweep.points.iter().map(|p| (p.intensity, p.ring)).collect();
+        let whole = [(4.0, 5), (0.0, 5), (0.0, 5)];
+        let others = [(4.0, 0), (4.0, 0), (4.0, 0), (4.0, 0), (4.0, u16::MAX)];
+        assert_eq!(values, [&whole[..], &others].concat());
+        assert_eq!(sweep.dropped_non_finite, 2);
+        // Infinity has no fraction, but it is no number of a beam either.
+        assert_eq!((sweep.notes[INTENSITIES], sweep.notes[RINGS]), (2, 4));
+    }
+
+    #[test]
+    fn an_option_decides_what_rings_mean() {
+        let devices = |meaning| {
+            let mut rows = SweepRows::default();
+            for ring in [0.0, 1.0, 1.0] {
+                rows.push(SweepRow { position: [ring as f32; 3], intensity: 0.0, ring, device: None });
+            }
+            let sweep = rows.finish(meaning);
+            (sweep.devices, sweep.notes.len())
+        };
+        assert_eq!(devices(RingMeaning::Auto), (false, 1));
+        assert_eq!(devices(RingMeaning::Device), (true, 0));
+        assert_eq!(devices(RingMeaning::Beam), (false, 0));
+    }
+
+    #[test]
+    fn a_constant_number_is_one_lidar() {
+        for ring in [0.0, 1.0, 2.0, 3.0, 255.0] {
+            let sweep = sweep(&[([1.0; 3], 0.0, ring, None), ([2.0; 3], 0.0, ring, None)]);
+            assert!(!sweep.devices && sweep.notes.is_empty());
+        }
+        let sweep = sweep(&[([1.0; 3], 0.0, 7.0, Some(3.0)), ([2.0; 3], 0.0, 8.0, Some(3.0))]);
+        assert_eq!((sweep.devices, sweep.points[0].ring, sweep.points[1].ring), (false, 7, 8));
+    }
+}
