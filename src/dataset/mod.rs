@@ -6,6 +6,8 @@
 #[cfg(feature = "av2")]
 pub mod av2;
 mod category;
+#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
+mod degenerate;
 mod ego_track;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod limits;
@@ -23,6 +25,7 @@ mod picture;
 mod recording;
 mod summary;
 
+pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
 pub use locator::{LogFormat, LogLocator};
@@ -82,9 +85,9 @@ pub trait Dataset: Send + Sync {
         Err(FileError::content(expected, format!("{height}x{width}"), &record.path).into())
     }
 
-    /// Returns the number of LiDAR points per frame and box, in the log's order, as stated by the dataset. `None` if
-    /// the dataset states none.
-    fn box_points(&self) -> Option<&[Vec<u32>]> {
+    /// Returns the number of LiDAR points per frame and box, in the log's order, as stated by the dataset; `None` for
+    /// boxes with an unknown number. `None` if the dataset states none.
+    fn box_points(&self) -> Option<&[Vec<Option<u32>>]> {
         None
     }
 

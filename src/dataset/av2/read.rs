@@ -5,7 +5,7 @@ use std::path::Path;
 use super::annotations::{Annotation, Annotations};
 use super::poses::Trajectory;
 use super::{calibration, sensors};
-use crate::dataset::notes::{Notes, note};
+use crate::dataset::notes::{Notes, UNKNOWN_POINTS, note, note_unknown_category};
 use crate::dataset::{DatasetError, Frame, Recording, TrackBox};
 use crate::error::FileError;
 
@@ -16,14 +16,14 @@ pub(super) fn read(
     sensors: &Path,
     name: String,
     location: String,
-) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
+) -> Result<(Recording, Vec<Vec<Option<u32>>>), DatasetError> {
     let path = folder.join("annotations.feather");
     let annotations = Annotations::read(&path)?;
     let ego = Trajectory::read(&folder.join("city_SE3_egovehicle.feather"))?;
     let rig = calibration::read(&folder.join("calibration"))?;
     let mut notes = Notes::new();
     for (category, boxes) in &annotations.unknown_categories {
-        notes.insert(format!("boxes of the unknown category {category} (read as objects)"), *boxes);
+        note_unknown_category(&mut notes, category, *boxes);
     }
     if annotations.other_category > 0 {
         notes.insert("boxes of another category than their track".into(), annotations.other_category);
@@ -55,7 +55,9 @@ pub(super) fn read(
         let (sweeps, images, between_images) = Default::default();
         let boxes_at = Frame { t_us, global_from_ego, sweeps, images, between_images, boxes: boxes_here };
         frames.push(boxes_at);
-        box_points.push(boxes.iter().map(|b| b.points).collect());
+        let points: Vec<Option<u32>> = boxes.iter().map(|b| b.points).collect();
+        note(&mut notes, UNKNOWN_POINTS, points.iter().filter(|n| n.is_none()).count());
+        box_points.push(points);
         times_ns.push(t_ns);
     }
     if frames.is_empty() {

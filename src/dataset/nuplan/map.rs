@@ -12,11 +12,11 @@ use serde::Deserialize;
 use super::database::{Database, Query, Row};
 use super::geometry::{self, Shape};
 use super::projection::Utm;
+use crate::dataset::degenerate::{Fault, note_fault};
 use crate::dataset::notes::{Notes, note};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
-use crate::files::FileName;
-use crate::files::input::read_table;
+use crate::files::{FileName, json};
 
 /// Index file of a folder of maps.
 const INDEX: &str = "nuplan-maps-v1.0.json";
@@ -30,9 +30,8 @@ struct IndexEntry {
 /// Reads a map by name; `None` if the index does not contain it.
 pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<VectorMap>, DatasetError> {
     let path = folder.join(INDEX);
-    let bytes = read_table(&path)?;
-    let index: BTreeMap<String, IndexEntry> = serde_json::from_slice(&bytes)
-        .map_err(|e| FileError::content("a JSON object of maps with their version", e.to_string(), &path))?;
+    let index: BTreeMap<String, IndexEntry> =
+        json::read(&path, "a JSON object of maps with their version")?;
     let Some(IndexEntry { version }) = index.get(name) else { return Ok(None) };
     let part =
         |part: &str| FileName::new(part).map_err(|error| error.of("name or version of a map").in_file(&path));
@@ -107,10 +106,18 @@ impl Layers {
         let columns: Vec<&str> = ["rowid", geometry].into_iter().chain(further).collect();
         let from = format!("FROM {layer} ORDER BY rowid");
         self.database.rows(&Query { table: layer, columns: &columns, from: &from }, |row| {
-            let shape = geometry::decode(row.blob(1)?, &self.utm)
-                .map_err(|found| row.wrong(1, "lines or polygons in longitude and latitude", &found))?;
+            let mut faults = Vec::new();
+            let shape = match row.is_null(1) {
+                true => None,
+                false => geometry::decode(row.blob(1)?, &self.utm, &mut faults)
+                    .map_err(|found| row.wrong(1, "lines or polygons in longitude and latitude", &found))?,
+            };
+            for fault in &faults {
+                note_fault(notes, &format!("geometries of {layer}"), *fault);
+            }
             let Some(shape) = shape else {
-                note(notes, &format!("features of {layer} with an empty geometry"), 1);
+                let is_empty = usize::from(faults.is_empty());
+                note(notes, &format!("features of {layer} with an empty geometry"), is_empty);
                 return Ok(());
             };
             let mut ids = [None; N];
@@ -170,8 +177,13 @@ impl Layers {
             further,
             notes,
             |notes, row, shape, [id]| {
-                let id = id.ok_or_else(|| row.wrong(2, "the id of a lane connector", "NULL"))?;
-                add_lane(&mut connectors, id, row, shape, notes)
+                match id {
+                    Some(id) => add_lane(&mut connectors, id, row, shape, notes),
+                    None => {
+                        note_fault(notes, "areas of lane connectors", Fault::Dangling);
+                        Ok(())
+                    }
+                }
             },
         )?;
         let further = ["exit_lane_fid", "entry_lane_fid"];

@@ -10,6 +10,7 @@ mod chain;
 mod choose;
 mod frames;
 mod map;
+mod numbers;
 mod read;
 mod rows;
 mod sweep;
@@ -39,14 +40,14 @@ use crate::files::input::{DataRoot, open_regular};
 #[derive(Debug)]
 pub struct NuScenes {
     log: Recording,
-    box_points: Vec<Vec<u32>>,
+    box_points: Vec<Vec<Option<u32>>>,
     root: PathBuf,
     /// Folder of maps, if not the default one.
     map_root: Option<PathBuf>,
 }
 
 impl NuScenes {
-    /// Reads the tables in `PATH/VERSION`. Defaults to the only `v1.0-*` folder and to the only scene. Opens no
+    /// Reads the tables in `PATH/VERSION`. Defaults to the only folder with tables and to the only scene. Opens no
     /// sweeps, images or maps.
     ///
     /// # Errors
@@ -90,7 +91,7 @@ impl Dataset for NuScenes {
         Ok(read_picture(&record.path, record.camera.height, record.camera.width)?)
     }
 
-    fn box_points(&self) -> Option<&[Vec<u32>]> {
+    fn box_points(&self) -> Option<&[Vec<Option<u32>>]> {
         Some(&self.box_points)
     }
 

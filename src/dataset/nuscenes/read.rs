@@ -13,7 +13,7 @@ pub(super) fn read(
     root: &DataRoot,
     version: &Version,
     wanted_scene: Option<&str>,
-) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
+) -> Result<(Recording, Vec<Vec<Option<u32>>>), DatasetError> {
     let tables = &version.folder;
     let scene = choose::choose_scene(&version.scenes, wanted_scene)?;
     let logs = Table::<LogRecord>::load(tables)?;
@@ -26,7 +26,7 @@ pub(super) fn read(
     let mut notes = Notes::new();
     let chain = Chain::of(&version.samples, scene, &mut notes)?;
     let shots = frames::read(root, version, scene, &chain, &mut notes)?;
-    let annotated = annotations::read(version, scene, &chain)?;
+    let annotated = annotations::read(version, scene, &chain, &mut notes)?;
     let (mut log_frames, mut box_points) = (Vec::new(), Vec::new());
     for ((t_us, shot), (boxes, points)) in chain.times_us.iter().zip(shots.frames).zip(annotated.frames) {
         let (sweeps, images, between_images) = (shot.sweeps, shot.images, shot.between_images);

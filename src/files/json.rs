@@ -1,0 +1,206 @@
+//! JSON files of other programs: strict parsing first, then with the deviations that common writers make, then a message
+//! with field and record.
+//!
+//! Python and C++ write `NaN` and `inf`, Windows a byte order mark. A file with these opens as long as no number that is
+//! read is missing. The second attempt is only made after the first has failed, so files that follow the standard are
+//! parsed once.
+
+use std::borrow::Cow;
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+use serde_json::error::Category;
+use serde_path_to_error::{Deserializer as PathDeserializer, Path as FieldPath, Segment, Track};
+
+use super::input::read_table;
+use super::sniff;
+use crate::error::FileError;
+
+mod identity;
+mod wording;
+
+/// UTF-8 byte order mark.
+pub(crate) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+
+/// Reads and parses a JSON file; `expected` describes its content in messages.
+///
+/// # Errors
+/// Fails as [`read_table`] and [`parse`].
+pub fn read<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T, FileError> {
+    parse(&read_table(path)?, expected, path)
+}
+
+/// Parses the bytes of a JSON file; `expected` and `path` are for messages.
+///
+/// # Errors
+/// Fails if the bytes are not JSON or have other fields or values. The message names the field and the record.
+pub fn parse<T: DeserializeOwned>(bytes: &[u8], expected: &str, path: &Path) -> Result<T, FileError> {
+    parsed(bytes).map_err(|found| FileError::content(expected, found, path))
+}
+
+/// Parses JSON as [`parse`] does.
+///
+/// # Errors
+/// Returns a description of what was found.
+pub fn parsed<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
+    serde_json::from_slice(bytes).or_else(|_| parse_repaired(bytes))
+}
+
+/// Parses JSON with deviations from the standard.
+#[cold]
+fn parse_repaired<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
+    if let Some(found) = sniff::marked(bytes) {
+        return Err(found.to_owned());
+    }
+    let text = repaired(bytes);
+    let mut track = Track::new();
+    let mut json = serde_json::Deserializer::from_slice(&text);
+    let result = T::deserialize(PathDeserializer::new(&mut json, &mut track));
+    result.and_then(|value| json.end().map(|()| value)).map_err(|error| {
+        let place = place(&text, &track.path(), &error);
+        match error.classify() {
+            Category::Data => wording::data(&error, &place),
+            Category::Syntax if matches!(&text, Cow::Owned(_)) => wording::syntax(&error, &text, &place, false),
+            Category::Syntax => wording::syntax(&error, &text, &place, true),
+            Category::Eof | Category::Io => {
+                format!("the end of the file after {} bytes{place} (cut off)", bytes.len())
+            }
+        }
+    })
+}
+
+/// Returns where an error is: ` in FIELD of record ID`, as far as known.
+fn place(text: &[u8], path: &FieldPath, error: &serde_json::Error) -> String {
+    // Records before the place of a syntax error can be parsed, but not the one that contains it.
+    let segments: Vec<&Segment> = path.iter().filter(|s| !matches!(s, Segment::Unknown)).collect();
+    let id = error.is_data().then(|| identity::of(text, &segments)).flatten();
+    let record = id.map_or_else(String::new, |id| format!(" of record {id}"));
+    match (segments.is_empty(), record.is_empty()) {
+        (true, true) => String::new(),
+        (true, false) => record.replacen(" of", " in", 1),
+        (false, _) => format!(" in {path}{record}"),
+    }
+}
+
+/// Returns JSON without a byte order mark, in which numbers that JSON lacks are strings. Those are refused where a number
+/// is read, and skipped with the fields that are not.
+fn repaired(bytes: &[u8]) -> Cow<'_, [u8]> {
+    let bytes = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
+    let mut result: Vec<u8> = Vec::new();
+    let (mut copied, mut at) = (0, 0);
+    while at < bytes.len() {
+        match bytes[at] {
+            b'"' => at = end_of_string(bytes, at),
+            b'-' | b'A'..=b'Z' | b'a'..=b'z' => {
+                let length = bytes[at..].iter().take_while(|b| b.is_ascii_alphanumeric() || b"-+.()".contains(b));
+                let end = at + length.count();
+                if is_not_finite(&bytes[at..end]) {
+                    result.extend_from_slice(&bytes[copied..at]);
+                    result.push(b'"');
+                    result.extend_from_slice(&bytes[at..end]);
+                    result.push(b'"');
+                    copied = end;
+                }
+                at = end;
+            }
+            _ => at += 1,
+        }
+    }
+    if result.is_empty() {
+        return Cow::Borrowed(bytes);
+    }
+    result.extend_from_slice(&bytes[copied..]);
+    Cow::Owned(result)
+}
+
+/// Returns the index after the string that begins at an index.
+fn end_of_string(bytes: &[u8], start: usize) -> usize {
+    let mut at = start + 1;
+    while at < bytes.len() {
+        match bytes[at] {
+            b'\\' => at += 2,
+            b'"' => return at + 1,
+            _ => at += 1,
+        }
+    }
+    bytes.len()
+}
+
+/// Returns whether a word is a number that JSON lacks, as Python, C++ and Windows' C library write it.
+fn is_not_finite(word: &[u8]) -> bool {
+    let word = word.strip_prefix(b"-").unwrap_or(word).to_ascii_lowercase();
+    matches!(&word[..], b"nan" | b"inf" | b"infinity" | b"nan(ind)" | b"nan(snan)")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde::Deserialize;
+
+    #[derive(Debug, PartialEq, Deserialize)]
+    struct Row {
+        token: String,
+        #[serde(default)]
+        size: Vec<f64>,
+        #[serde(default)]
+        note: Option<String>,
+    }
+
+    fn rows(text: impl AsRef<[u8]>) -> Result<Vec<Row>, String> {
+        parsed(text.as_ref())
+    }
+
+    #[track_caller]
+    fn refused(text: impl AsRef<[u8]>, found: &str) {
+        assert_eq!(rows(text).unwrap_err(), found);
+    }
+
+    #[test]
+    fn numbers_that_json_lacks_are_skipped_in_unread_fields() {
+        for word in ["NaN", "Infinity", "-Infinity", "nan", "-inf", "-nan(ind)"] {
+            let text = format!(r#"[{{"token": "a", "velocity": [{word}, 1, {word}]}}, {{"token": "NaN"}}]"#);
+            let tokens: Vec<String> = rows(&text).unwrap().into_iter().map(|row| row.token).collect();
+            assert_eq!(tokens, ["a", "NaN"]);
+        }
+        refused(
+            r#"[{"token": "a"}, {"size": [1, -Infinity], "token": "b\\\"NaN"}]"#,
+            r#"-Infinity instead of a number in [1].size[1] of record b\"NaN"#,
+        );
+        refused(r#"{"token": NaN}"#, "an object instead of an array");
+    }
+
+    #[test]
+    fn byte_order_marks_are_accepted() {
+        assert_eq!(rows(b"\xef\xbb\xbf[{\"token\": \"a\"}]").unwrap().len(), 1);
+        refused(b"\xff\xfe[\0]\0", "UTF-16 text (save it as UTF-8)");
+        refused(b"[\0]\0", "UTF-16 text (save it as UTF-8)");
+        refused(b"\x1f\x8b\x08\0\0", "gzip-compressed data (unpack it)");
+        refused("", "an empty file");
+        refused("<html><body>Sign in", "an HTML page (a failed download?)");
+    }
+
+    #[test]
+    fn errors_name_field_and_record() {
+        refused(r#"[{"token": "a"}, {"token": "b", "size": [1, null]}]"#,
+            "null instead of a number in [1].size[1] of record b");
+        refused(r#"[{"token": 5}]"#, "5 instead of text in [0].token of record 5");
+        refused(r#"[{"size": [], "name": "car"}]"#, "no field token in [0] of record car");
+        refused(r#"[{"token": "a", "token": "b"}]"#, "field token twice in [0].token of record a");
+        refused(r#"[{"token": "a", "size": 3}]"#, "3 instead of an array in [0].size of record a");
+        refused(r#"[{"token": "a", "size": [1e999]}]"#,
+            "a number out of range in [0].size[0] near \"1e999]}]\" (line 1, column 32)");
+    }
+
+    #[test]
+    fn errors_of_writers_are_named() {
+        refused("[{'token': 'a'}]", "single quotes instead of double quotes in [0] near \"'token': 'a'}]\" (line 1, column 3)");
+        refused("[{\"token\": \"a\"},]", "a comma before the closing bracket near \",]\" (line 1, column 16)");
+        refused("[{\"token\": None}]", "None, a word of Python (JSON has null, true, false), in [0].token near \"None}]\" (line 1, column 12)");
+        refused("{\"token\": \"a\"}\n{\"token\": \"b\"}", "an object instead of an array");
+        refused("[]\n[]", "further text after the end near \"[]\" (line 2, column 1)");
+        refused("// a\n[]", "a comment, which JSON lacks, near \"// a\\n[]\" (line 1, column 1)");
+        refused("[{\"token\": \"a\"", "the end of the file after 14 bytes in [0] (cut off)");
+        refused(b"[{\"token\": \"\xe9\"}]", "text that is not UTF-8 in [0].token near \"\u{fffd}\\\"}]\" (line 1, column 13)");
+        refused("404: Not Found", "404");
+    }
+}
