@@ -9,6 +9,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 use serde_json::error::Category;
 use serde_path_to_error::{Deserializer as PathDeserializer, Path as FieldPath, Segment, Track};
 
@@ -46,6 +47,35 @@ pub fn parsed<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
     serde_json::from_slice(bytes).or_else(|_| parse_repaired(bytes))
 }
 
+/// First difference between two documents.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Difference {
+    /// Keys to the place, separated by dots.
+    pub place: String,
+    /// Both values as JSON, `none` where one is missing.
+    pub values: [String; 2],
+}
+
+/// Returns the first difference between two documents: of objects, that of the first key whose values differ.
+pub fn difference(a: &Value, b: &Value) -> Option<Difference> {
+    if a == b {
+        return None;
+    }
+    if let (Value::Object(a), Value::Object(b)) = (a, b) {
+        let key = a.keys().chain(b.keys()).find(|key| a.get(*key) != b.get(*key))?;
+        let inner = difference(a.get(key).unwrap_or(&Value::Null), b.get(key).unwrap_or(&Value::Null));
+        let text = |value: Option<&Value>| value.map_or_else(|| "none".to_owned(), Value::to_string);
+        return Some(match inner {
+            Some(inner) if a.contains_key(key) && b.contains_key(key) => {
+                let place = if inner.place.is_empty() { key.clone() } else { format!("{key}.{}", inner.place) };
+                Difference { place, ..inner }
+            }
+            _ => Difference { place: key.clone(), values: [text(a.get(key)), text(b.get(key))] },
+        });
+    }
+    Some(Difference { place: String::new(), values: [a.to_string(), b.to_string()] })
+}
+
 /// Parses JSON with deviations from the standard.
 #[cold]
 fn parse_repaired<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
@@ -57,8 +87,13 @@ fn parse_repaired<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
     let mut json = serde_json::Deserializer::from_slice(&text);
     let result = T::deserialize(PathDeserializer::new(&mut json, &mut track));
     result.and_then(|value| json.end().map(|()| value)).map_err(|error| {
-        let place = place(&text, &track.path(), &error);
+        let path = track.path();
+        let place = place(&text, &path, &error);
         match error.classify() {
+            // The document itself, whose fields are not those of a record.
+            Category::Data if path.iter().len() == 0 && !error.to_string().contains(" field ") => {
+                wording::document(&error)
+            }
             Category::Data => wording::data(&error, &place),
             Category::Syntax if matches!(&text, Cow::Owned(_)) => wording::syntax(&error, &text, &place, false),
             Category::Syntax => wording::syntax(&error, &text, &place, true),
@@ -78,8 +113,20 @@ fn place(text: &[u8], path: &FieldPath, error: &serde_json::Error) -> String {
     match (segments.is_empty(), record.is_empty()) {
         (true, true) => String::new(),
         (true, false) => record.replacen(" of", " in", 1),
-        (false, _) => format!(" in {path}{record}"),
+        (false, _) => format!(" in {}{record}", shown(&segments)),
     }
+}
+
+/// Formats a place like `cameras[0].width`.
+fn shown(segments: &[&Segment]) -> String {
+    let part = |segment: &&Segment| match segment {
+        Segment::Seq { index } => format!("[{index}]"),
+        Segment::Map { key } => format!(".{key}"),
+        Segment::Enum { variant } => format!(".{variant}"),
+        Segment::Unknown => String::new(),
+    };
+    let text: String = segments.iter().map(part).collect();
+    text.strip_prefix('.').map_or_else(|| text.clone(), str::to_owned)
 }
 
 /// Returns JSON without a byte order mark, in which numbers that JSON lacks are strings. Those are refused where a number
@@ -136,6 +183,7 @@ fn is_not_finite(word: &[u8]) -> bool {
 mod tests {
     use super::*;
     use serde::Deserialize;
+    use serde_json::json;
 
     #[derive(Debug, PartialEq, Deserialize)]
     struct Row {
@@ -166,7 +214,7 @@ mod tests {
             r#"[{"token": "a"}, {"size": [1, -Infinity], "token": "b\\\"NaN"}]"#,
             r#"-Infinity instead of a number in [1].size[1] of record b\"NaN"#,
         );
-        refused(r#"{"token": NaN}"#, "an object instead of an array");
+        refused(r#"{"token": NaN}"#, "an object instead of an array (JSON lines? write one array)");
     }
 
     #[test]
@@ -185,22 +233,34 @@ mod tests {
             "null instead of a number in [1].size[1] of record b");
         refused(r#"[{"token": 5}]"#, "5 instead of text in [0].token of record 5");
         refused(r#"[{"size": [], "name": "car"}]"#, "no field token in [0] of record car");
-        refused(r#"[{"token": "a", "token": "b"}]"#, "field token twice in [0].token of record a");
+        refused(r#"[{"token": "a", "token": "b"}]"#, "field token twice in [0]");
         refused(r#"[{"token": "a", "size": 3}]"#, "3 instead of an array in [0].size of record a");
         refused(r#"[{"token": "a", "size": [1e999]}]"#,
-            "a number out of range in [0].size[0] near \"1e999]}]\" (line 1, column 32)");
+            "a number out of range in [0].size[0] near \"1e999]}]\" (line 1, column 30)");
+    }
+
+    #[test]
+    fn differences_are_named_by_their_keys() {
+        let of = |a: Value, b: Value| difference(&a, &b).map(|d| (d.place, d.values));
+        let options = json!({"steps": 3, "drop": {"all": 0.5, "map": 1}});
+        assert_eq!(of(options.clone(), options.clone()), None);
+        let other = json!({"steps": 3, "drop": {"all": 0.25, "map": 1}});
+        assert_eq!(of(options.clone(), other), Some(("drop.all".into(), ["0.5".into(), "0.25".into()])));
+        let other = json!({"drop": {"all": 0.5, "map": 1}, "warmup": null});
+        assert_eq!(of(options.clone(), other.clone()), Some(("steps".into(), ["3".into(), "none".into()])));
+        assert_eq!(of(json!([1]), json!([2])), Some((String::new(), ["[1]".into(), "[2]".into()])));
     }
 
     #[test]
     fn errors_of_writers_are_named() {
         refused("[{'token': 'a'}]", "single quotes instead of double quotes in [0] near \"'token': 'a'}]\" (line 1, column 3)");
-        refused("[{\"token\": \"a\"},]", "a comma before the closing bracket near \",]\" (line 1, column 16)");
+        refused("[{\"token\": \"a\"},]", "a comma before the closing bracket near \"]\" (line 1, column 17)");
         refused("[{\"token\": None}]", "None, a word of Python (JSON has null, true, false), in [0].token near \"None}]\" (line 1, column 12)");
-        refused("{\"token\": \"a\"}\n{\"token\": \"b\"}", "an object instead of an array");
+        refused("{\"token\": \"a\"}\n{\"token\": \"b\"}", "an object instead of an array (JSON lines? write one array)");
         refused("[]\n[]", "further text after the end near \"[]\" (line 2, column 1)");
         refused("// a\n[]", "a comment, which JSON lacks, near \"// a\\n[]\" (line 1, column 1)");
         refused("[{\"token\": \"a\"", "the end of the file after 14 bytes in [0] (cut off)");
         refused(b"[{\"token\": \"\xe9\"}]", "text that is not UTF-8 in [0].token near \"\u{fffd}\\\"}]\" (line 1, column 13)");
-        refused("404: Not Found", "404");
+        refused("404: Not Found", "404 instead of an array");
     }
 }

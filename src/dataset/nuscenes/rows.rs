@@ -216,6 +216,7 @@ mod tests {
     #[test]
     fn rows_are_the_objects_of_the_array() {
         assert_eq!(rows(b" [ ]\n").unwrap(), [""; 0]);
+        assert_eq!(rows(b"\xef\xbb\xbf[{}]").unwrap(), ["{}"]);
         let text = br#" [ {"a": "}\"]{", "b": [{}, []]} ,
             {"c\\": 1}]"#;
         assert_eq!(rows(text).unwrap(), [r#"{"a": "}\"]{", "b": [{}, []]}"#, r#"{"c\\": 1}"#]);
@@ -233,14 +234,16 @@ mod tests {
     #[test]
     fn what_is_no_array_of_objects_is_refused() {
         for (text, found) in [
-            ("", "an end of the file after 0 bytes"),
-            ("{}", "\"{\" at byte 0"),
+            ("", "an empty file"),
+            ("{\"a\": 1}\n{\"a\": 2}", "an object at byte 0 instead of an array (JSON lines?"),
+            ("\u{1f}", "\"\\u{1f}\" at byte 0"),
+            ("{}", "an object at byte 0 instead of an array"),
             ("[{}", "an end of the file after 3 bytes"),
             ("[{\"a", "an end of the file after 4 bytes"),
-            ("[{},]", "\"]\" at byte 4"),
-            ("[{}{}]", "\"{\" at byte 3"),
-            ("[1]", "\"1\" at byte 1"),
-            ("[] []", "\"[\" at byte 3"),
+            ("[{},]", "a comma before the closing bracket at byte 4"),
+            ("[{}{}]", "\"{}]\" at byte 3"),
+            ("[1]", "\"1]\" at byte 1"),
+            ("[] []", "\"[]\" at byte 3"),
         ] {
             let message = rows(text.as_bytes()).unwrap_err();
             assert!(

@@ -39,10 +39,24 @@ pub(super) fn data(error: &serde_json::Error, place: &str) -> String {
     format!("{text}{place}")
 }
 
+/// Describes a document of another kind.
+pub(super) fn document(error: &serde_json::Error) -> String {
+    let found = data(error, "");
+    match found.as_str() {
+        "an object instead of an array" => format!("{found} (JSON lines? write one array)"),
+        _ => found,
+    }
+}
+
 /// Describes text that is not JSON; `place` follows it, and the beginning of the text where the parser stopped.
 pub(super) fn syntax(error: &serde_json::Error, text: &[u8], place: &str, with_position: bool) -> String {
     let message = without_position(error);
-    let at = offset(text, error.line(), error.column());
+    let mut at = offset(text, error.line(), error.column());
+    if message == "number out of range" {
+        // The parser stops inside of it.
+        let is_number = |byte: &u8| byte.is_ascii_alphanumeric() || b"+-.".contains(byte);
+        at -= text[..at].iter().rev().take_while(|byte| is_number(byte)).count();
+    }
     let rest = &text[at..];
     let reason = match message.as_str() {
         _ if rest.starts_with(b"'") => "single quotes instead of double quotes",
