@@ -6,9 +6,8 @@ use glam::{DAffine3, DMat3, DMat4};
 use serde::{Deserialize, Serialize};
 
 use crate::error::FileError;
-use crate::files::first_twice;
-use crate::files::input::read_table;
 use crate::files::text::{printable, printable_path};
+use crate::files::{first_twice, json};
 use crate::geometry::{Camera, CameraError, View};
 
 /// Tolerance of `R·Rᵀ` around the identity: files round to 4 or more digits.
@@ -70,12 +69,9 @@ struct RawCamera {
 /// Fails if the file is missing, its JSON has another layout, or the list is empty. Fails if a name is not a valid
 /// `FileName` or repeats another (ignoring case), a size or intrinsics are invalid, or a pose is not rigid.
 pub fn read(path: &Path) -> Result<Vec<View>, CamerasError> {
-    let text = read_table(path)?;
-    let raw: RawCameras = serde_json::from_slice(&text).map_err(|e| {
-        let expected =
-            r#"{"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}"#;
-        FileError::content(expected, e.to_string(), path)
-    })?;
+    let expected =
+        r#"{"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}"#;
+    let raw: RawCameras = json::read(path, expected)?;
     if raw.cameras.is_empty() {
         return Err(FileError::content("at least one camera", "an empty list", path).into());
     }
@@ -174,7 +170,10 @@ mod tests {
             (with("/cameras/0/name", "right".into()), "\"right\" twice"),
             (with("/cameras/0/name", "../x".into()), "a name without /"),
             (with("/cameras/0/width", 0.into()), "a size of 1 to 16384 pixels, found 900x0 in camera left"),
-            (with("/cameras/0/width", (-1).into()), "invalid value"),
+            (
+                with("/cameras/0/width", (-1).into()),
+                "found -1 instead of a whole number from 0 in cameras[0].width of record left",
+            ),
             (with("/cameras/0/intrinsics/0/0", 0.0.into()), "invertible intrinsics"),
             (
                 with("/cameras/1/intrinsics/2/2", 2.0.into()),
@@ -183,8 +182,11 @@ mod tests {
             (with("/cameras/0/camera_from_world/3/0", 1.0.into()), "last row 0 0 0 1"),
             (with("/cameras/0/camera_from_world/1/1", (-1.0).into()), "rotate and move only"),
             (with("/cameras/0/camera_from_world/1/1", 2.0.into()), "rotate and move only"),
-            (good.to_string().replace("1000.0", "1e999"), "found number out of range"),
-            ("{".to_owned(), "found EOF"),
+            (
+                good.to_string().replace("1000.0", "1e999"),
+                "found a number out of range in cameras[0].intrinsics[0][0]",
+            ),
+            ("{".to_owned(), "found the end of the file after 1 bytes"),
         ] {
             std::fs::write(&path, text).unwrap();
             let found = read(&path).unwrap_err().to_string();

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::meta::PromptParts;
 use crate::dataset::Recording;
 use crate::error::FileError;
-use crate::files::input::read_table;
+use crate::files::json;
 
 /// Captions by name of a log or token of an image.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -20,8 +20,7 @@ impl Captions {
     /// # Errors
     /// Fails if the file cannot be read or has other content.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let parsed = serde_json::from_slice(&read_table(path)?).map(Self);
-        parsed.map_err(|e| FileError::content(r#"{"LOG or TOKEN": "caption"}"#, e.to_string(), path))
+        json::read(path, r#"{"LOG or TOKEN": "caption"}"#).map(Self)
     }
 
     /// Returns the caption of an image: its own, that of the log, the prompt, or the description in the data set; empty

@@ -12,7 +12,7 @@ use crate::cloud::cameras::rows;
 use crate::dataset::Class;
 use crate::error::FileError;
 use crate::files::FileName;
-use crate::files::input::read_table;
+use crate::files::json;
 use crate::files::write_json;
 use crate::scene::{SceneCamera, SceneState};
 
@@ -34,8 +34,7 @@ impl PromptParts {
     /// # Errors
     /// Fails if the file cannot be read or has other content.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        serde_json::from_slice(&read_table(path)?)
-            .map_err(|e| FileError::content(r#"{"weather": text, "city": text}"#, e.to_string(), path))
+        json::read(path, r#"{"weather": text, "city": text}"#)
     }
 
     /// Returns `"{weather}. A driving scene in {city}"` without unknown parts; `None` if both are unknown.

@@ -1,3 +1,8 @@
+//! Categories: words of data sets, and the class, layout color and templates that they stand for.
+//!
+//! nuScenes names categories by dotted groups (`vehicle.car`), other data sets by single words (`car`,
+//! `other_vehicle`, `Pedestrian`). [`CategoryKind::of`] is the only place that interprets either.
+
 use serde::{Deserialize, Serialize};
 
 /// Coarse class of a point or actor, as in the class map.
@@ -22,41 +27,249 @@ impl Class {
     /// All classes, by number.
     pub const ALL: [Self; 5] = [Self::None, Self::MotorVehicle, Self::Pedestrian, Self::Cycle, Self::Object];
 
-    /// Returns the class of a category name of nuScenes or nuPlan.
+    /// Returns the class of a category; unknown words are objects.
     pub fn from_category(category: &str) -> Self {
-        let has = |part: &str| category.split('.').any(|p| p == part);
-        if has("bicycle") || has("motorcycle") {
-            return Self::Cycle;
-        }
-        if has("pedestrian") {
-            return Self::Pedestrian;
-        }
-        if has("vehicle") { Self::MotorVehicle } else { Self::Object }
+        CategoryKind::of(category).map_or(Self::Object, CategoryKind::class)
     }
+}
+
+/// Kind of actor that a category stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum CategoryKind {
+    Car,
+    Truck,
+    Bus,
+    Trailer,
+    /// Construction and other special vehicles.
+    Construction,
+    Emergency,
+    /// Any motor vehicle, in data sets with a single category for them.
+    AnyVehicle,
+    Pedestrian,
+    Bicycle,
+    Motorcycle,
+    Object,
+}
+
+use CategoryKind::{
+    AnyVehicle, Bicycle, Bus, Car, Construction, Emergency, Motorcycle, Object, Pedestrian, Trailer, Truck,
+};
+
+/// Words in lower case without separators. Sources: the category lists of nuScenes, nuPlan, Lyft Level 5, TIER IV's T4,
+/// KITTI, Waymo Open, PandaSet, TruckScenes, ONCE, DAIR-V2X, ZOD and Cityscapes.
+const WORDS: [(CategoryKind, &[&str]); 11] = [
+    (Car, &["car", "van", "minivan", "suv", "sedan", "taxi", "pickup", "pickuptruck", "passengercar", "ego"]),
+    (
+        Truck,
+        &[
+            "truck",
+            "lorry",
+            "mediumsizedtruck",
+            "semitruck",
+            "heavytruck",
+            "lighttruck",
+            "boxtruck",
+            "truckcab",
+            "tractorunit",
+            "largevehicle",
+            "firetruck",
+        ],
+    ),
+    (
+        Bus,
+        &["bus", "minibus", "schoolbus", "coach", "tram", "tramsubway", "train", "trolley", "railedvehicle"],
+    ),
+    (Trailer, &["trailer", "semitrailer", "truckhead", "towedobject", "caravan", "vehiculartrailer"]),
+    (
+        Construction,
+        &[
+            "construction",
+            "constructionvehicle",
+            "othervehicle",
+            "othervehicleconstructionvehicle",
+            "othervehicleuncommon",
+            "excavator",
+            "forklift",
+            "tractor",
+            "heavyequipment",
+            "kart",
+        ],
+    ),
+    (
+        Emergency,
+        &[
+            "emergency",
+            "emergencyvehicle",
+            "ambulance",
+            "police",
+            "policecar",
+            "policevehicle",
+            "fire",
+            "fireengine",
+        ],
+    ),
+    (AnyVehicle, &["vehicle", "motorvehicle", "regularvehicle"]),
+    (
+        Pedestrian,
+        &[
+            "pedestrian",
+            "pedestrianwithobject",
+            "pedestriansitting",
+            "person",
+            "personsitting",
+            "people",
+            "human",
+            "adult",
+            "child",
+            "rider",
+            "stroller",
+            "wheelchair",
+            "personalmobility",
+            "personalmobilitydevice",
+            "policeofficer",
+            "constructionworker",
+            "officialsignaler",
+            "wheeledrider",
+        ],
+    ),
+    (
+        Bicycle,
+        &[
+            "bicycle",
+            "bike",
+            "cycle",
+            "cyclist",
+            "bicyclist",
+            "tricycle",
+            "tricyclist",
+            "othervehiclepedicab",
+            "twowheeler",
+        ],
+    ),
+    (
+        Motorcycle,
+        &[
+            "motorcycle",
+            "motorbike",
+            "motorcyclist",
+            "motorizedscooter",
+            "scooter",
+            "moped",
+            "vehicletwowheeler",
+        ],
+    ),
+    (
+        Object,
+        &[
+            "object",
+            "genericobject",
+            "movableobject",
+            "staticobject",
+            "animal",
+            "animals",
+            "animalsother",
+            "animalsbird",
+            "dog",
+            "barrier",
+            "roadbarriers",
+            "temporaryconstructionbarriers",
+            "cone",
+            "cones",
+            "trafficcone",
+            "trafficcones",
+            "pylons",
+            "czonesign",
+            "constructionsigns",
+            "pushablepullable",
+            "rollingcontainers",
+            "debris",
+            "bicyclerack",
+            "bollard",
+            "pole",
+            "sign",
+            "signs",
+            "stopsign",
+            "trafficsign",
+            "trafficlight",
+            "vegetation",
+            "misc",
+            "other",
+            "unknown",
+            "unclear",
+            "dontcare",
+        ],
+    ),
+];
+
+impl CategoryKind {
+    /// Returns what a category stands for; `None` for unknown words. Upper case, spaces, `_`, `-`, `/` and remarks in
+    /// parentheses are ignored.
+    pub(crate) fn of(category: &str) -> Option<Self> {
+        let parts: Vec<String> = category.split('.').map(plain).collect();
+        let (group, rest) = parts.split_first()?;
+        if rest.is_empty() {
+            return of_word(group);
+        }
+        if ["movableobject", "staticobject", "animal", "object"].contains(&group.as_str()) {
+            return Some(Object);
+        }
+        let first = |kind: Self, word: &str| parts.iter().any(|part| part == word).then_some(kind);
+        let person = first(Bicycle, "bicycle").or(first(Motorcycle, "motorcycle"));
+        let person = person.or(first(Pedestrian, "pedestrian"));
+        person
+            .or_else(|| match group.as_str() {
+                // `other` is a vehicle here.
+                "vehicle" => {
+                    rest.iter().find_map(|word| of_word(&format!("{word}vehicle")).or(of_vehicle(word)))
+                }
+                _ => None,
+            })
+            .or_else(|| parts.iter().find_map(|word| of_word(word)))
+    }
+
+    /// Returns the coarse class.
+    pub(crate) fn class(self) -> Class {
+        match self {
+            Car | Truck | Bus | Trailer | Construction | Emergency | AnyVehicle => Class::MotorVehicle,
+            Pedestrian => Class::Pedestrian,
+            Bicycle | Motorcycle => Class::Cycle,
+            Object => Class::Object,
+        }
+    }
+}
+
+/// Returns the kind of a word that is not the name of an object.
+fn of_vehicle(word: &str) -> Option<CategoryKind> {
+    of_word(word).filter(|kind| *kind != Object)
+}
+
+/// Returns a part of a category as in [`WORDS`].
+fn plain(part: &str) -> String {
+    let part = part.split('(').next().unwrap_or_default().to_lowercase();
+    // Waymo's names in protocol buffers.
+    let part = part.strip_prefix("type_").unwrap_or(&part);
+    part.chars().filter(|c| !matches!(c, ' ' | '_' | '-' | '/')).collect()
+}
+
+fn of_word(word: &str) -> Option<CategoryKind> {
+    WORDS.iter().find(|(_, words)| words.contains(&word)).map(|(kind, _)| *kind)
 }
 
 /// Returns the color of a category's boxes in the layout image; `None` if they are not drawn. Source: condition
 /// contract, `docs/CONDITIONS.md`.
 pub fn layout_rgb(category: &str) -> Option<[u8; 3]> {
-    const COLORS: [(&str, [u8; 3]); 9] = [
-        ("pedestrian", [255, 0, 0]),
-        ("bicycle", [128, 255, 0]),
-        ("motorcycle", [0, 255, 128]),
-        ("bus", [128, 0, 255]),
-        ("car", [0, 0, 255]),
-        ("construction", [128, 128, 255]),
-        ("emergency", [255, 128, 128]),
-        ("trailer", [255, 255, 255]),
-        ("truck", [255, 255, 0]),
-    ];
-    let parts: Vec<&str> = category.split('.').collect();
-    if parts == ["vehicle"] {
-        return layout_rgb("vehicle.car");
+    match CategoryKind::of(category)? {
+        Pedestrian => Some([255, 0, 0]),
+        Bicycle => Some([128, 255, 0]),
+        Motorcycle => Some([0, 255, 128]),
+        Bus => Some([128, 0, 255]),
+        Car | AnyVehicle => Some([0, 0, 255]),
+        Construction => Some([128, 128, 255]),
+        Emergency => Some([255, 128, 128]),
+        Trailer => Some([255, 255, 255]),
+        Truck => Some([255, 255, 0]),
+        Object => None,
     }
-    if parts.first() == Some(&"static_object") || parts.first() == Some(&"movable_object") {
-        return None;
-    }
-    COLORS.iter().find(|(name, _)| parts.contains(name)).map(|(_, rgb)| *rgb)
 }
 
 #[cfg(test)]
@@ -76,6 +289,88 @@ mod tests {
         assert_eq!(class("movable_object.trafficcone"), Class::Object);
         assert_eq!(class("static_object.bicycle_rack"), Class::Object);
         assert_eq!(class("animal"), Class::Object);
+    }
+
+    /// The 23 categories of nuScenes and the 7 of nuPlan.
+    #[test]
+    fn dotted_categories_keep_their_kind() {
+        for (category, kind) in [
+            ("human.pedestrian.adult", Pedestrian),
+            ("human.pedestrian.child", Pedestrian),
+            ("human.pedestrian.wheelchair", Pedestrian),
+            ("human.pedestrian.stroller", Pedestrian),
+            ("human.pedestrian.personal_mobility", Pedestrian),
+            ("human.pedestrian.police_officer", Pedestrian),
+            ("human.pedestrian.construction_worker", Pedestrian),
+            ("animal", Object),
+            ("vehicle.car", Car),
+            ("vehicle.motorcycle", Motorcycle),
+            ("vehicle.bicycle", Bicycle),
+            ("vehicle.bus.bendy", Bus),
+            ("vehicle.bus.rigid", Bus),
+            ("vehicle.truck", Truck),
+            ("vehicle.construction", Construction),
+            ("vehicle.emergency.ambulance", Emergency),
+            ("vehicle.emergency.police", Emergency),
+            ("vehicle.trailer", Trailer),
+            ("movable_object.barrier", Object),
+            ("movable_object.trafficcone", Object),
+            ("movable_object.pushable_pullable", Object),
+            ("movable_object.debris", Object),
+            ("static_object.bicycle_rack", Object),
+            ("vehicle", AnyVehicle),
+            ("bicycle", Bicycle),
+            ("pedestrian", Pedestrian),
+            ("traffic_cone", Object),
+            ("barrier", Object),
+            ("czone_sign", Object),
+            ("generic_object", Object),
+            // Argoverse 2, as its reader names them.
+            ("vehicle.car.regular_vehicle", Car),
+            ("vehicle.bus.school_bus", Bus),
+            ("vehicle.trailer.vehicular_trailer", Trailer),
+            ("human.pedestrian.bicyclist", Pedestrian),
+            ("object.spaceship", Object),
+        ] {
+            assert_eq!(CategoryKind::of(category), Some(kind), "{category}");
+        }
+    }
+
+    #[test]
+    fn plain_words_of_other_data_sets_are_known() {
+        for (kind, words) in [
+            (Car, &["car", "Car", "CAR", "Van", "Pickup Truck", "car.sedan", "Vehicle.Car"][..]),
+            (Truck, &["truck", "Truck", "Semi-truck", "Medium-sized Truck", "vehicle.truck (box)"]),
+            (Bus, &["bus", "Tram", "Tram / Subway", "vehicle.train", "vehicle.bus (bendy & rigid)"]),
+            (Trailer, &["trailer", "semi_trailer", "Towed Object"]),
+            (
+                Construction,
+                &["other_vehicle", "OtherVehicle", "vehicle.other", "Other Vehicle - Construction Vehicle"],
+            ),
+            (Emergency, &["emergency_vehicle", "Emergency Vehicle", "vehicle.ambulance", "vehicle.police"]),
+            (AnyVehicle, &["VEHICLE", "TYPE_VEHICLE", "vehicle.hovercraft"]),
+            (
+                Pedestrian,
+                &[
+                    "pedestrian",
+                    "Person_sitting",
+                    "Pedestrian_sitting",
+                    "TYPE_PEDESTRIAN",
+                    "pedestrian.adult",
+                ],
+            ),
+            (Bicycle, &["bicycle", "Cyclist", "TYPE_CYCLIST", "Tricyclist"]),
+            (Motorcycle, &["motorcycle", "Motorized Scooter", "motorbike"]),
+            (Object, &["animal", "Misc", "DontCare", "TYPE_UNKNOWN", "Temporary Construction Barriers"]),
+        ] {
+            for word in words {
+                assert_eq!(CategoryKind::of(word), Some(kind), "{word}");
+            }
+        }
+        for word in ["", "hovercraft", "carton", "busy", "a.b", "."] {
+            assert_eq!(CategoryKind::of(word), None, "{word}");
+        }
+        assert_eq!((Class::from_category("hovercraft"), layout_rgb("hovercraft")), (Class::Object, None));
     }
 
     #[test]

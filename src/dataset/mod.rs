@@ -8,6 +8,7 @@ pub mod av2;
 mod category;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod clock;
+mod degenerate;
 mod ego_track;
 mod gaps;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
@@ -29,6 +30,7 @@ mod summary;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod sweeps;
 
+pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
 pub use gaps::{Gap, GapPlace, MissingData};
@@ -92,9 +94,9 @@ pub trait Dataset: Send + Sync {
         Err(FileError::content(expected, format!("{height}x{width}"), &record.path).into())
     }
 
-    /// Returns the number of LiDAR points per frame and box, in the log's order, as stated by the dataset. `None` if
-    /// the dataset states none.
-    fn box_points(&self) -> Option<&[Vec<u32>]> {
+    /// Returns the number of LiDAR points per frame and box, in the log's order, as stated by the dataset; `None` for
+    /// boxes with an unknown number. `None` if the dataset states none.
+    fn box_points(&self) -> Option<&[Vec<Option<u32>>]> {
         None
     }
 

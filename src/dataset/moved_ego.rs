@@ -49,7 +49,7 @@ impl Dataset for MovedEgo {
         self.dataset.check_image(record)
     }
 
-    fn box_points(&self) -> Option<&[Vec<u32>]> {
+    fn box_points(&self) -> Option<&[Vec<Option<u32>>]> {
         self.dataset.box_points()
     }
 

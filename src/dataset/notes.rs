@@ -22,7 +22,7 @@ const NO_IMAGE_FILE: &str = "missing image files";
 #[derive(Debug, Default)]
 pub(super) struct Notes {
     /// Number of items by kind.
-    pub(super) counts: BTreeMap<String, usize>,
+    pub(super) counts: Counts,
     /// Missing parts, which are also counted.
     pub(super) gaps: Vec<Gap>,
 }
@@ -53,7 +53,7 @@ pub(super) fn settle(log: &mut Recording, notes: Notes) -> Result<(), DatasetErr
         frame.images.retain(|image| !missing.contains(image.path.as_path()));
         frame.between_images.retain(|image| !missing.contains(image.path.as_path()));
     }
-    gaps.iter().for_each(|gap| add(&mut log.notes, gap.kind, 1));
+    gaps.iter().for_each(|gap| count(&mut log.notes, gap.kind, 1));
     log.gaps.extend(gaps);
     match log.gaps.first() {
         Some(first) if log.reading.missing == MissingData::Error => {
@@ -84,14 +84,26 @@ fn missing_files(log: &Recording) -> Result<Vec<Gap>, DatasetError> {
     Ok(gaps)
 }
 
-/// Counts skipped items.
-pub(super) fn note(notes: &mut Notes, kind: &str, count: usize) {
-    add(&mut notes.counts, kind, count);
+/// Kind of the boxes whose stated number of points is not a number.
+#[cfg(any(feature = "nuscenes", feature = "av2"))]
+pub(super) const UNKNOWN_POINTS: &str = "boxes with an unknown number of LiDAR points";
+
+/// Counts boxes whose category has an unknown name.
+pub(super) fn note_unknown_category(notes: &mut Notes, category: &str, boxes: usize) {
+    note(notes, &format!("boxes of the unknown category {category} (read as objects)"), boxes);
 }
 
+/// Counts skipped items.
+pub(super) fn note(notes: &mut Notes, kind: &str, count: usize) {
+    self::count(&mut notes.counts, kind, count);
+}
+
+/// Number of items by kind.
+pub(super) type Counts = BTreeMap<String, usize>;
+
 /// Adds to the count of a kind.
-pub(super) fn add(counts: &mut BTreeMap<String, usize>, kind: &str, count: usize) {
-    if count > 0 {
-        *counts.entry(kind.to_owned()).or_default() += count;
+pub(super) fn count(counts: &mut Counts, kind: &str, number: usize) {
+    if number > 0 {
+        *counts.entry(kind.to_owned()).or_default() += number;
     }
 }

@@ -5,6 +5,7 @@ use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, RgbImage};
 
 use crate::error::FileError;
 use crate::files::input::{IMAGE_BYTES, read_file};
+use crate::files::sniff;
 
 /// Reads a JPEG or PNG file of `height × width` pixels. The size in the header is compared before pixels are decoded.
 ///
@@ -12,7 +13,7 @@ use crate::files::input::{IMAGE_BYTES, read_file};
 /// Fails if the file is missing, cannot be decoded, has another size, or is a truncated JPEG file.
 pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, FileError> {
     let bytes = read_file(path, IMAGE_BYTES)?;
-    let undecodable = |error| undecodable(error, path);
+    let undecodable = |error| undecodable(error, &bytes, path);
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
     let reader = reader.map_err(FileError::io("read", path))?;
     let decoder = reader.into_decoder().map_err(undecodable)?;
@@ -29,10 +30,12 @@ pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, Fi
     DynamicImage::from_decoder(decoder).map(DynamicImage::into_rgb8).map_err(undecodable)
 }
 
-fn undecodable(error: ImageError, path: &Path) -> FileError {
+fn undecodable(error: ImageError, bytes: &[u8], path: &Path) -> FileError {
     let found = match error {
         // The library's text, "The image format could not be determined", does not fit after "found".
-        ImageError::Unsupported(_) => "another format".to_owned(),
+        ImageError::Unsupported(_) => {
+            sniff::described(bytes).unwrap_or_else(|| format!("another format ({} bytes)", bytes.len()))
+        }
         error => error.to_string(),
     };
     FileError::content("a JPEG or PNG image", found, path)
@@ -55,10 +58,11 @@ fn has_jpeg_end(bytes: &[u8]) -> bool {
 /// Fails if the file is missing or has no JPEG or PNG header.
 pub fn picture_size(path: &Path) -> Result<(u32, u32), FileError> {
     // The JPEG decoder reads the whole file even for its header.
-    let reader = ImageReader::new(Cursor::new(read_file(path, IMAGE_BYTES)?));
+    let bytes = read_file(path, IMAGE_BYTES)?;
+    let reader = ImageReader::new(Cursor::new(&bytes));
     let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
     let size = reader.into_dimensions();
-    let (width, height) = size.map_err(|error| undecodable(error, path))?;
+    let (width, height) = size.map_err(|error| undecodable(error, &bytes, path))?;
     Ok((height, width))
 }
 

@@ -117,7 +117,11 @@ impl LogSummary {
         damaged.extend(images(dataset));
         let map = map(dataset, &mut left_out, &mut damaged);
         let t_us = log.frames.first().zip(log.frames.last()).map(|(a, b)| [a.t_us, b.t_us]);
-        let empty = |counts: &[Vec<u32>]| counts.iter().flatten().filter(|n| **n == 0).count();
+        let empty = |counts: &[Vec<Option<u32>>]| {
+            let known: Vec<u32> = counts.iter().flatten().flatten().copied().collect();
+            let is_counted = !known.is_empty() || counts.iter().all(Vec::is_empty);
+            is_counted.then(|| known.iter().filter(|n| **n == 0).count())
+        };
         Self {
             name: log.name.clone(),
             location: log.location.clone(),
@@ -130,7 +134,7 @@ impl LogSummary {
             cameras: cameras(log),
             tracks: log.tracks.len(),
             boxes: log.frames.iter().map(|f| f.boxes.len()).sum(),
-            boxes_without_points: dataset.box_points().map(empty),
+            boxes_without_points: dataset.box_points().and_then(empty),
             categories: categories(log),
             scenarios: log.scenarios.iter().map(|(kind, frames)| (kind.clone(), frames.len())).collect(),
             traffic_lights: lights(log),

@@ -5,12 +5,12 @@
 
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{ErrorKind, Read};
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::os::unix::fs::{FileExt, FileTypeExt, OpenOptionsExt};
 use std::path::{Component, Path, PathBuf};
 
 use rustix::fs::OFlags;
 
-use super::NameError;
+use super::{NameError, sniff};
 use crate::error::FileError;
 
 /// Maximum size of an image in bytes.
@@ -33,15 +33,21 @@ impl DataRoot {
     /// Expectation of the error of a path that leads out of the folder.
     pub const BELOW: &str = "a path below the data set's folder";
 
-    /// Resolves a name from the data to a path. Symbolic links may lead anywhere: they are trusted as much as the
-    /// folder's owner.
+    /// Resolves a name from the data to a path. Backslashes, which Windows writes, separate folders unless a file has
+    /// the name as written. Symbolic links may lead anywhere: they are trusted as much as the folder's owner.
     ///
     /// # Errors
-    /// Fails if the name is empty or contains a NUL. Unless `allow_outside` is set, also fails if it is absolute or
-    /// has a `..` component.
+    /// Fails if the name is empty, contains a NUL, or begins with a drive of Windows. Unless `allow_outside` is set,
+    /// also fails if it is absolute or has a `..` component.
     pub fn resolve(&self, name: &str) -> Result<PathBuf, NameError> {
         let wrong =
             |expected: &str| Err(NameError { expected: expected.to_owned(), found: format!("{name:?}") });
+        let is_windows = (name.contains('\\') || has_drive(name)) && !is_taken(&self.path.join(name));
+        if is_windows && has_drive(name) {
+            return wrong("a path below the data set's folder, without a drive of Windows");
+        }
+        let slashes = is_windows.then(|| name.replace('\\', "/"));
+        let name = slashes.as_deref().unwrap_or(name);
         let mut parts = Path::new(name).components();
         if name.contains('\0') || !parts.clone().any(|part| matches!(part, Component::Normal(_))) {
             return wrong("the name of a file");
@@ -54,10 +60,16 @@ impl DataRoot {
     }
 }
 
+/// Returns whether a name begins like `C:\` or `C:/`.
+fn has_drive(name: &str) -> bool {
+    matches!(name.as_bytes(), [letter, b':', b'\\' | b'/', ..] if letter.is_ascii_alphabetic())
+}
+
 /// Opens a regular file for reading without blocking, and returns its length too.
 ///
 /// # Errors
-/// Fails if the file cannot be opened or is not a regular file.
+/// Fails if the file cannot be opened or is not a regular file, or if its content stands in for a file that was not
+/// downloaded: a Git LFS or git-annex pointer, or an error page.
 pub(crate) fn open_regular(path: &Path) -> Result<(File, u64), FileError> {
     // Opening some devices has side effects.
     check_kind(&std::fs::metadata(path).map_err(FileError::io("read", path))?, path)?;
@@ -67,7 +79,12 @@ pub(crate) fn open_regular(path: &Path) -> Result<(File, u64), FileError> {
     // The file may have been replaced in between.
     let about = file.metadata().map_err(FileError::io("read", path))?;
     check_kind(&about, path)?;
-    Ok((file, about.len()))
+    let mut head = [0; sniff::HEAD_BYTES];
+    let bytes = file.read_at(&mut head, 0).map_err(FileError::io("read", path))?;
+    match sniff::placeholder(&head[..bytes]) {
+        None => Ok((file, about.len())),
+        Some(found) => Err(FileError::content("the content of the file", found, path)),
+    }
 }
 
 /// Opens a regular file of at most `limit` bytes, and returns its length too.
@@ -106,12 +123,25 @@ pub fn read_table(path: &Path) -> Result<Vec<u8>, FileError> {
     read_file(path, TABLE_BYTES)
 }
 
-/// Reads a UTF-8 text with [`read_table`].
+/// Reads a UTF-8 text with [`read_table`], without its byte order mark.
 ///
 /// # Errors
 /// Returns any error of [`read_file`]. Fails if the bytes are not UTF-8.
 pub fn read_text(path: &Path) -> Result<String, FileError> {
-    String::from_utf8(read_table(path)?).map_err(|error| FileError::content("text", error.to_string(), path))
+    let bytes = read_table(path)?;
+    utf8(&bytes).map(str::to_owned).map_err(|found| FileError::content("UTF-8 text", found, path))
+}
+
+/// Returns UTF-8 text without its byte order mark.
+///
+/// # Errors
+/// Returns a description of other content.
+pub fn utf8(bytes: &[u8]) -> Result<&str, String> {
+    let other = |error: std::str::Utf8Error| match sniff::marked(bytes) {
+        Some(found) => found.to_owned(),
+        None => format!("a byte of another encoding at {}", error.valid_up_to()),
+    };
+    str::from_utf8(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)).map_err(other)
 }
 
 /// Returns whether a regular file exists at a path.
@@ -196,6 +226,49 @@ mod tests {
         File::create(&path).unwrap().set_len(1 << 42).unwrap();
         let message = read_table(&path).unwrap_err().to_string();
         assert!(message.contains("at most") && message.contains("found 4398046511104 bytes"), "{message}");
+    }
+
+    #[test]
+    fn backslashes_separate_folders_unless_a_file_is_named_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = DataRoot { path: folder.path().to_owned(), allow_outside: false };
+        let open = DataRoot { allow_outside: true, ..root.clone() };
+        let at = |name: &str| folder.path().join(name);
+        assert_eq!(root.resolve(r"samples\CAM\a.jpg").unwrap(), at("samples/CAM/a.jpg"));
+        assert_eq!(root.resolve(r"samples/CAM\a.jpg").unwrap(), at("samples/CAM/a.jpg"));
+        assert_eq!(root.resolve(r".\a.jpg").unwrap(), at("a.jpg"));
+        for name in [r"a\b.jpg", "D:x"] {
+            std::fs::write(at(name), "").unwrap();
+            assert_eq!(root.resolve(name).unwrap(), at(name));
+        }
+        for name in [r"..\..\x", r"a\..\..\x", r"\etc\passwd", r"\\server\share\x", "..\\x"] {
+            let message = root.resolve(name).unwrap_err().to_string();
+            assert!(message.contains(DataRoot::BELOW) && message.contains(&format!("{name:?}")), "{message}");
+        }
+        for name in [r"C:\data\a.jpg", "c:/data/a.jpg", r"C:\..\x"] {
+            let message = root.resolve(name).unwrap_err().to_string();
+            assert!(message.contains("without a drive of Windows"), "{message}");
+            assert!(open.resolve(name).is_err());
+        }
+        for name in [r"\", r"..\..", "a\\\0"] {
+            assert!(root.resolve(name).is_err(), "{name:?}");
+        }
+    }
+
+    #[test]
+    fn pointers_and_error_pages_are_no_content() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.jpg");
+        for (text, found) in [
+            ("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n", "a Git LFS pointer"),
+            ("/annex/objects/MD5E-s1--a.jpg\n", "a git-annex pointer"),
+            ("<!DOCTYPE html><title>Quota exceeded</title>", "an HTML page"),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let message = read_file(&path, IMAGE_BYTES).unwrap_err().to_string();
+            let expected = format!("expected the content of the file, found {found} (");
+            assert!(message.starts_with(&expected) && message.ends_with("a.jpg"), "{message}");
+        }
     }
 
     #[test]

@@ -3,11 +3,13 @@
 
 mod check;
 pub mod input;
+pub mod json;
 mod lock;
 mod manifest;
 mod name;
 mod output;
 mod pending;
+pub(crate) mod sniff;
 pub mod text;
 mod whole;
 mod work;

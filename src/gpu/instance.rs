@@ -6,6 +6,7 @@ use std::sync::Arc;
 use ash::{ext, vk};
 
 use super::GpuError;
+use super::drivers;
 use super::error::call;
 use super::gate::{self, Calls, Share};
 use super::validation::{LAYER, Messages, messenger_info};
@@ -130,7 +131,7 @@ fn create(entry: &ash::Entry, validation: bool, messages: &Messages) -> Result<a
     // SAFETY: everything that `info` points to lives until after the call, the messages until the
     // instance is destroyed.
     unsafe { entry.create_instance(&info, None) }.map_err(|source| match source {
-        vk::Result::ERROR_INCOMPATIBLE_DRIVER => GpuError::NoDevice { found: "no driver".into() },
+        vk::Result::ERROR_INCOMPATIBLE_DRIVER => GpuError::NoDevice { found: drivers::none_found() },
         source => GpuError::Call { call: "vkCreateInstance", source },
     })
 }

@@ -24,6 +24,7 @@ mod commands;
 mod descriptor;
 mod device;
 mod draw;
+mod drivers;
 mod error;
 mod flight;
 mod fork;

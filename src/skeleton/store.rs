@@ -13,6 +13,7 @@ use crate::cloud::Point;
 use crate::dataset::Recording;
 use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
+use crate::files::json;
 use crate::files::{WholeFolder, WorkFolder, check_whole, write_json, write_whole_by};
 use crate::gpu::MappedFile;
 
@@ -376,13 +377,13 @@ pub(in crate::skeleton) fn read_manifest<T: serde::de::DeserializeOwned>(
     (own_format, own_version): (&str, u32),
 ) -> Result<T, FileError> {
     let text = read_table(path)?;
-    let wrong = |e: serde_json::Error| FileError::content(what, e.to_string(), path);
     // The version is checked first, since the other fields depend on it.
-    let value: serde_json::Value = serde_json::from_slice(&text).map_err(wrong)?;
+    let value: serde_json::Value = json::parse(&text, what, path)?;
     let (format, version) = (&value["format"], &value["version"]);
     if format != own_format || version != own_version {
         let expected = format!("format {own_format:?} version {own_version}");
         return Err(FileError::content(expected, format!("format {format} version {version}"), path));
     }
-    serde_json::from_value(value).map_err(wrong)
+    // From the text, whose errors have a place.
+    json::parse(&text, what, path)
 }

@@ -6,6 +6,7 @@ use std::path::Path;
 use bytemuck::{cast_slice, pod_collect_to_vec};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
+use point_skeleton::files::json;
 use point_skeleton::files::write_whole;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 
@@ -62,7 +63,7 @@ impl TrainingClip {
         let wrong = |found: String| FileError::content("a drive to train on", found, path);
         let (_, head) = SafeTensors::read_metadata(&bytes).map_err(|e| wrong(e.to_string()))?;
         let about = head.metadata().as_ref().and_then(|all| all.get(ABOUT)).map_or("", String::as_str);
-        let about: DriveInfo = serde_json::from_str(about).map_err(|e| wrong(e.to_string()))?;
+        let about: DriveInfo = json::parsed(about.as_bytes()).map_err(wrong)?;
         let tensors = SafeTensors::deserialize(&bytes).map_err(|e| wrong(e.to_string()))?;
         let (views, pixels) = (about.cameras.len(), about.recipe.size.pixels());
         let tensor = |name: &str, dtype: Dtype, per_frame: usize| -> Result<&[u8], FileError> {

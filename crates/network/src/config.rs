@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use point_skeleton::error::FileError;
-use point_skeleton::files::input::read_table;
+use point_skeleton::files::json;
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::{LatentShape, Recipe};
 use serde::{Deserialize, Serialize};
@@ -62,9 +62,7 @@ impl NetworkConfig {
     /// # Errors
     /// Fails if the file cannot be read, or if it has an unknown field or a wrong type.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let text = read_table(path)?;
-        serde_json::from_slice(&text)
-            .map_err(|error| FileError::content("a network's configuration", error.to_string(), path))
+        json::read(path, "a network's configuration")
     }
 
     /// Latent shape of a frame of some cameras: the mean colors of 4x4 pixels.

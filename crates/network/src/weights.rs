@@ -6,6 +6,7 @@ use bytemuck::{cast_slice, pod_collect_to_vec};
 use candle_core::{Device, Tensor};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
+use point_skeleton::files::json;
 use point_skeleton::files::write_whole;
 use rand_seeder::SipHasher;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
@@ -170,7 +171,7 @@ pub(crate) fn read<'a, H: DeserializeOwned>(
     let (_, head) = SafeTensors::read_metadata(bytes).map_err(|e| wrong(format!("no safetensors: {e}")))?;
     let header = head.metadata().as_ref().and_then(|all| all.get(key));
     let header = header.ok_or_else(|| wrong(format!("no {key} in the header")))?;
-    let header = serde_json::from_str(header).map_err(|e| wrong(e.to_string()))?;
+    let header = json::parsed(header.as_bytes()).map_err(wrong)?;
     let tensors = SafeTensors::deserialize(bytes).map_err(|e| wrong(e.to_string()))?;
     Ok((header, tensors))
 }

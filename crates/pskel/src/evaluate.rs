@@ -64,6 +64,7 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         features: args.features.clone().try_into().ok(),
         hold_out: args.hold_out.map(usize::from),
         seed: args.seed,
+        root: None,
     };
     let progress = RefCell::new(None);
     let mut on_start = |steps| *progress.borrow_mut() = Some(Progress::new(steps));

@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use point_skeleton::conditions::{Captions, FrameCaptions};
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
-use point_skeleton::files::input::read_table;
+use point_skeleton::files::json;
 use point_skeleton::files::text::printable;
 use pskel_generate::{
     DenoiserRig, DroppedConditions, Guidance, Prediction, Preset, Recipe, SamplerOptions, Strategy,
@@ -206,9 +206,7 @@ impl GeneratorArgs {
 }
 
 fn read_recipe(path: &Path) -> Result<Recipe, FileError> {
-    let text = read_table(path)?;
-    let recipe: Recipe = serde_json::from_slice(&text)
-        .map_err(|error| FileError::content("a recipe of conditions", error.to_string(), path))?;
+    let recipe: Recipe = json::read(path, "a recipe of conditions")?;
     recipe.check().map_err(|error| FileError::content(error.expected, error.found, path))?;
     Ok(recipe)
 }

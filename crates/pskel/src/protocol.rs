@@ -13,8 +13,8 @@ use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::conditions::{ConditionOptions, MapFormat};
 use point_skeleton::dataset::{Dataset, LogFormat, LogLocator, LogOpener};
 use point_skeleton::error::{FileError, with_causes};
-use point_skeleton::files::input::{is_there, read_table};
-use point_skeleton::files::{OutputFolder, write_json, write_whole};
+use point_skeleton::files::input::is_there;
+use point_skeleton::files::{OutputFolder, json, write_json, write_whole};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use point_skeleton::skeleton;
 use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport};
@@ -227,8 +227,7 @@ impl ProtocolArgs {
         })?;
         let path = files.claim("protocol.json")?;
         if is_there(&path)? {
-            let earlier: Value = serde_json::from_slice(&read_table(&path)?)
-                .map_err(|error| FileError::content("options of a protocol", error.to_string(), &path))?;
+            let earlier: Value = json::read(&path, "options of a protocol")?;
             let differs = |key: &&String| earlier.get(*key) != settings.get(*key);
             if let Some(key) = settings.as_object().and_then(|fields| fields.keys().find(differs)) {
                 let expected = format!("the {key} of this command");
@@ -325,7 +324,8 @@ impl Run<'_> {
         let mut on_step =
             |name: &str| progress.borrow_mut().iter_mut().for_each(|progress| progress.step(name));
         let (protocol, parts) = (self.args.protocol, &self.parts);
-        let report = ProtocolReport::score(protocol, &self.logs, parts, &mut on_start, &mut on_step)?;
+        let rollouts = (self.args.out.as_path(), parts.as_slice());
+        let report = ProtocolReport::score(protocol, &self.logs, rollouts, &mut on_start, &mut on_step)?;
         drop(progress);
         write_json(&files.claim("results.json")?, &report)?;
         let (path, table) = (files.claim("table.md")?, report.table());

@@ -5,7 +5,8 @@ use std::path::Path;
 use glam::DVec2;
 use point_skeleton::cloud::npy;
 use point_skeleton::error::FileError;
-use point_skeleton::files::input::read_file;
+use point_skeleton::files::input::{read_file, utf8};
+use point_skeleton::files::json;
 use point_skeleton::geometry::Polyline;
 use serde::Serialize;
 
@@ -105,17 +106,16 @@ impl Serialize for LocalPath {
 
 fn from_json(bytes: &[u8], path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
     #[derive(serde::Deserialize)]
-    #[serde(untagged, expecting = "a list of [x, y] or {\"points\": [[x, y], ..]}")]
-    enum File {
-        List(Vec<[f64; 2]>),
-        Named { points: Vec<[f64; 2]> },
+    struct Named {
+        points: Vec<[f64; 2]>,
     }
-    let wrong = |e: serde_json::Error| {
-        FileError::content("a list of [x, y] or {\"points\": [[x, y], ..]}", e.to_string(), path)
-    };
-    match serde_json::from_slice(bytes).map_err(wrong)? {
-        File::List(points) | File::Named { points } => Ok(points),
+    const EXPECTED: &str = "a list of [x, y] or {\"points\": [[x, y], ..]}";
+    // One form at a time, so that errors name the place in it.
+    let is_object = utf8(bytes).is_ok_and(|text| text.trim_start().starts_with('{'));
+    if is_object {
+        return json::parse(bytes, EXPECTED, path).map(|named: Named| named.points);
     }
+    json::parse(bytes, EXPECTED, path)
 }
 
 fn from_npy(bytes: &[u8], path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
@@ -123,11 +123,11 @@ fn from_npy(bytes: &[u8], path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
 }
 
 fn from_text(bytes: &[u8], path: &Path) -> Result<Vec<[f64; 2]>, FileError> {
-    let text = str::from_utf8(bytes).map_err(|e| FileError::content("text", e.to_string(), path))?;
+    let text = utf8(bytes).map_err(|found| FileError::content("UTF-8 text", found, path))?;
     let mut points = Vec::new();
     let mut header = false;
     for (number, line) in text.lines().enumerate() {
-        let line = line.split('#').next().unwrap_or_default().trim().trim_start_matches('\u{feff}');
+        let line = line.split('#').next().unwrap_or_default().trim();
         if line.is_empty() {
             continue;
         }

@@ -4,7 +4,7 @@ use std::path::Path;
 use glam::{DQuat, DVec3};
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
-use point_skeleton::files::input::read_table;
+use point_skeleton::files::json;
 use point_skeleton::geometry::{Cuboid, Foot, Pose};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -108,9 +108,7 @@ impl SavedState {
     /// # Errors
     /// Fails if the file is missing or is not a saved state.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let text = read_table(path)?;
-        serde_json::from_slice(&text)
-            .map_err(|error| FileError::content("a saved state", error.to_string(), path))
+        json::read(path, "a saved state")
     }
 
     /// Returns the number of steps from the start to the saved state.

@@ -12,6 +12,9 @@ use crate::dataset::{Class, DatasetError, Track};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, CuboidError, Pose};
 
+/// Column with the number of LiDAR points in a box. It is only reported, so it may be missing.
+const POINTS: &str = "num_interior_pts";
+
 /// Row of the file: a box at one time.
 #[derive(Clone, Copy)]
 pub(super) struct Annotation {
@@ -23,8 +26,8 @@ pub(super) struct Annotation {
     pub(super) ego_from_box: Pose,
     /// Length, width, height in meters.
     pub(super) size: DVec3,
-    /// Number of LiDAR points in the box, as stated by the file.
-    pub(super) points: u32,
+    /// Number of LiDAR points in the box, as stated by the file, if it is known.
+    pub(super) points: Option<u32>,
 }
 
 /// All boxes of a log.
@@ -51,9 +54,9 @@ impl Annotations {
     /// # Errors
     /// Fails if the file is damaged, a pose is invalid, or a track occurs twice at one time.
     pub(super) fn read(path: &Path) -> Result<Self, DatasetError> {
-        const OTHERS: [&str; 7] =
-            ["timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height_m", "num_interior_pts"];
-        let table = Table::read(path, &[&OTHERS[..], &POSE[..]].concat())?;
+        const OTHERS: [&str; 6] =
+            ["timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height_m"];
+        let table = Table::read_with(path, &[&OTHERS[..], &POSE[..]].concat(), &[POINTS])?;
         let (ids, categories) = (table.column("track_uuid")?.texts()?, table.column("category")?.texts()?);
         let mut category_of = BTreeMap::new();
         for (id, category) in ids.iter().zip(&categories) {
@@ -101,7 +104,10 @@ fn frames(
     let numbers = |name: &str| table.column(name)?.numbers();
     let [length, width, height] = [numbers("length_m")?, numbers("width_m")?, numbers("height_m")?];
     let times_ns = table.column("timestamp_ns")?.integers()?;
-    let points = table.column("num_interior_pts")?.counts()?;
+    let points = match table.has(POINTS) {
+        true => table.column(POINTS)?.known_counts(),
+        false => vec![None; table.rows()],
+    };
     let mut frames: BTreeMap<i64, Vec<Annotation>> = BTreeMap::new();
     for (row, ego_from_box) in poses(table, |row| format!("row {row}"))?.into_iter().enumerate() {
         let size = DVec3::new(length[row], width[row], height[row]);

@@ -1,7 +1,9 @@
 //! Maps Argoverse 2 categories to dotted names as in nuScenes, which determine class, color and template.
 
+use crate::dataset::CategoryKind;
+
 /// Returns the dotted name of a category: group, kind, and the dataset's own name in lower case, like
-/// `vehicle.car.regular_vehicle`. `None` if the dataset does not define the category.
+/// `vehicle.car.regular_vehicle`. Words of other data sets stay as they are. `None` for unknown words.
 ///
 /// Riders are pedestrians, since they have boxes separate from their cycles. Trams are buses, the nearest in shape.
 /// Message boards and traffic lights on trailers are signs rather than vehicles. Boxes of wheeled devices exclude
@@ -25,12 +27,12 @@ pub(super) fn dotted(category: &str) -> Option<String> {
         | "MOBILE_PEDESTRIAN_CROSSING_SIGN"
         | "WHEELED_DEVICE" => "movable_object",
         "BOLLARD" | "SIGN" | "STOP_SIGN" => "static_object",
-        _ => return None,
+        other => return CategoryKind::of(other).map(|_| other.to_owned()),
     };
     Some(format!("{group}.{}", category.to_lowercase()))
 }
 
-/// Returns the dotted name of a category that the dataset does not define.
+/// Returns the dotted name of a category with an unknown name.
 pub(super) fn unknown(category: &str) -> String {
     format!("object.{}", category.to_lowercase())
 }
@@ -66,6 +68,7 @@ mod tests {
         assert_eq!((of("PEDESTRIAN"), of("BICYCLIST"), of("STROLLER")), (person, person, person));
         assert_eq!((of("BOLLARD"), of("CONSTRUCTION_CONE"), of("DOG")), (object, object, object));
         assert_eq!(of("MOBILE_PEDESTRIAN_CROSSING_SIGN"), object);
+        assert_eq!(dotted("Car").as_deref(), Some("Car"));
         assert_eq!((dotted("SPACESHIP"), unknown("SPACESHIP").as_str()), (None, "object.spaceship"));
         assert_eq!(Class::from_category(&unknown("SPACESHIP")), Class::Object);
     }

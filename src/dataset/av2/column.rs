@@ -41,14 +41,8 @@ impl<'a> Column<'a> {
         let mut values = Vec::new();
         for part in &self.parts {
             let before = values.len();
-            match part.data_type() {
-                DataType::Float16 => extend::<Float16Type, _>(&mut values, part, f64::from),
-                DataType::Float32 => extend::<Float32Type, _>(&mut values, part, f64::from),
-                DataType::Float64 => extend::<Float64Type, _>(&mut values, part, |v| v),
-                other if !extend_integers(&mut values, part, |v| v as f64) => {
-                    return Err(self.wrong_type("numbers", other));
-                }
-                _ => {}
+            if !extend_numbers(&mut values, part) {
+                return Err(self.wrong_type("numbers", part.data_type()));
             }
             if part.null_count() > 0 {
                 let read = values[before..].iter_mut().enumerate();
@@ -58,7 +52,7 @@ impl<'a> Column<'a> {
         Ok(values)
     }
 
-    /// Returns integers of any width as `i64`.
+    /// Returns integers of any width, or floats that are whole, as `i64`.
     ///
     /// # Errors
     /// Fails if values have another type, are null or do not fit into `i64`.
@@ -72,7 +66,7 @@ impl<'a> Column<'a> {
                 })
             };
             if !extend_integers(&mut values, part, narrow) {
-                return Err(self.wrong_type("integers", part.data_type()));
+                values.extend(self.whole_floats(part)?);
             }
         }
         if let Some(value) = too_much {
@@ -93,6 +87,22 @@ impl<'a> Column<'a> {
                 .map_err(|_| FileError::content("integers from 0 to 2^32 - 1", found(), self.path))
         };
         self.integers()?.into_iter().map(count).collect()
+    }
+
+    /// Returns whole numbers from 0 to 2³² − 1 of any type; `None` for other values.
+    pub(super) fn known_counts(&self) -> Vec<Option<u32>> {
+        let mut values = Vec::new();
+        for part in &self.parts {
+            let mut numbers = Vec::new();
+            if !extend_numbers(&mut numbers, part) {
+                numbers = vec![f64::NAN; part.len()];
+            }
+            values.extend(numbers.into_iter().enumerate().map(|(row, number)| {
+                let is_count = number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number);
+                (is_count && part.is_valid(row)).then_some(number as u32)
+            }));
+        }
+        values
     }
 
     /// Returns strings.
@@ -116,6 +126,20 @@ impl<'a> Column<'a> {
         Ok(values)
     }
 
+    /// Returns the values of a batch of floats, each of which is a whole number up to 2⁵³.
+    fn whole_floats(&self, part: &ArrayRef) -> Result<Vec<i64>, FileError> {
+        let mut numbers = Vec::new();
+        if !extend_numbers(&mut numbers, part) {
+            return Err(self.wrong_type("integers", part.data_type()));
+        }
+        let is_whole = |number: &f64| number.fract() == 0.0 && number.abs() <= (1_i64 << 53) as f64;
+        if let Some(other) = numbers.iter().find(|number| !is_whole(number)) {
+            let found = format!("{other} in column {}", self.name);
+            return Err(FileError::content("integers, or whole floats up to 2^53", found, self.path));
+        }
+        Ok(numbers.into_iter().map(|number| number as i64).collect())
+    }
+
     /// Returns the batches after checking that they contain no nulls.
     fn parts(&self) -> Result<&[&'a ArrayRef], FileError> {
         match self.parts.iter().map(|p| p.null_count()).sum::<usize>() {
@@ -135,6 +159,17 @@ impl<'a> Column<'a> {
         let expected = format!("{expected} in column {}", self.name);
         FileError::content(expected, format!("type {found}"), self.path)
     }
+}
+
+/// Appends numbers of any type. Returns `false` for values of other types.
+fn extend_numbers(values: &mut Vec<f64>, part: &dyn Array) -> bool {
+    match part.data_type() {
+        DataType::Float16 => extend::<Float16Type, _>(values, part, f64::from),
+        DataType::Float32 => extend::<Float32Type, _>(values, part, f64::from),
+        DataType::Float64 => extend::<Float64Type, _>(values, part, |v| v),
+        _ => return extend_integers(values, part, |v| v as f64),
+    }
+    true
 }
 
 /// Appends integers of any width, converted by `to`. Returns `false` for values of other types.

@@ -17,9 +17,9 @@ use arrow_ipc::{Block, root_as_footer, root_as_message};
 use arrow_schema::{DataType, Schema, SchemaRef};
 
 use super::column::Column;
-use crate::dataset::sweeps::named_format;
 use crate::error::FileError;
 use crate::files::input::{SWEEP_BYTES, read_file};
+use crate::files::sniff;
 
 const MAGIC: &[u8] = b"ARROW1";
 
@@ -47,9 +47,18 @@ impl Table {
     /// # Errors
     /// Fails if the file is missing, damaged or not a Feather file, or if a column is missing.
     pub(super) fn read(path: &Path, columns: &[&str]) -> Result<Self, FileError> {
+        Self::read_with(path, columns, &[])
+    }
+
+    /// Reads the given columns of a file, and others that may be missing.
+    ///
+    /// # Errors
+    /// Fails as [`Table::read`].
+    pub(super) fn read_with(path: &Path, columns: &[&str], optional: &[&str]) -> Result<Self, FileError> {
         let bytes = Buffer::from_vec(read_file(path, SWEEP_BYTES)?);
         let layout = Layout::of(&bytes).map_err(|found| no_feather(found, path))?;
-        let places = layout.places(columns, path)?;
+        let mut places = layout.places(columns, path)?;
+        places.extend(optional.iter().filter_map(|name| layout.places(&[name], path).ok()).flatten());
         let decoder = FileDecoder::new(layout.schema.clone(), layout.version).with_projection(places);
         let mut batches = Vec::new();
         for (block, _) in &layout.blocks {
@@ -63,6 +72,11 @@ impl Table {
     /// Number of rows.
     pub(super) fn rows(&self) -> usize {
         self.batches.iter().map(RecordBatch::num_rows).sum()
+    }
+
+    /// Returns whether a column was read.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.batches.iter().all(|batch| batch.column_by_name(name).is_some())
     }
 
     /// The file.
@@ -116,10 +130,10 @@ impl Layout {
     /// # Errors
     /// Returns a description of the invalid content.
     fn of(bytes: &[u8]) -> Result<Self, String> {
-        let cut = || format!("{} bytes (cut off, or another format)", bytes.len());
-        if let Some(name) = named_format(bytes).filter(|_| !bytes.starts_with(MAGIC)) {
-            return Err(name.to_owned());
-        }
+        let cut = || match sniff::marked(bytes) {
+            Some(found) if !bytes.starts_with(MAGIC) => found.to_owned(),
+            _ => format!("{} bytes (cut off, or another format)", bytes.len()),
+        };
         let (body, tail) = bytes.split_last_chunk::<TAIL_BYTES>().ok_or_else(cut)?;
         if !bytes.starts_with(MAGIC) || !tail.ends_with(MAGIC) {
             return Err(cut());

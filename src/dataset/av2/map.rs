@@ -9,9 +9,10 @@ use glam::DVec2;
 use rustc_hash::FxHashSet;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 
+use crate::dataset::degenerate::{self, Coordinate, Fault, note_fault, or_default};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
-use crate::files::input::read_table;
+use crate::files::json;
 
 /// Approximate spacing of centerline points, meters.
 const STEP_M: f64 = 0.5;
@@ -49,20 +50,13 @@ pub(super) fn city(map: Option<&Path>) -> String {
     city.map_or_else(String::new, |(city, _)| city.to_owned())
 }
 
-/// Reads a map.
+/// Reads a map. Records without an area or a length are skipped and counted.
 ///
 /// # Errors
-/// Fails if the file cannot be read or is not such a map, a boundary has fewer than two points, or an area has fewer
-/// than three corners.
+/// Fails if the file cannot be read or is not such a map.
 pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetError> {
-    let bytes = read_table(path)?;
-    let wrong = |e: serde_json::Error| FileError::content("an Argoverse 2 map", e.to_string(), path);
-    let raw: Archive = serde_json::from_slice(&bytes).map_err(wrong)?;
-    let told = |e: TooFew| {
-        let found = format!("{} in {}", e.found, e.record);
-        FileError::content(format!("at least {} different points", e.least), found, path)
-    };
-    Ok(raw.map(location).map_err(told)?)
+    let raw: Archive = json::read(path, "an Argoverse 2 map")?;
+    Ok(raw.map(location))
 }
 
 #[derive(serde::Deserialize)]
@@ -76,30 +70,36 @@ struct Archive {
 struct LaneSegment {
     id: i64,
     is_intersection: bool,
+    #[serde(default, deserialize_with = "or_default")]
     left_lane_boundary: Vec<Point>,
+    #[serde(default, deserialize_with = "or_default")]
     right_lane_boundary: Vec<Point>,
     left_lane_mark_type: String,
     right_lane_mark_type: String,
+    #[serde(default, deserialize_with = "or_default")]
     successors: Vec<i64>,
 }
 
 #[derive(serde::Deserialize)]
 struct DrivableArea {
-    id: i64,
+    #[serde(default, deserialize_with = "or_default")]
     area_boundary: Vec<Point>,
 }
 
 #[derive(serde::Deserialize)]
 struct Crossing {
-    id: i64,
+    #[serde(default, deserialize_with = "or_default")]
     edge1: Vec<Point>,
+    #[serde(default, deserialize_with = "or_default")]
     edge2: Vec<Point>,
 }
 
 #[derive(serde::Deserialize)]
 struct Point {
-    x: f64,
-    y: f64,
+    #[serde(default)]
+    x: Coordinate,
+    #[serde(default)]
+    y: Coordinate,
 }
 
 /// Values of a JSON object, in file order.
@@ -127,31 +127,30 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Entries<T> {
     }
 }
 
-/// Error of a line or ring with too few points.
-struct TooFew {
-    least: usize,
-    found: usize,
-    record: String,
-}
-
 impl Archive {
-    fn map(&self, location: &str) -> Result<VectorMap, TooFew> {
+    fn map(&self, location: &str) -> VectorMap {
         let mut map = VectorMap { location: location.to_owned(), ..VectorMap::default() };
         let mut painted = FxHashSet::default();
         for raw in &self.lane_segments.0 {
             let of = if raw.is_intersection { &mut map.lane_connectors } else { &mut map.lanes };
-            of.push(raw.lane(&mut map.dividers, &mut painted)?);
+            match raw.lane(&mut map.dividers, &mut painted) {
+                Ok(lane) => of.push(lane),
+                Err(fault) => note_fault(&mut map.notes, "lane segments", fault),
+            }
         }
         for raw in &self.drivable_areas.0 {
-            let ring = ring(points(&raw.area_boundary), || format!("drivable area {}", raw.id))?;
-            map.drivable_area.push(Area { exterior: ring, holes: Vec::new() });
+            match area(points(&raw.area_boundary)) {
+                Ok(area) => map.drivable_area.push(area),
+                Err(fault) => note_fault(&mut map.notes, "drivable areas", fault),
+            }
         }
         for raw in &self.pedestrian_crossings.0 {
-            let corners = between(&points(&raw.edge1), points(&raw.edge2));
-            let ring = ring(corners, || format!("pedestrian crossing {}", raw.id))?;
-            map.crossings.push(Area { exterior: ring, holes: Vec::new() });
+            match area(between(&points(&raw.edge1), points(&raw.edge2))) {
+                Ok(area) => map.crossings.push(area),
+                Err(fault) => note_fault(&mut map.notes, "crossings", fault),
+            }
         }
-        Ok(map)
+        map
     }
 }
 
@@ -161,22 +160,19 @@ impl LaneSegment {
         &self,
         dividers: &mut Vec<Vec<DVec2>>,
         brought: &mut FxHashSet<Vec<[u64; 2]>>,
-    ) -> Result<Lane, TooFew> {
-        let record = || format!("lane segment {}", self.id);
-        let [left, right] = [points(&self.left_lane_boundary), points(&self.right_lane_boundary)];
+    ) -> Result<Lane, Fault> {
+        let left = degenerate::line(points(&self.left_lane_boundary))?;
+        let right = degenerate::line(points(&self.right_lane_boundary))?;
+        let outline = area(left.iter().chain(right.iter().rev()).copied().collect())?;
         for (line, mark) in [(&left, &self.left_lane_mark_type), (&right, &self.right_lane_mark_type)] {
-            if line.len() < 2 {
-                return Err(TooFew { least: 2, found: line.len(), record: record() });
-            }
             let painted = !["NONE", "UNKNOWN"].contains(&mark.as_str());
             if painted && brought.insert(key(line)) {
                 dividers.push(line.clone());
             }
         }
-        let outline = left.iter().chain(right.iter().rev()).copied().collect();
         Ok(Lane {
             id: self.id.to_string(),
-            outline: Area { exterior: ring(outline, record)?, holes: Vec::new() },
+            outline,
             centerline: midway(&left, &right),
             successors: self.successors.iter().map(i64::to_string).collect(),
         })
@@ -192,19 +188,15 @@ fn key(line: &[DVec2]) -> Vec<[u64; 2]> {
 }
 
 fn points(raw: &[Point]) -> Vec<DVec2> {
-    let mut points: Vec<DVec2> = raw.iter().map(|p| DVec2::new(p.x, p.y)).collect();
+    let mut points: Vec<DVec2> = raw.iter().map(|p| DVec2::new(p.x.0, p.y.0)).collect();
     points.dedup();
     points
 }
 
-/// Removes repeated corners. Fails if fewer than three remain.
-fn ring(mut corners: Vec<DVec2>, record: impl FnOnce() -> String) -> Result<Vec<DVec2>, TooFew> {
+/// Returns the area of a ring without repeated corners.
+fn area(mut corners: Vec<DVec2>) -> Result<Area, Fault> {
     corners.dedup();
-    while corners.len() > 1 && corners.first() == corners.last() {
-        corners.pop();
-    }
-    let found = corners.len();
-    if found >= 3 { Ok(corners) } else { Err(TooFew { least: 3, found, record: record() }) }
+    Ok(Area { exterior: degenerate::ring(corners)?, holes: Vec::new() })
 }
 
 /// Returns the outline between two edges of either direction. The sides of a convex quadrilateral are shorter in sum

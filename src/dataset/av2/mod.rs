@@ -35,7 +35,7 @@ use crate::error::FileError;
 #[derive(Debug)]
 pub struct Argoverse {
     log: Recording,
-    box_points: Vec<Vec<u32>>,
+    box_points: Vec<Vec<Option<u32>>>,
     /// Map files; only the first is read.
     maps: Vec<PathBuf>,
     /// Folder that must contain a map, because it was given explicitly.
@@ -89,7 +89,7 @@ impl Dataset for Argoverse {
         Ok(read_picture(&record.path, record.camera.height, record.camera.width)?)
     }
 
-    fn box_points(&self) -> Option<&[Vec<u32>]> {
+    fn box_points(&self) -> Option<&[Vec<Option<u32>>]> {
         Some(&self.box_points)
     }
 

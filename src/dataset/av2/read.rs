@@ -6,7 +6,7 @@ use super::annotations::Annotations;
 use super::poses::Trajectory;
 use super::{calibration, sensors};
 use crate::dataset::clock::{Offset, note_interval};
-use crate::dataset::notes::{FLAT_BOX, Notes, note, settle};
+use crate::dataset::notes::{FLAT_BOX, Notes, UNKNOWN_POINTS, note, note_unknown_category, settle};
 use crate::dataset::{DatasetError, Frame, Gap, ReadOptions, Recording, TrackBox};
 use crate::error::FileError;
 use crate::files::input::is_there;
@@ -22,7 +22,7 @@ pub(super) fn read(
     name: String,
     location: String,
     reading: &ReadOptions,
-) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
+) -> Result<(Recording, Vec<Vec<Option<u32>>>), DatasetError> {
     let path = folder.join("annotations.feather");
     let lidar = sensors.join("lidar");
     let is_annotated = is_there(&path)?;
@@ -35,7 +35,7 @@ pub(super) fn read(
         notes.gap(Gap::record(NO_ANNOTATIONS, "frames are at the times of sweeps, without actors", &path));
     }
     for (category, boxes) in &annotations.unknown_categories {
-        note(&mut notes, &format!("boxes of the unknown category {category} (read as objects)"), *boxes);
+        note_unknown_category(&mut notes, category, *boxes);
     }
     note(&mut notes, "boxes of another category than their track", annotations.other_category);
     let uncalibrated = calibration::RING.len().saturating_sub(rig.len());
@@ -69,6 +69,7 @@ pub(super) fn read(
         let (sweeps, images, between_images) = Default::default();
         let boxes_at = Frame { t_us, global_from_ego, sweeps, images, between_images, boxes: boxes_here };
         frames.push(boxes_at);
+        note(&mut notes, UNKNOWN_POINTS, points.iter().filter(|n| n.is_none()).count());
         box_points.push(points);
         times_ns.push(t_ns);
     }

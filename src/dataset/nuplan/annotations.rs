@@ -5,8 +5,8 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::database::{Database, Query, Row, hex};
 use super::frames::FrameRecord;
-use crate::dataset::notes::{FLAT_BOX, Notes, note};
-use crate::dataset::{Class, DatasetError, Gap, Track, TrackBox};
+use crate::dataset::notes::{FLAT_BOX, Notes, note, note_unknown_category};
+use crate::dataset::{CategoryKind, Class, DatasetError, Gap, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, Pose, PoseError};
 
@@ -46,7 +46,12 @@ pub(super) fn read(
         };
         let track = *by_token.get(track).ok_or_else(|| row.dangling("track", track))?;
         match cuboid(row, database)? {
-            Some(cuboid) => frames[*place].push(TrackBox { track, cuboid }),
+            Some(cuboid) => {
+                if CategoryKind::of(&all[track].1.category).is_none() {
+                    note_unknown_category(notes, &all[track].1.category, 1);
+                }
+                frames[*place].push(TrackBox { track, cuboid });
+            }
             None => notes.gap(Gap::record(FLAT_BOX, row.name(), database.path())),
         }
         Ok(())

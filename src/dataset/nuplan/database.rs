@@ -6,6 +6,7 @@
 use std::cell::Cell;
 use std::fmt::Write;
 use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 use rusqlite::types::ValueRef;
@@ -15,6 +16,7 @@ use crate::dataset::DatasetError;
 use crate::dataset::limits::MAX_TIME_US;
 use crate::error::FileError;
 use crate::files::input::open_regular;
+use crate::files::sniff;
 
 /// An open SQLite file.
 pub(super) struct Database {
@@ -23,6 +25,12 @@ pub(super) struct Database {
     /// Remaining budget for the bytes of rows.
     bytes_left: Cell<u64>,
 }
+
+/// Up to this number, all integers are exact floats.
+const MAX_WHOLE: f64 = (1_i64 << 53) as f64;
+
+/// First bytes of a database.
+const MAGIC: &[u8] = b"SQLite format 3\0";
 
 /// Maximum SQLite VM instructions per byte of a file; real logs and maps take less than one.
 const STEPS_PER_BYTE: u64 = 64;
@@ -58,7 +66,12 @@ impl Database {
     pub(super) fn open(path: &Path) -> Result<Self, FileError> {
         refuse_journal(path)?;
         // SQLite's message for an unreadable file is less specific.
-        let (_, length) = open_regular(path)?;
+        let (file, length) = open_regular(path)?;
+        let mut head = [0; sniff::HEAD_BYTES];
+        let bytes = file.read_at(&mut head, 0).map_err(FileError::io("read", path))?;
+        if let Some(found) = sniff::described(&head[..bytes]).filter(|_| !head.starts_with(MAGIC)) {
+            return Err(FileError::content("a SQLite database", found, path));
+        }
         let mut uri = String::from("file:");
         for byte in path.as_os_str().as_bytes() {
             match byte {
@@ -194,16 +207,21 @@ impl<'a> Row<'a> {
         }
     }
 
+    /// Returns an integer, or a float that is whole.
     pub(super) fn integer(&self, column: usize) -> Result<i64, DatasetError> {
         match self.value(column) {
             ValueRef::Integer(number) => Ok(number),
+            ValueRef::Real(number) if number.fract() == 0.0 && number.abs() <= MAX_WHOLE => Ok(number as i64),
             other => Err(self.wrong(column, "a whole number", &shown(other))),
         }
     }
 
-    /// Returns absolute microseconds, at most [`MAX_TIME_US`] from 1970.
+    /// Returns absolute microseconds, at most [`MAX_TIME_US`] from 1970. Fractions are rounded.
     pub(super) fn time_us(&self, column: usize) -> Result<i64, DatasetError> {
-        let t_us = self.integer(column)?;
+        let t_us = match self.value(column) {
+            ValueRef::Real(t_us) if t_us.abs() <= MAX_WHOLE => t_us.round() as i64,
+            _ => self.integer(column)?,
+        };
         if t_us.unsigned_abs() > MAX_TIME_US.unsigned_abs() {
             return Err(self.wrong(
                 column,

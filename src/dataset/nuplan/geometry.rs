@@ -7,6 +7,7 @@ use glam::DVec2;
 
 use super::projection::Utm;
 use crate::dataset::Area;
+use crate::dataset::degenerate::{self, Fault};
 
 /// Geometry of a feature.
 pub(super) enum Shape {
@@ -19,13 +20,18 @@ pub(super) enum Shape {
 /// Required coordinate system of the header: WGS 84.
 const SRS_ID: i32 = 4326;
 
-/// Decodes a geometry and projects it to a UTM zone. `None` if it is empty; empty parts are skipped.
+/// Decodes a geometry and projects it to a UTM zone. `None` if nothing is left: empty parts are skipped, and those
+/// without an area or a length are skipped and passed to `faults`.
 ///
 /// # Errors
-/// Returns a description of the content if it is not lines or polygons, bytes are truncated, a ring has fewer than
-/// three corners, or coordinates are not longitude and latitude.
-pub(super) fn decode(bytes: &[u8], utm: &Utm) -> std::result::Result<Option<Shape>, String> {
-    let mut collector = Collector { utm, areas: Vec::new(), lines: Vec::new(), rings: None };
+/// Returns a description of the content if it is not lines or polygons, bytes are truncated, or coordinates are not
+/// longitude and latitude.
+pub(super) fn decode(
+    bytes: &[u8],
+    utm: &Utm,
+    faults: &mut Vec<Fault>,
+) -> std::result::Result<Option<Shape>, String> {
+    let mut collector = Collector { utm, areas: Vec::new(), lines: Vec::new(), rings: None, faults };
     let mut rest = bytes;
     process_gpkg_geom(&mut rest, &mut collector).map_err(|e| e.to_string())?;
     if !rest.is_empty() {
@@ -46,8 +52,9 @@ struct Collector<'a> {
     areas: Vec<Area>,
     /// The last entry is the ring or line being read.
     lines: Vec<Vec<DVec2>>,
-    /// Rings of the polygon being read.
-    rings: Option<Vec<Vec<DVec2>>>,
+    /// Rings of the polygon being read; those without an area are `None`.
+    rings: Option<Vec<Option<Vec<DVec2>>>>,
+    faults: &'a mut Vec<Fault>,
 }
 
 fn wrong(text: impl Into<String>) -> GeozeroError {
@@ -63,7 +70,8 @@ impl GeomProcessor for Collector<'_> {
     }
 
     fn xy(&mut self, x: f64, y: f64, _: usize) -> Result<()> {
-        let point = self.utm.project(DVec2::new(x, y));
+        let place = DVec2::new(x, y);
+        let point = if place.is_finite() { self.utm.project(place) } else { Some(place) };
         let point = point.ok_or_else(|| wrong(format!("longitude {x}, latitude {y}")))?;
         let line = self.lines.last_mut().ok_or_else(|| wrong("a point without a line"))?;
         line.push(point);
@@ -77,24 +85,19 @@ impl GeomProcessor for Collector<'_> {
     }
 
     fn linestring_end(&mut self, _: bool, _: usize) -> Result<()> {
-        let Some(rings) = &mut self.rings else {
-            return match self.lines.last().map_or(0, Vec::len) {
-                0 => {
-                    self.lines.pop();
-                    Ok(())
-                }
-                1 => Err(wrong("a line of 1 points")),
-                _ => Ok(()),
-            };
-        };
-        let mut ring = self.lines.pop().unwrap_or_default();
-        if ring.len() > 1 && ring.first() == ring.last() {
-            ring.pop();
+        let line = self.lines.pop().unwrap_or_default();
+        match &mut self.rings {
+            Some(rings) => {
+                let ring = degenerate::ring(line);
+                self.faults.extend(ring.as_ref().err());
+                rings.push(ring.ok());
+            }
+            None if line.is_empty() => {}
+            None => match degenerate::line(line) {
+                Ok(line) => self.lines.push(line),
+                Err(fault) => self.faults.push(fault),
+            },
         }
-        if ring.len() < 3 {
-            return Err(wrong(format!("a ring of {} corners", ring.len())));
-        }
-        rings.push(ring);
         Ok(())
     }
 
@@ -105,8 +108,8 @@ impl GeomProcessor for Collector<'_> {
 
     fn polygon_end(&mut self, _: bool, _: usize) -> Result<()> {
         let mut rings = self.rings.take().unwrap_or_default().into_iter();
-        if let Some(exterior) = rings.next() {
-            self.areas.push(Area { exterior, holes: rings.collect() });
+        if let Some(Some(exterior)) = rings.next() {
+            self.areas.push(Area { exterior, holes: rings.flatten().collect() });
         }
         Ok(())
     }

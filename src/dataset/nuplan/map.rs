@@ -12,11 +12,11 @@ use serde::Deserialize;
 use super::database::{Database, Query, Row};
 use super::geometry::{self, Shape};
 use super::projection::Utm;
-use crate::dataset::notes::{Notes, note};
+use crate::dataset::degenerate::{Fault, note_fault};
+use crate::dataset::notes::{Counts, count};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
-use crate::files::FileName;
-use crate::files::input::read_table;
+use crate::files::{FileName, json};
 
 /// Index file of a folder of maps.
 const INDEX: &str = "nuplan-maps-v1.0.json";
@@ -33,9 +33,7 @@ struct IndexEntry {
 /// Reads a map by name; `None` if the index does not contain it.
 pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<VectorMap>, DatasetError> {
     let path = folder.join(INDEX);
-    let bytes = read_table(&path)?;
-    let index: BTreeMap<String, IndexEntry> = serde_json::from_slice(&bytes)
-        .map_err(|e| FileError::content("a JSON object of maps with their version", e.to_string(), &path))?;
+    let index: BTreeMap<String, IndexEntry> = json::read(&path, "a JSON object of maps with their version")?;
     let Some(IndexEntry { version }) = index.get(name) else { return Ok(None) };
     let part =
         |part: &str| FileName::new(part).map_err(|error| error.of("name or version of a map").in_file(&path));
@@ -49,7 +47,7 @@ pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<V
         )
         .into());
     }
-    let mut notes = Notes::new();
+    let mut notes = Counts::new();
     let (lanes, lane_connectors) = layers.lanes(&mut notes)?;
     Ok(Some(VectorMap {
         location: location.to_owned(),
@@ -60,7 +58,7 @@ pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<V
         stop_lines: layers.areas("stop_polygons", &mut notes)?,
         walkways: layers.areas("walkways", &mut notes)?,
         dividers: layers.lines("boundaries", &mut notes)?,
-        notes: notes.counts,
+        notes,
     }))
 }
 
@@ -108,21 +106,29 @@ impl Layers {
         &self,
         layer: &str,
         further: [&str; N],
-        notes: &mut Notes,
-        mut each: impl FnMut(&mut Notes, &Row<'_>, Shape, [Option<i64>; N]) -> Result<(), DatasetError>,
+        notes: &mut Counts,
+        mut each: impl FnMut(&mut Counts, &Row<'_>, Shape, [Option<i64>; N]) -> Result<(), DatasetError>,
     ) -> Result<(), DatasetError> {
         let Some(geometry) = self.columns.get(layer) else {
-            note(notes, &format!("maps without {layer}"), 1);
+            count(notes, &format!("maps without {layer}"), 1);
             return Ok(());
         };
         // The rowid is the feature id, whatever its column name.
         let columns: Vec<&str> = ["rowid", geometry].into_iter().chain(further).collect();
         let from = format!("FROM {layer} ORDER BY rowid");
         self.database.rows(&Query { table: layer, columns: &columns, from: &from }, |row| {
-            let shape = geometry::decode(row.blob(1)?, &self.utm)
-                .map_err(|found| row.wrong(1, "lines or polygons in longitude and latitude", &found))?;
+            let mut faults = Vec::new();
+            let shape = match row.is_null(1) {
+                true => None,
+                false => geometry::decode(row.blob(1)?, &self.utm, &mut faults)
+                    .map_err(|found| row.wrong(1, "lines or polygons in longitude and latitude", &found))?,
+            };
+            for fault in &faults {
+                note_fault(notes, &format!("geometries of {layer}"), *fault);
+            }
             let Some(shape) = shape else {
-                note(notes, &format!("features of {layer} with an empty geometry"), 1);
+                let is_empty = usize::from(faults.is_empty());
+                count(notes, &format!("features of {layer} with an empty geometry"), is_empty);
                 return Ok(());
             };
             let mut ids = [None; N];
@@ -133,7 +139,7 @@ impl Layers {
         })
     }
 
-    fn areas(&self, layer: &str, notes: &mut Notes) -> Result<Vec<Area>, DatasetError> {
+    fn areas(&self, layer: &str, notes: &mut Counts) -> Result<Vec<Area>, DatasetError> {
         let mut all = Vec::new();
         self.features(layer, [], notes, |_, row, shape, []| {
             all.extend(areas(row, shape)?);
@@ -144,7 +150,7 @@ impl Layers {
 
     /// Reads roads, intersections, generic drivable areas and car parks. The layer `generic_drivable_areas` alone
     /// lacks roads and intersections.
-    fn drivable_area(&self, notes: &mut Notes) -> Result<Vec<Area>, DatasetError> {
+    fn drivable_area(&self, notes: &mut Counts) -> Result<Vec<Area>, DatasetError> {
         let mut all = Vec::new();
         for layer in ["lane_groups_polygons", "intersections", "generic_drivable_areas", "carpark_areas"] {
             all.extend(self.areas(layer, notes)?);
@@ -152,7 +158,7 @@ impl Layers {
         Ok(all)
     }
 
-    fn lines(&self, layer: &str, notes: &mut Notes) -> Result<Vec<Vec<DVec2>>, DatasetError> {
+    fn lines(&self, layer: &str, notes: &mut Counts) -> Result<Vec<Vec<DVec2>>, DatasetError> {
         let mut all = Vec::new();
         self.features(layer, [], notes, |_, row, shape, []| {
             all.extend(lines(row, shape)?);
@@ -162,7 +168,7 @@ impl Layers {
     }
 
     /// Reads lanes and lane connectors, each in order of ids.
-    fn lanes(&self, notes: &mut Notes) -> Result<(Vec<Lane>, Vec<Lane>), DatasetError> {
+    fn lanes(&self, notes: &mut Counts) -> Result<(Vec<Lane>, Vec<Lane>), DatasetError> {
         let (mut lanes, mut connectors) = (BTreeMap::new(), BTreeMap::new());
         self.features(LANES, [], notes, |notes, row, shape, []| {
             add_lane(&mut lanes, row.integer(0)?, row, shape, notes)
@@ -172,16 +178,19 @@ impl Layers {
             "gen_lane_connectors_scaled_width_polygons",
             further,
             notes,
-            |notes, row, shape, [id]| {
-                let id = id.ok_or_else(|| row.wrong(2, "the id of a lane connector", "NULL"))?;
-                add_lane(&mut connectors, id, row, shape, notes)
+            |notes, row, shape, [id]| match id {
+                Some(id) => add_lane(&mut connectors, id, row, shape, notes),
+                None => {
+                    note_fault(notes, "areas of lane connectors", Fault::Dangling);
+                    Ok(())
+                }
             },
         )?;
         let further = ["exit_lane_fid", "entry_lane_fid"];
         self.features("lane_connectors", further, notes, |notes, row, _, [from, to]| {
             let id = row.integer(0)?;
             let Some(connector) = connectors.get_mut(&id) else {
-                note(notes, "lane connectors without an area", 1);
+                count(notes, "lane connectors without an area", 1);
                 return Ok(());
             };
             connector.successors.extend(to.map(|to| to.to_string()));
@@ -195,8 +204,8 @@ impl Layers {
             let lane = a.and_then(|id| lanes.get_mut(&id)).or(b.and_then(|id| connectors.get_mut(&id)));
             match lane {
                 Some(lane) if lane.centerline.is_empty() => lane.centerline = lines(row, shape)?.concat(),
-                Some(_) => note(notes, "further baseline paths of a lane", 1),
-                None => note(notes, "baseline paths of unknown lanes", 1),
+                Some(_) => count(notes, "further baseline paths of a lane", 1),
+                None => count(notes, "baseline paths of unknown lanes", 1),
             }
             Ok(())
         })?;
@@ -210,17 +219,17 @@ fn add_lane(
     id: i64,
     row: &Row<'_>,
     shape: Shape,
-    notes: &mut Notes,
+    notes: &mut Counts,
 ) -> Result<(), DatasetError> {
     let parts = areas(row, shape)?;
-    note(notes, "smaller parts of lanes", parts.len().saturating_sub(1));
+    count(notes, "smaller parts of lanes", parts.len().saturating_sub(1));
     let largest = parts.into_iter().max_by(|a, b| size_m2(a).total_cmp(&size_m2(b)));
     match (lanes.entry(id), largest) {
         (Entry::Vacant(place), Some(outline)) => {
             let (centerline, successors) = Default::default();
             place.insert(Lane { id: id.to_string(), outline, centerline, successors });
         }
-        _ => note(notes, "further areas of a lane", 1),
+        _ => count(notes, "further areas of a lane", 1),
     }
     Ok(())
 }

@@ -7,17 +7,17 @@ use super::chain::Chain;
 use super::frames::pose;
 use super::tables::{Annotation, Category, Instance, Scene, Table};
 use super::version::Version;
-use crate::dataset::notes::{FLAT_BOX, Notes};
-use crate::dataset::{Class, DatasetError, Gap, Track, TrackBox};
+use crate::dataset::notes::{FLAT_BOX, Notes, UNKNOWN_POINTS, note, note_unknown_category};
+use crate::dataset::{CategoryKind, Class, DatasetError, Gap, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::Cuboid;
 
-/// Tracks, and per frame the boxes with their stated number of LiDAR points.
+/// Tracks, and per frame the boxes with their stated number of LiDAR points, if it is known.
 pub(super) struct Annotations {
     /// Sorted by id.
     pub(super) tracks: Vec<Track>,
     /// Boxes and point counts per frame, sorted by track; both lists have the same length.
-    pub(super) frames: Vec<(Vec<TrackBox>, Vec<u32>)>,
+    pub(super) frames: Vec<(Vec<TrackBox>, Vec<Option<u32>>)>,
 }
 
 /// Reads the boxes of every sample of the chain.
@@ -49,7 +49,11 @@ pub(super) fn read(
             notes.gap(Gap::record(FLAT_BOX, by(), &annotations.path));
             continue;
         };
-        let points = annotation.num_lidar_pts.unwrap_or(0);
+        let points = annotation.num_lidar_pts.get();
+        note(notes, UNKNOWN_POINTS, usize::from(points.is_none()));
+        if CategoryKind::of(&tracks[track].category).is_none() {
+            note_unknown_category(notes, &tracks[track].category, 1);
+        }
         frames[chain.place[&annotation.sample_token]].push((TrackBox { track, cuboid }, points));
     }
     for frame in &mut frames {

@@ -4,6 +4,9 @@
 //! of the path's radius, `R` turns right, `S` goes straight. A lane is a sequence of connected paths.
 
 use glam::DVec2;
+use serde::de::{Deserialize, Deserializer};
+
+use crate::dataset::degenerate::{Coordinate, or_default};
 
 /// Maximum spacing of centerline points, meters.
 const STEP_M: f64 = 0.5;
@@ -21,13 +24,32 @@ const FIT_M: f64 = 2e-3;
 #[derive(Clone, Debug, serde::Deserialize, serde::Serialize)]
 pub(super) struct ArclinePath {
     /// x and y (global meters) and yaw (radians).
+    #[serde(deserialize_with = "three", default = "unknown")]
     start_pose: [f64; 3],
     /// Letters `L`, `S`, `R`.
+    #[serde(deserialize_with = "or_default", default)]
     shape: String,
     /// Meters.
+    #[serde(deserialize_with = "one", default)]
     radius: f64,
     /// Meters.
+    #[serde(deserialize_with = "three", default = "unknown")]
     segment_length: [f64; 3],
+}
+
+/// Numbers of a missing field.
+fn unknown() -> [f64; 3] {
+    [f64::NAN; 3]
+}
+
+fn one<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Coordinate::deserialize(from).map(|number| number.0)
+}
+
+/// Reads three numbers; those of a damaged record are NaN.
+fn three<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 3], D::Error> {
+    let numbers: Vec<f64> = or_default(from).map(|all: Vec<Coordinate>| all.iter().map(|n| n.0).collect())?;
+    Ok(numbers.try_into().unwrap_or_else(|_| unknown()))
 }
 
 /// Segment of constant curvature.

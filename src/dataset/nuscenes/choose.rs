@@ -5,29 +5,75 @@ use std::path::{Path, PathBuf};
 use super::tables::{LogRecord, Scene, Table};
 use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
+use crate::files::input::is_taken;
 
-/// Returns the folder of the tables: `root/version`, or the only `root/v1.0-*`.
+/// Table by which folders of tables are recognized.
+const MARK: &str = "scene.json";
+
+/// Beginning of the names of nuScenes' own versions.
+const USUAL: &str = "v1.0-";
+
+/// Maximum number of folders that an error lists.
+const MOST_LISTED: usize = 20;
+
+/// Returns the folder of the tables: `root/version`, or the only folder in `root` with tables, whatever its name.
 pub(super) fn version_folder(root: &Path, version: Option<&str>) -> Result<PathBuf, DatasetError> {
-    let mut known = Vec::new();
-    for entry in std::fs::read_dir(root).map_err(FileError::io("read", root))? {
-        let entry = entry.map_err(FileError::io("read", root))?;
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let wanted = version.map_or(name.starts_with("v1.0-"), |v| v == name);
-        if entry.path().is_dir() && (wanted || name.starts_with("v1.0-")) {
-            known.push((name, wanted));
+    let folders = folders_in(root)?;
+    let known: Vec<&String> = folders.iter().filter(|name| is_taken(&root.join(name).join(MARK))).collect();
+    let usual: Vec<&String> = folders.iter().filter(|name| name.starts_with(USUAL)).collect();
+    // A version without its table of scenes is reported as such.
+    let candidates = if known.is_empty() { usual } else { known };
+    if let Some(wanted) = version
+        && folders.iter().any(|name| name == wanted)
+    {
+        return Ok(root.join(wanted));
+    }
+    if let ([only], None) = (candidates.as_slice(), version) {
+        return Ok(root.join(only));
+    }
+    let (expected, found) = match candidates.as_slice() {
+        [] => (format!("a folder of tables (with {MARK})"), nearby(root, version)),
+        names => {
+            let names: Vec<&str> = names.iter().map(|name| name.as_str()).collect();
+            (format!("@VERSION to name one of {}", names.join(", ")), version.unwrap_or("none").to_owned())
         }
-    }
-    known.sort();
-    let mut wanted = known.iter().filter(|(_, wanted)| *wanted);
-    if let (Some((name, _)), None) = (wanted.next(), wanted.next()) {
-        return Ok(root.join(name));
-    }
-    let names: Vec<&str> = known.iter().map(|(name, _)| name.as_str()).collect();
-    let (expected, found) = match (names.as_slice(), version) {
-        ([], found) => ("a folder of tables (v1.0-*)".to_owned(), found.unwrap_or("none")),
-        (names, found) => (format!("@VERSION to name one of {}", names.join(", ")), found.unwrap_or("none")),
     };
     Err(FileError::content(expected, found, root).into())
+}
+
+/// Returns the names of the folders in a folder, sorted.
+fn folders_in(root: &Path) -> Result<Vec<String>, FileError> {
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(root).map_err(FileError::io("read", root))? {
+        let entry = entry.map_err(FileError::io("read", root))?;
+        if entry.path().is_dir() {
+            names.push(entry.file_name().to_string_lossy().into_owned());
+        }
+    }
+    names.sort();
+    Ok(names)
+}
+
+/// Describes tables above or below a folder that has none, for a path that is one folder off.
+fn nearby(root: &Path, version: Option<&str>) -> String {
+    if is_taken(&root.join(MARK)) {
+        return format!("{MARK} in the folder itself: name the folder above, and this one as @VERSION");
+    }
+    let below = |name: &String| {
+        let folder = root.join(name);
+        let inner = folders_in(&folder).unwrap_or_default().into_iter();
+        let tables = inner.filter(move |inner| is_taken(&folder.join(inner).join(MARK)));
+        tables.map(|inner| format!("{name}/{inner}")).collect::<Vec<_>>()
+    };
+    let found = folders_in(root).unwrap_or_default();
+    let mut found: Vec<String> = found.iter().take(1000).flat_map(below).take(MOST_LISTED + 1).collect();
+    if found.is_empty() {
+        return version.unwrap_or("none").to_owned();
+    }
+    if found.len() > MOST_LISTED {
+        found[MOST_LISTED] = "..".to_owned();
+    }
+    format!("tables one folder further down, in {}", found.join(", "))
 }
 
 /// Returns the scene with a name or token, or the only one.

@@ -237,8 +237,8 @@ impl Sensors {
             let found = format!("{:?} in {record}", calibrated.camera_intrinsic);
             return Err(FileError::content("a 3x3 camera_intrinsic", found, &path).into());
         };
-        let (Some(width), Some(height)) = (data.width, data.height) else {
-            let found = format!("none in sample_data {}", data.token);
+        let (Some(width), Some(height)) = (data.width.get(), data.height.get()) else {
+            let found = format!("{} and {} in sample_data {}", data.width, data.height, data.token);
             return Err(FileError::content("width and height of an image", found, &self.data.path).into());
         };
         let lens = lens(calibrated, self.distortion, &record, &path)?;

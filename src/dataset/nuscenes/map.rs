@@ -3,7 +3,7 @@
 //! Format: version 1.3 of <https://www.nuscenes.org/nuscenes#map-expansion>. Earlier versions (no lane connectors, no
 //! centerlines) are supported too.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
@@ -13,10 +13,12 @@ use rustc_hash::FxHashMap;
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 
 use super::arcline::{ArclinePath, centerline};
+use crate::dataset::degenerate::{self, Coordinate, Fault, note_fault, or_default};
+use crate::dataset::notes::{Counts, count};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
-use crate::files::FileName;
 use crate::files::input::{is_there, read_table};
+use crate::files::{FileName, json};
 
 /// Finds the map file of a location: below `map_root` if given, else below `root/maps`, where it is optional.
 ///
@@ -45,15 +47,14 @@ pub(super) fn find(
     }
 }
 
-/// Reads the map of a location.
+/// Reads the map of a location. Records without an area or a length, and those that refer to missing ones, are skipped
+/// and counted.
 ///
 /// # Errors
-/// Fails if the file cannot be read or is not a map expansion, or tokens are duplicate or unresolved. Fails if an
-/// area has fewer than three corners, a line has a single point, or a centerline is invalid.
+/// Fails if the file cannot be read or is not a map expansion, or if tokens are duplicate.
 pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetError> {
     let bytes = read_table(path)?;
-    let wrong = |e: serde_json::Error| FileError::content("a map expansion", e.to_string(), path);
-    let raw: Expansion = serde_json::from_slice(&bytes).map_err(wrong)?;
+    let raw: Expansion = json::parse(&bytes, "a map expansion", path)?;
     Ok(Resolver::new(&raw, bytes.len(), path)?.map(location)?)
 }
 
@@ -80,50 +81,55 @@ struct Expansion {
 #[derive(serde::Deserialize)]
 struct Node {
     token: String,
-    x: f64,
-    y: f64,
+    #[serde(default)]
+    x: Coordinate,
+    #[serde(default)]
+    y: Coordinate,
 }
 
 #[derive(serde::Deserialize)]
 struct Polygon {
     token: String,
-    exterior_node_tokens: Vec<String>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "or_default")]
+    exterior_node_tokens: Vec<Option<String>>,
+    #[serde(default, deserialize_with = "or_default")]
     holes: Vec<Hole>,
 }
 
 #[derive(serde::Deserialize)]
 struct Hole {
-    node_tokens: Vec<String>,
+    #[serde(default, deserialize_with = "or_default")]
+    node_tokens: Vec<Option<String>>,
 }
 
 #[derive(serde::Deserialize)]
 struct Line {
     token: String,
-    node_tokens: Vec<String>,
+    #[serde(default, deserialize_with = "or_default")]
+    node_tokens: Vec<Option<String>>,
 }
 
 /// Record with one polygon: lane, connector, crossing or stop line.
 #[derive(serde::Deserialize)]
 struct Surface {
     token: String,
-    polygon_token: String,
+    polygon_token: Option<String>,
 }
 
 #[derive(serde::Deserialize)]
 struct DrivableArea {
-    token: String,
-    polygon_tokens: Vec<String>,
+    #[serde(default, deserialize_with = "or_default")]
+    polygon_tokens: Vec<Option<String>>,
 }
 
 #[derive(serde::Deserialize)]
 struct Divider {
-    token: String,
-    line_token: String,
+    line_token: Option<String>,
 }
 
 #[derive(serde::Deserialize)]
 struct Connectivity {
+    #[serde(default, deserialize_with = "or_default")]
     outgoing: Vec<String>,
 }
 
@@ -138,6 +144,22 @@ struct Resolver<'a> {
     centerline_left_m: Cell<f64>,
     /// Remaining budget for corners of referenced polygons and lines.
     corners_left: Cell<usize>,
+    /// Skipped records.
+    notes: RefCell<Counts>,
+}
+
+/// Reason for which a record has no shape.
+enum Refusal {
+    /// Only the record is skipped.
+    Record(Fault),
+    /// The file is refused.
+    File(FileError),
+}
+
+impl From<Fault> for Refusal {
+    fn from(fault: Fault) -> Self {
+        Self::Record(fault)
+    }
 }
 
 /// Maximum total lane length per byte of the file, meters.
@@ -161,7 +183,7 @@ impl Expansion {
 impl<'a> Resolver<'a> {
     /// Builds the lookups for a file of `bytes` bytes.
     fn new(raw: &'a Expansion, bytes: usize, path: &'a Path) -> Result<Self, FileError> {
-        let nodes = raw.node.iter().map(|n| (n.token.as_str(), DVec2::new(n.x, n.y)));
+        let nodes = raw.node.iter().map(|n| (n.token.as_str(), DVec2::new(n.x.0, n.y.0)));
         let surfaces = raw.lane.iter().chain(&raw.lane_connector);
         by_token("lane", surfaces.map(|s| (s.token.as_str(), ())), path)?;
         Ok(Self {
@@ -172,123 +194,102 @@ impl<'a> Resolver<'a> {
             lines: by_token("line", raw.line.iter().map(|l| (l.token.as_str(), l)), path)?,
             centerline_left_m: Cell::new(LANES_M + METRES_PER_BYTE * bytes as f64),
             corners_left: Cell::new(raw.corners() * MOST_SHARED),
+            notes: RefCell::default(),
         })
     }
 
-    fn map(&self, location: &str) -> Result<VectorMap, FileError> {
+    fn map(self, location: &str) -> Result<VectorMap, FileError> {
         let raw = self.raw;
-        let lanes = |surfaces: &[Surface]| surfaces.iter().map(|s| self.lane(s)).collect::<Result<_, _>>();
-        let areas = |kind: &'static str, surfaces: &[Surface]| {
-            let area = |s: &Surface| self.area(&s.polygon_token, || format!("{kind} {}", s.token));
-            surfaces.iter().map(area).collect::<Result<_, _>>()
+        let lanes = self.known("lanes", raw.lane.iter().map(|s| self.lane(s)))?;
+        let connectors = self.known("lane connectors", raw.lane_connector.iter().map(|s| self.lane(s)))?;
+        let areas = |layer: &str, surfaces: &[Surface]| {
+            self.known(layer, surfaces.iter().map(|s| self.area(s.polygon_token.as_deref())))
         };
-        let mut drivable_area = Vec::new();
-        for area in &raw.drivable_area {
-            for polygon in &area.polygon_tokens {
-                drivable_area.push(self.area(polygon, || format!("drivable_area {}", area.token))?);
-            }
-        }
-        let (mut dividers, mut notes) = (Vec::new(), BTreeMap::new());
-        for divider in raw.road_divider.iter().chain(&raw.lane_divider) {
-            match self.divider(divider)? {
-                Some(line) => dividers.push(line),
-                None => *notes.entry("dividers whose line has no nodes".to_owned()).or_default() += 1,
-            }
-        }
+        let drivable = raw.drivable_area.iter().flat_map(|area| &area.polygon_tokens);
+        let drivable_area = self.known("drivable areas", drivable.map(|p| self.area(p.as_deref())))?;
+        let crossings = areas("crossings", &raw.ped_crossing)?;
+        let stop_lines = areas("stop lines", &raw.stop_line)?;
+        let dividers = raw.road_divider.iter().chain(&raw.lane_divider);
+        let dividers = self.known("dividers", dividers.filter_map(|d| self.divider(d).transpose()))?;
         Ok(VectorMap {
             walkways: Vec::new(),
             location: location.to_owned(),
-            lanes: lanes(&raw.lane)?,
-            lane_connectors: lanes(&raw.lane_connector)?,
+            lanes,
+            lane_connectors: connectors,
             drivable_area,
-            crossings: areas("ped_crossing", &raw.ped_crossing)?,
-            stop_lines: areas("stop_line", &raw.stop_line)?,
+            crossings,
+            stop_lines,
             dividers,
-            notes,
+            notes: self.notes.into_inner(),
         })
     }
 
-    fn lane(&self, surface: &Surface) -> Result<Lane, FileError> {
-        let by = || format!("lane {}", surface.token);
-        let paths = self.raw.arcline_path_3.get(&surface.token).map_or(&[][..], Vec::as_slice);
-        let not_a_path = |found| {
-            let found = format!("{found} in arcline_path_3 {}", surface.token);
-            FileError::content(
-                "paths of three letters L S R, a radius over 0 m and lengths of 0 to 1000 m",
-                found,
-                self.path,
-            )
-        };
-        let mut left_m = self.centerline_left_m.get();
-        let middle = centerline(paths, &mut left_m).map_err(not_a_path)?;
-        self.centerline_left_m.set(left_m);
-        Ok(Lane {
-            id: surface.token.clone(),
-            outline: self.area(&surface.polygon_token, by)?,
-            centerline: middle,
-            successors: self.raw.connectivity.get(&surface.token).map_or(Vec::new(), |c| c.outgoing.clone()),
-        })
-    }
-
-    fn area(&self, polygon: &str, by: impl FnOnce() -> String) -> Result<Area, FileError> {
-        let polygon = self.polygons.get(polygon).ok_or_else(|| self.dangling("polygon", polygon, by()))?;
-        let holes = polygon.holes.iter().filter(|hole| !hole.node_tokens.is_empty());
-        Ok(Area {
-            exterior: self.ring(&polygon.exterior_node_tokens, polygon)?,
-            holes: holes.map(|hole| self.ring(&hole.node_tokens, polygon)).collect::<Result<_, _>>()?,
-        })
-    }
-
-    /// Returns a ring's corners without the closing one.
-    fn ring(&self, nodes: &[String], polygon: &Polygon) -> Result<Vec<DVec2>, FileError> {
-        let by = || format!("polygon {}", polygon.token);
-        let mut ring = self.corners(nodes, by)?;
-        while ring.len() > 1 && ring.first() == ring.last() {
-            ring.pop();
+    /// Collects the shapes of a layer's records. Counts those without a shape.
+    fn known<T>(
+        &self,
+        layer: &str,
+        shapes: impl Iterator<Item = Result<T, Refusal>>,
+    ) -> Result<Vec<T>, FileError> {
+        let mut all = Vec::new();
+        for shape in shapes {
+            match shape {
+                Ok(shape) => all.push(shape),
+                Err(Refusal::Record(fault)) => note_fault(&mut self.notes.borrow_mut(), layer, fault),
+                Err(Refusal::File(error)) => return Err(error),
+            }
         }
-        self.at_least(3, ring, by)
+        Ok(all)
     }
 
-    /// Returns a divider's line; `None` if it has no nodes, which occurs in some maps.
-    fn divider(&self, divider: &Divider) -> Result<Option<Vec<DVec2>>, FileError> {
-        let by = || format!("divider {}", divider.token);
-        let line = self.lines.get(divider.line_token.as_str());
-        let line = line.ok_or_else(|| self.dangling("line", &divider.line_token, by()))?;
+    fn lane(&self, surface: &Surface) -> Result<Lane, Refusal> {
+        let paths = self.raw.arcline_path_3.get(&surface.token).map_or(&[][..], Vec::as_slice);
+        let mut left_m = self.centerline_left_m.get();
+        let middle = centerline(paths, &mut left_m);
+        self.centerline_left_m.set(left_m);
+        if left_m < 0.0 {
+            let expected = "centerlines that fit the size of the file";
+            let found = "more meters of lanes than a file of this size has";
+            return Err(Refusal::File(FileError::content(expected, found, self.path)));
+        }
+        let outline = self.area(surface.polygon_token.as_deref())?;
+        let centerline = middle.unwrap_or_else(|_| {
+            count(&mut self.notes.borrow_mut(), "damaged centerlines of lanes (skipped)", 1);
+            Vec::new()
+        });
+        let successors = self.raw.connectivity.get(&surface.token).map_or(Vec::new(), |c| c.outgoing.clone());
+        Ok(Lane { id: surface.token.clone(), outline, centerline, successors })
+    }
+
+    fn area(&self, polygon: Option<&str>) -> Result<Area, Refusal> {
+        let polygon = polygon.and_then(|token| self.polygons.get(token)).ok_or(Fault::Dangling)?;
+        let exterior = degenerate::ring(self.corners(&polygon.exterior_node_tokens)?)?;
+        let holes = polygon.holes.iter().filter(|hole| !hole.node_tokens.is_empty());
+        let holes = holes.map(|hole| Ok(degenerate::ring(self.corners(&hole.node_tokens)?)?));
+        Ok(Area { exterior, holes: self.known("holes", holes).map_err(Refusal::File)? })
+    }
+
+    /// Returns a divider's line; `None` if it has no nodes, which occurs in some maps and is counted.
+    fn divider(&self, divider: &Divider) -> Result<Option<Vec<DVec2>>, Refusal> {
+        let line = divider.line_token.as_deref().and_then(|token| self.lines.get(token));
+        let line = line.ok_or(Fault::Dangling)?;
         if line.node_tokens.is_empty() {
+            count(&mut self.notes.borrow_mut(), "dividers whose line has no nodes", 1);
             return Ok(None);
         }
-        let by = || format!("line {}", line.token);
-        self.at_least(2, self.corners(&line.node_tokens, by)?, by).map(Some)
+        Ok(Some(degenerate::line(self.corners(&line.node_tokens)?)?))
     }
 
-    fn corners(&self, nodes: &[String], by: impl Fn() -> String) -> Result<Vec<DVec2>, FileError> {
+    fn corners(&self, nodes: &[Option<String>]) -> Result<Vec<DVec2>, Refusal> {
         let left = self.corners_left.get().checked_sub(nodes.len()).ok_or_else(|| {
             let expected = format!("polygons and lines that at most {MOST_SHARED} records share on average");
-            FileError::content(expected, "more", self.path)
+            Refusal::File(FileError::content(expected, "more", self.path))
         })?;
         self.corners_left.set(left);
-        let corner = |token: &String| {
-            self.nodes.get(token.as_str()).copied().ok_or_else(|| self.dangling("node", token, by()))
+        let corner = |token: &Option<String>| {
+            let node = token.as_ref().and_then(|token| self.nodes.get(token.as_str()));
+            node.copied().ok_or(Refusal::Record(Fault::Dangling))
         };
         nodes.iter().map(corner).collect()
-    }
-
-    fn at_least(
-        &self,
-        least: usize,
-        corners: Vec<DVec2>,
-        by: impl FnOnce() -> String,
-    ) -> Result<Vec<DVec2>, FileError> {
-        if corners.len() >= least {
-            return Ok(corners);
-        }
-        let found = format!("{} in {}", corners.len(), by());
-        Err(FileError::content(format!("at least {least} corners"), found, self.path))
-    }
-
-    fn dangling(&self, layer: &str, token: &str, by: String) -> FileError {
-        let expected = format!("layer {layer} to hold token {token}");
-        FileError::content(expected, format!("none (referred to by {by})"), self.path)
     }
 }
 

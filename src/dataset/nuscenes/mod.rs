@@ -12,6 +12,7 @@ mod choose;
 mod frames;
 mod lens;
 mod map;
+mod numbers;
 mod read;
 mod rows;
 mod sweep;
@@ -41,7 +42,7 @@ use crate::files::input::DataRoot;
 #[derive(Debug)]
 pub struct NuScenes {
     log: Recording,
-    box_points: Vec<Vec<u32>>,
+    box_points: Vec<Vec<Option<u32>>>,
     root: PathBuf,
     /// Folder of maps, if not the default one.
     map_root: Option<PathBuf>,
@@ -49,7 +50,7 @@ pub struct NuScenes {
 }
 
 impl NuScenes {
-    /// Reads the tables in `PATH/VERSION`. Defaults to the only `v1.0-*` folder and to the only scene. Opens no
+    /// Reads the tables in `PATH/VERSION`. Defaults to the only folder with tables and to the only scene. Opens no
     /// sweeps, images or maps.
     ///
     /// # Errors
@@ -92,7 +93,7 @@ impl Dataset for NuScenes {
         Ok(read_picture(&record.path, record.camera.height, record.camera.width)?)
     }
 
-    fn box_points(&self) -> Option<&[Vec<u32>]> {
+    fn box_points(&self) -> Option<&[Vec<Option<u32>>]> {
         Some(&self.box_points)
     }
 

@@ -15,7 +15,7 @@ pub(super) fn read(
     version: &Version,
     wanted_scene: Option<&str>,
     reading: &ReadOptions,
-) -> Result<(Recording, Vec<Vec<u32>>), DatasetError> {
+) -> Result<(Recording, Vec<Vec<Option<u32>>>), DatasetError> {
     let tables = &version.folder;
     let scene = choose::choose_scene(&version.scenes, wanted_scene)?;
     let logs = Table::<LogRecord>::load(tables)?;

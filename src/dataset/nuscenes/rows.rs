@@ -5,10 +5,12 @@ use std::io::{ErrorKind, Read};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 use crate::error::FileError;
 use crate::files::input::{TABLE_BYTES, open_regular, open_up_to};
+use crate::files::{json, sniff};
 
 /// Bytes to read at a time.
 const CHUNK_BYTES: usize = 1 << 20;
@@ -52,9 +54,12 @@ pub(super) fn for_each_row<E: std::fmt::Display>(
     let wrong = |found: String| no_table(of, found, path);
     let (file, length) = open_up_to(path, TABLE_BYTES)?;
     let mut file = file.take(length);
+    let mut mark = [0; json::BYTE_ORDER_MARK.len()];
+    let has_mark = file.get_ref().read_at(&mut mark, 0).is_ok_and(|_| mark == json::BYTE_ORDER_MARK);
+    let start = if has_mark { file.read_exact(&mut mark).map_or(0, |()| mark.len()) } else { 0 };
     let mut buffer = Vec::with_capacity(2 * CHUNK_BYTES);
     // Position in the file of the buffer, place in it of the next byte and of the current row.
-    let (mut base, mut next, mut row) = (0_u64, 0, 0);
+    let (mut base, mut next, mut row) = (start as u64, 0, 0);
     let (mut state, mut depth) = (State::Start, 0_u32);
     loop {
         // Rows that end in the next chunk begin in this one.
@@ -70,10 +75,7 @@ pub(super) fn for_each_row<E: std::fmt::Display>(
         }
         while next < buffer.len() {
             let byte = buffer[next];
-            let unexpected = || {
-                let found = String::from_utf8_lossy(&buffer[next..(next + 1).min(buffer.len())]).into_owned();
-                wrong(format!("{found:?} at byte {}", base + next as u64))
-            };
+            let unexpected = || wrong(unexpected(&buffer, next, base, state));
             state = match (state, byte) {
                 (State::Text(true), _) => State::Text(false),
                 (State::Text(false), b'\\') => State::Text(true),
@@ -90,8 +92,7 @@ pub(super) fn for_each_row<E: std::fmt::Display>(
                         let offset = base + row as u64;
                         let bytes = &buffer[row..=next];
                         let place = RowPlace { offset, len: bytes.len() as u32 };
-                        visit(place, bytes)
-                            .map_err(|e| wrong(format!("{e} of the record at byte {offset}")))?;
+                        visit(place, bytes).map_err(|e| wrong(in_record(&e, offset, bytes)))?;
                         State::After
                     } else {
                         state
@@ -112,13 +113,50 @@ pub(super) fn for_each_row<E: std::fmt::Display>(
     }
     match state {
         State::End => Ok(()),
+        _ if length == 0 => Err(wrong("an empty file".to_owned())),
         _ => Err(wrong(format!("an end of the file after {} bytes", base + buffer.len() as u64))),
     }
 }
 
+/// Describes a byte of a table that does not continue an array of objects.
+fn unexpected(buffer: &[u8], next: usize, base: u64, state: State) -> String {
+    let rest = &buffer[next..buffer.len().min(next + sniff::HEAD_BYTES)];
+    let at = base + next as u64;
+    match (state, rest[0]) {
+        (State::Start, b'{') => {
+            format!("an object at byte {at} instead of an array (JSON lines? write one array)")
+        }
+        (State::Before(true), b']') => format!("a comma before the closing bracket at byte {at}"),
+        (State::Start, _) if at == 0 && sniff::marked(rest).is_some() => {
+            sniff::marked(rest).unwrap_or_default().to_owned()
+        }
+        _ => {
+            let text: String = String::from_utf8_lossy(rest).chars().take(20).collect();
+            format!("{text:?} at byte {at}")
+        }
+    }
+}
+
+/// Adds to a description in which record it is, unless it names the record.
+fn in_record(found: &impl std::fmt::Display, offset: u64, row: &[u8]) -> String {
+    /// Any record of a table.
+    #[derive(Deserialize)]
+    struct Token {
+        token: String,
+    }
+    let found = found.to_string();
+    let is_named = json::parsed::<Token>(row).is_ok_and(|record| found.contains(&record.token));
+    if is_named { found } else { format!("{found} in the record at byte {offset}") }
+}
+
+/// Describes a table in messages.
+pub(super) fn array_of(table: &str) -> String {
+    format!("a JSON array of {table} records")
+}
+
 /// Creates the error of a table that is no array of records.
-pub(super) fn no_table(of: &str, found: String, path: &Path) -> FileError {
-    FileError::content(format!("a JSON array of {of} records"), found, path)
+fn no_table(of: &str, found: String, path: &Path) -> FileError {
+    FileError::content(array_of(of), found, path)
 }
 
 /// Open table of which single rows are read.
@@ -142,15 +180,14 @@ impl RowFile {
     /// # Errors
     /// Fails if the bytes cannot be read or are not such a record, as they may be after the file was changed.
     pub(super) fn read<R: DeserializeOwned>(&self, place: RowPlace, of: &str) -> Result<R, FileError> {
-        let wrong = |found: String| {
-            no_table(of, format!("{found} of the record at byte {}", place.offset), &self.path)
-        };
+        let offset = place.offset;
+        let wrong = |found: String| no_table(of, found, &self.path);
         let mut bytes = vec![0; place.len as usize];
         self.file.read_exact_at(&mut bytes, place.offset).map_err(|error| match error.kind() {
-            ErrorKind::UnexpectedEof => wrong("the end of the file".to_owned()),
+            ErrorKind::UnexpectedEof => wrong(format!("the end of the file in the record at byte {offset}")),
             _ => FileError::io("read", &self.path)(error),
         })?;
-        serde_json::from_slice(&bytes).map_err(|error| wrong(error.to_string()))
+        json::parsed(&bytes).map_err(|found| wrong(in_record(&found, offset, &bytes)))
     }
 
     /// Returns the path of the table.
@@ -181,6 +218,7 @@ mod tests {
     #[test]
     fn rows_are_the_objects_of_the_array() {
         assert_eq!(rows(b" [ ]\n").unwrap(), [""; 0]);
+        assert_eq!(rows(b"\xef\xbb\xbf[{}]").unwrap(), ["{}"]);
         let text = br#" [ {"a": "}\"]{", "b": [{}, []]} ,
             {"c\\": 1}]"#;
         assert_eq!(rows(text).unwrap(), [r#"{"a": "}\"]{", "b": [{}, []]}"#, r#"{"c\\": 1}"#]);
@@ -198,14 +236,16 @@ mod tests {
     #[test]
     fn what_is_no_array_of_objects_is_refused() {
         for (text, found) in [
-            ("", "an end of the file after 0 bytes"),
-            ("{}", "\"{\" at byte 0"),
+            ("", "an empty file"),
+            ("{\"a\": 1}\n{\"a\": 2}", "an object at byte 0 instead of an array (JSON lines?"),
+            ("\u{1f}", "\"\\u{1f}\" at byte 0"),
+            ("{}", "an object at byte 0 instead of an array"),
             ("[{}", "an end of the file after 3 bytes"),
             ("[{\"a", "an end of the file after 4 bytes"),
-            ("[{},]", "\"]\" at byte 4"),
-            ("[{}{}]", "\"{\" at byte 3"),
-            ("[1]", "\"1\" at byte 1"),
-            ("[] []", "\"[\" at byte 3"),
+            ("[{},]", "a comma before the closing bracket at byte 4"),
+            ("[{}{}]", "\"{}]\" at byte 3"),
+            ("[1]", "\"1]\" at byte 1"),
+            ("[] []", "\"[]\" at byte 3"),
         ] {
             let message = rows(text.as_bytes()).unwrap_err();
             assert!(

@@ -7,14 +7,15 @@
 use std::path::{Path, PathBuf};
 
 use rustc_hash::FxHashMap;
-use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error};
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use super::rows::no_table;
+use super::numbers::{TimeUs, Whole};
+use super::rows::array_of;
 use crate::dataset::DatasetError;
-use crate::dataset::limits::MAX_TIME_US;
+use crate::dataset::degenerate::or_default;
 use crate::error::FileError;
-use crate::files::input::read_table;
+use crate::files::json;
 
 /// Record of a table.
 pub(super) trait Record: DeserializeOwned {
@@ -30,27 +31,13 @@ pub(super) trait Record: DeserializeOwned {
     }
 }
 
-/// Absolute microseconds, at most [`MAX_TIME_US`] from 1970.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct TimeUs(pub(super) i64);
-
-impl<'de> Deserialize<'de> for TimeUs {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        let t_us = i64::deserialize(from)?;
-        if t_us.unsigned_abs() > MAX_TIME_US.unsigned_abs() {
-            return Err(Error::custom(format!("a time of {t_us} us, a thousand years from 1970 or more")));
-        }
-        Ok(Self(t_us))
-    }
-}
-
 /// Declares raw records: the table name and the fields to read.
 macro_rules! records {
-    ($($name:ident in $table:literal { $($field:ident: $type:ty),* $(,)? })*) => {$(
+    ($($name:ident in $table:literal { $($(#[$of:meta])* $field:ident: $type:ty),* $(,)? })*) => {$(
         #[derive(Debug, serde::Deserialize)]
         pub(super) struct $name {
             pub(super) token: String,
-            $(pub(super) $field: $type,)*
+            $($(#[$of])* pub(super) $field: $type,)*
         }
         impl Record for $name {
             const TABLE: &'static str = $table;
@@ -62,7 +49,13 @@ macro_rules! records {
 }
 
 records! {
-    Scene in "scene" { name: String, description: String, log_token: String, first_sample_token: String }
+    Scene in "scene" {
+        name: String,
+        #[serde(default, deserialize_with = "or_default")]
+        description: String,
+        log_token: String,
+        first_sample_token: String,
+    }
     Sample in "sample" { timestamp: TimeUs, next: String, scene_token: String }
     SampleData in "sample_data" {
         sample_token: String,
@@ -71,8 +64,10 @@ records! {
         timestamp: TimeUs,
         is_key_frame: bool,
         is_valid: Option<Value>,
-        height: Option<u32>,
-        width: Option<u32>,
+        #[serde(default)]
+        height: Whole,
+        #[serde(default)]
+        width: Whole,
         filename: String,
     }
     EgoPose in "ego_pose" { rotation: [f64; 4], translation: [f64; 3], timestamp: Option<Value> }
@@ -80,6 +75,7 @@ records! {
         sensor_token: String,
         translation: [f64; 3],
         rotation: [f64; 4],
+        #[serde(default, deserialize_with = "or_default")]
         camera_intrinsic: Vec<Vec<f64>>,
         camera_distortion: Option<Value>,
         camera_distortion_model: Option<Value>,
@@ -92,12 +88,16 @@ records! {
         translation: [f64; 3],
         size: [f64; 3],
         rotation: [f64; 4],
-        num_lidar_pts: Option<u32>,
+        #[serde(default)]
+        num_lidar_pts: Whole,
     }
     Category in "category" { name: String }
     Attribute in "attribute" {}
     Visibility in "visibility" {}
-    LogRecord in "log" { location: String }
+    LogRecord in "log" {
+        #[serde(default, deserialize_with = "or_default")]
+        location: String,
+    }
     MapRecord in "map" {}
 }
 
@@ -118,8 +118,7 @@ impl<R: Record> Table<R> {
     /// Fails if the file is missing, is not a JSON array of such records, or has a token twice.
     pub(super) fn load(folder: &Path) -> Result<Self, FileError> {
         let path = R::path(folder);
-        let records = serde_json::from_slice(&read_table(&path)?);
-        let records = records.map_err(|error| no_table(R::TABLE, error.to_string(), &path))?;
+        let records = json::read(&path, &array_of(R::TABLE))?;
         Self::new(path, records)
     }
 

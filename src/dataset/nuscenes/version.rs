@@ -15,6 +15,7 @@ use super::tables::{Annotation, EgoPose, Record, Sample, SampleData, Scene, Tabl
 use crate::dataset::notes::Notes;
 use crate::dataset::{DatasetError, LogLocator, LogOutline};
 use crate::error::FileError;
+use crate::files::json;
 
 /// Scenes and samples of a version, and where the rows of each scene are in the large tables.
 #[derive(Debug)]
@@ -58,11 +59,23 @@ struct SampleOf<'a> {
     sample_token: Cow<'a, str>,
 }
 
+/// [`SampleOf`] a row that is not strict JSON.
+#[derive(Deserialize)]
+struct OwnedSampleOf {
+    sample_token: String,
+}
+
 /// The primary key.
 #[derive(Deserialize)]
 struct TokenOf<'a> {
     #[serde(borrow)]
     token: Cow<'a, str>,
+}
+
+/// [`TokenOf`] a row that is not strict JSON.
+#[derive(Deserialize)]
+struct OwnedTokenOf {
+    token: String,
 }
 
 impl Version {
@@ -113,14 +126,15 @@ impl Version {
         let path = R::path(&self.folder);
         let mut rows: FxHashMap<String, Vec<RowPlace>> = FxHashMap::default();
         for_each_row(&path, R::TABLE, |place, row| {
-            let of: SampleOf<'_> = serde_json::from_slice(row)?;
-            if let Some(sample) = self.samples.find(&of.sample_token) {
+            let of = serde_json::from_slice(row).map(|of: SampleOf<'_>| of.sample_token);
+            let token = of.or_else(|_| json::parsed(row).map(|of: OwnedSampleOf| of.sample_token.into()))?;
+            if let Some(sample) = self.samples.find(&token) {
                 match rows.get_mut(&sample.scene_token) {
                     Some(rows) => rows.push(place),
                     None => _ = rows.insert(sample.scene_token.clone(), vec![place]),
                 }
             }
-            Ok::<(), serde_json::Error>(())
+            Ok::<(), String>(())
         })?;
         Ok(RowsByScene { file: RowFile::open(path)?, rows })
     }
@@ -175,9 +189,11 @@ fn rows_by_token<R: Record>(folder: &Path) -> Result<RowsByToken, FileError> {
     let path = R::path(folder);
     let mut rows = Vec::new();
     for_each_row(&path, R::TABLE, |place, row| {
-        let of: TokenOf<'_> = serde_json::from_slice(row)?;
-        rows.push((hash_of(&of.token), place));
-        Ok::<(), serde_json::Error>(())
+        let of = serde_json::from_slice(row).map(|of: TokenOf<'_>| of.token);
+        let token: Cow<'_, str> =
+            of.or_else(|_| json::parsed(row).map(|of: OwnedTokenOf| of.token.into()))?;
+        rows.push((hash_of(&token), place));
+        Ok::<(), String>(())
     })?;
     rows.sort_unstable_by_key(|(hash, place)| (*hash, place.offset));
     Ok(RowsByToken { file: RowFile::open(path)?, rows })

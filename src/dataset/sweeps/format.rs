@@ -1,30 +1,9 @@
-//! File formats recognized by their first bytes.
+//! File formats recognized by their first bytes, in place of raw numbers.
 
-/// Formats by their first bytes. None of these is a plausible coordinate as a little-endian float.
-const MAGIC: [(&[u8], &str); 19] = [
-    (b"ply\n", "a PLY file"),
-    (b"ply\r", "a PLY file"),
-    (b"\x93NUMPY", "a NumPy array (NPY)"),
-    (b"PK\x03\x04", "a ZIP archive (NPZ?)"),
-    (b"ARROW1", "a Feather file"),
-    (b"FEA1", "a Feather file of version 1"),
-    (b"PAR1", "a Parquet file"),
-    (b"\x89HDF\r\n", "an HDF5 file"),
-    (b"LASF", "a LAS file"),
-    (b"\x1f\x8b\x08", "a gzip file"),
-    (b"\x28\xb5\x2f\xfd", "a Zstandard file"),
-    (b"\xfd7zXZ\0", "an xz file"),
-    (b"#ROSBAG", "a ROS bag"),
-    (b"\x89MCAP0\r\n", "an MCAP file"),
-    (b"SQLite format 3\0", "an SQLite database"),
-    (b"\x89PNG\r\n", "a PNG image"),
-    (b"\xff\xd8\xff", "a JPEG image"),
-    (b"version https://git-lfs", "a Git LFS pointer, not the file"),
-    (b"<!DOCTYPE", "an HTML page"),
-];
+use crate::files::sniff;
 
-/// Bytes in which a header is recognized.
-const HEAD: usize = 256;
+/// Absolute values of coordinates that occur, meters.
+const COORDINATES_M: std::ops::Range<f32> = 1e-5..1e4;
 
 /// Returns whether a file begins with a PCD header.
 #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
@@ -45,16 +24,12 @@ fn is_pcd_comment(head: &[u8]) -> bool {
     line.to_ascii_uppercase().starts_with(b"# .PCD")
 }
 
-/// Returns the name of a format that is not a sweep's, for messages; `None` if the bytes may be numbers.
-pub(in crate::dataset) fn named_format(bytes: &[u8]) -> Option<&'static str> {
-    let known = MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic));
-    known.map(|(_, name)| *name).or_else(|| is_text(bytes).then_some("text"))
-}
-
-/// Returns whether all of the first bytes are printable, as never in binary numbers.
-fn is_text(bytes: &[u8]) -> bool {
-    let head = &bytes[..bytes.len().min(HEAD)];
-    head.len() >= 16 && head.iter().all(|byte| matches!(byte, b'\t' | b'\n' | b'\r' | b' '..=b'~'))
+/// Returns the name of a format that is not a sweep's, for messages; `None` if the bytes may be numbers: short marks also
+/// occur as coordinates.
+pub(in crate::dataset) fn named_format(bytes: &[u8]) -> Option<String> {
+    let first = bytes.first_chunk().map(|b| f32::from_le_bytes(*b));
+    let may_be_first = first.is_none_or(|v| v == 0.0 || COORDINATES_M.contains(&v.abs()));
+    if may_be_first && !sniff::has_long_mark(bytes) { None } else { sniff::described(bytes) }
 }
 
 #[cfg(test)]
@@ -65,20 +40,28 @@ mod tests {
     fn formats_are_recognized_by_their_first_bytes() {
         for (bytes, name) in [
             (&b"ply\nformat ascii 1.0\n"[..], "a PLY file"),
-            (b"\x93NUMPY\x01\x00", "a NumPy array (NPY)"),
-            (b"PK\x03\x04", "a ZIP archive (NPZ?)"),
-            (b"1.0 2.0 3.0 4.0 5.0\n1.5 2.0 3.0 4.0 5.0\n", "text"),
+            (b"\x93NUMPY\x01\x00", "an NPY array"),
+            (b"PK\x03\x04", "a ZIP archive"),
+            (b"\x1f\x8b\x08\x00", "gzip-compressed data"),
+            (b"\x89MCAP0\r\n", "an MCAP file"),
+            (b"1.0 2.0 3.0 4.0 5.0\n1.5 2.0 3.0 4.0 5.0\n", "text that begins with"),
         ] {
-            assert_eq!(named_format(bytes), Some(name));
+            let found = named_format(bytes).unwrap();
+            assert!(found.starts_with(name), "{found}");
         }
+        assert_eq!(named_format(b""), None);
+    }
+
+    /// Marks of two or three bytes may be the first bytes of a coordinate.
+    #[test]
+    fn numbers_are_no_format() {
         let numbers = [1.0_f32, -2.5, 0.0, 100.0, 31.0].map(f32::to_le_bytes);
         assert_eq!(named_format(numbers.as_flattened()), None);
-        assert_eq!(named_format(b""), None);
-        for (magic, name) in MAGIC {
-            if let Some(first) = magic.first_chunk().map(|b| f32::from_le_bytes(*b)) {
-                let plausible = first.is_finite() && (1e-5..1e4).contains(&first.abs());
-                assert!(!plausible, "{name} begins with {first}");
-            }
+        assert_eq!(named_format(&[0; 600]), None);
+        for first in [[0x1f, 0x8b, 0x28, 0x41], [0xff, 0xfe, 0x9f, 0xc1], *b"BZh?", [0xff, 0xd8, 0xff, 0x40]]
+        {
+            let rest = numbers.as_flattened();
+            assert_eq!(named_format(&[&first[..], rest].concat()), None, "{first:x?}");
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::format::named_format;
+use super::format::{is_pcd, named_format};
 use crate::error::FileError;
 
 /// Maximum header length, bytes; real headers take a few hundred.
@@ -239,8 +239,8 @@ fn found_instead(head: &[u8], at: usize) -> String {
     if head.is_empty() {
         return "an empty file".to_owned();
     }
-    if let Some(name) = named_format(head) {
-        return name.to_owned();
+    if let Some(name) = named_format(head).filter(|_| !is_pcd(head)) {
+        return name;
     }
     match head.get(at..).filter(|rest| !rest.is_empty()) {
         None => format!("none in {} bytes", head.len()),

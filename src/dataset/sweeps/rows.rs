@@ -1,7 +1,7 @@
 //! Points of a sweep, row by row.
 
 use super::devices::{Evidence, evidence};
-use crate::dataset::notes::add;
+use crate::dataset::notes::count;
 use crate::dataset::{RingMeaning, Sweep, SweepPoint};
 
 /// Note for values of a column that is only informative.
@@ -58,13 +58,13 @@ impl SweepRows {
     /// Returns the sweep with the meaning of its ring column.
     pub(in crate::dataset) fn finish(self, meaning: RingMeaning) -> Sweep {
         let Self { mut sweep, devices, intensities, rings } = self;
-        add(&mut sweep.notes, INTENSITIES, intensities);
-        add(&mut sweep.notes, RINGS, rings);
+        count(&mut sweep.notes, INTENSITIES, intensities);
+        count(&mut sweep.notes, RINGS, rings);
         if devices.windows(2).any(|pair| pair[0] != pair[1]) {
             // The name of the column says that it numbers LiDARs, unless its values contradict.
             let found = || evidence(&sweep.points, |i| devices[i]);
             let contradicted = meaning == RingMeaning::Auto && found() == Evidence::Beams;
-            add(&mut sweep.notes, BEAMS, usize::from(contradicted));
+            count(&mut sweep.notes, BEAMS, usize::from(contradicted));
             if meaning != RingMeaning::Beam && !contradicted {
                 sweep.points.iter_mut().zip(&devices).for_each(|(point, device)| point.ring = *device);
                 sweep.devices = true;
@@ -76,7 +76,7 @@ impl SweepRows {
             RingMeaning::Beam => false,
             RingMeaning::Auto if may_be_devices(&sweep.points) => {
                 let certain = evidence(&sweep.points, |i| sweep.points[i].ring) == Evidence::Devices;
-                add(&mut sweep.notes, FEW_RINGS, usize::from(!certain));
+                count(&mut sweep.notes, FEW_RINGS, usize::from(!certain));
                 certain
             }
             RingMeaning::Auto => false,

@@ -10,6 +10,7 @@ use super::runs::{self, RunName};
 use super::sums::VoxelSum;
 use crate::error::FileError;
 use crate::files::input::read_table;
+use crate::files::json;
 use crate::files::{WorkFolder, work_of_whole, write_json};
 use crate::skeleton::{BuildOptions, BuildReport};
 
@@ -92,9 +93,7 @@ impl Unfinished {
 
     fn read(&self) -> Result<BuildState, FileError> {
         let path = self.path().join(FILE);
-        let text = read_table(&path)?;
-        let wrong = |e: serde_json::Error| FileError::content("a checkpoint", e.to_string(), &path);
-        let checkpoint: Checkpoint<Plan, BuildState> = serde_json::from_slice(&text).map_err(wrong)?;
+        let checkpoint: Checkpoint<Plan, BuildState> = json::read(&path, "a checkpoint")?;
         let frames: usize = self.plan.logs.iter().map(|log| log.t_us.len()).sum();
         if checkpoint.done.frames > frames && checkpoint.plan == self.plan {
             let found = format!("{} done", checkpoint.done.frames);

@@ -19,7 +19,8 @@ use serde::{Deserialize, Serialize};
 use super::cells::Cell;
 use super::sums::{VoxelSum, merge_two};
 use crate::error::FileError;
-use crate::files::input::{open_regular, read_table};
+use crate::files::input::open_regular;
+use crate::files::json;
 use crate::files::{write_json, write_whole};
 use crate::skeleton::Checksum;
 
@@ -81,9 +82,7 @@ struct Run {
 impl Run {
     fn open(folder: &Path, name: &RunName) -> Result<Self, FileError> {
         let (index, path) = (name.index(folder), name.sums(folder));
-        let text = read_table(&index)?;
-        let wrong = |e: serde_json::Error| FileError::content("an index of points", e.to_string(), &index);
-        let entries: Vec<Entry> = serde_json::from_slice(&text).map_err(wrong)?;
+        let entries: Vec<Entry> = json::read(&index, "an index of points")?;
         let (mut cells, mut end) = (BTreeMap::new(), 0_usize);
         for entry in entries {
             cells.insert(entry.cell, (end, entry));

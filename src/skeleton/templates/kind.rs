@@ -3,7 +3,7 @@ use std::str::FromStr;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use crate::dataset::Class;
+use crate::dataset::{CategoryKind, Class};
 
 /// Kind of a category template.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -82,17 +82,16 @@ const BUS_LENGTH_M: f64 = 10.0;
 impl Family {
     /// Returns the family of a category; `None` for categories without templates.
     pub(super) fn of(category: &str) -> Option<Self> {
-        let has = |part: &str| category.split('.').any(|p| p == part);
-        match Class::from_category(category) {
-            Class::Pedestrian => Some(Self::Of(TemplateKind::Pedestrian)),
-            Class::Cycle => Some(Self::Of(TemplateKind::Bike)),
-            Class::MotorVehicle if has("bus") => Some(Self::Of(TemplateKind::Bus)),
-            Class::MotorVehicle if has("trailer") => Some(Self::Of(TemplateKind::Trailer)),
-            Class::MotorVehicle if has("construction") => Some(Self::Of(TemplateKind::Construction)),
-            Class::MotorVehicle if has("truck") => Some(Self::Of(TemplateKind::Truck)),
-            Class::MotorVehicle if category == "vehicle" => Some(Self::AnyVehicle),
-            Class::MotorVehicle => Some(Self::Car),
-            Class::Object | Class::None => None,
+        match CategoryKind::of(category)? {
+            CategoryKind::Pedestrian => Some(Self::Of(TemplateKind::Pedestrian)),
+            CategoryKind::Bicycle | CategoryKind::Motorcycle => Some(Self::Of(TemplateKind::Bike)),
+            CategoryKind::Bus => Some(Self::Of(TemplateKind::Bus)),
+            CategoryKind::Trailer => Some(Self::Of(TemplateKind::Trailer)),
+            CategoryKind::Construction => Some(Self::Of(TemplateKind::Construction)),
+            CategoryKind::Truck => Some(Self::Of(TemplateKind::Truck)),
+            CategoryKind::AnyVehicle => Some(Self::AnyVehicle),
+            CategoryKind::Car | CategoryKind::Emergency => Some(Self::Car),
+            CategoryKind::Object => None,
         }
     }
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use image::RgbImage;
 use image::imageops::{self, FilterType};
 use point_skeleton::error::FileError;
-use point_skeleton::files::input::read_table;
+use point_skeleton::files::json;
 use point_skeleton::files::write_whole;
 use pskel_generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
 use pskel_sim::{Committed, Forecast};
@@ -50,8 +50,7 @@ impl RunResult {
     pub(super) fn read(path: &Path, origin: &Origin) -> Result<Self, FileError> {
         let damaged =
             |error: serde_json::Error| FileError::content("scores of a scene", error.to_string(), path);
-        let text = read_table(path)?;
-        let result: Self = serde_json::from_slice(&text).map_err(damaged)?;
+        let result: Self = json::read(path, "scores of a scene")?;
         if result.origin == *origin {
             return Ok(result);
         }

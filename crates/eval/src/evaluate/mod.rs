@@ -38,6 +38,8 @@ pub struct EvaluateOptions {
     pub hold_out: Option<usize>,
     /// Seed of the random convolutions and of the patch classifier.
     pub seed: u64,
+    /// Folder that the report names rollouts relative to; those outside are named as given.
+    pub root: Option<PathBuf>,
 }
 
 /// Scores all steps of all rollouts. `on_start` is called with the number of steps, then `on_step` with a name after
@@ -51,7 +53,8 @@ pub fn evaluate(
     on_start: &mut dyn FnMut(usize),
     on_step: &mut dyn FnMut(&str),
 ) -> Result<Report, EvaluateError> {
-    let EvaluateOptions { rollouts, masks, classifier_from, references, features, hold_out, seed } = options;
+    let EvaluateOptions { rollouts, masks, classifier_from, references, features, hold_out, seed, root } =
+        options;
     if !masks.is_empty() && masks.len() != rollouts.len() {
         return Err(EvaluateError::Masks { rollouts: rollouts.len(), found: masks.len() });
     }
@@ -70,7 +73,7 @@ pub fn evaluate(
     for (number, rollout) in rollouts.iter().enumerate() {
         let (scores, features) = score(rollout, number, &net, &segmentors, on_step)?;
         collected.append(&features);
-        scored.push(ScoredRollout::new(rollout, scores));
+        scored.push(ScoredRollout::new(rollout, root.as_deref(), scores));
     }
     if !references.is_empty() {
         let mut reference = CollectedFeatures::default();

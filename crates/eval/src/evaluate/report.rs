@@ -1,6 +1,7 @@
 //! Report: JSON, a table, a summary line.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use crate::table::{aligned, interval, number};
 use crate::{
@@ -57,9 +58,10 @@ const HEADER: [&str; 13] = [
 ];
 
 impl ScoredRollout {
-    pub(super) fn new(rollout: &GeneratedRollout, scores: Scores) -> Self {
+    pub(super) fn new(rollout: &GeneratedRollout, root: Option<&Path>, scores: Scores) -> Self {
+        let below = root.and_then(|root| rollout.folder.strip_prefix(root).ok());
         Self {
-            folder: rollout.folder.display().to_string(),
+            folder: below.unwrap_or(&rollout.folder).display().to_string(),
             cameras: rollout.cameras.clone(),
             sizes: rollout.sizes.iter().map(ToString::to_string).collect(),
             references: rollout.references,

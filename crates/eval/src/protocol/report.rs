@@ -2,7 +2,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use point_skeleton::error::FileError;
-use point_skeleton::files::input::read_table;
+use point_skeleton::files::json;
 use pskel_sim::rollout::METRICS;
 use serde::{Deserialize, Serialize};
 
@@ -84,7 +84,7 @@ struct OffRoad {
 }
 
 impl ProtocolReport {
-    /// Scores the rollouts of all parts; `logs` are the names of their logs. `on_start` and `on_step` are those of
+    /// Scores the rollouts of all parts in the folder `root`; `logs` are the names of their logs. `on_start` and `on_step` are those of
     /// [`evaluate`], called for each part.
     ///
     /// # Errors
@@ -92,7 +92,7 @@ impl ProtocolReport {
     pub fn score(
         protocol: Protocol,
         logs: &[String],
-        parts: &[PartRollouts],
+        (root, parts): (&Path, &[PartRollouts]),
         on_start: &mut dyn FnMut(usize),
         on_step: &mut dyn FnMut(&str),
     ) -> Result<Self, EvaluateError> {
@@ -106,6 +106,7 @@ impl ProtocolReport {
             let options = EvaluateOptions {
                 rollouts: rollouts.clone(),
                 references: part.reference.and_then(folders).cloned().unwrap_or_default(),
+                root: Some(root.to_owned()),
                 ..EvaluateOptions::default()
             };
             let driving = Driving::read(rollouts)?;
@@ -178,9 +179,7 @@ impl Driving {
 
 impl Metrics {
     fn read(path: &Path) -> Result<Self, FileError> {
-        let text = read_table(path)?;
-        serde_json::from_slice(&text)
-            .map_err(|error| FileError::content("metrics of a rollout", error.to_string(), path))
+        json::read(path, "metrics of a rollout")
     }
 }
 

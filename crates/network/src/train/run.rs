@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use point_skeleton::error::FileError;
 use point_skeleton::files::OutputFolder;
 use point_skeleton::files::input::is_there;
+use point_skeleton::files::json::{Difference, difference};
 use pskel_generate::TrainingClip;
+use serde_json::json;
 
 use super::losses::{self, recent_loss};
 use super::{StepReport, TrainOptions, Trainer};
@@ -102,15 +104,17 @@ fn resume<'c>(
     clips: &'c [TrainingClip],
 ) -> Result<Trainer<'c>, NetworkError> {
     let trainer = Trainer::resume(checkpoint, clips)?;
-    let text = |options: &TrainOptions, config: &NetworkConfig, shares: &[f64]| {
-        format!("{options:?} of {config:?} with shares {shares:?}")
-    };
-    let before = text(trainer.options(), trainer.config(), trainer.shares());
-    let now = text(train, config, shares);
-    if before != now {
-        return Err(FileError::content(before, now, checkpoint).into());
+    let before =
+        json!({"options": trainer.options(), "network": trainer.config(), "shares": trainer.shares()});
+    let now = json!({"options": train, "network": config, "shares": shares});
+    // Only the first difference: all options together are longer than a message.
+    match difference(&before, &now) {
+        None => Ok(trainer),
+        Some(Difference { place, values: [before, now] }) => {
+            let expected = format!("the options of the earlier training, {place} {before}");
+            Err(FileError::content(expected, now, checkpoint).into())
+        }
     }
-    Ok(trainer)
 }
 
 impl Training<'_> {

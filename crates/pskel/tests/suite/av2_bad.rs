@@ -7,8 +7,8 @@ use std::sync::Arc;
 use arrow_array::{ArrayRef, Float16Array, Float32Array, Int64Array, StringArray, UInt64Array};
 use arrow_ipc::CompressionType;
 use half::f16;
-use point_skeleton::dataset::Dataset;
 use point_skeleton::dataset::av2::{read_map_file, read_sweep_file};
+use point_skeleton::dataset::{Dataset, VectorMap};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -41,7 +41,10 @@ fn a_cut_table_or_another_format_is_told() {
         let whole = std::fs::read(log.path(table)).unwrap();
         for cut in (0..whole.len()).step_by(97).chain([whole.len() - 1]) {
             std::fs::write(log.path(table), &whole[..cut]).unwrap();
-            let found = format!("found {cut} bytes (cut off, or another format)");
+            let found = match cut {
+                0 => "found an empty file".to_owned(),
+                _ => format!("found {cut} bytes (cut off, or another format)"),
+            };
             log.refuses(&["expected a Feather (Arrow IPC) file", &found], table);
         }
         std::fs::write(log.path(table), [&whole[..], &whole[whole.len() - 6..]].concat()).unwrap();
@@ -53,11 +56,37 @@ fn a_cut_table_or_another_format_is_told() {
 
 type Edit = fn(&mut Columns);
 
+/// Counts that are only reported decide nothing.
+#[test]
+fn unknown_counts_of_points_are_counted() {
+    let edits: [Edit; 4] = [
+        |c| set(c, "num_interior_pts", integers(vec![-1; 2 * FRAMES])),
+        |c| set(c, "num_interior_pts", numbers(vec![f64::NAN; 2 * FRAMES])),
+        |c| set(c, "num_interior_pts", texts(&["1"; 2 * FRAMES])),
+        |c| c.retain(|(name, _)| name != "num_interior_pts"),
+    ];
+    let noted = |edit: Edit| {
+        let log = TinyAv2::new();
+        log.edit(TABLES[0], edit);
+        let log = log.open().unwrap();
+        let counts = log.box_points().unwrap().concat();
+        (log.log().notes.get("boxes with an unknown number of LiDAR points").copied(), counts)
+    };
+    for edit in edits {
+        assert_eq!(noted(edit), (Some(2 * FRAMES), vec![None; 2 * FRAMES]));
+    }
+    let floats = noted(|c| set(c, "num_interior_pts", numbers(vec![7.0; 2 * FRAMES])));
+    assert_eq!(floats, (None, vec![Some(7); 2 * FRAMES]));
+    let wide = TinyAv2::new();
+    wide.edit(TABLES[2], |c| set(c, "width_px", numbers(vec![64.0; 8])));
+    assert_eq!(wide.open().unwrap().log().rig[0].camera.width, 64);
+}
+
 #[test]
 fn wrong_columns_are_named() {
     let remove = |name: &'static str| move |columns: &mut Columns| columns.retain(|(n, _)| n != name);
     for (table, name) in [
-        (TABLES[0], "num_interior_pts"),
+        (TABLES[0], "category"),
         (TABLES[0], "track_uuid"),
         (TABLES[1], "tz_m"),
         (TABLES[2], "fx_px"),
@@ -84,14 +113,14 @@ fn wrong_columns_are_named() {
             &["numbers in column length_m", "type Utf8"],
         ),
         (
-            TABLES[0],
-            |c| set(c, "num_interior_pts", integers(vec![-1; 2 * FRAMES])),
-            &["from 0 to 2^32 - 1", "-1 in column num"],
+            TABLES[2],
+            |c| set(c, "width_px", integers(vec![-1; 8])),
+            &["from 0 to 2^32 - 1", "-1 in column width_px"],
         ),
         (
             TABLES[2],
-            |c| set(c, "width_px", numbers(vec![64.0; 8])),
-            &["integers in column width_px", "type Float64"],
+            |c| set(c, "width_px", numbers(vec![64.5; 8])),
+            &["whole floats", "64.5 in column width_px"],
         ),
         (
             TABLES[0],
@@ -430,33 +459,74 @@ fn read_map(map: &Value) -> Result<usize, String> {
 }
 
 #[test]
-fn broken_maps_are_told() {
+fn records_without_a_shape_are_skipped_and_counted() {
     type Edit = fn(&mut Value);
-    let cases: [(Edit, &[&str]); 7] = [
-        (|m| m["lane_segments"] = json!([]), &["an Argoverse 2 map", "an object by id"]),
-        (|m| m["lane_segments"]["9"]["id"] = json!("9"), &["an Argoverse 2 map", "expected i64"]),
+    let nan = json!({"x": null, "y": 1.0});
+    let cases: [(Edit, &str); 7] = [
         (
             |m| m["lane_segments"]["9"]["left_lane_boundary"][0]["x"] = json!(null),
-            &["an Argoverse 2 map", "null"],
+            "lane segments without a length (skipped)",
         ),
         (
             |m| m["lane_segments"]["9"]["left_lane_boundary"] = json!([]),
-            &["at least 2 different points", "0 in lane segment 9"],
+            "lane segments without a length (skipped)",
         ),
         (
             |m| {
                 m["lane_segments"]["9"]["right_lane_boundary"][1] =
                     m["lane_segments"]["9"]["right_lane_boundary"][0].clone()
             },
-            &["at least 2 different points", "1 in lane segment 9"],
+            "lane segments without a length (skipped)",
+        ),
+        (
+            |m| {
+                m["lane_segments"]["9"]["right_lane_boundary"] =
+                    m["lane_segments"]["9"]["left_lane_boundary"].clone()
+            },
+            "lane segments without an area (skipped)",
         ),
         (
             |m| m["drivable_areas"]["1"]["area_boundary"] = json!([{"x": 1, "y": 2}]),
-            &["at least 3", "1 in drivable area 1"],
+            "drivable areas without an area (skipped)",
         ),
         (
-            |m| m["pedestrian_crossings"]["2"]["edge2"] = json!([]),
-            &["at least 3", "2 in pedestrian crossing 2"],
+            |m| _ = m["drivable_areas"]["1"]["area_boundary"].take(),
+            "drivable areas without an area (skipped)",
+        ),
+        (|m| m["pedestrian_crossings"]["2"]["edge2"] = json!([]), "crossings without an area (skipped)"),
+    ];
+    let read = |map: &Value| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.json");
+        // Python's words for numbers that JSON lacks.
+        std::fs::write(&path, map.to_string().replace(&nan.to_string(), "{\"x\": NaN, \"y\": 1.0}")).unwrap();
+        read_map_file(&path, "").unwrap()
+    };
+    let whole = read(&map());
+    let elements = |map: &VectorMap| {
+        map.lanes.len() + map.lane_connectors.len() + map.drivable_area.len() + map.crossings.len()
+    };
+    assert!(whole.notes.is_empty());
+    for (edit, note) in cases {
+        let mut map = map();
+        edit(&mut map);
+        let map = read(&map);
+        assert_eq!(map.notes.into_iter().collect::<Vec<_>>(), [(note.to_owned(), 1)]);
+    }
+    let mut map = map();
+    map["drivable_areas"]["1"]["area_boundary"][0] = nan.clone();
+    let map = read(&map);
+    assert_eq!(elements(&map), elements(&whole) - 1);
+}
+
+#[test]
+fn broken_maps_are_told() {
+    type Edit = fn(&mut Value);
+    let cases: [(Edit, &[&str]); 2] = [
+        (|m| m["lane_segments"] = json!([]), &["an Argoverse 2 map", "an object by id"]),
+        (
+            |m| m["lane_segments"]["9"]["id"] = json!("9"),
+            &["an Argoverse 2 map", "\"9\" instead of a whole number"],
         ),
     ];
     for (edit, parts) in cases {
@@ -469,7 +539,7 @@ fn broken_maps_are_told() {
     for layer in ["lane_segments", "drivable_areas", "pedestrian_crossings"] {
         let mut map = map();
         map.as_object_mut().unwrap().remove(layer);
-        assert!(read_map(&map).unwrap_err().contains(&format!("missing field `{layer}`")));
+        assert!(read_map(&map).unwrap_err().contains(&format!("no field {layer}")));
     }
     let log = TinyAv2::new();
     let whole = std::fs::read(log.path(MAP)).unwrap();

@@ -246,7 +246,7 @@ fn damaged_skeletons_are_errors_that_leave_nothing() {
             ["version 3, found format \"point-skeleton\" version 7", "skeleton.json"],
         ),
         ("\"log\": \"tiny\"", "\"log\": \"other\"", ["a skeleton of log tiny, found one of log other", "sk"]),
-        ("\"report\"", "\"rapport\"", ["a skeleton manifest, found missing field", "skeleton.json"]),
+        ("\"report\"", "\"rapport\"", ["a skeleton manifest, found no field report", "skeleton.json"]),
     ] {
         assert!(good.contains(from));
         std::fs::write(&path, good.replace(from, to)).unwrap();

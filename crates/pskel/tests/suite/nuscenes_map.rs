@@ -103,42 +103,72 @@ fn lines_without_nodes_are_counted() {
 }
 
 #[test]
-fn broken_maps_are_told() {
+fn records_without_a_shape_are_skipped_and_counted() {
     type Edit = fn(&mut Value);
-    let cases: [(Edit, &[&str]); 14] = [
+    let cases: [(Edit, &[&str]); 17] = [
+        (|m| m["lane"][0]["polygon_token"] = json!("gone"), &["lanes that refer to a missing record"]),
+        (|m| m["lane"][0]["polygon_token"] = json!(null), &["lanes that refer to a missing record"]),
+        (|m| m["stop_line"][0]["polygon_token"] = json!(""), &["stop lines that refer to a missing record"]),
         (
-            |m| m["lane"][0]["polygon_token"] = json!("gone"),
-            &["layer polygon to hold token gone", "by lane lane"],
+            |m| _ = m["ped_crossing"][0].as_object_mut().unwrap().remove("polygon_token"),
+            &["crossings that refer to a missing record"],
         ),
-        (|m| m["stop_line"][0]["polygon_token"] = json!("gone"), &["token gone", "by stop_line stop"]),
         (
             |m| m["drivable_area"][0]["polygon_tokens"][1] = json!("gone"),
-            &["token gone", "by drivable_area drive"],
+            &["drivable areas that refer to a missing record"],
         ),
         (
             |m| m["lane_divider"][0]["line_token"] = json!("gone"),
-            &["layer line to hold token gone", "divider lanes"],
+            &["dividers that refer to a missing record"],
         ),
         (
-            |m| m["polygon"][1]["exterior_node_tokens"][0] = json!("gone"),
-            &["layer node to hold token gone", "half"],
+            |m| m["polygon"][0]["exterior_node_tokens"][0] = json!("gone"),
+            &["drivable areas that refer to a missing record"],
+        ),
+        (
+            |m| m["polygon"][0]["exterior_node_tokens"][0] = json!(null),
+            &["drivable areas that refer to a missing record"],
         ),
         (
             |m| m["polygon"][0]["holes"][0]["node_tokens"][0] = json!("gone"),
-            &["token gone", "by polygon holed"],
+            &["holes that refer to a missing record"],
         ),
-        (|m| m["line"][0]["node_tokens"][0] = json!("gone"), &["token gone", "by line line"]),
+        (|m| m["polygon"][0]["exterior_node_tokens"] = json!([]), &["drivable areas without an area"]),
         (
             |m| m["polygon"][1]["exterior_node_tokens"] = json!(["a", "b", "a"]),
-            &["at least 3 corners, found 2 in polygon half"],
+            &["drivable areas without an area", "lanes without an area", "stop lines without an area"],
         ),
-        (|m| m["line"][0]["node_tokens"] = json!(["a"]), &["at least 2 corners, found 1 in line line"]),
+        (
+            |m| m["polygon"][0]["exterior_node_tokens"] = json!(["a", "a", "a", "a"]),
+            &["drivable areas without an area"],
+        ),
+        (|m| _ = m["polygon"][0]["exterior_node_tokens"].take(), &["drivable areas without an area"]),
+        (|m| m["line"][0]["node_tokens"] = json!(["a"]), &["dividers without a length"]),
+        (|m| m["line"][0]["node_tokens"] = json!(["a", "a"]), &["dividers without a length"]),
+        (|m| m["node"][4]["x"] = json!(null), &["holes without an area"]),
+        (|m| m["arcline_path_3"]["lane"][0]["shape"] = json!("LQR"), &["damaged centerlines of lanes"]),
+    ];
+    assert!(read(&made_up()).unwrap().notes.is_empty());
+    for (edit, notes) in cases {
+        let mut map = made_up();
+        edit(&mut map);
+        let map = read(&map).unwrap();
+        let found: Vec<&str> = map.notes.keys().map(|note| note.trim_end_matches(" (skipped)")).collect();
+        assert_eq!(found, notes);
+        let kept = [&map.lanes.len(), &map.drivable_area.len(), &map.crossings.len(), &map.stop_lines.len()];
+        assert!(kept.into_iter().sum::<usize>() >= 2, "{found:?}");
+    }
+}
+
+#[test]
+fn broken_maps_are_told() {
+    type Edit = fn(&mut Value);
+    let cases: [(Edit, &[&str]); 4] = [
         (|m| m["node"][1]["token"] = json!("a"), &["every token once, found node a twice"]),
         (|m| m["lane_connector"][0]["token"] = json!("lane"), &["every token once, found lane lane twice"]),
-        (|m| m["node"][0]["x"] = json!(null), &["expected a map expansion", "null"]),
         (
-            |m| m["arcline_path_3"]["lane"][0]["shape"] = json!("LQR"),
-            &["letters L S R", "found a shape of \"LQR\" in arcline_path_3 lane"],
+            |m| m["node"][0]["token"] = json!(5),
+            &["expected a map expansion, found 5 instead of text in node[0].token of record 5"],
         ),
         (|m| m["connectivity"] = json!([1]), &["an object by lane, or an empty array"]),
     ];
@@ -151,7 +181,7 @@ fn broken_maps_are_told() {
     for layer in ["node", "polygon", "line", "lane", "drivable_area", "ped_crossing", "road_divider"] {
         let mut map = made_up();
         map.as_object_mut().unwrap().remove(layer);
-        assert!(read(&map).unwrap_err().contains(&format!("missing field `{layer}`")));
+        assert!(read(&map).unwrap_err().contains(&format!("no field {layer}")));
     }
 }
 

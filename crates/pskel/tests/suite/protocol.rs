@@ -64,6 +64,10 @@ fn scenes_are_generated_scored_and_copied_into_one_data_set() {
     assert!(text.ends_with("\nNot the protocol: 0 of its 150 logs, 2 others.\n"), "{text}");
     let results = log.json("out/results.json");
     assert_eq!(results["logs"], json!({"defined": 150, "present": 0, "other": 2}));
+    // Names in the results do not depend on where the output folder is.
+    let rollouts = results["parts"][0]["images"]["rollouts"].as_array().unwrap();
+    let folders: Vec<&Value> = rollouts.iter().map(|rollout| &rollout["folder"]).collect();
+    assert_eq!(folders, ["2hz/tiny", "2hz/tiny-b"]);
     // The table's means are those of `evaluate`.
     assert!(log.run("evaluate out/2hz/tiny out/2hz/tiny-b --out scores.json").status.success());
     assert_eq!(results["parts"][0]["images"]["mean"], log.json("scores.json")["mean"]);

@@ -142,7 +142,7 @@ fn bad_cameras_are_refused() {
         ("30.0,", "0.0,", "expected invertible intrinsics"),
         ("\"b\"", "\"a\"", "\"a\" twice"),
         ("\"width\": 30", "\"width\": 0", "found 20x0 in camera a"),
-        ("\"cameras\"", "\"views\"", "missing field"),
+        ("\"cameras\"", "\"views\"", "found no field cameras"),
     ] {
         assert!(good.contains(from));
         std::fs::write(case.path("c.json"), good.replace(from, to)).unwrap();

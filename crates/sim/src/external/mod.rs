@@ -59,7 +59,7 @@ impl Planner {
         let line = serde_json::to_vec(message).map_err(|error| self.link.cannot_write(error.into()))?;
         let answer = self.link.ask(line)?;
         if let Ok(Failure { error }) = serde_json::from_slice(&answer) {
-            let wrong = ProtocolError::new("an answer", format!("the error {:?}", printable(&error)));
+            let wrong = ProtocolError::new("an answer", format!("the error \"{}\"", printable(&error)));
             return Err(self.link.refuse(wrong));
         }
         read(&answer).map_err(|wrong| self.link.refuse(wrong))

@@ -7,7 +7,8 @@ use image::RgbImage;
 use point_skeleton::dataset::{picture_size, read_picture};
 use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
-use point_skeleton::files::input::{is_there, read_table};
+use point_skeleton::files::input::is_there;
+use point_skeleton::files::json;
 use point_skeleton::files::write_json;
 use serde::{Deserialize, Serialize};
 
@@ -93,10 +94,7 @@ pub fn is_reference(folder: &Path) -> Result<Option<bool>, FileError> {
     if !is_there(&path)? && !folder.join(GENERATED).is_dir() {
         return Ok(None);
     }
-    let text = read_table(&path)?;
-    let expected = "kind \"generated\" or \"reference\" of the step's images";
-    let About { kind } = serde_json::from_slice(&text)
-        .map_err(|error| FileError::content(expected, error.to_string(), &path))?;
+    let About { kind } = json::read(&path, "kind \"generated\" or \"reference\" of the step's images")?;
     Ok(Some(kind == Kind::Reference))
 }
 

@@ -8,6 +8,7 @@ use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
 use point_skeleton::files::input::read_text;
+use point_skeleton::files::json;
 use point_skeleton::files::write_whole;
 use serde::{Deserialize, Serialize};
 
@@ -271,8 +272,7 @@ impl StateFile {
         let mut rows: Vec<StepRow> = Vec::new();
         for (number, line) in whole.lines().enumerate() {
             let expected = || format!("a state of step {number} in line {}", number + 1);
-            let row: StepRow = serde_json::from_str(line)
-                .map_err(|error| FileError::content(expected(), error.to_string(), path))?;
+            let row: StepRow = json::parse(line.as_bytes(), &expected(), path)?;
             if row.step != number {
                 return Err(FileError::content(expected(), format!("one of step {}", row.step), path));
             }
@@ -352,11 +352,7 @@ mod tests {
             read()
         );
         std::fs::write(&path, "{}\n").unwrap();
-        assert!(
-            read().starts_with("expected a state of step 0 in line 1, found missing field"),
-            "{}",
-            read()
-        );
+        assert!(read().starts_with("expected a state of step 0 in line 1, found no field "), "{}", read());
         std::fs::write(&path, "").unwrap();
         assert_eq!(StateFile::read(&path).unwrap(), []);
         std::fs::remove_file(&path).unwrap();

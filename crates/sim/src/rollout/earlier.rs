@@ -1,7 +1,8 @@
 use std::path::{Path, PathBuf};
 
 use point_skeleton::error::FileError;
-use point_skeleton::files::input::{is_there, read_table};
+use point_skeleton::files::input::is_there;
+use point_skeleton::files::json;
 use serde_json::Value;
 
 use super::files::{ROLLOUT, STATE, STATES, shown_files, step_folder};
@@ -75,6 +76,5 @@ impl EarlierRollout<'_> {
 
 /// Reads `rollout.json`.
 pub(super) fn read_record(marker: &Path) -> Result<Value, FileError> {
-    let text = read_table(marker)?;
-    serde_json::from_slice(&text).map_err(|error| FileError::content("a rollout", error.to_string(), marker))
+    json::read(marker, "a rollout")
 }

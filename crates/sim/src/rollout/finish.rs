@@ -2,7 +2,8 @@ use std::path::Path;
 
 use point_skeleton::conditions::meta::Index;
 use point_skeleton::error::{FileError, with_causes};
-use point_skeleton::files::input::{is_there, read_table};
+use point_skeleton::files::input::is_there;
+use point_skeleton::files::json;
 use point_skeleton::files::{OutputFolder, write_json};
 use serde::{Deserialize, Serialize};
 
@@ -39,8 +40,7 @@ pub fn is_finished(folder: &Path) -> Result<bool, FileError> {
     if !is_there(&path)? || !is_there(&folder.join(INDEX))? {
         return Ok(false);
     }
-    let ending: Ending = serde_json::from_slice(&read_table(&path)?)
-        .map_err(|error| FileError::content("metrics of a rollout", error.to_string(), &path))?;
+    let ending: Ending = json::read(&path, "metrics of a rollout")?;
     Ok(ending.failure.is_none())
 }
 

@@ -1,0 +1,158 @@
+//! Map records without an area or a length: they are skipped and counted, so that one of them does not cost the map.
+
+use std::fmt;
+
+use glam::DVec2;
+use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
+
+use super::notes::{Counts, count};
+
+/// Reason for which a record is skipped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fault {
+    /// Fewer than three corners that are not on a line, or a corner that is not finite.
+    NoArea,
+    /// Fewer than two different points, or a point that is not finite.
+    NoLength,
+    /// A reference to a record that does not exist.
+    Dangling,
+}
+
+/// Returns the corners of a ring without repetitions of the first one at its end.
+///
+/// # Errors
+/// Fails if they span no area.
+pub(super) fn ring(mut corners: Vec<DVec2>) -> Result<Vec<DVec2>, Fault> {
+    while corners.len() > 1 && corners.first() == corners.last() {
+        corners.pop();
+    }
+    let spans = || {
+        let (first, rest) = corners.split_first()?;
+        let along = rest.iter().map(|corner| *corner - *first).find(|side| *side != DVec2::ZERO)?;
+        Some(rest.iter().any(|corner| (*corner - *first).perp_dot(along) != 0.0))
+    };
+    let is_sound = corners.iter().all(|corner| corner.is_finite()) && spans() == Some(true);
+    if is_sound { Ok(corners) } else { Err(Fault::NoArea) }
+}
+
+/// Returns the points of a line.
+///
+/// # Errors
+/// Fails if they have no length.
+pub(super) fn line(points: Vec<DVec2>) -> Result<Vec<DVec2>, Fault> {
+    let is_sound =
+        points.iter().all(|point| point.is_finite()) && points.windows(2).any(|pair| pair[0] != pair[1]);
+    if is_sound { Ok(points) } else { Err(Fault::NoLength) }
+}
+
+/// Counts a record that is skipped; `layer` is its kind in the map.
+pub(super) fn note_fault(notes: &mut Counts, layer: &str, fault: Fault) {
+    let what = match fault {
+        Fault::NoArea => "without an area",
+        Fault::NoLength => "without a length",
+        Fault::Dangling => "that refer to a missing record",
+    };
+    count(notes, &format!("{layer} {what} (skipped)"), 1);
+}
+
+/// Coordinate or length; NaN for anything but a number, so that only its record is skipped.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Coordinate(pub(super) f64);
+
+impl Default for Coordinate {
+    fn default() -> Self {
+        Self(f64::NAN)
+    }
+}
+
+impl<'de> Deserialize<'de> for Coordinate {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        from.deserialize_any(AnyValue).map(Self)
+    }
+}
+
+struct AnyValue;
+
+impl<'de> Visitor<'de> for AnyValue {
+    type Value = f64;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number")
+    }
+
+    fn visit_f64<E>(self, value: f64) -> Result<f64, E> {
+        Ok(value)
+    }
+
+    fn visit_i64<E>(self, value: i64) -> Result<f64, E> {
+        Ok(value as f64)
+    }
+
+    fn visit_u64<E>(self, value: u64) -> Result<f64, E> {
+        Ok(value as f64)
+    }
+
+    fn visit_str<E>(self, _: &str) -> Result<f64, E> {
+        Ok(f64::NAN)
+    }
+
+    fn visit_bool<E>(self, _: bool) -> Result<f64, E> {
+        Ok(f64::NAN)
+    }
+
+    fn visit_unit<E>(self) -> Result<f64, E> {
+        Ok(f64::NAN)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut array: A) -> Result<f64, A::Error> {
+        while array.next_element::<IgnoredAny>()?.is_some() {}
+        Ok(f64::NAN)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<f64, A::Error> {
+        while map.next_entry::<IgnoredAny, IgnoredAny>()?.is_some() {}
+        Ok(f64::NAN)
+    }
+}
+
+/// Reads `null` as the default.
+pub(super) fn or_default<'de, T: Deserialize<'de> + Default, D: Deserializer<'de>>(
+    from: D,
+) -> Result<T, D::Error> {
+    Option::deserialize(from).map(Option::unwrap_or_default)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rings_span_an_area() {
+        let ring = |corners: &[(f64, f64)]| ring(corners.iter().map(|(x, y)| DVec2::new(*x, *y)).collect());
+        let triangle = [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0)];
+        assert_eq!(ring(&triangle).unwrap().len(), 3);
+        assert_eq!(
+            ring(&[triangle[0], triangle[0], triangle[1], triangle[2], triangle[0]]).unwrap().len(),
+            4
+        );
+        for bad in [
+            &[][..],
+            &triangle[..2],
+            &[triangle[0]; 5],
+            &[(0.0, 0.0), (1.0, 1.0), (3.0, 3.0), (2.0, 2.0)],
+            &[(0.0, 0.0), (4.0, 0.0), (4.0, f64::NAN)],
+            &[(0.0, 0.0), (4.0, 0.0), (f64::INFINITY, 3.0)],
+        ] {
+            assert_eq!(ring(bad), Err(Fault::NoArea), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn lines_have_a_length() {
+        let line = |points: &[(f64, f64)]| line(points.iter().map(|(x, y)| DVec2::new(*x, *y)).collect());
+        assert_eq!(line(&[(0.0, 0.0), (0.0, 0.0), (1.0, 0.0)]).unwrap().len(), 3);
+        for bad in [&[][..], &[(1.0, 1.0)], &[(1.0, 1.0), (1.0, 1.0)], &[(1.0, 1.0), (1.0, f64::NAN)]] {
+            assert_eq!(line(bad), Err(Fault::NoLength), "{bad:?}");
+        }
+    }
+}
