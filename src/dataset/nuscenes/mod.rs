@@ -7,13 +7,13 @@
 mod annotations;
 mod arcline;
 mod chain;
-mod checks;
 mod choose;
 mod frames;
 mod lens;
 mod map;
 mod read;
 mod rows;
+mod sensors;
 mod sweep;
 mod tables;
 mod version;

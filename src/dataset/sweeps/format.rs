@@ -23,6 +23,9 @@ const MAGIC: [(&[u8], &str); 19] = [
     (b"<!DOCTYPE", "an HTML page"),
 ];
 
+/// Name of anything that consists of printable bytes.
+pub(super) const TEXT: &str = "text";
+
 /// Bytes in which a header is recognized.
 const HEAD: usize = 256;
 
@@ -48,7 +51,7 @@ fn is_pcd_comment(head: &[u8]) -> bool {
 /// Returns the name of a format that is not a sweep's, for messages; `None` if the bytes may be numbers.
 pub(in crate::dataset) fn named_format(bytes: &[u8]) -> Option<&'static str> {
     let known = MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic));
-    known.map(|(_, name)| *name).or_else(|| is_text(bytes).then_some("text"))
+    known.map(|(_, name)| *name).or_else(|| is_text(bytes).then_some(TEXT))
 }
 
 /// Returns whether all of the first bytes are printable, as never in binary numbers.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::format::named_format;
+use super::format::{TEXT, named_format};
 use crate::error::FileError;
 
 /// Maximum header length, bytes; real headers take a few hundred.
@@ -239,7 +239,8 @@ fn found_instead(head: &[u8], at: usize) -> String {
     if head.is_empty() {
         return "an empty file".to_owned();
     }
-    if let Some(name) = named_format(head) {
+    // Text may be a damaged header, of which the first wrong line says more.
+    if let Some(name) = named_format(head).filter(|name| *name != TEXT) {
         return name.to_owned();
     }
     match head.get(at..).filter(|rest| !rest.is_empty()) {
