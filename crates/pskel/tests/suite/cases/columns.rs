@@ -16,8 +16,8 @@ use crate::tiny_log::{FRAMES, TinyLog, sweep};
 /// Builds a log of a case, and returns the content of `skeleton.json`.
 #[track_caller]
 fn build(case: &Case, name: &str, options: &str) -> Value {
-    case.succeed(format!("build nuscenes:in/{name} --out {name}{options} {options}").trim_end());
-    case.json(&format!("{name}{options}/skeleton.json"))
+    case.succeed(format!("build nuscenes:in/{name} --out {name} {options}").trim_end());
+    case.json(&format!("{name}/skeleton.json"))
 }
 
 /// Returns what a skeleton's points are: the counts of its build, and the checksums of its clouds.
