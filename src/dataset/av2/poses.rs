@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use super::feather::Table;
-use super::sensors::micros;
 use crate::dataset::DatasetError;
 use crate::error::FileError;
 use crate::geometry::Pose;
@@ -69,6 +68,11 @@ pub(super) fn poses(table: &Table, record: impl Fn(usize) -> String) -> Result<V
         })
     };
     (0..table.rows()).map(pose).collect()
+}
+
+/// Converts nanoseconds to whole microseconds.
+pub(super) fn micros(t_ns: i64) -> i64 {
+    t_ns.div_euclid(1000)
 }
 
 #[cfg(test)]

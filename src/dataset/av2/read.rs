@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::annotations::Annotations;
-use super::poses::Trajectory;
+use super::poses::{Trajectory, micros};
 use super::{calibration, sensors};
 use crate::dataset::clock::{Offset, note_interval};
 use crate::dataset::notes::{FLAT_BOX, Notes, UNKNOWN_POINTS, note, note_unknown_category, settle};
@@ -46,7 +46,7 @@ pub(super) fn read(
             note(&mut notes, "annotated times without an ego pose", 1);
             continue;
         };
-        let t_us = sensors::micros(t_ns);
+        let t_us = micros(t_ns);
         if frames.last().is_some_and(|last: &Frame| last.t_us == t_us) {
             let found = format!("{t_ns} in the microsecond of the one before");
             return Err(FileError::content("annotated times a microsecond apart", found, &path).into());
@@ -79,7 +79,7 @@ pub(super) fn read(
     }
     if frames.is_empty() {
         let rows = annotations.frames.values().map(Vec::len).sum::<usize>();
-        let times = annotations.frames.keys().map(|t_ns| sensors::micros(*t_ns));
+        let times = annotations.frames.keys().map(|t_ns| micros(*t_ns));
         let offset =
             Offset::of_all(times, ego.span_us()).map(|(_, offset)| format!(", the nearest {offset}"));
         let found = format!("none in {rows} rows{}", offset.unwrap_or_default());

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::poses::Trajectory;
+use super::poses::{Trajectory, micros};
 use crate::dataset::clock::Offset;
 use crate::dataset::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
 use crate::dataset::{Frame, Gap, ImageRecord, RigCamera, SweepRecord};
@@ -138,11 +138,6 @@ fn nearest(times_ns: &[i64], t_ns: i64) -> Option<usize> {
     let candidates = next.saturating_sub(1)..times_ns.len().min(next + 1);
     let best = candidates.min_by_key(|i| times_ns[*i].abs_diff(t_ns))?;
     (times_ns[best].abs_diff(t_ns) <= IMAGE_TOLERANCE_NS).then_some(best)
-}
-
-/// Converts nanoseconds to whole microseconds.
-pub(super) fn micros(t_ns: i64) -> i64 {
-    t_ns.div_euclid(1000)
 }
 
 #[cfg(test)]

@@ -5,12 +5,12 @@
 
 use std::path::Path;
 
-use rustc_hash::FxHashSet;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::chain::Chain;
-use super::checks::{IGNORED_LENSES, check_growth};
 use super::lens::lens;
-use super::tables::{CalibratedSensor, EgoPose, SampleData, Scene, Sensor, Table};
+use super::sensors::{IGNORED_LENSES, Sensors};
+use super::tables::{CalibratedSensor, SampleData, Scene, Sensor, Table};
 use super::version::Version;
 use crate::dataset::clock::PoseTimes;
 use crate::dataset::limits::MAX_CAMERAS;
@@ -48,28 +48,19 @@ pub(super) struct FrameRecord {
 }
 
 /// Sweep before sorting into a frame.
-pub(super) struct RawSweep {
-    pub(super) channel: String,
-    pub(super) is_key: bool,
-    pub(super) token: String,
-    pub(super) record: SweepRecord,
+struct RawSweep {
+    channel: String,
+    is_key: bool,
+    token: String,
+    record: SweepRecord,
 }
 
 /// Unsorted sweeps and images of one frame.
 #[derive(Default)]
-pub(super) struct UnsortedFrame {
-    pub(super) sweeps: Vec<RawSweep>,
-    pub(super) images: Vec<ImageRecord>,
+struct UnsortedFrame {
+    sweeps: Vec<RawSweep>,
+    images: Vec<ImageRecord>,
     between_images: Vec<ImageRecord>,
-}
-
-/// Tables for resolving sensor data.
-pub(super) struct Sensors {
-    pub(super) data: Table<SampleData>,
-    pub(super) poses: Table<EgoPose>,
-    pub(super) calibrated: Table<CalibratedSensor>,
-    sensors: Table<Sensor>,
-    pub(super) distortion: ImageDistortion,
 }
 
 /// Reads the sensor data of every sample of the chain.
@@ -130,14 +121,6 @@ pub(super) fn read(
 }
 
 impl Sensors {
-    /// Returns the sensor and the calibration of a data record.
-    pub(super) fn sensor_of(&self, data: &SampleData) -> Result<(&Sensor, &CalibratedSensor), DatasetError> {
-        let calibrated =
-            self.calibrated.get(&data.calibrated_sensor_token, || format!("sample_data {}", data.token))?;
-        let by = || format!("calibrated_sensor {}", calibrated.token);
-        Ok((self.sensors.get(&calibrated.sensor_token, by)?, calibrated))
-    }
-
     /// Returns the camera channels of the scene: the six of nuScenes in ring order, then others by name.
     ///
     /// # Errors
@@ -302,4 +285,24 @@ pub(super) fn pose<R: super::tables::Record>(
         record: format!("{} {}", R::TABLE, record.token()),
         path: table.path.clone(),
     })
+}
+
+/// Checks that the times of a sensor's key frames grow from frame to frame. An image may be repeated.
+fn check_growth(frames: &[UnsortedFrame], path: &Path) -> Result<(), FileError> {
+    let mut last: FxHashMap<String, (i64, &Path)> = FxHashMap::default();
+    for frame in frames {
+        let sweeps = frame.sweeps.iter().filter(|sweep| sweep.is_key);
+        let sweeps = sweeps.map(|s| (s.channel.clone(), &s.token, s.record.t_us, s.record.path.as_path()));
+        let images =
+            frame.images.iter().map(|i| (i.camera.name.to_string(), &i.token, i.t_us, i.path.as_path()));
+        for (channel, token, t_us, file) in sweeps.chain(images) {
+            let before = last.insert(channel.clone(), (t_us, file));
+            if let Some((before_us, _)) = before.filter(|(t, known)| *t >= t_us && *known != file) {
+                let expected = "times of key frames that grow from sample to sample";
+                let found = format!("{t_us} in sample_data {token} of {channel} after {before_us}");
+                return Err(FileError::content(expected, found, path));
+            }
+        }
+    }
+    Ok(())
 }

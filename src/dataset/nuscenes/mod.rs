@@ -7,7 +7,6 @@
 mod annotations;
 mod arcline;
 mod chain;
-mod checks;
 mod choose;
 mod frames;
 mod lens;
@@ -15,6 +14,7 @@ mod map;
 mod numbers;
 mod read;
 mod rows;
+mod sensors;
 mod sweep;
 mod tables;
 mod version;

@@ -122,6 +122,10 @@ impl Header {
                     let (words, _) = bytes.as_chunks::<4>();
                     [words[0], words[1]].map(|word| u32::from_le_bytes(word) as usize)
                 });
+                if plain as u64 > SWEEP_BYTES {
+                    let expected = format!("at most {SWEEP_BYTES} bytes in compressed data");
+                    return Err(FileError::content(expected, format!("{plain} bytes"), path));
+                }
                 if lengths.is_some() && points.checked_mul(stride) != Some(plain) {
                     let expected = format!("{points} points of {stride} bytes in compressed data");
                     return Err(FileError::content(expected, format!("{plain} bytes"), path));

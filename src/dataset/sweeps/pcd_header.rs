@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use super::format::{is_pcd, named_format};
+use super::format::is_pcd;
 use crate::error::FileError;
+use crate::files::sniff;
 
 /// Maximum header length, bytes; real headers take a few hundred.
 pub(super) const MAX_HEADER_BYTES: u64 = 1 << 16;
@@ -239,8 +240,9 @@ fn found_instead(head: &[u8], at: usize) -> String {
     if head.is_empty() {
         return "an empty file".to_owned();
     }
-    if let Some(name) = named_format(head).filter(|_| !is_pcd(head)) {
-        return name;
+    // Text without a mark may be a damaged header, of which the first wrong line says more.
+    if let Some(name) = sniff::marked(head).filter(|_| !is_pcd(head)) {
+        return name.to_owned();
     }
     match head.get(at..).filter(|rest| !rest.is_empty()) {
         None => format!("none in {} bytes", head.len()),

@@ -1,20 +1,28 @@
-//! Checks of sensor data against the samples that they belong to.
+//! Tables of sensor data, and checks against the samples that they belong to.
 
-use std::path::Path;
-
-use rustc_hash::FxHashMap;
 use serde_json::Value;
 
 use super::chain::Chain;
-use super::frames::{Sensors, UnsortedFrame};
 use super::lens::lens;
-use super::tables::SampleData;
-use crate::dataset::DatasetError;
+use super::tables::{CalibratedSensor, EgoPose, SampleData, Sensor, Table};
 use crate::dataset::clock::{Offset, PoseTimes, TOLERANCE_US};
+use crate::dataset::{DatasetError, ImageDistortion};
 use crate::error::FileError;
+
+/// Modalities of which data are read.
+const READ: [&str; 2] = ["camera", "lidar"];
 
 /// Note for cameras whose coefficients are not used.
 pub(super) const IGNORED_LENSES: &str = "cameras with camera_distortion, whose images are read as rectified (--image-distortion apply if they are not)";
+
+/// Tables for resolving sensor data.
+pub(super) struct Sensors {
+    pub(super) data: Table<SampleData>,
+    pub(super) poses: Table<EgoPose>,
+    pub(super) calibrated: Table<CalibratedSensor>,
+    pub(super) sensors: Table<Sensor>,
+    pub(super) distortion: ImageDistortion,
+}
 
 impl SampleData {
     /// Returns whether the data set marks the data as unusable.
@@ -31,6 +39,14 @@ impl Chain {
 }
 
 impl Sensors {
+    /// Returns the sensor and the calibration of a data record.
+    pub(super) fn sensor_of(&self, data: &SampleData) -> Result<(&Sensor, &CalibratedSensor), DatasetError> {
+        let calibrated =
+            self.calibrated.get(&data.calibrated_sensor_token, || format!("sample_data {}", data.token))?;
+        let by = || format!("calibrated_sensor {}", calibrated.token);
+        Ok((self.sensors.get(&calibrated.sensor_token, by)?, calibrated))
+    }
+
     /// Checks that the time of a key frame is near the time of its sample: boxes exist at that time only.
     pub(super) fn check_clock(&self, data: &SampleData, chain: &Chain) -> Result<(), DatasetError> {
         let Some(place) = chain.place.get(&data.sample_token).filter(|_| data.is_key_frame) else {
@@ -38,7 +54,10 @@ impl Sensors {
         };
         let sample_us = chain.times_us[*place];
         let Some(offset) = Offset::of(data.timestamp.0, sample_us) else { return Ok(()) };
-        let channel = &self.sensor_of(data)?.0.channel;
+        let Sensor { channel, modality, .. } = self.sensor_of(data)?.0;
+        if !READ.contains(&modality.as_str()) {
+            return Ok(());
+        }
         let expected =
             format!("key frames within a second of their sample ({} at {sample_us})", data.sample_token);
         let found = format!("sample_data {} of {channel} at {}, {offset}", data.token, data.timestamp.0);
@@ -61,24 +80,4 @@ impl Sensors {
         let lens = lens(calibrated, self.distortion, "", &self.calibrated.path);
         Ok(sensor.modality == "camera" && lens.is_ok_and(|lens| lens.is_ignored))
     }
-}
-
-/// Checks that the times of a sensor's key frames grow from frame to frame. An image may be repeated.
-pub(super) fn check_growth(frames: &[UnsortedFrame], path: &Path) -> Result<(), FileError> {
-    let mut last: FxHashMap<String, (i64, &Path)> = FxHashMap::default();
-    for frame in frames {
-        let sweeps = frame.sweeps.iter().filter(|sweep| sweep.is_key);
-        let sweeps = sweeps.map(|s| (s.channel.clone(), &s.token, s.record.t_us, s.record.path.as_path()));
-        let images =
-            frame.images.iter().map(|i| (i.camera.name.to_string(), &i.token, i.t_us, i.path.as_path()));
-        for (channel, token, t_us, file) in sweeps.chain(images) {
-            let before = last.insert(channel.clone(), (t_us, file));
-            if let Some((before_us, _)) = before.filter(|(t, known)| *t >= t_us && *known != file) {
-                let expected = "times of key frames that grow from sample to sample";
-                let found = format!("{t_us} in sample_data {token} of {channel} after {before_us}");
-                return Err(FileError::content(expected, found, path));
-            }
-        }
-    }
-    Ok(())
 }
