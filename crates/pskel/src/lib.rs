@@ -48,6 +48,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use point_skeleton::error::with_causes;
+use point_skeleton::threads::start_pool;
 
 pub use self::export::{ExportCommand, ListedExport};
 use self::terminal::{say, tell, warn};
@@ -154,7 +155,8 @@ struct WrongUsage(String);
 fn prepare() -> anyhow::Result<()> {
     threads::check_environment()?;
     survive_file_limits()?;
-    signals::install().context("cannot handle signals")
+    signals::install().context("cannot handle signals")?;
+    Ok(start_pool()?)
 }
 
 /// Makes a write beyond the file size limit return an error, which names the file and cleans up, instead of killing
