@@ -37,6 +37,7 @@ pub mod geometry;
 pub mod gpu;
 pub mod hash;
 pub mod idm;
+pub mod memory;
 pub mod raster;
 pub mod scene;
 pub mod sequence;

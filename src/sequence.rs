@@ -51,6 +51,9 @@ impl SequenceWriter<'_> {
         options: &impl Serialize,
         on_step: &mut dyn FnMut(&str),
     ) -> Result<Vec<IndexFrame>, Error> {
+        if let Some(state) = states.states().next() {
+            renderer.check_memory(&state?)?;
+        }
         self.folder.check(states.names())?;
         self.folder.remove([INDEX])?;
         let index = Index { options, frames: self.write_steps(renderer, states, on_step)? };

@@ -48,6 +48,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use point_skeleton::error::with_causes;
+use point_skeleton::memory::variable_limit;
 use point_skeleton::threads::start_pool;
 
 pub use self::export::{ExportCommand, ListedExport};
@@ -154,6 +155,7 @@ struct WrongUsage(String);
 /// Sets up the process before any command.
 fn prepare() -> anyhow::Result<()> {
     threads::check_environment()?;
+    variable_limit().map_err(|error| WrongUsage(error.to_string()))?;
     survive_file_limits()?;
     signals::install().context("cannot handle signals")?;
     Ok(start_pool()?)
