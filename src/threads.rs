@@ -175,7 +175,10 @@ mod tests {
             let texts = [first, second].map(|text| text.map(str::to_owned));
             pool_threads(|name| texts[usize::from(name != POOL_VARIABLES[0])].clone())
         };
-        assert_eq!([threads(Some("3"), Some("5")), threads(None, Some("5")), threads(Some("x"), Some("5"))], [3, 5, 5]);
+        assert_eq!(
+            [threads(Some("3"), Some("5")), threads(None, Some("5")), threads(Some("x"), Some("5"))],
+            [3, 5, 5]
+        );
         for default in [threads(None, None), threads(Some("0"), Some("5")), threads(Some("x"), None)] {
             assert_eq!(default, processors());
         }
@@ -192,7 +195,12 @@ mod tests {
     fn errors_name_the_limits_and_variables() {
         let refused = || io::Error::from_raw_os_error(11);
         let text = ThreadError::new("the thread that writes maps")(refused()).to_string();
-        for part in ["cannot start the thread that writes maps: ", "pids.max", "RAYON_NUM_THREADS=1", "LP_NUM_THREADS=1"] {
+        for part in [
+            "cannot start the thread that writes maps: ",
+            "pids.max",
+            "RAYON_NUM_THREADS=1",
+            "LP_NUM_THREADS=1",
+        ] {
             assert!(text.contains(part), "{text}");
         }
         assert!(process_error(refused()).to_string().contains("cannot start a process: "));

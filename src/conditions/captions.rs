@@ -32,7 +32,8 @@ enum Caption {
 
 impl Caption {
     /// Content of a file of captions.
-    const EXPECTED: &str = r#"{"LOG or TOKEN": "caption"} or {"LOG": {"time": "daytime", "weather": "clear"}}"#;
+    const EXPECTED: &str =
+        r#"{"LOG or TOKEN": "caption"} or {"LOG": {"time": "daytime", "weather": "clear"}}"#;
 
     /// Converts a JSON value. Returns a description of the value if it is no caption.
     fn new(value: Value) -> Result<Self, String> {
@@ -81,7 +82,12 @@ impl Captions {
             Ok(caption) => Ok((name, caption)),
             Err(found) => Err(wrong(format!("{found} for {name:?}"))),
         };
-        parsed.map_err(|error| wrong(error.to_string()))?.into_iter().map(caption).collect::<Result<_, _>>().map(Self)
+        parsed
+            .map_err(|error| wrong(error.to_string()))?
+            .into_iter()
+            .map(caption)
+            .collect::<Result<_, _>>()
+            .map(Self)
     }
 
     /// Returns the caption of an image: its own, that of the log, the prompt, or the description in the data set; empty

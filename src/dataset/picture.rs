@@ -22,7 +22,8 @@ pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, Fi
         let found = format!("{found_height}x{found_width}");
         return Err(FileError::content(format!("an image of {height}x{width} pixels"), found, path));
     }
-    let bytes_needed = decoded_bytes(decoder.total_bytes(), decoder.color_type(), is_jpeg(&bytes), height, width);
+    let bytes_needed =
+        decoded_bytes(decoder.total_bytes(), decoder.color_type(), is_jpeg(&bytes), height, width);
     let _pixels = reserve(bytes_needed, || Need {
         what: format!("an image of {height}x{width} pixels"),
         bytes: bytes_needed,

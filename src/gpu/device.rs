@@ -74,7 +74,10 @@ impl Device {
         let chosen = choose(&candidates, desc.device.as_deref())?;
         if candidates[chosen].kind == vk::PhysicalDeviceType::CPU {
             // Mesa 22.3 waits forever for threads that it could not start.
-            threads::probe(threads::of_cpu_driver(), &format!("the threads of the driver of {}", candidates[chosen].name))?;
+            threads::probe(
+                threads::of_cpu_driver(),
+                &format!("the threads of the driver of {}", candidates[chosen].name),
+            )?;
         }
         let physical = physical[chosen];
         let (queue_family, timestamp_bits) = queue_family(&instance, physical).unwrap_or_default();

@@ -67,9 +67,10 @@ pub fn available() -> Available {
     let group = group.map(|bytes| Available { bytes, source: LimitSource::ControlGroup });
     let system = system(&read("/proc/meminfo")).map(|bytes| Available { bytes, source: LimitSource::System });
     let unknown = Available { bytes: u64::MAX, source: LimitSource::System };
-    [address_space, group, system].into_iter().flatten().fold(unknown, |least, other| {
-        if other.bytes < least.bytes { other } else { least }
-    })
+    [address_space, group, system]
+        .into_iter()
+        .flatten()
+        .fold(unknown, |least, other| if other.bytes < least.bytes { other } else { least })
 }
 
 /// Returns the memory that this process has taken, bytes, without mapped files.
@@ -169,7 +170,9 @@ mod tests {
 
     #[test]
     fn sizes_have_units() {
-        for (text, bytes) in [("1024", 1024), ("8G", 8 << 30), ("0.5g", 1 << 29), ("512MiB", 512 << 20), ("2 kB", 2048)] {
+        for (text, bytes) in
+            [("1024", 1024), ("8G", 8 << 30), ("0.5g", 1 << 29), ("512MiB", 512 << 20), ("2 kB", 2048)]
+        {
             assert_eq!(parse_size(text), Ok(bytes), "{text}");
         }
         for text in ["", "G", "-1G", "0", "8X", "many", "infG", "1G1"] {

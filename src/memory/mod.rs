@@ -16,7 +16,7 @@ pub use available::{Available, LimitSource, VARIABLE, available, variable_limit}
 use available::taken_bytes;
 
 /// Needs below this are not compared with the budget: reading its limits takes longer than using the memory.
-const SMALL_BYTES: u64 = 16 << 20;
+const SMALL_BYTES: u64 = 32 << 20;
 
 /// Memory that is about to be taken.
 #[derive(Clone, Debug, PartialEq, Eq)]

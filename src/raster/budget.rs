@@ -1,6 +1,9 @@
 //! Rasterizer that takes no more memory than the budget allows (see [`memory`](crate::memory)).
 
-use super::{FrameJob, FrameMaps, MapKind, MapSet, RasterError, Rasterizer, RasterizerInfo, SplatJob, SplatMaps, StageTimes};
+use super::{
+    FrameJob, FrameMaps, MapKind, MapSet, RasterError, Rasterizer, RasterizerInfo, SplatJob, SplatMaps,
+    StageTimes,
+};
 use crate::geometry::{ImageSize, View};
 use crate::memory::{MemoryError, Need, Reservation, reserve};
 
@@ -16,8 +19,6 @@ pub(super) struct Budgeted<'a> {
     inner: Box<dyn Rasterizer + 'a>,
     /// Whether maps are rendered at the full size of views and reduced afterwards.
     at_full_size: bool,
-    /// Memory of points.
-    _points: Reservation,
     /// Memory of maps.
     maps: Reservation,
     in_flight: u64,
@@ -25,7 +26,7 @@ pub(super) struct Budgeted<'a> {
     has_finished: bool,
 }
 
-/// Reserves the host memory of points before they are passed to a rasterizer.
+/// Reserves the host memory of points while a rasterizer is created; afterwards it is taken.
 pub(super) fn reserve_points(points: usize, on_device: bool) -> Result<Reservation, MemoryError> {
     let each = if on_device { DEVICE_POINT_BYTES } else { POINT_BYTES };
     let bytes = each * points as u64;
@@ -34,9 +35,9 @@ pub(super) fn reserve_points(points: usize, on_device: bool) -> Result<Reservati
 }
 
 impl<'a> Budgeted<'a> {
-    pub(super) fn new(inner: Box<dyn Rasterizer + 'a>, at_full_size: bool, points: Reservation) -> Self {
+    pub(super) fn new(inner: Box<dyn Rasterizer + 'a>, at_full_size: bool) -> Self {
         let maps = Reservation::default();
-        Self { inner, at_full_size, _points: points, maps, in_flight: 0, has_finished: false }
+        Self { inner, at_full_size, maps, in_flight: 0, has_finished: false }
     }
 }
 
@@ -152,7 +153,10 @@ mod tests {
             out_size: None,
         };
         let message = rasterizer.begin(&job).unwrap_err().to_string();
-        assert!(message.starts_with("rendering 200 views of up to 16384x16384 pixels needs 600.5 GiB of memory"), "{message}");
+        assert!(
+            message.starts_with("rendering 200 views of up to 16384x16384 pixels needs 600.5 GiB of memory"),
+            "{message}"
+        );
         let size = ImageSize { height: 16, width: 16 };
         rasterizer.begin(&FrameJob { views: &views[..2], out_size: Some(size), ..job }).unwrap();
     }

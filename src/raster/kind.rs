@@ -99,10 +99,10 @@ pub fn create<'a>(
         _ => Some(Device::new(&of_device)?),
     };
     let on_device = device.as_ref().is_some_and(|device| !device.shares_memory());
-    let points = reserve_points(clouds.iter().map(|cloud| cloud.len()).sum(), on_device)?;
+    let _points = reserve_points(clouds.iter().map(|cloud| cloud.len()).sum(), on_device)?;
     let Some(device) = device else {
         let options = CpuRasterizerDesc { occlusion_culling: desc.occlusion_culling };
-        return Ok(Box::new(Budgeted::new(Box::new(CpuRasterizer::with_desc(clouds, options)), false, points)));
+        return Ok(Box::new(Budgeted::new(Box::new(CpuRasterizer::with_desc(clouds, options)), false)));
     };
     let compute = match desc.kind {
         RasterizerKind::Auto => ComputeRasterizer::supported(&device),
@@ -112,14 +112,14 @@ pub fn create<'a>(
         let memory_bytes = desc.memory_bytes;
         let desc = ComputeRasterizerDesc { memory_bytes, ..ComputeRasterizerDesc::default() };
         let rasterizer = Box::new(ComputeRasterizer::with_desc(device, &clouds, desc)?);
-        return Ok(Box::new(Budgeted::new(rasterizer, false, points)));
+        return Ok(Box::new(Budgeted::new(rasterizer, false)));
     }
     if desc.memory_bytes.is_some() {
         let expected = "64-bit atomics on buffers, since only the compute rasterizer has a GPU memory limit";
         let found = if desc.kind == RasterizerKind::Graphics { "the graphics rasterizer" } else { "none" };
         return Err(device.unsupported(expected, found).into());
     }
-    Ok(Box::new(Budgeted::new(Box::new(GraphicsRasterizer::new(device, &clouds)?), true, points)))
+    Ok(Box::new(Budgeted::new(Box::new(GraphicsRasterizer::new(device, &clouds)?), true)))
 }
 
 #[cfg(test)]

@@ -276,7 +276,8 @@ impl OpenedNetwork {
         // Generated and ground-truth images.
         let images = 2 * 3 * pixels(*size);
         let bytes = 4 * (channels as u64 * pixels(recipe.size) + latents) + images;
-        let what = || format!("a window of {} frames of {cameras} views of {} pixels", options.window, recipe.size);
+        let what =
+            || format!("a window of {} frames of {cameras} views of {} pixels", options.window, recipe.size);
         let advice = "a recipe of smaller images or a smaller --window needs less";
         reserve(bytes, || Need { what: what(), bytes, advice }).map(drop)
     }

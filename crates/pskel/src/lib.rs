@@ -157,7 +157,7 @@ fn prepare() -> anyhow::Result<()> {
     threads::check_environment()?;
     variable_limit().map_err(|error| WrongUsage(error.to_string()))?;
     survive_file_limits()?;
-    signals::install().context("cannot handle signals")?;
+    signals::install().map_err(|error| anyhow::anyhow!("cannot handle signals: {error}"))?;
     Ok(start_pool()?)
 }
 

@@ -39,7 +39,12 @@ impl Drop for FewProcesses {
 /// Runs a shell script, and kills it after [`MAX_TIME`].
 fn run_within_time(folder: &Path, script: &str) -> Output {
     let mut command = Command::new("sh");
-    command.arg("-c").arg(script).current_dir(folder).env("RAYON_NUM_THREADS", "2").env("LP_NUM_THREADS", "2");
+    command
+        .arg("-c")
+        .arg(script)
+        .current_dir(folder)
+        .env("RAYON_NUM_THREADS", "2")
+        .env("LP_NUM_THREADS", "2");
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let (mut child, start) = (command.spawn().unwrap(), Instant::now());
     while child.try_wait().unwrap().is_none() && start.elapsed() < MAX_TIME {
@@ -76,7 +81,7 @@ fn log_with_skeleton() -> TinyLog {
 fn few_processes_are_refused_in_one_line() {
     let log = log_with_skeleton();
     for (kind, runs_from) in [("cpu", 5), ("auto", 5), ("compute", 11), ("graphics", 11)] {
-        for processes in [3, 4, 5, 6, 8, 10, 14] {
+        for processes in [1, 3, 4, 5, 6, 8, 10, 14] {
             let Some(group) = FewProcesses::new(processes) else { return skip("control groups") };
             let script = format!(
                 "echo $$ > {}/cgroup.procs; exec {PSKEL} render {LOG} --skeleton sk --out out/{kind}{processes} --frames 0..1 \
@@ -91,8 +96,10 @@ fn few_processes_are_refused_in_one_line() {
     }
     let Some(group) = FewProcesses::new(5) else { return skip("control groups") };
     let planner = "simulate nuscenes:log@v1.0-mini --skeleton sk --dry --ego external --planner 'cat'";
-    let output =
-        run_within_time(&log.path(""), &format!("echo $$ > {}/cgroup.procs; exec {PSKEL} {planner}", group.0.display()));
+    let output = run_within_time(
+        &log.path(""),
+        &format!("echo $$ > {}/cgroup.procs; exec {PSKEL} {planner}", group.0.display()),
+    );
     assert_ran_or_refused(&output, planner);
     assert_eq!(output.status.code(), Some(1));
 }
@@ -126,9 +133,7 @@ fn few_processes_of_a_user_are_refused_in_one_line() {
 /// Cameras of a size, as in files of `--cameras`.
 fn write_cameras(log: &TinyLog, count: usize, side: u32) {
     let pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
-    let camera = |i: usize| {
-        json!({"name": format!("c{i}"), "width": side, "height": side, "intrinsics": INTRINSICS, "camera_from_world": pose})
-    };
+    let camera = |i: usize| json!({"name": format!("c{i}"), "width": side, "height": side, "intrinsics": INTRINSICS, "camera_from_world": pose});
     let cameras: Vec<_> = (0..count).map(camera).collect();
     std::fs::write(log.path("cameras.json"), json!({"cameras": cameras}).to_string()).unwrap();
 }
@@ -136,14 +141,23 @@ fn write_cameras(log: &TinyLog, count: usize, side: u32) {
 #[test]
 fn camera_lists_that_need_terabytes_are_refused_with_the_number() {
     let log = log_with_skeleton();
-    std::fs::write(log.path("points.ply"), "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty \
-         float z\nend_header\n0 0 5\n").unwrap();
+    std::fs::write(
+        log.path("points.ply"),
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty \
+         float z\nend_header\n0 0 5\n",
+    )
+    .unwrap();
     let render = format!("render {LOG} --skeleton sk --out maps --frames 0..1 --rasterizer cpu");
     log.succeed(&format!("{render} --out-size 14x25"));
     let before = tree(&log.path("maps"));
     write_cameras(&log, 300, 16_384);
     assert!(std::fs::metadata(log.path("cameras.json")).unwrap().len() < 70_000);
-    let needs = ["300 views of up to 16384x16384 pixels needs ", " TiB of memory, but ", "--out-size", "PSKEL_MEMORY=8G"];
+    let needs = [
+        "300 views of up to 16384x16384 pixels needs ",
+        " TiB of memory, but ",
+        "--out-size",
+        "PSKEL_MEMORY=8G",
+    ];
     assert_failed(&log.run(&format!("{render} --cameras cameras.json")), 1, &needs);
     // An earlier output stays complete.
     assert!(tree(&log.path("maps")) == before);
@@ -166,20 +180,29 @@ fn sizes_in_tables_are_refused_with_the_number() {
         let mut command = Command::new(PSKEL);
         command.current_dir(log.path("")).args(args.split(' ')).env("PSKEL_MEMORY", memory).output().unwrap()
     };
-    let needs = ["views of up to 16384x16384 pixels needs ", " GiB of memory, but ", "limited by PSKEL_MEMORY"];
+    let needs =
+        ["views of up to 16384x16384 pixels needs ", " GiB of memory, but ", "limited by PSKEL_MEMORY"];
     let render = format!("render {LOG} --skeleton sk --out out/maps --rasterizer cpu");
     assert_failed(&limited(&render, "2G"), 1, &needs);
     let simulate = format!("simulate {LOG} --skeleton sk --out out/rollout --steps 1 --rasterizer cpu");
     assert_failed(&limited(&simulate, "2G"), 1, &needs);
     let bench = format!("bench {LOG} --skeleton sk --frames 0..1 --repeat 1 --warm-up 0 --rasterizer cpu");
     assert_failed(&limited(&bench, "2G"), 1, &needs);
-    assert_failed(&limited(&render, "lots"), 2, &["expected a size in PSKEL_MEMORY, like 8G or 512M, found \"lots\""]);
+    assert_failed(
+        &limited(&render, "lots"),
+        2,
+        &["expected a size in PSKEL_MEMORY, like 8G or 512M, found \"lots\""],
+    );
     // Images whose header declares the size, of few bytes.
     for (path, _) in tree(&log.path("log/samples")).iter().filter(|(path, _)| path.ends_with(".png")) {
         std::fs::write(log.path("log/samples").join(path), png_header(16_384)).unwrap();
     }
     let build = format!("build {LOG} --out out/sk");
-    let image = ["cannot decode: an image of 16384x16384 pixels needs 768.0 MiB of memory", "limited by PSKEL_MEMORY", ".png"];
+    let image = [
+        "cannot decode: an image of 16384x16384 pixels needs 768.0 MiB of memory",
+        "limited by PSKEL_MEMORY",
+        ".png",
+    ];
     assert_failed(&limited(&build, "500M"), 1, &image);
 }
 
@@ -191,7 +214,10 @@ fn png_header(side: u32) -> Vec<u8> {
     file[16..20].copy_from_slice(&side.to_be_bytes());
     file[20..24].copy_from_slice(&side.to_be_bytes());
     let crc = file[12..29].iter().fold(u32::MAX, |crc, byte| {
-        (0..8).fold(crc ^ u32::from(*byte), |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 })
+        (0..8).fold(
+            crc ^ u32::from(*byte),
+            |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 },
+        )
     });
     file[29..33].copy_from_slice(&(!crc).to_be_bytes());
     file
@@ -201,13 +227,26 @@ fn png_header(side: u32) -> Vec<u8> {
 fn recipes_of_huge_images_are_refused_with_the_number() {
     let log = log_with_skeleton();
     for (recipe, needs) in [
-        (json!({"drawn": "16384x16384", "size": "16384x16384"}), "a window of 4 frames of 2 views of 16384x16384 pixels needs "),
-        (json!({"drawn": "16384x16384", "size": "8x16", "color_filter": "valid-area"}), "views of up to 16384x16384 pixels needs "),
+        (
+            json!({"drawn": "16384x16384", "size": "16384x16384"}),
+            "a window of 4 frames of 2 views of 16384x16384 pixels needs ",
+        ),
+        (
+            json!({"drawn": "16384x16384", "size": "8x16", "color_filter": "valid-area"}),
+            "views of up to 16384x16384 pixels needs ",
+        ),
     ] {
         std::fs::write(log.path("recipe.json"), recipe.to_string()).unwrap();
-        let args = format!("generate {LOG} --skeleton sk --generator fill --recipe recipe.json --out out/images --rasterizer cpu");
+        let args = format!(
+            "generate {LOG} --skeleton sk --generator fill --recipe recipe.json --out out/images --rasterizer cpu"
+        );
         let mut command = Command::new(PSKEL);
-        let output = command.current_dir(log.path("")).args(args.split(' ')).env("PSKEL_MEMORY", "2G").output().unwrap();
+        let output = command
+            .current_dir(log.path(""))
+            .args(args.split(' '))
+            .env("PSKEL_MEMORY", "2G")
+            .output()
+            .unwrap();
         assert_failed(&output, 1, &[needs, "limited by PSKEL_MEMORY"]);
     }
 }
