@@ -37,10 +37,12 @@ pub mod geometry;
 pub mod gpu;
 pub mod hash;
 pub mod idm;
+pub mod memory;
 pub mod raster;
 pub mod scene;
 pub mod sequence;
 pub mod skeleton;
+pub mod threads;
 
 mod bits;
 mod log;
@@ -76,6 +78,9 @@ pub enum Error {
     /// Invalid times of a sequence.
     #[error("{0}")]
     Sequence(#[from] scene::SequenceError),
+    /// A thread could not be started.
+    #[error("{0}")]
+    Threads(#[from] threads::ThreadError),
     /// A step of a sequence failed.
     #[error("step {name}")]
     Step {

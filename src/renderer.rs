@@ -3,7 +3,8 @@ use std::sync::Arc;
 
 use crate::Error;
 use crate::conditions::distort::{Distorter, PinholeStep};
-use crate::conditions::{ConditionOptions, StepInFlight};
+use crate::conditions::{ConditionError, ConditionOptions, StepInFlight, check_memory};
+use crate::geometry::View;
 use crate::maps::Maps;
 use crate::raster::{self, FRAMES_IN_FLIGHT, Rasterizer, RasterizerDesc};
 use crate::scene::{SceneClouds, SceneState, SelectionOptions, Substitutes};
@@ -73,6 +74,16 @@ impl<'a> Renderer<'a> {
             distorter,
             in_flight: VecDeque::new(),
         })
+    }
+
+    /// Checks that the maps of a state fit into the memory that is available. Rendering checks this too; calling it first
+    /// refuses before other work.
+    ///
+    /// # Errors
+    /// Fails if they do not fit.
+    pub fn check_memory(&self, state: &SceneState) -> Result<(), Error> {
+        let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
+        Ok(check_memory(&views, &self.conditions, state.map.is_some()).map_err(ConditionError::from)?)
     }
 
     /// Renders the maps of a state. Frames in flight are discarded.

@@ -13,6 +13,7 @@ use crate::conditions::{DepthBins, MapFormat, sheet};
 use crate::files::OutputFolder;
 use crate::raster::FRAMES_IN_FLIGHT;
 use crate::scene::SceneSequence;
+use crate::threads::spawn_scoped;
 use crate::{Error, Maps, Renderer};
 
 const INDEX: &str = "index.json";
@@ -50,6 +51,9 @@ impl SequenceWriter<'_> {
         options: &impl Serialize,
         on_step: &mut dyn FnMut(&str),
     ) -> Result<Vec<IndexFrame>, Error> {
+        if let Some(state) = states.states().next() {
+            renderer.check_memory(&state?)?;
+        }
         self.folder.check(states.names())?;
         self.folder.remove([INDEX])?;
         let index = Index { options, frames: self.write_steps(renderer, states, on_step)? };
@@ -67,8 +71,8 @@ impl SequenceWriter<'_> {
         let mut frames = Vec::new();
         std::thread::scope(|scope| {
             let (sender, receiver) = sync_channel::<Maps>(1);
-            let writer =
-                scope.spawn(move || receiver.into_iter().try_for_each(|maps| self.write_step(&maps)));
+            let write = move || receiver.into_iter().try_for_each(|maps| self.write_step(&maps));
+            let writer = spawn_scoped(scope, "the thread that writes maps", write)?;
             let (mut states, mut names) = (states.states(), states.names());
             loop {
                 // The device renders one step while the host processes the previous one.

@@ -8,6 +8,7 @@ before it forks. If it has, workers raise ``RenderError``; start them with ``mul
 from __future__ import annotations
 
 import inspect
+import math
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
@@ -26,6 +27,10 @@ from . import Log, Renderer, Scene, Skeleton
 __all__ = ["Clip", "ClipSource", "ConditionDataset", "ConditionStream"]
 
 Augment = Callable[[Scene, np.random.Generator], Scene]
+
+
+_RATE_TOLERANCE = 0.05
+"""Relative difference between the rate of a log and a multiple of the rate of clips; recorded times are not exact."""
 
 
 class ClipSource(NamedTuple):
@@ -57,6 +62,8 @@ class _Clips:
         out_size: Sequence[int],
         frames: int = 1,
         stride: int = 1,
+        every: int | None = None,
+        hz: float | None = None,
         images: bool = True,
         augment: Augment | None = None,
         seed: int = 0,
@@ -65,6 +72,12 @@ class _Clips:
     ) -> None:
         if frames < 1 or stride < 1 or open_logs < 1:
             raise ValueError(f"expected frames, stride and open_logs of 1 or more, found {frames}, {stride}, {open_logs}")
+        if every is not None and hz is not None:
+            raise ValueError(f"expected every or hz, found both: {every} and {hz}")
+        if every is not None and every < 1:
+            raise ValueError(f"expected every of 1 or more, found {every}")
+        if hz is not None and not (math.isfinite(hz) and hz > 0):
+            raise ValueError(f"expected hz above 0, found {hz}")
         known = set(inspect.signature(Renderer).parameters) - {"skeleton", "maps", "out_size", "log"}
         if unknown := sorted(set(renderer) - known):
             raise TypeError(f"expected the options {', '.join(sorted(known))}, found {', '.join(unknown)}")
@@ -83,14 +96,19 @@ class _Clips:
         self._options = renderer
         self._opened: OrderedDict[int, _Opened] = OrderedDict()
         self._process = os.getpid()
-        counts = [_frames(source) for source in self.sources]
+        times = [_times(source) for source in self.sources]
+        self._every = [every or 1 if hz is None else _every(all_us, hz, log) for (log, _), all_us in zip(self.sources, times)]
         self.clips = [
             Clip(source, first)
-            for source, count in enumerate(counts)
-            for first in range(0, count - frames + 1, stride)
+            for source, (all_us, step) in enumerate(zip(times, self._every))
+            for first in range(0, len(all_us) - (frames - 1) * step, stride)
+            if hz is None or _is_steady(all_us[first : first + (frames - 1) * step + 1 : step], hz)
         ]
         if not self.clips:
-            raise ValueError(f"expected a log of at least {frames} key frames, found logs of {counts}")
+            least = (frames - 1) * min(self._every, default=1) + 1
+            steady = "" if hz is None else f" without gaps at {hz} Hz"
+            found = [len(all_us) for all_us in times]
+            raise ValueError(f"expected a log of at least {least} key frames{steady}, found logs of {found}")
 
     def set_epoch(self, epoch: int) -> None:
         """Set the epoch, which changes the random numbers of ``augment``."""
@@ -118,7 +136,7 @@ class _Clips:
         """Render the clip with an index."""
         source, first = self.clips[index]
         log, renderer = self.open(source)
-        scenes = [log[first + i] for i in range(self.frames)]
+        scenes = [log[first + i * self._every[source]] for i in range(self.frames)]
         if self.augment is not None:
             # The same random numbers for all frames, so that a clip moves as one.
             scenes = [self.augment(scene, np.random.default_rng((self.seed, self.epoch, index))) for scene in scenes]
@@ -140,13 +158,30 @@ class _Clips:
         return {**self.__dict__, "_opened": OrderedDict()}
 
 
-def _frames(source: ClipSource) -> int:
-    """Number of key frames of a log, which must be one of those of its skeleton."""
+def _times(source: ClipSource) -> list[int]:
+    """Times of the key frames of a log, microseconds. The log must be one of those of its skeleton."""
     log, skeleton = Log(source.log), Skeleton(source.skeleton)
     if log.name not in skeleton.logs:
         found = ", ".join(skeleton.logs)
         raise ValueError(f"expected a skeleton of log {log.name}, found one of {found}: {source.skeleton}")
-    return len(log)
+    return log.times_us
+
+
+def _every(times_us: list[int], hz: float, log: str) -> int:
+    """Key frames from one frame of a clip to the next at a rate; ValueError if the log's rate is not a multiple of it."""
+    if len(times_us) < 2:
+        return 1
+    rate = 1e6 / float(np.median(np.diff(times_us)))
+    every = round(rate / hz)
+    if every < 1 or abs(rate / (hz * every) - 1) > _RATE_TOLERANCE:
+        raise ValueError(f"expected hz that divides the rate of the key frames, {rate:.4g} Hz, found {hz}: {log}")
+    return every
+
+
+def _is_steady(times_us: list[int], hz: float) -> bool:
+    """Whether each frame is within half an interval of its time at a rate."""
+    off_s = (np.array(times_us) - times_us[0]) / 1e6 - np.arange(len(times_us)) / hz
+    return bool((np.abs(off_s) <= 0.5 / hz).all())
 
 
 def _scaled(scene: Scene, size: Sequence[int]) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -169,10 +204,12 @@ class ConditionDataset(_Clips, Dataset[dict[str, torch.Tensor]]):
     - ``intrinsics`` ``float64 [T, V, 3, 3]`` at ``out_size``, ``camera_from_global`` ``float64 [T, V, 4, 4]``,
       ``global_from_ego`` ``float64 [T, 4, 4]``, ``t_us`` ``int64 [T]``.
 
-    Clips begin every ``stride`` frames. ``augment(scene, generator)`` changes a scene with random numbers that depend on
-    ``seed``, epoch (``set_epoch``) and index only; recorded images do not follow a moved ego. Other keyword arguments are
-    those of ``pskel.Renderer``, except ``maps`` and ``log``. Raises ``ValueError`` for a skeleton of other logs, and if no log
-    is as long as a clip.
+    Clips begin every ``stride`` key frames. Their frames are consecutive key frames, every ``every``-th one, or those at the rate
+    ``hz``, which must divide the rate of the key frames; at a rate, clips across gaps of the log are left out.
+    ``augment(scene, generator)`` changes a scene with random numbers that depend on ``seed``, epoch (``set_epoch``) and index
+    only; recorded images do not follow a moved ego. Other keyword arguments are those of ``pskel.Renderer``, except ``maps``
+    and ``log``. Raises ``ValueError`` for a skeleton of other logs, for a rate that does not divide that of a log, and if no
+    log is as long as a clip.
     """
 
     def __len__(self) -> int:

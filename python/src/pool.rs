@@ -5,9 +5,11 @@
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use pyo3::exceptions::PyRuntimeError;
+use point_skeleton::threads::{new_pool, start_pool};
 use pyo3::prelude::*;
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use rayon::ThreadPool;
+
+use crate::error::raise;
 
 static IMPORTED_BY: OnceLock<u32> = OnceLock::new();
 static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
@@ -21,7 +23,10 @@ pub(crate) fn imported() {
 pub(crate) fn detached<T: Send>(py: Python<'_>, call: impl FnOnce() -> PyResult<T> + Send) -> PyResult<T> {
     let here = std::process::id();
     if IMPORTED_BY.get() == Some(&here) {
-        return py.detach(call);
+        return py.detach(|| {
+            start_pool().map_err(raise)?;
+            call()
+        });
     }
     py.detach(|| pool_of(here)?.install(call))
 }
@@ -33,8 +38,7 @@ fn pool_of(process: u32) -> PyResult<Arc<ThreadPool>> {
     {
         return Ok(Arc::clone(pool));
     }
-    let made = ThreadPoolBuilder::new().build();
-    let made = Arc::new(made.map_err(|e| PyRuntimeError::new_err(format!("cannot start threads: {e}")))?);
+    let made = Arc::new(new_pool().map_err(raise)?);
     // The pool of the parent process has no threads here: dropping it would wait for them.
     std::mem::forget(pool.replace((process, Arc::clone(&made))));
     Ok(made)

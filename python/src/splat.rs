@@ -1,8 +1,9 @@
 use glam::{DAffine3, DVec3};
 use point_skeleton::cloud::Point;
+use point_skeleton::conditions::{ConditionError, check_memory};
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::{Instance, RasterizerDesc, SplatJob, class_of, create, rgb_of};
-use point_skeleton::{CameraConditions, MapKind, MapSet, RasterizerKind, SplatSchedule};
+use point_skeleton::{CameraConditions, ConditionOptions, MapKind, MapSet, RasterizerKind, SplatSchedule};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -37,7 +38,10 @@ pub(crate) fn splat<'py>(
     let points: Vec<Point> = points.iter().map(local).collect();
     let views = views(&intrinsics, &camera_from_world, size)?;
     let world_from_local = DAffine3::from_translation(origin);
+    let maps = MapSet::of(&[MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Point]);
+    let options = ConditionOptions { maps, ..ConditionOptions::default() };
     let draw = || {
+        check_memory(&views, &options, false).map_err(|error| raise(ConditionError::from(error)))?;
         let mut rasterizer = create(&RasterizerDesc::from(kind), vec![&points]).map_err(raise)?;
         let mut of_view = |view: &View| {
             let maps = rasterizer.splat(&SplatJob {
@@ -45,7 +49,7 @@ pub(crate) fn splat<'py>(
                 schedule: &schedule,
                 instances: &[Instance { cloud: 0, world_from_local, number: 0 }],
                 crop: None,
-                maps: MapSet::of(&[MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Point]),
+                maps,
             })?;
             Ok(CameraConditions {
                 width: maps.width,

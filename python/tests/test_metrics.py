@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import subprocess
 import sys
 
@@ -15,7 +16,7 @@ Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 
 from torch.nn import functional
 
-from pskel.metrics import I3D, frechet_distance, image_features, load_inception, read_rollout, video_features
+from pskel.metrics import I3D, frechet_distance, image_features, load_inception, read_reference, read_rollout, video_features
 
 
 def initialized(network, seed):
@@ -129,6 +130,15 @@ def write_rollout(folder, frames, references=2):
     return folder
 
 
+def write_reference(folder, frames):
+    """Recorded images of two cameras, larger than the generated ones."""
+    for camera, seed in (("CAM_BACK", 30), ("CAM_FRONT", 31)):
+        (folder / camera).mkdir(parents=True)
+        for frame in range(frames):
+            Image.fromarray(images([seed, frame], 64, 112)).save(folder / camera / f"{frame:06}.jpg", quality=95)
+    return folder
+
+
 def run(*arguments):
     command = [sys.executable, "-m", "pskel.metrics", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
@@ -192,3 +202,37 @@ def test_wrong_input_is_said(tmp_path, i3d_weights):
     (rollout / "steps/000006/truth/CAM_FRONT.png").unlink()
     done = run(rollout, "--inception", tmp_path / "none.pth", *out)
     assert done.returncode == 1 and "expected a truth image, found none" in done.stderr
+
+
+def test_rollouts_without_ground_truth_are_compared_with_reference_images(tmp_path, inception_weights, i3d_weights):
+    rollout, other = write_rollout(tmp_path / "off", 11), write_rollout(tmp_path / "on", 12)
+    for folder in rollout.glob("steps/*/truth"):
+        shutil.rmtree(folder)
+    weights = ["--inception", inception_weights, "--i3d", i3d_weights, "--frames", 10, "--out", tmp_path / "out"]
+    done = run(rollout, *weights)
+    assert done.returncode == 1
+    assert "expected a truth image, found none" in done.stderr and "--reference compares with other images" in done.stderr
+    recorded = write_reference(tmp_path / "recorded", 13)
+    done = run(rollout, *weights, "--reference", recorded)
+    assert done.returncode == 0, done.stderr
+    assert "22 and 26 samples of 2048 features" in done.stdout and "4 and 8 samples of 400 features" in done.stdout
+    features = {path.stem: np.load(path) for path in (tmp_path / "out").glob("*.npy")}
+    assert sorted(features) == ["i3d-generated", "i3d-reference", "inception-generated", "inception-reference"]
+    resized = [np.asarray(Image.open(path).resize((56, 32), Image.Resampling.BILINEAR)) for path in sorted(recorded.glob("*/*.jpg"))]
+    expected = image_features(load_inception(inception_weights), np.stack(resized))
+    np.testing.assert_allclose(features["inception-reference"], expected, rtol=1e-4, atol=1e-4)
+    with (tmp_path / "out/curve.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["first_frame"] for row in rows] == ["0", "1"]
+    window = np.concatenate([features["inception-generated"][at : at + 10] for at in (1, 12)])
+    assert float(rows[1]["fid"]) == pytest.approx(frechet_distance(window, expected), rel=1e-3)
+    # Rollouts with ground truth are references too: the images of all their steps.
+    assert [len(video) for video in read_reference(other, (32, 56))] == [14, 14]
+    np.testing.assert_array_equal(read_reference(other, (32, 56))[0][2], read_rollout(other)[0].truth[0])
+    assert read_reference(recorded / "CAM_BACK", (32, 56))[0].shape == (13, 32, 56, 3)
+    (tmp_path / "empty").mkdir()
+    done = run(rollout, *weights, "--reference", recorded, tmp_path / "empty")
+    assert done.returncode == 1 and "expected a rollout with ground truth, or a folder of PNG or JPEG images" in done.stderr
+    (tmp_path / "empty/a.png").write_text("no image")
+    done = run(rollout, *weights, "--reference", tmp_path / "empty")
+    assert done.returncode == 1 and "expected a reference image, found another file" in done.stderr

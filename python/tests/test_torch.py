@@ -115,6 +115,46 @@ def test_arrays_become_tensors_without_a_copy(log: pskel.Log, renderer: pskel.Re
     assert torch.from_dlpack(depth).data_ptr() == depth.ctypes.data
 
 
+def test_clips_take_every_nth_frame_or_a_rate(sources: list[tuple[str, str]], log: pskel.Log) -> None:
+    times = log.times_us
+    assert len(times) == 4
+    rate = 1e6 / (times[1] - times[0])
+    options: dict[str, Any] = {"out_size": OUT, "frames": 2, "images": False}
+    for dataset in (ConditionDataset(sources, every=2, **options), ConditionDataset(sources, hz=rate / 2, **options)):
+        assert [item["t_us"].tolist() for item in dataset] == [[times[0], times[2]], [times[1], times[3]]]
+    consecutive = ConditionDataset(sources, hz=rate, **options)
+    assert [item["t_us"].tolist() for item in consecutive] == [times[i : i + 2] for i in range(3)]
+    moved = ConditionDataset(sources, every=3, augment=lambda scene, _: scene.move_ego(left=1.0), **options)
+    assert len(moved) == 1 and moved[0]["t_us"].tolist() == [times[0], times[3]]
+    stream = ConditionStream(sources, every=2, **options)
+    assert [item["t_us"].tolist() for item in stream] == [[times[0], times[2]], [times[1], times[3]]]
+
+
+def test_clips_across_gaps_are_left_out_at_a_rate() -> None:
+    from pskel.torch import _every, _is_steady
+
+    times = [0, 100_000, 201_000, 300_000, 900_000]
+    assert [_every(times, hz, "log") for hz in (10, 5, 2)] == [1, 2, 5]
+    assert _is_steady(times[:4], 10) and _is_steady(times[0:4:2], 5)
+    assert not _is_steady(times, 10) and not _is_steady(times[0:5:2], 5)
+
+
+def test_bad_rates_are_rejected(sources: list[tuple[str, str]], log: pskel.Log) -> None:
+    make: Callable[..., Any] = ConditionDataset
+    rate = 1e6 / (log.times_us[1] - log.times_us[0])
+    for options, said in (
+        ({"every": 2, "hz": rate}, "expected every or hz, found both"),
+        ({"every": 0}, "expected every of 1 or more, found 0"),
+        ({"hz": 0.0}, "expected hz above 0, found 0.0"),
+        ({"hz": float("nan")}, "expected hz above 0, found nan"),
+        ({"hz": rate * 2}, "expected hz that divides the rate of the key frames"),
+        ({"hz": rate / 1.5}, "expected hz that divides the rate of the key frames"),
+        ({"every": 2, "frames": 3}, r"at least 5 key frames, found logs of \[4\]"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            make(sources, out_size=OUT, **options)
+
+
 def test_bad_options_are_rejected(sources: list[tuple[str, str]]) -> None:
     make: Callable[..., Any] = ConditionDataset
     with pytest.raises(ValueError, match="frames, stride and open_logs of 1 or more"):

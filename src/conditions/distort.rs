@@ -13,10 +13,14 @@ use rayon::prelude::*;
 
 use super::{CameraConditions, ConditionError, ConditionOptions, ConditionSet, ImageSize, MapKind, reduce};
 use crate::geometry::{Camera, Lens, View};
+use crate::memory::{Need, reserve};
 use crate::scene::SceneState;
 
 /// Maximum ratio of a side of the pinhole image to the same side of the camera's image.
 const MOST_GROWTH: u32 = 4;
+
+/// Memory per pixel while a warp is computed: its ray, and its entry in the table.
+const RAY_BYTES: u64 = (size_of::<Option<DVec2>>() + size_of::<u32>()) as u64;
 
 /// Distorts the maps of a sequence of steps; the warp of a camera is computed once and reused while the cameras stay
 /// the same.
@@ -79,6 +83,13 @@ impl Distorter {
         if let Some((_, warp)) = self.known.iter().find(|(known, _)| known == camera) {
             return Ok(Arc::clone(warp));
         }
+        let size = ImageSize::of(camera);
+        let bytes = size.pixels() as u64 * RAY_BYTES;
+        let _rays = reserve(bytes, || Need {
+            what: format!("the lens distortion of an image of {size} pixels"),
+            bytes,
+            advice: "smaller cameras and --size need less",
+        })?;
         let warp = Arc::new(Warp::new(camera)?);
         self.known.push((camera.clone(), Arc::clone(&warp)));
         Ok(warp)

@@ -2,6 +2,7 @@ use std::path::PathBuf;
 
 use super::ImageSize;
 use crate::error::FileError;
+use crate::memory::MemoryError;
 use crate::raster::RasterError;
 
 /// Reason why condition maps could not be rendered or written.
@@ -13,6 +14,9 @@ pub enum ConditionError {
     /// Error of a file.
     #[error("{0}")]
     File(#[from] FileError),
+    /// More memory is needed than available.
+    #[error("{0}")]
+    Memory(#[from] MemoryError),
     /// A map layout was requested, but the step has no HD map.
     #[error("expected an HD map to draw map layouts from, found none in step {step}")]
     NoMap {

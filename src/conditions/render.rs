@@ -4,10 +4,12 @@ use rayon::prelude::*;
 
 use super::hidden::without_hidden;
 use super::layout::{self, Layouts};
+use super::memory;
 use super::{
     CameraConditions, ColorFilter, ConditionError, ConditionOptions, ConditionSet, ImageSize, reduce,
 };
 use crate::geometry::View;
+use crate::memory::Reservation;
 use crate::raster::{Crop, FrameJob, MapKind, MapSet, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
 use crate::scene::{ActorState, SceneInstances, SceneMap, SceneState};
 
@@ -36,6 +38,7 @@ pub fn render_views(
     crop: Option<Crop>,
     options: &ConditionOptions,
 ) -> Result<Vec<CameraConditions>, ConditionError> {
+    let _memory = memory::reserve_step(views, options)?;
     Points::begin(rasterizer, clouds, views, crop, options)?.finish(rasterizer)
 }
 
@@ -46,6 +49,7 @@ pub fn render_views(
 /// Returns an error if [`MapKind::Map`] is requested and the state has no HD map.
 pub fn draw_layouts(state: &SceneState, options: &ConditionOptions) -> Result<ConditionSet, ConditionError> {
     let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
+    let _memory = memory::reserve_step(&views, options)?;
     let mut cameras: Vec<CameraConditions> = views.iter().map(|view| blank(view, options)).collect();
     let Shown { boxes, map } = Shown::of(state, options.maps)?;
     add_layouts(&mut cameras, layout::draw(boxes, map, &views, options));
@@ -90,6 +94,8 @@ pub struct StepInFlight {
     layouts: Layouts,
     /// Options as requested; more maps are rendered for the model tensor.
     asked: ConditionOptions,
+    /// Memory of the maps.
+    _memory: Reservation,
 }
 
 impl StepInFlight {
@@ -110,6 +116,7 @@ impl StepInFlight {
         let center = state.global_from_ego.translation.truncate();
         let crop = Crop { center, radius_m: options.radius_m };
         let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
+        let memory = memory::reserve_step(&views, options)?;
         let points = Points::begin(rasterizer, clouds, &views, Some(crop), options)?;
         // The device processes the points meanwhile.
         let start = Instant::now();
@@ -117,7 +124,7 @@ impl StepInFlight {
         if boxes.is_some() || map.is_some() {
             rasterizer.stages().add("layouts", start.elapsed());
         }
-        Ok(Self { points, layouts, asked })
+        Ok(Self { points, layouts, asked, _memory: memory })
     }
 
     /// Waits for the maps. `rasterizer` must be the one that the step was started with.

@@ -1,11 +1,12 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, RgbImage};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader, RgbImage};
 
 use crate::error::FileError;
 use crate::files::input::{IMAGE_BYTES, read_file};
 use crate::files::sniff;
+use crate::memory::{Need, reserve};
 
 /// Reads a JPEG or PNG file of `height × width` pixels. The size in the header is compared before pixels are decoded.
 ///
@@ -22,12 +23,27 @@ pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, Fi
         let found = format!("{found_height}x{found_width}");
         return Err(FileError::content(format!("an image of {height}x{width} pixels"), found, path));
     }
+    let bytes_needed =
+        decoded_bytes(decoder.total_bytes(), decoder.color_type(), is_jpeg(&bytes), height, width);
+    let _pixels = reserve(bytes_needed, || Need {
+        what: format!("an image of {height}x{width} pixels"),
+        bytes: bytes_needed,
+        advice: "RAYON_NUM_THREADS=1 decodes one image at a time",
+    })
+    .map_err(|error| FileError::io("decode", path)(error.into()))?;
     // The decoder silently fills the missing part of a truncated JPEG file with gray.
     if is_jpeg(&bytes) && !has_jpeg_end(&bytes) {
         let found = format!("{} bytes without an end marker (truncated)", bytes.len());
         return Err(FileError::content("a whole JPEG image", found, path));
     }
     DynamicImage::from_decoder(decoder).map(DynamicImage::into_rgb8).map_err(undecodable)
+}
+
+/// Estimates the memory of decoding an image, bytes: the decoded pixels, their conversion to RGB, and coefficients of a JPEG file.
+fn decoded_bytes(decoded: u64, color: ColorType, is_jpeg: bool, height: u32, width: u32) -> u64 {
+    let pixels = u64::from(height) * u64::from(width);
+    let converted = if color == ColorType::Rgb8 { 0 } else { 3 * pixels };
+    decoded + converted + if is_jpeg { 3 * size_of::<i16>() as u64 * pixels } else { 0 }
 }
 
 fn undecodable(error: ImageError, bytes: &[u8], path: &Path) -> FileError {

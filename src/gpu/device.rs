@@ -16,6 +16,7 @@ use super::identity::DeviceIdentity;
 use super::instance::Instance;
 use super::select::{Candidate, choose};
 use super::{DeviceDesc, GpuError, ImageDesc, Messages};
+use crate::threads;
 
 /// An open device. Every object created from it holds an `Arc` of it.
 pub struct Device {
@@ -70,7 +71,15 @@ impl Device {
         let instance = Instance::new(desc.validation)?;
         let physical = instance.physical_devices()?;
         let candidates: Vec<Candidate> = physical.iter().map(|p| candidate(&instance, *p)).collect();
-        let physical = physical[choose(&candidates, desc.device.as_deref())?];
+        let chosen = choose(&candidates, desc.device.as_deref())?;
+        if candidates[chosen].kind == vk::PhysicalDeviceType::CPU {
+            // Mesa 22.3 waits forever for threads that it could not start.
+            threads::probe(
+                threads::of_cpu_driver(),
+                &format!("the threads of the driver of {}", candidates[chosen].name),
+            )?;
+        }
+        let physical = physical[chosen];
         let (queue_family, timestamp_bits) = queue_family(&instance, physical).unwrap_or_default();
         let facts = facts(&instance, physical, timestamp_bits)?;
         let raw = create(instance.raw(), physical, queue_family, &facts)?;

@@ -58,6 +58,9 @@ pub enum GpuError {
         /// Device name.
         device: String,
     },
+    /// The driver needs more threads than the system allows.
+    #[error(transparent)]
+    Threads(#[from] crate::threads::ThreadError),
     /// A Vulkan function failed.
     #[error("{call} failed: {source}")]
     Call {

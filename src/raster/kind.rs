@@ -1,6 +1,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use super::budget::{Budgeted, reserve_points};
 use super::cpu::{CpuRasterizer, CpuRasterizerDesc};
 use super::{
     CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, RasterError, Rasterizer,
@@ -78,7 +79,7 @@ impl From<RasterizerKind> for RasterizerDesc {
 ///
 /// # Errors
 /// Fails if there is no device (never for [`RasterizerKind::Cpu`], and not for [`RasterizerKind::Auto`] if nothing
-/// asks for a device), if the named device is unknown or lacks a required feature, or if memory is exhausted.
+/// asks for a device), if the named device is unknown or lacks a required feature, or if more memory is needed than available.
 pub fn create<'a>(
     desc: &RasterizerDesc,
     clouds: CloudSet<'a>,
@@ -91,14 +92,17 @@ pub fn create<'a>(
         // A driver that runs on the processor is slower than the processor.
         RasterizerKind::Auto if !asked => match Device::new(&of_device) {
             Ok(device) => Some(device).filter(|device| !device.is_cpu()),
-            Err(GpuError::NoLoader { .. } | GpuError::NoDevice { .. }) => None,
+            // Only drivers that run on the processor lack threads.
+            Err(GpuError::NoLoader { .. } | GpuError::NoDevice { .. } | GpuError::Threads(_)) => None,
             Err(error) => return Err(error.into()),
         },
         _ => Some(Device::new(&of_device)?),
     };
+    let on_device = device.as_ref().is_some_and(|device| !device.shares_memory());
+    let _points = reserve_points(clouds.iter().map(|cloud| cloud.len()).sum(), on_device)?;
     let Some(device) = device else {
         let options = CpuRasterizerDesc { occlusion_culling: desc.occlusion_culling };
-        return Ok(Box::new(CpuRasterizer::with_desc(clouds, options)));
+        return Ok(Box::new(Budgeted::new(Box::new(CpuRasterizer::with_desc(clouds, options)), false)));
     };
     let compute = match desc.kind {
         RasterizerKind::Auto => ComputeRasterizer::supported(&device),
@@ -107,14 +111,15 @@ pub fn create<'a>(
     if compute {
         let memory_bytes = desc.memory_bytes;
         let desc = ComputeRasterizerDesc { memory_bytes, ..ComputeRasterizerDesc::default() };
-        return Ok(Box::new(ComputeRasterizer::with_desc(device, &clouds, desc)?));
+        let rasterizer = Box::new(ComputeRasterizer::with_desc(device, &clouds, desc)?);
+        return Ok(Box::new(Budgeted::new(rasterizer, false)));
     }
     if desc.memory_bytes.is_some() {
         let expected = "64-bit atomics on buffers, since only the compute rasterizer has a GPU memory limit";
         let found = if desc.kind == RasterizerKind::Graphics { "the graphics rasterizer" } else { "none" };
         return Err(device.unsupported(expected, found).into());
     }
-    Ok(Box::new(GraphicsRasterizer::new(device, &clouds)?))
+    Ok(Box::new(Budgeted::new(Box::new(GraphicsRasterizer::new(device, &clouds)?), true)))
 }
 
 #[cfg(test)]

@@ -21,6 +21,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod budget;
 mod chunk;
 mod compute;
 mod cpu;
@@ -42,6 +43,7 @@ mod schedule;
 mod steps;
 pub mod tiles;
 
+pub(crate) use budget::{frame_bytes, need_of_views};
 pub use compute::{ComputeRasterizer, ComputeRasterizerDesc};
 pub use cpu::{CpuRasterizer, CpuRasterizerDesc};
 pub use draw::{Crop, Draw, Instance, SplatJob, draws_from_job};
@@ -66,6 +68,9 @@ pub enum RasterError {
     /// Error of the device or driver.
     #[error(transparent)]
     Gpu(#[from] crate::gpu::GpuError),
+    /// More memory is needed than available.
+    #[error(transparent)]
+    Memory(#[from] crate::memory::MemoryError),
     /// More points than a 32-bit index can address.
     #[error("expected at most {max} points in one job, found {found}")]
     TooManyPoints {

@@ -3,6 +3,7 @@ use point_skeleton::dataset::DatasetError;
 use point_skeleton::error::FileError;
 use point_skeleton::files::text::printable;
 use point_skeleton::skeleton::BuildError;
+use point_skeleton::threads::ThreadError;
 #[cfg(feature = "video")]
 use pskel_sim::report::VideoError;
 
@@ -21,6 +22,9 @@ pub enum ExportError {
     /// Error of rendering.
     #[error(transparent)]
     Render(#[from] point_skeleton::Error),
+    /// A thread could not be started.
+    #[error(transparent)]
+    Threads(#[from] ThreadError),
     /// Error of encoding maps.
     #[error(transparent)]
     Conditions(#[from] ConditionError),

@@ -12,6 +12,7 @@ use point_skeleton::files::write_json;
 use point_skeleton::raster::{FRAMES_IN_FLIGHT, RasterizerDesc};
 use point_skeleton::scene::SceneMap;
 use point_skeleton::skeleton::{self, BuildError, Skeleton};
+use point_skeleton::threads::{probe, spawn_scoped};
 use point_skeleton::{Maps, RenderOptions, Renderer};
 use serde_json::json;
 
@@ -82,6 +83,9 @@ pub struct Export<'a> {
 pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
     claim(run.out, run.options)?;
     std::fs::create_dir_all(run.skeletons).map_err(FileError::io("create", run.skeletons))?;
+    let jobs = run.jobs.min(run.part.logs.len());
+    // Each job has a thread that writes.
+    probe((2 * jobs).saturating_sub(1), "the threads of the jobs")?;
     let next = AtomicUsize::new(0);
     let reports = Mutex::new(BTreeMap::new());
     let work = || {
@@ -94,11 +98,16 @@ pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
         }
     };
     std::thread::scope(|scope| {
-        for _ in 1..run.jobs.min(run.part.logs.len()) {
-            scope.spawn(work);
+        for _ in 1..jobs {
+            if let Err(error) = spawn_scoped(scope, "a job", work) {
+                // The jobs that have started take no further log.
+                next.store(run.part.logs.len(), Ordering::Relaxed);
+                return Err(error);
+            }
         }
         work();
-    });
+        Ok(())
+    })?;
     if run.progress.is_stopped() {
         return Err(ExportError::Stopped);
     }
@@ -366,7 +375,7 @@ fn export_unit(
             writer.finish(&mut shard)?;
             Ok((shard, samples))
         };
-        let writer = scope.spawn(write);
+        let writer = spawn_scoped(scope, "the thread that writes a shard", write)?;
         let rendered = render(sampler, renderer, unit, &mut notes, |sample, maps| {
             sender.send((sample, maps)).is_ok() && !run.progress.is_stopped()
         });

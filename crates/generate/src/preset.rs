@@ -28,7 +28,7 @@ impl Preset {
         let [nuscenes, nuplan] = Self::NAMES;
         match name {
             name if name == nuscenes => Some(Self {
-                recipe: recipe([900, 1600], [256, 448], &[(15.0, 2), (35.0, 1), (100.0, 0)], [100.0, 50.0]),
+                recipe: recipe([900, 1600], [256, 448], &[(15.0, 2), (35.0, 1), (100.0, 0)], [50.0, 50.0]),
                 window: 12,
                 steps: 36,
                 guidance: 2.0,
@@ -72,7 +72,7 @@ mod tests {
     #[test]
     fn presets_are_those_of_the_published_networks() {
         let texts = [
-            r#"{"drawn": "900x1600", "size": "256x448", "splat": "15:2,35:1,100:0", "radius_m": 100.0,
+            r#"{"drawn": "900x1600", "size": "256x448", "splat": "15:2,35:1,100:0", "radius_m": 50.0,
                 "color_filter": "bilinear", "bins": {"count": 256, "far_m": 50.0}, "template_fit": "none",
                 "line_width": "scaled", "map_layers": "lanes"}"#,
             r#"{"drawn": "1080x1920", "size": "224x448", "splat": "25:1,50:0", "radius_m": 150.0,

@@ -1,4 +1,5 @@
 use point_skeleton::error::FileError;
+use point_skeleton::memory::MemoryError;
 use pskel_generate::DenoiserError;
 
 /// Error of creating, reading, running or training a network.
@@ -25,6 +26,9 @@ pub enum NetworkError {
     /// Error of a file of weights or of a checkpoint.
     #[error(transparent)]
     File(#[from] FileError),
+    /// More memory is needed than available.
+    #[error(transparent)]
+    Memory(#[from] MemoryError),
     /// Error of the tensor library.
     #[error("tensors: {0}")]
     Tensor(#[from] candle_core::Error),

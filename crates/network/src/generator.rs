@@ -5,8 +5,10 @@ use std::sync::Arc;
 
 use point_skeleton::conditions::FrameCaptions;
 use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::ImageSize;
+use point_skeleton::memory::{MemoryError, Need, reserve};
 use point_skeleton::scene::{GroundTruthImages, SceneClouds, SceneMap};
 use pskel_generate::{
     AnyDenoiser, Codec, Conditioner, DenoiserError, DenoiserRig, GenerateError, GenerateOptions, Guidance,
@@ -15,7 +17,8 @@ use pskel_generate::{
 use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
 use serde::Serialize;
 
-use super::{FilledColor, Network, NetworkError, Provenance};
+use super::inputs::PLANES;
+use super::{FilledColor, Network, NetworkConfig, NetworkError, Provenance};
 
 /// Default window of a network process, frames.
 const PROCESS_WINDOW: usize = 4;
@@ -82,6 +85,8 @@ pub struct OpenedNetwork {
     about: Option<Provenance>,
     fingerprint: Option<String>,
     name: NetworkName,
+    /// Values of the network's activations per pixel of the conditions.
+    activations: usize,
 }
 
 /// Network and options of a rollout's generator.
@@ -133,6 +138,9 @@ pub enum OpenNetworkError {
         /// Given window, frames.
         found: usize,
     },
+    /// More memory is needed than available.
+    #[error(transparent)]
+    Memory(#[from] MemoryError),
     /// The weights cannot be read.
     #[error(transparent)]
     Network(#[from] NetworkError),
@@ -156,17 +164,19 @@ impl GeneratorSettings {
     /// process does not answer.
     pub fn open(&self, name: &NetworkName, rig: &DenoiserRig) -> Result<OpenedNetwork, OpenNetworkError> {
         let cameras = rig.cameras.len();
-        match name {
+        let opened = match name {
             NetworkName::Network(path) => self.open_weights(path.as_deref(), cameras),
             NetworkName::Fill => self.fill(cameras),
             NetworkName::Process(address) => self.start(address, rig),
-        }
+        }?;
+        opened.check_memory(cameras)?;
+        Ok(opened)
     }
 
     fn open_weights(&self, path: Option<&Path>, cameras: usize) -> Result<OpenedNetwork, OpenNetworkError> {
         let network = Network::open_or_shipped(path, cameras)?;
         let config = network.config();
-        let (trained, recipe) = (config.frames, config.recipe.clone());
+        let (trained, recipe, activations) = (config.frames, config.recipe.clone(), activations(config));
         let options = self.options(trained)?;
         if options.window > trained {
             return Err(OpenNetworkError::Window { trained, found: options.window });
@@ -181,6 +191,7 @@ impl GeneratorSettings {
             options,
             seed: self.noise_seed,
             name: NetworkName::Network(path.map(Path::to_owned)),
+            activations,
         })
     }
 
@@ -197,6 +208,7 @@ impl GeneratorSettings {
             options,
             seed: self.noise_seed,
             name: NetworkName::Fill,
+            activations: 0,
         })
     }
 
@@ -215,6 +227,7 @@ impl GeneratorSettings {
             options,
             seed: self.noise_seed,
             name: NetworkName::Process(address.clone()),
+            activations: 0,
         })
     }
 
@@ -253,6 +266,22 @@ impl OpenedNetwork {
         }
     }
 
+    /// Checks that the conditions, latents and images of a window fit into the memory that is available.
+    fn check_memory(&self, cameras: usize) -> Result<(), MemoryError> {
+        let Self { recipe, size, options, activations, denoiser, .. } = self;
+        let pixels = |size: ImageSize| (cameras * size.pixels()) as u64;
+        let channels = (POINT_CHANNELS + LAYOUT_CHANNELS) * options.window + activations;
+        // Latents, their noise, and both predictions of guidance.
+        let latents = 4 * (options.window * denoiser.shape().len()) as u64;
+        // Generated and ground-truth images.
+        let images = 2 * 3 * pixels(*size);
+        let bytes = 4 * (channels as u64 * pixels(recipe.size) + latents) + images;
+        let what =
+            || format!("a window of {} frames of {cameras} views of {} pixels", options.window, recipe.size);
+        let advice = "a recipe of smaller images or a smaller --window needs less";
+        reserve(bytes, || Need { what: what(), bytes, advice }).map(drop)
+    }
+
     /// Creates the session of a rollout.
     ///
     /// # Errors
@@ -273,6 +302,12 @@ impl OpenedNetwork {
         };
         Session::new(parts, self.denoiser)
     }
+}
+
+/// Returns the number of values per pixel that a network holds while it encodes conditions: its input, and stages at the full size.
+fn activations(config: &NetworkConfig) -> usize {
+    let [full, ..] = config.channels;
+    PLANES + 3 * full
 }
 
 impl GeneratorReport {

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use candle_core::{Device, Tensor};
+use point_skeleton::memory::{Need, reserve};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_seeder::Seeder;
@@ -22,6 +23,12 @@ struct Parameter {
     name: String,
     shape: Vec<usize>,
     spread: f64,
+}
+
+impl Parameter {
+    fn values(&self) -> u128 {
+        self.shape.iter().map(|side| *side as u128).product()
+    }
 }
 
 /// Columns of the modulation: of the first and the last residual block (shift, scale and gate), of the output (shift
@@ -133,6 +140,12 @@ pub(crate) fn shapes(config: &NetworkConfig) -> Vec<(String, Vec<usize>)> {
 /// # Errors
 /// Returns any error of the tensor library.
 pub(crate) fn fresh(config: &NetworkConfig, seed: u64) -> Result<BTreeMap<String, Tensor>, NetworkError> {
+    // With their gradient and the two moments of the optimizer.
+    let count: u128 = parameters(config).iter().map(Parameter::values).sum();
+    let bytes = u64::try_from(4 * 4 * count).unwrap_or(u64::MAX);
+    let advice = "a configuration of fewer channels or a smaller width needs less";
+    let need = || Need { what: format!("training a network of {count} parameters"), bytes, advice };
+    let _memory = reserve(bytes, need)?;
     let gates = Modulations::new(config).gates();
     let make = |Parameter { name, shape, spread }| {
         let mut random: ChaCha8Rng = Seeder::from((seed, &name)).into_rng();

@@ -48,6 +48,8 @@ use std::sync::atomic::AtomicBool;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use point_skeleton::error::with_causes;
+use point_skeleton::memory::variable_limit;
+use point_skeleton::threads::start_pool;
 
 pub use self::export::{ExportCommand, ListedExport};
 use self::terminal::{say, tell, warn};
@@ -153,8 +155,10 @@ struct WrongUsage(String);
 /// Sets up the process before any command.
 fn prepare() -> anyhow::Result<()> {
     threads::check_environment()?;
+    variable_limit().map_err(|error| WrongUsage(error.to_string()))?;
     survive_file_limits()?;
-    signals::install().context("cannot handle signals")
+    signals::install().map_err(|error| anyhow::anyhow!("cannot handle signals: {error}"))?;
+    Ok(start_pool()?)
 }
 
 /// Makes a write beyond the file size limit return an error, which names the file and cleans up, instead of killing

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use point_skeleton::files;
+use point_skeleton::{files, threads};
 use pskel_sim::peer;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -41,11 +41,11 @@ pub(super) fn install() -> std::io::Result<()> {
                 is_second.store(true, Ordering::SeqCst);
             };
             // If the thread cannot be started, second signals are not handled.
-            let _ = std::thread::Builder::new().name("second signal".to_owned()).spawn(arm);
+            let _ = threads::spawn("the thread of second signals", arm);
             stop(signal);
         }
     };
-    std::thread::Builder::new().name("signals".to_owned()).spawn(wait)?;
+    threads::spawn("the thread of signals", wait)?;
     Ok(())
 }
 

@@ -4,7 +4,7 @@ use std::time::Instant;
 use clap::Args;
 use point_skeleton::cloud;
 use point_skeleton::conditions::{
-    ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, npz, render_views,
+    ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, check_memory, npz, render_views,
 };
 use point_skeleton::files::check_output_file;
 use point_skeleton::raster::{Instance, SplatSchedule};
@@ -57,6 +57,7 @@ pub(super) fn run(args: SplatArgs) -> anyhow::Result<()> {
         out_size: args.out_size,
         ..ConditionOptions::default()
     };
+    check_memory(&views, &options, false)?;
     let mut set = ConditionSet::default();
     let mut progress = Progress::new(views.len());
     for view in &views {

@@ -1,9 +1,9 @@
 //! Limit on the number of threads that the environment requests.
 
+use point_skeleton::threads::POOL_VARIABLES;
+
 use super::WrongUsage;
 
-/// Variables that rayon reads: the second one if the first is not set.
-const VARIABLES: [&str; 2] = ["RAYON_NUM_THREADS", "RAYON_RS_NUM_CPUS"];
 /// Number of threads that is always allowed, and the limit per processor on larger machines.
 const ALWAYS_ALLOWED: usize = 256;
 const PER_PROCESSOR: usize = 4;
@@ -15,7 +15,7 @@ const PER_PROCESSOR: usize = 4;
 /// Fails if a variable requests more threads than the machine can use.
 pub(super) fn check_environment() -> Result<(), WrongUsage> {
     let processors = std::thread::available_parallelism().map_or(1, usize::from);
-    VARIABLES.iter().try_for_each(|name| check(name, std::env::var(name).ok().as_deref(), processors))
+    POOL_VARIABLES.iter().try_for_each(|name| check(name, std::env::var(name).ok().as_deref(), processors))
 }
 
 /// Checks a variable. Invalid numbers are ignored, as the libraries that read it do.

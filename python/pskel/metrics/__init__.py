@@ -3,7 +3,7 @@
 from .frechet import frechet_distance
 from .i3d import I3D, video_features
 from .inception import image_features, load_inception
-from .rollout import GeneratedVideo, read_rollout
+from .rollout import GeneratedVideo, read_reference, read_rollout
 
 __all__ = [
     "I3D",
@@ -11,6 +11,7 @@ __all__ = [
     "frechet_distance",
     "image_features",
     "load_inception",
+    "read_reference",
     "read_rollout",
     "video_features",
 ]

@@ -12,7 +12,7 @@ import numpy as np
 from .frechet import frechet_distance
 from .i3d import I3D, video_features
 from .inception import image_features, load_inception
-from .rollout import read_rollout
+from .rollout import read_reference, read_rollout
 
 _PROGRAM = "pskel.metrics"
 _LEAST_FRAMES = 10
@@ -36,9 +36,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"python -m {_PROGRAM}",
-        description="Write features of generated and ground-truth images of rollouts, and print FID and FVD.",
+        description="Write features of generated and ground-truth (or reference) images of rollouts, and print FID and FVD.",
     )
     parser.add_argument("rollouts", nargs="+", metavar="ROLLOUT", help="folder of pskel generate or pskel simulate --generator")
+    parser.add_argument(
+        "--reference",
+        nargs="+",
+        metavar="FOLDER",
+        help="compare with these images in place of the ground truth, for rollouts off the log: rollouts with ground truth, or folders of images",
+    )
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the NPY files and curve.csv")
     parser.add_argument("--inception", metavar="FILE", help="weights of torch-fidelity: pt_inception-2015-12-05-6726825d.pth")
     parser.add_argument("--i3d", metavar="FILE", help="weights of I3D with 400 classes: i3d_pretrained_400.pt")
@@ -49,59 +55,86 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(options: argparse.Namespace) -> None:
-    videos = [video for rollout in options.rollouts for video in read_rollout(rollout)]
+    off_log = options.reference is not None
+    videos = [video for rollout in options.rollouts for video in read_rollout(rollout, truth=not off_log)]
+    compared = {"generated": [video.generated for video in videos]}
+    if off_log:
+        size = videos[0].generated.shape[1:3]
+        compared["reference"] = [video for folder in options.reference for video in read_reference(folder, size)]
+    else:
+        compared["truth"] = [video.truth for video in videos if video.truth is not None]
     options.out.mkdir(parents=True, exist_ok=True)
     curves: dict[str, dict[int, float]] = {}
     if options.inception is not None:
         network = load_inception(options.inception, options.device)
-        sets = {kind: [image_features(network, getattr(video, kind)) for video in videos] for kind in ("generated", "truth")}
+        sets = {kind: [image_features(network, images) for images in some] for kind, some in compared.items()}
         _write(options.out, "inception", "FID", sets)
         curves["fid"] = _image_curve(sets, options.frames)
     if options.i3d is not None:
-        starts = [range(0, len(video.steps) - options.frames + 1, options.stride) for video in videos]
-        if not any(starts):
-            longest = max(len(video.steps) for video in videos)
-            raise ValueError(f"expected a rollout of {options.frames} generated frames or more, found at most {longest}")
+        starts = {kind: [_starts(images, options) for images in some] for kind, some in compared.items()}
+        for kind, some in starts.items():
+            if not any(some):
+                longest = max(len(images) for images in compared[kind])
+                raise ValueError(f"expected a rollout of {options.frames} {kind} frames or more, found at most {longest}")
         i3d = I3D.load(options.i3d, options.device)
         sets = {
             kind: [
-                video_features(i3d, [getattr(video, kind)[start : start + options.frames] for start in some])
-                for video, some in zip(videos, starts, strict=True)
+                video_features(i3d, [images[start : start + options.frames] for start in at])
+                for images, at in zip(compared[kind], some, strict=True)
             ]
-            for kind in ("generated", "truth")
+            for kind, some in starts.items()
         }
         _write(options.out, "i3d", "FVD", sets)
-        curves["fvd"] = _clip_curve(sets, starts)
+        curves["fvd"] = _clip_curve(sets, starts["generated"])
     _write_curve(options.out / "curve.csv", curves)
+
+
+def _starts(images: np.ndarray, options: argparse.Namespace) -> range:
+    """First frames of the clips of a video."""
+    return range(0, len(images) - options.frames + 1, options.stride)
 
 
 def _write(out: Path, network: str, name: str, sets: dict[str, list[np.ndarray]]) -> None:
     whole = {kind: np.concatenate(features) for kind, features in sets.items()}
     for kind, features in whole.items():
         np.save(out / f"{network}-{kind}.npy", features)
-    distance = frechet_distance(whole["generated"], whole["truth"])
-    count, columns = whole["truth"].shape
-    print(f"{name} {distance:.4f}, {count} samples of {columns} features")
+    generated, other = whole.values()
+    counts = f"{len(generated)} samples" if len(generated) == len(other) else f"{len(generated)} and {len(other)} samples"
+    print(f"{name} {frechet_distance(generated, other):.4f}, {counts} of {generated.shape[1]} features")
 
 
 def _image_curve(sets: dict[str, list[np.ndarray]], frames: int) -> dict[int, float]:
-    """Return the distance over the images of each window of frames, by its first frame."""
-    last = max(len(features) for features in sets["truth"]) - frames
-    windows = {
-        start: {kind: np.concatenate([each[start : start + frames] for each in features]) for kind, features in sets.items()}
-        for start in range(last + 1)
-    }
-    return {start: frechet_distance(window["generated"], window["truth"]) for start, window in windows.items()}
+    """Return the distance over the images of each window of frames, by its first frame.
+
+    A window of generated images is compared with the ground truth of the same frames, or with all reference images.
+    """
+    generated, truth = sets["generated"], sets.get("truth")
+    last = max(len(features) for features in generated) - frames
+
+    def window(features: list[np.ndarray], start: int) -> np.ndarray:
+        return np.concatenate([each[start : start + frames] for each in features])
+
+    whole = None if truth is not None else np.concatenate(sets["reference"])
+    others = (lambda start: window(truth, start)) if truth is not None else (lambda _: whole)
+    return {start: frechet_distance(window(generated, start), others(start)) for start in range(last + 1)}
 
 
 def _clip_curve(sets: dict[str, list[np.ndarray]], starts: list[range]) -> dict[int, float]:
-    """Return the distance over the clips that begin at the same frame, by that frame, where there are two or more."""
+    """Return the distance over the clips that begin at the same frame, by that frame, where there are two or more.
+
+    They are compared with the ground truth of the same frames, or with all reference clips.
+    """
+    generated, truth = sets["generated"], sets.get("truth")
     curve = {}
     for start in sorted({start for some in starts for start in some}):
         which = [(number, some.index(start)) for number, some in enumerate(starts) if start in some]
         if len(which) > 1:
-            clips = {kind: np.stack([features[number][row] for number, row in which]) for kind, features in sets.items()}
-            curve[start] = frechet_distance(clips["generated"], clips["truth"])
+            clips = np.stack([generated[number][row] for number, row in which])
+            if truth is not None:
+                others = np.stack([truth[number][row] for number, row in which])
+            else:
+                others = np.concatenate(sets["reference"])
+            curve[start] = frechet_distance(clips, others)
     return curve
 
 

@@ -1,10 +1,14 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use image::{DynamicImage, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{IMAGE_BYTES, read_file};
 use point_skeleton::geometry::ImageSize;
+use point_skeleton::memory::{Need, reserve};
+
+/// Memory of a pixel to which masks are converted.
+const RGB16_BYTES: u64 = 6;
 
 /// Pixels in row-major order, and the image size.
 pub(super) type Read<T> = (Vec<T>, ImageSize);
@@ -13,7 +17,17 @@ pub(super) type Read<T> = (Vec<T>, ImageSize);
 fn read(path: &Path) -> Result<DynamicImage, FileError> {
     let reader = ImageReader::new(Cursor::new(read_file(path, IMAGE_BYTES)?));
     let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
-    reader.decode().map_err(|error| FileError::content("a PNG image", error.to_string(), path))
+    let wrong = |error: ImageError| FileError::content("a PNG image", error.to_string(), path);
+    let decoder = reader.into_decoder().map_err(wrong)?;
+    let (width, height) = decoder.dimensions();
+    let bytes = decoder.total_bytes() + RGB16_BYTES * u64::from(width) * u64::from(height);
+    let _pixels = reserve(bytes, || Need {
+        what: format!("an image of {height}x{width} pixels"),
+        bytes,
+        advice: "RAYON_NUM_THREADS=1 decodes one image at a time",
+    })
+    .map_err(|error| FileError::io("decode", path)(error.into()))?;
+    DynamicImage::from_decoder(decoder).map_err(wrong)
 }
 
 fn size(image: &DynamicImage) -> ImageSize {

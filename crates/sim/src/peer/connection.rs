@@ -5,6 +5,8 @@ use std::process::ExitStatus;
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
+use point_skeleton::threads::spawn;
+
 use super::PeerAddress;
 use super::group::Group;
 
@@ -105,7 +107,7 @@ fn reach<T: Send + 'static>(
         }
         std::thread::sleep(RETRY);
     };
-    std::thread::Builder::new().spawn(tries)?;
+    spawn("the thread that connects", tries)?;
     reached.recv_timeout(timeout + RETRY).unwrap_or_else(|_| {
         let text = format!("no connection within {} s", timeout.as_secs_f64());
         Err(std::io::Error::new(std::io::ErrorKind::TimedOut, text))

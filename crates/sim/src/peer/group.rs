@@ -11,6 +11,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use point_skeleton::threads::process_error;
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
 /// Grace period in which a process may exit by itself after its input is closed.
@@ -63,13 +64,13 @@ impl Group {
         }
         let mut guard = Command::new("sh");
         guard.arg("-c").arg(GUARD).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
-        let guard = guard.process_group(0).spawn()?;
+        let guard = guard.process_group(0).spawn().map_err(process_error)?;
         let id = Pid::from_child(&guard);
         let mut group = Self { guard, id, command: None, is_over: false };
         let mut shell = Command::new("sh");
         shell.arg("-c").arg(command).stdin(Stdio::piped()).stdout(Stdio::piped());
         let started = shell.process_group(id.as_raw_nonzero().get()).spawn();
-        let pipes = started.and_then(|mut child| {
+        let pipes = started.map_err(process_error).and_then(|mut child| {
             let pipes = child.stdin.take().zip(child.stdout.take());
             group.command = Some(child);
             pipes.ok_or_else(|| Error::other("no pipe"))

@@ -2,6 +2,8 @@ use std::io::{BufReader, Read, Write};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 
+use point_skeleton::threads::spawn;
+
 use super::connection::{self, Connection, ConnectionHandle};
 use super::error::{ProtocolError, begin_of};
 use super::framing::{Framing, ReadResult};
@@ -39,12 +41,10 @@ impl Link {
         let (send_answer, answers) = sync_channel(1);
         // From here on, dropping the link ends the process.
         let link = Self { name: name.clone(), timeout, framing, messages: Some(messages), answers, end };
-        std::thread::Builder::new()
-            .spawn(move || write_messages(framing, writer, &to_write))
-            .map_err(failed("write to"))?;
-        std::thread::Builder::new()
-            .spawn(move || read_messages(framing, reader, &send_answer))
-            .map_err(failed("read from"))?;
+        spawn("the thread that writes messages", move || write_messages(framing, writer, &to_write))
+            .map_err(|error| failed("write to")(error.into()))?;
+        spawn("the thread that reads messages", move || read_messages(framing, reader, &send_answer))
+            .map_err(|error| failed("read from")(error.into()))?;
         Ok(link)
     }
 

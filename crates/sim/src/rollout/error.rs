@@ -3,6 +3,7 @@ use std::path::Path;
 
 use point_skeleton::conditions::ConditionError;
 use point_skeleton::error::FileError;
+use point_skeleton::threads::ThreadError;
 
 use crate::SimError;
 #[cfg(feature = "video")]
@@ -23,6 +24,9 @@ pub enum RolloutError {
     /// The maps of a step cannot be written.
     #[error("{0}")]
     Maps(#[from] ConditionError),
+    /// A thread could not be started.
+    #[error("{0}")]
+    Threads(#[from] ThreadError),
     /// The video cannot be encoded.
     #[cfg(feature = "video")]
     #[error("{0}")]

@@ -41,7 +41,11 @@ use std::path::Path;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use glam::DAffine3;
+use point_skeleton::conditions::{ConditionError, check_memory};
+use point_skeleton::dataset::Recording;
 use point_skeleton::files::OutputFolder;
+use point_skeleton::geometry::View;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::SceneClouds;
 
@@ -161,6 +165,10 @@ impl<'a> Rollout<'a> {
         #[cfg(feature = "mcap")]
         let mcap = self.mcap;
         let Self { inputs, facts, record, simulation, rows, out, .. } = self;
+        // Before files of an earlier rollout are replaced.
+        let views = recorded_views(inputs.scenario.log);
+        let fits = check_memory(&views, &record.conditions, inputs.scenario.map.is_some());
+        fits.map_err(ConditionError::from)?;
         let folder = out.as_ref().map_or(Path::new(""), |(folder, _)| folder);
         let output = Output { folder, record: &record, prompt: inputs.prompt };
         let states = out.as_ref().map(|(_, files)| output.begin(files, &rows)).transpose()?;
@@ -204,4 +212,11 @@ impl<'a> Rollout<'a> {
         report.profile.close(clock.elapsed(), rasterizer.info(), &rasterizer.take_stages());
         Ok(report)
     }
+}
+
+/// Returns views of the sizes of the log's cameras.
+fn recorded_views(log: &Recording) -> Vec<View> {
+    let images = log.frames.first().map_or(&[][..], |frame| &frame.images);
+    let view = |camera: &_| View { camera: Clone::clone(camera), camera_from_world: DAffine3::IDENTITY };
+    images.iter().map(|image| view(&image.camera)).collect()
 }

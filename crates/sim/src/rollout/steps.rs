@@ -11,6 +11,7 @@ use point_skeleton::dataset::EgoTrack;
 use point_skeleton::files::OutputFolder;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{SceneClouds, SceneState};
+use point_skeleton::threads::spawn_scoped;
 
 use super::error::RolloutError;
 use super::files::{shown_files, step_folder};
@@ -69,7 +70,7 @@ impl Steps<'_> {
         let (tell, written) = channel();
         let writes = states.is_some();
         let (run, times) = std::thread::scope(|scope| {
-            let writer = scope.spawn(move || -> Result<Vec<WriteTimes>, ConditionError> {
+            let write_all = move || -> Result<Vec<WriteTimes>, ConditionError> {
                 let (Some(files), Some(mut states)) = (self.files, states) else { return Ok(Vec::new()) };
                 let write = |job: Job| {
                     let times = self.output.write(&job, files, &mut states)?;
@@ -77,11 +78,12 @@ impl Steps<'_> {
                     Ok(times)
                 };
                 receiver.into_iter().map(write).collect()
-            });
+            };
+            let writer = spawn_scoped(scope, "the thread that writes steps", write_all)?;
             let writer_way = writes.then_some(Writer { sender, written });
             let run = self.steps(simulation, rasterizer, generation, kept, writer_way, on_step);
             match writer.join() {
-                Ok(times) => times.map(|times| (run, times)),
+                Ok(times) => Ok::<_, RolloutError>((run, times?)),
                 Err(panic) => std::panic::resume_unwind(panic),
             }
         })?;

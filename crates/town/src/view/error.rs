@@ -1,4 +1,5 @@
 use point_skeleton::gpu::GpuError;
+use point_skeleton::memory::MemoryError;
 
 /// Error of rendering the town.
 #[derive(Debug, thiserror::Error)]
@@ -6,6 +7,9 @@ pub enum MeshRenderError {
     /// The device or driver failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    /// More memory is needed than available.
+    #[error(transparent)]
+    Memory(#[from] MemoryError),
     /// A triangle has a corner that its mesh does not have.
     #[error("expected corners below {corners} in the triangles of mesh {mesh}, found {corner}")]
     Corner {

@@ -29,8 +29,9 @@ pub use truth::GroundTruthView;
 
 use std::sync::Arc;
 
-use point_skeleton::geometry::View;
+use point_skeleton::geometry::{ImageSize, View};
 use point_skeleton::gpu::{Commands, Device};
+use point_skeleton::memory::{Need, reserve};
 use point_skeleton::raster::StageTimes;
 use point_skeleton::raster::tiles::{Tile, TileLimits, grown, tiles};
 
@@ -41,6 +42,9 @@ use self::shade::{Samples, ShadePass};
 use self::surfaces::SurfacePass;
 use self::truth::{Read, Scene};
 use super::mesh::Mesh;
+
+/// Memory of a [`GroundTruthView`] per pixel: color, depth, class and instance.
+const VIEW_PIXEL_BYTES: u64 = 3 + 4 + 1 + 4;
 
 /// Renderer of resident meshes.
 pub struct MeshRenderer {
@@ -103,6 +107,13 @@ impl MeshRenderer {
         if let Some((draw, mesh)) = truth::unknown_mesh(draws, meshes) {
             return Err(MeshRenderError::UnknownMesh { draw, mesh, meshes });
         }
+        let pixels: u64 = views.iter().map(|view| ImageSize::of(&view.camera).pixels() as u64).sum();
+        let bytes = VIEW_PIXEL_BYTES * pixels;
+        let _images = reserve(bytes, || Need {
+            what: format!("rendering {} images of {pixels} pixels in total", views.len()),
+            bytes,
+            advice: "fewer or smaller images need less",
+        })?;
         let mut mapped: Option<Frames> = None;
         let mut film = |view: &View| {
             let frames = Frames::new(light, view.camera_from_world.inverse().translation);

@@ -1,0 +1,82 @@
+//! Memory of a step's maps, reserved before they are rendered.
+
+use super::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
+use super::{ConditionOptions, MapKind, MapSet};
+use crate::geometry::{ImageSize, View};
+use crate::memory::{MemoryError, Reservation, reserve};
+use crate::raster::{frame_bytes, need_of_views};
+
+/// Memory of a color map that is rendered at full size, per pixel: the rasterizer's maps, the map itself, and what its filter needs.
+const FULL_COLOR_BYTES: u64 = 8 + 3 + 8;
+
+/// Returns the memory of a map per pixel, bytes.
+fn pixel_bytes(kind: MapKind) -> u64 {
+    match kind {
+        MapKind::Color | MapKind::Boxes | MapKind::Map => 3,
+        MapKind::Class => 1,
+        MapKind::Depth | MapKind::Instance | MapKind::Point => 4,
+        MapKind::Tensor => 4 * (POINT_CHANNELS + LAYOUT_CHANNELS) as u64,
+    }
+}
+
+/// Estimates the memory of the maps of a step, bytes, without the rasterizer's.
+fn step_bytes(views: &[View], options: &ConditionOptions) -> u64 {
+    let each: u64 = options.maps.iter().map(pixel_bytes).sum();
+    let filters = options.color_filter.needs_depth() && options.out_size.is_some();
+    let filters = filters && options.maps.contains(MapKind::Color);
+    let (mut written, mut largest) = (0, 0);
+    for view in views {
+        written += options.written_size(view).pixels() as u64;
+        largest = largest.max(drawn_size(view, options).pixels() as u64);
+    }
+    each * written + if filters { FULL_COLOR_BYTES * largest } else { 0 }
+}
+
+/// Reserves the memory of the maps of a step.
+pub(super) fn reserve_step(views: &[View], options: &ConditionOptions) -> Result<Reservation, MemoryError> {
+    let bytes = step_bytes(views, options);
+    reserve(bytes, || need_of_views(views.iter().map(|view| drawn_size(view, options)), bytes))
+}
+
+/// Checks that the maps of some views and a rasterizer's memory for them fit into the budget together, before anything is taken.
+/// `has_map`: whether there is an HD map. Renderers check each step themselves, but only when it begins.
+///
+/// # Errors
+/// Fails if they do not.
+pub fn check_memory(views: &[View], options: &ConditionOptions, has_map: bool) -> Result<(), MemoryError> {
+    let options = ConditionOptions { maps: options.maps.with_parts(has_map), ..options.clone() };
+    let drawn: Vec<View> = views.iter().map(|view| options.drawn_view(view)).collect();
+    let splatted = options.maps & MapSet::SPLATTED;
+    let bytes = step_bytes(views, &options) + frame_bytes(&drawn, options.out_size, splatted, false);
+    reserve(bytes, || need_of_views(drawn.iter().map(|view| ImageSize::of(&view.camera)), bytes)).map(drop)
+}
+
+fn drawn_size(view: &View, options: &ConditionOptions) -> ImageSize {
+    options.size.unwrap_or_else(|| ImageSize::of(&view.camera))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conditions::ColorFilter;
+    use crate::geometry::Camera;
+
+    #[test]
+    fn steps_need_what_their_maps_hold() {
+        let rows = [[100.0, 0.0, 50.0], [0.0, 100.0, 50.0], [0.0, 0.0, 1.0]];
+        let view = |side| View {
+            camera: Camera::new("c", side, 10, rows).unwrap(),
+            camera_from_world: Default::default(),
+        };
+        let views = [view(10), view(20)];
+        let maps = MapSet::of(&[MapKind::Color, MapKind::Depth]);
+        let mut options = ConditionOptions { maps, ..ConditionOptions::default() };
+        assert_eq!(step_bytes(&views, &options), 300 * 7);
+        options.out_size = Some(ImageSize { height: 2, width: 5 });
+        assert_eq!(step_bytes(&views, &options), 20 * 7);
+        options.color_filter = ColorFilter::ValidArea;
+        assert_eq!(step_bytes(&views, &options), 20 * 7 + 200 * FULL_COLOR_BYTES);
+        options.maps = MapSet::of(&[MapKind::Tensor]);
+        assert_eq!(step_bytes(&views, &options), 20 * 104);
+    }
+}
