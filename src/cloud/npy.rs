@@ -279,6 +279,17 @@ pub fn write(path: &Path, points: &[Point], with_class: bool) -> Result<(), File
     })
 }
 
+/// Encodes an array `[height, width]` of `u16`, C order.
+///
+/// # Errors
+/// Never fails in practice: the header is written to memory.
+pub fn encode_u16(samples: &[u16], [height, width]: [u32; 2]) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    write_header::<u16>(&mut bytes, &[height.into(), width.into()])?;
+    samples.iter().for_each(|sample| bytes.extend(sample.to_le_bytes()));
+    Ok(bytes)
+}
+
 /// Writes the header of a C-order array; the caller writes the data.
 pub(crate) fn write_header<T: npyz::AutoSerialize>(
     out: &mut impl Write,

@@ -107,9 +107,8 @@ impl Precision {
     pub fn note(&self, points: usize, origin: Option<DVec3>) -> Option<String> {
         let Self { far_points, error_m } = self;
         let from = match origin {
-            Some(DVec3::ZERO) => "zero, near which most points lie".to_owned(),
-            Some(DVec3 { x, y, z }) => format!("({x}, {y}, {z}), near which most points lie"),
-            None => "zero in single precision, which lacks an origin".to_owned(),
+            Some(DVec3 { x, y, z }) => format!("the origin ({x}, {y}, {z}), near which most points lie"),
+            None => "zero in single precision".to_owned(),
         };
         let error = if *error_m < 1e4 { format!("{error_m:.3}") } else { format!("{error_m:.0e}") };
         (*far_points > 0).then(|| {
@@ -195,7 +194,7 @@ mod tests {
         let note = precision.note(4, Some(DVec3::new(7e5, 1.0, 2.0))).unwrap();
         assert_eq!(
             note,
-            "2 of 4 points lie more than 16384 m from (700000, 1, 2), near which most points lie: rounded by up to 0.031 m"
+            "2 of 4 points lie more than 16384 m from the origin (700000, 1, 2), near which most points lie: rounded by up to 0.031 m"
         );
         assert_eq!(Precision::default().note(4, None), None);
     }

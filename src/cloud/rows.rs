@@ -2,9 +2,9 @@ use std::path::Path;
 
 use glam::{DAffine3, DVec3};
 
+use super::Point;
 use super::colors::{ColorRange, ColorScale, ColorValues};
 use super::origin::{Precision, Votes, local_position};
-use super::Point;
 use crate::error::FileError;
 
 /// Points of a file in row order: point `i` is row `i`.
@@ -82,11 +82,8 @@ pub(super) fn collect(
     if format.double || !ColorRange::new(format.colors).is_settled() {
         each(&mut survey)?;
     }
-    let cloud = PointFile {
-        points: Vec::with_capacity(format.rows),
-        origin: votes.origin(),
-        ..PointFile::default()
-    };
+    let cloud =
+        PointFile { points: Vec::with_capacity(format.rows), origin: votes.origin(), ..PointFile::default() };
     let mut collector = Collector { cloud, colors: range.scale(), path: format.path };
     each(&mut |row| collector.push(row).map(|()| true))?;
     let mut cloud = collector.cloud;

@@ -89,11 +89,13 @@ mod tests {
 
     #[test]
     fn sizes_and_positions_have_limits() {
-        let error = |at: DVec3, size: DVec3| {
-            Cuboid::new(Pose::from_yaw(0.0, at), size).unwrap_err().to_string()
-        };
+        let error =
+            |at: DVec3, size: DVec3| Cuboid::new(Pose::from_yaw(0.0, at), size).unwrap_err().to_string();
         let found = error(DVec3::ZERO, DVec3::new(4.0, 1e308, 1.5));
-        assert!(found.starts_with("expected a box with sides of 0.0001 to 100000 m, found 4.0 x 1e308 x 1.5 m"), "{found}");
+        assert!(
+            found.starts_with("expected a box with sides of 0.0001 to 100000 m, found 4.0 x 1e308 x 1.5 m"),
+            "{found}"
+        );
         assert!(error(DVec3::ZERO, DVec3::splat(1e-300)).contains("sides of 0.0001"));
         let found = error(DVec3::new(0.0, -3e38, 0.0), DVec3::ONE);
         assert!(found.starts_with("expected a box within 100000000 m of the origin, found"), "{found}");

@@ -50,7 +50,7 @@ use clap::{Parser, Subcommand};
 use point_skeleton::error::with_causes;
 
 pub use self::export::{ExportCommand, ListedExport};
-use self::terminal::{say, tell, warn};
+use self::terminal::{say, tell, tell_notes, warn};
 
 /// Converts driving recordings into camera conditions: color, metric depth, class, instance and layout maps.
 #[derive(Debug, Parser)]

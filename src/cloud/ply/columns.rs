@@ -47,12 +47,8 @@ impl Columns {
         let properties: Vec<(String, &PropertyType)> =
             vertex.properties.iter().map(|(name, p)| (name.to_ascii_lowercase(), &p.data_type)).collect();
         let find = |wanted: &str| properties.iter().position(|(name, _)| name == wanted);
-        let mut columns = Self {
-            of: vec![None; properties.len()],
-            double: false,
-            colors: ColorValues::Bytes,
-            note: None,
-        };
+        let mut columns =
+            Self { of: vec![None; properties.len()], double: false, colors: ColorValues::Bytes, note: None };
         for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
             let at = find(name);
             match at.map(|at| (at, properties[at].1)) {
@@ -62,7 +58,11 @@ impl Columns {
                 }
                 other => {
                     let found = other.map_or("none".to_owned(), |(_, data_type)| format!("{data_type:?}"));
-                    return Err(FileError::content(format!("a float or double property {name}"), found, path));
+                    return Err(FileError::content(
+                        format!("a float or double property {name}"),
+                        found,
+                        path,
+                    ));
                 }
             }
         }

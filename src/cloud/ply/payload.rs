@@ -218,8 +218,7 @@ fn parse(text: &str, scalar: &ScalarType) -> Option<Value> {
         ScalarType::UInt => 0.0..=f64::from(u32::MAX),
     };
     let number: f64 = text.parse().ok()?;
-    (range.contains(&number) && number.fract() == 0.0)
-        .then_some(Value { number, bits: number as i64 as u32 })
+    (range.contains(&number) && number.fract() == 0.0).then_some(Value { number, bits: number as i64 as u32 })
 }
 
 /// Parses the words for NaN and infinity of C, Python and Microsoft's runtime: `nan`, `-nan(ind)`, `1.#QNAN`, `-1.#IND`,
@@ -227,7 +226,8 @@ fn parse(text: &str, scalar: &ScalarType) -> Option<Value> {
 fn not_finite(text: &str) -> Option<f64> {
     let unsigned = text.trim_start_matches(['-', '+']).to_ascii_lowercase();
     let sign = if text.starts_with('-') { -1.0 } else { 1.0 };
-    if matches!(unsigned.as_str(), "inf" | "infinity") || unsigned.starts_with("1.#inf") || unsigned == "1.#j" {
+    if matches!(unsigned.as_str(), "inf" | "infinity") || unsigned.starts_with("1.#inf") || unsigned == "1.#j"
+    {
         return Some(sign * f64::INFINITY);
     }
     let is_nan = unsigned == "nan" || unsigned.starts_with("nan(") || unsigned.starts_with("1.#");
@@ -240,13 +240,28 @@ mod tests {
 
     #[test]
     fn words_that_are_not_finite_are_numbers() {
-        for text in ["nan", "NaN", "-nan", "+NAN", "nan(0x7ff)", "-nan(ind)", "1.#QNAN", "-1.#IND00", "1.#SNAN", "1.#R"] {
+        for text in [
+            "nan",
+            "NaN",
+            "-nan",
+            "+NAN",
+            "nan(0x7ff)",
+            "-nan(ind)",
+            "1.#QNAN",
+            "-1.#IND00",
+            "1.#SNAN",
+            "1.#R",
+        ] {
             assert!(not_finite(text).unwrap().is_nan(), "{text}");
             assert!(parse(text, &ScalarType::UChar).unwrap().number.is_nan(), "{text}");
         }
         for text in ["inf", "+Inf", "INF", "Infinity", "1.#INF", "1.#INF00", "1.#J"] {
             assert_eq!(not_finite(text), Some(f64::INFINITY), "{text}");
-            assert_eq!(not_finite(&format!("-{}", text.trim_start_matches('+'))), Some(f64::NEG_INFINITY), "{text}");
+            assert_eq!(
+                not_finite(&format!("-{}", text.trim_start_matches('+'))),
+                Some(f64::NEG_INFINITY),
+                "{text}"
+            );
         }
         for text in ["", "1.5", "nano", "info", "-", "1.", "n/a", "--"] {
             assert_eq!(not_finite(text), None, "{text}");
