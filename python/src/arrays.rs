@@ -21,8 +21,8 @@ impl<'py> FromPyObject<'_, 'py> for Numbers<'py> {
     type Error = PyErr;
 
     fn extract(object: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
-        let array = object.py().import("numpy")?.call_method1("asarray", (object,))?;
         check_unmasked(&object)?;
+        let array = object.py().import("numpy")?.call_method1("asarray", (object,))?;
         let dtype = array.getattr("dtype")?;
         let kind: String = dtype.getattr("kind")?.extract()?;
         if !["i", "u", "f"].contains(&kind.as_str()) {
