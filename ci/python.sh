@@ -11,8 +11,10 @@ trap 'rm -rf "$scratch"' EXIT
 python3 -m venv "$scratch/env"
 pip=("$scratch/env/bin/pip" install --quiet --disable-pip-version-check)
 "${pip[@]}" 'maturin>=1.16,<2' numpy pytest mypy 'gymnasium>=1.4' matplotlib tqdm \
-    webdataset pyarrow safetensors mcap mcap-protobuf-support || exit 77
+    webdataset pillow pandas pyarrow safetensors mcap mcap-protobuf-support || exit 77
 "${pip[@]}" rerun-sdk==0.41.0 || true # its tests are skipped without
+# Readers of EXR files; their tests are skipped without.
+"${pip[@]}" 'opencv-python-headless<5' OpenEXR || true
 # A driving policy of another project, and what regenerates the messages of AlpaSim; their tests are skipped without.
 "${pip[@]}" grpcio-tools 'carla-driver-interface==2.3.1' || true
 TOOLS="$scratch/env" PROFILE=dev ci/wheel.sh "$scratch/wheel"

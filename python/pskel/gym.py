@@ -20,6 +20,7 @@ except ImportError as error:
     raise ImportError("pskel.gym needs gymnasium: pip install 'pskel[gym]'") from error
 
 from . import Log, Renderer, Simulation, Skeleton
+from ._arrays import numbers
 
 __all__ = ["ACTORS", "ROUTE", "DriveEnv", "make_vector"]
 
@@ -130,7 +131,7 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
         simulation = self._simulation
         if simulation is None:
             raise RuntimeError("expected a reset before this step, found none")
-        chosen = np.asarray(action, np.float64)
+        chosen = numbers(action).astype(np.float64)
         if chosen.shape != self.action_space.shape:
             raise ValueError(f"expected an action {list(self.action_space.shape or ())}, found {list(chosen.shape)}")
         before = simulation.metrics["progress_m"]

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from pskel import _navsim_types, _planner
+from pskel._arrays import numbers
 from pskel._navsim import CAMERAS, FRAME_S, FRAMES, IMAGES_HELP, camera, driving_command, ego_status, relative
 from pskel._planner import Message, PlannerError
 
@@ -46,7 +47,7 @@ class Bridge:
             self._states.popleft()
         frames = [self._frame(see["t_us"], FRAMES - 1 - index) for index in range(FRAMES)]
         planned = self._agent.compute_trajectory(self._input(frames))
-        poses = np.asarray(getattr(planned, "poses", planned), dtype=np.float64)
+        poses = numbers(getattr(planned, "poses", planned)).astype(np.float64)
         if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
             raise PlannerError(f"expected a trajectory of finite poses [N, 3], found {poses.dtype} {list(poses.shape)}")
         interval_s = float(getattr(getattr(planned, "trajectory_sampling", None), "interval_length", INTERVAL_S))

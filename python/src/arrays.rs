@@ -1,36 +1,80 @@
 //! Arguments that are arrays: anything that `numpy.asarray` converts to numbers, of any memory layout.
 
 use glam::{DAffine3, DMat3, DMat4, DQuat};
-use numpy::ndarray::{Array2, Array3, ArrayView1, ArrayViewD};
-use numpy::{IntoPyArray, PyArray2, PyArray3, PyReadonlyArrayDyn};
-use point_skeleton::geometry::{Camera, ImageSize, Pose};
+use numpy::ndarray::{Array2, Array3, ArrayViewD, Dimension};
+use numpy::{Element, IntoPyArray, PyArray2, PyArray3, PyReadonlyArray, PyReadonlyArrayDyn};
+use point_skeleton::geometry::{Camera, ImageSize, MAX_COORDINATE_M, Pose, is_position};
 use pyo3::exceptions::{PyOverflowError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::{PyFloat, PyInt, PyList, PyTuple};
 
 /// An argument that `numpy.asarray` converts to an array of real numbers, as `float64`.
-pub(crate) struct Numbers<'py>(PyReadonlyArrayDyn<'py, f64>);
+pub(crate) struct Numbers<'py> {
+    array: PyReadonlyArrayDyn<'py, f64>,
+    /// Whether the numbers were floats.
+    pub(crate) floats: bool,
+    /// Whether the numbers had fewer bits than `float64`, and so less precision.
+    pub(crate) single: bool,
+}
 
 impl<'py> FromPyObject<'_, 'py> for Numbers<'py> {
     type Error = PyErr;
 
     fn extract(object: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        check_unmasked(&object)?;
         let array = object.py().import("numpy")?.call_method1("asarray", (object,))?;
         let dtype = array.getattr("dtype")?;
         let kind: String = dtype.getattr("kind")?.extract()?;
-        if !["b", "i", "u", "f"].contains(&kind.as_str()) {
+        if !["i", "u", "f"].contains(&kind.as_str()) {
             return Err(PyTypeError::new_err(format!(
                 "expected an array of real numbers, found dtype {dtype}"
             )));
         }
+        let floats = kind == "f";
+        let single = floats && dtype.getattr("itemsize")?.extract::<usize>()? < size_of::<f64>();
         let array = array.call_method1("astype", ("float64",))?;
-        Ok(Self(array.extract()?))
+        Ok(Self { array: array.extract()?, floats, single })
     }
 }
 
 impl Numbers<'_> {
     pub(crate) fn as_array(&self) -> ArrayViewD<'_, f64> {
-        self.0.as_array()
+        self.array.as_array()
     }
+}
+
+/// An argument that is a NumPy array of one type.
+pub(crate) struct Typed<'py, T: Element, D: Dimension>(pub(crate) PyReadonlyArray<'py, T, D>);
+
+impl<'py, T: Element, D: Dimension + 'static> FromPyObject<'_, 'py> for Typed<'py, T, D> {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        check_unmasked(&object)?;
+        Ok(Self(object.extract()?))
+    }
+}
+
+/// Checks that an array, or a list or tuple of arrays, has no masked values: conversion would uncover what lies below.
+///
+/// # Errors
+/// Raises `TypeError` with the number of masked values.
+fn check_unmasked(object: &Bound<'_, PyAny>) -> PyResult<()> {
+    if object.is_exact_instance_of::<PyFloat>() || object.is_exact_instance_of::<PyInt>() {
+        return Ok(());
+    }
+    if object.is_instance_of::<PyList>() || object.is_instance_of::<PyTuple>() {
+        return object.try_iter()?.try_for_each(|item| check_unmasked(&item?));
+    }
+    let masked = object.py().import("numpy")?.getattr("ma")?;
+    if !masked.call_method1("is_masked", (object,))?.extract::<bool>()? {
+        return Ok(());
+    }
+    let mask = masked.call_method1("getmaskarray", (object,))?;
+    let count: usize = mask.call_method0("sum")?.extract()?;
+    Err(PyTypeError::new_err(format!(
+        "expected an array without masked values, found {count} masked: drop them (points[~points.mask.any(axis=1)]) or fill them"
+    )))
 }
 
 /// An argument that is a sequence of two integers: height and width, pixels.
@@ -87,7 +131,8 @@ pub(crate) fn shaped<'a>(
 /// Reads a rigid transform `[4, 4]`, meters.
 ///
 /// # Errors
-/// Raises `ValueError` for another shape, values that are not finite, and matrices that scale, shear or mirror.
+/// Raises `ValueError` for another shape, values that are not finite, coordinates beyond the limit of all files, and
+/// matrices that scale, shear or mirror.
 pub(crate) fn pose(name: &str, array: &Numbers<'_>) -> PyResult<Pose> {
     let view = shaped(name, array, &[4, 4])?;
     let affine = affine(name, |row, column| view[[row, column]])?;
@@ -111,7 +156,14 @@ pub(crate) fn affine(name: &str, element: impl Fn(usize, usize) -> f64) -> PyRes
         && off.iter().all(|value| value.abs() < 1e-4)
         && rotation.determinant() > 0.0;
     if rigid {
-        return Ok(DAffine3::from_mat4(matrix));
+        let affine = DAffine3::from_mat4(matrix);
+        if !is_position(affine.translation) {
+            return Err(PyValueError::new_err(format!(
+                "expected {name} within {MAX_COORDINATE_M} m of the origin, found {:?}",
+                affine.translation.to_array()
+            )));
+        }
+        return Ok(affine);
     }
     let rows = matrix.transpose().to_cols_array_2d();
     Err(PyValueError::new_err(format!("expected a finite rigid transform as {name}, found {rows:?}")))
@@ -120,18 +172,6 @@ pub(crate) fn affine(name: &str, element: impl Fn(usize, usize) -> f64) -> PyRes
 /// Reads intrinsics from their elements by row and column.
 pub(crate) fn intrinsics(element: impl Fn(usize, usize) -> f64) -> [[f64; 3]; 3] {
     std::array::from_fn(|row| std::array::from_fn(|column| element(row, column)))
-}
-
-/// Reads a color or class of 0 to 255.
-///
-/// # Errors
-/// Raises `ValueError` with the row of the point.
-pub(crate) fn byte(point: ArrayView1<'_, f64>, column: usize, row: usize) -> PyResult<u8> {
-    let value = point[column];
-    if (0.0..=255.0).contains(&value) {
-        return Ok(value.round() as u8);
-    }
-    Err(PyValueError::new_err(format!("expected 0 to 255 in column {column} of point {row}, found {value}")))
 }
 
 /// Returns the rows of a homogeneous transform.

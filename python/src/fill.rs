@@ -1,9 +1,11 @@
-use numpy::{PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray3, PyReadonlyArray4};
+use numpy::ndarray::{Ix3, Ix4};
+use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use pskel_network::fill_holes as fill;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
+use crate::arrays::Typed;
 use crate::pool::detached;
 
 /// Fills the holes of color maps `[V, H, W, 3]` `uint8`, where `depth` `[V, H, W]` `float32` is infinite, with weighted means
@@ -12,10 +14,10 @@ use crate::pool::detached;
 #[pyfunction]
 pub(crate) fn fill_holes<'py>(
     py: Python<'py>,
-    color: PyReadonlyArray4<'py, u8>,
-    depth: PyReadonlyArray3<'py, f32>,
+    color: Typed<'py, u8, Ix4>,
+    depth: Typed<'py, f32, Ix3>,
 ) -> PyResult<Bound<'py, PyArray4<u8>>> {
-    let (color, depth) = (color.as_array(), depth.as_array());
+    let (color, depth) = (color.0.as_array(), depth.0.as_array());
     let &[views, height, width, channels] = color.shape() else { unreachable!("an array of four axes") };
     if channels != 3 || depth.shape() != [views, height, width] {
         return Err(PyValueError::new_err(format!(

@@ -15,6 +15,7 @@ mod fill;
 mod log;
 mod maps;
 mod owned_log;
+mod points;
 mod pool;
 mod renderer;
 mod roll;

@@ -3,15 +3,16 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use glam::DVec3;
-use numpy::ndarray::ArrayView1;
 use point_skeleton::cloud::Point;
 use point_skeleton::dataset::Class;
+use point_skeleton::geometry::{MAX_COORDINATE_M, MAX_SIDE_M, is_position, is_size};
 use point_skeleton::skeleton::{AssetPoints, GlobalPoint};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::arrays::{Numbers, byte, shaped};
+use crate::arrays::Numbers;
 use crate::error::raise;
+use crate::points::{ArrayPoint, points};
 use crate::pool::detached;
 
 /// Category, box size (length, width, height in meters) and points of an asset.
@@ -47,22 +48,34 @@ impl Skeleton {
         assets: Option<BTreeMap<String, AssetArrays<'_>>>,
         log: &str,
     ) -> PyResult<Self> {
-        let background = rows("background", &background, |row, point| {
-            let (position, rgb, class) = values(row, point)?;
-            Ok(GlobalPoint { position, rgb, class })
-        })?;
-        let asset = |(track, (category, size, points)): (String, AssetArrays<'_>)| {
-            if !size.iter().all(|side| side.is_finite() && *side > 0.0) {
+        let point = |(row, point): (usize, ArrayPoint), name: &str| {
+            let ArrayPoint { position, rgb, class } = point;
+            if !is_position(position) {
+                let found = position.to_array();
                 return Err(PyValueError::new_err(format!(
-                    "expected a size above 0 of asset {track:?}, found {size:?}"
+                    "expected positions within {MAX_COORDINATE_M} m of zero, found {found:?} at point {row} of {name}"
+                )));
+            }
+            Ok(GlobalPoint { position, rgb, class })
+        };
+        let name = "background";
+        let background = points(py, name, &background)?.into_iter().enumerate();
+        let background: Vec<GlobalPoint> =
+            background.map(|each| point(each, name)).collect::<PyResult<_>>()?;
+        let asset = |(track, (category, size, array)): (String, AssetArrays<'_>)| {
+            if !is_size(DVec3::from(size)) {
+                return Err(PyValueError::new_err(format!(
+                    "expected a size above 0 and up to {MAX_SIDE_M} m of asset {track:?}, found {size:?}"
                 )));
             }
             let class = Class::from_category(&category);
-            let points = rows(&format!("points of asset {track:?}"), &points, |row, point| {
-                let (position, rgb, _) = values(row, point)?;
+            let name = format!("points of asset {track:?}");
+            let local = |each| {
+                let GlobalPoint { position, rgb, .. } = point(each, &name)?;
                 Ok(Point::new(position.as_vec3().to_array(), rgb, class as u8))
-            })?;
-            Ok(AssetPoints { track, category, class, size, points })
+            };
+            let points = points(py, &name, &array)?.into_iter().enumerate().map(local);
+            Ok(AssetPoints { points: points.collect::<PyResult<_>>()?, track, category, class, size })
         };
         let assets: Vec<AssetPoints> =
             assets.unwrap_or_default().into_iter().map(asset).collect::<PyResult<_>>()?;
@@ -103,36 +116,4 @@ impl Skeleton {
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (PathBuf,)) {
         (slf.get_type().into_any(), (slf.get().path(),))
     }
-}
-
-/// Converts the rows of an array `[N, 6]` or `[N, 7]`.
-pub(crate) fn rows<T>(
-    name: &str,
-    points: &Numbers<'_>,
-    convert: impl Fn(usize, ArrayView1<'_, f64>) -> PyResult<T>,
-) -> PyResult<Vec<T>> {
-    let view = shaped(name, points, &[0, 0])?;
-    let columns = view.shape()[1];
-    if columns != 6 && columns != 7 {
-        return Err(PyValueError::new_err(format!(
-            "expected {name} [N, 6] or [N, 7], found {:?}",
-            view.shape()
-        )));
-    }
-    let each = view.outer_iter().enumerate();
-    each.map(|(row, point)| convert(row, point.into_dimensionality().map_err(crate::error::invalid)?))
-        .collect()
-}
-
-/// Reads position, color and class of a point.
-pub(crate) fn values(row: usize, point: ArrayView1<'_, f64>) -> PyResult<(DVec3, [u8; 3], u8)> {
-    let position = DVec3::new(point[0], point[1], point[2]);
-    if !position.is_finite() {
-        return Err(PyValueError::new_err(format!(
-            "expected finite positions, found {position} at point {row}"
-        )));
-    }
-    let rgb = [byte(point, 3, row)?, byte(point, 4, row)?, byte(point, 5, row)?];
-    let class = if point.len() == 7 { byte(point, 6, row)? } else { 0 };
-    Ok((position, rgb, class))
 }

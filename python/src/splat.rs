@@ -1,5 +1,4 @@
-use glam::{DAffine3, DVec3};
-use point_skeleton::cloud::Point;
+use glam::DAffine3;
 use point_skeleton::conditions::{ConditionError, check_memory};
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::{Instance, RasterizerDesc, SplatJob, class_of, create, rgb_of};
@@ -11,12 +10,14 @@ use pyo3::types::PyDict;
 use crate::arrays::{Numbers, Size, affine, intrinsics as matrix, shaped};
 use crate::error::{invalid, raise};
 use crate::maps::dictionary;
+use crate::points::placed;
 use crate::pool::detached;
-use crate::skeleton::{rows, values};
 
 /// Splats points `[N, 6]` (x, y, z in meters; red, green, blue of 0 to 255) or `[N, 7]` (and class) into cameras:
 /// `intrinsics` `[V, 3, 3]` in pixels, `camera_from_world` `[V, 4, 4]` in meters, all of one `size` (height, width).
-/// Returns color, depth, class and point maps. Raises `ValueError` for invalid arrays, `RenderError` without a device.
+/// Returns color, depth, class and point maps. Colors of 0 to 1 with fractions are scaled, and points more than 16 km from
+/// most others are off by more than 0.5 mm, both with a `UserWarning`. Raises `ValueError` for invalid arrays, `TypeError`
+/// for masked values, `RenderError` without a device.
 #[pyfunction]
 #[pyo3(signature = (points, intrinsics, camera_from_world, size, *, schedule="15:2,35:1,100:0", rasterizer="auto"))]
 pub(crate) fn splat<'py>(
@@ -30,12 +31,7 @@ pub(crate) fn splat<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let schedule: SplatSchedule = schedule.parse().map_err(invalid)?;
     let kind: RasterizerKind = rasterizer.parse().map_err(invalid)?;
-    let points = rows("points", &points, values)?;
-    let origin = points.iter().map(|point| point.0).sum::<DVec3>() / points.len().max(1) as f64;
-    let local = |&(position, rgb, class): &(DVec3, _, _)| {
-        Point::new((position - origin).as_vec3().to_array(), rgb, class)
-    };
-    let points: Vec<Point> = points.iter().map(local).collect();
+    let (points, origin) = placed(py, "points", &crate::points::points(py, "points", &points)?)?;
     let views = views(&intrinsics, &camera_from_world, size)?;
     let world_from_local = DAffine3::from_translation(origin);
     let maps = MapSet::of(&[MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Point]);

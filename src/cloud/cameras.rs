@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::FileError;
 use crate::files::text::{printable, printable_path};
 use crate::files::{first_twice, json};
-use crate::geometry::{Camera, CameraError, View};
+use crate::geometry::{Camera, CameraError, MAX_COORDINATE_M, View, is_position};
 
 /// Tolerance of `R·Rᵀ` around the identity: files round to 4 or more digits.
 const RIGID_TOLERANCE: f64 = 1e-3;
@@ -38,7 +38,7 @@ pub enum CamerasError {
     )]
     Value {
         /// Value required by the format.
-        expected: &'static str,
+        expected: String,
         /// Value found in the file.
         found: String,
         /// Name of the camera.
@@ -107,8 +107,8 @@ pub fn rows(transform: &DAffine3) -> [[f64; 4]; 4] {
 }
 
 fn view(raw: RawCamera, path: &Path) -> Result<View, CamerasError> {
-    let value = |expected, found: String| CamerasError::Value {
-        expected,
+    let value = |expected: &str, found: String| CamerasError::Value {
+        expected: expected.to_owned(),
         found,
         camera: raw.name.clone(),
         path: path.to_owned(),
@@ -127,6 +127,11 @@ fn view(raw: RawCamera, path: &Path) -> Result<View, CamerasError> {
     if !(worst <= RIGID_TOLERANCE && rotation.determinant() > 0.0) {
         let found = format!("determinant {}, R Rt off by {worst}", rotation.determinant());
         return Err(value("camera_from_world to rotate and move only", found));
+    }
+    let position = camera_from_world.inverse().translation;
+    if !is_position(position) {
+        let found = format!("{:?}", position.to_array());
+        return Err(value(&format!("a camera within {MAX_COORDINATE_M} m of the origin"), found));
     }
     let camera = Camera::new(&raw.name, raw.width, raw.height, raw.intrinsics)
         .map_err(|source| CamerasError::Camera { source, camera: raw.name.clone(), path: path.to_owned() })?;
@@ -182,6 +187,10 @@ mod tests {
             (with("/cameras/0/camera_from_world/3/0", 1.0.into()), "last row 0 0 0 1"),
             (with("/cameras/0/camera_from_world/1/1", (-1.0).into()), "rotate and move only"),
             (with("/cameras/0/camera_from_world/1/1", 2.0.into()), "rotate and move only"),
+            (
+                with("/cameras/1/camera_from_world/0/3", 3e38.into()),
+                "a camera within 100000000 m of the origin, found [-",
+            ),
             (
                 good.to_string().replace("1000.0", "1e999"),
                 "found a number out of range in cameras[0].intrinsics[0][0]",

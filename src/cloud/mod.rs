@@ -2,20 +2,25 @@
 //!
 //! # How it works
 //! [`Point`] is the only point layout, in host and device memory. Files of other tools ([`npy`], [`ply`]) are read
-//! row by row into a [`PointFile`]. It preserves the row order, subtracts a large origin before the coordinates
-//! become `f32`, and counts rows that cannot be rendered. [`cameras`] reads the views for rendering a bare cloud.
+//! row by row into a [`PointFile`]. It preserves the row order, subtracts an origin near most points before the
+//! coordinates become `f32` ([`origin_of`]), finds the range of the colors ([`ColorRange`]), and counts rows that cannot
+//! be rendered or lost precision. [`cameras`] reads the views for rendering a bare cloud.
 
 pub mod cameras;
+mod colors;
 mod format;
 mod morton;
 pub mod npy;
+mod origin;
 pub mod ply;
 mod point;
 mod rows;
 pub mod street;
 
+pub use colors::{ColorRange, ColorScale, ColorValues};
 pub use format::PointFormat;
 pub(crate) use morton::morton_order;
+pub use origin::{PRECISE_WITHIN_M, Precision, local_position, origin_of};
 pub use point::{Bounds, Point};
 pub use rows::PointFile;
 

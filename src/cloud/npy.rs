@@ -4,12 +4,13 @@
 //! The declared size of the header is validated against the file, and its text against the syntax of a plain array,
 //! before parsing. The data size is validated against the file before anything is allocated. Rows are read in blocks.
 
-use std::io::{BufReader, Read, Write};
+use std::io::{BufReader, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use npyz::{NpyHeader, Order, WriterBuilder};
 
-use super::rows::{Row, RowCollector};
+use super::colors::ColorValues;
+use super::rows::{Row, RowFormat, collect};
 use super::{Point, PointFile};
 use crate::error::FileError;
 use crate::files::input::open_regular;
@@ -20,15 +21,15 @@ const MAX_HEADER_BYTES: usize = 10_000;
 /// Rows per block.
 const BLOCK_ROWS: usize = 1 << 16;
 
-/// Reads a cloud of `f16`, `f32` or `f64` (little-endian). Rounds colors to the nearest level. The class is 0 without
-/// column 7.
+/// Reads a cloud of `f16`, `f32` or `f64` (little-endian). Rounds colors to the nearest level; colors of 0 to 1 are scaled
+/// if some are fractions. The class is 0 without column 7.
 ///
 /// # Errors
 /// Fails if the file cannot be read, its dtype, shape or order is unsupported, it has no points, or data is missing.
 /// Fails if a color is outside 0–255 or a class is not an integer of 0–255.
 pub fn read(path: &Path) -> Result<PointFile, FileError> {
     let (file, file_bytes) = open_regular(path)?;
-    decode(BufReader::with_capacity(1 << 20, file.take(file_bytes)), file_bytes, path)
+    decode(BufReader::with_capacity(1 << 20, file), file_bytes, path)
 }
 
 /// Parses an array `[N, COLUMNS]` of `f16`, `f32` or `f64` in either order.
@@ -105,7 +106,7 @@ fn chunks<const N: usize>(block: &[u8]) -> impl Iterator<Item = [u8; N]> {
     block.as_chunks::<N>().0.iter().copied()
 }
 
-fn decode(mut reader: impl Read, file_bytes: u64, path: &Path) -> Result<PointFile, FileError> {
+fn decode(mut reader: impl Read + Seek, file_bytes: u64, path: &Path) -> Result<PointFile, FileError> {
     let header_bytes = read_header_bytes(&mut reader, file_bytes, path)?;
     let header = NpyHeader::from_reader(header_bytes.as_slice())
         .map_err(|e| FileError::content("an NPY header", e.to_string(), path))?;
@@ -117,22 +118,28 @@ fn decode(mut reader: impl Read, file_bytes: u64, path: &Path) -> Result<PointFi
         return Err(FileError::content(expected, format!("{data_bytes} bytes of data"), path));
     }
     let rows = rows as usize;
-    let mut collector = RowCollector::new(rows, scalar == Scalar::F64, path);
+    let format = RowFormat { rows, double: scalar == Scalar::F64, colors: ColorValues::Levels, path };
     let mut block = vec![0; BLOCK_ROWS.min(rows) * row_bytes];
     let mut numbers = Vec::new();
-    let mut left = rows;
-    while left > 0 {
-        let take = left.min(BLOCK_ROWS);
-        let bytes = &mut block[..take * row_bytes];
-        reader.read_exact(bytes).map_err(FileError::io("read", path))?;
-        scalar.widen(bytes, &mut numbers);
-        for n in numbers.chunks_exact(columns) {
-            let class = n.get(6).copied().unwrap_or(0.0);
-            collector.push(&Row { position: [n[0], n[1], n[2]], rgb: [n[3], n[4], n[5]], class })?;
+    collect(&format, |visit| {
+        let start = SeekFrom::Start(header_bytes.len() as u64);
+        reader.seek(start).map_err(FileError::io("read", path))?;
+        let mut left = rows;
+        while left > 0 {
+            let take = left.min(BLOCK_ROWS);
+            let bytes = &mut block[..take * row_bytes];
+            reader.read_exact(bytes).map_err(FileError::io("read", path))?;
+            scalar.widen(bytes, &mut numbers);
+            for n in numbers.chunks_exact(columns) {
+                let class = n.get(6).copied().unwrap_or(0.0);
+                if !visit(&Row { position: [n[0], n[1], n[2]], rgb: [n[3], n[4], n[5]], class })? {
+                    return Ok(());
+                }
+            }
+            left -= take;
         }
-        left -= take;
-    }
-    Ok(collector.finish())
+        Ok(())
+    })
 }
 
 /// Reads the magic, version, length and text of the header. Rejects any text whose parsing could exhaust memory or
@@ -272,6 +279,17 @@ pub fn write(path: &Path, points: &[Point], with_class: bool) -> Result<(), File
     })
 }
 
+/// Encodes an array `[height, width]` of `u16`, C order.
+///
+/// # Errors
+/// Never fails in practice: the header is written to memory.
+pub fn encode_u16(samples: &[u16], [height, width]: [u32; 2]) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    write_header::<u16>(&mut bytes, &[height.into(), width.into()])?;
+    samples.iter().for_each(|sample| bytes.extend(sample.to_le_bytes()));
+    Ok(bytes)
+}
+
 /// Writes the header of a C-order array; the caller writes the data.
 pub(crate) fn write_header<T: npyz::AutoSerialize>(
     out: &mut impl Write,
@@ -302,7 +320,7 @@ mod tests {
     }
 
     fn parse(bytes: &[u8]) -> Result<PointFile, FileError> {
-        decode(bytes, bytes.len() as u64, Path::new("p.npy"))
+        decode(std::io::Cursor::new(bytes), bytes.len() as u64, Path::new("p.npy"))
     }
 
     fn f32s(values: &[f32]) -> Vec<u8> {

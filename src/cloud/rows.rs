@@ -3,6 +3,8 @@ use std::path::Path;
 use glam::{DAffine3, DVec3};
 
 use super::Point;
+use super::colors::{ColorRange, ColorScale, ColorValues};
+use super::origin::{Precision, Votes, local_position};
 use crate::error::FileError;
 
 /// Points of a file in row order: point `i` is row `i`.
@@ -11,11 +13,16 @@ pub struct PointFile {
     /// Points relative to [`PointFile::origin`]. A row with a non-finite coordinate has NaN in all three and is never
     /// rendered.
     pub points: Vec<Point>,
-    /// Origin subtracted from the coordinates before conversion to `f32`, meters. Nonzero only for double precision
-    /// far from zero.
+    /// Origin subtracted from the coordinates before conversion to `f32`, meters: that of
+    /// [`origin_of`](super::origin_of). Nonzero only for double precision far from zero.
     pub origin: DVec3,
     /// Number of rows with a NaN or infinite coordinate.
     pub non_finite: usize,
+    /// Points whose coordinates lost more than 0.5 mm.
+    pub precision: Precision,
+    /// Sentences on content that is not plainly as the format says: scaled, renamed or missing colors, and points
+    /// that lost precision.
+    pub notes: Vec<String>,
 }
 
 impl PointFile {
@@ -25,78 +32,104 @@ impl PointFile {
     }
 }
 
-/// Threshold for an origin, meters. From here on, the spacing of `f32` is about half a millimeter or more.
-const FAR_FROM_ZERO_M: f64 = 4096.0;
-
 /// Row of a file, not validated yet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Row {
     /// Meters.
     pub(super) position: [f64; 3],
-    /// 0 to 255.
+    /// Values as in the file.
     pub(super) rgb: [f64; 3],
     /// Integer of 0 to 255.
     pub(super) class: f64,
 }
 
-/// Validates and collects rows.
-pub(super) struct RowCollector<'a> {
-    cloud: PointFile,
-    path: &'a Path,
-    /// `true` until the origin is chosen.
-    choose_origin: bool,
+/// What a file declares of its rows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RowFormat<'a> {
+    /// Number of rows.
+    pub(super) rows: usize,
+    /// The coordinates have more precision than `f32`, so they need an origin far from zero.
+    pub(super) double: bool,
+    /// Color values.
+    pub(super) colors: ColorValues,
+    /// The file, for messages.
+    pub(super) path: &'a Path,
 }
 
-impl<'a> RowCollector<'a> {
-    /// Creates a collector. `double`: the file has more precision than `f32`, so coordinates far from zero need an
-    /// origin.
-    pub(super) fn new(rows: usize, double: bool, path: &'a Path) -> Self {
-        let cloud = PointFile { points: Vec::with_capacity(rows), ..PointFile::default() };
-        Self { cloud, path, choose_origin: double }
-    }
+/// Function that takes a row and returns whether it wants more.
+pub(super) type Visit<'v> = dyn FnMut(&Row) -> Result<bool, FileError> + 'v;
 
-    /// Validates and appends a row.
-    pub(super) fn push(&mut self, row: &Row) -> Result<(), FileError> {
+/// Validates and converts the rows of a file. `each` passes all rows in order to a function, as long as it wants more.
+/// It is called twice, since the origin and the range of colors depend on all rows.
+///
+/// # Errors
+/// Returns any error of `each`. Fails if a color or a class is out of range.
+pub(super) fn collect(
+    format: &RowFormat<'_>,
+    mut each: impl FnMut(&mut Visit<'_>) -> Result<(), FileError>,
+) -> Result<PointFile, FileError> {
+    let (mut votes, mut range) = (Votes::default(), ColorRange::new(format.colors));
+    let mut survey = |row: &Row| {
         let position = DVec3::from(row.position);
-        if self.choose_origin && position.is_finite() {
-            self.choose_origin = false;
-            if position.abs().max_element() > FAR_FROM_ZERO_M {
-                self.cloud.origin = position.round();
+        if position.as_vec3().is_finite() {
+            range.add(row.rgb);
+            if format.double {
+                votes.add(position);
             }
         }
-        let local = (position - self.cloud.origin).to_array().map(|v| v as f32);
-        if !local.iter().all(|v| v.is_finite()) {
+        Ok(format.double || !range.is_settled())
+    };
+    if format.double || !ColorRange::new(format.colors).is_settled() {
+        each(&mut survey)?;
+    }
+    let cloud =
+        PointFile { points: Vec::with_capacity(format.rows), origin: votes.origin(), ..PointFile::default() };
+    let mut collector = Collector { cloud, colors: range.scale(), path: format.path };
+    each(&mut |row| collector.push(row).map(|()| true))?;
+    let mut cloud = collector.cloud;
+    let origin = format.double.then_some(cloud.origin);
+    cloud.notes.extend(range.note());
+    cloud.notes.extend(cloud.precision.note(cloud.points.len(), origin));
+    Ok(cloud)
+}
+
+/// Converts rows to points.
+struct Collector<'a> {
+    cloud: PointFile,
+    colors: ColorScale,
+    path: &'a Path,
+}
+
+impl Collector<'_> {
+    /// Validates and appends a row.
+    fn push(&mut self, row: &Row) -> Result<(), FileError> {
+        let Some(local) = local_position(DVec3::from(row.position), self.cloud.origin) else {
             // The color and class of a row that is never rendered do not matter.
             self.cloud.non_finite += 1;
             self.cloud.points.push(Point { position: [f32::NAN; 3], rgb_class: 0 });
             return Ok(());
-        }
+        };
         let class = self.class(row.class)?;
         let [r, g, b] = row.rgb;
         let rgb = [self.level(r)?, self.level(g)?, self.level(b)?];
+        self.cloud.precision.add(local);
         self.cloud.points.push(Point::new(local, rgb, class));
         Ok(())
     }
 
-    pub(super) fn finish(self) -> PointFile {
-        self.cloud
-    }
-
     fn level(&self, value: f64) -> Result<u8, FileError> {
-        if (0.0..=255.0).contains(&value) {
-            return Ok(value.round() as u8);
-        }
-        Err(self.off("colors of 0 to 255", value))
+        let expected = || format!("colors of 0 to {}", self.colors.max());
+        self.colors.level(value).ok_or_else(|| self.off(expected(), value))
     }
 
     fn class(&self, value: f64) -> Result<u8, FileError> {
         if (0.0..=255.0).contains(&value) && value.fract() == 0.0 {
             return Ok(value as u8);
         }
-        Err(self.off("an integer class of 0 to 255", value))
+        Err(self.off("an integer class of 0 to 255".to_owned(), value))
     }
 
-    fn off(&self, expected: &str, value: f64) -> FileError {
+    fn off(&self, expected: String, value: f64) -> FileError {
         FileError::content(expected, format!("{value} in row {}", self.cloud.points.len()), self.path)
     }
 }
@@ -105,17 +138,24 @@ impl<'a> RowCollector<'a> {
 mod tests {
     use super::*;
 
-    fn collect(double: bool, rows: &[Row]) -> Result<PointFile, FileError> {
-        let mut collector = RowCollector::new(rows.len(), double, Path::new("p.npy"));
-        rows.iter().try_for_each(|row| collector.push(row))?;
-        Ok(collector.finish())
+    fn collected(double: bool, rows: &[Row]) -> Result<PointFile, FileError> {
+        let path = Path::new("p.npy");
+        let format = RowFormat { rows: rows.len(), double, colors: ColorValues::Levels, path };
+        collect(&format, |visit| {
+            for row in rows {
+                if !visit(row)? {
+                    break;
+                }
+            }
+            Ok(())
+        })
     }
 
     const ROW: Row = Row { position: [1.0, 2.0, 3.0], rgb: [0.4, 254.6, 127.5], class: 2.0 };
 
     #[test]
     fn colors_round_to_the_nearest_level() {
-        let cloud = collect(false, &[ROW]).unwrap();
+        let cloud = collected(false, &[ROW]).unwrap();
         assert_eq!(cloud.points, [Point::new([1.0, 2.0, 3.0], [0, 255, 128], 2)]);
     }
 
@@ -128,15 +168,26 @@ mod tests {
             (Row { rgb: [0.0, 256.0, 0.0], ..ROW }, "colors of 0 to 255, found 256 in row 1"),
             (Row { rgb: [0.0, 0.0, f64::NAN], ..ROW }, "found NaN in row 1"),
         ] {
-            let message = collect(false, &[ROW, row]).unwrap_err().to_string();
+            let message = collected(false, &[ROW, row]).unwrap_err().to_string();
             assert!(message.contains(found) && message.ends_with("p.npy"), "{message}");
         }
     }
 
     #[test]
+    fn colors_from_0_to_1_are_scaled_and_noted() {
+        let rows = [Row { rgb: [1.0, 0.5, 0.0], ..ROW }, Row { rgb: [0.0, 0.25, 1.0], ..ROW }];
+        let cloud = collected(false, &rows).unwrap();
+        assert_eq!(cloud.points.iter().map(Point::rgb).collect::<Vec<_>>(), [[255, 128, 0], [0, 64, 255]]);
+        assert_eq!(cloud.notes, ["colors of 0 to 1, scaled to 0 to 255"]);
+        let bright = Row { rgb: [200.0, 0.0, 0.0], ..ROW };
+        let cloud = collected(false, &[rows[0], rows[1], bright]).unwrap();
+        assert_eq!((cloud.points[0].rgb(), cloud.notes.len()), ([1, 1, 0], 0));
+    }
+
+    #[test]
     fn rows_that_are_not_finite_keep_their_place() {
         let broken = Row { position: [0.0, f64::INFINITY, 0.0], rgb: [f64::NAN; 3], class: f64::NAN };
-        let cloud = collect(false, &[broken, ROW]).unwrap();
+        let cloud = collected(false, &[broken, ROW]).unwrap();
         assert_eq!((cloud.points.len(), cloud.non_finite), (2, 1));
         assert!(cloud.points[0].position.iter().all(|v| v.is_nan()));
         assert_eq!(cloud.points[1].position, [1.0, 2.0, 3.0]);
@@ -145,10 +196,22 @@ mod tests {
     #[test]
     fn double_precision_keeps_millimeters_at_utm_coordinates() {
         let row = Row { position: [664_430.123, 3_997_650.456, 606.789], ..ROW };
-        let cloud = collect(true, &[row, row]).unwrap();
-        let world =
-            cloud.world_from_local().transform_point3(DVec3::from(cloud.points[1].position.map(f64::from)));
-        assert!((world - DVec3::from(row.position)).length() < 1e-6, "{world}");
-        assert_eq!(collect(true, &[ROW]).unwrap().origin, DVec3::ZERO);
+        let zero = Row { position: [0.0; 3], ..ROW };
+        for rows in [[row, row], [zero, row]] {
+            let cloud = collected(true, &rows).unwrap();
+            let local = DVec3::from(cloud.points[1].position.map(f64::from));
+            let world = cloud.world_from_local().transform_point3(local);
+            assert!((world - DVec3::from(row.position)).length() < 1e-6, "{world}");
+            assert_eq!(cloud.notes.len(), usize::from(rows[0] == zero), "{:?}", cloud.notes);
+        }
+        assert_eq!(collected(true, &[ROW]).unwrap().origin, DVec3::ZERO);
+    }
+
+    #[test]
+    fn points_far_from_the_origin_are_counted() {
+        let far = Row { position: [664_430.123, 3_997_650.456, 606.789], ..ROW };
+        let cloud = collected(false, &[ROW, far]).unwrap();
+        assert_eq!((cloud.origin, cloud.precision.far_points), (DVec3::ZERO, 1));
+        assert!(cloud.notes[0].contains("1 of 2 points lie more than 16384 m from zero in single precision"));
     }
 }

@@ -1,5 +1,9 @@
 //! EXR writer, `FRAME/CAM/MAP.exr`: color, boxes and map as `R G B` f32 (level / 255), depth as `Z` f32 meters (−300
 //! where empty), class, instance and point as one u32 channel with the map's name.
+//!
+//! All but RGB have the same samples in a second channel `Y`: OpenCV reads a lone `Z` as zeros, and no file without
+//! `Y` or RGB. It converts numbers to f32, so a map with larger numbers than f32 can hold has no `Y`: OpenCV then
+//! refuses the file instead of returning other numbers.
 
 use std::path::Path;
 
@@ -10,6 +14,9 @@ use rayon::prelude::*;
 use super::{CameraConditions, ConditionSet, EMPTY_DEPTH_M, ImageSize, MapKind};
 use crate::error::FileError;
 use crate::files::write_whole;
+
+/// Largest integer up to which `f32` holds all.
+const MAX_F32_INTEGER: u32 = 1 << f32::MANTISSA_DIGITS;
 
 type Channels = SmallVec<[AnyChannel<FlatSamples>; 4]>;
 
@@ -32,25 +39,28 @@ pub fn write(folder: &Path, set: &ConditionSet) -> Result<(), FileError> {
 
 /// Returns `None` if the camera has no such map.
 fn channels(camera: &CameraConditions, kind: MapKind) -> Option<Channels> {
-    let numbers = |map: &Vec<u32>| one(kind.name(), FlatSamples::U32(map.clone()));
+    let numbers = |map: Vec<u32>| {
+        let exact = map.iter().all(|number| *number <= MAX_F32_INTEGER);
+        gray(kind.name(), FlatSamples::U32(map), exact)
+    };
     Some(match kind {
         MapKind::Color | MapKind::Boxes | MapKind::Map => rgb(camera.rgb(kind)?),
         MapKind::Depth => {
             let meters = |d: &f32| if d.is_finite() { *d } else { EMPTY_DEPTH_M };
-            one("Z", FlatSamples::F32(camera.depth_m.as_ref()?.iter().map(meters).collect()))
+            gray("Z", FlatSamples::F32(camera.depth_m.as_ref()?.iter().map(meters).collect()), true)
         }
-        MapKind::Class => {
-            one("class", FlatSamples::U32(camera.class.as_ref()?.iter().map(|c| u32::from(*c)).collect()))
-        }
-        MapKind::Instance => numbers(camera.instance.as_ref()?),
-        MapKind::Point => numbers(camera.point.as_ref()?),
+        MapKind::Class => numbers(camera.class.as_ref()?.iter().map(|c| u32::from(*c)).collect()),
+        MapKind::Instance => numbers(camera.instance.clone()?),
+        MapKind::Point => numbers(camera.point.clone()?),
         // The model tensor is not an image.
         MapKind::Tensor => return None,
     })
 }
 
-fn one(name: &str, samples: FlatSamples) -> Channels {
-    SmallVec::from_iter([AnyChannel::new(name, samples)])
+/// Returns a channel, with a copy named `Y` if `readable`.
+fn gray(name: &str, samples: FlatSamples, readable: bool) -> Channels {
+    let copy = readable.then(|| AnyChannel::new("Y", samples.clone()));
+    copy.into_iter().chain([AnyChannel::new(name, samples)]).collect()
 }
 
 fn rgb(map: &[[u8; 3]]) -> Channels {
@@ -102,16 +112,29 @@ mod tests {
             }
         }
         let depth = read("depth.exr");
-        let meters: Vec<f32> = depth[0].sample_data.values_as_f32().collect();
         let expected = camera.depth_m.as_ref().unwrap();
-        assert!(meters.iter().zip(expected).all(|(m, d)| m == d || (*m == -300.0 && d.is_infinite())));
-        assert_eq!(depth[0].name.to_string(), "Z");
+        let names: Vec<String> = depth.iter().map(|channel| channel.name.to_string()).collect();
+        assert_eq!(names, ["Y", "Z"]);
+        for channel in &depth {
+            let meters: Vec<f32> = channel.sample_data.values_as_f32().collect();
+            assert!(meters.iter().zip(expected).all(|(m, d)| m == d || (*m == -300.0 && d.is_infinite())));
+        }
         let class = camera.class.as_ref().unwrap().iter().map(|c| u32::from(*c)).collect();
         let instance = camera.instance.clone().unwrap();
         for (map, expected) in [("class", class), ("instance", instance)] {
             let channels = read(&format!("{map}.exr"));
-            assert_eq!(channels[0].name.to_string(), map);
-            assert_eq!(channels[0].sample_data, FlatSamples::U32(expected));
+            let found =
+                channels.iter().map(|channel| (channel.name.to_string(), channel.sample_data.clone()));
+            let samples = FlatSamples::U32(expected);
+            assert!(found.eq([("Y".to_owned(), samples.clone()), (map.to_owned(), samples)]), "{map}");
         }
+    }
+
+    #[test]
+    fn numbers_beyond_f32_have_no_readable_copy() {
+        let camera =
+            |number| CameraConditions { point: Some(vec![0, number]), ..CameraConditions::default() };
+        let count = |number| channels(&camera(number), MapKind::Point).unwrap().len();
+        assert_eq!((count(1 << 24), count((1 << 24) + 1)), (2, 1));
     }
 }

@@ -47,27 +47,39 @@ pub fn encode_map(
     kind: MapKind,
     bins: &DepthBins,
 ) -> Result<Option<Vec<u8>>, ConditionError> {
-    let gray =
-        |values: &[u16]| encode(path, bytemuck::cast_slice(values), camera.size(), ExtendedColorType::L16);
     let encoded = match kind {
         MapKind::Color | MapKind::Boxes | MapKind::Map => {
             camera.rgb(kind).map(|rgb| encode_rgb(path, rgb, camera.size()))
         }
-        MapKind::Depth => {
-            let value = |depth_m: &f32| bins.png_value(bins.bin(*depth_m));
-            camera.depth_m.as_ref().map(|map| gray(&map.iter().map(value).collect::<Vec<u16>>()))
-        }
         MapKind::Class => {
             camera.class.as_ref().map(|class| encode(path, class, camera.size(), ExtendedColorType::L8))
         }
-        MapKind::Instance | MapKind::Point => {
-            let map = if kind == MapKind::Instance { &camera.instance } else { &camera.point };
-            let values = map.as_ref().map(|numbers| to_u16(numbers, kind, path)).transpose()?;
-            values.map(|values| gray(&values))
-        }
+        MapKind::Depth | MapKind::Instance | MapKind::Point => gray_16(path, camera, kind, bins)?
+            .map(|map| encode(path, bytemuck::cast_slice(&map), camera.size(), ExtendedColorType::L16)),
         MapKind::Tensor => None,
     };
     Ok(encoded.transpose()?)
+}
+
+/// Returns the samples of a map of 16 bits: depth as bins over the whole range, instance and point numbers. `None` if the
+/// camera has no such map, or if it has other samples. `path` is the file that errors name.
+///
+/// # Errors
+/// Returns an error if an instance or point number exceeds 65535.
+pub fn gray_16(
+    path: &Path,
+    camera: &CameraConditions,
+    kind: MapKind,
+    bins: &DepthBins,
+) -> Result<Option<Vec<u16>>, ConditionError> {
+    let value = |depth_m: &f32| bins.png_value(bins.bin(*depth_m));
+    let numbers = |map: &Option<Vec<u32>>| map.as_ref().map(|map| to_u16(map, kind, path)).transpose();
+    match kind {
+        MapKind::Depth => Ok(camera.depth_m.as_ref().map(|map| map.iter().map(value).collect())),
+        MapKind::Instance => numbers(&camera.instance),
+        MapKind::Point => numbers(&camera.point),
+        MapKind::Color | MapKind::Boxes | MapKind::Map | MapKind::Class | MapKind::Tensor => Ok(None),
+    }
 }
 
 fn to_u16(numbers: &[u32], kind: MapKind, path: &Path) -> Result<Vec<u16>, ConditionError> {

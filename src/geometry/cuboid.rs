@@ -1,6 +1,6 @@
 use glam::DVec3;
 
-use super::Pose;
+use super::{MAX_COORDINATE_M, MAX_SIDE_M, MIN_SIDE_M, Pose, is_position, is_size};
 
 /// Oriented 3D box: x along its length (forward), y along its width (left), z along its height (up).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,18 +17,31 @@ pub enum CuboidError {
     /// A side is zero, negative or not finite.
     #[error("expected a box of positive length, width and height, found {0} x {1} x {2} m")]
     Size(f64, f64, f64),
+    /// A side is shorter or longer than any object's.
+    #[error("expected a box with sides of {MIN_SIDE_M} to {MAX_SIDE_M} m, found {0:?} x {1:?} x {2:?} m")]
+    Extent(f64, f64, f64),
+    /// The center is not on Earth.
+    #[error("expected a box within {MAX_COORDINATE_M} m of the origin, found one at {0:?}")]
+    Position([f64; 3]),
 }
 
 impl Cuboid {
-    /// Creates a box after validating its size: length, width, height in meters.
+    /// Creates a box after validating its size (length, width, height in meters) and its center.
     ///
     /// # Errors
-    /// Fails if a side is zero, negative or not finite.
+    /// Fails if a side is zero, negative, not finite, or outside [`MIN_SIDE_M`] to [`MAX_SIDE_M`], or if a coordinate
+    /// of the center exceeds [`MAX_COORDINATE_M`].
     pub fn new(pose: Pose, size: DVec3) -> Result<Self, CuboidError> {
-        if size.is_finite() && size.min_element() > 0.0 {
-            return Ok(Self { pose, size });
+        if !(size.is_finite() && size.min_element() > 0.0) {
+            return Err(CuboidError::Size(size.x, size.y, size.z));
         }
-        Err(CuboidError::Size(size.x, size.y, size.z))
+        if !is_size(size) {
+            return Err(CuboidError::Extent(size.x, size.y, size.z));
+        }
+        if !is_position(pose.translation) {
+            return Err(CuboidError::Position(pose.translation.to_array()));
+        }
+        Ok(Self { pose, size })
     }
 
     /// Creates a box, or `None` if a side is zero or negative: data sets have such boxes of objects without a size.
@@ -81,6 +94,20 @@ mod tests {
         for size in [DVec3::new(0.0, 1.0, 1.0), DVec3::new(1.0, -2.0, 1.0), DVec3::new(1.0, 1.0, f64::NAN)] {
             assert!(Cuboid::new(Pose::IDENTITY, size).is_err(), "{size}");
         }
+    }
+
+    #[test]
+    fn sizes_and_positions_have_limits() {
+        let error =
+            |at: DVec3, size: DVec3| Cuboid::new(Pose::from_yaw(0.0, at), size).unwrap_err().to_string();
+        let found = error(DVec3::ZERO, DVec3::new(4.0, 1e308, 1.5));
+        assert!(
+            found.starts_with("expected a box with sides of 0.0001 to 100000 m, found 4.0 x 1e308 x 1.5 m"),
+            "{found}"
+        );
+        assert!(error(DVec3::ZERO, DVec3::splat(1e-300)).contains("sides of 0.0001"));
+        let found = error(DVec3::new(0.0, -3e38, 0.0), DVec3::ONE);
+        assert!(found.starts_with("expected a box within 100000000 m of the origin, found"), "{found}");
     }
 
     #[test]

@@ -7,6 +7,7 @@
 mod camera;
 mod cuboid;
 mod distortion;
+mod extent;
 mod footprint;
 mod polyline;
 mod pose;
@@ -15,6 +16,7 @@ mod size;
 pub use camera::{Camera, CameraError, View};
 pub use cuboid::{Cuboid, CuboidError};
 pub use distortion::{Distortion, Lens};
+pub use extent::{MAX_COORDINATE_M, MAX_SIDE_M, MIN_SIDE_M, is_position, is_size};
 pub use footprint::Footprint;
 pub use polyline::{Foot, Polyline, wrap_angle};
 pub use pose::{Pose, PoseError};

@@ -1,5 +1,7 @@
 use glam::{DAffine3, DQuat, DVec3};
 
+use super::{MAX_COORDINATE_M, is_position};
+
 /// Rigid transform `target_from_source` in `f64`: rotation, then translation in meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
@@ -24,6 +26,12 @@ pub enum PoseError {
         /// First such number.
         value: f64,
     },
+    /// A coordinate is larger than any on Earth.
+    #[error("expected coordinates of at most {MAX_COORDINATE_M} m in a pose, found {translation:?}")]
+    TooFar {
+        /// The translation, meters.
+        translation: [f64; 3],
+    },
 }
 
 /// Tolerance of a quaternion's length around 1: files round to 6 or more digits.
@@ -37,7 +45,8 @@ impl Pose {
     /// quaternion.
     ///
     /// # Errors
-    /// Fails if a number is not finite or the length of the quaternion differs from 1 by more than 10⁻³.
+    /// Fails if a number is not finite, the length of the quaternion differs from 1 by more than 10⁻³, or a coordinate
+    /// exceeds [`MAX_COORDINATE_M`].
     pub fn from_wxyz([w, x, y, z]: [f64; 4], translation: [f64; 3]) -> Result<Self, PoseError> {
         if let Some(&value) = [w, x, y, z].iter().chain(&translation).find(|v| !v.is_finite()) {
             return Err(PoseError::NotFinite { value });
@@ -46,6 +55,9 @@ impl Pose {
         let length = rotation.length();
         if (length - 1.0).abs() > UNIT_TOLERANCE {
             return Err(PoseError::NotUnit { length });
+        }
+        if !is_position(DVec3::from(translation)) {
+            return Err(PoseError::TooFar { translation });
         }
         Ok(Self { rotation: rotation.normalize(), translation: DVec3::from(translation) })
     }

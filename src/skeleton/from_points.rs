@@ -7,6 +7,7 @@ use super::{Asset, BuildOptions, BuildReport, CHUNK_M, Checksum, Chunk, Skeleton
 use crate::cloud::{Bounds, Point};
 use crate::dataset::Class;
 use crate::error::FileError;
+use crate::skeleton::manifest::{check_position, check_size};
 
 /// Point in the global frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,7 +40,8 @@ impl Skeleton {
     /// is replaced. Points retain their order within a chunk of the background and within an asset.
     ///
     /// # Errors
-    /// Fails if there is no background point, if a track occurs twice, or if the folder cannot be written.
+    /// Fails if there is no background point, if a track occurs twice, if a position or size is beyond the limits of all
+    /// files ([`geometry`](crate::geometry)), or if the folder cannot be written.
     pub fn from_points(
         folder: &Path,
         log: &str,
@@ -47,7 +49,13 @@ impl Skeleton {
         mut assets: Vec<AssetPoints>,
     ) -> Result<Self, FileError> {
         let mut chunks: BTreeMap<[i64; 3], Vec<Point>> = BTreeMap::new();
-        for GlobalPoint { position, rgb, class } in background {
+        for (row, GlobalPoint { position, rgb, class }) in background.iter().enumerate() {
+            check_position(
+                "a position",
+                position.to_array(),
+                || format!("point {row} of the background"),
+                folder,
+            )?;
             let at = (position / CHUNK_M).floor();
             let local = (position - at * CHUNK_M).as_vec3().to_array();
             chunks.entry(at.to_array().map(|i| i as i64)).or_default().push(Point::new(local, *rgb, *class));
@@ -58,6 +66,13 @@ impl Skeleton {
         assets.sort_by(|a, b| a.track.cmp(&b.track));
         if let Some(pair) = assets.windows(2).find(|pair| pair[0].track == pair[1].track) {
             return Err(FileError::content("tracks once each", format!("two {:?}", pair[0].track), folder));
+        }
+        for AssetPoints { track, size, points, .. } in &assets {
+            check_size(*size, || format!("track {track:?}"), folder)?;
+            for (row, point) in points.iter().enumerate() {
+                let of = || format!("point {row} of track {track:?}");
+                check_position("a position", point.position.map(f64::from), of, folder)?;
+            }
         }
         let report = BuildReport {
             points_read: background.len() + assets.iter().map(|asset| asset.points.len()).sum::<usize>(),
@@ -134,6 +149,14 @@ mod tests {
         };
         assert!(message(&[], Vec::new()).contains("a point of the background, found none"));
         assert!(message(&background, vec![asset("a"), asset("a")]).contains("two \"a\""));
+        let lost = GlobalPoint { position: DVec3::new(0.0, 0.0, -1e20), ..background[0] };
+        let found = message(&[background[0], lost], Vec::new());
+        assert!(found.contains("found [0.0, 0.0, -1e20] in point 1 of the background"), "{found}");
+        let mut far = asset("a");
+        far.points[0].position[2] = 3e38;
+        assert!(message(&background, vec![far]).contains("in point 0 of track \"a\""));
+        let huge = AssetPoints { size: [4.0, 1e308, 1.5], ..asset("a") };
+        assert!(message(&background, vec![huge]).contains("found [4.0, 1e308, 1.5] in track \"a\""));
         assert!(Skeleton::open(&path).is_ok(), "a failure leaves the old one");
     }
 }

@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -6,6 +7,8 @@ use serde::{Deserialize, Serialize};
 use super::{BuildOptions, Checksum};
 use crate::cloud::Bounds;
 use crate::dataset::Class;
+use crate::error::FileError;
+use crate::geometry::{MAX_COORDINATE_M, MAX_SIDE_M, MIN_SIDE_M, is_position, is_size};
 
 /// Contents of `skeleton.json`: description of the point files. Each file stores the clouds of its list
 /// consecutively, in the list's order.
@@ -64,6 +67,24 @@ impl Manifest {
             counts.sweeps += asset.sweeps;
         }
         categories
+    }
+
+    /// Checks that positions, bounds and sizes are within the limits of all files.
+    ///
+    /// # Errors
+    /// Returns an error that names the first cloud beyond them; `path` is the manifest.
+    pub(super) fn check(&self, path: &Path) -> Result<(), FileError> {
+        for (index, chunk) in self.background.iter().enumerate() {
+            let of = || format!("chunk {index}");
+            check_position("an origin", chunk.origin, of, path)?;
+            check_bounds(&chunk.bounds, of, path)?;
+        }
+        for asset in &self.actors {
+            let of = || format!("track {:?} of log {:?}", asset.track, asset.log);
+            check_size(asset.size, of, path)?;
+            check_bounds(&asset.bounds, of, path)?;
+        }
+        self.templates.iter().try_for_each(|template| template.check_limits(path))
     }
 
     /// Format identifier in the manifest.
@@ -171,6 +192,53 @@ pub struct Template {
     pub xxh3: Checksum,
 }
 
+impl Template {
+    /// Checks that size and bounds are within the limits of all files.
+    ///
+    /// # Errors
+    /// Returns an error that names the template; `path` is the manifest.
+    pub(super) fn check_limits(&self, path: &Path) -> Result<(), FileError> {
+        let of = || format!("template {}", self.kind.name());
+        check_size(self.size, of, path)?;
+        check_bounds(&self.bounds, of, path)
+    }
+}
+
+/// Checks a box size, meters. `of` names the cloud.
+///
+/// # Errors
+/// Fails if a side is outside the limits.
+pub(super) fn check_size(size: [f64; 3], of: impl Fn() -> String, path: &Path) -> Result<(), FileError> {
+    if is_size(DVec3::from(size)) {
+        return Ok(());
+    }
+    let expected = format!("a box with sides of {MIN_SIDE_M} to {MAX_SIDE_M} m");
+    Err(FileError::content(expected, format!("{size:?} in {}", of()), path))
+}
+
+/// Checks a position, meters. `what` and `of` name it.
+///
+/// # Errors
+/// Fails if a coordinate is beyond the limit.
+pub(super) fn check_position(
+    what: &str,
+    position: [f64; 3],
+    of: impl Fn() -> String,
+    path: &Path,
+) -> Result<(), FileError> {
+    if is_position(DVec3::from(position)) {
+        return Ok(());
+    }
+    let expected = format!("{what} within {MAX_COORDINATE_M} m of zero");
+    Err(FileError::content(expected, format!("{position:?} in {}", of()), path))
+}
+
+fn check_bounds(bounds: &Bounds, of: impl Fn() -> String, path: &Path) -> Result<(), FileError> {
+    [bounds.min, bounds.max]
+        .into_iter()
+        .try_for_each(|corner| check_position("bounds", corner.map(f64::from), &of, path))
+}
+
 /// Point counts of a build. Every point read is either dropped for one of the reasons below or retained in background
 /// or actors. With [`Coloring::EveryCamera`](super::Coloring::EveryCamera) it is retained once per camera that sees
 /// it.
@@ -207,5 +275,58 @@ impl BuildReport {
             ("not finite", self.dropped_not_finite),
             ("uncolored", self.dropped_uncolored),
         ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn forged_coordinates_and_sizes_name_their_cloud() {
+        let bounds = Bounds { min: [0.0; 3], max: [1.0; 3] };
+        let far = Bounds { max: [3e38; 3], ..bounds };
+        let chunk = |origin, bounds| Chunk { origin, points: 1, bounds, xxh3: Checksum::of::<u8>(&[]) };
+        let asset = |size, bounds| Asset {
+            log: "log".into(),
+            track: "car".into(),
+            category: "vehicle.car".into(),
+            class: Class::MotorVehicle,
+            size,
+            sweeps: 0,
+            points: 1,
+            bounds,
+            xxh3: Checksum::of::<u8>(&[]),
+        };
+        let template = |size, bounds| {
+            let (kind, class) = (super::super::TemplateKind::Sedan, Class::MotorVehicle);
+            Template { kind, class, size, points: 1, bounds, xxh3: Checksum::of::<u8>(&[]) }
+        };
+        let message =
+            |manifest: Manifest| manifest.check(Path::new("skeleton.json")).unwrap_err().to_string();
+        let background = |chunk| Manifest { background: vec![chunk], ..Manifest::default() };
+        let actors = |asset| Manifest { actors: vec![asset], ..Manifest::default() };
+        let templates = |template| Manifest { templates: vec![template], ..Manifest::default() };
+        for (manifest, found) in [
+            (
+                background(chunk([1e9, 0.0, 0.0], bounds)),
+                "an origin within 100000000 m of zero, found [1000000000.0",
+            ),
+            (background(chunk([0.0; 3], far)), "bounds within 100000000 m of zero, found [3"),
+            (actors(asset([4.0, 1e308, 1.0], bounds)), "1e308, 1.0] in track \"car\" of log \"log\""),
+            (actors(asset([4.0, 2.0, 1.0], far)), "bounds within"),
+            (templates(template([0.0, 2.0, 1.0], bounds)), "[0.0, 2.0, 1.0] in template sedan"),
+            (templates(template([4.0, 2.0, 1.0], far)), "bounds within"),
+        ] {
+            let message = message(manifest);
+            assert!(message.contains(found) && message.ends_with("skeleton.json"), "{message}");
+        }
+        let good = Manifest {
+            background: vec![chunk([-4e6, 0.0, 0.0], bounds)],
+            actors: vec![asset([4.0, 2.0, 1.5], bounds)],
+            templates: vec![template([4.0, 2.0, 1.5], bounds)],
+            ..Manifest::default()
+        };
+        good.check(Path::new("skeleton.json")).unwrap();
     }
 }

@@ -245,7 +245,7 @@ mod tests {
         let yaw = prop_oneof![Just(0.0), -3.0..3.0_f64];
         (place, size, speed, yaw).prop_map(|(place, size, speed, yaw)| {
             let velocity = if speed == 0.0 { DVec3::ZERO } else { DVec3::new(speed, speed * 0.5, 0.0) };
-            (Cuboid::new(Pose::from_yaw(yaw, place), size).unwrap(), velocity)
+            (Cuboid { pose: Pose::from_yaw(yaw, place), size }, velocity)
         })
     }
 
@@ -283,7 +283,7 @@ mod tests {
     #[test]
     fn points_and_boxes_that_are_nowhere_are_looked_at_as_before() {
         let cuboid = Cuboid::new(Pose::from_yaw(0.0, DVec3::ZERO), DVec3::splat(2.0)).unwrap();
-        let nowhere = Cuboid::new(Pose::from_yaw(0.0, DVec3::NAN), DVec3::splat(2.0)).unwrap();
+        let nowhere = Cuboid { pose: Pose::from_yaw(0.0, DVec3::NAN), size: DVec3::splat(2.0) };
         let splitter = splitter_of(&[(nowhere, DVec3::ZERO), (cuboid, DVec3::X)]);
         for global in [DVec3::ZERO, DVec3::NAN, DVec3::INFINITY, DVec3::new(0.0, f64::NAN, 0.5)] {
             let expected = splitter.part_among(0..2, global, true);

@@ -125,7 +125,7 @@ impl SkeletonWriter {
     /// Flushes all files, then writes the manifest.
     ///
     /// # Errors
-    /// Fails if a file cannot be written.
+    /// Fails if a file cannot be written, or if a position, bound or size is beyond the limits of all files.
     pub fn finish(
         &mut self,
         sources: Vec<Source>,
@@ -136,7 +136,10 @@ impl SkeletonWriter {
             .into_iter()
             .try_for_each(PointFile::flush)?;
         (self.manifest.sources, self.manifest.options, self.manifest.report) = (sources, options, report);
-        write_json(&self.folder.join(MANIFEST), &self.manifest)
+        let path = self.folder.join(MANIFEST);
+        // A skeleton that cannot be opened must not replace one that can.
+        self.manifest.check(&path)?;
+        write_json(&path, &self.manifest)
     }
 }
 
@@ -186,6 +189,7 @@ impl Skeleton {
     pub fn open(path: &Path) -> Result<Self, FileError> {
         let format = (Manifest::FORMAT, Manifest::VERSION);
         let manifest: Manifest = read_manifest(&path.join(MANIFEST), "a skeleton manifest", format)?;
+        manifest.check(&path.join(MANIFEST))?;
         let map = |name: &str, points: u128| {
             let file = path.join(name);
             let mapped = MappedFile::open(&file)?;

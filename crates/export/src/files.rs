@@ -4,6 +4,7 @@ use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{FilterType, resize};
+use point_skeleton::cloud::npy;
 use point_skeleton::conditions::{CameraConditions, DepthBins, MapKind, png};
 use point_skeleton::dataset::{Dataset, ImageRecord};
 use point_skeleton::error::FileError;
@@ -39,6 +40,35 @@ pub(crate) fn maps_as_png(
     let encode = |&(camera, kind): &(usize, MapKind)| {
         let Some(name) = name(camera, kind) else { return Ok(None) };
         let bytes = png::encode_map(Path::new(&name), &cameras[camera], kind, bins)?;
+        Ok(bytes.map(|bytes| Encoded { name, bytes }))
+    };
+    let files: Vec<Option<Encoded>> = all.par_iter().map(encode).collect::<Result<_, ExportError>>()?;
+    Ok(files.into_iter().flatten().collect())
+}
+
+/// Encodes the maps of all cameras for readers that decode every image to 8 bits: as PNG, but maps of 16 bits as arrays
+/// `[H, W]` of `u16` in NPY, with the samples that their PNG would have. `name` returns the name of a file without its
+/// extension, by camera and map.
+///
+/// # Errors
+/// Fails if a number does not fit into 16 bits.
+pub(crate) fn maps_for_8_bits(
+    cameras: &[CameraConditions],
+    bins: &DepthBins,
+    name: impl Fn(usize, MapKind) -> String + Sync,
+) -> Result<Vec<Encoded>, ExportError> {
+    let all: Vec<(usize, MapKind)> =
+        (0..cameras.len()).flat_map(|camera| MapKind::ALL.map(|kind| (camera, kind))).collect();
+    let encode = |&(index, kind): &(usize, MapKind)| {
+        let (camera, name) = (&cameras[index], name(index, kind));
+        let npy = format!("{name}.npy");
+        if let Some(samples) = png::gray_16(Path::new(&npy), camera, kind, bins)? {
+            let bytes = npy::encode_u16(&samples, [camera.height, camera.width])
+                .map_err(FileError::io("write", Path::new(&npy)))?;
+            return Ok(Some(Encoded { name: npy, bytes }));
+        }
+        let name = format!("{name}.png");
+        let bytes = png::encode_map(Path::new(&name), camera, kind, bins)?;
         Ok(bytes.map(|bytes| Encoded { name, bytes }))
     };
     let files: Vec<Option<Encoded>> = all.par_iter().map(encode).collect::<Result<_, ExportError>>()?;

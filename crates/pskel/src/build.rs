@@ -15,7 +15,7 @@ use point_skeleton::skeleton::{
 use super::log_args::{self, LogRoots};
 use super::numbers::{self, FrameRange};
 use super::progress::StageProgress;
-use super::{WrongUsage, choices, info, say, templates, warn};
+use super::{WrongUsage, choices, info, say, tell_notes, templates, warn};
 use crate::logs;
 
 /// Build a point skeleton from recordings: colored background, and an asset per tracked actor
@@ -168,7 +168,12 @@ fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<TemplateCloud>> 
             );
         }
     }
-    files.iter().map(|file| Ok(skeleton::read_template(file.kind, &file.path)?)).collect()
+    let read = |file: &TemplateFile| {
+        let (template, notes) = skeleton::read_template(file.kind, &file.path)?;
+        tell_notes(&file.path, &notes);
+        Ok(template)
+    };
+    files.iter().map(read).collect()
 }
 
 /// Returns the first template of each kind, sorted by kind.

@@ -7,7 +7,7 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::check_output_file;
 use point_skeleton::skeleton::Skeleton;
 
-use super::{WrongUsage, choices, log_args, say};
+use super::{WrongUsage, choices, log_args, say, tell_notes};
 
 /// Convert points: a skeleton to NPY or PLY files, or one such file to the other format
 ///
@@ -61,6 +61,7 @@ fn convert_file(args: &ConvertArgs) -> anyhow::Result<String> {
     };
     check_output_file(&args.out, [args.input.as_path()])?;
     let file = cloud::read(&args.input)?;
+    tell_notes(&args.input, &file.notes);
     let origin = match format.write_file(&args.out, &file)? {
         Some(path) => format!(", relative to the origin in {}", path.display()),
         None => String::new(),

@@ -52,7 +52,7 @@ use point_skeleton::memory::variable_limit;
 use point_skeleton::threads::start_pool;
 
 pub use self::export::{ExportCommand, ListedExport};
-use self::terminal::{say, tell, warn};
+use self::terminal::{say, tell, tell_notes, warn};
 
 /// Converts driving recordings into camera conditions: color, metric depth, class, instance and layout maps.
 #[derive(Debug, Parser)]

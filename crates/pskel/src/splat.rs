@@ -12,7 +12,7 @@ use point_skeleton::scene::SceneInstances;
 
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
-use super::say;
+use super::{say, tell_notes};
 
 /// Splat any point cloud into any cameras: color, depth, class and point number per pixel
 ///
@@ -21,7 +21,7 @@ use super::say;
 /// (u32, VxHxW, row in the file + 1, 0 where empty), views in the order of the camera file.
 #[derive(Debug, Args)]
 pub(super) struct SplatArgs {
-    /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY
+    /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY (colors 0-255, or 0-1 as floats)
     #[arg(long, value_name = "P.npy|P.ply")]
     points: PathBuf,
     /// Cameras: {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
@@ -47,6 +47,7 @@ pub(super) fn run(args: SplatArgs) -> anyhow::Result<()> {
     check_output_file(&args.out, [args.points.as_path(), args.cameras.as_path()])?;
     let views = cloud::cameras::read(&args.cameras)?;
     let cloud = cloud::read(&args.points)?;
+    tell_notes(&args.points, &cloud.notes);
     let mut rasterizer = args.rasterizer.create(vec![&cloud.points])?;
     let instance = Instance { cloud: 0, world_from_local: cloud.world_from_local(), number: 0 };
     let clouds = SceneInstances { color: vec![instance], geometry: vec![instance] };

@@ -1,6 +1,7 @@
 //! Lines for the user: results on stdout, progress and warnings on stderr.
 
 use std::io::{ErrorKind, Write};
+use std::path::Path;
 use std::sync::OnceLock;
 
 use point_skeleton::files::text::{escaped_lines, printable_lines};
@@ -31,6 +32,11 @@ pub(super) fn tell(line: &str) {
 /// Prints a warning.
 pub(super) fn warn(text: &str) {
     tell(&format!("warning: {text}"));
+}
+
+/// Prints notes on the content of a file.
+pub(super) fn tell_notes(path: &Path, notes: &[String]) {
+    notes.iter().for_each(|note| tell(&format!("note: {}: {note}", path.display())));
 }
 
 /// Checks that every line of the result was written.

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._arrays import numbers
+
 
 def frechet_distance(a: ArrayLike, b: ArrayLike) -> float:
     """Return the squared Fréchet distance between normal distributions fitted to two sets of features.
@@ -14,7 +16,7 @@ def frechet_distance(a: ArrayLike, b: ArrayLike) -> float:
 
     Raises ValueError if the shapes do not fit or if a value is not finite.
     """
-    first, second = (np.asarray(features, np.float64) for features in (a, b))
+    first, second = (numbers(features).astype(np.float64) for features in (a, b))
     for features in (first, second):
         if features.ndim != 2 or features.shape[0] < 2 or features.shape[1] != first.shape[1]:
             found = f"{list(first.shape)} and {list(second.shape)}"

@@ -6,6 +6,7 @@ use super::TemplateOptions;
 use super::kind::Family;
 use super::thin::poisson_thin;
 use crate::cloud::Point;
+use crate::geometry::{is_position, is_size};
 use crate::skeleton::Asset;
 
 /// Points of an actor, prepared for aggregation.
@@ -32,11 +33,12 @@ impl Instance {
     ) -> Result<Self, &'static str> {
         let family = Family::of(&asset.category).ok_or("actors of a category without templates")?;
         let size_m = DVec3::from(asset.size);
-        if !(size_m.is_finite() && size_m.min_element() > 0.0) {
+        if !is_size(size_m) {
             return Err("actors without a size");
         }
-        let finite = || points.iter().filter(|p| p.position.iter().all(|v| v.is_finite()));
-        let finite: Vec<&Point> = finite().collect();
+        // Far points would overflow squared distances.
+        let is_near = |p: &&Point| is_position(DVec3::from(p.position.map(f64::from)));
+        let finite: Vec<&Point> = points.iter().filter(is_near).collect();
         if finite.is_empty() {
             return Err("actors without points");
         }

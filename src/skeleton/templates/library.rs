@@ -141,14 +141,11 @@ fn read_library(path: &Path) -> Result<LibraryManifest, FileError> {
     let format = (LibraryManifest::FORMAT, LibraryManifest::VERSION);
     let manifest: LibraryManifest = read_manifest(path, "a list of templates", format)?;
     for (i, template) in manifest.templates.iter().enumerate() {
-        let bad =
-            |found: String| FileError::content("one template a kind, with a positive size", found, path);
         if manifest.templates[..i].iter().any(|other| other.kind == template.kind) {
-            return Err(bad(format!("{} twice", template.kind.name())));
+            let found = format!("{} twice", template.kind.name());
+            return Err(FileError::content("one template a kind", found, path));
         }
-        if !template.size.iter().all(|s| s.is_finite() && *s > 0.0) {
-            return Err(bad(format!("{} of size {:?}", template.kind.name(), template.size)));
-        }
+        template.check_limits(path)?;
     }
     Ok(manifest)
 }

@@ -1,7 +1,8 @@
 //! `webdataset`: an uncompressed tar per shard. A sample has the key `LOG-FRAME` and the files `KEY.json`, and either
 //! `KEY.conditions.safetensors` or `KEY.MAP.CAMERA.png`; with recorded images also `KEY.image.CAMERA.jpg`.
 //!
-//! Names are in lower case, since readers convert them.
+//! Names are in lower case, since readers convert them. Maps of 16 bits are `KEY.MAP.CAMERA.npy`: all image decoders of
+//! the package reduce PNG to 8 bits, without an error.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -12,7 +13,7 @@ use point_skeleton::{MapKind, Maps};
 use tar::{Builder, EntryType, Header};
 
 use super::{LayoutWriter, Source, sizes};
-use crate::files::{images_as_jpeg, maps_as_png};
+use crate::files::{images_as_jpeg, maps_for_8_bits};
 use crate::samples::Sample;
 use crate::shard::{HashedFile, Shard};
 use crate::{ExportError, SampleFormat};
@@ -59,9 +60,8 @@ impl LayoutWriter for Tar<'_> {
         let mut files = Vec::new();
         match source.options.format {
             SampleFormat::Png => {
-                let name =
-                    |index, kind: MapKind| Some(format!("{key}.{}.{}.png", kind.name(), camera(index)));
-                files = maps_as_png(maps.cameras(), &source.options.conditions.depth_bins, name)?;
+                let name = |index, kind: MapKind| format!("{key}.{}.{}", kind.name(), camera(index));
+                files = maps_for_8_bits(maps.cameras(), &source.options.conditions.depth_bins, name)?;
             }
             SampleFormat::Safetensors => {
                 let name = format!("{key}.conditions.safetensors");

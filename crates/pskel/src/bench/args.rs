@@ -12,7 +12,7 @@ use pskel_eval::bench::{BenchOptions, Workload};
 use crate::numbers::{self, FrameRange};
 use crate::rasterizer::RasterizerArgs;
 use crate::substitutes::SubstituteArgs;
-use crate::{WrongUsage, log_args, logs, tell, warn};
+use crate::{WrongUsage, log_args, logs, tell, tell_notes, warn};
 
 /// Measure rendering speed: time per frame and per stage, points per second, peak memory
 ///
@@ -119,7 +119,9 @@ impl BenchArgs {
             }
             (.., Some(points), Some(cameras)) => {
                 let views = cloud::cameras::read(cameras)?;
-                Ok(Workload::cloud(cloud::read(points)?, views))
+                let cloud = cloud::read(points)?;
+                tell_notes(points, &cloud.notes);
+                Ok(Workload::cloud(cloud, views))
             }
             _ => {
                 let count = self.synthetic.unwrap_or(DEFAULT_POINTS);

@@ -38,6 +38,7 @@ fn cloud_file(path: &Path) -> anyhow::Result<Value> {
         "min": bounds.map(|b| at(b.min)),
         "max": bounds.map(|b| at(b.max)),
         "classes": classes(&cloud.points),
+        "notes": cloud.notes,
     }))
 }
 

@@ -72,14 +72,23 @@ fn tar_shards_hold_the_maps_of_render() {
     assert_eq!(index["shardlist"][0]["sha256"], record["files"][0]["sha256"]);
     assert_eq!((&index["nsamples"], &index["shardlist"][0]["url"]), (&json!(3), &json!("tiny-000000.tar")));
 
-    // PNG: the files of render.
+    // PNG: the files of render, and arrays of 16 bits with the samples of those.
     std::fs::remove_dir_all(log.path("out")).unwrap();
     log.succeed(&format!("{EXPORT} --layout webdataset"));
     log.succeed(&format!("{render} --out png"));
     let files: BTreeMap<String, Vec<u8>> = untar(&log.path("out/tiny-000000.tar")).into_iter().collect();
-    for (camera, map) in [("CAM_FRONT", "color"), ("CAM_BACK", "depth"), ("CAM_FRONT", "instance")] {
+    for (camera, map) in [("CAM_FRONT", "color"), ("CAM_BACK", "class")] {
         let rendered = std::fs::read(log.path(&format!("png/000001/{camera}/{map}.png"))).unwrap();
         assert!(files[&format!("tiny-000001.{map}.{}.png", camera.to_lowercase())] == rendered, "{map}");
+    }
+    for (camera, map) in [("CAM_BACK", "depth"), ("CAM_FRONT", "instance")] {
+        let rendered =
+            image::open(log.path(&format!("png/000001/{camera}/{map}.png"))).unwrap().into_luma16();
+        let name = format!("tiny-000001.{map}.{}", camera.to_lowercase());
+        let array = npyz::NpyFile::new(files[&format!("{name}.npy")].as_slice()).unwrap();
+        assert_eq!(array.shape(), [32, 48]);
+        assert!(array.into_vec::<u16>().unwrap() == rendered.into_raw(), "{map}");
+        assert!(!files.contains_key(&format!("{name}.png")), "{map}");
     }
 }
 

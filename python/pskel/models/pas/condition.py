@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ..._arrays import numbers
 from .ids import DROPPED_MOTION
 
 if TYPE_CHECKING:
@@ -75,8 +76,8 @@ class FrameCondition:
         ``points`` may have more than 4 channels, of which the network does not use the rest. Raises ``ValueError`` for arrays
         of other shapes.
         """
-        point_maps, layout_maps = np.asarray(points), np.asarray(layout)
-        motion, numbers = np.array(action, np.float32), np.array(cameras, np.float32)
+        point_maps, layout_maps = numbers(points), numbers(layout)
+        motion, numbers = numbers(action).astype(np.float32), numbers(cameras).astype(np.float32)
         views, size = layout_maps.shape[:1], layout_maps.shape[2:]
         if layout_maps.ndim != 4 or layout_maps.shape[1] != LAYOUT_CHANNELS:
             raise ValueError(f"expected layout of [V, {LAYOUT_CHANNELS}, H, W], found {list(layout_maps.shape)}")
@@ -99,7 +100,7 @@ class FrameCondition:
         cameras are those relative to ``scene.ego``: in scenes of a simulation, where they are mounted; in scenes of a log,
         where they recorded their images, some milliseconds earlier or later.
         """
-        motion = np.linalg.inv(np.asarray(previous, np.float64)) @ scene.ego if previous is not None else np.eye(4)
+        motion = np.linalg.inv(numbers(previous).astype(np.float64)) @ scene.ego if previous is not None else np.eye(4)
         action = [motion[0, 3], motion[1, 3], np.arctan2(motion[1, 0], motion[0, 0])]
         ego_from_camera = np.linalg.inv(scene.ego) @ np.linalg.inv(scene.camera_from_global)
         height, width = np.array(scene.sizes, np.float64).T

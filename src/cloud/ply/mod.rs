@@ -2,24 +2,28 @@
 //!
 //! # How it works
 //! The header is parsed first. Element counts are validated against the file length before any element is read.
-//! Vertices are read property by property; properties other than position, color and class are skipped.
+//! The names of all properties decide which are colors (`columns`). Vertices are then read row by row (`payload`);
+//! properties other than position, color and class are skipped.
 
-use std::io::{BufRead, BufReader, Read, Write};
+mod columns;
+mod payload;
+
+use std::io::{BufRead, BufReader, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::{
-    Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType, ScalarType,
-};
+use ply_rs_bw::ply::{DefaultElement, ElementDef, Encoding, Header, PropertyType, ScalarType};
 
-use super::rows::{Row, RowCollector};
+use super::rows::{RowFormat, collect};
 use super::{Point, PointFile};
 use crate::error::FileError;
 use crate::files::input::open_regular;
 use crate::files::write_whole;
+use columns::Columns;
+use payload::Payload;
 
-/// Default color of points in a file without colors.
-const GREY: f64 = 128.0;
+/// Maximum length of a header, bytes.
+const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Writes points: `x y z` float, `red green blue class` uchar, binary little-endian.
 ///
@@ -39,43 +43,48 @@ pub fn write(path: &Path, points: &[Point]) -> Result<(), FileError> {
     })
 }
 
-/// Reads the element `vertex`: `x y z` float or double, optional `red green blue` (0–255) and `class`. Defaults are
-/// gray 128 and class 0.
+/// Reads the element `vertex`: `x y z` float or double, optional colors and `class`. Colors are `red green blue` of 0 to
+/// 255, or of other names and ranges, which [`PointFile::notes`] says. Defaults are gray 128 and class 0.
 ///
 /// # Errors
 /// Fails if the file cannot be read, has no vertices or missing data, or its coordinates have another type. Fails if
-/// a color is outside 0–255 or a class is not an integer of 0–255.
+/// a color is out of range or a class is not an integer of 0–255.
 pub fn read(path: &Path) -> Result<PointFile, FileError> {
     let (file, file_bytes) = open_regular(path)?;
-    decode(BufReader::with_capacity(1 << 20, file.take(file_bytes)), file_bytes, path)
+    decode(BufReader::with_capacity(1 << 20, file), file_bytes, path)
 }
 
-fn decode(reader: impl BufRead, file_bytes: u64, path: &Path) -> Result<PointFile, FileError> {
-    let parser = Parser::<Vertex>::new();
-    let mut reader = Reader::new(reader);
-    let bad = |e: ply_rs_bw::parser::ParseError| {
+fn decode(reader: impl BufRead + Seek, file_bytes: u64, path: &Path) -> Result<PointFile, FileError> {
+    // A header without line ends must not fill the memory.
+    let mut limited = Reader::new(reader.take(file_bytes.min(MAX_HEADER_BYTES)));
+    let header = Parser::<DefaultElement>::new().read_header(&mut limited).map_err(|e| {
         // Parser messages span several lines.
         let found = e.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
         FileError::content("a PLY file", found, path)
-    };
-    let header = parser.read_header(&mut reader).map_err(bad)?;
-    let double = check_header(&header, file_bytes, path)?;
-    for (name, element) in &header.elements {
-        let vertices = parser.read_payload_for_element(&mut reader, element, &header).map_err(bad)?;
-        if name != "vertex" {
-            continue;
+    })?;
+    let mut reader = limited.into_inner().into_inner();
+    let start = reader.stream_position().map_err(FileError::io("read", path))?;
+    let vertex = check_header(&header, file_bytes, path)?;
+    let columns = Columns::of(vertex, path)?;
+    let format = RowFormat { rows: vertex.count, double: columns.double, colors: columns.colors, path };
+    let mut payload = Payload::new(reader, header.encoding, path);
+    let mut cloud = collect(&format, |visit| {
+        payload.reader.seek(SeekFrom::Start(start)).map_err(FileError::io("read", path))?;
+        let before = header.elements.iter().map(|(_, element)| element).take_while(|e| e.name != vertex.name);
+        before.into_iter().try_for_each(|element| payload.skip(element))?;
+        for row in 0..vertex.count {
+            if !visit(&payload.vertex(vertex, &columns, row)?)? {
+                break;
+            }
         }
-        let mut collector = RowCollector::new(vertices.len(), double, path);
-        for Vertex(row) in &vertices {
-            collector.push(row)?;
-        }
-        return Ok(collector.finish());
-    }
-    Err(FileError::content("an element vertex", "none", path))
+        Ok(())
+    })?;
+    cloud.notes.splice(0..0, columns.note);
+    Ok(cloud)
 }
 
-/// Validates the header. Returns whether any coordinate is a double.
-fn check_header(header: &Header, file_bytes: u64, path: &Path) -> Result<bool, FileError> {
+/// Validates the header. Returns the element `vertex`.
+fn check_header<'h>(header: &'h Header, file_bytes: u64, path: &Path) -> Result<&'h ElementDef, FileError> {
     let vertex =
         header.elements.get("vertex").ok_or_else(|| FileError::content("an element vertex", "none", path))?;
     if vertex.count == 0 || vertex.count as u64 > u64::from(u32::MAX) - 1 {
@@ -91,18 +100,7 @@ fn check_header(header: &Header, file_bytes: u64, path: &Path) -> Result<bool, F
             return Err(FileError::content(expected, format!("a file of {file_bytes} bytes"), path));
         }
     }
-    let mut double = false;
-    for name in ["x", "y", "z"] {
-        match vertex.properties.get(name).map(|p| &p.data_type) {
-            Some(PropertyType::Scalar(ScalarType::Float)) => {}
-            Some(PropertyType::Scalar(ScalarType::Double)) => double = true,
-            other => {
-                let found = other.map_or("none".to_owned(), |t| format!("{t:?}"));
-                return Err(FileError::content(format!("a float or double property {name}"), found, path));
-            }
-        }
-    }
-    Ok(double)
+    Ok(vertex)
 }
 
 /// Minimum number of bytes of a property in the file.
@@ -116,53 +114,13 @@ fn least_bytes(data_type: &PropertyType, encoding: Encoding) -> u64 {
     }
 }
 
-/// Properties read from an element.
-struct Vertex(Row);
-
-impl PropertyAccess for Vertex {
-    fn new() -> Self {
-        Self(Row { position: [f64::NAN; 3], rgb: [GREY; 3], class: 0.0 })
-    }
-
-    fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
-        let slot = match name {
-            "x" => &mut self.0.position[0],
-            "y" => &mut self.0.position[1],
-            "z" => &mut self.0.position[2],
-            "red" => &mut self.0.rgb[0],
-            "green" => &mut self.0.rgb[1],
-            "blue" => &mut self.0.rgb[2],
-            "class" => &mut self.0.class,
-            _ => return PropertyAccessResult::Ignored,
-        };
-        let Some(value) = scalar(&property) else { return PropertyAccessResult::UnsupportedType };
-        *slot = value;
-        PropertyAccessResult::Set
-    }
-}
-
-/// Converts a scalar property to `f64`; `None` for lists.
-fn scalar(property: &Property) -> Option<f64> {
-    Some(match *property {
-        Property::Char(v) => f64::from(v),
-        Property::UChar(v) => f64::from(v),
-        Property::Short(v) => f64::from(v),
-        Property::UShort(v) => f64::from(v),
-        Property::Int(v) => f64::from(v),
-        Property::UInt(v) => f64::from(v),
-        Property::Float(v) => f64::from(v),
-        Property::Double(v) => v,
-        _ => return None,
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
 
     fn parse(bytes: &[u8]) -> Result<PointFile, FileError> {
-        decode(bytes, bytes.len() as u64, Path::new("p.ply"))
+        decode(std::io::Cursor::new(bytes), bytes.len() as u64, Path::new("p.ply"))
     }
 
     #[test]
