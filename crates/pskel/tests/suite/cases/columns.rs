@@ -73,7 +73,7 @@ fn ring_numbers_of_one_lidar_do_not_drop_moving_actors() {
     // Other numbers that are not those of merged LiDARs.
     let files = sweeps(&case, "b");
     for ring in [
-        &(|_| 0.0) as &dyn Fn(usize) -> f32,
+        &(|_: usize| 0.0_f32) as &dyn Fn(usize) -> f32,
         &|_| 3.0,
         &|_| -1.0,
         &|_| 0.5,
@@ -325,7 +325,7 @@ fn device_columns_of_pcd_files_are_believed_unless_they_hold_beams() {
     assert_eq!(check(&|_| 1), (false, 31, String::new()));
     // Halves of the scene.
     assert_eq!(check(&|k| if k < 6400 { 0 } else { 4 }), (true, 4, String::new()));
-    for beams in [&(|k| (k % 32) as u8) as &dyn Fn(usize) -> u8, &|k| (k % 4) as u8] {
+    for beams in [&(|k: usize| (k % 32) as u8) as &dyn Fn(usize) -> u8, &|k: usize| (k % 4) as u8] {
         let (devices, rings, notes) = check(beams);
         assert_eq!((devices, rings), (false, 31));
         assert!(notes.contains("lidar_info numbers beams"), "{notes}");
