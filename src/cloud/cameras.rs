@@ -170,7 +170,10 @@ mod tests {
             (with("/cameras/0/name", "right".into()), "\"right\" twice"),
             (with("/cameras/0/name", "../x".into()), "a name without /"),
             (with("/cameras/0/width", 0.into()), "a size of 1 to 16384 pixels, found 900x0 in camera left"),
-            (with("/cameras/0/width", (-1).into()), "found -1 instead of a whole number from 0 in cameras[0].width of record left"),
+            (
+                with("/cameras/0/width", (-1).into()),
+                "found -1 instead of a whole number from 0 in cameras[0].width of record left",
+            ),
             (with("/cameras/0/intrinsics/0/0", 0.0.into()), "invertible intrinsics"),
             (
                 with("/cameras/1/intrinsics/2/2", 2.0.into()),
@@ -179,7 +182,10 @@ mod tests {
             (with("/cameras/0/camera_from_world/3/0", 1.0.into()), "last row 0 0 0 1"),
             (with("/cameras/0/camera_from_world/1/1", (-1.0).into()), "rotate and move only"),
             (with("/cameras/0/camera_from_world/1/1", 2.0.into()), "rotate and move only"),
-            (good.to_string().replace("1000.0", "1e999"), "found a number out of range in cameras[0].intrinsics[0][0]"),
+            (
+                good.to_string().replace("1000.0", "1e999"),
+                "found a number out of range in cameras[0].intrinsics[0][0]",
+            ),
             ("{".to_owned(), "found the end of the file after 1 bytes"),
         ] {
             std::fs::write(&path, text).unwrap();

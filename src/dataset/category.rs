@@ -97,7 +97,16 @@ const WORDS: [(CategoryKind, &[&str]); 11] = [
     ),
     (
         Emergency,
-        &["emergency", "emergencyvehicle", "ambulance", "police", "policecar", "policevehicle", "fire", "fireengine"],
+        &[
+            "emergency",
+            "emergencyvehicle",
+            "ambulance",
+            "police",
+            "policecar",
+            "policevehicle",
+            "fire",
+            "fireengine",
+        ],
     ),
     (AnyVehicle, &["vehicle", "motorvehicle", "regularvehicle"]),
     (
@@ -125,11 +134,29 @@ const WORDS: [(CategoryKind, &[&str]); 11] = [
     ),
     (
         Bicycle,
-        &["bicycle", "bike", "cycle", "cyclist", "bicyclist", "tricycle", "tricyclist", "othervehiclepedicab", "twowheeler"],
+        &[
+            "bicycle",
+            "bike",
+            "cycle",
+            "cyclist",
+            "bicyclist",
+            "tricycle",
+            "tricyclist",
+            "othervehiclepedicab",
+            "twowheeler",
+        ],
     ),
     (
         Motorcycle,
-        &["motorcycle", "motorbike", "motorcyclist", "motorizedscooter", "scooter", "moped", "vehicletwowheeler"],
+        &[
+            "motorcycle",
+            "motorbike",
+            "motorcyclist",
+            "motorizedscooter",
+            "scooter",
+            "moped",
+            "vehicletwowheeler",
+        ],
     ),
     (
         Object,
@@ -189,12 +216,15 @@ impl CategoryKind {
         let first = |kind: Self, word: &str| parts.iter().any(|part| part == word).then_some(kind);
         let person = first(Bicycle, "bicycle").or(first(Motorcycle, "motorcycle"));
         let person = person.or(first(Pedestrian, "pedestrian"));
-        person.or_else(|| match group.as_str() {
-            // `other` is a vehicle here.
-            "vehicle" => rest.iter().find_map(|word| of_word(&format!("{word}vehicle")).or(of_vehicle(word))),
-            _ => None,
-        })
-        .or_else(|| parts.iter().find_map(|word| of_word(word)))
+        person
+            .or_else(|| match group.as_str() {
+                // `other` is a vehicle here.
+                "vehicle" => {
+                    rest.iter().find_map(|word| of_word(&format!("{word}vehicle")).or(of_vehicle(word)))
+                }
+                _ => None,
+            })
+            .or_else(|| parts.iter().find_map(|word| of_word(word)))
     }
 
     /// Returns the coarse class.
@@ -313,10 +343,22 @@ mod tests {
             (Truck, &["truck", "Truck", "Semi-truck", "Medium-sized Truck", "vehicle.truck (box)"]),
             (Bus, &["bus", "Tram", "Tram / Subway", "vehicle.train", "vehicle.bus (bendy & rigid)"]),
             (Trailer, &["trailer", "semi_trailer", "Towed Object"]),
-            (Construction, &["other_vehicle", "OtherVehicle", "vehicle.other", "Other Vehicle - Construction Vehicle"]),
+            (
+                Construction,
+                &["other_vehicle", "OtherVehicle", "vehicle.other", "Other Vehicle - Construction Vehicle"],
+            ),
             (Emergency, &["emergency_vehicle", "Emergency Vehicle", "vehicle.ambulance", "vehicle.police"]),
             (AnyVehicle, &["VEHICLE", "TYPE_VEHICLE", "vehicle.hovercraft"]),
-            (Pedestrian, &["pedestrian", "Person_sitting", "Pedestrian_sitting", "TYPE_PEDESTRIAN", "pedestrian.adult"]),
+            (
+                Pedestrian,
+                &[
+                    "pedestrian",
+                    "Person_sitting",
+                    "Pedestrian_sitting",
+                    "TYPE_PEDESTRIAN",
+                    "pedestrian.adult",
+                ],
+            ),
             (Bicycle, &["bicycle", "Cyclist", "TYPE_CYCLIST", "Tricyclist"]),
             (Motorcycle, &["motorcycle", "Motorized Scooter", "motorbike"]),
             (Object, &["animal", "Misc", "DontCare", "TYPE_UNKNOWN", "Temporary Construction Barriers"]),

@@ -40,7 +40,8 @@ pub(super) fn ring(mut corners: Vec<DVec2>) -> Result<Vec<DVec2>, Fault> {
 /// # Errors
 /// Fails if they have no length.
 pub(super) fn line(points: Vec<DVec2>) -> Result<Vec<DVec2>, Fault> {
-    let is_sound = points.iter().all(|point| point.is_finite()) && points.windows(2).any(|pair| pair[0] != pair[1]);
+    let is_sound =
+        points.iter().all(|point| point.is_finite()) && points.windows(2).any(|pair| pair[0] != pair[1]);
     if is_sound { Ok(points) } else { Err(Fault::NoLength) }
 }
 
@@ -130,7 +131,10 @@ mod tests {
         let ring = |corners: &[(f64, f64)]| ring(corners.iter().map(|(x, y)| DVec2::new(*x, *y)).collect());
         let triangle = [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0)];
         assert_eq!(ring(&triangle).unwrap().len(), 3);
-        assert_eq!(ring(&[triangle[0], triangle[0], triangle[1], triangle[2], triangle[0]]).unwrap().len(), 4);
+        assert_eq!(
+            ring(&[triangle[0], triangle[0], triangle[1], triangle[2], triangle[0]]).unwrap().len(),
+            4
+        );
         for bad in [
             &[][..],
             &triangle[..2],

@@ -67,7 +67,8 @@ pub fn difference(a: &Value, b: &Value) -> Option<Difference> {
         let text = |value: Option<&Value>| value.map_or_else(|| "none".to_owned(), Value::to_string);
         return Some(match inner {
             Some(inner) if a.contains_key(key) && b.contains_key(key) => {
-                let place = if inner.place.is_empty() { key.clone() } else { format!("{key}.{}", inner.place) };
+                let place =
+                    if inner.place.is_empty() { key.clone() } else { format!("{key}.{}", inner.place) };
                 Difference { place, ..inner }
             }
             _ => Difference { place: key.clone(), values: [text(a.get(key)), text(b.get(key))] },
@@ -95,7 +96,9 @@ fn parse_repaired<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
                 wording::document(&error)
             }
             Category::Data => wording::data(&error, &place),
-            Category::Syntax if matches!(&text, Cow::Owned(_)) => wording::syntax(&error, &text, &place, false),
+            Category::Syntax if matches!(&text, Cow::Owned(_)) => {
+                wording::syntax(&error, &text, &place, false)
+            }
             Category::Syntax => wording::syntax(&error, &text, &place, true),
             Category::Eof | Category::Io => {
                 format!("the end of the file after {} bytes{place} (cut off)", bytes.len())
@@ -139,7 +142,8 @@ fn repaired(bytes: &[u8]) -> Cow<'_, [u8]> {
         match bytes[at] {
             b'"' => at = end_of_string(bytes, at),
             b'-' | b'A'..=b'Z' | b'a'..=b'z' => {
-                let length = bytes[at..].iter().take_while(|b| b.is_ascii_alphanumeric() || b"-+.()".contains(b));
+                let length =
+                    bytes[at..].iter().take_while(|b| b.is_ascii_alphanumeric() || b"-+.()".contains(b));
                 let end = at + length.count();
                 if is_not_finite(&bytes[at..end]) {
                     result.extend_from_slice(&bytes[copied..at]);
@@ -229,14 +233,18 @@ mod tests {
 
     #[test]
     fn errors_name_field_and_record() {
-        refused(r#"[{"token": "a"}, {"token": "b", "size": [1, null]}]"#,
-            "null instead of a number in [1].size[1] of record b");
+        refused(
+            r#"[{"token": "a"}, {"token": "b", "size": [1, null]}]"#,
+            "null instead of a number in [1].size[1] of record b",
+        );
         refused(r#"[{"token": 5}]"#, "5 instead of text in [0].token of record 5");
         refused(r#"[{"size": [], "name": "car"}]"#, "no field token in [0] of record car");
         refused(r#"[{"token": "a", "token": "b"}]"#, "field token twice in [0]");
         refused(r#"[{"token": "a", "size": 3}]"#, "3 instead of an array in [0].size of record a");
-        refused(r#"[{"token": "a", "size": [1e999]}]"#,
-            "a number out of range in [0].size[0] near \"1e999]}]\" (line 1, column 30)");
+        refused(
+            r#"[{"token": "a", "size": [1e999]}]"#,
+            "a number out of range in [0].size[0] near \"1e999]}]\" (line 1, column 30)",
+        );
     }
 
     #[test]
@@ -253,14 +261,26 @@ mod tests {
 
     #[test]
     fn errors_of_writers_are_named() {
-        refused("[{'token': 'a'}]", "single quotes instead of double quotes in [0] near \"'token': 'a'}]\" (line 1, column 3)");
+        refused(
+            "[{'token': 'a'}]",
+            "single quotes instead of double quotes in [0] near \"'token': 'a'}]\" (line 1, column 3)",
+        );
         refused("[{\"token\": \"a\"},]", "a comma before the closing bracket near \"]\" (line 1, column 17)");
-        refused("[{\"token\": None}]", "None, a word of Python (JSON has null, true, false), in [0].token near \"None}]\" (line 1, column 12)");
-        refused("{\"token\": \"a\"}\n{\"token\": \"b\"}", "an object instead of an array (JSON lines? write one array)");
+        refused(
+            "[{\"token\": None}]",
+            "None, a word of Python (JSON has null, true, false), in [0].token near \"None}]\" (line 1, column 12)",
+        );
+        refused(
+            "{\"token\": \"a\"}\n{\"token\": \"b\"}",
+            "an object instead of an array (JSON lines? write one array)",
+        );
         refused("[]\n[]", "further text after the end near \"[]\" (line 2, column 1)");
         refused("// a\n[]", "a comment, which JSON lacks, near \"// a\\n[]\" (line 1, column 1)");
         refused("[{\"token\": \"a\"", "the end of the file after 14 bytes in [0] (cut off)");
-        refused(b"[{\"token\": \"\xe9\"}]", "text that is not UTF-8 in [0].token near \"\u{fffd}\\\"}]\" (line 1, column 13)");
+        refused(
+            b"[{\"token\": \"\xe9\"}]",
+            "text that is not UTF-8 in [0].token near \"\u{fffd}\\\"}]\" (line 1, column 13)",
+        );
         refused("404: Not Found", "404 instead of an array");
     }
 }

@@ -78,12 +78,17 @@ mod tests {
     fn forced_drivers_are_named_with_their_fault() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
-        let manifest = |library: &str| format!(r#"{{"file_format_version": "1.0.0", "ICD": {{"library_path": "{library}"}}}}"#);
+        let manifest = |library: &str| {
+            format!(r#"{{"file_format_version": "1.0.0", "ICD": {{"library_path": "{library}"}}}}"#)
+        };
         let found = |file: &str| described(|name| (name == "VK_ICD_FILENAMES").then(|| at(file).into()));
         assert_eq!(described(|_| None), "no driver");
         assert_eq!(described(|_| Some("".into())), "no driver");
         let text = found("none.json");
-        assert!(text.contains("(VK_ICD_FILENAMES names ") && text.contains("none.json, which does not exist"), "{text}");
+        assert!(
+            text.contains("(VK_ICD_FILENAMES names ") && text.contains("none.json, which does not exist"),
+            "{text}"
+        );
         std::fs::write(at("a.json"), manifest("./libx.so")).unwrap();
         assert!(found("a.json").contains("libx.so does not exist"), "{}", found("a.json"));
         let mut library = std::fs::read("/proc/self/exe").unwrap()[..64].to_vec();

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use ash::{ext, vk};
 
-use super::drivers;
 use super::GpuError;
+use super::drivers;
 use super::error::call;
 use super::gate::{self, Calls, Share};
 use super::validation::{LAYER, Messages, messenger_info};

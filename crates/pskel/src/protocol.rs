@@ -325,8 +325,7 @@ impl Run<'_> {
             |name: &str| progress.borrow_mut().iter_mut().for_each(|progress| progress.step(name));
         let (protocol, parts) = (self.args.protocol, &self.parts);
         let rollouts = (self.args.out.as_path(), parts.as_slice());
-        let report =
-            ProtocolReport::score(protocol, &self.logs, rollouts, &mut on_start, &mut on_step)?;
+        let report = ProtocolReport::score(protocol, &self.logs, rollouts, &mut on_start, &mut on_step)?;
         drop(progress);
         write_json(&files.claim("results.json")?, &report)?;
         let (path, table) = (files.claim("table.md")?, report.table());

@@ -30,8 +30,7 @@ struct IndexEntry {
 /// Reads a map by name; `None` if the index does not contain it.
 pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<VectorMap>, DatasetError> {
     let path = folder.join(INDEX);
-    let index: BTreeMap<String, IndexEntry> =
-        json::read(&path, "a JSON object of maps with their version")?;
+    let index: BTreeMap<String, IndexEntry> = json::read(&path, "a JSON object of maps with their version")?;
     let Some(IndexEntry { version }) = index.get(name) else { return Ok(None) };
     let part =
         |part: &str| FileName::new(part).map_err(|error| error.of("name or version of a map").in_file(&path));
@@ -176,13 +175,11 @@ impl Layers {
             "gen_lane_connectors_scaled_width_polygons",
             further,
             notes,
-            |notes, row, shape, [id]| {
-                match id {
-                    Some(id) => add_lane(&mut connectors, id, row, shape, notes),
-                    None => {
-                        note_fault(notes, "areas of lane connectors", Fault::Dangling);
-                        Ok(())
-                    }
+            |notes, row, shape, [id]| match id {
+                Some(id) => add_lane(&mut connectors, id, row, shape, notes),
+                None => {
+                    note_fault(notes, "areas of lane connectors", Fault::Dangling);
+                    Ok(())
                 }
             },
         )?;

@@ -146,7 +146,9 @@ mod tests {
     #[test]
     fn whole_numbers_may_be_floats() {
         let whole = |text: &str| parsed::<Whole>(text.as_bytes()).unwrap();
-        for (text, number) in [("7", 7), ("7.0", 7), ("0", 0), ("-0.0", 0), ("4294967295", u32::MAX), ("\"7\"", 7)] {
+        for (text, number) in
+            [("7", 7), ("7.0", 7), ("0", 0), ("-0.0", 0), ("4294967295", u32::MAX), ("\"7\"", 7)]
+        {
             assert_eq!(whole(text), Whole::Known(number), "{text}");
         }
         for (text, found) in [

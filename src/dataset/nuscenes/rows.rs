@@ -5,8 +5,8 @@ use std::io::{ErrorKind, Read};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-use serde::de::DeserializeOwned;
 use serde::Deserialize;
+use serde::de::DeserializeOwned;
 
 use crate::error::FileError;
 use crate::files::input::{TABLE_BYTES, open_regular, open_up_to};
@@ -123,7 +123,9 @@ fn unexpected(buffer: &[u8], next: usize, base: u64, state: State) -> String {
     let rest = &buffer[next..buffer.len().min(next + sniff::HEAD_BYTES)];
     let at = base + next as u64;
     match (state, rest[0]) {
-        (State::Start, b'{') => format!("an object at byte {at} instead of an array (JSON lines? write one array)"),
+        (State::Start, b'{') => {
+            format!("an object at byte {at} instead of an array (JSON lines? write one array)")
+        }
         (State::Before(true), b']') => format!("a comma before the closing bracket at byte {at}"),
         (State::Start, _) if at == 0 && sniff::marked(rest).is_some() => {
             sniff::marked(rest).unwrap_or_default().to_owned()

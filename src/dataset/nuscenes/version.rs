@@ -190,7 +190,8 @@ fn rows_by_token<R: Record>(folder: &Path) -> Result<RowsByToken, FileError> {
     let mut rows = Vec::new();
     for_each_row(&path, R::TABLE, |place, row| {
         let of = serde_json::from_slice(row).map(|of: TokenOf<'_>| of.token);
-        let token: Cow<'_, str> = of.or_else(|_| json::parsed(row).map(|of: OwnedTokenOf| of.token.into()))?;
+        let token: Cow<'_, str> =
+            of.or_else(|_| json::parsed(row).map(|of: OwnedTokenOf| of.token.into()))?;
         rows.push((hash_of(&token), place));
         Ok::<(), String>(())
     })?;

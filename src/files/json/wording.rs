@@ -21,7 +21,9 @@ pub(super) fn data(error: &serde_json::Error, place: &str) -> String {
     let text = without_position(error);
     let quoted = |rest: &str| rest.split('`').nth(1).unwrap_or(rest).to_owned();
     for kind in ["invalid type: ", "invalid value: ", "invalid length "] {
-        if let Some((found, expected)) = text.strip_prefix(kind).and_then(|rest| rest.rsplit_once(", expected ")) {
+        if let Some((found, expected)) =
+            text.strip_prefix(kind).and_then(|rest| rest.rsplit_once(", expected "))
+        {
             let count = if kind.contains("length") { " elements" } else { "" };
             return format!("{}{count} instead of {}{place}", value(found), plain(expected));
         }

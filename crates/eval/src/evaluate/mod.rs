@@ -53,7 +53,8 @@ pub fn evaluate(
     on_start: &mut dyn FnMut(usize),
     on_step: &mut dyn FnMut(&str),
 ) -> Result<Report, EvaluateError> {
-    let EvaluateOptions { rollouts, masks, classifier_from, references, features, hold_out, seed, root } = options;
+    let EvaluateOptions { rollouts, masks, classifier_from, references, features, hold_out, seed, root } =
+        options;
     if !masks.is_empty() && masks.len() != rollouts.len() {
         return Err(EvaluateError::Masks { rollouts: rollouts.len(), found: masks.len() });
     }

@@ -104,7 +104,8 @@ fn resume<'c>(
     clips: &'c [TrainingClip],
 ) -> Result<Trainer<'c>, NetworkError> {
     let trainer = Trainer::resume(checkpoint, clips)?;
-    let before = json!({"options": trainer.options(), "network": trainer.config(), "shares": trainer.shares()});
+    let before =
+        json!({"options": trainer.options(), "network": trainer.config(), "shares": trainer.shares()});
     let now = json!({"options": train, "network": config, "shares": shares});
     // Only the first difference: all options together are longer than a message.
     match difference(&before, &now) {

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use arrow_array::{ArrayRef, Float16Array, Float32Array, Int64Array, StringArray, UInt64Array};
 use arrow_ipc::CompressionType;
 use half::f16;
-use point_skeleton::dataset::{Dataset, VectorMap};
 use point_skeleton::dataset::av2::{read_map_file, read_sweep_file};
+use point_skeleton::dataset::{Dataset, VectorMap};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -488,7 +488,10 @@ fn records_without_a_shape_are_skipped_and_counted() {
             |m| m["drivable_areas"]["1"]["area_boundary"] = json!([{"x": 1, "y": 2}]),
             "drivable areas without an area (skipped)",
         ),
-        (|m| _ = m["drivable_areas"]["1"]["area_boundary"].take(), "drivable areas without an area (skipped)"),
+        (
+            |m| _ = m["drivable_areas"]["1"]["area_boundary"].take(),
+            "drivable areas without an area (skipped)",
+        ),
         (|m| m["pedestrian_crossings"]["2"]["edge2"] = json!([]), "crossings without an area (skipped)"),
     ];
     let read = |map: &Value| {
@@ -520,7 +523,10 @@ fn broken_maps_are_told() {
     type Edit = fn(&mut Value);
     let cases: [(Edit, &[&str]); 2] = [
         (|m| m["lane_segments"] = json!([]), &["an Argoverse 2 map", "an object by id"]),
-        (|m| m["lane_segments"]["9"]["id"] = json!("9"), &["an Argoverse 2 map", "\"9\" instead of a whole number"]),
+        (
+            |m| m["lane_segments"]["9"]["id"] = json!("9"),
+            &["an Argoverse 2 map", "\"9\" instead of a whole number"],
+        ),
     ];
     for (edit, parts) in cases {
         let mut map = map();

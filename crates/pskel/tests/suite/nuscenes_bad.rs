@@ -134,7 +134,11 @@ fn bad_numbers_are_named_with_their_record() {
         ("calibrated_sensor", |r| r["rotation"] = json!([0, 0, 0, 0]), &["unit quaternion", "length 0"]),
         ("calibrated_sensor", |r| r["camera_intrinsic"][0][0] = json!(0), &["invertible", "fx 0"]),
         ("calibrated_sensor", |r| r["camera_intrinsic"] = json!([[1, 2]]), &["3x3", "[[1.0, 2.0]]"]),
-        ("ego_pose", |r| r["translation"] = json!([0, 1]), &["JSON array of ego_pose", "2 elements instead of an array of length 3 in translation"]),
+        (
+            "ego_pose",
+            |r| r["translation"] = json!([0, 1]),
+            &["JSON array of ego_pose", "2 elements instead of an array of length 3 in translation"],
+        ),
         ("sample_data", |r| r["timestamp"] = json!("noon"), &["JSON array of sample_data", "noon"]),
     ];
     for (table, edit, parts) in cases {

@@ -117,7 +117,10 @@ fn records_without_a_shape_are_skipped_and_counted() {
             |m| m["drivable_area"][0]["polygon_tokens"][1] = json!("gone"),
             &["drivable areas that refer to a missing record"],
         ),
-        (|m| m["lane_divider"][0]["line_token"] = json!("gone"), &["dividers that refer to a missing record"]),
+        (
+            |m| m["lane_divider"][0]["line_token"] = json!("gone"),
+            &["dividers that refer to a missing record"],
+        ),
         (
             |m| m["polygon"][0]["exterior_node_tokens"][0] = json!("gone"),
             &["drivable areas that refer to a missing record"],
@@ -135,15 +138,15 @@ fn records_without_a_shape_are_skipped_and_counted() {
             |m| m["polygon"][1]["exterior_node_tokens"] = json!(["a", "b", "a"]),
             &["drivable areas without an area", "lanes without an area", "stop lines without an area"],
         ),
-        (|m| m["polygon"][0]["exterior_node_tokens"] = json!(["a", "a", "a", "a"]), &["drivable areas without an area"]),
+        (
+            |m| m["polygon"][0]["exterior_node_tokens"] = json!(["a", "a", "a", "a"]),
+            &["drivable areas without an area"],
+        ),
         (|m| _ = m["polygon"][0]["exterior_node_tokens"].take(), &["drivable areas without an area"]),
         (|m| m["line"][0]["node_tokens"] = json!(["a"]), &["dividers without a length"]),
         (|m| m["line"][0]["node_tokens"] = json!(["a", "a"]), &["dividers without a length"]),
         (|m| m["node"][4]["x"] = json!(null), &["holes without an area"]),
-        (
-            |m| m["arcline_path_3"]["lane"][0]["shape"] = json!("LQR"),
-            &["damaged centerlines of lanes"],
-        ),
+        (|m| m["arcline_path_3"]["lane"][0]["shape"] = json!("LQR"), &["damaged centerlines of lanes"]),
     ];
     assert!(read(&made_up()).unwrap().notes.is_empty());
     for (edit, notes) in cases {

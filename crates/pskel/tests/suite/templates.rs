@@ -168,7 +168,10 @@ fn damaged_libraries_are_errors_that_leave_nothing() {
     for (text, parts) in [
         (with("\"version\": 2", "\"version\": 9"), ["version 2, found format", "templates.json"]),
         (with("point-skeleton-templates", "point-skeleton"), ["point-skeleton-templates", "templates.json"]),
-        (with("\"sources\"", "\"source\""), ["a list of templates, found no field sources in templates[", "templates.json"]),
+        (
+            with("\"sources\"", "\"source\""),
+            ["a list of templates, found no field sources in templates[", "templates.json"],
+        ),
         (with("\"bus\"", "\"sedan\""), ["one template a kind", "sedan twice"]),
         (with("\"bus\"", "\"tank\""), ["unknown variant `tank`", "templates.json"]),
         (good.replace("4.6", "-4.6"), ["a positive size", "sedan of size [-4.6"]),

@@ -110,7 +110,11 @@ fn recorded(folder: &Path) {
     let output = command(folder, &mixed.replace("3,1", "3")).output().unwrap();
     assert_failed(&output, 2, &["expected 2 --weights", "[3.0]"]);
     let output = command(folder, &format!("{} --resume", mixed.replace("3,1", "1,3"))).output().unwrap();
-    assert_failed(&output, 1, &["expected the options of the earlier training, shares", "mixed/checkpoint.safetensors"]);
+    assert_failed(
+        &output,
+        1,
+        &["expected the options of the earlier training, shares", "mixed/checkpoint.safetensors"],
+    );
 }
 
 /// Evaluates the shipped network in a town that it was not trained on.

@@ -352,11 +352,7 @@ mod tests {
             read()
         );
         std::fs::write(&path, "{}\n").unwrap();
-        assert!(
-            read().starts_with("expected a state of step 0 in line 1, found no field "),
-            "{}",
-            read()
-        );
+        assert!(read().starts_with("expected a state of step 0 in line 1, found no field "), "{}", read());
         std::fs::write(&path, "").unwrap();
         assert_eq!(StateFile::read(&path).unwrap(), []);
         std::fs::remove_file(&path).unwrap();

@@ -50,7 +50,10 @@ fn tables_of_other_writers_are_read_or_named() {
             (b"<?xml version='1.0'?><Error><Code>AccessDenied</Code></Error>", "found an XML error page"),
             (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n", "`git lfs pull`"),
             (b"/annex/objects/SHA256E-s1--a.json\n", "`git annex get`"),
-            (b"{\"token\": \"a\"}\n{\"token\": \"b\"}\n", "instead of an array (JSON lines? write one array): "),
+            (
+                b"{\"token\": \"a\"}\n{\"token\": \"b\"}\n",
+                "instead of an array (JSON lines? write one array): ",
+            ),
         ] {
             edit(&log, table, |_| content.to_vec());
             let (code, text) = info(&log);
@@ -62,7 +65,11 @@ fn tables_of_other_writers_are_read_or_named() {
     let token = log.json("log/v1.0-mini/sample_annotation.json")[1]["token"].clone();
     let token = token.as_str().unwrap();
     for (from, to, found) in [
-        ("\"size\":[", "\"size\":[NaN,", format!("instead of an array of length 3 in size of record {token}")),
+        (
+            "\"size\":[",
+            "\"size\":[NaN,",
+            format!("instead of an array of length 3 in size of record {token}"),
+        ),
         ("\"size\":", "\"sizes\":", format!("no field size in record {token}")),
         ("\"size\":[", "'size':[", "single quotes instead of double quotes".to_owned()),
     ] {
@@ -81,7 +88,9 @@ fn tables_of_other_writers_are_read_or_named() {
 #[test]
 fn empty_files_and_pointers_are_named() {
     let Some(case) = Case::new("data/14-empty-or-pointer-file") else { return };
-    for (name, found) in [("empty", "found an empty file: "), ("pointer", "found a Git LFS pointer (`git lfs pull`")] {
+    for (name, found) in
+        [("empty", "found an empty file: "), ("pointer", "found a Git LFS pointer (`git lfs pull`")]
+    {
         let ended = case.run(&format!("info nuscenes:in/{name}"));
         let text = ended.stdout + &ended.stderr;
         assert!(text.contains(found) && text.contains("CAM_FRONT"), "{name}: {text}");
@@ -189,7 +198,7 @@ fn json_options_name_field_and_value() {
     log.succeed("build nuscenes:log --out sk");
     let path = |content: &str| {
         std::fs::write(log.path("path.json"), content).unwrap();
-        log.run("simulate nuscenes:log --skeleton sk --out run --ego-path path.json --rasterizer cpu")
+        log.run("simulate nuscenes:log --skeleton sk --out run --ego file --trajectory path.json --rasterizer cpu")
     };
     let expected = "expected a list of [x, y] or {\"points\": [[x, y], ..]}, found ";
     for (content, found) in [
@@ -202,7 +211,10 @@ fn json_options_name_field_and_value() {
         assert_failed(&path(content), 1, &[&format!("{expected}{found}"), "path.json"]);
     }
     for (file, args) in [
-        ("notes.json", "render nuscenes:log --skeleton sk --out maps --rasterizer cpu --annotations notes.json"),
+        (
+            "notes.json",
+            "render nuscenes:log --skeleton sk --out maps --rasterizer cpu --annotations notes.json",
+        ),
         ("c.json", "splat --points a.npy --cameras c.json --out a.npz"),
     ] {
         std::fs::write(log.path(file), "{\"weather\": 5, \"cameras\": 5}").unwrap();
