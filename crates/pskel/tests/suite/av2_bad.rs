@@ -8,7 +8,7 @@ use arrow_array::{ArrayRef, Float16Array, Float32Array, Int64Array, StringArray,
 use arrow_ipc::CompressionType;
 use half::f16;
 use point_skeleton::dataset::av2::{read_map_file, read_sweep_file};
-use point_skeleton::dataset::{Dataset, VectorMap};
+use point_skeleton::dataset::Dataset;
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -456,67 +456,6 @@ fn read_map(map: &Value) -> Result<usize, String> {
     std::fs::write(&path, map.to_string()).unwrap();
     let read = read_map_file(&path, "");
     read.map(|map| map.lanes.len()).map_err(|e| e.to_string().replace(path.to_str().unwrap(), "map.json"))
-}
-
-#[test]
-fn records_without_a_shape_are_skipped_and_counted() {
-    type Edit = fn(&mut Value);
-    let nan = json!({"x": null, "y": 1.0});
-    let cases: [(Edit, &str); 7] = [
-        (
-            |m| m["lane_segments"]["9"]["left_lane_boundary"][0]["x"] = json!(null),
-            "lane segments without a length (skipped)",
-        ),
-        (
-            |m| m["lane_segments"]["9"]["left_lane_boundary"] = json!([]),
-            "lane segments without a length (skipped)",
-        ),
-        (
-            |m| {
-                m["lane_segments"]["9"]["right_lane_boundary"][1] =
-                    m["lane_segments"]["9"]["right_lane_boundary"][0].clone()
-            },
-            "lane segments without a length (skipped)",
-        ),
-        (
-            |m| {
-                m["lane_segments"]["9"]["right_lane_boundary"] =
-                    m["lane_segments"]["9"]["left_lane_boundary"].clone()
-            },
-            "lane segments without an area (skipped)",
-        ),
-        (
-            |m| m["drivable_areas"]["1"]["area_boundary"] = json!([{"x": 1, "y": 2}]),
-            "drivable areas without an area (skipped)",
-        ),
-        (
-            |m| _ = m["drivable_areas"]["1"]["area_boundary"].take(),
-            "drivable areas without an area (skipped)",
-        ),
-        (|m| m["pedestrian_crossings"]["2"]["edge2"] = json!([]), "crossings without an area (skipped)"),
-    ];
-    let read = |map: &Value| {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("map.json");
-        // Python's words for numbers that JSON lacks.
-        std::fs::write(&path, map.to_string().replace(&nan.to_string(), "{\"x\": NaN, \"y\": 1.0}")).unwrap();
-        read_map_file(&path, "").unwrap()
-    };
-    let whole = read(&map());
-    let elements = |map: &VectorMap| {
-        map.lanes.len() + map.lane_connectors.len() + map.drivable_area.len() + map.crossings.len()
-    };
-    assert!(whole.notes.is_empty());
-    for (edit, note) in cases {
-        let mut map = map();
-        edit(&mut map);
-        let map = read(&map);
-        assert_eq!(map.notes.into_iter().collect::<Vec<_>>(), [(note.to_owned(), 1)]);
-    }
-    let mut map = map();
-    map["drivable_areas"]["1"]["area_boundary"][0] = nan.clone();
-    let map = read(&map);
-    assert_eq!(elements(&map), elements(&whole) - 1);
 }
 
 #[test]

@@ -398,30 +398,6 @@ fn what_a_map_leaves_out_is_counted() {
         assert!(map.crossings.is_empty() && map.lanes == whole.lanes);
     }
 
-    let (map, told) = notes("UPDATE crosswalks SET geom = NULL;");
-    assert_eq!(told, one("features of crosswalks with an empty geometry", 1));
-    assert!(map.crossings.is_empty() && map.lanes == whole.lanes);
-    let point = [-115.0, 36.0];
-    for corners in
-        [&[point, [-115.1, 36.0], point][..], &[point; 5], &[[f64::NAN, 36.0], point, [-115.1, 36.1]]]
-    {
-        let (map, told) = notes(&format!("UPDATE crosswalks SET geom = {};", geometry(true, corners)));
-        assert_eq!(told, one("geometries of crosswalks without an area (skipped)", 1));
-        assert!(map.crossings.is_empty() && map.lanes == whole.lanes);
-    }
-    for points in [&[point][..], &[point; 2], &[point, [-115.0, f64::INFINITY]]] {
-        let (map, told) = notes(&format!("UPDATE boundaries SET geom = {};", geometry(false, points)));
-        let count = whole.dividers.len();
-        assert_eq!(told, one("geometries of boundaries without a length (skipped)", count));
-        assert!(map.dividers.is_empty());
-    }
-    let (map, told) =
-        notes("UPDATE gen_lane_connectors_scaled_width_polygons SET lane_connector_fid = NULL;");
-    assert!(
-        told.contains(&("areas of lane connectors that refer to a missing record (skipped)".to_owned(), 1))
-    );
-    assert_eq!(map.lanes.len(), whole.lanes.len());
-
     // A small part before and after the lane's.
     let small = geometry(true, &[[-115.0, 36.0], [-115.0001, 36.0], [-115.0, 36.0001], [-115.0, 36.0]]);
     let large = [[WEST, SOUTH], [WEST, NORTH], [EAST, NORTH], [EAST, SOUTH], [WEST, SOUTH]];

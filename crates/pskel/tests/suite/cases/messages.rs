@@ -198,7 +198,7 @@ fn json_options_name_field_and_value() {
     log.succeed("build nuscenes:log --out sk");
     let path = |content: &str| {
         std::fs::write(log.path("path.json"), content).unwrap();
-        log.run("simulate nuscenes:log --skeleton sk --out run --ego-path path.json --rasterizer cpu")
+        log.run("simulate nuscenes:log --skeleton sk --out run --ego file --trajectory path.json --rasterizer cpu")
     };
     let expected = "expected a list of [x, y] or {\"points\": [[x, y], ..]}, found ";
     for (content, found) in [

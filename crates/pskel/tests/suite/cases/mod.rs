@@ -6,6 +6,7 @@ mod columns;
 mod folders;
 mod gaps;
 mod limits;
+mod maps;
 mod messages;
 mod outputs;
 mod points;
