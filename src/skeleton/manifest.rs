@@ -246,7 +246,7 @@ fn check_bounds(bounds: &Bounds, of: impl Fn() -> String, path: &Path) -> Result
 pub struct BuildReport {
     /// Points read from sweeps, including those that are not finite.
     pub points_read: usize,
-    /// Points with NaN or infinite coordinates.
+    /// Points with NaN or infinite coordinates, or coordinates beyond [`MAX_COORDINATE_M`].
     pub dropped_not_finite: usize,
     /// Points on a moving actor or in its path, measured at another time than its box.
     pub dropped_ghost: usize,

@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::{Candidate, Part, SplitOptions, Splitter};
 use crate::dataset::{Sweep, SweepRecord};
+use crate::geometry::is_position;
 
 /// Color of the points of a log without images.
 const GREY: [u8; 3] = [128; 3];
@@ -20,6 +21,7 @@ pub(super) struct SweepCloud {
     /// Points of each track in its box frame.
     pub(super) actors: BTreeMap<usize, Vec<Candidate>>,
     pub(super) read: usize,
+    /// Points with NaN, infinite or impossible coordinates.
     pub(super) not_finite: usize,
     pub(super) ghosts: usize,
     pub(super) ego: usize,
@@ -56,6 +58,10 @@ impl SweepCloud {
         for point in &sweep.points {
             let position = DVec3::from(point.position.map(f64::from));
             let global = global_from_lidar.transform_point(position);
+            if !is_position(global) {
+                cloud.not_finite += 1;
+                continue;
+            }
             let timely = primary.is_none_or(|lidar| point.ring == lidar);
             let is_ego = position.truncate().abs().max_element() < options.ego_clearance_m;
             match splitter.part(global, timely) {

@@ -118,7 +118,14 @@ fn ply_seeds() -> Vec<Seed> {
                 property double x\nproperty double y\nproperty double z\nproperty uchar red\nend_header\n3 0 1 2\n\
                 500000.25 1 2 9\n500001.5 1e3 3 0\n";
     let binary = written("a.ply", |path| ply::write(path, &some_points()));
-    vec![seed("binary", binary), seed("text", text.as_bytes().to_vec())]
+    let floats = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n\
+                  property float diffuse_red\nproperty float diffuse_green\nproperty float diffuse_blue\nend_header\n\
+                  0 0 0 0.5 1 0\r\nnan -1.#IND inf nan 0 0\n691603.25 5335787.75 520.5 1 0.25 0\n";
+    let packed = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+                  property float rgb\nend_header\n1 2 3 2.3e-38\n";
+    let text = [("text", text), ("floats", floats), ("packed", packed)];
+    let text = text.map(|(name, text)| seed(name, text.as_bytes().to_vec()));
+    [vec![seed("binary", binary)], text.to_vec()].concat()
 }
 
 /// Reads a cloud, writes it, and reads it again.

@@ -297,6 +297,24 @@ fn boxes_of_impossible_size_are_refused_by_their_record() {
     assert!(!log.path("sk").exists() && !log.path("sk.partial").exists());
 }
 
+#[test]
+fn impossible_coordinates_of_a_sweep_are_dropped_and_counted() {
+    let log = TinyLog::new();
+    let sweep = log.path("log/samples/0.pcd.bin");
+    let mut bytes = std::fs::read(&sweep).unwrap();
+    for position in [[0.0, 0.0, -1e20_f32], [3e38, -3e38, 3e38]] {
+        bytes.extend(position.iter().chain(&[0.0, 0.0]).flat_map(|v| v.to_le_bytes()));
+    }
+    log.succeed("build nuscenes:log --out plain");
+    std::fs::write(&sweep, bytes).unwrap();
+    log.succeed("build nuscenes:log --out sk");
+    assert_eq!(log.json("sk/skeleton.json")["report"]["dropped_not_finite"], 2);
+    for file in ["background.points", "actors.points"] {
+        let [plain, found] = ["plain", "sk"].map(|sk| std::fs::read(log.path(&format!("{sk}/{file}"))).unwrap());
+        assert!(plain == found, "{file}");
+    }
+}
+
 /// Writes a skeleton of an actor with points up to a coordinate, its manifest being `bounds`.
 fn forged(path: &Path, far: f32, bounds: Bounds) {
     let points: Vec<Point> = (0..2000)
