@@ -216,7 +216,6 @@ impl<'a> Rollout<'a> {
 
 /// Returns views of the sizes of the log's cameras.
 fn recorded_views(log: &Recording) -> Vec<View> {
-    let images = log.frames.first().map_or(&[][..], |frame| &frame.images);
-    let view = |camera: &_| View { camera: Clone::clone(camera), camera_from_world: DAffine3::IDENTITY };
-    images.iter().map(|image| view(&image.camera)).collect()
+    let cameras = log.rig.iter().map(|rig| rig.camera.clone());
+    cameras.map(|camera| View { camera, camera_from_world: DAffine3::IDENTITY }).collect()
 }

@@ -95,7 +95,7 @@ fn few_processes_are_refused_in_one_line() {
         }
     }
     let Some(group) = FewProcesses::new(5) else { return skip("control groups") };
-    let planner = "simulate nuscenes:log@v1.0-mini --skeleton sk --dry --ego external --planner 'cat'";
+    let planner = "simulate nuscenes:log@v1.0-mini --skeleton sk --out out/sim --steps 1 --dry --ego external --planner cat";
     let output = run_within_time(
         &log.path(""),
         &format!("echo $$ > {}/cgroup.procs; exec {PSKEL} {planner}", group.0.display()),
@@ -165,7 +165,7 @@ fn camera_lists_that_need_terabytes_are_refused_with_the_number() {
     log.fail(splat, 1, &needs);
     // Drawn in strips, few pixels are written.
     write_cameras(&log, 3, 16_384);
-    log.succeed(&format!("{splat} --out-size 4x4"));
+    log.succeed(&format!("{splat} --out-size 256x256"));
 }
 
 #[test]
@@ -184,7 +184,9 @@ fn sizes_in_tables_are_refused_with_the_number() {
         ["views of up to 16384x16384 pixels needs ", " GiB of memory, but ", "limited by PSKEL_MEMORY"];
     let render = format!("render {LOG} --skeleton sk --out out/maps --rasterizer cpu");
     assert_failed(&limited(&render, "2G"), 1, &needs);
-    let simulate = format!("simulate {LOG} --skeleton sk --out out/rollout --steps 1 --rasterizer cpu");
+    let simulate = format!(
+        "simulate {LOG} --skeleton sk --out out/rollout --steps 1 --size 16384x16384 --rasterizer cpu"
+    );
     assert_failed(&limited(&simulate, "2G"), 1, &needs);
     let bench = format!("bench {LOG} --skeleton sk --frames 0..1 --repeat 1 --warm-up 0 --rasterizer cpu");
     assert_failed(&limited(&bench, "2G"), 1, &needs);
