@@ -310,7 +310,8 @@ fn impossible_coordinates_of_a_sweep_are_dropped_and_counted() {
     log.succeed("build nuscenes:log --out sk");
     assert_eq!(log.json("sk/skeleton.json")["report"]["dropped_not_finite"], 2);
     for file in ["background.points", "actors.points"] {
-        let [plain, found] = ["plain", "sk"].map(|sk| std::fs::read(log.path(&format!("{sk}/{file}"))).unwrap());
+        let [plain, found] =
+            ["plain", "sk"].map(|sk| std::fs::read(log.path(&format!("{sk}/{file}"))).unwrap());
         assert!(plain == found, "{file}");
     }
 }
