@@ -111,7 +111,6 @@ impl LogSummary {
             log.gaps.iter().filter(|gap| gap.file().is_some()).map(ToString::to_string).collect();
         let (points, errors) = sweeps(dataset);
         damaged.extend(errors);
-        damaged.extend(images(dataset));
         let mut left_out = log.notes.clone();
         contents(dataset, points, &mut left_out, &mut damaged);
         damaged.extend(images(dataset));

@@ -113,7 +113,7 @@ fn damaged_logs_are_errors_that_leave_nothing() {
     damage(&|log| log.change("sample", "/2/timestamp", json!(1)), &["sample.json", "expected", "found"]);
     damage(
         &|log| std::fs::write(log.path("log/v1.0-mini/sensor.json"), "[{\n\"token\": 5}]").unwrap(),
-        &["sensor.json", "a JSON array of sensor records", "line 2"],
+        &["sensor.json", "a JSON array of sensor records", "found 5 instead of text in [0].token"],
     );
     let above = SweepPoint { position: [3.0, 0.0, 100.0], intensity: 1.0, ring: 0 };
     let unseen =

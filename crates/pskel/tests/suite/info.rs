@@ -54,7 +54,8 @@ fn a_log_of_nuplan_is_told_with_its_map() {
     std::fs::write(made.blob(&image_file(RING[0], 0)), "text").unwrap();
     let target = format!("nuplan:{}", made.database().display());
     let told = info(&log, &target);
-    assert_eq!(told["left_out"], json!({"map: baseline paths of unknown lanes": 1}));
+    let merged = "sweeps of merged LiDARs (--ring-is beam if not), in 4 sweeps read";
+    assert_eq!(told["left_out"], json!({"map: baseline paths of unknown lanes": 1, merged: 4}));
     assert_eq!(told["damaged"].as_array().unwrap().len(), 1, "{}", told["damaged"]);
     assert!(text(&log, &target).contains("left out   map: baseline paths of unknown lanes: 1"));
 }

@@ -24,11 +24,11 @@ fn files_that_are_no_log_are_named() {
     let path = made.database();
     let whole = std::fs::read(&path).unwrap();
     std::fs::write(&path, "no database, but long enough to be looked at more closely").unwrap();
-    made.refuses(&["expected a SQLite database", "not a database"]);
+    made.refuses(&["expected a SQLite database", "found text that begins with"]);
     std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
     made.refuses(&["malformed"]);
     std::fs::write(&path, []).unwrap();
-    made.refuses(&["expected log with token, logfile", "no such table: log"]);
+    made.refuses(&["expected a SQLite database", "found an empty file"]);
     std::fs::remove_file(&path).unwrap();
     made.refuses(&["cannot read", "No such file"]);
 }

@@ -244,10 +244,10 @@ fn rejects_other_formats_by_name_in_every_layout() {
     let log = TinyLog::new();
     let made = Made::new();
     for (start, name) in [
-        (&b"\x93NUMPY\x01\0v\0{'descr': '<f4'"[..], "a NumPy array (NPY)"),
-        (b"PK\x03\x04", "a ZIP archive (NPZ?)"),
+        (&b"\x93NUMPY\x01\0v\0{'descr': '<f4'"[..], "an NPY array"),
+        (b"PK\x03\x04", "a ZIP archive (unpack it)"),
         (b"ply\nformat binary_little_endian 1.0\n", "a PLY file"),
-        (b"ARROW1\0\0", "a Feather file"),
+        (b"ARROW1\0\0", "a Feather (Arrow IPC) file"),
         (b"1.0 2.0 3.0 4.0 5.0\n1.0 2.0 3.0 4.0 5.0\n", "text"),
     ] {
         let length = 4000 - start.len();
@@ -255,9 +255,14 @@ fn rejects_other_formats_by_name_in_every_layout() {
         for path in [log.path(&sweep(0)), made.blob(&sweep_file(0))] {
             std::fs::write(path, &file).unwrap();
         }
-        let ended = log.run("build nuscenes:log --out out/none");
+        let ended = log.run("build nuscenes:log --out out/none --missing error");
         let message = String::from_utf8_lossy(&ended.stderr).into_owned();
-        assert!(message.contains(&format!("found {name}: ")) && message.contains("0.pcd.bin"), "{message}");
+        let shown = if name == "text" {
+            "found text that begins with \"1.0 2.0".to_owned()
+        } else {
+            format!("found {name}: ")
+        };
+        assert!(message.contains(&shown) && message.contains("0.pcd.bin"), "{message}");
         let found = if name == "text" { "found \"1.0 2.0".to_owned() } else { format!("found {name}: ") };
         let message = read(&made).unwrap_err();
         assert!(message.contains(&found), "{message}");

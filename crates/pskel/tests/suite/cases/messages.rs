@@ -55,7 +55,7 @@ fn tables_of_other_writers_are_read_or_named() {
                 "instead of an array (JSON lines? write one array): ",
             ),
         ] {
-            edit(&log, table, |_| content.to_vec());
+            std::fs::write(log.path(&format!("log/v1.0-mini/{table}.json")), content).unwrap();
             let (code, text) = info(&log);
             assert!(code == 1 && text.contains(found) && text.contains(table), "{table}: {text}");
             assert!(!text.contains("expected value") && !text.contains("EOF"), "{table}: {text}");
@@ -165,7 +165,7 @@ fn names_of_windows_cannot_leave_the_folder() {
         (r"..\..\x.png", "expected a path below the data set's folder"),
         (r"samples\..\..\x.png", "expected a path below the data set's folder"),
         (r"\\server\share\x.png", "expected a path below the data set's folder"),
-        (r"C:\data\x.png", "without a drive of Windows, found \"C:"),
+        (r"C:\data\x.png", "without a drive of Windows as filename of sample_data"),
     ] {
         let log = TinyLog::new();
         log.change("sample_data", "/0/filename", json!(name));
@@ -198,7 +198,7 @@ fn json_options_name_field_and_value() {
     log.succeed("build nuscenes:log --out sk");
     let path = |content: &str| {
         std::fs::write(log.path("path.json"), content).unwrap();
-        log.run("simulate nuscenes:log --skeleton sk --out run --ego file --trajectory path.json --rasterizer cpu")
+        log.run("simulate nuscenes:log --skeleton sk --out run --ego file --trajectory path.json --steps 2 --rasterizer cpu")
     };
     let expected = "expected a list of [x, y] or {\"points\": [[x, y], ..]}, found ";
     for (content, found) in [

@@ -37,7 +37,9 @@ impl Case {
     fn splat(&self, points: &str) -> (Maps, String) {
         let args =
             format!("splat --points {points} --cameras c.json --splat 100:0 --rasterizer cpu --out f.npz");
-        let (_, notes) = self.succeed(&args);
+        let (_, told) = self.succeed(&args);
+        let notes =
+            told.lines().filter(|line| !line.starts_with('[')).map(|line| format!("{line}\n")).collect();
         let path = self.path().join("f.npz");
         let maps = Maps {
             color: npz::read::<u8>(&path, "color").data,
