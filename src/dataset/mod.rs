@@ -7,6 +7,7 @@
 pub mod av2;
 mod category;
 mod ego_track;
+mod fingerprint;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod limits;
 mod locator;
