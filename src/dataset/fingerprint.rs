@@ -8,12 +8,13 @@ use super::{ImageRecord, Recording};
 use crate::geometry::{Camera, Pose};
 
 impl Recording {
-    /// Returns a fingerprint of the content: name, location, times, poses, cameras, tokens of images, numbers of sweeps and
+    /// Returns a fingerprint of the content: name, location, description, times, poses, cameras, tokens of images, numbers of sweeps and
     /// images, and boxes with their tracks, as 16 hexadecimal digits. Places of files and categories are not part of it.
     pub fn fingerprint(&self) -> String {
         let mut hash = Fingerprint(XxHash3_64::new());
         hash.text(&self.name);
         hash.text(&self.location);
+        hash.text(&self.description);
         for rig in &self.rig {
             hash.camera(&rig.camera);
         }
@@ -104,7 +105,8 @@ mod tests {
 
     #[test]
     fn every_part_of_the_content_counts() {
-        let changes: [fn(&mut Recording); 6] = [
+        let changes: [fn(&mut Recording); 7] = [
+            |log| log.description = "b".into(),
             |log| log.name = "b".into(),
             |log| log.location = "b".into(),
             |log| log.frames[0].t_us = 2,

@@ -74,10 +74,17 @@ impl OutputFolder {
     /// done.
     ///
     /// # Errors
-    /// Returns an error that names the first file at or below a name that no earlier run wrote.
+    /// Returns an error that names the first file at or below a name that no earlier run wrote, or a link in its place.
     pub fn check<N: AsRef<Path>>(&self, names: impl IntoIterator<Item = N>) -> Result<(), FileError> {
         let manifest = self.manifest();
-        names.into_iter().try_for_each(|name| manifest.check(&self.path, name.as_ref()))
+        names.into_iter().try_for_each(|name| self.check_one(&manifest, name.as_ref()))
+    }
+
+    /// Checks a name. A link is never what a run wrote, even if its name is listed.
+    fn check_one(&self, manifest: &Manifest, name: &Path) -> Result<(), FileError> {
+        manifest.check(&self.path, name)?;
+        let path = self.path.join(name);
+        if path.is_symlink() { Err(refusal(&path)) } else { Ok(()) }
     }
 
     /// Returns the path of a folder below this one that is an output of its own, with its own list and lock.
@@ -96,10 +103,7 @@ impl OutputFolder {
     pub fn claim(&self, name: impl AsRef<Path>) -> Result<PathBuf, FileError> {
         let name = name.as_ref();
         let mut manifest = self.manifest();
-        manifest.check(&self.path, name)?;
-        if self.path.join(name).is_symlink() {
-            return Err(refusal(&self.path.join(name)));
-        }
+        self.check_one(&manifest, name)?;
         manifest.add(&self.path, [name.to_owned()].into())?;
         Ok(self.path.join(name))
     }
@@ -126,7 +130,7 @@ impl OutputFolder {
 
     fn put(&self, new: &Path, name: &Path) -> Result<(), FileError> {
         let mut manifest = self.manifest();
-        manifest.check(&self.path, name)?;
+        self.check_one(&manifest, name)?;
         let files = files_below(new)?.iter().map(|file| name.join(file)).collect();
         manifest.add(&self.path, files)?;
         let path = self.path.join(name);

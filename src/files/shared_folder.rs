@@ -3,14 +3,14 @@
 //! # How it works
 //! A unit is written in a work folder of its own (`OUT/.unfinished/UNIT`), which has its lock. It is published by moving
 //! its files to their names and writing its record, which lists them, last. A file may be replaced only if the unit's
-//! earlier record lists it. Before the files are moved, the work folder lists them as well. After a killed process, the
-//! next owner removes those that it had moved.
+//! earlier record lists it, or if it has the same bytes, so that a record that was lost is written again. Before the files
+//! are moved, the work folder lists them as well. After a killed process, the next owner removes those that it had moved.
 
 use std::collections::BTreeSet;
-use std::io::Write;
+use std::io::{BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
-use super::input::{is_there, read_text};
+use super::input::{is_there, open_regular, read_text};
 use super::manifest::{check_way, refusal};
 use super::pending::{finish_undisturbed, remove};
 use super::whole::write_whole;
@@ -23,6 +23,7 @@ const WORK: &str = ".unfinished";
 const MOVING: &str = "moving";
 /// Folder of the unit's files, in a work folder.
 const NEW: &str = "new";
+const BUFFER: usize = 1 << 20;
 
 /// Unit of a shared output folder, locked by this process. An unpublished one leaves nothing.
 #[derive(Debug)]
@@ -62,17 +63,30 @@ impl SharedFolder {
         Ok(unit)
     }
 
-    /// Checks that a file of the unit may be written: that its name is free or that the earlier record lists it.
+    /// Checks, before the work, that a file of the unit may be written: that its name is free or has a file. Whether that
+    /// file may be replaced depends on its bytes, if the earlier record does not list it.
     ///
     /// # Errors
-    /// Fails if a foreign file or a folder has its name, or if a link leads out of the folder.
+    /// Fails if a folder or a link has its name, or if a link leads out of the folder.
     pub fn check(&self, name: &Path) -> Result<(), FileError> {
         check_way(&self.out, name)?;
         let path = self.out.join(name);
         match path.symlink_metadata() {
-            Ok(about) if about.is_dir() || !self.owned.contains(name) => Err(refusal(&path)),
-            _ => Ok(()),
+            Ok(about) if about.is_file() || !about.is_dir() && self.owned.contains(name) => Ok(()),
+            Ok(_) => Err(refusal(&path)),
+            Err(_) => Ok(()),
         }
+    }
+
+    /// Checks that a file of the unit, which was written, may be moved to its name.
+    fn check_written(&self, name: &Path) -> Result<(), FileError> {
+        self.check(name)?;
+        let path = self.out.join(name);
+        let is_foreign = path.symlink_metadata().is_ok() && !self.owned.contains(name);
+        if is_foreign && !has_same_bytes(&path, &self.work.path().join(NEW).join(name))? {
+            return Err(refusal(&path));
+        }
+        Ok(())
     }
 
     /// Returns the path at which to write a file of the unit, and creates its folder.
@@ -92,13 +106,14 @@ impl SharedFolder {
     /// earlier record that are not among them are removed. A signal that ends the process waits for the end.
     ///
     /// # Errors
-    /// Returns any error of `write_record`. Fails as [`Self::check`], or on an I/O error; moved files are removed then.
+    /// Returns any error of `write_record`. Fails without moving a file as [`Self::check`], or if a foreign file has one of
+    /// the names. Fails on an I/O error; moved files are removed then.
     pub fn publish(
         self,
         files: &BTreeSet<PathBuf>,
         write_record: impl FnOnce(&Path) -> Result<(), FileError>,
     ) -> Result<(), FileError> {
-        files.iter().try_for_each(|name| self.check(name))?;
+        files.iter().try_for_each(|name| self.check_written(name))?;
         let record = self.out.join(&self.record);
         if record.is_symlink() || record.is_dir() {
             return Err(refusal(&record));
@@ -171,6 +186,17 @@ impl SharedFolder {
     }
 }
 
+/// Returns whether two files have the same content.
+fn has_same_bytes(a: &Path, b: &Path) -> Result<bool, FileError> {
+    let ((a_file, a_length), (b_file, b_length)) = (open_regular(a)?, open_regular(b)?);
+    if a_length != b_length {
+        return Ok(false);
+    }
+    let [mut a_bytes, mut b_bytes] = [a_file, b_file].map(|file| BufReader::with_capacity(BUFFER, file).bytes());
+    let same = (&mut a_bytes).zip(&mut b_bytes).try_fold(true, |same, (x, y)| Ok(same && x? == y?));
+    same.map_err(FileError::io("read", a))
+}
+
 fn create_parent(path: &Path) -> Result<(), FileError> {
     let Some(parent) = path.parent() else { return Ok(()) };
     std::fs::create_dir_all(parent).map_err(FileError::io("create", parent))
@@ -216,8 +242,15 @@ mod tests {
         SharedFolder::remove_work(out);
         assert_eq!(listed(out), ["a/1", "a/b/2", "records/a.json"]);
         // Without the record, and after a file of someone else appeared, nothing is replaced.
-        let message = write(&begin(out, &[]).unwrap(), &["a/1"], "new").unwrap_err().to_string();
-        assert!(message.contains("found another file: "), "{message}");
+        let unit = begin(out, &[]).unwrap();
+        write(&unit, &["a/1", "c"], "new").unwrap();
+        let message = unit.publish(&paths(&["a/1", "c"]), record).unwrap_err().to_string();
+        assert!(message.contains("found another file: ") && message.ends_with("/a/1"), "{message}");
+        assert!(!out.join("c").exists() && std::fs::read(out.join("a/1")).unwrap() == b"old");
+        // A lost record is written again if the bytes are the same.
+        let unit = begin(out, &[]).unwrap();
+        write(&unit, &["a/1"], "old").unwrap();
+        unit.publish(&paths(&["a/1"]), record).unwrap();
         let unit = begin(out, &["a/1", "a/b/2"]).unwrap();
         write(&unit, &["a/1", "c"], "new").unwrap();
         std::fs::write(out.join("c"), "foreign").unwrap();

@@ -124,7 +124,7 @@ impl ShardRecord {
             return Err(FileError::content("paths below the export", "another path", &path));
         }
         let [first, end] = record.frames;
-        if record.name != unit.name || first..end != unit.frames {
+        if record.name != unit.name || (first..end) != unit.frames {
             let expected = format!("shard {} of frames {}..{}", unit.name, unit.frames.start, unit.frames.end);
             let found = format!("shard {} of frames {first}..{end}; use another folder", record.name);
             return Err(FileError::content(expected, found, &path));
