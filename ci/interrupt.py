@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Interrupts pskel at random moments, starts it twice at once, and checks the remaining files and processes.
+"""Interrupts pskel at random moments, starts it twice at once, lets the disk run full, and checks the remaining files and
+processes.
 
-    ci/interrupt.py [--kills N] [--terms N] [--races N] [--seed S] [--pskel FILE]
+    ci/interrupt.py [--kills N] [--terms N] [--races N] [--disks N] [--seed S] [--pskel FILE]
 
 A trial runs a command in a new folder and sends SIGKILL or SIGTERM at a random moment of its run. Then the command runs
 again, with --resume if it has that option. Checks of each trial:
@@ -11,15 +12,18 @@ again, with --resume if it has that option. Checks of each trial:
 - the second run succeeds, and its output equals that of an uninterrupted run, without temporary files or locks.
 A race starts a command twice at once on one folder: one succeeds, the other succeeds as well or reports that a process is
 at work, and the folder has the bytes of a single run.
+A full disk is a limit on the size of files, below that of the largest one: the command fails with a message and leaves
+no temporary file; without the limit it succeeds afterwards, with the bytes of a single run.
 
-The commands are build, render, simulate, generate, train, town, templates and convert on a small town. Prints one line per
-command, and exits with 1 if a check failed.
+The commands are build, render, simulate (also with --mcap), generate (also with --dataset), protocol, export, train, town,
+templates and convert on a small town. Prints one line per command, and exits with 1 if a check failed.
 """
 
 import argparse
 import hashlib
 import os
 import random
+import resource
 import shutil
 import signal
 import subprocess
@@ -43,6 +47,14 @@ COMMANDS = [
     ("render", f"render {MAPS}", None, False),
     ("simulate", f"simulate {MAPS} --ego external --actors idm --steps 20 --planner", PLANNER, True),
     ("generate", f"generate {MAPS} --every 1", None, True),
+    ("mcap", f"simulate {MAPS} --ego lane_change --actors idm --steps 10 --mcap out.mcap", None, True),
+    ("dataset", f"generate {MAPS} --every 1 --generator fill --window 2 --dataset copy", None, True),
+    ("protocol", f"protocol nuscenes-val {LOG} --other-logs --parts 2hz --generator fill --window 2 --skeletons sks --out out "
+                 "--maps color,depth,class --size 57x100", None, False),
+    ("export", f"export {LOG} --layout frames --shard-frames 1 --skeletons sks --out out --maps color,depth --size 57x100",
+     None, False),
+    ("shards", f"export {LOG} {TOWN} --layout webdataset --shard-frames 2 --skeletons sks --out out --maps depth --size 57x100",
+     None, False),
     ("train", f"train {TOWN} --config ../shared/net.json --drives drives --variants 1 --steps 6 --checkpoint 2 "
               "--batch 1 --out out", None, True),
     ("town", "town --seed 5 --frames 3 --size 57x100 --out out", None, False),
@@ -102,11 +114,13 @@ class Trials:
         self.arguments = arguments.split() + ([last] if last else [])
         self.number = 0
 
-    def start(self, folder, *extra):
+    def start(self, folder, *extra, file_bytes=None):
         self.mark = f"PSKEL_TRIAL={folder}"
         name, _, value = self.mark.partition("=")
+        limit = file_bytes and (lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, file_bytes)))
         return subprocess.Popen([self.pskel, *self.arguments, *extra], cwd=folder, env={**os.environ, name: value},
-                                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+                                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                                preexec_fn=limit)
 
     def folder(self):
         self.number += 1
@@ -122,6 +136,8 @@ class Trials:
         error = process.communicate()[1]
         expect(process.returncode == 0, f"expected the reference of {self.name} to succeed, found {error}")
         self.seconds, self.expected = time.monotonic() - start, tree(folder)
+        files = [path for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
+        self.largest = max(path.stat().st_size for path in files)
 
     def left_nothing(self, folder, keeps=()):
         for _ in range(40):
@@ -136,7 +152,8 @@ class Trials:
     @staticmethod
     def temporary(folder):
         names = [str(path.relative_to(folder)) for path in folder.rglob("*")]
-        return [n for n in names if n.endswith((".pskel", ".pskel-part", ".partial", "/lock")) or ".partial/" in n]
+        ends = (".pskel", ".pskel-part", ".partial", "/lock")
+        return [n for n in names if n.endswith(ends) or ".partial/" in n or ".unfinished/" in n]
 
     def interrupt(self, number, rng):
         """Returns whether the signal arrived before the end of the run."""
@@ -163,6 +180,24 @@ class Trials:
         expect(found == self.expected, f"expected the same bytes, found others: {difference(found, self.expected)}")
         shutil.rmtree(folder)
         return was_running
+
+    def fill(self, rng):
+        """Returns whether the limit stopped the run."""
+        folder = self.folder()
+        process = self.start(folder, file_bytes=max(1, int(rng.random() * self.largest)))
+        error = process.communicate()[1]
+        stopped = process.returncode != 0
+        expect(process.returncode in (0, 1), f"expected exit code 0 or 1, found {process.returncode}: {error}")
+        expect(not stopped or "File too large" in error, f"expected an error that names the cause, found {error}")
+        self.left_nothing(folder, keeps=("out.partial",) if self.name == "build" else ())
+        process = self.start(folder)
+        error = process.communicate()[1]
+        expect(process.returncode == 0, f"expected the next run to succeed, found {error}")
+        self.left_nothing(folder)
+        found = tree(folder)
+        expect(found == self.expected, f"expected the same bytes, found others: {difference(found, self.expected)}")
+        shutil.rmtree(folder)
+        return stopped
 
     def left_nothing_running(self, folder):
         for _ in range(60):
@@ -203,9 +238,10 @@ def prepare(work, pskel):
 
 def parse_args():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=24, help="trials with SIGKILL, over all commands (default 24)")
-    parser.add_argument("--terms", type=int, default=24, help="trials with SIGTERM (default 24)")
-    parser.add_argument("--races", type=int, default=16, help="races (default 16)")
+    parser.add_argument("--kills", type=int, default=39, help="trials with SIGKILL, over all commands (default 39)")
+    parser.add_argument("--terms", type=int, default=39, help="trials with SIGTERM (default 39)")
+    parser.add_argument("--races", type=int, default=26, help="races (default 26)")
+    parser.add_argument("--disks", type=int, default=26, help="full disks (default 26)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", help="names of commands, by commas (default: all)")
     parser.add_argument("--pskel", type=Path, default=ROOT / "target/release/pskel")
@@ -221,8 +257,8 @@ def main():
     args = parse_args()
     pskel, rng, run, failures = args.pskel.resolve(), random.Random(args.seed), 0, 0
     only = args.only.split(",") if args.only else [name for name, *_ in COMMANDS]
-    print("| command | seconds | SIGKILL | while running | SIGTERM | while running | races | refused | failed |")
-    print("|---|---|---|---|---|---|---|---|---|", flush=True)
+    print("| command | seconds | SIGKILL | while running | SIGTERM | while running | races | refused | full disks | stopped | failed |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|", flush=True)
     with tempfile.TemporaryDirectory(prefix="pskel-interrupt-") as work:
         work = Path(work)
         prepare(work, pskel)
@@ -232,7 +268,7 @@ def main():
             trials = Trials(work, pskel, command)
             trials.reference()
             plan = [(kind, share(count, index)) for kind, count in
-                    (("kill", args.kills), ("term", args.terms), ("race", args.races))]
+                    (("kill", args.kills), ("term", args.terms), ("race", args.races), ("disk", args.disks))]
             counts, failed = [], 0
             for kind, count in plan:
                 hits = 0
@@ -242,6 +278,7 @@ def main():
                             "kill": lambda: trials.interrupt(signal.SIGKILL, rng),
                             "term": lambda: trials.interrupt(signal.SIGTERM, rng),
                             "race": lambda: trials.race(rng),
+                            "disk": lambda: trials.fill(rng),
                         }[kind]()
                     except Failure as failure:
                         failed += 1

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::{Point, PointFile, npy, ply};
 use crate::error::FileError;
-use crate::files::write_json;
+use crate::files::{FileKind, write_json};
 
 /// File format of points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,6 +31,22 @@ impl PointFormat {
         }
     }
 
+    /// Returns the kind of its files, as written here.
+    pub fn kind(self) -> FileKind {
+        match self {
+            Self::Npy => FileKind {
+                name: "an NPY file of points",
+                begin: b"\x93NUMPY\x01\x00",
+                mark: b"{'descr': '<f4', 'fortran_order': False, 'shape': (",
+            },
+            Self::Ply => FileKind {
+                name: "a PLY file of pskel",
+                begin: b"ply\nformat binary_little_endian 1.0\nelement vertex ",
+                mark: b"property uchar class\nend_header\n",
+            },
+        }
+    }
+
     /// Writes points. NPY files have a column of classes only if `with_class`.
     ///
     /// # Errors
@@ -46,18 +62,23 @@ impl PointFormat {
     /// whose path is returned.
     ///
     /// # Errors
-    /// Fails if a file cannot be written.
+    /// Fails if a file cannot be written, or if a file of another kind has the name of the origin's.
     pub fn write_file(self, path: &Path, file: &PointFile) -> Result<Option<PathBuf>, FileError> {
         let with_class = file.points.iter().any(|p| p.class() != 0);
         let origin = (file.origin != DVec3::ZERO).then(|| path.with_extension("origin.json"));
         if let Some(path) = &origin {
             // Written before the points, so that points never exist without their origin.
+            ORIGIN.check(path)?;
             write_json(path, &FileOrigin { origin: file.origin.to_array() })?;
         }
         self.write(path, &file.points, with_class)?;
         Ok(origin)
     }
 }
+
+/// Kind of the file of an origin.
+const ORIGIN: FileKind =
+    FileKind { name: "an origin of points", begin: b"{\n  \"origin\": [", mark: b"]\n}" };
 
 /// Origin file beside points whose coordinates are relative to an origin.
 #[derive(Serialize)]

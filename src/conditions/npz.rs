@@ -14,10 +14,14 @@ use super::arrays::{Array, Scalar, arrays};
 use super::{ConditionError, ConditionSet};
 use crate::cloud::npy::write_header;
 use crate::error::FileError;
-use crate::files::write_whole;
+use crate::files::{FileKind, write_whole};
 
 /// Deflate level; higher levels take several times longer for little gain on these maps.
 const LEVEL: i64 = 3;
+
+/// Archives of maps, of which the first is color.
+pub const COLOR_FIRST: FileKind =
+    FileKind { name: "an archive of pskel", begin: b"PK\x03\x04", mark: b"color.npy" };
 
 /// Writes all maps of a step. Arrays have the names of the maps; the model tensor is `points` `[V, 20, H, W]` and
 /// `layout` `[V, 6, H, W]`.

@@ -1,5 +1,5 @@
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::{DatasetError, ReadOptions};
@@ -26,6 +26,13 @@ pub struct LogLocator {
 }
 
 impl LogLocator {
+    /// Returns the files and folders that the log is read from, as far as the locator names them.
+    pub fn inputs(&self) -> impl Iterator<Item = &Path> {
+        let is_path = !matches!(self.format, LogFormat::Other(_));
+        let roots = [&self.sensor_root, &self.map_root].into_iter().flatten();
+        is_path.then_some(&self.path).into_iter().chain(roots).map(PathBuf::as_path)
+    }
+
     /// Creates a locator for the only scene of a path, with default folders.
     pub fn new(format: LogFormat, path: impl Into<PathBuf>) -> Self {
         let path = path.into();

@@ -10,6 +10,7 @@ mod category;
 mod clock;
 mod degenerate;
 mod ego_track;
+mod fingerprint;
 mod gaps;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod limits;

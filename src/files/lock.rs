@@ -1,26 +1,41 @@
 //! Files that only one process at a time has open.
 
 use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
+use std::io::{Error, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use rustix::fs::OFlags;
+use rustix::io::Errno;
 
 use crate::error::FileError;
 
 /// Attempts to open a file while another process removes its folder or name.
 const TRIES: usize = 100;
+/// Beginning of a signed lock file; the process id follows.
+const SIGNATURE: &str = "pskel work ";
 
-/// Empty file that is locked by this process.
+/// Whether a file system without locks was found.
+static UNLOCKED: AtomicBool = AtomicBool::new(false);
+
+/// Returns whether this process has written to a file system without locks, where several processes can write to one
+/// output at a time.
+pub fn lacks_locks() -> bool {
+    UNLOCKED.load(Ordering::Relaxed)
+}
+
+/// File that is locked by this process.
 #[derive(Debug)]
 pub(super) struct LockedFile(File);
 
 impl LockedFile {
-    /// Creates the file, or takes over one left by a dead process. `owner` is the output that the file protects.
+    /// Creates the file, or takes over one left by a dead process with its content. `owner` is the output that the
+    /// file protects.
     ///
     /// # Errors
-    /// Fails if another process holds the lock, if a link, folder or device has that name, or on an I/O error.
+    /// Fails if another process holds the lock, if a link, folder or device has that name, or on an I/O error. A file
+    /// that was created is removed then.
     pub(super) fn open(path: &Path, owner: &Path) -> Result<Self, FileError> {
         for _ in 0..TRIES {
             if let Some(file) = attempt(path, owner)? {
@@ -35,9 +50,21 @@ impl LockedFile {
         &mut self.0
     }
 
-    /// Writes the process id, which other processes show in their messages.
+    /// Returns whether the content is a signature, or nothing.
+    pub(super) fn is_signed_or_empty(&mut self) -> std::io::Result<(bool, bool)> {
+        let mut text = Vec::new();
+        self.0.seek(SeekFrom::Start(0))?;
+        (&self.0).take(SIGNATURE.len() as u64).read_to_end(&mut text)?;
+        Ok((text == SIGNATURE.as_bytes(), text.is_empty()))
+    }
+
+    /// Writes a signature with the process id, which other processes show in their messages. An older signature is
+    /// overwritten without a moment in which there is none.
     pub(super) fn sign(&mut self) -> std::io::Result<()> {
-        self.0.write_all(std::process::id().to_string().as_bytes())
+        let text = format!("{SIGNATURE}{}\n", std::process::id());
+        self.0.seek(SeekFrom::Start(0))?;
+        self.0.write_all(text.as_bytes())?;
+        self.0.set_len(text.len() as u64)
     }
 }
 
@@ -52,11 +79,19 @@ impl Drop for LockedFile {
 fn attempt(path: &Path, owner: &Path) -> Result<Option<LockedFile>, FileError> {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
     let mut options = OpenOptions::new();
-    options.read(true).write(true).create(true).truncate(false).mode(0o666);
-    let opened = options.custom_flags(flags.bits().cast_signed()).open(path);
+    options.read(true).write(true).mode(0o666).custom_flags(flags.bits().cast_signed());
+    let (opened, is_new) = match options.create_new(true).open(path) {
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+            (options.create_new(false).open(path), false)
+        }
+        created => (created, true),
+    };
     let mut file = match opened {
         Err(error) if error.kind() == ErrorKind::NotFound && path.parent().is_some_and(Path::exists) => {
             return Ok(None);
+        }
+        Err(error) if Errno::from_io_error(&error) == Some(Errno::LOOP) => {
+            return Err(FileError::content("a regular file", "a link", path));
         }
         opened => opened.map_err(FileError::io("create", path))?,
     };
@@ -65,20 +100,29 @@ fn attempt(path: &Path, owner: &Path) -> Result<Option<LockedFile>, FileError> {
         return Err(FileError::content("a regular file", "something else", path));
     }
     match file.try_lock() {
-        // Some network file systems have no locks. Files are still replaced atomically there.
-        Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {}
-        Err(TryLockError::Error(error)) => return Err(FileError::io("lock", path)(error)),
+        Err(TryLockError::Error(error)) if has_no_locks(&error) => UNLOCKED.store(true, Ordering::Relaxed),
+        Err(TryLockError::Error(error)) => {
+            if is_new {
+                let _ = std::fs::remove_file(path); // the first error is the one to report
+            }
+            return Err(FileError::io("lock", path)(error));
+        }
         Err(TryLockError::WouldBlock) => return Err(busy(owner, &holder(&mut file))),
         Ok(()) => {}
     }
     let file = LockedFile(file);
     match std::fs::symlink_metadata(path) {
-        Ok(named) if (named.dev(), named.ino()) == (opened.dev(), opened.ino()) => {
-            file.0.set_len(0).map_err(FileError::io("write", path))?;
-            Ok(Some(file))
-        }
+        Ok(named) if (named.dev(), named.ino()) == (opened.dev(), opened.ino()) => Ok(Some(file)),
         _ => Ok(None),
     }
+}
+
+/// Returns whether an error says that the file system has no locks: NFS without a lock service (ENOLCK), file systems
+/// in user space and on clusters (ENOSYS, EOPNOTSUPP, EINVAL). Files are still replaced atomically there.
+fn has_no_locks(error: &Error) -> bool {
+    let number = Errno::from_io_error(error);
+    number
+        .is_some_and(|number| [Errno::NOLCK, Errno::NOSYS, Errno::OPNOTSUPP, Errno::INVAL].contains(&number))
 }
 
 fn busy(owner: &Path, found: &str) -> FileError {
@@ -88,8 +132,8 @@ fn busy(owner: &Path, found: &str) -> FileError {
 /// Describes the process that holds a lock, with its id if the lock file has one.
 fn holder(file: &mut File) -> String {
     let mut text = String::new();
-    let read = file.seek(SeekFrom::Start(0)).and_then(|_| file.take(20).read_to_string(&mut text));
-    let number = read.ok().and_then(|_| text.parse::<u32>().ok());
+    let read = file.seek(SeekFrom::Start(0)).and_then(|_| file.take(40).read_to_string(&mut text));
+    let number = read.ok().and_then(|_| text.strip_prefix(SIGNATURE)?.trim_end().parse::<u32>().ok());
     number.map_or("one that holds its lock".to_owned(), |number| format!("process {number}"))
 }
 

@@ -1,4 +1,5 @@
-//! List of the files written into a folder by runs, which later runs may replace.
+//! List of the files written into a folder by runs, which later runs may replace, and fingerprints of what they were
+//! made from.
 
 use std::collections::BTreeSet;
 use std::fs::OpenOptions;
@@ -12,24 +13,42 @@ use crate::error::FileError;
 /// Name of the list.
 pub(super) const FILES: &str = ".pskel-files";
 const HEADER: &str = "pskel files 1: ";
+/// Mark of the fingerprints in the header.
+const INPUTS: &str = " of ";
+/// Folder of lost files at the root of some file systems.
+const LOST: &str = "lost+found";
 
-/// Content of `.pskel-files`: a header with the kind of the folder, then one relative path per line.
+/// Content of `.pskel-files`: a header with the kind of the folder and the fingerprints of its inputs
+/// (`KIND[ of HASH ..]`), then one relative path per line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Manifest {
     /// Kind of content: `maps`, `skeleton`, ...
     pub(super) kind: String,
+    /// Fingerprints of the inputs; empty if unknown.
+    pub(super) inputs: Vec<String>,
     paths: BTreeSet<PathBuf>,
 }
 
 impl Manifest {
     /// Creates an empty list.
     pub(super) fn new(kind: &str) -> Self {
-        Self { kind: kind.to_owned(), paths: BTreeSet::new() }
+        Self { kind: kind.to_owned(), inputs: Vec::new(), paths: BTreeSet::new() }
     }
 
-    /// Lists all files below a folder.
-    pub(super) fn of(kind: &str, folder: &Path) -> Result<Self, FileError> {
-        Ok(Self { kind: kind.to_owned(), paths: files_below(folder)? })
+    /// Lists all files below a folder, which was made from inputs with some fingerprints.
+    pub(super) fn of(kind: &str, inputs: &[String], folder: &Path) -> Result<Self, FileError> {
+        Ok(Self { kind: kind.to_owned(), inputs: inputs.to_vec(), paths: files_below(folder)? })
+    }
+
+    /// Returns the files.
+    pub(super) fn paths(&self) -> &BTreeSet<PathBuf> {
+        &self.paths
+    }
+
+    /// Adds the files of another list.
+    pub(super) fn with(mut self, other: &Self) -> Self {
+        self.paths.extend(other.paths.iter().cloned());
+        self
     }
 
     /// Reads the list of a folder; `None` if it has none. Ignores a last line without a newline, which a killed
@@ -46,7 +65,9 @@ impl Manifest {
         let kind = kind.ok_or_else(|| {
             FileError::content(format!("a list of files ({HEADER}KIND)"), "another text", &path)
         })?;
-        Ok(Some(Self { kind: kind.to_owned(), paths: lines.map(PathBuf::from).collect() }))
+        let (kind, inputs) = kind.split_once(INPUTS).unwrap_or((kind, ""));
+        let inputs = inputs.split_whitespace().map(str::to_owned).collect();
+        Ok(Some(Self { kind: kind.to_owned(), inputs, paths: lines.map(PathBuf::from).collect() }))
     }
 
     /// Writes the list, sorted, and replaces an older one.
@@ -55,7 +76,8 @@ impl Manifest {
         write_whole(&path, |out| {
             let mut line =
                 |line: String| out.write_all(line.as_bytes()).map_err(FileError::io("write", &path));
-            line(format!("{HEADER}{}\n", self.kind))?;
+            let inputs = if self.inputs.is_empty() { "" } else { INPUTS };
+            line(format!("{HEADER}{}{inputs}{}\n", self.kind, self.inputs.join(" ")))?;
             self.paths.iter().try_for_each(|path| line(format!("{}\n", path.display())))
         })
     }
@@ -100,8 +122,10 @@ impl Manifest {
         self.paths.range(folder.to_owned()..).next().is_some_and(|path| path.starts_with(folder))
     }
 
-    /// Checks that all files at or below `name` in `folder` are in the list.
+    /// Checks that all files at or below `name` in `folder` are in the list, and that no folder on the way is a link,
+    /// which would lead out of the folder.
     pub(super) fn check(&self, folder: &Path, name: &Path) -> Result<(), FileError> {
+        check_way(folder, name)?;
         let is_folder = |path: &Path| folder.join(path).symlink_metadata().is_ok_and(|data| data.is_dir());
         let mut foreign = None;
         visit(folder, name, &mut |path| {
@@ -110,9 +134,41 @@ impl Manifest {
             }
         })?;
         let Some(path) = foreign else { return Ok(()) };
-        let found = if is_folder(&path) { "another folder" } else { "another file" };
-        Err(FileError::content("only files that pskel wrote where it is to write", found, &folder.join(path)))
+        Err(refusal(&folder.join(path)))
     }
+
+    /// Checks all files of a folder as [`Self::check`] does, except the work folder and lost files in a mount point.
+    pub(super) fn check_mounted(&self, folder: &Path, work: &str) -> Result<(), FileError> {
+        for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
+            let name = entry.map_err(FileError::io("read", folder))?.file_name();
+            if name != work && name != LOST {
+                self.check(folder, Path::new(&name))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Checks that no folder on the way from `folder` to a relative path is a link.
+///
+/// # Errors
+/// Returns an error that names the link.
+pub(super) fn check_way(folder: &Path, name: &Path) -> Result<(), FileError> {
+    let inner = name.ancestors().skip(1).filter(|inner| *inner != Path::new(""));
+    match inner.map(|inner| folder.join(inner)).find(|inner| inner.is_symlink()) {
+        Some(link) => Err(refusal(&link)),
+        None => Ok(()),
+    }
+}
+
+/// Returns the error for a file that no run wrote, where a run is to write.
+pub(super) fn refusal(path: &Path) -> FileError {
+    let found = match path.symlink_metadata() {
+        Ok(data) if data.is_symlink() => "a link",
+        Ok(data) if data.is_dir() => "another folder",
+        _ => "another file",
+    };
+    FileError::content("only files that pskel wrote where it is to write", found, path)
 }
 
 /// Returns all files below a folder, relative to it.
@@ -169,5 +225,31 @@ mod tests {
         std::fs::create_dir(folder.path().join("a/b")).unwrap();
         std::fs::write(folder.path().join("a/b/e.png"), "foreign").unwrap();
         assert!(check("a").unwrap_err().to_string().ends_with("a/b/e.png"));
+    }
+
+    #[test]
+    fn files_behind_links_are_foreign() {
+        let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let mut manifest = Manifest::new("maps");
+        manifest.add(folder.path(), ["a/b/c.png"].map(PathBuf::from).into()).unwrap();
+        std::fs::create_dir(other.path().join("b")).unwrap();
+        std::fs::write(other.path().join("b/c.png"), "precious").unwrap();
+        std::os::unix::fs::symlink(other.path(), folder.path().join("a")).unwrap();
+        for name in ["a", "a/b", "a/b/c.png", "a/new"] {
+            let message = manifest.check(folder.path(), Path::new(name)).unwrap_err().to_string();
+            assert!(message.contains("found a link: ") && message.ends_with("/a"), "{message}");
+        }
+    }
+
+    #[test]
+    fn inputs_are_in_the_header() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("a of b"), "").unwrap();
+        for inputs in [&[][..], &["0a"], &["0a", "1b"]] {
+            let inputs: Vec<String> = inputs.iter().map(|&hash| hash.into()).collect();
+            let written = Manifest::of("skeleton", &inputs, folder.path()).unwrap();
+            written.write(folder.path()).unwrap();
+            assert_eq!(Manifest::read(folder.path()).unwrap(), Some(written));
+        }
     }
 }

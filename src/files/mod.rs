@@ -1,25 +1,32 @@
-//! File handling: checked file names, limited reads of regular files, atomic writes, output folders that replace only
-//! files of earlier runs, and escaping of text from data in messages.
+//! File handling: checked file names, limited reads of regular files, atomic writes, outputs that replace only files of
+//! earlier runs and none of their inputs, and escaping of text from data in messages.
 
-mod check;
 pub mod input;
+mod inputs;
 pub mod json;
 mod lock;
 mod manifest;
 mod name;
 mod output;
+mod output_file;
 mod pending;
+mod place;
+mod shared_folder;
 pub(crate) mod sniff;
 pub mod text;
 mod whole;
+mod whole_folder;
 mod work;
 
-pub use check::{check_destination, check_output_file, check_outside};
+pub use inputs::Inputs;
+pub use lock::lacks_locks;
 pub(crate) use name::first_twice;
 pub use name::{FileName, NameError};
-pub use output::resolved_output;
-pub use output::{OutputFolder, WholeFolder, check_whole};
-pub(crate) use output::{work_of_whole, write_whole_by};
+pub use output::{OutputFolder, resolved_output};
+pub use output_file::{FileKind, OutputFile, is_one_file};
 pub use pending::remove_pending;
+pub use shared_folder::SharedFolder;
 pub use whole::{write_json, write_whole};
+pub use whole_folder::{WholeFolder, check_whole};
+pub(crate) use whole_folder::{inputs_of_whole, work_of_whole, write_whole_by};
 pub use work::WorkFolder;

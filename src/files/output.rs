@@ -5,9 +5,12 @@
 //! if all files at or below it are listed. There are two kinds of folders:
 //! - [`OutputFolder`] grows entry by entry (maps, rollouts, trainings). Whole-folder entries are written under
 //!   temporary names in `OUT/.pskel`, then renamed. Foreign files beside them stay.
-//! - [`WholeFolder`] appears as a whole (skeletons, towns). It is written in `OUT.partial`, then swapped with an
-//!   older folder in one step, so readers see either the old or the new one. It is refused if the older folder has
-//!   foreign files.
+//! - [`WholeFolder`](super::WholeFolder) appears as a whole (skeletons, towns). It is written in `OUT.partial`, then
+//!   swapped with an older folder in one step, so readers see either the old or the new one. It is refused if the
+//!   older folder has foreign files.
+//!
+//! Folders that cannot be renamed are replaced file by file (`place`). A mount point has the work folder of a whole
+//! folder inside. Links below an output folder are foreign: they are neither followed nor replaced.
 //!
 //! `.pskel` and `OUT.partial` hold the lock. They are removed when the run ends, also by a signal. After a killed
 //! process, the next run that opens the output removes them.
@@ -15,12 +18,15 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use super::manifest::{Manifest, files_below};
-use super::pending::remove;
+use super::Inputs;
+use super::manifest::{Manifest, check_way, files_below, refusal};
+use super::pending::{finish_undisturbed, remove};
+use super::place;
 use super::work::WorkFolder;
 use crate::error::FileError;
 
-const WORK: &str = ".pskel";
+/// Work folder inside an output folder.
+pub(super) const WORK: &str = ".pskel";
 
 /// Output folder that grows entry by entry.
 #[derive(Debug)]
@@ -49,8 +55,8 @@ impl OutputFolder {
     ///
     /// # Errors
     /// Fails if another process uses the folder, if it has another kind or is one of `inputs`, or on an I/O error.
-    pub fn open(path: &Path, kind: &str, inputs: &[&Path]) -> Result<Self, FileError> {
-        check_apart(path, inputs)?;
+    pub fn open(path: &Path, kind: &str, inputs: &Inputs) -> Result<Self, FileError> {
+        inputs.check_folder(path)?;
         let new = NewFolder((!path.exists()).then(|| path.to_owned()));
         std::fs::create_dir_all(path).map_err(FileError::io("create", path))?;
         let work = WorkFolder::open(path.join(WORK), path)?;
@@ -68,20 +74,36 @@ impl OutputFolder {
     /// done.
     ///
     /// # Errors
-    /// Returns an error that names the first file at or below a name that no earlier run wrote.
+    /// Returns an error that names the first file at or below a name that no earlier run wrote, or a link in its place.
     pub fn check<N: AsRef<Path>>(&self, names: impl IntoIterator<Item = N>) -> Result<(), FileError> {
         let manifest = self.manifest();
-        names.into_iter().try_for_each(|name| manifest.check(&self.path, name.as_ref()))
+        names.into_iter().try_for_each(|name| self.check_one(&manifest, name.as_ref()))
+    }
+
+    /// Checks a name. A link is never what a run wrote, even if its name is listed.
+    fn check_one(&self, manifest: &Manifest, name: &Path) -> Result<(), FileError> {
+        manifest.check(&self.path, name)?;
+        let path = self.path.join(name);
+        if path.is_symlink() { Err(refusal(&path)) } else { Ok(()) }
+    }
+
+    /// Returns the path of a folder below this one that is an output of its own, with its own list and lock.
+    ///
+    /// # Errors
+    /// Fails if it, or a folder on the way to it, is a link.
+    pub fn folder(&self, name: impl AsRef<Path>) -> Result<PathBuf, FileError> {
+        check_way(&self.path, &name.as_ref().join("file"))?;
+        Ok(self.path.join(name))
     }
 
     /// Adds a file to the list and returns the path where the caller may write it.
     ///
     /// # Errors
-    /// Fails if a file of that name exists that no earlier run wrote, or on an I/O error.
+    /// Fails if a file of that name exists that no earlier run wrote, if it is a link, or on an I/O error.
     pub fn claim(&self, name: impl AsRef<Path>) -> Result<PathBuf, FileError> {
         let name = name.as_ref();
         let mut manifest = self.manifest();
-        manifest.check(&self.path, name)?;
+        self.check_one(&manifest, name)?;
         manifest.add(&self.path, [name.to_owned()].into())?;
         Ok(self.path.join(name))
     }
@@ -108,14 +130,15 @@ impl OutputFolder {
 
     fn put(&self, new: &Path, name: &Path) -> Result<(), FileError> {
         let mut manifest = self.manifest();
-        manifest.check(&self.path, name)?;
+        self.check_one(&manifest, name)?;
         let files = files_below(new)?.iter().map(|file| name.join(file)).collect();
         manifest.add(&self.path, files)?;
         let path = self.path.join(name);
         if let Some(parent) = path.parent() {
             std::fs::create_dir_all(parent).map_err(FileError::io("create", parent))?;
         }
-        put(new, &path)
+        let older = files_below(&path)?;
+        finish_undisturbed(|| place::put(new, &path, &older))
     }
 
     /// Removes files and folders of earlier runs if they exist.
@@ -130,7 +153,7 @@ impl OutputFolder {
         let mut manifest = self.manifest();
         for name in names {
             let path = self.path.join(name.as_ref());
-            remove(&path).map_err(FileError::io("replace", &path))?;
+            remove_emptied(&path).map_err(FileError::io("replace", &path))?;
             manifest.forget(name.as_ref());
         }
         Ok(())
@@ -150,65 +173,15 @@ impl OutputFolder {
     }
 }
 
-/// Output folder that appears as a whole.
-#[derive(Debug)]
-pub struct WholeFolder {
-    path: PathBuf,
-    kind: &'static str,
-    work: WorkFolder,
-}
-
-impl WholeFolder {
-    /// Opens a work folder for content of a kind (`skeleton`, ...) that is to appear at `path`.
-    ///
-    /// # Errors
-    /// Fails if another process writes this output, if [`check_whole`] rejects `path`, if `path` is one of `inputs`,
-    /// or on an I/O error.
-    pub fn open(path: &Path, kind: &'static str, inputs: &[&Path]) -> Result<Self, FileError> {
-        check_apart(path, inputs)?;
-        check_whole(path, kind)?;
-        let work = WorkFolder::open(work_of_whole(path), path)?;
-        work.clear(|_| false)?;
-        Ok(Self { path: path.to_owned(), kind, work })
+/// Removes a file or folder if it exists. A mount point stays, as an empty folder.
+fn remove_emptied(path: &Path) -> std::io::Result<()> {
+    match remove(path) {
+        Err(error) if error.kind() == std::io::ErrorKind::ResourceBusy => {
+            let is_empty = std::fs::read_dir(path)?.next().is_none();
+            if is_empty { Ok(()) } else { Err(error) }
+        }
+        removed => removed,
     }
-
-    /// Returns a folder for temporary files on the same file system.
-    pub fn scratch(&self) -> &Path {
-        self.work.path()
-    }
-
-    /// Writes the folder: `fill` writes into an empty folder, which then replaces an older one.
-    ///
-    /// # Errors
-    /// Returns any error of `fill`. Fails if [`check_whole`] rejects the path, or on an I/O error.
-    pub fn write<E: From<FileError>>(self, fill: impl FnOnce(&Path) -> Result<(), E>) -> Result<(), E> {
-        write_whole_by(&self.work, &self.path, self.kind, fill)
-    }
-}
-
-/// Writes a [`WholeFolder`] by means of a work folder that the caller has opened at [`work_of_whole`].
-pub(crate) fn write_whole_by<E: From<FileError>>(
-    work: &WorkFolder,
-    path: &Path,
-    kind: &str,
-    fill: impl FnOnce(&Path) -> Result<(), E>,
-) -> Result<(), E> {
-    const NEW: &str = "new";
-    let new = work.path().join(NEW);
-    std::fs::create_dir(&new).map_err(FileError::io("create", &new))?;
-    let written = fill(&new).and_then(|()| {
-        Manifest::of(kind, &new)?.write(&new)?;
-        check_whole(path, kind)?;
-        Ok(put(&new, path)?)
-    });
-    let _ = remove(&new); // the older folder, or leftovers of `fill`; the next owner removes them too
-    written
-}
-
-/// Returns the path of the work folder of a [`WholeFolder`], `OUT.partial`.
-pub(crate) fn work_of_whole(path: &Path) -> PathBuf {
-    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    path.with_file_name(format!("{name}.partial"))
 }
 
 /// Removes `.` components from an output path, and resolves a link to a folder, so that the link itself is not
@@ -218,34 +191,8 @@ pub fn resolved_output(path: PathBuf) -> PathBuf {
     if path.is_symlink() && path.is_dir() { path.canonicalize().unwrap_or(path) } else { path }
 }
 
-/// Checks that a whole folder may be written at `path`: it does not exist, is empty, or is a folder of the same kind
-/// that holds only files written by runs.
-///
-/// # Errors
-/// Fails if anything else exists at the path, if the path has no file name, or on an I/O error.
-pub fn check_whole(path: &Path, kind: &str) -> Result<(), FileError> {
-    if path.file_name().is_none() {
-        return Err(FileError::content(
-            "the name of a folder to write",
-            "a path that ends without one",
-            path,
-        ));
-    }
-    if path.is_symlink() {
-        return Err(FileError::content("a folder or none", "a link", path));
-    }
-    if path.is_dir() {
-        let manifest = manifest_of(path, kind)?.unwrap_or(Manifest::new(kind));
-        return manifest.check(path, Path::new(""));
-    }
-    match path.symlink_metadata() {
-        Ok(_) => Err(FileError::content("a folder or none", "a file", path)),
-        Err(_) => Ok(()),
-    }
-}
-
 /// Reads the list of a folder, and fails if it has another kind.
-fn manifest_of(path: &Path, kind: &str) -> Result<Option<Manifest>, FileError> {
+pub(super) fn manifest_of(path: &Path, kind: &str) -> Result<Option<Manifest>, FileError> {
     match Manifest::read(path)? {
         Some(manifest) if manifest.kind != kind => {
             let expected = format!("a folder of kind {kind}, or a new one");
@@ -255,33 +202,54 @@ fn manifest_of(path: &Path, kind: &str) -> Result<Option<Manifest>, FileError> {
     }
 }
 
-/// Checks that an output folder is none of the inputs.
-fn check_apart(path: &Path, inputs: &[&Path]) -> Result<(), FileError> {
-    let Ok(found) = path.canonicalize() else { return Ok(()) };
-    match inputs.iter().find(|input| input.canonicalize().is_ok_and(|input| input == found)) {
-        None => Ok(()),
-        Some(input) => {
-            let expected = format!("an output apart from the input {}", input.display());
-            Err(FileError::content(expected, "the same", path))
-        }
-    }
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::symlink;
 
-/// Renames a folder. If the target exists, both are swapped in one step, so the path is never empty.
-fn put(new: &Path, path: &Path) -> Result<(), FileError> {
-    use rustix::fs::{CWD, RenameFlags, renameat_with};
-    let is_older = path.symlink_metadata().is_ok();
-    if is_older && renameat_with(CWD, new, CWD, path, RenameFlags::EXCHANGE).is_ok() {
-        return Ok(());
+    fn write(folder: &OutputFolder, name: &str, text: &str) -> Result<(), FileError> {
+        folder.write_folder(name, |new| {
+            std::fs::write(new.join("a.png"), text).map_err(FileError::io("write", new))
+        })
     }
-    // Not every file system supports the exchange.
-    let old = new.with_extension("old");
-    if is_older {
-        std::fs::rename(path, &old).map_err(FileError::io("replace", path))?;
+
+    #[test]
+    fn links_in_the_folder_lead_nowhere() {
+        let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let path = folder.path().join("out");
+        let open = || OutputFolder::open(&path, "maps", &Inputs::default());
+        let files = open().unwrap();
+        std::fs::write(files.claim("index").unwrap(), "1").unwrap();
+        write(&files, "steps/0", "1").unwrap();
+        files.close().unwrap();
+        std::fs::create_dir(other.path().join("0")).unwrap();
+        for name in ["0/a.png", "index", "lock"] {
+            std::fs::write(other.path().join(name), "precious").unwrap();
+        }
+        std::fs::remove_dir_all(path.join("steps")).unwrap();
+        std::fs::remove_file(path.join("index")).unwrap();
+        symlink(other.path(), path.join("steps")).unwrap();
+        symlink(other.path().join("index"), path.join("index")).unwrap();
+        let files = open().unwrap();
+        for refused in [
+            files.claim("index").err(),
+            files.claim("steps/0/a.png").err(),
+            files.folder("steps").err(),
+            files.folder("steps/0").err(),
+            files.check(["steps"]).err(),
+            files.remove(["steps/0"]).err(),
+            write(&files, "steps/0", "2").err(),
+        ] {
+            let message = refused.unwrap().to_string();
+            assert!(message.contains("found a link: "), "{message}");
+        }
+        drop(files);
+        // A link in place of the work folder.
+        symlink(other.path(), path.join(WORK)).unwrap();
+        assert!(open().unwrap_err().to_string().contains("found a link"));
+        for name in ["0/a.png", "index", "lock"] {
+            assert_eq!(std::fs::read(other.path().join(name)).unwrap(), b"precious");
+        }
+        assert_eq!(std::fs::read_dir(other.path()).unwrap().count(), 3);
     }
-    let renamed = std::fs::rename(new, path).map_err(FileError::io("rename to", path));
-    if is_older && renamed.is_err() {
-        let _ = std::fs::rename(&old, path); // the first error is the one to report
-    }
-    renamed
 }

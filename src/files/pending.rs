@@ -2,10 +2,12 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::Duration;
 
 static PENDING: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+/// Shared by threads that move finished files to their names.
+static MOVING: RwLock<()> = RwLock::new(());
 
 /// Attempts to remove a folder in which other threads may still create files.
 const TRIES: usize = 20;
@@ -29,9 +31,16 @@ impl Drop for PendingPath {
     }
 }
 
+/// Runs a short piece of work that a signal must not interrupt: [`remove_pending`] waits for its end. Not to be nested.
+pub(super) fn finish_undisturbed<T>(work: impl FnOnce() -> T) -> T {
+    let _moving = MOVING.read().unwrap_or_else(PoisonError::into_inner);
+    work()
+}
+
 /// Removes all temporary files and folders of a process that is about to end. Afterwards, every thread that begins or
 /// finishes a file blocks.
 pub fn remove_pending() {
+    let moving = MOVING.write().unwrap_or_else(PoisonError::into_inner);
     let pending = lock();
     for path in pending.iter() {
         for _ in 0..TRIES {
@@ -42,6 +51,7 @@ pub fn remove_pending() {
         }
     }
     std::mem::forget(pending);
+    std::mem::forget(moving);
 }
 
 /// Removes a file, a link or a whole folder, if it exists.

@@ -1,13 +1,14 @@
 //! Atomic file writes: a file appears complete under its name, or not at all.
 
 use std::ffi::OsStr;
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::fs::{File, OpenOptions};
+use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 
 use super::lock::LockedFile;
 use super::pending::PendingPath;
+use super::place::{is_beside_read_only, is_fixed, is_mounted};
 use crate::error::FileError;
 
 /// Suffix of temporary names.
@@ -20,6 +21,9 @@ const BUFFER: usize = 1 << 20;
 /// buffered writer. The temporary name depends only on the final one, so the next writer takes over the temporary
 /// file of a killed process. Links are followed.
 ///
+/// A file that is a mount point cannot be replaced by a rename, so the content is copied into it. If nothing can be
+/// created beside an existing file, `fill` writes into it.
+///
 /// # Errors
 /// Returns any error of `fill`. Fails if another process writes the same file, if the path is a folder, device or
 /// pipe, or on an I/O error. The temporary file is removed then.
@@ -28,14 +32,43 @@ pub fn write_whole<E: From<FileError>>(
     fill: impl FnOnce(&mut BufWriter<&mut File>) -> Result<(), E>,
 ) -> Result<(), E> {
     let target = target(path)?;
+    if target.is_file() && is_beside_read_only(&target) {
+        return write_into(path, &target, fill);
+    }
     let mut partial = PartialFile::create(&target, path)?;
     let mut writer = BufWriter::with_capacity(BUFFER, partial.file.file());
     fill(&mut writer)?;
     writer.flush().map_err(FileError::io("write", path))?;
     drop(writer);
-    std::fs::rename(&partial.path, &target).map_err(FileError::io("rename to", path))?;
-    partial.is_renamed = true;
+    match std::fs::rename(&partial.path, &target) {
+        Ok(()) => partial.is_renamed = true,
+        Err(error) if is_fixed(&error) && is_mounted(&target) => {
+            let from = partial.file.file();
+            from.seek(SeekFrom::Start(0)).map_err(FileError::io("read", path))?;
+            write_into(path, &target, |out| {
+                std::io::copy(from, out).map(drop).map_err(FileError::io("write", path))
+            })?;
+        }
+        Err(error) => return Err(FileError::io("rename to", path)(error).into()),
+    }
     Ok(())
+}
+
+/// Writes into an existing file. It is empty after an error.
+fn write_into<E: From<FileError>>(
+    path: &Path,
+    target: &Path,
+    fill: impl FnOnce(&mut BufWriter<&mut File>) -> Result<(), E>,
+) -> Result<(), E> {
+    let opened = OpenOptions::new().write(true).truncate(true).open(target);
+    let mut file = opened.map_err(FileError::io("write", path))?;
+    let mut writer = BufWriter::with_capacity(BUFFER, &mut file);
+    let filled = fill(&mut writer).and_then(|()| Ok(writer.flush().map_err(FileError::io("write", path))?));
+    drop(writer.into_parts());
+    if filled.is_err() {
+        let _ = file.set_len(0); // the first error is the one to report
+    }
+    filled
 }
 
 /// Writes a value as indented JSON with a final newline, using [`write_whole`].
@@ -65,7 +98,9 @@ impl PartialFile {
         let partial = target.with_file_name(OsStr::from_bytes(&name));
         let pending = PendingPath::new(&partial);
         let file = LockedFile::open(&partial, path)?;
-        Ok(Self { file, path: partial, is_renamed: false, _pending: pending })
+        let mut partial = Self { file, path: partial, is_renamed: false, _pending: pending };
+        partial.file.file().set_len(0).map_err(FileError::io("write", path))?;
+        Ok(partial)
     }
 }
 

@@ -1,5 +1,6 @@
 //! Folders for temporary files, locked by the process that works in them.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use super::lock::LockedFile;
@@ -10,7 +11,8 @@ const LOCK: &str = "lock";
 /// Attempts to lock a folder that another process is removing.
 const TRIES: usize = 100;
 
-/// Locked folder. Unless it is retained, it is removed with its content on drop or by a signal.
+/// Locked folder. Unless it is retained, it is removed with its content on drop or by a signal. Its lock file has a
+/// signature, by which folders of killed processes are told from foreign ones.
 #[derive(Debug)]
 pub struct WorkFolder {
     path: PathBuf,
@@ -24,17 +26,20 @@ impl WorkFolder {
     /// `owner` is the output that the work is for.
     ///
     /// # Errors
-    /// Fails if another process uses it, if the folder is not a work folder, or on an I/O error.
+    /// Fails if another process uses it, if the path is a link or a folder without a signed lock, or on an I/O error.
+    /// Nothing that was created is left then.
     pub fn open(path: PathBuf, owner: &Path) -> Result<Self, FileError> {
         let lock_path = path.join(LOCK);
         for _ in 0..TRIES {
-            std::fs::create_dir_all(&path).map_err(FileError::io("create", &path))?;
-            let is_empty = || std::fs::read_dir(&path).is_ok_and(|mut entries| entries.next().is_none());
-            if !lock_path.is_file() && !is_empty() {
+            let is_new = create(&path)?;
+            if !lock_path.is_file() && !is_empty(&path) {
                 continue; // a foreign folder, or one that another process is locking
             }
             match LockedFile::open(&lock_path, owner) {
                 Ok(mut lock) => {
+                    if !is_own(&mut lock, &path).map_err(FileError::io("read", &lock_path))? {
+                        break;
+                    }
                     let signed = lock.sign();
                     let pending = Some(PendingPath::new(&path));
                     let work = Self { path, lock: Some(lock), pending };
@@ -43,10 +48,15 @@ impl WorkFolder {
                     return Ok(work);
                 }
                 Err(_) if !path.exists() => {}
-                Err(error) => return Err(error),
+                Err(error) => {
+                    if is_new {
+                        let _ = std::fs::remove_dir(&path); // the first error is the one to report
+                    }
+                    return Err(error);
+                }
             }
         }
-        Err(FileError::content("a folder of an unfinished run, or none", "another folder", &path))
+        Err(foreign("another folder", &path))
     }
 
     /// Returns the path of the folder.
@@ -98,6 +108,37 @@ impl Drop for WorkFolder {
     }
 }
 
+/// Creates a folder and its parents. Returns whether it is new.
+fn create(path: &Path) -> Result<bool, FileError> {
+    if let Some(parent) = path.parent() {
+        std::fs::create_dir_all(parent).map_err(FileError::io("create", path))?;
+    }
+    match std::fs::create_dir(path) {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => match path.symlink_metadata() {
+            Ok(data) if data.is_symlink() => Err(foreign("a link", path)),
+            Ok(data) if !data.is_dir() => Err(foreign("a file", path)),
+            _ => Ok(false),
+        },
+        Err(error) => Err(FileError::io("create", path)(error)),
+    }
+}
+
+/// Returns whether a locked folder is one of an unfinished run. A process that was killed before it signed its lock
+/// leaves an empty lock and nothing else.
+fn is_own(lock: &mut LockedFile, path: &Path) -> std::io::Result<bool> {
+    let (is_signed, is_blank) = lock.is_signed_or_empty()?;
+    Ok(is_signed || is_blank && std::fs::read_dir(path)?.count() == 1)
+}
+
+fn is_empty(path: &Path) -> bool {
+    std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none())
+}
+
+fn foreign(found: &str, path: &Path) -> FileError {
+    FileError::content("a folder of an unfinished run, or none", found, path)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -128,10 +169,43 @@ mod tests {
 
     #[test]
     fn a_foreign_folder_is_left_alone() {
+        // Without a lock, with a lock file of another program, and with one that is empty.
+        for lock in [None, Some("4711"), Some("")] {
+            let folder = tempfile::tempdir().unwrap();
+            std::fs::write(folder.path().join("notes"), "mine").unwrap();
+            lock.map_or(Ok(()), |text| std::fs::write(folder.path().join(LOCK), text)).unwrap();
+            let message =
+                WorkFolder::open(folder.path().to_owned(), Path::new("out")).unwrap_err().to_string();
+            assert!(message.starts_with("expected a folder of an unfinished run, or none"), "{message}");
+            assert_eq!(std::fs::read(folder.path().join("notes")).unwrap(), b"mine");
+            assert_eq!(std::fs::read_to_string(folder.path().join(LOCK)).ok().as_deref(), lock);
+        }
+    }
+
+    #[test]
+    fn links_are_not_followed() {
         let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("notes"), "mine").unwrap();
-        assert!(WorkFolder::open(folder.path().to_owned(), Path::new("out")).is_err());
-        assert_eq!(std::fs::read(folder.path().join("notes")).unwrap(), b"mine");
+        let at = |name: &str| folder.path().join(name);
+        std::fs::create_dir(at("other")).unwrap();
+        drop(WorkFolder::open(at("other/work"), Path::new("out")).unwrap());
+        std::os::unix::fs::symlink("other", at("link")).unwrap();
+        std::os::unix::fs::symlink("nothing", at("dangling")).unwrap();
+        for name in ["link", "dangling"] {
+            let message = WorkFolder::open(at(name), Path::new("out")).unwrap_err().to_string();
+            assert!(message.contains("found a link"), "{message}");
+            assert!(at(name).is_symlink() && !at("nothing").exists());
+        }
+    }
+
+    /// A process that was killed before it signed its lock.
+    #[test]
+    fn an_empty_lock_alone_is_taken_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("work");
+        std::fs::create_dir(&path).unwrap();
+        std::fs::write(path.join(LOCK), "").unwrap();
+        drop(WorkFolder::open(path.clone(), Path::new("out")).unwrap());
+        assert!(!path.exists());
     }
 
     /// Threads replace processes here: locks belong to open files.

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::{Asset, Skeleton, Template, TemplateKind};
 use crate::cloud::{Point, PointFormat};
 use crate::error::FileError;
-use crate::files::{FileName, WholeFolder, write_json};
+use crate::files::{FileName, Inputs, WholeFolder, write_json};
 
 /// Kind of the output folder.
 const KIND: &str = "points";
@@ -59,7 +59,7 @@ impl Skeleton {
     /// # Errors
     /// Fails if points do not match their checksum, if the folder has other content, or if a file cannot be written.
     pub fn export(&self, folder: &Path, format: PointFormat) -> Result<(), FileError> {
-        WholeFolder::open(folder, KIND, &[self.path()])?.write(|folder| {
+        WholeFolder::open(folder, KIND, &Inputs::new([self.path()]))?.write(|folder| {
             let origins = Origins {
                 background: write_background(self, folder, format)?,
                 actors: write_actors(self, folder, format)?,

@@ -1,4 +1,4 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{BuildOptions, Checksum};
 use crate::cloud::Bounds;
-use crate::dataset::Class;
+use crate::dataset::{Class, Recording};
 use crate::error::FileError;
 use crate::geometry::{MAX_COORDINATE_M, MAX_SIDE_M, MIN_SIDE_M, is_position, is_size};
 
@@ -96,6 +96,18 @@ impl Manifest {
     /// from it.
     pub fn times_us(&self, log: &str) -> Option<[i64; 2]> {
         self.sources.iter().find(|source| source.log == log).map(|source| source.t_us)
+    }
+
+    /// Returns whether a log has the place, the times and the tracks of the source with its name.
+    pub(super) fn resembles(&self, log: &Recording) -> bool {
+        let Some(source) = self.sources.iter().find(|source| source.log == log.name) else { return false };
+        let has_time = |t_us: &i64| log.frames.iter().any(|frame| frame.t_us == *t_us);
+        let tracks: BTreeSet<&str> = log.tracks.iter().map(|track| track.id.as_str()).collect();
+        let mut assets = self.actors.iter().filter(|asset| asset.log == log.name);
+        source.location == log.location
+            && source.frames <= log.frames.len()
+            && source.t_us.iter().all(has_time)
+            && assets.all(|asset| tracks.contains(asset.track.as_str()))
     }
 }
 

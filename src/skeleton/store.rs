@@ -13,8 +13,9 @@ use crate::cloud::Point;
 use crate::dataset::Recording;
 use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
-use crate::files::json;
-use crate::files::{WholeFolder, WorkFolder, check_whole, write_json, write_whole_by};
+use crate::files::{
+    Inputs, WholeFolder, WorkFolder, check_whole, inputs_of_whole, json, write_json, write_whole_by,
+};
 use crate::gpu::MappedFile;
 
 /// Kind of the output folder.
@@ -48,25 +49,27 @@ impl SkeletonWriter {
         path: &Path,
         fill: impl FnOnce(&mut Self) -> Result<(), E>,
     ) -> Result<(), E> {
-        WholeFolder::open(path, KIND, &[])?.write(|folder| fill(&mut Self::new(folder)?))
+        WholeFolder::open(path, KIND, &Inputs::default())?.write(|folder| fill(&mut Self::new(folder)?))
     }
 
     /// Checks that a skeleton may be written at a path: it does not exist, is empty, or is a skeleton without foreign
-    /// files.
+    /// files, and it is no input.
     ///
     /// # Errors
     /// Fails if the path holds anything else.
-    pub fn check_target(path: &Path) -> Result<(), FileError> {
-        check_whole(path, KIND)
+    pub fn check_target(path: &Path, inputs: &Inputs) -> Result<(), FileError> {
+        check_whole(path, KIND, inputs)
     }
 
-    /// Writes a skeleton as [`SkeletonWriter::write`] does, in a work folder that the caller owns.
+    /// Writes a skeleton of logs with some fingerprints as [`SkeletonWriter::write`] does, in a work folder that the
+    /// caller owns.
     pub(super) fn write_by<E: From<FileError>>(
         path: &Path,
         work: &WorkFolder,
+        logs: &[String],
         fill: impl FnOnce(&mut Self) -> Result<(), E>,
     ) -> Result<(), E> {
-        write_whole_by(work, path, KIND, |folder| fill(&mut Self::new(folder)?))
+        write_whole_by(work, path, (KIND, logs), |folder| fill(&mut Self::new(folder)?))
     }
 
     fn new(folder: &Path) -> Result<Self, FileError> {
@@ -223,6 +226,35 @@ impl Skeleton {
             return Err(FileError::content(expected, found, path));
         }
         Ok(skeleton)
+    }
+
+    /// Returns the checksum of a skeleton's manifest, which has those of all points, as 16 hexadecimal digits. `None` if
+    /// there is no skeleton.
+    ///
+    /// # Errors
+    /// Fails if the manifest cannot be read.
+    pub fn fingerprint_at(path: &Path) -> Result<Option<String>, FileError> {
+        let path = path.join(MANIFEST);
+        Ok(if is_taken(&path) { Some(Checksum::of(&read_table(&path)?).to_string()) } else { None })
+    }
+
+    /// Checks that the skeleton was built from this recording, rather than from another one of the same name. Skeletons
+    /// of earlier versions have no fingerprints of their logs; the place, the times and the tracks are compared then.
+    ///
+    /// # Errors
+    /// Fails if it was built from another recording.
+    pub fn check_recording(&self, log: &Recording) -> Result<(), FileError> {
+        let known = inputs_of_whole(&self.path, KIND)?;
+        let is_same =
+            if known.is_empty() { self.manifest.resembles(log) } else { known.contains(&log.fingerprint()) };
+        if is_same {
+            return Ok(());
+        }
+        let expected =
+            format!("a skeleton of the recording {} with the same frames, poses and boxes", log.name);
+        let found =
+            "one of another recording or state of that name; remove it, or use another folder of skeletons";
+        Err(FileError::content(expected, found, &self.path))
     }
 
     /// Returns the folder.

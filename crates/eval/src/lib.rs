@@ -41,10 +41,10 @@ mod table;
 pub use conv_net::RandomConvNet;
 pub use depth::{DepthErrors, DepthSummary};
 pub use drift::Drift;
-pub use evaluate::{EvaluateError, EvaluateOptions, Report, evaluate};
+pub use evaluate::{EvaluateError, EvaluateOptions, Report, SCORES, evaluate};
 pub use features::{FeatureSet, WINDOW_FRAMES, window_features};
 #[cfg(feature = "town")]
-pub use fidelity::{FidelityError, FidelityReport, MaskRow, POSES, Row, fidelity};
+pub use fidelity::{FidelityError, FidelityFiles, FidelityReport, MaskRow, POSES, Row, fidelity};
 pub use frechet::{FrechetError, frechet_distance};
 pub use image_quality::{FilledError, compare_filled, psnr_db};
 #[cfg(feature = "network")]

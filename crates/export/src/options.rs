@@ -97,6 +97,10 @@ pub struct ExportOptions {
     pub substitutes: SubstituteOptions,
     /// Form of the maps in tar shards.
     pub format: SampleFormat,
+    /// Range of key frames of each log; `None` for all.
+    pub frames: Option<[usize; 2]>,
+    /// Maximum number of key frames in a shard.
+    pub shard_frames: usize,
     /// Whether recorded images, without lens distortion and at the size of the maps, are exported too.
     pub images: bool,
     /// Times of the samples.

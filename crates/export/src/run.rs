@@ -8,7 +8,7 @@ use std::time::Duration;
 use point_skeleton::conditions::ConditionOptions;
 use point_skeleton::dataset::{Dataset, DatasetError, LogLocator};
 use point_skeleton::error::{FileError, with_causes};
-use point_skeleton::files::write_json;
+use point_skeleton::files::{FileKind, SharedFolder, write_json};
 use point_skeleton::raster::{FRAMES_IN_FLIGHT, RasterizerDesc};
 use point_skeleton::scene::SceneMap;
 use point_skeleton::skeleton::{self, BuildError, Skeleton};
@@ -16,16 +16,21 @@ use point_skeleton::threads::{probe, spawn_scoped};
 use point_skeleton::{Maps, RenderOptions, Renderer};
 use serde_json::json;
 
+use crate::claim::claim;
 use crate::layout::{self, Source};
 use crate::report::{ExportReport, Failure};
 use crate::samples::{Sample, Sampler};
-use crate::shard::{Shard, ShardRecord, remove_work};
+use crate::shard::{Shard, ShardInput, ShardRecord};
 use crate::{ExportError, ExportOptions, Layout, ListedLog, WorkList, WorkUnit};
 
-/// File with the options of an export, in its folder.
-const OPTIONS: &str = "export.json";
 /// Index of a complete export.
 const INDEX: &str = "index.json";
+/// Kind of the index.
+const INDEX_KIND: FileKind = FileKind {
+    name: "the index of an export",
+    begin: b"{\n  \"__kind__\": \"wids-shard-index-v1\"",
+    mark: b"shardlist",
+};
 /// Pause between attempts to open a skeleton that another process builds.
 const PAUSE: Duration = Duration::from_millis(200);
 
@@ -114,49 +119,10 @@ pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
     let mut total = ExportReport::default();
     let reports = reports.into_inner().unwrap_or_else(PoisonError::into_inner);
     reports.into_values().for_each(|report| total.add(report));
-    if let Some(list) = run.list {
+    if let Some(list) = run.list.filter(|_| total.failures.is_empty()) {
         total.complete = write_index(list, run.out, run.options.layout, Completeness::Files)?;
     }
     Ok(total)
-}
-
-/// Writes the options into the folder, or compares them with those there. Waits for another process that does so.
-fn claim(out: &Path, options: &ExportOptions) -> Result<(), FileError> {
-    let path = out.join(OPTIONS);
-    let content = json!({ "version": env!("CARGO_PKG_VERSION"), "options": options });
-    std::fs::create_dir_all(out).map_err(FileError::io("create", out))?;
-    loop {
-        if let Ok(found) = std::fs::read(&path) {
-            return match serde_json::from_slice::<serde_json::Value>(&found) {
-                Ok(found) if found == content => Ok(()),
-                Ok(found) => {
-                    let expected = format!("an export with the same options, {content}");
-                    Err(FileError::content(expected, found.to_string(), &path))
-                }
-                Err(error) => Err(FileError::content("the options of an export", error.to_string(), &path)),
-            };
-        }
-        let foreign = foreign_file(out)?;
-        // Another process may have begun an export since.
-        if let Some(found) = foreign.filter(|_| !path.exists()) {
-            return Err(FileError::content("an export or an empty folder", found, out));
-        }
-        match write_json(&path, &content) {
-            Err(FileError::Busy { .. }) => std::thread::sleep(PAUSE),
-            written => return written,
-        }
-    }
-}
-
-/// Returns the name of a file in a folder, other than that of the options under their temporary name.
-fn foreign_file(folder: &Path) -> Result<Option<String>, FileError> {
-    for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
-        let name = entry.map_err(FileError::io("read", folder))?.file_name().to_string_lossy().into_owned();
-        if !name.starts_with(&format!(".{OPTIONS}")) {
-            return Ok(Some(name));
-        }
-    }
-    Ok(None)
 }
 
 /// What makes a shard exist.
@@ -182,8 +148,8 @@ pub fn write_index(
     let mut samples = 0;
     for unit in list.logs.iter().flat_map(|log| &log.units) {
         let record = match completeness {
-            Completeness::Files => ShardRecord::read(out, unit, false)?,
-            Completeness::Record => ShardRecord::parse(out, unit),
+            Completeness::Files => ShardRecord::read(out, unit, None, false)?,
+            Completeness::Record => ShardRecord::parse(out, unit)?,
         };
         let Some(record) = record else { return Ok(false) };
         samples += record.samples;
@@ -193,10 +159,12 @@ pub fn write_index(
         "__kind__": "wids-shard-index-v1", "wids_version": 1, "layout": layout,
         "nsamples": samples, "shardlist": entries,
     });
-    match write_json(&out.join(INDEX), &index) {
+    let path = out.join(INDEX);
+    INDEX_KIND.check(&path)?;
+    match write_json(&path, &index) {
         // Another process writes the same bytes.
         Ok(()) | Err(FileError::Busy { .. }) => {
-            remove_work(out); // before, other processes may still begin shards
+            SharedFolder::remove_work(out); // before, other processes may still begin shards
             Ok(true)
         }
         Err(error) => Err(error),
@@ -206,48 +174,64 @@ pub fn write_index(
 /// Exports the units of a log.
 fn export_log(run: &Export<'_>, log: &ListedLog) -> ExportReport {
     let mut report = ExportReport::default();
-    let fail = |name: &str, error: &ExportError| Failure { name: name.to_owned(), error: with_causes(error) };
-    let mut todo = Vec::new();
-    for unit in &log.units {
-        match ShardRecord::read(run.out, unit, run.verify) {
-            Ok(Some(_)) => {
-                report.present += 1;
-                run.progress.skip(unit.frames.len());
-            }
-            Ok(None) => todo.push(unit),
-            Err(error) => report.failures.push(fail(&unit.name, &error.into())),
-        }
-    }
-    if todo.is_empty() {
-        return report;
-    }
-    if let Err(error) = export_units(run, log, &todo, &mut report) {
-        report.failures.push(fail(&log.locator.to_string(), &error));
+    if let Err(error) = export_units(run, log, &mut report) {
+        report.failures.push(failure(&log.locator.to_string(), &error));
     }
     report
 }
 
-fn export_units(
+fn failure(name: &str, error: &ExportError) -> Failure {
+    Failure { name: name.to_owned(), error: with_causes(error) }
+}
+
+/// Returns the units that do not exist; adds the others to the report.
+fn missing<'a>(
     run: &Export<'_>,
-    log: &ListedLog,
-    units: &[&WorkUnit],
+    log: &'a ListedLog,
+    input: &ShardInput,
     report: &mut ExportReport,
-) -> Result<(), ExportError> {
+) -> Vec<&'a WorkUnit> {
+    let mut missing = Vec::new();
+    for unit in &log.units {
+        match ShardRecord::read(run.out, unit, Some(input), run.verify) {
+            Ok(Some(_)) => {
+                report.present += 1;
+                run.progress.skip(unit.frames.len());
+                Shard::remove_leftovers(run.out, unit);
+            }
+            Ok(None) => missing.push(unit),
+            Err(error) => report.failures.push(failure(&unit.name, &error.into())),
+        }
+    }
+    missing
+}
+
+fn export_units(run: &Export<'_>, log: &ListedLog, report: &mut ExportReport) -> Result<(), ExportError> {
     let dataset = (run.open)(&log.locator)?;
     let recording = dataset.log();
+    let path = run.skeletons.join(&log.name);
+    let has_maps = run.options.layout.has_maps();
+    let skeleton = if has_maps { Skeleton::fingerprint_at(&path)? } else { None };
+    let input = ShardInput { log: recording.fingerprint(), skeleton };
+    let units = missing(run, log, &input, report);
+    if units.is_empty() {
+        return Ok(());
+    }
+    layout::check(run.options, recording)?;
     let options = run.options;
     let map = if options.uses_map() { SceneMap::read(dataset.as_ref())? } else { None };
     report.note(&recording.notes);
     let maps = options.rendered(map.is_some());
-    let source = Source {
+    let mut source = Source {
         listed: log,
         dataset: dataset.as_ref(),
         options,
+        input,
         #[cfg(feature = "parquet")]
         map: map.clone(),
     };
     let sampler = Sampler::new(recording, map, options.times);
-    if !options.layout.has_maps() {
+    if !has_maps {
         for unit in units {
             let written = Shard::begin(run.out, unit).map_err(ExportError::from);
             let written = written.and_then(|shard| annotate(run, &source, shard, unit));
@@ -255,7 +239,8 @@ fn export_units(
         }
         return Ok(());
     }
-    let skeleton = open_or_build(&run.skeletons.join(&log.name), dataset.as_ref(), report)?;
+    let skeleton = open_or_build(&path, dataset.as_ref(), report)?;
+    source.input.skeleton = Skeleton::fingerprint_at(&path)?;
     let (substitutes, _) = options.substitutes.make(&skeleton, &recording.name)?;
     let mut renderer = Renderer::new(
         &skeleton,
@@ -320,6 +305,7 @@ fn new_record(
     ShardRecord {
         name: unit.name.clone(),
         log: source.log().name.clone(),
+        input: source.input.clone(),
         frames: [unit.frames.start, unit.frames.end],
         samples,
         notes,
@@ -333,14 +319,14 @@ fn open_or_build(
     dataset: &dyn Dataset,
     report: &mut ExportReport,
 ) -> Result<Skeleton, ExportError> {
-    let exists = path.exists();
+    let exists = Skeleton::is_at(path);
     loop {
         match skeleton::open_or_build(path, dataset) {
             Err(BuildError::File(FileError::Busy { .. })) => std::thread::sleep(PAUSE),
             Err(error) => return Err(error.into()),
-            Ok(_) => {
+            Ok(skeleton) => {
                 report.built += usize::from(!exists);
-                return Ok(Skeleton::open_for(path, dataset.log())?);
+                return Ok(skeleton);
             }
         }
     }
@@ -356,7 +342,7 @@ fn export_unit(
 ) -> Result<ShardRecord, ExportError> {
     let mut shard = Shard::begin(run.out, unit)?;
     // Another process may have written the shard meanwhile.
-    if let Some(record) = ShardRecord::read(run.out, unit, run.verify)? {
+    if let Some(record) = ShardRecord::read(run.out, unit, Some(&source.input), run.verify)? {
         return Ok(record);
     }
     let mut notes = BTreeMap::new();

@@ -5,10 +5,11 @@ use std::fs::File;
 use std::io::{BufWriter, Read, Write};
 #[cfg(feature = "parquet")]
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use point_skeleton::error::FileError;
-use point_skeleton::files::{WorkFolder, write_json};
+use point_skeleton::files::input::{is_there, read_table};
+use point_skeleton::files::{SharedFolder, write_json};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -16,8 +17,6 @@ use crate::WorkUnit;
 
 /// Folder of the records of complete shards.
 pub(crate) const RECORDS: &str = "shards";
-/// Folder of unfinished shards.
-const WORK: &str = ".unfinished";
 const BUFFER: usize = 1 << 20;
 
 /// A file of a shard.
@@ -31,13 +30,15 @@ pub(crate) struct ShardFile {
     pub(crate) sha256: String,
 }
 
-/// Record of a complete shard, `shards/NAME.json`.
+/// Record of a complete shard, `shards/NAME.json`. It is also the list of the files that later runs may replace.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct ShardRecord {
     /// Name of the shard.
     pub(crate) name: String,
     /// Name of the log.
     pub(crate) log: String,
+    /// What the shard was made from.
+    pub(crate) input: ShardInput,
     /// First key frame and the one after the last.
     pub(crate) frames: [usize; 2],
     /// Number of samples.
@@ -48,14 +49,51 @@ pub(crate) struct ShardRecord {
     pub(crate) files: Vec<ShardFile>,
 }
 
+/// Fingerprints of the input of a shard.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct ShardInput {
+    /// Of the recording.
+    pub(crate) log: String,
+    /// Of the skeleton's manifest, which has checksums of all points. `None` without maps, or if it is unknown.
+    pub(crate) skeleton: Option<String>,
+}
+
+impl ShardInput {
+    /// Returns what differs in the input of another shard; `None` if nothing does. A skeleton that was removed does not
+    /// differ.
+    fn difference(&self, other: &Self) -> Option<&'static str> {
+        match (&self.skeleton, &other.skeleton) {
+            _ if self.log != other.log => Some("recording"),
+            (Some(ours), Some(theirs)) if ours != theirs => Some("skeleton"),
+            _ => None,
+        }
+    }
+}
+
 impl ShardRecord {
     /// Reads the record of a shard and checks that its files exist with their lengths, with `verify` also their checksums.
-    /// `None` if the shard has to be written.
+    /// `None` if the shard has to be written. With `input`, its fingerprints are compared.
     ///
     /// # Errors
-    /// Fails if a file cannot be read.
-    pub(crate) fn read(out: &Path, unit: &WorkUnit, verify: bool) -> Result<Option<Self>, FileError> {
-        let Some(record) = Self::parse(out, unit) else { return Ok(None) };
+    /// Fails if a file cannot be read, or if the shard has other frames. Fails if it is of another input, which is written
+    /// again with `verify`.
+    pub(crate) fn read(
+        out: &Path,
+        unit: &WorkUnit,
+        input: Option<&ShardInput>,
+        verify: bool,
+    ) -> Result<Option<Self>, FileError> {
+        let Some(record) = Self::parse(out, unit)? else { return Ok(None) };
+        if let Some(difference) = input.and_then(|input| input.difference(&record.input)) {
+            if verify {
+                return Ok(None);
+            }
+            let expected = format!("a shard of this {difference}");
+            let found = format!(
+                "one of another {difference} or state of its name; use another folder, or --verify to write it again"
+            );
+            return Err(FileError::content(expected, found, &out.join(record_path(&unit.name))));
+        }
         for file in &record.files {
             let path = out.join(&file.path);
             let is_whole = path.metadata().is_ok_and(|data| data.is_file() && data.len() == file.bytes);
@@ -63,24 +101,48 @@ impl ShardRecord {
                 return Ok(None);
             }
         }
-        Ok(Some(record))
+        Ok(Some(record).filter(|record| !record.files.is_empty()))
     }
 
-    /// Returns the record of a shard; `None` if there is none of its frames.
-    pub(crate) fn parse(out: &Path, unit: &WorkUnit) -> Option<Self> {
-        let bytes = std::fs::read(record_path(out, &unit.name)).ok()?;
-        let record: Self = serde_json::from_slice(&bytes).ok()?;
-        (record.frames == [unit.frames.start, unit.frames.end]).then_some(record)
+    /// Returns the record of a shard; `None` if there is none, or an empty file.
+    ///
+    /// # Errors
+    /// Fails if the file is not the record of this shard, or if it cannot be read.
+    pub(crate) fn parse(out: &Path, unit: &WorkUnit) -> Result<Option<Self>, FileError> {
+        let path = out.join(record_path(&unit.name));
+        if !is_there(&path)? {
+            return Ok(None);
+        }
+        let bytes = read_table(&path)?;
+        if bytes.is_empty() {
+            return Ok(None); // after a power failure
+        }
+        let record: Self = serde_json::from_slice(&bytes)
+            .map_err(|error| FileError::content("the record of a shard", error.to_string(), &path))?;
+        let is_below =
+            |file: &ShardFile| file.path.components().all(|part| matches!(part, Component::Normal(_)));
+        if !record.files.iter().all(is_below) {
+            return Err(FileError::content("paths below the export", "another path", &path));
+        }
+        let [first, end] = record.frames;
+        if record.name != unit.name || (first..end) != unit.frames {
+            let expected =
+                format!("shard {} of frames {}..{}", unit.name, unit.frames.start, unit.frames.end);
+            let found = format!("shard {} of frames {first}..{end}; use another folder", record.name);
+            return Err(FileError::content(expected, found, &path));
+        }
+        Ok(Some(record))
     }
 }
 
-fn record_path(out: &Path, name: &str) -> PathBuf {
-    out.join(RECORDS).join(format!("{name}.json"))
+/// Returns the path of a record in the export.
+fn record_path(name: &str) -> PathBuf {
+    Path::new(RECORDS).join(format!("{name}.json"))
 }
 
 /// Files of an unfinished shard. They are removed on drop, by a signal, or by the next process that writes the shard.
 pub(crate) struct Shard {
-    work: WorkFolder,
+    folder: SharedFolder,
     out: PathBuf,
     unit: WorkUnit,
     files: Vec<ShardFile>,
@@ -93,9 +155,34 @@ impl Shard {
     /// # Errors
     /// Fails with [`FileError::Busy`] if another process writes it, or on an I/O error.
     pub(crate) fn begin(out: &Path, unit: &WorkUnit) -> Result<Self, FileError> {
-        let work = WorkFolder::open(out.join(WORK).join(&unit.name), &record_path(out, &unit.name))?;
-        work.clear(|_| false)?;
-        Ok(Self { work, out: out.to_owned(), unit: unit.clone(), files: Vec::new(), notes: BTreeMap::new() })
+        let owned = || {
+            let earlier = ShardRecord::parse(out, unit)?;
+            Ok(earlier.into_iter().flat_map(|record| record.files).map(|file| file.path).collect())
+        };
+        let folder = SharedFolder::begin(out, &unit.name, &record_path(&unit.name), owned)?;
+        Ok(Self {
+            folder,
+            out: out.to_owned(),
+            unit: unit.clone(),
+            files: Vec::new(),
+            notes: BTreeMap::new(),
+        })
+    }
+
+    /// Removes what a process left that was killed after it had written the record.
+    pub(crate) fn remove_leftovers(out: &Path, unit: &WorkUnit) {
+        if SharedFolder::has_leftovers(out, &unit.name) {
+            // The shard is complete in any case; another process may be removing them.
+            drop(Self::begin(out, unit));
+        }
+    }
+
+    /// Checks that a file at a path in the export may be written, for use before the work.
+    ///
+    /// # Errors
+    /// Fails if a file that is not of this shard is there.
+    pub(crate) fn check(&self, path: impl AsRef<Path>) -> Result<(), FileError> {
+        self.folder.check(path.as_ref())
     }
 
     /// Returns the name of the shard.
@@ -122,11 +209,7 @@ impl Shard {
     /// Fails if the file cannot be created.
     pub(crate) fn create(&self, path: impl AsRef<Path>) -> Result<HashedFile, FileError> {
         let path = path.as_ref();
-        let place = self.work.path().join(path);
-        let shown = self.out.join(path);
-        if let Some(folder) = place.parent() {
-            std::fs::create_dir_all(folder).map_err(FileError::io("create", folder))?;
-        }
+        let (place, shown) = (self.folder.create(path)?, self.out.join(path));
         let file = File::create(&place).map_err(FileError::io("create", &shown))?;
         let writer = BufWriter::with_capacity(BUFFER, file);
         Ok(HashedFile { writer, hash: Sha256::new(), bytes: 0, path: path.to_owned(), shown })
@@ -160,26 +243,11 @@ impl Shard {
     pub(crate) fn publish(mut self, mut record: ShardRecord) -> Result<ShardRecord, FileError> {
         record.notes.append(&mut self.notes);
         self.files.sort_by(|a, b| a.path.cmp(&b.path));
-        for file in &self.files {
-            let path = self.out.join(&file.path);
-            if let Some(folder) = path.parent() {
-                std::fs::create_dir_all(folder).map_err(FileError::io("create", folder))?;
-            }
-            std::fs::rename(self.work.path().join(&file.path), &path)
-                .map_err(FileError::io("rename to", &path))?;
-        }
-        let record = ShardRecord { files: std::mem::take(&mut self.files), ..record };
-        let path = record_path(&self.out, &self.unit.name);
-        let folder = self.out.join(RECORDS);
-        std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
-        write_json(&path, &record)?;
+        let paths = self.files.iter().map(|file| file.path.clone()).collect();
+        let record = ShardRecord { files: self.files, ..record };
+        self.folder.publish(&paths, |path| write_json(path, &record))?;
         Ok(record)
     }
-}
-
-/// Removes the folder of unfinished shards if it is empty.
-pub(crate) fn remove_work(out: &Path) {
-    let _ = std::fs::remove_dir(out.join(WORK)); // another process may use it
 }
 
 /// File of a shard that is hashed while it is written.
@@ -229,16 +297,21 @@ mod tests {
         WorkUnit { name: "a-000000".into(), frames: 0..2 }
     }
 
+    fn input() -> ShardInput {
+        ShardInput { log: "1".into(), skeleton: Some("2".into()) }
+    }
+
     fn record() -> ShardRecord {
         let (notes, files) = Default::default();
-        ShardRecord { name: unit().name, log: "a".into(), frames: [0, 2], samples: 2, notes, files }
+        let input = input();
+        ShardRecord { name: unit().name, log: "a".into(), input, frames: [0, 2], samples: 2, notes, files }
     }
 
     #[test]
     fn a_shard_appears_whole_and_is_found_again() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path();
-        let find = |verify| ShardRecord::read(out, &unit(), verify).unwrap();
+        let find = |verify| ShardRecord::read(out, &unit(), Some(&input()), verify).unwrap();
         let mut shard = Shard::begin(out, &unit()).unwrap();
         shard.put("images/1.png", b"abc").unwrap();
         assert!(matches!(Shard::begin(out, &unit()), Err(FileError::Busy { .. })));
@@ -251,7 +324,7 @@ mod tests {
             (find(true), std::fs::read(out.join("images/1.png")).unwrap()),
             (Some(written), b"abc".into())
         );
-        remove_work(out);
+        SharedFolder::remove_work(out);
         assert_eq!(std::fs::read_dir(out).unwrap().count(), 2);
         // Damage: of the same length, then of another one.
         std::fs::write(out.join("images/1.png"), "abd").unwrap();
@@ -260,7 +333,53 @@ mod tests {
         assert!(find(false).is_none());
         std::fs::write(out.join("images/1.png"), "abc").unwrap();
         let longer = WorkUnit { frames: 0..3, ..unit() };
-        assert!(ShardRecord::read(out, &longer, false).unwrap().is_none());
+        let message = ShardRecord::read(out, &longer, None, false).unwrap_err().to_string();
+        assert!(message.contains("of frames 0..3, found shard a-000000 of frames 0..2"), "{message}");
+    }
+
+    #[test]
+    fn shards_of_another_input_are_not_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut shard = Shard::begin(folder.path(), &unit()).unwrap();
+        shard.put("1.png", b"abc").unwrap();
+        shard.publish(record()).unwrap();
+        let read =
+            |input: &ShardInput, verify| ShardRecord::read(folder.path(), &unit(), Some(input), verify);
+        for (other, part) in [
+            (
+                ShardInput { log: "3".into(), ..input() },
+                "a shard of this recording, found one of another recording",
+            ),
+            (
+                ShardInput { skeleton: Some("3".into()), ..input() },
+                "a shard of this skeleton, found one of another",
+            ),
+        ] {
+            let message = read(&other, false).unwrap_err().to_string();
+            assert!(message.contains(part), "{message}");
+            assert!(read(&other, true).unwrap().is_none(), "written again");
+        }
+        assert!(read(&ShardInput { skeleton: None, ..input() }, false).unwrap().is_some());
+    }
+
+    #[test]
+    fn records_without_files_or_of_others_are_not_complete() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("shards/a-000000.json");
+        std::fs::create_dir(folder.path().join("shards")).unwrap();
+        let read = || ShardRecord::read(folder.path(), &unit(), Some(&input()), false);
+        write_json(&path, &record()).unwrap();
+        assert!(read().unwrap().is_none());
+        let file = ShardFile { path: "../x".into(), bytes: 0, sha256: String::new() };
+        write_json(&path, &ShardRecord { files: vec![file], ..record() }).unwrap();
+        assert!(read().unwrap_err().to_string().contains("expected paths below the export"));
+        std::fs::write(&path, "{}").unwrap();
+        assert!(read().unwrap_err().to_string().starts_with("expected the record of a shard"));
+        std::fs::write(&path, "").unwrap();
+        assert!(read().unwrap().is_none());
+        std::fs::remove_file(&path).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        assert!(read().unwrap_err().to_string().contains("found a FIFO"));
     }
 
     #[test]
@@ -269,7 +388,7 @@ mod tests {
         let mut shard = Shard::begin(folder.path(), &unit()).unwrap();
         shard.put("a/b.json", b"{}").unwrap();
         drop(shard);
-        remove_work(folder.path());
+        SharedFolder::remove_work(folder.path());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }

@@ -128,6 +128,8 @@ fn run(folder: &Path, name: &str, layout: Layout, maps: MapSet) {
         selection: Default::default(),
         substitutes: Default::default(),
         format: Default::default(),
+        frames: None,
+        shard_frames: 2,
         images: true,
         times: Default::default(),
         color_folder: String::new(),

@@ -10,7 +10,7 @@ use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
 use point_skeleton::dataset::{ImageRecord, Recording};
 use point_skeleton::error::FileError;
-use point_skeleton::files::{FileName, WholeFolder, check_whole, write_whole};
+use point_skeleton::files::{FileName, Inputs, WholeFolder, check_whole, write_whole};
 use pskel_sim::report::{self, ROLLOUT, STATES, STEPS, StateFile};
 
 /// JPEG quality: high, so that visible artifacts are the generator's.
@@ -45,12 +45,30 @@ struct Replacement<'a> {
 /// Kind of the output folder.
 const KIND: &str = "dataset";
 
-/// Checks that a copy of a data set may be written to a folder, before anything is generated.
+/// Checks that a copy of the data set at `root` may be written to a folder, before anything is generated.
 ///
 /// # Errors
-/// Fails if the folder has other files.
-pub fn check_dataset_copy(folder: &Path) -> Result<(), FileError> {
-    check_whole(folder, KIND)
+/// Fails if the folder has other files, if it is in the data set or contains it, or if the data set is not a folder.
+pub fn check_dataset_copy(root: &Path, folder: &Path) -> Result<(), FileError> {
+    if !root.is_dir() {
+        return Err(FileError::content("the folder of a data set to copy", "none", root));
+    }
+    let inputs = Inputs::new([root]);
+    check_whole(folder, KIND, &inputs)?;
+    // The copy would contain its own work folder.
+    inputs.check_outside(folder)
+}
+
+/// Checks that the images of a log can be replaced in a copy of the data set at `root`, before anything is generated.
+///
+/// # Errors
+/// Fails if an image is not below `root`, or if its camera is unknown.
+pub fn check_copied_log(root: &Path, log: &Recording) -> Result<(), FileError> {
+    for record in log.frames.iter().flat_map(|frame| &frame.images) {
+        relative(root, &record.path)?;
+        camera_of(log, record, root)?;
+    }
+    Ok(())
 }
 
 /// Writes the images of rollouts of some logs into one copy of the data set at `root`, enlarged to the original size.
@@ -58,7 +76,8 @@ pub fn check_dataset_copy(folder: &Path) -> Result<(), FileError> {
 /// # Errors
 /// Fails if a rollout has no generated images at its log's frames, or if a file cannot be read or written.
 pub fn copy_dataset(root: &Path, logs: &[CopiedLog<'_>], folder: &Path) -> Result<ImageCounts, FileError> {
-    let inputs: Vec<&Path> = [root].into_iter().chain(logs.iter().map(|copied| copied.rollout)).collect();
+    check_dataset_copy(root, folder)?;
+    let inputs = Inputs::new([root]).and(logs.iter().map(|copied| copied.rollout));
     let target = WholeFolder::open(folder, KIND, &inputs)?;
     let mut by_path = BTreeMap::new();
     for copied in logs {
@@ -84,11 +103,7 @@ impl<'a> CopiedLog<'a> {
                 continue;
             }
             for record in &frame.images {
-                let camera = log.rig.iter().find(|rig| rig.channel == record.channel);
-                let camera = camera.map(|rig| &rig.camera.name).ok_or_else(|| {
-                    let camera = log.cameras.get(record.channel).map_or("a camera", |name| name.as_str());
-                    FileError::content(format!("an image of {camera}"), "none", &step)
-                })?;
+                let camera = camera_of(log, record, &step)?;
                 replaced.push(Replacement { step: step.clone(), camera, record });
             }
         }
@@ -101,6 +116,15 @@ impl<'a> CopiedLog<'a> {
         }
         Ok(replaced)
     }
+}
+
+/// Returns the camera of an image.
+fn camera_of<'a>(log: &'a Recording, record: &ImageRecord, shown: &Path) -> Result<&'a FileName, FileError> {
+    let camera = log.rig.iter().find(|rig| rig.channel == record.channel);
+    camera.map(|rig| &rig.camera.name).ok_or_else(|| {
+        let camera = log.cameras.get(record.channel).map_or("a camera", |name| name.as_str());
+        FileError::content(format!("an image of {camera}"), "none", shown)
+    })
 }
 
 fn relative(root: &Path, path: &Path) -> Result<PathBuf, FileError> {

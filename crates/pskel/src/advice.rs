@@ -19,8 +19,11 @@ fn of_cause(cause: &(dyn Error + 'static)) -> Option<&'static str> {
     if let Some(ConditionError::Sizes { .. }) = cause.downcast_ref() {
         return Some("--size or --out-size gives all cameras one size");
     }
-    if let Some(BuildError::Interrupted { .. }) = cause.downcast_ref() {
-        return Some("--resume continues the build after the retained frames");
+    if let Some(BuildError::Interrupted { source, .. }) = cause.downcast_ref() {
+        // A folder that cannot be replaced now cannot be replaced later either.
+        let is_fixed =
+            matches!(&**source, BuildError::File(FileError::Io { verb: "replace" | "rename to", .. }));
+        return (!is_fixed).then_some("--resume continues the build after the retained frames");
     }
     if let Some(DatasetError::File(FileError::Content { expected, .. })) = cause.downcast_ref() {
         return expected
@@ -58,6 +61,10 @@ mod tests {
         let source = Box::new(BuildError::Frame { frames: 1, found: 2 });
         let stopped = BuildError::Interrupted { source, frames: 1, path: "sk.partial".into() };
         assert!(advice(&stopped.into()).unwrap().starts_with("--resume "));
+        let source = FileError::io("replace", Path::new("sk"))(std::io::ErrorKind::CrossesDevices.into());
+        let stopped =
+            BuildError::Interrupted { source: Box::new(source.into()), frames: 1, path: "sk.partial".into() };
+        assert_eq!(advice(&stopped.into()), None, "it would fail in the same way");
         assert_eq!(advice(&anyhow::anyhow!("other")), None);
     }
 

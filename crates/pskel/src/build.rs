@@ -6,6 +6,7 @@ use std::time::Instant;
 use clap::Args;
 use point_skeleton::cloud::Point;
 use point_skeleton::dataset::{Dataset, LogLocator};
+use point_skeleton::files::Inputs;
 use point_skeleton::files::text::printable;
 use point_skeleton::skeleton::{
     self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, SkeletonWriter, TemplateCloud,
@@ -94,7 +95,7 @@ impl FromStr for TemplateFile {
 /// Runs the command: opens the logs, builds and writes the skeleton.
 pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    SkeletonWriter::check_target(&args.out)?;
+    SkeletonWriter::check_target(&args.out, &args.inputs())?;
     if let Some(frames) = skeleton::unfinished_frames(&args.out).filter(|_| !args.resume) {
         warn(&format!(
             "an unfinished build with {frames} frames done is discarded; pass --resume to continue it"
@@ -130,6 +131,13 @@ pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
 }
 
 impl BuildArgs {
+    /// Returns everything that is read.
+    fn inputs(&self) -> Inputs {
+        let logs = self.logs.iter().map(|log| self.roots.locate(log)).collect::<Vec<_>>();
+        let templates = self.templates.iter().map(|file| &file.path);
+        Inputs::new(logs.iter().flat_map(LogLocator::inputs)).and(templates).and(&self.templates_from)
+    }
+
     fn open(&self) -> anyhow::Result<Vec<Box<dyn Dataset>>> {
         let mut opened = Vec::new();
         for log in &self.logs {

@@ -4,7 +4,7 @@ use std::time::Instant;
 use clap::Args;
 use point_skeleton::cloud::{self, PointFormat};
 use point_skeleton::error::FileError;
-use point_skeleton::files::check_output_file;
+use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::skeleton::Skeleton;
 
 use super::{WrongUsage, choices, log_args, say, tell_notes};
@@ -59,10 +59,10 @@ fn convert_file(args: &ConvertArgs) -> anyhow::Result<String> {
         }
         (format, ending) => format.or(ending).unwrap_or(PointFormat::Npy),
     };
-    check_output_file(&args.out, [args.input.as_path()])?;
+    let out = OutputFile::open(&args.out, format.kind(), &Inputs::new([&args.input]))?;
     let file = cloud::read(&args.input)?;
     tell_notes(&args.input, &file.notes);
-    let origin = match format.write_file(&args.out, &file)? {
+    let origin = match format.write_file(out.path(), &file)? {
         Some(path) => format!(", relative to the origin in {}", path.display()),
         None => String::new(),
     };

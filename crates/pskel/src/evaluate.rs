@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
-use point_skeleton::files::{check_output_file, write_json};
-use pskel_eval::{EvaluateError, EvaluateOptions, evaluate};
+use point_skeleton::files::Inputs;
+use pskel_eval::{EvaluateError, EvaluateOptions, SCORES, evaluate};
 
 use super::progress::Progress;
-use super::{WrongUsage, say, tell};
+use super::{WrongUsage, outputs, say, tell};
 
 /// Score the generated images of rollouts against ground truth
 ///
@@ -53,9 +53,9 @@ pub(super) struct EvaluateArgs {
 /// Runs the command: scores the rollouts, prints and writes the report.
 pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    if let Some(out) = &args.out {
-        check_output_file(out, args.features.iter().map(PathBuf::as_path))?;
-    }
+    let folders = [&args.rollouts, &args.masks, &args.classifier_from, &args.reference, &args.features];
+    let inputs = Inputs::new(folders.into_iter().flatten());
+    let [out] = outputs::open([("--out", args.out.as_deref(), SCORES)], &inputs, None)?;
     let options = EvaluateOptions {
         rollouts: args.rollouts.clone(),
         masks: args.masks.clone(),
@@ -74,13 +74,13 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         _ => anyhow::Error::new(error),
     })?;
     drop(progress);
-    args.out.as_ref().map_or(Ok(()), |out| write_json(out, &report))?;
+    out.as_ref().map_or(Ok(()), |out| out.write_json(&report))?;
     say(report.table().trim_end());
     for note in report.notes() {
         tell(&format!("note: {note}"));
     }
     let seconds = start.elapsed().as_secs_f64();
-    let out = args.out.as_ref().map_or(String::new(), |out| format!(": {}", out.display()));
+    let out = out.map_or(String::new(), |out| format!(": {}", out.path().display()));
     say(&format!("{} in {seconds:.2} s{out}", report.summary()));
     Ok(())
 }

@@ -224,6 +224,8 @@ impl ExportArgs {
             selection: self.maps.selection(),
             substitutes: self.stand_ins.options(),
             format,
+            frames: self.frames.map(|frames| frames.of_any()).map(|frames| [frames.start, frames.end]),
+            shard_frames: self.shard_frames as usize,
             images: self.images,
             times: match self.hz {
                 Some(hz) => SampleTimes::Rate { hz },

@@ -1,25 +1,25 @@
 //! `pskel fidelity`: compares condition maps of the synthetic town with ground truth.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
 use point_skeleton::conditions::{ConditionOptions, ImageSize};
 use point_skeleton::dataset::{Dataset, LogLocator};
 use point_skeleton::error::FileError;
-use point_skeleton::files::{check_output_file, write_json, write_whole};
+use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::raster::SplatSchedule;
 use point_skeleton::scene::SceneClouds;
 use point_skeleton::skeleton::Skeleton;
-use pskel_eval::{POSES, fidelity};
+use pskel_eval::{FidelityFiles, POSES, fidelity};
 
 use super::log_args;
 use super::numbers::FrameRange;
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::substitutes::SubstituteArgs;
-use super::{WrongUsage, say};
+use super::{WrongUsage, outputs, say};
 use crate::logs;
 
 /// Measure the fidelity of condition maps: those of the synthetic town against its ground truth
@@ -70,9 +70,13 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
         let message = format!("expected a log town:.., of which the truth is known, found {}", args.log);
         return Err(WrongUsage(message).into());
     }
-    for out in [&args.json, &args.csv, &args.markdown].into_iter().flatten() {
-        check_output_file(out, [])?;
-    }
+    let inputs = Inputs::new([&args.skeleton]).and(args.stand_ins.inputs());
+    let files = [
+        ("--json", args.json.as_deref(), FidelityFiles::JSON),
+        ("--csv", args.csv.as_deref(), FidelityFiles::CSV),
+        ("--markdown", args.markdown.as_deref(), FidelityFiles::MARKDOWN),
+    ];
+    let [json, csv, markdown] = outputs::open(files, &inputs, None)?;
     let town = logs::open_town(&args.log)?;
     let log = town.log();
     let skeleton = Skeleton::open_for(&args.skeleton, log)?;
@@ -90,9 +94,9 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let mut on_step = |name: &str| progress.step(name);
     let report = fidelity(&town, &clouds, rasterizer.as_mut(), frames, options, &mut on_step)?;
     drop(progress);
-    args.json.as_ref().map_or(Ok(()), |path| write_json(path, &report))?;
-    write_text(args.csv.as_deref(), &report.csv())?;
-    write_text(args.markdown.as_deref(), &report.markdown())?;
+    json.map_or(Ok(()), |file| file.write_json(&report))?;
+    write_text(csv, &report.csv())?;
+    write_text(markdown, &report.markdown())?;
     say(report.table().trim_end());
     let images = report.poses.iter().map(|row| row.images).sum::<usize>();
     let (seconds, skeleton) = (start.elapsed().as_secs_f64(), args.skeleton.display());
@@ -100,7 +104,7 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write_text(path: Option<&Path>, text: &str) -> Result<(), FileError> {
-    let Some(path) = path else { return Ok(()) };
-    write_whole(path, |out| out.write_all(text.as_bytes()).map_err(FileError::io("write", path)))
+fn write_text(file: Option<OutputFile>, text: &str) -> Result<(), FileError> {
+    let Some(file) = file else { return Ok(()) };
+    file.write(|out| out.write_all(text.as_bytes()).map_err(FileError::io("write", file.path())))
 }

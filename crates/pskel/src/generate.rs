@@ -8,7 +8,7 @@ use clap::Args;
 use point_skeleton::dataset::{LogFormat, LogLocator};
 use point_skeleton::scene::EgoOffset;
 use pskel_eval::protocol::ClipClock;
-use pskel_generate::{CopiedLog, check_dataset_copy, copy_dataset};
+use pskel_generate::{CopiedLog, check_copied_log, check_dataset_copy, copy_dataset};
 use pskel_network::NetworkName;
 
 use super::generator::GeneratorArgs;
@@ -88,7 +88,8 @@ pub(super) fn run(args: GenerateArgs) -> anyhow::Result<()> {
         return Err(WrongUsage(message).into());
     }
     if let Some(folder) = &args.dataset {
-        check_dataset_copy(folder)?;
+        check_dataset_copy(&args.log.path, folder)?;
+        check_copied_log(&args.log.path, args.roots.open(&args.log)?.log())?;
     }
     let (log, roots, out, back) =
         (args.log.clone(), args.roots.clone(), args.out.clone(), args.dataset.clone());
@@ -119,6 +120,7 @@ impl GenerateArgs {
             resume: self.resume,
             resume_from: self.resume_from,
             profile: self.profile,
+            copies_dataset: self.dataset.is_some(),
             annotations: self.annotations,
             stand_ins: self.stand_ins,
             rasterizer: self.rasterizer,

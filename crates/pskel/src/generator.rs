@@ -158,6 +158,12 @@ impl GeneratorArgs {
         })
     }
 
+    /// Returns the files that are read: captions and recipe.
+    pub(super) fn inputs(&self) -> impl Iterator<Item = &Path> {
+        let recipe = self.recipe.as_deref().filter(|_| self.preset().is_none());
+        self.captions.as_deref().into_iter().chain(recipe)
+    }
+
     /// Returns the file of the captions.
     pub(super) fn captions_file(&self) -> Option<&Path> {
         self.captions.as_deref()

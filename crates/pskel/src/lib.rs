@@ -24,6 +24,7 @@ mod log_args;
 pub mod logs;
 mod map_args;
 mod numbers;
+mod outputs;
 mod progress;
 #[cfg(feature = "network")]
 mod protocol;
@@ -48,6 +49,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use point_skeleton::error::with_causes;
+use point_skeleton::files::lacks_locks;
 use point_skeleton::memory::variable_limit;
 use point_skeleton::threads::start_pool;
 
@@ -132,6 +134,9 @@ pub fn run(args: impl Iterator<Item = OsString>) -> u8 {
     };
     let done = prepare().and_then(|()| cli.command.run()).and_then(|()| terminal::check());
     signals::wait_if_stopping();
+    if lacks_locks() {
+        warn("the file system of an output has no locks: let no other process write there at the same time");
+    }
     match done {
         Ok(()) => 0,
         Err(error) => {

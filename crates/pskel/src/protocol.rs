@@ -14,11 +14,11 @@ use point_skeleton::conditions::{ConditionOptions, MapFormat};
 use point_skeleton::dataset::{Dataset, LogFormat, LogLocator, LogOpener};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::input::is_there;
-use point_skeleton::files::{OutputFolder, json, write_json, write_whole};
+use point_skeleton::files::{Inputs, OutputFolder, json, write_json, write_whole};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use point_skeleton::skeleton;
 use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport};
-use pskel_generate::{CopiedLog, DenoiserRig, check_dataset_copy, copy_dataset};
+use pskel_generate::{CopiedLog, DenoiserRig, check_copied_log, check_dataset_copy, copy_dataset};
 use pskel_network::NetworkName;
 use pskel_sim::report::ROLLOUT;
 use pskel_sim::{Rates, rollout};
@@ -110,11 +110,17 @@ struct Settings<'a> {
     captions: Option<&'a Path>,
 }
 
+/// Files in the folder itself.
+const FILES: [&str; 3] = ["protocol.json", "results.json", "table.md"];
+
 /// A run of the command.
 struct Run<'a> {
     args: &'a ProtocolArgs,
     /// Keeps the tables of a data set between its logs.
     opener: Arc<LogOpener>,
+    /// Folder of the first recording: the data set that is copied.
+    root: PathBuf,
+    files: &'a OutputFolder,
     /// Number of reference frames of the generator.
     references: usize,
     /// Parts and their rollouts so far.
@@ -136,12 +142,17 @@ pub(super) fn run(args: &ProtocolArgs) -> anyhow::Result<()> {
     let dataset = args.out.join("dataset");
     if let Some(part) = parts.iter().find(|part| part.copies_dataset) {
         check_one_dataset(part, &logs)?;
-        check_dataset_copy(&dataset)?;
+        check_dataset_copy(&logs[0].path, &dataset)?;
     }
-    let files = OutputFolder::open(&args.out, "protocol", &[])?;
+    let files = OutputFolder::open(&args.out, "protocol", &args.inputs(&logs))?;
+    files.check(FILES)?;
+    files.folder("dataset")?;
+    parts.iter().try_for_each(|part| files.folder(part.name).map(drop))?;
     let references = args.settle(&logs, &opener, &files)?;
     let parts = parts.into_iter().map(|part| PartRollouts { part, folders: Vec::new(), frames: 0 }).collect();
-    let mut run = Run { args, opener, references, parts, copied: Vec::new(), logs: Vec::new() };
+    let root = logs.first().map(|log| log.path.clone()).unwrap_or_default();
+    let (copied, names) = Default::default();
+    let mut run = Run { args, opener, root, files: &files, references, parts, copied, logs: names };
     let mut failures = 0_usize;
     for locator in &logs {
         if let Err(error) = run.generate(locator) {
@@ -153,7 +164,7 @@ pub(super) fn run(args: &ProtocolArgs) -> anyhow::Result<()> {
         failures < logs.len(),
         "expected rollouts, found that each of {failures} recordings failed"
     );
-    run.finish(&files, &dataset)?;
+    run.finish(&dataset)?;
     files.close()?;
     let (count, seconds) = (logs.len(), start.elapsed().as_secs_f64());
     let plural = if count == 1 { "" } else { "s" };
@@ -163,6 +174,15 @@ pub(super) fn run(args: &ProtocolArgs) -> anyhow::Result<()> {
 }
 
 impl ProtocolArgs {
+    /// Returns everything that is read, except for skeletons.
+    fn inputs(&self, logs: &[LogLocator]) -> Inputs {
+        let log_paths = logs.iter().flat_map(LogLocator::inputs);
+        Inputs::new(log_paths)
+            .and(&self.annotations)
+            .and(self.generating.inputs())
+            .and(self.stand_ins.inputs())
+    }
+
     /// Returns the selected parts, in order.
     fn parts(&self) -> Result<Vec<Part>, WrongUsage> {
         let mut parts = self.protocol.parts();
@@ -245,6 +265,9 @@ impl Run<'_> {
         let dataset: Rc<dyn Dataset> = logs::open_by(locator, &self.opener)?.into();
         let log = dataset.log();
         anyhow::ensure!(!self.logs.contains(&log.name), "expected each name once, found {} again", log.name);
+        if self.parts.iter().any(|part| part.part.copies_dataset) {
+            check_copied_log(&self.root, log)?;
+        }
         let skeleton = self.args.skeletons.join(&log.name);
         if !skeleton.exists() {
             tell(&format!("building {}", skeleton.display()));
@@ -257,7 +280,7 @@ impl Run<'_> {
             let clips = part.clips(log, rates, self.references);
             let clips = clips.with_context(|| format!("part {}", part.name))?;
             for clip in clips.into_iter().take(limit) {
-                let out = self.args.out.join(part.name).join(&clip.name);
+                let out = self.files.folder(Path::new(part.name).join(&clip.name))?;
                 self.generate_clip(locator, &skeleton, part, &clip, &out)
                     .with_context(|| format!("part {}, clip {}", part.name, clip.name))?;
                 done.push((place, clip, out));
@@ -308,6 +331,7 @@ impl Run<'_> {
             resume: is_there(&out.join(ROLLOUT))?,
             resume_from: None,
             profile: None,
+            copies_dataset: false,
             annotations: args.annotations.clone(),
             stand_ins: args.stand_ins.clone(),
             rasterizer: args.rasterizer.clone(),
@@ -318,7 +342,7 @@ impl Run<'_> {
     }
 
     /// Scores all rollouts, writes and prints the table, and writes the copy of the data set.
-    fn finish(&self, files: &OutputFolder, dataset: &Path) -> anyhow::Result<()> {
+    fn finish(&self, dataset: &Path) -> anyhow::Result<()> {
         let progress = RefCell::new(None);
         let mut on_start = |steps| *progress.borrow_mut() = Some(Progress::new(steps));
         let mut on_step =
@@ -327,8 +351,8 @@ impl Run<'_> {
         let rollouts = (self.args.out.as_path(), parts.as_slice());
         let report = ProtocolReport::score(protocol, &self.logs, rollouts, &mut on_start, &mut on_step)?;
         drop(progress);
-        write_json(&files.claim("results.json")?, &report)?;
-        let (path, table) = (files.claim("table.md")?, report.table());
+        write_json(&self.files.claim("results.json")?, &report)?;
+        let (path, table) = (self.files.claim("table.md")?, report.table());
         write_whole(&path, |out| {
             std::io::Write::write_all(out, table.as_bytes()).map_err(FileError::io("write", &path))
         })?;
@@ -336,7 +360,7 @@ impl Run<'_> {
             .map(|(dataset, rollout)| CopiedLog { log: dataset.log(), rollout })
             .collect();
         if !logs.is_empty() {
-            let counts = copy_dataset(&self.args.logs[0].path, &logs, dataset)?;
+            let counts = copy_dataset(&self.root, &logs, dataset)?;
             let place = dataset.display();
             tell(&format!("{} images replaced, {} kept: {place}", counts.replaced, counts.kept));
         }

@@ -6,7 +6,7 @@ use point_skeleton::cloud;
 use point_skeleton::conditions::{
     ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, check_memory, npz, render_views,
 };
-use point_skeleton::files::check_output_file;
+use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::raster::{Instance, SplatSchedule};
 use point_skeleton::scene::SceneInstances;
 
@@ -44,7 +44,8 @@ pub(super) struct SplatArgs {
 /// Runs the command: reads points and cameras, renders, writes the arrays.
 pub(super) fn run(args: SplatArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    check_output_file(&args.out, [args.points.as_path(), args.cameras.as_path()])?;
+    let inputs = Inputs::new([&args.points, &args.cameras]);
+    let out = OutputFile::open(&args.out, npz::COLOR_FIRST, &inputs)?;
     let views = cloud::cameras::read(&args.cameras)?;
     let cloud = cloud::read(&args.points)?;
     tell_notes(&args.points, &cloud.notes);
@@ -67,7 +68,7 @@ pub(super) fn run(args: SplatArgs) -> anyhow::Result<()> {
         progress.step(&view[0].camera.name);
     }
     drop(progress);
-    npz::write(&args.out, &set)?;
+    npz::write(out.path(), &set)?;
     let not_drawn = match cloud.non_finite {
         0 => String::new(),
         n => format!(" ({n} not finite, never drawn)"),

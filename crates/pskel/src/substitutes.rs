@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use point_skeleton::scene::SubstituteOptions;
@@ -30,6 +30,11 @@ pub(super) struct SubstituteArgs {
 }
 
 impl SubstituteArgs {
+    /// Returns the folders that are read.
+    pub(super) fn inputs(&self) -> impl Iterator<Item = &Path> {
+        self.templates.as_deref().into_iter()
+    }
+
     /// Returns the options of the library.
     pub(super) fn options(&self) -> SubstituteOptions {
         let augment = |seed| AugmentOptions {

@@ -7,6 +7,7 @@ use clap::Args;
 use point_skeleton::cloud::Point;
 use point_skeleton::conditions::template_preview;
 use point_skeleton::dataset::{self, Dataset, LogLocator};
+use point_skeleton::files::Inputs;
 use point_skeleton::skeleton::{
     self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton,
     TemplateCloud, TemplateLibrary, TemplateOptions, TemplateReport,
@@ -63,11 +64,11 @@ impl FromStr for Target {
 /// Runs the command: reads actors, creates templates, renders previews, writes the folder.
 pub(super) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    let skeletons = args.targets.iter().filter_map(|target| match target {
-        Target::Skeleton(path) => Some(path.as_path()),
-        Target::Log(_) => None,
+    let inputs = args.targets.iter().flat_map(|target| match target {
+        Target::Skeleton(path) => vec![path.clone()],
+        Target::Log(log) => args.roots.locate(log).inputs().map(Path::to_path_buf).collect(),
     });
-    let target = TemplateLibrary::target(&args.out, &skeletons.collect::<Vec<_>>())?;
+    let target = TemplateLibrary::target(&args.out, &Inputs::new(inputs))?;
     let options = TemplateOptions {
         target_points: args.target_points,
         min_points: args.min_points,

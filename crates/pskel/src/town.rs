@@ -7,7 +7,7 @@ use std::time::Instant;
 use clap::Args;
 use point_skeleton::conditions::ImageSize;
 use point_skeleton::dataset::{Dataset, Recording};
-use point_skeleton::files::WholeFolder;
+use point_skeleton::files::{Inputs, WholeFolder};
 use pskel_town::{Daylight, Town, TownOptions, WriteError};
 
 use super::progress::Progress;
@@ -60,7 +60,7 @@ pub(super) fn run(args: &TownArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let options = args.options();
     options.check().map_err(|error| WrongUsage(error.to_string()))?;
-    let out = WholeFolder::open(&args.out, "town", &[])?;
+    let out = WholeFolder::open(&args.out, "town", &Inputs::default())?;
     let town = Town::new(&options)?;
     out.write(|folder| {
         let progress = Mutex::new(Progress::new(town.log().frames.len()));

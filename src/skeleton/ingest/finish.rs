@@ -33,7 +33,8 @@ impl Builder<'_> {
         let runs = Runs::open(self.work.path(), &self.done.runs)?;
         let cells = self.ordered(runs.cells())?;
         self.run.progress.start("merge points", cells.len());
-        SkeletonWriter::write_by(out, self.work.work(), |writer| {
+        let logs: Vec<String> = self.streams.iter().map(|stream| stream.log.fingerprint()).collect();
+        SkeletonWriter::write_by(out, self.work.work(), &logs, |writer| {
             runs.merged(&cells, |cell, sums| {
                 self.run.progress.step();
                 if self.run.progress.is_stopped() {

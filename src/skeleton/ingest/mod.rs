@@ -28,6 +28,8 @@ use self::checkpoint::{Plan, PlannedLog, Unfinished};
 use self::stream::Stream;
 use super::{BuildOptions, GenerateTemplates, Skeleton, SkeletonWriter};
 use crate::dataset::Dataset;
+use crate::files::Inputs;
+use crate::files::input::is_taken;
 
 /// Builds a skeleton from some frames of one or more logs of the same location. The result depends only on the input
 /// and the options, not on the number of threads or interruptions. During the build there is a folder named `out`
@@ -47,7 +49,7 @@ pub fn build(
     let streams: Vec<Stream> =
         inputs.iter().map(|input| Stream::new(input, options)).collect::<Result<_, _>>()?;
     check_places(&streams)?;
-    SkeletonWriter::check_target(out)?;
+    SkeletonWriter::check_target(out, &Inputs::default())?;
     let work = Unfinished::open(out, plan(&streams, options), run.resume)?;
     let mut builder = Builder::new(streams, options, run, work);
     let built = builder.gather().and_then(|()| builder.finish(out, templates));
@@ -72,13 +74,24 @@ pub fn build(
 /// Opens the skeleton of a whole log. If there is no such folder, builds it first, with default options.
 ///
 /// # Errors
-/// Fails if the skeleton is damaged. Returns any error of [`build()`].
+/// Fails if the skeleton is damaged or of another recording, even of one with the same name. Returns any error of
+/// [`build()`].
 pub fn open_or_build(path: &Path, dataset: &dyn Dataset) -> Result<Skeleton, BuildError> {
-    if path.exists() {
-        return Ok(Skeleton::open(path)?);
+    if !is_free(path) {
+        let skeleton = Skeleton::open_for(path, dataset.log())?;
+        skeleton.check_recording(dataset.log())?;
+        return Ok(skeleton);
     }
     let options = BuildOptions::default();
     build(path, &[BuildInput::all(dataset)], &options, &|_| Ok(Vec::new()), &BuildRun::default())
+}
+
+/// Returns whether a path has nothing or an empty folder, like a mount point.
+fn is_free(path: &Path) -> bool {
+    match std::fs::read_dir(path) {
+        Ok(mut entries) => entries.next().is_none(),
+        Err(_) => !is_taken(path),
+    }
 }
 
 /// Returns the number of completed frames in an unfinished build of `out`; `None` if there is none to resume.

@@ -9,7 +9,7 @@ use super::{TemplateCloud, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
 use crate::error::FileError;
 use crate::files::input::is_taken;
-use crate::files::{WholeFolder, write_json, write_whole};
+use crate::files::{Inputs, WholeFolder, write_json, write_whole};
 use crate::gpu::MappedFile;
 use crate::skeleton::store::{Entry, read_manifest};
 use crate::skeleton::{Source, Template};
@@ -78,7 +78,7 @@ impl TemplateLibrary {
     ///
     /// # Errors
     /// Returns any error of [`WholeFolder::open`].
-    pub fn target(path: &Path, inputs: &[&Path]) -> Result<WholeFolder, FileError> {
+    pub fn target(path: &Path, inputs: &Inputs) -> Result<WholeFolder, FileError> {
         WholeFolder::open(path, KIND, inputs)
     }
 

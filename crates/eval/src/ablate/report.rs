@@ -64,6 +64,13 @@ impl Report {
         }
     }
 
+    /// Returns the names of the files that [`Self::write`] may write.
+    pub(super) fn files(tables: &[Table]) -> Vec<String> {
+        let is_asked = |table: &Table| tables.is_empty() || tables.contains(table);
+        let curves = Table::ALL.into_iter().filter(is_asked).map(|table| format!("{}.svg", table.name()));
+        ["results.json", "table.md"].map(str::to_owned).into_iter().chain(curves).collect()
+    }
+
     /// Writes results.json, table.md and a curve for each table.
     pub(super) fn write(&self, files: &OutputFolder) -> Result<(), FileError> {
         write_json(&files.claim("results.json")?, self)?;
@@ -156,6 +163,7 @@ fn cells(numbers: &BTreeMap<String, Option<MeanInterval>>) -> Vec<String> {
 mod tests {
     use super::super::options::{AblateOptions, Choice, Origin};
     use super::*;
+    use point_skeleton::files::Inputs;
     use pskel_generate::{DroppedConditions, Strategy};
 
     fn row(name: &str) -> Row {
@@ -198,7 +206,7 @@ mod tests {
         assert!(table.ends_with("over 2 scenes.\n"), "{table}");
         assert_eq!(report.rows[1].psnr_db, [[0.6, 21.0], [0.8, 20.0]]);
         let folder = tempfile::tempdir().unwrap();
-        report.write(&OutputFolder::open(folder.path(), "ablation", &[]).unwrap()).unwrap();
+        report.write(&OutputFolder::open(folder.path(), "ablation", &Inputs::default()).unwrap()).unwrap();
         let svg = std::fs::read_to_string(folder.path().join("strategies.svg")).unwrap();
         assert!(svg.contains("PSNR (dB)") && !folder.path().join("conditions.svg").exists());
     }

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use point_skeleton::dataset::Dataset;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::is_there;
-use point_skeleton::files::{OutputFolder, write_json};
+use point_skeleton::files::{Inputs, OutputFolder, write_json};
 use point_skeleton::raster::RasterizerDesc;
 
 use super::error::AblateError;
@@ -40,7 +40,8 @@ impl Ablation {
         options.infer_steps.get_or_insert(networks.main.config().frames);
         let rows = rows(&networks, tables, &options);
         rows.iter().try_for_each(|row| row.options(&networks, &options).check())?;
-        let files = OutputFolder::open(path, "ablation", &[])?;
+        let files = OutputFolder::open(path, "ablation", &Inputs::default())?;
+        files.check(Report::files(tables))?;
         let (path, tables) = (path.to_owned(), tables.to_vec());
         Ok(Self { path, files, networks, options, tables, rows, results: Vec::new() })
     }
@@ -63,7 +64,7 @@ impl Ablation {
         rasterizer: &RasterizerDesc,
         progress: &mut dyn FnMut(&RunResult),
     ) -> Result<(), AblateError> {
-        let folder = self.path.join(name);
+        let folder = self.files.folder(name)?;
         std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
         let options = SceneOptions {
             recipe: self.networks.main.recipe(),

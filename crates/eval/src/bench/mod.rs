@@ -16,7 +16,7 @@ mod workload;
 pub use measure::TimedFrame;
 pub use options::{BenchError, BenchOptions};
 pub use result::{BenchResult, Spread};
-pub use trace::check_trace_file;
+pub use trace::TRACE;
 pub use workload::Workload;
 
 use point_skeleton::raster;

@@ -1,9 +1,9 @@
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 use std::time::Duration;
 
 use point_skeleton::conditions::ImageSize;
 use point_skeleton::error::FileError;
+use point_skeleton::files::OutputFile;
 use point_skeleton::raster::RasterizerInfo;
 use serde::Serialize;
 
@@ -84,8 +84,8 @@ impl BenchResult {
     ///
     /// # Errors
     /// Fails if the file cannot be written.
-    pub fn write_trace(&self, path: &Path) -> Result<(), FileError> {
-        trace::write(path, &self.timed, self.in_flight, &self.names)
+    pub fn write_trace(&self, file: &OutputFile) -> Result<(), FileError> {
+        trace::write(file, &self.timed, self.in_flight, &self.names)
     }
 }
 

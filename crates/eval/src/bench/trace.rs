@@ -1,10 +1,9 @@
 //! Traces in the Chrome trace event format: complete events (`ph: "X"`, times in microseconds), and names of tracks.
 
-use std::path::Path;
 use std::time::Duration;
 
 use point_skeleton::error::FileError;
-use point_skeleton::files::{check_output_file, write_json};
+use point_skeleton::files::{FileKind, OutputFile};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -21,33 +20,19 @@ struct Trace {
     unit: &'static str,
 }
 
+/// Files of traces of this program.
+pub const TRACE: FileKind =
+    FileKind { name: "a trace of pskel bench", begin: b"{\n  \"traceEvents\": [", mark: b"\"pskel bench\"" };
+
 /// Writes frames, from begin to end, and their stages, placed one after the other from the frame's begin. Frames in
 /// flight together get separate tracks. `names` are those of the workload's frames.
 pub(super) fn write(
-    path: &Path,
+    file: &OutputFile,
     frames: &[TimedFrame],
     in_flight: usize,
     names: &[String],
 ) -> Result<(), FileError> {
-    write_json(path, &Trace { events: events(frames, in_flight, names), unit: "ms" })
-}
-
-/// Checks that the file of a trace can be written, before any work is done.
-///
-/// # Errors
-/// Fails if the path is one of the inputs or a folder, or if its folder does not exist.
-pub fn check_trace_file<'a>(
-    path: &Path,
-    inputs: impl IntoIterator<Item = &'a Path>,
-) -> Result<(), FileError> {
-    check_output_file(path, inputs)?;
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    match std::fs::metadata(folder) {
-        Ok(found) if !found.is_dir() => Err(FileError::content("a folder to write to", "a file", folder)),
-        Ok(_) if path.is_dir() => Err(FileError::content("a file to write", "a folder", path)),
-        Ok(_) => Ok(()),
-        Err(error) => Err(FileError::io("create", path)(error)),
-    }
+    file.write_json(&Trace { events: events(frames, in_flight, names), unit: "ms" })
 }
 
 fn events(frames: &[TimedFrame], in_flight: usize, names: &[String]) -> Vec<Value> {
@@ -91,6 +76,7 @@ fn label(what: &str, track: usize, name: &str) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use point_skeleton::files::Inputs;
     use point_skeleton::raster::StageTimes;
 
     fn frame(begun_us: u64, finished_us: u64) -> TimedFrame {
@@ -135,15 +121,12 @@ mod tests {
     }
 
     #[test]
-    fn bad_places_are_known_before_the_work() {
+    fn traces_have_their_mark() {
         let folder = tempfile::tempdir().unwrap();
-        let place = |name: &str| check_trace_file(&folder.path().join(name), []);
-        std::fs::write(folder.path().join("file"), "").unwrap();
-        assert!(place("t.json").is_ok() && place("file").is_ok());
-        assert!(place("none/t.json").unwrap_err().to_string().ends_with("none/t.json"));
-        assert!(place("file/t.json").is_err());
-        assert!(
-            check_trace_file(folder.path(), []).unwrap_err().to_string().contains("expected a file to write")
-        );
+        let open = || OutputFile::open(&folder.path().join("t.json"), TRACE, &Inputs::default());
+        write(&open().unwrap(), &[frame(0, 50)], 1, &["a", "b"].map(String::from)).unwrap();
+        open().unwrap();
+        std::fs::write(folder.path().join("t.json"), "{\"traceEvents\": []}").unwrap();
+        assert!(open().unwrap_err().to_string().starts_with("expected a trace of pskel bench to replace"));
     }
 }

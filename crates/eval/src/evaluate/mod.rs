@@ -9,7 +9,7 @@ mod rollout;
 mod segmentor;
 
 pub use error::EvaluateError;
-pub use report::Report;
+pub use report::{Report, SCORES};
 
 use std::path::PathBuf;
 

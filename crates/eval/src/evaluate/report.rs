@@ -8,7 +8,7 @@ use crate::{
     CollectedFeatures, Distance, Distances, FrechetError, MeanInterval, Scores, mean_interval,
     paired_difference,
 };
-use point_skeleton::files::FileName;
+use point_skeleton::files::{FileKind, FileName};
 use serde::Serialize;
 
 use super::rollout::GeneratedRollout;
@@ -109,6 +109,10 @@ impl ScoredRollout {
         [self.folder.clone(), steps.to_string()].into_iter().chain(cells).collect()
     }
 }
+
+/// Files of reports.
+pub const SCORES: FileKind =
+    FileKind { name: "scores of pskel evaluate", begin: b"{\n  \"seed\": ", mark: b"\n  \"mean\": {" };
 
 impl Report {
     pub(super) fn new(

@@ -7,6 +7,7 @@ mod table;
 
 pub use error::FidelityError;
 pub use measure::{MaskRow, Row};
+pub use table::FidelityFiles;
 
 use std::ops::Range;
 

@@ -3,6 +3,7 @@
 use super::FidelityReport;
 use super::measure::{MaskRow, Row};
 use crate::table::{aligned, number};
+use point_skeleton::files::FileKind;
 
 const HEADER: [&str; 14] = [
     "pose",
@@ -20,6 +21,30 @@ const HEADER: [&str; 14] = [
     "same, templates only",
     "same, own points only",
 ];
+
+/// Kinds of the files of a report.
+pub struct FidelityFiles;
+
+impl FidelityFiles {
+    /// All numbers.
+    pub const JSON: FileKind = FileKind {
+        name: "a report of pskel fidelity",
+        begin: b"{\n  \"log\": ",
+        mark: b"\n  \"description\": ",
+    };
+    /// Table as CSV.
+    pub const CSV: FileKind = FileKind {
+        name: "a table of pskel fidelity",
+        begin: b"pose,images,PSNR (dB),filled (%),",
+        mark: b"",
+    };
+    /// Table as Markdown.
+    pub const MARKDOWN: FileKind = FileKind {
+        name: "a table of pskel fidelity",
+        begin: b"| pose | images | PSNR (dB) | filled (%) |",
+        mark: b"",
+    };
+}
 
 impl FidelityReport {
     /// Formats a row per pose, with aligned columns.

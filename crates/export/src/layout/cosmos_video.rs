@@ -9,15 +9,16 @@ use image::RgbImage;
 use image::imageops::{FilterType, resize};
 use point_skeleton::Maps;
 use point_skeleton::conditions::{CameraConditions, ImageSize};
+use point_skeleton::dataset::Recording;
 use point_skeleton::scene::GroundTruthImages;
 use pskel_sim::report::Video;
 use rayon::prelude::*;
 use serde_json::json;
 
 use super::{LayoutWriter, Source, slots};
-use crate::ExportError;
 use crate::samples::Sample;
 use crate::shard::Shard;
+use crate::{ExportError, ExportOptions};
 
 /// Frame rate of logs whose own is unknown, per second.
 const DEFAULT_HZ: f64 = 10.0;
@@ -36,6 +37,17 @@ struct Picture {
     path: String,
     size: ImageSize,
     pixels: Vec<[u8; 3]>,
+}
+
+/// Checks that the encoder can encode images of the sizes of all maps.
+pub(super) fn check(options: &ExportOptions, log: &Recording) -> Result<(), ExportError> {
+    let (size, out_size) = (options.conditions.size, options.conditions.out_size);
+    for rig in &log.rig {
+        let camera = &rig.camera;
+        let own = ImageSize { height: camera.height, width: camera.width };
+        Video::check(Path::new(camera.name.as_str()), out_size.or(size).unwrap_or(own))?;
+    }
+    Ok(())
 }
 
 impl<'a> Videos<'a> {
@@ -83,7 +95,7 @@ fn over(boxes: &[[u8; 3]], map: Option<&[[u8; 3]]>) -> Vec<[u8; 3]> {
 }
 
 impl LayoutWriter for Videos<'_> {
-    fn add(&mut self, _: &mut Shard, sample: &Sample<'_>, maps: &Maps) -> Result<(), ExportError> {
+    fn add(&mut self, shard: &mut Shard, sample: &Sample<'_>, maps: &Maps) -> Result<(), ExportError> {
         let hz = self.source.fps().unwrap_or(DEFAULT_HZ);
         let cameras: Vec<_> = maps.cameras().iter().enumerate().collect();
         let pictures = cameras.par_iter().map(|(camera, maps)| self.pictures(sample, maps, *camera));
@@ -91,6 +103,7 @@ impl LayoutWriter for Videos<'_> {
         let pictures: Vec<Picture> = pictures.into_iter().flatten().collect();
         for Picture { path, size, .. } in &pictures {
             if !self.videos.contains_key(path) {
+                shard.check(path)?;
                 self.videos.insert(path.clone(), Video::new(Path::new(path), *size, hz)?);
             }
         }

@@ -26,7 +26,7 @@ use point_skeleton::scene::frame_rate_hz;
 use serde_json::Value;
 
 use crate::samples::Sample;
-use crate::shard::{Shard, ShardRecord};
+use crate::shard::{Shard, ShardInput, ShardRecord};
 use crate::{ExportError, ExportOptions, Layout, ListedLog, SampleTimes};
 
 /// Returns a writer of a shard.
@@ -49,6 +49,18 @@ pub(crate) fn writer<'a>(
     })
 }
 
+/// Checks, before any work, that a layout can hold the maps of a log.
+///
+/// # Errors
+/// Fails if the encoder of the layout cannot encode the sizes of the maps.
+pub(crate) fn check(options: &ExportOptions, log: &Recording) -> Result<(), ExportError> {
+    match options.layout {
+        #[cfg(feature = "video")]
+        Layout::CosmosVideo => cosmos_video::check(options, log),
+        _ => Ok(()),
+    }
+}
+
 /// Returns the entry of a shard in `index.json`.
 pub(crate) fn index_entry(layout: Layout, record: &ShardRecord) -> Value {
     match (layout, record.files.first()) {
@@ -67,6 +79,8 @@ pub(crate) struct Source<'a> {
     pub(crate) listed: &'a ListedLog,
     pub(crate) dataset: &'a dyn Dataset,
     pub(crate) options: &'a ExportOptions,
+    /// Fingerprints of log and skeleton.
+    pub(crate) input: ShardInput,
     #[cfg(feature = "parquet")]
     pub(crate) map: Option<Arc<SceneMap>>,
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use point_skeleton::dataset::Dataset;
 use point_skeleton::error::FileError;
-use point_skeleton::files::OutputFolder;
+use point_skeleton::files::{Inputs, OutputFolder};
 use point_skeleton::raster::RasterizerDesc;
 use point_skeleton::scene::EgoOffset;
 use point_skeleton::skeleton;
@@ -80,8 +80,8 @@ impl ClipRecorder<'_> {
     /// Records missing clips. The skeleton is retained for later ones. Only recording locks the folder: trainings
     /// share it.
     fn record(&self, name: &str, dataset: &dyn Dataset, files: &[PathBuf]) -> Result<(), RecordError> {
-        let folder = OutputFolder::open(self.folder, KIND, &[])?;
-        let skeleton = skeleton::open_or_build(&self.folder.join(format!("{name}.skeleton")), dataset)?;
+        let folder = OutputFolder::open(self.folder, KIND, &Inputs::default())?;
+        let skeleton = skeleton::open_or_build(&folder.folder(format!("{name}.skeleton"))?, dataset)?;
         let (recipe, rasterizer) = (&self.config.recipe, &self.options.rasterizer);
         let source = Source { dataset, skeleton: &skeleton, recipe, rasterizer };
         for (number, file) in files.iter().enumerate().filter(|(_, file)| !file.is_file()) {

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use point_skeleton::error::FileError;
-use point_skeleton::files::OutputFolder;
 use point_skeleton::files::input::is_there;
 use point_skeleton::files::json::{Difference, difference};
+use point_skeleton::files::{Inputs, OutputFolder};
 use pskel_generate::TrainingClip;
 use serde_json::json;
 
@@ -69,7 +69,7 @@ impl TrainingFolder {
     /// # Errors
     /// Fails if the folder is in use or has other files, or if it cannot be written.
     pub fn open(path: &Path) -> Result<Self, FileError> {
-        let files = OutputFolder::open(path, KIND, &[])?;
+        let files = OutputFolder::open(path, KIND, &Inputs::default())?;
         files.check([CHECKPOINT, WEIGHTS, LOSS, CURVE])?;
         Ok(Self { path: path.to_owned(), files })
     }

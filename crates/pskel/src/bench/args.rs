@@ -4,6 +4,7 @@ use clap::Args;
 use point_skeleton::cloud;
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use point_skeleton::dataset::LogLocator;
+use point_skeleton::files::Inputs;
 use point_skeleton::raster::{FRAMES_IN_FLIGHT, SplatSchedule};
 use point_skeleton::scene::SubstituteOptions;
 use point_skeleton::skeleton::Skeleton;
@@ -101,6 +102,13 @@ impl BenchArgs {
             return Err(WrongUsage(format!("{expected}, found none")));
         }
         Ok(())
+    }
+
+    /// Returns everything that is read.
+    pub(super) fn inputs(&self) -> Inputs {
+        let files = [&self.skeleton, &self.points, &self.cameras].into_iter().flatten();
+        let log = self.log.iter().flat_map(LogLocator::inputs);
+        Inputs::new(files).and(log).and(self.stand_ins.inputs())
     }
 
     /// Generates or loads the workload that the options select.

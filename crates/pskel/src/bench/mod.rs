@@ -6,28 +6,22 @@ mod report;
 pub(super) use args::BenchArgs;
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
-use pskel_eval::bench::{bench, check_trace_file};
+use pskel_eval::bench::{TRACE, bench};
 
 use super::progress::Progress;
-use super::say;
+use super::{outputs, say};
 
 /// Runs the command: loads the workload, measures, prints the report.
 pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     args.check()?;
-    if let Some(path) = &args.trace {
-        let inputs = [&args.points, &args.cameras].into_iter().flatten().map(PathBuf::as_path);
-        check_trace_file(path, inputs)?;
-    }
+    let [trace] = outputs::open([("--trace", args.trace.as_deref(), TRACE)], &args.inputs(), None)?;
     let workload = args.workload()?;
     let options = args.options()?;
     let mut progress = Progress::new(options.frames(workload.frame_count()));
     let result = bench(workload, &options, &mut |name| progress.step(name))?;
     drop(progress);
-    if let Some(path) = &args.trace {
-        result.write_trace(path)?;
-    }
+    trace.map_or(Ok(()), |file| result.write_trace(&file))?;
     if args.json {
         say(&serde_json::to_string(&result)?);
         return Ok(());

@@ -3,6 +3,7 @@ use std::path::PathBuf;
 use clap::Args;
 use point_skeleton::conditions::{ConditionOptions, MapFormat, MapSet};
 use point_skeleton::dataset::{LogLocator, Recording};
+use point_skeleton::files::Inputs;
 use point_skeleton::scene::{EgoOffset, LogTimes, SelectionOptions, SubstituteReport};
 use serde::Serialize;
 
@@ -100,6 +101,13 @@ impl RenderArgs {
             return Err(WrongUsage(message.to_owned()));
         }
         self.maps.check()
+    }
+
+    /// Returns everything that is read.
+    pub(super) fn inputs(&self) -> Inputs {
+        let files = [&self.cameras, &self.annotations].into_iter().flatten();
+        let log = self.roots.locate(&self.log);
+        Inputs::new(log.inputs()).and([&self.skeleton]).and(files).and(self.stand_ins.inputs())
     }
 
     /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but missing.

@@ -56,7 +56,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
         },
     )?;
     let writer = SequenceWriter {
-        folder: OutputFolder::open(&args.out, "maps", &[&args.skeleton, &args.log.path])?,
+        folder: OutputFolder::open(&args.out, "maps", &args.inputs())?,
         format: args.maps.format,
         bins: &options.conditions.depth_bins,
         prompt: &prompt,

@@ -1,4 +1,4 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Context;
@@ -7,11 +7,14 @@ use clap::Args;
 use point_skeleton::conditions::MapFormat;
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::dataset::{Dataset, LogLocator, LogOpener, MissingData, MovedEgo};
+use point_skeleton::files::{Inputs as InputPaths, OutputFile};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
 use point_skeleton::skeleton::Skeleton;
 #[cfg(feature = "network")]
 use pskel_eval::protocol::ClipClock;
-use pskel_sim::rollout::ResumeAfter;
+#[cfg(feature = "mcap")]
+use pskel_sim::rollout::MCAP;
+use pskel_sim::rollout::{Profile, ResumeAfter};
 use pskel_sim::{ActorPolicy, EgoPolicy, LocalPath, PathAnchor, PlannerSpec, Scenario, SimOptions, Tracking};
 
 use super::generation::GenerationArgs;
@@ -22,7 +25,7 @@ use crate::map_args::MapArgs;
 use crate::numbers;
 use crate::rasterizer::RasterizerArgs;
 use crate::substitutes::SubstituteArgs;
-use crate::{WrongUsage, warn};
+use crate::{WrongUsage, outputs, warn};
 
 /// Number of frames that a generator sees besides the current one.
 const FORECAST_STEPS: usize = 9;
@@ -100,9 +103,19 @@ pub(crate) struct SimulateArgs {
     /// Whether the policies take over with the first generated frame, as in the paper; used by `pskel protocol`.
     #[arg(skip)]
     least_warmup: bool,
+    /// Whether generated images replace those of a data set; used by `pskel generate`.
+    #[arg(skip)]
+    copies_dataset: bool,
     /// Keeps the tables of a data set between its logs; used by `pskel protocol`.
     #[arg(skip)]
     opener: Arc<LogOpener>,
+}
+
+/// Files besides the output folder.
+pub(super) struct OutputFiles {
+    pub(super) profile: Option<OutputFile>,
+    #[cfg(feature = "mcap")]
+    pub(super) mcap: Option<OutputFile>,
 }
 
 /// Stride of the log's frames that are steps; `None` selects the default.
@@ -128,6 +141,8 @@ pub(crate) struct ClipArgs {
     pub(crate) resume: bool,
     pub(crate) resume_from: Option<usize>,
     pub(crate) profile: Option<PathBuf>,
+    /// Whether generated images replace those of a data set.
+    pub(crate) copies_dataset: bool,
     pub(crate) annotations: Option<PathBuf>,
     pub(crate) stand_ins: SubstituteArgs,
     pub(crate) rasterizer: RasterizerArgs,
@@ -181,6 +196,7 @@ impl SimulateArgs {
             frames,
             ego_offset: clip.ego_offset,
             least_warmup: clip.least_warmup,
+            copies_dataset: clip.copies_dataset,
             opener: clip.opener,
         }
     }
@@ -196,15 +212,6 @@ impl SimulateArgs {
         if let Some((option, _, name)) = unused.into_iter().find(|(_, unused, _)| *unused) {
             return Err(WrongUsage(format!("expected --ego {name} with {option}, found {}", ego.name())));
         }
-        let mut outputs = self.output_files();
-        if let (Some(a), Some(b)) = (outputs.next(), outputs.next())
-            && a == b
-        {
-            return Err(WrongUsage(format!(
-                "expected two files for --profile and --mcap, found {}",
-                a.display()
-            )));
-        }
         self.generation.check()?;
         self.maps.check()
     }
@@ -218,21 +225,32 @@ impl SimulateArgs {
         None
     }
 
-    /// Returns the files that are named individually and only read.
-    pub(super) fn input_files(&self) -> impl Iterator<Item = &Path> {
-        let (weights, captions) = (self.generation.weights(), self.generation.captions_file());
-        [self.annotations.as_deref(), self.policies.trajectory.as_deref(), weights, captions]
-            .into_iter()
-            .flatten()
+    /// Returns everything that is read.
+    fn input_paths(&self) -> InputPaths {
+        let files = [self.annotations.as_deref(), self.policies.trajectory.as_deref()];
+        let log = self.roots.locate(&self.log);
+        InputPaths::new(log.inputs())
+            .and([&self.skeleton])
+            .and(files.into_iter().flatten())
+            .and(self.generation.inputs())
+            .and(self.stand_ins.inputs())
     }
 
-    /// Returns the files besides the output folder that the command writes.
-    pub(super) fn output_files(&self) -> impl Iterator<Item = &Path> {
+    /// Opens the files besides the output folder that the command writes.
+    pub(super) fn open_files(&self) -> anyhow::Result<OutputFiles> {
+        let folder = (!self.dry).then_some(self.out.as_path());
+        let profile = ("--profile", self.profile.as_deref(), Profile::KIND);
         #[cfg(feature = "mcap")]
-        let mcap = self.mcap.as_deref();
+        {
+            let mcap = ("--mcap", self.mcap.as_deref(), MCAP);
+            let [profile, mcap] = outputs::open([profile, mcap], &self.input_paths(), folder)?;
+            Ok(OutputFiles { profile, mcap })
+        }
         #[cfg(not(feature = "mcap"))]
-        let mcap = None;
-        [self.profile.as_deref(), mcap].into_iter().flatten()
+        {
+            let [profile] = outputs::open([profile], &self.input_paths(), folder)?;
+            Ok(OutputFiles { profile })
+        }
     }
 
     /// Reads the inputs.
@@ -324,6 +342,18 @@ impl SimulateArgs {
         }
         let default = if self.least_warmup { window.map(|window| window - 1) } else { window };
         Ok(given.or(default).unwrap_or(SimOptions::default().warmup_frames))
+    }
+
+    /// Checks that there are steps after the references of a generator with this `window`, if their images are needed.
+    pub(super) fn check_steps(&self, steps: usize, window: Option<usize>) -> Result<(), WrongUsage> {
+        let references = window.map_or(0, |window| window - 1);
+        if !self.copies_dataset || steps + 1 > references {
+            return Ok(());
+        }
+        let message = format!(
+            "expected {references} steps or more with --dataset, since the first {references} frames are references, found {steps}"
+        );
+        Err(WrongUsage(message))
     }
 
     /// Returns the simulation options except for the warm-up; reads the trajectory.

@@ -20,7 +20,7 @@ use std::time::Instant;
 use point_skeleton::conditions::{ConditionOptions, MapSet};
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::with_causes;
-use point_skeleton::files::{check_destination, check_output_file, check_outside};
+use point_skeleton::files::OutputFile;
 use point_skeleton::geometry::{Camera, ImageSize};
 use point_skeleton::scene::{SceneClouds, SubstituteReport};
 use pskel_sim::rollout::{
@@ -29,6 +29,7 @@ use pskel_sim::rollout::{
 use pskel_sim::{Rates, Scenario, SimOptions};
 use serde_json::{Map, Value};
 
+use self::args::OutputFiles;
 use self::generation::Opened;
 use self::inputs::Inputs;
 use self::summary::{Planned, summary};
@@ -48,13 +49,7 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
 pub(super) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let start = Instant::now();
     args.check()?;
-    for file in args.output_files() {
-        check_output_file(file, args.input_files())?;
-        if !args.dry {
-            check_outside(file, &args.out)?;
-        }
-        check_destination(file)?;
-    }
+    let files = args.open_files()?;
     if let Some(note) = args.note_on_maps() {
         warn(note);
     }
@@ -65,6 +60,7 @@ pub(super) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let mut simulation = args.sim_options(&scenario)?;
     let rates = simulation.rates(scenario.rates, log).map_err(|error| usage(error.into()))?;
     let opened = args.generation.open(log, rates.plan_hz)?;
+    args.check_steps(simulation.steps, opened.as_ref().map(Opened::window))?;
     simulation.warmup_frames = args.warmup_frames(opened.as_ref().map(Opened::window))?;
     let planned = Planned {
         steps: simulation.steps,
@@ -75,7 +71,7 @@ pub(super) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let (substitutes, substitute_report) = args.stand_ins.options().make(skeleton, &log.name)?;
     let extra = extra(&substitute_report, opened.as_ref())?;
     let facts = opened.iter().map(Opened::fact).collect();
-    let options = options(&args, log, *maps, simulation, extra, facts);
+    let options = options(&args, &files, log, *maps, simulation, extra, facts);
     let paths =
         InputPaths { log: &args.log.path, skeleton: &args.skeleton, prompt: args.annotations.as_deref() };
     let rollout_inputs = RolloutInputs { scenario: &scenario, skeleton, prompt, paths };
@@ -93,14 +89,18 @@ pub(super) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let generator = generator.as_mut().map(|generator| generator.as_mut() as &mut dyn ImageGenerator);
     let report = rollout.run(&clouds, rasterizer.as_mut(), generator, &mut on_step)?;
     drop(progress);
-    let report = checked(report, &args)?;
+    let report = checked(report, &args, files.profile.as_ref())?;
     let text = summary(&planned, &report, &rasterizer.info());
     Ok(format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()))
 }
 
 /// Writes the profile, and returns the report of a rollout without failures.
-fn checked(mut report: RolloutReport, args: &SimulateArgs) -> anyhow::Result<RolloutReport> {
-    let profiled = args.profile.as_deref().map_or(Ok(()), |path| report.profile.write(path));
+fn checked(
+    mut report: RolloutReport,
+    args: &SimulateArgs,
+    profile: Option<&OutputFile>,
+) -> anyhow::Result<RolloutReport> {
+    let profiled = profile.map_or(Ok(()), |file| report.profile.write(file));
     let written = report.summary_failure.take().map_or(profiled.map_err(RolloutError::from), Err);
     let Some(failure) = report.failure.take() else {
         written?;
@@ -139,6 +139,7 @@ fn extra(
 
 fn options(
     args: &SimulateArgs,
+    files: &OutputFiles,
     log: &Recording,
     maps: MapSet,
     simulation: SimOptions,
@@ -159,6 +160,6 @@ fn options(
         extra,
         facts,
         #[cfg(feature = "mcap")]
-        mcap: args.mcap.clone(),
+        mcap: files.mcap.clone(),
     }
 }

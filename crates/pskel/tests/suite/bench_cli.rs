@@ -235,8 +235,8 @@ fn bad_files_exit_with_1_and_leave_nothing() {
         (format!("bench nuscenes:none --skeleton sk {trace}"), "none"),
         ("bench --synthetic 9 --device no-such-device".to_owned(), "no-such-device"),
         // Fails before rendering starts.
-        (format!("{SMALL} --trace none/t.json"), "none/t.json"),
-        (format!("{SMALL} --trace out"), "expected a file to write, found a folder: out"),
+        (format!("{SMALL} --trace none/t.json"), "cannot read: No such file or directory (os error 2): none"),
+        (format!("{SMALL} --trace out"), "expected a regular file or none, found a folder: out"),
     ] {
         let output = log.run(&args);
         assert!(output.stdout.is_empty(), "{args}: {output:?}");

@@ -119,7 +119,11 @@ fn damaged_logs_are_errors_that_leave_nothing() {
     let unseen =
         |log: &TinyLog| (0..FRAMES).for_each(|i| write_sweep_file(&log.path(&sweep(i)), &[above]).unwrap());
     damage(&unseen, &["at least one point that an image colors", "3 sweeps (3 points read)"]);
-    damage(&|log| std::fs::create_dir(log.path("log/v1.0-x")).unwrap(), &["@VERSION", "v1.0-mini, v1.0-x"]);
+    let version = |log: &TinyLog| {
+        std::fs::create_dir(log.path("log/v1.0-x")).unwrap();
+        std::fs::write(log.path("log/v1.0-x/scene.json"), "[]").unwrap();
+    };
+    damage(&version, &["@VERSION", "v1.0-mini, v1.0-x"]);
 }
 
 #[test]

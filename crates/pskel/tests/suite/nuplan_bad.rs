@@ -118,8 +118,8 @@ fn wrong_values_are_named_with_their_row() {
         ("UPDATE ego_pose SET x = x'00'", &["a number as ego_pose.x of lidar_pc", "1 bytes"]),
         ("UPDATE ego_pose SET y = 9e999", &["finite numbers", "ego_pose 65"]),
         (
-            "UPDATE lidar_pc SET timestamp = 0.5 WHERE rowid = 1",
-            &["a whole number as timestamp", "found 0.5"],
+            "UPDATE lidar_pc SET timestamp = 'soon' WHERE rowid = 1",
+            &["a whole number as timestamp", "\"soon\""],
         ),
         ("UPDATE lidar_pc SET filename = NULL", &["text as filename of lidar_pc 70"]),
         ("UPDATE lidar_pc SET filename = '../../a.pcd'", &["below the data set's folder", "../../a.pcd"]),

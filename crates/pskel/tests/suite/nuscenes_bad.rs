@@ -214,6 +214,7 @@ fn scenes_and_versions_must_be_chosen() {
     let root = broken.0.path().to_string_lossy().into_owned();
     broken.refuses("@v1.0-none", &["@VERSION to name one of v1.0-mini, found v1.0-none"], &root);
     std::fs::create_dir(broken.0.path().join("v1.0-trainval")).unwrap();
+    std::fs::write(broken.0.path().join("v1.0-trainval/scene.json"), "[]").unwrap();
     broken.refuses("", &["@VERSION to name one of v1.0-mini, v1.0-trainval, found none"], &root);
     assert!(broken.open_as("@v1.0-mini#town-3").is_ok());
     let nowhere = "nuscenes:/nowhere/at/all".parse().unwrap();
@@ -281,7 +282,10 @@ fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
     assert_eq!(between(1), [(first + 1, "CAM_BACK")]);
     assert_eq!(between(FRAMES - 1), [(last - 90_000, "CAM_FRONT"), (last - 90_000, "CAM_BACK")]);
     assert!(log.frames.iter().all(|f| f.images.len() == 6));
-    let notes: Vec<(&str, usize)> = log.notes.iter().map(|(k, n)| (k.as_str(), *n)).collect();
+    // The copies have the ego poses of another time.
+    let is_pose = |kind: &str| kind.starts_with("ego poses of another time than their data");
+    let notes = log.notes.iter().map(|(kind, count)| (kind.as_str(), *count));
+    let notes: Vec<(&str, usize)> = notes.filter(|(kind, _)| !is_pose(kind)).collect();
     assert_eq!(notes, [("sweeps and images after the last sample", 1)]);
 }
 

@@ -80,10 +80,7 @@ impl Video {
     /// # Errors
     /// Returns an error if a side is odd, below 16 or above [`MAX_SIDE_PX`], or if the encoder cannot be created.
     pub fn new(path: &Path, size: ImageSize, rate_hz: f64) -> Result<Self, VideoError> {
-        let fits = |side: u32| side.is_multiple_of(2) && (16..=MAX_SIDE_PX).contains(&side);
-        if !fits(size.height) || !fits(size.width) {
-            return Err(VideoError::Size { found: size, path: path.to_owned() });
-        }
+        Self::check(path, size)?;
         let config = EncoderConfig::new()
             .rate_control_mode(RateControlMode::Off)
             .skip_frames(false)
@@ -95,6 +92,18 @@ impl Video {
         let duration = (f64::from(TICKS_HZ) / rate_hz).round().clamp(1.0, f64::from(u32::MAX)) as u32;
         let (samples, sps, pps) = Default::default();
         Ok(Self { encoder, size, duration, samples, sps, pps, path: path.to_owned() })
+    }
+
+    /// Checks that images of a size can be encoded.
+    ///
+    /// # Errors
+    /// Returns an error if a side is odd, below 16 or above [`MAX_SIDE_PX`].
+    pub fn check(path: &Path, size: ImageSize) -> Result<(), VideoError> {
+        let fits = |side: u32| side.is_multiple_of(2) && (16..=MAX_SIDE_PX).contains(&side);
+        if fits(size.height) && fits(size.width) {
+            return Ok(());
+        }
+        Err(VideoError::Size { found: size, path: path.to_owned() })
     }
 
     /// Encodes a frame, RGB row by row.

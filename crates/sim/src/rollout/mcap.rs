@@ -9,7 +9,7 @@ use point_skeleton::conditions::{ImageSize, MapFormat};
 use point_skeleton::dataset::{Class, picture_size};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{IMAGE_BYTES, read_file};
-use point_skeleton::files::write_whole;
+use point_skeleton::files::{FileKind, OutputFile};
 use point_skeleton::geometry::{Cuboid, Pose};
 use point_skeleton::raster::MapKind;
 use point_skeleton::scene::{ActorState, SceneState, state_of};
@@ -27,6 +27,10 @@ use crate::report::images::{GENERATED, TRUTH, is_reference};
 use crate::report::{ActorRow, StepRow};
 use crate::state::ego_cuboid;
 
+/// Files of rollouts.
+pub const MCAP: FileKind =
+    FileKind { name: "an MCAP file of pskel", begin: b"\x89MCAP0\r\n", mark: b"pskel " };
+
 /// A rollout whose steps are complete.
 pub(super) struct Input<'a> {
     pub(super) scenario: &'a Scenario<'a>,
@@ -38,8 +42,9 @@ pub(super) struct Input<'a> {
 
 impl Input<'_> {
     /// Writes the file, one step after the other.
-    pub(super) fn write(&self, path: &Path) -> Result<(), FileError> {
-        write_whole(path, |out| {
+    pub(super) fn write(&self, file: &OutputFile) -> Result<(), FileError> {
+        let path = file.path();
+        file.write(|out| {
             let size = |(_, [width, height]): &(_, [u32; 2])| ImageSize { height: *height, width: *width };
             let sizes: Vec<ImageSize> = self.report.cameras.iter().map(size).collect();
             let mut file = SceneFile::begin(out, path, self.scenario.log)?;

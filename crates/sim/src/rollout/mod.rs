@@ -32,19 +32,22 @@ pub use error::{AnyError, RolloutError};
 pub use files::METRICS;
 pub use finish::is_finished;
 pub use generator::{GenerationTimes, ImageGenerator};
+#[cfg(feature = "mcap")]
+pub use mcap::MCAP;
 pub use options::{InputPaths, ResumeAfter, RolloutInputs, RolloutOptions};
 pub use profile::{Profile, lap};
 pub use report::RolloutReport;
 
 use std::path::Path;
-#[cfg(feature = "mcap")]
-use std::path::PathBuf;
 use std::time::Instant;
 
 use glam::DAffine3;
 use point_skeleton::conditions::{ConditionError, check_memory};
 use point_skeleton::dataset::Recording;
-use point_skeleton::files::OutputFolder;
+use point_skeleton::error::FileError;
+#[cfg(feature = "mcap")]
+use point_skeleton::files::OutputFile;
+use point_skeleton::files::{Inputs, OutputFolder};
 use point_skeleton::geometry::View;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::SceneClouds;
@@ -73,7 +76,7 @@ pub struct Rollout<'a> {
     out: Option<(&'a Path, OutputFolder)>,
     /// MCAP file to write.
     #[cfg(feature = "mcap")]
-    mcap: Option<PathBuf>,
+    mcap: Option<OutputFile>,
 }
 
 impl<'a> Rollout<'a> {
@@ -92,7 +95,11 @@ impl<'a> Rollout<'a> {
         let RolloutInputs { scenario, skeleton, prompt, paths } = inputs;
         let sources = Sources::new(scenario.log, skeleton, prompt)?;
         let open = |folder: &'a Path| {
-            OutputFolder::open(folder, KIND, &[paths.skeleton, paths.log]).map(|files| (folder, files))
+            let inputs = Inputs::new([paths.skeleton, paths.log]);
+            let files = OutputFolder::open(folder, KIND, &inputs)?;
+            // A resumed rollout is read from these.
+            files.check([files::ROLLOUT, files::STATES, files::STEPS])?;
+            Ok::<_, FileError>((folder, files))
         };
         let out = out.map(open).transpose()?;
         let steps = options.simulation.steps;
@@ -199,11 +206,11 @@ impl<'a> Rollout<'a> {
                 finish::finish(&output, files, &report)?;
             }
             #[cfg(feature = "mcap")]
-            if let Some(path) = &mcap {
+            if let Some(file) = &mcap {
                 let folder = out.as_ref().map(|(folder, _)| *folder);
                 let input =
                     mcap::Input { scenario: inputs.scenario, record: &record, report: &report, folder };
-                input.write(path)?;
+                input.write(file)?;
             }
             Ok(())
         };

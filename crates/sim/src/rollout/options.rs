@@ -1,9 +1,9 @@
 use std::path::Path;
-#[cfg(feature = "mcap")]
-use std::path::PathBuf;
 
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::conditions::{ConditionOptions, MapFormat};
+#[cfg(feature = "mcap")]
+use point_skeleton::files::OutputFile;
 use point_skeleton::scene::SelectionOptions;
 use point_skeleton::skeleton::Skeleton;
 use serde::Serialize;
@@ -32,7 +32,7 @@ pub struct RolloutOptions {
     pub facts: Vec<String>,
     /// MCAP file to write at the end, outside of the output folder; without an output folder it has no images.
     #[cfg(feature = "mcap")]
-    pub mcap: Option<PathBuf>,
+    pub mcap: Option<OutputFile>,
 }
 
 /// Inputs of a rollout.

@@ -1,9 +1,8 @@
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::time::Duration;
 
 use point_skeleton::error::FileError;
-use point_skeleton::files::write_json;
+use point_skeleton::files::{FileKind, OutputFile};
 use point_skeleton::raster::{RasterizerInfo, StageTimes};
 use serde::Serialize;
 
@@ -165,12 +164,16 @@ impl Profile {
         )
     }
 
+    /// Files of profiles.
+    pub const KIND: FileKind =
+        FileKind { name: "a profile of pskel", begin: b"{\n  \"rasterizer\": ", mark: b"\n  \"loop_s\": " };
+
     /// Writes all durations as JSON.
     ///
     /// # Errors
     /// Fails if the file cannot be written.
-    pub fn write(&self, path: &Path) -> Result<(), FileError> {
-        write_json(path, self)
+    pub fn write(&self, file: &OutputFile) -> Result<(), FileError> {
+        file.write_json(self)
     }
 }
 

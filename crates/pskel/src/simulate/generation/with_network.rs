@@ -39,17 +39,13 @@ impl GenerationArgs {
         self.options.check(self.generator.as_ref())
     }
 
-    /// Returns the file of the weights, if it is named.
-    pub(crate) fn weights(&self) -> Option<&Path> {
-        match &self.generator {
+    /// Returns the files that are read: weights, captions and recipe.
+    pub(crate) fn inputs(&self) -> impl Iterator<Item = &Path> {
+        let weights = match &self.generator {
             Some(NetworkName::Network(weights)) => weights.as_deref(),
             _ => None,
-        }
-    }
-
-    /// Returns the file of the captions, if there is one.
-    pub(crate) fn captions_file(&self) -> Option<&Path> {
-        self.options.captions_file()
+        };
+        weights.into_iter().chain(self.options.inputs())
     }
 
     /// Opens the network for a log that is generated at `fps` frames per second.

@@ -21,12 +21,8 @@ impl GenerationArgs {
         Ok(())
     }
 
-    pub(crate) fn weights(&self) -> Option<&Path> {
-        None
-    }
-
-    pub(crate) fn captions_file(&self) -> Option<&Path> {
-        None
+    pub(crate) fn inputs(&self) -> impl Iterator<Item = &Path> {
+        std::iter::empty()
     }
 
     pub(crate) fn open(&self, _log: &Recording, _fps: f64) -> anyhow::Result<Option<Opened>> {

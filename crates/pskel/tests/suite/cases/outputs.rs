@@ -1,1 +1,403 @@
 //! Outputs never replace inputs or files that no run wrote.
+
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::{Value, json};
+
+use crate::guarded;
+use crate::simulate::built;
+use crate::tiny_log::{TinyLog, assert_failed, tree};
+
+const SIMULATE: &str =
+    "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps 1";
+const RENDER: &str = "render nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu";
+const EXPORT: &str = "export nuscenes:log --skeletons sks --out out --out-size 32x48 --rasterizer cpu";
+const CAMERAS: &str = r#"{"cameras": [{"name": "a", "width": 8, "height": 8, "intrinsics": [[8, 0, 4], [0, 8, 4], [0, 0, 1]],
+    "camera_from_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}]}"#;
+
+/// Returns a log with a skeleton and the files that commands read, without a folder `out`.
+fn ready() -> TinyLog {
+    let log = built();
+    std::fs::remove_dir_all(log.path("out")).unwrap();
+    log.succeed("convert sk --out clouds");
+    log.succeed("templates sk --min-points 1 --out templates");
+    std::fs::copy(log.path("clouds/background.npy"), log.path("p.npy")).unwrap();
+    std::fs::write(log.path("c.json"), CAMERAS).unwrap();
+    std::fs::write(log.path("recipe.json"), r#"{"drawn": "32x64", "size": "16x32"}"#).unwrap();
+    log
+}
+
+/// Asserts that commands fail without changing a file.
+#[track_caller]
+fn assert_refused(log: &TinyLog, args: &str, part: &str) {
+    let before = tree(&log.path(""));
+    let output = log.run(args);
+    assert_failed(&output, 1, &[part]);
+    let after = tree(&log.path(""));
+    let changed: Vec<&String> = after.keys().filter(|name| before.get(*name) != after.get(*name)).collect();
+    assert!(changed.is_empty() && after.len() == before.len(), "{args}: {changed:?}");
+}
+
+#[test]
+fn single_files_replace_nothing_in_input_folders() {
+    let log = ready();
+    let generator = "--generator fill --recipe recipe.json --window 2";
+    let simulate = "simulate nuscenes:log --skeleton sk --templates templates --steps 1 --dry";
+    std::fs::create_dir(log.path("elsewhere")).unwrap();
+    for (link, target) in [
+        ("log/linked", "../elsewhere"),
+        ("table.mcap", "log/v1.0-mini/scene.json"),
+        ("folder", "log/v1.0-mini"),
+    ] {
+        symlink(target, log.path(link)).unwrap();
+    }
+    std::fs::write(log.path("elsewhere/x.json"), "{}").unwrap();
+    std::fs::hard_link(log.path("log/v1.0-mini/scene.json"), log.path("hard.mcap")).unwrap();
+    let outside = "expected an output outside of the input";
+    let part = "expected a file that is no part of another output";
+    for (args, found) in [
+        (format!("{simulate} --mcap log/v1.0-mini/scene.json"), outside),
+        (format!("{simulate} --mcap log/v1.0-mini/new.mcap"), outside),
+        (format!("{simulate} --mcap table.mcap"), outside),
+        (
+            format!("{simulate} --mcap hard.mcap"),
+            "expected an MCAP file of pskel to replace, or none, found another file",
+        ),
+        (format!("{simulate} --mcap folder/map.json"), outside),
+        (format!("{simulate} --profile log/samples/0-CAM_FRONT.png"), outside),
+        (format!("{simulate} --profile log/linked/x.json"), outside),
+        (format!("{simulate} --profile elsewhere/x.json"), outside),
+        (format!("{simulate} --profile sk/actors.points"), part),
+        (format!("{simulate} --profile sk/new.json"), outside),
+        (format!("{simulate} --profile templates/templates.json"), part),
+        (format!("{simulate} {generator} --profile recipe.json"), "apart from the input recipe.json"),
+        (
+            format!("{simulate} --profile c.json"),
+            "expected a profile of pskel to replace, or none, found another file",
+        ),
+        ("bench nuscenes:log --skeleton sk --rasterizer cpu --trace log/v1.0-mini/log.json".into(), outside),
+        (
+            "bench nuscenes:log --skeleton sk --rasterizer cpu --trace c.json".into(),
+            "expected a trace of pskel bench",
+        ),
+        (
+            "splat --points p.npy --cameras c.json --rasterizer cpu --out recipe.json".into(),
+            "expected an archive of pskel",
+        ),
+        ("convert p.npy --format ply --out log/v1.0-mini/scene.json".into(), "expected a PLY file of pskel"),
+        ("fidelity town:seed=5,frames=2,size=57x100 --skeleton sk --json sk/skeleton.json".into(), part),
+        (
+            "fidelity town:seed=5,frames=2,size=57x100 --skeleton sk --csv p.npy".into(),
+            "expected a table of pskel",
+        ),
+    ] {
+        assert_refused(&log, &args, found);
+    }
+    // What an earlier run wrote is replaced, and so is an empty file.
+    std::fs::write(log.path("t.json"), "").unwrap();
+    for args in [
+        format!("{simulate} --profile p.json --mcap a.mcap"),
+        "splat --points p.npy --cameras c.json --rasterizer cpu --out f.npz".to_owned(),
+        "convert p.npy --out f.ply".to_owned(),
+        "convert f.ply --out f.npy".to_owned(),
+        "bench --synthetic 9 --rasterizer cpu --warm-up 0 --repeat 1 --size 45x80 --trace t.json".to_owned(),
+    ] {
+        for _ in 0..2 {
+            let output = log.run(&args);
+            assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
+        }
+    }
+}
+
+#[test]
+fn scores_replace_no_file_of_a_rollout() {
+    let log = ready();
+    let generate = "generate nuscenes:log --skeleton sk --out rollout --every 1 --generator fill --window 2 \
+        --maps color,depth,class --rasterizer cpu";
+    log.succeed(generate);
+    std::fs::create_dir_all(log.path("masks/000000")).unwrap();
+    std::fs::write(log.path("masks/000000/CAM_FRONT.png"), "").unwrap();
+    assert_refused(&log, "evaluate rollout --out rollout/rollout.json", "no part of another output");
+    assert_refused(&log, "evaluate rollout --out rollout/steps/scores.json", "outside of the input rollout");
+    assert_refused(
+        &log,
+        "evaluate rollout --masks masks --out masks/000000/CAM_FRONT.png",
+        "outside of the input masks",
+    );
+    assert_refused(
+        &log,
+        "evaluate rollout --reference rollout --out c.json",
+        "expected scores of pskel evaluate",
+    );
+    assert_refused(&log, "evaluate rollout --out none/scores.json", "cannot read");
+    for _ in 0..2 {
+        assert!(log.run("evaluate rollout --out scores.json").status.success());
+    }
+}
+
+#[test]
+fn exports_replace_no_foreign_files() {
+    for (layout, file) in [
+        ("webdataset", "tiny-000000.tar"),
+        ("mcap", "tiny-000000.mcap"),
+        ("frames", "tiny/000001/CAM_FRONT/color.png"),
+        ("opendwm-preview", "tiny-000000/data.json"),
+        ("pas-cache", "proj_clr/d1CAM_BACK.png"),
+        ("world-scenario", "tiny-000000/obstacle/x.parquet"),
+        ("cosmos-video", "captions/ftheta_camera_front_wide_120fov/tiny-000000.json"),
+    ] {
+        let log = TinyLog::new();
+        let export = format!("{EXPORT} --layout {layout}");
+        let told = log.succeed(&export);
+        let whole = tree(&log.path("out"));
+        // The record is lost; the files belong to nobody then.
+        let record = log.path("out/shards/tiny-000000.json");
+        let record_text = std::fs::read(&record).unwrap();
+        let written: Value = serde_json::from_slice(&record_text).unwrap();
+        let files: Vec<&str> =
+            written["files"].as_array().unwrap().iter().map(|f| f["path"].as_str().unwrap()).collect();
+        let file = if files.contains(&file) { file } else { files[0] };
+        std::fs::remove_file(&record).unwrap();
+        std::fs::write(log.path("out").join(file), "years of work").unwrap();
+        let before = tree(&log.path("out"));
+        let output = log.run(&export);
+        assert_failed(
+            &output,
+            1,
+            &[
+                "expected only files that pskel wrote where it is to write, found another file",
+                "failed: tiny-000000",
+            ],
+        );
+        assert!(tree(&log.path("out")) == before, "{layout}: {told}");
+        // A folder of the way is a link.
+        std::fs::write(&record, &record_text).unwrap();
+        let Some((folder, _)) = file.split_once('/') else { continue };
+        std::fs::rename(log.path("out").join(folder), log.path("stranger")).unwrap();
+        symlink(log.path("stranger"), log.path("out").join(folder)).unwrap();
+        let before = tree(&log.path("stranger"));
+        assert_failed(&log.run(&format!("{export} --verify")), 1, &["found a link: out/"]);
+        assert!(tree(&log.path("stranger")) == before, "{layout}");
+        std::fs::remove_file(log.path("out").join(folder)).unwrap();
+        log.succeed(&export);
+        assert!(tree(&log.path("out")) == whole, "{layout}");
+    }
+}
+
+#[test]
+fn links_in_an_export_are_not_followed() {
+    for name in ["shards", ".unfinished"] {
+        let log = TinyLog::new();
+        std::fs::create_dir(log.path("stranger")).unwrap();
+        log.succeed(&format!("{EXPORT} --layout webdataset"));
+        std::fs::remove_dir_all(log.path("out/shards")).unwrap();
+        std::fs::remove_file(log.path("out/tiny-000000.tar")).unwrap();
+        symlink("../stranger", log.path("out").join(name)).unwrap();
+        assert_failed(&log.run(&format!("{EXPORT} --layout webdataset")), 1, &["found a link: out/"]);
+        assert_eq!(std::fs::read_dir(log.path("stranger")).unwrap().count(), 0, "{name}");
+    }
+}
+
+#[test]
+fn exports_of_other_frames_or_shards_are_refused() {
+    let log = TinyLog::new();
+    let export = |more: &str| format!("{EXPORT} --layout webdataset {more}");
+    log.succeed(&export("--frames 0..2 --shard-frames 2"));
+    for (more, part) in [
+        ("--frames 0..2 --shard-frames 1", "--shard-frames 1, found --shard-frames 2"),
+        ("--frames 0..3 --shard-frames 2", "--frames [0,3], found --frames [0,2]"),
+        ("--shard-frames 2", "--frames default, found --frames [0,2]"),
+        ("--frames 0..2 --shard-frames 2 --radius 50", "--radius"),
+        ("--frames 0..2 --shard-frames 2 --images", "--images true, found --images false"),
+    ] {
+        assert_refused(&log, &export(more), part);
+    }
+    log.succeed(&export("--frames 0..2 --shard-frames 2 --only 0/1"));
+    // An export of an earlier version has no fingerprints of its input.
+    let mut earlier = log.json("out/export.json");
+    earlier.as_object_mut().unwrap().remove("records");
+    std::fs::write(log.path("out/export.json"), earlier.to_string()).unwrap();
+    assert_refused(
+        &log,
+        &export("--frames 0..2 --shard-frames 2"),
+        "found one of an earlier version; keep it, and export to another folder",
+    );
+}
+
+/// Another recording with the same name: other poses, boxes, times, tracks, or points.
+#[test]
+fn shards_and_skeletons_of_another_recording_are_not_taken() {
+    let changes: [(&str, &str, Value); 4] = [
+        ("ego_pose", "/1/translation/0", json!(664_002.5)),
+        ("sample_annotation", "/0/size/0", json!(2.5)),
+        ("instance", "/0/token", Value::Null),
+        ("sample_annotation", "/0/num_lidar_pts", json!(2)),
+    ];
+    for (table, pointer, value) in changes {
+        let log = TinyLog::new();
+        let export = format!("{EXPORT} --layout webdataset");
+        log.succeed(&export);
+        let whole = tree(&log.path("out"));
+        let shards = tree(&log.path("out/shards"));
+        let is_same = pointer.ends_with("pts");
+        if value.is_null() {
+            // A point of a sweep: only the skeleton differs.
+            let path = log.path("log/samples/1.pcd.bin");
+            let mut sweep = std::fs::read(&path).unwrap();
+            sweep[2] ^= 0x40;
+            std::fs::write(&path, sweep).unwrap();
+            std::fs::remove_dir_all(log.path("sks")).unwrap();
+            log.succeed("build nuscenes:log --out sks/tiny");
+        } else {
+            log.change(table, pointer, value);
+        }
+        let output = log.run(&export);
+        if is_same {
+            assert!(output.status.success() && tree(&log.path("out")) == whole);
+            continue;
+        }
+        assert_failed(
+            &output,
+            1,
+            &["failed: tiny-000000: expected a shard of this", "use another folder, or --verify"],
+        );
+        assert!(tree(&log.path("out/shards")) == shards, "{table}");
+        if table != "instance" {
+            // The skeleton of the other recording is not taken either.
+            let verified = log.run(&format!("{export} --verify"));
+            assert_failed(&verified, 1, &["expected a skeleton of the recording tiny", "sks/tiny"]);
+            let other = log.run(&export.replace("--out out", "--out new"));
+            assert_failed(&other, 1, &["expected a skeleton of the recording tiny", "sks/tiny"]);
+            std::fs::remove_dir_all(log.path("sks")).unwrap();
+        }
+        log.succeed(&format!("{export} --verify"));
+        log.succeed(&export.replace("--out out", "--out fresh"));
+        assert!(tree(&log.path("out")) == tree(&log.path("fresh")), "{table}");
+    }
+}
+
+#[test]
+fn records_of_strangers_neither_hang_nor_count() {
+    let log = TinyLog::new();
+    let export = format!("{EXPORT} --layout webdataset");
+    log.succeed(&export);
+    let whole = tree(&log.path("out"));
+    let record = log.path("out/shards/tiny-000000.json");
+    let args: Vec<&str> = export.split_whitespace().collect();
+    for path in [record.as_path(), &log.path("out/export.json"), &log.path("out/index.json")] {
+        let bytes = std::fs::read(path).unwrap();
+        std::fs::remove_file(path).unwrap();
+        assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
+        let ended = guarded::run(&log.path(""), &args);
+        ended.refused(&path.display().to_string(), &[]);
+        assert!(
+            ended.stderr.contains("found a FIFO") || ended.stderr.contains("found a device or pipe"),
+            "{}",
+            ended.stderr
+        );
+        std::fs::remove_file(path).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    }
+    // Without files, the shard is written again.
+    let mut empty = log.json("out/shards/tiny-000000.json");
+    empty["files"] = json!([]);
+    std::fs::remove_file(log.path("out/tiny-000000.tar")).unwrap();
+    std::fs::write(&record, empty.to_string()).unwrap();
+    assert!(log.succeed(&export).starts_with("wrote 1 shards"));
+    assert!(tree(&log.path("out")) == whole);
+    // Files elsewhere are neither taken nor replaced.
+    let mut outside = log.json("out/shards/tiny-000000.json");
+    outside["files"][0]["path"] = json!("../log/v1.0-mini/scene.json");
+    std::fs::write(&record, outside.to_string()).unwrap();
+    assert_refused(&log, &export, "expected paths below the export");
+    // Another program's file in the place of the index.
+    std::fs::write(&record, &whole["shards/tiny-000000.json"]).unwrap();
+    std::fs::write(log.path("out/index.json"), "{\"mine\": 1}").unwrap();
+    assert_refused(&log, &export, "expected the index of an export to replace");
+}
+
+#[test]
+fn links_and_foreign_work_folders_are_left_alone() {
+    let log = ready();
+    let put = |name: &str| {
+        std::fs::create_dir_all(log.path(name).parent().unwrap()).unwrap();
+        std::fs::write(log.path(name), "precious").unwrap();
+    };
+    // A link in place of the work folder.
+    log.succeed(RENDER);
+    for name in ["victim/lock", "victim/thesis.tex"] {
+        put(name);
+    }
+    symlink("../victim", log.path("out/.pskel")).unwrap();
+    assert_refused(&log, RENDER, "expected a folder of an unfinished run, or none, found a link: out/.pskel");
+    std::fs::remove_file(log.path("out/.pskel")).unwrap();
+    symlink("victim", log.path("sk2.partial")).unwrap();
+    assert_refused(&log, "build nuscenes:log --out sk2", "found a link: sk2.partial");
+    // Folders of others with a file `lock`.
+    for name in ["sk3.partial/lock", "sk3.partial/thesis.tex", "out/.pskel/lock", "out/.pskel/thesis.tex"] {
+        put(name);
+    }
+    assert_refused(
+        &log,
+        "build nuscenes:log --out sk3",
+        "expected a folder of an unfinished run, or none, found another folder",
+    );
+    assert_refused(&log, "convert sk --out sk3", "found another folder: sk3.partial");
+    assert_refused(&log, RENDER, "found another folder: out/.pskel");
+    std::fs::write(log.path("sk3.partial/lock"), "4711").unwrap();
+    assert_refused(&log, "build nuscenes:log --out sk3", "found another folder: sk3.partial");
+}
+
+#[test]
+fn rollouts_are_not_resumed_through_links() {
+    for name in ["steps", "states.jsonl", "rollout.json", "steps/000000"] {
+        let log = ready();
+        log.succeed(SIMULATE);
+        std::fs::rename(log.path("out").join(name), log.path("moved")).unwrap();
+        symlink(log.path("moved"), log.path("out").join(name)).unwrap();
+        let more = SIMULATE.replace("--steps 1", "--steps 2");
+        for args in [format!("{more} --resume"), format!("{more} --resume-from 0"), more.clone()] {
+            let before = tree(&log.path(""));
+            assert_failed(
+                &log.run(&args),
+                1,
+                &["expected only files that pskel wrote", "found a link: out/"],
+            );
+            assert!(tree(&log.path("")) == before, "{args}");
+        }
+    }
+}
+
+/// Checks that are made before the work: no step is generated, no skeleton is built.
+#[test]
+fn refusals_come_before_the_work() {
+    let log = ready();
+    let generate = "generate nuscenes:log --skeleton sk --out rollout --every 1 --generator fill --window 2 \
+        --maps color --rasterizer cpu";
+    std::fs::write(log.path("file"), "").unwrap();
+    symlink("log", log.path("link")).unwrap();
+    for (args, part) in [
+        (
+            format!("{generate} --dataset log/copy"),
+            "expected an output outside of the input log, found one in it: log/copy",
+        ),
+        (format!("{generate} --dataset log/v1.0-mini/a/b"), "outside of the input log"),
+        (format!("{generate} --dataset link/copy"), "outside of the input log"),
+        (format!("{generate} --dataset log"), "apart from the input log"),
+        (format!("{generate} --dataset file"), "expected a folder or none, found a file"),
+    ] {
+        assert_refused(&log, &args, part);
+        assert!(!log.path("rollout").exists(), "{args}");
+    }
+    log.succeed("town --seed 5 --frames 2 --size 57x100 --out town");
+    let export = "export nuscenes:town --skeletons none --out videos --layout cosmos-video --rasterizer cpu";
+    for size in ["--out-size 31x48", "--size 9x16", ""] {
+        let output = log.run(&format!("{export} {size}"));
+        assert_failed(&output, 1, &["failed: nuscenes:town: ", "expected"]);
+        assert!(!Path::new(&log.path("none/town")).exists());
+        assert!(std::fs::read_dir(log.path("none")).unwrap().next().is_none(), "{size}");
+        std::fs::remove_dir_all(log.path("videos")).unwrap();
+    }
+}

@@ -1,0 +1,222 @@
+//! Outputs that are single files: checked before any work, against everything that the command reads.
+
+use std::io::{BufWriter, Read};
+use std::path::{Path, PathBuf};
+
+use super::Inputs;
+use super::input::open_regular;
+use super::manifest::Manifest;
+use super::whole::{target, write_json, write_whole};
+use crate::error::FileError;
+
+/// Length of the beginning that identifies the kind of a file, bytes.
+const HEAD: u64 = 4096;
+/// Files of an export, which has a record per shard instead of one list.
+const EXPORT: [&str; 2] = ["export.json", "shards"];
+
+/// Kind of an output file, recognized by its beginning. Only files of the same kind are replaced.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileKind {
+    /// Description for messages, with an article.
+    pub name: &'static str,
+    /// Bytes with which every file of the kind begins.
+    pub begin: &'static [u8],
+    /// Bytes that follow somewhere in the first 4096.
+    pub mark: &'static [u8],
+}
+
+/// A file to write. It replaces nothing except an empty file or one of its kind, and is no part of the command's inputs
+/// or of another output.
+#[derive(Clone, Debug)]
+pub struct OutputFile {
+    path: PathBuf,
+    kind: FileKind,
+}
+
+impl OutputFile {
+    /// Checks, before any work, that a file may be written.
+    ///
+    /// # Errors
+    /// Fails if the file is one of the inputs or below one, if it belongs to another output, if a file of another kind, a
+    /// folder or a device is there, or if its folder does not exist.
+    pub fn open(path: &Path, kind: FileKind, inputs: &Inputs) -> Result<Self, FileError> {
+        inputs.check_same(path)?;
+        check_other_outputs(path)?;
+        inputs.check_outside(path)?;
+        check_parent(path)?;
+        kind.check(path)?;
+        Ok(Self { path: path.to_owned(), kind })
+    }
+
+    /// Returns the path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Checks that the file is outside a folder that the same run writes, whose files could replace it.
+    ///
+    /// # Errors
+    /// Fails if it is in the folder.
+    pub fn check_outside(&self, folder: &Path) -> Result<(), FileError> {
+        let resolved = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
+        match (resolved(parent(&self.path)), resolved(folder)) {
+            (Ok(parent), Ok(folder)) if parent.starts_with(&folder) => {
+                let expected = format!("a file outside of the output {}", folder.display());
+                Err(FileError::content(expected, "one in it", &self.path))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes the file with [`write_whole`].
+    ///
+    /// # Errors
+    /// Returns any error of `fill`. Fails if a file of another kind has appeared since, or on an I/O error.
+    pub fn write<E: From<FileError>>(
+        &self,
+        fill: impl FnOnce(&mut BufWriter<&mut std::fs::File>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        self.kind.check(&self.path)?;
+        write_whole(&self.path, fill)
+    }
+
+    /// Writes a value as JSON.
+    ///
+    /// # Errors
+    /// Fails as [`Self::write`].
+    pub fn write_json(&self, value: &impl serde::Serialize) -> Result<(), FileError> {
+        self.kind.check(&self.path)?;
+        write_json(&self.path, value)
+    }
+}
+
+/// Returns whether two paths are one file, which need not exist yet.
+pub fn is_one_file(a: &Path, b: &Path) -> bool {
+    let place = |path: &Path| {
+        let folder = parent(path).canonicalize().unwrap_or_else(|_| parent(path).to_owned());
+        let named = folder.join(path.file_name().unwrap_or_default());
+        named.canonicalize().unwrap_or(named)
+    };
+    place(a) == place(b)
+}
+
+impl FileKind {
+    /// Checks that a path is free, or has an empty file or one of this kind.
+    ///
+    /// # Errors
+    /// Fails if anything else is there, or if it cannot be read.
+    pub fn check(&self, path: &Path) -> Result<(), FileError> {
+        if !target(path)?.is_file() {
+            return Ok(());
+        }
+        let (file, _) = open_regular(path)?;
+        let mut head = Vec::new();
+        file.take(HEAD).read_to_end(&mut head).map_err(FileError::io("read", path))?;
+        let rest = head.strip_prefix(self.begin);
+        let is_marked =
+            |rest: &[u8]| self.mark.is_empty() || rest.windows(self.mark.len()).any(|part| part == self.mark);
+        if head.is_empty() || rest.is_some_and(is_marked) {
+            return Ok(());
+        }
+        let expected = format!("{} to replace, or none", self.name);
+        Err(FileError::content(expected, "another file", path))
+    }
+}
+
+/// Checks that a file that exists is not listed in an output folder.
+fn check_other_outputs(path: &Path) -> Result<(), FileError> {
+    if !path.exists() {
+        return Ok(());
+    }
+    let absolute = path.canonicalize().map_err(FileError::io("read", path))?;
+    let part = |found: String| FileError::content("a file that is no part of another output", found, path);
+    for folder in absolute.ancestors().skip(1) {
+        if EXPORT.iter().all(|name| folder.join(name).exists()) {
+            return Err(part(format!("one of the export {}", folder.display())));
+        }
+        let Some(manifest) = Manifest::read(folder)? else { continue };
+        if absolute.strip_prefix(folder).is_ok_and(|name| manifest.holds(name)) {
+            return Err(part(format!("one of {} in {}", manifest.kind, folder.display())));
+        }
+    }
+    Ok(())
+}
+
+/// Checks that the folder of a file exists.
+fn check_parent(path: &Path) -> Result<(), FileError> {
+    let folder = parent(path);
+    match folder.metadata() {
+        Ok(data) if data.is_dir() => Ok(()),
+        Ok(_) => Err(FileError::content("a file in a folder", "another file in its place", folder)),
+        Err(error) => Err(FileError::io("read", folder)(error)),
+    }
+}
+
+fn parent(path: &Path) -> &Path {
+    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const KIND: FileKind = FileKind { name: "a report", begin: b"{\n  \"seed\":", mark: b"7" };
+
+    #[test]
+    fn only_files_of_the_same_kind_are_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for (name, text) in
+            [("empty", ""), ("own", "{\n  \"seed\": 7}"), ("table", "[\n{\"seed\": 7}]"), ("short", "{")]
+        {
+            std::fs::write(at(name), text).unwrap();
+        }
+        std::os::unix::fs::symlink(at("table"), at("link")).unwrap();
+        let open = |name: &str| OutputFile::open(&at(name), KIND, &Inputs::default());
+        for name in ["new", "empty", "own"] {
+            assert_eq!(open(name).unwrap().path(), at(name));
+        }
+        for name in ["table", "short", "link"] {
+            let message = open(name).unwrap_err().to_string();
+            assert!(
+                message.starts_with("expected a report to replace, or none, found another file: "),
+                "{message}"
+            );
+        }
+        for (name, expected) in
+            [("none/new", "cannot read"), ("own/new", "expected a file in a folder"), (".", "found a folder")]
+        {
+            let message = open(name).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+        // A file that appears during the work.
+        let file = open("new").unwrap();
+        std::fs::write(at("new"), "mine").unwrap();
+        assert!(file.write_json(&1).is_err());
+        assert_eq!(std::fs::read(at("new")).unwrap(), b"mine");
+    }
+
+    #[test]
+    fn files_of_an_export_are_parts_of_an_output() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("shards")).unwrap();
+        for name in ["export.json", "a.json"] {
+            std::fs::write(folder.path().join(name), "{\n  \"seed\": 7}").unwrap();
+        }
+        let open = |name: &str| OutputFile::open(&folder.path().join(name), KIND, &Inputs::default());
+        let message = open("a.json").unwrap_err().to_string();
+        assert!(message.contains("no part of another output, found one of the export "), "{message}");
+        open("new.json").unwrap();
+    }
+
+    #[test]
+    fn one_file_has_many_names() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("a")).unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::os::unix::fs::symlink("x", at("link")).unwrap();
+        assert!(is_one_file(&at("x"), &at("a/../x")) && !is_one_file(&at("x"), &at("a/x")));
+        std::fs::write(at("x"), "").unwrap();
+        assert!(is_one_file(&at("x"), &at("link")));
+    }
+}
