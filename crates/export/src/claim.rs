@@ -1,12 +1,13 @@
 //! The options of an export, in its folder.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Duration;
 
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{is_taken, read_table};
 use point_skeleton::files::write_json;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use crate::ExportOptions;
 
@@ -44,32 +45,44 @@ pub(crate) fn claim(out: &Path, options: &ExportOptions) -> Result<(), FileError
 /// Version of the records of shards; without fingerprints of the input, there was no such number.
 const RECORDS: u32 = 2;
 
-/// Compares options with those of an export, and names the first that differs as on the command line.
+/// Compares options with those of an export, and names those that differ as on the command line.
 fn compare(ours: &Value, theirs: &Value, path: &Path) -> Result<(), FileError> {
+    if ours == theirs {
+        return Ok(());
+    }
     if theirs.get("records") != ours.get("records") {
         let expected = "an export whose records have fingerprints of their input";
         let found = "one of an earlier version; keep it, and export to another folder";
         return Err(FileError::content(expected, found, path));
     }
-    let empty = Map::new();
-    let fields = |value: &Value| value["options"].as_object().unwrap_or(&empty).clone();
-    let (ours_fields, theirs_fields) = (fields(ours), fields(theirs));
-    let differs = |name: &&String| ours_fields.get(*name) != theirs_fields.get(*name);
-    let Some(name) = ours_fields.keys().chain(theirs_fields.keys()).find(differs) else {
-        if ours == theirs {
-            return Ok(());
-        }
-        let version = |value: &Value| format!("version {}", value["version"]);
-        let expected = format!("an export with the same options, of {}", version(ours));
-        return Err(FileError::content(expected, version(theirs), path));
+    let names = |value: &Value| value["options"].as_object().map(|o| o.keys().cloned().collect::<Vec<_>>());
+    let names: BTreeSet<String> = names(ours).into_iter().chain(names(theirs)).flatten().collect();
+    let differs = |name: &&String| ours["options"].get(*name) != theirs["options"].get(*name);
+    let differing: Vec<&String> = names.iter().filter(differs).collect();
+    let shown = |value: &Value| {
+        let options = differing.iter().map(|name| option(name, value["options"].get(*name)));
+        let all: Vec<String> = options.collect();
+        if all.is_empty() { format!("version {}", value["version"]) } else { all.join(" ") }
     };
-    let shown = |fields: &Map<String, Value>| {
-        let value = fields.get(name).filter(|value| !value.is_null());
-        format!("--{} {}", name.replace('_', "-"), value.map_or("default".to_owned(), Value::to_string))
-    };
-    let expected = format!("an export with the same options, {}", shown(&ours_fields));
-    let found = format!("{}; use the same or another folder", shown(&theirs_fields));
+    let expected = format!("an export with the same options, {}", shown(ours));
+    let found = format!("{}; use the same or another folder", shown(theirs));
     Err(FileError::content(expected, found, path))
+}
+
+/// Formats an option as on the command line.
+fn option(name: &str, value: Option<&Value>) -> String {
+    let name = match name {
+        "radius_m" => "radius",
+        "times" => "hz or --between-images",
+        "prompt" => "annotations",
+        "library" => "templates",
+        "use_default" => "no-default-templates",
+        "layout" => "line-width or --map-layers",
+        "export_layout" => "layout",
+        name => name,
+    };
+    let value = value.filter(|value| !value.is_null());
+    format!("--{} {}", name.replace('_', "-"), value.map_or("default".to_owned(), Value::to_string))
 }
 
 /// Returns the name of a file in a folder, other than that of the options under their temporary name.

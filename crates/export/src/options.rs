@@ -84,7 +84,8 @@ pub enum SampleTimes {
 /// Options of an export. Together with the logs they determine its bytes.
 #[derive(Clone, Debug, Serialize)]
 pub struct ExportOptions {
-    /// Layout of the files.
+    /// Layout of the files. In `conditions`, `layout` is the style of boxes and lanes.
+    #[serde(rename = "export_layout")]
     pub layout: Layout,
     /// Maps, sizes and splat radii.
     #[serde(flatten)]

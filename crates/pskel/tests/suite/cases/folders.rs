@@ -162,7 +162,7 @@ fn folders_of_an_image_layer_are_replaced() {
         std::fs::remove_dir_all(log.path("out")).unwrap();
         let script = format!(
             "mkdir lower upper work merged; mv log sk lower; cd lower; $PSKEL {first} >&2; cd ..
-            mount -t overlay overlay -o lowerdir=lower,upperdir=upper,workdir=work,redirect_dir=off,userxattr merged || exit 77
+            mount -t overlay overlay -o lowerdir=lower,upperdir=upper,workdir=work,userxattr merged || exit 77
             cd merged; $PSKEL {second}; rm -rf ../seen; cp -a out ../seen; ls -A > ../left; cd ..; umount merged"
         );
         let Some(output) = in_namespace(&log, &script) else { return };

@@ -44,7 +44,8 @@ fn assert_refused(log: &TinyLog, args: &str, part: &str) {
 fn single_files_replace_nothing_in_input_folders() {
     let log = ready();
     let generator = "--generator fill --recipe recipe.json --window 2";
-    let simulate = "simulate nuscenes:log --skeleton sk --templates templates --steps 1 --dry";
+    let simulate = "simulate nuscenes:log --skeleton sk --templates templates --steps 1 --dry --out new \
+        --maps depth --rasterizer cpu";
     std::fs::create_dir(log.path("elsewhere")).unwrap();
     for (link, target) in [
         ("log/linked", "../elsewhere"),
@@ -209,11 +210,14 @@ fn exports_of_other_frames_or_shards_are_refused() {
         ("--frames 0..2 --shard-frames 1", "--shard-frames 1, found --shard-frames 2"),
         ("--frames 0..3 --shard-frames 2", "--frames [0,3], found --frames [0,2]"),
         ("--shard-frames 2", "--frames default, found --frames [0,2]"),
-        ("--frames 0..2 --shard-frames 2 --radius 50", "--radius"),
+        ("--frames 0..2 --shard-frames 2 --radius 50", "--radius 50.0, found"),
+        ("--frames 0..2 --shard-frames 2 --map-layers all", "--line-width or --map-layers {"),
         ("--frames 0..2 --shard-frames 2 --images", "--images true, found --images false"),
     ] {
         assert_refused(&log, &export(more), part);
     }
+    let layout = export("--frames 0..2 --shard-frames 2").replace("webdataset", "frames");
+    assert_refused(&log, &layout, r#"--layout "frames", found --layout "webdataset""#);
     log.succeed(&export("--frames 0..2 --shard-frames 2 --only 0/1"));
     // An export of an earlier version has no fingerprints of its input.
     let mut earlier = log.json("out/export.json");
