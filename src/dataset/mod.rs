@@ -9,6 +9,8 @@ mod category;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod degenerate;
 mod ego_track;
+#[cfg(any(feature = "nuscenes", feature = "av2"))]
+mod lenient;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod limits;
 mod locator;

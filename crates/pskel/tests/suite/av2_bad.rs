@@ -7,8 +7,8 @@ use std::sync::Arc;
 use arrow_array::{ArrayRef, Float16Array, Float32Array, Int64Array, StringArray, UInt64Array};
 use arrow_ipc::CompressionType;
 use half::f16;
-use point_skeleton::dataset::av2::{read_map_file, read_sweep_file};
 use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::av2::{read_map_file, read_sweep_file};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
