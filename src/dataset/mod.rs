@@ -12,6 +12,8 @@ mod degenerate;
 mod ego_track;
 mod fingerprint;
 mod gaps;
+#[cfg(any(feature = "nuscenes", feature = "av2"))]
+mod lenient;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod limits;
 mod locator;

@@ -9,7 +9,8 @@ use glam::DVec2;
 use rustc_hash::FxHashSet;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 
-use crate::dataset::degenerate::{self, Coordinate, Fault, note_fault, or_default};
+use crate::dataset::degenerate::{self, Fault, note_fault};
+use crate::dataset::lenient::{Coordinate, or_default};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
 use crate::files::json;

@@ -6,7 +6,7 @@
 use glam::DVec2;
 use serde::de::{Deserialize, Deserializer};
 
-use crate::dataset::degenerate::{Coordinate, or_default};
+use crate::dataset::lenient::{Coordinate, or_default};
 
 /// Maximum spacing of centerline points, meters.
 const STEP_M: f64 = 0.5;

@@ -13,7 +13,8 @@ use rustc_hash::FxHashMap;
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 
 use super::arcline::{ArclinePath, centerline};
-use crate::dataset::degenerate::{self, Coordinate, Fault, note_fault, or_default};
+use crate::dataset::degenerate::{self, Fault, note_fault};
+use crate::dataset::lenient::{Coordinate, or_default};
 use crate::dataset::notes::{Counts, count};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;

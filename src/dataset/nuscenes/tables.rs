@@ -13,7 +13,7 @@ use serde_json::Value;
 use super::numbers::{TimeUs, Whole};
 use super::rows::array_of;
 use crate::dataset::DatasetError;
-use crate::dataset::degenerate::or_default;
+use crate::dataset::lenient::or_default;
 use crate::error::FileError;
 use crate::files::json;
 

@@ -213,8 +213,11 @@ fn scenes_and_versions_must_be_chosen() {
     assert_says(&expand("#boston").unwrap_err().to_string(), &["town-3, town-6, found boston"], "scene.json");
     let root = broken.0.path().to_string_lossy().into_owned();
     broken.refuses("@v1.0-none", &["@VERSION to name one of v1.0-mini, found v1.0-none"], &root);
-    std::fs::create_dir(broken.0.path().join("v1.0-trainval")).unwrap();
-    std::fs::write(broken.0.path().join("v1.0-trainval/scene.json"), "[]").unwrap();
+    let other = broken.0.path().join("v1.0-trainval");
+    std::fs::create_dir(&other).unwrap();
+    // A folder without tables is no version.
+    assert!(broken.open_as("#town-3").is_ok());
+    std::fs::copy(broken.table("scene"), other.join("scene.json")).unwrap();
     broken.refuses("", &["@VERSION to name one of v1.0-mini, v1.0-trainval, found none"], &root);
     assert!(broken.open_as("@v1.0-mini#town-3").is_ok());
     let nowhere = "nuscenes:/nowhere/at/all".parse().unwrap();
