@@ -42,11 +42,10 @@ impl Notes {
 /// Moves the notes of a reader to its log, removes sweeps and images whose files do not exist, and applies the policy.
 ///
 /// # Errors
-/// Fails with [`MissingData::Error`] if anything is missing. Fails if a file cannot be looked up, or with that policy if it is
-/// not a regular file.
+/// Fails with [`MissingData::Error`] if anything is missing.
 pub(super) fn settle(log: &mut Recording, notes: Notes) -> Result<(), DatasetError> {
     (log.notes, log.gaps) = (notes.counts, notes.gaps);
-    let gaps = missing_files(log)?;
+    let gaps = missing_files(log);
     let missing: BTreeSet<&Path> = gaps.iter().filter_map(Gap::file).collect();
     for frame in log.frames.iter_mut().filter(|_| !missing.is_empty()) {
         frame.sweeps.retain(|sweep| !missing.contains(sweep.path.as_path()));
@@ -63,9 +62,9 @@ pub(super) fn settle(log: &mut Recording, notes: Notes) -> Result<(), DatasetErr
     }
 }
 
-/// Returns the files of a log that do not exist, each once. Other things than regular files are damaged, and left for their
-/// readers.
-fn missing_files(log: &Recording) -> Result<Vec<Gap>, DatasetError> {
+/// Returns the files of a log that do not exist, each once. Other things than regular files, and files that cannot be looked up,
+/// are left for their readers.
+fn missing_files(log: &Recording) -> Vec<Gap> {
     let files = log.frames.iter().flat_map(|frame| {
         let sweeps = frame.sweeps.iter().map(|sweep| (&sweep.path, NO_SWEEP_FILE));
         let images = frame.images.iter().chain(&frame.between_images);
@@ -75,13 +74,8 @@ fn missing_files(log: &Recording) -> Result<Vec<Gap>, DatasetError> {
     let mut seen = BTreeSet::new();
     let files: Vec<(&PathBuf, &'static str)> = files.filter(|(path, _)| seen.insert(*path)).collect();
     let found: Vec<Result<bool, FileError>> = files.par_iter().map(|(path, _)| is_there(path)).collect();
-    let mut gaps = Vec::new();
-    for ((path, kind), found) in files.into_iter().zip(found) {
-        if log.unless_damaged(found.map_err(Into::into))? == Some(false) {
-            gaps.push(Gap { kind, place: GapPlace::File(path.clone()) });
-        }
-    }
-    Ok(gaps)
+    let missing = files.into_iter().zip(found).filter(|(_, found)| matches!(found, Ok(false)));
+    missing.map(|((path, kind), _)| Gap { kind, place: GapPlace::File(path.clone()) }).collect()
 }
 
 /// Kind of the boxes whose stated number of points is not a number.

@@ -44,12 +44,13 @@ impl Cuboid {
         Ok(Self { pose, size })
     }
 
-    /// Creates a box, or `None` if a side is zero or negative: data sets have such boxes of objects without a size.
+    /// Creates a box, or `None` if a side is zero, negative or below [`MIN_SIDE_M`]: data sets have such boxes of objects without
+    /// a size.
     ///
     /// # Errors
     /// Fails if a side is not finite.
     pub fn unless_flat(pose: Pose, size: DVec3) -> Result<Option<Self>, CuboidError> {
-        let is_flat = size.is_finite() && size.min_element() <= 0.0;
+        let is_flat = size.is_finite() && size.min_element() < MIN_SIDE_M;
         if is_flat { Ok(None) } else { Self::new(pose, size).map(Some) }
     }
 

@@ -6,7 +6,7 @@ use super::TemplateOptions;
 use super::kind::Family;
 use super::thin::poisson_thin;
 use crate::cloud::Point;
-use crate::geometry::{is_position, is_size};
+use crate::geometry::is_position;
 use crate::skeleton::Asset;
 
 /// Points of an actor, prepared for aggregation.
@@ -33,9 +33,6 @@ impl Instance {
     ) -> Result<Self, &'static str> {
         let family = Family::of(&asset.category).ok_or("actors of a category without templates")?;
         let size_m = DVec3::from(asset.size);
-        if !is_size(size_m) {
-            return Err("actors without a size");
-        }
         // Far points would overflow squared distances.
         let is_near = |p: &&Point| is_position(DVec3::from(p.position.map(f64::from)));
         let finite: Vec<&Point> = points.iter().filter(is_near).collect();

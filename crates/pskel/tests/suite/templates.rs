@@ -60,7 +60,7 @@ const SEDAN: [f64; 3] = [4.6, 1.9, 1.5];
 const BUS: [f64; 3] = [12.0, 3.0, 3.3];
 
 /// Writes two skeletons. The first has a vehicle as long as a bus, a car and a cone; the second has a car without
-/// points, one without a size, and a truck with few points.
+/// points, and a truck with few points.
 fn two_skeletons(log: &TinyLog) {
     let first = vec![
         asset("bus", "vehicle", BUS, shell(BUS)),
@@ -70,7 +70,6 @@ fn two_skeletons(log: &TinyLog) {
     write_skeleton(&log.path("sk1"), "one", first);
     let second = vec![
         asset("empty", "vehicle.car", SEDAN, Vec::new()),
-        asset("flat", "vehicle.car", [4.0, 0.0, 1.0], shell(SEDAN)),
         asset("truck", "vehicle.truck", [8.0, 2.5, 3.0], shell([0.5; 3])),
     ];
     write_skeleton(&log.path("sk2"), "two", second);
@@ -92,13 +91,13 @@ fn actors_of_several_skeletons_become_a_library() {
     assert_eq!(library.clouds[1].0.size, BUS);
     let manifest = log.json("out/t/templates.json");
     let notes = json!({
-        "actors of a category without templates": 1, "actors without a size": 1, "actors without points": 1,
+        "actors of a category without templates": 1, "actors without points": 1,
         "truck templates with too few points": 1,
     });
     assert_eq!(manifest["report"]["notes"], notes);
     assert_eq!(
         manifest["sources"][1],
-        json!({"log": "two", "location": "nowhere", "frames": 1, "t_us": [0, 1], "actors": 3})
+        json!({"log": "two", "location": "nowhere", "frames": 1, "t_us": [0, 1], "actors": 2})
     );
     assert_eq!(manifest["report"]["templates"][0]["clusters"][0]["members"], json!(["one/car"]));
     let picture = image::open(log.path("out/t/bus.png")).unwrap().into_rgb8();
@@ -136,7 +135,7 @@ fn what_is_wrong_with_templates_is_told_and_leaves_nothing() {
     log.fail(
         "templates sk2 --out out/t",
         1,
-        &["found left out 1 actors without a size", "1 truck templates"],
+        &["found left out 1 actors without points", "1 truck templates"],
     );
     log.fail("templates --out out/t", 2, &["LOG|SKELETON"]);
     log.fail("templates nowhere --out out/t", 2, &["the folder of a skeleton", "FORMAT:PATH", "nowhere"]);
