@@ -149,11 +149,10 @@ fn sweeps_of_another_clock_are_refused_in_nuplan() {
 
 #[test]
 fn sensors_of_another_clock_are_refused_in_argoverse() {
-    for (file, kind) in
-        [(sweep as fn(usize) -> String, "sweeps"), (|i| picture(i, "ring_front_center"), "images")]
-    {
+    let image = |frame: usize| picture(frame, "ring_front_center");
+    for (file, kind) in [(sweep(0), "sweeps"), (image(0), "images")] {
         let log = TinyAv2::new();
-        let folder = log.path(&file(0)).parent().unwrap().to_owned();
+        let folder = log.path(&file).parent().unwrap().to_owned();
         for entry in std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()) {
             let t_ns: i64 = entry.file_stem().unwrap().to_str().unwrap().parse().unwrap();
             let ending = entry.extension().unwrap().to_str().unwrap();
