@@ -1,5 +1,6 @@
 use point_skeleton::error::FileError;
 use point_skeleton::memory::MemoryError;
+use point_skeleton::threads::ThreadError;
 use pskel_generate::DenoiserError;
 
 /// Error of creating, reading, running or training a network.
@@ -26,6 +27,9 @@ pub enum NetworkError {
     /// Error of a file of weights or of a checkpoint.
     #[error(transparent)]
     File(#[from] FileError),
+    /// A thread could not be started.
+    #[error(transparent)]
+    Threads(#[from] ThreadError),
     /// More memory is needed than available.
     #[error(transparent)]
     Memory(#[from] MemoryError),

@@ -24,6 +24,7 @@ mod model;
 mod ops;
 mod parameters;
 mod statistics;
+mod threads;
 pub mod train;
 mod weights;
 

@@ -5,7 +5,7 @@ use candle_core::{Device, Result, Tensor};
 use super::config::LATENT_CHANNELS;
 use super::kernels::{AttentionMlp, Convolution, Grid, LANES, Resize};
 use super::parameters::{Modulations, WAVES, shapes};
-use super::{Inputs, Levels, NetworkConfig, NetworkError, Statistics, ops};
+use super::{Inputs, Levels, NetworkConfig, NetworkError, Statistics, ops, threads};
 
 /// The network. A convolutional encoder turns the conditions of a frame into features at four sizes, once per frame. The
 /// denoiser works on latents at a quarter of the size, with attention within images, across cameras and over time at an eighth.
@@ -67,6 +67,7 @@ impl Model {
         parameters: BTreeMap<String, Tensor>,
     ) -> std::result::Result<Self, NetworkError> {
         config.check_with(statistics)?;
+        threads::start()?;
         for (name, shape) in shapes(config) {
             let found = parameters.get(&name).map_or(&[][..], Tensor::dims);
             if found != shape {
