@@ -22,7 +22,9 @@ impl Recording {
         for frame in &self.frames {
             hash.number(frame.t_us.cast_unsigned());
             hash.pose(&frame.global_from_ego);
-            for length in [frame.sweeps.len(), frame.images.len(), frame.between_images.len(), frame.boxes.len()] {
+            for length in
+                [frame.sweeps.len(), frame.images.len(), frame.between_images.len(), frame.boxes.len()]
+            {
                 hash.number(length as u64);
             }
             for sweep in &frame.sweeps {
@@ -85,7 +87,8 @@ mod tests {
     use crate::geometry::Cuboid;
 
     fn log() -> Recording {
-        let track = |id: &str| Track { id: id.into(), category: "vehicle.car".into(), class: Class::MotorVehicle };
+        let track =
+            |id: &str| Track { id: id.into(), category: "vehicle.car".into(), class: Class::MotorVehicle };
         let cuboid = Cuboid::new(Pose::IDENTITY, DVec3::ONE).unwrap();
         let frame = Frame {
             t_us: 1,

@@ -61,7 +61,11 @@ impl Inputs {
         let is_above = |folder: &Path| {
             folder.metadata().is_ok_and(|about| about.is_dir() && ancestors.contains(&identity(&about)))
         };
-        match self.0.iter().find(|input| is_above(input) || links_below(input, LINK_DEPTH).iter().any(|l| is_above(l))) {
+        match self
+            .0
+            .iter()
+            .find(|input| is_above(input) || links_below(input, LINK_DEPTH).iter().any(|l| is_above(l)))
+        {
             None => Ok(()),
             Some(input) => {
                 let expected = format!("an output outside of the input {}", input.display());
@@ -73,7 +77,8 @@ impl Inputs {
     /// Checks that an output file is none of the input files, under any name.
     pub(super) fn check_same(&self, path: &Path) -> Result<(), FileError> {
         let Ok(found) = path.metadata() else { return Ok(()) };
-        let is_same = |input: &&PathBuf| input.metadata().is_ok_and(|data| identity(&data) == identity(&found));
+        let is_same =
+            |input: &&PathBuf| input.metadata().is_ok_and(|data| identity(&data) == identity(&found));
         match self.0.iter().find(is_same) {
             None => Ok(()),
             Some(input) => {
@@ -128,7 +133,12 @@ mod tests {
         std::fs::write(at("data/tables/a.json"), "").unwrap();
         let inputs = Inputs::new([at("data"), at("none"), at("name.json")]);
         for name in [
-            "data/new", "data/tables/a.json", "link/new", "link/tables/new", "disk/images/front/new", "name.json",
+            "data/new",
+            "data/tables/a.json",
+            "link/new",
+            "link/tables/new",
+            "disk/images/front/new",
+            "name.json",
             "data/new/folder/file",
         ] {
             let message = inputs.check_outside(&at(name)).unwrap_err().to_string();
@@ -151,7 +161,10 @@ mod tests {
         let inputs = Inputs::new([at("file"), at("out/sk")]);
         for name in ["file", "hard", "soft", "folder/sk"] {
             let message = inputs.check_same(&at(name)).unwrap_err().to_string();
-            assert!(message.contains("apart from the input") && message.contains("found the same"), "{message}");
+            assert!(
+                message.contains("apart from the input") && message.contains("found the same"),
+                "{message}"
+            );
         }
         inputs.check_folder(&at("out")).unwrap();
         let message = inputs.check_whole(&at("folder")).unwrap_err().to_string();

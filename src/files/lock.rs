@@ -121,7 +121,8 @@ fn attempt(path: &Path, owner: &Path) -> Result<Option<LockedFile>, FileError> {
 /// in user space and on clusters (ENOSYS, EOPNOTSUPP, EINVAL). Files are still replaced atomically there.
 fn has_no_locks(error: &Error) -> bool {
     let number = Errno::from_io_error(error);
-    number.is_some_and(|number| [Errno::NOLCK, Errno::NOSYS, Errno::OPNOTSUPP, Errno::INVAL].contains(&number))
+    number
+        .is_some_and(|number| [Errno::NOLCK, Errno::NOSYS, Errno::OPNOTSUPP, Errno::INVAL].contains(&number))
 }
 
 fn busy(owner: &Path, found: &str) -> FileError {

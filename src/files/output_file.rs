@@ -113,7 +113,8 @@ impl FileKind {
         let mut head = Vec::new();
         file.take(HEAD).read_to_end(&mut head).map_err(FileError::io("read", path))?;
         let rest = head.strip_prefix(self.begin);
-        let is_marked = |rest: &[u8]| self.mark.is_empty() || rest.windows(self.mark.len()).any(|part| part == self.mark);
+        let is_marked =
+            |rest: &[u8]| self.mark.is_empty() || rest.windows(self.mark.len()).any(|part| part == self.mark);
         if head.is_empty() || rest.is_some_and(is_marked) {
             return Ok(());
         }
@@ -165,7 +166,9 @@ mod tests {
     fn only_files_of_the_same_kind_are_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
-        for (name, text) in [("empty", ""), ("own", "{\n  \"seed\": 7}"), ("table", "[\n{\"seed\": 7}]"), ("short", "{")] {
+        for (name, text) in
+            [("empty", ""), ("own", "{\n  \"seed\": 7}"), ("table", "[\n{\"seed\": 7}]"), ("short", "{")]
+        {
             std::fs::write(at(name), text).unwrap();
         }
         std::os::unix::fs::symlink(at("table"), at("link")).unwrap();
@@ -175,9 +178,14 @@ mod tests {
         }
         for name in ["table", "short", "link"] {
             let message = open(name).unwrap_err().to_string();
-            assert!(message.starts_with("expected a report to replace, or none, found another file: "), "{message}");
+            assert!(
+                message.starts_with("expected a report to replace, or none, found another file: "),
+                "{message}"
+            );
         }
-        for (name, expected) in [("none/new", "cannot read"), ("own/new", "expected a file in a folder"), (".", "found a folder")] {
+        for (name, expected) in
+            [("none/new", "cannot read"), ("own/new", "expected a file in a folder"), (".", "found a folder")]
+        {
             let message = open(name).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
         }

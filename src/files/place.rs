@@ -159,12 +159,13 @@ mod tests {
         std::os::unix::fs::symlink("nowhere", new.join("link")).unwrap();
         let listed = old.iter().chain(&["e"]).map(PathBuf::from).collect();
         replace_files(&new, &path, &listed).unwrap();
-        let expected: BTreeSet<PathBuf> =
-            names.iter().chain(&["empty", "link"]).map(PathBuf::from).collect();
+        let expected: BTreeSet<PathBuf> = names.iter().chain(&["empty", "link"]).map(PathBuf::from).collect();
         assert_eq!(files_below(&path).unwrap(), expected);
-        assert!(names.iter().all(|name| {
-            std::fs::read_to_string(path.join(name)).unwrap() == format!("{name} new")
-        }));
+        assert!(
+            names
+                .iter()
+                .all(|name| { std::fs::read_to_string(path.join(name)).unwrap() == format!("{name} new") })
+        );
         assert_eq!(std::fs::read_link(path.join("link")).unwrap(), Path::new("nowhere"));
     }
 

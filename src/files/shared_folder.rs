@@ -169,9 +169,8 @@ impl SharedFolder {
         if !is_there(&path)? {
             return Ok(BTreeSet::new());
         }
-        let is_below = |path: &PathBuf| {
-            path.components().all(|part| matches!(part, std::path::Component::Normal(_)))
-        };
+        let is_below =
+            |path: &PathBuf| path.components().all(|part| matches!(part, std::path::Component::Normal(_)));
         Ok(read_text(&path)?.lines().map(PathBuf::from).filter(is_below).collect())
     }
 
@@ -192,7 +191,8 @@ fn has_same_bytes(a: &Path, b: &Path) -> Result<bool, FileError> {
     if a_length != b_length {
         return Ok(false);
     }
-    let [mut a_bytes, mut b_bytes] = [a_file, b_file].map(|file| BufReader::with_capacity(BUFFER, file).bytes());
+    let [mut a_bytes, mut b_bytes] =
+        [a_file, b_file].map(|file| BufReader::with_capacity(BUFFER, file).bytes());
     let same = (&mut a_bytes).zip(&mut b_bytes).try_fold(true, |same, (x, y)| Ok(same && x? == y?));
     same.map_err(FileError::io("read", a))
 }

@@ -174,7 +174,8 @@ mod tests {
             let folder = tempfile::tempdir().unwrap();
             std::fs::write(folder.path().join("notes"), "mine").unwrap();
             lock.map_or(Ok(()), |text| std::fs::write(folder.path().join(LOCK), text)).unwrap();
-            let message = WorkFolder::open(folder.path().to_owned(), Path::new("out")).unwrap_err().to_string();
+            let message =
+                WorkFolder::open(folder.path().to_owned(), Path::new("out")).unwrap_err().to_string();
             assert!(message.starts_with("expected a folder of an unfinished run, or none"), "{message}");
             assert_eq!(std::fs::read(folder.path().join("notes")).unwrap(), b"mine");
             assert_eq!(std::fs::read_to_string(folder.path().join(LOCK)).ok().as_deref(), lock);

@@ -13,7 +13,9 @@ use crate::cloud::Point;
 use crate::dataset::Recording;
 use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
-use crate::files::{Inputs, WholeFolder, WorkFolder, check_whole, inputs_of_whole, write_json, write_whole_by};
+use crate::files::{
+    Inputs, WholeFolder, WorkFolder, check_whole, inputs_of_whole, write_json, write_whole_by,
+};
 use crate::gpu::MappedFile;
 
 /// Kind of the output folder.
@@ -239,12 +241,15 @@ impl Skeleton {
     /// Fails if it was built from another recording.
     pub fn check_recording(&self, log: &Recording) -> Result<(), FileError> {
         let known = inputs_of_whole(&self.path, KIND)?;
-        let is_same = if known.is_empty() { self.manifest.resembles(log) } else { known.contains(&log.fingerprint()) };
+        let is_same =
+            if known.is_empty() { self.manifest.resembles(log) } else { known.contains(&log.fingerprint()) };
         if is_same {
             return Ok(());
         }
-        let expected = format!("a skeleton of the recording {} with the same frames, poses and boxes", log.name);
-        let found = "one of another recording or state of that name; remove it, or use another folder of skeletons";
+        let expected =
+            format!("a skeleton of the recording {} with the same frames, poses and boxes", log.name);
+        let found =
+            "one of another recording or state of that name; remove it, or use another folder of skeletons";
         Err(FileError::content(expected, found, &self.path))
     }
 

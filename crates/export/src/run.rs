@@ -15,10 +15,10 @@ use point_skeleton::skeleton::{self, BuildError, Skeleton};
 use point_skeleton::{Maps, RenderOptions, Renderer};
 use serde_json::json;
 
+use crate::claim::claim;
 use crate::layout::{self, Source};
 use crate::report::{ExportReport, Failure};
 use crate::samples::{Sample, Sampler};
-use crate::claim::claim;
 use crate::shard::{Shard, ShardInput, ShardRecord};
 use crate::{ExportError, ExportOptions, Layout, ListedLog, WorkList, WorkUnit};
 

@@ -119,13 +119,15 @@ impl ShardRecord {
         }
         let record: Self = serde_json::from_slice(&bytes)
             .map_err(|error| FileError::content("the record of a shard", error.to_string(), &path))?;
-        let is_below = |file: &ShardFile| file.path.components().all(|part| matches!(part, Component::Normal(_)));
+        let is_below =
+            |file: &ShardFile| file.path.components().all(|part| matches!(part, Component::Normal(_)));
         if !record.files.iter().all(is_below) {
             return Err(FileError::content("paths below the export", "another path", &path));
         }
         let [first, end] = record.frames;
         if record.name != unit.name || (first..end) != unit.frames {
-            let expected = format!("shard {} of frames {}..{}", unit.name, unit.frames.start, unit.frames.end);
+            let expected =
+                format!("shard {} of frames {}..{}", unit.name, unit.frames.start, unit.frames.end);
             let found = format!("shard {} of frames {first}..{end}; use another folder", record.name);
             return Err(FileError::content(expected, found, &path));
         }
@@ -326,10 +328,17 @@ mod tests {
         let mut shard = Shard::begin(folder.path(), &unit()).unwrap();
         shard.put("1.png", b"abc").unwrap();
         shard.publish(record()).unwrap();
-        let read = |input: &ShardInput, verify| ShardRecord::read(folder.path(), &unit(), Some(input), verify);
+        let read =
+            |input: &ShardInput, verify| ShardRecord::read(folder.path(), &unit(), Some(input), verify);
         for (other, part) in [
-            (ShardInput { log: "3".into(), ..input() }, "a shard of this recording, found one of another recording"),
-            (ShardInput { skeleton: Some("3".into()), ..input() }, "a shard of this skeleton, found one of another"),
+            (
+                ShardInput { log: "3".into(), ..input() },
+                "a shard of this recording, found one of another recording",
+            ),
+            (
+                ShardInput { skeleton: Some("3".into()), ..input() },
+                "a shard of this skeleton, found one of another",
+            ),
         ] {
             let message = read(&other, false).unwrap_err().to_string();
             assert!(message.contains(part), "{message}");

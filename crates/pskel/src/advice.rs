@@ -21,7 +21,8 @@ fn of_cause(cause: &(dyn Error + 'static)) -> Option<&'static str> {
     }
     if let Some(BuildError::Interrupted { source, .. }) = cause.downcast_ref() {
         // A folder that cannot be replaced now cannot be replaced later either.
-        let is_fixed = matches!(&**source, BuildError::File(FileError::Io { verb: "replace" | "rename to", .. }));
+        let is_fixed =
+            matches!(&**source, BuildError::File(FileError::Io { verb: "replace" | "rename to", .. }));
         return (!is_fixed).then_some("--resume continues the build after the retained frames");
     }
     if let Some(DatasetError::File(FileError::Content { expected, .. })) = cause.downcast_ref() {

@@ -18,7 +18,8 @@ pub(super) fn open<const N: usize>(
     inputs: &Inputs,
     folder: Option<&Path>,
 ) -> anyhow::Result<[Option<OutputFile>; N]> {
-    let given: Vec<(&str, &Path)> = options.iter().filter_map(|(name, path, _)| Some((*name, (*path)?))).collect();
+    let given: Vec<(&str, &Path)> =
+        options.iter().filter_map(|(name, path, _)| Some((*name, (*path)?))).collect();
     for (place, (name, path)) in given.iter().enumerate() {
         if let Some((other, _)) = given[..place].iter().find(|(_, other)| is_one_file(other, path)) {
             let message = format!("expected two files for {other} and {name}, found {}", path.display());

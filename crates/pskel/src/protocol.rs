@@ -177,7 +177,10 @@ impl ProtocolArgs {
     /// Returns everything that is read, except for skeletons.
     fn inputs(&self, logs: &[LogLocator]) -> Inputs {
         let log_paths = logs.iter().flat_map(LogLocator::inputs);
-        Inputs::new(log_paths).and(&self.annotations).and(self.generating.inputs()).and(self.stand_ins.inputs())
+        Inputs::new(log_paths)
+            .and(&self.annotations)
+            .and(self.generating.inputs())
+            .and(self.stand_ins.inputs())
     }
 
     /// Returns the selected parts, in order.

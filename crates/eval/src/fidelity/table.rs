@@ -27,14 +27,23 @@ pub struct FidelityFiles;
 
 impl FidelityFiles {
     /// All numbers.
-    pub const JSON: FileKind =
-        FileKind { name: "a report of pskel fidelity", begin: b"{\n  \"log\": ", mark: b"\n  \"description\": " };
+    pub const JSON: FileKind = FileKind {
+        name: "a report of pskel fidelity",
+        begin: b"{\n  \"log\": ",
+        mark: b"\n  \"description\": ",
+    };
     /// Table as CSV.
-    pub const CSV: FileKind =
-        FileKind { name: "a table of pskel fidelity", begin: b"pose,images,PSNR (dB),filled (%),", mark: b"" };
+    pub const CSV: FileKind = FileKind {
+        name: "a table of pskel fidelity",
+        begin: b"pose,images,PSNR (dB),filled (%),",
+        mark: b"",
+    };
     /// Table as Markdown.
-    pub const MARKDOWN: FileKind =
-        FileKind { name: "a table of pskel fidelity", begin: b"| pose | images | PSNR (dB) | filled (%) |", mark: b"" };
+    pub const MARKDOWN: FileKind = FileKind {
+        name: "a table of pskel fidelity",
+        begin: b"| pose | images | PSNR (dB) | filled (%) |",
+        mark: b"",
+    };
 }
 
 impl FidelityReport {

@@ -16,9 +16,9 @@ use rayon::prelude::*;
 use serde_json::json;
 
 use super::{LayoutWriter, Source, slots};
-use crate::{ExportError, ExportOptions};
 use crate::samples::Sample;
 use crate::shard::Shard;
+use crate::{ExportError, ExportOptions};
 
 /// Frame rate of logs whose own is unknown, per second.
 const DEFAULT_HZ: f64 = 10.0;

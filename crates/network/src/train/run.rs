@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use point_skeleton::error::FileError;
-use point_skeleton::files::{Inputs, OutputFolder};
 use point_skeleton::files::input::is_there;
+use point_skeleton::files::{Inputs, OutputFolder};
 use pskel_generate::TrainingClip;
 
 use super::losses::{self, recent_loss};

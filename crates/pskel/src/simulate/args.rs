@@ -20,12 +20,12 @@ use pskel_sim::{ActorPolicy, EgoPolicy, LocalPath, PathAnchor, PlannerSpec, Scen
 use super::generation::GenerationArgs;
 use super::inputs::Inputs;
 use super::policies::{ActorName, EgoName, PolicyArgs, TrackingName};
-use crate::{WrongUsage, outputs};
 use crate::log_args::{self, LogRoots};
 use crate::map_args::MapArgs;
 use crate::numbers;
 use crate::rasterizer::RasterizerArgs;
 use crate::substitutes::SubstituteArgs;
+use crate::{WrongUsage, outputs};
 
 /// Number of frames that a generator sees besides the current one.
 const FORECAST_STEPS: usize = 9;

@@ -145,7 +145,10 @@ fn folders_of_an_image_layer_are_replaced() {
     for (first, second) in [
         (BUILD, "build nuscenes:log --frames 0..2 --out out"),
         (RENDER, RENDER),
-        (RENDER, "render nuscenes:log --skeleton sk --out out --maps depth,class --frames 1..3 --rasterizer cpu"),
+        (
+            RENDER,
+            "render nuscenes:log --skeleton sk --out out --maps depth,class --frames 1..3 --rasterizer cpu",
+        ),
         (SIMULATE, SIMULATE),
         (CONVERT, "convert sk --format ply --out out"),
         (TEMPLATES, "templates sk --min-points 1 --target-points 50 --out out"),
@@ -196,7 +199,11 @@ fn mount_points_are_filled() {
         assert_eq!(std::fs::read_to_string(log.path("left")).unwrap(), "", "{args}");
         for name in ["out", "left"] {
             let path = log.path(name);
-            if path.is_dir() { std::fs::remove_dir(path).unwrap() } else { std::fs::remove_file(path).unwrap() }
+            if path.is_dir() {
+                std::fs::remove_dir(path).unwrap()
+            } else {
+                std::fs::remove_file(path).unwrap()
+            }
         }
         assert_eq!(names(&log.path("")), before, "{args}");
     }
@@ -217,7 +224,10 @@ fn volumes_of_read_only_containers_are_filled() {
     assert_success(&output, "build");
     assert!(tree(&log.path("disk")) == files);
     let said = std::fs::read_to_string(log.path("said")).unwrap();
-    assert!(said.contains("expected a folder of kind points, or a new one, found one of kind skeleton"), "{said}");
+    assert!(
+        said.contains("expected a folder of kind points, or a new one, found one of kind skeleton"),
+        "{said}"
+    );
     // Nothing can be created beside the output.
     std::fs::remove_dir_all(log.path("disk")).unwrap();
     let script = format!(
@@ -233,7 +243,8 @@ fn volumes_of_read_only_containers_are_filled() {
 #[test]
 fn foreign_files_in_a_mount_point_stay() {
     let log = ready();
-    for (args, name) in [(BUILD, "thesis.tex"), (CONVERT, "actors/thesis.tex"), (BUILD, ".pskel/thesis.tex")] {
+    for (args, name) in [(BUILD, "thesis.tex"), (CONVERT, "actors/thesis.tex"), (BUILD, ".pskel/thesis.tex")]
+    {
         let script = format!(
             "mkdir -p out; mount -t tmpfs tmpfs out; mkdir -p $(dirname out/{name}); echo mine > out/{name}
             ! $PSKEL {args} 2> said; cat out/{name}; umount out"

@@ -62,7 +62,10 @@ fn single_files_replace_nothing_in_input_folders() {
         (format!("{simulate} --mcap log/v1.0-mini/scene.json"), outside),
         (format!("{simulate} --mcap log/v1.0-mini/new.mcap"), outside),
         (format!("{simulate} --mcap table.mcap"), outside),
-        (format!("{simulate} --mcap hard.mcap"), "expected an MCAP file of pskel to replace, or none, found another file"),
+        (
+            format!("{simulate} --mcap hard.mcap"),
+            "expected an MCAP file of pskel to replace, or none, found another file",
+        ),
         (format!("{simulate} --mcap folder/map.json"), outside),
         (format!("{simulate} --profile log/samples/0-CAM_FRONT.png"), outside),
         (format!("{simulate} --profile log/linked/x.json"), outside),
@@ -71,13 +74,25 @@ fn single_files_replace_nothing_in_input_folders() {
         (format!("{simulate} --profile sk/new.json"), outside),
         (format!("{simulate} --profile templates/templates.json"), part),
         (format!("{simulate} {generator} --profile recipe.json"), "apart from the input recipe.json"),
-        (format!("{simulate} --profile c.json"), "expected a profile of pskel to replace, or none, found another file"),
+        (
+            format!("{simulate} --profile c.json"),
+            "expected a profile of pskel to replace, or none, found another file",
+        ),
         ("bench nuscenes:log --skeleton sk --rasterizer cpu --trace log/v1.0-mini/log.json".into(), outside),
-        ("bench nuscenes:log --skeleton sk --rasterizer cpu --trace c.json".into(), "expected a trace of pskel bench"),
-        ("splat --points p.npy --cameras c.json --rasterizer cpu --out recipe.json".into(), "expected an archive of pskel"),
+        (
+            "bench nuscenes:log --skeleton sk --rasterizer cpu --trace c.json".into(),
+            "expected a trace of pskel bench",
+        ),
+        (
+            "splat --points p.npy --cameras c.json --rasterizer cpu --out recipe.json".into(),
+            "expected an archive of pskel",
+        ),
         ("convert p.npy --format ply --out log/v1.0-mini/scene.json".into(), "expected a PLY file of pskel"),
         ("fidelity town:seed=5,frames=2,size=57x100 --skeleton sk --json sk/skeleton.json".into(), part),
-        ("fidelity town:seed=5,frames=2,size=57x100 --skeleton sk --csv p.npy".into(), "expected a table of pskel"),
+        (
+            "fidelity town:seed=5,frames=2,size=57x100 --skeleton sk --csv p.npy".into(),
+            "expected a table of pskel",
+        ),
     ] {
         assert_refused(&log, &args, found);
     }
@@ -107,8 +122,16 @@ fn scores_replace_no_file_of_a_rollout() {
     std::fs::write(log.path("masks/000000/CAM_FRONT.png"), "").unwrap();
     assert_refused(&log, "evaluate rollout --out rollout/rollout.json", "no part of another output");
     assert_refused(&log, "evaluate rollout --out rollout/steps/scores.json", "outside of the input rollout");
-    assert_refused(&log, "evaluate rollout --masks masks --out masks/000000/CAM_FRONT.png", "outside of the input masks");
-    assert_refused(&log, "evaluate rollout --reference rollout --out c.json", "expected scores of pskel evaluate");
+    assert_refused(
+        &log,
+        "evaluate rollout --masks masks --out masks/000000/CAM_FRONT.png",
+        "outside of the input masks",
+    );
+    assert_refused(
+        &log,
+        "evaluate rollout --reference rollout --out c.json",
+        "expected scores of pskel evaluate",
+    );
     assert_refused(&log, "evaluate rollout --out none/scores.json", "cannot read");
     for _ in 0..2 {
         assert!(log.run("evaluate rollout --out scores.json").status.success());
@@ -134,13 +157,21 @@ fn exports_replace_no_foreign_files() {
         let record = log.path("out/shards/tiny-000000.json");
         let record_text = std::fs::read(&record).unwrap();
         let written: Value = serde_json::from_slice(&record_text).unwrap();
-        let files: Vec<&str> = written["files"].as_array().unwrap().iter().map(|f| f["path"].as_str().unwrap()).collect();
+        let files: Vec<&str> =
+            written["files"].as_array().unwrap().iter().map(|f| f["path"].as_str().unwrap()).collect();
         let file = if files.contains(&file) { file } else { files[0] };
         std::fs::remove_file(&record).unwrap();
         std::fs::write(log.path("out").join(file), "years of work").unwrap();
         let before = tree(&log.path("out"));
         let output = log.run(&export);
-        assert_failed(&output, 1, &["expected only files that pskel wrote where it is to write, found another file", "failed: tiny-000000"]);
+        assert_failed(
+            &output,
+            1,
+            &[
+                "expected only files that pskel wrote where it is to write, found another file",
+                "failed: tiny-000000",
+            ],
+        );
         assert!(tree(&log.path("out")) == before, "{layout}: {told}");
         // A folder of the way is a link.
         std::fs::write(&record, &record_text).unwrap();
@@ -180,7 +211,7 @@ fn exports_of_other_frames_or_shards_are_refused() {
         ("--frames 0..3 --shard-frames 2", "--frames [0,3], found --frames [0,2]"),
         ("--shard-frames 2", "--frames default, found --frames [0,2]"),
         ("--frames 0..2 --shard-frames 2 --radius 50", "--radius 50.0, found"),
-        ("--frames 0..2 --shard-frames 2 --map-layers all", "--line-width or --map-layers {"),
+        ("--frames 0..2 --shard-frames 2 --map-layers dividers", "--line-width or --map-layers {"),
         ("--frames 0..2 --shard-frames 2 --images", "--images true, found --images false"),
     ] {
         assert_refused(&log, &export(more), part);
@@ -192,7 +223,11 @@ fn exports_of_other_frames_or_shards_are_refused() {
     let mut earlier = log.json("out/export.json");
     earlier.as_object_mut().unwrap().remove("records");
     std::fs::write(log.path("out/export.json"), earlier.to_string()).unwrap();
-    assert_refused(&log, &export("--frames 0..2 --shard-frames 2"), "found one of an earlier version; keep it, and export to another folder");
+    assert_refused(
+        &log,
+        &export("--frames 0..2 --shard-frames 2"),
+        "found one of an earlier version; keep it, and export to another folder",
+    );
 }
 
 /// Another recording with the same name: other poses, boxes, times, tracks, or points.
@@ -227,7 +262,11 @@ fn shards_and_skeletons_of_another_recording_are_not_taken() {
             assert!(output.status.success() && tree(&log.path("out")) == whole);
             continue;
         }
-        assert_failed(&output, 1, &["failed: tiny-000000: expected a shard of this", "use another folder, or --verify"]);
+        assert_failed(
+            &output,
+            1,
+            &["failed: tiny-000000: expected a shard of this", "use another folder, or --verify"],
+        );
         assert!(tree(&log.path("out/shards")) == shards, "{table}");
         if table != "instance" {
             // The skeleton of the other recording is not taken either.
@@ -257,7 +296,11 @@ fn records_of_strangers_neither_hang_nor_count() {
         assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
         let ended = guarded::run(&log.path(""), &args);
         ended.refused(&path.display().to_string(), &[]);
-        assert!(ended.stderr.contains("found a FIFO") || ended.stderr.contains("found a device or pipe"), "{}", ended.stderr);
+        assert!(
+            ended.stderr.contains("found a FIFO") || ended.stderr.contains("found a device or pipe"),
+            "{}",
+            ended.stderr
+        );
         std::fs::remove_file(path).unwrap();
         std::fs::write(path, bytes).unwrap();
     }
@@ -300,7 +343,11 @@ fn links_and_foreign_work_folders_are_left_alone() {
     for name in ["sk3.partial/lock", "sk3.partial/thesis.tex", "out/.pskel/lock", "out/.pskel/thesis.tex"] {
         put(name);
     }
-    assert_refused(&log, "build nuscenes:log --out sk3", "expected a folder of an unfinished run, or none, found another folder");
+    assert_refused(
+        &log,
+        "build nuscenes:log --out sk3",
+        "expected a folder of an unfinished run, or none, found another folder",
+    );
     assert_refused(&log, "convert sk --out sk3", "found another folder: sk3.partial");
     assert_refused(&log, RENDER, "found another folder: out/.pskel");
     std::fs::write(log.path("sk3.partial/lock"), "4711").unwrap();
@@ -317,7 +364,11 @@ fn rollouts_are_not_resumed_through_links() {
         let more = SIMULATE.replace("--steps 1", "--steps 2");
         for args in [format!("{more} --resume"), format!("{more} --resume-from 0"), more.clone()] {
             let before = tree(&log.path(""));
-            assert_failed(&log.run(&args), 1, &["expected only files that pskel wrote", "found a link: out/"]);
+            assert_failed(
+                &log.run(&args),
+                1,
+                &["expected only files that pskel wrote", "found a link: out/"],
+            );
             assert!(tree(&log.path("")) == before, "{args}");
         }
     }
@@ -332,7 +383,10 @@ fn refusals_come_before_the_work() {
     std::fs::write(log.path("file"), "").unwrap();
     symlink("log", log.path("link")).unwrap();
     for (args, part) in [
-        (format!("{generate} --dataset log/copy"), "expected an output outside of the input log, found one in it: log/copy"),
+        (
+            format!("{generate} --dataset log/copy"),
+            "expected an output outside of the input log, found one in it: log/copy",
+        ),
         (format!("{generate} --dataset log/v1.0-mini/a/b"), "outside of the input log"),
         (format!("{generate} --dataset link/copy"), "outside of the input log"),
         (format!("{generate} --dataset log"), "apart from the input log"),
