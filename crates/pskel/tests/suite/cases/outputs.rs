@@ -211,7 +211,7 @@ fn exports_of_other_frames_or_shards_are_refused() {
         ("--frames 0..3 --shard-frames 2", "--frames [0,3], found --frames [0,2]"),
         ("--shard-frames 2", "--frames default, found --frames [0,2]"),
         ("--frames 0..2 --shard-frames 2 --radius 50", "--radius 50.0, found"),
-        ("--frames 0..2 --shard-frames 2 --map-layers all", "--line-width or --map-layers {"),
+        ("--frames 0..2 --shard-frames 2 --map-layers dividers", "--line-width or --map-layers {"),
         ("--frames 0..2 --shard-frames 2 --images", "--images true, found --images false"),
     ] {
         assert_refused(&log, &export(more), part);
