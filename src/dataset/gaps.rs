@@ -3,14 +3,13 @@
 //! # How it works
 //! A reader records the parts that it misses ([`Gap`]), and lists its files without looking at them. `notes::settle` finds
 //! the files that do not exist, and then either leaves out all missing parts or ends with an error. Damaged files are found when
-//! they are read: [`Recording::unless_damaged`].
+//! they are read: [`Recording::unless_damaged`](super::Recording::unless_damaged).
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{DatasetError, Recording};
 use crate::files::text::{printable, printable_path};
 
 /// What to do about missing and damaged parts of a log.
@@ -27,7 +26,7 @@ pub enum MissingData {
 /// Missing part of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Gap {
-    /// Kind, as in [`Recording::notes`].
+    /// Kind, as in [`Recording::notes`](super::Recording::notes).
     pub kind: &'static str,
     /// The part.
     pub place: GapPlace,
@@ -71,22 +70,6 @@ impl fmt::Display for Gap {
             GapPlace::Record { record, path } => {
                 write!(f, "{}: {}: {}", self.kind, printable(record), printable_path(path))
             }
-        }
-    }
-}
-
-impl Recording {
-    /// Returns the content of a file of this log; `None` if it is damaged and [`ReadOptions::missing`](super::ReadOptions::missing) is
-    /// [`MissingData::Skip`]. The caller counts it.
-    ///
-    /// # Errors
-    /// Returns the error of a damaged file otherwise, and all errors of the operating system except that the file does not
-    /// exist.
-    pub fn unless_damaged<T>(&self, read: Result<T, DatasetError>) -> Result<Option<T>, DatasetError> {
-        match read {
-            Ok(content) => Ok(Some(content)),
-            Err(error) if self.reading.missing == MissingData::Skip && error.is_damage() => Ok(None),
-            Err(error) => Err(error),
         }
     }
 }

@@ -2,7 +2,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use super::{Class, Gap, ReadOptions};
+use super::{Class, DatasetError, Gap, MissingData, ReadOptions};
 use crate::files::FileName;
 use crate::files::text::printable;
 use crate::geometry::{Camera, Cuboid, Pose};
@@ -171,6 +171,20 @@ pub struct TrackBox {
 }
 
 impl Recording {
+    /// Returns the content of a file of this log; `None` if it is damaged and [`ReadOptions::missing`] is
+    /// [`MissingData::Skip`]. The caller counts it.
+    ///
+    /// # Errors
+    /// Returns the error of a damaged file otherwise, and all errors of the operating system except that the file does not
+    /// exist.
+    pub fn unless_damaged<T>(&self, read: Result<T, DatasetError>) -> Result<Option<T>, DatasetError> {
+        match read {
+            Ok(content) => Ok(Some(content)),
+            Err(error) if self.reading.missing == MissingData::Skip && error.is_damage() => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
     /// Returns the name for messages: one line of bounded length.
     pub fn shown_name(&self) -> Cow<'_, str> {
         printable(&self.name)

@@ -6,6 +6,7 @@ mod inputs;
 pub mod json;
 mod lock;
 mod manifest;
+mod mounts;
 mod name;
 mod output;
 mod output_file;

@@ -5,39 +5,15 @@
 //! that a folder in between is incomplete rather than a mixture.
 
 use std::collections::BTreeSet;
-use std::io::{Error, ErrorKind};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{Access, AtFlags, CWD, RenameFlags, StatxAttributes, StatxFlags, renameat_with, statx};
+use rustix::fs::{CWD, RenameFlags, renameat_with};
 
 use super::manifest::files_below;
+use super::mounts::is_fixed;
 use super::pending::remove;
 use crate::error::FileError;
-
-/// Returns whether a path is the root of a mount, like the volume of a container: it cannot be renamed, and what is
-/// beside it is on another file system.
-pub(super) fn is_mounted(path: &Path) -> bool {
-    let found = statx(CWD, path, AtFlags::SYMLINK_NOFOLLOW, StatxFlags::empty());
-    found.is_ok_and(|found| found.stx_attributes.contains(StatxAttributes::MOUNT_ROOT))
-}
-
-/// Returns whether nothing can be created beside a path, for instance because a container's own files are read-only.
-pub(super) fn is_beside_read_only(path: &Path) -> bool {
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let found = rustix::fs::access(parent, Access::WRITE_OK | Access::EXEC_OK);
-    found.is_err_and(|error| error != rustix::io::Errno::NOENT)
-}
-
-/// Returns whether an error of a rename says that the path itself cannot be renamed or replaced by a rename.
-pub(super) fn is_fixed(error: &Error) -> bool {
-    matches!(
-        error.kind(),
-        ErrorKind::CrossesDevices
-            | ErrorKind::ResourceBusy
-            | ErrorKind::PermissionDenied
-            | ErrorKind::ReadOnlyFilesystem
-    )
-}
 
 /// Moves a folder to a path. If a folder is there, both are swapped in one step, so the path is never empty. If it
 /// cannot be renamed, its files `old` (relative paths) are replaced by those of the new folder.
@@ -180,13 +156,5 @@ mod tests {
         let listed = ["index.json", "a/b.png"].map(PathBuf::from).into();
         assert!(replace_files(&new, &path, &listed).is_err());
         assert!(!path.join("index.json").exists());
-    }
-
-    #[test]
-    fn ordinary_folders_are_not_mounted() {
-        let folder = tempfile::tempdir().unwrap();
-        assert!(!is_mounted(&folder.path().join("none")) && !is_mounted(folder.path()));
-        assert!(is_mounted(Path::new("/proc")) && !is_beside_read_only(folder.path()));
-        assert!(!is_beside_read_only(&folder.path().join("none/of/these")));
     }
 }

@@ -7,8 +7,8 @@ use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 
 use super::lock::LockedFile;
+use super::mounts::{is_beside_read_only, is_fixed, is_mounted};
 use super::pending::PendingPath;
-use super::place::{is_beside_read_only, is_fixed, is_mounted};
 use crate::error::FileError;
 
 /// Suffix of temporary names.

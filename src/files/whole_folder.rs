@@ -6,8 +6,8 @@ use super::Inputs;
 use super::manifest::Manifest;
 use super::output::{WORK, manifest_of};
 use super::pending::{finish_undisturbed, remove};
-use super::place;
 use super::work::WorkFolder;
+use super::{mounts, place};
 use crate::error::FileError;
 
 /// Output folder that appears as a whole.
@@ -82,7 +82,7 @@ fn put(new: &Path, path: &Path, manifest: &Manifest) -> Result<(), FileError> {
 fn is_replaced_by_files(path: &Path, scratch: &Path) -> bool {
     // A folder with content is never replaced by a rename; other errors come first.
     path.is_dir()
-        && matches!(std::fs::rename(path, scratch), Err(error) if place::is_fixed(&error) || is_above(&error))
+        && matches!(std::fs::rename(path, scratch), Err(error) if mounts::is_fixed(&error) || is_above(&error))
 }
 
 /// Returns whether an error of a rename says that the target is below the source.
@@ -101,7 +101,7 @@ pub(crate) fn work_of_whole(path: &Path) -> PathBuf {
 }
 
 fn has_work_inside(path: &Path) -> bool {
-    path.is_dir() && !path.is_symlink() && (place::is_mounted(path) || place::is_beside_read_only(path))
+    path.is_dir() && !path.is_symlink() && (mounts::is_mounted(path) || mounts::is_beside_read_only(path))
 }
 
 /// Checks that a whole folder may be written at `path`: it does not exist, is empty, or is a folder of the same kind

@@ -7,7 +7,7 @@ use super::poses::{Trajectory, micros};
 use super::{calibration, sensors};
 use crate::dataset::clock::{Offset, note_interval};
 use crate::dataset::notes::{FLAT_BOX, Notes, UNKNOWN_POINTS, note, note_unknown_category, settle};
-use crate::dataset::{DatasetError, Frame, Gap, ReadOptions, Recording, TrackBox};
+use crate::dataset::{BoxPoints, DatasetError, Frame, Gap, ReadOptions, Recording, TrackBox};
 use crate::error::FileError;
 use crate::files::input::is_there;
 
@@ -22,7 +22,7 @@ pub(super) fn read(
     name: String,
     location: String,
     reading: &ReadOptions,
-) -> Result<(Recording, Vec<Vec<Option<u32>>>), DatasetError> {
+) -> Result<(Recording, BoxPoints), DatasetError> {
     let path = folder.join("annotations.feather");
     let lidar = sensors.join("lidar");
     let is_annotated = is_there(&path)?;

@@ -6,7 +6,7 @@ use super::version::Version;
 use super::{annotations, choose, frames};
 use crate::dataset::clock::note_interval;
 use crate::dataset::notes::{Notes, settle};
-use crate::dataset::{DatasetError, Frame, ReadOptions, Recording, RigCamera};
+use crate::dataset::{BoxPoints, DatasetError, Frame, ReadOptions, Recording, RigCamera};
 use crate::files::input::DataRoot;
 
 /// Reads the log of a scene. Also returns the stated number of LiDAR points per frame and box.
@@ -15,7 +15,7 @@ pub(super) fn read(
     version: &Version,
     wanted_scene: Option<&str>,
     reading: &ReadOptions,
-) -> Result<(Recording, Vec<Vec<Option<u32>>>), DatasetError> {
+) -> Result<(Recording, BoxPoints), DatasetError> {
     let tables = &version.folder;
     let scene = choose::choose_scene(&version.scenes, wanted_scene)?;
     let logs = Table::<LogRecord>::load(tables)?;
