@@ -1,4 +1,4 @@
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use point_skeleton::dataset::Dataset;
 use point_skeleton::error::FileError;
@@ -15,7 +15,6 @@ use super::scene::{Scene, SceneOptions};
 
 /// An ablation study, whose output folder is locked.
 pub struct Ablation {
-    path: PathBuf,
     files: OutputFolder,
     networks: Networks,
     options: AblateOptions,
@@ -42,8 +41,8 @@ impl Ablation {
         rows.iter().try_for_each(|row| row.options(&networks, &options).check())?;
         let files = OutputFolder::open(path, "ablation", &Inputs::default())?;
         files.check(Report::files(tables))?;
-        let (path, tables) = (path.to_owned(), tables.to_vec());
-        Ok(Self { path, files, networks, options, tables, rows, results: Vec::new() })
+        let tables = tables.to_vec();
+        Ok(Self { files, networks, options, tables, rows, results: Vec::new() })
     }
 
     /// Returns the number of variants, which is the number of results of each scene.
