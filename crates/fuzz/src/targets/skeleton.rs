@@ -5,6 +5,7 @@ use std::cell::RefCell;
 use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::dataset::Dataset;
 use point_skeleton::error::FileError;
+use point_skeleton::files::Inputs;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{Crop, FrameJob, MapSet, Occlusion, Rasterizer, SplatSchedule};
@@ -75,7 +76,7 @@ fn templates() -> Stored {
     let clouds = [TemplateKind::Sedan, TemplateKind::Pedestrian].map(template).to_vec();
     let library =
         TemplateLibrary::new(Vec::new(), TemplateOptions::default(), (clouds, TemplateReport::default()));
-    let target = TemplateLibrary::target(&path, &[]).expect("a new folder");
+    let target = TemplateLibrary::target(&path, &Inputs::default()).expect("a new folder");
     library.write::<FileError>(target, |_| Ok(())).expect("a library");
     let folder = Folder::copy_of(&path);
     let manifest = serde_json::from_slice(folder.base(LIBRARY)).expect("JSON");
