@@ -122,6 +122,10 @@ pub trait ViewRenderer {
     ) -> Result<Vec<image::RgbImage>, DatasetError>;
 }
 
+/// Stated number of LiDAR points per frame and box; `None` for an unknown number.
+#[cfg(any(feature = "nuscenes", feature = "av2"))]
+pub(crate) type BoxPoints = Vec<Vec<Option<u32>>>;
+
 /// Actor at a pose that may differ from the log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PosedActor<'a> {

@@ -6,7 +6,7 @@ use super::annotations::{Annotation, Annotations};
 use super::poses::Trajectory;
 use super::{calibration, sensors};
 use crate::dataset::notes::{Notes, UNKNOWN_POINTS, note, note_unknown_category};
-use crate::dataset::{DatasetError, Frame, Recording, TrackBox};
+use crate::dataset::{BoxPoints, DatasetError, Frame, Recording, TrackBox};
 use crate::error::FileError;
 
 /// Reads a log with its sweeps and images in `sensors`. Also returns the stated number of LiDAR points per frame and
@@ -16,7 +16,7 @@ pub(super) fn read(
     sensors: &Path,
     name: String,
     location: String,
-) -> Result<(Recording, Vec<Vec<Option<u32>>>), DatasetError> {
+) -> Result<(Recording, BoxPoints), DatasetError> {
     let path = folder.join("annotations.feather");
     let annotations = Annotations::read(&path)?;
     let ego = Trajectory::read(&folder.join("city_SE3_egovehicle.feather"))?;

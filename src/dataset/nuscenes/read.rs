@@ -5,7 +5,7 @@ use super::tables::{Attribute, LogRecord, MapRecord, Table, Visibility};
 use super::version::Version;
 use super::{annotations, choose, frames};
 use crate::dataset::notes::Notes;
-use crate::dataset::{DatasetError, Frame, Recording, RigCamera};
+use crate::dataset::{BoxPoints, DatasetError, Frame, Recording, RigCamera};
 use crate::files::input::DataRoot;
 
 /// Reads the log of a scene. Also returns the stated number of LiDAR points per frame and box.
@@ -13,7 +13,7 @@ pub(super) fn read(
     root: &DataRoot,
     version: &Version,
     wanted_scene: Option<&str>,
-) -> Result<(Recording, Vec<Vec<Option<u32>>>), DatasetError> {
+) -> Result<(Recording, BoxPoints), DatasetError> {
     let tables = &version.folder;
     let scene = choose::choose_scene(&version.scenes, wanted_scene)?;
     let logs = Table::<LogRecord>::load(tables)?;
