@@ -32,12 +32,14 @@ impl Case {
         Self { folder: tempfile::tempdir().unwrap() }
     }
 
-    /// Splats points into the cameras of `c.json`. Returns the maps and the text of standard error.
+    /// Splats points into the cameras of `c.json`. Returns the maps and the notes, one a line.
     #[track_caller]
     fn splat(&self, points: &str) -> (Maps, String) {
         let args =
             format!("splat --points {points} --cameras c.json --splat 100:0 --rasterizer cpu --out f.npz");
-        let (_, notes) = self.succeed(&args);
+        let (_, told) = self.succeed(&args);
+        let notes =
+            told.lines().filter(|line| line.starts_with("note: ")).map(|line| format!("{line}\n")).collect();
         let path = self.path().join("f.npz");
         let maps = Maps {
             color: npz::read::<u8>(&path, "color").data,
@@ -310,7 +312,8 @@ fn impossible_coordinates_of_a_sweep_are_dropped_and_counted() {
     log.succeed("build nuscenes:log --out sk");
     assert_eq!(log.json("sk/skeleton.json")["report"]["dropped_not_finite"], 2);
     for file in ["background.points", "actors.points"] {
-        let [plain, found] = ["plain", "sk"].map(|sk| std::fs::read(log.path(&format!("{sk}/{file}"))).unwrap());
+        let [plain, found] =
+            ["plain", "sk"].map(|sk| std::fs::read(log.path(&format!("{sk}/{file}"))).unwrap());
         assert!(plain == found, "{file}");
     }
 }
