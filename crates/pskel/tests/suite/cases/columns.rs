@@ -153,7 +153,8 @@ fn rejects_rows_of_another_layout() {
     let big = |_: usize, row: [f32; 5]| row.iter().flat_map(|v| v.to_be_bytes()).collect();
     let whole =
         |_: usize, row: [f32; 5]| row.iter().flat_map(|v| ((v * 1000.0) as i32).to_le_bytes()).collect();
-    let kinds: [(&dyn Fn(usize, [f32; 5]) -> Vec<u8>, &str); 6] = [
+    type Convert<'a> = &'a dyn Fn(usize, [f32; 5]) -> Vec<u8>;
+    let kinds: [(Convert<'_>, &str); 6] = [
         (&six, "repeat every 6 floats"),
         (&three, "repeat every 3 floats"),
         (&double, "floats of 8 bytes"),

@@ -32,14 +32,14 @@ impl Case {
         Self { folder: tempfile::tempdir().unwrap() }
     }
 
-    /// Splats points into the cameras of `c.json`. Returns the maps and the text of standard error.
+    /// Splats points into the cameras of `c.json`. Returns the maps and the notes, one a line.
     #[track_caller]
     fn splat(&self, points: &str) -> (Maps, String) {
         let args =
             format!("splat --points {points} --cameras c.json --splat 100:0 --rasterizer cpu --out f.npz");
         let (_, told) = self.succeed(&args);
         let notes =
-            told.lines().filter(|line| !line.starts_with('[')).map(|line| format!("{line}\n")).collect();
+            told.lines().filter(|line| line.starts_with("note: ")).map(|line| format!("{line}\n")).collect();
         let path = self.path().join("f.npz");
         let maps = Maps {
             color: npz::read::<u8>(&path, "color").data,
