@@ -53,7 +53,7 @@ COMMANDS = [
                  "--maps color,depth,class --size 57x100", None, False),
     ("export", f"export {LOG} --layout frames --shard-frames 1 --skeletons sks --out out --maps color,depth --size 57x100",
      None, False),
-    ("shards", f"export {LOG} {TOWN} --layout webdataset --shard-frames 2 --skeletons sks --out out --maps depth --size 57x100",
+    ("shards", f"export {LOG} town:seed=6,frames=5,size=57x100 --layout webdataset --shard-frames 2 --skeletons sks --out out --maps depth --size 57x100",
      None, False),
     ("train", f"train {TOWN} --config ../shared/net.json --drives drives --variants 1 --steps 6 --checkpoint 2 "
               "--batch 1 --out out", None, True),
@@ -73,12 +73,12 @@ def expect(condition, text):
 
 
 def tree(folder):
-    """Returns the hashes of all files below a folder, and the targets of links."""
+    """Returns the hashes of all files below a folder, and the targets of links, which may have the folder in their text."""
     found = {}
     for path in sorted(folder.rglob("*")):
         name = str(path.relative_to(folder))
         if path.is_symlink():
-            found[name] = os.readlink(path)
+            found[name] = os.path.relpath(os.path.realpath(path), os.path.realpath(folder))
         elif path.is_file():
             found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found

@@ -10,8 +10,8 @@ use super::input::{is_there, read_text};
 use super::whole::write_whole;
 use crate::error::FileError;
 
-/// Name of the list.
-pub(super) const FILES: &str = ".pskel-files";
+/// Name of the list of files in an output folder.
+pub const FILES: &str = ".pskel-files";
 const HEADER: &str = "pskel files 1: ";
 /// Mark of the fingerprints in the header.
 const INPUTS: &str = " of ";
@@ -55,6 +55,9 @@ impl Manifest {
     /// process may leave.
     pub(super) fn read(folder: &Path) -> Result<Option<Self>, FileError> {
         let path = folder.join(FILES);
+        if path.is_symlink() {
+            return Err(refusal(&path)); // it would be appended to
+        }
         if !is_there(&path)? {
             return Ok(None);
         }
@@ -239,6 +242,14 @@ mod tests {
             let message = manifest.check(folder.path(), Path::new(name)).unwrap_err().to_string();
             assert!(message.contains("found a link: ") && message.ends_with("/a"), "{message}");
         }
+    }
+
+    #[test]
+    fn a_link_is_no_list() {
+        let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        Manifest::of("maps", &[], other.path()).unwrap().write(other.path()).unwrap();
+        std::os::unix::fs::symlink(other.path().join(FILES), folder.path().join(FILES)).unwrap();
+        assert!(Manifest::read(folder.path()).unwrap_err().to_string().contains("found a link: "));
     }
 
     #[test]

@@ -20,6 +20,7 @@ mod whole_folder;
 mod work;
 
 pub use inputs::Inputs;
+pub use manifest::FILES as LISTED_FILES;
 pub use lock::lacks_locks;
 pub(crate) use name::first_twice;
 pub use name::{FileName, NameError};

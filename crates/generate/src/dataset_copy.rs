@@ -10,7 +10,7 @@ use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
 use point_skeleton::dataset::{ImageRecord, Recording};
 use point_skeleton::error::FileError;
-use point_skeleton::files::{FileName, Inputs, WholeFolder, check_whole, write_whole};
+use point_skeleton::files::{FileName, Inputs, LISTED_FILES, WholeFolder, check_whole, write_whole};
 use pskel_sim::report::{self, ROLLOUT, STATES, STEPS, StateFile};
 
 /// JPEG quality: high, so that visible artifacts are the generator's.
@@ -146,6 +146,9 @@ fn mirror(
     std::fs::create_dir_all(&to).map_err(FileError::io("create", &to))?;
     for entry in std::fs::read_dir(&from).map_err(FileError::io("read", &from))? {
         let name = entry.map_err(FileError::io("read", &from))?.file_name();
+        if below == Path::new("") && name == LISTED_FILES {
+            continue; // the copy has a list of its own
+        }
         let place = below.join(&name);
         if let Some(replacement) = replaced.get(&place) {
             replacement.write(&to.join(&name))?;

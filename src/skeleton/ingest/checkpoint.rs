@@ -75,6 +75,15 @@ impl Unfinished {
         serde_json::from_slice::<Checkpoint<serde_json::Value, BuildState>>(&text).ok().map(|c| c.done.frames)
     }
 
+    /// Removes the folder of a build that was killed after it had written the skeleton, if it cannot be resumed.
+    pub(super) fn remove_leftovers(out: &Path) {
+        let path = work_of_whole(out);
+        if path.is_dir() && !path.join(FILE).exists() {
+            // It stays if another process uses it.
+            drop(WorkFolder::open(path, out));
+        }
+    }
+
     /// Opens the folder for `out`: with the state of its checkpoint if `resume` is set, otherwise emptied.
     ///
     /// # Errors
@@ -210,5 +219,10 @@ mod tests {
         assert_eq!(names.collect::<BTreeSet<_>>(), expected.map(str::to_owned).into());
         drop(unfinished);
         assert!(path.is_dir(), "a build with a checkpoint stays");
+        Unfinished::remove_leftovers(&folder.path().join("sk"));
+        assert!(path.is_dir(), "a build with a checkpoint stays");
+        std::fs::remove_file(path.join(FILE)).unwrap();
+        Unfinished::remove_leftovers(&folder.path().join("sk"));
+        assert!(!path.exists(), "without one, nothing can be resumed");
     }
 }

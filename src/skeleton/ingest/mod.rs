@@ -80,6 +80,7 @@ pub fn open_or_build(path: &Path, dataset: &dyn Dataset) -> Result<Skeleton, Bui
     if !is_free(path) {
         let skeleton = Skeleton::open_for(path, dataset.log())?;
         skeleton.check_recording(dataset.log())?;
+        Unfinished::remove_leftovers(path);
         return Ok(skeleton);
     }
     let options = BuildOptions::default();

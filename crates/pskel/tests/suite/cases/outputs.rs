@@ -374,6 +374,29 @@ fn rollouts_are_not_resumed_through_links() {
     }
 }
 
+/// A town has a list of its files, which its copy must not share.
+#[test]
+fn copies_leave_their_data_set_alone() {
+    let log = TinyLog::new();
+    log.succeed("town --seed 5 --frames 3 --size 57x100 --out town");
+    log.succeed("build nuscenes:town --out sk");
+    let list = std::fs::read(log.path("town/.pskel-files")).unwrap();
+    let before = tree(&log.path("town"));
+    let generate = "generate nuscenes:town --skeleton sk --out rollout --every 1 --generator fill --window 2 \
+        --maps color --rasterizer cpu --dataset copy";
+    for _ in 0..2 {
+        let output = log.run(generate);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(!log.path("copy/.pskel-files").is_symlink());
+        assert_eq!(std::fs::read(log.path("town/.pskel-files")).unwrap(), list);
+        assert!(tree(&log.path("town")) == before);
+    }
+    // References alone would leave nothing to copy; that is known before the work.
+    let output = log.run(&generate.replace("--window 2", "--window 3 --steps 1").replace("--out rollout", "--out new"));
+    assert_failed(&output, 2, &["expected 2 steps or more with --dataset"]);
+    assert!(!log.path("new").exists());
+}
+
 /// Checks that are made before the work: no step is generated, no skeleton is built.
 #[test]
 fn refusals_come_before_the_work() {
