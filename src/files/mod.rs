@@ -20,8 +20,8 @@ mod whole_folder;
 mod work;
 
 pub use inputs::Inputs;
-pub use manifest::FILES as LISTED_FILES;
 pub use lock::lacks_locks;
+pub use manifest::FILES as LISTED_FILES;
 pub(crate) use name::first_twice;
 pub use name::{FileName, NameError};
 pub use output::{OutputFolder, resolved_output};

@@ -392,7 +392,8 @@ fn copies_leave_their_data_set_alone() {
         assert!(tree(&log.path("town")) == before);
     }
     // References alone would leave nothing to copy; that is known before the work.
-    let output = log.run(&generate.replace("--window 2", "--window 3 --steps 1").replace("--out rollout", "--out new"));
+    let output = log
+        .run(&generate.replace("--window 2", "--window 3 --steps 1").replace("--out rollout", "--out new"));
     assert_failed(&output, 2, &["expected 2 steps or more with --dataset"]);
     assert!(!log.path("new").exists());
 }
