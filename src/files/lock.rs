@@ -29,6 +29,19 @@ pub fn lacks_locks() -> bool {
 #[derive(Debug)]
 pub(super) struct LockedFile(File);
 
+/// Content of a lock file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum LockContent {
+    /// Nothing: a process was killed before it signed the file.
+    Empty,
+    /// The signature of this program.
+    Signed,
+    /// A process id alone, as earlier versions and other programs write it.
+    Number,
+    /// Anything else.
+    Other,
+}
+
 impl LockedFile {
     /// Creates the file, or takes over one left by a dead process with its content. `owner` is the output that the
     /// file protects.
@@ -50,12 +63,17 @@ impl LockedFile {
         &mut self.0
     }
 
-    /// Returns whether the content is a signature, or nothing.
-    pub(super) fn is_signed_or_empty(&mut self) -> std::io::Result<(bool, bool)> {
+    /// Returns what the content says about the process that wrote it.
+    pub(super) fn content(&mut self) -> std::io::Result<LockContent> {
         let mut text = Vec::new();
         self.0.seek(SeekFrom::Start(0))?;
-        (&self.0).take(SIGNATURE.len() as u64).read_to_end(&mut text)?;
-        Ok((text == SIGNATURE.as_bytes(), text.is_empty()))
+        (&self.0).take(40).read_to_end(&mut text)?;
+        Ok(match &text[..] {
+            [] => LockContent::Empty,
+            text if text.starts_with(SIGNATURE.as_bytes()) => LockContent::Signed,
+            text if text.iter().all(u8::is_ascii_digit) => LockContent::Number,
+            _ => LockContent::Other,
+        })
     }
 
     /// Writes a signature with the process id, which other processes show in their messages. An older signature is

@@ -22,11 +22,8 @@ use super::Inputs;
 use super::manifest::{Manifest, check_way, files_below, refusal};
 use super::pending::{finish_undisturbed, remove};
 use super::place;
-use super::work::WorkFolder;
+use super::work::{OWN_NAME, WorkFolder};
 use crate::error::FileError;
-
-/// Work folder inside an output folder.
-pub(super) const WORK: &str = ".pskel";
 
 /// Output folder that grows entry by entry.
 #[derive(Debug)]
@@ -59,7 +56,7 @@ impl OutputFolder {
         inputs.check_folder(path)?;
         let new = NewFolder((!path.exists()).then(|| path.to_owned()));
         std::fs::create_dir_all(path).map_err(FileError::io("create", path))?;
-        let work = WorkFolder::open(path.join(WORK), path)?;
+        let work = WorkFolder::open(path.join(OWN_NAME), path)?;
         work.clear(|_| false)?;
         let manifest = Mutex::new(manifest_of(path, kind)?.unwrap_or(Manifest::new(kind)));
         Ok(Self { path: path.to_owned(), manifest, work, _new: new })
@@ -245,7 +242,7 @@ mod tests {
         }
         drop(files);
         // A link in place of the work folder.
-        symlink(other.path(), path.join(WORK)).unwrap();
+        symlink(other.path(), path.join(OWN_NAME)).unwrap();
         assert!(open().unwrap_err().to_string().contains("found a link"));
         for name in ["0/a.png", "index", "lock"] {
             assert_eq!(std::fs::read(other.path().join(name)).unwrap(), b"precious");

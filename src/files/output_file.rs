@@ -53,16 +53,16 @@ impl OutputFile {
         &self.path
     }
 
-    /// Checks that the file is outside a folder that the same run writes, whose files could replace it.
+    /// Checks that a file is outside a folder that the same run writes, whose files could replace it.
     ///
     /// # Errors
     /// Fails if it is in the folder.
-    pub fn check_outside(&self, folder: &Path) -> Result<(), FileError> {
+    pub fn check_outside(path: &Path, folder: &Path) -> Result<(), FileError> {
         let resolved = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
-        match (resolved(parent(&self.path)), resolved(folder)) {
+        match (resolved(parent(path)), resolved(folder)) {
             (Ok(parent), Ok(folder)) if parent.starts_with(&folder) => {
                 let expected = format!("a file outside of the output {}", folder.display());
-                Err(FileError::content(expected, "one in it", &self.path))
+                Err(FileError::content(expected, "one in it", path))
             }
             _ => Ok(()),
         }

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use super::Inputs;
 use super::manifest::Manifest;
-use super::output::{WORK, manifest_of};
+use super::output::manifest_of;
 use super::pending::{finish_undisturbed, remove};
-use super::work::WorkFolder;
+use super::work::{OWN_NAME, WorkFolder};
 use super::{mounts, place};
 use crate::error::FileError;
 
@@ -94,7 +94,7 @@ fn is_above(error: &std::io::Error) -> bool {
 /// nothing can be created beside it.
 pub(crate) fn work_of_whole(path: &Path) -> PathBuf {
     if has_work_inside(path) {
-        return path.join(WORK);
+        return path.join(OWN_NAME);
     }
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     path.with_file_name(format!("{name}.partial"))
@@ -110,7 +110,6 @@ fn has_work_inside(path: &Path) -> bool {
 /// # Errors
 /// Fails if anything else exists at the path, if the path has no file name, or on an I/O error.
 pub fn check_whole(path: &Path, kind: &str, inputs: &Inputs) -> Result<(), FileError> {
-    inputs.check_same(path)?;
     let is_inside = has_work_inside(path);
     if path.file_name().is_none() && !is_inside {
         return Err(FileError::content(
@@ -123,9 +122,10 @@ pub fn check_whole(path: &Path, kind: &str, inputs: &Inputs) -> Result<(), FileE
         return Err(FileError::content("a folder or none", "a link", path));
     }
     if path.is_dir() {
-        let manifest = manifest_of(path, kind)?.unwrap_or(Manifest::new(kind));
+        let manifest = manifest_of(path, kind).or_else(|error| inputs.check_same(path).and(Err(error)))?;
+        let manifest = manifest.unwrap_or(Manifest::new(kind));
         match is_inside {
-            true => manifest.check_mounted(path, WORK)?,
+            true => manifest.check_mounted(path, OWN_NAME)?,
             false => manifest.check(path, Path::new(""))?,
         }
         return inputs.check_whole(path);

@@ -3,11 +3,13 @@
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use super::lock::LockedFile;
+use super::lock::{LockContent, LockedFile};
 use super::pending::{PendingPath, remove};
 use crate::error::FileError;
 
 const LOCK: &str = "lock";
+/// Name of work folders inside an output folder.
+pub(super) const OWN_NAME: &str = ".pskel";
 /// Attempts to lock a folder that another process is removing.
 const TRIES: usize = 100;
 
@@ -125,10 +127,15 @@ fn create(path: &Path) -> Result<bool, FileError> {
 }
 
 /// Returns whether a locked folder is one of an unfinished run. A process that was killed before it signed its lock
-/// leaves an empty lock and nothing else.
+/// leaves an empty lock and nothing else. Of earlier versions, which wrote a number alone, only folders with a name that
+/// no other program uses are recognized.
 fn is_own(lock: &mut LockedFile, path: &Path) -> std::io::Result<bool> {
-    let (is_signed, is_blank) = lock.is_signed_or_empty()?;
-    Ok(is_signed || is_blank && std::fs::read_dir(path)?.count() == 1)
+    Ok(match lock.content()? {
+        LockContent::Signed => true,
+        LockContent::Number => path.ends_with(OWN_NAME),
+        LockContent::Empty => std::fs::read_dir(path)?.count() == 1,
+        LockContent::Other => false,
+    })
 }
 
 fn is_empty(path: &Path) -> bool {

@@ -29,9 +29,8 @@ pub(super) fn open<const N: usize>(
     let mut files = options.map(|_| None);
     for (file, (_, path, kind)) in files.iter_mut().zip(options) {
         let Some(path) = path else { continue };
-        let opened = OutputFile::open(path, kind, inputs)?;
-        folder.map_or(Ok(()), |folder| opened.check_outside(folder))?;
-        *file = Some(opened);
+        folder.map_or(Ok(()), |folder| OutputFile::check_outside(path, folder))?;
+        *file = Some(OutputFile::open(path, kind, inputs)?);
     }
     Ok(files)
 }

@@ -413,7 +413,7 @@ fn refusals_come_before_the_work() {
         ),
         (format!("{generate} --dataset log/v1.0-mini/a/b"), "outside of the input log"),
         (format!("{generate} --dataset link/copy"), "outside of the input log"),
-        (format!("{generate} --dataset log"), "apart from the input log"),
+        (format!("{generate} --dataset log"), "expected only files that pskel wrote"),
         (format!("{generate} --dataset file"), "expected a folder or none, found a file"),
     ] {
         assert_refused(&log, &args, part);
