@@ -8,6 +8,7 @@ pub mod av2;
 mod category;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod clock;
+#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod degenerate;
 mod ego_track;
 mod fingerprint;
