@@ -21,7 +21,9 @@ def rendered(skeleton: pskel.Skeleton, tmp_path: Path, run: Run) -> Any:
 
     def render(format: str) -> Path:
         out = tmp_path / format
-        common = ["--rasterizer", "cpu", "--frames", "0..1", "--out-size", "56x100", "--maps", MAPS]
+        # Numbers of points do not fit into a PNG.
+        maps = MAPS.replace(",point", "") if format == "png" else MAPS
+        common = ["--rasterizer", "cpu", "--frames", "0..1", "--out-size", "56x100", "--maps", maps]
         run("-m", "pskel", "render", TOWN, "--skeleton", str(skeleton.path), "--format", format, "--out", str(out), *common)
         if format == "npz":
             return out / "000000"
@@ -69,6 +71,8 @@ def test_pillow_and_opencv_read_png_files(rendered: Any, expected: dict[str, Any
     cv2 = pytest.importorskip("cv2")
     folder = rendered("png")
     for name, array in expected.items():
+        if name == "point":
+            continue
         path = str(folder / f"{name}.png")
         found = np.asarray(image.open(path))
         other = cv2.imread(path, cv2.IMREAD_UNCHANGED)
@@ -87,7 +91,7 @@ def test_decoders_of_webdataset_keep_all_values(
     image = pytest.importorskip("PIL.Image")
     if decoder == "torchrgb":
         pytest.importorskip("torch")
-    maps = ["color", "depth", "class", "instance", "point"]
+    maps = ["color", "depth", "class", "instance"]
     pskel.export(TOWN, tmp_path, layout="webdataset", skeletons=tmp_path / "sk", out_size=(56, 100), maps=maps)
     shard = next(tmp_path.glob("*.tar"))
     dataset = webdataset.WebDataset([str(shard)], shardshuffle=False)
@@ -97,7 +101,7 @@ def test_decoders_of_webdataset_keep_all_values(
         raw = {m.name.removeprefix(f"{key}."): tar.extractfile(m) for m in tar.getmembers() if m.name.startswith(f"{key}.")}
         files = {name: file.read() for name, file in raw.items() if file is not None}
     arrays = [name for name in files if name.endswith(".npy")]
-    assert {name.split(".")[0] for name in arrays} == {"depth", "instance", "point"}
+    assert {name.split(".")[0] for name in arrays} == {"depth", "instance"}
     for name in arrays:
         true = np.load(io.BytesIO(files[name]))
         assert true.dtype == np.uint16 and true.shape == (56, 100)
