@@ -168,7 +168,7 @@ mod tests {
             (r#"{"a": 5}"#, "found 5 for \"a\""),
             (r#"{"a": {"time": 5}}"#, "found time 5 for \"a\""),
             (r#"{"a": {"season": "fall"}}"#, "found a field \"season\" for \"a\""),
-            (r#"["a"]"#, "invalid type: sequence"),
+            (r#"["a"]"#, "expected {\"LOG or TOKEN\": \"caption\"} or "),
         ] {
             std::fs::write(&path, text).unwrap();
             let message = Captions::read(&path).unwrap_err().to_string();

@@ -157,7 +157,7 @@ mod tests {
             message.starts_with("rendering 200 views of up to 16384x16384 pixels needs 600.5 GiB of memory"),
             "{message}"
         );
-        let size = ImageSize { height: 16, width: 16 };
+        let size = ImageSize { height: 256, width: 256 };
         rasterizer.begin(&FrameJob { views: &views[..2], out_size: Some(size), ..job }).unwrap();
     }
 }
