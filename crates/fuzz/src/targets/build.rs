@@ -32,7 +32,9 @@ impl Dataset for Broken {
 
     fn read_image(&self, record: &ImageRecord) -> Result<RgbImage, DatasetError> {
         if self.log().frames.last().is_some_and(|last| last.t_us == record.t_us) {
-            return Err(FileError::content("an image", "none", Path::new("made")).into());
+            return Err(
+                FileError::io("read", Path::new("made"))(std::io::Error::other("a broken disk")).into()
+            );
         }
         self.0.read_image(record)
     }
