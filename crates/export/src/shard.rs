@@ -181,6 +181,7 @@ impl Shard {
     ///
     /// # Errors
     /// Fails if a file that is not of this shard is there.
+    #[cfg(feature = "video")]
     pub(crate) fn check(&self, path: impl AsRef<Path>) -> Result<(), FileError> {
         self.folder.check(path.as_ref())
     }
