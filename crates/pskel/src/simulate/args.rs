@@ -281,7 +281,7 @@ impl SimulateArgs {
 
     /// Reads the HD map. A damaged one that is not drawn is an error only with `--missing error`.
     fn read_map(&self, dataset: &dyn Dataset) -> anyhow::Result<Option<Arc<SceneMap>>> {
-        let is_drawn = self.generation.generator.is_some() || !self.dry && self.maps.wants_map();
+        let is_drawn = self.generation.generates() || !self.dry && self.maps.wants_map();
         match SceneMap::read(dataset) {
             Err(error) if !is_drawn && dataset.log().reading.missing == MissingData::Skip => {
                 warn(&format!("the HD map cannot be read, so metrics of the road are missing: {error}"));

@@ -146,6 +146,8 @@ fn options(
     extra: Map<String, Value>,
     facts: Vec<String>,
 ) -> RolloutOptions {
+    #[cfg(not(feature = "mcap"))]
+    let _ = files; // of interest to the MCAP file alone
     let conditions = args.maps.conditions(maps);
     let large = |camera: &Camera| camera.height > SIZE.height || camera.width > SIZE.width;
     let reduced = conditions.size.is_none() && log.rig.iter().any(|rig| large(&rig.camera));

@@ -34,6 +34,11 @@ pub(crate) struct Opened {
 }
 
 impl GenerationArgs {
+    /// Returns whether images are generated.
+    pub(crate) fn generates(&self) -> bool {
+        self.generator.is_some()
+    }
+
     /// Rejects options that have no effect.
     pub(crate) fn check(&self) -> Result<(), WrongUsage> {
         self.options.check(self.generator.as_ref())

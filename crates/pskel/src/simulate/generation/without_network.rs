@@ -17,6 +17,10 @@ pub(crate) struct GenerationArgs {}
 pub(crate) enum Opened {}
 
 impl GenerationArgs {
+    pub(crate) fn generates(&self) -> bool {
+        false
+    }
+
     pub(crate) fn check(&self) -> Result<(), WrongUsage> {
         Ok(())
     }
