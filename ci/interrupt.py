@@ -172,13 +172,7 @@ class Trials:
         else:
             self.left_nothing_running(folder)
         extra = ["--resume"] if self.resumes and rng.random() < 0.75 else []
-        process = self.start(folder, *extra)
-        error = process.communicate()[1]
-        expect(process.returncode == 0, f"expected the next run to succeed {extra}, found {error}")
-        self.left_nothing(folder)
-        found = tree(folder)
-        expect(found == self.expected, f"expected the same bytes, found others: {difference(found, self.expected)}")
-        shutil.rmtree(folder)
+        self.finish(folder, *extra)
         return was_running
 
     def fill(self, rng):
@@ -190,14 +184,18 @@ class Trials:
         expect(process.returncode in (0, 1), f"expected exit code 0 or 1, found {process.returncode}: {error}")
         expect(not stopped or "File too large" in error, f"expected an error that names the cause, found {error}")
         self.left_nothing(folder, keeps=("out.partial",) if self.name == "build" else ())
-        process = self.start(folder)
+        self.finish(folder)
+        return stopped
+
+    def finish(self, folder, *extra):
+        """Runs the command again after a run that was ended: it succeeds with the same bytes."""
+        process = self.start(folder, *extra)
         error = process.communicate()[1]
-        expect(process.returncode == 0, f"expected the next run to succeed, found {error}")
+        expect(process.returncode == 0, f"expected the next run to succeed {extra}, found {error}")
         self.left_nothing(folder)
         found = tree(folder)
         expect(found == self.expected, f"expected the same bytes, found others: {difference(found, self.expected)}")
         shutil.rmtree(folder)
-        return stopped
 
     def left_nothing_running(self, folder):
         for _ in range(60):
