@@ -367,13 +367,7 @@ fn several(parts: &[String], kind: u8) -> String {
 
 #[test]
 fn what_a_map_leaves_out_is_counted() {
-    let notes = |statements: &str| {
-        let made = Made::new();
-        made.map_sql(statements);
-        let map = made.open().unwrap().read_map().unwrap().unwrap();
-        let notes: Vec<(String, usize)> = map.notes.clone().into_iter().collect();
-        (map, notes)
-    };
+    let notes = Made::map_and_notes;
     let one = |kind: &str, count: usize| vec![(kind.to_owned(), count)];
     let (whole, none) = notes("");
     assert_eq!(none, []);

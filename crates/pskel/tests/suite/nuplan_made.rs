@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use point_skeleton::dataset::nuplan::NuPlan;
-use point_skeleton::dataset::{DatasetError, LogFormat, LogLocator};
+use point_skeleton::dataset::{Dataset, DatasetError, LogFormat, LogLocator, VectorMap};
 use rusqlite::Connection;
 
 use crate::tiny_log::camera_rotation;
@@ -69,6 +69,15 @@ impl Made {
     /// Runs statements on the map.
     pub(crate) fn map_sql(&self, statements: &str) {
         Connection::open(self.map()).unwrap().execute_batch(statements).unwrap();
+    }
+
+    /// Returns the map of a new log after these statements, with what reading it counts.
+    pub(crate) fn map_and_notes(statements: &str) -> (VectorMap, Vec<(String, usize)>) {
+        let made = Self::new();
+        made.map_sql(statements);
+        let map = made.open().unwrap().read_map().unwrap().unwrap();
+        let notes = map.notes.clone().into_iter().collect();
+        (map, notes)
     }
 
     pub(crate) fn locator(&self) -> LogLocator {

@@ -1,7 +1,7 @@
 //! Map records without an area or a length: skipped and counted, whatever the format of the map.
 
+use point_skeleton::dataset::VectorMap;
 use point_skeleton::dataset::av2::read_map_file;
-use point_skeleton::dataset::{Dataset, VectorMap};
 use serde_json::{Value, json};
 
 use crate::av2_log::map;
@@ -70,13 +70,7 @@ fn argoverse_maps_skip_records_without_a_shape() {
 
 #[test]
 fn nuplan_maps_skip_features_without_a_shape() {
-    let notes = |statements: &str| {
-        let made = Made::new();
-        made.map_sql(statements);
-        let map = made.open().unwrap().read_map().unwrap().unwrap();
-        let notes: Vec<(String, usize)> = map.notes.clone().into_iter().collect();
-        (map, notes)
-    };
+    let notes = Made::map_and_notes;
     let one = |kind: &str, count: usize| vec![(kind.to_owned(), count)];
     let (whole, none) = notes("");
     assert_eq!(none, []);
