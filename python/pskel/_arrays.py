@@ -12,7 +12,7 @@ def numbers(value: npt.ArrayLike) -> npt.NDArray[Any]:
     Raises ``TypeError`` for masked values, which ``numpy.asarray`` would uncover, and for other than real numbers.
     """
     parts = value if isinstance(value, (list, tuple)) else [value]
-    if any(np.ma.is_masked(part) for part in parts):  # type: ignore[no-untyped-call]
+    if any(isinstance(part, np.ma.MaskedArray) and np.any(part.mask) for part in parts):
         raise TypeError("expected an array without masked values, found masked ones: drop or fill them")
     array = np.asarray(value)
     if array.dtype.kind not in "iuf":

@@ -31,7 +31,7 @@ def test_gaps_are_skipped_and_named(incomplete: str, tmp_path: Path) -> None:
     skeleton = pskel.build(log, tmp_path / "skeleton")
     maps = pskel.Renderer(skeleton, out_size=(28, 50), maps=["depth"]).render(log[0])
     assert maps["depth"].shape[1:] == (28, 50)
-    with pytest.raises(pskel.RenderError, match="HD map"):
+    with pytest.raises(ValueError, match="HD map"):
         pskel.Renderer(skeleton, out_size=(28, 50), maps=["map"]).render(log[0])
 
 

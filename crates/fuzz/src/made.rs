@@ -39,6 +39,17 @@ impl Made {
     }
 }
 
+impl Made {
+    /// Returns a log whose images are files below a folder, one per frame.
+    pub(crate) fn with_images_in(frames: usize, root: &Path) -> Self {
+        let mut made = Self::new(frames);
+        for (index, frame) in made.0.frames.iter_mut().enumerate() {
+            frame.images.iter_mut().for_each(|image| image.path = root.join(format!("samples/{index}.png")));
+        }
+        made
+    }
+}
+
 fn rig() -> RigCamera {
     let rows = [[16.0, 0.0, 12.0], [0.0, 16.0, 8.0], [0.0, 0.0, 1.0]];
     let camera = Camera::new("CAM_FRONT", 24, 16, rows).expect("a camera");

@@ -14,10 +14,10 @@ use point_skeleton::conditions::{ConditionOptions, MapFormat};
 use point_skeleton::dataset::{Dataset, LogFormat, LogLocator, LogOpener};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::input::is_there;
-use point_skeleton::files::{Inputs, OutputFolder, json, write_json, write_whole};
+use point_skeleton::files::{Inputs, OutputFolder, write_json, write_whole};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use point_skeleton::skeleton;
-use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport};
+use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport, check_settings};
 use pskel_generate::{CopiedLog, DenoiserRig, check_copied_log, check_dataset_copy, copy_dataset};
 use pskel_network::NetworkName;
 use pskel_sim::report::ROLLOUT;
@@ -246,14 +246,7 @@ impl ProtocolArgs {
             captions: self.generating.captions_file(),
         })?;
         let path = files.claim("protocol.json")?;
-        if is_there(&path)? {
-            let earlier: Value = json::read(&path, "options of a protocol")?;
-            let differs = |key: &&String| earlier.get(*key) != settings.get(*key);
-            if let Some(key) = settings.as_object().and_then(|fields| fields.keys().find(differs)) {
-                let expected = format!("the {key} of this command");
-                return Err(FileError::content(expected, "another", &path).into());
-            }
-        }
+        check_settings(&path, &settings)?;
         write_json(&path, &settings)?;
         Ok(opened.window() - 1)
     }

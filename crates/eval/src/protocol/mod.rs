@@ -9,7 +9,9 @@ mod clips;
 mod definition;
 mod nuscenes_val;
 mod report;
+mod settings;
 
 pub use clips::{Clip, ClipClock, ShortLog};
 pub use definition::{Length, Part, PartRates, Protocol};
 pub use report::{PartRollouts, ProtocolReport};
+pub use settings::check_settings;

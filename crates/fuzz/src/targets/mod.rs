@@ -1,12 +1,14 @@
 mod av2;
 mod build;
 mod clouds;
+mod export;
 mod network;
 mod nuplan;
 mod nuscenes;
 mod peers;
 mod pictures;
 mod rollout;
+mod rollout_files;
 mod skeleton;
 mod texts;
 
@@ -29,6 +31,8 @@ pub static TARGETS: std::sync::LazyLock<Vec<Target>> = std::sync::LazyLock::new(
     all.extend(build::TARGETS);
     all.extend(network::TARGETS);
     all.extend(rollout::TARGETS);
+    all.extend(rollout_files::TARGETS);
+    all.extend(export::TARGETS);
     all.extend(peers::TARGETS);
     all.extend(pictures::TARGETS);
     all.extend(texts::TARGETS);
