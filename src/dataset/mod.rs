@@ -42,7 +42,7 @@ pub use locator::{LogFormat, LogLocator};
 pub use map::{Area, Lane, VectorMap};
 pub use moved_ego::MovedEgo;
 pub use open::{LogOpener, expand, open};
-pub use picture::{picture_size, read_picture};
+pub use picture::{picture_size, read_picture, undecodable};
 pub use reading::{ImageDistortion, ReadOptions, RingMeaning};
 pub use recording::{
     Frame, ImageRecord, LogOutline, MapFiles, NavigationRoute, Recording, RigCamera, SweepRecord, Track,

@@ -8,13 +8,16 @@ use crate::files::input::{IMAGE_BYTES, read_file};
 use crate::files::sniff;
 use crate::memory::{Need, reserve};
 
+/// Images of recordings, for messages.
+const IMAGE: &str = "a JPEG or PNG image";
+
 /// Reads a JPEG or PNG file of `height × width` pixels. The size in the header is compared before pixels are decoded.
 ///
 /// # Errors
 /// Fails if the file is missing, cannot be decoded, has another size, or is a truncated JPEG file.
 pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, FileError> {
     let bytes = read_file(path, IMAGE_BYTES)?;
-    let undecodable = |error| undecodable(error, &bytes, path);
+    let undecodable = |error| undecodable(error, &bytes, IMAGE, path);
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
     let reader = reader.map_err(FileError::io("read", path))?;
     let decoder = reader.into_decoder().map_err(undecodable)?;
@@ -46,7 +49,8 @@ fn decoded_bytes(decoded: u64, color: ColorType, is_jpeg: bool, height: u32, wid
     decoded + converted + if is_jpeg { 3 * size_of::<i16>() as u64 * pixels } else { 0 }
 }
 
-fn undecodable(error: ImageError, bytes: &[u8], path: &Path) -> FileError {
+/// Describes an image file that cannot be decoded; `expected` is for the message.
+pub fn undecodable(error: ImageError, bytes: &[u8], expected: &str, path: &Path) -> FileError {
     let found = match error {
         // The library's text, "The image format could not be determined", does not fit after "found".
         ImageError::Unsupported(_) => {
@@ -54,7 +58,7 @@ fn undecodable(error: ImageError, bytes: &[u8], path: &Path) -> FileError {
         }
         error => error.to_string(),
     };
-    FileError::content("a JPEG or PNG image", found, path)
+    FileError::content(expected, found, path)
 }
 
 fn is_jpeg(bytes: &[u8]) -> bool {
@@ -78,7 +82,7 @@ pub fn picture_size(path: &Path) -> Result<(u32, u32), FileError> {
     let reader = ImageReader::new(Cursor::new(&bytes));
     let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
     let size = reader.into_dimensions();
-    let (width, height) = size.map_err(|error| undecodable(error, &bytes, path))?;
+    let (width, height) = size.map_err(|error| undecodable(error, &bytes, IMAGE, path))?;
     Ok((height, width))
 }
 

@@ -5,8 +5,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use point_skeleton::error::FileError;
-use point_skeleton::files::input::{is_taken, read_table};
-use point_skeleton::files::write_json;
+use point_skeleton::files::input::is_taken;
+use point_skeleton::files::{json, write_json};
 use serde_json::{Value, json};
 
 use crate::ExportOptions;
@@ -26,9 +26,7 @@ pub(crate) fn claim(out: &Path, options: &ExportOptions) -> Result<(), FileError
     std::fs::create_dir_all(out).map_err(FileError::io("create", out))?;
     loop {
         if is_taken(&path) {
-            let found = serde_json::from_slice(&read_table(&path)?)
-                .map_err(|error| FileError::content("the options of an export", error.to_string(), &path))?;
-            return compare(&content, &found, &path);
+            return compare(&content, &json::read(&path, "the options of an export")?, &path);
         }
         let foreign = foreign_file(out)?;
         // Another process may have begun an export since.

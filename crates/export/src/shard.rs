@@ -9,7 +9,7 @@ use std::path::{Component, Path, PathBuf};
 
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{is_there, read_table};
-use point_skeleton::files::{SharedFolder, write_json};
+use point_skeleton::files::{SharedFolder, json, write_json};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -117,8 +117,7 @@ impl ShardRecord {
         if bytes.is_empty() {
             return Ok(None); // after a power failure
         }
-        let record: Self = serde_json::from_slice(&bytes)
-            .map_err(|error| FileError::content("the record of a shard", error.to_string(), &path))?;
+        let record: Self = json::parse(&bytes, "the record of a shard", &path)?;
         let is_below =
             |file: &ShardFile| file.path.components().all(|part| matches!(part, Component::Normal(_)));
         if !record.files.iter().all(is_below) {

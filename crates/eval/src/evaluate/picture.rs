@@ -2,6 +2,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
+use point_skeleton::dataset::undecodable;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{IMAGE_BYTES, read_file};
 use point_skeleton::geometry::ImageSize;
@@ -15,15 +16,16 @@ pub(super) type Read<T> = (Vec<T>, ImageSize);
 
 /// Reads and decodes an image file of any pixel format.
 fn read(path: &Path) -> Result<DynamicImage, FileError> {
-    let reader = ImageReader::new(Cursor::new(read_file(path, IMAGE_BYTES)?));
+    let bytes = read_file(path, IMAGE_BYTES)?;
+    let reader = ImageReader::new(Cursor::new(&bytes));
     let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
-    let wrong = |error: ImageError| FileError::content("a PNG image", error.to_string(), path);
+    let wrong = |error: ImageError| undecodable(error, &bytes, "a PNG image", path);
     let decoder = reader.into_decoder().map_err(wrong)?;
     let (width, height) = decoder.dimensions();
-    let bytes = decoder.total_bytes() + RGB16_BYTES * u64::from(width) * u64::from(height);
-    let _pixels = reserve(bytes, || Need {
+    let taken = decoder.total_bytes() + RGB16_BYTES * u64::from(width) * u64::from(height);
+    let _pixels = reserve(taken, || Need {
         what: format!("an image of {height}x{width} pixels"),
-        bytes,
+        bytes: taken,
         advice: "RAYON_NUM_THREADS=1 decodes one image at a time",
     })
     .map_err(|error| FileError::io("decode", path)(error.into()))?;
