@@ -36,13 +36,14 @@ impl PointFormat {
         match self {
             Self::Npy => FileKind {
                 name: "an NPY file of points",
-                begin: b"\x93NUMPY\x01\x00",
-                mark: b"{'descr': '<f4', 'fortran_order': False, 'shape': (",
+                // Headers of such shapes are padded to 128 bytes.
+                begin: b"\x93NUMPY\x01\x00\x76\x00{'descr': '<f4', 'fortran_order': False, 'shape': (",
+                marks: &[b", 6), }", b", 7), }"],
             },
             Self::Ply => FileKind {
                 name: "a PLY file of pskel",
                 begin: b"ply\nformat binary_little_endian 1.0\nelement vertex ",
-                mark: b"property uchar class\nend_header\n",
+                marks: &[b"property uchar class\nend_header\n"],
             },
         }
     }
@@ -78,7 +79,7 @@ impl PointFormat {
 
 /// Kind of the file of an origin.
 const ORIGIN: FileKind =
-    FileKind { name: "an origin of points", begin: b"{\n  \"origin\": [", mark: b"]\n}" };
+    FileKind { name: "an origin of points", begin: b"{\n  \"origin\": [", marks: &[b"]\n}"] };
 
 /// Origin file beside points whose coordinates are relative to an origin.
 #[derive(Serialize)]

@@ -19,9 +19,9 @@ use crate::files::{FileKind, write_whole};
 /// Deflate level; higher levels take several times longer for little gain on these maps.
 const LEVEL: i64 = 3;
 
-/// Archives of maps, of which the first is color.
+/// Archives of maps, of which the first is color. Those of NumPy have a field between the lengths and the name.
 pub const COLOR_FIRST: FileKind =
-    FileKind { name: "an archive of pskel", begin: b"PK\x03\x04", mark: b"color.npy" };
+    FileKind { name: "an archive of pskel", begin: b"PK\x03\x04", marks: &[b"\x09\0\0\0color.npy"] };
 
 /// Writes all maps of a step. Arrays have the names of the maps; the model tensor is `points` `[V, 20, H, W]` and
 /// `layout` `[V, 6, H, W]`.

@@ -4,6 +4,7 @@ use std::fs::Metadata;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+use super::manifest::FILES;
 use crate::error::FileError;
 
 /// Depth to which folders are searched for links: parts of data sets are commonly links to other disks.
@@ -26,12 +27,15 @@ impl Inputs {
         self
     }
 
-    /// Checks that an output folder is none of the inputs.
+    /// Checks that an output folder is none of the inputs and no part of one: below an input, it is new or an output of
+    /// earlier runs.
     ///
     /// # Errors
-    /// Fails if it is one.
+    /// Fails if it is.
     pub(super) fn check_folder(&self, path: &Path) -> Result<(), FileError> {
-        self.check_same(path)
+        self.check_same(path)?;
+        let has_entries = std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some());
+        if has_entries && !path.join(FILES).exists() { self.check_outside(path) } else { Ok(()) }
     }
 
     /// Checks that a folder that is replaced as a whole is none of the inputs and contains none.
@@ -167,6 +171,15 @@ mod tests {
             );
         }
         inputs.check_folder(&at("out")).unwrap();
+        // Below an input: a part of it, a new folder, and an output of an earlier run.
+        std::fs::create_dir_all(at("out/sk/part")).unwrap();
+        std::fs::create_dir_all(at("out/sk/maps")).unwrap();
+        std::fs::write(at("out/sk/part/a"), "").unwrap();
+        std::fs::write(at("out/sk/maps").join(FILES), "").unwrap();
+        let message = inputs.check_folder(&at("out/sk/part")).unwrap_err().to_string();
+        assert!(message.starts_with("expected an output outside of the input "), "{message}");
+        inputs.check_folder(&at("out/sk/new")).unwrap();
+        inputs.check_folder(&at("out/sk/maps")).unwrap();
         let message = inputs.check_whole(&at("folder")).unwrap_err().to_string();
         assert!(message.contains("found a folder that contains it"), "{message}");
     }

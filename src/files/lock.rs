@@ -117,6 +117,9 @@ fn attempt(path: &Path, owner: &Path) -> Result<Option<LockedFile>, FileError> {
     if !opened.is_file() {
         return Err(FileError::content("a regular file", "something else", path));
     }
+    if opened.nlink() > 1 {
+        return Err(FileError::content("a temporary file of pskel", "a hard link to another file", path));
+    }
     match file.try_lock() {
         Err(TryLockError::Error(error)) if has_no_locks(&error) => UNLOCKED.store(true, Ordering::Relaxed),
         Err(TryLockError::Error(error)) => {
@@ -182,6 +185,10 @@ mod tests {
         std::fs::write(&target, "precious").unwrap();
         std::os::unix::fs::symlink(&target, &link).unwrap();
         assert!(LockedFile::open(&link, &link).is_err());
+        let hard = folder.path().join("hard");
+        std::fs::hard_link(&target, &hard).unwrap();
+        let message = LockedFile::open(&hard, &link).unwrap_err().to_string();
+        assert!(message.contains("found a hard link to another file: "), "{message}");
         assert!(LockedFile::open(folder.path(), &link).is_err());
         assert_eq!(std::fs::read(&target).unwrap(), b"precious");
     }

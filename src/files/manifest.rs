@@ -4,9 +4,11 @@
 use std::collections::BTreeSet;
 use std::fs::OpenOptions;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Component, Path, PathBuf};
 
 use super::input::{is_there, read_text};
+use super::text::printable_path;
 use super::whole::write_whole;
 use crate::error::FileError;
 
@@ -70,7 +72,13 @@ impl Manifest {
         })?;
         let (kind, inputs) = kind.split_once(INPUTS).unwrap_or((kind, ""));
         let inputs = inputs.split_whitespace().map(str::to_owned).collect();
-        Ok(Some(Self { kind: kind.to_owned(), inputs, paths: lines.map(PathBuf::from).collect() }))
+        let paths: BTreeSet<PathBuf> = lines.map(PathBuf::from).collect();
+        match paths.iter().find(|path| !is_below(path)) {
+            Some(other) => {
+                Err(FileError::content("paths of files below the folder", printable_path(other), &path))
+            }
+            None => Ok(Some(Self { kind: kind.to_owned(), inputs, paths })),
+        }
     }
 
     /// Writes the list, sorted, and replaces an older one.
@@ -91,11 +99,12 @@ impl Manifest {
         if new.is_empty() {
             return Ok(());
         }
-        if self.paths.is_empty() {
-            self.paths = new;
+        let path = folder.join(FILES);
+        // A list with another name is part of a copy of the folder by hard links.
+        if self.paths.is_empty() || path.metadata().is_ok_and(|list| list.nlink() > 1) {
+            self.paths.extend(new);
             return self.write(folder);
         }
-        let path = folder.join(FILES);
         let text: String = new.iter().map(|path| format!("{}\n", path.display())).collect();
         let appended =
             OpenOptions::new().append(true).open(&path).and_then(|mut f| f.write_all(text.as_bytes()));
@@ -150,6 +159,11 @@ impl Manifest {
         }
         Ok(())
     }
+}
+
+/// Returns whether a path names something below the folder that it is relative to, whatever links are there.
+pub fn is_below(path: &Path) -> bool {
+    path.components().all(|part| matches!(part, Component::Normal(_)))
 }
 
 /// Checks that no folder on the way from `folder` to a relative path is a link.
@@ -250,6 +264,29 @@ mod tests {
         Manifest::of("maps", &[], other.path()).unwrap().write(other.path()).unwrap();
         std::os::unix::fs::symlink(other.path().join(FILES), folder.path().join(FILES)).unwrap();
         assert!(Manifest::read(folder.path()).unwrap_err().to_string().contains("found a link: "));
+    }
+
+    #[test]
+    fn lists_have_only_files_below_the_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        for line in ["../victim", "/etc/victim", "a/../../victim"] {
+            std::fs::write(folder.path().join(FILES), format!("{HEADER}maps\na.png\n{line}\n")).unwrap();
+            let message = Manifest::read(folder.path()).unwrap_err().to_string();
+            let expected = format!("expected paths of files below the folder, found {line}: ");
+            assert!(message.starts_with(&expected) && message.ends_with(FILES), "{message}");
+        }
+    }
+
+    #[test]
+    fn lists_of_copies_by_hard_links_are_not_appended_to() {
+        let (folder, copy) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let mut manifest = Manifest::new("maps");
+        manifest.add(folder.path(), ["a.png"].map(PathBuf::from).into()).unwrap();
+        std::fs::hard_link(folder.path().join(FILES), copy.path().join(FILES)).unwrap();
+        let before = std::fs::read(copy.path().join(FILES)).unwrap();
+        manifest.add(folder.path(), ["b.png"].map(PathBuf::from).into()).unwrap();
+        assert_eq!(std::fs::read(copy.path().join(FILES)).unwrap(), before);
+        assert_eq!(Manifest::read(folder.path()).unwrap(), Some(manifest));
     }
 
     #[test]

@@ -21,10 +21,10 @@ mod work;
 
 pub use inputs::Inputs;
 pub use lock::lacks_locks;
-pub use manifest::FILES as LISTED_FILES;
+pub use manifest::{FILES as LISTED_FILES, is_below};
 pub(crate) use name::first_twice;
 pub use name::{FileName, NameError};
-pub use output::{OutputFolder, resolved_output};
+pub use output::{OutputFolder, own_folder, resolved_output};
 pub use output_file::{FileKind, OutputFile, is_one_file};
 pub use pending::remove_pending;
 pub use shared_folder::SharedFolder;

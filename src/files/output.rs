@@ -25,6 +25,9 @@ use super::place;
 use super::work::{OWN_NAME, WorkFolder};
 use crate::error::FileError;
 
+/// Kinds of whole folders in which nothing else may be.
+const CLOSED: [&str; 2] = ["skeleton", "templates"];
+
 /// Output folder that grows entry by entry.
 #[derive(Debug)]
 pub struct OutputFolder {
@@ -54,6 +57,7 @@ impl OutputFolder {
     /// Fails if another process uses the folder, if it has another kind or is one of `inputs`, or on an I/O error.
     pub fn open(path: &Path, kind: &str, inputs: &Inputs) -> Result<Self, FileError> {
         inputs.check_folder(path)?;
+        check_above(path)?;
         let new = NewFolder((!path.exists()).then(|| path.to_owned()));
         std::fs::create_dir_all(path).map_err(FileError::io("create", path))?;
         let work = WorkFolder::open(path.join(OWN_NAME), path)?;
@@ -89,8 +93,7 @@ impl OutputFolder {
     /// # Errors
     /// Fails if it, or a folder on the way to it, is a link.
     pub fn folder(&self, name: impl AsRef<Path>) -> Result<PathBuf, FileError> {
-        check_way(&self.path, &name.as_ref().join("file"))?;
-        Ok(self.path.join(name))
+        own_folder(&self.path, name)
     }
 
     /// Adds a file to the list and returns the path where the caller may write it.
@@ -170,6 +173,15 @@ impl OutputFolder {
     }
 }
 
+/// Returns the path of a folder below an output folder that is an output of its own, with its own list and lock.
+///
+/// # Errors
+/// Fails if it, or a folder on the way to it, is a link.
+pub fn own_folder(folder: &Path, name: impl AsRef<Path>) -> Result<PathBuf, FileError> {
+    check_way(folder, &name.as_ref().join("file"))?;
+    Ok(folder.join(name))
+}
+
 /// Removes a file or folder if it exists. A mount point stays, as an empty folder.
 fn remove_emptied(path: &Path) -> std::io::Result<()> {
     match remove(path) {
@@ -186,6 +198,21 @@ fn remove_emptied(path: &Path) -> std::io::Result<()> {
 pub fn resolved_output(path: PathBuf) -> PathBuf {
     let path: PathBuf = path.components().collect();
     if path.is_symlink() && path.is_dir() { path.canonicalize().unwrap_or(path) } else { path }
+}
+
+/// Checks that a folder is not below an output that appears as a whole, and which readers open as a whole.
+pub(super) fn check_above(path: &Path) -> Result<(), FileError> {
+    let absolute = std::path::absolute(path).map_err(FileError::io("read", path))?;
+    let existing = absolute.ancestors().skip(1).find_map(|above| above.canonicalize().ok());
+    for folder in existing.iter().flat_map(|above| above.ancestors()) {
+        // Folders above are the user's: a list that cannot be read is none of ours.
+        let Ok(Some(manifest)) = Manifest::read(folder) else { continue };
+        if CLOSED.contains(&manifest.kind.as_str()) {
+            let expected = format!("an output outside of the {} {}", manifest.kind, folder.display());
+            return Err(FileError::content(expected, "one in it", path));
+        }
+    }
+    Ok(())
 }
 
 /// Reads the list of a folder, and fails if it has another kind.
@@ -208,6 +235,21 @@ mod tests {
         folder.write_folder(name, |new| {
             std::fs::write(new.join("a.png"), text).map_err(FileError::io("write", new))
         })
+    }
+
+    #[test]
+    fn nothing_is_written_into_a_skeleton() {
+        let folder = tempfile::tempdir().unwrap();
+        let skeleton = folder.path().join("sk");
+        std::fs::create_dir(&skeleton).unwrap();
+        std::fs::write(skeleton.join("a.points"), "").unwrap();
+        Manifest::of("skeleton", &[], &skeleton).unwrap().write(&skeleton).unwrap();
+        for name in ["maps", "new/maps", "../sk/maps"] {
+            let opened = OutputFolder::open(&skeleton.join(name), "maps", &Inputs::default());
+            let message = opened.unwrap_err().to_string();
+            assert!(message.starts_with("expected an output outside of the skeleton "), "{message}");
+        }
+        OutputFolder::open(&skeleton.join("../maps"), "maps", &Inputs::default()).unwrap();
     }
 
     #[test]

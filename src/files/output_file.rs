@@ -21,8 +21,8 @@ pub struct FileKind {
     pub name: &'static str,
     /// Bytes with which every file of the kind begins.
     pub begin: &'static [u8],
-    /// Bytes that follow somewhere in the first 4096.
-    pub mark: &'static [u8],
+    /// Bytes of which one follows somewhere in the first 4096; none if the beginning is enough.
+    pub marks: &'static [&'static [u8]],
 }
 
 /// A file to write. It replaces nothing except an empty file or one of its kind, and is no part of the command's inputs
@@ -113,8 +113,8 @@ impl FileKind {
         let mut head = Vec::new();
         file.take(HEAD).read_to_end(&mut head).map_err(FileError::io("read", path))?;
         let rest = head.strip_prefix(self.begin);
-        let is_marked =
-            |rest: &[u8]| self.mark.is_empty() || rest.windows(self.mark.len()).any(|part| part == self.mark);
+        let has = |rest: &[u8], mark: &[u8]| rest.windows(mark.len()).any(|part| part == mark);
+        let is_marked = |rest: &[u8]| self.marks.is_empty() || self.marks.iter().any(|mark| has(rest, mark));
         if head.is_empty() || rest.is_some_and(is_marked) {
             return Ok(());
         }
@@ -160,7 +160,7 @@ fn parent(path: &Path) -> &Path {
 mod tests {
     use super::*;
 
-    const KIND: FileKind = FileKind { name: "a report", begin: b"{\n  \"seed\":", mark: b"7" };
+    const KIND: FileKind = FileKind { name: "a report", begin: b"{\n  \"seed\":", marks: &[b"7"] };
 
     #[test]
     fn only_files_of_the_same_kind_are_replaced() {

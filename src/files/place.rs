@@ -83,7 +83,7 @@ fn remove_listed(folder: &Path, name: &Path) -> Result<(), FileError> {
 }
 
 /// Moves a file, a link or an empty folder. Between file systems, it is copied.
-fn move_entry(from: &Path, to: &Path) -> Result<(), FileError> {
+pub(super) fn move_entry(from: &Path, to: &Path) -> Result<(), FileError> {
     let about = from.symlink_metadata().map_err(FileError::io("read", from))?;
     if about.is_dir() {
         return std::fs::create_dir_all(to).map_err(FileError::io("create", to));

@@ -11,8 +11,9 @@ use std::io::{BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use super::input::{is_there, open_regular, read_text};
-use super::manifest::{check_way, refusal};
+use super::manifest::{check_way, is_below, refusal};
 use super::pending::{finish_undisturbed, remove};
+use super::place::move_entry;
 use super::whole::write_whole;
 use super::work::WorkFolder;
 use crate::error::FileError;
@@ -133,9 +134,7 @@ impl SharedFolder {
     fn move_files(&self, files: &BTreeSet<PathBuf>) -> Result<(), FileError> {
         for name in files {
             let path = self.out.join(name);
-            create_parent(&path)?;
-            std::fs::rename(self.work.path().join(NEW).join(name), &path)
-                .map_err(FileError::io("rename to", &path))?;
+            move_entry(&self.work.path().join(NEW).join(name), &path)?;
         }
         create_parent(&self.out.join(&self.record))
     }
@@ -169,9 +168,7 @@ impl SharedFolder {
         if !is_there(&path)? {
             return Ok(BTreeSet::new());
         }
-        let is_below =
-            |path: &PathBuf| path.components().all(|part| matches!(part, std::path::Component::Normal(_)));
-        Ok(read_text(&path)?.lines().map(PathBuf::from).filter(is_below).collect())
+        Ok(read_text(&path)?.lines().map(PathBuf::from).filter(|path| is_below(path)).collect())
     }
 
     /// Returns whether there is a work folder of a unit.

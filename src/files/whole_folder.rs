@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::Inputs;
 use super::manifest::Manifest;
-use super::output::manifest_of;
+use super::output::{check_above, manifest_of};
 use super::pending::{finish_undisturbed, remove};
 use super::work::{OWN_NAME, WorkFolder};
 use super::{mounts, place};
@@ -121,6 +121,7 @@ pub fn check_whole(path: &Path, kind: &str, inputs: &Inputs) -> Result<(), FileE
     if path.is_symlink() {
         return Err(FileError::content("a folder or none", "a link", path));
     }
+    check_above(path)?;
     if path.is_dir() {
         let manifest = manifest_of(path, kind).or_else(|error| inputs.check_same(path).and(Err(error)))?;
         let manifest = manifest.unwrap_or(Manifest::new(kind));

@@ -100,8 +100,10 @@ impl Drop for WorkFolder {
         if self.is_kept() {
             return;
         }
-        // After a failure here, the next owner clears the folder.
-        let _ = self.clear(|_| false);
+        // After a failure here, the next owner clears the folder, which it knows by its lock.
+        if self.clear(|_| false).is_err() {
+            return;
+        }
         // The lock file is removed while it is locked, so no other process locks the removed file. If another process
         // has locked the folder since, it is not empty and stays.
         let _ = std::fs::remove_file(self.path.join(LOCK));

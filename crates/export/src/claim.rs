@@ -22,13 +22,17 @@ const PAUSE: Duration = Duration::from_millis(200);
 /// Fails if the folder has an export with other options or foreign files, or if it cannot be written.
 pub(crate) fn claim(out: &Path, options: &ExportOptions) -> Result<(), FileError> {
     let path = out.join(OPTIONS);
-    let content = json!({ "version": env!("CARGO_PKG_VERSION"), "records": RECORDS, "options": options });
+    let content = content(options);
     std::fs::create_dir_all(out).map_err(FileError::io("create", out))?;
     loop {
-        if is_taken(&path) {
-            return compare(&content, &json::read(&path, "the options of an export")?, &path);
-        }
         let foreign = foreign_file(out)?;
+        if is_taken(&path) {
+            let same = compare(&content, &json::read(&path, "the options of an export")?, &path);
+            // Options of an export that never began a shard are replaced.
+            if same.is_ok() || foreign.is_some() {
+                return same;
+            }
+        }
         // Another process may have begun an export since.
         if let Some(found) = foreign.filter(|_| !is_taken(&path)) {
             return Err(FileError::content("an export or an empty folder", found, out));
@@ -38,6 +42,19 @@ pub(crate) fn claim(out: &Path, options: &ExportOptions) -> Result<(), FileError
             written => return written,
         }
     }
+}
+
+/// Checks that the folder, in which a shard has begun, still has these options.
+///
+/// # Errors
+/// Fails if another process, which found no shard, has replaced them.
+pub(crate) fn check(out: &Path, options: &ExportOptions) -> Result<(), FileError> {
+    let path = out.join(OPTIONS);
+    compare(&content(options), &json::read(&path, "the options of an export")?, &path)
+}
+
+fn content(options: &ExportOptions) -> Value {
+    json!({ "version": env!("CARGO_PKG_VERSION"), "records": RECORDS, "options": options })
 }
 
 /// Version of the records of shards; without fingerprints of the input, there was no such number.

@@ -16,7 +16,7 @@ use point_skeleton::threads::{probe, spawn_scoped};
 use point_skeleton::{Maps, RenderOptions, Renderer};
 use serde_json::json;
 
-use crate::claim::claim;
+use crate::claim::{self, claim};
 use crate::layout::{self, Source};
 use crate::report::{ExportReport, Failure};
 use crate::samples::{Sample, Sampler};
@@ -29,7 +29,7 @@ const INDEX: &str = "index.json";
 const INDEX_KIND: FileKind = FileKind {
     name: "the index of an export",
     begin: b"{\n  \"__kind__\": \"wids-shard-index-v1\"",
-    mark: b"shardlist",
+    marks: &[b"shardlist"],
 };
 /// Pause between attempts to open a skeleton that another process builds.
 const PAUSE: Duration = Duration::from_millis(200);
@@ -86,6 +86,10 @@ pub struct Export<'a> {
 /// # Errors
 /// Fails if the folder cannot be written, or if it has an export with other options or foreign files.
 pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
+    if run.out == run.skeletons {
+        let expected = "a folder of skeletons apart from that of the export";
+        return Err(FileError::content(expected, "the same", run.out).into());
+    }
     claim(run.out, run.options)?;
     std::fs::create_dir_all(run.skeletons).map_err(FileError::io("create", run.skeletons))?;
     let jobs = run.jobs.min(run.part.logs.len());
@@ -233,8 +237,7 @@ fn export_units(run: &Export<'_>, log: &ListedLog, report: &mut ExportReport) ->
     let sampler = Sampler::new(recording, map, options.times);
     if !has_maps {
         for unit in units {
-            let written = Shard::begin(run.out, unit).map_err(ExportError::from);
-            let written = written.and_then(|shard| annotate(run, &source, shard, unit));
+            let written = begin(run, unit).and_then(|shard| annotate(run, &source, shard, unit));
             record(run, report, unit, written)?;
         }
         return Ok(());
@@ -257,6 +260,13 @@ fn export_units(run: &Export<'_>, log: &ListedLog, report: &mut ExportReport) ->
         record(run, report, unit, export_unit(run, &source, &sampler, &mut renderer, unit))?;
     }
     Ok(())
+}
+
+/// Begins a shard of an export with the run's options.
+fn begin(run: &Export<'_>, unit: &WorkUnit) -> Result<Shard, ExportError> {
+    let shard = Shard::begin(run.out, unit)?;
+    claim::check(run.out, run.options)?;
+    Ok(shard)
 }
 
 /// Adds the result of a shard to the report.
@@ -340,7 +350,7 @@ fn export_unit(
     renderer: &mut Renderer<'_>,
     unit: &WorkUnit,
 ) -> Result<ShardRecord, ExportError> {
-    let mut shard = Shard::begin(run.out, unit)?;
+    let mut shard = begin(run, unit)?;
     // Another process may have written the shard meanwhile.
     if let Some(record) = ShardRecord::read(run.out, unit, Some(&source.input), run.verify)? {
         return Ok(record);

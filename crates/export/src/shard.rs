@@ -5,11 +5,11 @@ use std::fs::File;
 use std::io::{BufWriter, Read, Write};
 #[cfg(feature = "parquet")]
 use std::ops::Range;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{is_there, read_table};
-use point_skeleton::files::{SharedFolder, json, write_json};
+use point_skeleton::files::{SharedFolder, is_below, json, write_json};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -118,9 +118,7 @@ impl ShardRecord {
             return Ok(None); // after a power failure
         }
         let record: Self = json::parse(&bytes, "the record of a shard", &path)?;
-        let is_below =
-            |file: &ShardFile| file.path.components().all(|part| matches!(part, Component::Normal(_)));
-        if !record.files.iter().all(is_below) {
+        if !record.files.iter().all(|file| is_below(&file.path)) {
             return Err(FileError::content("paths below the export", "another path", &path));
         }
         let [first, end] = record.frames;

@@ -3,14 +3,16 @@
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
 use std::os::unix::fs::symlink;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use image::ImageFormat;
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
 use point_skeleton::dataset::{ImageRecord, Recording};
 use point_skeleton::error::FileError;
-use point_skeleton::files::{FileName, Inputs, LISTED_FILES, WholeFolder, check_whole, write_whole};
+use point_skeleton::files::{
+    FileName, Inputs, LISTED_FILES, WholeFolder, check_whole, is_below, write_whole,
+};
 use pskel_sim::report::{self, ROLLOUT, STATES, STEPS, StateFile};
 
 /// JPEG quality: high, so that visible artifacts are the generator's.
@@ -128,8 +130,7 @@ fn camera_of<'a>(log: &'a Recording, record: &ImageRecord, shown: &Path) -> Resu
 }
 
 fn relative(root: &Path, path: &Path) -> Result<PathBuf, FileError> {
-    let is_plain = |part: Component<'_>| matches!(part, Component::Normal(_));
-    let within = path.strip_prefix(root).ok().filter(|within| within.components().all(is_plain));
+    let within = path.strip_prefix(root).ok().filter(|within| is_below(within));
     within.map(Path::to_path_buf).ok_or_else(|| {
         FileError::content(format!("an image below {}", root.display()), "another place", path)
     })

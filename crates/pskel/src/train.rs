@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Context;
 use clap::Args;
 use point_skeleton::dataset::LogLocator;
-use point_skeleton::files::FileName;
+use point_skeleton::files::{FileName, Inputs, own_folder};
 use pskel_eval::loss_plot;
 use pskel_generate::TrainingClip;
 use pskel_network::NetworkConfig;
@@ -91,14 +91,14 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     };
     config.check()?;
     TrainOptions { steps: args.steps.max(1), ..options }.check(&config)?;
-    let drives = args.drives.clone().unwrap_or_else(|| args.out.join("drives"));
+    let drives = args.drives.clone().map_or_else(|| own_folder(&args.out, "drives"), Ok)?;
     let record = RecordOptions {
         variants: usize::from(args.variants),
         augment: !args.no_augment,
         rasterizer: args.rasterizer.desc()?,
     };
     let recorder = ClipRecorder { folder: &drives, config: &config, options: &record };
-    let folder = (args.steps > 0).then(|| TrainingFolder::open(&args.out)).transpose()?;
+    let folder = (args.steps > 0).then(|| TrainingFolder::open(&args.out, &args.inputs())).transpose()?;
     let (clips, shares) = args.clips(&recorder)?;
     let frames: usize = clips.iter().map(|clip| clip.frames.len()).sum();
     let seconds = start.elapsed().as_secs_f64();
@@ -124,6 +124,12 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
 }
 
 impl TrainArgs {
+    /// Returns everything that is read, except for drives.
+    fn inputs(&self) -> Inputs {
+        let logs: Vec<LogLocator> = self.logs.iter().map(|log| self.roots.locate(log)).collect();
+        Inputs::new(logs.iter().flat_map(LogLocator::inputs)).and(&self.config)
+    }
+
     fn check_weights(&self) -> Result<(), WrongUsage> {
         let (Some(weights), logs) = (&self.weights, self.logs.len()) else { return Ok(()) };
         if weights.len() == logs && weights.iter().any(|weight| *weight > 0.0) {

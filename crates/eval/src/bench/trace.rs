@@ -21,8 +21,11 @@ struct Trace {
 }
 
 /// Files of traces of this program.
-pub const TRACE: FileKind =
-    FileKind { name: "a trace of pskel bench", begin: b"{\n  \"traceEvents\": [", mark: b"\"pskel bench\"" };
+pub const TRACE: FileKind = FileKind {
+    name: "a trace of pskel bench",
+    begin: b"{\n  \"traceEvents\": [",
+    marks: &[b"\"pskel bench\""],
+};
 
 /// Writes frames, from begin to end, and their stages, placed one after the other from the frame's begin. Frames in
 /// flight together get separate tracks. `names` are those of the workload's frames.

@@ -112,7 +112,7 @@ impl ScoredRollout {
 
 /// Files of reports.
 pub const SCORES: FileKind =
-    FileKind { name: "scores of pskel evaluate", begin: b"{\n  \"seed\": ", mark: b"\n  \"mean\": {" };
+    FileKind { name: "scores of pskel evaluate", begin: b"{\n  \"seed\": ", marks: &[b"\n  \"mean\": {"] };
 
 impl Report {
     pub(super) fn new(

@@ -30,19 +30,19 @@ impl FidelityFiles {
     pub const JSON: FileKind = FileKind {
         name: "a report of pskel fidelity",
         begin: b"{\n  \"log\": ",
-        mark: b"\n  \"description\": ",
+        marks: &[b"\n  \"description\": "],
     };
     /// Table as CSV.
     pub const CSV: FileKind = FileKind {
         name: "a table of pskel fidelity",
         begin: b"pose,images,PSNR (dB),filled (%),",
-        mark: b"",
+        marks: &[],
     };
     /// Table as Markdown.
     pub const MARKDOWN: FileKind = FileKind {
         name: "a table of pskel fidelity",
         begin: b"| pose | images | PSNR (dB) | filled (%) |",
-        mark: b"",
+        marks: &[],
     };
 }
 

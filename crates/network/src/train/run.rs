@@ -67,9 +67,9 @@ impl TrainingFolder {
     /// Opens a new or empty folder, or that of an earlier training.
     ///
     /// # Errors
-    /// Fails if the folder is in use or has other files, or if it cannot be written.
-    pub fn open(path: &Path) -> Result<Self, FileError> {
-        let files = OutputFolder::open(path, KIND, &Inputs::default())?;
+    /// Fails if the folder is in use, has other files or is one of `inputs`, or if it cannot be written.
+    pub fn open(path: &Path, inputs: &Inputs) -> Result<Self, FileError> {
+        let files = OutputFolder::open(path, KIND, inputs)?;
         files.check([CHECKPOINT, WEIGHTS, LOSS, CURVE])?;
         Ok(Self { path: path.to_owned(), files })
     }

@@ -272,6 +272,16 @@ fn exports_are_not_mixed() {
     let other = log.run(&format!("{EXPORT} --layout frames --radius 50"));
     assert_failed(&other, 1, &["expected an export with the same options", "out/export.json"]);
     assert!(tree(&log.path("out")) == before);
+    // Options that no shard was written with are no obstacle.
+    let again =
+        |size: &str| format!("{EXPORT} --layout opendwm-preview {size}").replace("--out out", "--out again");
+    let tables = log.path("log/v1.0-mini/calibrated_sensor.json");
+    let kept = std::fs::read(&tables).unwrap();
+    std::fs::write(&tables, "[]").unwrap();
+    assert!(!log.run(&again("--radius 50")).status.success());
+    std::fs::write(&tables, kept).unwrap();
+    assert!(log.path("again/export.json").exists());
+    log.succeed(&again("--radius 60"));
     std::fs::create_dir(log.path("thesis")).unwrap();
     std::fs::write(log.path("thesis/thesis.tex"), "years of work").unwrap();
     let args = EXPORT.replace("--out out", "--out thesis");

@@ -29,7 +29,7 @@ use crate::state::ego_cuboid;
 
 /// Files of rollouts.
 pub const MCAP: FileKind =
-    FileKind { name: "an MCAP file of pskel", begin: b"\x89MCAP0\r\n", mark: b"pskel " };
+    FileKind { name: "an MCAP file of pskel", begin: b"\x89MCAP0\r\n", marks: &[b"pskel "] };
 
 /// A rollout whose steps are complete.
 pub(super) struct Input<'a> {

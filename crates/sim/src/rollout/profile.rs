@@ -165,8 +165,11 @@ impl Profile {
     }
 
     /// Files of profiles.
-    pub const KIND: FileKind =
-        FileKind { name: "a profile of pskel", begin: b"{\n  \"rasterizer\": ", mark: b"\n  \"loop_s\": " };
+    pub const KIND: FileKind = FileKind {
+        name: "a profile of pskel",
+        begin: b"{\n  \"rasterizer\": ",
+        marks: &[b"\n  \"loop_s\": "],
+    };
 
     /// Writes all durations as JSON.
     ///

@@ -257,6 +257,36 @@ fn foreign_files_in_a_mount_point_stay() {
     }
 }
 
+/// A list with paths outside of its folder, which is replaced file by file.
+#[test]
+fn lists_of_a_mount_point_lead_nowhere_else() {
+    let log = ready();
+    let script = format!(
+        "mkdir out; mount -t tmpfs tmpfs out; $PSKEL {BUILD}; echo mine > victim; echo ../victim >> out/.pskel-files
+        ! $PSKEL {BUILD} 2> said; cat victim; umount out"
+    );
+    let Some(output) = in_namespace(&log, &script) else { return };
+    assert_success(&output, BUILD);
+    assert_eq!(String::from_utf8_lossy(&output.stdout).lines().last(), Some("mine"));
+    let said = std::fs::read_to_string(log.path("said")).unwrap();
+    assert!(said.contains("expected paths of files below the folder, found ../victim: out/"), "{said}");
+}
+
+/// A folder of an export that is a volume of its own.
+#[test]
+fn shards_reach_into_mount_points() {
+    let log = ready();
+    let args =
+        "export nuscenes:log --skeletons sks --out out --out-size 32x48 --rasterizer cpu --layout pas-cache";
+    let script = format!(
+        "$PSKEL {args}; cp -a out first; rm -r out/proj_clr; mkdir out/proj_clr; mount -t tmpfs tmpfs out/proj_clr
+        $PSKEL {args}; cp -a out second; umount out/proj_clr"
+    );
+    let Some(output) = in_namespace(&log, &script) else { return };
+    assert_success(&output, args);
+    assert!(tree(&log.path("first")) == tree(&log.path("second")));
+}
+
 /// An output file that is bound to another one, with a folder beside it that can be written or not.
 #[test]
 fn files_that_are_mount_points_are_written() {

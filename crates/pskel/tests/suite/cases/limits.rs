@@ -131,6 +131,18 @@ fn few_processes_of_a_user_are_refused_in_one_line() {
 }
 
 /// Cameras of a size, as in files of `--cameras`.
+/// A run that can open few files leaves nothing that later runs take for a foreign folder.
+#[test]
+fn few_open_files_do_not_spoil_an_output() {
+    let log = log_with_skeleton();
+    let args = format!("simulate {LOG} --skeleton sk --out out --maps depth --rasterizer cpu --steps 1");
+    for limit in 5..16 {
+        let script = format!("ulimit -n {limit}; exec {PSKEL} {args}");
+        run_within_time(&log.path(""), &script);
+    }
+    log.succeed(&args);
+}
+
 fn write_cameras(log: &TinyLog, count: usize, side: u32) {
     let pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
     let camera = |i: usize| json!({"name": format!("c{i}"), "width": side, "height": side, "intrinsics": INTRINSICS, "camera_from_world": pose});

@@ -374,6 +374,51 @@ fn rollouts_are_not_resumed_through_links() {
     }
 }
 
+#[test]
+fn output_folders_are_no_part_of_an_input() {
+    let log = ready();
+    std::fs::create_dir(log.path("sks")).unwrap();
+    let train = "train nuscenes:log --steps 1 --batch 1";
+    let skeleton = "expected an output outside of the skeleton";
+    for (args, part) in [
+        (SIMULATE.replace("--out out", "--out log/v1.0-mini"), "expected an output outside of the input log"),
+        (SIMULATE.replace("--out out", "--out log/samples"), "expected an output outside of the input log"),
+        (SIMULATE.replace("--out out", "--out sk/sub"), skeleton),
+        (RENDER.replace("--out out", "--out sk/maps"), skeleton),
+        ("convert sk --out sk/clouds".to_owned(), skeleton),
+        ("build nuscenes:log --out sk/sub/sk".to_owned(), skeleton),
+        ("templates sk --min-points 1 --out templates/more".to_owned(), "outside of the templates"),
+        (format!("{train} --out log"), "expected an output apart from the input log"),
+        (EXPORT.replace("--out out", "--out sks --layout frames"), "apart from that of the export"),
+    ] {
+        assert_refused(&log, &args, part);
+    }
+    // Drives are written below the output, not where a link leads.
+    std::fs::create_dir_all(log.path("out")).unwrap();
+    std::fs::create_dir(log.path("other")).unwrap();
+    symlink("../other", log.path("out/drives")).unwrap();
+    assert_refused(&log, &format!("{train} --out out"), "found a link: out/drives");
+}
+
+/// Arrays of NumPy have other shapes, and its archives another header.
+#[test]
+fn arrays_of_others_are_kept() {
+    let log = ready();
+    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (9, 512), }";
+    let array = format!("{header:117}\n");
+    std::fs::write(log.path("features.npy"), [b"\x93NUMPY\x01\0\x76\0", array.as_bytes()].concat()).unwrap();
+    let local = [b"PK\x03\x04\x2d", &[0; 21][..], b"\x09\0\x14\0color.npy", &[0; 20]].concat();
+    std::fs::write(log.path("mine.npz"), local).unwrap();
+    assert_refused(&log, "convert p.npy --out features.npy", "found another file: features.npy");
+    let splat = "splat --points p.npy --cameras c.json --rasterizer cpu";
+    assert_refused(&log, &format!("{splat} --out mine.npz"), "found another file: mine.npz");
+    // Those of this program are replaced.
+    for args in ["convert p.npy --out q.npy".to_owned(), format!("{splat} --out q.npz")] {
+        log.succeed(&args);
+        log.succeed(&args);
+    }
+}
+
 /// A town has a list of its files, which its copy must not share.
 #[test]
 fn copies_leave_their_data_set_alone() {
