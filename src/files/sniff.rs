@@ -78,6 +78,7 @@ pub(crate) fn marked(head: &[u8]) -> Option<&'static str> {
         }
         _ if has(257, b"ustar") => Some("a tar archive (unpack it)"),
         [b'[' | b'{' | b'"' | b' ' | b'\n', 0, _, 0, ..] => Some("UTF-16 text (save it as UTF-8)"),
+        [0, b'[' | b'{' | b'"' | b' ' | b'\n', 0, _, ..] => Some("UTF-16 text (save it as UTF-8)"),
         _ if head.len() > 16 && head.iter().all(|byte| *byte == 0) => {
             Some("zero bytes (a download that was cut off?)")
         }
@@ -145,6 +146,7 @@ mod tests {
             (b"\x1f\x8b\x08\0", "gzip"),
             (b"\xff\xfe[\0{\0", "UTF-16"),
             (b"[\0{\0\"\0", "UTF-16"),
+            (b"\0[\0{\0\"", "UTF-16"),
             (b"\xff\xd8\xff\xe0\0", "a JPEG image"),
             (b"RIFF\0\0\0\0WEBPVP8 ", "WebP"),
             (&[0; 40], "zero bytes"),
