@@ -63,6 +63,8 @@ fn thousands(power: i32) -> f64 {
 pub(super) struct Offset {
     t_us: i64,
     expected_us: i64,
+    /// Range of the clock's offset, if the times are a part of the others.
+    range_us: [u64; 2],
     unit: Unit,
 }
 
@@ -70,8 +72,14 @@ impl Offset {
     /// Compares a time with the one that it belongs to, in microseconds; `None` within the tolerance.
     #[cfg(any(feature = "nuscenes", test))]
     pub(super) fn of(t_us: i64, expected_us: i64) -> Option<Self> {
-        let offset = Self { t_us, expected_us, unit: Unit::MICROS };
-        (offset.distance() > TOLERANCE_US).then_some(offset)
+        Self::beyond(t_us, expected_us, TOLERANCE_US)
+    }
+
+    /// Compares a time with the one that it belongs to, in microseconds; `None` within a tolerance.
+    #[cfg(any(feature = "nuscenes", feature = "nuplan", test))]
+    fn beyond(t_us: i64, expected_us: i64, tolerance_us: u64) -> Option<Self> {
+        let range_us = [t_us.abs_diff(expected_us); 2];
+        (range_us[0] > tolerance_us).then_some(Self { t_us, expected_us, range_us, unit: Unit::MICROS })
     }
 
     /// Compares ascending times with the first and last of a span. Returns the offset of the first time from the first of the
@@ -82,14 +90,17 @@ impl Offset {
         [first, last]: [i64; 2],
         unit: Unit,
     ) -> Option<Self> {
-        let mut begin = None;
+        let mut ends = None;
         for t_us in times_us {
             if t_us.abs_diff(t_us.clamp(first, last.max(first))) <= TOLERANCE_US {
                 return None;
             }
-            begin.get_or_insert(t_us);
+            ends.get_or_insert([t_us; 2])[1] = t_us;
         }
-        begin.map(|t_us| Self { t_us, expected_us: first, unit })
+        let [t_us, end_us] = ends?;
+        let mut range_us = [t_us.abs_diff(first), end_us.abs_diff(last)];
+        range_us.sort_unstable();
+        Some(Self { t_us, expected_us: first, range_us, unit })
     }
 
     fn distance(&self) -> u64 {
@@ -102,14 +113,18 @@ impl Offset {
             return Some(unit);
         }
         const HALF_HOUR_S: f64 = 1800.0;
-        let seconds = self.distance() as f64 * 1e-6;
-        let half_hours = (seconds / HALF_HOUR_S).round();
-        if (1.0..=28.0).contains(&half_hours) && (seconds - half_hours * HALF_HOUR_S).abs() < 5.0 {
+        let [least, most] = self.range_us.map(|t_us| t_us as f64 * 1e-6);
+        let half_hours = ((least - 5.0) / HALF_HOUR_S).ceil();
+        if (1.0..=28.0).contains(&half_hours)
+            && half_hours * HALF_HOUR_S <= most + 5.0
+            && most - least < HALF_HOUR_S / 2.0
+        {
             return Some(format!("{} h, another time zone?", half_hours / 2.0));
         }
         // UTC has 37 leap seconds, GPS time started with 19 of them.
-        let leaps = [18.0, 19.0, 37.0];
-        leaps.iter().any(|leap| (seconds - leap).abs() < 0.5).then(|| "GPS time instead of UTC?".to_owned())
+        let is_near = |leap: &f64| (least - 0.5..=most + 0.5).contains(leap) && most - least < 1.0;
+        let is_leap = [18.0, 19.0, 37.0].iter().any(is_near);
+        is_leap.then(|| "GPS time instead of UTC?".to_owned())
     }
 }
 
@@ -137,8 +152,7 @@ impl PoseTimes {
     /// Compares the time of a pose with the time of its data, in microseconds. `names` returns the sensor, and the token of the
     /// pose.
     pub(super) fn compare(&mut self, pose_us: i64, data_us: i64, names: impl FnOnce() -> [String; 2]) {
-        let offset = Offset { t_us: pose_us, expected_us: data_us, unit: Unit::MICROS };
-        if offset.distance() > NOTED_US {
+        if let Some(offset) = Offset::beyond(pose_us, data_us, NOTED_US) {
             let [sensor, token] = names();
             self.count += 1;
             self.sensors.insert(sensor);
@@ -180,8 +194,7 @@ impl KeyTimes {
             let count = times.len();
             let (_, [t_us, frame_us], _) =
                 times.select_nth_unstable_by_key(count / 2, |[t_us, frame_us]| t_us - frame_us);
-            let offset = Offset { t_us: *t_us, expected_us: *frame_us, unit: Unit::MICROS };
-            if offset.distance() > NOTED_US {
+            if let Some(offset) = Offset::beyond(*t_us, *frame_us, NOTED_US) {
                 let text = format!(
                     "key frames of {sensor} of another time than their boxes (used; median {offset})"
                 );
@@ -245,8 +258,11 @@ mod tests {
         assert!(of(&[T_US + 6_000_001]).is_some());
         assert_eq!(of(&[]), None);
         // The first is compared with the first: the offset of the clocks, whatever the length of the log.
-        let text = of(&[T_US + 18_000_000, T_US + 23_000_000]).unwrap().to_string();
-        assert_eq!(text, "18.000 s later (GPS time instead of UTC?)");
+        let text = |times: [i64; 2]| of(&times.map(|t_us| T_US + t_us)).unwrap().to_string();
+        assert_eq!(text([18_000_000, 23_000_000]), "18.000 s later (GPS time instead of UTC?)");
+        assert_eq!(text([18_000_000, 19_000_000]), "18.000 s later");
+        // Two of its files, from anywhere in the log.
+        assert_eq!(text([3_604_000_000, 3_604_100_000]), "3604.000 s later (1 h, another time zone?)");
     }
 
     #[test]

@@ -108,7 +108,11 @@ fn in_words(message: &str) -> String {
     match (line, number) {
         (Some(line), Some(number)) => format!("{:?} in line {number}", line.trim_matches('\'')),
         (Some(line), None) => format!("the line {:?}", line.trim_matches('\'')),
-        (None, _) => lines.first().copied().unwrap_or_default().to_owned(),
+        (None, _) if message.contains("end_header") => "a header without end_header (cut off?)".to_owned(),
+        (None, _) => {
+            let first = lines.first().copied().unwrap_or_default();
+            first.split_once(": ").map_or(first, |(_, reason)| reason).to_owned()
+        }
     }
 }
 
@@ -198,7 +202,7 @@ mod tests {
             ("\0".repeat(500), "found zero bytes"),
             ("\u{1}\u{2}\u{3}".to_owned(), "found other content: "),
             (header("ascii", "element vertex 1\nproperty half x\n"), "found \"property half x\" in line 4: "),
-            ("ply\nformat ascii 1.0\nelement vertex 5\n".to_owned(), "found "),
+            ("ply\nformat ascii 1.0\nelement vertex 5\n".to_owned(), "found a header without end_header"),
         ] {
             let found = parse(text.as_bytes()).unwrap_err().to_string();
             assert!(found.contains(message) && found.ends_with("p.ply"), "{found}, expected {message}");
