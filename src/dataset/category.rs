@@ -3,7 +3,12 @@
 //! nuScenes names categories by dotted groups (`vehicle.car`), other data sets by single words (`car`,
 //! `other_vehicle`, `Pedestrian`). [`CategoryKind::of`] is the only place that interprets either.
 
+mod words;
+
 use serde::{Deserialize, Serialize};
+
+pub(crate) use words::CategoryKind;
+use words::{ADJECTIVES, GROUPS, VAGUE, WORDS};
 
 /// Coarse class of a point or actor, as in the class map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -33,206 +38,9 @@ impl Class {
     }
 }
 
-/// Kind of actor that a category stands for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum CategoryKind {
-    Car,
-    Truck,
-    Bus,
-    Trailer,
-    /// Construction and other special vehicles.
-    Construction,
-    Emergency,
-    /// Any motor vehicle, in data sets with a single category for them.
-    AnyVehicle,
-    Pedestrian,
-    Bicycle,
-    Motorcycle,
-    Object,
-}
-
 use CategoryKind::{
     AnyVehicle, Bicycle, Bus, Car, Construction, Emergency, Motorcycle, Object, Pedestrian, Trailer, Truck,
 };
-
-/// Words in lower case without separators. Sources: the category lists of nuScenes, nuPlan, Lyft Level 5, TIER IV's T4,
-/// Argoverse 2,
-/// KITTI, Waymo Open, PandaSet, TruckScenes, ONCE, DAIR-V2X, ZOD and Cityscapes.
-const WORDS: [(CategoryKind, &[&str]); 11] = [
-    (Car, &["car", "van", "minivan", "suv", "sedan", "taxi", "pickup", "pickuptruck", "passengercar", "ego"]),
-    (
-        Truck,
-        &[
-            "truck",
-            "lorry",
-            "mediumsizedtruck",
-            "semitruck",
-            "heavytruck",
-            "lighttruck",
-            "boxtruck",
-            "truckcab",
-            "tractorunit",
-            "largevehicle",
-            "firetruck",
-        ],
-    ),
-    (
-        Bus,
-        &[
-            "bus",
-            "minibus",
-            "schoolbus",
-            "articulatedbus",
-            "coach",
-            "tram",
-            "tramsubway",
-            "train",
-            "trolley",
-            "railedvehicle",
-        ],
-    ),
-    (Trailer, &["trailer", "semitrailer", "truckhead", "towedobject", "caravan", "vehiculartrailer"]),
-    (
-        Construction,
-        &[
-            "construction",
-            "constructionvehicle",
-            "othervehicle",
-            "othervehicleconstructionvehicle",
-            "othervehicleuncommon",
-            "excavator",
-            "forklift",
-            "tractor",
-            "heavyequipment",
-            "kart",
-        ],
-    ),
-    (
-        Emergency,
-        &[
-            "emergency",
-            "emergencyvehicle",
-            "ambulance",
-            "police",
-            "policecar",
-            "policevehicle",
-            "fire",
-            "fireengine",
-        ],
-    ),
-    (AnyVehicle, &["vehicle", "motorvehicle", "regularvehicle"]),
-    (
-        Pedestrian,
-        &[
-            "pedestrian",
-            "pedestrianwithobject",
-            "pedestriansitting",
-            "person",
-            "personsitting",
-            "people",
-            "human",
-            "adult",
-            "child",
-            "rider",
-            "stroller",
-            "wheelchair",
-            "personalmobility",
-            "personalmobilitydevice",
-            "policeofficer",
-            "constructionworker",
-            "officialsignaler",
-            "wheeledrider",
-        ],
-    ),
-    (
-        Bicycle,
-        &[
-            "bicycle",
-            "bike",
-            "cycle",
-            "cyclist",
-            "bicyclist",
-            "tricycle",
-            "tricyclist",
-            "othervehiclepedicab",
-            "twowheeler",
-        ],
-    ),
-    (
-        Motorcycle,
-        &[
-            "motorcycle",
-            "motorbike",
-            "motorcyclist",
-            "motorizedscooter",
-            "scooter",
-            "moped",
-            "vehicletwowheeler",
-        ],
-    ),
-    (
-        Object,
-        &[
-            "object",
-            "genericobject",
-            "movableobject",
-            "staticobject",
-            "animal",
-            "animalsother",
-            "animalsbird",
-            "dog",
-            "barrier",
-            "roadbarriers",
-            "temporaryconstructionbarriers",
-            "cone",
-            "constructioncone",
-            "constructionbarrel",
-            "trafficcone",
-            "pylons",
-            "czonesign",
-            "constructionsigns",
-            "pushablepullable",
-            "rollingcontainers",
-            "debris",
-            "bicyclerack",
-            "bollard",
-            "pole",
-            "sign",
-            "stopsign",
-            "trafficsign",
-            "trafficlight",
-            "trafficlighttrailer",
-            "messageboardtrailer",
-            "mobilepedestriancrossingsign",
-            "wheeleddevice",
-            "vegetation",
-            "misc",
-            "other",
-            "unknown",
-            "unclear",
-            "dontcare",
-        ],
-    ),
-];
-
-/// Groups of nuScenes; longer names that begin like others come first.
-const GROUPS: [&str; 6] = ["movable_object", "static_object", "vehicle", "human", "animal", "object"];
-
-/// Words of [`Object`] that may also stand for a vehicle.
-const VAGUE: [&str; 9] = [
-    "object",
-    "genericobject",
-    "movableobject",
-    "staticobject",
-    "misc",
-    "other",
-    "unknown",
-    "unclear",
-    "dontcare",
-];
-
-/// Words that are vehicles on their own or below `vehicle`, but not below `object`.
-const ADJECTIVES: [&str; 4] = ["construction", "emergency", "police", "fire"];
 
 impl CategoryKind {
     /// Returns what a category stands for; `None` for unknown words. Upper case, spaces, `_`, `-`, `/`, `:`, plurals and remarks
@@ -250,8 +58,8 @@ impl CategoryKind {
         match group.as_str() {
             "animal" => return Some(Object),
             "movableobject" | "staticobject" | "object" => {
-                let words = rest.iter().filter(|word| !ADJECTIVES.contains(&word.as_str()));
-                return Some(words.filter_map(|word| of_word(word)).next().unwrap_or(Object));
+                let mut words = rest.iter().filter(|word| !ADJECTIVES.contains(&word.as_str()));
+                return Some(words.find_map(|word| of_word(word)).unwrap_or(Object));
             }
             _ => {}
         }
